@@ -1,0 +1,49 @@
+#include "client/cli/drive_poses.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace revisit::client {
+
+v1::Pose MakePose(const Drive& drive,
+                  const std::vector<ClaimedUncertainty>& uncertainty,
+                  v1::StateSpace state_space, std::size_t index) {
+  const DriveSample& sample = drive.samples[index];
+  const auto& [xx, xy, xh, yy, yh, hh] = uncertainty[index].planar;
+  v1::Pose pose;
+  pose.set_sequence(index + 1);
+  const double seconds = std::floor(sample.time_seconds);
+  pose.mutable_stamp()->set_seconds(static_cast<std::int64_t>(seconds));
+  pose.mutable_stamp()->set_nanos(static_cast<std::int32_t>(std::min(
+      std::floor((sample.time_seconds - seconds) * 1e9 + 0.5), 999'999'999.0)));
+  v1::LocalPosition* local = pose.mutable_local();
+  local->set_x_meters(sample.estimate.x);
+  local->set_y_meters(sample.estimate.y);
+  local->set_z_meters(sample.estimate_z);
+  if (sample.quaternion.has_value()) {
+    const auto& [x, y, z, w] = *sample.quaternion;
+    v1::Quaternion* quaternion = pose.mutable_quaternion();
+    quaternion->set_x(x);
+    quaternion->set_y(y);
+    quaternion->set_z(z);
+    quaternion->set_w(w);
+  } else {
+    pose.set_heading_radians(sample.estimate.heading);
+  }
+  v1::Covariance* covariance = pose.mutable_covariance();
+  if (state_space == v1::STATE_SPACE_SPATIAL) {
+    const double zz = uncertainty[index].z_variance;
+    covariance->set_form(v1::COVARIANCE_FORM_SPATIAL_10);
+    for (const double value : {xx, xy, 0.0, xh, yy, 0.0, yh, zz, 0.0, hh}) {
+      covariance->add_values(value);
+    }
+  } else {
+    covariance->set_form(v1::COVARIANCE_FORM_PLANAR_6);
+    for (const double value : {xx, xy, xh, yy, yh, hh}) {
+      covariance->add_values(value);
+    }
+  }
+  return pose;
+}
+
+}  // namespace revisit::client

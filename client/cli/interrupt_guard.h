@@ -1,0 +1,36 @@
+// Cleaning up when somebody presses Ctrl-C.
+#ifndef REVISIT_CLIENT_CLI_INTERRUPT_GUARD_H_
+#define REVISIT_CLIENT_CLI_INTERRUPT_GUARD_H_
+
+#include <atomic>
+#include <csignal>
+#include <functional>
+#include <thread>
+
+namespace revisit::client {
+
+// While it lives, SIGINT, SIGTERM and SIGHUP run `clean_up` on a thread of
+// their own and then end the process with code 130. Only threads that are
+// started afterwards are kept from taking the signals themselves, so make it
+// before the first channel. One at a time in a process.
+class InterruptGuard {
+ public:
+  explicit InterruptGuard(std::function<void()> clean_up);
+  ~InterruptGuard();
+
+  InterruptGuard(const InterruptGuard&) = delete;
+  InterruptGuard& operator=(const InterruptGuard&) = delete;
+
+ private:
+  void Wait();
+
+  const std::function<void()> clean_up_;
+  sigset_t signals_;
+  sigset_t previous_mask_;
+  std::atomic<bool> stopping_{false};
+  std::thread thread_;
+};
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_INTERRUPT_GUARD_H_

@@ -1,0 +1,31 @@
+// revisit vehicle create|get|list|delete
+#ifndef REVISIT_CLIENT_CLI_VEHICLE_COMMAND_H_
+#define REVISIT_CLIENT_CLI_VEHICLE_COMMAND_H_
+
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "client/cli/console.h"
+#include "client/revisit/client.h"
+
+namespace revisit::client {
+
+absl::Status RunVehicleCreate(const Client& client, const std::string& id,
+                              const v1::VehicleSettings& settings,
+                              const Console& console);
+absl::Status RunVehicleGet(const Client& client, const std::string& id,
+                           const Console& console);
+// All pages. As JSON: {"vehicles": [...]}.
+absl::Status RunVehicleList(const Client& client, const Console& console);
+// Stops at the first that cannot be deleted.
+absl::Status RunVehicleDelete(const Client& client,
+                              const std::vector<std::string>& ids,
+                              const Console& console);
+
+// A vehicle and its settings for people.
+void PrintVehicle(const v1::Vehicle& vehicle, const Console& console);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_VEHICLE_COMMAND_H_

@@ -1,0 +1,182 @@
+#include "client/revisit/client.h"
+
+#include <algorithm>
+#include <thread>
+#include <utility>
+
+#include "client/revisit/status.h"
+#include "client/revisit/status_from_grpc.h"
+#include "grpcpp/client_context.h"
+#include "grpcpp/support/sync_stream.h"
+#include "revisit/v1/pose_graph_service.grpc.pb.h"
+
+namespace revisit::client {
+namespace {
+
+using Clock = std::chrono::system_clock;
+using Stub = v1::PoseGraphService::StubInterface;
+
+enum class Retry { kSafe, kNever };
+
+}  // namespace
+
+struct Client::Rep {
+  Rep(std::shared_ptr<grpc::ChannelInterface> channel,
+      const ClientOptions& client_options)
+      : stub(v1::PoseGraphService::NewStub(std::move(channel))),
+        options(client_options) {}
+
+  // Runs `attempt(context)`, which answers whether it may be repeated, until it
+  // succeeds or must not be repeated.
+  template <typename Attempt>
+  absl::Status Run(Retry retry, std::chrono::milliseconds limit,
+                   const Attempt& attempt) {
+    const auto deadline = Clock::now() + limit;
+    const int attempts =
+        retry == Retry::kSafe ? std::max(options.max_attempts, 1) : 1;
+    Backoff backoff(options.backoff, BackoffSeed());
+    for (int count = 1;; ++count) {
+      bool repeatable = true;
+      const absl::Status status = [&] {
+        grpc::ClientContext context;
+        context.set_deadline(deadline);
+        return attempt(&context, &repeatable);
+      }();
+      if (!absl::IsUnavailable(status) || !repeatable || count >= attempts) {
+        return status;
+      }
+      const auto wait = backoff.Next(DetailsOf(status).retry_delay);
+      if (Clock::now() + wait >= deadline) return status;
+      std::this_thread::sleep_for(wait);
+    }
+  }
+
+  template <typename Request, typename Response>
+  absl::StatusOr<Response> Unary(
+      Retry retry,
+      grpc::Status (Stub::*method)(grpc::ClientContext*, const Request&,
+                                   Response*),
+      const Request& request) {
+    Response response;
+    const absl::Status status =
+        Run(retry, options.deadline, [&](grpc::ClientContext* context, bool*) {
+          return FromGrpc((stub.get()->*method)(context, request, &response));
+        });
+    if (!status.ok()) return status;
+    return response;
+  }
+
+  const std::unique_ptr<Stub> stub;
+  const ClientOptions options;
+};
+
+Client::Client(std::shared_ptr<grpc::ChannelInterface> channel,
+               const ClientOptions& options)
+    : rep_(std::make_unique<Rep>(std::move(channel), options)) {}
+
+Client::~Client() = default;
+
+absl::StatusOr<v1::CreateVehicleResponse> Client::CreateVehicle(
+    const v1::CreateVehicleRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::CreateVehicle, request);
+}
+
+absl::StatusOr<v1::GetVehicleResponse> Client::GetVehicle(
+    const v1::GetVehicleRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::GetVehicle, request);
+}
+
+absl::StatusOr<v1::ListVehiclesResponse> Client::ListVehicles(
+    const v1::ListVehiclesRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::ListVehicles, request);
+}
+
+absl::StatusOr<v1::UpdateVehicleResponse> Client::UpdateVehicle(
+    const v1::UpdateVehicleRequest& request) const {
+  return rep_->Unary(Retry::kNever, &Stub::UpdateVehicle, request);
+}
+
+absl::StatusOr<v1::DeleteVehicleResponse> Client::DeleteVehicle(
+    const v1::DeleteVehicleRequest& request) const {
+  return rep_->Unary(Retry::kNever, &Stub::DeleteVehicle, request);
+}
+
+absl::StatusOr<v1::AppendPosesResponse> Client::AppendPoses(
+    const v1::AppendPosesRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::AppendPoses, request);
+}
+
+absl::StatusOr<v1::FindCandidatesResponse> Client::FindCandidates(
+    const v1::FindCandidatesRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::FindCandidates, request);
+}
+
+absl::StatusOr<v1::AddLoopClosureResponse> Client::AddLoopClosure(
+    const v1::AddLoopClosureRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::AddLoopClosure, request);
+}
+
+absl::StatusOr<v1::ListLoopClosuresResponse> Client::ListLoopClosures(
+    const v1::ListLoopClosuresRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::ListLoopClosures, request);
+}
+
+absl::StatusOr<v1::DeleteLoopClosureResponse> Client::DeleteLoopClosure(
+    const v1::DeleteLoopClosureRequest& request) const {
+  return rep_->Unary(Retry::kNever, &Stub::DeleteLoopClosure, request);
+}
+
+absl::StatusOr<v1::ListPosesResponse> Client::ListPoses(
+    const v1::ListPosesRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::ListPoses, request);
+}
+
+absl::StatusOr<v1::AcceptDataLossResponse> Client::AcceptDataLoss(
+    const v1::AcceptDataLossRequest& request) const {
+  return rep_->Unary(Retry::kNever, &Stub::AcceptDataLoss, request);
+}
+
+absl::StatusOr<v1::GetServerInfoResponse> Client::GetServerInfo() const {
+  return rep_->Unary(Retry::kSafe, &Stub::GetServerInfo,
+                     v1::GetServerInfoRequest());
+}
+
+absl::Status Client::ExportPoseGraph(
+    const v1::ExportPoseGraphRequest& request,
+    const std::function<absl::Status(const v1::ExportPoseGraphResponse&)>&
+        visit) const {
+  return rep_->Run(Retry::kSafe, rep_->options.bulk_deadline,
+                   [&](grpc::ClientContext* context, bool* repeatable) {
+                     const auto reader =
+                         rep_->stub->ExportPoseGraph(context, request);
+                     v1::ExportPoseGraphResponse part;
+                     absl::Status visited;
+                     while (visited.ok() && reader->Read(&part)) {
+                       *repeatable = false;
+                       visited = visit(part);
+                     }
+                     if (!visited.ok()) context->TryCancel();
+                     const grpc::Status status = reader->Finish();
+                     return visited.ok() ? FromGrpc(status) : visited;
+                   });
+}
+
+absl::StatusOr<v1::RevisePosesResponse> Client::RevisePoses(
+    const std::function<bool(v1::RevisePosesRequest*)>& next) const {
+  v1::RevisePosesResponse response;
+  const absl::Status status = rep_->Run(
+      Retry::kNever, rep_->options.bulk_deadline,
+      [&](grpc::ClientContext* context, bool*) {
+        const auto writer = rep_->stub->RevisePoses(context, &response);
+        v1::RevisePosesRequest request;
+        while (next(&request) && writer->Write(request)) {
+          request.Clear();
+        }
+        writer->WritesDone();
+        return FromGrpc(writer->Finish());
+      });
+  if (!status.ok()) return status;
+  return response;
+}
+
+}  // namespace revisit::client

@@ -1,0 +1,108 @@
+// Calls of revisit.v1.PoseGraphService, with deadlines and retries. For streams
+// of poses see pose_stream.h.
+//
+// Errors come back as absl::Status with the server's code and message;
+// DetailsOf() (status.h) reads reason and field violations from them. Nothing
+// here throws or ends the process.
+//
+// What is retried: a call that answers UNAVAILABLE, if doing it twice is the
+// same as doing it once (each call says so), after an exponential back-off with
+// jitter, no sooner than the server's RetryInfo asks for, and only while the
+// wait ends before the deadline. Nothing else is.
+#ifndef REVISIT_CLIENT_REVISIT_CLIENT_H_
+#define REVISIT_CLIENT_REVISIT_CLIENT_H_
+
+#include <chrono>
+#include <functional>
+#include <memory>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "client/revisit/backoff.h"
+#include "revisit/v1/pose_graph_service.pb.h"
+
+namespace grpc {
+class ChannelInterface;
+}
+
+namespace revisit::client {
+
+struct ClientOptions {
+  // For a unary call with all its attempts and waits.
+  std::chrono::milliseconds deadline{30'000};
+  // For ExportPoseGraph and RevisePoses.
+  std::chrono::milliseconds bulk_deadline{600'000};
+  // Attempts of a call that may be retried, the first included. At least 1.
+  int max_attempts = 6;
+  BackoffOptions backoff;
+};
+
+// Thread-safe: any number of threads may call at the same time. Calls block.
+// The channel is shared and may serve streams as well.
+class Client {
+ public:
+  explicit Client(std::shared_ptr<grpc::ChannelInterface> channel,
+                  const ClientOptions& options = ClientOptions());
+  ~Client();
+
+  Client(const Client&) = delete;
+  Client& operator=(const Client&) = delete;
+
+  // Retried: the server answers the same request again with the same vehicle.
+  absl::StatusOr<v1::CreateVehicleResponse> CreateVehicle(
+      const v1::CreateVehicleRequest& request) const;
+  // Retried.
+  absl::StatusOr<v1::GetVehicleResponse> GetVehicle(
+      const v1::GetVehicleRequest& request) const;
+  // Retried.
+  absl::StatusOr<v1::ListVehiclesResponse> ListVehicles(
+      const v1::ListVehiclesRequest& request) const;
+  // Not retried: it could undo a change that another client made meanwhile.
+  absl::StatusOr<v1::UpdateVehicleResponse> UpdateVehicle(
+      const v1::UpdateVehicleRequest& request) const;
+  // Not retried: it could delete a new vehicle of the same name.
+  absl::StatusOr<v1::DeleteVehicleResponse> DeleteVehicle(
+      const v1::DeleteVehicleRequest& request) const;
+  // Retried: sequences make resending safe.
+  absl::StatusOr<v1::AppendPosesResponse> AppendPoses(
+      const v1::AppendPosesRequest& request) const;
+  // Retried.
+  absl::StatusOr<v1::FindCandidatesResponse> FindCandidates(
+      const v1::FindCandidatesRequest& request) const;
+  // Retried: the same link again is the existing one.
+  absl::StatusOr<v1::AddLoopClosureResponse> AddLoopClosure(
+      const v1::AddLoopClosureRequest& request) const;
+  // Retried.
+  absl::StatusOr<v1::ListLoopClosuresResponse> ListLoopClosures(
+      const v1::ListLoopClosuresRequest& request) const;
+  // Not retried, as DeleteVehicle.
+  absl::StatusOr<v1::DeleteLoopClosureResponse> DeleteLoopClosure(
+      const v1::DeleteLoopClosureRequest& request) const;
+  // Retried.
+  absl::StatusOr<v1::ListPosesResponse> ListPoses(
+      const v1::ListPosesRequest& request) const;
+  // Not retried: it is an operator's decision about one moment.
+  absl::StatusOr<v1::AcceptDataLossResponse> AcceptDataLoss(
+      const v1::AcceptDataLossRequest& request) const;
+  // Retried.
+  absl::StatusOr<v1::GetServerInfoResponse> GetServerInfo() const;
+
+  // Calls `visit` for each part of the graph; a status but OK from it ends the
+  // export and is returned. Retried until the first part has come.
+  absl::Status ExportPoseGraph(
+      const v1::ExportPoseGraphRequest& request,
+      const std::function<absl::Status(const v1::ExportPoseGraphResponse&)>&
+          visit) const;
+
+  // Sends the messages that `next` fills in, until it says false. Not retried.
+  absl::StatusOr<v1::RevisePosesResponse> RevisePoses(
+      const std::function<bool(v1::RevisePosesRequest*)>& next) const;
+
+ private:
+  struct Rep;
+  const std::unique_ptr<Rep> rep_;
+};
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_REVISIT_CLIENT_H_

@@ -1,0 +1,479 @@
+#include "client/revisit/pose_stream.h"
+
+#include <algorithm>
+#include <condition_variable>
+#include <deque>
+#include <mutex>
+#include <system_error>
+#include <thread>
+#include <utility>
+
+#include "client/revisit/status.h"
+#include "client/revisit/status_from_grpc.h"
+#include "grpcpp/client_context.h"
+#include "grpcpp/support/client_callback.h"
+#include "revisit/v1/pose_graph_service.grpc.pb.h"
+
+namespace revisit::client {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+bool WorthAnotherConnection(const absl::Status& status) {
+  return absl::IsUnavailable(status) || absl::IsAborted(status) ||
+         (absl::IsResourceExhausted(status) &&
+          DetailsOf(status).retry_delay.has_value());
+}
+
+struct PendingPose {
+  v1::Pose pose;
+  std::size_t bytes = 0;
+};
+
+}  // namespace
+
+// One thread, Run(), makes the connections one after the other and starts all
+// writes; gRPC's threads bring the answers in.
+struct PoseStream::Rep {
+  Rep(std::shared_ptr<grpc::ChannelInterface> channel,
+      const std::string& vehicle_name, const PoseStreamOptions& stream_options,
+      const PoseStreamCallbacks& stream_callbacks)
+      : stub(v1::PoseGraphService::NewStub(std::move(channel))),
+        vehicle(vehicle_name),
+        options(stream_options),
+        callbacks(stream_callbacks),
+        acked_sequence(stream_options.acked_sequence) {}
+
+  void Run();
+  // Holds one connection until it is over. OK if the server ended it in answer
+  // to our half-close.
+  absl::Status RunConnection();
+
+  // The rest: mutex must be held.
+
+  bool HasRoom(std::size_t poses, std::size_t bytes) const {
+    return pending.size() + poses <= options.max_pending_poses &&
+           pending_bytes + bytes <= options.max_pending_bytes;
+  }
+  absl::Status CheckBatch(const v1::PoseBatch& batch) const;
+  // Why no more poses are taken; OK if they are.
+  absl::Status WhyClosed() const;
+  void Take(v1::Pose pose, std::size_t bytes);
+  // Forgets poses up to `durable_sequence`, among the first `count`.
+  void DropDurable(std::uint64_t durable_sequence, std::size_t count);
+  // Fills a message with the next unsent poses.
+  void FillBatch(v1::StreamPosesRequest* request);
+  bool AnswerIsDue() const { return !opened || sent > 0 || half_closed; }
+  bool CanWrite() const {
+    return opened && !writing && !write_failed && !half_closed;
+  }
+  // Whether the connection is to be ended from our side.
+  bool MustEnd() const { return cancelled || !own_verdict.ok(); }
+
+  // Constant after construction.
+  const std::unique_ptr<v1::PoseGraphService::Stub> stub;
+  const std::string vehicle;
+  const PoseStreamOptions options;
+  const PoseStreamCallbacks callbacks;
+  std::thread thread;
+
+  mutable std::mutex mutex;
+  std::condition_variable changed;
+
+  // Guarded by mutex: the whole stream.
+  std::deque<PendingPose> pending;
+  std::size_t pending_bytes = 0;
+  std::uint64_t last_taken_sequence = 0;
+  // Highest sequence that was ever written to a connection. What lies above it
+  // and is durable already came from elsewhere, and the server shall compare
+  // it.
+  std::uint64_t last_sent_sequence = 0;
+  std::uint64_t acked_sequence;
+  std::optional<std::uint64_t> first_durable_sequence;
+  int reconnects = 0;
+  bool finishing = false;
+  bool cancelled = false;
+  std::optional<absl::Status> final_status;
+
+  // Guarded by mutex: the connection of the moment.
+  bool opened = false;
+  // Whether the connection was worth making: something became durable or was
+  // answered, or nothing waits.
+  bool progressed = false;
+  bool writing = false;
+  bool write_failed = false;
+  bool half_closed = false;
+  bool read_closed = false;
+  bool in_callback = false;
+  bool done = false;
+  // Of the pending poses, from the front.
+  std::size_t sent = 0;
+  int batch_poses = 1;
+  Clock::time_point quiet_since;
+  // Why we ended the connection ourselves.
+  absl::Status own_verdict;
+  grpc::Status connection_status;
+};
+
+class PoseStream::Connection final
+    : public grpc::ClientBidiReactor<v1::StreamPosesRequest,
+                                     v1::StreamPosesResponse> {
+ public:
+  explicit Connection(Rep* rep) : rep_(rep) {}
+
+  grpc::ClientContext* context() { return &context_; }
+  v1::StreamPosesRequest* request() { return &request_; }
+
+  void Start() {
+    rep_->stub->async()->StreamPoses(&context_, this);
+    // Writes are started from outside the reactions.
+    AddHold();
+    StartWrite(&request_);
+    StartRead(&response_);
+    StartCall();
+  }
+
+  void OnWriteDone(bool ok) override {
+    std::lock_guard<std::mutex> lock(rep_->mutex);
+    rep_->writing = false;
+    rep_->write_failed = !ok;
+    rep_->changed.notify_all();
+  }
+
+  void OnReadDone(bool ok) override {
+    bool resumed = false;
+    {
+      std::lock_guard<std::mutex> lock(rep_->mutex);
+      if (!ok) {
+        rep_->read_closed = true;
+        rep_->changed.notify_all();
+        return;
+      }
+      resumed = Digest();
+      rep_->in_callback = true;
+      rep_->changed.notify_all();
+    }
+    if (response_.has_ack() && rep_->callbacks.ack) {
+      rep_->callbacks.ack(response_.ack());
+    } else if (response_.has_candidates() && rep_->callbacks.candidates) {
+      rep_->callbacks.candidates(response_.candidates());
+    } else if (resumed && rep_->callbacks.resumed) {
+      rep_->callbacks.resumed(response_.opened().durable_sequence());
+    }
+    {
+      std::lock_guard<std::mutex> lock(rep_->mutex);
+      rep_->in_callback = false;
+      rep_->quiet_since = Clock::now();
+      rep_->changed.notify_all();
+    }
+    StartRead(&response_);
+  }
+
+  void OnDone(const grpc::Status& status) override {
+    std::lock_guard<std::mutex> lock(rep_->mutex);
+    rep_->connection_status = status;
+    rep_->done = true;
+    rep_->changed.notify_all();
+  }
+
+ private:
+  // Notes what an answer says; whether it opens a connection after the first.
+  // Mutex must be held.
+  bool Digest() {
+    if (!response_.has_opened()) rep_->progressed = true;
+    if (response_.has_ack()) {
+      const std::uint64_t durable = response_.ack().durable_sequence();
+      rep_->acked_sequence = std::max(rep_->acked_sequence, durable);
+      rep_->DropDurable(durable, rep_->sent);
+    } else if (response_.has_opened() && !rep_->opened) {
+      return Open(response_.opened());
+    }
+    return false;
+  }
+
+  bool Open(const v1::StreamPosesOpened& message) {
+    const std::uint64_t durable = message.durable_sequence();
+    if (durable < rep_->acked_sequence) {
+      rep_->own_verdict = absl::DataLossError(
+          "the server has poses up to sequence " + std::to_string(durable) +
+          ", but acknowledged up to " + std::to_string(rep_->acked_sequence));
+      return false;
+    }
+    if (durable > rep_->acked_sequence) rep_->progressed = true;
+    rep_->opened = true;
+    rep_->acked_sequence = durable;
+    rep_->batch_poses = std::max(rep_->options.batch_poses, 1);
+    if (message.max_batch_poses() > 0) {
+      rep_->batch_poses =
+          std::min(rep_->batch_poses, message.max_batch_poses());
+    }
+    rep_->DropDurable(std::min(durable, rep_->last_sent_sequence),
+                      rep_->pending.size());
+    const bool resumed = rep_->first_durable_sequence.has_value();
+    if (!resumed) rep_->first_durable_sequence = durable;
+    return resumed;
+  }
+
+  Rep* const rep_;
+  grpc::ClientContext context_;
+  v1::StreamPosesRequest request_;
+  v1::StreamPosesResponse response_;
+};
+
+absl::Status PoseStream::Rep::WhyClosed() const {
+  if (final_status.has_value()) {
+    // A stream that ended well did so because it was finished.
+    if (!final_status->ok()) return *final_status;
+  } else if (!finishing) {
+    return absl::OkStatus();
+  }
+  return absl::FailedPreconditionError("the stream is finished");
+}
+
+absl::Status PoseStream::Rep::CheckBatch(const v1::PoseBatch& batch) const {
+  std::uint64_t expected = last_taken_sequence + 1;
+  if (last_taken_sequence == 0 && batch.poses_size() > 0) {
+    expected = std::max<std::uint64_t>(batch.poses(0).sequence(), 1);
+  }
+  for (const v1::Pose& pose : batch.poses()) {
+    if (pose.sequence() != expected) {
+      return absl::InvalidArgumentError(
+          "sequence " + std::to_string(pose.sequence()) + " where " +
+          std::to_string(expected) + " comes next");
+    }
+    ++expected;
+    if (pose.SpaceUsedLong() > options.max_pending_bytes) {
+      return absl::InvalidArgumentError(
+          "the pose of sequence " + std::to_string(pose.sequence()) +
+          " takes " + std::to_string(pose.SpaceUsedLong()) +
+          " bytes, more than max_pending_bytes allows (" +
+          std::to_string(options.max_pending_bytes) + ")");
+    }
+  }
+  return absl::OkStatus();
+}
+
+void PoseStream::Rep::Take(v1::Pose pose, std::size_t bytes) {
+  last_taken_sequence = pose.sequence();
+  pending.push_back({std::move(pose), bytes});
+  pending_bytes += bytes;
+}
+
+void PoseStream::Rep::DropDurable(std::uint64_t durable_sequence,
+                                  std::size_t count) {
+  while (count > 0 && pending.front().pose.sequence() <= durable_sequence) {
+    pending_bytes -= pending.front().bytes;
+    pending.pop_front();
+    --count;
+    if (sent > 0) --sent;
+  }
+}
+
+void PoseStream::Rep::FillBatch(v1::StreamPosesRequest* request) {
+  if (sent == 0) quiet_since = Clock::now();
+  auto* poses = request->mutable_batch()->mutable_poses();
+  poses->Clear();
+  const std::size_t end =
+      std::min(pending.size(), sent + static_cast<std::size_t>(batch_poses));
+  for (; sent < end; ++sent) *poses->Add() = pending[sent].pose;
+  last_sent_sequence =
+      std::max(last_sent_sequence, pending[sent - 1].pose.sequence());
+}
+
+absl::Status PoseStream::Rep::RunConnection() {
+  Connection connection(this);
+  std::unique_lock<std::mutex> lock(mutex);
+  if (cancelled) return absl::CancelledError("the stream was cancelled");
+  opened = progressed = half_closed = read_closed = in_callback = done = false;
+  write_failed = false;
+  writing = true;
+  sent = 0;
+  own_verdict = absl::OkStatus();
+  quiet_since = Clock::now();
+  v1::StreamPosesOpen* open = connection.request()->mutable_open();
+  open->set_vehicle(vehicle);
+  open->set_acked_sequence(acked_sequence);
+  open->set_send_candidates(options.send_candidates);
+  if (options.send_candidates) {
+    *open->mutable_candidate_options() = options.candidate_options;
+  }
+  lock.unlock();
+  connection.Start();
+  lock.lock();
+  while (!read_closed && !MustEnd()) {
+    if (CanWrite() && sent < pending.size()) {
+      writing = true;
+      FillBatch(connection.request());
+      lock.unlock();
+      connection.StartWrite(connection.request());
+      lock.lock();
+    } else if (CanWrite() && finishing) {
+      half_closed = true;
+      quiet_since = Clock::now();
+      lock.unlock();
+      connection.StartWritesDone();
+      lock.lock();
+    } else if (!AnswerIsDue() || in_callback) {
+      changed.wait(lock);
+    } else if (const auto deadline = quiet_since + options.answer_timeout;
+               Clock::now() < deadline) {
+      changed.wait_until(lock, deadline);
+    } else {
+      own_verdict = absl::UnavailableError(
+          "no answer for " + std::to_string(options.answer_timeout.count()) +
+          " ms");
+    }
+  }
+  const bool must_end = MustEnd();
+  lock.unlock();
+  // Not under the lock: gRPC may run reactions before it returns.
+  if (must_end) connection.context()->TryCancel();
+  connection.RemoveHold();
+  lock.lock();
+  changed.wait(lock, [this] { return done; });
+  if (opened && pending.empty()) progressed = true;
+  if (cancelled) return absl::CancelledError("the stream was cancelled");
+  if (!own_verdict.ok()) return own_verdict;
+  if (!connection_status.ok()) return FromGrpc(connection_status);
+  if (half_closed && pending.empty()) return absl::OkStatus();
+  return absl::UnavailableError("the server ended the stream too early");
+}
+
+void PoseStream::Rep::Run() {
+  Backoff backoff(options.backoff, BackoffSeed());
+  Clock::time_point last_progress = Clock::now();
+  for (;;) {
+    absl::Status status = RunConnection();
+    std::unique_lock<std::mutex> lock(mutex);
+    if (status.ok() || !WorthAnotherConnection(status)) {
+      final_status = std::move(status);
+      changed.notify_all();
+      return;
+    }
+    if (progressed) {
+      backoff.Reset();
+      last_progress = Clock::now();
+    }
+    const auto wait = backoff.Next(DetailsOf(status).retry_delay);
+    if (options.give_up_after.has_value() &&
+        Clock::now() + wait - last_progress > *options.give_up_after) {
+      final_status = std::move(status);
+      changed.notify_all();
+      return;
+    }
+    ++reconnects;
+    lock.unlock();
+    if (callbacks.disconnected) callbacks.disconnected(status, wait);
+    lock.lock();
+    changed.wait_for(lock, wait, [this] { return cancelled; });
+  }
+}
+
+PoseStream::PoseStream(std::shared_ptr<grpc::ChannelInterface> channel,
+                       const std::string& vehicle,
+                       const PoseStreamOptions& options,
+                       const PoseStreamCallbacks& callbacks)
+    : rep_(std::make_unique<Rep>(std::move(channel), vehicle, options,
+                                 callbacks)) {
+  try {
+    rep_->thread = std::thread([this] { rep_->Run(); });
+  } catch (const std::system_error& error) {
+    rep_->final_status = absl::ResourceExhaustedError(
+        std::string("no thread for the stream: ") + error.what());
+  }
+}
+
+PoseStream::~PoseStream() {
+  Cancel();
+  if (rep_->thread.joinable()) rep_->thread.join();
+}
+
+absl::StatusOr<std::uint64_t> PoseStream::WaitUntilOpened() {
+  std::unique_lock<std::mutex> lock(rep_->mutex);
+  rep_->changed.wait(lock, [this] {
+    return rep_->first_durable_sequence.has_value() ||
+           rep_->final_status.has_value();
+  });
+  if (rep_->first_durable_sequence.has_value()) {
+    return *rep_->first_durable_sequence;
+  }
+  return *rep_->final_status;
+}
+
+absl::Status PoseStream::Append(v1::PoseBatch batch) {
+  std::unique_lock<std::mutex> lock(rep_->mutex);
+  if (absl::Status status = rep_->WhyClosed(); !status.ok()) return status;
+  if (absl::Status status = rep_->CheckBatch(batch); !status.ok()) {
+    return status;
+  }
+  for (v1::Pose& pose : *batch.mutable_poses()) {
+    const std::size_t bytes = pose.SpaceUsedLong();
+    if (!rep_->HasRoom(1, bytes)) {
+      rep_->changed.notify_all();
+      rep_->changed.wait(lock, [&] {
+        return rep_->HasRoom(1, bytes) || !rep_->WhyClosed().ok();
+      });
+      if (absl::Status status = rep_->WhyClosed(); !status.ok()) return status;
+    }
+    rep_->Take(std::move(pose), bytes);
+  }
+  rep_->changed.notify_all();
+  return absl::OkStatus();
+}
+
+absl::Status PoseStream::TryAppend(const v1::PoseBatch& batch) {
+  std::lock_guard<std::mutex> lock(rep_->mutex);
+  if (absl::Status status = rep_->WhyClosed(); !status.ok()) return status;
+  if (absl::Status status = rep_->CheckBatch(batch); !status.ok()) {
+    return status;
+  }
+  std::size_t bytes = 0;
+  for (const v1::Pose& pose : batch.poses()) bytes += pose.SpaceUsedLong();
+  if (!rep_->HasRoom(static_cast<std::size_t>(batch.poses_size()), bytes)) {
+    return absl::ResourceExhaustedError(
+        std::to_string(rep_->pending.size()) +
+        " poses wait for their acknowledgement; there is no room for " +
+        std::to_string(batch.poses_size()) + " more");
+  }
+  for (const v1::Pose& pose : batch.poses()) {
+    rep_->Take(pose, pose.SpaceUsedLong());
+  }
+  rep_->changed.notify_all();
+  return absl::OkStatus();
+}
+
+absl::Status PoseStream::Finish() {
+  std::unique_lock<std::mutex> lock(rep_->mutex);
+  rep_->finishing = true;
+  rep_->changed.notify_all();
+  rep_->changed.wait(lock, [this] { return rep_->final_status.has_value(); });
+  return *rep_->final_status;
+}
+
+void PoseStream::Cancel() {
+  std::lock_guard<std::mutex> lock(rep_->mutex);
+  rep_->cancelled = true;
+  rep_->changed.notify_all();
+}
+
+std::uint64_t PoseStream::acked_sequence() const {
+  std::lock_guard<std::mutex> lock(rep_->mutex);
+  return rep_->acked_sequence;
+}
+
+int PoseStream::reconnects() const {
+  std::lock_guard<std::mutex> lock(rep_->mutex);
+  return rep_->reconnects;
+}
+
+std::size_t PoseStream::pending_poses() const {
+  std::lock_guard<std::mutex> lock(rep_->mutex);
+  return rep_->pending.size();
+}
+
+std::size_t PoseStream::pending_bytes() const {
+  std::lock_guard<std::mutex> lock(rep_->mutex);
+  return rep_->pending_bytes;
+}
+
+}  // namespace revisit::client

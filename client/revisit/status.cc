@@ -1,0 +1,76 @@
+#include "client/revisit/status.h"
+
+#include "absl/strings/cord.h"
+#include "client/revisit/status_from_grpc.h"
+#include "google/rpc/error_details.pb.h"
+#include "google/rpc/status.pb.h"
+#include "grpcpp/support/status.h"
+
+namespace revisit::client {
+namespace {
+
+constexpr char kErrorInfoUrl[] = "type.googleapis.com/google.rpc.ErrorInfo";
+constexpr char kBadRequestUrl[] = "type.googleapis.com/google.rpc.BadRequest";
+constexpr char kRetryInfoUrl[] = "type.googleapis.com/google.rpc.RetryInfo";
+
+template <typename Message>
+std::optional<Message> Payload(const absl::Status& status, const char* url) {
+  const auto payload = status.GetPayload(url);
+  Message message;
+  if (!payload.has_value() || !message.ParseFromString(std::string(*payload))) {
+    return std::nullopt;
+  }
+  return message;
+}
+
+}  // namespace
+
+absl::Status FromGrpc(const grpc::Status& status) {
+  if (status.ok()) return absl::OkStatus();
+  absl::Status result(static_cast<absl::StatusCode>(status.error_code()),
+                      status.error_message());
+  google::rpc::Status details;
+  if (!details.ParseFromString(status.error_details())) return result;
+  for (const auto& detail : details.details()) {
+    result.SetPayload(detail.type_url(), absl::Cord(detail.value()));
+  }
+  return result;
+}
+
+ErrorDetails DetailsOf(const absl::Status& status) {
+  ErrorDetails details;
+  if (const auto info =
+          Payload<google::rpc::ErrorInfo>(status, kErrorInfoUrl)) {
+    details.reason = info->reason();
+    details.domain = info->domain();
+    details.metadata.insert(info->metadata().begin(), info->metadata().end());
+  }
+  if (const auto bad =
+          Payload<google::rpc::BadRequest>(status, kBadRequestUrl)) {
+    for (const auto& violation : bad->field_violations()) {
+      details.field_violations.push_back(
+          {violation.field(), violation.description()});
+    }
+  }
+  if (const auto retry = Payload<google::rpc::RetryInfo>(status, kRetryInfoUrl);
+      retry.has_value() && retry->has_retry_delay()) {
+    details.retry_delay =
+        std::chrono::seconds(retry->retry_delay().seconds()) +
+        std::chrono::nanoseconds(retry->retry_delay().nanos());
+  }
+  return details;
+}
+
+std::string Describe(const absl::Status& status) {
+  if (status.ok()) return "OK";
+  const ErrorDetails details = DetailsOf(status);
+  std::string text = absl::StatusCodeToString(status.code());
+  if (!details.reason.empty()) text += " (" + details.reason + ")";
+  text += ": " + std::string(status.message());
+  for (const FieldViolation& violation : details.field_violations) {
+    text += "\n  " + violation.field + ": " + violation.description;
+  }
+  return text;
+}
+
+}  // namespace revisit::client

@@ -1,0 +1,44 @@
+// Statuses as the client library hands them out, and what they tell programs.
+#ifndef REVISIT_CLIENT_REVISIT_STATUS_H_
+#define REVISIT_CLIENT_REVISIT_STATUS_H_
+
+#include <chrono>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+
+namespace revisit::client {
+
+struct FieldViolation {
+  std::string field;
+  std::string description;
+};
+
+// The google.rpc details of a status. Whatever a status does not carry is
+// empty.
+struct ErrorDetails {
+  // ErrorInfo. In the domain "revisit" the reason is a value of
+  // revisit.v1.ErrorReason without its prefix. A status without a reason comes
+  // from the transport or from this library.
+  std::string reason;
+  std::string domain;
+  std::map<std::string, std::string> metadata;
+  // BadRequest.
+  std::vector<FieldViolation> field_violations;
+  // RetryInfo: try again no sooner than this.
+  std::optional<std::chrono::nanoseconds> retry_delay;
+};
+
+// Reads the details that a status of this library carries as payloads, by their
+// type URLs ("type.googleapis.com/google.rpc.ErrorInfo" and so on).
+ErrorDetails DetailsOf(const absl::Status& status);
+
+// For people: the message, the reason, and a line for each field violation.
+std::string Describe(const absl::Status& status);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_REVISIT_STATUS_H_

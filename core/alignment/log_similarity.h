@@ -1,0 +1,75 @@
+// How well two nodes agree, under the uncertainty of their difference (paper,
+// Eq. 2):
+//
+//   lambda(i,j) = -1/2 ln|Gamma_ij + R| - c d^T (Gamma_ij + R)^-1 d,
+//
+// d = x_i - x_j with heading wrapped, R the place tolerance. c = 1/2 makes it
+// the log density of a Gaussian less a constant; the paper prints c = 1.
+#ifndef REVISIT_CORE_ALIGNMENT_LOG_SIMILARITY_H_
+#define REVISIT_CORE_ALIGNMENT_LOG_SIMILARITY_H_
+
+#include <limits>
+#include <optional>
+#include <vector>
+
+#include "core/geometry/pose.h"
+#include "core/graph/correlation.h"
+#include "core/graph/pose_graph.h"
+
+namespace revisit::core {
+
+enum class LikelihoodForm { kGaussian, kAsPrinted };
+
+// Standard deviations, added squared to the diagonal of Gamma: how far apart
+// two passes of one place may truly be.
+struct PlaceTolerance {
+  double position_meters = 2.0;
+  double heading_radians = 0.1;
+};
+
+// Adds R.
+template <int D>
+void AddTolerance(const PlaceTolerance& tolerance, StateMatrix<D>* gamma) {
+  const double position = tolerance.position_meters;
+  const double heading = tolerance.heading_radians;
+  for (int i = 0; i + 1 < D; ++i) (*gamma)(i, i) += position * position;
+  (*gamma)(D - 1, D - 1) += heading * heading;
+}
+
+struct SimilarityModel {
+  StateSpace state_space = StateSpace::kPlanar;
+  CorrelationModel correlation = CorrelationModel::kDeadReckoning;
+  LikelihoodForm form = LikelihoodForm::kGaussian;
+  PlaceTolerance tolerance;
+};
+
+// Log-similarity of what cannot be: Gamma is not positive definite in double
+// precision, or no path leads here.
+inline constexpr double kImpossible = -std::numeric_limits<double>::infinity();
+
+// The terms of a Gaussian in d with covariance gamma.
+struct QuadraticForm {
+  double squared_mahalanobis = 0.0;  // d^T gamma^-1 d
+  double log_determinant = 0.0;      // ln|gamma|
+};
+
+// By LDL^T. Nothing if a pivot is not above kPivotTolerance times its diagonal
+// entry: gamma is not positive definite as far as double precision can tell.
+template <int D>
+std::optional<QuadraticForm> Evaluate(const StateMatrix<D>& gamma,
+                                      const StateVector<D>& d);
+
+// lambda(i,j) of two nodes in any order; kImpossible if ill-conditioned. O(1),
+// but O(|i - j|) for kFilter.
+double LogSimilarity(const PoseGraph& graph, const SimilarityModel& model,
+                     NodeIndex i, NodeIndex j);
+
+// lambda(query, i) for all i in [0, count), count <= query: a column of the
+// trellis. O(count) in every correlation model.
+void LogSimilarityColumn(const PoseGraph& graph, const SimilarityModel& model,
+                         NodeIndex query, NodeIndex count,
+                         std::vector<double>* column);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_ALIGNMENT_LOG_SIMILARITY_H_

@@ -1,0 +1,71 @@
+#include "core/candidates/gate.h"
+
+#include <boost/math/distributions/chi_squared.hpp>
+#include <cassert>
+#include <optional>
+
+namespace revisit::core {
+namespace {
+
+// Extreme arguments give 0, 1 or infinity, never an exception.
+using QuietPolicy = boost::math::policies::policy<
+    boost::math::policies::domain_error<boost::math::policies::ignore_error>,
+    boost::math::policies::pole_error<boost::math::policies::ignore_error>,
+    boost::math::policies::overflow_error<boost::math::policies::ignore_error>,
+    boost::math::policies::evaluation_error<
+        boost::math::policies::ignore_error>>;
+using ChiSquared = boost::math::chi_squared_distribution<double, QuietPolicy>;
+
+template <int D>
+GatedDifference DecideAt(const PoseGraph& graph, const SimilarityModel& model,
+                         const Gate& gate, NodeIndex query, NodeIndex matched) {
+  GatedDifference result;
+  result.difference =
+      Difference(graph.node(query).pose, graph.node(matched).pose);
+  StateMatrix<D> gamma =
+      DifferenceCovariance<D>(graph, model.correlation, query, matched);
+  result.covariance = ToCovariance<D>(gamma);
+  AddTolerance<D>(model.tolerance, &gamma);
+  const std::optional<QuadraticForm> terms =
+      Evaluate<D>(gamma, ToVector<D>(result.difference));
+  result.gate =
+      terms ? gate.Decide(terms->squared_mahalanobis) : gate.IllConditioned();
+  return result;
+}
+
+}  // namespace
+
+Gate::Gate(StateSpace space, double probability)
+    : degrees_of_freedom_(DegreesOfFreedom(space)) {
+  assert(probability > 0.0 && probability < 1.0);
+  threshold_ =
+      boost::math::quantile(ChiSquared(degrees_of_freedom_), probability);
+}
+
+GateResult Gate::Decide(double squared_mahalanobis) const {
+  GateResult result;
+  result.squared_mahalanobis = squared_mahalanobis;
+  result.degrees_of_freedom = degrees_of_freedom_;
+  result.threshold = threshold_;
+  result.p_value = boost::math::cdf(boost::math::complement(
+      ChiSquared(degrees_of_freedom_), squared_mahalanobis));
+  result.verdict = squared_mahalanobis <= threshold_ ? GateVerdict::kAccepted
+                                                     : GateVerdict::kRejected;
+  return result;
+}
+
+GateResult Gate::IllConditioned() const {
+  GateResult result;
+  result.degrees_of_freedom = degrees_of_freedom_;
+  result.threshold = threshold_;
+  return result;
+}
+
+GatedDifference DecideAt(const PoseGraph& graph, const SimilarityModel& model,
+                         const Gate& gate, NodeIndex query, NodeIndex matched) {
+  return model.state_space == StateSpace::kPlanar
+             ? DecideAt<3>(graph, model, gate, query, matched)
+             : DecideAt<4>(graph, model, gate, query, matched);
+}
+
+}  // namespace revisit::core

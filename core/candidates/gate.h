@@ -1,0 +1,54 @@
+// The chi-square gate: whether two estimates can be of one place.
+#ifndef REVISIT_CORE_CANDIDATES_GATE_H_
+#define REVISIT_CORE_CANDIDATES_GATE_H_
+
+#include "core/alignment/log_similarity.h"
+#include "core/geometry/pose.h"
+#include "core/graph/pose_graph.h"
+
+namespace revisit::core {
+
+enum class GateVerdict { kAccepted, kRejected, kIllConditioned };
+
+struct GateResult {
+  // d^T (Gamma + R)^-1 d; 0 if ill-conditioned.
+  double squared_mahalanobis = 0.0;
+  int degrees_of_freedom = 0;
+  // Chi-square quantile of the degrees of freedom at the gate probability.
+  double threshold = 0.0;
+  // Probability of at least this squared distance for one place; 0 if
+  // ill-conditioned.
+  double p_value = 0.0;
+  GateVerdict verdict = GateVerdict::kIllConditioned;
+};
+
+class Gate {
+ public:
+  // REQUIRES: probability in (0, 1).
+  Gate(StateSpace space, double probability);
+
+  // Accepts if squared_mahalanobis <= threshold().
+  GateResult Decide(double squared_mahalanobis) const;
+  GateResult IllConditioned() const;
+
+  double threshold() const { return threshold_; }
+
+ private:
+  int degrees_of_freedom_;
+  double threshold_;
+};
+
+// Query minus matched, with the covariance of that difference (Gamma, without
+// the tolerance), and the gate's decision on it with the tolerance.
+struct GatedDifference {
+  Pose difference;
+  Covariance covariance;
+  GateResult gate;
+};
+
+GatedDifference DecideAt(const PoseGraph& graph, const SimilarityModel& model,
+                         const Gate& gate, NodeIndex query, NodeIndex matched);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_CANDIDATES_GATE_H_

@@ -1,0 +1,128 @@
+// The whole method behind one door: poses in, candidates out. No input or
+// output, no clock, no threads: everything comes in as an argument.
+//
+// Thread-compatible: const calls may run at the same time, others need
+// exclusion.
+#ifndef REVISIT_CORE_ENGINE_H_
+#define REVISIT_CORE_ENGINE_H_
+
+#include <cstdint>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "core/alignment/viterbi.h"
+#include "core/candidates/gate.h"
+#include "core/geometry/pose.h"
+#include "core/graph/distance_resampler.h"
+#include "core/graph/pose_graph.h"
+#include "core/settings.h"
+
+namespace revisit::core {
+
+struct Candidate {
+  // 1 for the best.
+  int rank = 0;
+  // Log-likelihood of the alignment less a constant.
+  double score = 0.0;
+  NodeIndex matched = 0;
+  GatedDifference difference;
+  // The whole alignment, oldest first: (node of the recent path, node of the
+  // history).
+  std::vector<std::pair<NodeIndex, NodeIndex>> path;
+};
+
+enum class EmptyReason {
+  // There are candidates.
+  kNotEmpty,
+  // Up to the query, from the start or the last jump, the path is shorter than
+  // the sequence.
+  kPathTooShort,
+  // No nodes before the sequence.
+  kNoHistory,
+  // Every node before the sequence is within the separation of the query.
+  kAllSuppressed,
+  // No path of the history is as long as the sequence, or Gamma is
+  // ill-conditioned
+  // along all of them.
+  kNoAlignment,
+};
+
+struct CandidateSet {
+  // The node that was asked about; nothing if the graph is empty.
+  std::optional<NodeIndex> query;
+  std::vector<Candidate> candidates;
+  EmptyReason empty_reason = EmptyReason::kNotEmpty;
+  NodeIndex nodes_considered = 0;
+};
+
+struct AppendResult {
+  std::vector<Jump> jumps;
+  // Nodes at which a check fell due: the first at or after each multiple of the
+  // check interval, from two sequence lengths on.
+  std::vector<NodeIndex> checks_due;
+};
+
+class Engine {
+ public:
+  // REQUIRES: FindProblems(settings) is empty.
+  explicit Engine(const EngineSettings& settings);
+
+  const EngineSettings& settings() const { return settings_; }
+  const PoseGraph& graph() const { return graph_; }
+  // Last pose appended; 0 before the first.
+  std::uint64_t last_sequence() const { return last_sequence_; }
+  double travelled_meters() const { return resampler_.travelled_meters(); }
+  // Grows with every change, by what the caller says; 0 at first.
+  std::uint64_t revision() const { return revision_; }
+
+  // REQUIRES: samples without defect, of sequences that follow last_sequence();
+  // revision greater than revision().
+  AppendResult Append(const std::vector<PoseSample>& samples,
+                      std::uint64_t revision);
+
+  // Replaces the settings of searches and checks that do not move nodes.
+  // REQUIRES: valid, same state space, node spacing and maximal step; whether
+  // the model is kFilter does not change; revision greater than revision().
+  void ChangeSettings(const EngineSettings& settings, std::uint64_t revision);
+
+  // Adds or removes an edge between the nodes nearest, along the path, to two
+  // poses. Two poses at one node make no edge; that is not an error.
+  // REQUIRES: sequences in [1, last_sequence()], revision greater than
+  // revision().
+  void AddLoopClosure(std::uint64_t query_sequence,
+                      std::uint64_t matched_sequence, std::uint64_t revision);
+  void RemoveLoopClosure(std::uint64_t query_sequence,
+                         std::uint64_t matched_sequence,
+                         std::uint64_t revision);
+
+  // Candidates at a node, with the nodes before its sequence as history. The
+  // answer depends on the graph up to the query only, but for loop closures.
+  // CANCELLED if told to stop.
+  // REQUIRES: query in the graph; FindProblems(options, settings()) is empty.
+  absl::StatusOr<CandidateSet> FindCandidates(
+      NodeIndex query, const SearchOptions& options,
+      const ShouldStop& should_stop) const;
+
+  // The same at the newest node; the answer says so if there is none.
+  absl::StatusOr<CandidateSet> FindCandidates(
+      const SearchOptions& options, const ShouldStop& should_stop) const;
+
+ private:
+  std::optional<std::pair<NodeIndex, NodeIndex>> LoopEdge(
+      std::uint64_t query_sequence, std::uint64_t matched_sequence) const;
+  void ScheduleNextCheck();
+
+  EngineSettings settings_;
+  PoseGraph graph_;
+  DistanceResampler resampler_;
+  std::uint64_t last_sequence_ = 0;
+  std::uint64_t revision_ = 0;
+  // Number of the next check: it is due at this many check intervals.
+  std::int64_t next_check_ = 0;
+};
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_ENGINE_H_

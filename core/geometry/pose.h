@@ -1,0 +1,179 @@
+// A pose of the vehicle, its covariance, and when both make sense.
+//
+// The state of a pose is (x, y, z, heading), in this order: metres and radians
+// in the vehicle's local frame, right-handed with z up, heading
+// counter-clockwise from +x. SPATIAL uses all four coordinates; PLANAR leaves z
+// out, wherever it appears.
+#ifndef REVISIT_CORE_GEOMETRY_POSE_H_
+#define REVISIT_CORE_GEOMETRY_POSE_H_
+
+#include <Eigen/Core>
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <optional>
+#include <string>
+
+namespace revisit::core {
+
+enum class StateSpace { kPlanar, kSpatial };
+
+constexpr int DegreesOfFreedom(StateSpace space) {
+  return space == StateSpace::kPlanar ? 3 : 4;
+}
+
+struct Pose {
+  double x = 0.0;
+  double y = 0.0;
+  double z = 0.0;
+  double heading = 0.0;
+};
+
+// a - b, heading wrapped to (-pi, pi].
+Pose Difference(const Pose& a, const Pose& b);
+
+// Distance between the positions, in the state space: PLANAR ignores z.
+double Distance(const Pose& a, const Pose& b, StateSpace space);
+
+// Covariance of a pose's error, in the fixed axes of the local frame: the upper
+// triangle by rows, xx xy xz xh yy yz yh zz zh hh.
+struct Covariance {
+  std::array<double, 10> upper{};
+
+  double operator()(int row, int column) const {
+    return upper[Index(row, column)];
+  }
+  double& operator()(int row, int column) { return upper[Index(row, column)]; }
+
+  static constexpr std::size_t Index(int row, int column) {
+    const int r = row < column ? row : column;
+    const int c = row < column ? column : row;
+    return static_cast<std::size_t>(r * (7 - r) / 2 + c);
+  }
+};
+
+// How the error of one pose becomes part of the error of the next: row-major
+// 4x4 over (x, y, z, heading). For PLANAR, the row and column of z are not
+// used.
+struct ErrorTransition {
+  std::array<double, 16> values{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
+};
+
+// Where coordinate i of a D-dimensional state lies among (x, y, z, heading).
+template <int D>
+constexpr int StateIndex(int i) {
+  static_assert(D == 3 || D == 4);
+  return D == 3 && i == 2 ? 3 : i;
+}
+
+template <int D>
+using StateVector = Eigen::Matrix<double, D, 1>;
+template <int D>
+using StateMatrix = Eigen::Matrix<double, D, D>;
+
+template <int D>
+StateVector<D> ToVector(const Pose& pose) {
+  if constexpr (D == 3) {
+    return {pose.x, pose.y, pose.heading};
+  } else {
+    return {pose.x, pose.y, pose.z, pose.heading};
+  }
+}
+
+template <int D>
+StateMatrix<D> ToMatrix(const Covariance& covariance) {
+  StateMatrix<D> matrix;
+  for (int r = 0; r < D; ++r) {
+    for (int c = 0; c < D; ++c) {
+      matrix(r, c) = covariance(StateIndex<D>(r), StateIndex<D>(c));
+    }
+  }
+  return matrix;
+}
+
+template <int D>
+StateMatrix<D> ToMatrix(const ErrorTransition& transition) {
+  StateMatrix<D> matrix;
+  for (int r = 0; r < D; ++r) {
+    for (int c = 0; c < D; ++c) {
+      matrix(r, c) = transition.values[static_cast<std::size_t>(
+          4 * StateIndex<D>(r) + StateIndex<D>(c))];
+    }
+  }
+  return matrix;
+}
+
+// Takes the upper triangle. Entries of z are 0 if D is 3.
+template <int D>
+Covariance ToCovariance(const StateMatrix<D>& matrix) {
+  Covariance covariance;
+  for (int r = 0; r < D; ++r) {
+    for (int c = r; c < D; ++c) {
+      covariance(StateIndex<D>(r), StateIndex<D>(c)) = matrix(r, c);
+    }
+  }
+  return covariance;
+}
+
+// Entries of z are those of the identity if D is 3.
+template <int D>
+ErrorTransition ToErrorTransition(const StateMatrix<D>& matrix) {
+  ErrorTransition transition;
+  for (int r = 0; r < D; ++r) {
+    for (int c = 0; c < D; ++c) {
+      transition.values[static_cast<std::size_t>(
+          4 * StateIndex<D>(r) + StateIndex<D>(c))] = matrix(r, c);
+    }
+  }
+  return transition;
+}
+
+// One pose of the stream, as the estimator reports it.
+struct PoseSample {
+  // 1, 2, 3, ... without a gap.
+  std::uint64_t sequence = 0;
+  // Nanoseconds of any clock; carried along, never compared.
+  std::optional<std::int64_t> stamp_ns;
+  Pose pose;
+  Covariance covariance;
+  // From the pose before to this one; for the FILTER correlation model.
+  std::optional<ErrorTransition> transition;
+};
+
+// Why a pose is refused.
+enum class DefectKind {
+  kNotFinite,
+  kOutOfRange,
+  kNotSymmetric,
+  kNotPositiveDefinite,
+};
+
+struct Defect {
+  DefectKind kind;
+  // "position", "heading", "covariance" or "error_transition".
+  std::string part;
+  // What was got and what is allowed, as a sentence without a full stop.
+  std::string description;
+};
+
+// Limits of what is taken for a pose.
+inline constexpr double kMaxCoordinateMeters = 1e8;
+inline constexpr double kMaxHeadingRadians = 1e6;
+inline constexpr double kMaxStandardDeviation = 1e9;
+inline constexpr double kMaxTransitionEntry = 1e9;
+// Largest difference of mirrored entries, relative to the largest entry.
+inline constexpr double kSymmetryTolerance = 1e-9;
+// Smallest pivot of the correlation matrix that counts as positive definite.
+inline constexpr double kPivotTolerance = 1e-12;
+
+// First defect of a sample in this state space: finite, in range, covariance
+// positive definite.
+std::optional<Defect> FindDefect(const PoseSample& sample, StateSpace space);
+
+// Whether a size x size row-major matrix is finite and symmetric.
+std::optional<Defect> FindAsymmetry(const double* matrix, int size);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_GEOMETRY_POSE_H_

@@ -1,0 +1,54 @@
+#include "core/graph/correlation.h"
+
+#include <algorithm>
+
+namespace revisit::core {
+
+template <int D>
+StateMatrix<D> PropagatedError(const PoseGraph& graph, CorrelationModel model,
+                               NodeIndex earlier, NodeIndex later) {
+  switch (model) {
+    case CorrelationModel::kDeadReckoning:
+      return DeadReckoningTransition<D>(graph.node(earlier).pose,
+                                        graph.node(later).pose);
+    case CorrelationModel::kIndependent:
+      return StateMatrix<D>::Zero();
+    case CorrelationModel::kFilter:
+      break;
+  }
+  // From the later node backward, as products of decaying factors should be
+  // run.
+  StateMatrix<D> psi = StateMatrix<D>::Identity();
+  for (NodeIndex i = later; i > earlier; --i) {
+    psi *= ToMatrix<D>(graph.transition(i));
+    if (psi.template lpNorm<Eigen::Infinity>() < kDecorrelatedNorm) {
+      return StateMatrix<D>::Zero();
+    }
+  }
+  return psi;
+}
+
+template <int D>
+StateMatrix<D> DifferenceCovariance(const PoseGraph& graph,
+                                    CorrelationModel model, NodeIndex i,
+                                    NodeIndex j) {
+  const NodeIndex earlier = std::min(i, j);
+  const NodeIndex later = std::max(i, j);
+  return DifferenceCovariance<D>(
+      ToMatrix<D>(graph.node(earlier).covariance),
+      ToMatrix<D>(graph.node(later).covariance),
+      PropagatedError<D>(graph, model, earlier, later));
+}
+
+template StateMatrix<3> PropagatedError<3>(const PoseGraph&, CorrelationModel,
+                                           NodeIndex, NodeIndex);
+template StateMatrix<4> PropagatedError<4>(const PoseGraph&, CorrelationModel,
+                                           NodeIndex, NodeIndex);
+template StateMatrix<3> DifferenceCovariance<3>(const PoseGraph&,
+                                                CorrelationModel, NodeIndex,
+                                                NodeIndex);
+template StateMatrix<4> DifferenceCovariance<4>(const PoseGraph&,
+                                                CorrelationModel, NodeIndex,
+                                                NodeIndex);
+
+}  // namespace revisit::core

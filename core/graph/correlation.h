@@ -1,0 +1,64 @@
+// How the errors of two nodes hang together, and the covariance of their
+// difference (paper, Eq. 3).
+//
+// For any forward filter the error obeys e_j = Psi(j,i) e_i + (noise
+// independent of e_i) for i before j, so the cross-covariance S_ij = S_ii
+// Psi(j,i)^T follows from the covariance of the earlier node alone:
+//
+//   Gamma_ij = S_ii + S_jj - S_ii Psi(j,i)^T - Psi(j,i) S_ii.
+#ifndef REVISIT_CORE_GRAPH_CORRELATION_H_
+#define REVISIT_CORE_GRAPH_CORRELATION_H_
+
+#include "core/geometry/pose.h"
+#include "core/graph/pose_graph.h"
+
+namespace revisit::core {
+
+enum class CorrelationModel {
+  // Psi carries the heading error over the lever arm between the two positions:
+  // the identity but for the column of heading, J (p_j - p_i) in x and y.
+  kDeadReckoning,
+  // Psi = 0.
+  kIndependent,
+  // Psi is the product of the nodes' error transitions.
+  kFilter,
+};
+
+// Products of error transitions whose largest entry, with the heading's lever
+// arm counted per metre, falls below this are taken for zero: the errors have
+// decorrelated.
+inline constexpr double kDecorrelatedNorm = 1e-9;
+
+// Psi(later, earlier). O(1), but O(later - earlier) for kFilter.
+// REQUIRES: earlier <= later.
+template <int D>
+StateMatrix<D> PropagatedError(const PoseGraph& graph, CorrelationModel model,
+                               NodeIndex earlier, NodeIndex later);
+
+// Psi for kDeadReckoning from the two poses alone.
+template <int D>
+StateMatrix<D> DeadReckoningTransition(const Pose& earlier, const Pose& later) {
+  StateMatrix<D> psi = StateMatrix<D>::Identity();
+  psi(0, D - 1) = -(later.y - earlier.y);
+  psi(1, D - 1) = later.x - earlier.x;
+  return psi;
+}
+
+// Gamma from its parts.
+template <int D>
+StateMatrix<D> DifferenceCovariance(const StateMatrix<D>& earlier_covariance,
+                                    const StateMatrix<D>& later_covariance,
+                                    const StateMatrix<D>& psi) {
+  const StateMatrix<D> carried = psi * earlier_covariance;
+  return earlier_covariance + later_covariance - carried - carried.transpose();
+}
+
+// Gamma of two nodes in any order. O(1), but O(|i - j|) for kFilter.
+template <int D>
+StateMatrix<D> DifferenceCovariance(const PoseGraph& graph,
+                                    CorrelationModel model, NodeIndex i,
+                                    NodeIndex j);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_GRAPH_CORRELATION_H_

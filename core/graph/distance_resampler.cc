@@ -1,0 +1,149 @@
+#include "core/graph/distance_resampler.h"
+
+#include <Eigen/LU>
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+
+#include "core/geometry/heading.h"
+
+namespace revisit::core {
+namespace {
+
+Covariance Interpolate(const Covariance& a, const Covariance& b, double f) {
+  Covariance between;
+  for (std::size_t i = 0; i < between.upper.size(); ++i) {
+    between.upper[i] = (1.0 - f) * a.upper[i] + f * b.upper[i];
+  }
+  return between;
+}
+
+Pose Interpolate(const Pose& a, const Pose& b, double f) {
+  const Pose step = Difference(b, a);
+  return {a.x + f * step.x, a.y + f * step.y, a.z + f * step.z,
+          WrapHeading(a.heading + f * step.heading)};
+}
+
+// The part from `from` to `to` of a step whose error transition is `whole`,
+// errors being interpolated linearly along it: the error at f is ((1-f) I + f
+// whole) e. Both are functions of one matrix, so they commute.
+Eigen::Matrix4d PartialTransition(const Eigen::Matrix4d& whole, double from,
+                                  double to) {
+  const auto at = [&whole](double f) -> Eigen::Matrix4d {
+    return (1.0 - f) * Eigen::Matrix4d::Identity() + f * whole;
+  };
+  if (from == 0.0) return at(to);
+  return at(to) * at(from).inverse();
+}
+
+}  // namespace
+
+DistanceResampler::DistanceResampler(const ResamplerOptions& options)
+    : options_(options) {
+  assert(options.spacing_meters > 0.0 && options.max_step_meters > 0.0);
+}
+
+std::optional<Jump> DistanceResampler::Add(const PoseSample& sample,
+                                           PoseGraph* graph) {
+  if (!anchor_) {
+    StartSegment(sample, graph);
+    return std::nullopt;
+  }
+  Eigen::Matrix4d anchor_to_sample = anchor_to_last_;
+  if (options_.carry_transitions && sample.transition) {
+    anchor_to_sample = ToMatrix<4>(*sample.transition) * anchor_to_last_;
+  }
+
+  const double step =
+      Distance(anchor_->pose, sample.pose, options_.state_space);
+  std::optional<Jump> jump;
+  if (step > options_.max_step_meters) {
+    jump = Jump{sample.sequence, step};
+    node_to_anchor_ = anchor_to_sample * node_to_anchor_;
+    StartSegment(sample, graph);
+  } else if (step < options_.standstill_fraction * options_.spacing_meters) {
+    anchor_to_last_ = anchor_to_sample;
+    last_sequence_ = sample.sequence;
+    last_stamp_ns_ = sample.stamp_ns;
+  } else {
+    double reached = 0.0;  // Fraction of this step at the last node.
+    while (true) {
+      // Products, not sums, so that rounding does not add up along the path.
+      const double mark =
+          segment_start_meters_ +
+          static_cast<double>(segment_nodes_) * options_.spacing_meters;
+      // Rounding can put the mark a hair before the anchor.
+      const double f = std::max(0.0, (mark - travelled_meters_) / step);
+      if (f > 1.0) break;
+      if (options_.carry_transitions) {
+        node_to_anchor_ =
+            PartialTransition(anchor_to_sample, reached, f) * node_to_anchor_;
+      }
+      AddNode(sample, f, /*starts_segment=*/false, graph);
+      reached = f;
+    }
+    if (options_.carry_transitions && reached < 1.0) {
+      node_to_anchor_ =
+          PartialTransition(anchor_to_sample, reached, 1.0) * node_to_anchor_;
+    }
+    travelled_meters_ += step;
+    anchor_ = sample;
+    anchor_to_last_.setIdentity();
+    last_sequence_ = sample.sequence;
+    last_stamp_ns_ = sample.stamp_ns;
+  }
+  return jump;
+}
+
+void DistanceResampler::StartSegment(const PoseSample& sample,
+                                     PoseGraph* graph) {
+  anchor_ = sample;
+  anchor_to_last_.setIdentity();
+  last_sequence_ = sample.sequence;
+  last_stamp_ns_ = sample.stamp_ns;
+  segment_start_meters_ = travelled_meters_;
+  segment_nodes_ = 0;
+  AddNode(sample, 1.0, /*starts_segment=*/true, graph);
+}
+
+// At fraction f in (0, 1] of the step from the anchor to this sample.
+void DistanceResampler::AddNode(const PoseSample& sample, double f,
+                                bool starts_segment, PoseGraph* graph) {
+  Node node;
+  node.travelled_meters =
+      segment_start_meters_ +
+      static_cast<double>(segment_nodes_) * options_.spacing_meters;
+  if (f == 1.0) {
+    node.sequence = sample.sequence;
+    node.stamp_ns = sample.stamp_ns;
+    node.pose = sample.pose;
+    node.pose.heading = WrapHeading(sample.pose.heading);
+    node.covariance = sample.covariance;
+  } else {
+    // While the vehicle stood, only time went on: the step leads from where the
+    // anchor is, but leaves when the last pose was taken.
+    node.sequence = last_sequence_;
+    node.fraction = f;
+    if (last_stamp_ns_ && sample.stamp_ns) {
+      const double span = static_cast<double>(*sample.stamp_ns) -
+                          static_cast<double>(*last_stamp_ns_);
+      node.stamp_ns =
+          *last_stamp_ns_ + static_cast<std::int64_t>(std::llround(f * span));
+    }
+    node.pose = Interpolate(anchor_->pose, sample.pose, f);
+    node.covariance = Interpolate(anchor_->covariance, sample.covariance, f);
+  }
+  if (options_.state_space == StateSpace::kPlanar) {
+    // What is not part of the state must not look as if it were.
+    node.pose.z = 0.0;
+    for (int i = 0; i < 4; ++i) node.covariance(2, i) = 0.0;
+  }
+  std::optional<ErrorTransition> transition;
+  if (options_.carry_transitions)
+    transition = ToErrorTransition<4>(node_to_anchor_);
+  graph->AddNode(node, starts_segment, transition);
+  node_to_anchor_.setIdentity();
+  ++segment_nodes_;
+}
+
+}  // namespace revisit::core

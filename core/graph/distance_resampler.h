@@ -1,0 +1,76 @@
+// Turns a stream of poses of any rate into nodes spaced evenly by travelled
+// distance.
+//
+// Node m of a segment lies where the path of the stream has length m * spacing,
+// measured along straight lines between poses. Between two poses the mean is
+// interpolated linearly, heading along the shorter arc, the covariance linearly
+// (a convex combination of positive definite matrices is one too), and the
+// stamp linearly.
+//
+// Standing still adds nothing: a pose closer than `standstill_fraction` of the
+// spacing to the last one that counted is not counted itself, so the jitter of
+// a parked estimator does not wind up distance. A step longer than
+// `max_step_meters` is a jump: it is reported, adds no distance, and starts a
+// new segment at the pose after it.
+#ifndef REVISIT_CORE_GRAPH_DISTANCE_RESAMPLER_H_
+#define REVISIT_CORE_GRAPH_DISTANCE_RESAMPLER_H_
+
+#include <cstdint>
+#include <optional>
+
+#include "core/geometry/pose.h"
+#include "core/graph/pose_graph.h"
+
+namespace revisit::core {
+
+struct ResamplerOptions {
+  StateSpace state_space = StateSpace::kPlanar;
+  double spacing_meters = 2.0;
+  double max_step_meters = 100.0;
+  double standstill_fraction = 0.05;
+  // Whether samples have error transitions (all but the first must) and nodes
+  // get theirs.
+  bool carry_transitions = false;
+};
+
+struct Jump {
+  // The pose after the jump.
+  std::uint64_t sequence = 0;
+  double distance_meters = 0.0;
+};
+
+class DistanceResampler {
+ public:
+  // REQUIRES: positive spacing and maximal step.
+  explicit DistanceResampler(const ResamplerOptions& options);
+
+  // Adds to the graph the nodes that the step to this sample reaches.
+  // REQUIRES: no defect, and the sequence after that of the last sample.
+  std::optional<Jump> Add(const PoseSample& sample, PoseGraph* graph);
+
+  // Path length without jumps up to the last pose that counted.
+  double travelled_meters() const { return travelled_meters_; }
+
+ private:
+  void StartSegment(const PoseSample& sample, PoseGraph* graph);
+  void AddNode(const PoseSample& sample, double fraction, bool starts_segment,
+               PoseGraph* graph);
+
+  ResamplerOptions options_;
+  // The last pose that counted.
+  std::optional<PoseSample> anchor_;
+  // The last pose, counted or not.
+  std::uint64_t last_sequence_ = 0;
+  std::optional<std::int64_t> last_stamp_ns_;
+  double travelled_meters_ = 0.0;
+  double segment_start_meters_ = 0.0;
+  std::int64_t segment_nodes_ = 0;
+  // Error transition from the last node to the anchor, and from the anchor to
+  // the last pose; only kept if they are carried.
+  Eigen::Matrix4d node_to_anchor_ = Eigen::Matrix4d::Identity();
+  Eigen::Matrix4d anchor_to_last_ = Eigen::Matrix4d::Identity();
+};
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_GRAPH_DISTANCE_RESAMPLER_H_

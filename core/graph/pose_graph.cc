@@ -1,0 +1,75 @@
+#include "core/graph/pose_graph.h"
+
+#include <algorithm>
+#include <cassert>
+#include <iterator>
+
+namespace revisit::core {
+
+ErrorTransition PoseGraph::transition(NodeIndex i) const {
+  return transitions_.empty() ? ErrorTransition{} : transitions_[Position(i)];
+}
+
+NodeIndex PoseGraph::SegmentStart(NodeIndex i) const {
+  return *std::prev(
+      std::upper_bound(segment_starts_.begin(), segment_starts_.end(), i));
+}
+
+std::optional<NodeIndex> PoseGraph::NodeAtOrBefore(
+    std::uint64_t sequence) const {
+  // A node with this sequence and a fraction lies after the pose.
+  const auto after = std::partition_point(
+      nodes_.begin(), nodes_.end(), [sequence](const Node& node) {
+        return node.sequence < sequence ||
+               (node.sequence == sequence && node.fraction == 0.0);
+      });
+  if (after == nodes_.begin()) return std::nullopt;
+  return static_cast<NodeIndex>(after - nodes_.begin()) - 1;
+}
+
+const std::vector<NodeIndex>& PoseGraph::LoopNeighbours(NodeIndex i) const {
+  static const std::vector<NodeIndex> kNone;
+  const auto found = loop_neighbours_.find(i);
+  return found == loop_neighbours_.end() ? kNone : found->second;
+}
+
+std::vector<std::pair<NodeIndex, NodeIndex>> PoseGraph::LoopEdges() const {
+  std::vector<std::pair<NodeIndex, NodeIndex>> edges;
+  for (const auto& [from, neighbours] : loop_neighbours_) {
+    for (NodeIndex to : neighbours) {
+      if (from < to) edges.emplace_back(from, to);
+    }
+  }
+  std::sort(edges.begin(), edges.end());
+  return edges;
+}
+
+void PoseGraph::AddNode(const Node& node, bool starts_segment,
+                        const std::optional<ErrorTransition>& transition) {
+  assert(nodes_.empty() || transition.has_value() == !transitions_.empty());
+  if (starts_segment) segment_starts_.push_back(size());
+  nodes_.push_back(node);
+  if (transition) transitions_.push_back(*transition);
+}
+
+void PoseGraph::AddLoopEdge(NodeIndex a, NodeIndex b) {
+  assert(a != b);
+  loop_neighbours_[a].push_back(b);
+  loop_neighbours_[b].push_back(a);
+}
+
+bool PoseGraph::RemoveLoopEdge(NodeIndex a, NodeIndex b) {
+  const auto remove = [this](NodeIndex from, NodeIndex to) {
+    const auto found = loop_neighbours_.find(from);
+    if (found == loop_neighbours_.end()) return false;
+    auto& neighbours = found->second;
+    const auto edge = std::find(neighbours.begin(), neighbours.end(), to);
+    if (edge == neighbours.end()) return false;
+    neighbours.erase(edge);
+    if (neighbours.empty()) loop_neighbours_.erase(found);
+    return true;
+  };
+  return remove(a, b) && remove(b, a);
+}
+
+}  // namespace revisit::core

@@ -1,0 +1,85 @@
+// The pose graph of one vehicle: nodes spaced evenly by travelled distance,
+// edges between consecutive nodes and for confirmed loop closures.
+//
+// Indices are dense and grow with the travelled distance. Edges are undirected.
+// Where the trajectory jumped, consecutive nodes have no edge; the nodes
+// between two such places form a segment.
+//
+// Thread-compatible: const calls may run at the same time.
+#ifndef REVISIT_CORE_GRAPH_POSE_GRAPH_H_
+#define REVISIT_CORE_GRAPH_POSE_GRAPH_H_
+
+#include <cstdint>
+#include <optional>
+#include <unordered_map>
+#include <utility>
+#include <vector>
+
+#include "core/geometry/pose.h"
+
+namespace revisit::core {
+
+using NodeIndex = std::int64_t;
+
+struct Node {
+  // The pose at or before the node, and how far on towards the next one it
+  // lies, in [0, 1).
+  std::uint64_t sequence = 0;
+  double fraction = 0.0;
+  std::optional<std::int64_t> stamp_ns;
+  // Distance travelled to here, without jumps.
+  double travelled_meters = 0.0;
+  // Heading in (-pi, pi].
+  Pose pose;
+  Covariance covariance;
+};
+
+class PoseGraph {
+ public:
+  NodeIndex size() const { return static_cast<NodeIndex>(nodes_.size()); }
+  const Node& node(NodeIndex i) const { return nodes_[Position(i)]; }
+
+  // The error transition from node i-1 to node i; identity for node 0 and where
+  // none was given.
+  ErrorTransition transition(NodeIndex i) const;
+
+  // First node of the segment that holds node i.
+  NodeIndex SegmentStart(NodeIndex i) const;
+
+  // Last node at or before the pose: nothing if there is none.
+  std::optional<NodeIndex> NodeAtOrBefore(std::uint64_t sequence) const;
+
+  // Other ends of the loop-closure edges at i, in the order they were added.
+  const std::vector<NodeIndex>& LoopNeighbours(NodeIndex i) const;
+
+  // Every loop-closure edge once, from < to, in the order of `from`.
+  std::vector<std::pair<NodeIndex, NodeIndex>> LoopEdges() const;
+
+  // `starts_segment`: no edge to the node before. `transition` only for
+  // vehicles whose errors are carried by the caller's filter: give it for all
+  // nodes or for none.
+  void AddNode(const Node& node, bool starts_segment,
+               const std::optional<ErrorTransition>& transition);
+
+  // An edge between two nodes that differ. The same edge may be there more than
+  // once (two loop closures between the same nodes); each counts for the
+  // degree.
+  void AddLoopEdge(NodeIndex a, NodeIndex b);
+  // Removes one edge of the two. Returns whether there was one.
+  bool RemoveLoopEdge(NodeIndex a, NodeIndex b);
+
+ private:
+  static std::size_t Position(NodeIndex i) {
+    return static_cast<std::size_t>(i);
+  }
+
+  std::vector<Node> nodes_;
+  // As many as nodes, or none.
+  std::vector<ErrorTransition> transitions_;
+  std::vector<NodeIndex> segment_starts_;
+  std::unordered_map<NodeIndex, std::vector<NodeIndex>> loop_neighbours_;
+};
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_GRAPH_POSE_GRAPH_H_

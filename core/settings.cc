@@ -1,0 +1,81 @@
+#include "core/settings.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+namespace revisit::core {
+namespace {
+
+std::string Number(double value) {
+  char text[32];
+  std::snprintf(text, sizeof(text), "%.9g", value);
+  return text;
+}
+
+void CheckRange(const char* field, double value, double lowest, double highest,
+                std::vector<SettingProblem>* problems) {
+  if (value >= lowest && value <= highest) return;
+  problems->push_back({field, "got " + Number(value) + "; allowed is [" +
+                                  Number(lowest) + ", " + Number(highest) +
+                                  "]"});
+}
+
+void CheckSearch(const SearchOptions& options, double node_spacing_meters,
+                 std::vector<SettingProblem>* problems) {
+  // A spacing that is itself refused must not cast doubt on the length.
+  if (node_spacing_meters > 0.0 && std::isfinite(node_spacing_meters)) {
+    CheckRange("sequence_length_meters", options.sequence_length_meters,
+               node_spacing_meters,
+               static_cast<double>(kMaxSequenceNodes) * node_spacing_meters,
+               problems);
+  }
+  if (!(options.gate_probability > 0.0 && options.gate_probability < 1.0)) {
+    problems->push_back(
+        {"gate_probability", "got " + Number(options.gate_probability) +
+                                 "; allowed is above 0 and below 1"});
+  }
+  CheckRange("place_tolerance.position_meters",
+             options.place_tolerance.position_meters, 0.0, 1000.0, problems);
+  CheckRange("place_tolerance.heading_radians",
+             options.place_tolerance.heading_radians, 0.0, 3.0, problems);
+  CheckRange("candidate_separation_meters", options.candidate_separation_meters,
+             0.0, 1e6, problems);
+  CheckRange("max_candidates", options.max_candidates, 1, kMaxCandidates,
+             problems);
+}
+
+}  // namespace
+
+std::vector<SettingProblem> FindProblems(const EngineSettings& settings) {
+  std::vector<SettingProblem> problems;
+  CheckRange("node_spacing_meters", settings.node_spacing_meters, 0.01, 1000.0,
+             &problems);
+  CheckRange("check_interval_meters", settings.check_interval_meters,
+             std::max(0.01, settings.node_spacing_meters), 1e5, &problems);
+  CheckRange("max_step_meters", settings.max_step_meters, 0.01, 1e6, &problems);
+  CheckSearch(settings.search, settings.node_spacing_meters, &problems);
+  return problems;
+}
+
+std::vector<SettingProblem> FindProblems(const SearchOptions& options,
+                                         const EngineSettings& vehicle) {
+  std::vector<SettingProblem> problems;
+  CheckSearch(options, vehicle.node_spacing_meters, &problems);
+  if (options.correlation_model == CorrelationModel::kFilter &&
+      vehicle.search.correlation_model != CorrelationModel::kFilter) {
+    problems.push_back(
+        {"correlation_model",
+         "got FILTER; allowed only where the vehicle's own model "
+         "is FILTER"});
+  }
+  return problems;
+}
+
+std::int64_t SequenceNodes(double sequence_length_meters,
+                           double node_spacing_meters) {
+  return std::max<std::int64_t>(
+      1, std::llround(sequence_length_meters / node_spacing_meters));
+}
+
+}  // namespace revisit::core

@@ -1,0 +1,66 @@
+// How a vehicle's trajectory is kept and searched.
+#ifndef REVISIT_CORE_SETTINGS_H_
+#define REVISIT_CORE_SETTINGS_H_
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "core/alignment/log_similarity.h"
+#include "core/geometry/pose.h"
+#include "core/graph/correlation.h"
+
+namespace revisit::core {
+
+// What a single search may decide for itself.
+struct SearchOptions {
+  CorrelationModel correlation_model = CorrelationModel::kDeadReckoning;
+  LikelihoodForm likelihood_form = LikelihoodForm::kGaussian;
+  // Travelled distance that is aligned with the history: rounded to a number of
+  // nodes, [1, kMaxSequenceNodes].
+  double sequence_length_meters = 150.0;
+  // In (0, 1).
+  double gate_probability = 0.95;
+  // Position [0, 1000] m, heading [0, 3] rad.
+  PlaceTolerance place_tolerance;
+  // Along the path, [0, 1e6] m.
+  double candidate_separation_meters = 10.0;
+  // [1, kMaxCandidates].
+  int max_candidates = 5;
+};
+
+struct EngineSettings {
+  StateSpace state_space = StateSpace::kPlanar;
+  // [0.01, 1000] m.
+  double node_spacing_meters = 2.0;
+  // At least the node spacing, at most 1e5 m.
+  double check_interval_meters = 50.0;
+  // [0.01, 1e6] m.
+  double max_step_meters = 100.0;
+  SearchOptions search;
+};
+
+inline constexpr int kMaxCandidates = 100;
+inline constexpr std::int64_t kMaxSequenceNodes = 1000;
+
+// A setting that is out of range.
+struct SettingProblem {
+  // Name of the field here, such as "place_tolerance.position_meters".
+  std::string field;
+  // What was got and what is allowed.
+  std::string description;
+};
+
+// All problems; none means valid.
+std::vector<SettingProblem> FindProblems(const EngineSettings& settings);
+// The same for the options of one search of a vehicle with these settings.
+std::vector<SettingProblem> FindProblems(const SearchOptions& options,
+                                         const EngineSettings& vehicle);
+
+// Nodes in a sequence of this length: at least 1.
+std::int64_t SequenceNodes(double sequence_length_meters,
+                           double node_spacing_meters);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_SETTINGS_H_

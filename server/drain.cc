@@ -1,0 +1,43 @@
+#include "server/drain.h"
+
+#include <utility>
+
+#include "server/status.h"
+
+namespace revisit::server {
+
+Drain::WatchId Drain::Watch(std::function<void()> wind_down) {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const WatchId id = next_id_++;
+    if (!started_) {
+      watchers_.emplace(id, std::move(wind_down));
+      return id;
+    }
+  }
+  // Not under the lock: it may call Unwatch().
+  wind_down();
+  return -1;
+}
+
+void Drain::Unwatch(WatchId id) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  watchers_.erase(id);
+}
+
+void Drain::Start() {
+  std::map<WatchId, std::function<void()>> watchers;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    started_ = true;
+    watchers.swap(watchers_);
+  }
+  for (const auto& [id, wind_down] : watchers) wind_down();
+}
+
+absl::Status Drain::Refusal() {
+  return Error(absl::StatusCode::kUnavailable, "SERVER_DRAINING",
+               "the server is shutting down; reconnect");
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,606 @@
+#include "server/pose_graph_service.h"
+
+#include <chrono>
+#include <cstdint>
+#include <cstdlib>
+#include <limits>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "google/protobuf/util/field_mask_util.h"
+#include "server/call.h"
+#include "server/export_pose_graph.h"
+#include "server/field_violations.h"
+#include "server/page_token.h"
+#include "server/proto_conversion.h"
+#include "server/revise_poses.h"
+#include "server/sessions/executor.h"
+#include "server/sessions/fleet.h"
+#include "server/sessions/vehicle_session.h"
+#include "server/status.h"
+#include "server/storage/storage.h"
+#include "server/stream_poses.h"
+
+namespace revisit::server {
+namespace {
+
+using google::protobuf::util::FieldMaskUtil;
+
+// Clients read messages of 4 MiB unless told otherwise; a page stays well
+// below.
+constexpr std::size_t kMaxPageBytes = std::size_t{2} << 20;
+
+constexpr FieldPath kRequest;
+
+std::int64_t NowNanoseconds() {
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(
+             std::chrono::system_clock::now().time_since_epoch())
+      .count();
+}
+
+// A unary call in progress. Request and response live until Finish().
+class UnaryCall {
+ public:
+  UnaryCall(grpc::CallbackServerContext* context, const char* method,
+            const Log* log)
+      : context_(context),
+        reactor_(context->DefaultReactor()),
+        call_(context, method, log) {}
+
+  grpc::ServerUnaryReactor* reactor() const { return reactor_; }
+  void set_vehicle(const std::string& id) { call_.set_vehicle(id); }
+
+  // Not to be asked after Finish().
+  bool given_up() const { return context_->IsCancelled() || call_.expired(); }
+  absl::Status GivenUpStatus() const { return call_.GivenUpStatus(); }
+
+  void Finish(const absl::Status& status) {
+    reactor_->Finish(call_.End(status));
+  }
+
+ private:
+  grpc::CallbackServerContext* const context_;
+  grpc::ServerUnaryReactor* const reactor_;
+  Call call_;
+};
+
+using UnaryCallPtr = std::shared_ptr<UnaryCall>;
+
+// A callback that finishes the call with what `encode` makes of the value.
+template <typename Value, typename Encode>
+std::function<void(absl::StatusOr<Value>)> FinishWith(UnaryCallPtr call,
+                                                      Encode encode) {
+  return [call = std::move(call), encode](absl::StatusOr<Value> value) {
+    if (!value.ok()) {
+      call->Finish(value.status());
+      return;
+    }
+    const absl::Status status = encode(*value);
+    call->Finish(status);
+  };
+}
+
+// Opens the session of the vehicle that a field names.
+absl::StatusOr<std::shared_ptr<VehicleSession>> SessionOf(
+    const ServiceContext& context, const std::string& name,
+    const FieldPath& path, UnaryCall* call) {
+  absl::StatusOr<std::string> id = ParseVehicleName(name, path);
+  if (!id.ok()) return id.status();
+  call->set_vehicle(*id);
+  return context.fleet->Session(*id);
+}
+
+// A page of vehicles as they are stored.
+absl::Status ListStored(Storage* storage, const std::string& list,
+                        const std::string& after, int page_size,
+                        v1::ListVehiclesResponse* response) {
+  // One more tells whether there is another page.
+  const auto records = storage->ListVehicles(after, page_size + 1);
+  if (!records.ok()) return records.status();
+  std::string last;
+  for (const VehicleRecord& record : *records) {
+    if (response->vehicles_size() == page_size) {
+      response->set_next_page_token(MakePageToken(list, last));
+      break;
+    }
+    if (absl::Status status = EncodeVehicle(record, response->add_vehicles());
+        !status.ok()) {
+      return status;
+    }
+    last = record.id;
+  }
+  return absl::OkStatus();
+}
+
+// Replaces what is stored by what the vehicles in memory say, each in its own
+// time, then finishes the call.
+void FillFromMemory(Fleet* fleet, const UnaryCallPtr& call,
+                    v1::ListVehiclesResponse* response) {
+  // The last to let go of it finishes the call.
+  const std::shared_ptr<void> finish(
+      nullptr, [call](void*) { call->Finish(absl::OkStatus()); });
+  for (v1::Vehicle& vehicle : *response->mutable_vehicles()) {
+    const std::string id = vehicle.name().substr(VehicleName("").size());
+    const auto session = fleet->SessionIfLoaded(id);
+    if (session == nullptr) continue;
+    session->Read([finish, &vehicle](const absl::StatusOr<VehicleView>& view) {
+      // It may have been deleted or unloaded meanwhile: then what was stored
+      // stands.
+      if (view.ok()) EncodeVehicle(*view, &vehicle);
+    });
+  }
+}
+
+// Key of the last element of a page of poses.
+absl::StatusOr<std::uint64_t> FirstSequence(const v1::ListPosesRequest& request,
+                                            const std::string& list) {
+  const absl::StatusOr<std::string> key =
+      ParsePageToken(list, request.page_token());
+  if (!key.ok()) return key.status();
+  if (!key->empty()) return std::strtoull(key->c_str(), nullptr, 10) + 1;
+  return request.first_sequence() == 0 ? 1 : request.first_sequence();
+}
+
+absl::Status CheckReadMask(const google::protobuf::FieldMask& mask) {
+  Violations violations;
+  const FieldPath path = kRequest.Field("read_mask");
+  for (int i = 0; i < mask.paths_size(); ++i) {
+    if (!FieldMaskUtil::IsValidPath<v1::Pose>(mask.paths(i))) {
+      violations.Add(
+          "INVALID_FIELD", path.At("paths", static_cast<std::size_t>(i)),
+          "got " + Quoted(mask.paths(i)) + ", which is no field of Pose");
+    }
+  }
+  return violations.ToStatus();
+}
+
+// Fills a page with the poses from `first` on.
+absl::Status ReadPoses(Storage* storage, const VehicleView& view,
+                       std::uint64_t first, int page_size,
+                       const google::protobuf::FieldMask& mask,
+                       const std::string& list,
+                       v1::ListPosesResponse* response) {
+  if (first > view.durable_sequence) return absl::OkStatus();
+  const std::uint64_t last = std::min(
+      view.durable_sequence, first + static_cast<std::uint64_t>(page_size) - 1);
+  std::uint64_t last_taken = 0;
+  std::size_t bytes = 0;
+  absl::Status parsed;
+  const absl::Status read = storage->ReadBatches(
+      view.key, first, last, BatchVersion::kCurrent, [&](BatchRecord batch) {
+        parsed = VisitPoses(batch, [&](v1::Pose* pose) {
+          if (pose->sequence() < first) return true;
+          if (pose->sequence() > last || bytes > kMaxPageBytes) return false;
+          last_taken = pose->sequence();
+          if (mask.paths_size() > 0) FieldMaskUtil::TrimMessage(mask, pose);
+          bytes += pose->ByteSizeLong();
+          response->add_poses()->Swap(pose);
+          return true;
+        });
+        return parsed.ok() && bytes <= kMaxPageBytes;
+      });
+  if (!read.ok()) return read;
+  if (!parsed.ok()) return parsed;
+  if (last_taken < view.durable_sequence) {
+    response->set_next_page_token(
+        MakePageToken(list, std::to_string(last_taken)));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status PoseNotFound(const VehicleView& view, std::uint64_t sequence) {
+  return Error(absl::StatusCode::kNotFound, "POSE_NOT_FOUND",
+               VehicleName(view.id) + " has no pose of sequence " +
+                   std::to_string(sequence) + "; its last is " +
+                   std::to_string(view.durable_sequence),
+               {{"sequence", std::to_string(sequence)},
+                {"durable_sequence", std::to_string(view.durable_sequence)}});
+}
+
+// The node at which to ask; nothing if the vehicle has none.
+absl::StatusOr<std::optional<core::NodeIndex>> QueryNode(
+    const VehicleView& view, std::uint64_t sequence) {
+  const core::PoseGraph& graph = view.engine.graph();
+  if (sequence > view.durable_sequence) return PoseNotFound(view, sequence);
+  if (sequence > 0) return graph.NodeAtOrBefore(sequence);
+  if (graph.size() == 0) return std::optional<core::NodeIndex>();
+  return std::optional<core::NodeIndex>(graph.size() - 1);
+}
+
+absl::Status Find(const UnaryCall& call, const VehicleView& view,
+                  const v1::FindCandidatesRequest& request,
+                  v1::FindCandidatesResponse* response) {
+  // It may have waited long behind other work.
+  if (call.given_up()) return call.GivenUpStatus();
+  const absl::StatusOr<core::SearchOptions> options = DecodeCandidateOptions(
+      request.options(), view.config, kRequest.Field("options"));
+  if (!options.ok()) return options.status();
+  const auto query = QueryNode(view, request.sequence());
+  if (!query.ok()) return query.status();
+  const auto stop = [&call] { return call.given_up(); };
+  const auto start = std::chrono::steady_clock::now();
+  const absl::StatusOr<core::CandidateSet> found =
+      *query ? view.engine.FindCandidates(**query, *options, stop)
+             : view.engine.FindCandidates(*options, stop);
+  if (absl::IsCancelled(found.status())) return call.GivenUpStatus();
+  if (!found.ok()) return found.status();
+  EncodeCandidateSet(view, *found, request.options().include_aligned_path(),
+                     std::chrono::steady_clock::now() - start,
+                     response->mutable_candidates());
+  return absl::OkStatus();
+}
+
+// The record that a request asks for.
+absl::StatusOr<LoopClosureRecord> DecodeLoopClosure(
+    const v1::AddLoopClosureRequest& request) {
+  const v1::LoopClosure& closure = request.loop_closure();
+  const FieldPath path = kRequest.Field("loop_closure");
+  Violations violations;
+  if (!request.has_loop_closure()) {
+    violations.Add("INVALID_FIELD", path, "required");
+    return violations.ToStatus();
+  }
+  if (closure.query_sequence() == 0) {
+    violations.Add("INVALID_FIELD", path.Field("query_sequence"),
+                   "required: sequences start at 1");
+  }
+  if (closure.matched_sequence() == 0) {
+    violations.Add("INVALID_FIELD", path.Field("matched_sequence"),
+                   "required: sequences start at 1");
+  } else if (closure.query_sequence() != 0 &&
+             closure.matched_sequence() >= closure.query_sequence()) {
+    violations.Add("INVALID_FIELD", path.Field("matched_sequence"),
+                   "got " + std::to_string(closure.matched_sequence()) +
+                       "; allowed is less than query_sequence, " +
+                       std::to_string(closure.query_sequence()));
+  }
+  if (violations.count() > 0) return violations.ToStatus();
+  LoopClosureRecord record;
+  record.id = request.loop_closure_id();
+  if (record.id.empty()) {
+    record.id = std::to_string(closure.query_sequence()) + "-" +
+                std::to_string(closure.matched_sequence());
+  }
+  if (absl::Status status =
+          CheckId(record.id, kRequest.Field("loop_closure_id"));
+      !status.ok()) {
+    return status;
+  }
+  record.query_sequence = closure.query_sequence();
+  record.matched_sequence = closure.matched_sequence();
+  record.create_time_ns = NowNanoseconds();
+  return record;
+}
+
+}  // namespace
+
+template <typename Handle>
+grpc::ServerUnaryReactor* PoseGraphService::Unary(
+    grpc::CallbackServerContext* context, const char* method, Handle handle) {
+  const auto call = std::make_shared<UnaryCall>(context, method, context_.log);
+  // Before `handle`: it may finish the call on another thread.
+  grpc::ServerUnaryReactor* const reactor = call->reactor();
+  const absl::Status status = handle(call);
+  if (!status.ok()) call->Finish(status);
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::CreateVehicle(
+    grpc::CallbackServerContext* call_context,
+    const v1::CreateVehicleRequest* request,
+    v1::CreateVehicleResponse* response) {
+  return Unary(call_context, "CreateVehicle", [=](const UnaryCallPtr& call) {
+    const std::string& id = request->vehicle_id();
+    if (absl::Status status = CheckId(id, kRequest.Field("vehicle_id"));
+        !status.ok()) {
+      return status;
+    }
+    call->set_vehicle(id);
+    absl::StatusOr<VehicleConfig> config =
+        DecodeSettings(request->vehicle().settings(),
+                       kRequest.Field("vehicle").Field("settings"));
+    if (!config.ok()) return config.status();
+    config->create_time_ns = NowNanoseconds();
+    const auto encode = [response](const VehicleView& view) {
+      EncodeVehicle(view, response->mutable_vehicle());
+      return absl::OkStatus();
+    };
+    Fleet* const fleet = context_.fleet;
+    const VehicleConfig requested = *config;
+    fleet->Create(id, requested, [=](absl::StatusOr<VehicleView> created) {
+      if (!absl::IsAlreadyExists(created.status())) {
+        FinishWith<VehicleView>(call, encode)(std::move(created));
+        return;
+      }
+      fleet->Session(request->vehicle_id())
+          ->Read(FinishWith<VehicleView>(call, [=](const VehicleView& view) {
+            if (SameSettings(view.config, requested)) return encode(view);
+            return Error(absl::StatusCode::kAlreadyExists, "VEHICLE_EXISTS",
+                         VehicleName(view.id) +
+                             " exists with other settings; change them with "
+                             "UpdateVehicle, or take another id");
+          }));
+    });
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::GetVehicle(
+    grpc::CallbackServerContext* call_context,
+    const v1::GetVehicleRequest* request, v1::GetVehicleResponse* response) {
+  return Unary(call_context, "GetVehicle", [=](const UnaryCallPtr& call) {
+    const auto session = SessionOf(context_, request->name(),
+                                   kRequest.Field("name"), call.get());
+    if (!session.ok()) return session.status();
+    (*session)->Read(FinishWith<VehicleView>(call, [=](const auto& view) {
+      EncodeVehicle(view, response->mutable_vehicle());
+      return absl::OkStatus();
+    }));
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::ListVehicles(
+    grpc::CallbackServerContext* call_context,
+    const v1::ListVehiclesRequest* request,
+    v1::ListVehiclesResponse* response) {
+  return Unary(call_context, "ListVehicles", [=](const UnaryCallPtr& call) {
+    const std::string list = "ListVehicles";
+    const absl::StatusOr<int> page_size =
+        PageSize(request->page_size(), 100, 1000);
+    if (!page_size.ok()) return page_size.status();
+    const absl::StatusOr<std::string> after =
+        ParsePageToken(list, request->page_token());
+    if (!after.ok()) return after.status();
+    context_.executor->Post([=, context = context_] {
+      const absl::Status status =
+          ListStored(context.storage, list, *after, *page_size, response);
+      if (status.ok()) {
+        FillFromMemory(context.fleet, call, response);
+      } else {
+        call->Finish(status);
+      }
+    });
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::UpdateVehicle(
+    grpc::CallbackServerContext* call_context,
+    const v1::UpdateVehicleRequest* request,
+    v1::UpdateVehicleResponse* response) {
+  return Unary(call_context, "UpdateVehicle", [=](const UnaryCallPtr& call) {
+    const FieldPath vehicle = kRequest.Field("vehicle");
+    const auto session = SessionOf(context_, request->vehicle().name(),
+                                   vehicle.Field("name"), call.get());
+    if (!session.ok()) return session.status();
+    (*session)->Update(
+        [=](const VehicleView& view) {
+          return UpdateSettings(view.config, view.durable_sequence > 0,
+                                request->vehicle().settings(),
+                                request->update_mask());
+        },
+        FinishWith<VehicleView>(call, [=](const VehicleView& view) {
+          EncodeVehicle(view, response->mutable_vehicle());
+          return absl::OkStatus();
+        }));
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::DeleteVehicle(
+    grpc::CallbackServerContext* call_context,
+    const v1::DeleteVehicleRequest* request, v1::DeleteVehicleResponse*) {
+  return Unary(call_context, "DeleteVehicle", [=](const UnaryCallPtr& call) {
+    const absl::StatusOr<std::string> id =
+        ParseVehicleName(request->name(), kRequest.Field("name"));
+    if (!id.ok()) return id.status();
+    call->set_vehicle(*id);
+    context_.fleet->Delete(
+        *id, [=](const absl::Status& status) { call->Finish(status); });
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
+    grpc::CallbackServerContext* call_context,
+    const v1::AppendPosesRequest* request, v1::AppendPosesResponse* response) {
+  return Unary(call_context, "AppendPoses", [=](const UnaryCallPtr& call) {
+    const auto session = SessionOf(context_, request->vehicle(),
+                                   kRequest.Field("vehicle"), call.get());
+    if (!session.ok()) return session.status();
+    AppendRequest append;
+    append.decoder = [=, max_poses = context_.limits.max_batch_poses](
+                         const VehicleConfig& config) {
+      return DecodeBatch(request->poses(), max_poses, config, kRequest);
+    };
+    append.should_stop = [] { return false; };
+    append.callbacks.staged = [](const absl::Status&) {};
+    append.callbacks.durable =
+        FinishWith<Acknowledgement>(call, [=](const Acknowledgement& durable) {
+          EncodeAck(durable, response->mutable_ack());
+          return absl::OkStatus();
+        });
+    append.callbacks.candidates =
+        [](const VehicleView&, const absl::StatusOr<core::CandidateSet>&) {};
+    (*session)->Append(std::move(append));
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerBidiReactor<v1::StreamPosesRequest, v1::StreamPosesResponse>*
+PoseGraphService::StreamPoses(grpc::CallbackServerContext* call_context) {
+  return StartPoseStream(call_context, context_);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::FindCandidates(
+    grpc::CallbackServerContext* call_context,
+    const v1::FindCandidatesRequest* request,
+    v1::FindCandidatesResponse* response) {
+  return Unary(call_context, "FindCandidates", [=](const UnaryCallPtr& call) {
+    const auto session = SessionOf(context_, request->vehicle(),
+                                   kRequest.Field("vehicle"), call.get());
+    if (!session.ok()) return session.status();
+    (*session)->Read(
+        FinishWith<VehicleView>(call, [=](const VehicleView& view) {
+          return Find(*call, view, *request, response);
+        }));
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::AddLoopClosure(
+    grpc::CallbackServerContext* call_context,
+    const v1::AddLoopClosureRequest* request,
+    v1::AddLoopClosureResponse* response) {
+  return Unary(call_context, "AddLoopClosure", [=](const UnaryCallPtr& call) {
+    const absl::StatusOr<std::string> id =
+        ParseVehicleName(request->parent(), kRequest.Field("parent"));
+    if (!id.ok()) return id.status();
+    call->set_vehicle(*id);
+    absl::StatusOr<LoopClosureRecord> record = DecodeLoopClosure(*request);
+    if (!record.ok()) return record.status();
+    using Added = std::pair<LoopClosureRecord, std::uint64_t>;
+    context_.fleet->Session(*id)->AddLoopClosure(
+        *std::move(record),
+        FinishWith<Added>(call, [response, id = *id](const Added& added) {
+          EncodeLoopClosure(id, added.first, response->mutable_loop_closure());
+          response->set_revision(added.second);
+          return absl::OkStatus();
+        }));
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::ListLoopClosures(
+    grpc::CallbackServerContext* call_context,
+    const v1::ListLoopClosuresRequest* request,
+    v1::ListLoopClosuresResponse* response) {
+  return Unary(call_context, "ListLoopClosures", [=](const UnaryCallPtr& call) {
+    const auto session = SessionOf(context_, request->parent(),
+                                   kRequest.Field("parent"), call.get());
+    if (!session.ok()) return session.status();
+    const std::string list = "ListLoopClosures " + request->parent();
+    const absl::StatusOr<int> page_size =
+        PageSize(request->page_size(), 100, 1000);
+    if (!page_size.ok()) return page_size.status();
+    const absl::StatusOr<std::string> after =
+        ParsePageToken(list, request->page_token());
+    if (!after.ok()) return after.status();
+    (*session)->Read(FinishWith<VehicleView>(
+        call, [=, storage = context_.storage](const VehicleView& view) {
+          const auto records =
+              storage->ListLoopClosures(view.key, *after, *page_size + 1);
+          if (!records.ok()) return records.status();
+          std::string last;
+          for (const LoopClosureRecord& record : *records) {
+            if (response->loop_closures_size() == *page_size) {
+              response->set_next_page_token(MakePageToken(list, last));
+              break;
+            }
+            EncodeLoopClosure(view.id, record, response->add_loop_closures());
+            last = record.id;
+          }
+          return absl::OkStatus();
+        }));
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::DeleteLoopClosure(
+    grpc::CallbackServerContext* call_context,
+    const v1::DeleteLoopClosureRequest* request,
+    v1::DeleteLoopClosureResponse* response) {
+  return Unary(
+      call_context, "DeleteLoopClosure", [=](const UnaryCallPtr& call) {
+        const absl::StatusOr<LoopClosureName> name =
+            ParseLoopClosureName(request->name(), kRequest.Field("name"));
+        if (!name.ok()) return name.status();
+        call->set_vehicle(name->vehicle_id);
+        context_.fleet->Session(name->vehicle_id)
+            ->DeleteLoopClosure(
+                name->id,
+                FinishWith<std::uint64_t>(call, [=](std::uint64_t revision) {
+                  response->set_revision(revision);
+                  return absl::OkStatus();
+                }));
+        return absl::OkStatus();
+      });
+}
+
+grpc::ServerReadReactor<v1::RevisePosesRequest>* PoseGraphService::RevisePoses(
+    grpc::CallbackServerContext* call_context,
+    v1::RevisePosesResponse* response) {
+  return StartRevision(call_context, context_, response);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::ListPoses(
+    grpc::CallbackServerContext* call_context,
+    const v1::ListPosesRequest* request, v1::ListPosesResponse* response) {
+  return Unary(call_context, "ListPoses", [=](const UnaryCallPtr& call) {
+    const auto session = SessionOf(context_, request->parent(),
+                                   kRequest.Field("parent"), call.get());
+    if (!session.ok()) return session.status();
+    const std::string list = "ListPoses " + request->parent();
+    const absl::StatusOr<int> page_size =
+        PageSize(request->page_size(), 1000, 10000);
+    if (!page_size.ok()) return page_size.status();
+    const absl::StatusOr<std::uint64_t> first = FirstSequence(*request, list);
+    if (!first.ok()) return first.status();
+    if (absl::Status status = CheckReadMask(request->read_mask());
+        !status.ok()) {
+      return status;
+    }
+    (*session)->Read(FinishWith<VehicleView>(
+        call, [=, storage = context_.storage](const VehicleView& view) {
+          return ReadPoses(storage, view, *first, *page_size,
+                           request->read_mask(), list, response);
+        }));
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerWriteReactor<v1::ExportPoseGraphResponse>*
+PoseGraphService::ExportPoseGraph(grpc::CallbackServerContext* call_context,
+                                  const v1::ExportPoseGraphRequest* request) {
+  return StartExport(call_context, context_, *request);
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::AcceptDataLoss(
+    grpc::CallbackServerContext* call_context,
+    const v1::AcceptDataLossRequest* request,
+    v1::AcceptDataLossResponse* response) {
+  return Unary(call_context, "AcceptDataLoss", [=](const UnaryCallPtr& call) {
+    const auto session = SessionOf(context_, request->name(),
+                                   kRequest.Field("name"), call.get());
+    if (!session.ok()) return session.status();
+    (*session)->AcceptDataLoss(
+        request->durable_sequence(),
+        FinishWith<VehicleView>(call, [=](const VehicleView& view) {
+          EncodeVehicle(view, response->mutable_vehicle());
+          return absl::OkStatus();
+        }));
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::GetServerInfo(
+    grpc::CallbackServerContext* call_context, const v1::GetServerInfoRequest*,
+    v1::GetServerInfoResponse* response) {
+  return Unary(call_context, "GetServerInfo", [=](const UnaryCallPtr& call) {
+    response->set_version(REVISIT_VERSION);
+    response->set_durability(v1::DURABILITY_LOCAL);
+    response->set_store_format(kStoreFormat);
+    response->set_max_batch_poses(context_.limits.max_batch_poses);
+    response->set_max_message_bytes(context_.limits.max_message_bytes);
+    response->set_max_batches_in_flight(context_.limits.max_batches_in_flight);
+    call->Finish(absl::OkStatus());
+    return absl::OkStatus();
+  });
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,296 @@
+#include "server/server.h"
+
+#include <grpc/impl/codegen/grpc_types.h>
+#include <grpc/support/log.h>
+#include <grpcpp/ext/proto_server_reflection_plugin.h>
+#include <grpcpp/grpcpp.h>
+#include <grpcpp/health_check_service_interface.h>
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <mutex>
+#include <optional>
+#include <system_error>
+#include <thread>
+#include <utility>
+
+#include "server/drain.h"
+#include "server/pose_graph_service.h"
+#include "server/proto_conversion.h"
+#include "server/sessions/executor.h"
+#include "server/sessions/fleet.h"
+#include "server/storage/sqlite_storage.h"
+
+namespace revisit::server {
+namespace {
+
+constexpr char kStoreFile[] = "revisit.sqlite";
+
+std::chrono::milliseconds Milliseconds(double seconds) {
+  return std::chrono::milliseconds(static_cast<std::int64_t>(seconds * 1000.0));
+}
+
+// The store's file, in its directory, which is made if it is not there.
+absl::StatusOr<std::string> StoreFile(const std::string& path) {
+  std::error_code error;
+  if (std::filesystem::is_regular_file(path, error)) return path;
+  std::filesystem::create_directories(path, error);
+  if (error) {
+    return absl::UnavailableError(
+        ("cannot create the directory " + path + ": " + error.message())
+            .c_str());
+  }
+  return (std::filesystem::path(path) / kStoreFile).string();
+}
+
+// Calls on a timer until it is destroyed.
+class UnloadTimer {
+ public:
+  UnloadTimer(Fleet* fleet, std::chrono::milliseconds idle_unload)
+      : thread_([this, fleet, idle_unload] { Run(fleet, idle_unload); }) {}
+
+  ~UnloadTimer() {
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      stopping_ = true;
+    }
+    wake_.notify_all();
+    thread_.join();
+  }
+
+  UnloadTimer(const UnloadTimer&) = delete;
+  UnloadTimer& operator=(const UnloadTimer&) = delete;
+
+ private:
+  void Run(Fleet* fleet, std::chrono::milliseconds idle_unload) {
+    // A vehicle stays at most a tenth longer than promised.
+    const auto period = std::clamp<std::chrono::milliseconds>(
+        idle_unload / 10, std::chrono::milliseconds(100),
+        std::chrono::seconds(30));
+    std::unique_lock<std::mutex> lock(mutex_);
+    while (!wake_.wait_for(lock, period, [this] { return stopping_; })) {
+      lock.unlock();
+      fleet->UnloadIdle(std::chrono::steady_clock::now());
+      lock.lock();
+    }
+  }
+
+  std::mutex mutex_;
+  std::condition_variable wake_;
+  bool stopping_ = false;
+  // Last: it uses the others.
+  std::thread thread_;
+};
+
+bool IsLoopback(const std::string& address) {
+  for (const char* prefix :
+       {"127.", "localhost:", "[::1]:", "unix:", "unix-abstract:"}) {
+    if (address.rfind(prefix, 0) == 0) return true;
+  }
+  return false;
+}
+
+// The address with the port that was chosen for port 0.
+std::string WithPort(const std::string& listen, int port) {
+  const std::size_t colon = listen.rfind(':');
+  if (listen.rfind("unix", 0) == 0 || colon == std::string::npos) return listen;
+  return listen.substr(0, colon + 1) + std::to_string(port);
+}
+
+// Whole or not at all, for a script may be waiting for it.
+bool WritePortFile(const std::string& path, const std::string& address) {
+  const std::string temporary = path + ".new";
+  std::ofstream file(temporary);
+  file << address << "\n";
+  file.close();
+  return !file.fail() && std::rename(temporary.c_str(), path.c_str()) == 0;
+}
+
+// Gives the lines of gRPC's own log the form of ours, as long as it lives. gRPC
+// knows one place for the whole process.
+class GrpcLogRoute {
+ public:
+  explicit GrpcLogRoute(const Log* log) {
+    destination_ = log;
+    gpr_set_log_function(Write);
+  }
+  ~GrpcLogRoute() { destination_ = nullptr; }
+
+  GrpcLogRoute(const GrpcLogRoute&) = delete;
+  GrpcLogRoute& operator=(const GrpcLogRoute&) = delete;
+
+ private:
+  static void Write(gpr_log_func_args* line) {
+    const Log* const log = destination_;
+    if (log == nullptr) return;
+    const LogLevel level =
+        line->severity == GPR_LOG_SEVERITY_ERROR  ? LogLevel::kError
+        : line->severity == GPR_LOG_SEVERITY_INFO ? LogLevel::kInfo
+                                                  : LogLevel::kDebug;
+    log->Write(level, "grpc", {{"message", std::string(line->message)}});
+  }
+
+  static std::atomic<const Log*> destination_;
+};
+
+std::atomic<const Log*> GrpcLogRoute::destination_{nullptr};
+
+}  // namespace
+
+// Destroyed from the last member to the first. The fleet waits for its work,
+// which needs executor, codec and storage.
+struct RevisitServer::State {
+  ServerSettings settings;
+  const Log* log = nullptr;
+  std::optional<GrpcLogRoute> grpc_log;
+  ProtoRecordCodec codec;
+  std::unique_ptr<Storage> storage;
+  std::unique_ptr<Executor> executor;
+  std::unique_ptr<Fleet> fleet;
+  std::unique_ptr<UnloadTimer> unload_timer;
+  Drain drain;
+  std::unique_ptr<PoseGraphService> service;
+  std::unique_ptr<grpc::Server> grpc_server;
+  std::string address;
+};
+
+namespace {
+
+void Configure(const ServerSettings& settings, grpc::ServerBuilder* builder) {
+  builder->SetMaxReceiveMessageSize(
+      static_cast<int>(settings.max_message_bytes));
+  // Else a second server could take half of the calls of this one's port.
+  builder->AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
+  builder->AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS,
+                              settings.max_concurrent_streams);
+  builder->AddChannelArgument(
+      GRPC_ARG_KEEPALIVE_TIME_MS,
+      static_cast<int>(Milliseconds(settings.keepalive_seconds).count()));
+  builder->AddChannelArgument(
+      GRPC_ARG_KEEPALIVE_TIMEOUT_MS,
+      static_cast<int>(
+          Milliseconds(settings.keepalive_timeout_seconds).count()));
+  // Vehicles behind mobile networks ping to keep their way through open.
+  builder->AddChannelArgument(GRPC_ARG_KEEPALIVE_PERMIT_WITHOUT_CALLS, 1);
+  builder->AddChannelArgument(
+      GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 10000);
+}
+
+ServiceLimits Limits(const ServerSettings& settings) {
+  return {settings.max_message_bytes, settings.max_batch_poses,
+          settings.max_batches_in_flight, settings.max_revision_bytes};
+}
+
+}  // namespace
+
+RevisitServer::RevisitServer(std::unique_ptr<State> state)
+    : state_(std::move(state)) {}
+
+RevisitServer::~RevisitServer() { Shutdown(); }
+
+std::unique_ptr<RevisitServer> RevisitServer::Start(
+    const ServerSettings& settings, const Log* log, StartError* error) {
+  auto state = std::make_unique<State>();
+  state->settings = settings;
+  state->log = log;
+  state->grpc_log.emplace(log);
+
+  const absl::StatusOr<std::string> file = StoreFile(settings.store);
+  absl::StatusOr<std::unique_ptr<Storage>> storage =
+      file.ok() ? OpenSqliteStorage(*file) : file.status();
+  if (!storage.ok()) {
+    *error = {absl::IsFailedPrecondition(storage.status()) ? kExitStoreInUse
+                                                           : kExitStoreFailed,
+              std::string(storage.status().message())};
+    return nullptr;
+  }
+  state->storage = *std::move(storage);
+
+  const int processors =
+      static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+  state->executor = std::make_unique<Executor>(
+      settings.worker_threads > 0 ? settings.worker_threads : processors);
+  Fleet::Options options;
+  options.idle_unload = Milliseconds(settings.idle_unload_minutes * 60.0);
+  options.session.max_pending_appends = settings.max_pending_appends;
+  state->fleet = std::make_unique<Fleet>(state->storage.get(), &state->codec,
+                                         state->executor.get(), options);
+  state->unload_timer =
+      std::make_unique<UnloadTimer>(state->fleet.get(), options.idle_unload);
+
+  ServiceContext context;
+  context.storage = state->storage.get();
+  context.executor = state->executor.get();
+  context.fleet = state->fleet.get();
+  context.drain = &state->drain;
+  context.log = log;
+  context.limits = Limits(settings);
+  state->service = std::make_unique<PoseGraphService>(context);
+
+  grpc::EnableDefaultHealthCheckService(true);
+  // By name, since a linker drops a library that is used by its mere presence.
+  grpc::reflection::InitProtoReflectionServerBuilderPlugin();
+  grpc::ServerBuilder builder;
+  Configure(settings, &builder);
+  int port = 0;
+  builder.AddListeningPort(settings.listen, grpc::InsecureServerCredentials(),
+                           &port);
+  builder.RegisterService(state->service.get());
+  state->grpc_server = builder.BuildAndStart();
+  if (state->grpc_server == nullptr) {
+    *error = {kExitCannotListen, "cannot listen at " + settings.listen};
+    return nullptr;
+  }
+  state->address = WithPort(settings.listen, port);
+  auto* health = state->grpc_server->GetHealthCheckService();
+  health->SetServingStatus(true);
+  health->SetServingStatus(v1::PoseGraphService::service_full_name(), true);
+  if (!settings.port_file.empty() &&
+      !WritePortFile(settings.port_file, state->address)) {
+    *error = {kExitCannotListen, "cannot write " + settings.port_file};
+    state->grpc_server->Shutdown();
+    return nullptr;
+  }
+  if (!IsLoopback(settings.listen)) {
+    log->Write(LogLevel::kWarning, "listening_without_encryption",
+               {{"address", state->address},
+                {"message",
+                 "whoever reaches this address can read and change all "
+                 "vehicles"}});
+  }
+  log->Write(LogLevel::kInfo, "serving",
+             {{"address", state->address},
+              {"store", *file},
+              {"version", REVISIT_VERSION}});
+  return std::unique_ptr<RevisitServer>(new RevisitServer(std::move(state)));
+}
+
+const std::string& RevisitServer::address() const { return state_->address; }
+
+void RevisitServer::Shutdown() {
+  if (state_->grpc_server == nullptr) return;
+  const auto start = std::chrono::steady_clock::now();
+  state_->log->Write(LogLevel::kInfo, "draining", {});
+  state_->grpc_server->GetHealthCheckService()->SetServingStatus(false);
+  state_->drain.Start();
+  state_->grpc_server->Shutdown(
+      std::chrono::system_clock::now() +
+      Milliseconds(state_->settings.drain_timeout_seconds));
+  state_->grpc_server->Wait();
+  state_->grpc_server.reset();
+  state_->unload_timer.reset();
+  state_->fleet.reset();
+  state_->executor.reset();
+  state_->storage.reset();
+  const std::chrono::duration<double, std::milli> duration =
+      std::chrono::steady_clock::now() - start;
+  state_->log->Write(LogLevel::kInfo, "stopped",
+                     {{"duration_ms", duration.count()}});
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,58 @@
+// The server as a whole: what main() starts and stops.
+#ifndef REVISIT_SERVER_SERVER_H_
+#define REVISIT_SERVER_SERVER_H_
+
+#include <memory>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "server/logging.h"
+#include "server/settings.h"
+
+namespace revisit::server {
+
+// What the process ends with; sysexits.h has the numbers.
+enum ExitCode {
+  kExitOk = 0,
+  kExitUsage = 64,
+  kExitCannotListen = 69,
+  kExitStoreInUse = 73,
+  kExitStoreFailed = 74,
+};
+
+struct StartError {
+  ExitCode exit_code;
+  std::string message;
+};
+
+class RevisitServer {
+ public:
+  // Opens the store and takes calls. Null, with `*error` set, if that fails.
+  // The log must outlive the server.
+  static std::unique_ptr<RevisitServer> Start(const ServerSettings& settings,
+                                              const Log* log,
+                                              StartError* error);
+  // Shuts down if that was not done.
+  ~RevisitServer();
+
+  RevisitServer(const RevisitServer&) = delete;
+  RevisitServer& operator=(const RevisitServer&) = delete;
+
+  // The address that calls are taken at, with the port that was chosen.
+  const std::string& address() const;
+
+  // Drains: health says NOT_SERVING, no call is taken any more, streams send
+  // their last acknowledgements and end with UNAVAILABLE (SERVER_DRAINING).
+  // Calls that outlast ServerSettings::drain_timeout_seconds are cut. Then the
+  // store is closed.
+  void Shutdown();
+
+ private:
+  struct State;
+  explicit RevisitServer(std::unique_ptr<State> state);
+  std::unique_ptr<State> state_;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SERVER_H_

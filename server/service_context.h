@@ -1,0 +1,35 @@
+// What the handlers of the service share.
+#ifndef REVISIT_SERVER_SERVICE_CONTEXT_H_
+#define REVISIT_SERVER_SERVICE_CONTEXT_H_
+
+#include <cstdint>
+
+namespace revisit::server {
+
+class Drain;
+class Executor;
+class Fleet;
+class Log;
+class Storage;
+
+// See ServerSettings.
+struct ServiceLimits {
+  std::int64_t max_message_bytes = 0;
+  int max_batch_poses = 0;
+  int max_batches_in_flight = 0;
+  std::int64_t max_revision_bytes = 0;
+};
+
+// All outlive the calls.
+struct ServiceContext {
+  Storage* storage = nullptr;
+  Executor* executor = nullptr;
+  Fleet* fleet = nullptr;
+  Drain* drain = nullptr;
+  const Log* log = nullptr;
+  ServiceLimits limits;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SERVICE_CONTEXT_H_

@@ -1,0 +1,202 @@
+#include "server/sessions/fleet.h"
+
+#include <condition_variable>
+#include <mutex>
+#include <unordered_map>
+#include <utility>
+#include <vector>
+
+#include "server/status.h"
+
+namespace revisit::server {
+
+struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
+  struct Entry {
+    std::shared_ptr<VehicleSession> session;
+    std::chrono::steady_clock::time_point last_use;
+  };
+  using CreateCallback = std::function<void(absl::StatusOr<VehicleView>)>;
+
+  State(Storage* fleet_storage, const RecordCodec* fleet_codec,
+        Executor* fleet_executor, const Options& fleet_options)
+      : storage(fleet_storage),
+        codec(fleet_codec),
+        executor(fleet_executor),
+        options(fleet_options) {}
+
+  std::shared_ptr<VehicleSession> Session(const std::string& id) {
+    // Goes after the lock.
+    std::shared_ptr<VehicleSession> replaced;
+    std::shared_ptr<VehicleSession> session;
+    {
+      const std::lock_guard<std::mutex> guard(mutex);
+      Entry& entry = entries[id];
+      entry.last_use = std::chrono::steady_clock::now();
+      if (entry.session != nullptr && !entry.session->gone()) {
+        return entry.session;
+      }
+      session =
+          VehicleSession::Load(id, storage, codec, executor, options.session);
+      replaced = std::exchange(entry.session, session);
+    }
+    // A vehicle that is not there takes no room.
+    session->Read(
+        [weak = weak_from_this(), id](const absl::StatusOr<VehicleView>& view) {
+          if (view.ok()) return;
+          if (const auto self = weak.lock()) self->Forget(id);
+        });
+    return session;
+  }
+
+  // Drops the session of a vehicle if it is gone.
+  void Forget(const std::string& id) {
+    std::shared_ptr<VehicleSession> dropped;
+    const std::lock_guard<std::mutex> guard(mutex);
+    const auto found = entries.find(id);
+    if (found == entries.end() || !found->second.session->gone()) return;
+    dropped = std::move(found->second.session);
+    entries.erase(found);
+  }
+
+  // Answers a creation with the vehicle that was created.
+  void ReadCreated(const std::string& id, bool again,
+                   const CreateCallback& callback) {
+    Session(id)->Read([self = shared_from_this(), id, again,
+                       callback](const absl::StatusOr<VehicleView>& view) {
+      // It may have been asked for, and not found, just before it was created.
+      if (absl::IsNotFound(view.status()) && again) {
+        self->ReadCreated(id, false, callback);
+        return;
+      }
+      callback(view);
+      self->Created();
+    });
+  }
+
+  void Created() {
+    const std::lock_guard<std::mutex> guard(mutex);
+    --creating;
+    // Under the lock: afterwards the fleet may go, and the executor with it.
+    changed.notify_all();
+  }
+
+  Storage* const storage;
+  const RecordCodec* const codec;
+  Executor* const executor;
+  const Options options;
+
+  std::mutex mutex;
+  std::condition_variable changed;
+  std::unordered_map<std::string, Entry> entries;
+  // Calls of Create() that are not answered.
+  int creating = 0;
+};
+
+Fleet::Fleet(Storage* storage, const RecordCodec* codec, Executor* executor,
+             const Options& options)
+    : state_(std::make_shared<State>(storage, codec, executor, options)) {}
+
+Fleet::~Fleet() {
+  std::vector<std::shared_ptr<VehicleSession>> sessions;
+  {
+    std::unique_lock<std::mutex> lock(state_->mutex);
+    state_->changed.wait(lock, [this] { return state_->creating == 0; });
+    for (const auto& [id, entry] : state_->entries) {
+      sessions.push_back(entry.session);
+    }
+  }
+  struct Countdown {
+    std::mutex mutex;
+    std::condition_variable zero;
+    std::size_t left;
+  };
+  const auto countdown = std::make_shared<Countdown>();
+  countdown->left = sessions.size();
+  for (const std::shared_ptr<VehicleSession>& session : sessions) {
+    session->Close([countdown] {
+      const std::lock_guard<std::mutex> guard(countdown->mutex);
+      if (--countdown->left == 0) countdown->zero.notify_all();
+    });
+  }
+  std::unique_lock<std::mutex> lock(countdown->mutex);
+  countdown->zero.wait(lock, [&] { return countdown->left == 0; });
+}
+
+std::shared_ptr<VehicleSession> Fleet::Session(const std::string& id) {
+  return state_->Session(id);
+}
+
+std::shared_ptr<VehicleSession> Fleet::SessionIfLoaded(
+    const std::string& id) const {
+  const std::lock_guard<std::mutex> guard(state_->mutex);
+  const auto found = state_->entries.find(id);
+  if (found == state_->entries.end() || found->second.session->gone()) {
+    return nullptr;
+  }
+  return found->second.session;
+}
+
+void Fleet::Create(const std::string& id, const VehicleConfig& config,
+                   std::function<void(absl::StatusOr<VehicleView>)> callback) {
+  {
+    const std::lock_guard<std::mutex> guard(state_->mutex);
+    ++state_->creating;
+  }
+  VehicleRecord record;
+  record.id = id;
+  record.payload = state_->codec->EncodeVehicle(config);
+  record.revision = 1;
+  state_->storage->CreateVehicle(
+      std::move(record), [state = state_, id, callback = std::move(callback)](
+                             const absl::StatusOr<VehicleKey>& key) {
+        // Off the writer's thread.
+        state->executor->Post([state, id, callback, status = key.status()] {
+          if (status.ok()) {
+            state->ReadCreated(id, true, callback);
+          } else {
+            callback(status);
+            state->Created();
+          }
+        });
+      });
+}
+
+void Fleet::Delete(const std::string& id,
+                   std::function<void(absl::Status)> callback) {
+  Session(id)->Delete([weak = std::weak_ptr<State>(state_), id,
+                       callback = std::move(callback)](absl::Status status) {
+    if (const auto state = weak.lock()) state->Forget(id);
+    callback(std::move(status));
+  });
+}
+
+std::size_t Fleet::loaded() const {
+  const std::lock_guard<std::mutex> guard(state_->mutex);
+  std::size_t count = 0;
+  for (const auto& [id, entry] : state_->entries) {
+    if (!entry.session->gone()) ++count;
+  }
+  return count;
+}
+
+void Fleet::UnloadIdle(std::chrono::steady_clock::time_point now) {
+  // Go after the lock: a graph takes a while to take down.
+  std::vector<std::shared_ptr<VehicleSession>> dropped;
+  const std::lock_guard<std::mutex> guard(state_->mutex);
+  for (auto i = state_->entries.begin(); i != state_->entries.end();) {
+    State::Entry& entry = i->second;
+    // Nobody but this map has it, so nobody can start anything on it now.
+    const bool unused =
+        entry.session.use_count() == 1 && !entry.session->busy();
+    if (!unused && !entry.session->gone()) entry.last_use = now;
+    if (entry.session->gone() ||
+        (unused && entry.last_use + state_->options.idle_unload <= now)) {
+      dropped.push_back(std::move(entry.session));
+      i = state_->entries.erase(i);
+    } else {
+      ++i;
+    }
+  }
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,74 @@
+// All vehicles of the server: those in memory, and how the others get there.
+//
+// Lifetimes. The storage calls back on its writer's thread, from where sessions
+// post to the executor, whose tasks call the storage: so neither of the two can
+// go first while there is work. The fleet goes first of all, and its destructor
+// waits until the work of every session is done, so that storage and executor
+// are idle and may follow in either order. Nobody may call the fleet or a
+// session while or after the fleet is destroyed: finish the calls of the server
+// before.
+#ifndef REVISIT_SERVER_SESSIONS_FLEET_H_
+#define REVISIT_SERVER_SESSIONS_FLEET_H_
+
+#include <chrono>
+#include <cstddef>
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "server/sessions/executor.h"
+#include "server/sessions/vehicle_session.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+// Thread-safe.
+class Fleet {
+ public:
+  struct Options {
+    // A vehicle that nobody has asked for this long is unloaded.
+    std::chrono::milliseconds idle_unload{std::chrono::minutes(10)};
+    VehicleSession::Limits session;
+  };
+
+  // Storage, codec and executor must outlive the fleet.
+  Fleet(Storage* storage, const RecordCodec* codec, Executor* executor,
+        const Options& options);
+  // Finishes what was called, see above. Not on a thread of the executor.
+  ~Fleet();
+
+  Fleet(const Fleet&) = delete;
+  Fleet& operator=(const Fleet&) = delete;
+
+  // The session of a vehicle, loaded on first use. Hold it no longer than the
+  // work or the stream that needs it, and ask again after it is gone().
+  std::shared_ptr<VehicleSession> Session(const std::string& id);
+
+  // The same if it is in memory, else null. Does not keep it there.
+  std::shared_ptr<VehicleSession> SessionIfLoaded(const std::string& id) const;
+
+  // Creates a vehicle, of revision 1, and answers with it. ALREADY_EXISTS
+  // (VEHICLE_EXISTS) if the id is taken.
+  void Create(const std::string& id, const VehicleConfig& config,
+              std::function<void(absl::StatusOr<VehicleView>)> callback);
+
+  // Deletes a vehicle. NOT_FOUND (VEHICLE_NOT_FOUND) if there is none.
+  void Delete(const std::string& id,
+              std::function<void(absl::Status)> callback);
+
+  // Vehicles in memory.
+  std::size_t loaded() const;
+
+  // Unloads what has been idle since before `now` less Options::idle_unload.
+  // The server calls it on a timer.
+  void UnloadIdle(std::chrono::steady_clock::time_point now);
+
+ private:
+  struct State;
+  const std::shared_ptr<State> state_;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SESSIONS_FLEET_H_

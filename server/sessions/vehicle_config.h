@@ -1,0 +1,32 @@
+// What a vehicle is, apart from its poses, in the server's own types.
+#ifndef REVISIT_SERVER_SESSIONS_VEHICLE_CONFIG_H_
+#define REVISIT_SERVER_SESSIONS_VEHICLE_CONFIG_H_
+
+#include <cstdint>
+#include <optional>
+
+#include "core/settings.h"
+
+namespace revisit::server {
+
+enum class CoordinateFrame { kLocal, kGeodetic };
+
+struct GeodeticOrigin {
+  double latitude_degrees = 0.0;
+  double longitude_degrees = 0.0;
+  double height_meters = 0.0;
+};
+
+struct VehicleConfig {
+  core::EngineSettings engine;
+  CoordinateFrame frame = CoordinateFrame::kLocal;
+  // Of a geodetic vehicle: given on creation, or set by its first pose.
+  std::optional<GeodeticOrigin> origin;
+  std::int64_t create_time_ns = 0;  // Since the Unix epoch.
+  // Writes are refused until an operator accepts the loss.
+  bool data_loss = false;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SESSIONS_VEHICLE_CONFIG_H_

@@ -1,0 +1,1103 @@
+#include "server/sessions/vehicle_session.h"
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <cstddef>
+#include <deque>
+#include <map>
+
+#include "server/status.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StatusCode;
+
+// Longest that one task replays batches before the strand lets others run.
+constexpr std::chrono::milliseconds kReplaySlice{20};
+
+constexpr int kLoopClosuresPerRead = 1000;
+
+absl::Status NotFound(const std::string& id) {
+  return Error(StatusCode::kNotFound, "VEHICLE_NOT_FOUND",
+               "no such vehicle: '" + id + "'");
+}
+
+bool SamePosition(const GeodeticOrigin& a, const GeodeticOrigin& b) {
+  return a.latitude_degrees == b.latitude_degrees &&
+         a.longitude_degrees == b.longitude_degrees &&
+         a.height_meters == b.height_meters;
+}
+
+bool MovesNodes(const core::EngineSettings& before,
+                const core::EngineSettings& after) {
+  const auto is_filter = [](const core::EngineSettings& settings) {
+    return settings.search.correlation_model == core::CorrelationModel::kFilter;
+  };
+  return before.state_space != after.state_space ||
+         before.node_spacing_meters != after.node_spacing_meters ||
+         before.max_step_meters != after.max_step_meters ||
+         is_filter(before) != is_filter(after);
+}
+
+// Something that waits for its turn on the strand.
+struct Operation {
+  // Runs as soon as the vehicle is loaded, whatever else waits.
+  bool is_read = false;
+  // Runs only while no append is in flight.
+  bool needs_quiet = false;
+  // Called once, with OK to do it, or with what to answer instead.
+  std::function<void(const absl::Status&)> run;
+};
+
+// An append from its staging to its last callback.
+struct PendingAppend {
+  AppendRequest request;
+  // Nothing until decoded. Samples and payload are those to write.
+  std::optional<DecodedBatch> decoded;
+  // Of the write, if there is one; 0 if not.
+  std::uint64_t revision = 0;
+  // Set when it is known what to answer; answered in order.
+  std::optional<absl::Status> result;
+};
+
+// A graph in the making from what is stored.
+struct Replay {
+  VehicleConfig config;
+  std::uint64_t revision;
+  std::unique_ptr<core::Engine> engine;
+  std::uint64_t next_sequence = 1;
+  // Stands for revisions until the last step: batches have each their own,
+  // which do not grow with the sequence once some are revised.
+  std::uint64_t steps = 0;
+  std::function<void(const absl::Status&)> then;
+};
+
+}  // namespace
+
+// Everything but what is constant or atomic belongs to the strand.
+struct VehicleSession::State
+    : std::enable_shared_from_this<VehicleSession::State> {
+  State(std::string vehicle_id, Storage* vehicle_storage,
+        const RecordCodec* record_codec, Executor* executor,
+        const Limits& session_limits)
+      : id(std::move(vehicle_id)),
+        storage(vehicle_storage),
+        codec(record_codec),
+        limits(session_limits),
+        strand(Strand::Create(executor)) {}
+
+  const std::string id;
+  Storage* const storage;
+  const RecordCodec* const codec;
+  const Limits limits;
+  const std::shared_ptr<Strand> strand;
+  std::atomic<int> pending_appends{0};
+  std::atomic<bool> is_gone{false};
+
+  // What is durable and applied. No engine until loaded.
+  VehicleKey key = 0;
+  VehicleConfig config;
+  std::unique_ptr<core::Engine> engine;
+  std::uint64_t durable_sequence = 0;
+  std::uint64_t revision = 0;
+  std::map<std::string, LoopClosureRecord> loop_closures;
+
+  // The same with what is in flight.
+  std::uint64_t staged_sequence = 0;
+  std::uint64_t staged_revision = 0;
+  VehicleConfig staged_config;
+
+  // Appends that were staged or refused, oldest first, until answered.
+  std::deque<std::shared_ptr<PendingAppend>> in_flight;
+  // Why the first of them failed that did; the writes behind it fail too.
+  std::optional<absl::Status> failure;
+  // What must wait, oldest first.
+  std::deque<Operation> waiting;
+  bool pumping = false;
+  // Loading or changing: nothing but reads may run.
+  bool exclusive = false;
+  // A write failed: see that the store has what this session thinks it has.
+  bool in_doubt = false;
+  std::optional<Replay> replay;
+  // What to answer to everything.
+  std::optional<absl::Status> gone_status;
+
+  VehicleView View() const {
+    return VehicleView{id,
+                       config,
+                       *engine,
+                       key,
+                       durable_sequence,
+                       revision,
+                       static_cast<std::int64_t>(loop_closures.size())};
+  }
+
+  // ---- The queue
+
+  // From any thread.
+  void Submit(Operation operation) {
+    strand->Post([self = shared_from_this(),
+                  operation = std::move(operation)]() mutable {
+      self->Add(std::move(operation));
+    });
+  }
+
+  void Add(Operation operation) {
+    if (operation.is_read && (engine != nullptr || gone_status)) {
+      operation.run(gone_status.value_or(absl::OkStatus()));
+      return;
+    }
+    waiting.push_back(std::move(operation));
+    Pump();
+  }
+
+  // Runs what may run.
+  void Pump() {
+    if (pumping) return;
+    pumping = true;
+    while (!waiting.empty() && MayRun(waiting.front())) {
+      const Operation operation = std::move(waiting.front());
+      waiting.pop_front();
+      absl::Status status = gone_status.value_or(absl::OkStatus());
+      if (status.ok() && !operation.is_read) status = ClearDoubt();
+      operation.run(status);
+    }
+    pumping = false;
+  }
+
+  bool MayRun(const Operation& operation) const {
+    if (gone_status) return true;
+    if (exclusive) return false;
+    if (operation.is_read) return true;
+    if (failure) return false;
+    return in_flight.empty() || !operation.needs_quiet;
+  }
+
+  // After a failed write: OK if store and memory agree.
+  absl::Status ClearDoubt() {
+    if (!in_doubt || !in_flight.empty()) return absl::OkStatus();
+    const absl::StatusOr<VehicleRecord> record = storage->GetVehicle(id);
+    if (!record.ok()) {
+      if (absl::IsNotFound(record.status())) Leave(NotFound(id));
+      return record.status();
+    }
+    if (record->key != key || record->durable_sequence != durable_sequence ||
+        record->revision != revision ||
+        record->loop_closure_count !=
+            static_cast<std::int64_t>(loop_closures.size())) {
+      Leave(OutOfStep());
+      return *gone_status;
+    }
+    in_doubt = false;
+    return absl::OkStatus();
+  }
+
+  absl::Status OutOfStep() const {
+    return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                 "vehicle '" + id +
+                     "' has to be loaded anew after a failed write; try again");
+  }
+
+  // From now on everything is answered with `status`.
+  void Leave(const absl::Status& status) {
+    gone_status = status;
+    is_gone.store(true);
+  }
+
+  // ---- Loading and rebuilding
+
+  void Load() {
+    exclusive = true;
+    const absl::Status status = StartLoad();
+    if (status.ok()) return;
+    exclusive = false;
+    Leave(absl::IsNotFound(status) ? NotFound(id) : status);
+    Pump();
+  }
+
+  absl::Status StartLoad() {
+    absl::StatusOr<VehicleRecord> record = storage->GetVehicle(id);
+    if (!record.ok()) return record.status();
+    absl::StatusOr<VehicleConfig> decoded =
+        codec->DecodeVehicle(record->payload);
+    if (!decoded.ok()) return decoded.status();
+    const std::vector<core::SettingProblem> problems =
+        core::FindProblems(decoded->engine);
+    if (!problems.empty()) {
+      return Corrupt("stored settings: " + problems.front().field + ": " +
+                     problems.front().description);
+    }
+    key = record->key;
+    durable_sequence = record->durable_sequence;
+    std::string after;
+    while (true) {
+      const absl::StatusOr<std::vector<LoopClosureRecord>> page =
+          storage->ListLoopClosures(key, after, kLoopClosuresPerRead);
+      if (!page.ok()) return page.status();
+      if (page->empty()) break;
+      after = page->back().id;
+      for (const LoopClosureRecord& closure : *page) {
+        loop_closures.emplace(closure.id, closure);
+      }
+    }
+    StartReplay(*std::move(decoded), record->revision,
+                [this](const absl::Status& status) {
+                  if (!status.ok()) Leave(status);
+                });
+    return absl::OkStatus();
+  }
+
+  // Makes a graph from what is stored; when done, that becomes the vehicle's,
+  // with this config and revision. Reads see the old one until then.
+  void StartReplay(VehicleConfig new_config, std::uint64_t new_revision,
+                   std::function<void(const absl::Status&)> then) {
+    exclusive = true;
+    replay.emplace();
+    replay->config = std::move(new_config);
+    replay->revision = new_revision;
+    replay->engine = std::make_unique<core::Engine>(replay->config.engine);
+    replay->then = std::move(then);
+    ContinueReplay();
+  }
+
+  void ContinueReplay() {
+    const absl::StatusOr<bool> finished = ReplaySome();
+    if (finished.ok() && !*finished) {
+      strand->Post([self = shared_from_this()] { self->ContinueReplay(); });
+      return;
+    }
+    Replay done = *std::move(replay);
+    replay.reset();
+    if (finished.ok()) {
+      engine = std::move(done.engine);
+      Settled(done.config, done.revision);
+    }
+    exclusive = false;
+    done.then(finished.status());
+    Pump();
+  }
+
+  // Answers whether the graph is complete.
+  absl::StatusOr<bool> ReplaySome() {
+    const auto pause = std::chrono::steady_clock::now() + kReplaySlice;
+    if (replay->next_sequence <= durable_sequence) {
+      absl::Status decoding;
+      const absl::Status reading = storage->ReadBatches(
+          key, replay->next_sequence, durable_sequence, BatchVersion::kCurrent,
+          [&](const BatchRecord& batch) {
+            const absl::StatusOr<DecodedBatch> decoded =
+                DecodeStored(batch, replay->config);
+            if (!decoded.ok()) {
+              decoding = decoded.status();
+              return false;
+            }
+            replay->engine->Append(decoded->samples, ++replay->steps);
+            replay->next_sequence = batch.first_sequence + batch.count;
+            return std::chrono::steady_clock::now() < pause;
+          });
+      if (!reading.ok()) return reading;
+      if (!decoding.ok()) return decoding;
+      if (replay->next_sequence <= durable_sequence) return false;
+    }
+    // In the order in which they were added, so that the graph is the same as
+    // before.
+    std::vector<LoopClosureRecord> closures;
+    for (const auto& [closure_id, closure] : loop_closures) {
+      closures.push_back(closure);
+    }
+    std::stable_sort(
+        closures.begin(), closures.end(),
+        [](const LoopClosureRecord& a, const LoopClosureRecord& b) {
+          return a.create_time_ns < b.create_time_ns;
+        });
+    for (const LoopClosureRecord& closure : closures) {
+      if (closure.matched_sequence < 1 ||
+          closure.query_sequence > durable_sequence) {
+        return Corrupt("stored loop closure '" + closure.id +
+                       "' names a pose that is not stored");
+      }
+      replay->engine->AddLoopClosure(closure.query_sequence,
+                                     closure.matched_sequence, ++replay->steps);
+    }
+    if (replay->steps >= replay->revision) {
+      return Corrupt("stored revision " + std::to_string(replay->revision) +
+                     " is less than the number of changes");
+    }
+    replay->engine->ChangeSettings(replay->config.engine, replay->revision);
+    return true;
+  }
+
+  absl::StatusOr<DecodedBatch> DecodeStored(
+      const BatchRecord& batch, const VehicleConfig& with_config) const {
+    absl::StatusOr<DecodedBatch> decoded =
+        codec->DecodeBatch(batch.payload, with_config);
+    if (!decoded.ok()) return decoded;
+    bool fits = decoded->samples.size() == batch.count &&
+                decoded->fingerprints.size() == batch.count;
+    for (std::size_t i = 0; fits && i < decoded->samples.size(); ++i) {
+      fits = decoded->samples[i].sequence == batch.first_sequence + i;
+    }
+    if (!fits) {
+      return Corrupt("stored batch of " + std::to_string(batch.count) +
+                     " poses from sequence " +
+                     std::to_string(batch.first_sequence) +
+                     " holds others than these");
+    }
+    return decoded;
+  }
+
+  absl::Status Corrupt(const std::string& what) const {
+    return Error(StatusCode::kDataLoss, "STORE_CORRUPT",
+                 "vehicle '" + id + "': " + what, {{"vehicle", id}});
+  }
+
+  // Nothing is in flight and this is the vehicle's state.
+  void Settled(const VehicleConfig& new_config, std::uint64_t new_revision) {
+    config = new_config;
+    revision = new_revision;
+    staged_config = config;
+    staged_sequence = durable_sequence;
+    staged_revision = revision;
+  }
+
+  // ---- Appends
+
+  void RunAppend(const std::shared_ptr<PendingAppend>& append,
+                 const absl::Status& status) {
+    const absl::StatusOr<bool> staged = status.ok() ? Stage(append) : status;
+    if (!staged.ok()) {
+      // Answered behind those before it.
+      append->result = staged.status();
+      in_flight.push_back(append);
+      Staged(append, staged.status());
+      Settle();
+    } else if (!*staged) {
+      // Goes first once all that is in flight has landed.
+      waiting.push_front({false, true, [this, append](const absl::Status& s) {
+                            RunAppend(append, s);
+                          }});
+    }
+  }
+
+  static void Staged(const std::shared_ptr<PendingAppend>& append,
+                     const absl::Status& status) {
+    append->request.decoder = nullptr;
+    const auto staged = std::move(append->request.callbacks.staged);
+    if (staged) staged(status);
+  }
+
+  // Takes an append on, or answers false if it cannot be judged before what is
+  // in flight has landed.
+  absl::StatusOr<bool> Stage(const std::shared_ptr<PendingAppend>& append) {
+    if (config.data_loss) return DataLoss({});
+    if (!append->decoded) {
+      absl::StatusOr<DecodedBatch> decoded =
+          append->request.decoder(staged_config);
+      if (!decoded.ok()) return decoded.status();
+      const absl::Status checked = CheckConsecutive(*decoded);
+      if (!checked.ok()) return checked;
+      append->decoded = *std::move(decoded);
+    }
+    DecodedBatch& batch = *append->decoded;
+    const std::uint64_t first = batch.samples.front().sequence;
+    const std::uint64_t last = batch.samples.back().sequence;
+    if (first > staged_sequence + 1) {
+      const std::string expected = std::to_string(staged_sequence + 1);
+      return Error(StatusCode::kFailedPrecondition, "SEQUENCE_GAP",
+                   "vehicle '" + id + "': got a batch from sequence " +
+                       std::to_string(first) + ", expected " + expected,
+                   {{"expected_sequence", expected}});
+    }
+    if (first <= staged_sequence) {
+      if (last > durable_sequence && staged_sequence > durable_sequence) {
+        return false;
+      }
+      const absl::Status same =
+          CompareWithStored(batch, first, std::min(last, durable_sequence));
+      if (!same.ok()) return same;
+      if (last <= durable_sequence) {
+        append->result = absl::OkStatus();
+        in_flight.push_back(append);
+        Staged(append, absl::OkStatus());
+        Settle();
+        return true;
+      }
+      const absl::Status sliced =
+          KeepFrom(durable_sequence + 1 - first, &batch);
+      if (!sliced.ok()) return sliced;
+    }
+    const absl::Status origin = StageOrigin(batch);
+    if (!origin.ok()) return origin;
+    Write(append);
+    return true;
+  }
+
+  // The first batch of a geodetic vehicle may set its origin.
+  absl::Status StageOrigin(const DecodedBatch& batch) {
+    if (!batch.origin) return absl::OkStatus();
+    if (!staged_config.origin) {
+      staged_config.origin = batch.origin;
+      return absl::OkStatus();
+    }
+    if (!SamePosition(*staged_config.origin, *batch.origin)) {
+      return Error(StatusCode::kInternal, "INTERNAL",
+                   "vehicle '" + id +
+                       "': a batch was decoded with another geodetic origin");
+    }
+    return absl::OkStatus();
+  }
+
+  void Write(const std::shared_ptr<PendingAppend>& append) {
+    DecodedBatch& batch = *append->decoded;
+    BatchRecord record;
+    record.first_sequence = batch.samples.front().sequence;
+    record.count = static_cast<std::uint32_t>(batch.samples.size());
+    record.revision = ++staged_revision;
+    record.payload = std::move(batch.payload);
+    std::optional<std::string> vehicle_payload;
+    if (staged_config.origin && !config.origin && record.first_sequence == 1) {
+      vehicle_payload = codec->EncodeVehicle(staged_config);
+    }
+    append->revision = record.revision;
+    staged_sequence = batch.samples.back().sequence;
+    in_flight.push_back(append);
+    Staged(append, absl::OkStatus());
+    storage->AppendBatch(
+        key, std::move(record), std::move(vehicle_payload),
+        [self = shared_from_this(), append](const absl::Status& status) {
+          self->strand->Post([self, append, status] {
+            append->result = status;
+            self->Settle();
+            self->Pump();
+          });
+        });
+  }
+
+  static absl::Status CheckConsecutive(const DecodedBatch& batch) {
+    if (batch.samples.empty()) {
+      return InvalidFields("BATCH_SIZE", {{"poses", "got 0, at least 1"}});
+    }
+    const std::uint64_t first = batch.samples.front().sequence;
+    if (first == 0) {
+      return InvalidFields("INVALID_FIELD",
+                           {{"poses[0].sequence", "got 0, at least 1"}});
+    }
+    for (std::size_t i = 0; i < batch.samples.size(); ++i) {
+      if (batch.samples[i].sequence != first + i) {
+        return InvalidFields(
+            "INVALID_FIELD",
+            {{"poses[" + std::to_string(i) + "].sequence",
+              "got " + std::to_string(batch.samples[i].sequence) +
+                  ", in a batch it must be the one before plus 1, " +
+                  std::to_string(first + i)}});
+      }
+    }
+    return absl::OkStatus();
+  }
+
+  // Whether the poses of [first, last] are stored with the same content.
+  absl::Status CompareWithStored(const DecodedBatch& batch, std::uint64_t first,
+                                 std::uint64_t last) const {
+    absl::Status result;
+    const absl::Status reading = storage->ReadBatches(
+        key, first, last, BatchVersion::kAsSent,
+        [&](const BatchRecord& record) {
+          const absl::StatusOr<DecodedBatch> stored =
+              DecodeStored(record, config);
+          if (!stored.ok()) {
+            result = stored.status();
+            return false;
+          }
+          const std::uint64_t from = std::max(first, record.first_sequence);
+          const std::uint64_t to =
+              std::min(last, record.first_sequence + record.count - 1);
+          for (std::uint64_t sequence = from; sequence <= to; ++sequence) {
+            if (batch.fingerprints[sequence - first] ==
+                stored->fingerprints[sequence - record.first_sequence]) {
+              continue;
+            }
+            result = Error(
+                StatusCode::kAlreadyExists, "SEQUENCE_CONTENT_MISMATCH",
+                "vehicle '" + id + "': the pose of sequence " +
+                    std::to_string(sequence) + " is stored with other content",
+                {{"sequence", std::to_string(sequence)}});
+            return false;
+          }
+          return true;
+        });
+    return reading.ok() ? result : reading;
+  }
+
+  absl::Status KeepFrom(std::size_t first, DecodedBatch* batch) const {
+    const std::size_t count = batch->samples.size() - first;
+    absl::StatusOr<std::string> payload =
+        codec->SliceBatch(batch->payload, first, count);
+    if (!payload.ok()) return payload.status();
+    batch->payload = *std::move(payload);
+    const auto offset = static_cast<std::ptrdiff_t>(first);
+    batch->samples.erase(batch->samples.begin(),
+                         batch->samples.begin() + offset);
+    batch->fingerprints.erase(batch->fingerprints.begin(),
+                              batch->fingerprints.begin() + offset);
+    return absl::OkStatus();
+  }
+
+  // Answers, in order, the appends whose result is known.
+  void Settle() {
+    while (!in_flight.empty() && in_flight.front()->result) {
+      const std::shared_ptr<PendingAppend> append =
+          std::move(in_flight.front());
+      in_flight.pop_front();
+      if (append->revision == 0) {
+        Answer(append, *append->result, {});
+      } else {
+        Land(append);
+      }
+    }
+    if (in_flight.empty() && failure) {
+      failure.reset();
+      Settled(config, revision);
+    }
+  }
+
+  // A write came back.
+  void Land(const std::shared_ptr<PendingAppend>& append) {
+    absl::Status status = *append->result;
+    if (failure) {
+      // Stored behind one that was not: the store is no prefix of what was
+      // staged, which its contract rules out.
+      if (status.ok()) Leave(OutOfStep());
+      status = *failure;
+    } else if (!status.ok()) {
+      // It expected another batch than this session does.
+      if (status.code() == StatusCode::kFailedPrecondition) {
+        status = OutOfStep();
+      }
+      failure = status;
+      in_doubt = true;
+    }
+    if (!status.ok()) {
+      Answer(append, status, {});
+      return;
+    }
+    const std::vector<core::PoseSample>& samples = append->decoded->samples;
+    core::AppendResult applied = engine->Append(samples, append->revision);
+    durable_sequence = samples.back().sequence;
+    revision = append->revision;
+    if (!config.origin) config.origin = append->decoded->origin;
+    const AppendRequest& request = append->request;
+    Answer(append, absl::OkStatus(), std::move(applied.jumps));
+    if (!request.check || !request.callbacks.candidates ||
+        applied.checks_due.empty()) {
+      return;
+    }
+    const absl::StatusOr<core::SearchOptions> options =
+        (*request.check)(config);
+    for (core::NodeIndex node : applied.checks_due) {
+      request.callbacks.candidates(
+          View(), options.ok() ? engine->FindCandidates(node, *options,
+                                                        request.should_stop)
+                               : options.status());
+    }
+  }
+
+  void Answer(const std::shared_ptr<PendingAppend>& append,
+              const absl::Status& status, std::vector<core::Jump> jumps) {
+    pending_appends.fetch_sub(1);
+    const auto durable = std::move(append->request.callbacks.durable);
+    if (!durable) return;
+    if (!status.ok()) {
+      durable(status);
+    } else {
+      durable(Acknowledgement{durable_sequence, revision, std::move(jumps)});
+    }
+  }
+
+  absl::Status DataLoss(const ErrorMetadata& more) const {
+    ErrorMetadata metadata = more;
+    metadata.emplace_back("durable_sequence", std::to_string(durable_sequence));
+    return Error(StatusCode::kDataLoss, "DURABLE_SEQUENCE_REGRESSED",
+                 "vehicle '" + id +
+                     "': a client held an acknowledgement for more than the " +
+                     std::to_string(durable_sequence) +
+                     " poses that are stored; writes are refused until the "
+                     "loss is accepted",
+                 metadata);
+  }
+
+  // ---- Other changes; they run while nothing is in flight
+
+  absl::Status Writable() const {
+    return config.data_loss ? DataLoss({}) : absl::OkStatus();
+  }
+
+  // Hands a write to the storage; `then` runs on the strand when it is done,
+  // and nothing but reads until `then` returns.
+  void WriteAlone(const std::function<void(Storage::Done)>& write,
+                  std::function<void(const absl::Status&)> then) {
+    exclusive = true;
+    write([self = shared_from_this(),
+           then = std::move(then)](const absl::Status& status) {
+      self->strand->Post([self, then, status] {
+        self->exclusive = false;
+        if (!status.ok()) self->in_doubt = true;
+        self->pumping = true;
+        then(status);
+        self->pumping = false;
+        self->Pump();
+      });
+    });
+  }
+
+  using ViewCallback = std::function<void(absl::StatusOr<VehicleView>)>;
+
+  // Stores and applies a config that moves no nodes.
+  void WriteConfig(const VehicleConfig& new_config,
+                   std::function<void(const absl::Status&)> then) {
+    const std::uint64_t next = revision + 1;
+    WriteAlone(
+        [&](Storage::Done done) {
+          storage->UpdateVehicle(key, codec->EncodeVehicle(new_config), next,
+                                 std::move(done));
+        },
+        [this, new_config, next,
+         then = std::move(then)](const absl::Status& status) {
+          if (status.ok()) {
+            engine->ChangeSettings(new_config.engine, next);
+            Settled(new_config, next);
+          }
+          then(status);
+        });
+  }
+
+  void CheckAcknowledged(std::uint64_t acked_sequence,
+                         const ViewCallback& callback) {
+    if (acked_sequence <= durable_sequence) {
+      callback(View());
+      return;
+    }
+    const absl::Status loss =
+        DataLoss({{"acked_sequence", std::to_string(acked_sequence)}});
+    if (config.data_loss) {
+      callback(loss);
+      return;
+    }
+    VehicleConfig new_config = config;
+    new_config.data_loss = true;
+    // Holds in memory even if it cannot be stored; the client will say so
+    // again.
+    config.data_loss = true;
+    WriteConfig(new_config,
+                [callback, loss](const absl::Status&) { callback(loss); });
+  }
+
+  void AcceptDataLoss(std::uint64_t sequence, const ViewCallback& callback) {
+    if (!config.data_loss || sequence != durable_sequence) {
+      callback(Error(StatusCode::kFailedPrecondition, "NO_DATA_LOSS",
+                     config.data_loss
+                         ? "durable_sequence: got " + std::to_string(sequence) +
+                               ", the vehicle's is " +
+                               std::to_string(durable_sequence)
+                         : "vehicle '" + id + "' is not in the state DATA_LOSS",
+                     {{"durable_sequence", std::to_string(durable_sequence)}}));
+      return;
+    }
+    VehicleConfig new_config = config;
+    new_config.data_loss = false;
+    WriteConfig(new_config, [this, callback](const absl::Status& status) {
+      if (status.ok()) {
+        callback(View());
+      } else {
+        callback(status);
+      }
+    });
+  }
+
+  void Update(const std::function<
+                  absl::StatusOr<VehicleConfig>(const VehicleView&)>& change,
+              const ViewCallback& callback) {
+    const absl::Status writable = Writable();
+    if (!writable.ok()) {
+      callback(writable);
+      return;
+    }
+    const absl::StatusOr<VehicleConfig> changed = change(View());
+    if (!changed.ok()) {
+      callback(changed.status());
+      return;
+    }
+    const auto answer = [this, callback](const absl::Status& status) {
+      if (status.ok()) {
+        callback(View());
+      } else {
+        callback(status);
+      }
+    };
+    if (!MovesNodes(config.engine, changed->engine)) {
+      WriteConfig(*changed, answer);
+      return;
+    }
+    const std::uint64_t next = revision + 1;
+    WriteAlone(
+        [&](Storage::Done done) {
+          storage->UpdateVehicle(key, codec->EncodeVehicle(*changed), next,
+                                 std::move(done));
+        },
+        [this, new_config = *changed, next,
+         answer](const absl::Status& status) {
+          if (!status.ok()) {
+            answer(status);
+          } else {
+            Rebuild(new_config, next, answer);
+          }
+        });
+  }
+
+  // After a change that is stored.
+  void Rebuild(const VehicleConfig& new_config, std::uint64_t new_revision,
+               std::function<void(const absl::Status&)> then) {
+    StartReplay(new_config, new_revision,
+                [this, then = std::move(then)](const absl::Status& status) {
+                  // The graph in memory is not that of the store any more.
+                  if (!status.ok()) Leave(status);
+                  then(status);
+                });
+  }
+
+  void Revise(
+      const std::function<absl::StatusOr<RevisionPlan>(const VehicleView&)>&
+          make_plan,
+      const std::function<void(
+          absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>)>& callback) {
+    const absl::Status writable = Writable();
+    if (!writable.ok()) {
+      callback(writable);
+      return;
+    }
+    absl::StatusOr<RevisionPlan> plan = make_plan(View());
+    if (!plan.ok()) {
+      callback(plan.status());
+      return;
+    }
+    if (plan->batches.empty()) {
+      callback(std::make_pair(revision, std::int64_t{0}));
+      return;
+    }
+    const std::uint64_t next = revision + 1;
+    const auto answer = [this, callback, count = plan->revised_count](
+                            const absl::Status& status) {
+      if (status.ok()) {
+        callback(std::make_pair(revision, count));
+      } else {
+        callback(status);
+      }
+    };
+    WriteAlone(
+        [&](Storage::Done done) {
+          storage->ReviseBatches(key, std::move(plan->batches), next,
+                                 std::move(done));
+        },
+        [this, next, answer](const absl::Status& status) {
+          if (!status.ok()) {
+            answer(status);
+          } else {
+            Rebuild(config, next, answer);
+          }
+        });
+  }
+
+  void AddLoopClosure(
+      const LoopClosureRecord& closure,
+      const std::function<
+          void(absl::StatusOr<std::pair<LoopClosureRecord, std::uint64_t>>)>&
+          callback) {
+    const absl::Status writable = Writable();
+    if (!writable.ok()) {
+      callback(writable);
+      return;
+    }
+    for (const std::uint64_t sequence :
+         {closure.query_sequence, closure.matched_sequence}) {
+      if (sequence < 1 || sequence > durable_sequence) {
+        callback(
+            Error(StatusCode::kNotFound, "POSE_NOT_FOUND",
+                  "vehicle '" + id + "' has no pose of sequence " +
+                      std::to_string(sequence) + ", it has 1 to " +
+                      std::to_string(durable_sequence),
+                  {{"sequence", std::to_string(sequence)},
+                   {"durable_sequence", std::to_string(durable_sequence)}}));
+        return;
+      }
+    }
+    const auto existing = loop_closures.find(closure.id);
+    if (existing != loop_closures.end()) {
+      const LoopClosureRecord& there = existing->second;
+      if (there.query_sequence == closure.query_sequence &&
+          there.matched_sequence == closure.matched_sequence) {
+        callback(std::make_pair(there, revision));
+      } else {
+        callback(Error(StatusCode::kAlreadyExists, "LOOP_CLOSURE_EXISTS",
+                       "loop closure '" + closure.id + "' links sequences " +
+                           std::to_string(there.query_sequence) + " and " +
+                           std::to_string(there.matched_sequence) + ", got " +
+                           std::to_string(closure.query_sequence) + " and " +
+                           std::to_string(closure.matched_sequence)));
+      }
+      return;
+    }
+    const std::uint64_t next = revision + 1;
+    WriteAlone(
+        [&](Storage::Done done) {
+          storage->AddLoopClosure(key, closure, next, std::move(done));
+        },
+        [this, closure, next, callback](const absl::Status& status) {
+          if (!status.ok()) {
+            callback(status);
+            return;
+          }
+          engine->AddLoopClosure(closure.query_sequence,
+                                 closure.matched_sequence, next);
+          loop_closures.emplace(closure.id, closure);
+          Settled(config, next);
+          callback(std::make_pair(closure, next));
+        });
+  }
+
+  void DeleteLoopClosure(
+      const std::string& closure_id,
+      const std::function<void(absl::StatusOr<std::uint64_t>)>& callback) {
+    const absl::Status writable = Writable();
+    if (!writable.ok()) {
+      callback(writable);
+      return;
+    }
+    const auto found = loop_closures.find(closure_id);
+    if (found == loop_closures.end()) {
+      callback(Error(
+          StatusCode::kNotFound, "LOOP_CLOSURE_NOT_FOUND",
+          "vehicle '" + id + "' has no loop closure '" + closure_id + "'"));
+      return;
+    }
+    const std::uint64_t next = revision + 1;
+    WriteAlone(
+        [&](Storage::Done done) {
+          storage->DeleteLoopClosure(key, closure_id, next, std::move(done));
+        },
+        [this, closure = found->second, next,
+         callback](const absl::Status& status) {
+          if (!status.ok()) {
+            callback(status);
+            return;
+          }
+          engine->RemoveLoopClosure(closure.query_sequence,
+                                    closure.matched_sequence, next);
+          loop_closures.erase(closure.id);
+          Settled(config, next);
+          callback(next);
+        });
+  }
+
+  void Delete(const std::function<void(absl::Status)>& callback) {
+    WriteAlone(
+        [&](Storage::Done done) {
+          storage->DeleteVehicle(key, std::move(done));
+        },
+        [this, callback](const absl::Status& status) {
+          if (status.ok() || absl::IsNotFound(status)) Leave(NotFound(id));
+          callback(status);
+        });
+  }
+};
+
+std::shared_ptr<VehicleSession> VehicleSession::Load(std::string id,
+                                                     Storage* storage,
+                                                     const RecordCodec* codec,
+                                                     Executor* executor,
+                                                     const Limits& limits) {
+  auto state =
+      std::make_shared<State>(std::move(id), storage, codec, executor, limits);
+  state->strand->Post([state] { state->Load(); });
+  return std::shared_ptr<VehicleSession>(new VehicleSession(std::move(state)));
+}
+
+VehicleSession::VehicleSession(std::shared_ptr<State> state)
+    : state_(std::move(state)) {}
+
+void VehicleSession::Read(
+    std::function<void(absl::StatusOr<VehicleView>)> callback) {
+  State* const state = state_.get();
+  state->Submit(
+      {true, false,
+       [state, callback = std::move(callback)](const absl::Status& status) {
+         if (status.ok()) {
+           callback(state->View());
+         } else {
+           callback(status);
+         }
+       }});
+}
+
+void VehicleSession::Append(AppendRequest request) {
+  State* const state = state_.get();
+  if (state->pending_appends.fetch_add(1) >=
+      state->limits.max_pending_appends) {
+    state->pending_appends.fetch_sub(1);
+    const absl::Status full =
+        Error(StatusCode::kResourceExhausted, "QUEUE_FULL",
+              "vehicle '" + state->id +
+                  "': " + std::to_string(state->limits.max_pending_appends) +
+                  " batches wait to be stored, which is the limit");
+    state->strand->Post([callbacks = std::move(request.callbacks), full] {
+      if (callbacks.staged) callbacks.staged(full);
+      if (callbacks.durable) callbacks.durable(full);
+    });
+    return;
+  }
+  if (!request.should_stop) request.should_stop = [] { return false; };
+  auto append = std::make_shared<PendingAppend>();
+  append->request = std::move(request);
+  state->Submit(
+      {false, false,
+       [state, append = std::move(append)](const absl::Status& status) {
+         state->RunAppend(append, status);
+       }});
+}
+
+void VehicleSession::CheckAcknowledged(
+    std::uint64_t acked_sequence,
+    std::function<void(absl::StatusOr<VehicleView>)> callback) {
+  State* const state = state_.get();
+  // Most often there is nothing to change, and nothing to wait for.
+  state->Submit(
+      {true, false,
+       [state, acked_sequence,
+        callback = std::move(callback)](const absl::Status& status) {
+         if (!status.ok()) {
+           callback(status);
+         } else if (acked_sequence <= state->durable_sequence) {
+           callback(state->View());
+         } else {
+           state->Add(
+               {false, true,
+                [state, acked_sequence, callback](const absl::Status& quiet) {
+                  if (quiet.ok()) {
+                    state->CheckAcknowledged(acked_sequence, callback);
+                  } else {
+                    callback(quiet);
+                  }
+                }});
+         }
+       }});
+}
+
+void VehicleSession::Update(
+    std::function<absl::StatusOr<VehicleConfig>(const VehicleView&)> change,
+    std::function<void(absl::StatusOr<VehicleView>)> callback) {
+  State* const state = state_.get();
+  state->Submit({false, true,
+                 [state, change = std::move(change),
+                  callback = std::move(callback)](const absl::Status& status) {
+                   if (status.ok()) {
+                     state->Update(change, callback);
+                   } else {
+                     callback(status);
+                   }
+                 }});
+}
+
+void VehicleSession::AcceptDataLoss(
+    std::uint64_t durable_sequence,
+    std::function<void(absl::StatusOr<VehicleView>)> callback) {
+  State* const state = state_.get();
+  state->Submit({false, true,
+                 [state, durable_sequence,
+                  callback = std::move(callback)](const absl::Status& status) {
+                   if (status.ok()) {
+                     state->AcceptDataLoss(durable_sequence, callback);
+                   } else {
+                     callback(status);
+                   }
+                 }});
+}
+
+void VehicleSession::Revise(
+    std::function<absl::StatusOr<RevisionPlan>(const VehicleView&)> plan,
+    std::function<void(absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>)>
+        callback) {
+  State* const state = state_.get();
+  state->Submit({false, true,
+                 [state, plan = std::move(plan),
+                  callback = std::move(callback)](const absl::Status& status) {
+                   if (status.ok()) {
+                     state->Revise(plan, callback);
+                   } else {
+                     callback(status);
+                   }
+                 }});
+}
+
+void VehicleSession::AddLoopClosure(
+    LoopClosureRecord closure,
+    std::function<
+        void(absl::StatusOr<std::pair<LoopClosureRecord, std::uint64_t>>)>
+        callback) {
+  State* const state = state_.get();
+  state->Submit({false, true,
+                 [state, closure = std::move(closure),
+                  callback = std::move(callback)](const absl::Status& status) {
+                   if (status.ok()) {
+                     state->AddLoopClosure(closure, callback);
+                   } else {
+                     callback(status);
+                   }
+                 }});
+}
+
+void VehicleSession::DeleteLoopClosure(
+    std::string id,
+    std::function<void(absl::StatusOr<std::uint64_t>)> callback) {
+  State* const state = state_.get();
+  state->Submit({false, true,
+                 [state, id = std::move(id),
+                  callback = std::move(callback)](const absl::Status& status) {
+                   if (status.ok()) {
+                     state->DeleteLoopClosure(id, callback);
+                   } else {
+                     callback(status);
+                   }
+                 }});
+}
+
+void VehicleSession::Delete(std::function<void(absl::Status)> callback) {
+  State* const state = state_.get();
+  state->Submit(
+      {false, true,
+       [state, callback = std::move(callback)](const absl::Status& status) {
+         if (status.ok()) {
+           state->Delete(callback);
+         } else {
+           callback(status);
+         }
+       }});
+}
+
+void VehicleSession::Close(std::function<void()> callback) {
+  State* const state = state_.get();
+  state->Submit({false, true,
+                 [state, callback = std::move(callback)](const absl::Status&) {
+                   if (!state->gone_status) {
+                     state->Leave(Error(StatusCode::kUnavailable,
+                                        "SERVER_DRAINING",
+                                        "the server is shutting down"));
+                   }
+                   callback();
+                 }});
+}
+
+bool VehicleSession::gone() const { return state_->is_gone.load(); }
+
+bool VehicleSession::busy() const { return state_.use_count() > 1; }
+
+}  // namespace revisit::server

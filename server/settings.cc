@@ -1,0 +1,485 @@
+#include "server/settings.h"
+
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cctype>
+#include <cstdio>
+#include <cstdlib>
+#include <fstream>
+#include <limits>
+#include <map>
+#include <memory>
+#include <set>
+#include <sstream>
+#include <utility>
+
+#include "absl/status/status.h"
+
+namespace revisit::server {
+namespace {
+
+constexpr char kEnvironmentPrefix[] = "REVISIT_";
+
+constexpr char kFooter[] =
+    R"(Every setting is also a variable of the environment (--worker-threads is
+REVISIT_WORKER_THREADS) and a key of the file that --config or REVISIT_CONFIG
+names, with lines such as
+  worker-threads = 4
+Flags win over the environment, the environment over the file.
+
+Once calls are taken, "listening on ADDRESS" is printed to standard output; logs go
+to standard error. SIGTERM or SIGINT drains: no new calls, streams get their last
+acknowledgements, then the store is closed.
+
+Exit codes: 0 stopped as told; 64 wrong usage or settings; 69 cannot listen at the
+address, or write the port file; 73 the store is in use by another server or is no
+store of this version; 74 the store cannot be read or written.
+
+Examples:
+  revisitd
+  revisitd --listen 0.0.0.0:50051 --store /var/lib/revisit --log-format json
+  revisitd --worker-threads 2 --print-config > revisitd.conf
+)";
+
+template <typename T>
+using Choices = std::vector<std::pair<std::string, T>>;
+
+const Choices<LogFormat>& LogFormats() {
+  static const auto* const choices = new Choices<LogFormat>{
+      {"text", LogFormat::kText}, {"json", LogFormat::kJson}};
+  return *choices;
+}
+
+const Choices<LogLevel>& LogLevels() {
+  static const auto* const choices =
+      new Choices<LogLevel>{{"debug", LogLevel::kDebug},
+                            {"info", LogLevel::kInfo},
+                            {"warning", LogLevel::kWarning},
+                            {"error", LogLevel::kError},
+                            {"off", LogLevel::kOff}};
+  return *choices;
+}
+
+template <typename T>
+std::string ChoiceName(const Choices<T>& choices, T value) {
+  for (const auto& [name, choice] : choices) {
+    if (choice == value) return name;
+  }
+  return "";
+}
+
+// The shortest text that reads back as the same number.
+std::string NumberText(double value) {
+  char text[32];
+  for (int digits = 6; digits <= 17; ++digits) {
+    std::snprintf(text, sizeof(text), "%.*g", digits, value);
+    if (std::strtod(text, nullptr) == value) break;
+  }
+  return text;
+}
+std::string NumberText(std::int64_t value) { return std::to_string(value); }
+std::string NumberText(int value) { return std::to_string(value); }
+
+std::string QuotedText(const std::string& text) {
+  std::string quoted = "\"";
+  for (const char c : text) {
+    if (c == '\n') {
+      quoted += "\\n";
+      continue;
+    }
+    if (c == '"' || c == '\\') quoted += '\\';
+    quoted += c;
+  }
+  return quoted + "\"";
+}
+
+// One setting: its option, and how it is printed.
+struct Option {
+  CLI::Option* option;
+  std::function<std::string()> value_text;
+};
+using Options = std::map<std::string, Option>;
+
+// Columns of the help before the descriptions, and of these.
+constexpr std::size_t kNameColumns = 34;
+constexpr std::size_t kDescriptionColumns = 46;
+
+// With line breaks, so that the help fits 80 columns.
+std::string Wrapped(const std::string& text) {
+  std::string wrapped;
+  std::size_t column = 0;
+  std::istringstream words(text);
+  for (std::string word; words >> word;) {
+    if (column > 0) {
+      const bool fits = column + 1 + word.size() <= kDescriptionColumns;
+      wrapped += fits ? ' ' : '\n';
+      column = fits ? column + 1 : 0;
+    }
+    wrapped += word;
+    column += word.size();
+  }
+  return wrapped;
+}
+
+// The settings as options of a command line. The app and the settings must
+// outlive this.
+class OptionTable {
+ public:
+  OptionTable(CLI::App* app, ServerSettings* settings)
+      : app_(app), settings_(settings) {
+    AddOptions();
+  }
+
+  const std::vector<std::string>& keys() const { return keys_; }
+  const Options& options() const { return options_; }
+
+  // Takes a value from the environment or the file.
+  absl::Status Set(const std::string& key, const std::string& value,
+                   const std::string& where) {
+    const auto entry = options_.find(key);
+    if (entry == options_.end()) {
+      return absl::InvalidArgumentError(
+          (where + ": unknown setting \"" + key + "\"").c_str());
+    }
+    try {
+      entry->second.option->clear();
+      entry->second.option->add_result(value);
+      entry->second.option->run_callback();
+    } catch (const CLI::Error& error) {
+      return absl::InvalidArgumentError((where + ": " + error.what()).c_str());
+    }
+    return absl::OkStatus();
+  }
+
+ private:
+  void AddOptions() {
+    ServerSettings& s = *settings_;
+    const char* serving = "Serving";
+    AddText(serving, "listen", &s.listen, "HOST:PORT",
+            "Where to take calls; port 0 takes a free one");
+    AddText(
+        serving, "store", &s.store, "PATH",
+        "Directory of the store, created if missing; or the store's file, if "
+        "that is what the path names");
+    AddText(serving, "port-file", &s.port_file, "FILE",
+            "Write the address listened on here once calls are taken");
+    AddNumber(serving, "worker-threads", &s.worker_threads, 0, 1024,
+              "Threads for the vehicles' work; 0 means one a processor");
+    AddNumber(serving, "idle-unload-minutes", &s.idle_unload_minutes, 0.01, 1e6,
+              "Unload a vehicle that nobody has asked for this long");
+    AddNumber(serving, "drain-timeout-seconds", &s.drain_timeout_seconds, 0,
+              86400, "How long calls may go on after SIGTERM");
+
+    const char* limits = "Limits";
+    AddNumber(limits, "max-message-bytes", &s.max_message_bytes, 1024, 1 << 30,
+              "Largest message read");
+    AddNumber(limits, "max-batch-poses", &s.max_batch_poses, 1, 1000000,
+              "Most poses in a batch");
+    AddNumber(limits, "max-batches-in-flight", &s.max_batches_in_flight, 1,
+              10000,
+              "Batches of one stream that may wait for their acknowledgement");
+    AddNumber(limits, "max-pending-appends", &s.max_pending_appends, 1, 1000000,
+              "Batches of one vehicle that may wait, over all its streams");
+    AddNumber(limits, "max-revision-bytes", &s.max_revision_bytes, 1024,
+              std::int64_t{1} << 36,
+              "Most bytes one RevisePoses call may bring");
+    AddNumber(limits, "max-concurrent-streams", &s.max_concurrent_streams, 1,
+              1000000, "Calls at a time on one connection");
+    AddNumber(limits, "keepalive-seconds", &s.keepalive_seconds, 1, 86400,
+              "Ping a connection that is silent this long");
+    AddNumber(limits, "keepalive-timeout-seconds", &s.keepalive_timeout_seconds,
+              1, 3600, "Close it if the ping is not answered by then");
+
+    const char* logging = "Logging";
+    AddChoice(logging, "log-format", LogFormats(), &s.log_format,
+              "One line an event, as text or as JSON");
+    AddChoice(logging, "log-level", LogLevels(), &s.log_level,
+              "Least severe events that are logged");
+  }
+
+  void Register(const char* group, const std::string& key, CLI::Option* option,
+                std::function<std::string()> value_text) {
+    option->group(group);
+    keys_.push_back(key);
+    options_[key] = {option, std::move(value_text)};
+  }
+
+  void AddText(const char* group, const std::string& key, std::string* value,
+               const char* type, const char* description) {
+    Register(group, key,
+             app_->add_option("--" + key, *value, Wrapped(description))
+                 ->type_name(type)
+                 ->capture_default_str(),
+             [value] { return QuotedText(*value); });
+  }
+
+  // The bounds may be literals of another type than the value.
+  template <typename T, typename Lowest, typename Highest>
+  void AddNumber(const char* group, const std::string& key, T* value,
+                 Lowest lowest, Highest highest, const char* description) {
+    AddNumberInRange<T>(group, key, value, static_cast<T>(lowest),
+                        static_cast<T>(highest), description);
+  }
+
+  template <typename T>
+  void AddNumberInRange(const char* group, const std::string& key, T* value,
+                        T lowest, T highest, const char* description) {
+    const auto check = [lowest, highest](const std::string& text) {
+      T number{};
+      // Written so that not-a-number fails.
+      if (CLI::detail::lexical_cast(text, number) && number >= lowest &&
+          number <= highest) {
+        return std::string();
+      }
+      return "got \"" + text + "\"; allowed is a number in [" +
+             NumberText(lowest) + ", " + NumberText(highest) + "]";
+    };
+    Register(group, key,
+             app_->add_option("--" + key, *value, Wrapped(description))
+                 ->type_name("N")
+                 ->check(CLI::Validator(check, ""))
+                 ->default_str(NumberText(*value)),
+             [value] { return NumberText(*value); });
+  }
+
+  template <typename T>
+  void AddChoice(const char* group, const std::string& key,
+                 const Choices<T>& choices, T* value, const char* description) {
+    std::string names;
+    for (const auto& choice : choices) {
+      names += (names.empty() ? "" : "|") + choice.first;
+    }
+    const auto check = [&choices, names](const std::string& text) {
+      for (const auto& choice : choices) {
+        if (choice.first == text) return std::string();
+      }
+      return "got \"" + text + "\"; allowed is " + names;
+    };
+    const auto assign = [&choices, value](const std::string& text) {
+      for (const auto& [name, choice] : choices) {
+        if (name == text) *value = choice;
+      }
+    };
+    Register(
+        group, key,
+        app_->add_option_function<std::string>("--" + key, assign, description)
+            ->type_name(names)
+            ->check(CLI::Validator(check, ""))
+            ->default_str(ChoiceName(choices, *value)),
+        [&choices, value] { return QuotedText(ChoiceName(choices, *value)); });
+  }
+
+  CLI::App* const app_;
+  ServerSettings* const settings_;
+  std::vector<std::string> keys_;
+  Options options_;
+};
+
+// One parser with all options, and what it fills.
+struct Parser {
+  Parser() {
+    app.name("revisitd");
+    app.get_formatter()->column_width(kNameColumns);
+    app.footer(kFooter);
+    app.set_version_flag("--version", "revisitd " REVISIT_VERSION);
+    app.add_option("--config", config, "File of settings")->type_name("FILE");
+    app.add_flag("--print-config", print_config,
+                 Wrapped("Print all settings in the form of the file, and "
+                         "stop"));
+    table = std::make_unique<OptionTable>(&app, &settings);
+  }
+
+  // Sets `print` for help and version.
+  absl::Status ParseArguments(const std::vector<std::string>& arguments) {
+    // CLI11 takes them from the back.
+    std::vector<std::string> reversed(arguments.rbegin(), arguments.rend());
+    try {
+      app.parse(std::move(reversed));
+    } catch (const CLI::CallForHelp&) {
+      print = app.help();
+    } catch (const CLI::CallForVersion& version) {
+      print = std::string(version.what()) + "\n";
+    } catch (const CLI::Error& error) {
+      return absl::InvalidArgumentError(error.what());
+    }
+    return absl::OkStatus();
+  }
+
+  ServerSettings settings;
+  std::string config;
+  bool print_config = false;
+  std::optional<std::string> print;
+  CLI::App app{
+      "Keeps one pose graph a vehicle and answers where the vehicle has\n"
+      "probably been before."};
+  std::unique_ptr<OptionTable> table;
+};
+
+std::string Trimmed(const std::string& text) {
+  const char* space = " \t\r";
+  const std::size_t first = text.find_first_not_of(space);
+  if (first == std::string::npos) return "";
+  return text.substr(first, text.find_last_not_of(space) - first + 1);
+}
+
+// The text between quotes; nothing if it is not a well-formed string.
+std::optional<std::string> Unquoted(const std::string& text) {
+  if (text.size() < 2 || text.back() != '"') return std::nullopt;
+  std::string plain;
+  for (std::size_t i = 1; i + 1 < text.size(); ++i) {
+    char c = text[i];
+    if (c == '"') return std::nullopt;
+    if (c == '\\') {
+      if (++i + 1 >= text.size()) return std::nullopt;
+      c = text[i];
+      if (c == 'n') {
+        c = '\n';
+      } else if (c != '"' && c != '\\') {
+        return std::nullopt;
+      }
+    }
+    plain += c;
+  }
+  return plain;
+}
+
+absl::Status ApplyFile(const std::string& path, OptionTable* table) {
+  std::ifstream file(path);
+  if (!file) {
+    return absl::InvalidArgumentError(
+        ("cannot read the file of settings " + path).c_str());
+  }
+  std::set<std::string> seen;
+  std::string line;
+  for (int number = 1; std::getline(file, line); ++number) {
+    const std::string where = path + ":" + std::to_string(number);
+    line = Trimmed(line);
+    if (line.empty() || line[0] == '#') continue;
+    const std::size_t equals = line.find('=');
+    if (equals == std::string::npos) {
+      return absl::InvalidArgumentError(
+          (where + ": expected KEY = VALUE").c_str());
+    }
+    const std::string key = Trimmed(line.substr(0, equals));
+    std::string value = Trimmed(line.substr(equals + 1));
+    if (!value.empty() && value[0] == '"') {
+      const std::optional<std::string> plain = Unquoted(value);
+      if (!plain) {
+        return absl::InvalidArgumentError(
+            (where + ": " + key + ": malformed string").c_str());
+      }
+      value = *plain;
+    }
+    if (!seen.insert(key).second) {
+      return absl::InvalidArgumentError(
+          (where + ": " + key + " stands twice").c_str());
+    }
+    if (absl::Status status = table->Set(key, value, where); !status.ok()) {
+      return status;
+    }
+  }
+  if (file.bad()) {
+    return absl::InvalidArgumentError(
+        ("cannot read the file of settings " + path).c_str());
+  }
+  return absl::OkStatus();
+}
+
+// Variables with our prefix that are no settings of the server: the command
+// line's and the tests'.
+bool BelongsToOthers(const std::string& name) {
+  return name == "REVISIT_SERVER" || name == "REVISIT_BIN" ||
+         name.rfind("REVISIT_TEST_", 0) == 0;
+}
+
+absl::Status ApplyEnvironment(const std::vector<std::string>& environment,
+                              std::string* config, OptionTable* table) {
+  const std::string prefix = kEnvironmentPrefix;
+  for (const std::string& variable : environment) {
+    const std::size_t equals = variable.find('=');
+    if (equals == std::string::npos || variable.rfind(prefix, 0) != 0) continue;
+    const std::string name = variable.substr(0, equals);
+    const std::string value = variable.substr(equals + 1);
+    if (BelongsToOthers(name)) continue;
+    std::string key = name.substr(prefix.size());
+    for (char& c : key) {
+      c = c == '_'
+              ? '-'
+              : static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+    }
+    if (key == "config") {
+      if (config != nullptr) *config = value;
+      continue;
+    }
+    if (table == nullptr) continue;
+    if (absl::Status status = table->Set(key, value, "environment, " + name);
+        !status.ok()) {
+      return status;
+    }
+  }
+  return absl::OkStatus();
+}
+
+std::string PrintTable(const OptionTable& table) {
+  std::string text;
+  for (const std::string& key : table.keys()) {
+    text += key + " = " + table.options().at(key).value_text() + "\n";
+  }
+  return text;
+}
+
+}  // namespace
+
+absl::StatusOr<ParsedSettings> ParseSettings(
+    const std::vector<std::string>& arguments,
+    const std::vector<std::string>& environment) {
+  // The flags are read twice: first to learn which file comes before them.
+  Parser first;
+  if (absl::Status status = first.ParseArguments(arguments); !status.ok()) {
+    return status;
+  }
+  if (first.print) return ParsedSettings{first.settings, first.print};
+  std::string config;
+  if (absl::Status status = ApplyEnvironment(environment, &config, nullptr);
+      !status.ok()) {
+    return status;
+  }
+  if (!first.config.empty()) config = first.config;
+
+  Parser parser;
+  if (!config.empty()) {
+    if (absl::Status status = ApplyFile(config, parser.table.get());
+        !status.ok()) {
+      return status;
+    }
+  }
+  if (absl::Status status =
+          ApplyEnvironment(environment, nullptr, parser.table.get());
+      !status.ok()) {
+    return status;
+  }
+  if (absl::Status status = parser.ParseArguments(arguments); !status.ok()) {
+    return status;
+  }
+  ParsedSettings parsed{parser.settings, std::nullopt};
+  if (parser.print_config) parsed.print = PrintSettings(parser.settings);
+  return parsed;
+}
+
+std::vector<std::string> ProcessEnvironment() {
+  std::vector<std::string> environment;
+  for (char** variable = environ; *variable != nullptr; ++variable) {
+    environment.emplace_back(*variable);
+  }
+  return environment;
+}
+
+std::string PrintSettings(const ServerSettings& settings) {
+  Parser parser;
+  parser.settings = settings;
+  return PrintTable(*parser.table);
+}
+
+}  // namespace revisit::server

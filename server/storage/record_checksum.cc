@@ -1,0 +1,86 @@
+#include "server/storage/record_checksum.h"
+
+#include <array>
+#include <cstddef>
+#include <memory>
+
+#include "xxhash.h"
+
+namespace revisit::server {
+namespace {
+
+class Hasher {
+ public:
+  explicit Hasher(char table) {
+    XXH3_64bits_reset(state_.get());
+    XXH3_64bits_update(state_.get(), &table, 1);
+  }
+
+  Hasher& Add(std::uint64_t value) {
+    std::array<unsigned char, 8> bytes;
+    for (std::size_t i = 0; i < bytes.size(); ++i) {
+      bytes[i] = static_cast<unsigned char>(value >> (8 * i));
+    }
+    XXH3_64bits_update(state_.get(), bytes.data(), bytes.size());
+    return *this;
+  }
+
+  Hasher& Add(std::int64_t value) {
+    return Add(static_cast<std::uint64_t>(value));
+  }
+
+  Hasher& Add(const std::string& bytes) {
+    Add(static_cast<std::uint64_t>(bytes.size()));
+    XXH3_64bits_update(state_.get(), bytes.data(), bytes.size());
+    return *this;
+  }
+
+  std::int64_t Digest() const {
+    return static_cast<std::int64_t>(XXH3_64bits_digest(state_.get()));
+  }
+
+ private:
+  struct Free {
+    void operator()(XXH3_state_t* state) const { XXH3_freeState(state); }
+  };
+
+  std::unique_ptr<XXH3_state_t, Free> state_{XXH3_createState()};
+};
+
+}  // namespace
+
+std::int64_t ChecksumOfVehicle(std::int64_t format, const VehicleRecord& row) {
+  return Hasher('V')
+      .Add(row.key)
+      .Add(row.id)
+      .Add(format)
+      .Add(row.revision)
+      .Add(row.payload)
+      .Digest();
+}
+
+std::int64_t ChecksumOfBatch(std::int64_t format, VehicleKey key,
+                             BatchVersion version, const BatchRecord& row) {
+  return Hasher(version == BatchVersion::kAsSent ? 'B' : 'R')
+      .Add(key)
+      .Add(row.first_sequence)
+      .Add(static_cast<std::uint64_t>(row.count))
+      .Add(format)
+      .Add(row.revision)
+      .Add(row.payload)
+      .Digest();
+}
+
+std::int64_t ChecksumOfLoopClosure(std::int64_t format, VehicleKey key,
+                                   const LoopClosureRecord& row) {
+  return Hasher('L')
+      .Add(key)
+      .Add(row.id)
+      .Add(format)
+      .Add(row.query_sequence)
+      .Add(row.matched_sequence)
+      .Add(row.create_time_ns)
+      .Digest();
+}
+
+}  // namespace revisit::server

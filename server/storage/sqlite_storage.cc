@@ -1,0 +1,966 @@
+#include "server/storage/sqlite_storage.h"
+
+#include <algorithm>
+#include <condition_variable>
+#include <deque>
+#include <filesystem>
+#include <limits>
+#include <mutex>
+#include <system_error>
+#include <thread>
+#include <utility>
+
+#include "server/status.h"
+#include "server/storage/record_checksum.h"
+#include "server/storage/sqlite_database.h"
+#include "server/storage/store_lock.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StatusCode;
+
+// "RVST": tells a store from other SQLite files.
+constexpr std::int64_t kApplicationId = 0x52565354;
+
+// Payloads come last, so that the columns before them are read without them.
+// Keep in step: kStoreFormat, the table list of the header, record_checksum.h.
+constexpr char kSchema[] = R"sql(
+CREATE TABLE vehicles (
+  key INTEGER PRIMARY KEY AUTOINCREMENT,
+  id TEXT NOT NULL UNIQUE,
+  format INTEGER NOT NULL,
+  revision INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL
+);
+CREATE TABLE batches (
+  vehicle_key INTEGER NOT NULL,
+  first_sequence INTEGER NOT NULL,
+  count INTEGER NOT NULL,
+  format INTEGER NOT NULL,
+  revision INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL,
+  PRIMARY KEY (vehicle_key, first_sequence)
+);
+CREATE TABLE revised_batches (
+  vehicle_key INTEGER NOT NULL,
+  first_sequence INTEGER NOT NULL,
+  count INTEGER NOT NULL,
+  format INTEGER NOT NULL,
+  revision INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL,
+  PRIMARY KEY (vehicle_key, first_sequence)
+);
+CREATE TABLE loop_closures (
+  vehicle_key INTEGER NOT NULL,
+  id TEXT NOT NULL,
+  format INTEGER NOT NULL,
+  query_sequence INTEGER NOT NULL,
+  matched_sequence INTEGER NOT NULL,
+  create_time_ns INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  PRIMARY KEY (vehicle_key, id)
+) WITHOUT ROWID;
+CREATE TABLE deleted_vehicles (
+  key INTEGER PRIMARY KEY
+);
+)sql";
+
+// Read-only connections that are kept open while nobody uses them.
+constexpr std::size_t kIdleReaders = 4;
+
+// Batches of deleted vehicles that one transaction removes.
+constexpr int kPurgedBatches = 32;
+
+std::int64_t Signed(std::uint64_t value) {
+  return static_cast<std::int64_t>(
+      std::min<std::uint64_t>(value, std::numeric_limits<std::int64_t>::max()));
+}
+
+std::uint64_t Unsigned(std::int64_t value) {
+  return static_cast<std::uint64_t>(value);
+}
+
+std::string Range(const BatchRecord& batch) {
+  return std::to_string(batch.first_sequence) + " to " +
+         std::to_string(batch.first_sequence + batch.count - 1);
+}
+
+absl::Status Corrupt(const std::string& what, const ErrorMetadata& metadata) {
+  return Error(StatusCode::kDataLoss, "STORE_CORRUPT", what, metadata);
+}
+
+absl::Status UnknownVehicle(const std::string& which) {
+  return Error(StatusCode::kNotFound, "VEHICLE_NOT_FOUND",
+               "no such vehicle: " + which);
+}
+
+// A row is right if its checksum is, and if it is of a format known here.
+absl::Status CheckRow(std::int64_t format, std::int64_t stored_checksum,
+                      std::int64_t computed_checksum, const std::string& what,
+                      const ErrorMetadata& metadata) {
+  if (stored_checksum != computed_checksum) {
+    return Corrupt(what + " fails its checksum", metadata);
+  }
+  if (format < 1 || format > kStoreFormat) {
+    return Corrupt(what + " has format " + std::to_string(format) +
+                       "; known are 1 to " + std::to_string(kStoreFormat),
+                   metadata);
+  }
+  return absl::OkStatus();
+}
+
+// Columns: key, id, format, revision, checksum, payload.
+absl::StatusOr<VehicleRecord> ReadVehicleRow(const SqliteStatement& row) {
+  VehicleRecord record;
+  record.key = row.Integer(0);
+  record.id = row.Bytes(1);
+  const std::int64_t format = row.Integer(2);
+  record.revision = Unsigned(row.Integer(3));
+  record.payload = row.Bytes(5);
+  const absl::Status status =
+      CheckRow(format, row.Integer(4), ChecksumOfVehicle(format, record),
+               "stored vehicle '" + record.id + "'", {{"vehicle", record.id}});
+  if (!status.ok()) return status;
+  return record;
+}
+
+// Columns from `column` on: format, revision, checksum, payload.
+absl::StatusOr<BatchRecord> ReadBatchRow(const SqliteStatement& row, int column,
+                                         std::int64_t first_sequence,
+                                         std::int64_t count, VehicleKey key,
+                                         const std::string& vehicle_id,
+                                         BatchVersion version) {
+  BatchRecord batch;
+  batch.first_sequence = Unsigned(first_sequence);
+  batch.count = static_cast<std::uint32_t>(count);
+  const std::int64_t format = row.Integer(column);
+  batch.revision = Unsigned(row.Integer(column + 1));
+  batch.payload = row.Bytes(column + 3);
+  const std::int64_t checksum = ChecksumOfBatch(format, key, version, batch);
+  const absl::Status status =
+      CheckRow(format, row.Integer(column + 2), checksum,
+               std::string("stored batch of vehicle '") + vehicle_id +
+                   "', sequences " + Range(batch) +
+                   (version == BatchVersion::kCurrent ? ", revised," : ""),
+               {{"vehicle", vehicle_id},
+                {"first_sequence", std::to_string(batch.first_sequence)}});
+  if (!status.ok()) return status;
+  if (count < 1 || count != batch.count) {
+    return Corrupt("stored batch of vehicle '" + vehicle_id + "' has " +
+                       std::to_string(count) + " poses",
+                   {{"vehicle", vehicle_id}});
+  }
+  return batch;
+}
+
+absl::StatusOr<std::optional<BatchRecord>> ReadLastBatch(
+    SqliteDatabase& database, VehicleKey key, const std::string& vehicle_id) {
+  SqliteStatement row = database.Prepare(
+      "SELECT first_sequence, count, format, revision, checksum, payload "
+      "FROM batches WHERE vehicle_key = ?1 ORDER BY first_sequence DESC LIMIT "
+      "1");
+  row.Bind(1, key);
+  const absl::StatusOr<bool> found = row.Step();
+  if (!found.ok()) return found.status();
+  if (!*found) return std::optional<BatchRecord>();
+  absl::StatusOr<BatchRecord> batch =
+      ReadBatchRow(row, 2, row.Integer(0), row.Integer(1), key, vehicle_id,
+                   BatchVersion::kAsSent);
+  if (!batch.ok()) return batch.status();
+  return std::optional<BatchRecord>(*std::move(batch));
+}
+
+// Adds to a row of `vehicles` what other tables know.
+absl::Status CompleteVehicle(SqliteDatabase& database, VehicleRecord* record) {
+  const absl::StatusOr<std::optional<BatchRecord>> last =
+      ReadLastBatch(database, record->key, record->id);
+  if (!last.ok()) return last.status();
+  if (last->has_value()) {
+    record->durable_sequence = (*last)->first_sequence + (*last)->count - 1;
+    record->revision = std::max(record->revision, (*last)->revision);
+  }
+  SqliteStatement closures = database.Prepare(
+      "SELECT count(*) FROM loop_closures WHERE vehicle_key = ?1");
+  closures.Bind(1, record->key);
+  const absl::StatusOr<bool> counted = closures.Step();
+  if (!counted.ok()) return counted.status();
+  record->loop_closure_count = closures.Integer(0);
+  return absl::OkStatus();
+}
+
+// The id of a vehicle, not checked: to tell whether it is there, and for
+// messages.
+absl::StatusOr<std::string> VehicleId(SqliteDatabase& database,
+                                      VehicleKey key) {
+  SqliteStatement row =
+      database.Prepare("SELECT id FROM vehicles WHERE key = ?1");
+  row.Bind(1, key);
+  const absl::StatusOr<bool> found = row.Step();
+  if (!found.ok()) return found.status();
+  if (!*found) return UnknownVehicle("key " + std::to_string(key));
+  return row.Bytes(0);
+}
+
+absl::Status WriteVehicleRow(SqliteDatabase& database,
+                             const VehicleRecord& record) {
+  return database
+      .Prepare(
+          "UPDATE vehicles SET format = ?2, revision = ?3, checksum = ?4, "
+          "payload = ?5 WHERE key = ?1")
+      .Bind(1, record.key)
+      .Bind(2, kStoreFormat)
+      .Bind(3, Signed(record.revision))
+      .Bind(4, ChecksumOfVehicle(kStoreFormat, record))
+      .BindBlob(5, record.payload)
+      .Run();
+}
+
+absl::StatusOr<VehicleKey> InsertVehicle(SqliteDatabase& database,
+                                         VehicleRecord record) {
+  {
+    SqliteStatement taken =
+        database.Prepare("SELECT 1 FROM vehicles WHERE id = ?1");
+    const absl::StatusOr<bool> found = taken.BindText(1, record.id).Step();
+    if (!found.ok()) return found.status();
+    if (*found) {
+      return Error(StatusCode::kAlreadyExists, "VEHICLE_EXISTS",
+                   "vehicle '" + record.id + "' exists already");
+    }
+  }
+  // The checksum covers the key, which is known only now.
+  absl::Status status =
+      database
+          .Prepare(
+              "INSERT INTO vehicles (id, format, revision, checksum, payload) "
+              "VALUES (?1, 0, 0, 0, x'')")
+          .BindText(1, record.id)
+          .Run();
+  if (!status.ok()) return status;
+  record.key = database.LastInsertedKey();
+  status = WriteVehicleRow(database, record);
+  if (!status.ok()) return status;
+  return record.key;
+}
+
+// Replaces the payload, if given, and raises the revision.
+absl::Status ChangeVehicle(SqliteDatabase& database, VehicleKey key,
+                           const std::optional<std::string>& payload,
+                           std::uint64_t revision) {
+  absl::StatusOr<VehicleRecord> record =
+      [&]() -> absl::StatusOr<VehicleRecord> {
+    SqliteStatement row = database.Prepare(
+        "SELECT key, id, format, revision, checksum, payload FROM vehicles "
+        "WHERE key = ?1");
+    const absl::StatusOr<bool> found = row.Bind(1, key).Step();
+    if (!found.ok()) return found.status();
+    if (!*found) return UnknownVehicle("key " + std::to_string(key));
+    return ReadVehicleRow(row);
+  }();
+  if (!record.ok()) return record.status();
+  if (payload.has_value()) record->payload = *payload;
+  record->revision = std::max(record->revision, revision);
+  return WriteVehicleRow(database, *record);
+}
+
+absl::Status RemoveVehicle(SqliteDatabase& database, VehicleKey key) {
+  absl::Status status = database.Prepare("DELETE FROM vehicles WHERE key = ?1")
+                            .Bind(1, key)
+                            .Run();
+  if (!status.ok()) return status;
+  if (database.Changes() == 0) {
+    return UnknownVehicle("key " + std::to_string(key));
+  }
+  status = database.Prepare("DELETE FROM loop_closures WHERE vehicle_key = ?1")
+               .Bind(1, key)
+               .Run();
+  if (!status.ok()) return status;
+  return database.Prepare("INSERT INTO deleted_vehicles (key) VALUES (?1)")
+      .Bind(1, key)
+      .Run();
+}
+
+absl::Status InsertBatch(SqliteDatabase& database, VehicleKey key,
+                         const BatchRecord& batch,
+                         const std::optional<std::string>& vehicle_payload) {
+  const absl::StatusOr<std::string> id = VehicleId(database, key);
+  if (!id.ok()) return id.status();
+  const absl::StatusOr<std::optional<BatchRecord>> last =
+      ReadLastBatch(database, key, *id);
+  if (!last.ok()) return last.status();
+  const std::uint64_t expected =
+      last->has_value() ? (*last)->first_sequence + (*last)->count : 1;
+  if (batch.first_sequence != expected) {
+    return Error(StatusCode::kFailedPrecondition, "SEQUENCE_GAP",
+                 "vehicle '" + *id + "': got a batch from sequence " +
+                     std::to_string(batch.first_sequence) + ", expected " +
+                     std::to_string(expected),
+                 {{"expected_sequence", std::to_string(expected)}});
+  }
+  absl::Status status =
+      database
+          .Prepare(
+              "INSERT INTO batches (vehicle_key, first_sequence, count, "
+              "format, revision, checksum, payload) "
+              "VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)")
+          .Bind(1, key)
+          .Bind(2, Signed(batch.first_sequence))
+          .Bind(3, batch.count)
+          .Bind(4, kStoreFormat)
+          .Bind(5, Signed(batch.revision))
+          .Bind(6, ChecksumOfBatch(kStoreFormat, key, BatchVersion::kAsSent,
+                                   batch))
+          .BindBlob(7, batch.payload)
+          .Run();
+  if (!status.ok() || !vehicle_payload.has_value()) return status;
+  return ChangeVehicle(database, key, vehicle_payload, batch.revision);
+}
+
+absl::Status ReviseBatchRows(SqliteDatabase& database, VehicleKey key,
+                             const std::vector<BatchRecord>& batches,
+                             std::uint64_t revision) {
+  absl::Status status = ChangeVehicle(database, key, std::nullopt, revision);
+  for (const BatchRecord& batch : batches) {
+    if (!status.ok()) break;
+    {
+      SqliteStatement row = database.Prepare(
+          "SELECT count FROM batches WHERE vehicle_key = ?1 AND "
+          "first_sequence = ?2");
+      row.Bind(1, key).Bind(2, Signed(batch.first_sequence));
+      const absl::StatusOr<bool> found = row.Step();
+      if (!found.ok()) return found.status();
+      if (!*found || row.Integer(0) != batch.count) {
+        return Error(StatusCode::kFailedPrecondition, "INTERNAL",
+                     "no batch with sequences " + Range(batch) +
+                         " is stored that could be revised");
+      }
+    }
+    BatchRecord revised = batch;
+    revised.revision = revision;
+    status = database
+                 .Prepare(
+                     "INSERT OR REPLACE INTO revised_batches (vehicle_key, "
+                     "first_sequence, count, format, revision, checksum, "
+                     "payload) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)")
+                 .Bind(1, key)
+                 .Bind(2, Signed(revised.first_sequence))
+                 .Bind(3, revised.count)
+                 .Bind(4, kStoreFormat)
+                 .Bind(5, Signed(revised.revision))
+                 .Bind(6, ChecksumOfBatch(kStoreFormat, key,
+                                          BatchVersion::kCurrent, revised))
+                 .BindBlob(7, revised.payload)
+                 .Run();
+  }
+  return status;
+}
+
+absl::Status InsertLoopClosure(SqliteDatabase& database, VehicleKey key,
+                               const LoopClosureRecord& closure,
+                               std::uint64_t revision) {
+  const absl::Status status =
+      ChangeVehicle(database, key, std::nullopt, revision);
+  if (!status.ok()) return status;
+  {
+    SqliteStatement taken = database.Prepare(
+        "SELECT 1 FROM loop_closures WHERE vehicle_key = ?1 AND id = ?2");
+    const absl::StatusOr<bool> found =
+        taken.Bind(1, key).BindText(2, closure.id).Step();
+    if (!found.ok()) return found.status();
+    if (*found) {
+      return Error(StatusCode::kAlreadyExists, "LOOP_CLOSURE_EXISTS",
+                   "loop closure '" + closure.id + "' exists already");
+    }
+  }
+  return database
+      .Prepare(
+          "INSERT INTO loop_closures (vehicle_key, id, format, query_sequence, "
+          "matched_sequence, create_time_ns, checksum) "
+          "VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)")
+      .Bind(1, key)
+      .BindText(2, closure.id)
+      .Bind(3, kStoreFormat)
+      .Bind(4, Signed(closure.query_sequence))
+      .Bind(5, Signed(closure.matched_sequence))
+      .Bind(6, closure.create_time_ns)
+      .Bind(7, ChecksumOfLoopClosure(kStoreFormat, key, closure))
+      .Run();
+}
+
+absl::Status RemoveLoopClosure(SqliteDatabase& database, VehicleKey key,
+                               const std::string& id, std::uint64_t revision) {
+  absl::Status status = ChangeVehicle(database, key, std::nullopt, revision);
+  if (!status.ok()) return status;
+  status = database
+               .Prepare(
+                   "DELETE FROM loop_closures WHERE vehicle_key = ?1 AND id = "
+                   "?2")
+               .Bind(1, key)
+               .BindText(2, id)
+               .Run();
+  if (!status.ok()) return status;
+  if (database.Changes() == 0) {
+    return Error(StatusCode::kNotFound, "LOOP_CLOSURE_NOT_FOUND",
+                 "no such loop closure: '" + id + "'");
+  }
+  return absl::OkStatus();
+}
+
+// Removes some rows of deleted vehicles; answers whether more may be left.
+absl::StatusOr<bool> PurgeSome(SqliteDatabase& database) {
+  VehicleKey key = 0;
+  {
+    SqliteStatement row =
+        database.Prepare("SELECT key FROM deleted_vehicles LIMIT 1");
+    const absl::StatusOr<bool> found = row.Step();
+    if (!found.ok()) return found.status();
+    if (!*found) return false;
+    key = row.Integer(0);
+  }
+  int removed = 0;
+  for (const char* sql :
+       {"DELETE FROM batches WHERE rowid IN (SELECT rowid FROM batches WHERE "
+        "vehicle_key = ?1 LIMIT ?2)",
+        "DELETE FROM revised_batches WHERE rowid IN (SELECT rowid FROM "
+        "revised_batches WHERE vehicle_key = ?1 LIMIT ?2)"}) {
+    const absl::Status status =
+        database.Prepare(sql).Bind(1, key).Bind(2, kPurgedBatches).Run();
+    if (!status.ok()) return status;
+    removed += database.Changes();
+  }
+  if (removed == 0) {
+    const absl::Status status =
+        database.Prepare("DELETE FROM deleted_vehicles WHERE key = ?1")
+            .Bind(1, key)
+            .Run();
+    if (!status.ok()) return status;
+  }
+  return true;
+}
+
+// Sets up a new file, or checks one that is there.
+absl::Status CheckFormat(SqliteDatabase& database, const std::string& path) {
+  const absl::StatusOr<std::int64_t> application =
+      database.QueryInteger("PRAGMA application_id");
+  if (!application.ok()) return application.status();
+  const absl::StatusOr<std::int64_t> format =
+      database.QueryInteger("PRAGMA user_version");
+  if (!format.ok()) return format.status();
+  const absl::StatusOr<std::int64_t> tables =
+      database.QueryInteger("SELECT count(*) FROM sqlite_schema");
+  if (!tables.ok()) return tables.status();
+  if (*application == 0 && *format == 0 && *tables == 0) {
+    const std::string sql =
+        "BEGIN IMMEDIATE;" + std::string(kSchema) +
+        "PRAGMA application_id = " + std::to_string(kApplicationId) +
+        "; PRAGMA user_version = " + std::to_string(kStoreFormat) + "; COMMIT";
+    return database.Execute(sql.c_str());
+  }
+  if (*application != kApplicationId) {
+    return absl::FailedPreconditionError(path +
+                                         " is an SQLite file of another "
+                                         "program, not a store of revisit");
+  }
+  if (*format != kStoreFormat) {
+    return absl::FailedPreconditionError(
+        "the store " + path + " has format " + std::to_string(*format) +
+        ", this server reads format " + std::to_string(kStoreFormat) +
+        (*format > kStoreFormat ? ": use a newer server" : ""));
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenWriter(
+    const std::string& path, const std::string& vfs) {
+  absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
+      SqliteDatabase::Open(path, SqliteDatabase::Mode::kReadWrite, vfs);
+  if (!database.ok()) return database;
+  // Before anything is changed in a file that may not be ours.
+  const absl::StatusOr<std::int64_t> readable =
+      (*database)->QueryInteger("PRAGMA schema_version");
+  if (!readable.ok()) {
+    if (IsCorruption(readable.status())) {
+      return absl::FailedPreconditionError(
+          path + " is not a store of revisit: " +
+          std::string(readable.status().message()));
+    }
+    return readable.status();
+  }
+  absl::Status status = CheckFormat(**database, path);
+  if (!status.ok()) return status;
+  {
+    SqliteStatement wal = (*database)->Prepare("PRAGMA journal_mode = WAL");
+    const absl::StatusOr<bool> row = wal.Step();
+    if (!row.ok()) return row.status();
+    if (!*row || wal.Bytes(0) != "wal") {
+      return absl::FailedPreconditionError(
+          "the file system of " + path +
+          " does not support SQLite's write-ahead log");
+    }
+  }
+  status = (*database)->Execute(
+      "PRAGMA synchronous = FULL;"
+      "PRAGMA cell_size_check = ON;"
+      "PRAGMA trusted_schema = OFF;"
+      "PRAGMA temp_store = MEMORY;"
+      "PRAGMA journal_size_limit = 67108864");
+  if (!status.ok()) return status;
+  // What the log holds may never have been flushed: the server before may have
+  // been killed, or its device have failed, just then. From here on it counts
+  // as durable, so it is made durable.
+  SqliteStatement checkpoint =
+      (*database)->Prepare("PRAGMA wal_checkpoint(TRUNCATE)");
+  const absl::StatusOr<bool> row = checkpoint.Step();
+  if (!row.ok()) return row.status();
+  if (!*row || checkpoint.Integer(0) != 0) {
+    return absl::UnavailableError(
+        "store: other readers keep the log from being copied");
+  }
+  return database;
+}
+
+class SqliteStorage : public Storage {
+ public:
+  SqliteStorage(std::string path, const SqliteOptions& options,
+                std::unique_ptr<StoreLock> lock,
+                std::unique_ptr<SqliteDatabase> writer,
+                std::unique_ptr<SqliteDatabase> anchor)
+      : path_(std::move(path)),
+        options_(options),
+        lock_(std::move(lock)),
+        writer_(std::move(writer)),
+        anchor_(std::move(anchor)),
+        thread_([this] { Write(); }) {}
+
+  ~SqliteStorage() override {
+    {
+      const std::lock_guard<std::mutex> guard(mutex_);
+      stopping_ = true;
+    }
+    wake_.notify_one();
+    thread_.join();
+  }
+
+  void CreateVehicle(
+      VehicleRecord record,
+      std::function<void(absl::StatusOr<VehicleKey>)> done) override {
+    const std::size_t bytes = record.payload.size();
+    auto key = std::make_shared<VehicleKey>(0);
+    Submit(
+        bytes,
+        [record = std::move(record), key](SqliteDatabase& database) {
+          const absl::StatusOr<VehicleKey> inserted =
+              InsertVehicle(database, record);
+          if (inserted.ok()) *key = *inserted;
+          return inserted.status();
+        },
+        [key, done = std::move(done)](absl::Status status) {
+          if (!status.ok()) {
+            done(std::move(status));
+          } else {
+            done(*key);
+          }
+        });
+  }
+
+  void UpdateVehicle(VehicleKey key, std::string payload,
+                     std::uint64_t revision, Done done) override {
+    const std::size_t bytes = payload.size();
+    Submit(
+        bytes,
+        [key, payload = std::move(payload),
+         revision](SqliteDatabase& database) {
+          return ChangeVehicle(database, key, payload, revision);
+        },
+        std::move(done));
+  }
+
+  void DeleteVehicle(VehicleKey key, Done done) override {
+    Submit(
+        0,
+        [this, key](SqliteDatabase& database) {
+          const absl::Status status = RemoveVehicle(database, key);
+          if (status.ok()) purge_ = true;
+          return status;
+        },
+        std::move(done));
+  }
+
+  void AppendBatch(VehicleKey key, BatchRecord batch,
+                   std::optional<std::string> vehicle_payload,
+                   Done done) override {
+    const std::size_t bytes = batch.payload.size();
+    Submit(
+        bytes,
+        [key, batch = std::move(batch),
+         payload = std::move(vehicle_payload)](SqliteDatabase& database) {
+          return InsertBatch(database, key, batch, payload);
+        },
+        std::move(done));
+  }
+
+  void ReviseBatches(VehicleKey key, std::vector<BatchRecord> batches,
+                     std::uint64_t revision, Done done) override {
+    std::size_t bytes = 0;
+    for (const BatchRecord& batch : batches) bytes += batch.payload.size();
+    Submit(
+        bytes,
+        [key, batches = std::move(batches),
+         revision](SqliteDatabase& database) {
+          return ReviseBatchRows(database, key, batches, revision);
+        },
+        std::move(done));
+  }
+
+  void AddLoopClosure(VehicleKey key, LoopClosureRecord closure,
+                      std::uint64_t revision, Done done) override {
+    Submit(
+        0,
+        [key, closure = std::move(closure),
+         revision](SqliteDatabase& database) {
+          return InsertLoopClosure(database, key, closure, revision);
+        },
+        std::move(done));
+  }
+
+  void DeleteLoopClosure(VehicleKey key, std::string id, std::uint64_t revision,
+                         Done done) override {
+    Submit(
+        0,
+        [key, id = std::move(id), revision](SqliteDatabase& database) {
+          return RemoveLoopClosure(database, key, id, revision);
+        },
+        std::move(done));
+  }
+
+  absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override {
+    VehicleRecord record;
+    const absl::Status status = Read([&](SqliteDatabase& database) {
+      SqliteStatement row = database.Prepare(
+          "SELECT key, id, format, revision, checksum, payload FROM vehicles "
+          "WHERE id = ?1");
+      const absl::StatusOr<bool> found = row.BindText(1, id).Step();
+      if (!found.ok()) return found.status();
+      if (!*found) return UnknownVehicle("'" + id + "'");
+      absl::StatusOr<VehicleRecord> read = ReadVehicleRow(row);
+      if (!read.ok()) return read.status();
+      record = *std::move(read);
+      return CompleteVehicle(database, &record);
+    });
+    if (!status.ok()) return status;
+    return record;
+  }
+
+  absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
+      const std::string& after_id, int limit) override {
+    std::vector<VehicleRecord> records;
+    const absl::Status status = Read([&](SqliteDatabase& database) {
+      SqliteStatement row = database.Prepare(
+          "SELECT key, id, format, revision, checksum, payload FROM vehicles "
+          "WHERE id > ?1 ORDER BY id LIMIT ?2");
+      row.BindText(1, after_id).Bind(2, std::max(limit, 0));
+      while (true) {
+        const absl::StatusOr<bool> found = row.Step();
+        if (!found.ok()) return found.status();
+        if (!*found) return absl::OkStatus();
+        absl::StatusOr<VehicleRecord> record = ReadVehicleRow(row);
+        if (!record.ok()) return record.status();
+        const absl::Status completed = CompleteVehicle(database, &*record);
+        if (!completed.ok()) return completed;
+        records.push_back(*std::move(record));
+      }
+    });
+    if (!status.ok()) return status;
+    return records;
+  }
+
+  absl::Status ReadBatches(
+      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+      BatchVersion version,
+      const std::function<bool(BatchRecord)>& visit) override {
+    return Read([&](SqliteDatabase& database) {
+      return VisitBatches(database, key, first_sequence, last_sequence, version,
+                          visit);
+    });
+  }
+
+  absl::StatusOr<std::vector<LoopClosureRecord>> ListLoopClosures(
+      VehicleKey key, const std::string& after_id, int limit) override {
+    std::vector<LoopClosureRecord> closures;
+    const absl::Status status = Read([&](SqliteDatabase& database) {
+      const absl::StatusOr<std::string> vehicle_id = VehicleId(database, key);
+      if (!vehicle_id.ok()) return vehicle_id.status();
+      SqliteStatement row = database.Prepare(
+          "SELECT id, format, query_sequence, matched_sequence, "
+          "create_time_ns, checksum FROM loop_closures WHERE vehicle_key = ?1 "
+          "AND id > ?2 ORDER BY id LIMIT ?3");
+      row.Bind(1, key).BindText(2, after_id).Bind(3, std::max(limit, 0));
+      while (true) {
+        const absl::StatusOr<bool> found = row.Step();
+        if (!found.ok()) return found.status();
+        if (!*found) return absl::OkStatus();
+        LoopClosureRecord closure;
+        closure.id = row.Bytes(0);
+        const std::int64_t format = row.Integer(1);
+        closure.query_sequence = Unsigned(row.Integer(2));
+        closure.matched_sequence = Unsigned(row.Integer(3));
+        closure.create_time_ns = row.Integer(4);
+        const absl::Status checked = CheckRow(
+            format, row.Integer(5), ChecksumOfLoopClosure(format, key, closure),
+            "stored loop closure '" + closure.id + "' of vehicle '" +
+                *vehicle_id + "'",
+            {{"vehicle", *vehicle_id}, {"loop_closure", closure.id}});
+        if (!checked.ok()) return checked;
+        closures.push_back(std::move(closure));
+      }
+    });
+    if (!status.ok()) return status;
+    return closures;
+  }
+
+ private:
+  struct PendingWrite {
+    std::size_t bytes;
+    std::function<absl::Status(SqliteDatabase&)> apply;
+    Done done;
+  };
+
+  static absl::Status VisitBatches(
+      SqliteDatabase& database, VehicleKey key, std::uint64_t first_sequence,
+      std::uint64_t last_sequence, BatchVersion version,
+      const std::function<bool(BatchRecord)>& visit) {
+    const absl::StatusOr<std::string> vehicle_id = VehicleId(database, key);
+    if (!vehicle_id.ok()) return vehicle_id.status();
+    if (first_sequence > last_sequence) return absl::OkStatus();
+    SqliteStatement row =
+        version == BatchVersion::kAsSent
+            ? database.Prepare(
+                  "SELECT first_sequence, count, format, revision, checksum, "
+                  "payload FROM batches WHERE vehicle_key = ?1 AND "
+                  "first_sequence >= (SELECT max(first_sequence) FROM batches "
+                  "WHERE vehicle_key = ?1 AND first_sequence <= ?2) AND "
+                  "first_sequence <= ?3 ORDER BY first_sequence")
+            : database.Prepare(
+                  "SELECT b.first_sequence, b.count, b.format, b.revision, "
+                  "b.checksum, b.payload, r.count, r.format, r.revision, "
+                  "r.checksum, r.payload FROM batches AS b LEFT JOIN "
+                  "revised_batches AS r ON r.vehicle_key = b.vehicle_key AND "
+                  "r.first_sequence = b.first_sequence WHERE b.vehicle_key = "
+                  "?1 AND b.first_sequence >= (SELECT max(first_sequence) FROM "
+                  "batches WHERE vehicle_key = ?1 AND first_sequence <= ?2) "
+                  "AND b.first_sequence <= ?3 ORDER BY b.first_sequence");
+    row.Bind(1, key).Bind(2, Signed(first_sequence));
+    row.Bind(3, Signed(last_sequence));
+    std::uint64_t expected = first_sequence;
+    while (expected <= last_sequence) {
+      const absl::StatusOr<bool> found = row.Step();
+      if (!found.ok()) return found.status();
+      const bool revised =
+          *found && version == BatchVersion::kCurrent && !row.IsNull(6);
+      absl::StatusOr<BatchRecord> batch = BatchRecord();
+      if (*found) {
+        batch = revised ? ReadBatchRow(row, 7, row.Integer(0), row.Integer(6),
+                                       key, *vehicle_id, BatchVersion::kCurrent)
+                        : ReadBatchRow(row, 2, row.Integer(0), row.Integer(1),
+                                       key, *vehicle_id, BatchVersion::kAsSent);
+        if (!batch.ok()) return batch.status();
+      }
+      // The first may begin before the range, all others follow each other.
+      const bool fits =
+          *found &&
+          (expected == first_sequence ? batch->first_sequence <= expected
+                                      : batch->first_sequence == expected) &&
+          batch->first_sequence + batch->count > expected;
+      if (!fits) {
+        return Corrupt(
+            "vehicle '" + *vehicle_id + "': sequence " +
+                std::to_string(expected) + " is not in the store",
+            {{"vehicle", *vehicle_id}, {"sequence", std::to_string(expected)}});
+      }
+      expected = batch->first_sequence + batch->count;
+      if (!visit(*std::move(batch))) break;
+    }
+    return absl::OkStatus();
+  }
+
+  void Submit(std::size_t bytes,
+              std::function<absl::Status(SqliteDatabase&)> apply, Done done) {
+    {
+      const std::lock_guard<std::mutex> guard(mutex_);
+      queue_.push_back({bytes, std::move(apply), std::move(done)});
+    }
+    wake_.notify_one();
+  }
+
+  // The writer's thread.
+  void Write() {
+    std::unique_lock<std::mutex> lock(mutex_);
+    while (true) {
+      // A rest of deleted rows is removed when there is nothing better to do,
+      // and left for the next start if the server stops.
+      wake_.wait(lock,
+                 [this] { return stopping_ || purge_ || !queue_.empty(); });
+      if (queue_.empty() && stopping_) break;
+      std::vector<PendingWrite> group;
+      std::size_t bytes = 0;
+      while (!queue_.empty() && group.size() < options_.max_group_writes &&
+             (group.empty() ||
+              bytes + queue_.front().bytes <= options_.max_group_bytes)) {
+        bytes += queue_.front().bytes;
+        group.push_back(std::move(queue_.front()));
+        queue_.pop_front();
+      }
+      lock.unlock();
+      const std::vector<absl::Status> results = Commit(group);
+      for (std::size_t i = 0; i < group.size(); ++i) group[i].done(results[i]);
+      // What the callbacks hold goes before others are taken on.
+      group.clear();
+      lock.lock();
+    }
+    // Rids the log of a transaction that failed last.
+    EnsureWriter().IgnoreError();
+  }
+
+  // Writes a group in one transaction.
+  std::vector<absl::Status> Commit(const std::vector<PendingWrite>& group) {
+    std::vector<absl::Status> results;
+    absl::Status status = EnsureWriter();
+    if (status.ok()) status = writer_->Prepare("BEGIN IMMEDIATE").Run();
+    const bool begun = status.ok();
+    for (const PendingWrite& write : group) {
+      if (!status.ok()) break;
+      absl::Status result;
+      status = Apply(write, &result);
+      results.push_back(std::move(result));
+    }
+    if (status.ok() && purge_) {
+      const absl::StatusOr<bool> more = PurgeSome(*writer_);
+      status = more.status();
+      purge_ = more.ok() && *more;
+    }
+    if (status.ok()) status = writer_->Prepare("COMMIT").Run();
+    if (status.ok()) return results;
+
+    // Whatever is left is in doubt; see the header. Where not even BEGIN
+    // succeeded, nothing was touched.
+    if (begun) writer_.reset();
+    // Else a full disk would be asked again and again. Taken up after the next
+    // delete or start.
+    purge_ = false;
+    const absl::Status failure =
+        Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+              "nothing was written: " + std::string(status.message()));
+    return std::vector<absl::Status>(group.size(), failure);
+  }
+
+  // Runs one write so that, refused, it leaves nothing behind. Answers not OK
+  // if the transaction cannot go on.
+  absl::Status Apply(const PendingWrite& write, absl::Status* result) {
+    absl::Status status = writer_->Prepare("SAVEPOINT one").Run();
+    if (!status.ok()) return status;
+    *result = write.apply(*writer_);
+    if (result->code() == StatusCode::kUnavailable) return *result;
+    // SQLite gives up the whole transaction after some errors.
+    if (!writer_->InTransaction()) return *result;
+    if (!result->ok()) {
+      status = writer_->Prepare("ROLLBACK TO one").Run();
+      if (!status.ok()) return status;
+    }
+    return writer_->Prepare("RELEASE one").Run();
+  }
+
+  absl::Status EnsureWriter() {
+    if (writer_ != nullptr) return absl::OkStatus();
+    absl::StatusOr<std::unique_ptr<SqliteDatabase>> opened =
+        OpenWriter(path_, options_.vfs);
+    if (!opened.ok()) return opened.status();
+    writer_ = *std::move(opened);
+    return absl::OkStatus();
+  }
+
+  // Runs `read` on a connection of its own, all of it at one moment.
+  template <typename Function>
+  absl::Status Read(const Function& read) {
+    std::unique_ptr<SqliteDatabase> reader;
+    {
+      const std::lock_guard<std::mutex> guard(readers_mutex_);
+      if (!idle_readers_.empty()) {
+        reader = std::move(idle_readers_.back());
+        idle_readers_.pop_back();
+      }
+    }
+    if (reader == nullptr) {
+      absl::StatusOr<std::unique_ptr<SqliteDatabase>> opened =
+          SqliteDatabase::Open(path_, SqliteDatabase::Mode::kReadOnly,
+                               options_.vfs);
+      if (!opened.ok()) return opened.status();
+      reader = *std::move(opened);
+    }
+    absl::Status status = reader->Prepare("BEGIN").Run();
+    if (status.ok()) {
+      status = read(*reader);
+      // Nothing to commit, but the moment must end.
+      const absl::Status ended = reader->Prepare("COMMIT").Run();
+      if (status.ok()) status = ended;
+    }
+    const bool usable = !reader->InTransaction();
+    const std::lock_guard<std::mutex> guard(readers_mutex_);
+    if (usable && idle_readers_.size() < kIdleReaders) {
+      idle_readers_.push_back(std::move(reader));
+    }
+    return status;
+  }
+
+  const std::string path_;
+  const SqliteOptions options_;
+  const std::unique_ptr<StoreLock> lock_;
+
+  // The writer's thread only, once it runs. Nothing after a failure.
+  std::unique_ptr<SqliteDatabase> writer_;
+  bool purge_ = true;
+
+  // Keeps the log's index in shared memory while the writer is opened anew: it
+  // would otherwise be made from the log, failed transactions included.
+  const std::unique_ptr<SqliteDatabase> anchor_;
+
+  std::mutex mutex_;
+  std::condition_variable wake_;
+  std::deque<PendingWrite> queue_;
+  bool stopping_ = false;
+
+  std::mutex readers_mutex_;
+  std::vector<std::unique_ptr<SqliteDatabase>> idle_readers_;
+
+  std::thread thread_;
+};
+
+}  // namespace
+
+absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
+    const std::string& path, const SqliteOptions& options) {
+  // Two names of one file must find the same lock.
+  std::error_code error;
+  std::filesystem::path canonical =
+      std::filesystem::weakly_canonical(std::filesystem::path(path), error);
+  const std::string store = error ? path : canonical.string();
+  absl::StatusOr<std::unique_ptr<StoreLock>> lock = StoreLock::Acquire(store);
+  if (!lock.ok()) return lock.status();
+  absl::StatusOr<std::unique_ptr<SqliteDatabase>> writer =
+      OpenWriter(store, options.vfs);
+  if (!writer.ok()) return writer.status();
+  absl::StatusOr<std::unique_ptr<SqliteDatabase>> anchor =
+      SqliteDatabase::Open(store, SqliteDatabase::Mode::kReadOnly, options.vfs);
+  if (!anchor.ok()) return anchor.status();
+  // Only a connection that has read holds the log.
+  const absl::StatusOr<std::int64_t> read =
+      (*anchor)->QueryInteger("SELECT count(*) FROM sqlite_schema");
+  if (!read.ok()) return read.status();
+  return std::unique_ptr<Storage>(
+      new SqliteStorage(store, options, *std::move(lock), *std::move(writer),
+                        *std::move(anchor)));
+}
+
+}  // namespace revisit::server

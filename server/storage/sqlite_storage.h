@@ -1,0 +1,52 @@
+// Storage in one SQLite file, for one server on one machine.
+//
+// The file is in WAL mode with synchronous=FULL: a commit returns after the log
+// was flushed to the device. One thread writes: it takes all writes that wait,
+// commits them as one transaction, and then answers each. A write that is
+// refused (a gap, an id that is taken) is rolled back alone; a transaction that
+// fails is rolled back whole, and all its writes fail. Reads have connections
+// of their own and never wait for the writer.
+//
+// After a failed transaction the connection is closed, and no write is taken on
+// until it has been opened anew and the whole log has been copied into the
+// database file and flushed there. So an acknowledgement never rests on pages
+// that a failed flush has left in doubt.
+//
+// Tables (see kSchema in the .cc; the file's user_version is kStoreFormat):
+//   vehicles          a row a vehicle; keys are never used again
+//   batches           a row a batch, as sent; never rewritten
+//   revised_batches   a row a batch whose poses were revised: its current
+//   version loop_closures     a row a loop closure deleted_vehicles  keys whose
+//   batches are still to be removed, a few at a time
+// Every row has a format version and a checksum (record_checksum.h), checked
+// whenever it is read.
+#ifndef REVISIT_SERVER_STORAGE_SQLITE_STORAGE_H_
+#define REVISIT_SERVER_STORAGE_SQLITE_STORAGE_H_
+
+#include <cstddef>
+#include <memory>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+struct SqliteOptions {
+  // Bounds of one transaction. One write may exceed the bytes.
+  std::size_t max_group_writes = 1024;
+  std::size_t max_group_bytes = std::size_t{8} << 20;
+  // Name of SQLite's layer to the operating system; empty for the usual one.
+  // Tests put one here whose device fails.
+  std::string vfs;
+};
+
+// Opens the store, or creates it in a directory that is there.
+// FAILED_PRECONDITION if another server has it open, or if the file is not a
+// store, or one of a newer format; the message tells which.
+absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
+    const std::string& path, const SqliteOptions& options = {});
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_STORAGE_SQLITE_STORAGE_H_

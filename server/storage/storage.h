@@ -1,0 +1,125 @@
+// What the server keeps, and the promise that it is kept.
+//
+// Writes are asynchronous. One writer commits them in the order in which they
+// were submitted, many at a time (group commit over all vehicles), and calls
+// `done` after the commit has returned: OK means durable. Reads block and see
+// every write whose `done` has been called.
+//
+// Payloads are bytes the storage does not look into; it guards each with a
+// format version and a checksum, and answers DATA_LOSS for one that fails.
+//
+// Every error carries a reason (server/status.h). Besides those named at each
+// call: UNAVAILABLE (STORE_UNAVAILABLE) where the device or the file system
+// fails, DATA_LOSS (STORE_CORRUPT) for damage, NOT_FOUND (VEHICLE_NOT_FOUND)
+// for the key of a vehicle that is not there. A write that was answered with
+// UNAVAILABLE is not visible, but a crash right after may bring it back; a
+// later write is never acknowledged on top of one whose fate is unknown.
+//
+// Thread-safe.
+#ifndef REVISIT_SERVER_STORAGE_STORAGE_H_
+#define REVISIT_SERVER_STORAGE_STORAGE_H_
+
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+
+namespace revisit::server {
+
+// Version of the tables and of what is in them.
+inline constexpr int kStoreFormat = 1;
+
+// Key of a vehicle's rows; never used again after the vehicle is deleted.
+using VehicleKey = std::int64_t;
+
+struct VehicleRecord {
+  VehicleKey key = 0;  // Given by the storage.
+  std::string id;
+  std::string payload;
+  // Highest revision of any change to the vehicle.
+  std::uint64_t revision = 0;
+  // Highest sequence stored; 0 if none.
+  std::uint64_t durable_sequence = 0;
+  std::int64_t loop_closure_count = 0;
+};
+
+struct BatchRecord {
+  std::uint64_t first_sequence = 0;
+  std::uint32_t count = 0;
+  std::uint64_t revision = 0;
+  std::string payload;
+};
+
+struct LoopClosureRecord {
+  std::string id;
+  std::uint64_t query_sequence = 0;
+  std::uint64_t matched_sequence = 0;
+  std::int64_t create_time_ns = 0;  // Since the Unix epoch.
+};
+
+// A batch keeps what was first sent, even where its poses were revised.
+enum class BatchVersion { kAsSent, kCurrent };
+
+class Storage {
+ public:
+  // Called once, on the writer's thread: return soon, and do not block on the
+  // storage.
+  using Done = std::function<void(absl::Status)>;
+
+  // Commits what was submitted, then stops.
+  virtual ~Storage() = default;
+
+  // ALREADY_EXISTS (VEHICLE_EXISTS) if the id is taken. Of the record only id,
+  // payload and revision are read.
+  virtual void CreateVehicle(
+      VehicleRecord record,
+      std::function<void(absl::StatusOr<VehicleKey>)> done) = 0;
+  // Replaces the payload; the vehicle's revision becomes this one, if greater.
+  // So it is wherever a revision is given.
+  virtual void UpdateVehicle(VehicleKey key, std::string payload,
+                             std::uint64_t revision, Done done) = 0;
+  // Removes the vehicle and all that belongs to it.
+  virtual void DeleteVehicle(VehicleKey key, Done done) = 0;
+  // FAILED_PRECONDITION (SEQUENCE_GAP) unless the batch follows the last one
+  // without a gap: what is stored is always a prefix. `vehicle_payload`, if
+  // given, replaces the vehicle's in the same step. REQUIRES: a count of at
+  // least 1, sequences below 2^63.
+  virtual void AppendBatch(VehicleKey key, BatchRecord batch,
+                           std::optional<std::string> vehicle_payload,
+                           Done done) = 0;
+  // Sets the current version of stored batches, all in one step; the records'
+  // own revisions are ignored. FAILED_PRECONDITION if one is not stored with
+  // this first sequence and count.
+  virtual void ReviseBatches(VehicleKey key, std::vector<BatchRecord> batches,
+                             std::uint64_t revision, Done done) = 0;
+  // ALREADY_EXISTS (LOOP_CLOSURE_EXISTS) if the id is taken.
+  virtual void AddLoopClosure(VehicleKey key, LoopClosureRecord closure,
+                              std::uint64_t revision, Done done) = 0;
+  // NOT_FOUND (LOOP_CLOSURE_NOT_FOUND) if there is none.
+  virtual void DeleteLoopClosure(VehicleKey key, std::string id,
+                                 std::uint64_t revision, Done done) = 0;
+
+  // NOT_FOUND (VEHICLE_NOT_FOUND) if there is none.
+  virtual absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) = 0;
+  // Ordered by id, after `after_id`.
+  virtual absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
+      const std::string& after_id, int limit) = 0;
+  // The batches that hold poses of [first_sequence, last_sequence], in order,
+  // until `visit` says false. DATA_LOSS if one is missing or damaged, which is
+  // what a range beyond the durable sequence looks like: ask for no more. All
+  // of one moment, even where `visit` takes long; it may read from the storage.
+  virtual absl::Status ReadBatches(
+      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+      BatchVersion version, const std::function<bool(BatchRecord)>& visit) = 0;
+  // Ordered by id, after `after_id`.
+  virtual absl::StatusOr<std::vector<LoopClosureRecord>> ListLoopClosures(
+      VehicleKey key, const std::string& after_id, int limit) = 0;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_STORAGE_STORAGE_H_

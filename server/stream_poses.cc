@@ -1,0 +1,399 @@
+#include "server/stream_poses.h"
+
+#include <chrono>
+#include <deque>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <utility>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "google/protobuf/arena.h"
+#include "server/call.h"
+#include "server/drain.h"
+#include "server/field_violations.h"
+#include "server/proto_conversion.h"
+#include "server/sessions/fleet.h"
+#include "server/sessions/vehicle_session.h"
+#include "server/status.h"
+
+namespace revisit::server {
+namespace {
+
+using Request = v1::StreamPosesRequest;
+using Response = v1::StreamPosesResponse;
+
+// Room for the usual batch without asking the allocator; pages that are never
+// touched cost nothing.
+constexpr std::size_t kRequestBlockBytes = std::size_t{128} << 10;
+
+// A client that takes poses' worth of checks but does not read their answers is
+// cut off here: those, unlike acknowledgements, are not bounded by what was
+// read.
+constexpr std::size_t kMaxUnsent = 4096;
+
+// Messages go: read, staged (decoded and taken on by the session), durable (its
+// acknowledgement is queued), checked (its candidates are queued), written.
+//
+// Flow control: the next message is read once the last is staged, for they
+// share one request object, and as long as the batches that are not durable and
+// the responses that are not written come to less than max_batches_in_flight.
+// So the transport's own flow control reaches the client.
+//
+// Ending: whatever ends the stream (half-close, failure, drain), batches that
+// were taken on run to their end and their answers are written first. Only a
+// stream whose caller is gone skips that.
+//
+// Lifetime: gRPC may destroy its side as soon as OnDone() has run, and sessions
+// call back from their own threads at any time. So the stream is held by a
+// shared_ptr: `self_`, dropped in OnDone(), and one in every callback given to
+// a session. After OnDone() `finished_` is set, and a late callback touches
+// only the stream's own members.
+//
+// gRPC's reactions never run inside the call that starts their operation (they
+// are scheduled), so operations are started under the mutex, which makes
+// "nothing is started after Finish()" easy to see.
+class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
+                         public std::enable_shared_from_this<PoseStream> {
+ public:
+  PoseStream(grpc::CallbackServerContext* call, const ServiceContext& context)
+      : grpc_context_(call),
+        context_(context),
+        call_(call, "StreamPoses", context.log),
+        request_block_(new char[kRequestBlockBytes]),
+        arena_(request_block_.get(), kRequestBlockBytes),
+        request_(google::protobuf::Arena::CreateMessage<Request>(&arena_)) {}
+
+  void Start() {
+    self_ = shared_from_this();
+    drain_watch_ = context_.drain->Watch([weak = weak_from_this()] {
+      if (const auto stream = weak.lock()) stream->WindDown();
+    });
+    const std::lock_guard<std::mutex> lock(mutex_);
+    Advance();
+  }
+
+  void OnReadDone(bool ok) override {
+    bool first;
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      reading_ = false;
+      if (!ok) {
+        if (grpc_context_->IsCancelled()) call_.MarkGivenUp();
+        half_closed_ = true;
+        if (session_ == nullptr && !failure_) {
+          failure_ = OutOfOrder(
+              "the stream ended before its first message, "
+              "which is `open`");
+        }
+      }
+      if (Ending()) {
+        Advance();
+        return;
+      }
+      handling_ = true;
+      first = session_ == nullptr;
+    }
+    if (first) {
+      Open();
+    } else {
+      Append();
+    }
+  }
+
+  void OnWriteDone(bool ok) override {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    writing_ = false;
+    if (!ok) call_.MarkGivenUp();
+    Advance();
+  }
+
+  void OnCancel() override {
+    call_.MarkGivenUp();
+    const std::lock_guard<std::mutex> lock(mutex_);
+    Advance();
+  }
+
+  void OnDone() override {
+    context_.drain->Unwatch(drain_watch_);
+    // May destroy this.
+    const std::shared_ptr<PoseStream> self = std::move(self_);
+  }
+
+ private:
+  // Held by the callbacks of one append: when the session has dropped them all,
+  // nothing more comes of it. How many checks a batch makes fall due is known
+  // to nobody before.
+  struct AppendScope {
+    explicit AppendScope(std::shared_ptr<PoseStream> owner)
+        : stream(std::move(owner)) {}
+    ~AppendScope() { stream->OnAppendOver(); }
+
+    const std::shared_ptr<PoseStream> stream;
+    // When the strand got to the work it is doing now; used there only.
+    std::chrono::steady_clock::time_point work_start;
+  };
+
+  static absl::Status OutOfOrder(const std::string& message) {
+    return Error(absl::StatusCode::kInvalidArgument, "STREAM_PROTOCOL",
+                 message);
+  }
+
+  void Open() {
+    if (!request_->has_open()) {
+      Fail(OutOfOrder("the first message of a stream is `open`"));
+      return;
+    }
+    const v1::StreamPosesOpen& open = request_->open();
+    const FieldPath path = FieldPath().Field("open");
+    const absl::StatusOr<std::string> id =
+        ParseVehicleName(open.vehicle(), path.Field("vehicle"));
+    if (!id.ok()) {
+      Fail(id.status());
+      return;
+    }
+    send_candidates_ = open.send_candidates();
+    candidate_options_ = open.candidate_options();
+    const std::shared_ptr<VehicleSession> session =
+        context_.fleet->Session(*id);
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      call_.set_vehicle(*id);
+      session_ = session;
+    }
+    session->CheckAcknowledged(
+        open.acked_sequence(),
+        [self = shared_from_this()](const absl::StatusOr<VehicleView>& view) {
+          self->OnChecked(view);
+        });
+  }
+
+  absl::StatusOr<core::SearchOptions> SearchOptions(
+      const VehicleConfig& config) const {
+    const FieldPath open = FieldPath().Field("open");
+    return DecodeCandidateOptions(candidate_options_, config,
+                                  open.Field("candidate_options"));
+  }
+
+  void OnChecked(const absl::StatusOr<VehicleView>& view) {
+    if (!view.ok()) {
+      Fail(view.status());
+      return;
+    }
+    if (absl::Status status = SearchOptions(view->config).status();
+        !status.ok()) {
+      Fail(status);
+      return;
+    }
+    Response response;
+    v1::StreamPosesOpened* opened = response.mutable_opened();
+    opened->set_durable_sequence(view->durable_sequence);
+    opened->set_revision(view->revision);
+    opened->set_max_batch_poses(context_.limits.max_batch_poses);
+    const std::lock_guard<std::mutex> lock(mutex_);
+    handling_ = false;
+    queue_.push_back(std::move(response));
+    Advance();
+  }
+
+  void Append() {
+    if (!request_->has_batch()) {
+      Fail(OutOfOrder(request_->has_open()
+                          ? "`open` came again; it comes once, first"
+                          : "a message after `open` is a `batch`"));
+      return;
+    }
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      ++in_flight_;
+      ++open_appends_;
+    }
+    const auto self = shared_from_this();
+    const auto scope = std::make_shared<AppendScope>(self);
+    AppendRequest append;
+    append.decoder = [self](const VehicleConfig& config) {
+      const FieldPath batch = FieldPath().Field("batch");
+      return DecodeBatch(self->request_->batch().poses(),
+                         self->context_.limits.max_batch_poses, config, batch);
+    };
+    if (send_candidates_) {
+      append.check = [self](const VehicleConfig& config) {
+        return self->SearchOptions(config);
+      };
+    }
+    append.should_stop = [self] { return self->call_.given_up(); };
+    append.callbacks.staged = [self](const absl::Status& status) {
+      self->OnStaged(status);
+    };
+    append.callbacks.durable =
+        [self, scope](const absl::StatusOr<Acknowledgement>& acknowledgement) {
+          self->OnDurable(acknowledgement);
+          scope->work_start = std::chrono::steady_clock::now();
+        };
+    append.callbacks.candidates =
+        [self, scope](const VehicleView& view,
+                      const absl::StatusOr<core::CandidateSet>& set) {
+          self->OnCandidates(
+              view, set, std::chrono::steady_clock::now() - scope->work_start);
+          scope->work_start = std::chrono::steady_clock::now();
+        };
+    session_->Append(std::move(append));
+  }
+
+  void OnStaged(const absl::Status& status) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    handling_ = false;
+    SetFailure(status);
+    Advance();
+  }
+
+  void OnDurable(const absl::StatusOr<Acknowledgement>& acknowledgement) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    --in_flight_;
+    SetFailure(acknowledgement.status());
+    if (acknowledgement.ok()) {
+      EncodeAck(*acknowledgement, queue_.emplace_back().mutable_ack());
+    }
+    Advance();
+  }
+
+  void OnCandidates(const VehicleView& view,
+                    const absl::StatusOr<core::CandidateSet>& set,
+                    std::chrono::nanoseconds duration) {
+    // Searches stop when the caller is gone, and then nobody waits for them.
+    if (call_.given_up()) return;
+    Response response;
+    if (set.ok()) {
+      EncodeCandidateSet(view, *set, candidate_options_.include_aligned_path(),
+                         duration, response.mutable_candidates());
+    }
+    const std::lock_guard<std::mutex> lock(mutex_);
+    SetFailure(set.status());
+    if (set.ok() && queue_.size() >= kMaxUnsent) {
+      SetFailure(Error(absl::StatusCode::kResourceExhausted, "QUEUE_FULL",
+                       "the client does not read its candidates"));
+    } else if (set.ok()) {
+      queue_.push_back(std::move(response));
+    }
+    Advance();
+  }
+
+  void OnAppendOver() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    --open_appends_;
+    Advance();
+  }
+
+  // What is not yet acknowledged and was not taken on is the client's to
+  // resend.
+  void WindDown() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    draining_ = true;
+    Advance();
+  }
+
+  // Ends the message being handled and the stream.
+  void Fail(const absl::Status& status) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    handling_ = false;
+    SetFailure(status);
+    Advance();
+  }
+
+  // The rest: with the mutex held.
+
+  // The first failure counts.
+  void SetFailure(const absl::Status& status) {
+    if (!status.ok() && !failure_) failure_ = status;
+  }
+
+  bool Ending() const {
+    return half_closed_ || failure_ || draining_ || call_.given_up();
+  }
+
+  absl::Status FinalStatus() const {
+    if (call_.given_up()) return call_.GivenUpStatus();
+    if (failure_) return *failure_;
+    return half_closed_ ? absl::OkStatus() : Drain::Refusal();
+  }
+
+  // Starts whatever can be started now.
+  void Advance() {
+    if (finished_) return;
+    if (call_.given_up()) queue_.clear();
+    if (!writing_ && !queue_.empty()) {
+      writing_ = true;
+      response_.Swap(&queue_.front());
+      queue_.pop_front();
+      grpc::WriteOptions options;
+      if (!queue_.empty()) options.set_buffer_hint();
+      StartWrite(&response_, options);
+    }
+    if (Ending()) {
+      const bool answered = queue_.empty() && open_appends_ == 0 && !handling_;
+      if (!writing_ && (answered || call_.given_up())) {
+        finished_ = true;
+        Finish(call_.End(FinalStatus()));
+      }
+      return;
+    }
+    const auto waiting = static_cast<std::size_t>(in_flight_) + queue_.size() +
+                         (writing_ ? 1 : 0);
+    const auto most =
+        static_cast<std::size_t>(context_.limits.max_batches_in_flight);
+    if (!reading_ && !handling_ && waiting < most) {
+      reading_ = true;
+      // Reset() keeps the first block.
+      arena_.Reset();
+      request_ = google::protobuf::Arena::CreateMessage<Request>(&arena_);
+      StartRead(request_);
+    }
+  }
+
+  // Not to be used after OnDone().
+  grpc::CallbackServerContext* const grpc_context_;
+  const ServiceContext context_;
+  Call call_;
+  Drain::WatchId drain_watch_ = -1;
+  std::shared_ptr<PoseStream> self_;
+
+  // Written by Open() only, before the session hears of the stream.
+  bool send_candidates_ = false;
+  v1::CandidateOptions candidate_options_;
+
+  // Belong to gRPC while `reading_`, to the session while `handling_`.
+  const std::unique_ptr<char[]> request_block_;
+  google::protobuf::Arena arena_;
+  Request* request_;
+  // Belongs to gRPC while `writing_`.
+  Response response_;
+
+  std::mutex mutex_;
+  // Guarded by mutex_.
+  std::shared_ptr<VehicleSession> session_;
+  std::deque<Response> queue_;
+  bool reading_ = false;
+  bool handling_ = false;
+  bool writing_ = false;
+  bool half_closed_ = false;
+  bool draining_ = false;
+  bool finished_ = false;
+  std::optional<absl::Status> failure_;
+  // Batches that are not durable.
+  int in_flight_ = 0;
+  // Batches of which something may still come.
+  int open_appends_ = 0;
+};
+
+}  // namespace
+
+grpc::ServerBidiReactor<Request, Response>* StartPoseStream(
+    grpc::CallbackServerContext* call, const ServiceContext& context) {
+  const auto stream = std::make_shared<PoseStream>(call, context);
+  stream->Start();
+  return stream.get();
+}
+
+}  // namespace revisit::server

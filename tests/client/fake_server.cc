@@ -1,0 +1,311 @@
+#include "tests/client/fake_server.h"
+
+#include <algorithm>
+
+#include "google/rpc/error_details.pb.h"
+#include "google/rpc/status.pb.h"
+#include "grpcpp/security/server_credentials.h"
+#include "grpcpp/server_builder.h"
+
+namespace revisit::client {
+
+grpc::Status MakeStatus(grpc::StatusCode code, const std::string& message,
+                        const StatusDetails& details) {
+  google::rpc::Status status;
+  status.set_code(code);
+  status.set_message(message);
+  if (!details.reason.empty()) {
+    google::rpc::ErrorInfo info;
+    info.set_reason(details.reason);
+    info.set_domain("revisit");
+    for (const auto& [key, value] : details.metadata) {
+      (*info.mutable_metadata())[key] = value;
+    }
+    status.add_details()->PackFrom(info);
+  }
+  if (!details.violations.empty()) {
+    google::rpc::BadRequest bad;
+    for (const auto& [field, description] : details.violations) {
+      auto* violation = bad.add_field_violations();
+      violation->set_field(field);
+      violation->set_description(description);
+    }
+    status.add_details()->PackFrom(bad);
+  }
+  if (details.retry_delay.has_value()) {
+    google::rpc::RetryInfo retry;
+    const auto ms = details.retry_delay->count();
+    retry.mutable_retry_delay()->set_seconds(ms / 1000);
+    retry.mutable_retry_delay()->set_nanos(
+        static_cast<std::int32_t>(ms % 1000) * 1'000'000);
+    status.add_details()->PackFrom(retry);
+  }
+  return grpc::Status(code, message, status.SerializeAsString());
+}
+
+FakeServer::FakeServer() { Start(); }
+
+FakeServer::~FakeServer() { Stop(); }
+
+void FakeServer::Start() {
+  grpc::ServerBuilder builder;
+  int port = 0;
+  builder.AddListeningPort(address_.empty() ? "127.0.0.1:0" : address_,
+                           grpc::InsecureServerCredentials(), &port);
+  builder.RegisterService(this);
+  {
+    std::lock_guard<std::mutex> lock(mutex_);
+    stopping_ = false;
+  }
+  server_ = builder.BuildAndStart();
+  if (address_.empty()) address_ = "127.0.0.1:" + std::to_string(port);
+}
+
+void FakeServer::Stop() {
+  if (server_ == nullptr) return;
+  {
+    std::lock_guard<std::mutex> lock(mutex_);
+    stopping_ = true;
+  }
+  changed_.notify_all();
+  server_->Shutdown(std::chrono::system_clock::now());
+  server_->Wait();
+  server_.reset();
+}
+
+void FakeServer::FailOpens(std::function<StreamFault()> faults) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  open_faults_ = std::move(faults);
+}
+
+void FakeServer::FailBatches(std::function<StreamFault()> faults) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  batch_faults_ = std::move(faults);
+}
+
+void FakeServer::FailUnaryCalls(std::vector<grpc::Status> statuses) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  unary_statuses_.assign(statuses.begin(), statuses.end());
+}
+
+void FakeServer::HoldStreams(bool held) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  held_ = held;
+  changed_.notify_all();
+}
+
+void FakeServer::Forget(std::uint64_t durable_sequence) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  stored_.resize(durable_sequence);
+}
+
+void FakeServer::CheckAckedSequence(bool check) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  check_acked_ = check;
+}
+
+void FakeServer::set_check_interval(std::uint64_t poses) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  check_interval_ = poses;
+}
+
+void FakeServer::set_max_batch_poses(int poses) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  max_batch_poses_ = poses;
+}
+
+std::vector<std::string> FakeServer::Stored() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return stored_;
+}
+
+std::uint64_t FakeServer::durable_sequence() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return stored_.size();
+}
+
+std::vector<std::uint64_t> FakeServer::Opens() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return opens_;
+}
+
+std::vector<std::int64_t> FakeServer::FirstSteps() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return first_steps_;
+}
+
+int FakeServer::unary_calls() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return unary_calls_;
+}
+
+int FakeServer::largest_batch() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return largest_batch_;
+}
+
+grpc::Status FakeServer::NextUnaryStatus() {
+  std::lock_guard<std::mutex> lock(mutex_);
+  ++unary_calls_;
+  if (unary_statuses_.empty()) return grpc::Status::OK;
+  grpc::Status status = unary_statuses_.front();
+  unary_statuses_.pop_front();
+  return status;
+}
+
+grpc::Status FakeServer::CreateVehicle(grpc::ServerContext*,
+                                       const v1::CreateVehicleRequest* request,
+                                       v1::CreateVehicleResponse* response) {
+  *response->mutable_vehicle() = request->vehicle();
+  response->mutable_vehicle()->set_name("vehicles/" + request->vehicle_id());
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::GetVehicle(grpc::ServerContext*,
+                                    const v1::GetVehicleRequest* request,
+                                    v1::GetVehicleResponse* response) {
+  v1::Vehicle* vehicle = response->mutable_vehicle();
+  vehicle->set_name(request->name());
+  vehicle->mutable_settings()->set_state_space(v1::STATE_SPACE_PLANAR);
+  vehicle->set_state(v1::VEHICLE_STATE_ACTIVE);
+  vehicle->set_durable_sequence(durable_sequence());
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::ListVehicles(grpc::ServerContext*,
+                                      const v1::ListVehiclesRequest* request,
+                                      v1::ListVehiclesResponse* response) {
+  // Two pages.
+  if (request->page_token().empty()) {
+    response->add_vehicles()->set_name("vehicles/first");
+    response->set_next_page_token("second page");
+  } else {
+    response->add_vehicles()->set_name("vehicles/second");
+  }
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::DeleteVehicle(grpc::ServerContext*,
+                                       const v1::DeleteVehicleRequest*,
+                                       v1::DeleteVehicleResponse*) {
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::FindCandidates(grpc::ServerContext*,
+                                        const v1::FindCandidatesRequest*,
+                                        v1::FindCandidatesResponse* response) {
+  response->mutable_candidates()->set_empty_reason(
+      v1::EMPTY_REASON_PATH_TOO_SHORT);
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::ExportPoseGraph(
+    grpc::ServerContext*, const v1::ExportPoseGraphRequest* request,
+    grpc::ServerWriter<v1::ExportPoseGraphResponse>* writer) {
+  v1::ExportPoseGraphResponse part;
+  part.mutable_vehicle()->set_name(request->vehicle());
+  writer->Write(part);
+  part.Clear();
+  for (int i = 0; i < 2; ++i) {
+    v1::Node* node = part.add_nodes();
+    node->set_index(i);
+    node->set_sequence(static_cast<std::uint64_t>(i) + 1);
+    node->set_travelled_meters(2.0 * i);
+    node->mutable_pose()->set_x_meters(2.0 * i);
+    node->mutable_covariance()->set_form(v1::COVARIANCE_FORM_PLANAR_6);
+    for (const double value : {0.25, 0.0, 0.0, 0.25, 0.0, 1e-4}) {
+      node->mutable_covariance()->add_values(value);
+    }
+  }
+  v1::Edge* edge = part.add_edges();
+  edge->set_to_index(1);
+  edge->set_kind(v1::EDGE_KIND_CONSECUTIVE);
+  writer->Write(part);
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::Store(const v1::PoseBatch& batch) {
+  largest_batch_ = std::max(largest_batch_, batch.poses_size());
+  for (const v1::Pose& pose : batch.poses()) {
+    if (pose.sequence() > stored_.size() + 1) {
+      return MakeStatus(grpc::StatusCode::FAILED_PRECONDITION, "gap",
+                        {"SEQUENCE_GAP", {}, {}, {}});
+    }
+    const std::string bytes = pose.SerializeAsString();
+    if (pose.sequence() == stored_.size() + 1) {
+      stored_.push_back(bytes);
+    } else if (stored_[pose.sequence() - 1] != bytes) {
+      return MakeStatus(grpc::StatusCode::ALREADY_EXISTS, "other content",
+                        {"SEQUENCE_CONTENT_MISMATCH", {}, {}, {}});
+    }
+  }
+  return grpc::Status::OK;
+}
+
+grpc::Status FakeServer::StreamPoses(
+    grpc::ServerContext* context,
+    grpc::ServerReaderWriter<v1::StreamPosesResponse, v1::StreamPosesRequest>*
+        stream) {
+  using Kind = StreamFault::Kind;
+  v1::StreamPosesRequest request;
+  v1::StreamPosesResponse response;
+  if (!stream->Read(&request)) return grpc::Status::OK;
+  const v1::StreamPosesOpen open = request.open();
+  std::unique_lock<std::mutex> lock(mutex_);
+  const auto go_on = [this] { return !held_ || stopping_; };
+  const auto silence = [&] {
+    while (!context->IsCancelled() && !stopping_) {
+      changed_.wait_for(lock, std::chrono::milliseconds(2));
+    }
+    return grpc::Status::CANCELLED;
+  };
+  opens_.push_back(open.acked_sequence());
+  if (open_faults_) {
+    const StreamFault fault = open_faults_();
+    if (fault.kind == Kind::kSilence) return silence();
+    if (fault.kind != Kind::kNone) return fault.status;
+  }
+  if (check_acked_ && open.acked_sequence() > stored_.size()) {
+    return MakeStatus(grpc::StatusCode::DATA_LOSS,
+                      "acknowledged poses are gone",
+                      {"DURABLE_SEQUENCE_REGRESSED", {}, {}, {}});
+  }
+  const std::uint64_t told = stored_.size();
+  bool first = opens_.size() > 1;
+  response.mutable_opened()->set_durable_sequence(told);
+  response.mutable_opened()->set_max_batch_poses(max_batch_poses_);
+  lock.unlock();
+  stream->Write(response);
+  while (stream->Read(&request)) {
+    lock.lock();
+    changed_.wait(lock, go_on);
+    if (first) {
+      first = false;
+      first_steps_.push_back(
+          static_cast<std::int64_t>(request.batch().poses(0).sequence()) -
+          static_cast<std::int64_t>(told));
+    }
+    const StreamFault fault = batch_faults_ ? batch_faults_() : StreamFault();
+    if (fault.kind == Kind::kBefore) return fault.status;
+    if (fault.kind == Kind::kSilence) return silence();
+    const std::uint64_t before = stored_.size();
+    const grpc::Status status = Store(request.batch());
+    if (!status.ok()) return status;
+    if (fault.kind == Kind::kLoseAck) return fault.status;
+    const std::uint64_t after = stored_.size();
+    const std::uint64_t interval = check_interval_;
+    lock.unlock();
+    response.mutable_ack()->set_durable_sequence(after);
+    stream->Write(response);
+    if (fault.kind == Kind::kAfterAck) return fault.status;
+    if (!open.send_candidates() || interval == 0) continue;
+    for (std::uint64_t check = (before / interval + 1) * interval;
+         check <= after; check += interval) {
+      response.mutable_candidates()->mutable_query()->set_sequence(check);
+      stream->Write(response);
+    }
+  }
+  return context->IsCancelled() ? grpc::Status::CANCELLED : grpc::Status::OK;
+}
+
+}  // namespace revisit::client

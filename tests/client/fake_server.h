@@ -1,0 +1,141 @@
+// A server of revisit.v1.PoseGraphService that lives in the test and misbehaves
+// on command. It keeps the promises of the proto that the client relies on:
+// poses are a prefix without gaps, resent poses are compared, an answer tells
+// what is durable.
+#ifndef REVISIT_TESTS_CLIENT_FAKE_SERVER_H_
+#define REVISIT_TESTS_CLIENT_FAKE_SERVER_H_
+
+#include <chrono>
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "grpcpp/server.h"
+#include "revisit/v1/pose_graph_service.grpc.pb.h"
+
+namespace revisit::client {
+
+struct StatusDetails {
+  std::string reason;
+  std::vector<std::pair<std::string, std::string>> metadata = {};
+  // Field, description.
+  std::vector<std::pair<std::string, std::string>> violations = {};
+  std::optional<std::chrono::milliseconds> retry_delay = {};
+};
+
+// A status as the real server makes it.
+grpc::Status MakeStatus(grpc::StatusCode code, const std::string& message,
+                        const StatusDetails& details = {});
+
+// What becomes of the stream at one step.
+struct StreamFault {
+  enum class Kind {
+    kNone,
+    // Ends the stream with `status`, before the batch is stored.
+    kBefore,
+    // Stores the batch, then ends the stream with `status`: the ack is lost.
+    kLoseAck,
+    // Ends the stream with `status` after the ack, before candidates.
+    kAfterAck,
+    // Says nothing more and waits for the client to go.
+    kSilence,
+  };
+  Kind kind = Kind::kNone;
+  grpc::Status status;
+};
+
+class FakeServer final : public v1::PoseGraphService::Service {
+ public:
+  FakeServer();
+  ~FakeServer() override;
+
+  const std::string& address() const { return address_; }
+
+  // Stops as a crash does, open streams included; what is stored stays.
+  void Stop();
+  // Starts again at the same address.
+  void Start();
+
+  // Asked before `opened` is sent.
+  void FailOpens(std::function<StreamFault()> faults);
+  // Asked for each batch.
+  void FailBatches(std::function<StreamFault()> faults);
+  // The next unary calls end with these, in order; then they succeed.
+  void FailUnaryCalls(std::vector<grpc::Status> statuses);
+  // While held, nothing that arrives on a stream is stored or answered.
+  void HoldStreams(bool held);
+  // Forgets poses after this one.
+  void Forget(std::uint64_t durable_sequence);
+  // Whether it answers DATA_LOSS to a client that knows more, as the real one.
+  void CheckAckedSequence(bool check);
+  // A check falls due at every so manieth pose; 0 for none.
+  void set_check_interval(std::uint64_t poses);
+  void set_max_batch_poses(int poses);
+
+  // What is stored, serialized.
+  std::vector<std::string> Stored() const;
+  std::uint64_t durable_sequence() const;
+  // acked_sequence of each open, in order.
+  std::vector<std::uint64_t> Opens() const;
+  // For each resumed stream whose first batch arrived: that batch's first
+  // sequence less the durable one that `opened` told.
+  std::vector<std::int64_t> FirstSteps() const;
+  int unary_calls() const;
+  int largest_batch() const;
+
+  grpc::Status CreateVehicle(grpc::ServerContext*,
+                             const v1::CreateVehicleRequest*,
+                             v1::CreateVehicleResponse*) override;
+  grpc::Status GetVehicle(grpc::ServerContext*, const v1::GetVehicleRequest*,
+                          v1::GetVehicleResponse*) override;
+  grpc::Status ListVehicles(grpc::ServerContext*,
+                            const v1::ListVehiclesRequest*,
+                            v1::ListVehiclesResponse*) override;
+  grpc::Status DeleteVehicle(grpc::ServerContext*,
+                             const v1::DeleteVehicleRequest*,
+                             v1::DeleteVehicleResponse*) override;
+  grpc::Status FindCandidates(grpc::ServerContext*,
+                              const v1::FindCandidatesRequest*,
+                              v1::FindCandidatesResponse*) override;
+  grpc::Status ExportPoseGraph(
+      grpc::ServerContext*, const v1::ExportPoseGraphRequest*,
+      grpc::ServerWriter<v1::ExportPoseGraphResponse>*) override;
+  grpc::Status StreamPoses(
+      grpc::ServerContext*,
+      grpc::ServerReaderWriter<v1::StreamPosesResponse,
+                               v1::StreamPosesRequest>*) override;
+
+ private:
+  grpc::Status NextUnaryStatus();
+  // Stores what is new of a batch. Mutex must be held.
+  grpc::Status Store(const v1::PoseBatch& batch);
+
+  mutable std::mutex mutex_;
+  std::condition_variable changed_;
+  std::unique_ptr<grpc::Server> server_;
+  std::string address_;
+  std::function<StreamFault()> open_faults_;
+  std::function<StreamFault()> batch_faults_;
+  std::deque<grpc::Status> unary_statuses_;
+  bool held_ = false;
+  bool stopping_ = false;
+  bool check_acked_ = true;
+  std::uint64_t check_interval_ = 0;
+  int max_batch_poses_ = 1000;
+  std::vector<std::string> stored_;
+  std::vector<std::uint64_t> opens_;
+  std::vector<std::int64_t> first_steps_;
+  int unary_calls_ = 0;
+  int largest_batch_ = 0;
+};
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_TESTS_CLIENT_FAKE_SERVER_H_

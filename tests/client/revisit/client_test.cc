@@ -1,0 +1,173 @@
+#include "client/revisit/client.h"
+
+#include <string>
+#include <vector>
+
+#include "client/revisit/channel.h"
+#include "client/revisit/status.h"
+#include "gmock/gmock.h"
+#include "grpcpp/channel.h"
+#include "gtest/gtest.h"
+#include "tests/client/fake_server.h"
+
+namespace revisit::client {
+namespace {
+
+using std::chrono::milliseconds;
+using ::testing::ElementsAre;
+using ::testing::Pair;
+
+ClientOptions Options() {
+  ClientOptions options;
+  options.max_attempts = 4;
+  options.backoff.initial = milliseconds(1);
+  options.backoff.max = milliseconds(5);
+  return options;
+}
+
+class ClientTest : public ::testing::Test {
+ protected:
+  FakeServer server_;
+  Client client_{MakeInsecureChannel(server_.address()), Options()};
+};
+
+grpc::Status Unavailable() {
+  return MakeStatus(grpc::StatusCode::UNAVAILABLE, "down",
+                    {"STORE_UNAVAILABLE"});
+}
+
+TEST_F(ClientTest, RetriesReadsThatAreUnavailable) {
+  server_.FailUnaryCalls({Unavailable(), Unavailable()});
+  v1::GetVehicleRequest request;
+  request.set_name("vehicles/a");
+  const auto response = client_.GetVehicle(request);
+  ASSERT_TRUE(response.ok()) << response.status();
+  EXPECT_EQ(response->vehicle().name(), "vehicles/a");
+  EXPECT_EQ(server_.unary_calls(), 3);
+}
+
+TEST_F(ClientTest, GivesUpAfterTheLastAttempt) {
+  server_.FailUnaryCalls(std::vector<grpc::Status>(10, Unavailable()));
+  const auto response = client_.GetVehicle({});
+  EXPECT_EQ(response.status().code(), absl::StatusCode::kUnavailable);
+  EXPECT_EQ(DetailsOf(response.status()).reason, "STORE_UNAVAILABLE");
+  EXPECT_EQ(server_.unary_calls(), 4);
+}
+
+TEST_F(ClientTest, NeverRepeatsADeletion) {
+  server_.FailUnaryCalls({Unavailable()});
+  EXPECT_EQ(client_.DeleteVehicle({}).status().code(),
+            absl::StatusCode::kUnavailable);
+  EXPECT_EQ(server_.unary_calls(), 1);
+}
+
+TEST_F(ClientTest, RetriesNothingButUnavailable) {
+  for (const auto code :
+       {grpc::StatusCode::INTERNAL, grpc::StatusCode::ABORTED,
+        grpc::StatusCode::NOT_FOUND, grpc::StatusCode::RESOURCE_EXHAUSTED}) {
+    const int before = server_.unary_calls();
+    server_.FailUnaryCalls({MakeStatus(code, "no")});
+    EXPECT_EQ(client_.GetVehicle({}).status().code(),
+              static_cast<absl::StatusCode>(code));
+    EXPECT_EQ(server_.unary_calls(), before + 1);
+  }
+}
+
+TEST_F(ClientTest, WaitsAsLongAsTheServerAsks) {
+  server_.FailUnaryCalls({MakeStatus(grpc::StatusCode::UNAVAILABLE, "draining",
+                                     {"", {}, {}, milliseconds(80)})});
+  const auto start = std::chrono::steady_clock::now();
+  EXPECT_TRUE(client_.GetVehicle({}).ok());
+  EXPECT_GE(std::chrono::steady_clock::now() - start, milliseconds(80));
+}
+
+TEST_F(ClientTest, DoesNotWaitPastItsDeadline) {
+  ClientOptions options = Options();
+  options.deadline = milliseconds(2'000);
+  const Client client(MakeInsecureChannel(server_.address()), options);
+  server_.FailUnaryCalls({MakeStatus(grpc::StatusCode::UNAVAILABLE, "draining",
+                                     {"", {}, {}, milliseconds(60'000)})});
+  const auto start = std::chrono::steady_clock::now();
+  EXPECT_EQ(client.GetVehicle({}).status().code(),
+            absl::StatusCode::kUnavailable);
+  EXPECT_LT(std::chrono::steady_clock::now() - start, milliseconds(2'000));
+}
+
+TEST_F(ClientTest, KeepsReasonMetadataAndFieldViolationsReadable) {
+  server_.FailUnaryCalls({MakeStatus(
+      grpc::StatusCode::INVALID_ARGUMENT, "2 fields",
+      {"INVALID_FIELD",
+       {{"request_id", "abc"}},
+       {{"vehicle_id", "is empty"}, {"settings.max_candidates", "is 0"}},
+       {}})});
+  const absl::Status status = client_.CreateVehicle({}).status();
+  EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
+  const ErrorDetails details = DetailsOf(status);
+  EXPECT_EQ(details.reason, "INVALID_FIELD");
+  EXPECT_EQ(details.domain, "revisit");
+  EXPECT_THAT(details.metadata, ElementsAre(Pair("request_id", "abc")));
+  ASSERT_EQ(details.field_violations.size(), 2u);
+  EXPECT_EQ(details.field_violations[1].field, "settings.max_candidates");
+  EXPECT_FALSE(details.retry_delay.has_value());
+  EXPECT_EQ(Describe(status),
+            "INVALID_ARGUMENT (INVALID_FIELD): 2 fields\n"
+            "  vehicle_id: is empty\n"
+            "  settings.max_candidates: is 0");
+}
+
+TEST_F(ClientTest, ReadsStatusesWithoutDetails) {
+  const ErrorDetails details = DetailsOf(absl::UnavailableError("gone"));
+  EXPECT_EQ(details.reason, "");
+  EXPECT_TRUE(details.field_violations.empty());
+  EXPECT_EQ(Describe(absl::UnavailableError("gone")), "UNAVAILABLE: gone");
+}
+
+TEST_F(ClientTest, VisitsTheExportAndStopsWhereTheVisitorSays) {
+  int parts = 0;
+  const auto count = [&](const v1::ExportPoseGraphResponse&) {
+    ++parts;
+    return absl::OkStatus();
+  };
+  EXPECT_TRUE(client_.ExportPoseGraph({}, count).ok());
+  EXPECT_EQ(parts, 2);
+  const absl::Status stopped =
+      client_.ExportPoseGraph({}, [](const v1::ExportPoseGraphResponse&) {
+        return absl::OutOfRangeError("enough");
+      });
+  EXPECT_EQ(stopped, absl::OutOfRangeError("enough"));
+}
+
+TEST_F(ClientTest, DoesNotRepeatAnExportOfWhichAPartHasCome) {
+  server_.FailUnaryCalls({Unavailable()});
+  int parts = 0;
+  const absl::Status status =
+      client_.ExportPoseGraph({}, [&](const v1::ExportPoseGraphResponse&) {
+        ++parts;
+        return absl::OkStatus();
+      });
+  EXPECT_EQ(status.code(), absl::StatusCode::kUnavailable);
+  EXPECT_EQ(parts, 2);
+}
+
+TEST(BackoffTest, GrowsToItsLimitWithinTheJitter) {
+  BackoffOptions options;
+  options.initial = milliseconds(100);
+  options.max = milliseconds(500);
+  options.multiplier = 2.0;
+  options.jitter = 0.5;
+  constexpr std::uint64_t kSeed = 7;
+  Backoff backoff(options, kSeed);
+  for (const int longest : {100, 200, 400, 500, 500}) {
+    const auto wait = backoff.Next(std::nullopt);
+    EXPECT_LE(wait, milliseconds(longest));
+    EXPECT_GE(wait, milliseconds(longest / 2));
+  }
+  backoff.Reset();
+  EXPECT_LE(backoff.Next(std::nullopt), milliseconds(100));
+  const auto asked = backoff.Next(milliseconds(1000));
+  EXPECT_GE(asked, milliseconds(1000));
+  EXPECT_LE(asked, milliseconds(1100));
+}
+
+}  // namespace
+}  // namespace revisit::client

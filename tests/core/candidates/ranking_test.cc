@@ -1,0 +1,85 @@
+#include "core/candidates/ranking.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "tests/core/graphs.h"
+#include "tests/random.h"
+
+namespace revisit::core {
+namespace {
+
+class RankingTest : public ::testing::Test {
+ protected:
+  // 60 nodes 2 m apart; one-step alignment, so that scores are plain
+  // similarities.
+  void Build(int seed_skip) {
+    std::mt19937_64 random = SeededRandom();
+    random.discard(static_cast<unsigned long long>(seed_skip));
+    graph_ = RandomGraph(random, 60, 0.0, 0, false);
+    SimilarityModel model;
+    model.correlation = CorrelationModel::kIndependent;
+    alignment_ = Align(graph_, model, 59, 1, 59, nullptr);
+  }
+
+  PoseGraph graph_;
+  std::optional<Alignment> alignment_;
+};
+
+TEST_F(RankingTest, TakesTheBestThatAreFarEnoughApart) {
+  for (int trial = 0; trial < 20; ++trial) {
+    Build(1000 * trial);
+    for (double separation : {0.0, 3.0, 10.0, 50.0}) {
+      const auto ends = RankEnds(graph_, *alignment_, 59, separation, 8);
+      // The obvious way: sort all, take each that is far from those taken.
+      std::vector<NodeIndex> order(59);
+      for (NodeIndex i = 0; i < 59; ++i) order[static_cast<std::size_t>(i)] = i;
+      std::sort(order.begin(), order.end(), [&](NodeIndex a, NodeIndex b) {
+        const double sa = alignment_->score(a);
+        const double sb = alignment_->score(b);
+        return sa != sb ? sa > sb : a < b;
+      });
+      std::vector<NodeIndex> taken;
+      for (NodeIndex i : order) {
+        const auto far_from = [&](NodeIndex j) {
+          return i != j &&
+                 std::abs(graph_.node(i).travelled_meters -
+                          graph_.node(j).travelled_meters) >= separation;
+        };
+        if (taken.size() < 8 && far_from(59) &&
+            std::all_of(taken.begin(), taken.end(), far_from)) {
+          taken.push_back(i);
+        }
+      }
+      ASSERT_EQ(ends.size(), taken.size());
+      for (std::size_t k = 0; k < ends.size(); ++k) {
+        EXPECT_EQ(ends[k].matched, taken[k]);
+        EXPECT_EQ(ends[k].score, alignment_->score(taken[k]));
+      }
+    }
+  }
+}
+
+TEST_F(RankingTest, OfEqualScoresTheOlderNodeComesFirst) {
+  PoseGraph graph;
+  for (int i = 0; i < 10; ++i) {
+    Node node;
+    node.travelled_meters = 2.0 * i;
+    for (int k : {0, 1, 3}) node.covariance(k, k) = 1.0;
+    graph.AddNode(node, i == 0, std::nullopt);
+  }
+  SimilarityModel model;
+  model.correlation = CorrelationModel::kIndependent;
+  const auto alignment = Align(graph, model, 9, 1, 9, nullptr);
+  const auto ends = RankEnds(graph, *alignment, 9, 4.0, 100);
+  ASSERT_EQ(ends.size(), 4u);
+  EXPECT_EQ(ends[0].matched, 0);
+  EXPECT_EQ(ends[1].matched, 2);
+  EXPECT_EQ(ends[2].matched, 4);
+  EXPECT_EQ(ends[3].matched, 6);
+}
+
+}  // namespace
+}  // namespace revisit::core

@@ -1,0 +1,215 @@
+#include "core/engine.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <vector>
+
+#include "core/geometry/heading.h"
+#include "tests/oracle/dead_reckoning.h"
+#include "tests/random.h"
+
+namespace revisit::core {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::IsEmpty;
+
+// Laps of a 400 m by 200 m rectangle, a pose every metre, truth as the
+// estimate.
+std::vector<PoseSample> Laps(double meters) {
+  std::vector<Pose> path;
+  for (double s = 0.0; s <= meters; s += 1.0) {
+    const double along = std::fmod(s, 1200.0);
+    if (along < 400.0) {
+      path.push_back({along, 0.0, 0.0, 0.0});
+    } else if (along < 600.0) {
+      path.push_back({400.0, along - 400.0, 0.0, 0.5 * kPi});
+    } else if (along < 1000.0) {
+      path.push_back({1000.0 - along, 200.0, 0.0, kPi});
+    } else {
+      path.push_back({0.0, 1200.0 - along, 0.0, -0.5 * kPi});
+    }
+  }
+  return oracle::WithCovariances(path, {});
+}
+
+Engine Driven(double meters, const EngineSettings& settings = {}) {
+  Engine engine(settings);
+  engine.Append(Laps(meters), 1);
+  return engine;
+}
+
+TEST(EngineTest, RecognisesTheSecondLap) {
+  const Engine engine = Driven(1700.0);
+  const auto set = engine.FindCandidates(engine.settings().search, nullptr);
+  ASSERT_TRUE(set.ok());
+  ASSERT_FALSE(set->candidates.empty());
+  EXPECT_EQ(set->empty_reason, EmptyReason::kNotEmpty);
+  EXPECT_EQ(set->query, engine.graph().size() - 1);
+  EXPECT_EQ(set->nodes_considered, engine.graph().size() - 75);
+  const Candidate& best = set->candidates[0];
+  EXPECT_EQ(best.rank, 1);
+  EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kAccepted);
+  EXPECT_NEAR(engine.graph().node(best.matched).travelled_meters, 500.0, 2.0);
+  ASSERT_EQ(best.path.size(), 75u);
+  EXPECT_EQ(best.path.back().first, *set->query);
+  EXPECT_EQ(best.path.back().second, best.matched);
+  EXPECT_EQ(best.path.front().first, *set->query - 74);
+  for (std::size_t i = 1; i < set->candidates.size(); ++i) {
+    EXPECT_LE(set->candidates[i].score, set->candidates[i - 1].score);
+    EXPECT_EQ(set->candidates[i].rank, static_cast<int>(i) + 1);
+  }
+}
+
+TEST(EngineTest, TheAnswerAtANodeDoesNotDependOnWhatCameAfter) {
+  const Engine then = Driven(1700.0);
+  const Engine later = Driven(2600.0);
+  const NodeIndex query = then.graph().size() - 1;
+  const SearchOptions options;
+  const auto a = then.FindCandidates(query, options, nullptr);
+  const auto b = later.FindCandidates(query, options, nullptr);
+  ASSERT_EQ(a->candidates.size(), b->candidates.size());
+  for (std::size_t i = 0; i < a->candidates.size(); ++i) {
+    EXPECT_EQ(a->candidates[i].score, b->candidates[i].score);
+    EXPECT_EQ(a->candidates[i].path, b->candidates[i].path);
+  }
+}
+
+TEST(EngineTest, BatchesDoNotChangeTheGraph) {
+  const std::vector<PoseSample> samples = Laps(900.0);
+  Engine whole({});
+  const AppendResult at_once = whole.Append(samples, 1);
+  Engine pieces({});
+  std::mt19937_64 random = SeededRandom();
+  std::vector<NodeIndex> checks;
+  std::uint64_t revision = 0;
+  for (std::size_t i = 0; i < samples.size();) {
+    const std::size_t n =
+        std::min(samples.size() - i,
+                 static_cast<std::size_t>(UniformInt(random, 1, 40)));
+    const AppendResult result =
+        pieces.Append({samples.begin() + static_cast<std::ptrdiff_t>(i),
+                       samples.begin() + static_cast<std::ptrdiff_t>(i + n)},
+                      ++revision);
+    checks.insert(checks.end(), result.checks_due.begin(),
+                  result.checks_due.end());
+    i += n;
+  }
+  EXPECT_EQ(checks, at_once.checks_due);
+  ASSERT_EQ(pieces.graph().size(), whole.graph().size());
+  for (NodeIndex i = 0; i < whole.graph().size(); ++i) {
+    EXPECT_EQ(pieces.graph().node(i).pose.x, whole.graph().node(i).pose.x);
+    EXPECT_EQ(pieces.graph().node(i).covariance.upper,
+              whole.graph().node(i).covariance.upper);
+  }
+}
+
+TEST(EngineTest, ChecksFallDueFromTwoSequenceLengthsOn) {
+  Engine engine({});
+  EXPECT_THAT(engine.Append(Laps(460.0), 1).checks_due,
+              ElementsAre(150, 175, 200, 225));
+}
+
+TEST(EngineTest, ChecksFollowChangedSettings) {
+  Engine engine({});
+  const std::vector<PoseSample> samples = Laps(700.0);
+  engine.Append({samples.begin(), samples.begin() + 331}, 1);  // 330 m
+  EngineSettings settings;
+  settings.check_interval_meters = 100.0;
+  engine.ChangeSettings(settings, 2);
+  EXPECT_THAT(
+      engine.Append({samples.begin() + 331, samples.end()}, 3).checks_due,
+      ElementsAre(200, 250, 300, 350));
+  EXPECT_EQ(engine.revision(), 3u);
+}
+
+TEST(EngineTest, SaysWhyAnAnswerIsEmpty) {
+  const SearchOptions options;
+  const Engine nothing({});
+  auto set = nothing.FindCandidates(options, nullptr);
+  EXPECT_EQ(set->empty_reason, EmptyReason::kPathTooShort);
+  EXPECT_EQ(set->query, std::nullopt);
+
+  EXPECT_EQ(Driven(140.0).FindCandidates(options, nullptr)->empty_reason,
+            EmptyReason::kPathTooShort);
+  // 75 nodes, 148 m: a sequence, and nothing before it.
+  EXPECT_EQ(Driven(148.0).FindCandidates(options, nullptr)->empty_reason,
+            EmptyReason::kNoHistory);
+
+  SearchOptions separated;
+  separated.candidate_separation_meters = 500.0;
+  EXPECT_EQ(Driven(400.0).FindCandidates(separated, nullptr)->empty_reason,
+            EmptyReason::kAllSuppressed);
+
+  // A history of a single node has no path of 75.
+  EXPECT_EQ(Driven(150.0).FindCandidates(options, nullptr)->empty_reason,
+            EmptyReason::kNoAlignment);
+}
+
+TEST(EngineTest, ThePathStartsAnewAfterAJump) {
+  std::vector<PoseSample> samples = Laps(700.0);
+  for (std::size_t i = 600; i < samples.size(); ++i) {
+    samples[i].pose.y += 5000.0;
+  }
+  Engine engine({});
+  const AppendResult result = engine.Append(samples, 1);
+  ASSERT_EQ(result.jumps.size(), 1u);
+  EXPECT_EQ(result.jumps[0].sequence, 601u);
+  EXPECT_EQ(engine.FindCandidates({}, nullptr)->empty_reason,
+            EmptyReason::kPathTooShort);
+}
+
+TEST(EngineTest, StopsWhenTold) {
+  const Engine engine = Driven(1300.0);
+  const auto set = engine.FindCandidates({}, [] { return true; });
+  EXPECT_EQ(set.status().code(), absl::StatusCode::kCancelled);
+}
+
+TEST(EngineTest, LoopClosuresBecomeEdgesBetweenTheNearestNodes) {
+  Engine engine = Driven(1300.0);
+  engine.AddLoopClosure(1212, 10, 2);
+  // Poses 1212 and 10 are 1211 m and 9 m along; the nodes before them, 1210
+  // and 8.
+  EXPECT_THAT(engine.graph().LoopEdges(),
+              ElementsAre(std::make_pair(NodeIndex{4}, NodeIndex{605})));
+  EXPECT_EQ(engine.revision(), 2u);
+  engine.RemoveLoopClosure(1212, 10, 3);
+  EXPECT_THAT(engine.graph().LoopEdges(), IsEmpty());
+  engine.AddLoopClosure(11, 12, 4);  // Both at node 5.
+  EXPECT_THAT(engine.graph().LoopEdges(), IsEmpty());
+  EXPECT_EQ(engine.revision(), 4u);
+}
+
+TEST(EngineTest, OptionsOverrideTheVehicles) {
+  const Engine engine = Driven(1700.0);
+  SearchOptions options;
+  options.max_candidates = 2;
+  options.sequence_length_meters = 60.0;
+  options.correlation_model = CorrelationModel::kIndependent;
+  options.gate_probability = 0.5;
+  const auto set = engine.FindCandidates(options, nullptr);
+  ASSERT_EQ(set->candidates.size(), 2u);
+  EXPECT_EQ(set->candidates[0].path.size(), 30u);
+  EXPECT_NEAR(set->candidates[0].difference.gate.threshold, 2.36597, 1e-5);
+}
+
+TEST(EngineTest, PlanarAndSpatialAgreeOnAFlatRoad) {
+  EngineSettings settings;
+  settings.state_space = StateSpace::kSpatial;
+  std::vector<PoseSample> samples = Laps(1700.0);
+  for (PoseSample& sample : samples) sample.covariance(2, 2) = 1.0;
+  Engine spatial(settings);
+  spatial.Append(samples, 1);
+  const Engine planar = Driven(1700.0);
+  const auto a = spatial.FindCandidates({}, nullptr);
+  const auto b = planar.FindCandidates({}, nullptr);
+  EXPECT_EQ(a->candidates[0].matched, b->candidates[0].matched);
+  EXPECT_EQ(a->candidates[0].difference.gate.degrees_of_freedom, 4);
+  EXPECT_NEAR(a->candidates[0].difference.gate.squared_mahalanobis,
+              b->candidates[0].difference.gate.squared_mahalanobis, 1e-9);
+}
+
+}  // namespace
+}  // namespace revisit::core

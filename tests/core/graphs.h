@@ -1,0 +1,68 @@
+// Graphs for the core's tests.
+#ifndef REVISIT_TESTS_CORE_GRAPHS_H_
+#define REVISIT_TESTS_CORE_GRAPHS_H_
+
+#include <Eigen/Core>
+#include <cmath>
+#include <random>
+#include <vector>
+
+#include "core/geometry/heading.h"
+#include "core/geometry/pose.h"
+#include "core/graph/pose_graph.h"
+#include "tests/random.h"
+
+namespace revisit::core {
+
+// A random covariance with standard deviations up to about `scale` metres and a
+// twentieth of that in radians, of any correlation.
+inline Covariance RandomCovariance(std::mt19937_64& random, double scale) {
+  Eigen::Matrix4d root;
+  for (int i = 0; i < 16; ++i) root(i) = Normal(random, 0.5);
+  root += 0.3 * Eigen::Matrix4d::Identity();
+  const Eigen::Vector4d units(scale, scale, scale, scale / 20.0);
+  const Eigen::Matrix4d scaled = units.asDiagonal() * root;
+  return ToCovariance<4>(scaled * scaled.transpose());
+}
+
+inline Pose RandomPose(std::mt19937_64& random, double extent) {
+  return {Uniform(random, -extent, extent), Uniform(random, -extent, extent),
+          Uniform(random, -extent, extent) / 10.0, Uniform(random, -kPi, kPi)};
+}
+
+// Unrelated nodes: nothing but the interface ties them together.
+inline PoseGraph RandomGraph(std::mt19937_64& random, NodeIndex size,
+                             double new_segment_probability, int loop_edges,
+                             bool transitions) {
+  PoseGraph graph;
+  for (NodeIndex i = 0; i < size; ++i) {
+    Node node;
+    node.sequence = static_cast<std::uint64_t>(i) + 1;
+    node.travelled_meters = 2.0 * static_cast<double>(i);
+    node.pose = RandomPose(random, 5.0);
+    // Grows, as a filter's does, so that correlated differences stay positive
+    // definite.
+    node.covariance = RandomCovariance(random, 2.0);
+    std::optional<ErrorTransition> transition;
+    if (transitions) {
+      Eigen::Matrix4d matrix = 0.9 * Eigen::Matrix4d::Identity();
+      for (int k = 0; k < 16; ++k) matrix(k) += Normal(random, 0.05);
+      transition = ToErrorTransition<4>(matrix);
+    }
+    graph.AddNode(node,
+                  i == 0 || Uniform(random, 0.0, 1.0) < new_segment_probability,
+                  transition);
+  }
+  for (int e = 0; e < loop_edges; ++e) {
+    const auto a = static_cast<NodeIndex>(
+        UniformInt(random, 0, static_cast<int>(size) - 1));
+    const auto b = static_cast<NodeIndex>(
+        UniformInt(random, 0, static_cast<int>(size) - 1));
+    if (a != b) graph.AddLoopEdge(a, b);
+  }
+  return graph;
+}
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_TESTS_CORE_GRAPHS_H_

@@ -1,0 +1,142 @@
+"""A real revisitd, started and stopped by the tests."""
+
+import os
+import pathlib
+import queue
+import re
+import signal
+import subprocess
+import threading
+import time
+
+import grpc
+
+from stubs import ROOT, PoseGraphServiceStub
+
+BIN = pathlib.Path(os.environ.get("REVISIT_BIN", ROOT / "build/release/bin"))
+
+START_SECONDS = 30
+STOP_SECONDS = 30
+
+
+def clean_environment(**extra):
+    """The environment without settings of revisitd, plus some."""
+    kept = {name: value for name, value in os.environ.items()
+            if not name.startswith("REVISIT_")}
+    return {**kept, **extra}
+
+
+def run(*arguments, env=None, timeout=START_SECONDS, cwd=None):
+    """Runs one of our programs to its end."""
+    program, *rest = arguments
+    return subprocess.run(
+        [BIN / program, *map(str, rest)], capture_output=True, text=True,
+        env=env or clean_environment(), timeout=timeout, cwd=cwd, check=False)
+
+
+def wait_until(condition, what, seconds=START_SECONDS):
+    """Waits for a condition that nothing announces."""
+    deadline = time.monotonic() + seconds
+    while True:
+        value = condition()
+        if value:
+            return value
+        assert time.monotonic() < deadline, f"no {what} within {seconds} s"
+        time.sleep(0.002)
+
+
+class Server:
+    """One revisitd on a free port of the loopback, over one store."""
+
+    def __init__(self, store, *flags, env=None, wait=True):
+        self.store = pathlib.Path(store)
+        self.log_path = self.store.with_name(self.store.name + ".log")
+        self._lines = queue.SimpleQueue()
+        self._channels = []
+        self.port = None
+        with open(self.log_path, "ab") as log:
+            self.process = subprocess.Popen(
+                [BIN / "revisitd", "--listen", "127.0.0.1:0", "--store",
+                 self.store, *map(str, flags)],
+                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log,
+                text=True, env=env or clean_environment())
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        if wait:
+            self.wait_until_listening()
+
+    def _read(self):
+        for line in self.process.stdout:
+            self._lines.put(line)
+        self._lines.put(None)
+
+    def wait_until_listening(self):
+        deadline = time.monotonic() + START_SECONDS
+        while self.port is None:
+            line = self._lines.get(timeout=deadline - time.monotonic())
+            assert line is not None, (
+                f"revisitd ended with {self.process.wait()}: {self.log()}")
+            found = re.match(r"listening on 127\.0\.0\.1:(\d+)\s*$", line)
+            if found:
+                self.port = int(found.group(1))
+
+    @property
+    def pid(self):
+        return self.process.pid
+
+    @property
+    def address(self):
+        return f"127.0.0.1:{self.port}"
+
+    def log(self):
+        return self.log_path.read_text(errors="replace")
+
+    def is_running(self):
+        return self.process.poll() is None
+
+    def channel(self, *options):
+        channel = grpc.insecure_channel(self.address, options=options)
+        self._channels.append(channel)
+        return channel
+
+    def stub(self):
+        return PoseGraphServiceStub(self.channel())
+
+    def resident_bytes(self):
+        with open(f"/proc/{self.pid}/statm") as file:
+            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+    def kill(self):
+        """The crash: no clean-up of any kind."""
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait(STOP_SECONDS)
+        self._forget()
+
+    def terminate(self):
+        """Asks it to stop, waits, and answers its exit code."""
+        self.process.send_signal(signal.SIGTERM)
+        code = self.process.wait(STOP_SECONDS)
+        self._forget()
+        return code
+
+    def close(self):
+        """Makes sure that it is gone, whatever the test did."""
+        if self.is_running():
+            try:
+                self.terminate()
+            except subprocess.TimeoutExpired:
+                self.kill()
+        self._forget()
+
+    def _forget(self):
+        for channel in self._channels:
+            channel.close()
+        self._channels.clear()
+        self._reader.join(STOP_SECONDS)
+        self.process.stdout.close()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()

@@ -1,0 +1,456 @@
+"""What an acknowledgement promises, against kill -9, SIGTERM, a second server
+and damaged files."""
+
+import itertools
+import random
+import signal
+import subprocess
+import threading
+import time
+
+import grpc
+import pytest
+
+from revisit_server import BIN, Server, clean_environment, run, wait_until
+from stubs import api
+from wire import (PoseStream, append, as_bytes, batches, decode_failure,
+                  failure_of, get, list_poses, pose, straight)
+
+VEHICLE = "vehicles/survivor"
+# Short, so that kills also fall into searches.
+SETTINGS = {"sequence_length_meters": 20.0, "check_interval_meters": 10.0,
+            "node_spacing_meters": 1.0}
+
+
+def create(stub, name=VEHICLE, **settings):
+    return stub.CreateVehicle(api.CreateVehicleRequest(
+        vehicle_id=name.split("/")[1],
+        vehicle=api.Vehicle(settings=api.VehicleSettings(**settings)))).vehicle
+
+
+class Drive:
+    """A drive without end whose poses use every bit of their numbers, and are
+    the same whenever they are asked for."""
+
+    def __init__(self, seed):
+        self._seed = seed
+        self._poses = []
+
+    def __getitem__(self, index):
+        while len(self._poses) < index.stop:
+            self._poses.append(self._make(len(self._poses) + 1))
+        return self._poses[index]
+
+    def _make(self, sequence):
+        rng = random.Random(self._seed * 1000003 + sequence)
+        made = pose(sequence, x=sequence * 0.7 + rng.random(),
+                    y=rng.gauss(0.0, 1.0), heading=rng.uniform(-9.0, 9.0),
+                    covariance=[rng.uniform(1, 2), rng.uniform(-.1, .1), -0.0,
+                                rng.uniform(1, 2), 5e-324, rng.random() + .1])
+        if sequence % 3 == 0:
+            made.stamp.seconds = rng.randrange(2**32)
+            made.stamp.nanos = rng.randrange(10**9)
+        if sequence % 5 == 0:
+            made.quaternion.w, made.quaternion.z = 0.8, -0.6
+            made.local.z_meters = rng.random()
+        if sequence % 7 == 0:
+            made.covariance.form = api.COVARIANCE_FORM_SPATIAL_10
+            made.covariance.values[:] = [2, .1, 0, 0, 3, 0, 0, 4, 0,
+                                         rng.random() + .1]
+        return made
+
+
+class Client:
+    """Keeps what it sent and the highest sequence that was acknowledged."""
+
+    # Batches that may wait for their ack.
+    WINDOW = 8
+
+    def __init__(self, drive, rng):
+        self.drive, self.rng = drive, rng
+        self.acked = 0
+        self.sent = 0
+        self.verified = 0
+
+    def stream(self, stub, until=None, on_opened=lambda: None):
+        """Streams until the sequence is acknowledged, or the stream breaks;
+        answers whether it got that far."""
+        window = threading.Semaphore(self.WINDOW)
+        stopped = threading.Event()
+        opened = threading.Event()
+        start = []
+
+        def requests():
+            yield api.StreamPosesRequest(open=api.StreamPosesOpen(
+                vehicle=VEHICLE, acked_sequence=self.acked,
+                send_candidates=True))
+            opened.wait()
+            next_sequence = start[0] + 1
+            while not stopped.is_set() and (until is None
+                                            or next_sequence <= until):
+                window.acquire()
+                count = self.rng.randint(1, 16)
+                if until is not None:
+                    count = min(count, until - next_sequence + 1)
+                poses = self.drive[next_sequence - 1:next_sequence + count - 1]
+                self.sent = max(self.sent, next_sequence + count - 1)
+                next_sequence += count
+                yield api.StreamPosesRequest(batch=api.PoseBatch(poses=poses))
+
+        call = stub.StreamPoses(requests(), timeout=60)
+        try:
+            for response in call:
+                kind = response.WhichOneof("message")
+                if kind == "opened":
+                    durable = response.opened.durable_sequence
+                    assert self.acked <= durable <= self.sent
+                    start.append(durable)
+                    opened.set()
+                    on_opened()
+                elif kind == "ack":
+                    self.acked = max(self.acked, response.ack.durable_sequence)
+                    window.release()
+        except grpc.RpcError as error:
+            if error.code() != grpc.StatusCode.UNAVAILABLE:
+                raise
+            return False
+        finally:
+            # Whatever happened, the sender's thread must come to its end.
+            stopped.set()
+            start.append(0)
+            opened.set()
+            window.release()
+        return True
+
+    def verify(self, stub, whole=False):
+        """Everything acknowledged is there, bit for bit, and nothing but a
+        prefix of what was sent."""
+        durable = get(stub, VEHICLE).durable_sequence
+        assert self.acked <= durable <= self.sent
+        first = 1 if whole else self.verified + 1
+        stored = list_poses(stub, VEHICLE, first_sequence=first)
+        assert len(stored) == durable - first + 1
+        assert as_bytes(stored) == as_bytes(self.drive[first - 1:durable])
+        self.verified = durable
+        return durable
+
+
+def test_acknowledged_poses_survive_kill_9_in_mid_stream(
+        tmp_path, request, seed):
+    kills = request.config.getoption("--kills")
+    rng = random.Random(seed)
+    client = Client(Drive(seed), random.Random(seed + 1))
+    store = tmp_path / "store"
+    with Server(store) as server:
+        create(server.stub(), **SETTINGS)
+    killed_in_stream = 0
+    unacknowledged = 0
+    for number in range(kills):
+        with Server(store, wait=False) as server:
+            if rng.random() < 0.1:
+                # While it starts and looks at what the last kill left.
+                time.sleep(rng.uniform(0.0, 0.03))
+                server.kill()
+                continue
+            server.wait_until_listening()
+            stub = server.stub()
+            durable = client.verify(stub, whole=number % 10 == 9)
+            unacknowledged += durable - client.acked
+            killer = threading.Timer(rng.uniform(0.0, 0.25), server.kill)
+            assert not client.stream(stub, on_opened=killer.start)
+            killer.join()
+            killed_in_stream += 1
+    # The client finishes its drive.
+    with Server(store) as server:
+        stub = server.stub()
+        client.verify(stub)
+        end = client.sent + 300
+        assert client.stream(stub, until=end)
+        assert client.acked == end
+        assert client.verify(stub, whole=True) == end
+        # The graph that was rebuilt is the one that was never interrupted.
+        whole = create(stub, "vehicles/uninterrupted", **SETTINGS).name
+        for batch in batches(client.drive[0:end], 1000):
+            append(stub, whole, batch)
+        assert nodes_of(stub, VEHICLE) == nodes_of(stub, whole)
+    print(f"{kills} kills, {killed_in_stream} in mid-stream; {end} poses; "
+          f"{unacknowledged} were stored before their ack got out")
+    assert killed_in_stream >= kills // 2
+    assert client.acked > kills
+
+
+def nodes_of(stub, vehicle):
+    return as_bytes(
+        node for part in stub.ExportPoseGraph(
+            api.ExportPoseGraphRequest(vehicle=vehicle)) for node in part.nodes)
+
+
+def test_everything_else_survives_kill_9_too(tmp_path):
+    store = tmp_path / "store"
+    with Server(store) as server:
+        stub = server.stub()
+        create(stub, **SETTINGS)
+        append(stub, VEHICLE, straight(100))
+        stub.AddLoopClosure(api.AddLoopClosureRequest(
+            parent=VEHICLE, loop_closure_id="kept",
+            loop_closure=api.LoopClosure(query_sequence=90,
+                                         matched_sequence=10)))
+        stub.AddLoopClosure(api.AddLoopClosureRequest(
+            parent=VEHICLE, loop_closure_id="removed",
+            loop_closure=api.LoopClosure(query_sequence=80,
+                                         matched_sequence=10)))
+        stub.DeleteLoopClosure(api.DeleteLoopClosureRequest(
+            name=f"{VEHICLE}/loopClosures/removed"))
+        stub.RevisePoses(iter([api.RevisePosesRequest(
+            vehicle=VEHICLE, poses=[pose(7, x=7.0, y=0.25)])]))
+        request = api.UpdateVehicleRequest(vehicle=api.Vehicle(
+            name=VEHICLE, settings=api.VehicleSettings(max_candidates=9)))
+        request.update_mask.paths.append("settings.max_candidates")
+        stub.UpdateVehicle(request)
+        create(stub, "vehicles/short-lived")
+        append(stub, "vehicles/short-lived", straight(5))
+        stub.DeleteVehicle(api.DeleteVehicleRequest(
+            name="vehicles/short-lived"))
+        before = state_of(stub)
+        server.kill()
+    with Server(store) as server:
+        stub = server.stub()
+        assert state_of(stub) == before
+        # A name that is free again begins with nothing.
+        assert create(stub, "vehicles/short-lived").durable_sequence == 0
+        assert list_poses(stub, "vehicles/short-lived") == []
+
+
+def state_of(stub):
+    """All that can be read of the vehicle."""
+    return {
+        "vehicle": as_bytes([get(stub, VEHICLE)]),
+        "poses": as_bytes(list_poses(stub, VEHICLE)),
+        "graph": as_bytes(
+            itertools.chain.from_iterable(
+                [*part.nodes, *part.edges] for part in stub.ExportPoseGraph(
+                    api.ExportPoseGraphRequest(vehicle=VEHICLE)))),
+        "closures": as_bytes(stub.ListLoopClosures(
+            api.ListLoopClosuresRequest(parent=VEHICLE)).loop_closures),
+        "names": [vehicle.name for vehicle in stub.ListVehicles(
+            api.ListVehiclesRequest()).vehicles],
+    }
+
+
+@pytest.mark.parametrize("name", [signal.SIGTERM, signal.SIGINT],
+                         ids=lambda number: number.name)
+def test_signal_drains(name, tmp_path):
+    store = tmp_path / "store"
+    with Server(store) as server:
+        stub = server.stub()
+        create(stub, **SETTINGS)
+        acked = 0
+        with PoseStream(stub, VEHICLE) as stream:
+            stream.receive_kind("opened")
+            for batch in batches(straight(20000), 16):
+                stream.send(batch)
+            acked = stream.receive_kind("ack").durable_sequence
+            server.process.send_signal(name)
+            with pytest.raises(grpc.RpcError) as raised:
+                while True:
+                    acked = stream.receive_kind("ack").durable_sequence
+            failure = decode_failure(raised.value)
+        assert failure.code == grpc.StatusCode.UNAVAILABLE
+        assert failure.reason == "SERVER_DRAINING"
+        assert failure.retry_seconds is not None
+        assert server.process.wait(20) == 0, server.log()
+    assert 0 < acked < 20000
+    with Server(store) as server:
+        stub = server.stub()
+        # Everything that was taken on was acknowledged before the end.
+        assert get(stub, VEHICLE).durable_sequence == acked
+        assert (as_bytes(list_poses(stub, VEHICLE))
+                == as_bytes(straight(20000)[:acked]))
+
+
+def test_idle_server_stops_at_once(tmp_path):
+    with Server(tmp_path / "store") as server:
+        create(server.stub())
+        with PoseStream(server.stub(), VEHICLE) as stream:
+            stream.receive_kind("opened")
+            start = time.monotonic()
+            server.process.send_signal(signal.SIGTERM)
+            failure = failure_of(stream.receive)
+            assert failure.reason == "SERVER_DRAINING"
+            assert server.process.wait(20) == 0
+            # Not the whole time that draining may take.
+            assert time.monotonic() - start < 5.0
+
+
+def test_second_server_on_the_same_store_exits_and_says_why(tmp_path):
+    store = tmp_path / "store"
+    with Server(store) as first:
+        stub = first.stub()
+        create(stub)
+        append(stub, VEHICLE, straight(10))
+        second = run("revisitd", "--listen", "127.0.0.1:0", "--store", store)
+        assert second.returncode == 73
+        assert second.stdout == ""
+        assert str(first.pid) in second.stderr
+        assert str(store) in second.stderr
+        assert len(second.stderr.strip().splitlines()) == 1
+        # The first is unharmed.
+        assert append(stub, VEHICLE,
+                      straight(5, first=11)).durable_sequence == 15
+        assert get(stub, VEHICLE).durable_sequence == 15
+    # And the store is free once it is gone.
+    with Server(store) as third:
+        assert get(third.stub(), VEHICLE).durable_sequence == 15
+
+
+def test_lock_of_a_killed_server_is_no_obstacle(tmp_path):
+    store = tmp_path / "store"
+    with Server(store) as server:
+        create(server.stub())
+        server.kill()
+    with Server(store) as server:
+        assert get(server.stub(), VEHICLE).name == VEHICLE
+
+
+def database_of(store):
+    """The largest file: the tables."""
+    return max((path for path in store.rglob("*") if path.is_file()),
+               key=lambda path: path.stat().st_size)
+
+
+def test_damaged_record_is_told_and_harms_no_other_vehicle(tmp_path):
+    store = tmp_path / "store"
+    # Found again in the file by these bytes.
+    marked = straight(64)
+    for one in marked:
+        one.local.z_meters = 1234.56789
+    with Server(store) as server:
+        stub = server.stub()
+        create(stub)
+        append(stub, VEHICLE, marked)
+        create(stub, "vehicles/neighbour")
+        append(stub, "vehicles/neighbour", straight(64))
+    path = database_of(store)
+    content = bytearray(path.read_bytes())
+    z = marked[0].local.SerializeToString()[-8:]
+    at = content.index(z)
+    content[at] ^= 0x10
+    path.write_bytes(content)
+    with Server(store) as server:
+        stub = server.stub()
+        failure = failure_of(lambda: get(stub, VEHICLE))
+        assert failure.code == grpc.StatusCode.DATA_LOSS
+        assert failure.reason == "STORE_CORRUPT"
+        failure = failure_of(lambda: append(stub, VEHICLE,
+                                            straight(1, first=65)))
+        assert failure.code == grpc.StatusCode.DATA_LOSS
+        neighbour = "vehicles/neighbour"
+        assert len(list_poses(stub, neighbour)) == 64
+        assert append(stub, neighbour,
+                      straight(1, first=65)).durable_sequence == 65
+
+
+def test_store_that_is_none_is_refused_and_left_alone(tmp_path):
+    store = tmp_path / "store"
+    with Server(store):
+        pass
+    path = database_of(store)
+    path.write_bytes(b"not a database at all, by any means\n" * 200)
+    result = run("revisitd", "--listen", "127.0.0.1:0", "--store", store)
+    assert result.returncode in (73, 74)
+    assert str(store) in result.stderr
+    assert path.read_bytes() == b"not a database at all, by any means\n" * 200
+
+
+def test_store_restored_from_an_old_copy_is_noticed(tmp_path):
+    store = tmp_path / "store"
+    with Server(store) as server:
+        create(server.stub())
+        append(server.stub(), VEHICLE, straight(10))
+    backup = {path: path.read_bytes() for path in store.rglob("*")
+              if path.is_file()}
+    with Server(store) as server:
+        acked = append(server.stub(), VEHICLE,
+                       straight(10, first=11)).durable_sequence
+    for path, content in backup.items():
+        path.write_bytes(content)
+    with Server(store) as server:
+        with PoseStream(server.stub(), VEHICLE, acked_sequence=acked) as stream:
+            failure = failure_of(stream.receive)
+        assert failure.code == grpc.StatusCode.DATA_LOSS
+        assert failure.metadata["durable_sequence"] == "10"
+    # It is not forgotten over a restart.
+    with Server(store) as server:
+        failure = failure_of(lambda: append(server.stub(), VEHICLE,
+                                            straight(1, first=11)))
+        assert failure.code == grpc.StatusCode.DATA_LOSS
+
+
+def test_idle_vehicle_is_unloaded_and_comes_back(tmp_path):
+    # The shortest time there is: 0.6 seconds.
+    with Server(tmp_path / "store", "--idle-unload-minutes", 0.01) as server:
+        stub = server.stub()
+        create(stub, **SETTINGS)
+        append(stub, VEHICLE, straight(500))
+        before = state_of(stub)
+        node_count = get(stub, VEHICLE).node_count
+        assert node_count > 400
+
+        def listed():
+            return stub.ListVehicles(api.ListVehiclesRequest()).vehicles[0]
+
+        # ListVehicles does not load: it shows no nodes for one not in memory.
+        wait_until(lambda: listed().node_count == 0, "unloading", seconds=30)
+        assert listed().durable_sequence == 500
+        assert state_of(stub) == before
+        assert listed().node_count == node_count
+
+
+def test_server_that_may_not_write_its_store_says_so(tmp_path):
+    # A file where the directory would be made.
+    (tmp_path / "file").write_text("in the way")
+    result = run("revisitd", "--listen", "127.0.0.1:0",
+                 "--store", tmp_path / "file" / "store")
+    assert result.returncode in (73, 74)
+    assert str(tmp_path / "file") in result.stderr
+
+
+def test_full_file_system_is_told_and_loses_nothing(tmp_path):
+    # A limit on the size of any one file stands in for a full disk.
+    store = tmp_path / "store"
+    limit_kib = 1024
+    with Server(store) as server:
+        create(server.stub())
+    process = subprocess.Popen(
+        ["bash", "-c",
+         f"ulimit -f {limit_kib}; trap '' XFSZ; exec \"$@\"", "limited",
+         BIN / "revisitd", "--listen", "127.0.0.1:0", "--store", store,
+         "--port-file", tmp_path / "port"],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        env=clean_environment())
+    acked = 0
+    try:
+        address = wait_until(lambda: (tmp_path / "port").exists() and
+                             (tmp_path / "port").read_text().strip(), "port")
+        with grpc.insecure_channel(address) as channel:
+            from stubs import PoseGraphServiceStub
+            stub = PoseGraphServiceStub(channel)
+            with pytest.raises(grpc.RpcError) as raised:
+                for batch in batches(straight(100000), 256):
+                    acked = append(stub, VEHICLE, batch).durable_sequence
+            failure = decode_failure(raised.value)
+            assert failure.code == grpc.StatusCode.UNAVAILABLE
+            assert failure.reason == "STORE_UNAVAILABLE"
+            # Reads go on.
+            assert get(stub, VEHICLE).durable_sequence == acked
+    finally:
+        process.terminate()
+        process.wait(30)
+    assert acked > 0
+    with Server(store) as server:
+        stub = server.stub()
+        stored = list_poses(stub, VEHICLE)
+        assert len(stored) >= acked
+        assert as_bytes(stored) == as_bytes(straight(100000)[:len(stored)])
+        assert append(stub, VEHICLE, straight(
+            10, first=len(stored) + 1)).durable_sequence == len(stored) + 10

@@ -1,0 +1,172 @@
+"""The real grpcurl against the real server, with the lines of the README."""
+
+import json
+import os
+import pathlib
+import re
+import subprocess
+
+import pytest
+
+from stubs import ROOT
+
+GRPCURL = pathlib.Path(os.environ.get("REVISIT_TEST_GRPCURL",
+                                      ROOT / "build/tools/grpcurl"))
+README_ADDRESS = "127.0.0.1:50051"
+SERVICE = "revisit.v1.PoseGraphService"
+# What grpcurl adds to the code of a status to make its exit code.
+STATUS_EXIT = 64
+INVALID_ARGUMENT = 3
+
+if not GRPCURL.exists():
+    pytest.exit(f"there is no grpcurl at {GRPCURL}: tests/run builds it where "
+                "there is Go", returncode=77)
+
+
+def readme_commands():
+    """Commands of the README between its two markers, each one string."""
+    block = re.search(r"<!-- grpcurl -->\n```sh\n(.*?)```\n<!-- /grpcurl -->",
+                      (ROOT / "README.md").read_text(), re.DOTALL).group(1)
+    block = re.sub(r"^#.*\n", "", block, flags=re.MULTILINE)
+    return [f"grpcurl {command}".strip()
+            for command in re.split(r"^grpcurl ", block, flags=re.MULTILINE)
+            if command.strip()]
+
+
+@pytest.fixture(scope="module")
+def run_line(server):
+    """Runs one line of a shell against the server of this test."""
+    def run(line):
+        assert README_ADDRESS in line
+        return subprocess.run(
+            ["bash", "-c", line.replace(README_ADDRESS, server.address)],
+            env={**os.environ,
+                 "PATH": f"{GRPCURL.parent}:{os.environ['PATH']}"},
+            capture_output=True, text=True, timeout=60, check=False)
+    return run
+
+
+@pytest.fixture(scope="module")
+def results(run_line):
+    """Results of the README's lines, in their order."""
+    return [(command, run_line(command)) for command in readme_commands()]
+
+
+def results_of(results, word):
+    found = [result for command, result in results if word in command]
+    assert found, f"the README has no line with {word}"
+    return found
+
+
+def test_list_shows_the_service_health_and_reflection(results):
+    listed = results_of(results, " list")[0]
+    assert listed.returncode == 0, listed.stderr
+    assert set(listed.stdout.split()) == {
+        SERVICE, "grpc.health.v1.Health",
+        "grpc.reflection.v1alpha.ServerReflection"}
+
+
+def test_describe_shows_a_method_with_its_comment(results):
+    described = results_of(results, " describe ")[0]
+    assert described.returncode == 0, described.stderr
+    assert "rpc AppendPoses ( .revisit.v1.AppendPosesRequest )" in (
+        described.stdout)
+
+
+def test_create_answers_with_every_setting(results):
+    created = results_of(results, "/CreateVehicle")[0]
+    assert created.returncode == 0, created.stderr
+    vehicle = json.loads(created.stdout)["vehicle"]
+    assert vehicle["settings"]["sequenceLengthMeters"] == 150
+    assert vehicle["state"] == "VEHICLE_STATE_ACTIVE"
+
+
+def test_append_answers_what_is_durable(results):
+    appended = results_of(results, "/AppendPoses")[0]
+    assert appended.returncode == 0, appended.stderr
+    assert json.loads(appended.stdout)["ack"]["durableSequence"] == "2"
+
+
+def test_find_says_why_there_is_no_candidate(results):
+    found = results_of(results, "/FindCandidates")[0]
+    assert found.returncode == 0, found.stderr
+    answer = json.loads(found.stdout)["candidates"]
+    assert answer["emptyReason"] == "EMPTY_REASON_PATH_TOO_SHORT"
+    assert answer["query"]["sequence"] == "1"
+
+
+def test_error_comes_with_details_that_resolve(results):
+    failed = results_of(results, "/AppendPoses")[-1]
+    assert failed.returncode == STATUS_EXIT + INVALID_ARGUMENT
+    for words in ("Code: InvalidArgument", "google.rpc.ErrorInfo",
+                  "COVARIANCE_NOT_POSITIVE_DEFINITE", '"domain": "revisit"',
+                  "request_id", "google.rpc.BadRequest",
+                  "poses[0].covariance.values"):
+        assert words in failed.stderr, failed.stderr
+
+
+def test_every_line_of_the_readme_was_looked_at(results):
+    assert len(results) == 6
+    assert [result.returncode for _, result in results] == [
+        0, 0, 0, 0, 0, STATUS_EXIT + INVALID_ARGUMENT]
+
+
+def test_lines_may_be_run_again(results, run_line):
+    for command, first in results:
+        again = run_line(command)
+        assert again.returncode == first.returncode, again.stderr
+        if "/AppendPoses" in command and first.returncode == 0:
+            assert again.stdout == first.stdout
+
+
+@pytest.mark.parametrize("symbol", [
+    "grpc.health.v1.Health", "google.rpc.ErrorInfo", "google.rpc.BadRequest",
+    "google.rpc.RetryInfo", "google.rpc.Status", f"{SERVICE}.StreamPoses",
+    "revisit.v1.Pose", "revisit.v1.CandidateSet", "revisit.v1.ErrorReason",
+    "google.protobuf.FieldMask", "google.protobuf.Timestamp",
+])
+def test_descriptor_resolves(symbol, run_line):
+    result = run_line(f"grpcurl -plaintext {README_ADDRESS} describe {symbol}")
+    assert result.returncode == 0, result.stderr
+    assert symbol in result.stdout
+
+
+def test_all_methods_are_listed(run_line):
+    result = run_line(f"grpcurl -plaintext {README_ADDRESS} list {SERVICE}")
+    declared = re.findall(r"^  rpc (\w+)\(", (
+        ROOT / "proto/revisit/v1/pose_graph_service.proto").read_text(),
+        re.MULTILINE)
+    assert set(result.stdout.split()) == {
+        f"{SERVICE}.{name}" for name in declared}
+
+
+def test_health_is_asked_by_hand(run_line):
+    result = run_line(f"grpcurl -plaintext -d '{{\"service\": \"{SERVICE}\"}}' "
+                      f"{README_ADDRESS} grpc.health.v1.Health/Check")
+    assert json.loads(result.stdout) == {"status": "SERVING"}
+
+
+def test_stream_is_fed_by_hand(run_line):
+    result = run_line(
+        "grpcurl -plaintext -d '"
+        '{"open": {"vehicle": "vehicles/shuttle-1"}}'
+        '{"batch": {"poses": [{"sequence": 1, "local": {"x_meters": 0},'
+        ' "heading_radians": 0, "covariance": {"form":'
+        ' "COVARIANCE_FORM_PLANAR_6", "values":'
+        " [0.01, 0, 0, 0.01, 0, 0.0001]}}]}}'"
+        f" {README_ADDRESS} {SERVICE}/StreamPoses")
+    assert result.returncode == 0, result.stderr
+    assert '"opened"' in result.stdout
+    assert '"ack"' in result.stdout
+
+
+def test_json_nan_is_refused_by_the_server(run_line):
+    result = run_line(
+        "grpcurl -plaintext -d '"
+        '{"vehicle": "vehicles/shuttle-1", "poses": [{"sequence": 3,'
+        ' "local": {"x_meters": "NaN"}, "heading_radians": 0,'
+        ' "covariance": {"form": "COVARIANCE_FORM_PLANAR_6", "values":'
+        " [0.01, 0, 0, 0.01, 0, 0.0001]}}]}'"
+        f" {README_ADDRESS} {SERVICE}/AppendPoses")
+    assert result.returncode == STATUS_EXIT + INVALID_ARGUMENT
+    assert "NOT_FINITE" in result.stderr

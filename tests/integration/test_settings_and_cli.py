@@ -1,0 +1,331 @@
+"""Settings of revisitd and the command line `revisit`, as a shell sees them."""
+
+import json
+import re
+import socket
+
+import pytest
+
+from revisit_server import Server, clean_environment, run, wait_until
+from stubs import api
+from wire import BOREAS
+
+USAGE = 64
+
+
+def settings_of(text):
+    """Keys and values as --print-config prints them."""
+    pairs = (line.split("=", 1) for line in text.splitlines()
+             if line.strip() and not line.lstrip().startswith("#"))
+    return {key.strip(): value.strip().strip('"') for key, value in pairs}
+
+
+def print_config(*flags, **environment):
+    result = run("revisitd", *flags, "--print-config",
+                 env=clean_environment(**environment))
+    assert (result.returncode, result.stderr) == (0, ""), result
+    return settings_of(result.stdout)
+
+
+# ---- Settings of the server
+
+
+def test_defaults_keep_to_the_loopback():
+    settings = print_config()
+    assert settings["listen"] == "127.0.0.1:50051"
+
+
+def test_flags_win_over_environment_over_file_over_defaults(tmp_path):
+    file = tmp_path / "revisitd.conf"
+    file.write_text("# A comment.\n"
+                    "max-batch-poses = 11\n"
+                    "worker-threads = 1\n"
+                    'listen = "127.0.0.1:1111"\n')
+    environment = {"REVISIT_WORKER_THREADS": "2",
+                   "REVISIT_LISTEN": "127.0.0.1:2222"}
+    flags = ["--config", file, "--listen", "127.0.0.1:3333"]
+    defaults = print_config()
+    settings = print_config(*flags, **environment)
+    assert settings["listen"] == "127.0.0.1:3333"
+    assert settings["worker-threads"] == "2"
+    assert settings["max-batch-poses"] == "11"
+    assert settings["log-level"] == defaults["log-level"]
+    # The environment may name the file too.
+    assert print_config(REVISIT_CONFIG=str(file))["max-batch-poses"] == "11"
+
+
+def test_what_is_printed_may_be_read_again(tmp_path):
+    printed = run("revisitd", "--store", 'a "b" \\ c', "--keepalive-seconds",
+                  "12.5", "--print-config").stdout
+    file = tmp_path / "revisitd.conf"
+    file.write_text(printed)
+    again = run("revisitd", "--config", file, "--print-config")
+    assert again.stdout == printed
+
+
+@pytest.mark.parametrize("flags, environment, file, words", [
+    (["--no-such-thing", "1"], {}, None, ["no-such-thing"]),
+    ([], {"REVISIT_NO_SUCH_THING": "1"}, None, ["REVISIT_NO_SUCH_THING"]),
+    ([], {}, "worker-threads = 1\nno-such-thing = 1\n",
+     ["no-such-thing", "revisitd.conf:2"]),
+    ([], {}, "worker-threads = 1\nworker-threads = 2\n",
+     ["worker-threads", "revisitd.conf:2"]),
+    ([], {}, "worker-threads\n", ["revisitd.conf:1"]),
+    (["--worker-threads", "many"], {}, None, ["worker-threads", "many"]),
+    (["--worker-threads", "-1"], {}, None, ["worker-threads", "-1"]),
+    ([], {"REVISIT_WORKER_THREADS": "1e9"}, None,
+     ["REVISIT_WORKER_THREADS", "1e9"]),
+    (["--drain-timeout-seconds", "nan"], {}, None,
+     ["drain-timeout-seconds", "nan"]),
+    (["--log-level", "loud"], {}, None, ["log-level", "loud"]),
+], ids=str)
+def test_wrong_settings_are_refused_by_name(
+        flags, environment, file, words, tmp_path):
+    if file is not None:
+        path = tmp_path / "revisitd.conf"
+        path.write_text(file)
+        flags = [*flags, "--config", path]
+    result = run("revisitd", *flags, "--store", tmp_path / "store",
+                 env=clean_environment(**environment))
+    assert result.returncode == USAGE
+    for word in words:
+        assert word in result.stderr
+    assert not (tmp_path / "store").exists()
+
+
+def test_file_of_settings_that_is_not_there_is_told(tmp_path):
+    result = run("revisitd", "--config", tmp_path / "none.conf")
+    assert result.returncode == USAGE
+    assert "none.conf" in result.stderr
+
+
+def test_help_and_version_are_printed_and_nothing_started(tmp_path):
+    shown = run("revisitd", "--help", cwd=tmp_path)
+    assert (shown.returncode, shown.stderr) == (0, "")
+    for key in print_config():
+        assert f"--{key}" in shown.stdout
+    version = run("revisitd", "--version", cwd=tmp_path)
+    assert re.fullmatch(r"revisitd \d+\.\d+\.\d+\n", version.stdout)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_address_that_is_taken_is_told(tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        result = run("revisitd", "--listen", f"127.0.0.1:{port}",
+                     "--store", tmp_path / "store")
+    assert result.returncode == 69
+    assert f"127.0.0.1:{port}" in result.stderr
+
+
+def test_port_file_tells_where_it_listens(tmp_path):
+    port_file = tmp_path / "port"
+    with Server(tmp_path / "store", "--port-file", port_file) as server:
+        wait_until(port_file.exists, "port file")
+        assert port_file.read_text().strip() == server.address
+
+
+def test_limits_of_the_flags_are_those_of_the_server(tmp_path):
+    with Server(tmp_path / "store", "--max-batch-poses", 10,
+                "--max-batches-in-flight", 3,
+                "--max-message-bytes", 65536) as server:
+        info = server.stub().GetServerInfo(api.GetServerInfoRequest())
+    assert info.max_batch_poses == 10
+    assert info.max_batches_in_flight == 3
+    assert info.max_message_bytes == 65536
+
+
+def test_every_call_has_one_line_in_the_log_that_is_json(tmp_path):
+    with Server(tmp_path / "store", "--log-format", "json") as server:
+        stub = server.stub()
+        calls = [("x-request-id", "first"), ("x-request-id", "second")]
+        for metadata in calls:
+            stub.GetServerInfo(api.GetServerInfoRequest(), metadata=[metadata])
+        # An id that would forge a line, were it written as it came.
+        try:
+            stub.GetVehicle(api.GetVehicleRequest(
+                name='vehicles/x"\n{"forged": true}\x1b[31m'))
+        except Exception:  # Its error is another test's concern.
+            pass
+    lines = [json.loads(line) for line in server.log().splitlines()]
+    for _, request_id in calls:
+        own = [line for line in lines if request_id in line.values()]
+        assert len(own) == 1
+        assert any("GetServerInfo" in str(value) for value in own[0].values())
+    assert not any(line.get("forged") for line in lines)
+    assert "\x1b" not in server.log()
+
+
+# ---- The command line
+
+
+@pytest.fixture(scope="module")
+def revisit(server):
+    """Runs `revisit` against the server; answers the finished process."""
+    def call(*arguments, timeout=120):
+        return run("revisit", *arguments, "--server", server.address,
+                   timeout=timeout)
+    return call
+
+
+@pytest.fixture(scope="module")
+def driven(stub, revisit):
+    """A vehicle that the command line made and streamed the drive to."""
+    assert revisit("vehicle", "create", "cli-boreas").returncode == 0
+    streamed = revisit("stream", BOREAS, "--vehicle", "cli-boreas")
+    assert streamed.returncode == 0, streamed.stderr
+    return "cli-boreas"
+
+
+COMMANDS = [("vehicle", "create"), ("vehicle", "get"), ("vehicle", "list"),
+            ("vehicle", "delete"), ("stream",), ("find",), ("show",),
+            ("export",), ("evaluate",)]
+
+
+def test_help_names_every_command():
+    shown = run("revisit", "--help")
+    assert (shown.returncode, shown.stderr) == (0, "")
+    for command in COMMANDS:
+        assert command[0] in shown.stdout
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_help_of_a_command_has_examples(command):
+    shown = run("revisit", *command, "--help")
+    assert (shown.returncode, shown.stderr) == (0, "")
+    assert f"revisit {' '.join(command)}" in shown.stdout
+    assert "xample" in shown.stdout
+
+
+def test_json_is_printed_by_every_command_that_reads(driven, revisit):
+    def parsed(*arguments):
+        result = revisit(*arguments, "--json")
+        assert result.returncode == 0, result.stderr
+        return json.loads(result.stdout)
+
+    vehicle = parsed("vehicle", "get", driven)
+    assert json.dumps(vehicle).count("vehicles/cli-boreas") == 1
+    assert parsed("vehicle", "list")
+    assert parsed("show", "--vehicle", driven)["consecutiveEdgeCount"] > 7000
+    found = parsed("find", "--vehicle", driven, "--aligned-path")
+    assert found["candidates"][0]["alignedPath"]
+    everything = revisit("export", "--vehicle", driven, "--json")
+    parts = [json.loads(line) for line in everything.stdout.splitlines()]
+    assert set(parts[0]) == {"vehicle"}
+    assert {key for part in parts[1:] for key in part} == {"node", "edge"}
+
+
+def test_tables_are_for_people(driven, revisit):
+    for arguments in (["vehicle", "get", driven], ["vehicle", "list"],
+                      ["show", "--vehicle", driven],
+                      ["find", "--vehicle", driven]):
+        result = revisit(*arguments)
+        assert result.returncode == 0, result.stderr
+        assert result.stdout.strip()
+        assert not result.stdout.lstrip().startswith("{")
+        # Not to a terminal: no colours, no bars drawn over themselves.
+        assert "\x1b" not in result.stdout
+        assert "\r" not in result.stdout
+
+
+def test_streaming_again_changes_nothing(driven, revisit):
+    before = revisit("vehicle", "get", driven, "--json").stdout
+    again = revisit("stream", BOREAS, "--vehicle", driven)
+    assert again.returncode == 0, again.stderr
+    assert revisit("vehicle", "get", driven, "--json").stdout == before
+
+
+def test_vehicles_come_and_go(revisit):
+    assert revisit("vehicle", "create", "cli-brief").returncode == 0
+    assert "cli-brief" in revisit("vehicle", "list").stdout
+    assert revisit("vehicle", "delete", "cli-brief").returncode == 0
+    assert "cli-brief" not in revisit("vehicle", "list").stdout
+
+
+# 64 and the code of the status; see `revisit --help`.
+@pytest.mark.parametrize("arguments, code, words", [
+    (["vehicle", "get", "nobody"], 64 + 5, "nobody"),
+    (["vehicle", "create", "Bad_Id"], 64 + 3, "Bad_Id"),
+    (["find", "--vehicle", "nobody"], 64 + 5, "nobody"),
+    (["stream", "no-such-file.csv", "--vehicle", "x"], 1, "no-such-file.csv"),
+], ids=str)
+def test_failure_has_its_exit_code_and_words(arguments, code, words, revisit):
+    result = revisit(*arguments)
+    assert result.returncode == code, result
+    assert words in result.stderr
+    assert result.stdout == ""
+
+
+@pytest.mark.parametrize("arguments", [
+    [], ["no-such-command"], ["vehicle"], ["find"], ["vehicle", "get"],
+    ["find", "--vehicle", "x", "--no-such-flag"], ["stream", BOREAS]],
+    ids=str)
+def test_wrong_usage_has_its_exit_code(arguments):
+    result = run("revisit", *arguments)
+    assert result.returncode == USAGE
+    assert result.stderr
+
+
+def test_server_that_is_not_there_is_told():
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{unused.getsockname()[1]}"
+        result = run("revisit", "vehicle", "list", "--server", address,
+                     timeout=120)
+    assert result.returncode == 64 + 14
+    assert address in result.stderr
+
+
+def test_server_may_come_from_the_environment(server, driven):
+    listed = run("revisit", "vehicle", "list", "--json",
+                 env=clean_environment(REVISIT_SERVER=server.address))
+    assert driven in listed.stdout
+
+
+def test_error_is_json_too_where_json_is_asked_for(revisit):
+    result = revisit("vehicle", "get", "nobody", "--json")
+    assert result.returncode == 64 + 5
+    error = json.loads(result.stderr)["error"]
+    assert error["reason"] == "VEHICLE_NOT_FOUND"
+
+
+def test_stream_brings_the_candidates_where_asked(revisit):
+    result = revisit("stream", BOREAS, "--vehicle", "cli-candidates",
+                     "--create", "--candidates", "--uncertainty", "file",
+                     "--json")
+    assert result.returncode == 0, result.stderr
+    *checks, summary = map(json.loads, result.stdout.splitlines())
+    assert summary["checks"] == len(checks) > 300
+    assert summary["durableSequence"] == summary["poses"] == 2076
+
+
+KEYS = {"drive", "checks", "true_loops", "accepted", "accepted_correct",
+        "top1_correct", "top5_correct", "precision", "recall", "f1",
+        "query_ms_p50", "query_ms_p99"}
+
+
+def test_evaluate_judges_the_shipped_drive(revisit, tmp_path):
+    result = revisit("evaluate", BOREAS, "--uncertainty", "file", "--json",
+                     "--map", tmp_path / "map.svg")
+    assert result.returncode == 0, result.stderr
+    report = json.loads(result.stdout)
+    total = report["total"]
+    for part in (*report["drives"], total):
+        assert KEYS <= part.keys()
+    assert total["checks"] > 300
+    # Bounds that a broken search would miss by far.
+    assert total["true_loops"] > 100
+    assert total["precision"] > 0.75
+    assert total["recall"] > 0.5
+    drawing = (tmp_path / "map.svg").read_text()
+    assert drawing.startswith(("<?xml", "<svg"))
+    assert drawing.rstrip().endswith("</svg>")
+
+
+def test_evaluate_starts_a_server_of_its_own(tmp_path):
+    result = run("revisit", "evaluate", BOREAS, "--json", timeout=120,
+                 cwd=tmp_path, env=clean_environment(TMPDIR=str(tmp_path)))
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout)["total"]["checks"] > 300
+    # And leaves nothing behind.
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,200 @@
+"""Poses, drives, streams and errors as they go over the wire."""
+
+import csv
+import dataclasses
+import math
+import queue
+
+import grpc
+import pytest
+from google.rpc import error_details_pb2, status_pb2
+
+from stubs import ROOT, api
+
+BOREAS = ROOT / "tests/data/boreas/boreas_glen_shields.csv"
+
+# Variances of 0.1 m and 0.01 rad: xx, xy, xh, yy, yh, hh.
+SMALL_COVARIANCE = (0.01, 0.0, 0.0, 0.01, 0.0, 1e-4)
+
+
+def pose(sequence, x=0.0, y=0.0, heading=0.0, covariance=SMALL_COVARIANCE,
+         **fields):
+    """A planar pose in the local frame."""
+    return api.Pose(
+        sequence=sequence,
+        local=api.LocalPosition(x_meters=x, y_meters=y),
+        heading_radians=heading,
+        covariance=api.Covariance(form=api.COVARIANCE_FORM_PLANAR_6,
+                                  values=covariance),
+        **fields)
+
+
+def straight(count, first=1, spacing=1.0):
+    """Poses along +x, the pose of sequence n at x = n * spacing."""
+    return [pose(n, x=n * spacing) for n in range(first, first + count)]
+
+
+def laps(count, radius=60.0, spacing=1.0, first=1):
+    """Poses along a circle, counter-clockwise, exactly over each other at each
+    lap if the circumference is a multiple of the spacing."""
+    poses = []
+    for n in range(first, first + count):
+        angle = n * spacing / radius
+        poses.append(pose(n, x=radius * math.cos(angle),
+                          y=radius * math.sin(angle),
+                          heading=math.remainder(angle + math.pi / 2,
+                                                 2 * math.pi)))
+    return poses
+
+
+def boreas():
+    """The shipped drive: (poses as estimated, true (x, y, heading) of each)."""
+    poses, truth = [], []
+    with open(BOREAS, newline="") as file:
+        for row in csv.DictReader(file):
+            number = {name: float(value) for name, value in row.items()}
+            poses.append(pose(
+                int(row["frame"]) + 1, number["est_x"], number["est_y"],
+                number["est_yaw"],
+                [number[name] for name in
+                 ("pxx", "pxy", "pxt", "pyy", "pyt", "ptt")]))
+            truth.append((number["gt_x"], number["gt_y"], number["gt_yaw"]))
+    return poses, truth
+
+
+def batches(poses, size=64):
+    return [poses[i:i + size] for i in range(0, len(poses), size)]
+
+
+def append(stub, vehicle, poses, **call):
+    return stub.AppendPoses(
+        api.AppendPosesRequest(vehicle=vehicle, poses=poses), **call).ack
+
+
+def get(stub, vehicle):
+    return stub.GetVehicle(api.GetVehicleRequest(name=vehicle)).vehicle
+
+
+def list_poses(stub, vehicle, **fields):
+    """All stored poses, page by page."""
+    request = api.ListPosesRequest(parent=vehicle, page_size=10000, **fields)
+    poses = []
+    while True:
+        page = stub.ListPoses(request)
+        poses.extend(page.poses)
+        if not page.next_page_token:
+            return poses
+        request.page_token = page.next_page_token
+
+
+def as_bytes(messages):
+    """Exact content: equal if and only if every number is, to the bit."""
+    return [message.SerializeToString(deterministic=True)
+            for message in messages]
+
+
+class PoseStream:
+    """One StreamPoses call. What is put into it is sent as the server reads."""
+
+    def __init__(self, stub, vehicle=None, timeout=60, metadata=None, **fields):
+        self._requests = queue.SimpleQueue()
+        self.call = stub.StreamPoses(iter(self._requests.get, None),
+                                     timeout=timeout, metadata=metadata)
+        if vehicle is not None:
+            self.put(api.StreamPosesRequest(
+                open=api.StreamPosesOpen(vehicle=vehicle, **fields)))
+
+    def put(self, request):
+        self._requests.put(request)
+
+    def send(self, poses):
+        self.put(api.StreamPosesRequest(batch=api.PoseBatch(poses=poses)))
+
+    def half_close(self):
+        self._requests.put(None)
+
+    def receive(self):
+        """The next response as (kind, message); None at the end."""
+        response = next(self.call, None)
+        if response is None:
+            return None
+        kind = response.WhichOneof("message")
+        return kind, getattr(response, kind)
+
+    def receive_kind(self, kind):
+        received = self.receive()
+        assert received is not None, f"stream ended before {kind}"
+        assert received[0] == kind, received
+        return received[1]
+
+    def receive_all(self):
+        return list(iter(self.receive, None))
+
+    def cancel(self):
+        self.call.cancel()
+        self.half_close()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.cancel()
+
+
+@dataclasses.dataclass
+class Failure:
+    """A status other than OK, with its details taken apart."""
+
+    code: grpc.StatusCode
+    message: str
+    reason: str
+    metadata: dict
+    # (field, description) of BadRequest.
+    violations: list
+    retry_seconds: float
+
+    @property
+    def fields(self):
+        return [field for field, _ in self.violations]
+
+
+def decode_failure(error):
+    """Takes an error apart and checks what holds for every one of ours."""
+    trailers = dict(error.trailing_metadata())
+    assert "grpc-status-details-bin" in trailers, (
+        f"no details: {error.code()} {error.details()}")
+    status = status_pb2.Status.FromString(trailers["grpc-status-details-bin"])
+    assert status.code == error.code().value[0]
+    assert status.message == error.details()
+    assert status.message, "a status without words"
+    kinds = [detail.TypeName() for detail in status.details]
+    assert len(kinds) == len(set(kinds)), kinds
+    details = {}
+    for detail in status.details:
+        message = getattr(error_details_pb2, detail.TypeName().split(".")[-1])()
+        assert detail.Unpack(message)
+        details[detail.TypeName()] = message
+    info = details["google.rpc.ErrorInfo"]
+    assert info.domain == "revisit"
+    assert f"ERROR_REASON_{info.reason}" in api.ErrorReason.keys()
+    assert info.metadata["request_id"]
+    bad_request = details.get("google.rpc.BadRequest")
+    retry = details.get("google.rpc.RetryInfo")
+    may_retry = error.code() in (grpc.StatusCode.UNAVAILABLE,
+                                 grpc.StatusCode.RESOURCE_EXHAUSTED)
+    assert (retry is not None) == may_retry, kinds
+    return Failure(
+        code=error.code(), message=error.details(), reason=info.reason,
+        metadata=dict(info.metadata),
+        violations=[(violation.field, violation.description)
+                    for violation in bad_request.field_violations]
+        if bad_request else [],
+        retry_seconds=retry.retry_delay.ToTimedelta().total_seconds()
+        if retry else None)
+
+
+def failure_of(call):
+    """The failure of a call that must fail."""
+    with pytest.raises(grpc.RpcError) as raised:
+        call()
+    return decode_failure(raised.value)

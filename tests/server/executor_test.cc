@@ -1,0 +1,150 @@
+#include "server/sessions/executor.h"
+
+#include <algorithm>
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <thread>
+#include <vector>
+
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "tests/server/waiting.h"
+
+namespace revisit::server {
+namespace {
+
+TEST(ExecutorTest, RunsEveryTaskOnce) {
+  std::atomic<int> runs{0};
+  {
+    Executor executor(4);
+    std::vector<std::thread> threads;
+    for (int t = 0; t < 4; ++t) {
+      threads.emplace_back([&] {
+        for (int i = 0; i < 1000; ++i) executor.Post([&] { ++runs; });
+      });
+    }
+    for (std::thread& thread : threads) thread.join();
+  }
+  EXPECT_EQ(runs, 4000);
+}
+
+TEST(ExecutorTest, RunsTasksAtTheSameTime) {
+  Executor executor(2);
+  const Answer<bool> first;
+  const Answer<bool> second;
+  const Answer<bool> both;
+  executor.Post([=] {
+    first.Set(true);
+    both.Set(second.Get());
+  });
+  executor.Post([=] {
+    second.Set(true);
+    first.Get();
+  });
+  EXPECT_TRUE(both.Get());
+}
+
+TEST(ExecutorTest, DestructorRunsWhatTasksPost) {
+  std::atomic<int> runs{0};
+  std::function<void(Executor*, int)> post;
+  post = [&](Executor* executor, int left) {
+    executor->Post([&, executor, left] {
+      ++runs;
+      if (left > 0) post(executor, left - 1);
+    });
+  };
+  {
+    Executor executor(2);
+    post(&executor, 100);
+  }
+  EXPECT_EQ(runs, 101);
+}
+
+TEST(ExecutorTest, DropsWhatTasksHold) {
+  Executor executor(1);
+  auto held = std::make_shared<int>(1);
+  const std::weak_ptr<int> watch = held;
+  executor.Post([held = std::move(held)] {});
+  const Answer<bool> later;
+  executor.Post([=] { later.Set(watch.expired()); });
+  EXPECT_TRUE(later.Get());
+}
+
+TEST(StrandTest, RunsTasksInOrderAndNeverTwoAtOnce) {
+  constexpr int kTasks = 2000;
+  std::vector<int> order;  // Not guarded: that is the point.
+  std::atomic<int> running{0};
+  {
+    Executor executor(4);
+    const std::shared_ptr<Strand> strand = Strand::Create(&executor);
+    for (int i = 0; i < kTasks; ++i) {
+      strand->Post([&, i] {
+        EXPECT_EQ(++running, 1);
+        order.push_back(i);
+        --running;
+      });
+    }
+  }
+  ASSERT_EQ(order.size(), static_cast<std::size_t>(kTasks));
+  EXPECT_TRUE(std::is_sorted(order.begin(), order.end()));
+}
+
+TEST(StrandTest, KeepsOrderOfEachOfManyPosters) {
+  constexpr int kThreads = 4;
+  constexpr int kTasks = 500;
+  std::vector<std::vector<int>> order(kThreads);
+  {
+    Executor executor(3);
+    const std::shared_ptr<Strand> strand = Strand::Create(&executor);
+    std::vector<std::thread> threads;
+    for (std::size_t t = 0; t < kThreads; ++t) {
+      threads.emplace_back([&, t] {
+        for (int i = 0; i < kTasks; ++i) {
+          strand->Post([&order, t, i] { order[t].push_back(i); });
+        }
+      });
+    }
+    for (std::thread& thread : threads) thread.join();
+  }
+  for (const std::vector<int>& posted : order) {
+    EXPECT_EQ(posted.size(), static_cast<std::size_t>(kTasks));
+    EXPECT_TRUE(std::is_sorted(posted.begin(), posted.end()));
+  }
+}
+
+TEST(StrandTest, GivesOtherStrandsTheirTurn) {
+  // One thread, and a strand that always has more to do until the other ran.
+  Executor executor(1);
+  const std::shared_ptr<Strand> busy = Strand::Create(&executor);
+  const std::shared_ptr<Strand> other = Strand::Create(&executor);
+  std::atomic<bool> other_ran{false};
+  const Answer<bool> ended;
+  std::function<void()> again = [&] {
+    if (other_ran) {
+      ended.Set(true);
+    } else {
+      busy->Post(again);
+    }
+  };
+  busy->Post(again);
+  other->Post([&] { other_ran = true; });
+  EXPECT_TRUE(ended.Get());
+}
+
+TEST(StrandTest, TaskMayDropTheLastReference) {
+  Executor executor(2);
+  for (int i = 0; i < 200; ++i) {
+    std::shared_ptr<Strand> strand = Strand::Create(&executor);
+    Strand* const raw = strand.get();
+    const Answer<bool> ran;
+    raw->Post([strand = std::move(strand), ran]() mutable {
+      strand->Post([ran] { ran.Set(true); });
+      strand.reset();
+    });
+    EXPECT_TRUE(ran.Get());
+  }
+}
+
+}  // namespace
+}  // namespace revisit::server

@@ -1,0 +1,279 @@
+#include "server/sessions/fleet.h"
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "server/status.h"
+#include "server/storage/sqlite_storage.h"
+#include "tests/random.h"
+#include "tests/server/error_matchers.h"
+#include "tests/server/held_storage.h"
+#include "tests/server/memory_storage.h"
+#include "tests/server/plain_codec.h"
+#include "tests/server/session_testing.h"
+#include "tests/server/temporary_directory.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StatusCode;
+using std::chrono::minutes;
+using std::chrono::steady_clock;
+using ::testing::_;
+
+absl::StatusOr<Snapshot> CreateNow(Fleet& fleet, const std::string& id) {
+  const Answer<absl::StatusOr<Snapshot>> answer;
+  fleet.Create(id, TestConfig(), Taking(answer));
+  return answer.Get();
+}
+
+absl::Status DeleteNow(Fleet& fleet, const std::string& id) {
+  const Answer<absl::Status> answer;
+  fleet.Delete(id, answer.Setter());
+  return answer.Get();
+}
+
+class FleetTest : public ::testing::Test {
+ protected:
+  FleetTest() { MakeFleet(); }
+  ~FleetTest() override { storage_.ReleaseAll(); }
+
+  void MakeFleet() {
+    fleet_.reset();
+    fleet_ = std::make_unique<Fleet>(&storage_, &codec_, &executor_,
+                                     Fleet::Options());
+  }
+
+  // Waits until no task refers to the vehicle any more, then unloads what was
+  // idle for this long.
+  void UnloadAfter(const std::string& id, std::chrono::milliseconds idle) {
+    while (fleet_->Session(id)->busy()) std::this_thread::yield();
+    fleet_->UnloadIdle(steady_clock::now() + idle);
+  }
+
+  MemoryStorage memory_;
+  HeldStorage storage_{&memory_};
+  PlainCodec codec_;
+  Executor executor_{2};
+  std::unique_ptr<Fleet> fleet_;
+};
+
+const auto kNotFound = IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _);
+
+TEST_F(FleetTest, CreatesVehicleAndAnswersWithIt) {
+  const auto created = CreateNow(*fleet_, "truck");
+  ASSERT_THAT(created, IsOk());
+  EXPECT_EQ(created->revision, 1u);
+  EXPECT_EQ(created->durable_sequence, 0u);
+  EXPECT_EQ(created->config.engine.node_spacing_meters, 1.0);
+  EXPECT_EQ(fleet_->loaded(), 1u);
+  EXPECT_EQ(AppendNow(*fleet_->Session("truck"), StraightBatch(1, 2))->revision,
+            2u);
+}
+
+TEST_F(FleetTest, RefusesSecondVehicleOfOneId) {
+  ASSERT_THAT(CreateNow(*fleet_, "truck"), IsOk());
+  EXPECT_THAT(CreateNow(*fleet_, "truck"),
+              IsError(StatusCode::kAlreadyExists, "VEHICLE_EXISTS", _));
+}
+
+TEST_F(FleetTest, CreatesVehicleThatWasAskedForBefore) {
+  const std::shared_ptr<VehicleSession> before = fleet_->Session("truck");
+  EXPECT_THAT(ReadNow(*before), kNotFound);
+  ASSERT_THAT(CreateNow(*fleet_, "truck"), IsOk());
+  EXPECT_THAT(ReadNow(*fleet_->Session("truck")), IsOk());
+  EXPECT_THAT(ReadNow(*before), kNotFound);
+}
+
+TEST_F(FleetTest, CreatesVehiclesThatAreAskedForMeanwhile) {
+  // Whoever asks while a vehicle is being created finds it or not; whoever
+  // created it always does.
+  std::atomic<bool> stop{false};
+  std::thread asker([&] {
+    while (!stop) {
+      for (int i = 0; i < 50; ++i) {
+        fleet_->Session("vehicle-" + std::to_string(i));
+      }
+    }
+  });
+  for (int i = 0; i < 50; ++i) {
+    EXPECT_THAT(CreateNow(*fleet_, "vehicle-" + std::to_string(i)), IsOk());
+  }
+  stop = true;
+  asker.join();
+}
+
+TEST_F(FleetTest, DeletesVehicle) {
+  EXPECT_THAT(DeleteNow(*fleet_, "truck"), kNotFound);
+  ASSERT_THAT(CreateNow(*fleet_, "truck"), IsOk());
+  const std::shared_ptr<VehicleSession> old = fleet_->Session("truck");
+  ASSERT_THAT(AppendNow(*old, StraightBatch(1, 2)), IsOk());
+  ASSERT_THAT(DeleteNow(*fleet_, "truck"), IsOk());
+  EXPECT_EQ(fleet_->loaded(), 0u);
+  EXPECT_THAT(DeleteNow(*fleet_, "truck"), kNotFound);
+  // A new one of that name has nothing of the old.
+  ASSERT_THAT(CreateNow(*fleet_, "truck"), IsOk());
+  EXPECT_EQ(ReadNow(*fleet_->Session("truck"))->durable_sequence, 0u);
+  EXPECT_THAT(ReadNow(*old), kNotFound);
+}
+
+TEST_F(FleetTest, SharesSessionOfVehicle) {
+  ASSERT_THAT(CreateNow(*fleet_, "truck"), IsOk());
+  EXPECT_EQ(fleet_->Session("truck"), fleet_->Session("truck"));
+}
+
+TEST_F(FleetTest, UnknownVehiclesTakeNoRoom) {
+  for (int i = 0; i < 100; ++i) {
+    EXPECT_THAT(ReadNow(*fleet_->Session("ghost-" + std::to_string(i))),
+                kNotFound);
+  }
+  EXPECT_EQ(fleet_->loaded(), 0u);
+}
+
+TEST_F(FleetTest, LoadsAnewAfterTheStoreFailed) {
+  ASSERT_THAT(CreateNow(*fleet_, "truck"), IsOk());
+  MakeFleet();
+  storage_.FailReads(
+      Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE", "broken"));
+  EXPECT_THAT(ReadNow(*fleet_->Session("truck")),
+              IsError(StatusCode::kUnavailable, "STORE_UNAVAILABLE", "broken"));
+  storage_.FailReads(absl::OkStatus());
+  EXPECT_THAT(ReadNow(*fleet_->Session("truck")), IsOk());
+}
+
+TEST_F(FleetTest, UnloadsIdleVehicleAndLoadsItAgain) {
+  ASSERT_THAT(CreateNow(*fleet_, "truck"), IsOk());
+  ASSERT_THAT(AppendNow(*fleet_->Session("truck"), StraightBatch(1, 9)),
+              IsOk());
+  UnloadAfter("truck", minutes(9));
+  EXPECT_EQ(fleet_->loaded(), 1u);
+  UnloadAfter("truck", minutes(11));
+  EXPECT_EQ(fleet_->loaded(), 0u);
+  const auto read = ReadNow(*fleet_->Session("truck"));
+  EXPECT_EQ(read->durable_sequence, 9u);
+  EXPECT_EQ(read->node_count, 9);
+  EXPECT_EQ(fleet_->loaded(), 1u);
+}
+
+TEST_F(FleetTest, KeepsVehicleThatSomeoneHolds) {
+  ASSERT_THAT(CreateNow(*fleet_, "truck"), IsOk());
+  std::shared_ptr<VehicleSession> held = fleet_->Session("truck");
+  UnloadAfter("truck", minutes(11));
+  EXPECT_EQ(fleet_->loaded(), 1u);
+  // It was in use until then.
+  held.reset();
+  fleet_->UnloadIdle(steady_clock::now() + minutes(20));
+  EXPECT_EQ(fleet_->loaded(), 1u);
+  fleet_->UnloadIdle(steady_clock::now() + minutes(22));
+  EXPECT_EQ(fleet_->loaded(), 0u);
+}
+
+TEST_F(FleetTest, KeepsVehicleWithWorkInFlight) {
+  ASSERT_THAT(CreateNow(*fleet_, "truck"), IsOk());
+  storage_.Hold();
+  const Appended appended =
+      Append(*fleet_->Session("truck"), StraightBatch(1, 1));
+  storage_.Await(1);
+  fleet_->UnloadIdle(steady_clock::now() + minutes(11));
+  EXPECT_EQ(fleet_->loaded(), 1u);
+  storage_.ReleaseAll();
+  EXPECT_THAT(appended.durable.Get(), IsOk());
+}
+
+TEST_F(FleetTest, DestructorFinishesWhatWasCalled) {
+  ASSERT_THAT(CreateNow(*fleet_, "truck"), IsOk());
+  storage_.Hold();
+  const Appended appended =
+      Append(*fleet_->Session("truck"), StraightBatch(1, 1));
+  const Answer<absl::StatusOr<Snapshot>> created;
+  fleet_->Create("car", TestConfig(), Taking(created));
+  storage_.Await(2);
+  std::thread destroyer([&] {
+    fleet_.reset();
+    EXPECT_TRUE(appended.durable.IsSet());
+    EXPECT_TRUE(created.IsSet());
+  });
+  storage_.ReleaseAll();
+  destroyer.join();
+  EXPECT_THAT(appended.durable.Get(), IsOk());
+  EXPECT_THAT(created.Get(), IsOk());
+}
+
+TEST_F(FleetTest, CreateThatFailsSaysWhy) {
+  storage_.Hold();
+  const Answer<absl::StatusOr<Snapshot>> created;
+  fleet_->Create("car", TestConfig(), Taking(created));
+  storage_.FailOne(
+      Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE", "broken"));
+  EXPECT_THAT(created.Get(),
+              IsError(StatusCode::kUnavailable, "STORE_UNAVAILABLE", "broken"));
+}
+
+TEST(FleetStressTest, ManyClientsVehiclesAndUnloadsLoseNothing) {
+  std::mt19937_64 random = SeededRandom();
+  constexpr int kClients = 4;
+  constexpr int kVehicles = 6;
+  constexpr std::uint64_t kBatches = 40;
+  const TemporaryDirectory directory;
+  const PlainCodec codec;
+  const std::string path = directory.File("store.db");
+  std::vector<std::string> graphs;
+  for (int opening = 0; opening < 2; ++opening) {
+    absl::StatusOr<std::unique_ptr<Storage>> storage = OpenSqliteStorage(path);
+    ASSERT_THAT(storage, IsOk());
+    Executor executor(3);
+    Fleet fleet(storage->get(), &codec, &executor, Fleet::Options());
+    const auto id = [](int i) { return "vehicle-" + std::to_string(i); };
+    if (opening == 1) {
+      for (int i = 0; i < kVehicles; ++i) {
+        EXPECT_EQ(ReadNow(*fleet.Session(id(i)))->graph,
+                  graphs[static_cast<std::size_t>(i)]);
+      }
+      break;
+    }
+    for (int i = 0; i < kVehicles; ++i) {
+      ASSERT_THAT(CreateNow(fleet, id(i)), IsOk());
+    }
+    std::atomic<bool> stop{false};
+    std::thread unloader([&] {
+      while (!stop) fleet.UnloadIdle(steady_clock::now() + minutes(11));
+    });
+    std::vector<std::thread> clients;
+    for (int c = 0; c < kClients; ++c) {
+      clients.emplace_back([&, c, seed = random()] {
+        std::mt19937_64 own(seed);
+        // Every vehicle by two clients, which send the same.
+        for (std::uint64_t batch = 0; batch < kBatches; ++batch) {
+          for (int i = c % 2; i < kVehicles; i += 2) {
+            const auto ack =
+                AppendNow(*fleet.Session(id(i)), SquareBatch(5 * batch + 1, 5));
+            EXPECT_THAT(ack, IsOk());
+            if (UniformInt(own, 0, 3) == 0) {
+              EXPECT_THAT(ReadNow(*fleet.Session(id(i))), IsOk());
+            }
+          }
+        }
+      });
+    }
+    for (std::thread& client : clients) client.join();
+    stop = true;
+    unloader.join();
+    for (int i = 0; i < kVehicles; ++i) {
+      const absl::StatusOr<Snapshot> read = ReadNow(*fleet.Session(id(i)));
+      ASSERT_THAT(read, IsOk());
+      EXPECT_EQ(read->durable_sequence, 5 * kBatches);
+      EXPECT_EQ(read->revision, 1 + kBatches);
+      graphs.push_back(read->graph);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace revisit::server

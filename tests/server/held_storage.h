@@ -1,0 +1,192 @@
+// A storage whose writes wait, or fail, as a test wants.
+#ifndef REVISIT_TESTS_SERVER_HELD_STORAGE_H_
+#define REVISIT_TESTS_SERVER_HELD_STORAGE_H_
+
+#include <condition_variable>
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+// Passes everything on to another storage, which must outlive it. Thread-safe.
+class HeldStorage : public Storage {
+ public:
+  explicit HeldStorage(Storage* storage) : storage_(storage) {}
+
+  // From now on writes wait.
+  void Hold() {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    hold_ = true;
+  }
+
+  // Waits until this many writes wait.
+  void Await(std::size_t count) {
+    std::unique_lock<std::mutex> lock(mutex_);
+    changed_.wait(lock, [&] { return held_.size() >= count; });
+  }
+
+  std::size_t held() {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    return held_.size();
+  }
+
+  // Passes on the one that waits longest.
+  void ReleaseOne() { TakeOne().pass_on(); }
+
+  // Passes on all, and from now on every write at once.
+  void ReleaseAll() {
+    std::deque<Write> writes;
+    {
+      const std::lock_guard<std::mutex> guard(mutex_);
+      hold_ = false;
+      writes.swap(held_);
+    }
+    for (Write& write : writes) write.pass_on();
+  }
+
+  // Answers the one that waits longest with this instead.
+  void FailOne(const absl::Status& status) { TakeOne().answer(status); }
+
+  // Passes it on and answers with this all the same.
+  void PassOnAndFailOne(const absl::Status& status) {
+    const Write write = TakeOne();
+    write.pass_on_silently();
+    write.answer(status);
+  }
+
+  // If not OK, reads answer this.
+  void FailReads(const absl::Status& status) {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    read_status_ = status;
+  }
+
+  void CreateVehicle(
+      VehicleRecord record,
+      std::function<void(absl::StatusOr<VehicleKey>)> done) override {
+    Submit({[=] { storage_->CreateVehicle(record, done); },
+            [=] {
+              storage_->CreateVehicle(record,
+                                      [](const absl::StatusOr<VehicleKey>&) {});
+            },
+            [=](const absl::Status& status) { done(status); }});
+  }
+  void UpdateVehicle(VehicleKey key, std::string payload,
+                     std::uint64_t revision, Done done) override {
+    Submit(std::move(done), [=](Done then) {
+      storage_->UpdateVehicle(key, payload, revision, std::move(then));
+    });
+  }
+  void DeleteVehicle(VehicleKey key, Done done) override {
+    Submit(std::move(done),
+           [=](Done then) { storage_->DeleteVehicle(key, std::move(then)); });
+  }
+  void AppendBatch(VehicleKey key, BatchRecord batch,
+                   std::optional<std::string> vehicle_payload,
+                   Done done) override {
+    Submit(std::move(done), [=](Done then) {
+      storage_->AppendBatch(key, batch, vehicle_payload, std::move(then));
+    });
+  }
+  void ReviseBatches(VehicleKey key, std::vector<BatchRecord> batches,
+                     std::uint64_t revision, Done done) override {
+    Submit(std::move(done), [=](Done then) {
+      storage_->ReviseBatches(key, batches, revision, std::move(then));
+    });
+  }
+  void AddLoopClosure(VehicleKey key, LoopClosureRecord closure,
+                      std::uint64_t revision, Done done) override {
+    Submit(std::move(done), [=](Done then) {
+      storage_->AddLoopClosure(key, closure, revision, std::move(then));
+    });
+  }
+  void DeleteLoopClosure(VehicleKey key, std::string id, std::uint64_t revision,
+                         Done done) override {
+    Submit(std::move(done), [=](Done then) {
+      storage_->DeleteLoopClosure(key, id, revision, std::move(then));
+    });
+  }
+
+  absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override {
+    const absl::Status status = ReadStatus();
+    if (!status.ok()) return status;
+    return storage_->GetVehicle(id);
+  }
+  absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
+      const std::string& after_id, int limit) override {
+    const absl::Status status = ReadStatus();
+    if (!status.ok()) return status;
+    return storage_->ListVehicles(after_id, limit);
+  }
+  absl::Status ReadBatches(
+      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+      BatchVersion version,
+      const std::function<bool(BatchRecord)>& visit) override {
+    const absl::Status status = ReadStatus();
+    if (!status.ok()) return status;
+    return storage_->ReadBatches(key, first_sequence, last_sequence, version,
+                                 visit);
+  }
+  absl::StatusOr<std::vector<LoopClosureRecord>> ListLoopClosures(
+      VehicleKey key, const std::string& after_id, int limit) override {
+    const absl::Status status = ReadStatus();
+    if (!status.ok()) return status;
+    return storage_->ListLoopClosures(key, after_id, limit);
+  }
+
+ private:
+  struct Write {
+    std::function<void()> pass_on;
+    std::function<void()> pass_on_silently;
+    Done answer;
+  };
+
+  void Submit(Done done, const std::function<void(Done)>& write) {
+    Submit({[=] { write(done); }, [=] { write([](const absl::Status&) {}); },
+            done});
+  }
+
+  void Submit(Write write) {
+    {
+      const std::lock_guard<std::mutex> guard(mutex_);
+      if (hold_) {
+        held_.push_back(std::move(write));
+        changed_.notify_all();
+        return;
+      }
+    }
+    write.pass_on();
+  }
+
+  Write TakeOne() {
+    std::unique_lock<std::mutex> lock(mutex_);
+    changed_.wait(lock, [&] { return !held_.empty(); });
+    Write write = std::move(held_.front());
+    held_.pop_front();
+    return write;
+  }
+
+  absl::Status ReadStatus() {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    return read_status_;
+  }
+
+  Storage* const storage_;
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  bool hold_ = false;
+  std::deque<Write> held_;
+  absl::Status read_status_;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_TESTS_SERVER_HELD_STORAGE_H_

@@ -1,0 +1,207 @@
+#include "tests/server/memory_storage.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "server/status.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StatusCode;
+
+absl::Status UnknownVehicle() {
+  return Error(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", "no such vehicle");
+}
+
+}  // namespace
+
+absl::Status MemoryStorage::Change(
+    VehicleKey key, std::uint64_t revision,
+    const std::function<absl::Status(Vehicle&)>& change) {
+  const std::lock_guard<std::mutex> guard(mutex_);
+  const auto found = vehicles_.find(key);
+  if (found == vehicles_.end()) return UnknownVehicle();
+  Vehicle changed = found->second;
+  const absl::Status status = change(changed);
+  if (!status.ok()) return status;
+  changed.record.revision = std::max(changed.record.revision, revision);
+  found->second = std::move(changed);
+  return absl::OkStatus();
+}
+
+VehicleRecord MemoryStorage::Complete(const Vehicle& vehicle) {
+  VehicleRecord record = vehicle.record;
+  if (!vehicle.batches.empty()) {
+    const BatchRecord& last = vehicle.batches.back().as_sent;
+    record.durable_sequence = last.first_sequence + last.count - 1;
+  }
+  record.loop_closure_count =
+      static_cast<std::int64_t>(vehicle.loop_closures.size());
+  return record;
+}
+
+void MemoryStorage::CreateVehicle(
+    VehicleRecord record,
+    std::function<void(absl::StatusOr<VehicleKey>)> done) {
+  absl::StatusOr<VehicleKey> result =
+      Error(StatusCode::kAlreadyExists, "VEHICLE_EXISTS", "exists already");
+  {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    if (std::none_of(vehicles_.begin(), vehicles_.end(),
+                     [&](const auto& vehicle) {
+                       return vehicle.second.record.id == record.id;
+                     })) {
+      Vehicle vehicle;
+      vehicle.record.key = ++last_key_;
+      vehicle.record.id = record.id;
+      vehicle.record.payload = record.payload;
+      vehicle.record.revision = record.revision;
+      vehicles_.emplace(last_key_, std::move(vehicle));
+      result = last_key_;
+    }
+  }
+  done(std::move(result));
+}
+
+void MemoryStorage::UpdateVehicle(VehicleKey key, std::string payload,
+                                  std::uint64_t revision, Done done) {
+  done(Change(key, revision, [&](Vehicle& vehicle) {
+    vehicle.record.payload = payload;
+    return absl::OkStatus();
+  }));
+}
+
+void MemoryStorage::DeleteVehicle(VehicleKey key, Done done) {
+  std::size_t erased = 0;
+  {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    erased = vehicles_.erase(key);
+  }
+  done(erased == 0 ? UnknownVehicle() : absl::OkStatus());
+}
+
+void MemoryStorage::AppendBatch(VehicleKey key, BatchRecord batch,
+                                std::optional<std::string> vehicle_payload,
+                                Done done) {
+  done(Change(key, batch.revision, [&](Vehicle& vehicle) {
+    const std::uint64_t expected = Complete(vehicle).durable_sequence + 1;
+    if (batch.first_sequence != expected) {
+      return Error(StatusCode::kFailedPrecondition, "SEQUENCE_GAP", "gap",
+                   {{"expected_sequence", std::to_string(expected)}});
+    }
+    vehicle.batches.push_back({batch, batch});
+    if (vehicle_payload) vehicle.record.payload = *vehicle_payload;
+    return absl::OkStatus();
+  }));
+}
+
+void MemoryStorage::ReviseBatches(VehicleKey key,
+                                  std::vector<BatchRecord> batches,
+                                  std::uint64_t revision, Done done) {
+  done(Change(key, revision, [&](Vehicle& vehicle) {
+    for (const BatchRecord& revised : batches) {
+      const auto found = std::find_if(
+          vehicle.batches.begin(), vehicle.batches.end(),
+          [&](const Batch& batch) {
+            return batch.as_sent.first_sequence == revised.first_sequence &&
+                   batch.as_sent.count == revised.count;
+          });
+      if (found == vehicle.batches.end()) {
+        return Error(StatusCode::kFailedPrecondition, "INTERNAL",
+                     "no such batch");
+      }
+      found->current = revised;
+      found->current.revision = revision;
+    }
+    return absl::OkStatus();
+  }));
+}
+
+void MemoryStorage::AddLoopClosure(VehicleKey key, LoopClosureRecord closure,
+                                   std::uint64_t revision, Done done) {
+  done(Change(key, revision, [&](Vehicle& vehicle) {
+    return vehicle.loop_closures.emplace(closure.id, closure).second
+               ? absl::OkStatus()
+               : Error(StatusCode::kAlreadyExists, "LOOP_CLOSURE_EXISTS",
+                       "exists already");
+  }));
+}
+
+void MemoryStorage::DeleteLoopClosure(VehicleKey key, std::string id,
+                                      std::uint64_t revision, Done done) {
+  done(Change(key, revision, [&](Vehicle& vehicle) {
+    return vehicle.loop_closures.erase(id) == 1
+               ? absl::OkStatus()
+               : Error(StatusCode::kNotFound, "LOOP_CLOSURE_NOT_FOUND",
+                       "no such loop closure");
+  }));
+}
+
+absl::StatusOr<VehicleRecord> MemoryStorage::GetVehicle(const std::string& id) {
+  const std::lock_guard<std::mutex> guard(mutex_);
+  for (const auto& [key, vehicle] : vehicles_) {
+    if (vehicle.record.id == id) return Complete(vehicle);
+  }
+  return UnknownVehicle();
+}
+
+absl::StatusOr<std::vector<VehicleRecord>> MemoryStorage::ListVehicles(
+    const std::string& after_id, int limit) {
+  std::map<std::string, VehicleRecord> sorted;
+  {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    for (const auto& [key, vehicle] : vehicles_) {
+      sorted.emplace(vehicle.record.id, Complete(vehicle));
+    }
+  }
+  std::vector<VehicleRecord> result;
+  for (auto i = sorted.upper_bound(after_id);
+       i != sorted.end() && static_cast<int>(result.size()) < limit; ++i) {
+    result.push_back(i->second);
+  }
+  return result;
+}
+
+absl::Status MemoryStorage::ReadBatches(
+    VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+    BatchVersion version, const std::function<bool(BatchRecord)>& visit) {
+  std::vector<Batch> batches;
+  {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    const auto found = vehicles_.find(key);
+    if (found == vehicles_.end()) return UnknownVehicle();
+    batches = found->second.batches;
+  }
+  std::uint64_t expected = first_sequence;
+  for (const Batch& batch : batches) {
+    const std::uint64_t end =
+        batch.as_sent.first_sequence + batch.as_sent.count;
+    if (end <= first_sequence) continue;
+    if (expected > last_sequence) return absl::OkStatus();
+    expected = end;
+    if (!visit(version == BatchVersion::kAsSent ? batch.as_sent
+                                                : batch.current)) {
+      return absl::OkStatus();
+    }
+  }
+  return expected > last_sequence
+             ? absl::OkStatus()
+             : Error(StatusCode::kDataLoss, "STORE_CORRUPT", "missing");
+}
+
+absl::StatusOr<std::vector<LoopClosureRecord>> MemoryStorage::ListLoopClosures(
+    VehicleKey key, const std::string& after_id, int limit) {
+  const std::lock_guard<std::mutex> guard(mutex_);
+  const auto found = vehicles_.find(key);
+  if (found == vehicles_.end()) return UnknownVehicle();
+  std::vector<LoopClosureRecord> result;
+  const auto& closures = found->second.loop_closures;
+  for (auto i = closures.upper_bound(after_id);
+       i != closures.end() && static_cast<int>(result.size()) < limit; ++i) {
+    result.push_back(i->second);
+  }
+  return result;
+}
+
+}  // namespace revisit::server

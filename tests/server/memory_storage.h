@@ -1,0 +1,70 @@
+// The storage's contract in the plainest way: maps, and nothing that lasts. It
+// is the model that real storages are compared with, and it passes the
+// contract's tests itself.
+#ifndef REVISIT_TESTS_SERVER_MEMORY_STORAGE_H_
+#define REVISIT_TESTS_SERVER_MEMORY_STORAGE_H_
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+// Writes are done, and answered, before the call returns.
+class MemoryStorage : public Storage {
+ public:
+  void CreateVehicle(
+      VehicleRecord record,
+      std::function<void(absl::StatusOr<VehicleKey>)> done) override;
+  void UpdateVehicle(VehicleKey key, std::string payload,
+                     std::uint64_t revision, Done done) override;
+  void DeleteVehicle(VehicleKey key, Done done) override;
+  void AppendBatch(VehicleKey key, BatchRecord batch,
+                   std::optional<std::string> vehicle_payload,
+                   Done done) override;
+  void ReviseBatches(VehicleKey key, std::vector<BatchRecord> batches,
+                     std::uint64_t revision, Done done) override;
+  void AddLoopClosure(VehicleKey key, LoopClosureRecord closure,
+                      std::uint64_t revision, Done done) override;
+  void DeleteLoopClosure(VehicleKey key, std::string id, std::uint64_t revision,
+                         Done done) override;
+
+  absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override;
+  absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
+      const std::string& after_id, int limit) override;
+  absl::Status ReadBatches(
+      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+      BatchVersion version,
+      const std::function<bool(BatchRecord)>& visit) override;
+  absl::StatusOr<std::vector<LoopClosureRecord>> ListLoopClosures(
+      VehicleKey key, const std::string& after_id, int limit) override;
+
+ private:
+  struct Batch {
+    BatchRecord as_sent;
+    BatchRecord current;
+  };
+  struct Vehicle {
+    VehicleRecord record;
+    std::vector<Batch> batches;
+    std::map<std::string, LoopClosureRecord> loop_closures;
+  };
+
+  absl::Status Change(VehicleKey key, std::uint64_t revision,
+                      const std::function<absl::Status(Vehicle&)>& change);
+  static VehicleRecord Complete(const Vehicle& vehicle);
+
+  std::mutex mutex_;
+  VehicleKey last_key_ = 0;
+  std::map<VehicleKey, Vehicle> vehicles_;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_TESTS_SERVER_MEMORY_STORAGE_H_

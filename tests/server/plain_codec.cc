@@ -1,0 +1,155 @@
+#include "tests/server/plain_codec.h"
+
+#include <cmath>
+#include <cstdlib>
+#include <functional>
+#include <sstream>
+
+namespace revisit::server {
+namespace {
+
+absl::Status Damaged() { return absl::DataLossError("not a plain record"); }
+
+std::string Line(std::uint64_t sequence, double x, double y, double heading) {
+  std::ostringstream line;
+  line << sequence << std::hexfloat << " " << x << " " << y << " " << heading
+       << "\n";
+  return line.str();
+}
+
+// Streams do not read back the hexadecimal form.
+bool ReadDouble(std::istream& stream, double* value) {
+  std::string text;
+  if (!(stream >> text)) return false;
+  char* end = nullptr;
+  *value = std::strtod(text.c_str(), &end);
+  return *end == '\0';
+}
+
+std::vector<std::string> Lines(const std::string& payload) {
+  std::vector<std::string> lines;
+  std::istringstream stream(payload);
+  for (std::string line; std::getline(stream, line);) lines.push_back(line);
+  return lines;
+}
+
+}  // namespace
+
+std::string PlainCodec::EncodeVehicle(const VehicleConfig& config) const {
+  std::ostringstream line;
+  line << "vehicle " << std::hexfloat << config.engine.node_spacing_meters
+       << " " << config.engine.check_interval_meters << " "
+       << config.engine.max_step_meters << " "
+       << config.engine.search.sequence_length_meters << " " << std::dec
+       << config.engine.search.max_candidates << " "
+       << (config.frame == CoordinateFrame::kGeodetic) << " "
+       << config.data_loss << " " << config.origin.has_value();
+  if (config.origin) {
+    line << " " << std::hexfloat << config.origin->latitude_degrees << " "
+         << config.origin->longitude_degrees;
+  }
+  return line.str();
+}
+
+absl::StatusOr<VehicleConfig> PlainCodec::DecodeVehicle(
+    const std::string& payload) const {
+  std::istringstream stream(payload);
+  std::string word;
+  VehicleConfig config;
+  bool is_geodetic = false;
+  bool has_origin = false;
+  if (!(stream >> word) || word != "vehicle" ||
+      !ReadDouble(stream, &config.engine.node_spacing_meters) ||
+      !ReadDouble(stream, &config.engine.check_interval_meters) ||
+      !ReadDouble(stream, &config.engine.max_step_meters) ||
+      !ReadDouble(stream, &config.engine.search.sequence_length_meters) ||
+      !(stream >> config.engine.search.max_candidates >> is_geodetic >>
+        config.data_loss >> has_origin)) {
+    return Damaged();
+  }
+  config.frame =
+      is_geodetic ? CoordinateFrame::kGeodetic : CoordinateFrame::kLocal;
+  if (has_origin) {
+    config.origin.emplace();
+    if (!ReadDouble(stream, &config.origin->latitude_degrees) ||
+        !ReadDouble(stream, &config.origin->longitude_degrees)) {
+      return Damaged();
+    }
+  }
+  return config;
+}
+
+absl::StatusOr<DecodedBatch> PlainCodec::DecodeBatch(
+    const std::string& payload, const VehicleConfig& config) const {
+  DecodedBatch batch;
+  batch.payload = payload;
+  if (config.frame == CoordinateFrame::kGeodetic) batch.origin = config.origin;
+  for (const std::string& line : Lines(payload)) {
+    std::istringstream stream(line);
+    core::PoseSample sample;
+    if (!(stream >> sample.sequence) || !ReadDouble(stream, &sample.pose.x) ||
+        !ReadDouble(stream, &sample.pose.y) ||
+        !ReadDouble(stream, &sample.pose.heading)) {
+      return Damaged();
+    }
+    if (config.frame == CoordinateFrame::kGeodetic) {
+      if (!batch.origin) {
+        batch.origin.emplace();
+        batch.origin->latitude_degrees = sample.pose.y;
+        batch.origin->longitude_degrees = sample.pose.x;
+      }
+      sample.pose.x -= batch.origin->longitude_degrees;
+      sample.pose.y -= batch.origin->latitude_degrees;
+    }
+    // Grows as dead reckoning's does.
+    const double variance = 1e-4 * static_cast<double>(sample.sequence);
+    sample.covariance(0, 0) = variance;
+    sample.covariance(1, 1) = variance;
+    sample.covariance(2, 2) = variance;
+    sample.covariance(3, 3) = 0.01 * variance;
+    batch.samples.push_back(sample);
+    batch.fingerprints.push_back(std::hash<std::string>()(line));
+  }
+  return batch;
+}
+
+absl::StatusOr<std::string> PlainCodec::SliceBatch(const std::string& payload,
+                                                   std::size_t first,
+                                                   std::size_t count) const {
+  const std::vector<std::string> lines = Lines(payload);
+  if (first + count > lines.size()) return Damaged();
+  std::string slice;
+  for (std::size_t i = first; i < first + count; ++i) slice += lines[i] + "\n";
+  return slice;
+}
+
+std::string PlainBatch(std::uint64_t first_sequence,
+                       const std::vector<double>& xs) {
+  std::string batch;
+  for (const double x : xs) batch += Line(first_sequence++, x, 0.0, 0.0);
+  return batch;
+}
+
+std::string StraightBatch(std::uint64_t first_sequence, std::uint64_t count) {
+  std::string batch;
+  for (std::uint64_t i = first_sequence; i < first_sequence + count; ++i) {
+    batch += Line(i, static_cast<double>(i), 0.0, 0.0);
+  }
+  return batch;
+}
+
+std::string SquareBatch(std::uint64_t first_sequence, std::uint64_t count) {
+  constexpr double kQuarterTurn = 1.5707963267948966;
+  std::string batch;
+  for (std::uint64_t i = first_sequence; i < first_sequence + count; ++i) {
+    const std::uint64_t side = (i - 1) / 20 % 4;
+    const double along = static_cast<double>((i - 1) % 20);
+    const double heading = kQuarterTurn * static_cast<double>(side);
+    const double corners[4][2] = {{0, 0}, {20, 0}, {20, 20}, {0, 20}};
+    batch += Line(i, corners[side][0] + along * std::cos(heading),
+                  corners[side][1] + along * std::sin(heading), heading);
+  }
+  return batch;
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,43 @@
+// Records as plain text, so that tests of sessions need no messages.
+#ifndef REVISIT_TESTS_SERVER_PLAIN_CODEC_H_
+#define REVISIT_TESTS_SERVER_PLAIN_CODEC_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "server/sessions/vehicle_session.h"
+
+namespace revisit::server {
+
+// A vehicle is a line with some of its settings, a batch a line for each pose:
+// sequence, x, y, heading. Doubles are written so that they read back exactly.
+// For a geodetic vehicle x and y count from the first pose, whose place is the
+// origin's latitude and longitude.
+class PlainCodec : public RecordCodec {
+ public:
+  std::string EncodeVehicle(const VehicleConfig& config) const override;
+  absl::StatusOr<VehicleConfig> DecodeVehicle(
+      const std::string& payload) const override;
+  absl::StatusOr<DecodedBatch> DecodeBatch(
+      const std::string& payload, const VehicleConfig& config) const override;
+  absl::StatusOr<std::string> SliceBatch(const std::string& payload,
+                                         std::size_t first,
+                                         std::size_t count) const override;
+};
+
+// Poses of one batch, from this sequence on, at these x; y and heading are 0.
+std::string PlainBatch(std::uint64_t first_sequence,
+                       const std::vector<double>& xs);
+
+// `count` poses 1 m apart, x as the sequence.
+std::string StraightBatch(std::uint64_t first_sequence, std::uint64_t count);
+
+// `count` poses, 1 m apart, around and around a square of 20 m.
+std::string SquareBatch(std::uint64_t first_sequence, std::uint64_t count);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_TESTS_SERVER_PLAIN_CODEC_H_

@@ -1,0 +1,611 @@
+#include "server/storage/sqlite_storage.h"
+
+#include <unistd.h>
+
+#include <filesystem>
+#include <fstream>
+#include <memory>
+#include <sstream>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "server/storage/record_checksum.h"
+#include "sqlite3.h"
+#include "tests/random.h"
+#include "tests/server/error_matchers.h"
+#include "tests/server/failing_device.h"
+#include "tests/server/memory_storage.h"
+#include "tests/server/storage_contract.h"
+#include "tests/server/temporary_directory.h"
+#include "tests/server/waiting.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StatusCode;
+using ::testing::_;
+using ::testing::AllOf;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+
+std::unique_ptr<Storage> MustOpen(const std::string& path,
+                                  const SqliteOptions& options = {}) {
+  absl::StatusOr<std::unique_ptr<Storage>> storage =
+      OpenSqliteStorage(path, options);
+  EXPECT_THAT(storage, IsOk());
+  return storage.ok() ? *std::move(storage) : nullptr;
+}
+
+class SqliteStore : public StoreUnderTest {
+ public:
+  explicit SqliteStore(const SqliteOptions& options)
+      : options_(options), storage_(MustOpen(Path(), options_)) {}
+
+  Storage& storage() override { return *storage_; }
+  void Reopen() override {
+    storage_.reset();
+    storage_ = MustOpen(Path(), options_);
+  }
+
+ private:
+  std::string Path() const { return directory_.File("store.db"); }
+
+  const TemporaryDirectory directory_;
+  const SqliteOptions options_;
+  std::unique_ptr<Storage> storage_;
+};
+
+class MemoryStore : public StoreUnderTest {
+ public:
+  Storage& storage() override { return storage_; }
+  void Reopen() override {}
+
+ private:
+  MemoryStorage storage_;
+};
+
+SqliteOptions OneWriteAtATime() {
+  SqliteOptions options;
+  options.max_group_writes = 1;
+  return options;
+}
+
+SqliteOptions SmallGroups() {
+  SqliteOptions options;
+  options.max_group_bytes = 4000;
+  return options;
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    AllStorages, StorageContract,
+    ::testing::Values(
+        StoreFactory{"Memory", [] { return std::make_unique<MemoryStore>(); }},
+        StoreFactory{
+            "Sqlite",
+            [] { return std::make_unique<SqliteStore>(SqliteOptions()); }},
+        StoreFactory{
+            "SqliteOneWriteAtATime",
+            [] { return std::make_unique<SqliteStore>(OneWriteAtATime()); }},
+        StoreFactory{
+            "SqliteSmallGroups",
+            [] { return std::make_unique<SqliteStore>(SmallGroups()); }}),
+    [](const ::testing::TestParamInfo<StoreFactory>& param) {
+      return param.param.name;
+    });
+
+// Runs SQL on a store that nobody has open; answers all values, one row a line.
+std::string RunSql(const std::string& path, const std::string& sql) {
+  sqlite3* database = nullptr;
+  EXPECT_EQ(sqlite3_open(path.c_str(), &database), SQLITE_OK);
+  std::string result;
+  const auto append = [](void* out, int columns, char** values, char**) {
+    for (int i = 0; i < columns; ++i) {
+      static_cast<std::string*>(out)->append(
+          (i == 0 ? "" : "|") + std::string(values[i] ? values[i] : "NULL"));
+    }
+    static_cast<std::string*>(out)->append("\n");
+    return 0;
+  };
+  char* error = nullptr;
+  EXPECT_EQ(sqlite3_exec(database, sql.c_str(), append, &result, &error),
+            SQLITE_OK)
+      << (error ? error : "");
+  sqlite3_free(error);
+  sqlite3_close(database);
+  return result;
+}
+
+class SqliteStorageTest : public ::testing::Test {
+ protected:
+  std::string Path() const { return directory_.File("store.db"); }
+
+  // A store with one vehicle `truck`: batches 1-2, 3-4, 5-6, of which the last
+  // is revised, and a loop closure.
+  VehicleKey MakeStore() {
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    BlockingWrites write(storage.get());
+    const VehicleKey key = *write.Create("truck");
+    EXPECT_THAT(write.Append(key, {1, 2, 2, "alpha"}), IsOk());
+    EXPECT_THAT(write.Append(key, {3, 2, 3, "beta"}), IsOk());
+    EXPECT_THAT(write.Append(key, {5, 2, 4, "gamma"}), IsOk());
+    EXPECT_THAT(write.Revise(key, {{5, 2, 0, "GAMMA"}}, 5), IsOk());
+    EXPECT_THAT(write.AddLoopClosure(key, {"link", 6, 1, 99}, 6), IsOk());
+    return key;
+  }
+
+  const TemporaryDirectory directory_;
+};
+
+TEST_F(SqliteStorageTest, SecondServerIsToldWhoHasTheStore) {
+  const std::unique_ptr<Storage> first = MustOpen(Path());
+  EXPECT_THAT(
+      OpenSqliteStorage(Path()),
+      IsError(StatusCode::kFailedPrecondition, "",
+              AllOf(HasSubstr("store.db"),
+                    HasSubstr("in use by process " + std::to_string(getpid())),
+                    HasSubstr("one server at a time"))));
+  // And the first goes on.
+  EXPECT_THAT(BlockingWrites(first.get()).Create("truck"), IsOk());
+}
+
+TEST_F(SqliteStorageTest, SecondServerFindsTheStoreUnderAnotherName) {
+  const std::unique_ptr<Storage> first = MustOpen(Path());
+  std::filesystem::create_symlink(Path(), directory_.File("other.db"));
+  EXPECT_THAT(
+      OpenSqliteStorage(directory_.File("other.db")),
+      IsError(StatusCode::kFailedPrecondition, "", HasSubstr("in use")));
+}
+
+TEST_F(SqliteStorageTest, OpensAgainAfterClosing) {
+  MustOpen(Path()).reset();
+  EXPECT_THAT(OpenSqliteStorage(Path()), IsOk());
+}
+
+TEST_F(SqliteStorageTest, SaysWhichDirectoryIsMissing) {
+  EXPECT_THAT(OpenSqliteStorage(directory_.File("no/store.db")),
+              IsError(StatusCode::kNotFound, "", HasSubstr("no/store.db")));
+}
+
+TEST_F(SqliteStorageTest, RefusesNewerFormat) {
+  MakeStore();
+  RunSql(Path(), "PRAGMA user_version = 2");
+  EXPECT_THAT(OpenSqliteStorage(Path()),
+              IsError(StatusCode::kFailedPrecondition, "",
+                      AllOf(HasSubstr("has format 2"),
+                            HasSubstr("this server reads format 1"),
+                            HasSubstr("use a newer server"))));
+}
+
+TEST_F(SqliteStorageTest, RefusesFileOfAnotherProgramAndLeavesItAsItIs) {
+  RunSql(Path(), "CREATE TABLE songs (title TEXT)");
+  EXPECT_THAT(OpenSqliteStorage(Path()),
+              IsError(StatusCode::kFailedPrecondition, "",
+                      HasSubstr("of another program")));
+  EXPECT_EQ(RunSql(Path(), "SELECT name FROM sqlite_schema"), "songs\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA journal_mode"), "delete\n");
+}
+
+TEST_F(SqliteStorageTest, RefusesFileThatIsNoDatabase) {
+  std::ofstream(Path()) << "Dear diary, today I drove around the block twice. "
+                        << std::string(4096, '.');
+  EXPECT_THAT(OpenSqliteStorage(Path()),
+              IsError(StatusCode::kFailedPrecondition, "",
+                      HasSubstr("is not a store of revisit")));
+}
+
+TEST_F(SqliteStorageTest, WritesFormat1) {
+  // Golden: a change here is a new format. The checksums were printed by this
+  // program once; record_checksum.h says what they are made of.
+  const VehicleKey key = MakeStore();
+  EXPECT_EQ(key, 1);
+  EXPECT_EQ(RunSql(Path(), "PRAGMA application_id; PRAGMA user_version"),
+            "1381389140\n1\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA journal_mode"), "wal\n");
+  EXPECT_EQ(RunSql(Path(),
+                   "SELECT name FROM sqlite_schema WHERE type = "
+                   "'table' ORDER BY name"),
+            "batches\ndeleted_vehicles\nloop_closures\nrevised_batches\n"
+            "sqlite_sequence\nvehicles\n");
+  EXPECT_EQ(RunSql(Path(),
+                   "SELECT key, id, format, revision, checksum, "
+                   "payload FROM vehicles"),
+            "1|truck|1|6|-5840483509523788633|payload\n");
+  const std::string batch =
+      "SELECT vehicle_key, first_sequence, count, format, revision, checksum, "
+      "payload FROM ";
+  EXPECT_EQ(RunSql(Path(), batch + "batches"),
+            "1|1|2|1|2|-4057611893038564907|alpha\n"
+            "1|3|2|1|3|-1270682900073940529|beta\n"
+            "1|5|2|1|4|4264118283999196951|gamma\n");
+  EXPECT_EQ(RunSql(Path(), batch + "revised_batches"),
+            "1|5|2|1|5|1202553139063979346|GAMMA\n");
+  EXPECT_EQ(RunSql(Path(),
+                   "SELECT vehicle_key, id, format, query_sequence, "
+                   "matched_sequence, create_time_ns, checksum FROM "
+                   "loop_closures"),
+            "1|link|1|6|1|99|3065229329497340342\n");
+}
+
+TEST_F(SqliteStorageTest, NamesBatchWhosePayloadIsDamaged) {
+  const VehicleKey key = MakeStore();
+  RunSql(Path(),
+         "UPDATE batches SET payload = 'betA' WHERE first_sequence = 3");
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  const absl::Status status = ReadAll(*storage, key, 1, 6).status();
+  EXPECT_THAT(status, IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                              AllOf(HasSubstr("vehicle 'truck'"),
+                                    HasSubstr("sequences 3 to 4"),
+                                    HasSubstr("fails its checksum"))));
+  EXPECT_EQ(MetadataOf(status, "vehicle"), "truck");
+  EXPECT_EQ(MetadataOf(status, "first_sequence"), "3");
+  // The others are as they were.
+  EXPECT_THAT(ToTexts(*ReadAll(*storage, key, 1, 2)),
+              ElementsAre("1+2, revision 2, 'alpha'"));
+  EXPECT_THAT(ToTexts(*ReadAll(*storage, key, 5, 6)),
+              ElementsAre("5+2, revision 5, 'GAMMA'"));
+}
+
+TEST_F(SqliteStorageTest, FindsDamageOfEveryColumn) {
+  const std::vector<std::string> damages = {
+      "UPDATE batches SET payload = substr(payload, 2) WHERE first_sequence=3",
+      "UPDATE batches SET revision = 9 WHERE first_sequence = 3",
+      "UPDATE batches SET count = 1 WHERE first_sequence = 3",
+      "UPDATE batches SET count = 4294967298 WHERE first_sequence = 3",
+      "UPDATE batches SET format = 2 WHERE first_sequence = 3",
+      "UPDATE batches SET checksum = checksum + 1 WHERE first_sequence = 3",
+      "UPDATE batches SET first_sequence = 2 WHERE first_sequence = 3",
+      "UPDATE batches SET payload = (SELECT payload FROM batches WHERE "
+      "first_sequence = 1), checksum = (SELECT checksum FROM batches WHERE "
+      "first_sequence = 1) WHERE first_sequence = 3",
+      "DELETE FROM batches WHERE first_sequence = 3",
+      "DELETE FROM batches WHERE first_sequence = 1",
+      "UPDATE revised_batches SET payload = 'GAMMa'",
+      "UPDATE revised_batches SET count = 1",
+      "UPDATE revised_batches SET revision = 9",
+  };
+  for (const std::string& damage : damages) {
+    SCOPED_TRACE(damage);
+    std::filesystem::remove(Path());
+    const VehicleKey key = MakeStore();
+    RunSql(Path(), damage);
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    EXPECT_THAT(
+        ReadAll(*storage, key, 1, 6),
+        IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("'truck'")));
+  }
+}
+
+TEST_F(SqliteStorageTest, FindsDamageOfVehicle) {
+  for (const char* damage :
+       {"UPDATE vehicles SET payload = 'Payload'",
+        "UPDATE vehicles SET revision = 5", "UPDATE vehicles SET format = 9",
+        "UPDATE vehicles SET key = 2",
+        // The last batch says how far the vehicle goes.
+        "UPDATE batches SET count = 3 WHERE first_sequence = 5",
+        "UPDATE batches SET revision = 3 WHERE first_sequence = 5"}) {
+    SCOPED_TRACE(damage);
+    std::filesystem::remove(Path());
+    MakeStore();
+    RunSql(Path(), damage);
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    const auto corrupt = IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                                 HasSubstr("vehicle 'truck'"));
+    EXPECT_THAT(storage->GetVehicle("truck"), corrupt);
+    EXPECT_THAT(storage->ListVehicles("", 10), corrupt);
+  }
+}
+
+TEST_F(SqliteStorageTest, FindsDamageOfLoopClosure) {
+  for (const char* damage : {"UPDATE loop_closures SET query_sequence = 5",
+                             "UPDATE loop_closures SET matched_sequence = 2",
+                             "UPDATE loop_closures SET create_time_ns = 98",
+                             "UPDATE loop_closures SET id = 'lint'"}) {
+    SCOPED_TRACE(damage);
+    std::filesystem::remove(Path());
+    const VehicleKey key = MakeStore();
+    RunSql(Path(), damage);
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    EXPECT_THAT(
+        storage->ListLoopClosures(key, "", 10),
+        IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                AllOf(HasSubstr("loop closure"), HasSubstr("'truck'"))));
+  }
+}
+
+TEST_F(SqliteStorageTest, DamageOfOneVehicleDoesNotStopTheOthers) {
+  const VehicleKey damaged = MakeStore();
+  RunSql(Path(), "UPDATE batches SET payload = 'x' WHERE first_sequence = 5");
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  const VehicleKey sound = *BlockingWrites(storage.get()).Create("car");
+  const Answer<absl::Status> refused;
+  const Answer<absl::Status> written;
+  storage->AppendBatch(damaged, {7, 1, 7, "x"}, std::nullopt, refused.Setter());
+  storage->AppendBatch(sound, {1, 1, 2, "x"}, std::nullopt, written.Setter());
+  EXPECT_THAT(refused.Get(),
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+  EXPECT_THAT(written.Get(), IsOk());
+}
+
+TEST_F(SqliteStorageTest, FindsDamageInTheFileItself) {
+  {
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    BlockingWrites write(storage.get());
+    const VehicleKey key = *write.Create("truck");
+    for (std::uint64_t i = 1; i <= 20; ++i) {
+      ASSERT_THAT(write.Append(key, {i, 1, i + 1, std::string(9000, 'x')}),
+                  IsOk());
+    }
+  }
+  // Some byte of a payload, wherever it lies.
+  std::string bytes;
+  {
+    std::ifstream in(Path(), std::ios::binary);
+    std::stringstream all;
+    all << in.rdbuf();
+    bytes = all.str();
+  }
+  const std::size_t place = bytes.find(std::string(3000, 'x'));
+  ASSERT_NE(place, std::string::npos);
+  bytes[place + 1500] ^= 1;
+  std::ofstream(Path(), std::ios::binary) << bytes;
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  EXPECT_THAT(ReadAll(*storage, 1, 1, 20),
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                      HasSubstr("fails its checksum")));
+}
+
+TEST_F(SqliteStorageTest, RemovesBatchesOfDeletedVehiclesAfterRestart) {
+  {
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    BlockingWrites write(storage.get());
+    const VehicleKey key = *write.Create("truck");
+    for (std::uint64_t i = 1; i <= 500; ++i) {
+      storage->AppendBatch(key, {i, 1, i + 1, "x"}, std::nullopt,
+                           [](const absl::Status&) {});
+    }
+    ASSERT_THAT(write.Delete(key), IsOk());
+  }
+  // A stop may have left some; they go while the server runs. Every other write
+  // takes a few away too, so this needs no waiting.
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  BlockingWrites write(storage.get());
+  for (int i = 0; i < 20; ++i) {
+    ASSERT_THAT(write.Create("vehicle-" + std::to_string(i)), IsOk());
+  }
+  EXPECT_EQ(RunSql(Path(), "SELECT count(*) FROM batches"), "0\n");
+  EXPECT_EQ(RunSql(Path(), "SELECT count(*) FROM deleted_vehicles"), "0\n");
+}
+
+TEST_F(SqliteStorageTest, RecoversFromLogAfterCrash) {
+  // A crash leaves the files as they are: copied while the store is open, they
+  // hold the log that was not yet copied into the database.
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  BlockingWrites write(storage.get());
+  const VehicleKey key = *write.Create("truck");
+  ASSERT_THAT(write.Append(key, {1, 2, 2, "alpha"}), IsOk());
+  const std::string crashed = directory_.File("crashed.db");
+  std::filesystem::copy_file(Path(), crashed);
+  std::filesystem::copy_file(Path() + "-wal", crashed + "-wal");
+  const std::unique_ptr<Storage> recovered = MustOpen(crashed);
+  EXPECT_THAT(ToTexts(*ReadAll(*recovered, key, 1, 2)),
+              ElementsAre("1+2, revision 2, 'alpha'"));
+}
+
+TEST_F(SqliteStorageTest, CutLogLeavesPrefix) {
+  // A crash in the middle of a write: every length of the log is a store with
+  // some number of whole batches, in order.
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  BlockingWrites write(storage.get());
+  const VehicleKey key = *write.Create("truck");
+  for (std::uint64_t i = 1; i <= 10; ++i) {
+    ASSERT_THAT(write.Append(key, {i, 1, i + 1, std::string(3000, 'x')}),
+                IsOk());
+  }
+  const auto size = std::filesystem::file_size(Path() + "-wal");
+  std::uint64_t longest = 0;
+  for (std::uintmax_t length = 0; length <= size; length += 1777) {
+    const std::string crashed = directory_.File("crashed.db");
+    for (const char* suffix : {"", "-wal", "-shm"}) {
+      std::filesystem::remove(crashed + suffix);
+    }
+    std::filesystem::copy_file(Path(), crashed);
+    std::filesystem::copy_file(Path() + "-wal", crashed + "-wal");
+    std::filesystem::resize_file(crashed + "-wal", length);
+    const std::unique_ptr<Storage> recovered = MustOpen(crashed);
+    ASSERT_NE(recovered, nullptr);
+    const absl::StatusOr<VehicleRecord> record = recovered->GetVehicle("truck");
+    if (!record.ok()) {
+      EXPECT_EQ(longest, 0u);
+      continue;
+    }
+    EXPECT_GE(record->durable_sequence, longest);
+    longest = record->durable_sequence;
+    if (longest > 0) {
+      EXPECT_THAT(ReadAll(*recovered, key, 1, longest), IsOk());
+    }
+  }
+  EXPECT_GE(longest, 9u);
+}
+
+class FailingDeviceTest : public SqliteStorageTest {
+ protected:
+  FailingDeviceTest() {
+    options_.vfs = FailingDevice::vfs();
+    storage_ = MustOpen(Path(), options_);
+    key_ = *write().Create("truck");
+    EXPECT_THAT(write().Append(key_, {1, 1, 2, "one"}), IsOk());
+  }
+
+  BlockingWrites write() { return BlockingWrites(storage_.get()); }
+  std::vector<std::string> Stored() {
+    const absl::StatusOr<VehicleRecord> record = storage_->GetVehicle("truck");
+    EXPECT_THAT(record, IsOk());
+    std::vector<std::string> payloads;
+    const absl::StatusOr<std::vector<BatchRecord>> batches =
+        ReadAll(*storage_, key_, 1, record->durable_sequence);
+    EXPECT_THAT(batches, IsOk());
+    for (const BatchRecord& batch : *batches) {
+      payloads.push_back(batch.payload);
+    }
+    return payloads;
+  }
+
+  FailingDevice device_;
+  SqliteOptions options_;
+  std::unique_ptr<Storage> storage_;
+  VehicleKey key_ = 0;
+};
+
+const auto kUnavailable = IsError(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                                  HasSubstr("nothing was written"));
+
+TEST_F(FailingDeviceTest, AcknowledgesNothingBeforeTheFlushReturned) {
+  device_.HoldLogFlush();
+  const Answer<absl::Status> answer;
+  storage_->AppendBatch(key_, {2, 1, 3, "two"}, std::nullopt, answer.Setter());
+  device_.AwaitHeldLogFlush();
+  EXPECT_FALSE(answer.IsSet());
+  EXPECT_THAT(Stored(), ElementsAre("one"));
+  device_.LetLogFlushGo();
+  EXPECT_THAT(answer.Get(), IsOk());
+  EXPECT_THAT(Stored(), ElementsAre("one", "two"));
+}
+
+TEST_F(FailingDeviceTest, FlushesOnceForAllThatWaited) {
+  device_.HoldLogFlush();
+  std::vector<Answer<absl::Status>> answers(101);
+  for (std::uint64_t i = 0; i < answers.size(); ++i) {
+    storage_->AppendBatch(key_, {i + 2, 1, i + 3, "x"}, std::nullopt,
+                          answers[i].Setter());
+    if (i == 0) device_.AwaitHeldLogFlush();
+  }
+  const int before = device_.log_flushes();
+  device_.LetLogFlushGo();
+  for (const Answer<absl::Status>& answer : answers) {
+    EXPECT_THAT(answer.Get(), IsOk());
+  }
+  // The one that was held, and one for the hundred behind it.
+  EXPECT_EQ(device_.log_flushes() - before, 2);
+}
+
+TEST_F(FailingDeviceTest, FailedFlushFailsAllOfTheGroupAndKeepsNothing) {
+  device_.HoldLogFlush();
+  std::vector<Answer<absl::Status>> answers(4);
+  storage_->AppendBatch(key_, {2, 1, 3, "two"}, std::nullopt,
+                        answers[0].Setter());
+  device_.AwaitHeldLogFlush();
+  // These form the next group.
+  const Answer<absl::StatusOr<VehicleKey>> created;
+  storage_->CreateVehicle({0, "car", "", 1, 0, 0}, created.Setter());
+  storage_->AppendBatch(key_, {3, 1, 4, "three"}, std::nullopt,
+                        answers[1].Setter());
+  device_.FailFlushes(true);
+  device_.LetLogFlushGo();
+  EXPECT_THAT(answers[0].Get(), kUnavailable);
+  EXPECT_THAT(created.Get(), kUnavailable);
+  EXPECT_THAT(answers[1].Get(), kUnavailable);
+  EXPECT_THAT(Stored(), ElementsAre("one"));
+  EXPECT_FALSE(storage_->GetVehicle("car").ok());
+
+  // When the device works again so does the store, from where it was.
+  device_.FailFlushes(false);
+  EXPECT_THAT(write().Append(key_, {3, 1, 4, "three"}),
+              IsError(StatusCode::kFailedPrecondition, "SEQUENCE_GAP", _));
+  EXPECT_THAT(write().Append(key_, {2, 1, 3, "TWO"}), IsOk());
+  EXPECT_THAT(Stored(), ElementsAre("one", "TWO"));
+  storage_.reset();
+  storage_ = MustOpen(Path(), options_);
+  EXPECT_THAT(Stored(), ElementsAre("one", "TWO"));
+}
+
+TEST_F(FailingDeviceTest, TakesNothingOnWhileTheLogCannotBeFlushed) {
+  device_.FailFlushes(true);
+  for (int i = 0; i < 3; ++i) {
+    EXPECT_THAT(write().Append(key_, {2, 1, 3, "two"}), kUnavailable);
+    EXPECT_THAT(Stored(), ElementsAre("one"));
+  }
+  device_.FailFlushes(false);
+  EXPECT_THAT(write().Append(key_, {2, 1, 3, "two"}), IsOk());
+}
+
+TEST_F(FailingDeviceTest, OpensNoStoreWhoseLogCannotBeFlushed) {
+  // A killed server leaves a log of which nobody knows whether it was flushed.
+  const std::string crashed = directory_.File("crashed.db");
+  std::filesystem::copy_file(Path(), crashed);
+  std::filesystem::copy_file(Path() + "-wal", crashed + "-wal");
+  device_.FailFlushes(true);
+  EXPECT_THAT(OpenSqliteStorage(crashed, options_),
+              IsError(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                      HasSubstr("wal_checkpoint")));
+  device_.FailFlushes(false);
+  EXPECT_THAT((*OpenSqliteStorage(crashed, options_))
+                  ->GetVehicle("truck")
+                  ->durable_sequence,
+              1u);
+}
+
+TEST_F(FailingDeviceTest, FullDiskFailsWritesAndNotReads) {
+  device_.FailWrites(true);
+  EXPECT_THAT(write().Append(key_, {2, 1, 3, std::string(50000, 'x')}),
+              kUnavailable);
+  EXPECT_THAT(write().Update(key_, "new", 3), kUnavailable);
+  EXPECT_THAT(Stored(), ElementsAre("one"));
+  device_.FailWrites(false);
+  EXPECT_THAT(write().Append(key_, {2, 1, 3, "two"}), IsOk());
+  EXPECT_THAT(Stored(), ElementsAre("one", "two"));
+}
+
+TEST_F(FailingDeviceTest, KeepsPrefixWhereverTheDeviceFails) {
+  // Fails and works again at random moments, while appends stream in.
+  std::mt19937_64 random = SeededRandom();
+  std::uint64_t acknowledged = 1;
+  std::uint64_t revision = 2;
+  for (int round = 0; round < 60; ++round) {
+    // Works again, from where it was.
+    ASSERT_THAT(write().Append(key_, {acknowledged + 1, 1, ++revision, "x"}),
+                IsOk());
+    ++acknowledged;
+    const bool flushes = UniformInt(random, 0, 1) == 0;
+    std::vector<Answer<absl::Status>> answers(20);
+    const auto fails = static_cast<std::size_t>(UniformInt(random, 0, 19));
+    for (std::size_t i = 0; i < answers.size(); ++i) {
+      if (i == fails) {
+        if (flushes) {
+          device_.FailFlushes(true);
+        } else {
+          device_.FailWrites(true);
+        }
+      }
+      storage_->AppendBatch(key_, {acknowledged + 1 + i, 1, ++revision, "x"},
+                            std::nullopt, answers[i].Setter());
+    }
+    bool failed = false;
+    std::uint64_t landed = 0;
+    for (const Answer<absl::Status>& answer : answers) {
+      const absl::Status status = answer.Get();
+      if (status.ok()) {
+        EXPECT_FALSE(failed) << "written behind one that was not";
+        ++landed;
+      } else {
+        failed = true;
+        EXPECT_THAT(status.code(),
+                    ::testing::AnyOf(StatusCode::kUnavailable,
+                                     StatusCode::kFailedPrecondition));
+      }
+    }
+    device_.FailFlushes(false);
+    device_.FailWrites(false);
+    acknowledged += landed;
+    ASSERT_EQ(storage_->GetVehicle("truck")->durable_sequence, acknowledged);
+  }
+  storage_.reset();
+  storage_ = MustOpen(Path(), options_);
+  EXPECT_EQ(storage_->GetVehicle("truck")->durable_sequence, acknowledged);
+  EXPECT_THAT(ReadAll(*storage_, key_, 1, acknowledged), IsOk());
+}
+
+}  // namespace
+}  // namespace revisit::server

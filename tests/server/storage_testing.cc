@@ -1,0 +1,123 @@
+#include "tests/server/storage_testing.h"
+
+#include <functional>
+#include <optional>
+#include <sstream>
+#include <utility>
+
+#include "tests/server/waiting.h"
+
+namespace revisit::server {
+namespace {
+
+using Write = std::function<void(Storage::Done)>;
+
+absl::Status Blocking(const Write& write) {
+  const Answer<absl::Status> answer;
+  write(answer.Setter());
+  return answer.Get();
+}
+
+}  // namespace
+
+absl::StatusOr<VehicleKey> BlockingWrites::Create(const std::string& id,
+                                                  const std::string& payload,
+                                                  std::uint64_t revision) {
+  VehicleRecord record;
+  record.id = id;
+  record.payload = payload;
+  record.revision = revision;
+  const Answer<absl::StatusOr<VehicleKey>> answer;
+  storage_->CreateVehicle(record, answer.Setter());
+  return answer.Get();
+}
+
+absl::Status BlockingWrites::Update(VehicleKey key, const std::string& payload,
+                                    std::uint64_t revision) {
+  return Blocking([&](Storage::Done done) {
+    storage_->UpdateVehicle(key, payload, revision, std::move(done));
+  });
+}
+
+absl::Status BlockingWrites::Delete(VehicleKey key) {
+  return Blocking([&](Storage::Done done) {
+    storage_->DeleteVehicle(key, std::move(done));
+  });
+}
+
+absl::Status BlockingWrites::Append(VehicleKey key, const BatchRecord& batch) {
+  return Blocking([&](Storage::Done done) {
+    storage_->AppendBatch(key, batch, std::nullopt, std::move(done));
+  });
+}
+
+absl::Status BlockingWrites::AppendWithVehicle(
+    VehicleKey key, const BatchRecord& batch,
+    const std::string& vehicle_payload) {
+  return Blocking([&](Storage::Done done) {
+    storage_->AppendBatch(key, batch, vehicle_payload, std::move(done));
+  });
+}
+
+absl::Status BlockingWrites::Revise(VehicleKey key,
+                                    const std::vector<BatchRecord>& batches,
+                                    std::uint64_t revision) {
+  return Blocking([&](Storage::Done done) {
+    storage_->ReviseBatches(key, batches, revision, std::move(done));
+  });
+}
+
+absl::Status BlockingWrites::AddLoopClosure(VehicleKey key,
+                                            const LoopClosureRecord& closure,
+                                            std::uint64_t revision) {
+  return Blocking([&](Storage::Done done) {
+    storage_->AddLoopClosure(key, closure, revision, std::move(done));
+  });
+}
+
+absl::Status BlockingWrites::DeleteLoopClosure(VehicleKey key,
+                                               const std::string& id,
+                                               std::uint64_t revision) {
+  return Blocking([&](Storage::Done done) {
+    storage_->DeleteLoopClosure(key, id, revision, std::move(done));
+  });
+}
+
+absl::StatusOr<std::vector<BatchRecord>> ReadAll(Storage& storage,
+                                                 VehicleKey key,
+                                                 std::uint64_t first,
+                                                 std::uint64_t last,
+                                                 BatchVersion version) {
+  std::vector<BatchRecord> batches;
+  const absl::Status status =
+      storage.ReadBatches(key, first, last, version, [&](BatchRecord batch) {
+        batches.push_back(std::move(batch));
+        return true;
+      });
+  if (!status.ok()) return status;
+  return batches;
+}
+
+std::string ToText(const VehicleRecord& record) {
+  std::ostringstream text;
+  text << record.id << " " << record.key << ": " << record.loop_closure_count
+       << " closures, to " << record.durable_sequence << ", revision "
+       << record.revision << ", '" << record.payload << "'";
+  return text.str();
+}
+
+std::string ToText(const BatchRecord& record) {
+  std::ostringstream text;
+  text << record.first_sequence << "+" << record.count << ", revision "
+       << record.revision << ", '" << record.payload << "'";
+  return text.str();
+}
+
+std::string ToText(const LoopClosureRecord& record) {
+  std::ostringstream text;
+  text << record.id << ": " << record.query_sequence << " at "
+       << record.matched_sequence << ", " << record.create_time_ns << " ns";
+  return text.str();
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,59 @@
+// What tests that read and write a storage share.
+#ifndef REVISIT_TESTS_SERVER_STORAGE_TESTING_H_
+#define REVISIT_TESTS_SERVER_STORAGE_TESTING_H_
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+// The writes of a storage, waited for.
+class BlockingWrites {
+ public:
+  explicit BlockingWrites(Storage* storage) : storage_(storage) {}
+
+  absl::StatusOr<VehicleKey> Create(const std::string& id,
+                                    const std::string& payload = "payload",
+                                    std::uint64_t revision = 1);
+  absl::Status Update(VehicleKey key, const std::string& payload,
+                      std::uint64_t revision);
+  absl::Status Delete(VehicleKey key);
+  absl::Status Append(VehicleKey key, const BatchRecord& batch);
+  absl::Status AppendWithVehicle(VehicleKey key, const BatchRecord& batch,
+                                 const std::string& vehicle_payload);
+  absl::Status Revise(VehicleKey key, const std::vector<BatchRecord>& batches,
+                      std::uint64_t revision);
+  absl::Status AddLoopClosure(VehicleKey key, const LoopClosureRecord& closure,
+                              std::uint64_t revision);
+  absl::Status DeleteLoopClosure(VehicleKey key, const std::string& id,
+                                 std::uint64_t revision);
+
+ private:
+  Storage* const storage_;
+};
+
+// Collects what ReadBatches() visits.
+absl::StatusOr<std::vector<BatchRecord>> ReadAll(
+    Storage& storage, VehicleKey key, std::uint64_t first, std::uint64_t last,
+    BatchVersion version = BatchVersion::kCurrent);
+
+// "id 7: 3 closures, to 12, revision 5, 'payload'" and the like, to compare
+// whole records.
+std::string ToText(const VehicleRecord& record);
+std::string ToText(const BatchRecord& record);
+std::string ToText(const LoopClosureRecord& record);
+template <typename T>
+std::vector<std::string> ToTexts(const std::vector<T>& records) {
+  std::vector<std::string> texts;
+  for (const T& record : records) texts.push_back(ToText(record));
+  return texts;
+}
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_TESTS_SERVER_STORAGE_TESTING_H_
