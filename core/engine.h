@@ -87,8 +87,8 @@ class Engine {
   // the model is kFilter does not change; revision greater than revision().
   void ChangeSettings(const EngineSettings& settings, std::uint64_t revision);
 
-  // Adds or removes an edge between the nodes nearest, along the path, to two
-  // poses. Two poses at one node make no edge; that is not an error.
+  // Adds or removes an edge between the last nodes at or before two poses. Two
+  // poses at one node make no edge; that is not an error.
   // REQUIRES: sequences in [1, last_sequence()], revision greater than
   // revision().
   void AddLoopClosure(std::uint64_t query_sequence,

@@ -102,25 +102,32 @@ absl::Status WithRequestId(const absl::Status& status, const std::string& id) {
 
 }  // namespace
 
+absl::Status MalformedMessage() {
+  return Error(absl::StatusCode::kInternal, "INTERNAL",
+               "a message of the stream is not a valid protobuf");
+}
+
 Call::Call(grpc::CallbackServerContext* context, const char* method,
-           const Log* log)
+           const ServiceContext& service)
     : method_(method),
-      log_(log),
+      log_(service.log),
+      drain_(service.drain),
+      admitted_(service.drain->Enter()),
       start_(std::chrono::steady_clock::now()),
       deadline_(context->deadline()),
       request_id_(RequestId(*context)) {
   context->AddInitialMetadata(kRequestIdKey, request_id_);
 }
 
-bool Call::expired() const {
-  return std::chrono::system_clock::now() >= deadline_;
-}
+void Call::Done() { drain_->Leave(); }
 
 absl::Status Call::GivenUpStatus() const {
-  return expired() ? Error(absl::StatusCode::kDeadlineExceeded,
-                           "DEADLINE_EXCEEDED", "the caller's deadline passed")
-                   : Error(absl::StatusCode::kCancelled, "CANCELLED",
-                           "the caller gave up");
+  if (std::chrono::system_clock::now() < deadline_) {
+    return Error(absl::StatusCode::kCancelled, "CANCELLED",
+                 "the caller gave up");
+  }
+  return Error(absl::StatusCode::kDeadlineExceeded, "DEADLINE_EXCEEDED",
+               "the caller's deadline passed");
 }
 
 grpc::Status Call::End(const absl::Status& status) const {

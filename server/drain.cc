@@ -6,6 +6,18 @@
 
 namespace revisit::server {
 
+bool Drain::Enter() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  ++calls_;
+  return !started_;
+}
+
+void Drain::Leave() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  // Under the lock: afterwards this may be destroyed.
+  if (--calls_ == 0) idle_.notify_all();
+}
+
 Drain::WatchId Drain::Watch(std::function<void()> wind_down) {
   {
     const std::lock_guard<std::mutex> lock(mutex_);
@@ -33,6 +45,11 @@ void Drain::Start() {
     watchers.swap(watchers_);
   }
   for (const auto& [id, wind_down] : watchers) wind_down();
+}
+
+void Drain::WaitForCalls(std::chrono::steady_clock::time_point deadline) {
+  std::unique_lock<std::mutex> lock(mutex_);
+  idle_.wait_until(lock, deadline, [this] { return calls_ == 0; });
 }
 
 absl::Status Drain::Refusal() {

@@ -1,7 +1,13 @@
-// Tells long calls that the server is shutting down.
+// The end of the server's life: who is still at work, and telling them.
+//
+// gRPC's own shutdown cannot be waited for: it also waits for every idle client
+// to hear of it, which may take until its deadline. So the calls are counted
+// here.
 #ifndef REVISIT_SERVER_DRAIN_H_
 #define REVISIT_SERVER_DRAIN_H_
 
+#include <chrono>
+#include <condition_variable>
 #include <cstdint>
 #include <functional>
 #include <map>
@@ -16,19 +22,28 @@ class Drain {
  public:
   using WatchId = std::int64_t;
 
+  // A call begins; false if it comes too late and is to be refused. Either way,
+  // Leave() is called when gRPC has done with it.
+  bool Enter();
+  void Leave();
+
   // Calls `wind_down` once when draining starts, or at once if it has started.
   // It may come on any thread, also after Unwatch() was called.
   WatchId Watch(std::function<void()> wind_down);
   void Unwatch(WatchId id);
 
   void Start();
+  // Waits until no call is left, or until the deadline.
+  void WaitForCalls(std::chrono::steady_clock::time_point deadline);
 
   // What a call that is cut short answers: UNAVAILABLE (SERVER_DRAINING).
   static absl::Status Refusal();
 
  private:
   std::mutex mutex_;
+  std::condition_variable idle_;
   // Guarded by mutex_.
+  std::int64_t calls_ = 0;
   bool started_ = false;
   WatchId next_id_ = 0;
   std::map<WatchId, std::function<void()>> watchers_;

@@ -9,6 +9,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "server/call.h"
+#include "server/drain.h"
 #include "server/field_violations.h"
 #include "server/proto_conversion.h"
 #include "server/sessions/fleet.h"
@@ -31,10 +32,14 @@ class Export final : public grpc::ServerWriteReactor<Response>,
                      public std::enable_shared_from_this<Export> {
  public:
   Export(grpc::CallbackServerContext* call, const ServiceContext& context)
-      : context_(context), call_(call, "ExportPoseGraph", context.log) {}
+      : context_(context), call_(call, "ExportPoseGraph", context) {}
 
   void Start(const v1::ExportPoseGraphRequest& request) {
     self_ = shared_from_this();
+    if (!call_.admitted()) {
+      Finish(call_.End(Drain::Refusal()));
+      return;
+    }
     const absl::StatusOr<std::string> id =
         ParseVehicleName(request.vehicle(), FieldPath().Field("vehicle"));
     if (!id.ok()) {
@@ -56,6 +61,7 @@ class Export final : public grpc::ServerWriteReactor<Response>,
   void OnCancel() override { call_.MarkGivenUp(); }
 
   void OnDone() override {
+    call_.Done();
     // May destroy this.
     const std::shared_ptr<Export> self = std::move(self_);
   }

@@ -13,6 +13,7 @@
 #include "absl/status/statusor.h"
 #include "google/protobuf/util/field_mask_util.h"
 #include "server/call.h"
+#include "server/drain.h"
 #include "server/export_pose_graph.h"
 #include "server/field_violations.h"
 #include "server/page_token.h"
@@ -42,30 +43,37 @@ std::int64_t NowNanoseconds() {
       .count();
 }
 
-// A unary call in progress. Request and response live until Finish().
-class UnaryCall {
+// The reactor of a unary call. Request and response live until Finish(). Held
+// by a shared_ptr for the reasons given in stream_poses.cc.
+class UnaryCall final : public grpc::ServerUnaryReactor,
+                        public std::enable_shared_from_this<UnaryCall> {
  public:
   UnaryCall(grpc::CallbackServerContext* context, const char* method,
-            const Log* log)
-      : context_(context),
-        reactor_(context->DefaultReactor()),
-        call_(context, method, log) {}
+            const ServiceContext& service)
+      : call_(context, method, service) {}
 
-  grpc::ServerUnaryReactor* reactor() const { return reactor_; }
-  void set_vehicle(const std::string& id) { call_.set_vehicle(id); }
+  // Before anything else.
+  void Start() { self_ = shared_from_this(); }
 
-  // Not to be asked after Finish().
-  bool given_up() const { return context_->IsCancelled() || call_.expired(); }
-  absl::Status GivenUpStatus() const { return call_.GivenUpStatus(); }
+  void OnCancel() override { call_.MarkGivenUp(); }
 
-  void Finish(const absl::Status& status) {
-    reactor_->Finish(call_.End(status));
+  void OnDone() override {
+    call_.Done();
+    // May destroy this.
+    const std::shared_ptr<UnaryCall> self = std::move(self_);
   }
 
+  bool admitted() const { return call_.admitted(); }
+  void set_vehicle(const std::string& id) { call_.set_vehicle(id); }
+  bool given_up() const { return call_.given_up(); }
+  absl::Status GivenUpStatus() const { return call_.GivenUpStatus(); }
+
+  // Once, on any thread.
+  void End(const absl::Status& status) { Finish(call_.End(status)); }
+
  private:
-  grpc::CallbackServerContext* const context_;
-  grpc::ServerUnaryReactor* const reactor_;
   Call call_;
+  std::shared_ptr<UnaryCall> self_;
 };
 
 using UnaryCallPtr = std::shared_ptr<UnaryCall>;
@@ -76,11 +84,11 @@ std::function<void(absl::StatusOr<Value>)> FinishWith(UnaryCallPtr call,
                                                       Encode encode) {
   return [call = std::move(call), encode](absl::StatusOr<Value> value) {
     if (!value.ok()) {
-      call->Finish(value.status());
+      call->End(value.status());
       return;
     }
     const absl::Status status = encode(*value);
-    call->Finish(status);
+    call->End(status);
   };
 }
 
@@ -122,7 +130,7 @@ void FillFromMemory(Fleet* fleet, const UnaryCallPtr& call,
                     v1::ListVehiclesResponse* response) {
   // The last to let go of it finishes the call.
   const std::shared_ptr<void> finish(
-      nullptr, [call](void*) { call->Finish(absl::OkStatus()); });
+      nullptr, [call](void*) { call->End(absl::OkStatus()); });
   for (v1::Vehicle& vehicle : *response->mutable_vehicles()) {
     const std::string id = vehicle.name().substr(VehicleName("").size());
     const auto session = fleet->SessionIfLoaded(id);
@@ -281,12 +289,12 @@ absl::StatusOr<LoopClosureRecord> DecodeLoopClosure(
 template <typename Handle>
 grpc::ServerUnaryReactor* PoseGraphService::Unary(
     grpc::CallbackServerContext* context, const char* method, Handle handle) {
-  const auto call = std::make_shared<UnaryCall>(context, method, context_.log);
-  // Before `handle`: it may finish the call on another thread.
-  grpc::ServerUnaryReactor* const reactor = call->reactor();
-  const absl::Status status = handle(call);
-  if (!status.ok()) call->Finish(status);
-  return reactor;
+  const auto call = std::make_shared<UnaryCall>(context, method, context_);
+  call->Start();
+  const absl::Status status =
+      call->admitted() ? handle(call) : Drain::Refusal();
+  if (!status.ok()) call->End(status);
+  return call.get();
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::CreateVehicle(
@@ -362,7 +370,7 @@ grpc::ServerUnaryReactor* PoseGraphService::ListVehicles(
       if (status.ok()) {
         FillFromMemory(context.fleet, call, response);
       } else {
-        call->Finish(status);
+        call->End(status);
       }
     });
     return absl::OkStatus();
@@ -401,7 +409,7 @@ grpc::ServerUnaryReactor* PoseGraphService::DeleteVehicle(
     if (!id.ok()) return id.status();
     call->set_vehicle(*id);
     context_.fleet->Delete(
-        *id, [=](const absl::Status& status) { call->Finish(status); });
+        *id, [=](const absl::Status& status) { call->End(status); });
     return absl::OkStatus();
   });
 }
@@ -598,7 +606,7 @@ grpc::ServerUnaryReactor* PoseGraphService::GetServerInfo(
     response->set_max_batch_poses(context_.limits.max_batch_poses);
     response->set_max_message_bytes(context_.limits.max_message_bytes);
     response->set_max_batches_in_flight(context_.limits.max_batches_in_flight);
-    call->Finish(absl::OkStatus());
+    call->End(absl::OkStatus());
     return absl::OkStatus();
   });
 }

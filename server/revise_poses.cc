@@ -113,7 +113,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
       : grpc_context_(call),
         context_(context),
         response_(response),
-        call_(call, "RevisePoses", context.log) {}
+        call_(call, "RevisePoses", context) {}
 
   void Start() {
     self_ = shared_from_this();
@@ -121,7 +121,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
       if (const auto revision = weak.lock()) revision->WindDown();
     });
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (!finished_) StartRead(&request_);
+    if (!finished_) ReadNext();
   }
 
   void OnReadDone(bool ok) override {
@@ -137,7 +137,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
         return;
       }
       if (ok) {
-        StartRead(&request_);
+        ReadNext();
         return;
       }
       // From here on the session decides.
@@ -150,6 +150,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
 
   void OnDone() override {
     context_.drain->Unwatch(drain_watch_);
+    call_.Done();
     // May destroy this.
     const std::shared_ptr<Revision> self = std::move(self_);
   }
@@ -159,6 +160,12 @@ class Revision final : public grpc::ServerReadReactor<Request>,
   void End(const absl::Status& status) {
     finished_ = true;
     Finish(call_.End(status));
+  }
+
+  // With the mutex held.
+  void ReadNext() {
+    request_.set_vehicle(kUnread);
+    StartRead(&request_);
   }
 
   absl::Status Collect() {
@@ -199,6 +206,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
 
   absl::Status CheckComplete() {
     const FieldPath request;
+    if (request_.vehicle() != kUnread) return MalformedMessage();
     if (vehicle_.empty()) {
       return InvalidField("INVALID_RESOURCE_NAME", request.Field("vehicle"),
                           "required in the first message");

@@ -30,6 +30,8 @@ namespace revisit::server {
 namespace {
 
 constexpr char kStoreFile[] = "revisit.sqlite";
+// For connections to be closed in an orderly way.
+constexpr std::chrono::milliseconds kGoodbyeTime{100};
 
 std::chrono::milliseconds Milliseconds(double seconds) {
   return std::chrono::milliseconds(static_cast<std::int64_t>(seconds * 1000.0));
@@ -278,9 +280,12 @@ void RevisitServer::Shutdown() {
   state_->log->Write(LogLevel::kInfo, "draining", {});
   state_->grpc_server->GetHealthCheckService()->SetServingStatus(false);
   state_->drain.Start();
-  state_->grpc_server->Shutdown(
-      std::chrono::system_clock::now() +
-      Milliseconds(state_->settings.drain_timeout_seconds));
+  state_->drain.WaitForCalls(
+      start + Milliseconds(state_->settings.drain_timeout_seconds));
+  // Cuts the calls that are left, and the connections that do not answer to
+  // being closed.
+  state_->grpc_server->Shutdown(std::chrono::system_clock::now() +
+                                kGoodbyeTime);
   state_->grpc_server->Wait();
   state_->grpc_server.reset();
   state_->unload_timer.reset();

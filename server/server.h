@@ -41,7 +41,7 @@ class RevisitServer {
   // The address that calls are taken at, with the port that was chosen.
   const std::string& address() const;
 
-  // Drains: health says NOT_SERVING, no call is taken any more, streams send
+  // Drains: health says NOT_SERVING, new calls are refused, streams send
   // their last acknowledgements and end with UNAVAILABLE (SERVER_DRAINING).
   // Calls that outlast ServerSettings::drain_timeout_seconds are cut. Then the
   // store is closed.

@@ -147,6 +147,8 @@ class OptionTable {
       entry->second.option->clear();
       entry->second.option->add_result(value);
       entry->second.option->run_callback();
+      // Else the command line's own value would be one too many.
+      entry->second.option->clear();
     } catch (const CLI::Error& error) {
       return absl::InvalidArgumentError((where + ": " + error.what()).c_str());
     }

@@ -61,7 +61,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   PoseStream(grpc::CallbackServerContext* call, const ServiceContext& context)
       : grpc_context_(call),
         context_(context),
-        call_(call, "StreamPoses", context.log),
+        call_(call, "StreamPoses", context),
         request_block_(new char[kRequestBlockBytes]),
         arena_(request_block_.get(), kRequestBlockBytes),
         request_(google::protobuf::Arena::CreateMessage<Request>(&arena_)) {}
@@ -80,15 +80,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       reading_ = false;
-      if (!ok) {
-        if (grpc_context_->IsCancelled()) call_.MarkGivenUp();
-        half_closed_ = true;
-        if (session_ == nullptr && !failure_) {
-          failure_ = OutOfOrder(
-              "the stream ended before its first message, "
-              "which is `open`");
-        }
-      }
+      if (!ok) OnLastRead();
       if (Ending()) {
         Advance();
         return;
@@ -118,6 +110,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
 
   void OnDone() override {
     context_.drain->Unwatch(drain_watch_);
+    call_.Done();
     // May destroy this.
     const std::shared_ptr<PoseStream> self = std::move(self_);
   }
@@ -304,6 +297,17 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
 
   // The rest: with the mutex held.
 
+  void OnLastRead() {
+    if (grpc_context_->IsCancelled()) call_.MarkGivenUp();
+    half_closed_ = true;
+    if (request_->open().vehicle() != kUnread) {
+      SetFailure(MalformedMessage());
+    } else if (session_ == nullptr) {
+      SetFailure(OutOfOrder(
+          "the stream ended before its first message, which is `open`"));
+    }
+  }
+
   // The first failure counts.
   void SetFailure(const absl::Status& status) {
     if (!status.ok() && !failure_) failure_ = status;
@@ -348,6 +352,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       // Reset() keeps the first block.
       arena_.Reset();
       request_ = google::protobuf::Arena::CreateMessage<Request>(&arena_);
+      request_->mutable_open()->set_vehicle(kUnread);
       StartRead(request_);
     }
   }

@@ -16,6 +16,9 @@ InterruptGuard::InterruptGuard(std::function<void()> clean_up)
     sigaddset(&signals_, signal);
   }
   pthread_sigmask(SIG_BLOCK, &signals_, &previous_mask_);
+  struct sigaction ignore = {};
+  ignore.sa_handler = SIG_IGN;
+  sigaction(SIGPIPE, &ignore, &previous_pipe_action_);
   thread_ = std::thread([this] { Wait(); });
 }
 
@@ -23,6 +26,7 @@ InterruptGuard::~InterruptGuard() {
   stopping_ = true;
   pthread_kill(thread_.native_handle(), SIGTERM);
   thread_.join();
+  sigaction(SIGPIPE, &previous_pipe_action_, nullptr);
   pthread_sigmask(SIG_SETMASK, &previous_mask_, nullptr);
 }
 

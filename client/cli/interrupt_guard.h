@@ -27,6 +27,7 @@ class InterruptGuard {
   const std::function<void()> clean_up_;
   sigset_t signals_;
   sigset_t previous_mask_;
+  struct sigaction previous_pipe_action_;
   std::atomic<bool> stopping_{false};
   std::thread thread_;
 };

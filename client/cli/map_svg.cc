@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 
 #include "client/cli/console.h"
 
@@ -10,7 +11,7 @@ namespace revisit::client {
 namespace {
 
 // Sizes in pixels.
-constexpr double kWidth = 1000.0;
+constexpr double kWidth = 1200.0;
 constexpr double kLeft = 64.0;
 constexpr double kRight = 24.0;
 constexpr double kTop = 78.0;
@@ -18,10 +19,15 @@ constexpr double kBelowPlot = 44.0;
 constexpr double kLegendHeight = 104.0;
 constexpr double kPlotWidth = kWidth - kLeft - kRight;
 constexpr double kMinPlotHeight = 300.0;
-constexpr double kMaxPlotHeight = 1000.0;
+constexpr double kMaxPlotHeight = 1150.0;
 
 // Quantile of chi-square with two degrees of freedom at 0.95: -2 ln 0.05.
 constexpr double kEllipseScale = 5.991464547107979;
+
+// Keeps text readable on lines.
+constexpr char kHalo[] =
+    "stroke=\"#ffffff\" stroke-width=\"4\" stroke-linejoin=\"round\" "
+    "paint-order=\"stroke\"";
 
 constexpr char kInk[] = "#222222";
 constexpr char kFaint[] = "#6b6b6b";
@@ -105,6 +111,36 @@ std::vector<Point> MoveTruth(const MapContents& contents) {
   return moved;
 }
 
+struct Rectangle {
+  double left = 0.0;
+  double top = 0.0;
+  double width = 0.0;
+  double height = 0.0;
+
+  bool Contains(const Point& point, double margin) const {
+    return point.x >= left - margin && point.x <= left + width + margin &&
+           point.y >= top - margin && point.y <= top + height + margin;
+  }
+};
+
+// How metres become pixels.
+struct View {
+  // Pixels.
+  Rectangle frame;
+  // Metres, in the middle of the frame.
+  Point middle;
+  double pixels_per_meter = 1.0;
+  // Marks and links, relative to the legend's.
+  double mark_size = 1.0;
+
+  Point At(const Point& meters) const {
+    return {frame.left + 0.5 * frame.width +
+                (meters.x - middle.x) * pixels_per_meter,
+            frame.top + 0.5 * frame.height -
+                (meters.y - middle.y) * pixels_per_meter};
+  }
+};
+
 class Map {
  public:
   explicit Map(const MapContents& contents)
@@ -116,7 +152,8 @@ class Map {
   }
 
   std::string Draw() {
-    const double height = kTop + plot_height_ + kBelowPlot + kLegendHeight;
+    const double height =
+        kTop + view_.frame.height + kBelowPlot + kLegendHeight;
     svg_ = "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"" +
            Number(kWidth) + "\" height=\"" + Number(height) +
            "\" viewBox=\"0 0 " + Number(kWidth) + " " + Number(height) +
@@ -125,28 +162,18 @@ class Map {
            "<title>" +
            Escaped(contents_.title) +
            "</title>\n<rect width=\"100%\" height=\"100%\" "
-           "fill=\"#ffffff\"/>\n"
-           "<clipPath id=\"plot\"><rect x=\"" +
-           Number(kLeft) + "\" y=\"" + Number(kTop) + "\" width=\"" +
-           Number(kPlotWidth) + "\" height=\"" + Number(plot_height_) +
-           "\"/></clipPath>\n";
+           "fill=\"#ffffff\"/>\n";
     Text(kLeft, 36.0, contents_.title, kInk, "start",
          "font-size=\"21\" font-weight=\"bold\"");
     Text(kLeft, 58.0, contents_.subtitle, kFaint, "start", "font-size=\"14\"");
     DrawGrid();
-    svg_ += "<g clip-path=\"url(#plot)\">\n";
-    DrawEllipses();
-    Polyline(truth_, kTruth, 1.2, "");
-    Polyline(estimate_, kEstimate, 2.0, "");
-    DrawLinks();
-    DrawChecks();
-    DrawEnds();
-    svg_ += "</g>\n";
-    svg_ += "<rect x=\"" + Number(kLeft) + "\" y=\"" + Number(kTop) +
-            "\" width=\"" + Number(kPlotWidth) + "\" height=\"" +
-            Number(plot_height_) + "\" fill=\"none\" stroke=\"" + kInk +
-            "\" stroke-width=\"1\"/>\n";
+    DrawInside("plot");
+    Frame(view_.frame, "none", kInk, "");
     DrawScaleBar();
+    const std::vector<Detail> details = ChooseDetails();
+    for (std::size_t i = 0; i < details.size(); ++i) {
+      DrawDetail(details[i], "detail" + std::to_string(i));
+    }
     DrawLegend();
     svg_ += "</svg>\n";
     return std::move(svg_);
@@ -183,16 +210,168 @@ class Map {
             std::min(high.y, path_high.y + most) + margin};
     const double width = high.x - low.x;
     const double height = high.y - low.y;
-    pixels_per_meter_ = std::min(kPlotWidth / width, kMaxPlotHeight / height);
-    plot_height_ = std::max(kMinPlotHeight, height * pixels_per_meter_);
-    middle_ = {0.5 * (low.x + high.x), 0.5 * (low.y + high.y)};
+    view_.pixels_per_meter =
+        std::min(kPlotWidth / width, kMaxPlotHeight / height);
+    view_.frame = {kLeft, kTop, kPlotWidth,
+                   std::max(kMinPlotHeight, height * view_.pixels_per_meter)};
+    view_.middle = {0.5 * (low.x + high.x), 0.5 * (low.y + high.y)};
+    view_.mark_size = MarkSize(view_.pixels_per_meter);
   }
 
-  double X(double x) const {
-    return kLeft + 0.5 * kPlotWidth + (x - middle_.x) * pixels_per_meter_;
+  // Smaller marks where checks lie close together on the drawing.
+  double MarkSize(double pixels_per_meter) const {
+    constexpr double kRoomy = 44.0;
+    constexpr double kSmallest = 0.55;
+    const auto& checks = contents_.checks;
+    if (checks.size() < 2) return 1.0;
+    const double meters = (NodeOf(checks.back()).travelled_meters -
+                           NodeOf(checks.front()).travelled_meters) /
+                          static_cast<double>(checks.size() - 1);
+    return std::clamp(meters * pixels_per_meter / kRoomy, kSmallest, 1.0);
   }
-  double Y(double y) const {
-    return kTop + 0.5 * plot_height_ - (y - middle_.y) * pixels_per_meter_;
+
+  Point EstimateAt(std::int64_t node) const {
+    return view_.At(estimate_[static_cast<std::size_t>(node)]);
+  }
+  Point Start(const JudgedCheck& check) const {
+    return EstimateAt(check.answer.query);
+  }
+
+  // Where marks had to be made small: an enlarged part of the map, in a corner
+  // where there is nothing else.
+  struct Detail {
+    // On the map, in pixels.
+    Rectangle source;
+    Rectangle frame;
+  };
+
+  static constexpr double kEnlargement = 3.0;
+
+  // Corners in which a square of this side hides no trajectory; not the lower
+  // right, where the scale bar is.
+  std::vector<Rectangle> FreeCorners(double side) const {
+    constexpr double kMargin = 16.0;
+    const Rectangle& plot = view_.frame;
+    const double left = plot.left + kMargin;
+    const double top = plot.top + kMargin;
+    const double right = plot.left + plot.width - kMargin - side;
+    const double bottom = plot.top + plot.height - kMargin - side;
+    std::vector<Rectangle> corners;
+    for (const Point& corner :
+         {Point{right, top}, Point{left, bottom}, Point{left, top}}) {
+      const Rectangle frame = {corner.x, corner.y, side, side};
+      const auto free = [&](const Point& meters) {
+        return !frame.Contains(view_.At(meters), kMargin);
+      };
+      if (std::all_of(estimate_.begin(), estimate_.end(), free) &&
+          std::all_of(truth_.begin(), truth_.end(), free)) {
+        corners.push_back(frame);
+      }
+    }
+    return corners;
+  }
+
+  // Total length of the links that lie in a window; wrong ones count for more,
+  // since one wants to see them.
+  double LinksShown(const Rectangle& window) const {
+    double shown = 0.0;
+    for (const JudgedCheck& check : contents_.checks) {
+      if (!check.accepted()) continue;
+      const Point from = Start(check);
+      const Point to = EstimateAt(check.answer.candidates[0].matched);
+      if (!window.Contains(from, 0.0) || !window.Contains(to, 0.0)) continue;
+      shown += std::hypot(from.x - to.x, from.y - to.y) *
+               (check.top_correct() ? 1.0 : 3.0);
+    }
+    return shown;
+  }
+
+  std::vector<Detail> ChooseDetails() const {
+    constexpr double kCrowded = 0.8;
+    constexpr std::size_t kMost = 2;
+    std::vector<Detail> details;
+    if (view_.mark_size >= kCrowded) return details;
+    const double side = 0.36 * std::min(view_.frame.width, view_.frame.height);
+    const double source_side = side / kEnlargement;
+    for (const Rectangle& frame : FreeCorners(side)) {
+      if (details.size() == kMost) break;
+      double most_shown = 0.0;
+      Rectangle best;
+      for (const JudgedCheck& middle : contents_.checks) {
+        if (!middle.accepted()) continue;
+        const Point at = Start(middle);
+        const Rectangle window = {at.x - 0.5 * source_side,
+                                  at.y - 0.5 * source_side, source_side,
+                                  source_side};
+        const bool taken = std::any_of(
+            details.begin(), details.end(), [&](const Detail& detail) {
+              return std::abs(detail.source.left - window.left) < source_side &&
+                     std::abs(detail.source.top - window.top) < source_side;
+            });
+        const double shown = taken ? 0.0 : LinksShown(window);
+        if (shown > most_shown) {
+          most_shown = shown;
+          best = window;
+        }
+      }
+      if (most_shown > 0.0) details.push_back({best, frame});
+    }
+    return details;
+  }
+
+  void DrawDetail(const Detail& detail, const std::string& name) {
+    Frame(detail.source, "none", kInk, "stroke-dasharray=\"2 2\"");
+    const View whole = view_;
+    const Point middle = {detail.source.left + 0.5 * detail.source.width,
+                          detail.source.top + 0.5 * detail.source.height};
+    view_.middle = {whole.middle.x + (middle.x - whole.frame.left -
+                                      0.5 * whole.frame.width) /
+                                         whole.pixels_per_meter,
+                    whole.middle.y - (middle.y - whole.frame.top -
+                                      0.5 * whole.frame.height) /
+                                         whole.pixels_per_meter};
+    view_.frame = detail.frame;
+    view_.pixels_per_meter *= kEnlargement;
+    view_.mark_size = MarkSize(view_.pixels_per_meter);
+    // From the part to its enlargement, where they are nearest.
+    const auto clamp_to = [](const Rectangle& rectangle, const Point& point) {
+      return Point{
+          std::clamp(point.x, rectangle.left, rectangle.left + rectangle.width),
+          std::clamp(point.y, rectangle.top, rectangle.top + rectangle.height)};
+    };
+    const Point from =
+        clamp_to(detail.source, {detail.frame.left + 0.5 * detail.frame.width,
+                                 detail.frame.top + 0.5 * detail.frame.height});
+    const Point to = clamp_to(detail.frame, from);
+    Line(from.x, from.y, to.x, to.y, kInk, 1.0, "stroke-dasharray=\"2 2\"");
+    Frame(detail.frame, "#ffffff", "none", "");
+    DrawInside(name);
+    Frame(detail.frame, "none", kInk, "");
+    Text(detail.frame.left + 8.0, detail.frame.top + 18.0,
+         "enlarged " + Number(kEnlargement) + " times", kFaint, "start", kHalo);
+    view_ = whole;
+  }
+
+  void Frame(const Rectangle& frame, const char* fill, const char* stroke,
+             const std::string& more) {
+    svg_ += "<rect x=\"" + Number(frame.left) + "\" y=\"" + Number(frame.top) +
+            "\" width=\"" + Number(frame.width) + "\" height=\"" +
+            Number(frame.height) + "\" fill=\"" + fill + "\" stroke=\"" +
+            stroke + "\" " + more + "/>\n";
+  }
+
+  // Everything of the view that lies in its frame.
+  void DrawInside(const std::string& name) {
+    svg_ += "<clipPath id=\"" + name + "\">";
+    Frame(view_.frame, "none", "none", "");
+    svg_ += "</clipPath>\n<g clip-path=\"url(#" + name + ")\">\n";
+    DrawEllipses();
+    Polyline(truth_, kTruth, 1.2);
+    Polyline(estimate_, kEstimate, 0.8 + 1.2 * view_.mark_size);
+    DrawLinks();
+    DrawChecks();
+    DrawEnds();
+    svg_ += "</g>\n";
   }
 
   void Text(double x, double y, const std::string& text, const char* color,
@@ -218,15 +397,14 @@ class Map {
 
   // Breaks where the trajectory was cut, and leaves out points too near to see.
   void Polyline(const std::vector<Point>& points, const char* color,
-                double width, const std::string& more) {
+                double width) {
     constexpr double kVisible = 0.8;
     svg_ += "<path fill=\"none\" stroke=\"" + std::string(color) +
             "\" stroke-width=\"" + Number(width) +
-            "\" stroke-linejoin=\"round\" stroke-linecap=\"round\" " + more +
-            " d=\"";
+            "\" stroke-linejoin=\"round\" stroke-linecap=\"round\" d=\"";
     Point last;
     for (std::size_t i = 0; i < points.size(); ++i) {
-      const Point at = {X(points[i].x), Y(points[i].y)};
+      const Point at = view_.At(points[i]);
       // A jump adds no distance.
       const bool cut =
           i > 0 && std::hypot(points[i].x - points[i - 1].x,
@@ -245,27 +423,31 @@ class Map {
   }
 
   void DrawGrid() {
-    const double step = RoundBelow(kPlotWidth / pixels_per_meter_ / 5.0);
-    const double half_width = 0.5 * kPlotWidth / pixels_per_meter_;
-    const double half_height = 0.5 * plot_height_ / pixels_per_meter_;
-    const double bottom = kTop + plot_height_;
-    for (double x = std::ceil((middle_.x - half_width) / step) * step;
-         x <= middle_.x + half_width; x += step) {
-      Line(X(x), kTop, X(x), bottom, kGrid, 1.0, "");
-      Line(X(x), bottom, X(x), bottom + 5.0, kInk, 1.0, "");
-      Text(X(x), bottom + 20.0, Number(x), kInk, "middle", "");
+    const Rectangle& plot = view_.frame;
+    const Point& middle = view_.middle;
+    const double half_width = 0.5 * plot.width / view_.pixels_per_meter;
+    const double half_height = 0.5 * plot.height / view_.pixels_per_meter;
+    const double step = RoundBelow(half_width / 2.5);
+    const double bottom = plot.top + plot.height;
+    for (double x = std::ceil((middle.x - half_width) / step) * step;
+         x <= middle.x + half_width; x += step) {
+      const double at = view_.At({x, 0.0}).x;
+      Line(at, plot.top, at, bottom, kGrid, 1.0, "");
+      Line(at, bottom, at, bottom + 5.0, kInk, 1.0, "");
+      Text(at, bottom + 20.0, Number(x), kInk, "middle", "");
     }
-    for (double y = std::ceil((middle_.y - half_height) / step) * step;
-         y <= middle_.y + half_height; y += step) {
-      Line(kLeft, Y(y), kLeft + kPlotWidth, Y(y), kGrid, 1.0, "");
-      Line(kLeft - 5.0, Y(y), kLeft, Y(y), kInk, 1.0, "");
-      Text(kLeft - 9.0, Y(y) + 4.5, Number(y), kInk, "end", "");
+    for (double y = std::ceil((middle.y - half_height) / step) * step;
+         y <= middle.y + half_height; y += step) {
+      const double at = view_.At({0.0, y}).y;
+      Line(plot.left, at, plot.left + plot.width, at, kGrid, 1.0, "");
+      Line(plot.left - 5.0, at, plot.left, at, kInk, 1.0, "");
+      Text(plot.left - 9.0, at + 4.5, Number(y), kInk, "end", "");
     }
-    Text(kLeft + 0.5 * kPlotWidth, bottom + 38.0, "x in metres", kFaint,
+    Text(plot.left + 0.5 * plot.width, bottom + 38.0, "x in metres", kFaint,
          "middle", "");
-    const std::string middle = Number(kTop + 0.5 * plot_height_);
-    Text(16.0, kTop + 0.5 * plot_height_, "y in metres", kFaint, "middle",
-         "transform=\"rotate(-90 16 " + middle + ")\"");
+    const double half_way = plot.top + 0.5 * plot.height;
+    Text(16.0, half_way, "y in metres", kFaint, "middle",
+         "transform=\"rotate(-90 16 " + Number(half_way) + ")\"");
   }
 
   const GraphNode& NodeOf(const JudgedCheck& check) const {
@@ -275,14 +457,16 @@ class Map {
   void DrawEllipses() {
     svg_ += "<g fill=\"" + std::string(kEllipse) +
             "\" fill-opacity=\"0.025\" stroke=\"" + kEllipse +
-            "\" stroke-opacity=\"0.45\" stroke-width=\"0.9\">\n";
+            "\" stroke-opacity=\"" + Number(0.45 * view_.mark_size) +
+            "\" stroke-width=\"0.9\">\n";
     for (const JudgedCheck& check : contents_.checks) {
-      const GraphNode& node = NodeOf(check);
-      const Ellipse ellipse = EllipseOf(node);
-      svg_ += "<ellipse rx=\"" + Number(ellipse.major * pixels_per_meter_) +
-              "\" ry=\"" + Number(ellipse.minor * pixels_per_meter_) +
-              "\" transform=\"translate(" + Number(X(node.estimate.x)) + " " +
-              Number(Y(node.estimate.y)) + ") rotate(" +
+      const Ellipse ellipse = EllipseOf(NodeOf(check));
+      const Point at = Start(check);
+      svg_ += "<ellipse rx=\"" +
+              Number(ellipse.major * view_.pixels_per_meter) + "\" ry=\"" +
+              Number(ellipse.minor * view_.pixels_per_meter) +
+              "\" transform=\"translate(" + Number(at.x) + " " + Number(at.y) +
+              ") rotate(" +
               Number(-ellipse.direction * 180.0 / 3.14159265358979323846) +
               ")\"/>\n";
     }
@@ -290,70 +474,75 @@ class Map {
   }
 
   static const char* LinkColor(bool right) { return right ? kCorrect : kWrong; }
-  static const char* LinkDashes(bool right) {
-    return right ? "stroke-linecap=\"round\"" : "stroke-dasharray=\"7 5\"";
+
+  void DrawLink(double x1, double y1, double x2, double y2, bool right,
+                double size) {
+    Line(x1, y1, x2, y2, LinkColor(right), 2.6 * size,
+         right ? "stroke-linecap=\"round\""
+               : "stroke-dasharray=\"" + Number(7.0 * size) + " " +
+                     Number(5.0 * size) + "\"");
+    Circle(x2, y2, 3.2 * size, "#ffffff", LinkColor(right), 1.8 * size);
+  }
+
+  void DrawLinkStart(double x, double y, bool right, double size) {
+    Circle(x, y, 4.2 * size, LinkColor(right), "#ffffff", 1.2 * size);
+  }
+
+  void DrawNone(double x, double y, bool missed, double size) {
+    Circle(x, y, 4.4 * size, missed ? "#f5b800" : "#ffffff", kInk, 1.3 * size);
   }
 
   void DrawLinks() {
     for (const JudgedCheck& check : contents_.checks) {
       if (!check.accepted()) continue;
-      const GraphNode& from = NodeOf(check);
-      const GraphNode& to = contents_.nodes[static_cast<std::size_t>(
-          check.answer.candidates[0].matched)];
-      const bool right = check.top_correct();
-      const double x1 = X(from.estimate.x);
-      const double y1 = Y(from.estimate.y);
-      const double x2 = X(to.estimate.x);
-      const double y2 = Y(to.estimate.y);
-      Line(x1, y1, x2, y2, "#ffffff", 5.0, "stroke-opacity=\"0.85\"");
-      Line(x1, y1, x2, y2, LinkColor(right), 2.6, LinkDashes(right));
-      Circle(x2, y2, 3.2, "#ffffff", LinkColor(right), 1.8);
+      const Point from = Start(check);
+      const Point to = EstimateAt(check.answer.candidates[0].matched);
+      Line(from.x, from.y, to.x, to.y, "#ffffff", 5.0 * view_.mark_size,
+           "stroke-opacity=\"0.85\"");
+      DrawLink(from.x, from.y, to.x, to.y, check.top_correct(),
+               view_.mark_size);
     }
   }
 
   void DrawChecks() {
     for (const JudgedCheck& check : contents_.checks) {
-      const double x = X(NodeOf(check).estimate.x);
-      const double y = Y(NodeOf(check).estimate.y);
+      const Point at = Start(check);
       if (check.accepted()) {
-        Circle(x, y, 4.2, LinkColor(check.top_correct()), "#ffffff", 1.2);
+        DrawLinkStart(at.x, at.y, check.top_correct(), view_.mark_size);
       } else {
-        DrawNone(x, y, check.true_loop);
+        DrawNone(at.x, at.y, check.true_loop, view_.mark_size);
       }
     }
   }
 
-  void DrawNone(double x, double y, bool missed) {
-    Circle(x, y, 4.4, missed ? "#f5b800" : "#ffffff", kInk, 1.3);
-  }
-
-  // Tags at the two ends of the drive, set apart where the ends lie together.
+  // Tags at the two ends of the drive, on either side where they lie together.
   void DrawEnds() {
-    const Point start = {X(estimate_.front().x), Y(estimate_.front().y)};
-    const Point end = {X(estimate_.back().x), Y(estimate_.back().y)};
-    DrawEnd(start, "start", kEstimate, -12.0);
+    const Point start = view_.At(estimate_.front());
+    const Point end = view_.At(estimate_.back());
     const bool together =
-        std::abs(start.x - end.x) < 60.0 && std::abs(start.y - end.y) < 24.0;
-    DrawEnd(end, "end", "#ffffff", together ? 22.0 : -12.0);
+        std::abs(start.x - end.x) < 60.0 && std::abs(start.y - end.y) < 40.0;
+    const bool end_is_lower = end.y > start.y;
+    DrawEnd(start, "start", kEstimate, !together || end_is_lower);
+    DrawEnd(end, "end", "#ffffff", !together || !end_is_lower);
   }
 
   void DrawEnd(const Point& at, const char* label, const char* fill,
-               double offset) {
+               bool label_above) {
     constexpr double kHalf = 5.5;
     svg_ += "<rect x=\"" + Number(at.x - kHalf) + "\" y=\"" +
             Number(at.y - kHalf) + "\" width=\"" + Number(2.0 * kHalf) +
             "\" height=\"" + Number(2.0 * kHalf) + "\" fill=\"" + fill +
             "\" stroke=\"" + kEstimate + "\" stroke-width=\"2\"/>\n";
-    Text(at.x, at.y + offset, label, kInk, "middle",
-         "font-weight=\"bold\" stroke=\"#ffffff\" stroke-width=\"4\" "
-         "stroke-linejoin=\"round\" paint-order=\"stroke\"");
+    Text(at.x, at.y + (label_above ? -12.0 : 22.0), label, kInk, "middle",
+         std::string("font-weight=\"bold\" ") + kHalo);
   }
 
   void DrawScaleBar() {
-    const double meters = RoundBelow(0.2 * kPlotWidth / pixels_per_meter_);
-    const double length = meters * pixels_per_meter_;
-    const double x = kLeft + kPlotWidth - 18.0 - length;
-    const double y = kTop + plot_height_ - 18.0;
+    const Rectangle& plot = view_.frame;
+    const double meters = RoundBelow(0.2 * plot.width / view_.pixels_per_meter);
+    const double length = meters * view_.pixels_per_meter;
+    const double x = plot.left + plot.width - 18.0 - length;
+    const double y = plot.top + plot.height - 18.0;
     svg_ += "<rect x=\"" + Number(x - 10.0) + "\" y=\"" + Number(y - 24.0) +
             "\" width=\"" + Number(length + 20.0) +
             "\" height=\"34\" fill=\"#ffffff\" fill-opacity=\"0.85\"/>\n";
@@ -364,9 +553,9 @@ class Map {
   }
 
   void DrawLegend() {
-    const double top = kTop + plot_height_ + kBelowPlot + 22.0;
+    const double top = kTop + view_.frame.height + kBelowPlot + 22.0;
     constexpr double kRow = 28.0;
-    const double columns[] = {kLeft, kLeft + 310.0, kLeft + 610.0};
+    const double columns[] = {kLeft, kLeft + 380.0, kLeft + 760.0};
     constexpr double kSample = 34.0;
     const auto label = [&](int column, int row, const char* text) {
       Text(columns[column] + kSample + 10.0, top + row * kRow + 4.5, text, kInk,
@@ -387,27 +576,23 @@ class Map {
 
     for (const bool right : {true, false}) {
       const int row = right ? 0 : 1;
-      Line(columns[1], y(row), columns[1] + kSample, y(row), LinkColor(right),
-           2.6, LinkDashes(right));
-      Circle(columns[1], y(row), 4.2, LinkColor(right), "#ffffff", 1.2);
-      Circle(columns[1] + kSample, y(row), 3.2, "#ffffff", LinkColor(right),
-             1.8);
+      DrawLink(columns[1], y(row), columns[1] + kSample, y(row), right, 1.0);
+      DrawLinkStart(columns[1], y(row), right, 1.0);
     }
     label(1, 0, "candidate accepted, right");
     label(1, 1, "candidate accepted, wrong");
 
-    DrawNone(columns[2] + 0.5 * kSample, y(0), false);
+    DrawNone(columns[2] + 0.5 * kSample, y(0), false, 1.0);
     label(2, 0, "none accepted, no loop there");
-    DrawNone(columns[2] + 0.5 * kSample, y(1), true);
+    DrawNone(columns[2] + 0.5 * kSample, y(1), true, 1.0);
     label(2, 1, "none accepted, loop missed");
   }
 
   const MapContents& contents_;
   const std::vector<Point> truth_;
   std::vector<Point> estimate_;
-  double pixels_per_meter_ = 1.0;
-  double plot_height_ = kMinPlotHeight;
-  Point middle_;
+  // The whole map's, or the detail's while that is drawn.
+  View view_;
   std::string svg_;
 };
 

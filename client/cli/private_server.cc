@@ -64,7 +64,8 @@ PrivateServer::~PrivateServer() { Stop(); }
 absl::Status PrivateServer::Start() {
   std::error_code error;
   std::string pattern =
-      (std::filesystem::temp_directory_path(error) / "revisit-XXXXXX").string();
+      (std::filesystem::temp_directory_path(error) / "revisit-").string() +
+      std::string(6, 'X');
   {
     std::lock_guard<std::mutex> lock(mutex_);
     if (error || mkdtemp(pattern.data()) == nullptr) {
@@ -101,6 +102,7 @@ absl::Status PrivateServer::Launch() {
     sigset_t none;
     sigemptyset(&none);
     sigprocmask(SIG_SETMASK, &none, nullptr);
+    signal(SIGPIPE, SIG_DFL);
     setpgid(0, 0);
     prctl(PR_SET_PDEATHSIG, SIGKILL);
     // The parent may have died before this took effect.

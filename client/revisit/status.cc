@@ -68,7 +68,9 @@ std::string Describe(const absl::Status& status) {
   if (!details.reason.empty()) text += " (" + details.reason + ")";
   text += ": " + std::string(status.message());
   for (const FieldViolation& violation : details.field_violations) {
-    text += "\n  " + violation.field + ": " + violation.description;
+    const std::string line = violation.field + ": " + violation.description;
+    // The server's messages tell the first violation themselves.
+    if (text.find(line) == std::string::npos) text += "\n  " + line;
   }
   return text;
 }

@@ -36,7 +36,8 @@ struct ErrorDetails {
 // type URLs ("type.googleapis.com/google.rpc.ErrorInfo" and so on).
 ErrorDetails DetailsOf(const absl::Status& status);
 
-// For people: the message, the reason, and a line for each field violation.
+// For people: the message, the reason, and a line for each field violation that
+// the message does not tell already.
 std::string Describe(const absl::Status& status);
 
 }  // namespace revisit::client

@@ -23,6 +23,11 @@ using absl::StatusCode;
 // "RVST": tells a store from other SQLite files.
 constexpr std::int64_t kApplicationId = 0x52565354;
 
+// Of a new store. A batch of 64 poses has some 12 kB: measured with those, the
+// store takes in a quarter more than with SQLite's own 4096, and with 16384 the
+// file grows by a third.
+constexpr int kPageBytes = 8192;
+
 // Payloads come last, so that the columns before them are read without them.
 // Keep in step: kStoreFormat, the table list of the header, record_checksum.h.
 constexpr char kSchema[] = R"sql(
@@ -454,7 +459,8 @@ absl::Status CheckFormat(SqliteDatabase& database, const std::string& path) {
   if (!tables.ok()) return tables.status();
   if (*application == 0 && *format == 0 && *tables == 0) {
     const std::string sql =
-        "BEGIN IMMEDIATE;" + std::string(kSchema) +
+        "PRAGMA page_size = " + std::to_string(kPageBytes) +
+        "; BEGIN IMMEDIATE;" + std::string(kSchema) +
         "PRAGMA application_id = " + std::to_string(kApplicationId) +
         "; PRAGMA user_version = " + std::to_string(kStoreFormat) + "; COMMIT";
     return database.Execute(sql.c_str());

@@ -167,7 +167,7 @@ TEST(EngineTest, StopsWhenTold) {
   EXPECT_EQ(set.status().code(), absl::StatusCode::kCancelled);
 }
 
-TEST(EngineTest, LoopClosuresBecomeEdgesBetweenTheNearestNodes) {
+TEST(EngineTest, LoopClosuresBecomeEdgesBetweenTheNodesAtOrBefore) {
   Engine engine = Driven(1300.0);
   engine.AddLoopClosure(1212, 10, 2);
   // Poses 1212 and 10 are 1211 m and 9 m along; the nodes before them, 1210

@@ -112,26 +112,25 @@ class Server:
         self.process.wait(STOP_SECONDS)
         self._forget()
 
-    def terminate(self):
-        """Asks it to stop, waits, and answers its exit code."""
-        self.process.send_signal(signal.SIGTERM)
-        code = self.process.wait(STOP_SECONDS)
-        self._forget()
-        return code
-
     def close(self):
         """Makes sure that it is gone, whatever the test did."""
+        # A client that is idle here hears late of a server that shuts down.
+        self.close_channels()
         if self.is_running():
+            self.process.send_signal(signal.SIGTERM)
             try:
-                self.terminate()
+                self.process.wait(STOP_SECONDS)
             except subprocess.TimeoutExpired:
                 self.kill()
         self._forget()
 
-    def _forget(self):
+    def close_channels(self):
         for channel in self._channels:
             channel.close()
         self._channels.clear()
+
+    def _forget(self):
+        self.close_channels()
         self._reader.join(STOP_SECONDS)
         self.process.stdout.close()
 

@@ -1,4 +1,8 @@
-"""The real grpcurl against the real server, with the lines of the README."""
+"""The real grpcurl against the real server, with the lines of the README.
+
+Fields have the names of the protos in its JSON: the descriptors that gRPC's
+reflection serves hold no others.
+"""
 
 import json
 import os
@@ -18,9 +22,12 @@ SERVICE = "revisit.v1.PoseGraphService"
 STATUS_EXIT = 64
 INVALID_ARGUMENT = 3
 
-if not GRPCURL.exists():
-    pytest.exit(f"there is no grpcurl at {GRPCURL}: tests/run builds it where "
-                "there is Go", returncode=77)
+
+@pytest.fixture(scope="module", autouse=True)
+def grpcurl():
+    if not GRPCURL.exists():
+        pytest.exit(f"there is no grpcurl at {GRPCURL}: tests/run builds it "
+                    "where there is Go", returncode=77)
 
 
 def readme_commands():
@@ -66,7 +73,7 @@ def test_list_shows_the_service_health_and_reflection(results):
         "grpc.reflection.v1alpha.ServerReflection"}
 
 
-def test_describe_shows_a_method_with_its_comment(results):
+def test_describe_shows_what_a_method_takes(results):
     described = results_of(results, " describe ")[0]
     assert described.returncode == 0, described.stderr
     assert "rpc AppendPoses ( .revisit.v1.AppendPosesRequest )" in (
@@ -77,21 +84,21 @@ def test_create_answers_with_every_setting(results):
     created = results_of(results, "/CreateVehicle")[0]
     assert created.returncode == 0, created.stderr
     vehicle = json.loads(created.stdout)["vehicle"]
-    assert vehicle["settings"]["sequenceLengthMeters"] == 150
+    assert vehicle["settings"]["sequence_length_meters"] == 150
     assert vehicle["state"] == "VEHICLE_STATE_ACTIVE"
 
 
 def test_append_answers_what_is_durable(results):
     appended = results_of(results, "/AppendPoses")[0]
     assert appended.returncode == 0, appended.stderr
-    assert json.loads(appended.stdout)["ack"]["durableSequence"] == "2"
+    assert json.loads(appended.stdout)["ack"]["durable_sequence"] == "2"
 
 
 def test_find_says_why_there_is_no_candidate(results):
     found = results_of(results, "/FindCandidates")[0]
     assert found.returncode == 0, found.stderr
     answer = json.loads(found.stdout)["candidates"]
-    assert answer["emptyReason"] == "EMPTY_REASON_PATH_TOO_SHORT"
+    assert answer["empty_reason"] == "EMPTY_REASON_PATH_TOO_SHORT"
     assert answer["query"]["sequence"] == "1"
 
 

@@ -54,8 +54,18 @@ class FleetTest : public ::testing::Test {
   // Waits until no task refers to the vehicle any more, then unloads what was
   // idle for this long.
   void UnloadAfter(const std::string& id, std::chrono::milliseconds idle) {
-    while (fleet_->Session(id)->busy()) std::this_thread::yield();
+    std::shared_ptr<VehicleSession> session = fleet_->Session(id);
+    AwaitIdle(session, 2);
+    session.reset();
     fleet_->UnloadIdle(steady_clock::now() + idle);
+  }
+
+  // Until there are but so many references to the session.
+  static void AwaitIdle(const std::shared_ptr<VehicleSession>& session,
+                        long references) {
+    while (session.use_count() > references || session->busy()) {
+      std::this_thread::yield();
+    }
   }
 
   MemoryStorage memory_;
@@ -165,7 +175,8 @@ TEST_F(FleetTest, UnloadsIdleVehicleAndLoadsItAgain) {
 TEST_F(FleetTest, KeepsVehicleThatSomeoneHolds) {
   ASSERT_THAT(CreateNow(*fleet_, "truck"), IsOk());
   std::shared_ptr<VehicleSession> held = fleet_->Session("truck");
-  UnloadAfter("truck", minutes(11));
+  AwaitIdle(held, 2);
+  fleet_->UnloadIdle(steady_clock::now() + minutes(11));
   EXPECT_EQ(fleet_->loaded(), 1u);
   // It was in use until then.
   held.reset();

@@ -204,6 +204,7 @@ TEST_F(SqliteStorageTest, WritesFormat1) {
   EXPECT_EQ(RunSql(Path(), "PRAGMA application_id; PRAGMA user_version"),
             "1381389140\n1\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA journal_mode"), "wal\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA page_size"), "8192\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT name FROM sqlite_schema WHERE type = "
                    "'table' ORDER BY name"),

@@ -6,6 +6,6 @@
 // with all that went before.
 extern "C" const char* __tsan_default_suppressions();
 extern "C" const char* __tsan_default_suppressions() {
-  return "race:absl::*Status::UnrefNonInlined\n"
+  return "race:absl::*Status::Unref\n"
          "race:absl::*status_internal::Payload\n";
 }

@@ -227,6 +227,34 @@ TEST(MapSvgTest, DrawsLinksAndCirclesByOutcome) {
   EXPECT_THAT(svg, Not(HasSubstr("inf\"")));
 }
 
+TEST(MapSvgTest, EnlargesACrowdedPartInAFreeCorner) {
+  // 4 km along a diagonal and back beside it: two corners stay free, of which
+  // one is for the scale bar.
+  MapContents contents;
+  for (int i = 0; i < 4000; ++i) {
+    const double along = i < 2000 ? i : 3999 - i;
+    GraphNode node;
+    node.sequence = static_cast<std::uint64_t>(i) + 1;
+    node.travelled_meters = 2.0 * i;
+    node.estimate = {1.4 * along, 1.4 * along + (i < 2000 ? 0.0 : 40.0),
+                     i < 2000 ? kPi / 4.0 : -3.0 * kPi / 4.0};
+    contents.nodes.push_back(node);
+    contents.truth_at_nodes.push_back(node.estimate);
+  }
+  std::vector<CheckAnswer> answers;
+  for (int i = 150; i < 4000; i += 25) {
+    answers.push_back(
+        Answer(i, i < 2100 ? std::vector<std::pair<std::int64_t, Verdict>>()
+                           : std::vector<std::pair<std::int64_t, Verdict>>{
+                                 {3999 - i, Verdict::kAccepted}}));
+  }
+  contents.checks =
+      Judge(contents.nodes, contents.truth_at_nodes, answers, EightExcluded());
+  const std::string svg = DrawMap(contents);
+  EXPECT_EQ(Occurrences(svg, "enlarged 3 times"), 1);
+  EXPECT_EQ(Occurrences(svg, "<clipPath"), 2);
+}
+
 TEST(MapSvgTest, DrawsASingleNode) {
   MapContents contents;
   contents.nodes.resize(1);

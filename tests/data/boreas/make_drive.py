@@ -31,7 +31,7 @@ SEED = 20210805
 # wheel encoders and a good gyroscope.
 ALONG_METERS = 0.05
 ACROSS_METERS = 0.02
-HEADING_RADIANS = math.radians(0.02)
+HEADING_RADIANS = math.radians(0.01)
 
 # Standard deviations of the first pose.
 START_POSITION_METERS = 0.1
