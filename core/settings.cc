@@ -53,7 +53,15 @@ std::vector<SettingProblem> FindProblems(const EngineSettings& settings) {
              &problems);
   CheckRange("check_interval_meters", settings.check_interval_meters,
              std::max(0.01, settings.node_spacing_meters), 1e5, &problems);
-  CheckRange("max_step_meters", settings.max_step_meters, 0.01, 1e6, &problems);
+  double longest_step = 1e6;
+  // As in CheckSearch().
+  if (settings.node_spacing_meters >= 0.01) {
+    longest_step =
+        std::min(longest_step, static_cast<double>(kMaxNodesPerStep) *
+                                   settings.node_spacing_meters);
+  }
+  CheckRange("max_step_meters", settings.max_step_meters, 0.01, longest_step,
+             &problems);
   CheckSearch(settings.search, settings.node_spacing_meters, &problems);
   return problems;
 }

@@ -35,13 +35,15 @@ struct EngineSettings {
   double node_spacing_meters = 2.0;
   // At least the node spacing, at most 1e5 m.
   double check_interval_meters = 50.0;
-  // [0.01, 1e6] m.
+  // [0.01, 1e6] m, and at most kMaxNodesPerStep node spacings: a single pose
+  // must not bring nodes without end.
   double max_step_meters = 100.0;
   SearchOptions search;
 };
 
 inline constexpr int kMaxCandidates = 100;
 inline constexpr std::int64_t kMaxSequenceNodes = 1000;
+inline constexpr std::int64_t kMaxNodesPerStep = 1000;
 
 // A setting that is out of range.
 struct SettingProblem {

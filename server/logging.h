@@ -22,8 +22,8 @@ struct LogField {
 };
 
 // Printable ASCII: everything else, and what a string literal of JSON cannot
-// hold, becomes \uXXXX or the like; bytes that are no UTF-8 become \ufffd. So
-// no caller can forge a line or send control sequences to a terminal.
+// hold, is escaped as JSON does; bytes that are no UTF-8 become U+FFFD. So no
+// caller can forge a line or send control sequences to a terminal.
 std::string EscapeForLog(const std::string& text);
 
 // Thread-safe.

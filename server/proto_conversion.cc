@@ -471,7 +471,6 @@ class PoseDecoder {
       return;
     }
     const auto& values = pose.covariance().values();
-    // Coordinates of the state that the form tells of, as rows of its matrix.
     switch (pose.covariance().form()) {
       case v1::COVARIANCE_FORM_PLANAR_6: {
         if (spatial_) {

@@ -29,13 +29,16 @@ names, with lines such as
   worker-threads = 4
 Flags win over the environment, the environment over the file.
 
-Once calls are taken, "listening on ADDRESS" is printed to standard output; logs go
-to standard error. SIGTERM or SIGINT drains: no new calls, streams get their last
-acknowledgements, then the store is closed.
+Once calls are taken, "listening on ADDRESS" is printed to standard output; logs
+go to standard error. SIGTERM or SIGINT drains: new calls are refused, streams
+get their last acknowledgements, then the store is closed.
 
-Exit codes: 0 stopped as told; 64 wrong usage or settings; 69 cannot listen at the
-address, or write the port file; 73 the store is in use by another server or is no
-store of this version; 74 the store cannot be read or written.
+Exit codes:
+  0   stopped as told
+  64  wrong usage or settings
+  69  cannot listen at the address, or write the port file
+  73  the store is in use by another server, or is no store of this version
+  74  the store cannot be read or written
 
 Examples:
   revisitd

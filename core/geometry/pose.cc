@@ -92,13 +92,12 @@ std::optional<Defect> FindTransitionDefect(const ErrorTransition& transition) {
     for (int c = 0; c < D; ++c) {
       const double value = transition.values[static_cast<std::size_t>(
           4 * StateIndex<D>(r) + StateIndex<D>(c))];
+      if (std::abs(value) <= kMaxTransitionEntry) continue;  // Not so if NaN.
       const std::string what = std::string("the entry of ") +
                                CoordinateName<D>(r) + " from " +
                                CoordinateName<D>(c);
       if (!std::isfinite(value)) return NotFinite("error_transition", what);
-      if (std::abs(value) > kMaxTransitionEntry) {
-        return OutOfRange("error_transition", what, value, kMaxTransitionEntry);
-      }
+      return OutOfRange("error_transition", what, value, kMaxTransitionEntry);
     }
   }
   return std::nullopt;

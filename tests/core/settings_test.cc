@@ -45,6 +45,19 @@ TEST(SettingsTest, ASequenceHoldsFromOneToAThousandNodes) {
   EXPECT_EQ(SequenceNodes(150.0, 0.7), 214);
 }
 
+TEST(SettingsTest, AStepHoldsAtMostAThousandNodes) {
+  EngineSettings settings;
+  settings.node_spacing_meters = 0.2;
+  settings.max_step_meters = 200.0;
+  settings.search.sequence_length_meters = 30.0;
+  EXPECT_THAT(FindProblems(settings), IsEmpty());
+  settings.max_step_meters = 201.0;
+  const auto problems = FindProblems(settings);
+  ASSERT_EQ(problems.size(), 1u);
+  EXPECT_EQ(problems[0].field, "max_step_meters");
+  EXPECT_EQ(problems[0].description, "got 201; allowed is [0.01, 200]");
+}
+
 TEST(SettingsTest, AFilterSearchNeedsAFilterVehicle) {
   SearchOptions options;
   options.correlation_model = CorrelationModel::kFilter;

@@ -182,7 +182,7 @@ TEST_F(SettingsTest, HelpNamesEverySettingAndFitsATerminal) {
   }
   std::istringstream help(*parsed->print);
   for (std::string line; std::getline(help, line);) {
-    EXPECT_LE(line.size(), 84u) << line;
+    EXPECT_LE(line.size(), 80u) << line;
   }
   EXPECT_THAT(*parsed->print, HasSubstr("Exit codes:"));
 }
