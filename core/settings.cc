@@ -21,6 +21,13 @@ void CheckRange(const char* field, double value, double lowest, double highest,
                                   "]"});
 }
 
+constexpr double kLongestStepMeters = 1e6;
+
+double LongestStep(double node_spacing_meters) {
+  return std::min(kLongestStepMeters,
+                  static_cast<double>(kMaxNodesPerStep) * node_spacing_meters);
+}
+
 void CheckSearch(const SearchOptions& options, double node_spacing_meters,
                  std::vector<SettingProblem>* problems) {
   // A spacing that is itself refused must not cast doubt on the length.
@@ -53,13 +60,10 @@ std::vector<SettingProblem> FindProblems(const EngineSettings& settings) {
              &problems);
   CheckRange("check_interval_meters", settings.check_interval_meters,
              std::max(0.01, settings.node_spacing_meters), 1e5, &problems);
-  double longest_step = 1e6;
-  // As in CheckSearch().
-  if (settings.node_spacing_meters >= 0.01) {
-    longest_step =
-        std::min(longest_step, static_cast<double>(kMaxNodesPerStep) *
-                                   settings.node_spacing_meters);
-  }
+  // As in CheckSearch(), a spacing that is itself refused sets no bound.
+  const double longest_step = settings.node_spacing_meters >= 0.01
+                                  ? LongestStep(settings.node_spacing_meters)
+                                  : kLongestStepMeters;
   CheckRange("max_step_meters", settings.max_step_meters, 0.01, longest_step,
              &problems);
   CheckSearch(settings.search, settings.node_spacing_meters, &problems);
@@ -78,6 +82,13 @@ std::vector<SettingProblem> FindProblems(const SearchOptions& options,
          "is FILTER"});
   }
   return problems;
+}
+
+double DefaultMaxStep(double node_spacing_meters) {
+  const double usual = EngineSettings{}.max_step_meters;
+  return node_spacing_meters > 0.0
+             ? std::min(usual, LongestStep(node_spacing_meters))
+             : usual;
 }
 
 std::int64_t SequenceNodes(double sequence_length_meters,

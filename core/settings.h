@@ -59,6 +59,10 @@ std::vector<SettingProblem> FindProblems(const EngineSettings& settings);
 std::vector<SettingProblem> FindProblems(const SearchOptions& options,
                                          const EngineSettings& vehicle);
 
+// The usual maximal step, or the longest allowed with this spacing if that is
+// less.
+double DefaultMaxStep(double node_spacing_meters);
+
 // Nodes in a sequence of this length: at least 1.
 std::int64_t SequenceNodes(double sequence_length_meters,
                            double node_spacing_meters);

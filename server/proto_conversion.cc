@@ -924,9 +924,10 @@ absl::StatusOr<VehicleConfig> DecodeSettings(
                   path.Field("check_interval_meters"), &violations)) {
     engine.check_interval_meters = settings.check_interval_meters();
   }
-  if (settings.has_max_step_meters() &&
-      CheckFinite(settings.max_step_meters(), path.Field("max_step_meters"),
-                  &violations)) {
+  if (!settings.has_max_step_meters()) {
+    engine.max_step_meters = core::DefaultMaxStep(engine.node_spacing_meters);
+  } else if (CheckFinite(settings.max_step_meters(),
+                         path.Field("max_step_meters"), &violations)) {
     engine.max_step_meters = settings.max_step_meters();
   }
   DecodeSearch(settings, path, &engine.search, &violations);

@@ -58,6 +58,13 @@ TEST(SettingsTest, AStepHoldsAtMostAThousandNodes) {
   EXPECT_EQ(problems[0].description, "got 201; allowed is [0.01, 200]");
 }
 
+TEST(SettingsTest, TheDefaultStepFitsEverySpacing) {
+  EXPECT_EQ(DefaultMaxStep(2.0), 100.0);
+  EXPECT_EQ(DefaultMaxStep(0.1), 100.0);
+  EXPECT_EQ(DefaultMaxStep(0.01), 10.0);
+  EXPECT_EQ(DefaultMaxStep(0.0), 100.0);
+}
+
 TEST(SettingsTest, AFilterSearchNeedsAFilterVehicle) {
   SearchOptions options;
   options.correlation_model = CorrelationModel::kFilter;

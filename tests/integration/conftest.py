@@ -15,6 +15,12 @@ def pytest_addoption(parser):
                      help="how often the durability test kills the server")
 
 
+def pytest_configure(config):
+    config.addinivalue_line(
+        "markers", "release_build: needs a build that is optimised and not "
+        "instrumented, for the time or the memory it takes")
+
+
 def pytest_report_header(config):
     return f"seed {config.getoption('--seed')}"
 

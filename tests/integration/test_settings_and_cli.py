@@ -289,6 +289,7 @@ def test_error_is_json_too_where_json_is_asked_for(revisit):
     assert error["reason"] == "VEHICLE_NOT_FOUND"
 
 
+@pytest.mark.release_build
 def test_stream_brings_the_candidates_where_asked(revisit):
     result = revisit("stream", BOREAS, "--vehicle", "cli-candidates",
                      "--create", "--candidates", "--uncertainty", "file",
@@ -304,6 +305,7 @@ KEYS = {"drive", "checks", "true_loops", "accepted", "accepted_correct",
         "query_ms_p50", "query_ms_p99"}
 
 
+@pytest.mark.release_build
 def test_evaluate_judges_the_shipped_drive(revisit, tmp_path):
     result = revisit("evaluate", BOREAS, "--uncertainty", "file", "--json",
                      "--map", tmp_path / "map.svg")
@@ -322,6 +324,7 @@ def test_evaluate_judges_the_shipped_drive(revisit, tmp_path):
     assert drawing.rstrip().endswith("</svg>")
 
 
+@pytest.mark.release_build
 def test_evaluate_starts_a_server_of_its_own(tmp_path):
     result = run("revisit", "evaluate", BOREAS, "--json", timeout=120,
                  cwd=tmp_path, env=clean_environment(TMPDIR=str(tmp_path)))

@@ -232,6 +232,7 @@ def test_two_vehicles_stream_side_by_side(stub, new_vehicle):
         assert of_kind(stream.receive_all(), "ack")[-1].durable_sequence == 400
 
 
+@pytest.mark.release_build
 def test_shipped_drive_is_streamed_and_its_places_are_found_again(
         stub, new_vehicle):
     vehicle = new_vehicle()
@@ -423,6 +424,7 @@ def test_server_says_what_it_is(stub):
     assert info.store_format > 0
 
 
+@pytest.mark.release_build
 def test_memory_does_not_grow_with_streams_that_come_and_go(
         server, stub, new_vehicle):
     vehicle = new_vehicle()
