@@ -696,6 +696,7 @@ BAD_SETTINGS = [
     BadSetting("check_interval_meters", {"check_interval_meters": 100001.0}),
     BadSetting("max_step_meters", {"max_step_meters": 0.001}),
     BadSetting("max_step_meters", {"max_step_meters": 1.1e6}),
+    BadSetting("max_step_meters", {"max_step_meters": 2001.0}),
     BadSetting("gate_probability", {"gate_probability": 0.0}),
     BadSetting("gate_probability", {"gate_probability": 1.0}),
     BadSetting("gate_probability", {"gate_probability": NAN}, "NOT_FINITE"),
