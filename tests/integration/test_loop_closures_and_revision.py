@@ -472,7 +472,7 @@ def test_export_of_a_large_graph_comes_in_parts(stub, new_vehicle):
     limit = stub.GetServerInfo(api.GetServerInfoRequest()).max_message_bytes
     parts = list(stub.ExportPoseGraph(
         api.ExportPoseGraphRequest(vehicle=vehicle)))
-    # The longest step that is bridged follows the spacing where it is not given.
+    # The longest step that is bridged follows the spacing if not given.
     assert parts[0].vehicle.settings.max_step_meters == pytest.approx(50.0)
     assert sum(len(part.nodes) for part in parts) == 39981
     assert len(parts) > 2

@@ -279,8 +279,8 @@ def at(truth, node):
 
 
 class Flood:
-    """Requests of a client that sends as fast as the server takes them. Each pose
-    is a jump, so that the answers are large."""
+    """Requests of a client that sends as fast as the server takes them. Each
+    pose is a jump, so that the answers are large."""
 
     SETTINGS = {"max_step_meters": 0.5}
 
