@@ -237,7 +237,7 @@ Judged DriveAndCheck(std::mt19937_64& random) {
 
 TEST(CarSimulationTest, CandidatesLieAlongTheEllipseAndImproveWithACorner) {
   std::mt19937_64 random = SeededRandom();
-  const int drives = 12;
+  const int drives = 24;
   int inside = 0;
   int accepted = 0;
   int straight = 0;
@@ -280,8 +280,8 @@ TEST(CarSimulationTest, CandidatesLieAlongTheEllipseAndImproveWithACorner) {
   EXPECT_GE(inside / count, 0.95);
   EXPECT_GE(accepted / count, 0.95);
   EXPECT_LT(across, 0.7 * along);
-  // Eight seeds of twelve drives each gave 0.57 to 0.79.
-  EXPECT_LT(corner_error, 0.9 * straight_error);
+  // Fewer drives will not do: of twelve, some seeds come to 0.79.
+  EXPECT_LT(corner_error, 0.75 * straight_error);
 }
 
 }  // namespace
