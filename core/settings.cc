@@ -2,28 +2,26 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
+
+#include "core/number_text.h"
 
 namespace revisit::core {
 namespace {
 
-std::string Number(double value) {
-  char text[32];
-  std::snprintf(text, sizeof(text), "%.9g", value);
-  return text;
-}
-
 void CheckRange(const char* field, double value, double lowest, double highest,
                 std::vector<SettingProblem>* problems) {
   if (value >= lowest && value <= highest) return;
-  problems->push_back({field, "got " + Number(value) + "; allowed is [" +
-                                  Number(lowest) + ", " + Number(highest) +
-                                  "]"});
+  problems->push_back({field, "got " + NumberText(value) + "; allowed is [" +
+                                  NumberText(lowest) + ", " +
+                                  NumberText(highest) + "]"});
 }
 
+constexpr double kLeastSpacingMeters = 0.01;
 constexpr double kLongestStepMeters = 1e6;
 
+// A spacing that is itself refused sets no bound.
 double LongestStep(double node_spacing_meters) {
+  if (!(node_spacing_meters >= kLeastSpacingMeters)) return kLongestStepMeters;
   return std::min(kLongestStepMeters,
                   static_cast<double>(kMaxNodesPerStep) * node_spacing_meters);
 }
@@ -39,7 +37,7 @@ void CheckSearch(const SearchOptions& options, double node_spacing_meters,
   }
   if (!(options.gate_probability > 0.0 && options.gate_probability < 1.0)) {
     problems->push_back(
-        {"gate_probability", "got " + Number(options.gate_probability) +
+        {"gate_probability", "got " + NumberText(options.gate_probability) +
                                  "; allowed is above 0 and below 1"});
   }
   CheckRange("place_tolerance.position_meters",
@@ -56,16 +54,13 @@ void CheckSearch(const SearchOptions& options, double node_spacing_meters,
 
 std::vector<SettingProblem> FindProblems(const EngineSettings& settings) {
   std::vector<SettingProblem> problems;
-  CheckRange("node_spacing_meters", settings.node_spacing_meters, 0.01, 1000.0,
-             &problems);
+  CheckRange("node_spacing_meters", settings.node_spacing_meters,
+             kLeastSpacingMeters, 1000.0, &problems);
   CheckRange("check_interval_meters", settings.check_interval_meters,
-             std::max(0.01, settings.node_spacing_meters), 1e5, &problems);
-  // As in CheckSearch(), a spacing that is itself refused sets no bound.
-  const double longest_step = settings.node_spacing_meters >= 0.01
-                                  ? LongestStep(settings.node_spacing_meters)
-                                  : kLongestStepMeters;
-  CheckRange("max_step_meters", settings.max_step_meters, 0.01, longest_step,
+             std::max(kLeastSpacingMeters, settings.node_spacing_meters), 1e5,
              &problems);
+  CheckRange("max_step_meters", settings.max_step_meters, 0.01,
+             LongestStep(settings.node_spacing_meters), &problems);
   CheckSearch(settings.search, settings.node_spacing_meters, &problems);
   return problems;
 }
@@ -85,10 +80,8 @@ std::vector<SettingProblem> FindProblems(const SearchOptions& options,
 }
 
 double DefaultMaxStep(double node_spacing_meters) {
-  const double usual = EngineSettings{}.max_step_meters;
-  return node_spacing_meters > 0.0
-             ? std::min(usual, LongestStep(node_spacing_meters))
-             : usual;
+  return std::min(EngineSettings{}.max_step_meters,
+                  LongestStep(node_spacing_meters));
 }
 
 std::int64_t SequenceNodes(double sequence_length_meters,

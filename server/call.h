@@ -21,7 +21,7 @@ namespace revisit::server {
 // cleared first: what is put into some string before and is still there after
 // the last read means that this was the end.
 inline constexpr char kUnread[] = "\x01unread";
-// What a stream ends with otherwise; the same code as gRPC gives a unary call.
+// What a stream ends with otherwise.
 absl::Status MalformedMessage();
 
 // Thread-safe, but for set_vehicle().

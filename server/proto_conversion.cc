@@ -6,12 +6,12 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
 #include <limits>
 #include <set>
 #include <utility>
 
 #include "core/geometry/heading.h"
+#include "core/number_text.h"
 #include "google/protobuf/io/coded_stream.h"
 #include "google/protobuf/timestamp.pb.h"
 #include "server/status.h"
@@ -36,17 +36,12 @@ constexpr double kMinHorizontal = 1e-6;
 // Of `repeated Pose poses = 1` in PoseBatch, length-delimited.
 constexpr std::uint32_t kPosesTag = (1 << 3) | 2;
 
-std::string Number(double value) {
-  char text[32];
-  std::snprintf(text, sizeof(text), "%.9g", value);
-  return text;
-}
-
 // Whether the value is finite; a violation otherwise.
 bool CheckFinite(double value, const FieldPath& path, Violations* violations) {
   if (std::isfinite(value)) return true;
-  violations->Add(kNotFinite, path,
-                  "got " + Number(value) + "; allowed are finite numbers");
+  violations->Add(
+      kNotFinite, path,
+      "got " + core::NumberText(value) + "; allowed are finite numbers");
   return false;
 }
 
@@ -55,8 +50,9 @@ bool CheckRange(double value, double lowest, double highest,
   if (!CheckFinite(value, path, violations)) return false;
   if (value >= lowest && value <= highest) return true;
   violations->Add(kInvalidField, path,
-                  "got " + Number(value) + "; allowed is [" + Number(lowest) +
-                      ", " + Number(highest) + "]");
+                  "got " + core::NumberText(value) + "; allowed is [" +
+                      core::NumberText(lowest) + ", " +
+                      core::NumberText(highest) + "]");
   return false;
 }
 
@@ -422,9 +418,9 @@ class PoseDecoder {
     if (!finite) return std::nullopt;
     const double norm = std::hypot(std::hypot(x, y), std::hypot(z, w));
     if (!(std::abs(norm - 1.0) <= kMaxNormError)) {
-      violations_->Add(
-          kQuaternionInvalid, path,
-          "its norm is " + Number(norm) + "; allowed is 1 to within 0.001");
+      violations_->Add(kQuaternionInvalid, path,
+                       "its norm is " + core::NumberText(norm) +
+                           "; allowed is 1 to within 0.001");
       return std::nullopt;
     }
     x /= norm;

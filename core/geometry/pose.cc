@@ -2,24 +2,18 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
 #include "core/geometry/heading.h"
+#include "core/number_text.h"
 
 namespace revisit::core {
 namespace {
 
-std::string Number(double value) {
-  char text[32];
-  std::snprintf(text, sizeof(text), "%.9g", value);
-  return text;
-}
-
 Defect OutOfRange(const char* part, const std::string& what, double value,
                   double limit) {
   return {DefectKind::kOutOfRange, part,
-          what + " is " + Number(value) + "; allowed is [-" + Number(limit) +
-              ", " + Number(limit) + "]"};
+          what + " is " + NumberText(value) + "; allowed is [-" +
+              NumberText(limit) + ", " + NumberText(limit) + "]"};
 }
 
 Defect NotFinite(const char* part, const std::string& what) {
@@ -50,16 +44,16 @@ std::optional<Defect> FindCovarianceDefect(const Covariance& covariance) {
     if (!(variance > 0.0)) {
       return Defect{DefectKind::kNotPositiveDefinite, "covariance",
                     std::string("the variance of ") + CoordinateName<D>(i) +
-                        " is " + Number(variance) +
+                        " is " + NumberText(variance) +
                         "; a positive definite covariance needs it above 0"};
     }
     deviation[i] = std::sqrt(variance);
     if (deviation[i] > kMaxStandardDeviation) {
       return Defect{DefectKind::kOutOfRange, "covariance",
                     std::string("the standard deviation of ") +
-                        CoordinateName<D>(i) + " is " + Number(deviation[i]) +
-                        "; allowed is at most " +
-                        Number(kMaxStandardDeviation)};
+                        CoordinateName<D>(i) + " is " +
+                        NumberText(deviation[i]) + "; allowed is at most " +
+                        NumberText(kMaxStandardDeviation)};
     }
   }
   // Cholesky factor of the correlation matrix: pivots free of units, 1 at best.
@@ -78,8 +72,9 @@ std::optional<Defect> FindCovarianceDefect(const Covariance& covariance) {
           DefectKind::kNotPositiveDefinite, "covariance",
           std::string("it is not positive definite: given the coordinates "
                       "before it, ") +
-              CoordinateName<D>(r) + " keeps " + Number(pivot) +
-              " of its variance; allowed is above " + Number(kPivotTolerance)};
+              CoordinateName<D>(r) + " keeps " + NumberText(pivot) +
+              " of its variance; allowed is above " +
+              NumberText(kPivotTolerance)};
     }
     factor(r, r) = std::sqrt(pivot);
   }
@@ -155,10 +150,10 @@ std::optional<Defect> FindAsymmetry(const double* matrix, int size) {
       if (std::abs(upper - lower) > kSymmetryTolerance * largest) {
         return Defect{DefectKind::kNotSymmetric, "covariance",
                       "row " + std::to_string(r) + " column " +
-                          std::to_string(c) + " is " + Number(upper) +
-                          " but its mirror image is " + Number(lower) +
+                          std::to_string(c) + " is " + NumberText(upper) +
+                          " but its mirror image is " + NumberText(lower) +
                           "; allowed is a difference of at most " +
-                          Number(kSymmetryTolerance * largest)};
+                          NumberText(kSymmetryTolerance * largest)};
       }
     }
   }
