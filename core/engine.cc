@@ -1,5 +1,6 @@
 #include "core/engine.h"
 
+#include <algorithm>
 #include <cassert>
 #include <cmath>
 
@@ -111,6 +112,33 @@ void Engine::RemoveLoopClosure(std::uint64_t query_sequence,
     graph_.RemoveLoopEdge(edge->first, edge->second);
   }
   revision_ = revision;
+}
+
+void Engine::AddRejection(std::uint64_t query_sequence,
+                          std::uint64_t matched_sequence,
+                          std::uint64_t revision) {
+  assert(revision > revision_);
+  if (const auto pair = LoopEdge(query_sequence, matched_sequence)) {
+    rejected_.push_back(*pair);
+  }
+  revision_ = revision;
+  UpdateConsistency();
+}
+
+void Engine::RemoveRejection(std::uint64_t query_sequence,
+                             std::uint64_t matched_sequence,
+                             std::uint64_t revision) {
+  assert(revision > revision_);
+  if (const auto pair = LoopEdge(query_sequence, matched_sequence)) {
+    const auto found = std::find(rejected_.begin(), rejected_.end(), *pair);
+    if (found != rejected_.end()) rejected_.erase(found);
+  }
+  revision_ = revision;
+  UpdateConsistency();
+}
+
+void Engine::UpdateConsistency() {
+  consistency_.rejected = static_cast<std::int64_t>(rejected_.size());
 }
 
 absl::StatusOr<CandidateSet> Engine::FindCandidates(

@@ -13,6 +13,7 @@
 
 #include "absl/status/statusor.h"
 #include "core/alignment/viterbi.h"
+#include "core/candidates/consistency.h"
 #include "core/candidates/gate.h"
 #include "core/geometry/pose.h"
 #include "core/graph/distance_resampler.h"
@@ -21,14 +22,40 @@
 
 namespace revisit::core {
 
+// The first that applies, in the order of Decide() in the .cc.
+enum class Verdict {
+  kAccepted,
+  kRejectedByGate,
+  kRejectedByShape,
+  kAmbiguous,
+  kUninformative,
+  kIllConditioned,
+};
+
+// What a relative alignment knows beyond the paper's.
+struct RelativeEvidence {
+  // Posterior of this place; over that of the best other place, if there is one.
+  double probability = 0.0;
+  std::optional<double> odds_to_runner_up;
+  PathGateResult path_gate;
+  // How far back the two run together, and ln of the likelihood ratio of their
+  // shapes against another road's.
+  double overlap_meters = 0.0;
+  double log_likelihood_ratio = 0.0;
+};
+
 struct Candidate {
   // 1 for the best.
   int rank = 0;
   // Log-likelihood of the alignment less a constant.
   double score = 0.0;
   NodeIndex matched = 0;
+  Direction direction = Direction::kSame;
+  Verdict verdict = Verdict::kIllConditioned;
   GatedDifference difference;
-  // The whole alignment, oldest first: (node of the recent path, node of the
+  // Only of relative alignments.
+  std::optional<RelativeEvidence> relative;
+  // The alignment, oldest first: (node of the recent path, node of the
   // history).
   std::vector<std::pair<NodeIndex, NodeIndex>> path;
 };
@@ -55,6 +82,10 @@ struct CandidateSet {
   std::vector<Candidate> candidates;
   EmptyReason empty_reason = EmptyReason::kNotEmpty;
   NodeIndex nodes_considered = 0;
+  // Only of relative alignments: posterior of no place of the history.
+  std::optional<double> new_place_probability;
+  // What the claimed standard deviations were multiplied by.
+  double inflation = 1.0;
 };
 
 struct AppendResult {
@@ -97,8 +128,22 @@ class Engine {
                          std::uint64_t matched_sequence,
                          std::uint64_t revision);
 
+  // Takes a pair of poses for verified not to be one place: ends within the
+  // candidate separation of the second are no longer candidates at nodes within
+  // it of the first. The same pair may be rejected more than once.
+  // REQUIRES: as for loop closures.
+  void AddRejection(std::uint64_t query_sequence,
+                    std::uint64_t matched_sequence, std::uint64_t revision);
+  void RemoveRejection(std::uint64_t query_sequence,
+                       std::uint64_t matched_sequence, std::uint64_t revision);
+
+  // As of the last change. Replaying the same loop closures in another order may
+  // give another inflation.
+  const Consistency& consistency() const { return consistency_; }
+
   // Candidates at a node, with the nodes before its sequence as history. The
-  // answer depends on the graph up to the query only, but for loop closures.
+  // answer depends on the graph up to the query only, but for loop closures,
+  // rejections, and the inflation they ask for.
   // CANCELLED if told to stop.
   // REQUIRES: query in the graph; FindProblems(options, settings()) is empty.
   absl::StatusOr<CandidateSet> FindCandidates(
@@ -113,12 +158,17 @@ class Engine {
   std::optional<std::pair<NodeIndex, NodeIndex>> LoopEdge(
       std::uint64_t query_sequence, std::uint64_t matched_sequence) const;
   void ScheduleNextCheck();
+  void UpdateConsistency();
 
   EngineSettings settings_;
   PoseGraph graph_;
   DistanceResampler resampler_;
   std::uint64_t last_sequence_ = 0;
   std::uint64_t revision_ = 0;
+  // Nodes of verified pairs (query, matched), in the order they came.
+  std::vector<std::pair<NodeIndex, NodeIndex>> confirmed_;
+  std::vector<std::pair<NodeIndex, NodeIndex>> rejected_;
+  Consistency consistency_;
   // Number of the next check: it is due at this many check intervals.
   std::int64_t next_check_ = 0;
 };

@@ -16,6 +16,13 @@ void CheckRange(const char* field, double value, double lowest, double highest,
                                   NumberText(highest) + "]"});
 }
 
+void CheckProbability(const char* field, double value,
+                      std::vector<SettingProblem>* problems) {
+  if (value > 0.0 && value < 1.0) return;
+  problems->push_back({field, "got " + NumberText(value) +
+                                  "; allowed is above 0 and below 1"});
+}
+
 constexpr double kLeastSpacingMeters = 0.01;
 constexpr double kLongestStepMeters = 1e6;
 
@@ -35,11 +42,7 @@ void CheckSearch(const SearchOptions& options, double node_spacing_meters,
                static_cast<double>(kMaxSequenceNodes) * node_spacing_meters,
                problems);
   }
-  if (!(options.gate_probability > 0.0 && options.gate_probability < 1.0)) {
-    problems->push_back(
-        {"gate_probability", "got " + NumberText(options.gate_probability) +
-                                 "; allowed is above 0 and below 1"});
-  }
+  CheckProbability("gate_probability", options.gate_probability, problems);
   CheckRange("place_tolerance.position_meters",
              options.place_tolerance.position_meters, 0.0, 1000.0, problems);
   CheckRange("place_tolerance.heading_radians",
@@ -48,6 +51,16 @@ void CheckSearch(const SearchOptions& options, double node_spacing_meters,
              0.0, 1e6, problems);
   CheckRange("max_candidates", options.max_candidates, 1, kMaxCandidates,
              problems);
+  CheckRange("shape.tolerance.position_meters",
+             options.shape.tolerance.position_meters, 0.01, 1000.0, problems);
+  CheckRange("shape.tolerance.heading_radians",
+             options.shape.tolerance.heading_radians, 0.001, 3.0, problems);
+  CheckRange("shape.correlation_meters", options.shape.correlation_meters, 0.01,
+             1e6, problems);
+  CheckRange("road_spacing_meters", options.road_spacing_meters, 1.0, 1e6,
+             problems);
+  CheckProbability("acceptance_probability", options.acceptance_probability,
+                   problems);
 }
 
 }  // namespace
@@ -61,6 +74,7 @@ std::vector<SettingProblem> FindProblems(const EngineSettings& settings) {
              &problems);
   CheckRange("max_step_meters", settings.max_step_meters, 0.01,
              LongestStep(settings.node_spacing_meters), &problems);
+  CheckRange("max_inflation", settings.max_inflation, 1.0, 100.0, &problems);
   CheckSearch(settings.search, settings.node_spacing_meters, &problems);
   return problems;
 }

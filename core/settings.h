@@ -7,15 +7,25 @@
 #include <vector>
 
 #include "core/alignment/log_similarity.h"
+#include "core/alignment/shape_filter.h"
 #include "core/geometry/pose.h"
 #include "core/graph/correlation.h"
 
 namespace revisit::core {
 
+// How the recent path is compared with the history: relative.h, viterbi.h.
+enum class AlignmentKind { kRelative, kComposite };
+
+// Which passes of a place are sought.
+enum class SearchDirection { kSame, kOpposite, kEither };
+
 // What a single search may decide for itself.
 struct SearchOptions {
+  AlignmentKind alignment = AlignmentKind::kRelative;
   CorrelationModel correlation_model = CorrelationModel::kDeadReckoning;
+  // kComposite only.
   LikelihoodForm likelihood_form = LikelihoodForm::kGaussian;
+  SearchDirection direction = SearchDirection::kSame;
   // Travelled distance that is aligned with the history: rounded to a number of
   // nodes, [1, kMaxSequenceNodes].
   double sequence_length_meters = 150.0;
@@ -27,6 +37,12 @@ struct SearchOptions {
   double candidate_separation_meters = 10.0;
   // [1, kMaxCandidates].
   int max_candidates = 5;
+  // The rest is for kRelative.
+  ShapeModel shape;
+  // Mean distance between roads not driven, [1, 1e6] m.
+  double road_spacing_meters = 200.0;
+  // In (0, 1).
+  double acceptance_probability = 0.5;
 };
 
 struct EngineSettings {
@@ -38,6 +54,10 @@ struct EngineSettings {
   // [0.01, 1e6] m, and at most kMaxNodesPerStep node spacings: a single pose
   // must not bring nodes without end.
   double max_step_meters = 100.0;
+  // Whether searches multiply the claimed standard deviations by
+  // Consistency::inflation, and what that may come to: [1, 100].
+  bool apply_inflation = false;
+  double max_inflation = 10.0;
   SearchOptions search;
 };
 

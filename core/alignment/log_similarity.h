@@ -20,6 +20,9 @@ namespace revisit::core {
 
 enum class LikelihoodForm { kGaussian, kAsPrinted };
 
+// Which way the history is taken to have been driven, against the recent path.
+enum class Direction { kSame, kOpposite };
+
 // Standard deviations, added squared to the diagonal of Gamma: how far apart
 // two passes of one place may truly be.
 struct PlaceTolerance {
@@ -41,6 +44,9 @@ struct SimilarityModel {
   CorrelationModel correlation = CorrelationModel::kDeadReckoning;
   LikelihoodForm form = LikelihoodForm::kGaussian;
   PlaceTolerance tolerance;
+  Direction direction = Direction::kSame;
+  // Multiplies the claimed standard deviations; at least 1.
+  double inflation = 1.0;
 };
 
 // Log-similarity of what cannot be: Gamma is not positive definite in double

@@ -38,6 +38,17 @@ class Gate {
   double threshold_;
 };
 
+// The test of a whole aligned stretch: the difference at its end once, and the
+// innovations of its shape, discounted by how much neighbouring steps share.
+struct PathGateResult {
+  double squared_mahalanobis = 0.0;
+  // Not a whole number, for the discount.
+  double degrees_of_freedom = 0.0;
+  double threshold = 0.0;
+  double p_value = 0.0;
+  GateVerdict verdict = GateVerdict::kIllConditioned;
+};
+
 // Query minus matched, with the covariance of that difference (Gamma, without
 // the tolerance), and the gate's decision on it with the tolerance.
 struct GatedDifference {
