@@ -1,10 +1,13 @@
 #include "core/engine.h"
 
 #include <algorithm>
+#include <array>
 #include <cassert>
 #include <cmath>
 
 #include "absl/status/status.h"
+#include "core/alignment/relative.h"
+#include "core/candidates/posterior.h"
 #include "core/candidates/ranking.h"
 
 namespace revisit::core {
@@ -23,6 +26,75 @@ ResamplerOptions MakeResamplerOptions(const EngineSettings& settings) {
 // A node this fraction of a check interval before a multiple of it counts as
 // there: multiples of spacing and interval are rounded differently.
 constexpr double kCheckTolerance = 1e-9;
+
+std::size_t PositionOf(Direction direction) {
+  return direction == Direction::kSame ? 0 : 1;
+}
+
+std::vector<Direction> Directions(SearchDirection direction) {
+  switch (direction) {
+    case SearchDirection::kSame:
+      return {Direction::kSame};
+    case SearchDirection::kOpposite:
+      return {Direction::kOpposite};
+    case SearchDirection::kEither:
+      break;
+  }
+  return {Direction::kSame, Direction::kOpposite};
+}
+
+absl::Status Stopped() {
+  return absl::CancelledError("the search was told to stop");
+}
+
+// A place another candidate has to outdo.
+struct Rival {
+  Direction direction;
+  NodeIndex matched;
+  double probability;
+};
+
+Verdict GateAlone(GateVerdict gate) {
+  switch (gate) {
+    case GateVerdict::kAccepted:
+      return Verdict::kAccepted;
+    case GateVerdict::kRejected:
+      return Verdict::kRejectedByGate;
+    case GateVerdict::kIllConditioned:
+      break;
+  }
+  return Verdict::kIllConditioned;
+}
+
+Verdict Decide(const GateResult& gate, const RelativeEvidence& evidence,
+               double new_place, double acceptance_probability) {
+  if (gate.verdict != GateVerdict::kAccepted) return GateAlone(gate.verdict);
+  if (evidence.path_gate.verdict == GateVerdict::kRejected) {
+    return Verdict::kRejectedByShape;
+  }
+  const double here = evidence.probability;
+  if (here >= acceptance_probability) return Verdict::kAccepted;
+  const double elsewhere = std::max(0.0, 1.0 - here - new_place);
+  if (here + elsewhere >= acceptance_probability) return Verdict::kAmbiguous;
+  // Had the two ends coincided, with the same shape.
+  const double at_best = here * std::exp(0.5 * gate.squared_mahalanobis);
+  const double total = 1.0 - here + at_best;
+  if (at_best < acceptance_probability * total) {
+    return Verdict::kUninformative;
+  }
+  return Verdict::kRejectedByShape;
+}
+
+// Of those found in either direction; ties keep their order.
+void KeepBest(int count, std::vector<Candidate>* candidates) {
+  std::stable_sort(candidates->begin(), candidates->end(),
+                   [](const Candidate& a, const Candidate& b) {
+                     return a.score > b.score;
+                   });
+  if (candidates->size() > static_cast<std::size_t>(count)) {
+    candidates->resize(static_cast<std::size_t>(count));
+  }
+}
 
 }  // namespace
 
@@ -176,33 +248,174 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
     return empty(EmptyReason::kAllSuppressed);
   }
 
+  set.nodes_considered = history_size;
+  set.inflation = MakeSimilarityModel(options).inflation;
+  const absl::Status status =
+      options.alignment == AlignmentKind::kComposite
+          ? FindComposite(query, steps, history_size, options, should_stop,
+                          &set)
+          : FindRelative(query, steps, history_size, options, should_stop,
+                         &set);
+  if (!status.ok()) return status;
+  for (std::size_t i = 0; i < set.candidates.size(); ++i) {
+    set.candidates[i].rank = static_cast<int>(i) + 1;
+  }
+  if (set.candidates.empty()) return empty(EmptyReason::kNoAlignment);
+  return set;
+}
+
+SimilarityModel Engine::MakeSimilarityModel(
+    const SearchOptions& options) const {
   SimilarityModel model;
   model.state_space = settings_.state_space;
   model.correlation = options.correlation_model;
   model.form = options.likelihood_form;
   model.tolerance = options.place_tolerance;
-  const std::optional<Alignment> alignment =
-      Align(graph_, model, query, steps, history_size, should_stop);
-  if (!alignment) return absl::CancelledError("the search was told to stop");
-  set.nodes_considered = history_size;
+  if (settings_.apply_inflation) model.inflation = consistency_.inflation;
+  return model;
+}
+
+void Engine::StrikeOutKnown(NodeIndex query, double separation_meters,
+                            std::vector<double>* scores) const {
+  if (scores->empty()) return;
+  StrikeOut(graph_, query, separation_meters, scores);
+  const double at = graph_.node(query).travelled_meters;
+  for (const auto& [rejected_query, rejected_match] : rejected_) {
+    const double apart =
+        std::abs(graph_.node(rejected_query).travelled_meters - at);
+    if (rejected_query == query || apart < separation_meters) {
+      StrikeOut(graph_, rejected_match, separation_meters, scores);
+    }
+  }
+}
+
+absl::Status Engine::FindComposite(NodeIndex query, std::int64_t steps,
+                                   NodeIndex history_size,
+                                   const SearchOptions& options,
+                                   const ShouldStop& should_stop,
+                                   CandidateSet* set) const {
+  const Gate gate(settings_.state_space, options.gate_probability);
+  for (const Direction direction : Directions(options.direction)) {
+    SimilarityModel model = MakeSimilarityModel(options);
+    model.direction = direction;
+    const std::optional<Alignment> alignment =
+        Align(graph_, model, query, steps, history_size, should_stop);
+    if (!alignment) return Stopped();
+    std::vector<double> scores = alignment->scores();
+    StrikeOutKnown(query, options.candidate_separation_meters, &scores);
+    for (const RankedEnd& end :
+         RankEnds(graph_, std::move(scores),
+                  options.candidate_separation_meters,
+                  options.max_candidates)) {
+      Candidate candidate;
+      candidate.score = end.score;
+      candidate.matched = end.matched;
+      candidate.direction = direction;
+      candidate.difference = DecideAt(graph_, model, gate, query, end.matched);
+      candidate.verdict = GateAlone(candidate.difference.gate.verdict);
+      NodeIndex recent = query - steps + 1;
+      for (NodeIndex matched : alignment->Path(end.matched)) {
+        candidate.path.emplace_back(recent++, matched);
+      }
+      set->candidates.push_back(std::move(candidate));
+    }
+  }
+  KeepBest(options.max_candidates, &set->candidates);
+  return absl::OkStatus();
+}
+
+absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
+                                  NodeIndex history_size,
+                                  const SearchOptions& options,
+                                  const ShouldStop& should_stop,
+                                  CandidateSet* set) const {
+  RelativeModel model;
+  model.similarity = MakeSimilarityModel(options);
+  model.shape = options.shape;
+  model.spacing_meters = settings_.node_spacing_meters;
+  model.road_spacing_meters = options.road_spacing_meters;
+  model.same_direction = options.direction != SearchDirection::kOpposite;
+  model.opposite_direction = options.direction != SearchDirection::kSame;
+  const std::optional<RelativeAlignment> alignment = AlignRelative(
+      graph_, model, query, steps, history_size, should_stop);
+  if (!alignment) return Stopped();
+
+  std::array<std::vector<double>, 2> log_odds;
+  for (const Direction direction : Directions(options.direction)) {
+    std::vector<double>& scores = log_odds[PositionOf(direction)];
+    scores = alignment->scores(direction);
+    StrikeOutKnown(query, options.candidate_separation_meters, &scores);
+  }
+  const Posterior posterior(graph_, log_odds);
+  set->new_place_probability = posterior.new_place();
+
+  // The best places, disjoint: enough that whatever candidate is looked at, one
+  // that it has no part in is among them.
+  constexpr int kRivals = 4;
+  std::vector<Rival> rivals;
+  for (const Direction direction : Directions(options.direction)) {
+    for (const RankedEnd& end :
+         RankEnds(graph_, log_odds[PositionOf(direction)],
+                  2.0 * kPlaceRadiusMeters, kRivals)) {
+      rivals.push_back({direction, end.matched,
+                        posterior.Place(direction, end.matched)});
+    }
+  }
 
   const Gate gate(settings_.state_space, options.gate_probability);
-  for (const RankedEnd& end :
-       RankEnds(graph_, *alignment, query, options.candidate_separation_meters,
-                options.max_candidates)) {
-    Candidate candidate;
-    candidate.rank = static_cast<int>(set.candidates.size()) + 1;
-    candidate.score = end.score;
-    candidate.matched = end.matched;
-    candidate.difference = DecideAt(graph_, model, gate, query, end.matched);
-    NodeIndex recent = query - steps + 1;
-    for (NodeIndex matched : alignment->Path(end.matched)) {
-      candidate.path.emplace_back(recent++, matched);
+  const double weight = model.ShapeWeight();
+  const int dimensions = DegreesOfFreedom(settings_.state_space);
+  for (const Direction direction : Directions(options.direction)) {
+    SimilarityModel similarity = model.similarity;
+    similarity.direction = direction;
+    for (const RankedEnd& end :
+         RankEnds(graph_, log_odds[PositionOf(direction)],
+                  options.candidate_separation_meters,
+                  options.max_candidates)) {
+      const ShapeMatch& match = alignment->match(direction, end.matched);
+      Candidate candidate;
+      candidate.score = end.score;
+      candidate.matched = end.matched;
+      candidate.direction = direction;
+      candidate.difference =
+          DecideAt(graph_, similarity, gate, query, end.matched);
+      const double squared_end = candidate.difference.gate.squared_mahalanobis;
+
+      RelativeEvidence evidence;
+      evidence.probability = posterior.Place(direction, end.matched);
+      double most_probable_rival = 0.0;
+      for (const Rival& rival : rivals) {
+        if (rival.direction == direction &&
+            std::abs(graph_.node(rival.matched).travelled_meters -
+                     graph_.node(end.matched).travelled_meters) <=
+                2.0 * kPlaceRadiusMeters) {
+          continue;
+        }
+        most_probable_rival = std::max(most_probable_rival, rival.probability);
+      }
+      if (most_probable_rival > 0.0) {
+        evidence.odds_to_runner_up =
+            evidence.probability / most_probable_rival;
+      }
+      evidence.path_gate = gate.DecidePath(
+          squared_end + weight * match.squared_innovations,
+          dimensions * (1.0 + weight * match.steps));
+      evidence.overlap_meters = match.steps * model.spacing_meters;
+      evidence.log_likelihood_ratio = match.log_likelihood_ratio;
+      candidate.verdict =
+          Decide(candidate.difference.gate, evidence,
+                 posterior.new_place(), options.acceptance_probability);
+      for (const auto& [t, matched] :
+           alignment->Path(direction, end.matched)) {
+        candidate.path.emplace_back(query - t, matched);
+      }
+      std::reverse(candidate.path.begin(), candidate.path.end());
+      candidate.relative = evidence;
+      set->candidates.push_back(std::move(candidate));
     }
-    set.candidates.push_back(std::move(candidate));
   }
-  if (set.candidates.empty()) return empty(EmptyReason::kNoAlignment);
-  return set;
+  KeepBest(options.max_candidates, &set->candidates);
+  return absl::OkStatus();
 }
 
 }  // namespace revisit::core

@@ -159,6 +159,22 @@ class Engine {
       std::uint64_t query_sequence, std::uint64_t matched_sequence) const;
   void ScheduleNextCheck();
   void UpdateConsistency();
+  SimilarityModel MakeSimilarityModel(const SearchOptions& options) const;
+  // Makes impossible what is not to be offered at the query: what is near it,
+  // and what was rejected there.
+  void StrikeOutKnown(NodeIndex query, double separation_meters,
+                      std::vector<double>* scores) const;
+  // Fill the candidates; CANCELLED if told to stop.
+  absl::Status FindComposite(NodeIndex query, std::int64_t steps,
+                             NodeIndex history_size,
+                             const SearchOptions& options,
+                             const ShouldStop& should_stop,
+                             CandidateSet* set) const;
+  absl::Status FindRelative(NodeIndex query, std::int64_t steps,
+                            NodeIndex history_size,
+                            const SearchOptions& options,
+                            const ShouldStop& should_stop,
+                            CandidateSet* set) const;
 
   EngineSettings settings_;
   PoseGraph graph_;

@@ -4,6 +4,8 @@
 #include <cassert>
 #include <cmath>
 
+#include "core/geometry/heading.h"
+
 namespace revisit::core {
 namespace {
 
@@ -19,27 +21,28 @@ double LogSimilarity(LikelihoodForm form, const StateMatrix<D>& gamma,
 template <int D>
 double PairSimilarity(const PoseGraph& graph, const SimilarityModel& model,
                       NodeIndex i, NodeIndex j) {
-  StateMatrix<D> gamma =
-      DifferenceCovariance<D>(graph, model.correlation, i, j);
-  AddTolerance<D>(model.tolerance, &gamma);
   return LogSimilarity<D>(
-      model.form, gamma,
-      ToVector<D>(Difference(graph.node(i).pose, graph.node(j).pose)));
+      model.form,
+      ToleratedCovariance<D>(
+          model, DifferenceCovariance<D>(graph, model.correlation, i, j)),
+      ToVector<D>(
+          PassDifference(model, graph.node(i).pose, graph.node(j).pose)));
 }
 
 template <int D>
 void Column(const PoseGraph& graph, const SimilarityModel& model,
             NodeIndex query, NodeIndex count, std::vector<double>* column) {
   const Pose& query_pose = graph.node(query).pose;
-  // What does not depend on the other node.
-  StateMatrix<D> query_part = ToMatrix<D>(graph.node(query).covariance);
-  AddTolerance<D>(model.tolerance, &query_part);
+  const StateMatrix<D> query_covariance =
+      ToMatrix<D>(graph.node(query).covariance);
   const auto similarity = [&](NodeIndex i, const StateMatrix<D>& psi) {
     const Node& node = graph.node(i);
     return LogSimilarity<D>(
         model.form,
-        DifferenceCovariance<D>(ToMatrix<D>(node.covariance), query_part, psi),
-        ToVector<D>(Difference(query_pose, node.pose)));
+        ToleratedCovariance<D>(
+            model, DifferenceCovariance<D>(ToMatrix<D>(node.covariance),
+                                           query_covariance, psi)),
+        ToVector<D>(PassDifference(model, query_pose, node.pose)));
   };
   column->resize(static_cast<std::size_t>(count));
   double* const out = column->data();
@@ -74,6 +77,15 @@ void Column(const PoseGraph& graph, const SimilarityModel& model,
 }
 
 }  // namespace
+
+Pose PassDifference(const SimilarityModel& model, const Pose& a,
+                    const Pose& b) {
+  Pose difference = Difference(a, b);
+  if (model.direction == Direction::kOpposite) {
+    difference.heading = WrapHeading(difference.heading + kPi);
+  }
+  return difference;
+}
 
 template <int D>
 std::optional<QuadraticForm> Evaluate(const StateMatrix<D>& gamma,

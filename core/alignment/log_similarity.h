@@ -49,6 +49,18 @@ struct SimilarityModel {
   double inflation = 1.0;
 };
 
+// The claimed covariance of a difference, inflated, and R added.
+template <int D>
+StateMatrix<D> ToleratedCovariance(const SimilarityModel& model,
+                                   const StateMatrix<D>& gamma) {
+  StateMatrix<D> sum = (model.inflation * model.inflation) * gamma;
+  AddTolerance<D>(model.tolerance, &sum);
+  return sum;
+}
+
+// a - b; for kOpposite with the heading of one turned by pi.
+Pose PassDifference(const SimilarityModel& model, const Pose& a, const Pose& b);
+
 // Log-similarity of what cannot be: Gamma is not positive definite in double
 // precision, or no path leads here.
 inline constexpr double kImpossible = -std::numeric_limits<double>::infinity();

@@ -40,6 +40,8 @@ class Alignment {
     return scores_[static_cast<std::size_t>(j)];
   }
 
+  const std::vector<double>& scores() const { return scores_; }
+
   // The history nodes of that path, oldest first, one for each of p. Among
   // equal paths, back from the end: from the node before, else from the node
   // after, else over the loop closure that was added first. REQUIRES: score(j)

@@ -20,14 +20,15 @@ template <int D>
 GatedDifference DecideAt(const PoseGraph& graph, const SimilarityModel& model,
                          const Gate& gate, NodeIndex query, NodeIndex matched) {
   GatedDifference result;
-  result.difference =
-      Difference(graph.node(query).pose, graph.node(matched).pose);
-  StateMatrix<D> gamma =
+  result.difference = PassDifference(model, graph.node(query).pose,
+                                     graph.node(matched).pose);
+  const StateMatrix<D> gamma =
       DifferenceCovariance<D>(graph, model.correlation, query, matched);
-  result.covariance = ToCovariance<D>(gamma);
-  AddTolerance<D>(model.tolerance, &gamma);
+  result.covariance =
+      ToCovariance<D>((model.inflation * model.inflation) * gamma);
   const std::optional<QuadraticForm> terms =
-      Evaluate<D>(gamma, ToVector<D>(result.difference));
+      Evaluate<D>(ToleratedCovariance<D>(model, gamma),
+                  ToVector<D>(result.difference));
   result.gate =
       terms ? gate.Decide(terms->squared_mahalanobis) : gate.IllConditioned();
   return result;
@@ -36,10 +37,25 @@ GatedDifference DecideAt(const PoseGraph& graph, const SimilarityModel& model,
 }  // namespace
 
 Gate::Gate(StateSpace space, double probability)
-    : degrees_of_freedom_(DegreesOfFreedom(space)) {
+    : degrees_of_freedom_(DegreesOfFreedom(space)), probability_(probability) {
   assert(probability > 0.0 && probability < 1.0);
   threshold_ =
       boost::math::quantile(ChiSquared(degrees_of_freedom_), probability);
+}
+
+PathGateResult Gate::DecidePath(double squared_mahalanobis,
+                                double degrees_of_freedom) const {
+  PathGateResult result;
+  result.squared_mahalanobis = squared_mahalanobis;
+  result.degrees_of_freedom = degrees_of_freedom;
+  const ChiSquared distribution(degrees_of_freedom);
+  result.threshold = boost::math::quantile(distribution, probability_);
+  result.p_value = boost::math::cdf(
+      boost::math::complement(distribution, squared_mahalanobis));
+  result.verdict = squared_mahalanobis <= result.threshold
+                       ? GateVerdict::kAccepted
+                       : GateVerdict::kRejected;
+  return result;
 }
 
 GateResult Gate::Decide(double squared_mahalanobis) const {

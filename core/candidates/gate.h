@@ -22,22 +22,6 @@ struct GateResult {
   GateVerdict verdict = GateVerdict::kIllConditioned;
 };
 
-class Gate {
- public:
-  // REQUIRES: probability in (0, 1).
-  Gate(StateSpace space, double probability);
-
-  // Accepts if squared_mahalanobis <= threshold().
-  GateResult Decide(double squared_mahalanobis) const;
-  GateResult IllConditioned() const;
-
-  double threshold() const { return threshold_; }
-
- private:
-  int degrees_of_freedom_;
-  double threshold_;
-};
-
 // The test of a whole aligned stretch: the difference at its end once, and the
 // innovations of its shape, discounted by how much neighbouring steps share.
 struct PathGateResult {
@@ -49,8 +33,28 @@ struct PathGateResult {
   GateVerdict verdict = GateVerdict::kIllConditioned;
 };
 
-// Query minus matched, with the covariance of that difference (Gamma, without
-// the tolerance), and the gate's decision on it with the tolerance.
+class Gate {
+ public:
+  // REQUIRES: probability in (0, 1).
+  Gate(StateSpace space, double probability);
+
+  // Accepts if squared_mahalanobis <= threshold().
+  GateResult Decide(double squared_mahalanobis) const;
+  GateResult IllConditioned() const;
+  // At the same probability. REQUIRES: positive degrees of freedom.
+  PathGateResult DecidePath(double squared_mahalanobis,
+                            double degrees_of_freedom) const;
+
+  double threshold() const { return threshold_; }
+
+ private:
+  int degrees_of_freedom_;
+  double probability_;
+  double threshold_;
+};
+
+// Query minus matched, with the covariance of that difference (Gamma, inflated,
+// without the tolerance), and the gate's decision on it with the tolerance.
 struct GatedDifference {
   Pose difference;
   Covariance covariance;

@@ -4,7 +4,6 @@
 
 #include <vector>
 
-#include "core/alignment/viterbi.h"
 #include "core/graph/pose_graph.h"
 
 namespace revisit::core {
@@ -14,13 +13,17 @@ struct RankedEnd {
   double score = 0.0;
 };
 
-// Takes the best node, strikes out all nodes nearer than `separation_meters` to
-// it along the path (travelled distance), and so on, until `max_candidates` are
-// found or none is left. Nodes that near the query are struck out first. Best
-// first; of equal scores, the lower index; nodes where no path ends are never
-// taken.
+// Makes all nodes nearer than `separation_meters` to the centre, along the path
+// (travelled distance), impossible; the centre always. The centre need not be
+// among the nodes with scores, which are the graph's first.
+void StrikeOut(const PoseGraph& graph, NodeIndex centre,
+               double separation_meters, std::vector<double>* scores);
+
+// Takes the best node, strikes out what is near it, and so on, until
+// `max_candidates` are found or none is left. Best first; of equal scores, the
+// lower index; kImpossible nodes are never taken.
 std::vector<RankedEnd> RankEnds(const PoseGraph& graph,
-                                const Alignment& alignment, NodeIndex query,
+                                std::vector<double> scores,
                                 double separation_meters, int max_candidates);
 
 }  // namespace revisit::core

@@ -10,6 +10,7 @@ inline constexpr double kPi = 3.14159265358979323846;
 
 // The same angle in (-pi, pi].
 inline double WrapHeading(double angle) {
+  if (angle > -kPi && angle <= kPi) return angle;
   // remainder() rounds half-way cases to even, so -pi can come out; the
   // interval is open there.
   const double wrapped = std::remainder(angle, 2.0 * kPi);

@@ -15,6 +15,12 @@ NodeIndex PoseGraph::SegmentStart(NodeIndex i) const {
       std::upper_bound(segment_starts_.begin(), segment_starts_.end(), i));
 }
 
+NodeIndex PoseGraph::SegmentEnd(NodeIndex i) const {
+  const auto next =
+      std::upper_bound(segment_starts_.begin(), segment_starts_.end(), i);
+  return next == segment_starts_.end() ? size() : *next;
+}
+
 std::optional<NodeIndex> PoseGraph::NodeAtOrBefore(
     std::uint64_t sequence) const {
   // A node with this sequence and a fraction lies after the pose.

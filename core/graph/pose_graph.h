@@ -45,6 +45,8 @@ class PoseGraph {
 
   // First node of the segment that holds node i.
   NodeIndex SegmentStart(NodeIndex i) const;
+  // First node after that segment; size() if it is the last.
+  NodeIndex SegmentEnd(NodeIndex i) const;
 
   // Last node at or before the pose: nothing if there is none.
   std::optional<NodeIndex> NodeAtOrBefore(std::uint64_t sequence) const;

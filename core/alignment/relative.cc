@@ -1,0 +1,329 @@
+#include "core/alignment/relative.h"
+
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+
+#include "core/geometry/heading.h"
+
+namespace revisit::core {
+namespace {
+
+enum Move : std::uint8_t {
+  kNone = 0,
+  kOn = 1,
+  kStay = 2,
+  kSkip = 3,
+  kOverLoop = 4,
+};
+
+constexpr Direction DirectionOf(std::size_t way) {
+  return way == 0 ? Direction::kSame : Direction::kOpposite;
+}
+
+// -1 walks back in time, as the recent path is walked.
+constexpr NodeIndex Stride(std::size_t way) { return way == 0 ? -1 : 1; }
+
+constexpr std::int32_t kNoSlot = -1;
+
+// The way on the far side of a loop closure: passes in opposite directions are
+// told by their headings.
+std::size_t WayBeyond(const PoseGraph& graph, NodeIndex near, NodeIndex far,
+                      std::size_t way) {
+  const double turn =
+      Difference(graph.node(near).pose, graph.node(far).pose).heading;
+  return std::abs(turn) > 0.5 * kPi ? 1 - way : way;
+}
+
+}  // namespace
+
+double RelativeModel::ShapeWeight() const {
+  return std::min(1.0, spacing_meters / shape.correlation_meters);
+}
+
+template <int D>
+class RelativeAligner {
+ public:
+  RelativeAligner(const PoseGraph& graph, const RelativeModel& model,
+                  NodeIndex query, std::int64_t steps, NodeIndex history_size)
+      : graph_(graph),
+        size_(history_size),
+        weight_(model.ShapeWeight()),
+        filter_(graph, query, steps,
+                MeasureMotion<D>(graph, model.similarity.correlation, query),
+                model.shape, model.spacing_meters, model.similarity.inflation) {
+    result_.size_ = history_size;
+    joined_.resize(Position(size_) + 1);
+    for (NodeIndex i = 0; i < size_;) {
+      const NodeIndex end = std::min(graph.SegmentEnd(i), size_);
+      for (++i; i < end; ++i) joined_[Position(i)] = 1;
+    }
+    for (std::size_t way = 0; way < 2; ++way) {
+      next_slot_[way].assign(Position(size_), kNoSlot);
+      if (way == 0 ? model.same_direction : model.opposite_direction) {
+        Seed(model, query, way);
+      }
+    }
+  }
+
+  bool Run(const ShouldStop& should_stop) {
+    for (std::int64_t t = 1; t < filter_.size() && !survivors_.empty(); ++t) {
+      if (should_stop && should_stop()) return false;
+      for (const Survivor& survivor : survivors_) WalkOn(t, survivor);
+      std::swap(survivors_, next_);
+      next_.clear();
+      for (const Survivor& survivor : survivors_) {
+        next_slot_[survivor.way][Position(survivor.node)] = kNoSlot;
+        Credit(t, survivor);
+      }
+    }
+    return true;
+  }
+
+  RelativeAlignment Finish() {
+    for (std::size_t way = 0; way < 2; ++way) {
+      std::vector<double>& scores = result_.scores_[way];
+      for (std::size_t j = 0; j < scores.size(); ++j) {
+        scores[j] +=
+            weight_ * result_.matches_[way][j].log_likelihood_ratio;
+      }
+    }
+    return std::move(result_);
+  }
+
+ private:
+  // From where a path of history is seen: its end pose, carried over loop
+  // closures.
+  struct Frame {
+    double x = 0.0;
+    double y = 0.0;
+    double z = 0.0;
+    double heading = 0.0;
+    double cosine = 1.0;
+    double sine = 0.0;
+  };
+  struct Survivor {
+    // Where it is, and which way it walks.
+    NodeIndex node = 0;
+    std::size_t way = 0;
+    // Where it began.
+    NodeIndex end = 0;
+    std::size_t end_way = 0;
+    Frame frame;
+    typename ShapeFilter<D>::Drift drift;
+    double log_likelihood_ratio = 0.0;
+    double squared_innovations = 0.0;
+    // anchor + w log_likelihood_ratio: by which paths to one node compete.
+    double total = 0.0;
+  };
+
+  static std::size_t Position(NodeIndex i) {
+    return static_cast<std::size_t>(i);
+  }
+
+  double HeadingOf(NodeIndex i, std::size_t way) const {
+    return graph_.node(i).pose.heading + (way == 0 ? 0.0 : kPi);
+  }
+
+  static Frame MakeFrame(double x, double y, double z, double heading) {
+    return {x, y, z, heading, std::cos(heading), std::sin(heading)};
+  }
+
+  StateVector<D> SeenFrom(const Frame& frame, NodeIndex i,
+                          std::size_t way) const {
+    const Pose& pose = graph_.node(i).pose;
+    const double x = pose.x - frame.x;
+    const double y = pose.y - frame.y;
+    const double forward = frame.cosine * x + frame.sine * y;
+    const double left = frame.cosine * y - frame.sine * x;
+    const double heading = HeadingOf(i, way) - frame.heading;
+    if constexpr (D == 3) {
+      return {forward, left, heading};
+    } else {
+      return {forward, left, pose.z - frame.z, heading};
+    }
+  }
+
+  // The anchors of all history, which are the scores so far.
+  void Seed(const RelativeModel& model, NodeIndex query, std::size_t way) {
+    SimilarityModel anchor = model.similarity;
+    anchor.form = LikelihoodForm::kGaussian;
+    anchor.direction = DirectionOf(way);
+    std::vector<double>& scores = result_.scores_[way];
+    LogSimilarityColumn(graph_, anchor, query, size_, &scores);
+    const double density =
+        2.0 / (kPi * model.road_spacing_meters * model.spacing_meters) /
+        (D == 4 ? kRoadHeightRange : 1.0);
+    const double constant =
+        -0.5 * D * std::log(2.0 * kPi) - std::log(density);
+    result_.matches_[way].resize(Position(size_));
+    for (NodeIndex j = 0; j < size_; ++j) {
+      ShapeMatch& match = result_.matches_[way][Position(j)];
+      match.last = static_cast<std::int32_t>(j);
+      match.last_direction = DirectionOf(way);
+      double& score = scores[Position(j)];
+      if (score == kImpossible) continue;
+      score += constant;
+      Survivor survivor;
+      survivor.node = survivor.end = j;
+      survivor.way = survivor.end_way = way;
+      const Pose& pose = graph_.node(j).pose;
+      survivor.frame = MakeFrame(pose.x, pose.y, pose.z, HeadingOf(j, way));
+      survivor.total = score;
+      survivors_.push_back(survivor);
+    }
+  }
+
+  // Nodes of one road, next to each other.
+  bool Joined(NodeIndex i, NodeIndex next) const {
+    return next >= 0 && next < size_ && joined_[Position(std::max(i, next))];
+  }
+
+  void WalkOn(std::int64_t t, const Survivor& survivor) {
+    const NodeIndex i = survivor.node;
+    const std::size_t way = survivor.way;
+    const NodeIndex next = i + Stride(way);
+    Try(t, survivor, survivor.frame, way, i, kStay);
+    if (Joined(i, next)) {
+      Try(t, survivor, survivor.frame, way, next, kOn);
+      const NodeIndex after = next + Stride(way);
+      if (Joined(next, after)) {
+        Try(t, survivor, survivor.frame, way, after, kSkip);
+      }
+    }
+    for (const NodeIndex far : graph_.LoopNeighbours(i)) {
+      if (far >= size_) continue;
+      const std::size_t far_way = WayBeyond(graph_, i, far, way);
+      const NodeIndex beyond = far + Stride(far_way);
+      if (!Joined(far, beyond)) continue;
+      // The far node is where this one is, and is seen as this one is.
+      const StateVector<D> seen = SeenFrom(survivor.frame, i, way);
+      const Pose& pose = graph_.node(far).pose;
+      Frame frame =
+          MakeFrame(0.0, 0.0, 0.0, HeadingOf(far, far_way) - seen(D - 1));
+      frame.x = pose.x - (frame.cosine * seen(0) - frame.sine * seen(1));
+      frame.y = pose.y - (frame.sine * seen(0) + frame.cosine * seen(1));
+      if constexpr (D == 4) frame.z = pose.z - seen(2);
+      Try(t, survivor, frame, far_way, beyond, kOverLoop);
+    }
+  }
+
+  // Walks a survivor to a node; it stays there if nothing better is.
+  void Try(std::int64_t t, const Survivor& survivor, const Frame& frame,
+           std::size_t way, NodeIndex to, Move move) {
+    typename ShapeFilter<D>::Drift drift = survivor.drift;
+    const auto evidence = filter_.Advance(t, SeenFrom(frame, to, way), &drift);
+    // Written so that NaN fails too.
+    if (!(evidence.squared_innovation <= kSquaredInnovationLimit)) return;
+    const double gain =
+        evidence.log_likelihood_ratio -
+        (move == kStay || move == kSkip ? kSlipCost : 0.0);
+    const double total = survivor.total + weight_ * gain;
+    std::int32_t& slot = next_slot_[way][Position(to)];
+    if (slot == kNoSlot) {
+      slot = static_cast<std::int32_t>(next_.size());
+      next_.emplace_back();
+    } else if (!(total > next_[static_cast<std::size_t>(slot)].total)) {
+      return;
+    }
+    Survivor& there = next_[static_cast<std::size_t>(slot)];
+    there = survivor;
+    there.node = to;
+    there.way = way;
+    there.frame = frame;
+    there.drift = drift;
+    there.log_likelihood_ratio += gain;
+    there.squared_innovations += evidence.squared_innovation;
+    there.total = total;
+
+    std::vector<std::uint8_t>& moves = result_.moves_[way];
+    if (moves.empty()) {
+      moves.resize(static_cast<std::size_t>((filter_.size() - 1) * size_));
+    }
+    const auto position = static_cast<std::size_t>((t - 1) * size_ + to);
+    moves[position] = move;
+    if (move == kOverLoop) {
+      result_.over_loops_[way][position] = {survivor.node,
+                                            DirectionOf(survivor.way)};
+    }
+  }
+
+  // Where a path has become better than it ever was, its end is credited.
+  void Credit(std::int64_t t, const Survivor& survivor) {
+    ShapeMatch& match =
+        result_.matches_[survivor.end_way][Position(survivor.end)];
+    if (!(survivor.log_likelihood_ratio > match.log_likelihood_ratio)) return;
+    match.log_likelihood_ratio = survivor.log_likelihood_ratio;
+    match.squared_innovations = survivor.squared_innovations;
+    match.steps = static_cast<std::int32_t>(t);
+    match.last = static_cast<std::int32_t>(survivor.node);
+    match.last_direction = DirectionOf(survivor.way);
+  }
+
+  const PoseGraph& graph_;
+  const NodeIndex size_;
+  const double weight_;
+  const ShapeFilter<D> filter_;
+  // Whether node i has an edge to node i - 1.
+  std::vector<char> joined_;
+  // Of all paths that reach one node at one step, walking one way, the best.
+  std::vector<Survivor> survivors_;
+  std::vector<Survivor> next_;
+  // Where the survivor of a node is in next_, by way.
+  std::array<std::vector<std::int32_t>, 2> next_slot_;
+  RelativeAlignment result_;
+};
+
+std::vector<std::pair<std::int64_t, NodeIndex>> RelativeAlignment::Path(
+    Direction direction, NodeIndex j) const {
+  const ShapeMatch& best = match(direction, j);
+  std::vector<std::pair<std::int64_t, NodeIndex>> path;
+  NodeIndex node = best.last;
+  std::size_t way = Position(best.last_direction);
+  for (std::int64_t t = best.steps; t > 0; --t) {
+    path.emplace_back(t, node);
+    const auto position = static_cast<std::size_t>((t - 1) * size_ + node);
+    switch (static_cast<Move>(moves_[way][position])) {
+      case kOn:
+        node -= Stride(way);
+        break;
+      case kSkip:
+        node -= 2 * Stride(way);
+        break;
+      case kOverLoop: {
+        const auto& [near, direction_before] =
+            over_loops_[way].at(position);
+        node = near;
+        way = Position(direction_before);
+        break;
+      }
+      case kStay:
+        break;
+      case kNone:
+        assert(false);
+        break;
+    }
+  }
+  path.emplace_back(0, node);
+  std::reverse(path.begin(), path.end());
+  return path;
+}
+
+std::optional<RelativeAlignment> AlignRelative(
+    const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
+    std::int64_t steps, NodeIndex history_size, const ShouldStop& should_stop) {
+  assert(1 <= steps && steps <= query + 1);
+  assert(history_size <= query - steps + 1);
+  const auto align = [&](auto aligner) -> std::optional<RelativeAlignment> {
+    if (!aligner->Run(should_stop)) return std::nullopt;
+    return aligner->Finish();
+  };
+  if (model.similarity.state_space == StateSpace::kPlanar) {
+    RelativeAligner<3> aligner(graph, model, query, steps, history_size);
+    return align(&aligner);
+  }
+  RelativeAligner<4> aligner(graph, model, query, steps, history_size);
+  return align(&aligner);
+}
+
+}  // namespace revisit::core

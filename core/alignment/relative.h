@@ -1,0 +1,131 @@
+// Aligns the recent path with the history so that drift counts once.
+//
+// The difference of the two ends is weighed by its own covariance (the anchor);
+// from there both paths are walked back together, and what counts is how far
+// their shapes stray from each other (shape_filter.h). For history node j,
+//
+//   score(j) = ln N(d_j; 0, Gamma_j + R) + w max over q of LLR(q) - ln rho,
+//
+// the log-odds of "the end is at node j" against "at no node of the history".
+// - q are the paths of history back from j, of any length up to the recent
+//   path's: the vehicle may have joined the old road only just now. A path ends
+//   where the next innovation lies beyond kSquaredInnovationLimit.
+// - LLR is the accumulated log-likelihood ratio of same road against another,
+//   less a cost for each slip.
+// - w = node spacing / correlation distance, at most 1: neighbouring nodes stray
+//   together, so they are not independent witnesses.
+// - rho is the density of nodes on roads not driven, per m^2 and rad: roads at a
+//   mean distance B hold 2 / B metres of road a square metre, with nodes at
+//   spacing s, and each can be driven both ways:
+//     rho = (2 / B) (1 / s) 2 / (2 pi) = 2 / (pi B s).
+//   SPATIAL: spread evenly over kRoadHeightRange.
+//
+// Paths walk the graph: to the node before; over a confirmed loop closure, where
+// the two passes are taken for one place and the other pass is walked on; and,
+// where the odometers of the two passes disagree, staying at a node or skipping
+// one. This is Viterbi with survivors that each carry their drift: of the paths
+// that reach one history node at one step, walking one way, only the best is
+// walked on (by anchor + w LLR). Opposite passes walk the history forward in time
+// with all headings turned by pi, and share the same trellis.
+#ifndef REVISIT_CORE_ALIGNMENT_RELATIVE_H_
+#define REVISIT_CORE_ALIGNMENT_RELATIVE_H_
+
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <unordered_map>
+#include <utility>
+#include <vector>
+
+#include "core/alignment/log_similarity.h"
+#include "core/alignment/shape_filter.h"
+#include "core/alignment/viterbi.h"
+#include "core/graph/pose_graph.h"
+
+namespace revisit::core {
+
+// Roads not driven are taken to lie within this range of height, m.
+inline constexpr double kRoadHeightRange = 20.0;
+
+// What a slip (a node stayed at, or skipped) costs: odometers that agree to one
+// in a hundred slip once in a hundred nodes.
+inline constexpr double kSlipCost = 4.6;
+
+struct RelativeModel {
+  // Of the anchor.
+  SimilarityModel similarity;
+  ShapeModel shape;
+  double spacing_meters = 2.0;
+  double road_spacing_meters = 200.0;
+  bool same_direction = true;
+  bool opposite_direction = false;
+
+  // w.
+  double ShapeWeight() const;
+};
+
+// The best path back from one history node.
+struct ShapeMatch {
+  double log_likelihood_ratio = 0.0;
+  // Sum over its steps.
+  double squared_innovations = 0.0;
+  // Steps of the recent path it covers; 0 for the end alone.
+  std::int32_t steps = 0;
+  // Where it leads to, and which way it walks there.
+  std::int32_t last = 0;
+  Direction last_direction = Direction::kSame;
+};
+
+class RelativeAlignment {
+ public:
+  // Nodes of history: [0, size).
+  NodeIndex size() const { return size_; }
+
+  // Log-odds; kImpossible where Gamma is ill-conditioned. Empty for a direction
+  // that was not sought.
+  const std::vector<double>& scores(Direction direction) const {
+    return scores_[Position(direction)];
+  }
+  const ShapeMatch& match(Direction direction, NodeIndex j) const {
+    return matches_[Position(direction)][static_cast<std::size_t>(j)];
+  }
+
+  // The pairs (t, node) of the best path back from j, t = 0 at the end first.
+  std::vector<std::pair<std::int64_t, NodeIndex>> Path(Direction direction,
+                                                       NodeIndex j) const;
+
+ private:
+  template <int D>
+  friend class RelativeAligner;
+
+  static std::size_t Position(Direction direction) {
+    return direction == Direction::kSame ? 0 : 1;
+  }
+
+  NodeIndex size_ = 0;
+  std::array<std::vector<double>, 2> scores_;
+  std::array<std::vector<ShapeMatch>, 2> matches_;
+  // By way of walking, for step t at (t - 1) * size + node: how the best path
+  // came there. Empty for a way never walked.
+  std::array<std::vector<std::uint8_t>, 2> moves_;
+  // Where those that came over a loop closure came from, by way and the position
+  // above: the node, and the way it was walked.
+  std::array<std::unordered_map<std::size_t, std::pair<NodeIndex, Direction>>,
+             2>
+      over_loops_;
+};
+
+// Aligns the `steps` nodes that end at `query` with the history [0,
+// history_size). Time and memory O(steps * (history_size + loop edges)), less
+// where shapes differ early. Nothing if told to stop. REQUIRES: as for Align();
+// the recent path lies in one segment.
+std::optional<RelativeAlignment> AlignRelative(const PoseGraph& graph,
+                                               const RelativeModel& model,
+                                               NodeIndex query,
+                                               std::int64_t steps,
+                                               NodeIndex history_size,
+                                               const ShouldStop& should_stop);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_ALIGNMENT_RELATIVE_H_

@@ -1,0 +1,41 @@
+// How probable each place of the history is, against the others and against a
+// place not seen before.
+#ifndef REVISIT_CORE_CANDIDATES_POSTERIOR_H_
+#define REVISIT_CORE_CANDIDATES_POSTERIOR_H_
+
+#include <array>
+#include <vector>
+
+#include "core/alignment/log_similarity.h"
+#include "core/graph/pose_graph.h"
+
+namespace revisit::core {
+
+// Nodes this close to each other along the path are one place: a verifier that
+// is shown one finds the other.
+inline constexpr double kPlaceRadiusMeters = 10.0;
+
+class Posterior {
+ public:
+  // Log-odds of every history node against a new place, by direction; empty for
+  // one that was not sought. Both must outlive this.
+  Posterior(const PoseGraph& graph,
+            const std::array<std::vector<double>, 2>& log_odds);
+
+  double new_place() const { return Probability(0.0); }
+
+  // Of the nodes within kPlaceRadiusMeters of j.
+  double Place(Direction direction, NodeIndex j) const;
+
+ private:
+  double Probability(double log_odds) const;
+
+  const PoseGraph& graph_;
+  const std::array<std::vector<double>, 2>& log_odds_;
+  // ln of the sum of all odds, the new place's 1 among them.
+  double log_total_ = 0.0;
+};
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_CANDIDATES_POSTERIOR_H_
