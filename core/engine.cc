@@ -68,7 +68,12 @@ Verdict GateAlone(GateVerdict gate) {
 
 Verdict Decide(const GateResult& gate, const RelativeEvidence& evidence,
                double new_place, double acceptance_probability) {
-  if (gate.verdict != GateVerdict::kAccepted) return GateAlone(gate.verdict);
+  // One noisy pose at the end does not count against what the path tells.
+  const bool outside = gate.verdict == GateVerdict::kRejected &&
+                       evidence.squared_end_difference > gate.threshold;
+  if (outside || gate.verdict == GateVerdict::kIllConditioned) {
+    return GateAlone(gate.verdict);
+  }
   if (evidence.path_gate.verdict == GateVerdict::kRejected) {
     return Verdict::kRejectedByShape;
   }
@@ -77,7 +82,8 @@ Verdict Decide(const GateResult& gate, const RelativeEvidence& evidence,
   const double elsewhere = std::max(0.0, 1.0 - here - new_place);
   if (here + elsewhere >= acceptance_probability) return Verdict::kAmbiguous;
   // Had the two ends coincided, with the same shape.
-  const double at_best = here * std::exp(0.5 * gate.squared_mahalanobis);
+  const double at_best =
+      here * std::exp(0.5 * evidence.squared_end_difference);
   const double total = 1.0 - here + at_best;
   if (at_best < acceptance_probability * total) {
     return Verdict::kUninformative;
@@ -363,7 +369,7 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
   }
 
   const Gate gate(settings_.state_space, options.gate_probability);
-  const double weight = model.ShapeWeight();
+  const double weight = ShapeWeight(model.shape, model.spacing_meters);
   const int dimensions = DegreesOfFreedom(settings_.state_space);
   for (const Direction direction : Directions(options.direction)) {
     SimilarityModel similarity = model.similarity;
@@ -379,7 +385,6 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
       candidate.direction = direction;
       candidate.difference =
           DecideAt(graph_, similarity, gate, query, end.matched);
-      const double squared_end = candidate.difference.gate.squared_mahalanobis;
 
       RelativeEvidence evidence;
       evidence.probability = posterior.Place(direction, end.matched);
@@ -398,8 +403,9 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
             evidence.probability / most_probable_rival;
       }
       evidence.path_gate = gate.DecidePath(
-          squared_end + weight * match.squared_innovations,
+          match.squared_end_difference + weight * match.squared_innovations,
           dimensions * (1.0 + weight * match.steps));
+      evidence.squared_end_difference = match.squared_end_difference;
       evidence.overlap_meters = match.steps * model.spacing_meters;
       evidence.log_likelihood_ratio = match.log_likelihood_ratio;
       candidate.verdict =

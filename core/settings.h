@@ -42,7 +42,7 @@ struct SearchOptions {
   // Mean distance between roads not driven, [1, 1e6] m.
   double road_spacing_meters = 200.0;
   // In (0, 1).
-  double acceptance_probability = 0.5;
+  double acceptance_probability = 0.4;
 };
 
 struct EngineSettings {

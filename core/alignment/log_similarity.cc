@@ -33,47 +33,16 @@ template <int D>
 void Column(const PoseGraph& graph, const SimilarityModel& model,
             NodeIndex query, NodeIndex count, std::vector<double>* column) {
   const Pose& query_pose = graph.node(query).pose;
-  const StateMatrix<D> query_covariance =
-      ToMatrix<D>(graph.node(query).covariance);
-  const auto similarity = [&](NodeIndex i, const StateMatrix<D>& psi) {
-    const Node& node = graph.node(i);
-    return LogSimilarity<D>(
-        model.form,
-        ToleratedCovariance<D>(
-            model, DifferenceCovariance<D>(ToMatrix<D>(node.covariance),
-                                           query_covariance, psi)),
-        ToVector<D>(PassDifference(model, query_pose, node.pose)));
-  };
   column->resize(static_cast<std::size_t>(count));
   double* const out = column->data();
-  switch (model.correlation) {
-    case CorrelationModel::kDeadReckoning:
-      for (NodeIndex i = 0; i < count; ++i) {
-        out[i] = similarity(
-            i, DeadReckoningTransition<D>(graph.node(i).pose, query_pose));
-      }
-      return;
-    case CorrelationModel::kIndependent:
-      for (NodeIndex i = 0; i < count; ++i) {
-        out[i] = similarity(i, StateMatrix<D>::Zero());
-      }
-      return;
-    case CorrelationModel::kFilter: {
-      // One product, run backward from the query past every node.
-      StateMatrix<D> psi = StateMatrix<D>::Identity();
-      bool decorrelated = false;
-      for (NodeIndex i = query; i >= 0; --i) {
-        if (i < count) out[i] = similarity(i, psi);
-        if (decorrelated || i == 0) continue;
-        psi *= ToMatrix<D>(graph.transition(i));
-        if (psi.template lpNorm<Eigen::Infinity>() < kDecorrelatedNorm) {
-          psi.setZero();
-          decorrelated = true;
-        }
-      }
-      return;
-    }
-  }
+  VisitDifferenceCovariances<D>(
+      graph, model.correlation, query, count,
+      [&](NodeIndex i, const StateMatrix<D>& gamma) {
+        out[i] = LogSimilarity<D>(
+            model.form, ToleratedCovariance<D>(model, gamma),
+            ToVector<D>(
+                PassDifference(model, query_pose, graph.node(i).pose)));
+      });
 }
 
 }  // namespace

@@ -37,21 +37,20 @@ std::size_t WayBeyond(const PoseGraph& graph, NodeIndex near, NodeIndex far,
 
 }  // namespace
 
-double RelativeModel::ShapeWeight() const {
-  return std::min(1.0, spacing_meters / shape.correlation_meters);
-}
-
 template <int D>
 class RelativeAligner {
  public:
   RelativeAligner(const PoseGraph& graph, const RelativeModel& model,
                   NodeIndex query, std::int64_t steps, NodeIndex history_size)
       : graph_(graph),
+        model_(model),
+        query_(query),
         size_(history_size),
-        weight_(model.ShapeWeight()),
+        weight_(ShapeWeight(model.shape, model.spacing_meters)),
         filter_(graph, query, steps,
                 MeasureMotion<D>(graph, model.similarity.correlation, query),
-                model.shape, model.spacing_meters, model.similarity.inflation) {
+                model.shape, model.similarity.tolerance, model.spacing_meters,
+                model.similarity.inflation) {
     result_.size_ = history_size;
     joined_.resize(Position(size_) + 1);
     for (NodeIndex i = 0; i < size_;) {
@@ -61,7 +60,7 @@ class RelativeAligner {
     for (std::size_t way = 0; way < 2; ++way) {
       next_slot_[way].assign(Position(size_), kNoSlot);
       if (way == 0 ? model.same_direction : model.opposite_direction) {
-        Seed(model, query, way);
+        Seed(way);
       }
     }
   }
@@ -82,11 +81,7 @@ class RelativeAligner {
 
   RelativeAlignment Finish() {
     for (std::size_t way = 0; way < 2; ++way) {
-      std::vector<double>& scores = result_.scores_[way];
-      for (std::size_t j = 0; j < scores.size(); ++j) {
-        scores[j] +=
-            weight_ * result_.matches_[way][j].log_likelihood_ratio;
-      }
+      if (!result_.scores_[way].empty()) Score(way);
     }
     return std::move(result_);
   }
@@ -113,7 +108,7 @@ class RelativeAligner {
     typename ShapeFilter<D>::Drift drift;
     double log_likelihood_ratio = 0.0;
     double squared_innovations = 0.0;
-    // anchor + w log_likelihood_ratio: by which paths to one node compete.
+      // anchor + w log_likelihood_ratio: by which paths to one node compete.
     double total = 0.0;
   };
 
@@ -144,34 +139,75 @@ class RelativeAligner {
     }
   }
 
-  // The anchors of all history, which are the scores so far.
-  void Seed(const RelativeModel& model, NodeIndex query, std::size_t way) {
-    SimilarityModel anchor = model.similarity;
+  SimilarityModel Anchor(std::size_t way) const {
+    SimilarityModel anchor = model_.similarity;
     anchor.form = LikelihoodForm::kGaussian;
     anchor.direction = DirectionOf(way);
-    std::vector<double>& scores = result_.scores_[way];
-    LogSimilarityColumn(graph_, anchor, query, size_, &scores);
-    const double density =
-        2.0 / (kPi * model.road_spacing_meters * model.spacing_meters) /
-        (D == 4 ? kRoadHeightRange : 1.0);
-    const double constant =
-        -0.5 * D * std::log(2.0 * kPi) - std::log(density);
+    return anchor;
+  }
+
+  // A survivor at every node, by the anchor of the end poses alone.
+  void Seed(std::size_t way) {
+    std::vector<double>& anchors = result_.scores_[way];
+    LogSimilarityColumn(graph_, Anchor(way), query_, size_, &anchors);
     result_.matches_[way].resize(Position(size_));
+    end_drifts_[way].resize(Position(size_), StateVector<D>::Zero());
     for (NodeIndex j = 0; j < size_; ++j) {
       ShapeMatch& match = result_.matches_[way][Position(j)];
       match.last = static_cast<std::int32_t>(j);
       match.last_direction = DirectionOf(way);
-      double& score = scores[Position(j)];
-      if (score == kImpossible) continue;
-      score += constant;
+      const double anchor = anchors[Position(j)];
+      if (anchor == kImpossible) continue;
       Survivor survivor;
       survivor.node = survivor.end = j;
       survivor.way = survivor.end_way = way;
       const Pose& pose = graph_.node(j).pose;
       survivor.frame = MakeFrame(pose.x, pose.y, pose.z, HeadingOf(j, way));
-      survivor.total = score;
+      survivor.total = anchor;
       survivors_.push_back(survivor);
     }
+  }
+
+  // Makes scores of the anchors.
+  void Score(std::size_t way) {
+    const SimilarityModel anchor = Anchor(way);
+    const Pose& query = graph_.node(query_).pose;
+    const StateMatrix<D> to_frame = TurnAbout<D>(query.heading);
+    std::vector<StateMatrix<D>> certainties;
+    for (std::int64_t t = 0; t < filter_.size(); ++t) {
+      certainties.push_back(to_frame * filter_.EndCertainty(t) *
+                            to_frame.transpose());
+    }
+    const double density =
+        2.0 / (kPi * model_.road_spacing_meters * model_.spacing_meters) /
+        (D == 4 ? kRoadHeightRange : 1.0);
+    const double constant =
+        -0.5 * D * std::log(2.0 * kPi) - std::log(density);
+    std::vector<double>& scores = result_.scores_[way];
+    VisitDifferenceCovariances<D>(
+        graph_, anchor.correlation, query_, size_,
+        [&](NodeIndex j, const StateMatrix<D>& gamma) {
+          double& score = scores[Position(j)];
+          if (score == kImpossible) return;
+          ShapeMatch& match = result_.matches_[way][Position(j)];
+          const StateMatrix<D> covariance =
+              ToleratedCovariance<D>(anchor, gamma);
+          const StateVector<D> d = ToVector<D>(
+              PassDifference(anchor, query, graph_.node(j).pose));
+          std::optional<QuadraticForm> terms = Evaluate<D>(
+              covariance - certainties[static_cast<std::size_t>(match.steps)],
+              d + to_frame * end_drifts_[way][Position(j)]);
+          // An end that is more certain than the mean node of its path is better
+          // judged by itself.
+          if (!terms) terms = Evaluate<D>(covariance, d);
+          if (!terms) {
+            score = kImpossible;
+            return;
+          }
+          match.squared_end_difference = terms->squared_mahalanobis;
+          score = -0.5 * (terms->squared_mahalanobis + terms->log_determinant) +
+                  weight_ * match.log_likelihood_ratio + constant;
+        });
   }
 
   // Nodes of one road, next to each other.
@@ -255,12 +291,16 @@ class RelativeAligner {
     if (!(survivor.log_likelihood_ratio > match.log_likelihood_ratio)) return;
     match.log_likelihood_ratio = survivor.log_likelihood_ratio;
     match.squared_innovations = survivor.squared_innovations;
+    end_drifts_[survivor.end_way][Position(survivor.end)] =
+        filter_.EndDrift(t, survivor.drift);
     match.steps = static_cast<std::int32_t>(t);
     match.last = static_cast<std::int32_t>(survivor.node);
     match.last_direction = DirectionOf(survivor.way);
   }
 
   const PoseGraph& graph_;
+  const RelativeModel& model_;
+  const NodeIndex query_;
   const NodeIndex size_;
   const double weight_;
   const ShapeFilter<D> filter_;
@@ -271,6 +311,8 @@ class RelativeAligner {
   std::vector<Survivor> next_;
   // Where the survivor of a node is in next_, by way.
   std::array<std::vector<std::int32_t>, 2> next_slot_;
+  // a of the best path of each end, in the axes of the vehicle at the query.
+  std::array<std::vector<StateVector<D>>, 2> end_drifts_;
   RelativeAlignment result_;
 };
 

@@ -1,19 +1,22 @@
 // Aligns the recent path with the history so that drift counts once.
 //
-// The difference of the two ends is weighed by its own covariance (the anchor);
-// from there both paths are walked back together, and what counts is how far
-// their shapes stray from each other (shape_filter.h). For history node j,
+// From the two ends both paths are walked back together, and what counts is how
+// far their shapes stray from each other and how rare they are (shape_filter.h).
+// The difference of the two ends, as the whole of the path tells it, is weighed
+// once by its own covariance (the anchor). For history node j,
 //
-//   score(j) = ln N(d_j; 0, Gamma_j + R) + w max over q of LLR(q) - ln rho,
+//   score(j) = ln N(d_j + a; 0, Gamma_j + R - A) + w LLR(q) - ln rho,
 //
 // the log-odds of "the end is at node j" against "at no node of the history".
-// - q are the paths of history back from j, of any length up to the recent
-//   path's: the vehicle may have joined the old road only just now. A path ends
-//   where the next innovation lies beyond kSquaredInnovationLimit.
-// - LLR is the accumulated log-likelihood ratio of same road against another,
-//   less a cost for each slip.
-// - w = node spacing / correlation distance, at most 1: neighbouring nodes stray
-//   together, so they are not independent witnesses.
+// - q is the path of history back from j with the greatest LLR, of any length up
+//   to the recent path's: the vehicle may have joined the old road only just now.
+//   A path ends where the next innovation lies beyond kSquaredInnovationLimit.
+// - LLR is the accumulated log-likelihood ratio of the shape, less a cost for each
+//   slip; w discounts it for what neighbouring nodes share.
+// - a is how far the end poses stray by themselves, as the smoother has it after
+//   q, and A by how much that is more certain than R says. Both 0 where q is the
+//   end alone. This is the joint density of the whole window, factored: shape with
+//   nothing known of the drift, times the drift that the shape has shown.
 // - rho is the density of nodes on roads not driven, per m^2 and rad: roads at a
 //   mean distance B hold 2 / B metres of road a square metre, with nodes at
 //   spacing s, and each can be driven both ways:
@@ -25,8 +28,8 @@
 // where the odometers of the two passes disagree, staying at a node or skipping
 // one. This is Viterbi with survivors that each carry their drift: of the paths
 // that reach one history node at one step, walking one way, only the best is
-// walked on (by anchor + w LLR). Opposite passes walk the history forward in time
-// with all headings turned by pi, and share the same trellis.
+// walked on (by anchor with a = 0, plus w LLR). Opposite passes walk the history
+// forward in time with all headings turned by pi, and share the same trellis.
 #ifndef REVISIT_CORE_ALIGNMENT_RELATIVE_H_
 #define REVISIT_CORE_ALIGNMENT_RELATIVE_H_
 
@@ -48,8 +51,13 @@ namespace revisit::core {
 inline constexpr double kRoadHeightRange = 20.0;
 
 // What a slip (a node stayed at, or skipped) costs: odometers that agree to one
-// in a hundred slip once in a hundred nodes.
+// in a hundred slip once in a hundred nodes, and -ln(1/100) is 4.6.
 inline constexpr double kSlipCost = 4.6;
+
+// Innovations beyond this squared Mahalanobis distance end the overlap of two
+// paths. On the same road chi-square with 3 degrees of freedom exceeds it once in
+// 900 steps.
+inline constexpr double kSquaredInnovationLimit = 16.0;
 
 struct RelativeModel {
   // Of the anchor.
@@ -59,9 +67,6 @@ struct RelativeModel {
   double road_spacing_meters = 200.0;
   bool same_direction = true;
   bool opposite_direction = false;
-
-  // w.
-  double ShapeWeight() const;
 };
 
 // The best path back from one history node.
@@ -74,6 +79,9 @@ struct ShapeMatch {
   // Where it leads to, and which way it walks there.
   std::int32_t last = 0;
   Direction last_direction = Direction::kSame;
+  // (d + a)^T (Gamma + R - A)^-1 (d + a): the end's difference as the whole path
+  // tells it.
+  double squared_end_difference = 0.0;
 };
 
 class RelativeAlignment {

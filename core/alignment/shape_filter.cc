@@ -3,37 +3,55 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cassert>
+#include <cmath>
 
 namespace revisit::core {
 namespace {
 
+// Least standard deviation of drift_0: its covariance is inverted.
+constexpr double kLeastEndDrift = 1e-4;
+
+// Inverse of a positive definite matrix.
 template <int D>
-StateMatrix<D> Turn(double heading) {
-  StateMatrix<D> turn = StateMatrix<D>::Identity();
-  const double c = std::cos(heading);
-  const double s = std::sin(heading);
-  turn(0, 0) = c;
-  turn(0, 1) = -s;
-  turn(1, 0) = s;
-  turn(1, 1) = c;
-  return turn;
+StateMatrix<D> Inverse(const StateMatrix<D>& m) {
+  return Eigen::LLT<StateMatrix<D>>(m).solve(StateMatrix<D>::Identity());
 }
 
 template <int D>
-double LogDeterminant(const Eigen::LLT<StateMatrix<D>>& factor) {
-  double sum = 0.0;
-  for (int i = 0; i < D; ++i) sum += std::log(factor.matrixLLT()(i, i));
-  return 2.0 * sum;
+StateMatrix<D> Symmetric(const StateMatrix<D>& m) {
+  return 0.5 * (m + m.transpose());
+}
+
+// How far the path turns around each of its nodes, back from the end: over
+// `stretch_nodes` steps, centred where the path allows.
+std::vector<double> Turns(const PoseGraph& graph, NodeIndex query,
+                          std::int64_t steps, NodeIndex stretch_nodes) {
+  const NodeIndex first = query - steps + 1;
+  std::vector<double> turns;
+  for (std::int64_t t = 0; t < steps; ++t) {
+    const NodeIndex start =
+        std::max(first, std::min(query, query - t + stretch_nodes / 2) -
+                            stretch_nodes);
+    const NodeIndex end = std::min(query, start + stretch_nodes);
+    turns.push_back(
+        Difference(graph.node(end).pose, graph.node(start).pose).heading);
+  }
+  return turns;
 }
 
 }  // namespace
+
+double ShapeWeight(const ShapeModel& model, double spacing_meters) {
+  return std::min(1.0, spacing_meters / model.correlation_meters);
+}
 
 template <int D>
 ShapeFilter<D>::ShapeFilter(const PoseGraph& graph, NodeIndex query,
                             std::int64_t steps,
                             const MotionStatistics<D>& motion,
-                            const ShapeModel& model, double spacing_meters,
-                            double inflation) {
+                            const ShapeModel& model,
+                            const PlaceTolerance& place_tolerance,
+                            double spacing_meters, double inflation) {
   assert(1 <= steps && steps <= query + 1);
   const double claimed = inflation * inflation;
   // Both passes drift.
@@ -41,55 +59,71 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph, NodeIndex query,
   AddTolerance<D>({kLeastStepNoiseMeters * std::sqrt(spacing_meters),
                    kLeastStepNoiseRadians * std::sqrt(spacing_meters)},
                   &noise);
-  StateMatrix<D> bends = StateMatrix<D>::Zero();
-  bends(D - 1, D - 1) = 2.0 * motion.squared_turn;
   StateMatrix<D> tolerance = StateMatrix<D>::Zero();
   AddTolerance<D>(model.tolerance, &tolerance);
   const StateMatrix<D> jitter = 2.0 * claimed * motion.jitter;
 
+  const double weight = ShapeWeight(model, spacing_meters);
+  const auto stretch_nodes = std::max<NodeIndex>(
+      1, std::llround(model.correlation_meters / spacing_meters));
+  const double turn_tolerance =
+      std::sqrt(2.0 * (tolerance(D - 1, D - 1) + jitter(D - 1, D - 1)));
+  const std::vector<double> shares = ShareOfStretches(
+      graph, query, stretch_nodes, Turns(graph, query, steps, stretch_nodes),
+      turn_tolerance);
+
+  StateMatrix<D> end_prior = jitter;
+  AddTolerance<D>(
+      {std::max(kLeastEndDrift, std::min(model.tolerance.position_meters,
+                                         place_tolerance.position_meters)),
+       std::max(kLeastEndDrift, place_tolerance.heading_radians)},
+      &end_prior);
+  const StateMatrix<D> end_prior_information = Inverse<D>(end_prior);
+
   const Pose& end = graph.node(query).pose;
-  const StateMatrix<D> from_end = Turn<D>(-end.heading);
-  StateMatrix<D> same_road = tolerance + jitter;
-  StateMatrix<D> other_road = same_road;
+  const StateMatrix<D> from_end = TurnAbout<D>(-end.heading);
+  // Of the drift now, with that at the end, and of that at the end.
+  StateMatrix<D> covariance = end_prior;
+  StateMatrix<D> end_cross = end_prior;
+  StateMatrix<D> end_covariance = end_prior;
   steps_.resize(static_cast<std::size_t>(steps));
-  for (std::int64_t t = 0; t < steps; ++t) {
+  steps_[0].path.setZero();
+  steps_[0].end_weight.setZero();
+  steps_[0].end_certainty.setZero();
+  for (std::int64_t t = 1; t < steps; ++t) {
     Step& step = steps_[static_cast<std::size_t>(t)];
     step.path =
         from_end * ToVector<D>(Difference(graph.node(query - t).pose, end));
-    if (t == 0) continue;
     const StateVector<D>& after = steps_[static_cast<std::size_t>(t - 1)].path;
     step.step_x = step.path(0) - after(0);
     step.step_y = step.path(1) - after(1);
     StateMatrix<D> f = StateMatrix<D>::Identity();
     f(0, D - 1) = -step.step_y;
     f(1, D - 1) = step.step_x;
-    const StateMatrix<D> turn = Turn<D>(step.path(D - 1));
+    const StateMatrix<D> turn = TurnAbout<D>(step.path(D - 1));
+    const StateMatrix<D> predicted = Symmetric<D>(
+        f * covariance * f.transpose() + turn * noise * turn.transpose());
+    end_cross = (end_cross * f.transpose()).eval();
     const StateMatrix<D> straying =
         tolerance + turn * jitter * turn.transpose();
-    const auto advance = [&](const StateMatrix<D>& step_noise,
-                             StateMatrix<D>* covariance,
-                             Hypothesis* hypothesis) {
-      StateMatrix<D> predicted = f * *covariance * f.transpose() +
-                                 turn * step_noise * turn.transpose();
-      predicted = (0.5 * (predicted + predicted.transpose())).eval();
-      const StateMatrix<D> innovation = predicted + straying;
-      // Positive definite: the tolerance is not zero.
-      const Eigen::LLT<StateMatrix<D>> factor(innovation);
-      hypothesis->information =
-          factor.solve(StateMatrix<D>::Identity());
-      hypothesis->gain = predicted * hypothesis->information;
-      // Joseph's form, which rounding cannot make indefinite.
-      const StateMatrix<D> kept =
-          StateMatrix<D>::Identity() - hypothesis->gain;
-      *covariance =
-          kept * predicted * kept.transpose() +
-          hypothesis->gain * straying * hypothesis->gain.transpose();
-      return LogDeterminant<D>(factor);
-    };
-    const double same = advance(noise, &same_road, &step.same_road);
-    const double another =
-        advance(noise + bends, &other_road, &step.other_road);
-    step.log_determinants = 0.5 * (another - same);
+    step.information = Inverse<D>(predicted + straying);
+    step.gain = predicted * step.information;
+    step.end_gain = end_cross * step.information;
+    // Joseph's form, which rounding cannot make indefinite.
+    const StateMatrix<D> kept = StateMatrix<D>::Identity() - step.gain;
+    covariance = Symmetric<D>(kept * predicted * kept.transpose() +
+                              step.gain * straying * step.gain.transpose());
+    end_covariance =
+        Symmetric<D>(end_covariance - step.end_gain * end_cross.transpose());
+    end_cross = (end_cross * kept.transpose()).eval();
+
+    const StateMatrix<D> end_information = Inverse<D>(end_covariance);
+    const StateMatrix<D> weighed =
+        Inverse<D>(end_prior_information +
+                   weight * (end_information - end_prior_information));
+    step.end_weight = weight * weighed * end_information;
+    step.end_certainty = end_prior - weighed;
+    step.surprise = -std::log(shares[static_cast<std::size_t>(t)]);
   }
 }
 

@@ -1,27 +1,40 @@
 // How far the shape of a path may stray from the shape it is compared with, and
-// how likely what is seen is on the same road and on another.
+// what it is worth that it does not.
 //
 // Two paths are walked back from their ends together, each seen from its own end
 // pose. Their mismatch e_t = p'_t - q'_t is zero at the end. On the same road it
 // drifts by what the odometry of both passes adds (a heading error swings what
 // lies further back), and each node strays by a tolerance of its own:
 //
-//   drift_t = F_t drift_(t-1) + noise of two steps,  Cov(drift_0) = T + 2 J
+//   drift_t = F_t drift_(t-1) + noise of two steps,  Cov(drift_0) = E_0
 //   e_t = drift_t + straying,                        Cov(straying) = T + 2 J
 //
-// with F_t the lever arm of p's step, T the tolerance and J the jitter of one
-// node (motion_statistics.h). This is a Kalman filter whose covariances depend on
-// p only: gains are computed once a query and shared by all of the history. On
-// another road the heading also turns as the vehicle's roads do, for each of the
-// two paths. The difference of the two log densities is the log-likelihood ratio
-// of one step.
+// F_t is the lever arm of p's step, T the tolerance, J the jitter of one node
+// (motion_statistics.h). drift_0 is how far the two end poses themselves stray: E_0
+// is R, the place tolerance, in heading; in position no more than T, since another
+// lane is the same offset all along. This is a Kalman filter whose covariances
+// depend on p only: gains are computed once a query and shared by all of the
+// history. With it runs its fixed-point smoother, which tells drift_0 from what
+// came after: so the ends are compared by the whole path and not by two poses.
 //
-// Kalman filter, innovation and its covariance: Bar-Shalom, Li, Kirubarajan,
-// "Estimation with Applications to Tracking and Navigation" (2001), 5.2.
+// What a match is worth depends on how rare the shape is. Another road would turn
+// as p does by chance: about as often as the vehicle's own roads do. The
+// log-likelihood ratio of same road against another is, for each step,
+//
+//   -ln(share of own stretches that turn as p does around t) - 1/2 nu^T S^-1 nu
+//
+// with nu the innovation and S its covariance: a straight gains next to nothing, a
+// corner much, and a mismatch costs the same on both.
+//
+// Neighbouring nodes stray together. Sums over steps are therefore weighed by
+// w = node spacing / correlation distance, and so is the information that the
+// smoother has gathered; stretches are as long as the correlation distance.
+//
+// Kalman filter and fixed-point smoother: Anderson, Moore, "Optimal Filtering"
+// (1979), 3.1 and 7.2.
 #ifndef REVISIT_CORE_ALIGNMENT_SHAPE_FILTER_H_
 #define REVISIT_CORE_ALIGNMENT_SHAPE_FILTER_H_
 
-#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -34,97 +47,91 @@
 
 namespace revisit::core {
 
-// What the roads are taken for. Standard deviations, never zero.
 struct ShapeModel {
-  // At each node, beside the drift: position [0.01, 1000] m, heading
-  // [0.001, 3] rad. Default: half the place tolerance, since most of a lane's
-  // offset is the same at the end and along the way.
+  // Standard deviations at each node, beside the drift: position [0.01, 1000] m,
+  // heading [0.001, 3] rad.
   PlaceTolerance tolerance{1.0, 0.06};
-  // Distance over which that straying is one and the same, [0.01, 1e6] m: nodes
-  // closer than this are not independent witnesses.
+  // Distance over which that straying is one and the same, [0.01, 1e6] m.
   double correlation_meters = 10.0;
 };
 
-// Least noise of one metre of odometry, whatever the covariances claim: those of
-// an optimiser, or constant ones, say nothing of a single step. Standard
-// deviations per square root of a metre.
+// Least noise of odometry, whatever the covariances claim: those of an optimiser,
+// or constant ones, say nothing of a single step. Standard deviations per square
+// root of a metre.
 inline constexpr double kLeastStepNoiseMeters = 0.02;
 inline constexpr double kLeastStepNoiseRadians = 0.0005;
 
-// Innovations beyond this squared Mahalanobis distance end the overlap of two
-// paths: chi-square with 3 degrees of freedom exceeds it once in 900 steps.
-inline constexpr double kSquaredInnovationLimit = 16.0;
+// w, at most 1.
+double ShapeWeight(const ShapeModel& model, double spacing_meters);
 
 template <int D>
 class ShapeFilter {
  public:
-  // The drift of one candidate, under both hypotheses. Zero at the end.
+  // What the filter knows of one other path.
   struct Drift {
-    StateVector<D> same_road = StateVector<D>::Zero();
-    StateVector<D> other_road = StateVector<D>::Zero();
+    StateVector<D> now = StateVector<D>::Zero();
+    // drift_0, as if all nodes strayed independently.
+    StateVector<D> at_end = StateVector<D>::Zero();
   };
   // What one step brought.
   struct Evidence {
-    // Squared Mahalanobis distance of the innovation on the same road.
+    // nu^T S^-1 nu
     double squared_innovation = 0.0;
     double log_likelihood_ratio = 0.0;
   };
 
   // The path of `steps` nodes that ends at `query`, within one segment.
-  // `inflation` multiplies the standard deviations of drift and jitter.
+  // `motion` is that of nodes up to the query; `inflation` multiplies its standard
+  // deviations.
   ShapeFilter(const PoseGraph& graph, NodeIndex query, std::int64_t steps,
               const MotionStatistics<D>& motion, const ShapeModel& model,
-              double spacing_meters, double inflation);
+              const PlaceTolerance& place_tolerance, double spacing_meters,
+              double inflation);
 
   // Nodes of the path.
   std::int64_t size() const { return static_cast<std::int64_t>(steps_.size()); }
-
-  // Node t of the path back from its end, seen from its end.
-  const StateVector<D>& path(std::int64_t t) const {
-    return steps_[static_cast<std::size_t>(t)].path;
-  }
 
   // Carries the drift from step t - 1 to t in [1, size()), where the other path
   // is at `other`, seen from its own end.
   Evidence Advance(std::int64_t t, const StateVector<D>& other,
                    Drift* drift) const {
     const Step& step = steps_[static_cast<std::size_t>(t)];
-    const StateVector<D> mismatch = step.path - other;
-    const double same = Update(step, step.same_road, mismatch,
-                               &drift->same_road);
-    const double another = Update(step, step.other_road, mismatch,
-                                  &drift->other_road);
-    return {same, 0.5 * (another - same) + step.log_determinants};
+    StateVector<D>& now = drift->now;
+    const double turn = now(D - 1);
+    now(0) -= step.step_y * turn;
+    now(1) += step.step_x * turn;
+    StateVector<D> innovation = step.path - other - now;
+    innovation(D - 1) = WrapHeading(innovation(D - 1));
+    now += step.gain * innovation;
+    drift->at_end += step.end_gain * innovation;
+    const double squared = innovation.dot(step.information * innovation);
+    return {squared, step.surprise - 0.5 * squared};
+  }
+
+  // drift_0 after step t, in the axes of the vehicle at the end of the path.
+  StateVector<D> EndDrift(std::int64_t t, const Drift& drift) const {
+    return steps_[static_cast<std::size_t>(t)].end_weight * drift.at_end;
+  }
+  // By how much the covariance of drift_0 has shrunk by then, in these axes.
+  const StateMatrix<D>& EndCertainty(std::int64_t t) const {
+    return steps_[static_cast<std::size_t>(t)].end_certainty;
   }
 
  private:
-  struct Hypothesis {
-    StateMatrix<D> gain;
-    // Inverse covariance of the innovation.
-    StateMatrix<D> information;
-  };
   struct Step {
+    // Seen from the end.
     StateVector<D> path;
     // From the node after it.
     double step_x = 0.0;
     double step_y = 0.0;
-    Hypothesis same_road;
-    Hypothesis other_road;
-    // Half of ln|S| of the other road less that of the same.
-    double log_determinants = 0.0;
+    StateMatrix<D> gain;
+    StateMatrix<D> end_gain;
+    // S^-1
+    StateMatrix<D> information;
+    double surprise = 0.0;
+    StateMatrix<D> end_weight;
+    StateMatrix<D> end_certainty;
   };
-
-  // Predicts and corrects; the innovation's squared Mahalanobis distance.
-  static double Update(const Step& step, const Hypothesis& hypothesis,
-                       const StateVector<D>& mismatch, StateVector<D>* drift) {
-    const double turn = (*drift)(D - 1);
-    (*drift)(0) -= step.step_y * turn;
-    (*drift)(1) += step.step_x * turn;
-    StateVector<D> innovation = mismatch - *drift;
-    innovation(D - 1) = WrapHeading(innovation(D - 1));
-    *drift += hypothesis.gain * innovation;
-    return innovation.dot(hypothesis.information * innovation);
-  }
 
   std::vector<Step> steps_;
 };

@@ -9,6 +9,7 @@
 
 #include <Eigen/Core>
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
@@ -102,6 +103,19 @@ StateMatrix<D> ToMatrix(const ErrorTransition& transition) {
     }
   }
   return matrix;
+}
+
+// The turn of a state by `angle` about z.
+template <int D>
+StateMatrix<D> TurnAbout(double angle) {
+  StateMatrix<D> turn = StateMatrix<D>::Identity();
+  const double c = std::cos(angle);
+  const double s = std::sin(angle);
+  turn(0, 0) = c;
+  turn(0, 1) = -s;
+  turn(1, 0) = s;
+  turn(1, 1) = c;
+  return turn;
 }
 
 // Takes the upper triangle. Entries of z are 0 if D is 3.

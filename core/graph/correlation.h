@@ -59,6 +59,46 @@ StateMatrix<D> DifferenceCovariance(const PoseGraph& graph,
                                     CorrelationModel model, NodeIndex i,
                                     NodeIndex j);
 
+// Calls visit(i, Gamma) for the query node and each node i in [0, count), in any
+// order. O(count) in every model. REQUIRES: count <= query.
+template <int D, typename Visit>
+void VisitDifferenceCovariances(const PoseGraph& graph, CorrelationModel model,
+                                NodeIndex query, NodeIndex count,
+                                const Visit& visit) {
+  const Pose& query_pose = graph.node(query).pose;
+  const StateMatrix<D> query_covariance =
+      ToMatrix<D>(graph.node(query).covariance);
+  const auto call = [&](NodeIndex i, const StateMatrix<D>& psi) {
+    visit(i, DifferenceCovariance<D>(ToMatrix<D>(graph.node(i).covariance),
+                                     query_covariance, psi));
+  };
+  switch (model) {
+    case CorrelationModel::kDeadReckoning:
+      for (NodeIndex i = 0; i < count; ++i) {
+        call(i, DeadReckoningTransition<D>(graph.node(i).pose, query_pose));
+      }
+      return;
+    case CorrelationModel::kIndependent:
+      for (NodeIndex i = 0; i < count; ++i) call(i, StateMatrix<D>::Zero());
+      return;
+    case CorrelationModel::kFilter: {
+      // One product, run backward from the query past every node.
+      StateMatrix<D> psi = StateMatrix<D>::Identity();
+      bool decorrelated = false;
+      for (NodeIndex i = query; i >= 0; --i) {
+        if (i < count) call(i, psi);
+        if (decorrelated || i == 0) continue;
+        psi *= ToMatrix<D>(graph.transition(i));
+        if (psi.template lpNorm<Eigen::Infinity>() < kDecorrelatedNorm) {
+          psi.setZero();
+          decorrelated = true;
+        }
+      }
+      return;
+    }
+  }
+}
+
 }  // namespace revisit::core
 
 #endif  // REVISIT_CORE_GRAPH_CORRELATION_H_

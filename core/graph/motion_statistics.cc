@@ -1,8 +1,11 @@
 #include "core/graph/motion_statistics.h"
 
 #include <Eigen/Eigenvalues>
+#include <algorithm>
 #include <cassert>
 #include <cmath>
+#include <cstddef>
+#include <numeric>
 
 namespace revisit::core {
 namespace {
@@ -10,13 +13,7 @@ namespace {
 // R^T m R, with R the turn by `heading` about z.
 template <int D>
 StateMatrix<D> InVehicleAxes(const StateMatrix<D>& m, double heading) {
-  StateMatrix<D> r = StateMatrix<D>::Identity();
-  const double c = std::cos(heading);
-  const double s = std::sin(heading);
-  r(0, 0) = c;
-  r(0, 1) = -s;
-  r(1, 0) = s;
-  r(1, 1) = c;
+  const StateMatrix<D> r = TurnAbout<D>(heading);
   return r.transpose() * m * r;
 }
 
@@ -48,8 +45,6 @@ MotionStatistics<D> MeasureMotion(const PoseGraph& graph,
     }
     const Pose& earlier = graph.node(i - 1).pose;
     const Pose& later = graph.node(i).pose;
-    const double turn = Difference(later, earlier).heading;
-    statistics.squared_turn += turn * turn;
     ++statistics.steps;
     const StateMatrix<D> covariance = ToMatrix<D>(graph.node(i).covariance);
     if (model == CorrelationModel::kIndependent) {
@@ -71,11 +66,51 @@ MotionStatistics<D> MeasureMotion(const PoseGraph& graph,
   }
   if (statistics.steps > 0) {
     const double count = static_cast<double>(statistics.steps);
-    statistics.squared_turn /= count;
     statistics.drift = WithoutNegativePart<D>(drift / count);
     statistics.jitter = WithoutNegativePart<D>(jitter / count);
   }
   return statistics;
+}
+
+std::vector<double> ShareOfStretches(const PoseGraph& graph, NodeIndex last,
+                                     NodeIndex stretch_nodes,
+                                     const std::vector<double>& turns,
+                                     double tolerance_radians) {
+  assert(last < graph.size() && stretch_nodes >= 1);
+  // Between two neighbouring bounds, all stretches count for the same turns.
+  std::vector<double> bounds;
+  for (const double turn : turns) {
+    bounds.push_back(turn - tolerance_radians);
+    bounds.push_back(turn + tolerance_radians);
+  }
+  std::sort(bounds.begin(), bounds.end());
+  const auto bin = [&bounds](double turn) {
+    return static_cast<std::size_t>(
+        std::upper_bound(bounds.begin(), bounds.end(), turn) - bounds.begin());
+  };
+  std::vector<std::int64_t> counts(bounds.size() + 1);
+  std::int64_t stretches = 0;
+  for (NodeIndex start = 0; start <= last;) {
+    const NodeIndex end = std::min(graph.SegmentEnd(start), last + 1);
+    for (NodeIndex i = start + stretch_nodes; i < end; ++i) {
+      ++counts[bin(Difference(graph.node(i).pose,
+                              graph.node(i - stretch_nodes).pose)
+                       .heading)];
+      ++stretches;
+    }
+    start = end;
+  }
+  // Stretches below each bound.
+  std::partial_sum(counts.begin(), counts.end(), counts.begin());
+  std::vector<double> shares;
+  for (const double turn : turns) {
+    const std::int64_t within =
+        counts[bin(turn + tolerance_radians) - 1] -
+        counts[bin(turn - tolerance_radians) - 1];
+    shares.push_back((1.0 + static_cast<double>(within)) /
+                     (1.0 + static_cast<double>(stretches)));
+  }
+  return shares;
 }
 
 template MotionStatistics<3> MeasureMotion<3>(const PoseGraph&,

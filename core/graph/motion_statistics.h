@@ -4,6 +4,7 @@
 #define REVISIT_CORE_GRAPH_MOTION_STATISTICS_H_
 
 #include <cstdint>
+#include <vector>
 
 #include "core/geometry/pose.h"
 #include "core/graph/correlation.h"
@@ -27,8 +28,6 @@ struct MotionStatistics {
   // Covariance of the error that each node has for itself: S_i for kIndependent,
   // else zero.
   StateMatrix<D> jitter = StateMatrix<D>::Zero();
-  // Mean squared change of heading, rad^2.
-  double squared_turn = 0.0;
 };
 
 // Over nodes [0, last]. Both covariances are positive semidefinite: means that
@@ -37,6 +36,15 @@ struct MotionStatistics {
 template <int D>
 MotionStatistics<D> MeasureMotion(const PoseGraph& graph,
                                   CorrelationModel model, NodeIndex last);
+
+// How common turns are among the vehicle's own: for each of the turns given (rad),
+// the share of all stretches of `stretch_nodes` steps within nodes [0, last] that
+// turn by as much to within `tolerance_radians`, with one more that does, so that
+// it is never 0. O(last log(turns)).
+std::vector<double> ShareOfStretches(const PoseGraph& graph, NodeIndex last,
+                                     NodeIndex stretch_nodes,
+                                     const std::vector<double>& turns,
+                                     double tolerance_radians);
 
 }  // namespace revisit::core
 
