@@ -107,6 +107,7 @@ void KeepBest(int count, std::vector<Candidate>* candidates) {
 Engine::Engine(const EngineSettings& settings)
     : settings_(settings), resampler_(MakeResamplerOptions(settings)) {
   assert(FindProblems(settings).empty());
+  UpdateConsistency();
   ScheduleNextCheck();
 }
 
@@ -160,6 +161,7 @@ void Engine::ChangeSettings(const EngineSettings& settings,
          settings.max_step_meters == settings_.max_step_meters);
   settings_ = settings;
   revision_ = revision;
+  UpdateConsistency();
   ScheduleNextCheck();
 }
 
@@ -178,8 +180,10 @@ void Engine::AddLoopClosure(std::uint64_t query_sequence,
   assert(revision > revision_);
   if (const auto edge = LoopEdge(query_sequence, matched_sequence)) {
     graph_.AddLoopEdge(edge->first, edge->second);
+    confirmed_.push_back({edge->first, edge->second});
   }
   revision_ = revision;
+  UpdateConsistency();
 }
 
 void Engine::RemoveLoopClosure(std::uint64_t query_sequence,
@@ -188,8 +192,14 @@ void Engine::RemoveLoopClosure(std::uint64_t query_sequence,
   assert(revision > revision_);
   if (const auto edge = LoopEdge(query_sequence, matched_sequence)) {
     graph_.RemoveLoopEdge(edge->first, edge->second);
+    const auto found = std::find_if(
+        confirmed_.begin(), confirmed_.end(), [&](const ConfirmedLoop& loop) {
+          return loop.query == edge->first && loop.matched == edge->second;
+        });
+    if (found != confirmed_.end()) confirmed_.erase(found);
   }
   revision_ = revision;
+  UpdateConsistency();
 }
 
 void Engine::AddRejection(std::uint64_t query_sequence,
@@ -216,6 +226,12 @@ void Engine::RemoveRejection(std::uint64_t query_sequence,
 }
 
 void Engine::UpdateConsistency() {
+  ConsistencyOptions options;
+  options.similarity = MakeSimilarityModel(settings_.search);
+  options.gate_probability = settings_.search.gate_probability;
+  options.applied = settings_.apply_inflation;
+  options.max_inflation = settings_.max_inflation;
+  consistency_ = EstimateConsistency(graph_, options, confirmed_);
   consistency_.rejected = static_cast<std::int64_t>(rejected_.size());
 }
 
@@ -268,6 +284,16 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
   }
   if (set.candidates.empty()) return empty(EmptyReason::kNoAlignment);
   return set;
+}
+
+std::optional<ConfirmedLoop> Engine::LastConfirmed(NodeIndex query) const {
+  std::optional<ConfirmedLoop> last;
+  for (const ConfirmedLoop& loop : confirmed_) {
+    const NodeIndex later = std::max(loop.query, loop.matched);
+    if (later > query) continue;
+    if (!last || later >= std::max(last->query, last->matched)) last = loop;
+  }
+  return last;
 }
 
 SimilarityModel Engine::MakeSimilarityModel(
@@ -342,6 +368,9 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
   model.road_spacing_meters = options.road_spacing_meters;
   model.same_direction = options.direction != SearchDirection::kOpposite;
   model.opposite_direction = options.direction != SearchDirection::kSame;
+  if (model.similarity.correlation == CorrelationModel::kDeadReckoning) {
+    model.last_confirmed = LastConfirmed(query);
+  }
   const std::optional<RelativeAlignment> alignment = AlignRelative(
       graph_, model, query, steps, history_size, should_stop);
   if (!alignment) return Stopped();

@@ -161,6 +161,8 @@ class Engine {
       std::uint64_t query_sequence, std::uint64_t matched_sequence) const;
   void ScheduleNextCheck();
   void UpdateConsistency();
+  // The last one whose nodes both lie at or before the query.
+  std::optional<ConfirmedLoop> LastConfirmed(NodeIndex query) const;
   SimilarityModel MakeSimilarityModel(const SearchOptions& options) const;
   // Makes impossible what is not to be offered at the query: what is near it,
   // and what was rejected there.
@@ -183,8 +185,8 @@ class Engine {
   DistanceResampler resampler_;
   std::uint64_t last_sequence_ = 0;
   std::uint64_t revision_ = 0;
-  // Nodes of verified pairs (query, matched), in the order they came.
-  std::vector<std::pair<NodeIndex, NodeIndex>> confirmed_;
+  // Nodes of verified pairs, in the order they came.
+  std::vector<ConfirmedLoop> confirmed_;
   std::vector<std::pair<NodeIndex, NodeIndex>> rejected_;
   Consistency consistency_;
   // Number of the next check: it is due at this many check intervals.

@@ -52,6 +52,10 @@ class RelativeAligner {
                 model.shape, model.similarity.tolerance, model.spacing_meters,
                 model.similarity.inflation) {
     result_.size_ = history_size;
+    if (model.last_confirmed) {
+      known_drift_.emplace(graph, model.similarity, *model.last_confirmed,
+                           query);
+    }
     joined_.resize(Position(size_) + 1);
     for (NodeIndex i = 0; i < size_;) {
       const NodeIndex end = std::min(graph.SegmentEnd(i), size_);
@@ -139,17 +143,34 @@ class RelativeAligner {
     }
   }
 
-  SimilarityModel Anchor(std::size_t way) const {
+  // Calls visit(j, d_j, Gamma_j + R) for all of history, walked this way.
+  template <typename Visit>
+  void VisitAnchors(std::size_t way, const Visit& visit) const {
     SimilarityModel anchor = model_.similarity;
-    anchor.form = LikelihoodForm::kGaussian;
     anchor.direction = DirectionOf(way);
-    return anchor;
+    const Pose& query = graph_.node(query_).pose;
+    VisitDifferenceCovariances<D>(
+        graph_, anchor.correlation, query_, size_,
+        [&](NodeIndex j, const StateMatrix<D>& gamma) {
+          StateMatrix<D> covariance = ToleratedCovariance<D>(anchor, gamma);
+          StateVector<D> difference =
+              ToVector<D>(PassDifference(anchor, query, graph_.node(j).pose));
+          if (known_drift_) known_drift_->Apply(j, &difference, &covariance);
+          visit(j, difference, covariance);
+        });
   }
 
   // A survivor at every node, by the anchor of the end poses alone.
   void Seed(std::size_t way) {
     std::vector<double>& anchors = result_.scores_[way];
-    LogSimilarityColumn(graph_, Anchor(way), query_, size_, &anchors);
+    anchors.resize(Position(size_), kImpossible);
+    VisitAnchors(way, [&](NodeIndex j, const StateVector<D>& difference,
+                          const StateMatrix<D>& covariance) {
+      if (const auto terms = Evaluate<D>(covariance, difference)) {
+        anchors[Position(j)] =
+            -0.5 * (terms->log_determinant + terms->squared_mahalanobis);
+      }
+    });
     result_.matches_[way].resize(Position(size_));
     end_drifts_[way].resize(Position(size_), StateVector<D>::Zero());
     for (NodeIndex j = 0; j < size_; ++j) {
@@ -170,9 +191,8 @@ class RelativeAligner {
 
   // Makes scores of the anchors.
   void Score(std::size_t way) {
-    const SimilarityModel anchor = Anchor(way);
-    const Pose& query = graph_.node(query_).pose;
-    const StateMatrix<D> to_frame = TurnAbout<D>(query.heading);
+    const StateMatrix<D> to_frame =
+        TurnAbout<D>(graph_.node(query_).pose.heading);
     std::vector<StateMatrix<D>> certainties;
     for (std::int64_t t = 0; t < filter_.size(); ++t) {
       certainties.push_back(to_frame * filter_.EndCertainty(t) *
@@ -184,30 +204,25 @@ class RelativeAligner {
     const double constant =
         -0.5 * D * std::log(2.0 * kPi) - std::log(density);
     std::vector<double>& scores = result_.scores_[way];
-    VisitDifferenceCovariances<D>(
-        graph_, anchor.correlation, query_, size_,
-        [&](NodeIndex j, const StateMatrix<D>& gamma) {
-          double& score = scores[Position(j)];
-          if (score == kImpossible) return;
-          ShapeMatch& match = result_.matches_[way][Position(j)];
-          const StateMatrix<D> covariance =
-              ToleratedCovariance<D>(anchor, gamma);
-          const StateVector<D> d = ToVector<D>(
-              PassDifference(anchor, query, graph_.node(j).pose));
-          std::optional<QuadraticForm> terms = Evaluate<D>(
-              covariance - certainties[static_cast<std::size_t>(match.steps)],
-              d + to_frame * end_drifts_[way][Position(j)]);
-          // An end that is more certain than the mean node of its path is better
-          // judged by itself.
-          if (!terms) terms = Evaluate<D>(covariance, d);
-          if (!terms) {
-            score = kImpossible;
-            return;
-          }
-          match.squared_end_difference = terms->squared_mahalanobis;
-          score = -0.5 * (terms->squared_mahalanobis + terms->log_determinant) +
-                  weight_ * match.log_likelihood_ratio + constant;
-        });
+    VisitAnchors(way, [&](NodeIndex j, const StateVector<D>& difference,
+                          const StateMatrix<D>& covariance) {
+      double& score = scores[Position(j)];
+      if (score == kImpossible) return;
+      ShapeMatch& match = result_.matches_[way][Position(j)];
+      std::optional<QuadraticForm> terms = Evaluate<D>(
+          covariance - certainties[static_cast<std::size_t>(match.steps)],
+          difference + to_frame * end_drifts_[way][Position(j)]);
+      // An end that is more certain than the mean node of its path is better
+      // judged by itself.
+      if (!terms) terms = Evaluate<D>(covariance, difference);
+      if (!terms) {
+        score = kImpossible;
+        return;
+      }
+      match.squared_end_difference = terms->squared_mahalanobis;
+      score = -0.5 * (terms->squared_mahalanobis + terms->log_determinant) +
+              weight_ * match.log_likelihood_ratio + constant;
+    });
   }
 
   // Nodes of one road, next to each other.
@@ -292,7 +307,7 @@ class RelativeAligner {
     match.log_likelihood_ratio = survivor.log_likelihood_ratio;
     match.squared_innovations = survivor.squared_innovations;
     end_drifts_[survivor.end_way][Position(survivor.end)] =
-        filter_.EndDrift(t, survivor.drift);
+        survivor.drift.at_end;
     match.steps = static_cast<std::int32_t>(t);
     match.last = static_cast<std::int32_t>(survivor.node);
     match.last_direction = DirectionOf(survivor.way);
@@ -304,6 +319,7 @@ class RelativeAligner {
   const NodeIndex size_;
   const double weight_;
   const ShapeFilter<D> filter_;
+  std::optional<KnownDrift<D>> known_drift_;
   // Whether node i has an edge to node i - 1.
   std::vector<char> joined_;
   // Of all paths that reach one node at one step, walking one way, the best.

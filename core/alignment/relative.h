@@ -6,7 +6,7 @@
 // once by its own covariance (the anchor). For history node j,
 //
 //   score(j) = ln N(d_j + a; 0, Gamma_j + R - A) + w LLR(q) - ln rho,
-//
+////
 // the log-odds of "the end is at node j" against "at no node of the history".
 // - q is the path of history back from j with the greatest LLR, of any length up
 //   to the recent path's: the vehicle may have joined the old road only just now.
@@ -17,6 +17,8 @@
 //   q, and A by how much that is more certain than R says. Both 0 where q is the
 //   end alone. This is the joint density of the whole window, factored: shape with
 //   nothing known of the drift, times the drift that the shape has shown.
+// - d_j and Gamma_j are those of the two nodes, given what the last confirmed loop
+//   closure has shown of the drift (known_drift.h).
 // - rho is the density of nodes on roads not driven, per m^2 and rad: roads at a
 //   mean distance B hold 2 / B metres of road a square metre, with nodes at
 //   spacing s, and each can be driven both ways:
@@ -40,6 +42,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/alignment/known_drift.h"
 #include "core/alignment/log_similarity.h"
 #include "core/alignment/shape_filter.h"
 #include "core/alignment/viterbi.h"
@@ -67,6 +70,9 @@ struct RelativeModel {
   double road_spacing_meters = 200.0;
   bool same_direction = true;
   bool opposite_direction = false;
+  // What is known of the drift. kDeadReckoning only; both nodes at or before the
+  // query.
+  std::optional<ConfirmedLoop> last_confirmed;
 };
 
 // The best path back from one history node.

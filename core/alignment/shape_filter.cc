@@ -88,7 +88,6 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph, NodeIndex query,
   StateMatrix<D> end_covariance = end_prior;
   steps_.resize(static_cast<std::size_t>(steps));
   steps_[0].path.setZero();
-  steps_[0].end_weight.setZero();
   steps_[0].end_certainty.setZero();
   for (std::int64_t t = 1; t < steps; ++t) {
     Step& step = steps_[static_cast<std::size_t>(t)];
@@ -117,12 +116,10 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph, NodeIndex query,
         Symmetric<D>(end_covariance - step.end_gain * end_cross.transpose());
     end_cross = (end_cross * kept.transpose()).eval();
 
-    const StateMatrix<D> end_information = Inverse<D>(end_covariance);
-    const StateMatrix<D> weighed =
-        Inverse<D>(end_prior_information +
-                   weight * (end_information - end_prior_information));
-    step.end_weight = weight * weighed * end_information;
-    step.end_certainty = end_prior - weighed;
+    const StateMatrix<D> gathered =
+        Inverse<D>(end_covariance) - end_prior_information;
+    step.end_certainty =
+        end_prior - Inverse<D>(end_prior_information + weight * gathered);
     step.surprise = -std::log(shares[static_cast<std::size_t>(t)]);
   }
 }

@@ -70,7 +70,7 @@ class ShapeFilter {
   // What the filter knows of one other path.
   struct Drift {
     StateVector<D> now = StateVector<D>::Zero();
-    // drift_0, as if all nodes strayed independently.
+    // drift_0, in the axes of the vehicle at the end of the path.
     StateVector<D> at_end = StateVector<D>::Zero();
   };
   // What one step brought.
@@ -108,11 +108,8 @@ class ShapeFilter {
     return {squared, step.surprise - 0.5 * squared};
   }
 
-  // drift_0 after step t, in the axes of the vehicle at the end of the path.
-  StateVector<D> EndDrift(std::int64_t t, const Drift& drift) const {
-    return steps_[static_cast<std::size_t>(t)].end_weight * drift.at_end;
-  }
-  // By how much the covariance of drift_0 has shrunk by then, in these axes.
+  // By how much the covariance of drift_0 has shrunk after step t, in the same
+  // axes.
   const StateMatrix<D>& EndCertainty(std::int64_t t) const {
     return steps_[static_cast<std::size_t>(t)].end_certainty;
   }
@@ -129,7 +126,6 @@ class ShapeFilter {
     // S^-1
     StateMatrix<D> information;
     double surprise = 0.0;
-    StateMatrix<D> end_weight;
     StateMatrix<D> end_certainty;
   };
 

@@ -1,10 +1,29 @@
 // Whether the claimed covariances are as large as the errors that confirmed loop
 // closures have shown.
+//
+// A confirmed pair is one place, so its difference d is drawn from
+// N(0, f^2 Gamma + R), f being what the claimed standard deviations would have to
+// be multiplied by. f is estimated from all confirmed pairs in the order in which
+// they came: the posterior mean of ln f on [0, ln max], with a normal prior that
+// takes honest filters for likely and a factor of two for rare. Pairs that lie
+// within the gate were perhaps only looked at since they do: their likelihood is
+// that of a distribution cut off by the gate in force when they came,
+//
+//   ln N(d; 0, f^2 Gamma + R) - ln P(gate passes | f).
+//
+// P is that of a weighted sum of chi-squares, by Satterthwaite's approximation
+// ("An approximate distribution of estimates of variance components", Biometrics
+// Bulletin 2 (1946)).
 #ifndef REVISIT_CORE_CANDIDATES_CONSISTENCY_H_
 #define REVISIT_CORE_CANDIDATES_CONSISTENCY_H_
 
 #include <cstdint>
 #include <optional>
+#include <vector>
+
+#include "core/alignment/known_drift.h"
+#include "core/alignment/log_similarity.h"
+#include "core/graph/pose_graph.h"
 
 namespace revisit::core {
 
@@ -15,10 +34,26 @@ struct Consistency {
   // Mean of d^T (Gamma + R)^-1 d over the confirmed ones, as claimed.
   std::optional<double> mean_normalized_innovation_squared;
   int degrees_of_freedom = 3;
-  // What every claimed standard deviation would have to be multiplied by, in
-  // [1, EngineSettings::max_inflation].
+  // f, 1 before the first confirmed pair.
   double inflation = 1.0;
 };
+
+// Standard deviation of the prior of ln f.
+inline constexpr double kInflationPrior = 0.25;
+
+struct ConsistencyOptions {
+  // Direction and inflation are ignored.
+  SimilarityModel similarity;
+  double gate_probability = 0.95;
+  // Whether searches apply the inflation, so that the gate was as wide.
+  bool applied = false;
+  double max_inflation = 10.0;
+};
+
+// All but `rejected`. O(confirmed), but with FILTER for each what lies between.
+Consistency EstimateConsistency(const PoseGraph& graph,
+                                const ConsistencyOptions& options,
+                                const std::vector<ConfirmedLoop>& confirmed);
 
 }  // namespace revisit::core
 

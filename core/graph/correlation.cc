@@ -40,6 +40,17 @@ StateMatrix<D> DifferenceCovariance(const PoseGraph& graph,
       PropagatedError<D>(graph, model, earlier, later));
 }
 
+template <int D>
+StateMatrix<D> CrossCovariance(const PoseGraph& graph, CorrelationModel model,
+                               NodeIndex i, NodeIndex j) {
+  const NodeIndex earlier = std::min(i, j);
+  const StateMatrix<D> carried =
+      PropagatedError<D>(graph, model, earlier, std::max(i, j)) *
+      ToMatrix<D>(graph.node(earlier).covariance);
+  if (j == earlier) return carried;
+  return carried.transpose();
+}
+
 template StateMatrix<3> PropagatedError<3>(const PoseGraph&, CorrelationModel,
                                            NodeIndex, NodeIndex);
 template StateMatrix<4> PropagatedError<4>(const PoseGraph&, CorrelationModel,
@@ -50,5 +61,10 @@ template StateMatrix<3> DifferenceCovariance<3>(const PoseGraph&,
 template StateMatrix<4> DifferenceCovariance<4>(const PoseGraph&,
                                                 CorrelationModel, NodeIndex,
                                                 NodeIndex);
+
+template StateMatrix<3> CrossCovariance<3>(const PoseGraph&, CorrelationModel,
+                                           NodeIndex, NodeIndex);
+template StateMatrix<4> CrossCovariance<4>(const PoseGraph&, CorrelationModel,
+                                           NodeIndex, NodeIndex);
 
 }  // namespace revisit::core

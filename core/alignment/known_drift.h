@@ -1,0 +1,57 @@
+// What a confirmed loop closure tells of the drift at other pairs of nodes.
+//
+// The closure (c, m) says that the true poses of c and m are one place, so that
+// their estimated difference y is the error e_c - e_m, but for a tolerance R_c. The
+// error of another pair, e_q - e_j, hangs together with it:
+//
+//   X = Cov(e_q - e_j, e_c - e_m) = S_qc - S_qm - S_jc + S_jm,
+//
+// and given y it has the mean K y and the covariance Gamma_qj - K X^T, with
+// K = X (Gamma_cm + R_c)^-1: the update of a Kalman filter.
+#ifndef REVISIT_CORE_ALIGNMENT_KNOWN_DRIFT_H_
+#define REVISIT_CORE_ALIGNMENT_KNOWN_DRIFT_H_
+
+#include "core/alignment/log_similarity.h"
+#include "core/geometry/pose.h"
+#include "core/graph/pose_graph.h"
+
+namespace revisit::core {
+
+// R_c: a verifier confirms that two poses are one place, which is some 10 m wide
+// (two standard deviations), and not how they lie to each other.
+inline constexpr PlaceTolerance kConfirmedTolerance{5.0, 0.15};
+
+struct ConfirmedLoop {
+  NodeIndex query = 0;
+  NodeIndex matched = 0;
+};
+
+// Of one query node.
+template <int D>
+class KnownDrift {
+ public:
+  // For kDeadReckoning, where S is O(1); the other models forget what a closure
+  // tells before it is needed, or nearly so.
+  // `gamma_loop` must be well-conditioned with R_c.
+  KnownDrift(const PoseGraph& graph, const SimilarityModel& model,
+             const ConfirmedLoop& loop, NodeIndex query);
+
+  // Takes K y from the difference of the query and node j, and K X^T from its
+  // covariance.
+  void Apply(NodeIndex j, StateVector<D>* difference,
+             StateMatrix<D>* covariance) const;
+
+ private:
+  const PoseGraph& graph_;
+  const ConfirmedLoop loop_;
+  const double variance_scale_;
+  // S_qc - S_qm
+  StateMatrix<D> query_part_;
+  // (Gamma_cm + R_c)^-1
+  StateMatrix<D> information_;
+  StateVector<D> loop_difference_;
+};
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_ALIGNMENT_KNOWN_DRIFT_H_
