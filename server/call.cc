@@ -103,7 +103,7 @@ absl::Status WithRequestId(const absl::Status& status, const std::string& id) {
 }  // namespace
 
 absl::Status MalformedMessage() {
-  return Error(absl::StatusCode::kInternal, "INTERNAL",
+  return Error(absl::StatusCode::kInvalidArgument, "STREAM_PROTOCOL",
                "a message of the stream is not a valid protobuf");
 }
 

@@ -242,46 +242,85 @@ absl::Status Find(const UnaryCall& call, const VehicleView& view,
   return absl::OkStatus();
 }
 
-// The record that a request asks for.
-absl::StatusOr<LoopClosureRecord> DecodeLoopClosure(
-    const v1::AddLoopClosureRequest& request) {
-  const v1::LoopClosure& closure = request.loop_closure();
-  const FieldPath path = kRequest.Field("loop_closure");
-  Violations violations;
-  if (!request.has_loop_closure()) {
-    violations.Add("INVALID_FIELD", path, "required");
-    return violations.ToStatus();
-  }
-  if (closure.query_sequence() == 0) {
-    violations.Add("INVALID_FIELD", path.Field("query_sequence"),
-                   "required: sequences start at 1");
-  }
-  if (closure.matched_sequence() == 0) {
-    violations.Add("INVALID_FIELD", path.Field("matched_sequence"),
-                   "required: sequences start at 1");
-  } else if (closure.query_sequence() != 0 &&
-             closure.matched_sequence() >= closure.query_sequence()) {
-    violations.Add("INVALID_FIELD", path.Field("matched_sequence"),
-                   "got " + std::to_string(closure.matched_sequence()) +
-                       "; allowed is less than query_sequence, " +
-                       std::to_string(closure.query_sequence()));
-  }
-  if (violations.count() > 0) return violations.ToStatus();
-  LoopClosureRecord record;
-  record.id = request.loop_closure_id();
-  if (record.id.empty()) {
-    record.id = std::to_string(closure.query_sequence()) + "-" +
-                std::to_string(closure.matched_sequence());
-  }
-  if (absl::Status status =
-          CheckId(record.id, kRequest.Field("loop_closure_id"));
-      !status.ok()) {
-    return status;
-  }
-  record.query_sequence = closure.query_sequence();
-  record.matched_sequence = closure.matched_sequence();
-  record.create_time_ns = NowNanoseconds();
-  return record;
+// Adds a pair of poses to the vehicle that `parent` names. `pair` is null if it
+// was left out; `added` is where the stored one goes, in `response`.
+template <typename Pair, typename Response>
+absl::Status AddPair(const ServiceContext& context, const UnaryCallPtr& call,
+                     PairKind kind, const std::string& parent,
+                     const std::string& id, const Pair* pair,
+                     Pair* (Response::*added)(), Response* response) {
+  const absl::StatusOr<std::string> vehicle =
+      ParseVehicleName(parent, kRequest.Field("parent"));
+  if (!vehicle.ok()) return vehicle.status();
+  call->set_vehicle(*vehicle);
+  absl::StatusOr<PosePairRecord> record = DecodePosePair(pair, id);
+  if (!record.ok()) return record.status();
+  record->create_time_ns = NowNanoseconds();
+  using Stored = std::pair<PosePairRecord, std::uint64_t>;
+  context.fleet->Session(*vehicle)->AddPosePair(
+      kind, *std::move(record),
+      FinishWith<Stored>(
+          call, [=, id_of_vehicle = *vehicle](const auto& stored) {
+            EncodePosePair(id_of_vehicle, stored.first, (response->*added)());
+            response->set_revision(stored.second);
+            return absl::OkStatus();
+          }));
+  return absl::OkStatus();
+}
+
+// Lists the pairs of the vehicle that the request's parent names; they go to
+// `page`, in `response`.
+template <typename Pair, typename Request, typename Response>
+absl::Status ListPairs(const ServiceContext& context, const UnaryCallPtr& call,
+                       PairKind kind, const std::string& method,
+                       const Request& request,
+                       google::protobuf::RepeatedPtrField<Pair>* page,
+                       Response* response) {
+  const auto session = SessionOf(context, request.parent(),
+                                 kRequest.Field("parent"), call.get());
+  if (!session.ok()) return session.status();
+  const std::string list = method + " " + request.parent();
+  const absl::StatusOr<int> page_size =
+      PageSize(request.page_size(), 100, 1000);
+  if (!page_size.ok()) return page_size.status();
+  const absl::StatusOr<std::string> after =
+      ParsePageToken(list, request.page_token());
+  if (!after.ok()) return after.status();
+  (*session)->Read(FinishWith<VehicleView>(
+      call, [=, storage = context.storage](const VehicleView& view) {
+        const auto records =
+            storage->ListPosePairs(view.key, kind, *after, *page_size + 1);
+        if (!records.ok()) return records.status();
+        std::string last;
+        for (const PosePairRecord& record : *records) {
+          if (page->size() == *page_size) {
+            response->set_next_page_token(MakePageToken(list, last));
+            break;
+          }
+          EncodePosePair(view.id, record, page->Add());
+          last = record.id;
+        }
+        return absl::OkStatus();
+      }));
+  return absl::OkStatus();
+}
+
+template <typename Response>
+absl::Status DeletePair(const ServiceContext& context, const UnaryCallPtr& call,
+                        PairKind kind, const std::string& name,
+                        Response* response) {
+  const absl::StatusOr<PosePairName> parsed =
+      ParsePosePairName(kind, name, kRequest.Field("name"));
+  if (!parsed.ok()) return parsed.status();
+  call->set_vehicle(parsed->vehicle_id);
+  context.fleet->Session(parsed->vehicle_id)
+      ->DeletePosePair(
+          kind, parsed->id,
+          FinishWith<std::uint64_t>(call, [=](std::uint64_t revision) {
+            response->set_revision(revision);
+            return absl::OkStatus();
+          }));
+  return absl::OkStatus();
 }
 
 }  // namespace
@@ -466,21 +505,11 @@ grpc::ServerUnaryReactor* PoseGraphService::AddLoopClosure(
     const v1::AddLoopClosureRequest* request,
     v1::AddLoopClosureResponse* response) {
   return Unary(call_context, "AddLoopClosure", [=](const UnaryCallPtr& call) {
-    const absl::StatusOr<std::string> id =
-        ParseVehicleName(request->parent(), kRequest.Field("parent"));
-    if (!id.ok()) return id.status();
-    call->set_vehicle(*id);
-    absl::StatusOr<LoopClosureRecord> record = DecodeLoopClosure(*request);
-    if (!record.ok()) return record.status();
-    using Added = std::pair<LoopClosureRecord, std::uint64_t>;
-    context_.fleet->Session(*id)->AddLoopClosure(
-        *std::move(record),
-        FinishWith<Added>(call, [response, id = *id](const Added& added) {
-          EncodeLoopClosure(id, added.first, response->mutable_loop_closure());
-          response->set_revision(added.second);
-          return absl::OkStatus();
-        }));
-    return absl::OkStatus();
+    return AddPair(
+        context_, call, PairKind::kLoopClosure, request->parent(),
+        request->loop_closure_id(),
+        request->has_loop_closure() ? &request->loop_closure() : nullptr,
+        &v1::AddLoopClosureResponse::mutable_loop_closure, response);
   });
 }
 
@@ -489,33 +518,8 @@ grpc::ServerUnaryReactor* PoseGraphService::ListLoopClosures(
     const v1::ListLoopClosuresRequest* request,
     v1::ListLoopClosuresResponse* response) {
   return Unary(call_context, "ListLoopClosures", [=](const UnaryCallPtr& call) {
-    const auto session = SessionOf(context_, request->parent(),
-                                   kRequest.Field("parent"), call.get());
-    if (!session.ok()) return session.status();
-    const std::string list = "ListLoopClosures " + request->parent();
-    const absl::StatusOr<int> page_size =
-        PageSize(request->page_size(), 100, 1000);
-    if (!page_size.ok()) return page_size.status();
-    const absl::StatusOr<std::string> after =
-        ParsePageToken(list, request->page_token());
-    if (!after.ok()) return after.status();
-    (*session)->Read(FinishWith<VehicleView>(
-        call, [=, storage = context_.storage](const VehicleView& view) {
-          const auto records =
-              storage->ListLoopClosures(view.key, *after, *page_size + 1);
-          if (!records.ok()) return records.status();
-          std::string last;
-          for (const LoopClosureRecord& record : *records) {
-            if (response->loop_closures_size() == *page_size) {
-              response->set_next_page_token(MakePageToken(list, last));
-              break;
-            }
-            EncodeLoopClosure(view.id, record, response->add_loop_closures());
-            last = record.id;
-          }
-          return absl::OkStatus();
-        }));
-    return absl::OkStatus();
+    return ListPairs(context_, call, PairKind::kLoopClosure, "ListLoopClosures",
+                     *request, response->mutable_loop_closures(), response);
   });
 }
 
@@ -523,21 +527,48 @@ grpc::ServerUnaryReactor* PoseGraphService::DeleteLoopClosure(
     grpc::CallbackServerContext* call_context,
     const v1::DeleteLoopClosureRequest* request,
     v1::DeleteLoopClosureResponse* response) {
+  return Unary(call_context, "DeleteLoopClosure",
+               [=](const UnaryCallPtr& call) {
+                 return DeletePair(context_, call, PairKind::kLoopClosure,
+                                   request->name(), response);
+               });
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::RejectCandidate(
+    grpc::CallbackServerContext* call_context,
+    const v1::RejectCandidateRequest* request,
+    v1::RejectCandidateResponse* response) {
+  return Unary(call_context, "RejectCandidate", [=](const UnaryCallPtr& call) {
+    return AddPair(
+        context_, call, PairKind::kRejectedCandidate, request->parent(),
+        request->rejected_candidate_id(),
+        request->has_rejected_candidate() ? &request->rejected_candidate()
+                                          : nullptr,
+        &v1::RejectCandidateResponse::mutable_rejected_candidate, response);
+  });
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::ListRejectedCandidates(
+    grpc::CallbackServerContext* call_context,
+    const v1::ListRejectedCandidatesRequest* request,
+    v1::ListRejectedCandidatesResponse* response) {
   return Unary(
-      call_context, "DeleteLoopClosure", [=](const UnaryCallPtr& call) {
-        const absl::StatusOr<LoopClosureName> name =
-            ParseLoopClosureName(request->name(), kRequest.Field("name"));
-        if (!name.ok()) return name.status();
-        call->set_vehicle(name->vehicle_id);
-        context_.fleet->Session(name->vehicle_id)
-            ->DeleteLoopClosure(
-                name->id,
-                FinishWith<std::uint64_t>(call, [=](std::uint64_t revision) {
-                  response->set_revision(revision);
-                  return absl::OkStatus();
-                }));
-        return absl::OkStatus();
+      call_context, "ListRejectedCandidates", [=](const UnaryCallPtr& call) {
+        return ListPairs(context_, call, PairKind::kRejectedCandidate,
+                         "ListRejectedCandidates", *request,
+                         response->mutable_rejected_candidates(), response);
       });
+}
+
+grpc::ServerUnaryReactor* PoseGraphService::DeleteRejectedCandidate(
+    grpc::CallbackServerContext* call_context,
+    const v1::DeleteRejectedCandidateRequest* request,
+    v1::DeleteRejectedCandidateResponse* response) {
+  return Unary(call_context, "DeleteRejectedCandidate",
+               [=](const UnaryCallPtr& call) {
+                 return DeletePair(context_, call, PairKind::kRejectedCandidate,
+                                   request->name(), response);
+               });
 }
 
 grpc::ServerReadReactor<v1::RevisePosesRequest>* PoseGraphService::RevisePoses(

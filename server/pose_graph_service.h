@@ -52,6 +52,18 @@ class PoseGraphService final : public v1::PoseGraphService::CallbackService {
       grpc::CallbackServerContext* call,
       const v1::DeleteLoopClosureRequest* request,
       v1::DeleteLoopClosureResponse* response) override;
+  grpc::ServerUnaryReactor* RejectCandidate(
+      grpc::CallbackServerContext* call,
+      const v1::RejectCandidateRequest* request,
+      v1::RejectCandidateResponse* response) override;
+  grpc::ServerUnaryReactor* ListRejectedCandidates(
+      grpc::CallbackServerContext* call,
+      const v1::ListRejectedCandidatesRequest* request,
+      v1::ListRejectedCandidatesResponse* response) override;
+  grpc::ServerUnaryReactor* DeleteRejectedCandidate(
+      grpc::CallbackServerContext* call,
+      const v1::DeleteRejectedCandidateRequest* request,
+      v1::DeleteRejectedCandidateResponse* response) override;
   grpc::ServerReadReactor<v1::RevisePosesRequest>* RevisePoses(
       grpc::CallbackServerContext* call,
       v1::RevisePosesResponse* response) override;

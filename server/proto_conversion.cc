@@ -129,10 +129,27 @@ constexpr EnumRow<v1::CorrelationModel, core::CorrelationModel>
 constexpr EnumRow<v1::LikelihoodForm, core::LikelihoodForm> kLikelihoodForms[] =
     {{v1::LIKELIHOOD_FORM_GAUSSIAN, core::LikelihoodForm::kGaussian},
      {v1::LIKELIHOOD_FORM_AS_PRINTED, core::LikelihoodForm::kAsPrinted}};
+constexpr EnumRow<v1::Alignment, core::AlignmentKind> kAlignments[] = {
+    {v1::ALIGNMENT_RELATIVE, core::AlignmentKind::kRelative},
+    {v1::ALIGNMENT_COMPOSITE, core::AlignmentKind::kComposite}};
+constexpr EnumRow<v1::Direction, core::SearchDirection> kSearchDirections[] = {
+    {v1::DIRECTION_SAME, core::SearchDirection::kSame},
+    {v1::DIRECTION_OPPOSITE, core::SearchDirection::kOpposite},
+    {v1::DIRECTION_EITHER, core::SearchDirection::kEither}};
+constexpr EnumRow<v1::Direction, core::Direction> kDirections[] = {
+    {v1::DIRECTION_SAME, core::Direction::kSame},
+    {v1::DIRECTION_OPPOSITE, core::Direction::kOpposite}};
 constexpr EnumRow<v1::CoordinateFrame, CoordinateFrame> kCoordinateFrames[] = {
     {v1::COORDINATE_FRAME_LOCAL, CoordinateFrame::kLocal},
     {v1::COORDINATE_FRAME_GEODETIC, CoordinateFrame::kGeodetic}};
-constexpr EnumRow<v1::GateVerdict, core::GateVerdict> kVerdicts[] = {
+constexpr EnumRow<v1::Verdict, core::Verdict> kVerdicts[] = {
+    {v1::VERDICT_ACCEPTED, core::Verdict::kAccepted},
+    {v1::VERDICT_REJECTED_BY_GATE, core::Verdict::kRejectedByGate},
+    {v1::VERDICT_REJECTED_BY_SHAPE, core::Verdict::kRejectedByShape},
+    {v1::VERDICT_AMBIGUOUS, core::Verdict::kAmbiguous},
+    {v1::VERDICT_UNINFORMATIVE, core::Verdict::kUninformative},
+    {v1::VERDICT_ILL_CONDITIONED, core::Verdict::kIllConditioned}};
+constexpr EnumRow<v1::GateVerdict, core::GateVerdict> kGateVerdicts[] = {
     {v1::GATE_VERDICT_ACCEPTED, core::GateVerdict::kAccepted},
     {v1::GATE_VERDICT_REJECTED, core::GateVerdict::kRejected},
     {v1::GATE_VERDICT_ILL_CONDITIONED, core::GateVerdict::kIllConditioned}};
@@ -211,12 +228,42 @@ void DecodeSearch(const Message& message, const FieldPath& path,
   if (message.has_max_candidates()) {
     search->max_candidates = message.max_candidates();
   }
+  DecodeEnum(kAlignments, message.alignment(), path.Field("alignment"),
+             &search->alignment, violations);
+  if (message.has_acceptance_probability() &&
+      CheckFinite(message.acceptance_probability(),
+                  path.Field("acceptance_probability"), violations)) {
+    search->acceptance_probability = message.acceptance_probability();
+  }
+  if (message.has_road_spacing_meters() &&
+      CheckFinite(message.road_spacing_meters(),
+                  path.Field("road_spacing_meters"), violations)) {
+    search->road_spacing_meters = message.road_spacing_meters();
+  }
+  if (message.has_shape_tolerance()) {
+    DecodeTolerance(message.shape_tolerance(), path.Field("shape_tolerance"),
+                    &search->shape.tolerance, violations);
+  }
+  if (message.has_shape_correlation_meters() &&
+      CheckFinite(message.shape_correlation_meters(),
+                  path.Field("shape_correlation_meters"), violations)) {
+    search->shape.correlation_meters = message.shape_correlation_meters();
+  }
+}
+
+// The field of the messages that a setting of core's comes from.
+std::string FieldOf(const std::string& setting) {
+  const std::string shape = "shape.";
+  return setting.compare(0, shape.size(), shape) == 0
+             ? "shape_" + setting.substr(shape.size())
+             : setting;
 }
 
 void AddProblems(const std::vector<core::SettingProblem>& problems,
                  const FieldPath& path, Violations* violations) {
   for (const core::SettingProblem& problem : problems) {
-    violations->Add(kInvalidField, path.Field(problem.field.c_str()),
+    const std::string field = FieldOf(problem.field);
+    violations->Add(kInvalidField, path.Field(field.c_str()),
                     problem.description);
   }
 }
@@ -769,12 +816,100 @@ void Replace(const v1::Pose& revised, const VehicleConfig& config,
   *stored->mutable_covariance() = revised.covariance();
 }
 
-void EncodeGate(const core::GateResult& result, v1::Gate* gate) {
+void EncodeTolerance(const core::PlaceTolerance& tolerance,
+                     v1::PlaceTolerance* message) {
+  message->set_position_meters(tolerance.position_meters);
+  message->set_heading_radians(tolerance.heading_radians);
+}
+
+// Of the gate at the end, or of the whole path.
+template <typename Result, typename Message>
+void EncodeGate(const Result& result, Message* gate) {
   gate->set_squared_mahalanobis_distance(result.squared_mahalanobis);
   gate->set_degrees_of_freedom(result.degrees_of_freedom);
   gate->set_threshold(result.threshold);
   gate->set_p_value(result.p_value);
-  gate->set_verdict(ToProto(kVerdicts, result.verdict));
+  gate->set_verdict(ToProto(kGateVerdicts, result.verdict));
+}
+
+void EncodeEvidence(const core::RelativeEvidence& evidence,
+                    v1::Candidate* candidate) {
+  candidate->set_probability(evidence.probability);
+  if (evidence.odds_to_runner_up) {
+    candidate->set_odds_to_runner_up(*evidence.odds_to_runner_up);
+  }
+  EncodeGate(evidence.path_gate, candidate->mutable_path_gate());
+  v1::ShapeEvidence* shape = candidate->mutable_shape();
+  shape->set_overlap_meters(evidence.overlap_meters);
+  shape->set_log_likelihood_ratio(evidence.log_likelihood_ratio);
+}
+
+const char* CollectionOf(PairKind kind) {
+  return kind == PairKind::kLoopClosure ? "/loopClosures/"
+                                        : "/rejectedCandidates/";
+}
+
+// LoopClosure and RejectedCandidate have the same fields.
+template <typename Message>
+absl::StatusOr<PosePairRecord> DecodePair(PairKind kind, const Message* pair,
+                                          const std::string& id) {
+  const char* const field = WordsOf(kind).field;
+  const FieldPath request;
+  const FieldPath path = request.Field(field);
+  Violations violations;
+  if (pair == nullptr) {
+    violations.Add(kInvalidField, path, "required");
+    return violations.ToStatus();
+  }
+  if (pair->query_sequence() == 0) {
+    violations.Add(kInvalidField, path.Field("query_sequence"),
+                   "required: sequences start at 1");
+  }
+  if (pair->matched_sequence() == 0) {
+    violations.Add(kInvalidField, path.Field("matched_sequence"),
+                   "required: sequences start at 1");
+  } else if (pair->query_sequence() != 0 &&
+             pair->matched_sequence() >= pair->query_sequence()) {
+    violations.Add(kInvalidField, path.Field("matched_sequence"),
+                   "got " + std::to_string(pair->matched_sequence()) +
+                       "; allowed is less than query_sequence, " +
+                       std::to_string(pair->query_sequence()));
+  }
+  if (violations.count() > 0) return violations.ToStatus();
+  PosePairRecord record;
+  record.id = !id.empty() ? id
+                          : std::to_string(pair->query_sequence()) + "-" +
+                                std::to_string(pair->matched_sequence());
+  const std::string id_field = std::string(field) + "_id";
+  if (absl::Status status = CheckId(record.id, request.Field(id_field.c_str()));
+      !status.ok()) {
+    return status;
+  }
+  record.query_sequence = pair->query_sequence();
+  record.matched_sequence = pair->matched_sequence();
+  return record;
+}
+
+template <typename Message>
+void EncodePair(PairKind kind, const std::string& vehicle_id,
+                const PosePairRecord& record, Message* message) {
+  message->set_name(VehicleName(vehicle_id) + CollectionOf(kind) + record.id);
+  message->set_query_sequence(record.query_sequence);
+  message->set_matched_sequence(record.matched_sequence);
+  EncodeTime(record.create_time_ns, message->mutable_create_time());
+}
+
+void EncodeConsistency(const core::Consistency& consistency, bool applied,
+                       v1::Consistency* message) {
+  message->set_confirmed_count(consistency.confirmed);
+  message->set_rejected_count(consistency.rejected);
+  if (consistency.mean_normalized_innovation_squared) {
+    message->set_mean_normalized_innovation_squared(
+        *consistency.mean_normalized_innovation_squared);
+  }
+  message->set_degrees_of_freedom(consistency.degrees_of_freedom);
+  message->set_inflation(consistency.inflation);
+  message->set_applied(applied);
 }
 
 // Fields of VehicleSettings that the mask names, below `vehicle`.
@@ -869,20 +1004,21 @@ absl::StatusOr<std::string> ParseVehicleName(const std::string& name,
   return id;
 }
 
-absl::StatusOr<LoopClosureName> ParseLoopClosureName(const std::string& name,
-                                                     const FieldPath& path) {
-  const std::string collection = "/loopClosures/";
+absl::StatusOr<PosePairName> ParsePosePairName(PairKind kind,
+                                               const std::string& name,
+                                               const FieldPath& path) {
+  const std::string collection = CollectionOf(kind);
   const std::size_t at = name.find(collection);
   if (at == std::string::npos) {
-    return InvalidField(
-        "INVALID_RESOURCE_NAME", path,
-        "got " + Quoted(name) +
-            "; the form is vehicles/{vehicle}/loopClosures/{loop_closure}");
+    return InvalidField("INVALID_RESOURCE_NAME", path,
+                        "got " + Quoted(name) +
+                            "; the form is vehicles/{vehicle}" + collection +
+                            "{" + WordsOf(kind).field + "}");
   }
   absl::StatusOr<std::string> vehicle =
       ParseVehicleName(name.substr(0, at), path);
   if (!vehicle.ok()) return vehicle.status();
-  LoopClosureName parsed{*vehicle, name.substr(at + collection.size())};
+  PosePairName parsed{*vehicle, name.substr(at + collection.size())};
   if (absl::Status status = CheckId(parsed.id, path); !status.ok()) {
     return status;
   }
@@ -926,6 +1062,14 @@ absl::StatusOr<VehicleConfig> DecodeSettings(
                          path.Field("max_step_meters"), &violations)) {
     engine.max_step_meters = settings.max_step_meters();
   }
+  if (settings.has_apply_inflation()) {
+    engine.apply_inflation = settings.apply_inflation();
+  }
+  if (settings.has_max_inflation() &&
+      CheckFinite(settings.max_inflation(), path.Field("max_inflation"),
+                  &violations)) {
+    engine.max_inflation = settings.max_inflation();
+  }
   DecodeSearch(settings, path, &engine.search, &violations);
   AddProblems(core::FindProblems(engine), path, &violations);
   if (violations.count() > 0) return violations.ToStatus();
@@ -954,11 +1098,16 @@ void EncodeSettings(const VehicleConfig& config,
   settings->set_check_interval_meters(engine.check_interval_meters);
   settings->set_max_step_meters(engine.max_step_meters);
   settings->set_gate_probability(search.gate_probability);
-  auto* tolerance = settings->mutable_place_tolerance();
-  tolerance->set_position_meters(search.place_tolerance.position_meters);
-  tolerance->set_heading_radians(search.place_tolerance.heading_radians);
+  EncodeTolerance(search.place_tolerance, settings->mutable_place_tolerance());
   settings->set_candidate_separation_meters(search.candidate_separation_meters);
   settings->set_max_candidates(search.max_candidates);
+  settings->set_alignment(ToProto(kAlignments, search.alignment));
+  settings->set_acceptance_probability(search.acceptance_probability);
+  settings->set_road_spacing_meters(search.road_spacing_meters);
+  EncodeTolerance(search.shape.tolerance, settings->mutable_shape_tolerance());
+  settings->set_shape_correlation_meters(search.shape.correlation_meters);
+  settings->set_apply_inflation(engine.apply_inflation);
+  settings->set_max_inflation(engine.max_inflation);
 }
 
 absl::StatusOr<VehicleConfig> UpdateSettings(
@@ -1027,6 +1176,9 @@ void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle) {
   vehicle->set_node_count(view.engine.graph().size());
   vehicle->set_loop_closure_count(view.loop_closure_count);
   vehicle->set_travelled_meters(view.engine.travelled_meters());
+  EncodeConsistency(view.engine.consistency(),
+                    view.config.engine.apply_inflation,
+                    vehicle->mutable_consistency());
 }
 
 absl::Status EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle) {
@@ -1047,6 +1199,8 @@ absl::StatusOr<core::SearchOptions> DecodeCandidateOptions(
   Violations violations;
   core::SearchOptions search = config.engine.search;
   DecodeSearch(options, path, &search, &violations);
+  DecodeEnum(kSearchDirections, options.direction(), path.Field("direction"),
+             &search.direction, &violations);
   AddProblems(core::FindProblems(search, config.engine), path, &violations);
   if (violations.count() > 0) return violations.ToStatus();
   return search;
@@ -1164,6 +1318,28 @@ absl::StatusOr<std::string> ProtoRecordCodec::SliceBatch(
   return batch->SerializeAsString();
 }
 
+// ---- Pairs of poses
+
+absl::StatusOr<PosePairRecord> DecodePosePair(const v1::LoopClosure* pair,
+                                              const std::string& id) {
+  return DecodePair(PairKind::kLoopClosure, pair, id);
+}
+
+absl::StatusOr<PosePairRecord> DecodePosePair(const v1::RejectedCandidate* pair,
+                                              const std::string& id) {
+  return DecodePair(PairKind::kRejectedCandidate, pair, id);
+}
+
+void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,
+                    v1::LoopClosure* message) {
+  EncodePair(PairKind::kLoopClosure, vehicle_id, record, message);
+}
+
+void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,
+                    v1::RejectedCandidate* message) {
+  EncodePair(PairKind::kRejectedCandidate, vehicle_id, record, message);
+}
+
 // ---- Answers
 
 void EncodeAck(const Acknowledgement& acknowledgement, v1::Ack* ack) {
@@ -1212,6 +1388,10 @@ void EncodeCandidateSet(const VehicleView& view, const core::CandidateSet& set,
     EncodeNode(graph, candidate.matched, space, false,
                added->mutable_matched());
     EncodeGate(candidate.difference.gate, added->mutable_gate());
+    added->mutable_gate()->set_inflation(set.inflation);
+    added->set_verdict(ToProto(kVerdicts, candidate.verdict));
+    added->set_direction(ToProto(kDirections, candidate.direction));
+    if (candidate.relative) EncodeEvidence(*candidate.relative, added);
     const core::Pose& difference = candidate.difference.difference;
     v1::PoseDifference* encoded = added->mutable_difference();
     encoded->set_x_meters(difference.x);
@@ -1231,19 +1411,13 @@ void EncodeCandidateSet(const VehicleView& view, const core::CandidateSet& set,
   }
   message->set_empty_reason(ToProto(kEmptyReasons, set.empty_reason));
   message->set_nodes_considered(set.nodes_considered);
+  if (set.new_place_probability) {
+    message->set_new_place_probability(*set.new_place_probability);
+  }
   message->mutable_search_duration()->set_seconds(search_duration.count() /
                                                   kNanosPerSecond);
   message->mutable_search_duration()->set_nanos(
       static_cast<std::int32_t>(search_duration.count() % kNanosPerSecond));
-}
-
-void EncodeLoopClosure(const std::string& vehicle_id,
-                       const LoopClosureRecord& record,
-                       v1::LoopClosure* message) {
-  message->set_name(VehicleName(vehicle_id) + "/loopClosures/" + record.id);
-  message->set_query_sequence(record.query_sequence);
-  message->set_matched_sequence(record.matched_sequence);
-  EncodeTime(record.create_time_ns, message->mutable_create_time());
 }
 
 }  // namespace revisit::server

@@ -57,13 +57,15 @@ absl::Status CheckId(const std::string& id, const FieldPath& path);
 absl::StatusOr<std::string> ParseVehicleName(const std::string& name,
                                              const FieldPath& path);
 
-struct LoopClosureName {
+struct PosePairName {
   std::string vehicle_id;
   std::string id;
 };
-// Of `vehicles/{vehicle}/loopClosures/{loop_closure}`.
-absl::StatusOr<LoopClosureName> ParseLoopClosureName(const std::string& name,
-                                                     const FieldPath& path);
+// Of `vehicles/{vehicle}/loopClosures/{loop_closure}` or
+// `vehicles/{vehicle}/rejectedCandidates/{rejected_candidate}`.
+absl::StatusOr<PosePairName> ParsePosePairName(PairKind kind,
+                                               const std::string& name,
+                                               const FieldPath& path);
 
 // ---- Vehicles and their settings
 
@@ -135,6 +137,21 @@ class ProtoRecordCodec : public RecordCodec {
                                          std::size_t count) const override;
 };
 
+// ---- Pairs of poses
+
+// The record that a request for a new pair asks for, without creation time.
+// `pair` is null if it was left out; an id that was left out is made from the
+// sequences.
+absl::StatusOr<PosePairRecord> DecodePosePair(const v1::LoopClosure* pair,
+                                              const std::string& id);
+absl::StatusOr<PosePairRecord> DecodePosePair(const v1::RejectedCandidate* pair,
+                                              const std::string& id);
+
+void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,
+                    v1::LoopClosure* message);
+void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,
+                    v1::RejectedCandidate* message);
+
 // ---- Answers
 
 void EncodeAck(const Acknowledgement& acknowledgement, v1::Ack* ack);
@@ -147,10 +164,6 @@ void EncodeCandidateSet(const VehicleView& view, const core::CandidateSet& set,
                         bool include_aligned_path,
                         std::chrono::nanoseconds search_duration,
                         v1::CandidateSet* message);
-
-void EncodeLoopClosure(const std::string& vehicle_id,
-                       const LoopClosureRecord& record,
-                       v1::LoopClosure* message);
 
 }  // namespace revisit::server
 

@@ -44,7 +44,9 @@ Symmetric StepNoise(double length, double direction,
 
 absl::StatusOr<std::vector<ClaimedUncertainty>> ClaimUncertainty(
     const Drive& drive, const UncertaintyOptions& options) {
-  const bool from_file = options.source == UncertaintyOptions::Source::kFile;
+  using Source = UncertaintyOptions::Source;
+  const bool from_file = options.source != Source::kModel;
+  const double scale = options.claimed_scale * options.claimed_scale;
   const double position_variance =
       options.start_position * options.start_position;
   Symmetric carried = {
@@ -78,9 +80,13 @@ absl::StatusOr<std::vector<ClaimedUncertainty>> ClaimUncertainty(
             drive.name +
             ": has no covariance columns (pxx, pxy, pxt, pyy, pyt, ptt)");
       }
-      claim.planar = Sum(carried, *sample.covariance);
+      claim.planar = options.source == Source::kFixes
+                         ? *sample.covariance
+                         : Sum(carried, *sample.covariance);
     }
     claim.z_variance = position_variance + options.up * options.up * distance;
+    for (double& entry : claim.planar) entry *= scale;
+    claim.z_variance *= scale;
     claims.push_back(claim);
     previous = &sample;
   }

@@ -30,6 +30,8 @@ struct UncertaintyOptions {
     // The file's columns. Since files start with certainty, which the server
     // refuses, the start's covariance is added, carried along by F as above.
     kFile,
+    // The file's columns as they are: each pose is a fix of its own.
+    kFixes,
   };
   Source source = Source::kModel;
   // Standard deviations per square root of a metre: metres and radians.
@@ -40,6 +42,9 @@ struct UncertaintyOptions {
   // Standard deviations at the start: metres and radians.
   double start_position = 0.1;
   double start_heading = 0.01;
+  // Every standard deviation is claimed this many times as large as the above
+  // says: 0.5 is a filter that is overconfident by two. Positive.
+  double claimed_scale = 1.0;
 };
 
 struct ClaimedUncertainty {

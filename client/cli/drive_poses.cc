@@ -16,10 +16,17 @@ v1::Pose MakePose(const Drive& drive,
   pose.mutable_stamp()->set_seconds(static_cast<std::int64_t>(seconds));
   pose.mutable_stamp()->set_nanos(static_cast<std::int32_t>(std::min(
       std::floor((sample.time_seconds - seconds) * 1e9 + 0.5), 999'999'999.0)));
-  v1::LocalPosition* local = pose.mutable_local();
-  local->set_x_meters(sample.estimate.x);
-  local->set_y_meters(sample.estimate.y);
-  local->set_z_meters(sample.estimate_z);
+  if (sample.geodetic.has_value()) {
+    v1::GeodeticPosition* geodetic = pose.mutable_geodetic();
+    geodetic->set_latitude_degrees(sample.geodetic->latitude_degrees);
+    geodetic->set_longitude_degrees(sample.geodetic->longitude_degrees);
+    geodetic->set_height_meters(sample.geodetic->height_meters);
+  } else {
+    v1::LocalPosition* local = pose.mutable_local();
+    local->set_x_meters(sample.estimate.x);
+    local->set_y_meters(sample.estimate.y);
+    local->set_z_meters(sample.estimate_z);
+  }
   if (sample.quaternion.has_value()) {
     const auto& [x, y, z, w] = *sample.quaternion;
     v1::Quaternion* quaternion = pose.mutable_quaternion();

@@ -1,45 +1,35 @@
 #include "client/cli/evaluate_command.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
-#include <cstdint>
+#include <cstddef>
+#include <filesystem>
 #include <fstream>
 #include <memory>
 #include <mutex>
 #include <random>
+#include <system_error>
 #include <utility>
 
 #include "absl/status/statusor.h"
-#include "client/cli/drive_poses.h"
+#include "client/cli/baselines.h"
+#include "client/cli/calibration.h"
+#include "client/cli/drive_evaluator.h"
+#include "client/cli/evaluation_plots.h"
+#include "client/cli/evaluation_report.h"
 #include "client/cli/interrupt_guard.h"
 #include "client/cli/map_svg.h"
-#include "client/cli/names.h"
 #include "client/cli/private_server.h"
+#include "client/cli/simulation.h"
+#include "client/formats/drive_file.h"
+#include "client/formats/gnss_file.h"
+#include "client/formats/text_lines.h"
 #include "client/revisit/channel.h"
 #include "client/revisit/client.h"
-#include "client/revisit/pose_stream.h"
-#include "client/revisit/status.h"
-#include "google/protobuf/util/time_util.h"
 #include "grpcpp/channel.h"
-#include "nlohmann/json.hpp"
 
 namespace revisit::client {
 namespace {
-
-using Clock = std::chrono::steady_clock;
-using Json = nlohmann::ordered_json;
-using Verdict = CandidateAnswer::Verdict;
-
-constexpr std::size_t kBatchPoses = 64;
-
-struct DriveResult {
-  std::string drive;
-  std::vector<GraphNode> nodes;
-  std::vector<PlanarPose> truth_at_nodes;
-  std::vector<JudgedCheck> checks;
-  Tally tally;
-};
 
 // What has to be undone, also when Ctrl-C is pressed: then Undo() runs on
 // another thread.
@@ -56,7 +46,8 @@ class Undoing {
     vehicles_.push_back(name);
   }
 
-  absl::Status Undo() {
+  // Deletes the vehicles that were added since.
+  absl::Status DeleteVehicles() {
     std::lock_guard<std::mutex> lock(mutex_);
     absl::Status first;
     for (const std::string& name : vehicles_) {
@@ -66,8 +57,13 @@ class Undoing {
       if (!status.ok() && !absl::IsNotFound(status)) first.Update(status);
     }
     vehicles_.clear();
-    server_.Stop();
     return first;
+  }
+
+  absl::Status Undo() {
+    const absl::Status status = DeleteVehicles();
+    server_.Stop();
+    return status;
   }
 
  private:
@@ -94,434 +90,484 @@ std::string UniqueVehicleId(const std::string& drive) {
   return id;
 }
 
-CheckAnswer MakeAnswer(const v1::CandidateSet& set) {
-  CheckAnswer answer;
-  answer.query = set.query().index();
-  answer.search_milliseconds =
-      1e-6 * static_cast<double>(
-                 google::protobuf::util::TimeUtil::DurationToNanoseconds(
-                     set.search_duration()));
-  for (const v1::Candidate& candidate : set.candidates()) {
-    const v1::Gate& gate = candidate.gate();
-    const Verdict verdict = gate.verdict() == v1::GATE_VERDICT_ACCEPTED
-                                ? Verdict::kAccepted
-                            : gate.verdict() == v1::GATE_VERDICT_REJECTED
-                                ? Verdict::kRejected
-                                : Verdict::kIllConditioned;
-    answer.candidates.push_back({candidate.matched().index(), verdict,
-                                 gate.squared_mahalanobis_distance(),
-                                 gate.threshold(), gate.p_value()});
-  }
-  if (set.candidates().empty()) {
-    answer.empty_reason = Explain(set.empty_reason());
-  }
-  return answer;
-}
-
-struct Streamed {
-  std::vector<CheckAnswer> answers;
-  double seconds = 0.0;
+// What is streamed: a drive, or one that was drawn from it.
+struct Case {
+  Drive drive;
+  std::optional<std::uint64_t> seed;
+  std::vector<ClaimedUncertainty> uncertainty;
 };
 
-absl::StatusOr<Streamed> StreamDrive(
-    const std::shared_ptr<grpc::Channel>& channel, const std::string& vehicle,
-    const Drive& drive, const std::vector<ClaimedUncertainty>& uncertainty,
-    const Console& console) {
-  Progress progress(console, drive.name, drive.samples.size(), "poses");
-  // Written by callbacks, read when they are over.
-  Streamed streamed;
-  PoseStreamOptions options;
-  options.batch_poses = static_cast<int>(kBatchPoses);
-  options.send_candidates = true;
-  options.give_up_after = std::chrono::seconds(30);
-  PoseStreamCallbacks callbacks;
-  callbacks.ack = [&](const v1::Ack& ack) {
-    progress.Update(ack.durable_sequence());
-    for (const v1::Jump& jump : ack.jumps()) {
-      progress.Note("jump of " + Fixed(jump.distance_meters(), 1) +
-                    " m before sequence " + std::to_string(jump.sequence()));
-    }
+// How candidates are found.
+struct Method {
+  enum class Source {
+    // The service's answers.
+    kService,
+    // Of these, those beyond the recent path.
+    kServiceBeyondRecentPath,
+    // FindNearestPositions(), on the nodes and checks of the method before.
+    kNearestPosition,
   };
-  callbacks.candidates = [&](const v1::CandidateSet& set) {
-    streamed.answers.push_back(MakeAnswer(set));
+  std::string name;
+  Source source = Source::kService;
+  v1::VehicleSettings settings;
+  Judging judging;
+  double sequence_length_meters = 0.0;
+};
+
+std::vector<Method> MethodsAt(const EvaluateOptions& options,
+                              double sequence_length_meters,
+                              double exclude_meters) {
+  Method given;
+  given.name = options.settings.alignment() == v1::ALIGNMENT_COMPOSITE
+                   ? "composite"
+                   : "relative";
+  given.settings = options.settings;
+  given.settings.set_sequence_length_meters(sequence_length_meters);
+  given.judging = options.judging;
+  given.judging.excluded_nodes =
+      std::llround(exclude_meters / options.settings.node_spacing_meters());
+  given.sequence_length_meters = sequence_length_meters;
+  if (!options.baselines) return {given};
+
+  const auto composite = [&](const char* name, v1::CorrelationModel model) {
+    Method method = given;
+    method.name = name;
+    method.settings.set_alignment(v1::ALIGNMENT_COMPOSITE);
+    method.settings.set_correlation_model(model);
+    return method;
   };
-  PoseStream stream(channel, vehicle, options, callbacks);
-  const auto durable = stream.WaitUntilOpened();
-  if (!durable.ok()) return durable.status();
-  if (*durable != 0) {
-    return LocalError(absl::FailedPreconditionError(
-        vehicle + " has poses already; an evaluation needs a new vehicle"));
+  Method single =
+      composite("single pose", options.settings.correlation_model());
+  single.source = Method::Source::kServiceBeyondRecentPath;
+  single.settings.set_sequence_length_meters(
+      options.settings.node_spacing_meters());
+  single.settings.set_max_candidates(100);
+  Method nearest = given;
+  nearest.name = "nearest position";
+  nearest.source = Method::Source::kNearestPosition;
+  return {
+      composite("paper, independent", v1::CORRELATION_MODEL_INDEPENDENT),
+      composite("paper, dead reckoning", v1::CORRELATION_MODEL_DEAD_RECKONING),
+      single, given, nearest};
+}
+
+std::vector<Method> ChooseMethods(const EvaluateOptions& options,
+                                  std::size_t* main) {
+  if (options.sequence_lengths.empty()) {
+    auto methods = MethodsAt(options, options.settings.sequence_length_meters(),
+                             options.exclude_meters);
+    *main = methods.size() > 1 ? methods.size() - 2 : 0;
+    return methods;
   }
-  const auto start = Clock::now();
-  for (std::size_t next = 0; next < drive.samples.size();) {
-    v1::PoseBatch batch;
-    const std::size_t end = std::min(drive.samples.size(), next + kBatchPoses);
-    for (; next < end; ++next) {
-      *batch.add_poses() =
-          MakePose(drive, uncertainty, v1::STATE_SPACE_PLANAR, next);
+  std::vector<Method> all;
+  *main = 0;
+  for (const double length : options.sequence_lengths) {
+    for (Method& method : MethodsAt(options, length, length)) {
+      all.push_back(std::move(method));
     }
-    // Why it failed is what Finish() says as well.
-    if (!stream.Append(std::move(batch)).ok()) break;
-  }
-  if (absl::Status status = stream.Finish(); !status.ok()) return status;
-  streamed.seconds =
-      std::chrono::duration<double>(Clock::now() - start).count();
-  if (stream.reconnects() > 0) {
-    return absl::UnavailableError("the connection broke while " + drive.name +
-                                  " was streamed; answers of checks may be "
-                                  "lost, so the figures would not "
-                                  "be comparable: run it again");
-  }
-  return streamed;
-}
-
-absl::StatusOr<std::vector<GraphNode>> FetchNodes(const Client& client,
-                                                  const std::string& vehicle,
-                                                  std::size_t poses) {
-  std::vector<GraphNode> nodes;
-  v1::ExportPoseGraphRequest request;
-  request.set_vehicle(vehicle);
-  const absl::Status status = client.ExportPoseGraph(
-      request, [&](const v1::ExportPoseGraphResponse& part) {
-        for (const v1::Node& node : part.nodes()) {
-          if (node.index() != static_cast<std::int64_t>(nodes.size()) ||
-              node.sequence() < 1 || node.sequence() > poses ||
-              node.covariance().form() != v1::COVARIANCE_FORM_PLANAR_6 ||
-              node.covariance().values_size() != 6) {
-            return absl::InternalError("the export's node " +
-                                       std::to_string(node.index()) +
-                                       " is not what was expected");
-          }
-          const auto& covariance = node.covariance().values();
-          nodes.push_back(
-              {node.sequence(), node.fraction(), node.travelled_meters(),
-               PlanarPose{node.pose().x_meters(), node.pose().y_meters(),
-                          node.pose().heading_radians()},
-               covariance[0], covariance[1], covariance[3]});
-        }
-        return absl::OkStatus();
-      });
-  if (!status.ok()) return status;
-  return nodes;
-}
-
-absl::StatusOr<Drive> ReadDriveWithTruth(const std::string& file) {
-  auto drive = ReadDriveFile(file, DriveFormat::kDrive);
-  if (!drive.ok()) return LocalError(drive.status());
-  if (drive->truth.empty()) {
-    return LocalError(absl::InvalidArgumentError(
-        file +
-        ":1: expected the columns gt_x, gt_y, gt_yaw, which an "
-        "evaluation needs"));
-  }
-  return drive;
-}
-
-absl::StatusOr<DriveResult> EvaluateDrive(
-    const std::shared_ptr<grpc::Channel>& channel, const Client& client,
-    const Drive& drive, const EvaluateOptions& options, Undoing* undoing,
-    const Console& console) {
-  const auto uncertainty = ClaimUncertainty(drive, options.uncertainty);
-  if (!uncertainty.ok()) return LocalError(uncertainty.status());
-  v1::CreateVehicleRequest create;
-  create.set_vehicle_id(options.vehicle.empty() ? UniqueVehicleId(drive.name)
-                                                : options.vehicle);
-  *create.mutable_vehicle()->mutable_settings() = options.settings;
-  const auto created = client.CreateVehicle(create);
-  if (!created.ok()) return created.status();
-  const v1::Vehicle& vehicle = created->vehicle();
-  // A private server's store goes as a whole.
-  if (options.server.has_value() && !options.keep_vehicles &&
-      vehicle.durable_sequence() == 0) {
-    undoing->AddVehicle(vehicle.name());
-  }
-  const auto streamed =
-      StreamDrive(channel, vehicle.name(), drive, *uncertainty, console);
-  if (!streamed.ok()) return streamed.status();
-  auto nodes = FetchNodes(client, vehicle.name(), drive.samples.size());
-  if (!nodes.ok()) return nodes.status();
-  for (const CheckAnswer& answer : streamed->answers) {
-    const auto known = [&](std::int64_t index) {
-      return index >= 0 && index < static_cast<std::int64_t>(nodes->size());
-    };
-    if (!known(answer.query) ||
-        !std::all_of(answer.candidates.begin(), answer.candidates.end(),
-                     [&](const CandidateAnswer& candidate) {
-                       return known(candidate.matched);
-                     })) {
-      return absl::InternalError(
-          "a candidate names a node that the export does not have");
+    const bool own = length == options.settings.sequence_length_meters();
+    if (own || &length == &options.sequence_lengths.front()) {
+      *main = all.size() - (options.baselines ? 2 : 1);
     }
+  }
+  return all;
+}
+
+std::vector<std::string> NotesOn(const EvaluateOptions& options) {
+  std::vector<std::string> notes;
+  if (!options.sequence_lengths.empty()) {
+    notes.push_back(
+        "Sequence lengths: the recent path that is no history is as long as "
+        "the sequence, so that true loops differ too; checks begin at two "
+        "sequence lengths or " +
+        Fixed(options.judging.first_check_meters, 0) +
+        " m, whichever is later.");
+  }
+  if (options.baselines) {
+    notes.push_back(
+        "nearest position: estimates within 15 m, all accepted. single pose: "
+        "the best log-similarity of one node. paper: the log-similarities of "
+        "all nodes of the sequence summed, without and with "
+        "cross-covariance.");
+  }
+  if (!options.seeds.empty()) {
+    notes.push_back("Simulated: estimates drawn along the true paths, " +
+                    std::to_string(options.seeds.size()) +
+                    " seeds; one row holds all seeds of a drive.");
+  }
+  if (options.uncertainty.claimed_scale != 1.0) {
+    notes.push_back("Claimed standard deviations are multiplied by " +
+                    Fixed(options.uncertainty.claimed_scale, 3) + ".");
+  }
+  if (options.verify) {
+    notes.push_back(
+        "Verified: accepted first candidates that are right became loop "
+        "closures, wrong ones were rejected.");
+  }
+  if (options.format == EvaluateOptions::Format::kRtklib) {
+    notes.push_back(
+        "GNSS: the truth is the reference that was recorded beside it; heading "
+        "is the direction of the velocity; epochs slower than " +
+        Fixed(kGnssStandstillMetersPerSecond, 1) + " m/s are left out.");
+  }
+  return notes;
+}
+
+// The part of reading that opens a file.
+template <typename Read>
+auto ReadFile(const std::string& path, const Read& read)
+    -> decltype(read(std::declval<std::istream&>(), path)) {
+  const auto input = OpenText(path);
+  if (!input.ok()) return LocalError(input.status());
+  auto value = read(**input, path);
+  if (!value.ok()) return LocalError(value.status());
+  return value;
+}
+
+absl::StatusOr<std::vector<Drive>> ReadGnssDrives(
+    const EvaluateOptions& options) {
+  std::vector<Drive> drives;
+  std::optional<GeodeticPosition> origin;
+  for (std::size_t i = 0; i < options.files.size(); ++i) {
+    const auto fixes = ReadFile(options.files[i], ReadRtklib);
+    if (!fixes.ok()) return fixes.status();
+    const auto reference = ReadFile(options.truth_files[i], ReadReference);
+    if (!reference.ok()) return reference.status();
+    if (!origin.has_value() || !options.one_vehicle) {
+      origin = fixes->front().position;
+    }
+    auto drive =
+        MakeGnssDrive(StemOf(options.files[i]), *fixes, *reference, *origin);
+    if (!drive.ok()) return LocalError(drive.status());
+    drives.push_back(*std::move(drive));
+  }
+  return drives;
+}
+
+absl::StatusOr<std::vector<Drive>> ReadDrives(const EvaluateOptions& options) {
+  std::vector<Drive> drives;
+  if (options.format == EvaluateOptions::Format::kRtklib) {
+    auto read = ReadGnssDrives(options);
+    if (!read.ok()) return read.status();
+    drives = *std::move(read);
+  } else {
+    for (const std::string& file : options.files) {
+      auto drive = ReadDriveFile(file, DriveFormat::kDrive);
+      if (!drive.ok()) return LocalError(drive.status());
+      if (drive->truth.empty()) {
+        return LocalError(absl::InvalidArgumentError(
+            file +
+            ":1: expected the columns gt_x, gt_y, gt_yaw, which an "
+            "evaluation needs"));
+      }
+      drives.push_back(*std::move(drive));
+    }
+  }
+  if (!options.one_vehicle || drives.size() == 1) return drives;
+  Drive all = std::move(drives[0]);
+  for (std::size_t i = 1; i < drives.size(); ++i) {
+    all.name += "+" + drives[i].name;
+    all.samples.insert(all.samples.end(), drives[i].samples.begin(),
+                       drives[i].samples.end());
+    all.truth.insert(all.truth.end(), drives[i].truth.begin(),
+                     drives[i].truth.end());
+  }
+  return std::vector<Drive>{std::move(all)};
+}
+
+absl::StatusOr<std::vector<Case>> MakeCases(const EvaluateOptions& options,
+                                            std::vector<Drive> drives) {
+  std::vector<Case> cases;
+  for (Drive& drive : drives) {
+    if (options.seeds.empty()) {
+      cases.push_back({std::move(drive), std::nullopt, {}});
+      continue;
+    }
+    for (const std::uint64_t seed : options.seeds) {
+      cases.push_back(
+          {SimulateDeadReckoning(drive, options.uncertainty, seed), seed, {}});
+    }
+  }
+  for (Case& one : cases) {
+    auto uncertainty = ClaimUncertainty(one.drive, options.uncertainty);
+    if (!uncertainty.ok()) return LocalError(uncertainty.status());
+    one.uncertainty = *std::move(uncertainty);
+  }
+  return cases;
+}
+
+DriveResult NearestPositionResult(const DriveResult& other,
+                                  const Method& method) {
+  NearestPosition options;
+  options.excluded_nodes = method.judging.excluded_nodes;
+  options.separation_meters = method.settings.candidate_separation_meters();
+  options.max_candidates =
+      static_cast<std::size_t>(std::max(1, method.settings.max_candidates()));
+  std::vector<std::int64_t> queries;
+  for (const CheckAnswer& answer : other.answers) {
+    queries.push_back(answer.query);
   }
   DriveResult result;
-  result.drive = drive.name;
-  result.nodes = std::move(*nodes);
-  result.truth_at_nodes = TruthAtNodes(result.nodes, drive.truth);
-  result.checks = Judge(result.nodes, result.truth_at_nodes, streamed->answers,
-                        options.judging);
+  result.drive = other.drive;
+  result.seed = other.seed;
+  result.nodes = other.nodes;
+  result.truth_at_nodes = other.truth_at_nodes;
+  result.answers = FindNearestPositions(result.nodes, queries, options);
+  result.checks = Judge(result.nodes, result.truth_at_nodes, result.answers,
+                        method.judging);
   result.tally = Count(result.checks);
-  result.tally.poses = static_cast<std::int64_t>(drive.samples.size());
-  result.tally.seconds = streamed->seconds;
+  result.tally.poses = other.tally.poses;
+  result.tally.jumps = other.tally.jumps;
   return result;
 }
 
-std::string NameOf(Verdict verdict) {
-  switch (verdict) {
-    case Verdict::kAccepted:
-      return "ACCEPTED";
-    case Verdict::kRejected:
-      return "REJECTED";
-    case Verdict::kIllConditioned:
-      return "ILL_CONDITIONED";
-  }
-  return "";
-}
+class Evaluation {
+ public:
+  Evaluation(const EvaluateOptions& options, std::vector<Case> cases,
+             const std::shared_ptr<grpc::Channel>& channel,
+             const Client& client, Undoing* undoing, const Console& console)
+      : options_(options),
+        cases_(std::move(cases)),
+        channel_(channel),
+        client_(client),
+        undoing_(undoing),
+        console_(console) {}
 
-std::string OutcomeOf(const JudgedCheck& check) {
-  if (check.top_correct()) return "right";
-  return check.true_loop ? "wrong" : "no loop";
-}
-
-void PrintChecks(const DriveResult& result, std::ostream& out) {
-  using Align = Table::Align;
-  Table table({{"CHECK", Align::kRight},
-               {"AT m", Align::kRight},
-               {"CANDIDATE m", Align::kRight},
-               {"D2", Align::kRight},
-               {"THRESHOLD", Align::kRight},
-               {"P-VALUE", Align::kRight},
-               {"VERDICT", Align::kLeft},
-               {"TRUTH", Align::kLeft}});
-  int number = 0;
-  for (const JudgedCheck& check : result.checks) {
-    const auto travelled = [&](std::int64_t node) {
-      return Fixed(
-          result.nodes[static_cast<std::size_t>(node)].travelled_meters, 1);
-    };
-    ++number;
-    if (check.answer.candidates.empty()) {
-      table.AddRow({std::to_string(number), travelled(check.answer.query), "-",
-                    "-", "-", "-", "NONE", OutcomeOf(check)});
-      continue;
+  absl::Status Run() {
+    Report report;
+    report.verified = options_.verify;
+    report.repeats = options_.repeats;
+    report.notes = NotesOn(options_);
+    methods_ = ChooseMethods(options_, &report.main);
+    auto methods = RunMethods();
+    if (!methods.ok()) return methods.status();
+    report.methods = *std::move(methods);
+    for (int repeat = 2; repeat <= options_.repeats; ++repeat) {
+      const auto again = RunMethods();
+      if (!again.ok()) return again.status();
+      if (absl::Status same = Merge(*again, repeat, &report.methods);
+          !same.ok()) {
+        return same;
+      }
     }
-    const CandidateAnswer& best = check.answer.candidates[0];
-    table.AddRow({std::to_string(number), travelled(check.answer.query),
-                  travelled(best.matched), Fixed(best.squared_distance, 2),
-                  Fixed(best.threshold, 2), Fixed(best.p_value, 4),
-                  NameOf(best.verdict), OutcomeOf(check)});
-  }
-  out << result.drive << ": the best candidate of each check\n";
-  table.Print(out);
-  out << '\n';
-}
-
-std::string OrDash(std::optional<double> value, int digits) {
-  return value.has_value() ? Fixed(*value, digits) : "-";
-}
-
-void PrintSummary(const DriveResult& result, std::ostream& out) {
-  const Tally& t = result.tally;
-  PrintFields(
-      {{"drive", result.drive},
-       {"checks", std::to_string(t.checks)},
-       {"true loops", std::to_string(t.true_loops)},
-       {"accepted", std::to_string(t.accepted)},
-       {"correct", std::to_string(t.accepted_correct)},
-       {"precision", OrDash(t.precision(), 3)},
-       {"recall", OrDash(t.recall(), 3)},
-       {"F1", OrDash(t.f1(), 3)},
-       {"first correct", std::to_string(t.top1_correct) + " (gate aside)"},
-       {"one of 5 correct", std::to_string(t.top5_correct) + " (gate aside)"},
-       {"candidates to verify",
-        std::to_string(t.to_verify) + ", " + OrDash(t.to_verify_per_loop(), 2) +
-            " for each of the " + std::to_string(t.loops_found) +
-            " loops found"},
-       {"poses", std::to_string(t.poses) + ", " +
-                     OrDash(t.poses_per_second(), 0) + "/s with all checks"},
-       {"query time", "p50 " + OrDash(t.search_percentile(50.0), 2) +
-                          " ms, p99 " + OrDash(t.search_percentile(99.0), 2) +
-                          " ms"}},
-      out);
-}
-
-void PrintTable(const std::vector<DriveResult>& results, const Tally& total,
-                std::ostream& out) {
-  using Align = Table::Align;
-  Table table({{"DRIVE", Align::kLeft},
-               {"CHECKS", Align::kRight},
-               {"LOOPS", Align::kRight},
-               {"ACCEPTED", Align::kRight},
-               {"CORRECT", Align::kRight},
-               {"PRECISION", Align::kRight},
-               {"RECALL", Align::kRight},
-               {"F1", Align::kRight},
-               {"TOP 1", Align::kRight},
-               {"TOP 5", Align::kRight},
-               {"VERIFY/LOOP", Align::kRight},
-               {"POSES/s", Align::kRight},
-               {"p50 ms", Align::kRight},
-               {"p99 ms", Align::kRight}});
-  const auto add = [&](const std::string& name, const Tally& t) {
-    table.AddRow(
-        {name, std::to_string(t.checks), std::to_string(t.true_loops),
-         std::to_string(t.accepted), std::to_string(t.accepted_correct),
-         OrDash(t.precision(), 3), OrDash(t.recall(), 3), OrDash(t.f1(), 3),
-         std::to_string(t.top1_correct), std::to_string(t.top5_correct),
-         OrDash(t.to_verify_per_loop(), 2), OrDash(t.poses_per_second(), 0),
-         OrDash(t.search_percentile(50.0), 2),
-         OrDash(t.search_percentile(99.0), 2)});
-  };
-  for (const DriveResult& result : results) add(result.drive, result.tally);
-  table.AddRule();
-  add("total", total);
-  table.Print(out);
-}
-
-Json OrNull(std::optional<double> value) {
-  return value.has_value() ? Json(*value) : Json(nullptr);
-}
-
-Json TallyJson(const std::string& drive, const Tally& t) {
-  Json json;
-  json["drive"] = drive;
-  json["checks"] = t.checks;
-  json["true_loops"] = t.true_loops;
-  json["accepted"] = t.accepted;
-  json["accepted_correct"] = t.accepted_correct;
-  json["top1_correct"] = t.top1_correct;
-  json["top5_correct"] = t.top5_correct;
-  json["precision"] = OrNull(t.precision());
-  json["recall"] = OrNull(t.recall());
-  json["f1"] = OrNull(t.f1());
-  json["candidates_to_verify"] = t.to_verify;
-  json["loops_found"] = t.loops_found;
-  json["candidates_per_loop_found"] = OrNull(t.to_verify_per_loop());
-  json["query_ms_p50"] = OrNull(t.search_percentile(50.0));
-  json["query_ms_p99"] = OrNull(t.search_percentile(99.0));
-  json["poses"] = t.poses;
-  json["poses_per_second"] = OrNull(t.poses_per_second());
-  return json;
-}
-
-Json ChecksJson(const DriveResult& result) {
-  Json list = Json::array();
-  for (const JudgedCheck& check : result.checks) {
-    const auto travelled = [&](std::int64_t node) {
-      return result.nodes[static_cast<std::size_t>(node)].travelled_meters;
-    };
-    Json entry;
-    entry["node"] = check.answer.query;
-    entry["travelled_meters"] = travelled(check.answer.query);
-    entry["true_loop"] = check.true_loop;
-    entry["query_ms"] = check.answer.search_milliseconds;
-    entry["empty_reason"] = check.answer.empty_reason;
-    entry["candidates"] = Json::array();
-    for (std::size_t i = 0; i < check.answer.candidates.size(); ++i) {
-      const CandidateAnswer& candidate = check.answer.candidates[i];
-      Json item;
-      item["matched_node"] = candidate.matched;
-      item["matched_travelled_meters"] = travelled(candidate.matched);
-      item["squared_mahalanobis_distance"] = candidate.squared_distance;
-      item["threshold"] = candidate.threshold;
-      item["p_value"] = candidate.p_value;
-      item["verdict"] = NameOf(candidate.verdict);
-      item["correct"] = static_cast<bool>(check.correct[i]);
-      entry["candidates"].push_back(std::move(item));
+    if (options_.repeats > 1) {
+      report.notes.push_back("Repeated: " + std::to_string(options_.repeats) +
+                             " times, all answers the same; timings are over "
+                             "all of them.");
     }
-    list.push_back(std::move(entry));
-  }
-  return list;
-}
-
-absl::Status WriteMap(const DriveResult& result, const std::string& path) {
-  if (result.nodes.empty()) {
-    return LocalError(absl::FailedPreconditionError(
-        result.drive + ": there is nothing to draw, the pose graph is empty"));
-  }
-  const Tally& t = result.tally;
-  MapContents contents;
-  contents.title = "Loop-closure candidates: " + result.drive;
-  contents.subtitle = Fixed(result.nodes.back().travelled_meters / 1000.0, 1) +
-                      " km, " + std::to_string(t.checks) + " checks, " +
-                      std::to_string(t.true_loops) + " true loops; " +
-                      std::to_string(t.accepted) + " candidates accepted, " +
-                      std::to_string(t.accepted_correct) + " of them right";
-  if (t.precision().has_value() && t.recall().has_value()) {
-    contents.subtitle += " (precision " + Fixed(*t.precision(), 2) +
-                         ", recall " + Fixed(*t.recall(), 2) + ")";
-  }
-  contents.nodes = result.nodes;
-  contents.truth_at_nodes = result.truth_at_nodes;
-  contents.checks = result.checks;
-  std::ofstream file(path, std::ios::binary | std::ios::trunc);
-  file << DrawMap(contents);
-  file.close();
-  if (!file) {
-    return LocalError(absl::UnknownError(path + ": cannot be written"));
-  }
-  return absl::OkStatus();
-}
-
-void PrintResults(const std::vector<DriveResult>& results, bool verbose,
-                  const Console& console) {
-  Tally total;
-  for (const DriveResult& result : results) total.Add(result.tally);
-  if (!console.json) {
-    if (results.size() == 1) {
-      PrintSummary(results[0], console.out);
+    const MethodResult& main = report.methods[report.main];
+    if (options_.verbose && !console_.json) {
+      for (const DriveResult& result : main.drives) {
+        PrintChecks(result, console_.out);
+      }
+    }
+    if (!options_.map.empty()) {
+      const absl::Status written = WriteMap(main.drives[0]);
+      if (!written.ok()) return written;
+    }
+    if (!options_.plots.empty()) {
+      const absl::Status written = WritePlots(report);
+      if (!written.ok()) return written;
+    }
+    if (console_.json) {
+      console_.out << ReportJson(report, options_.verbose) << '\n';
     } else {
-      PrintTable(results, total, console.out);
+      PrintReport(report, console_.out);
     }
-    return;
+    return absl::OkStatus();
   }
-  Json json;
-  json["drives"] = Json::array();
-  for (const DriveResult& result : results) {
-    Json drive = TallyJson(result.drive, result.tally);
-    if (verbose) drive["check_list"] = ChecksJson(result);
-    json["drives"].push_back(std::move(drive));
-  }
-  json["total"] = TallyJson("total", total);
-  console.out << json.dump(1, ' ', false, Json::error_handler_t::replace)
-              << '\n';
-}
 
-absl::Status EvaluateAll(const EvaluateOptions& options, Undoing* undoing,
-                         const Client& client,
-                         const std::shared_ptr<grpc::Channel>& channel,
-                         const std::vector<Drive>& drives,
-                         const Console& console) {
-  std::vector<DriveResult> results;
-  for (const Drive& drive : drives) {
-    auto result =
-        EvaluateDrive(channel, client, drive, options, undoing, console);
-    if (!result.ok()) return result.status();
-    if (options.verbose && !console.json) PrintChecks(*result, console.out);
-    results.push_back(std::move(*result));
-  }
-  if (!options.map.empty()) {
-    if (absl::Status status = WriteMap(results[0], options.map); !status.ok()) {
-      return status;
+ private:
+  absl::StatusOr<std::vector<MethodResult>> RunMethods() {
+    std::vector<MethodResult> results;
+    for (const Method& method : methods_) {
+      MethodResult result;
+      result.method = method.name;
+      result.sequence_length_meters = method.sequence_length_meters;
+      for (std::size_t i = 0; i < cases_.size(); ++i) {
+        if (method.source == Method::Source::kNearestPosition) {
+          result.drives.push_back(
+              NearestPositionResult(results.back().drives[i], method));
+          continue;
+        }
+        auto drive = RunCase(method, cases_[i]);
+        if (!drive.ok()) return drive.status();
+        result.drives.push_back(*std::move(drive));
+      }
+      results.push_back(std::move(result));
     }
+    return results;
   }
-  PrintResults(results, options.verbose, console);
-  return absl::OkStatus();
-}
+
+  absl::StatusOr<DriveResult> RunCase(const Method& method, const Case& one) {
+    DriveRun run;
+    run.vehicle_id = options_.vehicle.empty() ? UniqueVehicleId(one.drive.name)
+                                              : options_.vehicle;
+    run.settings = method.settings;
+    run.label = one.drive.name;
+    if (one.seed.has_value()) {
+      run.label += ", seed " + std::to_string(*one.seed);
+    }
+    if (methods_.size() > 1) {
+      run.label += ", " + method.name + " at " +
+                   Fixed(method.sequence_length_meters, 0) + " m";
+    }
+    run.judging = method.judging;
+    run.verify = options_.verify;
+    if (method.source == Method::Source::kServiceBeyondRecentPath) {
+      run.older_candidates = static_cast<std::size_t>(
+          std::max(1, options_.settings.max_candidates()));
+    }
+    const auto created = [this](const v1::Vehicle& vehicle) {
+      // A private server's vehicles go too, lest they pile up.
+      if (!(options_.server.has_value() && options_.keep_vehicles) &&
+          vehicle.durable_sequence() == 0) {
+        undoing_->AddVehicle(vehicle.name());
+      }
+    };
+    auto result = EvaluateDrive(channel_, client_, one.drive, one.uncertainty,
+                                run, created, console_);
+    if (!result.ok()) return result.status();
+    if (absl::Status deleted = undoing_->DeleteVehicles(); !deleted.ok()) {
+      return deleted;
+    }
+    result->seed = one.seed;
+    return result;
+  }
+
+  // Adds the timings of a repeat to the first run, whose answers must be the
+  // same.
+  absl::Status Merge(const std::vector<MethodResult>& again, int repeat,
+                     std::vector<MethodResult>* methods) const {
+    for (std::size_t m = 0; m < again.size(); ++m) {
+      for (std::size_t d = 0; d < again[m].drives.size(); ++d) {
+        const DriveResult& other = again[m].drives[d];
+        DriveResult& first = (*methods)[m].drives[d];
+        const auto differs = [&](const std::string& what) {
+          return LocalError(absl::AbortedError(
+              "repeat " + std::to_string(repeat) + " of " + first.drive + ", " +
+              again[m].method + ": " + what +
+              " differ from the first run's; with the same poses all answers "
+              "should be the same"));
+        };
+        if (!std::equal(first.answers.begin(), first.answers.end(),
+                        other.answers.begin(), other.answers.end(),
+                        SameAnswer)) {
+          return differs("answers");
+        }
+        if (first.tally.confirmed != other.tally.confirmed ||
+            first.tally.rejected != other.tally.rejected ||
+            first.inflation != other.inflation) {
+          return differs("what the verifier found, or the inflation,");
+        }
+        first.tally.search_milliseconds.insert(
+            first.tally.search_milliseconds.end(),
+            other.tally.search_milliseconds.begin(),
+            other.tally.search_milliseconds.end());
+        first.tally.timed_poses += other.tally.timed_poses;
+        first.tally.seconds += other.tally.seconds;
+      }
+    }
+    return absl::OkStatus();
+  }
+
+  static absl::Status Write(const std::string& path, const std::string& text) {
+    std::ofstream file(path, std::ios::binary | std::ios::trunc);
+    file << text;
+    file.close();
+    if (!file) {
+      return LocalError(absl::UnknownError(path + ": cannot be written"));
+    }
+    return absl::OkStatus();
+  }
+
+  absl::Status WriteMap(const DriveResult& result) const {
+    if (result.nodes.empty()) {
+      return LocalError(absl::FailedPreconditionError(
+          result.drive +
+          ": there is nothing to draw, the pose graph is empty"));
+    }
+    const Tally& t = result.tally;
+    MapContents contents;
+    contents.title = "Loop-closure candidates: " + result.drive;
+    contents.subtitle =
+        Fixed(result.nodes.back().travelled_meters / 1000.0, 1) + " km, " +
+        std::to_string(t.checks) + " checks, " + std::to_string(t.true_loops) +
+        " true loops; " + std::to_string(t.accepted) +
+        " candidates accepted, " + std::to_string(t.accepted_correct) +
+        " of them right";
+    if (t.precision().has_value() && t.recall().has_value()) {
+      contents.subtitle += " (precision " + Fixed(*t.precision(), 2) +
+                           ", recall " + Fixed(*t.recall(), 2) + ")";
+    }
+    contents.nodes = result.nodes;
+    contents.truth_at_nodes = result.truth_at_nodes;
+    contents.one_frame = options_.format == EvaluateOptions::Format::kRtklib;
+    contents.checks = result.checks;
+    return Write(options_.map, DrawMap(contents));
+  }
+
+  absl::Status WritePlots(const Report& report) const {
+    std::error_code error;
+    std::filesystem::create_directories(options_.plots, error);
+    if (error) {
+      return LocalError(
+          absl::UnknownError(options_.plots + ": " + error.message()));
+    }
+    const Tally main = TotalOf(report.methods[report.main]);
+    const std::string subtitle =
+        std::to_string(report.methods[report.main].drives.size()) +
+        (report.methods[report.main].drives.size() == 1 ? " drive, "
+                                                        : " drives, ") +
+        std::to_string(main.checks) + " checks, " +
+        std::to_string(main.true_loops) + " true loops";
+    std::vector<PlottedCurve> curves;
+    for (const MethodResult& method : report.methods) {
+      const Tally total = TotalOf(method);
+      PlottedCurve curve;
+      curve.name = method.method;
+      if (!options_.sequence_lengths.empty()) {
+        curve.name += ", " + Fixed(method.sequence_length_meters, 0) + " m";
+      }
+      curve.curve = PrecisionRecallCurve(total.confidences, total.true_loops);
+      curve.precision = total.precision();
+      curve.recall = total.recall();
+      curves.push_back(std::move(curve));
+    }
+    const std::string directory = options_.plots + "/";
+    if (absl::Status written = Write(directory + "precision_recall.svg",
+                                     DrawPrecisionRecall(subtitle, curves));
+        !written.ok()) {
+      return written;
+    }
+    return Write(directory + "reliability.svg",
+                 DrawReliability(subtitle, Reliability(main.probabilities),
+                                 main.calibration_error()));
+  }
+
+  const EvaluateOptions& options_;
+  const std::vector<Case> cases_;
+  const std::shared_ptr<grpc::Channel> channel_;
+  const Client& client_;
+  Undoing* const undoing_;
+  const Console& console_;
+  std::vector<Method> methods_;
+};
 
 }  // namespace
 
 absl::Status RunEvaluate(const EvaluateOptions& given, const Console& console) {
   EvaluateOptions options = given;
-  options.judging.excluded_nodes = std::llround(
-      options.exclude_meters / options.settings.node_spacing_meters());
+  if (options.format == EvaluateOptions::Format::kRtklib) {
+    options.settings.set_coordinate_frame(v1::COORDINATE_FRAME_GEODETIC);
+    options.uncertainty.source = UncertaintyOptions::Source::kFixes;
+  }
   // All files are read before the first is streamed, so that a mistake in the
   // last shows at once.
-  std::vector<Drive> drives;
-  for (const std::string& file : options.files) {
-    auto drive = ReadDriveWithTruth(file);
-    if (!drive.ok()) return drive.status();
-    drives.push_back(std::move(*drive));
-  }
+  auto drives = ReadDrives(options);
+  if (!drives.ok()) return drives.status();
+  auto cases = MakeCases(options, *std::move(drives));
+  if (!cases.ok()) return cases.status();
   Undoing undoing;
   const InterruptGuard guard([&undoing] { (void)undoing.Undo(); });
   if (!options.server.has_value()) {
@@ -534,7 +580,8 @@ absl::Status RunEvaluate(const EvaluateOptions& given, const Console& console) {
   const Client client(channel);
   undoing.SetClient(&client);
   const absl::Status status =
-      EvaluateAll(options, &undoing, client, channel, drives, console);
+      Evaluation(options, *std::move(cases), channel, client, &undoing, console)
+          .Run();
   const absl::Status undone = undoing.Undo();
   return status.ok() ? undone : status;
 }

@@ -5,13 +5,17 @@
 // Two nodes are one place if their true positions lie within a distance and
 // their true headings within an angle. A check at node i is a TRUE LOOP if one
 // of the nodes 0 to i - K is the same place, K nodes being the excluded recent
-// path. A candidate is CORRECT if its matched node is one of those. Precision
-// and recall count the first candidate of a check only, and only if the gate
-// accepted it:
+// path. A candidate is CORRECT if its matched node is one of those. Where
+// opposite passes are sought, headings are compared after half a turn; a
+// candidate is judged by the direction that it states. Precision and recall
+// count the first candidate of a check only, and only if its verdict is
+// ACCEPTED:
 //
 //   precision = accepted and correct / accepted
 //   recall    = accepted and correct / true loops
 //   f1        = 2 accepted and correct / (accepted + true loops)
+//   top1      = first candidate correct / true loops, verdict aside
+//   recall@5  = one of the first five correct / true loops, verdict aside
 #ifndef REVISIT_CLIENT_CLI_EVALUATION_H_
 #define REVISIT_CLIENT_CLI_EVALUATION_H_
 
@@ -20,6 +24,7 @@
 #include <string>
 #include <vector>
 
+#include "client/cli/calibration.h"
 #include "client/formats/drive_file.h"
 
 namespace revisit::client {
@@ -36,13 +41,33 @@ struct GraphNode {
   double yy = 0.0;
 };
 
+// The service's verdicts; baselines that know less use the first two.
+enum class Verdict {
+  kAccepted,
+  kRejectedByGate,
+  kRejectedByShape,
+  kAmbiguous,
+  kUninformative,
+  kIllConditioned
+};
+
+// As people write it, such as "REJECTED_BY_GATE".
+std::string NameOf(Verdict verdict);
+
 struct CandidateAnswer {
   std::int64_t matched = 0;
-  enum class Verdict { kAccepted, kRejected, kIllConditioned };
-  Verdict verdict = Verdict::kRejected;
+  Verdict verdict = Verdict::kRejectedByGate;
+  // The gate at the end of the path.
   double squared_distance = 0.0;
   double threshold = 0.0;
   double p_value = 0.0;
+  // Where the method states one.
+  std::optional<double> probability;
+  // The other way than now.
+  bool opposite = false;
+  // By which precision-recall curves choose, higher being surer: the
+  // probability if there is one, else the gate's p-value.
+  double confidence = 0.0;
 };
 
 // What came back from one check.
@@ -51,8 +76,15 @@ struct CheckAnswer {
   std::vector<CandidateAnswer> candidates;
   // Why there are none.
   std::string empty_reason;
-  double search_milliseconds = 0.0;
+  // Where the method measures it.
+  std::optional<double> search_milliseconds;
 };
+
+// Equal but for the time the search took.
+bool SameAnswer(const CheckAnswer& a, const CheckAnswer& b);
+
+// Which passes are sought.
+enum class PassDirection { kSame, kOpposite, kEither };
 
 struct Judging {
   // Checks before this travelled distance do not count.
@@ -61,6 +93,7 @@ struct Judging {
   std::int64_t excluded_nodes = 75;
   double loop_distance_meters = 10.0;
   double loop_heading_radians = 3.14159265358979323846 / 4.0;
+  PassDirection direction = PassDirection::kSame;
 };
 
 struct JudgedCheck {
@@ -71,7 +104,7 @@ struct JudgedCheck {
 
   bool accepted() const {
     return !answer.candidates.empty() &&
-           answer.candidates[0].verdict == CandidateAnswer::Verdict::kAccepted;
+           answer.candidates[0].verdict == Verdict::kAccepted;
   }
   bool top_correct() const { return !correct.empty() && correct[0]; }
 };
@@ -83,22 +116,36 @@ struct Tally {
   std::int64_t accepted = 0;
   std::int64_t accepted_correct = 0;
   // Checks with a correct candidate first, or among the first five, whatever
-  // the gate said.
+  // the verdict.
   std::int64_t top1_correct = 0;
   std::int64_t top5_correct = 0;
   // Accepted candidates of any rank: what somebody would have to verify; and
   // checks with a correct one among them: the loops that would be found.
   std::int64_t to_verify = 0;
   std::int64_t loops_found = 0;
+  // First candidates: their confidence, and their probability where stated.
+  std::vector<Scored> confidences;
+  std::vector<Scored> probabilities;
+  // What a verifier told the service.
+  std::int64_t confirmed = 0;
+  std::int64_t rejected = 0;
+  // Jumps at which the trajectory was cut.
+  std::int64_t jumps = 0;
   std::vector<double> search_milliseconds;
   std::int64_t poses = 0;
+  // Poses that were streamed in `seconds`: more than `poses` where an
+  // evaluation is repeated.
+  std::int64_t timed_poses = 0;
   double seconds = 0.0;
 
   // Nothing where there is nothing to divide by.
   std::optional<double> precision() const;
   std::optional<double> recall() const;
   std::optional<double> f1() const;
+  std::optional<double> top1() const;
+  std::optional<double> recall_at_5() const;
   std::optional<double> to_verify_per_loop() const;
+  std::optional<double> calibration_error() const;
   std::optional<double> poses_per_second() const;
   // The nearest-rank percentile, in [0, 100].
   std::optional<double> search_percentile(double percent) const;
@@ -106,10 +153,18 @@ struct Tally {
   void Add(const Tally& other);
 };
 
-// The true pose of each node. REQUIRES: as many truths as the stream had poses,
-// one at least, and sequences among them.
+// The true pose between two poses of the stream. REQUIRES: as many truths as
+// the stream had poses, one at least, and a sequence among them.
+PlanarPose TruthAt(std::uint64_t sequence, double fraction,
+                   const std::vector<PlanarPose>& truth);
+
+// The true pose of each node. REQUIRES: as TruthAt().
 std::vector<PlanarPose> TruthAtNodes(const std::vector<GraphNode>& nodes,
                                      const std::vector<PlanarPose>& truth);
+
+// Whether two true poses are one place, passed the same or the opposite way.
+bool SamePlace(const PlanarPose& a, const PlanarPose& b, bool opposite,
+               const Judging& judging);
 
 // Judges those answers that count, in order. REQUIRES: a true pose for each
 // node, and all answers about nodes.
@@ -118,7 +173,8 @@ std::vector<JudgedCheck> Judge(const std::vector<GraphNode>& nodes,
                                const std::vector<CheckAnswer>& answers,
                                const Judging& judging);
 
-// All but poses and seconds.
+// All that can be counted from checks: not poses, times, jumps, and what a
+// verifier told.
 Tally Count(const std::vector<JudgedCheck>& checks);
 
 }  // namespace revisit::client

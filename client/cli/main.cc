@@ -19,8 +19,10 @@
 #include "client/cli/export_command.h"
 #include "client/cli/find_command.h"
 #include "client/cli/show_command.h"
+#include "client/cli/simulation.h"
 #include "client/cli/stream_command.h"
 #include "client/cli/vehicle_command.h"
+#include "client/cli/verify_command.h"
 #include "client/revisit/channel.h"
 #include "client/revisit/client.h"
 #include "client/revisit/status.h"
@@ -55,10 +57,22 @@ const Words kFileCorrelationModels = {
     {"independent", v1::CORRELATION_MODEL_INDEPENDENT}};
 const Words kLikelihoodForms = {{"gaussian", v1::LIKELIHOOD_FORM_GAUSSIAN},
                                 {"as-printed", v1::LIKELIHOOD_FORM_AS_PRINTED}};
+const Words kAlignments = {{"relative", v1::ALIGNMENT_RELATIVE},
+                           {"composite", v1::ALIGNMENT_COMPOSITE}};
 const Words kCoordinateFrames = {{"local", v1::COORDINATE_FRAME_LOCAL},
                                  {"geodetic", v1::COORDINATE_FRAME_GEODETIC}};
+const Words kDirections = {{"same", v1::DIRECTION_SAME},
+                           {"opposite", v1::DIRECTION_OPPOSITE},
+                           {"either", v1::DIRECTION_EITHER}};
 const Words kDriveFormats = {{"drive", static_cast<int>(DriveFormat::kDrive)},
                              {"tum", static_cast<int>(DriveFormat::kTum)}};
+const Words kEvaluationFormats = {
+    {"drive", static_cast<int>(EvaluateOptions::Format::kDrive)},
+    {"rtklib", static_cast<int>(EvaluateOptions::Format::kRtklib)}};
+const Words kPassDirections = {
+    {"same", static_cast<int>(PassDirection::kSame)},
+    {"opposite", static_cast<int>(PassDirection::kOpposite)},
+    {"either", static_cast<int>(PassDirection::kEither)}};
 const Words kUncertaintySources = {
     {"model", static_cast<int>(UncertaintyOptions::Source::kModel)},
     {"file", static_cast<int>(UncertaintyOptions::Source::kFile)}};
@@ -118,6 +132,35 @@ template <typename Settings>
 void AddSearchSettings(const Flags& g, Settings* settings,
                        const Words& models) {
   AddChoice(
+      g, "--alignment", kAlignments,
+      [=](int v) { settings->set_alignment(static_cast<v1::Alignment>(v)); },
+      "Shared drift counted once, or the paper's sum over all pairs of nodes "
+      "(relative)");
+  AddNumber(
+      g, "--acceptance-probability", "P",
+      [=](double v) { settings->set_acceptance_probability(v); },
+      "Relative: least probability of an accepted candidate (0.5)");
+  AddNumber(
+      g, "--road-spacing", "M",
+      [=](double v) { settings->set_road_spacing_meters(v); },
+      "Relative: mean distance between roads not driven (200)");
+  AddNumber(
+      g, "--shape-tolerance-position", "M",
+      [=](double v) {
+        settings->mutable_shape_tolerance()->set_position_meters(v);
+      },
+      "Relative: how far two passes of a road stray within a sequence (1)");
+  AddNumber(
+      g, "--shape-tolerance-heading", "RAD",
+      [=](double v) {
+        settings->mutable_shape_tolerance()->set_heading_radians(v);
+      },
+      "The same for heading (0.06)");
+  AddNumber(
+      g, "--shape-correlation", "M",
+      [=](double v) { settings->set_shape_correlation_meters(v); },
+      "Relative: distance over which that straying is one and the same (10)");
+  AddChoice(
       g, "--correlation-model", models,
       [=](int v) {
         settings->set_correlation_model(static_cast<v1::CorrelationModel>(v));
@@ -161,6 +204,17 @@ void AddSearchSettings(const Flags& g, Settings* settings,
       ->group(g.heading);
 }
 
+// The messages of the service take a tolerance whole: of one that is given in
+// half, the rest would be 0.
+void RequireWholeTolerances(CLI::App* app) {
+  for (const std::string name : {"--tolerance", "--shape-tolerance"}) {
+    CLI::Option* position = app->get_option(name + "-position");
+    CLI::Option* heading = app->get_option(name + "-heading");
+    position->needs(heading);
+    heading->needs(position);
+  }
+}
+
 void AddVehicleSettings(CLI::App* app, v1::VehicleSettings* settings,
                         bool all) {
   const Flags g = {app, "Settings of the vehicle (and their defaults)"};
@@ -177,6 +231,15 @@ void AddVehicleSettings(CLI::App* app, v1::VehicleSettings* settings,
   AddNumber(
       g, "--max-step", "M", [=](double v) { settings->set_max_step_meters(v); },
       "A longer step between two poses is a jump (100)");
+  app->add_flag_function(
+         "--apply-inflation,!--no-apply-inflation",
+         [=](std::int64_t count) { settings->set_apply_inflation(count > 0); },
+         "Widen the claimed uncertainty as confirmed loop closures ask for")
+      ->group(g.heading);
+  AddNumber(
+      g, "--max-inflation", "FACTOR",
+      [=](double v) { settings->set_max_inflation(v); },
+      "The most it is widened by (10)");
   if (!all) return;
   AddChoice(
       g, "--state-space", kStateSpaces,
@@ -266,6 +329,13 @@ class Program {
     AddVehicle();
     AddStream();
     AddFind();
+    AddVerified("confirm", "Tells that two poses were found to be one place.",
+                "Adds a loop closure. Again: the existing one.", &RunConfirm);
+    AddVerified("reject",
+                "Tells that two poses were found not to be one place.",
+                "The candidate is not offered again. Again: the existing "
+                "rejection.",
+                &RunReject);
     AddShow();
     AddExport();
     AddEvaluate();
@@ -298,8 +368,9 @@ class Program {
   }
 
   void AddVehicle() {
-    CLI::App* vehicle = AddCommand(
-        &app_, "vehicle", "Creates, shows and deletes vehicles.", "", "");
+    CLI::App* vehicle =
+        AddCommand(&app_, "vehicle",
+                   "Creates, shows, changes and deletes vehicles.", "", "");
     vehicle->require_subcommand(1);
     vehicle->fallthrough();
 
@@ -313,6 +384,7 @@ class Program {
     create->add_option("ID", vehicle_id_, "Lower-case letters, digits, dashes")
         ->required();
     AddVehicleSettings(create, &created_settings_, true);
+    RequireWholeTolerances(create);
     create->callback([this] {
       run_ = [this](const Console& console) {
         return RunVehicleCreate(MakeClient(), vehicle_id_, created_settings_,
@@ -334,6 +406,24 @@ class Program {
     list->callback([this] {
       run_ = [this](const Console& console) {
         return RunVehicleList(MakeClient(), console);
+      };
+    });
+
+    CLI::App* update = AddCommand(
+        vehicle, "update",
+        "Changes the settings that are given, and no others.",
+        "Once a vehicle has poses, its state space and its frame are fixed, "
+        "and "
+        "so is\nwhether its correlation model is filter.",
+        "  revisit vehicle update shuttle-7 --apply-inflation\n"
+        "  revisit vehicle update shuttle-7 --acceptance-probability 0.9");
+    update->add_option("ID", vehicle_id_)->required();
+    AddVehicleSettings(update, &changed_settings_, true);
+    RequireWholeTolerances(update);
+    update->callback([this] {
+      run_ = [this](const Console& console) {
+        return RunVehicleUpdate(MakeClient(), vehicle_id_, changed_settings_,
+                                console);
       };
     });
 
@@ -404,7 +494,9 @@ class Program {
         &app_, "find", "Asks for loop-closure candidates at one pose.", "",
         "  revisit find --vehicle shuttle-7\n"
         "  revisit find --vehicle shuttle-7 --sequence 4000 "
-        "--max-candidates 10 --json");
+        "--max-candidates 10 --json\n"
+        "  revisit find --vehicle shuttle-7 --direction either "
+        "--acceptance-probability 0.9");
     RequireVehicle(command, &find_vehicle_);
     command
         ->add_option_function<std::uint64_t>(
@@ -416,12 +508,47 @@ class Program {
         "--aligned-path",
         [this] { find_.mutable_options()->set_include_aligned_path(true); },
         "Let the JSON have the aligned pairs");
+    AddChoice(
+        {command}, "--direction", kDirections,
+        [this](int v) {
+          find_.mutable_options()->set_direction(static_cast<v1::Direction>(v));
+        },
+        "Which way the place was passed before, against the way it is passed "
+        "now (same)");
     AddSearchSettings(Flags{command, "Instead of the vehicle's settings"},
                       find_.mutable_options(), kCorrelationModels);
+    RequireWholeTolerances(command);
     command->callback([this] {
       find_.set_vehicle(find_vehicle_);
       run_ = [this](const Console& console) {
         return RunFind(MakeClient(), find_, console);
+      };
+    });
+  }
+
+  // `revisit confirm` and `revisit reject`.
+  void AddVerified(const std::string& name, const std::string& description,
+                   const std::string& details,
+                   absl::Status (*run)(const Client&, const VerifiedPair&,
+                                       const Console&)) {
+    CLI::App* command =
+        AddCommand(&app_, name, description, details,
+                   "  revisit " + name + " shuttle-7 4000 1200");
+    command->add_option("VEHICLE", verified_.vehicle, "Id, or name")
+        ->required();
+    command
+        ->add_option("QUERY_SEQ", verified_.query_sequence,
+                     "Sequence of the later pose")
+        ->type_name("N")
+        ->required();
+    command
+        ->add_option("MATCHED_SEQ", verified_.matched_sequence,
+                     "Sequence of the earlier pose")
+        ->type_name("N")
+        ->required();
+    command->callback([this, run] {
+      run_ = [this, run](const Console& console) {
+        return run(MakeClient(), verified_, console);
       };
     });
   }
@@ -479,37 +606,103 @@ class Program {
         &app_, "evaluate",
         "Measures candidates on recorded drives whose truth is known.",
         "Streams the estimates of each drive through the service; the truth is "
-        "not "
-        "sent. Unless\n--server or REVISIT_SERVER names a server, a private "
-        "one is "
-        "started and stopped.\n\n"
+        "not sent. Unless\n--server or REVISIT_SERVER names a server, a "
+        "private "
+        "one is started and stopped.\n\n"
         "A check is a true loop if a node before the excluded recent path lies "
         "within the loop\ndistance and loop heading of the current true pose; "
-        "a "
-        "candidate is correct by the same\ntest. Precision and recall count "
-        "the "
-        "first candidate of a check, if the gate accepted it:\n"
-        "  precision = accepted and correct / accepted\n"
-        "  recall    = accepted and correct / true loops",
+        "a candidate is right by the same\ntest. Precision and recall count "
+        "the first candidate of a check, if its verdict is ACCEPTED:\n"
+        "  precision   accepted and right / accepted\n"
+        "  recall      accepted and right / true loops\n"
+        "  top-1       right in first place / true loops, verdict aside\n"
+        "  recall@5    right among the first five / true loops, verdict aside\n"
+        "  verify/loop accepted candidates of any rank / loops found by them\n"
+        "  ECE         expected calibration error of the stated probabilities",
         "  revisit evaluate kitti_05.csv\n"
-        "  revisit evaluate drives/*.csv --json\n"
+        "  revisit evaluate drives/*.csv --baselines --plots plots\n"
+        "  revisit evaluate drives/*.csv --sequence-lengths "
+        "100,150,200,300,400\n"
+        "  revisit evaluate drives/*.csv --simulate 1-5 --claimed-scale 0.5 "
+        "--verify --apply-inflation\n"
         "  revisit evaluate drive.csv --verbose --map map.svg\n"
-        "  revisit evaluate drive.csv --correlation-model independent");
+        "  revisit evaluate day1.pos day2.pos --format rtklib --one-vehicle "
+        "--truth ref1.csv ref2.csv");
     command->add_option("FILE", evaluate_.files, "Drive files with truth")
         ->required();
+    AddChoice(
+        {command}, "--format", kEvaluationFormats,
+        [this](int v) {
+          evaluate_.format = static_cast<EvaluateOptions::Format>(v);
+        },
+        "Comma-separated columns by name (drive, the default), or an RTKLIB "
+        "solution with velocities (rtklib), taken as independent fixes with "
+        "the covariances it states");
+    command
+        ->add_option("--truth", evaluate_.truth_files,
+                     "rtklib: the reference trajectory of each FILE, "
+                     "comma-separated columns by name")
+        ->type_name("FILE");
+    command->add_flag("--one-vehicle", evaluate_.one_vehicle,
+                      "Stream all files into one vehicle, one after the other");
     command->add_flag("--verbose", evaluate_.verbose,
                       "Print each check's best candidate");
     command
         ->add_option("--map", evaluate_.map,
-                     "Draw the map of the drive (one file only)")
+                     "Draw the map of the drive (one drive only)")
         ->type_name("FILE.svg");
+    command
+        ->add_option("--plots", evaluate_.plots,
+                     "Draw precision_recall.svg and reliability.svg there")
+        ->type_name("DIR");
+    command
+        ->add_option("--repeat", evaluate_.repeats,
+                     "Do it all N times, fail unless all answers are the same, "
+                     "and time them all")
+        ->type_name("N")
+        ->check(CLI::Range(1, 1000).description(""))
+        ->capture_default_str();
     command->add_flag("--keep-vehicles", evaluate_.keep_vehicles,
                       "Leave the vehicles on the server that was named");
     command
         ->add_option("--vehicle", evaluate_.vehicle,
-                     "Id of the vehicle to create (one file only); otherwise "
-                     "ids are made up")
+                     "Id of the vehicle to create, where there is one only; "
+                     "otherwise ids are made up")
         ->type_name("ID");
+
+    const Flags measured = {command, "What is measured"};
+    command
+        ->add_flag("--baselines", evaluate_.baselines,
+                   "Beside the settings: nearest position, single pose, and "
+                   "the paper's alignment without and with cross-covariance")
+        ->group(measured.heading);
+    command
+        ->add_option("--sequence-lengths", evaluate_.sequence_lengths,
+                     "Each of these instead of --sequence-length; each is the "
+                     "excluded recent path too")
+        ->type_name("M,M,...")
+        ->delimiter(',')
+        ->allow_extra_args(false)
+        ->check(CLI::PositiveNumber.description(""))
+        ->group(measured.heading);
+    AddChoice(
+        measured, "--direction", kPassDirections,
+        [this](int v) {
+          evaluate_.judging.direction = static_cast<PassDirection>(v);
+        },
+        "Which way the vehicle may have passed before (same)");
+    command
+        ->add_option("--simulate", simulated_seeds_,
+                     "Draw each drive's estimate anew from the noise below "
+                     "along its truth, once for each seed, such as 1-5")
+        ->type_name("SEEDS")
+        ->group(measured.heading);
+    command
+        ->add_flag("--verify", evaluate_.verify,
+                   "Play the verifier: tell the service which accepted first "
+                   "candidates are right and which are wrong")
+        ->group(measured.heading);
+
     const Flags truth = {command, "Judging"};
     AddDouble(truth, "--first-check", "M",
               &evaluate_.judging.first_check_meters,
@@ -529,23 +722,70 @@ class Program {
     SetProtocol(&evaluate_.settings);
     AddVehicleSettings(command, &evaluate_.settings, false);
     AddUncertainty(command, &evaluate_.uncertainty);
-    command->callback([this] {
-      if (evaluate_.files.size() > 1 &&
-          !(evaluate_.map.empty() && evaluate_.vehicle.empty())) {
-        throw CLI::ValidationError(
-            evaluate_.map.empty() ? "--vehicle" : "--map",
-            "takes one FILE only");
-      }
-      if (!(evaluate_.settings.node_spacing_meters() > 0.0)) {
-        throw CLI::ValidationError("--node-spacing", "must be positive");
-      }
-      if (common_.server_option->count() > 0) {
-        evaluate_.server = common_.server;
-      }
+    AddDouble({command, "Claimed uncertainty"}, "--claimed-scale", "FACTOR",
+              &evaluate_.uncertainty.claimed_scale,
+              "Claim every standard deviation this many times as large");
+    command->callback([this, command] {
+      FinishEvaluate(command);
       run_ = [this](const Console& console) {
         return RunEvaluate(evaluate_, console);
       };
     });
+  }
+
+  // What the flags of an evaluation say of each other.
+  void FinishEvaluate(CLI::App* command) {
+    if (!simulated_seeds_.empty()) {
+      auto seeds = ParseSeeds(simulated_seeds_);
+      if (!seeds.ok()) {
+        throw CLI::ValidationError("--simulate",
+                                   std::string(seeds.status().message()));
+      }
+      evaluate_.seeds = *std::move(seeds);
+      if (evaluate_.uncertainty.source != UncertaintyOptions::Source::kModel) {
+        throw CLI::ValidationError("--simulate",
+                                   "goes with --uncertainty model only");
+      }
+    }
+    if (evaluate_.format == EvaluateOptions::Format::kRtklib) {
+      if (!evaluate_.seeds.empty()) {
+        throw CLI::ValidationError("--simulate",
+                                   "goes with --format drive only");
+      }
+      if (command->get_option("--uncertainty")->count() > 0) {
+        throw CLI::ValidationError("--uncertainty",
+                                   "goes with --format drive only");
+      }
+      if (evaluate_.truth_files.size() != evaluate_.files.size()) {
+        throw CLI::ValidationError(
+            "--truth", "expected one for each FILE of --format rtklib");
+      }
+      if (command->get_option("--correlation-model")->count() == 0) {
+        evaluate_.settings.set_correlation_model(
+            v1::CORRELATION_MODEL_INDEPENDENT);
+      }
+    } else if (!evaluate_.truth_files.empty()) {
+      throw CLI::ValidationError("--truth", "goes with --format rtklib only");
+    }
+    const bool one_drive =
+        (evaluate_.files.size() == 1 || evaluate_.one_vehicle) &&
+        evaluate_.seeds.size() <= 1;
+    if (!evaluate_.map.empty() && !one_drive) {
+      throw CLI::ValidationError("--map", "takes one drive only");
+    }
+    if (!evaluate_.vehicle.empty() &&
+        (!one_drive || evaluate_.baselines || evaluate_.repeats > 1 ||
+         evaluate_.sequence_lengths.size() > 1)) {
+      throw CLI::ValidationError("--vehicle",
+                                 "goes with what takes one vehicle only");
+    }
+    if (!(evaluate_.settings.node_spacing_meters() > 0.0)) {
+      throw CLI::ValidationError("--node-spacing", "must be positive");
+    }
+    if (!(evaluate_.uncertainty.claimed_scale > 0.0)) {
+      throw CLI::ValidationError("--claimed-scale", "must be positive");
+    }
+    if (common_.server_option->count() > 0) evaluate_.server = common_.server;
   }
 
   // An evaluation says all it depends on, whatever the server's defaults.
@@ -563,6 +803,14 @@ class Program {
     settings->mutable_place_tolerance()->set_heading_radians(0.1);
     settings->set_candidate_separation_meters(10.0);
     settings->set_max_candidates(5);
+    settings->set_alignment(v1::ALIGNMENT_RELATIVE);
+    settings->set_acceptance_probability(0.5);
+    settings->set_road_spacing_meters(200.0);
+    settings->mutable_shape_tolerance()->set_position_meters(1.0);
+    settings->mutable_shape_tolerance()->set_heading_radians(0.06);
+    settings->set_shape_correlation_meters(10.0);
+    settings->set_apply_inflation(false);
+    settings->set_max_inflation(10.0);
   }
 
   CLI::App app_;
@@ -571,12 +819,15 @@ class Program {
   std::string vehicle_id_;
   std::vector<std::string> vehicle_ids_;
   v1::VehicleSettings created_settings_;
+  v1::VehicleSettings changed_settings_;
+  VerifiedPair verified_;
   StreamOptions stream_;
   double give_up_seconds_ = 60.0;
   std::string find_vehicle_;
   v1::FindCandidatesRequest find_;
   ExportOptions export_;
   EvaluateOptions evaluate_;
+  std::string simulated_seeds_;
 };
 
 }  // namespace

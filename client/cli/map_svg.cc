@@ -5,7 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "client/cli/console.h"
+#include "client/cli/svg.h"
 
 namespace revisit::client {
 namespace {
@@ -29,9 +29,6 @@ constexpr char kHalo[] =
     "stroke=\"#ffffff\" stroke-width=\"4\" stroke-linejoin=\"round\" "
     "paint-order=\"stroke\"";
 
-constexpr char kInk[] = "#222222";
-constexpr char kFaint[] = "#6b6b6b";
-constexpr char kGrid[] = "#ececec";
 constexpr char kEstimate[] = "#1f3b57";
 constexpr char kTruth[] = "#9a9a9a";
 constexpr char kEllipse[] = "#7b68b5";
@@ -43,33 +40,6 @@ struct Point {
   double x = 0.0;
   double y = 0.0;
 };
-
-std::string Number(double value) {
-  std::string text = Fixed(value, 2);
-  text.erase(text.find_last_not_of('0') + 1);
-  if (text.back() == '.') text.pop_back();
-  return text == "-0" ? "0" : text;
-}
-
-std::string Escaped(const std::string& text) {
-  std::string escaped;
-  for (const char c : text) {
-    switch (c) {
-      case '&':
-        escaped += "&amp;";
-        break;
-      case '<':
-        escaped += "&lt;";
-        break;
-      case '>':
-        escaped += "&gt;";
-        break;
-      default:
-        escaped += c;
-    }
-  }
-  return escaped;
-}
 
 // 1, 2 or 5 times a power of ten: the largest that is at most `value`.
 double RoundBelow(double value) {
@@ -104,6 +74,10 @@ std::vector<Point> MoveTruth(const MapContents& contents) {
   const double s = std::sin(turn);
   std::vector<Point> moved;
   for (const PlanarPose& pose : contents.truth_at_nodes) {
+    if (contents.one_frame) {
+      moved.push_back({pose.x, pose.y});
+      continue;
+    }
     const double dx = pose.x - from.x;
     const double dy = pose.y - from.y;
     moved.push_back({to.x + c * dx - s * dy, to.y + s * dx + c * dy});
@@ -154,15 +128,7 @@ class Map {
   std::string Draw() {
     const double height =
         kTop + view_.frame.height + kBelowPlot + kLegendHeight;
-    svg_ = "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"" +
-           Number(kWidth) + "\" height=\"" + Number(height) +
-           "\" viewBox=\"0 0 " + Number(kWidth) + " " + Number(height) +
-           "\" font-family=\"'Helvetica Neue', Helvetica, Arial, 'DejaVu "
-           "Sans', sans-serif\" font-size=\"13\">\n"
-           "<title>" +
-           Escaped(contents_.title) +
-           "</title>\n<rect width=\"100%\" height=\"100%\" "
-           "fill=\"#ffffff\"/>\n";
+    svg_ = SvgBegin(kWidth, height, contents_.title);
     Text(kLeft, 36.0, contents_.title, kInk, "start",
          "font-size=\"21\" font-weight=\"bold\"");
     Text(kLeft, 58.0, contents_.subtitle, kFaint, "start", "font-size=\"14\"");
@@ -348,16 +314,17 @@ class Map {
     DrawInside(name);
     Frame(detail.frame, "none", kInk, "");
     Text(detail.frame.left + 8.0, detail.frame.top + 18.0,
-         "enlarged " + Number(kEnlargement) + " times", kFaint, "start", kHalo);
+         "enlarged " + SvgNumber(kEnlargement) + " times", kFaint, "start",
+         kHalo);
     view_ = whole;
   }
 
   void Frame(const Rectangle& frame, const char* fill, const char* stroke,
              const std::string& more) {
-    svg_ += "<rect x=\"" + Number(frame.left) + "\" y=\"" + Number(frame.top) +
-            "\" width=\"" + Number(frame.width) + "\" height=\"" +
-            Number(frame.height) + "\" fill=\"" + fill + "\" stroke=\"" +
-            stroke + "\" " + more + "/>\n";
+    svg_ += "<rect x=\"" + SvgNumber(frame.left) + "\" y=\"" +
+            SvgNumber(frame.top) + "\" width=\"" + SvgNumber(frame.width) +
+            "\" height=\"" + SvgNumber(frame.height) + "\" fill=\"" + fill +
+            "\" stroke=\"" + stroke + "\" " + more + "/>\n";
   }
 
   // Everything of the view that lies in its frame.
@@ -376,23 +343,17 @@ class Map {
 
   void Text(double x, double y, const std::string& text, const char* color,
             const char* anchor, const std::string& more) {
-    svg_ += "<text x=\"" + Number(x) + "\" y=\"" + Number(y) + "\" fill=\"" +
-            color + "\" text-anchor=\"" + anchor + "\" " + more + ">" +
-            Escaped(text) + "</text>\n";
+    svg_ += SvgText(x, y, text, color, anchor, more);
   }
 
   void Line(double x1, double y1, double x2, double y2, const char* color,
             double width, const std::string& more) {
-    svg_ += "<line x1=\"" + Number(x1) + "\" y1=\"" + Number(y1) + "\" x2=\"" +
-            Number(x2) + "\" y2=\"" + Number(y2) + "\" stroke=\"" + color +
-            "\" stroke-width=\"" + Number(width) + "\" " + more + "/>\n";
+    svg_ += SvgLine(x1, y1, x2, y2, color, width, more);
   }
 
   void Circle(double x, double y, double radius, const char* fill,
               const char* stroke, double width) {
-    svg_ += "<circle cx=\"" + Number(x) + "\" cy=\"" + Number(y) + "\" r=\"" +
-            Number(radius) + "\" fill=\"" + fill + "\" stroke=\"" + stroke +
-            "\" stroke-width=\"" + Number(width) + "\"/>\n";
+    svg_ += SvgCircle(x, y, radius, fill, stroke, width);
   }
 
   // Breaks where the trajectory was cut, and leaves out points too near to see.
@@ -400,7 +361,7 @@ class Map {
                 double width) {
     constexpr double kVisible = 0.8;
     svg_ += "<path fill=\"none\" stroke=\"" + std::string(color) +
-            "\" stroke-width=\"" + Number(width) +
+            "\" stroke-width=\"" + SvgNumber(width) +
             "\" stroke-linejoin=\"round\" stroke-linecap=\"round\" d=\"";
     Point last;
     for (std::size_t i = 0; i < points.size(); ++i) {
@@ -416,7 +377,8 @@ class Map {
           std::hypot(at.x - last.x, at.y - last.y) < kVisible) {
         continue;
       }
-      svg_ += (i == 0 || cut ? "M" : "L") + Number(at.x) + " " + Number(at.y);
+      svg_ +=
+          (i == 0 || cut ? "M" : "L") + SvgNumber(at.x) + " " + SvgNumber(at.y);
       last = at;
     }
     svg_ += "\"/>\n";
@@ -434,20 +396,20 @@ class Map {
       const double at = view_.At({x, 0.0}).x;
       Line(at, plot.top, at, bottom, kGrid, 1.0, "");
       Line(at, bottom, at, bottom + 5.0, kInk, 1.0, "");
-      Text(at, bottom + 20.0, Number(x), kInk, "middle", "");
+      Text(at, bottom + 20.0, SvgNumber(x), kInk, "middle", "");
     }
     for (double y = std::ceil((middle.y - half_height) / step) * step;
          y <= middle.y + half_height; y += step) {
       const double at = view_.At({0.0, y}).y;
       Line(plot.left, at, plot.left + plot.width, at, kGrid, 1.0, "");
       Line(plot.left - 5.0, at, plot.left, at, kInk, 1.0, "");
-      Text(plot.left - 9.0, at + 4.5, Number(y), kInk, "end", "");
+      Text(plot.left - 9.0, at + 4.5, SvgNumber(y), kInk, "end", "");
     }
     Text(plot.left + 0.5 * plot.width, bottom + 38.0, "x in metres", kFaint,
          "middle", "");
     const double half_way = plot.top + 0.5 * plot.height;
     Text(16.0, half_way, "y in metres", kFaint, "middle",
-         "transform=\"rotate(-90 16 " + Number(half_way) + ")\"");
+         "transform=\"rotate(-90 16 " + SvgNumber(half_way) + ")\"");
   }
 
   const GraphNode& NodeOf(const JudgedCheck& check) const {
@@ -457,17 +419,17 @@ class Map {
   void DrawEllipses() {
     svg_ += "<g fill=\"" + std::string(kEllipse) +
             "\" fill-opacity=\"0.025\" stroke=\"" + kEllipse +
-            "\" stroke-opacity=\"" + Number(0.45 * view_.mark_size) +
+            "\" stroke-opacity=\"" + SvgNumber(0.45 * view_.mark_size) +
             "\" stroke-width=\"0.9\">\n";
     for (const JudgedCheck& check : contents_.checks) {
       const Ellipse ellipse = EllipseOf(NodeOf(check));
       const Point at = Start(check);
       svg_ += "<ellipse rx=\"" +
-              Number(ellipse.major * view_.pixels_per_meter) + "\" ry=\"" +
-              Number(ellipse.minor * view_.pixels_per_meter) +
-              "\" transform=\"translate(" + Number(at.x) + " " + Number(at.y) +
-              ") rotate(" +
-              Number(-ellipse.direction * 180.0 / 3.14159265358979323846) +
+              SvgNumber(ellipse.major * view_.pixels_per_meter) + "\" ry=\"" +
+              SvgNumber(ellipse.minor * view_.pixels_per_meter) +
+              "\" transform=\"translate(" + SvgNumber(at.x) + " " +
+              SvgNumber(at.y) + ") rotate(" +
+              SvgNumber(-ellipse.direction * 180.0 / 3.14159265358979323846) +
               ")\"/>\n";
     }
     svg_ += "</g>\n";
@@ -479,8 +441,8 @@ class Map {
                 double size) {
     Line(x1, y1, x2, y2, LinkColor(right), 2.6 * size,
          right ? "stroke-linecap=\"round\""
-               : "stroke-dasharray=\"" + Number(7.0 * size) + " " +
-                     Number(5.0 * size) + "\"");
+               : "stroke-dasharray=\"" + SvgNumber(7.0 * size) + " " +
+                     SvgNumber(5.0 * size) + "\"");
     Circle(x2, y2, 3.2 * size, "#ffffff", LinkColor(right), 1.8 * size);
   }
 
@@ -529,9 +491,9 @@ class Map {
   void DrawEnd(const Point& at, const char* label, const char* fill,
                bool label_above) {
     constexpr double kHalf = 5.5;
-    svg_ += "<rect x=\"" + Number(at.x - kHalf) + "\" y=\"" +
-            Number(at.y - kHalf) + "\" width=\"" + Number(2.0 * kHalf) +
-            "\" height=\"" + Number(2.0 * kHalf) + "\" fill=\"" + fill +
+    svg_ += "<rect x=\"" + SvgNumber(at.x - kHalf) + "\" y=\"" +
+            SvgNumber(at.y - kHalf) + "\" width=\"" + SvgNumber(2.0 * kHalf) +
+            "\" height=\"" + SvgNumber(2.0 * kHalf) + "\" fill=\"" + fill +
             "\" stroke=\"" + kEstimate + "\" stroke-width=\"2\"/>\n";
     Text(at.x, at.y + (label_above ? -12.0 : 22.0), label, kInk, "middle",
          std::string("font-weight=\"bold\" ") + kHalo);
@@ -543,13 +505,14 @@ class Map {
     const double length = meters * view_.pixels_per_meter;
     const double x = plot.left + plot.width - 18.0 - length;
     const double y = plot.top + plot.height - 18.0;
-    svg_ += "<rect x=\"" + Number(x - 10.0) + "\" y=\"" + Number(y - 24.0) +
-            "\" width=\"" + Number(length + 20.0) +
+    svg_ += "<rect x=\"" + SvgNumber(x - 10.0) + "\" y=\"" +
+            SvgNumber(y - 24.0) + "\" width=\"" + SvgNumber(length + 20.0) +
             "\" height=\"34\" fill=\"#ffffff\" fill-opacity=\"0.85\"/>\n";
     Line(x, y, x + length, y, kInk, 2.5, "");
     Line(x, y - 5.0, x, y + 5.0, kInk, 2.0, "");
     Line(x + length, y - 5.0, x + length, y + 5.0, kInk, 2.0, "");
-    Text(x + 0.5 * length, y - 9.0, Number(meters) + " m", kInk, "middle", "");
+    Text(x + 0.5 * length, y - 9.0, SvgNumber(meters) + " m", kInk, "middle",
+         "");
   }
 
   void DrawLegend() {
@@ -568,9 +531,9 @@ class Map {
     Line(columns[0], y(1), columns[0] + kSample, y(1), kTruth, 1.2, "");
     label(0, 1, "true trajectory");
 
-    svg_ += "<ellipse cx=\"" + Number(columns[0] + 0.5 * kSample) + "\" cy=\"" +
-            Number(y(2)) + "\" rx=\"16\" ry=\"8\" fill=\"" + kEllipse +
-            "\" fill-opacity=\"0.08\" stroke=\"" + kEllipse +
+    svg_ += "<ellipse cx=\"" + SvgNumber(columns[0] + 0.5 * kSample) +
+            "\" cy=\"" + SvgNumber(y(2)) + "\" rx=\"16\" ry=\"8\" fill=\"" +
+            kEllipse + "\" fill-opacity=\"0.08\" stroke=\"" + kEllipse +
             "\" stroke-opacity=\"0.7\"/>\n";
     label(0, 2, "95 % uncertainty at a check");
 

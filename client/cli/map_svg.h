@@ -16,15 +16,17 @@ struct MapContents {
   std::vector<GraphNode> nodes;
   // One for each node.
   std::vector<PlanarPose> truth_at_nodes;
+  // Whether the truth is in the frame of the estimate; otherwise it is moved so
+  // that the two begin at one pose.
+  bool one_frame = false;
   std::vector<JudgedCheck> checks;
 };
 
 // An SVG document, drawn in the frame of the estimate: the estimated
-// trajectory; the truth, moved so that the two begin at one pose; at each check
-// the 95 % ellipse of its position; a link from each check to its first
-// candidate, where the gate accepted it, solid where right and dashed where
-// wrong; a circle at each check where it did not, filled where a true loop was
-// missed.
+// trajectory; the truth; at each check the 95 % ellipse of its position; a link
+// from each check to its first candidate, where that was accepted, solid where
+// right and dashed where wrong; a circle at each check where it was not, filled
+// where a true loop was missed.
 //
 // REQUIRES: at least one node.
 std::string DrawMap(const MapContents& contents);

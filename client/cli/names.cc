@@ -28,6 +28,10 @@ std::string NameOf(v1::LikelihoodForm value) {
   return WithoutPrefix(v1::LikelihoodForm_Name(value), "LIKELIHOOD_FORM_");
 }
 
+std::string NameOf(v1::Alignment value) {
+  return WithoutPrefix(v1::Alignment_Name(value), "ALIGNMENT_");
+}
+
 std::string NameOf(v1::CoordinateFrame value) {
   return WithoutPrefix(v1::CoordinateFrame_Name(value), "COORDINATE_FRAME_");
 }
@@ -38,6 +42,14 @@ std::string NameOf(v1::VehicleState value) {
 
 std::string NameOf(v1::GateVerdict value) {
   return WithoutPrefix(v1::GateVerdict_Name(value), "GATE_VERDICT_");
+}
+
+std::string NameOf(v1::Verdict value) {
+  return WithoutPrefix(v1::Verdict_Name(value), "VERDICT_");
+}
+
+std::string NameOf(v1::Direction value) {
+  return WithoutPrefix(v1::Direction_Name(value), "DIRECTION_");
 }
 
 std::string Explain(v1::EmptyReason reason) {

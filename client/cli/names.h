@@ -16,9 +16,12 @@ std::string VehicleName(const std::string& id);
 std::string NameOf(v1::StateSpace value);
 std::string NameOf(v1::CorrelationModel value);
 std::string NameOf(v1::LikelihoodForm value);
+std::string NameOf(v1::Alignment value);
 std::string NameOf(v1::CoordinateFrame value);
 std::string NameOf(v1::VehicleState value);
 std::string NameOf(v1::GateVerdict value);
+std::string NameOf(v1::Verdict value);
+std::string NameOf(v1::Direction value);
 
 // Why there are no candidates, in words.
 std::string Explain(v1::EmptyReason reason);

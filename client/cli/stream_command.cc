@@ -62,8 +62,14 @@ void PrintCandidates(const v1::CandidateSet& set, const Console& console) {
   console.out << "sequence " << best.matched().sequence() << ", "
               << Fixed(best.matched().travelled_meters(), 1) << " m, d2 "
               << Fixed(best.gate().squared_mahalanobis_distance(), 2)
-              << " against " << Fixed(best.gate().threshold(), 2) << ", "
-              << NameOf(best.gate().verdict()) << '\n';
+              << " against " << Fixed(best.gate().threshold(), 2) << ", ";
+  if (best.has_probability()) {
+    console.out << "probability " << Fixed(best.probability(), 4) << ", ";
+  }
+  if (best.direction() == v1::DIRECTION_OPPOSITE) {
+    console.out << "opposite direction, ";
+  }
+  console.out << NameOf(best.verdict()) << '\n';
 }
 
 }  // namespace

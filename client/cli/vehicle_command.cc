@@ -1,13 +1,56 @@
 #include "client/cli/vehicle_command.h"
 
+#include <vector>
+
 #include "client/cli/names.h"
+#include "google/protobuf/descriptor.h"
 #include "google/protobuf/util/time_util.h"
 
 namespace revisit::client {
 
+namespace {
+
+using Fields = std::vector<std::pair<std::string, std::string>>;
+
+std::string Meters(double value) { return Fixed(value, 2) + " m"; }
+
+std::string Text(const v1::PlaceTolerance& tolerance) {
+  return Meters(tolerance.position_meters()) + ", " +
+         Fixed(tolerance.heading_radians(), 4) + " rad";
+}
+
+void AddConsistency(const v1::Consistency& consistency, Fields* fields) {
+  fields->emplace_back(
+      "verified",
+      std::to_string(consistency.confirmed_count()) + " confirmed, " +
+          std::to_string(consistency.rejected_count()) + " rejected");
+  if (consistency.has_mean_normalized_innovation_squared()) {
+    fields->emplace_back(
+        "squared innovation",
+        Fixed(consistency.mean_normalized_innovation_squared(), 2) +
+            " in the mean, " +
+            std::to_string(consistency.degrees_of_freedom()) +
+            " if the claimed uncertainty is honest");
+  }
+  fields->emplace_back(
+      "inflation", Fixed(consistency.inflation(), 2) +
+                       (consistency.applied() ? ", applied" : ", not applied"));
+}
+
+absl::Status Print(const v1::Vehicle& vehicle, const Console& console) {
+  if (console.json) {
+    console.out << ToJson(vehicle, true) << '\n';
+  } else {
+    PrintVehicle(vehicle, console);
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
 void PrintVehicle(const v1::Vehicle& vehicle, const Console& console) {
   const v1::VehicleSettings& settings = vehicle.settings();
-  std::vector<std::pair<std::string, std::string>> fields = {
+  Fields fields = {
       {"name", vehicle.name()},
       {"state", NameOf(vehicle.state())},
       {"created",
@@ -19,19 +62,23 @@ void PrintVehicle(const v1::Vehicle& vehicle, const Console& console) {
       {"travelled", Fixed(vehicle.travelled_meters(), 1) + " m"},
       {"state space", NameOf(settings.state_space())},
       {"correlation model", NameOf(settings.correlation_model())},
+      {"alignment", NameOf(settings.alignment())},
       {"likelihood form", NameOf(settings.likelihood_form())},
       {"coordinate frame", NameOf(settings.coordinate_frame())},
-      {"node spacing", Fixed(settings.node_spacing_meters(), 2) + " m"},
-      {"sequence length", Fixed(settings.sequence_length_meters(), 2) + " m"},
-      {"check interval", Fixed(settings.check_interval_meters(), 2) + " m"},
-      {"maximal step", Fixed(settings.max_step_meters(), 2) + " m"},
+      {"node spacing", Meters(settings.node_spacing_meters())},
+      {"sequence length", Meters(settings.sequence_length_meters())},
+      {"check interval", Meters(settings.check_interval_meters())},
+      {"maximal step", Meters(settings.max_step_meters())},
       {"gate probability", Fixed(settings.gate_probability(), 4)},
-      {"place tolerance",
-       Fixed(settings.place_tolerance().position_meters(), 2) + " m, " +
-           Fixed(settings.place_tolerance().heading_radians(), 4) + " rad"},
-      {"candidate separation",
-       Fixed(settings.candidate_separation_meters(), 2) + " m"},
-      {"maximal candidates", std::to_string(settings.max_candidates())}};
+      {"acceptance probability", Fixed(settings.acceptance_probability(), 4)},
+      {"place tolerance", Text(settings.place_tolerance())},
+      {"shape tolerance", Text(settings.shape_tolerance())},
+      {"shape correlation", Meters(settings.shape_correlation_meters())},
+      {"road spacing", Meters(settings.road_spacing_meters())},
+      {"candidate separation", Meters(settings.candidate_separation_meters())},
+      {"maximal candidates", std::to_string(settings.max_candidates())},
+      {"maximal inflation", Fixed(settings.max_inflation(), 2)}};
+  if (vehicle.has_consistency()) AddConsistency(vehicle.consistency(), &fields);
   if (settings.has_geodetic_origin()) {
     const v1::GeodeticPosition& origin = settings.geodetic_origin();
     fields.emplace_back("geodetic origin",
@@ -50,12 +97,7 @@ absl::Status RunVehicleCreate(const Client& client, const std::string& id,
   *request.mutable_vehicle()->mutable_settings() = settings;
   const auto response = client.CreateVehicle(request);
   if (!response.ok()) return response.status();
-  if (console.json) {
-    console.out << ToJson(response->vehicle(), true) << '\n';
-  } else {
-    PrintVehicle(response->vehicle(), console);
-  }
-  return absl::OkStatus();
+  return Print(response->vehicle(), console);
 }
 
 absl::Status RunVehicleGet(const Client& client, const std::string& id,
@@ -64,12 +106,27 @@ absl::Status RunVehicleGet(const Client& client, const std::string& id,
   request.set_name(VehicleName(id));
   const auto response = client.GetVehicle(request);
   if (!response.ok()) return response.status();
-  if (console.json) {
-    console.out << ToJson(response->vehicle(), true) << '\n';
-  } else {
-    PrintVehicle(response->vehicle(), console);
+  return Print(response->vehicle(), console);
+}
+
+absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
+                              const v1::VehicleSettings& changes,
+                              const Console& console) {
+  std::vector<const google::protobuf::FieldDescriptor*> changed;
+  v1::VehicleSettings::GetReflection()->ListFields(changes, &changed);
+  if (changed.empty()) {
+    return LocalError(
+        absl::FailedPreconditionError("no setting is given to change"));
   }
-  return absl::OkStatus();
+  v1::UpdateVehicleRequest request;
+  request.mutable_vehicle()->set_name(VehicleName(id));
+  *request.mutable_vehicle()->mutable_settings() = changes;
+  for (const auto* field : changed) {
+    request.mutable_update_mask()->add_paths("settings." + field->name());
+  }
+  const auto response = client.UpdateVehicle(request);
+  if (!response.ok()) return response.status();
+  return Print(response->vehicle(), console);
 }
 
 absl::Status RunVehicleList(const Client& client, const Console& console) {

@@ -1,4 +1,4 @@
-// revisit vehicle create|get|list|delete
+// revisit vehicle create|get|list|update|delete
 #ifndef REVISIT_CLIENT_CLI_VEHICLE_COMMAND_H_
 #define REVISIT_CLIENT_CLI_VEHICLE_COMMAND_H_
 
@@ -18,6 +18,11 @@ absl::Status RunVehicleGet(const Client& client, const std::string& id,
                            const Console& console);
 // All pages. As JSON: {"vehicles": [...]}.
 absl::Status RunVehicleList(const Client& client, const Console& console);
+// Changes the settings that are set, and no others. A local error,
+// FAILED_PRECONDITION, if none is.
+absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
+                              const v1::VehicleSettings& changes,
+                              const Console& console);
 // Stops at the first that cannot be deleted.
 absl::Status RunVehicleDelete(const Client& client,
                               const std::vector<std::string>& ids,

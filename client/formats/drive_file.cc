@@ -1,14 +1,10 @@
 #include "client/formats/drive_file.h"
 
-#include <cerrno>
-#include <charconv>
 #include <cmath>
-#include <cstring>
-#include <fstream>
 #include <map>
 #include <string_view>
-#include <system_error>
-#include <utility>
+
+#include "client/formats/text_lines.h"
 
 namespace revisit::client {
 namespace {
@@ -21,78 +17,6 @@ constexpr const char* kEstimateColumns[] = {"t_s", "est_x", "est_y", "est_yaw"};
 constexpr const char* kTruthColumns[] = {"gt_x", "gt_y", "gt_yaw"};
 constexpr const char* kCovarianceColumns[] = {"pxx", "pxy", "pxt",
                                               "pyy", "pyt", "ptt"};
-
-// Lines of a file and where they are.
-class Lines {
- public:
-  Lines(std::istream& input, std::string path)
-      : input_(input), path_(std::move(path)) {}
-
-  // The next line, without its end.
-  bool Next(std::string* line) {
-    if (!std::getline(input_, *line)) return false;
-    ++number_;
-    if (!line->empty() && line->back() == '\r') line->pop_back();
-    return true;
-  }
-
-  absl::Status Error(const std::string& message) const {
-    return absl::InvalidArgumentError(path_ + ":" + std::to_string(number_) +
-                                      ": " + message);
-  }
-
- private:
-  std::istream& input_;
-  const std::string path_;
-  int number_ = 0;
-};
-
-std::vector<std::string_view> SplitAtCommas(std::string_view line) {
-  std::vector<std::string_view> fields;
-  for (;;) {
-    const std::size_t comma = line.find(',');
-    fields.push_back(line.substr(0, comma));
-    if (comma == std::string_view::npos) return fields;
-    line.remove_prefix(comma + 1);
-  }
-}
-
-std::vector<std::string_view> SplitAtBlanks(std::string_view line) {
-  constexpr std::string_view kBlanks = " \t";
-  std::vector<std::string_view> fields;
-  for (;;) {
-    const std::size_t begin = line.find_first_not_of(kBlanks);
-    if (begin == std::string_view::npos) return fields;
-    line.remove_prefix(begin);
-    const std::size_t end = line.find_first_of(kBlanks);
-    fields.push_back(line.substr(0, end));
-    if (end == std::string_view::npos) return fields;
-    line.remove_prefix(end);
-  }
-}
-
-// Text of a file, fit for a message.
-std::string Quoted(std::string_view text) {
-  constexpr std::size_t kLongest = 40;
-  std::string quoted = "\"";
-  for (const char c : text.substr(0, kLongest)) {
-    quoted += c >= ' ' && c <= '~' ? c : '?';
-  }
-  return quoted + (text.size() > kLongest ? "...\"" : "\"");
-}
-
-absl::StatusOr<double> ReadNumber(std::string_view field,
-                                  const std::string& name, const Lines& lines) {
-  double value = 0.0;
-  const auto [end, error] =
-      std::from_chars(field.data(), field.data() + field.size(), value);
-  if (error != std::errc() || end != field.data() + field.size() ||
-      !std::isfinite(value)) {
-    return lines.Error("expected a finite number for " + name + ", got " +
-                       Quoted(field));
-  }
-  return value;
-}
 
 absl::Status CheckTime(double seconds, const Lines& lines) {
   if (std::abs(seconds) <= kMaxTimeSeconds) return absl::OkStatus();
@@ -118,9 +42,8 @@ bool IsKnown(std::string_view name) {
 
 absl::StatusOr<Columns> ReadHeader(const std::string& line,
                                    const Lines& lines) {
-  if (line.size() >= 2 && line[0] == '\x1f' && line[1] == '\x8b') {
-    return lines.Error(
-        "the file is compressed; expected plain text (gunzip it)");
+  if (absl::Status status = RefuseCompressed(line, lines); !status.ok()) {
+    return status;
   }
   Columns columns;
   const auto names = SplitAtCommas(line);
@@ -248,14 +171,6 @@ absl::StatusOr<Drive> ReadTum(Lines& lines) {
   return drive;
 }
 
-std::string Stem(const std::string& path) {
-  const std::size_t slash = path.rfind('/');
-  const std::string file =
-      slash == std::string::npos ? path : path.substr(slash + 1);
-  const std::size_t dot = file.rfind('.');
-  return dot == std::string::npos || dot == 0 ? file : file.substr(0, dot);
-}
-
 }  // namespace
 
 absl::StatusOr<Drive> ReadDrive(std::istream& input, const std::string& path,
@@ -268,24 +183,15 @@ absl::StatusOr<Drive> ReadDrive(std::istream& input, const std::string& path,
   if (drive->samples.empty()) {
     return lines.Error("expected at least one pose after this line");
   }
-  drive->name = Stem(path);
+  drive->name = StemOf(path);
   return drive;
 }
 
 absl::StatusOr<Drive> ReadDriveFile(const std::string& path,
                                     DriveFormat format) {
-  errno = 0;
-  std::ifstream input(path, std::ios::binary);
-  if (!input) {
-    const int error = errno;
-    const std::string message = path + ": " + std::strerror(error);
-    if (error == EACCES) return absl::PermissionDeniedError(message);
-    return absl::NotFoundError(message);
-  }
-  if (input.peek(); input.bad()) {
-    return absl::InvalidArgumentError(path + ": cannot be read as a file");
-  }
-  return ReadDrive(input, path, format);
+  const auto input = OpenText(path);
+  if (!input.ok()) return input.status();
+  return ReadDrive(**input, path, format);
 }
 
 }  // namespace revisit::client

@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "client/formats/geodetic.h"
 
 namespace revisit::client {
 
@@ -32,6 +33,8 @@ struct DriveSample {
   // w), of which `estimate.heading` is the heading.
   double estimate_z = 0.0;
   std::optional<std::array<double, 4>> quaternion;
+  // GNSS only: what `estimate` was made of.
+  std::optional<GeodeticPosition> geodetic;
   // Covariance of the estimate: xx, xy, xh, yy, yh, hh.
   std::optional<std::array<double, 6>> covariance;
 };

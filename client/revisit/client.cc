@@ -126,6 +126,23 @@ absl::StatusOr<v1::DeleteLoopClosureResponse> Client::DeleteLoopClosure(
   return rep_->Unary(Retry::kNever, &Stub::DeleteLoopClosure, request);
 }
 
+absl::StatusOr<v1::RejectCandidateResponse> Client::RejectCandidate(
+    const v1::RejectCandidateRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::RejectCandidate, request);
+}
+
+absl::StatusOr<v1::ListRejectedCandidatesResponse>
+Client::ListRejectedCandidates(
+    const v1::ListRejectedCandidatesRequest& request) const {
+  return rep_->Unary(Retry::kSafe, &Stub::ListRejectedCandidates, request);
+}
+
+absl::StatusOr<v1::DeleteRejectedCandidateResponse>
+Client::DeleteRejectedCandidate(
+    const v1::DeleteRejectedCandidateRequest& request) const {
+  return rep_->Unary(Retry::kNever, &Stub::DeleteRejectedCandidate, request);
+}
+
 absl::StatusOr<v1::ListPosesResponse> Client::ListPoses(
     const v1::ListPosesRequest& request) const {
   return rep_->Unary(Retry::kSafe, &Stub::ListPoses, request);

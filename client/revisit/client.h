@@ -78,6 +78,15 @@ class Client {
   // Not retried, as DeleteVehicle.
   absl::StatusOr<v1::DeleteLoopClosureResponse> DeleteLoopClosure(
       const v1::DeleteLoopClosureRequest& request) const;
+  // Retried: the same candidate again is the existing rejection.
+  absl::StatusOr<v1::RejectCandidateResponse> RejectCandidate(
+      const v1::RejectCandidateRequest& request) const;
+  // Retried.
+  absl::StatusOr<v1::ListRejectedCandidatesResponse> ListRejectedCandidates(
+      const v1::ListRejectedCandidatesRequest& request) const;
+  // Not retried, as DeleteVehicle.
+  absl::StatusOr<v1::DeleteRejectedCandidateResponse> DeleteRejectedCandidate(
+      const v1::DeleteRejectedCandidateRequest& request) const;
   // Retried.
   absl::StatusOr<v1::ListPosesResponse> ListPoses(
       const v1::ListPosesRequest& request) const;

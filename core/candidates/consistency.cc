@@ -79,6 +79,7 @@ Consistency Estimate(const PoseGraph& graph, const ConsistencyOptions& options,
   Consistency result;
   result.degrees_of_freedom = D;
   InflationPosterior posterior(options.max_inflation);
+  result.inflation = posterior.Mean();
   double sum_of_squares = 0.0;
   for (const ConfirmedLoop& loop : confirmed) {
     const StateMatrix<D> gamma = DifferenceCovariance<D>(

@@ -4,8 +4,8 @@
 // A confirmed pair is one place, so its difference d is drawn from
 // N(0, f^2 Gamma + R), f being what the claimed standard deviations would have to
 // be multiplied by. f is estimated from all confirmed pairs in the order in which
-// they came: the posterior mean of ln f on [0, ln max], with a normal prior that
-// takes honest filters for likely and a factor of two for rare. Pairs that lie
+// they came: the posterior mean of ln f on [0, ln max], with a normal prior of which
+// a factor of two is one standard deviation. Pairs that lie
 // within the gate were perhaps only looked at since they do: their likelihood is
 // that of a distribution cut off by the gate in force when they came,
 //
@@ -34,12 +34,14 @@ struct Consistency {
   // Mean of d^T (Gamma + R)^-1 d over the confirmed ones, as claimed.
   std::optional<double> mean_normalized_innovation_squared;
   int degrees_of_freedom = 3;
-  // f, 1 before the first confirmed pair.
+  // f; before the first confirmed pair, what the prior takes it for.
   double inflation = 1.0;
 };
 
-// Standard deviation of the prior of ln f.
-inline constexpr double kInflationPrior = 0.25;
+// Standard deviation of the prior of ln f: ln 2. Estimators in the field are too
+// sure of themselves more often than not, and a search that starts out with what
+// is claimed never gets to see the loops that would show it.
+inline constexpr double kInflationPrior = 0.693;
 
 struct ConsistencyOptions {
   // Direction and inflation are ignored.

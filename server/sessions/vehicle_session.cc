@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <deque>
 #include <map>
+#include <tuple>
 
 #include "server/status.h"
 
@@ -17,7 +18,10 @@ using absl::StatusCode;
 // Longest that one task replays batches before the strand lets others run.
 constexpr std::chrono::milliseconds kReplaySlice{20};
 
-constexpr int kLoopClosuresPerRead = 1000;
+constexpr int kPairsPerRead = 1000;
+
+constexpr PairKind kPairKinds[] = {PairKind::kLoopClosure,
+                                   PairKind::kRejectedCandidate};
 
 absl::Status NotFound(const std::string& id) {
   return Error(StatusCode::kNotFound, "VEHICLE_NOT_FOUND",
@@ -40,6 +44,9 @@ bool MovesNodes(const core::EngineSettings& before,
          before.max_step_meters != after.max_step_meters ||
          is_filter(before) != is_filter(after);
 }
+
+// What verifiers found, by id.
+using PosePairs = std::map<std::string, PosePairRecord>;
 
 // Something that waits for its turn on the strand.
 struct Operation {
@@ -102,7 +109,8 @@ struct VehicleSession::State
   std::unique_ptr<core::Engine> engine;
   std::uint64_t durable_sequence = 0;
   std::uint64_t revision = 0;
-  std::map<std::string, LoopClosureRecord> loop_closures;
+  PosePairs loop_closures;
+  PosePairs rejections;
 
   // The same with what is in flight.
   std::uint64_t staged_sequence = 0;
@@ -132,6 +140,10 @@ struct VehicleSession::State
                        durable_sequence,
                        revision,
                        static_cast<std::int64_t>(loop_closures.size())};
+  }
+
+  PosePairs& Pairs(PairKind kind) {
+    return kind == PairKind::kLoopClosure ? loop_closures : rejections;
   }
 
   // ---- The queue
@@ -186,7 +198,9 @@ struct VehicleSession::State
     if (record->key != key || record->durable_sequence != durable_sequence ||
         record->revision != revision ||
         record->loop_closure_count !=
-            static_cast<std::int64_t>(loop_closures.size())) {
+            static_cast<std::int64_t>(loop_closures.size()) ||
+        record->rejected_candidate_count !=
+            static_cast<std::int64_t>(rejections.size())) {
       Leave(OutOfStep());
       return *gone_status;
     }
@@ -231,22 +245,29 @@ struct VehicleSession::State
     }
     key = record->key;
     durable_sequence = record->durable_sequence;
-    std::string after;
-    while (true) {
-      const absl::StatusOr<std::vector<LoopClosureRecord>> page =
-          storage->ListLoopClosures(key, after, kLoopClosuresPerRead);
-      if (!page.ok()) return page.status();
-      if (page->empty()) break;
-      after = page->back().id;
-      for (const LoopClosureRecord& closure : *page) {
-        loop_closures.emplace(closure.id, closure);
-      }
+    for (const PairKind kind : kPairKinds) {
+      const absl::Status read = LoadPairs(kind);
+      if (!read.ok()) return read;
     }
     StartReplay(*std::move(decoded), record->revision,
                 [this](const absl::Status& status) {
                   if (!status.ok()) Leave(status);
                 });
     return absl::OkStatus();
+  }
+
+  absl::Status LoadPairs(PairKind kind) {
+    std::string after;
+    while (true) {
+      const absl::StatusOr<std::vector<PosePairRecord>> page =
+          storage->ListPosePairs(key, kind, after, kPairsPerRead);
+      if (!page.ok()) return page.status();
+      if (page->empty()) return absl::OkStatus();
+      after = page->back().id;
+      for (const PosePairRecord& pair : *page) {
+        Pairs(kind).emplace(pair.id, pair);
+      }
+    }
   }
 
   // Makes a graph from what is stored; when done, that becomes the vehicle's,
@@ -301,25 +322,13 @@ struct VehicleSession::State
       if (!decoding.ok()) return decoding;
       if (replay->next_sequence <= durable_sequence) return false;
     }
-    // In the order in which they were added, so that the graph is the same as
-    // before.
-    std::vector<LoopClosureRecord> closures;
-    for (const auto& [closure_id, closure] : loop_closures) {
-      closures.push_back(closure);
-    }
-    std::stable_sort(
-        closures.begin(), closures.end(),
-        [](const LoopClosureRecord& a, const LoopClosureRecord& b) {
-          return a.create_time_ns < b.create_time_ns;
-        });
-    for (const LoopClosureRecord& closure : closures) {
-      if (closure.matched_sequence < 1 ||
-          closure.query_sequence > durable_sequence) {
-        return Corrupt("stored loop closure '" + closure.id +
-                       "' names a pose that is not stored");
+    for (const auto& [kind, pair] : PairsAsAdded()) {
+      if (pair->matched_sequence < 1 ||
+          pair->query_sequence > durable_sequence) {
+        return Corrupt("stored " + std::string(WordsOf(kind).noun) + " '" +
+                       pair->id + "' names a pose that is not stored");
       }
-      replay->engine->AddLoopClosure(closure.query_sequence,
-                                     closure.matched_sequence, ++replay->steps);
+      Apply(replay->engine.get(), kind, *pair, ++replay->steps);
     }
     if (replay->steps >= replay->revision) {
       return Corrupt("stored revision " + std::to_string(replay->revision) +
@@ -327,6 +336,44 @@ struct VehicleSession::State
     }
     replay->engine->ChangeSettings(replay->config.engine, replay->revision);
     return true;
+  }
+
+  // In the order in which they were added, all kinds together, so that graph
+  // and consistency come out the same as before.
+  std::vector<std::pair<PairKind, const PosePairRecord*>> PairsAsAdded() {
+    std::vector<std::pair<PairKind, const PosePairRecord*>> added;
+    for (const PairKind kind : kPairKinds) {
+      for (const auto& entry : Pairs(kind)) {
+        added.emplace_back(kind, &entry.second);
+      }
+    }
+    std::sort(added.begin(), added.end(), [](const auto& a, const auto& b) {
+      return std::tie(a.second->create_time_ns, a.second->id, a.first) <
+             std::tie(b.second->create_time_ns, b.second->id, b.first);
+    });
+    return added;
+  }
+
+  static void Apply(core::Engine* engine, PairKind kind,
+                    const PosePairRecord& pair, std::uint64_t revision) {
+    if (kind == PairKind::kLoopClosure) {
+      engine->AddLoopClosure(pair.query_sequence, pair.matched_sequence,
+                             revision);
+    } else {
+      engine->AddRejection(pair.query_sequence, pair.matched_sequence,
+                           revision);
+    }
+  }
+
+  static void TakeBack(core::Engine* engine, PairKind kind,
+                       const PosePairRecord& pair, std::uint64_t revision) {
+    if (kind == PairKind::kLoopClosure) {
+      engine->RemoveLoopClosure(pair.query_sequence, pair.matched_sequence,
+                                revision);
+    } else {
+      engine->RemoveRejection(pair.query_sequence, pair.matched_sequence,
+                              revision);
+    }
   }
 
   absl::StatusOr<DecodedBatch> DecodeStored(
@@ -808,10 +855,10 @@ struct VehicleSession::State
         });
   }
 
-  void AddLoopClosure(
-      const LoopClosureRecord& closure,
+  void AddPosePair(
+      PairKind kind, PosePairRecord pair,
       const std::function<
-          void(absl::StatusOr<std::pair<LoopClosureRecord, std::uint64_t>>)>&
+          void(absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>>)>&
           callback) {
     const absl::Status writable = Writable();
     if (!writable.ok()) {
@@ -819,7 +866,7 @@ struct VehicleSession::State
       return;
     }
     for (const std::uint64_t sequence :
-         {closure.query_sequence, closure.matched_sequence}) {
+         {pair.query_sequence, pair.matched_sequence}) {
       if (sequence < 1 || sequence > durable_sequence) {
         callback(
             Error(StatusCode::kNotFound, "POSE_NOT_FOUND",
@@ -831,69 +878,76 @@ struct VehicleSession::State
         return;
       }
     }
-    const auto existing = loop_closures.find(closure.id);
-    if (existing != loop_closures.end()) {
-      const LoopClosureRecord& there = existing->second;
-      if (there.query_sequence == closure.query_sequence &&
-          there.matched_sequence == closure.matched_sequence) {
+    const auto existing = Pairs(kind).find(pair.id);
+    if (existing != Pairs(kind).end()) {
+      const PosePairRecord& there = existing->second;
+      if (there.query_sequence == pair.query_sequence &&
+          there.matched_sequence == pair.matched_sequence) {
         callback(std::make_pair(there, revision));
       } else {
-        callback(Error(StatusCode::kAlreadyExists, "LOOP_CLOSURE_EXISTS",
-                       "loop closure '" + closure.id + "' links sequences " +
+        const PairWords words = WordsOf(kind);
+        callback(Error(StatusCode::kAlreadyExists, words.exists,
+                       std::string(words.noun) + " '" + pair.id +
+                           "' names sequences " +
                            std::to_string(there.query_sequence) + " and " +
                            std::to_string(there.matched_sequence) + ", got " +
-                           std::to_string(closure.query_sequence) + " and " +
-                           std::to_string(closure.matched_sequence)));
+                           std::to_string(pair.query_sequence) + " and " +
+                           std::to_string(pair.matched_sequence)));
       }
       return;
+    }
+    for (const PosePairs* of_kind : {&loop_closures, &rejections}) {
+      for (const auto& [other_id, other] : *of_kind) {
+        pair.create_time_ns =
+            std::max(pair.create_time_ns, other.create_time_ns + 1);
+      }
     }
     const std::uint64_t next = revision + 1;
     WriteAlone(
         [&](Storage::Done done) {
-          storage->AddLoopClosure(key, closure, next, std::move(done));
+          storage->AddPosePair(key, kind, pair, next, std::move(done));
         },
-        [this, closure, next, callback](const absl::Status& status) {
+        [this, kind, pair, next, callback](const absl::Status& status) {
           if (!status.ok()) {
             callback(status);
             return;
           }
-          engine->AddLoopClosure(closure.query_sequence,
-                                 closure.matched_sequence, next);
-          loop_closures.emplace(closure.id, closure);
+          Apply(engine.get(), kind, pair, next);
+          Pairs(kind).emplace(pair.id, pair);
           Settled(config, next);
-          callback(std::make_pair(closure, next));
+          callback(std::make_pair(pair, next));
         });
   }
 
-  void DeleteLoopClosure(
-      const std::string& closure_id,
+  void DeletePosePair(
+      PairKind kind, const std::string& pair_id,
       const std::function<void(absl::StatusOr<std::uint64_t>)>& callback) {
     const absl::Status writable = Writable();
     if (!writable.ok()) {
       callback(writable);
       return;
     }
-    const auto found = loop_closures.find(closure_id);
-    if (found == loop_closures.end()) {
+    const auto found = Pairs(kind).find(pair_id);
+    if (found == Pairs(kind).end()) {
+      const PairWords words = WordsOf(kind);
       callback(Error(
-          StatusCode::kNotFound, "LOOP_CLOSURE_NOT_FOUND",
-          "vehicle '" + id + "' has no loop closure '" + closure_id + "'"));
+          StatusCode::kNotFound, words.not_found,
+          "vehicle '" + id + "' has no " + words.noun + " '" + pair_id + "'"));
       return;
     }
     const std::uint64_t next = revision + 1;
     WriteAlone(
         [&](Storage::Done done) {
-          storage->DeleteLoopClosure(key, closure_id, next, std::move(done));
+          storage->DeletePosePair(key, kind, pair_id, next, std::move(done));
         },
-        [this, closure = found->second, next,
+        [this, kind, pair = found->second, next,
          callback](const absl::Status& status) {
           if (!status.ok()) {
             callback(status);
             return;
           }
-          engine->RemoveLoopClosure(closure.query_sequence,
-                                    closure.matched_sequence, next);
-          loop_closures.erase(closure.id);
+          TakeBack(engine.get(), kind, pair, next);
+          Pairs(kind).erase(pair.id);
           Settled(config, next);
           callback(next);
         });
@@ -1038,32 +1092,32 @@ void VehicleSession::Revise(
                  }});
 }
 
-void VehicleSession::AddLoopClosure(
-    LoopClosureRecord closure,
+void VehicleSession::AddPosePair(
+    PairKind kind, PosePairRecord pair,
     std::function<
-        void(absl::StatusOr<std::pair<LoopClosureRecord, std::uint64_t>>)>
+        void(absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>>)>
         callback) {
   State* const state = state_.get();
   state->Submit({false, true,
-                 [state, closure = std::move(closure),
+                 [state, kind, pair = std::move(pair),
                   callback = std::move(callback)](const absl::Status& status) {
                    if (status.ok()) {
-                     state->AddLoopClosure(closure, callback);
+                     state->AddPosePair(kind, pair, callback);
                    } else {
                      callback(status);
                    }
                  }});
 }
 
-void VehicleSession::DeleteLoopClosure(
-    std::string id,
+void VehicleSession::DeletePosePair(
+    PairKind kind, std::string id,
     std::function<void(absl::StatusOr<std::uint64_t>)> callback) {
   State* const state = state_.get();
   state->Submit({false, true,
-                 [state, id = std::move(id),
+                 [state, kind, id = std::move(id),
                   callback = std::move(callback)](const absl::Status& status) {
                    if (status.ok()) {
-                     state->DeleteLoopClosure(id, callback);
+                     state->DeletePosePair(kind, id, callback);
                    } else {
                      callback(status);
                    }

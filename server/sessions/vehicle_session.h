@@ -175,18 +175,20 @@ class VehicleSession {
           void(absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>)>
           callback);
 
-  // Answers the stored closure and the revision. The same id and sequences
-  // again: the existing one. Errors: ALREADY_EXISTS (LOOP_CLOSURE_EXISTS),
-  // NOT_FOUND (POSE_NOT_FOUND) if a sequence is not durable. REQUIRES: 1 <=
-  // matched_sequence < query_sequence.
-  void AddLoopClosure(
-      LoopClosureRecord closure,
+  // Adds what a verifier found; answers the stored pair and the revision. The
+  // same id and sequences again: the existing one. A creation time that is not
+  // later than all others' is moved behind them, so that times tell the order.
+  // Errors: ALREADY_EXISTS (WordsOf(kind).exists), NOT_FOUND (POSE_NOT_FOUND)
+  // if a sequence is not durable. REQUIRES: 1 <= matched_sequence <
+  // query_sequence.
+  void AddPosePair(
+      PairKind kind, PosePairRecord pair,
       std::function<
-          void(absl::StatusOr<std::pair<LoopClosureRecord, std::uint64_t>>)>
+          void(absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>>)>
           callback);
-  // Answers the revision. NOT_FOUND (LOOP_CLOSURE_NOT_FOUND) if there is none.
-  void DeleteLoopClosure(
-      std::string id,
+  // Answers the revision. NOT_FOUND (WordsOf(kind).not_found) if there is none.
+  void DeletePosePair(
+      PairKind kind, std::string id,
       std::function<void(absl::StatusOr<std::uint64_t>)> callback);
 
   // Deletes the vehicle. All later calls answer NOT_FOUND.

@@ -71,9 +71,9 @@ std::int64_t ChecksumOfBatch(std::int64_t format, VehicleKey key,
       .Digest();
 }
 
-std::int64_t ChecksumOfLoopClosure(std::int64_t format, VehicleKey key,
-                                   const LoopClosureRecord& row) {
-  return Hasher('L')
+std::int64_t ChecksumOfPosePair(std::int64_t format, VehicleKey key,
+                                PairKind kind, const PosePairRecord& row) {
+  return Hasher(kind == PairKind::kLoopClosure ? 'L' : 'N')
       .Add(key)
       .Add(row.id)
       .Add(format)

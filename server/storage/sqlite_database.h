@@ -62,9 +62,9 @@ class SqliteDatabase {
   SqliteDatabase(const SqliteDatabase&) = delete;
   SqliteDatabase& operator=(const SqliteDatabase&) = delete;
 
-  // `sql` must be a literal: its address names the prepared statement, which is
-  // kept. One literal can be in use only once at a time. A failure shows at the
-  // first step.
+  // `sql` must stay, such as a literal does: its address names the prepared
+  // statement, which is kept. One can be in use only once at a time. A failure
+  // shows at the first step.
   SqliteStatement Prepare(const char* sql);
   // Statements that are run once, separated by semicolons.
   absl::Status Execute(const char* sql);

@@ -74,6 +74,55 @@ CREATE TABLE deleted_vehicles (
 );
 )sql";
 
+// What format 2 has beyond format 1.
+constexpr char kSchemaSince2[] = R"sql(
+CREATE TABLE rejected_candidates (
+  vehicle_key INTEGER NOT NULL,
+  id TEXT NOT NULL,
+  format INTEGER NOT NULL,
+  query_sequence INTEGER NOT NULL,
+  matched_sequence INTEGER NOT NULL,
+  create_time_ns INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  PRIMARY KEY (vehicle_key, id)
+) WITHOUT ROWID;
+)sql";
+
+constexpr PairKind kPairKinds[] = {PairKind::kLoopClosure,
+                                   PairKind::kRejectedCandidate};
+
+// The statements on the table of a kind of pairs.
+struct PairStatements {
+  const std::string count;
+  const std::string find;
+  const std::string insert;
+  const std::string remove;
+  const std::string remove_all;
+  const std::string list;
+
+  explicit PairStatements(const std::string& table)
+      : count("SELECT count(*) FROM " + table + " WHERE vehicle_key = ?1"),
+        find("SELECT 1 FROM " + table + " WHERE vehicle_key = ?1 AND id = ?2"),
+        insert("INSERT INTO " + table +
+               " (vehicle_key, id, format, query_sequence, matched_sequence, "
+               "create_time_ns, checksum) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)"),
+        remove("DELETE FROM " + table + " WHERE vehicle_key = ?1 AND id = ?2"),
+        remove_all("DELETE FROM " + table + " WHERE vehicle_key = ?1"),
+        list(
+            "SELECT id, format, query_sequence, matched_sequence, "
+            "create_time_ns, checksum FROM " +
+            table +
+            " WHERE vehicle_key = ?1 AND id > ?2 ORDER BY id LIMIT "
+            "?3") {}
+};
+
+// For the life of the program, since connections know statements by address.
+const PairStatements& StatementsOf(PairKind kind) {
+  static const auto& closures = *new PairStatements("loop_closures");
+  static const auto& rejections = *new PairStatements("rejected_candidates");
+  return kind == PairKind::kLoopClosure ? closures : rejections;
+}
+
 // Read-only connections that are kept open while nobody uses them.
 constexpr std::size_t kIdleReaders = 4;
 
@@ -188,12 +237,14 @@ absl::Status CompleteVehicle(SqliteDatabase& database, VehicleRecord* record) {
     record->durable_sequence = (*last)->first_sequence + (*last)->count - 1;
     record->revision = std::max(record->revision, (*last)->revision);
   }
-  SqliteStatement closures = database.Prepare(
-      "SELECT count(*) FROM loop_closures WHERE vehicle_key = ?1");
-  closures.Bind(1, record->key);
-  const absl::StatusOr<bool> counted = closures.Step();
-  if (!counted.ok()) return counted.status();
-  record->loop_closure_count = closures.Integer(0);
+  for (const PairKind kind : kPairKinds) {
+    SqliteStatement pairs = database.Prepare(StatementsOf(kind).count.c_str());
+    const absl::StatusOr<bool> counted = pairs.Bind(1, record->key).Step();
+    if (!counted.ok()) return counted.status();
+    (kind == PairKind::kLoopClosure ? record->loop_closure_count
+                                    : record->rejected_candidate_count) =
+        pairs.Integer(0);
+  }
   return absl::OkStatus();
 }
 
@@ -279,10 +330,12 @@ absl::Status RemoveVehicle(SqliteDatabase& database, VehicleKey key) {
   if (database.Changes() == 0) {
     return UnknownVehicle("key " + std::to_string(key));
   }
-  status = database.Prepare("DELETE FROM loop_closures WHERE vehicle_key = ?1")
-               .Bind(1, key)
-               .Run();
-  if (!status.ok()) return status;
+  for (const PairKind kind : kPairKinds) {
+    status = database.Prepare(StatementsOf(kind).remove_all.c_str())
+                 .Bind(1, key)
+                 .Run();
+    if (!status.ok()) return status;
+  }
   return database.Prepare("INSERT INTO deleted_vehicles (key) VALUES (?1)")
       .Bind(1, key)
       .Run();
@@ -363,53 +416,49 @@ absl::Status ReviseBatchRows(SqliteDatabase& database, VehicleKey key,
   return status;
 }
 
-absl::Status InsertLoopClosure(SqliteDatabase& database, VehicleKey key,
-                               const LoopClosureRecord& closure,
-                               std::uint64_t revision) {
+absl::Status InsertPosePair(SqliteDatabase& database, VehicleKey key,
+                            PairKind kind, const PosePairRecord& pair,
+                            std::uint64_t revision) {
   const absl::Status status =
       ChangeVehicle(database, key, std::nullopt, revision);
   if (!status.ok()) return status;
   {
-    SqliteStatement taken = database.Prepare(
-        "SELECT 1 FROM loop_closures WHERE vehicle_key = ?1 AND id = ?2");
+    SqliteStatement taken = database.Prepare(StatementsOf(kind).find.c_str());
     const absl::StatusOr<bool> found =
-        taken.Bind(1, key).BindText(2, closure.id).Step();
+        taken.Bind(1, key).BindText(2, pair.id).Step();
     if (!found.ok()) return found.status();
     if (*found) {
-      return Error(StatusCode::kAlreadyExists, "LOOP_CLOSURE_EXISTS",
-                   "loop closure '" + closure.id + "' exists already");
+      const PairWords words = WordsOf(kind);
+      return Error(
+          StatusCode::kAlreadyExists, words.exists,
+          std::string(words.noun) + " '" + pair.id + "' exists already");
     }
   }
-  return database
-      .Prepare(
-          "INSERT INTO loop_closures (vehicle_key, id, format, query_sequence, "
-          "matched_sequence, create_time_ns, checksum) "
-          "VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)")
+  return database.Prepare(StatementsOf(kind).insert.c_str())
       .Bind(1, key)
-      .BindText(2, closure.id)
+      .BindText(2, pair.id)
       .Bind(3, kStoreFormat)
-      .Bind(4, Signed(closure.query_sequence))
-      .Bind(5, Signed(closure.matched_sequence))
-      .Bind(6, closure.create_time_ns)
-      .Bind(7, ChecksumOfLoopClosure(kStoreFormat, key, closure))
+      .Bind(4, Signed(pair.query_sequence))
+      .Bind(5, Signed(pair.matched_sequence))
+      .Bind(6, pair.create_time_ns)
+      .Bind(7, ChecksumOfPosePair(kStoreFormat, key, kind, pair))
       .Run();
 }
 
-absl::Status RemoveLoopClosure(SqliteDatabase& database, VehicleKey key,
-                               const std::string& id, std::uint64_t revision) {
+absl::Status RemovePosePair(SqliteDatabase& database, VehicleKey key,
+                            PairKind kind, const std::string& id,
+                            std::uint64_t revision) {
   absl::Status status = ChangeVehicle(database, key, std::nullopt, revision);
   if (!status.ok()) return status;
-  status = database
-               .Prepare(
-                   "DELETE FROM loop_closures WHERE vehicle_key = ?1 AND id = "
-                   "?2")
+  status = database.Prepare(StatementsOf(kind).remove.c_str())
                .Bind(1, key)
                .BindText(2, id)
                .Run();
   if (!status.ok()) return status;
   if (database.Changes() == 0) {
-    return Error(StatusCode::kNotFound, "LOOP_CLOSURE_NOT_FOUND",
-                 "no such loop closure: '" + id + "'");
+    const PairWords words = WordsOf(kind);
+    return Error(StatusCode::kNotFound, words.not_found,
+                 "no such " + std::string(words.noun) + ": '" + id + "'");
   }
   return absl::OkStatus();
 }
@@ -446,7 +495,7 @@ absl::StatusOr<bool> PurgeSome(SqliteDatabase& database) {
   return true;
 }
 
-// Sets up a new file, or checks one that is there.
+// Sets up a new file, or checks one that is there and brings it to this format.
 absl::Status CheckFormat(SqliteDatabase& database, const std::string& path) {
   const absl::StatusOr<std::int64_t> application =
       database.QueryInteger("PRAGMA application_id");
@@ -460,7 +509,7 @@ absl::Status CheckFormat(SqliteDatabase& database, const std::string& path) {
   if (*application == 0 && *format == 0 && *tables == 0) {
     const std::string sql =
         "PRAGMA page_size = " + std::to_string(kPageBytes) +
-        "; BEGIN IMMEDIATE;" + std::string(kSchema) +
+        "; BEGIN IMMEDIATE;" + std::string(kSchema) + kSchemaSince2 +
         "PRAGMA application_id = " + std::to_string(kApplicationId) +
         "; PRAGMA user_version = " + std::to_string(kStoreFormat) + "; COMMIT";
     return database.Execute(sql.c_str());
@@ -470,13 +519,19 @@ absl::Status CheckFormat(SqliteDatabase& database, const std::string& path) {
                                          " is an SQLite file of another "
                                          "program, not a store of revisit");
   }
-  if (*format != kStoreFormat) {
+  if (*format < 1 || *format > kStoreFormat) {
     return absl::FailedPreconditionError(
         "the store " + path + " has format " + std::to_string(*format) +
-        ", this server reads format " + std::to_string(kStoreFormat) +
+        ", this server reads formats 1 to " + std::to_string(kStoreFormat) +
         (*format > kStoreFormat ? ": use a newer server" : ""));
   }
-  return absl::OkStatus();
+  if (*format == kStoreFormat) return absl::OkStatus();
+  // Not done until committed: a failure closes the connection, and that rolls
+  // back.
+  const std::string sql =
+      "BEGIN IMMEDIATE;" + std::string(kSchemaSince2) +
+      "PRAGMA user_version = " + std::to_string(kStoreFormat) + "; COMMIT";
+  return database.Execute(sql.c_str());
 }
 
 absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenWriter(
@@ -621,23 +676,23 @@ class SqliteStorage : public Storage {
         std::move(done));
   }
 
-  void AddLoopClosure(VehicleKey key, LoopClosureRecord closure,
-                      std::uint64_t revision, Done done) override {
+  void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
+                   std::uint64_t revision, Done done) override {
     Submit(
         0,
-        [key, closure = std::move(closure),
+        [key, kind, pair = std::move(pair),
          revision](SqliteDatabase& database) {
-          return InsertLoopClosure(database, key, closure, revision);
+          return InsertPosePair(database, key, kind, pair, revision);
         },
         std::move(done));
   }
 
-  void DeleteLoopClosure(VehicleKey key, std::string id, std::uint64_t revision,
-                         Done done) override {
+  void DeletePosePair(VehicleKey key, PairKind kind, std::string id,
+                      std::uint64_t revision, Done done) override {
     Submit(
         0,
-        [key, id = std::move(id), revision](SqliteDatabase& database) {
-          return RemoveLoopClosure(database, key, id, revision);
+        [key, kind, id = std::move(id), revision](SqliteDatabase& database) {
+          return RemovePosePair(database, key, kind, id, revision);
         },
         std::move(done));
   }
@@ -693,38 +748,37 @@ class SqliteStorage : public Storage {
     });
   }
 
-  absl::StatusOr<std::vector<LoopClosureRecord>> ListLoopClosures(
-      VehicleKey key, const std::string& after_id, int limit) override {
-    std::vector<LoopClosureRecord> closures;
+  absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
+      VehicleKey key, PairKind kind, const std::string& after_id,
+      int limit) override {
+    std::vector<PosePairRecord> pairs;
     const absl::Status status = Read([&](SqliteDatabase& database) {
       const absl::StatusOr<std::string> vehicle_id = VehicleId(database, key);
       if (!vehicle_id.ok()) return vehicle_id.status();
-      SqliteStatement row = database.Prepare(
-          "SELECT id, format, query_sequence, matched_sequence, "
-          "create_time_ns, checksum FROM loop_closures WHERE vehicle_key = ?1 "
-          "AND id > ?2 ORDER BY id LIMIT ?3");
+      SqliteStatement row = database.Prepare(StatementsOf(kind).list.c_str());
       row.Bind(1, key).BindText(2, after_id).Bind(3, std::max(limit, 0));
       while (true) {
         const absl::StatusOr<bool> found = row.Step();
         if (!found.ok()) return found.status();
         if (!*found) return absl::OkStatus();
-        LoopClosureRecord closure;
-        closure.id = row.Bytes(0);
+        PosePairRecord pair;
+        pair.id = row.Bytes(0);
         const std::int64_t format = row.Integer(1);
-        closure.query_sequence = Unsigned(row.Integer(2));
-        closure.matched_sequence = Unsigned(row.Integer(3));
-        closure.create_time_ns = row.Integer(4);
+        pair.query_sequence = Unsigned(row.Integer(2));
+        pair.matched_sequence = Unsigned(row.Integer(3));
+        pair.create_time_ns = row.Integer(4);
+        const PairWords words = WordsOf(kind);
         const absl::Status checked = CheckRow(
-            format, row.Integer(5), ChecksumOfLoopClosure(format, key, closure),
-            "stored loop closure '" + closure.id + "' of vehicle '" +
-                *vehicle_id + "'",
-            {{"vehicle", *vehicle_id}, {"loop_closure", closure.id}});
+            format, row.Integer(5), ChecksumOfPosePair(format, key, kind, pair),
+            "stored " + std::string(words.noun) + " '" + pair.id +
+                "' of vehicle '" + *vehicle_id + "'",
+            {{"vehicle", *vehicle_id}, {words.field, pair.id}});
         if (!checked.ok()) return checked;
-        closures.push_back(std::move(closure));
+        pairs.push_back(std::move(pair));
       }
     });
     if (!status.ok()) return status;
-    return closures;
+    return pairs;
   }
 
  private:

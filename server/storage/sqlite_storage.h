@@ -13,13 +13,18 @@
 // that a failed flush has left in doubt.
 //
 // Tables (see kSchema in the .cc; the file's user_version is kStoreFormat):
-//   vehicles          a row a vehicle; keys are never used again
-//   batches           a row a batch, as sent; never rewritten
-//   revised_batches   a row a batch whose poses were revised: its current
-//   version loop_closures     a row a loop closure deleted_vehicles  keys whose
-//   batches are still to be removed, a few at a time
+//   vehicles             a row a vehicle; keys are never used again
+//   batches              a row a batch, as sent; never rewritten
+//   revised_batches      a row a batch whose poses were revised: its current
+//                        version
+//   loop_closures        a row a loop closure
+//   rejected_candidates  a row a rejected candidate; since format 2
+//   deleted_vehicles     keys whose batches are still to be removed, a few at
+//                        a time
 // Every row has a format version and a checksum (record_checksum.h), checked
-// whenever it is read.
+// whenever it is read. The version is that of the store when the row was
+// written: opening an older store adds the tables that it lacks, in one
+// transaction, and rewrites no row.
 #ifndef REVISIT_SERVER_STORAGE_SQLITE_STORAGE_H_
 #define REVISIT_SERVER_STORAGE_SQLITE_STORAGE_H_
 
@@ -42,8 +47,9 @@ struct SqliteOptions {
 };
 
 // Opens the store, or creates it in a directory that is there.
-// FAILED_PRECONDITION if another server has it open, or if the file is not a
-// store, or one of a newer format; the message tells which.
+// A store of an older format becomes one of this format. FAILED_PRECONDITION if
+// another server has it open, or if the file is not a store, or one of a newer
+// format; the message tells which.
 absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
     const std::string& path, const SqliteOptions& options = {});
 

@@ -31,7 +31,7 @@
 namespace revisit::server {
 
 // Version of the tables and of what is in them.
-inline constexpr int kStoreFormat = 1;
+inline constexpr int kStoreFormat = 2;
 
 // Key of a vehicle's rows; never used again after the vehicle is deleted.
 using VehicleKey = std::int64_t;
@@ -45,6 +45,7 @@ struct VehicleRecord {
   // Highest sequence stored; 0 if none.
   std::uint64_t durable_sequence = 0;
   std::int64_t loop_closure_count = 0;
+  std::int64_t rejected_candidate_count = 0;
 };
 
 struct BatchRecord {
@@ -54,12 +55,33 @@ struct BatchRecord {
   std::string payload;
 };
 
-struct LoopClosureRecord {
+// What a verifier said of two poses. Ids are unique among the pairs of one
+// kind.
+enum class PairKind { kLoopClosure, kRejectedCandidate };
+
+struct PosePairRecord {
   std::string id;
   std::uint64_t query_sequence = 0;
   std::uint64_t matched_sequence = 0;
   std::int64_t create_time_ns = 0;  // Since the Unix epoch.
 };
+
+// How messages, fields and error reasons speak of a kind.
+struct PairWords {
+  const char* noun;
+  const char* field;
+  const char* exists;
+  const char* not_found;
+};
+
+constexpr PairWords WordsOf(PairKind kind) {
+  return kind == PairKind::kLoopClosure
+             ? PairWords{"loop closure", "loop_closure", "LOOP_CLOSURE_EXISTS",
+                         "LOOP_CLOSURE_NOT_FOUND"}
+             : PairWords{"rejected candidate", "rejected_candidate",
+                         "REJECTED_CANDIDATE_EXISTS",
+                         "REJECTED_CANDIDATE_NOT_FOUND"};
+}
 
 // A batch keeps what was first sent, even where its poses were revised.
 enum class BatchVersion { kAsSent, kCurrent };
@@ -96,12 +118,12 @@ class Storage {
   // this first sequence and count.
   virtual void ReviseBatches(VehicleKey key, std::vector<BatchRecord> batches,
                              std::uint64_t revision, Done done) = 0;
-  // ALREADY_EXISTS (LOOP_CLOSURE_EXISTS) if the id is taken.
-  virtual void AddLoopClosure(VehicleKey key, LoopClosureRecord closure,
+  // ALREADY_EXISTS (WordsOf(kind).exists) if the id is taken.
+  virtual void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
+                           std::uint64_t revision, Done done) = 0;
+  // NOT_FOUND (WordsOf(kind).not_found) if there is none.
+  virtual void DeletePosePair(VehicleKey key, PairKind kind, std::string id,
                               std::uint64_t revision, Done done) = 0;
-  // NOT_FOUND (LOOP_CLOSURE_NOT_FOUND) if there is none.
-  virtual void DeleteLoopClosure(VehicleKey key, std::string id,
-                                 std::uint64_t revision, Done done) = 0;
 
   // NOT_FOUND (VEHICLE_NOT_FOUND) if there is none.
   virtual absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) = 0;
@@ -116,8 +138,9 @@ class Storage {
       VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
       BatchVersion version, const std::function<bool(BatchRecord)>& visit) = 0;
   // Ordered by id, after `after_id`.
-  virtual absl::StatusOr<std::vector<LoopClosureRecord>> ListLoopClosures(
-      VehicleKey key, const std::string& after_id, int limit) = 0;
+  virtual absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
+      VehicleKey key, PairKind kind, const std::string& after_id,
+      int limit) = 0;
 };
 
 }  // namespace revisit::server

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "google/protobuf/util/field_mask_util.h"
 #include "google/rpc/error_details.pb.h"
 #include "google/rpc/status.pb.h"
 #include "grpcpp/security/server_credentials.h"
@@ -43,7 +44,10 @@ grpc::Status MakeStatus(grpc::StatusCode code, const std::string& message,
   return grpc::Status(code, message, status.SerializeAsString());
 }
 
-FakeServer::FakeServer() { Start(); }
+FakeServer::FakeServer() {
+  candidates_.set_empty_reason(v1::EMPTY_REASON_PATH_TOO_SHORT);
+  Start();
+}
 
 FakeServer::~FakeServer() { Stop(); }
 
@@ -114,6 +118,11 @@ void FakeServer::set_max_batch_poses(int poses) {
   max_batch_poses_ = poses;
 }
 
+void FakeServer::set_candidates(const v1::CandidateSet& candidates) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  candidates_ = candidates;
+}
+
 std::vector<std::string> FakeServer::Stored() const {
   std::lock_guard<std::mutex> lock(mutex_);
   return stored_;
@@ -172,6 +181,17 @@ grpc::Status FakeServer::GetVehicle(grpc::ServerContext*,
   return NextUnaryStatus();
 }
 
+grpc::Status FakeServer::UpdateVehicle(grpc::ServerContext*,
+                                       const v1::UpdateVehicleRequest* request,
+                                       v1::UpdateVehicleResponse* response) {
+  google::protobuf::util::FieldMaskUtil::MergeMessageTo(
+      request->vehicle(), request->update_mask(),
+      google::protobuf::util::FieldMaskUtil::MergeOptions(),
+      response->mutable_vehicle());
+  response->mutable_vehicle()->set_name(request->vehicle().name());
+  return NextUnaryStatus();
+}
+
 grpc::Status FakeServer::ListVehicles(grpc::ServerContext*,
                                       const v1::ListVehiclesRequest* request,
                                       v1::ListVehiclesResponse* response) {
@@ -194,8 +214,49 @@ grpc::Status FakeServer::DeleteVehicle(grpc::ServerContext*,
 grpc::Status FakeServer::FindCandidates(grpc::ServerContext*,
                                         const v1::FindCandidatesRequest*,
                                         v1::FindCandidatesResponse* response) {
-  response->mutable_candidates()->set_empty_reason(
-      v1::EMPTY_REASON_PATH_TOO_SHORT);
+  {
+    std::lock_guard<std::mutex> lock(mutex_);
+    *response->mutable_candidates() = candidates_;
+  }
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::AddLoopClosure(
+    grpc::ServerContext*, const v1::AddLoopClosureRequest* request,
+    v1::AddLoopClosureResponse* response) {
+  *response->mutable_loop_closure() = request->loop_closure();
+  response->mutable_loop_closure()->set_name(request->parent() +
+                                             "/loopClosures/new");
+  response->set_revision(7);
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::RejectCandidate(
+    grpc::ServerContext*, const v1::RejectCandidateRequest* request,
+    v1::RejectCandidateResponse* response) {
+  *response->mutable_rejected_candidate() = request->rejected_candidate();
+  response->mutable_rejected_candidate()->set_name(request->parent() +
+                                                   "/rejectedCandidates/new");
+  response->set_revision(8);
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::ListRejectedCandidates(
+    grpc::ServerContext*, const v1::ListRejectedCandidatesRequest* request,
+    v1::ListRejectedCandidatesResponse* response) {
+  response->add_rejected_candidates()->set_name(
+      request->parent() + "/rejectedCandidates/" +
+      (request->page_token().empty() ? "first" : "second"));
+  if (request->page_token().empty()) {
+    response->set_next_page_token("second page");
+  }
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::DeleteRejectedCandidate(
+    grpc::ServerContext*, const v1::DeleteRejectedCandidateRequest*,
+    v1::DeleteRejectedCandidateResponse* response) {
+  response->set_revision(9);
   return NextUnaryStatus();
 }
 
@@ -294,6 +355,7 @@ grpc::Status FakeServer::StreamPoses(
     if (fault.kind == Kind::kLoseAck) return fault.status;
     const std::uint64_t after = stored_.size();
     const std::uint64_t interval = check_interval_;
+    const v1::CandidateSet candidates = candidates_;
     lock.unlock();
     response.mutable_ack()->set_durable_sequence(after);
     stream->Write(response);
@@ -301,6 +363,7 @@ grpc::Status FakeServer::StreamPoses(
     if (!open.send_candidates() || interval == 0) continue;
     for (std::uint64_t check = (before / interval + 1) * interval;
          check <= after; check += interval) {
+      *response.mutable_candidates() = candidates;
       response.mutable_candidates()->mutable_query()->set_sequence(check);
       stream->Write(response);
     }

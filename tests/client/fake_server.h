@@ -78,6 +78,8 @@ class FakeServer final : public v1::PoseGraphService::Service {
   // A check falls due at every so manieth pose; 0 for none.
   void set_check_interval(std::uint64_t poses);
   void set_max_batch_poses(int poses);
+  // What searches and checks answer, but for the query.
+  void set_candidates(const v1::CandidateSet& candidates);
 
   // What is stored, serialized.
   std::vector<std::string> Stored() const;
@@ -98,12 +100,29 @@ class FakeServer final : public v1::PoseGraphService::Service {
   grpc::Status ListVehicles(grpc::ServerContext*,
                             const v1::ListVehiclesRequest*,
                             v1::ListVehiclesResponse*) override;
+  // The settings named by the mask alone, in the name of the vehicle.
+  grpc::Status UpdateVehicle(grpc::ServerContext*,
+                             const v1::UpdateVehicleRequest*,
+                             v1::UpdateVehicleResponse*) override;
   grpc::Status DeleteVehicle(grpc::ServerContext*,
                              const v1::DeleteVehicleRequest*,
                              v1::DeleteVehicleResponse*) override;
   grpc::Status FindCandidates(grpc::ServerContext*,
                               const v1::FindCandidatesRequest*,
                               v1::FindCandidatesResponse*) override;
+  grpc::Status AddLoopClosure(grpc::ServerContext*,
+                              const v1::AddLoopClosureRequest*,
+                              v1::AddLoopClosureResponse*) override;
+  grpc::Status RejectCandidate(grpc::ServerContext*,
+                               const v1::RejectCandidateRequest*,
+                               v1::RejectCandidateResponse*) override;
+  // Two pages.
+  grpc::Status ListRejectedCandidates(
+      grpc::ServerContext*, const v1::ListRejectedCandidatesRequest*,
+      v1::ListRejectedCandidatesResponse*) override;
+  grpc::Status DeleteRejectedCandidate(
+      grpc::ServerContext*, const v1::DeleteRejectedCandidateRequest*,
+      v1::DeleteRejectedCandidateResponse*) override;
   grpc::Status ExportPoseGraph(
       grpc::ServerContext*, const v1::ExportPoseGraphRequest*,
       grpc::ServerWriter<v1::ExportPoseGraphResponse>*) override;
@@ -129,6 +148,7 @@ class FakeServer final : public v1::PoseGraphService::Service {
   bool check_acked_ = true;
   std::uint64_t check_interval_ = 0;
   int max_batch_poses_ = 1000;
+  v1::CandidateSet candidates_;
   std::vector<std::string> stored_;
   std::vector<std::uint64_t> opens_;
   std::vector<std::int64_t> first_steps_;

@@ -10,8 +10,8 @@ import pytest
 from google.protobuf import field_mask_pb2, timestamp_pb2
 
 from stubs import api
-from wire import (PoseStream, append, as_bytes, failure_of, get, list_poses,
-                  pose, straight)
+from wire import (LOOP_CLOSURES, PAIR_KINDS, REJECTED_CANDIDATES, PoseStream,
+                  append, as_bytes, failure_of, get, list_poses, pose, straight)
 
 INVALID = grpc.StatusCode.INVALID_ARGUMENT
 NAN, INF = math.nan, math.inf
@@ -601,11 +601,14 @@ CALLS = {
         stub, name).receive()),
     "FindCandidates": ("vehicle", lambda stub, name: stub.FindCandidates(
         api.FindCandidatesRequest(vehicle=name))),
-    "AddLoopClosure": ("parent", lambda stub, name: stub.AddLoopClosure(
-        api.AddLoopClosureRequest(parent=name, loop_closure=api.LoopClosure(
-            query_sequence=2, matched_sequence=1)))),
-    "ListLoopClosures": ("parent", lambda stub, name: stub.ListLoopClosures(
-        api.ListLoopClosuresRequest(parent=name))),
+    "AddLoopClosure": ("parent", lambda stub, name: LOOP_CLOSURES.add(
+        stub, name, 2, 1)),
+    "ListLoopClosures": ("parent", lambda stub, name: LOOP_CLOSURES.page(
+        stub, name)),
+    "RejectCandidate": ("parent", lambda stub, name: REJECTED_CANDIDATES.add(
+        stub, name, 2, 1)),
+    "ListRejectedCandidates": (
+        "parent", lambda stub, name: REJECTED_CANDIDATES.page(stub, name)),
     "RevisePoses": ("vehicle", lambda stub, name: stub.RevisePoses(iter([
         api.RevisePosesRequest(vehicle=name, poses=straight(1))]))),
     "ListPoses": ("parent", lambda stub, name: stub.ListPoses(
@@ -639,15 +642,18 @@ def test_call_says_that_there_is_no_such_vehicle(call, stub):
     assert "nobody" in failure.message
 
 
-@pytest.mark.parametrize("name", [
-    "", "vehicles/a", "vehicles/a/loopClosures", "vehicles/a/loopClosures/",
-    "vehicles/a/loopClosures/B", "vehicles/../loopClosures/b",
-    "vehicles/a/loopclosures/b", "vehicles/a/loopClosures/b/c"])
-def test_loop_closure_name_must_be_one(name, stub):
-    failure = failure_of(lambda: stub.DeleteLoopClosure(
-        api.DeleteLoopClosureRequest(name=name)))
-    assert (failure.code, failure.reason) == (INVALID, "INVALID_RESOURCE_NAME")
-    assert failure.fields == ["name"]
+@pytest.mark.parametrize("kind", PAIR_KINDS, ids=str)
+def test_name_of_a_pair_must_be_one(kind, stub):
+    own, other = kind.collection, next(
+        k.collection for k in PAIR_KINDS if k is not kind)
+    for name in ("", "vehicles/a", f"vehicles/a/{own}", f"vehicles/a/{own}/",
+                 f"vehicles/a/{own}/B", f"vehicles/../{own}/b",
+                 f"vehicles/a/{own.lower()}/b", f"vehicles/a/{own}/b/c",
+                 f"vehicles/a/{other}/b"):
+        failure = failure_of(lambda: kind.delete(stub, name))
+        assert (failure.code, failure.reason) == (
+            INVALID, "INVALID_RESOURCE_NAME"), name
+        assert failure.fields == ["name"], name
 
 
 # ---- Settings
@@ -666,6 +672,11 @@ class BadSetting:
 
 def tolerance(position=2.0, heading=0.1):
     return {"place_tolerance": api.PlaceTolerance(position_meters=position,
+                                                  heading_radians=heading)}
+
+
+def shape(position=1.0, heading=0.06):
+    return {"shape_tolerance": api.PlaceTolerance(position_meters=position,
                                                   heading_radians=heading)}
 
 
@@ -709,6 +720,29 @@ BAD_SETTINGS = [
                {"candidate_separation_meters": -1.0}),
     BadSetting("max_candidates", {"max_candidates": 0}),
     BadSetting("max_candidates", {"max_candidates": 101}),
+    BadSetting("alignment", {"alignment": 3}),
+    BadSetting("alignment", {"alignment": -1}),
+    BadSetting("acceptance_probability", {"acceptance_probability": 0.0}),
+    BadSetting("acceptance_probability", {"acceptance_probability": 1.0}),
+    BadSetting("acceptance_probability", {"acceptance_probability": NAN},
+               "NOT_FINITE"),
+    BadSetting("road_spacing_meters", {"road_spacing_meters": 0.9}),
+    BadSetting("road_spacing_meters", {"road_spacing_meters": 1.1e6}),
+    BadSetting("road_spacing_meters", {"road_spacing_meters": INF},
+               "NOT_FINITE"),
+    BadSetting("shape_tolerance.position_meters", shape(position=0.009)),
+    BadSetting("shape_tolerance.position_meters", shape(position=1001.0)),
+    BadSetting("shape_tolerance.position_meters", shape(position=NAN),
+               "NOT_FINITE"),
+    BadSetting("shape_tolerance.heading_radians", shape(heading=0.0)),
+    BadSetting("shape_tolerance.heading_radians", shape(heading=3.1)),
+    BadSetting("shape_correlation_meters", {"shape_correlation_meters": 0.0}),
+    BadSetting("shape_correlation_meters", {"shape_correlation_meters": 1.1e6}),
+    BadSetting("shape_correlation_meters", {"shape_correlation_meters": NAN},
+               "NOT_FINITE"),
+    BadSetting("max_inflation", {"max_inflation": 0.5}),
+    BadSetting("max_inflation", {"max_inflation": 101.0}),
+    BadSetting("max_inflation", {"max_inflation": INF}, "NOT_FINITE"),
 ]
 
 
@@ -726,7 +760,10 @@ def test_create_refuses_the_setting(case, stub):
 SEARCH_FIELDS = {"likelihood_form", "sequence_length_meters",
                  "gate_probability", "place_tolerance.position_meters",
                  "place_tolerance.heading_radians",
-                 "candidate_separation_meters", "max_candidates"}
+                 "candidate_separation_meters", "max_candidates", "alignment",
+                 "acceptance_probability", "road_spacing_meters",
+                 "shape_tolerance.position_meters",
+                 "shape_tolerance.heading_radians", "shape_correlation_meters"}
 
 
 @pytest.mark.parametrize(
@@ -738,6 +775,16 @@ def test_find_refuses_the_option(case, stub, filled, unchanged):
         vehicle=vehicle, options=api.CandidateOptions(**case.settings))))
     assert (failure.code, failure.reason) == (INVALID, case.reason)
     assert failure.fields == [f"options.{case.field}"]
+
+
+@pytest.mark.parametrize("direction", [4, -1])
+def test_find_refuses_a_direction_that_is_none(
+        direction, stub, filled, unchanged):
+    vehicle = unchanged(filled({}))
+    failure = failure_of(lambda: stub.FindCandidates(api.FindCandidatesRequest(
+        vehicle=vehicle, options=api.CandidateOptions(direction=direction))))
+    assert (failure.code, failure.reason) == (INVALID, "INVALID_FIELD")
+    assert failure.fields == ["options.direction"]
 
 
 @pytest.mark.parametrize("model", [api.CORRELATION_MODEL_FILTER, 17])
@@ -775,6 +822,9 @@ def test_update_refuses_the_mask(paths, stub, filled, unchanged):
     ("max_candidates", 0), ("node_spacing_meters", -2.0),
     # Out of range only together with the sequence length that stays.
     ("node_spacing_meters", 0.1),
+    ("alignment", 9), ("acceptance_probability", 1.0),
+    ("road_spacing_meters", 0.0), ("shape_correlation_meters", -1.0),
+    ("max_inflation", 0.0),
 ])
 def test_update_refuses_the_setting(field, value, stub, filled, unchanged):
     vehicle = unchanged(filled({}))
@@ -818,8 +868,8 @@ PAGED = {
         api.ListVehiclesRequest(**fields)),
     "ListPoses": lambda stub, vehicle, **fields: stub.ListPoses(
         api.ListPosesRequest(parent=vehicle, **fields)),
-    "ListLoopClosures": lambda stub, vehicle, **fields: stub.ListLoopClosures(
-        api.ListLoopClosuresRequest(parent=vehicle, **fields)),
+    "ListLoopClosures": LOOP_CLOSURES.page,
+    "ListRejectedCandidates": REJECTED_CANDIDATES.page,
 }
 
 
@@ -868,54 +918,53 @@ def test_find_says_that_there_is_no_such_pose(stub, filled):
     assert failure.reason == "POSE_NOT_FOUND"
 
 
-def add_closure(stub, vehicle, query, matched, closure_id=""):
-    return stub.AddLoopClosure(api.AddLoopClosureRequest(
-        parent=vehicle, loop_closure_id=closure_id,
-        loop_closure=api.LoopClosure(query_sequence=query,
-                                     matched_sequence=matched)))
-
-
+@pytest.mark.parametrize("kind", PAIR_KINDS, ids=str)
 @pytest.mark.parametrize("query, matched, field", [
     (0, 1, "query_sequence"), (2, 0, "matched_sequence"),
     (2, 2, "matched_sequence"), (1, 2, "matched_sequence"),
 ])
-def test_loop_closure_must_link_a_pose_to_an_earlier_one(
-        query, matched, field, stub, filled, unchanged):
+def test_pair_must_be_of_a_pose_and_an_earlier_one(
+        query, matched, field, kind, stub, filled, unchanged):
     vehicle = unchanged(filled({}))
-    failure = failure_of(lambda: add_closure(stub, vehicle, query, matched))
+    failure = failure_of(lambda: kind.add(stub, vehicle, query, matched))
     assert (failure.code, failure.reason) == (INVALID, "INVALID_FIELD")
-    assert failure.fields == [f"loop_closure.{field}"]
+    assert failure.fields == [f"{kind.field}.{field}"]
 
 
-def test_loop_closure_is_required(stub, filled, unchanged):
-    vehicle = unchanged(filled({}))
-    failure = failure_of(lambda: stub.AddLoopClosure(
-        api.AddLoopClosureRequest(parent=vehicle)))
+@pytest.mark.parametrize("kind", PAIR_KINDS, ids=str)
+def test_pair_is_required(kind, stub, filled, unchanged):
+    request = kind.request(unchanged(filled({})))
+    request.ClearField(kind.field)
+    failure = failure_of(lambda: kind.call_add(stub, request))
     assert (failure.code, failure.reason) == (INVALID, "INVALID_FIELD")
-    assert failure.fields == ["loop_closure"]
+    assert failure.fields == [kind.field]
 
 
-def test_loop_closure_must_link_stored_poses(stub, filled, unchanged):
+@pytest.mark.parametrize("kind", PAIR_KINDS, ids=str)
+def test_pair_must_be_of_stored_poses(kind, stub, filled, unchanged):
     vehicle = unchanged(filled({}))
-    failure = failure_of(lambda: add_closure(stub, vehicle, STORED + 1, 1))
+    failure = failure_of(lambda: kind.add(stub, vehicle, STORED + 1, 1))
     assert failure.code == grpc.StatusCode.NOT_FOUND
     assert failure.reason == "POSE_NOT_FOUND"
+    assert failure.metadata["sequence"] == str(STORED + 1)
 
 
+@pytest.mark.parametrize("kind", PAIR_KINDS, ids=str)
 @pytest.mark.parametrize("bad", ["A", "../x", "a" * 64, "a\0"], ids=repr)
-def test_loop_closure_id_must_be_one(bad, stub, filled, unchanged):
+def test_id_of_a_pair_must_be_one(bad, kind, stub, filled, unchanged):
     vehicle = unchanged(filled({}))
-    failure = failure_of(lambda: add_closure(stub, vehicle, 2, 1, bad))
+    failure = failure_of(lambda: kind.add(stub, vehicle, 2, 1, bad))
     assert (failure.code, failure.reason) == (INVALID, "INVALID_RESOURCE_NAME")
-    assert failure.fields == ["loop_closure_id"]
+    assert failure.fields == [f"{kind.field}_id"]
 
 
-def test_there_is_no_such_loop_closure_to_delete(stub, filled, unchanged):
+@pytest.mark.parametrize("kind", PAIR_KINDS, ids=str)
+def test_there_is_no_such_pair_to_delete(kind, stub, filled, unchanged):
     vehicle = unchanged(filled({}))
-    failure = failure_of(lambda: stub.DeleteLoopClosure(
-        api.DeleteLoopClosureRequest(name=f"{vehicle}/loopClosures/none")))
+    failure = failure_of(lambda: kind.delete(
+        stub, f"{vehicle}/{kind.collection}/none"))
     assert failure.code == grpc.StatusCode.NOT_FOUND
-    assert failure.reason == "LOOP_CLOSURE_NOT_FOUND"
+    assert failure.reason == f"{kind.reason}_NOT_FOUND"
 
 
 @dataclasses.dataclass
@@ -1005,19 +1054,48 @@ def test_request_id_comes_back_with_an_answer(stub):
     assert ("x-request-id", "r-1") in list(call.initial_metadata())
 
 
-def test_malformed_protobuf_leaves_the_server_alive(server, filled, unchanged):
+NO_PROTOBUF = b"\x0a\xff\xff\xff\xff\x0f not a message"
+
+
+@pytest.mark.parametrize("method", ["AppendPoses", "GetVehicle"])
+def test_malformed_protobuf_is_refused_by_the_transport(
+        method, server, filled, unchanged):
     unchanged(filled({}))
-    channel = server.channel()
-    for method in ("AppendPoses", "GetVehicle", "RevisePoses"):
-        call = channel.unary_unary(
-            f"/revisit.v1.PoseGraphService/{method}",
-            request_serializer=bytes, response_deserializer=bytes)
-        with pytest.raises(grpc.RpcError) as raised:
-            call(b"\x0a\xff\xff\xff\xff\x0f not a message")
-        # Said by the transport, each kind of call in its own way.
-        assert raised.value.code() in (grpc.StatusCode.INTERNAL,
-                                       grpc.StatusCode.UNIMPLEMENTED)
+    call = server.channel().unary_unary(
+        f"/revisit.v1.PoseGraphService/{method}",
+        request_serializer=bytes, response_deserializer=bytes)
+    with pytest.raises(grpc.RpcError) as raised:
+        call(NO_PROTOBUF)
+    assert raised.value.code() in (grpc.StatusCode.INTERNAL,
+                                   grpc.StatusCode.UNIMPLEMENTED)
     assert server.is_running()
+
+
+@pytest.mark.parametrize("method", ["StreamPoses", "RevisePoses"])
+@pytest.mark.parametrize("well", [0, 1], ids=["first", "second"])
+def test_malformed_protobuf_on_a_stream_is_the_callers_fault(
+        well, method, server, filled, unchanged):
+    vehicle = unchanged(filled({}))
+    good = {
+        "StreamPoses": api.StreamPosesRequest(
+            open=api.StreamPosesOpen(vehicle=vehicle)),
+        "RevisePoses": api.RevisePosesRequest(
+            vehicle=vehicle, poses=[pose(1, x=5.0)])}[method]
+    call = server.channel().stream_stream(
+        f"/revisit.v1.PoseGraphService/{method}",
+        request_serializer=bytes, response_deserializer=bytes)
+    messages = [good.SerializeToString()] * well + [NO_PROTOBUF]
+    failure = failure_of(lambda: list(call(
+        iter(messages), metadata=[("x-request-id", f"bad-{method}-{well}")])))
+    assert (failure.code, failure.reason) == (INVALID, "STREAM_PROTOCOL")
+    assert "not a valid protobuf" in failure.message
+    assert server.is_running()
+    # No operator is called to look at it.
+    own = [line for line in server.log().splitlines()
+           if f"bad-{method}-{well}" in line]
+    assert len(own) == 1
+    assert "INVALID_ARGUMENT" in own[0]
+    assert "error" not in own[0].lower().split("message")[0]
 
 
 def test_unknown_method_is_told(server):

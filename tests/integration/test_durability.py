@@ -4,6 +4,7 @@ and damaged files."""
 import itertools
 import random
 import signal
+import sqlite3
 import subprocess
 import threading
 import time
@@ -13,8 +14,9 @@ import pytest
 
 from revisit_server import BIN, Server, clean_environment, run, wait_until
 from stubs import PoseGraphServiceStub, api
-from wire import (PoseStream, append, as_bytes, batches, decode_failure,
-                  failure_of, get, list_poses, pose, straight)
+from wire import (LOOP_CLOSURES, PAIR_KINDS, REJECTED_CANDIDATES, PoseStream,
+                  append, as_bytes, batches, decode_failure, failure_of, get,
+                  laps, list_poses, pose, straight)
 
 VEHICLE = "vehicles/survivor"
 # Short, so that kills also fall into searches.
@@ -190,18 +192,15 @@ def test_everything_else_survives_kill_9_too(tmp_path):
     store = tmp_path / "store"
     with Server(store) as server:
         stub = server.stub()
-        create(stub, **SETTINGS)
+        create(stub, correlation_model=api.CORRELATION_MODEL_INDEPENDENT,
+               **SETTINGS)
         append(stub, VEHICLE, straight(100))
-        stub.AddLoopClosure(api.AddLoopClosureRequest(
-            parent=VEHICLE, loop_closure_id="kept",
-            loop_closure=api.LoopClosure(query_sequence=90,
-                                         matched_sequence=10)))
-        stub.AddLoopClosure(api.AddLoopClosureRequest(
-            parent=VEHICLE, loop_closure_id="removed",
-            loop_closure=api.LoopClosure(query_sequence=80,
-                                         matched_sequence=10)))
-        stub.DeleteLoopClosure(api.DeleteLoopClosureRequest(
-            name=f"{VEHICLE}/loopClosures/removed"))
+        # Out of the order of their names, the kinds in turns.
+        for name, query in (("z", 90), ("removed", 80), ("kept", 95)):
+            for kind in PAIR_KINDS:
+                kind.add(stub, VEHICLE, query, 10, name)
+        for kind in PAIR_KINDS:
+            kind.delete(stub, f"{VEHICLE}/{kind.collection}/removed")
         stub.RevisePoses(iter([api.RevisePosesRequest(
             vehicle=VEHICLE, poses=[pose(7, x=7.0, y=0.25)])]))
         request = api.UpdateVehicleRequest(vehicle=api.Vehicle(
@@ -213,6 +212,8 @@ def test_everything_else_survives_kill_9_too(tmp_path):
         stub.DeleteVehicle(api.DeleteVehicleRequest(
             name="vehicles/short-lived"))
         before = state_of(stub)
+        assert get(stub, VEHICLE).consistency.confirmed_count == 2
+        assert get(stub, VEHICLE).consistency.rejected_count == 2
         server.kill()
     with Server(store) as server:
         stub = server.stub()
@@ -220,6 +221,94 @@ def test_everything_else_survives_kill_9_too(tmp_path):
         # A name that is free again begins with nothing.
         assert create(stub, "vehicles/short-lived").durable_sequence == 0
         assert list_poses(stub, "vehicles/short-lived") == []
+
+
+@pytest.mark.parametrize("kind", PAIR_KINDS, ids=str)
+def test_every_acknowledged_pair_survives_kill_9(kind, tmp_path):
+    store = tmp_path / "store"
+    with Server(store) as server:
+        create(server.stub(), **SETTINGS)
+        append(server.stub(), VEHICLE, straight(100))
+    acknowledged = []
+    for round_number in range(3):
+        with Server(store) as server:
+            stub = server.stub()
+            assert kind.page(stub, VEHICLE)[0] == acknowledged
+            for n in range(5):
+                added, revision = kind.add(
+                    stub, VEHICLE, 50 + 5 * round_number + n, 1 + n)
+                acknowledged.append(added)
+            assert get(stub, VEHICLE).revision == revision
+            server.kill()
+    with Server(store) as server:
+        stub = server.stub()
+        assert kind.page(stub, VEHICLE)[0] == acknowledged
+        assert get(stub, VEHICLE).revision == revision
+        # Again is once: the retry of a call whose answer was lost.
+        assert kind.add(stub, VEHICLE, 50, 1)[0] == acknowledged[0]
+        assert get(stub, VEHICLE).revision == revision
+        assert kind.count(get(stub, VEHICLE)) == 15
+
+
+def test_rejected_candidate_stays_away_over_a_crash(tmp_path):
+    store = tmp_path / "store"
+    with Server(store) as server:
+        stub = server.stub()
+        create(stub, sequence_length_meters=40.0, check_interval_meters=20.0)
+        append(stub, VEHICLE, laps(760))
+        request = api.FindCandidatesRequest(vehicle=VEHICLE)
+        best = stub.FindCandidates(request).candidates.candidates[0]
+        REJECTED_CANDIDATES.add(stub, VEHICLE, best.query.sequence,
+                                best.matched.sequence)
+        before = stub.FindCandidates(request).candidates
+        server.kill()
+    with Server(store) as server:
+        after = server.stub().FindCandidates(request).candidates
+    for answer in (before, after):
+        answer.ClearField("search_duration")
+    assert after == before
+    # Candidates are 10 m apart; a pose stands for a node within 2 m of it.
+    assert all(abs(candidate.matched.travelled_meters
+                   - best.matched.travelled_meters) > 7.0
+               for candidate in after.candidates)
+
+
+def test_inflation_is_seen_in_every_gate_and_the_same_after_a_crash(tmp_path):
+    # Two laps that lie up to 7 m apart, and claim to be known to 0.1 m.
+    poses = laps(760)
+    for n, one in enumerate(poses):
+        one.local.x_meters += 7.0 * n / 760
+    store = tmp_path / "store"
+    request = api.FindCandidatesRequest(vehicle=VEHICLE)
+    with Server(store) as server:
+        stub = server.stub()
+        create(stub, correlation_model=api.CORRELATION_MODEL_INDEPENDENT,
+               sequence_length_meters=40.0, check_interval_meters=20.0,
+               place_tolerance=api.PlaceTolerance(position_meters=0.1,
+                                                  heading_radians=0.1),
+               apply_inflation=True)
+        append(stub, VEHICLE, poses)
+        claimed = stub.FindCandidates(request).candidates.candidates[0].gate
+        assert claimed.inflation == 1.0
+        # Out of the order of their names, for the order counts.
+        for n, query in enumerate(range(740, 540, -25)):
+            LOOP_CLOSURES.add(stub, VEHICLE, query, query - 377, f"z{9 - n}")
+        consistency = get(stub, VEHICLE).consistency
+        assert consistency.confirmed_count == 8
+        assert consistency.mean_normalized_innovation_squared > 30.0
+        assert consistency.applied
+        assert 1.0 < consistency.inflation <= 10.0
+        before = stub.FindCandidates(request).candidates
+        assert {candidate.gate.inflation for candidate in before.candidates} \
+            == {consistency.inflation}
+        server.kill()
+    with Server(store) as server:
+        stub = server.stub()
+        assert get(stub, VEHICLE).consistency == consistency
+        after = stub.FindCandidates(request).candidates
+    for answer in (before, after):
+        answer.ClearField("search_duration")
+    assert after == before
 
 
 def state_of(stub):
@@ -231,8 +320,8 @@ def state_of(stub):
             itertools.chain.from_iterable(
                 [*part.nodes, *part.edges] for part in stub.ExportPoseGraph(
                     api.ExportPoseGraphRequest(vehicle=VEHICLE)))),
-        "closures": as_bytes(stub.ListLoopClosures(
-            api.ListLoopClosuresRequest(parent=VEHICLE)).loop_closures),
+        "pairs": [as_bytes(kind.page(stub, VEHICLE)[0])
+                  for kind in PAIR_KINDS],
         "names": [vehicle.name for vehicle in stub.ListVehicles(
             api.ListVehiclesRequest()).vehicles],
     }
@@ -370,6 +459,46 @@ def test_store_that_is_none_is_refused_and_left_alone(tmp_path):
     assert result.returncode in (73, 74)
     assert str(store) in result.stderr
     assert path.read_bytes() == b"not a database at all, by any means\n" * 200
+
+
+def test_store_of_a_newer_format_is_refused_and_left_alone(tmp_path):
+    store = tmp_path / "store"
+    with Server(store):
+        pass
+    path = database_of(store)
+    database = sqlite3.connect(path)
+    database.execute("PRAGMA user_version = 3")
+    database.close()
+    content = path.read_bytes()
+    result = run("revisitd", "--listen", "127.0.0.1:0", "--store", store)
+    assert result.returncode in (73, 74)
+    assert "has format 3" in result.stderr
+    assert "use a newer server" in result.stderr
+    assert path.read_bytes() == content
+
+
+def test_store_of_format_1_is_brought_up_to_date(tmp_path):
+    # Only the tables are those of such a server; its rows are a test of the
+    # storage.
+    store = tmp_path / "store"
+    with Server(store) as server:
+        create(server.stub())
+        append(server.stub(), VEHICLE, straight(10))
+        before = state_of(server.stub())
+    path = database_of(store)
+    database = sqlite3.connect(path)
+    database.execute("DROP TABLE rejected_candidates")
+    database.execute("PRAGMA user_version = 1")
+    database.close()
+    with Server(store) as server:
+        stub = server.stub()
+        assert state_of(stub) == before
+        assert stub.GetServerInfo(api.GetServerInfoRequest()).store_format == 2
+        REJECTED_CANDIDATES.add(stub, VEHICLE, 9, 2)
+        server.kill()
+    with Server(store) as server:
+        pairs, _ = REJECTED_CANDIDATES.page(server.stub(), VEHICLE)
+        assert [pair.query_sequence for pair in pairs] == [9]
 
 
 def test_store_restored_from_an_old_copy_is_noticed(tmp_path):

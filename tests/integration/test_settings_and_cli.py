@@ -8,7 +8,7 @@ import pytest
 
 from revisit_server import Server, clean_environment, run, wait_until
 from stubs import api
-from wire import BOREAS
+from wire import BOREAS, append, straight
 
 USAGE = 64
 
@@ -178,7 +178,8 @@ def driven(stub, revisit):
 
 
 COMMANDS = [("vehicle", "create"), ("vehicle", "get"), ("vehicle", "list"),
-            ("vehicle", "delete"), ("stream",), ("find",), ("show",),
+            ("vehicle", "update"), ("vehicle", "delete"), ("stream",),
+            ("find",), ("confirm",), ("reject",), ("show",),
             ("export",), ("evaluate",)]
 
 
@@ -228,6 +229,94 @@ def test_tables_are_for_people(driven, revisit):
         assert "\r" not in result.stdout
 
 
+def test_find_takes_alignment_and_direction(driven, revisit):
+    def found(*flags):
+        result = revisit("find", "--vehicle", driven, "--json", *flags)
+        assert result.returncode == 0, result.stderr
+        return json.loads(result.stdout)
+
+    composite = found("--alignment", "composite")
+    assert "newPlaceProbability" not in composite
+    assert "probability" not in composite["candidates"][0]
+    assert composite["candidates"][0]["verdict"].startswith("VERDICT_")
+    relative = found("--alignment", "relative", "--direction", "either",
+                     "--acceptance-probability", "0.9",
+                     "--road-spacing", "100", "--shape-correlation", "20",
+                     "--shape-tolerance-position", "2",
+                     "--shape-tolerance-heading", "0.1")
+    assert 0.0 <= relative["newPlaceProbability"] <= 1.0
+    for candidate in relative["candidates"]:
+        assert 0.0 <= candidate["probability"] <= 1.0
+        assert candidate["direction"] in ("DIRECTION_SAME",
+                                          "DIRECTION_OPPOSITE")
+    table = revisit("find", "--vehicle", driven).stdout
+    assert "new place: probability " in table
+    for column in ("DIRECTION", "PROBABILITY", "VERDICT"):
+        assert column in table
+
+
+def test_settings_are_created_and_updated(revisit):
+    def settings(*arguments):
+        result = revisit(*arguments, "--json")
+        assert result.returncode == 0, result.stderr
+        return json.loads(result.stdout)["settings"]
+
+    made = settings("vehicle", "create", "cli-settings",
+                    "--alignment", "composite", "--road-spacing", "80",
+                    "--shape-tolerance-position", "2",
+                    "--shape-tolerance-heading", "0.1", "--apply-inflation",
+                    "--max-inflation", "4")
+    assert made["alignment"] == "ALIGNMENT_COMPOSITE"
+    assert made["roadSpacingMeters"] == 80
+    assert made["shapeTolerance"] == {"positionMeters": 2,
+                                      "headingRadians": 0.1}
+    assert made["applyInflation"] is True
+    assert made["maxInflation"] == 4
+    changed = settings("vehicle", "update", "cli-settings",
+                       "--alignment", "relative", "--no-apply-inflation",
+                       "--acceptance-probability", "0.9")
+    assert changed == {**made, "alignment": "ALIGNMENT_RELATIVE",
+                       "applyInflation": False, "acceptanceProbability": 0.9}
+    nothing = revisit("vehicle", "update", "cli-settings")
+    assert nothing.returncode == 1
+    assert "no setting is given" in nothing.stderr
+    half = revisit("vehicle", "update", "cli-settings",
+                   "--tolerance-position", "3")
+    assert half.returncode == USAGE
+    assert "--tolerance-heading" in half.stderr
+    assert revisit("vehicle", "delete", "cli-settings").returncode == 0
+
+
+def test_candidates_are_confirmed_and_rejected(revisit, stub):
+    name = "vehicles/cli-verify"
+    assert revisit("vehicle", "create", "cli-verify", "--correlation-model",
+                   "independent").returncode == 0
+    append(stub, name, straight(200))
+    confirmed = revisit("confirm", "cli-verify", 150, 20)
+    assert (confirmed.returncode, confirmed.stdout) == (
+        0, f"confirmed {name}/loopClosures/150-20, revision 3\n")
+    rejected = revisit("reject", "cli-verify", 160, 30, "--json")
+    assert rejected.returncode == 0, rejected.stderr
+    answer = json.loads(rejected.stdout)
+    assert (answer["rejectedCandidate"]["name"]
+            == f"{name}/rejectedCandidates/160-30")
+    # Again: the existing one.
+    assert json.loads(revisit("reject", name, 160, 30,
+                              "--json").stdout) == answer
+    assert "1 confirmed, 1 rejected" in revisit(
+        "show", "--vehicle", "cli-verify").stdout
+    shown = json.loads(revisit("show", "--vehicle", "cli-verify",
+                               "--json").stdout)["vehicle"]["consistency"]
+    assert shown["rejectedCount"] == "1"
+    missing = revisit("reject", "cli-verify", 300, 20)
+    assert missing.returncode == 64 + 5
+    assert "POSE_NOT_FOUND" in missing.stderr
+    swapped = revisit("confirm", "cli-verify", 20, 150)
+    assert swapped.returncode == 64 + 3
+    assert "loop_closure.matched_sequence" in swapped.stderr
+    assert revisit("vehicle", "delete", "cli-verify").returncode == 0
+
+
 def test_streaming_again_changes_nothing(driven, revisit):
     before = revisit("vehicle", "get", driven, "--json").stdout
     again = revisit("stream", BOREAS, "--vehicle", driven)
@@ -258,7 +347,9 @@ def test_failure_has_its_exit_code_and_words(arguments, code, words, revisit):
 
 @pytest.mark.parametrize("arguments", [
     [], ["no-such-command"], ["vehicle"], ["find"], ["vehicle", "get"],
-    ["find", "--vehicle", "x", "--no-such-flag"], ["stream", BOREAS]],
+    ["find", "--vehicle", "x", "--no-such-flag"], ["stream", BOREAS],
+    ["confirm", "x", "2"], ["reject", "x", "two", "1"],
+    ["find", "--vehicle", "x", "--direction", "sideways"]],
     ids=str)
 def test_wrong_usage_has_its_exit_code(arguments):
     result = run("revisit", *arguments)

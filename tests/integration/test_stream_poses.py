@@ -233,9 +233,12 @@ def test_two_vehicles_stream_side_by_side(stub, new_vehicle):
 
 
 @pytest.mark.release_build
+@pytest.mark.parametrize("alignment", [api.ALIGNMENT_RELATIVE,
+                                       api.ALIGNMENT_COMPOSITE],
+                         ids=api.Alignment.Name)
 def test_shipped_drive_is_streamed_and_its_places_are_found_again(
-        stub, new_vehicle):
-    vehicle = new_vehicle()
+        alignment, stub, new_vehicle):
+    vehicle = new_vehicle(alignment=alignment)
     poses, truth = boreas()
     responses = stream_all(stub, vehicle, poses, send_candidates=True)
     assert of_kind(responses, "ack")[-1].durable_sequence == len(poses)
@@ -249,7 +252,7 @@ def test_shipped_drive_is_streamed_and_its_places_are_found_again(
         if not answer.candidates:
             continue
         best = answer.candidates[0]
-        if best.gate.verdict != api.GATE_VERDICT_ACCEPTED:
+        if best.verdict != api.VERDICT_ACCEPTED:
             continue
         accepted += 1
         query, matched = (at(truth, node)

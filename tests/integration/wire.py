@@ -93,6 +93,62 @@ def as_bytes(messages):
             for message in messages]
 
 
+@dataclasses.dataclass(frozen=True)
+class PairKind:
+    """Pairs of poses that a verifier has looked at; the kinds have the same
+    calls under other names."""
+
+    field: str
+    message: str
+    collection: str
+    add_method: str
+    list_method: str
+    delete_method: str
+    reason: str
+
+    def __str__(self):
+        return self.field
+
+    def request(self, parent, query=0, matched=0, pair_id=""):
+        return getattr(api, f"{self.add_method}Request")(**{
+            "parent": parent, f"{self.field}_id": pair_id,
+            self.field: getattr(api, self.message)(
+                query_sequence=query, matched_sequence=matched)})
+
+    def call_add(self, stub, request):
+        return getattr(stub, self.add_method)(request)
+
+    def add(self, stub, parent, *pair):
+        """(the stored pair, revision)"""
+        answer = self.call_add(stub, self.request(parent, *pair))
+        return getattr(answer, self.field), answer.revision
+
+    def page(self, stub, parent, **fields):
+        """(the pairs, token of the next page)"""
+        answer = getattr(stub, self.list_method)(getattr(
+            api, f"{self.list_method}Request")(parent=parent, **fields))
+        return list(getattr(answer, f"{self.field}s")), answer.next_page_token
+
+    def delete(self, stub, name):
+        return getattr(stub, self.delete_method)(getattr(
+            api, f"{self.delete_method}Request")(name=name)).revision
+
+    def count(self, vehicle):
+        """How many a vehicle says it has."""
+        return (vehicle.loop_closure_count if self is LOOP_CLOSURES
+                else vehicle.consistency.rejected_count)
+
+
+LOOP_CLOSURES = PairKind(
+    "loop_closure", "LoopClosure", "loopClosures", "AddLoopClosure",
+    "ListLoopClosures", "DeleteLoopClosure", "LOOP_CLOSURE")
+REJECTED_CANDIDATES = PairKind(
+    "rejected_candidate", "RejectedCandidate", "rejectedCandidates",
+    "RejectCandidate", "ListRejectedCandidates", "DeleteRejectedCandidate",
+    "REJECTED_CANDIDATE")
+PAIR_KINDS = [LOOP_CLOSURES, REJECTED_CANDIDATES]
+
+
 class PoseStream:
     """One StreamPoses call. What is put into it is sent as the server reads."""
 

@@ -102,16 +102,16 @@ class HeldStorage : public Storage {
       storage_->ReviseBatches(key, batches, revision, std::move(then));
     });
   }
-  void AddLoopClosure(VehicleKey key, LoopClosureRecord closure,
-                      std::uint64_t revision, Done done) override {
+  void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
+                   std::uint64_t revision, Done done) override {
     Submit(std::move(done), [=](Done then) {
-      storage_->AddLoopClosure(key, closure, revision, std::move(then));
+      storage_->AddPosePair(key, kind, pair, revision, std::move(then));
     });
   }
-  void DeleteLoopClosure(VehicleKey key, std::string id, std::uint64_t revision,
-                         Done done) override {
+  void DeletePosePair(VehicleKey key, PairKind kind, std::string id,
+                      std::uint64_t revision, Done done) override {
     Submit(std::move(done), [=](Done then) {
-      storage_->DeleteLoopClosure(key, id, revision, std::move(then));
+      storage_->DeletePosePair(key, kind, id, revision, std::move(then));
     });
   }
 
@@ -135,11 +135,12 @@ class HeldStorage : public Storage {
     return storage_->ReadBatches(key, first_sequence, last_sequence, version,
                                  visit);
   }
-  absl::StatusOr<std::vector<LoopClosureRecord>> ListLoopClosures(
-      VehicleKey key, const std::string& after_id, int limit) override {
+  absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
+      VehicleKey key, PairKind kind, const std::string& after_id,
+      int limit) override {
     const absl::Status status = ReadStatus();
     if (!status.ok()) return status;
-    return storage_->ListLoopClosures(key, after_id, limit);
+    return storage_->ListPosePairs(key, kind, after_id, limit);
   }
 
  private:

@@ -36,8 +36,14 @@ VehicleRecord MemoryStorage::Complete(const Vehicle& vehicle) {
     const BatchRecord& last = vehicle.batches.back().as_sent;
     record.durable_sequence = last.first_sequence + last.count - 1;
   }
-  record.loop_closure_count =
-      static_cast<std::int64_t>(vehicle.loop_closures.size());
+  const auto count = [&](PairKind kind) {
+    const auto found = vehicle.pairs.find(kind);
+    return found == vehicle.pairs.end()
+               ? std::int64_t{0}
+               : static_cast<std::int64_t>(found->second.size());
+  };
+  record.loop_closure_count = count(PairKind::kLoopClosure);
+  record.rejected_candidate_count = count(PairKind::kRejectedCandidate);
   return record;
 }
 
@@ -118,23 +124,25 @@ void MemoryStorage::ReviseBatches(VehicleKey key,
   }));
 }
 
-void MemoryStorage::AddLoopClosure(VehicleKey key, LoopClosureRecord closure,
-                                   std::uint64_t revision, Done done) {
+void MemoryStorage::AddPosePair(VehicleKey key, PairKind kind,
+                                PosePairRecord pair, std::uint64_t revision,
+                                Done done) {
   done(Change(key, revision, [&](Vehicle& vehicle) {
-    return vehicle.loop_closures.emplace(closure.id, closure).second
+    return vehicle.pairs[kind].emplace(pair.id, pair).second
                ? absl::OkStatus()
-               : Error(StatusCode::kAlreadyExists, "LOOP_CLOSURE_EXISTS",
+               : Error(StatusCode::kAlreadyExists, WordsOf(kind).exists,
                        "exists already");
   }));
 }
 
-void MemoryStorage::DeleteLoopClosure(VehicleKey key, std::string id,
-                                      std::uint64_t revision, Done done) {
+void MemoryStorage::DeletePosePair(VehicleKey key, PairKind kind,
+                                   std::string id, std::uint64_t revision,
+                                   Done done) {
   done(Change(key, revision, [&](Vehicle& vehicle) {
-    return vehicle.loop_closures.erase(id) == 1
+    return vehicle.pairs[kind].erase(id) == 1
                ? absl::OkStatus()
-               : Error(StatusCode::kNotFound, "LOOP_CLOSURE_NOT_FOUND",
-                       "no such loop closure");
+               : Error(StatusCode::kNotFound, WordsOf(kind).not_found,
+                       "no such pair");
   }));
 }
 
@@ -190,15 +198,15 @@ absl::Status MemoryStorage::ReadBatches(
              : Error(StatusCode::kDataLoss, "STORE_CORRUPT", "missing");
 }
 
-absl::StatusOr<std::vector<LoopClosureRecord>> MemoryStorage::ListLoopClosures(
-    VehicleKey key, const std::string& after_id, int limit) {
+absl::StatusOr<std::vector<PosePairRecord>> MemoryStorage::ListPosePairs(
+    VehicleKey key, PairKind kind, const std::string& after_id, int limit) {
   const std::lock_guard<std::mutex> guard(mutex_);
   const auto found = vehicles_.find(key);
   if (found == vehicles_.end()) return UnknownVehicle();
-  std::vector<LoopClosureRecord> result;
-  const auto& closures = found->second.loop_closures;
-  for (auto i = closures.upper_bound(after_id);
-       i != closures.end() && static_cast<int>(result.size()) < limit; ++i) {
+  std::vector<PosePairRecord> result;
+  const auto& pairs = found->second.pairs[kind];
+  for (auto i = pairs.upper_bound(after_id);
+       i != pairs.end() && static_cast<int>(result.size()) < limit; ++i) {
     result.push_back(i->second);
   }
   return result;

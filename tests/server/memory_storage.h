@@ -30,10 +30,10 @@ class MemoryStorage : public Storage {
                    Done done) override;
   void ReviseBatches(VehicleKey key, std::vector<BatchRecord> batches,
                      std::uint64_t revision, Done done) override;
-  void AddLoopClosure(VehicleKey key, LoopClosureRecord closure,
+  void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
+                   std::uint64_t revision, Done done) override;
+  void DeletePosePair(VehicleKey key, PairKind kind, std::string id,
                       std::uint64_t revision, Done done) override;
-  void DeleteLoopClosure(VehicleKey key, std::string id, std::uint64_t revision,
-                         Done done) override;
 
   absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override;
   absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
@@ -42,8 +42,9 @@ class MemoryStorage : public Storage {
       VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
       BatchVersion version,
       const std::function<bool(BatchRecord)>& visit) override;
-  absl::StatusOr<std::vector<LoopClosureRecord>> ListLoopClosures(
-      VehicleKey key, const std::string& after_id, int limit) override;
+  absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
+      VehicleKey key, PairKind kind, const std::string& after_id,
+      int limit) override;
 
  private:
   struct Batch {
@@ -53,7 +54,8 @@ class MemoryStorage : public Storage {
   struct Vehicle {
     VehicleRecord record;
     std::vector<Batch> batches;
-    std::map<std::string, LoopClosureRecord> loop_closures;
+    // By kind, then by id.
+    std::map<PairKind, std::map<std::string, PosePairRecord>> pairs;
   };
 
   absl::Status Change(VehicleKey key, std::uint64_t revision,

@@ -9,6 +9,7 @@
 #include <limits>
 #include <random>
 #include <string>
+#include <tuple>
 #include <vector>
 
 #include "core/geometry/heading.h"
@@ -32,6 +33,7 @@ using ::testing::HasSubstr;
 using ::testing::Optional;
 using ::testing::SizeIs;
 using ::testing::StartsWith;
+using ::testing::UnorderedElementsAre;
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 constexpr int kMaxPoses = 100;
@@ -148,20 +150,97 @@ TEST(NamesTest, RefusesNamesOfAnotherForm) {
   }
 }
 
-TEST(NamesTest, SplitsTheNameOfALoopClosure) {
-  const auto name =
-      ParseLoopClosureName("vehicles/a/loopClosures/9-3", FieldPath());
-  ASSERT_THAT(name, IsOk());
-  EXPECT_EQ(name->vehicle_id, "a");
-  EXPECT_EQ(name->id, "9-3");
-  for (const std::string bad :
-       {"vehicles/a", "vehicles/a/loopClosures/", "vehicles//loopClosures/x",
-        "vehicles/a/loopClosures/x/loopClosures/y"}) {
-    EXPECT_THAT(ParseLoopClosureName(bad, FieldPath().Field("name")),
+TEST(NamesTest, SplitsTheNameOfAPairOfPoses) {
+  for (const auto& [kind, collection, form] :
+       {std::tuple(PairKind::kLoopClosure, "loopClosures", "loop_closure"),
+        std::tuple(PairKind::kRejectedCandidate, "rejectedCandidates",
+                   "rejected_candidate")}) {
+    const std::string middle = "/"s + collection + "/";
+    const auto name =
+        ParsePosePairName(kind, "vehicles/a" + middle + "9-3", FieldPath());
+    ASSERT_THAT(name, IsOk());
+    EXPECT_EQ(name->vehicle_id, "a");
+    EXPECT_EQ(name->id, "9-3");
+    for (const std::string& bad :
+         {"vehicles/a"s, "vehicles/a" + middle, "vehicles/" + middle + "x",
+          "vehicles/a" + middle + "x" + middle + "y",
+          "vehicles/a/somethingElse/x"s}) {
+      EXPECT_THAT(ParsePosePairName(kind, bad, FieldPath().Field("name")),
+                  IsError(StatusCode::kInvalidArgument, "INVALID_RESOURCE_NAME",
+                          StartsWith("name: ")))
+          << bad;
+    }
+    EXPECT_THAT(ParsePosePairName(kind, "x", FieldPath().Field("name")),
                 IsError(StatusCode::kInvalidArgument, "INVALID_RESOURCE_NAME",
-                        StartsWith("name: ")))
-        << bad;
+                        HasSubstr("the form is vehicles/{vehicle}" + middle +
+                                  "{" + form + "}")));
   }
+}
+
+TEST(NamesTest, NamesOfTwoKindsOfPairsAreNotTakenForEachOther) {
+  EXPECT_FALSE(ParsePosePairName(PairKind::kRejectedCandidate,
+                                 "vehicles/a/loopClosures/x", FieldPath())
+                   .ok());
+  EXPECT_FALSE(ParsePosePairName(PairKind::kLoopClosure,
+                                 "vehicles/a/rejectedCandidates/x", FieldPath())
+                   .ok());
+}
+
+// ---- Pairs of poses
+
+// What decoding says of these sequences: the id, or the fields that are wrong.
+template <typename Pair>
+std::vector<std::string> Decoded(const std::string& text,
+                                 const std::string& id) {
+  const Pair pair = FromText<Pair>(text);
+  const auto record = DecodePosePair(&pair, id);
+  if (!record.ok()) return FieldsOf(record.status());
+  EXPECT_EQ(record->query_sequence, pair.query_sequence());
+  EXPECT_EQ(record->matched_sequence, pair.matched_sequence());
+  return {record->id};
+}
+
+TEST(PosePairTest, TakesItsIdFromTheSequencesUnlessItIsGiven) {
+  const std::string pair = "query_sequence: 9 matched_sequence: 3";
+  EXPECT_THAT(Decoded<v1::LoopClosure>(pair, ""), ElementsAre("9-3"));
+  EXPECT_THAT(Decoded<v1::RejectedCandidate>(pair, ""), ElementsAre("9-3"));
+  EXPECT_THAT(Decoded<v1::RejectedCandidate>(pair, "mine"),
+              ElementsAre("mine"));
+}
+
+TEST(PosePairTest, NamesTheFieldsThatAreWrong) {
+  EXPECT_THAT(Decoded<v1::RejectedCandidate>("", ""),
+              ElementsAre("rejected_candidate.query_sequence",
+                          "rejected_candidate.matched_sequence"));
+  EXPECT_THAT(Decoded<v1::RejectedCandidate>(
+                  "query_sequence: 3 matched_sequence: 3", ""),
+              ElementsAre("rejected_candidate.matched_sequence"));
+  EXPECT_THAT(Decoded<v1::RejectedCandidate>(
+                  "query_sequence: 3 matched_sequence: 2", "No"),
+              ElementsAre("rejected_candidate_id"));
+  EXPECT_THAT(
+      Decoded<v1::LoopClosure>("query_sequence: 3 matched_sequence: 2", "No"),
+      ElementsAre("loop_closure_id"));
+  const v1::RejectedCandidate* const left_out = nullptr;
+  EXPECT_THAT(FieldsOf(DecodePosePair(left_out, "").status()),
+              ElementsAre("rejected_candidate"));
+}
+
+TEST(PosePairTest, AnswersWithNameAndTime) {
+  const PosePairRecord record{"9-3", 9, 3, -1};
+  v1::LoopClosure closure;
+  EncodePosePair("a", record, &closure);
+  EXPECT_EQ(closure.name(), "vehicles/a/loopClosures/9-3");
+  v1::RejectedCandidate rejected;
+  EncodePosePair("a", record, &rejected);
+  EXPECT_TRUE(google::protobuf::util::MessageDifferencer::Equals(
+      rejected, FromText<v1::RejectedCandidate>(R"pb(
+        name: "vehicles/a/rejectedCandidates/9-3"
+        query_sequence: 9
+        matched_sequence: 3
+        create_time { seconds: -1 nanos: 999999999 }
+      )pb")))
+      << rejected.DebugString();
 }
 
 // ---- Settings
@@ -171,21 +250,34 @@ TEST(SettingsConversionTest, LeftOutMeansDefault) {
   ASSERT_THAT(config, IsOk());
   v1::VehicleSettings settings;
   EncodeSettings(*config, &settings);
-  EXPECT_TRUE(google::protobuf::util::MessageDifferencer::Equals(
-      settings, FromText<v1::VehicleSettings>(R"pb(
-        state_space: STATE_SPACE_PLANAR
-        correlation_model: CORRELATION_MODEL_DEAD_RECKONING
-        likelihood_form: LIKELIHOOD_FORM_GAUSSIAN
-        coordinate_frame: COORDINATE_FRAME_LOCAL
-        node_spacing_meters: 2
-        sequence_length_meters: 150
-        check_interval_meters: 50
-        max_step_meters: 100
-        gate_probability: 0.95
-        place_tolerance { position_meters: 2 heading_radians: 0.1 }
-        candidate_separation_meters: 10
-        max_candidates: 5
-      )pb")))
+  auto expected = FromText<v1::VehicleSettings>(R"pb(
+    state_space: STATE_SPACE_PLANAR
+    correlation_model: CORRELATION_MODEL_DEAD_RECKONING
+    likelihood_form: LIKELIHOOD_FORM_GAUSSIAN
+    coordinate_frame: COORDINATE_FRAME_LOCAL
+    node_spacing_meters: 2
+    sequence_length_meters: 150
+    check_interval_meters: 50
+    max_step_meters: 100
+    gate_probability: 0.95
+    place_tolerance { position_meters: 2 heading_radians: 0.1 }
+    candidate_separation_meters: 10
+    max_candidates: 5
+    alignment: ALIGNMENT_RELATIVE
+    apply_inflation: false
+    max_inflation: 10
+  )pb");
+  // Of these core has the say; the tests from outside know the numbers.
+  const core::SearchOptions defaults;
+  expected.set_acceptance_probability(defaults.acceptance_probability);
+  expected.set_road_spacing_meters(defaults.road_spacing_meters);
+  expected.mutable_shape_tolerance()->set_position_meters(
+      defaults.shape.tolerance.position_meters);
+  expected.mutable_shape_tolerance()->set_heading_radians(
+      defaults.shape.tolerance.heading_radians);
+  expected.set_shape_correlation_meters(defaults.shape.correlation_meters);
+  EXPECT_TRUE(
+      google::protobuf::util::MessageDifferencer::Equals(settings, expected))
       << settings.DebugString();
 }
 
@@ -208,6 +300,13 @@ TEST(SettingsConversionTest, EverySettingSurvivesTheStore) {
     place_tolerance { position_meters: 0 heading_radians: 0.25 }
     candidate_separation_meters: 0
     max_candidates: 17
+    alignment: ALIGNMENT_COMPOSITE
+    acceptance_probability: 0.75
+    road_spacing_meters: 80
+    shape_tolerance { position_meters: 0.5 heading_radians: 0.03 }
+    shape_correlation_meters: 25
+    apply_inflation: true
+    max_inflation: 4
   )pb");
   auto config = DecodeSettings(settings, FieldPath());
   ASSERT_THAT(config, IsOk());
@@ -244,6 +343,94 @@ TEST(SettingsConversionTest, NamesEverySettingThatIsWrong) {
                           "vehicle.settings.gate_probability",
                           "vehicle.settings.place_tolerance.position_meters",
                           "vehicle.settings.max_candidates"));
+}
+
+TEST(SettingsConversionTest, NamesTheFieldsOfTheMessageNotThoseOfCore) {
+  const auto settings = FromText<v1::VehicleSettings>(R"pb(
+    alignment: 3
+    acceptance_probability: 1
+    road_spacing_meters: 0.5
+    shape_tolerance { position_meters: 0.001 heading_radians: 4 }
+    shape_correlation_meters: 0
+    max_inflation: 0.5
+  )pb");
+  const auto config = DecodeSettings(settings, FieldPath().Field("settings"));
+  EXPECT_THAT(config,
+              IsError(StatusCode::kInvalidArgument, "INVALID_FIELD",
+                      HasSubstr("got 3, which is no value of this enum")));
+  EXPECT_THAT(FieldsOf(config.status()),
+              UnorderedElementsAre("settings.alignment",
+                                   "settings.acceptance_probability",
+                                   "settings.road_spacing_meters",
+                                   "settings.shape_tolerance.position_meters",
+                                   "settings.shape_tolerance.heading_radians",
+                                   "settings.shape_correlation_meters",
+                                   "settings.max_inflation"));
+}
+
+TEST(SettingsConversionTest, RefusesNumbersThatAreNotFinite) {
+  const auto settings = FromText<v1::VehicleSettings>(R"pb(
+    acceptance_probability: nan
+    road_spacing_meters: inf
+    shape_tolerance { position_meters: -inf heading_radians: nan }
+    shape_correlation_meters: nan
+    max_inflation: inf
+  )pb");
+  const auto config = DecodeSettings(settings, FieldPath());
+  EXPECT_THAT(config, IsError(StatusCode::kInvalidArgument, "NOT_FINITE",
+                              HasSubstr("and 5 more")));
+  EXPECT_THAT(
+      FieldsOf(config.status()),
+      UnorderedElementsAre("acceptance_probability", "road_spacing_meters",
+                           "shape_tolerance.position_meters",
+                           "shape_tolerance.heading_radians",
+                           "shape_correlation_meters", "max_inflation"));
+}
+
+TEST(SettingsConversionTest, ToleranceThatIsGivenIsGivenWhole) {
+  // As in place_tolerance, a number that is left out is 0; which a shape may
+  // not have.
+  const auto place = DecodeSettings(
+      FromText<v1::VehicleSettings>("place_tolerance { position_meters: 3 }"),
+      FieldPath());
+  ASSERT_THAT(place, IsOk());
+  EXPECT_EQ(place->engine.search.place_tolerance.heading_radians, 0.0);
+  const auto shape = DecodeSettings(
+      FromText<v1::VehicleSettings>("shape_tolerance { position_meters: 3 }"),
+      FieldPath());
+  EXPECT_THAT(shape, IsError(StatusCode::kInvalidArgument, "INVALID_FIELD",
+                             HasSubstr("got 0; allowed is [0.001, 3]")));
+  EXPECT_THAT(FieldsOf(shape.status()),
+              ElementsAre("shape_tolerance.heading_radians"));
+}
+
+TEST(SettingsConversionTest, RecordOfTheFirstReleaseTakesTodaysDefaults) {
+  // Fields 1 to 13 were all there was.
+  const auto vehicle = FromText<v1::Vehicle>(R"pb(
+    settings {
+      state_space: STATE_SPACE_PLANAR
+      correlation_model: CORRELATION_MODEL_DEAD_RECKONING
+      likelihood_form: LIKELIHOOD_FORM_GAUSSIAN
+      coordinate_frame: COORDINATE_FRAME_LOCAL
+      node_spacing_meters: 3
+      sequence_length_meters: 150
+      check_interval_meters: 50
+      max_step_meters: 100
+      gate_probability: 0.95
+      place_tolerance { position_meters: 2 heading_radians: 0.1 }
+      candidate_separation_meters: 10
+      max_candidates: 5
+    }
+    state: VEHICLE_STATE_ACTIVE
+    create_time { seconds: 1 }
+  )pb");
+  const auto config =
+      ProtoRecordCodec().DecodeVehicle(vehicle.SerializeAsString());
+  ASSERT_THAT(config, IsOk());
+  EXPECT_EQ(config->engine.node_spacing_meters, 3);
+  EXPECT_EQ(config->engine.search.alignment, core::AlignmentKind::kRelative);
+  EXPECT_EQ(config->engine.max_inflation, 10);
+  EXPECT_FALSE(config->engine.apply_inflation);
 }
 
 TEST(SettingsConversionTest, ReasonIsThatOfTheFirstFault) {
@@ -307,6 +494,37 @@ TEST(UpdateSettingsTest, NamedButLeftOutGoesBackToItsDefault) {
   ASSERT_THAT(all, IsOk());
   EXPECT_EQ(all->engine.search.place_tolerance.position_meters, 2);
   EXPECT_EQ(all->engine.max_step_meters, 100);
+}
+
+TEST(UpdateSettingsTest, KnowsEverySettingByItsName) {
+  VehicleConfig current;
+  current.engine.search.shape.tolerance = {0.5, 0.03};
+  const auto updated = Update(
+      current, true,
+      "alignment: ALIGNMENT_COMPOSITE acceptance_probability: 0.9 "
+      "road_spacing_meters: 50 shape_correlation_meters: 20 "
+      "apply_inflation: true max_inflation: 3",
+      {"settings.alignment", "settings.acceptance_probability",
+       "settings.road_spacing_meters", "settings.shape_correlation_meters",
+       "settings.apply_inflation", "settings.max_inflation"});
+  ASSERT_THAT(updated, IsOk());
+  const core::EngineSettings& engine = updated->engine;
+  EXPECT_EQ(engine.search.alignment, core::AlignmentKind::kComposite);
+  EXPECT_EQ(engine.search.acceptance_probability, 0.9);
+  EXPECT_EQ(engine.search.road_spacing_meters, 50);
+  EXPECT_EQ(engine.search.shape.correlation_meters, 20);
+  EXPECT_EQ(engine.search.shape.tolerance.position_meters, 0.5);
+  EXPECT_TRUE(engine.apply_inflation);
+  EXPECT_EQ(engine.max_inflation, 3);
+  const auto back = Update(*updated, true, "",
+                           {"settings.alignment", "settings.apply_inflation",
+                            "settings.shape_tolerance"});
+  ASSERT_THAT(back, IsOk());
+  EXPECT_EQ(back->engine.search.alignment, core::AlignmentKind::kRelative);
+  EXPECT_FALSE(back->engine.apply_inflation);
+  EXPECT_EQ(back->engine.search.shape.tolerance.position_meters,
+            core::ShapeModel().tolerance.position_meters);
+  EXPECT_EQ(back->engine.max_inflation, 3);
 }
 
 TEST(UpdateSettingsTest, RefusesPathsThatAreNoSettings) {
@@ -384,6 +602,55 @@ TEST(CandidateOptionsTest, ChangeWhatTheyNameAndLeaveTheRestToTheVehicle) {
   EXPECT_EQ(search->likelihood_form, core::LikelihoodForm::kAsPrinted);
   EXPECT_EQ(search->gate_probability, 0.9);
   EXPECT_EQ(search->correlation_model, core::CorrelationModel::kIndependent);
+}
+
+TEST(CandidateOptionsTest, TakeTheAlignmentFromTheVehicleUnlessTold) {
+  VehicleConfig config;
+  config.engine.search.alignment = core::AlignmentKind::kComposite;
+  config.engine.search.road_spacing_meters = 70;
+  const auto plain = DecodeCandidateOptions({}, config, FieldPath());
+  ASSERT_THAT(plain, IsOk());
+  EXPECT_EQ(plain->alignment, core::AlignmentKind::kComposite);
+  EXPECT_EQ(plain->direction, core::SearchDirection::kSame);
+  EXPECT_EQ(plain->road_spacing_meters, 70);
+  const auto search = DecodeCandidateOptions(
+      FromText<v1::CandidateOptions>(R"pb(
+        alignment: ALIGNMENT_RELATIVE
+        direction: DIRECTION_EITHER
+        acceptance_probability: 0.8
+        shape_tolerance { position_meters: 2 heading_radians: 0.1 }
+        shape_correlation_meters: 30
+      )pb"),
+      config, FieldPath());
+  ASSERT_THAT(search, IsOk());
+  EXPECT_EQ(search->alignment, core::AlignmentKind::kRelative);
+  EXPECT_EQ(search->direction, core::SearchDirection::kEither);
+  EXPECT_EQ(search->acceptance_probability, 0.8);
+  EXPECT_EQ(search->shape.tolerance.position_meters, 2);
+  EXPECT_EQ(search->shape.tolerance.heading_radians, 0.1);
+  EXPECT_EQ(search->shape.correlation_meters, 30);
+  EXPECT_EQ(search->road_spacing_meters, 70);
+}
+
+TEST(CandidateOptionsTest, NameEveryOptionThatIsWrong) {
+  const auto search =
+      DecodeCandidateOptions(FromText<v1::CandidateOptions>(R"pb(
+                               alignment: 9
+                               direction: 4
+                               acceptance_probability: 0
+                               road_spacing_meters: 2e6
+                               shape_tolerance { position_meters: 2 }
+                               shape_correlation_meters: 2e6
+                             )pb"),
+                             Planar(), FieldPath().Field("options"));
+  EXPECT_THAT(search, IsError(StatusCode::kInvalidArgument, "INVALID_FIELD",
+                              HasSubstr("and 5 more")));
+  EXPECT_THAT(FieldsOf(search.status()),
+              UnorderedElementsAre("options.alignment", "options.direction",
+                                   "options.acceptance_probability",
+                                   "options.road_spacing_meters",
+                                   "options.shape_tolerance.heading_radians",
+                                   "options.shape_correlation_meters"));
 }
 
 TEST(CandidateOptionsTest, RefuseFilterWhereTheVehicleHasNone) {
@@ -985,6 +1252,8 @@ TEST(ReviseBatchTest, ChecksRevisedPosesLikeAllOthersButForTheirFrame) {
 // Two laps of a square of 60 m a side.
 core::Engine TwoLaps(core::EngineSettings settings) {
   settings.search.sequence_length_meters = 40;
+  // The whole sequence is aligned, and the gate at its end decides.
+  settings.search.alignment = core::AlignmentKind::kComposite;
   core::Engine engine(settings);
   std::vector<core::PoseSample> samples;
   core::Pose pose;
@@ -1034,6 +1303,14 @@ TEST(AnswerTest, CandidateSaysWhereAndHowSure) {
   EXPECT_NEAR(best.matched().travelled_meters(), 240.0, 2.0);
   EXPECT_EQ(best.gate().verdict(), v1::GATE_VERDICT_ACCEPTED);
   EXPECT_EQ(best.gate().degrees_of_freedom(), 3);
+  EXPECT_EQ(best.gate().inflation(), 1.0);
+  EXPECT_EQ(best.direction(), v1::DIRECTION_SAME);
+  // What a composite alignment does not know is absent.
+  EXPECT_FALSE(best.has_probability());
+  EXPECT_FALSE(best.has_odds_to_runner_up());
+  EXPECT_FALSE(best.has_path_gate());
+  EXPECT_FALSE(best.has_shape());
+  EXPECT_FALSE(set.has_new_place_probability());
   EXPECT_EQ(best.difference().covariance().form(),
             v1::COVARIANCE_FORM_PLANAR_6);
   EXPECT_EQ(best.difference().covariance().values_size(), 6);
@@ -1046,6 +1323,92 @@ TEST(AnswerTest, CandidateSaysWhereAndHowSure) {
   ASSERT_EQ(best.aligned_path_size(), 20);
   EXPECT_EQ(best.aligned_path(19).query_index(), set.query().index());
   EXPECT_EQ(best.aligned_path(19).matched_index(), best.matched().index());
+}
+
+// An answer that says this of its one candidate.
+v1::CandidateSet Encoded(const core::Candidate& candidate,
+                         const core::CandidateSet& set) {
+  const std::string id = "square";
+  const VehicleConfig config = Planar();
+  const core::Engine engine = TwoLaps(config.engine);
+  core::CandidateSet whole = set;
+  whole.query = 240;
+  whole.candidates = {candidate};
+  v1::CandidateSet message;
+  EncodeCandidateSet({id, config, engine, 1, 481, 7, 0}, whole, false, {},
+                     &message);
+  return message;
+}
+
+TEST(AnswerTest, CandidateSaysAllThatARelativeAlignmentKnows) {
+  core::Candidate candidate;
+  candidate.rank = 1;
+  candidate.score = 2.5;
+  candidate.matched = 120;
+  candidate.direction = core::Direction::kOpposite;
+  candidate.verdict = core::Verdict::kAccepted;
+  candidate.relative.emplace();
+  candidate.relative->probability = 0.9;
+  candidate.relative->odds_to_runner_up = 18.0;
+  candidate.relative->path_gate = {12.5, 9.6, 18.3, 0.25,
+                                   core::GateVerdict::kAccepted};
+  candidate.relative->overlap_meters = 64.0;
+  candidate.relative->log_likelihood_ratio = 31.0;
+  core::CandidateSet set;
+  set.new_place_probability = 0.05;
+  set.inflation = 1.75;
+  const v1::CandidateSet message = Encoded(candidate, set);
+  EXPECT_TRUE(message.has_new_place_probability());
+  EXPECT_EQ(message.new_place_probability(), 0.05);
+  ASSERT_EQ(message.candidates_size(), 1);
+  const v1::Candidate& only = message.candidates(0);
+  EXPECT_EQ(only.verdict(), v1::VERDICT_ACCEPTED);
+  EXPECT_EQ(only.direction(), v1::DIRECTION_OPPOSITE);
+  EXPECT_EQ(only.probability(), 0.9);
+  EXPECT_EQ(only.odds_to_runner_up(), 18.0);
+  EXPECT_EQ(only.gate().inflation(), 1.75);
+  EXPECT_TRUE(google::protobuf::util::MessageDifferencer::Equals(
+      only.path_gate(), FromText<v1::PathGate>(R"pb(
+        squared_mahalanobis_distance: 12.5
+        degrees_of_freedom: 9.6
+        threshold: 18.3
+        p_value: 0.25
+        verdict: GATE_VERDICT_ACCEPTED
+      )pb")))
+      << only.path_gate().DebugString();
+  EXPECT_TRUE(google::protobuf::util::MessageDifferencer::Equals(
+      only.shape(), FromText<v1::ShapeEvidence>(
+                        "overlap_meters: 64 log_likelihood_ratio: 31")))
+      << only.shape().DebugString();
+}
+
+TEST(AnswerTest, ProbabilityOfZeroIsThereAndOddsWithoutRunnerUpAreNot) {
+  core::Candidate candidate;
+  candidate.matched = 120;
+  candidate.relative.emplace();
+  core::CandidateSet set;
+  set.new_place_probability = 0.0;
+  const v1::CandidateSet message = Encoded(candidate, set);
+  EXPECT_TRUE(message.has_new_place_probability());
+  EXPECT_TRUE(message.candidates(0).has_probability());
+  EXPECT_FALSE(message.candidates(0).has_odds_to_runner_up());
+  EXPECT_TRUE(message.candidates(0).has_shape());
+}
+
+TEST(AnswerTest, EveryVerdictHasItsName) {
+  const std::vector<std::pair<core::Verdict, v1::Verdict>> verdicts = {
+      {core::Verdict::kAccepted, v1::VERDICT_ACCEPTED},
+      {core::Verdict::kRejectedByGate, v1::VERDICT_REJECTED_BY_GATE},
+      {core::Verdict::kRejectedByShape, v1::VERDICT_REJECTED_BY_SHAPE},
+      {core::Verdict::kAmbiguous, v1::VERDICT_AMBIGUOUS},
+      {core::Verdict::kUninformative, v1::VERDICT_UNINFORMATIVE},
+      {core::Verdict::kIllConditioned, v1::VERDICT_ILL_CONDITIONED}};
+  for (const auto& [verdict, name] : verdicts) {
+    core::Candidate candidate;
+    candidate.matched = 120;
+    candidate.verdict = verdict;
+    EXPECT_EQ(Encoded(candidate, {}).candidates(0).verdict(), name);
+  }
 }
 
 TEST(AnswerTest, SpatialVehicleAnswersWithHeight) {
@@ -1101,10 +1464,35 @@ TEST(AnswerTest, VehicleIsToldTheSameFromMemoryAndFromTheStore) {
   record.loop_closure_count = 2;
   v1::Vehicle stored;
   ASSERT_THAT(EncodeVehicle(record, &stored), IsOk());
+  // Only who has the vehicle in memory knows how consistent it is.
+  EXPECT_FALSE(stored.has_consistency());
+  EXPECT_TRUE(loaded.has_consistency());
+  loaded.clear_consistency();
   EXPECT_EQ(loaded.DebugString(), stored.DebugString());
   EXPECT_EQ(loaded.name(), "vehicles/a");
   EXPECT_EQ(loaded.create_time().seconds(), -1);
   EXPECT_EQ(loaded.create_time().nanos(), 999999999);
+}
+
+TEST(AnswerTest, VehicleSaysHowConsistentItIs) {
+  VehicleConfig config = Planar();
+  config.engine.apply_inflation = true;
+  const std::string id = "a";
+  core::Engine engine = TwoLaps(config.engine);
+  const auto consistency = [&] {
+    v1::Vehicle vehicle;
+    EncodeVehicle(VehicleView{id, config, engine, 1, 481, 9, 0}, &vehicle);
+    return vehicle.consistency();
+  };
+  const v1::Consistency before = consistency();
+  EXPECT_EQ(before.confirmed_count(), 0);
+  EXPECT_EQ(before.rejected_count(), 0);
+  EXPECT_FALSE(before.has_mean_normalized_innovation_squared());
+  EXPECT_EQ(before.degrees_of_freedom(), 3);
+  EXPECT_EQ(before.inflation(), 1.0);
+  EXPECT_TRUE(before.applied());
+  engine.AddRejection(400, 100, 8);
+  EXPECT_EQ(consistency().rejected_count(), 1);
 }
 
 }  // namespace

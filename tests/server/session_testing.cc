@@ -19,6 +19,7 @@ Snapshot Take(const VehicleView& view) {
   snapshot.durable_sequence = view.durable_sequence;
   snapshot.revision = view.revision;
   snapshot.loop_closure_count = view.loop_closure_count;
+  snapshot.consistency = view.engine.consistency();
   snapshot.config = view.config;
   const core::PoseGraph& graph = view.engine.graph();
   snapshot.node_count = graph.size();
@@ -89,18 +90,18 @@ absl::StatusOr<std::pair<std::uint64_t, std::int64_t>> ReviseNow(
   return answer.Get();
 }
 
-absl::StatusOr<std::pair<LoopClosureRecord, std::uint64_t>> AddLoopClosureNow(
-    VehicleSession& session, const LoopClosureRecord& closure) {
-  const Answer<absl::StatusOr<std::pair<LoopClosureRecord, std::uint64_t>>>
-      answer;
-  session.AddLoopClosure(closure, answer.Setter());
+absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>> AddPairNow(
+    VehicleSession& session, PairKind kind, const PosePairRecord& pair) {
+  const Answer<absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>>> answer;
+  session.AddPosePair(kind, pair, answer.Setter());
   return answer.Get();
 }
 
-absl::StatusOr<std::uint64_t> DeleteLoopClosureNow(VehicleSession& session,
-                                                   const std::string& id) {
+absl::StatusOr<std::uint64_t> DeletePairNow(VehicleSession& session,
+                                            PairKind kind,
+                                            const std::string& id) {
   const Answer<absl::StatusOr<std::uint64_t>> answer;
-  session.DeleteLoopClosure(id, answer.Setter());
+  session.DeletePosePair(kind, id, answer.Setter());
   return answer.Get();
 }
 

@@ -22,6 +22,7 @@ struct Snapshot {
   std::uint64_t durable_sequence = 0;
   std::uint64_t revision = 0;
   std::int64_t loop_closure_count = 0;
+  core::Consistency consistency;
   VehicleConfig config;
   // Every number of every node, and the loop edges, as text.
   std::string graph;
@@ -51,10 +52,11 @@ absl::StatusOr<std::pair<std::uint64_t, std::int64_t>> ReviseNow(
     VehicleSession& session,
     const std::function<absl::StatusOr<RevisionPlan>(const VehicleView&)>&
         plan);
-absl::StatusOr<std::pair<LoopClosureRecord, std::uint64_t>> AddLoopClosureNow(
-    VehicleSession& session, const LoopClosureRecord& closure);
-absl::StatusOr<std::uint64_t> DeleteLoopClosureNow(VehicleSession& session,
-                                                   const std::string& id);
+absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>> AddPairNow(
+    VehicleSession& session, PairKind kind, const PosePairRecord& pair);
+absl::StatusOr<std::uint64_t> DeletePairNow(VehicleSession& session,
+                                            PairKind kind,
+                                            const std::string& id);
 absl::Status DeleteNow(VehicleSession& session);
 void CloseNow(VehicleSession& session);
 

@@ -123,7 +123,7 @@ class SqliteStorageTest : public ::testing::Test {
   std::string Path() const { return directory_.File("store.db"); }
 
   // A store with one vehicle `truck`: batches 1-2, 3-4, 5-6, of which the last
-  // is revised, and a loop closure.
+  // is revised, a loop closure, and a rejected candidate.
   VehicleKey MakeStore() {
     const std::unique_ptr<Storage> storage = MustOpen(Path());
     BlockingWrites write(storage.get());
@@ -132,7 +132,12 @@ class SqliteStorageTest : public ::testing::Test {
     EXPECT_THAT(write.Append(key, {3, 2, 3, "beta"}), IsOk());
     EXPECT_THAT(write.Append(key, {5, 2, 4, "gamma"}), IsOk());
     EXPECT_THAT(write.Revise(key, {{5, 2, 0, "GAMMA"}}, 5), IsOk());
-    EXPECT_THAT(write.AddLoopClosure(key, {"link", 6, 1, 99}, 6), IsOk());
+    EXPECT_THAT(
+        write.AddPair(key, PairKind::kLoopClosure, {"link", 6, 1, 99}, 6),
+        IsOk());
+    EXPECT_THAT(
+        write.AddPair(key, PairKind::kRejectedCandidate, {"no", 6, 2, 100}, 7),
+        IsOk());
     return key;
   }
 
@@ -171,12 +176,132 @@ TEST_F(SqliteStorageTest, SaysWhichDirectoryIsMissing) {
 
 TEST_F(SqliteStorageTest, RefusesNewerFormat) {
   MakeStore();
-  RunSql(Path(), "PRAGMA user_version = 2");
+  RunSql(Path(), "PRAGMA user_version = 3");
   EXPECT_THAT(OpenSqliteStorage(Path()),
               IsError(StatusCode::kFailedPrecondition, "",
-                      AllOf(HasSubstr("has format 2"),
-                            HasSubstr("this server reads format 1"),
+                      AllOf(HasSubstr("has format 3"),
+                            HasSubstr("this server reads formats 1 to 2"),
                             HasSubstr("use a newer server"))));
+}
+
+TEST_F(SqliteStorageTest, RefusesFormatThatNeverWas) {
+  MakeStore();
+  RunSql(Path(), "PRAGMA user_version = 0");
+  EXPECT_THAT(OpenSqliteStorage(Path()),
+              IsError(StatusCode::kFailedPrecondition, "",
+                      AllOf(HasSubstr("has format 0"),
+                            HasSubstr("this server reads formats 1 to 2"))));
+}
+
+// What a server of format 1 left: that of MakeStore(), without rejections. Rows
+// and checksums are those that such a server wrote.
+constexpr char kFormat1[] = R"sql(
+PRAGMA page_size = 8192;
+PRAGMA journal_mode = WAL;
+BEGIN;
+CREATE TABLE vehicles (
+  key INTEGER PRIMARY KEY AUTOINCREMENT,
+  id TEXT NOT NULL UNIQUE,
+  format INTEGER NOT NULL,
+  revision INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL
+);
+CREATE TABLE batches (
+  vehicle_key INTEGER NOT NULL,
+  first_sequence INTEGER NOT NULL,
+  count INTEGER NOT NULL,
+  format INTEGER NOT NULL,
+  revision INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL,
+  PRIMARY KEY (vehicle_key, first_sequence)
+);
+CREATE TABLE revised_batches (
+  vehicle_key INTEGER NOT NULL,
+  first_sequence INTEGER NOT NULL,
+  count INTEGER NOT NULL,
+  format INTEGER NOT NULL,
+  revision INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL,
+  PRIMARY KEY (vehicle_key, first_sequence)
+);
+CREATE TABLE loop_closures (
+  vehicle_key INTEGER NOT NULL,
+  id TEXT NOT NULL,
+  format INTEGER NOT NULL,
+  query_sequence INTEGER NOT NULL,
+  matched_sequence INTEGER NOT NULL,
+  create_time_ns INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  PRIMARY KEY (vehicle_key, id)
+) WITHOUT ROWID;
+CREATE TABLE deleted_vehicles (
+  key INTEGER PRIMARY KEY
+);
+INSERT INTO vehicles VALUES
+  (1, 'truck', 1, 6, -5840483509523788633, CAST('payload' AS BLOB));
+INSERT INTO batches VALUES
+  (1, 1, 2, 1, 2, -4057611893038564907, CAST('alpha' AS BLOB)),
+  (1, 3, 2, 1, 3, -1270682900073940529, CAST('beta' AS BLOB)),
+  (1, 5, 2, 1, 4, 4264118283999196951, CAST('gamma' AS BLOB));
+INSERT INTO revised_batches VALUES
+  (1, 5, 2, 1, 5, 1202553139063979346, CAST('GAMMA' AS BLOB));
+INSERT INTO loop_closures VALUES
+  (1, 'link', 1, 6, 1, 99, 3065229329497340342);
+PRAGMA application_id = 1381389140;
+PRAGMA user_version = 1;
+COMMIT;
+)sql";
+
+TEST_F(SqliteStorageTest, StoreOfFormat1OpensAndGainsWhatItLacks) {
+  RunSql(Path(), kFormat1);
+  {
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    BlockingWrites write(storage.get());
+    EXPECT_EQ(ToText(*storage->GetVehicle("truck")),
+              "truck 1: 1 closures, 0 rejected, to 6, revision 6, 'payload'");
+    EXPECT_THAT(
+        ToTexts(*ReadAll(*storage, 1, 1, 6)),
+        ElementsAre("1+2, revision 2, 'alpha'", "3+2, revision 3, 'beta'",
+                    "5+2, revision 5, 'GAMMA'"));
+    EXPECT_THAT(
+        ToTexts(*storage->ListPosePairs(1, PairKind::kLoopClosure, "", 10)),
+        ElementsAre("link: 6 at 1, 99 ns"));
+    EXPECT_THAT(ToTexts(*storage->ListPosePairs(1, PairKind::kRejectedCandidate,
+                                                "", 10)),
+                ElementsAre());
+    EXPECT_THAT(
+        write.AddPair(1, PairKind::kRejectedCandidate, {"no", 6, 2, 100}, 7),
+        IsOk());
+    EXPECT_THAT(write.Append(1, {7, 1, 8, "delta"}), IsOk());
+  }
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "2\n");
+  // Rows that nobody changed are as they were.
+  EXPECT_EQ(RunSql(Path(), "SELECT format, count(*) FROM batches GROUP BY 1"),
+            "1|3\n2|1\n");
+  EXPECT_EQ(RunSql(Path(), "SELECT format, checksum FROM loop_closures"),
+            "1|3065229329497340342\n");
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  EXPECT_EQ(ToText(*storage->GetVehicle("truck")),
+            "truck 1: 1 closures, 1 rejected, to 7, revision 8, 'payload'");
+  EXPECT_THAT(
+      ToTexts(*ReadAll(*storage, 1, 6, 7)),
+      ElementsAre("5+2, revision 5, 'GAMMA'", "7+1, revision 8, 'delta'"));
+}
+
+TEST_F(SqliteStorageTest,
+       StoreOfFormat1StaysAsItIsIfItCannotBeBroughtUpToDate) {
+  // The name is taken, which is as good a failure as any.
+  RunSql(Path(), kFormat1);
+  RunSql(Path(), "CREATE TABLE rejected_candidates (mine INTEGER)");
+  EXPECT_THAT(OpenSqliteStorage(Path()),
+              IsError(StatusCode::kInternal, "INTERNAL",
+                      HasSubstr("rejected_candidates already exists")));
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "1\n");
+  RunSql(Path(), "DROP TABLE rejected_candidates");
+  EXPECT_EQ(MustOpen(Path())->GetVehicle("truck")->durable_sequence, 6u);
 }
 
 TEST_F(SqliteStorageTest, RefusesFileOfAnotherProgramAndLeavesItAsItIs) {
@@ -196,38 +321,41 @@ TEST_F(SqliteStorageTest, RefusesFileThatIsNoDatabase) {
                       HasSubstr("is not a store of revisit")));
 }
 
-TEST_F(SqliteStorageTest, WritesFormat1) {
+TEST_F(SqliteStorageTest, WritesFormat2) {
   // Golden: a change here is a new format. The checksums were printed by this
   // program once; record_checksum.h says what they are made of.
   const VehicleKey key = MakeStore();
   EXPECT_EQ(key, 1);
   EXPECT_EQ(RunSql(Path(), "PRAGMA application_id; PRAGMA user_version"),
-            "1381389140\n1\n");
+            "1381389140\n2\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA journal_mode"), "wal\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA page_size"), "8192\n");
-  EXPECT_EQ(RunSql(Path(),
-                   "SELECT name FROM sqlite_schema WHERE type = "
-                   "'table' ORDER BY name"),
-            "batches\ndeleted_vehicles\nloop_closures\nrevised_batches\n"
-            "sqlite_sequence\nvehicles\n");
+  EXPECT_EQ(
+      RunSql(Path(),
+             "SELECT name FROM sqlite_schema WHERE type = "
+             "'table' ORDER BY name"),
+      "batches\ndeleted_vehicles\nloop_closures\n"
+      "rejected_candidates\nrevised_batches\nsqlite_sequence\nvehicles\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT key, id, format, revision, checksum, "
                    "payload FROM vehicles"),
-            "1|truck|1|6|-5840483509523788633|payload\n");
+            "1|truck|2|7|-4746820090971336882|payload\n");
   const std::string batch =
       "SELECT vehicle_key, first_sequence, count, format, revision, checksum, "
       "payload FROM ";
   EXPECT_EQ(RunSql(Path(), batch + "batches"),
-            "1|1|2|1|2|-4057611893038564907|alpha\n"
-            "1|3|2|1|3|-1270682900073940529|beta\n"
-            "1|5|2|1|4|4264118283999196951|gamma\n");
+            "1|1|2|2|2|5302829468235040921|alpha\n"
+            "1|3|2|2|3|-5815075085718803114|beta\n"
+            "1|5|2|2|4|4396629222221306791|gamma\n");
   EXPECT_EQ(RunSql(Path(), batch + "revised_batches"),
-            "1|5|2|1|5|1202553139063979346|GAMMA\n");
-  EXPECT_EQ(RunSql(Path(),
-                   "SELECT vehicle_key, id, format, query_sequence, "
-                   "matched_sequence, create_time_ns, checksum FROM "
-                   "loop_closures"),
-            "1|link|1|6|1|99|3065229329497340342\n");
+            "1|5|2|2|5|-8018247362995697066|GAMMA\n");
+  const std::string pair =
+      "SELECT vehicle_key, id, format, query_sequence, matched_sequence, "
+      "create_time_ns, checksum FROM ";
+  EXPECT_EQ(RunSql(Path(), pair + "loop_closures"),
+            "1|link|2|6|1|99|3016806141671696254\n");
+  EXPECT_EQ(RunSql(Path(), pair + "rejected_candidates"),
+            "1|no|2|6|2|100|4941145785303718429\n");
 }
 
 TEST_F(SqliteStorageTest, NamesBatchWhosePayloadIsDamaged) {
@@ -255,7 +383,7 @@ TEST_F(SqliteStorageTest, FindsDamageOfEveryColumn) {
       "UPDATE batches SET revision = 9 WHERE first_sequence = 3",
       "UPDATE batches SET count = 1 WHERE first_sequence = 3",
       "UPDATE batches SET count = 4294967298 WHERE first_sequence = 3",
-      "UPDATE batches SET format = 2 WHERE first_sequence = 3",
+      "UPDATE batches SET format = 1 WHERE first_sequence = 3",
       "UPDATE batches SET checksum = checksum + 1 WHERE first_sequence = 3",
       "UPDATE batches SET first_sequence = 2 WHERE first_sequence = 3",
       "UPDATE batches SET payload = (SELECT payload FROM batches WHERE "
@@ -299,21 +427,39 @@ TEST_F(SqliteStorageTest, FindsDamageOfVehicle) {
   }
 }
 
-TEST_F(SqliteStorageTest, FindsDamageOfLoopClosure) {
-  for (const char* damage : {"UPDATE loop_closures SET query_sequence = 5",
-                             "UPDATE loop_closures SET matched_sequence = 2",
-                             "UPDATE loop_closures SET create_time_ns = 98",
-                             "UPDATE loop_closures SET id = 'lint'"}) {
-    SCOPED_TRACE(damage);
-    std::filesystem::remove(Path());
-    const VehicleKey key = MakeStore();
-    RunSql(Path(), damage);
-    const std::unique_ptr<Storage> storage = MustOpen(Path());
-    EXPECT_THAT(
-        storage->ListLoopClosures(key, "", 10),
-        IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
-                AllOf(HasSubstr("loop closure"), HasSubstr("'truck'"))));
+TEST_F(SqliteStorageTest, FindsDamageOfPairs) {
+  for (const auto& [kind, table] :
+       {std::pair(PairKind::kLoopClosure, "loop_closures"),
+        std::pair(PairKind::kRejectedCandidate, "rejected_candidates")}) {
+    for (const char* damage :
+         {"query_sequence = 5", "matched_sequence = 3", "create_time_ns = 98",
+          "id = 'lint'", "format = 1"}) {
+      const std::string sql = "UPDATE " + std::string(table) + " SET " + damage;
+      SCOPED_TRACE(sql);
+      std::filesystem::remove(Path());
+      const VehicleKey key = MakeStore();
+      RunSql(Path(), sql);
+      const std::unique_ptr<Storage> storage = MustOpen(Path());
+      EXPECT_THAT(
+          storage->ListPosePairs(key, kind, "", 10),
+          IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                  AllOf(HasSubstr(WordsOf(kind).noun), HasSubstr("'truck'"))));
+    }
   }
+}
+
+TEST_F(SqliteStorageTest, FindsPairThatEndedUpInTheTableOfAnotherKind) {
+  const VehicleKey key = MakeStore();
+  RunSql(Path(), "INSERT INTO rejected_candidates SELECT * FROM loop_closures");
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  const absl::Status status =
+      storage->ListPosePairs(key, PairKind::kRejectedCandidate, "", 10)
+          .status();
+  EXPECT_THAT(status,
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                      "stored rejected candidate 'link' of vehicle 'truck' "
+                      "fails its checksum"));
+  EXPECT_EQ(MetadataOf(status, "rejected_candidate"), "link");
 }
 
 TEST_F(SqliteStorageTest, DamageOfOneVehicleDoesNotStopTheOthers) {
@@ -500,7 +646,7 @@ TEST_F(FailingDeviceTest, FailedFlushFailsAllOfTheGroupAndKeepsNothing) {
   device_.AwaitHeldLogFlush();
   // These form the next group.
   const Answer<absl::StatusOr<VehicleKey>> created;
-  storage_->CreateVehicle({0, "car", "", 1, 0, 0}, created.Setter());
+  storage_->CreateVehicle({0, "car", "", 1, 0, 0, 0}, created.Setter());
   storage_->AppendBatch(key_, {3, 1, 4, "three"}, std::nullopt,
                         answers[1].Setter());
   device_.FailFlushes(true);

@@ -24,6 +24,9 @@ using ::testing::IsEmpty;
 
 namespace {
 
+constexpr PairKind kPairKinds[] = {PairKind::kLoopClosure,
+                                   PairKind::kRejectedCandidate};
+
 BatchRecord Batch(std::uint64_t first, std::uint32_t count,
                   std::uint64_t revision, const std::string& payload) {
   return BatchRecord{first, count, revision, payload};
@@ -46,6 +49,7 @@ TEST_P(StorageContract, ReadsBackWhatWasCreated) {
   EXPECT_EQ(record->revision, 7u);
   EXPECT_EQ(record->durable_sequence, 0u);
   EXPECT_EQ(record->loop_closure_count, 0);
+  EXPECT_EQ(record->rejected_candidate_count, 0);
 }
 
 TEST_P(StorageContract, RefusesIdThatIsTaken) {
@@ -66,10 +70,12 @@ TEST_P(StorageContract, AnswersNotFoundForKeyOfNoVehicle) {
   EXPECT_THAT(write().Delete(5), not_found);
   EXPECT_THAT(write().Append(5, Batch(1, 1, 2, "x")), not_found);
   EXPECT_THAT(write().Revise(5, {}, 2), not_found);
-  EXPECT_THAT(write().AddLoopClosure(5, {"a", 2, 1, 0}, 2), not_found);
-  EXPECT_THAT(write().DeleteLoopClosure(5, "a", 2), not_found);
   EXPECT_THAT(ReadAll(storage(), 5, 1, 1), not_found);
-  EXPECT_THAT(storage().ListLoopClosures(5, "", 10), not_found);
+  for (const PairKind kind : kPairKinds) {
+    EXPECT_THAT(write().AddPair(5, kind, {"a", 2, 1, 0}, 2), not_found);
+    EXPECT_THAT(write().DeletePair(5, kind, "a", 2), not_found);
+    EXPECT_THAT(storage().ListPosePairs(5, kind, "", 10), not_found);
+  }
 }
 
 TEST_P(StorageContract, ListsVehiclesByIdInPages) {
@@ -116,7 +122,7 @@ TEST_P(StorageContract, AppendsOnlyWithoutGap) {
   store_->Reopen();
   EXPECT_EQ(ToText(*storage().GetVehicle("truck")),
             "truck " + std::to_string(key) +
-                ": 0 closures, to 4, revision 3, 'payload'");
+                ": 0 closures, 0 rejected, to 4, revision 3, 'payload'");
   EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 4)),
               ElementsAre("1+3, revision 2, 'one'", "4+1, revision 3, 'two'"));
 }
@@ -215,30 +221,60 @@ TEST_P(StorageContract, RevisesAllOrNothing) {
   EXPECT_EQ(storage().GetVehicle("truck")->revision, 2u);
 }
 
-TEST_P(StorageContract, KeepsLoopClosures) {
+TEST_P(StorageContract, KeepsPairsOfPoses) {
+  for (const PairKind kind : kPairKinds) {
+    const PairWords words = WordsOf(kind);
+    SCOPED_TRACE(words.noun);
+    const std::string id = "truck-" + std::to_string(static_cast<int>(kind));
+    const VehicleKey key = *write().Create(id);
+    const VehicleKey other = *write().Create("other-" + id);
+    const auto add = [&](const PosePairRecord& pair, std::uint64_t revision) {
+      return write().AddPair(key, kind, pair, revision);
+    };
+    const auto list = [&](const std::string& after, int limit) {
+      return ToTexts(*storage().ListPosePairs(key, kind, after, limit));
+    };
+    ASSERT_THAT(add({"b", 9, 2, -5}, 2), IsOk());
+    ASSERT_THAT(add({"a", 8, 1, 1234567890123456789}, 3), IsOk());
+    ASSERT_THAT(add({"c", 7, 3, 0}, 4), IsOk());
+    ASSERT_THAT(write().AddPair(other, kind, {"a", 3, 2, 0}, 2), IsOk());
+    EXPECT_THAT(add({"a", 8, 1, 0}, 9),
+                IsError(StatusCode::kAlreadyExists, words.exists, _));
+    EXPECT_EQ(storage().GetVehicle(id)->revision, 4u);
+    ASSERT_THAT(write().DeletePair(key, kind, "c", 5), IsOk());
+    EXPECT_THAT(write().DeletePair(key, kind, "c", 6),
+                IsError(StatusCode::kNotFound, words.not_found, _));
+    store_->Reopen();
+    EXPECT_EQ(storage().GetVehicle(id)->revision, 5u);
+    EXPECT_THAT(list("", 10), ElementsAre("a: 8 at 1, 1234567890123456789 ns",
+                                          "b: 9 at 2, -5 ns"));
+    EXPECT_THAT(list("", 1), ElementsAre("a: 8 at 1, 1234567890123456789 ns"));
+    EXPECT_THAT(list("a", 10), ElementsAre("b: 9 at 2, -5 ns"));
+  }
+}
+
+TEST_P(StorageContract, KeepsKindsOfPairsApart) {
   const VehicleKey key = *write().Create("truck");
-  const VehicleKey other = *write().Create("other");
-  ASSERT_THAT(write().AddLoopClosure(key, {"b", 9, 2, -5}, 2), IsOk());
-  ASSERT_THAT(write().AddLoopClosure(key, {"a", 8, 1, 1234567890123456789}, 3),
+  ASSERT_THAT(write().AddPair(key, PairKind::kLoopClosure, {"a", 9, 2, 1}, 2),
               IsOk());
-  ASSERT_THAT(write().AddLoopClosure(key, {"c", 7, 3, 0}, 4), IsOk());
-  ASSERT_THAT(write().AddLoopClosure(other, {"a", 3, 2, 0}, 2), IsOk());
-  EXPECT_THAT(write().AddLoopClosure(key, {"a", 8, 1, 0}, 9),
-              IsError(StatusCode::kAlreadyExists, "LOOP_CLOSURE_EXISTS", _));
-  EXPECT_EQ(storage().GetVehicle("truck")->revision, 4u);
-  ASSERT_THAT(write().DeleteLoopClosure(key, "c", 5), IsOk());
-  EXPECT_THAT(write().DeleteLoopClosure(key, "c", 6),
-              IsError(StatusCode::kNotFound, "LOOP_CLOSURE_NOT_FOUND", _));
-  store_->Reopen();
-  EXPECT_EQ(storage().GetVehicle("truck")->revision, 5u);
-  EXPECT_EQ(storage().GetVehicle("truck")->loop_closure_count, 2);
   EXPECT_THAT(
-      ToTexts(*storage().ListLoopClosures(key, "", 10)),
-      ElementsAre("a: 8 at 1, 1234567890123456789 ns", "b: 9 at 2, -5 ns"));
-  EXPECT_THAT(ToTexts(*storage().ListLoopClosures(key, "", 1)),
-              ElementsAre("a: 8 at 1, 1234567890123456789 ns"));
-  EXPECT_THAT(ToTexts(*storage().ListLoopClosures(key, "a", 10)),
-              ElementsAre("b: 9 at 2, -5 ns"));
+      write().DeletePair(key, PairKind::kRejectedCandidate, "a", 3),
+      IsError(StatusCode::kNotFound, "REJECTED_CANDIDATE_NOT_FOUND", _));
+  ASSERT_THAT(
+      write().AddPair(key, PairKind::kRejectedCandidate, {"a", 8, 3, 2}, 3),
+      IsOk());
+  ASSERT_THAT(
+      write().AddPair(key, PairKind::kRejectedCandidate, {"b", 7, 3, 3}, 4),
+      IsOk());
+  EXPECT_EQ(ToText(*storage().GetVehicle("truck")),
+            "truck " + std::to_string(key) +
+                ": 1 closures, 2 rejected, to 0, revision 4, 'payload'");
+  ASSERT_THAT(write().DeletePair(key, PairKind::kLoopClosure, "a", 5), IsOk());
+  EXPECT_THAT(*storage().ListPosePairs(key, PairKind::kLoopClosure, "", 10),
+              IsEmpty());
+  EXPECT_THAT(ToTexts(*storage().ListPosePairs(
+                  key, PairKind::kRejectedCandidate, "", 10)),
+              ElementsAre("a: 8 at 3, 2 ns", "b: 7 at 3, 3 ns"));
 }
 
 TEST_P(StorageContract, DeletesVehicleWithAllThatBelongsToIt) {
@@ -247,7 +283,9 @@ TEST_P(StorageContract, DeletesVehicleWithAllThatBelongsToIt) {
     ASSERT_THAT(write().Append(key, Batch(2 * i + 1, 2, i + 2, "a")), IsOk());
   }
   ASSERT_THAT(write().Revise(key, {Batch(1, 2, 0, "A")}, 200), IsOk());
-  ASSERT_THAT(write().AddLoopClosure(key, {"a", 2, 1, 0}, 201), IsOk());
+  for (const PairKind kind : kPairKinds) {
+    ASSERT_THAT(write().AddPair(key, kind, {"a", 2, 1, 0}, 201), IsOk());
+  }
   ASSERT_THAT(write().Delete(key), IsOk());
   const auto not_found = IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _);
   EXPECT_THAT(storage().GetVehicle("truck"), not_found);
@@ -260,8 +298,10 @@ TEST_P(StorageContract, DeletesVehicleWithAllThatBelongsToIt) {
   EXPECT_NE(*again, key);
   EXPECT_EQ(ToText(*storage().GetVehicle("truck")),
             "truck " + std::to_string(*again) +
-                ": 0 closures, to 0, revision 1, 'new'");
-  EXPECT_THAT(*storage().ListLoopClosures(*again, "", 10), IsEmpty());
+                ": 0 closures, 0 rejected, to 0, revision 1, 'new'");
+  for (const PairKind kind : kPairKinds) {
+    EXPECT_THAT(*storage().ListPosePairs(*again, kind, "", 10), IsEmpty());
+  }
 }
 
 TEST_P(StorageContract, NeverUsesKeyAgain) {
@@ -387,7 +427,7 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
   std::mt19937_64 random = SeededRandom();
   MemoryStorage model;
   const std::vector<std::string> ids = {"a", "b", "c"};
-  const std::vector<std::string> closures = {"x", "y", "z"};
+  const std::vector<std::string> pairs = {"x", "y", "z"};
   std::uint64_t revision = 0;
   // Keys of vehicles that are there, were there, and never were.
   std::vector<std::pair<VehicleKey, VehicleKey>> keys = {{99999, 99999}};
@@ -435,17 +475,19 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
         });
         break;
       case 3: {
-        const LoopClosureRecord closure{
-            pick(closures), static_cast<std::uint64_t>(step) + 2, 1, step};
+        const PairKind kind = kPairKinds[UniformInt(random, 0, 1)];
+        const PosePairRecord pair{
+            pick(pairs), static_cast<std::uint64_t>(step) + 2, 1, step};
         both([&](BlockingWrites writes, VehicleKey k) {
-          return writes.AddLoopClosure(k, closure, revision);
+          return writes.AddPair(k, kind, pair, revision);
         });
         break;
       }
       case 4: {
-        const std::string id = pick(closures);
+        const PairKind kind = kPairKinds[UniformInt(random, 0, 1)];
+        const std::string id = pick(pairs);
         both([&](BlockingWrites writes, VehicleKey k) {
-          return writes.DeleteLoopClosure(k, id, revision);
+          return writes.DeletePair(k, kind, id, revision);
         });
         break;
       }
@@ -497,8 +539,10 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
       const VehicleRecord& expected = (*model_vehicles)[i];
       const VehicleKey real_key = std::exchange(real.key, expected.key);
       ASSERT_EQ(ToText(real), ToText(expected));
-      ASSERT_EQ(ToTexts(*storage().ListLoopClosures(real_key, "", 10)),
-                ToTexts(*model.ListLoopClosures(expected.key, "", 10)));
+      for (const PairKind kind : kPairKinds) {
+        ASSERT_EQ(ToTexts(*storage().ListPosePairs(real_key, kind, "", 10)),
+                  ToTexts(*model.ListPosePairs(expected.key, kind, "", 10)));
+      }
       if (expected.durable_sequence == 0) continue;
       const auto first = static_cast<std::uint64_t>(
           UniformInt(random, 1, static_cast<int>(expected.durable_sequence)));

@@ -67,19 +67,19 @@ absl::Status BlockingWrites::Revise(VehicleKey key,
   });
 }
 
-absl::Status BlockingWrites::AddLoopClosure(VehicleKey key,
-                                            const LoopClosureRecord& closure,
-                                            std::uint64_t revision) {
+absl::Status BlockingWrites::AddPair(VehicleKey key, PairKind kind,
+                                     const PosePairRecord& pair,
+                                     std::uint64_t revision) {
   return Blocking([&](Storage::Done done) {
-    storage_->AddLoopClosure(key, closure, revision, std::move(done));
+    storage_->AddPosePair(key, kind, pair, revision, std::move(done));
   });
 }
 
-absl::Status BlockingWrites::DeleteLoopClosure(VehicleKey key,
-                                               const std::string& id,
-                                               std::uint64_t revision) {
+absl::Status BlockingWrites::DeletePair(VehicleKey key, PairKind kind,
+                                        const std::string& id,
+                                        std::uint64_t revision) {
   return Blocking([&](Storage::Done done) {
-    storage_->DeleteLoopClosure(key, id, revision, std::move(done));
+    storage_->DeletePosePair(key, kind, id, revision, std::move(done));
   });
 }
 
@@ -101,8 +101,9 @@ absl::StatusOr<std::vector<BatchRecord>> ReadAll(Storage& storage,
 std::string ToText(const VehicleRecord& record) {
   std::ostringstream text;
   text << record.id << " " << record.key << ": " << record.loop_closure_count
-       << " closures, to " << record.durable_sequence << ", revision "
-       << record.revision << ", '" << record.payload << "'";
+       << " closures, " << record.rejected_candidate_count << " rejected, to "
+       << record.durable_sequence << ", revision " << record.revision << ", '"
+       << record.payload << "'";
   return text.str();
 }
 
@@ -113,7 +114,7 @@ std::string ToText(const BatchRecord& record) {
   return text.str();
 }
 
-std::string ToText(const LoopClosureRecord& record) {
+std::string ToText(const PosePairRecord& record) {
   std::ostringstream text;
   text << record.id << ": " << record.query_sequence << " at "
        << record.matched_sequence << ", " << record.create_time_ns << " ns";

@@ -28,10 +28,10 @@ class BlockingWrites {
                                  const std::string& vehicle_payload);
   absl::Status Revise(VehicleKey key, const std::vector<BatchRecord>& batches,
                       std::uint64_t revision);
-  absl::Status AddLoopClosure(VehicleKey key, const LoopClosureRecord& closure,
-                              std::uint64_t revision);
-  absl::Status DeleteLoopClosure(VehicleKey key, const std::string& id,
-                                 std::uint64_t revision);
+  absl::Status AddPair(VehicleKey key, PairKind kind,
+                       const PosePairRecord& pair, std::uint64_t revision);
+  absl::Status DeletePair(VehicleKey key, PairKind kind, const std::string& id,
+                          std::uint64_t revision);
 
  private:
   Storage* const storage_;
@@ -42,11 +42,11 @@ absl::StatusOr<std::vector<BatchRecord>> ReadAll(
     Storage& storage, VehicleKey key, std::uint64_t first, std::uint64_t last,
     BatchVersion version = BatchVersion::kCurrent);
 
-// "id 7: 3 closures, to 12, revision 5, 'payload'" and the like, to compare
-// whole records.
+// "id 7: 3 closures, 1 rejected, to 12, revision 5, 'payload'" and the like, to
+// compare whole records.
 std::string ToText(const VehicleRecord& record);
 std::string ToText(const BatchRecord& record);
-std::string ToText(const LoopClosureRecord& record);
+std::string ToText(const PosePairRecord& record);
 template <typename T>
 std::vector<std::string> ToTexts(const std::vector<T>& records) {
   std::vector<std::string> texts;

@@ -31,6 +31,9 @@ using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
+constexpr PairKind kClosure = PairKind::kLoopClosure;
+constexpr PairKind kRejection = PairKind::kRejectedCandidate;
+
 const absl::Status& DeviceFailure() {
   static const absl::Status* const status = new absl::Status(Error(
       StatusCode::kUnavailable, "STORE_UNAVAILABLE", "the device is broken"));
@@ -99,8 +102,10 @@ TEST_F(VehicleSessionTest, AnswersNotFoundToAllCallsOfUnknownVehicle) {
                           return RevisionPlan();
                         }),
               not_found);
-  EXPECT_THAT(AddLoopClosureNow(*unknown, {"a", 2, 1, 0}), not_found);
-  EXPECT_THAT(DeleteLoopClosureNow(*unknown, "a"), not_found);
+  for (const PairKind kind : {kClosure, kRejection}) {
+    EXPECT_THAT(AddPairNow(*unknown, kind, {"a", 2, 1, 0}), not_found);
+    EXPECT_THAT(DeletePairNow(*unknown, kind, "a"), not_found);
+  }
   EXPECT_THAT(DeleteNow(*unknown), not_found);
   const Appended appended = Append(*unknown, StraightBatch(1, 1));
   EXPECT_THAT(appended.staged.Get(), not_found);
@@ -370,9 +375,8 @@ TEST_F(VehicleSessionTest, ChangeWaitsForAppendsAndHoldsUpThoseBehind) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
   storage_.Hold();
   const Appended before = Append(*session_, StraightBatch(10, 1));
-  const Answer<absl::StatusOr<std::pair<LoopClosureRecord, std::uint64_t>>>
-      closed;
-  session_->AddLoopClosure({"a", 10, 1, 0}, closed.Setter());
+  const Answer<absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>>> closed;
+  session_->AddPosePair(kClosure, {"a", 10, 1, 0}, closed.Setter());
   const Appended behind = Append(*session_, StraightBatch(11, 1));
   storage_.Await(1);
   ASSERT_THAT(ReadNow(*session_), IsOk());
@@ -480,21 +484,30 @@ TEST_F(VehicleSessionTest, GivesUpChecksButNotTheAppendWhenToldToStop) {
 TEST_F(VehicleSessionTest, IsTheSameAfterReload) {
   ASSERT_THAT(AppendNow(*session_, SquareBatch(1, 33)), IsOk());
   ASSERT_THAT(AppendNow(*session_, SquareBatch(34, 60)), IsOk());
-  ASSERT_THAT(AddLoopClosureNow(*session_, {"z", 90, 10, 1}), IsOk());
-  ASSERT_THAT(AddLoopClosureNow(*session_, {"b", 90, 9, 2}), IsOk());
-  ASSERT_THAT(AddLoopClosureNow(*session_, {"a", 90, 8, 3}), IsOk());
-  ASSERT_THAT(DeleteLoopClosureNow(*session_, "b"), IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kClosure, {"z", 90, 10, 1}), IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kClosure, {"b", 90, 9, 2}), IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kClosure, {"a", 90, 8, 3}), IsOk());
+  ASSERT_THAT(DeletePairNow(*session_, kClosure, "b"), IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kRejection, {"z", 90, 30, 4}), IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kRejection, {"a", 90, 31, 5}), IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kClosure, {"m", 91, 11, 6}), IsOk());
   const Snapshot before = *ReadNow(*session_);
-  EXPECT_EQ(before.revision, 7u);
-  EXPECT_EQ(before.loop_closure_count, 2);
+  EXPECT_EQ(before.revision, 10u);
+  EXPECT_EQ(before.loop_closure_count, 3);
+  EXPECT_EQ(before.consistency.rejected, 2);
   Reload();
   const Snapshot after = *ReadNow(*session_);
   EXPECT_EQ(after.durable_sequence, before.durable_sequence);
   EXPECT_EQ(after.revision, before.revision);
   EXPECT_EQ(after.loop_closure_count, before.loop_closure_count);
   EXPECT_EQ(after.graph, before.graph);
+  EXPECT_EQ(after.consistency.confirmed, before.consistency.confirmed);
+  EXPECT_EQ(after.consistency.rejected, before.consistency.rejected);
+  EXPECT_EQ(after.consistency.mean_normalized_innovation_squared,
+            before.consistency.mean_normalized_innovation_squared);
+  EXPECT_EQ(after.consistency.inflation, before.consistency.inflation);
   // And goes on the same.
-  EXPECT_EQ(AppendNow(*session_, SquareBatch(94, 1))->revision, 8u);
+  EXPECT_EQ(AppendNow(*session_, SquareBatch(94, 1))->revision, 11u);
 }
 
 TEST_F(VehicleSessionTest, RebuildsGraphWhereNodesMove) {
@@ -579,7 +592,7 @@ TEST_F(VehicleSessionTest, RevisesPosesUnderOneRevision) {
   for (std::uint64_t first = 1; first <= 7; first += 3) {
     ASSERT_THAT(AppendNow(*session_, StraightBatch(first, 3)), IsOk());
   }
-  ASSERT_THAT(AddLoopClosureNow(*session_, {"a", 9, 1, 0}), IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kClosure, {"a", 9, 1, 0}), IsOk());
   const auto revised = ReviseNow(*session_, ShiftSecondBatch);
   ASSERT_THAT(revised, IsOk());
   EXPECT_EQ(revised->first, 6u);
@@ -651,45 +664,135 @@ TEST_F(VehicleSessionTest, LoadsAnewIfRevisedPosesCannotBeRead) {
   EXPECT_EQ(ReadNow(*session_)->revision, 5u);
 }
 
-TEST_F(VehicleSessionTest, AddsLoopClosureOnce) {
+TEST_F(VehicleSessionTest, AddsPairOfEachKindOnce) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
-  const auto added = AddLoopClosureNow(*session_, {"a", 9, 2, 77});
-  ASSERT_THAT(added, IsOk());
-  EXPECT_EQ(added->second, 3u);
-  const auto again = AddLoopClosureNow(*session_, {"a", 9, 2, 99});
-  ASSERT_THAT(again, IsOk());
-  EXPECT_EQ(again->second, 3u);
-  EXPECT_EQ(again->first.create_time_ns, 77);
-  EXPECT_THAT(AddLoopClosureNow(*session_, {"a", 9, 3, 0}),
-              IsError(StatusCode::kAlreadyExists, "LOOP_CLOSURE_EXISTS",
-                      "loop closure 'a' links sequences 9 and 2, got 9 and 3"));
+  std::uint64_t revision = 2;
+  for (const PairKind kind : {kClosure, kRejection}) {
+    const PairWords words = WordsOf(kind);
+    SCOPED_TRACE(words.noun);
+    const auto added = AddPairNow(*session_, kind, {"a", 9, 2, 77});
+    ASSERT_THAT(added, IsOk());
+    EXPECT_EQ(added->second, ++revision);
+    const auto again = AddPairNow(*session_, kind, {"a", 9, 2, 99});
+    ASSERT_THAT(again, IsOk());
+    EXPECT_EQ(again->second, revision);
+    EXPECT_EQ(ToText(again->first), ToText(added->first));
+    EXPECT_THAT(AddPairNow(*session_, kind, {"a", 9, 3, 0}),
+                IsError(StatusCode::kAlreadyExists, words.exists,
+                        std::string(words.noun) +
+                            " 'a' names sequences 9 and 2, got 9 and 3"));
+  }
   const Snapshot snapshot = *ReadNow(*session_);
   EXPECT_EQ(snapshot.loop_closure_count, 1);
+  EXPECT_EQ(snapshot.consistency.rejected, 1);
   EXPECT_THAT(snapshot.graph, HasSubstr("1 - 8"));
 }
 
-TEST_F(VehicleSessionTest, RefusesLoopClosureOfPoseThatIsNotThere) {
+TEST_F(VehicleSessionTest, RefusesPairWithPoseThatIsNotThere) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
-  const absl::Status status =
-      AddLoopClosureNow(*session_, {"a", 10, 2, 0}).status();
-  EXPECT_THAT(status, IsError(StatusCode::kNotFound, "POSE_NOT_FOUND",
-                              "vehicle 'truck' has no pose of sequence 10, it "
-                              "has 1 to 9"));
-  EXPECT_EQ(MetadataOf(status, "sequence"), "10");
+  for (const PairKind kind : {kClosure, kRejection}) {
+    const absl::Status status =
+        AddPairNow(*session_, kind, {"a", 10, 2, 0}).status();
+    EXPECT_THAT(status, IsError(StatusCode::kNotFound, "POSE_NOT_FOUND",
+                                "vehicle 'truck' has no pose of sequence 10, "
+                                "it has 1 to 9"));
+    EXPECT_EQ(MetadataOf(status, "sequence"), "10");
+  }
 }
 
-TEST_F(VehicleSessionTest, DeletesLoopClosure) {
+TEST_F(VehicleSessionTest, DeletesPairOfEachKind) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
   const std::string graph = ReadNow(*session_)->graph;
-  ASSERT_THAT(AddLoopClosureNow(*session_, {"a", 9, 2, 0}), IsOk());
-  const auto deleted = DeleteLoopClosureNow(*session_, "a");
-  ASSERT_THAT(deleted, IsOk());
-  EXPECT_EQ(*deleted, 4u);
+  std::uint64_t revision = 2;
+  for (const PairKind kind : {kClosure, kRejection}) {
+    const PairWords words = WordsOf(kind);
+    SCOPED_TRACE(words.noun);
+    ASSERT_THAT(AddPairNow(*session_, kind, {"a", 9, 2, 0}), IsOk());
+    const auto deleted = DeletePairNow(*session_, kind, "a");
+    ASSERT_THAT(deleted, IsOk());
+    revision += 2;
+    EXPECT_EQ(*deleted, revision);
+    EXPECT_EQ(ReadNow(*session_)->graph, graph);
+    EXPECT_EQ(ReadNow(*session_)->revision, revision);
+    EXPECT_EQ(ReadNow(*session_)->consistency.rejected, 0);
+    EXPECT_THAT(
+        DeletePairNow(*session_, kind, "a"),
+        IsError(StatusCode::kNotFound, words.not_found,
+                "vehicle 'truck' has no " + std::string(words.noun) + " 'a'"));
+  }
+}
+
+TEST_F(VehicleSessionTest, RejectionChangesNoGraph) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  const std::string graph = ReadNow(*session_)->graph;
+  ASSERT_THAT(AddPairNow(*session_, kRejection, {"a", 9, 2, 0}), IsOk());
   EXPECT_EQ(ReadNow(*session_)->graph, graph);
-  EXPECT_EQ(ReadNow(*session_)->revision, 4u);
-  EXPECT_THAT(DeleteLoopClosureNow(*session_, "a"),
-              IsError(StatusCode::kNotFound, "LOOP_CLOSURE_NOT_FOUND",
-                      "vehicle 'truck' has no loop closure 'a'"));
+  EXPECT_EQ(ReadNow(*session_)->loop_closure_count, 0);
+  Reload();
+  EXPECT_EQ(ReadNow(*session_)->graph, graph);
+  EXPECT_EQ(ReadNow(*session_)->consistency.rejected, 1);
+}
+
+TEST_F(VehicleSessionTest, CreationTimesTellTheOrderEvenIfTheClockGoesBack) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  EXPECT_EQ(
+      AddPairNow(*session_, kClosure, {"c", 9, 2, 500})->first.create_time_ns,
+      500);
+  EXPECT_EQ(
+      AddPairNow(*session_, kRejection, {"b", 9, 3, 500})->first.create_time_ns,
+      501);
+  Reload();
+  EXPECT_EQ(
+      AddPairNow(*session_, kClosure, {"a", 9, 1, 7})->first.create_time_ns,
+      502);
+  EXPECT_EQ(
+      AddPairNow(*session_, kRejection, {"a", 8, 1, 503})->first.create_time_ns,
+      503);
+  const VehicleKey key = memory_.GetVehicle("truck")->key;
+  EXPECT_THAT(ToTexts(*memory_.ListPosePairs(key, kClosure, "", 9)),
+              ElementsAre("a: 9 at 1, 502 ns", "c: 9 at 2, 500 ns"));
+  EXPECT_THAT(ToTexts(*memory_.ListPosePairs(key, kRejection, "", 9)),
+              ElementsAre("a: 8 at 1, 503 ns", "b: 9 at 3, 501 ns"));
+}
+
+TEST_F(VehicleSessionTest, NeverShowsRejectionThatIsNotDurable) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  storage_.Hold();
+  const Answer<absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>>>
+      rejected;
+  session_->AddPosePair(kRejection, {"a", 9, 2, 0}, rejected.Setter());
+  storage_.Await(1);
+  EXPECT_EQ(ReadNow(*session_)->consistency.rejected, 0);
+  storage_.FailOne(DeviceFailure());
+  EXPECT_THAT(rejected.Get(),
+              IsError(StatusCode::kUnavailable, "STORE_UNAVAILABLE", _));
+  EXPECT_EQ(ReadNow(*session_)->consistency.rejected, 0);
+  storage_.ReleaseAll();
+  EXPECT_EQ(AddPairNow(*session_, kRejection, {"a", 9, 2, 0})->second, 3u);
+  EXPECT_EQ(ReadNow(*session_)->consistency.rejected, 1);
+}
+
+TEST_F(VehicleSessionTest, LoadsAnewIfTheStoreHasOneRejectionMore) {
+  // Written, though the storage said otherwise, by way of a revision that the
+  // session has too: only the count tells.
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  const VehicleKey key = memory_.GetVehicle("truck")->key;
+  storage_.Hold();
+  const Answer<absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>>>
+      rejected;
+  session_->AddPosePair(kRejection, {"a", 9, 2, 0}, rejected.Setter());
+  storage_.Await(1);
+  storage_.FailOne(DeviceFailure());
+  EXPECT_THAT(rejected.Get(),
+              IsError(StatusCode::kUnavailable, "STORE_UNAVAILABLE", _));
+  ASSERT_THAT(
+      BlockingWrites(&memory_).AddPair(key, kRejection, {"a", 9, 2, 0}, 2),
+      IsOk());
+  storage_.ReleaseAll();
+  EXPECT_THAT(AppendNow(*session_, StraightBatch(10, 1)),
+              IsError(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                      HasSubstr("has to be loaded anew")));
+  EXPECT_TRUE(session_->gone());
 }
 
 TEST_F(VehicleSessionTest, BelievesClientThatHoldsNoMoreThanIsStored) {
@@ -714,8 +817,10 @@ TEST_F(VehicleSessionTest, RefusesWritesOnceDataWasLost) {
   for (int i = 0; i < 2; ++i) {
     EXPECT_THAT(AppendNow(*session_, StraightBatch(10, 1)), lost);
     EXPECT_THAT(AppendNow(*session_, StraightBatch(9, 1)), lost);
-    EXPECT_THAT(AddLoopClosureNow(*session_, {"a", 9, 2, 0}), lost);
-    EXPECT_THAT(DeleteLoopClosureNow(*session_, "a"), lost);
+    for (const PairKind kind : {kClosure, kRejection}) {
+      EXPECT_THAT(AddPairNow(*session_, kind, {"a", 9, 2, 0}), lost);
+      EXPECT_THAT(DeletePairNow(*session_, kind, "a"), lost);
+    }
     EXPECT_THAT(ReviseNow(*session_, ShiftSecondBatch), lost);
     EXPECT_THAT(UpdateNow(*session_,
                           [](const VehicleView& view) { return view.config; }),

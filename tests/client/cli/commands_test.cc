@@ -10,8 +10,10 @@
 #include "client/cli/show_command.h"
 #include "client/cli/stream_command.h"
 #include "client/cli/vehicle_command.h"
+#include "client/cli/verify_command.h"
 #include "client/revisit/channel.h"
 #include "gmock/gmock.h"
+#include "google/protobuf/text_format.h"
 #include "grpcpp/channel.h"
 #include "gtest/gtest.h"
 #include "nlohmann/json.hpp"
@@ -21,7 +23,9 @@ namespace revisit::client {
 namespace {
 
 using nlohmann::json;
+using ::testing::ContainsRegex;
 using ::testing::HasSubstr;
+using ::testing::Not;
 using ::testing::StartsWith;
 
 class CommandsTest : public ::testing::Test {
@@ -193,6 +197,174 @@ TEST_F(CommandsTest, FindSaysWhyThereIsNothing) {
   EXPECT_EQ(out_.str(),
             "no candidates: the path up to the query is shorter than the "
             "sequence\n");
+}
+
+// Two candidates as a relative search answers them.
+v1::CandidateSet RelativeSet() {
+  v1::CandidateSet set;
+  EXPECT_TRUE(google::protobuf::TextFormat::ParseFromString(
+      R"pb(
+        query {
+          index: 100
+          sequence: 200
+          travelled_meters: 200
+          pose { x_meters: 1 y_meters: 2 }
+        }
+        candidates {
+          rank: 1
+          score: 6.25
+          matched {
+            sequence: 40
+            travelled_meters: 39.5
+            pose { x_meters: 1.5 y_meters: 2.5 }
+          }
+          gate {
+            squared_mahalanobis_distance: 1.5
+            threshold: 7.815
+            p_value: 0.68
+            verdict: GATE_VERDICT_ACCEPTED
+            inflation: 1.75
+          }
+          verdict: VERDICT_ACCEPTED
+          direction: DIRECTION_OPPOSITE
+          probability: 0.9375
+        }
+        candidates {
+          rank: 2
+          score: -1
+          matched {
+            sequence: 90
+            travelled_meters: 89.5
+            pose {}
+          }
+          gate { verdict: GATE_VERDICT_ACCEPTED inflation: 1.75 }
+          verdict: VERDICT_REJECTED_BY_SHAPE
+          direction: DIRECTION_SAME
+          probability: 0.0
+        }
+        new_place_probability: 0.0625
+      )pb",
+      &set));
+  return set;
+}
+
+TEST_F(CommandsTest, FindPrintsVerdictDirectionAndProbability) {
+  server_.set_candidates(RelativeSet());
+  ASSERT_TRUE(RunFind(client_, {}, Text()).ok());
+  EXPECT_EQ(
+      out_.str(),
+      "query: node 100, sequence 200, 200.0 m travelled, at (1.00, 2.00) m\n"
+      "new place: probability 0.0625\n"
+      "RANK  SEQUENCE  TRAVELLED m   X m   Y m  DIRECTION  SCORE     D2  "
+      "THRESHOLD  P-VALUE  PROBABILITY  VERDICT\n"
+      "   1        40         39.5  1.50  2.50  OPPOSITE    6.25  1.500      "
+      "7.815   0.6800       0.9375  ACCEPTED\n"
+      "   2        90         89.5  0.00  0.00  SAME       -1.00  0.000      "
+      "0.000   0.0000       0.0000  REJECTED_BY_SHAPE\n"
+      "claimed standard deviations were multiplied by 1.75\n");
+}
+
+TEST_F(CommandsTest, FindLeavesOutWhatACompositeAlignmentDoesNotKnow) {
+  v1::CandidateSet set = RelativeSet();
+  set.clear_new_place_probability();
+  set.mutable_candidates()->RemoveLast();
+  set.mutable_candidates(0)->clear_probability();
+  set.mutable_candidates(0)->mutable_gate()->set_inflation(1.0);
+  server_.set_candidates(set);
+  ASSERT_TRUE(RunFind(client_, {}, Text()).ok());
+  EXPECT_THAT(out_.str(), Not(HasSubstr("new place")));
+  EXPECT_THAT(out_.str(), Not(HasSubstr("multiplied")));
+  EXPECT_THAT(out_.str(), HasSubstr("0.6800            -  ACCEPTED\n"));
+  out_.str("");
+  ASSERT_TRUE(RunFind(client_, {}, Json()).ok());
+  const json answer = json::parse(out_.str());
+  EXPECT_FALSE(answer.contains("newPlaceProbability"));
+  EXPECT_FALSE(answer["candidates"][0].contains("probability"));
+  EXPECT_FALSE(answer["candidates"][0].contains("pathGate"));
+  EXPECT_EQ(answer["candidates"][0]["direction"], "DIRECTION_OPPOSITE");
+}
+
+TEST_F(CommandsTest, FindKeepsAProbabilityOfZeroInTheJson) {
+  server_.set_candidates(RelativeSet());
+  ASSERT_TRUE(RunFind(client_, {}, Json()).ok());
+  const json answer = json::parse(out_.str());
+  EXPECT_EQ(answer["newPlaceProbability"], 0.0625);
+  EXPECT_EQ(answer["candidates"][1]["probability"], 0.0);
+  EXPECT_EQ(answer["candidates"][1]["verdict"], "VERDICT_REJECTED_BY_SHAPE");
+}
+
+TEST_F(CommandsTest, StreamPrintsTheVerdictOfTheBestCandidate) {
+  server_.set_check_interval(100);
+  server_.set_candidates(RelativeSet());
+  WriteDrive(100);
+  StreamOptions options = Stream();
+  options.candidates = true;
+  ASSERT_TRUE(RunStream(channel_, options, Text()).ok());
+  EXPECT_THAT(out_.str(),
+              HasSubstr("check at sequence 100, 200.0 m: sequence 40, 39.5 m, "
+                        "d2 1.50 against 7.82, probability 0.9375, opposite "
+                        "direction, ACCEPTED\n"));
+}
+
+TEST_F(CommandsTest, ConfirmAddsALoopClosureAndRejectARejection) {
+  const VerifiedPair pair = {"shuttle", 200, 40};
+  ASSERT_TRUE(RunConfirm(client_, pair, Text()).ok());
+  EXPECT_EQ(out_.str(),
+            "confirmed vehicles/shuttle/loopClosures/new, revision 7\n");
+  out_.str("");
+  ASSERT_TRUE(RunReject(client_, pair, Text()).ok());
+  EXPECT_EQ(out_.str(),
+            "rejected vehicles/shuttle/rejectedCandidates/new, revision 8\n");
+  out_.str("");
+  ASSERT_TRUE(RunReject(client_, pair, Json()).ok());
+  const json answer = json::parse(out_.str());
+  EXPECT_EQ(answer["rejectedCandidate"]["querySequence"], "200");
+  EXPECT_EQ(answer["rejectedCandidate"]["matchedSequence"], "40");
+  EXPECT_EQ(answer["revision"], "8");
+}
+
+TEST_F(CommandsTest, UpdateNamesTheSettingsThatAreGivenAndNoOthers) {
+  v1::VehicleSettings changes;
+  changes.set_apply_inflation(false);
+  changes.set_alignment(v1::ALIGNMENT_COMPOSITE);
+  ASSERT_TRUE(RunVehicleUpdate(client_, "shuttle", changes, Json()).ok());
+  const json vehicle = json::parse(out_.str());
+  EXPECT_EQ(vehicle["name"], "vehicles/shuttle");
+  EXPECT_EQ(vehicle["settings"]["alignment"], "ALIGNMENT_COMPOSITE");
+  // Set to its default is not the same as not set.
+  EXPECT_EQ(vehicle["settings"]["applyInflation"], false);
+  EXPECT_FALSE(vehicle["settings"].contains("maxInflation"));
+}
+
+TEST_F(CommandsTest, UpdateWithoutSettingsAsksNobody) {
+  const absl::Status status = RunVehicleUpdate(client_, "shuttle", {}, Text());
+  EXPECT_EQ(ExitCodeOf(status), 1);
+  EXPECT_EQ(status.message(), "no setting is given to change");
+  EXPECT_EQ(server_.unary_calls(), 0);
+}
+
+TEST_F(CommandsTest, VehicleShowsWhatVerifiedCandidatesSayOfItsCovariances) {
+  v1::Vehicle vehicle;
+  PrintVehicle(vehicle, Text());
+  EXPECT_THAT(out_.str(), Not(HasSubstr("verified")));
+  out_.str("");
+  v1::Consistency* consistency = vehicle.mutable_consistency();
+  consistency->set_rejected_count(2);
+  consistency->set_degrees_of_freedom(3);
+  consistency->set_inflation(1.0);
+  PrintVehicle(vehicle, Text());
+  EXPECT_THAT(out_.str(), ContainsRegex("verified +0 confirmed, 2 rejected\n"));
+  EXPECT_THAT(out_.str(), Not(HasSubstr("squared innovation")));
+  out_.str("");
+  consistency->set_confirmed_count(5);
+  consistency->set_mean_normalized_innovation_squared(8.25);
+  consistency->set_inflation(1.6);
+  consistency->set_applied(true);
+  PrintVehicle(vehicle, Text());
+  EXPECT_THAT(out_.str(),
+              ContainsRegex("squared innovation +8.25 in the mean, 3 if the "
+                            "claimed uncertainty is honest\n"));
+  EXPECT_THAT(out_.str(), ContainsRegex("\ninflation +1.60, applied\n"));
 }
 
 TEST_F(CommandsTest, ShowSummarisesTheGraph) {

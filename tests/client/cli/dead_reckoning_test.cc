@@ -55,6 +55,36 @@ TEST(DeadReckoningTest, GrowsAsWorkedOutByHandOnAStraightPath) {
   EXPECT_NEAR((*claims)[2].z_variance, 0.04 * 20.0, 1e-12);
 }
 
+TEST(DeadReckoningTest, ScalesEveryClaimedStandardDeviation) {
+  UncertaintyOptions options;
+  const Drive drive = MakeDrive({{0, 0, 0}, {10, 0, 0.3}, {15, 9, 1}});
+  const auto honest = ClaimUncertainty(drive, options);
+  options.claimed_scale = 0.5;
+  const auto overconfident = ClaimUncertainty(drive, options);
+  ASSERT_TRUE(honest.ok() && overconfident.ok());
+  for (std::size_t i = 0; i < honest->size(); ++i) {
+    for (std::size_t k = 0; k < 6; ++k) {
+      EXPECT_EQ((*overconfident)[i].planar[k], 0.25 * (*honest)[i].planar[k]);
+    }
+    EXPECT_EQ((*overconfident)[i].z_variance, 0.25 * (*honest)[i].z_variance);
+  }
+}
+
+TEST(DeadReckoningTest, TakesFixesAsTheyAre) {
+  Drive drive = MakeDrive({{0, 0, 0}, {10, 0, 0}});
+  const std::array<double, 6> claimed = {4.0, 1.0, 0.0, 9.0, 0.0, 0.01};
+  for (DriveSample& sample : drive.samples) sample.covariance = claimed;
+  UncertaintyOptions options;
+  options.source = UncertaintyOptions::Source::kFixes;
+  const auto claims = ClaimUncertainty(drive, options);
+  ASSERT_TRUE(claims.ok());
+  EXPECT_EQ((*claims)[0].planar, claimed);
+  EXPECT_EQ((*claims)[1].planar, claimed);
+  drive.samples[1].covariance.reset();
+  EXPECT_EQ(ClaimUncertainty(drive, options).status().code(),
+            absl::StatusCode::kInvalidArgument);
+}
+
 TEST(DeadReckoningTest, AddsNothingWhileStandingStill) {
   const auto claims =
       ClaimUncertainty(MakeDrive({{0, 0, 0}, {3, 4, 1}, {3, 4, 1}, {3, 4, 1}}),

@@ -12,7 +12,6 @@ namespace {
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::Not;
-using Verdict = CandidateAnswer::Verdict;
 
 constexpr double kPi = 3.14159265358979323846;
 
@@ -103,7 +102,7 @@ TEST(EvaluationTest, JudgesCandidatesByTheSameTest) {
   const Course course = TwoLapsAndBack();
   const auto checks = Judge(course.nodes, course.truth,
                             {Answer(15, {{2, Verdict::kAccepted},
-                                         {5, Verdict::kRejected},
+                                         {5, Verdict::kRejectedByGate},
                                          // Near enough, but of the recent path.
                                          {15, Verdict::kAccepted}})},
                             EightExcluded());
@@ -130,17 +129,17 @@ TEST(EvaluationTest, CountsAsTheProtocolSays) {
             {
                 // Right and accepted.
                 Answer(15, {{5, Verdict::kAccepted}, {1, Verdict::kAccepted}}),
-                // Right, but the gate says no.
-                Answer(16, {{6, Verdict::kRejected}}),
+                // Right, but the verdict says no.
+                Answer(16, {{6, Verdict::kRejectedByGate}}),
                 // Wrong and accepted; the second would be right.
                 Answer(17, {{1, Verdict::kAccepted}, {7, Verdict::kAccepted}}),
                 // Right only in sixth place.
-                Answer(18, {{1, Verdict::kRejected},
-                            {2, Verdict::kRejected},
-                            {3, Verdict::kRejected},
+                Answer(18, {{1, Verdict::kRejectedByGate},
+                            {2, Verdict::kRejectedByGate},
+                            {3, Verdict::kRejectedByGate},
                             {4, Verdict::kIllConditioned},
-                            {5, Verdict::kRejected},
-                            {8, Verdict::kRejected}}),
+                            {5, Verdict::kRejectedByGate},
+                            {8, Verdict::kRejectedByGate}}),
                 // No loop, accepted all the same.
                 Answer(25, {{3, Verdict::kAccepted}}),
                 // No loop, no candidate.
@@ -162,11 +161,96 @@ TEST(EvaluationTest, CountsAsTheProtocolSays) {
   EXPECT_NEAR(*tally.to_verify_per_loop(), 2.5, 1e-12);
 }
 
+TEST(EvaluationTest, CountsFirstCandidatesAgainstTrueLoopsWhateverTheVerdict) {
+  const Course course = TwoLapsAndBack();
+  const Tally tally = Count(Judge(
+      course.nodes, course.truth,
+      {Answer(15, {{5, Verdict::kAmbiguous}}),
+       Answer(16, {{1, Verdict::kAccepted}, {6, Verdict::kUninformative}}),
+       Answer(17, {{1, Verdict::kRejectedByShape}}), Answer(18, {})},
+      EightExcluded()));
+  EXPECT_EQ(tally.true_loops, 4);
+  EXPECT_EQ(*tally.top1(), 0.25);
+  EXPECT_EQ(*tally.recall_at_5(), 0.5);
+}
+
+TEST(EvaluationTest, CollectsWhatFirstCandidatesState) {
+  const Course course = TwoLapsAndBack();
+  std::vector<CheckAnswer> answers = {
+      Answer(15, {{5, Verdict::kAccepted}, {1, Verdict::kAccepted}}),
+      Answer(16, {{1, Verdict::kAccepted}}), Answer(17, {})};
+  answers[0].candidates[0].probability = 0.8;
+  answers[0].candidates[0].confidence = 0.8;
+  answers[0].candidates[1].probability = 0.1;
+  answers[1].candidates[0].confidence = 0.3;
+  const Tally tally =
+      Count(Judge(course.nodes, course.truth, answers, EightExcluded()));
+  ASSERT_EQ(tally.confidences.size(), 2u);
+  EXPECT_EQ(tally.confidences[0].score, 0.8);
+  EXPECT_TRUE(tally.confidences[0].correct);
+  EXPECT_EQ(tally.confidences[1].score, 0.3);
+  EXPECT_FALSE(tally.confidences[1].correct);
+  // The second states no probability.
+  ASSERT_EQ(tally.probabilities.size(), 1u);
+  EXPECT_NEAR(*tally.calibration_error(), 0.2, 1e-15);
+  Tally both = tally;
+  both.Add(tally);
+  EXPECT_EQ(both.probabilities.size(), 2u);
+  EXPECT_NEAR(*both.calibration_error(), 0.2, 1e-15);
+}
+
+TEST(EvaluationTest, JudgesOppositePassesWhereTheyAreSought) {
+  const Course course = TwoLapsAndBack();
+  // Node 25 goes back over nodes 4 and 14.
+  CheckAnswer answer =
+      Answer(25, {{14, Verdict::kAccepted}, {14, Verdict::kAccepted}});
+  answer.candidates[0].opposite = true;
+  Judging judging = EightExcluded();
+  judging.direction = PassDirection::kOpposite;
+  auto checks = Judge(course.nodes, course.truth, {answer}, judging);
+  EXPECT_TRUE(checks[0].true_loop);
+  EXPECT_THAT(checks[0].correct, ElementsAre(true, false));
+  // Node 15 follows node 5 the same way.
+  checks = Judge(course.nodes, course.truth, {Answer(15, {})}, judging);
+  EXPECT_FALSE(checks[0].true_loop);
+  judging.direction = PassDirection::kEither;
+  checks = Judge(course.nodes, course.truth, {answer, Answer(15, {})}, judging);
+  EXPECT_FALSE(checks.empty());
+  for (const JudgedCheck& check : checks) EXPECT_TRUE(check.true_loop);
+}
+
+TEST(EvaluationTest, AnswersAreTheSameButForTheirTime) {
+  const CheckAnswer answer = Answer(15, {{5, Verdict::kAccepted}});
+  CheckAnswer other = answer;
+  other.search_milliseconds = 3.0;
+  EXPECT_TRUE(SameAnswer(answer, other));
+  other.candidates[0].probability = 0.5;
+  EXPECT_FALSE(SameAnswer(answer, other));
+  other = answer;
+  other.candidates[0].p_value = 1e-300;
+  EXPECT_FALSE(SameAnswer(answer, other));
+  other = answer;
+  other.candidates.clear();
+  EXPECT_FALSE(SameAnswer(answer, other));
+}
+
+TEST(EvaluationTest, NamesVerdictsAsTheServiceDoes) {
+  EXPECT_EQ(NameOf(Verdict::kAccepted), "ACCEPTED");
+  EXPECT_EQ(NameOf(Verdict::kRejectedByGate), "REJECTED_BY_GATE");
+  EXPECT_EQ(NameOf(Verdict::kRejectedByShape), "REJECTED_BY_SHAPE");
+  EXPECT_EQ(NameOf(Verdict::kAmbiguous), "AMBIGUOUS");
+  EXPECT_EQ(NameOf(Verdict::kUninformative), "UNINFORMATIVE");
+  EXPECT_EQ(NameOf(Verdict::kIllConditioned), "ILL_CONDITIONED");
+}
+
 TEST(EvaluationTest, HasNoRatioWhereThereIsNothingToDivideBy) {
   const Tally nothing;
   EXPECT_FALSE(nothing.precision().has_value());
   EXPECT_FALSE(nothing.recall().has_value());
   EXPECT_FALSE(nothing.f1().has_value());
+  EXPECT_FALSE(nothing.top1().has_value());
+  EXPECT_FALSE(nothing.recall_at_5().has_value());
+  EXPECT_FALSE(nothing.calibration_error().has_value());
   EXPECT_FALSE(nothing.to_verify_per_loop().has_value());
   EXPECT_FALSE(nothing.poses_per_second().has_value());
   EXPECT_FALSE(nothing.search_percentile(50.0).has_value());
@@ -175,11 +259,11 @@ TEST(EvaluationTest, HasNoRatioWhereThereIsNothingToDivideBy) {
 TEST(EvaluationTest, TakesNearestRankPercentilesOfTheWholeSet) {
   Tally first;
   first.search_milliseconds = {4.0, 1.0};
-  first.poses = 100;
+  first.timed_poses = 100;
   first.seconds = 1.0;
   Tally second;
   second.search_milliseconds = {3.0, 2.0};
-  second.poses = 200;
+  second.timed_poses = 200;
   second.seconds = 2.0;
   first.Add(second);
   EXPECT_EQ(*first.search_percentile(50.0), 2.0);
@@ -212,7 +296,7 @@ TEST(MapSvgTest, DrawsLinksAndCirclesByOutcome) {
   contents.checks =
       Judge(course.nodes, course.truth,
             {Answer(15, {{5, Verdict::kAccepted}}),
-             Answer(16, {{6, Verdict::kRejected}}),
+             Answer(16, {{6, Verdict::kRejectedByGate}}),
              Answer(17, {{1, Verdict::kAccepted}}), Answer(26, {})},
             EightExcluded());
   const std::string svg = DrawMap(contents);

@@ -61,6 +61,35 @@ TEST_F(ClientTest, NeverRepeatsADeletion) {
   EXPECT_EQ(server_.unary_calls(), 1);
 }
 
+TEST_F(ClientTest, RetriesARejectionSinceTheServerKeepsOne) {
+  server_.FailUnaryCalls({Unavailable()});
+  v1::RejectCandidateRequest request;
+  request.set_parent("vehicles/a");
+  request.mutable_rejected_candidate()->set_query_sequence(9);
+  const auto response = client_.RejectCandidate(request);
+  ASSERT_TRUE(response.ok()) << response.status();
+  EXPECT_EQ(response->rejected_candidate().query_sequence(), 9u);
+  EXPECT_EQ(response->revision(), 8u);
+  EXPECT_EQ(server_.unary_calls(), 2);
+}
+
+TEST_F(ClientTest, ListsRejectionsAndNeverRepeatsTheirDeletion) {
+  v1::ListRejectedCandidatesRequest list;
+  list.set_parent("vehicles/a");
+  server_.FailUnaryCalls({Unavailable()});
+  const auto page = client_.ListRejectedCandidates(list);
+  ASSERT_TRUE(page.ok()) << page.status();
+  EXPECT_EQ(page->rejected_candidates(0).name(),
+            "vehicles/a/rejectedCandidates/first");
+  EXPECT_EQ(page->next_page_token(), "second page");
+  EXPECT_EQ(server_.unary_calls(), 2);
+  server_.FailUnaryCalls({Unavailable()});
+  EXPECT_EQ(client_.DeleteRejectedCandidate({}).status().code(),
+            absl::StatusCode::kUnavailable);
+  EXPECT_EQ(server_.unary_calls(), 3);
+  EXPECT_EQ(client_.DeleteRejectedCandidate({})->revision(), 9u);
+}
+
 TEST_F(ClientTest, RetriesNothingButUnavailable) {
   for (const auto code :
        {grpc::StatusCode::INTERNAL, grpc::StatusCode::ABORTED,

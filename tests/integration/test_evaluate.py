@@ -1,0 +1,313 @@
+"""revisit evaluate on real servers: tables, drawings, drift, the verifier."""
+
+import json
+import math
+import re
+import sys
+import xml.etree.ElementTree
+
+import pytest
+
+from revisit_server import BIN, clean_environment, run
+from stubs import ROOT
+from wire import BOREAS
+
+sys.path.insert(0, str(ROOT / "tests/evaluation"))
+import leave_one_out  # pylint: disable=wrong-import-position
+
+USAGE = 64
+SVG = "{http://www.w3.org/2000/svg}"
+
+METHODS = ["paper, independent", "paper, dead reckoning", "single pose",
+           "relative", "nearest position"]
+DRIVE_KEYS = {
+    "drive", "checks", "true_loops", "accepted", "accepted_correct",
+    "top1_correct", "top5_correct", "precision", "recall", "f1", "top1",
+    "recall_at_5", "candidates_to_verify", "loops_found",
+    "candidates_per_loop_found", "expected_calibration_error", "confirmed",
+    "rejected", "jumps", "query_ms_p50", "query_ms_p99", "poses",
+    "poses_per_second"}
+
+
+def evaluate(*arguments):
+    return run("revisit", "evaluate", *arguments, timeout=120,
+               env=clean_environment())
+
+
+def report_of(*arguments):
+    result = evaluate(*arguments, "--json")
+    assert result.returncode == 0, result.stderr
+    return json.loads(result.stdout)
+
+
+def without_times(part):
+    return {key: value for key, value in part.items()
+            if key not in ("query_ms_p50", "query_ms_p99", "poses_per_second")}
+
+
+def write_drive(path, laps, step_meters=2.0, lap_meters=600.0):
+    """A square driven again and again; the estimate is the truth."""
+    side = lap_meters / 4.0
+    rows = ["t_s,gt_x,gt_y,gt_yaw,est_x,est_y,est_yaw"]
+    for number in range(int(laps * lap_meters / step_meters)):
+        corner, along = divmod(number * step_meters % lap_meters, side)
+        heading = corner * math.pi / 2.0
+        x = (along, side, side - along, 0.0)[int(corner)]
+        y = (0.0, along, side, side - along)[int(corner)]
+        pose = f"{x:.3f},{y:.3f},{math.remainder(heading, math.tau):.6f}"
+        rows.append(f"{number},{pose},{pose}")
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def texts_of(path):
+    """All text of a drawing that is well-formed and stands on its own."""
+    root = xml.etree.ElementTree.parse(path).getroot()
+    assert root.tag == f"{SVG}svg"
+    for element in root.iter():
+        for name, value in element.attrib.items():
+            assert "href" not in name
+            assert "http" not in value and "nan" not in value
+    return ["".join(element.itertext()) for element in root.iter(f"{SVG}text")]
+
+
+@pytest.mark.release_build
+def test_baselines_stand_beside_the_settings(tmp_path):
+    report = report_of(BOREAS, "--uncertainty", "file", "--baselines",
+                       "--check-interval", "150",
+                       "--plots", tmp_path / "made/plots")
+    assert [method["method"] for method in report["methods"]] == METHODS
+    for method in report["methods"]:
+        assert method["sequence_length_meters"] == 150.0
+        assert len(method["drives"]) == 1
+        for part in (*method["drives"], method["total"]):
+            assert DRIVE_KEYS <= part.keys()
+        # The truth does not depend on the method.
+        for key in ("checks", "true_loops", "poses"):
+            assert method["total"][key] == report["total"][key]
+        recalls = [point["recall"] for point in method["precision_recall"]]
+        assert recalls == sorted(recalls)
+        assert math.isclose(recalls[-1], method["total"]["top1"])
+    relative = report["methods"][METHODS.index("relative")]
+    assert relative["total"] == report["total"]
+    assert report["total"]["checks"] > 100
+    stated = relative["reliability"]
+    assert len(stated) == 10
+    assert 0 < sum(bin["count"] for bin in stated) <= report["total"]["checks"]
+    assert 0.0 <= report["total"]["expected_calibration_error"] <= 1.0
+    for method in report["methods"]:
+        if method is not relative:
+            assert method["reliability"] is None
+            assert method["total"]["expected_calibration_error"] is None
+    nearest = report["methods"][-1]["total"]
+    assert nearest["query_ms_p50"] is None
+    assert nearest["accepted"] > 0
+
+    curves = texts_of(tmp_path / "made/plots/precision_recall.svg")
+    assert set(METHODS) <= set(curves)
+    assert "recall: right, of the true loops" in curves
+    assert "precision: right, of those chosen" in curves
+    reliability = texts_of(tmp_path / "made/plots/reliability.svg")
+    assert "probability stated for the first candidate" in reliability
+    assert "share of these candidates that are right" in reliability
+
+
+def test_table_has_a_row_for_each_method_drive_and_total(tmp_path):
+    one = write_drive(tmp_path / "one.csv", 2)
+    two = write_drive(tmp_path / "two.csv", 1.5)
+    result = evaluate(one, two, "--baselines")
+    assert result.returncode == 0, result.stderr
+    for method in METHODS:
+        for drive in ("one", "two", "total"):
+            assert re.search(rf"^{method} +{drive} +\d+ ", result.stdout,
+                             re.MULTILINE), result.stdout
+
+
+def test_sequence_lengths_exclude_as_much_as_they_are_long(tmp_path):
+    drive = write_drive(tmp_path / "drive.csv", 2)
+    report = report_of(drive, "--sequence-lengths", "100,150,200")
+    lengths = [method["sequence_length_meters"] for method in report["methods"]]
+    assert lengths == [100.0, 150.0, 200.0]
+    # At 1200 m there are checks from 300 m, or two lengths, on.
+    assert [method["total"]["checks"] for method in report["methods"]] == [
+        18, 18, 16]
+    # The settings' own length is the one that counts.
+    assert report["total"] == report["methods"][1]["total"]
+    assert any("sequence" in note for note in report["notes"])
+
+
+def test_simulated_drives_are_the_same_again_and_differ_by_seed(tmp_path):
+    drive = write_drive(tmp_path / "drive.csv", 2)
+    first = report_of(drive, "--simulate", "3,5-6", "--verbose")
+    assert [one["seed"] for one in first["drives"]] == [3, 5, 6]
+
+    def paths(report):
+        return [[check["travelled_meters"] for check in one["check_list"]]
+                + [candidate["squared_mahalanobis_distance"]
+                   for check in one["check_list"]
+                   for candidate in check["candidates"]]
+                for one in report["drives"]]
+    again = report_of(drive, "--simulate", "3,5-6", "--verbose")
+    assert paths(first) == paths(again)
+    assert len({tuple(path) for path in paths(first)}) == 3
+    # A claim half as large makes distances larger.
+    proud = report_of(drive, "--simulate", "3", "--claimed-scale", "0.5",
+                      "--alignment", "composite", "--verbose")
+    honest = report_of(drive, "--simulate", "3", "--alignment", "composite",
+                       "--verbose")
+    largest = [max(paths(report)[0][-20:]) for report in (proud, honest)]
+    assert largest[0] > largest[1]
+
+
+def test_verifier_confirms_what_is_right_and_rejects_what_is_wrong(tmp_path):
+    drive = write_drive(tmp_path / "drive.csv", 3)
+    report = report_of(drive, "--verify", "--alignment", "composite",
+                       "--repeat", "2")
+    total = report["total"]
+    # The estimate is the truth, and nearly all of the second and third lap is
+    # a revisit.
+    assert total["confirmed"] >= total["accepted_correct"] > 10
+    assert total["rejected"] >= total["accepted"] - total["accepted_correct"]
+    assert report["drives"][0]["inflation"] >= 1.0
+    assert report["repeats"] == 2
+    assert any(note.startswith("Repeated: 2 times, all answers the same")
+               for note in report["notes"])
+    table = evaluate(drive, drive, "--verify", "--apply-inflation")
+    assert table.returncode == 0, table.stderr
+    assert re.search(r"CONFIRMED +REJECTED +INFLATION", table.stdout)
+
+
+def test_repeats_change_nothing_but_times(tmp_path):
+    drive = write_drive(tmp_path / "drive.csv", 2)
+    once = report_of(drive)
+    thrice = report_of(drive, "--repeat", "3")
+    assert without_times(once["total"]) == without_times(thrice["total"])
+
+
+def test_gnss_drives_of_one_vehicle_have_one_frame(tmp_path):
+    """Two laps of a block: one recorded, one recorded a year later."""
+    header = ("%  GPST latitude(deg) longitude(deg) height(m) Q ns sdn(m) "
+              "sde(m) sdu(m) sdne(m) sdeu(m) sdun(m) age(s) ratio vn(m/s) "
+              "ve(m/s) vu(m/s) sdvn sdve sdvu sdvne sdveu sdvun")
+    side, speed = 200.0, 8.0
+    names = []
+    for year, week in ((2023, 2270), (2024, 2322)):
+        fixes, reference = [header], [
+            "GPS TOW (s),GPS Week,Latitude (deg),Longitude (deg),"
+            "Ellipsoid Height (m),Heading (deg)"]
+        day = "2023/07/11" if year == 2023 else "2024/07/09"
+        for second in range(int(4 * side / speed)):
+            corner, along = divmod(second * speed, side)
+            east = (along, side, side - along, 0.0)[int(corner)]
+            north = (0.0, along, side, side - along)[int(corner)]
+            heading = corner * math.pi / 2.0
+            latitude = 35.0 + north / 110941.0
+            longitude = 137.0 + east / 91288.0
+            ve, vn = speed * math.cos(heading), speed * math.sin(heading)
+            fixes.append(
+                f"{day} 00:{second // 60:02}:{second % 60:02}.000 "
+                f"{latitude:.9f} {longitude:.9f} 50.0 5 9 2.0 2.0 4.0 0.1 0.1 "
+                f"0.1 0.0 0.0 {vn:.5f} {ve:.5f} 0.0 0.1 0.1 0.2 0.01 0.01 0.01")
+            # Tuesday.
+            reference.append(
+                f"{2 * 86400 + second}, {week}, {latitude:.9f}, "
+                f"{longitude:.9f}, 50.0, {90.0 - math.degrees(heading):.3f}")
+        for kind, lines in (("pos", fixes), ("csv", reference)):
+            path = tmp_path / f"{year}.{kind}"
+            path.write_text("\n".join(lines) + "\n")
+            names.append(path)
+    report = report_of(names[0], names[2], "--format", "rtklib",
+                       "--one-vehicle", "--truth", names[1], names[3],
+                       "--map", tmp_path / "map.svg")
+    (drive,) = report["drives"]
+    assert drive["drive"] == "2023+2024"
+    assert drive["poses"] == 200
+    # The second lap, 800 m, is a revisit throughout; checks every 50 m.
+    assert 14 <= drive["true_loops"] <= 17
+    assert drive["top1_correct"] >= 12
+    texts_of(tmp_path / "map.svg")
+
+
+@pytest.mark.parametrize("flags, words", [
+    (["--simulate", "4-2"], "expected seeds such as 7, 1-5 or 1,4,8-10"),
+    (["--simulate", "1", "--uncertainty", "file"],
+     "goes with --uncertainty model only"),
+    (["--truth", "x.csv"], "goes with --format rtklib only"),
+    (["--format", "rtklib"], "expected one for each FILE of --format rtklib"),
+    (["--format", "rtklib", "--truth", "x.csv", "--uncertainty", "file"],
+     "goes with --format drive only"),
+    (["--map", "m.svg", "--simulate", "1-2"], "takes one drive only"),
+    (["--vehicle", "v", "--baselines"], "takes one vehicle only"),
+    (["--vehicle", "v", "--repeat", "2"], "takes one vehicle only"),
+    (["--claimed-scale", "0"], "must be positive"),
+    (["--repeat", "0"], "--repeat"),
+    (["--sequence-lengths", "100,0"], "--sequence-lengths"),
+    (["--alignment", "best"], "--alignment"),
+])
+def test_flags_that_do_not_go_together_are_refused(flags, words):
+    result = evaluate(BOREAS, *flags)
+    assert result.returncode == USAGE
+    assert words in result.stderr
+    assert result.stdout == ""
+
+
+def test_plots_that_cannot_be_written_are_an_error(tmp_path):
+    drive = write_drive(tmp_path / "drive.csv", 1)
+    (tmp_path / "file").write_text("")
+    result = evaluate(drive, "--plots", tmp_path / "file/plots")
+    assert result.returncode == 1
+    assert str(tmp_path / "file/plots") in result.stderr
+
+
+# ---- tests/evaluation/leave_one_out.py
+
+
+def counts(loops, accepted, right):
+    return {"checks": 10, "true_loops": loops, "accepted": accepted,
+            "accepted_correct": right, "top1_correct": right}
+
+
+def test_each_drive_is_judged_by_what_the_others_chose():
+    results = {
+        "near": {"a": counts(4, 4, 4), "b": counts(4, 4, 1),
+                 "c": counts(4, 4, 1)},
+        "far": {"a": counts(4, 4, 0), "b": counts(4, 4, 3),
+                "c": counts(4, 4, 3)},
+    }
+    held_out = leave_one_out.hold_out(results)
+    # b and c prefer "far", which is bad for a. Without b, as without c, "near"
+    # has 5 right and "far" 3.
+    assert [(drive, point) for drive, point, _ in held_out] == [
+        ("a", "far"), ("b", "near"), ("c", "near")]
+    total = leave_one_out.total(one for _, _, one in held_out)
+    assert total == {"checks": 30, "true_loops": 12, "accepted": 12,
+                     "accepted_correct": 2, "top1_correct": 2}
+    assert leave_one_out.f1(total) == 4 / 24
+
+
+def test_grid_begins_at_the_defaults_and_ties_stay_there():
+    points = leave_one_out.grid([(1, 2, 3), (5, 6)], [2, 5])
+    assert points[0] == (2, 5)
+    assert len(points) == 6
+    same = {point: {"a": counts(1, 1, 1), "b": counts(1, 1, 1)}
+            for point in points}
+    assert {point for _, point, _ in leave_one_out.hold_out(same)} == {(2, 5)}
+    nothing = {point: {"a": counts(0, 0, 0), "b": counts(0, 0, 0)}
+               for point in points}
+    assert {point for _, point, _
+            in leave_one_out.hold_out(nothing)} == {(2, 5)}
+
+
+def test_leave_one_out_runs_the_real_evaluation(tmp_path):
+    drives = [write_drive(tmp_path / f"{name}.csv", 1.5) for name in "ab"]
+    result = run(sys.executable, ROOT / "tests/evaluation/leave_one_out.py",
+                 "--revisit", BIN / "revisit", "--json",
+                 "--road-spacing", "200", "--shape-correlation", "10",
+                 "--acceptance-probability", "0.3,0.5", *drives, "--",
+                 "--check-interval", "40", timeout=120,
+                 env=clean_environment())
+    assert result.returncode == 0, result.stderr
+    report = json.loads(result.stdout)
+    assert [one["drive"] for one in report["held_out"]] == ["a", "b"]
+    assert len(report["points"]) == 2
+    assert report["held_out_total"]["checks"] > 20

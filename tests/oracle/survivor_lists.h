@@ -1,0 +1,323 @@
+// The trellis of relative.h with survivors that keep their whole path as a list.
+// Each extension is judged by the dense Gaussian of all mismatches of the path;
+// poses beyond loop closures are composed as rigid transforms from the start of
+// the list every time.
+#ifndef REVISIT_TESTS_ORACLE_SURVIVOR_LISTS_H_
+#define REVISIT_TESTS_ORACLE_SURVIVOR_LISTS_H_
+
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "core/alignment/relative.h"
+#include "core/graph/pose_graph.h"
+#include "tests/oracle/dense_window.h"
+#include "tests/oracle/wide_state.h"
+
+namespace revisit::oracle {
+
+struct PathEntry {
+  std::int64_t t = 0;
+  core::NodeIndex node = 0;
+  // 0 walks back in time, 1 forward.
+  int way = 0;
+  bool slipped = false;
+  // Of a step over a loop closure: the node it leads to, before the step.
+  std::optional<core::NodeIndex> over;
+};
+
+struct ListedPath {
+  Wide anchor = 0.0L;
+  std::vector<PathEntry> entries;
+  // e_1 .. e_t
+  WideVector mismatches;
+};
+
+struct ListedMatch {
+  bool possible = false;
+  Wide score = 0.0L;
+  Wide log_likelihood_ratio = 0.0L;
+  Wide squared_innovations = 0.0L;
+  Wide squared_end_difference = 0.0L;
+  std::vector<PathEntry> entries;
+};
+
+class SurvivorLists {
+ public:
+  SurvivorLists(const core::PoseGraph& graph, const core::RelativeModel& model,
+                core::NodeIndex query, std::int64_t steps, core::NodeIndex size)
+      : graph_(graph),
+        model_(model),
+        query_(query),
+        size_(size),
+        d_(model.similarity.state_space == core::StateSpace::kPlanar ? 3 : 4),
+        window_(graph, query, steps, WindowModel(graph, model, query, d_)) {
+    Walk(steps);
+  }
+
+  // By direction: 0 the same, 1 opposite. Empty if not sought.
+  const std::array<std::vector<ListedMatch>, 2>& matches() const {
+    return matches_;
+  }
+
+ private:
+  using Rigid = Eigen::Matrix<Wide, 4, 4>;
+
+  static DenseWindowModel WindowModel(const core::PoseGraph& graph,
+                                      const core::RelativeModel& model,
+                                      core::NodeIndex query, int dimensions) {
+    const MotionByLoops motion = MeasureByLoops(
+        graph, model.similarity.correlation, query, dimensions);
+    return {dimensions,
+            motion.drift,
+            motion.jitter,
+            model.shape,
+            model.similarity.tolerance,
+            model.spacing_meters,
+            model.similarity.inflation};
+  }
+
+  // The vehicle's frame in the local frame; turned by pi where it is met the
+  // other way.
+  Rigid FrameOf(core::NodeIndex i, int way) const {
+    const core::Pose& pose = graph_.node(i).pose;
+    const Wide heading = pose.heading + (way == 0 ? 0.0L : kWidePi);
+    Rigid frame = Rigid::Identity();
+    frame.topLeftCorner<2, 2>() = WideTurn(heading, 3).topLeftCorner<2, 2>();
+    frame(0, 3) = pose.x;
+    frame(1, 3) = pose.y;
+    frame(2, 3) = d_ == 4 ? pose.z : 0.0;
+    return frame;
+  }
+
+  // The newest entry, seen from the first.
+  WideVector SeenFromEnd(const std::vector<PathEntry>& entries) const {
+    const PathEntry& end = entries.front();
+    // Of the local frame in which the path is now, seen from its end.
+    Rigid local = FrameOf(end.node, end.way).inverse();
+    for (std::size_t k = 1; k < entries.size(); ++k) {
+      if (!entries[k].over) continue;
+      // Both ends of the closure are one place.
+      const PathEntry& near = entries[k - 1];
+      local = (local * FrameOf(near.node, near.way) *
+               FrameOf(*entries[k].over, entries[k].way).inverse())
+                  .eval();
+    }
+    const Rigid seen =
+        local * FrameOf(entries.back().node, entries.back().way);
+    WideVector state(d_);
+    state(0) = seen(0, 3);
+    state(1) = seen(1, 3);
+    if (d_ == 4) state(2) = seen(2, 3);
+    state(d_ - 1) = std::atan2(seen(1, 0), seen(0, 0));
+    return state;
+  }
+
+  Wide LogLikelihoodRatio(const ListedPath& path) const {
+    Wide sum = -0.5L * window_.SquaredInnovations(path.mismatches);
+    for (std::size_t k = 1; k < path.entries.size(); ++k) {
+      sum += window_.surprise(path.entries[k].t);
+      if (path.entries[k].slipped) sum -= core::kSlipCost;
+    }
+    return sum;
+  }
+
+  Wide Total(const ListedPath& path) const {
+    return path.anchor + window_.weight() * LogLikelihoodRatio(path);
+  }
+
+  bool Road(core::NodeIndex a, core::NodeIndex b) const {
+    return a >= 0 && b >= 0 && a < size_ && b < size_ &&
+           graph_.SegmentStart(a) == graph_.SegmentStart(b);
+  }
+
+  // Everything one step can lead to.
+  std::vector<PathEntry> Extensions(const PathEntry& from) const {
+    const std::int64_t t = from.t + 1;
+    const auto stride = [](int way) { return way == 0 ? -1 : 1; };
+    const core::NodeIndex next = from.node + stride(from.way);
+    const core::NodeIndex after = next + stride(from.way);
+    std::vector<PathEntry> extensions;
+    extensions.push_back({t, from.node, from.way, true, std::nullopt});
+    if (Road(from.node, next)) {
+      extensions.push_back({t, next, from.way, false, std::nullopt});
+    }
+    if (Road(from.node, after)) {
+      extensions.push_back({t, after, from.way, true, std::nullopt});
+    }
+    for (const auto& [a, b] : graph_.LoopEdges()) {
+      if (a != from.node && b != from.node) continue;
+      const core::NodeIndex far = a == from.node ? b : a;
+      if (far >= size_) continue;
+      const Wide turn =
+          NearestTo(0.0L, static_cast<Wide>(graph_.node(far).pose.heading) -
+                              graph_.node(from.node).pose.heading);
+      const int way =
+          std::abs(turn) > 0.5L * kWidePi ? 1 - from.way : from.way;
+      const core::NodeIndex beyond = far + stride(way);
+      if (Road(far, beyond)) extensions.push_back({t, beyond, way, false, far});
+    }
+    return extensions;
+  }
+
+  // Nothing where the innovation is beyond the limit.
+  std::optional<ListedPath> Extend(const ListedPath& path,
+                                   const PathEntry& entry) const {
+    ListedPath longer = path;
+    longer.entries.push_back(entry);
+    WideVector e = window_.path(entry.t) - SeenFromEnd(longer.entries);
+    // Headings are known but for whole turns: the innovation's are the least.
+    e(d_ - 1) =
+        NearestTo(window_.Predict(path.mismatches)(d_ - 1), e(d_ - 1));
+    longer.mismatches.resize(path.mismatches.size() + d_);
+    longer.mismatches << path.mismatches, e;
+    const Wide innovation = window_.SquaredInnovations(longer.mismatches) -
+                            window_.SquaredInnovations(path.mismatches);
+    if (innovation > core::kSquaredInnovationLimit) return std::nullopt;
+    return longer;
+  }
+
+  // Difference of the query and node j, and its covariance with the tolerance,
+  // given what the last closure tells.
+  std::pair<WideVector, WideMatrix> Anchor(core::NodeIndex j, int way) const {
+    const core::SimilarityModel& similarity = model_.similarity;
+    const Wide claimed =
+        static_cast<Wide>(similarity.inflation) * similarity.inflation;
+    const auto difference = [&](core::NodeIndex a, core::NodeIndex b,
+                                bool turned) {
+      WideVector d = WideStateOf(graph_.node(a).pose, d_) -
+                     WideStateOf(graph_.node(b).pose, d_);
+      d(d_ - 1) = NearestTo(0.0L, d(d_ - 1) + (turned ? kWidePi : 0.0L));
+      return d;
+    };
+    const auto cross = [&](core::NodeIndex a, core::NodeIndex b) {
+      return WideMatrix(
+          claimed * WideCross(graph_, similarity.correlation, a, b, d_));
+    };
+    const auto gamma = [&](core::NodeIndex a, core::NodeIndex b) {
+      return WideMatrix(
+          claimed * WideGamma(graph_, similarity.correlation, a, b, d_));
+    };
+    WideVector d = difference(query_, j, way == 1);
+    WideMatrix covariance =
+        gamma(query_, j) + WideDiagonal(similarity.tolerance.position_meters,
+                                        similarity.tolerance.heading_radians,
+                                        d_);
+    if (model_.last_confirmed) {
+      const core::NodeIndex c = model_.last_confirmed->query;
+      const core::NodeIndex m = model_.last_confirmed->matched;
+      const WideMatrix x =
+          cross(query_, c) - cross(query_, m) - cross(j, c) + cross(j, m);
+      const WideMatrix known =
+          gamma(c, m) +
+          WideDiagonal(core::kConfirmedTolerance.position_meters,
+                       core::kConfirmedTolerance.heading_radians, d_);
+      const bool turned =
+          std::abs(difference(c, m, false)(d_ - 1)) > 0.5L * kWidePi;
+      const WideMatrix gain = x * known.inverse();
+      d -= gain * difference(c, m, turned);
+      d(d_ - 1) = NearestTo(0.0L, d(d_ - 1));
+      covariance -= gain * x.transpose();
+    }
+    return {d, covariance};
+  }
+
+  void Walk(std::int64_t steps) {
+    std::vector<ListedPath> survivors;
+    // The best path of each end so far, beside the end alone.
+    std::map<std::pair<int, core::NodeIndex>, ListedPath> best;
+    for (int way = 0; way < 2; ++way) {
+      if (!(way == 0 ? model_.same_direction : model_.opposite_direction)) {
+        continue;
+      }
+      for (core::NodeIndex j = 0; j < size_; ++j) {
+        const auto [d, covariance] = Anchor(j, way);
+        const auto form = EvaluateWide(covariance, d);
+        if (!form) continue;
+        ListedPath path;
+        path.anchor = -0.5L * (form->squared + form->log_determinant);
+        path.entries = {{0, j, way, false, std::nullopt}};
+        path.mismatches.resize(0);
+        best[{way, j}] = path;
+        survivors.push_back(path);
+      }
+    }
+    for (std::int64_t t = 1; t < steps; ++t) {
+      std::map<std::pair<core::NodeIndex, int>, ListedPath> reached;
+      for (const ListedPath& path : survivors) {
+        for (const PathEntry& entry : Extensions(path.entries.back())) {
+          const std::optional<ListedPath> longer = Extend(path, entry);
+          if (!longer) continue;
+          const auto [there, first] =
+              reached.try_emplace({entry.node, entry.way}, *longer);
+          if (!first && Total(*longer) > Total(there->second)) {
+            there->second = *longer;
+          }
+        }
+      }
+      survivors.clear();
+      for (const auto& [where, path] : reached) {
+        survivors.push_back(path);
+        ListedPath& known =
+            best[{path.entries.front().way, path.entries.front().node}];
+        if (LogLikelihoodRatio(path) > LogLikelihoodRatio(known)) known = path;
+      }
+    }
+    for (int way = 0; way < 2; ++way) {
+      if (!(way == 0 ? model_.same_direction : model_.opposite_direction)) {
+        continue;
+      }
+      auto& matches = matches_[static_cast<std::size_t>(way)];
+      matches.resize(static_cast<std::size_t>(size_));
+      for (core::NodeIndex j = 0; j < size_; ++j) {
+        const auto found = best.find({way, j});
+        if (found == best.end()) continue;
+        matches[static_cast<std::size_t>(j)] = Match(j, way, found->second);
+      }
+    }
+  }
+
+  ListedMatch Match(core::NodeIndex j, int way, const ListedPath& path) const {
+    const auto [d, covariance] = Anchor(j, way);
+    const int length = static_cast<int>(path.entries.size()) - 1;
+    const WideMatrix to_local =
+        WideTurn(graph_.node(query_).pose.heading, d_);
+    auto form = EvaluateWide(
+        covariance - to_local * window_.EndCertainty(length) *
+                         to_local.transpose(),
+        d + to_local * window_.EndMean(path.mismatches));
+    if (!form) form = EvaluateWide(covariance, d);
+    ListedMatch match;
+    match.possible = form.has_value();
+    if (!form) return match;
+    // Nodes on roads not driven, per square metre (SPATIAL: cubic) and radian.
+    const Wide roads = 2.0L / model_.road_spacing_meters;
+    Wide density = roads / model_.spacing_meters * 2.0L / (2.0L * kWidePi);
+    if (d_ == 4) density /= core::kRoadHeightRange;
+    match.log_likelihood_ratio = LogLikelihoodRatio(path);
+    match.squared_innovations = window_.SquaredInnovations(path.mismatches);
+    match.squared_end_difference = form->squared;
+    match.score = -0.5L * (form->squared + form->log_determinant +
+                           d_ * std::log(2.0L * kWidePi)) +
+                  window_.weight() * match.log_likelihood_ratio -
+                  std::log(density);
+    match.entries = path.entries;
+    return match;
+  }
+
+  const core::PoseGraph& graph_;
+  const core::RelativeModel& model_;
+  const core::NodeIndex query_;
+  const core::NodeIndex size_;
+  const int d_;
+  const DenseWindow window_;
+  std::array<std::vector<ListedMatch>, 2> matches_;
+};
+
+}  // namespace revisit::oracle
+
+#endif  // REVISIT_TESTS_ORACLE_SURVIVOR_LISTS_H_

@@ -1,0 +1,155 @@
+// States, covariances and cross-covariances in long double, spelled out from
+// the definitions of pose.h and correlation.h and not taken from their code.
+#ifndef REVISIT_TESTS_ORACLE_WIDE_STATE_H_
+#define REVISIT_TESTS_ORACLE_WIDE_STATE_H_
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <optional>
+
+#include "core/geometry/pose.h"
+#include "core/graph/correlation.h"
+#include "core/graph/pose_graph.h"
+
+namespace revisit::oracle {
+
+using Wide = long double;
+using WideMatrix = Eigen::Matrix<Wide, Eigen::Dynamic, Eigen::Dynamic>;
+using WideVector = Eigen::Matrix<Wide, Eigen::Dynamic, 1>;
+
+inline constexpr Wide kWidePi = 3.14159265358979323846264338327950288L;
+
+// The representative of an angle that is nearest to another.
+inline Wide NearestTo(Wide centre, Wide angle) {
+  return angle - 2.0L * kWidePi * std::round((angle - centre) / (2.0L * kWidePi));
+}
+
+// (x, y, heading) or (x, y, z, heading).
+inline WideVector WideStateOf(const core::Pose& pose, int dimensions) {
+  WideVector state(dimensions);
+  state(0) = pose.x;
+  state(1) = pose.y;
+  if (dimensions == 4) state(2) = pose.z;
+  state(dimensions - 1) = pose.heading;
+  return state;
+}
+
+inline int Coordinate(int i, int dimensions) {
+  return i == dimensions - 1 ? 3 : i;
+}
+
+inline WideMatrix WideCovarianceOf(const core::Covariance& covariance,
+                                   int dimensions) {
+  WideMatrix wide(dimensions, dimensions);
+  for (int r = 0; r < dimensions; ++r) {
+    for (int c = 0; c < dimensions; ++c) {
+      wide(r, c) =
+          covariance(Coordinate(r, dimensions), Coordinate(c, dimensions));
+    }
+  }
+  return wide;
+}
+
+inline WideMatrix WideTransitionOf(const core::ErrorTransition& transition,
+                                   int dimensions) {
+  WideMatrix wide(dimensions, dimensions);
+  for (int r = 0; r < dimensions; ++r) {
+    for (int c = 0; c < dimensions; ++c) {
+      wide(r, c) = transition.values[static_cast<std::size_t>(
+          4 * Coordinate(r, dimensions) + Coordinate(c, dimensions))];
+    }
+  }
+  return wide;
+}
+
+// The turn by an angle about z.
+inline WideMatrix WideTurn(Wide angle, int dimensions) {
+  WideMatrix turn = WideMatrix::Identity(dimensions, dimensions);
+  turn(0, 0) = turn(1, 1) = std::cos(angle);
+  turn(1, 0) = std::sin(angle);
+  turn(0, 1) = -turn(1, 0);
+  return turn;
+}
+
+// The lever arm of a step by (x, y): a turn of what lies before it swings it.
+inline WideMatrix WideLever(Wide x, Wide y, int dimensions) {
+  WideMatrix lever = WideMatrix::Identity(dimensions, dimensions);
+  lever(0, dimensions - 1) = -y;
+  lever(1, dimensions - 1) = x;
+  return lever;
+}
+
+inline WideMatrix WideDiagonal(Wide position, Wide heading, int dimensions) {
+  WideMatrix diagonal = WideMatrix::Zero(dimensions, dimensions);
+  for (int i = 0; i + 1 < dimensions; ++i) diagonal(i, i) = position * position;
+  diagonal(dimensions - 1, dimensions - 1) = heading * heading;
+  return diagonal;
+}
+
+// What one step from node i - 1 makes of the error there, in the model.
+inline WideMatrix StepTransition(const core::PoseGraph& graph,
+                                 core::CorrelationModel model,
+                                 core::NodeIndex i, int dimensions) {
+  switch (model) {
+    case core::CorrelationModel::kDeadReckoning: {
+      const core::Pose& a = graph.node(i - 1).pose;
+      const core::Pose& b = graph.node(i).pose;
+      return WideLever(static_cast<Wide>(b.x) - a.x,
+                       static_cast<Wide>(b.y) - a.y, dimensions);
+    }
+    case core::CorrelationModel::kIndependent:
+      return WideMatrix::Zero(dimensions, dimensions);
+    case core::CorrelationModel::kFilter:
+      break;
+  }
+  return WideTransitionOf(graph.transition(i), dimensions);
+}
+
+// Cov(e_i, e_j): carried from the earlier node to the later step by step.
+inline WideMatrix WideCross(const core::PoseGraph& graph,
+                            core::CorrelationModel model, core::NodeIndex i,
+                            core::NodeIndex j, int dimensions) {
+  const core::NodeIndex earlier = std::min(i, j);
+  WideMatrix carried =
+      WideCovarianceOf(graph.node(earlier).covariance, dimensions);
+  for (core::NodeIndex k = earlier + 1; k <= std::max(i, j); ++k) {
+    carried = (StepTransition(graph, model, k, dimensions) * carried).eval();
+  }
+  if (i == earlier) carried.transposeInPlace();
+  return carried;
+}
+
+inline WideMatrix WideGamma(const core::PoseGraph& graph,
+                            core::CorrelationModel model, core::NodeIndex i,
+                            core::NodeIndex j, int dimensions) {
+  const WideMatrix cross = WideCross(graph, model, i, j, dimensions);
+  return WideCovarianceOf(graph.node(i).covariance, dimensions) +
+         WideCovarianceOf(graph.node(j).covariance, dimensions) - cross -
+         cross.transpose();
+}
+
+struct WideQuadraticForm {
+  Wide squared = 0.0L;
+  Wide log_determinant = 0.0L;
+};
+
+// Nothing where the matrix is not positive definite.
+inline std::optional<WideQuadraticForm> EvaluateWide(const WideMatrix& gamma,
+                                                     const WideVector& d) {
+  const Eigen::LLT<WideMatrix> factor(gamma);
+  if (factor.info() != Eigen::Success) return std::nullopt;
+  WideQuadraticForm form;
+  form.squared = d.dot(factor.solve(d));
+  const WideMatrix lower = factor.matrixL();
+  for (int i = 0; i < gamma.rows(); ++i) {
+    form.log_determinant += 2.0L * std::log(lower(i, i));
+  }
+  return form;
+}
+
+}  // namespace revisit::oracle
+
+#endif  // REVISIT_TESTS_ORACLE_WIDE_STATE_H_
