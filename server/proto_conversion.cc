@@ -839,6 +839,8 @@ void EncodeEvidence(const core::RelativeEvidence& evidence,
     candidate->set_odds_to_runner_up(*evidence.odds_to_runner_up);
   }
   EncodeGate(evidence.path_gate, candidate->mutable_path_gate());
+  candidate->mutable_path_gate()->set_end_squared_mahalanobis_distance(
+      evidence.squared_end_difference);
   v1::ShapeEvidence* shape = candidate->mutable_shape();
   shape->set_overlap_meters(evidence.overlap_meters);
   shape->set_log_likelihood_ratio(evidence.log_likelihood_ratio);

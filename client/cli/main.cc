@@ -139,7 +139,7 @@ void AddSearchSettings(const Flags& g, Settings* settings,
   AddNumber(
       g, "--acceptance-probability", "P",
       [=](double v) { settings->set_acceptance_probability(v); },
-      "Relative: least probability of an accepted candidate (0.5)");
+      "Relative: least probability of an accepted candidate (0.4)");
   AddNumber(
       g, "--road-spacing", "M",
       [=](double v) { settings->set_road_spacing_meters(v); },
@@ -804,7 +804,7 @@ class Program {
     settings->set_candidate_separation_meters(10.0);
     settings->set_max_candidates(5);
     settings->set_alignment(v1::ALIGNMENT_RELATIVE);
-    settings->set_acceptance_probability(0.5);
+    settings->set_acceptance_probability(0.4);
     settings->set_road_spacing_meters(200.0);
     settings->mutable_shape_tolerance()->set_position_meters(1.0);
     settings->mutable_shape_tolerance()->set_heading_radians(0.06);

@@ -30,7 +30,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 SETTINGS = {
     "road-spacing": ((100.0, 200.0, 400.0), 200.0),
     "shape-correlation": ((5.0, 10.0, 20.0), 10.0),
-    "acceptance-probability": ((0.3, 0.5, 0.7), 0.5),
+    "acceptance-probability": ((0.3, 0.4, 0.5), 0.4),
 }
 
 COUNTS = ("checks", "true_loops", "accepted", "accepted_correct",

@@ -4,8 +4,8 @@
 //   e_t = Phi(t,0) drift_0 + sum over k <= t of Phi(t,k) w_k + s_t,
 //
 // with Phi(t,k) the product of the lever arms of the steps after k. Filter and
-// smoother are conditioning of this Gaussian, here by a Cholesky factor of all of
-// it, in long double.
+// smoother are conditioning of this Gaussian, here by a Cholesky factor of all
+// of it, in long double.
 #ifndef REVISIT_TESTS_ORACLE_DENSE_WINDOW_H_
 #define REVISIT_TESTS_ORACLE_DENSE_WINDOW_H_
 
@@ -60,32 +60,35 @@ class DenseWindow {
     weight_ = std::min(1.0L, static_cast<Wide>(model.spacing_meters) /
                                  model.shape.correlation_meters);
 
-    // Independent sources: drift_0, w_1 .. w_L, s_1 .. s_L.
+    // Independent sources drift_0, w_1 .. w_L, s_1 .. s_L, and how each comes
+    // to be part of the mismatches.
     const int sources = 1 + 2 * length_;
-    WideMatrix source = WideMatrix::Zero(sources * d_, sources * d_);
-    WideMatrix to_mismatch = WideMatrix::Zero(length_ * d_, sources * d_);
-    source.block(0, 0, d_, d_) = end_prior_;
+    WideMatrix mixing = WideMatrix::Zero(length_ * d_, sources * d_);
+    std::vector<WideMatrix> source(static_cast<std::size_t>(sources));
+    source[0] = end_prior_;
     for (int t = 1; t <= length_; ++t) {
-      const WideMatrix turn = WideTurn(At(t)(d_ - 1), d_);
-      source.block(t * d_, t * d_, d_, d_) =
+      const WideMatrix turn = WideTurn(path(t)(d_ - 1), d_);
+      source[static_cast<std::size_t>(t)] =
           turn * step_noise * turn.transpose();
-      const int s = length_ + t;
-      source.block(s * d_, s * d_, d_, d_) =
+      source[static_cast<std::size_t>(length_ + t)] =
           tolerance + turn * jitter * turn.transpose();
       WideMatrix phi = WideMatrix::Identity(d_, d_);
       for (int k = t; k >= 0; --k) {
-        to_mismatch.block((t - 1) * d_, k * d_, d_, d_) = phi;
+        mixing.block((t - 1) * d_, k * d_, d_, d_) = phi;
         if (k == 0) break;
-        phi = (phi * WideLever(At(k)(0) - At(k - 1)(0), At(k)(1) - At(k - 1)(1),
-                               d_))
-                  .eval();
+        const WideVector step = path(k) - path(k - 1);
+        phi = (phi * WideLever(step(0), step(1), d_)).eval();
       }
-      to_mismatch.block((t - 1) * d_, s * d_, d_, d_).setIdentity();
+      mixing.block((t - 1) * d_, (length_ + t) * d_, d_, d_).setIdentity();
     }
-    const WideMatrix carried = to_mismatch * source;
-    covariance_ = carried * to_mismatch.transpose();
+    WideMatrix mixed = mixing;
+    for (int k = 0; k < sources; ++k) {
+      mixed.middleCols(k * d_, d_) =
+          mixing.middleCols(k * d_, d_) * source[static_cast<std::size_t>(k)];
+    }
+    covariance_ = mixed * mixing.transpose();
     // Cov(e, drift_0)
-    with_end_ = carried.leftCols(d_);
+    with_end_ = mixed.leftCols(d_);
 
     const auto stretch = std::max<core::NodeIndex>(
         1, std::llround(model.shape.correlation_meters / model.spacing_meters));
@@ -97,12 +100,12 @@ class DenseWindow {
       core::NodeIndex newest = std::min(query, query - t + stretch / 2);
       const core::NodeIndex oldest = std::max(first, newest - stretch);
       newest = std::min(query, oldest + stretch);
-      const Wide turned = NearestTo(
-          0.0L, static_cast<Wide>(graph.node(newest).pose.heading) -
-                    graph.node(oldest).pose.heading);
-      surprise_.push_back(-std::log(ShareByLoops(
-          graph, query, stretch, static_cast<double>(turned),
-          static_cast<double>(turn_tolerance))));
+      const Wide turned =
+          NearestTo(0.0L, static_cast<Wide>(graph.node(newest).pose.heading) -
+                              graph.node(oldest).pose.heading);
+      surprise_.push_back(-std::log(
+          ShareByLoops(graph, query, stretch, static_cast<double>(turned),
+                       static_cast<double>(turn_tolerance))));
     }
   }
 
@@ -125,6 +128,7 @@ class DenseWindow {
 
   // Sum of the squared innovations of a filter: chain rule of the density.
   Wide SquaredInnovations(const WideVector& e) const {
+    if (e.size() == 0) return 0.0L;
     return e.dot(Factor(Length(e)).solve(e));
   }
 
@@ -167,15 +171,14 @@ class DenseWindow {
     return seen;
   }
 
-  const WideVector& At(int t) const { return path(t); }
-
   int Length(const WideVector& e) const {
     return static_cast<int>(e.size()) / d_;
   }
 
   // Made once for each length.
   const Cholesky& Factor(int l) const {
-    if (factors_.empty()) factors_.resize(static_cast<std::size_t>(length_) + 1);
+    if (factors_.empty())
+      factors_.resize(static_cast<std::size_t>(length_) + 1);
     auto& factor = factors_[static_cast<std::size_t>(l)];
     if (factor.rows() == 0 && l > 0) factor.compute(Covariance(l));
     return factor;

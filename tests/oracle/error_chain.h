@@ -14,7 +14,8 @@ namespace revisit::oracle {
 
 class ErrorChain {
  public:
-  // Dead reckoning along a path; `step_noise(i)` is what the step to pose i adds.
+  // Dead reckoning along a path; `step_noise(i)` is what the step to pose i
+  // adds.
   template <typename StepNoise>
   ErrorChain(const std::vector<core::Pose>& path, const WideMatrix& start,
              const StepNoise& step_noise)
@@ -23,9 +24,9 @@ class ErrorChain {
     joint_.topLeftCorner(d_, d_) = start;
     for (std::size_t i = 1; i < path.size(); ++i) {
       const int at = static_cast<int>(i) * d_;
-      const WideMatrix f = WideLever(
-          static_cast<Wide>(path[i].x) - path[i - 1].x,
-          static_cast<Wide>(path[i].y) - path[i - 1].y, d_);
+      const WideMatrix f =
+          WideLever(static_cast<Wide>(path[i].x) - path[i - 1].x,
+                    static_cast<Wide>(path[i].y) - path[i - 1].y, d_);
       // With all errors before it.
       const WideMatrix row = f * joint_.block(at - d_, 0, d_, at);
       joint_.block(at, 0, d_, at) = row;
@@ -41,19 +42,20 @@ class ErrorChain {
                         d_);
   }
 
-  // Mean and covariance of (e_q - e_j), given that (e_c - e_m) + r is y with r of
-  // covariance `tolerance`; all errors multiplied by `inflation`.
-  std::pair<WideVector, WideMatrix> Condition(
-      std::int64_t q, std::int64_t j, std::int64_t c, std::int64_t m,
-      const WideVector& y, const WideMatrix& tolerance,
-      double inflation) const {
+  // Mean and covariance of (e_q - e_j), given that (e_c - e_m) + r is y with r
+  // of covariance `tolerance`; all errors multiplied by `inflation`.
+  std::pair<WideVector, WideMatrix> Condition(std::int64_t q, std::int64_t j,
+                                              std::int64_t c, std::int64_t m,
+                                              const WideVector& y,
+                                              const WideMatrix& tolerance,
+                                              double inflation) const {
     const std::int64_t nodes[] = {q, j, c, m};
     WideMatrix four(4 * d_, 4 * d_);
     for (int a = 0; a < 4; ++a) {
       for (int b = 0; b < 4; ++b) {
-        four.block(a * d_, b * d_, d_, d_) =
-            static_cast<Wide>(inflation) * inflation *
-            Cross(nodes[a], nodes[b]);
+        four.block(a * d_, b * d_, d_, d_) = static_cast<Wide>(inflation) *
+                                             inflation *
+                                             Cross(nodes[a], nodes[b]);
       }
     }
     const WideMatrix one = WideMatrix::Identity(d_, d_);

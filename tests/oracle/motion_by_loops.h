@@ -1,5 +1,5 @@
-// What motion_statistics.h says of a vehicle's steps and turns, by loops over all
-// of them.
+// What motion_statistics.h says of a vehicle's steps and turns, by loops over
+// all of them.
 #ifndef REVISIT_TESTS_ORACLE_MOTION_BY_LOOPS_H_
 #define REVISIT_TESTS_ORACLE_MOTION_BY_LOOPS_H_
 
@@ -39,8 +39,8 @@ inline WideMatrix NearestSemidefinite(const WideMatrix& m) {
   return kept;
 }
 
-// Cov(e_i - F e_(i-1)) where Cov(e_i, e_(i-1)) = Psi S_(i-1), averaged in the axes
-// of the vehicle.
+// Cov(e_i - F e_(i-1)) where Cov(e_i, e_(i-1)) = Psi S_(i-1), averaged in the
+// axes of the vehicle.
 inline MotionByLoops MeasureByLoops(const core::PoseGraph& graph,
                                     core::CorrelationModel model,
                                     core::NodeIndex last, int dimensions) {
@@ -61,14 +61,15 @@ inline MotionByLoops MeasureByLoops(const core::PoseGraph& graph,
         WideCovarianceOf(graph.node(i - 1).covariance, dimensions);
     const WideMatrix f = StepTransition(
         graph, core::CorrelationModel::kDeadReckoning, i, dimensions);
-    const WideMatrix cross = StepTransition(graph, model, i, dimensions) * before;
+    const WideMatrix cross =
+        StepTransition(graph, model, i, dimensions) * before;
     const WideMatrix added = s + f * before * f.transpose() -
                              cross * f.transpose() - f * cross.transpose();
     result.drift += turn.transpose() * added * turn;
-    result.largest_term = std::max({result.largest_term,
-                                    s.cwiseAbs().maxCoeff(),
-                                    (f * before * f.transpose()).cwiseAbs().maxCoeff(),
-                                    (cross * f.transpose()).cwiseAbs().maxCoeff()});
+    result.largest_term =
+        std::max({result.largest_term, s.cwiseAbs().maxCoeff(),
+                  (f * before * f.transpose()).cwiseAbs().maxCoeff(),
+                  (cross * f.transpose()).cwiseAbs().maxCoeff()});
   }
   if (result.steps > 0) {
     const auto count = static_cast<Wide>(result.steps);

@@ -1,7 +1,7 @@
-// The trellis of relative.h with survivors that keep their whole path as a list.
-// Each extension is judged by the dense Gaussian of all mismatches of the path;
-// poses beyond loop closures are composed as rigid transforms from the start of
-// the list every time.
+// The trellis of relative.h with survivors that keep their whole path as a
+// list. Each extension is judged by the dense Gaussian of all mismatches of the
+// path; poses beyond loop closures are composed as rigid transforms from the
+// start of the list every time.
 #ifndef REVISIT_TESTS_ORACLE_SURVIVOR_LISTS_H_
 #define REVISIT_TESTS_ORACLE_SURVIVOR_LISTS_H_
 
@@ -70,8 +70,8 @@ class SurvivorLists {
   static DenseWindowModel WindowModel(const core::PoseGraph& graph,
                                       const core::RelativeModel& model,
                                       core::NodeIndex query, int dimensions) {
-    const MotionByLoops motion = MeasureByLoops(
-        graph, model.similarity.correlation, query, dimensions);
+    const MotionByLoops motion =
+        MeasureByLoops(graph, model.similarity.correlation, query, dimensions);
     return {dimensions,
             motion.drift,
             motion.jitter,
@@ -107,8 +107,7 @@ class SurvivorLists {
                FrameOf(*entries[k].over, entries[k].way).inverse())
                   .eval();
     }
-    const Rigid seen =
-        local * FrameOf(entries.back().node, entries.back().way);
+    const Rigid seen = local * FrameOf(entries.back().node, entries.back().way);
     WideVector state(d_);
     state(0) = seen(0, 3);
     state(1) = seen(1, 3);
@@ -156,8 +155,7 @@ class SurvivorLists {
       const Wide turn =
           NearestTo(0.0L, static_cast<Wide>(graph_.node(far).pose.heading) -
                               graph_.node(from.node).pose.heading);
-      const int way =
-          std::abs(turn) > 0.5L * kWidePi ? 1 - from.way : from.way;
+      const int way = std::abs(turn) > 0.5L * kWidePi ? 1 - from.way : from.way;
       const core::NodeIndex beyond = far + stride(way);
       if (Road(far, beyond)) extensions.push_back({t, beyond, way, false, far});
     }
@@ -171,8 +169,7 @@ class SurvivorLists {
     longer.entries.push_back(entry);
     WideVector e = window_.path(entry.t) - SeenFromEnd(longer.entries);
     // Headings are known but for whole turns: the innovation's are the least.
-    e(d_ - 1) =
-        NearestTo(window_.Predict(path.mismatches)(d_ - 1), e(d_ - 1));
+    e(d_ - 1) = NearestTo(window_.Predict(path.mismatches)(d_ - 1), e(d_ - 1));
     longer.mismatches.resize(path.mismatches.size() + d_);
     longer.mismatches << path.mismatches, e;
     const Wide innovation = window_.SquaredInnovations(longer.mismatches) -
@@ -195,12 +192,12 @@ class SurvivorLists {
       return d;
     };
     const auto cross = [&](core::NodeIndex a, core::NodeIndex b) {
-      return WideMatrix(
-          claimed * WideCross(graph_, similarity.correlation, a, b, d_));
+      return WideMatrix(claimed *
+                        WideCross(graph_, similarity.correlation, a, b, d_));
     };
     const auto gamma = [&](core::NodeIndex a, core::NodeIndex b) {
-      return WideMatrix(
-          claimed * WideGamma(graph_, similarity.correlation, a, b, d_));
+      return WideMatrix(claimed *
+                        WideGamma(graph_, similarity.correlation, a, b, d_));
     };
     WideVector d = difference(query_, j, way == 1);
     WideMatrix covariance =
@@ -213,9 +210,9 @@ class SurvivorLists {
       const WideMatrix x =
           cross(query_, c) - cross(query_, m) - cross(j, c) + cross(j, m);
       const WideMatrix known =
-          gamma(c, m) +
-          WideDiagonal(core::kConfirmedTolerance.position_meters,
-                       core::kConfirmedTolerance.heading_radians, d_);
+          gamma(c, m) + WideDiagonal(core::kConfirmedTolerance.position_meters,
+                                     core::kConfirmedTolerance.heading_radians,
+                                     d_);
       const bool turned =
           std::abs(difference(c, m, false)(d_ - 1)) > 0.5L * kWidePi;
       const WideMatrix gain = x * known.inverse();
@@ -284,12 +281,11 @@ class SurvivorLists {
   ListedMatch Match(core::NodeIndex j, int way, const ListedPath& path) const {
     const auto [d, covariance] = Anchor(j, way);
     const int length = static_cast<int>(path.entries.size()) - 1;
-    const WideMatrix to_local =
-        WideTurn(graph_.node(query_).pose.heading, d_);
-    auto form = EvaluateWide(
-        covariance - to_local * window_.EndCertainty(length) *
-                         to_local.transpose(),
-        d + to_local * window_.EndMean(path.mismatches));
+    const WideMatrix to_local = WideTurn(graph_.node(query_).pose.heading, d_);
+    auto form =
+        EvaluateWide(covariance - to_local * window_.EndCertainty(length) *
+                                      to_local.transpose(),
+                     d + to_local * window_.EndMean(path.mismatches));
     if (!form) form = EvaluateWide(covariance, d);
     ListedMatch match;
     match.possible = form.has_value();

@@ -24,7 +24,8 @@ inline constexpr Wide kWidePi = 3.14159265358979323846264338327950288L;
 
 // The representative of an angle that is nearest to another.
 inline Wide NearestTo(Wide centre, Wide angle) {
-  return angle - 2.0L * kWidePi * std::round((angle - centre) / (2.0L * kWidePi));
+  return angle -
+         2.0L * kWidePi * std::round((angle - centre) / (2.0L * kWidePi));
 }
 
 // (x, y, heading) or (x, y, z, heading).

@@ -1352,6 +1352,7 @@ TEST(AnswerTest, CandidateSaysAllThatARelativeAlignmentKnows) {
   candidate.relative->odds_to_runner_up = 18.0;
   candidate.relative->path_gate = {12.5, 9.6, 18.3, 0.25,
                                    core::GateVerdict::kAccepted};
+  candidate.relative->squared_end_difference = 3.5;
   candidate.relative->overlap_meters = 64.0;
   candidate.relative->log_likelihood_ratio = 31.0;
   core::CandidateSet set;
@@ -1374,6 +1375,7 @@ TEST(AnswerTest, CandidateSaysAllThatARelativeAlignmentKnows) {
         threshold: 18.3
         p_value: 0.25
         verdict: GATE_VERDICT_ACCEPTED
+        end_squared_mahalanobis_distance: 3.5
       )pb")))
       << only.path_gate().DebugString();
   EXPECT_TRUE(google::protobuf::util::MessageDifferencer::Equals(

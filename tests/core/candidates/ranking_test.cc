@@ -4,7 +4,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <vector>
 
+#include "core/alignment/viterbi.h"
 #include "tests/core/graphs.h"
 #include "tests/random.h"
 
@@ -32,7 +34,9 @@ TEST_F(RankingTest, TakesTheBestThatAreFarEnoughApart) {
   for (int trial = 0; trial < 20; ++trial) {
     Build(1000 * trial);
     for (double separation : {0.0, 3.0, 10.0, 50.0}) {
-      const auto ends = RankEnds(graph_, *alignment_, 59, separation, 8);
+      std::vector<double> scores = alignment_->scores();
+      StrikeOut(graph_, 59, separation, &scores);
+      const auto ends = RankEnds(graph_, scores, separation, 8);
       // The obvious way: sort all, take each that is far from those taken.
       std::vector<NodeIndex> order(59);
       for (NodeIndex i = 0; i < 59; ++i) order[static_cast<std::size_t>(i)] = i;
@@ -73,12 +77,35 @@ TEST_F(RankingTest, OfEqualScoresTheOlderNodeComesFirst) {
   SimilarityModel model;
   model.correlation = CorrelationModel::kIndependent;
   const auto alignment = Align(graph, model, 9, 1, 9, nullptr);
-  const auto ends = RankEnds(graph, *alignment, 9, 4.0, 100);
+  std::vector<double> scores = alignment->scores();
+  StrikeOut(graph, 9, 4.0, &scores);
+  const auto ends = RankEnds(graph, scores, 4.0, 100);
   ASSERT_EQ(ends.size(), 4u);
   EXPECT_EQ(ends[0].matched, 0);
   EXPECT_EQ(ends[1].matched, 2);
   EXPECT_EQ(ends[2].matched, 4);
   EXPECT_EQ(ends[3].matched, 6);
+}
+
+TEST_F(RankingTest, StrikesOutTheCentreAndWhatIsNearer) {
+  Build(0);
+  std::vector<double> scores(59, 1.0);
+  StrikeOut(graph_, 30, 4.0, &scores);
+  for (NodeIndex i = 0; i < 59; ++i) {
+    EXPECT_EQ(scores[static_cast<std::size_t>(i)],
+              i >= 29 && i <= 31 ? kImpossible : 1.0)
+        << i;
+  }
+  scores.assign(59, 1.0);
+  StrikeOut(graph_, 30, 0.0, &scores);
+  EXPECT_EQ(std::count(scores.begin(), scores.end(), kImpossible), 1);
+  EXPECT_EQ(scores[30], kImpossible);
+  // Fewer scores than nodes.
+  scores.assign(20, 1.0);
+  StrikeOut(graph_, 22, 10.0, &scores);
+  EXPECT_EQ(std::count(scores.begin(), scores.end(), kImpossible), 2);
+  StrikeOut(graph_, 59, 10.0, &scores);
+  EXPECT_EQ(std::count(scores.begin(), scores.end(), kImpossible), 2);
 }
 
 }  // namespace

@@ -1,0 +1,523 @@
+#include "core/alignment/relative.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <sstream>
+#include <vector>
+
+#include "core/geometry/heading.h"
+#include "tests/core/graphs.h"
+#include "tests/oracle/survivor_lists.h"
+#include "tests/random.h"
+
+namespace revisit::core {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::IsEmpty;
+using ::testing::Pair;
+
+// A road as a pose every quarter of a metre.
+using Road = std::vector<Pose>;
+
+constexpr double kRoadStep = 0.25;
+
+Road RandomRoad(std::mt19937_64& random, double meters) {
+  Road road;
+  Pose pose = RandomPose(random, 20.0);
+  double bend = 0.0;
+  double slope = 0.0;
+  for (double s = 0.0; s <= meters; s += kRoadStep) {
+    road.push_back(pose);
+    if (UniformInt(random, 0, 24) == 0) bend = Normal(random, 0.1);
+    if (UniformInt(random, 0, 24) == 0) slope = Normal(random, 0.05);
+    pose.heading += bend * kRoadStep;
+    pose.x += kRoadStep * std::cos(pose.heading);
+    pose.y += kRoadStep * std::sin(pose.heading);
+    pose.z += kRoadStep * slope;
+  }
+  return road;
+}
+
+const Pose& At(const Road& road, double along) {
+  const auto k = static_cast<std::int64_t>(std::llround(along / kRoadStep));
+  return road[static_cast<std::size_t>(std::clamp<std::int64_t>(
+      k, 0, static_cast<std::int64_t>(road.size()) - 1))];
+}
+
+struct Pass {
+  NodeIndex first = 0;
+  NodeIndex nodes = 0;
+  double start = 0.0;
+  // Of the road, signed, from node to node.
+  double stride = 0.0;
+
+  double Along(NodeIndex i) const {
+    return start + stride * static_cast<double>(i - first);
+  }
+};
+
+struct Town {
+  PoseGraph graph;
+  std::vector<Pass> passes;
+  RelativeModel model;
+  NodeIndex query = 0;
+  std::int64_t steps = 0;
+  NodeIndex history = 0;
+
+  std::string Text() const {
+    std::ostringstream text;
+    text << graph.size() << " nodes, query " << query << ", " << steps
+         << " steps, passes";
+    for (const Pass& pass : passes) {
+      text << " " << pass.first << "+" << pass.nodes << " at " << pass.start
+           << " by " << pass.stride;
+    }
+    text << ", loops";
+    for (const auto& [a, b] : graph.LoopEdges()) text << " " << a << "-" << b;
+    text << ", model " << static_cast<int>(model.similarity.correlation)
+         << (model.similarity.state_space == StateSpace::kPlanar ? " planar"
+                                                                 : " spatial");
+    return text.str();
+  }
+};
+
+// Passes of a road, either way, each in a frame of its own, with odometers that
+// differ, and loop closures true and false. The last pass is the recent path.
+Town RandomTown(std::mt19937_64& random) {
+  Town town;
+  const double spacing = Uniform(random, 1.0, 4.0);
+  // Odometers that disagree, and nothing else to put it down to.
+  const bool slippery = UniformInt(random, 0, 4) == 0;
+  const double length = (slippery ? 40.0 : 24.0) * spacing;
+  const Road road = RandomRoad(random, length);
+  RelativeModel& model = town.model;
+  model.similarity.state_space =
+      UniformInt(random, 0, 1) ? StateSpace::kPlanar : StateSpace::kSpatial;
+  model.similarity.correlation =
+      static_cast<CorrelationModel>(UniformInt(random, 0, 2));
+  model.similarity.tolerance = {Uniform(random, 0.5, 4.0),
+                                Uniform(random, 0.05, 0.4)};
+  model.similarity.inflation =
+      UniformInt(random, 0, 1) ? 1.0 : Uniform(random, 1.0, 2.0);
+  model.shape.tolerance = {Uniform(random, 0.2, 1.5),
+                           Uniform(random, 0.02, 0.15)};
+  model.shape.correlation_meters = Uniform(random, 1.0, 20.0);
+  model.spacing_meters = spacing;
+  model.road_spacing_meters = Uniform(random, 20.0, 500.0);
+  const int directions = UniformInt(random, 0, 2);
+  model.same_direction = directions != 1;
+  model.opposite_direction = directions != 0;
+
+  if (slippery) {
+    model.shape.tolerance.position_meters = 0.3 * spacing;
+    model.similarity.inflation = 1.0;
+  }
+
+  Eigen::Matrix4d covariance =
+      Eigen::Vector4d(0.04, 0.04, 0.04, 1e-4).asDiagonal();
+  const double noise = slippery ? 1e-3 : Uniform(random, 0.01, 0.2);
+  const int passes = UniformInt(random, 2, 4);
+  for (int p = 0; p < passes; ++p) {
+    const bool last = p + 1 == passes;
+    Pass pass;
+    pass.first = town.graph.size();
+    pass.nodes = slippery ? UniformInt(random, 18, 30)
+                          : UniformInt(random, last ? 3 : 6, 14);
+    pass.stride =
+        spacing *
+        (UniformInt(random, 0, 2) == 0 ? Uniform(random, 0.85, 1.15) : 1.0);
+    pass.start = Uniform(
+        random, 0.0,
+        std::max(0.0, length - pass.stride * static_cast<double>(pass.nodes)));
+    if (UniformInt(random, 0, 2) == 0) {
+      pass.start += pass.stride * static_cast<double>(pass.nodes - 1);
+      pass.stride = -pass.stride;
+    }
+    // What has drifted between the passes.
+    const Pose drift = {Normal(random, 2.0), Normal(random, 2.0),
+                        Normal(random, 0.5), Normal(random, 0.1)};
+    const bool jump = p == 0 || UniformInt(random, 0, 3) > 0;
+    for (NodeIndex k = 0; k < pass.nodes; ++k) {
+      const Pose& on_road = At(road, pass.Along(pass.first + k));
+      const double c = std::cos(drift.heading);
+      const double s = std::sin(drift.heading);
+      Node node;
+      node.sequence = static_cast<std::uint64_t>(town.graph.size()) + 1;
+      node.travelled_meters = spacing * static_cast<double>(town.graph.size());
+      node.pose = {
+          c * on_road.x - s * on_road.y + drift.x + Normal(random, 0.1),
+          s * on_road.x + c * on_road.y + drift.y + Normal(random, 0.1),
+          on_road.z + drift.z + Normal(random, 0.02),
+          WrapHeading(on_road.heading + drift.heading +
+                      (pass.stride < 0.0 ? kPi : 0.0) + Normal(random, 0.01))};
+      const NodeIndex i = town.graph.size();
+      Eigen::Matrix4d transition = Eigen::Matrix4d::Identity();
+      if (i > 0) {
+        if (model.similarity.correlation == CorrelationModel::kFilter) {
+          transition *= 0.95;
+          for (int m = 0; m < 16; ++m) transition(m) += Normal(random, 0.01);
+        } else {
+          const Pose& before = town.graph.node(i - 1).pose;
+          transition(0, 3) = -(node.pose.y - before.y);
+          transition(1, 3) = node.pose.x - before.x;
+        }
+        covariance = (transition * covariance * transition.transpose()).eval() +
+                     ToMatrix<4>(RandomCovariance(random, noise));
+      }
+      node.covariance = ToCovariance<4>(covariance);
+      town.graph.AddNode(node, k == 0 && jump,
+                         ToErrorTransition<4>(transition));
+    }
+    town.passes.push_back(pass);
+  }
+
+  const Pass& recent = town.passes.back();
+  town.query = town.graph.size() - 1 - UniformInt(random, 0, 1);
+  const NodeIndex start = town.graph.SegmentStart(town.query);
+  town.steps = UniformInt(
+      random, 2,
+      static_cast<int>(std::min<NodeIndex>(
+          slippery ? 18 : 11, town.query - std::max(start, recent.first) + 1)));
+  town.history = town.query - town.steps + 1;
+
+  for (std::size_t a = 0; a < town.passes.size(); ++a) {
+    for (std::size_t b = 0; b < a; ++b) {
+      if (UniformInt(random, 0, 2) == 0) continue;
+      // Where the two are nearest to each other on the road.
+      const Pass& of_a = town.passes[a];
+      const Pass& of_b = town.passes[b];
+      const NodeIndex i =
+          of_a.first + UniformInt(random, 0, static_cast<int>(of_a.nodes) - 1);
+      NodeIndex nearest = of_b.first;
+      for (NodeIndex j = of_b.first; j < of_b.first + of_b.nodes; ++j) {
+        if (std::abs(of_b.Along(j) - of_a.Along(i)) <
+            std::abs(of_b.Along(nearest) - of_a.Along(i))) {
+          nearest = j;
+        }
+      }
+      if (std::abs(of_b.Along(nearest) - of_a.Along(i)) > spacing) continue;
+      town.graph.AddLoopEdge(i, nearest);
+      if (model.similarity.correlation == CorrelationModel::kDeadReckoning &&
+          i <= town.query && UniformInt(random, 0, 1)) {
+        model.last_confirmed = ConfirmedLoop{i, nearest};
+      }
+    }
+  }
+  if (UniformInt(random, 0, 2) == 0) {
+    const auto any = [&] {
+      return static_cast<NodeIndex>(
+          UniformInt(random, 0, static_cast<int>(town.graph.size()) - 1));
+    };
+    const NodeIndex a = any();
+    const NodeIndex b = any();
+    if (a != b) town.graph.AddLoopEdge(a, b);
+  }
+  return town;
+}
+
+// How often the trials have come by what.
+struct Seen {
+  int ends = 0;
+  int walked = 0;
+  int slipped = 0;
+  int over_loops = 0;
+  int turned_over_loops = 0;
+  int opposite = 0;
+  int impossible = 0;
+};
+
+void ExpectWhatListsFind(const Town& town, Seen* seen) {
+  SCOPED_TRACE(town.Text());
+  const auto alignment = AlignRelative(town.graph, town.model, town.query,
+                                       town.steps, town.history, nullptr);
+  ASSERT_TRUE(alignment);
+  ASSERT_EQ(alignment->size(), town.history);
+  const oracle::SurvivorLists lists(town.graph, town.model, town.query,
+                                    town.steps, town.history);
+  for (const int way : {0, 1}) {
+    const Direction direction =
+        way == 0 ? Direction::kSame : Direction::kOpposite;
+    const auto& expected = lists.matches()[static_cast<std::size_t>(way)];
+    ASSERT_EQ(alignment->scores(direction).size(), expected.size());
+    for (NodeIndex j = 0; j < static_cast<NodeIndex>(expected.size()); ++j) {
+      SCOPED_TRACE(::testing::Message() << "way " << way << " end " << j);
+      const auto& match = expected[static_cast<std::size_t>(j)];
+      const double score =
+          alignment->scores(direction)[static_cast<std::size_t>(j)];
+      if (!match.possible) {
+        EXPECT_EQ(score, kImpossible);
+        ++seen->impossible;
+        continue;
+      }
+      const auto near = [](double actual, oracle::Wide wanted) {
+        const auto value = static_cast<double>(wanted);
+        EXPECT_NEAR(actual, value, 1e-9 * std::max(1.0, std::abs(value)));
+      };
+      near(score, match.score);
+      const ShapeMatch& actual = alignment->match(direction, j);
+      near(actual.log_likelihood_ratio, match.log_likelihood_ratio);
+      near(actual.squared_innovations, match.squared_innovations);
+      near(actual.squared_end_difference, match.squared_end_difference);
+      ASSERT_EQ(actual.steps + 1,
+                static_cast<std::int32_t>(match.entries.size()));
+      EXPECT_EQ(actual.last, match.entries.back().node);
+      EXPECT_EQ(actual.last_direction, match.entries.back().way == 0
+                                           ? Direction::kSame
+                                           : Direction::kOpposite);
+      std::vector<std::pair<std::int64_t, NodeIndex>> pairs;
+      int before = match.entries.front().way;
+      for (const oracle::PathEntry& entry : match.entries) {
+        pairs.emplace_back(entry.t, entry.node);
+        seen->slipped += entry.slipped;
+        seen->over_loops += entry.over.has_value();
+        seen->turned_over_loops += entry.way != before;
+        before = entry.way;
+      }
+      EXPECT_EQ(alignment->Path(direction, j), pairs);
+      ++seen->ends;
+      seen->walked += actual.steps > 0;
+      seen->opposite += way == 1 && actual.steps > 0;
+    }
+  }
+}
+
+TEST(AlignRelativeTest, FindsWhatSurvivorsWithWholePathsFind) {
+  std::mt19937_64 random = SeededRandom();
+  Seen seen;
+  for (int trial = 0; trial < 200 && !::testing::Test::HasFailure(); ++trial) {
+    ExpectWhatListsFind(RandomTown(random), &seen);
+  }
+  std::cout << seen.ends << " ends, " << seen.walked << " with a path, "
+            << seen.opposite << " of them opposite; steps that slipped "
+            << seen.slipped << ", over loop closures " << seen.over_loops
+            << ", of these between directions " << seen.turned_over_loops
+            << "; impossible " << seen.impossible << "\n";
+  EXPECT_GT(seen.walked, 500);
+  EXPECT_GT(seen.slipped, 10);
+  EXPECT_GT(seen.over_loops, 50);
+  EXPECT_GT(seen.turned_over_loops, 10);
+  EXPECT_GT(seen.opposite, 100);
+}
+
+TEST(AlignRelativeTest,
+     FindsTheSameWhereCovariancesHaveNothingToDoWithThePath) {
+  std::mt19937_64 random = SeededRandom();
+  Seen seen;
+  for (int trial = 0; trial < 40 && !::testing::Test::HasFailure(); ++trial) {
+    Town town;
+    const NodeIndex size = UniformInt(random, 4, 16);
+    town.graph = RandomGraph(random, size, 0.1, UniformInt(random, 0, 4), true);
+    town.model.similarity.correlation = UniformInt(random, 0, 1)
+                                            ? CorrelationModel::kFilter
+                                            : CorrelationModel::kIndependent;
+    town.model.opposite_direction = true;
+    town.model.shape.tolerance = {3.0, 0.5};
+    town.query = size - 1;
+    town.steps = UniformInt(
+        random, 1,
+        static_cast<int>(std::min<NodeIndex>(
+            4, town.query - town.graph.SegmentStart(town.query) + 1)));
+    town.history = town.query - town.steps + 1;
+    ExpectWhatListsFind(town, &seen);
+  }
+  EXPECT_GT(seen.ends, 200);
+}
+
+// A winding road as nodes without drift, each pass a segment of its own.
+class WindingRoadTest : public ::testing::Test {
+ protected:
+  // Adds the nodes at these metres along the road; returns the first.
+  NodeIndex Add(double from, double to, double stride = 2.0) {
+    const NodeIndex first = graph_.size();
+    const double sign = to < from ? -1.0 : 1.0;
+    const auto nodes = std::llround(std::abs(to - from) / stride);
+    for (std::int64_t k = 0; k <= nodes; ++k) {
+      const double along = from + sign * stride * static_cast<double>(k);
+      Node node;
+      node.sequence = static_cast<std::uint64_t>(graph_.size()) + 1;
+      node.travelled_meters = 2.0 * static_cast<double>(graph_.size());
+      node.pose = RoadAt(along);
+      if (sign < 0.0) node.pose.heading = WrapHeading(node.pose.heading + kPi);
+      for (int i : {0, 1, 2}) node.covariance(i, i) = 1.0;
+      node.covariance(3, 3) = 0.01;
+      graph_.AddNode(node, k == 0, std::nullopt);
+    }
+    return first;
+  }
+
+  static Pose RoadAt(double along) {
+    // Curvature 0.03 sin(along / 17) + 0.02 sin(along / 7.3), summed finely.
+    Pose pose;
+    const double step = 0.05;
+    for (double s = 0.5 * step; s < along; s += step) {
+      pose.heading +=
+          step * (0.03 * std::sin(s / 17.0) + 0.02 * std::sin(s / 7.3));
+      pose.x += step * std::cos(pose.heading);
+      pose.y += step * std::sin(pose.heading);
+    }
+    pose.heading = WrapHeading(pose.heading);
+    return pose;
+  }
+
+  // Of the nodes from `first` to the newest, with those before as history.
+  RelativeAlignment Align(NodeIndex first) {
+    model_.similarity.correlation = CorrelationModel::kIndependent;
+    const NodeIndex query = graph_.size() - 1;
+    return *AlignRelative(graph_, model_, query, query - first + 1, first,
+                          nullptr);
+  }
+
+  PoseGraph graph_;
+  RelativeModel model_;
+};
+
+TEST_F(WindingRoadTest, ARevisitIsWalkedBackNodeByNode) {
+  Add(0.0, 300.0);
+  const NodeIndex recent = Add(100.0, 200.0);
+  const RelativeAlignment alignment = Align(recent);
+  const ShapeMatch& match = alignment.match(Direction::kSame, 100);
+  EXPECT_EQ(match.steps, 50);
+  EXPECT_NEAR(match.squared_innovations, 0.0, 1e-9);
+  EXPECT_EQ(match.last, 50);
+  const auto path = alignment.Path(Direction::kSame, 100);
+  ASSERT_EQ(path.size(), 51u);
+  for (std::int64_t t = 0; t <= 50; ++t) {
+    EXPECT_EQ(path[static_cast<std::size_t>(t)].first, t);
+    EXPECT_EQ(path[static_cast<std::size_t>(t)].second, 100 - t);
+  }
+  const auto& scores = alignment.scores(Direction::kSame);
+  EXPECT_EQ(std::max_element(scores.begin(), scores.end()) - scores.begin(),
+            100);
+  EXPECT_THAT(alignment.scores(Direction::kOpposite), IsEmpty());
+}
+
+TEST_F(WindingRoadTest, ARevisitTheOtherWayIsWalkedForward) {
+  Add(0.0, 300.0);
+  const NodeIndex recent = Add(200.0, 100.0);
+  model_.opposite_direction = true;
+  const RelativeAlignment alignment = Align(recent);
+  // The end is at 100 m, node 50; the path began at node 100.
+  const ShapeMatch& match = alignment.match(Direction::kOpposite, 50);
+  EXPECT_EQ(match.steps, 50);
+  EXPECT_NEAR(match.squared_innovations, 0.0, 1e-9);
+  EXPECT_EQ(match.last, 100);
+  EXPECT_EQ(match.last_direction, Direction::kOpposite);
+  const auto path = alignment.Path(Direction::kOpposite, 50);
+  EXPECT_EQ(path.front(), std::make_pair(std::int64_t{0}, NodeIndex{50}));
+  EXPECT_EQ(path.back(), std::make_pair(std::int64_t{50}, NodeIndex{100}));
+  const auto& opposite = alignment.scores(Direction::kOpposite);
+  const auto& same = alignment.scores(Direction::kSame);
+  EXPECT_EQ(
+      std::max_element(opposite.begin(), opposite.end()) - opposite.begin(),
+      50);
+  EXPECT_GT(*std::max_element(opposite.begin(), opposite.end()),
+            *std::max_element(same.begin(), same.end()) + 10.0);
+}
+
+TEST_F(WindingRoadTest, OnlyTheOverlapIsTakenWhereTheOldRoadWasJoinedLate) {
+  // The history begins at 140 m, the recent path comes from before.
+  Add(140.0, 300.0);
+  const NodeIndex recent = Add(80.0, 200.0);
+  const RelativeAlignment alignment = Align(recent);
+  const ShapeMatch& match = alignment.match(Direction::kSame, 30);
+  // 60 m of 120, but for a slip or two at the end.
+  EXPECT_GE(match.steps, 30);
+  EXPECT_LE(match.steps, 33);
+  EXPECT_GT(match.log_likelihood_ratio, 5.0);
+}
+
+TEST_F(WindingRoadTest, TheOverlapGoesOnOverALoopClosure) {
+  // The history saw the road in two passes; a closure joins them at 150 m.
+  Add(0.0, 160.0);                             // Nodes 0..80.
+  const NodeIndex second = Add(140.0, 300.0);  // Nodes 81..161.
+  ASSERT_EQ(second, 81);
+  const NodeIndex recent = Add(100.0, 200.0);
+  const NodeIndex end = second + 30;
+  EXPECT_LT(Align(recent).match(Direction::kSame, end).steps, 34);
+  graph_.AddLoopEdge(second + 5, 75);
+  const RelativeAlignment alignment = Align(recent);
+  const ShapeMatch& match = alignment.match(Direction::kSame, end);
+  EXPECT_EQ(match.steps, 50);
+  EXPECT_EQ(match.last, 50);
+  EXPECT_NEAR(match.squared_innovations, 0.0, 1e-9);
+  const auto path = alignment.Path(Direction::kSame, end);
+  EXPECT_EQ(path[25].second, second + 5);
+  EXPECT_EQ(path[26].second, 74);
+}
+
+TEST_F(WindingRoadTest, TheOverlapGoesOnOverALoopClosureOfOppositePasses) {
+  Add(160.0, 0.0);                             // Nodes 0..80, the other way.
+  const NodeIndex second = Add(140.0, 300.0);  // Nodes 81..161.
+  const NodeIndex recent = Add(100.0, 200.0);
+  graph_.AddLoopEdge(second + 5, 5);  // Both at 150 m.
+  const RelativeAlignment alignment = Align(recent);
+  const ShapeMatch& match = alignment.match(Direction::kSame, second + 30);
+  EXPECT_EQ(match.steps, 50);
+  EXPECT_EQ(match.last, 30);  // At 100 m.
+  EXPECT_EQ(match.last_direction, Direction::kOpposite);
+  EXPECT_NEAR(match.squared_innovations, 0.0, 1e-9);
+}
+
+TEST_F(WindingRoadTest, SlipsMakeUpForAnOdometerThatIsThreePercentOff) {
+  for (const double stride : {2.0 / 1.03, 2.0 * 1.03}) {
+    graph_ = PoseGraph();
+    model_.shape.tolerance.position_meters = 1.0;
+    Add(0.0, 400.0);
+    const NodeIndex recent = Add(100.0, 100.0 + 74.0 * stride, stride);
+    ASSERT_EQ(graph_.size() - recent, 75);
+    const RelativeAlignment alignment = Align(recent);
+    const auto& scores = alignment.scores(Direction::kSame);
+    const NodeIndex best =
+        std::max_element(scores.begin(), scores.end()) - scores.begin();
+    EXPECT_NEAR(2.0 * static_cast<double>(best), 100.0 + 74.0 * stride, 4.0);
+    EXPECT_EQ(alignment.match(Direction::kSame, best).steps, 74);
+    const auto path = alignment.Path(Direction::kSame, best);
+    int slips = 0;
+    for (std::size_t k = 1; k < path.size(); ++k) {
+      slips += path[k - 1].second - path[k].second != 1;
+    }
+    EXPECT_GE(slips, 1) << stride;
+    EXPECT_LE(slips, 4) << stride;
+  }
+}
+
+TEST_F(WindingRoadTest, AnotherRoadHasAShortPathAtMost) {
+  Add(0.0, 100.0);
+  const NodeIndex recent = Add(300.0, 400.0);
+  const RelativeAlignment alignment = Align(recent);
+  for (NodeIndex j = 0; j < recent; ++j) {
+    EXPECT_LT(alignment.match(Direction::kSame, j).steps, 30) << j;
+  }
+}
+
+TEST_F(WindingRoadTest, ASingleStepIsTheEndAlone) {
+  Add(0.0, 20.0);
+  const NodeIndex recent = Add(10.0, 10.0);
+  const RelativeAlignment alignment = Align(recent);
+  EXPECT_EQ(alignment.match(Direction::kSame, 5).steps, 0);
+  EXPECT_EQ(alignment.match(Direction::kSame, 5).log_likelihood_ratio, 0.0);
+  EXPECT_THAT(alignment.Path(Direction::kSame, 5), ElementsAre(Pair(0, 5)));
+  // ln N(0; 0, Gamma + R) / rho by hand: Gamma + R is diag(2 + 4, 2 + 4,
+  // 0.02 + 0.01).
+  EXPECT_NEAR(alignment.scores(Direction::kSame)[5],
+              -1.5 * std::log(2.0 * kPi) - 0.5 * std::log(36.0 * 0.03) +
+                  std::log(kPi * 200.0 * 2.0 / 2.0),
+              1e-9);
+}
+
+TEST_F(WindingRoadTest, StopsWhenTold) {
+  Add(0.0, 200.0);
+  const NodeIndex recent = Add(100.0, 150.0);
+  const NodeIndex query = graph_.size() - 1;
+  int asked = 0;
+  EXPECT_FALSE(AlignRelative(graph_, model_, query, query - recent + 1, recent,
+                             [&asked] { return ++asked == 3; }));
+  EXPECT_EQ(asked, 3);
+}
+
+}  // namespace
+}  // namespace revisit::core
