@@ -82,8 +82,7 @@ Verdict Decide(const GateResult& gate, const RelativeEvidence& evidence,
   const double elsewhere = std::max(0.0, 1.0 - here - new_place);
   if (here + elsewhere >= acceptance_probability) return Verdict::kAmbiguous;
   // Had the two ends coincided, with the same shape.
-  const double at_best =
-      here * std::exp(0.5 * evidence.squared_end_difference);
+  const double at_best = here * std::exp(0.5 * evidence.squared_end_difference);
   const double total = 1.0 - here + at_best;
   if (at_best < acceptance_probability * total) {
     return Verdict::kUninformative;
@@ -93,10 +92,9 @@ Verdict Decide(const GateResult& gate, const RelativeEvidence& evidence,
 
 // Of those found in either direction; ties keep their order.
 void KeepBest(int count, std::vector<Candidate>* candidates) {
-  std::stable_sort(candidates->begin(), candidates->end(),
-                   [](const Candidate& a, const Candidate& b) {
-                     return a.score > b.score;
-                   });
+  std::stable_sort(
+      candidates->begin(), candidates->end(),
+      [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
   if (candidates->size() > static_cast<std::size_t>(count)) {
     candidates->resize(static_cast<std::size_t>(count));
   }
@@ -272,12 +270,11 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
 
   set.nodes_considered = history_size;
   set.inflation = MakeSimilarityModel(options).inflation;
-  const absl::Status status =
-      options.alignment == AlignmentKind::kComposite
-          ? FindComposite(query, steps, history_size, options, should_stop,
-                          &set)
-          : FindRelative(query, steps, history_size, options, should_stop,
-                         &set);
+  const absl::Status status = options.alignment == AlignmentKind::kComposite
+                                  ? FindComposite(query, steps, history_size,
+                                                  options, should_stop, &set)
+                                  : FindRelative(query, steps, history_size,
+                                                 options, should_stop, &set);
   if (!status.ok()) return status;
   for (std::size_t i = 0; i < set.candidates.size(); ++i) {
     set.candidates[i].rank = static_cast<int>(i) + 1;
@@ -335,10 +332,9 @@ absl::Status Engine::FindComposite(NodeIndex query, std::int64_t steps,
     if (!alignment) return Stopped();
     std::vector<double> scores = alignment->scores();
     StrikeOutKnown(query, options.candidate_separation_meters, &scores);
-    for (const RankedEnd& end :
-         RankEnds(graph_, std::move(scores),
-                  options.candidate_separation_meters,
-                  options.max_candidates)) {
+    for (const RankedEnd& end : RankEnds(graph_, std::move(scores),
+                                         options.candidate_separation_meters,
+                                         options.max_candidates)) {
       Candidate candidate;
       candidate.score = end.score;
       candidate.matched = end.matched;
@@ -371,8 +367,8 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
   if (model.similarity.correlation == CorrelationModel::kDeadReckoning) {
     model.last_confirmed = LastConfirmed(query);
   }
-  const std::optional<RelativeAlignment> alignment = AlignRelative(
-      graph_, model, query, steps, history_size, should_stop);
+  const std::optional<RelativeAlignment> alignment =
+      AlignRelative(graph_, model, query, steps, history_size, should_stop);
   if (!alignment) return Stopped();
 
   std::array<std::vector<double>, 2> log_odds;
@@ -392,8 +388,8 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
     for (const RankedEnd& end :
          RankEnds(graph_, log_odds[PositionOf(direction)],
                   2.0 * kPlaceRadiusMeters, kRivals)) {
-      rivals.push_back({direction, end.matched,
-                        posterior.Place(direction, end.matched)});
+      rivals.push_back(
+          {direction, end.matched, posterior.Place(direction, end.matched)});
     }
   }
 
@@ -403,10 +399,9 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
   for (const Direction direction : Directions(options.direction)) {
     SimilarityModel similarity = model.similarity;
     similarity.direction = direction;
-    for (const RankedEnd& end :
-         RankEnds(graph_, log_odds[PositionOf(direction)],
-                  options.candidate_separation_meters,
-                  options.max_candidates)) {
+    for (const RankedEnd& end : RankEnds(
+             graph_, log_odds[PositionOf(direction)],
+             options.candidate_separation_meters, options.max_candidates)) {
       const ShapeMatch& match = alignment->match(direction, end.matched);
       Candidate candidate;
       candidate.score = end.score;
@@ -428,8 +423,7 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
         most_probable_rival = std::max(most_probable_rival, rival.probability);
       }
       if (most_probable_rival > 0.0) {
-        evidence.odds_to_runner_up =
-            evidence.probability / most_probable_rival;
+        evidence.odds_to_runner_up = evidence.probability / most_probable_rival;
       }
       evidence.path_gate = gate.DecidePath(
           match.squared_end_difference + weight * match.squared_innovations,
@@ -438,10 +432,9 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
       evidence.overlap_meters = match.steps * model.spacing_meters;
       evidence.log_likelihood_ratio = match.log_likelihood_ratio;
       candidate.verdict =
-          Decide(candidate.difference.gate, evidence,
-                 posterior.new_place(), options.acceptance_probability);
-      for (const auto& [t, matched] :
-           alignment->Path(direction, end.matched)) {
+          Decide(candidate.difference.gate, evidence, posterior.new_place(),
+                 options.acceptance_probability);
+      for (const auto& [t, matched] : alignment->Path(direction, end.matched)) {
         candidate.path.emplace_back(query - t, matched);
       }
       std::reverse(candidate.path.begin(), candidate.path.end());

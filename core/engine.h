@@ -34,7 +34,8 @@ enum class Verdict {
 
 // What a relative alignment knows beyond the paper's.
 struct RelativeEvidence {
-  // Posterior of this place; over that of the best other place, if there is one.
+  // Posterior of this place; over that of the best other place, if there is
+  // one.
   double probability = 0.0;
   std::optional<double> odds_to_runner_up;
   PathGateResult path_gate;
@@ -139,8 +140,8 @@ class Engine {
   void RemoveRejection(std::uint64_t query_sequence,
                        std::uint64_t matched_sequence, std::uint64_t revision);
 
-  // As of the last change. Replaying the same loop closures in another order may
-  // give another inflation.
+  // As of the last change. Replaying the same loop closures in another order
+  // may give another inflation.
   const Consistency& consistency() const { return consistency_; }
 
   // Candidates at a node, with the nodes before its sequence as history. The

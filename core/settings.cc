@@ -19,8 +19,8 @@ void CheckRange(const char* field, double value, double lowest, double highest,
 void CheckProbability(const char* field, double value,
                       std::vector<SettingProblem>* problems) {
   if (value > 0.0 && value < 1.0) return;
-  problems->push_back({field, "got " + NumberText(value) +
-                                  "; allowed is above 0 and below 1"});
+  problems->push_back(
+      {field, "got " + NumberText(value) + "; allowed is above 0 and below 1"});
 }
 
 constexpr double kLeastSpacingMeters = 0.01;

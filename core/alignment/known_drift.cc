@@ -12,9 +12,9 @@ namespace {
 
 // The direction in which a loop was closed, told by the headings.
 Direction DirectionOf(const PoseGraph& graph, const ConfirmedLoop& loop) {
-  const double turn = Difference(graph.node(loop.query).pose,
-                                 graph.node(loop.matched).pose)
-                          .heading;
+  const double turn =
+      Difference(graph.node(loop.query).pose, graph.node(loop.matched).pose)
+          .heading;
   return std::abs(turn) > 0.5 * kPi ? Direction::kOpposite : Direction::kSame;
 }
 
@@ -36,8 +36,8 @@ KnownDrift<D>::KnownDrift(const PoseGraph& graph, const SimilarityModel& model,
   const StateMatrix<D> covariance = ToleratedCovariance<D>(
       closure, DifferenceCovariance<D>(graph, model.correlation, loop.query,
                                        loop.matched));
-  information_ = Eigen::LDLT<StateMatrix<D>>(covariance)
-                     .solve(StateMatrix<D>::Identity());
+  information_ =
+      Eigen::LDLT<StateMatrix<D>>(covariance).solve(StateMatrix<D>::Identity());
   loop_difference_ = ToVector<D>(PassDifference(
       closure, graph.node(loop.query).pose, graph.node(loop.matched).pose));
 }

@@ -1,8 +1,8 @@
 // What a confirmed loop closure tells of the drift at other pairs of nodes.
 //
 // The closure (c, m) says that the true poses of c and m are one place, so that
-// their estimated difference y is the error e_c - e_m, but for a tolerance R_c. The
-// error of another pair, e_q - e_j, hangs together with it:
+// their estimated difference y is the error e_c - e_m, but for a tolerance R_c.
+// The error of another pair, e_q - e_j, hangs together with it:
 //
 //   X = Cov(e_q - e_j, e_c - e_m) = S_qc - S_qm - S_jc + S_jm,
 //
@@ -17,8 +17,8 @@
 
 namespace revisit::core {
 
-// R_c: a verifier confirms that two poses are one place, which is some 10 m wide
-// (two standard deviations), and not how they lie to each other.
+// R_c: a verifier confirms that two poses are one place, which is some 10 m
+// wide (two standard deviations), and not how they lie to each other.
 inline constexpr PlaceTolerance kConfirmedTolerance{5.0, 0.15};
 
 struct ConfirmedLoop {

@@ -40,8 +40,7 @@ void Column(const PoseGraph& graph, const SimilarityModel& model,
       [&](NodeIndex i, const StateMatrix<D>& gamma) {
         out[i] = LogSimilarity<D>(
             model.form, ToleratedCovariance<D>(model, gamma),
-            ToVector<D>(
-                PassDifference(model, query_pose, graph.node(i).pose)));
+            ToVector<D>(PassDifference(model, query_pose, graph.node(i).pose)));
       });
 }
 

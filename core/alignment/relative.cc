@@ -112,7 +112,7 @@ class RelativeAligner {
     typename ShapeFilter<D>::Drift drift;
     double log_likelihood_ratio = 0.0;
     double squared_innovations = 0.0;
-      // anchor + w log_likelihood_ratio: by which paths to one node compete.
+    // anchor + w log_likelihood_ratio: by which paths to one node compete.
     double total = 0.0;
   };
 
@@ -201,8 +201,7 @@ class RelativeAligner {
     const double density =
         2.0 / (kPi * model_.road_spacing_meters * model_.spacing_meters) /
         (D == 4 ? kRoadHeightRange : 1.0);
-    const double constant =
-        -0.5 * D * std::log(2.0 * kPi) - std::log(density);
+    const double constant = -0.5 * D * std::log(2.0 * kPi) - std::log(density);
     std::vector<double>& scores = result_.scores_[way];
     VisitAnchors(way, [&](NodeIndex j, const StateVector<D>& difference,
                           const StateMatrix<D>& covariance) {
@@ -266,9 +265,8 @@ class RelativeAligner {
     const auto evidence = filter_.Advance(t, SeenFrom(frame, to, way), &drift);
     // Written so that NaN fails too.
     if (!(evidence.squared_innovation <= kSquaredInnovationLimit)) return;
-    const double gain =
-        evidence.log_likelihood_ratio -
-        (move == kStay || move == kSkip ? kSlipCost : 0.0);
+    const double gain = evidence.log_likelihood_ratio -
+                        (move == kStay || move == kSkip ? kSlipCost : 0.0);
     const double total = survivor.total + weight_ * gain;
     std::int32_t& slot = next_slot_[way][Position(to)];
     if (slot == kNoSlot) {
@@ -349,8 +347,7 @@ std::vector<std::pair<std::int64_t, NodeIndex>> RelativeAlignment::Path(
         node -= 2 * Stride(way);
         break;
       case kOverLoop: {
-        const auto& [near, direction_before] =
-            over_loops_[way].at(position);
+        const auto& [near, direction_before] = over_loops_[way].at(position);
         node = near;
         way = Position(direction_before);
         break;

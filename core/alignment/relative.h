@@ -1,37 +1,46 @@
 // Aligns the recent path with the history so that drift counts once.
 //
 // From the two ends both paths are walked back together, and what counts is how
-// far their shapes stray from each other and how rare they are (shape_filter.h).
-// The difference of the two ends, as the whole of the path tells it, is weighed
-// once by its own covariance (the anchor). For history node j,
+// far their shapes stray from each other and how rare they are
+// (shape_filter.h). The difference of the two ends, as the whole of the path
+// tells it, is weighed once by its own covariance (the anchor). For history
+// node j,
 //
 //   score(j) = ln N(d_j + a; 0, Gamma_j + R - A) + w LLR(q) - ln rho,
 ////
 // the log-odds of "the end is at node j" against "at no node of the history".
-// - q is the path of history back from j with the greatest LLR, of any length up
-//   to the recent path's: the vehicle may have joined the old road only just now.
-//   A path ends where the next innovation lies beyond kSquaredInnovationLimit.
-// - LLR is the accumulated log-likelihood ratio of the shape, less a cost for each
+// - q is the path of history back from j with the greatest LLR, of any length
+// up
+//   to the recent path's: the vehicle may have joined the old road only just
+//   now. A path ends where the next innovation lies beyond
+//   kSquaredInnovationLimit.
+// - LLR is the accumulated log-likelihood ratio of the shape, less a cost for
+// each
 //   slip; w discounts it for what neighbouring nodes share.
-// - a is how far the end poses stray by themselves, as the smoother has it after
-//   q, and A by how much that is more certain than R says. Both 0 where q is the
-//   end alone. This is the joint density of the whole window, factored: shape with
-//   nothing known of the drift, times the drift that the shape has shown.
-// - d_j and Gamma_j are those of the two nodes, given what the last confirmed loop
+// - a is how far the end poses stray by themselves, as the smoother has it
+// after
+//   q, and A by how much that is more certain than R says. Both 0 where q is
+//   the end alone. This is the joint density of the whole window, factored:
+//   shape with nothing known of the drift, times the drift that the shape has
+//   shown.
+// - d_j and Gamma_j are those of the two nodes, given what the last confirmed
+// loop
 //   closure has shown of the drift (known_drift.h).
-// - rho is the density of nodes on roads not driven, per m^2 and rad: roads at a
+// - rho is the density of nodes on roads not driven, per m^2 and rad: roads at
+// a
 //   mean distance B hold 2 / B metres of road a square metre, with nodes at
 //   spacing s, and each can be driven both ways:
 //     rho = (2 / B) (1 / s) 2 / (2 pi) = 2 / (pi B s).
 //   SPATIAL: spread evenly over kRoadHeightRange.
 //
-// Paths walk the graph: to the node before; over a confirmed loop closure, where
-// the two passes are taken for one place and the other pass is walked on; and,
-// where the odometers of the two passes disagree, staying at a node or skipping
-// one. This is Viterbi with survivors that each carry their drift: of the paths
-// that reach one history node at one step, walking one way, only the best is
-// walked on (by anchor with a = 0, plus w LLR). Opposite passes walk the history
-// forward in time with all headings turned by pi, and share the same trellis.
+// Paths walk the graph: to the node before; over a confirmed loop closure,
+// where the two passes are taken for one place and the other pass is walked on;
+// and, where the odometers of the two passes disagree, staying at a node or
+// skipping one. This is Viterbi with survivors that each carry their drift: of
+// the paths that reach one history node at one step, walking one way, only the
+// best is walked on (by anchor with a = 0, plus w LLR). Opposite passes walk
+// the history forward in time with all headings turned by pi, and share the
+// same trellis.
 #ifndef REVISIT_CORE_ALIGNMENT_RELATIVE_H_
 #define REVISIT_CORE_ALIGNMENT_RELATIVE_H_
 
@@ -58,8 +67,8 @@ inline constexpr double kRoadHeightRange = 20.0;
 inline constexpr double kSlipCost = 4.6;
 
 // Innovations beyond this squared Mahalanobis distance end the overlap of two
-// paths. On the same road chi-square with 3 degrees of freedom exceeds it once in
-// 900 steps.
+// paths. On the same road chi-square with 3 degrees of freedom exceeds it once
+// in 900 steps.
 inline constexpr double kSquaredInnovationLimit = 16.0;
 
 struct RelativeModel {
@@ -70,8 +79,8 @@ struct RelativeModel {
   double road_spacing_meters = 200.0;
   bool same_direction = true;
   bool opposite_direction = false;
-  // What is known of the drift. kDeadReckoning only; both nodes at or before the
-  // query.
+  // What is known of the drift. kDeadReckoning only; both nodes at or before
+  // the query.
   std::optional<ConfirmedLoop> last_confirmed;
 };
 
@@ -85,8 +94,8 @@ struct ShapeMatch {
   // Where it leads to, and which way it walks there.
   std::int32_t last = 0;
   Direction last_direction = Direction::kSame;
-  // (d + a)^T (Gamma + R - A)^-1 (d + a): the end's difference as the whole path
-  // tells it.
+  // (d + a)^T (Gamma + R - A)^-1 (d + a): the end's difference as the whole
+  // path tells it.
   double squared_end_difference = 0.0;
 };
 
@@ -122,8 +131,8 @@ class RelativeAlignment {
   // By way of walking, for step t at (t - 1) * size + node: how the best path
   // came there. Empty for a way never walked.
   std::array<std::vector<std::uint8_t>, 2> moves_;
-  // Where those that came over a loop closure came from, by way and the position
-  // above: the node, and the way it was walked.
+  // Where those that came over a loop closure came from, by way and the
+  // position above: the node, and the way it was walked.
   std::array<std::unordered_map<std::size_t, std::pair<NodeIndex, Direction>>,
              2>
       over_loops_;
@@ -133,12 +142,9 @@ class RelativeAlignment {
 // history_size). Time and memory O(steps * (history_size + loop edges)), less
 // where shapes differ early. Nothing if told to stop. REQUIRES: as for Align();
 // the recent path lies in one segment.
-std::optional<RelativeAlignment> AlignRelative(const PoseGraph& graph,
-                                               const RelativeModel& model,
-                                               NodeIndex query,
-                                               std::int64_t steps,
-                                               NodeIndex history_size,
-                                               const ShouldStop& should_stop);
+std::optional<RelativeAlignment> AlignRelative(
+    const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
+    std::int64_t steps, NodeIndex history_size, const ShouldStop& should_stop);
 
 }  // namespace revisit::core
 

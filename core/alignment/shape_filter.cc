@@ -29,9 +29,8 @@ std::vector<double> Turns(const PoseGraph& graph, NodeIndex query,
   const NodeIndex first = query - steps + 1;
   std::vector<double> turns;
   for (std::int64_t t = 0; t < steps; ++t) {
-    const NodeIndex start =
-        std::max(first, std::min(query, query - t + stretch_nodes / 2) -
-                            stretch_nodes);
+    const NodeIndex start = std::max(
+        first, std::min(query, query - t + stretch_nodes / 2) - stretch_nodes);
     const NodeIndex end = std::min(query, start + stretch_nodes);
     turns.push_back(
         Difference(graph.node(end).pose, graph.node(start).pose).heading);

@@ -1,30 +1,32 @@
 // How far the shape of a path may stray from the shape it is compared with, and
 // what it is worth that it does not.
 //
-// Two paths are walked back from their ends together, each seen from its own end
-// pose. Their mismatch e_t = p'_t - q'_t is zero at the end. On the same road it
-// drifts by what the odometry of both passes adds (a heading error swings what
-// lies further back), and each node strays by a tolerance of its own:
+// Two paths are walked back from their ends together, each seen from its own
+// end pose. Their mismatch e_t = p'_t - q'_t is zero at the end. On the same
+// road it drifts by what the odometry of both passes adds (a heading error
+// swings what lies further back), and each node strays by a tolerance of its
+// own:
 //
 //   drift_t = F_t drift_(t-1) + noise of two steps,  Cov(drift_0) = E_0
 //   e_t = drift_t + straying,                        Cov(straying) = T + 2 J
 //
 // F_t is the lever arm of p's step, T the tolerance, J the jitter of one node
-// (motion_statistics.h). drift_0 is how far the two end poses themselves stray: E_0
-// is R, the place tolerance, in heading; in position no more than T, since another
-// lane is the same offset all along. This is a Kalman filter whose covariances
-// depend on p only: gains are computed once a query and shared by all of the
-// history. With it runs its fixed-point smoother, which tells drift_0 from what
-// came after: so the ends are compared by the whole path and not by two poses.
+// (motion_statistics.h). drift_0 is how far the two end poses themselves stray:
+// E_0 is R, the place tolerance, in heading; in position no more than T, since
+// another lane is the same offset all along. This is a Kalman filter whose
+// covariances depend on p only: gains are computed once a query and shared by
+// all of the history. With it runs its fixed-point smoother, which tells
+// drift_0 from what came after: so the ends are compared by the whole path and
+// not by two poses.
 //
-// What a match is worth depends on how rare the shape is. Another road would turn
-// as p does by chance: about as often as the vehicle's own roads do. The
+// What a match is worth depends on how rare the shape is. Another road would
+// turn as p does by chance: about as often as the vehicle's own roads do. The
 // log-likelihood ratio of same road against another is, for each step,
 //
 //   -ln(share of own stretches that turn as p does around t) - 1/2 nu^T S^-1 nu
 //
-// with nu the innovation and S its covariance: a straight gains next to nothing, a
-// corner much, and a mismatch costs the same on both.
+// with nu the innovation and S its covariance: a straight gains next to
+// nothing, a corner much, and a mismatch costs the same on both.
 //
 // Neighbouring nodes stray together. Sums over steps are therefore weighed by
 // w = node spacing / correlation distance, and so is the information that the
@@ -48,16 +50,16 @@
 namespace revisit::core {
 
 struct ShapeModel {
-  // Standard deviations at each node, beside the drift: position [0.01, 1000] m,
-  // heading [0.001, 3] rad.
+  // Standard deviations at each node, beside the drift: position [0.01, 1000]
+  // m, heading [0.001, 3] rad.
   PlaceTolerance tolerance{1.0, 0.06};
   // Distance over which that straying is one and the same, [0.01, 1e6] m.
   double correlation_meters = 10.0;
 };
 
-// Least noise of odometry, whatever the covariances claim: those of an optimiser,
-// or constant ones, say nothing of a single step. Standard deviations per square
-// root of a metre.
+// Least noise of odometry, whatever the covariances claim: those of an
+// optimiser, or constant ones, say nothing of a single step. Standard
+// deviations per square root of a metre.
 inline constexpr double kLeastStepNoiseMeters = 0.02;
 inline constexpr double kLeastStepNoiseRadians = 0.0005;
 
@@ -81,8 +83,8 @@ class ShapeFilter {
   };
 
   // The path of `steps` nodes that ends at `query`, within one segment.
-  // `motion` is that of nodes up to the query; `inflation` multiplies its standard
-  // deviations.
+  // `motion` is that of nodes up to the query; `inflation` multiplies its
+  // standard deviations.
   ShapeFilter(const PoseGraph& graph, NodeIndex query, std::int64_t steps,
               const MotionStatistics<D>& motion, const ShapeModel& model,
               const PlaceTolerance& place_tolerance, double spacing_meters,

@@ -4,10 +4,10 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <array>
-#include <boost/math/distributions/chi_squared.hpp>
 #include <cmath>
 #include <cstddef>
 
+#include "core/candidates/chi_squared.h"
 #include "core/candidates/gate.h"
 #include "core/geometry/heading.h"
 #include "core/graph/correlation.h"
@@ -66,8 +66,9 @@ double LogPassProbability(const StateMatrix<D>& a, const StateMatrix<D>& b,
   const double sum_of_squares = (m * m).trace();
   const double scale = sum_of_squares / sum;
   const double degrees = sum * sum / sum_of_squares;
-  return std::log(boost::math::cdf(boost::math::chi_squared(degrees),
-                                   threshold / scale));
+  const double passes = ChiSquaredBelow(degrees, threshold / scale);
+  // Where nothing can be said, the gate is taken to cut nothing off.
+  return passes > 0.0 ? std::log(passes) : 0.0;
 }
 
 template <int D>
@@ -92,10 +93,9 @@ Consistency Estimate(const PoseGraph& graph, const ConsistencyOptions& options,
     const Pose& query = graph.node(loop.query).pose;
     const Pose& matched = graph.node(loop.matched).pose;
     // The gate has told the directions apart, and so do the headings.
-    model.direction =
-        std::abs(Difference(query, matched).heading) > 0.5 * kPi
-            ? Direction::kOpposite
-            : Direction::kSame;
+    model.direction = std::abs(Difference(query, matched).heading) > 0.5 * kPi
+                          ? Direction::kOpposite
+                          : Direction::kSame;
     const StateVector<D> d = ToVector<D>(PassDifference(model, query, matched));
     const auto claimed = Evaluate<D>(covariance(1.0), d);
     if (!claimed) continue;
@@ -105,8 +105,7 @@ Consistency Estimate(const PoseGraph& graph, const ConsistencyOptions& options,
     const StateMatrix<D> gated =
         covariance(options.applied ? result.inflation : 1.0);
     const auto in_force = Evaluate<D>(gated, d);
-    const bool cut_off =
-        in_force && in_force->squared_mahalanobis <= threshold;
+    const bool cut_off = in_force && in_force->squared_mahalanobis <= threshold;
     posterior.Update([&](double f) {
       const StateMatrix<D> spread = covariance(f);
       const auto terms = Evaluate<D>(spread, d);

@@ -1,19 +1,19 @@
-// Whether the claimed covariances are as large as the errors that confirmed loop
-// closures have shown.
+// Whether the claimed covariances are as large as the errors that confirmed
+// loop closures have shown.
 //
 // A confirmed pair is one place, so its difference d is drawn from
-// N(0, f^2 Gamma + R), f being what the claimed standard deviations would have to
-// be multiplied by. f is estimated from all confirmed pairs in the order in which
-// they came: the posterior mean of ln f on [0, ln max], with a normal prior of which
-// a factor of two is one standard deviation. Pairs that lie
-// within the gate were perhaps only looked at since they do: their likelihood is
-// that of a distribution cut off by the gate in force when they came,
+// N(0, f^2 Gamma + R), f being what the claimed standard deviations would have
+// to be multiplied by. f is estimated from all confirmed pairs in the order in
+// which they came: the posterior mean of ln f on [0, ln max], with a normal
+// prior of which a factor of two is one standard deviation. Pairs that lie
+// within the gate were perhaps only looked at since they do: their likelihood
+// is that of a distribution cut off by the gate in force when they came,
 //
 //   ln N(d; 0, f^2 Gamma + R) - ln P(gate passes | f).
 //
 // P is that of a weighted sum of chi-squares, by Satterthwaite's approximation
-// ("An approximate distribution of estimates of variance components", Biometrics
-// Bulletin 2 (1946)).
+// ("An approximate distribution of estimates of variance components",
+// Biometrics Bulletin 2 (1946)).
 #ifndef REVISIT_CORE_CANDIDATES_CONSISTENCY_H_
 #define REVISIT_CORE_CANDIDATES_CONSISTENCY_H_
 
@@ -38,9 +38,9 @@ struct Consistency {
   double inflation = 1.0;
 };
 
-// Standard deviation of the prior of ln f: ln 2. Estimators in the field are too
-// sure of themselves more often than not, and a search that starts out with what
-// is claimed never gets to see the loops that would show it.
+// Standard deviation of the prior of ln f: ln 2. Estimators in the field are
+// too sure of themselves more often than not, and a search that starts out with
+// what is claimed never gets to see the loops that would show it.
 inline constexpr double kInflationPrior = 0.693;
 
 struct ConsistencyOptions {

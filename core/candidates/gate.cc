@@ -1,34 +1,25 @@
 #include "core/candidates/gate.h"
 
-#include <boost/math/distributions/chi_squared.hpp>
 #include <cassert>
 #include <optional>
 
+#include "core/candidates/chi_squared.h"
+
 namespace revisit::core {
 namespace {
-
-// Extreme arguments give 0, 1 or infinity, never an exception.
-using QuietPolicy = boost::math::policies::policy<
-    boost::math::policies::domain_error<boost::math::policies::ignore_error>,
-    boost::math::policies::pole_error<boost::math::policies::ignore_error>,
-    boost::math::policies::overflow_error<boost::math::policies::ignore_error>,
-    boost::math::policies::evaluation_error<
-        boost::math::policies::ignore_error>>;
-using ChiSquared = boost::math::chi_squared_distribution<double, QuietPolicy>;
 
 template <int D>
 GatedDifference DecideAt(const PoseGraph& graph, const SimilarityModel& model,
                          const Gate& gate, NodeIndex query, NodeIndex matched) {
   GatedDifference result;
-  result.difference = PassDifference(model, graph.node(query).pose,
-                                     graph.node(matched).pose);
+  result.difference =
+      PassDifference(model, graph.node(query).pose, graph.node(matched).pose);
   const StateMatrix<D> gamma =
       DifferenceCovariance<D>(graph, model.correlation, query, matched);
   result.covariance =
       ToCovariance<D>((model.inflation * model.inflation) * gamma);
-  const std::optional<QuadraticForm> terms =
-      Evaluate<D>(ToleratedCovariance<D>(model, gamma),
-                  ToVector<D>(result.difference));
+  const std::optional<QuadraticForm> terms = Evaluate<D>(
+      ToleratedCovariance<D>(model, gamma), ToVector<D>(result.difference));
   result.gate =
       terms ? gate.Decide(terms->squared_mahalanobis) : gate.IllConditioned();
   return result;
@@ -39,8 +30,7 @@ GatedDifference DecideAt(const PoseGraph& graph, const SimilarityModel& model,
 Gate::Gate(StateSpace space, double probability)
     : degrees_of_freedom_(DegreesOfFreedom(space)), probability_(probability) {
   assert(probability > 0.0 && probability < 1.0);
-  threshold_ =
-      boost::math::quantile(ChiSquared(degrees_of_freedom_), probability);
+  threshold_ = ChiSquaredQuantile(degrees_of_freedom_, probability);
 }
 
 PathGateResult Gate::DecidePath(double squared_mahalanobis,
@@ -48,10 +38,8 @@ PathGateResult Gate::DecidePath(double squared_mahalanobis,
   PathGateResult result;
   result.squared_mahalanobis = squared_mahalanobis;
   result.degrees_of_freedom = degrees_of_freedom;
-  const ChiSquared distribution(degrees_of_freedom);
-  result.threshold = boost::math::quantile(distribution, probability_);
-  result.p_value = boost::math::cdf(
-      boost::math::complement(distribution, squared_mahalanobis));
+  result.threshold = ChiSquaredQuantile(degrees_of_freedom, probability_);
+  result.p_value = ChiSquaredAbove(degrees_of_freedom, squared_mahalanobis);
   result.verdict = squared_mahalanobis <= result.threshold
                        ? GateVerdict::kAccepted
                        : GateVerdict::kRejected;
@@ -63,8 +51,7 @@ GateResult Gate::Decide(double squared_mahalanobis) const {
   result.squared_mahalanobis = squared_mahalanobis;
   result.degrees_of_freedom = degrees_of_freedom_;
   result.threshold = threshold_;
-  result.p_value = boost::math::cdf(boost::math::complement(
-      ChiSquared(degrees_of_freedom_), squared_mahalanobis));
+  result.p_value = ChiSquaredAbove(degrees_of_freedom_, squared_mahalanobis);
   result.verdict = squared_mahalanobis <= threshold_ ? GateVerdict::kAccepted
                                                      : GateVerdict::kRejected;
   return result;

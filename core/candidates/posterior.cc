@@ -26,8 +26,7 @@ double Posterior::Place(Direction direction, NodeIndex j) const {
   const auto size = static_cast<NodeIndex>(odds.size());
   const double at = graph_.node(j).travelled_meters;
   const auto near = [&](NodeIndex i) {
-    return std::abs(graph_.node(i).travelled_meters - at) <=
-           kPlaceRadiusMeters;
+    return std::abs(graph_.node(i).travelled_meters - at) <= kPlaceRadiusMeters;
   };
   double sum = 0.0;
   for (NodeIndex i = j; i >= 0 && near(i); --i) {

@@ -59,14 +59,14 @@ StateMatrix<D> DifferenceCovariance(const PoseGraph& graph,
                                     CorrelationModel model, NodeIndex i,
                                     NodeIndex j);
 
-// S_ij, the cross-covariance of two nodes in any order. O(1), but O(|i - j|) for
-// kFilter.
+// S_ij, the cross-covariance of two nodes in any order. O(1), but O(|i - j|)
+// for kFilter.
 template <int D>
 StateMatrix<D> CrossCovariance(const PoseGraph& graph, CorrelationModel model,
                                NodeIndex i, NodeIndex j);
 
-// Calls visit(i, Gamma) for the query node and each node i in [0, count), in any
-// order. O(count) in every model. REQUIRES: count <= query.
+// Calls visit(i, Gamma) for the query node and each node i in [0, count), in
+// any order. O(count) in every model. REQUIRES: count <= query.
 template <int D, typename Visit>
 void VisitDifferenceCovariances(const PoseGraph& graph, CorrelationModel model,
                                 NodeIndex query, NodeIndex count,

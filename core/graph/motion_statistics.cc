@@ -93,9 +93,9 @@ std::vector<double> ShareOfStretches(const PoseGraph& graph, NodeIndex last,
   for (NodeIndex start = 0; start <= last;) {
     const NodeIndex end = std::min(graph.SegmentEnd(start), last + 1);
     for (NodeIndex i = start + stretch_nodes; i < end; ++i) {
-      ++counts[bin(Difference(graph.node(i).pose,
-                              graph.node(i - stretch_nodes).pose)
-                       .heading)];
+      ++counts[bin(
+          Difference(graph.node(i).pose, graph.node(i - stretch_nodes).pose)
+              .heading)];
       ++stretches;
     }
     start = end;
@@ -104,9 +104,8 @@ std::vector<double> ShareOfStretches(const PoseGraph& graph, NodeIndex last,
   std::partial_sum(counts.begin(), counts.end(), counts.begin());
   std::vector<double> shares;
   for (const double turn : turns) {
-    const std::int64_t within =
-        counts[bin(turn + tolerance_radians) - 1] -
-        counts[bin(turn - tolerance_radians) - 1];
+    const std::int64_t within = counts[bin(turn + tolerance_radians) - 1] -
+                                counts[bin(turn - tolerance_radians) - 1];
     shares.push_back((1.0 + static_cast<double>(within)) /
                      (1.0 + static_cast<double>(stretches)));
   }

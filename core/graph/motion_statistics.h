@@ -1,5 +1,5 @@
-// What a vehicle's own nodes say of its estimator and of its roads: the noise of
-// one step between consecutive nodes, and how much the roads bend.
+// What a vehicle's own nodes say of its estimator and of its roads: the noise
+// of one step between consecutive nodes, and how much the roads bend.
 #ifndef REVISIT_CORE_GRAPH_MOTION_STATISTICS_H_
 #define REVISIT_CORE_GRAPH_MOTION_STATISTICS_H_
 
@@ -25,8 +25,8 @@ struct MotionStatistics {
   //
   // Zero for kIndependent, whose errors do not grow but start anew.
   StateMatrix<D> drift = StateMatrix<D>::Zero();
-  // Covariance of the error that each node has for itself: S_i for kIndependent,
-  // else zero.
+  // Covariance of the error that each node has for itself: S_i for
+  // kIndependent, else zero.
   StateMatrix<D> jitter = StateMatrix<D>::Zero();
 };
 
@@ -37,10 +37,10 @@ template <int D>
 MotionStatistics<D> MeasureMotion(const PoseGraph& graph,
                                   CorrelationModel model, NodeIndex last);
 
-// How common turns are among the vehicle's own: for each of the turns given (rad),
-// the share of all stretches of `stretch_nodes` steps within nodes [0, last] that
-// turn by as much to within `tolerance_radians`, with one more that does, so that
-// it is never 0. O(last log(turns)).
+// How common turns are among the vehicle's own: for each of the turns given
+// (rad), the share of all stretches of `stretch_nodes` steps within nodes [0,
+// last] that turn by as much to within `tolerance_radians`, with one more that
+// does, so that it is never 0. O(last log(turns)).
 std::vector<double> ShareOfStretches(const PoseGraph& graph, NodeIndex last,
                                      NodeIndex stretch_nodes,
                                      const std::vector<double>& turns,
