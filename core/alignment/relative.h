@@ -7,28 +7,23 @@
 // node j,
 //
 //   score(j) = ln N(d_j + a; 0, Gamma_j + R - A) + w LLR(q) - ln rho,
-////
+//
 // the log-odds of "the end is at node j" against "at no node of the history".
 // - q is the path of history back from j with the greatest LLR, of any length
-// up
-//   to the recent path's: the vehicle may have joined the old road only just
+//   up to the recent path's: the vehicle may have joined the old road only just
 //   now. A path ends where the next innovation lies beyond
 //   kSquaredInnovationLimit.
 // - LLR is the accumulated log-likelihood ratio of the shape, less a cost for
-// each
-//   slip; w discounts it for what neighbouring nodes share.
+//   each slip; w discounts it for what neighbouring nodes share.
 // - a is how far the end poses stray by themselves, as the smoother has it
-// after
-//   q, and A by how much that is more certain than R says. Both 0 where q is
-//   the end alone. This is the joint density of the whole window, factored:
+//   after q, and A by how much that is more certain than R says. Both 0 where q
+//   is the end alone. This is the joint density of the whole window, factored:
 //   shape with nothing known of the drift, times the drift that the shape has
 //   shown.
 // - d_j and Gamma_j are those of the two nodes, given what the last confirmed
-// loop
-//   closure has shown of the drift (known_drift.h).
+//   loop closure has shown of the drift (known_drift.h).
 // - rho is the density of nodes on roads not driven, per m^2 and rad: roads at
-// a
-//   mean distance B hold 2 / B metres of road a square metre, with nodes at
+//   a mean distance B hold 2 / B metres of road a square metre, with nodes at
 //   spacing s, and each can be driven both ways:
 //     rho = (2 / B) (1 / s) 2 / (2 pi) = 2 / (pi B s).
 //   SPATIAL: spread evenly over kRoadHeightRange.
