@@ -23,6 +23,25 @@ ResamplerOptions MakeResamplerOptions(const EngineSettings& settings) {
   return options;
 }
 
+// Without inflation.
+SimilarityModel ClaimedModel(StateSpace space, const SearchOptions& options) {
+  SimilarityModel model;
+  model.state_space = space;
+  model.correlation = options.correlation_model;
+  model.form = options.likelihood_form;
+  model.tolerance = options.place_tolerance;
+  return model;
+}
+
+ConsistencyOptions MakeConsistencyOptions(const EngineSettings& settings) {
+  ConsistencyOptions options;
+  options.similarity = ClaimedModel(settings.state_space, settings.search);
+  options.gate_probability = settings.search.gate_probability;
+  options.applied = settings.apply_inflation;
+  options.max_inflation = settings.max_inflation;
+  return options;
+}
+
 // A node this fraction of a check interval before a multiple of it counts as
 // there: multiples of spacing and interval are rounded differently.
 constexpr double kCheckTolerance = 1e-9;
@@ -103,9 +122,10 @@ void KeepBest(int count, std::vector<Candidate>* candidates) {
 }  // namespace
 
 Engine::Engine(const EngineSettings& settings)
-    : settings_(settings), resampler_(MakeResamplerOptions(settings)) {
+    : settings_(settings),
+      resampler_(MakeResamplerOptions(settings)),
+      monitor_(MakeConsistencyOptions(settings)) {
   assert(FindProblems(settings).empty());
-  UpdateConsistency();
   ScheduleNextCheck();
 }
 
@@ -159,7 +179,7 @@ void Engine::ChangeSettings(const EngineSettings& settings,
          settings.max_step_meters == settings_.max_step_meters);
   settings_ = settings;
   revision_ = revision;
-  UpdateConsistency();
+  RebuildMonitor();
   ScheduleNextCheck();
 }
 
@@ -179,9 +199,9 @@ void Engine::AddLoopClosure(std::uint64_t query_sequence,
   if (const auto edge = LoopEdge(query_sequence, matched_sequence)) {
     graph_.AddLoopEdge(edge->first, edge->second);
     confirmed_.push_back({edge->first, edge->second});
+    monitor_.Confirm(graph_, confirmed_.back());
   }
   revision_ = revision;
-  UpdateConsistency();
 }
 
 void Engine::RemoveLoopClosure(std::uint64_t query_sequence,
@@ -195,9 +215,9 @@ void Engine::RemoveLoopClosure(std::uint64_t query_sequence,
           return loop.query == edge->first && loop.matched == edge->second;
         });
     if (found != confirmed_.end()) confirmed_.erase(found);
+    RebuildMonitor();
   }
   revision_ = revision;
-  UpdateConsistency();
 }
 
 void Engine::AddRejection(std::uint64_t query_sequence,
@@ -208,7 +228,6 @@ void Engine::AddRejection(std::uint64_t query_sequence,
     rejected_.push_back(*pair);
   }
   revision_ = revision;
-  UpdateConsistency();
 }
 
 void Engine::RemoveRejection(std::uint64_t query_sequence,
@@ -220,17 +239,17 @@ void Engine::RemoveRejection(std::uint64_t query_sequence,
     if (found != rejected_.end()) rejected_.erase(found);
   }
   revision_ = revision;
-  UpdateConsistency();
 }
 
-void Engine::UpdateConsistency() {
-  ConsistencyOptions options;
-  options.similarity = MakeSimilarityModel(settings_.search);
-  options.gate_probability = settings_.search.gate_probability;
-  options.applied = settings_.apply_inflation;
-  options.max_inflation = settings_.max_inflation;
-  consistency_ = EstimateConsistency(graph_, options, confirmed_);
-  consistency_.rejected = static_cast<std::int64_t>(rejected_.size());
+Consistency Engine::consistency() const {
+  Consistency consistency = monitor_.consistency();
+  consistency.rejected = static_cast<std::int64_t>(rejected_.size());
+  return consistency;
+}
+
+void Engine::RebuildMonitor() {
+  monitor_ = ConsistencyMonitor(MakeConsistencyOptions(settings_));
+  for (const ConfirmedLoop& loop : confirmed_) monitor_.Confirm(graph_, loop);
 }
 
 absl::StatusOr<CandidateSet> Engine::FindCandidates(
@@ -295,12 +314,10 @@ std::optional<ConfirmedLoop> Engine::LastConfirmed(NodeIndex query) const {
 
 SimilarityModel Engine::MakeSimilarityModel(
     const SearchOptions& options) const {
-  SimilarityModel model;
-  model.state_space = settings_.state_space;
-  model.correlation = options.correlation_model;
-  model.form = options.likelihood_form;
-  model.tolerance = options.place_tolerance;
-  if (settings_.apply_inflation) model.inflation = consistency_.inflation;
+  SimilarityModel model = ClaimedModel(settings_.state_space, options);
+  if (settings_.apply_inflation) {
+    model.inflation = monitor_.consistency().inflation;
+  }
   return model;
 }
 

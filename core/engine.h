@@ -142,7 +142,7 @@ class Engine {
 
   // As of the last change. Replaying the same loop closures in another order
   // may give another inflation.
-  const Consistency& consistency() const { return consistency_; }
+  Consistency consistency() const;
 
   // Candidates at a node, with the nodes before its sequence as history. The
   // answer depends on the graph up to the query only, but for loop closures,
@@ -161,7 +161,8 @@ class Engine {
   std::optional<std::pair<NodeIndex, NodeIndex>> LoopEdge(
       std::uint64_t query_sequence, std::uint64_t matched_sequence) const;
   void ScheduleNextCheck();
-  void UpdateConsistency();
+  // Learns all confirmed loops anew.
+  void RebuildMonitor();
   // The last one whose nodes both lie at or before the query.
   std::optional<ConfirmedLoop> LastConfirmed(NodeIndex query) const;
   SimilarityModel MakeSimilarityModel(const SearchOptions& options) const;
@@ -189,7 +190,7 @@ class Engine {
   // Nodes of verified pairs, in the order they came.
   std::vector<ConfirmedLoop> confirmed_;
   std::vector<std::pair<NodeIndex, NodeIndex>> rejected_;
-  Consistency consistency_;
+  ConsistencyMonitor monitor_;
   // Number of the next check: it is due at this many check intervals.
   std::int64_t next_check_ = 0;
 };

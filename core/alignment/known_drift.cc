@@ -8,17 +8,13 @@
 #include "core/graph/correlation.h"
 
 namespace revisit::core {
-namespace {
 
-// The direction in which a loop was closed, told by the headings.
 Direction DirectionOf(const PoseGraph& graph, const ConfirmedLoop& loop) {
   const double turn =
       Difference(graph.node(loop.query).pose, graph.node(loop.matched).pose)
           .heading;
   return std::abs(turn) > 0.5 * kPi ? Direction::kOpposite : Direction::kSame;
 }
-
-}  // namespace
 
 template <int D>
 KnownDrift<D>::KnownDrift(const PoseGraph& graph, const SimilarityModel& model,

@@ -26,6 +26,9 @@ struct ConfirmedLoop {
   NodeIndex matched = 0;
 };
 
+// The direction in which a loop was closed, told by the headings.
+Direction DirectionOf(const PoseGraph& graph, const ConfirmedLoop& loop);
+
 // Of one query node.
 template <int D>
 class KnownDrift {

@@ -3,7 +3,6 @@
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstddef>
 
@@ -18,43 +17,10 @@ namespace {
 // Values of ln f, evenly from 0 to ln max.
 constexpr std::size_t kGridSize = 61;
 
-class InflationPosterior {
- public:
-  explicit InflationPosterior(double max_inflation) {
-    for (std::size_t i = 0; i < kGridSize; ++i) {
-      log_f_[i] = std::log(max_inflation) * static_cast<double>(i) /
-                  static_cast<double>(kGridSize - 1);
-      const double deviations = log_f_[i] / kInflationPrior;
-      log_density_[i] = -0.5 * deviations * deviations;
-    }
-  }
-
-  // `likelihood` gives the log of it for f.
-  template <typename Likelihood>
-  void Update(const Likelihood& likelihood) {
-    for (std::size_t i = 0; i < kGridSize; ++i) {
-      log_density_[i] += likelihood(std::exp(log_f_[i]));
-    }
-  }
-
-  // exp of the mean of ln f.
-  double Mean() const {
-    const double greatest =
-        *std::max_element(log_density_.begin(), log_density_.end());
-    double sum = 0.0;
-    double weighted = 0.0;
-    for (std::size_t i = 0; i < kGridSize; ++i) {
-      const double density = std::exp(log_density_[i] - greatest);
-      sum += density;
-      weighted += density * log_f_[i];
-    }
-    return std::exp(weighted / sum);
-  }
-
- private:
-  std::array<double, kGridSize> log_f_;
-  std::array<double, kGridSize> log_density_;
-};
+double LogFactor(std::size_t i, double max_inflation) {
+  return std::log(max_inflation) * static_cast<double>(i) /
+         static_cast<double>(kGridSize - 1);
+}
 
 // ln P(d^T b^-1 d <= threshold) for d ~ N(0, a).
 template <int D>
@@ -71,69 +37,82 @@ double LogPassProbability(const StateMatrix<D>& a, const StateMatrix<D>& b,
   return passes > 0.0 ? std::log(passes) : 0.0;
 }
 
-template <int D>
-Consistency Estimate(const PoseGraph& graph, const ConsistencyOptions& options,
-                     const std::vector<ConfirmedLoop>& confirmed) {
-  const double threshold =
-      Gate(options.similarity.state_space, options.gate_probability)
-          .threshold();
-  Consistency result;
-  result.degrees_of_freedom = D;
-  InflationPosterior posterior(options.max_inflation);
-  result.inflation = posterior.Mean();
-  double sum_of_squares = 0.0;
-  for (const ConfirmedLoop& loop : confirmed) {
-    const StateMatrix<D> gamma = DifferenceCovariance<D>(
-        graph, options.similarity.correlation, loop.query, loop.matched);
-    SimilarityModel model = options.similarity;
-    const auto covariance = [&](double f) {
-      model.inflation = f;
-      return ToleratedCovariance<D>(model, gamma);
-    };
-    const Pose& query = graph.node(loop.query).pose;
-    const Pose& matched = graph.node(loop.matched).pose;
-    // The gate has told the directions apart, and so do the headings.
-    model.direction = std::abs(Difference(query, matched).heading) > 0.5 * kPi
-                          ? Direction::kOpposite
-                          : Direction::kSame;
-    const StateVector<D> d = ToVector<D>(PassDifference(model, query, matched));
-    const auto claimed = Evaluate<D>(covariance(1.0), d);
-    if (!claimed) continue;
-    ++result.confirmed;
-    sum_of_squares += claimed->squared_mahalanobis;
-
-    const StateMatrix<D> gated =
-        covariance(options.applied ? result.inflation : 1.0);
-    const auto in_force = Evaluate<D>(gated, d);
-    const bool cut_off = in_force && in_force->squared_mahalanobis <= threshold;
-    posterior.Update([&](double f) {
-      const StateMatrix<D> spread = covariance(f);
-      const auto terms = Evaluate<D>(spread, d);
-      if (!terms) return 0.0;
-      double likelihood =
-          -0.5 * (terms->squared_mahalanobis + terms->log_determinant);
-      if (cut_off) {
-        likelihood -= LogPassProbability<D>(spread, gated, threshold);
-      }
-      return likelihood;
-    });
-    result.inflation = posterior.Mean();
-  }
-  if (result.confirmed > 0) {
-    result.mean_normalized_innovation_squared =
-        sum_of_squares / static_cast<double>(result.confirmed);
-  }
-  return result;
-}
-
 }  // namespace
 
-Consistency EstimateConsistency(const PoseGraph& graph,
-                                const ConsistencyOptions& options,
-                                const std::vector<ConfirmedLoop>& confirmed) {
-  return options.similarity.state_space == StateSpace::kPlanar
-             ? Estimate<3>(graph, options, confirmed)
-             : Estimate<4>(graph, options, confirmed);
+ConsistencyMonitor::ConsistencyMonitor(const ConsistencyOptions& options)
+    : options_(options),
+      threshold_(Gate(options.similarity.state_space, options.gate_probability)
+                     .threshold()) {
+  consistency_.degrees_of_freedom =
+      DegreesOfFreedom(options.similarity.state_space);
+  for (std::size_t i = 0; i < kGridSize; ++i) {
+    const double deviations =
+        LogFactor(i, options.max_inflation) / kInflationPrior;
+    log_density_.push_back(-0.5 * deviations * deviations);
+  }
+  UpdateInflation();
+}
+
+void ConsistencyMonitor::Confirm(const PoseGraph& graph,
+                                 const ConfirmedLoop& loop) {
+  if (options_.similarity.state_space == StateSpace::kPlanar) {
+    Confirm<3>(graph, loop);
+  } else {
+    Confirm<4>(graph, loop);
+  }
+}
+
+template <int D>
+void ConsistencyMonitor::Confirm(const PoseGraph& graph,
+                                 const ConfirmedLoop& loop) {
+  const StateMatrix<D> gamma = DifferenceCovariance<D>(
+      graph, options_.similarity.correlation, loop.query, loop.matched);
+  SimilarityModel model = options_.similarity;
+  const auto covariance = [&](double f) {
+    model.inflation = f;
+    return ToleratedCovariance<D>(model, gamma);
+  };
+  const Pose& query = graph.node(loop.query).pose;
+  const Pose& matched = graph.node(loop.matched).pose;
+  model.direction = DirectionOf(graph, loop);
+  const StateVector<D> d = ToVector<D>(PassDifference(model, query, matched));
+  const std::optional<QuadraticForm> claimed = Evaluate<D>(covariance(1.0), d);
+  if (!claimed) return;
+  ++consistency_.confirmed;
+  sum_of_squares_ += claimed->squared_mahalanobis;
+  consistency_.mean_normalized_innovation_squared =
+      sum_of_squares_ / static_cast<double>(consistency_.confirmed);
+
+  const StateMatrix<D> gated =
+      covariance(options_.applied ? consistency_.inflation : 1.0);
+  const std::optional<QuadraticForm> in_force = Evaluate<D>(gated, d);
+  const bool cut_off = in_force && in_force->squared_mahalanobis <= threshold_;
+  for (std::size_t i = 0; i < kGridSize; ++i) {
+    const StateMatrix<D> spread =
+        covariance(std::exp(LogFactor(i, options_.max_inflation)));
+    const std::optional<QuadraticForm> terms = Evaluate<D>(spread, d);
+    if (!terms) continue;
+    log_density_[i] -=
+        0.5 * (terms->squared_mahalanobis + terms->log_determinant);
+    if (cut_off) {
+      log_density_[i] -= LogPassProbability<D>(spread, gated, threshold_);
+    }
+  }
+  UpdateInflation();
+}
+
+// exp of the mean of ln f.
+void ConsistencyMonitor::UpdateInflation() {
+  const double greatest =
+      *std::max_element(log_density_.begin(), log_density_.end());
+  double sum = 0.0;
+  double weighted = 0.0;
+  for (std::size_t i = 0; i < kGridSize; ++i) {
+    const double density = std::exp(log_density_[i] - greatest);
+    sum += density;
+    weighted += density * LogFactor(i, options_.max_inflation);
+  }
+  consistency_.inflation = std::exp(weighted / sum);
 }
 
 }  // namespace revisit::core

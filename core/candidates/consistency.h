@@ -52,10 +52,30 @@ struct ConsistencyOptions {
   double max_inflation = 10.0;
 };
 
-// All but `rejected`. O(confirmed), but with FILTER for each what lies between.
-Consistency EstimateConsistency(const PoseGraph& graph,
-                                const ConsistencyOptions& options,
-                                const std::vector<ConfirmedLoop>& confirmed);
+// Learns from one confirmed pair after the other.
+class ConsistencyMonitor {
+ public:
+  explicit ConsistencyMonitor(const ConsistencyOptions& options);
+
+  // O(1), but O(nodes between the two) for kFilter.
+  void Confirm(const PoseGraph& graph, const ConfirmedLoop& loop);
+
+  // All but `rejected`.
+  const Consistency& consistency() const { return consistency_; }
+
+ private:
+  template <int D>
+  void Confirm(const PoseGraph& graph, const ConfirmedLoop& loop);
+  void UpdateInflation();
+
+  ConsistencyOptions options_;
+  // Of the gate.
+  double threshold_;
+  // ln of the posterior density of ln f, less a constant, at even steps.
+  std::vector<double> log_density_;
+  double sum_of_squares_ = 0.0;
+  Consistency consistency_;
+};
 
 }  // namespace revisit::core
 

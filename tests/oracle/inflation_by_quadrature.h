@@ -1,0 +1,104 @@
+// The posterior of consistency.h, with the probability that a pair passes the
+// gate found by integration over all pairs.
+#ifndef REVISIT_TESTS_ORACLE_INFLATION_BY_QUADRATURE_H_
+#define REVISIT_TESTS_ORACLE_INFLATION_BY_QUADRATURE_H_
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <boost/math/distributions/chi_squared.hpp>
+#include <cmath>
+#include <vector>
+
+#include "core/candidates/consistency.h"
+#include "core/graph/pose_graph.h"
+#include "tests/oracle/wide_state.h"
+
+namespace revisit::oracle {
+
+// P(sum over i >= first of weights(i) z_i^2 <= limit), z standard normal. One
+// coordinate is integrated out at a time: z = sqrt(limit / weight) sin(angle)
+// leaves limit cos^2(angle) for the others.
+inline double WeightedSquaresBelow(const std::vector<double>& weights,
+                                   std::size_t first, double limit) {
+  const double radius = std::sqrt(limit / weights[first]);
+  if (first + 1 == weights.size()) return std::erf(radius / std::sqrt(2.0));
+  // A factor of the integrand is no wider than 10 standard deviations.
+  const double widest = std::asin(std::min(1.0, 10.0 / radius));
+  const int cells = 24;
+  double sum = 0.0;
+  for (int k = 0; k < cells; ++k) {
+    const double angle = widest * (k + 0.5) / cells;
+    const double z = radius * std::sin(angle);
+    const double rest = std::cos(angle);
+    sum += std::exp(-0.5 * z * z) * radius * rest *
+           WeightedSquaresBelow(weights, first + 1, limit * rest * rest);
+  }
+  // Both signs of z.
+  return 2.0 * sum * widest / cells / std::sqrt(2.0 * 3.14159265358979);
+}
+
+// With the gate that the claimed covariances make: the inflation not applied.
+// Pairs of the same direction only.
+inline double InflationByQuadrature(
+    const core::PoseGraph& graph, const core::ConsistencyOptions& options,
+    const std::vector<core::ConfirmedLoop>& confirmed) {
+  const int d =
+      options.similarity.state_space == core::StateSpace::kPlanar ? 3 : 4;
+  const double threshold = boost::math::quantile(boost::math::chi_squared(d),
+                                                 options.gate_probability);
+  const WideMatrix tolerance =
+      WideDiagonal(options.similarity.tolerance.position_meters,
+                   options.similarity.tolerance.heading_radians, d);
+  const int values = 101;
+  std::vector<Wide> log_f;
+  std::vector<Wide> log_density;
+  for (int v = 0; v < values; ++v) {
+    log_f.push_back(std::log(static_cast<Wide>(options.max_inflation)) * v /
+                    (values - 1));
+    const Wide deviations = log_f.back() / core::kInflationPrior;
+    log_density.push_back(-0.5L * deviations * deviations);
+  }
+  for (const core::ConfirmedLoop& loop : confirmed) {
+    const WideMatrix gamma = WideGamma(graph, options.similarity.correlation,
+                                       loop.query, loop.matched, d);
+    const Eigen::LLT<WideMatrix> gate(WideMatrix(gamma + tolerance));
+    WideVector difference = WideStateOf(graph.node(loop.query).pose, d) -
+                            WideStateOf(graph.node(loop.matched).pose, d);
+    difference(d - 1) = NearestTo(0.0L, difference(d - 1));
+    const bool passed = difference.dot(gate.solve(difference)) <= threshold;
+    for (int v = 0; v < values; ++v) {
+      const auto at = static_cast<std::size_t>(v);
+      const WideMatrix spread = std::exp(2.0L * log_f[at]) * gamma + tolerance;
+      const auto form = EvaluateWide(spread, difference);
+      log_density[at] -= 0.5L * (form->squared + form->log_determinant);
+      if (!passed) continue;
+      // In the axes in which the gate is a ball.
+      const WideMatrix half = gate.matrixL().solve(spread);
+      const WideMatrix seen =
+          gate.matrixL().solve(WideMatrix(half.transpose()));
+      const WideVector eigenvalues =
+          Eigen::SelfAdjointEigenSolver<WideMatrix>(seen).eigenvalues();
+      const WideVector::ConstReverseReturnType descending =
+          eigenvalues.reverse();
+      std::vector<double> weights;
+      for (int i = 0; i < d; ++i) {
+        weights.push_back(static_cast<double>(descending(i)));
+      }
+      log_density[at] -= std::log(WeightedSquaresBelow(weights, 0, threshold));
+    }
+  }
+  const Wide greatest =
+      *std::max_element(log_density.begin(), log_density.end());
+  Wide sum = 0.0L;
+  Wide weighted = 0.0L;
+  for (std::size_t v = 0; v < log_f.size(); ++v) {
+    const Wide density = std::exp(log_density[v] - greatest);
+    sum += density;
+    weighted += density * log_f[v];
+  }
+  return static_cast<double>(std::exp(weighted / sum));
+}
+
+}  // namespace revisit::oracle
+
+#endif  // REVISIT_TESTS_ORACLE_INFLATION_BY_QUADRATURE_H_
