@@ -177,9 +177,11 @@ void Engine::ChangeSettings(const EngineSettings& settings,
   assert(settings.state_space == settings_.state_space &&
          settings.node_spacing_meters == settings_.node_spacing_meters &&
          settings.max_step_meters == settings_.max_step_meters);
+  const bool monitored_alike =
+      MakeConsistencyOptions(settings) == MakeConsistencyOptions(settings_);
   settings_ = settings;
   revision_ = revision;
-  RebuildMonitor();
+  if (!monitored_alike) RebuildMonitor();
   ScheduleNextCheck();
 }
 
@@ -198,24 +200,26 @@ void Engine::AddLoopClosure(std::uint64_t query_sequence,
   assert(revision > revision_);
   if (const auto edge = LoopEdge(query_sequence, matched_sequence)) {
     graph_.AddLoopEdge(edge->first, edge->second);
-    confirmed_.push_back({edge->first, edge->second});
-    monitor_.Confirm(graph_, confirmed_.back());
+    confirmed_.push_back(
+        {query_sequence, matched_sequence, {edge->first, edge->second}});
+    monitor_.Confirm(graph_, confirmed_.back().loop);
   }
   revision_ = revision;
 }
 
 void Engine::RemoveLoopClosure(std::uint64_t query_sequence,
                                std::uint64_t matched_sequence,
-                               std::uint64_t revision) {
+                               std::uint64_t revision, std::size_t occurrence) {
   assert(revision > revision_);
-  if (const auto edge = LoopEdge(query_sequence, matched_sequence)) {
-    graph_.RemoveLoopEdge(edge->first, edge->second);
-    const auto found = std::find_if(
-        confirmed_.begin(), confirmed_.end(), [&](const ConfirmedLoop& loop) {
-          return loop.query == edge->first && loop.matched == edge->second;
-        });
-    if (found != confirmed_.end()) confirmed_.erase(found);
+  for (auto it = confirmed_.begin(); it != confirmed_.end(); ++it) {
+    if (it->query_sequence != query_sequence ||
+        it->matched_sequence != matched_sequence || occurrence-- > 0) {
+      continue;
+    }
+    graph_.RemoveLoopEdge(it->loop.query, it->loop.matched);
+    confirmed_.erase(it);
     RebuildMonitor();
+    break;
   }
   revision_ = revision;
 }
@@ -249,7 +253,9 @@ Consistency Engine::consistency() const {
 
 void Engine::RebuildMonitor() {
   monitor_ = ConsistencyMonitor(MakeConsistencyOptions(settings_));
-  for (const ConfirmedLoop& loop : confirmed_) monitor_.Confirm(graph_, loop);
+  for (const Confirmed& confirmed : confirmed_) {
+    monitor_.Confirm(graph_, confirmed.loop);
+  }
 }
 
 absl::StatusOr<CandidateSet> Engine::FindCandidates(
@@ -304,7 +310,7 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
 
 std::optional<ConfirmedLoop> Engine::LastConfirmed(NodeIndex query) const {
   std::optional<ConfirmedLoop> last;
-  for (const ConfirmedLoop& loop : confirmed_) {
+  for (const auto& [query_sequence, matched_sequence, loop] : confirmed_) {
     const NodeIndex later = std::max(loop.query, loop.matched);
     if (later > query) continue;
     if (!last || later >= std::max(last->query, last->matched)) last = loop;

@@ -74,8 +74,7 @@ enum class EmptyReason {
   // Every node before the sequence is within the separation of the query.
   kAllSuppressed,
   // No path of the history is as long as the sequence, or Gamma is
-  // ill-conditioned
-  // along all of them.
+  // ill-conditioned along all of them.
   kNoAlignment,
 };
 
@@ -127,9 +126,11 @@ class Engine {
   // revision().
   void AddLoopClosure(std::uint64_t query_sequence,
                       std::uint64_t matched_sequence, std::uint64_t revision);
+  // `occurrence`: which of those that name the same two poses, from 0, in the
+  // order in which they were added.
   void RemoveLoopClosure(std::uint64_t query_sequence,
-                         std::uint64_t matched_sequence,
-                         std::uint64_t revision);
+                         std::uint64_t matched_sequence, std::uint64_t revision,
+                         std::size_t occurrence = 0);
 
   // Takes a pair of poses for verified not to be one place: ends within the
   // candidate separation of the second are no longer candidates at nodes within
@@ -187,8 +188,13 @@ class Engine {
   DistanceResampler resampler_;
   std::uint64_t last_sequence_ = 0;
   std::uint64_t revision_ = 0;
-  // Nodes of verified pairs, in the order they came.
-  std::vector<ConfirmedLoop> confirmed_;
+  struct Confirmed {
+    std::uint64_t query_sequence;
+    std::uint64_t matched_sequence;
+    ConfirmedLoop loop;
+  };
+  // Verified pairs, in the order they came.
+  std::vector<Confirmed> confirmed_;
   std::vector<std::pair<NodeIndex, NodeIndex>> rejected_;
   ConsistencyMonitor monitor_;
   // Number of the next check: it is due at this many check intervals.

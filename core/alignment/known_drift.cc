@@ -1,6 +1,7 @@
 #include "core/alignment/known_drift.h"
 
 #include <Eigen/Cholesky>
+#include <algorithm>
 #include <cassert>
 #include <cmath>
 
@@ -16,26 +17,56 @@ Direction DirectionOf(const PoseGraph& graph, const ConfirmedLoop& loop) {
   return std::abs(turn) > 0.5 * kPi ? Direction::kOpposite : Direction::kSame;
 }
 
+namespace {
+
 template <int D>
-KnownDrift<D>::KnownDrift(const PoseGraph& graph, const SimilarityModel& model,
-                          const ConfirmedLoop& loop, NodeIndex query)
-    : graph_(graph),
-      loop_(loop),
-      variance_scale_(model.inflation * model.inflation) {
+bool PositiveDefinite(const StateMatrix<D>& m) {
+  return Evaluate<D>(m, StateVector<D>::Zero()).has_value();
+}
+
+// Whether the error at the later node can be that at the earlier one, carried
+// on, and new noise.
+template <int D>
+bool GrowsForward(const PoseGraph& graph, NodeIndex a, NodeIndex b) {
+  const Node& earlier = graph.node(std::min(a, b));
+  const Node& later = graph.node(std::max(a, b));
+  const StateMatrix<D> psi =
+      DeadReckoningTransition<D>(earlier.pose, later.pose);
+  StateMatrix<D> added =
+      ToMatrix<D>(later.covariance) -
+      psi * ToMatrix<D>(earlier.covariance) * psi.transpose();
+  AddTolerance<D>(kConfirmedTolerance, &added);
+  return PositiveDefinite<D>(added);
+}
+
+}  // namespace
+
+template <int D>
+std::optional<KnownDrift<D>> KnownDrift<D>::Make(const PoseGraph& graph,
+                                                 const SimilarityModel& model,
+                                                 const ConfirmedLoop& loop,
+                                                 NodeIndex query) {
   assert(model.correlation == CorrelationModel::kDeadReckoning);
+  if (!GrowsForward<D>(graph, loop.matched, loop.query) ||
+      !GrowsForward<D>(graph, std::max(loop.matched, loop.query), query)) {
+    return std::nullopt;
+  }
   SimilarityModel closure = model;
   closure.tolerance = kConfirmedTolerance;
   closure.direction = DirectionOf(graph, loop);
-  query_part_ =
-      CrossCovariance<D>(graph, model.correlation, query, loop.query) -
-      CrossCovariance<D>(graph, model.correlation, query, loop.matched);
   const StateMatrix<D> covariance = ToleratedCovariance<D>(
       closure, DifferenceCovariance<D>(graph, model.correlation, loop.query,
                                        loop.matched));
-  information_ =
+  if (!PositiveDefinite<D>(covariance)) return std::nullopt;
+  KnownDrift known(graph, loop, model.inflation * model.inflation);
+  known.query_part_ =
+      CrossCovariance<D>(graph, model.correlation, query, loop.query) -
+      CrossCovariance<D>(graph, model.correlation, query, loop.matched);
+  known.information_ =
       Eigen::LDLT<StateMatrix<D>>(covariance).solve(StateMatrix<D>::Identity());
-  loop_difference_ = ToVector<D>(PassDifference(
+  known.loop_difference_ = ToVector<D>(PassDifference(
       closure, graph.node(loop.query).pose, graph.node(loop.matched).pose));
+  return known;
 }
 
 template <int D>
@@ -44,8 +75,8 @@ void KnownDrift<D>::Apply(NodeIndex j, StateVector<D>* difference,
   constexpr CorrelationModel kModel = CorrelationModel::kDeadReckoning;
   const StateMatrix<D> x =
       variance_scale_ *
-      (query_part_ - CrossCovariance<D>(graph_, kModel, j, loop_.query) +
-       CrossCovariance<D>(graph_, kModel, j, loop_.matched));
+      (query_part_ - CrossCovariance<D>(*graph_, kModel, j, loop_.query) +
+       CrossCovariance<D>(*graph_, kModel, j, loop_.matched));
   const StateMatrix<D> gain = x * information_;
   *difference -= gain * loop_difference_;
   (*difference)(D - 1) = WrapHeading((*difference)(D - 1));

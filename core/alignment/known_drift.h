@@ -11,6 +11,8 @@
 #ifndef REVISIT_CORE_ALIGNMENT_KNOWN_DRIFT_H_
 #define REVISIT_CORE_ALIGNMENT_KNOWN_DRIFT_H_
 
+#include <optional>
+
 #include "core/alignment/log_similarity.h"
 #include "core/geometry/pose.h"
 #include "core/graph/pose_graph.h"
@@ -34,10 +36,15 @@ template <int D>
 class KnownDrift {
  public:
   // For kDeadReckoning, where S is O(1); the other models forget what a closure
-  // tells before it is needed, or nearly so.
-  // `gamma_loop` must be well-conditioned with R_c.
-  KnownDrift(const PoseGraph& graph, const SimilarityModel& model,
-             const ConfirmedLoop& loop, NodeIndex query);
+  // tells before it is needed, or nearly so. Nothing where the covariances are
+  // not those of a forward filter from the one node of the closure over the
+  // other to the query, as after an optimiser has revised them: there
+  //   S_later - Psi S_earlier Psi^T + R_c
+  // is not positive definite, and the formulas above say nothing.
+  static std::optional<KnownDrift> Make(const PoseGraph& graph,
+                                        const SimilarityModel& model,
+                                        const ConfirmedLoop& loop,
+                                        NodeIndex query);
 
   // Takes K y from the difference of the query and node j, and K X^T from its
   // covariance.
@@ -45,9 +52,13 @@ class KnownDrift {
              StateMatrix<D>* covariance) const;
 
  private:
-  const PoseGraph& graph_;
-  const ConfirmedLoop loop_;
-  const double variance_scale_;
+  KnownDrift(const PoseGraph& graph, const ConfirmedLoop& loop,
+             double variance_scale)
+      : graph_(&graph), loop_(loop), variance_scale_(variance_scale) {}
+
+  const PoseGraph* graph_;
+  ConfirmedLoop loop_;
+  double variance_scale_;
   // S_qc - S_qm
   StateMatrix<D> query_part_;
   // (Gamma_cm + R_c)^-1

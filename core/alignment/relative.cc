@@ -26,13 +26,15 @@ constexpr NodeIndex Stride(std::size_t way) { return way == 0 ? -1 : 1; }
 
 constexpr std::int32_t kNoSlot = -1;
 
+// Share of an end's covariance that its path cannot take away.
+constexpr double kLeastUncertaintyLeft = 1e-3;
+
 // The way on the far side of a loop closure: passes in opposite directions are
 // told by their headings.
 std::size_t WayBeyond(const PoseGraph& graph, NodeIndex near, NodeIndex far,
                       std::size_t way) {
-  const double turn =
-      Difference(graph.node(near).pose, graph.node(far).pose).heading;
-  return std::abs(turn) > 0.5 * kPi ? 1 - way : way;
+  return DirectionOf(graph, {near, far}) == Direction::kOpposite ? 1 - way
+                                                                 : way;
 }
 
 }  // namespace
@@ -53,8 +55,8 @@ class RelativeAligner {
                 model.similarity.inflation) {
     result_.size_ = history_size;
     if (model.last_confirmed) {
-      known_drift_.emplace(graph, model.similarity, *model.last_confirmed,
-                           query);
+      known_drift_ = KnownDrift<D>::Make(graph, model.similarity,
+                                         *model.last_confirmed, query);
     }
     joined_.resize(Position(size_) + 1);
     for (NodeIndex i = 0; i < size_;) {
@@ -155,7 +157,16 @@ class RelativeAligner {
           StateMatrix<D> covariance = ToleratedCovariance<D>(anchor, gamma);
           StateVector<D> difference =
               ToVector<D>(PassDifference(anchor, query, graph_.node(j).pose));
-          if (known_drift_) known_drift_->Apply(j, &difference, &covariance);
+          if (known_drift_) {
+            StateVector<D> known_difference = difference;
+            StateMatrix<D> known_covariance = covariance;
+            known_drift_->Apply(j, &known_difference, &known_covariance);
+            // Where rounding leaves nothing of it, the node is judged without.
+            if (Evaluate<D>(known_covariance, known_difference)) {
+              visit(j, known_difference, known_covariance);
+              return;
+            }
+          }
           visit(j, difference, covariance);
         });
   }
@@ -208,11 +219,16 @@ class RelativeAligner {
       double& score = scores[Position(j)];
       if (score == kImpossible) return;
       ShapeMatch& match = result_.matches_[way][Position(j)];
-      std::optional<QuadraticForm> terms = Evaluate<D>(
-          covariance - certainties[static_cast<std::size_t>(match.steps)],
-          difference + to_frame * end_drifts_[way][Position(j)]);
-      // An end that is more certain than the mean node of its path is better
-      // judged by itself.
+      const StateMatrix<D> smoothed =
+          covariance - certainties[static_cast<std::size_t>(match.steps)];
+      std::optional<QuadraticForm> terms;
+      // An end that is itself about as certain as its path makes it is better
+      // judged by itself: what is left would be rounding, or less.
+      if (Evaluate<D>(smoothed - kLeastUncertaintyLeft * covariance,
+                      difference)) {
+        terms = Evaluate<D>(
+            smoothed, difference + to_frame * end_drifts_[way][Position(j)]);
+      }
       if (!terms) terms = Evaluate<D>(covariance, difference);
       if (!terms) {
         score = kImpossible;

@@ -63,8 +63,10 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph, NodeIndex query,
   const StateMatrix<D> jitter = 2.0 * claimed * motion.jitter;
 
   const double weight = ShapeWeight(model, spacing_meters);
+  // No longer than the path, so that like is compared with like.
   const auto stretch_nodes = std::max<NodeIndex>(
-      1, std::llround(model.correlation_meters / spacing_meters));
+      1, std::min<NodeIndex>(steps - 1, std::llround(model.correlation_meters /
+                                                     spacing_meters)));
   const double turn_tolerance =
       std::sqrt(2.0 * (tolerance(D - 1, D - 1) + jitter(D - 1, D - 1)));
   const std::vector<double> shares = ShareOfStretches(

@@ -12,7 +12,7 @@
 //
 // F_t is the lever arm of p's step, T the tolerance, J the jitter of one node
 // (motion_statistics.h). drift_0 is how far the two end poses themselves stray:
-// E_0 is R, the place tolerance, in heading; in position no more than T, since
+// E_0 is 2 J and R, the place tolerance; of R in position no more than T, since
 // another lane is the same offset all along. This is a Kalman filter whose
 // covariances depend on p only: gains are computed once a query and shared by
 // all of the history. With it runs its fixed-point smoother, which tells

@@ -1,10 +1,11 @@
 #include "core/candidates/consistency.h"
 
 #include <Eigen/Cholesky>
-#include <Eigen/LU>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
+#include <tuple>
 
 #include "core/candidates/chi_squared.h"
 #include "core/candidates/gate.h"
@@ -15,7 +16,7 @@ namespace revisit::core {
 namespace {
 
 // Values of ln f, evenly from 0 to ln max.
-constexpr std::size_t kGridSize = 61;
+constexpr std::size_t kGridSize = 31;
 
 double LogFactor(std::size_t i, double max_inflation) {
   return std::log(max_inflation) * static_cast<double>(i) /
@@ -38,6 +39,16 @@ double LogPassProbability(const StateMatrix<D>& a, const StateMatrix<D>& b,
 }
 
 }  // namespace
+
+bool operator==(const ConsistencyOptions& a, const ConsistencyOptions& b) {
+  const auto all = [](const ConsistencyOptions& o) {
+    return std::make_tuple(o.similarity.state_space, o.similarity.correlation,
+                           o.similarity.tolerance.position_meters,
+                           o.similarity.tolerance.heading_radians,
+                           o.gate_probability, o.applied, o.max_inflation);
+  };
+  return all(a) == all(b);
+}
 
 ConsistencyMonitor::ConsistencyMonitor(const ConsistencyOptions& options)
     : options_(options),
@@ -78,25 +89,30 @@ void ConsistencyMonitor::Confirm(const PoseGraph& graph,
   const StateVector<D> d = ToVector<D>(PassDifference(model, query, matched));
   const std::optional<QuadraticForm> claimed = Evaluate<D>(covariance(1.0), d);
   if (!claimed) return;
-  ++consistency_.confirmed;
-  sum_of_squares_ += claimed->squared_mahalanobis;
-  consistency_.mean_normalized_innovation_squared =
-      sum_of_squares_ / static_cast<double>(consistency_.confirmed);
-
   const StateMatrix<D> gated =
       covariance(options_.applied ? consistency_.inflation : 1.0);
   const std::optional<QuadraticForm> in_force = Evaluate<D>(gated, d);
-  const bool cut_off = in_force && in_force->squared_mahalanobis <= threshold_;
+  if (!in_force) return;
+  const bool cut_off = in_force->squared_mahalanobis <= threshold_;
+  std::array<double, kGridSize> log_likelihood;
   for (std::size_t i = 0; i < kGridSize; ++i) {
     const StateMatrix<D> spread =
         covariance(std::exp(LogFactor(i, options_.max_inflation)));
     const std::optional<QuadraticForm> terms = Evaluate<D>(spread, d);
-    if (!terms) continue;
-    log_density_[i] -=
-        0.5 * (terms->squared_mahalanobis + terms->log_determinant);
+    if (!terms) return;
+    log_likelihood[i] =
+        -0.5 * (terms->squared_mahalanobis + terms->log_determinant);
     if (cut_off) {
-      log_density_[i] -= LogPassProbability<D>(spread, gated, threshold_);
+      log_likelihood[i] -= LogPassProbability<D>(spread, gated, threshold_);
     }
+  }
+
+  ++consistency_.confirmed;
+  sum_of_squares_ += claimed->squared_mahalanobis;
+  consistency_.mean_normalized_innovation_squared =
+      sum_of_squares_ / static_cast<double>(consistency_.confirmed);
+  for (std::size_t i = 0; i < kGridSize; ++i) {
+    log_density_[i] += log_likelihood[i];
   }
   UpdateInflation();
 }

@@ -51,6 +51,7 @@ struct ConsistencyOptions {
   bool applied = false;
   double max_inflation = 10.0;
 };
+bool operator==(const ConsistencyOptions& a, const ConsistencyOptions& b);
 
 // Learns from one confirmed pair after the other.
 class ConsistencyMonitor {

@@ -7,6 +7,8 @@
 #include <cstddef>
 #include <numeric>
 
+#include "core/geometry/heading.h"
+
 namespace revisit::core {
 namespace {
 
