@@ -9,6 +9,7 @@
 #include "core/alignment/relative.h"
 #include "core/candidates/posterior.h"
 #include "core/candidates/ranking.h"
+#include "core/candidates/same_place.h"
 
 namespace revisit::core {
 namespace {
@@ -66,12 +67,22 @@ absl::Status Stopped() {
   return absl::CancelledError("the search was told to stop");
 }
 
-// A place another candidate has to outdo.
-struct Rival {
+// An end that was ranked, and what it may claim for itself.
+struct RankedPlace {
   Direction direction;
-  NodeIndex matched;
-  double probability;
+  RankedEnd end;
+  double claimed = 0.0;
+  // With all other passes of the same place.
+  double probability = 0.0;
 };
+
+// Places more probable than this are weighed against each other.
+constexpr double kLeastRivalProbability = 1e-3;
+constexpr int kMostRivals = 16;
+
+// A candidate this many times less probable than another is not "about as
+// good".
+constexpr double kAmbiguousOdds = 10.0;
 
 Verdict GateAlone(GateVerdict gate) {
   switch (gate) {
@@ -86,7 +97,8 @@ Verdict GateAlone(GateVerdict gate) {
 }
 
 Verdict Decide(const GateResult& gate, const RelativeEvidence& evidence,
-               double new_place, double acceptance_probability) {
+               double runner_up, double new_place,
+               double acceptance_probability) {
   // One noisy pose at the end does not count against what the path tells.
   const bool outside = gate.verdict == GateVerdict::kRejected &&
                        evidence.squared_end_difference > gate.threshold;
@@ -98,8 +110,13 @@ Verdict Decide(const GateResult& gate, const RelativeEvidence& evidence,
   }
   const double here = evidence.probability;
   if (here >= acceptance_probability) return Verdict::kAccepted;
-  const double elsewhere = std::max(0.0, 1.0 - here - new_place);
-  if (here + elsewhere >= acceptance_probability) return Verdict::kAmbiguous;
+  if (1.0 - new_place >= acceptance_probability) {
+    // It is somewhere in the history.
+    return runner_up < acceptance_probability &&
+                   here * kAmbiguousOdds >= runner_up
+               ? Verdict::kAmbiguous
+               : Verdict::kRejectedByShape;
+  }
   // Had the two ends coincided, with the same shape.
   const double at_best = here * std::exp(0.5 * evidence.squared_end_difference);
   const double total = 1.0 - here + at_best;
@@ -332,12 +349,13 @@ void Engine::StrikeOutKnown(NodeIndex query, double separation_meters,
   if (scores->empty()) return;
   StrikeOut(graph_, query, separation_meters, scores);
   const double at = graph_.node(query).travelled_meters;
+  // A hair more, so that what lies just as far is struck out too.
+  const double around =
+      std::max(separation_meters, kPlaceRadiusMeters) * (1.0 + 1e-9);
   for (const auto& [rejected_query, rejected_match] : rejected_) {
     const double apart =
         std::abs(graph_.node(rejected_query).travelled_meters - at);
-    if (rejected_query == query || apart < separation_meters) {
-      StrikeOut(graph_, rejected_match, separation_meters, scores);
-    }
+    if (apart <= around) StrikeOut(graph_, rejected_match, around, scores);
   }
 }
 
@@ -400,72 +418,92 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
     scores = alignment->scores(direction);
     StrikeOutKnown(query, options.candidate_separation_meters, &scores);
   }
-  const Posterior posterior(graph_, log_odds);
-  set->new_place_probability = posterior.new_place();
-
-  // The best places, disjoint: enough that whatever candidate is looked at, one
-  // that it has no part in is among them.
-  constexpr int kRivals = 4;
-  std::vector<Rival> rivals;
+  // Best first; of equal scores, the same direction first.
+  std::vector<RankedPlace> places;
   for (const Direction direction : Directions(options.direction)) {
     for (const RankedEnd& end :
          RankEnds(graph_, log_odds[PositionOf(direction)],
-                  2.0 * kPlaceRadiusMeters, kRivals)) {
-      rivals.push_back(
-          {direction, end.matched, posterior.Place(direction, end.matched)});
+                  options.candidate_separation_meters,
+                  std::max(options.max_candidates, kMostRivals))) {
+      places.push_back({direction, end});
     }
+  }
+  // Nothing can be said where no covariance is well-conditioned.
+  if (places.empty()) return absl::OkStatus();
+  std::stable_sort(places.begin(), places.end(),
+                   [](const RankedPlace& a, const RankedPlace& b) {
+                     return a.end.score > b.end.score;
+                   });
+  Posterior posterior(graph_, std::move(log_odds));
+  set->new_place_probability = posterior.new_place();
+  for (RankedPlace& place : places) {
+    place.claimed = posterior.Claim(place.direction, place.end.matched);
+  }
+  const auto match_of = [&](const RankedPlace& place) -> const ShapeMatch& {
+    return alignment->match(place.direction, place.end.matched);
+  };
+  // Whether two are passes of one place. What is improbable is not asked about.
+  const auto same = [&](const RankedPlace& a, const RankedPlace& b) {
+    if (&a == &b) return 1.0;
+    if (a.direction != b.direction || b.claimed < kLeastRivalProbability) {
+      return 0.0;
+    }
+    return SamePlaceProbability(graph_, model, a.end.matched, b.end.matched,
+                                std::min(match_of(a).log_likelihood_ratio,
+                                         match_of(b).log_likelihood_ratio));
+  };
+  for (RankedPlace& place : places) {
+    for (const RankedPlace& other : places) {
+      place.probability += same(place, other) * other.claimed;
+    }
+    place.probability = std::min(place.probability, 1.0);
   }
 
   const Gate gate(settings_.state_space, options.gate_probability);
   const double weight = ShapeWeight(model.shape, model.spacing_meters);
   const int dimensions = DegreesOfFreedom(settings_.state_space);
-  for (const Direction direction : Directions(options.direction)) {
-    SimilarityModel similarity = model.similarity;
-    similarity.direction = direction;
-    for (const RankedEnd& end : RankEnds(
-             graph_, log_odds[PositionOf(direction)],
-             options.candidate_separation_meters, options.max_candidates)) {
-      const ShapeMatch& match = alignment->match(direction, end.matched);
-      Candidate candidate;
-      candidate.score = end.score;
-      candidate.matched = end.matched;
-      candidate.direction = direction;
-      candidate.difference =
-          DecideAt(graph_, similarity, gate, query, end.matched);
-
-      RelativeEvidence evidence;
-      evidence.probability = posterior.Place(direction, end.matched);
-      double most_probable_rival = 0.0;
-      for (const Rival& rival : rivals) {
-        if (rival.direction == direction &&
-            std::abs(graph_.node(rival.matched).travelled_meters -
-                     graph_.node(end.matched).travelled_meters) <=
-                2.0 * kPlaceRadiusMeters) {
-          continue;
-        }
-        most_probable_rival = std::max(most_probable_rival, rival.probability);
-      }
-      if (most_probable_rival > 0.0) {
-        evidence.odds_to_runner_up = evidence.probability / most_probable_rival;
-      }
-      evidence.path_gate = gate.DecidePath(
-          match.squared_end_difference + weight * match.squared_innovations,
-          dimensions * (1.0 + weight * match.steps));
-      evidence.squared_end_difference = match.squared_end_difference;
-      evidence.overlap_meters = match.steps * model.spacing_meters;
-      evidence.log_likelihood_ratio = match.log_likelihood_ratio;
-      candidate.verdict =
-          Decide(candidate.difference.gate, evidence, posterior.new_place(),
-                 options.acceptance_probability);
-      for (const auto& [t, matched] : alignment->Path(direction, end.matched)) {
-        candidate.path.emplace_back(query - t, matched);
-      }
-      std::reverse(candidate.path.begin(), candidate.path.end());
-      candidate.relative = evidence;
-      set->candidates.push_back(std::move(candidate));
+  // Those that are not answered have counted as rivals.
+  for (const RankedPlace& place : places) {
+    if (set->candidates.size() ==
+        static_cast<std::size_t>(options.max_candidates)) {
+      break;
     }
+    SimilarityModel similarity = model.similarity;
+    similarity.direction = place.direction;
+    const NodeIndex matched = place.end.matched;
+    const ShapeMatch& match = match_of(place);
+    Candidate candidate;
+    candidate.score = place.end.score;
+    candidate.matched = matched;
+    candidate.direction = place.direction;
+    candidate.difference = DecideAt(graph_, similarity, gate, query, matched);
+
+    RelativeEvidence evidence;
+    evidence.probability = place.probability;
+    double runner_up = 0.0;
+    for (const RankedPlace& other : places) {
+      runner_up =
+          std::max(runner_up, (1.0 - same(place, other)) * other.probability);
+    }
+    if (runner_up > 0.0) {
+      evidence.odds_to_runner_up = place.probability / runner_up;
+    }
+    evidence.path_gate = gate.DecidePath(
+        match.squared_end_difference + weight * match.squared_innovations,
+        dimensions * (1.0 + weight * match.steps));
+    evidence.squared_end_difference = match.squared_end_difference;
+    evidence.overlap_meters = match.steps * model.spacing_meters;
+    evidence.log_likelihood_ratio = match.log_likelihood_ratio;
+    candidate.verdict =
+        Decide(candidate.difference.gate, evidence, runner_up,
+               *set->new_place_probability, options.acceptance_probability);
+    for (const auto& [t, node] : alignment->Path(place.direction, matched)) {
+      candidate.path.emplace_back(query - t, node);
+    }
+    std::reverse(candidate.path.begin(), candidate.path.end());
+    candidate.relative = evidence;
+    set->candidates.push_back(std::move(candidate));
   }
-  KeepBest(options.max_candidates, &set->candidates);
   return absl::OkStatus();
 }
 

@@ -39,6 +39,15 @@ std::size_t WayBeyond(const PoseGraph& graph, NodeIndex near, NodeIndex far,
 
 }  // namespace
 
+double LogNewPlaceTerm(const RelativeModel& model) {
+  const int dimensions = DegreesOfFreedom(model.similarity.state_space);
+  const double density =
+      2.0 / (kPi * model.road_spacing_meters * model.spacing_meters) /
+      (model.similarity.state_space == StateSpace::kSpatial ? kRoadHeightRange
+                                                            : 1.0);
+  return -0.5 * dimensions * std::log(2.0 * kPi) - std::log(density);
+}
+
 template <int D>
 class RelativeAligner {
  public:
@@ -209,10 +218,7 @@ class RelativeAligner {
       certainties.push_back(to_frame * filter_.EndCertainty(t) *
                             to_frame.transpose());
     }
-    const double density =
-        2.0 / (kPi * model_.road_spacing_meters * model_.spacing_meters) /
-        (D == 4 ? kRoadHeightRange : 1.0);
-    const double constant = -0.5 * D * std::log(2.0 * kPi) - std::log(density);
+    const double constant = LogNewPlaceTerm(model_);
     std::vector<double>& scores = result_.scores_[way];
     VisitAnchors(way, [&](NodeIndex j, const StateVector<D>& difference,
                           const StateMatrix<D>& covariance) {

@@ -79,6 +79,10 @@ struct RelativeModel {
   std::optional<ConfirmedLoop> last_confirmed;
 };
 
+// What makes log-odds against a new place of a log-similarity in Gaussian form:
+// the Gaussian's constant, less ln rho.
+double LogNewPlaceTerm(const RelativeModel& model);
+
 // The best path back from one history node.
 struct ShapeMatch {
   double log_likelihood_ratio = 0.0;

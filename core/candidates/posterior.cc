@@ -3,38 +3,38 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <utility>
 
 namespace revisit::core {
 
 Posterior::Posterior(const PoseGraph& graph,
-                     const std::array<std::vector<double>, 2>& log_odds)
-    : graph_(graph), log_odds_(log_odds) {
+                     std::array<std::vector<double>, 2> log_odds)
+    : graph_(graph), log_odds_(std::move(log_odds)) {
   double greatest = 0.0;
-  for (const std::vector<double>& odds : log_odds) {
+  for (const std::vector<double>& odds : log_odds_) {
     for (const double o : odds) greatest = std::max(greatest, o);
   }
   double sum = std::exp(-greatest);
-  for (const std::vector<double>& odds : log_odds) {
+  for (const std::vector<double>& odds : log_odds_) {
     for (const double o : odds) sum += std::exp(o - greatest);
   }
   log_total_ = greatest + std::log(sum);
 }
 
-double Posterior::Place(Direction direction, NodeIndex j) const {
-  const std::vector<double>& odds =
-      log_odds_[direction == Direction::kSame ? 0 : 1];
+double Posterior::Claim(Direction direction, NodeIndex j) {
+  std::vector<double>& odds = log_odds_[direction == Direction::kSame ? 0 : 1];
   const auto size = static_cast<NodeIndex>(odds.size());
   const double at = graph_.node(j).travelled_meters;
   const auto near = [&](NodeIndex i) {
     return std::abs(graph_.node(i).travelled_meters - at) <= kPlaceRadiusMeters;
   };
   double sum = 0.0;
-  for (NodeIndex i = j; i >= 0 && near(i); --i) {
-    sum += Probability(odds[static_cast<std::size_t>(i)]);
-  }
-  for (NodeIndex i = j + 1; i < size && near(i); ++i) {
-    sum += Probability(odds[static_cast<std::size_t>(i)]);
-  }
+  const auto claim = [&](NodeIndex i) {
+    sum += Probability(
+        std::exchange(odds[static_cast<std::size_t>(i)], kImpossible));
+  };
+  for (NodeIndex i = j; i >= 0 && near(i); --i) claim(i);
+  for (NodeIndex i = j + 1; i < size && near(i); ++i) claim(i);
   return std::min(sum, 1.0);
 }
 

@@ -18,20 +18,23 @@ inline constexpr double kPlaceRadiusMeters = 10.0;
 class Posterior {
  public:
   // Log-odds of every history node against a new place, by direction; empty for
-  // one that was not sought. Both must outlive this.
+  // one that was not sought. The graph must outlive this.
   Posterior(const PoseGraph& graph,
-            const std::array<std::vector<double>, 2>& log_odds);
+            std::array<std::vector<double>, 2> log_odds);
 
   double new_place() const { return Probability(0.0); }
 
-  // Of the nodes within kPlaceRadiusMeters of j.
-  double Place(Direction direction, NodeIndex j) const;
+  // Takes for the place of j all nodes within kPlaceRadiusMeters of it that no
+  // place has taken before, and answers how probable they are together. So what
+  // two neighbouring places share counts for the one that is asked for first.
+  double Claim(Direction direction, NodeIndex j);
 
  private:
   double Probability(double log_odds) const;
 
   const PoseGraph& graph_;
-  const std::array<std::vector<double>, 2>& log_odds_;
+  // kImpossible for what is claimed.
+  std::array<std::vector<double>, 2> log_odds_;
   // ln of the sum of all odds, the new place's 1 among them.
   double log_total_ = 0.0;
 };

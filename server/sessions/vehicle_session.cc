@@ -365,15 +365,25 @@ struct VehicleSession::State
     }
   }
 
-  static void TakeBack(core::Engine* engine, PairKind kind,
-                       const PosePairRecord& pair, std::uint64_t revision) {
-    if (kind == PairKind::kLoopClosure) {
-      engine->RemoveLoopClosure(pair.query_sequence, pair.matched_sequence,
-                                revision);
-    } else {
-      engine->RemoveRejection(pair.query_sequence, pair.matched_sequence,
-                              revision);
+  // Of a pair that is still among Pairs().
+  void TakeBack(PairKind kind, const PosePairRecord& pair, std::uint64_t next) {
+    if (kind == PairKind::kRejectedCandidate) {
+      engine->RemoveRejection(pair.query_sequence, pair.matched_sequence, next);
+      return;
     }
+    // The same poses may be named more than once, and what the others teach
+    // depends on their order.
+    std::size_t occurrence = 0;
+    for (const auto& [other_kind, other] : PairsAsAdded()) {
+      if (other_kind != kind) continue;
+      if (other->id == pair.id) break;
+      if (other->query_sequence == pair.query_sequence &&
+          other->matched_sequence == pair.matched_sequence) {
+        ++occurrence;
+      }
+    }
+    engine->RemoveLoopClosure(pair.query_sequence, pair.matched_sequence, next,
+                              occurrence);
   }
 
   absl::StatusOr<DecodedBatch> DecodeStored(
@@ -946,7 +956,7 @@ struct VehicleSession::State
             callback(status);
             return;
           }
-          TakeBack(engine.get(), kind, pair, next);
+          TakeBack(kind, pair, next);
           Pairs(kind).erase(pair.id);
           Settled(config, next);
           callback(next);
