@@ -63,6 +63,11 @@ std::vector<Direction> Directions(SearchDirection direction) {
   return {Direction::kSame, Direction::kOpposite};
 }
 
+double Apart(const PoseGraph& graph, NodeIndex i, NodeIndex j) {
+  return std::abs(graph.node(i).travelled_meters -
+                  graph.node(j).travelled_meters);
+}
+
 absl::Status Stopped() {
   return absl::CancelledError("the search was told to stop");
 }
@@ -348,14 +353,12 @@ void Engine::StrikeOutKnown(NodeIndex query, double separation_meters,
                             std::vector<double>* scores) const {
   if (scores->empty()) return;
   StrikeOut(graph_, query, separation_meters, scores);
-  const double at = graph_.node(query).travelled_meters;
   // A hair more, so that what lies just as far is struck out too.
   const double around =
       std::max(separation_meters, kPlaceRadiusMeters) * (1.0 + 1e-9);
   for (const auto& [rejected_query, rejected_match] : rejected_) {
-    const double apart =
-        std::abs(graph_.node(rejected_query).travelled_meters - at);
-    if (apart <= around) StrikeOut(graph_, rejected_match, around, scores);
+    if (Apart(graph_, rejected_query, query) <= around)
+      StrikeOut(graph_, rejected_match, around, scores);
   }
 }
 
@@ -452,9 +455,21 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
                                 std::min(match_of(a).log_likelihood_ratio,
                                          match_of(b).log_likelihood_ratio));
   };
-  for (RankedPlace& place : places) {
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    RankedPlace& place = places[i];
+    // The best end of a stretch stands for all of it.
+    const bool stands = std::none_of(
+        places.begin(), places.begin() + static_cast<int>(i),
+        [&](const RankedPlace& better) {
+          return better.direction == place.direction &&
+                 Apart(graph_, better.end.matched, place.end.matched) <=
+                     2.0 * kPlaceRadiusMeters;
+        });
+    place.probability = place.claimed;
     for (const RankedPlace& other : places) {
-      place.probability += same(place, other) * other.claimed;
+      if (stands && &other != &place) {
+        place.probability += same(place, other) * other.claimed;
+      }
     }
     place.probability = std::min(place.probability, 1.0);
   }
