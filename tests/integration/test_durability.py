@@ -288,16 +288,23 @@ def test_inflation_is_seen_in_every_gate_and_the_same_after_a_crash(tmp_path):
                                                   heading_radians=0.1),
                apply_inflation=True)
         append(stub, VEHICLE, poses)
+        # Before the first confirmed loop, the prior's.
+        prior = get(stub, VEHICLE).consistency.inflation
+        assert 1.5 < prior < 2.0
         claimed = stub.FindCandidates(request).candidates.candidates[0].gate
-        assert claimed.inflation == 1.0
+        assert claimed.inflation == prior
         # Out of the order of their names, for the order counts.
         for n, query in enumerate(range(740, 540, -25)):
             LOOP_CLOSURES.add(stub, VEHICLE, query, query - 377, f"z{9 - n}")
+        # The same two poses again, and then no longer: what is taken back is the
+        # later one, and the order of the others stays.
+        LOOP_CLOSURES.add(stub, VEHICLE, 740, 363, "again")
+        LOOP_CLOSURES.delete(stub, f"{VEHICLE}/loopClosures/again")
         consistency = get(stub, VEHICLE).consistency
         assert consistency.confirmed_count == 8
         assert consistency.mean_normalized_innovation_squared > 30.0
         assert consistency.applied
-        assert 1.0 < consistency.inflation <= 10.0
+        assert prior < consistency.inflation <= 10.0
         before = stub.FindCandidates(request).candidates
         assert {candidate.gate.inflation for candidate in before.candidates} \
             == {consistency.inflation}
