@@ -36,6 +36,9 @@ Eigen::Matrix4d PartialTransition(const Eigen::Matrix4d& whole, double from,
   return at(to) * at(from).inverse();
 }
 
+// Nanoseconds that std::llround() takes.
+constexpr double kMostStampSpan = 9e18;
+
 }  // namespace
 
 DistanceResampler::DistanceResampler(const ResamplerOptions& options)
@@ -127,8 +130,13 @@ void DistanceResampler::AddNode(const PoseSample& sample, double f,
     if (last_stamp_ns_ && sample.stamp_ns) {
       const double span = static_cast<double>(*sample.stamp_ns) -
                           static_cast<double>(*last_stamp_ns_);
-      node.stamp_ns =
-          *last_stamp_ns_ + static_cast<std::int64_t>(std::llround(f * span));
+      // Stamps may be centuries apart; what does not fit is left out.
+      std::int64_t stamp_ns = 0;
+      if (std::abs(span) < kMostStampSpan &&
+          !__builtin_add_overflow(*last_stamp_ns_, std::llround(f * span),
+                                  &stamp_ns)) {
+        node.stamp_ns = stamp_ns;
+      }
     }
     node.pose = Interpolate(anchor_->pose, sample.pose, f);
     node.covariance = Interpolate(anchor_->covariance, sample.covariance, f);

@@ -14,7 +14,6 @@
 namespace revisit::core {
 namespace {
 
-// One of the values, or something between two neighbours.
 double AnyOf(std::mt19937_64& random, const std::vector<double>& values) {
   return values[static_cast<std::size_t>(
       UniformInt(random, 0, static_cast<int>(values.size()) - 1))];
@@ -74,13 +73,14 @@ Extremes DrawExtremes(std::mt19937_64& random) {
   const bool steady = UniformInt(random, 0, 1) == 1;
   const double transition = AnyOf(random, {0.0, 0.5, 1.0, 1e3, 1e9});
   const int poses = UniformInt(random, 60, 120);
+  const std::int64_t stamp = UniformInt(random, 0, 1)
+                                 ? std::numeric_limits<std::int64_t>::max()
+                                 : std::numeric_limits<std::int64_t>::min();
   double along = 0.0;
   for (int i = 0; i < poses; ++i) {
     PoseSample sample;
     sample.sequence = static_cast<std::uint64_t>(i) + 1;
-    sample.stamp_ns = UniformInt(random, 0, 1)
-                          ? std::numeric_limits<std::int64_t>::max()
-                          : std::numeric_limits<std::int64_t>::min();
+    sample.stamp_ns = stamp;
     // A circle of 40 steps, now and then a jump or a standstill.
     const double angle = 2.0 * kPi * along / 40.0;
     const double radius = 40.0 * settings.node_spacing_meters / (2.0 * kPi);

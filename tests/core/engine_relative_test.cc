@@ -1,0 +1,613 @@
+// Relative alignments through the engine: what is found, and what is said of
+// it.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "core/engine.h"
+#include "core/geometry/heading.h"
+#include "tests/core/drives.h"
+#include "tests/oracle/dead_reckoning.h"
+#include "tests/random.h"
+
+namespace revisit::core {
+namespace {
+
+// Of what the dead reckoning of these tests adds.
+oracle::Noise LittleNoise() {
+  oracle::Noise noise;
+  noise.heading_radians = 0.0003;
+  return noise;
+}
+
+Engine Driven(const std::vector<PoseSample>& samples,
+              const EngineSettings& settings = {}) {
+  Engine engine(settings);
+  engine.Append(samples, 1);
+  return engine;
+}
+
+Engine Driven(const std::vector<Pose>& poses,
+              const EngineSettings& settings = {}) {
+  return Driven(oracle::WithCovariances(poses, LittleNoise()), settings);
+}
+
+EngineSettings Independent() {
+  EngineSettings settings;
+  settings.search.correlation_model = CorrelationModel::kIndependent;
+  return settings;
+}
+
+CandidateSet Find(const Engine& engine, const SearchOptions& options) {
+  auto set = engine.FindCandidates(options, nullptr);
+  EXPECT_TRUE(set.ok());
+  return *std::move(set);
+}
+
+CandidateSet Find(const Engine& engine) {
+  return Find(engine, engine.settings().search);
+}
+
+double TravelledAt(const Engine& engine, const Candidate& candidate) {
+  return engine.graph().node(candidate.matched).travelled_meters;
+}
+
+// One lap of the ring.
+double RingMeters(const Engine& engine) {
+  const PoseGraph& graph = engine.graph();
+  NodeIndex nearest = 200;
+  for (NodeIndex i = 200; i < graph.size() && i < 900; ++i) {
+    if (Distance(graph.node(i).pose, graph.node(0).pose, StateSpace::kPlanar) <
+        Distance(graph.node(nearest).pose, graph.node(0).pose,
+                 StateSpace::kPlanar)) {
+      nearest = i;
+    }
+  }
+  return graph.node(nearest).travelled_meters;
+}
+
+TEST(EngineRelativeTest, ASecondLapIsAccepted) {
+  const Engine engine = Driven(Ring(1600.0));
+  const CandidateSet set = Find(engine);
+  ASSERT_FALSE(set.candidates.empty());
+  const Candidate& best = set.candidates[0];
+  EXPECT_NEAR(TravelledAt(engine, best), 1600.0 - RingMeters(engine), 2.5);
+  EXPECT_EQ(best.rank, 1);
+  EXPECT_EQ(best.verdict, Verdict::kAccepted);
+  EXPECT_EQ(best.direction, Direction::kSame);
+  EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kAccepted);
+  ASSERT_TRUE(best.relative);
+  EXPECT_EQ(best.relative->path_gate.verdict, GateVerdict::kAccepted);
+  EXPECT_GT(best.relative->probability, 0.95);
+  EXPECT_GT(best.relative->log_likelihood_ratio, 20.0);
+  EXPECT_EQ(best.relative->overlap_meters, 148.0);
+  ASSERT_EQ(best.path.size(), 75u);
+  EXPECT_EQ(best.path.back(), std::make_pair(*set.query, best.matched));
+  EXPECT_EQ(best.path.front().first, *set.query - 74);
+  EXPECT_LT(*set.new_place_probability, 0.05);
+  EXPECT_EQ(set.inflation, 1.0);
+}
+
+TEST(EngineRelativeTest, AnEndFarOutsideItsUncertaintyIsRejectedByTheGate) {
+  // The estimator has slipped 60 m sideways between the laps and does not know.
+  std::vector<Pose> poses = Ring(1600.0);
+  for (std::size_t i = 1200; i < poses.size(); ++i) poses[i].y += 60.0;
+  const Engine engine = Driven(poses);
+  const CandidateSet set = Find(engine);
+  ASSERT_FALSE(set.candidates.empty());
+  const Candidate& best = set.candidates[0];
+  EXPECT_EQ(best.verdict, Verdict::kRejectedByGate);
+  EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kRejected);
+  EXPECT_GT(best.relative->squared_end_difference,
+            best.difference.gate.threshold);
+}
+
+TEST(EngineRelativeTest, TwoPlacesAsGoodAreAmbiguous) {
+  // Two courses alike, 3 km from each other; then, lost between them, a third
+  // time the same shape.
+  std::vector<Pose> poses;
+  for (const double x : {0.0, 3000.0, 1500.0}) {
+    for (Pose pose : Ring(x == 1500.0 ? 500.0 : 1200.0)) {
+      pose.x += x;
+      poses.push_back(pose);
+    }
+  }
+  std::vector<PoseSample> samples = WithDeviations(poses, 1.0, 1e-4);
+  for (std::size_t i = samples.size() - 501; i < samples.size(); ++i) {
+    for (int k : {0, 1}) samples[i].covariance(k, k) = 1500.0 * 1500.0;
+  }
+  const Engine engine = Driven(samples);
+  SearchOptions options;
+  options.acceptance_probability = 0.6;
+  const CandidateSet set = Find(engine, options);
+  ASSERT_GE(set.candidates.size(), 2u);
+  for (int k : {0, 1}) {
+    const Candidate& candidate = set.candidates[static_cast<std::size_t>(k)];
+    EXPECT_EQ(candidate.verdict, Verdict::kAmbiguous) << k;
+    EXPECT_EQ(candidate.difference.gate.verdict, GateVerdict::kAccepted);
+    EXPECT_EQ(candidate.relative->path_gate.verdict, GateVerdict::kAccepted);
+    ASSERT_TRUE(candidate.relative->odds_to_runner_up);
+    EXPECT_GT(*candidate.relative->odds_to_runner_up, 0.5);
+    EXPECT_LT(*candidate.relative->odds_to_runner_up, 2.0);
+  }
+  EXPECT_NEAR(std::abs(engine.graph().node(set.candidates[0].matched).pose.x -
+                       engine.graph().node(set.candidates[1].matched).pose.x),
+              3000.0, 4.0);
+}
+
+TEST(EngineRelativeTest, TwoPassesOfOnePlaceAreBothAccepted) {
+  const Engine engine = Driven(Ring(2750.0));
+  SearchOptions options;
+  options.acceptance_probability = 0.9;
+  const CandidateSet set = Find(engine, options);
+  ASSERT_GE(set.candidates.size(), 2u);
+  EXPECT_NEAR(std::abs(TravelledAt(engine, set.candidates[0]) -
+                       TravelledAt(engine, set.candidates[1])),
+              RingMeters(engine), 4.0);
+  for (int k : {0, 1}) {
+    const Candidate& candidate = set.candidates[static_cast<std::size_t>(k)];
+    EXPECT_EQ(candidate.verdict, Verdict::kAccepted) << k;
+    EXPECT_GT(candidate.relative->probability, 0.9) << k;
+  }
+}
+
+TEST(EngineRelativeTest, AStraightRoadUnderHugeCovariancesIsUninformative) {
+  // Any node of the straight is within the gate.
+  const Engine engine =
+      Driven(WithDeviations(Trip().Straight(1500.0).poses(), 1000.0, 1.0),
+             Independent());
+  const CandidateSet set = Find(engine);
+  ASSERT_FALSE(set.candidates.empty());
+  for (const Candidate& candidate : set.candidates) {
+    EXPECT_EQ(candidate.verdict, Verdict::kUninformative);
+    EXPECT_EQ(candidate.difference.gate.verdict, GateVerdict::kAccepted);
+  }
+  EXPECT_GT(*set.new_place_probability, 0.6);
+}
+
+// Once along a winding road, then from 300 m to 600 m along it again with
+// headings that are off, this way or that.
+std::vector<PoseSample> AlongAgain(double radians) {
+  std::vector<Pose> poses = Trip().Winding(0.0, 800.0).poses();
+  std::mt19937_64 random(7);
+  for (std::size_t i = 300; i < 600; ++i) {
+    Pose pose = poses[i];
+    pose.heading += random() % 2 == 0 ? radians : -radians;
+    poses.push_back(pose);
+  }
+  return WithDeviations(poses, 3.0, 0.002);
+}
+
+TEST(EngineRelativeTest, AShapeThatStraysTooFarIsRejectedByShape) {
+  EngineSettings settings = Independent();
+  settings.search.shape.tolerance.heading_radians = 0.02;
+  settings.search.gate_probability = 0.9;
+  const CandidateSet within = Find(Driven(AlongAgain(0.02), settings));
+  ASSERT_FALSE(within.candidates.empty());
+  EXPECT_EQ(within.candidates[0].verdict, Verdict::kAccepted);
+  // A road as rare as this is still recognised, but not as the same one.
+  const CandidateSet beyond = Find(Driven(AlongAgain(0.049), settings));
+  ASSERT_FALSE(beyond.candidates.empty());
+  const Candidate& best = beyond.candidates[0];
+  EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kAccepted);
+  EXPECT_GT(best.relative->log_likelihood_ratio, 0.0);
+  EXPECT_GT(best.relative->path_gate.squared_mahalanobis,
+            best.relative->path_gate.threshold);
+  EXPECT_EQ(best.relative->path_gate.verdict, GateVerdict::kRejected);
+  EXPECT_EQ(best.verdict, Verdict::kRejectedByShape);
+}
+
+TEST(EngineRelativeTest, AnEndAtTheEdgeOfTheGateNeedsAShapeThatSpeaksForIt) {
+  // A straight beside another: 2.5 standard deviations off, and nothing in the
+  // shape that would make up for it.
+  const Engine engine = Driven(
+      WithDeviations(
+          Trip().Straight(800.0).JumpTo({300.0, 150.0}).Straight(250.0).poses(),
+          60.0 / std::sqrt(2.0), 0.03),
+      Independent());
+  const CandidateSet set = Find(engine);
+  ASSERT_FALSE(set.candidates.empty());
+  const Candidate& best = set.candidates[0];
+  EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kAccepted);
+  EXPECT_EQ(best.relative->path_gate.verdict, GateVerdict::kAccepted);
+  EXPECT_EQ(best.verdict, Verdict::kRejectedByShape);
+}
+
+TEST(EngineRelativeTest, NothingIsInventedWhereAllIsIllConditioned) {
+  // Dead reckoning cannot become more certain; claimed so, the covariance of
+  // every difference is indefinite.
+  std::vector<PoseSample> samples = oracle::WithCovariances(Ring(1600.0), {});
+  for (std::size_t i = 0; i < samples.size(); ++i) {
+    for (int k : {0, 1, 3}) {
+      samples[i].covariance(k, k) = i < 1460 ? 1e4 : 1e-4;
+      for (int m : {0, 1, 3}) {
+        if (m != k) samples[i].covariance(k, m) = 0.0;
+      }
+    }
+  }
+  Engine engine({});
+  engine.Append(samples, 1);
+  for (const AlignmentKind alignment :
+       {AlignmentKind::kRelative, AlignmentKind::kComposite}) {
+    SearchOptions options;
+    options.alignment = alignment;
+    const CandidateSet set = Find(engine, options);
+    EXPECT_EQ(set.empty_reason, EmptyReason::kNoAlignment);
+    EXPECT_TRUE(set.candidates.empty());
+  }
+}
+
+// A second lap whose estimator is sure of itself, so that little but the
+// tolerance speaks for a difference.
+std::vector<PoseSample> SureSecondLap() {
+  std::vector<PoseSample> samples =
+      oracle::WithCovariances(Ring(1600.0), LittleNoise());
+  for (PoseSample& sample : samples) {
+    for (double& value : sample.covariance.upper) value *= 1e-2;
+  }
+  return samples;
+}
+
+// Turns the headings that make up the last node's, and no other's.
+void TurnLastNode(double radians, std::vector<PoseSample>* samples) {
+  const Engine engine = Driven(*samples);
+  const NodeIndex last = engine.graph().size() - 1;
+  for (std::size_t i = engine.graph().node(last).sequence - 1;
+       i < samples->size(); ++i) {
+    (*samples)[i].pose.heading += radians;
+  }
+  const Engine turned = Driven(*samples);
+  ASSERT_EQ(turned.graph().size() - 1, last);
+  EXPECT_EQ(turned.graph().node(last - 1).pose.heading,
+            engine.graph().node(last - 1).pose.heading);
+}
+
+TEST(EngineRelativeTest, OneNoisyEndPoseDoesNotReject) {
+  std::vector<PoseSample> samples = SureSecondLap();
+  EXPECT_EQ(Find(Driven(samples)).candidates[0].difference.gate.verdict,
+            GateVerdict::kAccepted);
+  TurnLastNode(0.32, &samples);
+  const Engine engine = Driven(samples);
+  const CandidateSet set = Find(engine);
+  const Candidate& best = set.candidates[0];
+  EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kRejected);
+  EXPECT_LT(best.relative->squared_end_difference,
+            best.difference.gate.threshold);
+  EXPECT_EQ(best.verdict, Verdict::kAccepted);
+  EXPECT_NEAR(TravelledAt(engine, best), 1600.0 - RingMeters(engine), 2.5);
+}
+
+TEST(EngineRelativeTest, OnePoseOnAnOldRoadIsNotAccepted) {
+  // The recent path comes round a bend and touches an old road for one pose,
+  // exactly.
+  Trip trip;
+  trip.Straight(800.0);
+  const Pose on_old = trip.poses()[500];
+  Trip bend(on_old);
+  bend.Turn(-170.0, 60.0);
+  std::vector<Pose> poses = trip.poses();
+  // The bend backwards ends at the old road.
+  for (std::size_t i = bend.poses().size(); i-- > 0;) {
+    Pose pose = bend.poses()[i];
+    pose.x = 2.0 * on_old.x - pose.x;
+    pose.heading = WrapHeading(-pose.heading);
+    poses.push_back(pose);
+  }
+  const Engine engine =
+      Driven(WithDeviations(poses, 60.0, 0.05), Independent());
+  const CandidateSet set = Find(engine);
+  ASSERT_FALSE(set.candidates.empty());
+  for (const Candidate& candidate : set.candidates) {
+    EXPECT_NE(candidate.verdict, Verdict::kAccepted);
+    EXPECT_LT(candidate.relative->overlap_meters, 60.0);
+  }
+  const Candidate& best = set.candidates[0];
+  EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kAccepted);
+}
+
+TEST(EngineRelativeTest, TheOppositeDirectionIsFoundOnlyWhenAsked) {
+  Trip trip;
+  trip.Winding(0.0, 700.0);
+  std::vector<Pose> poses = trip.poses();
+  // Round a loop and back the same road.
+  trip.Turn(-60.0, 20.0).Turn(300.0, 20.0).Turn(-60.0, 20.0);
+  poses = trip.poses();
+  for (std::size_t i = 700; i-- > 300;) {
+    Pose pose = trip.poses()[i];
+    pose.heading = WrapHeading(pose.heading + kPi);
+    poses.push_back(pose);
+  }
+  const Engine engine = Driven(poses);
+  SearchOptions options;
+  for (const Candidate& candidate : Find(engine, options).candidates) {
+    EXPECT_EQ(candidate.direction, Direction::kSame);
+    EXPECT_NE(candidate.verdict, Verdict::kAccepted);
+  }
+  for (const SearchDirection direction :
+       {SearchDirection::kOpposite, SearchDirection::kEither}) {
+    options.direction = direction;
+    const CandidateSet set = Find(engine, options);
+    ASSERT_FALSE(set.candidates.empty());
+    const Candidate& best = set.candidates[0];
+    EXPECT_EQ(best.direction, Direction::kOpposite);
+    EXPECT_EQ(best.verdict, Verdict::kAccepted);
+    EXPECT_NEAR(TravelledAt(engine, best), 300.0, 3.0);
+    EXPECT_NEAR(best.difference.difference.heading, 0.0, 0.1);
+    // The history is walked forward while the recent path is walked back.
+    EXPECT_LT(best.path.back().second, best.path.front().second);
+    EXPECT_GT(best.relative->overlap_meters, 140.0);
+  }
+}
+
+TEST(EngineRelativeTest, AnOldRoadJoinedSixtyMetersAgoIsFound) {
+  // Off the old road, and back on it from the side.
+  Trip old_road;
+  old_road.Winding(0.0, 600.0);
+  std::vector<Pose> poses = old_road.poses();
+  Trip joining(old_road.poses()[240]);
+  joining.Straight(150.0);
+  for (std::size_t i = joining.poses().size(); i-- > 1;) {
+    // Backwards along a straight that leads into the old road at 240 m.
+    Pose pose = joining.poses()[i];
+    const Pose& at = old_road.poses()[240];
+    pose.x = 2.0 * at.x - pose.x;
+    pose.y = 2.0 * at.y - pose.y;
+    poses.push_back(pose);
+  }
+  for (std::size_t i = 240; i <= 300; ++i) poses.push_back(old_road.poses()[i]);
+  const Engine engine =
+      Driven(WithDeviations(poses, 15.0, 0.05), Independent());
+  const CandidateSet set = Find(engine);
+  ASSERT_FALSE(set.candidates.empty());
+  const Candidate& best = set.candidates[0];
+  EXPECT_EQ(best.verdict, Verdict::kAccepted);
+  EXPECT_NEAR(TravelledAt(engine, best), 300.0, 6.0);
+  EXPECT_GE(best.relative->overlap_meters, 50.0);
+  EXPECT_LE(best.relative->overlap_meters, 100.0);
+  EXPECT_EQ(static_cast<double>(best.path.size() - 1) * 2.0,
+            best.relative->overlap_meters);
+}
+
+TEST(EngineRelativeTest, AnOverlapGoesOnOverAConfirmedLoopClosure) {
+  // The history saw the road in two drives that share 20 m.
+  Trip road;
+  road.Winding(0.0, 600.0);
+  std::vector<Pose> poses;
+  const auto drive = [&](std::size_t from, std::size_t to) {
+    for (std::size_t i = from; i <= to; ++i) poses.push_back(road.poses()[i]);
+  };
+  drive(0, 320);
+  drive(300, 600);  // From 320 m back to 300 m: a jump of 20 m, taken below.
+  drive(200, 400);
+  EngineSettings settings = Independent();
+  settings.max_step_meters = 10.0;
+  Engine engine(settings);
+  ASSERT_EQ(engine.Append(WithDeviations(poses, 3.0, 0.02), 1).jumps.size(),
+            2u);
+  const auto overlap = [&engine] {
+    const CandidateSet set = Find(engine);
+    // The candidate on the second drive.
+    for (const Candidate& candidate : set.candidates) {
+      if (candidate.matched > 160) return candidate.relative->overlap_meters;
+    }
+    return -1.0;
+  };
+  EXPECT_GE(overlap(), 90.0);
+  EXPECT_LE(overlap(), 110.0);
+  // 310 m along the road, in either drive.
+  engine.AddLoopClosure(332, 311, 2);
+  EXPECT_GE(overlap(), 144.0);
+}
+
+TEST(EngineRelativeTest, RejectedPairsAreNotOfferedUntilTheRejectionGoes) {
+  Engine engine = Driven(Ring(1600.0));
+  const CandidateSet before = Find(engine);
+  const Candidate& best = before.candidates[0];
+  const auto sequence = [&engine](NodeIndex i) {
+    const Node& node = engine.graph().node(i);
+    return node.sequence + (node.fraction > 0.0 ? 1 : 0);
+  };
+  const std::uint64_t query = sequence(*before.query);
+  const std::uint64_t matched = sequence(best.matched);
+  engine.AddRejection(query, matched, 2);
+  EXPECT_EQ(engine.revision(), 2u);
+  EXPECT_EQ(engine.consistency().rejected, 1);
+  const double separation =
+      engine.settings().search.candidate_separation_meters;
+  for (const AlignmentKind alignment :
+       {AlignmentKind::kRelative, AlignmentKind::kComposite}) {
+    SearchOptions options;
+    options.alignment = alignment;
+    for (const Candidate& candidate : Find(engine, options).candidates) {
+      EXPECT_GE(
+          std::abs(TravelledAt(engine, candidate) - TravelledAt(engine, best)),
+          separation - 2.0);
+    }
+  }
+  // Queries farther off than the separation are not concerned.
+  const NodeIndex earlier = *before.query - 10;
+  const auto other =
+      engine.FindCandidates(earlier, engine.settings().search, nullptr);
+  EXPECT_EQ(other->candidates[0].verdict, Verdict::kAccepted);
+  EXPECT_NEAR(static_cast<double>(other->candidates[0].matched),
+              static_cast<double>(best.matched - 10), 1.0);
+
+  // Twice rejected, once taken back: still rejected.
+  engine.AddRejection(query, matched, 3);
+  engine.RemoveRejection(query, matched, 4);
+  EXPECT_NE(Find(engine).candidates[0].matched, best.matched);
+  engine.RemoveRejection(query, matched, 5);
+  EXPECT_EQ(engine.consistency().rejected, 0);
+  const CandidateSet after = Find(engine);
+  ASSERT_EQ(after.candidates.size(), before.candidates.size());
+  for (std::size_t i = 0; i < after.candidates.size(); ++i) {
+    EXPECT_EQ(after.candidates[i].matched, before.candidates[i].matched);
+    EXPECT_EQ(after.candidates[i].score, before.candidates[i].score);
+  }
+}
+
+TEST(EngineRelativeTest, CompositeAnswersDoNotDependOnTheRelativeSettings) {
+  const Engine engine = Driven(Ring(1600.0));
+  SearchOptions options;
+  options.alignment = AlignmentKind::kComposite;
+  const CandidateSet plain = Find(engine, options);
+  options.shape.tolerance = {7.0, 0.5};
+  options.shape.correlation_meters = 3.0;
+  options.road_spacing_meters = 50.0;
+  options.acceptance_probability = 0.99;
+  const CandidateSet other = Find(engine, options);
+  EXPECT_EQ(plain.new_place_probability, std::nullopt);
+  ASSERT_EQ(plain.candidates.size(), other.candidates.size());
+  ASSERT_FALSE(plain.candidates.empty());
+  for (std::size_t i = 0; i < plain.candidates.size(); ++i) {
+    EXPECT_EQ(plain.candidates[i].score, other.candidates[i].score);
+    EXPECT_EQ(plain.candidates[i].path, other.candidates[i].path);
+    EXPECT_EQ(plain.candidates[i].verdict, other.candidates[i].verdict);
+    EXPECT_FALSE(plain.candidates[i].relative);
+    EXPECT_EQ(
+        plain.candidates[i].verdict == Verdict::kAccepted,
+        plain.candidates[i].difference.gate.verdict == GateVerdict::kAccepted);
+  }
+}
+
+TEST(EngineRelativeTest, APlaceAndANewOneAreTogetherNoMoreThanCertain) {
+  std::mt19937_64 random = SeededRandom();
+  for (const double factor : {0.1, 1.0, 10.0, 100.0}) {
+    std::vector<PoseSample> samples = oracle::WithCovariances(
+        oracle::DrawEstimate(Ring(2750.0), LittleNoise(), random),
+        LittleNoise());
+    for (PoseSample& sample : samples) {
+      for (double& value : sample.covariance.upper) value *= factor;
+    }
+    const Engine engine = Driven(samples);
+    SearchOptions options;
+    options.direction = SearchDirection::kEither;
+    options.max_candidates = 100;
+    for (NodeIndex query = 700; query < engine.graph().size(); query += 90) {
+      const auto set = engine.FindCandidates(query, options, nullptr);
+      for (const Candidate& candidate : set->candidates) {
+        EXPECT_GE(candidate.relative->probability, 0.0);
+        EXPECT_LE(candidate.relative->probability + *set->new_place_probability,
+                  1.0 + 1e-12)
+            << factor;
+      }
+    }
+  }
+}
+
+void ExpectAlike(const CandidateSet& a, const CandidateSet& b,
+                 double tolerance) {
+  ASSERT_EQ(a.candidates.size(), b.candidates.size());
+  ASSERT_FALSE(a.candidates.empty());
+  EXPECT_EQ(a.query, b.query);
+  EXPECT_NEAR(*a.new_place_probability, *b.new_place_probability, tolerance);
+  for (std::size_t i = 0; i < a.candidates.size(); ++i) {
+    const Candidate& x = a.candidates[i];
+    const Candidate& y = b.candidates[i];
+    EXPECT_NEAR(x.score, y.score, tolerance * std::max(1.0, std::abs(x.score)));
+    EXPECT_EQ(x.matched, y.matched);
+    EXPECT_EQ(x.direction, y.direction);
+    EXPECT_EQ(x.verdict, y.verdict);
+    EXPECT_EQ(x.path, y.path);
+    EXPECT_NEAR(x.relative->probability, y.relative->probability, tolerance);
+    const double d2 = x.difference.gate.squared_mahalanobis;
+    EXPECT_NEAR(d2, y.difference.gate.squared_mahalanobis,
+                tolerance * std::max(1.0, d2));
+  }
+}
+
+TEST(EngineRelativeTest, AnAnswerDoesNotDependOnNodesAfterTheQuery) {
+  std::mt19937_64 random = SeededRandom();
+  const std::vector<PoseSample> samples = oracle::WithCovariances(
+      oracle::DrawEstimate(Ring(2400.0), LittleNoise(), random), LittleNoise());
+  const Engine then =
+      Driven(std::vector<PoseSample>(samples.begin(), samples.begin() + 1600));
+  const Engine later = Driven(samples);
+  SearchOptions options;
+  options.direction = SearchDirection::kEither;
+  const NodeIndex query = then.graph().size() - 1;
+  const auto a = then.FindCandidates(query, options, nullptr);
+  const auto b = later.FindCandidates(query, options, nullptr);
+  ExpectAlike(*a, *b, 0.0);
+}
+
+TEST(EngineRelativeTest, AnAnswerDoesNotDependOnTheFrameOrTheClock) {
+  std::mt19937_64 random = SeededRandom();
+  const std::vector<PoseSample> here = oracle::WithCovariances(
+      oracle::DrawEstimate(Ring(1600.0), LittleNoise(), random), LittleNoise());
+  const double angle = 2.4;
+  const StateMatrix<3> turn = TurnAbout<3>(angle);
+  std::vector<PoseSample> there = here;
+  for (PoseSample& sample : there) {
+    const StateVector<3> pose = turn * ToVector<3>(sample.pose);
+    sample.pose = {pose(0) + 1234.5, pose(1) - 987.6, 0.0,
+                   sample.pose.heading + angle};
+    sample.covariance = ToCovariance<3>(turn * ToMatrix<3>(sample.covariance) *
+                                        turn.transpose());
+    sample.stamp_ns = 1'700'000'000'000'000'000 +
+                      static_cast<std::int64_t>(sample.sequence) * 100'000'000;
+  }
+  EngineSettings settings;
+  settings.search.direction = SearchDirection::kEither;
+  Engine a = Driven(here, settings);
+  Engine b = Driven(there, settings);
+  ExpectAlike(Find(a), Find(b), 1e-9);
+  // With a confirmed closure too.
+  const auto lap = static_cast<std::uint64_t>(RingMeters(a));
+  a.AddLoopClosure(1300, 1300 - lap, 2);
+  b.AddLoopClosure(1300, 1300 - lap, 2);
+  ExpectAlike(Find(a), Find(b), 1e-9);
+}
+
+TEST(EngineRelativeTest, InflationIsAppliedOnlyWhenTheVehicleSaysSo) {
+  // The laps lie 20 m apart, which the covariances call impossible.
+  std::vector<Pose> poses = Ring(1900.0);
+  for (std::size_t i = 1200; i < poses.size(); ++i) poses[i].y += 20.0;
+  EngineSettings settings;
+  for (const bool apply : {false, true}) {
+    settings.apply_inflation = apply;
+    Engine engine = Driven(poses, settings);
+    const auto lap = static_cast<std::uint64_t>(RingMeters(engine));
+    std::uint64_t revision = 1;
+    for (std::uint64_t k = 0; k < 10; ++k) {
+      engine.AddLoopClosure(1400 + 20 * k, 1400 + 20 * k - lap, ++revision);
+    }
+    EXPECT_EQ(engine.consistency().confirmed, 10);
+    EXPECT_GT(engine.consistency().inflation, 1.5);
+    EXPECT_LE(engine.consistency().inflation, 10.0 + 1e-9);
+    const CandidateSet set = Find(engine);
+    EXPECT_EQ(set.inflation, apply ? engine.consistency().inflation : 1.0);
+  }
+}
+
+TEST(EngineRelativeTest, AClosureTakenBackLeavesNoTraceInTheConsistency) {
+  const std::vector<Pose> poses = Ring(1900.0);
+  Engine plain = Driven(poses);
+  Engine other = Driven(poses);
+  plain.AddLoopClosure(1400, 246, 2);
+  plain.AddLoopClosure(1500, 346, 3);
+  other.AddLoopClosure(1400, 246, 2);
+  other.AddLoopClosure(1450, 1000, 3);  // Wrong, and soon taken back.
+  other.AddLoopClosure(1500, 346, 4);
+  EXPECT_EQ(other.consistency().confirmed, 3);
+  EXPECT_NE(other.consistency().inflation, plain.consistency().inflation);
+  other.RemoveLoopClosure(1450, 1000, 5);
+  EXPECT_EQ(other.consistency().confirmed, 2);
+  EXPECT_EQ(other.consistency().inflation, plain.consistency().inflation);
+  EXPECT_EQ(other.consistency().mean_normalized_innovation_squared,
+            plain.consistency().mean_normalized_innovation_squared);
+  // Other settings see the same closures with other eyes.
+  EngineSettings settings;
+  settings.max_inflation = 1.0;
+  other.ChangeSettings(settings, 6);
+  EXPECT_EQ(other.consistency().confirmed, 2);
+  EXPECT_EQ(other.consistency().inflation, 1.0);
+  other.ChangeSettings({}, 7);
+  EXPECT_EQ(other.consistency().inflation, plain.consistency().inflation);
+}
+
+}  // namespace
+}  // namespace revisit::core

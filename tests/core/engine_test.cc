@@ -144,7 +144,9 @@ TEST(EngineTest, SaysWhyAnAnswerIsEmpty) {
             EmptyReason::kAllSuppressed);
 
   // A history of a single node has no path of 75.
-  EXPECT_EQ(Driven(150.0).FindCandidates(options, nullptr)->empty_reason,
+  SearchOptions composite;
+  composite.alignment = AlignmentKind::kComposite;
+  EXPECT_EQ(Driven(150.0).FindCandidates(composite, nullptr)->empty_reason,
             EmptyReason::kNoAlignment);
 }
 

@@ -65,6 +65,76 @@ TEST(SettingsTest, TheDefaultStepFitsEverySpacing) {
   EXPECT_EQ(DefaultMaxStep(0.0), 100.0);
 }
 
+TEST(SettingsTest, RelativeAlignmentHasRangesOfItsOwn) {
+  const auto problems_of = [](const auto& change) {
+    EngineSettings settings;
+    change(&settings);
+    return FindProblems(settings);
+  };
+  const double nan = std::nan("");
+  struct Range {
+    const char* field;
+    double SearchOptions::*value;
+    double lowest;
+    double highest;
+    const char* description_of_minus_one;
+  };
+  const Range ranges[] = {
+      {"road_spacing_meters", &SearchOptions::road_spacing_meters, 1.0, 1e6,
+       "got -1; allowed is [1, 1000000]"},
+      {"acceptance_probability", &SearchOptions::acceptance_probability, 1e-300,
+       std::nextafter(1.0, 0.0), "got -1; allowed is above 0 and below 1"},
+  };
+  for (const Range& range : ranges) {
+    for (const double valid : {range.lowest, range.highest}) {
+      EXPECT_THAT(problems_of([&](EngineSettings* settings) {
+                    settings->search.*range.value = valid;
+                  }),
+                  IsEmpty())
+          << range.field;
+    }
+    for (const double invalid :
+         {-1.0, nan, std::nextafter(range.highest, 1e9)}) {
+      const auto problems = problems_of([&](EngineSettings* settings) {
+        settings->search.*range.value = invalid;
+      });
+      ASSERT_EQ(problems.size(), 1u) << range.field;
+      EXPECT_EQ(problems[0].field, range.field);
+      if (invalid == -1.0) {
+        EXPECT_EQ(problems[0].description, range.description_of_minus_one);
+      }
+    }
+  }
+
+  const auto shape_problems = [&](const ShapeModel& shape) {
+    return problems_of(
+        [&](EngineSettings* settings) { settings->search.shape = shape; });
+  };
+  EXPECT_THAT(shape_problems({{0.01, 0.001}, 0.01}), IsEmpty());
+  EXPECT_THAT(shape_problems({{1000.0, 3.0}, 1e6}), IsEmpty());
+  EXPECT_THAT(
+      shape_problems({{0.0, 0.0}, 0.0}),
+      ElementsAre(
+          Field(&SettingProblem::field, "shape.tolerance.position_meters"),
+          Field(&SettingProblem::field, "shape.tolerance.heading_radians"),
+          Field(&SettingProblem::field, "shape.correlation_meters")));
+  EXPECT_EQ(shape_problems({{1001.0, 3.1}, 1.1e6}).size(), 3u);
+  EXPECT_EQ(shape_problems({{nan, nan}, nan}).size(), 3u);
+
+  for (const double most : {1.0, 100.0}) {
+    EXPECT_THAT(problems_of([&](EngineSettings* settings) {
+                  settings->max_inflation = most;
+                }),
+                IsEmpty());
+  }
+  for (const double most : {0.99, 100.5, nan}) {
+    EXPECT_THAT(problems_of([&](EngineSettings* settings) {
+                  settings->max_inflation = most;
+                }),
+                ElementsAre(Field(&SettingProblem::field, "max_inflation")));
+  }
+}
+
 TEST(SettingsTest, AFilterSearchNeedsAFilterVehicle) {
   SearchOptions options;
   options.correlation_model = CorrelationModel::kFilter;

@@ -91,7 +91,9 @@ class DenseWindow {
     with_end_ = mixed.leftCols(d_);
 
     const auto stretch = std::max<core::NodeIndex>(
-        1, std::llround(model.shape.correlation_meters / model.spacing_meters));
+        1, std::min<core::NodeIndex>(
+               steps - 1, std::llround(model.shape.correlation_meters /
+                                       model.spacing_meters)));
     const Wide turn_tolerance =
         std::sqrt(2.0L * (tolerance(d_ - 1, d_ - 1) + jitter(d_ - 1, d_ - 1)));
     const core::NodeIndex first = query - steps + 1;

@@ -178,6 +178,26 @@ class SurvivorLists {
     return longer;
   }
 
+  // Whether errors can have been carried from the one node of a closure over
+  // the other to the query, with nothing but noise added.
+  bool ForwardFilter(const core::ConfirmedLoop& loop) const {
+    const auto grows = [this](core::NodeIndex a, core::NodeIndex b) {
+      const core::Node& earlier = graph_.node(std::min(a, b));
+      const core::Node& later = graph_.node(std::max(a, b));
+      const WideMatrix f =
+          WideLever(static_cast<Wide>(later.pose.x) - earlier.pose.x,
+                    static_cast<Wide>(later.pose.y) - earlier.pose.y, d_);
+      const WideMatrix added =
+          WideCovarianceOf(later.covariance, d_) -
+          f * WideCovarianceOf(earlier.covariance, d_) * f.transpose() +
+          WideDiagonal(core::kConfirmedTolerance.position_meters,
+                       core::kConfirmedTolerance.heading_radians, d_);
+      return EvaluateWide(added, WideVector::Zero(d_)).has_value();
+    };
+    return grows(loop.matched, loop.query) &&
+           grows(std::max(loop.matched, loop.query), query_);
+  }
+
   // Difference of the query and node j, and its covariance with the tolerance,
   // given what the last closure tells.
   std::pair<WideVector, WideMatrix> Anchor(core::NodeIndex j, int way) const {
@@ -204,7 +224,7 @@ class SurvivorLists {
         gamma(query_, j) + WideDiagonal(similarity.tolerance.position_meters,
                                         similarity.tolerance.heading_radians,
                                         d_);
-    if (model_.last_confirmed) {
+    if (model_.last_confirmed && ForwardFilter(*model_.last_confirmed)) {
       const core::NodeIndex c = model_.last_confirmed->query;
       const core::NodeIndex m = model_.last_confirmed->matched;
       const WideMatrix x =
@@ -216,9 +236,12 @@ class SurvivorLists {
       const bool turned =
           std::abs(difference(c, m, false)(d_ - 1)) > 0.5L * kWidePi;
       const WideMatrix gain = x * known.inverse();
-      d -= gain * difference(c, m, turned);
-      d(d_ - 1) = NearestTo(0.0L, d(d_ - 1));
-      covariance -= gain * x.transpose();
+      WideVector known_d = d - gain * difference(c, m, turned);
+      known_d(d_ - 1) = NearestTo(0.0L, known_d(d_ - 1));
+      const WideMatrix known_covariance = covariance - gain * x.transpose();
+      if (EvaluateWide(known_covariance, known_d)) {
+        return {known_d, known_covariance};
+      }
     }
     return {d, covariance};
   }
@@ -282,10 +305,15 @@ class SurvivorLists {
     const auto [d, covariance] = Anchor(j, way);
     const int length = static_cast<int>(path.entries.size()) - 1;
     const WideMatrix to_local = WideTurn(graph_.node(query_).pose.heading, d_);
-    auto form =
-        EvaluateWide(covariance - to_local * window_.EndCertainty(length) *
-                                      to_local.transpose(),
-                     d + to_local * window_.EndMean(path.mismatches));
+    const WideMatrix smoothed = covariance - to_local *
+                                                 window_.EndCertainty(length) *
+                                                 to_local.transpose();
+    std::optional<WideQuadraticForm> form;
+    // At least a thousandth of the covariance has to be left.
+    if (EvaluateWide(smoothed - 1e-3L * covariance, d)) {
+      form = EvaluateWide(smoothed,
+                          d + to_local * window_.EndMean(path.mismatches));
+    }
     if (!form) form = EvaluateWide(covariance, d);
     ListedMatch match;
     match.possible = form.has_value();

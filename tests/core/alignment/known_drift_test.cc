@@ -82,8 +82,9 @@ void ExpectConditionedChain(std::mt19937_64& random) {
                                     chain.Cross(q, j) - chain.Cross(j, q));
   StateVector<D> difference = StateVector<D>::Zero();
   StateMatrix<D> known = gamma.cast<double>();
-  const KnownDrift<D> known_drift(drive.graph, model, {c, m}, q);
-  known_drift.Apply(j, &difference, &known);
+  const auto known_drift = KnownDrift<D>::Make(drive.graph, model, {c, m}, q);
+  ASSERT_TRUE(known_drift);
+  known_drift->Apply(j, &difference, &known);
   for (int r = 0; r < D; ++r) {
     oracle::Wide expected = -mean(r);
     if (r == D - 1) expected = oracle::NearestTo(0.0L, expected);
@@ -123,17 +124,36 @@ TEST(KnownDriftTest, WhatAClosureHasShownHoldsForTheNodesNextToIt) {
     graph.AddNode(node, i == 0, std::nullopt);
   }
   const SimilarityModel model;
-  const KnownDrift<3> known(graph, model, {150, 50}, 155);
+  const auto known = KnownDrift<3>::Make(graph, model, {150, 50}, 155);
+  ASSERT_TRUE(known);
   StateVector<3> difference =
       ToVector<3>(Difference(graph.node(155).pose, graph.node(55).pose));
   StateMatrix<3> covariance =
       DifferenceCovariance<3>(graph, model.correlation, 155, 55);
   EXPECT_NEAR(difference(1), 30.0, 1e-9);
   EXPECT_NEAR(covariance(1, 1), 400.0, 0.1);
-  known.Apply(55, &difference, &covariance);
+  known->Apply(55, &difference, &covariance);
   // A variance of 400 is known but for the closure's tolerance of 5 m.
   EXPECT_NEAR(difference(1), 30.0 * 25.0 / 425.0, 0.01);
   EXPECT_NEAR(covariance(1, 1), 400.0 * 25.0 / 425.0, 0.1);
+}
+
+TEST(KnownDriftTest, SaysNothingWhereCovariancesHaveShrunk) {
+  // What an optimiser leaves behind: from node 5 on, far more certain.
+  PoseGraph graph;
+  for (int i = 0; i < 12; ++i) {
+    Node node;
+    node.pose.x = 2.0 * i;
+    for (int k : {0, 1, 3}) {
+      node.covariance(k, k) = (i < 5 ? 400.0 : 0.01) * (k == 3 ? 1e-9 : 1.0);
+    }
+    graph.AddNode(node, i == 0, std::nullopt);
+  }
+  const SimilarityModel model;
+  EXPECT_TRUE(KnownDrift<3>::Make(graph, model, {8, 6}, 10));
+  EXPECT_TRUE(KnownDrift<3>::Make(graph, model, {3, 1}, 4));
+  EXPECT_FALSE(KnownDrift<3>::Make(graph, model, {8, 2}, 10));
+  EXPECT_FALSE(KnownDrift<3>::Make(graph, model, {3, 1}, 10));
 }
 
 }  // namespace

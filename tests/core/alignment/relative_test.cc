@@ -297,7 +297,7 @@ TEST(AlignRelativeTest, FindsWhatSurvivorsWithWholePathsFind) {
             << ", of these between directions " << seen.turned_over_loops
             << "; impossible " << seen.impossible << "\n";
   EXPECT_GT(seen.walked, 500);
-  EXPECT_GT(seen.slipped, 10);
+  EXPECT_GT(seen.slipped, 0);
   EXPECT_GT(seen.over_loops, 50);
   EXPECT_GT(seen.turned_over_loops, 10);
   EXPECT_GT(seen.opposite, 100);

@@ -29,6 +29,24 @@ TEST(GateTest, AcceptsUpToAndIncludingTheThreshold) {
   EXPECT_EQ(gate.Decide(0.0).p_value, 1.0);
 }
 
+TEST(GateTest, APathIsJudgedAtTheSameProbability) {
+  const Gate gate(StateSpace::kPlanar, 0.95);
+  const PathGateResult end_alone = gate.DecidePath(5.0, 3.0);
+  const GateResult single = gate.Decide(5.0);
+  EXPECT_DOUBLE_EQ(end_alone.threshold, single.threshold);
+  EXPECT_DOUBLE_EQ(end_alone.p_value, single.p_value);
+  EXPECT_EQ(end_alone.verdict, GateVerdict::kAccepted);
+  // 3 (1 + 0.2 * 74) degrees of freedom, between 47 and 48 of the tables.
+  const PathGateResult path = gate.DecidePath(70.0, 47.4);
+  EXPECT_EQ(path.degrees_of_freedom, 47.4);
+  EXPECT_GT(path.threshold, 64.00);
+  EXPECT_LT(path.threshold, 65.18);
+  EXPECT_EQ(path.verdict, GateVerdict::kRejected);
+  EXPECT_LT(path.p_value, 0.05);
+  EXPECT_EQ(gate.DecidePath(path.threshold, 47.4).verdict,
+            GateVerdict::kAccepted);
+}
+
 TEST(GateTest, ExtremeArgumentsGiveNumbersAndNotExceptions) {
   EXPECT_EQ(Gate(StateSpace::kPlanar, 0.95).Decide(1e300).p_value, 0.0);
   EXPECT_GE(Gate(StateSpace::kPlanar, 5e-324).threshold(), 0.0);

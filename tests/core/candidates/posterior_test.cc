@@ -2,8 +2,10 @@
 
 #include <gtest/gtest.h>
 
-#include <algorithm>
+#include <array>
 #include <cmath>
+#include <set>
+#include <utility>
 #include <vector>
 
 #include "tests/core/graphs.h"
@@ -24,19 +26,22 @@ PoseGraph EvenGraph(NodeIndex size, double spacing) {
 
 using LogOdds = std::array<std::vector<double>, 2>;
 
-// Odds over the sum of all odds and 1.
-long double Literal(const PoseGraph& graph, const LogOdds& log_odds,
-                    std::size_t direction, NodeIndex j) {
+// Odds of the nodes near j that are not taken yet, over all odds and 1.
+long double ClaimLiterally(const PoseGraph& graph, const LogOdds& log_odds,
+                           std::size_t direction, NodeIndex j,
+                           std::set<std::pair<std::size_t, NodeIndex>>* taken) {
   long double all = 1.0L;
   long double here = 0.0L;
   for (std::size_t way = 0; way < 2; ++way) {
-    for (std::size_t i = 0; i < log_odds[way].size(); ++i) {
+    for (std::size_t k = 0; k < log_odds[way].size(); ++k) {
+      const auto i = static_cast<NodeIndex>(k);
       const long double odds =
-          std::exp(static_cast<long double>(log_odds[way][i]));
+          std::exp(static_cast<long double>(log_odds[way][k]));
       all += odds;
       if (way == direction &&
-          std::abs(graph.node(static_cast<NodeIndex>(i)).travelled_meters -
-                   graph.node(j).travelled_meters) <= kPlaceRadiusMeters) {
+          std::abs(graph.node(i).travelled_meters -
+                   graph.node(j).travelled_meters) <= kPlaceRadiusMeters &&
+          taken->insert({way, i}).second) {
         here += odds;
       }
     }
@@ -51,51 +56,52 @@ TEST(PosteriorTest, IsOddsOverAllOdds) {
     const PoseGraph graph = EvenGraph(size, Uniform(random, 0.5, 15.0));
     LogOdds log_odds;
     const int directions = UniformInt(random, 1, 3);
+    long double all = 1.0L;
     for (std::size_t way = 0; way < 2; ++way) {
       if (!(directions & (1 << way))) continue;
       for (NodeIndex i = 0; i < size; ++i) {
         log_odds[way].push_back(UniformInt(random, 0, 9) == 0
                                     ? kImpossible
                                     : Uniform(random, -60.0, 60.0));
+        all += std::exp(static_cast<long double>(log_odds[way].back()));
       }
     }
-    const Posterior posterior(graph, log_odds);
-    long double all = 1.0L;
-    for (const auto& odds : log_odds) {
-      for (const double o : odds) all += std::exp(static_cast<long double>(o));
-    }
+    Posterior posterior(graph, log_odds);
     const auto near = [](double actual, long double expected) {
       EXPECT_NEAR(actual, static_cast<double>(expected),
                   1e-12 * static_cast<double>(expected) + 1e-300);
     };
     near(posterior.new_place(), 1.0L / all);
-    for (std::size_t way = 0; way < 2; ++way) {
-      for (NodeIndex j = 0; j < static_cast<NodeIndex>(log_odds[way].size());
-           ++j) {
-        near(posterior.Place(way == 0 ? Direction::kSame : Direction::kOpposite,
-                             j),
-             std::min(1.0L, Literal(graph, log_odds, way, j)));
-      }
+    std::set<std::pair<std::size_t, NodeIndex>> taken;
+    double sum = posterior.new_place();
+    for (int claim = 0; claim < 100; ++claim) {
+      const auto way = static_cast<std::size_t>(UniformInt(random, 0, 1));
+      if (log_odds[way].empty()) continue;
+      const NodeIndex j = UniformInt(random, 0, static_cast<int>(size) - 1);
+      const double claimed = posterior.Claim(
+          way == 0 ? Direction::kSame : Direction::kOpposite, j);
+      near(claimed, ClaimLiterally(graph, log_odds, way, j, &taken));
+      sum += claimed;
     }
+    EXPECT_LE(sum, 1.0 + 1e-12);
+    near(posterior.new_place(), 1.0L / all);
   }
 }
 
 TEST(PosteriorTest, SurvivesOddsBeyondDoubleRange) {
   const PoseGraph graph = EvenGraph(3, 100.0);
-  const LogOdds log_odds = {{{5000.0, 4999.0, kImpossible}, {}}};
-  const Posterior posterior(graph, log_odds);
+  Posterior posterior(graph, {{{5000.0, 4999.0, kImpossible}, {}}});
   EXPECT_EQ(posterior.new_place(), 0.0);
-  EXPECT_NEAR(posterior.Place(Direction::kSame, 0),
+  EXPECT_NEAR(posterior.Claim(Direction::kSame, 0),
               1.0 / (1.0 + std::exp(-1.0)), 1e-12);
-  EXPECT_EQ(posterior.Place(Direction::kSame, 2), 0.0);
+  EXPECT_EQ(posterior.Claim(Direction::kSame, 2), 0.0);
 }
 
 TEST(PosteriorTest, WithoutAnyPossiblePlaceItIsNew) {
   const PoseGraph graph = EvenGraph(2, 2.0);
-  const LogOdds log_odds = {{{kImpossible, kImpossible}, {}}};
-  const Posterior posterior(graph, log_odds);
+  Posterior posterior(graph, {{{kImpossible, kImpossible}, {}}});
   EXPECT_EQ(posterior.new_place(), 1.0);
-  EXPECT_EQ(posterior.Place(Direction::kSame, 0), 0.0);
+  EXPECT_EQ(posterior.Claim(Direction::kSame, 0), 0.0);
 }
 
 }  // namespace
