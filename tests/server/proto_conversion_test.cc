@@ -1491,7 +1491,8 @@ TEST(AnswerTest, VehicleSaysHowConsistentItIs) {
   EXPECT_EQ(before.rejected_count(), 0);
   EXPECT_FALSE(before.has_mean_normalized_innovation_squared());
   EXPECT_EQ(before.degrees_of_freedom(), 3);
-  EXPECT_EQ(before.inflation(), 1.0);
+  EXPECT_GT(before.inflation(), 1.0);
+  EXPECT_EQ(before.inflation(), engine.consistency().inflation);
   EXPECT_TRUE(before.applied());
   engine.AddRejection(400, 100, 8);
   EXPECT_EQ(consistency().rejected_count(), 1);
