@@ -8,10 +8,13 @@
 #ifndef REVISIT_CORE_ALIGNMENT_LOG_SIMILARITY_H_
 #define REVISIT_CORE_ALIGNMENT_LOG_SIMILARITY_H_
 
+#include <algorithm>
+#include <cstddef>
 #include <limits>
 #include <optional>
 #include <vector>
 
+#include "core/alignment/similarity_kernel.h"
 #include "core/geometry/pose.h"
 #include "core/graph/correlation.h"
 #include "core/graph/pose_graph.h"
@@ -83,10 +86,34 @@ double LogSimilarity(const PoseGraph& graph, const SimilarityModel& model,
                      NodeIndex i, NodeIndex j);
 
 // lambda(query, i) for all i in [0, count), count <= query: a column of the
-// trellis. O(count) in every correlation model.
+// trellis. O(count) in every correlation model. kDeadReckoning and kIndependent
+// by the kernel (similarity_kernel.h).
 void LogSimilarityColumn(const PoseGraph& graph, const SimilarityModel& model,
                          NodeIndex query, NodeIndex count,
                          std::vector<double>* column);
+
+KernelQuery MakeKernelQuery(const PoseGraph& graph,
+                            const SimilarityModel& model, NodeIndex query);
+
+// For kDeadReckoning and kIndependent: calls visit(first, size, part) for the
+// nodes of [0, count) block by block; entry k of a part, k < size, is that of
+// node first + k.
+// REQUIRES: count <= query.
+template <typename Visit>
+void VisitBlockSimilarities(const PoseGraph& graph,
+                            const SimilarityModel& model, NodeIndex query,
+                            NodeIndex count, const Visit& visit) {
+  const KernelQuery kernel_query = MakeKernelQuery(graph, model, query);
+  constexpr auto kSize = static_cast<NodeIndex>(NodeBlock::kSize);
+  BlockSimilarity part;
+  for (NodeIndex first = 0; first < count; first += kSize) {
+    const NodeIndex size = std::min(kSize, count - first);
+    EvaluateBlock(kernel_query,
+                  graph.block(static_cast<std::size_t>(first / kSize)),
+                  static_cast<std::size_t>(size), &part);
+    visit(first, size, part);
+  }
+}
 
 }  // namespace revisit::core
 
