@@ -141,8 +141,10 @@ void LogSimilarityColumn(const PoseGraph& graph, const SimilarityModel& model,
   if (model.correlation != CorrelationModel::kFilter) {
     VisitBlockSimilarities(
         graph, model, query, count,
-        [out](NodeIndex first, NodeIndex size, const BlockSimilarity& part) {
-          std::copy_n(part.log_similarity.data(), size, out + first);
+        [out, count](NodeIndex first, const BlockSimilarity& part) {
+          constexpr auto kSize = static_cast<NodeIndex>(NodeBlock::kSize);
+          std::copy_n(part.log_similarity.data(),
+                      std::min(kSize, count - first), out + first);
         });
   } else if (model.state_space == StateSpace::kPlanar) {
     FilterColumn<3>(graph, model, query, count, out);

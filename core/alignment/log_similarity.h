@@ -95,23 +95,21 @@ void LogSimilarityColumn(const PoseGraph& graph, const SimilarityModel& model,
 KernelQuery MakeKernelQuery(const PoseGraph& graph,
                             const SimilarityModel& model, NodeIndex query);
 
-// For kDeadReckoning and kIndependent: calls visit(first, size, part) for the
-// nodes of [0, count) block by block; entry k of a part, k < size, is that of
-// node first + k.
-// REQUIRES: count <= query.
+// For kDeadReckoning and kIndependent: calls visit(first, part) for the nodes
+// of [0, count) block by block; entry k of a part is that of node first + k,
+// and means nothing from `count` on. REQUIRES: count <= query.
 template <typename Visit>
 void VisitBlockSimilarities(const PoseGraph& graph,
                             const SimilarityModel& model, NodeIndex query,
                             NodeIndex count, const Visit& visit) {
   const KernelQuery kernel_query = MakeKernelQuery(graph, model, query);
-  constexpr auto kSize = static_cast<NodeIndex>(NodeBlock::kSize);
+  const std::size_t blocks = BlocksOf(count);
   BlockSimilarity part;
-  for (NodeIndex first = 0; first < count; first += kSize) {
-    const NodeIndex size = std::min(kSize, count - first);
-    EvaluateBlock(kernel_query,
-                  graph.block(static_cast<std::size_t>(first / kSize)),
-                  static_cast<std::size_t>(size), &part);
-    visit(first, size, part);
+  for (std::size_t k = 0; k < blocks; ++k) {
+    // After the last comes the first: with the next query.
+    EvaluateBlock(kernel_query, graph.block(k),
+                  graph.block(k + 1 < blocks ? k + 1 : 0), &part);
+    visit(static_cast<NodeIndex>(k * NodeBlock::kSize), part);
   }
 }
 

@@ -10,6 +10,7 @@
 #define HWY_TARGET_INCLUDE "core/alignment/similarity_kernel.cc"
 #include <hwy/foreach_target.h>
 // After foreach_target.h.
+#include <hwy/cache_control.h>
 #include <hwy/contrib/math/math-inl.h>
 #include <hwy/highway.h>
 
@@ -53,7 +54,8 @@ HWY_INLINE void AddPivot(Tag tag, Vector diagonal, Vector pivot, Vector solved,
 
 template <int D, bool kDeadReckoning>
 HWY_INLINE void EvaluateAll(const KernelQuery& query, const NodeBlock& block,
-                            std::size_t count, BlockSimilarity* similarity) {
+                            const NodeBlock& next,
+                            BlockSimilarity* similarity) {
   const Tag tag;
   const auto set = [tag](double value) HWY_ATTR { return hn::Set(tag, value); };
   const Vector scale = set(query.variance_scale);
@@ -69,16 +71,22 @@ HWY_INLINE void EvaluateAll(const KernelQuery& query, const NodeBlock& block,
   const Vector query_z = set(query.pose.z);
   const Vector query_heading = set(query.pose.heading);
 
-  for (std::size_t i = 0; i < count; i += hn::Lanes(tag)) {
-    const auto load = [tag, i](const NodeBlock::Column<double>& column)
-                          HWY_ATTR { return hn::Load(tag, column.data() + i); };
-    const Vector dx = hn::Sub(query_x, load(block.x));
-    const Vector dy = hn::Sub(query_y, load(block.y));
-    Vector dh = Wrap(tag, hn::Sub(query_heading, load(block.heading)));
+  for (std::size_t i = 0; i < NodeBlock::kSize; i += hn::Lanes(tag)) {
+    const auto load = [tag, i](const NodeBlock::Column<double>& column,
+                               const NodeBlock::Column<double>& next_column)
+                          HWY_ATTR {
+                            hwy::Prefetch(next_column.data() + i);
+                            return hn::Load(tag, column.data() + i);
+                          };
+    const Vector dx = hn::Sub(query_x, load(block.x, next.x));
+    const Vector dy = hn::Sub(query_y, load(block.y, next.y));
+    Vector dh =
+        Wrap(tag, hn::Sub(query_heading, load(block.heading, next.heading)));
     if (opposite) dh = Wrap(tag, hn::Add(dh, set(kPi)));
 
     const auto of_node = [&](int r, int c) HWY_ATTR {
-      return load(block.covariance[Covariance::Index(r, c)]);
+      const std::size_t at = Covariance::Index(r, c);
+      return load(block.covariance[at], next.covariance[at]);
     };
     // Of Gamma without the lever arm.
     const auto base = [&](int r, int c, Vector node) HWY_ATTR {
@@ -147,7 +155,7 @@ HWY_INLINE void EvaluateAll(const KernelQuery& query, const NodeBlock& block,
       zz = hn::Add(hn::Mul(scale, zz), position_variance);
       hz = hn::Mul(scale, hz);
 
-      const Vector dz = hn::Sub(query_z, load(block.z));
+      const Vector dz = hn::Sub(query_z, load(block.z, next.z));
       const Vector lower_zx = hn::Mul(zx, inverse_x);
       pivot_z = hn::Sub(zz, hn::Mul(lower_zx, zx));
       Vector solved_z = hn::Sub(dz, hn::Mul(lower_zx, dx));
@@ -188,17 +196,17 @@ HWY_INLINE void EvaluateAll(const KernelQuery& query, const NodeBlock& block,
 }
 
 void EvaluateBlock(const KernelQuery& query, const NodeBlock& block,
-                   std::size_t count, BlockSimilarity* similarity) {
+                   const NodeBlock& next, BlockSimilarity* similarity) {
   if (query.state_space == StateSpace::kPlanar) {
     if (query.dead_reckoning) {
-      EvaluateAll<3, true>(query, block, count, similarity);
+      EvaluateAll<3, true>(query, block, next, similarity);
     } else {
-      EvaluateAll<3, false>(query, block, count, similarity);
+      EvaluateAll<3, false>(query, block, next, similarity);
     }
   } else if (query.dead_reckoning) {
-    EvaluateAll<4, true>(query, block, count, similarity);
+    EvaluateAll<4, true>(query, block, next, similarity);
   } else {
-    EvaluateAll<4, false>(query, block, count, similarity);
+    EvaluateAll<4, false>(query, block, next, similarity);
   }
 }
 
@@ -211,8 +219,8 @@ namespace revisit::core {
 HWY_EXPORT(EvaluateBlock);
 
 void EvaluateBlock(const KernelQuery& query, const NodeBlock& block,
-                   std::size_t count, BlockSimilarity* similarity) {
-  HWY_DYNAMIC_DISPATCH(EvaluateBlock)(query, block, count, similarity);
+                   const NodeBlock& next, BlockSimilarity* similarity) {
+  HWY_DYNAMIC_DISPATCH(EvaluateBlock)(query, block, next, similarity);
 }
 
 }  // namespace revisit::core

@@ -35,17 +35,17 @@ struct KernelQuery {
   double exponent = 0.5;
 };
 
-// Rounded up to whole vectors: entries beyond those asked for are written too,
-// and mean nothing.
+// One entry a node of a block.
 struct alignas(64) BlockSimilarity {
   std::array<double, NodeBlock::kSize> log_similarity;
   std::array<double, NodeBlock::kSize> squared_mahalanobis;
 };
 
-// Of the first `count` nodes of the block; kImpossible where ill-conditioned.
-// For dead reckoning, the query is the later node of each pair.
+// Of all nodes of the block; kImpossible where ill-conditioned. For dead
+// reckoning, the query is the later node of each pair. `next` is the block that
+// will be asked for next, or the same again: it is fetched on the way.
 void EvaluateBlock(const KernelQuery& query, const NodeBlock& block,
-                   std::size_t count, BlockSimilarity* similarity);
+                   const NodeBlock& next, BlockSimilarity* similarity);
 
 }  // namespace revisit::core
 

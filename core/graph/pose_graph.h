@@ -57,6 +57,12 @@ struct NodeBlock {
   Column<std::optional<std::int64_t>> stamp_ns{};
 };
 
+// Blocks that hold the first `count` nodes.
+inline std::size_t BlocksOf(NodeIndex count) {
+  return (static_cast<std::size_t>(count) + NodeBlock::kSize - 1) /
+         NodeBlock::kSize;
+}
+
 class PoseGraph {
  public:
   NodeIndex size() const { return size_; }
