@@ -110,6 +110,12 @@ class ShapeFilter {
     return {squared, step.surprise - 0.5 * squared};
   }
 
+  // The log-likelihood ratio of step t where there is no innovation: no path
+  // has a greater one.
+  double Surprise(std::int64_t t) const {
+    return steps_[static_cast<std::size_t>(t)].surprise;
+  }
+
   // By how much the covariance of drift_0 has shrunk after step t, in the same
   // axes.
   const StateMatrix<D>& EndCertainty(std::int64_t t) const {
