@@ -118,12 +118,13 @@ class RelativeAligner {
     double sine = 0.0;
   };
   struct Survivor {
-    // Where it is, and which way it walks.
-    NodeIndex node = 0;
-    std::size_t way = 0;
+    // Where it is, and which way it walks. Nodes of one vehicle are far fewer
+    // than 2^31, and survivors are many.
+    std::int32_t node = 0;
     // Where it began.
-    NodeIndex end = 0;
-    std::size_t end_way = 0;
+    std::int32_t end = 0;
+    std::uint8_t way = 0;
+    std::uint8_t end_way = 0;
     Frame frame;
     typename ShapeFilter<D>::Drift drift;
     double log_likelihood_ratio = 0.0;
@@ -253,8 +254,8 @@ class RelativeAligner {
       const double anchor = anchors[Position(j)];
       if (anchor == kImpossible) continue;
       Survivor survivor;
-      survivor.node = survivor.end = j;
-      survivor.way = survivor.end_way = way;
+      survivor.node = survivor.end = static_cast<std::int32_t>(j);
+      survivor.way = survivor.end_way = static_cast<std::uint8_t>(way);
       const Pose& pose = graph_.node(j).pose;
       survivor.frame = MakeFrame(pose.x, pose.y, pose.z, HeadingOf(j, way));
       survivor.total = anchor;
@@ -380,8 +381,8 @@ class RelativeAligner {
     }
     Survivor& there = next_[static_cast<std::size_t>(slot)];
     there = survivor;
-    there.node = to;
-    there.way = way;
+    there.node = static_cast<std::int32_t>(to);
+    there.way = static_cast<std::uint8_t>(way);
     there.frame = frame;
     there.drift = drift;
     there.log_likelihood_ratio += gain;
@@ -410,7 +411,7 @@ class RelativeAligner {
     end_drifts_[survivor.end_way][Position(survivor.end)] =
         survivor.drift.at_end;
     match.steps = static_cast<std::int32_t>(t);
-    match.last = static_cast<std::int32_t>(survivor.node);
+    match.last = survivor.node;
     match.last_direction = DirectionOf(survivor.way);
   }
 
