@@ -9,13 +9,17 @@
 namespace revisit::core {
 namespace {
 
+double Exponent(LikelihoodForm form) {
+  return form == LikelihoodForm::kAsPrinted ? 1.0 : 0.5;
+}
+
 template <int D>
 double LogSimilarity(LikelihoodForm form, const StateMatrix<D>& gamma,
                      const StateVector<D>& d) {
   const std::optional<QuadraticForm> terms = Evaluate<D>(gamma, d);
   if (!terms) return kImpossible;
-  const double c = form == LikelihoodForm::kAsPrinted ? 1.0 : 0.5;
-  return -0.5 * terms->log_determinant - c * terms->squared_mahalanobis;
+  return -0.5 * terms->log_determinant -
+         Exponent(form) * terms->squared_mahalanobis;
 }
 
 template <int D>
@@ -30,15 +34,13 @@ double PairSimilarity(const PoseGraph& graph, const SimilarityModel& model,
 }
 
 template <int D>
-void Column(const PoseGraph& graph, const SimilarityModel& model,
-            NodeIndex query, NodeIndex count, std::vector<double>* column) {
-  const Pose& query_pose = graph.node(query).pose;
-  column->resize(static_cast<std::size_t>(count));
-  double* const out = column->data();
+void FilterColumn(const PoseGraph& graph, const SimilarityModel& model,
+                  NodeIndex query, NodeIndex count, double* column) {
+  const Pose query_pose = graph.node(query).pose;
   VisitDifferenceCovariances<D>(
       graph, model.correlation, query, count,
       [&](NodeIndex i, const StateMatrix<D>& gamma) {
-        out[i] = LogSimilarity<D>(
+        column[i] = LogSimilarity<D>(
             model.form, ToleratedCovariance<D>(model, gamma),
             ToVector<D>(PassDifference(model, query_pose, graph.node(i).pose)));
       });
@@ -60,7 +62,9 @@ std::optional<QuadraticForm> Evaluate(const StateMatrix<D>& gamma,
                                       const StateVector<D>& d) {
   // gamma = L diag(pivot) L^T, L unit lower triangular; solved = L^-1 d.
   double lower[D][D];
+  double scaled[D][D];  // L(r,c) * pivot(c)
   double pivot[D];
+  double inverse[D];
   double solved[D];
   QuadraticForm terms;
   double determinant = 1.0;
@@ -68,11 +72,11 @@ std::optional<QuadraticForm> Evaluate(const StateMatrix<D>& gamma,
     double p = gamma(r, r);
     double y = d(r);
     for (int c = 0; c < r; ++c) {
-      double scaled = gamma(r, c);  // L(r,c) * pivot(c)
-      for (int k = 0; k < c; ++k)
-        scaled -= lower[r][k] * pivot[k] * lower[c][k];
-      lower[r][c] = scaled / pivot[c];
-      p -= lower[r][c] * scaled;
+      double s = gamma(r, c);
+      for (int k = 0; k < c; ++k) s -= scaled[r][k] * lower[c][k];
+      scaled[r][c] = s;
+      lower[r][c] = s * inverse[c];
+      p -= lower[r][c] * s;
       y -= lower[r][c] * solved[c];
     }
     // Written so that NaN fails too.
@@ -80,9 +84,10 @@ std::optional<QuadraticForm> Evaluate(const StateMatrix<D>& gamma,
       return std::nullopt;
     }
     pivot[r] = p;
+    inverse[r] = 1.0 / p;
     solved[r] = y;
     determinant *= p;
-    terms.squared_mahalanobis += y * y / p;
+    terms.squared_mahalanobis += y * y * inverse[r];
   }
   // Pivots of a valid graph lie within (1e-60, 1e40): their product is finite
   // and one logarithm does for all. Beyond that, one each.
@@ -107,14 +112,44 @@ double LogSimilarity(const PoseGraph& graph, const SimilarityModel& model,
              : PairSimilarity<4>(graph, model, i, j);
 }
 
+KernelQuery MakeKernelQuery(const PoseGraph& graph,
+                            const SimilarityModel& model, NodeIndex query) {
+  assert(model.correlation != CorrelationModel::kFilter);
+  const Node node = graph.node(query);
+  const double position = model.tolerance.position_meters;
+  const double heading = model.tolerance.heading_radians;
+  KernelQuery kernel_query;
+  kernel_query.pose = node.pose;
+  kernel_query.covariance = node.covariance;
+  kernel_query.state_space = model.state_space;
+  kernel_query.dead_reckoning =
+      model.correlation == CorrelationModel::kDeadReckoning;
+  kernel_query.opposite = model.direction == Direction::kOpposite;
+  kernel_query.variance_scale = model.inflation * model.inflation;
+  kernel_query.position_variance = position * position;
+  kernel_query.heading_variance = heading * heading;
+  kernel_query.exponent = Exponent(model.form);
+  return kernel_query;
+}
+
 void LogSimilarityColumn(const PoseGraph& graph, const SimilarityModel& model,
                          NodeIndex query, NodeIndex count,
                          std::vector<double>* column) {
   assert(count <= query);
-  if (model.state_space == StateSpace::kPlanar) {
-    Column<3>(graph, model, query, count, column);
+  column->resize(static_cast<std::size_t>(count));
+  double* const out = column->data();
+  if (model.correlation != CorrelationModel::kFilter) {
+    VisitBlockSimilarities(
+        graph, model, query, count,
+        [out, count](NodeIndex first, const BlockSimilarity& part) {
+          constexpr auto kSize = static_cast<NodeIndex>(NodeBlock::kSize);
+          std::copy_n(part.log_similarity.data(),
+                      std::min(kSize, count - first), out + first);
+        });
+  } else if (model.state_space == StateSpace::kPlanar) {
+    FilterColumn<3>(graph, model, query, count, out);
   } else {
-    Column<4>(graph, model, query, count, column);
+    FilterColumn<4>(graph, model, query, count, out);
   }
 }
 

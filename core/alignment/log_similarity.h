@@ -8,10 +8,13 @@
 #ifndef REVISIT_CORE_ALIGNMENT_LOG_SIMILARITY_H_
 #define REVISIT_CORE_ALIGNMENT_LOG_SIMILARITY_H_
 
+#include <algorithm>
+#include <cstddef>
 #include <limits>
 #include <optional>
 #include <vector>
 
+#include "core/alignment/similarity_kernel.h"
 #include "core/geometry/pose.h"
 #include "core/graph/correlation.h"
 #include "core/graph/pose_graph.h"
@@ -83,10 +86,32 @@ double LogSimilarity(const PoseGraph& graph, const SimilarityModel& model,
                      NodeIndex i, NodeIndex j);
 
 // lambda(query, i) for all i in [0, count), count <= query: a column of the
-// trellis. O(count) in every correlation model.
+// trellis. O(count) in every correlation model. kDeadReckoning and kIndependent
+// by the kernel (similarity_kernel.h).
 void LogSimilarityColumn(const PoseGraph& graph, const SimilarityModel& model,
                          NodeIndex query, NodeIndex count,
                          std::vector<double>* column);
+
+KernelQuery MakeKernelQuery(const PoseGraph& graph,
+                            const SimilarityModel& model, NodeIndex query);
+
+// For kDeadReckoning and kIndependent: calls visit(first, part) for the nodes
+// of [0, count) block by block; entry k of a part is that of node first + k,
+// and means nothing from `count` on. REQUIRES: count <= query.
+template <typename Visit>
+void VisitBlockSimilarities(const PoseGraph& graph,
+                            const SimilarityModel& model, NodeIndex query,
+                            NodeIndex count, const Visit& visit) {
+  const KernelQuery kernel_query = MakeKernelQuery(graph, model, query);
+  const std::size_t blocks = BlocksOf(count);
+  BlockSimilarity part;
+  for (std::size_t k = 0; k < blocks; ++k) {
+    // After the last comes the first: with the next query.
+    EvaluateBlock(kernel_query, graph.block(k),
+                  graph.block(k + 1 < blocks ? k + 1 : 0), &part);
+    visit(static_cast<NodeIndex>(k * NodeBlock::kSize), part);
+  }
+}
 
 }  // namespace revisit::core
 

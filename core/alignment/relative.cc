@@ -72,6 +72,7 @@ class RelativeAligner {
       const NodeIndex end = std::min(graph.SegmentEnd(i), size_);
       for (++i; i < end; ++i) joined_[Position(i)] = 1;
     }
+    has_loops_ = !graph.LoopEdges().empty();
     for (std::size_t way = 0; way < 2; ++way) {
       next_slot_[way].assign(Position(size_), kNoSlot);
       if (way == 0 ? model.same_direction : model.opposite_direction) {
@@ -84,6 +85,10 @@ class RelativeAligner {
     for (std::int64_t t = 1; t < filter_.size() && !survivors_.empty(); ++t) {
       if (should_stop && should_stop()) return false;
       for (const Survivor& survivor : survivors_) WalkOn(t, survivor);
+      if (has_loops_) {
+        for (const Survivor& survivor : survivors_) WalkOverLoops(t, survivor);
+      }
+      for (const Survivor& survivor : survivors_) Slip(t, survivor);
       std::swap(survivors_, next_);
       next_.clear();
       for (const Survivor& survivor : survivors_) {
@@ -113,12 +118,13 @@ class RelativeAligner {
     double sine = 0.0;
   };
   struct Survivor {
-    // Where it is, and which way it walks.
-    NodeIndex node = 0;
-    std::size_t way = 0;
+    // Where it is, and which way it walks. Nodes of one vehicle are far fewer
+    // than 2^31, and survivors are many.
+    std::int32_t node = 0;
     // Where it began.
-    NodeIndex end = 0;
-    std::size_t end_way = 0;
+    std::int32_t end = 0;
+    std::uint8_t way = 0;
+    std::uint8_t end_way = 0;
     Frame frame;
     typename ShapeFilter<D>::Drift drift;
     double log_likelihood_ratio = 0.0;
@@ -154,45 +160,93 @@ class RelativeAligner {
     }
   }
 
-  // Calls visit(j, d_j, Gamma_j + R) for all of history, walked this way.
-  template <typename Visit>
-  void VisitAnchors(std::size_t way, const Visit& visit) const {
+  // The similarity of the end poses, walked this way, as the Gaussian it is.
+  SimilarityModel AnchorModel(std::size_t way) const {
     SimilarityModel anchor = model_.similarity;
     anchor.direction = DirectionOf(way);
-    const Pose& query = graph_.node(query_).pose;
-    VisitDifferenceCovariances<D>(
-        graph_, anchor.correlation, query_, size_,
-        [&](NodeIndex j, const StateMatrix<D>& gamma) {
-          StateMatrix<D> covariance = ToleratedCovariance<D>(anchor, gamma);
-          StateVector<D> difference =
-              ToVector<D>(PassDifference(anchor, query, graph_.node(j).pose));
-          if (known_drift_) {
-            StateVector<D> known_difference = difference;
-            StateMatrix<D> known_covariance = covariance;
-            known_drift_->Apply(j, &known_difference, &known_covariance);
-            // Where rounding leaves nothing of it, the node is judged without.
-            if (Evaluate<D>(known_covariance, known_difference)) {
-              visit(j, known_difference, known_covariance);
-              return;
-            }
+    anchor.form = LikelihoodForm::kGaussian;
+    return anchor;
+  }
+
+  // Calls visit(j, d_j, Gamma_j + R) for the nodes of history with wanted(j),
+  // walked this way.
+  template <typename Wanted, typename Visit>
+  void VisitAnchors(std::size_t way, const Wanted& wanted,
+                    const Visit& visit) const {
+    const SimilarityModel anchor = AnchorModel(way);
+    const Pose query = graph_.node(query_).pose;
+    const auto call = [&](NodeIndex j, const StateMatrix<D>& gamma) {
+      StateMatrix<D> covariance = ToleratedCovariance<D>(anchor, gamma);
+      StateVector<D> difference =
+          ToVector<D>(PassDifference(anchor, query, graph_.node(j).pose));
+      if (known_drift_) {
+        StateVector<D> known_difference = difference;
+        StateMatrix<D> known_covariance = covariance;
+        known_drift_->Apply(j, &known_difference, &known_covariance);
+        // Where rounding leaves nothing of it, the node is judged without.
+        if (Evaluate<D>(known_covariance, known_difference)) {
+          visit(j, known_difference, known_covariance);
+          return;
+        }
+      }
+      visit(j, difference, covariance);
+    };
+    if (anchor.correlation == CorrelationModel::kFilter) {
+      VisitDifferenceCovariances<D>(
+          graph_, anchor.correlation, query_, size_,
+          [&](NodeIndex j, const StateMatrix<D>& gamma) {
+            if (wanted(j)) call(j, gamma);
+          });
+      return;
+    }
+    for (NodeIndex j = 0; j < size_; ++j) {
+      if (!wanted(j)) continue;
+      call(j, DifferenceCovariance<D>(graph_, anchor.correlation, query_, j));
+    }
+  }
+
+  // ln N(d_j; 0, Gamma_j + R), less a constant, and its squared Mahalanobis
+  // distance: of the end alone.
+  void FindAnchors(std::size_t way) {
+    std::vector<double>& anchors = result_.scores_[way];
+    std::vector<ShapeMatch>& matches = result_.matches_[way];
+    anchors.resize(Position(size_), kImpossible);
+    matches.resize(Position(size_));
+    const SimilarityModel anchor = AnchorModel(way);
+    if (!known_drift_ && anchor.correlation != CorrelationModel::kFilter) {
+      VisitBlockSimilarities(graph_, anchor, query_, size_,
+                             [&](NodeIndex first, const BlockSimilarity& part) {
+                               const std::size_t at = Position(first);
+                               const std::size_t count = std::min(
+                                   NodeBlock::kSize, Position(size_) - at);
+                               for (std::size_t k = 0; k < count; ++k) {
+                                 anchors[at + k] = part.log_similarity[k];
+                                 matches[at + k].squared_end_difference =
+                                     part.squared_mahalanobis[k];
+                               }
+                             });
+      return;
+    }
+    VisitAnchors(
+        way, [](NodeIndex) { return true; },
+        [&](NodeIndex j, const StateVector<D>& difference,
+            const StateMatrix<D>& covariance) {
+          if (const auto terms = Evaluate<D>(covariance, difference)) {
+            anchors[Position(j)] =
+                -0.5 * (terms->log_determinant + terms->squared_mahalanobis);
+            matches[Position(j)].squared_end_difference =
+                terms->squared_mahalanobis;
           }
-          visit(j, difference, covariance);
         });
   }
 
   // A survivor at every node, by the anchor of the end poses alone.
   void Seed(std::size_t way) {
-    std::vector<double>& anchors = result_.scores_[way];
-    anchors.resize(Position(size_), kImpossible);
-    VisitAnchors(way, [&](NodeIndex j, const StateVector<D>& difference,
-                          const StateMatrix<D>& covariance) {
-      if (const auto terms = Evaluate<D>(covariance, difference)) {
-        anchors[Position(j)] =
-            -0.5 * (terms->log_determinant + terms->squared_mahalanobis);
-      }
-    });
-    result_.matches_[way].resize(Position(size_));
+    FindAnchors(way);
+    const std::vector<double>& anchors = result_.scores_[way];
     end_drifts_[way].resize(Position(size_), StateVector<D>::Zero());
+    survivors_.reserve(survivors_.size() + Position(size_));
+    next_.reserve(survivors_.capacity());
     for (NodeIndex j = 0; j < size_; ++j) {
       ShapeMatch& match = result_.matches_[way][Position(j)];
       match.last = static_cast<std::int32_t>(j);
@@ -200,8 +254,8 @@ class RelativeAligner {
       const double anchor = anchors[Position(j)];
       if (anchor == kImpossible) continue;
       Survivor survivor;
-      survivor.node = survivor.end = j;
-      survivor.way = survivor.end_way = way;
+      survivor.node = survivor.end = static_cast<std::int32_t>(j);
+      survivor.way = survivor.end_way = static_cast<std::uint8_t>(way);
       const Pose& pose = graph_.node(j).pose;
       survivor.frame = MakeFrame(pose.x, pose.y, pose.z, HeadingOf(j, way));
       survivor.total = anchor;
@@ -220,30 +274,38 @@ class RelativeAligner {
     }
     const double constant = LogNewPlaceTerm(model_);
     std::vector<double>& scores = result_.scores_[way];
-    VisitAnchors(way, [&](NodeIndex j, const StateVector<D>& difference,
-                          const StateMatrix<D>& covariance) {
-      double& score = scores[Position(j)];
-      if (score == kImpossible) return;
-      ShapeMatch& match = result_.matches_[way][Position(j)];
-      const StateMatrix<D> smoothed =
-          covariance - certainties[static_cast<std::size_t>(match.steps)];
-      std::optional<QuadraticForm> terms;
-      // An end that is itself about as certain as its path makes it is better
-      // judged by itself: what is left would be rounding, or less.
-      if (Evaluate<D>(smoothed - kLeastUncertaintyLeft * covariance,
-                      difference)) {
-        terms = Evaluate<D>(
-            smoothed, difference + to_frame * end_drifts_[way][Position(j)]);
-      }
-      if (!terms) terms = Evaluate<D>(covariance, difference);
-      if (!terms) {
-        score = kImpossible;
-        return;
-      }
-      match.squared_end_difference = terms->squared_mahalanobis;
-      score = -0.5 * (terms->squared_mahalanobis + terms->log_determinant) +
-              weight_ * match.log_likelihood_ratio + constant;
-    });
+    const auto has_path = [&](NodeIndex j) {
+      // Where nothing is known but the end, the anchor stands.
+      const bool path = result_.matches_[way][Position(j)].steps > 0;
+      if (!path) scores[Position(j)] += constant;
+      return path;
+    };
+    VisitAnchors(
+        way, has_path,
+        [&](NodeIndex j, const StateVector<D>& difference,
+            const StateMatrix<D>& covariance) {
+          double& score = scores[Position(j)];
+          ShapeMatch& match = result_.matches_[way][Position(j)];
+          const StateMatrix<D> smoothed =
+              covariance - certainties[static_cast<std::size_t>(match.steps)];
+          std::optional<QuadraticForm> terms;
+          // An end that is itself about as certain as its path makes it is
+          // better judged by itself: what is left would be rounding, or less.
+          if (Evaluate<D>(smoothed - kLeastUncertaintyLeft * covariance,
+                          difference)) {
+            terms = Evaluate<D>(
+                smoothed,
+                difference + to_frame * end_drifts_[way][Position(j)]);
+          }
+          if (!terms) terms = Evaluate<D>(covariance, difference);
+          if (!terms) {
+            score = kImpossible;
+            return;
+          }
+          match.squared_end_difference = terms->squared_mahalanobis;
+          score = -0.5 * (terms->squared_mahalanobis + terms->log_determinant) +
+                  weight_ * match.log_likelihood_ratio + constant;
+        });
   }
 
   // Nodes of one road, next to each other.
@@ -251,18 +313,38 @@ class RelativeAligner {
     return next >= 0 && next < size_ && joined_[Position(std::max(i, next))];
   }
 
+  // Paths that keep step with the recent one, which come first: slips seldom
+  // beat them.
   void WalkOn(std::int64_t t, const Survivor& survivor) {
+    const std::size_t way = survivor.way;
+    const NodeIndex next = survivor.node + Stride(way);
+    if (Joined(survivor.node, next)) {
+      Try(t, survivor, survivor.frame, way, next, kOn);
+    }
+  }
+
+  void Slip(std::int64_t t, const Survivor& survivor) {
     const NodeIndex i = survivor.node;
     const std::size_t way = survivor.way;
+    // Were there no innovation.
+    const double most =
+        survivor.total + weight_ * (filter_.Surprise(t) - kSlipCost);
+    const auto hopeless = [&](NodeIndex to) {
+      const std::int32_t slot = next_slot_[way][Position(to)];
+      return slot != kNoSlot &&
+             !(most > next_[static_cast<std::size_t>(slot)].total);
+    };
+    if (!hopeless(i)) Try(t, survivor, survivor.frame, way, i, kStay);
     const NodeIndex next = i + Stride(way);
-    Try(t, survivor, survivor.frame, way, i, kStay);
-    if (Joined(i, next)) {
-      Try(t, survivor, survivor.frame, way, next, kOn);
-      const NodeIndex after = next + Stride(way);
-      if (Joined(next, after)) {
-        Try(t, survivor, survivor.frame, way, after, kSkip);
-      }
+    const NodeIndex after = next + Stride(way);
+    if (Joined(i, next) && Joined(next, after) && !hopeless(after)) {
+      Try(t, survivor, survivor.frame, way, after, kSkip);
     }
+  }
+
+  void WalkOverLoops(std::int64_t t, const Survivor& survivor) {
+    const NodeIndex i = survivor.node;
+    const std::size_t way = survivor.way;
     for (const NodeIndex far : graph_.LoopNeighbours(i)) {
       if (far >= size_) continue;
       const std::size_t far_way = WayBeyond(graph_, i, far, way);
@@ -299,8 +381,8 @@ class RelativeAligner {
     }
     Survivor& there = next_[static_cast<std::size_t>(slot)];
     there = survivor;
-    there.node = to;
-    there.way = way;
+    there.node = static_cast<std::int32_t>(to);
+    there.way = static_cast<std::uint8_t>(way);
     there.frame = frame;
     there.drift = drift;
     there.log_likelihood_ratio += gain;
@@ -329,7 +411,7 @@ class RelativeAligner {
     end_drifts_[survivor.end_way][Position(survivor.end)] =
         survivor.drift.at_end;
     match.steps = static_cast<std::int32_t>(t);
-    match.last = static_cast<std::int32_t>(survivor.node);
+    match.last = survivor.node;
     match.last_direction = DirectionOf(survivor.way);
   }
 
@@ -342,6 +424,7 @@ class RelativeAligner {
   std::optional<KnownDrift<D>> known_drift_;
   // Whether node i has an edge to node i - 1.
   std::vector<char> joined_;
+  bool has_loops_ = false;
   // Of all paths that reach one node at one step, walking one way, the best.
   std::vector<Survivor> survivors_;
   std::vector<Survivor> next_;

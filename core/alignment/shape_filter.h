@@ -98,16 +98,22 @@ class ShapeFilter {
   Evidence Advance(std::int64_t t, const StateVector<D>& other,
                    Drift* drift) const {
     const Step& step = steps_[static_cast<std::size_t>(t)];
-    StateVector<D>& now = drift->now;
+    StateVector<D> now = drift->now;
     const double turn = now(D - 1);
     now(0) -= step.step_y * turn;
     now(1) += step.step_x * turn;
     StateVector<D> innovation = step.path - other - now;
     innovation(D - 1) = WrapHeading(innovation(D - 1));
-    now += step.gain * innovation;
-    drift->at_end += step.end_gain * innovation;
     const double squared = innovation.dot(step.information * innovation);
+    drift->now.noalias() = now + step.gain * innovation;
+    drift->at_end.noalias() += step.end_gain * innovation;
     return {squared, step.surprise - 0.5 * squared};
+  }
+
+  // The log-likelihood ratio of step t where there is no innovation: no path
+  // has a greater one.
+  double Surprise(std::int64_t t) const {
+    return steps_[static_cast<std::size_t>(t)].surprise;
   }
 
   // By how much the covariance of drift_0 has shrunk after step t, in the same

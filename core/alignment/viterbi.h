@@ -54,17 +54,34 @@ class Alignment {
                                         std::int64_t, NodeIndex,
                                         const ShouldStop&);
 
+  // A node of history that is not just between two others: it has loop
+  // closures, or lies where a segment or the history begins or ends.
+  struct Junction {
+    NodeIndex node = 0;
+    // ln of the number of its edges.
+    double log_degree = 0.0;
+    // By edges, before, after, then loop closures as added.
+    std::vector<NodeIndex> neighbours;
+  };
+
+  void FindJunctions(const PoseGraph& graph, NodeIndex size);
+  NodeIndex Before(std::int64_t t, NodeIndex node) const;
+
   std::vector<double> scores_;
-  // For step t in [1, k) and node i, at (t - 1) * size + i: the node before i
-  // on the best path. Nodes of one vehicle are far fewer than 2^32.
-  std::vector<std::uint32_t> came_from_;
   std::int64_t steps_ = 0;
+  // In the order of nodes.
+  std::vector<Junction> junctions_;
+  // For step t in [1, k), at (t - 1) * row + node: whether the node before it
+  // on the best path is the one after it on the road. Not of junctions.
+  std::vector<std::uint8_t> from_after_;
+  // For step t, at (t - 1) * junctions + junction: the node before it.
+  std::vector<NodeIndex> from_junction_;
 };
 
 // Aligns the `steps` nodes that end at `query` with the history [0,
-// history_size). Time and memory O(steps * (history_size + loop edges)).
-// Nothing if told to stop. REQUIRES: 1 <= steps <= query + 1, history_size <=
-// query - steps + 1.
+// history_size). Time and memory O(steps * (history_size + loop edges)): a bit
+// a step and node. Nothing if told to stop. REQUIRES: 1 <= steps <= query + 1,
+// history_size <= query - steps + 1.
 std::optional<Alignment> Align(const PoseGraph& graph,
                                const SimilarityModel& model, NodeIndex query,
                                std::int64_t steps, NodeIndex history_size,

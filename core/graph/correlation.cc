@@ -34,9 +34,17 @@ StateMatrix<D> DifferenceCovariance(const PoseGraph& graph,
                                     NodeIndex j) {
   const NodeIndex earlier = std::min(i, j);
   const NodeIndex later = std::max(i, j);
+  const StateMatrix<D> earlier_covariance =
+      ToMatrix<D>(graph.node(earlier).covariance);
+  const StateMatrix<D> later_covariance =
+      ToMatrix<D>(graph.node(later).covariance);
+  if (model == CorrelationModel::kDeadReckoning) {
+    return DeadReckoningDifferenceCovariance<D>(
+        graph.node(earlier).pose, graph.node(later).pose, earlier_covariance,
+        later_covariance);
+  }
   return DifferenceCovariance<D>(
-      ToMatrix<D>(graph.node(earlier).covariance),
-      ToMatrix<D>(graph.node(later).covariance),
+      earlier_covariance, later_covariance,
       PropagatedError<D>(graph, model, earlier, later));
 }
 

@@ -53,6 +53,34 @@ StateMatrix<D> DifferenceCovariance(const StateMatrix<D>& earlier_covariance,
   return earlier_covariance + later_covariance - carried - carried.transpose();
 }
 
+// Gamma for kDeadReckoning, in closed form: with h the heading and l the lever
+// arm J (p_later - p_earlier), 0 but in x and y, Psi is I + l e_h^T and
+//
+//   Gamma(r,c) = later(r,c) - earlier(r,c)
+//                - (l_r earlier(h,c) + l_c earlier(h,r)).
+template <int D>
+StateMatrix<D> DeadReckoningDifferenceCovariance(
+    const Pose& earlier, const Pose& later,
+    const StateMatrix<D>& earlier_covariance,
+    const StateMatrix<D>& later_covariance) {
+  const double lever[2] = {-(later.y - earlier.y), later.x - earlier.x};
+  constexpr int h = D - 1;
+  StateMatrix<D> gamma;
+  for (int c = 0; c < D; ++c) {
+    for (int r = c; r < D; ++r) {
+      double entry = later_covariance(r, c) - earlier_covariance(r, c);
+      if (r < 2) {
+        entry -= lever[r] * earlier_covariance(h, c) +
+                 lever[c] * earlier_covariance(h, r);
+      } else if (c < 2) {
+        entry -= lever[c] * earlier_covariance(h, r);
+      }
+      gamma(r, c) = gamma(c, r) = entry;
+    }
+  }
+  return gamma;
+}
+
 // Gamma of two nodes in any order. O(1), but O(|i - j|) for kFilter.
 template <int D>
 StateMatrix<D> DifferenceCovariance(const PoseGraph& graph,
@@ -81,7 +109,9 @@ void VisitDifferenceCovariances(const PoseGraph& graph, CorrelationModel model,
   switch (model) {
     case CorrelationModel::kDeadReckoning:
       for (NodeIndex i = 0; i < count; ++i) {
-        call(i, DeadReckoningTransition<D>(graph.node(i).pose, query_pose));
+        visit(i, DeadReckoningDifferenceCovariance<D>(
+                     graph.node(i).pose, query_pose,
+                     ToMatrix<D>(graph.node(i).covariance), query_covariance));
       }
       return;
     case CorrelationModel::kIndependent:

@@ -24,13 +24,20 @@ NodeIndex PoseGraph::SegmentEnd(NodeIndex i) const {
 std::optional<NodeIndex> PoseGraph::NodeAtOrBefore(
     std::uint64_t sequence) const {
   // A node with this sequence and a fraction lies after the pose.
-  const auto after = std::partition_point(
-      nodes_.begin(), nodes_.end(), [sequence](const Node& node) {
-        return node.sequence < sequence ||
-               (node.sequence == sequence && node.fraction == 0.0);
-      });
-  if (after == nodes_.begin()) return std::nullopt;
-  return static_cast<NodeIndex>(after - nodes_.begin()) - 1;
+  NodeIndex low = 0;
+  NodeIndex high = size();
+  while (low < high) {
+    const NodeIndex middle = low + (high - low) / 2;
+    const Node candidate = node(middle);
+    if (candidate.sequence < sequence ||
+        (candidate.sequence == sequence && candidate.fraction == 0.0)) {
+      low = middle + 1;
+    } else {
+      high = middle;
+    }
+  }
+  if (low == 0) return std::nullopt;
+  return low - 1;
 }
 
 const std::vector<NodeIndex>& PoseGraph::LoopNeighbours(NodeIndex i) const {
@@ -52,9 +59,23 @@ std::vector<std::pair<NodeIndex, NodeIndex>> PoseGraph::LoopEdges() const {
 
 void PoseGraph::AddNode(const Node& node, bool starts_segment,
                         const std::optional<ErrorTransition>& transition) {
-  assert(nodes_.empty() || transition.has_value() == !transitions_.empty());
+  assert(size_ == 0 || transition.has_value() == !transitions_.empty());
   if (starts_segment) segment_starts_.push_back(size());
-  nodes_.push_back(node);
+  const std::size_t at = Position(size_) % NodeBlock::kSize;
+  if (at == 0) blocks_.emplace_back();
+  NodeBlock& block = blocks_.back();
+  block.sequence[at] = node.sequence;
+  block.fraction[at] = node.fraction;
+  block.stamp_ns[at] = node.stamp_ns;
+  block.travelled_meters[at] = node.travelled_meters;
+  block.x[at] = node.pose.x;
+  block.y[at] = node.pose.y;
+  block.z[at] = node.pose.z;
+  block.heading[at] = node.pose.heading;
+  for (std::size_t k = 0; k < 10; ++k) {
+    block.covariance[k][at] = node.covariance.upper[k];
+  }
+  ++size_;
   if (transition) transitions_.push_back(*transition);
 }
 

@@ -9,7 +9,10 @@
 #ifndef REVISIT_CORE_GRAPH_POSE_GRAPH_H_
 #define REVISIT_CORE_GRAPH_POSE_GRAPH_H_
 
+#include <array>
+#include <cstddef>
 #include <cstdint>
+#include <deque>
 #include <optional>
 #include <unordered_map>
 #include <utility>
@@ -34,10 +37,52 @@ struct Node {
   Covariance covariance;
 };
 
+// Nodes side by side, one array a quantity: the similarity of a query with all
+// of history reads them in order and many at once. Entries beyond the last node
+// of a graph are 0.
+struct NodeBlock {
+  static constexpr std::size_t kSize = 128;
+  template <typename T>
+  using Column = std::array<T, kSize>;
+
+  alignas(64) Column<double> x{};
+  Column<double> y{};
+  Column<double> z{};
+  Column<double> heading{};
+  // Entries as Covariance::upper has them.
+  std::array<Column<double>, 10> covariance{};
+  Column<double> travelled_meters{};
+  Column<double> fraction{};
+  Column<std::uint64_t> sequence{};
+  Column<std::optional<std::int64_t>> stamp_ns{};
+};
+
+// Blocks that hold the first `count` nodes.
+inline std::size_t BlocksOf(NodeIndex count) {
+  return (static_cast<std::size_t>(count) + NodeBlock::kSize - 1) /
+         NodeBlock::kSize;
+}
+
 class PoseGraph {
  public:
-  NodeIndex size() const { return static_cast<NodeIndex>(nodes_.size()); }
-  const Node& node(NodeIndex i) const { return nodes_[Position(i)]; }
+  NodeIndex size() const { return size_; }
+  // Gathered from its block.
+  Node node(NodeIndex i) const {
+    const NodeBlock& block = blocks_[Position(i) / NodeBlock::kSize];
+    const std::size_t at = Position(i) % NodeBlock::kSize;
+    Node node;
+    node.sequence = block.sequence[at];
+    node.fraction = block.fraction[at];
+    node.stamp_ns = block.stamp_ns[at];
+    node.travelled_meters = block.travelled_meters[at];
+    node.pose = {block.x[at], block.y[at], block.z[at], block.heading[at]};
+    for (std::size_t k = 0; k < 10; ++k) {
+      node.covariance.upper[k] = block.covariance[k][at];
+    }
+    return node;
+  }
+  // Nodes from k * NodeBlock::kSize on.
+  const NodeBlock& block(std::size_t k) const { return blocks_[k]; }
 
   // The error transition from node i-1 to node i; identity for node 0 and where
   // none was given.
@@ -75,7 +120,9 @@ class PoseGraph {
     return static_cast<std::size_t>(i);
   }
 
-  std::vector<Node> nodes_;
+  NodeIndex size_ = 0;
+  // Never moved as the graph grows, and never much larger than the nodes need.
+  std::deque<NodeBlock> blocks_;
   // As many as nodes, or none.
   std::vector<ErrorTransition> transitions_;
   std::vector<NodeIndex> segment_starts_;

@@ -125,6 +125,116 @@ TEST(LogSimilarityTest, AColumnHoldsThePairs) {
   }
 }
 
+// Random nodes at every scale that is taken for a pose, now and then the same
+// twice, with headings where they wrap.
+PoseGraph ExtremeGraph(std::mt19937_64& random, NodeIndex size) {
+  PoseGraph graph;
+  Node node;
+  for (NodeIndex i = 0; i < size; ++i) {
+    if (UniformInt(random, 0, 9) > 0) {
+      node.pose =
+          RandomPose(random, std::pow(10.0, Uniform(random, -3.0, 8.0)));
+      node.covariance =
+          RandomCovariance(random, std::pow(10.0, Uniform(random, -8.0, 8.0)));
+      const double headings[] = {kPi, std::nextafter(-kPi, 0.0), 0.0};
+      const int which = UniformInt(random, 0, 5);
+      if (which < 3) node.pose.heading = headings[which];
+    }
+    node.sequence = static_cast<std::uint64_t>(i) + 1;
+    graph.AddNode(node, i == 0, std::nullopt);
+  }
+  return graph;
+}
+
+// Tally of what the kernel was held against.
+struct Tally {
+  std::int64_t possible = 0;
+  std::int64_t impossible = 0;
+};
+
+void ExpectColumnHoldsPairs(const PoseGraph& graph,
+                            const SimilarityModel& model, NodeIndex query,
+                            NodeIndex count, Tally* tally) {
+  std::vector<double> column;
+  LogSimilarityColumn(graph, model, query, count, &column);
+  ASSERT_EQ(column.size(), static_cast<std::size_t>(count));
+  for (NodeIndex i = 0; i < count; ++i) {
+    const double pair = LogSimilarity(graph, model, query, i);
+    const double in_column = column[static_cast<std::size_t>(i)];
+    if (pair == kImpossible) {
+      ASSERT_EQ(in_column, kImpossible) << i;
+      ++tally->impossible;
+    } else {
+      ASSERT_NEAR(in_column, pair, 1e-12 * std::abs(pair)) << i;
+      ++tally->possible;
+    }
+  }
+}
+
+TEST(LogSimilarityTest, TheKernelHoldsThePairsOfEveryModelAtEveryScale) {
+  std::mt19937_64 random = SeededRandom();
+  Tally tally;
+  for (int trial = 0; trial < 400; ++trial) {
+    const NodeIndex size = UniformInt(random, 2, 300);
+    const PoseGraph graph = trial % 2 == 0
+                                ? RandomGraph(random, size, 0.0, 0, false)
+                                : ExtremeGraph(random, size);
+    for (StateSpace space : {StateSpace::kPlanar, StateSpace::kSpatial}) {
+      for (CorrelationModel correlation :
+           {CorrelationModel::kDeadReckoning, CorrelationModel::kIndependent}) {
+        for (LikelihoodForm form :
+             {LikelihoodForm::kGaussian, LikelihoodForm::kAsPrinted}) {
+          for (Direction direction : {Direction::kSame, Direction::kOpposite}) {
+            SimilarityModel model;
+            model.state_space = space;
+            model.correlation = correlation;
+            model.form = form;
+            model.direction = direction;
+            model.inflation = trial % 3 == 0 ? 1.0 : Uniform(random, 1.0, 10.0);
+            if (trial % 5 == 0) {
+              model.tolerance = {0.0, 0.0};
+            } else if (trial % 5 == 1) {
+              model.tolerance = {Uniform(random, 0.0, 1e3),
+                                 Uniform(random, 0.0, 3.0)};
+            }
+            const NodeIndex query =
+                UniformInt(random, 1, static_cast<int>(size) - 1);
+            const NodeIndex count =
+                UniformInt(random, 0, static_cast<int>(query));
+            ASSERT_NO_FATAL_FAILURE(
+                ExpectColumnHoldsPairs(graph, model, query, count, &tally))
+                << "trial " << trial;
+          }
+        }
+      }
+    }
+  }
+  EXPECT_GT(tally.possible, 100000);
+  EXPECT_GT(tally.impossible, 10000);
+}
+
+TEST(LogSimilarityTest, TheKernelTakesALogarithmAPivotWhereTheirProductIsNone) {
+  for (double deviation : {1e-100, 1e100}) {
+    PoseGraph graph;
+    for (int i = 0; i < 130; ++i) {
+      Node node;
+      node.sequence = static_cast<std::uint64_t>(i) + 1;
+      const double variance = deviation * deviation * (1.0 + 0.01 * i);
+      for (int k = 0; k < 4; ++k) node.covariance(k, k) = variance;
+      graph.AddNode(node, i == 0, std::nullopt);
+    }
+    SimilarityModel model;
+    model.correlation = CorrelationModel::kIndependent;
+    model.tolerance = {0.0, 0.0};
+    Tally tally;
+    for (StateSpace space : {StateSpace::kPlanar, StateSpace::kSpatial}) {
+      model.state_space = space;
+      ExpectColumnHoldsPairs(graph, model, 129, 129, &tally);
+    }
+    EXPECT_EQ(tally.possible, 2 * 129);
+  }
+}
+
 TEST(LogSimilarityTest, DoesNotDependOnTheFrame) {
   std::mt19937_64 random = SeededRandom();
   const double angle = 1.1;

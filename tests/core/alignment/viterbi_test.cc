@@ -9,6 +9,7 @@
 
 #include "tests/core/graphs.h"
 #include "tests/oracle/path_enumeration.h"
+#include "tests/oracle/plain_viterbi.h"
 #include "tests/random.h"
 
 namespace revisit::core {
@@ -85,6 +86,39 @@ TEST(AlignTest, FindsWhatTryingAllPathsFinds) {
     }
   }
   EXPECT_GT(reachable, 500);
+}
+
+TEST(AlignTest, StepsThroughManyBlocksAsItWouldThroughSingleNodes) {
+  std::mt19937_64 random = SeededRandom();
+  int reachable = 0;
+  for (int trial = 0; trial < 120; ++trial) {
+    const NodeIndex size = UniformInt(random, 100, 600);
+    const PoseGraph graph =
+        RandomGraph(random, size, trial % 4 == 0 ? 0.0 : 0.02,
+                    UniformInt(random, 0, 30), trial % 3 == 0);
+    const std::int64_t steps = UniformInt(random, 1, 30);
+    const NodeIndex query =
+        UniformInt(random, static_cast<int>(steps), static_cast<int>(size) - 1);
+    const NodeIndex history = query - steps + 1;
+    SCOPED_TRACE(Describe(graph, query, steps));
+    SimilarityModel model;
+    model.state_space =
+        trial % 2 == 0 ? StateSpace::kSpatial : StateSpace::kPlanar;
+    model.correlation = trial % 3 == 0   ? CorrelationModel::kFilter
+                        : trial % 3 == 1 ? CorrelationModel::kIndependent
+                                         : CorrelationModel::kDeadReckoning;
+    const auto alignment = Align(graph, model, query, steps, history, nullptr);
+    ASSERT_TRUE(alignment);
+    const oracle::PlainViterbi expected =
+        oracle::SolvePlainly(graph, model, query, steps, history);
+    ASSERT_EQ(alignment->scores(), expected.scores.back());
+    for (NodeIndex j = 0; j < history; j += 7) {
+      if (alignment->score(j) == kImpossible) continue;
+      ++reachable;
+      ASSERT_EQ(alignment->Path(j), expected.Path(j)) << j;
+    }
+  }
+  EXPECT_GT(reachable, 1000);
 }
 
 TEST(AlignTest, WalksLoopClosures) {

@@ -3,6 +3,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <optional>
+#include <random>
+#include <vector>
+
+#include "tests/random.h"
+
 namespace revisit::core {
 namespace {
 
@@ -65,6 +71,43 @@ TEST(PoseGraphTest, TransitionsAreTheIdentityWhereNoneWasGiven) {
   PoseGraph graph;
   graph.AddNode(At(1, 0.0), true, std::nullopt);
   EXPECT_EQ(graph.transition(0).values, ErrorTransition{}.values);
+}
+
+TEST(PoseGraphTest, NodesKeepTheirPlaceAcrossBlocks) {
+  std::mt19937_64 random = SeededRandom();
+  // A node takes at most 160 bytes, and the last block of a graph is its only
+  // slack.
+  static_assert(sizeof(NodeBlock) <= 160 * NodeBlock::kSize);
+  std::vector<Node> nodes;
+  PoseGraph graph;
+  for (std::uint64_t i = 0; i < 3 * NodeBlock::kSize + 1; ++i) {
+    Node node;
+    node.sequence = 2 * i + 1;
+    node.fraction = i % 3 == 0 ? 0.0 : Uniform(random, 0.0, 1.0);
+    if (i % 2 == 0) node.stamp_ns = static_cast<std::int64_t>(i) - 100;
+    node.travelled_meters = 2.0 * static_cast<double>(i);
+    node.pose = {Normal(random, 1.0), Normal(random, 1.0), Normal(random, 1.0),
+                 Normal(random, 1.0)};
+    for (double& entry : node.covariance.upper) entry = Normal(random, 1.0);
+    graph.AddNode(node, i == 0, std::nullopt);
+    nodes.push_back(node);
+  }
+  ASSERT_EQ(graph.size(), static_cast<NodeIndex>(nodes.size()));
+  for (std::size_t i = 0; i < nodes.size(); ++i) {
+    const Node node = graph.node(static_cast<NodeIndex>(i));
+    EXPECT_EQ(node.sequence, nodes[i].sequence);
+    EXPECT_EQ(node.fraction, nodes[i].fraction);
+    EXPECT_EQ(node.stamp_ns, nodes[i].stamp_ns);
+    EXPECT_EQ(node.travelled_meters, nodes[i].travelled_meters);
+    EXPECT_EQ(node.pose.x, nodes[i].pose.x);
+    EXPECT_EQ(node.pose.y, nodes[i].pose.y);
+    EXPECT_EQ(node.pose.z, nodes[i].pose.z);
+    EXPECT_EQ(node.pose.heading, nodes[i].pose.heading);
+    EXPECT_EQ(node.covariance.upper, nodes[i].covariance.upper);
+    const bool at_pose = nodes[i].fraction == 0.0;
+    const auto found = graph.NodeAtOrBefore(nodes[i].sequence);
+    EXPECT_EQ(found.value_or(-1), static_cast<NodeIndex>(i) - !at_pose);
+  }
 }
 
 }  // namespace

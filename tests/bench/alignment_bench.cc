@@ -1,0 +1,188 @@
+// Similarity and alignment of the core, on one thread.
+#include <benchmark/benchmark.h>
+
+#include <string>
+#include <vector>
+
+#include "core/alignment/log_similarity.h"
+#include "core/alignment/relative.h"
+#include "core/alignment/viterbi.h"
+#include "tests/bench/eigen_alignment.h"
+#include "tests/bench/machine_limits.h"
+#include "tests/bench/roads.h"
+
+namespace revisit::bench {
+namespace {
+
+using core::NodeIndex;
+using core::PoseGraph;
+using core::SimilarityModel;
+using core::StateSpace;
+
+SimilarityModel ModelOf(StateSpace space) {
+  SimilarityModel model;
+  model.state_space = space;
+  return model;
+}
+
+// The last node against the n before it.
+void LogSimilarity(benchmark::State& state, StateSpace space) {
+  const NodeIndex n = state.range(0);
+  const PoseGraph& graph = Roads(n + kSteps);
+  const SimilarityModel model = ModelOf(space);
+  std::vector<double> column;
+  for (auto _ : state) {
+    core::LogSimilarityColumn(graph, model, graph.size() - 1, n, &column);
+    benchmark::DoNotOptimize(column.data());
+    benchmark::ClobberMemory();
+  }
+  state.SetItemsProcessed(state.iterations() * n);
+}
+
+// The same by the path that serves single pairs.
+void LogSimilarityScalar(benchmark::State& state, StateSpace space) {
+  const NodeIndex n = state.range(0);
+  const PoseGraph& graph = Roads(n + kSteps);
+  const SimilarityModel model = ModelOf(space);
+  std::vector<double> column(static_cast<std::size_t>(n));
+  for (auto _ : state) {
+    for (NodeIndex i = 0; i < n; ++i) {
+      column[static_cast<std::size_t>(i)] =
+          core::LogSimilarity(graph, model, graph.size() - 1, i);
+    }
+    benchmark::DoNotOptimize(column.data());
+    benchmark::ClobberMemory();
+  }
+  state.SetItemsProcessed(state.iterations() * n);
+}
+
+template <int Size, int D>
+void LogSimilarityEigen(benchmark::State& state) {
+  const NodeIndex n = state.range(0);
+  const std::vector<EigenNode<Size>> nodes =
+      EigenNodes<Size, D>(Roads(n + kSteps));
+  const core::PlaceTolerance tolerance;
+  std::vector<double> column(static_cast<std::size_t>(n));
+  for (auto _ : state) {
+    for (std::size_t i = 0; i < column.size(); ++i) {
+      column[i] = EigenLogSimilarity(nodes.back(), nodes[i], tolerance);
+    }
+    benchmark::DoNotOptimize(column.data());
+    benchmark::ClobberMemory();
+  }
+  state.SetItemsProcessed(state.iterations() * n);
+}
+
+// n nodes of history.
+void AlignComposite(benchmark::State& state) {
+  const NodeIndex n = state.range(0);
+  const PoseGraph& graph = Roads(n + kSteps);
+  const SimilarityModel model = ModelOf(StateSpace::kPlanar);
+  for (auto _ : state) {
+    benchmark::DoNotOptimize(
+        core::Align(graph, model, graph.size() - 1, kSteps, n, nullptr));
+  }
+  state.SetItemsProcessed(state.iterations() * n * kSteps);
+}
+
+void AlignRelative(benchmark::State& state, bool confirmed) {
+  const NodeIndex n = state.range(0);
+  const PoseGraph& graph = Roads(n + kSteps);
+  core::RelativeModel model;
+  model.similarity = ModelOf(StateSpace::kPlanar);
+  model.spacing_meters = kSpacing;
+  if (confirmed) model.last_confirmed = {n - 1, n / 2};
+  for (auto _ : state) {
+    benchmark::DoNotOptimize(core::AlignRelative(graph, model, graph.size() - 1,
+                                                 kSteps, n, nullptr));
+  }
+  state.SetItemsProcessed(state.iterations() * n * kSteps);
+}
+
+void AlignLiteral(benchmark::State& state) {
+  const NodeIndex n = state.range(0);
+  const std::vector<EigenNode<3>> nodes = EigenNodes<3, 3>(Roads(n + kSteps));
+  for (auto _ : state) {
+    benchmark::DoNotOptimize(
+        LiteralAlgorithm1(nodes, n + kSteps - 1, kSteps, {}));
+  }
+  state.SetItemsProcessed(state.iterations() * n * kSteps);
+}
+
+void LimitMultiplyAndAdd(benchmark::State& state) {
+  double sink = 0.0;
+  std::size_t operations = 0;
+  for (auto _ : state) {
+    operations += MultiplyAndAdd(100000, &sink);
+    benchmark::DoNotOptimize(sink);
+  }
+  state.SetItemsProcessed(static_cast<std::int64_t>(operations));
+}
+
+void LimitDivide(benchmark::State& state) {
+  double sink = 0.0;
+  std::size_t divisions = 0;
+  for (auto _ : state) {
+    divisions += Divide(100000, &sink);
+    benchmark::DoNotOptimize(sink);
+  }
+  state.SetItemsProcessed(static_cast<std::int64_t>(divisions));
+}
+
+void LimitReadNodes(benchmark::State& state) {
+  const NodeIndex n = state.range(0);
+  const PoseGraph& graph = Roads(n + kSteps);
+  for (auto _ : state) {
+    benchmark::DoNotOptimize(ReadNodes(graph, static_cast<std::size_t>(n)));
+  }
+  state.SetItemsProcessed(state.iterations() * n);
+}
+
+template <typename Function, typename... Arguments>
+void Register(const std::string& name, std::int64_t most, Function function,
+              Arguments... arguments) {
+  auto* const registered = benchmark::RegisterBenchmark(
+      ("BM_" + name).c_str(),
+      [function, arguments...](benchmark::State& state) {
+        function(state, arguments...);
+      });
+  for (std::int64_t n = 1000; n <= most; n *= 10) registered->Arg(n);
+}
+
+void RegisterAll() {
+  constexpr std::int64_t kMost = 100000;
+  Register("LogSimilarity", kMost, LogSimilarity, StateSpace::kPlanar);
+  Register("LogSimilarityScalar", kMost, LogSimilarityScalar,
+           StateSpace::kPlanar);
+  Register("LogSimilarityEigen", kMost, LogSimilarityEigen<3, 3>);
+  Register("LogSimilarityEigenDynamic", kMost,
+           LogSimilarityEigen<Eigen::Dynamic, 3>);
+  Register("LogSimilaritySpatial", kMost, LogSimilarity, StateSpace::kSpatial);
+  Register("LogSimilaritySpatialEigen", kMost, LogSimilarityEigen<4, 4>);
+  Register("LogSimilaritySpatialEigenDynamic", kMost,
+           LogSimilarityEigen<Eigen::Dynamic, 4>);
+  Register("Align/dense/composite", kMost, AlignComposite);
+  Register("Align/dense/relative", kMost, AlignRelative, false);
+  Register("Align/dense/relative_confirmed", kMost, AlignRelative, true);
+  Register("AlignLiteral", kMost, AlignLiteral);
+  Register("Limit/ReadNodes", kMost, LimitReadNodes);
+  benchmark::RegisterBenchmark("BM_Limit/MultiplyAndAdd", LimitMultiplyAndAdd);
+  benchmark::RegisterBenchmark("BM_Limit/Divide", LimitDivide);
+  benchmark::AddCustomContext("vectors", VectorTarget());
+  benchmark::AddCustomContext("kernel_operations",
+                              std::to_string(kPlanarOperations));
+  benchmark::AddCustomContext("kernel_divisions",
+                              std::to_string(kPlanarDivisions));
+}
+
+}  // namespace
+}  // namespace revisit::bench
+
+int main(int argc, char** argv) {
+  benchmark::Initialize(&argc, argv);
+  if (benchmark::ReportUnrecognizedArguments(argc, argv)) return 64;
+  revisit::bench::RegisterAll();
+  benchmark::RunSpecifiedBenchmarks();
+  benchmark::Shutdown();
+  return 0;
+}
