@@ -357,8 +357,9 @@ void Engine::StrikeOutKnown(NodeIndex query, double separation_meters,
   const double around =
       std::max(separation_meters, kPlaceRadiusMeters) * (1.0 + 1e-9);
   for (const auto& [rejected_query, rejected_match] : rejected_) {
-    if (Apart(graph_, rejected_query, query) <= around)
+    if (Apart(graph_, rejected_query, query) <= around) {
       StrikeOut(graph_, rejected_match, around, scores);
+    }
   }
 }
 
@@ -497,8 +498,11 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
     evidence.probability = place.probability;
     double runner_up = 0.0;
     for (const RankedPlace& other : places) {
-      runner_up =
-          std::max(runner_up, (1.0 - same(place, other)) * other.probability);
+      // What counts for the other because of this one does not count against
+      // it.
+      const double without =
+          other.probability - same(other, place) * place.claimed;
+      runner_up = std::max(runner_up, (1.0 - same(place, other)) * without);
     }
     if (runner_up > 0.0) {
       evidence.odds_to_runner_up = place.probability / runner_up;

@@ -132,9 +132,10 @@ class Engine {
                          std::uint64_t matched_sequence, std::uint64_t revision,
                          std::size_t occurrence = 0);
 
-  // Takes a pair of poses for verified not to be one place: ends within the
-  // candidate separation of the second are no longer candidates at nodes within
-  // it of the first. The same pair may be rejected more than once.
+  // Takes a pair of poses for verified not to be one place: ends within
+  // kPlaceRadiusMeters of the second, or the candidate separation if that is
+  // more, are no longer candidates at nodes as near to the first. The same pair
+  // may be rejected more than once.
   // REQUIRES: as for loop closures.
   void AddRejection(std::uint64_t query_sequence,
                     std::uint64_t matched_sequence, std::uint64_t revision);
