@@ -47,10 +47,6 @@ ConsistencyOptions MakeConsistencyOptions(const EngineSettings& settings) {
 // there: multiples of spacing and interval are rounded differently.
 constexpr double kCheckTolerance = 1e-9;
 
-std::size_t PositionOf(Direction direction) {
-  return direction == Direction::kSame ? 0 : 1;
-}
-
 std::vector<Direction> Directions(SearchDirection direction) {
   switch (direction) {
     case SearchDirection::kSame:
@@ -61,11 +57,6 @@ std::vector<Direction> Directions(SearchDirection direction) {
       break;
   }
   return {Direction::kSame, Direction::kOpposite};
-}
-
-double Apart(const PoseGraph& graph, NodeIndex i, NodeIndex j) {
-  return std::abs(graph.node(i).travelled_meters -
-                  graph.node(j).travelled_meters);
 }
 
 absl::Status Stopped() {
@@ -357,7 +348,7 @@ void Engine::StrikeOutKnown(NodeIndex query, double separation_meters,
   const double around =
       std::max(separation_meters, kPlaceRadiusMeters) * (1.0 + 1e-9);
   for (const auto& [rejected_query, rejected_match] : rejected_) {
-    if (Apart(graph_, rejected_query, query) <= around) {
+    if (graph_.MetersApart(rejected_query, query) <= around) {
       StrikeOut(graph_, rejected_match, around, scores);
     }
   }
@@ -418,7 +409,7 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
 
   std::array<std::vector<double>, 2> log_odds;
   for (const Direction direction : Directions(options.direction)) {
-    std::vector<double>& scores = log_odds[PositionOf(direction)];
+    std::vector<double>& scores = log_odds[IndexOf(direction)];
     scores = alignment->scores(direction);
     StrikeOutKnown(query, options.candidate_separation_meters, &scores);
   }
@@ -426,7 +417,7 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
   std::vector<RankedPlace> places;
   for (const Direction direction : Directions(options.direction)) {
     for (const RankedEnd& end :
-         RankEnds(graph_, log_odds[PositionOf(direction)],
+         RankEnds(graph_, log_odds[IndexOf(direction)],
                   options.candidate_separation_meters,
                   std::max(options.max_candidates, kMostRivals))) {
       places.push_back({direction, end});
@@ -446,16 +437,27 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
   const auto match_of = [&](const RankedPlace& place) -> const ShapeMatch& {
     return alignment->match(place.direction, place.end.matched);
   };
-  // Whether two are passes of one place. What is improbable is not asked about.
-  const auto same = [&](const RankedPlace& a, const RankedPlace& b) {
-    if (&a == &b) return 1.0;
-    if (a.direction != b.direction || b.claimed < kLeastRivalProbability) {
-      return 0.0;
-    }
-    return SamePlaceProbability(graph_, model, a.end.matched, b.end.matched,
-                                std::min(match_of(a).log_likelihood_ratio,
-                                         match_of(b).log_likelihood_ratio));
+  // Whether two are passes of one place, found once for each two. What is
+  // improbable is not asked about.
+  std::vector<double> same_place(places.size() * places.size());
+  const auto same = [&](std::size_t i, std::size_t j) -> double& {
+    return same_place[i * places.size() + j];
   };
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    for (std::size_t j = 0; j < places.size(); ++j) {
+      const RankedPlace& a = places[i];
+      const RankedPlace& b = places[j];
+      if (i == j) {
+        same(i, j) = 1.0;
+      } else if (a.direction == b.direction &&
+                 b.claimed >= kLeastRivalProbability) {
+        same(i, j) =
+            SamePlaceProbability(graph_, model, a.end.matched, b.end.matched,
+                                 std::min(match_of(a).log_likelihood_ratio,
+                                          match_of(b).log_likelihood_ratio));
+      }
+    }
+  }
   for (std::size_t i = 0; i < places.size(); ++i) {
     RankedPlace& place = places[i];
     // The best end of a stretch stands for all of it.
@@ -463,14 +465,12 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
         places.begin(), places.begin() + static_cast<int>(i),
         [&](const RankedPlace& better) {
           return better.direction == place.direction &&
-                 Apart(graph_, better.end.matched, place.end.matched) <=
+                 graph_.MetersApart(better.end.matched, place.end.matched) <=
                      2.0 * kPlaceRadiusMeters;
         });
     place.probability = place.claimed;
-    for (const RankedPlace& other : places) {
-      if (stands && &other != &place) {
-        place.probability += same(place, other) * other.claimed;
-      }
+    for (std::size_t j = 0; j < places.size(); ++j) {
+      if (stands && j != i) place.probability += same(i, j) * places[j].claimed;
     }
     place.probability = std::min(place.probability, 1.0);
   }
@@ -479,11 +479,10 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
   const double weight = ShapeWeight(model.shape, model.spacing_meters);
   const int dimensions = DegreesOfFreedom(settings_.state_space);
   // Those that are not answered have counted as rivals.
-  for (const RankedPlace& place : places) {
-    if (set->candidates.size() ==
-        static_cast<std::size_t>(options.max_candidates)) {
-      break;
-    }
+  const std::size_t answered =
+      std::min(places.size(), static_cast<std::size_t>(options.max_candidates));
+  for (std::size_t i = 0; i < answered; ++i) {
+    const RankedPlace& place = places[i];
     SimilarityModel similarity = model.similarity;
     similarity.direction = place.direction;
     const NodeIndex matched = place.end.matched;
@@ -497,12 +496,11 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
     RelativeEvidence evidence;
     evidence.probability = place.probability;
     double runner_up = 0.0;
-    for (const RankedPlace& other : places) {
+    for (std::size_t j = 0; j < places.size(); ++j) {
       // What counts for the other because of this one does not count against
       // it.
-      const double without =
-          other.probability - same(other, place) * place.claimed;
-      runner_up = std::max(runner_up, (1.0 - same(place, other)) * without);
+      const double without = places[j].probability - same(j, i) * place.claimed;
+      runner_up = std::max(runner_up, (1.0 - same(i, j)) * without);
     }
     if (runner_up > 0.0) {
       evidence.odds_to_runner_up = place.probability / runner_up;

@@ -38,7 +38,7 @@ struct RelativeEvidence {
   // one.
   double probability = 0.0;
   std::optional<double> odds_to_runner_up;
-  PathGateResult path_gate;
+  GateResult path_gate;
   // ShapeMatch::squared_end_difference.
   double squared_end_difference = 0.0;
   // How far back the two run together, and ln of the likelihood ratio of their

@@ -823,10 +823,13 @@ void EncodeTolerance(const core::PlaceTolerance& tolerance,
 }
 
 // Of the gate at the end, or of the whole path.
-template <typename Result, typename Message>
-void EncodeGate(const Result& result, Message* gate) {
+template <typename Message>
+void EncodeGate(const core::GateResult& result, Message* gate) {
   gate->set_squared_mahalanobis_distance(result.squared_mahalanobis);
-  gate->set_degrees_of_freedom(result.degrees_of_freedom);
+  // A whole number in Gate, as it is there.
+  gate->set_degrees_of_freedom(
+      static_cast<decltype(gate->degrees_of_freedom())>(
+          result.degrees_of_freedom));
   gate->set_threshold(result.threshold);
   gate->set_p_value(result.p_value);
   gate->set_verdict(ToProto(kGateVerdicts, result.verdict));
@@ -1356,7 +1359,7 @@ void EncodeAck(const Acknowledgement& acknowledgement, v1::Ack* ack) {
 
 void EncodeNode(const core::PoseGraph& graph, core::NodeIndex index,
                 core::StateSpace space, bool with_covariance, v1::Node* node) {
-  const core::Node& from = graph.node(index);
+  const core::Node from = graph.node(index);
   node->set_index(index);
   node->set_sequence(from.sequence);
   node->set_fraction(from.fraction);

@@ -28,8 +28,8 @@ bool PositiveDefinite(const StateMatrix<D>& m) {
 // on, and new noise.
 template <int D>
 bool GrowsForward(const PoseGraph& graph, NodeIndex a, NodeIndex b) {
-  const Node& earlier = graph.node(std::min(a, b));
-  const Node& later = graph.node(std::max(a, b));
+  const Node earlier = graph.node(std::min(a, b));
+  const Node later = graph.node(std::max(a, b));
   const StateMatrix<D> psi =
       DeadReckoningTransition<D>(earlier.pose, later.pose);
   StateMatrix<D> added =

@@ -26,6 +26,11 @@ enum class LikelihoodForm { kGaussian, kAsPrinted };
 // Which way the history is taken to have been driven, against the recent path.
 enum class Direction { kSame, kOpposite };
 
+// Place of a direction in arrays of two.
+constexpr std::size_t IndexOf(Direction direction) {
+  return direction == Direction::kSame ? 0 : 1;
+}
+
 // Standard deviations, added squared to the diagonal of Gamma: how far apart
 // two passes of one place may truly be.
 struct PlaceTolerance {

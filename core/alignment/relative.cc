@@ -72,7 +72,7 @@ class RelativeAligner {
       const NodeIndex end = std::min(graph.SegmentEnd(i), size_);
       for (++i; i < end; ++i) joined_[Position(i)] = 1;
     }
-    has_loops_ = !graph.LoopEdges().empty();
+    has_loops_ = graph.has_loop_edges();
     for (std::size_t way = 0; way < 2; ++way) {
       next_slot_[way].assign(Position(size_), kNoSlot);
       if (way == 0 ? model.same_direction : model.opposite_direction) {
@@ -147,7 +147,7 @@ class RelativeAligner {
 
   StateVector<D> SeenFrom(const Frame& frame, NodeIndex i,
                           std::size_t way) const {
-    const Pose& pose = graph_.node(i).pose;
+    const Pose pose = graph_.node(i).pose;
     const double x = pose.x - frame.x;
     const double y = pose.y - frame.y;
     const double forward = frame.cosine * x + frame.sine * y;
@@ -256,7 +256,7 @@ class RelativeAligner {
       Survivor survivor;
       survivor.node = survivor.end = static_cast<std::int32_t>(j);
       survivor.way = survivor.end_way = static_cast<std::uint8_t>(way);
-      const Pose& pose = graph_.node(j).pose;
+      const Pose pose = graph_.node(j).pose;
       survivor.frame = MakeFrame(pose.x, pose.y, pose.z, HeadingOf(j, way));
       survivor.total = anchor;
       survivors_.push_back(survivor);
@@ -275,11 +275,12 @@ class RelativeAligner {
     const double constant = LogNewPlaceTerm(model_);
     std::vector<double>& scores = result_.scores_[way];
     const auto has_path = [&](NodeIndex j) {
-      // Where nothing is known but the end, the anchor stands.
-      const bool path = result_.matches_[way][Position(j)].steps > 0;
-      if (!path) scores[Position(j)] += constant;
-      return path;
+      return result_.matches_[way][Position(j)].steps > 0;
     };
+    // Where nothing is known but the end, the anchor stands.
+    for (NodeIndex j = 0; j < size_; ++j) {
+      if (!has_path(j)) scores[Position(j)] += constant;
+    }
     VisitAnchors(
         way, has_path,
         [&](NodeIndex j, const StateVector<D>& difference,
@@ -352,7 +353,7 @@ class RelativeAligner {
       if (!Joined(far, beyond)) continue;
       // The far node is where this one is, and is seen as this one is.
       const StateVector<D> seen = SeenFrom(survivor.frame, i, way);
-      const Pose& pose = graph_.node(far).pose;
+      const Pose pose = graph_.node(far).pose;
       Frame frame =
           MakeFrame(0.0, 0.0, 0.0, HeadingOf(far, far_way) - seen(D - 1));
       frame.x = pose.x - (frame.cosine * seen(0) - frame.sine * seen(1));
@@ -440,7 +441,7 @@ std::vector<std::pair<std::int64_t, NodeIndex>> RelativeAlignment::Path(
   const ShapeMatch& best = match(direction, j);
   std::vector<std::pair<std::int64_t, NodeIndex>> path;
   NodeIndex node = best.last;
-  std::size_t way = Position(best.last_direction);
+  std::size_t way = IndexOf(best.last_direction);
   for (std::int64_t t = best.steps; t > 0; --t) {
     path.emplace_back(t, node);
     const auto position = static_cast<std::size_t>((t - 1) * size_ + node);
@@ -454,7 +455,7 @@ std::vector<std::pair<std::int64_t, NodeIndex>> RelativeAlignment::Path(
       case kOverLoop: {
         const auto& [near, direction_before] = over_loops_[way].at(position);
         node = near;
-        way = Position(direction_before);
+        way = IndexOf(direction_before);
         break;
       }
       case kStay:

@@ -106,10 +106,10 @@ class RelativeAlignment {
   // Log-odds; kImpossible where Gamma is ill-conditioned. Empty for a direction
   // that was not sought.
   const std::vector<double>& scores(Direction direction) const {
-    return scores_[Position(direction)];
+    return scores_[IndexOf(direction)];
   }
   const ShapeMatch& match(Direction direction, NodeIndex j) const {
-    return matches_[Position(direction)][static_cast<std::size_t>(j)];
+    return matches_[IndexOf(direction)][static_cast<std::size_t>(j)];
   }
 
   // The pairs (t, node) of the best path back from j, t = 0 at the end first.
@@ -119,10 +119,6 @@ class RelativeAlignment {
  private:
   template <int D>
   friend class RelativeAligner;
-
-  static std::size_t Position(Direction direction) {
-    return direction == Direction::kSame ? 0 : 1;
-  }
 
   NodeIndex size_ = 0;
   std::array<std::vector<double>, 2> scores_;

@@ -81,7 +81,7 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph, NodeIndex query,
       &end_prior);
   const StateMatrix<D> end_prior_information = Inverse<D>(end_prior);
 
-  const Pose& end = graph.node(query).pose;
+  const Pose end = graph.node(query).pose;
   const StateMatrix<D> from_end = TurnAbout<D>(-end.heading);
   // Of the drift now, with that at the end, and of that at the end.
   StateMatrix<D> covariance = end_prior;

@@ -25,6 +25,18 @@ GatedDifference DecideAt(const PoseGraph& graph, const SimilarityModel& model,
   return result;
 }
 
+GateResult Compare(double squared_mahalanobis, double degrees_of_freedom,
+                   double threshold) {
+  GateResult result;
+  result.squared_mahalanobis = squared_mahalanobis;
+  result.degrees_of_freedom = degrees_of_freedom;
+  result.threshold = threshold;
+  result.p_value = ChiSquaredAbove(degrees_of_freedom, squared_mahalanobis);
+  result.verdict = squared_mahalanobis <= threshold ? GateVerdict::kAccepted
+                                                    : GateVerdict::kRejected;
+  return result;
+}
+
 }  // namespace
 
 Gate::Gate(StateSpace space, double probability)
@@ -33,28 +45,14 @@ Gate::Gate(StateSpace space, double probability)
   threshold_ = ChiSquaredQuantile(degrees_of_freedom_, probability);
 }
 
-PathGateResult Gate::DecidePath(double squared_mahalanobis,
-                                double degrees_of_freedom) const {
-  PathGateResult result;
-  result.squared_mahalanobis = squared_mahalanobis;
-  result.degrees_of_freedom = degrees_of_freedom;
-  result.threshold = ChiSquaredQuantile(degrees_of_freedom, probability_);
-  result.p_value = ChiSquaredAbove(degrees_of_freedom, squared_mahalanobis);
-  result.verdict = squared_mahalanobis <= result.threshold
-                       ? GateVerdict::kAccepted
-                       : GateVerdict::kRejected;
-  return result;
+GateResult Gate::DecidePath(double squared_mahalanobis,
+                            double degrees_of_freedom) const {
+  return Compare(squared_mahalanobis, degrees_of_freedom,
+                 ChiSquaredQuantile(degrees_of_freedom, probability_));
 }
 
 GateResult Gate::Decide(double squared_mahalanobis) const {
-  GateResult result;
-  result.squared_mahalanobis = squared_mahalanobis;
-  result.degrees_of_freedom = degrees_of_freedom_;
-  result.threshold = threshold_;
-  result.p_value = ChiSquaredAbove(degrees_of_freedom_, squared_mahalanobis);
-  result.verdict = squared_mahalanobis <= threshold_ ? GateVerdict::kAccepted
-                                                     : GateVerdict::kRejected;
-  return result;
+  return Compare(squared_mahalanobis, degrees_of_freedom_, threshold_);
 }
 
 GateResult Gate::IllConditioned() const {

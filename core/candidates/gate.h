@@ -13,22 +13,12 @@ enum class GateVerdict { kAccepted, kRejected, kIllConditioned };
 struct GateResult {
   // d^T (Gamma + R)^-1 d; 0 if ill-conditioned.
   double squared_mahalanobis = 0.0;
-  int degrees_of_freedom = 0;
+  // Those of the state; of a path, more, and not a whole number.
+  double degrees_of_freedom = 0.0;
   // Chi-square quantile of the degrees of freedom at the gate probability.
   double threshold = 0.0;
   // Probability of at least this squared distance for one place; 0 if
   // ill-conditioned.
-  double p_value = 0.0;
-  GateVerdict verdict = GateVerdict::kIllConditioned;
-};
-
-// The test of a whole aligned stretch: the difference at its end once, and the
-// innovations of its shape, discounted by how much neighbouring steps share.
-struct PathGateResult {
-  double squared_mahalanobis = 0.0;
-  // Not a whole number, for the discount.
-  double degrees_of_freedom = 0.0;
-  double threshold = 0.0;
   double p_value = 0.0;
   GateVerdict verdict = GateVerdict::kIllConditioned;
 };
@@ -41,9 +31,11 @@ class Gate {
   // Accepts if squared_mahalanobis <= threshold().
   GateResult Decide(double squared_mahalanobis) const;
   GateResult IllConditioned() const;
-  // At the same probability. REQUIRES: positive degrees of freedom.
-  PathGateResult DecidePath(double squared_mahalanobis,
-                            double degrees_of_freedom) const;
+  // The test of a whole aligned stretch at the same probability: the difference
+  // at its end once, and the innovations of its shape, discounted by how much
+  // neighbouring steps share. REQUIRES: positive degrees of freedom.
+  GateResult DecidePath(double squared_mahalanobis,
+                        double degrees_of_freedom) const;
 
   double threshold() const { return threshold_; }
 

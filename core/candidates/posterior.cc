@@ -22,11 +22,10 @@ Posterior::Posterior(const PoseGraph& graph,
 }
 
 double Posterior::Claim(Direction direction, NodeIndex j) {
-  std::vector<double>& odds = log_odds_[direction == Direction::kSame ? 0 : 1];
+  std::vector<double>& odds = log_odds_[IndexOf(direction)];
   const auto size = static_cast<NodeIndex>(odds.size());
-  const double at = graph_.node(j).travelled_meters;
   const auto near = [&](NodeIndex i) {
-    return std::abs(graph_.node(i).travelled_meters - at) <= kPlaceRadiusMeters;
+    return graph_.MetersApart(i, j) <= kPlaceRadiusMeters;
   };
   double sum = 0.0;
   const auto claim = [&](NodeIndex i) {

@@ -1,6 +1,5 @@
 #include "core/candidates/ranking.h"
 
-#include <cmath>
 #include <cstddef>
 
 #include "core/alignment/log_similarity.h"
@@ -11,10 +10,8 @@ void StrikeOut(const PoseGraph& graph, NodeIndex centre,
                double separation_meters, std::vector<double>* scores) {
   const auto size = static_cast<NodeIndex>(scores->size());
   // Travelled distance grows with the index, so what is near is a range.
-  const double at = graph.node(centre).travelled_meters;
   const auto near = [&](NodeIndex i) {
-    return i == centre ||
-           std::abs(graph.node(i).travelled_meters - at) < separation_meters;
+    return i == centre || graph.MetersApart(i, centre) < separation_meters;
   };
   for (NodeIndex i = centre; i >= 0 && near(i); --i) {
     if (i < size) (*scores)[static_cast<std::size_t>(i)] = kImpossible;

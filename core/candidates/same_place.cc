@@ -1,32 +1,25 @@
 #include "core/candidates/same_place.h"
 
 #include <cmath>
-#include <cstdlib>
 
 #include "core/candidates/posterior.h"
-#include "core/geometry/heading.h"
 
 namespace revisit::core {
 namespace {
 
-double Apart(const PoseGraph& graph, NodeIndex i, NodeIndex j) {
-  return std::abs(graph.node(i).travelled_meters -
-                  graph.node(j).travelled_meters);
-}
-
 bool LoopJoins(const PoseGraph& graph, NodeIndex i, NodeIndex j) {
   const auto joins = [&](NodeIndex near_i) {
     for (const NodeIndex other : graph.LoopNeighbours(near_i)) {
-      if (Apart(graph, other, j) <= kPlaceRadiusMeters) return true;
+      if (graph.MetersApart(other, j) <= kPlaceRadiusMeters) return true;
     }
     return false;
   };
-  for (NodeIndex k = i; k >= 0 && Apart(graph, k, i) <= kPlaceRadiusMeters;
+  for (NodeIndex k = i; k >= 0 && graph.MetersApart(k, i) <= kPlaceRadiusMeters;
        --k) {
     if (joins(k)) return true;
   }
   for (NodeIndex k = i + 1;
-       k < graph.size() && Apart(graph, k, i) <= kPlaceRadiusMeters; ++k) {
+       k < graph.size() && graph.MetersApart(k, i) <= kPlaceRadiusMeters; ++k) {
     if (joins(k)) return true;
   }
   return false;
@@ -37,10 +30,11 @@ bool LoopJoins(const PoseGraph& graph, NodeIndex i, NodeIndex j) {
 double SamePlaceProbability(const PoseGraph& graph, const RelativeModel& model,
                             NodeIndex i, NodeIndex j,
                             double log_likelihood_ratio) {
-  if (Apart(graph, i, j) <= 2.0 * kPlaceRadiusMeters) return 0.0;
-  const double turn =
-      Difference(graph.node(i).pose, graph.node(j).pose).heading;
-  if (std::abs(turn) <= 0.5 * kPi && LoopJoins(graph, i, j)) return 1.0;
+  if (graph.MetersApart(i, j) <= 2.0 * kPlaceRadiusMeters) return 0.0;
+  if (DirectionOf(graph, {i, j}) == Direction::kSame &&
+      LoopJoins(graph, i, j)) {
+    return 1.0;
+  }
   SimilarityModel anchor = model.similarity;
   anchor.form = LikelihoodForm::kGaussian;
   anchor.direction = Direction::kSame;

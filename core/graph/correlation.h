@@ -99,7 +99,7 @@ template <int D, typename Visit>
 void VisitDifferenceCovariances(const PoseGraph& graph, CorrelationModel model,
                                 NodeIndex query, NodeIndex count,
                                 const Visit& visit) {
-  const Pose& query_pose = graph.node(query).pose;
+  const Pose query_pose = graph.node(query).pose;
   const StateMatrix<D> query_covariance =
       ToMatrix<D>(graph.node(query).covariance);
   const auto call = [&](NodeIndex i, const StateMatrix<D>& psi) {

@@ -45,8 +45,8 @@ MotionStatistics<D> MeasureMotion(const PoseGraph& graph,
       next_start = graph.SegmentEnd(i);
       continue;
     }
-    const Pose& earlier = graph.node(i - 1).pose;
-    const Pose& later = graph.node(i).pose;
+    const Pose earlier = graph.node(i - 1).pose;
+    const Pose later = graph.node(i).pose;
     ++statistics.steps;
     const StateMatrix<D> covariance = ToMatrix<D>(graph.node(i).covariance);
     if (model == CorrelationModel::kIndependent) {

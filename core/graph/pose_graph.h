@@ -10,6 +10,7 @@
 #define REVISIT_CORE_GRAPH_POSE_GRAPH_H_
 
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
@@ -81,6 +82,10 @@ class PoseGraph {
     }
     return node;
   }
+  // Between two nodes, along the path.
+  double MetersApart(NodeIndex i, NodeIndex j) const {
+    return std::abs(TravelledMeters(i) - TravelledMeters(j));
+  }
   // Nodes from k * NodeBlock::kSize on.
   const NodeBlock& block(std::size_t k) const { return blocks_[k]; }
 
@@ -95,6 +100,8 @@ class PoseGraph {
 
   // Last node at or before the pose: nothing if there is none.
   std::optional<NodeIndex> NodeAtOrBefore(std::uint64_t sequence) const;
+
+  bool has_loop_edges() const { return !loop_neighbours_.empty(); }
 
   // Other ends of the loop-closure edges at i, in the order they were added.
   const std::vector<NodeIndex>& LoopNeighbours(NodeIndex i) const;
@@ -118,6 +125,10 @@ class PoseGraph {
  private:
   static std::size_t Position(NodeIndex i) {
     return static_cast<std::size_t>(i);
+  }
+  double TravelledMeters(NodeIndex i) const {
+    return blocks_[Position(i) / NodeBlock::kSize]
+        .travelled_meters[Position(i) % NodeBlock::kSize];
   }
 
   NodeIndex size_ = 0;

@@ -20,9 +20,6 @@ constexpr std::chrono::milliseconds kReplaySlice{20};
 
 constexpr int kPairsPerRead = 1000;
 
-constexpr PairKind kPairKinds[] = {PairKind::kLoopClosure,
-                                   PairKind::kRejectedCandidate};
-
 absl::Status NotFound(const std::string& id) {
   return Error(StatusCode::kNotFound, "VEHICLE_NOT_FOUND",
                "no such vehicle: '" + id + "'");

@@ -88,9 +88,6 @@ CREATE TABLE rejected_candidates (
 ) WITHOUT ROWID;
 )sql";
 
-constexpr PairKind kPairKinds[] = {PairKind::kLoopClosure,
-                                   PairKind::kRejectedCandidate};
-
 // The statements on the table of a kind of pairs.
 struct PairStatements {
   const std::string count;

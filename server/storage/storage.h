@@ -58,6 +58,8 @@ struct BatchRecord {
 // What a verifier said of two poses. Ids are unique among the pairs of one
 // kind.
 enum class PairKind { kLoopClosure, kRejectedCandidate };
+inline constexpr PairKind kPairKinds[] = {PairKind::kLoopClosure,
+                                          PairKind::kRejectedCandidate};
 
 struct PosePairRecord {
   std::string id;

@@ -24,9 +24,6 @@ using ::testing::IsEmpty;
 
 namespace {
 
-constexpr PairKind kPairKinds[] = {PairKind::kLoopClosure,
-                                   PairKind::kRejectedCandidate};
-
 BatchRecord Batch(std::uint64_t first, std::uint32_t count,
                   std::uint64_t revision, const std::string& payload) {
   return BatchRecord{first, count, revision, payload};

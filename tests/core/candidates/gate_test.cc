@@ -31,13 +31,13 @@ TEST(GateTest, AcceptsUpToAndIncludingTheThreshold) {
 
 TEST(GateTest, APathIsJudgedAtTheSameProbability) {
   const Gate gate(StateSpace::kPlanar, 0.95);
-  const PathGateResult end_alone = gate.DecidePath(5.0, 3.0);
+  const GateResult end_alone = gate.DecidePath(5.0, 3.0);
   const GateResult single = gate.Decide(5.0);
   EXPECT_DOUBLE_EQ(end_alone.threshold, single.threshold);
   EXPECT_DOUBLE_EQ(end_alone.p_value, single.p_value);
   EXPECT_EQ(end_alone.verdict, GateVerdict::kAccepted);
   // 3 (1 + 0.2 * 74) degrees of freedom, between 47 and 48 of the tables.
-  const PathGateResult path = gate.DecidePath(70.0, 47.4);
+  const GateResult path = gate.DecidePath(70.0, 47.4);
   EXPECT_EQ(path.degrees_of_freedom, 47.4);
   EXPECT_GT(path.threshold, 64.00);
   EXPECT_LT(path.threshold, 65.18);
