@@ -42,15 +42,18 @@ class HeldStorage : public Storage {
   // Passes on the one that waits longest.
   void ReleaseOne() { TakeOne().pass_on(); }
 
-  // Passes on all, and from now on every write at once.
+  // Passes on all, and from now on every write at once: not before those that
+  // waited are through, since the storage takes them in the order they come.
   void ReleaseAll() {
-    std::deque<Write> writes;
-    {
-      const std::lock_guard<std::mutex> guard(mutex_);
-      hold_ = false;
-      writes.swap(held_);
+    std::unique_lock<std::mutex> lock(mutex_);
+    while (!held_.empty()) {
+      const Write write = std::move(held_.front());
+      held_.pop_front();
+      lock.unlock();
+      write.pass_on();
+      lock.lock();
     }
-    for (Write& write : writes) write.pass_on();
+    hold_ = false;
   }
 
   // Answers the one that waits longest with this instead.
