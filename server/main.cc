@@ -1,6 +1,7 @@
 // revisitd: reads its settings, serves until told to stop, and drains.
 #include <pthread.h>
 #include <signal.h>
+#include <unistd.h>
 
 #include <cstdio>
 #include <memory>
@@ -10,6 +11,7 @@
 #include "server/logging.h"
 #include "server/server.h"
 #include "server/settings.h"
+#include "server/store_tasks.h"
 
 namespace {
 
@@ -44,10 +46,14 @@ int main(int argc, char** argv) {
     std::fputs(parsed->print->c_str(), stdout);
     return revisit::server::kExitOk;
   }
+  if (parsed->task) {
+    return revisit::server::RunStoreTask(parsed->settings, *parsed->task);
+  }
   const sigset_t signals = BlockStopSignals();
   const Log log(parsed->settings.log_format, parsed->settings.log_level);
   revisit::server::StartError error{};
-  const auto server = RevisitServer::Start(parsed->settings, &log, &error);
+  const auto server = RevisitServer::Start(
+      parsed->settings, &log, [] { kill(getpid(), SIGTERM); }, &error);
   if (server == nullptr) {
     std::fprintf(stderr, "revisitd: %s\n", error.message.c_str());
     return error.exit_code;
@@ -57,5 +63,5 @@ int main(int argc, char** argv) {
   int signal_number = 0;
   sigwait(&signals, &signal_number);
   server->Shutdown();
-  return revisit::server::kExitOk;
+  return server->exit_code();
 }

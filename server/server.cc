@@ -37,6 +37,10 @@ std::chrono::milliseconds Milliseconds(double seconds) {
   return std::chrono::milliseconds(static_cast<std::int64_t>(seconds * 1000.0));
 }
 
+std::string InDirectory(const std::string& path) {
+  return (std::filesystem::path(path) / kStoreFile).string();
+}
+
 // The store's file, in its directory, which is made if it is not there.
 absl::StatusOr<std::string> StoreFile(const std::string& path) {
   std::error_code error;
@@ -47,7 +51,7 @@ absl::StatusOr<std::string> StoreFile(const std::string& path) {
         ("cannot create the directory " + path + ": " + error.message())
             .c_str());
   }
-  return (std::filesystem::path(path) / kStoreFile).string();
+  return InDirectory(path);
 }
 
 // Calls on a timer until it is destroyed.
@@ -159,6 +163,8 @@ struct RevisitServer::State {
   std::unique_ptr<PoseGraphService> service;
   std::unique_ptr<grpc::Server> grpc_server;
   std::string address;
+  std::function<void()> on_failure;
+  std::atomic<bool> has_failed{false};
 };
 
 namespace {
@@ -183,6 +189,24 @@ void Configure(const ServerSettings& settings, grpc::ServerBuilder* builder) {
       GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 10000);
 }
 
+SqliteOptions StorageOptions(const ServerSettings& settings, const Log* log,
+                             std::function<void()> on_failure) {
+  SqliteOptions options;
+  options.min_free_bytes = settings.min_free_bytes;
+  options.max_checked_bytes = settings.max_checked_bytes;
+  options.drop_damaged_log = settings.damaged_log == DamagedLog::kDrop;
+  options.warn = [log](const std::string& message) {
+    log->Write(LogLevel::kWarning, "store", {{"message", message}});
+  };
+  options.on_failed_flush =
+      [log, on_failure = std::move(on_failure)](const absl::Status& status) {
+        log->Write(LogLevel::kError, "store",
+                   {{"message", std::string(status.message())}});
+        on_failure();
+      };
+  return options;
+}
+
 ServiceLimits Limits(const ServerSettings& settings) {
   return {settings.max_message_bytes, settings.max_batch_poses,
           settings.max_batches_in_flight, settings.max_revision_bytes};
@@ -196,18 +220,27 @@ RevisitServer::RevisitServer(std::unique_ptr<State> state)
 RevisitServer::~RevisitServer() { Shutdown(); }
 
 std::unique_ptr<RevisitServer> RevisitServer::Start(
-    const ServerSettings& settings, const Log* log, StartError* error) {
+    const ServerSettings& settings, const Log* log,
+    std::function<void()> on_failure, StartError* error) {
   auto state = std::make_unique<State>();
   state->settings = settings;
   state->log = log;
   state->grpc_log.emplace(log);
 
+  state->on_failure = std::move(on_failure);
   const absl::StatusOr<std::string> file = StoreFile(settings.store);
   absl::StatusOr<std::unique_ptr<Storage>> storage =
-      file.ok() ? OpenSqliteStorage(*file) : file.status();
+      file.ok()
+          ? OpenSqliteStorage(*file, StorageOptions(settings, log,
+                                                    [state = state.get()] {
+                                                      state->has_failed = true;
+                                                      if (state->on_failure) {
+                                                        state->on_failure();
+                                                      }
+                                                    }))
+          : file.status();
   if (!storage.ok()) {
-    *error = {absl::IsFailedPrecondition(storage.status()) ? kExitStoreInUse
-                                                           : kExitStoreFailed,
+    *error = {ExitCodeOf(storage.status()),
               std::string(storage.status().message())};
     return nullptr;
   }
@@ -270,6 +303,24 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
               {"store", *file},
               {"version", REVISIT_VERSION}});
   return std::unique_ptr<RevisitServer>(new RevisitServer(std::move(state)));
+}
+
+ExitCode ExitCodeOf(const absl::Status& status) {
+  if (absl::IsDataLoss(status)) return kExitStoreDamaged;
+  if (absl::IsFailedPrecondition(status)) return kExitStoreInUse;
+  return kExitStoreFailed;
+}
+
+absl::StatusOr<std::string> ExistingStoreFile(const std::string& path) {
+  std::error_code error;
+  for (const std::string& file : {path, InDirectory(path)}) {
+    if (std::filesystem::is_regular_file(file, error)) return file;
+  }
+  return absl::NotFoundError(("there is no store at " + path).c_str());
+}
+
+ExitCode RevisitServer::exit_code() const {
+  return state_->has_failed ? kExitStoreFailed : kExitOk;
 }
 
 const std::string& RevisitServer::address() const { return state_->address; }

@@ -2,9 +2,11 @@
 #ifndef REVISIT_SERVER_SERVER_H_
 #define REVISIT_SERVER_SERVER_H_
 
+#include <functional>
 #include <memory>
 #include <string>
 
+#include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "server/logging.h"
 #include "server/settings.h"
@@ -15,10 +17,18 @@ namespace revisit::server {
 enum ExitCode {
   kExitOk = 0,
   kExitUsage = 64,
+  kExitStoreDamaged = 65,
   kExitCannotListen = 69,
   kExitStoreInUse = 73,
   kExitStoreFailed = 74,
 };
+
+// For a store that could not be opened or read.
+ExitCode ExitCodeOf(const absl::Status& status);
+
+// The file of the store that a path names: ServerSettings::store. NOT_FOUND if
+// there is none.
+absl::StatusOr<std::string> ExistingStoreFile(const std::string& path);
 
 struct StartError {
   ExitCode exit_code;
@@ -28,9 +38,11 @@ struct StartError {
 class RevisitServer {
  public:
   // Opens the store and takes calls. Null, with `*error` set, if that fails.
-  // The log must outlive the server.
+  // The log must outlive the server. `on_failure` is called, once and on any
+  // thread, if the server can no longer do its work: shut it down then.
   static std::unique_ptr<RevisitServer> Start(const ServerSettings& settings,
                                               const Log* log,
+                                              std::function<void()> on_failure,
                                               StartError* error);
   // Shuts down if that was not done.
   ~RevisitServer();
@@ -46,6 +58,9 @@ class RevisitServer {
   // Calls that outlast ServerSettings::drain_timeout_seconds are cut. Then the
   // store is closed.
   void Shutdown();
+
+  // What the process ends with after Shutdown().
+  ExitCode exit_code() const;
 
  private:
   struct State;

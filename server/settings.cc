@@ -36,14 +36,17 @@ get their last acknowledgements, then the store is closed.
 Exit codes:
   0   stopped as told
   64  wrong usage or settings
+  65  the store is damaged: see "revisitd verify", and restore a backup
   69  cannot listen at the address, or write the port file
   73  the store is in use by another server, or is no store of this version
-  74  the store cannot be read or written
+  74  the store cannot be read or written, or a flush failed
 
 Examples:
   revisitd
   revisitd --listen 0.0.0.0:50051 --store /var/lib/revisit --log-format json
   revisitd --worker-threads 2 --print-config > revisitd.conf
+  revisitd backup --store /var/lib/revisit --to /backup/monday.sqlite
+  revisitd verify --store /backup/monday.sqlite
 )";
 
 template <typename T>
@@ -52,6 +55,12 @@ using Choices = std::vector<std::pair<std::string, T>>;
 const Choices<LogFormat>& LogFormats() {
   static const auto* const choices = new Choices<LogFormat>{
       {"text", LogFormat::kText}, {"json", LogFormat::kJson}};
+  return *choices;
+}
+
+const Choices<DamagedLog>& DamagedLogs() {
+  static const auto* const choices = new Choices<DamagedLog>{
+      {"refuse", DamagedLog::kRefuse}, {"drop", DamagedLog::kDrop}};
   return *choices;
 }
 
@@ -168,6 +177,16 @@ class OptionTable {
         serving, "store", &s.store, "PATH",
         "Directory of the store, created if missing; or the store's file, if "
         "that is what the path names");
+    AddNumber(serving, "min-free-bytes", &s.min_free_bytes, 0,
+              std::int64_t{1} << 50,
+              "Refuse writes while the store's file system has less left; 0 "
+              "never does");
+    AddNumber(serving, "max-checked-bytes", &s.max_checked_bytes, 0,
+              std::int64_t{1} << 50,
+              "Check the structure of a store up to this size before it is "
+              "served");
+    AddChoice(serving, "damaged-log", DamagedLogs(), &s.damaged_log,
+              "At start, if the log is damaged");
     AddText(serving, "port-file", &s.port_file, "FILE",
             "Write the address listened on here once calls are taken");
     AddNumber(serving, "worker-threads", &s.worker_threads, 0, 1024,
@@ -293,6 +312,16 @@ struct Parser {
     app.add_flag("--print-config", print_config,
                  Wrapped("Print all settings in the form of the file, and "
                          "stop"));
+    backup = app.add_subcommand("backup", "Copy the store and check the copy");
+    backup->add_option("--to", task.destination, "File to make")
+        ->type_name("FILE")
+        ->required();
+    verify = app.add_subcommand("verify",
+                                "Read the whole store and say what is wrong");
+    for (CLI::App* subcommand : {backup, verify}) {
+      subcommand->fallthrough();
+      subcommand->footer("--store and --config are those of revisitd itself.");
+    }
     table = std::make_unique<OptionTable>(&app, &settings);
   }
 
@@ -312,7 +341,18 @@ struct Parser {
     return absl::OkStatus();
   }
 
+  std::optional<StoreTask> Task() const {
+    if (!backup->parsed() && !verify->parsed()) return std::nullopt;
+    StoreTask asked = task;
+    asked.kind =
+        backup->parsed() ? StoreTask::Kind::kBackup : StoreTask::Kind::kVerify;
+    return asked;
+  }
+
   ServerSettings settings;
+  StoreTask task{};
+  CLI::App* backup = nullptr;
+  CLI::App* verify = nullptr;
   std::string config;
   bool print_config = false;
   std::optional<std::string> print;
@@ -445,7 +485,9 @@ absl::StatusOr<ParsedSettings> ParseSettings(
   if (absl::Status status = first.ParseArguments(arguments); !status.ok()) {
     return status;
   }
-  if (first.print) return ParsedSettings{first.settings, first.print};
+  if (first.print) {
+    return ParsedSettings{first.settings, std::nullopt, first.print};
+  }
   std::string config;
   if (absl::Status status = ApplyEnvironment(environment, &config, nullptr);
       !status.ok()) {
@@ -468,7 +510,7 @@ absl::StatusOr<ParsedSettings> ParseSettings(
   if (absl::Status status = parser.ParseArguments(arguments); !status.ok()) {
     return status;
   }
-  ParsedSettings parsed{parser.settings, std::nullopt};
+  ParsedSettings parsed{parser.settings, parser.Task(), std::nullopt};
   if (parser.print_config) parsed.print = PrintSettings(parser.settings);
   return parsed;
 }

@@ -14,6 +14,14 @@
 
 namespace revisit::server {
 
+// What to do at start where the write-ahead log is damaged.
+enum class DamagedLog {
+  // Do not start.
+  kRefuse,
+  // Go on without what can no longer be read: an operator's decision.
+  kDrop,
+};
+
 // To add one: a field here, a line in AddOptions() in the .cc, where it is
 // read. The flag --node-budget is the key `node-budget` of the file and the
 // variable REVISIT_NODE_BUDGET of the environment.
@@ -23,6 +31,14 @@ struct ServerSettings {
   // A directory, created if missing, that holds the store; or the store's file
   // itself, if the path is that of a file.
   std::string store = "revisit-store";
+  // Writes are refused while the file system of the store has less than this
+  // left; they are taken again from a quarter more on. 0 never refuses them.
+  // Range [0, 2^50].
+  std::int64_t min_free_bytes = std::int64_t{128} << 20;
+  // The largest store that is checked for damage of its structure before it is
+  // served; larger ones are not. Range [0, 2^50].
+  std::int64_t max_checked_bytes = std::int64_t{256} << 20;
+  DamagedLog damaged_log = DamagedLog::kRefuse;
   // If not empty, the address listened on is written here once calls are taken.
   std::string port_file;
 
@@ -59,8 +75,18 @@ struct ServerSettings {
   LogLevel log_level = LogLevel::kInfo;
 };
 
+// What revisitd can do with a store besides serving it.
+struct StoreTask {
+  enum class Kind { kBackup, kVerify };
+  Kind kind;
+  // File of the backup.
+  std::string destination;
+};
+
 struct ParsedSettings {
   ServerSettings settings;
+  // If set, this is to be done instead of serving.
+  std::optional<StoreTask> task;
   // If set, this is what was asked for instead of a server: help, version or
   // the settings themselves.
   std::optional<std::string> print;

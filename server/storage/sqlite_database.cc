@@ -1,8 +1,10 @@
 #include "server/storage/sqlite_database.h"
 
+#include <array>
 #include <cstring>
 
 #include "server/status.h"
+#include "server/storage/free_space.h"
 #include "sqlite3.h"
 
 namespace revisit::server {
@@ -10,6 +12,10 @@ namespace {
 
 // Another process (an operator's shell) may hold the database for a moment.
 constexpr int kBusyTimeoutMilliseconds = 5000;
+
+// The log is copied into the database after a commit that leaves it longer than
+// this, as SQLite does by itself.
+constexpr int kFramesBeforeCopy = 1000;
 
 absl::Status ToStatus(sqlite3* database, int code, const char* doing) {
   std::string message = "store: ";
@@ -19,7 +25,20 @@ absl::Status ToStatus(sqlite3* database, int code, const char* doing) {
     message += std::string(" (") + detail + ")";
   }
   message += std::string(", in: ") + doing;
+  switch (code) {
+    case SQLITE_IOERR_FSYNC:
+    case SQLITE_IOERR_DIR_FSYNC:
+      return Error(absl::StatusCode::kUnavailable, "STORE_SYNC_FAILED",
+                   message);
+    // The index of the log, in shared memory, takes room too.
+    case SQLITE_IOERR_SHMSIZE:
+      return StorageFull(message);
+    default:
+      break;
+  }
   switch (code & 0xff) {
+    case SQLITE_FULL:
+      return StorageFull(message);
     case SQLITE_CORRUPT:
     case SQLITE_NOTADB:
       return Error(absl::StatusCode::kDataLoss, "STORE_CORRUPT", message);
@@ -126,7 +145,28 @@ absl::StatusOr<std::unique_ptr<SqliteDatabase>> SqliteDatabase::Open(
     return status;
   }
   sqlite3_busy_timeout(database, kBusyTimeoutMilliseconds);
-  return std::unique_ptr<SqliteDatabase>(new SqliteDatabase(database));
+  auto opened = std::unique_ptr<SqliteDatabase>(new SqliteDatabase(database));
+  if (mode == Mode::kReadWrite) {
+    // Takes the place of SQLite's own, which keeps failures to itself.
+    sqlite3_wal_hook(database, OnCommit, opened.get());
+  }
+  return opened;
+}
+
+int SqliteDatabase::OnCommit(void* self, sqlite3* database, const char* name,
+                             int frames) {
+  auto* const connection = static_cast<SqliteDatabase*>(self);
+  connection->log_frames_ = static_cast<std::uint32_t>(frames);
+  connection->copy_failure_ = absl::OkStatus();
+  if (frames < kFramesBeforeCopy) return SQLITE_OK;
+  const int code = sqlite3_wal_checkpoint_v2(
+      database, name, SQLITE_CHECKPOINT_PASSIVE, nullptr, nullptr);
+  // A reader may keep it from being copied whole; then it is tried again.
+  if (code != SQLITE_OK && (code & 0xff) != SQLITE_BUSY) {
+    connection->copy_failure_ =
+        ToStatus(database, code, "copying the log into the database");
+  }
+  return SQLITE_OK;
 }
 
 SqliteDatabase::~SqliteDatabase() {
@@ -170,8 +210,55 @@ std::int64_t SqliteDatabase::LastInsertedKey() const {
 
 int SqliteDatabase::Changes() const { return sqlite3_changes(database_); }
 
+absl::StatusOr<LogPosition> SqliteDatabase::LogEnd() {
+  sqlite3_file* log = nullptr;
+  int code = sqlite3_file_control(database_, "main",
+                                  SQLITE_FCNTL_JOURNAL_POINTER, &log);
+  constexpr char kDoing[] = "reading the header of the log";
+  if (code != SQLITE_OK) return ToStatus(database_, code, kDoing);
+  if (log == nullptr || log->pMethods == nullptr) {
+    return ToStatus(nullptr, SQLITE_MISUSE, kDoing);
+  }
+  std::array<unsigned char, kLogHeaderBytes> header;
+  code = log->pMethods->xRead(log, header.data(),
+                              static_cast<int>(header.size()), 0);
+  if (code != SQLITE_OK) return ToStatus(nullptr, code, kDoing);
+  LogPosition end = SaltsOf(header);
+  end.frames = log_frames_;
+  return end;
+}
+
+void SqliteDatabase::KeepLogOnClose() {
+  sqlite3_db_config(database_, SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1, nullptr);
+}
+
+absl::Status SqliteDatabase::CopyTo(SqliteDatabase* destination) {
+  constexpr char kDoing[] = "copying the database";
+  sqlite3_backup* const copy =
+      sqlite3_backup_init(destination->database_, "main", database_, "main");
+  if (copy == nullptr) {
+    return ToStatus(destination->database_,
+                    sqlite3_extended_errcode(destination->database_), kDoing);
+  }
+  // In one step: a step ends what it has read from changing, and a store that
+  // changes meanwhile would be copied from the beginning again, for ever.
+  const int code = sqlite3_backup_step(copy, -1);
+  const int finished = sqlite3_backup_finish(copy);
+  if (code != SQLITE_DONE) return ToStatus(nullptr, code, kDoing);
+  if (finished != SQLITE_OK) return ToStatus(nullptr, finished, kDoing);
+  return absl::OkStatus();
+}
+
 bool IsCorruption(const absl::Status& status) {
   return status.code() == absl::StatusCode::kDataLoss;
+}
+
+bool IsFailedFlush(const absl::Status& status) {
+  return !status.ok() && ReasonOf(status) == "STORE_SYNC_FAILED";
+}
+
+bool IsStorageFull(const absl::Status& status) {
+  return status.code() == absl::StatusCode::kResourceExhausted;
 }
 
 }  // namespace revisit::server

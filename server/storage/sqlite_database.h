@@ -11,6 +11,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "server/storage/write_ahead_log.h"
 
 struct sqlite3;
 struct sqlite3_stmt;
@@ -76,16 +77,42 @@ class SqliteDatabase {
   // Rows changed by the last statement.
   int Changes() const;
 
+  // Where the log ended after this connection's last commit. REQUIRES: there
+  // was one, in write-ahead mode.
+  absl::StatusOr<LogPosition> LogEnd();
+  // Of a connection that writes: why the log could not be copied into the
+  // database after the last commit, which itself is flushed.
+  const absl::Status& copy_failure() const { return copy_failure_; }
+
+  // Leaves the log as it is where the last connection would copy and remove it.
+  void KeepLogOnClose();
+
+  // Copies all that is committed into another database, as of one moment.
+  absl::Status CopyTo(SqliteDatabase* destination);
+
  private:
   explicit SqliteDatabase(sqlite3* database) : database_(database) {}
 
+  // What SQLite calls after each commit.
+  static int OnCommit(void* self, sqlite3* database, const char* name,
+                      int frames);
+
   sqlite3* const database_;
+  std::uint32_t log_frames_ = 0;
+  absl::Status copy_failure_;
   std::unordered_map<const char*, sqlite3_stmt*> statements_;
 };
 
 // Whether a status comes from a damaged file, rather than from one that cannot
 // be read or written now.
 bool IsCorruption(const absl::Status& status);
+
+// Whether it comes from a flush that failed: what was written before may or may
+// not be on the device, and asking again does not tell.
+bool IsFailedFlush(const absl::Status& status);
+
+// Whether it comes from a file system without room.
+bool IsStorageFull(const absl::Status& status);
 
 }  // namespace revisit::server
 

@@ -2,18 +2,26 @@
 
 #include <algorithm>
 #include <condition_variable>
+#include <cstdio>
 #include <deque>
 #include <filesystem>
+#include <fstream>
 #include <limits>
 #include <mutex>
+#include <set>
 #include <system_error>
 #include <thread>
 #include <utility>
 
 #include "server/status.h"
+#include "server/storage/durable_mark.h"
+#include "server/storage/free_space.h"
 #include "server/storage/record_checksum.h"
 #include "server/storage/sqlite_database.h"
+#include "server/storage/store_check.h"
+#include "server/storage/store_files.h"
 #include "server/storage/store_lock.h"
+#include "server/storage/write_ahead_log.h"
 
 namespace revisit::server {
 namespace {
@@ -492,6 +500,22 @@ absl::StatusOr<bool> PurgeSome(SqliteDatabase& database) {
   return true;
 }
 
+absl::Status CheckKnownFormat(const std::string& path, std::int64_t application,
+                              std::int64_t format) {
+  if (application != kApplicationId) {
+    return absl::FailedPreconditionError(path +
+                                         " is an SQLite file of another "
+                                         "program, not a store of revisit");
+  }
+  if (format < 1 || format > kStoreFormat) {
+    return absl::FailedPreconditionError(
+        "the store " + path + " has format " + std::to_string(format) +
+        ", this server reads formats 1 to " + std::to_string(kStoreFormat) +
+        (format > kStoreFormat ? ": use a newer server" : ""));
+  }
+  return absl::OkStatus();
+}
+
 // Sets up a new file, or checks one that is there and brings it to this format.
 absl::Status CheckFormat(SqliteDatabase& database, const std::string& path) {
   const absl::StatusOr<std::int64_t> application =
@@ -511,17 +535,8 @@ absl::Status CheckFormat(SqliteDatabase& database, const std::string& path) {
         "; PRAGMA user_version = " + std::to_string(kStoreFormat) + "; COMMIT";
     return database.Execute(sql.c_str());
   }
-  if (*application != kApplicationId) {
-    return absl::FailedPreconditionError(path +
-                                         " is an SQLite file of another "
-                                         "program, not a store of revisit");
-  }
-  if (*format < 1 || *format > kStoreFormat) {
-    return absl::FailedPreconditionError(
-        "the store " + path + " has format " + std::to_string(*format) +
-        ", this server reads formats 1 to " + std::to_string(kStoreFormat) +
-        (*format > kStoreFormat ? ": use a newer server" : ""));
-  }
+  const absl::Status known = CheckKnownFormat(path, *application, *format);
+  if (!known.ok()) return known;
   if (*format == kStoreFormat) return absl::OkStatus();
   // Not done until committed: a failure closes the connection, and that rolls
   // back.
@@ -531,23 +546,55 @@ absl::Status CheckFormat(SqliteDatabase& database, const std::string& path) {
   return database.Execute(sql.c_str());
 }
 
+// Whether the file begins as every SQLite file does.
+bool BeginsAsDatabase(const std::string& path) {
+  const std::string expected("SQLite format 3\0", 16);
+  std::string found(expected.size(), ' ');
+  std::ifstream file(path, std::ios::binary);
+  file.read(found.data(), static_cast<std::streamsize>(found.size()));
+  return file.gcount() == static_cast<std::streamsize>(found.size()) &&
+         found == expected;
+}
+
+// Whether there is anything to read at all.
+absl::Status CheckReadable(SqliteDatabase& database, const std::string& path) {
+  const absl::Status status =
+      database.QueryInteger("PRAGMA schema_version").status();
+  if (!IsCorruption(status)) return status;
+  const std::string what(status.message());
+  if (!BeginsAsDatabase(path)) {
+    return absl::FailedPreconditionError(path +
+                                         " is not a store of revisit: " + what);
+  }
+  return Corrupt("the store " + path + " is damaged: " + what, {});
+}
+
+// Copies the log into the database, flushes that, and empties the log.
+absl::Status EmptyLog(SqliteDatabase& database, DurableMark* mark) {
+  const auto checkpoint = [&](const char* sql) -> absl::Status {
+    SqliteStatement statement = database.Prepare(sql);
+    const absl::StatusOr<bool> row = statement.Step();
+    if (!row.ok()) return row.status();
+    if (*row && statement.Integer(0) == 0) return absl::OkStatus();
+    return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                 "store: other readers keep the log from being copied");
+  };
+  absl::Status status = checkpoint("PRAGMA wal_checkpoint(FULL)");
+  // All is in the database: an empty log is right from here on.
+  if (status.ok()) status = mark->Clear();
+  if (status.ok()) status = checkpoint("PRAGMA wal_checkpoint(TRUNCATE)");
+  return status;
+}
+
 absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenWriter(
-    const std::string& path, const std::string& vfs) {
+    const std::string& path, const std::string& vfs, DurableMark* mark) {
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
       SqliteDatabase::Open(path, SqliteDatabase::Mode::kReadWrite, vfs);
   if (!database.ok()) return database;
   // Before anything is changed in a file that may not be ours.
-  const absl::StatusOr<std::int64_t> readable =
-      (*database)->QueryInteger("PRAGMA schema_version");
-  if (!readable.ok()) {
-    if (IsCorruption(readable.status())) {
-      return absl::FailedPreconditionError(
-          path + " is not a store of revisit: " +
-          std::string(readable.status().message()));
-    }
-    return readable.status();
-  }
-  absl::Status status = CheckFormat(**database, path);
+  absl::Status status = CheckReadable(**database, path);
+  if (!status.ok()) return status;
+  status = CheckFormat(**database, path);
   if (!status.ok()) return status;
   {
     SqliteStatement wal = (*database)->Prepare("PRAGMA journal_mode = WAL");
@@ -569,26 +616,136 @@ absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenWriter(
   // What the log holds may never have been flushed: the server before may have
   // been killed, or its device have failed, just then. From here on it counts
   // as durable, so it is made durable.
-  SqliteStatement checkpoint =
-      (*database)->Prepare("PRAGMA wal_checkpoint(TRUNCATE)");
-  const absl::StatusOr<bool> row = checkpoint.Step();
-  if (!row.ok()) return row.status();
-  if (!*row || checkpoint.Integer(0) != 0) {
-    return absl::UnavailableError(
-        "store: other readers keep the log from being copied");
-  }
+  status = EmptyLog(**database, mark);
+  if (!status.ok()) return status;
   return database;
+}
+
+// Vehicles with rows in the unreadable part of the log that are nowhere else.
+absl::StatusOr<std::set<std::string>> VehiclesBehind(const std::string& store,
+                                                     const LogReport& log) {
+  absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
+      SqliteDatabase::Open(store, SqliteDatabase::Mode::kReadOnly, "");
+  if (!database.ok()) return database.status();
+  std::set<std::string> names;
+  absl::Status failure;
+  const absl::Status visited =
+      VisitRowsBehind(store + "-wal", log, [&](const LoggedRow& row) {
+        SqliteStatement found =
+            row.table == LoggedRow::Table::kVehicles
+                ? (*database)->Prepare(
+                      "SELECT 1 FROM vehicles WHERE id = ?2 AND checksum = ?4")
+            : row.table == LoggedRow::Table::kBatches
+                ? (*database)->Prepare(
+                      "SELECT 1 FROM batches WHERE vehicle_key = ?1 AND "
+                      "first_sequence = ?3 AND checksum = ?4 UNION ALL "
+                      "SELECT 1 FROM revised_batches WHERE vehicle_key = ?1 "
+                      "AND first_sequence = ?3 AND checksum = ?4")
+                : (*database)->Prepare(
+                      "SELECT 1 FROM loop_closures WHERE vehicle_key = ?1 AND "
+                      "id = ?2 AND checksum = ?4 UNION ALL SELECT 1 FROM "
+                      "rejected_candidates WHERE vehicle_key = ?1 AND id = ?2 "
+                      "AND checksum = ?4");
+        if (row.table != LoggedRow::Table::kVehicles) {
+          found.Bind(1, row.vehicle_key);
+        }
+        if (row.table != LoggedRow::Table::kBatches) found.BindText(2, row.id);
+        if (row.table == LoggedRow::Table::kBatches) {
+          found.Bind(3, row.first_sequence);
+        }
+        const absl::StatusOr<bool> is_there =
+            found.Bind(4, row.checksum).Step();
+        if (!is_there.ok()) {
+          failure = is_there.status();
+        } else if (!*is_there && row.table == LoggedRow::Table::kVehicles) {
+          names.insert(row.id);
+        } else if (!*is_there) {
+          const absl::StatusOr<std::string> id =
+              VehicleId(**database, row.vehicle_key);
+          // One that was created only there names itself by its own row.
+          if (id.ok()) names.insert(*id);
+        }
+      });
+  if (!visited.ok()) return visited;
+  if (!failure.ok() && names.empty()) return failure;
+  return names;
+}
+
+// Whether the log holds all that it should; see write_ahead_log.h.
+absl::Status CheckLog(const std::string& store, const SqliteOptions& options,
+                      DurableMark* mark) {
+  const auto warn = [&](const std::string& message) {
+    if (options.warn) options.warn(message);
+  };
+  const std::string path = store + "-wal";
+  const absl::StatusOr<LogReport> log = ReadLog(path);
+  if (!log.ok()) return log.status();
+  std::string what = log->damage;
+  const std::optional<LogPosition> flushed = mark->Read();
+  if (what.empty() && flushed) what = MissingFrom(*log, *flushed);
+  if (what.empty()) {
+    if (log->has_unfinished_tail) {
+      warn("the log " + path +
+           " ends in an unfinished write, which was not acknowledged; it is "
+           "left out");
+    }
+    return absl::OkStatus();
+  }
+  const absl::StatusOr<std::set<std::string>> vehicles =
+      VehiclesBehind(store, *log);
+  const std::string names = vehicles.ok() && !vehicles->empty()
+                                ? Listed(*vehicles)
+                                : "cannot be told";
+  const std::string message = "the log " + path + " is damaged: " + what +
+                              "; vehicles with lost changes: " + names;
+  if (options.drop_damaged_log) {
+    warn(message + "; dropped as told");
+    return mark->Clear();
+  }
+  return Corrupt(message, {{"vehicles", names}});
+}
+
+// Whether a file that is not too large can be trusted to hide nothing.
+absl::Status CheckFile(SqliteDatabase& database, const std::string& store,
+                       const SqliteOptions& options) {
+  std::error_code error;
+  const std::uintmax_t bytes = std::filesystem::file_size(store, error);
+  if (error || bytes > Unsigned(options.max_checked_bytes)) {
+    return absl::OkStatus();
+  }
+  const absl::StatusOr<std::vector<std::string>> problems =
+      FindStructuralDamage(database);
+  if (!problems.ok() && !IsCorruption(problems.status())) {
+    return problems.status();
+  }
+  if (problems.ok() && problems->empty()) return absl::OkStatus();
+  const std::string what = problems.ok()
+                               ? problems->front()
+                               : std::string(problems.status().message());
+  const absl::StatusOr<StoreReport> report = CheckStore(store);
+  const std::string names = report.ok() && !report->damaged_vehicles.empty()
+                                ? Listed(report->damaged_vehicles)
+                                : "cannot be told";
+  return Corrupt("the store " + store + " is damaged: " + what +
+                     "; vehicles that cannot be read whole: " + names,
+                 {{"vehicles", names}});
 }
 
 class SqliteStorage : public Storage {
  public:
   SqliteStorage(std::string path, const SqliteOptions& options,
                 std::unique_ptr<StoreLock> lock,
+                std::unique_ptr<DurableMark> mark,
                 std::unique_ptr<SqliteDatabase> writer,
                 std::unique_ptr<SqliteDatabase> anchor)
       : path_(std::move(path)),
         options_(options),
         lock_(std::move(lock)),
+        mark_(std::move(mark)),
+        space_(options.min_free_bytes,
+               [file = path_] {
+                 return FreeBytes(std::filesystem::path(file).parent_path());
+               }),
         writer_(std::move(writer)),
         anchor_(std::move(anchor)),
         thread_([this] { Write(); }) {}
@@ -600,6 +757,8 @@ class SqliteStorage : public Storage {
     }
     wake_.notify_one();
     thread_.join();
+    // The last connection empties the log as it closes.
+    if (writer_ != nullptr && !mark_->Clear().ok()) writer_->KeepLogOnClose();
   }
 
   void CreateVehicle(
@@ -644,7 +803,7 @@ class SqliteStorage : public Storage {
           if (status.ok()) purge_ = true;
           return status;
         },
-        std::move(done));
+        std::move(done), Need::kLittle);
   }
 
   void AppendBatch(VehicleKey key, BatchRecord batch,
@@ -779,10 +938,14 @@ class SqliteStorage : public Storage {
   }
 
  private:
+  // Whether a write may be taken on where there is little room.
+  enum class Need { kRoom, kLittle };
+
   struct PendingWrite {
     std::size_t bytes;
     std::function<absl::Status(SqliteDatabase&)> apply;
     Done done;
+    Need need;
   };
 
   static absl::Status VisitBatches(
@@ -844,10 +1007,11 @@ class SqliteStorage : public Storage {
   }
 
   void Submit(std::size_t bytes,
-              std::function<absl::Status(SqliteDatabase&)> apply, Done done) {
+              std::function<absl::Status(SqliteDatabase&)> apply, Done done,
+              Need need = Need::kRoom) {
     {
       const std::lock_guard<std::mutex> guard(mutex_);
-      queue_.push_back({bytes, std::move(apply), std::move(done)});
+      queue_.push_back({bytes, std::move(apply), std::move(done), need});
     }
     wake_.notify_one();
   }
@@ -878,19 +1042,31 @@ class SqliteStorage : public Storage {
       lock.lock();
     }
     // Rids the log of a transaction that failed last.
-    EnsureWriter().IgnoreError();
+    if (lock_ != nullptr) EnsureWriter().IgnoreError();
   }
 
   // Writes a group in one transaction.
   std::vector<absl::Status> Commit(const std::vector<PendingWrite>& group) {
     std::vector<absl::Status> results;
+    const absl::Status room = lock_ != nullptr ? space_.Check() : ReadOnly();
+    const bool is_pointless =
+        !room.ok() &&
+        std::none_of(group.begin(), group.end(), [](const PendingWrite& write) {
+          return write.need == Need::kLittle;
+        });
+    if (is_pointless || lock_ == nullptr) {
+      purge_ = false;
+      return std::vector<absl::Status>(group.size(), room);
+    }
     absl::Status status = EnsureWriter();
     if (status.ok()) status = writer_->Prepare("BEGIN IMMEDIATE").Run();
     const bool begun = status.ok();
     for (const PendingWrite& write : group) {
       if (!status.ok()) break;
-      absl::Status result;
-      status = Apply(write, &result);
+      absl::Status result = room;
+      if (room.ok() || write.need == Need::kLittle) {
+        status = Apply(write, &result);
+      }
       results.push_back(std::move(result));
     }
     if (status.ok() && purge_) {
@@ -899,7 +1075,14 @@ class SqliteStorage : public Storage {
       purge_ = more.ok() && *more;
     }
     if (status.ok()) status = writer_->Prepare("COMMIT").Run();
-    if (status.ok()) return results;
+    if (status.ok()) {
+      const absl::StatusOr<LogPosition> flushed = writer_->LogEnd();
+      if (flushed.ok()) mark_->Write(*flushed);
+      if (IsFailedFlush(writer_->copy_failure())) {
+        GiveUp(writer_->copy_failure());
+      }
+      return results;
+    }
 
     // Whatever is left is in doubt; see the header. Where not even BEGIN
     // succeeded, nothing was touched.
@@ -907,10 +1090,30 @@ class SqliteStorage : public Storage {
     // Else a full disk would be asked again and again. Taken up after the next
     // delete or start.
     purge_ = false;
-    const absl::Status failure =
-        Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
-              "nothing was written: " + std::string(status.message()));
+    const std::string message =
+        "nothing was written: " + std::string(status.message());
+    absl::Status failure =
+        Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE", message);
+    if (IsStorageFull(status)) failure = StorageFull(message);
+    if (IsFailedFlush(status)) {
+      GiveUp(status);
+      failure = given_up_;
+    }
     return std::vector<absl::Status>(group.size(), failure);
+  }
+
+  static absl::Status ReadOnly() {
+    return Error(StatusCode::kFailedPrecondition, "INTERNAL",
+                 "this store was opened for reading");
+  }
+
+  // After a failed flush; see the header.
+  void GiveUp(const absl::Status& cause) {
+    if (!given_up_.ok()) return;
+    given_up_ = Error(StatusCode::kUnavailable, "STORE_SYNC_FAILED",
+                      "the store takes no more writes, since a flush failed: " +
+                          std::string(cause.message()));
+    if (options_.on_failed_flush) options_.on_failed_flush(given_up_);
   }
 
   // Runs one write so that, refused, it leaves nothing behind. Answers not OK
@@ -930,9 +1133,10 @@ class SqliteStorage : public Storage {
   }
 
   absl::Status EnsureWriter() {
+    if (!given_up_.ok()) return given_up_;
     if (writer_ != nullptr) return absl::OkStatus();
     absl::StatusOr<std::unique_ptr<SqliteDatabase>> opened =
-        OpenWriter(path_, options_.vfs);
+        OpenWriter(path_, options_.vfs, mark_.get());
     if (!opened.ok()) return opened.status();
     writer_ = *std::move(opened);
     return absl::OkStatus();
@@ -973,9 +1177,15 @@ class SqliteStorage : public Storage {
 
   const std::string path_;
   const SqliteOptions options_;
+  // Nothing if opened for reading; so is the mark.
   const std::unique_ptr<StoreLock> lock_;
+  const std::unique_ptr<DurableMark> mark_;
 
-  // The writer's thread only, once it runs. Nothing after a failure.
+  // The writer's thread only, once it runs.
+  FreeSpaceGuard space_;
+  // Why no write is taken on any more.
+  absl::Status given_up_;
+  // Nothing after a failure.
   std::unique_ptr<SqliteDatabase> writer_;
   bool purge_ = true;
 
@@ -994,30 +1204,92 @@ class SqliteStorage : public Storage {
   std::thread thread_;
 };
 
+// A connection that reads, and so holds the log and its index.
+absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenAnchor(
+    const std::string& store, const std::string& vfs) {
+  absl::StatusOr<std::unique_ptr<SqliteDatabase>> anchor =
+      SqliteDatabase::Open(store, SqliteDatabase::Mode::kReadOnly, vfs);
+  if (!anchor.ok()) return anchor;
+  const absl::Status readable = CheckReadable(**anchor, store);
+  if (!readable.ok()) return readable;
+  return anchor;
+}
+
+// Two names of one file must find the same lock.
+std::string Canonical(const std::string& path) {
+  std::error_code error;
+  const std::filesystem::path canonical =
+      std::filesystem::weakly_canonical(std::filesystem::path(path), error);
+  return error ? path : canonical.string();
+}
+
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
     const std::string& path, const SqliteOptions& options) {
-  // Two names of one file must find the same lock.
-  std::error_code error;
-  std::filesystem::path canonical =
-      std::filesystem::weakly_canonical(std::filesystem::path(path), error);
-  const std::string store = error ? path : canonical.string();
+  const std::string store = Canonical(path);
   absl::StatusOr<std::unique_ptr<StoreLock>> lock = StoreLock::Acquire(store);
   if (!lock.ok()) return lock.status();
+  absl::StatusOr<std::unique_ptr<DurableMark>> mark = DurableMark::Open(store);
+  if (!mark.ok()) return mark.status();
+  const absl::Status whole = CheckLog(store, options, mark->get());
+  if (!whole.ok()) return whole;
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> writer =
-      OpenWriter(store, options.vfs);
-  if (!writer.ok()) return writer.status();
+      OpenWriter(store, options.vfs, mark->get());
+  if (IsStorageFull(writer.status()) && GiveUpReserve(store)) {
+    writer = OpenWriter(store, options.vfs, mark->get());
+  }
+  if (!writer.ok() && !IsStorageFull(writer.status())) return writer.status();
+  if (!writer.ok()) {
+    // What is told to be durable from here on must be, at least as far as the
+    // log goes.
+    const absl::Status flushed = FlushFile(store + "-wal");
+    if (!flushed.ok()) return flushed;
+    if (options.warn) {
+      options.warn("nothing can be written until there is room: " +
+                   std::string(writer.status().message()));
+    }
+  }
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> anchor =
-      SqliteDatabase::Open(store, SqliteDatabase::Mode::kReadOnly, options.vfs);
+      OpenAnchor(store, options.vfs);
   if (!anchor.ok()) return anchor.status();
-  // Only a connection that has read holds the log.
-  const absl::StatusOr<std::int64_t> read =
-      (*anchor)->QueryInteger("SELECT count(*) FROM sqlite_schema");
-  if (!read.ok()) return read.status();
-  return std::unique_ptr<Storage>(
-      new SqliteStorage(store, options, *std::move(lock), *std::move(writer),
-                        *std::move(anchor)));
+  const absl::Status sound = CheckFile(**anchor, store, options);
+  if (!sound.ok()) return sound;
+  if (writer.ok()) KeepReserve(store);
+  return std::unique_ptr<Storage>(new SqliteStorage(
+      store, options, *std::move(lock), *std::move(mark),
+      writer.ok() ? *std::move(writer) : nullptr, *std::move(anchor)));
+}
+
+absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenDatabaseToRead(
+    const std::string& path) {
+  absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
+      OpenAnchor(path, "");
+  if (!database.ok()) return database;
+  const absl::StatusOr<std::int64_t> application =
+      (*database)->QueryInteger("PRAGMA application_id");
+  if (!application.ok()) return application.status();
+  const absl::StatusOr<std::int64_t> format =
+      (*database)->QueryInteger("PRAGMA user_version");
+  if (!format.ok()) return format.status();
+  const absl::Status known = CheckKnownFormat(path, *application, *format);
+  if (!known.ok()) return known;
+  if (*format != kStoreFormat) {
+    return absl::FailedPreconditionError(
+        "the store " + path + " has format " + std::to_string(*format) +
+        ": a server that is started on it brings it to format " +
+        std::to_string(kStoreFormat));
+  }
+  return database;
+}
+
+absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorageToRead(
+    const std::string& path) {
+  absl::StatusOr<std::unique_ptr<SqliteDatabase>> anchor =
+      OpenDatabaseToRead(path);
+  if (!anchor.ok()) return anchor.status();
+  return std::unique_ptr<Storage>(new SqliteStorage(
+      path, SqliteOptions(), nullptr, nullptr, nullptr, *std::move(anchor)));
 }
 
 }  // namespace revisit::server

@@ -9,8 +9,15 @@
 //
 // After a failed transaction the connection is closed, and no write is taken on
 // until it has been opened anew and the whole log has been copied into the
-// database file and flushed there. So an acknowledgement never rests on pages
-// that a failed flush has left in doubt.
+// database file and flushed there. After a failed flush none is taken on at all
+// until a new process has done the same: what the system's memory shows may no
+// longer be what is on the device.
+//
+// Opening checks that the log holds all that was flushed (write_ahead_log.h,
+// durable_mark.h), and, of a file that is not too large, that tables and
+// indexes hang together, so that no row is missed. Rows are checked as they are
+// read. A store that fits nowhere any more opens too, if need be for reading
+// only.
 //
 // Tables (see kSchema in the .cc; the file's user_version is kStoreFormat):
 //   vehicles             a row a vehicle; keys are never used again
@@ -29,10 +36,14 @@
 #define REVISIT_SERVER_STORAGE_SQLITE_STORAGE_H_
 
 #include <cstddef>
+#include <cstdint>
+#include <functional>
 #include <memory>
 #include <string>
 
+#include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "server/storage/sqlite_database.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {
@@ -44,14 +55,38 @@ struct SqliteOptions {
   // Name of SQLite's layer to the operating system; empty for the usual one.
   // Tests put one here whose device fails.
   std::string vfs;
+  // Writes other than deletions of vehicles are RESOURCE_EXHAUSTED
+  // (STORAGE_FULL) while less than this is free; see free_space.h.
+  std::int64_t min_free_bytes = 0;
+  // The largest file that is checked whole when it is opened.
+  std::int64_t max_checked_bytes = std::int64_t{256} << 20;
+  // Of a damaged log: whether to drop what can no longer be read, rather than
+  // to refuse to open.
+  bool drop_damaged_log = false;
+  // What an operator should know of; at opening.
+  std::function<void(const std::string&)> warn;
+  // A flush has failed: no write will be taken on any more. On the writer's
+  // thread, once.
+  std::function<void(const absl::Status&)> on_failed_flush;
 };
 
 // Opens the store, or creates it in a directory that is there.
 // A store of an older format becomes one of this format. FAILED_PRECONDITION if
 // another server has it open, or if the file is not a store, or one of a newer
-// format; the message tells which.
+// format; the message tells which. DATA_LOSS (STORE_CORRUPT) if it is damaged
+// in a way that could make it answer less than was acknowledged; the message
+// names the vehicles, where that can be told.
 absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
     const std::string& path, const SqliteOptions& options = {});
+
+// Opens a store of this format for reading, also while a server has it open.
+// Writes are FAILED_PRECONDITION. The same errors as above.
+absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorageToRead(
+    const std::string& path);
+
+// What else reads a store whole (store_check.h, store_backup.h).
+absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenDatabaseToRead(
+    const std::string& path);
 
 }  // namespace revisit::server
 

@@ -39,11 +39,14 @@ absl::StatusOr<std::unique_ptr<StoreLock>> StoreLock::Acquire(
                                          " is in use by " + Owner(file) +
                                          "; a store has one server at a time");
   }
+  // In place, where a full disk still has room. If it has not, the owner stays
+  // unnamed.
   const std::string pid = std::to_string(getpid()) + "\n";
-  if (ftruncate(file, 0) != 0 || pwrite(file, pid.data(), pid.size(), 0) !=
-                                     static_cast<ssize_t>(pid.size())) {
+  const auto size = static_cast<ssize_t>(pid.size());
+  if (pwrite(file, pid.data(), pid.size(), 0) != size && errno != ENOSPC) {
     return FromErrno(path);
   }
+  if (ftruncate(file, size) != 0) return FromErrno(path);
   return lock;
 }
 

@@ -1,0 +1,24 @@
+// Copies a store while a server is at work on it.
+#ifndef REVISIT_SERVER_STORAGE_STORE_BACKUP_H_
+#define REVISIT_SERVER_STORAGE_STORE_BACKUP_H_
+
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "server/storage/store_check.h"
+
+namespace revisit::server {
+
+// Makes one file that is a store by itself, as of one moment: every write that
+// was acknowledged before the call is in it. The copy is read whole and flushed
+// before it gets its name, so a file of that name is a good one. Writes go on
+// meanwhile; the log grows until the copy is done.
+//
+// FAILED_PRECONDITION if there is a file of that name, or if the store is none
+// of this format; DATA_LOSS if the store is damaged, and then there is no copy.
+absl::StatusOr<StoreReport> BackUpStore(const std::string& path,
+                                        const std::string& destination);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_STORAGE_STORE_BACKUP_H_

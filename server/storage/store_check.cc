@@ -1,0 +1,183 @@
+#include "server/storage/store_check.h"
+
+#include <memory>
+#include <optional>
+#include <utility>
+
+#include "server/storage/durable_mark.h"
+#include "server/storage/sqlite_storage.h"
+#include "server/storage/write_ahead_log.h"
+
+namespace revisit::server {
+namespace {
+
+constexpr std::size_t kListedNames = 20;
+constexpr int kPairsPerRead = 1000;
+
+class Checker {
+ public:
+  Checker(SqliteDatabase* database, Storage* storage)
+      : database_(database), storage_(storage) {}
+
+  StoreReport Check() {
+    const absl::StatusOr<std::vector<std::string>> structure =
+        FindStructuralDamage(*database_);
+    if (!structure.ok()) {
+      Note(structure.status());
+    } else {
+      for (const std::string& problem : *structure) Note(problem);
+    }
+    for (const std::string& id : Ids()) CheckVehicle(id);
+    CheckNoneIsLeftOver();
+    return std::move(report_);
+  }
+
+ private:
+  void Note(const std::string& problem) { report_.problems.push_back(problem); }
+  void Note(const absl::Status& status) { Note(std::string(status.message())); }
+
+  std::vector<std::string> Ids() {
+    std::vector<std::string> ids;
+    // By the table, for an index may hide some.
+    SqliteStatement row =
+        database_->Prepare("SELECT id FROM vehicles NOT INDEXED");
+    while (true) {
+      const absl::StatusOr<bool> found = row.Step();
+      if (!found.ok()) Note(found.status());
+      if (!found.ok() || !*found) return ids;
+      ids.push_back(row.Bytes(0));
+    }
+  }
+
+  void CheckVehicle(const std::string& id) {
+    ++report_.vehicles;
+    const absl::Status status = ReadVehicle(id);
+    if (status.ok()) return;
+    Note("vehicle '" + id + "': " + std::string(status.message()));
+    report_.damaged_vehicles.insert(id);
+  }
+
+  absl::Status ReadVehicle(const std::string& id) {
+    const absl::StatusOr<VehicleRecord> record = storage_->GetVehicle(id);
+    if (!record.ok()) return record.status();
+    for (const BatchVersion version :
+         {BatchVersion::kAsSent, BatchVersion::kCurrent}) {
+      const absl::Status read =
+          storage_->ReadBatches(record->key, 1, record->durable_sequence,
+                                version, [&](const BatchRecord& batch) {
+                                  if (version == BatchVersion::kAsSent) {
+                                    ++report_.batches;
+                                    report_.poses += batch.count;
+                                  }
+                                  return true;
+                                });
+      if (!read.ok()) return read;
+    }
+    for (const PairKind kind : kPairKinds) {
+      std::string after;
+      std::int64_t count = 0;
+      while (true) {
+        const absl::StatusOr<std::vector<PosePairRecord>> page =
+            storage_->ListPosePairs(record->key, kind, after, kPairsPerRead);
+        if (!page.ok()) return page.status();
+        if (page->empty()) break;
+        count += static_cast<std::int64_t>(page->size());
+        after = page->back().id;
+      }
+      (kind == PairKind::kLoopClosure ? report_.loop_closures
+                                      : report_.rejected_candidates) += count;
+    }
+    return absl::OkStatus();
+  }
+
+  void CheckNoneIsLeftOver() {
+    struct Query {
+      const char* sql;
+      const char* what;
+    };
+    for (const Query& query : {
+             Query{"SELECT count(*) FROM batches WHERE vehicle_key NOT IN "
+                   "(SELECT key FROM vehicles UNION ALL SELECT key FROM "
+                   "deleted_vehicles)",
+                   "batches belong to no vehicle"},
+             Query{"SELECT count(*) FROM revised_batches AS r WHERE NOT EXISTS "
+                   "(SELECT 1 FROM batches AS b WHERE b.vehicle_key = "
+                   "r.vehicle_key AND b.first_sequence = r.first_sequence) AND "
+                   "vehicle_key NOT IN (SELECT key FROM deleted_vehicles)",
+                   "revisions belong to no batch"},
+             Query{"SELECT (SELECT count(*) FROM loop_closures WHERE "
+                   "vehicle_key NOT IN (SELECT key FROM vehicles)) + (SELECT "
+                   "count(*) FROM rejected_candidates WHERE vehicle_key NOT IN "
+                   "(SELECT key FROM vehicles))",
+                   "loop closures or rejected candidates belong to no vehicle"},
+             Query{"SELECT count(*) FROM deleted_vehicles WHERE key IN (SELECT "
+                   "key FROM vehicles)",
+                   "vehicles are there although they were deleted"},
+         }) {
+      const absl::StatusOr<std::int64_t> count =
+          database_->QueryInteger(query.sql);
+      if (!count.ok()) {
+        Note(count.status());
+      } else if (*count != 0) {
+        Note(std::to_string(*count) + " " + query.what);
+      }
+    }
+    const absl::StatusOr<std::int64_t> revised =
+        database_->QueryInteger("SELECT count(*) FROM revised_batches");
+    if (revised.ok()) report_.revised_batches = *revised;
+  }
+
+  SqliteDatabase* const database_;
+  Storage* const storage_;
+  StoreReport report_;
+};
+
+}  // namespace
+
+absl::StatusOr<std::vector<std::string>> FindStructuralDamage(
+    SqliteDatabase& database) {
+  std::vector<std::string> problems;
+  SqliteStatement row = database.Prepare("PRAGMA integrity_check(10)");
+  while (true) {
+    const absl::StatusOr<bool> found = row.Step();
+    if (!found.ok()) return found.status();
+    if (!*found) return problems;
+    const std::string line = row.Bytes(0);
+    if (line != "ok") problems.push_back(line);
+  }
+}
+
+absl::StatusOr<StoreReport> CheckStore(const std::string& path) {
+  absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
+      OpenDatabaseToRead(path);
+  if (!database.ok()) return database.status();
+  absl::StatusOr<std::unique_ptr<Storage>> storage =
+      OpenSqliteStorageToRead(path);
+  if (!storage.ok()) return storage.status();
+  return Checker(database->get(), storage->get()).Check();
+}
+
+absl::StatusOr<std::string> FindLogDamage(const std::string& path) {
+  const absl::StatusOr<LogReport> log = ReadLog(path + "-wal");
+  if (!log.ok()) return log.status();
+  if (!log->damage.empty()) return log->damage;
+  const absl::StatusOr<std::unique_ptr<DurableMark>> mark =
+      DurableMark::Open(path);
+  if (!mark.ok()) return mark.status();
+  const std::optional<LogPosition> flushed = (*mark)->Read();
+  return flushed ? MissingFrom(*log, *flushed) : "";
+}
+
+std::string Listed(const std::set<std::string>& names) {
+  std::string text;
+  std::size_t listed = 0;
+  for (const std::string& name : names) {
+    if (listed == kListedNames) {
+      return text + " and " + std::to_string(names.size() - listed) + " more";
+    }
+    text += (listed++ == 0 ? "" : ", ") + name;
+  }
+  return text;
+}
+
+}  // namespace revisit::server

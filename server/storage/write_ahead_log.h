@@ -1,0 +1,87 @@
+// Reads SQLite's write-ahead log before SQLite does.
+//
+// SQLite takes the log up to the first frame that fails its checksum, and says
+// nothing of what comes after: after a crash that is the end of what was being
+// written. But one flipped bit in the middle would silently drop every commit
+// behind it. So the log is read here too, and beyond such a frame.
+//
+// What tells the two apart: each commit is flushed before the next one is
+// written. So what a crash leaves unfinished is one transaction, the last. If
+// frames of this log follow that begin another transaction, the bad frame was
+// flushed once and has been damaged since. Frames of an older use of the file
+// have other salts.
+//
+// The format is that of https://www.sqlite.org/fileformat2.html#walformat.
+#ifndef REVISIT_SERVER_STORAGE_WRITE_AHEAD_LOG_H_
+#define REVISIT_SERVER_STORAGE_WRITE_AHEAD_LOG_H_
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+
+namespace revisit::server {
+
+// A place in the log. The salts tell one use of the file from the next: the
+// first grows by one each time SQLite starts over at the beginning.
+struct LogPosition {
+  std::uint32_t salt1 = 0;
+  std::uint32_t salt2 = 0;
+  std::uint32_t frames = 0;
+};
+
+inline bool operator==(const LogPosition& a, const LogPosition& b) {
+  return a.salt1 == b.salt1 && a.salt2 == b.salt2 && a.frames == b.frames;
+}
+
+inline constexpr std::size_t kLogHeaderBytes = 32;
+
+// Position 0 of the log with this header, which is not checked.
+LogPosition SaltsOf(const std::array<unsigned char, kLogHeaderBytes>& header);
+
+struct LogReport {
+  // Whether there is a header that SQLite would take; else it takes nothing.
+  bool has_header = false;
+  // The end of the last commit that SQLite takes.
+  LogPosition end;
+  std::uint32_t page_bytes = 0;
+  // Whole frames that the file has room for, whatever is in them.
+  std::uint32_t frames_in_file = 0;
+  // Whether something follows `end` that is not the rest of an older use.
+  bool has_unfinished_tail = false;
+  // Where flushed frames fail their checksum; empty if none is known to.
+  std::string damage;
+};
+
+// A file that is not there is an empty log. UNAVAILABLE if it cannot be read.
+absl::StatusOr<LogReport> ReadLog(const std::string& path);
+
+// Whether a log holds at least what is known to have been flushed: empty, or
+// what is missing.
+std::string MissingFrom(const LogReport& log, const LogPosition& flushed);
+
+// A row of a table as it stands in the log, with the columns before its
+// payload.
+struct LoggedRow {
+  enum class Table { kVehicles, kBatches, kPairs };
+  Table table;
+  std::int64_t vehicle_key = 0;     // Not of kVehicles.
+  std::string id;                   // Not of kBatches.
+  std::int64_t first_sequence = 0;  // Only of kBatches.
+  std::int64_t checksum = 0;
+};
+
+// Calls back with the rows in all frames behind `log.end` that look like rows
+// of ours. What is damaged may look like another row, or like none.
+absl::Status VisitRowsBehind(
+    const std::string& path, const LogReport& log,
+    const std::function<void(const LoggedRow&)>& visit);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_STORAGE_WRITE_AHEAD_LOG_H_

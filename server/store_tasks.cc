@@ -1,0 +1,81 @@
+#include "server/store_tasks.h"
+
+#include <cstdio>
+#include <memory>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "server/storage/store_backup.h"
+#include "server/storage/store_check.h"
+#include "server/storage/store_lock.h"
+
+namespace revisit::server {
+namespace {
+
+void Print(const StoreReport& report) {
+  std::printf(
+      "vehicles %lld\nposes %lld\nbatches %lld\nrevised batches %lld\n"
+      "loop closures %lld\nrejected candidates %lld\n",
+      static_cast<long long>(report.vehicles),
+      static_cast<long long>(report.poses),
+      static_cast<long long>(report.batches),
+      static_cast<long long>(report.revised_batches),
+      static_cast<long long>(report.loop_closures),
+      static_cast<long long>(report.rejected_candidates));
+}
+
+ExitCode Fail(const absl::Status& status) {
+  std::fprintf(stderr, "revisitd: %s\n", std::string(status.message()).c_str());
+  return ExitCodeOf(status);
+}
+
+ExitCode Verify(const std::string& file) {
+  std::string log_damage;
+  {
+    // Of a log that a server is writing nothing can be said.
+    const absl::StatusOr<std::unique_ptr<StoreLock>> lock =
+        StoreLock::Acquire(file);
+    if (lock.ok()) {
+      const absl::StatusOr<std::string> found = FindLogDamage(file);
+      if (!found.ok()) return Fail(found.status());
+      log_damage = *found;
+    }
+  }
+  const absl::StatusOr<StoreReport> report = CheckStore(file);
+  if (!report.ok()) return Fail(report.status());
+  Print(*report);
+  if (report->problems.empty() && log_damage.empty()) {
+    std::printf("sound\n");
+    return kExitOk;
+  }
+  if (!log_damage.empty()) {
+    std::printf("damage: the log: %s\n", log_damage.c_str());
+  }
+  for (const std::string& problem : report->problems) {
+    std::printf("damage: %s\n", problem.c_str());
+  }
+  for (const std::string& vehicle : report->damaged_vehicles) {
+    std::printf("damaged vehicle: %s\n", vehicle.c_str());
+  }
+  return kExitStoreDamaged;
+}
+
+ExitCode BackUp(const std::string& file, const std::string& destination) {
+  const absl::StatusOr<StoreReport> report = BackUpStore(file, destination);
+  if (!report.ok()) return Fail(report.status());
+  Print(*report);
+  std::printf("backup %s\n", destination.c_str());
+  return kExitOk;
+}
+
+}  // namespace
+
+ExitCode RunStoreTask(const ServerSettings& settings, const StoreTask& task) {
+  const absl::StatusOr<std::string> file = ExistingStoreFile(settings.store);
+  if (!file.ok()) return Fail(file.status());
+  return task.kind == StoreTask::Kind::kBackup ? BackUp(*file, task.destination)
+                                               : Verify(*file);
+}
+
+}  // namespace revisit::server

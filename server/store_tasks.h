@@ -1,0 +1,18 @@
+// What revisitd does with a store besides serving it: backup and verify.
+#ifndef REVISIT_SERVER_STORE_TASKS_H_
+#define REVISIT_SERVER_STORE_TASKS_H_
+
+#include "server/server.h"
+#include "server/settings.h"
+
+namespace revisit::server {
+
+// Prints what it found to standard output and what failed to standard error.
+// Both are processes of their own that read the files beside a server, so that
+// whoever may read the files may do it, nobody else, and also if no server
+// runs.
+ExitCode RunStoreTask(const ServerSettings& settings, const StoreTask& task);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_STORE_TASKS_H_
