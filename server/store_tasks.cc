@@ -1,8 +1,9 @@
 #include "server/store_tasks.h"
 
 #include <cstdio>
-#include <memory>
+#include <filesystem>
 #include <string>
+#include <system_error>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -30,27 +31,21 @@ ExitCode Fail(const absl::Status& status) {
   return ExitCodeOf(status);
 }
 
+// Whether no server has the store. Only a store that has been served has a
+// lock.
+StoreUse UseOf(const std::string& file) {
+  std::error_code error;
+  if (!std::filesystem::exists(file + ".lock", error)) return StoreUse::kIdle;
+  return StoreLock::Acquire(file).ok() ? StoreUse::kIdle : StoreUse::kServed;
+}
+
 ExitCode Verify(const std::string& file) {
-  std::string log_damage;
-  {
-    // Of a log that a server is writing nothing can be said.
-    const absl::StatusOr<std::unique_ptr<StoreLock>> lock =
-        StoreLock::Acquire(file);
-    if (lock.ok()) {
-      const absl::StatusOr<std::string> found = FindLogDamage(file);
-      if (!found.ok()) return Fail(found.status());
-      log_damage = *found;
-    }
-  }
-  const absl::StatusOr<StoreReport> report = CheckStore(file);
+  const absl::StatusOr<StoreReport> report = CheckStore(file, UseOf(file));
   if (!report.ok()) return Fail(report.status());
   Print(*report);
-  if (report->problems.empty() && log_damage.empty()) {
+  if (report->problems.empty()) {
     std::printf("sound\n");
     return kExitOk;
-  }
-  if (!log_damage.empty()) {
-    std::printf("damage: the log: %s\n", log_damage.c_str());
   }
   for (const std::string& problem : report->problems) {
     std::printf("damage: %s\n", problem.c_str());

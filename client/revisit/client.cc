@@ -42,9 +42,9 @@ struct Client::Rep {
         context.set_deadline(deadline);
         return attempt(&context, &repeatable);
       }();
-      if (!absl::IsUnavailable(status) || !repeatable || count >= attempts) {
-        return status;
-      }
+      const bool is_passing =
+          absl::IsUnavailable(status) || IsCutByServer(status);
+      if (!is_passing || !repeatable || count >= attempts) return status;
       const auto wait = backoff.Next(DetailsOf(status).retry_delay);
       if (Clock::now() + wait >= deadline) return status;
       std::this_thread::sleep_for(wait);

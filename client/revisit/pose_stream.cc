@@ -21,6 +21,7 @@ using Clock = std::chrono::steady_clock;
 
 bool WorthAnotherConnection(const absl::Status& status) {
   return absl::IsUnavailable(status) || absl::IsAborted(status) ||
+         IsCutByServer(status) ||
          (absl::IsResourceExhausted(status) &&
           DetailsOf(status).retry_delay.has_value());
 }

@@ -61,6 +61,10 @@ ErrorDetails DetailsOf(const absl::Status& status) {
   return details;
 }
 
+bool IsCutByServer(const absl::Status& status) {
+  return absl::IsCancelled(status) && DetailsOf(status).reason.empty();
+}
+
 std::string Describe(const absl::Status& status) {
   if (status.ok()) return "OK";
   const ErrorDetails details = DetailsOf(status);

@@ -36,6 +36,11 @@ struct ErrorDetails {
 // type URLs ("type.googleapis.com/google.rpc.ErrorInfo" and so on).
 ErrorDetails DetailsOf(const absl::Status& status);
 
+// Whether a call that nobody here cancelled was cut by a server that shuts
+// down: gRPC answers CANCELLED, without a reason, to calls that come in the
+// moment between the last refusal and the end of the connection.
+bool IsCutByServer(const absl::Status& status);
+
 // For people: the message, the reason, and a line for each field violation that
 // the message does not tell already.
 std::string Describe(const absl::Status& status);

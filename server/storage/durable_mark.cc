@@ -63,6 +63,13 @@ absl::StatusOr<std::unique_ptr<DurableMark>> DurableMark::Open(
 
 DurableMark::~DurableMark() { close(file_); }
 
+std::optional<LogPosition> DurableMark::Read(const std::string& store_path) {
+  const std::string path = store_path + ".mark";
+  const int file = open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  if (file < 0) return std::nullopt;
+  return DurableMark(path, file).Read();
+}
+
 std::optional<LogPosition> DurableMark::Read() const {
   Bytes bytes;
   if (pread(file_, bytes.data(), bytes.size(), 0) !=

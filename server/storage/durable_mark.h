@@ -28,7 +28,9 @@ class DurableMark {
   DurableMark(const DurableMark&) = delete;
   DurableMark& operator=(const DurableMark&) = delete;
 
+  // What the mark of a store says, also while another process writes it.
   // Nothing if there is none, or if it is not whole.
+  static std::optional<LogPosition> Read(const std::string& store_path);
   std::optional<LogPosition> Read() const;
   // What was flushed. If it cannot be written the older one stays, which is
   // still true.

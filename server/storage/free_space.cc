@@ -32,14 +32,13 @@ absl::Status FreeSpaceGuard::Check() {
   if (min_free_bytes_ == 0) return absl::OkStatus();
   const absl::StatusOr<std::int64_t> free = free_bytes_();
   if (!free.ok()) return absl::OkStatus();
-  const std::int64_t needed =
-      stopped_ ? min_free_bytes_ + min_free_bytes_ / 4 : min_free_bytes_;
-  stopped_ = *free < needed;
+  const std::int64_t enough = min_free_bytes_ + min_free_bytes_ / 4;
+  stopped_ = *free < (stopped_ ? enough : min_free_bytes_);
   if (!stopped_) return absl::OkStatus();
   return StorageFull("nothing was written: the file system of the store has " +
                      std::to_string(*free) +
-                     " bytes left, writes are taken from " +
-                     std::to_string(needed) + " on; reads go on");
+                     " bytes left, writes are taken again from " +
+                     std::to_string(enough) + " on; reads go on");
 }
 
 }  // namespace revisit::server

@@ -228,8 +228,9 @@ absl::StatusOr<LogPosition> SqliteDatabase::LogEnd() {
   return end;
 }
 
-void SqliteDatabase::KeepLogOnClose() {
-  sqlite3_db_config(database_, SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1, nullptr);
+void SqliteDatabase::KeepLogOnClose(bool keep) {
+  sqlite3_db_config(database_, SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, keep ? 1 : 0,
+                    nullptr);
 }
 
 absl::Status SqliteDatabase::CopyTo(SqliteDatabase* destination) {

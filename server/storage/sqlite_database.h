@@ -84,8 +84,9 @@ class SqliteDatabase {
   // database after the last commit, which itself is flushed.
   const absl::Status& copy_failure() const { return copy_failure_; }
 
-  // Leaves the log as it is where the last connection would copy and remove it.
-  void KeepLogOnClose();
+  // Whether closing, if this is the last connection, leaves the log as it is,
+  // rather than copies and removes it.
+  void KeepLogOnClose(bool keep);
 
   // Copies all that is committed into another database, as of one moment.
   absl::Status CopyTo(SqliteDatabase* destination);

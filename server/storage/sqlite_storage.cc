@@ -591,6 +591,8 @@ absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenWriter(
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
       SqliteDatabase::Open(path, SqliteDatabase::Mode::kReadWrite, vfs);
   if (!database.ok()) return database;
+  // Else a failure below would remove a log that the mark speaks of.
+  (*database)->KeepLogOnClose(true);
   // Before anything is changed in a file that may not be ours.
   absl::Status status = CheckReadable(**database, path);
   if (!status.ok()) return status;
@@ -681,8 +683,7 @@ absl::Status CheckLog(const std::string& store, const SqliteOptions& options,
   const absl::StatusOr<LogReport> log = ReadLog(path);
   if (!log.ok()) return log.status();
   std::string what = log->damage;
-  const std::optional<LogPosition> flushed = mark->Read();
-  if (what.empty() && flushed) what = MissingFrom(*log, *flushed);
+  if (what.empty()) what = MissingFrom(*log, mark->Read());
   if (what.empty()) {
     if (log->has_unfinished_tail) {
       warn("the log " + path +
@@ -714,7 +715,7 @@ absl::Status CheckFile(SqliteDatabase& database, const std::string& store,
     return absl::OkStatus();
   }
   const absl::StatusOr<std::vector<std::string>> problems =
-      FindStructuralDamage(database);
+      FindStructuralDamage(database, StoreUse::kIdle, store);
   if (!problems.ok() && !IsCorruption(problems.status())) {
     return problems.status();
   }
@@ -722,7 +723,7 @@ absl::Status CheckFile(SqliteDatabase& database, const std::string& store,
   const std::string what = problems.ok()
                                ? problems->front()
                                : std::string(problems.status().message());
-  const absl::StatusOr<StoreReport> report = CheckStore(store);
+  const absl::StatusOr<StoreReport> report = CheckStore(store, StoreUse::kIdle);
   const std::string names = report.ok() && !report->damaged_vehicles.empty()
                                 ? Listed(report->damaged_vehicles)
                                 : "cannot be told";
@@ -757,8 +758,10 @@ class SqliteStorage : public Storage {
     }
     wake_.notify_one();
     thread_.join();
-    // The last connection empties the log as it closes.
-    if (writer_ != nullptr && !mark_->Clear().ok()) writer_->KeepLogOnClose();
+    // An orderly end leaves no log.
+    if (writer_ != nullptr && mark_->Clear().ok()) {
+      writer_->KeepLogOnClose(false);
+    }
   }
 
   void CreateVehicle(

@@ -37,7 +37,7 @@ absl::StatusOr<StoreReport> CopyAndCheck(const std::string& path,
                                          const std::string& copy) {
   const absl::Status copied = Copy(path, copy);
   if (!copied.ok()) return copied;
-  absl::StatusOr<StoreReport> report = CheckStore(copy);
+  absl::StatusOr<StoreReport> report = CheckStore(copy, StoreUse::kIdle);
   if (!report.ok()) return report;
   if (!report->problems.empty()) {
     return Error(

@@ -1,7 +1,8 @@
 #include "server/storage/store_check.h"
 
+#include <filesystem>
 #include <memory>
-#include <optional>
+#include <system_error>
 #include <utility>
 
 #include "server/storage/durable_mark.h"
@@ -16,12 +17,16 @@ constexpr int kPairsPerRead = 1000;
 
 class Checker {
  public:
-  Checker(SqliteDatabase* database, Storage* storage)
-      : database_(database), storage_(storage) {}
+  Checker(std::string path, StoreUse use, SqliteDatabase* database,
+          Storage* storage)
+      : path_(std::move(path)),
+        use_(use),
+        database_(database),
+        storage_(storage) {}
 
   StoreReport Check() {
     const absl::StatusOr<std::vector<std::string>> structure =
-        FindStructuralDamage(*database_);
+        FindStructuralDamage(*database_, use_, path_);
     if (!structure.ok()) {
       Note(structure.status());
     } else {
@@ -127,6 +132,8 @@ class Checker {
     if (revised.ok()) report_.revised_batches = *revised;
   }
 
+  const std::string path_;
+  const StoreUse use_;
   SqliteDatabase* const database_;
   Storage* const storage_;
   StoreReport report_;
@@ -135,8 +142,19 @@ class Checker {
 }  // namespace
 
 absl::StatusOr<std::vector<std::string>> FindStructuralDamage(
-    SqliteDatabase& database) {
+    SqliteDatabase& database, StoreUse use, const std::string& path) {
   std::vector<std::string> problems;
+  // SQLite takes a page that was cut for one that ends in zeros.
+  const absl::StatusOr<std::int64_t> page_bytes =
+      database.QueryInteger("PRAGMA page_size");
+  if (!page_bytes.ok()) return page_bytes.status();
+  std::error_code error;
+  const std::uintmax_t bytes = std::filesystem::file_size(path, error);
+  if (use == StoreUse::kIdle && !error &&
+      bytes % static_cast<std::uintmax_t>(*page_bytes) != 0) {
+    problems.push_back("the file has " + std::to_string(bytes) +
+                       " bytes, which is no whole number of pages");
+  }
   SqliteStatement row = database.Prepare("PRAGMA integrity_check(10)");
   while (true) {
     const absl::StatusOr<bool> found = row.Step();
@@ -147,25 +165,27 @@ absl::StatusOr<std::vector<std::string>> FindStructuralDamage(
   }
 }
 
-absl::StatusOr<StoreReport> CheckStore(const std::string& path) {
+absl::StatusOr<StoreReport> CheckStore(const std::string& path, StoreUse use) {
+  // Before SQLite has opened it.
+  std::string log_damage;
+  if (use == StoreUse::kIdle) {
+    const absl::StatusOr<LogReport> log = ReadLog(path + "-wal");
+    if (!log.ok()) return log.status();
+    log_damage = log->damage;
+    if (log_damage.empty()) {
+      log_damage = MissingFrom(*log, DurableMark::Read(path));
+    }
+  }
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
       OpenDatabaseToRead(path);
   if (!database.ok()) return database.status();
   absl::StatusOr<std::unique_ptr<Storage>> storage =
       OpenSqliteStorageToRead(path);
   if (!storage.ok()) return storage.status();
-  return Checker(database->get(), storage->get()).Check();
-}
-
-absl::StatusOr<std::string> FindLogDamage(const std::string& path) {
-  const absl::StatusOr<LogReport> log = ReadLog(path + "-wal");
-  if (!log.ok()) return log.status();
-  if (!log->damage.empty()) return log->damage;
-  const absl::StatusOr<std::unique_ptr<DurableMark>> mark =
-      DurableMark::Open(path);
-  if (!mark.ok()) return mark.status();
-  const std::optional<LogPosition> flushed = (*mark)->Read();
-  return flushed ? MissingFrom(*log, *flushed) : "";
+  StoreReport report =
+      Checker(path, use, database->get(), storage->get()).Check();
+  if (!log_damage.empty()) report.problems.push_back("the log: " + log_damage);
+  return report;
 }
 
 std::string Listed(const std::set<std::string>& names) {

@@ -12,6 +12,9 @@
 
 namespace revisit::server {
 
+// Whether a server may be writing to a store while it is read.
+enum class StoreUse { kIdle, kServed };
+
 struct StoreReport {
   std::int64_t vehicles = 0;
   std::int64_t batches = 0;
@@ -29,17 +32,13 @@ struct StoreReport {
 // ten problems. Rows' own checksums are not looked at. DATA_LOSS where the
 // damage does not even let it go on.
 absl::StatusOr<std::vector<std::string>> FindStructuralDamage(
-    SqliteDatabase& database);
+    SqliteDatabase& database, StoreUse use, const std::string& path);
 
 // Reads every row of every vehicle: checksums, sequences without a gap, nothing
-// that belongs to nobody. As of one moment a vehicle; a server may be at work.
-// Fails only where the store cannot be opened at all: as
-// OpenSqliteStorageToRead() does.
-absl::StatusOr<StoreReport> CheckStore(const std::string& path);
-
-// Whether the write-ahead log of a store that no server has open holds what was
-// flushed: empty, or what is wrong with it.
-absl::StatusOr<std::string> FindLogDamage(const std::string& path);
+// that belongs to nobody; as of one moment a vehicle. Of an idle store also
+// whether its log holds all that was flushed. Fails only where the store cannot
+// be opened at all: as OpenSqliteStorageToRead() does.
+absl::StatusOr<StoreReport> CheckStore(const std::string& path, StoreUse use);
 
 // "a, b and 3 more".
 std::string Listed(const std::set<std::string>& names);

@@ -304,15 +304,17 @@ absl::StatusOr<LogReport> ReadLog(const std::string& path) {
   return report;
 }
 
-std::string MissingFrom(const LogReport& log, const LogPosition& flushed) {
-  if (flushed.frames == 0) return "";
-  const std::string known =
+std::string MissingFrom(const LogReport& log,
+                        const std::optional<LogPosition>& known) {
+  if (!known || known->frames == 0) return "";
+  const LogPosition& flushed = *known;
+  const std::string count =
       std::to_string(flushed.frames) + " frames were flushed";
-  if (!log.has_header) return "it is missing or empty, but " + known;
+  if (!log.has_header) return "it is missing or empty, but " + count;
   if (log.end.salt1 == flushed.salt1 && log.end.salt2 == flushed.salt2) {
     if (log.end.frames >= flushed.frames) return "";
     return "it ends after frame " + std::to_string(log.end.frames) + ", but " +
-           known;
+           count;
   }
   // Started over since; by then all of it was in the database. The difference
   // is taken modulo 2^32, as SQLite counts.

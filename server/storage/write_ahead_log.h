@@ -19,6 +19,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -61,9 +62,10 @@ struct LogReport {
 // A file that is not there is an empty log. UNAVAILABLE if it cannot be read.
 absl::StatusOr<LogReport> ReadLog(const std::string& path);
 
-// Whether a log holds at least what is known to have been flushed: empty, or
-// what is missing.
-std::string MissingFrom(const LogReport& log, const LogPosition& flushed);
+// Whether a log holds at least what is known to have been flushed, if anything
+// is known: empty, or what is missing.
+std::string MissingFrom(const LogReport& log,
+                        const std::optional<LogPosition>& known);
 
 // A row of a table as it stands in the log, with the columns before its
 // payload.

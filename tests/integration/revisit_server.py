@@ -48,7 +48,7 @@ def wait_until(condition, what, seconds=START_SECONDS):
 class Server:
     """One revisitd on a free port of the loopback, over one store."""
 
-    def __init__(self, store, *flags, env=None, wait=True):
+    def __init__(self, store, *flags, env=None, wait=True, port=0):
         self.store = pathlib.Path(store)
         self.log_path = self.store.with_name(self.store.name + ".log")
         self._lines = queue.SimpleQueue()
@@ -56,7 +56,7 @@ class Server:
         self.port = None
         with open(self.log_path, "ab") as log:
             self.process = subprocess.Popen(
-                [BIN / "revisitd", "--listen", "127.0.0.1:0", "--store",
+                [BIN / "revisitd", "--listen", f"127.0.0.1:{port}", "--store",
                  self.store, *map(str, flags)],
                 stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log,
                 text=True, env=env or clean_environment())

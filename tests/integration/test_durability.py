@@ -12,129 +12,16 @@ import time
 import grpc
 import pytest
 
+from drive_client import VEHICLE, Client, Drive, create
 from revisit_server import BIN, Server, clean_environment, run, wait_until
 from stubs import PoseGraphServiceStub, api
 from wire import (LOOP_CLOSURES, PAIR_KINDS, REJECTED_CANDIDATES, PoseStream,
                   append, as_bytes, batches, decode_failure, failure_of, get,
                   laps, list_poses, pose, straight)
 
-VEHICLE = "vehicles/survivor"
 # Short, so that kills also fall into searches.
 SETTINGS = {"sequence_length_meters": 20.0, "check_interval_meters": 10.0,
             "node_spacing_meters": 1.0}
-
-
-def create(stub, name=VEHICLE, **settings):
-    return stub.CreateVehicle(api.CreateVehicleRequest(
-        vehicle_id=name.split("/")[1],
-        vehicle=api.Vehicle(settings=api.VehicleSettings(**settings)))).vehicle
-
-
-class Drive:
-    """A drive without end whose poses use every bit of their numbers, and are
-    the same whenever they are asked for."""
-
-    def __init__(self, seed):
-        self._seed = seed
-        self._poses = []
-
-    def __getitem__(self, index):
-        while len(self._poses) < index.stop:
-            self._poses.append(self._make(len(self._poses) + 1))
-        return self._poses[index]
-
-    def _make(self, sequence):
-        rng = random.Random(self._seed * 1000003 + sequence)
-        made = pose(sequence, x=sequence * 0.7 + rng.random(),
-                    y=rng.gauss(0.0, 1.0), heading=rng.uniform(-9.0, 9.0),
-                    covariance=[rng.uniform(1, 2), rng.uniform(-.1, .1), -0.0,
-                                rng.uniform(1, 2), 5e-324, rng.random() + .1])
-        if sequence % 3 == 0:
-            made.stamp.seconds = rng.randrange(2**32)
-            made.stamp.nanos = rng.randrange(10**9)
-        if sequence % 5 == 0:
-            made.quaternion.w, made.quaternion.z = 0.8, -0.6
-            made.local.z_meters = rng.random()
-        if sequence % 7 == 0:
-            made.covariance.form = api.COVARIANCE_FORM_SPATIAL_10
-            made.covariance.values[:] = [2, .1, 0, 0, 3, 0, 0, 4, 0,
-                                         rng.random() + .1]
-        return made
-
-
-class Client:
-    """Keeps what it sent and the highest sequence that was acknowledged."""
-
-    # Batches that may wait for their ack.
-    WINDOW = 8
-
-    def __init__(self, drive, rng):
-        self.drive, self.rng = drive, rng
-        self.acked = 0
-        self.sent = 0
-        self.verified = 0
-
-    def stream(self, stub, until=None, on_opened=lambda: None):
-        """Streams until the sequence is acknowledged, or the stream breaks;
-        answers whether it got that far."""
-        window = threading.Semaphore(self.WINDOW)
-        stopped = threading.Event()
-        opened = threading.Event()
-        start = []
-
-        def requests():
-            yield api.StreamPosesRequest(open=api.StreamPosesOpen(
-                vehicle=VEHICLE, acked_sequence=self.acked,
-                send_candidates=True))
-            opened.wait()
-            next_sequence = start[0] + 1
-            while not stopped.is_set() and (until is None
-                                            or next_sequence <= until):
-                window.acquire()
-                count = self.rng.randint(1, 16)
-                if until is not None:
-                    count = min(count, until - next_sequence + 1)
-                poses = self.drive[next_sequence - 1:next_sequence + count - 1]
-                self.sent = max(self.sent, next_sequence + count - 1)
-                next_sequence += count
-                yield api.StreamPosesRequest(batch=api.PoseBatch(poses=poses))
-
-        call = stub.StreamPoses(requests(), timeout=60)
-        try:
-            for response in call:
-                kind = response.WhichOneof("message")
-                if kind == "opened":
-                    durable = response.opened.durable_sequence
-                    assert self.acked <= durable <= self.sent
-                    start.append(durable)
-                    opened.set()
-                    on_opened()
-                elif kind == "ack":
-                    self.acked = max(self.acked, response.ack.durable_sequence)
-                    window.release()
-        except grpc.RpcError as error:
-            if error.code() != grpc.StatusCode.UNAVAILABLE:
-                raise
-            return False
-        finally:
-            # Whatever happened, the sender's thread must come to its end.
-            stopped.set()
-            start.append(0)
-            opened.set()
-            window.release()
-        return True
-
-    def verify(self, stub, whole=False):
-        """Everything acknowledged is there, bit for bit, and nothing but a
-        prefix of what was sent."""
-        durable = get(stub, VEHICLE).durable_sequence
-        assert self.acked <= durable <= self.sent
-        first = 1 if whole else self.verified + 1
-        stored = list_poses(stub, VEHICLE, first_sequence=first)
-        assert len(stored) == durable - first + 1
-        assert as_bytes(stored) == as_bytes(self.drive[first - 1:durable])
-        self.verified = durable
-        return durable
 
 
 def test_acknowledged_poses_survive_kill_9_in_mid_stream(

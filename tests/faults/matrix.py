@@ -1,0 +1,107 @@
+"""The fault matrix: harms a real revisitd and says what became of it.
+
+Every row harms the server or its store in one way and holds it against the
+contract of acknowledgements: what was acknowledged is there, bit for bit; what
+is there is a prefix of what was sent; damage is told, never passed over; what
+was sent again is acknowledged again.
+"""
+
+import argparse
+import dataclasses
+import pathlib
+import random
+import shutil
+import sys
+import tempfile
+import time
+import traceback
+
+import damage
+import devices
+import kills
+import restarts
+
+ROWS = [*kills.ROWS, *damage.ROWS, *devices.ROWS, *restarts.ROWS]
+
+
+@dataclasses.dataclass
+class Run:
+    """What a row is given."""
+
+    directory: pathlib.Path
+    rng: random.Random
+    seed: int
+    # How often, in the short and in the long profile.
+    long: bool
+    scale: float
+
+    def rounds(self, short, long):
+        return max(1, round((long if self.long else short) * self.scale))
+
+    def new(self, name):
+        """A directory of its own, empty."""
+        path = self.directory / name
+        shutil.rmtree(path, ignore_errors=True)
+        path.mkdir(parents=True)
+        return path
+
+
+class Skipped(Exception):
+    """The machine lacks what a row needs; says what."""
+
+
+devices.Skipped = Skipped
+
+
+def main():
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--long", action="store_true",
+                        help="200 kills, 2,000 failing calls, 500 damaged "
+                        "stores; some 40 minutes")
+    parser.add_argument("--scale", type=float, default=1.0,
+                        help="multiplies the rounds of every row")
+    parser.add_argument("--seed", type=int, default=None,
+                        help="of all random choices (default: 20101018; with "
+                        "--long: a new one)")
+    parser.add_argument("--only", metavar="WORD",
+                        help="only rows whose name has this in it")
+    arguments = parser.parse_args()
+    seed = arguments.seed
+    if seed is None:
+        seed = random.SystemRandom().randrange(2**32) if arguments.long \
+            else 20101018
+    print(f"seed {seed}", flush=True)
+
+    failures = skips = 0
+    table = []
+    for name, number, expected, row in ROWS:
+        if arguments.only and arguments.only not in name:
+            continue
+        start = time.monotonic()
+        with tempfile.TemporaryDirectory(prefix="revisit-faults-") as directory:
+            run = Run(pathlib.Path(directory), random.Random(f"{seed} {name}"),
+                      seed, arguments.long, arguments.scale)
+            try:
+                rounds, seen = row(run)
+                verdict = "holds"
+            except Skipped as skipped:
+                rounds, seen, verdict = 0, str(skipped), "SKIPPED"
+                skips += 1
+            except Exception as error:  # pylint: disable=broad-except
+                traceback.print_exc()
+                rounds, seen, verdict = "", f"{error!r}"[:200], "FAILED"
+                failures += 1
+        seconds = time.monotonic() - start
+        print(f"{verdict:8} {name} ({seconds:.1f} s): {seen}", flush=True)
+        table.append((number, name, expected, seen, rounds, verdict))
+
+    print("\n| rows | tried | expected | seen | rounds | |\n|-|-|-|-|-|-|")
+    for row in table:
+        print("| " + " | ".join(str(cell) for cell in row) + " |")
+    print(f"\n{len(table)} faults, {failures} failed, {skips} skipped")
+    sys.exit(1 if failures or not table else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,200 @@
+"""Rows with a second server, and with the end of the first."""
+
+import asyncio
+import os
+import signal
+import socket
+import time
+
+import grpc
+
+from devices import GONE
+from drive_client import VEHICLE, Drive, create
+from revisit_server import Server, run as run_program
+from stubs import PoseGraphServiceStub, api
+from wire import append, as_bytes, decode_failure, get, list_poses
+
+STREAMS = 300
+CHANNELS = 10
+
+
+def second_server(run):
+    store = run.new("second") / "s"
+    with Server(store) as first:
+        stub = first.stub()
+        create(stub)
+        append(stub, VEHICLE, Drive(run.seed)[0:10])
+        alias = store.parent / "alias"
+        alias.symlink_to(store)
+        for path in (store, alias, store / "revisit.sqlite"):
+            result = run_program("revisitd", "--listen", "127.0.0.1:0",
+                                 "--store", path)
+            assert result.returncode == 73, result
+            assert str(first.pid) in result.stderr, result
+        append(stub, VEHICLE, Drive(run.seed)[10:20])
+        # A lock file that a dead server left, naming somebody else.
+        first.kill()
+    (store / "revisit.sqlite.lock").write_text(f"{os.getpid()}\n")
+    with Server(store) as third:
+        assert get(third.stub(), VEHICLE).durable_sequence == 20
+    return 4, "exit 73 naming the first's pid, by any name; stale lock: served"
+
+
+class Vehicle:
+    """One stream, kept up over restarts, and what it has been told."""
+
+    def __init__(self, number, seed):
+        self.name = f"vehicles/fleet-{number}"
+        self.drive = Drive(seed * 1000 + number)
+        self.acked = 0
+        self.sent = 0
+        # When it was last answered, and why each stream ended.
+        self.opened_at = []
+        self.ends = []
+
+    async def live(self, stub, stop):
+        while not stop.is_set():
+            call = stub.StreamPoses(wait_for_ready=True)
+            try:
+                await self.stream(call, stop)
+            except (grpc.aio.AioRpcError, asyncio.InvalidStateError):
+                # Whatever it hit upon, the status tells why.
+                error = await error_of(call)
+                assert error.code() in GONE, error
+                details = dict(error.trailing_metadata() or ())
+                self.ends.append(
+                    decode_failure(error).reason
+                    if "grpc-status-details-bin" in details else "transport")
+                await asyncio.sleep(0.02)
+
+    async def stream(self, call, stop):
+        await call.write(api.StreamPosesRequest(open=api.StreamPosesOpen(
+            vehicle=self.name, acked_sequence=self.acked)))
+        opened = (await self.read(call)).opened
+        self.opened_at.append(time.monotonic())
+        assert self.acked <= opened.durable_sequence <= self.sent
+        next_sequence = opened.durable_sequence + 1
+        self.acked = opened.durable_sequence
+        while not stop.is_set():
+            last = next_sequence + 4
+            self.sent = max(self.sent, last)
+            await call.write(api.StreamPosesRequest(batch=api.PoseBatch(
+                poses=self.drive[next_sequence - 1:last])))
+            next_sequence = last + 1
+            while self.acked < last:
+                response = await self.read(call)
+                if response.WhichOneof("message") == "ack":
+                    self.acked = response.ack.durable_sequence
+            await asyncio.sleep(0.05)
+        await call.done_writing()
+        while (response := await call.read()) is not grpc.aio.EOF:
+            if response.WhichOneof("message") == "ack":
+                self.acked = response.ack.durable_sequence
+
+    @staticmethod
+    async def read(call):
+        response = await call.read()
+        if response is grpc.aio.EOF:
+            raise await error_of(call)
+        return response
+
+
+async def error_of(call):
+    # As pairs, which is how callers that do not wait get them.
+    trailing = tuple(await call.trailing_metadata() or ())
+    return grpc.aio.AioRpcError(
+        await call.code(), await call.initial_metadata(), trailing,
+        await call.details())
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def rolling_restart(run):
+    rounds = run.rounds(short=2, long=20)
+    store = run.new("rolling") / "s"
+    seen = asyncio.run(restart(run, store, rounds))
+    return rounds, seen
+
+
+async def restart(run, store, rounds):
+    port = free_port()
+    server = Server(store, port=port)
+    vehicles = [Vehicle(number, run.seed) for number in range(STREAMS)]
+    for vehicle in vehicles:
+        create(server.stub(), vehicle.name)
+    server.close_channels()
+    options = [("grpc.initial_reconnect_backoff_ms", 50),
+               ("grpc.min_reconnect_backoff_ms", 50),
+               ("grpc.max_reconnect_backoff_ms", 200),
+               ("grpc.use_local_subchannel_pool", 1)]
+    channels = [grpc.aio.insecure_channel(f"127.0.0.1:{port}", options=options)
+                for _ in range(CHANNELS)]
+    stubs = [PoseGraphServiceStub(channel) for channel in channels]
+    stop = asyncio.Event()
+    tasks = [asyncio.create_task(vehicle.live(stubs[n % CHANNELS], stop))
+             for n, vehicle in enumerate(vehicles)]
+    slowest_back = slowest_end = 0.0
+    ends = []
+    loop = asyncio.get_running_loop()
+    try:
+        for number in range(rounds + 1):
+            while not all(len(vehicle.opened_at) > number
+                          for vehicle in vehicles):
+                for task in tasks:
+                    if task.done():
+                        task.result()
+                await asyncio.sleep(0.01)
+            if number > 0:
+                slowest_back = max(slowest_back,
+                                   max(vehicle.opened_at[number]
+                                       for vehicle in vehicles) - started)
+            if number == rounds:
+                break
+            await asyncio.sleep(0.5)
+            begun = time.monotonic()
+            server.process.send_signal(signal.SIGTERM)
+            code = await loop.run_in_executor(None, server.process.wait, 30)
+            assert code == 0, server.log()
+            slowest_end = max(slowest_end, time.monotonic() - begun)
+            ends += [vehicle.ends[-1] for vehicle in vehicles
+                     if len(vehicle.ends) > number]
+            server.close()
+            server = await loop.run_in_executor(
+                None, lambda: Server(store, port=port))
+            started = time.monotonic()
+        stop.set()
+        await asyncio.wait_for(asyncio.gather(*tasks), 30)
+        for channel in channels:
+            await channel.close()
+        stub = server.stub()
+        poses = 0
+        for vehicle in vehicles:
+            durable = get(stub, vehicle.name).durable_sequence
+            # Drained, not cut: what was stored was acknowledged too.
+            assert durable == vehicle.acked, (durable, vehicle.acked)
+            assert as_bytes(list_poses(stub, vehicle.name)) == as_bytes(
+                vehicle.drive[0:durable])
+            poses += durable
+    finally:
+        for task in tasks:
+            task.cancel()
+        server.close()
+    told = ends.count("SERVER_DRAINING")
+    assert told >= len(ends) * 0.9, ends
+    assert slowest_end <= 20
+    assert slowest_back <= 1.0, slowest_back
+    return (f"{STREAMS} streams, {poses} poses: none lost, none doubled; drained "
+            f"in {slowest_end:.2f} s, all back {slowest_back:.2f} s after the "
+            f"start; {told} of {len(ends)} told SERVER_DRAINING")
+
+
+ROWS = [
+    ("second server on the store", "13", "exit 73 naming the pid, first unharmed",
+     second_server),
+    ("rolling restart under 300 streams", "16",
+     "no ack lost, no pose doubled, back within 1 s", rolling_restart),
+]
