@@ -346,7 +346,7 @@ void PoseStream::Rep::Run() {
   for (;;) {
     absl::Status status = RunConnection();
     std::unique_lock<std::mutex> lock(mutex);
-    if (status.ok() || !WorthAnotherConnection(status)) {
+    if (status.ok() || cancelled || !WorthAnotherConnection(status)) {
       final_status = std::move(status);
       changed.notify_all();
       return;

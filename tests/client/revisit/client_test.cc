@@ -102,6 +102,19 @@ TEST_F(ClientTest, RetriesNothingButUnavailable) {
   }
 }
 
+TEST_F(ClientTest, RetriesACallThatAServerCutAsItShutDown) {
+  // gRPC's own CANCELLED, without a reason; with one it is the server's word.
+  server_.FailUnaryCalls(
+      {MakeStatus(grpc::StatusCode::CANCELLED, "CANCELLED")});
+  EXPECT_TRUE(client_.GetVehicle({}).ok());
+  EXPECT_EQ(server_.unary_calls(), 2);
+  server_.FailUnaryCalls({MakeStatus(grpc::StatusCode::CANCELLED, "given up",
+                                     {"CANCELLED", {}, {}, {}})});
+  EXPECT_EQ(client_.GetVehicle({}).status().code(),
+            absl::StatusCode::kCancelled);
+  EXPECT_EQ(server_.unary_calls(), 3);
+}
+
 TEST_F(ClientTest, WaitsAsLongAsTheServerAsks) {
   server_.FailUnaryCalls({MakeStatus(grpc::StatusCode::UNAVAILABLE, "draining",
                                      {"", {}, {}, milliseconds(80)})});

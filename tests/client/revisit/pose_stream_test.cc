@@ -427,6 +427,15 @@ TEST_F(PoseStreamTest, WaitsAsLongAsTheServerAsks) {
   EXPECT_LT(waited, milliseconds(150));
 }
 
+TEST_F(PoseStreamTest, ReconnectsAfterAServerCutItAsItShutDown) {
+  server_.FailOpens(FaultAt(
+      0, {Kind::kBefore, MakeStatus(grpc::StatusCode::CANCELLED, "cut")}));
+  const auto stream = Open(Options());
+  ASSERT_TRUE(stream->Append(MakeBatch(1, 50)).ok());
+  EXPECT_TRUE(stream->Finish().ok());
+  EXPECT_TRUE(server_.Stored() == Serialized(50));
+}
+
 TEST_F(PoseStreamTest, LeavesAConnectionOnWhichNoAnswerComes) {
   server_.FailBatches(FaultAt(1, {Kind::kSilence, {}}));
   PoseStreamOptions options = Options();
