@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <fstream>
 #include <limits>
+#include <map>
 #include <mutex>
 #include <set>
 #include <system_error>
@@ -546,6 +547,44 @@ absl::Status CheckFormat(SqliteDatabase& database, const std::string& path) {
   return database.Execute(sql.c_str());
 }
 
+// SQLite takes any table for ours that has its name. The words it was made with
+// are stored: damage to them would show as a defect of the server, later.
+absl::Status CheckSchema(SqliteDatabase& database, const std::string& path) {
+  const absl::StatusOr<std::unique_ptr<SqliteDatabase>> expected =
+      SqliteDatabase::Open(":memory:", SqliteDatabase::Mode::kReadWrite, "");
+  if (!expected.ok()) return expected.status();
+  const absl::Status made =
+      (*expected)->Execute((std::string(kSchema) + kSchemaSince2).c_str());
+  if (!made.ok()) return made;
+  static constexpr char kTables[] =
+      "SELECT name, sql FROM sqlite_schema WHERE type = 'table'";
+  const auto read =
+      [](SqliteDatabase& from,
+         std::map<std::string, std::string>* tables) -> absl::Status {
+    SqliteStatement row = from.Prepare(kTables);
+    while (true) {
+      const absl::StatusOr<bool> found = row.Step();
+      if (!found.ok()) return found.status();
+      if (!*found) return absl::OkStatus();
+      (*tables)[row.Bytes(0)] = row.Bytes(1);
+    }
+  };
+  std::map<std::string, std::string> ours;
+  std::map<std::string, std::string> theirs;
+  absl::Status status = read(**expected, &ours);
+  if (status.ok()) status = read(database, &theirs);
+  if (!status.ok()) return status;
+  for (const auto& [name, sql] : ours) {
+    const auto found = theirs.find(name);
+    if (found == theirs.end() || found->second != sql) {
+      return Corrupt("the store " + path + " is damaged: its table " + name +
+                         " is not as it was made",
+                     {});
+    }
+  }
+  return absl::OkStatus();
+}
+
 // Whether the file begins as every SQLite file does.
 bool BeginsAsDatabase(const std::string& path) {
   const std::string expected("SQLite format 3\0", 16);
@@ -597,6 +636,8 @@ absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenWriter(
   absl::Status status = CheckReadable(**database, path);
   if (!status.ok()) return status;
   status = CheckFormat(**database, path);
+  if (!status.ok()) return status;
+  status = CheckSchema(**database, path);
   if (!status.ok()) return status;
   {
     SqliteStatement wal = (*database)->Prepare("PRAGMA journal_mode = WAL");
@@ -1283,6 +1324,8 @@ absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenDatabaseToRead(
         ": a server that is started on it brings it to format " +
         std::to_string(kStoreFormat));
   }
+  const absl::Status schema = CheckSchema(**database, path);
+  if (!schema.ok()) return schema;
   return database;
 }
 

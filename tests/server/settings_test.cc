@@ -187,6 +187,35 @@ TEST_F(SettingsTest, HelpNamesEverySettingAndFitsATerminal) {
   EXPECT_THAT(*parsed->print, HasSubstr("Exit codes:"));
 }
 
+TEST_F(SettingsTest, TasksTakeTheStoreFromTheSameSettings) {
+  const auto served = ParseSettings({"--store", "here"}, {});
+  ASSERT_TRUE(served.ok()) << served.status();
+  EXPECT_FALSE(served->task.has_value());
+  const auto backup =
+      ParseSettings({"backup", "--store", "here", "--to", "copy.sqlite"}, {});
+  ASSERT_TRUE(backup.ok()) << backup.status();
+  ASSERT_TRUE(backup->task.has_value());
+  EXPECT_EQ(backup->task->kind, StoreTask::Kind::kBackup);
+  EXPECT_EQ(backup->task->destination, "copy.sqlite");
+  EXPECT_EQ(backup->settings.store, "here");
+  const auto verify = ParseSettings({"verify"}, {"REVISIT_STORE=there"});
+  ASSERT_TRUE(verify.ok()) << verify.status();
+  ASSERT_TRUE(verify->task.has_value());
+  EXPECT_EQ(verify->task->kind, StoreTask::Kind::kVerify);
+  EXPECT_EQ(verify->settings.store, "there");
+}
+
+TEST_F(SettingsTest, BackupWithoutAFileToMakeIsRefused) {
+  EXPECT_THAT(Refusal({"backup", "--store", "here"}), HasSubstr("--to"));
+}
+
+TEST_F(SettingsTest, DamagedLogIsRefusedUnlessToldOtherwise) {
+  EXPECT_EQ(Parse({}).damaged_log, DamagedLog::kRefuse);
+  EXPECT_EQ(Parse({"--damaged-log", "drop"}).damaged_log, DamagedLog::kDrop);
+  EXPECT_THAT(Refusal({"--damaged-log", "ignore"}),
+              AllOf(HasSubstr("ignore"), HasSubstr("refuse|drop")));
+}
+
 TEST_F(SettingsTest, VersionIsPrinted) {
   const auto parsed = ParseSettings({"--version"}, {});
   ASSERT_TRUE(parsed.ok()) << parsed.status();

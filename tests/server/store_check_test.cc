@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <fstream>
 #include <memory>
+#include <set>
 #include <sstream>
 #include <string>
 
@@ -131,6 +132,19 @@ TEST_F(StoreCheckTest, StoreWhoseTablesHideRowsIsNotOpened) {
   SqliteOptions unchecked;
   unchecked.max_checked_bytes = 1000;
   EXPECT_THAT(OpenSqliteStorage(Path(), unchecked), IsOk());
+}
+
+TEST_F(StoreCheckTest, StoreWithADamagedNameInItsTablesIsNotOpened) {
+  MakeStore();
+  std::string bytes = ReadFile(Path());
+  const std::size_t at = bytes.find("query_sequence INTEGER");
+  ASSERT_NE(at, std::string::npos);
+  bytes[at] = 'Q' ^ 1;
+  std::ofstream(Path(), std::ios::binary) << bytes;
+  const auto refused = IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                               HasSubstr("is not as it was made"));
+  EXPECT_THAT(OpenSqliteStorage(Path()), refused);
+  EXPECT_THAT(CheckStore(Path(), StoreUse::kIdle), refused);
 }
 
 TEST_F(StoreCheckTest, FileThatWasCutIsNotOpened) {
