@@ -22,7 +22,7 @@ absl::Status ToStatus(sqlite3* database, int code, const char* doing) {
   message += sqlite3_errstr(code);
   const char* detail = database == nullptr ? nullptr : sqlite3_errmsg(database);
   if (detail != nullptr && std::strcmp(detail, sqlite3_errstr(code)) != 0) {
-    message += std::string(" (") + detail + ")";
+    message += " (" + Printable(detail) + ")";
   }
   message += std::string(", in: ") + doing;
   switch (code) {
@@ -248,6 +248,13 @@ absl::Status SqliteDatabase::CopyTo(SqliteDatabase* destination) {
   if (code != SQLITE_DONE) return ToStatus(nullptr, code, kDoing);
   if (finished != SQLITE_OK) return ToStatus(nullptr, finished, kDoing);
   return absl::OkStatus();
+}
+
+std::string Printable(std::string text) {
+  for (char& c : text) {
+    if (c < ' ' || c > '~') c = '?';
+  }
+  return text;
 }
 
 bool IsCorruption(const absl::Status& status) {

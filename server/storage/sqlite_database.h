@@ -104,6 +104,10 @@ class SqliteDatabase {
   std::unordered_map<const char*, sqlite3_stmt*> statements_;
 };
 
+// Text out of a file that may be damaged, fit for a message: what is not
+// printable ASCII becomes a question mark. Ids of ours are.
+std::string Printable(std::string text);
+
 // Whether a status comes from a damaged file, rather than from one that cannot
 // be read or written now.
 bool IsCorruption(const absl::Status& status);

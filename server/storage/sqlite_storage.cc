@@ -183,7 +183,8 @@ absl::StatusOr<VehicleRecord> ReadVehicleRow(const SqliteStatement& row) {
   record.payload = row.Bytes(5);
   const absl::Status status =
       CheckRow(format, row.Integer(4), ChecksumOfVehicle(format, record),
-               "stored vehicle '" + record.id + "'", {{"vehicle", record.id}});
+               "stored vehicle '" + Printable(record.id) + "'",
+               {{"vehicle", Printable(record.id)}});
   if (!status.ok()) return status;
   return record;
 }
@@ -264,7 +265,7 @@ absl::StatusOr<std::string> VehicleId(SqliteDatabase& database,
   const absl::StatusOr<bool> found = row.Step();
   if (!found.ok()) return found.status();
   if (!*found) return UnknownVehicle("key " + std::to_string(key));
-  return row.Bytes(0);
+  return Printable(row.Bytes(0));
 }
 
 absl::Status WriteVehicleRow(SqliteDatabase& database,
@@ -701,7 +702,7 @@ absl::StatusOr<std::set<std::string>> VehiclesBehind(const std::string& store,
         if (!is_there.ok()) {
           failure = is_there.status();
         } else if (!*is_there && row.table == LoggedRow::Table::kVehicles) {
-          names.insert(row.id);
+          names.insert(Printable(row.id));
         } else if (!*is_there) {
           const absl::StatusOr<std::string> id =
               VehicleId(**database, row.vehicle_key);
@@ -970,9 +971,9 @@ class SqliteStorage : public Storage {
         const PairWords words = WordsOf(kind);
         const absl::Status checked = CheckRow(
             format, row.Integer(5), ChecksumOfPosePair(format, key, kind, pair),
-            "stored " + std::string(words.noun) + " '" + pair.id +
+            "stored " + std::string(words.noun) + " '" + Printable(pair.id) +
                 "' of vehicle '" + *vehicle_id + "'",
-            {{"vehicle", *vehicle_id}, {words.field, pair.id}});
+            {{"vehicle", *vehicle_id}, {words.field, Printable(pair.id)}});
         if (!checked.ok()) return checked;
         pairs.push_back(std::move(pair));
       }

@@ -58,8 +58,8 @@ class Checker {
     ++report_.vehicles;
     const absl::Status status = ReadVehicle(id);
     if (status.ok()) return;
-    Note("vehicle '" + id + "': " + std::string(status.message()));
-    report_.damaged_vehicles.insert(id);
+    Note("vehicle '" + Printable(id) + "': " + std::string(status.message()));
+    report_.damaged_vehicles.insert(Printable(id));
   }
 
   absl::Status ReadVehicle(const std::string& id) {
@@ -160,7 +160,7 @@ absl::StatusOr<std::vector<std::string>> FindStructuralDamage(
     const absl::StatusOr<bool> found = row.Step();
     if (!found.ok()) return found.status();
     if (!*found) return problems;
-    const std::string line = row.Bytes(0);
+    const std::string line = Printable(row.Bytes(0));
     if (line != "ok") problems.push_back(line);
   }
 }

@@ -147,6 +147,21 @@ TEST_F(StoreCheckTest, StoreWithADamagedNameInItsTablesIsNotOpened) {
   EXPECT_THAT(CheckStore(Path(), StoreUse::kIdle), refused);
 }
 
+TEST_F(StoreCheckTest, DamagedNamesComeOutAsTextThatHarmsNoTerminal) {
+  MakeStore();
+  std::string bytes = ReadFile(Path());
+  const std::size_t at = bytes.find("sqlite_autoindex_vehicles_1");
+  ASSERT_NE(at, std::string::npos);
+  bytes.replace(at, 8, "\xf5\x1b[31m\n!");
+  std::ofstream(Path(), std::ios::binary) << bytes;
+  const absl::Status refused = OpenSqliteStorage(Path()).status();
+  EXPECT_THAT(refused,
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("??")));
+  for (const char c : std::string(refused.message())) {
+    EXPECT_TRUE(c >= ' ' && c <= '~') << static_cast<int>(c);
+  }
+}
+
 TEST_F(StoreCheckTest, FileThatWasCutIsNotOpened) {
   MakeStore();
   const std::string bytes = ReadFile(Path());
