@@ -1,16 +1,17 @@
 """Rows in which the store's files are damaged while no server runs."""
 
 import collections
+import random
 import shutil
 import sqlite3
+import threading
 
 import grpc
 
-from drive_client import Drive, create
+from drive_client import VEHICLE, Client, Drive, create
 from revisit_server import Server, run as run_program
-from stubs import api
 from wire import (PAIR_KINDS, PoseStream, append, as_bytes, batches,
-                  decode_failure, failure_of, list_poses)
+                  decode_failure, failure_of, get, list_poses)
 
 VEHICLES = [f"vehicles/truck-{n}" for n in range(3)]
 # What an exit says: damaged, or not a store of this version.
@@ -313,10 +314,6 @@ def newer_format(run):
 def backup(run):
     """While poses stream in; then restored, truncated, and restored again."""
     rounds = run.rounds(short=2, long=20)
-    from drive_client import VEHICLE, Client  # The survivor's.
-    import random
-    import threading
-    from wire import get
     store = run.new("live") / "s"
     client = Client(Drive(run.seed), random.Random(run.rng.random()))
     with Server(store) as server:

@@ -10,7 +10,7 @@ import grpc
 
 from drive_client import VEHICLE, Client, Drive, create
 from kills import SETTINGS, preloaded
-from revisit_server import Server, run as run_program
+from revisit_server import Server
 from stubs import api
 from wire import append, as_bytes, decode_failure, failure_of, get, list_poses
 
@@ -137,7 +137,8 @@ def no_space(run):
         with Server(disk / "s") as server:
             assert as_bytes(list_poses(server.stub(), VEHICLE)) == as_bytes(
                 drive[0:acked])
-    return rounds, f"STORAGE_FULL each time, 0 of {acked} acked lost, back by itself"
+    return rounds, (f"STORAGE_FULL each time, 0 of {acked} acked lost, back by "
+                    "itself")
 
 
 def start_on_full_disk(run):
@@ -152,7 +153,6 @@ def start_on_full_disk(run):
                     server.kill()
             # The log of a killed server has yet to be copied into the database.
             fill(disk, leave=0)
-            log = run.new("log") / "s"
             with Server(disk / "s", "--min-free-bytes",
                         0 if number % 4 < 2 else MIB) as server:
                 stub = server.stub()
@@ -175,7 +175,7 @@ def failing_calls(run):
     """The Nth flush or write fails, once or from there on."""
     rounds = run.rounds(short=24, long=2000)
     ends = {74: 0, 0: 0}
-    lost = acked_total = started = 0
+    acked_total = started = 0
     for number in range(rounds):
         sync = number % 4 != 3
         nth = 1 + (number if not run.long else run.rng.randrange(60))
@@ -222,7 +222,7 @@ def failing_calls(run):
                           client.drive[client.acked:stored + 5]
                           ).durable_sequence == stored + 5
     return rounds, (f"{started} started; {ends[74]} ended with 74, {ends[0]} "
-                    f"went on; lost: {lost} of {acked_total} acked")
+                    f"went on; lost: 0 of {acked_total} acked")
 
 
 def stream_until_failure(client, stub, appends):

@@ -1,7 +1,7 @@
 """Rows in which the server is killed."""
 
-import os
 import random
+import shutil
 import signal
 import threading
 import time
@@ -46,7 +46,8 @@ def kill_in_stream(run):
             server.wait_until_listening()
             longest = max(longest, time.monotonic() - begun)
             stub = server.stub()
-            unacknowledged += client.verify(stub, number % 10 == 9) - client.acked
+            durable = client.verify(stub, whole=number % 10 == 9)
+            unacknowledged += durable - client.acked
             killer = threading.Timer(run.rng.uniform(0.05, 3.0 if run.long
                                                      else 0.3),
                                      server.process.kill)
@@ -104,7 +105,6 @@ def kill_while_starting(run):
         killer = threading.Timer(0.3, server.process.kill)
         client.stream(server.stub(), on_opened=killer.start)
         server.process.wait()
-    import shutil
     for nth in range(1, 40):
         store = run.new("again") / "store"
         shutil.copytree(left, store)
@@ -124,7 +124,8 @@ def kill_while_starting(run):
         if survived:
             break
     assert survived
-    return rounds, f"killed at each of {nth - 1} flushes, then again; next start works"
+    return rounds, (f"killed at each of {nth - 1} flushes, then again; next "
+                    "start works")
 
 
 ROWS = [
