@@ -410,7 +410,10 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
   std::array<std::vector<double>, 2> log_odds;
   for (const Direction direction : Directions(options.direction)) {
     std::vector<double>& scores = log_odds[IndexOf(direction)];
-    scores = alignment->scores(direction);
+    scores.assign(static_cast<std::size_t>(history_size), kImpossible);
+    for (const ScoredEnd& end : alignment->ends(direction)) {
+      scores[static_cast<std::size_t>(end.node)] = end.score;
+    }
     StrikeOutKnown(query, options.candidate_separation_meters, &scores);
   }
   // Best first; of equal scores, the same direction first.
@@ -507,15 +510,16 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
     }
     evidence.path_gate = gate.DecidePath(
         match.squared_end_difference + weight * match.squared_innovations,
-        dimensions * (1.0 + weight * match.steps));
+        dimensions * (1.0 + weight * static_cast<double>(match.steps)));
     evidence.squared_end_difference = match.squared_end_difference;
-    evidence.overlap_meters = match.steps * model.spacing_meters;
+    evidence.overlap_meters =
+        static_cast<double>(match.steps) * model.spacing_meters;
     evidence.log_likelihood_ratio = match.log_likelihood_ratio;
     candidate.verdict =
         Decide(candidate.difference.gate, evidence, runner_up,
                *set->new_place_probability, options.acceptance_probability);
-    for (const auto& [t, node] : alignment->Path(place.direction, matched)) {
-      candidate.path.emplace_back(query - t, node);
+    for (const PathStep& step : alignment->Path(place.direction, matched)) {
+      candidate.path.emplace_back(query - step.t, step.node);
     }
     std::reverse(candidate.path.begin(), candidate.path.end());
     candidate.relative = evidence;

@@ -125,6 +125,26 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph, NodeIndex query,
   }
 }
 
+template <int D>
+WalkStep ShapeFilter<D>::Kernel(std::int64_t t) const {
+  const Step& step = steps_[static_cast<std::size_t>(t)];
+  WalkStep kernel;
+  kernel.number = static_cast<double>(t);
+  kernel.step_x = step.step_x;
+  kernel.step_y = step.step_y;
+  kernel.surprise = step.surprise;
+  for (int r = 0; r < D; ++r) {
+    kernel.path[r] = step.path(r);
+    // The path's end is no step.
+    for (int c = 0; t > 0 && c < D; ++c) {
+      kernel.gain[r][c] = step.gain(r, c);
+      kernel.end_gain[r][c] = step.end_gain(r, c);
+      kernel.information[r][c] = step.information(r, c);
+    }
+  }
+  return kernel;
+}
+
 template class ShapeFilter<3>;
 template class ShapeFilter<4>;
 

@@ -42,6 +42,7 @@
 #include <vector>
 
 #include "core/alignment/log_similarity.h"
+#include "core/alignment/walk_kernel.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
 #include "core/graph/motion_statistics.h"
@@ -110,11 +111,8 @@ class ShapeFilter {
     return {squared, step.surprise - 0.5 * squared};
   }
 
-  // The log-likelihood ratio of step t where there is no innovation: no path
-  // has a greater one.
-  double Surprise(std::int64_t t) const {
-    return steps_[static_cast<std::size_t>(t)].surprise;
-  }
+  // The step as the kernel takes it; `to_come` and `settled` are the caller's.
+  WalkStep Kernel(std::int64_t t) const;
 
   // By how much the covariance of drift_0 has shrunk after step t, in the same
   // axes.
