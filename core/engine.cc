@@ -341,15 +341,15 @@ SimilarityModel Engine::MakeSimilarityModel(
 }
 
 void Engine::StrikeOutKnown(NodeIndex query, double separation_meters,
-                            std::vector<double>* scores) const {
-  if (scores->empty()) return;
-  StrikeOut(graph_, query, separation_meters, scores);
+                            ScoredEnds* ends) const {
+  if (ends->empty()) return;
+  StrikeOut(graph_, query, separation_meters, ends);
   // A hair more, so that what lies just as far is struck out too.
   const double around =
       std::max(separation_meters, kPlaceRadiusMeters) * (1.0 + 1e-9);
   for (const auto& [rejected_query, rejected_match] : rejected_) {
     if (graph_.MetersApart(rejected_query, query) <= around) {
-      StrikeOut(graph_, rejected_match, around, scores);
+      StrikeOut(graph_, rejected_match, around, ends);
     }
   }
 }
@@ -366,11 +366,11 @@ absl::Status Engine::FindComposite(NodeIndex query, std::int64_t steps,
     const std::optional<Alignment> alignment =
         Align(graph_, model, query, steps, history_size, should_stop);
     if (!alignment) return Stopped();
-    std::vector<double> scores = alignment->scores();
-    StrikeOutKnown(query, options.candidate_separation_meters, &scores);
-    for (const RankedEnd& end : RankEnds(graph_, std::move(scores),
-                                         options.candidate_separation_meters,
-                                         options.max_candidates)) {
+    ScoredEnds ends = PossibleEnds(alignment->scores());
+    StrikeOutKnown(query, options.candidate_separation_meters, &ends);
+    for (const RankedEnd& end :
+         RankEnds(graph_, ends, options.candidate_separation_meters,
+                  options.max_candidates)) {
       Candidate candidate;
       candidate.score = end.score;
       candidate.matched = end.matched;
@@ -407,11 +407,11 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
       AlignRelative(graph_, model, query, steps, history_size, should_stop);
   if (!alignment) return Stopped();
 
-  std::array<std::vector<double>, 2> log_odds;
+  std::array<ScoredEnds, 2> log_odds;
   for (const Direction direction : Directions(options.direction)) {
-    std::vector<double>& scores = log_odds[IndexOf(direction)];
-    scores = alignment->scores(direction);
-    StrikeOutKnown(query, options.candidate_separation_meters, &scores);
+    ScoredEnds& ends = log_odds[IndexOf(direction)];
+    ends = PossibleEnds(alignment->scores(direction));
+    StrikeOutKnown(query, options.candidate_separation_meters, &ends);
   }
   // Best first; of equal scores, the same direction first.
   std::vector<RankedPlace> places;

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "core/alignment/scored_ends.h"
 #include "core/alignment/viterbi.h"
 #include "core/candidates/consistency.h"
 #include "core/candidates/gate.h"
@@ -171,7 +172,7 @@ class Engine {
   // Makes impossible what is not to be offered at the query: what is near it,
   // and what was rejected there.
   void StrikeOutKnown(NodeIndex query, double separation_meters,
-                      std::vector<double>* scores) const;
+                      ScoredEnds* ends) const;
   // Fill the candidates; CANCELLED if told to stop.
   absl::Status FindComposite(NodeIndex query, std::int64_t steps,
                              NodeIndex history_size,

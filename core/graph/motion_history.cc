@@ -5,6 +5,22 @@
 #include <utility>
 
 namespace revisit::core {
+namespace {
+
+template <int D>
+void AddBlock(const PoseGraph& graph, CorrelationModel model, NodeIndex begin,
+              NodeIndex end, std::vector<MotionSums<D>>* sums) {
+  MotionSums<D> sum;
+  if (!sums->empty()) sum = sums->back();
+  AddMotion<D>(graph, model, begin, end, &sum);
+  // Doubling would leave more unused than is worth it.
+  if (sums->size() == sums->capacity()) {
+    sums->reserve(sums->size() + sums->size() / 8 + 1);
+  }
+  sums->push_back(sum);
+}
+
+}  // namespace
 
 MotionHistory::MotionHistory(StateSpace space, CorrelationModel model,
                              NodeIndex stretch_nodes)
@@ -17,19 +33,8 @@ void MotionHistory::Extend(const PoseGraph& graph) {
   NodeIndex begin = runs_.empty() ? 0 : runs_.back().end;
   for (; begin + kBlockNodes <= graph.size(); begin += kBlockNodes) {
     const NodeIndex end = begin + kBlockNodes;
-    std::visit(
-        [&](auto& sums) {
-          auto sum = sums.empty()
-                         ? typename std::decay_t<decltype(sums)>::value_type()
-                         : sums.back();
-          AddMotion(graph, model_, begin, end, &sum);
-          // Doubling would leave more unused than is worth it.
-          if (sums.size() == sums.capacity()) {
-            sums.reserve(sums.size() + sums.size() / 8 + 1);
-          }
-          sums.push_back(sum);
-        },
-        sums_);
+    std::visit([&](auto& sums) { AddBlock(graph, model_, begin, end, &sums); },
+               sums_);
 
     Run run{end, {}};
     run.turns.reserve(static_cast<std::size_t>(kBlockNodes));
