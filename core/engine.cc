@@ -137,9 +137,19 @@ void KeepBest(int count, std::vector<Candidate>* candidates) {
 Engine::Engine(const EngineSettings& settings)
     : settings_(settings),
       resampler_(MakeResamplerOptions(settings)),
+      motion_history_(MakeMotionHistory()),
       monitor_(MakeConsistencyOptions(settings)) {
   assert(FindProblems(settings).empty());
   ScheduleNextCheck();
+}
+
+MotionHistory Engine::MakeMotionHistory() const {
+  const SearchOptions& search = settings_.search;
+  return MotionHistory(
+      settings_.state_space, search.correlation_model,
+      StretchNodes(search.shape, settings_.node_spacing_meters,
+                   SequenceNodes(search.sequence_length_meters,
+                                 settings_.node_spacing_meters)));
 }
 
 // The first check that lies after all nodes there are and leaves room for the
@@ -179,6 +189,7 @@ AppendResult Engine::Append(const std::vector<PoseSample>& samples,
     }
     last_sequence_ = sample.sequence;
   }
+  motion_history_.Extend(graph_);
   revision_ = revision;
   return result;
 }
@@ -195,6 +206,8 @@ void Engine::ChangeSettings(const EngineSettings& settings,
   settings_ = settings;
   revision_ = revision;
   if (!monitored_alike) RebuildMonitor();
+  motion_history_ = MakeMotionHistory();
+  motion_history_.Extend(graph_);
   ScheduleNextCheck();
 }
 
@@ -341,15 +354,15 @@ SimilarityModel Engine::MakeSimilarityModel(
 }
 
 void Engine::StrikeOutKnown(NodeIndex query, double separation_meters,
-                            std::vector<double>* scores) const {
-  if (scores->empty()) return;
-  StrikeOut(graph_, query, separation_meters, scores);
+                            ScoredEnds* ends) const {
+  if (ends->empty()) return;
+  StrikeOut(graph_, query, separation_meters, ends);
   // A hair more, so that what lies just as far is struck out too.
   const double around =
       std::max(separation_meters, kPlaceRadiusMeters) * (1.0 + 1e-9);
   for (const auto& [rejected_query, rejected_match] : rejected_) {
     if (graph_.MetersApart(rejected_query, query) <= around) {
-      StrikeOut(graph_, rejected_match, around, scores);
+      StrikeOut(graph_, rejected_match, around, ends);
     }
   }
 }
@@ -366,11 +379,11 @@ absl::Status Engine::FindComposite(NodeIndex query, std::int64_t steps,
     const std::optional<Alignment> alignment =
         Align(graph_, model, query, steps, history_size, should_stop);
     if (!alignment) return Stopped();
-    std::vector<double> scores = alignment->scores();
-    StrikeOutKnown(query, options.candidate_separation_meters, &scores);
-    for (const RankedEnd& end : RankEnds(graph_, std::move(scores),
-                                         options.candidate_separation_meters,
-                                         options.max_candidates)) {
+    ScoredEnds ends = PossibleEnds(alignment->scores());
+    StrikeOutKnown(query, options.candidate_separation_meters, &ends);
+    for (const RankedEnd& end :
+         RankEnds(graph_, ends, options.candidate_separation_meters,
+                  options.max_candidates)) {
       Candidate candidate;
       candidate.score = end.score;
       candidate.matched = end.matched;
@@ -403,18 +416,16 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
   if (model.similarity.correlation == CorrelationModel::kDeadReckoning) {
     model.last_confirmed = LastConfirmed(query);
   }
+  model.motion_history = &motion_history_;
   const std::optional<RelativeAlignment> alignment =
       AlignRelative(graph_, model, query, steps, history_size, should_stop);
   if (!alignment) return Stopped();
 
-  std::array<std::vector<double>, 2> log_odds;
+  std::array<ScoredEnds, 2> log_odds;
   for (const Direction direction : Directions(options.direction)) {
-    std::vector<double>& scores = log_odds[IndexOf(direction)];
-    scores.assign(static_cast<std::size_t>(history_size), kImpossible);
-    for (const ScoredEnd& end : alignment->ends(direction)) {
-      scores[static_cast<std::size_t>(end.node)] = end.score;
-    }
-    StrikeOutKnown(query, options.candidate_separation_meters, &scores);
+    ScoredEnds& ends = log_odds[IndexOf(direction)];
+    ends = alignment->ends(direction);
+    StrikeOutKnown(query, options.candidate_separation_meters, &ends);
   }
   // Best first; of equal scores, the same direction first.
   std::vector<RankedPlace> places;

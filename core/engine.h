@@ -12,11 +12,13 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "core/alignment/scored_ends.h"
 #include "core/alignment/viterbi.h"
 #include "core/candidates/consistency.h"
 #include "core/candidates/gate.h"
 #include "core/geometry/pose.h"
 #include "core/graph/distance_resampler.h"
+#include "core/graph/motion_history.h"
 #include "core/graph/pose_graph.h"
 #include "core/settings.h"
 
@@ -163,6 +165,7 @@ class Engine {
   std::optional<std::pair<NodeIndex, NodeIndex>> LoopEdge(
       std::uint64_t query_sequence, std::uint64_t matched_sequence) const;
   void ScheduleNextCheck();
+  MotionHistory MakeMotionHistory() const;
   // Learns all confirmed loops anew.
   void RebuildMonitor();
   // The last one whose nodes both lie at or before the query.
@@ -171,7 +174,7 @@ class Engine {
   // Makes impossible what is not to be offered at the query: what is near it,
   // and what was rejected there.
   void StrikeOutKnown(NodeIndex query, double separation_meters,
-                      std::vector<double>* scores) const;
+                      ScoredEnds* ends) const;
   // Fill the candidates; CANCELLED if told to stop.
   absl::Status FindComposite(NodeIndex query, std::int64_t steps,
                              NodeIndex history_size,
@@ -187,6 +190,8 @@ class Engine {
   EngineSettings settings_;
   PoseGraph graph_;
   DistanceResampler resampler_;
+  // For searches with the vehicle's own options.
+  MotionHistory motion_history_;
   std::uint64_t last_sequence_ = 0;
   std::uint64_t revision_ = 0;
   struct Confirmed {

@@ -8,7 +8,6 @@
 #include "core/alignment/similarity_kernel.h"
 #include "core/alignment/walk_kernel.h"
 #include "core/geometry/heading.h"
-#include "core/graph/motion_statistics.h"
 
 namespace revisit::core {
 namespace {
@@ -194,9 +193,9 @@ class RelativeAligner
         model_(model),
         query_(query),
         size_(history_size),
-        filter_(graph, query, steps,
-                MeasureMotion<D>(graph, model.similarity.correlation, query),
-                model.shape, model.similarity.tolerance, model.spacing_meters,
+        filter_(graph, model.motion_history, query, steps,
+                model.similarity.correlation, model.shape,
+                model.similarity.tolerance, model.spacing_meters,
                 model.similarity.inflation),
         has_loops_(graph.has_loop_edges()) {
     MakeSteps();
@@ -298,12 +297,16 @@ class RelativeAligner
       table_.Need(first_ - 2 * aligner_.filter_.size(),
                   first_ + static_cast<NodeIndex>(count_) +
                       2 * aligner_.filter_.size());
-      for (std::size_t i = 0; i < count_; ++i) {
-        if (similarity_.log_similarity[i] != kImpossible) {
-          Seed(first_ + static_cast<NodeIndex>(i), kAnyRatio);
+      for (std::size_t i = 0; i < count_;) {
+        walkers_.Clear();
+        for (const std::size_t end = std::min(count_, i + kTogether); i < end;
+             ++i) {
+          if (similarity_.log_similarity[i] != kImpossible) {
+            Seed(first_ + static_cast<NodeIndex>(i), kAnyRatio);
+          }
         }
+        Walk();
       }
-      Walk();
       EvaluateChanged(StateSpaceOf(), differences_, change_, &similarity_);
       for (std::size_t i = count_; i-- > 0;) {
         if (similarity_.log_similarity[i] == kImpossible) continue;
@@ -345,6 +348,9 @@ class RelativeAligner
     }
 
    private:
+    // Ends that are walked back from at once: what they hold should fit the
+    // nearest cache.
+    static constexpr std::size_t kTogether = 64;
     static constexpr double kAnyRatio =
         -std::numeric_limits<double>::infinity();
 
@@ -396,19 +402,19 @@ class RelativeAligner
       return walkers_.at(Walkers::kStride, i) < 0 ? 0 : 1;
     }
 
-    // A node as walker i sees it from its end.
-    StateVector<D> SeenBy(std::size_t i, const Pose& pose) const {
-      const double x = pose.x - walkers_.at(Walkers::kX, i);
-      const double y = pose.y - walkers_.at(Walkers::kY, i);
+    // A pose (x, y, z, heading) as walker i sees it from its end.
+    StateVector<D> SeenBy(std::size_t i, const double* pose) const {
+      const double x = pose[0] - walkers_.at(Walkers::kX, i);
+      const double y = pose[1] - walkers_.at(Walkers::kY, i);
       const double cosine = walkers_.at(Walkers::kCosine, i);
       const double sine = walkers_.at(Walkers::kSine, i);
       const double forward = cosine * x + sine * y;
       const double left = cosine * y - sine * x;
-      const double heading = pose.heading - walkers_.at(Walkers::kHeading, i);
+      const double heading = pose[3] - walkers_.at(Walkers::kHeading, i);
       if constexpr (D == 3) {
         return {forward, left, heading};
       } else {
-        return {forward, left, pose.z - walkers_.at(Walkers::kZ, i), heading};
+        return {forward, left, pose[2] - walkers_.at(Walkers::kZ, i), heading};
       }
     }
 
@@ -445,33 +451,36 @@ class RelativeAligner
     }
 
     // Where keeping step may not be best: the likeliest of that, staying and
-    // skipping a node. False if none is possible.
-    bool Slip(std::int64_t t, std::size_t i) {
-      const NodeIndex node = walkers_.at(Walkers::kNode, i);
-      const NodeIndex last = walkers_.at(Walkers::kLast, i);
-      const NodeIndex stride = walkers_.at(Walkers::kStride, i);
+    // skipping a node. False if none is possible or of use.
+    bool Slip(std::int64_t t, const Unsettled& unsettled) {
+      const std::size_t i = unsettled.walker;
+      const WalkStep& step = aligner_.steps_[Position(t)];
+      // Were there no innovation from here on.
+      const double most = walkers_.at(Walkers::kRatio, i) + step.surprise +
+                          step.to_come - kSlipCost;
+      const bool slips = most > walkers_.at(Walkers::kBestRatio, i) &&
+                         most + 0.25 * walkers_.at(Walkers::kSquared, i) >=
+                             walkers_.at(Walkers::kNeeded, i);
       double gained = kImpossible;
-      NodeIndex to = 0;
-      Drift drift;
-      Evidence evidence;
-      const auto consider = [&](NodeIndex there, double cost) {
-        Drift its = DriftOf(i);
-        const Evidence e = aligner_.filter_.Advance(
-            t, SeenBy(i, graph_.node(there).pose), &its);
+      NodeIndex nodes = 0;
+      const auto consider = [&](double squared, double cost, NodeIndex on) {
         // Written so that NaN fails too.
-        if (!(e.squared_innovation <= kSquaredInnovationLimit)) return;
-        if (!(e.log_likelihood_ratio - cost > gained)) return;
-        gained = e.log_likelihood_ratio - cost;
-        to = there;
-        drift = its;
-        evidence = e;
+        if (!(squared <= kSquaredInnovationLimit)) return;
+        if (!(step.surprise - 0.5 * squared - cost > gained)) return;
+        gained = step.surprise - 0.5 * squared - cost;
+        nodes = on;
       };
-      if (node != last) consider(node + stride, 0.0);
-      consider(node, kSlipCost);
-      if (node != last && node + stride != last) {
-        consider(node + 2 * stride, kSlipCost);
+      consider(unsettled.on, 0.0, 1);
+      if (slips) {
+        consider(unsettled.stay, kSlipCost, 0);
+        consider(unsettled.skip, kSlipCost, 2);
       }
       if (gained == kImpossible) return false;
+      const NodeIndex to = walkers_.at(Walkers::kNode, i) +
+                           nodes * walkers_.at(Walkers::kStride, i);
+      Drift drift = DriftOf(i);
+      const Evidence evidence = aligner_.filter_.Advance(
+          t, SeenBy(i, table_.poses() + 4 * Position(to)), &drift);
       Take(t, i, to, drift, gained, evidence.squared_innovation);
       return true;
     }
@@ -492,8 +501,11 @@ class RelativeAligner
       const std::size_t far_way = WayBeyond(graph_, near, far, way);
       const NodeIndex last = LastOf(far, far_way);
       if (far == last) return;
+      table_.Need(far - 2 * aligner_.filter_.size(),
+                  far + 2 * aligner_.filter_.size());
       // The far node is where this one is, and is seen as this one is.
-      const StateVector<D> seen = SeenBy(i, graph_.node(near).pose);
+      const StateVector<D> seen =
+          SeenBy(i, table_.poses() + 4 * Position(near));
       const Pose pose = graph_.node(far).pose;
       const double turned = far_way == 0 ? 0.0 : kPi;
       const double heading = pose.heading + turned - seen(D - 1);
@@ -514,15 +526,13 @@ class RelativeAligner
       const NodeIndex beyond = far + Stride(far_way);
       Drift drift = DriftOf(on);
       const Evidence evidence = aligner_.filter_.Advance(
-          t, SeenBy(on, graph_.node(beyond).pose), &drift);
+          t, SeenBy(on, table_.poses() + 4 * Position(beyond)), &drift);
       if (!(evidence.squared_innovation <= kSquaredInnovationLimit)) {
         walkers_.Remove(on);
         return;
       }
       Take(t, on, beyond, drift, evidence.log_likelihood_ratio,
            evidence.squared_innovation);
-      table_.Need(far - 2 * aligner_.filter_.size(),
-                  far + 2 * aligner_.filter_.size());
     }
 
     // Of the paths of the ends of walkers from `first` on: marks as done those
@@ -584,7 +594,7 @@ class RelativeAligner
         done.assign(after, 0);
         for (const Unsettled& unsettled : unsettled_) {
           const std::size_t i = unsettled.walker;
-          done[i] = unsettled.hopeless || !Slip(t, i);
+          done[i] = unsettled.hopeless || !Slip(t, unsettled);
         }
         if (after > before) Merge(before, &done);
         if (trail_ != nullptr) Record(t);

@@ -55,6 +55,7 @@
 #include "core/alignment/scored_ends.h"
 #include "core/alignment/shape_filter.h"
 #include "core/alignment/viterbi.h"
+#include "core/graph/motion_history.h"
 #include "core/graph/pose_graph.h"
 
 namespace revisit::core {
@@ -85,6 +86,8 @@ struct RelativeModel {
   // What is known of the drift. kDeadReckoning only; both nodes at or before
   // the query.
   std::optional<ConfirmedLoop> last_confirmed;
+  // Of the graph, if it is kept: saves measuring its motion anew.
+  const MotionHistory* motion_history = nullptr;
 };
 
 // What makes log-odds against a new place of a log-similarity in Gaussian form:

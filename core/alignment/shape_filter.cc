@@ -44,15 +44,26 @@ double ShapeWeight(const ShapeModel& model, double spacing_meters) {
   return std::min(1.0, spacing_meters / model.correlation_meters);
 }
 
+NodeIndex StretchNodes(const ShapeModel& model, double spacing_meters,
+                       std::int64_t steps) {
+  return std::max<NodeIndex>(
+      1, std::min<NodeIndex>(steps - 1, std::llround(model.correlation_meters /
+                                                     spacing_meters)));
+}
+
 template <int D>
-ShapeFilter<D>::ShapeFilter(const PoseGraph& graph, NodeIndex query,
-                            std::int64_t steps,
-                            const MotionStatistics<D>& motion,
+ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
+                            const MotionHistory* history, NodeIndex query,
+                            std::int64_t steps, CorrelationModel correlation,
                             const ShapeModel& model,
                             const PlaceTolerance& place_tolerance,
                             double spacing_meters, double inflation) {
   assert(1 <= steps && steps <= query + 1);
   const double claimed = inflation * inflation;
+  const MotionStatistics<D> motion =
+      history != nullptr && history->model() == correlation
+          ? history->Measure<D>(graph, query)
+          : MeasureMotion<D>(graph, correlation, query);
   // Both passes drift.
   StateMatrix<D> noise = 2.0 * claimed * motion.drift;
   AddTolerance<D>({kLeastStepNoiseMeters * std::sqrt(spacing_meters),
@@ -63,15 +74,15 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph, NodeIndex query,
   const StateMatrix<D> jitter = 2.0 * claimed * motion.jitter;
 
   const double weight = ShapeWeight(model, spacing_meters);
-  // No longer than the path, so that like is compared with like.
-  const auto stretch_nodes = std::max<NodeIndex>(
-      1, std::min<NodeIndex>(steps - 1, std::llround(model.correlation_meters /
-                                                     spacing_meters)));
+  const NodeIndex stretch_nodes = StretchNodes(model, spacing_meters, steps);
   const double turn_tolerance =
       std::sqrt(2.0 * (tolerance(D - 1, D - 1) + jitter(D - 1, D - 1)));
-  const std::vector<double> shares = ShareOfStretches(
-      graph, query, stretch_nodes, Turns(graph, query, steps, stretch_nodes),
-      turn_tolerance);
+  const std::vector<double> turns = Turns(graph, query, steps, stretch_nodes);
+  const std::vector<double> shares =
+      history != nullptr && history->stretch_nodes() == stretch_nodes
+          ? history->Shares(graph, query, turns, turn_tolerance)
+          : ShareOfStretches(graph, query, stretch_nodes, turns,
+                             turn_tolerance);
 
   StateMatrix<D> end_prior = jitter;
   AddTolerance<D>(

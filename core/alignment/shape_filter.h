@@ -45,7 +45,8 @@
 #include "core/alignment/walk_kernel.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
-#include "core/graph/motion_statistics.h"
+#include "core/graph/correlation.h"
+#include "core/graph/motion_history.h"
 #include "core/graph/pose_graph.h"
 
 namespace revisit::core {
@@ -63,6 +64,11 @@ struct ShapeModel {
 // deviations per square root of a metre.
 inline constexpr double kLeastStepNoiseMeters = 0.02;
 inline constexpr double kLeastStepNoiseRadians = 0.0005;
+
+// Stretches whose turns are compared: as long as the correlation distance, but
+// no longer than a path of `steps` nodes, so that like is compared with like.
+NodeIndex StretchNodes(const ShapeModel& model, double spacing_meters,
+                       std::int64_t steps);
 
 // w, at most 1.
 double ShapeWeight(const ShapeModel& model, double spacing_meters);
@@ -84,12 +90,13 @@ class ShapeFilter {
   };
 
   // The path of `steps` nodes that ends at `query`, within one segment.
-  // `motion` is that of nodes up to the query; `inflation` multiplies its
-  // standard deviations.
-  ShapeFilter(const PoseGraph& graph, NodeIndex query, std::int64_t steps,
-              const MotionStatistics<D>& motion, const ShapeModel& model,
-              const PlaceTolerance& place_tolerance, double spacing_meters,
-              double inflation);
+  // `inflation` multiplies the standard deviations of the nodes' motion under
+  // this correlation model. `history`, if there is one, is that of the graph;
+  // what it does not know is measured.
+  ShapeFilter(const PoseGraph& graph, const MotionHistory* history,
+              NodeIndex query, std::int64_t steps, CorrelationModel correlation,
+              const ShapeModel& model, const PlaceTolerance& place_tolerance,
+              double spacing_meters, double inflation);
 
   // Nodes of the path.
   std::int64_t size() const { return static_cast<std::int64_t>(steps_.size()); }

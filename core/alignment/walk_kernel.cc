@@ -1,5 +1,9 @@
 #include "core/alignment/walk_kernel.h"
 
+#include <algorithm>
+#include <limits>
+#include <utility>
+
 #include "core/geometry/heading.h"
 
 // Highway includes this file once for each kind of vectors.
@@ -22,7 +26,6 @@ HWY_INLINE void WalkAllOn(const WalkStep& step, const double* poses,
   const hn::RebindToSigned<decltype(tag)> index_tag;
   using Vector = hn::Vec<decltype(tag)>;
   constexpr int h = D - 1;
-  constexpr std::size_t kPoseColumns[] = {0, 1, 2, 3};
   const auto set = [tag](double value) HWY_ATTR { return hn::Set(tag, value); };
   const std::size_t lanes = hn::Lanes(tag);
   std::int64_t* const nodes = walkers->indices(Walkers::kNode);
@@ -40,46 +43,56 @@ HWY_INLINE void WalkAllOn(const WalkStep& step, const double* poses,
         hn::LoadU(index_tag, walkers->indices(Walkers::kLast) + i);
     const auto at_last = hn::Eq(node, last);
     const auto next = hn::IfThenElse(at_last, node, hn::Add(node, stride));
-    const auto at = hn::ShiftLeft<2>(next);
-    const auto of_pose = [&](std::size_t k) HWY_ATTR {
-      return hn::GatherIndex(tag, poses + kPoseColumns[k], at);
-    };
-
-    // Seen from the end.
-    const Vector x = hn::Sub(of_pose(0), load(Walkers::kX));
-    const Vector y = hn::Sub(of_pose(1), load(Walkers::kY));
+    const Vector end_x = load(Walkers::kX);
+    const Vector end_y = load(Walkers::kY);
+    const Vector end_heading = load(Walkers::kHeading);
     const Vector cosine = load(Walkers::kCosine);
     const Vector sine = load(Walkers::kSine);
-    Vector seen[D];
-    seen[0] = hn::Add(hn::Mul(cosine, x), hn::Mul(sine, y));
-    seen[1] = hn::Sub(hn::Mul(cosine, y), hn::Mul(sine, x));
-    if constexpr (D == 4) seen[2] = hn::Sub(of_pose(2), load(Walkers::kZ));
-    seen[h] = hn::Sub(of_pose(3), load(Walkers::kHeading));
-
     Vector now[D];
     for (std::size_t r = 0; r < D; ++r) now[r] = load(Walkers::kNow + r);
     now[0] = hn::Sub(now[0], hn::Mul(set(step.step_y), now[h]));
     now[1] = hn::Add(now[1], hn::Mul(set(step.step_x), now[h]));
-    Vector innovation[D];
-    for (int r = 0; r < D; ++r) {
-      innovation[r] = hn::Sub(hn::Sub(set(step.path[r]), seen[r]), now[r]);
-    }
-    const Vector turns =
-        hn::Round(hn::Mul(innovation[h], set(1.0 / (2.0 * kPi))));
-    innovation[h] = hn::Sub(innovation[h], hn::Mul(turns, set(2.0 * kPi)));
-
-    const auto times = [&](const double(&matrix)[4][4], int r) HWY_ATTR {
+    // nu where the other path is at these nodes.
+    const auto innovate = [&](auto there, Vector(&innovation)[D]) HWY_ATTR {
+      const auto at = hn::ShiftLeft<2>(there);
+      // Seen from the end.
+      const Vector x = hn::Sub(hn::GatherIndex(tag, poses, at), end_x);
+      const Vector y = hn::Sub(hn::GatherIndex(tag, poses + 1, at), end_y);
+      innovation[0] = hn::Add(hn::Mul(cosine, x), hn::Mul(sine, y));
+      innovation[1] = hn::Sub(hn::Mul(cosine, y), hn::Mul(sine, x));
+      if constexpr (D == 4) {
+        innovation[2] =
+            hn::Sub(hn::GatherIndex(tag, poses + 2, at), load(Walkers::kZ));
+      }
+      innovation[h] = hn::Sub(hn::GatherIndex(tag, poses + 3, at), end_heading);
+      for (int r = 0; r < D; ++r) {
+        innovation[r] =
+            hn::Sub(hn::Sub(set(step.path[r]), innovation[r]), now[r]);
+      }
+      const Vector turns =
+          hn::Round(hn::Mul(innovation[h], set(1.0 / (2.0 * kPi))));
+      innovation[h] = hn::Sub(innovation[h], hn::Mul(turns, set(2.0 * kPi)));
+    };
+    const auto product = [&](const double(&matrix)[4][4], int r,
+                             const Vector(&innovation)[D]) HWY_ATTR {
       Vector sum = hn::Mul(set(matrix[r][0]), innovation[0]);
       for (int c = 1; c < D; ++c) {
         sum = hn::Add(sum, hn::Mul(set(matrix[r][c]), innovation[c]));
       }
       return sum;
     };
-    Vector squared = hn::Mul(innovation[0], times(step.information, 0));
-    for (int r = 1; r < D; ++r) {
-      squared =
-          hn::Add(squared, hn::Mul(innovation[r], times(step.information, r)));
-    }
+    const auto square = [&](const Vector(&innovation)[D]) HWY_ATTR {
+      Vector sum =
+          hn::Mul(innovation[0], product(step.information, 0, innovation));
+      for (int r = 1; r < D; ++r) {
+        sum = hn::Add(sum, hn::Mul(innovation[r],
+                                   product(step.information, r, innovation)));
+      }
+      return sum;
+    };
+    Vector innovation[D];
+    innovate(next, innovation);
+    const Vector squared = square(innovation);
     const Vector gained =
         hn::Sub(set(step.surprise), hn::Mul(set(0.5), squared));
     // Written so that NaN does not walk on.
@@ -95,22 +108,27 @@ HWY_INLINE void WalkAllOn(const WalkStep& step, const double* poses,
     best_ratio = hn::IfThenElse(better, ratio, best_ratio);
     store(Walkers::kRatio, ratio);
     store(Walkers::kSquared, squares);
-    store(Walkers::kBestRatio, best_ratio);
-    store(Walkers::kBestSquared,
-          hn::IfThenElse(better, squares, load(Walkers::kBestSquared)));
-    store(Walkers::kBestSteps,
-          hn::IfThenElse(better, set(step.number), load(Walkers::kBestSteps)));
+    const bool any_better = !hn::AllFalse(tag, better);
+    const auto keep_if_better = [&](std::size_t column, Vector value) HWY_ATTR {
+      store(column, hn::IfThenElse(better, value, load(column)));
+    };
+    if (any_better) {
+      store(Walkers::kBestRatio, best_ratio);
+      keep_if_better(Walkers::kBestSquared, squares);
+      keep_if_better(Walkers::kBestSteps, set(step.number));
+    }
     for (std::size_t r = 0; r < D; ++r) {
       const int row = static_cast<int>(r);
       store(Walkers::kNow + r,
-            hn::IfThenElse(on, hn::Add(now[r], times(step.gain, row)),
+            hn::IfThenElse(on,
+                           hn::Add(now[r], product(step.gain, row, innovation)),
                            load(Walkers::kNow + r)));
       const Vector before = load(Walkers::kAtEnd + r);
-      const Vector at_end =
-          hn::Add(before, hn::IfThenElseZero(on, times(step.end_gain, row)));
+      const Vector at_end = hn::Add(
+          before,
+          hn::IfThenElseZero(on, product(step.end_gain, row, innovation)));
       store(Walkers::kAtEnd + r, at_end);
-      store(Walkers::kBestAtEnd + r,
-            hn::IfThenElse(better, at_end, load(Walkers::kBestAtEnd + r)));
+      if (any_better) keep_if_better(Walkers::kBestAtEnd + r, at_end);
     }
     hn::StoreU(hn::IfThenElse(hn::RebindMask(index_tag, on), next, node),
                index_tag, nodes + i);
@@ -126,11 +144,30 @@ HWY_INLINE void WalkAllOn(const WalkStep& step, const double* poses,
     std::uint8_t settled_bits[8] = {};
     hn::StoreMaskBits(tag, on, on_bits);
     hn::StoreMaskBits(tag, settled, settled_bits);
+    HWY_ALIGN double squares_of[3][hn::MaxLanes(tag)] = {};
+    const Vector infinite = set(std::numeric_limits<double>::infinity());
+    const auto keep = [&](auto impossible, Vector value, double* to) HWY_ATTR {
+      hn::Store(
+          hn::IfThenElse(hn::RebindMask(tag, impossible), infinite, value), tag,
+          to);
+    };
+    keep(at_last, squared, squares_of[0]);
+    if (!hn::AllTrue(tag, on)) {
+      // From where those that have not walked on still are.
+      innovate(node, innovation);
+      hn::Store(square(innovation), tag, squares_of[1]);
+      const auto skip_impossible = hn::Or(at_last, hn::Eq(next, last));
+      innovate(hn::IfThenElse(skip_impossible, node, hn::Add(next, stride)),
+               innovation);
+      keep(skip_impossible, square(innovation), squares_of[2]);
+    }
     for (std::size_t k = 0; k < lanes && i + k < count; ++k) {
       const auto bit = [k](const std::uint8_t* bits) {
         return (bits[k / 8] >> (k % 8) & 1) != 0;
       };
-      if (!bit(settled_bits)) unsettled->push_back({i + k, bit(on_bits)});
+      if (bit(settled_bits)) continue;
+      unsettled->push_back({i + k, bit(on_bits), squares_of[0][k],
+                            squares_of[1][k], squares_of[2][k]});
     }
   }
 }
@@ -152,16 +189,6 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace revisit::core {
 
-namespace {
-
-// Whole vectors of any machine, for this many and one more.
-std::size_t RoomFor(std::size_t count) {
-  constexpr std::size_t kMostLanes = 8;
-  return (count / kMostLanes + 1) * kMostLanes;
-}
-
-}  // namespace
-
 HWY_EXPORT(WalkOn);
 
 void WalkOn(StateSpace state_space, const WalkStep& step, const double* poses,
@@ -172,19 +199,36 @@ void WalkOn(StateSpace state_space, const WalkStep& step, const double* poses,
 }
 
 std::size_t Walkers::Add() {
-  const std::size_t i = size_++;
-  if (i >= columns_[0].size()) {
-    // Entries beyond the last are read but mean nothing: node 0 is one.
-    const std::size_t room = RoomFor(2 * i);
-    for (std::vector<double>& column : columns_) column.resize(room);
-    for (std::vector<std::int64_t>& column : indices_) column.resize(room);
+  if (size_ == room_) Grow();
+  return size_++;
+}
+
+void Walkers::Grow() {
+  // Whole vectors of any machine. Entries beyond the last are read but mean
+  // nothing: node 0 is one.
+  const std::size_t room = std::max<std::size_t>(64, 2 * room_);
+  std::vector<double> columns(kColumns * room);
+  std::vector<std::int64_t> indices(kIndices * room);
+  for (std::size_t i = 0; i < size_; ++i) {
+    for (std::size_t c = 0; c < kColumns; ++c) {
+      columns[c * room + i] = columns_[c * room_ + i];
+    }
+    for (std::size_t c = 0; c < kIndices; ++c) {
+      indices[c * room + i] = indices_[c * room_ + i];
+    }
   }
-  return i;
+  columns_ = std::move(columns);
+  indices_ = std::move(indices);
+  room_ = room;
 }
 
 void Walkers::Copy(std::size_t from, std::size_t to) {
-  for (std::vector<double>& column : columns_) column[to] = column[from];
-  for (std::vector<std::int64_t>& column : indices_) column[to] = column[from];
+  for (std::size_t c = 0; c < kColumns; ++c) {
+    columns_[c * room_ + to] = columns_[c * room_ + from];
+  }
+  for (std::size_t c = 0; c < kIndices; ++c) {
+    indices_[c * room_ + to] = indices_[c * room_ + from];
+  }
 }
 
 void Walkers::Remove(std::size_t i) { Copy(--size_, i); }

@@ -7,7 +7,6 @@
 #ifndef REVISIT_CORE_ALIGNMENT_WALK_KERNEL_H_
 #define REVISIT_CORE_ALIGNMENT_WALK_KERNEL_H_
 
-#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -67,18 +66,26 @@ class Walkers {
   // Makes `to` what `from` is.
   void Copy(std::size_t from, std::size_t to);
 
-  double* column(std::size_t c) { return columns_[c].data(); }
-  double& at(std::size_t c, std::size_t i) { return columns_[c][i]; }
-  double at(std::size_t c, std::size_t i) const { return columns_[c][i]; }
-  std::int64_t* indices(Index c) { return indices_[c].data(); }
-  std::int64_t& at(Index c, std::size_t i) { return indices_[c][i]; }
-  std::int64_t at(Index c, std::size_t i) const { return indices_[c][i]; }
+  double* column(std::size_t c) { return columns_.data() + c * room_; }
+  double& at(std::size_t c, std::size_t i) { return columns_[c * room_ + i]; }
+  double at(std::size_t c, std::size_t i) const {
+    return columns_[c * room_ + i];
+  }
+  std::int64_t* indices(Index c) { return indices_.data() + c * room_; }
+  std::int64_t& at(Index c, std::size_t i) { return indices_[c * room_ + i]; }
+  std::int64_t at(Index c, std::size_t i) const {
+    return indices_[c * room_ + i];
+  }
 
  private:
+  void Grow();
+
   std::size_t size_ = 0;
-  // As long as whole vectors of any machine need.
-  std::array<std::vector<double>, kColumns> columns_;
-  std::array<std::vector<std::int64_t>, kIndices> indices_;
+  // Of each column: whole vectors of any machine.
+  std::size_t room_ = 0;
+  // One column behind the other.
+  std::vector<double> columns_;
+  std::vector<std::int64_t> indices_;
 };
 
 // What all paths share at one step; matrices by rows, in the order of the
@@ -104,6 +111,11 @@ struct Unsettled {
   std::size_t walker = 0;
   // Keeps step and is of no further use. If not, it has not walked on.
   bool hopeless = false;
+  // Squared innovations: keeping step, staying and skipping a node; infinite
+  // where the road ends before.
+  double on = 0.0;
+  double stay = 0.0;
+  double skip = 0.0;
 };
 
 // Walks on those of the first `count` walkers that keep step. `poses` has x, y,
