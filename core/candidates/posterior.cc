@@ -6,6 +6,13 @@
 #include <utility>
 
 namespace revisit::core {
+namespace {
+
+// What is smaller than a sum by this factor, in logarithms, is less than half
+// of its last bit: 54 ln 2 is 37.4.
+constexpr double kNegligible = 38.0;
+
+}  // namespace
 
 Posterior::Posterior(const PoseGraph& graph, std::array<ScoredEnds, 2> log_odds)
     : graph_(graph), log_odds_(std::move(log_odds)) {
@@ -14,8 +21,15 @@ Posterior::Posterior(const PoseGraph& graph, std::array<ScoredEnds, 2> log_odds)
     for (const ScoredEnd& end : ends) greatest = std::max(greatest, end.score);
   }
   double sum = std::exp(-greatest);
+  // Most are so small that the sum stays the same double.
+  double largest = -greatest;
   for (const ScoredEnds& ends : log_odds_) {
-    for (const ScoredEnd& end : ends) sum += std::exp(end.score - greatest);
+    for (const ScoredEnd& end : ends) {
+      const double term = end.score - greatest;
+      if (term < largest - kNegligible) continue;
+      largest = std::max(largest, term);
+      sum += std::exp(term);
+    }
   }
   log_total_ = greatest + std::log(sum);
 }
