@@ -274,6 +274,8 @@ class RelativeAligner
           constant_(LogNewPlaceTerm(aligner.model_)),
           weight_(ShapeWeight(aligner.model_.shape,
                               aligner.model_.spacing_meters)) {
+      ends_.reserve(Position(aligner.size_));
+      matches_.reserve(Position(aligner.size_));
       const double heading = graph_.node(aligner.query_).pose.heading;
       change_.certainty = aligner.certainties_.data();
       change_.cosine = std::cos(heading);
@@ -418,6 +420,34 @@ class RelativeAligner
       }
     }
 
+    // nu^T S^-1 nu of walker i, were it at this node next.
+    double SquaredInnovation(const WalkStep& step, std::size_t i,
+                             NodeIndex node) const {
+      const StateVector<D> seen =
+          SeenBy(i, table_.poses() + 4 * Position(node));
+      const double turn = walkers_.at(Walkers::kNow + D - 1, i);
+      const double carried[2] = {-step.step_y * turn, step.step_x * turn};
+      double innovation[D];
+      for (std::size_t r = 0; r < D; ++r) {
+        innovation[r] = step.path[r] - seen(static_cast<int>(r)) -
+                        walkers_.at(Walkers::kNow + r, i);
+        if (r < 2) innovation[r] -= carried[r];
+      }
+      double& heading = innovation[D - 1];
+      // Off by a turn or two at most.
+      while (heading > kPi) heading -= 2.0 * kPi;
+      while (heading < -kPi) heading += 2.0 * kPi;
+      double squared = 0.0;
+      for (int r = 0; r < D; ++r) {
+        double whitened = 0.0;
+        for (int c = r; c < D; ++c) {
+          whitened += step.whitening[r][c] * innovation[c];
+        }
+        squared += whitened * whitened;
+      }
+      return squared;
+    }
+
     Drift DriftOf(std::size_t i) const {
       Drift drift;
       for (int r = 0; r < D; ++r) {
@@ -470,10 +500,15 @@ class RelativeAligner
         gained = step.surprise - 0.5 * squared - cost;
         nodes = on;
       };
-      consider(unsettled.on, 0.0, 1);
+      consider(unsettled.squared_innovation, 0.0, 1);
       if (slips) {
-        consider(unsettled.stay, kSlipCost, 0);
-        consider(unsettled.skip, kSlipCost, 2);
+        const NodeIndex node = walkers_.at(Walkers::kNode, i);
+        const NodeIndex stride = walkers_.at(Walkers::kStride, i);
+        const NodeIndex last = walkers_.at(Walkers::kLast, i);
+        consider(SquaredInnovation(step, i, node), kSlipCost, 0);
+        if (node != last && node + stride != last) {
+          consider(SquaredInnovation(step, i, node + 2 * stride), kSlipCost, 2);
+        }
       }
       if (gained == kImpossible) return false;
       const NodeIndex to = walkers_.at(Walkers::kNode, i) +

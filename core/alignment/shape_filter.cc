@@ -150,7 +150,13 @@ WalkStep ShapeFilter<D>::Kernel(std::int64_t t) const {
     for (int c = 0; t > 0 && c < D; ++c) {
       kernel.gain[r][c] = step.gain(r, c);
       kernel.end_gain[r][c] = step.end_gain(r, c);
-      kernel.information[r][c] = step.information(r, c);
+    }
+  }
+  if (t > 0) {
+    const StateMatrix<D> whitening =
+        Eigen::LLT<StateMatrix<D>>(step.information).matrixU();
+    for (int r = 0; r < D; ++r) {
+      for (int c = r; c < D; ++c) kernel.whitening[r][c] = whitening(r, c);
     }
   }
   return kernel;

@@ -18,29 +18,52 @@ namespace revisit::core::HWY_NAMESPACE {
 
 namespace hn = hwy::HWY_NAMESPACE;
 
+// Fetches where the walkers would be, all they need before the first is used:
+// gathering with vectors is slower on most machines.
+void Fetch(const double* poses, std::size_t count, Walkers* walkers) {
+  const std::int64_t* const nodes = walkers->indices(Walkers::kNode);
+  const std::int64_t* const strides = walkers->indices(Walkers::kStride);
+  const std::int64_t* const lasts = walkers->indices(Walkers::kLast);
+  double* const x = walkers->column(Walkers::kThere);
+  double* const y = walkers->column(Walkers::kThere + 1);
+  double* const z = walkers->column(Walkers::kThere + 2);
+  double* const heading = walkers->column(Walkers::kThere + 3);
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::int64_t stride = nodes[i] == lasts[i] ? 0 : strides[i];
+    const double* const pose = poses + 4 * (nodes[i] + stride);
+    x[i] = pose[0];
+    y[i] = pose[1];
+    z[i] = pose[2];
+    heading[i] = pose[3];
+  }
+}
+
 template <int D>
-HWY_INLINE void WalkAllOn(const WalkStep& step, const double* poses,
-                          std::size_t count, Walkers* walkers,
-                          std::vector<Unsettled>* unsettled) {
+HWY_INLINE void WalkAllOn(const WalkStep& step, std::size_t count,
+                          Walkers* walkers, std::vector<Unsettled>* unsettled) {
   const hn::ScalableTag<double> tag;
   const hn::RebindToSigned<decltype(tag)> index_tag;
   using Vector = hn::Vec<decltype(tag)>;
   constexpr int h = D - 1;
   const auto set = [tag](double value) HWY_ATTR { return hn::Set(tag, value); };
   const std::size_t lanes = hn::Lanes(tag);
+  // Copies, which stores cannot change.
+  const std::size_t room = walkers->room();
+  double* const columns = walkers->column(0);
   std::int64_t* const nodes = walkers->indices(Walkers::kNode);
+  const std::int64_t* const strides = walkers->indices(Walkers::kStride);
+  const std::int64_t* const lasts = walkers->indices(Walkers::kLast);
   for (std::size_t i = 0; i < count; i += lanes) {
-    const auto load = [&](std::size_t column) HWY_ATTR {
-      return hn::LoadU(tag, walkers->column(column) + i);
+    double* const here = columns + i;
+    const auto load = [tag, here, room](std::size_t column) HWY_ATTR {
+      return hn::LoadU(tag, here + column * room);
     };
-    const auto store = [&](std::size_t column, Vector value) HWY_ATTR {
-      hn::StoreU(value, tag, walkers->column(column) + i);
-    };
+    const auto store =
+        [tag, here, room](std::size_t column, Vector value)
+            HWY_ATTR { hn::StoreU(value, tag, here + column * room); };
     const auto node = hn::LoadU(index_tag, nodes + i);
-    const auto stride =
-        hn::LoadU(index_tag, walkers->indices(Walkers::kStride) + i);
-    const auto last =
-        hn::LoadU(index_tag, walkers->indices(Walkers::kLast) + i);
+    const auto stride = hn::LoadU(index_tag, strides + i);
+    const auto last = hn::LoadU(index_tag, lasts + i);
     const auto at_last = hn::Eq(node, last);
     const auto next = hn::IfThenElse(at_last, node, hn::Add(node, stride));
     const Vector end_x = load(Walkers::kX);
@@ -52,47 +75,39 @@ HWY_INLINE void WalkAllOn(const WalkStep& step, const double* poses,
     for (std::size_t r = 0; r < D; ++r) now[r] = load(Walkers::kNow + r);
     now[0] = hn::Sub(now[0], hn::Mul(set(step.step_y), now[h]));
     now[1] = hn::Add(now[1], hn::Mul(set(step.step_x), now[h]));
-    // nu where the other path is at these nodes.
-    const auto innovate = [&](auto there, Vector(&innovation)[D]) HWY_ATTR {
-      const auto at = hn::ShiftLeft<2>(there);
-      // Seen from the end.
-      const Vector x = hn::Sub(hn::GatherIndex(tag, poses, at), end_x);
-      const Vector y = hn::Sub(hn::GatherIndex(tag, poses + 1, at), end_y);
-      innovation[0] = hn::Add(hn::Mul(cosine, x), hn::Mul(sine, y));
-      innovation[1] = hn::Sub(hn::Mul(cosine, y), hn::Mul(sine, x));
-      if constexpr (D == 4) {
-        innovation[2] =
-            hn::Sub(hn::GatherIndex(tag, poses + 2, at), load(Walkers::kZ));
-      }
-      innovation[h] = hn::Sub(hn::GatherIndex(tag, poses + 3, at), end_heading);
-      for (int r = 0; r < D; ++r) {
-        innovation[r] =
-            hn::Sub(hn::Sub(set(step.path[r]), innovation[r]), now[r]);
-      }
-      const Vector turns =
-          hn::Round(hn::Mul(innovation[h], set(1.0 / (2.0 * kPi))));
-      innovation[h] = hn::Sub(innovation[h], hn::Mul(turns, set(2.0 * kPi)));
-    };
-    const auto product = [&](const double(&matrix)[4][4], int r,
-                             const Vector(&innovation)[D]) HWY_ATTR {
+    Vector innovation[D];
+    // Seen from the end.
+    const Vector x = hn::Sub(load(Walkers::kThere), end_x);
+    const Vector y = hn::Sub(load(Walkers::kThere + 1), end_y);
+    innovation[0] = hn::Add(hn::Mul(cosine, x), hn::Mul(sine, y));
+    innovation[1] = hn::Sub(hn::Mul(cosine, y), hn::Mul(sine, x));
+    if constexpr (D == 4) {
+      innovation[2] = hn::Sub(load(Walkers::kThere + 2), load(Walkers::kZ));
+    }
+    innovation[h] = hn::Sub(load(Walkers::kThere + 3), end_heading);
+    for (int r = 0; r < D; ++r) {
+      innovation[r] =
+          hn::Sub(hn::Sub(set(step.path[r]), innovation[r]), now[r]);
+    }
+    const Vector turns =
+        hn::Round(hn::Mul(innovation[h], set(1.0 / (2.0 * kPi))));
+    innovation[h] = hn::Sub(innovation[h], hn::Mul(turns, set(2.0 * kPi)));
+    const auto times = [&](const double(&matrix)[4][4], int r) HWY_ATTR {
       Vector sum = hn::Mul(set(matrix[r][0]), innovation[0]);
       for (int c = 1; c < D; ++c) {
         sum = hn::Add(sum, hn::Mul(set(matrix[r][c]), innovation[c]));
       }
       return sum;
     };
-    const auto square = [&](const Vector(&innovation)[D]) HWY_ATTR {
-      Vector sum =
-          hn::Mul(innovation[0], product(step.information, 0, innovation));
-      for (int r = 1; r < D; ++r) {
-        sum = hn::Add(sum, hn::Mul(innovation[r],
-                                   product(step.information, r, innovation)));
+    Vector squared = hn::Zero(tag);
+    for (int r = 0; r < D; ++r) {
+      Vector whitened = hn::Mul(set(step.whitening[r][r]), innovation[r]);
+      for (int c = r + 1; c < D; ++c) {
+        whitened = hn::Add(whitened,
+                           hn::Mul(set(step.whitening[r][c]), innovation[c]));
       }
-      return sum;
-    };
-    Vector innovation[D];
-    innovate(next, innovation);
-    const Vector squared = square(innovation);
+      squared = hn::Add(squared, hn::Mul(whitened, whitened));
+    }
     const Vector gained =
         hn::Sub(set(step.surprise), hn::Mul(set(0.5), squared));
     // Written so that NaN does not walk on.
@@ -120,13 +135,11 @@ HWY_INLINE void WalkAllOn(const WalkStep& step, const double* poses,
     for (std::size_t r = 0; r < D; ++r) {
       const int row = static_cast<int>(r);
       store(Walkers::kNow + r,
-            hn::IfThenElse(on,
-                           hn::Add(now[r], product(step.gain, row, innovation)),
+            hn::IfThenElse(on, hn::Add(now[r], times(step.gain, row)),
                            load(Walkers::kNow + r)));
       const Vector before = load(Walkers::kAtEnd + r);
-      const Vector at_end = hn::Add(
-          before,
-          hn::IfThenElseZero(on, product(step.end_gain, row, innovation)));
+      const Vector at_end =
+          hn::Add(before, hn::IfThenElseZero(on, times(step.end_gain, row)));
       store(Walkers::kAtEnd + r, at_end);
       if (any_better) keep_if_better(Walkers::kBestAtEnd + r, at_end);
     }
@@ -144,30 +157,17 @@ HWY_INLINE void WalkAllOn(const WalkStep& step, const double* poses,
     std::uint8_t settled_bits[8] = {};
     hn::StoreMaskBits(tag, on, on_bits);
     hn::StoreMaskBits(tag, settled, settled_bits);
-    HWY_ALIGN double squares_of[3][hn::MaxLanes(tag)] = {};
-    const Vector infinite = set(std::numeric_limits<double>::infinity());
-    const auto keep = [&](auto impossible, Vector value, double* to) HWY_ATTR {
-      hn::Store(
-          hn::IfThenElse(hn::RebindMask(tag, impossible), infinite, value), tag,
-          to);
-    };
-    keep(at_last, squared, squares_of[0]);
-    if (!hn::AllTrue(tag, on)) {
-      // From where those that have not walked on still are.
-      innovate(node, innovation);
-      hn::Store(square(innovation), tag, squares_of[1]);
-      const auto skip_impossible = hn::Or(at_last, hn::Eq(next, last));
-      innovate(hn::IfThenElse(skip_impossible, node, hn::Add(next, stride)),
-               innovation);
-      keep(skip_impossible, square(innovation), squares_of[2]);
-    }
+    HWY_ALIGN double squares_of[hn::MaxLanes(tag)];
+    hn::Store(
+        hn::IfThenElse(hn::RebindMask(tag, at_last),
+                       set(std::numeric_limits<double>::infinity()), squared),
+        tag, squares_of);
     for (std::size_t k = 0; k < lanes && i + k < count; ++k) {
       const auto bit = [k](const std::uint8_t* bits) {
         return (bits[k / 8] >> (k % 8) & 1) != 0;
       };
       if (bit(settled_bits)) continue;
-      unsettled->push_back({i + k, bit(on_bits), squares_of[0][k],
-                            squares_of[1][k], squares_of[2][k]});
+      unsettled->push_back({i + k, bit(on_bits), squares_of[k]});
     }
   }
 }
@@ -176,10 +176,11 @@ void WalkOn(StateSpace state_space, const WalkStep& step, const double* poses,
             std::size_t count, Walkers* walkers,
             std::vector<Unsettled>* unsettled) {
   unsettled->clear();
+  Fetch(poses, count, walkers);
   if (state_space == StateSpace::kPlanar) {
-    WalkAllOn<3>(step, poses, count, walkers, unsettled);
+    WalkAllOn<3>(step, count, walkers, unsettled);
   } else {
-    WalkAllOn<4>(step, poses, count, walkers, unsettled);
+    WalkAllOn<4>(step, count, walkers, unsettled);
   }
 }
 

@@ -42,7 +42,9 @@ class Walkers {
     // A path whose ratio plus a quarter of its squared innovations cannot come
     // to this is of no use.
     kNeeded,
-    kColumns,
+    // For the kernel.
+    kThere,
+    kColumns = kThere + 4,
   };
   static constexpr std::size_t kIndices = 6;
   enum Index : std::size_t {
@@ -58,6 +60,8 @@ class Walkers {
   };
 
   std::size_t size() const { return size_; }
+  // From one column to the next.
+  std::size_t room() const { return room_; }
   void Clear() { size_ = 0; }
   // Appends one; returns its place. What it holds is left from others.
   std::size_t Add();
@@ -98,7 +102,8 @@ struct WalkStep {
   double step_y = 0.0;
   double gain[4][4] = {};
   double end_gain[4][4] = {};
-  double information[4][4] = {};
+  // Upper triangle U with U^T U = S^-1.
+  double whitening[4][4] = {};
   double surprise = 0.0;
   // Sum of the surprises of all later steps.
   double to_come = 0.0;
@@ -111,11 +116,9 @@ struct Unsettled {
   std::size_t walker = 0;
   // Keeps step and is of no further use. If not, it has not walked on.
   bool hopeless = false;
-  // Squared innovations: keeping step, staying and skipping a node; infinite
-  // where the road ends before.
-  double on = 0.0;
-  double stay = 0.0;
-  double skip = 0.0;
+  // Its squared innovation where it would be, keeping step; infinite where the
+  // road ends before.
+  double squared_innovation = 0.0;
 };
 
 // Walks on those of the first `count` walkers that keep step. `poses` has x, y,

@@ -92,6 +92,12 @@ void AlignRelative(benchmark::State& state, bool confirmed) {
   model.similarity = ModelOf(StateSpace::kPlanar);
   model.spacing_meters = kSpacing;
   if (confirmed) model.last_confirmed = {n - 1, n / 2};
+  // As the engine keeps it.
+  core::MotionHistory history(
+      StateSpace::kPlanar, model.similarity.correlation,
+      core::StretchNodes(model.shape, kSpacing, kSteps));
+  history.Extend(graph);
+  model.motion_history = &history;
   for (auto _ : state) {
     benchmark::DoNotOptimize(core::AlignRelative(graph, model, graph.size() - 1,
                                                  kSteps, n, nullptr));
