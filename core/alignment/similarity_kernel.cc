@@ -19,7 +19,8 @@ namespace revisit::core::HWY_NAMESPACE {
 
 namespace hn = hwy::HWY_NAMESPACE;
 
-using Tag = hn::ScalableTag<double>;
+// No wider than a row.
+using Tag = hn::CappedTag<double, NodeBlock::kGroupSize>;
 using Vector = hn::Vec<Tag>;
 using Mask = hn::Mask<Tag>;
 
@@ -71,34 +72,43 @@ HWY_INLINE void EvaluateAll(const KernelQuery& query, const NodeBlock& block,
   const Vector query_z = set(query.pose.z);
   const Vector query_heading = set(query.pose.heading);
 
-  for (std::size_t i = 0; i < NodeBlock::kSize; i += hn::Lanes(tag)) {
-    const auto load = [tag, i](const NodeBlock::Column<double>& column,
-                               const NodeBlock::Column<double>& next_column)
-                          HWY_ATTR {
-                            hwy::Prefetch(next_column.data() + i);
-                            return hn::Load(tag, column.data() + i);
-                          };
-    const Vector dx = hn::Sub(query_x, load(block.x, next.x));
-    const Vector dy = hn::Sub(query_y, load(block.y, next.y));
-    Vector dh =
-        Wrap(tag, hn::Sub(query_heading, load(block.heading, next.heading)));
+  // What is asked for next lies elsewhere if it is not laid out alike.
+  const bool alike =
+      next.groups() >= block.groups() && next.spatial() == block.spatial();
+  const bool spatial = block.spatial();
+  const double* const rows = block.group(0);
+  const double* const next_rows = alike ? next.group(0) : rows;
+  const std::size_t group_entries = block.rows() * NodeBlock::kGroupSize;
+  const std::size_t entries = block.groups() * NodeBlock::kGroupSize;
+  for (std::size_t i = 0; i < entries; i += hn::Lanes(tag)) {
+    const std::size_t offset =
+        i / NodeBlock::kGroupSize * group_entries + i % NodeBlock::kGroupSize;
+    const auto load = [tag, rows, next_rows,
+                       offset](NodeBlock::Row row) HWY_ATTR {
+      const std::size_t at = offset + row * NodeBlock::kGroupSize;
+      hwy::Prefetch(next_rows + at);
+      return hn::Load(tag, rows + at);
+    };
+    // Rows that are there only if the block is spatial.
+    const auto load_z = [tag, spatial, load](NodeBlock::Row row) HWY_ATTR {
+      return spatial ? load(row) : hn::Zero(tag);
+    };
+    const Vector dx = hn::Sub(query_x, load(NodeBlock::kX));
+    const Vector dy = hn::Sub(query_y, load(NodeBlock::kY));
+    Vector dh = Wrap(tag, hn::Sub(query_heading, load(NodeBlock::kHeading)));
     if (opposite) dh = Wrap(tag, hn::Add(dh, set(kPi)));
 
-    const auto of_node = [&](int r, int c) HWY_ATTR {
-      const std::size_t at = Covariance::Index(r, c);
-      return load(block.covariance[at], next.covariance[at]);
-    };
     // Of Gamma without the lever arm.
     const auto base = [&](int r, int c, Vector node) HWY_ATTR {
       const Vector mine = set(query.covariance(r, c));
       return kDeadReckoning ? hn::Sub(mine, node) : hn::Add(mine, node);
     };
-    const Vector node_xh = of_node(0, 3);
-    const Vector node_yh = of_node(1, 3);
-    const Vector node_hh = of_node(3, 3);
-    Vector xx = base(0, 0, of_node(0, 0));
-    Vector yx = base(0, 1, of_node(0, 1));
-    Vector yy = base(1, 1, of_node(1, 1));
+    const Vector node_xh = load(NodeBlock::kXH);
+    const Vector node_yh = load(NodeBlock::kYH);
+    const Vector node_hh = load(NodeBlock::kHH);
+    Vector xx = base(0, 0, load(NodeBlock::kXX));
+    Vector yx = base(0, 1, load(NodeBlock::kXY));
+    Vector yy = base(1, 1, load(NodeBlock::kYY));
     Vector hx = base(0, 3, node_xh);
     Vector hy = base(1, 3, node_yh);
     Vector hh = base(3, 3, node_hh);
@@ -141,10 +151,10 @@ HWY_INLINE void EvaluateAll(const KernelQuery& query, const NodeBlock& block,
     solved_h = hn::Sub(solved_h, hn::Mul(lower_hy, solved_y));
     Vector pivot_z = pivot_y;
     if constexpr (D == 4) {
-      const Vector node_zh = of_node(2, 3);
-      Vector zx = base(0, 2, of_node(0, 2));
-      Vector zy = base(1, 2, of_node(1, 2));
-      Vector zz = base(2, 2, of_node(2, 2));
+      const Vector node_zh = load_z(NodeBlock::kZH);
+      Vector zx = base(0, 2, load_z(NodeBlock::kXZ));
+      Vector zy = base(1, 2, load_z(NodeBlock::kYZ));
+      Vector zz = base(2, 2, load_z(NodeBlock::kZZ));
       Vector hz = base(2, 3, node_zh);
       if constexpr (kDeadReckoning) {
         zx = hn::Sub(zx, hn::Mul(lever_x, node_zh));
@@ -155,7 +165,7 @@ HWY_INLINE void EvaluateAll(const KernelQuery& query, const NodeBlock& block,
       zz = hn::Add(hn::Mul(scale, zz), position_variance);
       hz = hn::Mul(scale, hz);
 
-      const Vector dz = hn::Sub(query_z, load(block.z, next.z));
+      const Vector dz = hn::Sub(query_z, load_z(NodeBlock::kZ));
       const Vector lower_zx = hn::Mul(zx, inverse_x);
       pivot_z = hn::Sub(zz, hn::Mul(lower_zx, zx));
       Vector solved_z = hn::Sub(dz, hn::Mul(lower_zx, dx));
@@ -192,6 +202,11 @@ HWY_INLINE void EvaluateAll(const KernelQuery& query, const NodeBlock& block,
     hn::Store(hn::IfThenElse(possible, value, set(kImpossible)), tag,
               similarity->log_similarity.data() + i);
     hn::Store(sum.squared, tag, similarity->squared_mahalanobis.data() + i);
+  }
+  // Of nodes that there are not.
+  for (std::size_t i = entries; i < NodeBlock::kSize; ++i) {
+    similarity->log_similarity[i] = kImpossible;
+    similarity->squared_mahalanobis[i] = 0.0;
   }
 }
 
