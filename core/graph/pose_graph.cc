@@ -117,8 +117,11 @@ void PoseGraph::AddNode(const Node& node, bool starts_segment,
   }
   blocks_.back().Add(at, node.pose, node.covariance);
   ReserveInSteps(at + 1, NodeBlock::kGroupSize, &records_);
-  records_.push_back(
-      {node.sequence, node.fraction, node.stamp_ns, node.travelled_meters});
+  // Where there is no stamp, one that takes no room.
+  const std::int64_t before = records_.empty() ? 0 : records_.back().stamp_ns;
+  has_stamp_[at] = node.stamp_ns.has_value();
+  records_.push_back({node.sequence, node.fraction, node.travelled_meters,
+                      node.stamp_ns.value_or(before)});
   if (transition) {
     has_transitions_ = true;
     ReserveInSteps(at + 1, NodeBlock::kGroupSize, &transitions_);
@@ -140,16 +143,11 @@ void PoseGraph::Pack() {
       [](const Record& record) { return ToPackable(record.fraction); });
   add(records_,
       [](const Record& record) { return ToPackable(record.travelled_meters); });
-  add(records_, [](const Record& record) -> std::uint64_t {
-    return record.stamp_ns.has_value() ? 1 : 0;
-  });
-  // Where there is no stamp, one that takes no room.
-  std::int64_t stamp_ns = 0;
-  for (const Record& record : records_) {
-    if (record.stamp_ns) stamp_ns = *record.stamp_ns;
+  for (std::size_t at = 0; at < records_.size(); ++at) {
+    columns.push_back(has_stamp_[at] ? 1 : 0);
   }
-  add(records_, [stamp_ns](const Record& record) {
-    return static_cast<std::uint64_t>(record.stamp_ns.value_or(stamp_ns));
+  add(records_, [](const Record& record) {
+    return static_cast<std::uint64_t>(record.stamp_ns);
   });
   if (has_transitions_) {
     for (std::size_t k = 0; k < ErrorTransition{}.values.size(); ++k) {

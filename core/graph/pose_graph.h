@@ -10,6 +10,7 @@
 #define REVISIT_CORE_GRAPH_POSE_GRAPH_H_
 
 #include <array>
+#include <bitset>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -153,7 +154,7 @@ class PoseGraph {
       node.sequence = record.sequence;
       node.fraction = record.fraction;
       node.travelled_meters = record.travelled_meters;
-      node.stamp_ns = record.stamp_ns;
+      if (has_stamp_[at]) node.stamp_ns = record.stamp_ns;
     }
     node.pose = blocks_[block].pose(at);
     node.covariance = blocks_[block].covariance(at);
@@ -222,8 +223,8 @@ class PoseGraph {
   struct Record {
     std::uint64_t sequence;
     double fraction;
-    std::optional<std::int64_t> stamp_ns;
     double travelled_meters;
+    std::int64_t stamp_ns;
   };
 
   // The same of the blocks before it, which are full, as columns.
@@ -255,6 +256,7 @@ class PoseGraph {
   std::vector<NodeBlock> blocks_;
   std::vector<PackedColumns> packed_;
   std::vector<Record> records_;
+  std::bitset<NodeBlock::kSize> has_stamp_;
   std::vector<ErrorTransition> transitions_;
   std::vector<NodeIndex> segment_starts_;
   std::unordered_map<NodeIndex, std::vector<NodeIndex>> loop_neighbours_;
