@@ -64,10 +64,11 @@ class PoseTable {
         std::min(NodeBlock::kSize, static_cast<std::size_t>(size_) - first);
     double* pose = poses_.get() + 4 * first;
     for (std::size_t i = 0; i < count; ++i, pose += 4) {
-      pose[0] = block.x[i];
-      pose[1] = block.y[i];
-      pose[2] = block.z[i];
-      pose[3] = block.heading[i];
+      const Pose of_node = block.pose(i);
+      pose[0] = of_node.x;
+      pose[1] = of_node.y;
+      pose[2] = of_node.z;
+      pose[3] = of_node.heading;
     }
   }
 
@@ -131,7 +132,7 @@ class Differences {
   void FindFiltered(std::size_t k, std::size_t count,
                     DifferenceBlock* differences) {
     const auto first = static_cast<NodeIndex>(k * NodeBlock::kSize);
-    const Pose query_pose = graph_.node(query_).pose;
+    const Pose query_pose = graph_.pose(query_);
     const StateMatrix<D> query_covariance =
         ToMatrix<D>(graph_.node(query_).covariance);
     for (std::size_t i = count; i-- > 0;) {
@@ -242,8 +243,7 @@ class RelativeAligner
   }
 
   void MakeSteps() {
-    const StateMatrix<D> to_frame =
-        TurnAbout<D>(graph_.node(query_).pose.heading);
+    const StateMatrix<D> to_frame = TurnAbout<D>(graph_.pose(query_).heading);
     steps_.resize(Position(filter_.size()));
     certainties_.resize(Position(filter_.size()) * kMostEntries);
     for (std::int64_t t = filter_.size() - 1; t >= 0; --t) {
@@ -276,7 +276,7 @@ class RelativeAligner
                               aligner.model_.spacing_meters)) {
       ends_.reserve(Position(aligner.size_));
       matches_.reserve(Position(aligner.size_));
-      const double heading = graph_.node(aligner.query_).pose.heading;
+      const double heading = graph_.pose(aligner.query_).heading;
       change_.certainty = aligner.certainties_.data();
       change_.cosine = std::cos(heading);
       change_.sine = std::sin(heading);
@@ -379,7 +379,7 @@ class RelativeAligner
     }
 
     void Seed(NodeIndex j, double needed) {
-      const Pose pose = graph_.node(j).pose;
+      const Pose pose = graph_.pose(j);
       const double sign = way_ == 0 ? 1.0 : -1.0;
       const std::size_t i = walkers_.Add();
       for (std::size_t c = 0; c < Walkers::kColumns; ++c) {
@@ -541,7 +541,7 @@ class RelativeAligner
       // The far node is where this one is, and is seen as this one is.
       const StateVector<D> seen =
           SeenBy(i, table_.poses() + 4 * Position(near));
-      const Pose pose = graph_.node(far).pose;
+      const Pose pose = graph_.pose(far);
       const double turned = far_way == 0 ? 0.0 : kPi;
       const double heading = pose.heading + turned - seen(D - 1);
       const double cosine = std::cos(heading);
@@ -681,8 +681,8 @@ class RelativeAligner
     std::size_t count_ = 0;
     DifferenceBlock differences_;
     BlockSimilarity similarity_;
-    NodeBlock::Column<double> ratios_;
-    NodeBlock::Column<double> squares_;
+    BlockColumn ratios_;
+    BlockColumn squares_;
     DifferenceChange change_;
     Walkers walkers_;
     std::vector<Unsettled> unsettled_;

@@ -20,7 +20,8 @@ namespace revisit::core::HWY_NAMESPACE {
 
 namespace hn = hwy::HWY_NAMESPACE;
 
-using Tag = hn::ScalableTag<double>;
+// No wider than a row.
+using Tag = hn::CappedTag<double, NodeBlock::kGroupSize>;
 using Vector = hn::Vec<Tag>;
 using Mask = hn::Mask<Tag>;
 
@@ -61,46 +62,77 @@ struct State {
   Vector covariance[D][D];
 };
 
+// Reads a block, and fetches on the way what will be read next.
+class Rows {
+ public:
+  Rows(const NodeBlock& block, const NodeBlock& next)
+      : rows_(block.group(0)),
+        // What is asked for next lies elsewhere if it is not laid out alike.
+        next_rows_(next.groups() >= block.groups() &&
+                           next.spatial() == block.spatial()
+                       ? next.group(0)
+                       : rows_),
+        group_entries_(block.rows() * NodeBlock::kGroupSize),
+        spatial_(block.spatial()) {}
+
+  // Of the nodes from i on.
+  HWY_INLINE Vector Load(NodeBlock::Row row, std::size_t i) const {
+    const std::size_t at = i / NodeBlock::kGroupSize * group_entries_ +
+                           i % NodeBlock::kGroupSize +
+                           row * NodeBlock::kGroupSize;
+    hwy::Prefetch(next_rows_ + at);
+    return hn::Load(Tag(), rows_ + at);
+  }
+  // Of a row that is there only if the block is spatial.
+  HWY_INLINE Vector LoadZ(NodeBlock::Row row, std::size_t i) const {
+    return spatial_ ? Load(row, i) : hn::Zero(Tag());
+  }
+
+ private:
+  const double* rows_;
+  const double* next_rows_;
+  std::size_t group_entries_;
+  bool spatial_;
+};
+
+HWY_INLINE std::size_t EntriesOf(const NodeBlock& block) {
+  return block.groups() * NodeBlock::kGroupSize;
+}
+
 // Gamma, inflated, and R added, of the nodes from i on.
 template <int D, bool kDeadReckoning>
-HWY_INLINE State<D> FindState(const KernelQuery& query, const NodeBlock& block,
-                              const NodeBlock& next, std::size_t i) {
+HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
+                              std::size_t i) {
   const Tag tag;
   constexpr int h = D - 1;
   const auto set = [tag](double value) HWY_ATTR { return hn::Set(tag, value); };
-  const auto load = [tag, i](const NodeBlock::Column<double>& column,
-                             const NodeBlock::Column<double>& next_column)
-                        HWY_ATTR {
-                          hwy::Prefetch(next_column.data() + i);
-                          return hn::Load(tag, column.data() + i);
-                        };
+  const auto load = [&rows, i](NodeBlock::Row row)
+                        HWY_ATTR { return rows.Load(row, i); };
+  const auto load_z = [&rows, i](NodeBlock::Row row)
+                          HWY_ATTR { return rows.LoadZ(row, i); };
   const Vector scale = set(query.variance_scale);
   const Vector position_variance = set(query.position_variance);
   State<D> state;
-  const Vector dx = hn::Sub(set(query.pose.x), load(block.x, next.x));
-  const Vector dy = hn::Sub(set(query.pose.y), load(block.y, next.y));
-  Vector dh = Wrap(
-      tag, hn::Sub(set(query.pose.heading), load(block.heading, next.heading)));
+  const Vector dx = hn::Sub(set(query.pose.x), load(NodeBlock::kX));
+  const Vector dy = hn::Sub(set(query.pose.y), load(NodeBlock::kY));
+  Vector dh =
+      Wrap(tag, hn::Sub(set(query.pose.heading), load(NodeBlock::kHeading)));
   if (query.opposite) dh = Wrap(tag, hn::Add(dh, set(kPi)));
   state.difference[0] = dx;
   state.difference[1] = dy;
   state.difference[h] = dh;
 
-  const auto of_node = [&](int r, int c) HWY_ATTR {
-    const std::size_t at = Covariance::Index(r, c);
-    return load(block.covariance[at], next.covariance[at]);
-  };
   // Of Gamma without the lever arm.
   const auto base = [&](int r, int c, Vector node) HWY_ATTR {
     const Vector mine = set(query.covariance(r, c));
     return kDeadReckoning ? hn::Sub(mine, node) : hn::Add(mine, node);
   };
-  const Vector node_xh = of_node(0, 3);
-  const Vector node_yh = of_node(1, 3);
-  const Vector node_hh = of_node(3, 3);
-  Vector xx = base(0, 0, of_node(0, 0));
-  Vector yx = base(0, 1, of_node(0, 1));
-  Vector yy = base(1, 1, of_node(1, 1));
+  const Vector node_xh = load(NodeBlock::kXH);
+  const Vector node_yh = load(NodeBlock::kYH);
+  const Vector node_hh = load(NodeBlock::kHH);
+  Vector xx = base(0, 0, load(NodeBlock::kXX));
+  Vector yx = base(0, 1, load(NodeBlock::kXY));
+  Vector yy = base(1, 1, load(NodeBlock::kYY));
   Vector hx = base(0, 3, node_xh);
   Vector hy = base(1, 3, node_yh);
   const Vector hh = base(3, 3, node_hh);
@@ -124,16 +156,16 @@ HWY_INLINE State<D> FindState(const KernelQuery& query, const NodeBlock& block,
   state.covariance[h][h] =
       hn::Add(hn::Mul(scale, hh), set(query.heading_variance));
   if constexpr (D == 4) {
-    const Vector node_zh = of_node(2, 3);
-    Vector zx = base(0, 2, of_node(0, 2));
-    Vector zy = base(1, 2, of_node(1, 2));
-    const Vector zz = base(2, 2, of_node(2, 2));
+    const Vector node_zh = load_z(NodeBlock::kZH);
+    Vector zx = base(0, 2, load_z(NodeBlock::kXZ));
+    Vector zy = base(1, 2, load_z(NodeBlock::kYZ));
+    const Vector zz = base(2, 2, load_z(NodeBlock::kZZ));
     const Vector hz = base(2, 3, node_zh);
     if constexpr (kDeadReckoning) {
       zx = hn::Sub(zx, hn::Mul(lever_x, node_zh));
       zy = hn::Sub(zy, hn::Mul(lever_y, node_zh));
     }
-    state.difference[2] = hn::Sub(set(query.pose.z), load(block.z, next.z));
+    state.difference[2] = hn::Sub(set(query.pose.z), load_z(NodeBlock::kZ));
     state.covariance[2][0] = hn::Mul(scale, zx);
     state.covariance[2][1] = hn::Mul(scale, zy);
     state.covariance[2][2] = hn::Add(hn::Mul(scale, zz), position_variance);
@@ -234,14 +266,21 @@ HWY_INLINE void EvaluateAll(const KernelQuery& query, const NodeBlock& block,
   const Vector minus_half = hn::Set(tag, -0.5);
   const Vector exponent = hn::Set(tag, query.exponent);
   const Vector impossible = hn::Set(tag, kImpossible);
-  for (std::size_t i = 0; i < NodeBlock::kSize; i += hn::Lanes(tag)) {
+  const Rows rows(block, next);
+  const std::size_t entries = EntriesOf(block);
+  for (std::size_t i = 0; i < entries; i += hn::Lanes(tag)) {
     const Terms terms =
-        Evaluate<D>(FindState<D, kDeadReckoning>(query, block, next, i));
+        Evaluate<D>(FindState<D, kDeadReckoning>(query, rows, i));
     const Vector value = hn::Sub(hn::Mul(minus_half, terms.log_determinant),
                                  hn::Mul(exponent, terms.squared));
     hn::Store(hn::IfThenElse(terms.possible, value, impossible), tag,
               similarity->log_similarity.data() + i);
     hn::Store(terms.squared, tag, similarity->squared_mahalanobis.data() + i);
+  }
+  // Of nodes that there are not.
+  for (std::size_t i = entries; i < NodeBlock::kSize; ++i) {
+    similarity->log_similarity[i] = kImpossible;
+    similarity->squared_mahalanobis[i] = 0.0;
   }
 }
 
@@ -297,9 +336,10 @@ HWY_INLINE void StoreState(const State<D>& state, std::size_t i,
 template <int D, bool kDeadReckoning>
 HWY_INLINE void FindAll(const KernelQuery& query, const NodeBlock& block,
                         const NodeBlock& next, DifferenceBlock* differences) {
-  for (std::size_t i = 0; i < NodeBlock::kSize; i += hn::Lanes(Tag())) {
-    StoreState<D>(FindState<D, kDeadReckoning>(query, block, next, i), i,
-                  differences);
+  const Rows rows(block, next);
+  const std::size_t entries = EntriesOf(block);
+  for (std::size_t i = 0; i < entries; i += hn::Lanes(Tag())) {
+    StoreState<D>(FindState<D, kDeadReckoning>(query, rows, i), i, differences);
   }
 }
 
@@ -350,23 +390,26 @@ HWY_INLINE void TakeAll(const KnownDriftTerms& terms, const NodeBlock& block,
                         NodeIndex first, DifferenceBlock* differences) {
   const Tag tag;
   constexpr int h = D - 1;
-  for (std::size_t i = 0; i < NodeBlock::kSize; i += hn::Lanes(tag)) {
+  const Rows rows(block, block);
+  const std::size_t entries = EntriesOf(block);
+  for (std::size_t i = 0; i < entries; i += hn::Lanes(tag)) {
     const Vector index = hn::Add(
         hn::Set(tag, static_cast<double>(first + static_cast<NodeIndex>(i))),
         hn::Iota(tag, 0.0));
     const auto earlier = [&](const KnownDriftTerms::LoopNode& a) HWY_ATTR {
       return hn::Le(index, hn::Set(tag, static_cast<double>(a.index)));
     };
-    const Vector node_x = hn::Load(tag, block.x.data() + i);
-    const Vector node_y = hn::Load(tag, block.y.data() + i);
+    const Vector node_x = rows.Load(NodeBlock::kX, i);
+    const Vector node_y = rows.Load(NodeBlock::kY, i);
     Vector node[D][D];
     Vector x[D][D];
     for (int r = 0; r < D; ++r) {
       for (int c = 0; c < D; ++c) {
-        const std::size_t at =
-            Covariance::Index(std::min(StateIndex<D>(r), StateIndex<D>(c)),
-                              std::max(StateIndex<D>(r), StateIndex<D>(c)));
-        node[r][c] = hn::Load(tag, block.covariance[at].data() + i);
+        const NodeBlock::Row row = NodeBlock::CovarianceRow(
+            std::min(StateIndex<D>(r), StateIndex<D>(c)),
+            std::max(StateIndex<D>(r), StateIndex<D>(c)));
+        node[r][c] = row < NodeBlock::kPlanarRows ? rows.Load(row, i)
+                                                  : rows.LoadZ(row, i);
         x[r][c] = hn::Set(tag, terms.query_part[r][c]);
       }
     }

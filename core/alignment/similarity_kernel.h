@@ -48,14 +48,16 @@ struct alignas(64) BlockSimilarity {
 void EvaluateBlock(const KernelQuery& query, const NodeBlock& block,
                    const NodeBlock& next, BlockSimilarity* similarity);
 
+using BlockColumn = std::array<double, NodeBlock::kSize>;
+
 // Row by row, the lower triangle of a symmetric matrix.
 inline constexpr std::size_t kMostEntries = 10;
 
 // The query less each node of a block, in the order of the state (x, y, z if
 // spatial, heading), and the covariance of that.
 struct alignas(64) DifferenceBlock {
-  std::array<NodeBlock::Column<double>, 4> difference;
-  std::array<NodeBlock::Column<double>, kMostEntries> covariance;
+  std::array<BlockColumn, 4> difference;
+  std::array<BlockColumn, kMostEntries> covariance;
 };
 
 // What EvaluateBlock() evaluates.
@@ -101,7 +103,7 @@ struct DifferenceChange {
   // Share of the covariance that has to be left, or nothing is changed.
   double least_left = 0.0;
   alignas(64) std::array<std::int64_t, NodeBlock::kSize> row;
-  std::array<NodeBlock::Column<double>, 4> shift;
+  std::array<BlockColumn, 4> shift;
 };
 
 // Where `similarity`, which has what EvaluateDifferences() says, is possible
