@@ -348,7 +348,10 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
   for (std::size_t i = 0; i < set.candidates.size(); ++i) {
     set.candidates[i].rank = static_cast<int>(i) + 1;
   }
-  if (set.candidates.empty()) return empty(EmptyReason::kNoAlignment);
+  if (set.candidates.empty()) {
+    return empty(set.nodes_pruned > 0 ? EmptyReason::kNoProbablePlace
+                                      : EmptyReason::kNoAlignment);
+  }
   return set;
 }
 

@@ -79,6 +79,8 @@ enum class EmptyReason {
   // No path of the history is as long as the sequence, or Gamma is
   // ill-conditioned along all of them.
   kNoAlignment,
+  // No node left to be considered could come to any odds: see nodes_pruned.
+  kNoProbablePlace,
 };
 
 struct CandidateSet {
