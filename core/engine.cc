@@ -59,6 +59,9 @@ std::vector<Direction> Directions(SearchDirection direction) {
   return {Direction::kSame, Direction::kOpposite};
 }
 
+// Odds against a new place that a search may leave out, all ends together.
+constexpr double kPrunedOdds = 1e-6;
+
 absl::Status Stopped() {
   return absl::CancelledError("the search was told to stop");
 }
@@ -138,6 +141,7 @@ Engine::Engine(const EngineSettings& settings)
     : settings_(settings),
       resampler_(MakeResamplerOptions(settings)),
       motion_history_(MakeMotionHistory()),
+      block_bounds_(settings.state_space),
       monitor_(MakeConsistencyOptions(settings)) {
   assert(FindProblems(settings).empty());
   ScheduleNextCheck();
@@ -190,6 +194,7 @@ AppendResult Engine::Append(const std::vector<PoseSample>& samples,
     last_sequence_ = sample.sequence;
   }
   motion_history_.Extend(graph_);
+  block_bounds_.Extend(graph_);
   revision_ = revision;
   return result;
 }
@@ -321,11 +326,24 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
 
   set.nodes_considered = history_size;
   set.inflation = MakeSimilarityModel(options).inflation;
-  const absl::Status status = options.alignment == AlignmentKind::kComposite
-                                  ? FindComposite(query, steps, history_size,
-                                                  options, should_stop, &set)
-                                  : FindRelative(query, steps, history_size,
-                                                 options, should_stop, &set);
+  absl::Status status;
+  if (options.alignment == AlignmentKind::kComposite) {
+    status =
+        FindComposite(query, steps, history_size, options, should_stop, &set);
+  } else {
+    bool undecided = options.exhaustive;
+    CandidateSet found = set;
+    if (!options.exhaustive) {
+      status = FindRelative(query, steps, history_size, options, should_stop,
+                            &found, &undecided);
+    }
+    if (status.ok() && undecided) {
+      found = set;
+      status = FindRelative(query, steps, history_size, options, should_stop,
+                            &found, nullptr);
+    }
+    set = std::move(found);
+  }
   if (!status.ok()) return status;
   for (std::size_t i = 0; i < set.candidates.size(); ++i) {
     set.candidates[i].rank = static_cast<int>(i) + 1;
@@ -405,7 +423,7 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
                                   NodeIndex history_size,
                                   const SearchOptions& options,
                                   const ShouldStop& should_stop,
-                                  CandidateSet* set) const {
+                                  CandidateSet* set, bool* undecided) const {
   RelativeModel model;
   model.similarity = MakeSimilarityModel(options);
   model.shape = options.shape;
@@ -417,9 +435,21 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
     model.last_confirmed = LastConfirmed(query);
   }
   model.motion_history = &motion_history_;
+  // So little that no end with less can be accepted.
+  const double pruned_odds =
+      std::min(kPrunedOdds, 1e-3 * options.acceptance_probability);
+  if (undecided != nullptr) {
+    const double ends =
+        (model.same_direction && model.opposite_direction ? 2.0 : 1.0) *
+        static_cast<double>(history_size);
+    model.least_log_odds = std::log(pruned_odds / ends);
+    model.block_bounds = &block_bounds_;
+  }
   const std::optional<RelativeAlignment> alignment =
       AlignRelative(graph_, model, query, steps, history_size, should_stop);
   if (!alignment) return Stopped();
+  set->nodes_considered = alignment->considered();
+  set->nodes_pruned = history_size - alignment->considered();
 
   std::array<ScoredEnds, 2> log_odds;
   for (const Direction direction : Directions(options.direction)) {
@@ -437,8 +467,6 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
       places.push_back({direction, end});
     }
   }
-  // Nothing can be said where no covariance is well-conditioned.
-  if (places.empty()) return absl::OkStatus();
   std::stable_sort(places.begin(), places.end(),
                    [](const RankedPlace& a, const RankedPlace& b) {
                      return a.end.score > b.end.score;
@@ -535,6 +563,15 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
     std::reverse(candidate.path.begin(), candidate.path.end());
     candidate.relative = evidence;
     set->candidates.push_back(std::move(candidate));
+  }
+  if (undecided != nullptr) {
+    // What was left out would take away at most this share, or add as much.
+    *undecided = std::any_of(
+        set->candidates.begin(), set->candidates.end(),
+        [&](const Candidate& candidate) {
+          return std::abs(candidate.relative->probability -
+                          options.acceptance_probability) <= 2.0 * pruned_odds;
+        });
   }
   return absl::OkStatus();
 }

@@ -17,6 +17,7 @@
 #include "core/candidates/consistency.h"
 #include "core/candidates/gate.h"
 #include "core/geometry/pose.h"
+#include "core/graph/block_bounds.h"
 #include "core/graph/distance_resampler.h"
 #include "core/graph/motion_history.h"
 #include "core/graph/pose_graph.h"
@@ -85,7 +86,11 @@ struct CandidateSet {
   std::optional<NodeIndex> query;
   std::vector<Candidate> candidates;
   EmptyReason empty_reason = EmptyReason::kNotEmpty;
+  // Nodes of history that were compared with the query, and those that were
+  // left out because they could not come to an odds of 1e-6 against a new place
+  // all together.
   NodeIndex nodes_considered = 0;
+  NodeIndex nodes_pruned = 0;
   // Only of relative alignments: posterior of no place of the history.
   std::optional<double> new_place_probability;
   // What the claimed standard deviations were multiplied by.
@@ -181,17 +186,20 @@ class Engine {
                              const SearchOptions& options,
                              const ShouldStop& should_stop,
                              CandidateSet* set) const;
+  // `undecided`, if given: ends are left out whose odds are at most kPrunedOdds
+  // together, and it says whether any verdict might be another with them.
   absl::Status FindRelative(NodeIndex query, std::int64_t steps,
                             NodeIndex history_size,
                             const SearchOptions& options,
-                            const ShouldStop& should_stop,
-                            CandidateSet* set) const;
+                            const ShouldStop& should_stop, CandidateSet* set,
+                            bool* undecided) const;
 
   EngineSettings settings_;
   PoseGraph graph_;
   DistanceResampler resampler_;
   // For searches with the vehicle's own options.
   MotionHistory motion_history_;
+  BlockBounds block_bounds_;
   std::uint64_t last_sequence_ = 0;
   std::uint64_t revision_ = 0;
   struct Confirmed {

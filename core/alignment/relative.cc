@@ -1,6 +1,7 @@
 #include "core/alignment/relative.h"
 
 #include <algorithm>
+#include <bitset>
 #include <cassert>
 #include <cmath>
 #include <limits>
@@ -21,6 +22,9 @@ constexpr NodeIndex Stride(std::size_t way) { return way == 0 ? -1 : 1; }
 
 // Share of an end's covariance that its path cannot take away.
 constexpr double kLeastUncertaintyLeft = 1e-3;
+
+// What bounds may be wrong by for rounding, nats.
+constexpr double kBoundSlack = 1e-6;
 
 // The way on the far side of a loop closure: passes in opposite directions are
 // told by their headings.
@@ -198,27 +202,42 @@ class RelativeAligner
                 model.similarity.correlation, model.shape,
                 model.similarity.tolerance, model.spacing_meters,
                 model.similarity.inflation),
-        has_loops_(graph.has_loop_edges()) {
+        has_loops_(graph.has_loop_edges()),
+        constant_(LogNewPlaceTerm(model)),
+        weight_(ShapeWeight(model.shape, model.spacing_meters)) {
     MakeSteps();
+    MakeBound();
   }
 
   // Nothing if told to stop.
   std::optional<RelativeAlignment> Align(const ShouldStop& should_stop) const {
     RelativeAlignment alignment;
     PoseTable table(graph_, size_);
+    struct Sought {
+      Search search;
+      Differences<D> differences;
+    };
+    std::vector<Sought> sought;
     for (const std::size_t way : {0, 1}) {
-      if (!(way == 0 ? model_.same_direction : model_.opposite_direction)) {
-        continue;
+      if (way == 0 ? model_.same_direction : model_.opposite_direction) {
+        sought.push_back({Search(*this, way, &table),
+                          Differences<D>(graph_, model_, query_, way)});
       }
-      Search search(*this, way, &table);
-      Differences<D> differences(graph_, model_, query_, way);
-      for (std::size_t k = BlocksOf(size_); k-- > 0;) {
-        if (should_stop && should_stop()) return std::nullopt;
-        search.Evaluate(k, k > 0 ? k - 1 : 0, &differences);
-      }
-      search.Finish(&alignment.ends_[way], &alignment.matches_[way]);
     }
-    alignment.considered_ = size_;
+    const std::vector<std::size_t> blocks = BlocksToSearch();
+    for (std::size_t i = 0; i < blocks.size(); ++i) {
+      if (should_stop && should_stop()) return std::nullopt;
+      const std::size_t next =
+          i + 1 < blocks.size() ? blocks[i + 1] : blocks[0];
+      std::bitset<NodeBlock::kSize> considered;
+      for (Sought& way : sought) {
+        considered |= way.search.Evaluate(blocks[i], next, &way.differences);
+      }
+      alignment.considered_ += static_cast<NodeIndex>(considered.count());
+    }
+    for (Sought& way : sought) {
+      way.search.Finish(&alignment);
+    }
     alignment.paths_ = this->shared_from_this();
     return alignment;
   }
@@ -243,7 +262,6 @@ class RelativeAligner
   }
 
   void MakeSteps() {
-    const StateMatrix<D> to_frame = TurnAbout<D>(graph_.pose(query_).heading);
     steps_.resize(Position(filter_.size()));
     certainties_.resize(Position(filter_.size()) * kMostEntries);
     for (std::int64_t t = filter_.size() - 1; t >= 0; --t) {
@@ -254,13 +272,120 @@ class RelativeAligner
         const WalkStep& next = steps_[Position(t + 1)];
         step.to_come = next.to_come + next.surprise;
       }
-      const StateMatrix<D> certainty =
-          to_frame * filter_.EndCertainty(t) * to_frame.transpose();
-      double* entry = certainties_.data() + Position(t) * kMostEntries;
-      for (int r = 0; r < D; ++r) {
-        for (int c = 0; c <= r; ++c) *entry++ = certainty(r, c);
-      }
+      Pack(ToFrame(filter_.EndCertainty(t)),
+           certainties_.data() + Position(t) * kMostEntries);
     }
+  }
+
+  static void Pack(const StateMatrix<D>& matrix, double* entries) {
+    for (int r = 0; r < D; ++r) {
+      for (int c = 0; c <= r; ++c) *entries++ = matrix(r, c);
+    }
+  }
+
+  StateMatrix<D> ToFrame(const StateMatrix<D>& covariance) const {
+    const StateMatrix<D> turn = TurnAbout<D>(graph_.pose(query_).heading);
+    return turn * covariance * turn.transpose();
+  }
+
+  // Of what an end's score gains by its shift, at most half is paid for by half
+  // of its squared innovations: w/2 of them, which are at least
+  // s^T EndShift()^-1 s. The other half stays with its path.
+  void MakeBound() {
+    Pack(ToFrame((2.0 / weight_) * filter_.EndShift()), bound_.shift);
+    Pack(ToFrame(filter_.EndCertainty(filter_.size() - 1)), bound_.certainty);
+    bound_.least_left = kLeastUncertaintyLeft;
+  }
+
+  // Those of the history that may hold an end with the least log-odds, from the
+  // last to the first.
+  std::vector<std::size_t> BlocksToSearch() const {
+    const std::size_t all = BlocksOf(size_);
+    // [bounded_from, bounded_to) may be judged by their bounds.
+    std::size_t bounded_from = 0;
+    std::size_t bounded_to = 0;
+    BlockBounds::Region region;
+    if (model_.least_log_odds != kImpossible &&
+        model_.block_bounds != nullptr) {
+      BoundBlocks(&bounded_from, &bounded_to, &region);
+    }
+    std::vector<std::size_t> blocks;
+    for (std::size_t k = all; k-- > bounded_to;) blocks.push_back(k);
+    if (bounded_from < bounded_to) {
+      model_.block_bounds->VisitNear(
+          region, bounded_from, bounded_to,
+          [&blocks](std::size_t k) { blocks.push_back(k); });
+    }
+    for (std::size_t k = bounded_from; k-- > 0;) blocks.push_back(k);
+    return blocks;
+  }
+
+  // With u the direction from the node to the query in x and y, r the distance,
+  // G = Gamma + R, V = u^T G u and a the shift in x and y:
+  //
+  //   (d + a)^T G^-1 (d + a) >= (u (d + a))^2 / V >= (r - |a|)^2 / V,
+  //
+  // and w |a|^2 / l is paid for, l the greatest variance of the shift; over all
+  // a that is at least r^2 / (V + l / w). For dead reckoning the lever arm is
+  // at right angles to u, so that u^T Gamma u = u^T (S_q - S_j) u. Where Gamma
+  // is positive definite, |G - A| is at least |R - A|.
+  void BoundBlocks(std::size_t* from, std::size_t* to,
+                   BlockBounds::Region* region) const {
+    const SimilarityModel& similarity = model_.similarity;
+    const bool dead_reckoning =
+        similarity.correlation == CorrelationModel::kDeadReckoning;
+    // What a closure tells moves the ends elsewhere, and filters' errors may
+    // hang together in any way.
+    if (similarity.correlation == CorrelationModel::kFilter ||
+        (dead_reckoning && model_.last_confirmed)) {
+      return;
+    }
+    StateMatrix<D> tolerance = StateMatrix<D>::Zero();
+    AddTolerance<D>(similarity.tolerance, &tolerance);
+    const StateMatrix<D> left =
+        (1.0 - kLeastUncertaintyLeft) * tolerance -
+        ToFrame(filter_.EndCertainty(filter_.size() - 1));
+    double log_determinant = 0.0;
+    if (const auto terms = Evaluate<D>(left, StateVector<D>::Zero())) {
+      log_determinant = terms->log_determinant;
+    } else if (const auto whole =
+                   Evaluate<D>(tolerance, StateVector<D>::Zero())) {
+      log_determinant =
+          whole->log_determinant + D * std::log(kLeastUncertaintyLeft);
+    } else {
+      return;
+    }
+    // A check lies well behind its history, but sequences may be short.
+    constexpr auto kBlock = static_cast<NodeIndex>(NodeBlock::kSize);
+    std::size_t blocks = std::min(model_.block_bounds->size(),
+                                  Position(size_) / NodeBlock::kSize);
+    while (blocks > 0 &&
+           (static_cast<NodeIndex>(blocks) + 1) * kBlock + kBlock / 2 >
+               query_) {
+      --blocks;
+    }
+    *to = blocks;
+    *from = dead_reckoning
+                ? model_.block_bounds->FirstGrowing(graph_, query_, blocks)
+                : 0;
+    const double claimed = similarity.inflation * similarity.inflation;
+    const Covariance covariance = graph_.node(query_).covariance;
+    const StateMatrix<D>& shift = filter_.EndShift();
+    const auto greatest = [](double xx, double xy, double yy) {
+      return 0.5 * (xx + yy) + std::hypot(0.5 * (xx - yy), xy);
+    };
+    const Pose query = graph_.pose(query_);
+    region->x = query.x;
+    region->y = query.y;
+    region->variance =
+        claimed *
+            greatest(covariance(0, 0), covariance(0, 1), covariance(1, 1)) +
+        tolerance(0, 0) +
+        greatest(shift(0, 0), shift(0, 1), shift(1, 1)) / weight_;
+    region->squared_per_variance =
+        2.0 * (constant_ - 0.5 * log_determinant + weight_ * steps_[0].to_come +
+               kBoundSlack - model_.least_log_odds);
+    (dead_reckoning ? region->least_taken : region->most_added) = claimed;
   }
 
   // The search of one direction.
@@ -271,11 +396,7 @@ class RelativeAligner
           graph_(aligner.graph_),
           way_(way),
           table_(*table),
-          constant_(LogNewPlaceTerm(aligner.model_)),
-          weight_(ShapeWeight(aligner.model_.shape,
-                              aligner.model_.spacing_meters)) {
-      ends_.reserve(Position(aligner.size_));
-      matches_.reserve(Position(aligner.size_));
+          weight_(aligner.weight_) {
       const double heading = graph_.pose(aligner.query_).heading;
       change_.certainty = aligner.certainties_.data();
       change_.cosine = std::cos(heading);
@@ -283,9 +404,9 @@ class RelativeAligner
       change_.least_left = kLeastUncertaintyLeft;
     }
 
-    // The ends in block k.
-    void Evaluate(std::size_t k, std::size_t next,
-                  Differences<D>* differences) {
+    // The ends in block k; answers from which of them paths were walked back.
+    std::bitset<NodeBlock::kSize> Evaluate(std::size_t k, std::size_t next,
+                                           Differences<D>* differences) {
       constexpr std::size_t kSize = NodeBlock::kSize;
       first_ = static_cast<NodeIndex>(k * kSize);
       count_ = std::min(kSize, Position(aligner_.size_ - first_));
@@ -295,38 +416,40 @@ class RelativeAligner
         std::fill(column.begin() + static_cast<int>(count_), column.end(), 0.0);
       }
       EvaluateDifferences(StateSpaceOf(), differences_, &similarity_);
+      std::bitset<NodeBlock::kSize> useful;
+      BlockColumn needed;
+      FindUseful(&useful, &needed);
+      if (useful.none()) return useful;
       Reset();
       table_.Need(first_ - 2 * aligner_.filter_.size(),
                   first_ + static_cast<NodeIndex>(count_) +
                       2 * aligner_.filter_.size());
       for (std::size_t i = 0; i < count_;) {
         walkers_.Clear();
-        for (const std::size_t end = std::min(count_, i + kTogether); i < end;
-             ++i) {
-          if (similarity_.log_similarity[i] != kImpossible) {
-            Seed(first_ + static_cast<NodeIndex>(i), kAnyRatio);
-          }
+        for (; i < count_ && walkers_.size() < kTogether; ++i) {
+          if (useful[i]) Seed(first_ + static_cast<NodeIndex>(i), needed[i]);
         }
         Walk();
       }
       EvaluateChanged(StateSpaceOf(), differences_, change_, &similarity_);
       for (std::size_t i = count_; i-- > 0;) {
-        if (similarity_.log_similarity[i] == kImpossible) continue;
-        ends_.push_back(
-            {first_ + static_cast<NodeIndex>(i),
-             similarity_.log_similarity[i] + weight_ * ratios_[i] + constant_});
+        const double score = similarity_.log_similarity[i] +
+                             weight_ * ratios_[i] + aligner_.constant_;
+        if (!useful[i] || !(score >= aligner_.model_.least_log_odds)) continue;
+        ends_.push_back({first_ + static_cast<NodeIndex>(i), score});
         matches_.push_back({ratios_[i], squares_[i],
                             similarity_.squared_mahalanobis[i],
                             change_.row[i]});
       }
+      return useful;
     }
 
     // Hands over what was found from the last block to the first.
-    void Finish(ScoredEnds* ends, std::vector<ShapeMatch>* matches) {
+    void Finish(RelativeAlignment* alignment) {
       std::reverse(ends_.begin(), ends_.end());
       std::reverse(matches_.begin(), matches_.end());
-      *ends = std::move(ends_);
-      *matches = std::move(matches_);
+      alignment->ends_[way_] = std::move(ends_);
+      alignment->matches_[way_] = std::move(matches_);
     }
 
     std::vector<PathStep> Retrace(NodeIndex j) {
@@ -338,7 +461,7 @@ class RelativeAligner
       table_.Need(j - 2 * aligner_.filter_.size(),
                   j + 2 * aligner_.filter_.size());
       trail.push_back({{0, j, DirectionOf(way_)}, -1});
-      Seed(j, kAnyRatio);
+      Seed(j, kImpossible);
       Walk();
       std::vector<PathStep> path;
       for (std::int64_t i = best_trail_; i >= 0;
@@ -353,14 +476,34 @@ class RelativeAligner
     // Ends that are walked back from at once: what they hold should fit the
     // nearest cache.
     static constexpr std::size_t kTogether = 64;
-    static constexpr double kAnyRatio =
-        -std::numeric_limits<double>::infinity();
 
     using Drift = typename ShapeFilter<D>::Drift;
     using Evidence = typename ShapeFilter<D>::Evidence;
 
     StateSpace StateSpaceOf() const {
       return aligner_.model_.similarity.state_space;
+    }
+
+    // Which ends may come to the least log-odds, and what their paths need for
+    // that (Walkers::kNeeded).
+    void FindUseful(std::bitset<NodeBlock::kSize>* useful,
+                    BlockColumn* needed) const {
+      const double least = aligner_.model_.least_log_odds;
+      BlockColumn most;
+      if (least != kImpossible) {
+        BoundChanged(StateSpaceOf(), differences_, aligner_.bound_, similarity_,
+                     &most);
+      }
+      for (std::size_t i = 0; i < count_; ++i) {
+        if (similarity_.log_similarity[i] == kImpossible) continue;
+        (*needed)[i] = kImpossible;
+        if (least != kImpossible) {
+          (*needed)[i] =
+              (least - kBoundSlack - most[i] - aligner_.constant_) / weight_;
+          if (aligner_.steps_[0].to_come < (*needed)[i]) continue;
+        }
+        useful->set(i);
+      }
     }
 
     void Reset() {
@@ -674,7 +817,6 @@ class RelativeAligner
     const PoseGraph& graph_;
     const std::size_t way_;
     PoseTable& table_;
-    const double constant_;
     const double weight_;
     // Of the block at hand.
     NodeIndex first_ = 0;
@@ -700,7 +842,10 @@ class RelativeAligner
   const NodeIndex size_;
   const ShapeFilter<D> filter_;
   const bool has_loops_;
+  const double constant_;
+  const double weight_;
   std::vector<WalkStep> steps_;
+  ChangeBound bound_;
   // By step, kMostEntries each: EndCertainty() in the axes of the local frame.
   std::vector<double> certainties_;
 };

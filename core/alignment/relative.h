@@ -55,6 +55,7 @@
 #include "core/alignment/scored_ends.h"
 #include "core/alignment/shape_filter.h"
 #include "core/alignment/viterbi.h"
+#include "core/graph/block_bounds.h"
 #include "core/graph/motion_history.h"
 #include "core/graph/pose_graph.h"
 
@@ -86,8 +87,14 @@ struct RelativeModel {
   // What is known of the drift. kDeadReckoning only; both nodes at or before
   // the query.
   std::optional<ConfirmedLoop> last_confirmed;
-  // Of the graph, if it is kept: saves measuring its motion anew.
+  // Ends with lower log-odds are left out. With this above -infinity, they are
+  // not looked at where that can be told: by where their block lies, by their
+  // own pose and covariance, by a path that cannot make up for it.
+  double least_log_odds = kImpossible;
+  // Of the graph, if they are kept: the one saves measuring its motion anew,
+  // the other looking at every node.
   const MotionHistory* motion_history = nullptr;
+  const BlockBounds* block_bounds = nullptr;
 };
 
 // What makes log-odds against a new place of a log-similarity in Gaussian form:
@@ -142,7 +149,7 @@ class RelativeAlignment {
     return paths_->Find(direction, j);
   }
 
-  // Nodes of history whose end poses were compared.
+  // Nodes of history from which paths were walked back, either way.
   NodeIndex considered() const { return considered_; }
 
  private:
@@ -158,8 +165,9 @@ class RelativeAlignment {
 
 // Aligns the `steps` nodes that end at `query` with the history [0,
 // history_size). Time O(steps * history_size) at most, less where shapes differ
-// early; memory O(history_size). Nothing if told to stop. REQUIRES: as for
-// Align(); the recent path lies in one segment; the graph outlives the answer.
+// early, and less still where ends are left out. Nothing if told to stop.
+// REQUIRES: as for Align(); the recent path lies in one segment; the graph
+// outlives the answer.
 std::optional<RelativeAlignment> AlignRelative(
     const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
     std::int64_t steps, NodeIndex history_size, const ShouldStop& should_stop);

@@ -134,6 +134,9 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
         end_prior - Inverse<D>(end_prior_information + weight * gathered);
     step.surprise = -std::log(shares[static_cast<std::size_t>(t)]);
   }
+  // Cov(at_end) is the sum of K S K^T over the steps, which bounds
+  // sum K nu by Cauchy and Schwarz.
+  end_shift_ = end_prior - end_covariance;
 }
 
 template <int D>

@@ -121,6 +121,9 @@ class ShapeFilter {
   // The step as the kernel takes it; `to_come` and `settled` are the caller's.
   WalkStep Kernel(std::int64_t t) const;
 
+  // A shift of at_end has at least s^T EndShift()^-1 s of squared innovations.
+  const StateMatrix<D>& EndShift() const { return end_shift_; }
+
   // By how much the covariance of drift_0 has shrunk after step t, in the same
   // axes.
   const StateMatrix<D>& EndCertainty(std::int64_t t) const {
@@ -143,6 +146,7 @@ class ShapeFilter {
   };
 
   std::vector<Step> steps_;
+  StateMatrix<D> end_shift_ = StateMatrix<D>::Zero();
 };
 
 }  // namespace revisit::core

@@ -1,6 +1,7 @@
 #include "core/alignment/similarity_kernel.h"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 
 #include "core/alignment/log_similarity.h"
@@ -561,6 +562,55 @@ void EvaluateChanged(StateSpace state_space, const DifferenceBlock& differences,
   }
 }
 
+template <int D>
+HWY_INLINE void BoundAllChanged(const DifferenceBlock& differences,
+                                const ChangeBound& bound,
+                                const BlockSimilarity& similarity,
+                                BlockColumn* most) {
+  const Tag tag;
+  const Vector half = hn::Set(tag, 0.5);
+  const Vector kept = hn::Set(tag, 1.0 - bound.least_left);
+  const Vector if_least_is_left =
+      hn::Set(tag, -0.5 * D * std::log(bound.least_left));
+  for (std::size_t i = 0; i < NodeBlock::kSize; i += hn::Lanes(tag)) {
+    // (d + s)^T G^-1 (d + s) + s^T B^-1 s is at least d^T (G + B)^-1 d.
+    State<D> shifted = LoadState<D>(differences, i);
+    State<D> left;
+    for (int r = 0; r < D; ++r) {
+      left.difference[r] = hn::Zero(tag);
+      for (int c = 0; c <= r; ++c) {
+        const Vector entry = shifted.covariance[r][c];
+        left.covariance[r][c] = hn::Sub(
+            hn::Mul(kept, entry), hn::Set(tag, bound.certainty[Packed(r, c)]));
+        shifted.covariance[r][c] =
+            hn::Add(entry, hn::Set(tag, bound.shift[Packed(r, c)]));
+      }
+    }
+    const Terms of_shifted = Evaluate<D>(shifted);
+    const Terms of_left = Evaluate<D>(left);
+    // -1/2 ln|G|
+    const Vector plain = hn::Add(
+        hn::Mul(half, hn::Load(tag, similarity.squared_mahalanobis.data() + i)),
+        hn::Load(tag, similarity.log_similarity.data() + i));
+    const Vector constant = hn::IfThenElse(
+        of_left.possible, hn::Neg(hn::Mul(half, of_left.log_determinant)),
+        hn::Add(plain, if_least_is_left));
+    const Vector squared =
+        hn::IfThenElseZero(of_shifted.possible, of_shifted.squared);
+    hn::Store(hn::Sub(constant, hn::Mul(half, squared)), tag, most->data() + i);
+  }
+}
+
+void BoundChanged(StateSpace state_space, const DifferenceBlock& differences,
+                  const ChangeBound& bound, const BlockSimilarity& similarity,
+                  BlockColumn* most) {
+  if (state_space == StateSpace::kPlanar) {
+    BoundAllChanged<3>(differences, bound, similarity, most);
+  } else {
+    BoundAllChanged<4>(differences, bound, similarity, most);
+  }
+}
+
 }  // namespace revisit::core::HWY_NAMESPACE
 HWY_AFTER_NAMESPACE();
 
@@ -572,6 +622,7 @@ HWY_EXPORT(FindDifferences);
 HWY_EXPORT(TakeKnownDrift);
 HWY_EXPORT(EvaluateDifferences);
 HWY_EXPORT(EvaluateChanged);
+HWY_EXPORT(BoundChanged);
 
 void EvaluateBlock(const KernelQuery& query, const NodeBlock& block,
                    const NodeBlock& next, BlockSimilarity* similarity) {
@@ -602,6 +653,13 @@ void EvaluateChanged(StateSpace state_space, const DifferenceBlock& differences,
                      BlockSimilarity* similarity) {
   HWY_DYNAMIC_DISPATCH(EvaluateChanged)
   (state_space, differences, change, similarity);
+}
+
+void BoundChanged(StateSpace state_space, const DifferenceBlock& differences,
+                  const ChangeBound& bound, const BlockSimilarity& similarity,
+                  BlockColumn* most) {
+  HWY_DYNAMIC_DISPATCH(BoundChanged)
+  (state_space, differences, bound, similarity, most);
 }
 
 }  // namespace revisit::core

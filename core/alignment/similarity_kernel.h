@@ -112,6 +112,23 @@ void EvaluateChanged(StateSpace state_space, const DifferenceBlock& differences,
                      const DifferenceChange& change,
                      BlockSimilarity* similarity);
 
+// A bound of what EvaluateChanged() can make of differences, whatever it takes
+// and shifts: entries as the lower triangle of a DifferenceBlock.
+struct ChangeBound {
+  // Shifts s cost at least 1/2 s^T shift^-1 s elsewhere.
+  double shift[kMostEntries] = {};
+  // No more than this is taken from a covariance.
+  double certainty[kMostEntries] = {};
+  // As DifferenceChange has it.
+  double least_left = 0.0;
+};
+
+// For each node the most that EvaluateChanged() can say of it, less what the
+// shift costs. `similarity` has what EvaluateDifferences() says.
+void BoundChanged(StateSpace state_space, const DifferenceBlock& differences,
+                  const ChangeBound& bound, const BlockSimilarity& similarity,
+                  BlockColumn* most);
+
 }  // namespace revisit::core
 
 #endif  // REVISIT_CORE_ALIGNMENT_SIMILARITY_KERNEL_H_
