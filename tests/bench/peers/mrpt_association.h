@@ -1,0 +1,42 @@
+// MRPT's data association (mrpt::slam, Debian's libmrpt-slam-dev), apart from
+// the rest since its headers are large.
+#ifndef REVISIT_TESTS_BENCH_PEERS_MRPT_ASSOCIATION_H_
+#define REVISIT_TESTS_BENCH_PEERS_MRPT_ASSOCIATION_H_
+
+#include <cstddef>
+#include <optional>
+#include <vector>
+
+namespace revisit::bench {
+
+enum class AssociationMetric { kMahalanobis, kMatchingLikelihood };
+
+// Nearest neighbour of one observation among predictions of dimension D:
+// `differences` are theirs from the observation, `covariances` those of the
+// differences, row-major, one after the other. By
+// data_association_independent_predictions: with one observation, nothing else
+// of a full covariance would be read. Which one is associated, if any passes
+// the chi-square test.
+template <int D>
+std::optional<std::size_t> AssociateNearest(
+    const std::vector<double>& differences,
+    const std::vector<double>& covariances, AssociationMetric metric,
+    double probability);
+
+struct JointAssociation {
+  // Of each observation, the prediction, if it has one.
+  std::vector<std::optional<std::size_t>> predictions;
+  std::size_t nodes_explored = 0;
+};
+
+// Joint compatibility branch and bound, data_association_full_covariance.
+// Positions (x, y) of observations and predictions, and the row-major
+// covariance of all predictions together.
+JointAssociation AssociateJointly(const std::vector<double>& observations,
+                                  const std::vector<double>& predictions,
+                                  const std::vector<double>& covariance,
+                                  double probability);
+
+}  // namespace revisit::bench
+
+#endif  // REVISIT_TESTS_BENCH_PEERS_MRPT_ASSOCIATION_H_
