@@ -11,10 +11,10 @@ namespace {
 
 // Doubling would leave a quarter of the memory unused.
 template <typename T>
-void ReserveInSteps(std::size_t size, std::size_t step,
+void ReserveInSteps(std::size_t size, std::size_t step, std::size_t most,
                     std::vector<T>* vector) {
-  if (vector->capacity() < size)
-    vector->reserve((size + step - 1) / step * step);
+  if (vector->capacity() >= size) return;
+  vector->reserve(std::min(most, (size + step - 1) / step * step));
 }
 
 bool HasBits(double value) { return value != 0.0 || std::signbit(value); }
@@ -29,7 +29,8 @@ void NodeBlock::Add(std::size_t at, const Pose& pose,
   if (spatial && !spatial_) BecomeSpatial();
   const std::size_t group = at / kGroupSize;
   if (group == groups()) {
-    ReserveInSteps(lines_.size() + rows(), rows() * groups_at_a_time, &lines_);
+    ReserveInSteps(lines_.size() + rows(), rows() * groups_at_a_time,
+                   rows() * kSize / kGroupSize, &lines_);
     lines_.resize(lines_.size() + rows());
   }
   const auto entry = [&](Row row) -> double& {
@@ -118,7 +119,7 @@ void PoseGraph::AddNode(const Node& node, bool starts_segment,
   const std::size_t nodes_at_a_time = NodesAtATime();
   blocks_.back().Add(at, node.pose, node.covariance,
                      nodes_at_a_time / NodeBlock::kGroupSize);
-  ReserveInSteps(at + 1, nodes_at_a_time, &records_);
+  ReserveInSteps(at + 1, nodes_at_a_time, NodeBlock::kSize, &records_);
   // Where there is no stamp, one that takes no room.
   const std::int64_t before = records_.empty() ? 0 : records_.back().stamp_ns;
   has_stamp_[at] = node.stamp_ns.has_value();
@@ -126,7 +127,7 @@ void PoseGraph::AddNode(const Node& node, bool starts_segment,
                       node.stamp_ns.value_or(before)});
   if (transition) {
     has_transitions_ = true;
-    ReserveInSteps(at + 1, nodes_at_a_time, &transitions_);
+    ReserveInSteps(at + 1, nodes_at_a_time, NodeBlock::kSize, &transitions_);
     transitions_.push_back(*transition);
   }
   ++size_;

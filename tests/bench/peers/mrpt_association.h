@@ -13,10 +13,10 @@ enum class AssociationMetric { kMahalanobis, kMatchingLikelihood };
 
 // Nearest neighbour of one observation among predictions of dimension D:
 // `differences` are theirs from the observation, `covariances` those of the
-// differences, row-major, one after the other. By
-// data_association_independent_predictions: with one observation, nothing else
-// of a full covariance would be read. Which one is associated, if any passes
-// the chi-square test.
+// differences, row-major, one after the other. Which one is associated, if any
+// passes the chi-square test. By data_association_independent_predictions,
+// which itself calls data_association_full_covariance on a dense matrix of (D
+// N)^2 entries: of all that, one observation needs the blocks on the diagonal.
 template <int D>
 std::optional<std::size_t> AssociateNearest(
     const std::vector<double>& differences,
