@@ -45,12 +45,12 @@ JointAssociation AssociateJointly(const std::vector<double>& observations,
                                   double probability) {
   mrpt::slam::TDataAssociationResults results;
   mrpt::slam::data_association_full_covariance(
-      Matrix(observations, 2), Matrix(predictions, 2),
+      Matrix(observations, 3), Matrix(predictions, 3),
       Matrix(covariance, predictions.size()), results, mrpt::slam::assocJCBB,
       mrpt::slam::metricMaha, probability, /*DAT_ASOC_USE_KDTREE=*/false);
   JointAssociation joint;
   joint.nodes_explored = results.nNodesExploredInJCBB;
-  joint.predictions.resize(observations.size() / 2);
+  joint.predictions.resize(observations.size() / 3);
   for (const auto& [observation, prediction] : results.associations) {
     joint.predictions[observation] = prediction;
   }

@@ -30,7 +30,8 @@ struct JointAssociation {
 };
 
 // Joint compatibility branch and bound, data_association_full_covariance.
-// Positions (x, y) of observations and predictions, and the row-major
+// States (x, y, heading) of observations and predictions, one after the other,
+// headings such that their differences need no wrapping, and the row-major
 // covariance of all predictions together.
 JointAssociation AssociateJointly(const std::vector<double>& observations,
                                   const std::vector<double>& predictions,
