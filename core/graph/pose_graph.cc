@@ -9,13 +9,12 @@ namespace revisit::core {
 
 namespace {
 
-// A vector's room for more, in small steps: a fleet has many graphs, and
-// doubling would leave a quarter of the memory unused.
+// Doubling would leave a quarter of the memory unused.
 template <typename T>
-void ReserveInSteps(std::size_t size, std::size_t step,
+void ReserveInSteps(std::size_t size, std::size_t step, std::size_t most,
                     std::vector<T>* vector) {
-  if (vector->capacity() < size)
-    vector->reserve((size + step - 1) / step * step);
+  if (vector->capacity() >= size) return;
+  vector->reserve(std::min(most, (size + step - 1) / step * step));
 }
 
 bool HasBits(double value) { return value != 0.0 || std::signbit(value); }
@@ -23,13 +22,15 @@ bool HasBits(double value) { return value != 0.0 || std::signbit(value); }
 }  // namespace
 
 void NodeBlock::Add(std::size_t at, const Pose& pose,
-                    const Covariance& covariance) {
+                    const Covariance& covariance,
+                    std::size_t groups_at_a_time) {
   bool spatial = HasBits(pose.z);
   for (int i = 0; i < 4; ++i) spatial = spatial || HasBits(covariance(2, i));
   if (spatial && !spatial_) BecomeSpatial();
   const std::size_t group = at / kGroupSize;
   if (group == groups()) {
-    ReserveInSteps(lines_.size() + rows(), rows(), &lines_);
+    ReserveInSteps(lines_.size() + rows(), rows() * groups_at_a_time,
+                   rows() * kSize / kGroupSize, &lines_);
     lines_.resize(lines_.size() + rows());
   }
   const auto entry = [&](Row row) -> double& {
@@ -115,8 +116,10 @@ void PoseGraph::AddNode(const Node& node, bool starts_segment,
     if (size_ > 0) Pack();
     blocks_.emplace_back();
   }
-  blocks_.back().Add(at, node.pose, node.covariance);
-  ReserveInSteps(at + 1, NodeBlock::kGroupSize, &records_);
+  const std::size_t nodes_at_a_time = NodesAtATime();
+  blocks_.back().Add(at, node.pose, node.covariance,
+                     nodes_at_a_time / NodeBlock::kGroupSize);
+  ReserveInSteps(at + 1, nodes_at_a_time, NodeBlock::kSize, &records_);
   // Where there is no stamp, one that takes no room.
   const std::int64_t before = records_.empty() ? 0 : records_.back().stamp_ns;
   has_stamp_[at] = node.stamp_ns.has_value();
@@ -124,10 +127,20 @@ void PoseGraph::AddNode(const Node& node, bool starts_segment,
                       node.stamp_ns.value_or(before)});
   if (transition) {
     has_transitions_ = true;
-    ReserveInSteps(at + 1, NodeBlock::kGroupSize, &transitions_);
+    ReserveInSteps(at + 1, nodes_at_a_time, NodeBlock::kSize, &transitions_);
     transitions_.push_back(*transition);
   }
   ++size_;
+}
+
+// A fleet has many small graphs, which must not hold much that they do not use;
+// but to grow by little, again and again, leaves holes behind that nothing else
+// fits into. So: a 128th of what there is, and from 16384 nodes on a block.
+std::size_t PoseGraph::NodesAtATime() const {
+  const std::size_t groups = Position(size_) / 128 / NodeBlock::kGroupSize;
+  return std::clamp<std::size_t>(groups, 1,
+                                 NodeBlock::kSize / NodeBlock::kGroupSize) *
+         NodeBlock::kGroupSize;
 }
 
 void PoseGraph::Pack() {
@@ -157,24 +170,26 @@ void PoseGraph::Pack() {
     }
   }
   packed_.emplace_back(columns, NodeBlock::kSize);
-  // Not clear(): what comes next needs no room yet.
-  records_ = {};
-  transitions_ = {};
+  full_bytes_ += blocks_.back().bytes() + packed_.back().bytes();
+  records_.clear();
+  transitions_.clear();
+  if (NodesAtATime() < NodeBlock::kSize) {
+    records_.shrink_to_fit();
+    transitions_.shrink_to_fit();
+  }
 }
 
 std::size_t PoseGraph::bytes() const {
   const auto bytes_of = [](const auto& vector) {
     return vector.capacity() * sizeof(vector[0]);
   };
-  std::size_t bytes = bytes_of(blocks_) + bytes_of(packed_) +
-                      bytes_of(records_) + bytes_of(transitions_) +
-                      bytes_of(segment_starts_);
-  for (const NodeBlock& block : blocks_) bytes += block.bytes();
-  for (const PackedColumns& packed : packed_) bytes += packed.bytes();
-  for (const auto& [node, neighbours] : loop_neighbours_) {
-    bytes += sizeof(node) + sizeof(neighbours) + bytes_of(neighbours);
-  }
-  return bytes;
+  const std::size_t last = blocks_.empty() ? 0 : blocks_.back().bytes();
+  // Most ends of loop closures have one.
+  const std::size_t loop_end =
+      sizeof(*loop_neighbours_.begin()) + sizeof(NodeIndex);
+  return full_bytes_ + last + bytes_of(blocks_) + bytes_of(packed_) +
+         bytes_of(records_) + bytes_of(transitions_) +
+         bytes_of(segment_starts_) + loop_neighbours_.size() * loop_end;
 }
 
 void PoseGraph::AddLoopEdge(NodeIndex a, NodeIndex b) {

@@ -110,8 +110,10 @@ class NodeBlock {
     return covariance;
   }
 
-  // REQUIRES: `at` nodes so far, fewer than kSize.
-  void Add(std::size_t at, const Pose& pose, const Covariance& covariance);
+  // REQUIRES: `at` nodes so far, fewer than kSize. Memory is taken for so many
+  // groups at a time.
+  void Add(std::size_t at, const Pose& pose, const Covariance& covariance,
+           std::size_t groups_at_a_time);
 
   std::size_t bytes() const { return lines_.capacity() * sizeof(Line); }
 
@@ -215,7 +217,7 @@ class PoseGraph {
   // Removes one edge of the two. Returns whether there was one.
   bool RemoveLoopEdge(NodeIndex a, NodeIndex b);
 
-  // Memory that the nodes and edges take, without what an allocator adds.
+  // Memory that nodes and edges take, without what an allocator adds. O(1).
   std::size_t bytes() const;
 
  private:
@@ -248,6 +250,8 @@ class PoseGraph {
                ? FromPackable(packed_[block].at(kTravelled, at))
                : records_[at].travelled_meters;
   }
+  // Nodes that memory is taken for at a time, in whole groups.
+  std::size_t NodesAtATime() const;
   // The records, once there is one for every node of a block.
   void Pack();
 
@@ -255,6 +259,8 @@ class PoseGraph {
   bool has_transitions_ = false;
   std::vector<NodeBlock> blocks_;
   std::vector<PackedColumns> packed_;
+  // Of the blocks that are full.
+  std::size_t full_bytes_ = 0;
   std::vector<Record> records_;
   std::bitset<NodeBlock::kSize> has_stamp_;
   std::vector<ErrorTransition> transitions_;
