@@ -291,11 +291,14 @@ void RevisitServer::Shutdown() {
   state_->unload_timer.reset();
   state_->fleet.reset();
   state_->executor.reset();
+  const CommitCounts counts = state_->storage->Counts();
   state_->storage.reset();
   const std::chrono::duration<double, std::milli> duration =
       std::chrono::steady_clock::now() - start;
   state_->log->Write(LogLevel::kInfo, "stopped",
-                     {{"duration_ms", duration.count()}});
+                     {{"duration_ms", duration.count()},
+                      {"commits", static_cast<std::int64_t>(counts.commits)},
+                      {"writes", static_cast<std::int64_t>(counts.writes)}});
 }
 
 }  // namespace revisit::server

@@ -1,6 +1,7 @@
 #include "server/storage/sqlite_storage.h"
 
 #include <algorithm>
+#include <atomic>
 #include <condition_variable>
 #include <deque>
 #include <filesystem>
@@ -778,6 +779,8 @@ class SqliteStorage : public Storage {
     return pairs;
   }
 
+  CommitCounts Counts() const override { return {commits_, writes_}; }
+
  private:
   struct PendingWrite {
     std::size_t bytes;
@@ -899,7 +902,11 @@ class SqliteStorage : public Storage {
       purge_ = more.ok() && *more;
     }
     if (status.ok()) status = writer_->Prepare("COMMIT").Run();
-    if (status.ok()) return results;
+    if (status.ok()) {
+      if (!group.empty()) ++commits_;
+      writes_ += group.size();
+      return results;
+    }
 
     // Whatever is left is in doubt; see the header. Where not even BEGIN
     // succeeded, nothing was touched.
@@ -978,6 +985,9 @@ class SqliteStorage : public Storage {
   // The writer's thread only, once it runs. Nothing after a failure.
   std::unique_ptr<SqliteDatabase> writer_;
   bool purge_ = true;
+  // Written by that thread.
+  std::atomic<std::uint64_t> commits_{0};
+  std::atomic<std::uint64_t> writes_{0};
 
   // Keeps the log's index in shared memory while the writer is opened anew: it
   // would otherwise be made from the log, failed transactions included.
