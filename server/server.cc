@@ -30,6 +30,8 @@ namespace revisit::server {
 namespace {
 
 constexpr char kStoreFile[] = "revisit.sqlite";
+// Of vehicles that send few poses a batch, as many as others send at once.
+constexpr std::size_t kRowPoses = 64;
 // For connections to be closed in an orderly way.
 constexpr std::chrono::milliseconds kGoodbyeTime{100};
 
@@ -184,8 +186,11 @@ void Configure(const ServerSettings& settings, grpc::ServerBuilder* builder) {
 }
 
 ServiceLimits Limits(const ServerSettings& settings) {
-  return {settings.max_message_bytes, settings.max_batch_poses,
-          settings.max_batches_in_flight, settings.max_revision_bytes};
+  return {
+      settings.max_message_bytes, settings.max_batch_poses,
+      // A stream alone must not exceed what one vehicle may have waiting.
+      std::min(settings.max_batches_in_flight, settings.max_pending_appends),
+      settings.max_bytes_in_flight, settings.max_revision_bytes};
 }
 
 }  // namespace
@@ -202,9 +207,11 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->log = log;
   state->grpc_log.emplace(log);
 
+  SqliteOptions storage_options;
+  storage_options.max_joined_poses = kRowPoses;
   const absl::StatusOr<std::string> file = StoreFile(settings.store);
   absl::StatusOr<std::unique_ptr<Storage>> storage =
-      file.ok() ? OpenSqliteStorage(*file) : file.status();
+      file.ok() ? OpenSqliteStorage(*file, storage_options) : file.status();
   if (!storage.ok()) {
     *error = {absl::IsFailedPrecondition(storage.status()) ? kExitStoreInUse
                                                            : kExitStoreFailed,

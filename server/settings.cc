@@ -185,6 +185,8 @@ class OptionTable {
     AddNumber(limits, "max-batches-in-flight", &s.max_batches_in_flight, 1,
               10000,
               "Batches of one stream that may wait for their acknowledgement");
+    AddNumber(limits, "max-bytes-in-flight", &s.max_bytes_in_flight, 1024,
+              1 << 30, "Memory that they may take; one alone may take more");
     AddNumber(limits, "max-pending-appends", &s.max_pending_appends, 1, 1000000,
               "Batches of one vehicle that may wait, over all its streams");
     AddNumber(limits, "max-revision-bytes", &s.max_revision_bytes, 1024,

@@ -39,12 +39,14 @@ struct ServerSettings {
   std::int64_t max_message_bytes = 4 << 20;
   // Most poses in a batch. Range [1, 1e6].
   int max_batch_poses = 4096;
-  // Batches of one stream that may wait for their acknowledgement to be sent.
-  // Range [1, 10000].
-  int max_batches_in_flight = 16;
+  // Batches of one stream that may wait for their acknowledgement to be sent,
+  // and the memory that they may take, which a single one may exceed. Range [1,
+  // 10000] and [1024, 2^30].
+  int max_batches_in_flight = 512;
+  std::int64_t max_bytes_in_flight = std::int64_t{2} << 20;
   // Batches of one vehicle, over all its streams and calls, that may wait.
   // Range [1, 1e6].
-  int max_pending_appends = 256;
+  int max_pending_appends = 1024;
   // Most bytes of poses that one RevisePoses call may bring. Range [1024,
   // 2^36].
   std::int64_t max_revision_bytes = std::int64_t{256} << 20;

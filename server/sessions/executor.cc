@@ -1,8 +1,16 @@
 #include "server/sessions/executor.h"
 
+#include <chrono>
 #include <utility>
 
 namespace revisit::server {
+namespace {
+
+// Longest that a strand goes from task to task before others get their turn:
+// little beside the time of a flush, much beside the way through the queue.
+constexpr std::chrono::microseconds kSlice{500};
+
+}  // namespace
 
 Executor::Executor(int threads) {
   for (int i = 0; i < threads; ++i) {
@@ -20,17 +28,22 @@ Executor::~Executor() {
 }
 
 void Executor::Post(std::function<void()> task) {
+  bool wake;
   {
     const std::lock_guard<std::mutex> guard(mutex_);
     tasks_.push_back(std::move(task));
+    // Threads at work look for the next task by themselves.
+    wake = idle_ > 0;
   }
-  wake_.notify_one();
+  if (wake) wake_.notify_one();
 }
 
 void Executor::Work() {
   std::unique_lock<std::mutex> lock(mutex_);
   while (true) {
+    ++idle_;
     wake_.wait(lock, [this] { return stopping_ || !tasks_.empty(); });
+    --idle_;
     // A task that still runs elsewhere and posts another comes back here for
     // it.
     if (tasks_.empty()) return;
@@ -48,22 +61,34 @@ struct Strand::State : std::enable_shared_from_this<Strand::State> {
   explicit State(Executor* runner) : executor(runner) {}
 
   void Schedule() {
-    executor->Post([self = shared_from_this()] { self->RunOne(); });
+    executor->Post([self = shared_from_this()] { self->RunSome(); });
   }
 
-  void RunOne() {
+  void RunSome() {
+    const auto pause = std::chrono::steady_clock::now() + kSlice;
     std::function<void()> task;
-    {
-      const std::lock_guard<std::mutex> guard(mutex);
-      task = std::move(tasks.front());
-      tasks.pop_front();
-    }
-    task();
-    task = nullptr;
+    do {
+      {
+        const std::lock_guard<std::mutex> guard(mutex);
+        if (tasks.empty()) {
+          taken = false;
+          return;
+        }
+        task = std::move(tasks.front());
+        tasks.pop_front();
+      }
+      task();
+      task = nullptr;
+    } while (std::chrono::steady_clock::now() < pause);
+    GoOn();
+  }
+
+  // Leaves what waits, if anything, to the executor.
+  void GoOn() {
     {
       const std::lock_guard<std::mutex> guard(mutex);
       if (tasks.empty()) {
-        scheduled = false;
+        taken = false;
         return;
       }
     }
@@ -73,8 +98,8 @@ struct Strand::State : std::enable_shared_from_this<Strand::State> {
   Executor* const executor;
   std::mutex mutex;
   std::deque<std::function<void()>> tasks;
-  // Whether RunOne() is posted or runs.
-  bool scheduled = false;
+  // Whether a thread is in a task, or was asked to be.
+  bool taken = false;
 };
 
 std::shared_ptr<Strand> Strand::Create(Executor* executor) {
@@ -90,10 +115,19 @@ void Strand::Post(std::function<void()> task) {
   {
     const std::lock_guard<std::mutex> guard(state->mutex);
     state->tasks.push_back(std::move(task));
-    if (state->scheduled) return;
-    state->scheduled = true;
+    if (state->taken) return;
+    state->taken = true;
   }
   state->Schedule();
 }
+
+bool Strand::Enter(State* state) {
+  const std::lock_guard<std::mutex> guard(state->mutex);
+  if (state->taken) return false;
+  state->taken = true;
+  return true;
+}
+
+void Strand::Leave(State* state) { state->GoOn(); }
 
 }  // namespace revisit::server

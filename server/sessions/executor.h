@@ -8,6 +8,7 @@
 #include <memory>
 #include <mutex>
 #include <thread>
+#include <utility>
 #include <vector>
 
 namespace revisit::server {
@@ -31,15 +32,17 @@ class Executor {
   std::mutex mutex_;
   std::condition_variable wake_;
   std::deque<std::function<void()>> tasks_;
+  // Threads that wait for a task.
+  int idle_ = 0;
   bool stopping_ = false;
 
   std::vector<std::thread> threads_;
 };
 
 // Runs tasks one after the other, in the order posted, on an executor's
-// threads; gives the thread back between tasks so that other strands get their
-// turn. Thread-safe. A task may post to its own strand, and may drop the last
-// reference to it.
+// threads; gives the thread back between tasks, after a slice of time, so that
+// other strands get their turn. Thread-safe. A task may post to its own strand,
+// and may drop the last reference to it.
 class Strand {
  public:
   // The executor must outlive all tasks.
@@ -50,10 +53,30 @@ class Strand {
 
   void Post(std::function<void()> task);
 
+  // Runs the task before it returns, on the caller's thread, if nothing of the
+  // strand runs or waits; else posts it. For tasks that are short and do not
+  // block: it saves them the way to another thread. The caller must hold no
+  // lock that the task takes.
+  template <typename Task>
+  void RunOrPost(Task task) {
+    // The task may drop the last reference to the strand.
+    const std::shared_ptr<State> state = state_;
+    if (!Enter(state.get())) {
+      Post(std::move(task));
+      return;
+    }
+    task();
+    Leave(state.get());
+  }
+
  private:
   struct State;
 
   explicit Strand(Executor* executor);
+
+  // Whether the caller's thread is now the strand's, until Leave().
+  static bool Enter(State* state);
+  static void Leave(State* state);
 
   const std::shared_ptr<State> state_;
 };

@@ -153,6 +153,34 @@ struct VehicleSession::State
     });
   }
 
+  // The same for an append, which is staged before this returns if nothing
+  // stands in its way. So the caller's thread does what it would else have
+  // woken another for.
+  void SubmitAppend(std::shared_ptr<PendingAppend> append) {
+    strand->RunOrPost(
+        [self = shared_from_this(), append = std::move(append)]() mutable {
+          self->AddAppend(std::move(append));
+        });
+  }
+
+  void AddAppend(std::shared_ptr<PendingAppend> append) {
+    if (waiting.empty() && !gone_status && !exclusive && !failure &&
+        !in_doubt) {
+      RunAppend(append, absl::OkStatus(), /*may_read=*/false);
+      return;
+    }
+    waiting.push_back(
+        {false, false,
+         [this, append = std::move(append)](const absl::Status& status) {
+           RunAppend(append, status, /*may_read=*/true);
+         }});
+    PumpLater();
+  }
+
+  void PumpLater() {
+    strand->Post([self = shared_from_this()] { self->Pump(); });
+  }
+
   void Add(Operation operation) {
     if (operation.is_read && (engine != nullptr || gone_status)) {
       operation.run(gone_status.value_or(absl::OkStatus()));
@@ -418,20 +446,25 @@ struct VehicleSession::State
 
   // ---- Appends
 
+  // `may_read`: whether this thread may wait for the storage.
   void RunAppend(const std::shared_ptr<PendingAppend>& append,
-                 const absl::Status& status) {
-    const absl::StatusOr<bool> staged = status.ok() ? Stage(append) : status;
+                 const absl::Status& status, bool may_read) {
+    const absl::StatusOr<Staging> staged =
+        status.ok() ? Stage(append, may_read) : status;
     if (!staged.ok()) {
       // Answered behind those before it.
       append->result = staged.status();
       in_flight.push_back(append);
       Staged(append, staged.status());
       Settle();
-    } else if (!*staged) {
-      // Goes first once all that is in flight has landed.
-      waiting.push_front({false, true, [this, append](const absl::Status& s) {
-                            RunAppend(append, s);
+    } else if (*staged != Staging::kDone) {
+      // Goes first: once all that is in flight has landed, or on a thread of
+      // the executor.
+      waiting.push_front({false, *staged == Staging::kWhenQuiet,
+                          [this, append](const absl::Status& s) {
+                            RunAppend(append, s, /*may_read=*/true);
                           }});
+      if (!may_read) PumpLater();
     }
   }
 
@@ -442,9 +475,11 @@ struct VehicleSession::State
     if (staged) staged(status);
   }
 
-  // Takes an append on, or answers false if it cannot be judged before what is
-  // in flight has landed.
-  absl::StatusOr<bool> Stage(const std::shared_ptr<PendingAppend>& append) {
+  // Whether an append was taken on, or when it can be judged.
+  enum class Staging { kDone, kWhenQuiet, kWhereReadsMayWait };
+
+  absl::StatusOr<Staging> Stage(const std::shared_ptr<PendingAppend>& append,
+                                bool may_read) {
     if (config.data_loss) return DataLoss({});
     if (!append->decoded) {
       absl::StatusOr<DecodedBatch> decoded =
@@ -466,8 +501,9 @@ struct VehicleSession::State
     }
     if (first <= staged_sequence) {
       if (last > durable_sequence && staged_sequence > durable_sequence) {
-        return false;
+        return Staging::kWhenQuiet;
       }
+      if (!may_read) return Staging::kWhereReadsMayWait;
       const absl::Status same =
           CompareWithStored(batch, first, std::min(last, durable_sequence));
       if (!same.ok()) return same;
@@ -476,7 +512,7 @@ struct VehicleSession::State
         in_flight.push_back(append);
         Staged(append, absl::OkStatus());
         Settle();
-        return true;
+        return Staging::kDone;
       }
       const absl::Status sliced =
           KeepFrom(durable_sequence + 1 - first, &batch);
@@ -485,7 +521,7 @@ struct VehicleSession::State
     const absl::Status origin = StageOrigin(batch);
     if (!origin.ok()) return origin;
     Write(append);
-    return true;
+    return Staging::kDone;
   }
 
   // The first batch of a geodetic vehicle may set its origin.
@@ -1019,11 +1055,7 @@ void VehicleSession::Append(AppendRequest request) {
   if (!request.should_stop) request.should_stop = [] { return false; };
   auto append = std::make_shared<PendingAppend>();
   append->request = std::move(request);
-  state->Submit(
-      {false, false,
-       [state, append = std::move(append)](const absl::Status& status) {
-         state->RunAppend(append, status);
-       }});
+  state->SubmitAppend(std::move(append));
 }
 
 void VehicleSession::CheckAcknowledged(

@@ -7,9 +7,11 @@
 // until none is, and holds up those behind it.
 //
 // All public calls are thread-safe and return at once; callbacks run on the
-// executor's threads, one at a time for a vehicle. Every callback is called
-// exactly once. The session's work goes on when the last reference to it is
-// dropped; see fleet.h for what must outlive that work.
+// executor's threads, one at a time for a vehicle, but that Append() may decode
+// and stage a batch, or refuse it, before it returns: call it without a lock
+// that its callbacks take. Every callback is called exactly once. The session's
+// work goes on when the last reference to it is dropped; see fleet.h for what
+// must outlive that work.
 #ifndef REVISIT_SERVER_SESSIONS_VEHICLE_SESSION_H_
 #define REVISIT_SERVER_SESSIONS_VEHICLE_SESSION_H_
 

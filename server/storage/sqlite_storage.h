@@ -14,7 +14,8 @@
 //
 // Tables (see kSchema in the .cc; the file's user_version is kStoreFormat):
 //   vehicles             a row a vehicle; keys are never used again
-//   batches              a row a batch, as sent; never rewritten
+//   batches              a row a batch, or some small ones that were committed
+//                        together, as sent; never rewritten
 //   revised_batches      a row a batch whose poses were revised: its current
 //                        version
 //   loop_closures        a row a loop closure
@@ -41,6 +42,12 @@ struct SqliteOptions {
   // Bounds of one transaction. One write may exceed the bytes.
   std::size_t max_group_writes = 1024;
   std::size_t max_group_bytes = std::size_t{8} << 20;
+  // Bounds of a row that is made of several batches of a vehicle which waited
+  // together and follow each other. Their payloads are put one behind the
+  // other, which must be the payload of all their poses, as it is of protobufs'
+  // repeated fields. 0 poses: each batch has a row of its own.
+  std::size_t max_joined_poses = 0;
+  std::size_t max_joined_bytes = std::size_t{64} << 10;
   // Name of SQLite's layer to the operating system; empty for the usual one.
   // Tests put one here whose device fails.
   std::string vfs;

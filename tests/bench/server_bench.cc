@@ -41,7 +41,10 @@ struct Options {
   std::int64_t many_nodes = 100'000;
   // Where stores are made.
   std::string directory;
+  // If not empty, what alone is measured; of streams, only with this many poses
+  // a batch, if not 0.
   std::string only;
+  int batch_poses = 0;
 };
 
 void SleepFor(double seconds) {
@@ -204,6 +207,9 @@ json IngestRound(const Options& options) {
     int batch_poses;
   };
   for (const Case& one : {Case{1, 64}, Case{1, 1}, Case{8, 64}, Case{8, 1}}) {
+    if (options.batch_poses != 0 && options.batch_poses != one.batch_poses) {
+      continue;
+    }
     json entry = {{"vehicles", one.vehicles}, {"batch_poses", one.batch_poses}};
     for (const Kind kind : {Kind::kEmpty, Kind::kRevisit}) {
       entry[NameOf(kind)] =
@@ -394,7 +400,7 @@ int Run(const Options& options) {
 constexpr char kUsage[] =
     "usage: revisit_server_bench [--seconds S] [--rounds N] [--nodes N]\n"
     "           [--many-nodes N] [--directory DIR] "
-    "[--only ingest|query|stall]\n";
+    "[--only ingest|query|stall] [--batch-poses N]\n";
 
 int Main(int argc, char** argv) {
   Options options;
@@ -416,6 +422,8 @@ int Main(int argc, char** argv) {
       options.many_nodes = std::strtol(value, nullptr, 10);
     } else if (flag == "--directory") {
       options.directory = value;
+    } else if (flag == "--batch-poses") {
+      options.batch_poses = static_cast<int>(std::strtol(value, nullptr, 10));
     } else if (flag == "--only") {
       options.only = value;
     } else {
