@@ -155,6 +155,7 @@ struct RevisitServer::State {
   ProtoRecordCodec codec;
   std::unique_ptr<Storage> storage;
   std::unique_ptr<Executor> executor;
+  std::unique_ptr<Executor> search_executor;
   std::unique_ptr<Fleet> fleet;
   std::unique_ptr<UnloadTimer> unload_timer;
   Drain drain;
@@ -223,18 +224,24 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   const int processors =
       static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
   state->executor = std::make_unique<Executor>(
+      "vehicles",
       settings.worker_threads > 0 ? settings.worker_threads : processors);
+  // With one alone, every vehicle that is loaded waits for every search.
+  state->search_executor = std::make_unique<Executor>(
+      "searches", settings.search_threads > 0 ? settings.search_threads
+                                              : std::max(2, processors));
   Fleet::Options options;
   options.idle_unload = Milliseconds(settings.idle_unload_minutes * 60.0);
   options.session.max_pending_appends = settings.max_pending_appends;
-  state->fleet = std::make_unique<Fleet>(state->storage.get(), &state->codec,
-                                         state->executor.get(), options);
+  state->fleet = std::make_unique<Fleet>(
+      state->storage.get(), &state->codec,
+      Lanes(state->executor.get(), state->search_executor.get()), options);
   state->unload_timer =
       std::make_unique<UnloadTimer>(state->fleet.get(), options.idle_unload);
 
   ServiceContext context;
   context.storage = state->storage.get();
-  context.executor = state->executor.get();
+  context.executor = state->search_executor.get();
   context.fleet = state->fleet.get();
   context.drain = &state->drain;
   context.log = log;
@@ -298,6 +305,7 @@ void RevisitServer::Shutdown() {
   state_->unload_timer.reset();
   state_->fleet.reset();
   state_->executor.reset();
+  state_->search_executor.reset();
   const CommitCounts counts = state_->storage->Counts();
   state_->storage.reset();
   const std::chrono::duration<double, std::milli> duration =

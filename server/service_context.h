@@ -24,6 +24,7 @@ struct ServiceLimits {
 // All outlive the calls.
 struct ServiceContext {
   Storage* storage = nullptr;
+  // Where what reads the store runs.
   Executor* executor = nullptr;
   Fleet* fleet = nullptr;
   Drain* drain = nullptr;

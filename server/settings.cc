@@ -171,7 +171,11 @@ class OptionTable {
     AddText(serving, "port-file", &s.port_file, "FILE",
             "Write the address listened on here once calls are taken");
     AddNumber(serving, "worker-threads", &s.worker_threads, 0, 1024,
-              "Threads for the vehicles' work; 0 means one a processor");
+              "Threads for acknowledging poses and other short work; 0 means "
+              "one a processor");
+    AddNumber(serving, "search-threads", &s.search_threads, 0, 1024,
+              "Threads for searches, loading and reading the store, which "
+              "never hold up the others; 0 means one a processor");
     AddNumber(serving, "idle-unload-minutes", &s.idle_unload_minutes, 0.01, 1e6,
               "Unload a vehicle that nobody has asked for this long");
     AddNumber(serving, "drain-timeout-seconds", &s.drain_timeout_seconds, 0,

@@ -26,9 +26,11 @@ struct ServerSettings {
   // If not empty, the address listened on is written here once calls are taken.
   std::string port_file;
 
-  // Threads for the vehicles' work; 0 takes as many as the machine has
-  // processors. Range [0, 1024].
+  // Threads for the vehicles' short work, such as acknowledging poses, and for
+  // what takes long: searches, loading, reading the store. 0 takes as many as
+  // the machine has processors, of the second at least 2. Range [0, 1024].
   int worker_threads = 0;
+  int search_threads = 0;
   // A vehicle nobody has asked for this long is unloaded. Range [0.01, 1e6].
   double idle_unload_minutes = 10.0;
   // How long calls may go on after SIGTERM before they are cut. Range [0,

@@ -1,5 +1,7 @@
 #include "server/sessions/executor.h"
 
+#include <pthread.h>
+
 #include <chrono>
 #include <utility>
 
@@ -12,9 +14,10 @@ constexpr std::chrono::microseconds kSlice{500};
 
 }  // namespace
 
-Executor::Executor(int threads) {
+Executor::Executor(const char* name, int threads) {
   for (int i = 0; i < threads; ++i) {
     threads_.emplace_back([this] { Work(); });
+    pthread_setname_np(threads_.back().native_handle(), name);
   }
 }
 
@@ -58,67 +61,80 @@ void Executor::Work() {
 }
 
 struct Strand::State : std::enable_shared_from_this<Strand::State> {
-  explicit State(Executor* runner) : executor(runner) {}
+  struct Task {
+    std::function<void()> run;
+    Executor* lane = nullptr;
+  };
 
-  void Schedule() {
-    executor->Post([self = shared_from_this()] { self->RunSome(); });
+  explicit State(const Lanes& strand_lanes) : lanes(strand_lanes) {}
+
+  void Post(Task task) {
+    Executor* const lane = task.lane;
+    {
+      const std::lock_guard<std::mutex> guard(mutex);
+      tasks.push_back(std::move(task));
+      if (taken) return;
+      taken = true;
+    }
+    Schedule(lane);
   }
 
-  void RunSome() {
+  void Schedule(Executor* lane) {
+    lane->Post([self = shared_from_this(), lane] { self->RunSome(lane); });
+  }
+
+  void RunSome(Executor* lane) {
     const auto pause = std::chrono::steady_clock::now() + kSlice;
-    std::function<void()> task;
+    Task task;
     do {
       {
         const std::lock_guard<std::mutex> guard(mutex);
-        if (tasks.empty()) {
-          taken = false;
-          return;
-        }
+        if (tasks.empty() || tasks.front().lane != lane) break;
         task = std::move(tasks.front());
         tasks.pop_front();
       }
-      task();
-      task = nullptr;
+      task.run();
+      task.run = nullptr;
     } while (std::chrono::steady_clock::now() < pause);
     GoOn();
   }
 
-  // Leaves what waits, if anything, to the executor.
+  // Leaves what waits, if anything, to its lane.
   void GoOn() {
+    Executor* lane;
     {
       const std::lock_guard<std::mutex> guard(mutex);
       if (tasks.empty()) {
         taken = false;
         return;
       }
+      lane = tasks.front().lane;
     }
-    Schedule();
+    Schedule(lane);
   }
 
-  Executor* const executor;
+  const Lanes lanes;
   std::mutex mutex;
-  std::deque<std::function<void()>> tasks;
+  std::deque<Task> tasks;
   // Whether a thread is in a task, or was asked to be.
   bool taken = false;
 };
 
-std::shared_ptr<Strand> Strand::Create(Executor* executor) {
-  return std::shared_ptr<Strand>(new Strand(executor));
+std::shared_ptr<Strand> Strand::Create(const Lanes& lanes) {
+  return std::shared_ptr<Strand>(new Strand(lanes));
 }
 
-Strand::Strand(Executor* executor)
-    : state_(std::make_shared<State>(executor)) {}
+Strand::Strand(const Lanes& lanes) : state_(std::make_shared<State>(lanes)) {}
 
 void Strand::Post(std::function<void()> task) {
   // The task may end, and the strand with it, before this call does.
   const std::shared_ptr<State> state = state_;
-  {
-    const std::lock_guard<std::mutex> guard(state->mutex);
-    state->tasks.push_back(std::move(task));
-    if (state->taken) return;
-    state->taken = true;
-  }
-  state->Schedule();
+  state->Post({std::move(task), state->lanes.short_work});
+}
+
+void Strand::PostLong(std::function<void()> task) {
+  const std::shared_ptr<State> state = state_;
+  state->Post({std::move(task), state->lanes.long_work});
 }
 
 bool Strand::Enter(State* state) {

@@ -84,13 +84,13 @@ struct Replay {
 struct VehicleSession::State
     : std::enable_shared_from_this<VehicleSession::State> {
   State(std::string vehicle_id, Storage* vehicle_storage,
-        const RecordCodec* record_codec, Executor* executor,
+        const RecordCodec* record_codec, const Lanes& lanes,
         const Limits& session_limits)
       : id(std::move(vehicle_id)),
         storage(vehicle_storage),
         codec(record_codec),
         limits(session_limits),
-        strand(Strand::Create(executor)) {}
+        strand(Strand::Create(lanes)) {}
 
   const std::string id;
   Storage* const storage;
@@ -123,6 +123,9 @@ struct VehicleSession::State
   bool pumping = false;
   // Loading or changing: nothing but reads may run.
   bool exclusive = false;
+  // The checks of an append that has landed are still to be run. What is in
+  // flight behind it lands after them.
+  bool checking = false;
   // A write failed: see that the store has what this session thinks it has.
   bool in_doubt = false;
   std::optional<Replay> replay;
@@ -143,14 +146,35 @@ struct VehicleSession::State
     return kind == PairKind::kLoopClosure ? loop_closures : rejections;
   }
 
+  using ViewCallback = std::function<void(absl::StatusOr<VehicleView>)>;
+
+  Operation Reading(ViewCallback callback) {
+    return {true, false,
+            [this, callback = std::move(callback)](const absl::Status& status) {
+              if (status.ok()) {
+                callback(View());
+              } else {
+                callback(status);
+              }
+            }};
+  }
+
   // ---- The queue
 
   // From any thread.
   void Submit(Operation operation) {
-    strand->Post([self = shared_from_this(),
-                  operation = std::move(operation)]() mutable {
+    strand->Post(Adding(std::move(operation)));
+  }
+
+  void SubmitLong(Operation operation) {
+    strand->PostLong(Adding(std::move(operation)));
+  }
+
+  std::function<void()> Adding(Operation operation) {
+    return [self = shared_from_this(),
+            operation = std::move(operation)]() mutable {
       self->Add(std::move(operation));
-    });
+    };
   }
 
   // The same for an append, which is staged before this returns if nothing
@@ -209,12 +233,12 @@ struct VehicleSession::State
     if (exclusive) return false;
     if (operation.is_read) return true;
     if (failure) return false;
-    return in_flight.empty() || !operation.needs_quiet;
+    return !operation.needs_quiet || (in_flight.empty() && !checking);
   }
 
   // After a failed write: OK if store and memory agree.
   absl::Status ClearDoubt() {
-    if (!in_doubt || !in_flight.empty()) return absl::OkStatus();
+    if (!in_doubt || !in_flight.empty() || checking) return absl::OkStatus();
     const absl::StatusOr<VehicleRecord> record = storage->GetVehicle(id);
     if (!record.ok()) {
       if (absl::IsNotFound(record.status())) Leave(NotFound(id));
@@ -305,13 +329,17 @@ struct VehicleSession::State
     replay->revision = new_revision;
     replay->engine = std::make_unique<core::Engine>(replay->config.engine);
     replay->then = std::move(then);
-    ContinueReplay();
+    PostReplay();
+  }
+
+  void PostReplay() {
+    strand->PostLong([self = shared_from_this()] { self->ContinueReplay(); });
   }
 
   void ContinueReplay() {
     const absl::StatusOr<bool> finished = ReplaySome();
     if (finished.ok() && !*finished) {
-      strand->Post([self = shared_from_this()] { self->ContinueReplay(); });
+      PostReplay();
       return;
     }
     Replay done = *std::move(replay);
@@ -636,7 +664,7 @@ struct VehicleSession::State
 
   // Answers, in order, the appends whose result is known.
   void Settle() {
-    while (!in_flight.empty() && in_flight.front()->result) {
+    while (!checking && !in_flight.empty() && in_flight.front()->result) {
       const std::shared_ptr<PendingAppend> append =
           std::move(in_flight.front());
       in_flight.pop_front();
@@ -646,7 +674,7 @@ struct VehicleSession::State
         Land(append);
       }
     }
-    if (in_flight.empty() && failure) {
+    if (in_flight.empty() && !checking && failure) {
       failure.reset();
       Settled(config, revision);
     }
@@ -683,9 +711,24 @@ struct VehicleSession::State
         applied.checks_due.empty()) {
       return;
     }
+    checking = true;
+    strand->PostLong([self = shared_from_this(), append,
+                      due = std::move(applied.checks_due)] {
+      self->Check(append->request, due);
+      self->checking = false;
+      // In the lane of short work again.
+      self->strand->Post([self] {
+        self->Settle();
+        self->Pump();
+      });
+    });
+  }
+
+  void Check(const AppendRequest& request,
+             const std::vector<core::NodeIndex>& due) {
     const absl::StatusOr<core::SearchOptions> options =
         (*request.check)(config);
-    for (core::NodeIndex node : applied.checks_due) {
+    for (core::NodeIndex node : due) {
       request.callbacks.candidates(
           View(), options.ok() ? engine->FindCandidates(node, *options,
                                                         request.should_stop)
@@ -740,8 +783,6 @@ struct VehicleSession::State
       });
     });
   }
-
-  using ViewCallback = std::function<void(absl::StatusOr<VehicleView>)>;
 
   // Stores and applies a config that moves no nodes.
   void WriteConfig(const VehicleConfig& new_config,
@@ -856,16 +897,31 @@ struct VehicleSession::State
                 });
   }
 
-  void Revise(
-      const std::function<absl::StatusOr<RevisionPlan>(const VehicleView&)>&
-          make_plan,
-      const std::function<void(
-          absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>)>& callback) {
+  using RevisionPlanner =
+      std::function<absl::StatusOr<RevisionPlan>(const VehicleView&)>;
+  using RevisionCallback = std::function<void(
+      absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>)>;
+
+  void Revise(const RevisionPlanner& make_plan,
+              const RevisionCallback& callback) {
     const absl::Status writable = Writable();
     if (!writable.ok()) {
       callback(writable);
       return;
     }
+    // The plan reads all that it revises.
+    exclusive = true;
+    strand->PostLong([self = shared_from_this(), make_plan, callback] {
+      self->exclusive = false;
+      self->pumping = true;
+      self->WriteRevision(make_plan, callback);
+      self->pumping = false;
+      self->Pump();
+    });
+  }
+
+  void WriteRevision(const RevisionPlanner& make_plan,
+                     const RevisionCallback& callback) {
     absl::StatusOr<RevisionPlan> plan = make_plan(View());
     if (!plan.ok()) {
       callback(plan.status());
@@ -1011,11 +1067,11 @@ struct VehicleSession::State
 std::shared_ptr<VehicleSession> VehicleSession::Load(std::string id,
                                                      Storage* storage,
                                                      const RecordCodec* codec,
-                                                     Executor* executor,
+                                                     const Lanes& lanes,
                                                      const Limits& limits) {
   auto state =
-      std::make_shared<State>(std::move(id), storage, codec, executor, limits);
-  state->strand->Post([state] { state->Load(); });
+      std::make_shared<State>(std::move(id), storage, codec, lanes, limits);
+  state->strand->PostLong([state] { state->Load(); });
   return std::shared_ptr<VehicleSession>(new VehicleSession(std::move(state)));
 }
 
@@ -1024,16 +1080,12 @@ VehicleSession::VehicleSession(std::shared_ptr<State> state)
 
 void VehicleSession::Read(
     std::function<void(absl::StatusOr<VehicleView>)> callback) {
-  State* const state = state_.get();
-  state->Submit(
-      {true, false,
-       [state, callback = std::move(callback)](const absl::Status& status) {
-         if (status.ok()) {
-           callback(state->View());
-         } else {
-           callback(status);
-         }
-       }});
+  state_->Submit(state_->Reading(std::move(callback)));
+}
+
+void VehicleSession::LongRead(
+    std::function<void(absl::StatusOr<VehicleView>)> callback) {
+  state_->SubmitLong(state_->Reading(std::move(callback)));
 }
 
 void VehicleSession::Append(AppendRequest request) {

@@ -1,5 +1,7 @@
 #include "server/storage/sqlite_storage.h"
 
+#include <pthread.h>
+
 #include <algorithm>
 #include <atomic>
 #include <condition_variable>
@@ -605,7 +607,10 @@ class SqliteStorage : public Storage {
         lock_(std::move(lock)),
         writer_(std::move(writer)),
         anchor_(std::move(anchor)),
-        thread_([this] { Write(); }) {}
+        thread_([this] { Write(); }) {
+    // For tools that list threads.
+    pthread_setname_np(thread_.native_handle(), "store-writer");
+  }
 
   ~SqliteStorage() override {
     {
