@@ -385,7 +385,12 @@ bool Wanted(const Options& options, const char* what) {
 }
 
 int Run(const Options& options) {
-  json result = {{"seconds", options.seconds}, {"rounds", json::array()}};
+  double load = 0.0;
+  getloadavg(&load, 1);
+  // Of others, before we add ours.
+  json result = {{"seconds", options.seconds},
+                 {"load", load},
+                 {"rounds", json::array()}};
   for (int i = 0; i < options.rounds; ++i) {
     json round;
     if (Wanted(options, "ingest")) round["ingest"] = IngestRound(options);
