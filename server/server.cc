@@ -210,6 +210,8 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
 
   SqliteOptions storage_options;
   storage_options.max_joined_poses = kRowPoses;
+  storage_options.latency_target = std::chrono::microseconds(
+      static_cast<std::int64_t>(settings.ack_latency_target_ms * 1000.0));
   const absl::StatusOr<std::string> file = StoreFile(settings.store);
   absl::StatusOr<std::unique_ptr<Storage>> storage =
       file.ok() ? OpenSqliteStorage(*file, storage_options) : file.status();

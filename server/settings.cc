@@ -181,6 +181,11 @@ class OptionTable {
     AddNumber(serving, "drain-timeout-seconds", &s.drain_timeout_seconds, 0,
               86400, "How long calls may go on after SIGTERM");
 
+    AddNumber(serving, "ack-latency-target-ms", &s.ack_latency_target_ms, 0,
+              1000,
+              "While many poses come, gather them into larger commits as long "
+              "as acknowledgements take no longer than this; 0 never waits");
+
     const char* limits = "Limits";
     AddNumber(limits, "max-message-bytes", &s.max_message_bytes, 1024, 1 << 30,
               "Largest message read");

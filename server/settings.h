@@ -37,6 +37,10 @@ struct ServerSettings {
   // 86400].
   double drain_timeout_seconds = 10.0;
 
+  // Acknowledgements may take this long for the sake of larger commits, while
+  // many come; 0: never. Range [0, 1000].
+  double ack_latency_target_ms = 2.0;
+
   // Largest message read. Range [1024, 2^30].
   std::int64_t max_message_bytes = 4 << 20;
   // Most poses in a batch. Range [1, 1e6].

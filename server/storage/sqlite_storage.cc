@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <deque>
 #include <filesystem>
@@ -810,6 +811,8 @@ class SqliteStorage : public Storage {
   CommitCounts Counts() const override { return {commits_, writes_}; }
 
  private:
+  using Clock = std::chrono::steady_clock;
+
   // One row of `batches`, or something else.
   struct PendingWrite {
     std::size_t bytes = 0;
@@ -894,22 +897,34 @@ class SqliteStorage : public Storage {
       const std::lock_guard<std::mutex> guard(mutex_);
       // What comes later of any vehicle must not get before it.
       open_rows_.clear();
-      queue_.push_back(std::move(write));
+      Enqueue(std::move(write));
     }
     wake_.notify_one();
   }
 
   void SubmitAppend(PendingWrite write) {
-    bool wake = true;
+    bool wake;
     {
       const std::lock_guard<std::mutex> guard(mutex_);
-      const auto open = open_rows_.find(write.key);
-      if (open != open_rows_.end() && Join(open->second, &write)) return;
       wake = queue_.empty();
-      queue_.push_back(std::move(write));
-      open_rows_[queue_.back().key] = &queue_.back();
+      const auto open = open_rows_.find(write.key);
+      if (open != open_rows_.end() && Join(open->second, &write)) {
+        ++waiting_writes_;
+      } else {
+        Enqueue(std::move(write));
+        open_rows_[queue_.back().key] = &queue_.back();
+      }
+      // One that is busy looks by itself.
+      wake = wake || (gathering_ && waiting_writes_ >= last_group_writes_);
     }
     if (wake) wake_.notify_one();
+  }
+
+  // With the mutex held.
+  void Enqueue(PendingWrite write) {
+    if (queue_.empty()) oldest_submission_ = Clock::now();
+    ++waiting_writes_;
+    queue_.push_back(std::move(write));
   }
 
   // Makes an append part of a row that waits, if it follows and fits.
@@ -937,18 +952,28 @@ class SqliteStorage : public Storage {
       wake_.wait(lock,
                  [this] { return stopping_ || purge_ || !queue_.empty(); });
       if (queue_.empty() && stopping_) break;
+      Gather(&lock);
       std::vector<PendingWrite> group;
       std::size_t bytes = 0;
+      std::size_t writes = 0;
       while (!queue_.empty() && group.size() < options_.max_group_writes &&
              (group.empty() ||
               bytes + queue_.front().bytes <= options_.max_group_bytes)) {
         bytes += queue_.front().bytes;
+        writes += queue_.front().done.size();
         group.push_back(std::move(queue_.front()));
         queue_.pop_front();
       }
       open_rows_.clear();
+      waiting_writes_ -= writes;
+      last_group_writes_ = writes;
+      const Clock::time_point start = Clock::now();
+      // Of those that are left behind, near enough.
+      oldest_submission_ = start;
       lock.unlock();
       const std::vector<absl::Status> results = Commit(group);
+      // Follows the device, and forgets a single slow flush soon.
+      commit_time_ += (Clock::now() - start - commit_time_) / 8;
       for (std::size_t i = 0; i < group.size(); ++i) {
         for (const Done& done : group[i].done) done(results[i]);
       }
@@ -958,6 +983,19 @@ class SqliteStorage : public Storage {
     }
     // Rids the log of a transaction that failed last.
     EnsureWriter().IgnoreError();
+  }
+
+  // Waits for more, see SqliteOptions::latency_target.
+  void Gather(std::unique_lock<std::mutex>* lock) {
+    if (options_.latency_target <= commit_time_) return;
+    gathering_ = true;
+    while (!stopping_ && !queue_.empty() &&
+           waiting_writes_ < last_group_writes_) {
+      const Clock::time_point latest =
+          oldest_submission_ + options_.latency_target - commit_time_;
+      if (wake_.wait_until(*lock, latest) == std::cv_status::timeout) break;
+    }
+    gathering_ = false;
   }
 
   // Writes a group in one transaction.
@@ -1111,6 +1149,8 @@ class SqliteStorage : public Storage {
   // The sequence that comes next of vehicles that were written to, as the
   // transaction under way would have it. Forgotten when that is in doubt.
   std::unordered_map<VehicleKey, std::uint64_t> next_sequences_;
+  // What a commit takes.
+  Clock::duration commit_time_{0};
   // Written by that thread.
   std::atomic<std::uint64_t> commits_{0};
   std::atomic<std::uint64_t> writes_{0};
@@ -1125,6 +1165,12 @@ class SqliteStorage : public Storage {
   // By vehicle, the row in the queue that appends may still join.
   std::unordered_map<VehicleKey, PendingWrite*> open_rows_;
   bool stopping_ = false;
+  // In the queue, each batch of a row counted.
+  std::size_t waiting_writes_ = 0;
+  std::size_t last_group_writes_ = 0;
+  // Of the first in the queue, or when the last group was taken.
+  Clock::time_point oldest_submission_;
+  bool gathering_ = false;
 
   std::mutex readers_mutex_;
   std::vector<std::unique_ptr<SqliteDatabase>> idle_readers_;

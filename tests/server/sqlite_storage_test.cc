@@ -731,6 +731,65 @@ TEST_F(FailingDeviceTest, BatchesDoNotJoinARowPastAnotherWrite) {
   EXPECT_THAT(Stored(), ElementsAre("one", "a", "b", "c"));
 }
 
+TEST_F(FailingDeviceTest, GathersAsManyAsBeforeWithinTheLatencyTarget) {
+  storage_.reset();
+  options_.latency_target = std::chrono::hours(1);
+  storage_ = MustOpen(Path(), options_);
+  const auto append = [&](std::uint64_t sequence) {
+    const Answer<absl::Status> answer;
+    storage_->AppendBatch(key_, {sequence, 1, sequence + 1, "x"}, std::nullopt,
+                          answer.Setter());
+    return answer;
+  };
+  // An idle store waits for nothing.
+  EXPECT_THAT(append(2).Get(), IsOk());
+  EXPECT_THAT(append(3).Get(), IsOk());
+  device_.HoldLogFlush();
+  std::vector<Answer<absl::Status>> answers = {append(4)};
+  device_.AwaitHeldLogFlush();
+  for (std::uint64_t i = 5; i <= 7; ++i) answers.push_back(append(i));
+  device_.LetLogFlushGo();
+  for (const Answer<absl::Status>& answer : answers) {
+    EXPECT_THAT(answer.Get(), IsOk());
+  }
+  // The last commit held three: so does the next.
+  const int before = device_.log_flushes();
+  answers = {append(8), append(9)};
+  EXPECT_EQ(device_.log_flushes(), before);
+  EXPECT_FALSE(answers[0].IsSet());
+  answers.push_back(append(10));
+  for (const Answer<absl::Status>& answer : answers) {
+    EXPECT_THAT(answer.Get(), IsOk());
+  }
+  EXPECT_EQ(device_.log_flushes(), before + 1);
+  // What waits when the store is closed is written all the same.
+  const Answer<absl::Status> last = append(11);
+  EXPECT_FALSE(last.IsSet());
+  storage_.reset();
+  EXPECT_THAT(last.Get(), IsOk());
+  storage_ = MustOpen(Path(), options_);
+  EXPECT_EQ(storage_->GetVehicle("truck")->durable_sequence, 11u);
+}
+
+TEST_F(FailingDeviceTest, WaitsNoLongerThanTheLatencyTarget) {
+  storage_.reset();
+  options_.latency_target = std::chrono::milliseconds(20);
+  storage_ = MustOpen(Path(), options_);
+  device_.HoldLogFlush();
+  std::vector<Answer<absl::Status>> answers(4);
+  for (std::uint64_t i = 0; i < answers.size(); ++i) {
+    storage_->AppendBatch(key_, {i + 2, 1, i + 3, "x"}, std::nullopt,
+                          answers[i].Setter());
+    if (i == 0) device_.AwaitHeldLogFlush();
+  }
+  device_.LetLogFlushGo();
+  for (const Answer<absl::Status>& answer : answers) {
+    EXPECT_THAT(answer.Get(), IsOk());
+  }
+  // No second and third come.
+  EXPECT_THAT(write().Append(key_, {6, 1, 7, "x"}), IsOk());
+}
+
 TEST_F(FailingDeviceTest, FailedFlushFailsAllThatShareARow) {
   storage_.reset();
   options_.max_joined_poses = 100;
