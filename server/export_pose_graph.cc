@@ -47,7 +47,7 @@ class Export final : public grpc::ServerWriteReactor<Response>,
       return;
     }
     call_.set_vehicle(*id);
-    context_.fleet->Session(*id)->Read(
+    context_.fleet->Session(*id)->LongRead(
         [self = shared_from_this()](const absl::StatusOr<VehicleView>& view) {
           self->OnRead(view);
         });

@@ -286,7 +286,7 @@ absl::Status ListPairs(const ServiceContext& context, const UnaryCallPtr& call,
   const absl::StatusOr<std::string> after =
       ParsePageToken(list, request.page_token());
   if (!after.ok()) return after.status();
-  (*session)->Read(FinishWith<VehicleView>(
+  (*session)->LongRead(FinishWith<VehicleView>(
       call, [=, storage = context.storage](const VehicleView& view) {
         const auto records =
             storage->ListPosePairs(view.key, kind, *after, *page_size + 1);
@@ -492,7 +492,7 @@ grpc::ServerUnaryReactor* PoseGraphService::FindCandidates(
     const auto session = SessionOf(context_, request->vehicle(),
                                    kRequest.Field("vehicle"), call.get());
     if (!session.ok()) return session.status();
-    (*session)->Read(
+    (*session)->LongRead(
         FinishWith<VehicleView>(call, [=](const VehicleView& view) {
           return Find(*call, view, *request, response);
         }));
@@ -594,7 +594,7 @@ grpc::ServerUnaryReactor* PoseGraphService::ListPoses(
         !status.ok()) {
       return status;
     }
-    (*session)->Read(FinishWith<VehicleView>(
+    (*session)->LongRead(FinishWith<VehicleView>(
         call, [=, storage = context_.storage](const VehicleView& view) {
           return ReadPoses(storage, view, *first, *page_size,
                            request->read_mask(), list, response);

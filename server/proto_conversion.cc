@@ -1352,6 +1352,7 @@ void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,
 void EncodeAck(const Acknowledgement& acknowledgement, v1::Ack* ack) {
   ack->set_durable_sequence(acknowledgement.durable_sequence);
   ack->set_revision(acknowledgement.revision);
+  ack->clear_jumps();
   for (const core::Jump& jump : acknowledgement.jumps) {
     v1::Jump* added = ack->add_jumps();
     added->set_sequence(jump.sequence);

@@ -31,6 +31,8 @@ namespace revisit::server {
 namespace {
 
 constexpr char kStoreFile[] = "revisit.sqlite";
+// Of vehicles that send few poses a batch, as many as others send at once.
+constexpr std::size_t kRowPoses = 64;
 // For connections to be closed in an orderly way.
 constexpr std::chrono::milliseconds kGoodbyeTime{100};
 
@@ -164,6 +166,7 @@ struct RevisitServer::State {
   ProtoRecordCodec codec;
   std::unique_ptr<Storage> storage;
   std::unique_ptr<Executor> executor;
+  std::unique_ptr<Executor> search_executor;
   std::unique_ptr<Fleet> fleet;
   std::unique_ptr<UnloadTimer> unload_timer;
   Drain drain;
@@ -195,8 +198,11 @@ void Configure(const ServerSettings& settings, grpc::ServerBuilder* builder) {
 }
 
 ServiceLimits Limits(const ServerSettings& settings) {
-  return {settings.max_message_bytes, settings.max_batch_poses,
-          settings.max_batches_in_flight, settings.max_revision_bytes};
+  return {
+      settings.max_message_bytes, settings.max_batch_poses,
+      // A stream alone must not exceed what one vehicle may have waiting.
+      std::min(settings.max_batches_in_flight, settings.max_pending_appends),
+      settings.max_bytes_in_flight, settings.max_revision_bytes};
 }
 
 }  // namespace
@@ -213,9 +219,13 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->log = log;
   state->grpc_log.emplace(log);
 
+  SqliteOptions storage_options;
+  storage_options.max_joined_poses = kRowPoses;
+  storage_options.latency_target = std::chrono::microseconds(
+      static_cast<std::int64_t>(settings.ack_latency_target_ms * 1000.0));
   const absl::StatusOr<std::string> file = StoreFile(settings.store);
   absl::StatusOr<std::unique_ptr<Storage>> storage =
-      file.ok() ? OpenSqliteStorage(*file) : file.status();
+      file.ok() ? OpenSqliteStorage(*file, storage_options) : file.status();
   if (!storage.ok()) {
     *error = {absl::IsFailedPrecondition(storage.status()) ? kExitStoreInUse
                                                            : kExitStoreFailed,
@@ -227,21 +237,27 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   const int processors =
       static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
   state->executor = std::make_unique<Executor>(
+      "vehicles",
       settings.worker_threads > 0 ? settings.worker_threads : processors);
+  // With one alone, every vehicle that is loaded waits for every search.
+  state->search_executor = std::make_unique<Executor>(
+      "searches", settings.search_threads > 0 ? settings.search_threads
+                                              : std::max(2, processors));
   Fleet::Options options;
   options.idle_unload = Milliseconds(settings.idle_unload_minutes * 60.0);
   if (settings.memory_budget_mebibytes > 0) {
     options.memory_budget_bytes = settings.memory_budget_mebibytes << 20;
   }
   options.session.max_pending_appends = settings.max_pending_appends;
-  state->fleet = std::make_unique<Fleet>(state->storage.get(), &state->codec,
-                                         state->executor.get(), options);
+  state->fleet = std::make_unique<Fleet>(
+      state->storage.get(), &state->codec,
+      Lanes(state->executor.get(), state->search_executor.get()), options);
   state->unload_timer =
       std::make_unique<UnloadTimer>(state->fleet.get(), options);
 
   ServiceContext context;
   context.storage = state->storage.get();
-  context.executor = state->executor.get();
+  context.executor = state->search_executor.get();
   context.fleet = state->fleet.get();
   context.drain = &state->drain;
   context.log = log;
@@ -305,11 +321,15 @@ void RevisitServer::Shutdown() {
   state_->unload_timer.reset();
   state_->fleet.reset();
   state_->executor.reset();
+  state_->search_executor.reset();
+  const CommitCounts counts = state_->storage->Counts();
   state_->storage.reset();
   const std::chrono::duration<double, std::milli> duration =
       std::chrono::steady_clock::now() - start;
   state_->log->Write(LogLevel::kInfo, "stopped",
-                     {{"duration_ms", duration.count()}});
+                     {{"duration_ms", duration.count()},
+                      {"commits", static_cast<std::int64_t>(counts.commits)},
+                      {"writes", static_cast<std::int64_t>(counts.writes)}});
 }
 
 }  // namespace revisit::server

@@ -17,12 +17,14 @@ struct ServiceLimits {
   std::int64_t max_message_bytes = 0;
   int max_batch_poses = 0;
   int max_batches_in_flight = 0;
+  std::int64_t max_bytes_in_flight = 0;
   std::int64_t max_revision_bytes = 0;
 };
 
 // All outlive the calls.
 struct ServiceContext {
   Storage* storage = nullptr;
+  // Where what reads the store runs.
   Executor* executor = nullptr;
   Fleet* fleet = nullptr;
   Drain* drain = nullptr;

@@ -171,7 +171,11 @@ class OptionTable {
     AddText(serving, "port-file", &s.port_file, "FILE",
             "Write the address listened on here once calls are taken");
     AddNumber(serving, "worker-threads", &s.worker_threads, 0, 1024,
-              "Threads for the vehicles' work; 0 means one a processor");
+              "Threads for acknowledging poses and other short work; 0 means "
+              "one a processor");
+    AddNumber(serving, "search-threads", &s.search_threads, 0, 1024,
+              "Threads for searches, loading and reading the store, which "
+              "never hold up the others; 0 means one a processor");
     AddNumber(serving, "idle-unload-minutes", &s.idle_unload_minutes, 0.01, 1e6,
               "Unload a vehicle that nobody has asked for this long");
     AddNumber(serving, "memory-budget-mebibytes", &s.memory_budget_mebibytes, 0,
@@ -181,6 +185,11 @@ class OptionTable {
     AddNumber(serving, "drain-timeout-seconds", &s.drain_timeout_seconds, 0,
               86400, "How long calls may go on after SIGTERM");
 
+    AddNumber(serving, "ack-latency-target-ms", &s.ack_latency_target_ms, 0,
+              1000,
+              "While many poses come, gather them into larger commits as long "
+              "as acknowledgements take no longer than this; 0 never waits");
+
     const char* limits = "Limits";
     AddNumber(limits, "max-message-bytes", &s.max_message_bytes, 1024, 1 << 30,
               "Largest message read");
@@ -189,6 +198,8 @@ class OptionTable {
     AddNumber(limits, "max-batches-in-flight", &s.max_batches_in_flight, 1,
               10000,
               "Batches of one stream that may wait for their acknowledgement");
+    AddNumber(limits, "max-bytes-in-flight", &s.max_bytes_in_flight, 1024,
+              1 << 30, "Memory that they may take; one alone may take more");
     AddNumber(limits, "max-pending-appends", &s.max_pending_appends, 1, 1000000,
               "Batches of one vehicle that may wait, over all its streams");
     AddNumber(limits, "max-revision-bytes", &s.max_revision_bytes, 1024,

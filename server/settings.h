@@ -26,9 +26,11 @@ struct ServerSettings {
   // If not empty, the address listened on is written here once calls are taken.
   std::string port_file;
 
-  // Threads for the vehicles' work; 0 takes as many as the machine has
-  // processors. Range [0, 1024].
+  // Threads for the vehicles' short work, such as acknowledging poses, and for
+  // what takes long: searches, loading, reading the store. 0 takes as many as
+  // the machine has processors, of the second at least 2. Range [0, 1024].
   int worker_threads = 0;
+  int search_threads = 0;
   // A vehicle nobody has asked for this long is unloaded. Range [0.01, 1e6].
   double idle_unload_minutes = 10.0;
   // Above this many mebibytes of nodes and edges, vehicles that no call or
@@ -39,16 +41,22 @@ struct ServerSettings {
   // 86400].
   double drain_timeout_seconds = 10.0;
 
+  // Acknowledgements may take this long for the sake of larger commits, while
+  // many come; 0: never. Range [0, 1000].
+  double ack_latency_target_ms = 2.0;
+
   // Largest message read. Range [1024, 2^30].
   std::int64_t max_message_bytes = 4 << 20;
   // Most poses in a batch. Range [1, 1e6].
   int max_batch_poses = 4096;
-  // Batches of one stream that may wait for their acknowledgement to be sent.
-  // Range [1, 10000].
-  int max_batches_in_flight = 16;
+  // Batches of one stream that may wait for their acknowledgement to be sent,
+  // and the memory that they may take, which a single one may exceed. Range [1,
+  // 10000] and [1024, 2^30].
+  int max_batches_in_flight = 512;
+  std::int64_t max_bytes_in_flight = std::int64_t{2} << 20;
   // Batches of one vehicle, over all its streams and calls, that may wait.
   // Range [1, 1e6].
-  int max_pending_appends = 256;
+  int max_pending_appends = 1024;
   // Most bytes of poses that one RevisePoses call may bring. Range [1024,
   // 2^36].
   std::int64_t max_revision_bytes = std::int64_t{256} << 20;
