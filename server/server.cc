@@ -125,6 +125,7 @@ struct RevisitServer::State {
   // Null if the listener speaks plaintext.
   std::unique_ptr<TlsFiles> tls_files;
   std::unique_ptr<Periodic> tls_timer;
+  std::shared_ptr<grpc::ServerCredentials> credentials;
   std::unique_ptr<PoseGraphService> service;
   std::unique_ptr<grpc::Server> grpc_server;
   std::string address;
@@ -172,7 +173,8 @@ class WithoutReflection final : public grpc::ServerBuilderOption {
                          plugins) override {
     plugins->erase(std::remove_if(plugins->begin(), plugins->end(),
                                   [](const auto& plugin) {
-                                    return plugin->name() == "proto_reflection";
+                                    return plugin->name() ==
+                                           "proto_server_reflection";
                                   }),
                    plugins->end());
   }
@@ -279,9 +281,8 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   }
   Configure(settings, &builder);
   int port = 0;
-  builder.AddListeningPort(
-      settings.listen, ListenerCredentials(settings, state->tls_files.get()),
-      &port);
+  state->credentials = ListenerCredentials(settings, state->tls_files.get());
+  builder.AddListeningPort(settings.listen, state->credentials, &port);
   builder.RegisterService(state->service.get());
   state->grpc_server = builder.BuildAndStart();
   if (state->grpc_server == nullptr) {

@@ -11,7 +11,7 @@
 namespace revisit::server {
 
 // TLS 1.2 or later, with what `files` hold at each handshake. May serve any
-// number of listeners. `files` must outlive the server.
+// number of listeners. `files`, and what is returned, must outlive the server.
 std::shared_ptr<grpc::ServerCredentials> MakeTlsServerCredentials(
     const TlsFiles* files, ClientCertificates clients);
 
