@@ -15,7 +15,7 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 from identities import (
     AUDIENCE, ISSUER, Authority, TokenKey, bearer, key_set, replace)
 from revisit_server import Server, run, wait_until
-from stubs import PoseGraphServiceStub, api
+from stubs import ROOT, PoseGraphServiceStub, api
 from wire import (
     PoseStream, append, decode_failure, failure_of, list_poses, straight)
 
@@ -740,6 +740,19 @@ def test_remote_listener_without_security_is_refused(tmp_path):
     assert result.returncode == USAGE
     assert "whoever reaches this address" in result.stderr
     assert not store.exists()
+
+
+def test_policy_of_the_documentation_is_a_good_one(tmp_path):
+    own = Identities(tmp_path)
+    text = (ROOT / "SECURITY.md").read_text()
+    policy = re.search(r"^```json\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    replace(own.policy_file, policy.group(1))
+    with Server(tmp_path / "store", *own.token_flags) as server:
+        backend = As(server.stub(), own.key.token("acme-backend"))
+        create(backend, "acme-1")
+        viewer = As(server.stub(), own.key.token(
+            "somebody", groups=["umbra-viewers"]))
+        assert list_vehicles(viewer, 10) == ([[]], [])
 
 
 @pytest.mark.parametrize("name, content, words", [
