@@ -329,6 +329,8 @@ void RevisitServer::Shutdown() {
                                 kGoodbyeTime);
   state_->grpc_server->Wait();
   state_->grpc_server.reset();
+  // Its thread may hold the last of a stream, and with it a session.
+  state_->gatekeeper.reset();
   state_->unload_timer.reset();
   state_->fleet.reset();
   state_->executor.reset();

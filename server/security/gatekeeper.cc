@@ -1,5 +1,7 @@
 #include "server/security/gatekeeper.h"
 
+#include <openssl/evp.h>
+
 #include <algorithm>
 #include <condition_variable>
 #include <cstddef>
@@ -25,6 +27,16 @@ constexpr std::size_t kMaxRemembered = 10000;
 
 absl::Status Unauthenticated(const char* reason, const std::string& what) {
   return Error(absl::StatusCode::kUnauthenticated, reason, what);
+}
+
+// So that what is remembered is small, and no secret.
+std::string Fingerprint(const std::string& credential) {
+  std::string hash(EVP_MAX_MD_SIZE, '\0');
+  std::size_t size = 0;
+  EVP_Q_digest(nullptr, "SHA256", nullptr, credential.data(), credential.size(),
+               reinterpret_cast<unsigned char*>(hash.data()), &size);
+  hash.resize(size);
+  return hash;
 }
 
 class OpenGatekeeper final : public Gatekeeper {
@@ -56,7 +68,8 @@ class Rules {
   absl::StatusOr<std::shared_ptr<const Caller>> ByToken(
       const std::string& token, Gatekeeper::Time now) const {
     // No certificate is a token.
-    if (auto known = Recall(token)) {
+    const std::string fingerprint = Fingerprint(token);
+    if (auto known = Recall(fingerprint)) {
       if (now < known->expires) return known;
     }
     const absl::StatusOr<Token> verified =
@@ -68,13 +81,14 @@ class Rules {
     Identity identity;
     identity.token_subject = verified->subject;
     identity.token_claims = verified->claims;
-    return Find(token, identity, "token:" + verified->subject,
+    return Find(fingerprint, identity, "token:" + verified->subject,
                 verified->expires);
   }
 
   absl::StatusOr<std::shared_ptr<const Caller>> ByCertificate(
       const std::string& pem, Gatekeeper::Time now) const {
-    if (auto known = Recall(pem)) {
+    const std::string fingerprint = Fingerprint(pem);
+    if (auto known = Recall(fingerprint)) {
       if (now < known->expires) return known;
     }
     absl::StatusOr<ClientCertificate> certificate = ReadClientCertificate(pem);
@@ -100,19 +114,20 @@ class Rules {
                              "the client certificate has no URI and no DNS "
                              "name among its alternative names");
     }
-    return Find(pem, identity, "certificate:" + name, certificate->expires);
+    return Find(fingerprint, identity, "certificate:" + name,
+                certificate->expires);
   }
 
  private:
-  std::shared_ptr<const Caller> Recall(const std::string& credential) const {
+  std::shared_ptr<const Caller> Recall(const std::string& fingerprint) const {
     const std::lock_guard<std::mutex> lock(mutex_);
-    const auto found = remembered_.find(credential);
+    const auto found = remembered_.find(fingerprint);
     return found == remembered_.end() ? nullptr : found->second;
   }
 
   absl::StatusOr<std::shared_ptr<const Caller>> Find(
-      const std::string& credential, const Identity& identity, std::string name,
-      Gatekeeper::Time expires) const {
+      const std::string& fingerprint, const Identity& identity,
+      std::string name, Gatekeeper::Time expires) const {
     auto caller = std::make_shared<Caller>();
     caller->identity = std::move(name);
     caller->expires = expires;
@@ -122,7 +137,7 @@ class Rules {
     }
     const std::lock_guard<std::mutex> lock(mutex_);
     if (remembered_.size() >= kMaxRemembered) remembered_.clear();
-    remembered_[credential] = caller;
+    remembered_[fingerprint] = caller;
     return std::shared_ptr<const Caller>(std::move(caller));
   }
 
@@ -131,7 +146,8 @@ class Rules {
   const TokenRules token_rules_;
 
   mutable std::mutex mutex_;
-  // Guarded by mutex_. By the credential itself; only those that were verified.
+  // Guarded by mutex_. By fingerprint of the credential; only what was
+  // verified.
   mutable std::unordered_map<std::string, std::shared_ptr<const Caller>>
       remembered_;
 };

@@ -218,6 +218,10 @@ def test_handshake_fails_without_the_right_certificate(tls_server, identities):
     assert refused(tls_server, stranger.pem, good)
     with secure_stub(tls_server, identities.authority.pem, good) as stub:
         ask(stub)
+    # The callers are told nothing; whoever runs the server is.
+    for reason in ("peer did not return a certificate",
+                   "certificate verify failed"):
+        assert reason in tls_server.log()
 
 
 def test_plaintext_gets_nothing_from_a_tls_listener(tls_server):
