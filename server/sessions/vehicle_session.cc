@@ -961,7 +961,8 @@ struct VehicleSession::State
           storage->DeleteVehicle(key, std::move(done));
         },
         [this, callback](const absl::Status& status) {
-          if (status.ok() || absl::IsNotFound(status)) Leave(VehicleNotFound(id));
+          if (status.ok() || absl::IsNotFound(status))
+            Leave(VehicleNotFound(id));
           callback(status);
         });
   }
