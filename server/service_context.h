@@ -9,6 +9,7 @@ namespace revisit::server {
 class Drain;
 class Executor;
 class Fleet;
+class Gatekeeper;
 class Log;
 class Storage;
 
@@ -28,6 +29,7 @@ struct ServiceContext {
   Executor* executor = nullptr;
   Fleet* fleet = nullptr;
   Drain* drain = nullptr;
+  Gatekeeper* gatekeeper = nullptr;
   const Log* log = nullptr;
   ServiceLimits limits;
 };
