@@ -111,8 +111,9 @@ HWY_INLINE void WalkAllOn(const WalkStep& step, std::size_t count,
     const Vector gained =
         hn::Sub(set(step.surprise), hn::Mul(set(0.5), squared));
     // Written so that NaN does not walk on.
-    const auto on = hn::AndNot(hn::RebindMask(tag, at_last),
-                               hn::Le(squared, set(step.settled)));
+    const auto on = hn::And(hn::FirstN(tag, count - i),
+                            hn::AndNot(hn::RebindMask(tag, at_last),
+                                       hn::Le(squared, set(step.settled))));
 
     const Vector ratio =
         hn::Add(load(Walkers::kRatio), hn::IfThenElseZero(on, gained));
