@@ -160,7 +160,7 @@ TEST(AlignRelativePruningTest,
   Print(honest);
   Print(nonsense);
   EXPECT_GT(honest.kept, 1000);
-  EXPECT_LT(2 * honest.considered, honest.of_nodes);
+  EXPECT_LT(4 * honest.considered, 3 * honest.of_nodes);
   EXPECT_GT(nonsense.kept, 1000);
   EXPECT_GT(nonsense.left_out, 1000);
 }
