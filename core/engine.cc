@@ -474,6 +474,8 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
                    [](const RankedPlace& a, const RankedPlace& b) {
                      return a.end.score > b.end.score;
                    });
+  // Nothing can be said where no covariance is well-conditioned.
+  if (places.empty() && set->nodes_pruned == 0) return absl::OkStatus();
   Posterior posterior(graph_, std::move(log_odds));
   set->new_place_probability = posterior.new_place();
   for (RankedPlace& place : places) {

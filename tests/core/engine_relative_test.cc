@@ -242,10 +242,8 @@ TEST(EngineRelativeTest, NothingIsInventedWhereAllIsIllConditioned) {
       options.alignment = alignment;
       options.exhaustive = exhaustive;
       const CandidateSet set = Find(engine, options);
-      EXPECT_EQ(set.empty_reason,
-                alignment == AlignmentKind::kRelative && !exhaustive
-                    ? EmptyReason::kNoProbablePlace
-                    : EmptyReason::kNoAlignment);
+      EXPECT_EQ(set.empty_reason, EmptyReason::kNoAlignment);
+      EXPECT_FALSE(set.new_place_probability.has_value());
       EXPECT_TRUE(set.candidates.empty());
     }
   }
