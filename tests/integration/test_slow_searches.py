@@ -56,6 +56,7 @@ def make_slow(stub, vehicles):
     pytest.skip("no search is slow on this machine")
 
 
+@pytest.mark.release_build
 def test_poses_of_others_are_acknowledged_while_vehicles_search(server):
     stub = server.stub()
     slow = [create(stub, f"slow-{i}") for i in range(2)]
@@ -77,6 +78,7 @@ def test_poses_of_others_are_acknowledged_while_vehicles_search(server):
             one.result()
 
 
+@pytest.mark.release_build
 def test_search_that_is_given_up_frees_its_thread(server):
     stub = server.stub()
     vehicle = create(stub, "slow")
