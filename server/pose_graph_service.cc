@@ -637,6 +637,10 @@ grpc::ServerUnaryReactor* PoseGraphService::GetServerInfo(
     response->set_max_batch_poses(context_.limits.max_batch_poses);
     response->set_max_message_bytes(context_.limits.max_message_bytes);
     response->set_max_batches_in_flight(context_.limits.max_batches_in_flight);
+    const Fleet::Residency residency = context_.fleet->residency();
+    response->set_resident_vehicle_count(residency.vehicles);
+    response->set_resident_node_count(residency.nodes);
+    response->set_resident_bytes(residency.bytes);
     call->End(absl::OkStatus());
     return absl::OkStatus();
   });

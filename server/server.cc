@@ -5,6 +5,7 @@
 #include <grpcpp/ext/proto_server_reflection_plugin.h>
 #include <grpcpp/grpcpp.h>
 #include <grpcpp/health_check_service_interface.h>
+#include <malloc.h>
 
 #include <algorithm>
 #include <atomic>
@@ -52,11 +53,15 @@ absl::StatusOr<std::string> StoreFile(const std::string& path) {
   return (std::filesystem::path(path) / kStoreFile).string();
 }
 
+// Unloaded bytes that are worth giving back to the system: the C library keeps
+// what is freed, and to hand it over takes it some milliseconds per 100 MB.
+constexpr std::int64_t kWorthTrimming = std::int64_t{8} << 20;
+
 // Calls on a timer until it is destroyed.
 class UnloadTimer {
  public:
-  UnloadTimer(Fleet* fleet, std::chrono::milliseconds idle_unload)
-      : thread_([this, fleet, idle_unload] { Run(fleet, idle_unload); }) {}
+  UnloadTimer(Fleet* fleet, const Fleet::Options& options)
+      : thread_([this, fleet, options] { Run(fleet, options); }) {}
 
   ~UnloadTimer() {
     {
@@ -71,15 +76,21 @@ class UnloadTimer {
   UnloadTimer& operator=(const UnloadTimer&) = delete;
 
  private:
-  void Run(Fleet* fleet, std::chrono::milliseconds idle_unload) {
-    // A vehicle stays at most a tenth longer than promised.
+  void Run(Fleet* fleet, const Fleet::Options& options) {
+    // A vehicle stays at most a tenth longer than promised, and memory at most
+    // a second above the budget.
     const auto period = std::clamp<std::chrono::milliseconds>(
-        idle_unload / 10, std::chrono::milliseconds(100),
-        std::chrono::seconds(30));
+        options.idle_unload / 10, std::chrono::milliseconds(100),
+        std::chrono::seconds(options.memory_budget_bytes ? 1 : 30));
+    std::int64_t untrimmed = 0;
     std::unique_lock<std::mutex> lock(mutex_);
     while (!wake_.wait_for(lock, period, [this] { return stopping_; })) {
       lock.unlock();
-      fleet->UnloadIdle(std::chrono::steady_clock::now());
+      untrimmed += fleet->UnloadIdle(std::chrono::steady_clock::now()).bytes;
+      if (untrimmed >= kWorthTrimming) {
+        malloc_trim(0);
+        untrimmed = 0;
+      }
       lock.lock();
     }
   }
@@ -234,12 +245,15 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
                                               : std::max(2, processors));
   Fleet::Options options;
   options.idle_unload = Milliseconds(settings.idle_unload_minutes * 60.0);
+  if (settings.memory_budget_mebibytes > 0) {
+    options.memory_budget_bytes = settings.memory_budget_mebibytes << 20;
+  }
   options.session.max_pending_appends = settings.max_pending_appends;
   state->fleet = std::make_unique<Fleet>(
       state->storage.get(), &state->codec,
       Lanes(state->executor.get(), state->search_executor.get()), options);
   state->unload_timer =
-      std::make_unique<UnloadTimer>(state->fleet.get(), options.idle_unload);
+      std::make_unique<UnloadTimer>(state->fleet.get(), options);
 
   ServiceContext context;
   context.storage = state->storage.get();

@@ -178,6 +178,10 @@ class OptionTable {
               "never hold up the others; 0 means one a processor");
     AddNumber(serving, "idle-unload-minutes", &s.idle_unload_minutes, 0.01, 1e6,
               "Unload a vehicle that nobody has asked for this long");
+    AddNumber(serving, "memory-budget-mebibytes", &s.memory_budget_mebibytes, 0,
+              1 << 30,
+              "Unload unused vehicles sooner above this much memory of nodes "
+              "and edges; 0 means as much as it takes");
     AddNumber(serving, "drain-timeout-seconds", &s.drain_timeout_seconds, 0,
               86400, "How long calls may go on after SIGTERM");
 

@@ -33,6 +33,10 @@ struct ServerSettings {
   int search_threads = 0;
   // A vehicle nobody has asked for this long is unloaded. Range [0.01, 1e6].
   double idle_unload_minutes = 10.0;
+  // Above this many mebibytes of nodes and edges, vehicles that no call or
+  // stream holds are unloaded sooner, the longest unused first; 0 takes what it
+  // takes. Range [0, 2^30].
+  std::int64_t memory_budget_mebibytes = 0;
   // How long calls may go on after SIGTERM before they are cut. Range [0,
   // 86400].
   double drain_timeout_seconds = 10.0;

@@ -12,8 +12,10 @@
 
 #include <chrono>
 #include <cstddef>
+#include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "absl/status/statusor.h"
@@ -29,6 +31,9 @@ class Fleet {
   struct Options {
     // A vehicle that nobody has asked for this long is unloaded.
     std::chrono::milliseconds idle_unload{std::chrono::minutes(10)};
+    // Above this many bytes of nodes and edges, vehicles that nobody holds are
+    // unloaded sooner, those first that were not asked for the longest time.
+    std::optional<std::int64_t> memory_budget_bytes;
     VehicleSession::Limits session;
   };
 
@@ -60,9 +65,18 @@ class Fleet {
   // Vehicles in memory.
   std::size_t loaded() const;
 
-  // Unloads what has been idle since before `now` less Options::idle_unload.
-  // The server calls it on a timer.
-  void UnloadIdle(std::chrono::steady_clock::time_point now);
+  // What they take there, as VehicleSession::Residency has it.
+  struct Residency {
+    std::int64_t vehicles = 0;
+    std::int64_t nodes = 0;
+    std::int64_t bytes = 0;
+  };
+  Residency residency() const;
+
+  // Unloads what has been idle since before `now` less Options::idle_unload,
+  // then what is above the budget. Answers what went. The server calls it on a
+  // timer.
+  Residency UnloadIdle(std::chrono::steady_clock::time_point now);
 
  private:
   struct State;

@@ -99,6 +99,9 @@ struct VehicleSession::State
   const std::shared_ptr<Strand> strand;
   std::atomic<int> pending_appends{0};
   std::atomic<bool> is_gone{false};
+  // See VehicleSession::Residency.
+  std::atomic<std::int64_t> resident_nodes{0};
+  std::atomic<std::int64_t> resident_bytes{0};
 
   // What is durable and applied. No engine until loaded.
   VehicleKey key = 0;
@@ -144,6 +147,21 @@ struct VehicleSession::State
 
   PosePairs& Pairs(PairKind kind) {
     return kind == PairKind::kLoopClosure ? loop_closures : rejections;
+  }
+
+  // After every change of a graph.
+  void NoteResidency() {
+    std::int64_t nodes = 0;
+    std::int64_t bytes = 0;
+    const core::Engine* const engines[] = {
+        engine.get(), replay ? replay->engine.get() : nullptr};
+    for (const core::Engine* const of : engines) {
+      if (of == nullptr) continue;
+      nodes += of->graph().size();
+      bytes += static_cast<std::int64_t>(of->graph().bytes());
+    }
+    resident_nodes.store(nodes);
+    resident_bytes.store(bytes);
   }
 
   using ViewCallback = std::function<void(absl::StatusOr<VehicleView>)>;
@@ -339,6 +357,7 @@ struct VehicleSession::State
   void ContinueReplay() {
     const absl::StatusOr<bool> finished = ReplaySome();
     if (finished.ok() && !*finished) {
+      NoteResidency();
       PostReplay();
       return;
     }
@@ -348,6 +367,7 @@ struct VehicleSession::State
       engine = std::move(done.engine);
       Settled(done.config, done.revision);
     }
+    NoteResidency();
     exclusive = false;
     done.then(finished.status());
     Pump();
@@ -702,6 +722,7 @@ struct VehicleSession::State
     }
     const std::vector<core::PoseSample>& samples = append->decoded->samples;
     core::AppendResult applied = engine->Append(samples, append->revision);
+    NoteResidency();
     durable_sequence = samples.back().sequence;
     revision = append->revision;
     if (!config.origin) config.origin = append->decoded->origin;
@@ -1012,6 +1033,7 @@ struct VehicleSession::State
             return;
           }
           Apply(engine.get(), kind, pair, next);
+          NoteResidency();
           Pairs(kind).emplace(pair.id, pair);
           Settled(config, next);
           callback(std::make_pair(pair, next));
@@ -1046,6 +1068,7 @@ struct VehicleSession::State
             return;
           }
           TakeBack(kind, pair, next);
+          NoteResidency();
           Pairs(kind).erase(pair.id);
           Settled(config, next);
           callback(next);
@@ -1242,6 +1265,10 @@ void VehicleSession::Close(std::function<void()> callback) {
 }
 
 bool VehicleSession::gone() const { return state_->is_gone.load(); }
+
+VehicleSession::Residency VehicleSession::residency() const {
+  return {state_->resident_nodes.load(), state_->resident_bytes.load()};
+}
 
 bool VehicleSession::busy() const { return state_.use_count() > 1; }
 

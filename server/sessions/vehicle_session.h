@@ -209,6 +209,15 @@ class VehicleSession {
   // disagree.
   bool gone() const;
 
+  // What of it is in memory, the graph in the making while it is loaded or
+  // rebuilt. Takes no turn in the queue.
+  struct Residency {
+    std::int64_t nodes = 0;
+    // Of nodes and edges.
+    std::int64_t bytes = 0;
+  };
+  Residency residency() const;
+
   // Whether calls wait or are under way. Exact only for the holder of the last
   // reference.
   bool busy() const;
