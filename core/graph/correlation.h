@@ -9,6 +9,9 @@
 #ifndef REVISIT_CORE_GRAPH_CORRELATION_H_
 #define REVISIT_CORE_GRAPH_CORRELATION_H_
 
+#include <cstddef>
+#include <vector>
+
 #include "core/geometry/pose.h"
 #include "core/graph/pose_graph.h"
 
@@ -121,10 +124,16 @@ void VisitDifferenceCovariances(const PoseGraph& graph, CorrelationModel model,
       // One product, run backward from the query past every node.
       StateMatrix<D> psi = StateMatrix<D>::Identity();
       bool decorrelated = false;
+      std::vector<ErrorTransition> transitions;
       for (NodeIndex i = query; i >= 0; --i) {
         if (i < count) call(i, psi);
         if (decorrelated || i == 0) continue;
-        psi *= ToMatrix<D>(graph.transition(i));
+        const std::size_t at = static_cast<std::size_t>(i) % NodeBlock::kSize;
+        if (i == query || at + 1 == NodeBlock::kSize) {
+          graph.ReadTransitions(static_cast<std::size_t>(i) / NodeBlock::kSize,
+                                &transitions);
+        }
+        psi *= ToMatrix<D>(transitions[at]);
         if (psi.template lpNorm<Eigen::Infinity>() < kDecorrelatedNorm) {
           psi.setZero();
           decorrelated = true;
