@@ -102,19 +102,18 @@ template <int D, typename Visit>
 void VisitDifferenceCovariances(const PoseGraph& graph, CorrelationModel model,
                                 NodeIndex query, NodeIndex count,
                                 const Visit& visit) {
-  const Pose query_pose = graph.node(query).pose;
-  const StateMatrix<D> query_covariance =
-      ToMatrix<D>(graph.node(query).covariance);
+  const Pose query_pose = graph.pose(query);
+  const StateMatrix<D> query_covariance = ToMatrix<D>(graph.covariance(query));
   const auto call = [&](NodeIndex i, const StateMatrix<D>& psi) {
-    visit(i, DifferenceCovariance<D>(ToMatrix<D>(graph.node(i).covariance),
+    visit(i, DifferenceCovariance<D>(ToMatrix<D>(graph.covariance(i)),
                                      query_covariance, psi));
   };
   switch (model) {
     case CorrelationModel::kDeadReckoning:
       for (NodeIndex i = 0; i < count; ++i) {
         visit(i, DeadReckoningDifferenceCovariance<D>(
-                     graph.node(i).pose, query_pose,
-                     ToMatrix<D>(graph.node(i).covariance), query_covariance));
+                     graph.pose(i), query_pose,
+                     ToMatrix<D>(graph.covariance(i)), query_covariance));
       }
       return;
     case CorrelationModel::kIndependent:
