@@ -5,24 +5,29 @@
 #include <grpcpp/ext/proto_server_reflection_plugin.h>
 #include <grpcpp/grpcpp.h>
 #include <grpcpp/health_check_service_interface.h>
+#include <grpcpp/impl/server_builder_option.h>
+#include <grpcpp/impl/server_builder_plugin.h>
 #include <malloc.h>
 
 #include <algorithm>
 #include <atomic>
 #include <chrono>
-#include <condition_variable>
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
-#include <mutex>
 #include <optional>
 #include <system_error>
 #include <thread>
 #include <utility>
+#include <vector>
 
 #include "server/drain.h"
+#include "server/periodic.h"
 #include "server/pose_graph_service.h"
 #include "server/proto_conversion.h"
+#include "server/security/gatekeeper.h"
+#include "server/security/server_credentials.h"
+#include "server/security/tls_files.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/fleet.h"
 #include "server/storage/sqlite_storage.h"
@@ -31,6 +36,8 @@ namespace revisit::server {
 namespace {
 
 constexpr char kStoreFile[] = "revisit.sqlite";
+// Of vehicles that send few poses a batch, as many as others send at once.
+constexpr std::size_t kRowPoses = 64;
 // For connections to be closed in an orderly way.
 constexpr std::chrono::milliseconds kGoodbyeTime{100};
 
@@ -55,57 +62,12 @@ absl::StatusOr<std::string> StoreFile(const std::string& path) {
 // what is freed, and to hand it over takes it some milliseconds per 100 MB.
 constexpr std::int64_t kWorthTrimming = std::int64_t{8} << 20;
 
-// Calls on a timer until it is destroyed.
-class UnloadTimer {
- public:
-  UnloadTimer(Fleet* fleet, const Fleet::Options& options)
-      : thread_([this, fleet, options] { Run(fleet, options); }) {}
-
-  ~UnloadTimer() {
-    {
-      const std::lock_guard<std::mutex> lock(mutex_);
-      stopping_ = true;
-    }
-    wake_.notify_all();
-    thread_.join();
-  }
-
-  UnloadTimer(const UnloadTimer&) = delete;
-  UnloadTimer& operator=(const UnloadTimer&) = delete;
-
- private:
-  void Run(Fleet* fleet, const Fleet::Options& options) {
-    // A vehicle stays at most a tenth longer than promised, and memory at most
-    // a second above the budget.
-    const auto period = std::clamp<std::chrono::milliseconds>(
-        options.idle_unload / 10, std::chrono::milliseconds(100),
-        std::chrono::seconds(options.memory_budget_bytes ? 1 : 30));
-    std::int64_t untrimmed = 0;
-    std::unique_lock<std::mutex> lock(mutex_);
-    while (!wake_.wait_for(lock, period, [this] { return stopping_; })) {
-      lock.unlock();
-      untrimmed += fleet->UnloadIdle(std::chrono::steady_clock::now()).bytes;
-      if (untrimmed >= kWorthTrimming) {
-        malloc_trim(0);
-        untrimmed = 0;
-      }
-      lock.lock();
-    }
-  }
-
-  std::mutex mutex_;
-  std::condition_variable wake_;
-  bool stopping_ = false;
-  // Last: it uses the others.
-  std::thread thread_;
-};
-
-bool IsLoopback(const std::string& address) {
-  for (const char* prefix :
-       {"127.", "localhost:", "[::1]:", "unix:", "unix-abstract:"}) {
-    if (address.rfind(prefix, 0) == 0) return true;
-  }
-  return false;
+// A vehicle stays at most a tenth longer than promised, and memory at most a
+// second above the budget.
+std::chrono::milliseconds UnloadPeriod(const Fleet::Options& options) {
+  return std::clamp<std::chrono::milliseconds>(
+      options.idle_unload / 10, std::chrono::milliseconds(100),
+      std::chrono::seconds(options.memory_budget_bytes ? 1 : 30));
 }
 
 // The address with the port that was chosen for port 0.
@@ -164,15 +126,68 @@ struct RevisitServer::State {
   ProtoRecordCodec codec;
   std::unique_ptr<Storage> storage;
   std::unique_ptr<Executor> executor;
+  std::unique_ptr<Executor> search_executor;
   std::unique_ptr<Fleet> fleet;
-  std::unique_ptr<UnloadTimer> unload_timer;
+  std::unique_ptr<Periodic> unload_timer;
   Drain drain;
+  std::unique_ptr<Gatekeeper> gatekeeper;
+  // Null if the listener speaks plaintext.
+  std::unique_ptr<TlsFiles> tls_files;
+  std::unique_ptr<Periodic> tls_timer;
+  std::shared_ptr<grpc::ServerCredentials> credentials;
   std::unique_ptr<PoseGraphService> service;
   std::unique_ptr<grpc::Server> grpc_server;
   std::string address;
 };
 
 namespace {
+
+absl::StatusOr<std::unique_ptr<Gatekeeper>> MakeGatekeeper(
+    const ServerSettings& settings, const Log* log) {
+  if (settings.policy.empty()) return MakeOpenGatekeeper();
+  GatekeeperSettings gatekeeper;
+  gatekeeper.policy_file = settings.policy;
+  gatekeeper.token_keys_file = settings.token_keys;
+  gatekeeper.token_rules = {
+      settings.token_issuer, settings.token_audience,
+      std::chrono::seconds(settings.token_leeway_seconds)};
+  gatekeeper.takes_certificates = !settings.tls_client_ca.empty();
+  gatekeeper.check_period = Milliseconds(settings.security_check_seconds);
+  return StartGatekeeper(gatekeeper, log);
+}
+
+// Null if the listener is to speak plaintext.
+absl::StatusOr<std::unique_ptr<TlsFiles>> LoadTlsFiles(
+    const ServerSettings& settings, const Log* log) {
+  if (settings.tls_cert.empty()) return std::unique_ptr<TlsFiles>();
+  return TlsFiles::Load(
+      {settings.tls_key, settings.tls_cert, settings.tls_client_ca}, log,
+      std::chrono::system_clock::now());
+}
+
+std::shared_ptr<grpc::ServerCredentials> ListenerCredentials(
+    const ServerSettings& settings, const TlsFiles* files) {
+  if (files == nullptr) return grpc::InsecureServerCredentials();
+  return MakeTlsServerCredentials(files, settings.tls_client_ca.empty()
+                                             ? ClientCertificates::kDoNotAsk
+                                             : settings.tls_client_certs);
+}
+
+// Reflection is a plugin that adds itself to every builder as soon as its
+// library is loaded.
+class WithoutReflection final : public grpc::ServerBuilderOption {
+ public:
+  void UpdateArguments(grpc::ChannelArguments*) override {}
+  void UpdatePlugins(std::vector<std::unique_ptr<grpc::ServerBuilderPlugin>>*
+                         plugins) override {
+    plugins->erase(std::remove_if(plugins->begin(), plugins->end(),
+                                  [](const auto& plugin) {
+                                    return plugin->name() ==
+                                           "proto_server_reflection";
+                                  }),
+                   plugins->end());
+  }
+};
 
 void Configure(const ServerSettings& settings, grpc::ServerBuilder* builder) {
   builder->SetMaxReceiveMessageSize(
@@ -195,8 +210,11 @@ void Configure(const ServerSettings& settings, grpc::ServerBuilder* builder) {
 }
 
 ServiceLimits Limits(const ServerSettings& settings) {
-  return {settings.max_message_bytes, settings.max_batch_poses,
-          settings.max_batches_in_flight, settings.max_revision_bytes};
+  return {
+      settings.max_message_bytes, settings.max_batch_poses,
+      // A stream alone must not exceed what one vehicle may have waiting.
+      std::min(settings.max_batches_in_flight, settings.max_pending_appends),
+      settings.max_bytes_in_flight, settings.max_revision_bytes};
 }
 
 }  // namespace
@@ -213,9 +231,31 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->log = log;
   state->grpc_log.emplace(log);
 
+  // First: they are settings, and a wrong one leaves no trace.
+  auto gatekeeper = MakeGatekeeper(settings, log);
+  auto tls_files = LoadTlsFiles(settings, log);
+  for (const absl::Status& status : {gatekeeper.status(), tls_files.status()}) {
+    if (status.ok()) continue;
+    *error = {kExitUsage, std::string(status.message())};
+    return nullptr;
+  }
+  state->gatekeeper = *std::move(gatekeeper);
+  state->tls_files = *std::move(tls_files);
+  if (state->tls_files != nullptr) {
+    state->tls_timer = std::make_unique<Periodic>(
+        Milliseconds(settings.security_check_seconds),
+        [files = state->tls_files.get()] {
+          files->Look(std::chrono::system_clock::now());
+        });
+  }
+
+  SqliteOptions storage_options;
+  storage_options.max_joined_poses = kRowPoses;
+  storage_options.latency_target = std::chrono::microseconds(
+      static_cast<std::int64_t>(settings.ack_latency_target_ms * 1000.0));
   const absl::StatusOr<std::string> file = StoreFile(settings.store);
   absl::StatusOr<std::unique_ptr<Storage>> storage =
-      file.ok() ? OpenSqliteStorage(*file) : file.status();
+      file.ok() ? OpenSqliteStorage(*file, storage_options) : file.status();
   if (!storage.ok()) {
     *error = {absl::IsFailedPrecondition(storage.status()) ? kExitStoreInUse
                                                            : kExitStoreFailed,
@@ -227,35 +267,52 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   const int processors =
       static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
   state->executor = std::make_unique<Executor>(
+      "vehicles",
       settings.worker_threads > 0 ? settings.worker_threads : processors);
+  // With one alone, every vehicle that is loaded waits for every search.
+  state->search_executor = std::make_unique<Executor>(
+      "searches", settings.search_threads > 0 ? settings.search_threads
+                                              : std::max(2, processors));
   Fleet::Options options;
   options.idle_unload = Milliseconds(settings.idle_unload_minutes * 60.0);
   if (settings.memory_budget_mebibytes > 0) {
     options.memory_budget_bytes = settings.memory_budget_mebibytes << 20;
   }
   options.session.max_pending_appends = settings.max_pending_appends;
-  state->fleet = std::make_unique<Fleet>(state->storage.get(), &state->codec,
-                                         state->executor.get(), options);
-  state->unload_timer =
-      std::make_unique<UnloadTimer>(state->fleet.get(), options);
+  state->fleet = std::make_unique<Fleet>(
+      state->storage.get(), &state->codec,
+      Lanes(state->executor.get(), state->search_executor.get()), options);
+  state->unload_timer = std::make_unique<Periodic>(
+      UnloadPeriod(options),
+      [fleet = state->fleet.get(), untrimmed = std::int64_t{0}]() mutable {
+        untrimmed += fleet->UnloadIdle(std::chrono::steady_clock::now()).bytes;
+        if (untrimmed >= kWorthTrimming) {
+          malloc_trim(0);
+          untrimmed = 0;
+        }
+      });
 
   ServiceContext context;
   context.storage = state->storage.get();
-  context.executor = state->executor.get();
+  context.executor = state->search_executor.get();
   context.fleet = state->fleet.get();
   context.drain = &state->drain;
+  context.gatekeeper = state->gatekeeper.get();
   context.log = log;
   context.limits = Limits(settings);
   state->service = std::make_unique<PoseGraphService>(context);
 
-  grpc::EnableDefaultHealthCheckService(true);
+  grpc::EnableDefaultHealthCheckService(settings.serve_health);
   // By name, since a linker drops a library that is used by its mere presence.
   grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   grpc::ServerBuilder builder;
+  if (!settings.serve_reflection) {
+    builder.SetOption(std::make_unique<WithoutReflection>());
+  }
   Configure(settings, &builder);
   int port = 0;
-  builder.AddListeningPort(settings.listen, grpc::InsecureServerCredentials(),
-                           &port);
+  state->credentials = ListenerCredentials(settings, state->tls_files.get());
+  builder.AddListeningPort(settings.listen, state->credentials, &port);
   builder.RegisterService(state->service.get());
   state->grpc_server = builder.BuildAndStart();
   if (state->grpc_server == nullptr) {
@@ -263,21 +320,19 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
     return nullptr;
   }
   state->address = WithPort(settings.listen, port);
-  auto* health = state->grpc_server->GetHealthCheckService();
-  health->SetServingStatus(true);
-  health->SetServingStatus(v1::PoseGraphService::service_full_name(), true);
+  if (auto* health = state->grpc_server->GetHealthCheckService()) {
+    health->SetServingStatus(true);
+    health->SetServingStatus(v1::PoseGraphService::service_full_name(), true);
+  }
   if (!settings.port_file.empty() &&
       !WritePortFile(settings.port_file, state->address)) {
     *error = {kExitCannotListen, "cannot write " + settings.port_file};
     state->grpc_server->Shutdown();
     return nullptr;
   }
-  if (!IsLoopback(settings.listen)) {
-    log->Write(LogLevel::kWarning, "listening_without_encryption",
-               {{"address", state->address},
-                {"message",
-                 "whoever reaches this address can read and change all "
-                 "vehicles"}});
+  if (const std::string risk = RiskOfListening(settings); !risk.empty()) {
+    log->Write(LogLevel::kWarning, "listening_insecurely",
+               {{"address", state->address}, {"message", risk}});
   }
   log->Write(LogLevel::kInfo, "serving",
              {{"address", state->address},
@@ -292,7 +347,9 @@ void RevisitServer::Shutdown() {
   if (state_->grpc_server == nullptr) return;
   const auto start = std::chrono::steady_clock::now();
   state_->log->Write(LogLevel::kInfo, "draining", {});
-  state_->grpc_server->GetHealthCheckService()->SetServingStatus(false);
+  if (auto* health = state_->grpc_server->GetHealthCheckService()) {
+    health->SetServingStatus(false);
+  }
   state_->drain.Start();
   state_->drain.WaitForCalls(
       start + Milliseconds(state_->settings.drain_timeout_seconds));
@@ -302,14 +359,20 @@ void RevisitServer::Shutdown() {
                                 kGoodbyeTime);
   state_->grpc_server->Wait();
   state_->grpc_server.reset();
+  // Its thread may hold the last of a stream, and with it a session.
+  state_->gatekeeper.reset();
   state_->unload_timer.reset();
   state_->fleet.reset();
   state_->executor.reset();
+  state_->search_executor.reset();
+  const CommitCounts counts = state_->storage->Counts();
   state_->storage.reset();
   const std::chrono::duration<double, std::milli> duration =
       std::chrono::steady_clock::now() - start;
   state_->log->Write(LogLevel::kInfo, "stopped",
-                     {{"duration_ms", duration.count()}});
+                     {{"duration_ms", duration.count()},
+                      {"commits", static_cast<std::int64_t>(counts.commits)},
+                      {"writes", static_cast<std::int64_t>(counts.writes)}});
 }
 
 }  // namespace revisit::server

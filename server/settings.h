@@ -14,6 +14,9 @@
 
 namespace revisit::server {
 
+// Of which clients the listener asks a certificate.
+enum class ClientCertificates { kDoNotAsk, kVerifyIfGiven, kRequire };
+
 // To add one: a field here, a line in AddOptions() in the .cc, where it is
 // read. The flag --node-budget is the key `node-budget` of the file and the
 // variable REVISIT_NODE_BUDGET of the environment.
@@ -26,9 +29,11 @@ struct ServerSettings {
   // If not empty, the address listened on is written here once calls are taken.
   std::string port_file;
 
-  // Threads for the vehicles' work; 0 takes as many as the machine has
-  // processors. Range [0, 1024].
+  // Threads for the vehicles' short work, such as acknowledging poses, and for
+  // what takes long: searches, loading, reading the store. 0 takes as many as
+  // the machine has processors, of the second at least 2. Range [0, 1024].
   int worker_threads = 0;
+  int search_threads = 0;
   // A vehicle nobody has asked for this long is unloaded. Range [0.01, 1e6].
   double idle_unload_minutes = 10.0;
   // Above this many mebibytes of nodes and edges, vehicles that no call or
@@ -39,16 +44,22 @@ struct ServerSettings {
   // 86400].
   double drain_timeout_seconds = 10.0;
 
+  // Acknowledgements may take this long for the sake of larger commits, while
+  // many come; 0: never. Range [0, 1000].
+  double ack_latency_target_ms = 2.0;
+
   // Largest message read. Range [1024, 2^30].
   std::int64_t max_message_bytes = 4 << 20;
   // Most poses in a batch. Range [1, 1e6].
   int max_batch_poses = 4096;
-  // Batches of one stream that may wait for their acknowledgement to be sent.
-  // Range [1, 10000].
-  int max_batches_in_flight = 16;
+  // Batches of one stream that may wait for their acknowledgement to be sent,
+  // and the memory that they may take, which a single one may exceed. Range [1,
+  // 10000] and [1024, 2^30].
+  int max_batches_in_flight = 512;
+  std::int64_t max_bytes_in_flight = std::int64_t{2} << 20;
   // Batches of one vehicle, over all its streams and calls, that may wait.
   // Range [1, 1e6].
-  int max_pending_appends = 256;
+  int max_pending_appends = 1024;
   // Most bytes of poses that one RevisePoses call may bring. Range [1024,
   // 2^36].
   std::int64_t max_revision_bytes = std::int64_t{256} << 20;
@@ -59,9 +70,38 @@ struct ServerSettings {
   double keepalive_seconds = 60.0;
   double keepalive_timeout_seconds = 20.0;
 
+  // PEM files of the listener's certificate, with those that issued it, and its
+  // key. Empty: plaintext.
+  std::string tls_cert;
+  std::string tls_key;
+  // PEM file of who may issue clients' certificates. Empty: not asked for.
+  std::string tls_client_ca;
+  ClientCertificates tls_client_certs = ClientCertificates::kRequire;
+  // Key set (RFC 7517) of who may sign bearer tokens, and what has to stand in
+  // them. Empty: no tokens.
+  std::string token_keys;
+  std::string token_issuer;
+  std::string token_audience;
+  // Range [0, 300].
+  int token_leeway_seconds = 10;
+  // Who may do what; see security/policy.h. Needed with token_keys or
+  // tls_client_ca, and empty without.
+  std::string policy;
+  // How often the files of this group are looked at, and streams are asked
+  // whether their callers may go on. Range [0.05, 60].
+  double security_check_seconds = 10.0;
+  bool serve_health = true;
+  bool serve_reflection = true;
+  // Lets RiskOfListening() be taken.
+  bool insecure_allow_remote = false;
+
   LogFormat log_format = LogFormat::kText;
   LogLevel log_level = LogLevel::kInfo;
 };
+
+// What whoever reaches the address could do; empty if it can only be reached
+// from this machine, or is encrypted and asks who calls.
+std::string RiskOfListening(const ServerSettings& settings);
 
 struct ParsedSettings {
   ServerSettings settings;
@@ -78,8 +118,9 @@ struct ParsedSettings {
 //   worker-threads = 4
 //
 // INVALID_ARGUMENT with a message for people that names the key and where it
-// stands, for an unknown key, a value that is malformed or out of range, and a
-// key that stands twice.
+// stands, for an unknown key, a value that is malformed or out of range, a
+// key that stands twice, settings that do not go together, and a listener at
+// risk without insecure-allow-remote.
 absl::StatusOr<ParsedSettings> ParseSettings(
     const std::vector<std::string>& arguments,
     const std::vector<std::string>& environment);

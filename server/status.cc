@@ -92,6 +92,11 @@ absl::Status InvalidFields(const std::string& reason,
   return status;
 }
 
+absl::Status VehicleNotFound(const std::string& id) {
+  return Error(absl::StatusCode::kNotFound, "VEHICLE_NOT_FOUND",
+               "no such vehicle: '" + id + "'");
+}
+
 std::string ReasonOf(const absl::Status& status) {
   const auto payload = status.GetPayload(kErrorInfoUrl);
   if (!payload.has_value()) return "";

@@ -41,6 +41,10 @@ absl::Status Error(absl::StatusCode code, const std::string& reason,
 absl::Status InvalidFields(const std::string& reason,
                            const std::vector<FieldViolation>& violations);
 
+// NOT_FOUND (VEHICLE_NOT_FOUND). The same words whether there is none or it is
+// not the caller's to know of.
+absl::Status VehicleNotFound(const std::string& id);
+
 // Reason of a status made here; empty if it has none.
 std::string ReasonOf(const absl::Status& status);
 

@@ -38,8 +38,9 @@ constexpr std::size_t kMaxUnsent = 4096;
 // acknowledgement is queued), checked (its candidates are queued), written.
 //
 // Flow control: the next message is read once the last is staged, for they
-// share one request object, and as long as the batches that are not durable and
-// the responses that are not written come to less than max_batches_in_flight.
+// share one request object, as long as the batches that are not durable and the
+// responses that are not written come to less than max_batches_in_flight, and
+// the batches that are not durable to less than max_bytes_in_flight.
 // So the transport's own flow control reaches the client.
 //
 // Ending: whatever ends the stream (half-close, failure, drain), batches that
@@ -68,10 +69,14 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
 
   void Start() {
     self_ = shared_from_this();
+    call_.WatchCaller([weak = weak_from_this()] {
+      if (const auto stream = weak.lock()) stream->Recheck();
+    });
     drain_watch_ = context_.drain->Watch([weak = weak_from_this()] {
       if (const auto stream = weak.lock()) stream->WindDown();
     });
     const std::lock_guard<std::mutex> lock(mutex_);
+    SetFailure(call_.admission());
     Advance();
   }
 
@@ -125,8 +130,16 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     ~AppendScope() { stream->OnAppendOver(); }
 
     const std::shared_ptr<PoseStream> stream;
+    // Memory of the batch.
+    std::size_t bytes = 0;
     // When the strand got to the work it is doing now; used there only.
     std::chrono::steady_clock::time_point work_start;
+  };
+
+  // What is to be written: `other`, or an acknowledgement if there is none.
+  struct Answer {
+    Acknowledgement ack;
+    std::unique_ptr<Response> other;
   };
 
   static absl::Status OutOfOrder(const std::string& message) {
@@ -147,13 +160,25 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       Fail(id.status());
       return;
     }
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      absl::Status allowed = call_.ChooseVehicle(*id);
+      if (allowed.ok() && open.send_candidates()) {
+        allowed = call_.AlsoNeeds(Verb::kRead);
+      }
+      SetFailure(allowed);
+      if (!allowed.ok()) {
+        handling_ = false;
+        Advance();
+        return;
+      }
+    }
     send_candidates_ = open.send_candidates();
     candidate_options_ = open.candidate_options();
     const std::shared_ptr<VehicleSession> session =
         context_.fleet->Session(*id);
     {
       const std::lock_guard<std::mutex> lock(mutex_);
-      call_.set_vehicle(*id);
       session_ = session;
     }
     session->CheckAcknowledged(
@@ -180,14 +205,14 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       Fail(status);
       return;
     }
-    Response response;
-    v1::StreamPosesOpened* opened = response.mutable_opened();
+    auto response = std::make_unique<Response>();
+    v1::StreamPosesOpened* opened = response->mutable_opened();
     opened->set_durable_sequence(view->durable_sequence);
     opened->set_revision(view->revision);
     opened->set_max_batch_poses(context_.limits.max_batch_poses);
     const std::lock_guard<std::mutex> lock(mutex_);
     handling_ = false;
-    queue_.push_back(std::move(response));
+    queue_.push_back({{}, std::move(response)});
     Advance();
   }
 
@@ -198,13 +223,16 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
                           : "a message after `open` is a `batch`"));
       return;
     }
+    const auto self = shared_from_this();
+    const auto scope = std::make_shared<AppendScope>(self);
+    // What comes of it takes about as much.
+    scope->bytes = static_cast<std::size_t>(arena_.SpaceUsed());
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       ++in_flight_;
       ++open_appends_;
+      bytes_in_flight_ += scope->bytes;
     }
-    const auto self = shared_from_this();
-    const auto scope = std::make_shared<AppendScope>(self);
     AppendRequest append;
     append.decoder = [self](const VehicleConfig& config) {
       const FieldPath batch = FieldPath().Field("batch");
@@ -222,7 +250,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     };
     append.callbacks.durable =
         [self, scope](const absl::StatusOr<Acknowledgement>& acknowledgement) {
-          self->OnDurable(acknowledgement);
+          self->OnDurable(acknowledgement, scope->bytes);
           scope->work_start = std::chrono::steady_clock::now();
         };
     append.callbacks.candidates =
@@ -242,13 +270,13 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     Advance();
   }
 
-  void OnDurable(const absl::StatusOr<Acknowledgement>& acknowledgement) {
+  void OnDurable(const absl::StatusOr<Acknowledgement>& acknowledgement,
+                 std::size_t bytes) {
     const std::lock_guard<std::mutex> lock(mutex_);
     --in_flight_;
+    bytes_in_flight_ -= bytes;
     SetFailure(acknowledgement.status());
-    if (acknowledgement.ok()) {
-      EncodeAck(*acknowledgement, queue_.emplace_back().mutable_ack());
-    }
+    if (acknowledgement.ok()) queue_.push_back({*acknowledgement, nullptr});
     Advance();
   }
 
@@ -257,10 +285,10 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
                     std::chrono::nanoseconds duration) {
     // Searches stop when the caller is gone, and then nobody waits for them.
     if (call_.given_up()) return;
-    Response response;
+    auto response = std::make_unique<Response>();
     if (set.ok()) {
       EncodeCandidateSet(view, *set, candidate_options_.include_aligned_path(),
-                         duration, response.mutable_candidates());
+                         duration, response->mutable_candidates());
     }
     const std::lock_guard<std::mutex> lock(mutex_);
     SetFailure(set.status());
@@ -268,7 +296,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       SetFailure(Error(absl::StatusCode::kResourceExhausted, "QUEUE_FULL",
                        "the client does not read its candidates"));
     } else if (set.ok()) {
-      queue_.push_back(std::move(response));
+      queue_.push_back({{}, std::move(response)});
     }
     Advance();
   }
@@ -284,6 +312,15 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   void WindDown() {
     const std::lock_guard<std::mutex> lock(mutex_);
     draining_ = true;
+    Advance();
+  }
+
+  // Ends the stream of a caller who may no longer do this: after the last
+  // acknowledgement of what was taken on.
+  void Recheck() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (finished_) return;
+    SetFailure(call_.Recheck());
     Advance();
   }
 
@@ -329,7 +366,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     if (call_.given_up()) queue_.clear();
     if (!writing_ && !queue_.empty()) {
       writing_ = true;
-      response_.Swap(&queue_.front());
+      Encode(std::move(queue_.front()));
       queue_.pop_front();
       grpc::WriteOptions options;
       if (!queue_.empty()) options.set_buffer_hint();
@@ -347,13 +384,28 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
                          (writing_ ? 1 : 0);
     const auto most =
         static_cast<std::size_t>(context_.limits.max_batches_in_flight);
-    if (!reading_ && !handling_ && waiting < most) {
+    const bool has_room =
+        waiting == 0 ||
+        (waiting < most &&
+         bytes_in_flight_ <
+             static_cast<std::size_t>(context_.limits.max_bytes_in_flight));
+    if (!reading_ && !handling_ && has_room) {
       reading_ = true;
       // Reset() keeps the first block.
       arena_.Reset();
       request_ = google::protobuf::Arena::CreateMessage<Request>(&arena_);
       request_->mutable_open()->set_vehicle(kUnread);
       StartRead(request_);
+    }
+  }
+
+  // Makes a response of an answer. Acknowledgements, which are many, share what
+  // the one before has taken.
+  void Encode(Answer answer) {
+    if (answer.other != nullptr) {
+      response_ = *std::move(answer.other);
+    } else {
+      EncodeAck(answer.ack, response_.mutable_ack());
     }
   }
 
@@ -378,7 +430,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   std::mutex mutex_;
   // Guarded by mutex_.
   std::shared_ptr<VehicleSession> session_;
-  std::deque<Response> queue_;
+  std::deque<Answer> queue_;
   bool reading_ = false;
   bool handling_ = false;
   bool writing_ = false;
@@ -388,6 +440,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   std::optional<absl::Status> failure_;
   // Batches that are not durable.
   int in_flight_ = 0;
+  std::size_t bytes_in_flight_ = 0;
   // Batches of which something may still come.
   int open_appends_ = 0;
 };

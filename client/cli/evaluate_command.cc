@@ -413,6 +413,7 @@ class Evaluation {
                    Fixed(method.sequence_length_meters, 0) + " m";
     }
     run.judging = method.judging;
+    run.exhaustive = options_.exhaustive;
     run.verify = options_.verify;
     if (method.source == Method::Source::kServiceBeyondRecentPath) {
       run.older_candidates = static_cast<std::size_t>(
@@ -575,8 +576,11 @@ absl::Status RunEvaluate(const EvaluateOptions& given, const Console& console) {
       return LocalError(status);
     }
   }
-  const std::shared_ptr<grpc::Channel> channel =
-      MakeInsecureChannel(options.server.value_or(undoing.server()->address()));
+  ChannelOptions server;
+  server.address = undoing.server()->address();
+  const auto made = MakeChannel(options.server.value_or(server));
+  if (!made.ok()) return LocalError(made.status());
+  const std::shared_ptr<grpc::Channel> channel = *made;
   const Client client(channel);
   undoing.SetClient(&client);
   const absl::Status status =

@@ -19,10 +19,10 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   using CreateCallback = std::function<void(absl::StatusOr<VehicleView>)>;
 
   State(Storage* fleet_storage, const RecordCodec* fleet_codec,
-        Executor* fleet_executor, const Options& fleet_options)
+        const Lanes& fleet_lanes, const Options& fleet_options)
       : storage(fleet_storage),
         codec(fleet_codec),
-        executor(fleet_executor),
+        lanes(fleet_lanes),
         options(fleet_options) {}
 
   std::shared_ptr<VehicleSession> Session(const std::string& id) {
@@ -37,7 +37,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
         return entry.session;
       }
       session =
-          VehicleSession::Load(id, storage, codec, executor, options.session);
+          VehicleSession::Load(id, storage, codec, lanes, options.session);
       replaced = std::exchange(entry.session, session);
     }
     // A vehicle that is not there takes no room.
@@ -96,7 +96,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
 
   Storage* const storage;
   const RecordCodec* const codec;
-  Executor* const executor;
+  const Lanes lanes;
   const Options options;
 
   std::mutex mutex;
@@ -106,9 +106,9 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   int creating = 0;
 };
 
-Fleet::Fleet(Storage* storage, const RecordCodec* codec, Executor* executor,
+Fleet::Fleet(Storage* storage, const RecordCodec* codec, const Lanes& lanes,
              const Options& options)
-    : state_(std::make_shared<State>(storage, codec, executor, options)) {}
+    : state_(std::make_shared<State>(storage, codec, lanes, options)) {}
 
 Fleet::~Fleet() {
   std::vector<std::shared_ptr<VehicleSession>> sessions;
@@ -164,14 +164,15 @@ void Fleet::Create(const std::string& id, const VehicleConfig& config,
       std::move(record), [state = state_, id, callback = std::move(callback)](
                              const absl::StatusOr<VehicleKey>& key) {
         // Off the writer's thread.
-        state->executor->Post([state, id, callback, status = key.status()] {
-          if (status.ok()) {
-            state->ReadCreated(id, true, callback);
-          } else {
-            callback(status);
-            state->Created();
-          }
-        });
+        state->lanes.short_work->Post(
+            [state, id, callback, status = key.status()] {
+              if (status.ok()) {
+                state->ReadCreated(id, true, callback);
+              } else {
+                callback(status);
+                state->Created();
+              }
+            });
       });
 }
 

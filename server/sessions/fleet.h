@@ -1,10 +1,10 @@
 // All vehicles of the server: those in memory, and how the others get there.
 //
 // Lifetimes. The storage calls back on its writer's thread, from where sessions
-// post to the executor, whose tasks call the storage: so neither of the two can
-// go first while there is work. The fleet goes first of all, and its destructor
-// waits until the work of every session is done, so that storage and executor
-// are idle and may follow in either order. Nobody may call the fleet or a
+// post to the executors, whose tasks call the storage: so none of them can go
+// first while there is work. The fleet goes first of all, and its destructor
+// waits until the work of every session is done, so that storage and executors
+// are idle and may follow in any order. Nobody may call the fleet or a
 // session while or after the fleet is destroyed: finish the calls of the server
 // before.
 #ifndef REVISIT_SERVER_SESSIONS_FLEET_H_
@@ -37,10 +37,10 @@ class Fleet {
     VehicleSession::Limits session;
   };
 
-  // Storage, codec and executor must outlive the fleet.
-  Fleet(Storage* storage, const RecordCodec* codec, Executor* executor,
+  // Storage, codec and executors must outlive the fleet.
+  Fleet(Storage* storage, const RecordCodec* codec, const Lanes& lanes,
         const Options& options);
-  // Finishes what was called, see above. Not on a thread of the executor.
+  // Finishes what was called, see above. Not on a thread of the executors.
   ~Fleet();
 
   Fleet(const Fleet&) = delete;

@@ -88,6 +88,33 @@ TEST_F(FleetTest, CreatesVehicleAndAnswersWithIt) {
             2u);
 }
 
+TEST_F(FleetTest, OthersAreAcknowledgedWhileOneVehicleSearches) {
+  Executor short_work(1);
+  Executor long_work(1);
+  Fleet fleet(&storage_, &codec_, Lanes(&short_work, &long_work),
+              Fleet::Options());
+  ASSERT_THAT(CreateNow(fleet, "searching"), IsOk());
+  ASSERT_THAT(CreateNow(fleet, "other"), IsOk());
+  const Answer<bool> started;
+  const Answer<bool> gate;
+  fleet.Session("searching")->LongRead([=](const absl::StatusOr<VehicleView>&) {
+    started.Set(true);
+    gate.Get();
+  });
+  started.Get();
+  for (std::uint64_t i = 1; i <= 20; ++i) {
+    EXPECT_EQ(AppendNow(*fleet.Session("other"), StraightBatch(i, 1))
+                  ->durable_sequence,
+              i);
+  }
+  EXPECT_EQ(ReadNow(*fleet.Session("other"))->durable_sequence, 20u);
+  // Its own poses wait until the search is over, and are not lost.
+  const Appended own = Append(*fleet.Session("searching"), StraightBatch(1, 1));
+  EXPECT_FALSE(own.durable.IsSet());
+  gate.Set(true);
+  EXPECT_EQ(own.durable.Get()->durable_sequence, 1u);
+}
+
 TEST_F(FleetTest, RefusesSecondVehicleOfOneId) {
   ASSERT_THAT(CreateNow(*fleet_, "truck"), IsOk());
   EXPECT_THAT(CreateNow(*fleet_, "truck"),
