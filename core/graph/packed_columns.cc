@@ -28,7 +28,9 @@ PackedColumns::PackedColumns(const std::vector<std::uint64_t>& values,
     heads.push_back(width | shift << 8 | bit << 16);
     bit += width * rows;
   }
-  words_.resize((bit + 63) / 64 + 1);
+  // A column without bits may begin where the last entry ends, and is read with
+  // the word behind.
+  words_.resize(bit / 64 + 2);
   std::copy(heads.begin(), heads.end(), words_.begin());
   for (std::size_t c = 0; c < columns; ++c) {
     const std::uint64_t* const head = heads.data() + kHeadWords * c;
