@@ -25,12 +25,11 @@ PackedColumns::PackedColumns(const std::vector<std::uint64_t>& values,
           64 - shift - static_cast<std::uint64_t>(__builtin_clzll(distances));
     }
     heads.push_back(least);
-    heads.push_back(width | shift << 8 | bit << 16);
+    // Entries without bits are read too, where there certainly is something.
+    heads.push_back(width | shift << 8 | (width == 0 ? 0 : bit) << 16);
     bit += width * rows;
   }
-  // A column without bits may begin where the last entry ends, and is read with
-  // the word behind.
-  words_.resize(bit / 64 + 2);
+  words_.resize((bit + 63) / 64 + 1);
   std::copy(heads.begin(), heads.end(), words_.begin());
   for (std::size_t c = 0; c < columns; ++c) {
     const std::uint64_t* const head = heads.data() + kHeadWords * c;
