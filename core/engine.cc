@@ -156,6 +156,14 @@ MotionHistory Engine::MakeMotionHistory() const {
                                  settings_.node_spacing_meters)));
 }
 
+// Under kFilter a search goes through all nodes whatever there is, and they
+// take the most memory: it does without.
+void Engine::ExtendIndexes() {
+  if (settings_.search.correlation_model == CorrelationModel::kFilter) return;
+  motion_history_.Extend(graph_);
+  block_bounds_.Extend(graph_);
+}
+
 // The first check that lies after all nodes there are and leaves room for the
 // sequence and as much history.
 void Engine::ScheduleNextCheck() {
@@ -193,8 +201,7 @@ AppendResult Engine::Append(const std::vector<PoseSample>& samples,
     }
     last_sequence_ = sample.sequence;
   }
-  motion_history_.Extend(graph_);
-  block_bounds_.Extend(graph_);
+  ExtendIndexes();
   revision_ = revision;
   return result;
 }
@@ -212,7 +219,7 @@ void Engine::ChangeSettings(const EngineSettings& settings,
   revision_ = revision;
   if (!monitored_alike) RebuildMonitor();
   motion_history_ = MakeMotionHistory();
-  motion_history_.Extend(graph_);
+  ExtendIndexes();
   ScheduleNextCheck();
 }
 
@@ -474,6 +481,8 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
                    [](const RankedPlace& a, const RankedPlace& b) {
                      return a.end.score > b.end.score;
                    });
+  // Nothing can be said where no covariance is well-conditioned.
+  if (places.empty() && set->nodes_pruned == 0) return absl::OkStatus();
   Posterior posterior(graph_, std::move(log_odds));
   set->new_place_probability = posterior.new_place();
   for (RankedPlace& place : places) {

@@ -6,6 +6,7 @@
 #ifndef REVISIT_CORE_ENGINE_H_
 #define REVISIT_CORE_ENGINE_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <utility>
@@ -113,6 +114,11 @@ class Engine {
 
   const EngineSettings& settings() const { return settings_; }
   const PoseGraph& graph() const { return graph_; }
+  // Memory that the graph and what is kept for searching it take, without what
+  // an allocator adds.
+  std::size_t bytes() const {
+    return graph_.bytes() + motion_history_.bytes() + block_bounds_.bytes();
+  }
   // Last pose appended; 0 before the first.
   std::uint64_t last_sequence() const { return last_sequence_; }
   double travelled_meters() const { return resampler_.travelled_meters(); }
@@ -173,6 +179,8 @@ class Engine {
       std::uint64_t query_sequence, std::uint64_t matched_sequence) const;
   void ScheduleNextCheck();
   MotionHistory MakeMotionHistory() const;
+  // Takes on the nodes that were added.
+  void ExtendIndexes();
   // Learns all confirmed loops anew.
   void RebuildMonitor();
   // The last one whose nodes both lie at or before the query.

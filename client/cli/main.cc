@@ -35,6 +35,9 @@ constexpr double kRadiansPerDegree = 3.14159265358979323846 / 180.0;
 
 // What all commands share.
 struct Common {
+  // Where a server listens unless it is told otherwise.
+  Common() { channel.address = "127.0.0.1:50051"; }
+
   ChannelOptions channel;
   CLI::Option* server_option = nullptr;
   bool json = false;

@@ -29,20 +29,19 @@ double PairSimilarity(const PoseGraph& graph, const SimilarityModel& model,
       model.form,
       ToleratedCovariance<D>(
           model, DifferenceCovariance<D>(graph, model.correlation, i, j)),
-      ToVector<D>(
-          PassDifference(model, graph.node(i).pose, graph.node(j).pose)));
+      ToVector<D>(PassDifference(model, graph.pose(i), graph.pose(j))));
 }
 
 template <int D>
 void FilterColumn(const PoseGraph& graph, const SimilarityModel& model,
                   NodeIndex query, NodeIndex count, double* column) {
-  const Pose query_pose = graph.node(query).pose;
+  const Pose query_pose = graph.pose(query);
   VisitDifferenceCovariances<D>(
       graph, model.correlation, query, count,
       [&](NodeIndex i, const StateMatrix<D>& gamma) {
         column[i] = LogSimilarity<D>(
             model.form, ToleratedCovariance<D>(model, gamma),
-            ToVector<D>(PassDifference(model, query_pose, graph.node(i).pose)));
+            ToVector<D>(PassDifference(model, query_pose, graph.pose(i))));
       });
 }
 

@@ -404,7 +404,7 @@ class RelativeAligner
       change_.least_left = kLeastUncertaintyLeft;
     }
 
-    // The ends in block k; answers from which of them paths were walked back.
+    // The ends in block k; answers which of them were considered.
     std::bitset<NodeBlock::kSize> Evaluate(std::size_t k, std::size_t next,
                                            Differences<D>* differences) {
       constexpr std::size_t kSize = NodeBlock::kSize;
@@ -418,8 +418,9 @@ class RelativeAligner
       EvaluateDifferences(StateSpaceOf(), differences_, &similarity_);
       std::bitset<NodeBlock::kSize> useful;
       BlockColumn needed;
-      FindUseful(&useful, &needed);
-      if (useful.none()) return useful;
+      std::bitset<NodeBlock::kSize> considered;
+      FindUseful(&useful, &considered, &needed);
+      if (useful.none()) return considered;
       Reset();
       table_.Need(first_ - 2 * aligner_.filter_.size(),
                   first_ + static_cast<NodeIndex>(count_) +
@@ -441,7 +442,7 @@ class RelativeAligner
                             similarity_.squared_mahalanobis[i],
                             change_.row[i]});
       }
-      return useful;
+      return considered;
     }
 
     // Hands over what was found from the last block to the first.
@@ -485,8 +486,10 @@ class RelativeAligner
     }
 
     // Which ends may come to the least log-odds, and what their paths need for
-    // that (Walkers::kNeeded).
+    // that (Walkers::kNeeded). Those are considered, and those of which nothing
+    // can be said.
     void FindUseful(std::bitset<NodeBlock::kSize>* useful,
+                    std::bitset<NodeBlock::kSize>* considered,
                     BlockColumn* needed) const {
       const double least = aligner_.model_.least_log_odds;
       BlockColumn most;
@@ -495,7 +498,10 @@ class RelativeAligner
                      &most);
       }
       for (std::size_t i = 0; i < count_; ++i) {
-        if (similarity_.log_similarity[i] == kImpossible) continue;
+        if (similarity_.log_similarity[i] == kImpossible) {
+          considered->set(i);
+          continue;
+        }
         (*needed)[i] = kImpossible;
         if (least != kImpossible) {
           (*needed)[i] =
@@ -503,6 +509,7 @@ class RelativeAligner
           if (aligner_.steps_[0].to_come < (*needed)[i]) continue;
         }
         useful->set(i);
+        considered->set(i);
       }
     }
 

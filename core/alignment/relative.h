@@ -149,7 +149,8 @@ class RelativeAlignment {
     return paths_->Find(direction, j);
   }
 
-  // Nodes of history from which paths were walked back, either way.
+  // Nodes of history from which paths were walked back, either way, or of which
+  // nothing can be said. All of them unless ends are left out.
   NodeIndex considered() const { return considered_; }
 
  private:

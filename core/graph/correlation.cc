@@ -9,8 +9,7 @@ StateMatrix<D> PropagatedError(const PoseGraph& graph, CorrelationModel model,
                                NodeIndex earlier, NodeIndex later) {
   switch (model) {
     case CorrelationModel::kDeadReckoning:
-      return DeadReckoningTransition<D>(graph.node(earlier).pose,
-                                        graph.node(later).pose);
+      return DeadReckoningTransition<D>(graph.pose(earlier), graph.pose(later));
     case CorrelationModel::kIndependent:
       return StateMatrix<D>::Zero();
     case CorrelationModel::kFilter:
@@ -35,12 +34,11 @@ StateMatrix<D> DifferenceCovariance(const PoseGraph& graph,
   const NodeIndex earlier = std::min(i, j);
   const NodeIndex later = std::max(i, j);
   const StateMatrix<D> earlier_covariance =
-      ToMatrix<D>(graph.node(earlier).covariance);
-  const StateMatrix<D> later_covariance =
-      ToMatrix<D>(graph.node(later).covariance);
+      ToMatrix<D>(graph.covariance(earlier));
+  const StateMatrix<D> later_covariance = ToMatrix<D>(graph.covariance(later));
   if (model == CorrelationModel::kDeadReckoning) {
     return DeadReckoningDifferenceCovariance<D>(
-        graph.node(earlier).pose, graph.node(later).pose, earlier_covariance,
+        graph.pose(earlier), graph.pose(later), earlier_covariance,
         later_covariance);
   }
   return DifferenceCovariance<D>(
@@ -54,7 +52,7 @@ StateMatrix<D> CrossCovariance(const PoseGraph& graph, CorrelationModel model,
   const NodeIndex earlier = std::min(i, j);
   const StateMatrix<D> carried =
       PropagatedError<D>(graph, model, earlier, std::max(i, j)) *
-      ToMatrix<D>(graph.node(earlier).covariance);
+      ToMatrix<D>(graph.covariance(earlier));
   if (j == earlier) return carried;
   return carried.transpose();
 }

@@ -9,6 +9,9 @@
 #ifndef REVISIT_CORE_GRAPH_CORRELATION_H_
 #define REVISIT_CORE_GRAPH_CORRELATION_H_
 
+#include <cstddef>
+#include <vector>
+
 #include "core/geometry/pose.h"
 #include "core/graph/pose_graph.h"
 
@@ -99,19 +102,18 @@ template <int D, typename Visit>
 void VisitDifferenceCovariances(const PoseGraph& graph, CorrelationModel model,
                                 NodeIndex query, NodeIndex count,
                                 const Visit& visit) {
-  const Pose query_pose = graph.node(query).pose;
-  const StateMatrix<D> query_covariance =
-      ToMatrix<D>(graph.node(query).covariance);
+  const Pose query_pose = graph.pose(query);
+  const StateMatrix<D> query_covariance = ToMatrix<D>(graph.covariance(query));
   const auto call = [&](NodeIndex i, const StateMatrix<D>& psi) {
-    visit(i, DifferenceCovariance<D>(ToMatrix<D>(graph.node(i).covariance),
+    visit(i, DifferenceCovariance<D>(ToMatrix<D>(graph.covariance(i)),
                                      query_covariance, psi));
   };
   switch (model) {
     case CorrelationModel::kDeadReckoning:
       for (NodeIndex i = 0; i < count; ++i) {
         visit(i, DeadReckoningDifferenceCovariance<D>(
-                     graph.node(i).pose, query_pose,
-                     ToMatrix<D>(graph.node(i).covariance), query_covariance));
+                     graph.pose(i), query_pose,
+                     ToMatrix<D>(graph.covariance(i)), query_covariance));
       }
       return;
     case CorrelationModel::kIndependent:
@@ -121,10 +123,16 @@ void VisitDifferenceCovariances(const PoseGraph& graph, CorrelationModel model,
       // One product, run backward from the query past every node.
       StateMatrix<D> psi = StateMatrix<D>::Identity();
       bool decorrelated = false;
+      std::vector<ErrorTransition> transitions;
       for (NodeIndex i = query; i >= 0; --i) {
         if (i < count) call(i, psi);
         if (decorrelated || i == 0) continue;
-        psi *= ToMatrix<D>(graph.transition(i));
+        const std::size_t at = static_cast<std::size_t>(i) % NodeBlock::kSize;
+        if (i == query || at + 1 == NodeBlock::kSize) {
+          graph.ReadTransitions(static_cast<std::size_t>(i) / NodeBlock::kSize,
+                                &transitions);
+        }
+        psi *= ToMatrix<D>(transitions[at]);
         if (psi.template lpNorm<Eigen::Infinity>() < kDecorrelatedNorm) {
           psi.setZero();
           decorrelated = true;

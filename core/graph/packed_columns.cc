@@ -25,7 +25,8 @@ PackedColumns::PackedColumns(const std::vector<std::uint64_t>& values,
           64 - shift - static_cast<std::uint64_t>(__builtin_clzll(distances));
     }
     heads.push_back(least);
-    heads.push_back(width | shift << 8 | bit << 16);
+    // Entries without bits are read too, where there certainly is something.
+    heads.push_back(width | shift << 8 | (width == 0 ? 0 : bit) << 16);
     bit += width * rows;
   }
   words_.resize((bit + 63) / 64 + 1);

@@ -60,6 +60,24 @@ void NodeBlock::BecomeSpatial() {
   spatial_ = true;
 }
 
+void PoseGraph::ReadTransitions(
+    std::size_t k, std::vector<ErrorTransition>* transitions) const {
+  transitions->assign(NodeBlock::kSize, ErrorTransition{});
+  if (!has_transitions_) return;
+  if (k >= packed_.size()) {
+    std::copy(transitions_.begin(), transitions_.end(), transitions->begin());
+    return;
+  }
+  for (std::size_t entry = 0; entry < ErrorTransition{}.values.size();
+       ++entry) {
+    packed_[k].Visit(kTransition + entry, NodeBlock::kSize,
+                     [&](std::size_t row, std::uint64_t packable) {
+                       (*transitions)[row].values[entry] =
+                           FromPackable(packable);
+                     });
+  }
+}
+
 NodeIndex PoseGraph::SegmentStart(NodeIndex i) const {
   return *std::prev(
       std::upper_bound(segment_starts_.begin(), segment_starts_.end(), i));

@@ -153,7 +153,7 @@ struct VehicleSession::State
     for (const core::Engine* const of : engines) {
       if (of == nullptr) continue;
       nodes += of->graph().size();
-      bytes += static_cast<std::int64_t>(of->graph().bytes());
+      bytes += static_cast<std::int64_t>(of->bytes());
     }
     resident_nodes.store(nodes);
     resident_bytes.store(bytes);

@@ -11,6 +11,7 @@
 #include "core/alignment/relative.h"
 #include "core/alignment/viterbi.h"
 #include "core/candidates/gate.h"
+#include "core/engine.h"
 #include "tests/bench/eigen_alignment.h"
 #include "tests/bench/machine_limits.h"
 #include "tests/bench/roads.h"
@@ -22,6 +23,9 @@ using core::NodeIndex;
 using core::PoseGraph;
 using core::SimilarityModel;
 using core::StateSpace;
+
+// Checks of a stream.
+constexpr NodeIndex kStreamedNodes = 200;
 
 SimilarityModel ModelOf(StateSpace space) {
   SimilarityModel model;
@@ -172,6 +176,33 @@ void AlignRelative(benchmark::State& state, Errors errors, bool leave_out) {
   state.counters["in_gate"] = relative.GateShare();
 }
 
+// A vehicle with n nodes of history that drives on: each time one node and a
+// check.
+void AlignStreaming(benchmark::State& state) {
+  const NodeIndex n = state.range(0);
+  const PoseGraph& drive = SmoothRoads(n + kSteps + kStreamedNodes);
+  const auto pose_of = [&drive](NodeIndex i) {
+    const core::Node node = drive.node(i);
+    core::PoseSample sample;
+    sample.sequence = node.sequence;
+    sample.pose = node.pose;
+    sample.covariance = node.covariance;
+    return sample;
+  };
+  core::EngineSettings settings;
+  settings.search.correlation_model = core::CorrelationModel::kIndependent;
+  core::Engine engine(settings);
+  NodeIndex next = 0;
+  for (; next < n + kSteps; ++next) engine.Append({pose_of(next)}, next + 1);
+  for (auto _ : state) {
+    engine.Append({pose_of(next)}, next + 1);
+    ++next;
+    benchmark::DoNotOptimize(engine.FindCandidates(settings.search, nullptr));
+  }
+  state.counters["nodes"] = static_cast<double>(engine.graph().size());
+  state.SetItemsProcessed(state.iterations() * n * kSteps);
+}
+
 void AlignLiteral(benchmark::State& state) {
   const NodeIndex n = state.range(0);
   const std::vector<EigenNode<3>> nodes = EigenNodes<3, 3>(Roads(n + kSteps));
@@ -244,6 +275,11 @@ void RegisterAll() {
              errors, false);
     Register("Align/pruned/" + std::string(name), kMillion, AlignRelative,
              errors, true);
+  }
+  for (NodeIndex n = 1000; n <= kMillion; n *= 10) {
+    benchmark::RegisterBenchmark("BM_Align/streaming/fixes", AlignStreaming)
+        ->Arg(n)
+        ->Iterations(kStreamedNodes);
   }
   Register("AlignLiteral", kMost, AlignLiteral);
   Register("Limit/ReadNodes", kMost, LimitReadNodes);

@@ -133,8 +133,9 @@ inline core::PoseGraph MakeRoads(core::NodeIndex nodes) {
   return graph;
 }
 
-// The same drive by satellite fixes of 3 m and 0.05 rad.
-inline core::PoseGraph MakeFixedRoads(core::NodeIndex nodes) {
+// The same drive by satellite fixes of 3 m and 0.05 rad; without noise, as
+// something smooths them that claims as much.
+inline core::PoseGraph MakeFixes(core::NodeIndex nodes, bool noise) {
   std::mt19937_64 random(20101015);
   core::PoseGraph graph;
   for (const core::Pose& truth : TownDrive(random, nodes)) {
@@ -142,14 +143,23 @@ inline core::PoseGraph MakeFixedRoads(core::NodeIndex nodes) {
     node.sequence = static_cast<std::uint64_t>(graph.size()) + 1;
     node.travelled_meters = kSpacing * static_cast<double>(graph.size());
     node.pose = truth;
-    node.pose.x += Normal(random, 3.0);
-    node.pose.y += Normal(random, 3.0);
-    node.pose.heading = core::WrapHeading(truth.heading + Normal(random, 0.05));
+    if (noise) {
+      node.pose.x += Normal(random, 3.0);
+      node.pose.y += Normal(random, 3.0);
+      node.pose.heading += Normal(random, 0.05);
+    }
+    node.pose.heading = core::WrapHeading(node.pose.heading);
     for (const int i : {0, 1, 2}) node.covariance(i, i) = 9.0;
     node.covariance(3, 3) = 0.0025;
     graph.AddNode(node, graph.size() == 0, std::nullopt);
   }
   return graph;
+}
+inline core::PoseGraph MakeFixedRoads(core::NodeIndex nodes) {
+  return MakeFixes(nodes, true);
+}
+inline core::PoseGraph MakeSmoothRoads(core::NodeIndex nodes) {
+  return MakeFixes(nodes, false);
 }
 
 // Each is built once a process.
@@ -166,6 +176,9 @@ inline const core::PoseGraph& Roads(core::NodeIndex nodes) {
 }
 inline const core::PoseGraph& FixedRoads(core::NodeIndex nodes) {
   return Built<MakeFixedRoads>(nodes);
+}
+inline const core::PoseGraph& SmoothRoads(core::NodeIndex nodes) {
+  return Built<MakeSmoothRoads>(nodes);
 }
 
 }  // namespace revisit::bench

@@ -388,9 +388,8 @@ int Run(const Options& options) {
   double load = 0.0;
   getloadavg(&load, 1);
   // Of others, before we add ours.
-  json result = {{"seconds", options.seconds},
-                 {"load", load},
-                 {"rounds", json::array()}};
+  json result = {
+      {"seconds", options.seconds}, {"load", load}, {"rounds", json::array()}};
   for (int i = 0; i < options.rounds; ++i) {
     json round;
     if (Wanted(options, "ingest")) round["ingest"] = IngestRound(options);

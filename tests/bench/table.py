@@ -6,6 +6,7 @@ import platform
 import sys
 
 SEQUENCE = 75
+ERRORS = ("reckoned", "confirmed", "fixes")
 
 
 def processor():
@@ -21,13 +22,16 @@ class Figures:
         self.context = result["context"]
         # Seconds of one item, by name and n.
         self.items = {}
+        # All there is of a run, its counters among it.
+        self.counters = {}
         # Seconds of one call.
         self.calls = {}
         for run in result["benchmarks"]:
-            name = run["name"].removeprefix("BM_")
+            name = run["name"].removeprefix("BM_").split("/iterations:")[0]
             head, _, n = name.rpartition("/")
             key = (head, int(n)) if n.isdigit() else (name, 0)
             self.items[key] = 1.0 / run["items_per_second"]
+            self.counters[key] = run
             unit = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
             self.calls[key] = run["cpu_time"] * unit[run["time_unit"]]
 
@@ -91,20 +95,38 @@ def slope(figures, name):
         math.log(last / first))
 
 
+def align_line(figures, head, against):
+    """Milliseconds by n, with the ratio to what it is set against."""
+    line = f"{head:26}"
+    for n in figures.sizes(head):
+        seconds = figures.calls[head, n]
+        other = figures.calls.get((against, n))
+        line += f"{seconds * 1e3:10.3f} {ratio(other, seconds):>8}"
+    print(line + f"   {slope(figures, head)}")
+
+
 def align_table(figures):
+    sizes = figures.sizes("Align/dense/reckoned")
+    top = f"{'':26}" + "".join(f"{n:>19}" for n in sizes) + "   slope"
     print(f"\nAlignment of {SEQUENCE} nodes with n, ms "
           "(and ratio to literal Algorithm 1)")
-    heads = ["AlignLiteral", "Align/dense/composite", "Align/dense/relative",
-             "Align/dense/relative_confirmed"]
-    print(f"{'':32}" + "".join(f"{n:>18}" for n in figures.sizes(heads[0])) +
-          "   slope")
-    for head in heads:
-        line = f"{head:32}"
-        for n in figures.sizes(head):
-            seconds = figures.calls[head, n]
-            literal = figures.calls.get(("AlignLiteral", n))
-            line += f"{seconds * 1e3:9.2f} {ratio(literal, seconds):>8}"
-        print(line + f"   {slope(figures, head)}")
+    print(top)
+    align_line(figures, "AlignLiteral", "AlignLiteral")
+    align_line(figures, "Align/dense/composite", "AlignLiteral")
+    for errors in ERRORS:
+        align_line(figures, "Align/dense/" + errors, "AlignLiteral")
+    print("\nThe same where ends that cannot be accepted are left out, ms "
+          "(and ratio to dense),\nwith the shares of nodes that pass the gate "
+          "at the end pose and that were considered;\nstreaming: a whole check "
+          "of the engine after one more node")
+    print(top)
+    for errors in ERRORS:
+        align_line(figures, "Align/pruned/" + errors, "Align/dense/" + errors)
+        for counter in ("in_gate", "considered"):
+            print(f"{'  ' + counter:26}" + "".join(
+                f"{figures.counters['Align/pruned/' + errors, n][counter]:19.4%}"
+                for n in sizes))
+    align_line(figures, "Align/streaming/fixes", "Align/dense/fixes")
 
 
 def main():

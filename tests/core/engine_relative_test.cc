@@ -96,8 +96,13 @@ TEST(EngineRelativeTest, AnEndFarOutsideItsUncertaintyIsRejectedByTheGate) {
   std::vector<Pose> poses = Ring(1600.0);
   for (std::size_t i = 1200; i < poses.size(); ++i) poses[i].y += 60.0;
   const Engine engine = Driven(poses);
-  const CandidateSet set = Find(engine);
+  // So improbable that it has to be asked for.
+  EXPECT_EQ(Find(engine).empty_reason, EmptyReason::kNoProbablePlace);
+  SearchOptions options;
+  options.exhaustive = true;
+  const CandidateSet set = Find(engine, options);
   ASSERT_FALSE(set.candidates.empty());
+  EXPECT_EQ(set.nodes_pruned, 0);
   const Candidate& best = set.candidates[0];
   EXPECT_EQ(best.verdict, Verdict::kRejectedByGate);
   EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kRejected);
@@ -232,11 +237,15 @@ TEST(EngineRelativeTest, NothingIsInventedWhereAllIsIllConditioned) {
   engine.Append(samples, 1);
   for (const AlignmentKind alignment :
        {AlignmentKind::kRelative, AlignmentKind::kComposite}) {
-    SearchOptions options;
-    options.alignment = alignment;
-    const CandidateSet set = Find(engine, options);
-    EXPECT_EQ(set.empty_reason, EmptyReason::kNoAlignment);
-    EXPECT_TRUE(set.candidates.empty());
+    for (const bool exhaustive : {false, true}) {
+      SearchOptions options;
+      options.alignment = alignment;
+      options.exhaustive = exhaustive;
+      const CandidateSet set = Find(engine, options);
+      EXPECT_EQ(set.empty_reason, EmptyReason::kNoAlignment);
+      EXPECT_FALSE(set.new_place_probability.has_value());
+      EXPECT_TRUE(set.candidates.empty());
+    }
   }
 }
 

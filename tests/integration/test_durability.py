@@ -143,7 +143,8 @@ def test_rejected_candidate_stays_away_over_a_crash(tmp_path):
         stub = server.stub()
         create(stub, sequence_length_meters=40.0, check_interval_meters=20.0)
         append(stub, VEHICLE, laps(760))
-        request = api.FindCandidatesRequest(vehicle=VEHICLE)
+        request = api.FindCandidatesRequest(
+        vehicle=VEHICLE, options=api.CandidateOptions(exhaustive=True))
         best = stub.FindCandidates(request).candidates.candidates[0]
         REJECTED_CANDIDATES.add(stub, VEHICLE, best.query.sequence,
                                 best.matched.sequence)
@@ -166,7 +167,8 @@ def test_inflation_is_seen_in_every_gate_and_the_same_after_a_crash(tmp_path):
     for n, one in enumerate(poses):
         one.local.x_meters += 7.0 * n / 760
     store = tmp_path / "store"
-    request = api.FindCandidatesRequest(vehicle=VEHICLE)
+    request = api.FindCandidatesRequest(
+        vehicle=VEHICLE, options=api.CandidateOptions(exhaustive=True))
     with Server(store) as server:
         stub = server.stub()
         create(stub, correlation_model=api.CORRELATION_MODEL_INDEPENDENT,

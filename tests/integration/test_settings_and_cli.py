@@ -210,6 +210,10 @@ COMMANDS = [("vehicle", "create"), ("vehicle", "get"), ("vehicle", "list"),
             ("export",), ("evaluate",)]
 
 
+def test_command_line_asks_where_a_server_listens_by_default():
+    assert print_config()["listen"] in run("revisit", "--help").stdout
+
+
 def test_help_names_every_command():
     shown = run("revisit", "--help")
     assert (shown.returncode, shown.stderr) == (0, "")

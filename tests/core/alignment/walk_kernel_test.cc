@@ -91,7 +91,6 @@ void AddWalker(std::mt19937_64& random, const PoseGraph& graph,
     walkers->at(Walkers::kNow + r, i) = Normal(random, r < 2 ? 0.5 : 0.1);
     walkers->at(Walkers::kAtEnd + r, i) = Normal(random, 0.5);
     walkers->at(Walkers::kBestAtEnd + r, i) = Normal(random, 0.5);
-    walkers->at(Walkers::kThere + r, i) = Normal(random, 100.0);
   }
   const double ratio = Normal(random, 5.0);
   walkers->at(Walkers::kRatio, i) = ratio;
@@ -108,6 +107,11 @@ void AddWalker(std::mt19937_64& random, const PoseGraph& graph,
   const NodeIndex next =
       std::clamp<NodeIndex>(node + (back ? -1 : 1), 0, last_node);
   const Pose pose = graph.pose(next);
+  // Might be left from the step before: nothing tells it from what is new.
+  walkers->at(Walkers::kThere, i) = pose.x;
+  walkers->at(Walkers::kThere + 1, i) = pose.y;
+  walkers->at(Walkers::kThere + 2, i) = pose.z;
+  walkers->at(Walkers::kThere + 3, i) = pose.heading;
   const WalkStep step = filter.Kernel(t);
   const double turn = walkers->at(Walkers::kNow + D - 1, i);
   const double straying =

@@ -112,7 +112,7 @@ Cost CostOf(std::mt19937_64& random, const Vehicle& vehicle, NodeIndex nodes) {
   Cost cost;
   cost.nodes = engine->graph().size();
   cost.bytes = static_cast<double>(allocated_bytes - before);
-  cost.stated_bytes = static_cast<double>(engine->graph().bytes());
+  cost.stated_bytes = static_cast<double>(engine->bytes());
   return cost;
 }
 

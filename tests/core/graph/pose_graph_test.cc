@@ -73,6 +73,52 @@ TEST(PoseGraphTest, TransitionsAreTheIdentityWhereNoneWasGiven) {
   EXPECT_EQ(graph.transition(0).values, ErrorTransition{}.values);
 }
 
+TEST(PoseGraphTest, TransitionsAreKeptToTheLastBitAcrossBlocks) {
+  std::mt19937_64 random = SeededRandom();
+  std::vector<ErrorTransition> given;
+  PoseGraph graph;
+  for (std::uint64_t i = 0; i < 2 * NodeBlock::kSize + 5; ++i) {
+    ErrorTransition transition;
+    for (std::size_t k = 0; k < transition.values.size(); ++k) {
+      // Some entries constant, some of either sign.
+      if (k % 3 != 0) transition.values[k] = Normal(random, 1.0);
+    }
+    graph.AddNode(At(i + 1, 0.0), i == 0, transition);
+    given.push_back(transition);
+  }
+  std::vector<ErrorTransition> read;
+  for (std::size_t i = 0; i < given.size(); ++i) {
+    const std::size_t at = i % NodeBlock::kSize;
+    if (at == 0) graph.ReadTransitions(i / NodeBlock::kSize, &read);
+    EXPECT_EQ(graph.transition(static_cast<NodeIndex>(i)).values,
+              given[i].values);
+    EXPECT_EQ(read[at].values, given[i].values);
+  }
+}
+
+TEST(PoseGraphTest, ZIsKeptWhereverItComesIn) {
+  // The first nodes of a block have none, so it must be made room for.
+  PoseGraph graph;
+  for (int i = 0; i < 20; ++i) {
+    Node node = At(static_cast<std::uint64_t>(i) + 1, 0.0);
+    node.pose = {1.0 * i, 2.0 * i, i < 11 ? 0.0 : 3.0 * i, 0.01 * i};
+    node.covariance(0, 0) = 1.0 + i;
+    node.covariance(2, 3) = i == 15 ? 0.5 : 0.0;
+    graph.AddNode(node, i == 0, std::nullopt);
+    EXPECT_EQ(graph.block(0).spatial(), i >= 11);
+  }
+  for (int i = 0; i < 20; ++i) {
+    const Node node = graph.node(i);
+    EXPECT_EQ(node.pose.x, 1.0 * i);
+    EXPECT_EQ(node.pose.y, 2.0 * i);
+    EXPECT_EQ(node.pose.z, i < 11 ? 0.0 : 3.0 * i);
+    EXPECT_EQ(node.pose.heading, 0.01 * i);
+    EXPECT_EQ(graph.pose(i).z, node.pose.z);
+    EXPECT_EQ(node.covariance(0, 0), 1.0 + i);
+    EXPECT_EQ(node.covariance(2, 3), i == 15 ? 0.5 : 0.0);
+  }
+}
+
 TEST(PoseGraphTest, NodesKeepTheirPlaceAcrossBlocks) {
   std::mt19937_64 random = SeededRandom();
   std::vector<Node> nodes;
