@@ -1181,13 +1181,10 @@ class SqliteStorage : public Storage {
       open_rows_.clear();
       waiting_writes_ -= writes;
       last_group_writes_ = writes;
-      const Clock::time_point start = Clock::now();
       // Of those that are left behind, near enough.
-      oldest_submission_ = start;
+      oldest_submission_ = Clock::now();
       lock.unlock();
-      const std::vector<absl::Status> results = Commit(group);
-      // Follows the device, and forgets a single slow flush soon.
-      commit_time_ += (Clock::now() - start - commit_time_) / 8;
+      const std::vector<absl::Status> results = CommitOrRefuse(group);
       for (std::size_t i = 0; i < group.size(); ++i) {
         for (const Done& done : group[i].done) done(results[i]);
       }
@@ -1212,9 +1209,9 @@ class SqliteStorage : public Storage {
     gathering_ = false;
   }
 
-  // Writes a group in one transaction.
-  std::vector<absl::Status> Commit(const std::vector<PendingWrite>& group) {
-    std::vector<absl::Status> results;
+  // What became of each write of a group, for all that it is made of.
+  std::vector<absl::Status> CommitOrRefuse(
+      const std::vector<PendingWrite>& group) {
     const absl::Status room = lock_ != nullptr ? space_.Check() : ReadOnly();
     const bool is_pointless =
         !room.ok() &&
@@ -1225,30 +1222,49 @@ class SqliteStorage : public Storage {
       purge_ = false;
       return std::vector<absl::Status>(group.size(), room);
     }
+    const Clock::time_point start = Clock::now();
+    std::vector<absl::Status> results = Commit(group, room);
+    // Follows the device, and forgets a single slow flush soon.
+    commit_time_ += (Clock::now() - start - commit_time_) / 8;
+    return results;
+  }
+
+  // Writes a group in one transaction, without `room` what needs little of it.
+  std::vector<absl::Status> Commit(const std::vector<PendingWrite>& group,
+                                   const absl::Status& room) {
+    std::vector<absl::Status> results;
     absl::Status status = EnsureWriter();
     if (status.ok()) status = writer_->Prepare("BEGIN IMMEDIATE").Run();
     const bool begun = status.ok();
     // Rows are inserted without a savepoint each, which costs more than the
     // insertion. Should one of them damage the transaction, which takes a
-    // damaged file, all is begun again with savepoints.
+    // damaged file or a full disk, all is begun again with savepoints.
     if (begun && !ApplyAll(group, room, /*careful=*/false, &results, &status)) {
       next_sequences_.clear();
-      if (status.ok()) status = writer_->Prepare("ROLLBACK").Run();
+      status = writer_->Prepare("ROLLBACK").Run();
       if (status.ok()) status = writer_->Prepare("BEGIN IMMEDIATE").Run();
-      if (status.ok())
+      if (status.ok()) {
         ApplyAll(group, room, /*careful=*/true, &results, &status);
+      }
     }
+    bool purged = false;
     if (status.ok() && purge_) {
       const absl::StatusOr<bool> more = PurgeSome(*writer_);
       status = more.status();
-      purge_ = more.ok() && *more;
+      purged = more.ok() && *more;
+      purge_ = purged;
     }
     if (status.ok()) status = writer_->Prepare("COMMIT").Run();
     if (status.ok()) {
-      if (!group.empty()) ++commits_;
-      for (const PendingWrite& write : group) writes_ += write.done.size();
-      const absl::StatusOr<LogPosition> flushed = writer_->LogEnd();
-      if (flushed.ok()) mark_->Write(*flushed);
+      Count(group, results);
+      // Where all was refused there was nothing to flush, and the log may have
+      // been begun anew without a commit in it.
+      if (purged ||
+          std::any_of(results.begin(), results.end(),
+                      [](const absl::Status& result) { return result.ok(); })) {
+        const absl::StatusOr<LogPosition> flushed = writer_->LogEnd();
+        if (flushed.ok()) mark_->Write(*flushed);
+      }
       if (IsFailedFlush(writer_->copy_failure())) {
         GiveUp(writer_->copy_failure());
       }
@@ -1274,8 +1290,15 @@ class SqliteStorage : public Storage {
     return std::vector<absl::Status>(group.size(), failure);
   }
 
-  static bool EndsTransaction(const absl::Status& result) {
-    return result.code() == StatusCode::kUnavailable || IsStorageFull(result);
+  // What a transaction that was committed held.
+  void Count(const std::vector<PendingWrite>& group,
+             const std::vector<absl::Status>& results) {
+    std::uint64_t writes = 0;
+    for (std::size_t i = 0; i < group.size(); ++i) {
+      if (results[i].ok()) writes += group[i].done.size();
+    }
+    if (writes > 0) ++commits_;
+    writes_ += writes;
   }
 
   static absl::Status ReadOnly() {
@@ -1294,13 +1317,13 @@ class SqliteStorage : public Storage {
 
   // Answers whether all writes could be applied or refused; `status` is not OK
   // if the transaction cannot go on.
-  // Writes that need room are answered with `room` where there is none.
   bool ApplyAll(const std::vector<PendingWrite>& group,
                 const absl::Status& room, bool careful,
                 std::vector<absl::Status>* results, absl::Status* status) {
     results->clear();
     for (const PendingWrite& write : group) {
       if (!room.ok() && write.need == Need::kRoom) {
+        // Nothing was touched: what comes next of its vehicle is as it was.
         results->push_back(room);
         continue;
       }
@@ -1311,7 +1334,9 @@ class SqliteStorage : public Storage {
         continue;
       }
       absl::Status result = Append(*writer_, write.key, write.batch);
-      if (EndsTransaction(result)) {
+      // SQLite gives up the whole transaction after some errors.
+      if (result.code() == StatusCode::kUnavailable ||
+          !writer_->InTransaction()) {
         *status = std::move(result);
         return true;
       }
@@ -1346,7 +1371,7 @@ class SqliteStorage : public Storage {
     absl::Status status = writer_->Prepare("SAVEPOINT one").Run();
     if (!status.ok()) return status;
     *result = Apply(*writer_, write);
-    if (EndsTransaction(*result)) return *result;
+    if (result->code() == StatusCode::kUnavailable) return *result;
     // SQLite gives up the whole transaction after some errors.
     if (!writer_->InTransaction()) return *result;
     if (!result->ok()) {
