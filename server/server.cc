@@ -19,6 +19,7 @@
 #include <thread>
 #include <utility>
 
+#include "server/connection_acceptor.h"
 #include "server/drain.h"
 #include "server/pose_graph_service.h"
 #include "server/proto_conversion.h"
@@ -97,13 +98,6 @@ bool IsLoopback(const std::string& address) {
   return false;
 }
 
-// The address with the port that was chosen for port 0.
-std::string WithPort(const std::string& listen, int port) {
-  const std::size_t colon = listen.rfind(':');
-  if (listen.rfind("unix", 0) == 0 || colon == std::string::npos) return listen;
-  return listen.substr(0, colon + 1) + std::to_string(port);
-}
-
 // Whole or not at all, for a script may be waiting for it.
 bool WritePortFile(const std::string& path, const std::string& address) {
   const std::string temporary = path + ".new";
@@ -158,34 +152,51 @@ struct RevisitServer::State {
   Drain drain;
   std::unique_ptr<PoseGraphService> service;
   std::unique_ptr<grpc::Server> grpc_server;
-  std::string address;
+  std::unique_ptr<ConnectionAcceptor> acceptor;
 };
 
 namespace {
 
-void Configure(const ServerSettings& settings, grpc::ServerBuilder* builder) {
-  builder->SetMaxReceiveMessageSize(
-      static_cast<int>(settings.max_message_bytes));
-  // Else a second server could take half of the calls of this one's port.
-  builder->AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
+int WholeMilliseconds(double seconds) {
+  return static_cast<int>(Milliseconds(seconds).count());
+}
+
+void Configure(const Limits& limits, grpc::ServerBuilder* builder) {
+  builder->SetMaxReceiveMessageSize(static_cast<int>(limits.max_message_bytes));
+  grpc::ResourceQuota quota("connections");
+  quota.Resize(static_cast<std::size_t>(limits.max_transport_bytes));
+  builder->SetResourceQuota(quota);
   builder->AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS,
-                              settings.max_concurrent_streams);
+                              limits.max_concurrent_streams);
+  builder->AddChannelArgument(GRPC_ARG_MAX_METADATA_SIZE,
+                              limits.max_metadata_bytes);
+  // Until the client's settings have come.
   builder->AddChannelArgument(
-      GRPC_ARG_KEEPALIVE_TIME_MS,
-      static_cast<int>(Milliseconds(settings.keepalive_seconds).count()));
+      GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS,
+      WholeMilliseconds(limits.handshake_timeout_seconds));
+  builder->AddChannelArgument(
+      GRPC_ARG_MAX_CONNECTION_IDLE_MS,
+      WholeMilliseconds(limits.connection_idle_seconds));
+  builder->AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS,
+                              WholeMilliseconds(limits.keepalive_seconds));
   builder->AddChannelArgument(
       GRPC_ARG_KEEPALIVE_TIMEOUT_MS,
-      static_cast<int>(
-          Milliseconds(settings.keepalive_timeout_seconds).count()));
+      WholeMilliseconds(limits.keepalive_timeout_seconds));
   // Vehicles behind mobile networks ping to keep their way through open.
   builder->AddChannelArgument(GRPC_ARG_KEEPALIVE_PERMIT_WITHOUT_CALLS, 1);
   builder->AddChannelArgument(
       GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 10000);
 }
 
-ServiceLimits Limits(const ServerSettings& settings) {
-  return {settings.max_message_bytes, settings.max_batch_poses,
-          settings.max_batches_in_flight, settings.max_revision_bytes};
+ConnectionAcceptor::Options AcceptorOptions(const ServerSettings& settings) {
+  ConnectionAcceptor::Options options;
+  options.address = settings.listen;
+  options.max_connections = settings.limits.max_connections;
+  options.max_connections_per_address =
+      settings.limits.max_connections_per_address;
+  options.unacknowledged_timeout =
+      Milliseconds(settings.limits.keepalive_timeout_seconds);
+  return options;
 }
 
 }  // namespace
@@ -219,7 +230,7 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
       settings.worker_threads > 0 ? settings.worker_threads : processors);
   Fleet::Options options;
   options.idle_unload = Milliseconds(settings.idle_unload_minutes * 60.0);
-  options.session.max_pending_appends = settings.max_pending_appends;
+  options.session.max_pending_appends = settings.limits.max_pending_appends;
   state->fleet = std::make_unique<Fleet>(state->storage.get(), &state->codec,
                                          state->executor.get(), options);
   state->unload_timer =
@@ -231,48 +242,55 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   context.fleet = state->fleet.get();
   context.drain = &state->drain;
   context.log = log;
-  context.limits = Limits(settings);
+  context.limits = settings.limits;
   state->service = std::make_unique<PoseGraphService>(context);
 
   grpc::EnableDefaultHealthCheckService(true);
   // By name, since a linker drops a library that is used by its mere presence.
   grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   grpc::ServerBuilder builder;
-  Configure(settings, &builder);
-  int port = 0;
-  builder.AddListeningPort(settings.listen, grpc::InsecureServerCredentials(),
-                           &port);
+  Configure(settings.limits, &builder);
+  auto acceptor = ConnectionAcceptor::Listen(AcceptorOptions(settings), log);
+  if (!acceptor.ok()) {
+    *error = {kExitCannotListen, std::string(acceptor.status().message())};
+    return nullptr;
+  }
+  state->acceptor = *std::move(acceptor);
+  state->acceptor->Register(grpc::InsecureServerCredentials(), &builder);
   builder.RegisterService(state->service.get());
   state->grpc_server = builder.BuildAndStart();
   if (state->grpc_server == nullptr) {
-    *error = {kExitCannotListen, "cannot listen at " + settings.listen};
+    *error = {kExitCannotListen, "cannot start a server at " + settings.listen};
     return nullptr;
   }
-  state->address = WithPort(settings.listen, port);
+  const std::string& address = state->acceptor->address();
   auto* health = state->grpc_server->GetHealthCheckService();
   health->SetServingStatus(true);
   health->SetServingStatus(v1::PoseGraphService::service_full_name(), true);
+  state->acceptor->Start();
   if (!settings.port_file.empty() &&
-      !WritePortFile(settings.port_file, state->address)) {
+      !WritePortFile(settings.port_file, address)) {
     *error = {kExitCannotListen, "cannot write " + settings.port_file};
+    state->acceptor->Stop();
     state->grpc_server->Shutdown();
     return nullptr;
   }
   if (!IsLoopback(settings.listen)) {
     log->Write(LogLevel::kWarning, "listening_without_encryption",
-               {{"address", state->address},
+               {{"address", address},
                 {"message",
                  "whoever reaches this address can read and change all "
                  "vehicles"}});
   }
-  log->Write(LogLevel::kInfo, "serving",
-             {{"address", state->address},
-              {"store", *file},
-              {"version", REVISIT_VERSION}});
+  log->Write(
+      LogLevel::kInfo, "serving",
+      {{"address", address}, {"store", *file}, {"version", REVISIT_VERSION}});
   return std::unique_ptr<RevisitServer>(new RevisitServer(std::move(state)));
 }
 
-const std::string& RevisitServer::address() const { return state_->address; }
+const std::string& RevisitServer::address() const {
+  return state_->acceptor->address();
+}
 
 void RevisitServer::Shutdown() {
   if (state_->grpc_server == nullptr) return;
@@ -282,6 +300,7 @@ void RevisitServer::Shutdown() {
   state_->drain.Start();
   state_->drain.WaitForCalls(
       start + Milliseconds(state_->settings.drain_timeout_seconds));
+  state_->acceptor->Stop();
   // Cuts the calls that are left, and the connections that do not answer to
   // being closed.
   state_->grpc_server->Shutdown(std::chrono::system_clock::now() +

@@ -2,23 +2,16 @@
 #ifndef REVISIT_SERVER_SERVICE_CONTEXT_H_
 #define REVISIT_SERVER_SERVICE_CONTEXT_H_
 
-#include <cstdint>
+#include "server/limits.h"
 
 namespace revisit::server {
 
+class Admission;
 class Drain;
 class Executor;
 class Fleet;
 class Log;
 class Storage;
-
-// See ServerSettings.
-struct ServiceLimits {
-  std::int64_t max_message_bytes = 0;
-  int max_batch_poses = 0;
-  int max_batches_in_flight = 0;
-  std::int64_t max_revision_bytes = 0;
-};
 
 // All outlive the calls.
 struct ServiceContext {
@@ -27,7 +20,8 @@ struct ServiceContext {
   Fleet* fleet = nullptr;
   Drain* drain = nullptr;
   const Log* log = nullptr;
-  ServiceLimits limits;
+  Admission* admission = nullptr;
+  Limits limits;
 };
 
 }  // namespace revisit::server

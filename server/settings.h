@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "server/limits.h"
 #include "server/logging.h"
 
 namespace revisit::server {
@@ -35,25 +36,7 @@ struct ServerSettings {
   // 86400].
   double drain_timeout_seconds = 10.0;
 
-  // Largest message read. Range [1024, 2^30].
-  std::int64_t max_message_bytes = 4 << 20;
-  // Most poses in a batch. Range [1, 1e6].
-  int max_batch_poses = 4096;
-  // Batches of one stream that may wait for their acknowledgement to be sent.
-  // Range [1, 10000].
-  int max_batches_in_flight = 16;
-  // Batches of one vehicle, over all its streams and calls, that may wait.
-  // Range [1, 1e6].
-  int max_pending_appends = 256;
-  // Most bytes of poses that one RevisePoses call may bring. Range [1024,
-  // 2^36].
-  std::int64_t max_revision_bytes = std::int64_t{256} << 20;
-  // Calls at a time on one connection. Range [1, 1e6].
-  int max_concurrent_streams = 1000;
-  // A connection that is silent this long is pinged, and closed if no answer
-  // comes. Range [1, 86400] and [1, 3600].
-  double keepalive_seconds = 60.0;
-  double keepalive_timeout_seconds = 20.0;
+  Limits limits;
 
   LogFormat log_format = LogFormat::kText;
   LogLevel log_level = LogLevel::kInfo;

@@ -92,6 +92,21 @@ absl::Status InvalidFields(const std::string& reason,
   return status;
 }
 
+absl::Status QuotaExceeded(absl::StatusCode code, const std::string& reason,
+                           const std::string& subject,
+                           const std::string& message,
+                           std::chrono::milliseconds retry_delay,
+                           const ErrorMetadata& metadata) {
+  absl::Status status = Error(code, reason, message, metadata);
+  google::rpc::QuotaFailure quota;
+  auto* violation = quota.add_violations();
+  violation->set_subject(subject);
+  violation->set_description(std::string(status.message()));
+  SetPayload(kQuotaFailureUrl, quota, &status);
+  SetRetryInfo(retry_delay.count(), &status);
+  return status;
+}
+
 std::string ReasonOf(const absl::Status& status) {
   const auto payload = status.GetPayload(kErrorInfoUrl);
   if (!payload.has_value()) return "";

@@ -3,6 +3,7 @@
 #ifndef REVISIT_SERVER_STATUS_H_
 #define REVISIT_SERVER_STATUS_H_
 
+#include <chrono>
 #include <string>
 #include <utility>
 #include <vector>
@@ -19,6 +20,9 @@ inline constexpr char kBadRequestUrl[] =
     "type.googleapis.com/google.rpc.BadRequest";
 inline constexpr char kRetryInfoUrl[] =
     "type.googleapis.com/google.rpc.RetryInfo";
+
+inline constexpr char kQuotaFailureUrl[] =
+    "type.googleapis.com/google.rpc.QuotaFailure";
 
 struct FieldViolation {
   std::string field;        // Such as "poses[3].covariance.values[0]".
@@ -40,6 +44,14 @@ absl::Status Error(absl::StatusCode code, const std::string& reason,
 // `violations` counts all. REQUIRES: at least one violation.
 absl::Status InvalidFields(const std::string& reason,
                            const std::vector<FieldViolation>& violations);
+
+// The same as Error(), with a QuotaFailure of one violation, described by the
+// message, and this RetryInfo.
+absl::Status QuotaExceeded(absl::StatusCode code, const std::string& reason,
+                           const std::string& subject,
+                           const std::string& message,
+                           std::chrono::milliseconds retry_delay,
+                           const ErrorMetadata& metadata = {});
 
 // Reason of a status made here; empty if it has none.
 std::string ReasonOf(const absl::Status& status);
