@@ -4,10 +4,14 @@
 #include <cstdint>
 #include <cstdio>
 #include <random>
+#include <utility>
 
 #include "absl/strings/cord.h"
 #include "absl/strings/string_view.h"
 #include "google/rpc/error_details.pb.h"
+#include "grpc/grpc_security_constants.h"
+#include "grpcpp/security/auth_context.h"
+#include "server/security/method_rules.h"
 #include "server/status.h"
 #include "server/status_grpc.h"
 
@@ -15,6 +19,7 @@ namespace revisit::server {
 namespace {
 
 constexpr char kRequestIdKey[] = "x-request-id";
+constexpr char kAuthorizationKey[] = "authorization";
 constexpr std::size_t kMaxRequestIdBytes = 128;
 
 std::string NewRequestId() {
@@ -35,6 +40,36 @@ std::string RequestId(const grpc::CallbackServerContext& context) {
     if (!id.empty() && id.size() <= kMaxRequestIdBytes && printable) return id;
   }
   return NewRequestId();
+}
+
+Credentials CredentialsOf(const grpc::CallbackServerContext& context) {
+  Credentials credentials;
+  const auto [first, last] =
+      context.client_metadata().equal_range(kAuthorizationKey);
+  for (auto entry = first; entry != last; ++entry) {
+    credentials.authorizations.emplace_back(entry->second.data(),
+                                            entry->second.size());
+  }
+  const auto authentication = context.auth_context();
+  if (authentication == nullptr || !authentication->IsPeerAuthenticated()) {
+    return credentials;
+  }
+  const auto certificates =
+      authentication->FindPropertyValues(GRPC_X509_PEM_CERT_PROPERTY_NAME);
+  if (!certificates.empty()) {
+    credentials.certificate_pem.assign(certificates.front().data(),
+                                       certificates.front().size());
+  }
+  return credentials;
+}
+
+std::shared_ptr<const Caller> Nobody() {
+  static const auto* const nobody = new std::shared_ptr<const Caller>([] {
+    auto caller = std::make_shared<Caller>();
+    caller->grants.emplace();
+    return caller;
+  }());
+  return *nobody;
 }
 
 const char* CodeName(grpc::StatusCode code) {
@@ -112,14 +147,73 @@ Call::Call(grpc::CallbackServerContext* context, const char* method,
     : method_(method),
       log_(service.log),
       drain_(service.drain),
-      admitted_(service.drain->Enter()),
+      gatekeeper_(service.gatekeeper),
+      rule_(FindMethodRule(method)),
       start_(std::chrono::steady_clock::now()),
       deadline_(context->deadline()),
       request_id_(RequestId(*context)) {
   context->AddInitialMetadata(kRequestIdKey, request_id_);
+  const bool in_time = drain_->Enter();
+  if (gatekeeper_->asks()) credentials_ = CredentialsOf(*context);
+  auto caller =
+      gatekeeper_->Admit(credentials_, std::chrono::system_clock::now());
+  if (caller.ok()) {
+    caller_ = *std::move(caller);
+  } else {
+    caller_ = Nobody();
+    admission_ = caller.status();
+  }
+  if (!in_time) admission_ = Drain::Refusal();
 }
 
-void Call::Done() { drain_->Leave(); }
+void Call::Done() {
+  if (watch_ >= 0) gatekeeper_->Unwatch(watch_);
+  drain_->Leave();
+}
+
+Verb Call::MethodVerb() const {
+  if (rule_ == nullptr) return Verb::kAdmin;
+  return rule_->verb.value_or(Verb::kAdmin);
+}
+
+absl::Status Call::Check(const Caller& caller, Verb verb) const {
+  if (caller.May(verb, vehicle_)) return absl::OkStatus();
+  const bool creates = rule_ != nullptr && rule_->creates;
+  if (!caller.MaySee(vehicle_) && !creates) return VehicleNotFound(vehicle_);
+  return Error(absl::StatusCode::kPermissionDenied, "NOT_GRANTED",
+               std::string(method_) + " needs the verb " + VerbName(verb) +
+                   " on this vehicle, which is not granted to the caller",
+               {{"verb", VerbName(verb)}});
+}
+
+absl::Status Call::ChooseVehicle(const std::string& id) {
+  vehicle_ = id;
+  return Check(*caller_, MethodVerb());
+}
+
+absl::Status Call::AlsoNeeds(Verb verb) {
+  also_needs_.push_back(verb);
+  return Check(*caller_, verb);
+}
+
+absl::Status Call::Recheck() const {
+  const auto caller =
+      gatekeeper_->Admit(credentials_, std::chrono::system_clock::now());
+  if (!caller.ok()) return caller.status();
+  if (vehicle_.empty()) return absl::OkStatus();
+  std::vector<Verb> verbs = also_needs_;
+  verbs.push_back(MethodVerb());
+  for (const Verb verb : verbs) {
+    if (absl::Status status = Check(**caller, verb); !status.ok()) {
+      return status;
+    }
+  }
+  return absl::OkStatus();
+}
+
+void Call::WatchCaller(std::function<void()> recheck) {
+  watch_ = gatekeeper_->Watch(caller_->expires, std::move(recheck));
+}
 
 absl::Status Call::GivenUpStatus() const {
   if (std::chrono::system_clock::now() < deadline_) {
@@ -139,6 +233,8 @@ grpc::Status Call::End(const absl::Status& status) const {
               {{"request_id", request_id_},
                {"method", method_},
                {"vehicle", vehicle_},
+               {"tenant", caller_->tenant},
+               {"caller", caller_->identity},
                {"code", CodeName(answer.error_code())},
                {"reason", ReasonOf(named)},
                {"message", std::string(status.message())},

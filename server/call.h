@@ -1,17 +1,22 @@
-// One call of the service: who it is, whether its caller still waits, and its
-// one line in the log.
+// One call of the service: who its caller is and what that one may do, whether
+// the caller still waits, and its one line in the log.
 #ifndef REVISIT_SERVER_CALL_H_
 #define REVISIT_SERVER_CALL_H_
 
 #include <atomic>
 #include <chrono>
+#include <functional>
+#include <memory>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "grpcpp/server_context.h"
 #include "grpcpp/support/status.h"
 #include "server/drain.h"
 #include "server/logging.h"
+#include "server/security/caller.h"
+#include "server/security/gatekeeper.h"
 #include "server/service_context.h"
 
 namespace revisit::server {
@@ -24,7 +29,9 @@ inline constexpr char kUnread[] = "\x01unread";
 // What a stream ends with otherwise.
 absl::Status MalformedMessage();
 
-// Thread-safe, but for set_vehicle().
+struct MethodRule;
+
+// Thread-safe, but for ChooseVehicle() and AlsoNeeds().
 class Call {
  public:
   // Takes the request id from the metadata or makes one, and sends it back. Log
@@ -35,11 +42,29 @@ class Call {
   Call(const Call&) = delete;
   Call& operator=(const Call&) = delete;
 
-  // Whether the call came in time. Otherwise it ends with Drain::Refusal().
-  bool admitted() const { return admitted_; }
+  // If not OK, the call ends with it at once: it came too late, or its caller
+  // is not let in.
+  const absl::Status& admission() const { return admission_; }
 
-  // For the log. Call before the work is handed to other threads.
-  void set_vehicle(const std::string& id) { vehicle_ = id; }
+  // Of a call that was admitted.
+  const Caller& caller() const { return *caller_; }
+
+  // Names the vehicle that the call is about. Every handler goes through here
+  // before it does anything with a vehicle, and before the work is handed to
+  // other threads. VEHICLE_NOT_FOUND if the vehicle is not the caller's to know
+  // of, there or not; PERMISSION_DENIED (NOT_GRANTED) if the method is more
+  // than the caller may do with it.
+  absl::Status ChooseVehicle(const std::string& id);
+
+  // The call turns out to do more than its method says. After ChooseVehicle().
+  absl::Status AlsoNeeds(Verb verb);
+
+  // What a new call of the same kind, with the same credentials, would be told
+  // now. Calls that last ask from time to time.
+  absl::Status Recheck() const;
+  // Calls `recheck` whenever Recheck() may have changed its mind, until Done().
+  // It may also come shortly after.
+  void WatchCaller(std::function<void()> recheck);
 
   // Call from the reactor's OnCancel(), which also comes when the deadline
   // passes. The context cannot be asked by work that may outlive the call.
@@ -56,14 +81,23 @@ class Call {
   void Done();
 
  private:
+  Verb MethodVerb() const;
+  absl::Status Check(const Caller& caller, Verb verb) const;
+
   const char* const method_;
   const Log* const log_;
   Drain* const drain_;
-  const bool admitted_;
+  Gatekeeper* const gatekeeper_;
+  const MethodRule* const rule_;
   const std::chrono::steady_clock::time_point start_;
   const std::chrono::system_clock::time_point deadline_;
   std::string request_id_;
+  Credentials credentials_;
+  std::shared_ptr<const Caller> caller_;
+  absl::Status admission_;
+  Gatekeeper::WatchId watch_ = -1;
   std::string vehicle_;
+  std::vector<Verb> also_needs_;
   std::atomic<bool> given_up_{false};
 };
 

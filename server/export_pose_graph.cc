@@ -9,7 +9,6 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "server/call.h"
-#include "server/drain.h"
 #include "server/field_violations.h"
 #include "server/proto_conversion.h"
 #include "server/sessions/fleet.h"
@@ -36,8 +35,8 @@ class Export final : public grpc::ServerWriteReactor<Response>,
 
   void Start(const v1::ExportPoseGraphRequest& request) {
     self_ = shared_from_this();
-    if (!call_.admitted()) {
-      Finish(call_.End(Drain::Refusal()));
+    if (!call_.admission().ok()) {
+      Finish(call_.End(call_.admission()));
       return;
     }
     const absl::StatusOr<std::string> id =
@@ -46,7 +45,10 @@ class Export final : public grpc::ServerWriteReactor<Response>,
       Finish(call_.End(id.status()));
       return;
     }
-    call_.set_vehicle(*id);
+    if (absl::Status status = call_.ChooseVehicle(*id); !status.ok()) {
+      Finish(call_.End(status));
+      return;
+    }
     context_.fleet->Session(*id)->Read(
         [self = shared_from_this()](const absl::StatusOr<VehicleView>& view) {
           self->OnRead(view);
@@ -82,6 +84,10 @@ class Export final : public grpc::ServerWriteReactor<Response>,
   void Continue() {
     if (call_.given_up()) {
       Finish(call_.End(call_.GivenUpStatus()));
+      return;
+    }
+    if (absl::Status status = call_.Recheck(); !status.ok()) {
+      Finish(call_.End(status));
       return;
     }
     // The first message has the vehicle already.

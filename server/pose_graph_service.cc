@@ -1,5 +1,6 @@
 #include "server/pose_graph_service.h"
 
+#include <algorithm>
 #include <chrono>
 #include <cstdint>
 #include <cstdlib>
@@ -13,7 +14,6 @@
 #include "absl/status/statusor.h"
 #include "google/protobuf/util/field_mask_util.h"
 #include "server/call.h"
-#include "server/drain.h"
 #include "server/export_pose_graph.h"
 #include "server/field_violations.h"
 #include "server/page_token.h"
@@ -63,8 +63,11 @@ class UnaryCall final : public grpc::ServerUnaryReactor,
     const std::shared_ptr<UnaryCall> self = std::move(self_);
   }
 
-  bool admitted() const { return call_.admitted(); }
-  void set_vehicle(const std::string& id) { call_.set_vehicle(id); }
+  const absl::Status& admission() const { return call_.admission(); }
+  const Caller& caller() const { return call_.caller(); }
+  absl::Status ChooseVehicle(const std::string& id) {
+    return call_.ChooseVehicle(id);
+  }
   bool given_up() const { return call_.given_up(); }
   absl::Status GivenUpStatus() const { return call_.GivenUpStatus(); }
 
@@ -98,28 +101,57 @@ absl::StatusOr<std::shared_ptr<VehicleSession>> SessionOf(
     const FieldPath& path, UnaryCall* call) {
   absl::StatusOr<std::string> id = ParseVehicleName(name, path);
   if (!id.ok()) return id.status();
-  call->set_vehicle(*id);
+  if (absl::Status status = call->ChooseVehicle(*id); !status.ok()) {
+    return status;
+  }
   return context.fleet->Session(*id);
 }
 
-// A page of vehicles as they are stored.
-absl::Status ListStored(Storage* storage, const std::string& list,
-                        const std::string& after, int page_size,
-                        v1::ListVehiclesResponse* response) {
-  // One more tells whether there is another page.
-  const auto records = storage->ListVehicles(after, page_size + 1);
-  if (!records.ok()) return records.status();
+// The last of all strings that come before those that start with `prefix`, as
+// far as ids go.
+std::string JustBefore(const std::string& prefix) {
+  if (prefix.empty()) return "";
+  std::string before = prefix;
+  --before.back();
+  return before + '\x7f';
+}
+
+// A page of vehicles as they are stored, of those that the caller may read. The
+// others leave no trace: not in the page's length, nor in its token.
+absl::Status ListStored(Storage* storage, const Caller& caller,
+                        const std::string& list, const std::string& after,
+                        int page_size, v1::ListVehiclesResponse* response) {
   std::string last;
-  for (const VehicleRecord& record : *records) {
-    if (response->vehicles_size() == page_size) {
-      response->set_next_page_token(MakePageToken(list, last));
-      break;
+  for (const std::string& prefix : caller.PrefixesOf(Verb::kRead)) {
+    std::string place = std::max(after, JustBefore(prefix));
+    while (true) {
+      // One more tells whether there is another page. Few at a time would be
+      // slow where few of many may be read.
+      const int wanted =
+          std::max(page_size - response->vehicles_size() + 1, 100);
+      const auto records = storage->ListVehicles(place, wanted);
+      if (!records.ok()) return records.status();
+      bool past = static_cast<int>(records->size()) < wanted;
+      for (const VehicleRecord& record : *records) {
+        if (record.id.compare(0, prefix.size(), prefix) != 0) {
+          past = true;
+          break;
+        }
+        if (!caller.May(Verb::kRead, record.id)) continue;
+        if (response->vehicles_size() == page_size) {
+          response->set_next_page_token(MakePageToken(list, last));
+          return absl::OkStatus();
+        }
+        if (absl::Status status =
+                EncodeVehicle(record, response->add_vehicles());
+            !status.ok()) {
+          return status;
+        }
+        last = record.id;
+      }
+      if (past) break;
+      place = records->back().id;
     }
-    if (absl::Status status = EncodeVehicle(record, response->add_vehicles());
-        !status.ok()) {
-      return status;
-    }
-    last = record.id;
   }
   return absl::OkStatus();
 }
@@ -252,7 +284,9 @@ absl::Status AddPair(const ServiceContext& context, const UnaryCallPtr& call,
   const absl::StatusOr<std::string> vehicle =
       ParseVehicleName(parent, kRequest.Field("parent"));
   if (!vehicle.ok()) return vehicle.status();
-  call->set_vehicle(*vehicle);
+  if (absl::Status status = call->ChooseVehicle(*vehicle); !status.ok()) {
+    return status;
+  }
   absl::StatusOr<PosePairRecord> record = DecodePosePair(pair, id);
   if (!record.ok()) return record.status();
   record->create_time_ns = NowNanoseconds();
@@ -312,7 +346,10 @@ absl::Status DeletePair(const ServiceContext& context, const UnaryCallPtr& call,
   const absl::StatusOr<PosePairName> parsed =
       ParsePosePairName(kind, name, kRequest.Field("name"));
   if (!parsed.ok()) return parsed.status();
-  call->set_vehicle(parsed->vehicle_id);
+  if (absl::Status status = call->ChooseVehicle(parsed->vehicle_id);
+      !status.ok()) {
+    return status;
+  }
   context.fleet->Session(parsed->vehicle_id)
       ->DeletePosePair(
           kind, parsed->id,
@@ -331,7 +368,7 @@ grpc::ServerUnaryReactor* PoseGraphService::Unary(
   const auto call = std::make_shared<UnaryCall>(context, method, context_);
   call->Start();
   const absl::Status status =
-      call->admitted() ? handle(call) : Drain::Refusal();
+      call->admission().ok() ? handle(call) : call->admission();
   if (!status.ok()) call->End(status);
   return call.get();
 }
@@ -346,7 +383,9 @@ grpc::ServerUnaryReactor* PoseGraphService::CreateVehicle(
         !status.ok()) {
       return status;
     }
-    call->set_vehicle(id);
+    if (absl::Status status = call->ChooseVehicle(id); !status.ok()) {
+      return status;
+    }
     absl::StatusOr<VehicleConfig> config =
         DecodeSettings(request->vehicle().settings(),
                        kRequest.Field("vehicle").Field("settings"));
@@ -404,8 +443,8 @@ grpc::ServerUnaryReactor* PoseGraphService::ListVehicles(
         ParsePageToken(list, request->page_token());
     if (!after.ok()) return after.status();
     context_.executor->Post([=, context = context_] {
-      const absl::Status status =
-          ListStored(context.storage, list, *after, *page_size, response);
+      const absl::Status status = ListStored(
+          context.storage, call->caller(), list, *after, *page_size, response);
       if (status.ok()) {
         FillFromMemory(context.fleet, call, response);
       } else {
@@ -446,7 +485,9 @@ grpc::ServerUnaryReactor* PoseGraphService::DeleteVehicle(
     const absl::StatusOr<std::string> id =
         ParseVehicleName(request->name(), kRequest.Field("name"));
     if (!id.ok()) return id.status();
-    call->set_vehicle(*id);
+    if (absl::Status status = call->ChooseVehicle(*id); !status.ok()) {
+      return status;
+    }
     context_.fleet->Delete(
         *id, [=](const absl::Status& status) { call->End(status); });
     return absl::OkStatus();

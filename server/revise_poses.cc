@@ -117,11 +117,19 @@ class Revision final : public grpc::ServerReadReactor<Request>,
 
   void Start() {
     self_ = shared_from_this();
+    call_.WatchCaller([weak = weak_from_this()] {
+      if (const auto revision = weak.lock()) revision->Recheck();
+    });
     drain_watch_ = context_.drain->Watch([weak = weak_from_this()] {
       if (const auto revision = weak.lock()) revision->WindDown();
     });
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (!finished_) ReadNext();
+    if (finished_) return;
+    if (call_.admission().ok()) {
+      ReadNext();
+    } else {
+      End(call_.admission());
+    }
   }
 
   void OnReadDone(bool ok) override {
@@ -174,8 +182,10 @@ class Revision final : public grpc::ServerReadReactor<Request>,
       const absl::StatusOr<std::string> id =
           ParseVehicleName(request_.vehicle(), request.Field("vehicle"));
       if (!id.ok()) return id.status();
+      if (absl::Status status = call_.ChooseVehicle(*id); !status.ok()) {
+        return status;
+      }
       vehicle_ = *id;
-      call_.set_vehicle(vehicle_);
       expected_revision_ = request_.expected_revision();
     } else {
       if (!request_.vehicle().empty() &&
@@ -254,6 +264,13 @@ class Revision final : public grpc::ServerReadReactor<Request>,
   void WindDown() {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (!finished_ && !revising_) End(Drain::Refusal());
+  }
+
+  // A revision that the session has got already is carried through.
+  void Recheck() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (finished_ || revising_) return;
+    if (absl::Status status = call_.Recheck(); !status.ok()) End(status);
   }
 
   // Not to be used after OnDone().

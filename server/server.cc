@@ -23,6 +23,7 @@
 #include "server/drain.h"
 #include "server/pose_graph_service.h"
 #include "server/proto_conversion.h"
+#include "server/security/gatekeeper.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/fleet.h"
 #include "server/storage/sqlite_storage.h"
@@ -150,6 +151,7 @@ struct RevisitServer::State {
   std::unique_ptr<Fleet> fleet;
   std::unique_ptr<UnloadTimer> unload_timer;
   Drain drain;
+  std::unique_ptr<Gatekeeper> gatekeeper;
   std::unique_ptr<PoseGraphService> service;
   std::unique_ptr<grpc::Server> grpc_server;
   std::unique_ptr<ConnectionAcceptor> acceptor;
@@ -240,7 +242,9 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   context.storage = state->storage.get();
   context.executor = state->executor.get();
   context.fleet = state->fleet.get();
+  state->gatekeeper = MakeOpenGatekeeper();
   context.drain = &state->drain;
+  context.gatekeeper = state->gatekeeper.get();
   context.log = log;
   context.limits = settings.limits;
   state->service = std::make_unique<PoseGraphService>(context);

@@ -10,6 +10,7 @@ class Admission;
 class Drain;
 class Executor;
 class Fleet;
+class Gatekeeper;
 class Log;
 class Storage;
 
@@ -19,6 +20,7 @@ struct ServiceContext {
   Executor* executor = nullptr;
   Fleet* fleet = nullptr;
   Drain* drain = nullptr;
+  Gatekeeper* gatekeeper = nullptr;
   const Log* log = nullptr;
   Admission* admission = nullptr;
   Limits limits;

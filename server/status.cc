@@ -107,6 +107,11 @@ absl::Status QuotaExceeded(absl::StatusCode code, const std::string& reason,
   return status;
 }
 
+absl::Status VehicleNotFound(const std::string& id) {
+  return Error(absl::StatusCode::kNotFound, "VEHICLE_NOT_FOUND",
+               "no such vehicle: '" + id + "'");
+}
+
 std::string ReasonOf(const absl::Status& status) {
   const auto payload = status.GetPayload(kErrorInfoUrl);
   if (!payload.has_value()) return "";

@@ -53,6 +53,10 @@ absl::Status QuotaExceeded(absl::StatusCode code, const std::string& reason,
                            std::chrono::milliseconds retry_delay,
                            const ErrorMetadata& metadata = {});
 
+// NOT_FOUND (VEHICLE_NOT_FOUND). The same words whether there is none or it is
+// not the caller's to know of.
+absl::Status VehicleNotFound(const std::string& id);
+
 // Reason of a status made here; empty if it has none.
 std::string ReasonOf(const absl::Status& status);
 

@@ -68,10 +68,14 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
 
   void Start() {
     self_ = shared_from_this();
+    call_.WatchCaller([weak = weak_from_this()] {
+      if (const auto stream = weak.lock()) stream->Recheck();
+    });
     drain_watch_ = context_.drain->Watch([weak = weak_from_this()] {
       if (const auto stream = weak.lock()) stream->WindDown();
     });
     const std::lock_guard<std::mutex> lock(mutex_);
+    SetFailure(call_.admission());
     Advance();
   }
 
@@ -147,13 +151,25 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       Fail(id.status());
       return;
     }
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      absl::Status allowed = call_.ChooseVehicle(*id);
+      if (allowed.ok() && open.send_candidates()) {
+        allowed = call_.AlsoNeeds(Verb::kRead);
+      }
+      SetFailure(allowed);
+      if (!allowed.ok()) {
+        handling_ = false;
+        Advance();
+        return;
+      }
+    }
     send_candidates_ = open.send_candidates();
     candidate_options_ = open.candidate_options();
     const std::shared_ptr<VehicleSession> session =
         context_.fleet->Session(*id);
     {
       const std::lock_guard<std::mutex> lock(mutex_);
-      call_.set_vehicle(*id);
       session_ = session;
     }
     session->CheckAcknowledged(
@@ -284,6 +300,15 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   void WindDown() {
     const std::lock_guard<std::mutex> lock(mutex_);
     draining_ = true;
+    Advance();
+  }
+
+  // Ends the stream of a caller who may no longer do this: after the last
+  // acknowledgement of what was taken on.
+  void Recheck() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (finished_) return;
+    SetFailure(call_.Recheck());
     Advance();
   }
 

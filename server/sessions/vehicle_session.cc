@@ -20,11 +20,6 @@ constexpr std::chrono::milliseconds kReplaySlice{20};
 
 constexpr int kPairsPerRead = 1000;
 
-absl::Status NotFound(const std::string& id) {
-  return Error(StatusCode::kNotFound, "VEHICLE_NOT_FOUND",
-               "no such vehicle: '" + id + "'");
-}
-
 bool SamePosition(const GeodeticOrigin& a, const GeodeticOrigin& b) {
   return a.latitude_degrees == b.latitude_degrees &&
          a.longitude_degrees == b.longitude_degrees &&
@@ -189,7 +184,7 @@ struct VehicleSession::State
     if (!in_doubt || !in_flight.empty()) return absl::OkStatus();
     const absl::StatusOr<VehicleRecord> record = storage->GetVehicle(id);
     if (!record.ok()) {
-      if (absl::IsNotFound(record.status())) Leave(NotFound(id));
+      if (absl::IsNotFound(record.status())) Leave(VehicleNotFound(id));
       return record.status();
     }
     if (record->key != key || record->durable_sequence != durable_sequence ||
@@ -224,7 +219,7 @@ struct VehicleSession::State
     const absl::Status status = StartLoad();
     if (status.ok()) return;
     exclusive = false;
-    Leave(absl::IsNotFound(status) ? NotFound(id) : status);
+    Leave(absl::IsNotFound(status) ? VehicleNotFound(id) : status);
     Pump();
   }
 
@@ -966,7 +961,7 @@ struct VehicleSession::State
           storage->DeleteVehicle(key, std::move(done));
         },
         [this, callback](const absl::Status& status) {
-          if (status.ok() || absl::IsNotFound(status)) Leave(NotFound(id));
+          if (status.ok() || absl::IsNotFound(status)) Leave(VehicleNotFound(id));
           callback(status);
         });
   }

@@ -1,0 +1,64 @@
+// Who calls, and what that one may do.
+#ifndef REVISIT_SERVER_SECURITY_CALLER_H_
+#define REVISIT_SERVER_SECURITY_CALLER_H_
+
+#include <chrono>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace revisit::server {
+
+enum class Verb : std::uint8_t { kRead = 1, kWrite = 2, kAdmin = 4 };
+
+// "read", "write", "admin".
+const char* VerbName(Verb verb);
+
+// Some vehicles of one tenant, and what may be done with them.
+struct Grant {
+  // Of the tenant: no id without it belongs to this grant.
+  std::string vehicle_prefix;
+  // Over the whole id; `*` stands for any run of characters, an empty one too.
+  // An id has to match one of them.
+  std::vector<std::string> vehicle_patterns;
+  // Bits of Verb.
+  std::uint8_t verbs = 0;
+
+  bool Allows(Verb verb) const {
+    return (verbs & static_cast<std::uint8_t>(verb)) != 0;
+  }
+  bool Covers(const std::string& vehicle_id) const;
+};
+
+// Immutable once made, so that threads may share it.
+struct Caller {
+  // For the log: "token:" or "certificate:" and a name. Empty if the server
+  // does not ask who calls.
+  std::string identity;
+  // All grants are of this tenant; "*" means all of them. Empty if the server
+  // does not ask who calls.
+  std::string tenant;
+  // From then on the caller is nobody.
+  std::chrono::system_clock::time_point expires =
+      std::chrono::system_clock::time_point::max();
+  // Nothing: all vehicles, everything.
+  std::optional<std::vector<Grant>> grants;
+
+  // Whether anything may be done with the vehicle. What a caller may not see is
+  // to that caller as if it were not there.
+  bool MaySee(const std::string& vehicle_id) const;
+  bool May(Verb verb, const std::string& vehicle_id) const;
+
+  // Prefixes of ids, in order, none a prefix of another: whatever the verb is
+  // granted for starts with one of them.
+  std::vector<std::string> PrefixesOf(Verb verb) const;
+};
+
+// Whether `text` as a whole matches `pattern`, in time proportional to the
+// product of their lengths.
+bool MatchesGlob(const std::string& pattern, const std::string& text);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SECURITY_CALLER_H_

@@ -1,0 +1,38 @@
+#include "server/security/method_rules.h"
+
+namespace revisit::server {
+namespace {
+
+constexpr MethodRule kRules[] = {
+    {"AcceptDataLoss", Verb::kAdmin},
+    {"AddLoopClosure", Verb::kWrite},
+    {"AppendPoses", Verb::kWrite},
+    {"CreateVehicle", Verb::kWrite, true},
+    {"DeleteLoopClosure", Verb::kWrite},
+    {"DeleteRejectedCandidate", Verb::kWrite},
+    {"DeleteVehicle", Verb::kAdmin},
+    {"ExportPoseGraph", Verb::kRead},
+    {"FindCandidates", Verb::kRead},
+    {"GetServerInfo", std::nullopt},
+    {"GetVehicle", Verb::kRead},
+    {"ListLoopClosures", Verb::kRead},
+    {"ListPoses", Verb::kRead},
+    {"ListRejectedCandidates", Verb::kRead},
+    {"ListVehicles", Verb::kRead},
+    {"RejectCandidate", Verb::kWrite},
+    {"RevisePoses", Verb::kWrite},
+    // And kRead, if candidates are asked for.
+    {"StreamPoses", Verb::kWrite},
+    {"UpdateVehicle", Verb::kWrite},
+};
+
+}  // namespace
+
+const MethodRule* FindMethodRule(const std::string& method) {
+  for (const MethodRule& rule : kRules) {
+    if (method == rule.method) return &rule;
+  }
+  return nullptr;
+}
+
+}  // namespace revisit::server
