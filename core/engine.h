@@ -76,6 +76,8 @@ enum class EmptyReason {
   // No path of the history is as long as the sequence, or Gamma is
   // ill-conditioned along all of them.
   kNoAlignment,
+  // More than SearchOptions::max_comparisons.
+  kTooMuchWork,
 };
 
 struct CandidateSet {
@@ -84,6 +86,8 @@ struct CandidateSet {
   std::vector<Candidate> candidates;
   EmptyReason empty_reason = EmptyReason::kNotEmpty;
   NodeIndex nodes_considered = 0;
+  // What SearchOptions::max_comparisons bounds.
+  std::int64_t comparisons = 0;
   // Only of relative alignments: posterior of no place of the history.
   std::optional<double> new_place_probability;
   // What the claimed standard deviations were multiplied by.

@@ -19,6 +19,7 @@
 #include <thread>
 #include <utility>
 
+#include "server/admission.h"
 #include "server/connection_acceptor.h"
 #include "server/drain.h"
 #include "server/pose_graph_service.h"
@@ -34,6 +35,8 @@ namespace {
 constexpr char kStoreFile[] = "revisit.sqlite";
 // For connections to be closed in an orderly way.
 constexpr std::chrono::milliseconds kGoodbyeTime{100};
+// How often memory is looked at, should no call do so.
+constexpr std::chrono::milliseconds kMemoryPeriod{2000};
 
 std::chrono::milliseconds Milliseconds(double seconds) {
   return std::chrono::milliseconds(static_cast<std::int64_t>(seconds * 1000.0));
@@ -55,8 +58,9 @@ absl::StatusOr<std::string> StoreFile(const std::string& path) {
 // Calls on a timer until it is destroyed.
 class UnloadTimer {
  public:
-  UnloadTimer(Fleet* fleet, std::chrono::milliseconds idle_unload)
-      : thread_([this, fleet, idle_unload] { Run(fleet, idle_unload); }) {}
+  UnloadTimer(Fleet* fleet, Admission* admission,
+              std::chrono::milliseconds idle_unload)
+      : thread_([=] { Run(fleet, admission, idle_unload); }) {}
 
   ~UnloadTimer() {
     {
@@ -71,15 +75,25 @@ class UnloadTimer {
   UnloadTimer& operator=(const UnloadTimer&) = delete;
 
  private:
-  void Run(Fleet* fleet, std::chrono::milliseconds idle_unload) {
+  void Run(Fleet* fleet, Admission* admission,
+           std::chrono::milliseconds idle_unload) {
     // A vehicle stays at most a tenth longer than promised.
     const auto period = std::clamp<std::chrono::milliseconds>(
         idle_unload / 10, std::chrono::milliseconds(100),
         std::chrono::seconds(30));
+    const auto look = std::min(period, kMemoryPeriod);
+    auto next = std::chrono::steady_clock::now() + period;
     std::unique_lock<std::mutex> lock(mutex_);
-    while (!wake_.wait_for(lock, period, [this] { return stopping_; })) {
+    while (!wake_.wait_for(lock, look, [this] { return stopping_; })) {
       lock.unlock();
-      fleet->UnloadIdle(std::chrono::steady_clock::now());
+      const auto now = std::chrono::steady_clock::now();
+      if (admission->UnderMemoryPressure()) {
+        // All that nobody uses goes.
+        fleet->UnloadIdle(now + idle_unload);
+      } else if (now >= next) {
+        next = now + period;
+        fleet->UnloadIdle(now);
+      }
       lock.lock();
     }
   }
@@ -149,6 +163,7 @@ struct RevisitServer::State {
   std::unique_ptr<Storage> storage;
   std::unique_ptr<Executor> executor;
   std::unique_ptr<Fleet> fleet;
+  std::unique_ptr<Admission> admission;
   std::unique_ptr<UnloadTimer> unload_timer;
   Drain drain;
   std::unique_ptr<Gatekeeper> gatekeeper;
@@ -235,8 +250,12 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   options.session.max_pending_appends = settings.limits.max_pending_appends;
   state->fleet = std::make_unique<Fleet>(state->storage.get(), &state->codec,
                                          state->executor.get(), options);
-  state->unload_timer =
-      std::make_unique<UnloadTimer>(state->fleet.get(), options.idle_unload);
+  Limits limits = settings.limits;
+  if (limits.max_memory_bytes == 0)
+    limits.max_memory_bytes = DefaultMemoryLimit();
+  state->admission = std::make_unique<Admission>(limits, ResidentBytes);
+  state->unload_timer = std::make_unique<UnloadTimer>(
+      state->fleet.get(), state->admission.get(), options.idle_unload);
 
   ServiceContext context;
   context.storage = state->storage.get();
@@ -246,6 +265,7 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   context.drain = &state->drain;
   context.gatekeeper = state->gatekeeper.get();
   context.log = log;
+  context.admission = state->admission.get();
   context.limits = settings.limits;
   state->service = std::make_unique<PoseGraphService>(context);
 

@@ -1,6 +1,7 @@
 #include "server/stream_poses.h"
 
 #include <chrono>
+#include <cstdint>
 #include <deque>
 #include <memory>
 #include <mutex>
@@ -11,6 +12,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "google/protobuf/arena.h"
+#include "grpcpp/alarm.h"
 #include "server/call.h"
 #include "server/drain.h"
 #include "server/field_violations.h"
@@ -29,10 +31,9 @@ using Response = v1::StreamPosesResponse;
 // touched cost nothing.
 constexpr std::size_t kRequestBlockBytes = std::size_t{128} << 10;
 
-// A client that takes poses' worth of checks but does not read their answers is
-// cut off here: those, unlike acknowledgements, are not bounded by what was
-// read.
-constexpr std::size_t kMaxUnsent = 4096;
+// What a client that does not read is given to read the last answers it was
+// sent, and with them why the stream ends.
+constexpr std::chrono::seconds kSlowConsumerGrace{10};
 
 // Messages go: read, staged (decoded and taken on by the session), durable (its
 // acknowledgement is queued), checked (its candidates are queued), written.
@@ -41,6 +42,10 @@ constexpr std::size_t kMaxUnsent = 4096;
 // share one request object, and as long as the batches that are not durable and
 // the responses that are not written come to less than max_batches_in_flight.
 // So the transport's own flow control reaches the client.
+//
+// A client that sends poses but does not read what their checks found is cut
+// off at max_unread_bytes: candidates, unlike acknowledgements, are not bounded
+// by what was read.
 //
 // Ending: whatever ends the stream (half-close, failure, drain), batches that
 // were taken on run to their end and their answers are written first. Only a
@@ -182,8 +187,11 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   absl::StatusOr<core::SearchOptions> SearchOptions(
       const VehicleConfig& config) const {
     const FieldPath open = FieldPath().Field("open");
-    return DecodeCandidateOptions(candidate_options_, config,
-                                  open.Field("candidate_options"));
+    absl::StatusOr<core::SearchOptions> options = DecodeCandidateOptions(
+        candidate_options_, config, open.Field("candidate_options"));
+    if (options.ok())
+      options->max_comparisons = context_.limits.max_search_steps;
+    return options;
   }
 
   void OnChecked(const absl::StatusOr<VehicleView>& view) {
@@ -214,6 +222,12 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
                           : "a message after `open` is a `batch`"));
       return;
     }
+    const absl::StatusOr<Permit> room =
+        call_.AdmitBatch(request_->ByteSizeLong());
+    if (!room.ok()) {
+      Fail(room.status());
+      return;
+    }
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       ++in_flight_;
@@ -237,7 +251,8 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       self->OnStaged(status);
     };
     append.callbacks.durable =
-        [self, scope](const absl::StatusOr<Acknowledgement>& acknowledgement) {
+        [self, scope, permit = *room](
+            const absl::StatusOr<Acknowledgement>& acknowledgement) {
           self->OnDurable(acknowledgement);
           scope->work_start = std::chrono::steady_clock::now();
         };
@@ -274,19 +289,53 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     // Searches stop when the caller is gone, and then nobody waits for them.
     if (call_.given_up()) return;
     Response response;
+    std::size_t bytes = 0;
     if (set.ok()) {
       EncodeCandidateSet(view, *set, candidate_options_.include_aligned_path(),
                          duration, response.mutable_candidates());
+      bytes = response.SpaceUsedLong();
     }
     const std::lock_guard<std::mutex> lock(mutex_);
     SetFailure(set.status());
-    if (set.ok() && queue_.size() >= kMaxUnsent) {
-      SetFailure(Error(absl::StatusCode::kResourceExhausted, "QUEUE_FULL",
-                       "the client does not read its candidates"));
-    } else if (set.ok()) {
-      queue_.push_back(std::move(response));
+    const std::int64_t limit = context_.limits.max_unread_bytes;
+    if (set.ok() && !slow_) {
+      unread_bytes_ += static_cast<std::int64_t>(bytes);
+      if (unread_bytes_ <= limit || queue_.empty()) {
+        queue_.push_back(std::move(response));
+      } else {
+        CutSlowConsumer(view.durable_sequence, limit);
+      }
     }
     Advance();
+  }
+
+  // With the mutex held. Frees what waits, and the stream itself if the client
+  // does not come to read why.
+  void CutSlowConsumer(std::uint64_t durable_sequence, std::int64_t limit) {
+    slow_ = true;
+    const std::string durable = std::to_string(durable_sequence);
+    SetFailure(Error(
+        absl::StatusCode::kResourceExhausted, "SLOW_CONSUMER",
+        "the client does not read its candidates: more than " +
+            std::to_string(limit) +
+            " bytes wait; poses are durable up to sequence " + durable,
+        {{"durable_sequence", durable}, {"limit", std::to_string(limit)}}));
+    std::deque<Response> kept;
+    for (Response& response : queue_) {
+      if (!response.has_candidates()) kept.push_back(std::move(response));
+    }
+    queue_.swap(kept);
+    cut_.Set(std::chrono::system_clock::now() + kSlowConsumerGrace,
+             [weak = weak_from_this()](bool ok) {
+               const auto stream = weak.lock();
+               if (ok && stream != nullptr) stream->Cut();
+             });
+  }
+
+  void Cut() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    // OnCancel() follows.
+    if (!finished_) grpc_context_->TryCancel();
   }
 
   void OnAppendOver() {
@@ -356,6 +405,9 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       writing_ = true;
       response_.Swap(&queue_.front());
       queue_.pop_front();
+      if (response_.has_candidates()) {
+        unread_bytes_ -= static_cast<std::int64_t>(response_.SpaceUsedLong());
+      }
       grpc::WriteOptions options;
       if (!queue_.empty()) options.set_buffer_hint();
       StartWrite(&response_, options);
@@ -404,6 +456,11 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   // Guarded by mutex_.
   std::shared_ptr<VehicleSession> session_;
   std::deque<Response> queue_;
+  // Of the candidates in it.
+  std::int64_t unread_bytes_ = 0;
+  // Whether the client was found not to read its candidates.
+  bool slow_ = false;
+  grpc::Alarm cut_;
   bool reading_ = false;
   bool handling_ = false;
   bool writing_ = false;
