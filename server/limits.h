@@ -54,9 +54,11 @@ struct Limits {
   // Batches of one stream that may wait for their acknowledgement to be sent.
   // Range [1, 10000].
   int max_batches_in_flight = 16;
-  // Answers of one stream that may wait for the client to read them. Range
-  // [4096, 2^36].
+  // Candidates of one stream that may wait for the client to read them, and
+  // how long a client that let more come has to read why its stream ends. Range
+  // [4096, 2^36] and [0.1, 3600].
   std::int64_t max_unread_bytes = 8 << 20;
+  double slow_consumer_seconds = 10.0;
 
   // ---- Queues
 

@@ -238,6 +238,8 @@ class OptionTable {
               std::int64_t{1} << 36,
               "Candidates of one stream that may wait for the client to read "
               "them; a stream with more is ended");
+    AddNumber(work, "slow-consumer-seconds", &l.slow_consumer_seconds, 0.1,
+              3600, "What such a client has left to read why");
     AddNumber(work, "max-pending-appends", &l.max_pending_appends, 1, 1000000,
               "Batches of one vehicle that may wait, over all its streams");
     AddNumber(work, "max-queued-bytes-per-vehicle",

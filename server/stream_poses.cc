@@ -31,10 +31,6 @@ using Response = v1::StreamPosesResponse;
 // touched cost nothing.
 constexpr std::size_t kRequestBlockBytes = std::size_t{128} << 10;
 
-// What a client that does not read is given to read the last answers it was
-// sent, and with them why the stream ends.
-constexpr std::chrono::seconds kSlowConsumerGrace{10};
-
 // Messages go: read, staged (decoded and taken on by the session), durable (its
 // acknowledgement is queued), checked (its candidates are queued), written.
 //
@@ -325,7 +321,9 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       if (!response.has_candidates()) kept.push_back(std::move(response));
     }
     queue_.swap(kept);
-    cut_.Set(std::chrono::system_clock::now() + kSlowConsumerGrace,
+    const std::chrono::milliseconds grace(static_cast<std::int64_t>(
+        context_.limits.slow_consumer_seconds * 1000.0));
+    cut_.Set(std::chrono::system_clock::now() + grace,
              [weak = weak_from_this()](bool ok) {
                const auto stream = weak.lock();
                if (ok && stream != nullptr) stream->Cut();
