@@ -17,6 +17,12 @@ using std::chrono::milliseconds;
 
 constexpr milliseconds kMemoryInterval{100};
 
+// Waiting is estimated, and a search takes time itself: one that would begin in
+// the last third of its caller's time is not begun.
+constexpr double kWaitMargin = 1.5;
+// Weight of the last search in the mean of their times.
+constexpr double kSearchWeight = 0.1;
+
 // When to come again: a queue empties soon, streams end late.
 constexpr milliseconds kQueueDelay{200};
 constexpr milliseconds kStreamDelay{2000};
@@ -51,6 +57,11 @@ class Admission::Pool {
     return Outcome::kTaken;
   }
 
+  std::int64_t taken() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return taken_;
+  }
+
   void GiveBack(const std::string& key, std::int64_t amount) {
     const std::lock_guard<std::mutex> lock(mutex_);
     taken_ -= amount;
@@ -80,8 +91,10 @@ class Admission::Pool {
   std::unordered_map<std::string, std::int64_t> by_key_;
 };
 
-Admission::Admission(const Limits& limits, MemoryMeter memory_meter)
+Admission::Admission(const Limits& limits, int search_threads,
+                     MemoryMeter memory_meter)
     : limits_(limits),
+      search_threads_(search_threads),
       memory_meter_(std::move(memory_meter)),
       calls_(std::make_shared<Pool>(limits.max_calls, 0)),
       streams_(std::make_shared<Pool>(limits.max_streams,
@@ -128,7 +141,16 @@ absl::StatusOr<Permit> Admission::StreamOf(const std::string& vehicle) {
 }
 
 absl::StatusOr<Permit> Admission::Search(const std::string& vehicle,
-                                         const std::string& caller) {
+                                         const std::string& caller,
+                                         Clock::duration remaining) {
+  if (std::chrono::duration<double>(ExpectedWait()).count() * kWaitMargin >
+      std::chrono::duration<double>(remaining).count()) {
+    return QuotaExceeded(
+        absl::StatusCode::kUnavailable, "OVERLOADED", "searches",
+        "so many searches wait that this one would not be answered within the "
+        "caller's deadline",
+        Later(kQueueDelay));
+  }
   switch (searches_->Take(vehicle, 1)) {
     case Pool::Outcome::kTaken:
       break;
@@ -171,6 +193,18 @@ bool Admission::UnderMemoryPressure() {
     memory_bytes_ = memory_meter_();
   }
   return memory_bytes_ >= limits_.max_memory_bytes;
+}
+
+void Admission::SearchTook(Clock::duration duration) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  mean_search_ = std::chrono::duration_cast<Clock::duration>(
+      kSearchWeight * duration + (1.0 - kSearchWeight) * mean_search_);
+}
+
+Admission::Clock::duration Admission::ExpectedWait() {
+  const std::int64_t ahead = searches_->taken();
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return mean_search_ * ahead / search_threads_;
 }
 
 absl::Status Admission::CheckMemory() {

@@ -35,7 +35,8 @@ class Admission {
   // Resident memory of the process, in bytes.
   using MemoryMeter = std::function<std::int64_t()>;
 
-  Admission(const Limits& limits, MemoryMeter memory_meter);
+  // `search_threads`: how many searches may run at the same time.
+  Admission(const Limits& limits, int search_threads, MemoryMeter memory_meter);
   ~Admission();
 
   Admission(const Admission&) = delete;
@@ -48,10 +49,14 @@ class Admission {
   absl::StatusOr<Permit> Stream(const std::string& caller);
   // The same stream, when it is known which vehicle it is about: STREAM_QUOTA.
   absl::StatusOr<Permit> StreamOf(const std::string& vehicle);
-  // A search, beside the permit of its call: OVERLOADED; SEARCH_QUOTA of the
-  // vehicle, or of the caller's rate.
+  // A search, beside the permit of its call: OVERLOADED, also where so many
+  // wait that the caller, who has `remaining` time, would not have the answer;
+  // SEARCH_QUOTA of the vehicle, or of the caller's rate.
   absl::StatusOr<Permit> Search(const std::string& vehicle,
-                                const std::string& caller);
+                                const std::string& caller,
+                                Clock::duration remaining);
+  // Tells how long one took that was admitted, without waiting.
+  void SearchTook(Clock::duration duration);
   // Bytes of a batch that waits to be durable: OVERLOADED, or QUEUE_FULL of the
   // vehicle.
   absl::StatusOr<Permit> Queue(const std::string& vehicle, std::int64_t bytes);
@@ -68,6 +73,8 @@ class Admission {
   };
 
   absl::Status CheckMemory();
+  // How long a search that comes now will wait, roughly.
+  Clock::duration ExpectedWait();
   absl::Status CheckRate(const std::string& caller);
   // A time to come again, of this order.
   std::chrono::milliseconds Later(std::chrono::milliseconds order);
@@ -77,6 +84,7 @@ class Admission {
                          const char* what, std::int64_t limit);
 
   const Limits limits_;
+  const int search_threads_;
   const MemoryMeter memory_meter_;
   const std::shared_ptr<Pool> calls_;
   const std::shared_ptr<Pool> streams_;
@@ -90,6 +98,8 @@ class Admission {
   std::unordered_map<std::string, Bucket> buckets_;
   Clock::time_point last_measured_{};
   std::int64_t memory_bytes_ = 0;
+  // Of the last searches.
+  Clock::duration mean_search_{};
 };
 
 // Resident memory of this process.

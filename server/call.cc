@@ -22,6 +22,9 @@ constexpr char kRequestIdKey[] = "x-request-id";
 constexpr char kAuthorizationKey[] = "authorization";
 constexpr std::size_t kMaxRequestIdBytes = 128;
 
+// Of callers without a deadline, and short enough for sums.
+constexpr std::chrono::hours kEndless{24};
+
 std::string NewRequestId() {
   thread_local std::mt19937_64 generator(std::random_device{}());
   char text[17];
@@ -222,9 +225,16 @@ absl::Status Call::ChooseVehicle(const std::string& id) {
 }
 
 absl::Status Call::AdmitSearch() {
-  absl::StatusOr<Permit> permit = room_->Search(vehicle_, quota_key_);
+  const auto now = std::chrono::system_clock::now();
+  const auto latest = std::min(deadline_, now + kEndless);
+  absl::StatusOr<Permit> permit =
+      room_->Search(vehicle_, quota_key_, latest - now);
   if (permit.ok()) permits_.push_back(*std::move(permit));
   return permit.status();
+}
+
+void Call::SearchTook(std::chrono::steady_clock::duration duration) const {
+  room_->SearchTook(duration);
 }
 
 absl::StatusOr<Permit> Call::AdmitBatch(std::size_t bytes) const {

@@ -65,6 +65,8 @@ class Call {
 
   // Room for a search, held as long as this. After ChooseVehicle().
   absl::Status AdmitSearch();
+  // How long it took, without waiting.
+  void SearchTook(std::chrono::steady_clock::duration duration) const;
   // Room for a batch that waits to be durable. After ChooseVehicle(); any
   // thread.
   absl::StatusOr<Permit> AdmitBatch(std::size_t bytes) const;

@@ -69,6 +69,9 @@ class UnaryCall final : public grpc::ServerUnaryReactor,
     return call_.ChooseVehicle(id);
   }
   absl::Status AdmitSearch() { return call_.AdmitSearch(); }
+  void SearchTook(std::chrono::steady_clock::duration duration) const {
+    call_.SearchTook(duration);
+  }
   absl::StatusOr<Permit> AdmitBatch(std::size_t bytes) const {
     return call_.AdmitBatch(bytes);
   }
@@ -285,14 +288,15 @@ absl::Status Find(const UnaryCall& call, const Limits& limits,
   const absl::StatusOr<core::CandidateSet> found =
       *query ? view.engine.FindCandidates(**query, *options, stop)
              : view.engine.FindCandidates(*options, stop);
+  const auto duration = std::chrono::steady_clock::now() - start;
+  call.SearchTook(duration);
   if (absl::IsCancelled(found.status())) return call.GivenUpStatus();
   if (!found.ok()) return found.status();
   if (found->empty_reason == core::EmptyReason::kTooMuchWork) {
     return TooMuchWork(found->comparisons, limits.max_search_steps);
   }
   EncodeCandidateSet(view, *found, request.options().include_aligned_path(),
-                     std::chrono::steady_clock::now() - start,
-                     response->mutable_candidates());
+                     duration, response->mutable_candidates());
   return absl::OkStatus();
 }
 

@@ -1,5 +1,6 @@
 #include "server/server.h"
 
+#include <google/protobuf/stubs/logging.h>
 #include <grpc/impl/codegen/grpc_types.h>
 #include <grpc/support/log.h>
 #include <grpcpp/ext/proto_server_reflection_plugin.h>
@@ -122,18 +123,19 @@ bool WritePortFile(const std::string& path, const std::string& address) {
   return !file.fail() && std::rename(temporary.c_str(), path.c_str()) == 0;
 }
 
-// Gives the lines of gRPC's own log the form of ours, as long as it lives. gRPC
-// knows one place for the whole process.
-class GrpcLogRoute {
+// Gives the lines of gRPC's and protobuf's own logs the form of ours, as long
+// as it lives. They know one place for the whole process.
+class LibraryLogRoute {
  public:
-  explicit GrpcLogRoute(const Log* log) {
+  explicit LibraryLogRoute(const Log* log) {
     destination_ = log;
     gpr_set_log_function(Write);
+    google::protobuf::SetLogHandler(WriteProtobuf);
   }
-  ~GrpcLogRoute() { destination_ = nullptr; }
+  ~LibraryLogRoute() { destination_ = nullptr; }
 
-  GrpcLogRoute(const GrpcLogRoute&) = delete;
-  GrpcLogRoute& operator=(const GrpcLogRoute&) = delete;
+  LibraryLogRoute(const LibraryLogRoute&) = delete;
+  LibraryLogRoute& operator=(const LibraryLogRoute&) = delete;
 
  private:
   static void Write(gpr_log_func_args* line) {
@@ -146,10 +148,21 @@ class GrpcLogRoute {
     log->Write(level, "grpc", {{"message", std::string(line->message)}});
   }
 
+  // What a caller can make protobuf say is no more than that a message of the
+  // caller's is wrong, and the caller is told.
+  static void WriteProtobuf(google::protobuf::LogLevel level, const char*, int,
+                            const std::string& message) {
+    const Log* const log = destination_;
+    if (log == nullptr) return;
+    log->Write(level == google::protobuf::LOGLEVEL_FATAL ? LogLevel::kError
+                                                         : LogLevel::kDebug,
+               "protobuf", {{"message", message}});
+  }
+
   static std::atomic<const Log*> destination_;
 };
 
-std::atomic<const Log*> GrpcLogRoute::destination_{nullptr};
+std::atomic<const Log*> LibraryLogRoute::destination_{nullptr};
 
 }  // namespace
 
@@ -158,7 +171,7 @@ std::atomic<const Log*> GrpcLogRoute::destination_{nullptr};
 struct RevisitServer::State {
   ServerSettings settings;
   const Log* log = nullptr;
-  std::optional<GrpcLogRoute> grpc_log;
+  std::optional<LibraryLogRoute> library_log;
   ProtoRecordCodec codec;
   std::unique_ptr<Storage> storage;
   std::unique_ptr<Executor> executor;
@@ -228,7 +241,7 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   auto state = std::make_unique<State>();
   state->settings = settings;
   state->log = log;
-  state->grpc_log.emplace(log);
+  state->library_log.emplace(log);
 
   const absl::StatusOr<std::string> file = StoreFile(settings.store);
   absl::StatusOr<std::unique_ptr<Storage>> storage =
@@ -243,8 +256,9 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
 
   const int processors =
       static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
-  state->executor = std::make_unique<Executor>(
-      settings.worker_threads > 0 ? settings.worker_threads : processors);
+  const int threads =
+      settings.worker_threads > 0 ? settings.worker_threads : processors;
+  state->executor = std::make_unique<Executor>(threads);
   Fleet::Options options;
   options.idle_unload = Milliseconds(settings.idle_unload_minutes * 60.0);
   options.session.max_pending_appends = settings.limits.max_pending_appends;
@@ -253,7 +267,8 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   Limits limits = settings.limits;
   if (limits.max_memory_bytes == 0)
     limits.max_memory_bytes = DefaultMemoryLimit();
-  state->admission = std::make_unique<Admission>(limits, ResidentBytes);
+  state->admission =
+      std::make_unique<Admission>(limits, threads, ResidentBytes);
   state->unload_timer = std::make_unique<UnloadTimer>(
       state->fleet.get(), state->admission.get(), options.idle_unload);
 

@@ -34,6 +34,8 @@ Limits Small() {
 
 std::int64_t NoMemory() { return 0; }
 
+constexpr std::chrono::hours kEver{24};
+
 template <typename Message>
 Message DetailOf(const absl::Status& status, const char* url) {
   Message message;
@@ -50,7 +52,7 @@ double RetrySeconds(const absl::Status& status) {
 }
 
 TEST(AdmissionTest, RoomIsGivenBackWhenThePermitGoes) {
-  Admission admission(Small(), NoMemory);
+  Admission admission(Small(), 1, NoMemory);
   std::vector<Permit> permits;
   for (int i = 0; i < 2; ++i) {
     auto permit = admission.Call();
@@ -65,7 +67,7 @@ TEST(AdmissionTest, RoomIsGivenBackWhenThePermitGoes) {
 }
 
 TEST(AdmissionTest, RefusalSaysWhoseLimitItIsAndWhenToComeAgain) {
-  Admission admission(Small(), NoMemory);
+  Admission admission(Small(), 1, NoMemory);
   const auto first = admission.StreamOf("v");
   const auto second = admission.StreamOf("v");
   std::set<double> delays;
@@ -90,7 +92,7 @@ TEST(AdmissionTest, RefusalSaysWhoseLimitItIsAndWhenToComeAgain) {
 }
 
 TEST(AdmissionTest, OneCallersStreamsLeaveRoomForAnother) {
-  Admission admission(Small(), NoMemory);
+  Admission admission(Small(), 1, NoMemory);
   const auto first = admission.Stream("a");
   const auto second = admission.Stream("a");
   EXPECT_THAT(admission.Stream("a").status(),
@@ -104,28 +106,51 @@ TEST(AdmissionTest, OneCallersStreamsLeaveRoomForAnother) {
 }
 
 TEST(AdmissionTest, CallersWithoutANameShareNoLimit) {
-  Admission admission(Small(), NoMemory);
+  Admission admission(Small(), 1, NoMemory);
   const auto first = admission.Stream("");
   const auto second = admission.Stream("");
   EXPECT_TRUE(admission.Stream("").ok());
 }
 
 TEST(AdmissionTest, SearchesOfOneVehicleLeaveRoomForAnother) {
-  Admission admission(Small(), NoMemory);
-  const auto first = admission.Search("v", "");
-  const auto second = admission.Search("v", "");
-  EXPECT_THAT(admission.Search("v", "").status(),
+  Admission admission(Small(), 1, NoMemory);
+  const auto first = admission.Search("v", "", kEver);
+  const auto second = admission.Search("v", "", kEver);
+  EXPECT_THAT(admission.Search("v", "", kEver).status(),
               IsError(StatusCode::kResourceExhausted, "SEARCH_QUOTA",
                       HasSubstr("limit")));
-  const auto third = admission.Search("w", "");
+  const auto third = admission.Search("w", "", kEver);
   EXPECT_TRUE(third.ok());
   EXPECT_THAT(
-      admission.Search("x", "").status(),
+      admission.Search("x", "", kEver).status(),
       IsError(StatusCode::kUnavailable, "OVERLOADED", HasSubstr("limit")));
 }
 
+TEST(AdmissionTest, SearchThatWouldBeLateIsRefusedAtOnce) {
+  Admission admission(Limits{}, 2, NoMemory);
+  for (int i = 0; i < 100; ++i) {
+    admission.SearchTook(std::chrono::milliseconds(100));
+  }
+  std::vector<Permit> permits;
+  for (int i = 0; i < 10; ++i) {
+    auto permit = admission.Search("v" + std::to_string(i), "", kEver);
+    ASSERT_TRUE(permit.ok());
+    permits.push_back(*permit);
+  }
+  // Ten on two threads take half a second.
+  const absl::Status late =
+      admission.Search("v", "", std::chrono::milliseconds(400)).status();
+  EXPECT_THAT(late, IsError(StatusCode::kUnavailable, "OVERLOADED",
+                            HasSubstr("deadline")));
+  EXPECT_GT(RetrySeconds(late), 0.0);
+  EXPECT_TRUE(admission.Search("v", "", std::chrono::seconds(1)).ok());
+  // Where nobody waits, a short deadline is the caller's own affair.
+  permits.clear();
+  EXPECT_TRUE(admission.Search("v", "", std::chrono::milliseconds(1)).ok());
+}
+
 TEST(AdmissionTest, QueuesAreBoundedInBytes) {
-  Admission admission(Small(), NoMemory);
+  Admission admission(Small(), 1, NoMemory);
   auto first = admission.Queue("v", 400);
   EXPECT_THAT(admission.Queue("v", 300).status(),
               IsError(StatusCode::kResourceExhausted, "QUEUE_FULL",
@@ -140,7 +165,7 @@ TEST(AdmissionTest, QueuesAreBoundedInBytes) {
 }
 
 TEST(AdmissionTest, BatchLargerThanAQueueComesThroughAlone) {
-  Admission admission(Small(), NoMemory);
+  Admission admission(Small(), 1, NoMemory);
   const auto large = admission.Queue("v", 5000);
   EXPECT_TRUE(large.ok());
   EXPECT_FALSE(admission.Queue("w", 1).ok());
@@ -149,23 +174,25 @@ TEST(AdmissionTest, BatchLargerThanAQueueComesThroughAlone) {
 TEST(AdmissionTest, RateOfSearchesIsEachCallersOwn) {
   Limits limits;
   limits.max_search_rate_per_caller = 5.0;
-  Admission admission(limits, NoMemory);
-  for (int i = 0; i < 5; ++i) EXPECT_TRUE(admission.Search("v", "a").ok());
-  const absl::Status refused = admission.Search("v", "a").status();
+  Admission admission(limits, 1, NoMemory);
+  for (int i = 0; i < 5; ++i)
+    EXPECT_TRUE(admission.Search("v", "a", kEver).ok());
+  const absl::Status refused = admission.Search("v", "a", kEver).status();
   EXPECT_THAT(refused, IsError(StatusCode::kResourceExhausted, "SEARCH_QUOTA",
                                HasSubstr("limit")));
   EXPECT_GT(RetrySeconds(refused), 0.0);
   EXPECT_LE(RetrySeconds(refused), 0.6);
-  EXPECT_TRUE(admission.Search("v", "b").ok());
+  EXPECT_TRUE(admission.Search("v", "b", kEver).ok());
   // Nobody is limited by a rate of nobody's.
-  for (int i = 0; i < 50; ++i) EXPECT_TRUE(admission.Search("v", "").ok());
+  for (int i = 0; i < 50; ++i)
+    EXPECT_TRUE(admission.Search("v", "", kEver).ok());
 }
 
 TEST(AdmissionTest, NothingNewIsTakenWhileMemoryIsShort) {
   Limits limits = Small();
   limits.max_memory_bytes = 100;
   std::int64_t used = 100;
-  Admission admission(limits, [&] { return used; });
+  Admission admission(limits, 1, [&] { return used; });
   EXPECT_TRUE(admission.UnderMemoryPressure());
   for (const absl::Status& refused :
        {admission.Call().status(), admission.Stream("").status(),
@@ -179,24 +206,24 @@ TEST(AdmissionTest, NothingNewIsTakenWhileMemoryIsShort) {
 TEST(AdmissionTest, RoomIsCountedAcrossThreads) {
   Limits limits;
   limits.max_searches = 8;
-  Admission admission(limits, NoMemory);
+  Admission admission(limits, 1, NoMemory);
   std::vector<std::thread> threads;
   for (int i = 0; i < 4; ++i) {
     threads.emplace_back([&admission, i] {
       for (int k = 0; k < 10000; ++k) {
         const auto permit =
-            admission.Search("v" + std::to_string((i + k) % 3), "");
+            admission.Search("v" + std::to_string((i + k) % 3), "", kEver);
       }
     });
   }
   for (std::thread& thread : threads) thread.join();
   std::vector<Permit> permits;
   for (int i = 0; i < 8; ++i) {
-    auto permit = admission.Search("v", "");
+    auto permit = admission.Search("v", "", kEver);
     ASSERT_TRUE(permit.ok());
     permits.push_back(*permit);
   }
-  EXPECT_FALSE(admission.Search("v", "").ok());
+  EXPECT_FALSE(admission.Search("v", "", kEver).ok());
 }
 
 TEST(AdmissionTest, MemoryOfThisProcessIsKnown) {
