@@ -163,11 +163,13 @@ Call::Call(grpc::CallbackServerContext* context, const char* method,
       drain_(service.drain),
       gatekeeper_(service.gatekeeper),
       room_(service.admission),
+      progress_(service.connections->Find(context->peer())),
       rule_(FindMethodRule(method)),
       start_(std::chrono::steady_clock::now()),
       deadline_(context->deadline()),
       request_id_(RequestId(*context)) {
   context->AddInitialMetadata(kRequestIdKey, request_id_);
+  CountProgress(progress_);
   const bool in_time = drain_->Enter();
   if (gatekeeper_->asks()) credentials_ = CredentialsOf(*context);
   auto caller =

@@ -4,7 +4,8 @@
 #include <fcntl.h>
 #include <netdb.h>
 #include <netinet/in.h>
-#include <netinet/tcp.h>
+// Not netinet/tcp.h: that one does not know all that the kernel tells.
+#include <linux/tcp.h>
 #include <poll.h>
 #include <sys/eventfd.h>
 #include <sys/resource.h>
@@ -29,6 +30,10 @@ constexpr char kUnixPrefix[] = "unix:";
 constexpr char kAbstractPrefix[] = "unix-abstract:";
 // One line in the log for all that were shed meanwhile.
 constexpr std::chrono::seconds kLogInterval{1};
+// How often connections are looked at: rarely enough that it takes next to no
+// time however many there are.
+constexpr std::chrono::milliseconds kLeastLookInterval{100};
+constexpr std::chrono::microseconds kLookIntervalPerConnection{100};
 // Before another try where the kernel lacks something.
 constexpr int kPauseMilliseconds = 10;
 
@@ -88,6 +93,17 @@ void SetPort(std::uint16_t port, sockaddr* address) {
   }
 }
 
+// The port of the other end; 0 where it takes more than host and port to tell
+// who it is.
+int PeerPort(const sockaddr_storage& peer) {
+  if (peer.ss_family == AF_INET) {
+    return ntohs(reinterpret_cast<const sockaddr_in*>(&peer)->sin_port);
+  }
+  if (peer.ss_family != AF_INET6) return 0;
+  const auto* address = reinterpret_cast<const sockaddr_in6*>(&peer);
+  return address->sin6_scope_id == 0 ? ntohs(address->sin6_port) : 0;
+}
+
 // The host without the port; all local programs are one peer.
 std::string PeerText(const sockaddr_storage& peer) {
   char text[INET6_ADDRSTRLEN] = "local";
@@ -115,6 +131,18 @@ std::optional<std::uint64_t> SocketCookie(int descriptor) {
   return cookie;
 }
 
+// Of what TCP has taken in.
+std::optional<std::uint64_t> ReceivedBytes(int descriptor) {
+  tcp_info info{};
+  socklen_t length = sizeof(info);
+  if (getsockopt(descriptor, IPPROTO_TCP, TCP_INFO, &info, &length) != 0 ||
+      length < offsetof(tcp_info, tcpi_bytes_received) +
+                   sizeof(info.tcpi_bytes_received)) {
+    return std::nullopt;
+  }
+  return info.tcpi_bytes_received;
+}
+
 // Descriptors are given out lowest first, so one from here on means that as
 // many are open.
 int DescriptorLimit() {
@@ -138,17 +166,18 @@ void Reset(int connection) {
 
 }  // namespace
 
-ConnectionAcceptor::ConnectionAcceptor(const Options& options, const Log* log)
+ConnectionAcceptor::ConnectionAcceptor(const Options& options, const Log* log,
+                                       ConnectionProgress* progress)
     : options_(options),
       log_(log),
       address_(options.address),
       table_(options.max_connections, options.max_connections_per_address,
-             SocketCookie) {}
+             options.max_idle_bytes, SocketCookie, ReceivedBytes, progress) {}
 
 absl::StatusOr<std::unique_ptr<ConnectionAcceptor>> ConnectionAcceptor::Listen(
-    const Options& options, const Log* log) {
+    const Options& options, const Log* log, ConnectionProgress* progress) {
   std::unique_ptr<ConnectionAcceptor> acceptor(
-      new ConnectionAcceptor(options, log));
+      new ConnectionAcceptor(options, log, progress));
   if (absl::Status status = acceptor->Open(); !status.ok()) return status;
   return acceptor;
 }
@@ -268,8 +297,19 @@ void ConnectionAcceptor::Run() {
   std::vector<pollfd> polled;
   for (const int listener : listeners_) polled.push_back({listener, POLLIN, 0});
   polled.push_back({wake_, POLLIN, 0});
+  auto last_look = std::chrono::steady_clock::now();
   while (true) {
-    if (poll(polled.data(), polled.size(), -1) < 0) continue;
+    const int ready = poll(polled.data(), polled.size(),
+                           static_cast<int>(kLeastLookInterval.count()));
+    const auto now = std::chrono::steady_clock::now();
+    const auto interval = std::max<std::chrono::microseconds>(
+        kLeastLookInterval,
+        kLookIntervalPerConnection * static_cast<std::int64_t>(table_.size()));
+    if (now - last_look >= interval) {
+      last_look = now;
+      CutUseless();
+    }
+    if (ready <= 0) continue;
     if (polled.back().revents != 0) return;
     for (const pollfd& one : polled) {
       if (one.revents != 0) AcceptAll(one.fd);
@@ -316,8 +356,8 @@ void ConnectionAcceptor::HandOn(int listener, int connection) {
     Shed(connection, "descriptors", peer);
     return;
   }
-  if (const char* why =
-          table_.Add(connection, peer, std::chrono::steady_clock::now())) {
+  if (const char* why = table_.Add(connection, peer, PeerPort(address),
+                                   std::chrono::steady_clock::now())) {
     Shed(connection, why, peer);
     return;
   }
@@ -329,6 +369,16 @@ void ConnectionAcceptor::HandOn(int listener, int connection) {
   parameters.listener_fd = listener;
   parameters.fd = connection;
   grpc_->HandleNewConnection(&parameters);
+}
+
+void ConnectionAcceptor::CutUseless() {
+  for (const auto& [connection, host] : table_.TakeUseless()) {
+    // The descriptor stays gRPC's, who hears of the end.
+    shutdown(connection, SHUT_RDWR);
+    ++shed_;
+    log_->Write(LogLevel::kWarning, "connection_cut",
+                {{"limit", std::string("max-idle-bytes")}, {"peer", host}});
+  }
 }
 
 void ConnectionAcceptor::Shed(int connection, const char* why,

@@ -19,6 +19,7 @@
 #include "absl/status/statusor.h"
 #include "grpcpp/security/server_credentials.h"
 #include "grpcpp/server_builder.h"
+#include "server/connection_progress.h"
 #include "server/connection_table.h"
 #include "server/logging.h"
 
@@ -35,14 +36,17 @@ class ConnectionAcceptor {
     // See Limits; 0 is off.
     int max_connections = 0;
     int max_connections_per_address = 0;
+    // A connection on which so much has come since its last call or message is
+    // closed.
+    std::int64_t max_idle_bytes = 0;
     // What was sent and not acknowledged by then ends the connection.
     std::chrono::milliseconds unacknowledged_timeout{20000};
   };
 
-  // UNAVAILABLE with the reason if the address cannot be listened on. The log
-  // must outlive this.
+  // UNAVAILABLE with the reason if the address cannot be listened on. Log and
+  // progress must outlive this.
   static absl::StatusOr<std::unique_ptr<ConnectionAcceptor>> Listen(
-      const Options& options, const Log* log);
+      const Options& options, const Log* log, ConnectionProgress* progress);
   // Stops.
   ~ConnectionAcceptor();
 
@@ -58,11 +62,12 @@ class ConnectionAcceptor {
 
   // The address with the port that was chosen.
   const std::string& address() const { return address_; }
-  // Connections closed because there were too many.
+  // Connections closed because there were too many, or of no use.
   std::int64_t shed() const { return shed_.load(); }
 
  private:
-  ConnectionAcceptor(const Options& options, const Log* log);
+  ConnectionAcceptor(const Options& options, const Log* log,
+                     ConnectionProgress* progress);
 
   absl::Status Open();
   absl::Status OpenInternet();
@@ -71,6 +76,8 @@ class ConnectionAcceptor {
   // Takes what has come to a listening socket.
   void AcceptAll(int listener);
   void HandOn(int listener, int connection);
+  // Ends connections that only take memory.
+  void CutUseless();
   void Shed(int connection, const char* why, const std::string& peer);
   // Accept failed for want of a descriptor: frees one to turn a caller away.
   void TurnAway(int listener);

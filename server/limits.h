@@ -30,6 +30,10 @@ struct Limits {
   // Of the headers of one call. A call beyond it takes its connection with it:
   // a proxy in front must allow less. Range [8192, 2^24].
   int max_metadata_bytes = 32 << 10;
+  // A connection on which so much has come since its last call, or message of a
+  // call, is closed: its headers do not end. More than what calls at a time may
+  // have begun to send; off at 0. Range [0, 2^40].
+  std::int64_t max_idle_bytes = 64 << 20;
   // What all connections together may buffer. Range [2^24, 2^40].
   std::int64_t max_transport_bytes = std::int64_t{512} << 20;
 

@@ -133,6 +133,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
   }
 
   void OnReadDone(bool ok) override {
+    call_.CountMessage();
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       if (finished_) return;

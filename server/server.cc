@@ -176,6 +176,7 @@ struct RevisitServer::State {
   std::unique_ptr<Storage> storage;
   std::unique_ptr<Executor> executor;
   std::unique_ptr<Fleet> fleet;
+  ConnectionProgress connections;
   std::unique_ptr<Admission> admission;
   std::unique_ptr<UnloadTimer> unload_timer;
   Drain drain;
@@ -224,6 +225,7 @@ ConnectionAcceptor::Options AcceptorOptions(const ServerSettings& settings) {
   options.max_connections = settings.limits.max_connections;
   options.max_connections_per_address =
       settings.limits.max_connections_per_address;
+  options.max_idle_bytes = settings.limits.max_idle_bytes;
   options.unacknowledged_timeout =
       Milliseconds(settings.limits.keepalive_timeout_seconds);
   return options;
@@ -281,6 +283,7 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   context.gatekeeper = state->gatekeeper.get();
   context.log = log;
   context.admission = state->admission.get();
+  context.connections = &state->connections;
   context.limits = settings.limits;
   state->service = std::make_unique<PoseGraphService>(context);
 
@@ -289,7 +292,8 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   grpc::ServerBuilder builder;
   Configure(settings.limits, &builder);
-  auto acceptor = ConnectionAcceptor::Listen(AcceptorOptions(settings), log);
+  auto acceptor = ConnectionAcceptor::Listen(AcceptorOptions(settings), log,
+                                             &state->connections);
   if (!acceptor.ok()) {
     *error = {kExitCannotListen, std::string(acceptor.status().message())};
     return nullptr;

@@ -7,6 +7,7 @@
 namespace revisit::server {
 
 class Admission;
+class ConnectionProgress;
 class Drain;
 class Executor;
 class Fleet;
@@ -23,6 +24,7 @@ struct ServiceContext {
   Gatekeeper* gatekeeper = nullptr;
   const Log* log = nullptr;
   Admission* admission = nullptr;
+  ConnectionProgress* connections = nullptr;
   Limits limits;
 };
 

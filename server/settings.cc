@@ -212,6 +212,10 @@ class OptionTable {
               1 << 24,
               "Headers of one call; a call with more ends its connection, so a "
               "proxy in front must allow less");
+    AddNumber(connections, "max-idle-bytes", &l.max_idle_bytes, 0,
+              std::int64_t{1} << 40,
+              "Close one on which so much has come since its last call or "
+              "message; 0: no limit");
     AddNumber(connections, "max-transport-bytes", &l.max_transport_bytes,
               1 << 24, std::int64_t{1} << 40,
               "What all connections together may buffer");

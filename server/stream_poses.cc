@@ -81,6 +81,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   }
 
   void OnReadDone(bool ok) override {
+    call_.CountMessage();
     bool first;
     {
       const std::lock_guard<std::mutex> lock(mutex_);

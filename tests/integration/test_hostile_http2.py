@@ -20,6 +20,7 @@ from raw_http2 import (ACK, CONTINUATION, DATA, END_HEADERS, END_STREAM,
                        PRIORITY_FLAG, PUSH_PROMISE, RST_STREAM, SERVICE,
                        SETTINGS, WINDOW_UPDATE, RawConnection, call_headers,
                        encode, frame, message)
+from revisit_server import Server
 from stubs import api
 from wire import PoseStream, append, pose
 
@@ -344,6 +345,33 @@ def test_header_bomb_takes_its_own_connection_and_no_other(server, neighbour):
     neighbour.seconds_served()
     # Its client comes back on another connection.
     info(api.GetServerInfoRequest(), timeout=10, wait_for_ready=True)
+
+
+def test_headers_without_end_are_cut_off(tmp_path):
+    """A client that never agrees to the server's settings is not held to its
+    limits by gRPC: only the bytes that come tell."""
+    with Server(tmp_path / "store", "--max-idle-bytes=8000000") as server:
+        neighbour = Neighbour(server)
+        before = server.resident_bytes()
+        header = b"\x00\x05x-123\x7f\x81\x06" + b"a" * 896
+        piece = frame(CONTINUATION, header * 16, 0, 1)
+        with RawConnection(server.port, acknowledge=False) as connection:
+            connection.send(frame(HEADERS, headers_of(), 0, 1))
+            most, sent = 0, 0
+            # A gigabyte, if nobody stops it.
+            while sent < 1e9 and connection.send(piece * 10):
+                sent += 10 * len(piece)
+                most = max(most, server.resident_bytes() - before)
+        print(f"{sent / 1e6:.0f} MB sent, {most / 1e6:.0f} MB held at most")
+        assert sent < 1e9
+        assert "limit=max-idle-bytes" in server.log()
+        # Large uploads one after another are no such thing.
+        for _ in range(4):
+            with pytest.raises(grpc.RpcError):
+                neighbour.stub.GetVehicle(
+                    api.GetVehicleRequest(name="a" * 3900000))
+            neighbour.seconds_served()
+        neighbour.stream.cancel()
 
 
 def test_uploads_that_stall_hold_bounded_memory(server, neighbour):
