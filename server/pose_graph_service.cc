@@ -117,15 +117,6 @@ absl::StatusOr<std::shared_ptr<VehicleSession>> SessionOf(
   return context.fleet->Session(*id);
 }
 
-// The last of all strings that come before those that start with `prefix`, as
-// far as ids go.
-std::string JustBefore(const std::string& prefix) {
-  if (prefix.empty()) return "";
-  std::string before = prefix;
-  --before.back();
-  return before + '\x7f';
-}
-
 // A page of vehicles as they are stored, of those that the caller may read. The
 // others leave no trace: not in the page's length, nor in its token.
 absl::Status ListStored(Storage* storage, const Caller& caller,
@@ -133,20 +124,16 @@ absl::Status ListStored(Storage* storage, const Caller& caller,
                         int page_size, v1::ListVehiclesResponse* response) {
   std::string last;
   for (const std::string& prefix : caller.PrefixesOf(Verb::kRead)) {
-    std::string place = std::max(after, JustBefore(prefix));
-    while (true) {
+    std::string place = after;
+    for (bool past = false; !past;) {
       // One more tells whether there is another page. Few at a time would be
       // slow where few of many may be read.
       const int wanted =
           std::max(page_size - response->vehicles_size() + 1, 100);
-      const auto records = storage->ListVehicles(place, wanted);
+      const auto records = storage->ListVehicles(place, prefix, wanted);
       if (!records.ok()) return records.status();
-      bool past = static_cast<int>(records->size()) < wanted;
+      past = static_cast<int>(records->size()) < wanted;
       for (const VehicleRecord& record : *records) {
-        if (record.id.compare(0, prefix.size(), prefix) != 0) {
-          past = true;
-          break;
-        }
         if (!caller.May(Verb::kRead, record.id)) continue;
         if (response->vehicles_size() == page_size) {
           response->set_next_page_token(MakePageToken(list, last));
@@ -159,8 +146,7 @@ absl::Status ListStored(Storage* storage, const Caller& caller,
         }
         last = record.id;
       }
-      if (past) break;
-      place = records->back().id;
+      if (!past) place = records->back().id;
     }
   }
   return absl::OkStatus();

@@ -6,26 +6,30 @@
 #include <grpcpp/ext/proto_server_reflection_plugin.h>
 #include <grpcpp/grpcpp.h>
 #include <grpcpp/health_check_service_interface.h>
+#include <grpcpp/impl/server_builder_option.h>
+#include <grpcpp/impl/server_builder_plugin.h>
 
 #include <algorithm>
 #include <atomic>
 #include <chrono>
-#include <condition_variable>
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
-#include <mutex>
 #include <optional>
 #include <system_error>
 #include <thread>
 #include <utility>
+#include <vector>
 
 #include "server/admission.h"
 #include "server/connection_acceptor.h"
 #include "server/drain.h"
+#include "server/periodic.h"
 #include "server/pose_graph_service.h"
 #include "server/proto_conversion.h"
 #include "server/security/gatekeeper.h"
+#include "server/security/server_credentials.h"
+#include "server/security/tls_files.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/fleet.h"
 #include "server/storage/sqlite_storage.h"
@@ -56,62 +60,30 @@ absl::StatusOr<std::string> StoreFile(const std::string& path) {
   return (std::filesystem::path(path) / kStoreFile).string();
 }
 
-// Calls on a timer until it is destroyed.
-class UnloadTimer {
- public:
-  UnloadTimer(Fleet* fleet, Admission* admission,
-              std::chrono::milliseconds idle_unload)
-      : thread_([=] { Run(fleet, admission, idle_unload); }) {}
+// A vehicle stays at most a tenth longer than promised.
+std::chrono::milliseconds UnloadPeriod(std::chrono::milliseconds idle_unload) {
+  return std::clamp<std::chrono::milliseconds>(idle_unload / 10,
+                                               std::chrono::milliseconds(100),
+                                               std::chrono::seconds(30));
+}
 
-  ~UnloadTimer() {
-    {
-      const std::lock_guard<std::mutex> lock(mutex_);
-      stopping_ = true;
-    }
-    wake_.notify_all();
-    thread_.join();
-  }
-
-  UnloadTimer(const UnloadTimer&) = delete;
-  UnloadTimer& operator=(const UnloadTimer&) = delete;
-
- private:
-  void Run(Fleet* fleet, Admission* admission,
-           std::chrono::milliseconds idle_unload) {
-    // A vehicle stays at most a tenth longer than promised.
-    const auto period = std::clamp<std::chrono::milliseconds>(
-        idle_unload / 10, std::chrono::milliseconds(100),
-        std::chrono::seconds(30));
-    const auto look = std::min(period, kMemoryPeriod);
-    auto next = std::chrono::steady_clock::now() + period;
-    std::unique_lock<std::mutex> lock(mutex_);
-    while (!wake_.wait_for(lock, look, [this] { return stopping_; })) {
-      lock.unlock();
-      const auto now = std::chrono::steady_clock::now();
-      if (admission->UnderMemoryPressure()) {
-        // All that nobody uses goes.
-        fleet->UnloadIdle(now + idle_unload);
-      } else if (now >= next) {
-        next = now + period;
-        fleet->UnloadIdle(now);
-      }
-      lock.lock();
-    }
-  }
-
-  std::mutex mutex_;
-  std::condition_variable wake_;
-  bool stopping_ = false;
-  // Last: it uses the others.
-  std::thread thread_;
-};
-
-bool IsLoopback(const std::string& address) {
-  for (const char* prefix :
-       {"127.", "localhost:", "[::1]:", "unix:", "unix-abstract:"}) {
-    if (address.rfind(prefix, 0) == 0) return true;
-  }
-  return false;
+// Unloads what has been idle for long, and all that nobody uses where memory is
+// short.
+std::unique_ptr<Periodic> UnloadTimer(Fleet* fleet, Admission* admission,
+                                      std::chrono::milliseconds idle_unload) {
+  using Clock = std::chrono::steady_clock;
+  const auto period = UnloadPeriod(idle_unload);
+  return std::make_unique<Periodic>(
+      std::min(period, kMemoryPeriod),
+      [=, next = Clock::now() + period]() mutable {
+        const auto now = Clock::now();
+        if (admission->UnderMemoryPressure()) {
+          fleet->UnloadIdle(now + idle_unload);
+        } else if (now >= next) {
+          next = now + period;
+          fleet->UnloadIdle(now);
+        }
+      });
 }
 
 // Whole or not at all, for a script may be waiting for it.
@@ -178,15 +150,66 @@ struct RevisitServer::State {
   std::unique_ptr<Fleet> fleet;
   ConnectionProgress connections;
   std::unique_ptr<Admission> admission;
-  std::unique_ptr<UnloadTimer> unload_timer;
+  std::unique_ptr<Periodic> unload_timer;
   Drain drain;
   std::unique_ptr<Gatekeeper> gatekeeper;
+  // Null if the listener speaks plaintext.
+  std::unique_ptr<TlsFiles> tls_files;
+  std::unique_ptr<Periodic> tls_timer;
+  std::shared_ptr<grpc::ServerCredentials> credentials;
   std::unique_ptr<PoseGraphService> service;
   std::unique_ptr<grpc::Server> grpc_server;
   std::unique_ptr<ConnectionAcceptor> acceptor;
 };
 
 namespace {
+
+absl::StatusOr<std::unique_ptr<Gatekeeper>> MakeGatekeeper(
+    const ServerSettings& settings, const Log* log) {
+  if (settings.policy.empty()) return MakeOpenGatekeeper();
+  GatekeeperSettings gatekeeper;
+  gatekeeper.policy_file = settings.policy;
+  gatekeeper.token_keys_file = settings.token_keys;
+  gatekeeper.token_rules = {
+      settings.token_issuer, settings.token_audience,
+      std::chrono::seconds(settings.token_leeway_seconds)};
+  gatekeeper.takes_certificates = !settings.tls_client_ca.empty();
+  gatekeeper.check_period = Milliseconds(settings.security_check_seconds);
+  return StartGatekeeper(gatekeeper, log);
+}
+
+// Null if the listener is to speak plaintext.
+absl::StatusOr<std::unique_ptr<TlsFiles>> LoadTlsFiles(
+    const ServerSettings& settings, const Log* log) {
+  if (settings.tls_cert.empty()) return std::unique_ptr<TlsFiles>();
+  return TlsFiles::Load(
+      {settings.tls_key, settings.tls_cert, settings.tls_client_ca}, log,
+      std::chrono::system_clock::now());
+}
+
+std::shared_ptr<grpc::ServerCredentials> ListenerCredentials(
+    const ServerSettings& settings, const TlsFiles* files) {
+  if (files == nullptr) return grpc::InsecureServerCredentials();
+  return MakeTlsServerCredentials(files, settings.tls_client_ca.empty()
+                                             ? ClientCertificates::kDoNotAsk
+                                             : settings.tls_client_certs);
+}
+
+// Reflection is a plugin that adds itself to every builder as soon as its
+// library is loaded.
+class WithoutReflection final : public grpc::ServerBuilderOption {
+ public:
+  void UpdateArguments(grpc::ChannelArguments*) override {}
+  void UpdatePlugins(std::vector<std::unique_ptr<grpc::ServerBuilderPlugin>>*
+                         plugins) override {
+    plugins->erase(std::remove_if(plugins->begin(), plugins->end(),
+                                  [](const auto& plugin) {
+                                    return plugin->name() ==
+                                           "proto_server_reflection";
+                                  }),
+                   plugins->end());
+  }
+};
 
 int WholeMilliseconds(double seconds) {
   return static_cast<int>(Milliseconds(seconds).count());
@@ -245,6 +268,24 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->log = log;
   state->library_log.emplace(log);
 
+  // First: they are settings, and a wrong one leaves no trace.
+  auto gatekeeper = MakeGatekeeper(settings, log);
+  auto tls_files = LoadTlsFiles(settings, log);
+  for (const absl::Status& status : {gatekeeper.status(), tls_files.status()}) {
+    if (status.ok()) continue;
+    *error = {kExitUsage, std::string(status.message())};
+    return nullptr;
+  }
+  state->gatekeeper = *std::move(gatekeeper);
+  state->tls_files = *std::move(tls_files);
+  if (state->tls_files != nullptr) {
+    state->tls_timer = std::make_unique<Periodic>(
+        Milliseconds(settings.security_check_seconds),
+        [files = state->tls_files.get()] {
+          files->Look(std::chrono::system_clock::now());
+        });
+  }
+
   const absl::StatusOr<std::string> file = StoreFile(settings.store);
   absl::StatusOr<std::unique_ptr<Storage>> storage =
       file.ok() ? OpenSqliteStorage(*file) : file.status();
@@ -267,18 +308,18 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->fleet = std::make_unique<Fleet>(state->storage.get(), &state->codec,
                                          state->executor.get(), options);
   Limits limits = settings.limits;
-  if (limits.max_memory_bytes == 0)
+  if (limits.max_memory_bytes == 0) {
     limits.max_memory_bytes = DefaultMemoryLimit();
+  }
   state->admission =
       std::make_unique<Admission>(limits, threads, ResidentBytes);
-  state->unload_timer = std::make_unique<UnloadTimer>(
-      state->fleet.get(), state->admission.get(), options.idle_unload);
+  state->unload_timer = UnloadTimer(state->fleet.get(), state->admission.get(),
+                                    options.idle_unload);
 
   ServiceContext context;
   context.storage = state->storage.get();
   context.executor = state->executor.get();
   context.fleet = state->fleet.get();
-  state->gatekeeper = MakeOpenGatekeeper();
   context.drain = &state->drain;
   context.gatekeeper = state->gatekeeper.get();
   context.log = log;
@@ -287,10 +328,13 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   context.limits = settings.limits;
   state->service = std::make_unique<PoseGraphService>(context);
 
-  grpc::EnableDefaultHealthCheckService(true);
+  grpc::EnableDefaultHealthCheckService(settings.serve_health);
   // By name, since a linker drops a library that is used by its mere presence.
   grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   grpc::ServerBuilder builder;
+  if (!settings.serve_reflection) {
+    builder.SetOption(std::make_unique<WithoutReflection>());
+  }
   Configure(settings.limits, &builder);
   auto acceptor = ConnectionAcceptor::Listen(AcceptorOptions(settings), log,
                                              &state->connections);
@@ -299,7 +343,8 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
     return nullptr;
   }
   state->acceptor = *std::move(acceptor);
-  state->acceptor->Register(grpc::InsecureServerCredentials(), &builder);
+  state->credentials = ListenerCredentials(settings, state->tls_files.get());
+  state->acceptor->Register(state->credentials, &builder);
   builder.RegisterService(state->service.get());
   state->grpc_server = builder.BuildAndStart();
   if (state->grpc_server == nullptr) {
@@ -307,9 +352,10 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
     return nullptr;
   }
   const std::string& address = state->acceptor->address();
-  auto* health = state->grpc_server->GetHealthCheckService();
-  health->SetServingStatus(true);
-  health->SetServingStatus(v1::PoseGraphService::service_full_name(), true);
+  if (auto* health = state->grpc_server->GetHealthCheckService()) {
+    health->SetServingStatus(true);
+    health->SetServingStatus(v1::PoseGraphService::service_full_name(), true);
+  }
   state->acceptor->Start();
   if (!settings.port_file.empty() &&
       !WritePortFile(settings.port_file, address)) {
@@ -318,12 +364,9 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
     state->grpc_server->Shutdown();
     return nullptr;
   }
-  if (!IsLoopback(settings.listen)) {
-    log->Write(LogLevel::kWarning, "listening_without_encryption",
-               {{"address", address},
-                {"message",
-                 "whoever reaches this address can read and change all "
-                 "vehicles"}});
+  if (const std::string risk = RiskOfListening(settings); !risk.empty()) {
+    log->Write(LogLevel::kWarning, "listening_insecurely",
+               {{"address", address}, {"message", risk}});
   }
   log->Write(
       LogLevel::kInfo, "serving",
@@ -339,7 +382,9 @@ void RevisitServer::Shutdown() {
   if (state_->grpc_server == nullptr) return;
   const auto start = std::chrono::steady_clock::now();
   state_->log->Write(LogLevel::kInfo, "draining", {});
-  state_->grpc_server->GetHealthCheckService()->SetServingStatus(false);
+  if (auto* health = state_->grpc_server->GetHealthCheckService()) {
+    health->SetServingStatus(false);
+  }
   state_->drain.Start();
   state_->drain.WaitForCalls(
       start + Milliseconds(state_->settings.drain_timeout_seconds));
@@ -350,6 +395,8 @@ void RevisitServer::Shutdown() {
                                 kGoodbyeTime);
   state_->grpc_server->Wait();
   state_->grpc_server.reset();
+  // Its thread may hold the last of a stream, and with it a session.
+  state_->gatekeeper.reset();
   state_->unload_timer.reset();
   state_->fleet.reset();
   state_->executor.reset();

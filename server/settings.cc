@@ -1,5 +1,7 @@
 #include "server/settings.h"
 
+#include <arpa/inet.h>
+#include <netinet/in.h>
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
@@ -35,14 +37,18 @@ get their last acknowledgements, then the store is closed.
 
 Exit codes:
   0   stopped as told
-  64  wrong usage or settings
+  64  wrong usage or settings, or files of keys, certificates or policy that
+      are no good
   69  cannot listen at the address, or write the port file
   73  the store is in use by another server, or is no store of this version
   74  the store cannot be read or written
 
 Examples:
   revisitd
-  revisitd --listen 0.0.0.0:50051 --store /var/lib/revisit --log-format json
+  revisitd --listen 0.0.0.0:50051 --store /var/lib/revisit \
+    --tls-cert server.crt --tls-key server.key --policy policy.json \
+    --token-keys keys.json --token-issuer https://login.example \
+    --token-audience revisit
   revisitd --worker-threads 2 --print-config > revisitd.conf
 )";
 
@@ -62,6 +68,19 @@ const Choices<LogLevel>& LogLevels() {
                             {"warning", LogLevel::kWarning},
                             {"error", LogLevel::kError},
                             {"off", LogLevel::kOff}};
+  return *choices;
+}
+
+const Choices<ClientCertificates>& ClientCertificateChoices() {
+  static const auto* const choices = new Choices<ClientCertificates>{
+      {"require", ClientCertificates::kRequire},
+      {"optional", ClientCertificates::kVerifyIfGiven}};
+  return *choices;
+}
+
+const Choices<bool>& Switch() {
+  static const auto* const choices =
+      new Choices<bool>{{"on", true}, {"off", false}};
   return *choices;
 }
 
@@ -178,6 +197,39 @@ class OptionTable {
               86400, "How long calls may go on after SIGTERM");
 
     AddLimits();
+
+    const char* security = "Security";
+    AddText(security, "tls-cert", &s.tls_cert, "FILE",
+            "Serve TLS with this certificate (PEM), followed by those that "
+            "issued it; replaced files are taken up");
+    AddText(security, "tls-key", &s.tls_key, "FILE", "Its private key (PEM)");
+    AddText(security, "tls-client-ca", &s.tls_client_ca, "FILE",
+            "Ask clients for certificates issued by these (PEM)");
+    AddChoice(security, "tls-client-certs", ClientCertificateChoices(),
+              &s.tls_client_certs, "Whether clients need one");
+    AddText(security, "token-keys", &s.token_keys, "FILE",
+            "Take bearer tokens (JWT) signed by these keys (a JSON Web Key "
+            "Set): RS256, ES256, EdDSA");
+    AddText(security, "token-issuer", &s.token_issuer, "TEXT",
+            "What their \"iss\" has to be");
+    AddText(security, "token-audience", &s.token_audience, "TEXT",
+            "What their \"aud\" has to be or contain");
+    AddNumber(security, "token-leeway-seconds", &s.token_leeway_seconds, 0, 300,
+              "How far the issuer's clock may be off");
+    AddText(security, "policy", &s.policy, "FILE",
+            "Who may do what with which vehicles (JSON)");
+    AddNumber(security, "security-check-seconds", &s.security_check_seconds,
+              0.05, 60,
+              "How often to look at these files, and whether the callers of "
+              "streams may go on");
+    AddChoice(security, "serve-health", Switch(), &s.serve_health,
+              "The standard health service, open to all");
+    AddChoice(security, "serve-reflection", Switch(), &s.serve_reflection,
+              "Reflection of the API, open to all");
+    AddChoice(security, "insecure-allow-remote", Switch(),
+              &s.insecure_allow_remote,
+              "Listen on other than the loopback without TLS or without asking "
+              "who calls");
 
     const char* logging = "Logging";
     AddChoice(logging, "log-format", LogFormats(), &s.log_format,
@@ -338,7 +390,8 @@ class OptionTable {
     };
     Register(
         group, key,
-        app_->add_option_function<std::string>("--" + key, assign, description)
+        app_->add_option_function<std::string>("--" + key, assign,
+                                               Wrapped(description))
             ->type_name(names)
             ->check(CLI::Validator(check, ""))
             ->default_str(ChoiceName(choices, *value)),
@@ -496,6 +549,70 @@ absl::Status ApplyEnvironment(const std::vector<std::string>& environment,
   return absl::OkStatus();
 }
 
+// Host and port of an address that is no socket of the file system. The host
+// without the brackets of IPv6.
+std::string HostOf(const std::string& address) {
+  const std::string host = address.substr(0, address.rfind(':'));
+  if (host.size() > 2 && host.front() == '[' && host.back() == ']') {
+    return host.substr(1, host.size() - 2);
+  }
+  return host;
+}
+
+bool IsLoopback(const std::string& address) {
+  if (address.rfind("unix:", 0) == 0 ||
+      address.rfind("unix-abstract:", 0) == 0) {
+    return true;
+  }
+  const std::string host = HostOf(address);
+  if (host == "localhost") return true;
+  in_addr four{};
+  if (inet_pton(AF_INET, host.c_str(), &four) == 1) {
+    return ntohl(four.s_addr) >> 24 == 127;
+  }
+  in6_addr six{};
+  return inet_pton(AF_INET6, host.c_str(), &six) == 1 &&
+         IN6_IS_ADDR_LOOPBACK(&six);
+}
+
+absl::Status CheckSecurity(const ServerSettings& s) {
+  const auto problem = [](const char* what) {
+    return absl::InvalidArgumentError(what);
+  };
+  if (s.tls_cert.empty() != s.tls_key.empty()) {
+    return problem("tls-cert and tls-key are needed together");
+  }
+  if (!s.tls_client_ca.empty() && s.tls_cert.empty()) {
+    return problem("tls-client-ca needs tls-cert and tls-key");
+  }
+  if (s.token_keys.empty() != s.token_issuer.empty() ||
+      s.token_keys.empty() != s.token_audience.empty()) {
+    return problem(
+        "token-keys, token-issuer and token-audience are needed together");
+  }
+  const bool asks = !s.token_keys.empty() || !s.tls_client_ca.empty();
+  if (asks && s.policy.empty()) {
+    return problem(
+        "token-keys and tls-client-ca need policy: without it nobody may do "
+        "anything");
+  }
+  if (!asks && !s.policy.empty()) {
+    return problem(
+        "policy needs token-keys or tls-client-ca: without them nobody can "
+        "show who calls");
+  }
+  const std::string risk = RiskOfListening(s);
+  if (!risk.empty() && !s.insecure_allow_remote) {
+    return absl::InvalidArgumentError(
+        ("listen is " + s.listen + ": " + risk +
+         ". Give tls-cert, tls-key, policy and token-keys or tls-client-ca; "
+         "or listen on 127.0.0.1; or, if nobody else can reach the address, "
+         "say insecure-allow-remote on")
+            .c_str());
+  }
+  return absl::OkStatus();
+}
+
 std::string PrintTable(const OptionTable& table) {
   std::string text;
   for (const std::string& key : table.keys()) {
@@ -537,9 +654,25 @@ absl::StatusOr<ParsedSettings> ParseSettings(
   if (absl::Status status = parser.ParseArguments(arguments); !status.ok()) {
     return status;
   }
+  if (!parser.print && !parser.print_config) {
+    if (absl::Status status = CheckSecurity(parser.settings); !status.ok()) {
+      return status;
+    }
+  }
   ParsedSettings parsed{parser.settings, std::nullopt};
   if (parser.print_config) parsed.print = PrintSettings(parser.settings);
   return parsed;
+}
+
+std::string RiskOfListening(const ServerSettings& settings) {
+  if (IsLoopback(settings.listen)) return "";
+  if (settings.policy.empty()) {
+    return "whoever reaches this address could read and change all vehicles";
+  }
+  if (settings.tls_cert.empty()) {
+    return "whoever is on the way to this address could read and take tokens";
+  }
+  return "";
 }
 
 std::vector<std::string> ProcessEnvironment() {

@@ -15,6 +15,9 @@
 
 namespace revisit::server {
 
+// Of which clients the listener asks a certificate.
+enum class ClientCertificates { kDoNotAsk, kVerifyIfGiven, kRequire };
+
 // To add one: a field here, a line in AddOptions() in the .cc, where it is
 // read. The flag --node-budget is the key `node-budget` of the file and the
 // variable REVISIT_NODE_BUDGET of the environment.
@@ -38,9 +41,38 @@ struct ServerSettings {
 
   Limits limits;
 
+  // PEM files of the listener's certificate, with those that issued it, and its
+  // key. Empty: plaintext.
+  std::string tls_cert;
+  std::string tls_key;
+  // PEM file of who may issue clients' certificates. Empty: not asked for.
+  std::string tls_client_ca;
+  ClientCertificates tls_client_certs = ClientCertificates::kRequire;
+  // Key set (RFC 7517) of who may sign bearer tokens, and what has to stand in
+  // them. Empty: no tokens.
+  std::string token_keys;
+  std::string token_issuer;
+  std::string token_audience;
+  // Range [0, 300].
+  int token_leeway_seconds = 10;
+  // Who may do what; see security/policy.h. Needed with token_keys or
+  // tls_client_ca, and empty without.
+  std::string policy;
+  // How often the files of this group are looked at, and streams are asked
+  // whether their callers may go on. Range [0.05, 60].
+  double security_check_seconds = 10.0;
+  bool serve_health = true;
+  bool serve_reflection = true;
+  // Lets RiskOfListening() be taken.
+  bool insecure_allow_remote = false;
+
   LogFormat log_format = LogFormat::kText;
   LogLevel log_level = LogLevel::kInfo;
 };
+
+// What whoever reaches the address could do; empty if it can only be reached
+// from this machine, or is encrypted and asks who calls.
+std::string RiskOfListening(const ServerSettings& settings);
 
 struct ParsedSettings {
   ServerSettings settings;
@@ -57,8 +89,9 @@ struct ParsedSettings {
 //   worker-threads = 4
 //
 // INVALID_ARGUMENT with a message for people that names the key and where it
-// stands, for an unknown key, a value that is malformed or out of range, and a
-// key that stands twice.
+// stands, for an unknown key, a value that is malformed or out of range, a
+// key that stands twice, settings that do not go together, and a listener at
+// risk without insecure-allow-remote.
 absl::StatusOr<ParsedSettings> ParseSettings(
     const std::vector<std::string>& arguments,
     const std::vector<std::string>& environment);

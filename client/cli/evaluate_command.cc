@@ -575,8 +575,11 @@ absl::Status RunEvaluate(const EvaluateOptions& given, const Console& console) {
       return LocalError(status);
     }
   }
-  const std::shared_ptr<grpc::Channel> channel =
-      MakeInsecureChannel(options.server.value_or(undoing.server()->address()));
+  ChannelOptions server;
+  server.address = undoing.server()->address();
+  const auto made = MakeChannel(options.server.value_or(server));
+  if (!made.ok()) return LocalError(made.status());
+  const std::shared_ptr<grpc::Channel> channel = *made;
   const Client client(channel);
   undoing.SetClient(&client);
   const absl::Status status =

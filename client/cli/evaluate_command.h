@@ -11,6 +11,7 @@
 #include "client/cli/console.h"
 #include "client/cli/dead_reckoning.h"
 #include "client/cli/evaluation.h"
+#include "client/revisit/channel.h"
 #include "revisit/v1/vehicle.pb.h"
 
 namespace revisit::client {
@@ -32,7 +33,7 @@ struct EvaluateOptions {
   // in one frame.
   bool one_vehicle = false;
   // Nothing: a private server is started and stopped.
-  std::optional<std::string> server;
+  std::optional<ChannelOptions> server;
   // Of the vehicles that are made for the drives. PLANAR, DEAD_RECKONING or
   // INDEPENDENT; the frame follows from the format. Every field is set.
   v1::VehicleSettings settings;

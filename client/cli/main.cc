@@ -35,7 +35,7 @@ constexpr double kRadiansPerDegree = 3.14159265358979323846 / 180.0;
 
 // What all commands share.
 struct Common {
-  std::string server = "127.0.0.1:50051";
+  ChannelOptions channel;
   CLI::Option* server_option = nullptr;
   bool json = false;
 };
@@ -319,11 +319,20 @@ class Program {
     app_.require_subcommand(1);
     app_.fallthrough();
     common_.server_option =
-        app_.add_option("--server", common_.server,
+        app_.add_option("--server", common_.channel.address,
                         "Address of the server (env REVISIT_SERVER)")
             ->type_name("ADDR")
             ->envname("REVISIT_SERVER")
             ->capture_default_str();
+    AddFile("--tls-ca",
+            "Speak TLS; who may have issued the server's certificate (PEM)",
+            &common_.channel.tls_authorities_file);
+    AddFile("--tls-cert", "Own certificate (PEM)",
+            &common_.channel.tls_certificate_file);
+    AddFile("--tls-key", "Its private key (PEM)",
+            &common_.channel.tls_key_file);
+    AddFile("--token-file", "Bearer token; read again for each connection",
+            &common_.channel.token_file);
     app_.add_flag("--json", common_.json,
                   "Print JSON; messages of the service as protobuf JSON");
     AddVehicle();
@@ -350,7 +359,14 @@ class Program {
     }
     const Console console = {std::cout, std::cerr, isatty(STDERR_FILENO) == 1,
                              common_.json};
-    absl::Status status = run_(console);
+    const auto channel = MakeChannel(common_.channel);
+    absl::Status status;
+    if (channel.ok()) {
+      channel_ = *channel;
+      status = run_(console);
+    } else {
+      status = LocalError(channel.status());
+    }
     if (std::cout.flush(); status.ok() && !std::cout) {
       status = LocalError(absl::UnknownError("the output cannot be written"));
     }
@@ -363,8 +379,11 @@ class Program {
   }
 
  private:
-  Client MakeClient() const {
-    return Client(MakeInsecureChannel(common_.server));
+  Client MakeClient() const { return Client(channel_); }
+
+  void AddFile(const std::string& flag, const std::string& description,
+               std::string* value) {
+    app_.add_option(flag, *value, description)->type_name("FILE");
   }
 
   void AddVehicle() {
@@ -484,7 +503,7 @@ class Program {
                 std::chrono::duration<double>(give_up_seconds_));
       }
       run_ = [this](const Console& console) {
-        return RunStream(MakeInsecureChannel(common_.server), stream_, console);
+        return RunStream(channel_, stream_, console);
       };
     });
   }
@@ -785,7 +804,7 @@ class Program {
     if (!(evaluate_.uncertainty.claimed_scale > 0.0)) {
       throw CLI::ValidationError("--claimed-scale", "must be positive");
     }
-    if (common_.server_option->count() > 0) evaluate_.server = common_.server;
+    if (common_.server_option->count() > 0) evaluate_.server = common_.channel;
   }
 
   // An evaluation says all it depends on, whatever the server's defaults.
@@ -815,6 +834,8 @@ class Program {
 
   CLI::App app_;
   Common common_;
+  // To the server that is named; it connects when it is used.
+  std::shared_ptr<grpc::Channel> channel_;
   Run run_;
   std::string vehicle_id_;
   std::vector<std::string> vehicle_ids_;

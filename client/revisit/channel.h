@@ -5,16 +5,42 @@
 #include <memory>
 #include <string>
 
+#include "absl/status/statusor.h"
+
 namespace grpc {
 class Channel;
 }
 
 namespace revisit::client {
 
-// A plaintext channel to `address` (a gRPC target such as "127.0.0.1:50051").
-// It connects on first use. It tries again soon after a connection failed, so
-// that the library's own back-off decides, and takes answers of up to 64 MiB. A
-// channel made elsewhere serves as well if it does the same.
+struct ChannelOptions {
+  // A gRPC target such as "127.0.0.1:50051".
+  std::string address;
+  // File (PEM) of who may have issued the server's certificate. Empty:
+  // plaintext.
+  std::string tls_authorities_file;
+  // Files (PEM) of the client's own certificate, with those that issued it, and
+  // its key. Empty: none is shown. They are read once: a new channel takes new
+  // ones.
+  std::string tls_certificate_file;
+  std::string tls_key_file;
+  // Holds a bearer token, with white space around it or not. It is read again
+  // for each call, and each connection of a stream, so whoever renews it
+  // replaces the file in time. Empty: none is sent.
+  std::string token_file;
+};
+
+// A channel. It connects on first use. It tries again soon after a connection
+// failed, so that the library's own back-off decides, and takes answers of up
+// to 64 MiB. A channel made elsewhere serves as well if it does the same.
+//
+// In plaintext a token is sent to this machine only: calls to other addresses
+// fail. INVALID_ARGUMENT if a file cannot be read, or certificate and key do
+// not come together and with authorities.
+absl::StatusOr<std::shared_ptr<grpc::Channel>> MakeChannel(
+    const ChannelOptions& options);
+
+// In plaintext, without a token.
 std::shared_ptr<grpc::Channel> MakeInsecureChannel(const std::string& address);
 
 }  // namespace revisit::client

@@ -19,7 +19,12 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-bool WorthAnotherConnection(const absl::Status& status) {
+bool WorthAnotherConnection(const absl::Status& status, bool was_opened) {
+  // Whoever renews tokens may be late.
+  if (was_opened && absl::IsUnauthenticated(status) &&
+      DetailsOf(status).reason == "TOKEN_EXPIRED") {
+    return true;
+  }
   return absl::IsUnavailable(status) || absl::IsAborted(status) ||
          (absl::IsResourceExhausted(status) &&
           DetailsOf(status).retry_delay.has_value());
@@ -345,7 +350,8 @@ void PoseStream::Rep::Run() {
   for (;;) {
     absl::Status status = RunConnection();
     std::unique_lock<std::mutex> lock(mutex);
-    if (status.ok() || !WorthAnotherConnection(status)) {
+    if (status.ok() ||
+        !WorthAnotherConnection(status, first_durable_sequence.has_value())) {
       final_status = std::move(status);
       changed.notify_all();
       return;

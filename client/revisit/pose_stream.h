@@ -17,7 +17,9 @@
 // Reconnecting: after UNAVAILABLE, ABORTED, RESOURCE_EXHAUSTED with a
 // RetryInfo, an end that was not asked for, or silence longer than
 // answer_timeout, with exponential back-off that starts over after progress.
-// Any other status ends the stream, among them DATA_LOSS (the server has less
+// Also when the token expired under a stream that was opened once: the next
+// connection reads it anew (channel.h). Any other status ends the stream, among
+// them DATA_LOSS (the server has less
 // than was acknowledged), ALREADY_EXISTS (a sequence is stored with other
 // content), FAILED_PRECONDITION (a gap), INVALID_ARGUMENT and NOT_FOUND.
 //

@@ -11,7 +11,9 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "server/logging.h"
 #include "server/security/caller.h"
+#include "server/security/token.h"
 
 namespace revisit::server {
 
@@ -47,6 +49,25 @@ class Gatekeeper {
   virtual WatchId Watch(Time expires, std::function<void()> recheck) = 0;
   virtual void Unwatch(WatchId id) = 0;
 };
+
+struct GatekeeperSettings {
+  // See policy.h.
+  std::string policy_file;
+  // A key set (jwk_set.h); empty if no bearer tokens are taken.
+  std::string token_keys_file;
+  TokenRules token_rules;
+  // Whether a client's certificate says who calls, if there is no token.
+  bool takes_certificates = false;
+  // How often files are looked at and all streams recheck.
+  std::chrono::milliseconds check_period{10'000};
+};
+
+// Knows callers by token or certificate. Files that change are taken together,
+// or, if one of them is no good, refused together with a line in the log, once
+// a change; then what was good before stays in use. INVALID_ARGUMENT if they
+// are no good at the start. The log must outlive the gatekeeper.
+absl::StatusOr<std::unique_ptr<Gatekeeper>> StartGatekeeper(
+    const GatekeeperSettings& settings, const Log* log);
 
 // Lets everyone in.
 std::unique_ptr<Gatekeeper> MakeOpenGatekeeper();

@@ -713,13 +713,17 @@ class SqliteStorage : public Storage {
   }
 
   absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
-      const std::string& after_id, int limit) override {
+      const std::string& after_id, const std::string& prefix,
+      int limit) override {
     std::vector<VehicleRecord> records;
+    // Ids are ASCII.
+    const std::string beyond = prefix + "\x7f";
     const absl::Status status = Read([&](SqliteDatabase& database) {
       SqliteStatement row = database.Prepare(
           "SELECT key, id, format, revision, checksum, payload FROM vehicles "
-          "WHERE id > ?1 ORDER BY id LIMIT ?2");
-      row.BindText(1, after_id).Bind(2, std::max(limit, 0));
+          "WHERE id > ?1 AND id >= ?2 AND id < ?3 ORDER BY id LIMIT ?4");
+      row.BindText(1, after_id).BindText(2, prefix).BindText(3, beyond);
+      row.Bind(4, std::max(limit, 0));
       while (true) {
         const absl::StatusOr<bool> found = row.Step();
         if (!found.ok()) return found.status();

@@ -129,9 +129,10 @@ class Storage {
 
   // NOT_FOUND (VEHICLE_NOT_FOUND) if there is none.
   virtual absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) = 0;
-  // Ordered by id, after `after_id`.
+  // Ordered by id, after `after_id` and of those that start with `prefix`.
+  // Others are not read, so that their damage is not met.
   virtual absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
-      const std::string& after_id, int limit) = 0;
+      const std::string& after_id, const std::string& prefix, int limit) = 0;
   // The batches that hold poses of [first_sequence, last_sequence], in order,
   // until `visit` says false. DATA_LOSS if one is missing or damaged, which is
   // what a range beyond the durable sequence looks like: ask for no more. All

@@ -124,10 +124,11 @@ class HeldStorage : public Storage {
     return storage_->GetVehicle(id);
   }
   absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
-      const std::string& after_id, int limit) override {
+      const std::string& after_id, const std::string& prefix,
+      int limit) override {
     const absl::Status status = ReadStatus();
     if (!status.ok()) return status;
-    return storage_->ListVehicles(after_id, limit);
+    return storage_->ListVehicles(after_id, prefix, limit);
   }
   absl::Status ReadBatches(
       VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,

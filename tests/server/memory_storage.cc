@@ -155,7 +155,7 @@ absl::StatusOr<VehicleRecord> MemoryStorage::GetVehicle(const std::string& id) {
 }
 
 absl::StatusOr<std::vector<VehicleRecord>> MemoryStorage::ListVehicles(
-    const std::string& after_id, int limit) {
+    const std::string& after_id, const std::string& prefix, int limit) {
   std::map<std::string, VehicleRecord> sorted;
   {
     const std::lock_guard<std::mutex> guard(mutex_);
@@ -166,7 +166,9 @@ absl::StatusOr<std::vector<VehicleRecord>> MemoryStorage::ListVehicles(
   std::vector<VehicleRecord> result;
   for (auto i = sorted.upper_bound(after_id);
        i != sorted.end() && static_cast<int>(result.size()) < limit; ++i) {
-    result.push_back(i->second);
+    if (i->first.compare(0, prefix.size(), prefix) == 0) {
+      result.push_back(i->second);
+    }
   }
   return result;
 }

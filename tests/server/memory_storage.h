@@ -37,7 +37,8 @@ class MemoryStorage : public Storage {
 
   absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override;
   absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
-      const std::string& after_id, int limit) override;
+      const std::string& after_id, const std::string& prefix,
+      int limit) override;
   absl::Status ReadBatches(
       VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
       BatchVersion version,

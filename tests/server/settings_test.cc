@@ -59,22 +59,23 @@ TEST_F(SettingsTest, FlagsWinOverEnvironmentOverFileOverDefaults) {
   const std::string file = WriteFile(
       "# All of these are given.\n"
       "\n"
-      "  listen=file:1\n"
+      "  listen=127.0.0.3:1\n"
       "store = \"of the file\"\n"
       "log-level = debug\n");
   const Words environment = {"REVISIT_CONFIG=" + file,
                              "REVISIT_LISTEN=environment:1",
                              "REVISIT_STORE=of the environment", "HOME=/"};
-  const ServerSettings settings = Parse({"--listen", "flag:1"}, environment);
-  EXPECT_EQ(settings.listen, "flag:1");
+  const ServerSettings settings =
+      Parse({"--listen", "127.0.0.2:1"}, environment);
+  EXPECT_EQ(settings.listen, "127.0.0.2:1");
   EXPECT_EQ(settings.store, "of the environment");
   EXPECT_EQ(settings.log_level, LogLevel::kDebug);
   EXPECT_EQ(settings.limits.max_batch_poses, 4096);
   // Also where the same flag is given with an equals sign.
-  EXPECT_EQ(Parse({"--listen=flag:1"}, environment).listen, "flag:1");
+  EXPECT_EQ(Parse({"--listen=127.0.0.2:1"}, environment).listen, "127.0.0.2:1");
   // And the flag for the file over the variable for it.
   EXPECT_EQ(Parse({"--config", file}, {"REVISIT_CONFIG=/no/such/file"}).listen,
-            "file:1");
+            "127.0.0.3:1");
 }
 
 TEST_F(SettingsTest, UnknownKeysAreRefusedByName) {
@@ -130,6 +131,57 @@ TEST_F(SettingsTest, MalformedFilesAreRefusedWithTheLine) {
   }
 }
 
+TEST_F(SettingsTest, ListeningBeyondTheMachineNeedsTlsAndIdentities) {
+  const Words tls = {"--tls-cert=c", "--tls-key=k"};
+  const Words tokens = {"--token-keys=j", "--token-issuer=i",
+                        "--token-audience=a", "--policy=p"};
+  const auto with = [](Words words, const Words& more) {
+    words.insert(words.end(), more.begin(), more.end());
+    return words;
+  };
+  for (const std::string listen :
+       {"127.0.0.1:1", "127.1.2.3:1", "localhost:1", "[::1]:1", "unix:/tmp/a",
+        "unix-abstract:a"}) {
+    Parse({"--listen", listen});
+  }
+  for (const std::string listen :
+       {"0.0.0.0:1", "[::]:1", "128.0.0.1:1", "127.0.0.1.example:1",
+        "localhost.example:1", "127.1:1", "example:1", "*:1", ":1",
+        "[::ffff:10.0.0.1]:1", "dns:///127.0.0.1:1"}) {
+    const Words remote = {"--listen=" + listen};
+    const auto open = HasSubstr("could read and change all vehicles");
+    EXPECT_THAT(Refusal(remote), open) << listen;
+    EXPECT_THAT(Refusal(with(remote, tls)), open) << listen;
+    EXPECT_THAT(Refusal(with(remote, tokens)),
+                HasSubstr("could read and take tokens"))
+        << listen;
+    Parse(with(remote, with(tls, tokens)));
+    Parse(with(remote, with(tls, {"--tls-client-ca=a", "--policy=p"})));
+    Parse(with(remote, {"--insecure-allow-remote=on"}));
+  }
+}
+
+TEST_F(SettingsTest, SecuritySettingsThatDoNotGoTogetherAreRefused) {
+  const std::vector<std::pair<Words, std::string>> cases = {
+      {{"--tls-cert=c"}, "tls-cert and tls-key are needed together"},
+      {{"--tls-key=c"}, "tls-cert and tls-key are needed together"},
+      {{"--tls-client-ca=c", "--policy=p"}, "tls-client-ca needs tls-cert"},
+      {{"--token-keys=k", "--policy=p"}, "token-issuer"},
+      {{"--token-keys=k", "--policy=p", "--token-issuer=i"}, "token-audience"},
+      {{"--token-issuer=i", "--token-audience=a"}, "token-keys"},
+      {{"--token-keys=k", "--token-issuer=i", "--token-audience=a"},
+       "need policy"},
+      {{"--tls-cert=c", "--tls-key=k", "--tls-client-ca=a"}, "need policy"},
+      {{"--policy=p"}, "policy needs token-keys or tls-client-ca"},
+      {{"--tls-client-certs=maybe"}, "require|optional"},
+      {{"--token-leeway-seconds=301"}, "[0, 300]"},
+      {{"--security-check-seconds=61"}, "[0.05, 60]"},
+      {{"--serve-health=no"}, "on|off"}};
+  for (const auto& [arguments, message] : cases) {
+    EXPECT_THAT(Refusal(arguments), HasSubstr(message)) << message;
+  }
+}
+
 TEST_F(SettingsTest, FileThatIsNotThereIsRefusedByName) {
   EXPECT_THAT(Refusal({"--config", "/no/such/file"}),
               HasSubstr("/no/such/file"));
@@ -163,11 +215,11 @@ TEST_F(SettingsTest, PrintedSettingsReadBackAsTheSame) {
 }
 
 TEST_F(SettingsTest, PrintConfigTellsWhatWouldBeUsed) {
-  const auto parsed = ParseSettings({"--print-config", "--listen", "flag:1"},
-                                    {"REVISIT_STORE=there"});
+  const auto parsed = ParseSettings(
+      {"--print-config", "--listen", "127.0.0.2:1"}, {"REVISIT_STORE=there"});
   ASSERT_TRUE(parsed.ok()) << parsed.status();
   ASSERT_TRUE(parsed->print.has_value());
-  EXPECT_THAT(*parsed->print, AllOf(HasSubstr("listen = \"flag:1\"\n"),
+  EXPECT_THAT(*parsed->print, AllOf(HasSubstr("listen = \"127.0.0.2:1\"\n"),
                                     HasSubstr("store = \"there\"\n")));
 }
 

@@ -423,7 +423,8 @@ TEST_F(SqliteStorageTest, FindsDamageOfVehicle) {
     const auto corrupt = IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
                                  HasSubstr("vehicle 'truck'"));
     EXPECT_THAT(storage->GetVehicle("truck"), corrupt);
-    EXPECT_THAT(storage->ListVehicles("", 10), corrupt);
+    EXPECT_THAT(storage->ListVehicles("", "", 10), corrupt);
+    EXPECT_THAT(storage->ListVehicles("", "other-", 10), IsOk());
   }
 }
 

@@ -79,9 +79,10 @@ TEST_P(StorageContract, ListsVehiclesByIdInPages) {
   for (const char* id : {"c", "a", "b10", "b", "b-1"}) {
     ASSERT_THAT(write().Create(id), IsOk());
   }
-  const auto ids = [&](const std::string& after, int limit) {
+  const auto ids = [&](const std::string& after, int limit,
+                       const std::string& prefix = "") {
     std::vector<std::string> result;
-    const auto records = storage().ListVehicles(after, limit);
+    const auto records = storage().ListVehicles(after, prefix, limit);
     EXPECT_THAT(records, IsOk());
     for (const VehicleRecord& record : *records) result.push_back(record.id);
     return result;
@@ -91,6 +92,12 @@ TEST_P(StorageContract, ListsVehiclesByIdInPages) {
   EXPECT_THAT(ids("b", 2), ElementsAre("b-1", "b10"));
   EXPECT_THAT(ids("bb", 2), ElementsAre("c"));
   EXPECT_THAT(ids("c", 2), IsEmpty());
+  EXPECT_THAT(ids("", 10, "b"), ElementsAre("b", "b-1", "b10"));
+  EXPECT_THAT(ids("b", 10, "b"), ElementsAre("b-1", "b10"));
+  EXPECT_THAT(ids("", 10, "b1"), ElementsAre("b10"));
+  EXPECT_THAT(ids("", 10, "b-"), ElementsAre("b-1"));
+  EXPECT_THAT(ids("c", 10, "b"), IsEmpty());
+  EXPECT_THAT(ids("", 10, "bb"), IsEmpty());
 }
 
 TEST_P(StorageContract, ReplacesPayloadAndRaisesRevision) {
@@ -504,7 +511,7 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
       default: {
         // At the end of the vehicle, or a little off.
         std::uint64_t next = 1;
-        const auto vehicles = model.ListVehicles("", 10);
+        const auto vehicles = model.ListVehicles("", "", 10);
         for (const VehicleRecord& record : *vehicles) {
           if (record.key == key.second) next = record.durable_sequence + 1;
         }
@@ -527,8 +534,8 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
         << results.first << " instead of " << results.second;
     ASSERT_EQ(ReasonOf(results.first), ReasonOf(results.second));
 
-    const auto real_vehicles = storage().ListVehicles("", 10);
-    const auto model_vehicles = model.ListVehicles("", 10);
+    const auto real_vehicles = storage().ListVehicles("", "", 10);
+    const auto model_vehicles = model.ListVehicles("", "", 10);
     ASSERT_THAT(real_vehicles, IsOk());
     ASSERT_EQ(real_vehicles->size(), model_vehicles->size());
     for (std::size_t i = 0; i < real_vehicles->size(); ++i) {

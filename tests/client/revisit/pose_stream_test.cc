@@ -361,6 +361,39 @@ INSTANTIATE_TEST_SUITE_P(
         // Without a RetryInfo.
         grpc::StatusCode::RESOURCE_EXHAUSTED, grpc::StatusCode::UNIMPLEMENTED));
 
+TEST_F(PoseStreamTest, GoesOnAfterItsTokenExpiredOnceItWasOpened) {
+  const grpc::Status expired =
+      MakeStatus(grpc::StatusCode::UNAUTHENTICATED, "old", {"TOKEN_EXPIRED"});
+  // Under the stream, and once more because the new one is late.
+  int batches = 0;
+  server_.FailBatches([&] {
+    return ++batches == 2 ? StreamFault{Kind::kAfterAck, expired}
+                          : StreamFault();
+  });
+  int opens = 0;
+  server_.FailOpens([&] {
+    return ++opens == 2 ? StreamFault{Kind::kBefore, expired} : StreamFault();
+  });
+  const auto stream = Open();
+  ASSERT_TRUE(stream->WaitUntilOpened().ok());
+  ASSERT_TRUE(stream->Append(MakeBatch(1, 500)).ok());
+  EXPECT_TRUE(stream->Finish().ok());
+  EXPECT_EQ(stream->reconnects(), 2);
+  EXPECT_TRUE(server_.Stored() == Serialized(500));
+}
+
+TEST_F(PoseStreamTest, EndsIfItsTokenHasExpiredFromTheStart) {
+  server_.FailOpens([] {
+    return StreamFault{Kind::kBefore,
+                       MakeStatus(grpc::StatusCode::UNAUTHENTICATED, "old",
+                                  {"TOKEN_EXPIRED"})};
+  });
+  const auto stream = Open();
+  EXPECT_EQ(stream->WaitUntilOpened().status().code(),
+            absl::StatusCode::kUnauthenticated);
+  EXPECT_EQ(stream->reconnects(), 0);
+}
+
 TEST_F(PoseStreamTest, DeliversCandidatesAndFinishWaitsForTheLast) {
   server_.set_check_interval(100);
   PoseStreamOptions options = Options();

@@ -1,0 +1,38 @@
+// Something that is done again and again.
+#ifndef REVISIT_SERVER_PERIODIC_H_
+#define REVISIT_SERVER_PERIODIC_H_
+
+#include <chrono>
+#include <condition_variable>
+#include <functional>
+#include <mutex>
+#include <thread>
+
+namespace revisit::server {
+
+// Calls `work` every `period`, the first time after one, on a thread of its
+// own, until it is destroyed.
+class Periodic {
+ public:
+  Periodic(std::chrono::milliseconds period, std::function<void()> work);
+  ~Periodic();
+
+  Periodic(const Periodic&) = delete;
+  Periodic& operator=(const Periodic&) = delete;
+
+ private:
+  void Run();
+
+  const std::chrono::milliseconds period_;
+  const std::function<void()> work_;
+  std::mutex mutex_;
+  std::condition_variable wake_;
+  // Guarded by mutex_.
+  bool stopping_ = false;
+  // Last: it uses the others.
+  std::thread thread_;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_PERIODIC_H_

@@ -1,0 +1,355 @@
+#include "server/security/policy.h"
+
+#include <algorithm>
+#include <cstddef>
+#include <initializer_list>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <set>
+#include <utility>
+
+#include "server/security/strict_json.h"
+#include "server/status.h"
+
+namespace revisit::server {
+namespace {
+
+using Json = nlohmann::json;
+
+constexpr char kAllTenants[] = "*";
+constexpr char kMatch[] = "{match}";
+constexpr std::size_t kMatchBytes = sizeof(kMatch) - 1;
+// An id is no longer, nor is a pattern of use.
+constexpr std::size_t kMaxPatternBytes = 200;
+
+bool IsIdCharacter(char c) {
+  return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '-';
+}
+
+bool IsOfIdCharacters(const std::string& text) {
+  return std::all_of(text.begin(), text.end(), IsIdCharacter);
+}
+
+absl::Status Problem(const std::string& where, const std::string& what) {
+  return absl::InvalidArgumentError((where + ": " + what).c_str());
+}
+
+absl::Status CheckObject(const Json& value, const std::string& where,
+                         std::initializer_list<const char*> keys) {
+  if (!value.is_object()) return Problem(where, "not an object");
+  for (const auto& [key, member] : value.items()) {
+    const bool known = std::find(keys.begin(), keys.end(), key) != keys.end();
+    if (!known) return Problem(where, "unknown key \"" + key + "\"");
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::string> Text(const Json& object, const char* key,
+                                 const std::string& where) {
+  const auto found = object.find(key);
+  if (found == object.end()) {
+    return Problem(where, std::string("\"") + key + "\" is missing");
+  }
+  if (!found->is_string()) return Problem(where + "." + key, "not a text");
+  return found->get<std::string>();
+}
+
+// The texts of an array that is not empty, with where each stands.
+absl::StatusOr<std::vector<std::pair<std::string, std::string>>> Texts(
+    const Json& object, const char* key, const std::string& where) {
+  const std::string path = where + "." + key;
+  const auto found = object.find(key);
+  if (found == object.end()) {
+    return Problem(where, std::string("\"") + key + "\" is missing");
+  }
+  if (!found->is_array() || found->empty()) {
+    return Problem(path, "not an array of one text or more");
+  }
+  std::vector<std::pair<std::string, std::string>> texts;
+  for (const Json& element : *found) {
+    const std::string at = path + "[" + std::to_string(texts.size()) + "]";
+    if (!element.is_string()) return Problem(at, "not a text");
+    texts.emplace_back(element.get<std::string>(), at);
+  }
+  return texts;
+}
+
+// Prefixes by the tenants' names.
+using Tenants = std::map<std::string, std::string>;
+
+absl::StatusOr<Tenants> ReadTenants(const Json& list) {
+  if (!list.is_array()) return Problem("tenants", "not an array");
+  Tenants tenants;
+  for (std::size_t i = 0; i < list.size(); ++i) {
+    const std::string where = "tenants[" + std::to_string(i) + "]";
+    if (absl::Status status =
+            CheckObject(list[i], where, {"name", "vehicle_prefix"});
+        !status.ok()) {
+      return status;
+    }
+    const auto name = Text(list[i], "name", where);
+    if (!name.ok()) return name.status();
+    const auto prefix = Text(list[i], "vehicle_prefix", where);
+    if (!prefix.ok()) return prefix.status();
+    if (name->empty() || name->size() > 63 || !IsOfIdCharacters(*name)) {
+      return Problem(where + ".name",
+                     "got \"" + *name +
+                         "\"; allowed are 1 to 63 lower-case letters, digits "
+                         "and hyphens");
+    }
+    if (prefix->size() > 62 || !IsOfIdCharacters(*prefix) ||
+        prefix->rfind('-', 0) == 0) {
+      return Problem(
+          where + ".vehicle_prefix",
+          "got \"" + *prefix + "\", which no vehicle's id starts with");
+    }
+    for (const auto& [other, other_prefix] : tenants) {
+      const std::size_t common = std::min(prefix->size(), other_prefix.size());
+      if (prefix->compare(0, common, other_prefix, 0, common) == 0) {
+        return Problem(where + ".vehicle_prefix",
+                       "got \"" + *prefix + "\", and that of " + other +
+                           " is \"" + other_prefix +
+                           "\": vehicles would belong to both");
+      }
+    }
+    if (!tenants.emplace(*name, *prefix).second) {
+      return Problem(where + ".name", "\"" + *name + "\" stands twice");
+    }
+  }
+  return tenants;
+}
+
+absl::StatusOr<std::uint8_t> ReadVerbs(const Json& object,
+                                       const std::string& where) {
+  const auto texts = Texts(object, "verbs", where);
+  if (!texts.ok()) return texts.status();
+  std::uint8_t verbs = 0;
+  for (const auto& [text, at] : *texts) {
+    std::uint8_t bit = 0;
+    for (const Verb verb : {Verb::kRead, Verb::kWrite, Verb::kAdmin}) {
+      if (text == VerbName(verb)) bit = static_cast<std::uint8_t>(verb);
+    }
+    if (bit == 0) {
+      return Problem(at,
+                     "got \"" + text + "\"; allowed is read, write and admin");
+    }
+    verbs = static_cast<std::uint8_t>(verbs | bit);
+  }
+  return verbs;
+}
+
+absl::StatusOr<std::vector<std::string>> ReadPatterns(
+    const Json& object, bool has_match, const std::string& where) {
+  const auto texts = Texts(object, "vehicles", where);
+  if (!texts.ok()) return texts.status();
+  std::vector<std::string> patterns;
+  for (const auto& [text, at] : *texts) {
+    std::string rest = text;
+    const std::size_t match = rest.find(kMatch);
+    if (match != std::string::npos) {
+      if (!has_match) {
+        return Problem(at,
+                       "{match} stands for nothing: who the grant is for "
+                       "is named without a `*`");
+      }
+      rest.erase(match, kMatchBytes);
+    }
+    rest.erase(std::remove(rest.begin(), rest.end(), '*'), rest.end());
+    if (text.empty() || text.size() > kMaxPatternBytes ||
+        !IsOfIdCharacters(rest)) {
+      return Problem(at, "got \"" + text +
+                             "\"; a pattern is made of lower-case letters, "
+                             "digits, hyphens, `*` and at most one {match}");
+    }
+    patterns.push_back(text);
+  }
+  return patterns;
+}
+
+// What the `*` of the pattern stands for, empty if it has none; nothing if the
+// name does not match.
+std::optional<std::string> MatchName(const std::string& pattern,
+                                     const std::string& name) {
+  const std::size_t star = pattern.find('*');
+  if (star == std::string::npos) {
+    return name == pattern ? std::optional<std::string>("") : std::nullopt;
+  }
+  const std::size_t after = pattern.size() - star - 1;
+  if (name.size() < pattern.size() || name.compare(0, star, pattern, 0, star) ||
+      name.compare(name.size() - after, after, pattern, star + 1, after)) {
+    return std::nullopt;
+  }
+  std::string matched = name.substr(star, name.size() - star - after);
+  if (matched.find('/') != std::string::npos) return std::nullopt;
+  return matched;
+}
+
+// With {match} put in. Patterns that would be of other characters are left out.
+std::vector<std::string> Filled(const std::vector<std::string>& patterns,
+                                const std::string& matched) {
+  std::vector<std::string> filled;
+  for (std::string pattern : patterns) {
+    const std::size_t at = pattern.find(kMatch);
+    if (at != std::string::npos) {
+      // Also so that nobody brings a `*` of his own.
+      if (!IsOfIdCharacters(matched)) continue;
+      pattern.replace(at, kMatchBytes, matched);
+    }
+    filled.push_back(std::move(pattern));
+  }
+  return filled;
+}
+
+absl::Status NotGranted(const std::string& what) {
+  return Error(absl::StatusCode::kPermissionDenied, "NOT_GRANTED", what);
+}
+
+}  // namespace
+
+absl::StatusOr<Policy> Policy::Parse(const std::string& text) {
+  Json root;
+  if (absl::Status status = ParseStrictJson(text, &root); !status.ok()) {
+    return status;
+  }
+  if (absl::Status status =
+          CheckObject(root, "policy", {"version", "tenants", "grants"});
+      !status.ok()) {
+    return status;
+  }
+  for (const char* key : {"version", "tenants", "grants"}) {
+    if (!root.contains(key)) {
+      return Problem("policy", std::string("\"") + key + "\" is missing");
+    }
+  }
+  if (root["version"] != 1) {
+    return Problem("version", "got " + root["version"].dump() +
+                                  "; this server knows version 1");
+  }
+  const auto tenants = ReadTenants(root["tenants"]);
+  if (!tenants.ok()) return tenants.status();
+  const Json& list = root["grants"];
+  if (!list.is_array()) return Problem("grants", "not an array");
+
+  constexpr std::pair<const char*, Who> kNames[] = {
+      {"token_subject", Who::kTokenSubject},
+      {"token_claim", Who::kTokenClaim},
+      {"certificate_uri", Who::kCertificateUri},
+      {"certificate_dns", Who::kCertificateDns}};
+  Policy policy;
+  for (std::size_t i = 0; i < list.size(); ++i) {
+    const std::string where = "grants[" + std::to_string(i) + "]";
+    const Json& entry = list[i];
+    if (absl::Status status =
+            CheckObject(entry, where,
+                        {"token_subject", "token_claim", "certificate_uri",
+                         "certificate_dns", "tenant", "vehicles", "verbs"});
+        !status.ok()) {
+      return status;
+    }
+    Rule rule;
+    int named = 0;
+    for (const auto& [key, who] : kNames) {
+      if (!entry.contains(key)) continue;
+      ++named;
+      rule.who = who;
+      std::string path = where;
+      const Json* holder = &entry;
+      const char* member = key;
+      if (who == Who::kTokenClaim) {
+        path += std::string(".") + key;
+        holder = &entry[key];
+        member = "value";
+        if (absl::Status status = CheckObject(*holder, path, {"name", "value"});
+            !status.ok()) {
+          return status;
+        }
+        const auto claim = Text(*holder, "name", path);
+        if (!claim.ok()) return claim.status();
+        rule.claim = *claim;
+      }
+      const auto pattern = Text(*holder, member, path);
+      if (!pattern.ok()) return pattern.status();
+      if (pattern->empty() ||
+          std::count(pattern->begin(), pattern->end(), '*') > 1) {
+        return Problem(
+            path + "." + member,
+            "got \"" + *pattern + "\"; allowed is a text with at most one `*`");
+      }
+      rule.name_pattern = *pattern;
+    }
+    if (named != 1) {
+      return Problem(where,
+                     "names who it is for " + std::to_string(named) +
+                         " times; exactly one of token_subject, token_claim, "
+                         "certificate_uri and certificate_dns is needed");
+    }
+    const auto tenant = Text(entry, "tenant", where);
+    if (!tenant.ok()) return tenant.status();
+    rule.tenant = *tenant;
+    if (*tenant != kAllTenants) {
+      const auto found = tenants->find(*tenant);
+      if (found == tenants->end()) {
+        return Problem(where + ".tenant",
+                       "got \"" + *tenant + "\", which is not among tenants");
+      }
+      rule.grant.vehicle_prefix = found->second;
+    }
+    const bool has_match = rule.name_pattern.find('*') != std::string::npos;
+    auto patterns = ReadPatterns(entry, has_match, where);
+    if (!patterns.ok()) return patterns.status();
+    rule.grant.vehicle_patterns = *std::move(patterns);
+    const auto verbs = ReadVerbs(entry, where);
+    if (!verbs.ok()) return verbs.status();
+    rule.grant.verbs = *verbs;
+    policy.rules_.push_back(std::move(rule));
+  }
+  return policy;
+}
+
+std::vector<std::string> Policy::NamesFor(const Rule& rule,
+                                          const Identity& identity) {
+  switch (rule.who) {
+    case Who::kTokenSubject:
+      if (identity.token_subject.empty()) return {};
+      return {identity.token_subject};
+    case Who::kTokenClaim: {
+      const auto claim = identity.token_claims.find(rule.claim);
+      if (claim == identity.token_claims.end()) return {};
+      return claim->second;
+    }
+    case Who::kCertificateUri:
+      return identity.certificate_uris;
+    case Who::kCertificateDns:
+      return identity.certificate_dns_names;
+  }
+  return {};
+}
+
+absl::Status Policy::Apply(const Identity& identity, Caller* caller) const {
+  std::set<std::string> tenants;
+  std::vector<Grant> grants;
+  for (const Rule& rule : rules_) {
+    for (const std::string& name : NamesFor(rule, identity)) {
+      const auto matched = MatchName(rule.name_pattern, name);
+      if (!matched) continue;
+      Grant grant = rule.grant;
+      grant.vehicle_patterns = Filled(rule.grant.vehicle_patterns, *matched);
+      if (grant.vehicle_patterns.empty()) continue;
+      tenants.insert(rule.tenant);
+      grants.push_back(std::move(grant));
+    }
+  }
+  if (grants.empty()) {
+    return NotGranted("the server's policy grants the caller nothing");
+  }
+  if (tenants.size() > 1) {
+    return NotGranted(
+        "the server's policy has grants of more than one tenant for the "
+        "caller; which one is meant cannot be told");
+  }
+  caller->tenant = *tenants.begin();
+  caller->grants = std::move(grants);
+  return absl::OkStatus();
+}
+
+}  // namespace revisit::server

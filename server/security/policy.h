@@ -1,0 +1,95 @@
+// Who may do what with which vehicles: a file of JSON.
+//
+//   {
+//     "version": 1,
+//     "tenants": [
+//       {"name": "acme", "vehicle_prefix": "acme-"},
+//       {"name": "umbra", "vehicle_prefix": "umbra-"}
+//     ],
+//     "grants": [
+//       {"token_subject": "acme-backend", "tenant": "acme",
+//        "vehicles": ["*"], "verbs": ["read", "write", "admin"]},
+//       {"certificate_uri": "spiffe://fleet.example/acme/*", "tenant": "acme",
+//        "vehicles": ["acme-{match}"], "verbs": ["read", "write"]}
+//     ]
+//   }
+//
+// A vehicle belongs to the tenant whose prefix its id starts with. No prefix
+// may be the start of another, so no vehicle can belong to two.
+//
+// A grant names who it is for by exactly one of
+//   token_subject      the token's `sub`
+//   token_claim        {"name": ..., "value": ...}: a claim that is this text,
+//                      or an array with it
+//   certificate_uri    a URI among the certificate's alternative names
+//   certificate_dns    a DNS name among them
+// Each of these texts may hold one `*`, for one or more characters other than
+// `/`. Then it lists vehicles by patterns over the whole id, in which any
+// number of `*` stand for any characters, and `{match}` for what the `*` above
+// matched (of which nothing is granted unless it is made of lower-case letters,
+// digits and hyphens); and what may be done: "read", "write", "admin", neither
+// of which includes another. Patterns never reach beyond the tenant's prefix.
+// The tenant
+// "*" has all vehicles; it is for those who run the fleet.
+//
+// All grants that fit count together. They have to be of one tenant: an
+// identity with grants of two is refused, rather than guessed at.
+#ifndef REVISIT_SERVER_SECURITY_POLICY_H_
+#define REVISIT_SERVER_SECURITY_POLICY_H_
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "server/security/caller.h"
+
+namespace revisit::server {
+
+// What was found of who calls, verified.
+struct Identity {
+  std::string token_subject;
+  std::map<std::string, std::vector<std::string>> token_claims;
+  std::vector<std::string> certificate_uris;
+  std::vector<std::string> certificate_dns_names;
+};
+
+// Immutable.
+class Policy {
+ public:
+  // INVALID_ARGUMENT if the text is not as above in every part, unknown keys
+  // and repeated ones included; the message says where: the line, if it is no
+  // JSON, or the field.
+  static absl::StatusOr<Policy> Parse(const std::string& text);
+
+  // Sets tenant and grants. PERMISSION_DENIED (NOT_GRANTED) if there are none,
+  // or of more than one tenant.
+  absl::Status Apply(const Identity& identity, Caller* caller) const;
+
+ private:
+  enum class Who {
+    kTokenSubject,
+    kTokenClaim,
+    kCertificateUri,
+    kCertificateDns
+  };
+  struct Rule {
+    Who who;
+    std::string claim;  // Of kTokenClaim.
+    std::string name_pattern;
+    std::string tenant;
+    // As written: with {match}.
+    Grant grant;
+  };
+
+  // The names that a rule looks at.
+  static std::vector<std::string> NamesFor(const Rule& rule,
+                                           const Identity& identity);
+
+  std::vector<Rule> rules_;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SECURITY_POLICY_H_

@@ -1,0 +1,19 @@
+// JSON of which two readers cannot make different things.
+#ifndef REVISIT_SERVER_SECURITY_STRICT_JSON_H_
+#define REVISIT_SERVER_SECURITY_STRICT_JSON_H_
+
+#include <nlohmann/json_fwd.hpp>
+#include <string>
+
+#include "absl/status/status.h"
+
+namespace revisit::server {
+
+// INVALID_ARGUMENT if `text` is not JSON in UTF-8, has a key twice in one
+// object, or is nested deeper than 16. The message says where, and repeats
+// parts of the text: do not pass it on if the text is a secret.
+absl::Status ParseStrictJson(const std::string& text, nlohmann::json* value);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SECURITY_STRICT_JSON_H_

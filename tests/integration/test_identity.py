@@ -1,0 +1,865 @@
+"""Who may call, and who may see what."""
+
+import contextlib
+import json
+import re
+import socket
+import ssl
+import threading
+import time
+
+import grpc
+import pytest
+from grpc_health.v1 import health_pb2, health_pb2_grpc
+
+from identities import (
+    AUDIENCE, ISSUER, Authority, TokenKey, bearer, key_set, replace)
+from revisit_server import Server, run, wait_until
+from stubs import ROOT, PoseGraphServiceStub, api
+from wire import (
+    PoseStream, append, decode_failure, failure_of, list_poses, straight)
+
+Code = grpc.StatusCode
+USAGE = 64
+SERVICE = api.GetServerInfoRequest.DESCRIPTOR.file.services_by_name[
+    "PoseGraphService"]
+METHODS = sorted(SERVICE.methods_by_name)
+
+POLICY = {
+    "version": 1,
+    "tenants": [{"name": "acme", "vehicle_prefix": "acme-"},
+                {"name": "umbra", "vehicle_prefix": "umbra-"}],
+    "grants": [
+        {"token_subject": "acme", "tenant": "acme", "vehicles": ["*"],
+         "verbs": ["read", "write", "admin"]},
+        {"token_subject": "umbra", "tenant": "umbra", "vehicles": ["*"],
+         "verbs": ["read", "write", "admin"]},
+        {"token_subject": "acme-reader", "tenant": "acme",
+         "vehicles": ["*"], "verbs": ["read"]},
+        {"token_subject": "acme-writer", "tenant": "acme",
+         "vehicles": ["*"], "verbs": ["write"]},
+        {"token_subject": "vehicle:*", "tenant": "acme",
+         "vehicles": ["acme-{match}"], "verbs": ["read", "write"]},
+        {"token_subject": "acme-few", "tenant": "acme",
+         "vehicles": ["acme-1*", "acme-7"], "verbs": ["read"]},
+        {"token_claim": {"name": "groups", "value": "operators"},
+         "tenant": "*", "vehicles": ["*"],
+         "verbs": ["read", "write", "admin"]},
+        {"certificate_uri": "spiffe://fleet.example/acme/*", "tenant": "acme",
+         "vehicles": ["acme-{match}"], "verbs": ["read", "write"]},
+    ],
+}
+
+
+class Identities:
+    """Files of keys, policy and certificates, and who is behind them."""
+
+    def __init__(self, directory):
+        self.directory = directory
+        self.keys = [TokenKey("RS256", "rsa"), TokenKey("ES256", "ec"),
+                     TokenKey("EdDSA", "ed")]
+        self.key = self.keys[2]
+        self.key_file = replace(directory / "keys.json", key_set(*self.keys))
+        self.policy_file = replace(directory / "policy.json",
+                                   json.dumps(POLICY))
+        self.authority = Authority()
+        self.authority_file = replace(directory / "ca.pem", self.authority.pem)
+        self.certificate = self.authority.issue_for_server()
+        self.certificate_file = directory / "server.pem"
+        self.server_key_file = directory / "server.key"
+        self.show(self.certificate)
+
+    def show(self, certificate):
+        replace(self.server_key_file, certificate.key_pem)
+        replace(self.certificate_file, certificate.pem)
+
+    @property
+    def token_flags(self):
+        return ["--token-keys", self.key_file, "--token-issuer", ISSUER,
+                "--token-audience", AUDIENCE, "--token-leeway-seconds", 0,
+                "--policy", self.policy_file, "--security-check-seconds", 0.1]
+
+    @property
+    def tls_flags(self):
+        return ["--tls-cert", self.certificate_file,
+                "--tls-key", self.server_key_file]
+
+    @property
+    def client_flags(self):
+        return [*self.tls_flags, "--tls-client-ca", self.authority_file,
+                "--policy", self.policy_file, "--security-check-seconds", 0.1]
+
+
+class As:
+    """The service as one caller sees it: each call brings the token."""
+
+    def __init__(self, stub, token):
+        self._stub = stub
+        self.metadata = bearer(token) if token else ()
+
+    def __getattr__(self, method):
+        call = getattr(self._stub, method)
+
+        def with_token(request, **fields):
+            fields.setdefault("metadata", self.metadata)
+            return call(request, **fields)
+
+        return with_token
+
+
+@pytest.fixture(scope="module")
+def identities(tmp_path_factory):
+    return Identities(tmp_path_factory.mktemp("identities"))
+
+
+@pytest.fixture(scope="module")
+def token_server(identities, tmp_path_factory):
+    """Takes tokens, in plaintext."""
+    with Server(tmp_path_factory.mktemp("tokens") / "store",
+                *identities.token_flags) as running:
+        yield running
+        assert running.is_running(), running.log()
+
+
+@pytest.fixture(scope="module")
+def called_by(token_server, identities):
+    """Makes the service as somebody sees it."""
+    stub = token_server.stub()
+
+    def make(subject, **claims):
+        return As(stub, identities.key.token(subject, **claims))
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def tls_server(identities, tmp_path_factory):
+    """Wants certificates of clients."""
+    with Server(tmp_path_factory.mktemp("tls") / "store",
+                *identities.client_flags) as running:
+        yield running
+        assert running.is_running(), running.log()
+
+
+@contextlib.contextmanager
+def secure_stub(server, authority_pem, certificate=None):
+    credentials = grpc.ssl_channel_credentials(
+        authority_pem, certificate and certificate.key_pem,
+        certificate and certificate.pem)
+    # Else channels of equal credentials would share a connection.
+    with grpc.secure_channel(
+            server.address, credentials,
+            options=[("grpc.use_local_subchannel_pool", 1)]) as channel:
+        yield PoseGraphServiceStub(channel)
+
+
+def create(stub, vehicle_id):
+    return stub.CreateVehicle(
+        api.CreateVehicleRequest(vehicle_id=vehicle_id)).vehicle.name
+
+
+def ask(stub):
+    return stub.GetServerInfo(api.GetServerInfoRequest(), timeout=10)
+
+
+# --- TLS.
+
+def test_client_is_known_by_its_certificate(tls_server, identities):
+    bus = identities.authority.issue("spiffe://fleet.example/acme/bus-1",
+                                     "x.example")
+    with secure_stub(tls_server, identities.authority.pem, bus) as stub:
+        vehicle = create(stub, "acme-bus-1")
+        assert append(stub, vehicle, straight(3)).durable_sequence == 3
+        failure = failure_of(lambda: create(stub, "acme-bus-2"))
+        assert (failure.code, failure.reason) == (
+            Code.PERMISSION_DENIED, "NOT_GRANTED")
+    assert "certificate:spiffe://fleet.example/acme/bus-1" in tls_server.log()
+
+
+@pytest.mark.parametrize("names, reason, words", [
+    ((), "CREDENTIALS_INVALID", "no URI and no DNS name"),
+    (("spiffe://fleet.example/umbra/bus-1",), "NOT_GRANTED", "grants"),
+])
+def test_good_certificate_of_nobody_is_told_so(
+        tls_server, identities, names, reason, words):
+    certificate = identities.authority.issue(
+        *names, common_name="spiffe://fleet.example/acme/bus-1")
+    with secure_stub(tls_server, identities.authority.pem,
+                     certificate) as stub:
+        failure = failure_of(lambda: ask(stub))
+        assert failure.reason == reason
+        assert words in failure.message
+
+
+def refused(server, authority_pem, certificate=None):
+    """Whether a handshake fails: all a caller gets to see."""
+    with secure_stub(server, authority_pem, certificate) as stub:
+        with pytest.raises(grpc.RpcError) as raised:
+            ask(stub)
+        assert "grpc-status-details-bin" not in dict(
+            raised.value.trailing_metadata() or ())
+        return raised.value.code() == Code.UNAVAILABLE
+
+
+def test_handshake_fails_without_the_right_certificate(tls_server, identities):
+    name = "spiffe://fleet.example/acme/bus-1"
+    stranger = Authority()
+    good = identities.authority.issue(name)
+    assert refused(tls_server, identities.authority.pem)
+    assert refused(tls_server, identities.authority.pem, stranger.issue(name))
+    # One that calls itself the same.
+    assert refused(tls_server, identities.authority.pem,
+                   Authority("Test authority").issue(name))
+    assert refused(tls_server, identities.authority.pem,
+                   identities.authority.issue(name, begins=-7200, ends=-3600))
+    assert refused(tls_server, identities.authority.pem,
+                   identities.authority.issue(name, begins=3600))
+    # The client's side of it.
+    assert refused(tls_server, stranger.pem, good)
+    with secure_stub(tls_server, identities.authority.pem, good) as stub:
+        ask(stub)
+    # The callers are told nothing; whoever runs the server is.
+    for reason in ("peer did not return a certificate",
+                   "certificate verify failed"):
+        assert reason in tls_server.log()
+
+
+def test_plaintext_gets_nothing_from_a_tls_listener(tls_server):
+    with grpc.insecure_channel(tls_server.address) as channel:
+        with pytest.raises(grpc.RpcError) as raised:
+            ask(PoseGraphServiceStub(channel))
+        assert raised.value.code() == Code.UNAVAILABLE
+    with socket.create_connection(("127.0.0.1", tls_server.port)) as raw:
+        raw.settimeout(10)
+        raw.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes(9))
+        answer = b""
+        with contextlib.suppress(ConnectionResetError):
+            while part := raw.recv(4096):
+                answer += part
+    # Nothing, or a record of TLS that is an alert: no frame of HTTP/2.
+    assert answer[:1] in (b"", b"\x15"), answer
+
+
+@pytest.mark.parametrize("version, accepted", [
+    (ssl.TLSVersion.TLSv1, False), (ssl.TLSVersion.TLSv1_1, False),
+    (ssl.TLSVersion.TLSv1_2, True), (ssl.TLSVersion.TLSv1_3, True)])
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_tls_is_1_2_or_later(
+        tls_server, identities, tmp_path, version, accepted):
+    good = identities.authority.issue("spiffe://fleet.example/acme/bus-1")
+    context = ssl.create_default_context(
+        cadata=identities.authority.pem.decode())
+    # Else this side would not even offer the old ones.
+    context.set_ciphers("ALL:@SECLEVEL=0")
+    context.minimum_version = context.maximum_version = version
+    context.set_alpn_protocols(["h2"])
+    context.load_cert_chain(replace(tmp_path / "pem", good.pem),
+                            replace(tmp_path / "key", good.key_pem))
+
+    def connect():
+        with socket.create_connection(("127.0.0.1", tls_server.port)) as raw:
+            with context.wrap_socket(raw, server_hostname="localhost") as tls:
+                return tls.version(), tls.selected_alpn_protocol()
+
+    if accepted:
+        assert connect() == (version.name.replace("_", "."), "h2")
+    else:
+        # This gRPC hangs up rather than say why. It is not this side that did.
+        with pytest.raises((ssl.SSLError, ConnectionResetError)) as raised:
+            connect()
+        assert "NO_PROTOCOLS_AVAILABLE" not in str(raised.value)
+
+
+def served_serial(server, identities, certificate):
+    """Of the certificate that new connections get to see."""
+    context = ssl.create_default_context(
+        cadata=identities.authority.pem.decode())
+    context.set_alpn_protocols(["h2"])
+    context.load_cert_chain(
+        replace(identities.directory / "own.pem", certificate.pem),
+        replace(identities.directory / "own.key", certificate.key_pem))
+    with socket.create_connection(("127.0.0.1", server.port)) as raw:
+        with context.wrap_socket(raw, server_hostname="localhost") as tls:
+            return int(tls.getpeercert()["serialNumber"], 16)
+
+
+def test_rotated_certificates_are_taken_and_bad_ones_are_not(tmp_path):
+    own = Identities(tmp_path)
+    client = own.authority.issue("spiffe://fleet.example/acme/bus-1")
+
+    def serial():
+        return served_serial(server, own, client)
+
+    with Server(tmp_path / "store", *own.client_flags) as server:
+        assert serial() == own.certificate.serial
+        lines = iter(range(1, 100))
+
+        def await_refusal():
+            count = next(lines)
+            wait_until(
+                lambda: server.log().count("tls_files_refused") == count,
+                f"refusal {count} in {server.log()}")
+            assert serial() == own.certificate.serial
+
+        with secure_stub(server, own.authority.pem, client) as old_connection:
+            ask(old_connection)
+            fresh = own.authority.issue_for_server()
+            # Half of a rotation: the key is there, its certificate is not.
+            replace(own.server_key_file, fresh.key_pem)
+            await_refusal()
+            # Written half.
+            replace(own.certificate_file, fresh.pem[:len(fresh.pem) // 2])
+            await_refusal()
+            replace(own.certificate_file, b"garbage")
+            await_refusal()
+            own.certificate_file.unlink()
+            await_refusal()
+            replace(own.certificate_file, fresh.pem)
+            wait_until(lambda: serial() == fresh.serial, "new certificate")
+            own.certificate = fresh
+            # Two changes, of which the server may see one or two.
+            own.show(own.authority.issue_for_server(begins=-7200, ends=-3600))
+            wait_until(lambda: "has expired at" in server.log(), "refusal")
+            assert serial() == fresh.serial
+            # Connections live through all of it.
+            ask(old_connection)
+
+        # Who may issue clients' certificates rotates too.
+        successor = Authority("Successor")
+        new_client = successor.issue("spiffe://fleet.example/acme/bus-2")
+        own.show(fresh)
+        assert refused(server, own.authority.pem, new_client)
+        replace(own.authority_file, successor.pem)
+        wait_until(lambda: not refused_now(server, own, new_client),
+                   "client of the new authority")
+        assert refused(server, own.authority.pem, client)
+
+
+def refused_now(server, identities, certificate):
+    with secure_stub(server, identities.authority.pem, certificate) as stub:
+        try:
+            ask(stub)
+        except grpc.RpcError as error:
+            assert error.code() == Code.UNAVAILABLE, error
+            return True
+        return False
+
+
+def test_stream_ends_when_the_client_certificate_expires(
+        tls_server, identities):
+    brief = identities.authority.issue("spiffe://fleet.example/acme/brief",
+                                       ends=3)
+    with secure_stub(tls_server, identities.authority.pem, brief) as stub:
+        vehicle = create(stub, "acme-brief")
+        with PoseStream(stub, vehicle) as stream:
+            stream.receive_kind("opened")
+            failure = failure_of(stream.receive_all)
+            assert (failure.code, failure.reason) == (
+                Code.UNAUTHENTICATED, "CERTIFICATE_EXPIRED")
+        # Also on the connection that is still there.
+        failure = failure_of(lambda: ask(stub))
+        assert failure.reason == "CERTIFICATE_EXPIRED"
+
+
+# --- Tokens.
+
+def test_tokens_of_every_algorithm_are_taken(token_server, identities):
+    stub = token_server.stub()
+    for key in identities.keys:
+        ask(As(stub, key.token("acme")))
+        # Some write the scheme otherwise.
+        stub.GetServerInfo(
+            api.GetServerInfoRequest(),
+            metadata=(("authorization", "bearer " + key.token("acme")),))
+
+
+def test_bad_tokens_are_refused_with_the_reason(token_server, identities):
+    stub = token_server.stub()
+    key = identities.key
+    good = key.token("acme")
+    cases = [
+        ((), "CREDENTIALS_MISSING", "a bearer token"),
+        (bearer(""), "CREDENTIALS_INVALID", "form"),
+        (bearer("x"), "CREDENTIALS_INVALID", "form"),
+        ((("authorization", good),), "CREDENTIALS_INVALID", "Bearer TOKEN"),
+        ((("authorization", "Basic " + good),), "CREDENTIALS_INVALID",
+         "Bearer TOKEN"),
+        (bearer(good) + bearer(good), "CREDENTIALS_INVALID", "given once"),
+        (bearer(good[:-8]), "CREDENTIALS_INVALID", "signature"),
+        (bearer(key.token("acme", header={"alg": "none"})),
+         "CREDENTIALS_INVALID", "algorithm"),
+        (bearer(key.token("acme", header={"alg": "HS256"})),
+         "CREDENTIALS_INVALID", "algorithm"),
+        (bearer(key.token("acme", header={"kid": "rsa"})),
+         "CREDENTIALS_INVALID", "another algorithm"),
+        (bearer(key.token("acme", header={"kid": "new"})),
+         "CREDENTIALS_INVALID", "does not have the key"),
+        (bearer(TokenKey("EdDSA", "ed").token("acme")),
+         "CREDENTIALS_INVALID", "signature does not hold"),
+        (bearer(key.token("acme", aud="other")), "CREDENTIALS_INVALID",
+         "audience"),
+        (bearer(key.token("acme", iss="other")), "CREDENTIALS_INVALID",
+         "issuer"),
+        (bearer(key.token("acme", exp=None)), "CREDENTIALS_INVALID",
+         "expires"),
+        (bearer(key.token("acme", lasts=-1)), "TOKEN_EXPIRED", "expired"),
+        (bearer(key.token("acme", nbf=time.time() + 100)),
+         "TOKEN_NOT_YET_VALID", "nbf"),
+    ]
+    for metadata, reason, words in cases:
+        failure = failure_of(lambda: stub.GetServerInfo(
+            api.GetServerInfoRequest(), metadata=metadata))
+        assert (failure.code, failure.reason) == (
+            Code.UNAUTHENTICATED, reason), (metadata, failure)
+        assert words in failure.message
+    failure = failure_of(lambda: ask(As(stub, key.token("nobody"))))
+    assert (failure.code, failure.reason) == (
+        Code.PERMISSION_DENIED, "NOT_GRANTED")
+
+
+def request_about(method, vehicle):
+    """A request of the method that names the vehicle, and the same request for
+    all vehicles else."""
+    pair = vehicle + "/{}/a"
+    vehicle_id = vehicle.split("/")[1]
+    pose = straight(1)[0]
+    return {
+        "AcceptDataLoss": lambda: api.AcceptDataLossRequest(name=vehicle),
+        "AddLoopClosure": lambda: api.AddLoopClosureRequest(
+            parent=vehicle, loop_closure=api.LoopClosure(
+                query_sequence=2, matched_sequence=1)),
+        "AppendPoses": lambda: api.AppendPosesRequest(
+            vehicle=vehicle, poses=[pose]),
+        "CreateVehicle": lambda: api.CreateVehicleRequest(
+            vehicle_id=vehicle_id),
+        "DeleteLoopClosure": lambda: api.DeleteLoopClosureRequest(
+            name=pair.format("loopClosures")),
+        "DeleteRejectedCandidate": lambda: api.DeleteRejectedCandidateRequest(
+            name=pair.format("rejectedCandidates")),
+        "DeleteVehicle": lambda: api.DeleteVehicleRequest(name=vehicle),
+        "ExportPoseGraph": lambda: api.ExportPoseGraphRequest(
+            vehicle=vehicle),
+        "FindCandidates": lambda: api.FindCandidatesRequest(vehicle=vehicle),
+        "GetServerInfo": lambda: api.GetServerInfoRequest(),
+        "GetVehicle": lambda: api.GetVehicleRequest(name=vehicle),
+        "ListLoopClosures": lambda: api.ListLoopClosuresRequest(
+            parent=vehicle),
+        "ListPoses": lambda: api.ListPosesRequest(parent=vehicle),
+        "ListRejectedCandidates": lambda: api.ListRejectedCandidatesRequest(
+            parent=vehicle),
+        "ListVehicles": lambda: api.ListVehiclesRequest(),
+        "RejectCandidate": lambda: api.RejectCandidateRequest(
+            parent=vehicle, rejected_candidate=api.RejectedCandidate(
+                query_sequence=2, matched_sequence=1)),
+        "RevisePoses": lambda: api.RevisePosesRequest(
+            vehicle=vehicle, poses=[pose]),
+        "StreamPoses": lambda: api.StreamPosesRequest(
+            open=api.StreamPosesOpen(vehicle=vehicle)),
+        "UpdateVehicle": lambda: api.UpdateVehicleRequest(
+            vehicle=api.Vehicle(name=vehicle, settings=api.VehicleSettings(
+                max_candidates=3)),
+            update_mask={"paths": ["settings.max_candidates"]}),
+    }[method]()
+
+
+def call(stub, method, vehicle):
+    """Calls any method about a vehicle; answers all that comes back."""
+    request = request_about(method, vehicle)
+    kind = SERVICE.methods_by_name[method]
+    answer = getattr(stub, method)(
+        iter([request]) if kind.client_streaming else request, timeout=20)
+    return list(answer) if kind.server_streaming else answer
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_needs_credentials(token_server, method):
+    failure = failure_of(
+        lambda: call(As(token_server.stub(), None), method, "vehicles/acme-1"))
+    assert (failure.code, failure.reason) == (
+        Code.UNAUTHENTICATED, "CREDENTIALS_MISSING")
+
+
+# --- Tenants.
+
+# Methods that are not about one vehicle.
+ABOUT_NONE = {"GetServerInfo", "ListVehicles"}
+
+
+@pytest.mark.parametrize("method", sorted(set(METHODS) - ABOUT_NONE))
+def test_vehicles_of_others_are_as_if_they_were_not_there(called_by, method):
+    umbra = called_by("umbra")
+    there = create(umbra, "umbra-there-1")
+    append(umbra, there, straight(3))
+
+    def answer(vehicle, subject="acme"):
+        failure = failure_of(
+            lambda: call(called_by(subject), method, vehicle))
+        del failure.metadata["request_id"]
+        assert vehicle.split("/")[1] in failure.message or (
+            method == "CreateVehicle")
+        # As long as each other, so that nothing else can differ.
+        failure.message = failure.message.replace(
+            vehicle.split("/")[1], "it")
+        return failure
+
+    of_others = answer(there)
+    assert answer("vehicles/umbra-gone-1") == of_others
+    assert answer("vehicles/nobodys-1") == of_others
+    if method == "CreateVehicle":
+        assert (of_others.code, of_others.reason) == (
+            Code.PERMISSION_DENIED, "NOT_GRANTED")
+    else:
+        assert (of_others.code, of_others.reason) == (
+            Code.NOT_FOUND, "VEHICLE_NOT_FOUND")
+        # What is not there of one's own says the same.
+        assert answer("vehicles/acme-gone-1") == of_others
+    # Not even within the tenant, where not all of it is granted.
+    assert answer("vehicles/acme-other-1", "vehicle:7") == of_others
+    assert umbra.GetVehicle(
+        api.GetVehicleRequest(name=there)).vehicle.durable_sequence == 3
+
+
+@pytest.mark.parametrize("method", sorted(set(METHODS) - ABOUT_NONE))
+def test_verbs_are_checked_whether_the_vehicle_is_there_or_not(
+        called_by, method):
+    reads = {"ExportPoseGraph", "FindCandidates", "GetVehicle",
+             "ListLoopClosures", "ListPoses", "ListRejectedCandidates"}
+    admin = {"AcceptDataLoss", "DeleteVehicle"}
+    needed = ("read" if method in reads else
+              "admin" if method in admin else "write")
+    other = "acme-writer" if needed == "read" else "acme-reader"
+    vehicle = create(called_by("acme"), "acme-verbs-1")
+    for name in (vehicle, "vehicles/acme-nothing-1"):
+        failure = failure_of(lambda: call(called_by(other), method, name))
+        assert (failure.code, failure.reason) == (
+            Code.PERMISSION_DENIED, "NOT_GRANTED")
+        assert failure.metadata["verb"] == needed
+        if needed == "admin":
+            failure = failure_of(
+                lambda: call(called_by("acme-writer"), method, name))
+            assert failure.metadata["verb"] == "admin"
+
+
+def test_candidates_of_a_stream_need_to_be_readable(called_by):
+    vehicle = create(called_by("acme"), "acme-candidates-1")
+    writer = called_by("acme-writer")
+    with PoseStream(writer, vehicle, metadata=writer.metadata) as stream:
+        stream.receive_kind("opened")
+    with PoseStream(writer, vehicle, metadata=writer.metadata,
+                    send_candidates=True) as stream:
+        failure = failure_of(stream.receive_all)
+        assert (failure.code, failure.reason) == (
+            Code.PERMISSION_DENIED, "NOT_GRANTED")
+        assert failure.metadata["verb"] == "read"
+
+
+def list_vehicles(stub, page_size):
+    """(ids, page by page; the tokens between them)"""
+    request = api.ListVehiclesRequest(page_size=page_size)
+    pages, tokens = [], []
+    while True:
+        page = stub.ListVehicles(request)
+        pages.append([vehicle.name.split("/")[1] for vehicle in page.vehicles])
+        if not page.next_page_token:
+            return pages, tokens
+        request.page_token = page.next_page_token
+        tokens.append(page.next_page_token)
+
+
+def test_lists_hold_what_may_be_read_and_nothing_of_the_rest(
+        identities, tmp_path):
+    with Server(tmp_path / "store", *identities.token_flags) as server:
+        stub = server.stub()
+
+        def called(subject, **claims):
+            return As(stub, identities.key.token(subject, **claims))
+
+        operator = called("op", groups=["operators"])
+        ids = sorted(f"{tenant}-{number}" for number in range(1, 21)
+                     for tenant in ("acme", "umbra", "zzz"))
+        for vehicle_id in ids:
+            create(operator, vehicle_id)
+        acme = [name for name in ids if name.startswith("acme-")]
+        few = [name for name in acme
+               if re.fullmatch("acme-(1.*|7)", name)]
+        assert len(few) == 12
+        for subject, claims, expected in [
+                ("op", {"groups": ["operators"]}, ids), ("acme", {}, acme),
+                ("acme-few", {}, few), ("vehicle:13", {}, ["acme-13"]),
+                ("vehicle:99", {}, []), ("acme-writer", {}, [])]:
+            for size in (1, 3, 4, 12, 100):
+                pages, tokens = list_vehicles(called(subject, **claims), size)
+                assert sum(pages, []) == expected, (subject, size)
+                # A page is full, or it is the last: what lies between leaves
+                # no gap to be counted.
+                assert all(len(page) == size for page in pages[:-1])
+                assert pages[-1] or not expected
+        # A token of others starts a list of one's own at most later.
+        _, tokens = list_vehicles(called("umbra"), 5)
+        page = called("acme").ListVehicles(
+            api.ListVehiclesRequest(page_token=tokens[0]))
+        assert not page.vehicles
+        _, tokens = list_vehicles(called("acme"), 20)
+        assert not tokens
+
+
+def test_log_tells_who_called_and_keeps_no_token(token_server, identities):
+    token = identities.key.token("acme")
+    create(As(token_server.stub(), token), "acme-logged-1")
+    bad = token[:-6] + "AAAAAA"
+    failure_of(lambda: ask(As(token_server.stub(), bad)))
+    log = token_server.log()
+    assert re.search("vehicle=acme-logged-1 tenant=acme caller=token:acme ",
+                     log)
+    for part in token.split(".")[1:]:
+        assert part not in log
+    assert bad.split(".")[2] not in log
+
+
+# --- Streams that outlive what let them in.
+
+def test_stream_ends_after_its_last_ack_when_the_token_expires(
+        called_by, token_server):
+    create(called_by("acme"), "acme-long-1")
+    vehicle = "vehicles/acme-long-1"
+    brief = called_by("vehicle:long-1", lasts=2)
+    acks = []
+    sent = 0
+    with PoseStream(brief, vehicle, metadata=brief.metadata) as stream:
+        stream.receive_kind("opened")
+        started = time.monotonic()
+        with pytest.raises(grpc.RpcError) as raised:
+            while True:
+                assert time.monotonic() - started < 30
+                stream.send(straight(5, first=sent + 1))
+                sent += 5
+                received = stream.receive()
+                assert received is not None
+                acks.append(received[1].durable_sequence)
+        failure = decode_failure(raised.value)
+    assert (failure.code, failure.reason) == (
+        Code.UNAUTHENTICATED, "TOKEN_EXPIRED")
+    assert time.monotonic() - started < 5
+    assert acks == list(range(5, acks[-1] + 1, 5))
+    # Nothing that was acknowledged is missing, and it goes on from there.
+    again = called_by("vehicle:long-1")
+    with PoseStream(again, vehicle, metadata=again.metadata) as stream:
+        durable = stream.receive_kind("opened").durable_sequence
+        assert acks[-1] <= durable <= sent
+        stream.send(straight(5, first=durable + 1))
+        assert (stream.receive_kind("ack").durable_sequence == durable + 5)
+    assert len(list_poses(again, vehicle)) == durable + 5
+
+
+def test_idle_calls_of_all_kinds_end_when_the_token_expires(called_by):
+    create(called_by("acme"), "acme-idle-1")
+    brief = called_by("vehicle:idle-1", lasts=1)
+    held = threading.Event()
+
+    def nothing_more():
+        yield api.RevisePosesRequest(vehicle="vehicles/acme-idle-1",
+                                     poses=straight(1))
+        held.wait(30)
+
+    try:
+        with PoseStream(brief, metadata=brief.metadata) as unopened, \
+                PoseStream(brief, "vehicles/acme-idle-1",
+                           metadata=brief.metadata) as opened:
+            opened.receive_kind("opened")
+            for wait in (unopened.receive_all, opened.receive_all,
+                         lambda: brief.RevisePoses(nothing_more(),
+                                                   timeout=30)):
+                failure = failure_of(wait)
+                assert (failure.code, failure.reason) == (
+                    Code.UNAUTHENTICATED, "TOKEN_EXPIRED")
+    finally:
+        held.set()
+
+
+def test_stream_ends_when_policy_or_keys_change(tmp_path):
+    own = Identities(tmp_path)
+    with Server(tmp_path / "store", *own.token_flags) as server:
+        stub = server.stub()
+        acme = As(stub, own.key.token("acme"))
+        writer = As(stub, own.key.token("acme-writer"))
+        vehicle = create(acme, "acme-1")
+        with PoseStream(acme, vehicle, metadata=acme.metadata) as stays, \
+                PoseStream(writer, vehicle, metadata=writer.metadata) as goes:
+            stays.receive_kind("opened")
+            goes.receive_kind("opened")
+            # A file that is no good changes nothing.
+            replace(own.policy_file, "{")
+            wait_until(lambda: "access_rules_refused" in server.log(),
+                       "refusal")
+            goes.send(straight(1))
+            goes.receive_kind("ack")
+            policy = json.loads(json.dumps(POLICY))
+            policy["grants"] = [grant for grant in policy["grants"] if
+                                grant.get("token_subject") != "acme-writer"]
+            replace(own.policy_file, json.dumps(policy))
+            failure = failure_of(goes.receive_all)
+            assert (failure.code, failure.reason) == (
+                Code.PERMISSION_DENIED, "NOT_GRANTED")
+            stays.send(straight(1, first=2))
+            stays.receive_kind("ack")
+            # A key that was stolen is taken out of the set.
+            replace(own.key_file, key_set(own.keys[0]))
+            failure = failure_of(stays.receive_all)
+            assert (failure.code, failure.reason) == (
+                Code.UNAUTHENTICATED, "CREDENTIALS_INVALID")
+        assert "does not have the key" in failure.message
+        ask(As(stub, own.keys[0].token("acme")))
+
+
+# --- Switches.
+
+def health(server):
+    return health_pb2_grpc.HealthStub(server.channel()).Check(
+        health_pb2.HealthCheckRequest(), timeout=10)
+
+
+def reflect(server):
+    call_ = server.channel().stream_stream(
+        "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo")
+    # list_services = 7, of any text.
+    return b"".join(call_(iter([b"\x3a\x01*"]), timeout=10))
+
+
+def test_health_and_reflection_are_open_unless_switched_off(
+        token_server, tmp_path):
+    assert health(token_server).status == health_pb2.HealthCheckResponse.SERVING
+    assert b"revisit.v1.PoseGraphService" in reflect(token_server)
+    with Server(tmp_path / "store", "--serve-health", "off",
+                "--serve-reflection", "off") as server:
+        for ask_it in (health, reflect):
+            with pytest.raises(grpc.RpcError) as raised:
+                ask_it(server)
+            assert raised.value.code() == Code.UNIMPLEMENTED
+        ask(server.stub())
+
+
+def test_remote_listener_without_security_is_refused(tmp_path):
+    store = tmp_path / "store"
+    result = run("revisitd", "--listen", "0.0.0.0:0", "--store", store)
+    assert result.returncode == USAGE
+    assert "whoever reaches this address" in result.stderr
+    assert not store.exists()
+
+
+def test_policy_of_the_documentation_is_a_good_one(tmp_path):
+    own = Identities(tmp_path)
+    text = (ROOT / "SECURITY.md").read_text()
+    policy = re.search(r"^```json\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    replace(own.policy_file, policy.group(1))
+    with Server(tmp_path / "store", *own.token_flags) as server:
+        backend = As(server.stub(), own.key.token("acme-backend"))
+        create(backend, "acme-1")
+        viewer = As(server.stub(), own.key.token(
+            "somebody", groups=["umbra-viewers"]))
+        assert list_vehicles(viewer, 10) == ([[]], [])
+
+
+@pytest.mark.parametrize("name, content, words", [
+    ("policy.json", '{"version": 1}', "policy.json: policy: \"tenants\""),
+    ("policy.json", None, "cannot read"),
+    ("keys.json", "{}", "keys.json: not a key set"),
+    ("server.pem", "garbage", "holds no certificate"),
+    ("server.key", "garbage", "private key cannot be read"),
+])
+def test_files_that_are_no_good_keep_the_server_from_starting(
+        tmp_path, name, content, words):
+    own = Identities(tmp_path)
+    if content is None:
+        (tmp_path / name).unlink()
+    else:
+        replace(tmp_path / name, content)
+    store = tmp_path / "store"
+    result = run("revisitd", "--listen", "127.0.0.1:0", "--store", store,
+                 *own.token_flags, *own.tls_flags)
+    assert result.returncode == USAGE
+    assert words in result.stderr
+    assert not store.exists()
+
+
+# --- The command line.
+
+def test_command_line_speaks_tls_and_shows_its_certificate(
+        tls_server, identities, tmp_path):
+    certificate = identities.authority.issue(
+        "spiffe://fleet.example/acme/shuttle-1")
+    files = ["--tls-ca", identities.authority_file,
+             "--tls-cert", replace(tmp_path / "cert", certificate.pem),
+             "--tls-key", replace(tmp_path / "key", certificate.key_pem)]
+    result = run("revisit", "--server", tls_server.address, *files, "vehicle",
+                 "create", "acme-shuttle-1")
+    assert result.returncode == 0, result
+    result = run("revisit", "--server", tls_server.address, *files, "vehicle",
+                 "get", "acme-shuttle-2")
+    assert result.returncode == 64 + Code.NOT_FOUND.value[0], result
+    for wrong, words in [
+            (files[:4], "needed together"),
+            (files[2:], "needs TLS"),
+            (["--tls-ca", tmp_path / "missing"], "cannot read")]:
+        result = run("revisit", "--server", tls_server.address, *wrong,
+                     "vehicle", "list")
+        assert result.returncode == 1, result
+        assert words in result.stderr
+
+
+def test_command_line_sends_its_token(token_server, identities, tmp_path):
+    token = tmp_path / "token"
+    arguments = ["revisit", "--server", token_server.address, "--token-file",
+                 token, "vehicle"]
+    replace(token, identities.key.token("acme") + "\n")
+    result = run(*arguments, "create", "acme-cli-1")
+    assert result.returncode == 0, result
+    result = run(*arguments, "get", "umbra-cli-1")
+    assert result.returncode == 64 + Code.NOT_FOUND.value[0], result
+    replace(token, identities.key.token("acme", lasts=-10))
+    result = run(*arguments, "list")
+    assert result.returncode == 64 + Code.UNAUTHENTICATED.value[0], result
+    assert "expired" in result.stderr
+    replace(token, "two words")
+    result = run(*arguments, "list")
+    assert result.returncode == 1, result
+    assert "holds no token" in result.stderr
+
+
+def own_address():
+    """An address of this machine that is not the loopback; None if there is
+    none."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            # Sends nothing.
+            probe.connect(("192.0.2.1", 9))
+        except OSError:
+            return None
+        return probe.getsockname()[0]
+
+
+def test_command_line_sends_no_token_in_plaintext_to_other_machines(
+        identities, tmp_path):
+    address = own_address()
+    if address is None or address.startswith("127."):
+        pytest.skip("this machine has the loopback only")
+    token = replace(tmp_path / "token", identities.key.token("acme"))
+    with socket.create_server((address, 0)) as listener:
+        listener.settimeout(20)
+        heard = []
+
+        def hear():
+            with contextlib.suppress(OSError):
+                connection, _ = listener.accept()
+                connection.settimeout(2)
+                with connection, contextlib.suppress(OSError):
+                    while part := connection.recv(4096):
+                        heard.append(part)
+
+        thread = threading.Thread(target=hear)
+        thread.start()
+        port = listener.getsockname()[1]
+        result = run("revisit", "--server", f"{address}:{port}",
+                     "--token-file", token, "vehicle", "list", timeout=60)
+        assert result.returncode == 64 + Code.UNAVAILABLE.value[0], result
+    thread.join()
+    assert b"eyJ" not in b"".join(heard)
