@@ -59,6 +59,9 @@ std::vector<Direction> Directions(SearchDirection direction) {
   return {Direction::kSame, Direction::kOpposite};
 }
 
+// Odds against a new place that a search may leave out, all ends together.
+constexpr double kPrunedOdds = 1e-6;
+
 absl::Status Stopped() {
   return absl::CancelledError("the search was told to stop");
 }
@@ -137,9 +140,20 @@ void KeepBest(int count, std::vector<Candidate>* candidates) {
 Engine::Engine(const EngineSettings& settings)
     : settings_(settings),
       resampler_(MakeResamplerOptions(settings)),
+      motion_history_(MakeMotionHistory()),
+      block_bounds_(settings.state_space),
       monitor_(MakeConsistencyOptions(settings)) {
   assert(FindProblems(settings).empty());
   ScheduleNextCheck();
+}
+
+MotionHistory Engine::MakeMotionHistory() const {
+  const SearchOptions& search = settings_.search;
+  return MotionHistory(
+      settings_.state_space, search.correlation_model,
+      StretchNodes(search.shape, settings_.node_spacing_meters,
+                   SequenceNodes(search.sequence_length_meters,
+                                 settings_.node_spacing_meters)));
 }
 
 // The first check that lies after all nodes there are and leaves room for the
@@ -179,6 +193,8 @@ AppendResult Engine::Append(const std::vector<PoseSample>& samples,
     }
     last_sequence_ = sample.sequence;
   }
+  motion_history_.Extend(graph_);
+  block_bounds_.Extend(graph_);
   revision_ = revision;
   return result;
 }
@@ -195,6 +211,8 @@ void Engine::ChangeSettings(const EngineSettings& settings,
   settings_ = settings;
   revision_ = revision;
   if (!monitored_alike) RebuildMonitor();
+  motion_history_ = MakeMotionHistory();
+  motion_history_.Extend(graph_);
   ScheduleNextCheck();
 }
 
@@ -314,16 +332,32 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
   }
   set.nodes_considered = history_size;
   set.inflation = MakeSimilarityModel(options).inflation;
-  const absl::Status status = options.alignment == AlignmentKind::kComposite
-                                  ? FindComposite(query, steps, history_size,
-                                                  options, should_stop, &set)
-                                  : FindRelative(query, steps, history_size,
-                                                 options, should_stop, &set);
+  absl::Status status;
+  if (options.alignment == AlignmentKind::kComposite) {
+    status =
+        FindComposite(query, steps, history_size, options, should_stop, &set);
+  } else {
+    bool undecided = options.exhaustive;
+    CandidateSet found = set;
+    if (!options.exhaustive) {
+      status = FindRelative(query, steps, history_size, options, should_stop,
+                            &found, &undecided);
+    }
+    if (status.ok() && undecided) {
+      found = set;
+      status = FindRelative(query, steps, history_size, options, should_stop,
+                            &found, nullptr);
+    }
+    set = std::move(found);
+  }
   if (!status.ok()) return status;
   for (std::size_t i = 0; i < set.candidates.size(); ++i) {
     set.candidates[i].rank = static_cast<int>(i) + 1;
   }
-  if (set.candidates.empty()) return empty(EmptyReason::kNoAlignment);
+  if (set.candidates.empty()) {
+    return empty(set.nodes_pruned > 0 ? EmptyReason::kNoProbablePlace
+                                      : EmptyReason::kNoAlignment);
+  }
   return set;
 }
 
@@ -347,15 +381,15 @@ SimilarityModel Engine::MakeSimilarityModel(
 }
 
 void Engine::StrikeOutKnown(NodeIndex query, double separation_meters,
-                            std::vector<double>* scores) const {
-  if (scores->empty()) return;
-  StrikeOut(graph_, query, separation_meters, scores);
+                            ScoredEnds* ends) const {
+  if (ends->empty()) return;
+  StrikeOut(graph_, query, separation_meters, ends);
   // A hair more, so that what lies just as far is struck out too.
   const double around =
       std::max(separation_meters, kPlaceRadiusMeters) * (1.0 + 1e-9);
   for (const auto& [rejected_query, rejected_match] : rejected_) {
     if (graph_.MetersApart(rejected_query, query) <= around) {
-      StrikeOut(graph_, rejected_match, around, scores);
+      StrikeOut(graph_, rejected_match, around, ends);
     }
   }
 }
@@ -372,11 +406,11 @@ absl::Status Engine::FindComposite(NodeIndex query, std::int64_t steps,
     const std::optional<Alignment> alignment =
         Align(graph_, model, query, steps, history_size, should_stop);
     if (!alignment) return Stopped();
-    std::vector<double> scores = alignment->scores();
-    StrikeOutKnown(query, options.candidate_separation_meters, &scores);
-    for (const RankedEnd& end : RankEnds(graph_, std::move(scores),
-                                         options.candidate_separation_meters,
-                                         options.max_candidates)) {
+    ScoredEnds ends = PossibleEnds(alignment->scores());
+    StrikeOutKnown(query, options.candidate_separation_meters, &ends);
+    for (const RankedEnd& end :
+         RankEnds(graph_, ends, options.candidate_separation_meters,
+                  options.max_candidates)) {
       Candidate candidate;
       candidate.score = end.score;
       candidate.matched = end.matched;
@@ -398,7 +432,7 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
                                   NodeIndex history_size,
                                   const SearchOptions& options,
                                   const ShouldStop& should_stop,
-                                  CandidateSet* set) const {
+                                  CandidateSet* set, bool* undecided) const {
   RelativeModel model;
   model.similarity = MakeSimilarityModel(options);
   model.shape = options.shape;
@@ -409,15 +443,28 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
   if (model.similarity.correlation == CorrelationModel::kDeadReckoning) {
     model.last_confirmed = LastConfirmed(query);
   }
+  model.motion_history = &motion_history_;
+  // So little that no end with less can be accepted.
+  const double pruned_odds =
+      std::min(kPrunedOdds, 1e-3 * options.acceptance_probability);
+  if (undecided != nullptr) {
+    const double ends =
+        (model.same_direction && model.opposite_direction ? 2.0 : 1.0) *
+        static_cast<double>(history_size);
+    model.least_log_odds = std::log(pruned_odds / ends);
+    model.block_bounds = &block_bounds_;
+  }
   const std::optional<RelativeAlignment> alignment =
       AlignRelative(graph_, model, query, steps, history_size, should_stop);
   if (!alignment) return Stopped();
+  set->nodes_considered = alignment->considered();
+  set->nodes_pruned = history_size - alignment->considered();
 
-  std::array<std::vector<double>, 2> log_odds;
+  std::array<ScoredEnds, 2> log_odds;
   for (const Direction direction : Directions(options.direction)) {
-    std::vector<double>& scores = log_odds[IndexOf(direction)];
-    scores = alignment->scores(direction);
-    StrikeOutKnown(query, options.candidate_separation_meters, &scores);
+    ScoredEnds& ends = log_odds[IndexOf(direction)];
+    ends = alignment->ends(direction);
+    StrikeOutKnown(query, options.candidate_separation_meters, &ends);
   }
   // Best first; of equal scores, the same direction first.
   std::vector<RankedPlace> places;
@@ -429,8 +476,6 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
       places.push_back({direction, end});
     }
   }
-  // Nothing can be said where no covariance is well-conditioned.
-  if (places.empty()) return absl::OkStatus();
   std::stable_sort(places.begin(), places.end(),
                    [](const RankedPlace& a, const RankedPlace& b) {
                      return a.end.score > b.end.score;
@@ -513,19 +558,29 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
     }
     evidence.path_gate = gate.DecidePath(
         match.squared_end_difference + weight * match.squared_innovations,
-        dimensions * (1.0 + weight * match.steps));
+        dimensions * (1.0 + weight * static_cast<double>(match.steps)));
     evidence.squared_end_difference = match.squared_end_difference;
-    evidence.overlap_meters = match.steps * model.spacing_meters;
+    evidence.overlap_meters =
+        static_cast<double>(match.steps) * model.spacing_meters;
     evidence.log_likelihood_ratio = match.log_likelihood_ratio;
     candidate.verdict =
         Decide(candidate.difference.gate, evidence, runner_up,
                *set->new_place_probability, options.acceptance_probability);
-    for (const auto& [t, node] : alignment->Path(place.direction, matched)) {
-      candidate.path.emplace_back(query - t, node);
+    for (const PathStep& step : alignment->Path(place.direction, matched)) {
+      candidate.path.emplace_back(query - step.t, step.node);
     }
     std::reverse(candidate.path.begin(), candidate.path.end());
     candidate.relative = evidence;
     set->candidates.push_back(std::move(candidate));
+  }
+  if (undecided != nullptr) {
+    // What was left out would take away at most this share, or add as much.
+    *undecided = std::any_of(
+        set->candidates.begin(), set->candidates.end(),
+        [&](const Candidate& candidate) {
+          return std::abs(candidate.relative->probability -
+                          options.acceptance_probability) <= 2.0 * pruned_odds;
+        });
   }
   return absl::OkStatus();
 }

@@ -12,11 +12,14 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "core/alignment/scored_ends.h"
 #include "core/alignment/viterbi.h"
 #include "core/candidates/consistency.h"
 #include "core/candidates/gate.h"
 #include "core/geometry/pose.h"
+#include "core/graph/block_bounds.h"
 #include "core/graph/distance_resampler.h"
+#include "core/graph/motion_history.h"
 #include "core/graph/pose_graph.h"
 #include "core/settings.h"
 
@@ -76,6 +79,8 @@ enum class EmptyReason {
   // No path of the history is as long as the sequence, or Gamma is
   // ill-conditioned along all of them.
   kNoAlignment,
+  // No node left to be considered could come to any odds: see nodes_pruned.
+  kNoProbablePlace,
   // More than SearchOptions::max_comparisons.
   kTooMuchWork,
 };
@@ -85,7 +90,11 @@ struct CandidateSet {
   std::optional<NodeIndex> query;
   std::vector<Candidate> candidates;
   EmptyReason empty_reason = EmptyReason::kNotEmpty;
+  // Nodes of history that were compared with the query, and those that were
+  // left out because they could not come to an odds of 1e-6 against a new place
+  // all together.
   NodeIndex nodes_considered = 0;
+  NodeIndex nodes_pruned = 0;
   // What SearchOptions::max_comparisons bounds.
   std::int64_t comparisons = 0;
   // Only of relative alignments: posterior of no place of the history.
@@ -167,6 +176,7 @@ class Engine {
   std::optional<std::pair<NodeIndex, NodeIndex>> LoopEdge(
       std::uint64_t query_sequence, std::uint64_t matched_sequence) const;
   void ScheduleNextCheck();
+  MotionHistory MakeMotionHistory() const;
   // Learns all confirmed loops anew.
   void RebuildMonitor();
   // The last one whose nodes both lie at or before the query.
@@ -175,22 +185,27 @@ class Engine {
   // Makes impossible what is not to be offered at the query: what is near it,
   // and what was rejected there.
   void StrikeOutKnown(NodeIndex query, double separation_meters,
-                      std::vector<double>* scores) const;
+                      ScoredEnds* ends) const;
   // Fill the candidates; CANCELLED if told to stop.
   absl::Status FindComposite(NodeIndex query, std::int64_t steps,
                              NodeIndex history_size,
                              const SearchOptions& options,
                              const ShouldStop& should_stop,
                              CandidateSet* set) const;
+  // `undecided`, if given: ends are left out whose odds are at most kPrunedOdds
+  // together, and it says whether any verdict might be another with them.
   absl::Status FindRelative(NodeIndex query, std::int64_t steps,
                             NodeIndex history_size,
                             const SearchOptions& options,
-                            const ShouldStop& should_stop,
-                            CandidateSet* set) const;
+                            const ShouldStop& should_stop, CandidateSet* set,
+                            bool* undecided) const;
 
   EngineSettings settings_;
   PoseGraph graph_;
   DistanceResampler resampler_;
+  // For searches with the vehicle's own options.
+  MotionHistory motion_history_;
+  BlockBounds block_bounds_;
   std::uint64_t last_sequence_ = 0;
   std::uint64_t revision_ = 0;
   struct Confirmed {

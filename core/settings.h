@@ -40,6 +40,9 @@ struct SearchOptions {
   int max_candidates = 5;
   // The rest is for kRelative.
   ShapeModel shape;
+  // Whether to answer also what is too improbable to be accepted, which takes a
+  // look at all of history.
+  bool exhaustive = false;
   // Mean distance between roads not driven, [1, 1e6] m.
   double road_spacing_meters = 200.0;
   // In (0, 1).

@@ -49,7 +49,7 @@ class Export final : public grpc::ServerWriteReactor<Response>,
       Finish(call_.End(status));
       return;
     }
-    context_.fleet->Session(*id)->Read(
+    context_.fleet->Session(*id)->LongRead(
         [self = shared_from_this()](const absl::StatusOr<VehicleView>& view) {
           self->OnRead(view);
         });

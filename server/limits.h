@@ -55,9 +55,11 @@ struct Limits {
   int max_streams = 10000;
   int max_streams_per_vehicle = 32;
   int max_streams_per_caller = 0;
-  // Batches of one stream that may wait for their acknowledgement to be sent.
-  // Range [1, 10000].
-  int max_batches_in_flight = 16;
+  // Batches of one stream that may wait for their acknowledgement to be sent,
+  // and the memory that they may take, which a single one may exceed. Range [1,
+  // 10000] and [1024, 2^30].
+  int max_batches_in_flight = 512;
+  std::int64_t max_bytes_in_flight = std::int64_t{2} << 20;
   // Candidates of one stream that may wait for the client to read them, and
   // how long a client that let more come has to read why its stream ends. Range
   // [4096, 2^36] and [0.1, 3600].
@@ -68,7 +70,7 @@ struct Limits {
 
   // Batches of one vehicle, over all its streams and calls, that may wait.
   // Range [1, 1e6].
-  int max_pending_appends = 256;
+  int max_pending_appends = 1024;
   // Bytes of the batches that were read and are not durable: of one vehicle,
   // and in all. Range [1024, 2^40].
   std::int64_t max_queued_bytes_per_vehicle = std::int64_t{64} << 20;

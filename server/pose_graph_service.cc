@@ -332,7 +332,7 @@ absl::Status ListPairs(const ServiceContext& context, const UnaryCallPtr& call,
   const absl::StatusOr<std::string> after =
       ParsePageToken(list, request.page_token());
   if (!after.ok()) return after.status();
-  (*session)->Read(FinishWith<VehicleView>(
+  (*session)->LongRead(FinishWith<VehicleView>(
       call, [=, storage = context.storage](const VehicleView& view) {
         const auto records =
             storage->ListPosePairs(view.key, kind, *after, *page_size + 1);
@@ -553,7 +553,7 @@ grpc::ServerUnaryReactor* PoseGraphService::FindCandidates(
                                    kRequest.Field("vehicle"), call.get());
     if (!session.ok()) return session.status();
     if (absl::Status status = call->AdmitSearch(); !status.ok()) return status;
-    (*session)->Read(FinishWith<VehicleView>(
+    (*session)->LongRead(FinishWith<VehicleView>(
         call, [=, limits = context_.limits](const VehicleView& view) {
           return Find(*call, limits, view, *request, response);
         }));
@@ -655,7 +655,7 @@ grpc::ServerUnaryReactor* PoseGraphService::ListPoses(
         !status.ok()) {
       return status;
     }
-    (*session)->Read(FinishWith<VehicleView>(
+    (*session)->LongRead(FinishWith<VehicleView>(
         call, [=, storage = context_.storage](const VehicleView& view) {
           return ReadPoses(storage, view, *first, *page_size,
                            request->read_mask(), list, response);
@@ -698,6 +698,13 @@ grpc::ServerUnaryReactor* PoseGraphService::GetServerInfo(
     response->set_max_batch_poses(context_.limits.max_batch_poses);
     response->set_max_message_bytes(context_.limits.max_message_bytes);
     response->set_max_batches_in_flight(context_.limits.max_batches_in_flight);
+    // What others have on the server is no business of a tenant's.
+    if (!call->caller().grants || call->caller().tenant == "*") {
+      const Fleet::Residency residency = context_.fleet->residency();
+      response->set_resident_vehicle_count(residency.vehicles);
+      response->set_resident_node_count(residency.nodes);
+      response->set_resident_bytes(residency.bytes);
+    }
     call->End(absl::OkStatus());
     return absl::OkStatus();
   });

@@ -159,6 +159,7 @@ constexpr EnumRow<v1::EmptyReason, core::EmptyReason> kEmptyReasons[] = {
     {v1::EMPTY_REASON_NO_HISTORY, core::EmptyReason::kNoHistory},
     {v1::EMPTY_REASON_ALL_SUPPRESSED, core::EmptyReason::kAllSuppressed},
     {v1::EMPTY_REASON_NO_ALIGNMENT, core::EmptyReason::kNoAlignment},
+    {v1::EMPTY_REASON_NO_PROBABLE_PLACE, core::EmptyReason::kNoProbablePlace},
     {v1::EMPTY_REASON_LIMIT_EXCEEDED, core::EmptyReason::kTooMuchWork}};
 
 template <typename Proto, typename Core, std::size_t N>
@@ -1205,6 +1206,7 @@ absl::StatusOr<core::SearchOptions> DecodeCandidateOptions(
   Violations violations;
   core::SearchOptions search = config.engine.search;
   DecodeSearch(options, path, &search, &violations);
+  search.exhaustive = options.exhaustive();
   DecodeEnum(kSearchDirections, options.direction(), path.Field("direction"),
              &search.direction, &violations);
   AddProblems(core::FindProblems(search, config.engine), path, &violations);
@@ -1351,6 +1353,7 @@ void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,
 void EncodeAck(const Acknowledgement& acknowledgement, v1::Ack* ack) {
   ack->set_durable_sequence(acknowledgement.durable_sequence);
   ack->set_revision(acknowledgement.revision);
+  ack->clear_jumps();
   for (const core::Jump& jump : acknowledgement.jumps) {
     v1::Jump* added = ack->add_jumps();
     added->set_sequence(jump.sequence);
@@ -1417,6 +1420,7 @@ void EncodeCandidateSet(const VehicleView& view, const core::CandidateSet& set,
   }
   message->set_empty_reason(ToProto(kEmptyReasons, set.empty_reason));
   message->set_nodes_considered(set.nodes_considered);
+  message->set_nodes_pruned(set.nodes_pruned);
   if (set.new_place_probability) {
     message->set_new_place_probability(*set.new_place_probability);
   }

@@ -8,6 +8,7 @@
 #include <grpcpp/health_check_service_interface.h>
 #include <grpcpp/impl/server_builder_option.h>
 #include <grpcpp/impl/server_builder_plugin.h>
+#include <malloc.h>
 
 #include <algorithm>
 #include <atomic>
@@ -38,6 +39,8 @@ namespace revisit::server {
 namespace {
 
 constexpr char kStoreFile[] = "revisit.sqlite";
+// Of vehicles that send few poses a batch, as many as others send at once.
+constexpr std::size_t kRowPoses = 64;
 // For connections to be closed in an orderly way.
 constexpr std::chrono::milliseconds kGoodbyeTime{100};
 // How often memory is looked at, should no call do so.
@@ -60,28 +63,36 @@ absl::StatusOr<std::string> StoreFile(const std::string& path) {
   return (std::filesystem::path(path) / kStoreFile).string();
 }
 
-// A vehicle stays at most a tenth longer than promised.
-std::chrono::milliseconds UnloadPeriod(std::chrono::milliseconds idle_unload) {
-  return std::clamp<std::chrono::milliseconds>(idle_unload / 10,
-                                               std::chrono::milliseconds(100),
-                                               std::chrono::seconds(30));
+// Unloaded bytes that are worth giving back to the system: the C library keeps
+// what is freed, and to hand it over takes it some milliseconds per 100 MB.
+constexpr std::int64_t kWorthTrimming = std::int64_t{8} << 20;
+
+// A vehicle stays at most a tenth longer than promised, and memory at most a
+// second above the budget.
+std::chrono::milliseconds UnloadPeriod(const Fleet::Options& options) {
+  return std::clamp<std::chrono::milliseconds>(
+      options.idle_unload / 10, std::chrono::milliseconds(100),
+      std::chrono::seconds(options.memory_budget_bytes ? 1 : 30));
 }
 
 // Unloads what has been idle for long, and all that nobody uses where memory is
 // short.
-std::unique_ptr<Periodic> UnloadTimer(Fleet* fleet, Admission* admission,
-                                      std::chrono::milliseconds idle_unload) {
+std::unique_ptr<Periodic> MakeUnloadTimer(Fleet* fleet, Admission* admission,
+                                          const Fleet::Options& options) {
   using Clock = std::chrono::steady_clock;
-  const auto period = UnloadPeriod(idle_unload);
+  const auto period = UnloadPeriod(options);
   return std::make_unique<Periodic>(
       std::min(period, kMemoryPeriod),
-      [=, next = Clock::now() + period]() mutable {
+      [=, idle_unload = options.idle_unload, next = Clock::now() + period,
+       untrimmed = std::int64_t{0}]() mutable {
         const auto now = Clock::now();
-        if (admission->UnderMemoryPressure()) {
-          fleet->UnloadIdle(now + idle_unload);
-        } else if (now >= next) {
-          next = now + period;
-          fleet->UnloadIdle(now);
+        const bool pressed = admission->UnderMemoryPressure();
+        if (!pressed && now < next) return;
+        next = now + period;
+        untrimmed += fleet->UnloadIdle(pressed ? now + idle_unload : now).bytes;
+        if (untrimmed >= kWorthTrimming || pressed) {
+          malloc_trim(0);
+          untrimmed = 0;
         }
       });
 }
@@ -147,6 +158,7 @@ struct RevisitServer::State {
   ProtoRecordCodec codec;
   std::unique_ptr<Storage> storage;
   std::unique_ptr<Executor> executor;
+  std::unique_ptr<Executor> search_executor;
   std::unique_ptr<Fleet> fleet;
   ConnectionProgress connections;
   std::unique_ptr<Admission> admission;
@@ -286,9 +298,13 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
         });
   }
 
+  SqliteOptions storage_options;
+  storage_options.max_joined_poses = kRowPoses;
+  storage_options.latency_target = std::chrono::microseconds(
+      static_cast<std::int64_t>(settings.ack_latency_target_ms * 1000.0));
   const absl::StatusOr<std::string> file = StoreFile(settings.store);
   absl::StatusOr<std::unique_ptr<Storage>> storage =
-      file.ok() ? OpenSqliteStorage(*file) : file.status();
+      file.ok() ? OpenSqliteStorage(*file, storage_options) : file.status();
   if (!storage.ok()) {
     *error = {absl::IsFailedPrecondition(storage.status()) ? kExitStoreInUse
                                                            : kExitStoreFailed,
@@ -299,26 +315,36 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
 
   const int processors =
       static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
-  const int threads =
-      settings.worker_threads > 0 ? settings.worker_threads : processors;
-  state->executor = std::make_unique<Executor>(threads);
+  state->executor = std::make_unique<Executor>(
+      "vehicles",
+      settings.worker_threads > 0 ? settings.worker_threads : processors);
+  // With one alone, every vehicle that is loaded waits for every search.
+  const int search_threads = settings.search_threads > 0
+                                 ? settings.search_threads
+                                 : std::max(2, processors);
+  state->search_executor =
+      std::make_unique<Executor>("searches", search_threads);
   Fleet::Options options;
   options.idle_unload = Milliseconds(settings.idle_unload_minutes * 60.0);
+  if (settings.memory_budget_mebibytes > 0) {
+    options.memory_budget_bytes = settings.memory_budget_mebibytes << 20;
+  }
   options.session.max_pending_appends = settings.limits.max_pending_appends;
-  state->fleet = std::make_unique<Fleet>(state->storage.get(), &state->codec,
-                                         state->executor.get(), options);
+  state->fleet = std::make_unique<Fleet>(
+      state->storage.get(), &state->codec,
+      Lanes(state->executor.get(), state->search_executor.get()), options);
   Limits limits = settings.limits;
   if (limits.max_memory_bytes == 0) {
     limits.max_memory_bytes = DefaultMemoryLimit();
   }
-  state->admission =
-      std::make_unique<Admission>(limits, threads, ResidentBytes);
-  state->unload_timer = UnloadTimer(state->fleet.get(), state->admission.get(),
-                                    options.idle_unload);
+  state->admission = std::make_unique<Admission>(
+      limits, std::min(search_threads, processors), ResidentBytes);
+  state->unload_timer =
+      MakeUnloadTimer(state->fleet.get(), state->admission.get(), options);
 
   ServiceContext context;
   context.storage = state->storage.get();
-  context.executor = state->executor.get();
+  context.executor = state->search_executor.get();
   context.fleet = state->fleet.get();
   context.drain = &state->drain;
   context.gatekeeper = state->gatekeeper.get();
@@ -326,6 +352,10 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   context.admission = state->admission.get();
   context.connections = &state->connections;
   context.limits = settings.limits;
+  // A stream alone must not exceed what one vehicle may have waiting.
+  context.limits.max_batches_in_flight =
+      std::min(settings.limits.max_batches_in_flight,
+               settings.limits.max_pending_appends);
   state->service = std::make_unique<PoseGraphService>(context);
 
   grpc::EnableDefaultHealthCheckService(settings.serve_health);
@@ -400,11 +430,15 @@ void RevisitServer::Shutdown() {
   state_->unload_timer.reset();
   state_->fleet.reset();
   state_->executor.reset();
+  state_->search_executor.reset();
+  const CommitCounts counts = state_->storage->Counts();
   state_->storage.reset();
   const std::chrono::duration<double, std::milli> duration =
       std::chrono::steady_clock::now() - start;
   state_->log->Write(LogLevel::kInfo, "stopped",
-                     {{"duration_ms", duration.count()}});
+                     {{"duration_ms", duration.count()},
+                      {"commits", static_cast<std::int64_t>(counts.commits)},
+                      {"writes", static_cast<std::int64_t>(counts.writes)}});
 }
 
 }  // namespace revisit::server

@@ -18,6 +18,7 @@ class Storage;
 // All outlive the calls.
 struct ServiceContext {
   Storage* storage = nullptr;
+  // Where what reads the store runs.
   Executor* executor = nullptr;
   Fleet* fleet = nullptr;
   Drain* drain = nullptr;

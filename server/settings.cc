@@ -190,11 +190,24 @@ class OptionTable {
     AddText(serving, "port-file", &s.port_file, "FILE",
             "Write the address listened on here once calls are taken");
     AddNumber(serving, "worker-threads", &s.worker_threads, 0, 1024,
-              "Threads for the vehicles' work; 0 means one a processor");
+              "Threads for acknowledging poses and other short work; 0 means "
+              "one a processor");
+    AddNumber(serving, "search-threads", &s.search_threads, 0, 1024,
+              "Threads for searches, loading and reading the store, which "
+              "never hold up the others; 0 means one a processor");
     AddNumber(serving, "idle-unload-minutes", &s.idle_unload_minutes, 0.01, 1e6,
               "Unload a vehicle that nobody has asked for this long");
+    AddNumber(serving, "memory-budget-mebibytes", &s.memory_budget_mebibytes, 0,
+              1 << 30,
+              "Unload unused vehicles sooner above this much memory of nodes "
+              "and edges; 0 means as much as it takes");
     AddNumber(serving, "drain-timeout-seconds", &s.drain_timeout_seconds, 0,
               86400, "How long calls may go on after SIGTERM");
+
+    AddNumber(serving, "ack-latency-target-ms", &s.ack_latency_target_ms, 0,
+              1000,
+              "While many poses come, gather them into larger commits as long "
+              "as acknowledgements take no longer than this; 0 never waits");
 
     AddLimits();
 
@@ -290,6 +303,8 @@ class OptionTable {
               1000000, "Streaming calls at a time of one caller; 0: no limit");
     AddNumber(work, "max-batches-in-flight", &l.max_batches_in_flight, 1, 10000,
               "Batches of one stream that may wait for their acknowledgement");
+    AddNumber(work, "max-bytes-in-flight", &l.max_bytes_in_flight, 1024,
+              1 << 30, "Memory that they may take; one alone may take more");
     AddNumber(work, "max-unread-bytes", &l.max_unread_bytes, 4096,
               std::int64_t{1} << 36,
               "Candidates of one stream that may wait for the client to read "

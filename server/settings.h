@@ -30,14 +30,24 @@ struct ServerSettings {
   // If not empty, the address listened on is written here once calls are taken.
   std::string port_file;
 
-  // Threads for the vehicles' work; 0 takes as many as the machine has
-  // processors. Range [0, 1024].
+  // Threads for the vehicles' short work, such as acknowledging poses, and for
+  // what takes long: searches, loading, reading the store. 0 takes as many as
+  // the machine has processors, of the second at least 2. Range [0, 1024].
   int worker_threads = 0;
+  int search_threads = 0;
   // A vehicle nobody has asked for this long is unloaded. Range [0.01, 1e6].
   double idle_unload_minutes = 10.0;
+  // Above this many mebibytes of nodes and edges, vehicles that no call or
+  // stream holds are unloaded sooner, the longest unused first; 0 takes what it
+  // takes. Range [0, 2^30].
+  std::int64_t memory_budget_mebibytes = 0;
   // How long calls may go on after SIGTERM before they are cut. Range [0,
   // 86400].
   double drain_timeout_seconds = 10.0;
+
+  // Acknowledgements may take this long for the sake of larger commits, while
+  // many come; 0: never. Range [0, 1000].
+  double ack_latency_target_ms = 2.0;
 
   Limits limits;
 

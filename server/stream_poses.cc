@@ -35,8 +35,9 @@ constexpr std::size_t kRequestBlockBytes = std::size_t{128} << 10;
 // acknowledgement is queued), checked (its candidates are queued), written.
 //
 // Flow control: the next message is read once the last is staged, for they
-// share one request object, and as long as the batches that are not durable and
-// the responses that are not written come to less than max_batches_in_flight.
+// share one request object, as long as the batches that are not durable and the
+// responses that are not written come to less than max_batches_in_flight, and
+// the batches that are not durable to less than max_bytes_in_flight.
 // So the transport's own flow control reaches the client.
 //
 // A client that sends poses but does not read what their checks found is cut
@@ -131,8 +132,18 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     ~AppendScope() { stream->OnAppendOver(); }
 
     const std::shared_ptr<PoseStream> stream;
+    // Memory of the batch.
+    std::size_t bytes = 0;
     // When the strand got to the work it is doing now; used there only.
     std::chrono::steady_clock::time_point work_start;
+  };
+
+  // What is to be written: `other`, or an acknowledgement if there is none.
+  struct Answer {
+    Acknowledgement ack;
+    std::unique_ptr<Response> other;
+    // Of candidates: what they take.
+    std::int64_t candidate_bytes = 0;
   };
 
   static absl::Status OutOfOrder(const std::string& message) {
@@ -201,14 +212,14 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       Fail(status);
       return;
     }
-    Response response;
-    v1::StreamPosesOpened* opened = response.mutable_opened();
+    auto response = std::make_unique<Response>();
+    v1::StreamPosesOpened* opened = response->mutable_opened();
     opened->set_durable_sequence(view->durable_sequence);
     opened->set_revision(view->revision);
     opened->set_max_batch_poses(context_.limits.max_batch_poses);
     const std::lock_guard<std::mutex> lock(mutex_);
     handling_ = false;
-    queue_.push_back(std::move(response));
+    queue_.push_back({{}, std::move(response)});
     Advance();
   }
 
@@ -219,19 +230,22 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
                           : "a message after `open` is a `batch`"));
       return;
     }
-    const absl::StatusOr<Permit> room =
-        call_.AdmitBatch(request_->ByteSizeLong());
+    // What comes of it takes about as much.
+    const auto bytes = static_cast<std::size_t>(arena_.SpaceUsed());
+    const absl::StatusOr<Permit> room = call_.AdmitBatch(bytes);
     if (!room.ok()) {
       Fail(room.status());
       return;
     }
+    const auto self = shared_from_this();
+    const auto scope = std::make_shared<AppendScope>(self);
+    scope->bytes = bytes;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       ++in_flight_;
       ++open_appends_;
+      bytes_in_flight_ += scope->bytes;
     }
-    const auto self = shared_from_this();
-    const auto scope = std::make_shared<AppendScope>(self);
     AppendRequest append;
     append.decoder = [self](const VehicleConfig& config) {
       const FieldPath batch = FieldPath().Field("batch");
@@ -250,7 +264,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     append.callbacks.durable =
         [self, scope, permit = *room](
             const absl::StatusOr<Acknowledgement>& acknowledgement) {
-          self->OnDurable(acknowledgement);
+          self->OnDurable(acknowledgement, scope->bytes);
           scope->work_start = std::chrono::steady_clock::now();
         };
     append.callbacks.candidates =
@@ -270,13 +284,13 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     Advance();
   }
 
-  void OnDurable(const absl::StatusOr<Acknowledgement>& acknowledgement) {
+  void OnDurable(const absl::StatusOr<Acknowledgement>& acknowledgement,
+                 std::size_t bytes) {
     const std::lock_guard<std::mutex> lock(mutex_);
     --in_flight_;
+    bytes_in_flight_ -= bytes;
     SetFailure(acknowledgement.status());
-    if (acknowledgement.ok()) {
-      EncodeAck(*acknowledgement, queue_.emplace_back().mutable_ack());
-    }
+    if (acknowledgement.ok()) queue_.push_back({*acknowledgement, nullptr});
     Advance();
   }
 
@@ -285,20 +299,20 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
                     std::chrono::nanoseconds duration) {
     // Searches stop when the caller is gone, and then nobody waits for them.
     if (call_.given_up()) return;
-    Response response;
-    std::size_t bytes = 0;
+    auto response = std::make_unique<Response>();
+    std::int64_t bytes = 0;
     if (set.ok()) {
       EncodeCandidateSet(view, *set, candidate_options_.include_aligned_path(),
-                         duration, response.mutable_candidates());
-      bytes = response.SpaceUsedLong();
+                         duration, response->mutable_candidates());
+      bytes = static_cast<std::int64_t>(response->SpaceUsedLong());
     }
     const std::lock_guard<std::mutex> lock(mutex_);
     SetFailure(set.status());
     const std::int64_t limit = context_.limits.max_unread_bytes;
     if (set.ok() && !slow_) {
-      unread_bytes_ += static_cast<std::int64_t>(bytes);
-      if (unread_bytes_ <= limit || queue_.empty()) {
-        queue_.push_back(std::move(response));
+      if (unread_bytes_ + bytes <= limit || queue_.empty()) {
+        unread_bytes_ += bytes;
+        queue_.push_back({{}, std::move(response), bytes});
       } else {
         CutSlowConsumer(view.durable_sequence, limit);
       }
@@ -317,9 +331,9 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
             std::to_string(limit) +
             " bytes wait; poses are durable up to sequence " + durable,
         {{"durable_sequence", durable}, {"limit", std::to_string(limit)}}));
-    std::deque<Response> kept;
-    for (Response& response : queue_) {
-      if (!response.has_candidates()) kept.push_back(std::move(response));
+    std::deque<Answer> kept;
+    for (Answer& answer : queue_) {
+      if (answer.candidate_bytes == 0) kept.push_back(std::move(answer));
     }
     queue_.swap(kept);
     const std::chrono::milliseconds grace(static_cast<std::int64_t>(
@@ -402,11 +416,9 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     if (call_.given_up()) queue_.clear();
     if (!writing_ && !queue_.empty()) {
       writing_ = true;
-      response_.Swap(&queue_.front());
+      unread_bytes_ -= queue_.front().candidate_bytes;
+      Encode(std::move(queue_.front()));
       queue_.pop_front();
-      if (response_.has_candidates()) {
-        unread_bytes_ -= static_cast<std::int64_t>(response_.SpaceUsedLong());
-      }
       grpc::WriteOptions options;
       if (!queue_.empty()) options.set_buffer_hint();
       StartWrite(&response_, options);
@@ -423,13 +435,28 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
                          (writing_ ? 1 : 0);
     const auto most =
         static_cast<std::size_t>(context_.limits.max_batches_in_flight);
-    if (!reading_ && !handling_ && waiting < most) {
+    const bool has_room =
+        waiting == 0 ||
+        (waiting < most &&
+         bytes_in_flight_ <
+             static_cast<std::size_t>(context_.limits.max_bytes_in_flight));
+    if (!reading_ && !handling_ && has_room) {
       reading_ = true;
       // Reset() keeps the first block.
       arena_.Reset();
       request_ = google::protobuf::Arena::CreateMessage<Request>(&arena_);
       request_->mutable_open()->set_vehicle(kUnread);
       StartRead(request_);
+    }
+  }
+
+  // Makes a response of an answer. Acknowledgements, which are many, share what
+  // the one before has taken.
+  void Encode(Answer answer) {
+    if (answer.other != nullptr) {
+      response_ = *std::move(answer.other);
+    } else {
+      EncodeAck(answer.ack, response_.mutable_ack());
     }
   }
 
@@ -454,7 +481,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   std::mutex mutex_;
   // Guarded by mutex_.
   std::shared_ptr<VehicleSession> session_;
-  std::deque<Response> queue_;
+  std::deque<Answer> queue_;
   // Of the candidates in it.
   std::int64_t unread_bytes_ = 0;
   // Whether the client was found not to read its candidates.
@@ -469,6 +496,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   std::optional<absl::Status> failure_;
   // Batches that are not durable.
   int in_flight_ = 0;
+  std::size_t bytes_in_flight_ = 0;
   // Batches of which something may still come.
   int open_appends_ = 0;
 };

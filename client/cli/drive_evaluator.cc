@@ -73,6 +73,8 @@ absl::StatusOr<CheckAnswer> MakeAnswer(const v1::CandidateSet& set) {
   }
   if (set.candidates().empty()) {
     answer.empty_reason = Explain(set.empty_reason());
+    answer.none_probable =
+        set.empty_reason() == v1::EMPTY_REASON_NO_PROBABLE_PLACE;
   }
   return answer;
 }
@@ -159,6 +161,7 @@ class Evaluator {
     options.send_candidates = true;
     options.candidate_options.set_direction(
         DirectionOf(run_.judging.direction));
+    options.candidate_options.set_exhaustive(run_.exhaustive);
     options.acked_sequence = begin;
     options.give_up_after = std::chrono::seconds(30);
     // Written by callbacks, read when they are over.

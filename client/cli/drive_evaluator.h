@@ -32,6 +32,8 @@ struct DriveRun {
   std::string label;
   // Its direction is what is asked for.
   Judging judging;
+  // CandidateOptions.exhaustive.
+  bool exhaustive = false;
   // Plays the verifier: an accepted first candidate that is right is added as a
   // loop closure, one that is wrong is rejected, before any pose beyond the
   // next check is sent. Checks and verdicts then follow each other in one

@@ -413,6 +413,7 @@ class Evaluation {
                    Fixed(method.sequence_length_meters, 0) + " m";
     }
     run.judging = method.judging;
+    run.exhaustive = options_.exhaustive;
     run.verify = options_.verify;
     if (method.source == Method::Source::kServiceBeyondRecentPath) {
       run.older_candidates = static_cast<std::size_t>(

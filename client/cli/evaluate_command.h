@@ -40,6 +40,8 @@ struct EvaluateOptions {
   UncertaintyOptions uncertainty;
   // `excluded_nodes` is made of `exclude_meters` and the node spacing.
   Judging judging;
+  // CandidateOptions.exhaustive.
+  bool exhaustive = false;
   double exclude_meters = 150.0;
   // Measures the baselines beside the settings.
   bool baselines = false;

@@ -212,6 +212,9 @@ Tally Count(const std::vector<JudgedCheck>& checks) {
         tally.probabilities.push_back(
             {*first.probability, check.top_correct()});
       }
+    } else if (check.answer.none_probable) {
+      // The best that was left out.
+      tally.probabilities.push_back({0.0, false});
     }
     if (check.answer.search_milliseconds.has_value()) {
       tally.search_milliseconds.push_back(*check.answer.search_milliseconds);

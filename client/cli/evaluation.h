@@ -76,6 +76,8 @@ struct CheckAnswer {
   std::vector<CandidateAnswer> candidates;
   // Why there are none.
   std::string empty_reason;
+  // None, because each is all but impossible.
+  bool none_probable = false;
   // Where the method measures it.
   std::optional<double> search_milliseconds;
 };

@@ -527,6 +527,11 @@ class Program {
         "--aligned-path",
         [this] { find_.mutable_options()->set_include_aligned_path(true); },
         "Let the JSON have the aligned pairs");
+    command->add_flag_callback(
+        "--exhaustive",
+        [this] { find_.mutable_options()->set_exhaustive(true); },
+        "Look at all of history, and answer also what is too improbable to be "
+        "accepted");
     AddChoice(
         {command}, "--direction", kDirections,
         [this](int v) {
@@ -703,6 +708,11 @@ class Program {
         ->delimiter(',')
         ->allow_extra_args(false)
         ->check(CLI::PositiveNumber.description(""))
+        ->group(measured.heading);
+    command
+        ->add_flag("--exhaustive", evaluate_.exhaustive,
+                   "Let searches look at all of history, and answer also what "
+                   "is too improbable to be accepted")
         ->group(measured.heading);
     AddChoice(
         measured, "--direction", kPassDirections,

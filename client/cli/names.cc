@@ -62,6 +62,8 @@ std::string Explain(v1::EmptyReason reason) {
       return "all history is too near the query along the path";
     case v1::EMPTY_REASON_NO_ALIGNMENT:
       return "the sequence aligns with no path of the history";
+    case v1::EMPTY_REASON_NO_PROBABLE_PLACE:
+      return "no place of the history is probable";
     default:
       return "the server gave no reason";
   }

@@ -70,6 +70,30 @@ std::optional<KnownDrift<D>> KnownDrift<D>::Make(const PoseGraph& graph,
 }
 
 template <int D>
+KnownDriftTerms KnownDrift<D>::Terms() const {
+  const auto rows = [](const StateMatrix<D>& m, double(&to)[4][4]) {
+    for (int r = 0; r < D; ++r) {
+      for (int c = 0; c < D; ++c) to[r][c] = m(r, c);
+    }
+  };
+  KnownDriftTerms terms;
+  const auto fill = [&](NodeIndex i, KnownDriftTerms::LoopNode* to) {
+    const Node node = graph_->node(i);
+    to->index = i;
+    to->x = node.pose.x;
+    to->y = node.pose.y;
+    rows(ToMatrix<D>(node.covariance), to->covariance);
+  };
+  fill(loop_.query, &terms.query);
+  fill(loop_.matched, &terms.matched);
+  rows(query_part_, terms.query_part);
+  rows(information_, terms.information);
+  for (int r = 0; r < D; ++r) terms.loop_difference[r] = loop_difference_(r);
+  terms.variance_scale = variance_scale_;
+  return terms;
+}
+
+template <int D>
 void KnownDrift<D>::Apply(NodeIndex j, StateVector<D>* difference,
                           StateMatrix<D>* covariance) const {
   constexpr CorrelationModel kModel = CorrelationModel::kDeadReckoning;

@@ -14,6 +14,7 @@
 #include <optional>
 
 #include "core/alignment/log_similarity.h"
+#include "core/alignment/similarity_kernel.h"
 #include "core/geometry/pose.h"
 #include "core/graph/pose_graph.h"
 
@@ -45,6 +46,9 @@ class KnownDrift {
                                         const SimilarityModel& model,
                                         const ConfirmedLoop& loop,
                                         NodeIndex query);
+
+  // As the kernel takes it.
+  KnownDriftTerms Terms() const;
 
   // Takes K y from the difference of the query and node j, and K X^T from its
   // covariance.

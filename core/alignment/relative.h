@@ -31,25 +31,32 @@
 // Paths walk the graph: to the node before; over a confirmed loop closure,
 // where the two passes are taken for one place and the other pass is walked on;
 // and, where the odometers of the two passes disagree, staying at a node or
-// skipping one. This is Viterbi with survivors that each carry their drift: of
-// the paths that reach one history node at one step, walking one way, only the
-// best is walked on (by anchor with a = 0, plus w LLR). Opposite passes walk
-// the history forward in time with all headings turned by pi, and share the
-// same trellis.
+// skipping one, if that step is then the likelier by more than kSlipCost. Each
+// end has its own paths, which carry their drift with them: one, and one more
+// for each loop closure that is crossed. Of the paths of one end that meet
+// after a loop closure the likelier is walked on, and of all at most
+// kMostPaths. Opposite passes walk the history forward in time with all
+// headings turned by pi.
+//
+// Since ends do not depend on each other, only those that can matter need be
+// looked at: see RelativeModel::least_log_odds.
 #ifndef REVISIT_CORE_ALIGNMENT_RELATIVE_H_
 #define REVISIT_CORE_ALIGNMENT_RELATIVE_H_
 
 #include <array>
 #include <cstdint>
+#include <memory>
 #include <optional>
-#include <unordered_map>
 #include <utility>
 #include <vector>
 
 #include "core/alignment/known_drift.h"
 #include "core/alignment/log_similarity.h"
+#include "core/alignment/scored_ends.h"
 #include "core/alignment/shape_filter.h"
 #include "core/alignment/viterbi.h"
+#include "core/graph/block_bounds.h"
+#include "core/graph/motion_history.h"
 #include "core/graph/pose_graph.h"
 
 namespace revisit::core {
@@ -66,6 +73,9 @@ inline constexpr double kSlipCost = 4.6;
 // in 900 steps.
 inline constexpr double kSquaredInnovationLimit = 16.0;
 
+// Paths of one end that are walked on side by side.
+inline constexpr std::size_t kMostPaths = 4;
+
 struct RelativeModel {
   // Of the anchor.
   SimilarityModel similarity;
@@ -77,6 +87,14 @@ struct RelativeModel {
   // What is known of the drift. kDeadReckoning only; both nodes at or before
   // the query.
   std::optional<ConfirmedLoop> last_confirmed;
+  // Ends with lower log-odds are left out. With this above -infinity, they are
+  // not looked at where that can be told: by where their block lies, by their
+  // own pose and covariance, by a path that cannot make up for it.
+  double least_log_odds = kImpossible;
+  // Of the graph, if they are kept: the one saves measuring its motion anew,
+  // the other looking at every node.
+  const MotionHistory* motion_history = nullptr;
+  const BlockBounds* block_bounds = nullptr;
 };
 
 // What makes log-odds against a new place of a log-similarity in Gaussian form:
@@ -88,55 +106,68 @@ struct ShapeMatch {
   double log_likelihood_ratio = 0.0;
   // Sum over its steps.
   double squared_innovations = 0.0;
-  // Steps of the recent path it covers; 0 for the end alone.
-  std::int32_t steps = 0;
-  // Where it leads to, and which way it walks there.
-  std::int32_t last = 0;
-  Direction last_direction = Direction::kSame;
   // (d + a)^T (Gamma + R - A)^-1 (d + a): the end's difference as the whole
   // path tells it.
   double squared_end_difference = 0.0;
+  // Steps of the recent path it covers; 0 for the end alone.
+  std::int64_t steps = 0;
+};
+
+// A step of a path: t steps back from the recent path's end, the node it is at
+// and the way it walks there.
+struct PathStep {
+  std::int64_t t = 0;
+  NodeIndex node = 0;
+  Direction direction = Direction::kSame;
+
+  bool operator==(const PathStep& other) const {
+    return t == other.t && node == other.node && direction == other.direction;
+  }
+};
+
+// Walks back from single ends once more.
+class PathFinder {
+ public:
+  virtual ~PathFinder() = default;
+  virtual std::vector<PathStep> Find(Direction direction,
+                                     NodeIndex j) const = 0;
 };
 
 class RelativeAlignment {
  public:
-  // Nodes of history: [0, size).
-  NodeIndex size() const { return size_; }
-
-  // Log-odds; kImpossible where Gamma is ill-conditioned. Empty for a direction
-  // that was not sought.
-  const std::vector<double>& scores(Direction direction) const {
-    return scores_[IndexOf(direction)];
+  // Ends with their log-odds, sorted by node; none whose Gamma is
+  // ill-conditioned. Empty for a direction that was not sought.
+  const ScoredEnds& ends(Direction direction) const {
+    return ends_[IndexOf(direction)];
   }
-  const ShapeMatch& match(Direction direction, NodeIndex j) const {
-    return matches_[IndexOf(direction)][static_cast<std::size_t>(j)];
+  // REQUIRES: j is among the ends.
+  const ShapeMatch& match(Direction direction, NodeIndex j) const;
+
+  // The best path back from j, the end first. REQUIRES: j is among the ends;
+  // the graph is as it was.
+  std::vector<PathStep> Path(Direction direction, NodeIndex j) const {
+    return paths_->Find(direction, j);
   }
 
-  // The pairs (t, node) of the best path back from j, t = 0 at the end first.
-  std::vector<std::pair<std::int64_t, NodeIndex>> Path(Direction direction,
-                                                       NodeIndex j) const;
+  // Nodes of history from which paths were walked back, either way.
+  NodeIndex considered() const { return considered_; }
 
  private:
   template <int D>
   friend class RelativeAligner;
 
-  NodeIndex size_ = 0;
-  std::array<std::vector<double>, 2> scores_;
+  std::array<ScoredEnds, 2> ends_;
+  // As ends_.
   std::array<std::vector<ShapeMatch>, 2> matches_;
-  // By way of walking, for step t at (t - 1) * size + node: how the best path
-  // came there. Empty for a way never walked.
-  std::array<std::vector<std::uint8_t>, 2> moves_;
-  // Where those that came over a loop closure came from, by way and the
-  // position above: the node, and the way it was walked.
-  std::array<std::unordered_map<std::size_t, std::pair<NodeIndex, Direction>>,
-             2>
-      over_loops_;
+  std::shared_ptr<const PathFinder> paths_;
+  NodeIndex considered_ = 0;
 };
 
 // Aligns the `steps` nodes that end at `query` with the history [0,
-// history_size). Time and memory O(steps * (history_size + loop edges)), less
-// where shapes differ early. Nothing if told to stop. REQUIRES: as for Align();
-// the recent path lies in one segment.
+// history_size). Time O(steps * history_size) at most, less where shapes differ
+// early, and less still where ends are left out. Nothing if told to stop.
+// REQUIRES: as for Align(); the recent path lies in one segment; the graph
+// outlives the answer.
 std::optional<RelativeAlignment> AlignRelative(
     const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
     std::int64_t steps, NodeIndex history_size, const ShouldStop& should_stop);

@@ -44,15 +44,26 @@ double ShapeWeight(const ShapeModel& model, double spacing_meters) {
   return std::min(1.0, spacing_meters / model.correlation_meters);
 }
 
+NodeIndex StretchNodes(const ShapeModel& model, double spacing_meters,
+                       std::int64_t steps) {
+  return std::max<NodeIndex>(
+      1, std::min<NodeIndex>(steps - 1, std::llround(model.correlation_meters /
+                                                     spacing_meters)));
+}
+
 template <int D>
-ShapeFilter<D>::ShapeFilter(const PoseGraph& graph, NodeIndex query,
-                            std::int64_t steps,
-                            const MotionStatistics<D>& motion,
+ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
+                            const MotionHistory* history, NodeIndex query,
+                            std::int64_t steps, CorrelationModel correlation,
                             const ShapeModel& model,
                             const PlaceTolerance& place_tolerance,
                             double spacing_meters, double inflation) {
   assert(1 <= steps && steps <= query + 1);
   const double claimed = inflation * inflation;
+  const MotionStatistics<D> motion =
+      history != nullptr && history->model() == correlation
+          ? history->Measure<D>(graph, query)
+          : MeasureMotion<D>(graph, correlation, query);
   // Both passes drift.
   StateMatrix<D> noise = 2.0 * claimed * motion.drift;
   AddTolerance<D>({kLeastStepNoiseMeters * std::sqrt(spacing_meters),
@@ -63,15 +74,15 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph, NodeIndex query,
   const StateMatrix<D> jitter = 2.0 * claimed * motion.jitter;
 
   const double weight = ShapeWeight(model, spacing_meters);
-  // No longer than the path, so that like is compared with like.
-  const auto stretch_nodes = std::max<NodeIndex>(
-      1, std::min<NodeIndex>(steps - 1, std::llround(model.correlation_meters /
-                                                     spacing_meters)));
+  const NodeIndex stretch_nodes = StretchNodes(model, spacing_meters, steps);
   const double turn_tolerance =
       std::sqrt(2.0 * (tolerance(D - 1, D - 1) + jitter(D - 1, D - 1)));
-  const std::vector<double> shares = ShareOfStretches(
-      graph, query, stretch_nodes, Turns(graph, query, steps, stretch_nodes),
-      turn_tolerance);
+  const std::vector<double> turns = Turns(graph, query, steps, stretch_nodes);
+  const std::vector<double> shares =
+      history != nullptr && history->stretch_nodes() == stretch_nodes
+          ? history->Shares(graph, query, turns, turn_tolerance)
+          : ShareOfStretches(graph, query, stretch_nodes, turns,
+                             turn_tolerance);
 
   StateMatrix<D> end_prior = jitter;
   AddTolerance<D>(
@@ -123,6 +134,35 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph, NodeIndex query,
         end_prior - Inverse<D>(end_prior_information + weight * gathered);
     step.surprise = -std::log(shares[static_cast<std::size_t>(t)]);
   }
+  // Cov(at_end) is the sum of K S K^T over the steps, which bounds
+  // sum K nu by Cauchy and Schwarz.
+  end_shift_ = end_prior - end_covariance;
+}
+
+template <int D>
+WalkStep ShapeFilter<D>::Kernel(std::int64_t t) const {
+  const Step& step = steps_[static_cast<std::size_t>(t)];
+  WalkStep kernel;
+  kernel.number = static_cast<double>(t);
+  kernel.step_x = step.step_x;
+  kernel.step_y = step.step_y;
+  kernel.surprise = step.surprise;
+  for (int r = 0; r < D; ++r) {
+    kernel.path[r] = step.path(r);
+    // The path's end is no step.
+    for (int c = 0; t > 0 && c < D; ++c) {
+      kernel.gain[r][c] = step.gain(r, c);
+      kernel.end_gain[r][c] = step.end_gain(r, c);
+    }
+  }
+  if (t > 0) {
+    const StateMatrix<D> whitening =
+        Eigen::LLT<StateMatrix<D>>(step.information).matrixU();
+    for (int r = 0; r < D; ++r) {
+      for (int c = r; c < D; ++c) kernel.whitening[r][c] = whitening(r, c);
+    }
+  }
+  return kernel;
 }
 
 template class ShapeFilter<3>;

@@ -42,9 +42,11 @@
 #include <vector>
 
 #include "core/alignment/log_similarity.h"
+#include "core/alignment/walk_kernel.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
-#include "core/graph/motion_statistics.h"
+#include "core/graph/correlation.h"
+#include "core/graph/motion_history.h"
 #include "core/graph/pose_graph.h"
 
 namespace revisit::core {
@@ -62,6 +64,11 @@ struct ShapeModel {
 // deviations per square root of a metre.
 inline constexpr double kLeastStepNoiseMeters = 0.02;
 inline constexpr double kLeastStepNoiseRadians = 0.0005;
+
+// Stretches whose turns are compared: as long as the correlation distance, but
+// no longer than a path of `steps` nodes, so that like is compared with like.
+NodeIndex StretchNodes(const ShapeModel& model, double spacing_meters,
+                       std::int64_t steps);
 
 // w, at most 1.
 double ShapeWeight(const ShapeModel& model, double spacing_meters);
@@ -83,12 +90,13 @@ class ShapeFilter {
   };
 
   // The path of `steps` nodes that ends at `query`, within one segment.
-  // `motion` is that of nodes up to the query; `inflation` multiplies its
-  // standard deviations.
-  ShapeFilter(const PoseGraph& graph, NodeIndex query, std::int64_t steps,
-              const MotionStatistics<D>& motion, const ShapeModel& model,
-              const PlaceTolerance& place_tolerance, double spacing_meters,
-              double inflation);
+  // `inflation` multiplies the standard deviations of the nodes' motion under
+  // this correlation model. `history`, if there is one, is that of the graph;
+  // what it does not know is measured.
+  ShapeFilter(const PoseGraph& graph, const MotionHistory* history,
+              NodeIndex query, std::int64_t steps, CorrelationModel correlation,
+              const ShapeModel& model, const PlaceTolerance& place_tolerance,
+              double spacing_meters, double inflation);
 
   // Nodes of the path.
   std::int64_t size() const { return static_cast<std::int64_t>(steps_.size()); }
@@ -110,11 +118,11 @@ class ShapeFilter {
     return {squared, step.surprise - 0.5 * squared};
   }
 
-  // The log-likelihood ratio of step t where there is no innovation: no path
-  // has a greater one.
-  double Surprise(std::int64_t t) const {
-    return steps_[static_cast<std::size_t>(t)].surprise;
-  }
+  // The step as the kernel takes it; `to_come` and `settled` are the caller's.
+  WalkStep Kernel(std::int64_t t) const;
+
+  // A shift of at_end has at least s^T EndShift()^-1 s of squared innovations.
+  const StateMatrix<D>& EndShift() const { return end_shift_; }
 
   // By how much the covariance of drift_0 has shrunk after step t, in the same
   // axes.
@@ -138,6 +146,7 @@ class ShapeFilter {
   };
 
   std::vector<Step> steps_;
+  StateMatrix<D> end_shift_ = StateMatrix<D>::Zero();
 };
 
 }  // namespace revisit::core

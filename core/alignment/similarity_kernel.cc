@@ -1,5 +1,7 @@
 #include "core/alignment/similarity_kernel.h"
 
+#include <algorithm>
+#include <cmath>
 #include <limits>
 
 #include "core/alignment/log_similarity.h"
@@ -19,7 +21,8 @@ namespace revisit::core::HWY_NAMESPACE {
 
 namespace hn = hwy::HWY_NAMESPACE;
 
-using Tag = hn::ScalableTag<double>;
+// No wider than a row.
+using Tag = hn::CappedTag<double, NodeBlock::kGroupSize>;
 using Vector = hn::Vec<Tag>;
 using Mask = hn::Mask<Tag>;
 
@@ -52,146 +55,233 @@ HWY_INLINE void AddPivot(Tag tag, Vector diagonal, Vector pivot, Vector solved,
       hn::Add(sum->squared, hn::Mul(hn::Mul(solved, solved), *inverse));
 }
 
+// Entries of a symmetric matrix, or of the difference, in the state's order.
+template <int D>
+struct State {
+  Vector difference[D];
+  // (r, c) with c <= r.
+  Vector covariance[D][D];
+};
+
+// Reads a block, and fetches on the way what will be read next.
+class Rows {
+ public:
+  Rows(const NodeBlock& block, const NodeBlock& next)
+      : rows_(block.group(0)),
+        // What is asked for next lies elsewhere if it is not laid out alike.
+        next_rows_(next.groups() >= block.groups() &&
+                           next.spatial() == block.spatial()
+                       ? next.group(0)
+                       : rows_),
+        group_entries_(block.rows() * NodeBlock::kGroupSize),
+        spatial_(block.spatial()) {}
+
+  // Of the nodes from i on.
+  HWY_INLINE Vector Load(NodeBlock::Row row, std::size_t i) const {
+    const std::size_t at = i / NodeBlock::kGroupSize * group_entries_ +
+                           i % NodeBlock::kGroupSize +
+                           row * NodeBlock::kGroupSize;
+    hwy::Prefetch(next_rows_ + at);
+    return hn::Load(Tag(), rows_ + at);
+  }
+  // Of a row that is there only if the block is spatial.
+  HWY_INLINE Vector LoadZ(NodeBlock::Row row, std::size_t i) const {
+    return spatial_ ? Load(row, i) : hn::Zero(Tag());
+  }
+
+ private:
+  const double* rows_;
+  const double* next_rows_;
+  std::size_t group_entries_;
+  bool spatial_;
+};
+
+HWY_INLINE std::size_t EntriesOf(const NodeBlock& block) {
+  return block.groups() * NodeBlock::kGroupSize;
+}
+
+// Gamma, inflated, and R added, of the nodes from i on.
+template <int D, bool kDeadReckoning>
+HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
+                              std::size_t i) {
+  const Tag tag;
+  constexpr int h = D - 1;
+  const auto set = [tag](double value) HWY_ATTR { return hn::Set(tag, value); };
+  const auto load = [&rows, i](NodeBlock::Row row)
+                        HWY_ATTR { return rows.Load(row, i); };
+  const auto load_z = [&rows, i](NodeBlock::Row row)
+                          HWY_ATTR { return rows.LoadZ(row, i); };
+  const Vector scale = set(query.variance_scale);
+  const Vector position_variance = set(query.position_variance);
+  State<D> state;
+  const Vector dx = hn::Sub(set(query.pose.x), load(NodeBlock::kX));
+  const Vector dy = hn::Sub(set(query.pose.y), load(NodeBlock::kY));
+  Vector dh =
+      Wrap(tag, hn::Sub(set(query.pose.heading), load(NodeBlock::kHeading)));
+  if (query.opposite) dh = Wrap(tag, hn::Add(dh, set(kPi)));
+  state.difference[0] = dx;
+  state.difference[1] = dy;
+  state.difference[h] = dh;
+
+  // Of Gamma without the lever arm.
+  const auto base = [&](int r, int c, Vector node) HWY_ATTR {
+    const Vector mine = set(query.covariance(r, c));
+    return kDeadReckoning ? hn::Sub(mine, node) : hn::Add(mine, node);
+  };
+  const Vector node_xh = load(NodeBlock::kXH);
+  const Vector node_yh = load(NodeBlock::kYH);
+  const Vector node_hh = load(NodeBlock::kHH);
+  Vector xx = base(0, 0, load(NodeBlock::kXX));
+  Vector yx = base(0, 1, load(NodeBlock::kXY));
+  Vector yy = base(1, 1, load(NodeBlock::kYY));
+  Vector hx = base(0, 3, node_xh);
+  Vector hy = base(1, 3, node_yh);
+  const Vector hh = base(3, 3, node_hh);
+  const Vector lever_x = hn::Neg(dy);
+  const Vector lever_y = dx;
+  if constexpr (kDeadReckoning) {
+    const Vector xx_carried = hn::Mul(lever_x, node_xh);
+    const Vector yy_carried = hn::Mul(lever_y, node_yh);
+    xx = hn::Sub(xx, hn::Add(xx_carried, xx_carried));
+    yx = hn::Sub(yx,
+                 hn::Add(hn::Mul(lever_y, node_xh), hn::Mul(lever_x, node_yh)));
+    yy = hn::Sub(yy, hn::Add(yy_carried, yy_carried));
+    hx = hn::Sub(hx, hn::Mul(lever_x, node_hh));
+    hy = hn::Sub(hy, hn::Mul(lever_y, node_hh));
+  }
+  state.covariance[0][0] = hn::Add(hn::Mul(scale, xx), position_variance);
+  state.covariance[1][0] = hn::Mul(scale, yx);
+  state.covariance[1][1] = hn::Add(hn::Mul(scale, yy), position_variance);
+  state.covariance[h][0] = hn::Mul(scale, hx);
+  state.covariance[h][1] = hn::Mul(scale, hy);
+  state.covariance[h][h] =
+      hn::Add(hn::Mul(scale, hh), set(query.heading_variance));
+  if constexpr (D == 4) {
+    const Vector node_zh = load_z(NodeBlock::kZH);
+    Vector zx = base(0, 2, load_z(NodeBlock::kXZ));
+    Vector zy = base(1, 2, load_z(NodeBlock::kYZ));
+    const Vector zz = base(2, 2, load_z(NodeBlock::kZZ));
+    const Vector hz = base(2, 3, node_zh);
+    if constexpr (kDeadReckoning) {
+      zx = hn::Sub(zx, hn::Mul(lever_x, node_zh));
+      zy = hn::Sub(zy, hn::Mul(lever_y, node_zh));
+    }
+    state.difference[2] = hn::Sub(set(query.pose.z), load_z(NodeBlock::kZ));
+    state.covariance[2][0] = hn::Mul(scale, zx);
+    state.covariance[2][1] = hn::Mul(scale, zy);
+    state.covariance[2][2] = hn::Add(hn::Mul(scale, zz), position_variance);
+    state.covariance[3][2] = hn::Mul(scale, hz);
+  }
+  return state;
+}
+
+// What Evaluate() finds.
+struct Terms {
+  Mask possible;
+  Vector log_determinant;
+  Vector squared;
+};
+
+template <int D>
+HWY_INLINE Terms Evaluate(const State<D>& state) {
+  const Tag tag;
+  constexpr int h = D - 1;
+  const auto set = [tag](double value) HWY_ATTR { return hn::Set(tag, value); };
+  const Vector least_normal = set(std::numeric_limits<double>::min());
+  const Vector largest = set(std::numeric_limits<double>::max());
+  const Vector(&d)[D] = state.difference;
+  const Vector(&covariance)[D][D] = state.covariance;
+  const Vector xx = covariance[0][0];
+  const Vector yx = covariance[1][0];
+  const Vector yy = covariance[1][1];
+  const Vector hx = covariance[h][0];
+  const Vector hy = covariance[h][1];
+  const Vector hh = covariance[h][h];
+
+  // LDL^T, row by row: of x, y, z if spatial, heading.
+  const Vector one = set(1.0);
+  Sum sum = {hn::Eq(one, one), one, hn::Zero(tag)};
+  Vector inverse_x;
+  AddPivot(tag, xx, xx, d[0], &inverse_x, &sum);
+
+  const Vector lower_yx = hn::Mul(yx, inverse_x);
+  const Vector pivot_y = hn::Sub(yy, hn::Mul(lower_yx, yx));
+  const Vector solved_y = hn::Sub(d[1], hn::Mul(lower_yx, d[0]));
+  Vector inverse_y;
+  AddPivot(tag, yy, pivot_y, solved_y, &inverse_y, &sum);
+
+  const Vector lower_hx = hn::Mul(hx, inverse_x);
+  Vector pivot_h = hn::Sub(hh, hn::Mul(lower_hx, hx));
+  Vector solved_h = hn::Sub(d[h], hn::Mul(lower_hx, d[0]));
+  const Vector scaled_hy = hn::Sub(hy, hn::Mul(hx, lower_yx));
+  const Vector lower_hy = hn::Mul(scaled_hy, inverse_y);
+  pivot_h = hn::Sub(pivot_h, hn::Mul(lower_hy, scaled_hy));
+  solved_h = hn::Sub(solved_h, hn::Mul(lower_hy, solved_y));
+  Vector pivot_z = pivot_y;
+  if constexpr (D == 4) {
+    const Vector zx = covariance[2][0];
+    const Vector zy = covariance[2][1];
+    const Vector zz = covariance[2][2];
+    const Vector hz = covariance[3][2];
+    const Vector lower_zx = hn::Mul(zx, inverse_x);
+    pivot_z = hn::Sub(zz, hn::Mul(lower_zx, zx));
+    Vector solved_z = hn::Sub(d[2], hn::Mul(lower_zx, d[0]));
+    const Vector scaled_zy = hn::Sub(zy, hn::Mul(zx, lower_yx));
+    const Vector lower_zy = hn::Mul(scaled_zy, inverse_y);
+    pivot_z = hn::Sub(pivot_z, hn::Mul(lower_zy, scaled_zy));
+    solved_z = hn::Sub(solved_z, hn::Mul(lower_zy, solved_y));
+    Vector inverse_z;
+    AddPivot(tag, zz, pivot_z, solved_z, &inverse_z, &sum);
+
+    const Vector scaled_hz = hn::Sub(hn::Sub(hz, hn::Mul(hx, lower_zx)),
+                                     hn::Mul(scaled_hy, lower_zy));
+    const Vector lower_hz = hn::Mul(scaled_hz, inverse_z);
+    pivot_h = hn::Sub(pivot_h, hn::Mul(lower_hz, scaled_hz));
+    solved_h = hn::Sub(solved_h, hn::Mul(lower_hz, solved_z));
+  }
+  Vector inverse_h;
+  AddPivot(tag, hh, pivot_h, solved_h, &inverse_h, &sum);
+
+  const Mask normal = hn::And(hn::Ge(sum.determinant, least_normal),
+                              hn::Le(sum.determinant, largest));
+  Terms terms;
+  terms.log_determinant = hn::Log(tag, sum.determinant);
+  // As Evaluate(): beyond the range of double, a logarithm a pivot.
+  const Mask beyond = hn::AndNot(normal, sum.possible);
+  if (HWY_UNLIKELY(!hn::AllFalse(tag, beyond))) {
+    Vector logs = hn::Add(hn::Log(tag, xx), hn::Log(tag, pivot_y));
+    if constexpr (D == 4) logs = hn::Add(logs, hn::Log(tag, pivot_z));
+    logs = hn::Add(logs, hn::Log(tag, pivot_h));
+    terms.log_determinant = hn::IfThenElse(normal, terms.log_determinant, logs);
+  }
+  terms.possible = hn::And(sum.possible, hn::Le(sum.squared, largest));
+  terms.squared = sum.squared;
+  return terms;
+}
+
 template <int D, bool kDeadReckoning>
 HWY_INLINE void EvaluateAll(const KernelQuery& query, const NodeBlock& block,
                             const NodeBlock& next,
                             BlockSimilarity* similarity) {
   const Tag tag;
-  const auto set = [tag](double value) HWY_ATTR { return hn::Set(tag, value); };
-  const Vector scale = set(query.variance_scale);
-  const Vector position_variance = set(query.position_variance);
-  const Vector heading_variance = set(query.heading_variance);
-  const Vector exponent = set(query.exponent);
-  const Vector minus_half = set(-0.5);
-  const Vector least_normal = set(std::numeric_limits<double>::min());
-  const Vector largest = set(std::numeric_limits<double>::max());
-  const bool opposite = query.opposite;
-  const Vector query_x = set(query.pose.x);
-  const Vector query_y = set(query.pose.y);
-  const Vector query_z = set(query.pose.z);
-  const Vector query_heading = set(query.pose.heading);
-
-  for (std::size_t i = 0; i < NodeBlock::kSize; i += hn::Lanes(tag)) {
-    const auto load = [tag, i](const NodeBlock::Column<double>& column,
-                               const NodeBlock::Column<double>& next_column)
-                          HWY_ATTR {
-                            hwy::Prefetch(next_column.data() + i);
-                            return hn::Load(tag, column.data() + i);
-                          };
-    const Vector dx = hn::Sub(query_x, load(block.x, next.x));
-    const Vector dy = hn::Sub(query_y, load(block.y, next.y));
-    Vector dh =
-        Wrap(tag, hn::Sub(query_heading, load(block.heading, next.heading)));
-    if (opposite) dh = Wrap(tag, hn::Add(dh, set(kPi)));
-
-    const auto of_node = [&](int r, int c) HWY_ATTR {
-      const std::size_t at = Covariance::Index(r, c);
-      return load(block.covariance[at], next.covariance[at]);
-    };
-    // Of Gamma without the lever arm.
-    const auto base = [&](int r, int c, Vector node) HWY_ATTR {
-      const Vector mine = set(query.covariance(r, c));
-      return kDeadReckoning ? hn::Sub(mine, node) : hn::Add(mine, node);
-    };
-    const Vector node_xh = of_node(0, 3);
-    const Vector node_yh = of_node(1, 3);
-    const Vector node_hh = of_node(3, 3);
-    Vector xx = base(0, 0, of_node(0, 0));
-    Vector yx = base(0, 1, of_node(0, 1));
-    Vector yy = base(1, 1, of_node(1, 1));
-    Vector hx = base(0, 3, node_xh);
-    Vector hy = base(1, 3, node_yh);
-    Vector hh = base(3, 3, node_hh);
-    const Vector lever_x = hn::Neg(dy);
-    const Vector lever_y = dx;
-    if constexpr (kDeadReckoning) {
-      const Vector xx_carried = hn::Mul(lever_x, node_xh);
-      const Vector yy_carried = hn::Mul(lever_y, node_yh);
-      xx = hn::Sub(xx, hn::Add(xx_carried, xx_carried));
-      yx = hn::Sub(
-          yx, hn::Add(hn::Mul(lever_y, node_xh), hn::Mul(lever_x, node_yh)));
-      yy = hn::Sub(yy, hn::Add(yy_carried, yy_carried));
-      hx = hn::Sub(hx, hn::Mul(lever_x, node_hh));
-      hy = hn::Sub(hy, hn::Mul(lever_y, node_hh));
-    }
-    xx = hn::Add(hn::Mul(scale, xx), position_variance);
-    yx = hn::Mul(scale, yx);
-    yy = hn::Add(hn::Mul(scale, yy), position_variance);
-    hx = hn::Mul(scale, hx);
-    hy = hn::Mul(scale, hy);
-    hh = hn::Add(hn::Mul(scale, hh), heading_variance);
-
-    // LDL^T, row by row: of x, y, z if spatial, heading.
-    Sum sum = {hn::Eq(minus_half, minus_half), set(1.0), hn::Zero(tag)};
-    Vector inverse_x;
-    AddPivot(tag, xx, xx, dx, &inverse_x, &sum);
-
-    const Vector lower_yx = hn::Mul(yx, inverse_x);
-    const Vector pivot_y = hn::Sub(yy, hn::Mul(lower_yx, yx));
-    const Vector solved_y = hn::Sub(dy, hn::Mul(lower_yx, dx));
-    Vector inverse_y;
-    AddPivot(tag, yy, pivot_y, solved_y, &inverse_y, &sum);
-
-    const Vector lower_hx = hn::Mul(hx, inverse_x);
-    Vector pivot_h = hn::Sub(hh, hn::Mul(lower_hx, hx));
-    Vector solved_h = hn::Sub(dh, hn::Mul(lower_hx, dx));
-    const Vector scaled_hy = hn::Sub(hy, hn::Mul(hx, lower_yx));
-    const Vector lower_hy = hn::Mul(scaled_hy, inverse_y);
-    pivot_h = hn::Sub(pivot_h, hn::Mul(lower_hy, scaled_hy));
-    solved_h = hn::Sub(solved_h, hn::Mul(lower_hy, solved_y));
-    Vector pivot_z = pivot_y;
-    if constexpr (D == 4) {
-      const Vector node_zh = of_node(2, 3);
-      Vector zx = base(0, 2, of_node(0, 2));
-      Vector zy = base(1, 2, of_node(1, 2));
-      Vector zz = base(2, 2, of_node(2, 2));
-      Vector hz = base(2, 3, node_zh);
-      if constexpr (kDeadReckoning) {
-        zx = hn::Sub(zx, hn::Mul(lever_x, node_zh));
-        zy = hn::Sub(zy, hn::Mul(lever_y, node_zh));
-      }
-      zx = hn::Mul(scale, zx);
-      zy = hn::Mul(scale, zy);
-      zz = hn::Add(hn::Mul(scale, zz), position_variance);
-      hz = hn::Mul(scale, hz);
-
-      const Vector dz = hn::Sub(query_z, load(block.z, next.z));
-      const Vector lower_zx = hn::Mul(zx, inverse_x);
-      pivot_z = hn::Sub(zz, hn::Mul(lower_zx, zx));
-      Vector solved_z = hn::Sub(dz, hn::Mul(lower_zx, dx));
-      const Vector scaled_zy = hn::Sub(zy, hn::Mul(zx, lower_yx));
-      const Vector lower_zy = hn::Mul(scaled_zy, inverse_y);
-      pivot_z = hn::Sub(pivot_z, hn::Mul(lower_zy, scaled_zy));
-      solved_z = hn::Sub(solved_z, hn::Mul(lower_zy, solved_y));
-      Vector inverse_z;
-      AddPivot(tag, zz, pivot_z, solved_z, &inverse_z, &sum);
-
-      const Vector scaled_hz = hn::Sub(hn::Sub(hz, hn::Mul(hx, lower_zx)),
-                                       hn::Mul(scaled_hy, lower_zy));
-      const Vector lower_hz = hn::Mul(scaled_hz, inverse_z);
-      pivot_h = hn::Sub(pivot_h, hn::Mul(lower_hz, scaled_hz));
-      solved_h = hn::Sub(solved_h, hn::Mul(lower_hz, solved_z));
-    }
-    Vector inverse_h;
-    AddPivot(tag, hh, pivot_h, solved_h, &inverse_h, &sum);
-
-    const Mask normal = hn::And(hn::Ge(sum.determinant, least_normal),
-                                hn::Le(sum.determinant, largest));
-    Vector log_determinant = hn::Log(tag, sum.determinant);
-    // As Evaluate(): beyond the range of double, a logarithm a pivot.
-    const Mask beyond = hn::AndNot(normal, sum.possible);
-    if (HWY_UNLIKELY(!hn::AllFalse(tag, beyond))) {
-      Vector logs = hn::Add(hn::Log(tag, xx), hn::Log(tag, pivot_y));
-      if constexpr (D == 4) logs = hn::Add(logs, hn::Log(tag, pivot_z));
-      logs = hn::Add(logs, hn::Log(tag, pivot_h));
-      log_determinant = hn::IfThenElse(normal, log_determinant, logs);
-    }
-    const Mask possible = hn::And(sum.possible, hn::Le(sum.squared, largest));
-    const Vector value = hn::Sub(hn::Mul(minus_half, log_determinant),
-                                 hn::Mul(exponent, sum.squared));
-    hn::Store(hn::IfThenElse(possible, value, set(kImpossible)), tag,
+  const Vector minus_half = hn::Set(tag, -0.5);
+  const Vector exponent = hn::Set(tag, query.exponent);
+  const Vector impossible = hn::Set(tag, kImpossible);
+  const Rows rows(block, next);
+  const std::size_t entries = EntriesOf(block);
+  for (std::size_t i = 0; i < entries; i += hn::Lanes(tag)) {
+    const Terms terms =
+        Evaluate<D>(FindState<D, kDeadReckoning>(query, rows, i));
+    const Vector value = hn::Sub(hn::Mul(minus_half, terms.log_determinant),
+                                 hn::Mul(exponent, terms.squared));
+    hn::Store(hn::IfThenElse(terms.possible, value, impossible), tag,
               similarity->log_similarity.data() + i);
-    hn::Store(sum.squared, tag, similarity->squared_mahalanobis.data() + i);
+    hn::Store(terms.squared, tag, similarity->squared_mahalanobis.data() + i);
+  }
+  // Of nodes that there are not.
+  for (std::size_t i = entries; i < NodeBlock::kSize; ++i) {
+    similarity->log_similarity[i] = kImpossible;
+    similarity->squared_mahalanobis[i] = 0.0;
   }
 }
 
@@ -210,6 +300,317 @@ void EvaluateBlock(const KernelQuery& query, const NodeBlock& block,
   }
 }
 
+HWY_INLINE std::size_t Packed(int r, int c) {
+  return static_cast<std::size_t>(r * (r + 1) / 2 + c);
+}
+
+template <int D>
+HWY_INLINE State<D> LoadState(const DifferenceBlock& differences,
+                              std::size_t i) {
+  const Tag tag;
+  State<D> state;
+  for (int r = 0; r < D; ++r) {
+    state.difference[r] = hn::Load(
+        tag, differences.difference[static_cast<std::size_t>(r)].data() + i);
+    for (int c = 0; c <= r; ++c) {
+      state.covariance[r][c] =
+          hn::Load(tag, differences.covariance[Packed(r, c)].data() + i);
+    }
+  }
+  return state;
+}
+
+template <int D>
+HWY_INLINE void StoreState(const State<D>& state, std::size_t i,
+                           DifferenceBlock* differences) {
+  const Tag tag;
+  for (int r = 0; r < D; ++r) {
+    hn::Store(state.difference[r], tag,
+              differences->difference[static_cast<std::size_t>(r)].data() + i);
+    for (int c = 0; c <= r; ++c) {
+      hn::Store(state.covariance[r][c], tag,
+                differences->covariance[Packed(r, c)].data() + i);
+    }
+  }
+}
+
+template <int D, bool kDeadReckoning>
+HWY_INLINE void FindAll(const KernelQuery& query, const NodeBlock& block,
+                        const NodeBlock& next, DifferenceBlock* differences) {
+  const Rows rows(block, next);
+  const std::size_t entries = EntriesOf(block);
+  for (std::size_t i = 0; i < entries; i += hn::Lanes(Tag())) {
+    StoreState<D>(FindState<D, kDeadReckoning>(query, rows, i), i, differences);
+  }
+}
+
+void FindDifferences(const KernelQuery& query, const NodeBlock& block,
+                     const NodeBlock& next, DifferenceBlock* differences) {
+  if (query.state_space == StateSpace::kPlanar) {
+    if (query.dead_reckoning) {
+      FindAll<3, true>(query, block, next, differences);
+    } else {
+      FindAll<3, false>(query, block, next, differences);
+    }
+  } else if (query.dead_reckoning) {
+    FindAll<4, true>(query, block, next, differences);
+  } else {
+    FindAll<4, false>(query, block, next, differences);
+  }
+}
+
+// S_ja of the nodes j of a block and a node a of the loop, added to x or taken
+// from it: S_jj Psi(a, j)^T where j is the earlier, else Psi(j, a) S_aa.
+template <int D>
+HWY_INLINE void AddCross(const KnownDriftTerms::LoopNode& a, double sign,
+                         const Vector (&node)[D][D], Vector node_x,
+                         Vector node_y, Mask earlier, Vector (&x)[D][D]) {
+  const Tag tag;
+  constexpr int h = D - 1;
+  // J (p_a - p_j).
+  const Vector lever[2] = {hn::Sub(node_y, hn::Set(tag, a.y)),
+                           hn::Sub(hn::Set(tag, a.x), node_x)};
+  const Vector signs = hn::Set(tag, sign);
+  for (int r = 0; r < D; ++r) {
+    for (int c = 0; c < D; ++c) {
+      Vector of_node = node[r][c];
+      if (c < 2) of_node = hn::Add(of_node, hn::Mul(node[r][h], lever[c]));
+      Vector of_loop = hn::Set(tag, a.covariance[r][c]);
+      if (r < 2) {
+        of_loop = hn::Sub(of_loop,
+                          hn::Mul(lever[r], hn::Set(tag, a.covariance[h][c])));
+      }
+      x[r][c] = hn::Add(
+          x[r][c], hn::Mul(signs, hn::IfThenElse(earlier, of_node, of_loop)));
+    }
+  }
+}
+
+template <int D>
+HWY_INLINE void TakeAll(const KnownDriftTerms& terms, const NodeBlock& block,
+                        NodeIndex first, DifferenceBlock* differences) {
+  const Tag tag;
+  constexpr int h = D - 1;
+  const Rows rows(block, block);
+  const std::size_t entries = EntriesOf(block);
+  for (std::size_t i = 0; i < entries; i += hn::Lanes(tag)) {
+    const Vector index = hn::Add(
+        hn::Set(tag, static_cast<double>(first + static_cast<NodeIndex>(i))),
+        hn::Iota(tag, 0.0));
+    const auto earlier = [&](const KnownDriftTerms::LoopNode& a) HWY_ATTR {
+      return hn::Le(index, hn::Set(tag, static_cast<double>(a.index)));
+    };
+    const Vector node_x = rows.Load(NodeBlock::kX, i);
+    const Vector node_y = rows.Load(NodeBlock::kY, i);
+    Vector node[D][D];
+    Vector x[D][D];
+    for (int r = 0; r < D; ++r) {
+      for (int c = 0; c < D; ++c) {
+        const NodeBlock::Row row = NodeBlock::CovarianceRow(
+            std::min(StateIndex<D>(r), StateIndex<D>(c)),
+            std::max(StateIndex<D>(r), StateIndex<D>(c)));
+        node[r][c] = row < NodeBlock::kPlanarRows ? rows.Load(row, i)
+                                                  : rows.LoadZ(row, i);
+        x[r][c] = hn::Set(tag, terms.query_part[r][c]);
+      }
+    }
+    AddCross<D>(terms.query, -1.0, node, node_x, node_y, earlier(terms.query),
+                x);
+    AddCross<D>(terms.matched, 1.0, node, node_x, node_y,
+                earlier(terms.matched), x);
+    State<D> state = LoadState<D>(*differences, i);
+    const State<D> before = state;
+    const Vector scale = hn::Set(tag, terms.variance_scale);
+    Vector gain[D][D];
+    for (int r = 0; r < D; ++r) {
+      for (int c = 0; c < D; ++c) x[r][c] = hn::Mul(scale, x[r][c]);
+      for (int c = 0; c < D; ++c) {
+        gain[r][c] = hn::Zero(tag);
+        for (int k = 0; k < D; ++k) {
+          gain[r][c] =
+              hn::Add(gain[r][c],
+                      hn::Mul(x[r][k], hn::Set(tag, terms.information[k][c])));
+        }
+      }
+    }
+    for (int r = 0; r < D; ++r) {
+      for (int k = 0; k < D; ++k) {
+        state.difference[r] = hn::Sub(
+            state.difference[r],
+            hn::Mul(gain[r][k], hn::Set(tag, terms.loop_difference[k])));
+        for (int c = 0; c <= r; ++c) {
+          state.covariance[r][c] =
+              hn::Sub(state.covariance[r][c], hn::Mul(gain[r][k], x[c][k]));
+        }
+      }
+    }
+    const Vector turns = hn::Round(
+        hn::Mul(state.difference[h], hn::Set(tag, 1.0 / (2.0 * kPi))));
+    state.difference[h] =
+        hn::Sub(state.difference[h], hn::Mul(turns, hn::Set(tag, 2.0 * kPi)));
+    const Mask possible = Evaluate<D>(state).possible;
+    for (int r = 0; r < D; ++r) {
+      state.difference[r] =
+          hn::IfThenElse(possible, state.difference[r], before.difference[r]);
+      for (int c = 0; c <= r; ++c) {
+        state.covariance[r][c] = hn::IfThenElse(
+            possible, state.covariance[r][c], before.covariance[r][c]);
+      }
+    }
+    StoreState<D>(state, i, differences);
+  }
+}
+
+void TakeKnownDrift(const KnownDriftTerms& terms, StateSpace state_space,
+                    const NodeBlock& block, NodeIndex first,
+                    DifferenceBlock* differences) {
+  if (state_space == StateSpace::kPlanar) {
+    TakeAll<3>(terms, block, first, differences);
+  } else {
+    TakeAll<4>(terms, block, first, differences);
+  }
+}
+
+HWY_INLINE Vector LogSimilarityOf(const Terms& terms) {
+  const Tag tag;
+  return hn::Mul(hn::Set(tag, -0.5),
+                 hn::Add(terms.log_determinant, terms.squared));
+}
+
+template <int D>
+HWY_INLINE void EvaluateAsTheyAre(const DifferenceBlock& differences,
+                                  BlockSimilarity* similarity) {
+  const Tag tag;
+  for (std::size_t i = 0; i < NodeBlock::kSize; i += hn::Lanes(tag)) {
+    const Terms terms = Evaluate<D>(LoadState<D>(differences, i));
+    hn::Store(hn::IfThenElse(terms.possible, LogSimilarityOf(terms),
+                             hn::Set(tag, kImpossible)),
+              tag, similarity->log_similarity.data() + i);
+    hn::Store(terms.squared, tag, similarity->squared_mahalanobis.data() + i);
+  }
+}
+
+void EvaluateDifferences(StateSpace state_space,
+                         const DifferenceBlock& differences,
+                         BlockSimilarity* similarity) {
+  if (state_space == StateSpace::kPlanar) {
+    EvaluateAsTheyAre<3>(differences, similarity);
+  } else {
+    EvaluateAsTheyAre<4>(differences, similarity);
+  }
+}
+
+template <int D>
+HWY_INLINE void EvaluateAllChanged(const DifferenceBlock& differences,
+                                   const DifferenceChange& change,
+                                   BlockSimilarity* similarity) {
+  const Tag tag;
+  const hn::RebindToSigned<Tag> index_tag;
+  const Vector cosine = hn::Set(tag, change.cosine);
+  const Vector sine = hn::Set(tag, change.sine);
+  const Vector kept = hn::Set(tag, 1.0 - change.least_left);
+  for (std::size_t i = 0; i < NodeBlock::kSize; i += hn::Lanes(tag)) {
+    const auto row = hn::Load(index_tag, change.row.data() + i);
+    // Times kMostEntries.
+    const auto at = hn::Add(hn::ShiftLeft<3>(row), hn::ShiftLeft<1>(row));
+    State<D> state = LoadState<D>(differences, i);
+    State<D> left;
+    for (int r = 0; r < D; ++r) {
+      left.difference[r] = hn::Zero(tag);
+      for (int c = 0; c <= r; ++c) {
+        const Vector certainty =
+            hn::GatherIndex(tag, change.certainty + Packed(r, c), at);
+        left.covariance[r][c] =
+            hn::Sub(hn::Mul(kept, state.covariance[r][c]), certainty);
+        state.covariance[r][c] = hn::Sub(state.covariance[r][c], certainty);
+      }
+    }
+    const auto shift = [&](std::size_t r) HWY_ATTR {
+      return hn::Load(tag, change.shift[r].data() + i);
+    };
+    const Vector forward = shift(0);
+    const Vector left_of = shift(1);
+    state.difference[0] =
+        hn::Add(state.difference[0],
+                hn::Sub(hn::Mul(cosine, forward), hn::Mul(sine, left_of)));
+    state.difference[1] =
+        hn::Add(state.difference[1],
+                hn::Add(hn::Mul(sine, forward), hn::Mul(cosine, left_of)));
+    for (int r = 2; r < D; ++r) {
+      state.difference[r] =
+          hn::Add(state.difference[r], shift(static_cast<std::size_t>(r)));
+    }
+    const Terms terms = Evaluate<D>(state);
+    const Mask possible = hn::And(terms.possible, Evaluate<D>(left).possible);
+    double* const similarities = similarity->log_similarity.data() + i;
+    double* const squares = similarity->squared_mahalanobis.data() + i;
+    hn::Store(hn::IfThenElse(possible, LogSimilarityOf(terms),
+                             hn::Load(tag, similarities)),
+              tag, similarities);
+    hn::Store(hn::IfThenElse(possible, terms.squared, hn::Load(tag, squares)),
+              tag, squares);
+  }
+}
+
+void EvaluateChanged(StateSpace state_space, const DifferenceBlock& differences,
+                     const DifferenceChange& change,
+                     BlockSimilarity* similarity) {
+  if (state_space == StateSpace::kPlanar) {
+    EvaluateAllChanged<3>(differences, change, similarity);
+  } else {
+    EvaluateAllChanged<4>(differences, change, similarity);
+  }
+}
+
+template <int D>
+HWY_INLINE void BoundAllChanged(const DifferenceBlock& differences,
+                                const ChangeBound& bound,
+                                const BlockSimilarity& similarity,
+                                BlockColumn* most) {
+  const Tag tag;
+  const Vector half = hn::Set(tag, 0.5);
+  const Vector kept = hn::Set(tag, 1.0 - bound.least_left);
+  const Vector if_least_is_left =
+      hn::Set(tag, -0.5 * D * std::log(bound.least_left));
+  for (std::size_t i = 0; i < NodeBlock::kSize; i += hn::Lanes(tag)) {
+    // (d + s)^T G^-1 (d + s) + s^T B^-1 s is at least d^T (G + B)^-1 d.
+    State<D> shifted = LoadState<D>(differences, i);
+    State<D> left;
+    for (int r = 0; r < D; ++r) {
+      left.difference[r] = hn::Zero(tag);
+      for (int c = 0; c <= r; ++c) {
+        const Vector entry = shifted.covariance[r][c];
+        left.covariance[r][c] = hn::Sub(
+            hn::Mul(kept, entry), hn::Set(tag, bound.certainty[Packed(r, c)]));
+        shifted.covariance[r][c] =
+            hn::Add(entry, hn::Set(tag, bound.shift[Packed(r, c)]));
+      }
+    }
+    const Terms of_shifted = Evaluate<D>(shifted);
+    const Terms of_left = Evaluate<D>(left);
+    // -1/2 ln|G|
+    const Vector plain = hn::Add(
+        hn::Mul(half, hn::Load(tag, similarity.squared_mahalanobis.data() + i)),
+        hn::Load(tag, similarity.log_similarity.data() + i));
+    const Vector constant = hn::IfThenElse(
+        of_left.possible, hn::Neg(hn::Mul(half, of_left.log_determinant)),
+        hn::Add(plain, if_least_is_left));
+    const Vector squared =
+        hn::IfThenElseZero(of_shifted.possible, of_shifted.squared);
+    hn::Store(hn::Sub(constant, hn::Mul(half, squared)), tag, most->data() + i);
+  }
+}
+
+void BoundChanged(StateSpace state_space, const DifferenceBlock& differences,
+                  const ChangeBound& bound, const BlockSimilarity& similarity,
+                  BlockColumn* most) {
+  if (state_space == StateSpace::kPlanar) {
+    BoundAllChanged<3>(differences, bound, similarity, most);
+  } else {
+    BoundAllChanged<4>(differences, bound, similarity, most);
+  }
+}
+
 }  // namespace revisit::core::HWY_NAMESPACE
 HWY_AFTER_NAMESPACE();
 
@@ -217,10 +618,48 @@ HWY_AFTER_NAMESPACE();
 namespace revisit::core {
 
 HWY_EXPORT(EvaluateBlock);
+HWY_EXPORT(FindDifferences);
+HWY_EXPORT(TakeKnownDrift);
+HWY_EXPORT(EvaluateDifferences);
+HWY_EXPORT(EvaluateChanged);
+HWY_EXPORT(BoundChanged);
 
 void EvaluateBlock(const KernelQuery& query, const NodeBlock& block,
                    const NodeBlock& next, BlockSimilarity* similarity) {
   HWY_DYNAMIC_DISPATCH(EvaluateBlock)(query, block, next, similarity);
+}
+
+void FindDifferences(const KernelQuery& query, const NodeBlock& block,
+                     const NodeBlock& next, DifferenceBlock* differences) {
+  HWY_DYNAMIC_DISPATCH(FindDifferences)(query, block, next, differences);
+}
+
+void TakeKnownDrift(const KnownDriftTerms& terms, StateSpace state_space,
+                    const NodeBlock& block, NodeIndex first,
+                    DifferenceBlock* differences) {
+  HWY_DYNAMIC_DISPATCH(TakeKnownDrift)
+  (terms, state_space, block, first, differences);
+}
+
+void EvaluateDifferences(StateSpace state_space,
+                         const DifferenceBlock& differences,
+                         BlockSimilarity* similarity) {
+  HWY_DYNAMIC_DISPATCH(EvaluateDifferences)
+  (state_space, differences, similarity);
+}
+
+void EvaluateChanged(StateSpace state_space, const DifferenceBlock& differences,
+                     const DifferenceChange& change,
+                     BlockSimilarity* similarity) {
+  HWY_DYNAMIC_DISPATCH(EvaluateChanged)
+  (state_space, differences, change, similarity);
+}
+
+void BoundChanged(StateSpace state_space, const DifferenceBlock& differences,
+                  const ChangeBound& bound, const BlockSimilarity& similarity,
+                  BlockColumn* most) {
+  HWY_DYNAMIC_DISPATCH(BoundChanged)
+  (state_space, differences, bound, similarity, most);
 }
 
 }  // namespace revisit::core

@@ -6,34 +6,46 @@
 #include <utility>
 
 namespace revisit::core {
+namespace {
 
-Posterior::Posterior(const PoseGraph& graph,
-                     std::array<std::vector<double>, 2> log_odds)
+// What is smaller than a sum by this factor, in logarithms, is less than half
+// of its last bit: 54 ln 2 is 37.4.
+constexpr double kNegligible = 38.0;
+
+}  // namespace
+
+Posterior::Posterior(const PoseGraph& graph, std::array<ScoredEnds, 2> log_odds)
     : graph_(graph), log_odds_(std::move(log_odds)) {
   double greatest = 0.0;
-  for (const std::vector<double>& odds : log_odds_) {
-    for (const double o : odds) greatest = std::max(greatest, o);
+  for (const ScoredEnds& ends : log_odds_) {
+    for (const ScoredEnd& end : ends) greatest = std::max(greatest, end.score);
   }
   double sum = std::exp(-greatest);
-  for (const std::vector<double>& odds : log_odds_) {
-    for (const double o : odds) sum += std::exp(o - greatest);
+  // Most are so small that the sum stays the same double.
+  double largest = -greatest;
+  for (const ScoredEnds& ends : log_odds_) {
+    for (const ScoredEnd& end : ends) {
+      const double term = end.score - greatest;
+      if (term < largest - kNegligible) continue;
+      largest = std::max(largest, term);
+      sum += std::exp(term);
+    }
   }
   log_total_ = greatest + std::log(sum);
 }
 
 double Posterior::Claim(Direction direction, NodeIndex j) {
-  std::vector<double>& odds = log_odds_[IndexOf(direction)];
-  const auto size = static_cast<NodeIndex>(odds.size());
-  const auto near = [&](NodeIndex i) {
+  ScoredEnds& ends = log_odds_[IndexOf(direction)];
+  const EndsAround around = FindEndsAround(ends, j, [&](NodeIndex i) {
     return graph_.MetersApart(i, j) <= kPlaceRadiusMeters;
-  };
+  });
   double sum = 0.0;
-  const auto claim = [&](NodeIndex i) {
-    sum += Probability(
-        std::exchange(odds[static_cast<std::size_t>(i)], kImpossible));
+  const auto claim = [&](std::size_t k) {
+    sum += Probability(std::exchange(ends[k].score, kImpossible));
   };
-  for (NodeIndex i = j; i >= 0 && near(i); --i) claim(i);
-  for (NodeIndex i = j + 1; i < size && near(i); ++i) claim(i);
+  // The place itself first, outward from it.
+  for (std::size_t k = around.later; k > around.first; --k) claim(k - 1);
+  for (std::size_t k = around.later; k < around.last; ++k) claim(k);
   return std::min(sum, 1.0);
 }
 

@@ -1,42 +1,88 @@
 #include "core/candidates/ranking.h"
 
+#include <algorithm>
 #include <cstddef>
 
 #include "core/alignment/log_similarity.h"
 
 namespace revisit::core {
+namespace {
+
+// Travelled distance grows with the index, so what is near is a range.
+EndsAround FindNearer(const PoseGraph& graph, NodeIndex centre,
+                      double separation_meters, const ScoredEnds& ends) {
+  return FindEndsAround(ends, centre, [&](NodeIndex i) {
+    return i == centre || graph.MetersApart(i, centre) < separation_meters;
+  });
+}
+
+// The best of the ends not struck out, found again after some are: the best of
+// each group is kept.
+class BestEnds {
+ public:
+  explicit BestEnds(const ScoredEnds& ends)
+      : ends_(ends),
+        struck_out_(ends.size()),
+        best_((ends.size() + kGroup - 1) / kGroup) {
+    for (std::size_t g = 0; g < best_.size(); ++g) FindBest(g);
+  }
+
+  // Of equal scores, the first; score kImpossible if there is none.
+  ScoredEnd Best() const {
+    ScoredEnd best = kNone;
+    for (const ScoredEnd& of_group : best_) {
+      if (of_group.score > best.score) best = of_group;
+    }
+    return best;
+  }
+
+  void StrikeOut(std::size_t first, std::size_t last) {
+    std::fill(struck_out_.begin() + static_cast<std::ptrdiff_t>(first),
+              struck_out_.begin() + static_cast<std::ptrdiff_t>(last), 1);
+    for (std::size_t g = first / kGroup; g * kGroup < last; ++g) FindBest(g);
+  }
+
+ private:
+  static constexpr std::size_t kGroup = 128;
+  static constexpr ScoredEnd kNone{-1, kImpossible};
+
+  void FindBest(std::size_t group) {
+    const std::size_t last = std::min(ends_.size(), (group + 1) * kGroup);
+    ScoredEnd best = kNone;
+    for (std::size_t i = group * kGroup; i < last; ++i) {
+      if (ends_[i].score > best.score && !struck_out_[i]) best = ends_[i];
+    }
+    best_[group] = best;
+  }
+
+  const ScoredEnds& ends_;
+  std::vector<char> struck_out_;
+  std::vector<ScoredEnd> best_;
+};
+
+}  // namespace
 
 void StrikeOut(const PoseGraph& graph, NodeIndex centre,
-               double separation_meters, std::vector<double>* scores) {
-  const auto size = static_cast<NodeIndex>(scores->size());
-  // Travelled distance grows with the index, so what is near is a range.
-  const auto near = [&](NodeIndex i) {
-    return i == centre || graph.MetersApart(i, centre) < separation_meters;
-  };
-  for (NodeIndex i = centre; i >= 0 && near(i); --i) {
-    if (i < size) (*scores)[static_cast<std::size_t>(i)] = kImpossible;
-  }
-  for (NodeIndex i = centre + 1; i < size && near(i); ++i) {
-    (*scores)[static_cast<std::size_t>(i)] = kImpossible;
+               double separation_meters, ScoredEnds* ends) {
+  const EndsAround near = FindNearer(graph, centre, separation_meters, *ends);
+  for (std::size_t i = near.first; i < near.last; ++i) {
+    (*ends)[i].score = kImpossible;
   }
 }
 
-std::vector<RankedEnd> RankEnds(const PoseGraph& graph,
-                                std::vector<double> scores,
+std::vector<RankedEnd> RankEnds(const PoseGraph& graph, const ScoredEnds& ends,
                                 double separation_meters, int max_candidates) {
-  std::vector<RankedEnd> ends;
-  while (static_cast<int>(ends.size()) < max_candidates) {
-    RankedEnd best{-1, kImpossible};
-    for (std::size_t i = 0; i < scores.size(); ++i) {
-      if (scores[i] > best.score) {
-        best = {static_cast<NodeIndex>(i), scores[i]};
-      }
-    }
-    if (best.matched < 0) break;
-    ends.push_back(best);
-    StrikeOut(graph, best.matched, separation_meters, &scores);
+  std::vector<RankedEnd> ranked;
+  BestEnds left(ends);
+  while (static_cast<int>(ranked.size()) < max_candidates) {
+    const ScoredEnd best = left.Best();
+    if (best.score == kImpossible) break;
+    ranked.push_back({best.node, best.score});
+    const EndsAround near =
+        FindNearer(graph, best.node, separation_meters, ends);
+    left.StrikeOut(near.first, near.last);
   }
-  return ends;
+  return ranked;
 }
 
 }  // namespace revisit::core

@@ -4,6 +4,7 @@
 
 #include <vector>
 
+#include "core/alignment/scored_ends.h"
 #include "core/graph/pose_graph.h"
 
 namespace revisit::core {
@@ -13,17 +14,17 @@ struct RankedEnd {
   double score = 0.0;
 };
 
-// Makes all nodes nearer than `separation_meters` to the centre, along the path
+// Makes all ends nearer than `separation_meters` to the centre, along the path
 // (travelled distance), impossible; the centre always. The centre need not be
-// among the nodes with scores, which are the graph's first.
+// among the ends. O(log n), and as much for every end struck out.
 void StrikeOut(const PoseGraph& graph, NodeIndex centre,
-               double separation_meters, std::vector<double>* scores);
+               double separation_meters, ScoredEnds* ends);
 
-// Takes the best node, strikes out what is near it, and so on, until
+// Takes the best end, leaves out what is near it, and so on, until
 // `max_candidates` are found or none is left. Best first; of equal scores, the
-// lower index; kImpossible nodes are never taken.
-std::vector<RankedEnd> RankEnds(const PoseGraph& graph,
-                                std::vector<double> scores,
+// lower index; kImpossible ends are never taken. O(n) once, and for every
+// candidate a hundredth of that and what is near it.
+std::vector<RankedEnd> RankEnds(const PoseGraph& graph, const ScoredEnds& ends,
                                 double separation_meters, int max_candidates);
 
 }  // namespace revisit::core

@@ -5,7 +5,6 @@
 #include <cassert>
 #include <cmath>
 #include <cstddef>
-#include <numeric>
 
 #include "core/geometry/heading.h"
 
@@ -32,29 +31,28 @@ StateMatrix<D> WithoutNegativePart(const StateMatrix<D>& m) {
 }  // namespace
 
 template <int D>
-MotionStatistics<D> MeasureMotion(const PoseGraph& graph,
-                                  CorrelationModel model, NodeIndex last) {
-  assert(last < graph.size());
-  MotionStatistics<D> statistics;
-  StateMatrix<D> drift = StateMatrix<D>::Zero();
-  StateMatrix<D> jitter = StateMatrix<D>::Zero();
-  NodeIndex next_start = 0;
-  for (NodeIndex i = 0; i <= last; ++i) {
-    // Starts are few: looked up once a segment.
+void AddMotion(const PoseGraph& graph, CorrelationModel model, NodeIndex first,
+               NodeIndex end, MotionSums<D>* sums) {
+  assert(0 <= first && end <= graph.size());
+  if (first >= end) return;
+  // Starts are few: looked up once a segment.
+  NodeIndex next_start =
+      graph.SegmentStart(first) == first ? first : graph.SegmentEnd(first);
+  for (NodeIndex i = first; i < end; ++i) {
     if (i == next_start) {
       next_start = graph.SegmentEnd(i);
       continue;
     }
-    const Pose earlier = graph.node(i - 1).pose;
     const Pose later = graph.node(i).pose;
-    ++statistics.steps;
+    ++sums->steps;
     const StateMatrix<D> covariance = ToMatrix<D>(graph.node(i).covariance);
     if (model == CorrelationModel::kIndependent) {
-      jitter += InVehicleAxes<D>(covariance, later.heading);
+      sums->sum += InVehicleAxes<D>(covariance, later.heading);
       continue;
     }
     const StateMatrix<D> before = ToMatrix<D>(graph.node(i - 1).covariance);
-    const StateMatrix<D> f = DeadReckoningTransition<D>(earlier, later);
+    const StateMatrix<D> f =
+        DeadReckoningTransition<D>(graph.node(i - 1).pose, later);
     const StateMatrix<D> carried = f * before;
     StateMatrix<D> added = covariance;
     if (model == CorrelationModel::kDeadReckoning) {
@@ -64,14 +62,29 @@ MotionStatistics<D> MeasureMotion(const PoseGraph& graph,
       const StateMatrix<D> mixed = carried * psi.transpose();
       added += carried * f.transpose() - mixed - mixed.transpose();
     }
-    drift += InVehicleAxes<D>(added, later.heading);
+    sums->sum += InVehicleAxes<D>(added, later.heading);
   }
-  if (statistics.steps > 0) {
-    const double count = static_cast<double>(statistics.steps);
-    statistics.drift = WithoutNegativePart<D>(drift / count);
-    statistics.jitter = WithoutNegativePart<D>(jitter / count);
-  }
+}
+
+template <int D>
+MotionStatistics<D> MeanMotion(CorrelationModel model,
+                               const MotionSums<D>& sums) {
+  MotionStatistics<D> statistics;
+  statistics.steps = sums.steps;
+  if (sums.steps == 0) return statistics;
+  (model == CorrelationModel::kIndependent ? statistics.jitter
+                                           : statistics.drift) =
+      WithoutNegativePart<D>(sums.sum / static_cast<double>(sums.steps));
   return statistics;
+}
+
+template <int D>
+MotionStatistics<D> MeasureMotion(const PoseGraph& graph,
+                                  CorrelationModel model, NodeIndex last) {
+  assert(last < graph.size());
+  MotionSums<D> sums;
+  AddMotion<D>(graph, model, 0, last + 1, &sums);
+  return MeanMotion<D>(model, sums);
 }
 
 std::vector<double> ShareOfStretches(const PoseGraph& graph, NodeIndex last,
@@ -79,41 +92,71 @@ std::vector<double> ShareOfStretches(const PoseGraph& graph, NodeIndex last,
                                      const std::vector<double>& turns,
                                      double tolerance_radians) {
   assert(last < graph.size() && stretch_nodes >= 1);
-  // Between two neighbouring bounds, all stretches count for the same turns.
-  std::vector<double> bounds;
+  StretchCounter counter(turns, tolerance_radians);
+  VisitStretches(graph, stretch_nodes, 0, last + 1,
+                 [&](double turn) { counter.Add(turn); });
+  return counter.Shares();
+}
+
+StretchCounter::StretchCounter(const std::vector<double>& turns,
+                               double tolerance_radians)
+    : turns_(turns), tolerance_radians_(tolerance_radians) {
+  bounds_.reserve(2 * turns.size());
   for (const double turn : turns) {
-    bounds.push_back(turn - tolerance_radians);
-    bounds.push_back(turn + tolerance_radians);
+    bounds_.push_back(turn - tolerance_radians);
+    bounds_.push_back(turn + tolerance_radians);
   }
-  std::sort(bounds.begin(), bounds.end());
-  const auto bin = [&bounds](double turn) {
-    return static_cast<std::size_t>(
-        std::upper_bound(bounds.begin(), bounds.end(), turn) - bounds.begin());
-  };
-  std::vector<std::int64_t> counts(bounds.size() + 1);
-  std::int64_t stretches = 0;
-  for (NodeIndex start = 0; start <= last;) {
-    const NodeIndex end = std::min(graph.SegmentEnd(start), last + 1);
-    for (NodeIndex i = start + stretch_nodes; i < end; ++i) {
-      ++counts[bin(
-          Difference(graph.node(i).pose, graph.node(i - stretch_nodes).pose)
-              .heading)];
-      ++stretches;
-    }
-    start = end;
+  std::sort(bounds_.begin(), bounds_.end());
+  beyond_.resize(bounds_.size() + 1);
+  below_.resize(bounds_.size());
+}
+
+void StretchCounter::Add(double turn, std::int64_t times) {
+  beyond_[BoundsUpTo(turn)] += times;
+  stretches_ += times;
+}
+
+void StretchCounter::AddSorted(const std::vector<double>& stretches) {
+  auto at = stretches.begin();
+  for (std::size_t k = 0; k < bounds_.size(); ++k) {
+    at = std::lower_bound(at, stretches.end(), bounds_[k]);
+    below_[k] += at - stretches.begin();
   }
-  // Stretches below each bound.
-  std::partial_sum(counts.begin(), counts.end(), counts.begin());
+  stretches_ += static_cast<std::int64_t>(stretches.size());
+}
+
+std::vector<double> StretchCounter::Shares() const {
+  std::vector<std::int64_t> below = below_;
+  std::int64_t added = 0;
+  for (std::size_t k = 0; k < below.size(); ++k) {
+    added += beyond_[k];
+    below[k] += added;
+  }
   std::vector<double> shares;
-  for (const double turn : turns) {
-    const std::int64_t within = counts[bin(turn + tolerance_radians) - 1] -
-                                counts[bin(turn - tolerance_radians) - 1];
+  shares.reserve(turns_.size());
+  for (const double turn : turns_) {
+    const std::int64_t within =
+        below[BoundsUpTo(turn + tolerance_radians_) - 1] -
+        below[BoundsUpTo(turn - tolerance_radians_) - 1];
     shares.push_back((1.0 + static_cast<double>(within)) /
-                     (1.0 + static_cast<double>(stretches)));
+                     (1.0 + static_cast<double>(stretches_)));
   }
   return shares;
 }
 
+std::size_t StretchCounter::BoundsUpTo(double turn) const {
+  return static_cast<std::size_t>(
+      std::upper_bound(bounds_.begin(), bounds_.end(), turn) - bounds_.begin());
+}
+
+template void AddMotion<3>(const PoseGraph&, CorrelationModel, NodeIndex,
+                           NodeIndex, MotionSums<3>*);
+template void AddMotion<4>(const PoseGraph&, CorrelationModel, NodeIndex,
+                           NodeIndex, MotionSums<4>*);
+template MotionStatistics<3> MeanMotion<3>(CorrelationModel,
+                                           const MotionSums<3>&);
+template MotionStatistics<4> MeanMotion<4>(CorrelationModel,
+                                           const MotionSums<4>&);
 template MotionStatistics<3> MeasureMotion<3>(const PoseGraph&,
                                               CorrelationModel, NodeIndex);
 template MotionStatistics<4> MeasureMotion<4>(const PoseGraph&,

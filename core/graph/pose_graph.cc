@@ -2,12 +2,62 @@
 
 #include <algorithm>
 #include <cassert>
+#include <cmath>
 #include <iterator>
 
 namespace revisit::core {
 
-ErrorTransition PoseGraph::transition(NodeIndex i) const {
-  return transitions_.empty() ? ErrorTransition{} : transitions_[Position(i)];
+namespace {
+
+// Doubling would leave a quarter of the memory unused.
+template <typename T>
+void ReserveInSteps(std::size_t size, std::size_t step, std::size_t most,
+                    std::vector<T>* vector) {
+  if (vector->capacity() >= size) return;
+  vector->reserve(std::min(most, (size + step - 1) / step * step));
+}
+
+bool HasBits(double value) { return value != 0.0 || std::signbit(value); }
+
+}  // namespace
+
+void NodeBlock::Add(std::size_t at, const Pose& pose,
+                    const Covariance& covariance,
+                    std::size_t groups_at_a_time) {
+  bool spatial = HasBits(pose.z);
+  for (int i = 0; i < 4; ++i) spatial = spatial || HasBits(covariance(2, i));
+  if (spatial && !spatial_) BecomeSpatial();
+  const std::size_t group = at / kGroupSize;
+  if (group == groups()) {
+    ReserveInSteps(lines_.size() + rows(), rows() * groups_at_a_time,
+                   rows() * kSize / kGroupSize, &lines_);
+    lines_.resize(lines_.size() + rows());
+  }
+  const auto entry = [&](Row row) -> double& {
+    return lines_[group * rows() + row].entries[at % kGroupSize];
+  };
+  entry(kX) = pose.x;
+  entry(kY) = pose.y;
+  entry(kHeading) = pose.heading;
+  if (spatial_) entry(kZ) = pose.z;
+  for (int r = 0; r < 4; ++r) {
+    for (int c = r; c < 4; ++c) {
+      const Row row = CovarianceRow(r, c);
+      if (row < kPlanarRows || spatial_) entry(row) = covariance(r, c);
+    }
+  }
+}
+
+void NodeBlock::BecomeSpatial() {
+  const std::size_t count = groups();
+  std::vector<Line> lines(count * kSpatialRows);
+  for (std::size_t g = 0; g < count; ++g) {
+    std::copy_n(lines_.begin() + static_cast<std::ptrdiff_t>(g * kPlanarRows),
+                kPlanarRows,
+                lines.begin() + static_cast<std::ptrdiff_t>(g * kSpatialRows));
+  }
+  lines_ = std::move(lines);
+  spatial_ = true;
 }
 
 NodeIndex PoseGraph::SegmentStart(NodeIndex i) const {
@@ -59,24 +109,87 @@ std::vector<std::pair<NodeIndex, NodeIndex>> PoseGraph::LoopEdges() const {
 
 void PoseGraph::AddNode(const Node& node, bool starts_segment,
                         const std::optional<ErrorTransition>& transition) {
-  assert(size_ == 0 || transition.has_value() == !transitions_.empty());
+  assert(size_ == 0 || transition.has_value() == has_transitions_);
   if (starts_segment) segment_starts_.push_back(size());
   const std::size_t at = Position(size_) % NodeBlock::kSize;
-  if (at == 0) blocks_.emplace_back();
-  NodeBlock& block = blocks_.back();
-  block.sequence[at] = node.sequence;
-  block.fraction[at] = node.fraction;
-  block.stamp_ns[at] = node.stamp_ns;
-  block.travelled_meters[at] = node.travelled_meters;
-  block.x[at] = node.pose.x;
-  block.y[at] = node.pose.y;
-  block.z[at] = node.pose.z;
-  block.heading[at] = node.pose.heading;
-  for (std::size_t k = 0; k < 10; ++k) {
-    block.covariance[k][at] = node.covariance.upper[k];
+  if (at == 0) {
+    if (size_ > 0) Pack();
+    blocks_.emplace_back();
+  }
+  const std::size_t nodes_at_a_time = NodesAtATime();
+  blocks_.back().Add(at, node.pose, node.covariance,
+                     nodes_at_a_time / NodeBlock::kGroupSize);
+  ReserveInSteps(at + 1, nodes_at_a_time, NodeBlock::kSize, &records_);
+  // Where there is no stamp, one that takes no room.
+  const std::int64_t before = records_.empty() ? 0 : records_.back().stamp_ns;
+  has_stamp_[at] = node.stamp_ns.has_value();
+  records_.push_back({node.sequence, node.fraction, node.travelled_meters,
+                      node.stamp_ns.value_or(before)});
+  if (transition) {
+    has_transitions_ = true;
+    ReserveInSteps(at + 1, nodes_at_a_time, NodeBlock::kSize, &transitions_);
+    transitions_.push_back(*transition);
   }
   ++size_;
-  if (transition) transitions_.push_back(*transition);
+}
+
+// A fleet has many small graphs, which must not hold much that they do not use;
+// but to grow by little, again and again, leaves holes behind that nothing else
+// fits into. So: a 128th of what there is, and from 16384 nodes on a block.
+std::size_t PoseGraph::NodesAtATime() const {
+  const std::size_t groups = Position(size_) / 128 / NodeBlock::kGroupSize;
+  return std::clamp<std::size_t>(groups, 1,
+                                 NodeBlock::kSize / NodeBlock::kGroupSize) *
+         NodeBlock::kGroupSize;
+}
+
+void PoseGraph::Pack() {
+  std::vector<std::uint64_t> columns;
+  columns.reserve(
+      NodeBlock::kSize *
+      (kTransition + (has_transitions_ ? ErrorTransition{}.values.size() : 0)));
+  const auto add = [&columns](const auto& rows, const auto& packable) {
+    for (const auto& row : rows) columns.push_back(packable(row));
+  };
+  add(records_, [](const Record& record) { return record.sequence; });
+  add(records_,
+      [](const Record& record) { return ToPackable(record.fraction); });
+  add(records_,
+      [](const Record& record) { return ToPackable(record.travelled_meters); });
+  for (std::size_t at = 0; at < records_.size(); ++at) {
+    columns.push_back(has_stamp_[at] ? 1 : 0);
+  }
+  add(records_, [](const Record& record) {
+    return static_cast<std::uint64_t>(record.stamp_ns);
+  });
+  if (has_transitions_) {
+    for (std::size_t k = 0; k < ErrorTransition{}.values.size(); ++k) {
+      add(transitions_, [k](const ErrorTransition& transition) {
+        return ToPackable(transition.values[k]);
+      });
+    }
+  }
+  packed_.emplace_back(columns, NodeBlock::kSize);
+  full_bytes_ += blocks_.back().bytes() + packed_.back().bytes();
+  records_.clear();
+  transitions_.clear();
+  if (NodesAtATime() < NodeBlock::kSize) {
+    records_.shrink_to_fit();
+    transitions_.shrink_to_fit();
+  }
+}
+
+std::size_t PoseGraph::bytes() const {
+  const auto bytes_of = [](const auto& vector) {
+    return vector.capacity() * sizeof(vector[0]);
+  };
+  const std::size_t last = blocks_.empty() ? 0 : blocks_.back().bytes();
+  // Most ends of loop closures have one.
+  const std::size_t loop_end =
+      sizeof(*loop_neighbours_.begin()) + sizeof(NodeIndex);
+  return full_bytes_ + last + bytes_of(blocks_) + bytes_of(packed_) +
+         bytes_of(records_) + bytes_of(transitions_) +
+         bytes_of(segment_starts_) + loop_neighbours_.size() * loop_end;
 }
 
 void PoseGraph::AddLoopEdge(NodeIndex a, NodeIndex b) {

@@ -1,12 +1,23 @@
 #include "server/sessions/executor.h"
 
+#include <pthread.h>
+
+#include <chrono>
 #include <utility>
 
 namespace revisit::server {
+namespace {
 
-Executor::Executor(int threads) {
+// Longest that a strand goes from task to task before others get their turn:
+// little beside the time of a flush, much beside the way through the queue.
+constexpr std::chrono::microseconds kSlice{500};
+
+}  // namespace
+
+Executor::Executor(const char* name, int threads) {
   for (int i = 0; i < threads; ++i) {
     threads_.emplace_back([this] { Work(); });
+    pthread_setname_np(threads_.back().native_handle(), name);
   }
 }
 
@@ -20,17 +31,22 @@ Executor::~Executor() {
 }
 
 void Executor::Post(std::function<void()> task) {
+  bool wake;
   {
     const std::lock_guard<std::mutex> guard(mutex_);
     tasks_.push_back(std::move(task));
+    // Threads at work look for the next task by themselves.
+    wake = idle_ > 0;
   }
-  wake_.notify_one();
+  if (wake) wake_.notify_one();
 }
 
 void Executor::Work() {
   std::unique_lock<std::mutex> lock(mutex_);
   while (true) {
+    ++idle_;
     wake_.wait(lock, [this] { return stopping_ || !tasks_.empty(); });
+    --idle_;
     // A task that still runs elsewhere and posts another comes back here for
     // it.
     if (tasks_.empty()) return;
@@ -45,55 +61,89 @@ void Executor::Work() {
 }
 
 struct Strand::State : std::enable_shared_from_this<Strand::State> {
-  explicit State(Executor* runner) : executor(runner) {}
+  struct Task {
+    std::function<void()> run;
+    Executor* lane = nullptr;
+  };
 
-  void Schedule() {
-    executor->Post([self = shared_from_this()] { self->RunOne(); });
-  }
+  explicit State(const Lanes& strand_lanes) : lanes(strand_lanes) {}
 
-  void RunOne() {
-    std::function<void()> task;
+  void Post(Task task) {
+    Executor* const lane = task.lane;
     {
       const std::lock_guard<std::mutex> guard(mutex);
-      task = std::move(tasks.front());
-      tasks.pop_front();
+      tasks.push_back(std::move(task));
+      if (taken) return;
+      taken = true;
     }
-    task();
-    task = nullptr;
+    Schedule(lane);
+  }
+
+  void Schedule(Executor* lane) {
+    lane->Post([self = shared_from_this(), lane] { self->RunSome(lane); });
+  }
+
+  void RunSome(Executor* lane) {
+    const auto pause = std::chrono::steady_clock::now() + kSlice;
+    Task task;
+    do {
+      {
+        const std::lock_guard<std::mutex> guard(mutex);
+        if (tasks.empty() || tasks.front().lane != lane) break;
+        task = std::move(tasks.front());
+        tasks.pop_front();
+      }
+      task.run();
+      task.run = nullptr;
+    } while (std::chrono::steady_clock::now() < pause);
+    GoOn();
+  }
+
+  // Leaves what waits, if anything, to its lane.
+  void GoOn() {
+    Executor* lane;
     {
       const std::lock_guard<std::mutex> guard(mutex);
       if (tasks.empty()) {
-        scheduled = false;
+        taken = false;
         return;
       }
+      lane = tasks.front().lane;
     }
-    Schedule();
+    Schedule(lane);
   }
 
-  Executor* const executor;
+  const Lanes lanes;
   std::mutex mutex;
-  std::deque<std::function<void()>> tasks;
-  // Whether RunOne() is posted or runs.
-  bool scheduled = false;
+  std::deque<Task> tasks;
+  // Whether a thread is in a task, or was asked to be.
+  bool taken = false;
 };
 
-std::shared_ptr<Strand> Strand::Create(Executor* executor) {
-  return std::shared_ptr<Strand>(new Strand(executor));
+std::shared_ptr<Strand> Strand::Create(const Lanes& lanes) {
+  return std::shared_ptr<Strand>(new Strand(lanes));
 }
 
-Strand::Strand(Executor* executor)
-    : state_(std::make_shared<State>(executor)) {}
+Strand::Strand(const Lanes& lanes) : state_(std::make_shared<State>(lanes)) {}
 
 void Strand::Post(std::function<void()> task) {
   // The task may end, and the strand with it, before this call does.
   const std::shared_ptr<State> state = state_;
-  {
-    const std::lock_guard<std::mutex> guard(state->mutex);
-    state->tasks.push_back(std::move(task));
-    if (state->scheduled) return;
-    state->scheduled = true;
-  }
-  state->Schedule();
+  state->Post({std::move(task), state->lanes.short_work});
 }
+
+void Strand::PostLong(std::function<void()> task) {
+  const std::shared_ptr<State> state = state_;
+  state->Post({std::move(task), state->lanes.long_work});
+}
+
+bool Strand::Enter(State* state) {
+  const std::lock_guard<std::mutex> guard(state->mutex);
+  if (state->taken) return false;
+  state->taken = true;
+  return true;
+}
+
+void Strand::Leave(State* state) { state->GoOn(); }
 
 }  // namespace revisit::server

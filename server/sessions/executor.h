@@ -1,4 +1,9 @@
 // Threads for the vehicles' work, and an order within one vehicle's.
+//
+// Work that takes long (searches, loading, reading the store at length) has
+// threads of its own. However much there is of it, a thread is free for the
+// short work, such as acknowledging poses, of all vehicles but those whose turn
+// it is; the operating system shares the processors between the two.
 #ifndef REVISIT_SERVER_SESSIONS_EXECUTOR_H_
 #define REVISIT_SERVER_SESSIONS_EXECUTOR_H_
 
@@ -8,6 +13,7 @@
 #include <memory>
 #include <mutex>
 #include <thread>
+#include <utility>
 #include <vector>
 
 namespace revisit::server {
@@ -15,8 +21,10 @@ namespace revisit::server {
 // A fixed number of threads. Thread-safe.
 class Executor {
  public:
+  // `name` is for tools that list threads; up to 15 characters.
   // REQUIRES: at least one thread.
-  explicit Executor(int threads);
+  Executor(const char* name, int threads);
+  explicit Executor(int threads) : Executor("vehicles", threads) {}
   // Runs what was posted, also by tasks that run meanwhile, then joins.
   ~Executor();
 
@@ -31,29 +39,62 @@ class Executor {
   std::mutex mutex_;
   std::condition_variable wake_;
   std::deque<std::function<void()>> tasks_;
+  // Threads that wait for a task.
+  int idle_ = 0;
   bool stopping_ = false;
 
   std::vector<std::thread> threads_;
 };
 
-// Runs tasks one after the other, in the order posted, on an executor's
-// threads; gives the thread back between tasks so that other strands get their
-// turn. Thread-safe. A task may post to its own strand, and may drop the last
-// reference to it.
+// The two kinds of threads. They may be the same.
+struct Lanes {
+  Lanes(Executor* both) : short_work(both), long_work(both) {}
+  Lanes(Executor* for_short_work, Executor* for_long_work)
+      : short_work(for_short_work), long_work(for_long_work) {}
+
+  Executor* short_work;
+  Executor* long_work;
+};
+
+// Runs tasks one after the other, in the order posted, each in its lane; gives
+// the thread back between tasks, after a slice of time, so that other strands
+// get their turn. Thread-safe. A task may post to its own strand, and may drop
+// the last reference to it.
 class Strand {
  public:
-  // The executor must outlive all tasks.
-  static std::shared_ptr<Strand> Create(Executor* executor);
+  // The executors must outlive all tasks.
+  static std::shared_ptr<Strand> Create(const Lanes& lanes);
 
   Strand(const Strand&) = delete;
   Strand& operator=(const Strand&) = delete;
 
   void Post(std::function<void()> task);
+  void PostLong(std::function<void()> task);
+
+  // Runs the task before it returns, on the caller's thread, if nothing of the
+  // strand runs or waits; else posts it. For tasks that are short and do not
+  // block: it saves them the way to another thread. The caller must hold no
+  // lock that the task takes.
+  template <typename Task>
+  void RunOrPost(Task task) {
+    // The task may drop the last reference to the strand.
+    const std::shared_ptr<State> state = state_;
+    if (!Enter(state.get())) {
+      Post(std::move(task));
+      return;
+    }
+    task();
+    Leave(state.get());
+  }
 
  private:
   struct State;
 
-  explicit Strand(Executor* executor);
+  explicit Strand(const Lanes& lanes);
+
+  // Whether the caller's thread is now the strand's, until Leave().
+  static bool Enter(State* state);
+  static void Leave(State* state);
 
   const std::shared_ptr<State> state_;
 };

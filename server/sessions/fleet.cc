@@ -1,5 +1,6 @@
 #include "server/sessions/fleet.h"
 
+#include <algorithm>
 #include <condition_variable>
 #include <mutex>
 #include <unordered_map>
@@ -18,10 +19,10 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   using CreateCallback = std::function<void(absl::StatusOr<VehicleView>)>;
 
   State(Storage* fleet_storage, const RecordCodec* fleet_codec,
-        Executor* fleet_executor, const Options& fleet_options)
+        const Lanes& fleet_lanes, const Options& fleet_options)
       : storage(fleet_storage),
         codec(fleet_codec),
-        executor(fleet_executor),
+        lanes(fleet_lanes),
         options(fleet_options) {}
 
   std::shared_ptr<VehicleSession> Session(const std::string& id) {
@@ -36,7 +37,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
         return entry.session;
       }
       session =
-          VehicleSession::Load(id, storage, codec, executor, options.session);
+          VehicleSession::Load(id, storage, codec, lanes, options.session);
       replaced = std::exchange(entry.session, session);
     }
     // A vehicle that is not there takes no room.
@@ -73,6 +74,19 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
     });
   }
 
+  // REQUIRES: the mutex is held.
+  Residency ResidencyLocked() const {
+    Residency sum;
+    for (const auto& [id, entry] : entries) {
+      if (entry.session->gone()) continue;
+      const VehicleSession::Residency of = entry.session->residency();
+      ++sum.vehicles;
+      sum.nodes += of.nodes;
+      sum.bytes += of.bytes;
+    }
+    return sum;
+  }
+
   void Created() {
     const std::lock_guard<std::mutex> guard(mutex);
     --creating;
@@ -82,7 +96,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
 
   Storage* const storage;
   const RecordCodec* const codec;
-  Executor* const executor;
+  const Lanes lanes;
   const Options options;
 
   std::mutex mutex;
@@ -92,9 +106,9 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   int creating = 0;
 };
 
-Fleet::Fleet(Storage* storage, const RecordCodec* codec, Executor* executor,
+Fleet::Fleet(Storage* storage, const RecordCodec* codec, const Lanes& lanes,
              const Options& options)
-    : state_(std::make_shared<State>(storage, codec, executor, options)) {}
+    : state_(std::make_shared<State>(storage, codec, lanes, options)) {}
 
 Fleet::~Fleet() {
   std::vector<std::shared_ptr<VehicleSession>> sessions;
@@ -150,14 +164,15 @@ void Fleet::Create(const std::string& id, const VehicleConfig& config,
       std::move(record), [state = state_, id, callback = std::move(callback)](
                              const absl::StatusOr<VehicleKey>& key) {
         // Off the writer's thread.
-        state->executor->Post([state, id, callback, status = key.status()] {
-          if (status.ok()) {
-            state->ReadCreated(id, true, callback);
-          } else {
-            callback(status);
-            state->Created();
-          }
-        });
+        state->lanes.short_work->Post(
+            [state, id, callback, status = key.status()] {
+              if (status.ok()) {
+                state->ReadCreated(id, true, callback);
+              } else {
+                callback(status);
+                state->Created();
+              }
+            });
       });
 }
 
@@ -179,10 +194,26 @@ std::size_t Fleet::loaded() const {
   return count;
 }
 
-void Fleet::UnloadIdle(std::chrono::steady_clock::time_point now) {
+Fleet::Residency Fleet::residency() const {
+  const std::lock_guard<std::mutex> guard(state_->mutex);
+  return state_->ResidencyLocked();
+}
+
+Fleet::Residency Fleet::UnloadIdle(std::chrono::steady_clock::time_point now) {
   // Go after the lock: a graph takes a while to take down.
   std::vector<std::shared_ptr<VehicleSession>> dropped;
   const std::lock_guard<std::mutex> guard(state_->mutex);
+  Residency gone;
+  const auto drop = [&](auto entry) {
+    const VehicleSession::Residency of = entry->second.session->residency();
+    ++gone.vehicles;
+    gone.nodes += of.nodes;
+    gone.bytes += of.bytes;
+    dropped.push_back(std::move(entry->second.session));
+    return state_->entries.erase(entry);
+  };
+  using EntryIterator = decltype(state_->entries)::iterator;
+  std::vector<EntryIterator> unused_entries;
   for (auto i = state_->entries.begin(); i != state_->entries.end();) {
     State::Entry& entry = i->second;
     // Nobody but this map has it, so nobody can start anything on it now.
@@ -191,12 +222,26 @@ void Fleet::UnloadIdle(std::chrono::steady_clock::time_point now) {
     if (!unused && !entry.session->gone()) entry.last_use = now;
     if (entry.session->gone() ||
         (unused && entry.last_use + state_->options.idle_unload <= now)) {
-      dropped.push_back(std::move(entry.session));
-      i = state_->entries.erase(i);
-    } else {
-      ++i;
+      i = drop(i);
+      continue;
     }
+    if (unused) unused_entries.push_back(i);
+    ++i;
   }
+  if (!state_->options.memory_budget_bytes) return gone;
+  std::int64_t above =
+      state_->ResidencyLocked().bytes - *state_->options.memory_budget_bytes;
+  if (above <= 0) return gone;
+  std::sort(unused_entries.begin(), unused_entries.end(),
+            [](const EntryIterator& a, const EntryIterator& b) {
+              return a->second.last_use < b->second.last_use;
+            });
+  for (const EntryIterator& entry : unused_entries) {
+    if (above <= 0) break;
+    above -= entry->second.session->residency().bytes;
+    drop(entry);
+  }
+  return gone;
 }
 
 }  // namespace revisit::server

@@ -1,10 +1,10 @@
 // All vehicles of the server: those in memory, and how the others get there.
 //
 // Lifetimes. The storage calls back on its writer's thread, from where sessions
-// post to the executor, whose tasks call the storage: so neither of the two can
-// go first while there is work. The fleet goes first of all, and its destructor
-// waits until the work of every session is done, so that storage and executor
-// are idle and may follow in either order. Nobody may call the fleet or a
+// post to the executors, whose tasks call the storage: so none of them can go
+// first while there is work. The fleet goes first of all, and its destructor
+// waits until the work of every session is done, so that storage and executors
+// are idle and may follow in any order. Nobody may call the fleet or a
 // session while or after the fleet is destroyed: finish the calls of the server
 // before.
 #ifndef REVISIT_SERVER_SESSIONS_FLEET_H_
@@ -12,8 +12,10 @@
 
 #include <chrono>
 #include <cstddef>
+#include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "absl/status/statusor.h"
@@ -29,13 +31,16 @@ class Fleet {
   struct Options {
     // A vehicle that nobody has asked for this long is unloaded.
     std::chrono::milliseconds idle_unload{std::chrono::minutes(10)};
+    // Above this many bytes of nodes and edges, vehicles that nobody holds are
+    // unloaded sooner, those first that were not asked for the longest time.
+    std::optional<std::int64_t> memory_budget_bytes;
     VehicleSession::Limits session;
   };
 
-  // Storage, codec and executor must outlive the fleet.
-  Fleet(Storage* storage, const RecordCodec* codec, Executor* executor,
+  // Storage, codec and executors must outlive the fleet.
+  Fleet(Storage* storage, const RecordCodec* codec, const Lanes& lanes,
         const Options& options);
-  // Finishes what was called, see above. Not on a thread of the executor.
+  // Finishes what was called, see above. Not on a thread of the executors.
   ~Fleet();
 
   Fleet(const Fleet&) = delete;
@@ -60,9 +65,18 @@ class Fleet {
   // Vehicles in memory.
   std::size_t loaded() const;
 
-  // Unloads what has been idle since before `now` less Options::idle_unload.
-  // The server calls it on a timer.
-  void UnloadIdle(std::chrono::steady_clock::time_point now);
+  // What they take there, as VehicleSession::Residency has it.
+  struct Residency {
+    std::int64_t vehicles = 0;
+    std::int64_t nodes = 0;
+    std::int64_t bytes = 0;
+  };
+  Residency residency() const;
+
+  // Unloads what has been idle since before `now` less Options::idle_unload,
+  // then what is above the budget. Answers what went. The server calls it on a
+  // timer.
+  Residency UnloadIdle(std::chrono::steady_clock::time_point now);
 
  private:
   struct State;

@@ -79,13 +79,13 @@ struct Replay {
 struct VehicleSession::State
     : std::enable_shared_from_this<VehicleSession::State> {
   State(std::string vehicle_id, Storage* vehicle_storage,
-        const RecordCodec* record_codec, Executor* executor,
+        const RecordCodec* record_codec, const Lanes& lanes,
         const Limits& session_limits)
       : id(std::move(vehicle_id)),
         storage(vehicle_storage),
         codec(record_codec),
         limits(session_limits),
-        strand(Strand::Create(executor)) {}
+        strand(Strand::Create(lanes)) {}
 
   const std::string id;
   Storage* const storage;
@@ -94,6 +94,9 @@ struct VehicleSession::State
   const std::shared_ptr<Strand> strand;
   std::atomic<int> pending_appends{0};
   std::atomic<bool> is_gone{false};
+  // See VehicleSession::Residency.
+  std::atomic<std::int64_t> resident_nodes{0};
+  std::atomic<std::int64_t> resident_bytes{0};
 
   // What is durable and applied. No engine until loaded.
   VehicleKey key = 0;
@@ -118,6 +121,9 @@ struct VehicleSession::State
   bool pumping = false;
   // Loading or changing: nothing but reads may run.
   bool exclusive = false;
+  // The checks of an append that has landed are still to be run. What is in
+  // flight behind it lands after them.
+  bool checking = false;
   // A write failed: see that the store has what this session thinks it has.
   bool in_doubt = false;
   std::optional<Replay> replay;
@@ -138,14 +144,78 @@ struct VehicleSession::State
     return kind == PairKind::kLoopClosure ? loop_closures : rejections;
   }
 
+  // After every change of a graph.
+  void NoteResidency() {
+    std::int64_t nodes = 0;
+    std::int64_t bytes = 0;
+    const core::Engine* const engines[] = {
+        engine.get(), replay ? replay->engine.get() : nullptr};
+    for (const core::Engine* const of : engines) {
+      if (of == nullptr) continue;
+      nodes += of->graph().size();
+      bytes += static_cast<std::int64_t>(of->graph().bytes());
+    }
+    resident_nodes.store(nodes);
+    resident_bytes.store(bytes);
+  }
+
+  using ViewCallback = std::function<void(absl::StatusOr<VehicleView>)>;
+
+  Operation Reading(ViewCallback callback) {
+    return {true, false,
+            [this, callback = std::move(callback)](const absl::Status& status) {
+              if (status.ok()) {
+                callback(View());
+              } else {
+                callback(status);
+              }
+            }};
+  }
+
   // ---- The queue
 
   // From any thread.
   void Submit(Operation operation) {
-    strand->Post([self = shared_from_this(),
-                  operation = std::move(operation)]() mutable {
+    strand->Post(Adding(std::move(operation)));
+  }
+
+  void SubmitLong(Operation operation) {
+    strand->PostLong(Adding(std::move(operation)));
+  }
+
+  std::function<void()> Adding(Operation operation) {
+    return [self = shared_from_this(),
+            operation = std::move(operation)]() mutable {
       self->Add(std::move(operation));
-    });
+    };
+  }
+
+  // The same for an append, which is staged before this returns if nothing
+  // stands in its way. So the caller's thread does what it would else have
+  // woken another for.
+  void SubmitAppend(std::shared_ptr<PendingAppend> append) {
+    strand->RunOrPost(
+        [self = shared_from_this(), append = std::move(append)]() mutable {
+          self->AddAppend(std::move(append));
+        });
+  }
+
+  void AddAppend(std::shared_ptr<PendingAppend> append) {
+    if (waiting.empty() && !gone_status && !exclusive && !failure &&
+        !in_doubt) {
+      RunAppend(append, absl::OkStatus(), /*may_read=*/false);
+      return;
+    }
+    waiting.push_back(
+        {false, false,
+         [this, append = std::move(append)](const absl::Status& status) {
+           RunAppend(append, status, /*may_read=*/true);
+         }});
+    PumpLater();
+  }
+
+  void PumpLater() {
+    strand->Post([self = shared_from_this()] { self->Pump(); });
   }
 
   void Add(Operation operation) {
@@ -176,12 +246,12 @@ struct VehicleSession::State
     if (exclusive) return false;
     if (operation.is_read) return true;
     if (failure) return false;
-    return in_flight.empty() || !operation.needs_quiet;
+    return !operation.needs_quiet || (in_flight.empty() && !checking);
   }
 
   // After a failed write: OK if store and memory agree.
   absl::Status ClearDoubt() {
-    if (!in_doubt || !in_flight.empty()) return absl::OkStatus();
+    if (!in_doubt || !in_flight.empty() || checking) return absl::OkStatus();
     const absl::StatusOr<VehicleRecord> record = storage->GetVehicle(id);
     if (!record.ok()) {
       if (absl::IsNotFound(record.status())) Leave(VehicleNotFound(id));
@@ -272,13 +342,18 @@ struct VehicleSession::State
     replay->revision = new_revision;
     replay->engine = std::make_unique<core::Engine>(replay->config.engine);
     replay->then = std::move(then);
-    ContinueReplay();
+    PostReplay();
+  }
+
+  void PostReplay() {
+    strand->PostLong([self = shared_from_this()] { self->ContinueReplay(); });
   }
 
   void ContinueReplay() {
     const absl::StatusOr<bool> finished = ReplaySome();
     if (finished.ok() && !*finished) {
-      strand->Post([self = shared_from_this()] { self->ContinueReplay(); });
+      NoteResidency();
+      PostReplay();
       return;
     }
     Replay done = *std::move(replay);
@@ -287,6 +362,7 @@ struct VehicleSession::State
       engine = std::move(done.engine);
       Settled(done.config, done.revision);
     }
+    NoteResidency();
     exclusive = false;
     done.then(finished.status());
     Pump();
@@ -413,20 +489,25 @@ struct VehicleSession::State
 
   // ---- Appends
 
+  // `may_read`: whether this thread may wait for the storage.
   void RunAppend(const std::shared_ptr<PendingAppend>& append,
-                 const absl::Status& status) {
-    const absl::StatusOr<bool> staged = status.ok() ? Stage(append) : status;
+                 const absl::Status& status, bool may_read) {
+    const absl::StatusOr<Staging> staged =
+        status.ok() ? Stage(append, may_read) : status;
     if (!staged.ok()) {
       // Answered behind those before it.
       append->result = staged.status();
       in_flight.push_back(append);
       Staged(append, staged.status());
       Settle();
-    } else if (!*staged) {
-      // Goes first once all that is in flight has landed.
-      waiting.push_front({false, true, [this, append](const absl::Status& s) {
-                            RunAppend(append, s);
+    } else if (*staged != Staging::kDone) {
+      // Goes first: once all that is in flight has landed, or on a thread of
+      // the executor.
+      waiting.push_front({false, *staged == Staging::kWhenQuiet,
+                          [this, append](const absl::Status& s) {
+                            RunAppend(append, s, /*may_read=*/true);
                           }});
+      if (!may_read) PumpLater();
     }
   }
 
@@ -437,9 +518,11 @@ struct VehicleSession::State
     if (staged) staged(status);
   }
 
-  // Takes an append on, or answers false if it cannot be judged before what is
-  // in flight has landed.
-  absl::StatusOr<bool> Stage(const std::shared_ptr<PendingAppend>& append) {
+  // Whether an append was taken on, or when it can be judged.
+  enum class Staging { kDone, kWhenQuiet, kWhereReadsMayWait };
+
+  absl::StatusOr<Staging> Stage(const std::shared_ptr<PendingAppend>& append,
+                                bool may_read) {
     if (config.data_loss) return DataLoss({});
     if (!append->decoded) {
       absl::StatusOr<DecodedBatch> decoded =
@@ -461,8 +544,9 @@ struct VehicleSession::State
     }
     if (first <= staged_sequence) {
       if (last > durable_sequence && staged_sequence > durable_sequence) {
-        return false;
+        return Staging::kWhenQuiet;
       }
+      if (!may_read) return Staging::kWhereReadsMayWait;
       const absl::Status same =
           CompareWithStored(batch, first, std::min(last, durable_sequence));
       if (!same.ok()) return same;
@@ -471,7 +555,7 @@ struct VehicleSession::State
         in_flight.push_back(append);
         Staged(append, absl::OkStatus());
         Settle();
-        return true;
+        return Staging::kDone;
       }
       const absl::Status sliced =
           KeepFrom(durable_sequence + 1 - first, &batch);
@@ -480,7 +564,7 @@ struct VehicleSession::State
     const absl::Status origin = StageOrigin(batch);
     if (!origin.ok()) return origin;
     Write(append);
-    return true;
+    return Staging::kDone;
   }
 
   // The first batch of a geodetic vehicle may set its origin.
@@ -595,7 +679,7 @@ struct VehicleSession::State
 
   // Answers, in order, the appends whose result is known.
   void Settle() {
-    while (!in_flight.empty() && in_flight.front()->result) {
+    while (!checking && !in_flight.empty() && in_flight.front()->result) {
       const std::shared_ptr<PendingAppend> append =
           std::move(in_flight.front());
       in_flight.pop_front();
@@ -605,7 +689,7 @@ struct VehicleSession::State
         Land(append);
       }
     }
-    if (in_flight.empty() && failure) {
+    if (in_flight.empty() && !checking && failure) {
       failure.reset();
       Settled(config, revision);
     }
@@ -633,6 +717,7 @@ struct VehicleSession::State
     }
     const std::vector<core::PoseSample>& samples = append->decoded->samples;
     core::AppendResult applied = engine->Append(samples, append->revision);
+    NoteResidency();
     durable_sequence = samples.back().sequence;
     revision = append->revision;
     if (!config.origin) config.origin = append->decoded->origin;
@@ -642,9 +727,24 @@ struct VehicleSession::State
         applied.checks_due.empty()) {
       return;
     }
+    checking = true;
+    strand->PostLong([self = shared_from_this(), append,
+                      due = std::move(applied.checks_due)] {
+      self->Check(append->request, due);
+      self->checking = false;
+      // In the lane of short work again.
+      self->strand->Post([self] {
+        self->Settle();
+        self->Pump();
+      });
+    });
+  }
+
+  void Check(const AppendRequest& request,
+             const std::vector<core::NodeIndex>& due) {
     const absl::StatusOr<core::SearchOptions> options =
         (*request.check)(config);
-    for (core::NodeIndex node : applied.checks_due) {
+    for (core::NodeIndex node : due) {
       request.callbacks.candidates(
           View(), options.ok() ? engine->FindCandidates(node, *options,
                                                         request.should_stop)
@@ -699,8 +799,6 @@ struct VehicleSession::State
       });
     });
   }
-
-  using ViewCallback = std::function<void(absl::StatusOr<VehicleView>)>;
 
   // Stores and applies a config that moves no nodes.
   void WriteConfig(const VehicleConfig& new_config,
@@ -815,16 +913,31 @@ struct VehicleSession::State
                 });
   }
 
-  void Revise(
-      const std::function<absl::StatusOr<RevisionPlan>(const VehicleView&)>&
-          make_plan,
-      const std::function<void(
-          absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>)>& callback) {
+  using RevisionPlanner =
+      std::function<absl::StatusOr<RevisionPlan>(const VehicleView&)>;
+  using RevisionCallback = std::function<void(
+      absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>)>;
+
+  void Revise(const RevisionPlanner& make_plan,
+              const RevisionCallback& callback) {
     const absl::Status writable = Writable();
     if (!writable.ok()) {
       callback(writable);
       return;
     }
+    // The plan reads all that it revises.
+    exclusive = true;
+    strand->PostLong([self = shared_from_this(), make_plan, callback] {
+      self->exclusive = false;
+      self->pumping = true;
+      self->WriteRevision(make_plan, callback);
+      self->pumping = false;
+      self->Pump();
+    });
+  }
+
+  void WriteRevision(const RevisionPlanner& make_plan,
+                     const RevisionCallback& callback) {
     absl::StatusOr<RevisionPlan> plan = make_plan(View());
     if (!plan.ok()) {
       callback(plan.status());
@@ -915,6 +1028,7 @@ struct VehicleSession::State
             return;
           }
           Apply(engine.get(), kind, pair, next);
+          NoteResidency();
           Pairs(kind).emplace(pair.id, pair);
           Settled(config, next);
           callback(std::make_pair(pair, next));
@@ -949,6 +1063,7 @@ struct VehicleSession::State
             return;
           }
           TakeBack(kind, pair, next);
+          NoteResidency();
           Pairs(kind).erase(pair.id);
           Settled(config, next);
           callback(next);
@@ -961,7 +1076,8 @@ struct VehicleSession::State
           storage->DeleteVehicle(key, std::move(done));
         },
         [this, callback](const absl::Status& status) {
-          if (status.ok() || absl::IsNotFound(status)) Leave(VehicleNotFound(id));
+          if (status.ok() || absl::IsNotFound(status))
+            Leave(VehicleNotFound(id));
           callback(status);
         });
   }
@@ -970,11 +1086,11 @@ struct VehicleSession::State
 std::shared_ptr<VehicleSession> VehicleSession::Load(std::string id,
                                                      Storage* storage,
                                                      const RecordCodec* codec,
-                                                     Executor* executor,
+                                                     const Lanes& lanes,
                                                      const Limits& limits) {
   auto state =
-      std::make_shared<State>(std::move(id), storage, codec, executor, limits);
-  state->strand->Post([state] { state->Load(); });
+      std::make_shared<State>(std::move(id), storage, codec, lanes, limits);
+  state->strand->PostLong([state] { state->Load(); });
   return std::shared_ptr<VehicleSession>(new VehicleSession(std::move(state)));
 }
 
@@ -983,16 +1099,12 @@ VehicleSession::VehicleSession(std::shared_ptr<State> state)
 
 void VehicleSession::Read(
     std::function<void(absl::StatusOr<VehicleView>)> callback) {
-  State* const state = state_.get();
-  state->Submit(
-      {true, false,
-       [state, callback = std::move(callback)](const absl::Status& status) {
-         if (status.ok()) {
-           callback(state->View());
-         } else {
-           callback(status);
-         }
-       }});
+  state_->Submit(state_->Reading(std::move(callback)));
+}
+
+void VehicleSession::LongRead(
+    std::function<void(absl::StatusOr<VehicleView>)> callback) {
+  state_->SubmitLong(state_->Reading(std::move(callback)));
 }
 
 void VehicleSession::Append(AppendRequest request) {
@@ -1014,11 +1126,7 @@ void VehicleSession::Append(AppendRequest request) {
   if (!request.should_stop) request.should_stop = [] { return false; };
   auto append = std::make_shared<PendingAppend>();
   append->request = std::move(request);
-  state->Submit(
-      {false, false,
-       [state, append = std::move(append)](const absl::Status& status) {
-         state->RunAppend(append, status);
-       }});
+  state->SubmitAppend(std::move(append));
 }
 
 void VehicleSession::CheckAcknowledged(
@@ -1153,6 +1261,10 @@ void VehicleSession::Close(std::function<void()> callback) {
 }
 
 bool VehicleSession::gone() const { return state_->is_gone.load(); }
+
+VehicleSession::Residency VehicleSession::residency() const {
+  return {state_->resident_nodes.load(), state_->resident_bytes.load()};
+}
 
 bool VehicleSession::busy() const { return state_.use_count() > 1; }
 

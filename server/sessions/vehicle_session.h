@@ -7,9 +7,11 @@
 // until none is, and holds up those behind it.
 //
 // All public calls are thread-safe and return at once; callbacks run on the
-// executor's threads, one at a time for a vehicle. Every callback is called
-// exactly once. The session's work goes on when the last reference to it is
-// dropped; see fleet.h for what must outlive that work.
+// threads of the lanes, one at a time for a vehicle, but that Append() may
+// decode and stage a batch, or refuse it, before it returns: call it without a
+// lock that its callbacks take. Every callback is called exactly once. The
+// session's work goes on when the last reference to it is dropped; see fleet.h
+// for what must outlive that work.
 #ifndef REVISIT_SERVER_SESSIONS_VEHICLE_SESSION_H_
 #define REVISIT_SERVER_SESSIONS_VEHICLE_SESSION_H_
 
@@ -129,7 +131,7 @@ class VehicleSession {
   // must never be at work at the same time: only the fleet calls this.
   static std::shared_ptr<VehicleSession> Load(std::string id, Storage* storage,
                                               const RecordCodec* codec,
-                                              Executor* executor,
+                                              const Lanes& lanes,
                                               const Limits& limits);
 
   VehicleSession(const VehicleSession&) = delete;
@@ -137,6 +139,9 @@ class VehicleSession {
 
   // Reads at one revision: what is durable and applied.
   void Read(std::function<void(absl::StatusOr<VehicleView>)> callback);
+  // The same for a callback that searches, or reads the store: it runs where
+  // long work does, and holds up this vehicle only.
+  void LongRead(std::function<void(absl::StatusOr<VehicleView>)> callback);
 
   // See AppendCallbacks. Poses that are stored already with the same content
   // are acknowledged again; errors: ALREADY_EXISTS (SEQUENCE_CONTENT_MISMATCH),
@@ -203,6 +208,15 @@ class VehicleSession {
   // deleted, could not be loaded, or must be loaded anew since it and the store
   // disagree.
   bool gone() const;
+
+  // What of it is in memory, the graph in the making while it is loaded or
+  // rebuilt. Takes no turn in the queue.
+  struct Residency {
+    std::int64_t nodes = 0;
+    // Of nodes and edges.
+    std::int64_t bytes = 0;
+  };
+  Residency residency() const;
 
   // Whether calls wait or are under way. Exact only for the holder of the last
   // reference.

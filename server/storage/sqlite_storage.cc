@@ -1,6 +1,10 @@
 #include "server/storage/sqlite_storage.h"
 
+#include <pthread.h>
+
 #include <algorithm>
+#include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <deque>
 #include <filesystem>
@@ -8,6 +12,7 @@
 #include <mutex>
 #include <system_error>
 #include <thread>
+#include <unordered_map>
 #include <utility>
 
 #include "server/status.h"
@@ -122,6 +127,9 @@ const PairStatements& StatementsOf(PairKind kind) {
 
 // Read-only connections that are kept open while nobody uses them.
 constexpr std::size_t kIdleReaders = 4;
+
+// Vehicles of which the writer remembers the sequence that comes next.
+constexpr std::size_t kMaxKnownSequences = 100'000;
 
 // Batches of deleted vehicles that one transaction removes.
 constexpr int kPurgedBatches = 32;
@@ -338,24 +346,33 @@ absl::Status RemoveVehicle(SqliteDatabase& database, VehicleKey key) {
       .Run();
 }
 
+absl::Status Gap(const std::string& vehicle_id, std::uint64_t expected,
+                 const BatchRecord& batch) {
+  return Error(StatusCode::kFailedPrecondition, "SEQUENCE_GAP",
+               "vehicle '" + vehicle_id + "': got a batch from sequence " +
+                   std::to_string(batch.first_sequence) + ", expected " +
+                   std::to_string(expected),
+               {{"expected_sequence", std::to_string(expected)}});
+}
+
+// `expected` is the sequence that comes next, where it is known: then it is not
+// read. It is set to the one after the batch.
 absl::Status InsertBatch(SqliteDatabase& database, VehicleKey key,
-                         const BatchRecord& batch,
-                         const std::optional<std::string>& vehicle_payload) {
-  const absl::StatusOr<std::string> id = VehicleId(database, key);
-  if (!id.ok()) return id.status();
-  const absl::StatusOr<std::optional<BatchRecord>> last =
-      ReadLastBatch(database, key, *id);
-  if (!last.ok()) return last.status();
-  const std::uint64_t expected =
-      last->has_value() ? (*last)->first_sequence + (*last)->count : 1;
-  if (batch.first_sequence != expected) {
-    return Error(StatusCode::kFailedPrecondition, "SEQUENCE_GAP",
-                 "vehicle '" + *id + "': got a batch from sequence " +
-                     std::to_string(batch.first_sequence) + ", expected " +
-                     std::to_string(expected),
-                 {{"expected_sequence", std::to_string(expected)}});
+                         const BatchRecord& batch, std::uint64_t* expected) {
+  if (*expected == 0) {
+    const absl::StatusOr<std::string> id = VehicleId(database, key);
+    if (!id.ok()) return id.status();
+    const absl::StatusOr<std::optional<BatchRecord>> last =
+        ReadLastBatch(database, key, *id);
+    if (!last.ok()) return last.status();
+    *expected =
+        last->has_value() ? (*last)->first_sequence + (*last)->count : 1;
   }
-  absl::Status status =
+  if (batch.first_sequence != *expected) {
+    const absl::StatusOr<std::string> id = VehicleId(database, key);
+    return id.ok() ? Gap(*id, *expected, batch) : id.status();
+  }
+  const absl::Status status =
       database
           .Prepare(
               "INSERT INTO batches (vehicle_key, first_sequence, count, "
@@ -370,8 +387,8 @@ absl::Status InsertBatch(SqliteDatabase& database, VehicleKey key,
                                    batch))
           .BindBlob(7, batch.payload)
           .Run();
-  if (!status.ok() || !vehicle_payload.has_value()) return status;
-  return ChangeVehicle(database, key, vehicle_payload, batch.revision);
+  if (status.ok()) *expected += batch.count;
+  return status;
 }
 
 absl::Status ReviseBatchRows(SqliteDatabase& database, VehicleKey key,
@@ -591,7 +608,10 @@ class SqliteStorage : public Storage {
         lock_(std::move(lock)),
         writer_(std::move(writer)),
         anchor_(std::move(anchor)),
-        thread_([this] { Write(); }) {}
+        thread_([this] { Write(); }) {
+    // For tools that list threads.
+    pthread_setname_np(thread_.native_handle(), "store-writer");
+  }
 
   ~SqliteStorage() override {
     {
@@ -642,6 +662,7 @@ class SqliteStorage : public Storage {
         [this, key](SqliteDatabase& database) {
           const absl::Status status = RemoveVehicle(database, key);
           if (status.ok()) purge_ = true;
+          next_sequences_.erase(key);
           return status;
         },
         std::move(done));
@@ -650,14 +671,23 @@ class SqliteStorage : public Storage {
   void AppendBatch(VehicleKey key, BatchRecord batch,
                    std::optional<std::string> vehicle_payload,
                    Done done) override {
-    const std::size_t bytes = batch.payload.size();
-    Submit(
-        bytes,
-        [key, batch = std::move(batch),
-         payload = std::move(vehicle_payload)](SqliteDatabase& database) {
-          return InsertBatch(database, key, batch, payload);
-        },
-        std::move(done));
+    PendingWrite write;
+    write.bytes = batch.payload.size();
+    write.done.push_back(std::move(done));
+    if (!vehicle_payload.has_value()) {
+      write.key = key;
+      write.batch = std::move(batch);
+      SubmitAppend(std::move(write));
+      return;
+    }
+    write.apply = [this, key, batch = std::move(batch),
+                   payload =
+                       std::move(vehicle_payload)](SqliteDatabase& database) {
+      const absl::Status status = Append(database, key, batch);
+      if (!status.ok()) return status;
+      return ChangeVehicle(database, key, payload, batch.revision);
+    };
+    Submit(std::move(write));
   }
 
   void ReviseBatches(VehicleKey key, std::vector<BatchRecord> batches,
@@ -782,11 +812,21 @@ class SqliteStorage : public Storage {
     return pairs;
   }
 
+  CommitCounts Counts() const override { return {commits_, writes_}; }
+
  private:
+  using Clock = std::chrono::steady_clock;
+
+  // One row of `batches`, or something else.
   struct PendingWrite {
-    std::size_t bytes;
+    std::size_t bytes = 0;
+    // Of a row: one append, or several of a vehicle that follow each other.
+    VehicleKey key = 0;
+    BatchRecord batch;
+    // Of something else: may be called again after it was rolled back.
     std::function<absl::Status(SqliteDatabase&)> apply;
-    Done done;
+    // Of everything that this is.
+    std::vector<Done> done;
   };
 
   static absl::Status VisitBatches(
@@ -849,11 +889,62 @@ class SqliteStorage : public Storage {
 
   void Submit(std::size_t bytes,
               std::function<absl::Status(SqliteDatabase&)> apply, Done done) {
+    PendingWrite write;
+    write.bytes = bytes;
+    write.apply = std::move(apply);
+    write.done.push_back(std::move(done));
+    Submit(std::move(write));
+  }
+
+  void Submit(PendingWrite write) {
     {
       const std::lock_guard<std::mutex> guard(mutex_);
-      queue_.push_back({bytes, std::move(apply), std::move(done)});
+      // What comes later of any vehicle must not get before it.
+      open_rows_.clear();
+      Enqueue(std::move(write));
     }
     wake_.notify_one();
+  }
+
+  void SubmitAppend(PendingWrite write) {
+    bool wake;
+    {
+      const std::lock_guard<std::mutex> guard(mutex_);
+      wake = queue_.empty();
+      const auto open = open_rows_.find(write.key);
+      if (open != open_rows_.end() && Join(open->second, &write)) {
+        ++waiting_writes_;
+      } else {
+        Enqueue(std::move(write));
+        open_rows_[queue_.back().key] = &queue_.back();
+      }
+      // One that is busy looks by itself.
+      wake = wake || (gathering_ && waiting_writes_ >= last_group_writes_);
+    }
+    if (wake) wake_.notify_one();
+  }
+
+  // With the mutex held.
+  void Enqueue(PendingWrite write) {
+    if (queue_.empty()) oldest_submission_ = Clock::now();
+    ++waiting_writes_;
+    queue_.push_back(std::move(write));
+  }
+
+  // Makes an append part of a row that waits, if it follows and fits.
+  bool Join(PendingWrite* row, PendingWrite* append) const {
+    if (append->batch.first_sequence !=
+            row->batch.first_sequence + row->batch.count ||
+        row->batch.count + append->batch.count > options_.max_joined_poses ||
+        row->bytes + append->bytes > options_.max_joined_bytes) {
+      return false;
+    }
+    row->batch.payload += append->batch.payload;
+    row->batch.count += append->batch.count;
+    row->batch.revision = append->batch.revision;
+    row->bytes += append->bytes;
+    row->done.push_back(std::move(append->done.front()));
+    return true;
   }
 
   // The writer's thread.
@@ -865,18 +956,31 @@ class SqliteStorage : public Storage {
       wake_.wait(lock,
                  [this] { return stopping_ || purge_ || !queue_.empty(); });
       if (queue_.empty() && stopping_) break;
+      Gather(&lock);
       std::vector<PendingWrite> group;
       std::size_t bytes = 0;
+      std::size_t writes = 0;
       while (!queue_.empty() && group.size() < options_.max_group_writes &&
              (group.empty() ||
               bytes + queue_.front().bytes <= options_.max_group_bytes)) {
         bytes += queue_.front().bytes;
+        writes += queue_.front().done.size();
         group.push_back(std::move(queue_.front()));
         queue_.pop_front();
       }
+      open_rows_.clear();
+      waiting_writes_ -= writes;
+      last_group_writes_ = writes;
+      const Clock::time_point start = Clock::now();
+      // Of those that are left behind, near enough.
+      oldest_submission_ = start;
       lock.unlock();
       const std::vector<absl::Status> results = Commit(group);
-      for (std::size_t i = 0; i < group.size(); ++i) group[i].done(results[i]);
+      // Follows the device, and forgets a single slow flush soon.
+      commit_time_ += (Clock::now() - start - commit_time_) / 8;
+      for (std::size_t i = 0; i < group.size(); ++i) {
+        for (const Done& done : group[i].done) done(results[i]);
+      }
       // What the callbacks hold goes before others are taken on.
       group.clear();
       lock.lock();
@@ -885,17 +989,33 @@ class SqliteStorage : public Storage {
     EnsureWriter().IgnoreError();
   }
 
+  // Waits for more, see SqliteOptions::latency_target.
+  void Gather(std::unique_lock<std::mutex>* lock) {
+    if (options_.latency_target <= commit_time_) return;
+    gathering_ = true;
+    while (!stopping_ && !queue_.empty() &&
+           waiting_writes_ < last_group_writes_) {
+      const Clock::time_point latest =
+          oldest_submission_ + options_.latency_target - commit_time_;
+      if (wake_.wait_until(*lock, latest) == std::cv_status::timeout) break;
+    }
+    gathering_ = false;
+  }
+
   // Writes a group in one transaction.
   std::vector<absl::Status> Commit(const std::vector<PendingWrite>& group) {
     std::vector<absl::Status> results;
     absl::Status status = EnsureWriter();
     if (status.ok()) status = writer_->Prepare("BEGIN IMMEDIATE").Run();
     const bool begun = status.ok();
-    for (const PendingWrite& write : group) {
-      if (!status.ok()) break;
-      absl::Status result;
-      status = Apply(write, &result);
-      results.push_back(std::move(result));
+    // Rows are inserted without a savepoint each, which costs more than the
+    // insertion. Should one of them damage the transaction, which takes a
+    // damaged file, all is begun again with savepoints.
+    if (begun && !ApplyAll(group, /*careful=*/false, &results, &status)) {
+      next_sequences_.clear();
+      if (status.ok()) status = writer_->Prepare("ROLLBACK").Run();
+      if (status.ok()) status = writer_->Prepare("BEGIN IMMEDIATE").Run();
+      if (status.ok()) ApplyAll(group, /*careful=*/true, &results, &status);
     }
     if (status.ok() && purge_) {
       const absl::StatusOr<bool> more = PurgeSome(*writer_);
@@ -903,11 +1023,16 @@ class SqliteStorage : public Storage {
       purge_ = more.ok() && *more;
     }
     if (status.ok()) status = writer_->Prepare("COMMIT").Run();
-    if (status.ok()) return results;
+    if (status.ok()) {
+      if (!group.empty()) ++commits_;
+      for (const PendingWrite& write : group) writes_ += write.done.size();
+      return results;
+    }
 
     // Whatever is left is in doubt; see the header. Where not even BEGIN
     // succeeded, nothing was touched.
     if (begun) writer_.reset();
+    next_sequences_.clear();
     // Else a full disk would be asked again and again. Taken up after the next
     // delete or start.
     purge_ = false;
@@ -917,16 +1042,59 @@ class SqliteStorage : public Storage {
     return std::vector<absl::Status>(group.size(), failure);
   }
 
-  // Runs one write so that, refused, it leaves nothing behind. Answers not OK
+  // Answers whether all writes could be applied or refused; `status` is not OK
   // if the transaction cannot go on.
-  absl::Status Apply(const PendingWrite& write, absl::Status* result) {
+  bool ApplyAll(const std::vector<PendingWrite>& group, bool careful,
+                std::vector<absl::Status>* results, absl::Status* status) {
+    results->clear();
+    for (const PendingWrite& write : group) {
+      if (careful || write.apply) {
+        results->emplace_back();
+        *status = ApplyAlone(write, &results->back());
+        if (!status->ok()) return true;
+        continue;
+      }
+      absl::Status result = Append(*writer_, write.key, write.batch);
+      if (result.code() == StatusCode::kUnavailable) {
+        *status = std::move(result);
+        return true;
+      }
+      // A row that does not follow was refused before anything was touched.
+      if (!result.ok() && result.code() != StatusCode::kFailedPrecondition &&
+          result.code() != StatusCode::kNotFound) {
+        return false;
+      }
+      results->push_back(std::move(result));
+    }
+    return true;
+  }
+
+  absl::Status Apply(SqliteDatabase& database, const PendingWrite& write) {
+    return write.apply ? write.apply(database)
+                       : Append(database, write.key, write.batch);
+  }
+
+  absl::Status Append(SqliteDatabase& database, VehicleKey key,
+                      const BatchRecord& batch) {
+    if (next_sequences_.size() >= kMaxKnownSequences) next_sequences_.clear();
+    std::uint64_t& next = next_sequences_[key];
+    const absl::Status status = InsertBatch(database, key, batch, &next);
+    // What a refused write did is rolled back.
+    if (!status.ok()) next_sequences_.erase(key);
+    return status;
+  }
+
+  // Applies one write so that, refused, it leaves nothing behind. Answers not
+  // OK if the transaction cannot go on.
+  absl::Status ApplyAlone(const PendingWrite& write, absl::Status* result) {
     absl::Status status = writer_->Prepare("SAVEPOINT one").Run();
     if (!status.ok()) return status;
-    *result = write.apply(*writer_);
+    *result = Apply(*writer_, write);
     if (result->code() == StatusCode::kUnavailable) return *result;
     // SQLite gives up the whole transaction after some errors.
     if (!writer_->InTransaction()) return *result;
     if (!result->ok()) {
+      next_sequences_.clear();
       status = writer_->Prepare("ROLLBACK TO one").Run();
       if (!status.ok()) return status;
     }
@@ -982,6 +1150,14 @@ class SqliteStorage : public Storage {
   // The writer's thread only, once it runs. Nothing after a failure.
   std::unique_ptr<SqliteDatabase> writer_;
   bool purge_ = true;
+  // The sequence that comes next of vehicles that were written to, as the
+  // transaction under way would have it. Forgotten when that is in doubt.
+  std::unordered_map<VehicleKey, std::uint64_t> next_sequences_;
+  // What a commit takes.
+  Clock::duration commit_time_{0};
+  // Written by that thread.
+  std::atomic<std::uint64_t> commits_{0};
+  std::atomic<std::uint64_t> writes_{0};
 
   // Keeps the log's index in shared memory while the writer is opened anew: it
   // would otherwise be made from the log, failed transactions included.
@@ -990,7 +1166,15 @@ class SqliteStorage : public Storage {
   std::mutex mutex_;
   std::condition_variable wake_;
   std::deque<PendingWrite> queue_;
+  // By vehicle, the row in the queue that appends may still join.
+  std::unordered_map<VehicleKey, PendingWrite*> open_rows_;
   bool stopping_ = false;
+  // In the queue, each batch of a row counted.
+  std::size_t waiting_writes_ = 0;
+  std::size_t last_group_writes_ = 0;
+  // Of the first in the queue, or when the last group was taken.
+  Clock::time_point oldest_submission_;
+  bool gathering_ = false;
 
   std::mutex readers_mutex_;
   std::vector<std::unique_ptr<SqliteDatabase>> idle_readers_;

@@ -2,10 +2,11 @@
 //
 // The file is in WAL mode with synchronous=FULL: a commit returns after the log
 // was flushed to the device. One thread writes: it takes all writes that wait,
-// commits them as one transaction, and then answers each. A write that is
-// refused (a gap, an id that is taken) is rolled back alone; a transaction that
-// fails is rolled back whole, and all its writes fail. Reads have connections
-// of their own and never wait for the writer.
+// commits them as one transaction, and then answers each. What comes meanwhile
+// waits for the next: an idle store commits at once, a busy one many together.
+// A write that is refused (a gap, an id that is taken) is rolled back alone; a
+// transaction that fails is rolled back whole, and all its writes fail. Reads
+// have connections of their own and never wait for the writer.
 //
 // After a failed transaction the connection is closed, and no write is taken on
 // until it has been opened anew and the whole log has been copied into the
@@ -14,7 +15,8 @@
 //
 // Tables (see kSchema in the .cc; the file's user_version is kStoreFormat):
 //   vehicles             a row a vehicle; keys are never used again
-//   batches              a row a batch, as sent; never rewritten
+//   batches              a row a batch, or some small ones that were committed
+//                        together, as sent; never rewritten
 //   revised_batches      a row a batch whose poses were revised: its current
 //                        version
 //   loop_closures        a row a loop closure
@@ -28,6 +30,7 @@
 #ifndef REVISIT_SERVER_STORAGE_SQLITE_STORAGE_H_
 #define REVISIT_SERVER_STORAGE_SQLITE_STORAGE_H_
 
+#include <chrono>
 #include <cstddef>
 #include <memory>
 #include <string>
@@ -41,6 +44,17 @@ struct SqliteOptions {
   // Bounds of one transaction. One write may exceed the bytes.
   std::size_t max_group_writes = 1024;
   std::size_t max_group_bytes = std::size_t{8} << 20;
+  // Bounds of a row that is made of several batches of a vehicle which waited
+  // together and follow each other. Their payloads are put one behind the
+  // other, which must be the payload of all their poses, as it is of protobufs'
+  // repeated fields. 0 poses: each batch has a row of its own.
+  std::size_t max_joined_poses = 0;
+  std::size_t max_joined_bytes = std::size_t{64} << 10;
+  // While writes come thick, a commit waits until as many wait as the one
+  // before held, for as long as those that wait can still be answered within
+  // this time of their submission. So a device that flushes fast is not asked
+  // to flush for every few writes. 0: no commit waits.
+  std::chrono::microseconds latency_target{0};
   // Name of SQLite's layer to the operating system; empty for the usual one.
   // Tests put one here whose device fails.
   std::string vfs;

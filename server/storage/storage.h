@@ -55,6 +55,13 @@ struct BatchRecord {
   std::string payload;
 };
 
+// Since the storage was opened.
+struct CommitCounts {
+  // Transactions that were committed, and the writes that they held.
+  std::uint64_t commits = 0;
+  std::uint64_t writes = 0;
+};
+
 // What a verifier said of two poses. Ids are unique among the pairs of one
 // kind.
 enum class PairKind { kLoopClosure, kRejectedCandidate };
@@ -144,6 +151,9 @@ class Storage {
   virtual absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
       VehicleKey key, PairKind kind, const std::string& after_id,
       int limit) = 0;
+
+  // Nothing where nobody counts.
+  virtual CommitCounts Counts() const { return {}; }
 };
 
 }  // namespace revisit::server

@@ -1,12 +1,16 @@
 // Similarity and alignment of the core, on one thread.
 #include <benchmark/benchmark.h>
 
+#include <cmath>
+#include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "core/alignment/log_similarity.h"
 #include "core/alignment/relative.h"
 #include "core/alignment/viterbi.h"
+#include "core/candidates/gate.h"
 #include "tests/bench/eigen_alignment.h"
 #include "tests/bench/machine_limits.h"
 #include "tests/bench/roads.h"
@@ -85,18 +89,87 @@ void AlignComposite(benchmark::State& state) {
   state.SetItemsProcessed(state.iterations() * n * kSteps);
 }
 
-void AlignRelative(benchmark::State& state, bool confirmed) {
+// Whose errors are searched: those that the drive has gathered, those left once
+// its last loop closure is known, or those of satellite fixes.
+enum class Errors { kReckoned, kReckonedAndConfirmed, kFixes };
+
+// What the engine keeps beside a graph and what it asks for.
+class Relative {
+ public:
+  Relative(const PoseGraph& graph, NodeIndex n, Errors errors)
+      : graph_(graph),
+        n_(n),
+        history_(StateSpace::kPlanar, CorrelationOf(errors),
+                 core::StretchNodes(core::ShapeModel(), kSpacing, kSteps)),
+        bounds_(StateSpace::kPlanar) {
+    model_.similarity = ModelOf(StateSpace::kPlanar);
+    model_.similarity.correlation = CorrelationOf(errors);
+    model_.spacing_meters = kSpacing;
+    if (errors == Errors::kReckonedAndConfirmed) {
+      model_.last_confirmed = {n - 1, n / 2};
+    }
+    history_.Extend(graph);
+    bounds_.Extend(graph);
+    model_.motion_history = &history_;
+    model_.block_bounds = &bounds_;
+  }
+
+  void LeaveOut() {
+    model_.least_log_odds = std::log(1e-6 / static_cast<double>(n_));
+  }
+
+  std::optional<core::RelativeAlignment> Align() const {
+    return core::AlignRelative(graph_, model_, graph_.size() - 1, kSteps, n_,
+                               nullptr);
+  }
+
+  // Share of the history that passes the gate at the end pose.
+  double GateShare() const {
+    const core::Gate gate(StateSpace::kPlanar, 0.95);
+    NodeIndex passed = 0;
+    core::VisitBlockSimilarities(
+        graph_, model_.similarity, graph_.size() - 1, n_,
+        [&](NodeIndex first, const core::BlockSimilarity& part) {
+          for (std::size_t k = 0; k < core::NodeBlock::kSize; ++k) {
+            passed += first + static_cast<NodeIndex>(k) < n_ &&
+                      part.log_similarity[k] != core::kImpossible &&
+                      part.squared_mahalanobis[k] <= gate.threshold();
+          }
+        });
+    return static_cast<double>(passed) / static_cast<double>(n_);
+  }
+
+ private:
+  static core::CorrelationModel CorrelationOf(Errors errors) {
+    return errors == Errors::kFixes ? core::CorrelationModel::kIndependent
+                                    : core::CorrelationModel::kDeadReckoning;
+  }
+
+  const PoseGraph& graph_;
+  const NodeIndex n_;
+  core::MotionHistory history_;
+  core::BlockBounds bounds_;
+  core::RelativeModel model_;
+};
+
+const PoseGraph& GraphOf(NodeIndex n, Errors errors) {
+  return errors == Errors::kFixes ? FixedRoads(n + kSteps) : Roads(n + kSteps);
+}
+
+void AlignRelative(benchmark::State& state, Errors errors, bool leave_out) {
   const NodeIndex n = state.range(0);
-  const PoseGraph& graph = Roads(n + kSteps);
-  core::RelativeModel model;
-  model.similarity = ModelOf(StateSpace::kPlanar);
-  model.spacing_meters = kSpacing;
-  if (confirmed) model.last_confirmed = {n - 1, n / 2};
+  Relative relative(GraphOf(n, errors), n, errors);
+  if (leave_out) relative.LeaveOut();
+  NodeIndex considered = 0;
   for (auto _ : state) {
-    benchmark::DoNotOptimize(core::AlignRelative(graph, model, graph.size() - 1,
-                                                 kSteps, n, nullptr));
+    const auto alignment = relative.Align();
+    considered = alignment->considered();
+    benchmark::DoNotOptimize(alignment);
   }
   state.SetItemsProcessed(state.iterations() * n * kSteps);
+  state.counters["considered"] =
+      static_cast<double>(considered) / static_cast<double>(n);
+  state.counters["in_gate"] = relative.GateShare();
 }
 
 void AlignLiteral(benchmark::State& state) {
@@ -162,8 +235,16 @@ void RegisterAll() {
   Register("LogSimilaritySpatialEigenDynamic", kMost,
            LogSimilarityEigen<Eigen::Dynamic, 4>);
   Register("Align/dense/composite", kMost, AlignComposite);
-  Register("Align/dense/relative", kMost, AlignRelative, false);
-  Register("Align/dense/relative_confirmed", kMost, AlignRelative, true);
+  constexpr std::int64_t kMillion = 1000000;
+  for (const auto& [name, errors] :
+       {std::pair("reckoned", Errors::kReckoned),
+        std::pair("confirmed", Errors::kReckonedAndConfirmed),
+        std::pair("fixes", Errors::kFixes)}) {
+    Register("Align/dense/" + std::string(name), kMillion, AlignRelative,
+             errors, false);
+    Register("Align/pruned/" + std::string(name), kMillion, AlignRelative,
+             errors, true);
+  }
   Register("AlignLiteral", kMost, AlignLiteral);
   Register("Limit/ReadNodes", kMost, LimitReadNodes);
   benchmark::RegisterBenchmark("BM_Limit/MultiplyAndAdd", LimitMultiplyAndAdd);

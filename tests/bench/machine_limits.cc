@@ -65,23 +65,15 @@ std::size_t Divide(std::size_t rounds, double* sink) {
 double ReadNodes(const core::PoseGraph& graph, std::size_t count) {
   const Tag tag;
   Vector sum = hn::Zero(tag);
-  constexpr std::size_t kSize = core::NodeBlock::kSize;
-  for (std::size_t first = 0; first < count; first += kSize) {
-    const core::NodeBlock& block = graph.block(first / kSize);
-    for (std::size_t i = 0; i < kSize; i += hn::Lanes(tag)) {
-      const auto load = [tag, i](const auto& column) HWY_ATTR {
-        return hn::Load(tag, column.data() + i);
-      };
-      const auto entry = [&](int r, int c) HWY_ATTR {
-        return load(block.covariance[core::Covariance::Index(r, c)]);
-      };
-      const Vector pose =
-          hn::Or(hn::Or(load(block.x), load(block.y)), load(block.heading));
-      const Vector upper =
-          hn::Or(hn::Or(entry(0, 0), entry(0, 1)), entry(0, 3));
-      const Vector lower =
-          hn::Or(hn::Or(entry(1, 1), entry(1, 3)), entry(3, 3));
-      sum = hn::Or(sum, hn::Or(hn::Or(upper, lower), pose));
+  using Block = core::NodeBlock;
+  for (std::size_t first = 0; first < count; first += Block::kSize) {
+    const Block& block = graph.block(first / Block::kSize);
+    for (std::size_t g = 0; g < block.groups(); ++g) {
+      const double* const rows = block.group(g);
+      const std::size_t planar = Block::kPlanarRows * Block::kGroupSize;
+      for (std::size_t i = 0; i < planar; i += hn::Lanes(tag)) {
+        sum = hn::Or(sum, hn::Load(tag, rows + i));
+      }
     }
   }
   return hn::GetLane(sum);

@@ -133,14 +133,39 @@ inline core::PoseGraph MakeRoads(core::NodeIndex nodes) {
   return graph;
 }
 
-// Built once a process.
-inline const core::PoseGraph& Roads(core::NodeIndex nodes) {
+// The same drive by satellite fixes of 3 m and 0.05 rad.
+inline core::PoseGraph MakeFixedRoads(core::NodeIndex nodes) {
+  std::mt19937_64 random(20101015);
+  core::PoseGraph graph;
+  for (const core::Pose& truth : TownDrive(random, nodes)) {
+    core::Node node;
+    node.sequence = static_cast<std::uint64_t>(graph.size()) + 1;
+    node.travelled_meters = kSpacing * static_cast<double>(graph.size());
+    node.pose = truth;
+    node.pose.x += Normal(random, 3.0);
+    node.pose.y += Normal(random, 3.0);
+    node.pose.heading = core::WrapHeading(truth.heading + Normal(random, 0.05));
+    for (const int i : {0, 1, 2}) node.covariance(i, i) = 9.0;
+    node.covariance(3, 3) = 0.0025;
+    graph.AddNode(node, graph.size() == 0, std::nullopt);
+  }
+  return graph;
+}
+
+// Each is built once a process.
+template <core::PoseGraph (*kMake)(core::NodeIndex)>
+const core::PoseGraph& Built(core::NodeIndex nodes) {
   static std::map<core::NodeIndex, core::PoseGraph> graphs;
   auto found = graphs.find(nodes);
-  if (found == graphs.end()) {
-    found = graphs.emplace(nodes, MakeRoads(nodes)).first;
-  }
+  if (found == graphs.end()) found = graphs.emplace(nodes, kMake(nodes)).first;
   return found->second;
+}
+
+inline const core::PoseGraph& Roads(core::NodeIndex nodes) {
+  return Built<MakeRoads>(nodes);
+}
+inline const core::PoseGraph& FixedRoads(core::NodeIndex nodes) {
+  return Built<MakeFixedRoads>(nodes);
 }
 
 }  // namespace revisit::bench

@@ -8,7 +8,7 @@ import pytest
 
 from revisit_server import Server, clean_environment, run, wait_until
 from stubs import api
-from wire import BOREAS, append, straight
+from wire import BOREAS, append, get, straight
 
 USAGE = 64
 
@@ -133,6 +133,33 @@ def test_limits_of_the_flags_are_those_of_the_server(tmp_path):
     assert info.max_batch_poses == 10
     assert info.max_batches_in_flight == 3
     assert info.max_message_bytes == 65536
+
+
+def test_unused_vehicles_above_the_memory_budget_leave_and_come_back(tmp_path):
+    store = tmp_path / "store"
+    info = api.GetServerInfoRequest()
+    with Server(store) as server:
+        stub = server.stub()
+        for name in ("a", "b"):
+            stub.CreateVehicle(api.CreateVehicleRequest(vehicle_id=name))
+            append(stub, f"vehicles/{name}", straight(4096, spacing=2.0))
+            append(stub, f"vehicles/{name}",
+                   straight(4096, first=4097, spacing=2.0))
+        resident = stub.GetServerInfo(info)
+        assert resident.resident_vehicle_count == 2
+        assert resident.resident_node_count == 2 * 8192
+        # Two vehicles of some 0.7 MiB each.
+        assert 1 << 20 < resident.resident_bytes < 2 * 8192 * 128
+    with Server(store, "--memory-budget-mebibytes", 1) as server:
+        stub = server.stub()
+        assert stub.GetServerInfo(info).resident_vehicle_count == 0
+        for name in ("a", "b"):
+            assert get(stub, f"vehicles/{name}").durable_sequence == 8192
+        wait_until(
+            lambda: stub.GetServerInfo(info).resident_vehicle_count == 1,
+            "vehicle unloaded")
+        assert stub.GetServerInfo(info).resident_bytes <= 1 << 20
+        assert get(stub, "vehicles/a").durable_sequence == 8192
 
 
 def test_every_call_has_one_line_in_the_log_that_is_json(tmp_path):

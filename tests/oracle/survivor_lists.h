@@ -1,14 +1,15 @@
-// The trellis of relative.h with survivors that keep their whole path as a
-// list. Each extension is judged by the dense Gaussian of all mismatches of the
-// path; poses beyond loop closures are composed as rigid transforms from the
-// start of the list every time.
+// The search of relative.h with paths that keep all their steps as a list. Each
+// extension is judged by the dense Gaussian of all mismatches of the path;
+// poses beyond loop closures are composed as rigid transforms from the start of
+// the list every time. Every end is walked back from by itself and to the last
+// step, however little there is to gain.
 #ifndef REVISIT_TESTS_ORACLE_SURVIVOR_LISTS_H_
 #define REVISIT_TESTS_ORACLE_SURVIVOR_LISTS_H_
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
-#include <map>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -31,10 +32,12 @@ struct PathEntry {
 };
 
 struct ListedPath {
-  Wide anchor = 0.0L;
   std::vector<PathEntry> entries;
   // e_1 .. e_t
   WideVector mismatches;
+  // Of all of the path.
+  Wide squared_innovations = 0.0L;
+  Wide log_likelihood_ratio = 0.0L;
 };
 
 struct ListedMatch {
@@ -56,13 +59,26 @@ class SurvivorLists {
         size_(size),
         d_(model.similarity.state_space == core::StateSpace::kPlanar ? 3 : 4),
         window_(graph, query, steps, WindowModel(graph, model, query, d_)) {
-    Walk(steps);
+    for (int way = 0; way < 2; ++way) {
+      if (!(way == 0 ? model.same_direction : model.opposite_direction)) {
+        continue;
+      }
+      for (core::NodeIndex j = 0; j < size; ++j) {
+        matches_[static_cast<std::size_t>(way)].push_back(
+            Match(j, way, WalkBack(j, way, steps)));
+      }
+    }
   }
 
   // By direction: 0 the same, 1 opposite. Empty if not sought.
   const std::array<std::vector<ListedMatch>, 2>& matches() const {
     return matches_;
   }
+
+  // Paths that met a likelier one of their end, and those dropped beyond
+  // kMostPaths.
+  int met() const { return met_; }
+  int beyond_most() const { return beyond_most_; }
 
  private:
   using Rigid = Eigen::Matrix<Wide, 4, 4>;
@@ -116,38 +132,62 @@ class SurvivorLists {
     return state;
   }
 
-  Wide LogLikelihoodRatio(const ListedPath& path) const {
-    Wide sum = -0.5L * window_.SquaredInnovations(path.mismatches);
-    for (std::size_t k = 1; k < path.entries.size(); ++k) {
-      sum += window_.surprise(path.entries[k].t);
-      if (path.entries[k].slipped) sum -= core::kSlipCost;
-    }
-    return sum;
-  }
-
-  Wide Total(const ListedPath& path) const {
-    return path.anchor + window_.weight() * LogLikelihoodRatio(path);
-  }
-
   bool Road(core::NodeIndex a, core::NodeIndex b) const {
     return a >= 0 && b >= 0 && a < size_ && b < size_ &&
            graph_.SegmentStart(a) == graph_.SegmentStart(b);
   }
 
-  // Everything one step can lead to.
-  std::vector<PathEntry> Extensions(const PathEntry& from) const {
-    const std::int64_t t = from.t + 1;
-    const auto stride = [](int way) { return way == 0 ? -1 : 1; };
-    const core::NodeIndex next = from.node + stride(from.way);
-    const core::NodeIndex after = next + stride(from.way);
-    std::vector<PathEntry> extensions;
-    extensions.push_back({t, from.node, from.way, true, std::nullopt});
-    if (Road(from.node, next)) {
-      extensions.push_back({t, next, from.way, false, std::nullopt});
+  static core::NodeIndex StrideOf(int way) { return way == 0 ? -1 : 1; }
+
+  // Nothing where there is no road to the node or the innovation is beyond the
+  // limit.
+  std::optional<ListedPath> Extend(const ListedPath& path,
+                                   const PathEntry& entry) const {
+    if (!Road(entry.over.value_or(path.entries.back().node), entry.node)) {
+      return std::nullopt;
     }
-    if (Road(from.node, after)) {
-      extensions.push_back({t, after, from.way, true, std::nullopt});
+    ListedPath longer = path;
+    longer.entries.push_back(entry);
+    WideVector e = window_.path(entry.t) - SeenFromEnd(longer.entries);
+    // Headings are known but for whole turns: the innovation's are the least.
+    e(d_ - 1) = NearestTo(window_.Predict(path.mismatches)(d_ - 1), e(d_ - 1));
+    longer.mismatches.resize(path.mismatches.size() + d_);
+    longer.mismatches << path.mismatches, e;
+    longer.squared_innovations = window_.SquaredInnovations(longer.mismatches);
+    if (longer.squared_innovations - path.squared_innovations >
+        core::kSquaredInnovationLimit) {
+      return std::nullopt;
     }
+    longer.log_likelihood_ratio = -0.5L * longer.squared_innovations;
+    for (std::size_t k = 1; k < longer.entries.size(); ++k) {
+      longer.log_likelihood_ratio += window_.surprise(longer.entries[k].t);
+      if (longer.entries[k].slipped) {
+        longer.log_likelihood_ratio -= core::kSlipCost;
+      }
+    }
+    return longer;
+  }
+
+  // The likeliest of keeping step, staying and skipping a node.
+  std::optional<ListedPath> WalkOn(const ListedPath& path) const {
+    const PathEntry& from = path.entries.back();
+    std::optional<ListedPath> likeliest;
+    for (const int nodes : {1, 0, 2}) {
+      const std::optional<ListedPath> longer =
+          Extend(path, {from.t + 1, from.node + nodes * StrideOf(from.way),
+                        from.way, nodes != 1, std::nullopt});
+      if (longer && (!likeliest || longer->log_likelihood_ratio >
+                                       likeliest->log_likelihood_ratio)) {
+        likeliest = longer;
+      }
+    }
+    return likeliest;
+  }
+
+  // Over each loop closure at its node.
+  std::vector<ListedPath> WalkOver(const ListedPath& path) const {
+    const PathEntry& from = path.entries.back();
+    std::vector<ListedPath> beyond;
     for (const auto& [a, b] : graph_.LoopEdges()) {
       if (a != from.node && b != from.node) continue;
       const core::NodeIndex far = a == from.node ? b : a;
@@ -156,26 +196,61 @@ class SurvivorLists {
           NearestTo(0.0L, static_cast<Wide>(graph_.node(far).pose.heading) -
                               graph_.node(from.node).pose.heading);
       const int way = std::abs(turn) > 0.5L * kWidePi ? 1 - from.way : from.way;
-      const core::NodeIndex beyond = far + stride(way);
-      if (Road(far, beyond)) extensions.push_back({t, beyond, way, false, far});
+      const std::optional<ListedPath> longer =
+          Extend(path, {from.t + 1, far + StrideOf(way), way, false, far});
+      if (longer) beyond.push_back(*longer);
     }
-    return extensions;
+    return beyond;
   }
 
-  // Nothing where the innovation is beyond the limit.
-  std::optional<ListedPath> Extend(const ListedPath& path,
-                                   const PathEntry& entry) const {
-    ListedPath longer = path;
-    longer.entries.push_back(entry);
-    WideVector e = window_.path(entry.t) - SeenFromEnd(longer.entries);
-    // Headings are known but for whole turns: the innovation's are the least.
-    e(d_ - 1) = NearestTo(window_.Predict(path.mismatches)(d_ - 1), e(d_ - 1));
-    longer.mismatches.resize(path.mismatches.size() + d_);
-    longer.mismatches << path.mismatches, e;
-    const Wide innovation = window_.SquaredInnovations(longer.mismatches) -
-                            window_.SquaredInnovations(path.mismatches);
-    if (innovation > core::kSquaredInnovationLimit) return std::nullopt;
-    return longer;
+  // The likelier of those at one node that walk the same way, and of all the
+  // kMostPaths likeliest.
+  std::vector<ListedPath> Merged(std::vector<ListedPath> paths) {
+    std::stable_sort(paths.begin(), paths.end(),
+                     [](const ListedPath& a, const ListedPath& b) {
+                       return a.log_likelihood_ratio > b.log_likelihood_ratio;
+                     });
+    std::vector<ListedPath> merged;
+    for (const ListedPath& path : paths) {
+      const PathEntry& at = path.entries.back();
+      const bool met = std::any_of(
+          merged.begin(), merged.end(), [&at](const ListedPath& likelier) {
+            const PathEntry& other = likelier.entries.back();
+            return other.node == at.node && other.way == at.way;
+          });
+      if (met) {
+        ++met_;
+      } else if (merged.size() == core::kMostPaths) {
+        ++beyond_most_;
+      } else {
+        merged.push_back(path);
+      }
+    }
+    return merged;
+  }
+
+  // The path of the greatest log-likelihood ratio.
+  ListedPath WalkBack(core::NodeIndex j, int way, std::int64_t steps) {
+    ListedPath end;
+    end.entries = {{0, j, way, false, std::nullopt}};
+    end.mismatches.resize(0);
+    ListedPath best = end;
+    std::vector<ListedPath> paths = {end};
+    for (std::int64_t t = 1; t < steps; ++t) {
+      std::vector<ListedPath> longer;
+      for (const ListedPath& path : paths) {
+        if (const auto on = WalkOn(path)) longer.push_back(*on);
+      }
+      const std::size_t walked_on = longer.size();
+      for (const ListedPath& path : paths) {
+        for (const ListedPath& over : WalkOver(path)) longer.push_back(over);
+      }
+      paths = longer.size() > walked_on ? Merged(longer) : longer;
+      for (const ListedPath& path : paths) {
+        if (path.log_likelihood_ratio > best.log_likelihood_ratio) best = path;
+      }
+    }
+    return best;
   }
 
   // Whether errors can have been carried from the one node of a closure over
@@ -246,63 +321,10 @@ class SurvivorLists {
     return {d, covariance};
   }
 
-  void Walk(std::int64_t steps) {
-    std::vector<ListedPath> survivors;
-    // The best path of each end so far, beside the end alone.
-    std::map<std::pair<int, core::NodeIndex>, ListedPath> best;
-    for (int way = 0; way < 2; ++way) {
-      if (!(way == 0 ? model_.same_direction : model_.opposite_direction)) {
-        continue;
-      }
-      for (core::NodeIndex j = 0; j < size_; ++j) {
-        const auto [d, covariance] = Anchor(j, way);
-        const auto form = EvaluateWide(covariance, d);
-        if (!form) continue;
-        ListedPath path;
-        path.anchor = -0.5L * (form->squared + form->log_determinant);
-        path.entries = {{0, j, way, false, std::nullopt}};
-        path.mismatches.resize(0);
-        best[{way, j}] = path;
-        survivors.push_back(path);
-      }
-    }
-    for (std::int64_t t = 1; t < steps; ++t) {
-      std::map<std::pair<core::NodeIndex, int>, ListedPath> reached;
-      for (const ListedPath& path : survivors) {
-        for (const PathEntry& entry : Extensions(path.entries.back())) {
-          const std::optional<ListedPath> longer = Extend(path, entry);
-          if (!longer) continue;
-          const auto [there, first] =
-              reached.try_emplace({entry.node, entry.way}, *longer);
-          if (!first && Total(*longer) > Total(there->second)) {
-            there->second = *longer;
-          }
-        }
-      }
-      survivors.clear();
-      for (const auto& [where, path] : reached) {
-        survivors.push_back(path);
-        ListedPath& known =
-            best[{path.entries.front().way, path.entries.front().node}];
-        if (LogLikelihoodRatio(path) > LogLikelihoodRatio(known)) known = path;
-      }
-    }
-    for (int way = 0; way < 2; ++way) {
-      if (!(way == 0 ? model_.same_direction : model_.opposite_direction)) {
-        continue;
-      }
-      auto& matches = matches_[static_cast<std::size_t>(way)];
-      matches.resize(static_cast<std::size_t>(size_));
-      for (core::NodeIndex j = 0; j < size_; ++j) {
-        const auto found = best.find({way, j});
-        if (found == best.end()) continue;
-        matches[static_cast<std::size_t>(j)] = Match(j, way, found->second);
-      }
-    }
-  }
-
   ListedMatch Match(core::NodeIndex j, int way, const ListedPath& path) const {
     const auto [d, covariance] = Anchor(j, way);
+    ListedMatch match;
+    if (!EvaluateWide(covariance, d)) return match;
     const int length = static_cast<int>(path.entries.size()) - 1;
     const WideMatrix to_local = WideTurn(graph_.node(query_).pose.heading, d_);
     const WideMatrix smoothed = covariance - to_local *
@@ -315,15 +337,13 @@ class SurvivorLists {
                           d + to_local * window_.EndMean(path.mismatches));
     }
     if (!form) form = EvaluateWide(covariance, d);
-    ListedMatch match;
-    match.possible = form.has_value();
-    if (!form) return match;
+    match.possible = true;
     // Nodes on roads not driven, per square metre (SPATIAL: cubic) and radian.
     const Wide roads = 2.0L / model_.road_spacing_meters;
     Wide density = roads / model_.spacing_meters * 2.0L / (2.0L * kWidePi);
     if (d_ == 4) density /= core::kRoadHeightRange;
-    match.log_likelihood_ratio = LogLikelihoodRatio(path);
-    match.squared_innovations = window_.SquaredInnovations(path.mismatches);
+    match.log_likelihood_ratio = path.log_likelihood_ratio;
+    match.squared_innovations = path.squared_innovations;
     match.squared_end_difference = form->squared;
     match.score = -0.5L * (form->squared + form->log_determinant +
                            d_ * std::log(2.0L * kWidePi)) +
@@ -340,6 +360,8 @@ class SurvivorLists {
   const int d_;
   const DenseWindow window_;
   std::array<std::vector<ListedMatch>, 2> matches_;
+  int met_ = 0;
+  int beyond_most_ = 0;
 };
 
 }  // namespace revisit::oracle

@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <atomic>
 #include <functional>
+#include <map>
 #include <memory>
+#include <mutex>
 #include <thread>
 #include <vector>
 
@@ -130,6 +132,107 @@ TEST(StrandTest, GivesOtherStrandsTheirTurn) {
   busy->Post(again);
   other->Post([&] { other_ran = true; });
   EXPECT_TRUE(ended.Get());
+}
+
+TEST(StrandTest, RunsTasksAtOnceWhereNothingStandsInTheWay) {
+  Executor executor(1);
+  const std::shared_ptr<Strand> strand = Strand::Create(&executor);
+  const std::thread::id here = std::this_thread::get_id();
+  std::thread::id ran_on;
+  strand->RunOrPost([&] { ran_on = std::this_thread::get_id(); });
+  EXPECT_EQ(ran_on, here);
+}
+
+TEST(StrandTest, KeepsOrderOfTasksThatMayRunAtOnce) {
+  constexpr int kThreads = 4;
+  constexpr int kTasks = 2000;
+  std::vector<std::vector<int>> order(kThreads);
+  std::atomic<int> running{0};
+  {
+    Executor executor(2);
+    const std::shared_ptr<Strand> strand = Strand::Create(&executor);
+    std::vector<std::thread> threads;
+    for (std::size_t t = 0; t < kThreads; ++t) {
+      threads.emplace_back([&, t] {
+        for (int i = 0; i < kTasks; ++i) {
+          const auto task = [&, t, i] {
+            EXPECT_EQ(++running, 1);
+            order[t].push_back(i);
+            --running;
+          };
+          if (i % 3 == 0) {
+            strand->Post(task);
+          } else {
+            strand->RunOrPost(task);
+          }
+        }
+      });
+    }
+    for (std::thread& thread : threads) thread.join();
+  }
+  for (const std::vector<int>& posted : order) {
+    EXPECT_EQ(posted.size(), static_cast<std::size_t>(kTasks));
+    EXPECT_TRUE(std::is_sorted(posted.begin(), posted.end()));
+  }
+}
+
+TEST(StrandTest, RunsEachTaskInItsLaneAndAllInOrder) {
+  constexpr int kTasks = 1000;
+  std::vector<int> order;
+  {
+    Executor short_work(2);
+    Executor long_work(2);
+    // Known by the thread: tasks of a lane run on its threads only.
+    std::mutex mutex;
+    std::map<std::thread::id, bool> is_long;
+    const std::shared_ptr<Strand> strand =
+        Strand::Create(Lanes(&short_work, &long_work));
+    for (int i = 0; i < kTasks; ++i) {
+      const bool long_task = i % 5 < 2;
+      const auto task = [&, i, long_task] {
+        order.push_back(i);
+        const std::lock_guard<std::mutex> guard(mutex);
+        const auto [known, fresh] =
+            is_long.emplace(std::this_thread::get_id(), long_task);
+        EXPECT_EQ(known->second, long_task);
+      };
+      if (long_task) {
+        strand->PostLong(task);
+      } else {
+        strand->Post(task);
+      }
+    }
+    const Answer<bool> all;
+    strand->Post([all] { all.Set(true); });
+    all.Get();
+  }
+  ASSERT_EQ(order.size(), static_cast<std::size_t>(kTasks));
+  EXPECT_TRUE(std::is_sorted(order.begin(), order.end()));
+}
+
+TEST(StrandTest, LongWorkHoldsUpItsOwnStrandOnly) {
+  Executor short_work(1);
+  Executor long_work(1);
+  const Lanes lanes(&short_work, &long_work);
+  const std::shared_ptr<Strand> busy = Strand::Create(lanes);
+  const std::shared_ptr<Strand> other = Strand::Create(lanes);
+  const Answer<bool> started;
+  const Answer<bool> gate;
+  const Answer<bool> behind;
+  busy->PostLong([=] {
+    started.Set(true);
+    gate.Get();
+  });
+  busy->Post([=] { behind.Set(true); });
+  started.Get();
+  for (int i = 0; i < 100; ++i) {
+    const Answer<bool> ran;
+    other->Post([=] { ran.Set(true); });
+    EXPECT_TRUE(ran.Get());
+  }
+  EXPECT_FALSE(behind.IsSet());
+  gate.Set(true);
+  EXPECT_TRUE(behind.Get());
 }
 
 TEST(StrandTest, TaskMayDropTheLastReference) {

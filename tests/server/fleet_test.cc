@@ -88,6 +88,33 @@ TEST_F(FleetTest, CreatesVehicleAndAnswersWithIt) {
             2u);
 }
 
+TEST_F(FleetTest, OthersAreAcknowledgedWhileOneVehicleSearches) {
+  Executor short_work(1);
+  Executor long_work(1);
+  Fleet fleet(&storage_, &codec_, Lanes(&short_work, &long_work),
+              Fleet::Options());
+  ASSERT_THAT(CreateNow(fleet, "searching"), IsOk());
+  ASSERT_THAT(CreateNow(fleet, "other"), IsOk());
+  const Answer<bool> started;
+  const Answer<bool> gate;
+  fleet.Session("searching")->LongRead([=](const absl::StatusOr<VehicleView>&) {
+    started.Set(true);
+    gate.Get();
+  });
+  started.Get();
+  for (std::uint64_t i = 1; i <= 20; ++i) {
+    EXPECT_EQ(AppendNow(*fleet.Session("other"), StraightBatch(i, 1))
+                  ->durable_sequence,
+              i);
+  }
+  EXPECT_EQ(ReadNow(*fleet.Session("other"))->durable_sequence, 20u);
+  // Its own poses wait until the search is over, and are not lost.
+  const Appended own = Append(*fleet.Session("searching"), StraightBatch(1, 1));
+  EXPECT_FALSE(own.durable.IsSet());
+  gate.Set(true);
+  EXPECT_EQ(own.durable.Get()->durable_sequence, 1u);
+}
+
 TEST_F(FleetTest, RefusesSecondVehicleOfOneId) {
   ASSERT_THAT(CreateNow(*fleet_, "truck"), IsOk());
   EXPECT_THAT(CreateNow(*fleet_, "truck"),
@@ -196,6 +223,61 @@ TEST_F(FleetTest, KeepsVehicleWithWorkInFlight) {
   EXPECT_EQ(fleet_->loaded(), 1u);
   storage_.ReleaseAll();
   EXPECT_THAT(appended.durable.Get(), IsOk());
+}
+
+TEST_F(FleetTest, TellsWhatIsInMemory) {
+  ASSERT_THAT(CreateNow(*fleet_, "truck"), IsOk());
+  ASSERT_THAT(CreateNow(*fleet_, "car"), IsOk());
+  ASSERT_THAT(AppendNow(*fleet_->Session("truck"), StraightBatch(1, 9)),
+              IsOk());
+  const Fleet::Residency both = fleet_->residency();
+  EXPECT_EQ(both.vehicles, 2);
+  EXPECT_EQ(both.nodes, 9);
+  EXPECT_GE(both.bytes, 9 * 72);
+  EXPECT_LE(both.bytes, 10000);
+  // The same once it was loaded from the store.
+  MakeFleet();
+  EXPECT_EQ(fleet_->residency().nodes, 0);
+  ASSERT_THAT(ReadNow(*fleet_->Session("truck")), IsOk());
+  EXPECT_EQ(fleet_->residency().vehicles, 1);
+  EXPECT_EQ(fleet_->residency().nodes, 9);
+  EXPECT_EQ(fleet_->residency().bytes, both.bytes);
+}
+
+TEST_F(FleetTest, UnloadsTheLongestUnusedAboveItsBudget) {
+  constexpr int kVehicles = 6;
+  const auto id = [](int i) { return "vehicle-" + std::to_string(i); };
+  for (int i = 0; i < kVehicles; ++i) {
+    ASSERT_THAT(CreateNow(*fleet_, id(i)), IsOk());
+    ASSERT_THAT(AppendNow(*fleet_->Session(id(i)), StraightBatch(1, 40)),
+                IsOk());
+  }
+  const std::int64_t all = fleet_->residency().bytes;
+  Fleet::Options options;
+  options.memory_budget_bytes = all / 2;
+  fleet_.reset();
+  fleet_ = std::make_unique<Fleet>(&storage_, &codec_, &executor_, options);
+  // The first is held, so it stays although it is the longest unused.
+  const std::shared_ptr<VehicleSession> held = fleet_->Session(id(0));
+  for (int i = 0; i < kVehicles; ++i) {
+    std::shared_ptr<VehicleSession> session = fleet_->Session(id(i));
+    ASSERT_THAT(ReadNow(*session), IsOk());
+    AwaitIdle(session, i == 0 ? 3 : 2);
+  }
+  EXPECT_EQ(fleet_->residency().bytes, all);
+  const Fleet::Residency gone = fleet_->UnloadIdle(steady_clock::now());
+  EXPECT_EQ(gone.vehicles, 3);
+  EXPECT_EQ(gone.bytes, all / 2);
+  EXPECT_EQ(fleet_->residency().bytes, all / 2);
+  EXPECT_NE(fleet_->SessionIfLoaded(id(0)), nullptr);
+  for (const int i : {1, 2, 3}) {
+    EXPECT_EQ(fleet_->SessionIfLoaded(id(i)), nullptr) << i;
+  }
+  for (const int i : {4, 5}) {
+    EXPECT_NE(fleet_->SessionIfLoaded(id(i)), nullptr) << i;
+  }
+  // What went is there when it is asked for.
+  EXPECT_EQ(ReadNow(*fleet_->Session(id(2)))->durable_sequence, 40u);
 }
 
 TEST_F(FleetTest, DestructorFinishesWhatWasCalled) {

@@ -407,6 +407,26 @@ TEST_F(SqliteStorageTest, FindsDamageOfEveryColumn) {
   }
 }
 
+TEST_F(SqliteStorageTest, KnowsWhatFollowsWithoutReadingItAgain) {
+  // Deleted and made anew, a vehicle begins at 1 again; a refused batch changes
+  // nothing of what follows.
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  BlockingWrites write(storage.get());
+  const auto gap = IsError(StatusCode::kFailedPrecondition, "SEQUENCE_GAP",
+                           HasSubstr("vehicle 'truck'"));
+  for (int life = 0; life < 3; ++life) {
+    const VehicleKey key = *write.Create("truck");
+    EXPECT_THAT(write.Append(key, {1, 2, 2, "a"}), IsOk());
+    EXPECT_THAT(write.Append(key, {4, 1, 3, "c"}), gap);
+    EXPECT_THAT(write.Append(key, {1, 2, 3, "a"}), gap);
+    EXPECT_THAT(write.AppendWithVehicle(key, {3, 1, 3, "b"}, "new"), IsOk());
+    EXPECT_THAT(write.Append(key, {4, 1, 4, "c"}), IsOk());
+    EXPECT_THAT(write.Delete(key), IsOk());
+    EXPECT_THAT(write.Append(key, {5, 1, 5, "d"}),
+                IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
+  }
+}
+
 TEST_F(SqliteStorageTest, FindsDamageOfVehicle) {
   for (const char* damage :
        {"UPDATE vehicles SET payload = 'Payload'",
@@ -637,6 +657,165 @@ TEST_F(FailingDeviceTest, FlushesOnceForAllThatWaited) {
   }
   // The one that was held, and one for the hundred behind it.
   EXPECT_EQ(device_.log_flushes() - before, 2);
+}
+
+TEST_F(FailingDeviceTest, BatchesThatWaitedTogetherShareARow) {
+  storage_.reset();
+  options_.max_joined_poses = 5;
+  options_.max_joined_bytes = 100;
+  storage_ = MustOpen(Path(), options_);
+  const VehicleKey other = *write().Create("car");
+  device_.HoldLogFlush();
+  std::vector<int> order;
+  std::vector<Answer<absl::Status>> answers(8);
+  const auto append = [&](int number, VehicleKey key, BatchRecord batch) {
+    storage_->AppendBatch(
+        key, std::move(batch), std::nullopt,
+        [&order, number, answer = answers[static_cast<std::size_t>(number)]](
+            absl::Status status) {
+          order.push_back(number);
+          answer.Set(std::move(status));
+        });
+  };
+  append(0, key_, {2, 1, 3, "held;"});
+  device_.AwaitHeldLogFlush();
+  append(1, key_, {3, 2, 4, "b;"});
+  append(2, other, {1, 1, 2, "car;"});
+  append(3, key_, {5, 3, 5, "c;"});
+  // A sixth pose has no room.
+  append(4, key_, {8, 1, 6, "d;"});
+  // Nor have as many bytes.
+  append(5, key_, {9, 1, 7, std::string(99, 'e')});
+  // One that does not follow is refused alone.
+  append(6, key_, {11, 1, 8, "gap"});
+  append(7, key_, {10, 1, 8, "f;"});
+  device_.LetLogFlushGo();
+  for (std::size_t i = 0; i < answers.size(); ++i) {
+    if (i == 6) {
+      EXPECT_THAT(answers[i].Get(),
+                  IsError(StatusCode::kFailedPrecondition, "SEQUENCE_GAP", _));
+    } else {
+      EXPECT_THAT(answers[i].Get(), IsOk()) << i;
+    }
+  }
+  // Each vehicle's answers come in order.
+  order.erase(std::find(order.begin(), order.end(), 2));
+  EXPECT_TRUE(std::is_sorted(order.begin(), order.end()));
+  EXPECT_THAT(ToTexts(*ReadAll(*storage_, key_, 1, 10)),
+              ElementsAre("1+1, revision 2, 'one'", "2+1, revision 3, 'held;'",
+                          "3+5, revision 5, 'b;c;'", "8+1, revision 6, 'd;'",
+                          "9+1, revision 7, '" + std::string(99, 'e') + "'",
+                          "10+1, revision 8, 'f;'"));
+  EXPECT_EQ(storage_->GetVehicle("truck")->revision, 8u);
+}
+
+TEST_F(FailingDeviceTest, BatchesDoNotJoinARowPastAnotherWrite) {
+  storage_.reset();
+  options_.max_joined_poses = 100;
+  storage_ = MustOpen(Path(), options_);
+  device_.HoldLogFlush();
+  std::vector<Answer<absl::Status>> answers(4);
+  storage_->AppendBatch(key_, {2, 1, 3, "a"}, std::nullopt,
+                        answers[0].Setter());
+  device_.AwaitHeldLogFlush();
+  storage_->AppendBatch(key_, {3, 1, 4, "b"}, std::nullopt,
+                        answers[1].Setter());
+  // The pose of sequence 4 is not there yet: nothing to revise.
+  storage_->ReviseBatches(key_, {{4, 1, 0, "C"}}, 5, answers[2].Setter());
+  storage_->AppendBatch(key_, {4, 1, 6, "c"}, std::nullopt,
+                        answers[3].Setter());
+  device_.LetLogFlushGo();
+  EXPECT_THAT(answers[0].Get(), IsOk());
+  EXPECT_THAT(answers[1].Get(), IsOk());
+  EXPECT_EQ(answers[2].Get().code(), StatusCode::kFailedPrecondition);
+  EXPECT_THAT(answers[3].Get(), IsOk());
+  EXPECT_THAT(Stored(), ElementsAre("one", "a", "b", "c"));
+}
+
+TEST_F(FailingDeviceTest, GathersAsManyAsBeforeWithinTheLatencyTarget) {
+  storage_.reset();
+  options_.latency_target = std::chrono::hours(1);
+  storage_ = MustOpen(Path(), options_);
+  const auto append = [&](std::uint64_t sequence) {
+    const Answer<absl::Status> answer;
+    storage_->AppendBatch(key_, {sequence, 1, sequence + 1, "x"}, std::nullopt,
+                          answer.Setter());
+    return answer;
+  };
+  // An idle store waits for nothing.
+  EXPECT_THAT(append(2).Get(), IsOk());
+  EXPECT_THAT(append(3).Get(), IsOk());
+  device_.HoldLogFlush();
+  std::vector<Answer<absl::Status>> answers = {append(4)};
+  device_.AwaitHeldLogFlush();
+  for (std::uint64_t i = 5; i <= 7; ++i) answers.push_back(append(i));
+  device_.LetLogFlushGo();
+  for (const Answer<absl::Status>& answer : answers) {
+    EXPECT_THAT(answer.Get(), IsOk());
+  }
+  // The last commit held three: so does the next.
+  const int before = device_.log_flushes();
+  answers = {append(8), append(9)};
+  EXPECT_EQ(device_.log_flushes(), before);
+  EXPECT_FALSE(answers[0].IsSet());
+  answers.push_back(append(10));
+  for (const Answer<absl::Status>& answer : answers) {
+    EXPECT_THAT(answer.Get(), IsOk());
+  }
+  EXPECT_EQ(device_.log_flushes(), before + 1);
+  // What waits when the store is closed is written all the same.
+  const Answer<absl::Status> last = append(11);
+  EXPECT_FALSE(last.IsSet());
+  storage_.reset();
+  EXPECT_THAT(last.Get(), IsOk());
+  storage_ = MustOpen(Path(), options_);
+  EXPECT_EQ(storage_->GetVehicle("truck")->durable_sequence, 11u);
+}
+
+TEST_F(FailingDeviceTest, WaitsNoLongerThanTheLatencyTarget) {
+  storage_.reset();
+  options_.latency_target = std::chrono::milliseconds(20);
+  storage_ = MustOpen(Path(), options_);
+  device_.HoldLogFlush();
+  std::vector<Answer<absl::Status>> answers(4);
+  for (std::uint64_t i = 0; i < answers.size(); ++i) {
+    storage_->AppendBatch(key_, {i + 2, 1, i + 3, "x"}, std::nullopt,
+                          answers[i].Setter());
+    if (i == 0) device_.AwaitHeldLogFlush();
+  }
+  device_.LetLogFlushGo();
+  for (const Answer<absl::Status>& answer : answers) {
+    EXPECT_THAT(answer.Get(), IsOk());
+  }
+  // No second and third come.
+  EXPECT_THAT(write().Append(key_, {6, 1, 7, "x"}), IsOk());
+}
+
+TEST_F(FailingDeviceTest, FailedFlushFailsAllThatShareARow) {
+  storage_.reset();
+  options_.max_joined_poses = 100;
+  storage_ = MustOpen(Path(), options_);
+  device_.HoldLogFlush();
+  std::vector<Answer<absl::Status>> answers(10);
+  for (std::uint64_t i = 0; i < answers.size(); ++i) {
+    storage_->AppendBatch(key_, {i + 2, 1, i + 3, "x"}, std::nullopt,
+                          answers[i].Setter());
+    if (i == 0) device_.AwaitHeldLogFlush();
+  }
+  device_.FailFlushes(true);
+  device_.LetLogFlushGo();
+  EXPECT_THAT(answers[0].Get(), kUnavailable);
+  // The row behind it does not follow what is stored, or fails as well.
+  const absl::Status status = answers[1].Get();
+  EXPECT_THAT(status.code(), ::testing::AnyOf(StatusCode::kUnavailable,
+                                              StatusCode::kFailedPrecondition));
+  for (std::size_t i = 2; i < answers.size(); ++i) {
+    EXPECT_EQ(answers[i].Get(), status);
+  }
+  device_.FailFlushes(false);
+  EXPECT_THAT(Stored(), ElementsAre("one"));
+  EXPECT_THAT(write().Append(key_, {2, 1, 3, "two"}), IsOk());
+  EXPECT_THAT(Stored(), ElementsAre("one", "two"));
 }
 
 TEST_F(FailingDeviceTest, FailedFlushFailsAllOfTheGroupAndKeepsNothing) {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <memory>
+#include <mutex>
 #include <random>
 #include <string>
 #include <thread>
@@ -459,6 +460,60 @@ TEST_F(VehicleSessionTest, ChecksOnlyWhereAsked) {
   };
   session_->Append(std::move(request));
   EXPECT_THAT(AppendNow(*session_, SquareBatch(81, 1)), IsOk());
+}
+
+TEST_F(VehicleSessionTest, NothingGetsBetweenAnAcknowledgementAndItsChecks) {
+  // What a check answers must not hang on how far the poses behind it are.
+  std::mutex mutex;
+  std::vector<std::string> events;
+  const auto note = [&](const std::string& event) {
+    const std::lock_guard<std::mutex> guard(mutex);
+    events.push_back(event);
+  };
+  storage_.Hold();
+  std::vector<Answer<bool>> answers(4);
+  for (std::uint64_t i = 0; i < answers.size(); ++i) {
+    const std::string name = std::to_string(i);
+    AppendRequest request;
+    request.decoder =
+        [payload = SquareBatch(1 + 40 * i, 40)](const VehicleConfig& config) {
+          return PlainCodec().DecodeBatch(payload, config);
+        };
+    request.check = [](const VehicleConfig& config) {
+      return absl::StatusOr<core::SearchOptions>(config.engine.search);
+    };
+    request.callbacks.durable =
+        [&, name, answer = answers[i]](
+            const absl::StatusOr<Acknowledgement>& acknowledgement) {
+          EXPECT_THAT(acknowledgement.status(), IsOk());
+          note("ack " + name);
+          answer.Set(true);
+        };
+    request.callbacks.candidates =
+        [&, name](const VehicleView& view,
+                  const absl::StatusOr<core::CandidateSet>& set) {
+          EXPECT_THAT(set.status(), IsOk());
+          note("check " + name + " at " +
+               std::to_string(view.durable_sequence));
+        };
+    session_->Append(std::move(request));
+  }
+  const Answer<absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>>> pair;
+  session_->AddPosePair(PairKind::kLoopClosure, {"a", 60, 1, 1}, pair.Setter());
+  storage_.ReleaseAll();
+  for (const Answer<bool>& answer : answers) answer.Get();
+  EXPECT_THAT(pair.Get().status(), IsOk());
+  std::string last_ack;
+  for (const std::string& event : events) {
+    if (event.rfind("ack ", 0) == 0) {
+      last_ack = event.substr(4);
+      continue;
+    }
+    EXPECT_EQ(event, "check " + last_ack + " at " +
+                         std::to_string(40 * (std::stoi(last_ack) + 1)));
+  }
+  // The last batch brings checks too, and the pair came after them.
+  EXPECT_EQ(events.back(), "check 3 at 160");
 }
 
 TEST_F(VehicleSessionTest, SaysWhyCheckIsNotRun) {

@@ -94,13 +94,15 @@ void ExpectFilterIsTheDenseGaussian(std::mt19937_64& random,
       window.graph, window.query, window.steps,
       {D, motion.drift, motion.jitter, window.shape, window.place,
        window.spacing, window.inflation});
-  MotionStatistics<D> statistics;
-  statistics.steps = motion.steps;
-  statistics.drift = motion.drift.template cast<double>();
-  statistics.jitter = motion.jitter.template cast<double>();
-  const ShapeFilter<D> filter(window.graph, window.query, window.steps,
-                              statistics, window.shape, window.place,
-                              window.spacing, window.inflation);
+  MotionHistory history(D == 3 ? StateSpace::kPlanar : StateSpace::kSpatial,
+                        window.correlation,
+                        StretchNodes(window.shape, window.spacing, 1000));
+  history.Extend(window.graph);
+  // What the history was not kept for is measured.
+  const ShapeFilter<D> filter(
+      window.graph, UniformInt(random, 0, 1) ? &history : nullptr, window.query,
+      window.steps, window.correlation, window.shape, window.place,
+      window.spacing, window.inflation);
   ASSERT_EQ(filter.size(), window.steps);
   EXPECT_EQ(filter.EndCertainty(0), (StateMatrix<D>::Zero()));
 
@@ -189,10 +191,9 @@ TEST(ShapeFilterTest,
       window.graph, window.query, window.steps,
       {3, motion.drift, motion.jitter, window.shape, window.place,
        window.spacing, window.inflation});
-  const ShapeFilter<3> filter(
-      window.graph, window.query, window.steps,
-      MeasureMotion<3>(window.graph, window.correlation, window.query),
-      window.shape, window.place, window.spacing, window.inflation);
+  const ShapeFilter<3> filter(window.graph, nullptr, window.query, window.steps,
+                              window.correlation, window.shape, window.place,
+                              window.spacing, window.inflation);
   const oracle::WideMatrix shrunk = dense.end_prior() - dense.EndCovariance(19);
   for (int k = 0; k < 9; ++k) {
     EXPECT_NEAR(filter.EndCertainty(19)(k), static_cast<double>(shrunk(k)),
@@ -222,10 +223,9 @@ TEST(ShapeFilterTest, ACornerTellsMoreThanAStraight) {
     pose.y += 2.0 * std::sin(pose.heading);
   }
   const auto ratio = [&graph](NodeIndex query, std::int64_t steps) {
-    const ShapeFilter<3> filter(
-        graph, query, steps,
-        MeasureMotion<3>(graph, CorrelationModel::kDeadReckoning, 119),
-        ShapeModel{}, PlaceTolerance{}, 2.0, 1.0);
+    const ShapeFilter<3> filter(graph, nullptr, query, steps,
+                                CorrelationModel::kDeadReckoning, ShapeModel{},
+                                PlaceTolerance{}, 2.0, 1.0);
     const Pose& end = graph.node(query).pose;
     ShapeFilter<3>::Drift drift;
     double sum = 0.0;

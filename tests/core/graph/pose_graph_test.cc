@@ -75,9 +75,6 @@ TEST(PoseGraphTest, TransitionsAreTheIdentityWhereNoneWasGiven) {
 
 TEST(PoseGraphTest, NodesKeepTheirPlaceAcrossBlocks) {
   std::mt19937_64 random = SeededRandom();
-  // A node takes at most 160 bytes, and the last block of a graph is its only
-  // slack.
-  static_assert(sizeof(NodeBlock) <= 160 * NodeBlock::kSize);
   std::vector<Node> nodes;
   PoseGraph graph;
   for (std::uint64_t i = 0; i < 3 * NodeBlock::kSize + 1; ++i) {

@@ -1,0 +1,105 @@
+// Where the blocks of a graph lie and how certain their nodes are, so that a
+// search can tell from a few numbers that a block holds nothing it could use.
+//
+// Thread-compatible: const calls may run at the same time.
+#ifndef REVISIT_CORE_GRAPH_BLOCK_BOUNDS_H_
+#define REVISIT_CORE_GRAPH_BLOCK_BOUNDS_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "core/geometry/pose.h"
+#include "core/graph/pose_graph.h"
+
+namespace revisit::core {
+
+// Of one graph, which all calls are given; nodes may be added to it between
+// them, and loop edges change.
+class BlockBounds {
+ public:
+  explicit BlockBounds(StateSpace state_space) : state_space_(state_space) {}
+
+  // Takes on the blocks that have become full and have two more behind them.
+  void Extend(const PoseGraph& graph);
+
+  // Blocks [0, size()) are known.
+  std::size_t size() const { return blocks_.size(); }
+
+  // First of the known blocks from which on errors grow as those of dead
+  // reckoning do: for each node j of these and the query q,
+  //
+  //   S_q - Psi(q, j) S_j Psi(q, j)^T
+  //
+  // is positive definite, so that what kDeadReckoning makes of the covariance
+  // of their difference is positive definite too. size() if that cannot be told
+  // of any. REQUIRES: the query lies after the known blocks that are asked for;
+  // `blocks` of them are, at most size().
+  std::size_t FirstGrowing(const PoseGraph& graph, NodeIndex query,
+                           std::size_t blocks) const;
+
+  // A disc about a point, in x and y, whose squared radius grows with the
+  // variance of what it is compared with:
+  //
+  //   squared_per_variance (variance - least_taken l + most_added m),
+  //
+  // l the least and m the greatest variance of a node's position in any
+  // direction.
+  struct Region {
+    double x = 0.0;
+    double y = 0.0;
+    double squared_per_variance = 0.0;
+    double variance = 0.0;
+    double least_taken = 0.0;
+    double most_added = 0.0;
+  };
+  // Calls visit(k) for the blocks of [first, last) that may hold nodes within
+  // the region, in falling order.
+  template <typename Visit>
+  void VisitNear(const Region& region, std::size_t first, std::size_t last,
+                 const Visit& visit) const {
+    for (std::size_t group = (last + kGroup - 1) / kGroup; group-- > 0;) {
+      const std::size_t begin = group * kGroup;
+      if (begin + kGroup <= first) return;
+      if (!Near(region, groups_[group])) continue;
+      for (std::size_t k = begin + kGroup; k-- > begin;) {
+        if (k >= first && k < last && Near(region, blocks_[k])) visit(k);
+      }
+    }
+  }
+
+  std::size_t bytes() const {
+    return (blocks_.capacity() + groups_.capacity()) * sizeof(Bounds) +
+           growing_since_.capacity() * sizeof(std::uint32_t);
+  }
+
+ private:
+  // Blocks whose bounds are kept together too.
+  static constexpr std::size_t kGroup = 16;
+
+  struct Bounds {
+    double least_x;
+    double most_x;
+    double least_y;
+    double most_y;
+    // Of the positions' errors, in any direction.
+    double least_variance;
+    double most_variance;
+  };
+
+  static bool Near(const Region& region, const Bounds& bounds);
+  static void Join(const Bounds& more, Bounds* bounds);
+  Bounds Measure(const PoseGraph& graph, std::size_t k) const;
+  bool Grows(const PoseGraph& graph, std::size_t k) const;
+
+  StateSpace state_space_;
+  std::vector<Bounds> blocks_;
+  std::vector<Bounds> groups_;
+  // First block from which on all grow up to this one; the one behind it if
+  // this one does not.
+  std::vector<std::uint32_t> growing_since_;
+};
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_GRAPH_BLOCK_BOUNDS_H_

@@ -1,0 +1,46 @@
+#include "core/graph/packed_columns.h"
+
+#include <algorithm>
+#include <cassert>
+
+namespace revisit::core {
+
+PackedColumns::PackedColumns(const std::vector<std::uint64_t>& values,
+                             std::size_t rows) {
+  assert(rows > 0 && values.size() % rows == 0);
+  const std::size_t columns = values.size() / rows;
+  std::vector<std::uint64_t> heads;
+  heads.reserve(kHeadWords * columns);
+  std::uint64_t bit = 64 * kHeadWords * columns;
+  for (std::size_t c = 0; c < columns; ++c) {
+    const std::uint64_t* const column = values.data() + c * rows;
+    const std::uint64_t least = *std::min_element(column, column + rows);
+    std::uint64_t distances = 0;
+    for (std::size_t r = 0; r < rows; ++r) distances |= column[r] - least;
+    std::uint64_t shift = 0;
+    std::uint64_t width = 0;
+    if (distances != 0) {
+      shift = static_cast<std::uint64_t>(__builtin_ctzll(distances));
+      width =
+          64 - shift - static_cast<std::uint64_t>(__builtin_clzll(distances));
+    }
+    heads.push_back(least);
+    heads.push_back(width | shift << 8 | bit << 16);
+    bit += width * rows;
+  }
+  words_.resize((bit + 63) / 64 + 1);
+  std::copy(heads.begin(), heads.end(), words_.begin());
+  for (std::size_t c = 0; c < columns; ++c) {
+    const std::uint64_t* const head = heads.data() + kHeadWords * c;
+    const std::uint64_t width = head[1] & 0xff;
+    const std::uint64_t shift = head[1] >> 8 & 0xff;
+    std::uint64_t at = head[1] >> 16;
+    for (std::size_t r = 0; r < rows; ++r, at += width) {
+      const std::uint64_t entry = (values[c * rows + r] - head[0]) >> shift;
+      words_[at / 64] |= entry << at % 64;
+      if (at % 64 + width > 64) words_[at / 64 + 1] |= entry >> (64 - at % 64);
+    }
+  }
+}
+
+}  // namespace revisit::core

@@ -1,0 +1,102 @@
+"""Prints the JSON of revisit_server_bench as one table with ratios: medians over
+the rounds, ratios taken within a round."""
+
+import json
+import statistics
+import sys
+
+
+def median(values):
+    return statistics.median(values)
+
+
+def spread(values):
+    return f"{median(values):6.0%} ({min(values):.0%}-{max(values):.0%})"
+
+
+def rate(value):
+    return f"{value / 1e3:9.1f}"
+
+
+def ingest_table(rounds):
+    print("\nDurable poses, thousands a second, beside an empty stream of the "
+          "same messages and SQLite\nalone with as many rows a commit; CPU in "
+          "microseconds a pose (server + client); acks in ms")
+    print(f"{'vehicles':>8}{'a batch':>8}{'revisit':>10}{'empty':>9}"
+          f"{'SQLite':>9}{'rows':>6}  {'of empty':20}{'of SQLite':20}"
+          f"{'CPU':>12}{'empty':>12}{'ack p50':>9}{'p99':>8}")
+    for cases in zip(*(one["ingest"] for one in rounds)):
+        def mid(head, key, cases=cases):
+            return median([case[head][key] for case in cases])
+
+        def ratio(head, cases=cases):
+            return spread([case["revisit"]["poses_per_second"] /
+                           case[head]["poses_per_second"] for case in cases])
+
+        def cpu(head):
+            return (f"{mid(head, 'server_cpu_us_per_pose'):.2f}+"
+                    f"{mid(head, 'client_cpu_us_per_pose'):.2f}")
+        print(f"{cases[0]['vehicles']:8}{cases[0]['batch_poses']:8}"
+              f"{rate(mid('revisit', 'poses_per_second')):>10}"
+              f"{rate(mid('empty', 'poses_per_second'))}"
+              f"{rate(mid('sqlite', 'poses_per_second'))}"
+              f"{mid('sqlite', 'rows_a_commit'):6.0f}  "
+              f"{ratio('empty'):20}{ratio('sqlite'):20}"
+              f"{cpu('revisit'):>12}{cpu('empty'):>12}"
+              f"{mid('revisit', 'p50_ms'):9.2f}{mid('revisit', 'p99_ms'):8.2f}")
+
+
+def query_table(rounds):
+    queries = [one["query"] for one in rounds]
+    print(f"\nUnary calls, ms; searches on a vehicle of {queries[0]['nodes']} "
+          "nodes. Loaded: while 4 other vehicles stream\nbatches of 64, one "
+          "at a time each")
+    print(f"{'':36}{'p50':>9}{'p99':>9}{'loaded p50':>12}{'p99':>9}")
+    rows = [("empty", "an empty server"), ("info", "GetServerInfo"),
+            ("find", "FindCandidates")]
+    for head, label in rows:
+        line = f"{label:36}"
+        for name in (head, head + "_loaded"):
+            width = 12 if name.endswith("loaded") else 9
+            line += f"{median([q[name]['p50_ms'] for q in queries]):{width}.3f}"
+            line += f"{median([q[name]['p99_ms'] for q in queries]):9.3f}"
+        print(line)
+    for name in ("find", "find_loaded"):
+        search = median([q[name]["search_p50_ms"] for q in queries])
+        whole = median([q[name]["p50_ms"] for q in queries])
+        # Under load, against a call that waits for the same processors.
+        base, words = (("info_loaded", "GetServerInfo under the same load")
+                       if "loaded" in name else ("empty", "an empty call"))
+        empty = median([q[base]["p50_ms"] for q in queries])
+        print(f"  {search:.3f} of it is the search; it adds "
+              f"{whole - empty:.3f} to {words}, all around the search "
+              f"{whole - empty - search:.3f}")
+
+
+def stall_table(rounds):
+    stalls = [one["stall"] for one in rounds]
+    print(f"\nAcknowledgements of 4 vehicles, ms, while callers search another "
+          f"one of {stalls[0]['nodes']} nodes one search after the other")
+    print(f"{'callers':>8}{'ack p50':>9}{'p99':>9}{'search p50':>12}")
+    for entries in zip(*(stall["acks"] for stall in stalls)):
+        print(f"{entries[0]['callers']:8}"
+              f"{median([e['p50_ms'] for e in entries]):9.2f}"
+              f"{median([e['p99_ms'] for e in entries]):9.2f}"
+              f"{median([e['search_p50_ms'] for e in entries]):12.1f}")
+
+
+def main():
+    with open(sys.argv[1], encoding="utf-8") as file:
+        result = json.load(file)
+    rounds = result["rounds"]
+    print(f"The server over loopback: medians of {len(rounds)} rounds, "
+          f"{result['seconds']:g} s each measurement; load of the machine "
+          f"{result['load']:.1f}")
+    for part, table in (("ingest", ingest_table), ("query", query_table),
+                        ("stall", stall_table)):
+        if all(part in one for one in rounds):
+            table(rounds)
+
+
+if __name__ == "__main__":
+    main()

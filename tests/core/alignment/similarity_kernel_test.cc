@@ -1,0 +1,321 @@
+#include "core/alignment/similarity_kernel.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "core/alignment/known_drift.h"
+#include "core/alignment/log_similarity.h"
+#include "core/geometry/heading.h"
+#include "core/graph/correlation.h"
+#include "tests/core/graphs.h"
+#include "tests/core/vector_targets.h"
+#include "tests/random.h"
+
+namespace revisit::core {
+namespace {
+
+// The entries of node i of a block.
+template <int D>
+StateVector<D> DifferenceAt(const DifferenceBlock& differences, std::size_t i) {
+  StateVector<D> difference;
+  for (int r = 0; r < D; ++r) {
+    difference(r) = differences.difference[static_cast<std::size_t>(r)][i];
+  }
+  return difference;
+}
+
+template <int D>
+StateMatrix<D> CovarianceAt(const DifferenceBlock& differences, std::size_t i) {
+  StateMatrix<D> covariance;
+  std::size_t entry = 0;
+  for (int r = 0; r < D; ++r) {
+    for (int c = 0; c <= r; ++c) {
+      covariance(r, c) = covariance(c, r) = differences.covariance[entry++][i];
+    }
+  }
+  return covariance;
+}
+
+template <int D>
+void Put(const StateVector<D>& difference, const StateMatrix<D>& covariance,
+         std::size_t i, DifferenceBlock* differences) {
+  std::size_t entry = 0;
+  for (int r = 0; r < D; ++r) {
+    differences->difference[static_cast<std::size_t>(r)][i] = difference(r);
+    for (int c = 0; c <= r; ++c) {
+      differences->covariance[entry++][i] = covariance(r, c);
+    }
+  }
+}
+
+// In units of the standard deviations; headings but for whole turns.
+template <int D>
+void ExpectNear(const DifferenceBlock& differences, std::size_t i,
+                const StateVector<D>& difference,
+                const StateMatrix<D>& covariance, double tolerance) {
+  const StateVector<D> off = DifferenceAt<D>(differences, i) - difference;
+  for (int r = 0; r < D; ++r) {
+    const double unit = std::max(1.0, std::abs(difference(r)));
+    EXPECT_NEAR((r == D - 1 ? WrapHeading(off(r)) : off(r)) / unit, 0.0,
+                tolerance)
+        << "coordinate " << r;
+  }
+  EXPECT_LE(std::abs(DifferenceAt<D>(differences, i)(D - 1)), kPi + 1e-12);
+  const StateMatrix<D> actual = CovarianceAt<D>(differences, i);
+  for (int r = 0; r < D; ++r) {
+    for (int c = 0; c <= r; ++c) {
+      const double unit =
+          std::sqrt(std::abs(covariance(r, r) * covariance(c, c)));
+      EXPECT_NEAR(actual(r, c), covariance(r, c), tolerance * unit)
+          << "entry " << r << "," << c;
+    }
+  }
+}
+
+// A drive that dead-reckons honestly, but for some nodes that claim anything.
+// Now and then all of it lies in the plane.
+template <int D>
+PoseGraph RandomDrive(std::mt19937_64& random, NodeIndex size,
+                      const std::vector<NodeIndex>& honest) {
+  PoseGraph graph;
+  const bool flat = D == 3 && UniformInt(random, 0, 1);
+  Pose pose = RandomPose(random, 50.0);
+  if (flat) pose.z = 0.0;
+  StateMatrix<4> covariance = ToMatrix<4>(RandomCovariance(random, 1.0));
+  for (NodeIndex i = 0; i < size; ++i) {
+    Node node;
+    node.sequence = static_cast<std::uint64_t>(i) + 1;
+    node.pose = pose;
+    node.covariance = ToCovariance<4>(covariance);
+    if (UniformInt(random, 0, 9) == 0 &&
+        std::find(honest.begin(), honest.end(), i) == honest.end()) {
+      node.covariance =
+          RandomCovariance(random, std::pow(10.0, Uniform(random, -2.0, 3.0)));
+    }
+    if (flat) {
+      for (int k = 0; k < 4; ++k) node.covariance(2, k) = 0.0;
+    }
+    graph.AddNode(node, i == 0, std::nullopt);
+    const Pose before = pose;
+    pose.heading = WrapHeading(pose.heading + Normal(random, 0.3));
+    pose.x += 2.0 * std::cos(pose.heading);
+    pose.y += 2.0 * std::sin(pose.heading);
+    if (!flat) pose.z += Normal(random, 0.1);
+    const StateMatrix<4> f = DeadReckoningTransition<4>(before, pose);
+    covariance = (f * covariance * f.transpose()).eval() +
+                 ToMatrix<4>(RandomCovariance(random, 0.1));
+  }
+  return graph;
+}
+
+// How often the trials have come by what.
+struct Seen {
+  int before_closure = 0;
+  int between = 0;
+  int after_closure = 0;
+  int unchanged = 0;
+};
+
+template <int D>
+void ExpectDifferencesOfPairs(std::mt19937_64& random, Seen* seen) {
+  const NodeIndex size = UniformInt(random, 4, 300);
+  const auto any = [&](NodeIndex last) {
+    return static_cast<NodeIndex>(
+        UniformInt(random, 0, static_cast<int>(last)));
+  };
+  const NodeIndex query = size - 1 - any(std::min<NodeIndex>(size - 3, 2));
+  const ConfirmedLoop loop{any(query), any(query)};
+  if (loop.query == loop.matched) return;
+  const PoseGraph graph =
+      RandomDrive<D>(random, size, {query, loop.query, loop.matched});
+  SCOPED_TRACE(::testing::Message()
+               << "query " << query << " of " << size << ", closure "
+               << loop.query << "-" << loop.matched);
+  SimilarityModel model;
+  model.state_space = D == 3 ? StateSpace::kPlanar : StateSpace::kSpatial;
+  model.correlation = UniformInt(random, 0, 3) == 0
+                          ? CorrelationModel::kIndependent
+                          : CorrelationModel::kDeadReckoning;
+  model.direction =
+      UniformInt(random, 0, 1) ? Direction::kSame : Direction::kOpposite;
+  model.inflation = UniformInt(random, 0, 1) ? Uniform(random, 1.0, 3.0) : 1.0;
+  model.tolerance = {Uniform(random, 0.1, 4.0), Uniform(random, 0.01, 0.3)};
+  const auto known = model.correlation == CorrelationModel::kDeadReckoning
+                         ? KnownDrift<D>::Make(graph, model, loop, query)
+                         : std::nullopt;
+  const KernelQuery kernel_query = MakeKernelQuery(graph, model, query);
+
+  const std::size_t blocks = BlocksOf(query);
+  for (std::size_t k = 0; k < blocks; ++k) {
+    const auto first = static_cast<NodeIndex>(k * NodeBlock::kSize);
+    const std::size_t count =
+        std::min(NodeBlock::kSize, static_cast<std::size_t>(query - first));
+    DifferenceBlock differences;
+    FindDifferences(kernel_query, graph.block(k),
+                    graph.block(UniformInt(random, 0, 1) ? k : 0),
+                    &differences);
+    DifferenceBlock conditioned = differences;
+    if (known) {
+      TakeKnownDrift(known->Terms(), model.state_space, graph.block(k), first,
+                     &conditioned);
+    }
+    for (std::size_t i = 0; i < count; ++i) {
+      const NodeIndex j = first + static_cast<NodeIndex>(i);
+      SCOPED_TRACE(::testing::Message() << "node " << j);
+      StateVector<D> difference = ToVector<D>(
+          PassDifference(model, graph.node(query).pose, graph.node(j).pose));
+      StateMatrix<D> covariance = ToleratedCovariance<D>(
+          model, DifferenceCovariance<D>(graph, model.correlation, query, j));
+      ExpectNear<D>(differences, i, difference, covariance, 1e-12);
+      if (!known) continue;
+      const StateVector<D> difference_before = difference;
+      const StateMatrix<D> covariance_before = covariance;
+      known->Apply(j, &difference, &covariance);
+      if (Evaluate<D>(covariance, difference)) {
+        ExpectNear<D>(conditioned, i, difference, covariance, 1e-9);
+        const auto [earlier, later] = std::minmax(loop.query, loop.matched);
+        seen->before_closure += j < earlier;
+        seen->between += earlier < j && j < later;
+        seen->after_closure += j > later;
+      } else {
+        ExpectNear<D>(conditioned, i, difference_before, covariance_before,
+                      1e-12);
+        ++seen->unchanged;
+      }
+    }
+  }
+}
+
+TEST(SimilarityKernelTest, DifferencesAreThoseOfPairsGivenAClosureOrNot) {
+  std::mt19937_64 random = SeededRandom();
+  Seen seen;
+  ForEachVectorTarget([&] {
+    for (int trial = 0; trial < 60 && !::testing::Test::HasFailure(); ++trial) {
+      SCOPED_TRACE(trial);
+      ExpectDifferencesOfPairs<3>(random, &seen);
+      ExpectDifferencesOfPairs<4>(random, &seen);
+    }
+  });
+  EXPECT_GT(seen.before_closure, 1000);
+  EXPECT_GT(seen.between, 1000);
+  EXPECT_GT(seen.after_closure, 1000);
+  EXPECT_GT(seen.unchanged, 20);
+}
+
+// Whether what was evaluated is changed, and the trials' tally of it.
+struct Tally {
+  int changed = 0;
+  int as_it_was = 0;
+  int impossible = 0;
+};
+
+template <int D>
+void ExpectEvaluatedAsPairs(std::mt19937_64& random, Tally* tally) {
+  constexpr StateSpace kSpace =
+      D == 3 ? StateSpace::kPlanar : StateSpace::kSpatial;
+  const auto draw = [&random](double scale) {
+    return ToMatrix<D>(RandomCovariance(random, scale));
+  };
+  constexpr std::size_t kRows = 20;
+  std::vector<StateMatrix<D>> taken(kRows);
+  std::vector<double> certainties(kRows * kMostEntries);
+  for (std::size_t row = 0; row < kRows; ++row) {
+    taken[row] =
+        row == 0 ? StateMatrix<D>::Zero() : draw(Uniform(random, 0.0, 1.0));
+    std::size_t entry = row * kMostEntries;
+    for (int r = 0; r < D; ++r) {
+      for (int c = 0; c <= r; ++c) certainties[entry++] = taken[row](r, c);
+    }
+  }
+  DifferenceBlock differences;
+  DifferenceChange change;
+  const double angle = Uniform(random, -kPi, kPi);
+  change.certainty = certainties.data();
+  change.cosine = std::cos(angle);
+  change.sine = std::sin(angle);
+  change.least_left = UniformInt(random, 0, 1) ? 1e-3 : 0.2;
+  for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
+    StateMatrix<D> covariance = draw(std::exp(Uniform(random, -3.0, 3.0)));
+    AddTolerance<D>({Uniform(random, 0.0, 2.0), Uniform(random, 0.0, 0.3)},
+                    &covariance);
+    // Not positive definite, or nothing at all.
+    const int kind = UniformInt(random, 0, 9);
+    if (kind == 0) covariance(0, 0) = -covariance(0, 0);
+    if (kind == 1) covariance.setZero();
+    Put<D>(ToVector<D>(RandomPose(random, 10.0)), covariance, i, &differences);
+    change.row[i] = UniformInt(random, 0, kRows - 1);
+    for (auto& column : change.shift) column[i] = Normal(random, 1.0);
+  }
+
+  const auto expect = [](const BlockSimilarity& similarity, std::size_t i,
+                         const std::optional<QuadraticForm>& form) {
+    if (!form) {
+      EXPECT_EQ(similarity.log_similarity[i], kImpossible);
+      return;
+    }
+    const double value =
+        -0.5 * (form->log_determinant + form->squared_mahalanobis);
+    EXPECT_NEAR(similarity.log_similarity[i], value,
+                1e-12 * std::max(1.0, std::abs(value)));
+    EXPECT_NEAR(similarity.squared_mahalanobis[i], form->squared_mahalanobis,
+                1e-12 * std::max(1.0, form->squared_mahalanobis));
+  };
+  BlockSimilarity similarity;
+  EvaluateDifferences(kSpace, differences, &similarity);
+  const BlockSimilarity before = similarity;
+  EvaluateChanged(kSpace, differences, change, &similarity);
+  for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
+    SCOPED_TRACE(::testing::Message() << "entry " << i);
+    const StateVector<D> difference = DifferenceAt<D>(differences, i);
+    const StateMatrix<D> covariance = CovarianceAt<D>(differences, i);
+    const auto unchanged = Evaluate<D>(covariance, difference);
+    expect(before, i, unchanged);
+    if (!unchanged) {
+      // Never asked for.
+      ++tally->impossible;
+      continue;
+    }
+    StateVector<D> shift;
+    for (int r = 0; r < D; ++r) {
+      shift(r) = change.shift[static_cast<std::size_t>(r)][i];
+    }
+    const StateMatrix<D>& certainty =
+        taken[static_cast<std::size_t>(change.row[i])];
+    const auto changed = Evaluate<D>(covariance - certainty,
+                                     difference + TurnAbout<D>(angle) * shift);
+    const bool enough_left =
+        Evaluate<D>((1.0 - change.least_left) * covariance - certainty,
+                    StateVector<D>::Zero())
+            .has_value();
+    if (changed && enough_left) {
+      expect(similarity, i, changed);
+      ++tally->changed;
+    } else {
+      EXPECT_EQ(similarity.log_similarity[i], before.log_similarity[i]);
+      EXPECT_EQ(similarity.squared_mahalanobis[i],
+                before.squared_mahalanobis[i]);
+      ++tally->as_it_was;
+    }
+  }
+}
+
+TEST(SimilarityKernelTest, EvaluatesDifferencesAsTheyAreAndChanged) {
+  std::mt19937_64 random = SeededRandom();
+  Tally tally;
+  ForEachVectorTarget([&] {
+    for (int trial = 0; trial < 50 && !::testing::Test::HasFailure(); ++trial) {
+      SCOPED_TRACE(trial);
+      ExpectEvaluatedAsPairs<3>(random, &tally);
+      ExpectEvaluatedAsPairs<4>(random, &tally);
+    }
+  });
+  EXPECT_GT(tally.changed, 1000);
+  EXPECT_GT(tally.as_it_was, 1000);
+  EXPECT_GT(tally.impossible, 1000);
+}
+
+}  // namespace
+}  // namespace revisit::core

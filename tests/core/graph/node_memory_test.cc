@@ -1,0 +1,167 @@
+// What a node costs, by counting every allocation of the process.
+#include <gtest/gtest.h>
+#include <malloc.h>
+
+#include <algorithm>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <memory>
+#include <new>
+#include <random>
+#include <vector>
+
+#include "core/engine.h"
+#include "tests/core/graphs.h"
+#include "tests/random.h"
+
+namespace {
+
+std::int64_t allocated_bytes = 0;
+
+void* Allocate(std::size_t size, std::size_t alignment) {
+  void* const memory =
+      alignment <= alignof(std::max_align_t)
+          ? std::malloc(size)
+          : std::aligned_alloc(alignment,
+                               (size + alignment - 1) / alignment * alignment);
+  if (memory == nullptr) std::abort();
+  allocated_bytes += static_cast<std::int64_t>(malloc_usable_size(memory));
+  return memory;
+}
+
+void Free(void* memory) {
+  if (memory == nullptr) return;
+  allocated_bytes -= static_cast<std::int64_t>(malloc_usable_size(memory));
+  std::free(memory);
+}
+
+}  // namespace
+
+void* operator new(std::size_t size) { return Allocate(size, 1); }
+void* operator new(std::size_t size, std::align_val_t alignment) {
+  return Allocate(size, static_cast<std::size_t>(alignment));
+}
+void operator delete(void* memory) noexcept { Free(memory); }
+void operator delete(void* memory, std::size_t) noexcept { Free(memory); }
+void operator delete(void* memory, std::align_val_t) noexcept { Free(memory); }
+void operator delete(void* memory, std::size_t, std::align_val_t) noexcept {
+  Free(memory);
+}
+
+namespace revisit::core {
+namespace {
+
+// What is promised for a node, all told.
+constexpr double kMostBytesPerNode = 250.0;
+
+struct Vehicle {
+  StateSpace space;
+  CorrelationModel correlation;
+  // Error transitions without a structure; else those of a filter that carries
+  // errors by the heading's lever arm.
+  bool dense_transitions = false;
+};
+
+PoseSample RandomSample(std::mt19937_64& random, const Vehicle& vehicle,
+                        std::uint64_t sequence) {
+  PoseSample sample;
+  sample.sequence = sequence;
+  // About ten a second, with the jitter of a real clock.
+  sample.stamp_ns = 1600000000000000000 +
+                    static_cast<std::int64_t>(sequence) * 100000000 +
+                    UniformInt(random, -2000000, 2000000);
+  sample.pose = RandomPose(random, 1.0);
+  // A node a pose, at no round place.
+  sample.pose.x += 2.7 * static_cast<double>(sequence);
+  sample.covariance = RandomCovariance(random, 2.0);
+  if (vehicle.correlation == CorrelationModel::kFilter && sequence > 1) {
+    Eigen::Matrix4d transition = Eigen::Matrix4d::Identity();
+    if (vehicle.dense_transitions) {
+      for (int k = 0; k < 16; ++k) transition(k) += Normal(random, 0.05);
+    } else {
+      transition(0, 3) = Normal(random, 2.0);
+      transition(1, 3) = Normal(random, 2.0);
+    }
+    sample.transition = vehicle.space == StateSpace::kPlanar
+                            ? ToErrorTransition<3>(
+                                  ToMatrix<3>(ToErrorTransition<4>(transition)))
+                            : ToErrorTransition<4>(transition);
+  }
+  return sample;
+}
+
+struct Cost {
+  NodeIndex nodes = 0;
+  double bytes = 0.0;
+  // As the graph states it.
+  double stated_bytes = 0.0;
+};
+
+Cost CostOf(std::mt19937_64& random, const Vehicle& vehicle, NodeIndex nodes) {
+  EngineSettings settings;
+  settings.state_space = vehicle.space;
+  settings.search.correlation_model = vehicle.correlation;
+  const std::int64_t before = allocated_bytes;
+  const auto engine = std::make_unique<Engine>(settings);
+  std::uint64_t sequence = 0;
+  while (engine->graph().size() < nodes) {
+    ++sequence;
+    engine->Append({RandomSample(random, vehicle, sequence)}, sequence);
+  }
+  Cost cost;
+  cost.nodes = engine->graph().size();
+  cost.bytes = static_cast<double>(allocated_bytes - before);
+  cost.stated_bytes = static_cast<double>(engine->graph().bytes());
+  return cost;
+}
+
+class NodeMemoryTest : public ::testing::Test {
+ protected:
+  // The state space, how errors hang together, and whether transitions are
+  // dense.
+  const std::vector<Vehicle> kVehicles = {
+      {StateSpace::kPlanar, CorrelationModel::kIndependent},
+      {StateSpace::kPlanar, CorrelationModel::kDeadReckoning},
+      {StateSpace::kPlanar, CorrelationModel::kFilter, false},
+      {StateSpace::kPlanar, CorrelationModel::kFilter, true},
+      {StateSpace::kSpatial, CorrelationModel::kIndependent},
+      {StateSpace::kSpatial, CorrelationModel::kDeadReckoning},
+      {StateSpace::kSpatial, CorrelationModel::kFilter, false},
+      {StateSpace::kSpatial, CorrelationModel::kFilter, true},
+  };
+};
+
+TEST_F(NodeMemoryTest, ANodeOfAnyKindOfVehicleTakesAtMostWhatIsPromised) {
+  std::mt19937_64 random = SeededRandom();
+  for (const Vehicle& vehicle : kVehicles) {
+    for (const NodeIndex nodes : {1000, 20000}) {
+      const Cost cost = CostOf(random, vehicle, nodes);
+      const double each = cost.bytes / static_cast<double>(cost.nodes);
+      SCOPED_TRACE(
+          ::testing::Message()
+          << (vehicle.space == StateSpace::kPlanar ? "planar" : "spatial")
+          << ", model " << static_cast<int>(vehicle.correlation)
+          << (vehicle.dense_transitions ? ", dense" : ""));
+      EXPECT_LE(each, kMostBytesPerNode);
+      // What operators are told is what is taken, within the allocator's share.
+      EXPECT_LE(cost.stated_bytes, cost.bytes);
+      EXPECT_GE(cost.stated_bytes, 0.9 * cost.bytes);
+      std::printf("%s model %d%s: %.1f bytes a node of %lld\n",
+                  vehicle.space == StateSpace::kPlanar ? "planar " : "spatial",
+                  static_cast<int>(vehicle.correlation),
+                  vehicle.dense_transitions ? " dense" : "      ", each,
+                  static_cast<long long>(cost.nodes));
+    }
+  }
+}
+
+TEST_F(NodeMemoryTest, AVehicleOfOneNodeTakesAtMostFourKilobytes) {
+  std::mt19937_64 random = SeededRandom();
+  for (const Vehicle& vehicle : kVehicles) {
+    EXPECT_LE(CostOf(random, vehicle, 1).bytes, 4096.0);
+  }
+}
+
+}  // namespace
+}  // namespace revisit::core
