@@ -181,7 +181,7 @@ def test_client_that_never_reads_again_is_let_go(tmp_path):
 
 # ---- Searches and batches
 
-SLOW = {"alignment": api.ALIGNMENT_RELATIVE, "exhaustive": True,
+SLOW = {"alignment": api.ALIGNMENT_COMPOSITE,
         "direction": api.DIRECTION_EITHER}
 
 
@@ -193,8 +193,9 @@ def slow_server(tmp_path_factory):
                 "--max-searches=6") as server:
         stub = server.stub()
         for name in ("a", "b"):
-            fill(stub, create(stub, name, sequence_length_meters=300),
-                 laps(8000))
+            fill(stub, create(stub, name, sequence_length_meters=300,
+                              node_spacing_meters=0.5),
+                 laps(4000, spacing=2.0))
         yield server
 
 
@@ -370,8 +371,10 @@ def test_goodput_at_five_times_the_load_stays_near_the_peak(tmp_path):
         stub = server.stub()
         names = [f"car-{i}" for i in range(8)]
         for name in names:
-            fill(stub, create(stub, name, sequence_length_meters=300),
-                 laps(6000))
+            # A search of these takes far longer than a call of this program.
+            fill(stub, create(stub, name, sequence_length_meters=300,
+                              node_spacing_meters=0.5),
+                 laps(4000, spacing=2.0))
         requests = [search(f"vehicles/{name}", **SLOW) for name in names]
 
         def measure_peak(seconds):
