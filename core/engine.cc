@@ -331,6 +331,12 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
     return empty(EmptyReason::kAllSuppressed);
   }
 
+  set.comparisons =
+      steps * history_size *
+      static_cast<std::int64_t>(Directions(options.direction).size());
+  if (set.comparisons > options.max_comparisons) {
+    return empty(EmptyReason::kTooMuchWork);
+  }
   set.nodes_considered = history_size;
   set.inflation = MakeSimilarityModel(options).inflation;
   absl::Status status;

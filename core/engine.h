@@ -82,6 +82,8 @@ enum class EmptyReason {
   kNoAlignment,
   // No node left to be considered could come to any odds: see nodes_pruned.
   kNoProbablePlace,
+  // More than SearchOptions::max_comparisons.
+  kTooMuchWork,
 };
 
 struct CandidateSet {
@@ -94,6 +96,8 @@ struct CandidateSet {
   // all together.
   NodeIndex nodes_considered = 0;
   NodeIndex nodes_pruned = 0;
+  // What SearchOptions::max_comparisons bounds.
+  std::int64_t comparisons = 0;
   // Only of relative alignments: posterior of no place of the history.
   std::optional<double> new_place_probability;
   // What the claimed standard deviations were multiplied by.

@@ -3,6 +3,7 @@
 #define REVISIT_CORE_SETTINGS_H_
 
 #include <cstdint>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -46,6 +47,9 @@ struct SearchOptions {
   double road_spacing_meters = 200.0;
   // In (0, 1).
   double acceptance_probability = 0.4;
+  // Nodes of the sequence times nodes of the history, in each direction, that
+  // the search may compare: beyond it answers with nothing.
+  std::int64_t max_comparisons = std::numeric_limits<std::int64_t>::max();
 };
 
 struct EngineSettings {

@@ -22,6 +22,9 @@ constexpr char kRequestIdKey[] = "x-request-id";
 constexpr char kAuthorizationKey[] = "authorization";
 constexpr std::size_t kMaxRequestIdBytes = 128;
 
+// Of callers without a deadline, and short enough for sums.
+constexpr std::chrono::hours kEndless{24};
+
 std::string NewRequestId() {
   thread_local std::mt19937_64 generator(std::random_device{}());
   char text[17];
@@ -70,6 +73,17 @@ std::shared_ptr<const Caller> Nobody() {
     return caller;
   }());
   return *nobody;
+}
+
+// Limits are shared by all callers of a tenant; where nobody is asked who
+// calls, by all programs at one address.
+std::string QuotaKey(const Caller& caller,
+                     const grpc::CallbackServerContext& context) {
+  if (!caller.tenant.empty() && caller.tenant != "*") return caller.tenant;
+  if (!caller.identity.empty()) return caller.identity;
+  // Such as ipv4:127.0.0.1:4711.
+  const std::string peer = context.peer();
+  return peer.substr(0, peer.rfind(':'));
 }
 
 const char* CodeName(grpc::StatusCode code) {
@@ -148,11 +162,14 @@ Call::Call(grpc::CallbackServerContext* context, const char* method,
       log_(service.log),
       drain_(service.drain),
       gatekeeper_(service.gatekeeper),
+      room_(service.admission),
+      progress_(service.connections->Find(context->peer())),
       rule_(FindMethodRule(method)),
       start_(std::chrono::steady_clock::now()),
       deadline_(context->deadline()),
       request_id_(RequestId(*context)) {
   context->AddInitialMetadata(kRequestIdKey, request_id_);
+  CountProgress(progress_);
   const bool in_time = drain_->Enter();
   if (gatekeeper_->asks()) credentials_ = CredentialsOf(*context);
   auto caller =
@@ -164,6 +181,18 @@ Call::Call(grpc::CallbackServerContext* context, const char* method,
     admission_ = caller.status();
   }
   if (!in_time) admission_ = Drain::Refusal();
+  if (!admission_.ok()) return;
+  quota_key_ = QuotaKey(*caller_, *context);
+  admission_ = TakeRoom();
+}
+
+absl::Status Call::TakeRoom() {
+  // An operator wants to know about a server that is full.
+  if (rule_ == nullptr || !rule_->verb) return absl::OkStatus();
+  absl::StatusOr<Permit> permit =
+      rule_->streams ? room_->Stream(quota_key_) : room_->Call();
+  if (permit.ok()) permits_.push_back(*std::move(permit));
+  return permit.status();
 }
 
 void Call::Done() {
@@ -188,7 +217,30 @@ absl::Status Call::Check(const Caller& caller, Verb verb) const {
 
 absl::Status Call::ChooseVehicle(const std::string& id) {
   vehicle_ = id;
-  return Check(*caller_, MethodVerb());
+  if (absl::Status status = Check(*caller_, MethodVerb()); !status.ok()) {
+    return status;
+  }
+  if (rule_ == nullptr || !rule_->streams) return absl::OkStatus();
+  absl::StatusOr<Permit> permit = room_->StreamOf(id);
+  if (permit.ok()) permits_.push_back(*std::move(permit));
+  return permit.status();
+}
+
+absl::Status Call::AdmitSearch() {
+  const auto now = std::chrono::system_clock::now();
+  const auto latest = std::min(deadline_, now + kEndless);
+  absl::StatusOr<Permit> permit =
+      room_->Search(vehicle_, quota_key_, latest - now);
+  if (permit.ok()) permits_.push_back(*std::move(permit));
+  return permit.status();
+}
+
+void Call::SearchTook(std::chrono::steady_clock::duration duration) const {
+  room_->SearchTook(duration);
+}
+
+absl::StatusOr<Permit> Call::AdmitBatch(std::size_t bytes) const {
+  return room_->Queue(vehicle_, static_cast<std::int64_t>(bytes));
 }
 
 absl::Status Call::AlsoNeeds(Verb verb) {

@@ -5,14 +5,18 @@
 
 #include <atomic>
 #include <chrono>
+#include <cstddef>
 #include <functional>
 #include <memory>
 #include <string>
 #include <vector>
 
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "grpcpp/server_context.h"
 #include "grpcpp/support/status.h"
+#include "server/admission.h"
+#include "server/connection_progress.h"
 #include "server/drain.h"
 #include "server/logging.h"
 #include "server/security/caller.h"
@@ -42,8 +46,8 @@ class Call {
   Call(const Call&) = delete;
   Call& operator=(const Call&) = delete;
 
-  // If not OK, the call ends with it at once: it came too late, or its caller
-  // is not let in.
+  // If not OK, the call ends with it at once: it came too late, its caller is
+  // not let in, or there is no room for it.
   const absl::Status& admission() const { return admission_; }
 
   // Of a call that was admitted.
@@ -53,11 +57,20 @@ class Call {
   // before it does anything with a vehicle, and before the work is handed to
   // other threads. VEHICLE_NOT_FOUND if the vehicle is not the caller's to know
   // of, there or not; PERMISSION_DENIED (NOT_GRANTED) if the method is more
-  // than the caller may do with it.
+  // than the caller may do with it; STREAM_QUOTA if the vehicle has as many
+  // streams as it may.
   absl::Status ChooseVehicle(const std::string& id);
 
   // The call turns out to do more than its method says. After ChooseVehicle().
   absl::Status AlsoNeeds(Verb verb);
+
+  // Room for a search, held as long as this. After ChooseVehicle().
+  absl::Status AdmitSearch();
+  // How long it took, without waiting.
+  void SearchTook(std::chrono::steady_clock::duration duration) const;
+  // Room for a batch that waits to be durable. After ChooseVehicle(); any
+  // thread.
+  absl::StatusOr<Permit> AdmitBatch(std::size_t bytes) const;
 
   // What a new call of the same kind, with the same credentials, would be told
   // now. Calls that last ask from time to time.
@@ -65,6 +78,9 @@ class Call {
   // Calls `recheck` whenever Recheck() may have changed its mind, until Done().
   // It may also come shortly after.
   void WatchCaller(std::function<void()> recheck);
+
+  // Call for every message of a stream that was read.
+  void CountMessage() const { CountProgress(progress_); }
 
   // Call from the reactor's OnCancel(), which also comes when the deadline
   // passes. The context cannot be asked by work that may outlive the call.
@@ -81,6 +97,7 @@ class Call {
   void Done();
 
  private:
+  absl::Status TakeRoom();
   Verb MethodVerb() const;
   absl::Status Check(const Caller& caller, Verb verb) const;
 
@@ -88,6 +105,8 @@ class Call {
   const Log* const log_;
   Drain* const drain_;
   Gatekeeper* const gatekeeper_;
+  Admission* const room_;
+  const ProgressCounter progress_;
   const MethodRule* const rule_;
   const std::chrono::steady_clock::time_point start_;
   const std::chrono::system_clock::time_point deadline_;
@@ -95,6 +114,9 @@ class Call {
   Credentials credentials_;
   std::shared_ptr<const Caller> caller_;
   absl::Status admission_;
+  // Whose limits count; empty for nobody's.
+  std::string quota_key_;
+  std::vector<Permit> permits_;
   Gatekeeper::WatchId watch_ = -1;
   std::string vehicle_;
   std::vector<Verb> also_needs_;

@@ -68,6 +68,13 @@ class UnaryCall final : public grpc::ServerUnaryReactor,
   absl::Status ChooseVehicle(const std::string& id) {
     return call_.ChooseVehicle(id);
   }
+  absl::Status AdmitSearch() { return call_.AdmitSearch(); }
+  void SearchTook(std::chrono::steady_clock::duration duration) const {
+    call_.SearchTook(duration);
+  }
+  absl::StatusOr<Permit> AdmitBatch(std::size_t bytes) const {
+    return call_.AdmitBatch(bytes);
+  }
   bool given_up() const { return call_.given_up(); }
   absl::Status GivenUpStatus() const { return call_.GivenUpStatus(); }
 
@@ -86,8 +93,11 @@ template <typename Value, typename Encode>
 std::function<void(absl::StatusOr<Value>)> FinishWith(UnaryCallPtr call,
                                                       Encode encode) {
   return [call = std::move(call), encode](absl::StatusOr<Value> value) {
-    if (!value.ok()) {
-      call->End(value.status());
+    // Nobody waits for what would be made of it.
+    const absl::Status given_up =
+        call->given_up() ? call->GivenUpStatus() : absl::OkStatus();
+    if (!value.ok() || !given_up.ok()) {
+      call->End(value.ok() ? given_up : value.status());
       return;
     }
     const absl::Status status = encode(*value);
@@ -237,14 +247,26 @@ absl::StatusOr<std::optional<core::NodeIndex>> QueryNode(
   return std::optional<core::NodeIndex>(graph.size() - 1);
 }
 
-absl::Status Find(const UnaryCall& call, const VehicleView& view,
+absl::Status TooMuchWork(std::int64_t got, std::int64_t limit) {
+  return Error(
+      absl::StatusCode::kOutOfRange, "LIMIT_EXCEEDED",
+      "the search would compare " + std::to_string(got) +
+          " pairs of nodes; allowed are " + std::to_string(limit) +
+          ": take a shorter sequence, a longer node spacing or one "
+          "direction",
+      {{"got", std::to_string(got)}, {"limit", std::to_string(limit)}});
+}
+
+absl::Status Find(const UnaryCall& call, const Limits& limits,
+                  const VehicleView& view,
                   const v1::FindCandidatesRequest& request,
                   v1::FindCandidatesResponse* response) {
   // It may have waited long behind other work.
   if (call.given_up()) return call.GivenUpStatus();
-  const absl::StatusOr<core::SearchOptions> options = DecodeCandidateOptions(
+  absl::StatusOr<core::SearchOptions> options = DecodeCandidateOptions(
       request.options(), view.config, kRequest.Field("options"));
   if (!options.ok()) return options.status();
+  options->max_comparisons = limits.max_search_steps;
   const auto query = QueryNode(view, request.sequence());
   if (!query.ok()) return query.status();
   const auto stop = [&call] { return call.given_up(); };
@@ -252,11 +274,15 @@ absl::Status Find(const UnaryCall& call, const VehicleView& view,
   const absl::StatusOr<core::CandidateSet> found =
       *query ? view.engine.FindCandidates(**query, *options, stop)
              : view.engine.FindCandidates(*options, stop);
+  const auto duration = std::chrono::steady_clock::now() - start;
+  call.SearchTook(duration);
   if (absl::IsCancelled(found.status())) return call.GivenUpStatus();
   if (!found.ok()) return found.status();
+  if (found->empty_reason == core::EmptyReason::kTooMuchWork) {
+    return TooMuchWork(found->comparisons, limits.max_search_steps);
+  }
   EncodeCandidateSet(view, *found, request.options().include_aligned_path(),
-                     std::chrono::steady_clock::now() - start,
-                     response->mutable_candidates());
+                     duration, response->mutable_candidates());
   return absl::OkStatus();
 }
 
@@ -451,7 +477,8 @@ grpc::ServerUnaryReactor* PoseGraphService::UpdateVehicle(
                                    vehicle.Field("name"), call.get());
     if (!session.ok()) return session.status();
     (*session)->Update(
-        [=](const VehicleView& view) {
+        [=](const VehicleView& view) -> absl::StatusOr<VehicleConfig> {
+          if (call->given_up()) return call->GivenUpStatus();
           return UpdateSettings(view.config, view.durable_sequence > 0,
                                 request->vehicle().settings(),
                                 request->update_mask());
@@ -487,15 +514,21 @@ grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
     const auto session = SessionOf(context_, request->vehicle(),
                                    kRequest.Field("vehicle"), call.get());
     if (!session.ok()) return session.status();
+    const absl::StatusOr<Permit> room =
+        call->AdmitBatch(request->ByteSizeLong());
+    if (!room.ok()) return room.status();
     AppendRequest append;
-    append.decoder = [=, max_poses = context_.limits.max_batch_poses](
-                         const VehicleConfig& config) {
+    append.decoder =
+        [=, max_poses = context_.limits.max_batch_poses](
+            const VehicleConfig& config) -> absl::StatusOr<DecodedBatch> {
+      // It may have waited long.
+      if (call->given_up()) return call->GivenUpStatus();
       return DecodeBatch(request->poses(), max_poses, config, kRequest);
     };
     append.should_stop = [] { return false; };
     append.callbacks.staged = [](const absl::Status&) {};
-    append.callbacks.durable =
-        FinishWith<Acknowledgement>(call, [=](const Acknowledgement& durable) {
+    append.callbacks.durable = FinishWith<Acknowledgement>(
+        call, [=, permit = *room](const Acknowledgement& durable) {
           EncodeAck(durable, response->mutable_ack());
           return absl::OkStatus();
         });
@@ -519,9 +552,10 @@ grpc::ServerUnaryReactor* PoseGraphService::FindCandidates(
     const auto session = SessionOf(context_, request->vehicle(),
                                    kRequest.Field("vehicle"), call.get());
     if (!session.ok()) return session.status();
-    (*session)->LongRead(
-        FinishWith<VehicleView>(call, [=](const VehicleView& view) {
-          return Find(*call, view, *request, response);
+    if (absl::Status status = call->AdmitSearch(); !status.ok()) return status;
+    (*session)->LongRead(FinishWith<VehicleView>(
+        call, [=, limits = context_.limits](const VehicleView& view) {
+          return Find(*call, limits, view, *request, response);
         }));
     return absl::OkStatus();
   });

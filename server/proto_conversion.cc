@@ -159,7 +159,8 @@ constexpr EnumRow<v1::EmptyReason, core::EmptyReason> kEmptyReasons[] = {
     {v1::EMPTY_REASON_NO_HISTORY, core::EmptyReason::kNoHistory},
     {v1::EMPTY_REASON_ALL_SUPPRESSED, core::EmptyReason::kAllSuppressed},
     {v1::EMPTY_REASON_NO_ALIGNMENT, core::EmptyReason::kNoAlignment},
-    {v1::EMPTY_REASON_NO_PROBABLE_PLACE, core::EmptyReason::kNoProbablePlace}};
+    {v1::EMPTY_REASON_NO_PROBABLE_PLACE, core::EmptyReason::kNoProbablePlace},
+    {v1::EMPTY_REASON_LIMIT_EXCEEDED, core::EmptyReason::kTooMuchWork}};
 
 template <typename Proto, typename Core, std::size_t N>
 Proto ToProto(const EnumRow<Proto, Core> (&rows)[N], Core value) {

@@ -133,6 +133,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
   }
 
   void OnReadDone(bool ok) override {
+    call_.CountMessage();
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       if (finished_) return;
@@ -200,7 +201,11 @@ class Revision final : public grpc::ServerReadReactor<Request>,
                             "allowed in the first message only");
       }
     }
-    bytes_ += static_cast<std::int64_t>(request_.ByteSizeLong());
+    const std::size_t bytes = request_.ByteSizeLong();
+    const absl::StatusOr<Permit> room = call_.AdmitBatch(bytes);
+    if (!room.ok()) return room.status();
+    room_.push_back(*room);
+    bytes_ += static_cast<std::int64_t>(bytes);
     if (bytes_ > context_.limits.max_revision_bytes) {
       return InvalidField(
           "BATCH_SIZE", request.Field("poses"),
@@ -288,6 +293,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
   std::uint64_t expected_revision_ = 0;
   std::vector<Poses> messages_;
   std::int64_t bytes_ = 0;
+  std::vector<Permit> room_;
 
   std::mutex mutex_;
   // Guarded by mutex_.

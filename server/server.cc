@@ -1,5 +1,6 @@
 #include "server/server.h"
 
+#include <google/protobuf/stubs/logging.h>
 #include <grpc/impl/codegen/grpc_types.h>
 #include <grpc/support/log.h>
 #include <grpcpp/ext/proto_server_reflection_plugin.h>
@@ -21,6 +22,8 @@
 #include <utility>
 #include <vector>
 
+#include "server/admission.h"
+#include "server/connection_acceptor.h"
 #include "server/drain.h"
 #include "server/periodic.h"
 #include "server/pose_graph_service.h"
@@ -40,6 +43,8 @@ constexpr char kStoreFile[] = "revisit.sqlite";
 constexpr std::size_t kRowPoses = 64;
 // For connections to be closed in an orderly way.
 constexpr std::chrono::milliseconds kGoodbyeTime{100};
+// How often memory is looked at, should no call do so.
+constexpr std::chrono::milliseconds kMemoryPeriod{2000};
 
 std::chrono::milliseconds Milliseconds(double seconds) {
   return std::chrono::milliseconds(static_cast<std::int64_t>(seconds * 1000.0));
@@ -74,11 +79,26 @@ std::chrono::milliseconds UnloadPeriod(const Fleet::Options& options) {
       std::chrono::seconds(options.memory_budget_bytes ? 1 : 30));
 }
 
-// The address with the port that was chosen for port 0.
-std::string WithPort(const std::string& listen, int port) {
-  const std::size_t colon = listen.rfind(':');
-  if (listen.rfind("unix", 0) == 0 || colon == std::string::npos) return listen;
-  return listen.substr(0, colon + 1) + std::to_string(port);
+// Unloads what has been idle for long, and all that nobody uses where memory is
+// short.
+std::unique_ptr<Periodic> MakeUnloadTimer(Fleet* fleet, Admission* admission,
+                                          const Fleet::Options& options) {
+  using Clock = std::chrono::steady_clock;
+  const auto period = UnloadPeriod(options);
+  return std::make_unique<Periodic>(
+      std::min(period, kMemoryPeriod),
+      [=, idle_unload = options.idle_unload, next = Clock::now() + period,
+       untrimmed = std::int64_t{0}]() mutable {
+        const auto now = Clock::now();
+        const bool pressed = admission->UnderMemoryPressure();
+        if (!pressed && now < next) return;
+        next = now + period;
+        untrimmed += fleet->UnloadIdle(pressed ? now + idle_unload : now).bytes;
+        if (untrimmed >= kWorthTrimming || pressed) {
+          malloc_trim(0);
+          untrimmed = 0;
+        }
+      });
 }
 
 // Whole or not at all, for a script may be waiting for it.
@@ -90,18 +110,19 @@ bool WritePortFile(const std::string& path, const std::string& address) {
   return !file.fail() && std::rename(temporary.c_str(), path.c_str()) == 0;
 }
 
-// Gives the lines of gRPC's own log the form of ours, as long as it lives. gRPC
-// knows one place for the whole process.
-class GrpcLogRoute {
+// Gives the lines of gRPC's and protobuf's own logs the form of ours, as long
+// as it lives. They know one place for the whole process.
+class LibraryLogRoute {
  public:
-  explicit GrpcLogRoute(const Log* log) {
+  explicit LibraryLogRoute(const Log* log) {
     destination_ = log;
     gpr_set_log_function(Write);
+    google::protobuf::SetLogHandler(WriteProtobuf);
   }
-  ~GrpcLogRoute() { destination_ = nullptr; }
+  ~LibraryLogRoute() { destination_ = nullptr; }
 
-  GrpcLogRoute(const GrpcLogRoute&) = delete;
-  GrpcLogRoute& operator=(const GrpcLogRoute&) = delete;
+  LibraryLogRoute(const LibraryLogRoute&) = delete;
+  LibraryLogRoute& operator=(const LibraryLogRoute&) = delete;
 
  private:
   static void Write(gpr_log_func_args* line) {
@@ -114,10 +135,21 @@ class GrpcLogRoute {
     log->Write(level, "grpc", {{"message", std::string(line->message)}});
   }
 
+  // What a caller can make protobuf say is no more than that a message of the
+  // caller's is wrong, and the caller is told.
+  static void WriteProtobuf(google::protobuf::LogLevel level, const char*, int,
+                            const std::string& message) {
+    const Log* const log = destination_;
+    if (log == nullptr) return;
+    log->Write(level == google::protobuf::LOGLEVEL_FATAL ? LogLevel::kError
+                                                         : LogLevel::kDebug,
+               "protobuf", {{"message", message}});
+  }
+
   static std::atomic<const Log*> destination_;
 };
 
-std::atomic<const Log*> GrpcLogRoute::destination_{nullptr};
+std::atomic<const Log*> LibraryLogRoute::destination_{nullptr};
 
 }  // namespace
 
@@ -126,12 +158,14 @@ std::atomic<const Log*> GrpcLogRoute::destination_{nullptr};
 struct RevisitServer::State {
   ServerSettings settings;
   const Log* log = nullptr;
-  std::optional<GrpcLogRoute> grpc_log;
+  std::optional<LibraryLogRoute> library_log;
   ProtoRecordCodec codec;
   std::unique_ptr<Storage> storage;
   std::unique_ptr<Executor> executor;
   std::unique_ptr<Executor> search_executor;
   std::unique_ptr<Fleet> fleet;
+  ConnectionProgress connections;
+  std::unique_ptr<Admission> admission;
   std::unique_ptr<Periodic> unload_timer;
   Drain drain;
   std::unique_ptr<Gatekeeper> gatekeeper;
@@ -141,7 +175,7 @@ struct RevisitServer::State {
   std::shared_ptr<grpc::ServerCredentials> credentials;
   std::unique_ptr<PoseGraphService> service;
   std::unique_ptr<grpc::Server> grpc_server;
-  std::string address;
+  std::unique_ptr<ConnectionAcceptor> acceptor;
   std::function<void()> on_failure;
   std::atomic<bool> has_failed{false};
 };
@@ -195,20 +229,31 @@ class WithoutReflection final : public grpc::ServerBuilderOption {
   }
 };
 
-void Configure(const ServerSettings& settings, grpc::ServerBuilder* builder) {
-  builder->SetMaxReceiveMessageSize(
-      static_cast<int>(settings.max_message_bytes));
-  // Else a second server could take half of the calls of this one's port.
-  builder->AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
+int WholeMilliseconds(double seconds) {
+  return static_cast<int>(Milliseconds(seconds).count());
+}
+
+void Configure(const Limits& limits, grpc::ServerBuilder* builder) {
+  builder->SetMaxReceiveMessageSize(static_cast<int>(limits.max_message_bytes));
+  grpc::ResourceQuota quota("connections");
+  quota.Resize(static_cast<std::size_t>(limits.max_transport_bytes));
+  builder->SetResourceQuota(quota);
   builder->AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS,
-                              settings.max_concurrent_streams);
+                              limits.max_concurrent_streams);
+  builder->AddChannelArgument(GRPC_ARG_MAX_METADATA_SIZE,
+                              limits.max_metadata_bytes);
+  // Until the client's settings have come.
   builder->AddChannelArgument(
-      GRPC_ARG_KEEPALIVE_TIME_MS,
-      static_cast<int>(Milliseconds(settings.keepalive_seconds).count()));
+      GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS,
+      WholeMilliseconds(limits.handshake_timeout_seconds));
+  builder->AddChannelArgument(
+      GRPC_ARG_MAX_CONNECTION_IDLE_MS,
+      WholeMilliseconds(limits.connection_idle_seconds));
+  builder->AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS,
+                              WholeMilliseconds(limits.keepalive_seconds));
   builder->AddChannelArgument(
       GRPC_ARG_KEEPALIVE_TIMEOUT_MS,
-      static_cast<int>(
-          Milliseconds(settings.keepalive_timeout_seconds).count()));
+      WholeMilliseconds(limits.keepalive_timeout_seconds));
   // Vehicles behind mobile networks ping to keep their way through open.
   builder->AddChannelArgument(GRPC_ARG_KEEPALIVE_PERMIT_WITHOUT_CALLS, 1);
   builder->AddChannelArgument(
@@ -236,12 +281,16 @@ SqliteOptions StorageOptions(const ServerSettings& settings, const Log* log,
   return options;
 }
 
-ServiceLimits Limits(const ServerSettings& settings) {
-  return {
-      settings.max_message_bytes, settings.max_batch_poses,
-      // A stream alone must not exceed what one vehicle may have waiting.
-      std::min(settings.max_batches_in_flight, settings.max_pending_appends),
-      settings.max_bytes_in_flight, settings.max_revision_bytes};
+ConnectionAcceptor::Options AcceptorOptions(const ServerSettings& settings) {
+  ConnectionAcceptor::Options options;
+  options.address = settings.listen;
+  options.max_connections = settings.limits.max_connections;
+  options.max_connections_per_address =
+      settings.limits.max_connections_per_address;
+  options.max_idle_bytes = settings.limits.max_idle_bytes;
+  options.unacknowledged_timeout =
+      Milliseconds(settings.limits.keepalive_timeout_seconds);
+  return options;
 }
 
 }  // namespace
@@ -257,7 +306,7 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   auto state = std::make_unique<State>();
   state->settings = settings;
   state->log = log;
-  state->grpc_log.emplace(log);
+  state->library_log.emplace(log);
 
   // First: they are settings, and a wrong one leaves no trace.
   auto gatekeeper = MakeGatekeeper(settings, log);
@@ -299,27 +348,28 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
       "vehicles",
       settings.worker_threads > 0 ? settings.worker_threads : processors);
   // With one alone, every vehicle that is loaded waits for every search.
-  state->search_executor = std::make_unique<Executor>(
-      "searches", settings.search_threads > 0 ? settings.search_threads
-                                              : std::max(2, processors));
+  const int search_threads = settings.search_threads > 0
+                                 ? settings.search_threads
+                                 : std::max(2, processors);
+  state->search_executor =
+      std::make_unique<Executor>("searches", search_threads);
   Fleet::Options options;
   options.idle_unload = Milliseconds(settings.idle_unload_minutes * 60.0);
   if (settings.memory_budget_mebibytes > 0) {
     options.memory_budget_bytes = settings.memory_budget_mebibytes << 20;
   }
-  options.session.max_pending_appends = settings.max_pending_appends;
+  options.session.max_pending_appends = settings.limits.max_pending_appends;
   state->fleet = std::make_unique<Fleet>(
       state->storage.get(), &state->codec,
       Lanes(state->executor.get(), state->search_executor.get()), options);
-  state->unload_timer = std::make_unique<Periodic>(
-      UnloadPeriod(options),
-      [fleet = state->fleet.get(), untrimmed = std::int64_t{0}]() mutable {
-        untrimmed += fleet->UnloadIdle(std::chrono::steady_clock::now()).bytes;
-        if (untrimmed >= kWorthTrimming) {
-          malloc_trim(0);
-          untrimmed = 0;
-        }
-      });
+  Limits limits = settings.limits;
+  if (limits.max_memory_bytes == 0) {
+    limits.max_memory_bytes = DefaultMemoryLimit();
+  }
+  state->admission = std::make_unique<Admission>(
+      limits, std::min(search_threads, processors), ResidentBytes);
+  state->unload_timer =
+      MakeUnloadTimer(state->fleet.get(), state->admission.get(), options);
 
   ServiceContext context;
   context.storage = state->storage.get();
@@ -328,7 +378,13 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   context.drain = &state->drain;
   context.gatekeeper = state->gatekeeper.get();
   context.log = log;
-  context.limits = Limits(settings);
+  context.admission = state->admission.get();
+  context.connections = &state->connections;
+  context.limits = settings.limits;
+  // A stream alone must not exceed what one vehicle may have waiting.
+  context.limits.max_batches_in_flight =
+      std::min(settings.limits.max_batches_in_flight,
+               settings.limits.max_pending_appends);
   state->service = std::make_unique<PoseGraphService>(context);
 
   grpc::EnableDefaultHealthCheckService(settings.serve_health);
@@ -338,35 +394,42 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   if (!settings.serve_reflection) {
     builder.SetOption(std::make_unique<WithoutReflection>());
   }
-  Configure(settings, &builder);
-  int port = 0;
+  Configure(settings.limits, &builder);
+  auto acceptor = ConnectionAcceptor::Listen(AcceptorOptions(settings), log,
+                                             &state->connections);
+  if (!acceptor.ok()) {
+    *error = {kExitCannotListen, std::string(acceptor.status().message())};
+    return nullptr;
+  }
+  state->acceptor = *std::move(acceptor);
   state->credentials = ListenerCredentials(settings, state->tls_files.get());
-  builder.AddListeningPort(settings.listen, state->credentials, &port);
+  state->acceptor->Register(state->credentials, &builder);
   builder.RegisterService(state->service.get());
   state->grpc_server = builder.BuildAndStart();
   if (state->grpc_server == nullptr) {
-    *error = {kExitCannotListen, "cannot listen at " + settings.listen};
+    *error = {kExitCannotListen, "cannot start a server at " + settings.listen};
     return nullptr;
   }
-  state->address = WithPort(settings.listen, port);
+  const std::string& address = state->acceptor->address();
   if (auto* health = state->grpc_server->GetHealthCheckService()) {
     health->SetServingStatus(true);
     health->SetServingStatus(v1::PoseGraphService::service_full_name(), true);
   }
+  state->acceptor->Start();
   if (!settings.port_file.empty() &&
-      !WritePortFile(settings.port_file, state->address)) {
+      !WritePortFile(settings.port_file, address)) {
     *error = {kExitCannotListen, "cannot write " + settings.port_file};
+    state->acceptor->Stop();
     state->grpc_server->Shutdown();
     return nullptr;
   }
   if (const std::string risk = RiskOfListening(settings); !risk.empty()) {
     log->Write(LogLevel::kWarning, "listening_insecurely",
-               {{"address", state->address}, {"message", risk}});
+               {{"address", address}, {"message", risk}});
   }
-  log->Write(LogLevel::kInfo, "serving",
-             {{"address", state->address},
-              {"store", *file},
-              {"version", REVISIT_VERSION}});
+  log->Write(
+      LogLevel::kInfo, "serving",
+      {{"address", address}, {"store", *file}, {"version", REVISIT_VERSION}});
   return std::unique_ptr<RevisitServer>(new RevisitServer(std::move(state)));
 }
 
@@ -388,7 +451,9 @@ ExitCode RevisitServer::exit_code() const {
   return state_->has_failed ? kExitStoreFailed : kExitOk;
 }
 
-const std::string& RevisitServer::address() const { return state_->address; }
+const std::string& RevisitServer::address() const {
+  return state_->acceptor->address();
+}
 
 void RevisitServer::Shutdown() {
   if (state_->grpc_server == nullptr) return;
@@ -400,6 +465,7 @@ void RevisitServer::Shutdown() {
   state_->drain.Start();
   state_->drain.WaitForCalls(
       start + Milliseconds(state_->settings.drain_timeout_seconds));
+  state_->acceptor->Stop();
   // Cuts the calls that are left, and the connections that do not answer to
   // being closed.
   state_->grpc_server->Shutdown(std::chrono::system_clock::now() +

@@ -2,25 +2,18 @@
 #ifndef REVISIT_SERVER_SERVICE_CONTEXT_H_
 #define REVISIT_SERVER_SERVICE_CONTEXT_H_
 
-#include <cstdint>
+#include "server/limits.h"
 
 namespace revisit::server {
 
+class Admission;
+class ConnectionProgress;
 class Drain;
 class Executor;
 class Fleet;
 class Gatekeeper;
 class Log;
 class Storage;
-
-// See ServerSettings.
-struct ServiceLimits {
-  std::int64_t max_message_bytes = 0;
-  int max_batch_poses = 0;
-  int max_batches_in_flight = 0;
-  std::int64_t max_bytes_in_flight = 0;
-  std::int64_t max_revision_bytes = 0;
-};
 
 // All outlive the calls.
 struct ServiceContext {
@@ -31,7 +24,9 @@ struct ServiceContext {
   Drain* drain = nullptr;
   Gatekeeper* gatekeeper = nullptr;
   const Log* log = nullptr;
-  ServiceLimits limits;
+  Admission* admission = nullptr;
+  ConnectionProgress* connections = nullptr;
+  Limits limits;
 };
 
 }  // namespace revisit::server

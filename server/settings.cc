@@ -228,27 +228,7 @@ class OptionTable {
               "While many poses come, gather them into larger commits as long "
               "as acknowledgements take no longer than this; 0 never waits");
 
-    const char* limits = "Limits";
-    AddNumber(limits, "max-message-bytes", &s.max_message_bytes, 1024, 1 << 30,
-              "Largest message read");
-    AddNumber(limits, "max-batch-poses", &s.max_batch_poses, 1, 1000000,
-              "Most poses in a batch");
-    AddNumber(limits, "max-batches-in-flight", &s.max_batches_in_flight, 1,
-              10000,
-              "Batches of one stream that may wait for their acknowledgement");
-    AddNumber(limits, "max-bytes-in-flight", &s.max_bytes_in_flight, 1024,
-              1 << 30, "Memory that they may take; one alone may take more");
-    AddNumber(limits, "max-pending-appends", &s.max_pending_appends, 1, 1000000,
-              "Batches of one vehicle that may wait, over all its streams");
-    AddNumber(limits, "max-revision-bytes", &s.max_revision_bytes, 1024,
-              std::int64_t{1} << 36,
-              "Most bytes one RevisePoses call may bring");
-    AddNumber(limits, "max-concurrent-streams", &s.max_concurrent_streams, 1,
-              1000000, "Calls at a time on one connection");
-    AddNumber(limits, "keepalive-seconds", &s.keepalive_seconds, 1, 86400,
-              "Ping a connection that is silent this long");
-    AddNumber(limits, "keepalive-timeout-seconds", &s.keepalive_timeout_seconds,
-              1, 3600, "Close it if the ping is not answered by then");
+    AddLimits();
 
     const char* security = "Security";
     AddText(security, "tls-cert", &s.tls_cert, "FILE",
@@ -288,6 +268,95 @@ class OptionTable {
               "One line an event, as text or as JSON");
     AddChoice(logging, "log-level", LogLevels(), &s.log_level,
               "Least severe events that are logged");
+  }
+
+  void AddLimits() {
+    Limits& l = settings_->limits;
+    const char* connections = "Connections";
+    AddNumber(connections, "max-connections", &l.max_connections, 0, 1000000,
+              "Most at a time; 0 means three quarters of the descriptors that "
+              "the process may open, beyond which none are taken anyway");
+    AddNumber(connections, "max-connections-per-address",
+              &l.max_connections_per_address, 0, 1000000,
+              "Most from one address; 0 means as many as from all");
+    AddNumber(connections, "handshake-timeout-seconds",
+              &l.handshake_timeout_seconds, 0.1, 3600,
+              "Close one that has not opened as gRPC does by then");
+    AddNumber(connections, "connection-idle-seconds",
+              &l.connection_idle_seconds, 1, 1e6,
+              "Close one that had no call for this long");
+    AddNumber(connections, "keepalive-seconds", &l.keepalive_seconds, 1, 86400,
+              "Ping one that is silent this long");
+    AddNumber(connections, "keepalive-timeout-seconds",
+              &l.keepalive_timeout_seconds, 1, 3600,
+              "Close it if the ping is not answered by then");
+    AddNumber(connections, "max-concurrent-streams", &l.max_concurrent_streams,
+              1, 1000000, "Calls at a time on one connection");
+    AddNumber(connections, "max-metadata-bytes", &l.max_metadata_bytes, 8192,
+              1 << 24,
+              "Headers of one call; a call with more ends its connection, so a "
+              "proxy in front must allow less");
+    AddNumber(connections, "max-idle-bytes", &l.max_idle_bytes, 0,
+              std::int64_t{1} << 40,
+              "Close one on which so much has come since its last call or "
+              "message; 0: no limit");
+    AddNumber(connections, "max-transport-bytes", &l.max_transport_bytes,
+              1 << 24, std::int64_t{1} << 40,
+              "What all connections together may buffer");
+
+    const char* messages = "Messages";
+    AddNumber(messages, "max-message-bytes", &l.max_message_bytes, 1024,
+              1 << 30, "Largest message read");
+    AddNumber(messages, "max-batch-poses", &l.max_batch_poses, 1, 1000000,
+              "Most poses in a batch");
+    AddNumber(messages, "max-revision-bytes", &l.max_revision_bytes, 1024,
+              std::int64_t{1} << 36,
+              "Most bytes one RevisePoses call may bring");
+
+    const char* work = "Work";
+    AddNumber(work, "max-streams", &l.max_streams, 1, 1000000,
+              "Streaming calls at a time");
+    AddNumber(work, "max-streams-per-vehicle", &l.max_streams_per_vehicle, 1,
+              1000000, "Streaming calls at a time about one vehicle");
+    AddNumber(work, "max-streams-per-caller", &l.max_streams_per_caller, 0,
+              1000000, "Streaming calls at a time of one caller; 0: no limit");
+    AddNumber(work, "max-batches-in-flight", &l.max_batches_in_flight, 1, 10000,
+              "Batches of one stream that may wait for their acknowledgement");
+    AddNumber(work, "max-bytes-in-flight", &l.max_bytes_in_flight, 1024,
+              1 << 30, "Memory that they may take; one alone may take more");
+    AddNumber(work, "max-unread-bytes", &l.max_unread_bytes, 4096,
+              std::int64_t{1} << 36,
+              "Candidates of one stream that may wait for the client to read "
+              "them; a stream with more is ended");
+    AddNumber(work, "slow-consumer-seconds", &l.slow_consumer_seconds, 0.1,
+              3600, "What such a client has left to read why");
+    AddNumber(work, "max-pending-appends", &l.max_pending_appends, 1, 1000000,
+              "Batches of one vehicle that may wait, over all its streams");
+    AddNumber(work, "max-queued-bytes-per-vehicle",
+              &l.max_queued_bytes_per_vehicle, 1024, std::int64_t{1} << 40,
+              "Bytes of one vehicle's batches that may wait to be durable");
+    AddNumber(work, "max-queued-bytes", &l.max_queued_bytes, 1024,
+              std::int64_t{1} << 40,
+              "Bytes of all batches that may wait to be durable");
+    AddNumber(work, "max-calls", &l.max_calls, 1, 1000000,
+              "Unary calls that may wait or run");
+    AddNumber(work, "max-searches", &l.max_searches, 1, 1000000,
+              "FindCandidates calls that may wait or run");
+    AddNumber(work, "max-searches-per-vehicle", &l.max_searches_per_vehicle, 1,
+              1000000,
+              "FindCandidates calls of one vehicle that may wait or "
+              "run");
+    AddNumber(work, "max-search-rate-per-caller", &l.max_search_rate_per_caller,
+              0, 1e6,
+              "FindCandidates calls a second of one caller; 0: no "
+              "limit");
+    AddNumber(work, "max-search-steps", &l.max_search_steps, 1000, 1e12,
+              "Nodes of the sequence times nodes of the history that one "
+              "search may compare");
+    AddNumber(work, "max-memory-bytes", &l.max_memory_bytes, 0,
+              std::int64_t{1} << 50,
+              "Resident memory from which on new work is refused; 0 means "
+              "three quarters of what there is");
   }
 
   void Register(const char* group, const std::string& key, CLI::Option* option,

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "server/limits.h"
 #include "server/logging.h"
 
 namespace revisit::server {
@@ -64,27 +65,7 @@ struct ServerSettings {
   // many come; 0: never. Range [0, 1000].
   double ack_latency_target_ms = 2.0;
 
-  // Largest message read. Range [1024, 2^30].
-  std::int64_t max_message_bytes = 4 << 20;
-  // Most poses in a batch. Range [1, 1e6].
-  int max_batch_poses = 4096;
-  // Batches of one stream that may wait for their acknowledgement to be sent,
-  // and the memory that they may take, which a single one may exceed. Range [1,
-  // 10000] and [1024, 2^30].
-  int max_batches_in_flight = 512;
-  std::int64_t max_bytes_in_flight = std::int64_t{2} << 20;
-  // Batches of one vehicle, over all its streams and calls, that may wait.
-  // Range [1, 1e6].
-  int max_pending_appends = 1024;
-  // Most bytes of poses that one RevisePoses call may bring. Range [1024,
-  // 2^36].
-  std::int64_t max_revision_bytes = std::int64_t{256} << 20;
-  // Calls at a time on one connection. Range [1, 1e6].
-  int max_concurrent_streams = 1000;
-  // A connection that is silent this long is pinged, and closed if no answer
-  // comes. Range [1, 86400] and [1, 3600].
-  double keepalive_seconds = 60.0;
-  double keepalive_timeout_seconds = 20.0;
+  Limits limits;
 
   // PEM files of the listener's certificate, with those that issued it, and its
   // key. Empty: plaintext.

@@ -1,6 +1,7 @@
 #include "server/stream_poses.h"
 
 #include <chrono>
+#include <cstdint>
 #include <deque>
 #include <memory>
 #include <mutex>
@@ -11,6 +12,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "google/protobuf/arena.h"
+#include "grpcpp/alarm.h"
 #include "server/call.h"
 #include "server/drain.h"
 #include "server/field_violations.h"
@@ -29,11 +31,6 @@ using Response = v1::StreamPosesResponse;
 // touched cost nothing.
 constexpr std::size_t kRequestBlockBytes = std::size_t{128} << 10;
 
-// A client that takes poses' worth of checks but does not read their answers is
-// cut off here: those, unlike acknowledgements, are not bounded by what was
-// read.
-constexpr std::size_t kMaxUnsent = 4096;
-
 // Messages go: read, staged (decoded and taken on by the session), durable (its
 // acknowledgement is queued), checked (its candidates are queued), written.
 //
@@ -42,6 +39,10 @@ constexpr std::size_t kMaxUnsent = 4096;
 // responses that are not written come to less than max_batches_in_flight, and
 // the batches that are not durable to less than max_bytes_in_flight.
 // So the transport's own flow control reaches the client.
+//
+// A client that sends poses but does not read what their checks found is cut
+// off at max_unread_bytes: candidates, unlike acknowledgements, are not bounded
+// by what was read.
 //
 // Ending: whatever ends the stream (half-close, failure, drain), batches that
 // were taken on run to their end and their answers are written first. Only a
@@ -81,6 +82,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   }
 
   void OnReadDone(bool ok) override {
+    call_.CountMessage();
     bool first;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
@@ -140,6 +142,8 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   struct Answer {
     Acknowledgement ack;
     std::unique_ptr<Response> other;
+    // Of candidates: what they take.
+    std::int64_t candidate_bytes = 0;
   };
 
   static absl::Status OutOfOrder(const std::string& message) {
@@ -191,8 +195,11 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   absl::StatusOr<core::SearchOptions> SearchOptions(
       const VehicleConfig& config) const {
     const FieldPath open = FieldPath().Field("open");
-    return DecodeCandidateOptions(candidate_options_, config,
-                                  open.Field("candidate_options"));
+    absl::StatusOr<core::SearchOptions> options = DecodeCandidateOptions(
+        candidate_options_, config, open.Field("candidate_options"));
+    if (options.ok())
+      options->max_comparisons = context_.limits.max_search_steps;
+    return options;
   }
 
   void OnChecked(const absl::StatusOr<VehicleView>& view) {
@@ -223,10 +230,16 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
                           : "a message after `open` is a `batch`"));
       return;
     }
+    // What comes of it takes about as much.
+    const auto bytes = static_cast<std::size_t>(arena_.SpaceUsed());
+    const absl::StatusOr<Permit> room = call_.AdmitBatch(bytes);
+    if (!room.ok()) {
+      Fail(room.status());
+      return;
+    }
     const auto self = shared_from_this();
     const auto scope = std::make_shared<AppendScope>(self);
-    // What comes of it takes about as much.
-    scope->bytes = static_cast<std::size_t>(arena_.SpaceUsed());
+    scope->bytes = bytes;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       ++in_flight_;
@@ -249,7 +262,8 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       self->OnStaged(status);
     };
     append.callbacks.durable =
-        [self, scope](const absl::StatusOr<Acknowledgement>& acknowledgement) {
+        [self, scope, permit = *room](
+            const absl::StatusOr<Acknowledgement>& acknowledgement) {
           self->OnDurable(acknowledgement, scope->bytes);
           scope->work_start = std::chrono::steady_clock::now();
         };
@@ -286,19 +300,55 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     // Searches stop when the caller is gone, and then nobody waits for them.
     if (call_.given_up()) return;
     auto response = std::make_unique<Response>();
+    std::int64_t bytes = 0;
     if (set.ok()) {
       EncodeCandidateSet(view, *set, candidate_options_.include_aligned_path(),
                          duration, response->mutable_candidates());
+      bytes = static_cast<std::int64_t>(response->SpaceUsedLong());
     }
     const std::lock_guard<std::mutex> lock(mutex_);
     SetFailure(set.status());
-    if (set.ok() && queue_.size() >= kMaxUnsent) {
-      SetFailure(Error(absl::StatusCode::kResourceExhausted, "QUEUE_FULL",
-                       "the client does not read its candidates"));
-    } else if (set.ok()) {
-      queue_.push_back({{}, std::move(response)});
+    const std::int64_t limit = context_.limits.max_unread_bytes;
+    if (set.ok() && !slow_) {
+      if (unread_bytes_ + bytes <= limit || queue_.empty()) {
+        unread_bytes_ += bytes;
+        queue_.push_back({{}, std::move(response), bytes});
+      } else {
+        CutSlowConsumer(view.durable_sequence, limit);
+      }
     }
     Advance();
+  }
+
+  // With the mutex held. Frees what waits, and the stream itself if the client
+  // does not come to read why.
+  void CutSlowConsumer(std::uint64_t durable_sequence, std::int64_t limit) {
+    slow_ = true;
+    const std::string durable = std::to_string(durable_sequence);
+    SetFailure(Error(
+        absl::StatusCode::kResourceExhausted, "SLOW_CONSUMER",
+        "the client does not read its candidates: more than " +
+            std::to_string(limit) +
+            " bytes wait; poses are durable up to sequence " + durable,
+        {{"durable_sequence", durable}, {"limit", std::to_string(limit)}}));
+    std::deque<Answer> kept;
+    for (Answer& answer : queue_) {
+      if (answer.candidate_bytes == 0) kept.push_back(std::move(answer));
+    }
+    queue_.swap(kept);
+    const std::chrono::milliseconds grace(static_cast<std::int64_t>(
+        context_.limits.slow_consumer_seconds * 1000.0));
+    cut_.Set(std::chrono::system_clock::now() + grace,
+             [weak = weak_from_this()](bool ok) {
+               const auto stream = weak.lock();
+               if (ok && stream != nullptr) stream->Cut();
+             });
+  }
+
+  void Cut() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    // OnCancel() follows.
+    if (!finished_) grpc_context_->TryCancel();
   }
 
   void OnAppendOver() {
@@ -366,6 +416,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     if (call_.given_up()) queue_.clear();
     if (!writing_ && !queue_.empty()) {
       writing_ = true;
+      unread_bytes_ -= queue_.front().candidate_bytes;
       Encode(std::move(queue_.front()));
       queue_.pop_front();
       grpc::WriteOptions options;
@@ -431,6 +482,11 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   // Guarded by mutex_.
   std::shared_ptr<VehicleSession> session_;
   std::deque<Answer> queue_;
+  // Of the candidates in it.
+  std::int64_t unread_bytes_ = 0;
+  // Whether the client was found not to read its candidates.
+  bool slow_ = false;
+  grpc::Alarm cut_;
   bool reading_ = false;
   bool handling_ = false;
   bool writing_ = false;

@@ -98,8 +98,8 @@ absl::StatusOr<double> ReadCalendarTime(std::string_view date,
   const auto whole = [](double value) {
     return static_cast<std::int64_t>(value);
   };
-  if (values[1] < 1.0 || values[1] > 12.0 || values[2] < 1.0 ||
-      values[2] > 31.0) {
+  if (values[0] < 0.0 || values[0] > 9999.0 || values[1] < 1.0 ||
+      values[1] > 12.0 || values[2] < 1.0 || values[2] > 31.0) {
     return lines.Error("expected a date, got " + Quoted(date));
   }
   return kSecondsPerDay *
@@ -165,7 +165,9 @@ absl::StatusOr<std::vector<GnssFix>> ReadRtklib(std::istream& input,
       columns.clear();
       // Time takes two fields.
       for (std::size_t i = 1; i < names.size(); ++i) {
-        columns.emplace(names[i], i + 1);
+        if (!columns.emplace(names[i], i + 1).second) {
+          return lines.Error("column " + Quoted(names[i]) + " stands twice");
+        }
       }
       if (absl::Status status =
               RequireColumns(columns,

@@ -11,7 +11,7 @@ constexpr MethodRule kRules[] = {
     {"DeleteLoopClosure", Verb::kWrite},
     {"DeleteRejectedCandidate", Verb::kWrite},
     {"DeleteVehicle", Verb::kAdmin},
-    {"ExportPoseGraph", Verb::kRead},
+    {"ExportPoseGraph", Verb::kRead, false, true},
     {"FindCandidates", Verb::kRead},
     {"GetServerInfo", std::nullopt},
     {"GetVehicle", Verb::kRead},
@@ -20,9 +20,9 @@ constexpr MethodRule kRules[] = {
     {"ListRejectedCandidates", Verb::kRead},
     {"ListVehicles", Verb::kRead},
     {"RejectCandidate", Verb::kWrite},
-    {"RevisePoses", Verb::kWrite},
+    {"RevisePoses", Verb::kWrite, false, true},
     // And kRead, if candidates are asked for.
-    {"StreamPoses", Verb::kWrite},
+    {"StreamPoses", Verb::kWrite, false, true},
     {"UpdateVehicle", Verb::kWrite},
 };
 

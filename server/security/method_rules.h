@@ -15,6 +15,8 @@ struct MethodRule {
   std::optional<Verb> verb;
   // Names a vehicle that is not there yet: "not found" would say nothing.
   bool creates = false;
+  // Lasts: counts as a stream, not as a unary call.
+  bool streams = false;
 };
 
 // Null for a method that nobody has thought of: it takes kAdmin.

@@ -131,7 +131,7 @@ def rolling_restart(run):
 
 async def restart(run, store, rounds):
     port = free_port()
-    server = Server(store, port=port)
+    server = Server(store, listen=f"127.0.0.1:{port}")
     vehicles = [Vehicle(number, run.seed) for number in range(STREAMS)]
     for vehicle in vehicles:
         create(server.stub(), vehicle.name)
@@ -172,7 +172,7 @@ async def restart(run, store, rounds):
             slowest_end = max(slowest_end, time.monotonic() - begun)
             server.close()
             server = await loop.run_in_executor(
-                None, lambda: Server(store, port=port))
+                None, lambda: Server(store, listen=f"127.0.0.1:{port}"))
             started = time.monotonic()
             # The first of each: some try the server again that is ending.
             while not all(len(vehicle.ends) > before

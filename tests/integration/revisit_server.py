@@ -4,6 +4,7 @@ import os
 import pathlib
 import queue
 import re
+import resource
 import signal
 import subprocess
 import threading
@@ -49,9 +50,11 @@ def wait_until(condition, what, seconds=START_SECONDS):
 
 
 class Server:
-    """One revisitd on a free port of the loopback, over one store."""
+    """One revisitd on a free port of the loopback, over one store. It may open
+    as many files as `descriptors` says, if it says."""
 
-    def __init__(self, store, *flags, env=None, wait=True, port=0):
+    def __init__(self, store, *flags, env=None, wait=True, descriptors=None,
+                 listen="127.0.0.1:0"):
         self.store = pathlib.Path(store)
         self.log_path = self.store.with_name(self.store.name + ".log")
         self._lines = queue.SimpleQueue()
@@ -59,10 +62,12 @@ class Server:
         self.port = None
         with open(self.log_path, "ab") as log:
             self.process = subprocess.Popen(
-                [BIN / "revisitd", "--listen", f"127.0.0.1:{port}", "--store",
+                [BIN / "revisitd", "--listen", listen, "--store",
                  self.store, *map(str, flags)],
                 stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log,
-                text=True, env=env or clean_environment())
+                text=True, env=env or clean_environment(),
+                preexec_fn=descriptors and (lambda: resource.setrlimit(
+                    resource.RLIMIT_NOFILE, (descriptors, descriptors))))
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
         if wait:

@@ -51,7 +51,7 @@ class SettingsTest : public ::testing::Test {
 TEST_F(SettingsTest, DefaultsListenOnTheLoopbackOnly) {
   const ServerSettings settings = Parse({});
   EXPECT_EQ(settings.listen, "127.0.0.1:50051");
-  EXPECT_EQ(settings.max_message_bytes, 4 << 20);
+  EXPECT_EQ(settings.limits.max_message_bytes, 4 << 20);
   EXPECT_EQ(settings.log_format, LogFormat::kText);
 }
 
@@ -70,7 +70,7 @@ TEST_F(SettingsTest, FlagsWinOverEnvironmentOverFileOverDefaults) {
   EXPECT_EQ(settings.listen, "127.0.0.2:1");
   EXPECT_EQ(settings.store, "of the environment");
   EXPECT_EQ(settings.log_level, LogLevel::kDebug);
-  EXPECT_EQ(settings.max_batch_poses, 4096);
+  EXPECT_EQ(settings.limits.max_batch_poses, 4096);
   // Also where the same flag is given with an equals sign.
   EXPECT_EQ(Parse({"--listen=127.0.0.2:1"}, environment).listen, "127.0.0.2:1");
   // And the flag for the file over the variable for it.
@@ -209,7 +209,7 @@ TEST_F(SettingsTest, PrintedSettingsReadBackAsTheSame) {
   EXPECT_EQ(again.store, arguments[3]);
   EXPECT_EQ(again.worker_threads, 3);
   EXPECT_EQ(again.drain_timeout_seconds, 0.1);
-  EXPECT_EQ(again.max_revision_bytes, std::int64_t{1} << 36);
+  EXPECT_EQ(again.limits.max_revision_bytes, std::int64_t{1} << 36);
   EXPECT_EQ(again.log_format, LogFormat::kJson);
   EXPECT_EQ(again.log_level, LogLevel::kOff);
 }

@@ -112,6 +112,21 @@ TEST(GnssFileTest, SaysWhereARtklibFileIsWrong) {
               HasSubstr("the file is compressed"));
 }
 
+TEST(GnssFileTest, RefusesRtklibColumnsThatStandTwice) {
+  // The columns behind the second were read from beyond the end of a line.
+  std::string twice = kPosHeader;
+  twice.insert(twice.rfind("sdvn"), "sdn(m) ");
+  EXPECT_THAT(MessageOf(Pos(twice + kPosLine)),
+              HasSubstr("a.pos:3: column \"sdn(m)\" stands twice"));
+}
+
+TEST(GnssFileTest, RefusesDatesWithYearsOutOfRange) {
+  std::string bad = kPosLine;
+  bad.replace(0, 4, "1e99");
+  EXPECT_THAT(MessageOf(Pos(kPosHeader + bad)),
+              HasSubstr("a.pos:4: expected a date"));
+}
+
 TEST(GnssFileTest, ReadsAReferenceWithHeadingFromNorthClockwise) {
   const auto reference = Reference(std::string(kReferenceHeader) +
                                    "194670.2, 2270, 35.1, 136.9, 41.4, 0.3, "

@@ -1,0 +1,108 @@
+// Takes connections and hands them to gRPC.
+//
+// gRPC's own listener, as Debian 12 has it (1.51), stops listening for good the
+// first time that accept() finds no free descriptor: a flood of connections
+// ends the service of a process that looks healthy. So the server accepts by
+// itself, sheds what is too much by closing it at once, and can therefore serve
+// the next caller as soon as there is room.
+#ifndef REVISIT_SERVER_CONNECTION_ACCEPTOR_H_
+#define REVISIT_SERVER_CONNECTION_ACCEPTOR_H_
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "grpcpp/security/server_credentials.h"
+#include "grpcpp/server_builder.h"
+#include "server/connection_progress.h"
+#include "server/connection_table.h"
+#include "server/logging.h"
+
+namespace revisit::server {
+
+// Order of life: Listen(), Register() with the builder, Start() once gRPC's
+// server runs, Stop() before it is shut down.
+class ConnectionAcceptor {
+ public:
+  struct Options {
+    // HOST:PORT, [V6]:PORT, unix:PATH or unix-abstract:NAME. Port 0 takes a
+    // free one, the same on all addresses of the host.
+    std::string address;
+    // See Limits; 0 is off.
+    int max_connections = 0;
+    int max_connections_per_address = 0;
+    // A connection on which so much has come since its last call or message is
+    // closed.
+    std::int64_t max_idle_bytes = 0;
+    // What was sent and not acknowledged by then ends the connection.
+    std::chrono::milliseconds unacknowledged_timeout{20000};
+  };
+
+  // UNAVAILABLE with the reason if the address cannot be listened on. Log and
+  // progress must outlive this.
+  static absl::StatusOr<std::unique_ptr<ConnectionAcceptor>> Listen(
+      const Options& options, const Log* log, ConnectionProgress* progress);
+  // Stops.
+  ~ConnectionAcceptor();
+
+  ConnectionAcceptor(const ConnectionAcceptor&) = delete;
+  ConnectionAcceptor& operator=(const ConnectionAcceptor&) = delete;
+
+  // Every connection will speak by these credentials.
+  void Register(std::shared_ptr<grpc::ServerCredentials> credentials,
+                grpc::ServerBuilder* builder);
+  void Start();
+  // Closes the listening sockets. Connections that were handed on live.
+  void Stop();
+
+  // The address with the port that was chosen.
+  const std::string& address() const { return address_; }
+  // Connections closed because there were too many, or of no use.
+  std::int64_t shed() const { return shed_.load(); }
+
+ private:
+  ConnectionAcceptor(const Options& options, const Log* log,
+                     ConnectionProgress* progress);
+
+  absl::Status Open();
+  absl::Status OpenInternet();
+  absl::Status OpenUnix();
+  void Run();
+  // Takes what has come to a listening socket.
+  void AcceptAll(int listener);
+  void HandOn(int listener, int connection);
+  // Ends connections that only take memory.
+  void CutUseless();
+  void Shed(int connection, const char* why, const std::string& peer);
+  // Accept failed for want of a descriptor: frees one to turn a caller away.
+  void TurnAway(int listener);
+
+  const Options options_;
+  const Log* const log_;
+  std::string address_;
+  // Removed at the end.
+  std::string socket_path_;
+  std::vector<int> listeners_;
+  // Told to stop by this.
+  int wake_ = -1;
+  // Kept to be given up in TurnAway().
+  int reserve_ = -1;
+  std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> grpc_;
+  std::atomic<std::int64_t> shed_{0};
+
+  // Used by the thread only.
+  ConnectionTable table_;
+  std::int64_t shed_unsaid_ = 0;
+  std::chrono::steady_clock::time_point last_said_{};
+
+  std::thread thread_;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_CONNECTION_ACCEPTOR_H_

@@ -1,0 +1,177 @@
+#!/usr/bin/env python3
+"""Writes the seeds of the fuzz targets into tests/fuzz/corpus. Run with
+build/python/bin/python; what fuzzing found is kept beside them."""
+
+import math
+import pathlib
+import sys
+
+HERE = pathlib.Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "integration"))
+
+from google.protobuf import field_mask_pb2, timestamp_pb2  # noqa: E402
+
+from stubs import api  # noqa: E402
+from wire import laps, pose, straight  # noqa: E402
+
+
+def write(target, name, data):
+    folder = HERE / "corpus" / target
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / name).write_bytes(data)
+
+
+def quaternion_pose(n):
+    return api.Pose(
+        sequence=n, stamp=timestamp_pb2.Timestamp(seconds=1600000000 + n),
+        local=api.LocalPosition(x_meters=n, y_meters=0.5 * n, z_meters=0.1),
+        quaternion=api.Quaternion(w=math.cos(0.2), z=math.sin(0.2)),
+        covariance=api.Covariance(
+            form=api.COVARIANCE_FORM_ROS_36,
+            values=[float(i % 7 == 0) * 0.01 for i in range(36)]))
+
+
+def spatial_pose(n):
+    one = pose(n, x=float(n))
+    one.covariance.CopyFrom(api.Covariance(
+        form=api.COVARIANCE_FORM_SPATIAL_10,
+        values=[1, 0, 0, 0, 1, 0, 0, 1, 0, 0.01]))
+    return one
+
+
+def geodetic_pose(n):
+    one = pose(n)
+    one.geodetic.CopyFrom(api.GeodeticPosition(
+        latitude_degrees=43.8 + n * 1e-5, longitude_degrees=-79.5,
+        height_meters=150))
+    return one
+
+
+def filter_pose(n):
+    one = pose(n, x=float(n))
+    one.error_transition.extend([1, 0, 0, 0, 1, 0, 0, 0, 1])
+    return one
+
+
+POSES = {
+    # By kind of vehicle: see vehicles.cc.
+    "planar": (0, straight(20)),
+    "laps": (0, laps(160, radius=10.0)),
+    "quaternions": (0, [quaternion_pose(n) for n in range(1, 6)]),
+    "spatial": (1, [spatial_pose(n) for n in range(1, 30)]),
+    "geodetic": (2, [geodetic_pose(n) for n in range(1, 30)]),
+    "filter": (4, [filter_pose(n) for n in range(1, 40)]),
+    "jumps": (0, [pose(n, x=1000.0 * (n % 3)) for n in range(1, 10)]),
+    "extreme": (0, [pose(1, x=1e8, covariance=(1e18, 0, 0, 1e18, 0, 1.0)),
+                    pose(2, x=1e8, y=-0.0, heading=1e6),
+                    pose(3, x=math.nan), pose(2**63, y=math.inf)]),
+}
+
+SETTINGS = api.VehicleSettings(
+    state_space=api.STATE_SPACE_SPATIAL, node_spacing_meters=0.5,
+    sequence_length_meters=40, check_interval_meters=10,
+    gate_probability=0.9, max_candidates=7, apply_inflation=True,
+    coordinate_frame=api.COORDINATE_FRAME_GEODETIC,
+    geodetic_origin=api.GeodeticPosition(latitude_degrees=1,
+                                         longitude_degrees=2))
+OPTIONS = api.CandidateOptions(
+    max_candidates=3, gate_probability=0.5, include_aligned_path=True,
+    alignment=api.ALIGNMENT_COMPOSITE, sequence_length_meters=10)
+NAME = "vehicles/shuttle-1"
+
+
+def requests():
+    def put(name, number, message, kind=0):
+        write("requests", name,
+              bytes([number, kind]) + message.SerializeToString())
+
+    put("create", 0, api.CreateVehicleRequest(
+        vehicle_id="shuttle-1", vehicle=api.Vehicle(settings=SETTINGS)))
+    put("create_plain", 0, api.CreateVehicleRequest(vehicle_id="a"))
+    put("update", 1, api.UpdateVehicleRequest(
+        vehicle=api.Vehicle(name=NAME, settings=SETTINGS),
+        update_mask=field_mask_pb2.FieldMask(
+            paths=["settings.max_candidates", "settings"])))
+    for name, (kind, poses) in POSES.items():
+        put(f"append_{name}", 2, api.AppendPosesRequest(
+            vehicle=NAME, poses=poses), kind)
+    kind, poses = POSES["planar"]
+    put("stream_batch", 3, api.StreamPosesRequest(
+        batch=api.PoseBatch(poses=poses)), kind)
+    put("stream_open", 3, api.StreamPosesRequest(open=api.StreamPosesOpen(
+        vehicle=NAME, acked_sequence=9, send_candidates=True,
+        candidate_options=OPTIONS)))
+    put("find", 4, api.FindCandidatesRequest(
+        vehicle=NAME, sequence=5, options=OPTIONS))
+    put("closure", 5, api.AddLoopClosureRequest(
+        parent=NAME, loop_closure_id="x", loop_closure=api.LoopClosure(
+            query_sequence=9, matched_sequence=2)))
+    put("reject", 6, api.RejectCandidateRequest(
+        parent=NAME, rejected_candidate=api.RejectedCandidate(
+            query_sequence=9, matched_sequence=2)))
+    put("revise", 7, api.RevisePosesRequest(
+        vehicle=NAME, expected_revision=3, poses=poses))
+    put("revise_filter", 7, api.RevisePosesRequest(
+        vehicle=NAME, poses=POSES["filter"][1][:5]), 4)
+    put("list", 8, api.ListPosesRequest(
+        parent=NAME, page_size=3, page_token="MAAA", first_sequence=4,
+        read_mask=field_mask_pb2.FieldMask(
+            paths=["local.x_meters", "sequence"])))
+    put("delete", 9, api.DeleteLoopClosureRequest(
+        name=f"{NAME}/loopClosures/2-1"))
+
+
+def records():
+    write("records", "vehicle", bytes([0, 0]) + api.Vehicle(
+        settings=SETTINGS, state=api.VEHICLE_STATE_DATA_LOSS,
+        create_time=timestamp_pb2.Timestamp(seconds=1)).SerializeToString())
+    for name, (kind, poses) in POSES.items():
+        for record in (1, 2):
+            write("records", f"batch_{name}_{record}", bytes([record, kind]) +
+                  api.PoseBatch(poses=poses).SerializeToString())
+
+
+def names():
+    for i, text in enumerate([
+            NAME, "a", "a" * 63, "vehicles/", "vehicles/../x",
+            f"{NAME}/loopClosures/2-1", f"{NAME}/rejectedCandidates/x",
+            "MRsVbgS8", "\x1b[31mred\x1b[0m\n{\"a\":1}", "vehicles/\0",
+            "vehicles/%2e%2e", "\u202evehicles/\u0430", "\\\"\\u0000"]):
+        write("names", f"seed_{i}", text.encode())
+    write("names", "not_utf8", b"\xff\xfe\xc0\x80\xed\xa0\x80\xf4\x90\x80\x80")
+
+
+def settings():
+    write("settings", "file", b"\0\0# comment\nlisten = \"127.0.0.1:0\"\n"
+          b"max-batch-poses = 7\nlog-format = json\nstore = \"a\\\"b\\n\"\n")
+    write("settings", "variable", b"REVISIT_MAX_SEARCHES=4\0\0")
+    write("settings", "flag", b"\0--keepalive-seconds=30\0")
+    write("settings", "bad", b"REVISIT_X\0--max-calls=1e3\0a = b\na\n= \"\n")
+
+
+def files():
+    write("files", "drive", b"\0frame,t_s,est_x,est_y,est_yaw,gt_x,gt_y,gt_yaw,"
+          b"pxx,pxy,pxt,pyy,pyt,ptt\n0,0.5,1,2,0.1,1,2,0.1,1,0,0,1,0,1\n"
+          b"1,1.5,2,2,0.1,2,2,0.1,1,0,0,1,0,1e-3\n")
+    write("files", "drive_short", b"\0t_s,est_x,est_y,est_yaw\r\n1,2,3,nan\r\n")
+    write("files", "tum", b"\1# t x y z q\n1.5 1 2 3 0 0 0 1\n2 1 2 3 0 0 .6 .8\n")
+    header = ("%  GPST                  latitude(deg) longitude(deg)  height(m)"
+              "   Q  ns   sdn(m)   sde(m)   sdu(m)  sdne(m)  sdeu(m)  sdun(m)"
+              " age(s)  ratio    vn(m/s)    ve(m/s)    vu(m/s)      sdvn     "
+              "sdve     sdvu    sdvne    sdveu    sdvun\n")
+    row = ("2019/05/11 02:19:0{}.000   35.17{}  136.96   50.1   2   9   1.0"
+           "   1.0   2.0   0.1   0.0   0.0   0.0    0.0   {}    2.0    0.0"
+           "   0.1   0.1   0.1   0.0   0.0   0.0\n")
+    write("files", "rtklib", b"\2" + (header + row.format(0, 1, 1.0)
+                                      + row.format(1, 2, -3.5)
+                                      + row.format(2, 3, 0.0)).encode())
+    write("files", "reference", b"\3GPS TOW (s),GPS Week,Latitude (deg),"
+          b"Longitude (deg),Ellipsoid Height (m),Heading (deg)\n"
+          b"529158.0,2051,35.17,136.96,50.0,359.9\n")
+
+
+requests()
+records()
+names()
+settings()
+files()

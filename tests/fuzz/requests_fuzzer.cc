@@ -1,0 +1,210 @@
+// Every request of the service, from its bytes to what the session is given,
+// and poses on to the graph.
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "google/protobuf/util/field_mask_util.h"
+#include "revisit/v1/pose_graph_service.pb.h"
+#include "server/page_token.h"
+#include "server/proto_conversion.h"
+#include "tests/fuzz/fuzzing.h"
+#include "tests/fuzz/vehicles.h"
+
+namespace revisit::fuzz {
+namespace {
+
+using google::protobuf::util::FieldMaskUtil;
+using server::DecodedBatch;
+using server::FieldPath;
+using server::VehicleConfig;
+
+constexpr int kMostPoses = 256;
+constexpr FieldPath kRequest;
+
+template <typename Message>
+std::optional<Message> Parse(const Input& input) {
+  Message message;
+  if (!message.ParseFromString(input.Rest())) return std::nullopt;
+  return message;
+}
+
+void CheckBatch(const server::Poses& poses, const VehicleConfig& config) {
+  const auto batch = server::DecodeBatch(poses, kMostPoses, config, kRequest);
+  RequireGoodError(batch.status());
+  if (!batch.ok()) return;
+  const auto count = static_cast<std::size_t>(poses.size());
+  Require(batch->samples.size() == count, "a sample for each pose");
+  Require(batch->fingerprints.size() == count, "a fingerprint for each pose");
+  VehicleConfig stored_config = config;
+  if (!stored_config.origin) stored_config.origin = batch->origin;
+  const server::ProtoRecordCodec codec;
+  const auto stored = codec.DecodeBatch(batch->payload, stored_config);
+  Require(stored.ok(), "what is stored can be read");
+  Require(stored->fingerprints == batch->fingerprints,
+          "what is stored is what was sent");
+  const auto slice = codec.SliceBatch(batch->payload, count / 2, count / 2);
+  Require(slice.ok(), "a batch can be cut");
+  Drive(stored_config, batch->samples);
+}
+
+void CheckConfig(const absl::StatusOr<VehicleConfig>& config) {
+  RequireGoodError(config.status());
+  if (!config.ok()) return;
+  Require(core::FindProblems(config->engine).empty(), "settings are valid");
+  v1::VehicleSettings settings;
+  server::EncodeSettings(*config, &settings);
+  const auto again = server::DecodeSettings(settings, kRequest);
+  Require(again.ok(), "settings that are told can be given");
+  Require(server::SameSettings(*config, *again), "settings stay the same");
+  const server::ProtoRecordCodec codec;
+  VehicleConfig stored = *config;
+  stored.create_time_ns = 1;
+  const auto read = codec.DecodeVehicle(codec.EncodeVehicle(stored));
+  Require(read.ok(), "a stored vehicle can be read");
+}
+
+void CheckOptions(const v1::CandidateOptions& options,
+                  const VehicleConfig& config) {
+  const auto decoded =
+      server::DecodeCandidateOptions(options, config, kRequest);
+  RequireGoodError(decoded.status());
+  if (decoded.ok()) {
+    Require(core::FindProblems(*decoded, config.engine).empty(),
+            "options are valid");
+  }
+}
+
+void CheckName(const std::string& name) {
+  const auto id = server::ParseVehicleName(name, kRequest.Field("name"));
+  RequireGoodError(id.status());
+  if (id.ok()) Require(server::VehicleName(*id) == name, "a name is its id's");
+}
+
+template <typename Pair>
+void CheckPair(const Pair* pair, const std::string& id) {
+  const auto record = server::DecodePosePair(pair, id);
+  RequireGoodError(record.status());
+  if (!record.ok()) return;
+  Require(record->matched_sequence < record->query_sequence &&
+              record->matched_sequence > 0,
+          "a pair is of a pose and an earlier one");
+}
+
+void CheckRevision(const v1::RevisePosesRequest& request,
+                   const VehicleConfig& config) {
+  CheckName(request.vehicle());
+  std::vector<const v1::Pose*> poses;
+  v1::PoseBatch stored;
+  for (const v1::Pose& pose : request.poses()) {
+    poses.push_back(&pose);
+    stored.add_poses()->set_sequence(pose.sequence());
+  }
+  const absl::Status checked = server::CheckRevisedPoses(poses, config);
+  RequireGoodError(checked);
+  if (!checked.ok() || poses.empty()) return;
+  server::BatchRecord record;
+  record.payload = stored.SerializeAsString();
+  const auto revised =
+      server::ReviseBatch(record, config, [&](std::uint64_t sequence) {
+        const v1::Pose* found = nullptr;
+        for (const v1::Pose* pose : poses) {
+          if (pose->sequence() == sequence) found = pose;
+        }
+        return found;
+      });
+  Require(revised.ok() && revised->has_value(), "a batch is revised");
+}
+
+}  // namespace
+}  // namespace revisit::fuzz
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
+                                      std::size_t size) {
+  using namespace revisit::fuzz;
+  namespace v1 = revisit::v1;
+  namespace server = revisit::server;
+  Input input(data, size);
+  const int request = input.Choice(10);
+  const server::VehicleConfig config =
+      VehicleOfKind(input.Choice(kVehicleKinds));
+  switch (request) {
+    case 0:
+      if (const auto m = Parse<v1::CreateVehicleRequest>(input)) {
+        RequireGoodError(server::CheckId(m->vehicle_id(), kRequest));
+        CheckConfig(server::DecodeSettings(m->vehicle().settings(), kRequest));
+      }
+      break;
+    case 1:
+      if (const auto m = Parse<v1::UpdateVehicleRequest>(input)) {
+        CheckName(m->vehicle().name());
+        for (const bool has_poses : {false, true}) {
+          CheckConfig(server::UpdateSettings(
+              config, has_poses, m->vehicle().settings(), m->update_mask()));
+        }
+      }
+      break;
+    case 2:
+      if (const auto m = Parse<v1::AppendPosesRequest>(input)) {
+        CheckName(m->vehicle());
+        CheckBatch(m->poses(), config);
+      }
+      break;
+    case 3:
+      if (const auto m = Parse<v1::StreamPosesRequest>(input)) {
+        CheckName(m->open().vehicle());
+        CheckOptions(m->open().candidate_options(), config);
+        CheckBatch(m->batch().poses(), config);
+      }
+      break;
+    case 4:
+      if (const auto m = Parse<v1::FindCandidatesRequest>(input)) {
+        CheckName(m->vehicle());
+        CheckOptions(m->options(), config);
+      }
+      break;
+    case 5:
+      if (const auto m = Parse<v1::AddLoopClosureRequest>(input)) {
+        CheckName(m->parent());
+        CheckPair(m->has_loop_closure() ? &m->loop_closure() : nullptr,
+                  m->loop_closure_id());
+      }
+      break;
+    case 6:
+      if (const auto m = Parse<v1::RejectCandidateRequest>(input)) {
+        CheckPair(
+            m->has_rejected_candidate() ? &m->rejected_candidate() : nullptr,
+            m->rejected_candidate_id());
+      }
+      break;
+    case 7:
+      if (const auto m = Parse<v1::RevisePosesRequest>(input)) {
+        CheckRevision(*m, config);
+      }
+      break;
+    case 8:
+      if (const auto m = Parse<v1::ListPosesRequest>(input)) {
+        CheckName(m->parent());
+        RequireGoodError(
+            server::ParsePageToken("ListPoses", m->page_token()).status());
+        RequireGoodError(server::PageSize(m->page_size(), 10, 20).status());
+        bool valid = true;
+        for (const std::string& path : m->read_mask().paths()) {
+          valid = valid && FieldMaskUtil::IsValidPath<v1::Pose>(path);
+        }
+        v1::Pose pose;
+        pose.mutable_local()->set_x_meters(1.0);
+        if (valid) FieldMaskUtil::TrimMessage(m->read_mask(), &pose);
+      }
+      break;
+    default:
+      // The rest name something and no more.
+      if (const auto m = Parse<v1::DeleteLoopClosureRequest>(input)) {
+        for (const server::PairKind kind : server::kPairKinds) {
+          RequireGoodError(
+              server::ParsePosePairName(kind, m->name(), kRequest).status());
+        }
+      }
+  }
+  return 0;
+}

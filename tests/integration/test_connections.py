@@ -1,0 +1,185 @@
+"""Floods of connections, connections that come to nothing, and those that ask
+too much of one: only they are cut, and the server takes the next at once."""
+
+import contextlib
+import socket
+import struct
+import time
+
+import grpc
+import pytest
+
+from revisit_server import Server, wait_until
+from stubs import api
+
+PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
+
+
+def frame_head(length, kind, flags, stream):
+    return struct.pack(">IBBI", length, kind, flags, stream)[1:]
+
+
+SETTINGS = frame_head(0, 4, 0, 0)
+
+
+def info(stub, timeout=5):
+    return stub.GetServerInfo(api.GetServerInfoRequest(), timeout=timeout)
+
+
+def connect(server):
+    return socket.create_connection(("127.0.0.1", server.port), timeout=5)
+
+
+def ended(connection, seconds):
+    """Whether the server ends the connection within this time."""
+    deadline = time.monotonic() + seconds
+    while True:
+        connection.settimeout(max(deadline - time.monotonic(), 0.001))
+        try:
+            if connection.recv(4096) == b"":
+                return True
+        except TimeoutError:
+            return False
+        except ConnectionResetError:
+            return True
+
+
+@contextlib.contextmanager
+def flood(server, count):
+    """As many connections as a client can hold that asks for nothing."""
+    with contextlib.ExitStack() as stack:
+        sockets = []
+        for _ in range(count):
+            try:
+                sockets.append(stack.enter_context(connect(server)))
+            except OSError:
+                pass
+        yield sockets
+
+
+def shed_events(server):
+    return [line for line in server.log().splitlines()
+            if " connections_shed " in line]
+
+
+def test_flood_beyond_the_descriptors_is_shed_and_service_goes_on_at_once(
+        tmp_path):
+    with Server(tmp_path / "store", descriptors=96) as server:
+        stub = server.stub()
+        info(stub)
+        for _ in range(3):
+            with flood(server, 300) as sockets:
+                # The last ones are shed for certain, and the one that was
+                # there before is served throughout.
+                assert ended(sockets[-1], 5)
+                info(stub)
+            start = time.monotonic()
+            channel = server.channel(("grpc.use_local_subchannel_pool", 1))
+            grpc.channel_ready_future(channel).result(timeout=5)
+            assert time.monotonic() - start < 2
+            info(server.stub())
+        assert shed_events(server)
+        assert "limit=descriptors" in shed_events(server)[0]
+        # The store still has its files.
+        stub.CreateVehicle(api.CreateVehicleRequest(vehicle_id="after"))
+
+
+def test_caps_of_connections_hold_and_count_only_the_living(tmp_path):
+    with Server(tmp_path / "store", "--max-connections=8",
+                "--max-connections-per-address=5") as server:
+        for _ in range(3):
+            with contextlib.ExitStack() as stack:
+                kept = []
+                # The server hears in its own time of those that went before.
+                while len(kept) < 5:
+                    with contextlib.suppress(ConnectionResetError):
+                        one = stack.enter_context(connect(server))
+                        if not ended(one, 0.1):
+                            kept.append(one)
+                with contextlib.suppress(ConnectionResetError):
+                    assert ended(stack.enter_context(connect(server)), 5)
+                assert not ended(kept[0], 0.05)
+                # Room for one comes as one goes.
+                kept[2].close()
+                wait_until(lambda: takes_one_more(server), "room")
+        info(server.stub())
+        assert any("limit=max-connections-per-address" in line
+                   for line in shed_events(server))
+
+
+def takes_one_more(server):
+    try:
+        with connect(server) as connection:
+            connection.sendall(PREFACE + SETTINGS)
+            return connection.recv(9) != b""
+    except ConnectionError:
+        return False
+
+
+@pytest.mark.parametrize("opening", [
+    b"", PREFACE[:10], PREFACE, b"\x16\x03\x01", b"GET / HTTP/1.1\r\n"],
+    ids=["nothing", "half a preface", "no settings", "TLS", "HTTP/1.1"])
+def test_connection_that_does_not_open_as_grpc_does_is_closed(
+        opening, tmp_path):
+    with Server(tmp_path / "store", "--handshake-timeout-seconds=0.5") as server:
+        stub = server.stub()
+        info(stub)
+        with connect(server) as idle:
+            idle.sendall(opening)
+            assert ended(idle, 5)
+        info(stub)
+
+
+def test_slow_opening_does_not_hold_a_place(tmp_path):
+    """A byte now and then, from many at once."""
+    with Server(tmp_path / "store", "--handshake-timeout-seconds=0.5") as server:
+        stub = server.stub()
+        with flood(server, 100) as sockets:
+            assert len(sockets) == 100
+            for byte in PREFACE:
+                for connection in sockets:
+                    with contextlib.suppress(OSError):
+                        connection.send(bytes([byte]))
+                info(stub)
+                # The pace of these senders.
+                time.sleep(0.03)
+            assert all(ended(connection, 5) for connection in sockets)
+
+
+def test_connection_without_a_call_is_closed_after_a_while(tmp_path):
+    with Server(tmp_path / "store", "--connection-idle-seconds=1") as server:
+        stub = server.stub()
+        info(stub)
+        with connect(server) as half:
+            # A call's headers that never end.
+            half.sendall(PREFACE + SETTINGS + frame_head(100, 1, 0, 1) +
+                         b"\x82\x86\x84")
+            assert ended(half, 20)
+        # A client that comes back does not notice.
+        info(stub)
+
+
+@pytest.mark.parametrize("address", ["unix:{}/socket", "localhost:0", "[::1]:0",
+                                     "unix-abstract:revisit-{}"])
+def test_all_kinds_of_addresses_are_listened_at(address, tmp_path):
+    text = address.format(tmp_path)
+    if "[::1]" in text and not has_ipv6():
+        pytest.skip("this machine has no IPv6")
+    port_file = tmp_path / "port"
+    server = Server(tmp_path / "store", "--port-file", port_file, wait=False,
+                    listen=text)
+    with server:
+        wait_until(port_file.exists, "port file")
+        at = port_file.read_text().strip()
+        with grpc.insecure_channel(at) as channel:
+            grpc.channel_ready_future(channel).result(timeout=10)
+    if text.startswith("unix:"):
+        assert not (tmp_path / "socket").exists()
+
+
+def has_ipv6():
+    try:
+        with socket.create_server(("::1", 0), family=socket.AF_INET6):
+            return True
+    except OSError:
+        return False
