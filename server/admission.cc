@@ -43,7 +43,7 @@ class Admission::Pool {
       : most_(most), most_of_key_(most_of_key) {}
 
   Outcome Take(const std::string& key, std::int64_t amount) {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     // One that is larger than all the room there is may come alone.
     if (taken_ > 0 && amount > most_ - taken_) return Outcome::kAllTaken;
     if (Counts(key)) {
@@ -58,12 +58,12 @@ class Admission::Pool {
   }
 
   std::int64_t taken() {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     return taken_;
   }
 
   void GiveBack(const std::string& key, std::int64_t amount) {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     taken_ -= amount;
     if (!Counts(key)) return;
     const auto found = by_key_.find(key);
@@ -85,10 +85,9 @@ class Admission::Pool {
 
   const std::int64_t most_;
   const std::int64_t most_of_key_;
-  std::mutex mutex_;
-  // Guarded by mutex_.
-  std::int64_t taken_ = 0;
-  std::unordered_map<std::string, std::int64_t> by_key_;
+  Mutex mutex_;
+  std::int64_t taken_ ABSL_GUARDED_BY(mutex_) = 0;
+  std::unordered_map<std::string, std::int64_t> by_key_ ABSL_GUARDED_BY(mutex_);
 };
 
 Admission::Admission(const Limits& limits, int search_threads,
@@ -186,7 +185,7 @@ absl::StatusOr<Permit> Admission::Queue(const std::string& vehicle,
 
 bool Admission::UnderMemoryPressure() {
   if (limits_.max_memory_bytes == 0) return false;
-  const std::lock_guard<std::mutex> lock(mutex_);
+  const MutexLock lock(&mutex_);
   const auto now = Clock::now();
   if (now - last_measured_ >= kMemoryInterval) {
     last_measured_ = now;
@@ -196,14 +195,14 @@ bool Admission::UnderMemoryPressure() {
 }
 
 void Admission::SearchTook(Clock::duration duration) {
-  const std::lock_guard<std::mutex> lock(mutex_);
+  const MutexLock lock(&mutex_);
   mean_search_ = std::chrono::duration_cast<Clock::duration>(
       kSearchWeight * duration + (1.0 - kSearchWeight) * mean_search_);
 }
 
 Admission::Clock::duration Admission::ExpectedWait() {
   const std::int64_t ahead = searches_->taken();
-  const std::lock_guard<std::mutex> lock(mutex_);
+  const MutexLock lock(&mutex_);
   return mean_search_ * ahead / search_threads_;
 }
 
@@ -222,7 +221,7 @@ absl::Status Admission::CheckRate(const std::string& caller) {
   if (rate <= 0.0 || caller.empty()) return absl::OkStatus();
   double missing;
   {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     const auto now = Clock::now();
     // A second's worth may come at once.
     const double most = std::max(1.0, rate);
@@ -257,7 +256,7 @@ absl::Status Admission::CheckRate(const std::string& caller) {
 }
 
 milliseconds Admission::Later(milliseconds order) {
-  const std::lock_guard<std::mutex> lock(mutex_);
+  const MutexLock lock(&mutex_);
   return milliseconds(std::uniform_int_distribution<std::int64_t>(
       order.count() / 2, order.count() * 3 / 2)(random_));
 }

@@ -9,7 +9,6 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
-#include <mutex>
 #include <random>
 #include <string>
 #include <unordered_map>
@@ -17,6 +16,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "server/limits.h"
+#include "server/mutex.h"
 
 namespace revisit::server {
 
@@ -74,10 +74,11 @@ class Admission {
 
   absl::Status CheckMemory();
   // How long a search that comes now will wait, roughly.
-  Clock::duration ExpectedWait();
+  Clock::duration ExpectedWait() ABSL_LOCKS_EXCLUDED(mutex_);
   absl::Status CheckRate(const std::string& caller);
   // A time to come again, of this order.
-  std::chrono::milliseconds Later(std::chrono::milliseconds order);
+  std::chrono::milliseconds Later(std::chrono::milliseconds order)
+      ABSL_LOCKS_EXCLUDED(mutex_);
   absl::Status Overloaded(const char* subject, const char* what,
                           std::int64_t limit);
   absl::Status OverQuota(const char* reason, const std::string& subject,
@@ -92,14 +93,13 @@ class Admission {
   const std::shared_ptr<Pool> searches_;
   const std::shared_ptr<Pool> queue_;
 
-  std::mutex mutex_;
-  // Guarded by mutex_.
-  std::mt19937 random_;
-  std::unordered_map<std::string, Bucket> buckets_;
-  Clock::time_point last_measured_{};
-  std::int64_t memory_bytes_ = 0;
+  Mutex mutex_;
+  std::mt19937 random_ ABSL_GUARDED_BY(mutex_);
+  std::unordered_map<std::string, Bucket> buckets_ ABSL_GUARDED_BY(mutex_);
+  Clock::time_point last_measured_ ABSL_GUARDED_BY(mutex_){};
+  std::int64_t memory_bytes_ ABSL_GUARDED_BY(mutex_) = 0;
   // Of the last searches.
-  Clock::duration mean_search_{};
+  Clock::duration mean_search_ ABSL_GUARDED_BY(mutex_){};
 };
 
 // Resident memory of this process.

@@ -6,14 +6,14 @@ namespace revisit::server {
 
 ProgressCounter ConnectionProgress::Open(const std::string& remote) {
   auto counter = std::make_shared<std::atomic<std::uint64_t>>(0);
-  const std::lock_guard<std::mutex> lock(mutex_);
+  const MutexLock lock(&mutex_);
   counters_[remote] = counter;
   return counter;
 }
 
 void ConnectionProgress::Close(const std::string& remote,
                                const ProgressCounter& counter) {
-  const std::lock_guard<std::mutex> lock(mutex_);
+  const MutexLock lock(&mutex_);
   const auto found = counters_.find(remote);
   if (found != counters_.end() && found->second == counter) {
     counters_.erase(found);
@@ -22,7 +22,7 @@ void ConnectionProgress::Close(const std::string& remote,
 
 ProgressCounter ConnectionProgress::Find(const std::string& peer) const {
   const std::string remote = RemoteOf(peer);
-  const std::lock_guard<std::mutex> lock(mutex_);
+  const MutexLock lock(&mutex_);
   const auto found = counters_.find(remote);
   return found == counters_.end() ? nullptr : found->second;
 }

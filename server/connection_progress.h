@@ -13,9 +13,10 @@
 #include <atomic>
 #include <cstdint>
 #include <memory>
-#include <mutex>
 #include <string>
 #include <unordered_map>
+
+#include "server/mutex.h"
 
 namespace revisit::server {
 
@@ -37,9 +38,9 @@ class ConnectionProgress {
   static std::string RemoteOf(const std::string& peer);
 
  private:
-  mutable std::mutex mutex_;
-  // Guarded by mutex_.
-  std::unordered_map<std::string, ProgressCounter> counters_;
+  mutable Mutex mutex_;
+  std::unordered_map<std::string, ProgressCounter> counters_
+      ABSL_GUARDED_BY(mutex_);
 };
 
 inline void CountProgress(const ProgressCounter& counter) {

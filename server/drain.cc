@@ -7,20 +7,20 @@
 namespace revisit::server {
 
 bool Drain::Enter() {
-  const std::lock_guard<std::mutex> lock(mutex_);
+  const MutexLock lock(&mutex_);
   ++calls_;
   return !started_;
 }
 
 void Drain::Leave() {
-  const std::lock_guard<std::mutex> lock(mutex_);
+  const MutexLock lock(&mutex_);
   // Under the lock: afterwards this may be destroyed.
-  if (--calls_ == 0) idle_.notify_all();
+  if (--calls_ == 0) idle_.NotifyAll();
 }
 
 Drain::WatchId Drain::Watch(std::function<void()> wind_down) {
   {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     const WatchId id = next_id_++;
     if (!started_) {
       watchers_.emplace(id, std::move(wind_down));
@@ -33,14 +33,14 @@ Drain::WatchId Drain::Watch(std::function<void()> wind_down) {
 }
 
 void Drain::Unwatch(WatchId id) {
-  const std::lock_guard<std::mutex> lock(mutex_);
+  const MutexLock lock(&mutex_);
   watchers_.erase(id);
 }
 
 void Drain::Start() {
   std::map<WatchId, std::function<void()>> watchers;
   {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     started_ = true;
     watchers.swap(watchers_);
   }
@@ -48,8 +48,9 @@ void Drain::Start() {
 }
 
 void Drain::WaitForCalls(std::chrono::steady_clock::time_point deadline) {
-  std::unique_lock<std::mutex> lock(mutex_);
-  idle_.wait_until(lock, deadline, [this] { return calls_ == 0; });
+  const MutexLock lock(&mutex_);
+  while (calls_ != 0 && !idle_.WaitUntil(&mutex_, deadline)) {
+  }
 }
 
 absl::Status Drain::Refusal() {

@@ -7,13 +7,12 @@
 #define REVISIT_SERVER_DRAIN_H_
 
 #include <chrono>
-#include <condition_variable>
 #include <cstdint>
 #include <functional>
 #include <map>
-#include <mutex>
 
 #include "absl/status/status.h"
+#include "server/mutex.h"
 
 namespace revisit::server {
 
@@ -40,13 +39,12 @@ class Drain {
   static absl::Status Refusal();
 
  private:
-  std::mutex mutex_;
-  std::condition_variable idle_;
-  // Guarded by mutex_.
-  std::int64_t calls_ = 0;
-  bool started_ = false;
-  WatchId next_id_ = 0;
-  std::map<WatchId, std::function<void()>> watchers_;
+  Mutex mutex_;
+  CondVar idle_;
+  std::int64_t calls_ ABSL_GUARDED_BY(mutex_) = 0;
+  bool started_ ABSL_GUARDED_BY(mutex_) = false;
+  WatchId next_id_ ABSL_GUARDED_BY(mutex_) = 0;
+  std::map<WatchId, std::function<void()>> watchers_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace revisit::server

@@ -9,19 +9,23 @@ Periodic::Periodic(std::chrono::milliseconds period, std::function<void()> work)
 
 Periodic::~Periodic() {
   {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     stopping_ = true;
   }
-  wake_.notify_all();
+  wake_.NotifyAll();
   thread_.join();
 }
 
 void Periodic::Run() {
-  std::unique_lock<std::mutex> lock(mutex_);
-  while (!wake_.wait_for(lock, period_, [this] { return stopping_; })) {
-    lock.unlock();
+  MutexLock lock(&mutex_);
+  while (true) {
+    const auto next = std::chrono::steady_clock::now() + period_;
+    while (!stopping_ && !wake_.WaitUntil(&mutex_, next)) {
+    }
+    if (stopping_) return;
+    lock.Unlock();
     work_();
-    lock.lock();
+    lock.Lock();
   }
 }
 

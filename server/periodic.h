@@ -3,10 +3,10 @@
 #define REVISIT_SERVER_PERIODIC_H_
 
 #include <chrono>
-#include <condition_variable>
 #include <functional>
-#include <mutex>
 #include <thread>
+
+#include "server/mutex.h"
 
 namespace revisit::server {
 
@@ -25,10 +25,9 @@ class Periodic {
 
   const std::chrono::milliseconds period_;
   const std::function<void()> work_;
-  std::mutex mutex_;
-  std::condition_variable wake_;
-  // Guarded by mutex_.
-  bool stopping_ = false;
+  Mutex mutex_;
+  CondVar wake_;
+  bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
   // Last: it uses the others.
   std::thread thread_;
 };

@@ -4,7 +4,6 @@
 #include <cstdint>
 #include <limits>
 #include <memory>
-#include <mutex>
 #include <string>
 #include <utility>
 #include <vector>
@@ -14,6 +13,7 @@
 #include "server/call.h"
 #include "server/drain.h"
 #include "server/field_violations.h"
+#include "server/mutex.h"
 #include "server/proto_conversion.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
@@ -123,7 +123,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
     drain_watch_ = context_.drain->Watch([weak = weak_from_this()] {
       if (const auto revision = weak.lock()) revision->WindDown();
     });
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     if (finished_) return;
     if (call_.admission().ok()) {
       ReadNext();
@@ -135,7 +135,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
   void OnReadDone(bool ok) override {
     call_.CountMessage();
     {
-      const std::lock_guard<std::mutex> lock(mutex_);
+      const MutexLock lock(&mutex_);
       if (finished_) return;
       if (!ok && grpc_context_->IsCancelled()) call_.MarkGivenUp();
       const absl::Status status = call_.given_up() ? call_.GivenUpStatus()
@@ -165,14 +165,12 @@ class Revision final : public grpc::ServerReadReactor<Request>,
   }
 
  private:
-  // With the mutex held.
-  void End(const absl::Status& status) {
+  void End(const absl::Status& status) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     finished_ = true;
     Finish(call_.End(status));
   }
 
-  // With the mutex held.
-  void ReadNext() {
+  void ReadNext() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     request_.set_vehicle(kUnread);
     StartRead(&request_);
   }
@@ -233,13 +231,13 @@ class Revision final : public grpc::ServerReadReactor<Request>,
     return absl::OkStatus();
   }
 
-  void Revise() {
+  void Revise() ABSL_LOCKS_EXCLUDED(mutex_) {
     const auto self = shared_from_this();
     context_.fleet->Session(vehicle_)->Revise(
         [self](const VehicleView& view) { return self->MakePlan(view); },
         [self](const absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>&
                    revised) {
-          const std::lock_guard<std::mutex> lock(self->mutex_);
+          const MutexLock lock(&self->mutex_);
           if (revised.ok()) {
             self->response_->set_revision(revised->first);
             self->response_->set_revised_count(revised->second);
@@ -267,13 +265,13 @@ class Revision final : public grpc::ServerReadReactor<Request>,
 
   // Nothing has changed yet if the poses are still coming.
   void WindDown() {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     if (!finished_ && !revising_) End(Drain::Refusal());
   }
 
   // A revision that the session has got already is carried through.
   void Recheck() {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     if (finished_ || revising_) return;
     if (absl::Status status = call_.Recheck(); !status.ok()) End(status);
   }
@@ -295,10 +293,9 @@ class Revision final : public grpc::ServerReadReactor<Request>,
   std::int64_t bytes_ = 0;
   std::vector<Permit> room_;
 
-  std::mutex mutex_;
-  // Guarded by mutex_.
-  bool revising_ = false;
-  bool finished_ = false;
+  Mutex mutex_;
+  bool revising_ ABSL_GUARDED_BY(mutex_) = false;
+  bool finished_ ABSL_GUARDED_BY(mutex_) = false;
 };
 
 }  // namespace

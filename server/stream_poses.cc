@@ -4,7 +4,6 @@
 #include <cstdint>
 #include <deque>
 #include <memory>
-#include <mutex>
 #include <optional>
 #include <string>
 #include <utility>
@@ -16,6 +15,7 @@
 #include "server/call.h"
 #include "server/drain.h"
 #include "server/field_violations.h"
+#include "server/mutex.h"
 #include "server/proto_conversion.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
@@ -76,7 +76,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     drain_watch_ = context_.drain->Watch([weak = weak_from_this()] {
       if (const auto stream = weak.lock()) stream->WindDown();
     });
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     SetFailure(call_.admission());
     Advance();
   }
@@ -85,7 +85,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     call_.CountMessage();
     bool first;
     {
-      const std::lock_guard<std::mutex> lock(mutex_);
+      const MutexLock lock(&mutex_);
       reading_ = false;
       if (!ok) OnLastRead();
       if (Ending()) {
@@ -103,7 +103,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   }
 
   void OnWriteDone(bool ok) override {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     writing_ = false;
     if (!ok) call_.MarkGivenUp();
     Advance();
@@ -111,7 +111,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
 
   void OnCancel() override {
     call_.MarkGivenUp();
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     Advance();
   }
 
@@ -151,7 +151,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
                  message);
   }
 
-  void Open() {
+  void Open() ABSL_LOCKS_EXCLUDED(mutex_) {
     if (!request_->has_open()) {
       Fail(OutOfOrder("the first message of a stream is `open`"));
       return;
@@ -165,7 +165,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       return;
     }
     {
-      const std::lock_guard<std::mutex> lock(mutex_);
+      const MutexLock lock(&mutex_);
       absl::Status allowed = call_.ChooseVehicle(*id);
       if (allowed.ok() && open.send_candidates()) {
         allowed = call_.AlsoNeeds(Verb::kRead);
@@ -182,7 +182,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     const std::shared_ptr<VehicleSession> session =
         context_.fleet->Session(*id);
     {
-      const std::lock_guard<std::mutex> lock(mutex_);
+      const MutexLock lock(&mutex_);
       session_ = session;
     }
     session->CheckAcknowledged(
@@ -217,13 +217,13 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     opened->set_durable_sequence(view->durable_sequence);
     opened->set_revision(view->revision);
     opened->set_max_batch_poses(context_.limits.max_batch_poses);
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     handling_ = false;
     queue_.push_back({{}, std::move(response)});
     Advance();
   }
 
-  void Append() {
+  void Append() ABSL_LOCKS_EXCLUDED(mutex_) {
     if (!request_->has_batch()) {
       Fail(OutOfOrder(request_->has_open()
                           ? "`open` came again; it comes once, first"
@@ -240,11 +240,14 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     const auto self = shared_from_this();
     const auto scope = std::make_shared<AppendScope>(self);
     scope->bytes = bytes;
+    // Once there, it stays as long as this.
+    VehicleSession* session;
     {
-      const std::lock_guard<std::mutex> lock(mutex_);
+      const MutexLock lock(&mutex_);
       ++in_flight_;
       ++open_appends_;
       bytes_in_flight_ += scope->bytes;
+      session = session_.get();
     }
     AppendRequest append;
     append.decoder = [self](const VehicleConfig& config) {
@@ -274,11 +277,11 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
               view, set, std::chrono::steady_clock::now() - scope->work_start);
           scope->work_start = std::chrono::steady_clock::now();
         };
-    session_->Append(std::move(append));
+    session->Append(std::move(append));
   }
 
   void OnStaged(const absl::Status& status) {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     handling_ = false;
     SetFailure(status);
     Advance();
@@ -286,7 +289,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
 
   void OnDurable(const absl::StatusOr<Acknowledgement>& acknowledgement,
                  std::size_t bytes) {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     --in_flight_;
     bytes_in_flight_ -= bytes;
     SetFailure(acknowledgement.status());
@@ -306,7 +309,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
                          duration, response->mutable_candidates());
       bytes = static_cast<std::int64_t>(response->SpaceUsedLong());
     }
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     SetFailure(set.status());
     const std::int64_t limit = context_.limits.max_unread_bytes;
     if (set.ok() && !slow_) {
@@ -320,9 +323,10 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     Advance();
   }
 
-  // With the mutex held. Frees what waits, and the stream itself if the client
-  // does not come to read why.
-  void CutSlowConsumer(std::uint64_t durable_sequence, std::int64_t limit) {
+  // Frees what waits, and the stream itself if the client does not come to read
+  // why.
+  void CutSlowConsumer(std::uint64_t durable_sequence, std::int64_t limit)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     slow_ = true;
     const std::string durable = std::to_string(durable_sequence);
     SetFailure(Error(
@@ -346,13 +350,13 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   }
 
   void Cut() {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     // OnCancel() follows.
     if (!finished_) grpc_context_->TryCancel();
   }
 
   void OnAppendOver() {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     --open_appends_;
     Advance();
   }
@@ -360,7 +364,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   // What is not yet acknowledged and was not taken on is the client's to
   // resend.
   void WindDown() {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     draining_ = true;
     Advance();
   }
@@ -368,23 +372,21 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   // Ends the stream of a caller who may no longer do this: after the last
   // acknowledgement of what was taken on.
   void Recheck() {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     if (finished_) return;
     SetFailure(call_.Recheck());
     Advance();
   }
 
   // Ends the message being handled and the stream.
-  void Fail(const absl::Status& status) {
-    const std::lock_guard<std::mutex> lock(mutex_);
+  void Fail(const absl::Status& status) ABSL_LOCKS_EXCLUDED(mutex_) {
+    const MutexLock lock(&mutex_);
     handling_ = false;
     SetFailure(status);
     Advance();
   }
 
-  // The rest: with the mutex held.
-
-  void OnLastRead() {
+  void OnLastRead() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     if (grpc_context_->IsCancelled()) call_.MarkGivenUp();
     half_closed_ = true;
     if (request_->open().vehicle() != kUnread) {
@@ -396,15 +398,16 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   }
 
   // The first failure counts.
-  void SetFailure(const absl::Status& status) {
+  void SetFailure(const absl::Status& status)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     if (!status.ok() && !failure_) failure_ = status;
   }
 
-  bool Ending() const {
+  bool Ending() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     return half_closed_ || failure_ || draining_ || call_.given_up();
   }
 
-  absl::Status FinalStatus() const {
+  absl::Status FinalStatus() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     // Also if it was cut in the end: that was not the caller's doing.
     if (slow_) return *failure_;
     if (call_.given_up()) return call_.GivenUpStatus();
@@ -413,7 +416,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   }
 
   // Starts whatever can be started now.
-  void Advance() {
+  void Advance() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     if (finished_) return;
     if (call_.given_up()) queue_.clear();
     if (!writing_ && !queue_.empty()) {
@@ -454,7 +457,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
 
   // Makes a response of an answer. Acknowledgements, which are many, share what
   // the one before has taken.
-  void Encode(Answer answer) {
+  void Encode(Answer answer) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     if (answer.other != nullptr) {
       response_ = *std::move(answer.other);
     } else {
@@ -480,27 +483,26 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   // Belongs to gRPC while `writing_`.
   Response response_;
 
-  std::mutex mutex_;
-  // Guarded by mutex_.
-  std::shared_ptr<VehicleSession> session_;
-  std::deque<Answer> queue_;
+  Mutex mutex_;
+  std::shared_ptr<VehicleSession> session_ ABSL_GUARDED_BY(mutex_);
+  std::deque<Answer> queue_ ABSL_GUARDED_BY(mutex_);
   // Of the candidates in it.
-  std::int64_t unread_bytes_ = 0;
+  std::int64_t unread_bytes_ ABSL_GUARDED_BY(mutex_) = 0;
   // Whether the client was found not to read its candidates.
-  bool slow_ = false;
-  grpc::Alarm cut_;
-  bool reading_ = false;
-  bool handling_ = false;
-  bool writing_ = false;
-  bool half_closed_ = false;
-  bool draining_ = false;
-  bool finished_ = false;
-  std::optional<absl::Status> failure_;
+  bool slow_ ABSL_GUARDED_BY(mutex_) = false;
+  grpc::Alarm cut_ ABSL_GUARDED_BY(mutex_);
+  bool reading_ ABSL_GUARDED_BY(mutex_) = false;
+  bool handling_ ABSL_GUARDED_BY(mutex_) = false;
+  bool writing_ ABSL_GUARDED_BY(mutex_) = false;
+  bool half_closed_ ABSL_GUARDED_BY(mutex_) = false;
+  bool draining_ ABSL_GUARDED_BY(mutex_) = false;
+  bool finished_ ABSL_GUARDED_BY(mutex_) = false;
+  std::optional<absl::Status> failure_ ABSL_GUARDED_BY(mutex_);
   // Batches that are not durable.
-  int in_flight_ = 0;
-  std::size_t bytes_in_flight_ = 0;
+  int in_flight_ ABSL_GUARDED_BY(mutex_) = 0;
+  std::size_t bytes_in_flight_ ABSL_GUARDED_BY(mutex_) = 0;
   // Batches of which something may still come.
-  int open_appends_ = 0;
+  int open_appends_ ABSL_GUARDED_BY(mutex_) = 0;
 };
 
 }  // namespace

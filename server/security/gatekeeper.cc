@@ -3,16 +3,15 @@
 #include <openssl/evp.h>
 
 #include <algorithm>
-#include <condition_variable>
 #include <cstddef>
 #include <map>
-#include <mutex>
 #include <optional>
 #include <thread>
 #include <unordered_map>
 #include <utility>
 
 #include "absl/strings/ascii.h"
+#include "server/mutex.h"
 #include "server/security/certificates.h"
 #include "server/security/policy.h"
 #include "server/security/watched_files.h"
@@ -120,7 +119,7 @@ class Rules {
 
  private:
   std::shared_ptr<const Caller> Recall(const std::string& fingerprint) const {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     const auto found = remembered_.find(fingerprint);
     return found == remembered_.end() ? nullptr : found->second;
   }
@@ -135,7 +134,7 @@ class Rules {
         !status.ok()) {
       return status;
     }
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     if (remembered_.size() >= kMaxRemembered) remembered_.clear();
     remembered_[fingerprint] = caller;
     return std::shared_ptr<const Caller>(std::move(caller));
@@ -145,11 +144,10 @@ class Rules {
   const Policy policy_;
   const TokenRules token_rules_;
 
-  mutable std::mutex mutex_;
-  // Guarded by mutex_. By fingerprint of the credential; only what was
-  // verified.
+  mutable Mutex mutex_;
+  // By fingerprint of the credential; only what was verified.
   mutable std::unordered_map<std::string, std::shared_ptr<const Caller>>
-      remembered_;
+      remembered_ ABSL_GUARDED_BY(mutex_);
 };
 
 // The token of an `authorization` value; nothing if it is no bearer token.
@@ -169,10 +167,10 @@ class FileGatekeeper final : public Gatekeeper {
 
   ~FileGatekeeper() override {
     {
-      const std::lock_guard<std::mutex> lock(mutex_);
+      const MutexLock lock(&mutex_);
       stopping_ = true;
     }
-    wake_.notify_all();
+    wake_.NotifyAll();
     if (thread_.joinable()) thread_.join();
   }
 
@@ -220,15 +218,15 @@ class FileGatekeeper final : public Gatekeeper {
   }
 
   WatchId Watch(Time expires, std::function<void()> recheck) override {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     const WatchId id = next_id_++;
     watches_[id] = {expires, std::move(recheck)};
-    if (expires < wakes_at_) wake_.notify_all();
+    if (expires < wakes_at_) wake_.NotifyAll();
     return id;
   }
 
   void Unwatch(WatchId id) override {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     watches_.erase(id);
   }
 
@@ -247,7 +245,7 @@ class FileGatekeeper final : public Gatekeeper {
   }
 
   std::shared_ptr<const Rules> CurrentRules() const {
-    const std::lock_guard<std::mutex> lock(rules_mutex_);
+    const MutexLock lock(&rules_mutex_);
     return rules_;
   }
 
@@ -274,12 +272,12 @@ class FileGatekeeper final : public Gatekeeper {
     }
     auto rules = std::make_shared<const Rules>(
         std::move(keys), *std::move(policy), settings_.token_rules);
-    const std::lock_guard<std::mutex> lock(rules_mutex_);
+    const MutexLock lock(&rules_mutex_);
     rules_ = std::move(rules);
     return absl::OkStatus();
   }
 
-  void LookAtFiles() {
+  void LookAtFiles() ABSL_LOCKS_EXCLUDED(mutex_) {
     if (!files_.Look()) return;
     if (const absl::Status status = Take(); status.ok()) {
       log_->Write(LogLevel::kInfo, "access_rules_loaded", {});
@@ -292,7 +290,7 @@ class FileGatekeeper final : public Gatekeeper {
 
   void Run() {
     auto next_check = std::chrono::steady_clock::now() + settings_.check_period;
-    std::unique_lock<std::mutex> lock(mutex_);
+    MutexLock lock(&mutex_);
     while (!stopping_) {
       // Times of expiry are of the system's clock, which may jump: so no longer
       // than to the next check.
@@ -303,13 +301,15 @@ class FileGatekeeper final : public Gatekeeper {
             wait, std::max(watch.expires, now) - now);
       }
       wakes_at_ = now + wait;
-      if (wait.count() > 0) wake_.wait_for(lock, wait);
+      if (wait.count() > 0) {
+        wake_.WaitUntil(&mutex_, std::chrono::steady_clock::now() + wait);
+      }
       if (stopping_) return;
       const bool check_all = std::chrono::steady_clock::now() >= next_check;
       if (check_all) {
-        lock.unlock();
+        lock.Unlock();
         LookAtFiles();
-        lock.lock();
+        lock.Lock();
         next_check = std::chrono::steady_clock::now() + settings_.check_period;
       }
       std::vector<std::function<void()>> due;
@@ -320,10 +320,10 @@ class FileGatekeeper final : public Gatekeeper {
         if (expired) watch.expires = Time::max();
       }
       // They may call Unwatch().
-      lock.unlock();
+      lock.Unlock();
       for (const auto& recheck : due) recheck();
       due.clear();
-      lock.lock();
+      lock.Lock();
     }
   }
 
@@ -332,17 +332,15 @@ class FileGatekeeper final : public Gatekeeper {
   // Of Start(), then of the thread alone.
   WatchedFiles files_;
 
-  mutable std::mutex rules_mutex_;
-  // Guarded by rules_mutex_.
-  std::shared_ptr<const Rules> rules_;
+  mutable Mutex rules_mutex_;
+  std::shared_ptr<const Rules> rules_ ABSL_GUARDED_BY(rules_mutex_);
 
-  std::mutex mutex_;
-  std::condition_variable wake_;
-  // Guarded by mutex_.
-  bool stopping_ = false;
-  WatchId next_id_ = 0;
-  std::map<WatchId, Watched> watches_;
-  Time wakes_at_ = Time::max();
+  Mutex mutex_;
+  CondVar wake_;
+  bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
+  WatchId next_id_ ABSL_GUARDED_BY(mutex_) = 0;
+  std::map<WatchId, Watched> watches_ ABSL_GUARDED_BY(mutex_);
+  Time wakes_at_ ABSL_GUARDED_BY(mutex_) = Time::max();
 
   // Last: it uses the others.
   std::thread thread_;

@@ -4,8 +4,9 @@
 #include <grpc/grpc_security.h>
 
 #include <deque>
-#include <mutex>
 #include <string>
+
+#include "server/mutex.h"
 
 namespace revisit::server {
 namespace {
@@ -52,7 +53,7 @@ class TlsServerCredentials final : public grpc::ServerCredentials {
                       grpc_server* server) override {
     Listener* listener;
     {
-      const std::lock_guard<std::mutex> lock(mutex_);
+      const MutexLock lock(&mutex_);
       listener = &listeners_.emplace_back(Listener{files_});
     }
     grpc_server_credentials* const credentials =
@@ -67,9 +68,9 @@ class TlsServerCredentials final : public grpc::ServerCredentials {
 
   const TlsFiles* const files_;
   const grpc_ssl_client_certificate_request_type request_;
-  std::mutex mutex_;
-  // Guarded by mutex_; elements stay where they are.
-  std::deque<Listener> listeners_;
+  Mutex mutex_;
+  // Elements stay where they are.
+  std::deque<Listener> listeners_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace

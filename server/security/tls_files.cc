@@ -55,7 +55,7 @@ void TlsFiles::Look(CertificateTime now) {
 }
 
 TlsFiles::Current TlsFiles::current() const {
-  const std::lock_guard<std::mutex> lock(mutex_);
+  const MutexLock lock(&mutex_);
   return current_;
 }
 
@@ -75,7 +75,7 @@ absl::Status TlsFiles::Take(CertificateTime now) {
   const absl::StatusOr<TlsSummary> summary = CheckTlsMaterial(*material, now);
   if (!summary.ok()) return summary.status();
   summary_ = *summary;
-  const std::lock_guard<std::mutex> lock(mutex_);
+  const MutexLock lock(&mutex_);
   ++current_.version;
   current_.material = std::move(material);
   return absl::OkStatus();

@@ -10,12 +10,12 @@
 #include <chrono>
 #include <cstdint>
 #include <memory>
-#include <mutex>
 #include <string>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "server/logging.h"
+#include "server/mutex.h"
 #include "server/security/certificates.h"
 #include "server/security/watched_files.h"
 
@@ -65,9 +65,8 @@ class TlsFiles {
   TlsSummary summary_;
   CertificateTime warned_ = CertificateTime::min();
 
-  mutable std::mutex mutex_;
-  // Guarded by mutex_.
-  Current current_;
+  mutable Mutex mutex_;
+  Current current_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace revisit::server

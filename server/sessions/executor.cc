@@ -5,6 +5,8 @@
 #include <chrono>
 #include <utility>
 
+#include "server/mutex.h"
+
 namespace revisit::server {
 namespace {
 
@@ -23,40 +25,40 @@ Executor::Executor(const char* name, int threads) {
 
 Executor::~Executor() {
   {
-    const std::lock_guard<std::mutex> guard(mutex_);
+    const MutexLock guard(&mutex_);
     stopping_ = true;
   }
-  wake_.notify_all();
+  wake_.NotifyAll();
   for (std::thread& thread : threads_) thread.join();
 }
 
 void Executor::Post(std::function<void()> task) {
   bool wake;
   {
-    const std::lock_guard<std::mutex> guard(mutex_);
+    const MutexLock guard(&mutex_);
     tasks_.push_back(std::move(task));
     // Threads at work look for the next task by themselves.
     wake = idle_ > 0;
   }
-  if (wake) wake_.notify_one();
+  if (wake) wake_.NotifyOne();
 }
 
 void Executor::Work() {
-  std::unique_lock<std::mutex> lock(mutex_);
+  MutexLock lock(&mutex_);
   while (true) {
     ++idle_;
-    wake_.wait(lock, [this] { return stopping_ || !tasks_.empty(); });
+    while (!stopping_ && tasks_.empty()) wake_.Wait(&mutex_);
     --idle_;
     // A task that still runs elsewhere and posts another comes back here for
     // it.
     if (tasks_.empty()) return;
     std::function<void()> task = std::move(tasks_.front());
     tasks_.pop_front();
-    lock.unlock();
+    lock.Unlock();
     task();
     // What the task holds goes before the lock is taken again.
     task = nullptr;
-    lock.lock();
+    lock.Lock();
   }
 }
 
@@ -71,7 +73,7 @@ struct Strand::State : std::enable_shared_from_this<Strand::State> {
   void Post(Task task) {
     Executor* const lane = task.lane;
     {
-      const std::lock_guard<std::mutex> guard(mutex);
+      const MutexLock guard(&mutex);
       tasks.push_back(std::move(task));
       if (taken) return;
       taken = true;
@@ -88,7 +90,7 @@ struct Strand::State : std::enable_shared_from_this<Strand::State> {
     Task task;
     do {
       {
-        const std::lock_guard<std::mutex> guard(mutex);
+        const MutexLock guard(&mutex);
         if (tasks.empty() || tasks.front().lane != lane) break;
         task = std::move(tasks.front());
         tasks.pop_front();
@@ -100,10 +102,10 @@ struct Strand::State : std::enable_shared_from_this<Strand::State> {
   }
 
   // Leaves what waits, if anything, to its lane.
-  void GoOn() {
+  void GoOn() ABSL_LOCKS_EXCLUDED(mutex) {
     Executor* lane;
     {
-      const std::lock_guard<std::mutex> guard(mutex);
+      const MutexLock guard(&mutex);
       if (tasks.empty()) {
         taken = false;
         return;
@@ -114,10 +116,10 @@ struct Strand::State : std::enable_shared_from_this<Strand::State> {
   }
 
   const Lanes lanes;
-  std::mutex mutex;
-  std::deque<Task> tasks;
+  Mutex mutex;
+  std::deque<Task> tasks ABSL_GUARDED_BY(mutex);
   // Whether a thread is in a task, or was asked to be.
-  bool taken = false;
+  bool taken ABSL_GUARDED_BY(mutex) = false;
 };
 
 std::shared_ptr<Strand> Strand::Create(const Lanes& lanes) {
@@ -138,7 +140,7 @@ void Strand::PostLong(std::function<void()> task) {
 }
 
 bool Strand::Enter(State* state) {
-  const std::lock_guard<std::mutex> guard(state->mutex);
+  const MutexLock guard(&state->mutex);
   if (state->taken) return false;
   state->taken = true;
   return true;

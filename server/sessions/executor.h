@@ -7,14 +7,14 @@
 #ifndef REVISIT_SERVER_SESSIONS_EXECUTOR_H_
 #define REVISIT_SERVER_SESSIONS_EXECUTOR_H_
 
-#include <condition_variable>
 #include <deque>
 #include <functional>
 #include <memory>
-#include <mutex>
 #include <thread>
 #include <utility>
 #include <vector>
+
+#include "server/mutex.h"
 
 namespace revisit::server {
 
@@ -36,12 +36,12 @@ class Executor {
  private:
   void Work();
 
-  std::mutex mutex_;
-  std::condition_variable wake_;
-  std::deque<std::function<void()>> tasks_;
+  Mutex mutex_;
+  CondVar wake_;
+  std::deque<std::function<void()>> tasks_ ABSL_GUARDED_BY(mutex_);
   // Threads that wait for a task.
-  int idle_ = 0;
-  bool stopping_ = false;
+  int idle_ ABSL_GUARDED_BY(mutex_) = 0;
+  bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
 
   std::vector<std::thread> threads_;
 };

@@ -1,12 +1,11 @@
 #include "server/sessions/fleet.h"
 
 #include <algorithm>
-#include <condition_variable>
-#include <mutex>
 #include <unordered_map>
 #include <utility>
 #include <vector>
 
+#include "server/mutex.h"
 #include "server/status.h"
 
 namespace revisit::server {
@@ -16,7 +15,13 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
     std::shared_ptr<VehicleSession> session;
     std::chrono::steady_clock::time_point last_use;
   };
+  using Entries = std::unordered_map<std::string, Entry>;
   using CreateCallback = std::function<void(absl::StatusOr<VehicleView>)>;
+  // Sessions that were taken out of the map, and what they held.
+  struct Dropped {
+    std::vector<std::shared_ptr<VehicleSession>> sessions;
+    Residency residency;
+  };
 
   State(Storage* fleet_storage, const RecordCodec* fleet_codec,
         const Lanes& fleet_lanes, const Options& fleet_options)
@@ -25,12 +30,13 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
         lanes(fleet_lanes),
         options(fleet_options) {}
 
-  std::shared_ptr<VehicleSession> Session(const std::string& id) {
+  std::shared_ptr<VehicleSession> Session(const std::string& id)
+      ABSL_LOCKS_EXCLUDED(mutex) {
     // Goes after the lock.
     std::shared_ptr<VehicleSession> replaced;
     std::shared_ptr<VehicleSession> session;
     {
-      const std::lock_guard<std::mutex> guard(mutex);
+      const MutexLock guard(&mutex);
       Entry& entry = entries[id];
       entry.last_use = std::chrono::steady_clock::now();
       if (entry.session != nullptr && !entry.session->gone()) {
@@ -50,9 +56,9 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   }
 
   // Drops the session of a vehicle if it is gone.
-  void Forget(const std::string& id) {
+  void Forget(const std::string& id) ABSL_LOCKS_EXCLUDED(mutex) {
     std::shared_ptr<VehicleSession> dropped;
-    const std::lock_guard<std::mutex> guard(mutex);
+    const MutexLock guard(&mutex);
     const auto found = entries.find(id);
     if (found == entries.end() || !found->second.session->gone()) return;
     dropped = std::move(found->second.session);
@@ -74,8 +80,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
     });
   }
 
-  // REQUIRES: the mutex is held.
-  Residency ResidencyLocked() const {
+  Residency ResidencyLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
     Residency sum;
     for (const auto& [id, entry] : entries) {
       if (entry.session->gone()) continue;
@@ -87,11 +92,55 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
     return sum;
   }
 
-  void Created() {
-    const std::lock_guard<std::mutex> guard(mutex);
+  void Created() ABSL_LOCKS_EXCLUDED(mutex) {
+    const MutexLock guard(&mutex);
     --creating;
     // Under the lock: afterwards the fleet may go, and the executor with it.
-    changed.notify_all();
+    changed.NotifyAll();
+  }
+
+  Residency UnloadIdle(std::chrono::steady_clock::time_point now) {
+    // Go after the lock: a graph takes a while to take down.
+    Dropped dropped;
+    const MutexLock guard(&mutex);
+    std::vector<Entries::iterator> unused_entries;
+    for (auto i = entries.begin(); i != entries.end();) {
+      Entry& entry = i->second;
+      // Nobody but this map has it, so nobody can start anything on it now.
+      const bool unused =
+          entry.session.use_count() == 1 && !entry.session->busy();
+      if (!unused && !entry.session->gone()) entry.last_use = now;
+      if (entry.session->gone() ||
+          (unused && entry.last_use + options.idle_unload <= now)) {
+        i = Drop(i, &dropped);
+        continue;
+      }
+      if (unused) unused_entries.push_back(i);
+      ++i;
+    }
+    if (!options.memory_budget_bytes) return dropped.residency;
+    std::int64_t above = ResidencyLocked().bytes - *options.memory_budget_bytes;
+    if (above <= 0) return dropped.residency;
+    std::sort(unused_entries.begin(), unused_entries.end(),
+              [](const Entries::iterator& a, const Entries::iterator& b) {
+                return a->second.last_use < b->second.last_use;
+              });
+    for (const Entries::iterator& entry : unused_entries) {
+      if (above <= 0) break;
+      above -= entry->second.session->residency().bytes;
+      Drop(entry, &dropped);
+    }
+    return dropped.residency;
+  }
+
+  Entries::iterator Drop(Entries::iterator entry, Dropped* dropped)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
+    const VehicleSession::Residency of = entry->second.session->residency();
+    ++dropped->residency.vehicles;
+    dropped->residency.nodes += of.nodes;
+    dropped->residency.bytes += of.bytes;
+    dropped->sessions.push_back(std::move(entry->second.session));
+    return entries.erase(entry);
   }
 
   Storage* const storage;
@@ -99,11 +148,11 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   const Lanes lanes;
   const Options options;
 
-  std::mutex mutex;
-  std::condition_variable changed;
-  std::unordered_map<std::string, Entry> entries;
+  Mutex mutex;
+  CondVar changed;
+  Entries entries ABSL_GUARDED_BY(mutex);
   // Calls of Create() that are not answered.
-  int creating = 0;
+  int creating ABSL_GUARDED_BY(mutex) = 0;
 };
 
 Fleet::Fleet(Storage* storage, const RecordCodec* codec, const Lanes& lanes,
@@ -113,27 +162,28 @@ Fleet::Fleet(Storage* storage, const RecordCodec* codec, const Lanes& lanes,
 Fleet::~Fleet() {
   std::vector<std::shared_ptr<VehicleSession>> sessions;
   {
-    std::unique_lock<std::mutex> lock(state_->mutex);
-    state_->changed.wait(lock, [this] { return state_->creating == 0; });
+    const MutexLock lock(&state_->mutex);
+    while (state_->creating != 0) state_->changed.Wait(&state_->mutex);
     for (const auto& [id, entry] : state_->entries) {
       sessions.push_back(entry.session);
     }
   }
   struct Countdown {
-    std::mutex mutex;
-    std::condition_variable zero;
-    std::size_t left;
+    explicit Countdown(std::size_t from) : left(from) {}
+
+    Mutex mutex;
+    CondVar zero;
+    std::size_t left ABSL_GUARDED_BY(mutex);
   };
-  const auto countdown = std::make_shared<Countdown>();
-  countdown->left = sessions.size();
+  const auto countdown = std::make_shared<Countdown>(sessions.size());
   for (const std::shared_ptr<VehicleSession>& session : sessions) {
     session->Close([countdown] {
-      const std::lock_guard<std::mutex> guard(countdown->mutex);
-      if (--countdown->left == 0) countdown->zero.notify_all();
+      const MutexLock guard(&countdown->mutex);
+      if (--countdown->left == 0) countdown->zero.NotifyAll();
     });
   }
-  std::unique_lock<std::mutex> lock(countdown->mutex);
-  countdown->zero.wait(lock, [&] { return countdown->left == 0; });
+  const MutexLock lock(&countdown->mutex);
+  while (countdown->left != 0) countdown->zero.Wait(&countdown->mutex);
 }
 
 std::shared_ptr<VehicleSession> Fleet::Session(const std::string& id) {
@@ -142,7 +192,7 @@ std::shared_ptr<VehicleSession> Fleet::Session(const std::string& id) {
 
 std::shared_ptr<VehicleSession> Fleet::SessionIfLoaded(
     const std::string& id) const {
-  const std::lock_guard<std::mutex> guard(state_->mutex);
+  const MutexLock guard(&state_->mutex);
   const auto found = state_->entries.find(id);
   if (found == state_->entries.end() || found->second.session->gone()) {
     return nullptr;
@@ -153,7 +203,7 @@ std::shared_ptr<VehicleSession> Fleet::SessionIfLoaded(
 void Fleet::Create(const std::string& id, const VehicleConfig& config,
                    std::function<void(absl::StatusOr<VehicleView>)> callback) {
   {
-    const std::lock_guard<std::mutex> guard(state_->mutex);
+    const MutexLock guard(&state_->mutex);
     ++state_->creating;
   }
   VehicleRecord record;
@@ -186,7 +236,7 @@ void Fleet::Delete(const std::string& id,
 }
 
 std::size_t Fleet::loaded() const {
-  const std::lock_guard<std::mutex> guard(state_->mutex);
+  const MutexLock guard(&state_->mutex);
   std::size_t count = 0;
   for (const auto& [id, entry] : state_->entries) {
     if (!entry.session->gone()) ++count;
@@ -195,53 +245,12 @@ std::size_t Fleet::loaded() const {
 }
 
 Fleet::Residency Fleet::residency() const {
-  const std::lock_guard<std::mutex> guard(state_->mutex);
+  const MutexLock guard(&state_->mutex);
   return state_->ResidencyLocked();
 }
 
 Fleet::Residency Fleet::UnloadIdle(std::chrono::steady_clock::time_point now) {
-  // Go after the lock: a graph takes a while to take down.
-  std::vector<std::shared_ptr<VehicleSession>> dropped;
-  const std::lock_guard<std::mutex> guard(state_->mutex);
-  Residency gone;
-  const auto drop = [&](auto entry) {
-    const VehicleSession::Residency of = entry->second.session->residency();
-    ++gone.vehicles;
-    gone.nodes += of.nodes;
-    gone.bytes += of.bytes;
-    dropped.push_back(std::move(entry->second.session));
-    return state_->entries.erase(entry);
-  };
-  using EntryIterator = decltype(state_->entries)::iterator;
-  std::vector<EntryIterator> unused_entries;
-  for (auto i = state_->entries.begin(); i != state_->entries.end();) {
-    State::Entry& entry = i->second;
-    // Nobody but this map has it, so nobody can start anything on it now.
-    const bool unused =
-        entry.session.use_count() == 1 && !entry.session->busy();
-    if (!unused && !entry.session->gone()) entry.last_use = now;
-    if (entry.session->gone() ||
-        (unused && entry.last_use + state_->options.idle_unload <= now)) {
-      i = drop(i);
-      continue;
-    }
-    if (unused) unused_entries.push_back(i);
-    ++i;
-  }
-  if (!state_->options.memory_budget_bytes) return gone;
-  std::int64_t above =
-      state_->ResidencyLocked().bytes - *state_->options.memory_budget_bytes;
-  if (above <= 0) return gone;
-  std::sort(unused_entries.begin(), unused_entries.end(),
-            [](const EntryIterator& a, const EntryIterator& b) {
-              return a->second.last_use < b->second.last_use;
-            });
-  for (const EntryIterator& entry : unused_entries) {
-    if (above <= 0) break;
-    above -= entry->second.session->residency().bytes;
-    drop(entry);
-  }
-  return gone;
+  return state_->UnloadIdle(now);
 }
 
 }  // namespace revisit::server

@@ -5,20 +5,19 @@
 #include <algorithm>
 #include <atomic>
 #include <chrono>
-#include <condition_variable>
 #include <cstdio>
 #include <deque>
 #include <filesystem>
 #include <fstream>
 #include <limits>
 #include <map>
-#include <mutex>
 #include <set>
 #include <system_error>
 #include <thread>
 #include <unordered_map>
 #include <utility>
 
+#include "server/mutex.h"
 #include "server/status.h"
 #include "server/storage/durable_mark.h"
 #include "server/storage/free_space.h"
@@ -815,10 +814,10 @@ class SqliteStorage : public Storage {
 
   ~SqliteStorage() override {
     {
-      const std::lock_guard<std::mutex> guard(mutex_);
+      const MutexLock guard(&mutex_);
       stopping_ = true;
     }
-    wake_.notify_one();
+    wake_.NotifyOne();
     thread_.join();
     // An orderly end leaves no log.
     if (writer_ != nullptr && mark_->Clear().ok()) {
@@ -1108,18 +1107,18 @@ class SqliteStorage : public Storage {
 
   void Submit(PendingWrite write) {
     {
-      const std::lock_guard<std::mutex> guard(mutex_);
+      const MutexLock guard(&mutex_);
       // What comes later of any vehicle must not get before it.
       open_rows_.clear();
       Enqueue(std::move(write));
     }
-    wake_.notify_one();
+    wake_.NotifyOne();
   }
 
   void SubmitAppend(PendingWrite write) {
     bool wake;
     {
-      const std::lock_guard<std::mutex> guard(mutex_);
+      const MutexLock guard(&mutex_);
       wake = queue_.empty();
       const auto open = open_rows_.find(write.key);
       if (open != open_rows_.end() && Join(open->second, &write)) {
@@ -1131,11 +1130,10 @@ class SqliteStorage : public Storage {
       // One that is busy looks by itself.
       wake = wake || (gathering_ && waiting_writes_ >= last_group_writes_);
     }
-    if (wake) wake_.notify_one();
+    if (wake) wake_.NotifyOne();
   }
 
-  // With the mutex held.
-  void Enqueue(PendingWrite write) {
+  void Enqueue(PendingWrite write) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     if (queue_.empty()) oldest_submission_ = Clock::now();
     ++waiting_writes_;
     queue_.push_back(std::move(write));
@@ -1159,14 +1157,13 @@ class SqliteStorage : public Storage {
 
   // The writer's thread.
   void Write() {
-    std::unique_lock<std::mutex> lock(mutex_);
+    MutexLock lock(&mutex_);
     while (true) {
       // A rest of deleted rows is removed when there is nothing better to do,
       // and left for the next start if the server stops.
-      wake_.wait(lock,
-                 [this] { return stopping_ || purge_ || !queue_.empty(); });
+      while (!stopping_ && !purge_ && queue_.empty()) wake_.Wait(&mutex_);
       if (queue_.empty() && stopping_) break;
-      Gather(&lock);
+      Gather();
       std::vector<PendingWrite> group;
       std::size_t bytes = 0;
       std::size_t writes = 0;
@@ -1183,28 +1180,28 @@ class SqliteStorage : public Storage {
       last_group_writes_ = writes;
       // Of those that are left behind, near enough.
       oldest_submission_ = Clock::now();
-      lock.unlock();
+      lock.Unlock();
       const std::vector<absl::Status> results = CommitOrRefuse(group);
       for (std::size_t i = 0; i < group.size(); ++i) {
         for (const Done& done : group[i].done) done(results[i]);
       }
       // What the callbacks hold goes before others are taken on.
       group.clear();
-      lock.lock();
+      lock.Lock();
     }
     // Rids the log of a transaction that failed last.
     if (lock_ != nullptr) EnsureWriter().IgnoreError();
   }
 
   // Waits for more, see SqliteOptions::latency_target.
-  void Gather(std::unique_lock<std::mutex>* lock) {
+  void Gather() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     if (options_.latency_target <= commit_time_) return;
     gathering_ = true;
     while (!stopping_ && !queue_.empty() &&
            waiting_writes_ < last_group_writes_) {
       const Clock::time_point latest =
           oldest_submission_ + options_.latency_target - commit_time_;
-      if (wake_.wait_until(*lock, latest) == std::cv_status::timeout) break;
+      if (wake_.WaitUntil(&mutex_, latest)) break;
     }
     gathering_ = false;
   }
@@ -1397,7 +1394,7 @@ class SqliteStorage : public Storage {
   absl::Status Read(const Function& read) {
     std::unique_ptr<SqliteDatabase> reader;
     {
-      const std::lock_guard<std::mutex> guard(readers_mutex_);
+      const MutexLock guard(&readers_mutex_);
       if (!idle_readers_.empty()) {
         reader = std::move(idle_readers_.back());
         idle_readers_.pop_back();
@@ -1418,7 +1415,7 @@ class SqliteStorage : public Storage {
       if (status.ok()) status = ended;
     }
     const bool usable = !reader->InTransaction();
-    const std::lock_guard<std::mutex> guard(readers_mutex_);
+    const MutexLock guard(&readers_mutex_);
     if (usable && idle_readers_.size() < kIdleReaders) {
       idle_readers_.push_back(std::move(reader));
     }
@@ -1451,21 +1448,23 @@ class SqliteStorage : public Storage {
   // would otherwise be made from the log, failed transactions included.
   const std::unique_ptr<SqliteDatabase> anchor_;
 
-  std::mutex mutex_;
-  std::condition_variable wake_;
-  std::deque<PendingWrite> queue_;
+  Mutex mutex_;
+  CondVar wake_;
+  std::deque<PendingWrite> queue_ ABSL_GUARDED_BY(mutex_);
   // By vehicle, the row in the queue that appends may still join.
-  std::unordered_map<VehicleKey, PendingWrite*> open_rows_;
-  bool stopping_ = false;
+  std::unordered_map<VehicleKey, PendingWrite*> open_rows_
+      ABSL_GUARDED_BY(mutex_);
+  bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
   // In the queue, each batch of a row counted.
-  std::size_t waiting_writes_ = 0;
-  std::size_t last_group_writes_ = 0;
+  std::size_t waiting_writes_ ABSL_GUARDED_BY(mutex_) = 0;
+  std::size_t last_group_writes_ ABSL_GUARDED_BY(mutex_) = 0;
   // Of the first in the queue, or when the last group was taken.
-  Clock::time_point oldest_submission_;
-  bool gathering_ = false;
+  Clock::time_point oldest_submission_ ABSL_GUARDED_BY(mutex_);
+  bool gathering_ ABSL_GUARDED_BY(mutex_) = false;
 
-  std::mutex readers_mutex_;
-  std::vector<std::unique_ptr<SqliteDatabase>> idle_readers_;
+  Mutex readers_mutex_;
+  std::vector<std::unique_ptr<SqliteDatabase>> idle_readers_
+      ABSL_GUARDED_BY(readers_mutex_);
 
   std::thread thread_;
 };

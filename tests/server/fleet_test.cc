@@ -4,8 +4,10 @@
 #include <chrono>
 #include <cstdint>
 #include <memory>
+#include <random>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "gmock/gmock.h"
@@ -18,6 +20,7 @@
 #include "tests/server/memory_storage.h"
 #include "tests/server/plain_codec.h"
 #include "tests/server/session_testing.h"
+#include "tests/server/storage_testing.h"
 #include "tests/server/temporary_directory.h"
 
 namespace revisit::server {
@@ -366,6 +369,211 @@ TEST(FleetStressTest, ManyClientsVehiclesAndUnloadsLoseNothing) {
       graphs.push_back(read->graph);
     }
   }
+}
+
+// One drive of a vehicle that nobody else writes to: batches with checks, loop
+// closures that are added and taken back.
+class Driver {
+ public:
+  static constexpr std::uint64_t kBatchPoses = 10;
+  static constexpr std::uint64_t kBatches = 16;
+
+  Driver(Fleet* fleet, std::string id) : fleet_(fleet), id_(std::move(id)) {}
+
+  // The last sequence that was acknowledged.
+  std::uint64_t acknowledged() const { return acknowledged_; }
+  std::uint64_t revision() const { return revision_; }
+  // What every check found, in their order.
+  const std::string& found() const { return found_; }
+
+  void Drive() {
+    for (std::uint64_t batch = 0; batch < kBatches; ++batch) {
+      AppendOne();
+      // Whoever was acknowledged finds it.
+      const absl::StatusOr<Snapshot> read = ReadNow(*fleet_->Session(id_));
+      ASSERT_THAT(read, IsOk());
+      EXPECT_EQ(read->durable_sequence, acknowledged_);
+      EXPECT_EQ(read->revision, revision_);
+      if (batch % 3 == 2) AddAndDeleteClosure(batch);
+    }
+  }
+
+ private:
+  void AppendOne() {
+    const std::string payload = SquareBatch(acknowledged_ + 1, kBatchPoses);
+    AppendRequest request;
+    request.decoder = [payload](const VehicleConfig& config) {
+      return PlainCodec().DecodeBatch(payload, config);
+    };
+    request.check = [](const VehicleConfig& config) {
+      return absl::StatusOr<core::SearchOptions>(config.engine.search);
+    };
+    const Answer<absl::StatusOr<Acknowledgement>> durable;
+    request.callbacks.durable = durable.Setter();
+    request.callbacks.candidates =
+        [this](const VehicleView& view,
+               const absl::StatusOr<core::CandidateSet>& set) {
+          ASSERT_THAT(set, IsOk());
+          found_ += std::to_string(view.durable_sequence) + ": node " +
+                    std::to_string(*set->query);
+          for (const core::Candidate& candidate : set->candidates) {
+            found_ += " " + std::to_string(candidate.matched);
+          }
+          found_ += "\n";
+        };
+    fleet_->Session(id_)->Append(std::move(request));
+    const absl::StatusOr<Acknowledgement> acknowledgement = durable.Get();
+    ASSERT_THAT(acknowledgement, IsOk());
+    acknowledged_ += kBatchPoses;
+    ++revision_;
+    EXPECT_EQ(acknowledgement->durable_sequence, acknowledged_);
+    EXPECT_EQ(acknowledgement->revision, revision_);
+  }
+
+  void AddAndDeleteClosure(std::uint64_t number) {
+    const std::string closure = "closure-" + std::to_string(number);
+    const auto added =
+        AddPairNow(*fleet_->Session(id_), PairKind::kLoopClosure,
+                   {closure, acknowledged_, acknowledged_ / 2, 0});
+    ASSERT_THAT(added, IsOk());
+    EXPECT_EQ(added->second, ++revision_);
+    if (number % 2 == 0) return;
+    const auto deleted =
+        DeletePairNow(*fleet_->Session(id_), PairKind::kLoopClosure, closure);
+    ASSERT_THAT(deleted, IsOk());
+    EXPECT_EQ(*deleted, ++revision_);
+  }
+
+  Fleet* const fleet_;
+  const std::string id_;
+  std::uint64_t acknowledged_ = 0;
+  std::uint64_t revision_ = 1;
+  std::string found_;
+};
+
+// Creates, fills and deletes a vehicle again and again.
+void CreateAndDelete(Fleet* fleet, const std::string& id,
+                     std::mt19937_64 random) {
+  for (int round = 0; round < 12; ++round) {
+    ASSERT_THAT(CreateNow(*fleet, id), IsOk());
+    const int batches = UniformInt(random, 0, 3);
+    for (int i = 0; i < batches; ++i) {
+      const auto first = static_cast<std::uint64_t>(5 * i + 1);
+      ASSERT_THAT(AppendNow(*fleet->Session(id), StraightBatch(first, 5)),
+                  IsOk());
+    }
+    const absl::StatusOr<Snapshot> read = ReadNow(*fleet->Session(id));
+    ASSERT_THAT(read, IsOk());
+    // Nothing of those of that name before.
+    EXPECT_EQ(read->durable_sequence, static_cast<std::uint64_t>(5 * batches));
+    EXPECT_EQ(read->revision, static_cast<std::uint64_t>(1 + batches));
+    ASSERT_THAT(DeleteNow(*fleet, id), IsOk());
+    EXPECT_THAT(ReadNow(*fleet->Session(id)), kNotFound);
+  }
+}
+
+TEST(FleetStressTest, AllKindsOfWorkAtOnceChangeNoAnswer) {
+  // Vehicles are appended to and searched, others come and go, while all are
+  // read, searched, listed and unloaded from other threads. What the drivers
+  // are answered is what they are answered alone.
+  std::mt19937_64 random = SeededRandom();
+  constexpr int kDrivers = 3;
+  const TemporaryDirectory directory;
+  const PlainCodec codec;
+  const auto kept = [](int i) { return "kept-" + std::to_string(i); };
+  const auto brief = [](int i) { return "brief-" + std::to_string(i); };
+
+  MemoryStorage memory;
+  Executor single(1);
+  Fleet alone(&memory, &codec, &single, Fleet::Options());
+  ASSERT_THAT(CreateNow(alone, kept(0)), IsOk());
+  Driver model(&alone, kept(0));
+  model.Drive();
+  const Snapshot expected = *ReadNow(*alone.Session(kept(0)));
+
+  const absl::StatusOr<std::unique_ptr<Storage>> storage =
+      OpenSqliteStorage(directory.File("store.db"));
+  ASSERT_THAT(storage, IsOk());
+  Executor short_work(2);
+  Executor long_work(2);
+  const auto fleet = std::make_unique<Fleet>(
+      storage->get(), &codec, Lanes(&short_work, &long_work), Fleet::Options());
+  std::vector<std::unique_ptr<Driver>> drivers;
+  for (int i = 0; i < kDrivers; ++i) {
+    ASSERT_THAT(CreateNow(*fleet, kept(i)), IsOk());
+    drivers.push_back(std::make_unique<Driver>(fleet.get(), kept(i)));
+  }
+
+  std::atomic<bool> stop{false};
+  std::vector<std::thread> others;
+  for (int i = 0; i < 2; ++i) {
+    others.emplace_back([&, seed = random()] {
+      std::mt19937_64 own(seed);
+      std::vector<std::uint64_t> seen(kDrivers, 0);
+      while (!stop) {
+        const int vehicle = UniformInt(own, 0, kDrivers - 1);
+        const Answer<std::uint64_t> answer;
+        fleet->Session(kept(vehicle))
+            ->LongRead([&](const absl::StatusOr<VehicleView>& view) {
+              EXPECT_THAT(view.status(), IsOk());
+              const core::SearchOptions& options = view->config.engine.search;
+              EXPECT_THAT(view->engine.FindCandidates(options, nullptr),
+                          IsOk());
+              EXPECT_EQ(view->durable_sequence % Driver::kBatchPoses, 0u);
+              answer.Set(view->durable_sequence);
+            });
+        const std::uint64_t sequence = answer.Get();
+        std::uint64_t& before = seen[static_cast<std::size_t>(vehicle)];
+        EXPECT_GE(sequence, before);
+        before = sequence;
+        const absl::StatusOr<Snapshot> read =
+            ReadNow(*fleet->Session(brief(UniformInt(own, 0, 1))));
+        EXPECT_THAT(read, ::testing::AnyOf(IsOk(), kNotFound));
+      }
+    });
+  }
+  others.emplace_back([&] {
+    while (!stop) {
+      fleet->UnloadIdle(steady_clock::now() + minutes(11));
+      EXPECT_LE(fleet->loaded(), static_cast<std::size_t>(kDrivers + 2));
+      EXPECT_LE(fleet->residency().vehicles, kDrivers + 2);
+    }
+  });
+  others.emplace_back([&] {
+    while (!stop) {
+      const auto listed = (*storage)->ListVehicles("", "kept-", 100);
+      ASSERT_THAT(listed, IsOk());
+      EXPECT_EQ(listed->size(), static_cast<std::size_t>(kDrivers));
+      const auto batches = ReadAll(**storage, listed->front().key, 1,
+                                   listed->front().durable_sequence);
+      EXPECT_THAT(batches, IsOk());
+    }
+  });
+  std::vector<std::thread> workers;
+  for (const std::unique_ptr<Driver>& driver : drivers) {
+    workers.emplace_back([&driver] { driver->Drive(); });
+  }
+  for (int i = 0; i < 2; ++i) {
+    workers.emplace_back([&, i, seed = random()] {
+      CreateAndDelete(fleet.get(), brief(i), std::mt19937_64(seed));
+    });
+  }
+  for (std::thread& worker : workers) worker.join();
+  stop = true;
+  for (std::thread& other : others) other.join();
+
+  for (int i = 0; i < kDrivers; ++i) {
+    const absl::StatusOr<Snapshot> read = ReadNow(*fleet->Session(kept(i)));
+    ASSERT_THAT(read, IsOk());
+    EXPECT_EQ(read->durable_sequence, expected.durable_sequence);
+    EXPECT_EQ(read->revision, expected.revision);
+    EXPECT_EQ(read->loop_closure_count, expected.loop_closure_count);
+    EXPECT_EQ(read->graph, expected.graph);
+    EXPECT_EQ(drivers[static_cast<std::size_t>(i)]->found(), model.found());
+  }
+  const auto left = (*storage)->ListVehicles("", "", 100);
+  ASSERT_THAT(left, IsOk());
+  EXPECT_EQ(left->size(), static_cast<std::size_t>(kDrivers));
 }
 
 }  // namespace
