@@ -228,6 +228,16 @@ def test_searches_too_many_of_a_vehicle_are_refused_and_others_served(
         assert "vehicles/a" in failure.message
 
 
+def test_whoever_has_the_answer_may_ask_again_at_once(tmp_path):
+    with Server(tmp_path / "store", "--max-searches=1", "--max-calls=1",
+                "--log-level=error") as server:
+        stub = server.stub()
+        vehicle = create(stub)
+        append(stub, vehicle, straight(50))
+        for _ in range(1000):
+            stub.FindCandidates(search(vehicle))
+
+
 def test_searches_too_many_in_all_are_refused(slow_server):
     stub = slow_server.stub()
     futures = [stub.FindCandidates.future(search(f"vehicles/{name}", **SLOW))
