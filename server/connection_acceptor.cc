@@ -373,11 +373,11 @@ void ConnectionAcceptor::HandOn(int listener, int connection) {
 
 void ConnectionAcceptor::CutUseless() {
   for (const auto& [connection, host] : table_.TakeUseless()) {
-    // The descriptor stays gRPC's, who hears of the end.
-    shutdown(connection, SHUT_RDWR);
     ++shed_;
     log_->Write(LogLevel::kWarning, "connection_cut",
                 {{"limit", std::string("max-idle-bytes")}, {"peer", host}});
+    // The descriptor stays gRPC's, who hears of the end.
+    shutdown(connection, SHUT_RDWR);
   }
 }
 
