@@ -32,7 +32,7 @@ class Checker {
     } else {
       for (const std::string& problem : *structure) Note(problem);
     }
-    for (const std::string& id : Ids()) CheckVehicle(id);
+    for (const auto& [key, id] : Vehicles()) CheckVehicle(key, id);
     CheckNoneIsLeftOver();
     return std::move(report_);
   }
@@ -41,28 +41,46 @@ class Checker {
   void Note(const std::string& problem) { report_.problems.push_back(problem); }
   void Note(const absl::Status& status) { Note(std::string(status.message())); }
 
-  std::vector<std::string> Ids() {
-    std::vector<std::string> ids;
+  std::vector<std::pair<VehicleKey, std::string>> Vehicles() {
+    std::vector<std::pair<VehicleKey, std::string>> vehicles;
     // By the table, for an index may hide some.
     SqliteStatement row =
-        database_->Prepare("SELECT id FROM vehicles NOT INDEXED");
+        database_->Prepare("SELECT key, id FROM vehicles NOT INDEXED");
     while (true) {
       const absl::StatusOr<bool> found = row.Step();
       if (!found.ok()) Note(found.status());
-      if (!found.ok() || !*found) return ids;
-      ids.push_back(row.Bytes(0));
+      if (!found.ok() || !*found) return vehicles;
+      vehicles.emplace_back(row.Integer(0), row.Bytes(1));
     }
   }
 
-  void CheckVehicle(const std::string& id) {
+  // Whether a vehicle that was listed is not in the table any more.
+  bool IsDeleted(VehicleKey key) {
+    SqliteStatement row =
+        database_->Prepare("SELECT 1 FROM vehicles NOT INDEXED WHERE key = ?1");
+    const absl::StatusOr<bool> found = row.Bind(1, key).Step();
+    return found.ok() && !*found;
+  }
+
+  void CheckVehicle(VehicleKey key, const std::string& id) {
+    StoreReport counts;
+    const absl::Status status = ReadVehicle(id, &counts);
+    // By whoever serves the store, since it was listed.
+    if (use_ == StoreUse::kServed && absl::IsNotFound(status) &&
+        IsDeleted(key)) {
+      return;
+    }
     ++report_.vehicles;
-    const absl::Status status = ReadVehicle(id);
+    report_.batches += counts.batches;
+    report_.poses += counts.poses;
+    report_.loop_closures += counts.loop_closures;
+    report_.rejected_candidates += counts.rejected_candidates;
     if (status.ok()) return;
     Note("vehicle '" + Printable(id) + "': " + std::string(status.message()));
     report_.damaged_vehicles.insert(Printable(id));
   }
 
-  absl::Status ReadVehicle(const std::string& id) {
+  absl::Status ReadVehicle(const std::string& id, StoreReport* counts) {
     const absl::StatusOr<VehicleRecord> record = storage_->GetVehicle(id);
     if (!record.ok()) return record.status();
     for (const BatchVersion version :
@@ -71,8 +89,8 @@ class Checker {
           storage_->ReadBatches(record->key, 1, record->durable_sequence,
                                 version, [&](const BatchRecord& batch) {
                                   if (version == BatchVersion::kAsSent) {
-                                    ++report_.batches;
-                                    report_.poses += batch.count;
+                                    ++counts->batches;
+                                    counts->poses += batch.count;
                                   }
                                   return true;
                                 });
@@ -89,8 +107,8 @@ class Checker {
         count += static_cast<std::int64_t>(page->size());
         after = page->back().id;
       }
-      (kind == PairKind::kLoopClosure ? report_.loop_closures
-                                      : report_.rejected_candidates) += count;
+      (kind == PairKind::kLoopClosure ? counts->loop_closures
+                                      : counts->rejected_candidates) += count;
     }
     return absl::OkStatus();
   }

@@ -14,6 +14,7 @@
 #include "gtest/gtest.h"
 #include "server/status.h"
 #include "server/storage/sqlite_storage.h"
+#include "server/storage/store_check.h"
 #include "tests/random.h"
 #include "tests/server/error_matchers.h"
 #include "tests/server/held_storage.h"
@@ -547,6 +548,11 @@ TEST(FleetStressTest, AllKindsOfWorkAtOnceChangeNoAnswer) {
       const auto batches = ReadAll(**storage, listed->front().key, 1,
                                    listed->front().durable_sequence);
       EXPECT_THAT(batches, IsOk());
+      // It once took vehicles for damaged that were deleted meanwhile.
+      const auto report =
+          CheckStore(directory.File("store.db"), StoreUse::kServed);
+      ASSERT_THAT(report, IsOk());
+      EXPECT_THAT(report->problems, ::testing::IsEmpty());
     }
   });
   std::vector<std::thread> workers;
