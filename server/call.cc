@@ -276,7 +276,8 @@ absl::Status Call::GivenUpStatus() const {
                "the caller's deadline passed");
 }
 
-grpc::Status Call::End(const absl::Status& status) const {
+grpc::Status Call::End(const absl::Status& status) {
+  permits_.clear();
   const absl::Status named = WithRequestId(status, request_id_);
   const grpc::Status answer = ToGrpcStatus(named);
   const std::chrono::duration<double, std::milli> duration =

@@ -90,8 +90,9 @@ class Call {
   // What a call that was given up ends with: DEADLINE_EXCEEDED or CANCELLED.
   absl::Status GivenUpStatus() const;
 
-  // The status to finish with; logs the call. Call once, at the end.
-  grpc::Status End(const absl::Status& status) const;
+  // The status to finish with; logs the call, and gives back the room that it
+  // took: whoever has the answer may come again. Call once, at the end.
+  grpc::Status End(const absl::Status& status);
 
   // Call from the reactor's OnDone().
   void Done();

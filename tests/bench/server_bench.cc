@@ -356,7 +356,8 @@ json StallRound(const Options& options) {
       threads.emplace_back([&] {
         Caller caller(server.address());
         while (!over) {
-          if (!caller.Find("vehicles/asked").ok()) Die("FindCandidates failed");
+          const grpc::Status status = caller.Find("vehicles/asked");
+          if (!status.ok()) Die("FindCandidates: " + status.error_message());
           mine.push_back(caller.search_seconds());
         }
       });

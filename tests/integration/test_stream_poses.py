@@ -541,12 +541,12 @@ def test_search_that_is_given_up_frees_its_thread(small_server):
     seconds = make_slow(stub, [vehicle])
     # Without a deadline, so that they are admitted though they will have to wait.
     calls = [stub.FindCandidates.future(search(vehicle, LONGEST_METERS))
-             for _ in range(16)]
+             for _ in range(12)]
     # For some to begin.
     time.sleep(seconds / 2)
     for call in calls:
         call.cancel()
     begin = time.monotonic()
     stub.FindCandidates(search(vehicle, 10.0))
-    # Sixteen that ran to their end on two threads would take that much longer.
+    # Twelve that ran to their end on two threads would take that much longer.
     assert time.monotonic() - begin < 4 * seconds
