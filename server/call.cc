@@ -191,8 +191,9 @@ absl::Status Call::TakeRoom() {
   if (rule_ == nullptr || !rule_->verb) return absl::OkStatus();
   absl::StatusOr<Permit> permit =
       rule_->streams ? room_->Stream(quota_key_) : room_->Call();
-  if (permit.ok()) permits_.push_back(*std::move(permit));
-  return permit.status();
+  if (!permit.ok()) return permit.status();
+  permits_.push_back(*std::move(permit));
+  return absl::OkStatus();
 }
 
 void Call::Done() {
@@ -222,8 +223,9 @@ absl::Status Call::ChooseVehicle(const std::string& id) {
   }
   if (rule_ == nullptr || !rule_->streams) return absl::OkStatus();
   absl::StatusOr<Permit> permit = room_->StreamOf(id);
-  if (permit.ok()) permits_.push_back(*std::move(permit));
-  return permit.status();
+  if (!permit.ok()) return permit.status();
+  permits_.push_back(*std::move(permit));
+  return absl::OkStatus();
 }
 
 absl::Status Call::AdmitSearch() {
@@ -231,8 +233,9 @@ absl::Status Call::AdmitSearch() {
   const auto latest = std::min(deadline_, now + kEndless);
   absl::StatusOr<Permit> permit =
       room_->Search(vehicle_, quota_key_, latest - now);
-  if (permit.ok()) permits_.push_back(*std::move(permit));
-  return permit.status();
+  if (!permit.ok()) return permit.status();
+  permits_.push_back(*std::move(permit));
+  return absl::OkStatus();
 }
 
 void Call::SearchTook(std::chrono::steady_clock::duration duration) const {

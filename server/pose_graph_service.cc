@@ -207,7 +207,8 @@ absl::Status ReadPoses(Storage* storage, const VehicleView& view,
   std::size_t bytes = 0;
   absl::Status parsed;
   const absl::Status read = storage->ReadBatches(
-      view.key, first, last, BatchVersion::kCurrent, [&](BatchRecord batch) {
+      view.key, first, last, BatchVersion::kCurrent,
+      [&](const BatchRecord& batch) {
         parsed = VisitPoses(batch, [&](v1::Pose* pose) {
           if (pose->sequence() < first) return true;
           if (pose->sequence() > last || bytes > kMaxPageBytes) return false;

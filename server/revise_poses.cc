@@ -89,7 +89,7 @@ absl::StatusOr<RevisionPlan> Plan(Storage* storage, const VehicleView& view,
   absl::Status failure;
   const absl::Status read = storage->ReadBatches(
       view.key, sorted->front().sequence, last, BatchVersion::kCurrent,
-      [&](BatchRecord batch) {
+      [&](const BatchRecord& batch) {
         auto record = ReviseBatch(batch, view.config, revised);
         if (!record.ok()) {
           failure = record.status();

@@ -580,7 +580,7 @@ absl::Status RunEvaluate(const EvaluateOptions& given, const Console& console) {
   server.address = undoing.server()->address();
   const auto made = MakeChannel(options.server.value_or(server));
   if (!made.ok()) return LocalError(made.status());
-  const std::shared_ptr<grpc::Channel> channel = *made;
+  const std::shared_ptr<grpc::Channel>& channel = *made;
   const Client client(channel);
   undoing.SetClient(&client);
   const absl::Status status =

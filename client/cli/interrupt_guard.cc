@@ -24,6 +24,8 @@ InterruptGuard::InterruptGuard(std::function<void()> clean_up)
 
 InterruptGuard::~InterruptGuard() {
   stopping_ = true;
+  // Which is blocked, and taken by sigwait().
+  // NOLINTNEXTLINE(bugprone-bad-signal-to-kill-thread)
   pthread_kill(thread_.native_handle(), SIGTERM);
   thread_.join();
   sigaction(SIGPIPE, &previous_pipe_action_, nullptr);

@@ -21,10 +21,9 @@ enum class Retry { kSafe, kNever };
 }  // namespace
 
 struct Client::Rep {
-  Rep(std::shared_ptr<grpc::ChannelInterface> channel,
+  Rep(const std::shared_ptr<grpc::ChannelInterface>& channel,
       const ClientOptions& client_options)
-      : stub(v1::PoseGraphService::NewStub(std::move(channel))),
-        options(client_options) {}
+      : stub(v1::PoseGraphService::NewStub(channel)), options(client_options) {}
 
   // Runs `attempt(context)`, which answers whether it may be repeated, until it
   // succeeds or must not be repeated.
@@ -70,9 +69,9 @@ struct Client::Rep {
   const ClientOptions options;
 };
 
-Client::Client(std::shared_ptr<grpc::ChannelInterface> channel,
+Client::Client(const std::shared_ptr<grpc::ChannelInterface>& channel,
                const ClientOptions& options)
-    : rep_(std::make_unique<Rep>(std::move(channel), options)) {}
+    : rep_(std::make_unique<Rep>(channel, options)) {}
 
 Client::~Client() = default;
 

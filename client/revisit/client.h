@@ -41,7 +41,7 @@ struct ClientOptions {
 // The channel is shared and may serve streams as well.
 class Client {
  public:
-  explicit Client(std::shared_ptr<grpc::ChannelInterface> channel,
+  explicit Client(const std::shared_ptr<grpc::ChannelInterface>& channel,
                   const ClientOptions& options = ClientOptions());
   ~Client();
 

@@ -41,10 +41,10 @@ struct PendingPose {
 // One thread, Run(), makes the connections one after the other and starts all
 // writes; gRPC's threads bring the answers in.
 struct PoseStream::Rep {
-  Rep(std::shared_ptr<grpc::ChannelInterface> channel,
+  Rep(const std::shared_ptr<grpc::ChannelInterface>& channel,
       const std::string& vehicle_name, const PoseStreamOptions& stream_options,
       const PoseStreamCallbacks& stream_callbacks)
-      : stub(v1::PoseGraphService::NewStub(std::move(channel))),
+      : stub(v1::PoseGraphService::NewStub(channel)),
         vehicle(vehicle_name),
         options(stream_options),
         callbacks(stream_callbacks),
@@ -376,12 +376,11 @@ void PoseStream::Rep::Run() {
   }
 }
 
-PoseStream::PoseStream(std::shared_ptr<grpc::ChannelInterface> channel,
+PoseStream::PoseStream(const std::shared_ptr<grpc::ChannelInterface>& channel,
                        const std::string& vehicle,
                        const PoseStreamOptions& options,
                        const PoseStreamCallbacks& callbacks)
-    : rep_(std::make_unique<Rep>(std::move(channel), vehicle, options,
-                                 callbacks)) {
+    : rep_(std::make_unique<Rep>(channel, vehicle, options, callbacks)) {
   try {
     rep_->thread = std::thread([this] { rep_->Run(); });
   } catch (const std::system_error& error) {

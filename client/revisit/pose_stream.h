@@ -97,7 +97,7 @@ class PoseStream {
  public:
   // Starts connecting and returns at once. `vehicle` is a resource name,
   // "vehicles/...". The channel may be shared.
-  PoseStream(std::shared_ptr<grpc::ChannelInterface> channel,
+  PoseStream(const std::shared_ptr<grpc::ChannelInterface>& channel,
              const std::string& vehicle, const PoseStreamOptions& options,
              const PoseStreamCallbacks& callbacks);
   // Cancels what Finish() did not wait for.

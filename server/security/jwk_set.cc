@@ -156,8 +156,8 @@ std::string ToDer(const std::string& signature) {
   openssl::BigNumber s = Number(signature.substr(kCoordinateBytes));
   if (ECDSA_SIG_set0(pair.get(), r.get(), s.get()) != 1) return "";
   // They belong to the pair now.
-  r.release();
-  s.release();
+  static_cast<void>(r.release());
+  static_cast<void>(s.release());
   unsigned char* encoded = nullptr;
   const int size = i2d_ECDSA_SIG(pair.get(), &encoded);
   if (size <= 0) return "";

@@ -338,7 +338,7 @@ struct VehicleSession::State
                    std::function<void(const absl::Status&)> then) {
     exclusive = true;
     replay.emplace();
-    replay->config = std::move(new_config);
+    replay->config = new_config;
     replay->revision = new_revision;
     replay->engine = std::make_unique<core::Engine>(replay->config.engine);
     replay->then = std::move(then);
