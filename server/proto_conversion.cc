@@ -1207,6 +1207,7 @@ absl::StatusOr<core::SearchOptions> DecodeCandidateOptions(
   core::SearchOptions search = config.engine.search;
   DecodeSearch(options, path, &search, &violations);
   search.exhaustive = options.exhaustive();
+  search.tell_paths = options.include_aligned_path();
   DecodeEnum(kSearchDirections, options.direction(), path.Field("direction"),
              &search.direction, &violations);
   AddProblems(core::FindProblems(search, config.engine), path, &violations);
