@@ -142,7 +142,7 @@ class Differences {
     const auto first = static_cast<NodeIndex>(k * NodeBlock::kSize);
     const Pose query_pose = graph_.pose(query_);
     const StateMatrix<D> query_covariance =
-        ToMatrix<D>(graph_.node(query_).covariance);
+        ToMatrix<D>(graph_.covariance(query_));
     for (std::size_t i = count; i-- > 0;) {
       const NodeIndex j = first + static_cast<NodeIndex>(i);
       for (; next_ > j && !decorrelated_; --next_) {
@@ -377,7 +377,7 @@ class RelativeAligner
                 ? model_.block_bounds->FirstGrowing(graph_, query_, blocks)
                 : 0;
     const double claimed = similarity.inflation * similarity.inflation;
-    const Covariance covariance = graph_.node(query_).covariance;
+    const Covariance covariance = graph_.covariance(query_);
     const StateMatrix<D>& shift = filter_.EndShift();
     const auto greatest = [](double xx, double xy, double yy) {
       return 0.5 * (xx + yy) + std::hypot(0.5 * (xx - yy), xy);
