@@ -54,9 +54,8 @@ constexpr std::size_t kRequestBlockBytes = std::size_t{128} << 10;
 // a session. After OnDone() `finished_` is set, and a late callback touches
 // only the stream's own members.
 //
-// gRPC's reactions never run inside the call that starts their operation (they
-// are scheduled), so operations are started under the mutex, which makes
-// "nothing is started after Finish()" easy to see.
+// Nothing is started after Finish(): that waits until no thread is starting an
+// operation.
 class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
                          public std::enable_shared_from_this<PoseStream> {
  public:
@@ -76,20 +75,20 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     drain_watch_ = context_.drain->Watch([weak = weak_from_this()] {
       if (const auto stream = weak.lock()) stream->WindDown();
     });
-    const std::lock_guard<std::mutex> lock(mutex_);
+    std::unique_lock<std::mutex> lock(mutex_);
     SetFailure(call_.admission());
-    Advance();
+    Advance(std::move(lock));
   }
 
   void OnReadDone(bool ok) override {
     call_.CountMessage();
     bool first;
     {
-      const std::lock_guard<std::mutex> lock(mutex_);
+      std::unique_lock<std::mutex> lock(mutex_);
       reading_ = false;
       if (!ok) OnLastRead();
       if (Ending()) {
-        Advance();
+        Advance(std::move(lock));
         return;
       }
       handling_ = true;
@@ -103,16 +102,16 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   }
 
   void OnWriteDone(bool ok) override {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    std::unique_lock<std::mutex> lock(mutex_);
     writing_ = false;
     if (!ok) call_.MarkGivenUp();
-    Advance();
+    Advance(std::move(lock));
   }
 
   void OnCancel() override {
     call_.MarkGivenUp();
-    const std::lock_guard<std::mutex> lock(mutex_);
-    Advance();
+    std::unique_lock<std::mutex> lock(mutex_);
+    Advance(std::move(lock));
   }
 
   void OnDone() override {
@@ -165,7 +164,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       return;
     }
     {
-      const std::lock_guard<std::mutex> lock(mutex_);
+      std::unique_lock<std::mutex> lock(mutex_);
       absl::Status allowed = call_.ChooseVehicle(*id);
       if (allowed.ok() && open.send_candidates()) {
         allowed = call_.AlsoNeeds(Verb::kRead);
@@ -173,7 +172,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       SetFailure(allowed);
       if (!allowed.ok()) {
         handling_ = false;
-        Advance();
+        Advance(std::move(lock));
         return;
       }
     }
@@ -217,10 +216,10 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     opened->set_durable_sequence(view->durable_sequence);
     opened->set_revision(view->revision);
     opened->set_max_batch_poses(context_.limits.max_batch_poses);
-    const std::lock_guard<std::mutex> lock(mutex_);
+    std::unique_lock<std::mutex> lock(mutex_);
     handling_ = false;
     queue_.push_back({{}, std::move(response)});
-    Advance();
+    Advance(std::move(lock));
   }
 
   void Append() {
@@ -278,20 +277,20 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   }
 
   void OnStaged(const absl::Status& status) {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    std::unique_lock<std::mutex> lock(mutex_);
     handling_ = false;
     SetFailure(status);
-    Advance();
+    Advance(std::move(lock));
   }
 
   void OnDurable(const absl::StatusOr<Acknowledgement>& acknowledgement,
                  std::size_t bytes) {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    std::unique_lock<std::mutex> lock(mutex_);
     --in_flight_;
     bytes_in_flight_ -= bytes;
     SetFailure(acknowledgement.status());
     if (acknowledgement.ok()) queue_.push_back({*acknowledgement, nullptr});
-    Advance();
+    Advance(std::move(lock));
   }
 
   void OnCandidates(const VehicleView& view,
@@ -306,7 +305,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
                          duration, response->mutable_candidates());
       bytes = static_cast<std::int64_t>(response->SpaceUsedLong());
     }
-    const std::lock_guard<std::mutex> lock(mutex_);
+    std::unique_lock<std::mutex> lock(mutex_);
     SetFailure(set.status());
     const std::int64_t limit = context_.limits.max_unread_bytes;
     if (set.ok() && !slow_) {
@@ -317,7 +316,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
         CutSlowConsumer(view.durable_sequence, limit);
       }
     }
-    Advance();
+    Advance(std::move(lock));
   }
 
   // With the mutex held. Frees what waits, and the stream itself if the client
@@ -352,34 +351,34 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   }
 
   void OnAppendOver() {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    std::unique_lock<std::mutex> lock(mutex_);
     --open_appends_;
-    Advance();
+    Advance(std::move(lock));
   }
 
   // What is not yet acknowledged and was not taken on is the client's to
   // resend.
   void WindDown() {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    std::unique_lock<std::mutex> lock(mutex_);
     draining_ = true;
-    Advance();
+    Advance(std::move(lock));
   }
 
   // Ends the stream of a caller who may no longer do this: after the last
   // acknowledgement of what was taken on.
   void Recheck() {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    std::unique_lock<std::mutex> lock(mutex_);
     if (finished_) return;
     SetFailure(call_.Recheck());
-    Advance();
+    Advance(std::move(lock));
   }
 
   // Ends the message being handled and the stream.
   void Fail(const absl::Status& status) {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    std::unique_lock<std::mutex> lock(mutex_);
     handling_ = false;
     SetFailure(status);
-    Advance();
+    Advance(std::move(lock));
   }
 
   // The rest: with the mutex held.
@@ -410,27 +409,53 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     return half_closed_ ? absl::OkStatus() : Drain::Refusal();
   }
 
-  // Starts whatever can be started now.
-  void Advance() {
-    if (finished_) return;
-    if (call_.given_up()) queue_.clear();
-    if (!writing_ && !queue_.empty()) {
-      writing_ = true;
-      unread_bytes_ -= queue_.front().candidate_bytes;
-      Encode(std::move(queue_.front()));
-      queue_.pop_front();
+  // Starts whatever can be started now. Gives up the mutex for that: starting a
+  // write may take as long as the system takes to send it, and whoever waited
+  // for the mutex would sleep through that. `starting_` holds Finish() off
+  // meanwhile.
+  void Advance(std::unique_lock<std::mutex> lock) {
+    while (!finished_) {
+      if (call_.given_up()) queue_.clear();
+      const bool write = !writing_ && !queue_.empty();
       grpc::WriteOptions options;
-      if (!queue_.empty()) options.set_buffer_hint();
-      StartWrite(&response_, options);
-    }
-    if (Ending()) {
-      const bool answered = queue_.empty() && open_appends_ == 0 && !handling_;
-      if (!writing_ && (answered || call_.given_up())) {
-        finished_ = true;
-        Finish(call_.End(FinalStatus()));
+      if (write) {
+        writing_ = true;
+        unread_bytes_ -= queue_.front().candidate_bytes;
+        Encode(std::move(queue_.front()));
+        queue_.pop_front();
+        if (!queue_.empty()) options.set_buffer_hint();
       }
-      return;
+      if (Ending() && MayFinish()) {
+        finished_ = true;
+        const absl::Status status = FinalStatus();
+        lock.unlock();
+        Finish(call_.End(status));
+        return;
+      }
+      const bool read = !Ending() && MayRead();
+      if (read) {
+        reading_ = true;
+        // Reset() keeps the first block.
+        arena_.Reset();
+        request_ = google::protobuf::Arena::CreateMessage<Request>(&arena_);
+        request_->mutable_open()->set_vehicle(kUnread);
+      }
+      if (!write && !read) return;
+      ++starting_;
+      lock.unlock();
+      if (write) StartWrite(&response_, options);
+      if (read) StartRead(request_);
+      lock.lock();
+      --starting_;
     }
+  }
+
+  bool MayFinish() const {
+    const bool answered = queue_.empty() && open_appends_ == 0 && !handling_;
+    return !writing_ && starting_ == 0 && (answered || call_.given_up());
+  }
+
+  bool MayRead() const {
     const auto waiting = static_cast<std::size_t>(in_flight_) + queue_.size() +
                          (writing_ ? 1 : 0);
     const auto most =
@@ -440,14 +465,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
         (waiting < most &&
          bytes_in_flight_ <
              static_cast<std::size_t>(context_.limits.max_bytes_in_flight));
-    if (!reading_ && !handling_ && has_room) {
-      reading_ = true;
-      // Reset() keeps the first block.
-      arena_.Reset();
-      request_ = google::protobuf::Arena::CreateMessage<Request>(&arena_);
-      request_->mutable_open()->set_vehicle(kUnread);
-      StartRead(request_);
-    }
+    return !reading_ && !handling_ && has_room;
   }
 
   // Makes a response of an answer. Acknowledgements, which are many, share what
@@ -493,6 +511,8 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   bool half_closed_ = false;
   bool draining_ = false;
   bool finished_ = false;
+  // Threads that start an operation just now.
+  int starting_ = 0;
   std::optional<absl::Status> failure_;
   // Batches that are not durable.
   int in_flight_ = 0;
