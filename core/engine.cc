@@ -424,9 +424,11 @@ absl::Status Engine::FindComposite(NodeIndex query, std::int64_t steps,
       candidate.direction = direction;
       candidate.difference = DecideAt(graph_, model, gate, query, end.matched);
       candidate.verdict = GateAlone(candidate.difference.gate.verdict);
-      NodeIndex recent = query - steps + 1;
-      for (NodeIndex matched : alignment->Path(end.matched)) {
-        candidate.path.emplace_back(recent++, matched);
+      if (options.tell_paths) {
+        NodeIndex recent = query - steps + 1;
+        for (NodeIndex matched : alignment->Path(end.matched)) {
+          candidate.path.emplace_back(recent++, matched);
+        }
       }
       set->candidates.push_back(std::move(candidate));
     }
@@ -575,10 +577,12 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
     candidate.verdict =
         Decide(candidate.difference.gate, evidence, runner_up,
                *set->new_place_probability, options.acceptance_probability);
-    for (const PathStep& step : alignment->Path(place.direction, matched)) {
-      candidate.path.emplace_back(query - step.t, step.node);
+    if (options.tell_paths) {
+      for (const PathStep& step : alignment->Path(place.direction, matched)) {
+        candidate.path.emplace_back(query - step.t, step.node);
+      }
+      std::reverse(candidate.path.begin(), candidate.path.end());
     }
-    std::reverse(candidate.path.begin(), candidate.path.end());
     candidate.relative = evidence;
     set->candidates.push_back(std::move(candidate));
   }

@@ -63,7 +63,7 @@ struct Candidate {
   // Only of relative alignments.
   std::optional<RelativeEvidence> relative;
   // The alignment, oldest first: (node of the recent path, node of the
-  // history).
+  // history). Empty if SearchOptions::tell_paths is not set.
   std::vector<std::pair<NodeIndex, NodeIndex>> path;
 };
 

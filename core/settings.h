@@ -38,6 +38,8 @@ struct SearchOptions {
   double candidate_separation_meters = 10.0;
   // [1, kMaxCandidates].
   int max_candidates = 5;
+  // Whether candidates tell their paths, which are walked once more for it.
+  bool tell_paths = true;
   // The rest is for kRelative.
   ShapeModel shape;
   // Whether to answer also what is too improbable to be accepted, which takes a

@@ -376,6 +376,7 @@ class PoseDecoder {
 
  private:
   // The forward axis, and its heading, in the axes of the pose's own position.
+  // Of a pose that is local, nobody asks for the axis.
   struct Forward {
     double heading = 0.0;
     std::array<double, 3> axis{};
@@ -442,6 +443,7 @@ class PoseDecoder {
                         violations_)) {
           return std::nullopt;
         }
+        if (!pose.has_geodetic()) return Forward{heading, {}};
         return Forward{heading, {std::cos(heading), std::sin(heading), 0.0}};
       }
       case v1::Pose::kQuaternion:
@@ -709,21 +711,23 @@ void CheckFollows(const Poses& poses, int index, const FieldPath& path,
 // fingerprint.
 void Fingerprint(const Poses& poses, DecodedBatch* batch) {
   using google::protobuf::io::CodedOutputStream;
-  std::string& payload = batch->payload;
-  batch->fingerprints.reserve(static_cast<std::size_t>(poses.size()));
+  std::size_t bytes = 0;
   for (const v1::Pose& pose : poses) {
     const std::size_t size = pose.ByteSizeLong();
-    const auto size32 = static_cast<std::uint32_t>(size);
-    const std::size_t start = payload.size();
-    const std::size_t header =
-        1 + static_cast<std::size_t>(CodedOutputStream::VarintSize32(size32));
-    payload.resize(start + header + size);
-    auto* bytes = reinterpret_cast<std::uint8_t*>(&payload[start]);
-    bytes = CodedOutputStream::WriteTagToArray(kPosesTag, bytes);
-    bytes = CodedOutputStream::WriteVarint32ToArray(size32, bytes);
-    pose.SerializeWithCachedSizesToArray(bytes);
-    batch->fingerprints.push_back(
-        XXH3_64bits(payload.data() + start + header, size));
+    bytes += 1 + size +
+             static_cast<std::size_t>(CodedOutputStream::VarintSize32(
+                 static_cast<std::uint32_t>(size)));
+  }
+  batch->payload.resize(bytes);
+  batch->fingerprints.reserve(static_cast<std::size_t>(poses.size()));
+  auto* next = reinterpret_cast<std::uint8_t*>(batch->payload.data());
+  for (const v1::Pose& pose : poses) {
+    const auto size = static_cast<std::uint32_t>(pose.GetCachedSize());
+    next = CodedOutputStream::WriteTagToArray(kPosesTag, next);
+    next = CodedOutputStream::WriteVarint32ToArray(size, next);
+    std::uint8_t* const content = next;
+    next = pose.SerializeWithCachedSizesToArray(content);
+    batch->fingerprints.push_back(XXH3_64bits(content, size));
   }
 }
 
@@ -1207,6 +1211,7 @@ absl::StatusOr<core::SearchOptions> DecodeCandidateOptions(
   core::SearchOptions search = config.engine.search;
   DecodeSearch(options, path, &search, &violations);
   search.exhaustive = options.exhaustive();
+  search.tell_paths = options.include_aligned_path();
   DecodeEnum(kSearchDirections, options.direction(), path.Field("direction"),
              &search.direction, &violations);
   AddProblems(core::FindProblems(search, config.engine), path, &violations);

@@ -54,9 +54,8 @@ constexpr std::size_t kRequestBlockBytes = std::size_t{128} << 10;
 // a session. After OnDone() `finished_` is set, and a late callback touches
 // only the stream's own members.
 //
-// gRPC's reactions never run inside the call that starts their operation (they
-// are scheduled), so operations are started under the mutex, which makes
-// "nothing is started after Finish()" easy to see.
+// Nothing is started after Finish(): that waits until no thread is starting an
+// operation.
 class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
                          public std::enable_shared_from_this<PoseStream> {
  public:
@@ -415,27 +414,52 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     return half_closed_ ? absl::OkStatus() : Drain::Refusal();
   }
 
-  // Starts whatever can be started now.
+  // Starts whatever can be started now. Lets go of the mutex for that: starting
+  // a write may take as long as the system takes to send it, and whoever waited
+  // for the mutex would sleep through that. `starting_` holds Finish() off
+  // meanwhile.
   void Advance() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    if (finished_) return;
-    if (call_.given_up()) queue_.clear();
-    if (!writing_ && !queue_.empty()) {
-      writing_ = true;
-      unread_bytes_ -= queue_.front().candidate_bytes;
-      Encode(std::move(queue_.front()));
-      queue_.pop_front();
+    while (!finished_) {
+      if (call_.given_up()) queue_.clear();
+      const bool write = !writing_ && !queue_.empty();
       grpc::WriteOptions options;
-      if (!queue_.empty()) options.set_buffer_hint();
-      StartWrite(&response_, options);
-    }
-    if (Ending()) {
-      const bool answered = queue_.empty() && open_appends_ == 0 && !handling_;
-      if (!writing_ && (answered || call_.given_up())) {
+      if (write) {
+        writing_ = true;
+        unread_bytes_ -= queue_.front().candidate_bytes;
+        Encode(std::move(queue_.front()));
+        queue_.pop_front();
+        if (!queue_.empty()) options.set_buffer_hint();
+      }
+      if (Ending() && MayFinish()) {
         finished_ = true;
         Finish(call_.End(FinalStatus()));
+        return;
       }
-      return;
+      const bool read = !Ending() && MayRead();
+      if (read) {
+        reading_ = true;
+        // Reset() keeps the first block.
+        arena_.Reset();
+        request_ = google::protobuf::Arena::CreateMessage<Request>(&arena_);
+        request_->mutable_open()->set_vehicle(kUnread);
+      }
+      if (!write && !read) return;
+      Request* const request = request_;
+      ++starting_;
+      mutex_.Unlock();
+      if (write) StartWrite(&response_, options);
+      if (read) StartRead(request);
+      mutex_.Lock();
+      --starting_;
     }
+  }
+
+  bool MayFinish() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    const bool answered = queue_.empty() && open_appends_ == 0 && !handling_;
+    return !writing_ && starting_ == 0 && (answered || call_.given_up());
+  }
+
+  bool MayRead() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     const auto waiting = static_cast<std::size_t>(in_flight_) + queue_.size() +
                          (writing_ ? 1 : 0);
     const auto most =
@@ -445,14 +469,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
         (waiting < most &&
          bytes_in_flight_ <
              static_cast<std::size_t>(context_.limits.max_bytes_in_flight));
-    if (!reading_ && !handling_ && has_room) {
-      reading_ = true;
-      // Reset() keeps the first block.
-      arena_.Reset();
-      request_ = google::protobuf::Arena::CreateMessage<Request>(&arena_);
-      request_->mutable_open()->set_vehicle(kUnread);
-      StartRead(request_);
-    }
+    return !reading_ && !handling_ && has_room;
   }
 
   // Makes a response of an answer. Acknowledgements, which are many, share what
@@ -497,6 +514,8 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   bool half_closed_ ABSL_GUARDED_BY(mutex_) = false;
   bool draining_ ABSL_GUARDED_BY(mutex_) = false;
   bool finished_ ABSL_GUARDED_BY(mutex_) = false;
+  // Threads that start an operation just now.
+  int starting_ ABSL_GUARDED_BY(mutex_) = 0;
   std::optional<absl::Status> failure_ ABSL_GUARDED_BY(mutex_);
   // Batches that are not durable.
   int in_flight_ ABSL_GUARDED_BY(mutex_) = 0;

@@ -12,8 +12,7 @@ namespace revisit::core {
 
 Direction DirectionOf(const PoseGraph& graph, const ConfirmedLoop& loop) {
   const double turn =
-      Difference(graph.node(loop.query).pose, graph.node(loop.matched).pose)
-          .heading;
+      Difference(graph.pose(loop.query), graph.pose(loop.matched)).heading;
   return std::abs(turn) > 0.5 * kPi ? Direction::kOpposite : Direction::kSame;
 }
 
@@ -65,7 +64,7 @@ std::optional<KnownDrift<D>> KnownDrift<D>::Make(const PoseGraph& graph,
   known.information_ =
       Eigen::LDLT<StateMatrix<D>>(covariance).solve(StateMatrix<D>::Identity());
   known.loop_difference_ = ToVector<D>(PassDifference(
-      closure, graph.node(loop.query).pose, graph.node(loop.matched).pose));
+      closure, graph.pose(loop.query), graph.pose(loop.matched)));
   return known;
 }
 

@@ -1,6 +1,7 @@
 #include "core/alignment/relative.h"
 
 #include <algorithm>
+#include <array>
 #include <bitset>
 #include <cassert>
 #include <cmath>
@@ -25,6 +26,9 @@ constexpr double kLeastUncertaintyLeft = 1e-3;
 
 // What bounds may be wrong by for rounding, nats.
 constexpr double kBoundSlack = 1e-6;
+
+// Share of two variances that their difference may be wrong by.
+constexpr double kCancelled = 1e-12;
 
 // The way on the far side of a loop closure: passes in opposite directions are
 // told by their headings.
@@ -138,7 +142,7 @@ class Differences {
     const auto first = static_cast<NodeIndex>(k * NodeBlock::kSize);
     const Pose query_pose = graph_.pose(query_);
     const StateMatrix<D> query_covariance =
-        ToMatrix<D>(graph_.node(query_).covariance);
+        ToMatrix<D>(graph_.covariance(query_));
     for (std::size_t i = count; i-- > 0;) {
       const NodeIndex j = first + static_cast<NodeIndex>(i);
       for (; next_ > j && !decorrelated_; --next_) {
@@ -305,16 +309,19 @@ class RelativeAligner
     std::size_t bounded_from = 0;
     std::size_t bounded_to = 0;
     BlockBounds::Region region;
+    NodeRegion of_nodes;
     if (model_.least_log_odds != kImpossible &&
         model_.block_bounds != nullptr) {
-      BoundBlocks(&bounded_from, &bounded_to, &region);
+      BoundBlocks(&bounded_from, &bounded_to, &region, &of_nodes);
     }
     std::vector<std::size_t> blocks;
     for (std::size_t k = all; k-- > bounded_to;) blocks.push_back(k);
     if (bounded_from < bounded_to) {
-      model_.block_bounds->VisitNear(
-          region, bounded_from, bounded_to,
-          [&blocks](std::size_t k) { blocks.push_back(k); });
+      model_.block_bounds->VisitNear(region, bounded_from, bounded_to,
+                                     [&](std::size_t k) {
+                                       if (HoldsNear(of_nodes, graph_.block(k)))
+                                         blocks.push_back(k);
+                                     });
     }
     for (std::size_t k = bounded_from; k-- > 0;) blocks.push_back(k);
     return blocks;
@@ -328,9 +335,10 @@ class RelativeAligner
   // and w |a|^2 / l is paid for, l the greatest variance of the shift; over all
   // a that is at least r^2 / (V + l / w). For dead reckoning the lever arm is
   // at right angles to u, so that u^T Gamma u = u^T (S_q - S_j) u. Where Gamma
-  // is positive definite, |G - A| is at least |R - A|.
+  // is positive definite, |G - A| is at least |R - A|. Of blocks, bounds of V
+  // are known in any direction; of single nodes it is known itself.
   void BoundBlocks(std::size_t* from, std::size_t* to,
-                   BlockBounds::Region* region) const {
+                   BlockBounds::Region* region, NodeRegion* of_nodes) const {
     const SimilarityModel& similarity = model_.similarity;
     const bool dead_reckoning =
         similarity.correlation == CorrelationModel::kDeadReckoning;
@@ -369,7 +377,7 @@ class RelativeAligner
                 ? model_.block_bounds->FirstGrowing(graph_, query_, blocks)
                 : 0;
     const double claimed = similarity.inflation * similarity.inflation;
-    const Covariance covariance = graph_.node(query_).covariance;
+    const Covariance covariance = graph_.covariance(query_);
     const StateMatrix<D>& shift = filter_.EndShift();
     const auto greatest = [](double xx, double xy, double yy) {
       return 0.5 * (xx + yy) + std::hypot(0.5 * (xx - yy), xy);
@@ -377,15 +385,24 @@ class RelativeAligner
     const Pose query = graph_.pose(query_);
     region->x = query.x;
     region->y = query.y;
-    region->variance =
-        claimed *
-            greatest(covariance(0, 0), covariance(0, 1), covariance(1, 1)) +
+    const double of_neither =
         tolerance(0, 0) +
         greatest(shift(0, 0), shift(0, 1), shift(1, 1)) / weight_;
+    region->variance = claimed * greatest(covariance(0, 0), covariance(0, 1),
+                                          covariance(1, 1)) +
+                       of_neither;
     region->squared_per_variance =
         2.0 * (constant_ - 0.5 * log_determinant + weight_ * steps_[0].to_come +
                kBoundSlack - model_.least_log_odds);
     (dead_reckoning ? region->least_taken : region->most_added) = claimed;
+    of_nodes->x = query.x;
+    of_nodes->y = query.y;
+    of_nodes->squared_per_variance = region->squared_per_variance;
+    of_nodes->variance = of_neither + kCancelled * region->variance;
+    of_nodes->xx = claimed * covariance(0, 0);
+    of_nodes->xy = claimed * covariance(0, 1);
+    of_nodes->yy = claimed * covariance(1, 1);
+    of_nodes->node_scale = dead_reckoning ? -claimed : claimed;
   }
 
   // The search of one direction.
@@ -425,10 +442,16 @@ class RelativeAligner
       table_.Need(first_ - 2 * aligner_.filter_.size(),
                   first_ + static_cast<NodeIndex>(count_) +
                       2 * aligner_.filter_.size());
+      std::array<std::size_t, kTogether> together;
       for (std::size_t i = 0; i < count_;) {
-        walkers_.Clear();
-        for (; i < count_ && walkers_.size() < kTogether; ++i) {
-          if (useful[i]) Seed(first_ + static_cast<NodeIndex>(i), needed[i]);
+        std::size_t count = 0;
+        for (; i < count_ && count < kTogether; ++i) {
+          if (useful[i]) together[count++] = i;
+        }
+        walkers_.Begin(count);
+        for (std::size_t w = 0; w < count; ++w) {
+          const std::size_t at = together[w];
+          Seed(w, first_ + static_cast<NodeIndex>(at), needed[at]);
         }
         Walk();
       }
@@ -462,7 +485,8 @@ class RelativeAligner
       table_.Need(j - 2 * aligner_.filter_.size(),
                   j + 2 * aligner_.filter_.size());
       trail.push_back({{0, j, DirectionOf(way_)}, -1});
-      Seed(j, kImpossible);
+      walkers_.Begin(1);
+      Seed(0, j, kImpossible);
       Walk();
       std::vector<PathStep> path;
       for (std::int64_t i = best_trail_; i >= 0;
@@ -514,7 +538,6 @@ class RelativeAligner
     }
 
     void Reset() {
-      walkers_.Clear();
       ratios_.fill(0.0);
       squares_.fill(0.0);
       change_.row.fill(0);
@@ -528,13 +551,10 @@ class RelativeAligner
                       : std::min(graph_.SegmentEnd(i), aligner_.size_) - 1;
     }
 
-    void Seed(NodeIndex j, double needed) {
+    // Puts walker i, which is as Begin() left it, at end j.
+    void Seed(std::size_t i, NodeIndex j, double needed) {
       const Pose pose = graph_.pose(j);
       const double sign = way_ == 0 ? 1.0 : -1.0;
-      const std::size_t i = walkers_.Add();
-      for (std::size_t c = 0; c < Walkers::kColumns; ++c) {
-        walkers_.at(static_cast<Walkers::Column>(c), i) = 0.0;
-      }
       walkers_.at(Walkers::kX, i) = pose.x;
       walkers_.at(Walkers::kY, i) = pose.y;
       walkers_.at(Walkers::kZ, i) = pose.z;
@@ -546,8 +566,6 @@ class RelativeAligner
       walkers_.at(Walkers::kStride, i) = Stride(way_);
       walkers_.at(Walkers::kLast, i) = LastOf(j, way_);
       walkers_.at(Walkers::kEnd, i) = j - first_;
-      walkers_.at(Walkers::kTrail, i) = 0;
-      walkers_.at(Walkers::kBestTrail, i) = 0;
     }
 
     std::size_t WayOf(std::size_t i) const {
@@ -577,22 +595,25 @@ class RelativeAligner
           SeenBy(i, table_.poses() + 4 * Position(node));
       const double turn = walkers_.at(Walkers::kNow + D - 1, i);
       const double carried[2] = {-step.step_y * turn, step.step_x * turn};
-      double innovation[D];
-      for (std::size_t r = 0; r < D; ++r) {
-        innovation[r] = step.path[r] - seen(static_cast<int>(r)) -
-                        walkers_.at(Walkers::kNow + r, i);
-        if (r < 2) innovation[r] -= carried[r];
+      double position[D - 1];
+      for (std::size_t r = 0; r < D - 1; ++r) {
+        position[r] = step.path[r] - seen(static_cast<int>(r)) -
+                      walkers_.at(Walkers::kNow + r, i);
+        if (r < 2) position[r] -= carried[r];
       }
-      double& heading = innovation[D - 1];
+      // Apart from the position: kept together in memory, they would be read
+      // before they are written.
+      double heading = step.path[D - 1] - seen(D - 1) - turn;
       // Off by a turn or two at most.
       while (heading > kPi) heading -= 2.0 * kPi;
       while (heading < -kPi) heading += 2.0 * kPi;
       double squared = 0.0;
       for (int r = 0; r < D; ++r) {
         double whitened = 0.0;
-        for (int c = r; c < D; ++c) {
-          whitened += step.whitening[r][c] * innovation[c];
+        for (int c = r; c < D - 1; ++c) {
+          whitened += step.whitening[r][c] * position[c];
         }
+        whitened += step.whitening[r][D - 1] * heading;
         squared += whitened * whitened;
       }
       return squared;

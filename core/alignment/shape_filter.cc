@@ -32,8 +32,7 @@ std::vector<double> Turns(const PoseGraph& graph, NodeIndex query,
     const NodeIndex start = std::max(
         first, std::min(query, query - t + stretch_nodes / 2) - stretch_nodes);
     const NodeIndex end = std::min(query, start + stretch_nodes);
-    turns.push_back(
-        Difference(graph.node(end).pose, graph.node(start).pose).heading);
+    turns.push_back(Difference(graph.pose(end), graph.pose(start)).heading);
   }
   return turns;
 }
@@ -92,7 +91,7 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
       &end_prior);
   const StateMatrix<D> end_prior_information = Inverse<D>(end_prior);
 
-  const Pose end = graph.node(query).pose;
+  const Pose end = graph.pose(query);
   const StateMatrix<D> from_end = TurnAbout<D>(-end.heading);
   // Of the drift now, with that at the end, and of that at the end.
   StateMatrix<D> covariance = end_prior;
@@ -103,8 +102,7 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
   steps_[0].end_certainty.setZero();
   for (std::int64_t t = 1; t < steps; ++t) {
     Step& step = steps_[static_cast<std::size_t>(t)];
-    step.path =
-        from_end * ToVector<D>(Difference(graph.node(query - t).pose, end));
+    step.path = from_end * ToVector<D>(Difference(graph.pose(query - t), end));
     const StateVector<D>& after = steps_[static_cast<std::size_t>(t - 1)].path;
     step.step_x = step.path(0) - after(0);
     step.step_y = step.path(1) - after(1);

@@ -611,6 +611,35 @@ void BoundChanged(StateSpace state_space, const DifferenceBlock& differences,
   }
 }
 
+bool HoldsNear(const NodeRegion& region, const NodeBlock& block) {
+  const Tag tag;
+  const auto set = [tag](double value) HWY_ATTR { return hn::Set(tag, value); };
+  const Rows rows(block, block);
+  const Vector scale = set(region.node_scale);
+  const auto entry = [&](double query, NodeBlock::Row row,
+                         std::size_t i) HWY_ATTR {
+    return hn::Add(set(query), hn::Mul(scale, rows.Load(row, i)));
+  };
+  for (std::size_t i = 0; i < NodeBlock::kSize; i += hn::Lanes(tag)) {
+    const Vector dx = hn::Sub(set(region.x), rows.Load(NodeBlock::kX, i));
+    const Vector dy = hn::Sub(set(region.y), rows.Load(NodeBlock::kY, i));
+    const Vector squared = hn::Add(hn::Mul(dx, dx), hn::Mul(dy, dy));
+    const Vector of_x =
+        hn::Add(hn::Mul(entry(region.xx, NodeBlock::kXX, i), dx),
+                hn::Mul(entry(region.xy, NodeBlock::kXY, i), dy));
+    const Vector of_y =
+        hn::Add(hn::Mul(entry(region.xy, NodeBlock::kXY, i), dx),
+                hn::Mul(entry(region.yy, NodeBlock::kYY, i), dy));
+    const Vector varies = hn::Add(hn::Add(hn::Mul(dx, of_x), hn::Mul(dy, of_y)),
+                                  hn::Mul(set(region.variance), squared));
+    // Written so that what is not a number is near.
+    const Mask far = hn::Gt(hn::Mul(squared, squared),
+                            hn::Mul(set(region.squared_per_variance), varies));
+    if (!hn::AllTrue(tag, far)) return true;
+  }
+  return false;
+}
+
 }  // namespace revisit::core::HWY_NAMESPACE
 HWY_AFTER_NAMESPACE();
 
@@ -623,6 +652,7 @@ HWY_EXPORT(TakeKnownDrift);
 HWY_EXPORT(EvaluateDifferences);
 HWY_EXPORT(EvaluateChanged);
 HWY_EXPORT(BoundChanged);
+HWY_EXPORT(HoldsNear);
 
 void EvaluateBlock(const KernelQuery& query, const NodeBlock& block,
                    const NodeBlock& next, BlockSimilarity* similarity) {
@@ -660,6 +690,10 @@ void BoundChanged(StateSpace state_space, const DifferenceBlock& differences,
                   BlockColumn* most) {
   HWY_DYNAMIC_DISPATCH(BoundChanged)
   (state_space, differences, bound, similarity, most);
+}
+
+bool HoldsNear(const NodeRegion& region, const NodeBlock& block) {
+  return HWY_DYNAMIC_DISPATCH(HoldsNear)(region, block);
 }
 
 }  // namespace revisit::core

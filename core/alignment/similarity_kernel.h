@@ -129,6 +129,24 @@ void BoundChanged(StateSpace state_space, const DifferenceBlock& differences,
                   const ChangeBound& bound, const BlockSimilarity& similarity,
                   BlockColumn* most);
 
+// Nodes that lie near enough to a query: with d the way from the node to it in
+// x and y, r its length and C the covariance of d,
+//   r^2 <= squared_per_variance (d^T C d / r^2 + variance).
+struct NodeRegion {
+  double x = 0.0;
+  double y = 0.0;
+  double squared_per_variance = 0.0;
+  double variance = 0.0;
+  // C: the query's, and the node's times this.
+  double xx = 0.0;
+  double xy = 0.0;
+  double yy = 0.0;
+  double node_scale = 0.0;
+};
+
+// Whether any node of a full block does, or is not a number.
+bool HoldsNear(const NodeRegion& region, const NodeBlock& block);
+
 }  // namespace revisit::core
 
 #endif  // REVISIT_CORE_ALIGNMENT_SIMILARITY_KERNEL_H_

@@ -201,14 +201,27 @@ void WalkOn(StateSpace state_space, const WalkStep& step, const double* poses,
 }
 
 std::size_t Walkers::Add() {
-  if (size_ == room_) Grow();
+  if (size_ == room_) Grow(size_ + 1);
   return size_++;
 }
 
-void Walkers::Grow() {
+void Walkers::Begin(std::size_t count) {
+  size_ = 0;
+  if (count > room_) Grow(count);
+  size_ = count;
+  for (std::size_t c = 0; c < kColumns; ++c) {
+    std::fill_n(column(c), count, 0.0);
+  }
+  for (std::size_t c = 0; c < kIndices; ++c) {
+    std::fill_n(indices(static_cast<Index>(c)), count, 0);
+  }
+}
+
+void Walkers::Grow(std::size_t least) {
   // Whole vectors of any machine. Entries beyond the last are read but mean
   // nothing: node 0 is one.
-  const std::size_t room = std::max<std::size_t>(64, 2 * room_);
+  std::size_t room = std::max<std::size_t>(64, 2 * room_);
+  while (room < least) room *= 2;
   std::vector<double> columns(kColumns * room);
   std::vector<std::int64_t> indices(kIndices * room);
   for (std::size_t i = 0; i < size_; ++i) {

@@ -62,7 +62,8 @@ class Walkers {
   std::size_t size() const { return size_; }
   // From one column to the next.
   std::size_t room() const { return room_; }
-  void Clear() { size_ = 0; }
+  // As many, all of whose entries are 0, and no others.
+  void Begin(std::size_t count);
   // Appends one; returns its place. What it holds is left from others.
   std::size_t Add();
   // Puts the last one into its place.
@@ -82,7 +83,8 @@ class Walkers {
   }
 
  private:
-  void Grow();
+  // Room for at least as many.
+  void Grow(std::size_t least);
 
   std::size_t size_ = 0;
   // Of each column: whole vectors of any machine.

@@ -83,8 +83,8 @@ void ConsistencyMonitor::Confirm(const PoseGraph& graph,
     model.inflation = f;
     return ToleratedCovariance<D>(model, gamma);
   };
-  const Pose query = graph.node(loop.query).pose;
-  const Pose matched = graph.node(loop.matched).pose;
+  const Pose query = graph.pose(loop.query);
+  const Pose matched = graph.pose(loop.matched);
   model.direction = DirectionOf(graph, loop);
   const StateVector<D> d = ToVector<D>(PassDifference(model, query, matched));
   const std::optional<QuadraticForm> claimed = Evaluate<D>(covariance(1.0), d);

@@ -13,7 +13,7 @@ GatedDifference DecideAt(const PoseGraph& graph, const SimilarityModel& model,
                          const Gate& gate, NodeIndex query, NodeIndex matched) {
   GatedDifference result;
   result.difference =
-      PassDifference(model, graph.node(query).pose, graph.node(matched).pose);
+      PassDifference(model, graph.pose(query), graph.pose(matched));
   const StateMatrix<D> gamma =
       DifferenceCovariance<D>(graph, model.correlation, query, matched);
   result.covariance =

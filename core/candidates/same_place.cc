@@ -31,7 +31,8 @@ double SamePlaceProbability(const PoseGraph& graph, const RelativeModel& model,
                             NodeIndex i, NodeIndex j,
                             double log_likelihood_ratio) {
   if (graph.MetersApart(i, j) <= 2.0 * kPlaceRadiusMeters) return 0.0;
-  if (DirectionOf(graph, {i, j}) == Direction::kSame &&
+  if (graph.has_loop_edges() &&
+      DirectionOf(graph, {i, j}) == Direction::kSame &&
       LoopJoins(graph, i, j)) {
     return 1.0;
   }

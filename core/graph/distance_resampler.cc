@@ -52,20 +52,18 @@ std::optional<Jump> DistanceResampler::Add(const PoseSample& sample,
     StartSegment(sample, graph);
     return std::nullopt;
   }
-  Eigen::Matrix4d anchor_to_sample = anchor_to_last_;
   if (options_.carry_transitions && sample.transition) {
-    anchor_to_sample = ToMatrix<4>(*sample.transition) * anchor_to_last_;
+    anchor_to_last_ =
+        (ToMatrix<4>(*sample.transition) * anchor_to_last_).eval();
   }
-
   const double step =
       Distance(anchor_->pose, sample.pose, options_.state_space);
-  std::optional<Jump> jump;
   if (step > options_.max_step_meters) {
-    jump = Jump{sample.sequence, step};
-    node_to_anchor_ = anchor_to_sample * node_to_anchor_;
+    node_to_anchor_ = anchor_to_last_ * node_to_anchor_;
     StartSegment(sample, graph);
-  } else if (step < options_.standstill_fraction * options_.spacing_meters) {
-    anchor_to_last_ = anchor_to_sample;
+    return Jump{sample.sequence, step};
+  }
+  if (step < options_.standstill_fraction * options_.spacing_meters) {
     last_sequence_ = sample.sequence;
     last_stamp_ns_ = sample.stamp_ns;
   } else {
@@ -80,30 +78,31 @@ std::optional<Jump> DistanceResampler::Add(const PoseSample& sample,
       if (f > 1.0) break;
       if (options_.carry_transitions) {
         node_to_anchor_ =
-            PartialTransition(anchor_to_sample, reached, f) * node_to_anchor_;
+            PartialTransition(anchor_to_last_, reached, f) * node_to_anchor_;
       }
       AddNode(sample, f, /*starts_segment=*/false, graph);
       reached = f;
     }
     if (options_.carry_transitions && reached < 1.0) {
       node_to_anchor_ =
-          PartialTransition(anchor_to_sample, reached, 1.0) * node_to_anchor_;
+          PartialTransition(anchor_to_last_, reached, 1.0) * node_to_anchor_;
     }
     travelled_meters_ += step;
-    anchor_ = sample;
-    anchor_to_last_.setIdentity();
-    last_sequence_ = sample.sequence;
-    last_stamp_ns_ = sample.stamp_ns;
+    SetAnchor(sample);
   }
-  return jump;
+  return std::nullopt;
+}
+
+void DistanceResampler::SetAnchor(const PoseSample& sample) {
+  anchor_ = Anchor{sample.pose, sample.covariance};
+  if (options_.carry_transitions) anchor_to_last_.setIdentity();
+  last_sequence_ = sample.sequence;
+  last_stamp_ns_ = sample.stamp_ns;
 }
 
 void DistanceResampler::StartSegment(const PoseSample& sample,
                                      PoseGraph* graph) {
-  anchor_ = sample;
-  anchor_to_last_.setIdentity();
-  last_sequence_ = sample.sequence;
-  last_stamp_ns_ = sample.stamp_ns;
+  SetAnchor(sample);
   segment_start_meters_ = travelled_meters_;
   segment_nodes_ = 0;
   AddNode(sample, 1.0, /*starts_segment=*/true, graph);
@@ -150,7 +149,7 @@ void DistanceResampler::AddNode(const PoseSample& sample, double f,
   if (options_.carry_transitions)
     transition = ToErrorTransition<4>(node_to_anchor_);
   graph->AddNode(node, starts_segment, transition);
-  node_to_anchor_.setIdentity();
+  if (options_.carry_transitions) node_to_anchor_.setIdentity();
   ++segment_nodes_;
 }
 

@@ -52,13 +52,20 @@ class DistanceResampler {
   double travelled_meters() const { return travelled_meters_; }
 
  private:
+  // What counts of a pose once it is passed.
+  struct Anchor {
+    Pose pose;
+    Covariance covariance;
+  };
+
+  void SetAnchor(const PoseSample& sample);
   void StartSegment(const PoseSample& sample, PoseGraph* graph);
   void AddNode(const PoseSample& sample, double fraction, bool starts_segment,
                PoseGraph* graph);
 
   ResamplerOptions options_;
   // The last pose that counted.
-  std::optional<PoseSample> anchor_;
+  std::optional<Anchor> anchor_;
   // The last pose, counted or not.
   std::uint64_t last_sequence_ = 0;
   std::optional<std::int64_t> last_stamp_ns_;

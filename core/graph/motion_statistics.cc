@@ -43,16 +43,16 @@ void AddMotion(const PoseGraph& graph, CorrelationModel model, NodeIndex first,
       next_start = graph.SegmentEnd(i);
       continue;
     }
-    const Pose later = graph.node(i).pose;
+    const Pose later = graph.pose(i);
     ++sums->steps;
-    const StateMatrix<D> covariance = ToMatrix<D>(graph.node(i).covariance);
+    const StateMatrix<D> covariance = ToMatrix<D>(graph.covariance(i));
     if (model == CorrelationModel::kIndependent) {
       sums->sum += InVehicleAxes<D>(covariance, later.heading);
       continue;
     }
-    const StateMatrix<D> before = ToMatrix<D>(graph.node(i - 1).covariance);
+    const StateMatrix<D> before = ToMatrix<D>(graph.covariance(i - 1));
     const StateMatrix<D> f =
-        DeadReckoningTransition<D>(graph.node(i - 1).pose, later);
+        DeadReckoningTransition<D>(graph.pose(i - 1), later);
     const StateMatrix<D> carried = f * before;
     StateMatrix<D> added = covariance;
     if (model == CorrelationModel::kDeadReckoning) {

@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
 #include "core/graph/correlation.h"
 #include "core/graph/pose_graph.h"
@@ -76,8 +77,8 @@ void VisitStretches(const PoseGraph& graph, NodeIndex stretch_nodes,
     for (NodeIndex i =
              std::max(first, graph.SegmentStart(first) + stretch_nodes);
          i < segment_end; ++i) {
-      visit(Difference(graph.node(i).pose, graph.node(i - stretch_nodes).pose)
-                .heading);
+      visit(WrapHeading(graph.pose(i).heading -
+                        graph.pose(i - stretch_nodes).heading));
     }
     first = segment_end;
   }

@@ -69,6 +69,27 @@ double RingMeters(const Engine& engine) {
   return graph.node(nearest).travelled_meters;
 }
 
+TEST(EngineRelativeTest, PathsAreToldOnlyIfAskedFor) {
+  const Engine engine = Driven(Ring(1600.0));
+  for (const AlignmentKind alignment :
+       {AlignmentKind::kRelative, AlignmentKind::kComposite}) {
+    SearchOptions options;
+    options.alignment = alignment;
+    const CandidateSet with = Find(engine, options);
+    options.tell_paths = false;
+    const CandidateSet without = Find(engine, options);
+    ASSERT_FALSE(with.candidates.empty());
+    ASSERT_EQ(without.candidates.size(), with.candidates.size());
+    for (std::size_t i = 0; i < with.candidates.size(); ++i) {
+      EXPECT_FALSE(with.candidates[i].path.empty());
+      EXPECT_TRUE(without.candidates[i].path.empty());
+      EXPECT_EQ(without.candidates[i].matched, with.candidates[i].matched);
+      EXPECT_EQ(without.candidates[i].score, with.candidates[i].score);
+      EXPECT_EQ(without.candidates[i].verdict, with.candidates[i].verdict);
+    }
+  }
+}
+
 TEST(EngineRelativeTest, ASecondLapIsAccepted) {
   const Engine engine = Driven(Ring(1600.0));
   const CandidateSet set = Find(engine);

@@ -317,5 +317,72 @@ TEST(SimilarityKernelTest, EvaluatesDifferencesAsTheyAreAndChanged) {
   EXPECT_GT(tally.impossible, 1000);
 }
 
+TEST(SimilarityKernelTest, ABlockHoldsWhatLiesNearByItsOwnCovariance) {
+  std::mt19937_64 random = SeededRandom();
+  int near = 0;
+  int far = 0;
+  ForEachVectorTarget([&] {
+    for (int trial = 0; trial < 500 && !::testing::Test::HasFailure();
+         ++trial) {
+      SCOPED_TRACE(trial);
+      const bool less = UniformInt(random, 0, 1) == 0;
+      PoseGraph graph;
+      for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
+        Node node;
+        node.pose = RandomPose(random, 50.0);
+        node.covariance = RandomCovariance(random, 1.0);
+        graph.AddNode(node, i == 0, std::nullopt);
+      }
+      NodeRegion region;
+      region.x = Uniform(random, -400.0, 400.0);
+      region.y = Uniform(random, -400.0, 400.0);
+      region.squared_per_variance = Uniform(random, 1.0, 100.0);
+      region.variance = Uniform(random, 0.0, 10.0);
+      const Covariance query = RandomCovariance(random, 20.0);
+      region.xx = query(0, 0);
+      region.xy = query(0, 1);
+      region.yy = query(1, 1);
+      region.node_scale = less ? -1.0 : 1.0;
+      // By how much the nearest node is within, and what rounding leaves
+      // undecided.
+      double most_within = -1e300;
+      for (NodeIndex i = 0; i < graph.size(); ++i) {
+        const Eigen::Vector2d way(region.x - graph.pose(i).x,
+                                  region.y - graph.pose(i).y);
+        const Eigen::Matrix2d c =
+            ToMatrix<4>(query).topLeftCorner<2, 2>() +
+            region.node_scale *
+                ToMatrix<4>(graph.covariance(i)).topLeftCorner<2, 2>();
+        const Eigen::Vector2d direction = way.normalized();
+        const double variance = direction.dot(c * direction) + region.variance;
+        most_within = std::max(
+            most_within,
+            region.squared_per_variance * variance / way.squaredNorm() - 1.0);
+      }
+      if (std::abs(most_within) < 1e-9) continue;
+      EXPECT_EQ(HoldsNear(region, graph.block(0)), most_within > 0.0);
+      ++(most_within > 0.0 ? near : far);
+    }
+  });
+  EXPECT_GT(near, 300);
+  EXPECT_GT(far, 300);
+}
+
+TEST(SimilarityKernelTest, WhatIsNotANumberIsNear) {
+  PoseGraph graph;
+  for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
+    graph.AddNode(Node(), i == 0, std::nullopt);
+  }
+  NodeRegion region;
+  region.x = 1e3;
+  region.squared_per_variance = 1.0;
+  ForEachVectorTarget([&] {
+    region.variance = 1.0;
+    EXPECT_FALSE(HoldsNear(region, graph.block(0)));
+    region.variance = std::nan("");
+    EXPECT_TRUE(HoldsNear(region, graph.block(0)));
+  });
+}
+
 }  // namespace
 }  // namespace revisit::core
