@@ -1,6 +1,8 @@
 """Rows in which more comes than the server, or its device, has room for."""
 
 import collections
+import dataclasses
+import functools
 import os
 import resource
 import socket
@@ -52,6 +54,18 @@ def settled_bytes(server):
             break
         before = now
     return now
+
+
+def in_window(calls, most=256):
+    """Makes calls that return futures, so many at a time; answers what they
+    said, in order."""
+    waiting, said = [], []
+    for call in calls:
+        if len(waiting) == most:
+            said += [future.result() for future in waiting[:most // 2]]
+            del waiting[:most // 2]
+        waiting.append(call())
+    return said + [future.result() for future in waiting]
 
 
 # ---- A device that takes a second to flush
@@ -153,7 +167,7 @@ class Streamer(Sender):
 
 
 def slow_device(run):
-    seconds = run.rounds(short=4, long=60)
+    seconds = run.rounds(short=3, long=60)
     # A stream gets a few batches through at each flush.
     poses = Drive(run.seed)[0:(4 * seconds + Streamer.WINDOW) * BATCH]
     store = run.new("slow") / "s"
@@ -391,6 +405,138 @@ def one_a_connection(run):
     return idle_streams(run, 10000 if run.long else 400, 1)
 
 
+# ---- Vehicles that nobody asks for
+
+# How soon they are unloaded, in seconds.
+IDLE_SECONDS = 1.5
+
+
+def add_vehicles(stub, first, last, poses):
+    in_window(functools.partial(stub.CreateVehicle.future,
+                                api.CreateVehicleRequest(vehicle_id=f"v{n}"))
+              for n in range(first, last))
+    acks = in_window(functools.partial(
+        stub.AppendPoses.future,
+        api.AppendPosesRequest(vehicle=f"vehicles/v{n}", poses=poses))
+        for n in range(first, last))
+    assert all(answer.ack.durable_sequence == len(poses) for answer in acks)
+
+
+def list_all(stub):
+    """How many there are, and how long each page took."""
+    request = api.ListVehiclesRequest(page_size=1000)
+    count, times = 0, []
+    while True:
+        begun = time.monotonic()
+        page = stub.ListVehicles(request)
+        times.append(time.monotonic() - begun)
+        count += len(page.vehicles)
+        if not page.next_page_token:
+            return count, times
+        request.page_token = page.next_page_token
+
+
+@dataclasses.dataclass
+class FleetFigures:
+    start_seconds: float
+    # Resident, before any vehicle is asked for.
+    cold_bytes: int
+    # What one takes that has been asked for.
+    opened_bytes: float
+    # Of the first call on a vehicle, and of a search and an append after it.
+    first_calls: list
+    calls: list
+    pages: list
+
+
+def fleet_figures(run, store, vehicles, poses):
+    begun = time.monotonic()
+    with Server(store, "--idle-unload-minutes", IDLE_SECONDS / 60.0) as server:
+        stub = server.stub()
+        assert resident(stub).resident_vehicle_count == 0
+        start_seconds = time.monotonic() - begun
+        count, pages = list_all(stub)
+        assert count == vehicles
+        # What a server takes for any vehicle at all.
+        search(stub, "vehicles/v0")
+        cold_bytes = settled_bytes(server)
+        names = [f"vehicles/v{n}" for n in run.rng.sample(
+            range(1, vehicles), 999 if run.long else 300)]
+        first_calls = [seconds_of(lambda: get(stub, name)) for name in names]
+        opened_bytes = (settled_bytes(server) - cold_bytes) / len(names)
+        calls = []
+        for name in names:
+            calls.append(seconds_of(lambda: search(stub, name)))
+            calls.append(seconds_of(lambda: append(stub, name, poses)))
+        wait_until(lambda: resident(stub).resident_vehicle_count == 0,
+                   "unloading")
+    return FleetFigures(start_seconds, cold_bytes, opened_bytes, first_calls,
+                        calls, pages)
+
+
+def resident(stub):
+    return stub.GetServerInfo(api.GetServerInfoRequest())
+
+
+def search(stub, vehicle):
+    return stub.FindCandidates(api.FindCandidatesRequest(vehicle=vehicle))
+
+
+def grown_by_opening_all(store, vehicles, budget_mebibytes):
+    """With a budget; answers by how much memory has grown at most."""
+    with Server(store, "--memory-budget-mebibytes",
+                budget_mebibytes) as server:
+        stub = server.stub()
+        search(stub, "vehicles/v0")
+        start, peak = settled_bytes(server), 0
+        for first in range(0, vehicles, 1000):
+            in_window(functools.partial(
+                stub.GetVehicle.future,
+                api.GetVehicleRequest(name=f"vehicles/v{n}"))
+                for n in range(first, min(first + 1000, vehicles)))
+            peak = max(peak, server.resident_bytes())
+        wait_until(lambda: resident(stub).resident_bytes
+                   <= budget_mebibytes * MIB, "keeping of the budget")
+        return peak - start
+
+
+def cold_vehicles(run):
+    few, many = 1000, 100000 if run.long else 3000
+    poses = straight(20, spacing=3.0)
+    store = run.new("fleet") / "s"
+    figures = []
+    for first, last in ((0, few), (few, many)):
+        with Server(store, "--idle-unload-minutes",
+                    IDLE_SECONDS / 60.0) as server:
+            add_vehicles(server.stub(), first, last, poses)
+        figures.append(fleet_figures(run, store, last, poses))
+    size = sum(path.stat().st_size for path in store.iterdir())
+    with_few, with_many = figures
+    # As much as before, but for what SQLite caches.
+    each = (with_many.cold_bytes - with_few.cold_bytes) / (many - few)
+    assert with_many.cold_bytes < with_few.cold_bytes + 8 * MIB, each
+    assert with_many.opened_bytes < 1.5 * with_few.opened_bytes + 2 * KIB
+    for kind in ("first_calls", "calls", "pages"):
+        medians = [statistics.median(getattr(of, kind)) for of in figures]
+        assert medians[1] < 3 * medians[0] + 0.001, (kind, medians)
+    # A few thousand of these vehicles, and those of the second in which nobody
+    # looks.
+    grown = grown_by_opening_all(store, many, budget_mebibytes=4)
+    assert grown < 128 * MIB, grown
+    return many, (
+        f"a cold vehicle takes {each:.0f} bytes ({with_few.cold_bytes / MIB:.1f} "
+        f"MiB with {few}, {with_many.cold_bytes / MIB:.1f} with {many}), one "
+        f"that was asked for {with_many.opened_bytes / KIB:.1f} KiB; start "
+        f"{milliseconds(with_few.start_seconds)} and "
+        f"{milliseconds(with_many.start_seconds)} ({size / MIB:.0f} MiB); p99 of "
+        f"a first call {milliseconds(p99(with_few.first_calls))} and "
+        f"{milliseconds(p99(with_many.first_calls))}, of those after "
+        f"{milliseconds(p99(with_few.calls))} and "
+        f"{milliseconds(p99(with_many.calls))}, of a page of 1,000 "
+        f"{milliseconds(p99(with_many.pages))}; all asked for with a budget of "
+        f"4 MiB of nodes: {grown / MIB:.0f} MiB at most")
+
+
 ROWS = [
     ("more than a slow device takes", "12",
      "acks late, memory bounded, too much shed with RetryInfo, deadlines kept; "
@@ -399,4 +545,7 @@ ROWS = [
      "caps shed with QuotaFailure and RetryInfo, others served; so many bytes "
      "each", many_a_connection),
     ("idle streams, one a connection", "45", "the same", one_a_connection),
+    ("very many vehicles", "46",
+     "start, memory and calls as with few; so many bytes a cold one",
+     cold_vehicles),
 ]
