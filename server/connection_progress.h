@@ -16,7 +16,7 @@
 #include <string>
 #include <unordered_map>
 
-#include "server/mutex.h"
+#include "base/mutex.h"
 
 namespace revisit::server {
 

@@ -12,7 +12,7 @@
 #include <map>
 
 #include "absl/status/status.h"
-#include "server/mutex.h"
+#include "base/mutex.h"
 
 namespace revisit::server {
 

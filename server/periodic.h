@@ -6,7 +6,7 @@
 #include <functional>
 #include <thread>
 
-#include "server/mutex.h"
+#include "base/mutex.h"
 
 namespace revisit::server {
 

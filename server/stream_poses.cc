@@ -10,12 +10,12 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "base/mutex.h"
 #include "google/protobuf/arena.h"
 #include "grpcpp/alarm.h"
 #include "server/call.h"
 #include "server/drain.h"
 #include "server/field_violations.h"
-#include "server/mutex.h"
 #include "server/proto_conversion.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
@@ -27,9 +27,19 @@ namespace {
 using Request = v1::StreamPosesRequest;
 using Response = v1::StreamPosesResponse;
 
-// Room for the usual batch without asking the allocator; pages that are never
-// touched cost nothing.
-constexpr std::size_t kRequestBlockBytes = std::size_t{128} << 10;
+// What a stream that says nothing keeps for its next message. A batch takes
+// more, in blocks of up to the second, and gives them back when it is staged:
+// most streams are idle at any time, and what they keep adds up.
+constexpr std::size_t kRequestBlockBytes = std::size_t{4} << 10;
+constexpr std::size_t kMostRequestBlockBytes = std::size_t{64} << 10;
+
+google::protobuf::ArenaOptions RequestArenaOptions(char* first_block) {
+  google::protobuf::ArenaOptions options;
+  options.initial_block = first_block;
+  options.initial_block_size = kRequestBlockBytes;
+  options.max_block_size = kMostRequestBlockBytes;
+  return options;
+}
 
 // Messages go: read, staged (decoded and taken on by the session), durable (its
 // acknowledgement is queued), checked (its candidates are queued), written.
@@ -64,7 +74,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
         context_(context),
         call_(call, "StreamPoses", context),
         request_block_(new char[kRequestBlockBytes]),
-        arena_(request_block_.get(), kRequestBlockBytes),
+        arena_(RequestArenaOptions(request_block_.get())),
         request_(google::protobuf::Arena::CreateMessage<Request>(&arena_)) {}
 
   void Start() {

@@ -129,16 +129,16 @@ std::string Fixed(double value, int digits) {
 
 Progress::Progress(const Console& console, std::string label,
                    std::uint64_t total, std::string unit)
-    : out_(console.progress),
-      terminal_(console.progress_is_terminal),
+    : terminal_(console.progress_is_terminal),
       label_(std::move(label)),
       total_(total),
       unit_(std::move(unit)),
       start_(Clock::now()),
+      out_(console.progress),
       last_draw_(start_) {}
 
 Progress::~Progress() {
-  std::lock_guard<std::mutex> lock(mutex_);
+  const MutexLock lock(&mutex_);
   if (!bar_shown_) return;
   Draw();
   out_ << '\n' << std::flush;
@@ -147,7 +147,7 @@ Progress::~Progress() {
 void Progress::Update(std::uint64_t done) {
   constexpr auto kTerminalInterval = std::chrono::milliseconds(100);
   constexpr auto kLineInterval = std::chrono::seconds(5);
-  std::lock_guard<std::mutex> lock(mutex_);
+  const MutexLock lock(&mutex_);
   done_ = done;
   const auto now = Clock::now();
   const Clock::duration interval = terminal_
@@ -159,7 +159,7 @@ void Progress::Update(std::uint64_t done) {
 }
 
 void Progress::Note(const std::string& text) {
-  std::lock_guard<std::mutex> lock(mutex_);
+  const MutexLock lock(&mutex_);
   EraseBar();
   out_ << label_ << ": " << text << '\n' << std::flush;
 }

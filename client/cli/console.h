@@ -4,13 +4,13 @@
 
 #include <chrono>
 #include <cstdint>
-#include <mutex>
 #include <ostream>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
+#include "base/mutex.h"
 
 namespace google::protobuf {
 class Message;
@@ -95,24 +95,22 @@ class Progress {
   void Note(const std::string& text);
 
  private:
-  // Mutex must be held.
-  void Draw();
-  void EraseBar();
+  void Draw() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  void EraseBar() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   using Clock = std::chrono::steady_clock;
 
-  std::ostream& out_;
   const bool terminal_;
   const std::string label_;
   const std::uint64_t total_;
   const std::string unit_;
   const Clock::time_point start_;
 
-  // Guards what follows, and the stream.
-  std::mutex mutex_;
-  Clock::time_point last_draw_;
-  std::uint64_t done_ = 0;
-  bool bar_shown_ = false;
+  Mutex mutex_;
+  std::ostream& out_ ABSL_GUARDED_BY(mutex_);
+  Clock::time_point last_draw_ ABSL_GUARDED_BY(mutex_);
+  std::uint64_t done_ ABSL_GUARDED_BY(mutex_) = 0;
+  bool bar_shown_ ABSL_GUARDED_BY(mutex_) = false;
 };
 
 }  // namespace revisit::client

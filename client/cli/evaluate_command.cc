@@ -6,12 +6,12 @@
 #include <filesystem>
 #include <fstream>
 #include <memory>
-#include <mutex>
 #include <random>
 #include <system_error>
 #include <utility>
 
 #include "absl/status/statusor.h"
+#include "base/mutex.h"
 #include "client/cli/baselines.h"
 #include "client/cli/calibration.h"
 #include "client/cli/drive_evaluator.h"
@@ -38,17 +38,17 @@ class Undoing {
   PrivateServer* server() { return &server_; }
 
   void SetClient(const Client* client) {
-    std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     client_ = client;
   }
   void AddVehicle(const std::string& name) {
-    std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     vehicles_.push_back(name);
   }
 
   // Deletes the vehicles that were added since.
   absl::Status DeleteVehicles() {
-    std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     absl::Status first;
     for (const std::string& name : vehicles_) {
       v1::DeleteVehicleRequest request;
@@ -67,10 +67,10 @@ class Undoing {
   }
 
  private:
-  std::mutex mutex_;
   PrivateServer server_;
-  const Client* client_ = nullptr;
-  std::vector<std::string> vehicles_;
+  Mutex mutex_;
+  const Client* client_ ABSL_GUARDED_BY(mutex_) = nullptr;
+  std::vector<std::string> vehicles_ ABSL_GUARDED_BY(mutex_);
 };
 
 // An id that nobody else takes: the drive's name, as far as ids may hold it,

@@ -57,6 +57,13 @@ bool WaitForExit(pid_t pid, std::chrono::milliseconds limit) {
   }
 }
 
+std::string LogTail(const std::string& directory) {
+  constexpr std::size_t kMost = 2000;
+  std::ifstream log(directory + "/log", std::ios::binary);
+  const std::string text{std::istreambuf_iterator<char>(log), {}};
+  return text.size() <= kMost ? text : text.substr(text.size() - kMost);
+}
+
 }  // namespace
 
 PrivateServer::~PrivateServer() { Stop(); }
@@ -66,24 +73,30 @@ absl::Status PrivateServer::Start() {
   std::string pattern =
       (std::filesystem::temp_directory_path(error) / "revisit-").string() +
       std::string(6, 'X');
+  int output;
   {
-    std::lock_guard<std::mutex> lock(mutex_);
+    const MutexLock lock(&mutex_);
     if (error || mkdtemp(pattern.data()) == nullptr) {
       return SystemError("a temporary directory, " + pattern);
     }
     directory_ = pattern;
+    if (absl::Status status = Launch(pattern); !status.ok()) return status;
+    // Stop() may close the other at any time.
+    output = fcntl(output_, F_DUPFD_CLOEXEC, 0);
+    if (output < 0) return SystemError("dup");
   }
-  if (absl::Status status = Launch(); !status.ok()) return status;
-  return ReadAddress();
+  absl::Status status = ReadAddress(pattern, output);
+  close(output);
+  return status;
 }
 
-absl::Status PrivateServer::Launch() {
+absl::Status PrivateServer::Launch(const std::string& directory) {
   const auto program = FindServer();
   if (!program.ok()) return program.status();
-  const std::string log = directory_ + "/log";
+  const std::string log = directory + "/log";
   // All that is needed after the fork is made before it.
   std::vector<std::string> words = {*program, "--listen", "127.0.0.1:0",
-                                    "--store", directory_ + "/store"};
+                                    "--store", directory + "/store"};
   std::vector<char*> arguments;
   for (std::string& word : words) arguments.push_back(word.data());
   arguments.push_back(nullptr);
@@ -119,13 +132,13 @@ absl::Status PrivateServer::Launch() {
     close(pipe_ends[0]);
     return failed;
   }
-  std::lock_guard<std::mutex> lock(mutex_);
   pid_ = pid;
   output_ = pipe_ends[0];
   return absl::OkStatus();
 }
 
-absl::Status PrivateServer::ReadAddress() {
+absl::Status PrivateServer::ReadAddress(const std::string& directory,
+                                        int output) {
   constexpr char kAnnouncement[] = "listening on ";
   constexpr auto kLimit = std::chrono::seconds(30);
   const auto deadline = Clock::now() + kLimit;
@@ -141,36 +154,29 @@ absl::Status PrivateServer::ReadAddress() {
     }
     const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(
         deadline - Clock::now());
-    pollfd poll_output = {output_, POLLIN, 0};
+    pollfd poll_output = {output, POLLIN, 0};
     if (left.count() <= 0 ||
         poll(&poll_output, 1, static_cast<int>(left.count())) == 0) {
       return absl::DeadlineExceededError(
           "the private server takes no calls after 30 s; its log ends:\n" +
-          LogTail());
+          LogTail(directory));
     }
     char buffer[256];
-    const ssize_t size = read(output_, buffer, sizeof(buffer));
+    const ssize_t size = read(output, buffer, sizeof(buffer));
     if (size > 0) {
       text.append(buffer, static_cast<std::size_t>(size));
     } else if (size == 0 || errno != EINTR) {
       return absl::UnknownError(
           "the private server did not start; its log "
           "ends:\n" +
-          LogTail());
+          LogTail(directory));
     }
   }
 }
 
-std::string PrivateServer::LogTail() const {
-  constexpr std::size_t kMost = 2000;
-  std::ifstream log(directory_ + "/log", std::ios::binary);
-  const std::string text{std::istreambuf_iterator<char>(log), {}};
-  return text.size() <= kMost ? text : text.substr(text.size() - kMost);
-}
-
 void PrivateServer::Stop() {
   constexpr auto kPatience = std::chrono::milliseconds(5'000);
-  std::lock_guard<std::mutex> lock(mutex_);
+  const MutexLock lock(&mutex_);
   if (pid_ > 0) {
     kill(pid_, SIGTERM);
     if (!WaitForExit(pid_, kPatience)) {

@@ -4,10 +4,10 @@
 
 #include <sys/types.h>
 
-#include <mutex>
 #include <string>
 
 #include "absl/status/status.h"
+#include "base/mutex.h"
 
 namespace revisit::client {
 
@@ -35,18 +35,20 @@ class PrivateServer {
   void Stop();
 
  private:
-  absl::Status Launch();
-  // Waits for the line that says where the server listens.
-  absl::Status ReadAddress();
-  std::string LogTail() const;
+  absl::Status Launch(const std::string& directory)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Waits for the line that says where the server listens, which comes from
+  // `output`.
+  absl::Status ReadAddress(const std::string& directory, int output);
 
+  // Written by Start() only.
   std::string address_;
-  std::mutex mutex_;
-  // Empty before Start().
-  std::string directory_;
-  pid_t pid_ = -1;
+  Mutex mutex_;
+  // Empty before Start() and after Stop().
+  std::string directory_ ABSL_GUARDED_BY(mutex_);
+  pid_t pid_ ABSL_GUARDED_BY(mutex_) = -1;
   // The server's standard output: kept open, so that it may write to it.
-  int output_ = -1;
+  int output_ ABSL_GUARDED_BY(mutex_) = -1;
 };
 
 }  // namespace revisit::client

@@ -1,9 +1,9 @@
 #include "client/cli/stream_command.h"
 
 #include <algorithm>
-#include <mutex>
 #include <vector>
 
+#include "base/mutex.h"
 #include "client/cli/drive_poses.h"
 #include "client/cli/names.h"
 #include "client/revisit/pose_stream.h"
@@ -47,6 +47,14 @@ absl::Status CheckThatFilesFit(const v1::Vehicle& vehicle) {
   return absl::OkStatus();
 }
 
+// What the answers of a stream add up to.
+struct Tally {
+  Mutex mutex;
+  std::uint64_t revision ABSL_GUARDED_BY(mutex) = 0;
+  std::int64_t jumps ABSL_GUARDED_BY(mutex) = 0;
+  std::int64_t checks ABSL_GUARDED_BY(mutex) = 0;
+};
+
 void PrintCandidates(const v1::CandidateSet& set, const Console& console) {
   if (console.json) {
     console.out << ToJson(set, false) << '\n';
@@ -86,10 +94,11 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
   if (absl::Status fits = CheckThatFilesFit(*vehicle); !fits.ok()) return fits;
 
   Progress progress(console, drive->name, drive->samples.size(), "poses");
-  std::mutex mutex;
-  std::uint64_t revision = vehicle->revision();
-  std::int64_t jumps = 0;
-  std::int64_t checks = 0;
+  Tally tally;
+  {
+    const MutexLock lock(&tally.mutex);
+    tally.revision = vehicle->revision();
+  }
   PoseStreamOptions stream_options;
   stream_options.batch_poses = options.batch_poses;
   stream_options.acked_sequence = options.acked_sequence;
@@ -98,17 +107,17 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
   PoseStreamCallbacks callbacks;
   callbacks.ack = [&](const v1::Ack& ack) {
     progress.Update(ack.durable_sequence());
-    std::lock_guard<std::mutex> lock(mutex);
-    revision = ack.revision();
-    jumps += ack.jumps_size();
+    const MutexLock lock(&tally.mutex);
+    tally.revision = ack.revision();
+    tally.jumps += ack.jumps_size();
     for (const v1::Jump& jump : ack.jumps()) {
       progress.Note("jump of " + Fixed(jump.distance_meters(), 1) +
                     " m before sequence " + std::to_string(jump.sequence()));
     }
   };
   callbacks.candidates = [&](const v1::CandidateSet& set) {
-    std::lock_guard<std::mutex> lock(mutex);
-    ++checks;
+    const MutexLock lock(&tally.mutex);
+    ++tally.checks;
     PrintCandidates(set, console);
   };
   callbacks.disconnected = [&](const absl::Status& status,
@@ -145,7 +154,7 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
       std::chrono::duration<double>(Clock::now() - start).count();
   if (!finished.ok()) return finished;
 
-  std::lock_guard<std::mutex> lock(mutex);
+  const MutexLock lock(&tally.mutex);
   const std::uint64_t sent = stream.acked_sequence() - *durable;
   if (console.json) {
     nlohmann::ordered_json json;
@@ -153,11 +162,11 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
     json["poses"] = drive->samples.size();
     json["alreadyDurable"] = *durable;
     json["durableSequence"] = stream.acked_sequence();
-    json["revision"] = revision;
-    json["jumps"] = jumps;
+    json["revision"] = tally.revision;
+    json["jumps"] = tally.jumps;
     json["reconnects"] = stream.reconnects();
     json["seconds"] = seconds;
-    if (options.candidates) json["checks"] = checks;
+    if (options.candidates) json["checks"] = tally.checks;
     console.out << json.dump() << '\n';
     return absl::OkStatus();
   }
@@ -169,11 +178,11 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
            Fixed(seconds > 0.0 ? static_cast<double>(sent) / seconds : 0.0, 0) +
            "/s"},
       {"durable sequence", std::to_string(stream.acked_sequence())},
-      {"revision", std::to_string(revision)},
-      {"jumps", std::to_string(jumps)},
+      {"revision", std::to_string(tally.revision)},
+      {"jumps", std::to_string(tally.jumps)},
       {"reconnects", std::to_string(stream.reconnects())}};
   if (options.candidates) {
-    fields.emplace_back("checks", std::to_string(checks));
+    fields.emplace_back("checks", std::to_string(tally.checks));
   }
   PrintFields(fields, console.out);
   return absl::OkStatus();

@@ -1,13 +1,12 @@
 #include "client/revisit/pose_stream.h"
 
 #include <algorithm>
-#include <condition_variable>
 #include <deque>
-#include <mutex>
 #include <system_error>
 #include <thread>
 #include <utility>
 
+#include "base/mutex.h"
 #include "client/revisit/status.h"
 #include "client/revisit/status_from_grpc.h"
 #include "grpcpp/client_context.h"
@@ -55,26 +54,33 @@ struct PoseStream::Rep {
   // to our half-close.
   absl::Status RunConnection();
 
-  // The rest: mutex must be held.
-
-  bool HasRoom(std::size_t poses, std::size_t bytes) const {
+  bool HasRoom(std::size_t poses, std::size_t bytes) const
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
     return pending.size() + poses <= options.max_pending_poses &&
            pending_bytes + bytes <= options.max_pending_bytes;
   }
-  absl::Status CheckBatch(const v1::PoseBatch& batch) const;
+  absl::Status CheckBatch(const v1::PoseBatch& batch) const
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex);
   // Why no more poses are taken; OK if they are.
-  absl::Status WhyClosed() const;
-  void Take(v1::Pose pose, std::size_t bytes);
+  absl::Status WhyClosed() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex);
+  void Take(v1::Pose pose, std::size_t bytes)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex);
   // Forgets poses up to `durable_sequence`, among the first `count`.
-  void DropDurable(std::uint64_t durable_sequence, std::size_t count);
+  void DropDurable(std::uint64_t durable_sequence, std::size_t count)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex);
   // Fills a message with the next unsent poses.
-  void FillBatch(v1::StreamPosesRequest* request);
-  bool AnswerIsDue() const { return !opened || sent > 0 || half_closed; }
-  bool CanWrite() const {
+  void FillBatch(v1::StreamPosesRequest* request)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex);
+  bool AnswerIsDue() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
+    return !opened || sent > 0 || half_closed;
+  }
+  bool CanWrite() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
     return opened && !writing && !write_failed && !half_closed;
   }
   // Whether the connection is to be ended from our side.
-  bool MustEnd() const { return cancelled || !own_verdict.ok(); }
+  bool MustEnd() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
+    return cancelled || !own_verdict.ok();
+  }
 
   // Constant after construction.
   const std::unique_ptr<v1::PoseGraphService::Stub> stub;
@@ -83,42 +89,42 @@ struct PoseStream::Rep {
   const PoseStreamCallbacks callbacks;
   std::thread thread;
 
-  mutable std::mutex mutex;
-  std::condition_variable changed;
+  mutable Mutex mutex;
+  CondVar changed;
 
-  // Guarded by mutex: the whole stream.
-  std::deque<PendingPose> pending;
-  std::size_t pending_bytes = 0;
-  std::uint64_t last_taken_sequence = 0;
+  // The whole stream.
+  std::deque<PendingPose> pending ABSL_GUARDED_BY(mutex);
+  std::size_t pending_bytes ABSL_GUARDED_BY(mutex) = 0;
+  std::uint64_t last_taken_sequence ABSL_GUARDED_BY(mutex) = 0;
   // Highest sequence that was ever written to a connection. What lies above it
   // and is durable already came from elsewhere, and the server shall compare
   // it.
-  std::uint64_t last_sent_sequence = 0;
-  std::uint64_t acked_sequence;
-  std::optional<std::uint64_t> first_durable_sequence;
-  int reconnects = 0;
-  bool finishing = false;
-  bool cancelled = false;
-  std::optional<absl::Status> final_status;
+  std::uint64_t last_sent_sequence ABSL_GUARDED_BY(mutex) = 0;
+  std::uint64_t acked_sequence ABSL_GUARDED_BY(mutex);
+  std::optional<std::uint64_t> first_durable_sequence ABSL_GUARDED_BY(mutex);
+  int reconnects ABSL_GUARDED_BY(mutex) = 0;
+  bool finishing ABSL_GUARDED_BY(mutex) = false;
+  bool cancelled ABSL_GUARDED_BY(mutex) = false;
+  std::optional<absl::Status> final_status ABSL_GUARDED_BY(mutex);
 
-  // Guarded by mutex: the connection of the moment.
-  bool opened = false;
+  // The connection of the moment.
+  bool opened ABSL_GUARDED_BY(mutex) = false;
   // Whether the connection was worth making: something became durable or was
   // answered, or nothing waits.
-  bool progressed = false;
-  bool writing = false;
-  bool write_failed = false;
-  bool half_closed = false;
-  bool read_closed = false;
-  bool in_callback = false;
-  bool done = false;
+  bool progressed ABSL_GUARDED_BY(mutex) = false;
+  bool writing ABSL_GUARDED_BY(mutex) = false;
+  bool write_failed ABSL_GUARDED_BY(mutex) = false;
+  bool half_closed ABSL_GUARDED_BY(mutex) = false;
+  bool read_closed ABSL_GUARDED_BY(mutex) = false;
+  bool in_callback ABSL_GUARDED_BY(mutex) = false;
+  bool done ABSL_GUARDED_BY(mutex) = false;
   // Of the pending poses, from the front.
-  std::size_t sent = 0;
-  int batch_poses = 1;
-  Clock::time_point quiet_since;
+  std::size_t sent ABSL_GUARDED_BY(mutex) = 0;
+  int batch_poses ABSL_GUARDED_BY(mutex) = 1;
+  Clock::time_point quiet_since ABSL_GUARDED_BY(mutex);
   // Why we ended the connection ourselves.
-  absl::Status own_verdict;
-  grpc::Status connection_status;
+  absl::Status own_verdict ABSL_GUARDED_BY(mutex);
+  grpc::Status connection_status ABSL_GUARDED_BY(mutex);
 };
 
 class PoseStream::Connection final
@@ -140,24 +146,24 @@ class PoseStream::Connection final
   }
 
   void OnWriteDone(bool ok) override {
-    std::lock_guard<std::mutex> lock(rep_->mutex);
+    const MutexLock lock(&rep_->mutex);
     rep_->writing = false;
     rep_->write_failed = !ok;
-    rep_->changed.notify_all();
+    rep_->changed.NotifyAll();
   }
 
   void OnReadDone(bool ok) override {
     bool resumed = false;
     {
-      std::lock_guard<std::mutex> lock(rep_->mutex);
+      const MutexLock lock(&rep_->mutex);
       if (!ok) {
         rep_->read_closed = true;
-        rep_->changed.notify_all();
+        rep_->changed.NotifyAll();
         return;
       }
       resumed = Digest();
       rep_->in_callback = true;
-      rep_->changed.notify_all();
+      rep_->changed.NotifyAll();
     }
     if (response_.has_ack() && rep_->callbacks.ack) {
       rep_->callbacks.ack(response_.ack());
@@ -167,25 +173,24 @@ class PoseStream::Connection final
       rep_->callbacks.resumed(response_.opened().durable_sequence());
     }
     {
-      std::lock_guard<std::mutex> lock(rep_->mutex);
+      const MutexLock lock(&rep_->mutex);
       rep_->in_callback = false;
       rep_->quiet_since = Clock::now();
-      rep_->changed.notify_all();
+      rep_->changed.NotifyAll();
     }
     StartRead(&response_);
   }
 
   void OnDone(const grpc::Status& status) override {
-    std::lock_guard<std::mutex> lock(rep_->mutex);
+    const MutexLock lock(&rep_->mutex);
     rep_->connection_status = status;
     rep_->done = true;
-    rep_->changed.notify_all();
+    rep_->changed.NotifyAll();
   }
 
  private:
   // Notes what an answer says; whether it opens a connection after the first.
-  // Mutex must be held.
-  bool Digest() {
+  bool Digest() ABSL_EXCLUSIVE_LOCKS_REQUIRED(rep_->mutex) {
     if (!response_.has_opened()) rep_->progressed = true;
     if (response_.has_ack()) {
       const std::uint64_t durable = response_.ack().durable_sequence();
@@ -197,7 +202,8 @@ class PoseStream::Connection final
     return false;
   }
 
-  bool Open(const v1::StreamPosesOpened& message) {
+  bool Open(const v1::StreamPosesOpened& message)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(rep_->mutex) {
     const std::uint64_t durable = message.durable_sequence();
     if (durable < rep_->acked_sequence) {
       rep_->own_verdict = absl::DataLossError(
@@ -288,7 +294,7 @@ void PoseStream::Rep::FillBatch(v1::StreamPosesRequest* request) {
 
 absl::Status PoseStream::Rep::RunConnection() {
   Connection connection(this);
-  std::unique_lock<std::mutex> lock(mutex);
+  MutexLock lock(&mutex);
   if (cancelled) return absl::CancelledError("the stream was cancelled");
   opened = progressed = half_closed = read_closed = in_callback = done = false;
   write_failed = false;
@@ -303,27 +309,27 @@ absl::Status PoseStream::Rep::RunConnection() {
   if (options.send_candidates) {
     *open->mutable_candidate_options() = options.candidate_options;
   }
-  lock.unlock();
+  lock.Unlock();
   connection.Start();
-  lock.lock();
+  lock.Lock();
   while (!read_closed && !MustEnd()) {
     if (CanWrite() && sent < pending.size()) {
       writing = true;
       FillBatch(connection.request());
-      lock.unlock();
+      lock.Unlock();
       connection.StartWrite(connection.request());
-      lock.lock();
+      lock.Lock();
     } else if (CanWrite() && finishing) {
       half_closed = true;
       quiet_since = Clock::now();
-      lock.unlock();
+      lock.Unlock();
       connection.StartWritesDone();
-      lock.lock();
+      lock.Lock();
     } else if (!AnswerIsDue() || in_callback) {
-      changed.wait(lock);
+      changed.Wait(&mutex);
     } else if (const auto deadline = quiet_since + options.answer_timeout;
                Clock::now() < deadline) {
-      changed.wait_until(lock, deadline);
+      changed.WaitUntil(&mutex, deadline);
     } else {
       own_verdict = absl::UnavailableError(
           "no answer for " + std::to_string(options.answer_timeout.count()) +
@@ -331,12 +337,12 @@ absl::Status PoseStream::Rep::RunConnection() {
     }
   }
   const bool must_end = MustEnd();
-  lock.unlock();
+  lock.Unlock();
   // Not under the lock: gRPC may run reactions before it returns.
   if (must_end) connection.context()->TryCancel();
   connection.RemoveHold();
-  lock.lock();
-  changed.wait(lock, [this] { return done; });
+  lock.Lock();
+  while (!done) changed.Wait(&mutex);
   if (opened && pending.empty()) progressed = true;
   if (cancelled) return absl::CancelledError("the stream was cancelled");
   if (!own_verdict.ok()) return own_verdict;
@@ -350,11 +356,11 @@ void PoseStream::Rep::Run() {
   Clock::time_point last_progress = Clock::now();
   for (;;) {
     absl::Status status = RunConnection();
-    std::unique_lock<std::mutex> lock(mutex);
+    MutexLock lock(&mutex);
     if (status.ok() || cancelled ||
         !WorthAnotherConnection(status, first_durable_sequence.has_value())) {
       final_status = std::move(status);
-      changed.notify_all();
+      changed.NotifyAll();
       return;
     }
     if (progressed) {
@@ -365,14 +371,16 @@ void PoseStream::Rep::Run() {
     if (options.give_up_after.has_value() &&
         Clock::now() + wait - last_progress > *options.give_up_after) {
       final_status = std::move(status);
-      changed.notify_all();
+      changed.NotifyAll();
       return;
     }
     ++reconnects;
-    lock.unlock();
+    lock.Unlock();
     if (callbacks.disconnected) callbacks.disconnected(status, wait);
-    lock.lock();
-    changed.wait_for(lock, wait, [this] { return cancelled; });
+    lock.Lock();
+    const auto again = Clock::now() + wait;
+    while (!cancelled && !changed.WaitUntil(&mutex, again)) {
+    }
   }
 }
 
@@ -384,6 +392,7 @@ PoseStream::PoseStream(const std::shared_ptr<grpc::ChannelInterface>& channel,
   try {
     rep_->thread = std::thread([this] { rep_->Run(); });
   } catch (const std::system_error& error) {
+    const MutexLock lock(&rep_->mutex);
     rep_->final_status = absl::ResourceExhaustedError(
         std::string("no thread for the stream: ") + error.what());
   }
@@ -395,11 +404,11 @@ PoseStream::~PoseStream() {
 }
 
 absl::StatusOr<std::uint64_t> PoseStream::WaitUntilOpened() {
-  std::unique_lock<std::mutex> lock(rep_->mutex);
-  rep_->changed.wait(lock, [this] {
-    return rep_->first_durable_sequence.has_value() ||
-           rep_->final_status.has_value();
-  });
+  const MutexLock lock(&rep_->mutex);
+  while (!rep_->first_durable_sequence.has_value() &&
+         !rep_->final_status.has_value()) {
+    rep_->changed.Wait(&rep_->mutex);
+  }
   if (rep_->first_durable_sequence.has_value()) {
     return *rep_->first_durable_sequence;
   }
@@ -407,7 +416,7 @@ absl::StatusOr<std::uint64_t> PoseStream::WaitUntilOpened() {
 }
 
 absl::Status PoseStream::Append(v1::PoseBatch batch) {
-  std::unique_lock<std::mutex> lock(rep_->mutex);
+  const MutexLock lock(&rep_->mutex);
   if (absl::Status status = rep_->WhyClosed(); !status.ok()) return status;
   if (absl::Status status = rep_->CheckBatch(batch); !status.ok()) {
     return status;
@@ -415,20 +424,20 @@ absl::Status PoseStream::Append(v1::PoseBatch batch) {
   for (v1::Pose& pose : *batch.mutable_poses()) {
     const std::size_t bytes = pose.SpaceUsedLong();
     if (!rep_->HasRoom(1, bytes)) {
-      rep_->changed.notify_all();
-      rep_->changed.wait(lock, [&] {
-        return rep_->HasRoom(1, bytes) || !rep_->WhyClosed().ok();
-      });
+      rep_->changed.NotifyAll();
+      while (!rep_->HasRoom(1, bytes) && rep_->WhyClosed().ok()) {
+        rep_->changed.Wait(&rep_->mutex);
+      }
       if (absl::Status status = rep_->WhyClosed(); !status.ok()) return status;
     }
     rep_->Take(std::move(pose), bytes);
   }
-  rep_->changed.notify_all();
+  rep_->changed.NotifyAll();
   return absl::OkStatus();
 }
 
 absl::Status PoseStream::TryAppend(const v1::PoseBatch& batch) {
-  std::lock_guard<std::mutex> lock(rep_->mutex);
+  const MutexLock lock(&rep_->mutex);
   if (absl::Status status = rep_->WhyClosed(); !status.ok()) return status;
   if (absl::Status status = rep_->CheckBatch(batch); !status.ok()) {
     return status;
@@ -444,41 +453,41 @@ absl::Status PoseStream::TryAppend(const v1::PoseBatch& batch) {
   for (const v1::Pose& pose : batch.poses()) {
     rep_->Take(pose, pose.SpaceUsedLong());
   }
-  rep_->changed.notify_all();
+  rep_->changed.NotifyAll();
   return absl::OkStatus();
 }
 
 absl::Status PoseStream::Finish() {
-  std::unique_lock<std::mutex> lock(rep_->mutex);
+  const MutexLock lock(&rep_->mutex);
   rep_->finishing = true;
-  rep_->changed.notify_all();
-  rep_->changed.wait(lock, [this] { return rep_->final_status.has_value(); });
+  rep_->changed.NotifyAll();
+  while (!rep_->final_status.has_value()) rep_->changed.Wait(&rep_->mutex);
   return *rep_->final_status;
 }
 
 void PoseStream::Cancel() {
-  std::lock_guard<std::mutex> lock(rep_->mutex);
+  const MutexLock lock(&rep_->mutex);
   rep_->cancelled = true;
-  rep_->changed.notify_all();
+  rep_->changed.NotifyAll();
 }
 
 std::uint64_t PoseStream::acked_sequence() const {
-  std::lock_guard<std::mutex> lock(rep_->mutex);
+  const MutexLock lock(&rep_->mutex);
   return rep_->acked_sequence;
 }
 
 int PoseStream::reconnects() const {
-  std::lock_guard<std::mutex> lock(rep_->mutex);
+  const MutexLock lock(&rep_->mutex);
   return rep_->reconnects;
 }
 
 std::size_t PoseStream::pending_poses() const {
-  std::lock_guard<std::mutex> lock(rep_->mutex);
+  const MutexLock lock(&rep_->mutex);
   return rep_->pending.size();
 }
 
 std::size_t PoseStream::pending_bytes() const {
-  std::lock_guard<std::mutex> lock(rep_->mutex);
+  const MutexLock lock(&rep_->mutex);
   return rep_->pending_bytes;
 }
 

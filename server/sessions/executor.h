@@ -14,7 +14,7 @@
 #include <utility>
 #include <vector>
 
-#include "server/mutex.h"
+#include "base/mutex.h"
 
 namespace revisit::server {
 

@@ -17,12 +17,14 @@ import tempfile
 import time
 import traceback
 
+import crowds
 import damage
 import devices
 import kills
 import restarts
 
-ROWS = [*kills.ROWS, *damage.ROWS, *devices.ROWS, *restarts.ROWS]
+ROWS = [*kills.ROWS, *damage.ROWS, *devices.ROWS, *restarts.ROWS,
+        *crowds.ROWS]
 
 
 @dataclasses.dataclass
@@ -51,7 +53,7 @@ class Skipped(Exception):
     """The machine lacks what a row needs; says what."""
 
 
-devices.Skipped = Skipped
+devices.Skipped = crowds.Skipped = Skipped
 
 
 def main():

@@ -50,10 +50,13 @@ def split(data, size=16384):
 
 class RawConnection:
     """With acknowledge=False the server's settings, its limits among them, are
-    never agreed to."""
+    never agreed to. `source` is the address that the server takes the caller
+    for."""
 
-    def __init__(self, port, settings=b"", acknowledge=True):
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=5)
+    def __init__(self, port, settings=b"", acknowledge=True,
+                 source="127.0.0.1"):
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=5,
+                                               source_address=(source, 0))
         self.decoder = hpack.Decoder()
         self.buffer = b""
         self.send(PREFACE + frame(SETTINGS, settings))

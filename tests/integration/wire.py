@@ -208,6 +208,8 @@ class Failure:
     # (field, description) of BadRequest.
     violations: list
     retry_seconds: float
+    # Whose quota, by QuotaFailure.
+    quota_subjects: list
 
     @property
     def fields(self):
@@ -236,6 +238,7 @@ def decode_failure(error):
     assert info.metadata["request_id"]
     bad_request = details.get("google.rpc.BadRequest")
     retry = details.get("google.rpc.RetryInfo")
+    quota = details.get("google.rpc.QuotaFailure")
     may_retry = error.code() in (grpc.StatusCode.UNAVAILABLE,
                                  grpc.StatusCode.RESOURCE_EXHAUSTED)
     assert (retry is not None) == may_retry, kinds
@@ -246,7 +249,9 @@ def decode_failure(error):
                     for violation in bad_request.field_violations]
         if bad_request else [],
         retry_seconds=retry.retry_delay.ToTimedelta().total_seconds()
-        if retry else None)
+        if retry else None,
+        quota_subjects=[violation.subject for violation in quota.violations]
+        if quota else [])
 
 
 def failure_of(call):

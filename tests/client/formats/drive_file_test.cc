@@ -1,6 +1,7 @@
 #include "client/formats/drive_file.h"
 
 #include <clocale>
+#include <ostream>
 #include <sstream>
 #include <string>
 
@@ -83,6 +84,10 @@ struct Malformed {
   DriveFormat format;
   std::string message;
 };
+
+void PrintTo(const Malformed& malformed, std::ostream* stream) {
+  *stream << malformed.name;
+}
 
 class MalformedDriveFileTest : public ::testing::TestWithParam<Malformed> {};
 

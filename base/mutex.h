@@ -1,6 +1,7 @@
-// The server's locks: std::mutex, told to clang's thread safety analysis, so
-// that whoever touches what a mutex guards without holding it is not compiled
-// (-Wthread-safety, see CMakeLists.txt).
+// The locks of server and client: std::mutex, told to clang's thread safety
+// analysis, so that whoever touches what a mutex guards without holding it is
+// not compiled (-Wthread-safety, see CMakeLists.txt). Not for headers that
+// callers of the client library include.
 //
 // Members say what guards them with ABSL_GUARDED_BY, functions what their
 // caller holds with ABSL_EXCLUSIVE_LOCKS_REQUIRED. The analysis does not look
@@ -9,8 +10,8 @@
 //
 // Not absl::Mutex: thread sanitizer knows the locks of pthreads, but not those
 // of a library that was built without it, as Debian's Abseil is.
-#ifndef REVISIT_SERVER_MUTEX_H_
-#define REVISIT_SERVER_MUTEX_H_
+#ifndef REVISIT_BASE_MUTEX_H_
+#define REVISIT_BASE_MUTEX_H_
 
 #include <chrono>
 #include <condition_variable>
@@ -18,7 +19,7 @@
 
 #include "absl/base/thread_annotations.h"
 
-namespace revisit::server {
+namespace revisit {
 
 class ABSL_LOCKABLE Mutex {
  public:
@@ -95,6 +96,6 @@ class CondVar {
   std::condition_variable condition_;
 };
 
-}  // namespace revisit::server
+}  // namespace revisit
 
-#endif  // REVISIT_SERVER_MUTEX_H_
+#endif  // REVISIT_BASE_MUTEX_H_
