@@ -15,8 +15,8 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "base/mutex.h"
 #include "server/limits.h"
+#include "server/mutex.h"
 
 namespace revisit::server {
 

@@ -16,7 +16,7 @@
 #include <string>
 #include <unordered_map>
 
-#include "base/mutex.h"
+#include "server/mutex.h"
 
 namespace revisit::server {
 

@@ -12,7 +12,7 @@
 #include <map>
 
 #include "absl/status/status.h"
-#include "base/mutex.h"
+#include "server/mutex.h"
 
 namespace revisit::server {
 

@@ -6,7 +6,7 @@
 #include <functional>
 #include <thread>
 
-#include "base/mutex.h"
+#include "server/mutex.h"
 
 namespace revisit::server {
 

@@ -10,12 +10,12 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "base/mutex.h"
 #include "google/protobuf/arena.h"
 #include "grpcpp/alarm.h"
 #include "server/call.h"
 #include "server/drain.h"
 #include "server/field_violations.h"
+#include "server/mutex.h"
 #include "server/proto_conversion.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"

@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "base/mutex.h"
+#include "server/mutex.h"
 
 namespace google::protobuf {
 class Message;

@@ -11,7 +11,6 @@
 #include <utility>
 
 #include "absl/status/statusor.h"
-#include "base/mutex.h"
 #include "client/cli/baselines.h"
 #include "client/cli/calibration.h"
 #include "client/cli/drive_evaluator.h"
@@ -27,6 +26,7 @@
 #include "client/revisit/channel.h"
 #include "client/revisit/client.h"
 #include "grpcpp/channel.h"
+#include "server/mutex.h"
 
 namespace revisit::client {
 namespace {

@@ -7,7 +7,7 @@
 #include <string>
 
 #include "absl/status/status.h"
-#include "base/mutex.h"
+#include "server/mutex.h"
 
 namespace revisit::client {
 

@@ -3,13 +3,13 @@
 #include <algorithm>
 #include <vector>
 
-#include "base/mutex.h"
 #include "client/cli/drive_poses.h"
 #include "client/cli/names.h"
 #include "client/revisit/pose_stream.h"
 #include "client/revisit/status.h"
 #include "grpcpp/channel.h"
 #include "nlohmann/json.hpp"
+#include "server/mutex.h"
 
 namespace revisit::client {
 namespace {

@@ -6,12 +6,12 @@
 #include <thread>
 #include <utility>
 
-#include "base/mutex.h"
 #include "client/revisit/status.h"
 #include "client/revisit/status_from_grpc.h"
 #include "grpcpp/client_context.h"
 #include "grpcpp/support/client_callback.h"
 #include "revisit/v1/pose_graph_service.grpc.pb.h"
+#include "server/mutex.h"
 
 namespace revisit::client {
 namespace {

@@ -11,7 +11,7 @@
 #include <utility>
 
 #include "absl/strings/ascii.h"
-#include "base/mutex.h"
+#include "server/mutex.h"
 #include "server/security/certificates.h"
 #include "server/security/policy.h"
 #include "server/security/watched_files.h"

@@ -6,7 +6,7 @@
 #include <deque>
 #include <string>
 
-#include "base/mutex.h"
+#include "server/mutex.h"
 
 namespace revisit::server {
 namespace {

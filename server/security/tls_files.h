@@ -14,8 +14,8 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "base/mutex.h"
 #include "server/logging.h"
+#include "server/mutex.h"
 #include "server/security/certificates.h"
 #include "server/security/watched_files.h"
 

@@ -5,7 +5,7 @@
 #include <chrono>
 #include <utility>
 
-#include "base/mutex.h"
+#include "server/mutex.h"
 
 namespace revisit::server {
 namespace {

@@ -14,7 +14,7 @@
 #include <utility>
 #include <vector>
 
-#include "base/mutex.h"
+#include "server/mutex.h"
 
 namespace revisit::server {
 

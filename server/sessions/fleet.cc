@@ -5,7 +5,7 @@
 #include <utility>
 #include <vector>
 
-#include "base/mutex.h"
+#include "server/mutex.h"
 #include "server/status.h"
 
 namespace revisit::server {

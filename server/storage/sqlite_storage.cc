@@ -17,7 +17,7 @@
 #include <unordered_map>
 #include <utility>
 
-#include "base/mutex.h"
+#include "server/mutex.h"
 #include "server/status.h"
 #include "server/storage/durable_mark.h"
 #include "server/storage/free_space.h"

@@ -13,7 +13,7 @@ SOURCES = sorted(path for suffix in ("*.h", "*.cc")
 FORBIDDEN = {
     "gRPC": r"grpc",
     "protobuf": r"protobuf|\.pb\.h|revisit::v1",
-    "other layers": r'#include "(base|server|client|tests)/',
+    "other layers": r'#include "(server|client|tests)/',
     "threads": r"std::(this_)?thread|<thread>|pthread|std::async|<future>"
                r"|std::atomic|<atomic>|thread_local",
     "locks": r"[Mm]utex|condition_variable",

@@ -10,8 +10,8 @@
 //
 // Not absl::Mutex: thread sanitizer knows the locks of pthreads, but not those
 // of a library that was built without it, as Debian's Abseil is.
-#ifndef REVISIT_BASE_MUTEX_H_
-#define REVISIT_BASE_MUTEX_H_
+#ifndef REVISIT_SERVER_MUTEX_H_
+#define REVISIT_SERVER_MUTEX_H_
 
 #include <chrono>
 #include <condition_variable>
@@ -98,4 +98,4 @@ class CondVar {
 
 }  // namespace revisit
 
-#endif  // REVISIT_BASE_MUTEX_H_
+#endif  // REVISIT_SERVER_MUTEX_H_
