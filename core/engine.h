@@ -91,9 +91,8 @@ struct CandidateSet {
   std::optional<NodeIndex> query;
   std::vector<Candidate> candidates;
   EmptyReason empty_reason = EmptyReason::kNotEmpty;
-  // Nodes of history that were compared with the query, and those that were
-  // left out because they could not come to an odds of 1e-6 against a new place
-  // all together.
+  // Nodes of the history that were compared with the query, and those that were
+  // not: all of them together have odds below 1e-6 against a new place.
   NodeIndex nodes_considered = 0;
   NodeIndex nodes_pruned = 0;
   // What SearchOptions::max_comparisons bounds.

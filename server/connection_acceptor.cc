@@ -171,8 +171,12 @@ ConnectionAcceptor::ConnectionAcceptor(const Options& options, const Log* log,
     : options_(options),
       log_(log),
       address_(options.address),
-      table_(options.max_connections, options.max_connections_per_address,
-             options.max_idle_bytes, SocketCookie, ReceivedBytes, progress) {}
+      table_(
+          options.bounds, SocketCookie, ReceivedBytes,
+          [this](const std::string& remote) {
+            return transport_calls_.Held(remote);
+          },
+          progress) {}
 
 absl::StatusOr<std::unique_ptr<ConnectionAcceptor>> ConnectionAcceptor::Listen(
     const Options& options, const Log* log, ConnectionProgress* progress) {
@@ -307,7 +311,7 @@ void ConnectionAcceptor::Run() {
         kLookIntervalPerConnection * static_cast<std::int64_t>(table_.size()));
     if (now - last_look >= interval) {
       last_look = now;
-      CutUseless();
+      CutHarmful();
     }
     if (ready <= 0) continue;
     if (polled.back().revents != 0) return;
@@ -371,13 +375,14 @@ void ConnectionAcceptor::HandOn(int listener, int connection) {
   grpc_->HandleNewConnection(&parameters);
 }
 
-void ConnectionAcceptor::CutUseless() {
-  for (const auto& [connection, host] : table_.TakeUseless()) {
+void ConnectionAcceptor::CutHarmful() {
+  for (const ConnectionTable::Harmful& harmful : table_.TakeHarmful()) {
     ++shed_;
-    log_->Write(LogLevel::kWarning, "connection_cut",
-                {{"limit", std::string("max-idle-bytes")}, {"peer", host}});
+    log_->Write(
+        LogLevel::kWarning, "connection_cut",
+        {{"limit", std::string(harmful.bound)}, {"peer", harmful.host}});
     // The descriptor stays gRPC's, who hears of the end.
-    shutdown(connection, SHUT_RDWR);
+    shutdown(harmful.descriptor, SHUT_RDWR);
   }
 }
 

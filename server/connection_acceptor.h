@@ -22,6 +22,7 @@
 #include "server/connection_progress.h"
 #include "server/connection_table.h"
 #include "server/logging.h"
+#include "server/transport_calls.h"
 
 namespace revisit::server {
 
@@ -33,12 +34,7 @@ class ConnectionAcceptor {
     // HOST:PORT, [V6]:PORT, unix:PATH or unix-abstract:NAME. Port 0 takes a
     // free one, the same on all addresses of the host.
     std::string address;
-    // See Limits; 0 is off.
-    int max_connections = 0;
-    int max_connections_per_address = 0;
-    // A connection on which so much has come since its last call or message is
-    // closed.
-    std::int64_t max_idle_bytes = 0;
+    ConnectionTable::Bounds bounds;
     // What was sent and not acknowledged by then ends the connection.
     std::chrono::milliseconds unacknowledged_timeout{20000};
   };
@@ -77,7 +73,7 @@ class ConnectionAcceptor {
   void AcceptAll(int listener);
   void HandOn(int listener, int connection);
   // Ends connections that only take memory.
-  void CutUseless();
+  void CutHarmful();
   void Shed(int connection, const char* why, const std::string& peer);
   // Accept failed for want of a descriptor: frees one to turn a caller away.
   void TurnAway(int listener);
@@ -96,6 +92,7 @@ class ConnectionAcceptor {
   std::atomic<std::int64_t> shed_{0};
 
   // Used by the thread only.
+  TransportCalls transport_calls_;
   ConnectionTable table_;
   std::int64_t shed_unsaid_ = 0;
   std::chrono::steady_clock::time_point last_said_{};

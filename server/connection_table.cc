@@ -9,19 +9,24 @@ namespace {
 // turned away in a flood.
 constexpr std::chrono::milliseconds kSweepInterval{50};
 
+// A call that is reset takes two frames: a head of 9 bytes and a byte of
+// headers, and a head and 4 bytes (RFC 9113, 4.1 and 6.4). Half of it, so that
+// those in a bound are counted twice before it can be passed again.
+constexpr std::uint64_t kLeastCallBytes = 12;
+
 }  // namespace
 
-ConnectionTable::ConnectionTable(int max_connections,
-                                 int max_connections_per_address,
-                                 std::int64_t max_idle_bytes, Cookie cookie,
-                                 Received received,
+ConnectionTable::ConnectionTable(const Bounds& bounds, Cookie cookie,
+                                 Received received, Held held,
                                  ConnectionProgress* progress)
-    : max_connections_(static_cast<std::size_t>(max_connections)),
+    : max_connections_(static_cast<std::size_t>(bounds.max_connections)),
       max_connections_per_address_(
-          static_cast<std::size_t>(max_connections_per_address)),
-      max_idle_bytes_(static_cast<std::uint64_t>(max_idle_bytes)),
+          static_cast<std::size_t>(bounds.max_connections_per_address)),
+      max_idle_bytes_(static_cast<std::uint64_t>(bounds.max_idle_bytes)),
+      max_held_calls_(static_cast<std::uint64_t>(bounds.max_held_calls)),
       cookie_(std::move(cookie)),
       received_(std::move(received)),
+      held_(std::move(held)),
       progress_(progress) {}
 
 ConnectionTable::~ConnectionTable() {
@@ -51,8 +56,8 @@ const char* ConnectionTable::Add(int descriptor, const std::string& host,
   const std::optional<std::uint64_t> cookie = cookie_(descriptor);
   // Gone already.
   if (!cookie) return nullptr;
-  Connection connection{host, *cookie, "", nullptr, 0, 0};
-  if (max_idle_bytes_ > 0 && port != 0) {
+  Connection connection{host, *cookie, "", nullptr, 0, 0, 0};
+  if (port != 0) {
     connection.remote = host + ":" + std::to_string(port);
     connection.counter = progress_->Open(connection.remote);
   }
@@ -61,25 +66,41 @@ const char* ConnectionTable::Add(int descriptor, const std::string& host,
   return nullptr;
 }
 
-std::vector<std::pair<int, std::string>> ConnectionTable::TakeUseless() {
-  std::vector<std::pair<int, std::string>> useless;
+std::vector<ConnectionTable::Harmful> ConnectionTable::TakeHarmful() {
+  std::vector<Harmful> harmful;
   for (auto& [descriptor, connection] : connections_) {
     if (connection.counter == nullptr || !IsOpen(descriptor, connection)) {
       continue;
     }
-    const std::optional<std::uint64_t> bytes = received_(descriptor);
-    if (!bytes) continue;
-    const std::uint64_t progress =
-        connection.counter->load(std::memory_order_relaxed);
-    if (progress != connection.progress) {
-      connection.progress = progress;
-      connection.bytes = *bytes;
-    } else if (*bytes > connection.bytes + max_idle_bytes_) {
-      useless.emplace_back(descriptor, connection.host);
+    if (const char* bound = BoundPassed(descriptor, &connection)) {
+      harmful.push_back({descriptor, connection.host, bound});
     }
   }
-  for (const auto& [descriptor, host] : useless) Remove(descriptor);
-  return useless;
+  for (const Harmful& one : harmful) Remove(one.descriptor);
+  return harmful;
+}
+
+const char* ConnectionTable::BoundPassed(int descriptor,
+                                         Connection* connection) const {
+  const std::optional<std::uint64_t> bytes = received_(descriptor);
+  if (!bytes) return nullptr;
+  if (max_held_calls_ > 0 &&
+      *bytes - connection->counted_bytes >= max_held_calls_ * kLeastCallBytes) {
+    connection->counted_bytes = *bytes;
+    if (held_(connection->remote).value_or(0) > max_held_calls_) {
+      return "max-concurrent-streams";
+    }
+  }
+  const std::uint64_t progress =
+      connection->counter->load(std::memory_order_relaxed);
+  if (progress != connection->progress) {
+    connection->progress = progress;
+    connection->bytes = *bytes;
+  } else if (max_idle_bytes_ > 0 &&
+             *bytes > connection->bytes + max_idle_bytes_) {
+    return "max-idle-bytes";
+  }
+  return nullptr;
 }
 
 void ConnectionTable::Remove(int descriptor) {

@@ -30,10 +30,22 @@ class ConnectionTable {
   // Bytes that have come on a connection; nothing if that cannot be told.
   using Received = std::function<std::optional<std::uint64_t>(int)>;
 
-  // The limits of Limits; 0 is off. `progress` outlives this.
-  ConnectionTable(int max_connections, int max_connections_per_address,
-                  std::int64_t max_idle_bytes, Cookie cookie, Received received,
-                  ConnectionProgress* progress);
+  // Calls held in memory for the connection whose other end this is; nothing
+  // if that cannot be told.
+  using Held = std::function<std::optional<std::uint64_t>(const std::string&)>;
+
+  struct Bounds {
+    // Those of Limits; 0 is off.
+    int max_connections = 0;
+    int max_connections_per_address = 0;
+    std::int64_t max_idle_bytes = 0;
+    // Of one connection, those that were reset included; 0 is off.
+    std::int64_t max_held_calls = 0;
+  };
+
+  // `progress` outlives this.
+  ConnectionTable(const Bounds& bounds, Cookie cookie, Received received,
+                  Held held, ConnectionProgress* progress);
   ~ConnectionTable();
 
   ConnectionTable(const ConnectionTable&) = delete;
@@ -45,9 +57,17 @@ class ConnectionTable {
   const char* Add(int descriptor, const std::string& host, int port,
                   std::chrono::steady_clock::time_point now);
 
+  // A connection that does more harm than good, and the bound it is beyond.
+  struct Harmful {
+    int descriptor;
+    std::string host;
+    const char* bound;
+  };
+
   // Connections on which more than max_idle_bytes have come and no progress was
-  // made: (descriptor, host). They are no longer in the table.
-  std::vector<std::pair<int, std::string>> TakeUseless();
+  // made, or that hold more than max_held_calls. They are no longer in the
+  // table.
+  std::vector<Harmful> TakeHarmful();
 
   // Those that were open when last looked at.
   std::size_t size() const { return connections_.size(); }
@@ -62,9 +82,12 @@ class ConnectionTable {
     // seen.
     std::uint64_t progress = 0;
     std::uint64_t bytes = 0;
+    // Those that had come when the calls it holds were counted.
+    std::uint64_t counted_bytes = 0;
   };
 
   void Remove(int descriptor);
+  const char* BoundPassed(int descriptor, Connection* connection) const;
   bool IsOpen(int descriptor, const Connection& connection) const;
   void SweepAll();
   void SweepHost(const std::string& host);
@@ -73,8 +96,10 @@ class ConnectionTable {
   const std::size_t max_connections_;
   const std::size_t max_connections_per_address_;
   const std::uint64_t max_idle_bytes_;
+  const std::uint64_t max_held_calls_;
   const Cookie cookie_;
   const Received received_;
+  const Held held_;
   ConnectionProgress* const progress_;
   std::unordered_map<int, Connection> connections_;
   std::unordered_map<std::string, std::unordered_set<int>> by_host_;

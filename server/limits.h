@@ -25,7 +25,9 @@ struct Limits {
   // comes. Range [1, 86400] and [1, 3600].
   double keepalive_seconds = 60.0;
   double keepalive_timeout_seconds = 20.0;
-  // Calls at a time on one connection. Range [1, 1e6].
+  // Calls at a time on one connection, and half of what it may have in memory:
+  // one that begins calls and resets them, faster than they can be cleared
+  // away, is closed. Range [1, 1e6].
   int max_concurrent_streams = 1000;
   // Of the headers of one call. A call beyond it takes its connection with it:
   // a proxy in front must allow less. Range [8192, 2^24].

@@ -229,6 +229,9 @@ class WithoutReflection final : public grpc::ServerBuilderOption {
   }
 };
 
+// Some 3,000 calls that are reset at once.
+constexpr int kMaxReadBytes = 64 << 10;
+
 int WholeMilliseconds(double seconds) {
   return static_cast<int>(Milliseconds(seconds).count());
 }
@@ -240,6 +243,8 @@ void Configure(const Limits& limits, grpc::ServerBuilder* builder) {
   builder->SetResourceQuota(quota);
   builder->AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS,
                               limits.max_concurrent_streams);
+  // What was read is handled even if the connection is cut meanwhile.
+  builder->AddChannelArgument(GRPC_ARG_TCP_MAX_READ_CHUNK_SIZE, kMaxReadBytes);
   builder->AddChannelArgument(GRPC_ARG_MAX_METADATA_SIZE,
                               limits.max_metadata_bytes);
   // Until the client's settings have come.
@@ -284,10 +289,13 @@ SqliteOptions StorageOptions(const ServerSettings& settings, const Log* log,
 ConnectionAcceptor::Options AcceptorOptions(const ServerSettings& settings) {
   ConnectionAcceptor::Options options;
   options.address = settings.listen;
-  options.max_connections = settings.limits.max_connections;
-  options.max_connections_per_address =
+  options.bounds.max_connections = settings.limits.max_connections;
+  options.bounds.max_connections_per_address =
       settings.limits.max_connections_per_address;
-  options.max_idle_bytes = settings.limits.max_idle_bytes;
+  options.bounds.max_idle_bytes = settings.limits.max_idle_bytes;
+  // Twice, since calls that have ended well take a moment to be cleared away.
+  options.bounds.max_held_calls =
+      2 * std::int64_t{settings.limits.max_concurrent_streams};
   options.unacknowledged_timeout =
       Milliseconds(settings.limits.keepalive_timeout_seconds);
   return options;

@@ -291,7 +291,9 @@ class OptionTable {
               &l.keepalive_timeout_seconds, 1, 3600,
               "Close it if the ping is not answered by then");
     AddNumber(connections, "max-concurrent-streams", &l.max_concurrent_streams,
-              1, 1000000, "Calls at a time on one connection");
+              1, 1000000,
+              "Calls at a time on one connection; one that resets calls faster "
+              "than they are cleared away is closed at twice as many");
     AddNumber(connections, "max-metadata-bytes", &l.max_metadata_bytes, 8192,
               1 << 24,
               "Headers of one call; a call with more ends its connection, so a "

@@ -379,18 +379,18 @@ class RelativeAligner
     const double claimed = similarity.inflation * similarity.inflation;
     const Covariance covariance = graph_.covariance(query_);
     const StateMatrix<D>& shift = filter_.EndShift();
-    const auto greatest = [](double xx, double xy, double yy) {
-      return 0.5 * (xx + yy) + std::hypot(0.5 * (xx - yy), xy);
-    };
     const Pose query = graph_.pose(query_);
     region->x = query.x;
     region->y = query.y;
     const double of_neither =
         tolerance(0, 0) +
-        greatest(shift(0, 0), shift(0, 1), shift(1, 1)) / weight_;
-    region->variance = claimed * greatest(covariance(0, 0), covariance(0, 1),
-                                          covariance(1, 1)) +
-                       of_neither;
+        VariancesInAnyDirection(shift(0, 0), shift(0, 1), shift(1, 1)).most /
+            weight_;
+    region->variance =
+        claimed * VariancesInAnyDirection(covariance(0, 0), covariance(0, 1),
+                                          covariance(1, 1))
+                      .most +
+        of_neither;
     region->squared_per_variance =
         2.0 * (constant_ - 0.5 * log_determinant + weight_ * steps_[0].to_come +
                kBoundSlack - model_.least_log_odds);

@@ -54,6 +54,18 @@ struct Covariance {
   }
 };
 
+// The least and the greatest variance in any direction of two coordinates with
+// these variances and covariance: the eigenvalues.
+struct VarianceRange {
+  double least = 0.0;
+  double most = 0.0;
+};
+inline VarianceRange VariancesInAnyDirection(double xx, double xy, double yy) {
+  const double mean = 0.5 * (xx + yy);
+  const double spread = std::hypot(0.5 * (xx - yy), xy);
+  return {mean - spread, mean + spread};
+}
+
 // How the error of one pose becomes part of the error of the next: row-major
 // 4x4 over (x, y, z, heading). For PLANAR, the row and column of z are not
 // used.

@@ -2,7 +2,6 @@
 
 #include <Eigen/Cholesky>
 #include <algorithm>
-#include <cmath>
 
 #include "core/graph/correlation.h"
 
@@ -82,12 +81,10 @@ BlockBounds::Bounds BlockBounds::Measure(const PoseGraph& graph,
   for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
     const Pose pose = block.pose(i);
     const Covariance covariance = block.covariance(i);
-    // Eigenvalues of the position's covariance.
-    const double mean = 0.5 * (covariance(0, 0) + covariance(1, 1));
-    const double spread = std::hypot(
-        0.5 * (covariance(0, 0) - covariance(1, 1)), covariance(0, 1));
-    const Bounds of_node = {pose.x, pose.x,        pose.y,
-                            pose.y, mean - spread, mean + spread};
+    const VarianceRange variances = VariancesInAnyDirection(
+        covariance(0, 0), covariance(0, 1), covariance(1, 1));
+    const Bounds of_node = {pose.x, pose.x,          pose.y,
+                            pose.y, variances.least, variances.most};
     if (i == 0) {
       bounds = of_node;
     } else {

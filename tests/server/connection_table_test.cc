@@ -4,8 +4,6 @@
 #include <map>
 #include <optional>
 #include <string>
-#include <utility>
-#include <vector>
 
 #include "gtest/gtest.h"
 
@@ -18,7 +16,7 @@ class ConnectionTableTest : public ::testing::Test {
  protected:
   ConnectionTable Make(int most, int most_per_address) {
     return ConnectionTable(
-        most, most_per_address, 1000,
+        {most, most_per_address, 1000, 10},
         [this](int descriptor) -> std::optional<std::uint64_t> {
           ++asked_;
           const auto found = open_.find(descriptor);
@@ -28,6 +26,12 @@ class ConnectionTableTest : public ::testing::Test {
         [this](int descriptor) -> std::optional<std::uint64_t> {
           const auto found = received_.find(descriptor);
           if (found == received_.end()) return std::nullopt;
+          return found->second;
+        },
+        [this](const std::string& remote) -> std::optional<std::uint64_t> {
+          ++counted_;
+          const auto found = held_.find(remote);
+          if (found == held_.end()) return std::nullopt;
           return found->second;
         },
         &progress_);
@@ -44,9 +48,21 @@ class ConnectionTableTest : public ::testing::Test {
     return why;
   }
 
+  // "BOUND DESCRIPTOR HOST;" each.
+  static std::string TakeHarmful(ConnectionTable* table) {
+    std::string text;
+    for (const ConnectionTable::Harmful& one : table->TakeHarmful()) {
+      text += std::string(one.bound) + " " + std::to_string(one.descriptor) +
+              " " + one.host + ";";
+    }
+    return text;
+  }
+
   ConnectionProgress progress_;
   std::map<int, std::uint64_t> open_;
   std::map<int, std::uint64_t> received_;
+  std::map<std::string, std::uint64_t> held_;
+  int counted_ = 0;
   std::uint64_t last_cookie_ = 0;
   int asked_ = 0;
   std::chrono::steady_clock::time_point now_{std::chrono::hours(1)};
@@ -64,17 +80,41 @@ TEST_F(ConnectionTableTest, FindsConnectionsThatBringNothingOfUse) {
   // Of 4, nobody knows how much has come.
   received_ = {{1, 1000}, {2, 1001}, {3, 1001}};
   CountProgress(progress_.Find("ipv4:1.2.3.4:5003"));
-  using Found = std::vector<std::pair<int, std::string>>;
-  EXPECT_EQ(table.TakeUseless(), (Found{{2, "1.2.3.4"}}));
+  EXPECT_EQ(TakeHarmful(&table), "max-idle-bytes 2 1.2.3.4;");
   EXPECT_EQ(progress_.Find("ipv4:1.2.3.4:5002"), nullptr);
   // Counted from the last progress.
   received_[3] = 2001;
-  EXPECT_EQ(table.TakeUseless(), Found());
+  EXPECT_EQ(TakeHarmful(&table), "");
   received_[3] = 2002;
   received_[1] = 1001;
   // Closed meanwhile.
   open_.erase(1);
-  EXPECT_EQ(table.TakeUseless(), (Found{{3, "1.2.3.4"}}));
+  EXPECT_EQ(TakeHarmful(&table), "max-idle-bytes 3 1.2.3.4;");
+}
+
+TEST_F(ConnectionTableTest, FindsConnectionsThatHoldTooManyCalls) {
+  ConnectionTable table = Make(0, 0);
+  for (int i = 1; i <= 3; ++i) EXPECT_EQ(Add(&table, i, "h"), "");
+  // Of 3, nobody knows.
+  held_ = {{"h:5001", 10}, {"h:5002", 11}};
+  received_ = {{1, 500}, {2, 500}, {3, 500}};
+  EXPECT_EQ(TakeHarmful(&table), "max-concurrent-streams 2 h;");
+  held_["h:5001"] = 11;
+  EXPECT_EQ(TakeHarmful(&table), "");
+  received_[1] = 620;
+  EXPECT_EQ(TakeHarmful(&table), "max-concurrent-streams 1 h;");
+}
+
+TEST_F(ConnectionTableTest, CallsAreCountedOnlyWhereEnoughHasComeForThem) {
+  ConnectionTable table = Make(0, 0);
+  EXPECT_EQ(Add(&table, 1, "h"), "");
+  CountProgress(progress_.Find("ipv4:h:5001"));
+  for (std::uint64_t bytes = 0; bytes < 12000; bytes += 12) {
+    received_[1] = bytes;
+    EXPECT_EQ(TakeHarmful(&table), "");
+    CountProgress(progress_.Find("ipv4:h:5001"));
+  }
+  EXPECT_EQ(counted_, 99);
 }
 
 TEST(ConnectionProgressTest, KnowsWhomGrpcMeans) {

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -315,6 +316,103 @@ TEST(SimilarityKernelTest, EvaluatesDifferencesAsTheyAreAndChanged) {
   EXPECT_GT(tally.changed, 1000);
   EXPECT_GT(tally.as_it_was, 1000);
   EXPECT_GT(tally.impossible, 1000);
+}
+
+// Takes and shifts anything within a bound.
+template <int D>
+void ExpectBounded(std::mt19937_64& random, double* least_slack,
+                   std::int64_t* changed) {
+  constexpr StateSpace kSpace =
+      D == 3 ? StateSpace::kPlanar : StateSpace::kSpatial;
+  const auto draw = [&random](double scale) {
+    return ToMatrix<D>(RandomCovariance(random, scale));
+  };
+  const auto pack = [](const StateMatrix<D>& matrix, double* entries) {
+    for (int r = 0; r < D; ++r) {
+      for (int c = 0; c <= r; ++c) *entries++ = matrix(r, c);
+    }
+  };
+  const StateMatrix<D> shift = draw(std::exp(Uniform(random, -2.0, 2.0)));
+  const StateMatrix<D> certainty = draw(std::exp(Uniform(random, -3.0, 1.0)));
+  ChangeBound bound;
+  bound.least_left = UniformInt(random, 0, 1) ? 1e-3 : 0.2;
+  pack(shift, bound.shift);
+  pack(certainty, bound.certainty);
+  DifferenceBlock differences;
+  for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
+    StateMatrix<D> covariance =
+        draw(std::exp(Uniform(random, -3.0, 3.0))) +
+        (UniformInt(random, 0, 1) ? 1.1 : 0.0) * certainty;
+    AddTolerance<D>({0.5, 0.05}, &covariance);
+    Put<D>(ToVector<D>(RandomPose(random, 10.0)), covariance, i, &differences);
+  }
+  BlockSimilarity before;
+  EvaluateDifferences(kSpace, differences, &before);
+  BlockColumn most;
+  BoundChanged(kSpace, differences, bound, before, &most);
+
+  constexpr std::size_t kRows = 8;
+  std::vector<double> certainties(kRows * kMostEntries);
+  const Eigen::LLT<StateMatrix<D>> of_shift(shift);
+  DifferenceChange change;
+  change.certainty = certainties.data();
+  change.least_left = bound.least_left;
+  for (int trial = 0; trial < 10; ++trial) {
+    for (std::size_t row = 0; row < kRows; ++row) {
+      // All of it once: then the bound is as near as it can be.
+      pack((row == 0 ? 1.0 : Uniform(random, 0.0, 1.0)) * certainty,
+           certainties.data() + row * kMostEntries);
+    }
+    const double angle = Uniform(random, -kPi, kPi);
+    change.cosine = std::cos(angle);
+    change.sine = std::sin(angle);
+    std::vector<double> costs(NodeBlock::kSize);
+    for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
+      change.row[i] = UniformInt(random, 0, kRows - 1);
+      StateVector<D> drawn;
+      for (int r = 0; r < D; ++r) drawn(r) = Normal(random, 1.0);
+      StateVector<D> shifted = of_shift.matrixL() * drawn;
+      const StateMatrix<D> covariance = CovarianceAt<D>(differences, i);
+      if (UniformInt(random, 0, 1)) {
+        // The best there is for this difference.
+        shifted = -shift * (covariance - certainty + shift)
+                               .ldlt()
+                               .solve(DifferenceAt<D>(differences, i));
+      }
+      costs[i] = 0.5 * shifted.dot(of_shift.solve(shifted));
+      const StateVector<D> turned_back = TurnAbout<D>(-angle) * shifted;
+      for (int r = 0; r < D; ++r) {
+        change.shift[static_cast<std::size_t>(r)][i] = turned_back(r);
+      }
+    }
+    BlockSimilarity similarity = before;
+    EvaluateChanged(kSpace, differences, change, &similarity);
+    for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
+      if (before.log_similarity[i] == kImpossible) continue;
+      *changed += similarity.log_similarity[i] != before.log_similarity[i];
+      const double slack = most[i] + costs[i] - similarity.log_similarity[i];
+      ASSERT_GE(slack, -1e-9 * std::max(1.0, std::abs(most[i])))
+          << "entry " << i;
+      *least_slack = std::min(*least_slack, slack);
+    }
+  }
+}
+
+TEST(SimilarityKernelTest, NoChangeWithinABoundSaysMoreThanItsBound) {
+  std::mt19937_64 random = SeededRandom();
+  double least_slack = 1e300;
+  std::int64_t changed = 0;
+  ForEachVectorTarget([&] {
+    for (int trial = 0; trial < 50 && !::testing::Test::HasFailure(); ++trial) {
+      SCOPED_TRACE(trial);
+      ExpectBounded<3>(random, &least_slack, &changed);
+      ExpectBounded<4>(random, &least_slack, &changed);
+    }
+  });
+  std::cout << changed << " changed, " << least_slack << " nats to spare\n";
+  EXPECT_GT(changed, 10000);
+  // And is not far from what can be reached.
+  EXPECT_LT(least_slack, 0.5);
 }
 
 TEST(SimilarityKernelTest, ABlockHoldsWhatLiesNearByItsOwnCovariance) {
