@@ -20,7 +20,8 @@
 // read. A store that fits nowhere any more opens too, if need be for reading
 // only.
 //
-// Tables (see kSchema in the .cc; the file's user_version is kStoreFormat):
+// Tables (see kSchema in store_opening.cc; the file's user_version is
+// kStoreFormat):
 //   vehicles             a row a vehicle; keys are never used again
 //   batches              a row a batch, or some small ones that were committed
 //                        together, as sent; never rewritten
@@ -46,7 +47,6 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "server/storage/sqlite_database.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {
@@ -96,10 +96,6 @@ absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
 // Opens a store of this format for reading, also while a server has it open.
 // Writes are FAILED_PRECONDITION. The same errors as above.
 absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorageToRead(
-    const std::string& path);
-
-// What else reads a store whole (store_check.h, store_backup.h).
-absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenDatabaseToRead(
     const std::string& path);
 
 }  // namespace revisit::server

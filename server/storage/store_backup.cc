@@ -7,8 +7,8 @@
 #include <system_error>
 
 #include "server/status.h"
-#include "server/storage/sqlite_storage.h"
 #include "server/storage/store_files.h"
+#include "server/storage/store_opening.h"
 
 namespace revisit::server {
 namespace {

@@ -7,6 +7,7 @@
 
 #include "server/storage/durable_mark.h"
 #include "server/storage/sqlite_storage.h"
+#include "server/storage/store_opening.h"
 #include "server/storage/write_ahead_log.h"
 
 namespace revisit::server {

@@ -1,0 +1,546 @@
+#include "server/storage/store_rows.h"
+
+#include <algorithm>
+#include <limits>
+#include <utility>
+
+#include "server/storage/record_checksum.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StatusCode;
+
+// The statements on the table of a kind of pairs.
+struct PairStatements {
+  const std::string count;
+  const std::string find;
+  const std::string insert;
+  const std::string remove;
+  const std::string remove_all;
+  const std::string list;
+
+  explicit PairStatements(const std::string& table)
+      : count("SELECT count(*) FROM " + table + " WHERE vehicle_key = ?1"),
+        find("SELECT 1 FROM " + table + " WHERE vehicle_key = ?1 AND id = ?2"),
+        insert("INSERT INTO " + table +
+               " (vehicle_key, id, format, query_sequence, matched_sequence, "
+               "create_time_ns, checksum) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)"),
+        remove("DELETE FROM " + table + " WHERE vehicle_key = ?1 AND id = ?2"),
+        remove_all("DELETE FROM " + table + " WHERE vehicle_key = ?1"),
+        list(
+            "SELECT id, format, query_sequence, matched_sequence, "
+            "create_time_ns, checksum FROM " +
+            table +
+            " WHERE vehicle_key = ?1 AND id > ?2 ORDER BY id LIMIT "
+            "?3") {}
+};
+
+// For the life of the program, since connections know statements by address.
+const PairStatements& StatementsOf(PairKind kind) {
+  static const auto& closures = *new PairStatements("loop_closures");
+  static const auto& rejections = *new PairStatements("rejected_candidates");
+  return kind == PairKind::kLoopClosure ? closures : rejections;
+}
+
+// Batches of deleted vehicles that one transaction removes.
+constexpr int kPurgedBatches = 32;
+
+std::int64_t Signed(std::uint64_t value) {
+  return static_cast<std::int64_t>(
+      std::min<std::uint64_t>(value, std::numeric_limits<std::int64_t>::max()));
+}
+
+std::uint64_t Unsigned(std::int64_t value) {
+  return static_cast<std::uint64_t>(value);
+}
+
+std::string Range(const BatchRecord& batch) {
+  return std::to_string(batch.first_sequence) + " to " +
+         std::to_string(batch.first_sequence + batch.count - 1);
+}
+
+absl::Status UnknownVehicle(const std::string& which) {
+  return Error(StatusCode::kNotFound, "VEHICLE_NOT_FOUND",
+               "no such vehicle: " + which);
+}
+
+// A row is right if its checksum is, and if it is of a format known here.
+absl::Status CheckRow(std::int64_t format, std::int64_t stored_checksum,
+                      std::int64_t computed_checksum, const std::string& what,
+                      const ErrorMetadata& metadata) {
+  if (stored_checksum != computed_checksum) {
+    return Corrupt(what + " fails its checksum", metadata);
+  }
+  if (format < 1 || format > kStoreFormat) {
+    return Corrupt(what + " has format " + std::to_string(format) +
+                       "; known are 1 to " + std::to_string(kStoreFormat),
+                   metadata);
+  }
+  return absl::OkStatus();
+}
+
+// Columns: key, id, format, revision, checksum, payload.
+absl::StatusOr<VehicleRecord> ReadVehicleRow(const SqliteStatement& row) {
+  VehicleRecord record;
+  record.key = row.Integer(0);
+  record.id = row.Bytes(1);
+  const std::int64_t format = row.Integer(2);
+  record.revision = Unsigned(row.Integer(3));
+  record.payload = row.Bytes(5);
+  const absl::Status status =
+      CheckRow(format, row.Integer(4), ChecksumOfVehicle(format, record),
+               "stored vehicle '" + Printable(record.id) + "'",
+               {{"vehicle", Printable(record.id)}});
+  if (!status.ok()) return status;
+  return record;
+}
+
+// Columns from `column` on: format, revision, checksum, payload.
+absl::StatusOr<BatchRecord> ReadBatchRow(const SqliteStatement& row, int column,
+                                         std::int64_t first_sequence,
+                                         std::int64_t count, VehicleKey key,
+                                         const std::string& vehicle_id,
+                                         BatchVersion version) {
+  BatchRecord batch;
+  batch.first_sequence = Unsigned(first_sequence);
+  batch.count = static_cast<std::uint32_t>(count);
+  const std::int64_t format = row.Integer(column);
+  batch.revision = Unsigned(row.Integer(column + 1));
+  batch.payload = row.Bytes(column + 3);
+  const std::int64_t checksum = ChecksumOfBatch(format, key, version, batch);
+  const absl::Status status =
+      CheckRow(format, row.Integer(column + 2), checksum,
+               std::string("stored batch of vehicle '") + vehicle_id +
+                   "', sequences " + Range(batch) +
+                   (version == BatchVersion::kCurrent ? ", revised," : ""),
+               {{"vehicle", vehicle_id},
+                {"first_sequence", std::to_string(batch.first_sequence)}});
+  if (!status.ok()) return status;
+  if (count < 1 || count != batch.count) {
+    return Corrupt("stored batch of vehicle '" + vehicle_id + "' has " +
+                       std::to_string(count) + " poses",
+                   {{"vehicle", vehicle_id}});
+  }
+  return batch;
+}
+
+absl::StatusOr<std::optional<BatchRecord>> ReadLastBatch(
+    SqliteDatabase& database, VehicleKey key, const std::string& vehicle_id) {
+  SqliteStatement row = database.Prepare(
+      "SELECT first_sequence, count, format, revision, checksum, payload "
+      "FROM batches WHERE vehicle_key = ?1 ORDER BY first_sequence DESC LIMIT "
+      "1");
+  row.Bind(1, key);
+  const absl::StatusOr<bool> found = row.Step();
+  if (!found.ok()) return found.status();
+  if (!*found) return std::optional<BatchRecord>();
+  absl::StatusOr<BatchRecord> batch =
+      ReadBatchRow(row, 2, row.Integer(0), row.Integer(1), key, vehicle_id,
+                   BatchVersion::kAsSent);
+  if (!batch.ok()) return batch.status();
+  return std::optional<BatchRecord>(*std::move(batch));
+}
+
+// Adds to a row of `vehicles` what other tables know.
+absl::Status CompleteVehicle(SqliteDatabase& database, VehicleRecord* record) {
+  const absl::StatusOr<std::optional<BatchRecord>> last =
+      ReadLastBatch(database, record->key, record->id);
+  if (!last.ok()) return last.status();
+  if (last->has_value()) {
+    record->durable_sequence = (*last)->first_sequence + (*last)->count - 1;
+    record->revision = std::max(record->revision, (*last)->revision);
+  }
+  for (const PairKind kind : kPairKinds) {
+    SqliteStatement pairs = database.Prepare(StatementsOf(kind).count.c_str());
+    const absl::StatusOr<bool> counted = pairs.Bind(1, record->key).Step();
+    if (!counted.ok()) return counted.status();
+    (kind == PairKind::kLoopClosure ? record->loop_closure_count
+                                    : record->rejected_candidate_count) =
+        pairs.Integer(0);
+  }
+  return absl::OkStatus();
+}
+
+absl::Status WriteVehicleRow(SqliteDatabase& database,
+                             const VehicleRecord& record) {
+  return database
+      .Prepare(
+          "UPDATE vehicles SET format = ?2, revision = ?3, checksum = ?4, "
+          "payload = ?5 WHERE key = ?1")
+      .Bind(1, record.key)
+      .Bind(2, kStoreFormat)
+      .Bind(3, Signed(record.revision))
+      .Bind(4, ChecksumOfVehicle(kStoreFormat, record))
+      .BindBlob(5, record.payload)
+      .Run();
+}
+
+absl::Status Gap(const std::string& vehicle_id, std::uint64_t expected,
+                 const BatchRecord& batch) {
+  return Error(StatusCode::kFailedPrecondition, "SEQUENCE_GAP",
+               "vehicle '" + vehicle_id + "': got a batch from sequence " +
+                   std::to_string(batch.first_sequence) + ", expected " +
+                   std::to_string(expected),
+               {{"expected_sequence", std::to_string(expected)}});
+}
+
+}  // namespace
+
+absl::Status Corrupt(const std::string& what, const ErrorMetadata& metadata) {
+  return Error(StatusCode::kDataLoss, "STORE_CORRUPT", what, metadata);
+}
+
+absl::StatusOr<std::string> VehicleId(SqliteDatabase& database,
+                                      VehicleKey key) {
+  SqliteStatement row =
+      database.Prepare("SELECT id FROM vehicles WHERE key = ?1");
+  row.Bind(1, key);
+  const absl::StatusOr<bool> found = row.Step();
+  if (!found.ok()) return found.status();
+  if (!*found) return UnknownVehicle("key " + std::to_string(key));
+  return Printable(row.Bytes(0));
+}
+
+absl::StatusOr<VehicleRecord> FindVehicle(SqliteDatabase& database,
+                                          const std::string& id) {
+  SqliteStatement row = database.Prepare(
+      "SELECT key, id, format, revision, checksum, payload FROM vehicles "
+      "WHERE id = ?1");
+  const absl::StatusOr<bool> found = row.BindText(1, id).Step();
+  if (!found.ok()) return found.status();
+  if (!*found) return UnknownVehicle("'" + id + "'");
+  absl::StatusOr<VehicleRecord> record = ReadVehicleRow(row);
+  if (!record.ok()) return record;
+  const absl::Status completed = CompleteVehicle(database, &*record);
+  if (!completed.ok()) return completed;
+  return record;
+}
+
+absl::StatusOr<std::vector<VehicleRecord>> FindVehicles(
+    SqliteDatabase& database, const std::string& after_id,
+    const std::string& prefix, int limit) {
+  std::vector<VehicleRecord> records;
+  // Ids are ASCII.
+  const std::string beyond = prefix + "\x7f";
+  SqliteStatement row = database.Prepare(
+      "SELECT key, id, format, revision, checksum, payload FROM vehicles "
+      "WHERE id > ?1 AND id >= ?2 AND id < ?3 ORDER BY id LIMIT ?4");
+  row.BindText(1, after_id).BindText(2, prefix).BindText(3, beyond);
+  row.Bind(4, std::max(limit, 0));
+  while (true) {
+    const absl::StatusOr<bool> found = row.Step();
+    if (!found.ok()) return found.status();
+    if (!*found) return records;
+    absl::StatusOr<VehicleRecord> record = ReadVehicleRow(row);
+    if (!record.ok()) return record.status();
+    const absl::Status completed = CompleteVehicle(database, &*record);
+    if (!completed.ok()) return completed;
+    records.push_back(*std::move(record));
+  }
+}
+
+absl::StatusOr<VehicleKey> InsertVehicle(SqliteDatabase& database,
+                                         VehicleRecord record) {
+  {
+    SqliteStatement taken =
+        database.Prepare("SELECT 1 FROM vehicles WHERE id = ?1");
+    const absl::StatusOr<bool> found = taken.BindText(1, record.id).Step();
+    if (!found.ok()) return found.status();
+    if (*found) {
+      return Error(StatusCode::kAlreadyExists, "VEHICLE_EXISTS",
+                   "vehicle '" + record.id + "' exists already");
+    }
+  }
+  // The checksum covers the key, which is known only now.
+  absl::Status status =
+      database
+          .Prepare(
+              "INSERT INTO vehicles (id, format, revision, checksum, payload) "
+              "VALUES (?1, 0, 0, 0, x'')")
+          .BindText(1, record.id)
+          .Run();
+  if (!status.ok()) return status;
+  record.key = database.LastInsertedKey();
+  status = WriteVehicleRow(database, record);
+  if (!status.ok()) return status;
+  return record.key;
+}
+
+absl::Status ChangeVehicle(SqliteDatabase& database, VehicleKey key,
+                           const std::optional<std::string>& payload,
+                           std::uint64_t revision) {
+  absl::StatusOr<VehicleRecord> record =
+      [&]() -> absl::StatusOr<VehicleRecord> {
+    SqliteStatement row = database.Prepare(
+        "SELECT key, id, format, revision, checksum, payload FROM vehicles "
+        "WHERE key = ?1");
+    const absl::StatusOr<bool> found = row.Bind(1, key).Step();
+    if (!found.ok()) return found.status();
+    if (!*found) return UnknownVehicle("key " + std::to_string(key));
+    return ReadVehicleRow(row);
+  }();
+  if (!record.ok()) return record.status();
+  if (payload.has_value()) record->payload = *payload;
+  record->revision = std::max(record->revision, revision);
+  return WriteVehicleRow(database, *record);
+}
+
+absl::Status RemoveVehicle(SqliteDatabase& database, VehicleKey key) {
+  absl::Status status = database.Prepare("DELETE FROM vehicles WHERE key = ?1")
+                            .Bind(1, key)
+                            .Run();
+  if (!status.ok()) return status;
+  if (database.Changes() == 0) {
+    return UnknownVehicle("key " + std::to_string(key));
+  }
+  for (const PairKind kind : kPairKinds) {
+    status = database.Prepare(StatementsOf(kind).remove_all.c_str())
+                 .Bind(1, key)
+                 .Run();
+    if (!status.ok()) return status;
+  }
+  return database.Prepare("INSERT INTO deleted_vehicles (key) VALUES (?1)")
+      .Bind(1, key)
+      .Run();
+}
+
+absl::Status InsertBatch(SqliteDatabase& database, VehicleKey key,
+                         const BatchRecord& batch, std::uint64_t* expected) {
+  if (*expected == 0) {
+    const absl::StatusOr<std::string> id = VehicleId(database, key);
+    if (!id.ok()) return id.status();
+    const absl::StatusOr<std::optional<BatchRecord>> last =
+        ReadLastBatch(database, key, *id);
+    if (!last.ok()) return last.status();
+    *expected =
+        last->has_value() ? (*last)->first_sequence + (*last)->count : 1;
+  }
+  if (batch.first_sequence != *expected) {
+    const absl::StatusOr<std::string> id = VehicleId(database, key);
+    return id.ok() ? Gap(*id, *expected, batch) : id.status();
+  }
+  const absl::Status status =
+      database
+          .Prepare(
+              "INSERT INTO batches (vehicle_key, first_sequence, count, "
+              "format, revision, checksum, payload) "
+              "VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)")
+          .Bind(1, key)
+          .Bind(2, Signed(batch.first_sequence))
+          .Bind(3, batch.count)
+          .Bind(4, kStoreFormat)
+          .Bind(5, Signed(batch.revision))
+          .Bind(6, ChecksumOfBatch(kStoreFormat, key, BatchVersion::kAsSent,
+                                   batch))
+          .BindBlob(7, batch.payload)
+          .Run();
+  if (status.ok()) *expected += batch.count;
+  return status;
+}
+
+absl::Status ReviseBatchRows(SqliteDatabase& database, VehicleKey key,
+                             const std::vector<BatchRecord>& batches,
+                             std::uint64_t revision) {
+  absl::Status status = ChangeVehicle(database, key, std::nullopt, revision);
+  for (const BatchRecord& batch : batches) {
+    if (!status.ok()) break;
+    {
+      SqliteStatement row = database.Prepare(
+          "SELECT count FROM batches WHERE vehicle_key = ?1 AND "
+          "first_sequence = ?2");
+      row.Bind(1, key).Bind(2, Signed(batch.first_sequence));
+      const absl::StatusOr<bool> found = row.Step();
+      if (!found.ok()) return found.status();
+      if (!*found || row.Integer(0) != batch.count) {
+        return Error(StatusCode::kFailedPrecondition, "INTERNAL",
+                     "no batch with sequences " + Range(batch) +
+                         " is stored that could be revised");
+      }
+    }
+    BatchRecord revised = batch;
+    revised.revision = revision;
+    status = database
+                 .Prepare(
+                     "INSERT OR REPLACE INTO revised_batches (vehicle_key, "
+                     "first_sequence, count, format, revision, checksum, "
+                     "payload) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)")
+                 .Bind(1, key)
+                 .Bind(2, Signed(revised.first_sequence))
+                 .Bind(3, revised.count)
+                 .Bind(4, kStoreFormat)
+                 .Bind(5, Signed(revised.revision))
+                 .Bind(6, ChecksumOfBatch(kStoreFormat, key,
+                                          BatchVersion::kCurrent, revised))
+                 .BindBlob(7, revised.payload)
+                 .Run();
+  }
+  return status;
+}
+
+absl::Status VisitBatches(SqliteDatabase& database, VehicleKey key,
+                          std::uint64_t first_sequence,
+                          std::uint64_t last_sequence, BatchVersion version,
+                          const std::function<bool(BatchRecord)>& visit) {
+  const absl::StatusOr<std::string> vehicle_id = VehicleId(database, key);
+  if (!vehicle_id.ok()) return vehicle_id.status();
+  if (first_sequence > last_sequence) return absl::OkStatus();
+  SqliteStatement row =
+      version == BatchVersion::kAsSent
+          ? database.Prepare(
+                "SELECT first_sequence, count, format, revision, checksum, "
+                "payload FROM batches WHERE vehicle_key = ?1 AND "
+                "first_sequence >= (SELECT max(first_sequence) FROM batches "
+                "WHERE vehicle_key = ?1 AND first_sequence <= ?2) AND "
+                "first_sequence <= ?3 ORDER BY first_sequence")
+          : database.Prepare(
+                "SELECT b.first_sequence, b.count, b.format, b.revision, "
+                "b.checksum, b.payload, r.count, r.format, r.revision, "
+                "r.checksum, r.payload FROM batches AS b LEFT JOIN "
+                "revised_batches AS r ON r.vehicle_key = b.vehicle_key AND "
+                "r.first_sequence = b.first_sequence WHERE b.vehicle_key = "
+                "?1 AND b.first_sequence >= (SELECT max(first_sequence) FROM "
+                "batches WHERE vehicle_key = ?1 AND first_sequence <= ?2) "
+                "AND b.first_sequence <= ?3 ORDER BY b.first_sequence");
+  row.Bind(1, key).Bind(2, Signed(first_sequence));
+  row.Bind(3, Signed(last_sequence));
+  std::uint64_t expected = first_sequence;
+  while (expected <= last_sequence) {
+    const absl::StatusOr<bool> found = row.Step();
+    if (!found.ok()) return found.status();
+    const bool revised =
+        *found && version == BatchVersion::kCurrent && !row.IsNull(6);
+    absl::StatusOr<BatchRecord> batch = BatchRecord();
+    if (*found) {
+      batch = revised ? ReadBatchRow(row, 7, row.Integer(0), row.Integer(6),
+                                     key, *vehicle_id, BatchVersion::kCurrent)
+                      : ReadBatchRow(row, 2, row.Integer(0), row.Integer(1),
+                                     key, *vehicle_id, BatchVersion::kAsSent);
+      if (!batch.ok()) return batch.status();
+    }
+    // The first may begin before the range, all others follow each other.
+    const bool fits =
+        *found &&
+        (expected == first_sequence ? batch->first_sequence <= expected
+                                    : batch->first_sequence == expected) &&
+        batch->first_sequence + batch->count > expected;
+    if (!fits) {
+      return Corrupt(
+          "vehicle '" + *vehicle_id + "': sequence " +
+              std::to_string(expected) + " is not in the store",
+          {{"vehicle", *vehicle_id}, {"sequence", std::to_string(expected)}});
+    }
+    expected = batch->first_sequence + batch->count;
+    if (!visit(*std::move(batch))) break;
+  }
+  return absl::OkStatus();
+}
+
+absl::Status InsertPosePair(SqliteDatabase& database, VehicleKey key,
+                            PairKind kind, const PosePairRecord& pair,
+                            std::uint64_t revision) {
+  const absl::Status status =
+      ChangeVehicle(database, key, std::nullopt, revision);
+  if (!status.ok()) return status;
+  {
+    SqliteStatement taken = database.Prepare(StatementsOf(kind).find.c_str());
+    const absl::StatusOr<bool> found =
+        taken.Bind(1, key).BindText(2, pair.id).Step();
+    if (!found.ok()) return found.status();
+    if (*found) {
+      const PairWords words = WordsOf(kind);
+      return Error(
+          StatusCode::kAlreadyExists, words.exists,
+          std::string(words.noun) + " '" + pair.id + "' exists already");
+    }
+  }
+  return database.Prepare(StatementsOf(kind).insert.c_str())
+      .Bind(1, key)
+      .BindText(2, pair.id)
+      .Bind(3, kStoreFormat)
+      .Bind(4, Signed(pair.query_sequence))
+      .Bind(5, Signed(pair.matched_sequence))
+      .Bind(6, pair.create_time_ns)
+      .Bind(7, ChecksumOfPosePair(kStoreFormat, key, kind, pair))
+      .Run();
+}
+
+absl::Status RemovePosePair(SqliteDatabase& database, VehicleKey key,
+                            PairKind kind, const std::string& id,
+                            std::uint64_t revision) {
+  absl::Status status = ChangeVehicle(database, key, std::nullopt, revision);
+  if (!status.ok()) return status;
+  status = database.Prepare(StatementsOf(kind).remove.c_str())
+               .Bind(1, key)
+               .BindText(2, id)
+               .Run();
+  if (!status.ok()) return status;
+  if (database.Changes() == 0) {
+    const PairWords words = WordsOf(kind);
+    return Error(StatusCode::kNotFound, words.not_found,
+                 "no such " + std::string(words.noun) + ": '" + id + "'");
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::vector<PosePairRecord>> FindPosePairs(
+    SqliteDatabase& database, VehicleKey key, PairKind kind,
+    const std::string& after_id, int limit) {
+  std::vector<PosePairRecord> pairs;
+  const absl::StatusOr<std::string> vehicle_id = VehicleId(database, key);
+  if (!vehicle_id.ok()) return vehicle_id.status();
+  SqliteStatement row = database.Prepare(StatementsOf(kind).list.c_str());
+  row.Bind(1, key).BindText(2, after_id).Bind(3, std::max(limit, 0));
+  while (true) {
+    const absl::StatusOr<bool> found = row.Step();
+    if (!found.ok()) return found.status();
+    if (!*found) return pairs;
+    PosePairRecord pair;
+    pair.id = row.Bytes(0);
+    const std::int64_t format = row.Integer(1);
+    pair.query_sequence = Unsigned(row.Integer(2));
+    pair.matched_sequence = Unsigned(row.Integer(3));
+    pair.create_time_ns = row.Integer(4);
+    const PairWords words = WordsOf(kind);
+    const absl::Status checked = CheckRow(
+        format, row.Integer(5), ChecksumOfPosePair(format, key, kind, pair),
+        "stored " + std::string(words.noun) + " '" + Printable(pair.id) +
+            "' of vehicle '" + *vehicle_id + "'",
+        {{"vehicle", *vehicle_id}, {words.field, Printable(pair.id)}});
+    if (!checked.ok()) return checked;
+    pairs.push_back(std::move(pair));
+  }
+}
+
+absl::StatusOr<bool> PurgeSome(SqliteDatabase& database) {
+  VehicleKey key = 0;
+  {
+    SqliteStatement row =
+        database.Prepare("SELECT key FROM deleted_vehicles LIMIT 1");
+    const absl::StatusOr<bool> found = row.Step();
+    if (!found.ok()) return found.status();
+    if (!*found) return false;
+    key = row.Integer(0);
+  }
+  int removed = 0;
+  for (const char* sql :
+       {"DELETE FROM batches WHERE rowid IN (SELECT rowid FROM batches WHERE "
+        "vehicle_key = ?1 LIMIT ?2)",
+        "DELETE FROM revised_batches WHERE rowid IN (SELECT rowid FROM "
+        "revised_batches WHERE vehicle_key = ?1 LIMIT ?2)"}) {
+    const absl::Status status =
+        database.Prepare(sql).Bind(1, key).Bind(2, kPurgedBatches).Run();
+    if (!status.ok()) return status;
+    removed += database.Changes();
+  }
+  if (removed == 0) {
+    const absl::Status status =
+        database.Prepare("DELETE FROM deleted_vehicles WHERE key = ?1")
+            .Bind(1, key)
+            .Run();
+    if (!status.ok()) return status;
+  }
+  return true;
+}
+
+}  // namespace revisit::server
