@@ -67,9 +67,39 @@ absl::StatusOr<std::string> StoreFile(const std::string& path) {
   return InDirectory(path);
 }
 
-// Unloaded bytes that are worth giving back to the system: the C library keeps
-// what is freed, and to hand it over takes it some milliseconds per 100 MB.
+// Bytes that are worth giving back to the system, which takes some milliseconds
+// per 100 MB.
 constexpr std::int64_t kWorthTrimming = std::int64_t{8} << 20;
+
+// Gives back what the C library keeps of memory that was freed: after unloaded
+// vehicles, and after many calls or streams at once.
+class Trimmer {
+ public:
+  void TrimIfWorthwhile() {
+    const std::int64_t unused = UnusedBytes();
+    if (unused - least_unused_ >= kWorthTrimming) {
+      Trim();
+    } else {
+      least_unused_ = std::min(least_unused_, unused);
+    }
+  }
+
+  void Trim() {
+    malloc_trim(0);
+    least_unused_ = UnusedBytes();
+  }
+
+ private:
+  // Resident, but not on the heap: not only what could be given back, so that
+  // it tells something by its growth.
+  static std::int64_t UnusedBytes() {
+    const struct mallinfo2 heap = mallinfo2();
+    return ResidentBytes() - static_cast<std::int64_t>(heap.uordblks) -
+           static_cast<std::int64_t>(heap.hblkhd);
+  }
+
+  std::int64_t least_unused_ = 0;
+};
 
 // A vehicle stays at most a tenth longer than promised, and memory at most a
 // second above the budget.
@@ -80,7 +110,7 @@ std::chrono::milliseconds UnloadPeriod(const Fleet::Options& options) {
 }
 
 // Unloads what has been idle for long, and all that nobody uses where memory is
-// short.
+// short; and gives memory back.
 std::unique_ptr<Periodic> MakeUnloadTimer(Fleet* fleet, Admission* admission,
                                           const Fleet::Options& options) {
   using Clock = std::chrono::steady_clock;
@@ -88,15 +118,16 @@ std::unique_ptr<Periodic> MakeUnloadTimer(Fleet* fleet, Admission* admission,
   return std::make_unique<Periodic>(
       std::min(period, kMemoryPeriod),
       [=, idle_unload = options.idle_unload, next = Clock::now() + period,
-       untrimmed = std::int64_t{0}]() mutable {
+       trimmer = Trimmer()]() mutable {
         const auto now = Clock::now();
         const bool pressed = admission->UnderMemoryPressure();
         if (!pressed && now < next) return;
         next = now + period;
-        untrimmed += fleet->UnloadIdle(pressed ? now + idle_unload : now).bytes;
-        if (untrimmed >= kWorthTrimming || pressed) {
-          malloc_trim(0);
-          untrimmed = 0;
+        fleet->UnloadIdle(pressed ? now + idle_unload : now);
+        if (pressed) {
+          trimmer.Trim();
+        } else {
+          trimmer.TrimIfWorthwhile();
         }
       });
 }
