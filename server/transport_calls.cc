@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <iterator>
 #include <memory>
 #include <nlohmann/json.hpp>
 
@@ -37,6 +38,11 @@ std::int64_t Number(const Json& json, const char* name) {
                       10);
 }
 
+// Empty if it is closed.
+Json ReadSocket(std::int64_t socket) {
+  return Take(grpc_channelz_get_socket(static_cast<intptr_t>(socket)));
+}
+
 }  // namespace
 
 std::optional<std::uint64_t> TransportCalls::Held(const std::string& remote) {
@@ -46,8 +52,7 @@ std::optional<std::uint64_t> TransportCalls::Held(const std::string& remote) {
     found = sockets_.find(remote);
     if (found == sockets_.end()) return std::nullopt;
   }
-  const Json socket =
-      Take(grpc_channelz_get_socket(static_cast<intptr_t>(found->second)));
+  const Json socket = ReadSocket(found->second);
   if (socket.empty()) {
     // Another may come from the same port.
     sockets_.erase(found);
@@ -86,6 +91,14 @@ void TransportCalls::LearnNew() {
     }
   }
   next_socket_ = next;
+  if (sockets_.size() > most_) ForgetClosed();
+}
+
+void TransportCalls::ForgetClosed() {
+  for (auto it = sockets_.begin(); it != sockets_.end();) {
+    it = ReadSocket(it->second).empty() ? sockets_.erase(it) : std::next(it);
+  }
+  most_ = std::max<std::size_t>(1024, 2 * sockets_.size());
 }
 
 }  // namespace revisit::server

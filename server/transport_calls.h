@@ -8,6 +8,7 @@
 #ifndef REVISIT_SERVER_TRANSPORT_CALLS_H_
 #define REVISIT_SERVER_TRANSPORT_CALLS_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -25,10 +26,13 @@ class TransportCalls {
 
  private:
   void LearnNew();
+  void ForgetClosed();
 
   // Numbers only grow; the lowest that can be new.
   std::int64_t next_socket_ = 0;
   std::unordered_map<std::string, std::int64_t> sockets_;
+  // So many may be known before those that were closed are forgotten.
+  std::size_t most_ = 1024;
 };
 
 }  // namespace revisit::server
