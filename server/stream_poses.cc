@@ -454,11 +454,10 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
         request_->mutable_open()->set_vehicle(kUnread);
       }
       if (!write && !read) return;
-      Request* const request = request_;
       ++starting_;
       mutex_.Unlock();
       if (write) StartWrite(&response_, options);
-      if (read) StartRead(request);
+      if (read) StartRead(request_);
       mutex_.Lock();
       --starting_;
     }

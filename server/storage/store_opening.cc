@@ -87,34 +87,46 @@ CREATE TABLE rejected_candidates (
 ) WITHOUT ROWID;
 )sql";
 
-absl::Status CheckKnownFormat(const std::string& path, std::int64_t application,
-                              std::int64_t format) {
-  if (application != kApplicationId) {
+// What the head of an SQLite file says of who made it; both 0 in a new one.
+struct FileFormat {
+  std::int64_t application = 0;
+  std::int64_t version = 0;
+};
+
+absl::StatusOr<FileFormat> ReadFormat(SqliteDatabase& database) {
+  const absl::StatusOr<std::int64_t> application =
+      database.QueryInteger("PRAGMA application_id");
+  if (!application.ok()) return application.status();
+  const absl::StatusOr<std::int64_t> version =
+      database.QueryInteger("PRAGMA user_version");
+  if (!version.ok()) return version.status();
+  return FileFormat{*application, *version};
+}
+
+absl::Status CheckKnownFormat(const std::string& path,
+                              const FileFormat& format) {
+  if (format.application != kApplicationId) {
     return absl::FailedPreconditionError(path +
                                          " is an SQLite file of another "
                                          "program, not a store of revisit");
   }
-  if (format < 1 || format > kStoreFormat) {
+  if (format.version < 1 || format.version > kStoreFormat) {
     return absl::FailedPreconditionError(
-        "the store " + path + " has format " + std::to_string(format) +
+        "the store " + path + " has format " + std::to_string(format.version) +
         ", this server reads formats 1 to " + std::to_string(kStoreFormat) +
-        (format > kStoreFormat ? ": use a newer server" : ""));
+        (format.version > kStoreFormat ? ": use a newer server" : ""));
   }
   return absl::OkStatus();
 }
 
 // Sets up a new file, or checks one that is there and brings it to this format.
 absl::Status CheckFormat(SqliteDatabase& database, const std::string& path) {
-  const absl::StatusOr<std::int64_t> application =
-      database.QueryInteger("PRAGMA application_id");
-  if (!application.ok()) return application.status();
-  const absl::StatusOr<std::int64_t> format =
-      database.QueryInteger("PRAGMA user_version");
+  const absl::StatusOr<FileFormat> format = ReadFormat(database);
   if (!format.ok()) return format.status();
   const absl::StatusOr<std::int64_t> tables =
       database.QueryInteger("SELECT count(*) FROM sqlite_schema");
   if (!tables.ok()) return tables.status();
-  if (*application == 0 && *format == 0 && *tables == 0) {
+  if (format->application == 0 && format->version == 0 && *tables == 0) {
     const std::string sql =
         "PRAGMA page_size = " + std::to_string(kPageBytes) +
         "; BEGIN IMMEDIATE;" + std::string(kSchema) + kSchemaSince2 +
@@ -122,9 +134,9 @@ absl::Status CheckFormat(SqliteDatabase& database, const std::string& path) {
         "; PRAGMA user_version = " + std::to_string(kStoreFormat) + "; COMMIT";
     return database.Execute(sql.c_str());
   }
-  const absl::Status known = CheckKnownFormat(path, *application, *format);
+  const absl::Status known = CheckKnownFormat(path, *format);
   if (!known.ok()) return known;
-  if (*format == kStoreFormat) return absl::OkStatus();
+  if (format->version == kStoreFormat) return absl::OkStatus();
   // Not done until committed: a failure closes the connection, and that rolls
   // back.
   const std::string sql =
@@ -375,17 +387,13 @@ absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenDatabaseToRead(
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
       OpenAnchor(path, "");
   if (!database.ok()) return database;
-  const absl::StatusOr<std::int64_t> application =
-      (*database)->QueryInteger("PRAGMA application_id");
-  if (!application.ok()) return application.status();
-  const absl::StatusOr<std::int64_t> format =
-      (*database)->QueryInteger("PRAGMA user_version");
+  const absl::StatusOr<FileFormat> format = ReadFormat(**database);
   if (!format.ok()) return format.status();
-  const absl::Status known = CheckKnownFormat(path, *application, *format);
+  const absl::Status known = CheckKnownFormat(path, *format);
   if (!known.ok()) return known;
-  if (*format != kStoreFormat) {
+  if (format->version != kStoreFormat) {
     return absl::FailedPreconditionError(
-        "the store " + path + " has format " + std::to_string(*format) +
+        "the store " + path + " has format " + std::to_string(format->version) +
         ": a server that is started on it brings it to format " +
         std::to_string(kStoreFormat));
   }

@@ -185,6 +185,23 @@ absl::Status Gap(const std::string& vehicle_id, std::uint64_t expected,
                {{"expected_sequence", std::to_string(expected)}});
 }
 
+// `sql` is a literal, by whose address the connection knows the statement. Its
+// parameters: vehicle_key, first_sequence, count, format, revision, checksum,
+// payload.
+absl::Status WriteBatchRow(SqliteDatabase& database, const char* sql,
+                           VehicleKey key, BatchVersion version,
+                           const BatchRecord& batch) {
+  return database.Prepare(sql)
+      .Bind(1, key)
+      .Bind(2, Signed(batch.first_sequence))
+      .Bind(3, batch.count)
+      .Bind(4, kStoreFormat)
+      .Bind(5, Signed(batch.revision))
+      .Bind(6, ChecksumOfBatch(kStoreFormat, key, version, batch))
+      .BindBlob(7, batch.payload)
+      .Run();
+}
+
 }  // namespace
 
 absl::Status Corrupt(const std::string& what, const ErrorMetadata& metadata) {
@@ -320,21 +337,11 @@ absl::Status InsertBatch(SqliteDatabase& database, VehicleKey key,
     const absl::StatusOr<std::string> id = VehicleId(database, key);
     return id.ok() ? Gap(*id, *expected, batch) : id.status();
   }
-  const absl::Status status =
-      database
-          .Prepare(
-              "INSERT INTO batches (vehicle_key, first_sequence, count, "
-              "format, revision, checksum, payload) "
-              "VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)")
-          .Bind(1, key)
-          .Bind(2, Signed(batch.first_sequence))
-          .Bind(3, batch.count)
-          .Bind(4, kStoreFormat)
-          .Bind(5, Signed(batch.revision))
-          .Bind(6, ChecksumOfBatch(kStoreFormat, key, BatchVersion::kAsSent,
-                                   batch))
-          .BindBlob(7, batch.payload)
-          .Run();
+  const absl::Status status = WriteBatchRow(
+      database,
+      "INSERT INTO batches (vehicle_key, first_sequence, count, format, "
+      "revision, checksum, payload) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+      key, BatchVersion::kAsSent, batch);
   if (status.ok()) *expected += batch.count;
   return status;
 }
@@ -360,20 +367,12 @@ absl::Status ReviseBatchRows(SqliteDatabase& database, VehicleKey key,
     }
     BatchRecord revised = batch;
     revised.revision = revision;
-    status = database
-                 .Prepare(
-                     "INSERT OR REPLACE INTO revised_batches (vehicle_key, "
-                     "first_sequence, count, format, revision, checksum, "
-                     "payload) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)")
-                 .Bind(1, key)
-                 .Bind(2, Signed(revised.first_sequence))
-                 .Bind(3, revised.count)
-                 .Bind(4, kStoreFormat)
-                 .Bind(5, Signed(revised.revision))
-                 .Bind(6, ChecksumOfBatch(kStoreFormat, key,
-                                          BatchVersion::kCurrent, revised))
-                 .BindBlob(7, revised.payload)
-                 .Run();
+    status = WriteBatchRow(
+        database,
+        "INSERT OR REPLACE INTO revised_batches (vehicle_key, first_sequence, "
+        "count, format, revision, checksum, payload) "
+        "VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+        key, BatchVersion::kCurrent, revised);
   }
   return status;
 }
