@@ -17,6 +17,7 @@ from kills import preloaded
 from raw_http2 import (DATA, GOAWAY, RST_STREAM, SERVICE, RawConnection,
                        call_headers, frame, message)
 from revisit_server import Server, wait_until
+from skipped import Skipped
 from stubs import PoseGraphServiceStub, api
 from wire import (PoseStream, append, as_bytes, batches, decode_failure,
                   failure_of, get, list_poses, straight)
@@ -27,10 +28,6 @@ KIB, MIB = 1 << 10, 1 << 20
 IDLE_SECONDS = 1.5
 EXHAUSTED = grpc.StatusCode.RESOURCE_EXHAUSTED
 UNAVAILABLE = grpc.StatusCode.UNAVAILABLE
-
-
-class Skipped(Exception):
-    """Replaced by the matrix's own."""
 
 
 def milliseconds(seconds):

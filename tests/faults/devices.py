@@ -11,6 +11,7 @@ import grpc
 from drive_client import VEHICLE, Client, Drive, create
 from kills import SETTINGS, preloaded
 from revisit_server import Server
+from skipped import Skipped
 from stubs import api
 from wire import append, as_bytes, decode_failure, failure_of, get, list_poses
 
@@ -18,10 +19,6 @@ MIB = 1 << 20
 # What gRPC itself answers at the end of a server; CANCELLED where a call comes
 # just as the connections are closed.
 GONE = (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.CANCELLED)
-
-
-class Skipped(Exception):
-    """Replaced by the matrix's own."""
 
 
 @contextlib.contextmanager

@@ -22,6 +22,7 @@ import damage
 import devices
 import kills
 import restarts
+from skipped import Skipped
 
 ROWS = [*kills.ROWS, *damage.ROWS, *devices.ROWS, *restarts.ROWS,
         *crowds.ROWS]
@@ -47,13 +48,6 @@ class Run:
         shutil.rmtree(path, ignore_errors=True)
         path.mkdir(parents=True)
         return path
-
-
-class Skipped(Exception):
-    """The machine lacks what a row needs; says what."""
-
-
-devices.Skipped = crowds.Skipped = Skipped
 
 
 def main():

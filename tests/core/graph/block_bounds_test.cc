@@ -2,7 +2,6 @@
 
 #include <gtest/gtest.h>
 
-#include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
@@ -39,6 +38,13 @@ PoseGraph Drive(std::mt19937_64& random, NodeIndex nodes,
     node.pose = pose;
   }
   return graph;
+}
+
+// One whose errors stay as they are.
+PoseGraph SteadyDrive(std::mt19937_64& random, NodeIndex nodes) {
+  return Drive(random, nodes, [](const Node& before, const Pose&) {
+    return before.covariance;
+  });
 }
 
 // Dead reckoning: the error before, carried on, and noise.
@@ -174,9 +180,7 @@ TEST(BlockBoundsTest, GrowingWithTheGraphTellsTheSameAsAllAtOnce) {
 
 TEST(BlockBoundsTest, RegionThatIsNotANumberIsNearEverything) {
   std::mt19937_64 random = SeededRandom();
-  const PoseGraph graph =
-      Drive(random, 1000,
-            [](const Node& before, const Pose&) { return before.covariance; });
+  const PoseGraph graph = SteadyDrive(random, 1000);
   BlockBounds bounds(StateSpace::kPlanar);
   bounds.Extend(graph);
   BlockBounds::Region region;
@@ -238,9 +242,7 @@ TEST(BlockBoundsTest, AFixOnTheWayEndsTheGrowthBeforeIt) {
 
 TEST(BlockBoundsTest, ErrorsThatStayAsTheyAreDoNotGrow) {
   std::mt19937_64 random = SeededRandom();
-  const PoseGraph graph =
-      Drive(random, 1000,
-            [](const Node& before, const Pose&) { return before.covariance; });
+  const PoseGraph graph = SteadyDrive(random, 1000);
   BlockBounds bounds(StateSpace::kPlanar);
   bounds.Extend(graph);
   const std::size_t blocks = bounds.size() - 2;
