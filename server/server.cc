@@ -70,35 +70,52 @@ absl::StatusOr<std::string> StoreFile(const std::string& path) {
 // Bytes that are worth giving back to the system, which takes some milliseconds
 // per 100 MB.
 constexpr std::int64_t kWorthTrimming = std::int64_t{8} << 20;
+// The heap shrinks no more when it does by less than this between two looks.
+constexpr std::int64_t kStillShrinking = std::int64_t{256} << 10;
 
 // Gives back what the C library keeps of memory that was freed: after unloaded
 // vehicles, and after many calls or streams at once.
 class Trimmer {
  public:
+  // A crowd may be leaving still when it is first worthwhile, and what the last
+  // of it frees may not be worth it alone; so a trim is followed by others
+  // until the heap shrinks no more.
   void TrimIfWorthwhile() {
-    const std::int64_t unused = UnusedBytes();
-    if (unused - least_unused_ >= kWorthTrimming) {
+    const Memory memory = Look();
+    if (memory.unused - least_unused_ >= kWorthTrimming ||
+        trimmed_in_use_ - memory.in_use >= kStillShrinking) {
       Trim();
     } else {
-      least_unused_ = std::min(least_unused_, unused);
+      least_unused_ = std::min(least_unused_, memory.unused);
+      trimmed_in_use_ = 0;
     }
   }
 
   void Trim() {
     malloc_trim(0);
-    least_unused_ = UnusedBytes();
+    const Memory memory = Look();
+    least_unused_ = memory.unused;
+    trimmed_in_use_ = memory.in_use;
   }
 
  private:
-  // Resident, but not on the heap: not only what could be given back, so that
-  // it tells something by its growth.
-  static std::int64_t UnusedBytes() {
+  struct Memory {
+    // On the heap and of the mapped blocks.
+    std::int64_t in_use;
+    // Resident, but not in use: not only what could be given back, so that it
+    // tells something by its growth.
+    std::int64_t unused;
+  };
+
+  static Memory Look() {
     const struct mallinfo2 heap = mallinfo2();
-    return ResidentBytes() - static_cast<std::int64_t>(heap.uordblks) -
-           static_cast<std::int64_t>(heap.hblkhd);
+    const auto in_use = static_cast<std::int64_t>(heap.uordblks + heap.hblkhd);
+    return {in_use, ResidentBytes() - in_use};
   }
 
   std::int64_t least_unused_ = 0;
+  // At the last look, if that trimmed; else 0.
+  std::int64_t trimmed_in_use_ = 0;
 };
 
 // A vehicle stays at most a tenth longer than promised, and memory at most a
