@@ -597,7 +597,8 @@ HWY_INLINE void BoundAllChanged(const DifferenceBlock& differences,
         hn::Add(plain, if_least_is_left));
     const Vector squared =
         hn::IfThenElseZero(of_shifted.possible, of_shifted.squared);
-    hn::Store(hn::Sub(constant, hn::Mul(half, squared)), tag, most->data() + i);
+    hn::StoreU(hn::Sub(constant, hn::Mul(half, squared)), tag,
+               most->data() + i);
   }
 }
 

@@ -124,7 +124,8 @@ struct ChangeBound {
 };
 
 // For each node the most that EvaluateChanged() can say of it, less what the
-// shift costs. `similarity` has what EvaluateDifferences() says.
+// shift costs. `similarity` has what EvaluateDifferences() says; `most` need
+// not be aligned.
 void BoundChanged(StateSpace state_space, const DifferenceBlock& differences,
                   const ChangeBound& bound, const BlockSimilarity& similarity,
                   BlockColumn* most);
