@@ -11,10 +11,16 @@ namespace {
 // Least standard deviation of drift_0: its covariance is inverted.
 constexpr double kLeastEndDrift = 1e-4;
 
-// Inverse of a positive definite matrix.
+// Inverse of a positive definite matrix. By columns: Eigen solves for a matrix
+// as if it were a large one.
 template <int D>
 StateMatrix<D> Inverse(const StateMatrix<D>& m) {
-  return Eigen::LLT<StateMatrix<D>>(m).solve(StateMatrix<D>::Identity());
+  const Eigen::LLT<StateMatrix<D>> factors(m);
+  StateMatrix<D> inverse;
+  for (int c = 0; c < D; ++c) {
+    inverse.col(c) = factors.solve(StateVector<D>::Unit(c));
+  }
+  return inverse;
 }
 
 template <int D>
