@@ -59,8 +59,9 @@ std::vector<Direction> Directions(SearchDirection direction) {
   return {Direction::kSame, Direction::kOpposite};
 }
 
-// Odds against a new place that a search may leave out, all ends together.
-constexpr double kPrunedOdds = 1e-6;
+// Share of all odds, a new place's 1 among them, that a search may leave out,
+// all ends together.
+constexpr double kPrunedShare = 1e-6;
 
 absl::Status Stopped() {
   return absl::CancelledError("the search was told to stop");
@@ -387,18 +388,19 @@ SimilarityModel Engine::MakeSimilarityModel(
   return model;
 }
 
-void Engine::StrikeOutKnown(NodeIndex query, double separation_meters,
-                            ScoredEnds* ends) const {
-  if (ends->empty()) return;
-  StrikeOut(graph_, query, separation_meters, ends);
+std::vector<NodeRange> Engine::NotSought(NodeIndex query,
+                                         double separation_meters) const {
+  std::vector<NodeRange> nodes = {
+      NodesNearer(graph_, query, separation_meters)};
   // A hair more, so that what lies just as far is struck out too.
   const double around =
       std::max(separation_meters, kPlaceRadiusMeters) * (1.0 + 1e-9);
   for (const auto& [rejected_query, rejected_match] : rejected_) {
     if (graph_.MetersApart(rejected_query, query) <= around) {
-      StrikeOut(graph_, rejected_match, around, ends);
+      nodes.push_back(NodesNearer(graph_, rejected_match, around));
     }
   }
+  return nodes;
 }
 
 absl::Status Engine::FindComposite(NodeIndex query, std::int64_t steps,
@@ -407,6 +409,8 @@ absl::Status Engine::FindComposite(NodeIndex query, std::int64_t steps,
                                    const ShouldStop& should_stop,
                                    CandidateSet* set) const {
   const Gate gate(settings_.state_space, options.gate_probability);
+  const std::vector<NodeRange> not_sought =
+      NotSought(query, options.candidate_separation_meters);
   for (const Direction direction : Directions(options.direction)) {
     SimilarityModel model = MakeSimilarityModel(options);
     model.direction = direction;
@@ -414,7 +418,7 @@ absl::Status Engine::FindComposite(NodeIndex query, std::int64_t steps,
         Align(graph_, model, query, steps, history_size, should_stop);
     if (!alignment) return Stopped();
     ScoredEnds ends = PossibleEnds(alignment->scores());
-    StrikeOutKnown(query, options.candidate_separation_meters, &ends);
+    for (const NodeRange& nodes : not_sought) StrikeOut(nodes, &ends);
     for (const RankedEnd& end :
          RankEnds(graph_, ends, options.candidate_separation_meters,
                   options.max_candidates)) {
@@ -452,15 +456,16 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
   if (model.similarity.correlation == CorrelationModel::kDeadReckoning) {
     model.last_confirmed = LastConfirmed(query);
   }
+  model.not_sought = NotSought(query, options.candidate_separation_meters);
   model.motion_history = &motion_history_;
   // So little that no end with less can be accepted.
-  const double pruned_odds =
-      std::min(kPrunedOdds, 1e-3 * options.acceptance_probability);
+  const double pruned_share =
+      std::min(kPrunedShare, 1e-3 * options.acceptance_probability);
   if (undecided != nullptr) {
     const double ends =
         (model.same_direction && model.opposite_direction ? 2.0 : 1.0) *
         static_cast<double>(history_size);
-    model.least_log_odds = std::log(pruned_odds / ends);
+    model.least_log_share = std::log(pruned_share / ends);
     model.block_bounds = &block_bounds_;
   }
   const std::optional<RelativeAlignment> alignment =
@@ -469,12 +474,8 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
   set->nodes_considered = alignment->considered();
   set->nodes_pruned = history_size - alignment->considered();
 
-  std::array<ScoredEnds, 2> log_odds;
-  for (const Direction direction : Directions(options.direction)) {
-    ScoredEnds& ends = log_odds[IndexOf(direction)];
-    ends = alignment->ends(direction);
-    StrikeOutKnown(query, options.candidate_separation_meters, &ends);
-  }
+  std::array<ScoredEnds, 2> log_odds = {alignment->ends(Direction::kSame),
+                                        alignment->ends(Direction::kOpposite)};
   // Best first; of equal scores, the same direction first.
   std::vector<RankedPlace> places;
   for (const Direction direction : Directions(options.direction)) {
@@ -592,7 +593,7 @@ absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
         set->candidates.begin(), set->candidates.end(),
         [&](const Candidate& candidate) {
           return std::abs(candidate.relative->probability -
-                          options.acceptance_probability) <= 2.0 * pruned_odds;
+                          options.acceptance_probability) <= 2.0 * pruned_share;
         });
   }
   return absl::OkStatus();

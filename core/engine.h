@@ -189,18 +189,19 @@ class Engine {
   // The last one whose nodes both lie at or before the query.
   std::optional<ConfirmedLoop> LastConfirmed(NodeIndex query) const;
   SimilarityModel MakeSimilarityModel(const SearchOptions& options) const;
-  // Makes impossible what is not to be offered at the query: what is near it,
-  // and what was rejected there.
-  void StrikeOutKnown(NodeIndex query, double separation_meters,
-                      ScoredEnds* ends) const;
+  // What is not to be offered at the query: what is near it, and what was
+  // rejected there.
+  std::vector<NodeRange> NotSought(NodeIndex query,
+                                   double separation_meters) const;
   // Fill the candidates; CANCELLED if told to stop.
   absl::Status FindComposite(NodeIndex query, std::int64_t steps,
                              NodeIndex history_size,
                              const SearchOptions& options,
                              const ShouldStop& should_stop,
                              CandidateSet* set) const;
-  // `undecided`, if given: ends are left out whose odds are at most kPrunedOdds
-  // together, and it says whether any verdict might be another with them.
+  // `undecided`, if given: ends are left out that have at most kPrunedShare
+  // of all odds together, and it says whether any verdict might be another with
+  // them.
   absl::Status FindRelative(NodeIndex query, std::int64_t steps,
                             NodeIndex history_size,
                             const SearchOptions& options,

@@ -215,12 +215,7 @@ class RelativeAligner
 
   // Nothing if told to stop.
   std::optional<RelativeAlignment> Align(const ShouldStop& should_stop) const {
-    RelativeAlignment alignment;
     PoseTable table(graph_, size_);
-    struct Sought {
-      Search search;
-      Differences<D> differences;
-    };
     std::vector<Sought> sought;
     for (const std::size_t way : {0, 1}) {
       if (way == 0 ? model_.same_direction : model_.opposite_direction) {
@@ -228,19 +223,22 @@ class RelativeAligner
                           Differences<D>(graph_, model_, query_, way)});
       }
     }
+    RelativeAlignment alignment;
+    double greatest = 0.0;
     const std::vector<std::size_t> blocks = BlocksToSearch();
     for (std::size_t i = 0; i < blocks.size(); ++i) {
       if (should_stop && should_stop()) return std::nullopt;
       const std::size_t next =
           i + 1 < blocks.size() ? blocks[i + 1] : blocks[0];
-      std::bitset<NodeBlock::kSize> considered;
+      BlockNodes considered;
       for (Sought& way : sought) {
-        considered |= way.search.Evaluate(blocks[i], next, &way.differences);
+        considered |=
+            way.search.Evaluate(blocks[i], next, &way.differences, &greatest);
       }
       alignment.considered_ += static_cast<NodeIndex>(considered.count());
     }
     for (Sought& way : sought) {
-      way.search.Finish(&alignment);
+      way.search.Finish(model_.least_log_share + greatest, &alignment);
     }
     alignment.paths_ = this->shared_from_this();
     return alignment;
@@ -253,6 +251,8 @@ class RelativeAligner
   }
 
  private:
+  using BlockNodes = std::bitset<NodeBlock::kSize>;
+
   // A step of a path that is recorded.
   struct TrailStep {
     PathStep step;
@@ -301,8 +301,10 @@ class RelativeAligner
     bound_.least_left = kLeastUncertaintyLeft;
   }
 
-  // Those of the history that may hold an end with the least log-odds, from the
-  // last to the first.
+  // Those of the history that may hold an end with the least log-odds. From the
+  // last to the first; but where few blocks are left the nearest come first,
+  // which are likely to have the greatest odds: the greater these, the fewer
+  // other ends need be walked from.
   std::vector<std::size_t> BlocksToSearch() const {
     const std::size_t all = BlocksOf(size_);
     // [bounded_from, bounded_to) may be judged by their bounds.
@@ -310,7 +312,7 @@ class RelativeAligner
     std::size_t bounded_to = 0;
     BlockBounds::Region region;
     NodeRegion of_nodes;
-    if (model_.least_log_odds != kImpossible &&
+    if (model_.least_log_share != kImpossible &&
         model_.block_bounds != nullptr) {
       BoundBlocks(&bounded_from, &bounded_to, &region, &of_nodes);
     }
@@ -324,7 +326,25 @@ class RelativeAligner
                                      });
     }
     for (std::size_t k = bounded_from; k-- > 0;) blocks.push_back(k);
+    if (bounded_from < bounded_to) SortByDistance(&blocks);
     return blocks;
+  }
+
+  // Of one node of each.
+  void SortByDistance(std::vector<std::size_t>* blocks) const {
+    const Pose query = graph_.pose(query_);
+    std::vector<std::pair<double, std::size_t>> order;
+    order.reserve(blocks->size());
+    for (const std::size_t k : *blocks) {
+      const auto first = static_cast<NodeIndex>(k * NodeBlock::kSize);
+      constexpr auto kMiddle = static_cast<NodeIndex>(NodeBlock::kSize / 2);
+      const Pose pose = graph_.pose(std::min(first + kMiddle, size_ - 1));
+      order.emplace_back(std::hypot(pose.x - query.x, pose.y - query.y), k);
+    }
+    std::sort(order.begin(), order.end());
+    for (std::size_t i = 0; i < order.size(); ++i) {
+      (*blocks)[i] = order[i].second;
+    }
   }
 
   // With u the direction from the node to the query in x and y, r the distance,
@@ -393,7 +413,7 @@ class RelativeAligner
         of_neither;
     region->squared_per_variance =
         2.0 * (constant_ - 0.5 * log_determinant + weight_ * steps_[0].to_come +
-               kBoundSlack - model_.least_log_odds);
+               kBoundSlack - model_.least_log_share);
     (dead_reckoning ? region->least_taken : region->most_added) = claimed;
     of_nodes->x = query.x;
     of_nodes->y = query.y;
@@ -421,9 +441,11 @@ class RelativeAligner
       change_.least_left = kLeastUncertaintyLeft;
     }
 
-    // The ends in block k; answers which of them were considered.
-    std::bitset<NodeBlock::kSize> Evaluate(std::size_t k, std::size_t next,
-                                           Differences<D>* differences) {
+    // The ends in block k; answers which of them were considered, or are none.
+    // `greatest` rises to the greatest log-odds, if it is less. `next`: the
+    // block that will be asked for after it.
+    BlockNodes Evaluate(std::size_t k, std::size_t next,
+                        Differences<D>* differences, double* greatest) {
       constexpr std::size_t kSize = NodeBlock::kSize;
       first_ = static_cast<NodeIndex>(k * kSize);
       count_ = std::min(kSize, Position(aligner_.size_ - first_));
@@ -433,10 +455,18 @@ class RelativeAligner
         std::fill(column.begin() + static_cast<int>(count_), column.end(), 0.0);
       }
       EvaluateDifferences(StateSpaceOf(), differences_, &similarity_);
-      std::bitset<NodeBlock::kSize> useful;
-      BlockColumn needed;
-      std::bitset<NodeBlock::kSize> considered;
-      FindUseful(&useful, &considered, &needed);
+      for (const NodeRange& nodes : aligner_.model_.not_sought) {
+        const NodeIndex last =
+            std::min(nodes.last - first_, static_cast<NodeIndex>(count_));
+        for (NodeIndex i = std::max<NodeIndex>(nodes.first - first_, 0);
+             i < last; ++i) {
+          similarity_.log_similarity[Position(i)] = kImpossible;
+        }
+      }
+      const double least = aligner_.model_.least_log_share + *greatest;
+      BlockNodes useful;
+      BlockNodes considered;
+      FindUseful(least, &useful, &considered);
       if (useful.none()) return considered;
       Reset();
       table_.Need(first_ - 2 * aligner_.filter_.size(),
@@ -451,7 +481,9 @@ class RelativeAligner
         walkers_.Begin(count);
         for (std::size_t w = 0; w < count; ++w) {
           const std::size_t at = together[w];
-          Seed(w, first_ + static_cast<NodeIndex>(at), needed[at]);
+          // What the best path could have, less what the end can do without.
+          Seed(w, first_ + static_cast<NodeIndex>(at),
+               aligner_.steps_[0].to_come - (bounds_[at] - least) / weight_);
         }
         Walk();
       }
@@ -459,21 +491,35 @@ class RelativeAligner
       for (std::size_t i = count_; i-- > 0;) {
         const double score = similarity_.log_similarity[i] +
                              weight_ * ratios_[i] + aligner_.constant_;
-        if (!useful[i] || !(score >= aligner_.model_.least_log_odds)) continue;
-        ends_.push_back({first_ + static_cast<NodeIndex>(i), score});
-        matches_.push_back({ratios_[i], squares_[i],
-                            similarity_.squared_mahalanobis[i],
-                            change_.row[i]});
+        if (!useful[i] || !(score >= least)) continue;
+        *greatest = std::max(*greatest, score);
+        found_.push_back(
+            {{first_ + static_cast<NodeIndex>(i), score},
+             {ratios_[i], squares_[i], similarity_.squared_mahalanobis[i],
+              change_.row[i]}});
       }
       return considered;
     }
 
-    // Hands over what was found from the last block to the first.
-    void Finish(RelativeAlignment* alignment) {
-      std::reverse(ends_.begin(), ends_.end());
-      std::reverse(matches_.begin(), matches_.end());
-      alignment->ends_[way_] = std::move(ends_);
-      alignment->matches_[way_] = std::move(matches_);
+    // Hands over what was found, but for what has lower log-odds.
+    void Finish(double least, RelativeAlignment* alignment) {
+      const auto older = [](const Found& a, const Found& b) {
+        return a.end.node < b.end.node;
+      };
+      // As they are found where all blocks are walked from in their order.
+      std::reverse(found_.begin(), found_.end());
+      if (!std::is_sorted(found_.begin(), found_.end(), older)) {
+        std::sort(found_.begin(), found_.end(), older);
+      }
+      ScoredEnds& ends = alignment->ends_[way_];
+      std::vector<ShapeMatch>& matches = alignment->matches_[way_];
+      ends.reserve(found_.size());
+      matches.reserve(found_.size());
+      for (const Found& found : found_) {
+        if (!(found.end.score >= least)) continue;
+        ends.push_back(found.end);
+        matches.push_back(found.match);
+      }
     }
 
     std::vector<PathStep> Retrace(NodeIndex j) {
@@ -509,29 +555,33 @@ class RelativeAligner
       return aligner_.model_.similarity.state_space;
     }
 
-    // Which ends may come to the least log-odds, and what their paths need for
-    // that (Walkers::kNeeded). Those are considered, and those of which nothing
-    // can be said.
-    void FindUseful(std::bitset<NodeBlock::kSize>* useful,
-                    std::bitset<NodeBlock::kSize>* considered,
-                    BlockColumn* needed) const {
-      const double least = aligner_.model_.least_log_odds;
-      BlockColumn most;
-      if (least != kImpossible) {
+    struct Found {
+      ScoredEnd end;
+      ShapeMatch match;
+    };
+
+    // Which ends may come to the least log-odds, and what each can come to at
+    // most, were its path the best there can be. Those are considered, and
+    // those of which nothing can be said.
+    void FindUseful(double least, BlockNodes* useful, BlockNodes* considered) {
+      constexpr double kNothingKnown = std::numeric_limits<double>::infinity();
+      if (least == kImpossible) {
+        bounds_.fill(kNothingKnown);
+      } else {
         BoundChanged(StateSpaceOf(), differences_, aligner_.bound_, similarity_,
-                     &most);
+                     &bounds_);
       }
+      const double beside = aligner_.constant_ + kBoundSlack +
+                            weight_ * aligner_.steps_[0].to_come;
       for (std::size_t i = 0; i < count_; ++i) {
         if (similarity_.log_similarity[i] == kImpossible) {
           considered->set(i);
           continue;
         }
-        (*needed)[i] = kImpossible;
-        if (least != kImpossible) {
-          (*needed)[i] =
-              (least - kBoundSlack - most[i] - aligner_.constant_) / weight_;
-          if (aligner_.steps_[0].to_come < (*needed)[i]) continue;
-        }
+        bounds_[i] += beside;
+        // Written so that what is not a number is nothing known.
+        if (!(bounds_[i] <= kNothingKnown)) bounds_[i] = kNothingKnown;
+        if (bounds_[i] < least) continue;
         useful->set(i);
         considered->set(i);
       }
@@ -851,6 +901,8 @@ class RelativeAligner
     std::size_t count_ = 0;
     DifferenceBlock differences_;
     BlockSimilarity similarity_;
+    // The most that the log-odds of each useful end can come to.
+    BlockColumn bounds_;
     BlockColumn ratios_;
     BlockColumn squares_;
     DifferenceChange change_;
@@ -859,9 +911,14 @@ class RelativeAligner
     // Where paths are recorded, if they are, and the best one's last step.
     Trail* trail_ = nullptr;
     std::int64_t best_trail_ = 0;
-    // From the last to the first.
-    ScoredEnds ends_;
-    std::vector<ShapeMatch> matches_;
+    // In the order in which they were walked from.
+    std::vector<Found> found_;
+  };
+
+  // One direction.
+  struct Sought {
+    Search search;
+    Differences<D> differences;
   };
 
   const PoseGraph& graph_;

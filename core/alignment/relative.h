@@ -39,7 +39,7 @@
 // headings turned by pi.
 //
 // Since ends do not depend on each other, only those that can matter need be
-// looked at: see RelativeModel::least_log_odds.
+// looked at: see RelativeModel::least_log_share.
 #ifndef REVISIT_CORE_ALIGNMENT_RELATIVE_H_
 #define REVISIT_CORE_ALIGNMENT_RELATIVE_H_
 
@@ -87,10 +87,14 @@ struct RelativeModel {
   // What is known of the drift. kDeadReckoning only; both nodes at or before
   // the query.
   std::optional<ConfirmedLoop> last_confirmed;
-  // Ends with lower log-odds are left out. With this above -infinity, they are
-  // not looked at where that can be told: by where their block lies, by their
-  // own pose and covariance, by a path that cannot make up for it.
-  double least_log_odds = kImpossible;
+  // No ends: left out. May overlap.
+  std::vector<NodeRange> not_sought;
+  // Ends are left out whose odds are below this share (its logarithm) of the
+  // greatest, or of a new place's odds of 1 if that is more. With this above
+  // -infinity, they are not looked at where that can be told: by where their
+  // block lies, by their own pose and covariance, by a path that cannot make up
+  // for it.
+  double least_log_share = kImpossible;
   // Of the graph, if they are kept: the one saves measuring its motion anew,
   // the other looking at every node.
   const MotionHistory* motion_history = nullptr;
@@ -149,8 +153,9 @@ class RelativeAlignment {
     return paths_->Find(direction, j);
   }
 
-  // Nodes of history from which paths were walked back, either way, or of which
-  // nothing can be said. All of them unless ends are left out.
+  // Nodes of history from which paths were walked back, either way, of which
+  // nothing can be said, or which were not sought. All of them unless ends are
+  // left out for their odds.
   NodeIndex considered() const { return considered_; }
 
  private:

@@ -15,4 +15,13 @@ ScoredEnds PossibleEnds(const std::vector<double>& scores) {
   return ends;
 }
 
+void StrikeOut(const NodeRange& nodes, ScoredEnds* ends) {
+  const auto first = std::partition_point(
+      ends->begin(), ends->end(),
+      [&](const ScoredEnd& end) { return end.node < nodes.first; });
+  for (auto end = first; end != ends->end() && end->node < nodes.last; ++end) {
+    end->score = kImpossible;
+  }
+}
+
 }  // namespace revisit::core

@@ -23,6 +23,16 @@ using ScoredEnds = std::vector<ScoredEnd>;
 // Of nodes 0, 1, ..., all that are not impossible.
 ScoredEnds PossibleEnds(const std::vector<double>& scores);
 
+// Nodes [first, last).
+struct NodeRange {
+  NodeIndex first = 0;
+  NodeIndex last = 0;
+};
+
+// Makes those ends impossible that are of these nodes. O(log n), and as much
+// for every end struck out.
+void StrikeOut(const NodeRange& nodes, ScoredEnds* ends);
+
 // Entries [first, last) of ScoredEnds; those from `later` on are of nodes after
 // the centre.
 struct EndsAround {

@@ -9,11 +9,24 @@ namespace revisit::core {
 namespace {
 
 // Travelled distance grows with the index, so what is near is a range.
-EndsAround FindNearer(const PoseGraph& graph, NodeIndex centre,
-                      double separation_meters, const ScoredEnds& ends) {
-  return FindEndsAround(ends, centre, [&](NodeIndex i) {
-    return i == centre || graph.MetersApart(i, centre) < separation_meters;
-  });
+bool IsNearer(const PoseGraph& graph, NodeIndex centre,
+              double separation_meters, NodeIndex i) {
+  return i == centre || graph.MetersApart(i, centre) < separation_meters;
+}
+
+// The first of [first, last) with a property that all behind it have too; last
+// if none has.
+template <typename Property>
+NodeIndex FirstWith(NodeIndex first, NodeIndex last, const Property& has) {
+  while (first < last) {
+    const NodeIndex middle = first + (last - first) / 2;
+    if (has(middle)) {
+      last = middle;
+    } else {
+      first = middle + 1;
+    }
+  }
+  return first;
 }
 
 // The best of the ends not struck out, found again after some are: the best of
@@ -62,12 +75,14 @@ class BestEnds {
 
 }  // namespace
 
-void StrikeOut(const PoseGraph& graph, NodeIndex centre,
-               double separation_meters, ScoredEnds* ends) {
-  const EndsAround near = FindNearer(graph, centre, separation_meters, *ends);
-  for (std::size_t i = near.first; i < near.last; ++i) {
-    (*ends)[i].score = kImpossible;
-  }
+NodeRange NodesNearer(const PoseGraph& graph, NodeIndex centre,
+                      double separation_meters) {
+  const auto near = [&](NodeIndex i) {
+    return IsNearer(graph, centre, separation_meters, i);
+  };
+  return {FirstWith(0, centre, near),
+          FirstWith(centre + 1, graph.size(),
+                    [&](NodeIndex i) { return !near(i); })};
 }
 
 std::vector<RankedEnd> RankEnds(const PoseGraph& graph, const ScoredEnds& ends,
@@ -78,8 +93,9 @@ std::vector<RankedEnd> RankEnds(const PoseGraph& graph, const ScoredEnds& ends,
     const ScoredEnd best = left.Best();
     if (best.score == kImpossible) break;
     ranked.push_back({best.node, best.score});
-    const EndsAround near =
-        FindNearer(graph, best.node, separation_meters, ends);
+    const EndsAround near = FindEndsAround(ends, best.node, [&](NodeIndex i) {
+      return IsNearer(graph, best.node, separation_meters, i);
+    });
     left.StrikeOut(near.first, near.last);
   }
   return ranked;

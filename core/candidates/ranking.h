@@ -14,11 +14,10 @@ struct RankedEnd {
   double score = 0.0;
 };
 
-// Makes all ends nearer than `separation_meters` to the centre, along the path
-// (travelled distance), impossible; the centre always. The centre need not be
-// among the ends. O(log n), and as much for every end struck out.
-void StrikeOut(const PoseGraph& graph, NodeIndex centre,
-               double separation_meters, ScoredEnds* ends);
+// The nodes nearer than `separation_meters` to the centre, along the path
+// (travelled distance); the centre always. O(log n).
+NodeRange NodesNearer(const PoseGraph& graph, NodeIndex centre,
+                      double separation_meters);
 
 // Takes the best end, leaves out what is near it, and so on, until
 // `max_candidates` are found or none is left. Best first; of equal scores, the

@@ -119,7 +119,7 @@ class Relative {
   }
 
   void LeaveOut() {
-    model_.least_log_odds = std::log(1e-6 / static_cast<double>(n_));
+    model_.least_log_share = std::log(1e-6 / static_cast<double>(n_));
   }
 
   std::optional<core::RelativeAlignment> Align() const {

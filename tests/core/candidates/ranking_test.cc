@@ -41,7 +41,7 @@ TEST_F(RankingTest, TakesTheBestThatAreFarEnoughApart) {
     Build(1000 * trial);
     for (double separation : {0.0, 3.0, 10.0, 50.0}) {
       ScoredEnds scores = PossibleEnds(alignment_->scores());
-      StrikeOut(graph_, 59, separation, &scores);
+      StrikeOut(NodesNearer(graph_, 59, separation), &scores);
       const auto ends = RankEnds(graph_, scores, separation, 8);
       // The obvious way: sort all, take each that is far from those taken.
       std::vector<NodeIndex> order(59);
@@ -84,7 +84,7 @@ TEST_F(RankingTest, OfEqualScoresTheOlderNodeComesFirst) {
   model.correlation = CorrelationModel::kIndependent;
   const auto alignment = Align(graph, model, 9, 1, 9, nullptr);
   ScoredEnds scores = PossibleEnds(alignment->scores());
-  StrikeOut(graph, 9, 4.0, &scores);
+  StrikeOut(NodesNearer(graph, 9, 4.0), &scores);
   const auto ends = RankEnds(graph, scores, 4.0, 100);
   ASSERT_EQ(ends.size(), 4u);
   EXPECT_EQ(ends[0].matched, 0);
@@ -97,35 +97,35 @@ TEST_F(RankingTest, StrikesOutTheCentreAndWhatIsNearer) {
   Build(0);
   const std::vector<double> alike(59, 1.0);
   ScoredEnds ends = PossibleEnds(alike);
-  StrikeOut(graph_, 30, 4.0, &ends);
+  StrikeOut(NodesNearer(graph_, 30, 4.0), &ends);
   for (NodeIndex i = 0; i < 59; ++i) {
     EXPECT_EQ(ends[static_cast<std::size_t>(i)].score,
               i >= 29 && i <= 31 ? kImpossible : 1.0)
         << i;
   }
   ends = PossibleEnds(alike);
-  StrikeOut(graph_, 30, 0.0, &ends);
+  StrikeOut(NodesNearer(graph_, 30, 0.0), &ends);
   EXPECT_EQ(Impossible(ends), 1);
   EXPECT_EQ(ends[30].score, kImpossible);
   // Fewer ends than nodes.
   ends = PossibleEnds(std::vector<double>(20, 1.0));
-  StrikeOut(graph_, 22, 10.0, &ends);
+  StrikeOut(NodesNearer(graph_, 22, 10.0), &ends);
   EXPECT_EQ(Impossible(ends), 2);
-  StrikeOut(graph_, 59, 10.0, &ends);
+  StrikeOut(NodesNearer(graph_, 59, 10.0), &ends);
   EXPECT_EQ(Impossible(ends), 2);
 }
 
 TEST_F(RankingTest, StrikesOutWhatIsThereAroundACentreThatIsNot) {
   Build(0);
   ScoredEnds ends = {{3, 1.0}, {10, 1.0}, {14, 1.0}, {15, 1.0}, {40, 1.0}};
-  StrikeOut(graph_, 12, 6.0, &ends);
+  StrikeOut(NodesNearer(graph_, 12, 6.0), &ends);
   EXPECT_EQ(Impossible(ends), 2);
   EXPECT_EQ(ends[1].score, kImpossible);
   EXPECT_EQ(ends[2].score, kImpossible);
-  StrikeOut(graph_, 25, 2.0, &ends);
+  StrikeOut(NodesNearer(graph_, 25, 2.0), &ends);
   EXPECT_EQ(Impossible(ends), 2);
   ends.clear();
-  StrikeOut(graph_, 12, 6.0, &ends);
+  StrikeOut(NodesNearer(graph_, 12, 6.0), &ends);
   EXPECT_TRUE(ends.empty());
 }
 
