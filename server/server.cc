@@ -43,6 +43,9 @@ constexpr char kStoreFile[] = "revisit.sqlite";
 constexpr std::size_t kRowPoses = 64;
 // For connections to be closed in an orderly way.
 constexpr std::chrono::milliseconds kGoodbyeTime{100};
+// Calls of a connection that may have ended and wait to be cleared away, which
+// takes a moment also of those that ended well: 20 MB at most.
+constexpr std::int64_t kCallsToClear = 1000;
 // How often memory is looked at, should no call do so.
 constexpr std::chrono::milliseconds kMemoryPeriod{2000};
 
@@ -341,9 +344,8 @@ ConnectionAcceptor::Options AcceptorOptions(const ServerSettings& settings) {
   options.bounds.max_connections_per_address =
       settings.limits.max_connections_per_address;
   options.bounds.max_idle_bytes = settings.limits.max_idle_bytes;
-  // Twice, since calls that have ended well take a moment to be cleared away.
   options.bounds.max_held_calls =
-      2 * std::int64_t{settings.limits.max_concurrent_streams};
+      settings.limits.max_concurrent_streams + kCallsToClear;
   options.unacknowledged_timeout =
       Milliseconds(settings.limits.keepalive_timeout_seconds);
   return options;

@@ -268,14 +268,18 @@ def test_random_frames_end_nothing_but_their_connection(
 # ---- Floods
 
 
-def calls_that_are_reset(count):
-    """Stream numbers grow, so that each is another call."""
+def reset_calls(first, last):
+    """The first-th call and so on, each another stream."""
     block = headers_of()
-    return [b"".join(
+    return b"".join(
         frame(HEADERS, block, END_HEADERS, 2 * i + 1) +
         frame(RST_STREAM, struct.pack(">I", 8), 0, 2 * i + 1)
-        for i in range(first, min(first + 50, count)))
-        for first in range(0, count, 50)]
+        for i in range(first, last))
+
+
+def calls_that_are_reset(count):
+    return [reset_calls(first, min(first + 50, count))
+            for first in range(0, count, 50)]
 
 
 def one_after_another(one, count):
@@ -372,6 +376,23 @@ def test_calls_reset_without_end_take_bounded_memory(tmp_path):
               f"{server.log().count('limit=max-concurrent-streams')} cuts")
         assert most - before < 400e6
         neighbour.stream.cancel()
+
+
+def test_calls_that_end_cost_no_connection_however_few_it_may_have(tmp_path):
+    """Also of honest callers some calls wait to be cleared away, if the server
+    has much to do: they are not held to the few that may be open."""
+    with Server(tmp_path / "store", "--max-concurrent-streams=1") as server:
+        with RawConnection(server.port) as connection:
+            end = time.monotonic() + 1.0
+            calls = 0
+            while time.monotonic() < end:
+                # Fifty wait at most: then one is answered.
+                connection.send(reset_calls(calls, calls + 50))
+                calls += 51
+                stream = 2 * calls - 1
+                connection.request(call_headers(), stream=stream)
+                assert connection.outcome(stream) == "status 0", calls
+        assert "limit=max-concurrent-streams" not in server.log()
 
 
 @pytest.mark.release_build
