@@ -3,7 +3,6 @@
 import random
 import shutil
 import signal
-import threading
 import time
 
 from drive_client import VEHICLE, Client, Drive, create
@@ -48,16 +47,14 @@ def kill_in_stream(run):
             stub = server.stub()
             durable = client.verify(stub, whole=number % 10 == 9)
             unacknowledged += durable - client.acked
-            killer = threading.Timer(run.rng.uniform(0.05, 3.0 if run.long
-                                                     else 0.3),
-                                     server.process.kill)
-            assert not client.stream(stub, on_opened=killer.start)
+            assert not client.stream(server, kill_after=run.rng.uniform(
+                0.05, 3.0 if run.long else 0.3))
             assert server.process.wait() == -signal.SIGKILL
             in_stream += 1
     with Server(store) as server:
         end = client.sent + 100
         client.verify(server.stub(), whole=True)
-        assert client.stream(server.stub(), until=end)
+        assert client.stream(server, until=end)
         assert client.verify(server.stub(), whole=True) == end
     assert longest < 5.0
     return rounds, (f"0 lost of {client.acked} acked; {in_stream} kills in "
@@ -77,7 +74,7 @@ def kill_before_ack(run):
         # first flush is that of the log's header.
         plan = preloaded(file="-wal", kill_sync=run.rng.randint(2, 20))
         with Server(store, env=plan) as server:
-            assert not client.stream(server.stub())
+            assert not client.stream(server)
             assert server.process.wait() == -signal.SIGKILL
         with Server(store) as server:
             stub = server.stub()
@@ -102,8 +99,7 @@ def kill_while_starting(run):
     left = run.new("start") / "store"
     with Server(left) as server:
         create(server.stub(), **SETTINGS)
-        killer = threading.Timer(0.3, server.process.kill)
-        client.stream(server.stub(), on_opened=killer.start)
+        client.stream(server, kill_after=0.3)
         server.process.wait()
     for nth in range(1, 40):
         store = run.new("again") / "store"

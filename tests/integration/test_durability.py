@@ -6,7 +6,6 @@ import random
 import signal
 import sqlite3
 import subprocess
-import threading
 import time
 
 import grpc
@@ -45,9 +44,7 @@ def test_acknowledged_poses_survive_kill_9_in_mid_stream(
             stub = server.stub()
             durable = client.verify(stub, whole=number % 10 == 9)
             unacknowledged += durable - client.acked
-            killer = threading.Timer(rng.uniform(0.0, 0.25),
-                                     server.process.kill)
-            assert not client.stream(stub, on_opened=killer.start)
+            assert not client.stream(server, kill_after=rng.uniform(0.0, 0.25))
             assert server.process.wait() == -signal.SIGKILL
             killed_in_stream += 1
     # The client finishes its drive.
@@ -55,7 +52,7 @@ def test_acknowledged_poses_survive_kill_9_in_mid_stream(
         stub = server.stub()
         client.verify(stub)
         end = client.sent + 300
-        assert client.stream(stub, until=end)
+        assert client.stream(server, until=end)
         assert client.acked == end
         assert client.verify(stub, whole=True) == end
         # The graph that was rebuilt is the one that was never interrupted.
