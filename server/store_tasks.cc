@@ -57,7 +57,8 @@ ExitCode Verify(const std::string& file) {
 }
 
 ExitCode BackUp(const std::string& file, const std::string& destination) {
-  const absl::StatusOr<StoreReport> report = BackUpStore(file, destination);
+  const absl::StatusOr<StoreReport> report =
+      BackUpStore(file, UseOf(file), destination);
   if (!report.ok()) return Fail(report.status());
   Print(*report);
   std::printf("backup %s\n", destination.c_str());

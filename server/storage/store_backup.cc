@@ -7,6 +7,7 @@
 #include <system_error>
 
 #include "server/status.h"
+#include "server/storage/durable_mark.h"
 #include "server/storage/store_files.h"
 #include "server/storage/store_opening.h"
 
@@ -33,8 +34,19 @@ absl::Status Copy(const std::string& path, const std::string& copy) {
   return (*destination)->Execute("PRAGMA journal_mode = DELETE");
 }
 
-absl::StatusOr<StoreReport> CopyAndCheck(const std::string& path,
+absl::StatusOr<StoreReport> CopyAndCheck(const std::string& path, StoreUse use,
                                          const std::string& copy) {
+  // A log is read up to its first damage: the copy would be whole, and lack
+  // what was acknowledged since.
+  if (use == StoreUse::kIdle) {
+    const absl::StatusOr<LogExamination> log =
+        ExamineLog(path, DurableMark::Read(path));
+    if (!log.ok()) return log.status();
+    if (!log->damage.empty()) {
+      return Error(absl::StatusCode::kDataLoss, "STORE_CORRUPT",
+                   DamageText(path, *log));
+    }
+  }
   const absl::Status copied = Copy(path, copy);
   if (!copied.ok()) return copied;
   absl::StatusOr<StoreReport> report = CheckStore(copy, StoreUse::kIdle);
@@ -51,7 +63,7 @@ absl::StatusOr<StoreReport> CopyAndCheck(const std::string& path,
 
 }  // namespace
 
-absl::StatusOr<StoreReport> BackUpStore(const std::string& path,
+absl::StatusOr<StoreReport> BackUpStore(const std::string& path, StoreUse use,
                                         const std::string& destination) {
   std::error_code error;
   if (std::filesystem::exists(destination, error)) {
@@ -60,7 +72,7 @@ absl::StatusOr<StoreReport> BackUpStore(const std::string& path,
   }
   const std::string copy = destination + ".partial";
   RemoveCopy(copy);
-  absl::StatusOr<StoreReport> report = CopyAndCheck(path, copy);
+  absl::StatusOr<StoreReport> report = CopyAndCheck(path, use, copy);
   if (report.ok() && std::rename(copy.c_str(), destination.c_str()) != 0) {
     report = absl::ErrnoToStatus(errno, "cannot name the copy " + destination);
   }

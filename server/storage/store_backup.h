@@ -16,7 +16,8 @@ namespace revisit::server {
 //
 // FAILED_PRECONDITION if there is a file of that name, or if the store is none
 // of this format; DATA_LOSS if the store is damaged, and then there is no copy.
-absl::StatusOr<StoreReport> BackUpStore(const std::string& path,
+// `use`: as of CheckStore().
+absl::StatusOr<StoreReport> BackUpStore(const std::string& path, StoreUse use,
                                         const std::string& destination);
 
 }  // namespace revisit::server

@@ -8,7 +8,6 @@
 #include "server/storage/durable_mark.h"
 #include "server/storage/sqlite_storage.h"
 #include "server/storage/store_opening.h"
-#include "server/storage/write_ahead_log.h"
 
 namespace revisit::server {
 namespace {
@@ -185,15 +184,12 @@ absl::StatusOr<std::vector<std::string>> FindStructuralDamage(
 }
 
 absl::StatusOr<StoreReport> CheckStore(const std::string& path, StoreUse use) {
-  // Before SQLite has opened it.
-  std::string log_damage;
+  LogExamination log;
   if (use == StoreUse::kIdle) {
-    const absl::StatusOr<LogReport> log = ReadLog(path + "-wal");
-    if (!log.ok()) return log.status();
-    log_damage = log->damage;
-    if (log_damage.empty()) {
-      log_damage = MissingFrom(*log, DurableMark::Read(path));
-    }
+    absl::StatusOr<LogExamination> examined =
+        ExamineLog(path, DurableMark::Read(path));
+    if (!examined.ok()) return examined.status();
+    log = *std::move(examined);
   }
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
       OpenDatabaseToRead(path);
@@ -203,7 +199,10 @@ absl::StatusOr<StoreReport> CheckStore(const std::string& path, StoreUse use) {
   if (!storage.ok()) return storage.status();
   StoreReport report =
       Checker(path, use, database->get(), storage->get()).Check();
-  if (!log_damage.empty()) report.problems.push_back("the log: " + log_damage);
+  if (!log.damage.empty()) {
+    report.problems.push_back(DamageText(path, log));
+    report.damaged_vehicles.merge(log.vehicles);
+  }
   return report;
 }
 

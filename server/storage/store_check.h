@@ -24,7 +24,8 @@ struct StoreReport {
   std::int64_t rejected_candidates = 0;
   // Each for people, in one line.
   std::vector<std::string> problems;
-  // Ids of those that cannot be read whole.
+  // Ids of those that cannot be read whole, or that a damaged log has changes
+  // of, as far as can be told.
   std::set<std::string> damaged_vehicles;
 };
 

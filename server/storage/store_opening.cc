@@ -223,6 +223,8 @@ absl::Status EmptyLog(SqliteDatabase& database, DurableMark* mark) {
   return status;
 }
 
+std::string LogOf(const std::string& store) { return store + "-wal"; }
+
 // Vehicles with rows in the unreadable part of the log that are nowhere else.
 absl::StatusOr<std::set<std::string>> VehiclesBehind(const std::string& store,
                                                      const LogReport& log) {
@@ -232,7 +234,7 @@ absl::StatusOr<std::set<std::string>> VehiclesBehind(const std::string& store,
   std::set<std::string> names;
   absl::Status failure;
   const absl::Status visited =
-      VisitRowsBehind(store + "-wal", log, [&](const LoggedRow& row) {
+      VisitRowsBehind(LogOf(store), log, [&](const LoggedRow& row) {
         SqliteStatement found =
             row.table == LoggedRow::Table::kVehicles
                 ? (*database)->Prepare(
@@ -273,7 +275,34 @@ absl::StatusOr<std::set<std::string>> VehiclesBehind(const std::string& store,
   return names;
 }
 
+std::string LostIn(const LogExamination& examination) {
+  return examination.vehicles.empty() ? "cannot be told"
+                                      : Listed(examination.vehicles);
+}
+
 }  // namespace
+
+absl::StatusOr<LogExamination> ExamineLog(
+    const std::string& store, const std::optional<LogPosition>& known) {
+  const absl::StatusOr<LogReport> log = ReadLog(LogOf(store));
+  if (!log.ok()) return log.status();
+  LogExamination examination;
+  examination.has_unfinished_tail = log->has_unfinished_tail;
+  examination.damage = log->damage;
+  if (examination.damage.empty()) {
+    examination.damage = MissingFrom(*log, known);
+  }
+  if (examination.damage.empty()) return examination;
+  absl::StatusOr<std::set<std::string>> vehicles = VehiclesBehind(store, *log);
+  if (vehicles.ok()) examination.vehicles = *std::move(vehicles);
+  return examination;
+}
+
+std::string DamageText(const std::string& store,
+                       const LogExamination& examination) {
+  return "the log " + LogOf(store) + " is damaged: " + examination.damage +
+         "; vehicles with lost changes: " + LostIn(examination);
+}
 
 absl::Status CheckLog(const std::string& store, bool drop_damaged_log,
                       const std::function<void(const std::string&)>& warn,
@@ -281,31 +310,22 @@ absl::Status CheckLog(const std::string& store, bool drop_damaged_log,
   const auto tell = [&](const std::string& message) {
     if (warn) warn(message);
   };
-  const std::string path = store + "-wal";
-  const absl::StatusOr<LogReport> log = ReadLog(path);
+  const absl::StatusOr<LogExamination> log = ExamineLog(store, mark->Read());
   if (!log.ok()) return log.status();
-  std::string what = log->damage;
-  if (what.empty()) what = MissingFrom(*log, mark->Read());
-  if (what.empty()) {
+  if (log->damage.empty()) {
     if (log->has_unfinished_tail) {
-      tell("the log " + path +
+      tell("the log " + LogOf(store) +
            " ends in an unfinished write, which was not acknowledged; it is "
            "left out");
     }
     return absl::OkStatus();
   }
-  const absl::StatusOr<std::set<std::string>> vehicles =
-      VehiclesBehind(store, *log);
-  const std::string names = vehicles.ok() && !vehicles->empty()
-                                ? Listed(*vehicles)
-                                : "cannot be told";
-  const std::string message = "the log " + path + " is damaged: " + what +
-                              "; vehicles with lost changes: " + names;
+  const std::string message = DamageText(store, *log);
   if (drop_damaged_log) {
     tell(message + "; dropped as told");
     return mark->Clear();
   }
-  return Corrupt(message, {{"vehicles", names}});
+  return Corrupt(message, {{"vehicles", LostIn(*log)}});
 }
 
 absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenWriter(

@@ -11,14 +11,37 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
+#include <set>
 #include <string>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "server/storage/durable_mark.h"
 #include "server/storage/sqlite_database.h"
+#include "server/storage/write_ahead_log.h"
 
 namespace revisit::server {
+
+// Whether a log holds all that was flushed.
+struct LogExamination {
+  // Empty if it does; else what is wrong, in one line.
+  std::string damage;
+  // Those with changes in the damaged part that are nowhere else, as far as can
+  // be told.
+  std::set<std::string> vehicles;
+  // Whether it ends in a write that was never acknowledged.
+  bool has_unfinished_tail = false;
+};
+
+// Of a store that no server has, before SQLite has opened it (which ends a log
+// silently at the first damage). `known`: what its mark says.
+absl::StatusOr<LogExamination> ExamineLog(
+    const std::string& store, const std::optional<LogPosition>& known);
+
+// "the log FILE is damaged: ...", with the vehicles.
+std::string DamageText(const std::string& store,
+                       const LogExamination& examination);
 
 // Whether the log holds all that was flushed (write_ahead_log.h): before SQLite
 // opens it, since it ends a log silently at the first damage. A damaged one is

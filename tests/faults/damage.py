@@ -9,7 +9,7 @@ import threading
 import grpc
 
 from drive_client import VEHICLE, Client, Drive, create
-from revisit_server import Server, run as run_program
+from revisit_server import Server, run as run_program, wait_until
 from wire import (PAIR_KINDS, PoseStream, append, as_bytes, batches,
                   decode_failure, failure_of, get, list_poses)
 
@@ -130,6 +130,19 @@ def handshake_tells(store, base, short):
             assert failure.metadata["durable_sequence"] == str(durable)
 
 
+def read_by_tasks(store):
+    """What verifying and backing up say of a store before a server has it: the
+    same; answers the exit code and whether vehicles were named."""
+    copy = store.parent / "backup-of-damaged"
+    copy.unlink(missing_ok=True)
+    verified = run_program("revisitd", "verify", "--store", store)
+    backed_up = run_program("revisitd", "backup", "--store", store, "--to", copy)
+    assert backed_up.returncode == verified.returncode, (backed_up, verified)
+    assert copy.exists() == (verified.returncode == 0)
+    copy.unlink(missing_ok=True)
+    return verified.returncode, "damaged vehicle: truck-" in verified.stdout
+
+
 def forget_mark(store):
     """What a power failure may do: the mark was never flushed."""
     (store / "revisit.sqlite.mark").write_bytes(b"")
@@ -152,6 +165,7 @@ def cut_log(run):
         content = log.read_bytes()[:size - cut]
         log.write_bytes(content + bytes(cut if zeros else 0))
         if with_mark:
+            assert read_by_tasks(store)[0] == 65
             outcome = Outcome(store, base)
             assert outcome.exit == 65, (cut, zeros, outcome.kind)
             assert "the log" in outcome.message
@@ -196,7 +210,10 @@ def flipped_log(run):
         with_mark = number % 4 != 3
         if not with_mark:
             forget_mark(store)
+        code, names = read_by_tasks(store)
         outcome = Outcome(store, base)
+        assert code == (outcome.exit or 0), outcome.kind
+        assert names == (code != 0 and "truck-" in outcome.message)
         if with_mark:
             assert outcome.exit == 65 or outcome.kind == "harmless", outcome.kind
         elif outcome.short:
@@ -319,9 +336,11 @@ def backup(run):
     with Server(store) as server:
         create(server.stub())
         streaming = threading.Thread(
-            target=client.stream, args=(server.stub(), 20000 * rounds))
+            target=client.stream, args=(server, 20000 * rounds))
         streaming.start()
+        copied = 0
         for number in range(rounds):
+            wait_until(lambda: client.acked > copied, "more poses")
             before = client.acked
             copy = store.parent / f"copy-{number}.sqlite"
             result = run_program("revisitd", "backup", "--store", store,
@@ -340,6 +359,7 @@ def backup(run):
                 stub = second.stub()
                 durable = get(stub, VEHICLE).durable_sequence
                 assert before <= durable <= sent
+                copied = durable
                 assert as_bytes(list_poses(stub, VEHICLE)) == as_bytes(
                     client.drive[0:durable])
                 assert append(stub, VEHICLE, client.drive[durable:durable + 9]

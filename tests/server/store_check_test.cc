@@ -215,7 +215,8 @@ TEST_F(StoreCheckTest, BackupOfAStoreInUseHoldsAllThatWasAcknowledged) {
   const std::unique_ptr<Storage> storage = MustOpen(Path());
   Fill(storage.get());
   const std::string copy = directory_.File("copy.db");
-  const absl::StatusOr<StoreReport> report = BackUpStore(Path(), copy);
+  const absl::StatusOr<StoreReport> report =
+      BackUpStore(Path(), StoreUse::kServed, copy);
   ASSERT_THAT(report, IsOk());
   EXPECT_EQ(report->poses, 120);
   // One file, complete by itself.
@@ -231,7 +232,7 @@ TEST_F(StoreCheckTest, BackupReplacesNothing) {
   MakeStore();
   const std::string copy = directory_.File("copy.db");
   std::ofstream(copy) << "precious";
-  EXPECT_THAT(BackUpStore(Path(), copy),
+  EXPECT_THAT(BackUpStore(Path(), StoreUse::kIdle, copy),
               IsError(StatusCode::kFailedPrecondition, "",
                       HasSubstr("replaces nothing")));
   EXPECT_EQ(ReadFile(copy), "precious");
@@ -242,7 +243,7 @@ TEST_F(StoreCheckTest, DamagedStoreGivesNoBackup) {
   Damage(std::string(3000, 't'), 1500);
   const std::string copy = directory_.File("copy.db");
   EXPECT_THAT(
-      BackUpStore(Path(), copy),
+      BackUpStore(Path(), StoreUse::kIdle, copy),
       IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("truck")));
   EXPECT_FALSE(std::filesystem::exists(copy));
   EXPECT_FALSE(std::filesystem::exists(copy + ".partial"));
