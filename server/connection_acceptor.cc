@@ -47,6 +47,11 @@ absl::Status CannotListen(const std::string& address, const std::string& why) {
       ("cannot listen at " + address + ": " + why).c_str());
 }
 
+absl::Status NoAddress(const std::string& address, const std::string& why) {
+  return absl::InvalidArgumentError(
+      ("listen: got " + address + "; " + why).c_str());
+}
+
 bool HasPrefix(const std::string& text, const char* prefix) {
   return text.rfind(prefix, 0) == 0;
 }
@@ -198,19 +203,19 @@ absl::Status ConnectionAcceptor::Open() {
 absl::Status ConnectionAcceptor::OpenInternet() {
   const std::size_t colon = address_.rfind(':');
   if (colon == std::string::npos) {
-    return CannotListen(address_, "it has no port");
+    return NoAddress(address_, "a port is missing: HOST:PORT");
   }
   std::string host = address_.substr(0, colon);
   const std::string port = address_.substr(colon + 1);
   if (host.size() > 2 && host.front() == '[' && host.back() == ']') {
     host = host.substr(1, host.size() - 2);
   } else if (host.find(':') != std::string::npos) {
-    return CannotListen(address_, "an IPv6 address stands in brackets");
+    return NoAddress(address_, "an IPv6 address stands in brackets");
   }
   if (port.empty() ||
       port.find_first_not_of("0123456789") != std::string::npos ||
       port.size() > 5 || std::stoi(port) > 65535) {
-    return CannotListen(address_, "a port is a number from 0 to 65535");
+    return NoAddress(address_, "a port is a number from 0 to 65535");
   }
   // One socket for :: serves both families.
   if (host.empty()) host = "::";

@@ -229,20 +229,13 @@ absl::Status ReadPoses(Storage* storage, const VehicleView& view,
   return absl::OkStatus();
 }
 
-absl::Status PoseNotFound(const VehicleView& view, std::uint64_t sequence) {
-  return Error(absl::StatusCode::kNotFound, "POSE_NOT_FOUND",
-               VehicleName(view.id) + " has no pose of sequence " +
-                   std::to_string(sequence) + "; its last is " +
-                   std::to_string(view.durable_sequence),
-               {{"sequence", std::to_string(sequence)},
-                {"durable_sequence", std::to_string(view.durable_sequence)}});
-}
-
 // The node at which to ask; nothing if the vehicle has none.
 absl::StatusOr<std::optional<core::NodeIndex>> QueryNode(
     const VehicleView& view, std::uint64_t sequence) {
   const core::PoseGraph& graph = view.engine.graph();
-  if (sequence > view.durable_sequence) return PoseNotFound(view, sequence);
+  if (sequence > view.durable_sequence) {
+    return PoseNotFound(view.id, sequence, view.durable_sequence);
+  }
   if (sequence > 0) return graph.NodeAtOrBefore(sequence);
   if (graph.size() == 0) return std::optional<core::NodeIndex>();
   return std::optional<core::NodeIndex>(graph.size() - 1);

@@ -23,7 +23,6 @@ constexpr char kInvalidField[] = "INVALID_FIELD";
 constexpr char kNotFinite[] = "NOT_FINITE";
 constexpr char kQuaternionInvalid[] = "QUATERNION_INVALID";
 
-constexpr std::uint64_t kMaxSequence = std::numeric_limits<std::int64_t>::max();
 // Stamps are kept as 64-bit nanoseconds, which reach a little beyond these
 // years.
 constexpr std::int64_t kFirstStampSeconds = -9214560000;  // 1678-01-01
@@ -953,7 +952,7 @@ MaskedSettings(const google::protobuf::FieldMask& mask) {
                      path.At("paths", static_cast<std::size_t>(i)),
                      "got " + Quoted(name) +
                          "; allowed are \"settings\" and \"settings.\" with "
-                         "the name of a setting");
+                         "the name of a setting, which changes as a whole");
       continue;
     }
     fields.insert(field);
@@ -963,10 +962,11 @@ MaskedSettings(const google::protobuf::FieldMask& mask) {
                                                                fields.end());
 }
 
-absl::Status SettingFixed(const char* setting) {
+absl::Status SettingFixed(const char* setting,
+                          const char* change = "cannot change") {
   return Error(absl::StatusCode::kFailedPrecondition, "SETTING_FIXED",
-               std::string("settings.") + setting +
-                   " cannot change: the vehicle has poses",
+               std::string("settings.") + setting + " " + change +
+                   ": the vehicle has poses",
                {{"field", std::string("settings.") + setting}});
 }
 
@@ -1147,7 +1147,9 @@ absl::StatusOr<VehicleConfig> UpdateSettings(
     return SettingFixed("state_space");
   }
   if (filter(*updated) != filter(current)) {
-    return SettingFixed("correlation_model");
+    return SettingFixed("correlation_model",
+                        filter(*updated) ? "cannot become FILTER"
+                                         : "cannot be other than FILTER");
   }
   if (updated->frame != current.frame) return SettingFixed("coordinate_frame");
   // By default the origin is that of the first pose, which is there already.

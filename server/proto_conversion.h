@@ -23,6 +23,7 @@
 #include <chrono>
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <optional>
 #include <string>
 #include <vector>
@@ -42,6 +43,10 @@
 #include "server/storage/storage.h"
 
 namespace revisit::server {
+
+// Of a pose: sequences are stored as signed numbers.
+inline constexpr std::uint64_t kMaxSequence =
+    std::numeric_limits<std::int64_t>::max();
 
 using Poses = google::protobuf::RepeatedPtrField<v1::Pose>;
 

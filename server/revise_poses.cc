@@ -68,12 +68,7 @@ absl::StatusOr<RevisionPlan> Plan(Storage* storage, const VehicleView& view,
   if (!sorted.ok()) return sorted.status();
   const std::uint64_t last = sorted->back().sequence;
   if (last > view.durable_sequence) {
-    return Error(absl::StatusCode::kNotFound, "POSE_NOT_FOUND",
-                 VehicleName(view.id) + " has no pose of sequence " +
-                     std::to_string(last) + "; its last is " +
-                     std::to_string(view.durable_sequence),
-                 {{"sequence", std::to_string(last)},
-                  {"durable_sequence", std::to_string(view.durable_sequence)}});
+    return PoseNotFound(view.id, last, view.durable_sequence);
   }
   const auto revised = [&](std::uint64_t sequence) -> const v1::Pose* {
     const auto found =

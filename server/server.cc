@@ -456,7 +456,9 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   auto acceptor = ConnectionAcceptor::Listen(AcceptorOptions(settings), log,
                                              &state->connections);
   if (!acceptor.ok()) {
-    *error = {kExitCannotListen, std::string(acceptor.status().message())};
+    *error = {absl::IsInvalidArgument(acceptor.status()) ? kExitUsage
+                                                         : kExitCannotListen,
+              std::string(acceptor.status().message())};
     return nullptr;
   }
   state->acceptor = *std::move(acceptor);

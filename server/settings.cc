@@ -28,6 +28,7 @@ constexpr char kFooter[] =
     R"(Every setting is also a variable of the environment (--worker-threads is
 REVISIT_WORKER_THREADS) and a key of the file that --config or REVISIT_CONFIG
 names, with lines such as
+  # Comments have lines of their own; strings may stand in double quotes.
   worker-threads = 4
 Flags win over the environment, the environment over the file.
 
@@ -548,6 +549,14 @@ absl::Status ApplyFile(const std::string& path, OptionTable* table) {
     }
     const std::string key = Trimmed(line.substr(0, equals));
     std::string value = Trimmed(line.substr(equals + 1));
+    if (!value.empty() && value[0] != '"' &&
+        value.find('#') != std::string::npos) {
+      return absl::InvalidArgumentError(
+          (where + ": " + key + ": got " + value +
+           "; a comment has a line of its own, and a value with # stands in "
+           "double quotes")
+              .c_str());
+    }
     if (!value.empty() && value[0] == '"') {
       const std::optional<std::string> plain = Unquoted(value);
       if (!plain) {

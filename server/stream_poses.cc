@@ -173,6 +173,12 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       Fail(id.status());
       return;
     }
+    if (open.acked_sequence() > kMaxSequence) {
+      Fail(InvalidField("INVALID_FIELD", path.Field("acked_sequence"),
+                        "got " + std::to_string(open.acked_sequence()) +
+                            "; allowed is [0, 9223372036854775807]"));
+      return;
+    }
     {
       const MutexLock lock(&mutex_);
       absl::Status allowed = call_.ChooseVehicle(*id);

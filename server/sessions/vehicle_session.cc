@@ -75,6 +75,18 @@ struct Replay {
 
 }  // namespace
 
+absl::Status PoseNotFound(const std::string& vehicle_id, std::uint64_t sequence,
+                          std::uint64_t durable_sequence) {
+  return Error(StatusCode::kNotFound, "POSE_NOT_FOUND",
+               "vehicle '" + vehicle_id + "' has no pose of sequence " +
+                   std::to_string(sequence) +
+                   (durable_sequence == 0
+                        ? ", it has none yet"
+                        : ", it has 1 to " + std::to_string(durable_sequence)),
+               {{"sequence", std::to_string(sequence)},
+                {"durable_sequence", std::to_string(durable_sequence)}});
+}
+
 // Everything but what is constant or atomic belongs to the strand.
 struct VehicleSession::State
     : std::enable_shared_from_this<VehicleSession::State> {
@@ -771,8 +783,10 @@ struct VehicleSession::State
                  "vehicle '" + id +
                      "': a client held an acknowledgement for more than the " +
                      std::to_string(durable_sequence) +
-                     " poses that are stored; writes are refused until the "
-                     "loss is accepted",
+                     " poses that are stored; writes are refused until an "
+                     "operator accepts the loss (AcceptDataLoss with "
+                     "durable_sequence " +
+                     std::to_string(durable_sequence) + ")",
                  metadata);
   }
 
@@ -841,14 +855,20 @@ struct VehicleSession::State
   }
 
   void AcceptDataLoss(std::uint64_t sequence, const ViewCallback& callback) {
-    if (!config.data_loss || sequence != durable_sequence) {
+    const ErrorMetadata metadata = {
+        {"durable_sequence", std::to_string(durable_sequence)}};
+    if (!config.data_loss) {
       callback(Error(StatusCode::kFailedPrecondition, "NO_DATA_LOSS",
-                     config.data_loss
-                         ? "durable_sequence: got " + std::to_string(sequence) +
-                               ", the vehicle's is " +
-                               std::to_string(durable_sequence)
-                         : "vehicle '" + id + "' is not in the state DATA_LOSS",
-                     {{"durable_sequence", std::to_string(durable_sequence)}}));
+                     "vehicle '" + id + "' is not in the state DATA_LOSS",
+                     metadata));
+      return;
+    }
+    if (sequence != durable_sequence) {
+      callback(
+          Error(StatusCode::kFailedPrecondition, "DURABLE_SEQUENCE_MISMATCH",
+                "durable_sequence: got " + std::to_string(sequence) +
+                    ", the vehicle's is " + std::to_string(durable_sequence),
+                metadata));
       return;
     }
     VehicleConfig new_config = config;
@@ -983,13 +1003,7 @@ struct VehicleSession::State
     for (const std::uint64_t sequence :
          {pair.query_sequence, pair.matched_sequence}) {
       if (sequence < 1 || sequence > durable_sequence) {
-        callback(
-            Error(StatusCode::kNotFound, "POSE_NOT_FOUND",
-                  "vehicle '" + id + "' has no pose of sequence " +
-                      std::to_string(sequence) + ", it has 1 to " +
-                      std::to_string(durable_sequence),
-                  {{"sequence", std::to_string(sequence)},
-                   {"durable_sequence", std::to_string(durable_sequence)}}));
+        callback(PoseNotFound(id, sequence, durable_sequence));
         return;
       }
     }

@@ -78,6 +78,10 @@ struct VehicleView {
   std::int64_t loop_closure_count;
 };
 
+// NOT_FOUND (POSE_NOT_FOUND).
+absl::Status PoseNotFound(const std::string& vehicle_id, std::uint64_t sequence,
+                          std::uint64_t durable_sequence);
+
 struct Acknowledgement {
   std::uint64_t durable_sequence = 0;
   std::uint64_t revision = 0;
@@ -166,7 +170,7 @@ class VehicleSession {
       std::function<void(absl::StatusOr<VehicleView>)> callback);
 
   // Ends the state of data loss; FAILED_PRECONDITION (NO_DATA_LOSS) if there is
-  // none, or if the sequence is not the durable one.
+  // none, (DURABLE_SEQUENCE_MISMATCH) if the sequence is not the durable one.
   void AcceptDataLoss(
       std::uint64_t durable_sequence,
       std::function<void(absl::StatusOr<VehicleView>)> callback);

@@ -252,6 +252,8 @@ absl::Status SqliteDatabase::CopyTo(SqliteDatabase* destination) {
 
 std::string Printable(std::string text) {
   for (char& c : text) {
+    // SQLite tells of several damages in lines.
+    if (c == '\n') c = ' ';
     if (c < ' ' || c > '~') c = '?';
   }
   return text;

@@ -548,6 +548,7 @@ def test_claim_beyond_the_store_stops_writes_until_it_is_accepted(
     failure = failure_of(lambda: stub.AcceptDataLoss(
         api.AcceptDataLossRequest(name=vehicle, durable_sequence=STORED + 1)))
     assert failure.code == grpc.StatusCode.FAILED_PRECONDITION
+    assert failure.reason == "DURABLE_SEQUENCE_MISMATCH"
     assert get(stub, vehicle).state == api.VEHICLE_STATE_DATA_LOSS
 
     accepted = stub.AcceptDataLoss(api.AcceptDataLossRequest(
@@ -555,6 +556,16 @@ def test_claim_beyond_the_store_stops_writes_until_it_is_accepted(
     assert accepted.state == api.VEHICLE_STATE_ACTIVE
     ack = append(stub, vehicle, straight(1, first=STORED + 1))
     assert ack.durable_sequence == STORED + 1
+
+
+def test_claim_of_what_no_sequence_can_be_is_refused(stub, filled, unchanged):
+    vehicle = unchanged(filled({}))
+    with PoseStream(stub, vehicle, acked_sequence=2**63) as stream:
+        failure = failure_of(stream.receive)
+    assert (failure.code, failure.reason) == (INVALID, "INVALID_FIELD")
+    assert failure.fields == ["open.acked_sequence"]
+    assert "got 9223372036854775808; allowed is [0, " in failure.message
+    assert get(stub, vehicle).state == api.VEHICLE_STATE_ACTIVE
 
 
 def test_claim_of_exactly_what_is_stored_is_fine(stub, filled):

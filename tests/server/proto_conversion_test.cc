@@ -556,6 +556,12 @@ TEST(UpdateSettingsTest, KeepsWhatIsFixedOnceThereArePoses) {
                 IsError(StatusCode::kFailedPrecondition, "SETTING_FIXED",
                         HasSubstr("settings." + field)));
   }
+  // What is fixed of it is whether it is FILTER.
+  EXPECT_THAT(
+      Update(current, true, "correlation_model: CORRELATION_MODEL_FILTER",
+             {"settings.correlation_model"}),
+      IsError(StatusCode::kFailedPrecondition, "SETTING_FIXED",
+              HasSubstr("settings.correlation_model cannot become FILTER")));
   // Neither of the two is FILTER.
   EXPECT_THAT(
       Update(current, true, "correlation_model: CORRELATION_MODEL_INDEPENDENT",

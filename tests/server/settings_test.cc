@@ -124,6 +124,8 @@ TEST_F(SettingsTest, MalformedFilesAreRefusedWithTheLine) {
       {"listen = \"a\" b\n", ":1: listen: malformed string"},
       {"listen = \"\\x\"\n", ":1: listen: malformed string"},
       {"listen = \"a\\\"\n", ":1: listen: malformed string"},
+      {"listen = 127.0.0.1:1 # mine\n",
+       ":1: listen: got 127.0.0.1:1 # mine; a comment has a line of its own"},
       {"listen = a\nlisten = b\n", ":2: listen stands twice"}};
   for (const auto& [text, message] : cases) {
     EXPECT_THAT(Refusal({"--config", WriteFile(text)}), HasSubstr(message))

@@ -744,6 +744,10 @@ TEST_F(VehicleSessionTest, AddsPairOfEachKindOnce) {
 }
 
 TEST_F(VehicleSessionTest, RefusesPairWithPoseThatIsNotThere) {
+  EXPECT_THAT(
+      AddPairNow(*session_, kClosure, {"a", 2, 1, 0}).status(),
+      IsError(StatusCode::kNotFound, "POSE_NOT_FOUND",
+              "vehicle 'truck' has no pose of sequence 2, it has none yet"));
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
   for (const PairKind kind : {kClosure, kRejection}) {
     const absl::Status status =
@@ -897,9 +901,10 @@ TEST_F(VehicleSessionTest, WritesAgainOnceTheLossIsAccepted) {
               IsError(StatusCode::kFailedPrecondition, "NO_DATA_LOSS",
                       "vehicle 'truck' is not in the state DATA_LOSS"));
   ASSERT_FALSE(CheckAcknowledgedNow(*session_, 12).ok());
-  EXPECT_THAT(AcceptDataLossNow(*session_, 12),
-              IsError(StatusCode::kFailedPrecondition, "NO_DATA_LOSS",
-                      "durable_sequence: got 12, the vehicle's is 9"));
+  EXPECT_THAT(
+      AcceptDataLossNow(*session_, 12),
+      IsError(StatusCode::kFailedPrecondition, "DURABLE_SEQUENCE_MISMATCH",
+              "durable_sequence: got 12, the vehicle's is 9"));
   const auto accepted = AcceptDataLossNow(*session_, 9);
   ASSERT_THAT(accepted, IsOk());
   EXPECT_FALSE(accepted->config.data_loss);
