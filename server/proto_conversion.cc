@@ -260,12 +260,20 @@ std::string FieldOf(const std::string& setting) {
              : setting;
 }
 
+// Of settings that were read from this message. What is allowed may depend on
+// others, so that a default can be wrong that nobody gave.
 void AddProblems(const std::vector<core::SettingProblem>& problems,
+                 const google::protobuf::Message& settings,
                  const FieldPath& path, Violations* violations) {
   for (const core::SettingProblem& problem : problems) {
     const std::string field = FieldOf(problem.field);
-    violations->Add(kInvalidField, path.Field(field.c_str()),
-                    problem.description);
+    const auto* const given = settings.GetDescriptor()->FindFieldByName(
+        field.substr(0, field.find('.')));
+    const bool left_out = given != nullptr &&
+                          !settings.GetReflection()->HasField(settings, given);
+    violations->Add(
+        kInvalidField, path.Field(field.c_str()),
+        problem.description + (left_out ? " (left out: its default)" : ""));
   }
 }
 
@@ -1082,7 +1090,7 @@ absl::StatusOr<VehicleConfig> DecodeSettings(
     engine.max_inflation = settings.max_inflation();
   }
   DecodeSearch(settings, path, &engine.search, &violations);
-  AddProblems(core::FindProblems(engine), path, &violations);
+  AddProblems(core::FindProblems(engine), settings, path, &violations);
   if (violations.count() > 0) return violations.ToStatus();
   return config;
 }
@@ -1216,7 +1224,8 @@ absl::StatusOr<core::SearchOptions> DecodeCandidateOptions(
   search.tell_paths = options.include_aligned_path();
   DecodeEnum(kSearchDirections, options.direction(), path.Field("direction"),
              &search.direction, &violations);
-  AddProblems(core::FindProblems(search, config.engine), path, &violations);
+  AddProblems(core::FindProblems(search, config.engine), options, path,
+              &violations);
   if (violations.count() > 0) return violations.ToStatus();
   return search;
 }

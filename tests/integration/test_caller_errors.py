@@ -782,6 +782,15 @@ def test_create_refuses_the_setting(case, stub):
     assert absent.code == grpc.StatusCode.NOT_FOUND
 
 
+def test_default_that_does_not_go_with_what_is_given_is_called_one(stub):
+    failure = failure_of(lambda: stub.CreateVehicle(api.CreateVehicleRequest(
+        vehicle_id="never", vehicle=api.Vehicle(
+            settings=api.VehicleSettings(node_spacing_meters=0.05)))))
+    assert failure.fields == ["vehicle.settings.sequence_length_meters"]
+    assert ("got 150; allowed is [0.05, 50] (left out: its default)"
+            in failure.message)
+
+
 SEARCH_FIELDS = {"likelihood_form", "sequence_length_meters",
                  "gate_probability", "place_tolerance.position_meters",
                  "place_tolerance.heading_radians",

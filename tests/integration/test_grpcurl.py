@@ -74,10 +74,12 @@ def test_list_shows_the_service_health_and_reflection(results):
 
 
 def test_describe_shows_what_a_method_takes(results):
-    described = results_of(results, " describe ")[0]
-    assert described.returncode == 0, described.stderr
+    method, message = results_of(results, " describe ")
+    assert method.returncode == 0, method.stderr
     assert "rpc AppendPoses ( .revisit.v1.AppendPosesRequest )" in (
-        described.stdout)
+        method.stdout)
+    assert message.returncode == 0, message.stderr
+    assert "repeated .revisit.v1.Pose poses = 2" in message.stdout
 
 
 def test_create_answers_with_every_setting(results):
@@ -113,9 +115,9 @@ def test_error_comes_with_details_that_resolve(results):
 
 
 def test_every_line_of_the_readme_was_looked_at(results):
-    assert len(results) == 6
+    assert len(results) == 7
     assert [result.returncode for _, result in results] == [
-        0, 0, 0, 0, 0, STATUS_EXIT + INVALID_ARGUMENT]
+        0, 0, 0, 0, 0, 0, STATUS_EXIT + INVALID_ARGUMENT]
 
 
 def test_lines_may_be_run_again(results, run_line):
