@@ -3,9 +3,12 @@
 
 #include <unistd.h>
 
+#include <charconv>
 #include <chrono>
+#include <cmath>
 #include <functional>
 #include <iostream>
+#include <limits>
 #include <map>
 #include <memory>
 #include <optional>
@@ -84,6 +87,41 @@ const Words kExportFormats = {
     {"nodes-csv", static_cast<int>(ExportFormat::kNodesCsv)},
     {"edges-csv", static_cast<int>(ExportFormat::kEdgesCsv)}};
 
+// Sequences of poses are from 1 to this, as the service counts them.
+constexpr std::int64_t kMaxSequence = std::numeric_limits<std::int64_t>::max();
+
+// Takes decimal digits only: CLI11 by itself reads -1 as the largest number
+// there is, and 010 as 8.
+CLI::Validator WholeNumber(std::int64_t lowest, std::int64_t highest) {
+  return {[=](std::string& text) {
+            std::int64_t value = 0;
+            const char* const end = text.data() + text.size();
+            const auto [stop, error] = std::from_chars(text.data(), end, value);
+            if (error != std::errc() || stop != end || value < lowest ||
+                value > highest) {
+              return "got \"" + text + "\"; allowed is a whole number in [" +
+                     std::to_string(lowest) + ", " + std::to_string(highest) +
+                     "]";
+            }
+            text = std::to_string(value);
+            return std::string();
+          },
+          ""};
+}
+
+CLI::Validator FiniteNumber(bool positive = false) {
+  return {[=](std::string& text) {
+            double value = 0.0;
+            if (CLI::detail::lexical_cast(text, value) &&
+                std::isfinite(value) && (!positive || value > 0.0)) {
+              return std::string();
+            }
+            return "got \"" + text + "\"; allowed is a finite number" +
+                   (positive ? " above 0" : "");
+          },
+          ""};
+}
+
 // Where flags go: a command, and the heading they stand under in its help.
 struct Flags {
   CLI::App* app;
@@ -116,6 +154,7 @@ void AddNumber(const Flags& flags, const std::string& name,
                const std::string& description) {
   flags.app->add_option_function<double>(name, std::move(set), description)
       ->type_name(unit)
+      ->check(FiniteNumber())
       ->group(flags.heading);
 }
 
@@ -125,6 +164,7 @@ void AddDouble(const Flags& flags, const std::string& name,
                const std::string& description) {
   flags.app->add_option(name, *value, description)
       ->type_name(unit)
+      ->check(FiniteNumber())
       ->group(flags.heading)
       ->capture_default_str();
 }
@@ -204,6 +244,7 @@ void AddSearchSettings(const Flags& g, Settings* settings,
           "--max-candidates", [=](int v) { settings->set_max_candidates(v); },
           "Most candidates of one answer (5)")
       ->type_name("N")
+      ->transform(WholeNumber(1, 100))
       ->group(g.heading);
 }
 
@@ -489,13 +530,14 @@ class Program {
                       "Print the candidates of every check that falls due");
     command->add_option("--batch", stream_.batch_poses, "Poses of one message")
         ->type_name("N")
-        ->check(CLI::Range(1, 1'000'000).description(""))
+        ->transform(WholeNumber(1, 1'000'000))
         ->capture_default_str();
     command
         ->add_option("--acked-sequence", stream_.acked_sequence,
                      "Highest sequence known to be durable; if the server has "
                      "less, it answers DATA_LOSS")
-        ->type_name("N");
+        ->type_name("N")
+        ->transform(WholeNumber(0, kMaxSequence));
     AddDouble({command}, "--give-up-after", "S", &give_up_seconds_,
               "Seconds without progress; 0 tries for ever");
     AddUncertainty(command, &stream_.uncertainty);
@@ -525,7 +567,8 @@ class Program {
             "--sequence", [this](std::uint64_t v) { find_.set_sequence(v); },
             "Pose to ask at, with what lay before it as history; the newest if "
             "left out")
-        ->type_name("N");
+        ->type_name("N")
+        ->transform(WholeNumber(1, kMaxSequence));
     command->add_flag_callback(
         "--aligned-path",
         [this] { find_.mutable_options()->set_include_aligned_path(true); },
@@ -567,11 +610,13 @@ class Program {
         ->add_option("QUERY_SEQ", verified_.query_sequence,
                      "Sequence of the later pose")
         ->type_name("N")
+        ->transform(WholeNumber(1, kMaxSequence))
         ->required();
     command
         ->add_option("MATCHED_SEQ", verified_.matched_sequence,
                      "Sequence of the earlier pose")
         ->type_name("N")
+        ->transform(WholeNumber(1, kMaxSequence))
         ->required();
     command->callback([this, run] {
       run_ = [this, run](const Console& console) {
@@ -687,7 +732,7 @@ class Program {
                      "Do it all N times, fail unless all answers are the same, "
                      "and time them all")
         ->type_name("N")
-        ->check(CLI::Range(1, 1000).description(""))
+        ->transform(WholeNumber(1, 1000))
         ->capture_default_str();
     command->add_flag("--keep-vehicles", evaluate_.keep_vehicles,
                       "Leave the vehicles on the server that was named");
@@ -710,7 +755,7 @@ class Program {
         ->type_name("M,M,...")
         ->delimiter(',')
         ->allow_extra_args(false)
-        ->check(CLI::PositiveNumber.description(""))
+        ->check(FiniteNumber(/*positive=*/true))
         ->group(measured.heading);
     command
         ->add_flag("--exhaustive", evaluate_.exhaustive,

@@ -388,6 +388,41 @@ def test_wrong_usage_has_its_exit_code(arguments):
     assert result.stderr
 
 
+MAX_SEQUENCE = 2**63 - 1
+
+
+@pytest.mark.parametrize("arguments, words", [
+    (["stream", BOREAS, "--vehicle", "x", "--acked-sequence", "-1"],
+     f'--acked-sequence: got "-1"; allowed is a whole number in [0, '
+     f"{MAX_SEQUENCE}]"),
+    (["find", "--vehicle", "x", "--sequence", "-1"],
+     f'--sequence: got "-1"; allowed is a whole number in [1, {MAX_SEQUENCE}]'),
+    (["find", "--vehicle", "x", "--sequence", MAX_SEQUENCE + 1],
+     f'got "{MAX_SEQUENCE + 1}"'),
+    (["confirm", "x", "-1", "3"], 'QUERY_SEQ: got "-1"'),
+    (["reject", "x", "3", "0"], 'MATCHED_SEQ: got "0"'),
+    (["find", "--vehicle", "x", "--max-candidates", "99999999999"],
+     '--max-candidates: got "99999999999"; allowed is a whole number in '
+     "[1, 100]"),
+    (["vehicle", "update", "x", "--node-spacing", "abc"],
+     '--node-spacing: got "abc"; allowed is a finite number'),
+    (["stream", BOREAS, "--vehicle", "x", "--give-up-after", "inf"],
+     '--give-up-after: got "inf"; allowed is a finite number'),
+    (["evaluate", BOREAS, "--sequence-lengths", "100,0"],
+     '--sequence-lengths: got "0"; allowed is a finite number above 0'),
+], ids=str)
+def test_number_that_is_not_allowed_is_told_with_what_is(arguments, words):
+    # Without a server: none is asked.
+    result = run("revisit", *arguments)
+    assert result.returncode == USAGE, result
+    assert words in result.stderr
+
+
+def test_leading_zeros_do_not_change_a_number(driven, revisit):
+    swapped = revisit("confirm", driven, "0020", "030")
+    assert "got 30; allowed is less than query_sequence, 20" in swapped.stderr
+
+
 def test_server_that_is_not_there_is_told():
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
