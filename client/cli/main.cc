@@ -341,6 +341,28 @@ void RequireVehicle(CLI::App* command, std::string* vehicle) {
       ->required();
 }
 
+// Where a command is wanted, CLI11 says that one is missing even if another
+// word stands there.
+std::string UsageMessage(const CLI::App* app, const CLI::Error& error) {
+  const CLI::App* chosen = app;
+  while (!chosen->get_subcommands().empty()) {
+    chosen = chosen->get_subcommands().front();
+  }
+  std::string text = error.what();
+  const auto commands =
+      chosen->get_subcommands([](const CLI::App*) { return true; });
+  if (error.get_name() == "RequiredError" && !commands.empty()) {
+    const std::vector<std::string> words = app->remaining(true);
+    text = words.empty() ? "a command is missing"
+                         : "got \"" + words.front() + "\"";
+    for (const CLI::App* command : commands) {
+      text += (command == commands.front() ? "; allowed is " : ", ") +
+              command->get_name();
+    }
+  }
+  return text + "\nRun with --help for more information.\n";
+}
+
 class Program {
  public:
   Program() : app_("Loop-closure candidates from the shape of trajectories.") {
@@ -362,6 +384,7 @@ class Program {
     app_.set_version_flag("--version", "revisit " REVISIT_VERSION);
     app_.require_subcommand(1);
     app_.fallthrough();
+    app_.failure_message(UsageMessage);
     common_.server_option =
         app_.add_option("--server", common_.channel.address,
                         "Address of the server (env REVISIT_SERVER)")

@@ -418,6 +418,20 @@ def test_number_that_is_not_allowed_is_told_with_what_is(arguments, words):
     assert words in result.stderr
 
 
+@pytest.mark.parametrize("arguments, words", [
+    ([], "a command is missing; allowed is vehicle, stream, "),
+    (["bogus"], 'got "bogus"; allowed is vehicle, stream, '),
+    (["vehicle"], "a command is missing; allowed is create, get, "),
+    (["vehicle", "bogus"], 'got "bogus"; allowed is create, get, '),
+    (["--json", "vehicle", "bogus", "more"], 'got "bogus"; allowed is create'),
+], ids=str)
+def test_command_that_there_is_not_is_told_with_those_there_are(
+        arguments, words):
+    result = run("revisit", *arguments)
+    assert result.returncode == USAGE, result
+    assert result.stderr.startswith(words), result.stderr
+
+
 def test_leading_zeros_do_not_change_a_number(driven, revisit):
     swapped = revisit("confirm", driven, "0020", "030")
     assert "got 30; allowed is less than query_sequence, 20" in swapped.stderr
