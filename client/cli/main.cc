@@ -406,12 +406,13 @@ class Program {
     AddStream();
     AddFind();
     AddVerified("confirm", "Tells that two poses were found to be one place.",
-                "Adds a loop closure. Again: the existing one.", &RunConfirm);
+                "Adds a loop closure. Again: the existing one.",
+                "  revisit confirm shuttle-7 2068 1072", &RunConfirm);
     AddVerified("reject",
                 "Tells that two poses were found not to be one place.",
                 "The candidate is not offered again. Again: the existing "
                 "rejection.",
-                &RunReject);
+                "  revisit reject shuttle-7 2068 1155", &RunReject);
     AddShow();
     AddExport();
     AddEvaluate();
@@ -580,7 +581,7 @@ class Program {
     CLI::App* command = AddCommand(
         &app_, "find", "Asks for loop-closure candidates at one pose.", "",
         "  revisit find --vehicle shuttle-7\n"
-        "  revisit find --vehicle shuttle-7 --sequence 4000 "
+        "  revisit find --vehicle shuttle-7 --sequence 2000 "
         "--max-candidates 10 --json\n"
         "  revisit find --vehicle shuttle-7 --direction either "
         "--acceptance-probability 0.9");
@@ -621,12 +622,10 @@ class Program {
 
   // `revisit confirm` and `revisit reject`.
   void AddVerified(const std::string& name, const std::string& description,
-                   const std::string& details,
+                   const std::string& details, const std::string& examples,
                    absl::Status (*run)(const Client&, const VerifiedPair&,
                                        const Console&)) {
-    CLI::App* command =
-        AddCommand(&app_, name, description, details,
-                   "  revisit " + name + " shuttle-7 4000 1200");
+    CLI::App* command = AddCommand(&app_, name, description, details, examples);
     command->add_option("VEHICLE", verified_.vehicle, "Id, or name")
         ->required();
     command

@@ -1,13 +1,15 @@
 """Settings of revisitd and the command line `revisit`, as a shell sees them."""
 
 import json
+import os
 import re
 import socket
+import subprocess
 
 import pytest
 
-from revisit_server import Server, clean_environment, run, wait_until
-from stubs import api
+from revisit_server import BIN, Server, clean_environment, run, wait_until
+from stubs import ROOT, api
 from wire import BOREAS, append, get, straight
 
 USAGE = 64
@@ -346,6 +348,73 @@ def test_candidates_are_confirmed_and_rejected(revisit, stub):
     assert swapped.returncode == 64 + 3
     assert "loop_closure.matched_sequence" in swapped.stderr
     assert revisit("vehicle", "delete", "cli-verify").returncode == 0
+
+
+def readme_lines():
+    """Lines of the README between its two markers, each one string."""
+    block = re.search(r"<!-- revisit -->\n```sh\n(.*?)```\n<!-- /revisit -->",
+                      (ROOT / "README.md").read_text(), re.DOTALL).group(1)
+    return block.replace("\\\n", "").splitlines()
+
+
+@pytest.fixture(scope="module")
+def run_line(tmp_path_factory):
+    """Runs one line of a shell, as it is printed, against a server that has
+    nothing but what the lines before it made."""
+    # Where build/release/bin/revisit is this build's, and in the path.
+    home = tmp_path_factory.mktemp("lines")
+    (home / "build/release").mkdir(parents=True)
+    (home / "build/release/bin").symlink_to(BIN)
+    (home / "tests").symlink_to(ROOT / "tests")
+    with Server(home / "store") as server:
+        def call(line):
+            return subprocess.run(
+                ["bash", "-c", line], cwd=home, capture_output=True, text=True,
+                env=clean_environment(REVISIT_SERVER=server.address,
+                                      PATH=f"{BIN}:{os.environ['PATH']}"),
+                timeout=120, check=False)
+        yield call
+
+
+@pytest.fixture(scope="module")
+def readme_results(run_line):
+    """Results of the README's lines, in their order."""
+    return [(line, run_line(line)) for line in readme_lines()]
+
+
+def test_lines_of_the_readme_work_in_their_order(readme_results):
+    assert len(readme_results) == 7
+    for line, result in readme_results:
+        assert result.returncode == 0, (line, result.stderr)
+        assert result.stdout, line
+
+
+def test_readme_confirms_and_rejects_what_it_found(readme_results):
+    results = {line.split()[1]: (line.split(), result.stdout)
+               for line, result in readme_results}
+    found = results["find"][1]
+    _, _, _, query, confirmed, *_ = results["confirm"][0]
+    _, _, _, same_query, rejected, *_ = results["reject"][0]
+    assert query == same_query
+    assert f"sequence {query}, " in found
+    assert re.search(rf"^ +1 +{confirmed} .* ACCEPTED$", found, re.MULTILINE)
+    assert re.search(rf"^ +\d+ +{rejected} .* REJECTED_\w+$", found,
+                     re.MULTILINE)
+
+
+# Those that need no file, and leave the vehicle there.
+@pytest.mark.parametrize("command", [
+    "vehicle get", "vehicle list", "vehicle update", "find", "confirm",
+    "reject", "show", "export"])
+def test_examples_of_the_help_work_after_the_readme(
+        command, readme_results, run_line):
+    shown = run("revisit", *command.split(), "--help").stdout
+    examples = re.findall(r"^  (revisit .*)", shown.split("Examples:\n")[1],
+                          re.MULTILINE)
+    assert readme_results and examples
+    for example in examples:
+        result = run_line(example)
+        assert result.returncode == 0, (example, result.stderr)
 
 
 def test_streaming_again_changes_nothing(driven, revisit):
