@@ -514,6 +514,29 @@ class Program {
       };
     });
 
+    CLI::App* accept = AddCommand(
+        vehicle, "accept-loss",
+        "Lets a vehicle in the state DATA_LOSS take poses again.",
+        "A client held an acknowledgement for poses that the store has not "
+        "got. Whoever calls\nthis accepts that all after DURABLE_SEQ are "
+        "gone; the client then sends them again, or\ngoes on from there. "
+        "Restore a newer backup instead if there is one.",
+        "  revisit vehicle get shuttle-7   # its state, its durable poses\n"
+        "  revisit vehicle accept-loss shuttle-7 1200");
+    accept->add_option("ID", vehicle_id_)->required();
+    accept
+        ->add_option("DURABLE_SEQ", durable_sequence_,
+                     "The vehicle's durable poses, to show that you know them")
+        ->type_name("N")
+        ->transform(WholeNumber(0, kMaxSequence))
+        ->required();
+    accept->callback([this] {
+      run_ = [this](const Console& console) {
+        return RunVehicleAcceptLoss(MakeClient(), vehicle_id_,
+                                    durable_sequence_, console);
+      };
+    });
+
     CLI::App* remove =
         AddCommand(vehicle, "delete",
                    "Deletes vehicles with all their poses. Cannot be undone.",
@@ -919,6 +942,7 @@ class Program {
   Run run_;
   std::string vehicle_id_;
   std::vector<std::string> vehicle_ids_;
+  std::uint64_t durable_sequence_ = 0;
   v1::VehicleSettings created_settings_;
   v1::VehicleSettings changed_settings_;
   VerifiedPair verified_;

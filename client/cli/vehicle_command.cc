@@ -129,6 +129,17 @@ absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
   return Print(response->vehicle(), console);
 }
 
+absl::Status RunVehicleAcceptLoss(const Client& client, const std::string& id,
+                                  std::uint64_t durable_sequence,
+                                  const Console& console) {
+  v1::AcceptDataLossRequest request;
+  request.set_name(VehicleName(id));
+  request.set_durable_sequence(durable_sequence);
+  const auto response = client.AcceptDataLoss(request);
+  if (!response.ok()) return response.status();
+  return Print(response->vehicle(), console);
+}
+
 absl::Status RunVehicleList(const Client& client, const Console& console) {
   v1::ListVehiclesResponse all;
   v1::ListVehiclesRequest request;

@@ -207,7 +207,8 @@ def driven(stub, revisit):
 
 
 COMMANDS = [("vehicle", "create"), ("vehicle", "get"), ("vehicle", "list"),
-            ("vehicle", "update"), ("vehicle", "delete"), ("stream",),
+            ("vehicle", "update"), ("vehicle", "accept-loss"),
+            ("vehicle", "delete"), ("stream",),
             ("find",), ("confirm",), ("reject",), ("show",),
             ("export",), ("evaluate",)]
 
@@ -348,6 +349,30 @@ def test_candidates_are_confirmed_and_rejected(revisit, stub):
     assert swapped.returncode == 64 + 3
     assert "loop_closure.matched_sequence" in swapped.stderr
     assert revisit("vehicle", "delete", "cli-verify").returncode == 0
+
+
+def test_loss_of_data_is_accepted(revisit, tmp_path):
+    def state():
+        return json.loads(revisit("vehicle", "get", "cli-loss",
+                                  "--json").stdout)["state"]
+
+    drive = tmp_path / "drive.csv"
+    drive.write_text("t_s,est_x,est_y,est_yaw\n" + "".join(
+        f"{i},{i},0,0\n" for i in range(20)))
+    stream = ["stream", drive, "--vehicle", "cli-loss", "--create"]
+    assert revisit(*stream).returncode == 0
+    lost = revisit(*stream, "--acked-sequence", 30)
+    assert lost.returncode == 64 + 15, lost
+    assert state() == "VEHICLE_STATE_DATA_LOSS"
+    # Who does not know what there is accepts nothing.
+    assert revisit("vehicle", "accept-loss", "cli-loss",
+                   30).returncode == 64 + 9
+    assert state() == "VEHICLE_STATE_DATA_LOSS"
+    accepted = revisit("vehicle", "accept-loss", "cli-loss", 20)
+    assert accepted.returncode == 0, accepted
+    assert re.search("^state +ACTIVE$", accepted.stdout, re.MULTILINE)
+    assert revisit(*stream).returncode == 0
+    assert revisit("vehicle", "delete", "cli-loss").returncode == 0
 
 
 def readme_lines():
