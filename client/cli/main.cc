@@ -398,7 +398,7 @@ class Program {
             &common_.channel.tls_certificate_file);
     AddFile("--tls-key", "Its private key (PEM)",
             &common_.channel.tls_key_file);
-    AddFile("--token-file", "Bearer token; read again for each connection",
+    AddFile("--token-file", "Bearer token; read again for each call",
             &common_.channel.token_file);
     app_.add_flag("--json", common_.json,
                   "Print JSON; messages of the service as protobuf JSON");
