@@ -335,8 +335,11 @@ CLI::App* AddCommand(CLI::App* app, const std::string& name,
   return command;
 }
 
+// Bare, in its place among the command's other words, or as a flag.
 void RequireVehicle(CLI::App* command, std::string* vehicle) {
-  command->add_option("--vehicle", *vehicle, "Id, or name such as vehicles/ID")
+  command
+      ->add_option("VEHICLE,--vehicle", *vehicle,
+                   "Id, or name such as vehicles/ID")
       ->type_name("ID")
       ->required();
 }
@@ -371,7 +374,7 @@ class Program {
         "Examples:\n"
         "  revisit vehicle create shuttle-7\n"
         "  revisit stream drive.csv --vehicle shuttle-7\n"
-        "  revisit find --vehicle shuttle-7\n"
+        "  revisit find shuttle-7\n"
         "  revisit evaluate drive.csv --verbose --map map.svg\n\n"
         "Exit codes:\n"
         "  0       done\n"
@@ -603,10 +606,10 @@ class Program {
   void AddFind() {
     CLI::App* command = AddCommand(
         &app_, "find", "Asks for loop-closure candidates at one pose.", "",
-        "  revisit find --vehicle shuttle-7\n"
-        "  revisit find --vehicle shuttle-7 --sequence 2000 "
+        "  revisit find shuttle-7\n"
+        "  revisit find shuttle-7 --sequence 2000 "
         "--max-candidates 10 --json\n"
-        "  revisit find --vehicle shuttle-7 --direction either "
+        "  revisit find shuttle-7 --direction either "
         "--acceptance-probability 0.9");
     RequireVehicle(command, &find_vehicle_);
     command
@@ -673,7 +676,7 @@ class Program {
   void AddShow() {
     CLI::App* command =
         AddCommand(&app_, "show", "Summarises a vehicle's pose graph.", "",
-                   "  revisit show --vehicle shuttle-7");
+                   "  revisit show shuttle-7");
     RequireVehicle(command, &vehicle_id_);
     command->callback([this] {
       run_ = [this](const Console& console) {
@@ -696,8 +699,8 @@ class Program {
         "upper triangle\n"
         "  edges-csv  the same: from_index,to_index,kind\n"
         "Numbers read back to the same bits.",
-        "  revisit export --vehicle shuttle-7 > graph.jsonl\n"
-        "  revisit export --vehicle shuttle-7 --format nodes-csv --output "
+        "  revisit export shuttle-7 > graph.jsonl\n"
+        "  revisit export shuttle-7 --format nodes-csv --output "
         "nodes.csv");
     RequireVehicle(command, &export_.vehicle);
     AddChoice(

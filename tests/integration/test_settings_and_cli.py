@@ -250,6 +250,20 @@ def test_json_is_printed_by_every_command_that_reads(driven, revisit):
     assert {key for part in parts[1:] for key in part} == {"node", "edge"}
 
 
+@pytest.mark.parametrize("words", [["show"], ["find"], ["export"],
+                                   ["stream", BOREAS]], ids=str)
+def test_vehicle_is_named_bare_or_by_a_flag(words, driven, revisit):
+    answers = []
+    for arguments in ([*words, driven], [*words, "--vehicle", driven],
+                      [words[0], "--vehicle", driven, *words[1:]]):
+        result = revisit(*arguments)
+        assert result.returncode == 0, (arguments, result.stderr)
+        # A stream tells how long it took.
+        answers.append(re.sub("in .* s,.*", "", result.stdout))
+    assert answers[0] and answers == answers[:1] * 3
+    assert revisit(*words, driven, "--vehicle", driven).returncode == USAGE
+
+
 def test_tables_are_for_people(driven, revisit):
     for arguments in (["vehicle", "get", driven], ["vehicle", "list"],
                       ["show", "--vehicle", driven],
