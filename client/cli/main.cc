@@ -28,7 +28,6 @@
 #include "client/cli/verify_command.h"
 #include "client/revisit/channel.h"
 #include "client/revisit/client.h"
-#include "client/revisit/status.h"
 #include "grpcpp/channel.h"
 
 namespace revisit::client {
@@ -394,13 +393,17 @@ class Program {
             ->type_name("ADDR")
             ->envname("REVISIT_SERVER")
             ->capture_default_str();
-    AddFile("--tls-ca",
-            "Speak TLS; who may have issued the server's certificate (PEM)",
-            &common_.channel.tls_authorities_file);
-    AddFile("--tls-cert", "Own certificate (PEM)",
-            &common_.channel.tls_certificate_file);
-    AddFile("--tls-key", "Its private key (PEM)",
-            &common_.channel.tls_key_file);
+    CLI::Option* const authorities =
+        AddFile("--tls-ca",
+                "Speak TLS; who may have issued the server's certificate (PEM)",
+                &common_.channel.tls_authorities_file);
+    CLI::Option* const certificate =
+        AddFile("--tls-cert", "Own certificate (PEM)",
+                &common_.channel.tls_certificate_file);
+    CLI::Option* const key = AddFile("--tls-key", "Its private key (PEM)",
+                                     &common_.channel.tls_key_file);
+    certificate->needs(key)->needs(authorities);
+    key->needs(certificate);
     AddFile("--token-file", "Bearer token; read again for each call",
             &common_.channel.token_file);
     app_.add_flag("--json", common_.json,
@@ -443,7 +446,7 @@ class Program {
     }
     if (!status.ok()) {
       std::cerr << (common_.json ? ErrorToJson(status)
-                                 : "revisit: " + Describe(status))
+                                 : "revisit: " + ErrorText(status))
                 << '\n';
     }
     return ExitCodeOf(status);
@@ -452,9 +455,9 @@ class Program {
  private:
   Client MakeClient() const { return Client(channel_); }
 
-  void AddFile(const std::string& flag, const std::string& description,
-               std::string* value) {
-    app_.add_option(flag, *value, description)->type_name("FILE");
+  CLI::Option* AddFile(const std::string& flag, const std::string& description,
+                       std::string* value) {
+    return app_.add_option(flag, *value, description)->type_name("FILE");
   }
 
   void AddVehicle() {
@@ -511,6 +514,9 @@ class Program {
     AddVehicleSettings(update, &changed_settings_, true);
     RequireWholeTolerances(update);
     update->callback([this] {
+      if (changed_settings_.ByteSizeLong() == 0) {
+        throw CLI::RequiredError("A setting to change");
+      }
       run_ = [this](const Console& console) {
         return RunVehicleUpdate(MakeClient(), vehicle_id_, changed_settings_,
                                 console);

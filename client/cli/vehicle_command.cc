@@ -114,10 +114,6 @@ absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
                               const Console& console) {
   std::vector<const google::protobuf::FieldDescriptor*> changed;
   v1::VehicleSettings::GetReflection()->ListFields(changes, &changed);
-  if (changed.empty()) {
-    return LocalError(
-        absl::FailedPreconditionError("no setting is given to change"));
-  }
   v1::UpdateVehicleRequest request;
   request.mutable_vehicle()->set_name(VehicleName(id));
   *request.mutable_vehicle()->mutable_settings() = changes;

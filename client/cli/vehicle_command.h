@@ -19,8 +19,7 @@ absl::Status RunVehicleGet(const Client& client, const std::string& id,
                            const Console& console);
 // All pages. As JSON: {"vehicles": [...]}.
 absl::Status RunVehicleList(const Client& client, const Console& console);
-// Changes the settings that are set, and no others. A local error,
-// FAILED_PRECONDITION, if none is.
+// Changes the settings that are set, and no others. REQUIRES: one is.
 absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
                               const v1::VehicleSettings& changes,
                               const Console& console);

@@ -796,13 +796,13 @@ def test_command_line_speaks_tls_and_shows_its_certificate(
     result = run("revisit", "--server", tls_server.address, *files, "vehicle",
                  "get", "acme-shuttle-2")
     assert result.returncode == 64 + Code.NOT_FOUND.value[0], result
-    for wrong, words in [
-            (files[:4], "needed together"),
-            (files[2:], "needs TLS"),
-            (["--tls-ca", tmp_path / "missing"], "cannot read")]:
+    for wrong, code, words in [
+            (files[:4], USAGE, "--tls-cert requires --tls-key"),
+            (files[2:], USAGE, "--tls-cert requires --tls-ca"),
+            (["--tls-ca", tmp_path / "missing"], 1, "revisit: cannot read")]:
         result = run("revisit", "--server", tls_server.address, *wrong,
                      "vehicle", "list")
-        assert result.returncode == 1, result
+        assert result.returncode == code, result
         assert words in result.stderr
 
 

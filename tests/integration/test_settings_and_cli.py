@@ -326,8 +326,8 @@ def test_settings_are_created_and_updated(revisit):
     assert changed == {**made, "alignment": "ALIGNMENT_RELATIVE",
                        "applyInflation": False, "acceptanceProbability": 0.9}
     nothing = revisit("vehicle", "update", "cli-settings")
-    assert nothing.returncode == 1
-    assert "no setting is given" in nothing.stderr
+    assert nothing.returncode == USAGE
+    assert nothing.stderr.startswith("A setting to change is required\n")
     half = revisit("vehicle", "update", "cli-settings",
                    "--tolerance-position", "3")
     assert half.returncode == USAGE
@@ -475,7 +475,8 @@ def test_vehicles_come_and_go(revisit):
     (["vehicle", "get", "nobody"], 64 + 5, "nobody"),
     (["vehicle", "create", "Bad_Id"], 64 + 3, "Bad_Id"),
     (["find", "--vehicle", "nobody"], 64 + 5, "nobody"),
-    (["stream", "no-such-file.csv", "--vehicle", "x"], 1, "no-such-file.csv"),
+    (["stream", "no-such-file.csv", "--vehicle", "x"], 1,
+     "revisit: no-such-file.csv: No such file or directory\n"),
 ], ids=str)
 def test_failure_has_its_exit_code_and_words(arguments, code, words, revisit):
     result = revisit(*arguments)
