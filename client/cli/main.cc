@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "CLI/CLI.hpp"
+#include "client/cli/connection_hint.h"
 #include "client/cli/console.h"
 #include "client/cli/evaluate_command.h"
 #include "client/cli/export_command.h"
@@ -448,6 +449,8 @@ class Program {
       std::cerr << (common_.json ? ErrorToJson(status)
                                  : "revisit: " + ErrorText(status))
                 << '\n';
+      const std::string hint = ConnectionHint(status, common_.channel);
+      if (!common_.json && !hint.empty()) std::cerr << hint << '\n';
     }
     return ExitCodeOf(status);
   }

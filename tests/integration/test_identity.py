@@ -814,6 +814,26 @@ def test_command_line_speaks_tls_and_shows_its_certificate(
         assert len(result.stderr.splitlines()) == (1 if code == 1 else 2)
 
 
+def test_command_line_asks_whether_tls_is_wanted(
+        tls_server, token_server, identities):
+    def told(server, *flags):
+        result = run("revisit", "--server", server.address, *flags, "vehicle",
+                     "list")
+        assert result.returncode == 64 + Code.UNAVAILABLE.value[0], result
+        return result.stderr.splitlines()[-1]
+
+    authority = ["--tls-ca", identities.authority_file]
+    assert told(tls_server).startswith("(connected without TLS: ")
+    assert told(tls_server, *authority).startswith(
+        "(connected without a certificate: ")
+    assert told(token_server, *authority).startswith("(connected with TLS: ")
+    # What reads JSON is not asked.
+    assert json.loads(told(tls_server, "--json"))["error"]["code"] == (
+        "UNAVAILABLE")
+    stranger = replace(identities.directory / "stranger.pem", Authority().pem)
+    assert told(tls_server, "--tls-ca", stranger).startswith("revisit: ")
+
+
 def test_command_line_sends_its_token(token_server, identities, tmp_path):
     token = tmp_path / "token"
     arguments = ["revisit", "--server", token_server.address, "--token-file",

@@ -554,6 +554,7 @@ def test_server_that_is_not_there_is_told():
                      timeout=120)
     assert result.returncode == 64 + 14
     assert address in result.stderr
+    assert "TLS" not in result.stderr
 
 
 def test_server_may_come_from_the_environment(server, driven):
