@@ -14,6 +14,10 @@ namespace {
 
 constexpr char kLocalUrl[] = "revisit.client/LocalError";
 
+bool IsLocal(const absl::Status& status) {
+  return status.GetPayload(kLocalUrl).has_value();
+}
+
 std::string Padded(const std::string& text, std::size_t width,
                    Table::Align align) {
   const std::string blanks(width - std::min(width, text.size()), ' ');
@@ -35,8 +39,12 @@ absl::Status LocalError(const absl::Status& status) {
 
 int ExitCodeOf(const absl::Status& status) {
   if (status.ok()) return kExitOk;
-  if (status.GetPayload(kLocalUrl).has_value()) return kExitLocalError;
+  if (IsLocal(status)) return kExitLocalError;
   return kExitUsage + static_cast<int>(status.code());
+}
+
+std::string ErrorText(const absl::Status& status) {
+  return IsLocal(status) ? std::string(status.message()) : Describe(status);
 }
 
 std::string ToJson(const google::protobuf::Message& message, bool pretty) {

@@ -39,6 +39,10 @@ absl::Status LocalError(const absl::Status& status);
 
 int ExitCodeOf(const absl::Status& status);
 
+// For people: a fault of this machine in its own words, what came from the
+// server with the code that it answered.
+std::string ErrorText(const absl::Status& status);
+
 // A message as protobuf JSON, with fields that have their default value. On one
 // line unless `pretty`.
 std::string ToJson(const google::protobuf::Message& message, bool pretty);

@@ -93,18 +93,16 @@ void PrintSummary(const Row& row, bool verified, std::ostream& out) {
       {"precision", OrDash(t.precision(), 3)},
       {"recall", OrDash(t.recall(), 3)},
       {"F1", OrDash(t.f1(), 3)},
-      {"first right", std::to_string(t.top1_correct) + ", " +
-                          OrDash(t.top1(), 3) +
-                          " of the true loops (verdict aside)"},
-      {"one of 5 right", std::to_string(t.top5_correct) + ", " +
-                             OrDash(t.recall_at_5(), 3) +
-                             " of the true loops (verdict aside)"},
-      {"candidates to verify",
-       std::to_string(t.to_verify) + ", " + OrDash(t.to_verify_per_loop(), 2) +
-           " for each of the " + std::to_string(t.loops_found) +
-           " loops found"}};
+      {"top-1", OrDash(t.top1(), 3) + ", " + std::to_string(t.top1_correct) +
+                    " of the true loops (verdict aside)"},
+      {"recall@5", OrDash(t.recall_at_5(), 3) + ", " +
+                       std::to_string(t.top5_correct) +
+                       " of the true loops (verdict aside)"},
+      {"verify/loop", OrDash(t.to_verify_per_loop(), 2) + ", " +
+                          std::to_string(t.to_verify) + " accepted for the " +
+                          std::to_string(t.loops_found) + " loops found"}};
   if (t.calibration_error().has_value()) {
-    fields.push_back({"calibration error", OrDash(t.calibration_error(), 3)});
+    fields.push_back({"ECE", OrDash(t.calibration_error(), 3)});
   }
   if (verified) {
     fields.push_back({"verified", std::to_string(t.confirmed) + " confirmed, " +

@@ -1,14 +1,22 @@
 #include "client/cli/export_command.h"
 
+#include <unistd.h>
+
 #include <cerrno>
 #include <charconv>
+#include <cstdio>
 #include <cstring>
+#include <filesystem>
 #include <fstream>
+#include <system_error>
+#include <utility>
 
 #include "client/cli/names.h"
 
 namespace revisit::client {
 namespace {
+
+namespace fs = std::filesystem;
 
 // The shortest text that reads as the same number.
 std::string Exact(double value) {
@@ -93,22 +101,78 @@ void WritePart(const v1::ExportPoseGraphResponse& part, ExportFormat format,
   }
 }
 
+// A file that gets its name when it is whole: what had the name before stays as
+// it is until then. What is no regular file is written to as the parts come.
+class OutputFile {
+ public:
+  explicit OutputFile(std::string path) : path_(std::move(path)) {}
+
+  ~OutputFile() {
+    if (!aside_.empty()) std::remove(aside_.c_str());
+  }
+
+  OutputFile(const OutputFile&) = delete;
+  OutputFile& operator=(const OutputFile&) = delete;
+
+  std::ostream& stream() { return stream_; }
+
+  absl::Status Open() {
+    std::error_code error;
+    const fs::file_status before = fs::status(path_, error);
+    // A name in /dev may lead to a file that somebody holds open.
+    if (path_.rfind("/dev/", 0) == 0 ||
+        (fs::exists(before) && !fs::is_regular_file(before))) {
+      stream_.open(path_, std::ios::binary);
+      return stream_ ? absl::OkStatus() : Error();
+    }
+    if (fs::exists(before)) {
+      // A file that may not be written to is not replaced either.
+      if (access(path_.c_str(), W_OK) != 0) return Error();
+      // A link goes on leading to it.
+      path_ = fs::canonical(path_, error).string();
+    }
+    aside_ = path_ + "." + std::to_string(getpid()) + ".part";
+    stream_.open(aside_, std::ios::binary | std::ios::trunc);
+    if (!stream_) return Error();
+    if (fs::exists(before)) {
+      fs::permissions(aside_, before.permissions(), error);
+    }
+    return absl::OkStatus();
+  }
+
+  absl::Status Finish() {
+    stream_.close();
+    if (!stream_) return Error();
+    if (!aside_.empty() && std::rename(aside_.c_str(), path_.c_str()) != 0) {
+      return Error();
+    }
+    aside_.clear();
+    return absl::OkStatus();
+  }
+
+ private:
+  absl::Status Error() const {
+    return LocalError(absl::UnknownError(path_ + ": " + std::strerror(errno)));
+  }
+
+  std::string path_;
+  // Empty where there is none to remove.
+  std::string aside_;
+  std::ofstream stream_;
+};
+
 }  // namespace
 
 absl::Status RunExport(const Client& client, const ExportOptions& options,
                        const Console& console) {
   v1::ExportPoseGraphRequest request;
   request.set_vehicle(VehicleName(options.vehicle));
-  std::ofstream file;
-  const auto write_error = [&] {
-    return LocalError(
-        absl::UnknownError(options.output + ": " + std::strerror(errno)));
-  };
-  if (!options.output.empty()) {
-    file.open(options.output, std::ios::binary | std::ios::trunc);
-    if (!file) return write_error();
+  OutputFile file(options.output);
+  const bool to_file = !options.output.empty();
+  if (to_file) {
+    if (absl::Status opened = file.Open(); !opened.ok()) return opened;
   }
-  std::ostream& out = options.output.empty() ? console.out : file;
+  std::ostream& out = to_file ? file.stream() : console.out;
   WriteHeader(options.format, out);
   const absl::Status status = client.ExportPoseGraph(
       request, [&](const v1::ExportPoseGraphResponse& part) {
@@ -120,11 +184,7 @@ absl::Status RunExport(const Client& client, const ExportOptions& options,
       });
   if (!status.ok()) return status;
   out.flush();
-  if (!options.output.empty()) {
-    file.close();
-    if (!file) return write_error();
-  }
-  return absl::OkStatus();
+  return to_file ? file.Finish() : absl::OkStatus();
 }
 
 }  // namespace revisit::client

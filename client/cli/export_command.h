@@ -35,7 +35,8 @@ struct ExportOptions {
   std::string output;
 };
 
-// Numbers are printed so that reading them gives the same bits.
+// Numbers are printed so that reading them gives the same bits. A file that is
+// there already is replaced when the export is complete, and only then.
 absl::Status RunExport(const Client& client, const ExportOptions& options,
                        const Console& console);
 

@@ -3,9 +3,12 @@
 
 #include <unistd.h>
 
+#include <charconv>
 #include <chrono>
+#include <cmath>
 #include <functional>
 #include <iostream>
+#include <limits>
 #include <map>
 #include <memory>
 #include <optional>
@@ -14,6 +17,7 @@
 #include <vector>
 
 #include "CLI/CLI.hpp"
+#include "client/cli/connection_hint.h"
 #include "client/cli/console.h"
 #include "client/cli/evaluate_command.h"
 #include "client/cli/export_command.h"
@@ -25,7 +29,6 @@
 #include "client/cli/verify_command.h"
 #include "client/revisit/channel.h"
 #include "client/revisit/client.h"
-#include "client/revisit/status.h"
 #include "grpcpp/channel.h"
 
 namespace revisit::client {
@@ -84,6 +87,41 @@ const Words kExportFormats = {
     {"nodes-csv", static_cast<int>(ExportFormat::kNodesCsv)},
     {"edges-csv", static_cast<int>(ExportFormat::kEdgesCsv)}};
 
+// Sequences of poses are from 1 to this, as the service counts them.
+constexpr std::int64_t kMaxSequence = std::numeric_limits<std::int64_t>::max();
+
+// Takes decimal digits only: CLI11 by itself reads -1 as the largest number
+// there is, and 010 as 8.
+CLI::Validator WholeNumber(std::int64_t lowest, std::int64_t highest) {
+  return {[=](std::string& text) {
+            std::int64_t value = 0;
+            const char* const end = text.data() + text.size();
+            const auto [stop, error] = std::from_chars(text.data(), end, value);
+            if (error != std::errc() || stop != end || value < lowest ||
+                value > highest) {
+              return "got \"" + text + "\"; allowed is a whole number in [" +
+                     std::to_string(lowest) + ", " + std::to_string(highest) +
+                     "]";
+            }
+            text = std::to_string(value);
+            return std::string();
+          },
+          ""};
+}
+
+CLI::Validator FiniteNumber(bool positive = false) {
+  return {[=](std::string& text) {
+            double value = 0.0;
+            if (CLI::detail::lexical_cast(text, value) &&
+                std::isfinite(value) && (!positive || value > 0.0)) {
+              return std::string();
+            }
+            return "got \"" + text + "\"; allowed is a finite number" +
+                   (positive ? " above 0" : "");
+          },
+          ""};
+}
+
 // Where flags go: a command, and the heading they stand under in its help.
 struct Flags {
   CLI::App* app;
@@ -116,6 +154,7 @@ void AddNumber(const Flags& flags, const std::string& name,
                const std::string& description) {
   flags.app->add_option_function<double>(name, std::move(set), description)
       ->type_name(unit)
+      ->check(FiniteNumber())
       ->group(flags.heading);
 }
 
@@ -125,6 +164,7 @@ void AddDouble(const Flags& flags, const std::string& name,
                const std::string& description) {
   flags.app->add_option(name, *value, description)
       ->type_name(unit)
+      ->check(FiniteNumber())
       ->group(flags.heading)
       ->capture_default_str();
 }
@@ -204,6 +244,7 @@ void AddSearchSettings(const Flags& g, Settings* settings,
           "--max-candidates", [=](int v) { settings->set_max_candidates(v); },
           "Most candidates of one answer (5)")
       ->type_name("N")
+      ->transform(WholeNumber(1, 100))
       ->group(g.heading);
 }
 
@@ -294,10 +335,35 @@ CLI::App* AddCommand(CLI::App* app, const std::string& name,
   return command;
 }
 
+// Bare, in its place among the command's other words, or as a flag.
 void RequireVehicle(CLI::App* command, std::string* vehicle) {
-  command->add_option("--vehicle", *vehicle, "Id, or name such as vehicles/ID")
+  command
+      ->add_option("VEHICLE,--vehicle", *vehicle,
+                   "Id, or name such as vehicles/ID")
       ->type_name("ID")
       ->required();
+}
+
+// Where a command is wanted, CLI11 says that one is missing even if another
+// word stands there.
+std::string UsageMessage(const CLI::App* app, const CLI::Error& error) {
+  const CLI::App* chosen = app;
+  while (!chosen->get_subcommands().empty()) {
+    chosen = chosen->get_subcommands().front();
+  }
+  std::string text = error.what();
+  const auto commands =
+      chosen->get_subcommands([](const CLI::App*) { return true; });
+  if (error.get_name() == "RequiredError" && !commands.empty()) {
+    const std::vector<std::string> words = app->remaining(true);
+    text = words.empty() ? "a command is missing"
+                         : "got \"" + words.front() + "\"";
+    for (const CLI::App* command : commands) {
+      text += (command == commands.front() ? "; allowed is " : ", ") +
+              command->get_name();
+    }
+  }
+  return text + "\nRun with --help for more information.\n";
 }
 
 class Program {
@@ -308,7 +374,7 @@ class Program {
         "Examples:\n"
         "  revisit vehicle create shuttle-7\n"
         "  revisit stream drive.csv --vehicle shuttle-7\n"
-        "  revisit find --vehicle shuttle-7\n"
+        "  revisit find shuttle-7\n"
         "  revisit evaluate drive.csv --verbose --map map.svg\n\n"
         "Exit codes:\n"
         "  0       done\n"
@@ -321,20 +387,25 @@ class Program {
     app_.set_version_flag("--version", "revisit " REVISIT_VERSION);
     app_.require_subcommand(1);
     app_.fallthrough();
+    app_.failure_message(UsageMessage);
     common_.server_option =
         app_.add_option("--server", common_.channel.address,
                         "Address of the server (env REVISIT_SERVER)")
             ->type_name("ADDR")
             ->envname("REVISIT_SERVER")
             ->capture_default_str();
-    AddFile("--tls-ca",
-            "Speak TLS; who may have issued the server's certificate (PEM)",
-            &common_.channel.tls_authorities_file);
-    AddFile("--tls-cert", "Own certificate (PEM)",
-            &common_.channel.tls_certificate_file);
-    AddFile("--tls-key", "Its private key (PEM)",
-            &common_.channel.tls_key_file);
-    AddFile("--token-file", "Bearer token; read again for each connection",
+    CLI::Option* const authorities =
+        AddFile("--tls-ca",
+                "Speak TLS; who may have issued the server's certificate (PEM)",
+                &common_.channel.tls_authorities_file);
+    CLI::Option* const certificate =
+        AddFile("--tls-cert", "Own certificate (PEM)",
+                &common_.channel.tls_certificate_file);
+    CLI::Option* const key = AddFile("--tls-key", "Its private key (PEM)",
+                                     &common_.channel.tls_key_file);
+    certificate->needs(key)->needs(authorities);
+    key->needs(certificate);
+    AddFile("--token-file", "Bearer token; read again for each call",
             &common_.channel.token_file);
     app_.add_flag("--json", common_.json,
                   "Print JSON; messages of the service as protobuf JSON");
@@ -342,12 +413,13 @@ class Program {
     AddStream();
     AddFind();
     AddVerified("confirm", "Tells that two poses were found to be one place.",
-                "Adds a loop closure. Again: the existing one.", &RunConfirm);
+                "Adds a loop closure. Again: the existing one.",
+                "  revisit confirm shuttle-7 2068 1072", &RunConfirm);
     AddVerified("reject",
                 "Tells that two poses were found not to be one place.",
                 "The candidate is not offered again. Again: the existing "
                 "rejection.",
-                &RunReject);
+                "  revisit reject shuttle-7 2068 1155", &RunReject);
     AddShow();
     AddExport();
     AddEvaluate();
@@ -375,8 +447,10 @@ class Program {
     }
     if (!status.ok()) {
       std::cerr << (common_.json ? ErrorToJson(status)
-                                 : "revisit: " + Describe(status))
+                                 : "revisit: " + ErrorText(status))
                 << '\n';
+      const std::string hint = ConnectionHint(status, common_.channel);
+      if (!common_.json && !hint.empty()) std::cerr << hint << '\n';
     }
     return ExitCodeOf(status);
   }
@@ -384,9 +458,9 @@ class Program {
  private:
   Client MakeClient() const { return Client(channel_); }
 
-  void AddFile(const std::string& flag, const std::string& description,
-               std::string* value) {
-    app_.add_option(flag, *value, description)->type_name("FILE");
+  CLI::Option* AddFile(const std::string& flag, const std::string& description,
+                       std::string* value) {
+    return app_.add_option(flag, *value, description)->type_name("FILE");
   }
 
   void AddVehicle() {
@@ -443,9 +517,35 @@ class Program {
     AddVehicleSettings(update, &changed_settings_, true);
     RequireWholeTolerances(update);
     update->callback([this] {
+      if (changed_settings_.ByteSizeLong() == 0) {
+        throw CLI::RequiredError("A setting to change");
+      }
       run_ = [this](const Console& console) {
         return RunVehicleUpdate(MakeClient(), vehicle_id_, changed_settings_,
                                 console);
+      };
+    });
+
+    CLI::App* accept = AddCommand(
+        vehicle, "accept-loss",
+        "Lets a vehicle in the state DATA_LOSS take poses again.",
+        "A client held an acknowledgement for poses that the store has not "
+        "got. Whoever calls\nthis accepts that all after DURABLE_SEQ are "
+        "gone; the client then sends them again, or\ngoes on from there. "
+        "Restore a newer backup instead if there is one.",
+        "  revisit vehicle get shuttle-7   # its state, its durable poses\n"
+        "  revisit vehicle accept-loss shuttle-7 1200");
+    accept->add_option("ID", vehicle_id_)->required();
+    accept
+        ->add_option("DURABLE_SEQ", durable_sequence_,
+                     "The vehicle's durable poses, to show that you know them")
+        ->type_name("N")
+        ->transform(WholeNumber(0, kMaxSequence))
+        ->required();
+    accept->callback([this] {
+      run_ = [this](const Console& console) {
+        return RunVehicleAcceptLoss(MakeClient(), vehicle_id_,
+                                    durable_sequence_, console);
       };
     });
 
@@ -489,13 +589,14 @@ class Program {
                       "Print the candidates of every check that falls due");
     command->add_option("--batch", stream_.batch_poses, "Poses of one message")
         ->type_name("N")
-        ->check(CLI::Range(1, 1'000'000).description(""))
+        ->transform(WholeNumber(1, 1'000'000))
         ->capture_default_str();
     command
         ->add_option("--acked-sequence", stream_.acked_sequence,
                      "Highest sequence known to be durable; if the server has "
                      "less, it answers DATA_LOSS")
-        ->type_name("N");
+        ->type_name("N")
+        ->transform(WholeNumber(0, kMaxSequence));
     AddDouble({command}, "--give-up-after", "S", &give_up_seconds_,
               "Seconds without progress; 0 tries for ever");
     AddUncertainty(command, &stream_.uncertainty);
@@ -514,10 +615,10 @@ class Program {
   void AddFind() {
     CLI::App* command = AddCommand(
         &app_, "find", "Asks for loop-closure candidates at one pose.", "",
-        "  revisit find --vehicle shuttle-7\n"
-        "  revisit find --vehicle shuttle-7 --sequence 4000 "
+        "  revisit find shuttle-7\n"
+        "  revisit find shuttle-7 --sequence 2000 "
         "--max-candidates 10 --json\n"
-        "  revisit find --vehicle shuttle-7 --direction either "
+        "  revisit find shuttle-7 --direction either "
         "--acceptance-probability 0.9");
     RequireVehicle(command, &find_vehicle_);
     command
@@ -525,7 +626,8 @@ class Program {
             "--sequence", [this](std::uint64_t v) { find_.set_sequence(v); },
             "Pose to ask at, with what lay before it as history; the newest if "
             "left out")
-        ->type_name("N");
+        ->type_name("N")
+        ->transform(WholeNumber(1, kMaxSequence));
     command->add_flag_callback(
         "--aligned-path",
         [this] { find_.mutable_options()->set_include_aligned_path(true); },
@@ -555,23 +657,23 @@ class Program {
 
   // `revisit confirm` and `revisit reject`.
   void AddVerified(const std::string& name, const std::string& description,
-                   const std::string& details,
+                   const std::string& details, const std::string& examples,
                    absl::Status (*run)(const Client&, const VerifiedPair&,
                                        const Console&)) {
-    CLI::App* command =
-        AddCommand(&app_, name, description, details,
-                   "  revisit " + name + " shuttle-7 4000 1200");
+    CLI::App* command = AddCommand(&app_, name, description, details, examples);
     command->add_option("VEHICLE", verified_.vehicle, "Id, or name")
         ->required();
     command
         ->add_option("QUERY_SEQ", verified_.query_sequence,
                      "Sequence of the later pose")
         ->type_name("N")
+        ->transform(WholeNumber(1, kMaxSequence))
         ->required();
     command
         ->add_option("MATCHED_SEQ", verified_.matched_sequence,
                      "Sequence of the earlier pose")
         ->type_name("N")
+        ->transform(WholeNumber(1, kMaxSequence))
         ->required();
     command->callback([this, run] {
       run_ = [this, run](const Console& console) {
@@ -583,7 +685,7 @@ class Program {
   void AddShow() {
     CLI::App* command =
         AddCommand(&app_, "show", "Summarises a vehicle's pose graph.", "",
-                   "  revisit show --vehicle shuttle-7");
+                   "  revisit show shuttle-7");
     RequireVehicle(command, &vehicle_id_);
     command->callback([this] {
       run_ = [this](const Console& console) {
@@ -606,8 +708,8 @@ class Program {
         "upper triangle\n"
         "  edges-csv  the same: from_index,to_index,kind\n"
         "Numbers read back to the same bits.",
-        "  revisit export --vehicle shuttle-7 > graph.jsonl\n"
-        "  revisit export --vehicle shuttle-7 --format nodes-csv --output "
+        "  revisit export shuttle-7 > graph.jsonl\n"
+        "  revisit export shuttle-7 --format nodes-csv --output "
         "nodes.csv");
     RequireVehicle(command, &export_.vehicle);
     AddChoice(
@@ -687,7 +789,7 @@ class Program {
                      "Do it all N times, fail unless all answers are the same, "
                      "and time them all")
         ->type_name("N")
-        ->check(CLI::Range(1, 1000).description(""))
+        ->transform(WholeNumber(1, 1000))
         ->capture_default_str();
     command->add_flag("--keep-vehicles", evaluate_.keep_vehicles,
                       "Leave the vehicles on the server that was named");
@@ -710,7 +812,7 @@ class Program {
         ->type_name("M,M,...")
         ->delimiter(',')
         ->allow_extra_args(false)
-        ->check(CLI::PositiveNumber.description(""))
+        ->check(FiniteNumber(/*positive=*/true))
         ->group(measured.heading);
     command
         ->add_flag("--exhaustive", evaluate_.exhaustive,
@@ -852,6 +954,7 @@ class Program {
   Run run_;
   std::string vehicle_id_;
   std::vector<std::string> vehicle_ids_;
+  std::uint64_t durable_sequence_ = 0;
   v1::VehicleSettings created_settings_;
   v1::VehicleSettings changed_settings_;
   VerifiedPair verified_;

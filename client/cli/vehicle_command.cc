@@ -114,10 +114,6 @@ absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
                               const Console& console) {
   std::vector<const google::protobuf::FieldDescriptor*> changed;
   v1::VehicleSettings::GetReflection()->ListFields(changes, &changed);
-  if (changed.empty()) {
-    return LocalError(
-        absl::FailedPreconditionError("no setting is given to change"));
-  }
   v1::UpdateVehicleRequest request;
   request.mutable_vehicle()->set_name(VehicleName(id));
   *request.mutable_vehicle()->mutable_settings() = changes;
@@ -125,6 +121,17 @@ absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
     request.mutable_update_mask()->add_paths("settings." + field->name());
   }
   const auto response = client.UpdateVehicle(request);
+  if (!response.ok()) return response.status();
+  return Print(response->vehicle(), console);
+}
+
+absl::Status RunVehicleAcceptLoss(const Client& client, const std::string& id,
+                                  std::uint64_t durable_sequence,
+                                  const Console& console) {
+  v1::AcceptDataLossRequest request;
+  request.set_name(VehicleName(id));
+  request.set_durable_sequence(durable_sequence);
+  const auto response = client.AcceptDataLoss(request);
   if (!response.ok()) return response.status();
   return Print(response->vehicle(), console);
 }

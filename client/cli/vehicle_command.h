@@ -1,7 +1,8 @@
-// revisit vehicle create|get|list|update|delete
+// revisit vehicle create|get|list|update|accept-loss|delete
 #ifndef REVISIT_CLIENT_CLI_VEHICLE_COMMAND_H_
 #define REVISIT_CLIENT_CLI_VEHICLE_COMMAND_H_
 
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -18,11 +19,14 @@ absl::Status RunVehicleGet(const Client& client, const std::string& id,
                            const Console& console);
 // All pages. As JSON: {"vehicles": [...]}.
 absl::Status RunVehicleList(const Client& client, const Console& console);
-// Changes the settings that are set, and no others. A local error,
-// FAILED_PRECONDITION, if none is.
+// Changes the settings that are set, and no others. REQUIRES: one is.
 absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
                               const v1::VehicleSettings& changes,
                               const Console& console);
+// Ends the state DATA_LOSS. `durable_sequence` has to be the vehicle's.
+absl::Status RunVehicleAcceptLoss(const Client& client, const std::string& id,
+                                  std::uint64_t durable_sequence,
+                                  const Console& console);
 // Stops at the first that cannot be deleted.
 absl::Status RunVehicleDelete(const Client& client,
                               const std::vector<std::string>& ids,

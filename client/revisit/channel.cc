@@ -1,5 +1,8 @@
 #include "client/revisit/channel.h"
 
+#include <openssl/err.h>
+#include <openssl/pem.h>
+
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
@@ -11,6 +14,7 @@
 #include "grpcpp/create_channel.h"
 #include "grpcpp/security/credentials.h"
 #include "grpcpp/support/channel_arguments.h"
+#include "server/security/openssl_pointers.h"
 
 namespace revisit::client {
 namespace {
@@ -79,6 +83,51 @@ class TokenFile final : public grpc::MetadataCredentialsPlugin {
   const std::string path_;
 };
 
+namespace openssl = server::openssl;
+
+openssl::Bio Memory(const std::string& text) {
+  return openssl::Bio(
+      BIO_new_mem_buf(text.data(), static_cast<int>(text.size())));
+}
+
+// Never asks a terminal.
+int NoPassphrase(char*, int, int, void*) { return -1; }
+
+openssl::Certificate FirstCertificate(const std::string& pem) {
+  return openssl::Certificate(
+      PEM_read_bio_X509(Memory(pem).get(), nullptr, NoPassphrase, nullptr));
+}
+
+absl::Status Problem(const std::string& what) {
+  ERR_clear_error();
+  return absl::InvalidArgumentError(what.c_str());
+}
+
+// What gRPC would only tell as a server that cannot be reached.
+absl::Status CheckTls(const ChannelOptions& options,
+                      const grpc::SslCredentialsOptions& tls) {
+  if (FirstCertificate(tls.pem_root_certs) == nullptr) {
+    return Problem(options.tls_authorities_file + " holds no certificate");
+  }
+  if (tls.pem_cert_chain.empty()) return absl::OkStatus();
+  const openssl::Certificate certificate = FirstCertificate(tls.pem_cert_chain);
+  if (certificate == nullptr) {
+    return Problem(options.tls_certificate_file + " holds no certificate");
+  }
+  const openssl::Key key(PEM_read_bio_PrivateKey(
+      Memory(tls.pem_private_key).get(), nullptr, NoPassphrase, nullptr));
+  if (key == nullptr) {
+    return Problem(options.tls_key_file +
+                   " holds no private key that can be read (it must not be "
+                   "encrypted)");
+  }
+  if (X509_check_private_key(certificate.get(), key.get()) != 1) {
+    return Problem("the private key is not that of the certificate: " +
+                   options.tls_key_file + ", " + options.tls_certificate_file);
+  }
+  return absl::OkStatus();
+}
+
 absl::StatusOr<std::shared_ptr<grpc::ChannelCredentials>> TlsCredentials(
     const ChannelOptions& options) {
   grpc::SslCredentialsOptions tls;
@@ -92,6 +141,7 @@ absl::StatusOr<std::shared_ptr<grpc::ChannelCredentials>> TlsCredentials(
     if (!read.ok()) return read.status();
     *text = *std::move(read);
   }
+  if (absl::Status status = CheckTls(options, tls); !status.ok()) return status;
   return grpc::SslCredentials(tls);
 }
 

@@ -35,8 +35,9 @@ struct ChannelOptions {
 // to 64 MiB. A channel made elsewhere serves as well if it does the same.
 //
 // In plaintext a token is sent to this machine only: calls to other addresses
-// fail. INVALID_ARGUMENT if a file cannot be read, or certificate and key do
-// not come together and with authorities.
+// fail. INVALID_ARGUMENT if a file cannot be read or holds something else, or
+// certificate and key do not belong together or do not come together and with
+// authorities.
 absl::StatusOr<std::shared_ptr<grpc::Channel>> MakeChannel(
     const ChannelOptions& options);
 

@@ -790,20 +790,48 @@ def test_command_line_speaks_tls_and_shows_its_certificate(
     files = ["--tls-ca", identities.authority_file,
              "--tls-cert", replace(tmp_path / "cert", certificate.pem),
              "--tls-key", replace(tmp_path / "key", certificate.key_pem)]
+    other_key = replace(tmp_path / "other", identities.certificate.key_pem)
     result = run("revisit", "--server", tls_server.address, *files, "vehicle",
                  "create", "acme-shuttle-1")
     assert result.returncode == 0, result
     result = run("revisit", "--server", tls_server.address, *files, "vehicle",
                  "get", "acme-shuttle-2")
     assert result.returncode == 64 + Code.NOT_FOUND.value[0], result
-    for wrong, words in [
-            (files[:4], "needed together"),
-            (files[2:], "needs TLS"),
-            (["--tls-ca", tmp_path / "missing"], "cannot read")]:
+    for wrong, code, words in [
+            (files[:4], USAGE, "--tls-cert requires --tls-key"),
+            (files[2:], USAGE, "--tls-cert requires --tls-ca"),
+            (["--tls-ca", tmp_path / "missing"], 1, "revisit: cannot read"),
+            (["--tls-ca", other_key], 1, "holds no certificate"),
+            ([*files[:4], "--tls-key", files[3]], 1, "holds no private key"),
+            ([*files[:3], other_key, *files[4:]], 1, "holds no certificate"),
+            ([*files[:4], "--tls-key", other_key], 1,
+             "the private key is not that of the certificate")]:
         result = run("revisit", "--server", tls_server.address, *wrong,
                      "vehicle", "list")
-        assert result.returncode == 1, result
+        assert result.returncode == code, result
         assert words in result.stderr
+        # Nothing of what gRPC and OpenSSL log by themselves.
+        assert len(result.stderr.splitlines()) == (1 if code == 1 else 2)
+
+
+def test_command_line_asks_whether_tls_is_wanted(
+        tls_server, token_server, identities):
+    def told(server, *flags):
+        result = run("revisit", "--server", server.address, *flags, "vehicle",
+                     "list")
+        assert result.returncode == 64 + Code.UNAVAILABLE.value[0], result
+        return result.stderr.splitlines()[-1]
+
+    authority = ["--tls-ca", identities.authority_file]
+    assert told(tls_server).startswith("(connected without TLS: ")
+    assert told(tls_server, *authority).startswith(
+        "(connected without a certificate: ")
+    assert told(token_server, *authority).startswith("(connected with TLS: ")
+    # What reads JSON is not asked.
+    assert json.loads(told(tls_server, "--json"))["error"]["code"] == (
+        "UNAVAILABLE")
+    stranger = replace(identities.directory / "stranger.pem", Authority().pem)
+    assert told(tls_server, "--tls-ca", stranger).startswith("revisit: ")
 
 
 def test_command_line_sends_its_token(token_server, identities, tmp_path):

@@ -1,13 +1,15 @@
 """Settings of revisitd and the command line `revisit`, as a shell sees them."""
 
 import json
+import os
 import re
 import socket
+import subprocess
 
 import pytest
 
-from revisit_server import Server, clean_environment, run, wait_until
-from stubs import api
+from revisit_server import BIN, Server, clean_environment, run, wait_until
+from stubs import ROOT, api
 from wire import BOREAS, append, get, straight
 
 USAGE = 64
@@ -216,7 +218,8 @@ def driven(stub, revisit):
 
 
 COMMANDS = [("vehicle", "create"), ("vehicle", "get"), ("vehicle", "list"),
-            ("vehicle", "update"), ("vehicle", "delete"), ("stream",),
+            ("vehicle", "update"), ("vehicle", "accept-loss"),
+            ("vehicle", "delete"), ("stream",),
             ("find",), ("confirm",), ("reject",), ("show",),
             ("export",), ("evaluate",)]
 
@@ -256,6 +259,20 @@ def test_json_is_printed_by_every_command_that_reads(driven, revisit):
     parts = [json.loads(line) for line in everything.stdout.splitlines()]
     assert set(parts[0]) == {"vehicle"}
     assert {key for part in parts[1:] for key in part} == {"node", "edge"}
+
+
+@pytest.mark.parametrize("words", [["show"], ["find"], ["export"],
+                                   ["stream", BOREAS]], ids=str)
+def test_vehicle_is_named_bare_or_by_a_flag(words, driven, revisit):
+    answers = []
+    for arguments in ([*words, driven], [*words, "--vehicle", driven],
+                      [words[0], "--vehicle", driven, *words[1:]]):
+        result = revisit(*arguments)
+        assert result.returncode == 0, (arguments, result.stderr)
+        # A stream tells how long it took.
+        answers.append(re.sub("in .* s,.*", "", result.stdout))
+    assert answers[0] and answers == answers[:1] * 3
+    assert revisit(*words, driven, "--vehicle", driven).returncode == USAGE
 
 
 def test_tables_are_for_people(driven, revisit):
@@ -320,8 +337,8 @@ def test_settings_are_created_and_updated(revisit):
     assert changed == {**made, "alignment": "ALIGNMENT_RELATIVE",
                        "applyInflation": False, "acceptanceProbability": 0.9}
     nothing = revisit("vehicle", "update", "cli-settings")
-    assert nothing.returncode == 1
-    assert "no setting is given" in nothing.stderr
+    assert nothing.returncode == USAGE
+    assert nothing.stderr.startswith("A setting to change is required\n")
     half = revisit("vehicle", "update", "cli-settings",
                    "--tolerance-position", "3")
     assert half.returncode == USAGE
@@ -359,6 +376,97 @@ def test_candidates_are_confirmed_and_rejected(revisit, stub):
     assert revisit("vehicle", "delete", "cli-verify").returncode == 0
 
 
+def test_loss_of_data_is_accepted(revisit, tmp_path):
+    def state():
+        return json.loads(revisit("vehicle", "get", "cli-loss",
+                                  "--json").stdout)["state"]
+
+    drive = tmp_path / "drive.csv"
+    drive.write_text("t_s,est_x,est_y,est_yaw\n" + "".join(
+        f"{i},{i},0,0\n" for i in range(20)))
+    stream = ["stream", drive, "--vehicle", "cli-loss", "--create"]
+    assert revisit(*stream).returncode == 0
+    lost = revisit(*stream, "--acked-sequence", 30)
+    assert lost.returncode == 64 + 15, lost
+    assert state() == "VEHICLE_STATE_DATA_LOSS"
+    # Who does not know what there is accepts nothing.
+    assert revisit("vehicle", "accept-loss", "cli-loss",
+                   30).returncode == 64 + 9
+    assert state() == "VEHICLE_STATE_DATA_LOSS"
+    accepted = revisit("vehicle", "accept-loss", "cli-loss", 20)
+    assert accepted.returncode == 0, accepted
+    assert re.search("^state +ACTIVE$", accepted.stdout, re.MULTILINE)
+    assert revisit(*stream).returncode == 0
+    assert revisit("vehicle", "delete", "cli-loss").returncode == 0
+
+
+def readme_lines():
+    """Lines of the README between its two markers, each one string."""
+    block = re.search(r"<!-- revisit -->\n```sh\n(.*?)```\n<!-- /revisit -->",
+                      (ROOT / "README.md").read_text(), re.DOTALL).group(1)
+    return block.replace("\\\n", "").splitlines()
+
+
+@pytest.fixture(scope="module")
+def run_line(tmp_path_factory):
+    """Runs one line of a shell, as it is printed, against a server that has
+    nothing but what the lines before it made."""
+    # Where build/release/bin/revisit is this build's, and in the path.
+    home = tmp_path_factory.mktemp("lines")
+    (home / "build/release").mkdir(parents=True)
+    (home / "build/release/bin").symlink_to(BIN)
+    (home / "tests").symlink_to(ROOT / "tests")
+    with Server(home / "store") as server:
+        def call(line):
+            return subprocess.run(
+                ["bash", "-c", line], cwd=home, capture_output=True, text=True,
+                env=clean_environment(REVISIT_SERVER=server.address,
+                                      PATH=f"{BIN}:{os.environ['PATH']}"),
+                timeout=120, check=False)
+        yield call
+
+
+@pytest.fixture(scope="module")
+def readme_results(run_line):
+    """Results of the README's lines, in their order."""
+    return [(line, run_line(line)) for line in readme_lines()]
+
+
+def test_lines_of_the_readme_work_in_their_order(readme_results):
+    assert len(readme_results) == 7
+    for line, result in readme_results:
+        assert result.returncode == 0, (line, result.stderr)
+        assert result.stdout, line
+
+
+def test_readme_confirms_and_rejects_what_it_found(readme_results):
+    results = {line.split()[1]: (line.split(), result.stdout)
+               for line, result in readme_results}
+    found = results["find"][1]
+    _, _, _, query, confirmed, *_ = results["confirm"][0]
+    _, _, _, same_query, rejected, *_ = results["reject"][0]
+    assert query == same_query
+    assert f"sequence {query}, " in found
+    assert re.search(rf"^ +1 +{confirmed} .* ACCEPTED$", found, re.MULTILINE)
+    assert re.search(rf"^ +\d+ +{rejected} .* REJECTED_\w+$", found,
+                     re.MULTILINE)
+
+
+# Those that need no file, and leave the vehicle there.
+@pytest.mark.parametrize("command", [
+    "vehicle get", "vehicle list", "vehicle update", "find", "confirm",
+    "reject", "show", "export"])
+def test_examples_of_the_help_work_after_the_readme(
+        command, readme_results, run_line):
+    shown = run("revisit", *command.split(), "--help").stdout
+    examples = re.findall(r"^  (revisit .*)", shown.split("Examples:\n")[1],
+                          re.MULTILINE)
+    assert readme_results and examples
+    for example in examples:
+        result = run_line(example)
+        assert result.returncode == 0, (example, result.stderr)
+
+
 def test_streaming_again_changes_nothing(driven, revisit):
     before = revisit("vehicle", "get", driven, "--json").stdout
     again = revisit("stream", BOREAS, "--vehicle", driven)
@@ -378,7 +486,8 @@ def test_vehicles_come_and_go(revisit):
     (["vehicle", "get", "nobody"], 64 + 5, "nobody"),
     (["vehicle", "create", "Bad_Id"], 64 + 3, "Bad_Id"),
     (["find", "--vehicle", "nobody"], 64 + 5, "nobody"),
-    (["stream", "no-such-file.csv", "--vehicle", "x"], 1, "no-such-file.csv"),
+    (["stream", "no-such-file.csv", "--vehicle", "x"], 1,
+     "revisit: no-such-file.csv: No such file or directory\n"),
 ], ids=str)
 def test_failure_has_its_exit_code_and_words(arguments, code, words, revisit):
     result = revisit(*arguments)
@@ -399,6 +508,55 @@ def test_wrong_usage_has_its_exit_code(arguments):
     assert result.stderr
 
 
+MAX_SEQUENCE = 2**63 - 1
+
+
+@pytest.mark.parametrize("arguments, words", [
+    (["stream", BOREAS, "--vehicle", "x", "--acked-sequence", "-1"],
+     f'--acked-sequence: got "-1"; allowed is a whole number in [0, '
+     f"{MAX_SEQUENCE}]"),
+    (["find", "--vehicle", "x", "--sequence", "-1"],
+     f'--sequence: got "-1"; allowed is a whole number in [1, {MAX_SEQUENCE}]'),
+    (["find", "--vehicle", "x", "--sequence", MAX_SEQUENCE + 1],
+     f'got "{MAX_SEQUENCE + 1}"'),
+    (["confirm", "x", "-1", "3"], 'QUERY_SEQ: got "-1"'),
+    (["reject", "x", "3", "0"], 'MATCHED_SEQ: got "0"'),
+    (["find", "--vehicle", "x", "--max-candidates", "99999999999"],
+     '--max-candidates: got "99999999999"; allowed is a whole number in '
+     "[1, 100]"),
+    (["vehicle", "update", "x", "--node-spacing", "abc"],
+     '--node-spacing: got "abc"; allowed is a finite number'),
+    (["stream", BOREAS, "--vehicle", "x", "--give-up-after", "inf"],
+     '--give-up-after: got "inf"; allowed is a finite number'),
+    (["evaluate", BOREAS, "--sequence-lengths", "100,0"],
+     '--sequence-lengths: got "0"; allowed is a finite number above 0'),
+], ids=str)
+def test_number_that_is_not_allowed_is_told_with_what_is(arguments, words):
+    # Without a server: none is asked.
+    result = run("revisit", *arguments)
+    assert result.returncode == USAGE, result
+    assert words in result.stderr
+
+
+@pytest.mark.parametrize("arguments, words", [
+    ([], "a command is missing; allowed is vehicle, stream, "),
+    (["bogus"], 'got "bogus"; allowed is vehicle, stream, '),
+    (["vehicle"], "a command is missing; allowed is create, get, "),
+    (["vehicle", "bogus"], 'got "bogus"; allowed is create, get, '),
+    (["--json", "vehicle", "bogus", "more"], 'got "bogus"; allowed is create'),
+], ids=str)
+def test_command_that_there_is_not_is_told_with_those_there_are(
+        arguments, words):
+    result = run("revisit", *arguments)
+    assert result.returncode == USAGE, result
+    assert result.stderr.startswith(words), result.stderr
+
+
+def test_leading_zeros_do_not_change_a_number(driven, revisit):
+    swapped = revisit("confirm", driven, "0020", "030")
+    assert "got 30; allowed is less than query_sequence, 20" in swapped.stderr
+
+
 def test_server_that_is_not_there_is_told():
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
@@ -407,6 +565,7 @@ def test_server_that_is_not_there_is_told():
                      timeout=120)
     assert result.returncode == 64 + 14
     assert address in result.stderr
+    assert "TLS" not in result.stderr
 
 
 def test_server_may_come_from_the_environment(server, driven):

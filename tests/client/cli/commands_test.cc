@@ -1,6 +1,11 @@
 // The commands against a fake server, without the flags.
+#include <sys/stat.h>
+
 #include <cstdio>
+#include <filesystem>
 #include <fstream>
+#include <future>
+#include <iterator>
 #include <sstream>
 #include <string>
 
@@ -21,6 +26,8 @@
 
 namespace revisit::client {
 namespace {
+
+namespace fs = std::filesystem;
 
 using nlohmann::json;
 using ::testing::ContainsRegex;
@@ -96,6 +103,7 @@ TEST_F(CommandsTest, ServerErrorsExitWith64AndTheirCode) {
       {MakeStatus(grpc::StatusCode::NOT_FOUND, "none", {"VEHICLE_NOT_FOUND"})});
   const absl::Status status = RunVehicleGet(client_, "a", Text());
   EXPECT_EQ(ExitCodeOf(status), 69);
+  EXPECT_EQ(ErrorText(status), "NOT_FOUND (VEHICLE_NOT_FOUND): none");
   EXPECT_EQ(out_.str(), "");
   const json error = json::parse(ErrorToJson(status));
   EXPECT_EQ(error["error"]["code"], "NOT_FOUND");
@@ -107,7 +115,8 @@ TEST_F(CommandsTest, FaultsOfThisMachineExitWith1) {
   EXPECT_EQ(ExitCodeOf(absl::OkStatus()), 0);
   const absl::Status status = RunStream(channel_, Stream(), Text());
   EXPECT_EQ(ExitCodeOf(status), 1);
-  EXPECT_EQ(status.message(), path_ + ": No such file or directory");
+  // In its own words: no server answered with a code.
+  EXPECT_EQ(ErrorText(status), path_ + ": No such file or directory");
 }
 
 TEST_F(CommandsTest, StreamSendsTheWholeFile) {
@@ -336,13 +345,6 @@ TEST_F(CommandsTest, UpdateNamesTheSettingsThatAreGivenAndNoOthers) {
   EXPECT_FALSE(vehicle["settings"].contains("maxInflation"));
 }
 
-TEST_F(CommandsTest, UpdateWithoutSettingsAsksNobody) {
-  const absl::Status status = RunVehicleUpdate(client_, "shuttle", {}, Text());
-  EXPECT_EQ(ExitCodeOf(status), 1);
-  EXPECT_EQ(status.message(), "no setting is given to change");
-  EXPECT_EQ(server_.unary_calls(), 0);
-}
-
 TEST_F(CommandsTest, VehicleShowsWhatVerifiedCandidatesSayOfItsCovariances) {
   v1::Vehicle vehicle;
   PrintVehicle(vehicle, Text());
@@ -416,6 +418,83 @@ TEST_F(CommandsTest, ExportSaysWhenItCannotWrite) {
   const absl::Status status = RunExport(client_, options, Text());
   EXPECT_EQ(ExitCodeOf(status), 1);
   EXPECT_EQ(status.message(), "/nowhere/at/all: No such file or directory");
+}
+
+// A directory of its own for files that are exported.
+class ExportFileTest : public CommandsTest {
+ protected:
+  void SetUp() override {
+    CommandsTest::SetUp();
+    directory_ = fs::path(path_).replace_extension();
+    fs::create_directory(directory_);
+    options_.vehicle = "shuttle";
+    options_.format = ExportFormat::kEdgesCsv;
+    options_.output = directory_ / "edges.csv";
+  }
+  void TearDown() override { fs::remove_all(directory_); }
+
+  static std::string Read(const fs::path& path) {
+    std::ifstream file(path);
+    return {std::istreambuf_iterator<char>(file), {}};
+  }
+  void Write(const std::string& text) {
+    std::ofstream(options_.output) << text;
+  }
+  // In the directory.
+  std::ptrdiff_t Files() const {
+    return std::distance(fs::directory_iterator(directory_), {});
+  }
+
+  const std::string edges_ = "from_index,to_index,kind\n0,1,consecutive\n";
+  fs::path directory_;
+  ExportOptions options_;
+};
+
+TEST_F(ExportFileTest, FileHoldsWhatTheConsoleWouldShow) {
+  ASSERT_TRUE(RunExport(client_, options_, Text()).ok());
+  EXPECT_EQ(Read(options_.output), edges_);
+  EXPECT_EQ(Files(), 1);
+  EXPECT_EQ(out_.str(), "");
+}
+
+TEST_F(ExportFileTest, ExportThatFailsLeavesTheFileAsItWas) {
+  Write("old");
+  // After all parts have come.
+  server_.FailUnaryCalls({MakeStatus(grpc::StatusCode::DATA_LOSS, "damaged")});
+  EXPECT_EQ(RunExport(client_, options_, Text()).code(),
+            absl::StatusCode::kDataLoss);
+  EXPECT_EQ(Read(options_.output), "old");
+  EXPECT_EQ(Files(), 1);
+}
+
+TEST_F(ExportFileTest, FileIsReplacedWithItsPermissionsKept) {
+  Write("old and longer than what comes");
+  fs::permissions(options_.output,
+                  fs::perms::owner_read | fs::perms::owner_write);
+  ASSERT_TRUE(RunExport(client_, options_, Text()).ok());
+  EXPECT_EQ(Read(options_.output), edges_);
+  EXPECT_EQ(fs::status(options_.output).permissions(),
+            fs::perms::owner_read | fs::perms::owner_write);
+  EXPECT_EQ(Files(), 1);
+}
+
+TEST_F(ExportFileTest, LinkStaysAndLeadsToTheNewFile) {
+  Write("old");
+  const fs::path file = options_.output;
+  options_.output = directory_ / "link";
+  fs::create_symlink(file, options_.output);
+  ASSERT_TRUE(RunExport(client_, options_, Text()).ok());
+  EXPECT_TRUE(fs::is_symlink(options_.output));
+  EXPECT_EQ(Read(file), edges_);
+}
+
+TEST_F(ExportFileTest, PipeIsWrittenTo) {
+  ASSERT_EQ(mkfifo(options_.output.c_str(), 0600), 0);
+  auto read =
+      std::async(std::launch::async, [this] { return Read(options_.output); });
+  EXPECT_TRUE(RunExport(client_, options_, Text()).ok());
+  EXPECT_EQ(read.get(), edges_);
+  EXPECT_TRUE(fs::is_fifo(options_.output));
 }
 
 TEST(ConsoleTest, DrawsABarOnATerminalOnly) {

@@ -1,0 +1,29 @@
+#include "client/cli/connection_hint.h"
+
+namespace revisit::client {
+
+std::string ConnectionHint(const absl::Status& status,
+                           const ChannelOptions& options) {
+  // gRPC tells these by its message alone.
+  const auto told = [&status](const char* words) {
+    return status.message().find(words) != absl::string_view::npos;
+  };
+  if (!absl::IsUnavailable(status) || !told("failed to connect")) return "";
+  const bool closed = told("Socket closed") || told("reset by peer");
+  if (options.tls_authorities_file.empty()) {
+    return closed ? "(connected without TLS: does the server want it? see "
+                    "--tls-ca)"
+                  : "";
+  }
+  if (told("wrong version number")) {
+    return "(connected with TLS: does the server speak it? it is left out "
+           "without --tls-ca)";
+  }
+  if (closed && options.tls_certificate_file.empty()) {
+    return "(connected without a certificate: does the server want one? see "
+           "--tls-cert)";
+  }
+  return "";
+}
+
+}  // namespace revisit::client
