@@ -22,8 +22,9 @@ def frame_head(length, kind, flags, stream):
 SETTINGS = frame_head(0, 4, 0, 0)
 
 
-def info(stub, timeout=5):
-    return stub.GetServerInfo(api.GetServerInfoRequest(), timeout=timeout)
+def info(stub, timeout=5, **more):
+    return stub.GetServerInfo(api.GetServerInfoRequest(), timeout=timeout,
+                              **more)
 
 
 def connect(server):
@@ -102,7 +103,7 @@ def test_caps_of_connections_hold_and_count_only_the_living(tmp_path):
                 # Room for one comes as one goes.
                 kept[2].close()
                 wait_until(lambda: takes_one_more(server), "room")
-        info(server.stub())
+        info(server.stub(), timeout=20, wait_for_ready=True)
         assert any("limit=max-connections-per-address" in line
                    for line in shed_events(server))
 
