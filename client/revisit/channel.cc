@@ -1,7 +1,6 @@
 #include "client/revisit/channel.h"
 
 #include <openssl/err.h>
-#include <openssl/pem.h>
 
 #include <algorithm>
 #include <cerrno>
@@ -85,17 +84,8 @@ class TokenFile final : public grpc::MetadataCredentialsPlugin {
 
 namespace openssl = server::openssl;
 
-openssl::Bio Memory(const std::string& text) {
-  return openssl::Bio(
-      BIO_new_mem_buf(text.data(), static_cast<int>(text.size())));
-}
-
-// Never asks a terminal.
-int NoPassphrase(char*, int, int, void*) { return -1; }
-
 openssl::Certificate FirstCertificate(const std::string& pem) {
-  return openssl::Certificate(
-      PEM_read_bio_X509(Memory(pem).get(), nullptr, NoPassphrase, nullptr));
+  return openssl::ReadCertificate(openssl::Memory(pem));
 }
 
 absl::Status Problem(const std::string& what) {
@@ -114,8 +104,8 @@ absl::Status CheckTls(const ChannelOptions& options,
   if (certificate == nullptr) {
     return Problem(options.tls_certificate_file + " holds no certificate");
   }
-  const openssl::Key key(PEM_read_bio_PrivateKey(
-      Memory(tls.pem_private_key).get(), nullptr, NoPassphrase, nullptr));
+  const openssl::Key key =
+      openssl::ReadPrivateKey(openssl::Memory(tls.pem_private_key));
   if (key == nullptr) {
     return Problem(options.tls_key_file +
                    " holds no private key that can be read (it must not be "

@@ -26,14 +26,6 @@ absl::Status ProblemWithReason(const std::string& what) {
   return Problem(reason == nullptr ? what : what + ": " + reason);
 }
 
-openssl::Bio Memory(const std::string& text) {
-  return openssl::Bio(
-      BIO_new_mem_buf(text.data(), static_cast<int>(text.size())));
-}
-
-// Never asks a terminal.
-int NoPassphrase(char*, int, int, void*) { return -1; }
-
 std::size_t Count(const std::string& text, const std::string& word) {
   std::size_t count = 0;
   for (std::size_t at = text.find(word); at != std::string::npos;
@@ -55,10 +47,9 @@ bool EndsWhole(const std::string& pem) {
 absl::StatusOr<std::vector<openssl::Certificate>> ReadCertificates(
     const std::string& pem, const std::string& what) {
   std::vector<openssl::Certificate> certificates;
-  const openssl::Bio bio = Memory(pem);
+  const openssl::Bio bio = openssl::Memory(pem);
   while (true) {
-    openssl::Certificate certificate(
-        PEM_read_bio_X509(bio.get(), nullptr, NoPassphrase, nullptr));
+    openssl::Certificate certificate = openssl::ReadCertificate(bio);
     if (certificate == nullptr) break;
     certificates.push_back(std::move(certificate));
   }
@@ -160,9 +151,8 @@ absl::StatusOr<TlsSummary> CheckTlsMaterial(const TlsMaterial& material,
   const auto chain =
       ReadCertificates(material.certificate_chain, "the file of certificates");
   if (!chain.ok()) return chain.status();
-  const openssl::Bio key_text = Memory(material.private_key);
-  const openssl::Key key(
-      PEM_read_bio_PrivateKey(key_text.get(), nullptr, NoPassphrase, nullptr));
+  const openssl::Key key =
+      openssl::ReadPrivateKey(openssl::Memory(material.private_key));
   if (key == nullptr) {
     return ProblemWithReason(
         "the private key cannot be read (it must not be encrypted)");
@@ -200,9 +190,8 @@ absl::StatusOr<TlsSummary> CheckTlsMaterial(const TlsMaterial& material,
 absl::StatusOr<ClientCertificate> ReadClientCertificate(
     const std::string& pem) {
   ERR_clear_error();
-  const openssl::Bio bio = Memory(pem);
-  const openssl::Certificate certificate(
-      PEM_read_bio_X509(bio.get(), nullptr, NoPassphrase, nullptr));
+  const openssl::Certificate certificate =
+      openssl::ReadCertificate(openssl::Memory(pem));
   if (certificate == nullptr) {
     return ProblemWithReason("the client certificate cannot be read");
   }

@@ -1,4 +1,5 @@
-// Owners of OpenSSL's objects, for the files that need them.
+// Owners of OpenSSL's objects, and how they are read from PEM, for the files
+// that need them.
 #ifndef REVISIT_SERVER_SECURITY_OPENSSL_POINTERS_H_
 #define REVISIT_SERVER_SECURITY_OPENSSL_POINTERS_H_
 
@@ -7,11 +8,13 @@
 #include <openssl/ecdsa.h>
 #include <openssl/evp.h>
 #include <openssl/param_build.h>
+#include <openssl/pem.h>
 #include <openssl/ssl.h>
 #include <openssl/x509.h>
 #include <openssl/x509v3.h>
 
 #include <memory>
+#include <string>
 
 namespace revisit::server::openssl {
 
@@ -35,6 +38,24 @@ using KeyContext = std::unique_ptr<EVP_PKEY_CTX, Free<EVP_PKEY_CTX_free>>;
 using Params = std::unique_ptr<OSSL_PARAM, Free<OSSL_PARAM_free>>;
 using ParamsBuilder =
     std::unique_ptr<OSSL_PARAM_BLD, Free<OSSL_PARAM_BLD_free>>;
+
+// Of a text that outlives it.
+inline Bio Memory(const std::string& text) {
+  return Bio(BIO_new_mem_buf(text.data(), static_cast<int>(text.size())));
+}
+
+// Never asks a terminal.
+inline int NoPassphrase(char*, int, int, void*) { return -1; }
+
+// The next one in PEM; null if none can be read.
+inline Certificate ReadCertificate(const Bio& bio) {
+  return Certificate(
+      PEM_read_bio_X509(bio.get(), nullptr, NoPassphrase, nullptr));
+}
+inline Key ReadPrivateKey(const Bio& bio) {
+  return Key(
+      PEM_read_bio_PrivateKey(bio.get(), nullptr, NoPassphrase, nullptr));
+}
 
 }  // namespace revisit::server::openssl
 
