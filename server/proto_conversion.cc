@@ -1244,12 +1244,31 @@ absl::StatusOr<DecodedBatch> DecodeBatch(const Poses& poses, int max_poses,
   return Decode(poses, config, PoseSource::kAppend, path);
 }
 
-absl::Status CheckRevisedPoses(const std::vector<const v1::Pose*>& poses,
+void DropUnknownFields(Poses* poses) {
+  // Asked of each message first: dropping visits every field by reflection.
+  const auto is_clean = [](bool has, const google::protobuf::Message& message) {
+    return !has ||
+           message.GetReflection()->GetUnknownFields(message).empty();
+  };
+  for (v1::Pose& pose : *poses) {
+    if (is_clean(true, pose) && is_clean(pose.has_stamp(), pose.stamp()) &&
+        is_clean(pose.has_local(), pose.local()) &&
+        is_clean(pose.has_geodetic(), pose.geodetic()) &&
+        is_clean(pose.has_quaternion(), pose.quaternion()) &&
+        is_clean(pose.has_covariance(), pose.covariance())) {
+      continue;
+    }
+    pose.DiscardUnknownFields();
+  }
+}
+
+absl::Status CheckRevisedPoses(const Poses& poses, std::size_t first_number,
                                const VehicleConfig& config) {
   Violations violations;
   PoseDecoder decoder(config, PoseSource::kRevision, &violations);
-  for (std::size_t i = 0; i < poses.size(); ++i) {
-    decoder.Decode(*poses[i], FieldPath().At("poses", i));
+  std::size_t number = first_number;
+  for (const v1::Pose& pose : poses) {
+    decoder.Decode(pose, FieldPath().At("poses", number++));
   }
   return violations.ToStatus();
 }

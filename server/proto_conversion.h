@@ -108,8 +108,13 @@ absl::StatusOr<DecodedBatch> DecodeBatch(const Poses& poses, int max_poses,
                                          const VehicleConfig& config,
                                          const FieldPath& path);
 
-// Whether poses may replace stored ones. They are numbered over the whole call.
-absl::Status CheckRevisedPoses(const std::vector<const v1::Pose*>& poses,
+// Drops what this version does not know. It would be stored and come back in
+// answers, and make these larger than clients take, without being of use.
+void DropUnknownFields(Poses* poses);
+
+// Whether poses may replace stored ones. They are numbered over the whole call;
+// the first of these is `first_number`.
+absl::Status CheckRevisedPoses(const Poses& poses, std::size_t first_number,
                                const VehicleConfig& config);
 
 // The new pose of a sequence; null if it stays as it is.

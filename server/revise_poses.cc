@@ -2,7 +2,7 @@
 
 #include <algorithm>
 #include <cstdint>
-#include <limits>
+#include <functional>
 #include <memory>
 #include <string>
 #include <utility>
@@ -18,6 +18,7 @@
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
 #include "server/status.h"
+#include "server/storage/revision_draft.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {
@@ -25,80 +26,60 @@ namespace {
 
 using Request = v1::RevisePosesRequest;
 
-// A pose of the call and its place in it.
-struct NumberedPose {
-  std::uint64_t sequence;
-  std::size_t number;
-  const v1::Pose* pose;
-};
-
-// By sequence. INVALID_ARGUMENT if one comes twice.
-absl::StatusOr<std::vector<NumberedPose>> SortedPoses(
-    const std::vector<const v1::Pose*>& poses) {
-  std::vector<NumberedPose> sorted;
-  sorted.reserve(poses.size());
-  for (std::size_t i = 0; i < poses.size(); ++i) {
-    sorted.push_back({poses[i]->sequence(), i, poses[i]});
-  }
-  std::sort(sorted.begin(), sorted.end(),
-            [](const NumberedPose& a, const NumberedPose& b) {
-              return std::pair(a.sequence, a.number) <
-                     std::pair(b.sequence, b.number);
-            });
-  Violations violations;
-  for (std::size_t i = 1; i < sorted.size(); ++i) {
-    if (sorted[i].sequence != sorted[i - 1].sequence) continue;
-    const FieldPath pose = FieldPath().At("poses", sorted[i].number);
-    violations.Add("INVALID_FIELD", pose.Field("sequence"),
-                   "got " + std::to_string(sorted[i].sequence) +
-                       " a second time; a call names each pose at most once");
-  }
-  if (violations.count() > 0) return violations.ToStatus();
-  return sorted;
+// Puts the batch into the draft as its poses change it, if they do.
+absl::Status Revise(const BatchRecord& batch, const VehicleConfig& config,
+                    RevisionDraft* draft) {
+  std::vector<v1::Pose> poses(batch.count);
+  std::vector<bool> named(batch.count, false);
+  const std::uint64_t first = batch.first_sequence;
+  const absl::Status read = draft->ReadPoses(
+      first, first + batch.count - 1,
+      [&](std::uint64_t sequence, const std::string& pose) {
+        const std::size_t place = sequence - first;
+        named[place] = true;
+        return poses[place].ParseFromString(pose)
+                   ? absl::OkStatus()
+                   : Error(absl::StatusCode::kInternal, "INTERNAL",
+                           "a pose of a revision cannot be read again");
+      });
+  if (!read.ok()) return read;
+  const auto revised =
+      ReviseBatch(batch, config, [&](std::uint64_t sequence) {
+        const std::size_t place = sequence - first;
+        const bool found = place < named.size() && named[place];
+        return found ? &poses[place] : nullptr;
+      });
+  if (!revised.ok()) return revised.status();
+  return *revised ? draft->AddBatch(**revised) : absl::OkStatus();
 }
 
-// Reads the batches that hold the poses, and replaces these.
+// Reads the batches that hold the poses of the draft, and replaces these.
 absl::StatusOr<RevisionPlan> Plan(Storage* storage, const VehicleView& view,
-                                  const std::vector<const v1::Pose*>& poses) {
-  if (absl::Status status = CheckRevisedPoses(poses, view.config);
-      !status.ok()) {
-    return status;
-  }
-  const absl::StatusOr<std::vector<NumberedPose>> sorted = SortedPoses(poses);
-  if (!sorted.ok()) return sorted.status();
-  const std::uint64_t last = sorted->back().sequence;
-  if (last > view.durable_sequence) {
-    return PoseNotFound(view.id, last, view.durable_sequence);
-  }
-  const auto revised = [&](std::uint64_t sequence) -> const v1::Pose* {
-    const auto found =
-        std::lower_bound(sorted->begin(), sorted->end(), sequence,
-                         [](const NumberedPose& pose, std::uint64_t wanted) {
-                           return pose.sequence < wanted;
-                         });
-    const bool named = found != sorted->end() && found->sequence == sequence;
-    return named ? found->pose : nullptr;
-  };
-  RevisionPlan plan;
-  plan.revised_count = static_cast<std::int64_t>(sorted->size());
+                                  const std::shared_ptr<RevisionDraft>& draft,
+                                  const Call& call) {
   absl::Status failure;
   const absl::Status read = storage->ReadBatches(
-      view.key, sorted->front().sequence, last, BatchVersion::kCurrent,
-      [&](const BatchRecord& batch) {
-        auto record = ReviseBatch(batch, view.config, revised);
-        if (!record.ok()) {
-          failure = record.status();
-          return false;
-        }
-        if (*record) plan.batches.push_back(**std::move(record));
-        return true;
+      view.key, draft->first_sequence(), draft->last_sequence(),
+      BatchVersion::kCurrent, [&](const BatchRecord& batch) {
+        failure = call.given_up() ? call.GivenUpStatus()
+                                  : Revise(batch, view.config, draft.get());
+        return failure.ok();
       });
   if (!read.ok()) return read;
   if (!failure.ok()) return failure;
+  RevisionPlan plan;
+  plan.revised_count = draft->pose_count();
+  if (draft->has_batches()) {
+    plan.batches =
+        [draft](const std::function<absl::Status(const BatchRecord&)>& take) {
+          return draft->ReadBatches(take);
+        };
+  }
   return plan;
 }
 
-// Collects the poses of all messages, then hands them to the session in one
+// Puts the poses of each message into a draft before it reads the next, so that
+// a call takes the memory of one message; then hands all to the session in one
 // piece. Held by a shared_ptr for the reasons given in stream_poses.cc.
 class Revision final : public grpc::ServerReadReactor<Request>,
                        public std::enable_shared_from_this<Revision> {
@@ -129,25 +110,34 @@ class Revision final : public grpc::ServerReadReactor<Request>,
 
   void OnReadDone(bool ok) override {
     call_.CountMessage();
+    std::shared_ptr<VehicleSession> session;
     {
       const MutexLock lock(&mutex_);
       if (finished_) return;
       if (!ok && grpc_context_->IsCancelled()) call_.MarkGivenUp();
       const absl::Status status = call_.given_up() ? call_.GivenUpStatus()
-                                  : ok             ? Collect()
+                                  : ok             ? Admit()
                                                    : CheckComplete();
       if (!status.ok()) {
         End(status);
         return;
       }
-      if (ok) {
-        ReadNext();
-        return;
-      }
       // From here on the session decides.
-      revising_ = true;
+      revising_ = !ok;
+      session = session_;
     }
-    Revise();
+    const auto self = shared_from_this();
+    if (!ok) {
+      session->Revise(
+          [self](const VehicleView& view) { return self->MakePlan(view); },
+          [self](const absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>&
+                     revised) { self->OnRevised(revised); });
+      return;
+    }
+    // Off the threads of gRPC: it checks the poses and writes them to a file.
+    session->LongRead([self](const absl::StatusOr<VehicleView>& view) {
+      self->OnDrafted(view.ok() ? self->Draft(*view) : view.status());
+    });
   }
 
   void OnCancel() override { call_.MarkGivenUp(); }
@@ -170,92 +160,146 @@ class Revision final : public grpc::ServerReadReactor<Request>,
     StartRead(&request_);
   }
 
-  absl::Status Collect() {
+  // Whether the message may be looked at closely.
+  absl::Status Admit() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     const FieldPath request;
-    if (vehicle_.empty()) {
+    if (session_ == nullptr) {
       const absl::StatusOr<std::string> id =
           ParseVehicleName(request_.vehicle(), request.Field("vehicle"));
       if (!id.ok()) return id.status();
       if (absl::Status status = call_.ChooseVehicle(*id); !status.ok()) {
         return status;
       }
-      vehicle_ = *id;
       expected_revision_ = request_.expected_revision();
+      // To the end, so that all messages are about the same vehicle, even if it
+      // is deleted and made again.
+      session_ = context_.fleet->Session(*id);
+      vehicle_ = VehicleName(*id);
     } else {
-      if (!request_.vehicle().empty() &&
-          request_.vehicle() != VehicleName(vehicle_)) {
+      if (!request_.vehicle().empty() && request_.vehicle() != vehicle_) {
         return InvalidField("INVALID_FIELD", request.Field("vehicle"),
                             "got " + Quoted(request_.vehicle()) +
-                                "; this call is about " +
-                                VehicleName(vehicle_));
+                                "; this call is about " + vehicle_);
       }
       if (request_.expected_revision() != 0) {
         return InvalidField("INVALID_FIELD", request.Field("expected_revision"),
                             "allowed in the first message only");
       }
     }
-    const std::size_t bytes = request_.ByteSizeLong();
-    const absl::StatusOr<Permit> room = call_.AdmitBatch(bytes);
-    if (!room.ok()) return room.status();
-    room_.push_back(*room);
-    bytes_ += static_cast<std::int64_t>(bytes);
+    bytes_ += static_cast<std::int64_t>(request_.ByteSizeLong());
     if (bytes_ > context_.limits.max_revision_bytes) {
       return InvalidField(
           "BATCH_SIZE", request.Field("poses"),
           "the call brings more than " +
               std::to_string(context_.limits.max_revision_bytes) + " bytes");
     }
-    if (request_.poses_size() > 0) {
-      messages_.emplace_back();
-      messages_.back().Swap(request_.mutable_poses());
-    }
+    absl::StatusOr<Permit> room = call_.AdmitBatch(request_.SpaceUsedLong());
+    if (!room.ok()) return room.status();
+    room_ = *std::move(room);
     return absl::OkStatus();
   }
 
-  absl::Status CheckComplete() {
+  // The state space and the frame of a vehicle with poses are fixed, so what is
+  // valid now will be when all have come.
+  absl::Status Draft(const VehicleView& view) {
+    if (absl::Status status = CheckExpected(view); !status.ok()) return status;
+    const Poses& poses = request_.poses();
+    if (poses.empty()) return absl::OkStatus();
+    DropUnknownFields(request_.mutable_poses());
+    if (absl::Status status =
+            CheckRevisedPoses(poses, pose_number_, view.config);
+        !status.ok()) {
+      return status;
+    }
+    const auto last = std::max_element(
+        poses.begin(), poses.end(), [](const v1::Pose& a, const v1::Pose& b) {
+          return a.sequence() < b.sequence();
+        });
+    if (last->sequence() > view.durable_sequence) {
+      return PoseNotFound(view.id, last->sequence(), view.durable_sequence);
+    }
+    if (draft_ == nullptr) {
+      auto draft = RevisionDraft::Create(context_.scratch_directory,
+                                         context_.min_free_bytes);
+      if (!draft.ok()) return draft.status();
+      draft_ = *std::move(draft);
+    }
+    if (absl::Status status = draft_->CheckRoom(); !status.ok()) return status;
+    Violations violations;
+    for (const v1::Pose& pose : poses) {
+      const absl::StatusOr<bool> added =
+          draft_->AddPose(pose.sequence(), pose.SerializeAsString());
+      if (!added.ok()) return added.status();
+      if (!*added) {
+        violations.Add(
+            "INVALID_FIELD",
+            FieldPath().At("poses", pose_number_).Field("sequence"),
+            "got " + std::to_string(pose.sequence()) +
+                " a second time; a call names each pose at most once");
+      }
+      ++pose_number_;
+    }
+    return violations.ToStatus();
+  }
+
+  void OnDrafted(const absl::Status& status) ABSL_LOCKS_EXCLUDED(mutex_) {
+    // What the message takes goes before the next comes.
+    Request().Swap(&request_);
+    room_.reset();
+    const MutexLock lock(&mutex_);
+    if (finished_) return;
+    if (call_.given_up()) {
+      End(call_.GivenUpStatus());
+    } else if (!status.ok()) {
+      End(status);
+    } else {
+      ReadNext();
+    }
+  }
+
+  absl::Status CheckComplete() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     const FieldPath request;
     if (request_.vehicle() != kUnread) return MalformedMessage();
-    if (vehicle_.empty()) {
+    if (session_ == nullptr) {
       return InvalidField("INVALID_RESOURCE_NAME", request.Field("vehicle"),
                           "required in the first message");
     }
-    if (messages_.empty()) {
+    if (draft_ == nullptr) {
       return InvalidField("BATCH_SIZE", request.Field("poses"),
                           "got no pose; a revision replaces at least one");
     }
     return absl::OkStatus();
   }
 
-  void Revise() ABSL_LOCKS_EXCLUDED(mutex_) {
-    const auto self = shared_from_this();
-    context_.fleet->Session(vehicle_)->Revise(
-        [self](const VehicleView& view) { return self->MakePlan(view); },
-        [self](const absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>&
-                   revised) {
-          const MutexLock lock(&self->mutex_);
-          if (revised.ok()) {
-            self->response_->set_revision(revised->first);
-            self->response_->set_revised_count(revised->second);
-          }
-          self->End(revised.status());
-        });
+  absl::Status CheckExpected(const VehicleView& view) const {
+    if (call_.given_up()) return call_.GivenUpStatus();
+    if (expected_revision_ == 0 || expected_revision_ == view.revision) {
+      return absl::OkStatus();
+    }
+    return Error(absl::StatusCode::kAborted, "REVISION_MISMATCH",
+                 VehicleName(view.id) + " is at revision " +
+                     std::to_string(view.revision) + ", not " +
+                     std::to_string(expected_revision_),
+                 {{"revision", std::to_string(view.revision)},
+                  {"expected_revision", std::to_string(expected_revision_)}});
   }
 
   absl::StatusOr<RevisionPlan> MakePlan(const VehicleView& view) {
-    if (call_.given_up()) return call_.GivenUpStatus();
-    if (expected_revision_ != 0 && expected_revision_ != view.revision) {
-      return Error(absl::StatusCode::kAborted, "REVISION_MISMATCH",
-                   VehicleName(view.id) + " is at revision " +
-                       std::to_string(view.revision) + ", not " +
-                       std::to_string(expected_revision_),
-                   {{"revision", std::to_string(view.revision)},
-                    {"expected_revision", std::to_string(expected_revision_)}});
+    // The draft goes with the plan.
+    const std::shared_ptr<RevisionDraft> draft = std::move(draft_);
+    if (absl::Status status = CheckExpected(view); !status.ok()) return status;
+    return Plan(context_.storage, view, draft, call_);
+  }
+
+  void OnRevised(
+      const absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>& revised)
+      ABSL_LOCKS_EXCLUDED(mutex_) {
+    const MutexLock lock(&mutex_);
+    if (revised.ok()) {
+      response_->set_revision(revised->first);
+      response_->set_revised_count(revised->second);
     }
-    std::vector<const v1::Pose*> poses;
-    for (const Poses& message : messages_) {
-      for (const v1::Pose& pose : message) poses.push_back(&pose);
-    }
-    return Plan(context_.storage, view, poses);
+    End(revised.status());
   }
 
   // Nothing has changed yet if the poses are still coming.
@@ -280,15 +324,20 @@ class Revision final : public grpc::ServerReadReactor<Request>,
   Drain::WatchId drain_watch_ = -1;
   std::shared_ptr<Revision> self_;
 
-  // Not changed any more once `revising_`.
+  // Belong to gRPC while a message is read, to the session until it is drafted.
   Request request_;
-  std::string vehicle_;
+  // Of the message that is being drafted.
+  Permit room_;
   std::uint64_t expected_revision_ = 0;
-  std::vector<Poses> messages_;
+  // Of the next pose in the whole call.
+  std::size_t pose_number_ = 0;
   std::int64_t bytes_ = 0;
-  std::vector<Permit> room_;
+  // Once there are poses.
+  std::shared_ptr<RevisionDraft> draft_;
 
   Mutex mutex_;
+  std::shared_ptr<VehicleSession> session_ ABSL_GUARDED_BY(mutex_);
+  std::string vehicle_ ABSL_GUARDED_BY(mutex_);
   bool revising_ ABSL_GUARDED_BY(mutex_) = false;
   bool finished_ ABSL_GUARDED_BY(mutex_) = false;
 };

@@ -438,6 +438,9 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   context.log = log;
   context.admission = state->admission.get();
   context.connections = &state->connections;
+  context.scratch_directory =
+      std::filesystem::absolute(*file).parent_path().string();
+  context.min_free_bytes = settings.min_free_bytes;
   context.limits = settings.limits;
   // A stream alone must not exceed what one vehicle may have waiting.
   context.limits.max_batches_in_flight =

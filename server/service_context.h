@@ -2,6 +2,9 @@
 #ifndef REVISIT_SERVER_SERVICE_CONTEXT_H_
 #define REVISIT_SERVER_SERVICE_CONTEXT_H_
 
+#include <cstdint>
+#include <string>
+
 #include "server/limits.h"
 
 namespace revisit::server {
@@ -26,6 +29,10 @@ struct ServiceContext {
   const Log* log = nullptr;
   Admission* admission = nullptr;
   ConnectionProgress* connections = nullptr;
+  // Where a revision in the making lies, and how much of that file system it
+  // leaves free.
+  std::string scratch_directory;
+  std::int64_t min_free_bytes = 0;
   Limits limits;
 };
 

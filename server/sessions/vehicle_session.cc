@@ -963,7 +963,7 @@ struct VehicleSession::State
       callback(plan.status());
       return;
     }
-    if (plan->batches.empty()) {
+    if (!plan->batches) {
       callback(std::make_pair(revision, std::int64_t{0}));
       return;
     }

@@ -117,8 +117,9 @@ struct AppendRequest {
 
 // Which poses a revision replaces.
 struct RevisionPlan {
-  // Batches with new payloads: first sequence and count as stored.
-  std::vector<BatchRecord> batches;
+  // Batches with new payloads: first sequence and count as stored. None where
+  // nothing changes.
+  BatchSource batches;
   std::int64_t revised_count = 0;
 };
 

@@ -136,12 +136,11 @@ class SqliteStorage : public Storage {
     Submit(std::move(write));
   }
 
-  void ReviseBatches(VehicleKey key, std::vector<BatchRecord> batches,
+  void ReviseBatches(VehicleKey key, BatchSource batches,
                      std::uint64_t revision, Done done) override {
-    std::size_t bytes = 0;
-    for (const BatchRecord& batch : batches) bytes += batch.payload.size();
     Submit(
-        bytes,
+        // It may be large: nothing shares a transaction with it.
+        options_.max_group_bytes,
         [key, batches = std::move(batches),
          revision](SqliteDatabase& database) {
           return ReviseBatchRows(database, key, batches, revision);

@@ -55,6 +55,11 @@ struct BatchRecord {
   std::string payload;
 };
 
+// Gives batches, one after the other, until `take` refuses; answers its own
+// failure or that of `take`. May be asked again.
+using BatchSource = std::function<absl::Status(
+    const std::function<absl::Status(const BatchRecord&)>& take)>;
+
 // Since the storage was opened.
 struct CommitCounts {
   // Transactions that were committed, and the writes that they held.
@@ -124,8 +129,9 @@ class Storage {
                            Done done) = 0;
   // Sets the current version of stored batches, all in one step; the records'
   // own revisions are ignored. FAILED_PRECONDITION if one is not stored with
-  // this first sequence and count.
-  virtual void ReviseBatches(VehicleKey key, std::vector<BatchRecord> batches,
+  // this first sequence and count. The source is asked on the writer's thread,
+  // which all writes wait for: it has the batches ready.
+  virtual void ReviseBatches(VehicleKey key, BatchSource batches,
                              std::uint64_t revision, Done done) = 0;
   // ALREADY_EXISTS (WordsOf(kind).exists) if the id is taken.
   virtual void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,

@@ -202,6 +202,32 @@ absl::Status WriteBatchRow(SqliteDatabase& database, const char* sql,
       .Run();
 }
 
+// Sets the current version of a stored batch.
+absl::Status ReviseBatchRow(SqliteDatabase& database, VehicleKey key,
+                            const BatchRecord& batch, std::uint64_t revision) {
+  {
+    SqliteStatement row = database.Prepare(
+        "SELECT count FROM batches WHERE vehicle_key = ?1 AND "
+        "first_sequence = ?2");
+    row.Bind(1, key).Bind(2, Signed(batch.first_sequence));
+    const absl::StatusOr<bool> found = row.Step();
+    if (!found.ok()) return found.status();
+    if (!*found || row.Integer(0) != batch.count) {
+      return Error(StatusCode::kFailedPrecondition, "INTERNAL",
+                   "no batch with sequences " + Range(batch) +
+                       " is stored that could be revised");
+    }
+  }
+  BatchRecord revised = batch;
+  revised.revision = revision;
+  return WriteBatchRow(
+      database,
+      "INSERT OR REPLACE INTO revised_batches (vehicle_key, first_sequence, "
+      "count, format, revision, checksum, payload) "
+      "VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+      key, BatchVersion::kCurrent, revised);
+}
+
 }  // namespace
 
 absl::Status Corrupt(const std::string& what, const ErrorMetadata& metadata) {
@@ -347,34 +373,13 @@ absl::Status InsertBatch(SqliteDatabase& database, VehicleKey key,
 }
 
 absl::Status ReviseBatchRows(SqliteDatabase& database, VehicleKey key,
-                             const std::vector<BatchRecord>& batches,
+                             const BatchSource& batches,
                              std::uint64_t revision) {
   absl::Status status = ChangeVehicle(database, key, std::nullopt, revision);
-  for (const BatchRecord& batch : batches) {
-    if (!status.ok()) break;
-    {
-      SqliteStatement row = database.Prepare(
-          "SELECT count FROM batches WHERE vehicle_key = ?1 AND "
-          "first_sequence = ?2");
-      row.Bind(1, key).Bind(2, Signed(batch.first_sequence));
-      const absl::StatusOr<bool> found = row.Step();
-      if (!found.ok()) return found.status();
-      if (!*found || row.Integer(0) != batch.count) {
-        return Error(StatusCode::kFailedPrecondition, "INTERNAL",
-                     "no batch with sequences " + Range(batch) +
-                         " is stored that could be revised");
-      }
-    }
-    BatchRecord revised = batch;
-    revised.revision = revision;
-    status = WriteBatchRow(
-        database,
-        "INSERT OR REPLACE INTO revised_batches (vehicle_key, first_sequence, "
-        "count, format, revision, checksum, payload) "
-        "VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
-        key, BatchVersion::kCurrent, revised);
-  }
-  return status;
+  if (!status.ok()) return status;
+  return batches([&](const BatchRecord& batch) {
+    return ReviseBatchRow(database, key, batch, revision);
+  });
 }
 
 absl::Status VisitBatches(SqliteDatabase& database, VehicleKey key,

@@ -58,7 +58,7 @@ absl::StatusOr<bool> PurgeSome(SqliteDatabase& database);
 absl::Status InsertBatch(SqliteDatabase& database, VehicleKey key,
                          const BatchRecord& batch, std::uint64_t* expected);
 absl::Status ReviseBatchRows(SqliteDatabase& database, VehicleKey key,
-                             const std::vector<BatchRecord>& batches,
+                             const BatchSource& batches,
                              std::uint64_t revision);
 // As Storage::ReadBatches(); of one moment if the connection is in a
 // transaction.

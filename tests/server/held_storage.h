@@ -99,7 +99,7 @@ class HeldStorage : public Storage {
       storage_->AppendBatch(key, batch, vehicle_payload, std::move(then));
     });
   }
-  void ReviseBatches(VehicleKey key, std::vector<BatchRecord> batches,
+  void ReviseBatches(VehicleKey key, BatchSource batches,
                      std::uint64_t revision, Done done) override {
     Submit(std::move(done), [=](Done then) {
       storage_->ReviseBatches(key, batches, revision, std::move(then));

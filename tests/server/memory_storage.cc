@@ -102,11 +102,10 @@ void MemoryStorage::AppendBatch(VehicleKey key, BatchRecord batch,
   }));
 }
 
-void MemoryStorage::ReviseBatches(VehicleKey key,
-                                  std::vector<BatchRecord> batches,
+void MemoryStorage::ReviseBatches(VehicleKey key, BatchSource batches,
                                   std::uint64_t revision, Done done) {
   done(Change(key, revision, [&](Vehicle& vehicle) {
-    for (const BatchRecord& revised : batches) {
+    return batches([&](const BatchRecord& revised) {
       const auto found = std::find_if(
           vehicle.batches.begin(), vehicle.batches.end(),
           [&](const Batch& batch) {
@@ -119,8 +118,8 @@ void MemoryStorage::ReviseBatches(VehicleKey key,
       }
       found->current = revised;
       found->current.revision = revision;
-    }
-    return absl::OkStatus();
+      return absl::OkStatus();
+    });
   }));
 }
 

@@ -28,7 +28,7 @@ class MemoryStorage : public Storage {
   void AppendBatch(VehicleKey key, BatchRecord batch,
                    std::optional<std::string> vehicle_payload,
                    Done done) override;
-  void ReviseBatches(VehicleKey key, std::vector<BatchRecord> batches,
+  void ReviseBatches(VehicleKey key, BatchSource batches,
                      std::uint64_t revision, Done done) override;
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                    std::uint64_t revision, Done done) override;

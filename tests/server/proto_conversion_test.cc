@@ -1165,6 +1165,10 @@ BatchRecord Stored(const v1::PoseBatch& batch) {
   return record;
 }
 
+Poses PosesOf(const std::vector<v1::Pose>& poses) {
+  return Poses(poses.begin(), poses.end());
+}
+
 v1::PoseBatch Revised(const v1::PoseBatch& stored, const v1::Pose& revised,
                       const VehicleConfig& config) {
   const auto record =
@@ -1206,7 +1210,7 @@ TEST(ReviseBatchTest, KeepsTheTransitionWhereNoneIsGiven) {
   for (int i = 1; i <= 9; ++i) stored.mutable_poses(0)->add_error_transition(i);
   const VehicleConfig config = Filter(Planar());
   v1::Pose revision = PlanarPose(2, 5);
-  ASSERT_THAT(CheckRevisedPoses({&revision}, config), IsOk());
+  ASSERT_THAT(CheckRevisedPoses(PosesOf({revision}), 0, config), IsOk());
   EXPECT_THAT(Revised(stored, revision, config).poses(0).error_transition(),
               ElementsAre(1, 2, 3, 4, 5, 6, 7, 8, 9));
   for (int i = 0; i < 9; ++i) revision.add_error_transition(0.5);
@@ -1241,14 +1245,14 @@ TEST(ReviseBatchTest, ChecksRevisedPosesLikeAllOthersButForTheirFrame) {
   config.origin = GeodeticOrigin{60, 0, 0};
   const v1::Pose local = PlanarPose(9, 0);
   const v1::Pose geodetic = GeodeticPose(4, 60, 0, 0);
-  EXPECT_THAT(CheckRevisedPoses({&local, &geodetic}, config), IsOk());
-  EXPECT_THAT(CheckRevisedPoses({&local, &geodetic}, Planar()),
+  EXPECT_THAT(CheckRevisedPoses(PosesOf({local, geodetic}), 0, config), IsOk());
+  EXPECT_THAT(CheckRevisedPoses(PosesOf({local, geodetic}), 7, Planar()),
               IsError(StatusCode::kInvalidArgument, "INVALID_FIELD",
-                      StartsWith("poses[1].geodetic: ")));
+                      StartsWith("poses[8].geodetic: ")));
   v1::Pose flat = PlanarPose(9, 0);
   flat.mutable_covariance()->set_values(0, 0);
   EXPECT_THAT(
-      CheckRevisedPoses({&flat}, config),
+      CheckRevisedPoses(PosesOf({flat}), 0, config),
       IsError(StatusCode::kInvalidArgument, "COVARIANCE_NOT_POSITIVE_DEFINITE",
               StartsWith("poses[0].covariance.values: ")));
 }

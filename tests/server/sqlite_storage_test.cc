@@ -737,7 +737,8 @@ TEST_F(FailingDeviceTest, BatchesDoNotJoinARowPastAnotherWrite) {
   storage_->AppendBatch(key_, {3, 1, 4, "b"}, std::nullopt,
                         answers[1].Setter());
   // The pose of sequence 4 is not there yet: nothing to revise.
-  storage_->ReviseBatches(key_, {{4, 1, 0, "C"}}, 5, answers[2].Setter());
+  storage_->ReviseBatches(key_, BatchesOf({{4, 1, 0, "C"}}), 5,
+                          answers[2].Setter());
   storage_->AppendBatch(key_, {4, 1, 6, "c"}, std::nullopt,
                         answers[3].Setter());
   device_.LetLogFlushGo();

@@ -59,11 +59,22 @@ absl::Status BlockingWrites::AppendWithVehicle(
   });
 }
 
+BatchSource BatchesOf(std::vector<BatchRecord> batches) {
+  return [batches = std::move(batches)](
+             const std::function<absl::Status(const BatchRecord&)>& take) {
+    for (const BatchRecord& batch : batches) {
+      if (absl::Status status = take(batch); !status.ok()) return status;
+    }
+    return absl::OkStatus();
+  };
+}
+
 absl::Status BlockingWrites::Revise(VehicleKey key,
                                     const std::vector<BatchRecord>& batches,
                                     std::uint64_t revision) {
   return Blocking([&](Storage::Done done) {
-    storage_->ReviseBatches(key, batches, revision, std::move(done));
+    storage_->ReviseBatches(key, BatchesOf(batches), revision,
+                            std::move(done));
   });
 }
 

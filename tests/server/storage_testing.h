@@ -12,6 +12,9 @@
 
 namespace revisit::server {
 
+// What a revision brings.
+BatchSource BatchesOf(std::vector<BatchRecord> batches);
+
 // The writes of a storage, waited for.
 class BlockingWrites {
  public:

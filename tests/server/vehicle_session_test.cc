@@ -638,7 +638,7 @@ TEST_F(VehicleSessionTest, FailedChangeLeavesVehicleAsItWas) {
 absl::StatusOr<RevisionPlan> ShiftSecondBatch(const VehicleView& view) {
   EXPECT_EQ(view.durable_sequence, 9u);
   RevisionPlan plan;
-  plan.batches.push_back({4, 3, 0, PlainBatch(4, {204, 205, 206})});
+  plan.batches = BatchesOf({{4, 3, 0, PlainBatch(4, {204, 205, 206})}});
   plan.revised_count = 3;
   return plan;
 }
