@@ -22,6 +22,7 @@
 #include "server/sessions/executor.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
+#include "server/sessions/vehicle_uid.h"
 #include "server/status.h"
 #include "server/storage/storage.h"
 #include "server/stream_poses.h"
@@ -397,6 +398,7 @@ grpc::ServerUnaryReactor* PoseGraphService::CreateVehicle(
                        kRequest.Field("vehicle").Field("settings"));
     if (!config.ok()) return config.status();
     config->create_time_ns = NowNanoseconds();
+    config->uid = NewVehicleUid();
     const auto encode = [response](const VehicleView& view) {
       EncodeVehicle(view, response->mutable_vehicle());
       return absl::OkStatus();
@@ -508,6 +510,11 @@ grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
     const auto session = SessionOf(context_, request->vehicle(),
                                    kRequest.Field("vehicle"), call.get());
     if (!session.ok()) return session.status();
+    if (absl::Status status = CheckUid(request->vehicle_uid(),
+                                       kRequest.Field("vehicle_uid"));
+        !status.ok()) {
+      return status;
+    }
     const absl::StatusOr<Permit> room =
         call->AdmitBatch(request->ByteSizeLong());
     if (!room.ok()) return room.status();
@@ -517,6 +524,12 @@ grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
             const VehicleConfig& config) -> absl::StatusOr<DecodedBatch> {
       // It may have waited long.
       if (call->given_up()) return call->GivenUpStatus();
+      if (absl::Status meant =
+              CheckMeant(request->vehicle().substr(VehicleName("").size()),
+                         config, request->vehicle_uid());
+          !meant.ok()) {
+        return meant;
+      }
       return DecodeBatch(request->poses(), max_poses, config, kRequest);
     };
     append.should_stop = [] { return false; };

@@ -14,6 +14,7 @@
 #include "core/number_text.h"
 #include "google/protobuf/io/coded_stream.h"
 #include "google/protobuf/timestamp.pb.h"
+#include "server/sessions/vehicle_uid.h"
 #include "server/status.h"
 
 namespace revisit::server {
@@ -1010,6 +1011,14 @@ absl::Status CheckId(const std::string& id, const FieldPath& path) {
                           "hyphens, with no hyphen at either end");
 }
 
+absl::Status CheckUid(const std::string& uid, const FieldPath& path) {
+  if (uid.empty() || IsUuid(uid)) return absl::OkStatus();
+  return InvalidField(kInvalidField, path,
+                      "got " + Quoted(uid) +
+                          "; a uid is 8-4-4-4-12 hexadecimal digits in lower "
+                          "case, as Vehicle.uid has it");
+}
+
 absl::StatusOr<std::string> ParseVehicleName(const std::string& name,
                                              const FieldPath& path) {
   const std::string collection = "vehicles/";
@@ -1145,6 +1154,7 @@ absl::StatusOr<VehicleConfig> UpdateSettings(
   if (!updated.ok()) return updated.status();
   updated->create_time_ns = current.create_time_ns;
   updated->data_loss = current.data_loss;
+  updated->uid = current.uid;
   if (!has_poses) return updated;
 
   const auto filter = [](const VehicleConfig& config) {
@@ -1185,6 +1195,7 @@ void EncodeConfig(const VehicleConfig& config, v1::Vehicle* vehicle) {
   vehicle->set_state(config.data_loss ? v1::VEHICLE_STATE_DATA_LOSS
                                       : v1::VEHICLE_STATE_ACTIVE);
   EncodeTime(config.create_time_ns, vehicle->mutable_create_time());
+  vehicle->set_uid(config.uid);
 }
 
 }  // namespace
@@ -1204,7 +1215,7 @@ void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle) {
 
 absl::Status EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle) {
   const absl::StatusOr<VehicleConfig> config =
-      ProtoRecordCodec().DecodeVehicle(record.payload);
+      ProtoRecordCodec().DecodeVehicle(record);
   if (!config.ok()) return config.status();
   vehicle->set_name(VehicleName(record.id));
   EncodeConfig(*config, vehicle);
@@ -1291,9 +1302,9 @@ std::string ProtoRecordCodec::EncodeVehicle(const VehicleConfig& config) const {
 }
 
 absl::StatusOr<VehicleConfig> ProtoRecordCodec::DecodeVehicle(
-    const std::string& payload) const {
+    const VehicleRecord& record) const {
   v1::Vehicle vehicle;
-  if (!vehicle.ParseFromString(payload)) {
+  if (!vehicle.ParseFromString(record.payload)) {
     return Corrupt("a stored vehicle is not a Vehicle");
   }
   absl::StatusOr<VehicleConfig> config =
@@ -1309,6 +1320,10 @@ absl::StatusOr<VehicleConfig> ProtoRecordCodec::DecodeVehicle(
   }
   config->create_time_ns = ToNanoseconds(vehicle.create_time());
   config->data_loss = vehicle.state() == v1::VEHICLE_STATE_DATA_LOSS;
+  config->uid = vehicle.uid().empty()
+                    ? DerivedVehicleUid(record.key, record.id,
+                                        config->create_time_ns)
+                    : vehicle.uid();
   return config;
 }
 

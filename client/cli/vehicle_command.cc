@@ -52,6 +52,7 @@ void PrintVehicle(const v1::Vehicle& vehicle, const Console& console) {
   const v1::VehicleSettings& settings = vehicle.settings();
   Fields fields = {
       {"name", vehicle.name()},
+      {"uid", vehicle.uid()},
       {"state", NameOf(vehicle.state())},
       {"created",
        google::protobuf::util::TimeUtil::ToString(vehicle.create_time())},

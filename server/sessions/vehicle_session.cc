@@ -87,6 +87,21 @@ absl::Status PoseNotFound(const std::string& vehicle_id, std::uint64_t sequence,
                 {"durable_sequence", std::to_string(durable_sequence)}});
 }
 
+absl::Status CheckMeant(const std::string& vehicle_id,
+                        const VehicleConfig& config,
+                        const std::string& expected_uid) {
+  if (expected_uid.empty() || expected_uid == config.uid) {
+    return absl::OkStatus();
+  }
+  return Error(StatusCode::kFailedPrecondition, "VEHICLE_REPLACED",
+               "vehicle '" + vehicle_id + "' has the uid " + config.uid +
+                   ", got " + expected_uid +
+                   ": it was made anew, and what was acknowledged was of "
+                   "another vehicle of this name",
+               {{"vehicle_uid", config.uid},
+                {"expected_vehicle_uid", expected_uid}});
+}
+
 // Everything but what is constant or atomic belongs to the strand.
 struct VehicleSession::State
     : std::enable_shared_from_this<VehicleSession::State> {
@@ -309,7 +324,7 @@ struct VehicleSession::State
     absl::StatusOr<VehicleRecord> record = storage->GetVehicle(id);
     if (!record.ok()) return record.status();
     absl::StatusOr<VehicleConfig> decoded =
-        codec->DecodeVehicle(record->payload);
+        codec->DecodeVehicle(*record);
     if (!decoded.ok()) return decoded.status();
     const std::vector<core::SettingProblem> problems =
         core::FindProblems(decoded->engine);
@@ -776,18 +791,21 @@ struct VehicleSession::State
     }
   }
 
-  absl::Status DataLoss(const ErrorMetadata& more) const {
-    ErrorMetadata metadata = more;
+  absl::Status Regressed(const std::string& what,
+                         ErrorMetadata metadata) const {
     metadata.emplace_back("durable_sequence", std::to_string(durable_sequence));
     return Error(StatusCode::kDataLoss, "DURABLE_SEQUENCE_REGRESSED",
-                 "vehicle '" + id +
-                     "': a client held an acknowledgement for more than the " +
-                     std::to_string(durable_sequence) +
-                     " poses that are stored; writes are refused until an "
-                     "operator accepts the loss (AcceptDataLoss with "
-                     "durable_sequence " +
-                     std::to_string(durable_sequence) + ")",
-                 metadata);
+                 "vehicle '" + id + "': " + what, metadata);
+  }
+
+  absl::Status DataLoss(const ErrorMetadata& metadata) const {
+    return Regressed("a client held an acknowledgement for more than the " +
+                         std::to_string(durable_sequence) +
+                         " poses that are stored; writes are refused until an "
+                         "operator accepts the loss (AcceptDataLoss with "
+                         "durable_sequence " +
+                         std::to_string(durable_sequence) + ")",
+                     metadata);
   }
 
   // ---- Other changes; they run while nothing is in flight
@@ -833,14 +851,37 @@ struct VehicleSession::State
         });
   }
 
-  void CheckAcknowledged(std::uint64_t acked_sequence,
-                         const ViewCallback& callback) {
-    if (acked_sequence <= durable_sequence) {
+  // Whether a claim is more than is stored, and if not, what to answer to it.
+  bool IsOfLostPoses(std::uint64_t acked_sequence,
+                     const std::string& vehicle_uid,
+                     const ViewCallback& callback) const {
+    const absl::Status meant = CheckMeant(id, config, vehicle_uid);
+    if (meant.ok() && acked_sequence > durable_sequence) return true;
+    if (meant.ok()) {
       callback(View());
+    } else {
+      callback(meant);
+    }
+    return false;
+  }
+
+  void CheckAcknowledged(std::uint64_t acked_sequence,
+                         const std::string& vehicle_uid,
+                         const ViewCallback& callback) {
+    if (!IsOfLostPoses(acked_sequence, vehicle_uid, callback)) return;
+    const ErrorMetadata acked = {
+        {"acked_sequence", std::to_string(acked_sequence)}};
+    if (vehicle_uid.empty() && !config.data_loss) {
+      callback(Regressed(
+          "the client holds an acknowledgement for sequence " +
+              std::to_string(acked_sequence) + ", but only " +
+              std::to_string(durable_sequence) +
+              " poses are stored; without the uid of the vehicle that it is "
+              "of (vehicle_uid) this ends this stream alone",
+          acked));
       return;
     }
-    const absl::Status loss =
-        DataLoss({{"acked_sequence", std::to_string(acked_sequence)}});
+    const absl::Status loss = DataLoss(acked);
     if (config.data_loss) {
       callback(loss);
       return;
@@ -1144,29 +1185,31 @@ void VehicleSession::Append(AppendRequest request) {
 }
 
 void VehicleSession::CheckAcknowledged(
-    std::uint64_t acked_sequence,
+    std::uint64_t acked_sequence, const std::string& vehicle_uid,
     std::function<void(absl::StatusOr<VehicleView>)> callback) {
   State* const state = state_.get();
   // Most often there is nothing to change, and nothing to wait for.
   state->Submit(
       {true, false,
-       [state, acked_sequence,
+       [state, acked_sequence, vehicle_uid,
         callback = std::move(callback)](const absl::Status& status) {
          if (!status.ok()) {
            callback(status);
-         } else if (acked_sequence <= state->durable_sequence) {
-           callback(state->View());
-         } else {
-           state->Add(
-               {false, true,
-                [state, acked_sequence, callback](const absl::Status& quiet) {
-                  if (quiet.ok()) {
-                    state->CheckAcknowledged(acked_sequence, callback);
-                  } else {
-                    callback(quiet);
-                  }
-                }});
+           return;
          }
+         if (!state->IsOfLostPoses(acked_sequence, vehicle_uid, callback)) {
+           return;
+         }
+         state->Add({false, true,
+                     [state, acked_sequence, vehicle_uid,
+                      callback](const absl::Status& quiet) {
+                       if (quiet.ok()) {
+                         state->CheckAcknowledged(acked_sequence, vehicle_uid,
+                                                  callback);
+                       } else {
+                         callback(quiet);
+                       }
+                     }});
        }});
 }
 

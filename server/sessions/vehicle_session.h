@@ -54,9 +54,10 @@ class RecordCodec {
  public:
   virtual ~RecordCodec() = default;
   virtual std::string EncodeVehicle(const VehicleConfig& config) const = 0;
-  // DATA_LOSS if the bytes are not what EncodeVehicle makes.
+  // Of the record only key, id and payload are read. DATA_LOSS if the payload is
+  // not what EncodeVehicle makes.
   virtual absl::StatusOr<VehicleConfig> DecodeVehicle(
-      const std::string& payload) const = 0;
+      const VehicleRecord& record) const = 0;
   // DATA_LOSS as above.
   virtual absl::StatusOr<DecodedBatch> DecodeBatch(
       const std::string& payload, const VehicleConfig& config) const = 0;
@@ -81,6 +82,12 @@ struct VehicleView {
 // NOT_FOUND (POSE_NOT_FOUND).
 absl::Status PoseNotFound(const std::string& vehicle_id, std::uint64_t sequence,
                           std::uint64_t durable_sequence);
+
+// FAILED_PRECONDITION (VEHICLE_REPLACED) if the caller means a vehicle of
+// another uid than the one that has this id; an empty one means any.
+absl::Status CheckMeant(const std::string& vehicle_id,
+                        const VehicleConfig& config,
+                        const std::string& expected_uid);
 
 struct Acknowledgement {
   std::uint64_t durable_sequence = 0;
@@ -154,11 +161,13 @@ class VehicleSession {
   // cannot be written, those in flight behind it fail with the same status.
   void Append(AppendRequest request);
 
-  // A client says it holds acknowledgements up to this sequence. If that is
-  // more than is durable, puts the vehicle into data loss and answers DATA_LOSS
-  // (DURABLE_SEQUENCE_REGRESSED).
+  // A client says it holds acknowledgements up to this sequence, of the vehicle
+  // of this uid; FAILED_PRECONDITION (VEHICLE_REPLACED) if that is another. If
+  // it is more than is durable, answers DATA_LOSS (DURABLE_SEQUENCE_REGRESSED)
+  // and, given a uid, puts the vehicle into data loss: a claim without one may
+  // be about an earlier vehicle of this name.
   void CheckAcknowledged(
-      std::uint64_t acked_sequence,
+      std::uint64_t acked_sequence, const std::string& vehicle_uid,
       std::function<void(absl::StatusOr<VehicleView>)> callback);
 
   // Replaces the config by what `change` makes of the current one; the graph is

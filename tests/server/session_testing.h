@@ -41,7 +41,8 @@ std::function<void(absl::StatusOr<VehicleView>)> Taking(
 // The calls of a session, waited for.
 absl::StatusOr<Snapshot> ReadNow(VehicleSession& session);
 absl::StatusOr<Snapshot> CheckAcknowledgedNow(VehicleSession& session,
-                                              std::uint64_t acked_sequence);
+                                              std::uint64_t acked_sequence,
+                                              const std::string& uid = "");
 absl::StatusOr<Snapshot> AcceptDataLossNow(VehicleSession& session,
                                            std::uint64_t durable_sequence);
 absl::StatusOr<Snapshot> UpdateNow(

@@ -33,6 +33,9 @@ using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
 constexpr PairKind kClosure = PairKind::kLoopClosure;
+// Of TestConfig().
+constexpr char kUid[] = "uid-of-test";
+
 constexpr PairKind kRejection = PairKind::kRejectedCandidate;
 
 const absl::Status& DeviceFailure() {
@@ -865,7 +868,8 @@ TEST_F(VehicleSessionTest, BelievesClientThatHoldsNoMoreThanIsStored) {
 
 TEST_F(VehicleSessionTest, RefusesWritesOnceDataWasLost) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
-  const absl::Status status = CheckAcknowledgedNow(*session_, 12).status();
+  const absl::Status status =
+      CheckAcknowledgedNow(*session_, 12, kUid).status();
   EXPECT_THAT(status,
               IsError(StatusCode::kDataLoss, "DURABLE_SEQUENCE_REGRESSED",
                       HasSubstr("the 9 poses that are stored")));
@@ -884,7 +888,7 @@ TEST_F(VehicleSessionTest, RefusesWritesOnceDataWasLost) {
     EXPECT_THAT(UpdateNow(*session_,
                           [](const VehicleView& view) { return view.config; }),
                 lost);
-    EXPECT_THAT(CheckAcknowledgedNow(*session_, 10), lost);
+    EXPECT_THAT(CheckAcknowledgedNow(*session_, 10, kUid), lost);
     // Reads go on.
     const auto read = ReadNow(*session_);
     EXPECT_TRUE(read->config.data_loss);
@@ -895,12 +899,38 @@ TEST_F(VehicleSessionTest, RefusesWritesOnceDataWasLost) {
   }
 }
 
+// A vehicle was deleted and made again, and a client of the old one put the new
+// one into data loss; and so could any number that somebody made up.
+TEST_F(VehicleSessionTest, ClaimOfAnotherVehicleChangesNothing) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  for (const std::uint64_t acked : {0, 5, 12}) {
+    const absl::Status status =
+        CheckAcknowledgedNow(*session_, acked, "uid-of-old").status();
+    EXPECT_THAT(status,
+                IsError(StatusCode::kFailedPrecondition, "VEHICLE_REPLACED",
+                        HasSubstr("has the uid uid-of-test, got uid-of-old")));
+    EXPECT_EQ(MetadataOf(status, "vehicle_uid"), "uid-of-test");
+    EXPECT_EQ(MetadataOf(status, "expected_vehicle_uid"), "uid-of-old");
+  }
+  // One that does not say which vehicle it is of ends by itself.
+  const absl::Status nameless = CheckAcknowledgedNow(*session_, 12).status();
+  EXPECT_THAT(nameless,
+              IsError(StatusCode::kDataLoss, "DURABLE_SEQUENCE_REGRESSED",
+                      HasSubstr("only 9 poses are stored")));
+  EXPECT_EQ(MetadataOf(nameless, "durable_sequence"), "9");
+  EXPECT_EQ(MetadataOf(nameless, "acked_sequence"), "12");
+  const auto read = ReadNow(*session_);
+  EXPECT_FALSE(read->config.data_loss);
+  EXPECT_EQ(read->revision, 2u);
+  EXPECT_THAT(AppendNow(*session_, StraightBatch(10, 1)), IsOk());
+}
+
 TEST_F(VehicleSessionTest, WritesAgainOnceTheLossIsAccepted) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
   EXPECT_THAT(AcceptDataLossNow(*session_, 9),
               IsError(StatusCode::kFailedPrecondition, "NO_DATA_LOSS",
                       "vehicle 'truck' is not in the state DATA_LOSS"));
-  ASSERT_FALSE(CheckAcknowledgedNow(*session_, 12).ok());
+  ASSERT_FALSE(CheckAcknowledgedNow(*session_, 12, kUid).ok());
   EXPECT_THAT(
       AcceptDataLossNow(*session_, 12),
       IsError(StatusCode::kFailedPrecondition, "DURABLE_SEQUENCE_MISMATCH",
@@ -916,7 +946,7 @@ TEST_F(VehicleSessionTest, WritesAgainOnceTheLossIsAccepted) {
 TEST_F(VehicleSessionTest, RefusesWritesEvenIfTheLossCannotBeStored) {
   storage_.Hold();
   const Answer<absl::StatusOr<Snapshot>> checked;
-  session_->CheckAcknowledged(12, Taking(checked));
+  session_->CheckAcknowledged(12, kUid, Taking(checked));
   storage_.FailOne(DeviceFailure());
   const auto lost =
       IsError(StatusCode::kDataLoss, "DURABLE_SEQUENCE_REGRESSED", _);
