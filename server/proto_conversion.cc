@@ -1202,27 +1202,31 @@ void EncodeConfig(const VehicleConfig& config, v1::Vehicle* vehicle) {
 
 void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle) {
   vehicle->set_name(VehicleName(view.id));
-  EncodeConfig(view.config, vehicle);
+  if (view.config_is_known) EncodeConfig(view.config, vehicle);
+  if (!view.damage.ok()) vehicle->set_state(v1::VEHICLE_STATE_DAMAGED);
   vehicle->set_durable_sequence(view.durable_sequence);
   vehicle->set_revision(view.revision);
   vehicle->set_node_count(view.engine.graph().size());
   vehicle->set_loop_closure_count(view.loop_closure_count);
   vehicle->set_travelled_meters(view.engine.travelled_meters());
+  if (!view.config_is_known) return;
   EncodeConsistency(view.engine.consistency(),
                     view.config.engine.apply_inflation,
                     vehicle->mutable_consistency());
 }
 
-absl::Status EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle) {
+void EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle) {
   const absl::StatusOr<VehicleConfig> config =
       ProtoRecordCodec().DecodeVehicle(record);
-  if (!config.ok()) return config.status();
   vehicle->set_name(VehicleName(record.id));
-  EncodeConfig(*config, vehicle);
-  vehicle->set_durable_sequence(record.durable_sequence);
+  if (config.ok()) EncodeConfig(*config, vehicle);
   vehicle->set_revision(record.revision);
+  if (!config.ok() || !record.damage.ok()) {
+    vehicle->set_state(v1::VEHICLE_STATE_DAMAGED);
+    return;
+  }
+  vehicle->set_durable_sequence(record.durable_sequence);
   vehicle->set_loop_closure_count(record.loop_closure_count);
-  return absl::OkStatus();
 }
 
 absl::StatusOr<core::SearchOptions> DecodeCandidateOptions(

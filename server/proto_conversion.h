@@ -97,9 +97,8 @@ bool SameSettings(const VehicleConfig& existing,
                   const VehicleConfig& requested);
 
 void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle);
-// What is stored of a vehicle that is not in memory. DATA_LOSS if it cannot be
-// read.
-absl::Status EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle);
+// What is stored of a vehicle that is not in memory.
+void EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle);
 
 // The vehicle's own search with what the options change.
 absl::StatusOr<core::SearchOptions> DecodeCandidateOptions(

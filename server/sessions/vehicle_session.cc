@@ -5,7 +5,6 @@
 #include <chrono>
 #include <cstddef>
 #include <deque>
-#include <map>
 #include <tuple>
 
 #include "server/status.h"
@@ -37,9 +36,6 @@ bool MovesNodes(const core::EngineSettings& before,
          is_filter(before) != is_filter(after);
 }
 
-// What verifiers found, by id.
-using PosePairs = std::map<std::string, PosePairRecord>;
-
 // Something that waits for its turn on the strand.
 struct Operation {
   // Runs as soon as the vehicle is loaded, whatever else waits.
@@ -70,6 +66,10 @@ struct Replay {
   // Stands for revisions until the last step: batches have each their own,
   // which do not grow with the sequence once some are revised.
   std::uint64_t steps = 0;
+  // Of the batches.
+  std::uint64_t highest_revision = 0;
+  // Whether it goes only as far as what is stored is sound.
+  bool is_load = false;
   std::function<void(const absl::Status&)> then;
 };
 
@@ -133,6 +133,9 @@ struct VehicleSession::State
   std::uint64_t revision = 0;
   PosePairs loop_closures;
   PosePairs rejections;
+  // See VehicleView; while it is loaded, the first cause.
+  absl::Status damage;
+  bool config_is_known = true;
 
   // The same with what is in flight.
   std::uint64_t staged_sequence = 0;
@@ -164,7 +167,11 @@ struct VehicleSession::State
                        key,
                        durable_sequence,
                        revision,
-                       static_cast<std::int64_t>(loop_closures.size())};
+                       static_cast<std::int64_t>(loop_closures.size()),
+                       &loop_closures,
+                       &rejections,
+                       damage,
+                       config_is_known};
   }
 
   PosePairs& Pairs(PairKind kind) {
@@ -289,7 +296,8 @@ struct VehicleSession::State
         record->loop_closure_count !=
             static_cast<std::int64_t>(loop_closures.size()) ||
         record->rejected_candidate_count !=
-            static_cast<std::int64_t>(rejections.size())) {
+            static_cast<std::int64_t>(rejections.size()) ||
+        !record->damage.ok() || !damage.ok()) {
       Leave(OutOfStep());
       return *gone_status;
     }
@@ -300,7 +308,8 @@ struct VehicleSession::State
   absl::Status OutOfStep() const {
     return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
                  "vehicle '" + id +
-                     "' has to be loaded anew after a failed write; try again");
+                     "' has to be loaded anew, since it and the store disagree; try "
+                     "again");
   }
 
   // From now on everything is answered with `status`.
@@ -323,16 +332,18 @@ struct VehicleSession::State
   absl::Status StartLoad() {
     absl::StatusOr<VehicleRecord> record = storage->GetVehicle(id);
     if (!record.ok()) return record.status();
-    absl::StatusOr<VehicleConfig> decoded =
-        codec->DecodeVehicle(*record);
-    if (!decoded.ok()) return decoded.status();
-    const std::vector<core::SettingProblem> problems =
-        core::FindProblems(decoded->engine);
-    if (!problems.empty()) {
-      return Corrupt("stored settings: " + problems.front().field + ": " +
-                     problems.front().description);
-    }
     key = record->key;
+    absl::StatusOr<VehicleConfig> decoded = StoredConfig(*record);
+    if (!decoded.ok()) {
+      // Poses cannot be read without it.
+      config_is_known = false;
+      engine = std::make_unique<core::Engine>(config.engine);
+      Settled(config, record->revision);
+      damage = Damaged(record->damage.ok() ? decoded.status() : record->damage);
+      exclusive = false;
+      Pump();
+      return absl::OkStatus();
+    }
     durable_sequence = record->durable_sequence;
     for (const PairKind kind : kPairKinds) {
       const absl::Status read = LoadPairs(kind);
@@ -341,8 +352,42 @@ struct VehicleSession::State
     StartReplay(*std::move(decoded), record->revision,
                 [this](const absl::Status& status) {
                   if (!status.ok()) Leave(status);
-                });
+                  if (!damage.ok()) damage = Damaged(damage);
+                },
+                /*is_load=*/true);
     return absl::OkStatus();
+  }
+
+  absl::StatusOr<VehicleConfig> StoredConfig(
+      const VehicleRecord& record) const {
+    absl::StatusOr<VehicleConfig> decoded = codec->DecodeVehicle(record);
+    if (!decoded.ok()) return decoded;
+    const std::vector<core::SettingProblem> problems =
+        core::FindProblems(decoded->engine);
+    if (!problems.empty()) {
+      return Corrupt("stored settings: " + problems.front().field + ": " +
+                     problems.front().description);
+    }
+    return decoded;
+  }
+
+  void NoteDamage(const absl::Status& cause) {
+    if (damage.ok()) damage = cause;
+  }
+
+  absl::Status Damaged(const absl::Status& cause) const {
+    const std::string durable = std::to_string(durable_sequence);
+    return Error(
+        StatusCode::kDataLoss, "STORE_CORRUPT",
+        "vehicle '" + id + "' is damaged: " + std::string(cause.message()) +
+            (config_is_known
+                 ? "; " + durable +
+                       " poses before it are sound and can be read, writes "
+                       "and searches are refused until an operator gives up "
+                       "the rest (AcceptDataLoss with durable_sequence " +
+                       durable + ") or deletes the vehicle"
+                 : "; without its settings it can only be deleted"),
+        {{"vehicle", id}, {"durable_sequence", durable}});
   }
 
   absl::Status LoadPairs(PairKind kind) {
@@ -350,11 +395,19 @@ struct VehicleSession::State
     while (true) {
       const absl::StatusOr<std::vector<PosePairRecord>> page =
           storage->ListPosePairs(key, kind, after, kPairsPerRead);
+      if (absl::IsDataLoss(page.status())) {
+        NoteDamage(page.status());
+        return absl::OkStatus();
+      }
       if (!page.ok()) return page.status();
       if (page->empty()) return absl::OkStatus();
       after = page->back().id;
       for (const PosePairRecord& pair : *page) {
-        Pairs(kind).emplace(pair.id, pair);
+        if (pair.damage.ok()) {
+          Pairs(kind).emplace(pair.id, pair);
+        } else {
+          NoteDamage(pair.damage);
+        }
       }
     }
   }
@@ -362,9 +415,11 @@ struct VehicleSession::State
   // Makes a graph from what is stored; when done, that becomes the vehicle's,
   // with this config and revision. Reads see the old one until then.
   void StartReplay(VehicleConfig new_config, std::uint64_t new_revision,
-                   std::function<void(const absl::Status&)> then) {
+                   std::function<void(const absl::Status&)> then,
+                   bool is_load = false) {
     exclusive = true;
     replay.emplace();
+    replay->is_load = is_load;
     replay->config = new_config;
     replay->revision = new_revision;
     replay->engine = std::make_unique<core::Engine>(replay->config.engine);
@@ -410,27 +465,65 @@ struct VehicleSession::State
               return false;
             }
             replay->engine->Append(decoded->samples, ++replay->steps);
+            replay->highest_revision =
+                std::max(replay->highest_revision, batch.revision);
             replay->next_sequence = batch.first_sequence + batch.count;
             return std::chrono::steady_clock::now() < pause;
           });
-      if (!reading.ok()) return reading;
-      if (!decoding.ok()) return decoding;
+      const absl::Status& unread = reading.ok() ? decoding : reading;
+      if (replay->is_load && absl::IsDataLoss(unread)) {
+        GoNoFurther(unread);
+      } else if (!unread.ok()) {
+        return unread;
+      }
       if (replay->next_sequence <= durable_sequence) return false;
     }
+    if (const absl::Status status = CheckPairs(); !status.ok()) return status;
     for (const auto& [kind, pair] : PairsAsAdded()) {
-      if (pair->matched_sequence < 1 ||
-          pair->query_sequence > durable_sequence) {
-        return Corrupt("stored " + std::string(WordsOf(kind).noun) + " '" +
-                       pair->id + "' names a pose that is not stored");
-      }
       Apply(replay->engine.get(), kind, *pair, ++replay->steps);
     }
     if (replay->steps >= replay->revision) {
-      return Corrupt("stored revision " + std::to_string(replay->revision) +
-                     " is less than the number of changes");
+      const absl::Status status =
+          Corrupt("stored revision " + std::to_string(replay->revision) +
+                  " is less than the number of changes");
+      if (!replay->is_load) return status;
+      NoteDamage(status);
+      replay->revision = replay->steps + 1;
     }
     replay->engine->ChangeSettings(replay->config.engine, replay->revision);
     return true;
+  }
+
+  // The poses from the next one on cannot be read. Each of them may have brought
+  // a revision, and those must not come again.
+  void GoNoFurther(const absl::Status& cause) {
+    NoteDamage(cause);
+    const std::uint64_t sound = replay->next_sequence - 1;
+    replay->revision = std::max(replay->revision, replay->highest_revision) +
+                       (durable_sequence - sound);
+    durable_sequence = sound;
+  }
+
+  // Pairs name poses that are there. Loading leaves out others.
+  absl::Status CheckPairs() {
+    for (const PairKind kind : kPairKinds) {
+      PosePairs& pairs = Pairs(kind);
+      for (auto i = pairs.begin(); i != pairs.end();) {
+        const PosePairRecord& pair = i->second;
+        if (pair.matched_sequence >= 1 &&
+            pair.query_sequence <= durable_sequence) {
+          ++i;
+          continue;
+        }
+        const absl::Status status =
+            Corrupt("stored " + std::string(WordsOf(kind).noun) + " '" +
+                    pair.id + "' names a pose that is not stored");
+        if (!replay->is_load) return status;
+        NoteDamage(status);
+        i = pairs.erase(i);
+      }
+    }
+    return absl::OkStatus();
   }
 
   // In the order in which they were added, all kinds together, so that graph
@@ -550,7 +643,8 @@ struct VehicleSession::State
 
   absl::StatusOr<Staging> Stage(const std::shared_ptr<PendingAppend>& append,
                                 bool may_read) {
-    if (config.data_loss) return DataLoss({});
+    const absl::Status writable = Writable();
+    if (!writable.ok()) return writable;
     if (!append->decoded) {
       absl::StatusOr<DecodedBatch> decoded =
           append->request.decoder(staged_config);
@@ -811,6 +905,7 @@ struct VehicleSession::State
   // ---- Other changes; they run while nothing is in flight
 
   absl::Status Writable() const {
+    if (!damage.ok()) return damage;
     return config.data_loss ? DataLoss({}) : absl::OkStatus();
   }
 
@@ -855,12 +950,16 @@ struct VehicleSession::State
   bool IsOfLostPoses(std::uint64_t acked_sequence,
                      const std::string& vehicle_uid,
                      const ViewCallback& callback) const {
-    const absl::Status meant = CheckMeant(id, config, vehicle_uid);
-    if (meant.ok() && acked_sequence > durable_sequence) return true;
-    if (meant.ok()) {
-      callback(View());
+    const absl::Status answer =
+        config_is_known ? CheckMeant(id, config, vehicle_uid) : damage;
+    if (!answer.ok()) {
+      callback(answer);
+    } else if (!damage.ok()) {
+      callback(damage);
+    } else if (acked_sequence > durable_sequence) {
+      return true;
     } else {
-      callback(meant);
+      callback(View());
     }
     return false;
   }
@@ -898,9 +997,14 @@ struct VehicleSession::State
   void AcceptDataLoss(std::uint64_t sequence, const ViewCallback& callback) {
     const ErrorMetadata metadata = {
         {"durable_sequence", std::to_string(durable_sequence)}};
-    if (!config.data_loss) {
+    if (!config_is_known) {
+      callback(damage);
+      return;
+    }
+    if (!config.data_loss && damage.ok()) {
       callback(Error(StatusCode::kFailedPrecondition, "NO_DATA_LOSS",
-                     "vehicle '" + id + "' is not in the state DATA_LOSS",
+                     "vehicle '" + id +
+                         "' is neither in the state DATA_LOSS nor DAMAGED",
                      metadata));
       return;
     }
@@ -914,13 +1018,39 @@ struct VehicleSession::State
     }
     VehicleConfig new_config = config;
     new_config.data_loss = false;
-    WriteConfig(new_config, [this, callback](const absl::Status& status) {
+    const auto answer = [this, callback](const absl::Status& status) {
       if (status.ok()) {
         callback(View());
       } else {
         callback(status);
       }
-    });
+    };
+    if (damage.ok()) {
+      WriteConfig(new_config, answer);
+    } else {
+      DropDamaged(new_config, answer);
+    }
+  }
+
+  // What is in memory is what stays.
+  void DropDamaged(const VehicleConfig& new_config,
+                   std::function<void(const absl::Status&)> then) {
+    const std::uint64_t next = revision + 1;
+    WriteAlone(
+        [&](Storage::Done done) {
+          storage->DropDamaged(key, durable_sequence,
+                               codec->EncodeVehicle(new_config), next,
+                               std::move(done));
+        },
+        [this, new_config, next,
+         then = std::move(then)](const absl::Status& status) {
+          if (status.ok()) {
+            damage = absl::OkStatus();
+            engine->ChangeSettings(new_config.engine, next);
+            Settled(new_config, next);
+          }
+          then(status);
+        });
   }
 
   void Update(const std::function<
@@ -1302,6 +1432,15 @@ void VehicleSession::Delete(std::function<void(absl::Status)> callback) {
            callback(status);
          }
        }});
+}
+
+void VehicleSession::LoadAnew() {
+  State* const state = state_.get();
+  state->Submit({false, true, [state](const absl::Status& status) {
+                   if (status.ok() && state->damage.ok()) {
+                     state->Leave(state->OutOfStep());
+                   }
+                 }});
 }
 
 void VehicleSession::Close(std::function<void()> callback) {

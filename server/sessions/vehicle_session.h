@@ -6,6 +6,10 @@
 // run. Appends may be in flight one behind the other; every other change waits
 // until none is, and holds up those behind it.
 //
+// A vehicle of which a part is damaged in the store is loaded as far as it is
+// sound. It answers reads with that, and every write but AcceptDataLoss() and
+// Delete() with DATA_LOSS (STORE_CORRUPT).
+//
 // All public calls are thread-safe and return at once; callbacks run on the
 // threads of the lanes, one at a time for a vehicle, but that Append() may
 // decode and stage a batch, or refuse it, before it returns: call it without a
@@ -17,6 +21,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -68,6 +73,9 @@ class RecordCodec {
                                                  std::size_t count) const = 0;
 };
 
+// What verifiers found, by id.
+using PosePairs = std::map<std::string, PosePairRecord>;
+
 // Consistent state of the vehicle, valid during the callback that is given it.
 struct VehicleView {
   const std::string& id;
@@ -77,6 +85,18 @@ struct VehicleView {
   std::uint64_t durable_sequence;
   std::uint64_t revision;
   std::int64_t loop_closure_count;
+  const PosePairs* loop_closures = nullptr;
+  const PosePairs* rejected_candidates = nullptr;
+  // DATA_LOSS (STORE_CORRUPT) if a part of what is stored is damaged: then all
+  // else here is what comes before the damage.
+  absl::Status damage;
+  // Where that is damaged too, the config is none and there are no poses.
+  bool config_is_known = true;
+
+  const PosePairs& pairs(PairKind kind) const {
+    return kind == PairKind::kLoopClosure ? *loop_closures
+                                          : *rejected_candidates;
+  }
 };
 
 // NOT_FOUND (POSE_NOT_FOUND).
@@ -178,8 +198,9 @@ class VehicleSession {
       std::function<absl::StatusOr<VehicleConfig>(const VehicleView&)> change,
       std::function<void(absl::StatusOr<VehicleView>)> callback);
 
-  // Ends the state of data loss; FAILED_PRECONDITION (NO_DATA_LOSS) if there is
-  // none, (DURABLE_SEQUENCE_MISMATCH) if the sequence is not the durable one.
+  // Ends the state of data loss, or gives up what is damaged and all poses after
+  // it; FAILED_PRECONDITION (NO_DATA_LOSS) if there is neither,
+  // (DURABLE_SEQUENCE_MISMATCH) if the sequence is not the durable one.
   void AcceptDataLoss(
       std::uint64_t durable_sequence,
       std::function<void(absl::StatusOr<VehicleView>)> callback);
@@ -211,6 +232,10 @@ class VehicleSession {
 
   // Deletes the vehicle. All later calls answer NOT_FOUND.
   void Delete(std::function<void(absl::Status)> callback);
+
+  // Somebody met damage in what is stored that the session does not know of: it
+  // has to be loaded anew to know what is sound.
+  void LoadAnew();
 
   // Ends the session: what was called before is finished, later calls answer
   // UNAVAILABLE (SERVER_DRAINING). When `callback` runs, the session uses

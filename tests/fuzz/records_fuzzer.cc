@@ -42,7 +42,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
       Require(server::SameSettings(*decoded, *again), "and is the same");
     }
     revisit::v1::Vehicle vehicle;
-    RequireDataLoss(server::EncodeVehicle(listed, &vehicle));
+    server::EncodeVehicle(listed, &vehicle);
     return 0;
   }
   const auto decoded = codec.DecodeBatch(payload, config);

@@ -1499,7 +1499,7 @@ TEST(AnswerTest, VehicleIsToldTheSameFromMemoryAndFromTheStore) {
   record.revision = 9;
   record.loop_closure_count = 2;
   v1::Vehicle stored;
-  ASSERT_THAT(EncodeVehicle(record, &stored), IsOk());
+  EncodeVehicle(record, &stored);
   // Only who has the vehicle in memory knows how consistent it is.
   EXPECT_FALSE(stored.has_consistency());
   EXPECT_TRUE(loaded.has_consistency());
@@ -1508,6 +1508,23 @@ TEST(AnswerTest, VehicleIsToldTheSameFromMemoryAndFromTheStore) {
   EXPECT_EQ(loaded.name(), "vehicles/a");
   EXPECT_EQ(loaded.create_time().seconds(), -1);
   EXPECT_EQ(loaded.create_time().nanos(), 999999999);
+}
+
+TEST(AnswerTest, DamagedVehicleTellsWhatIsSound) {
+  VehicleRecord record = RecordOf("");
+  record.damage = absl::DataLossError("damaged");
+  record.durable_sequence = 5;
+  v1::Vehicle vehicle;
+  EncodeVehicle(record, &vehicle);
+  EXPECT_EQ(vehicle.DebugString(), FromText<v1::Vehicle>(R"pb(
+    name: "vehicles/truck" state: VEHICLE_STATE_DAMAGED
+  )pb").DebugString());
+  record.payload = ProtoRecordCodec().EncodeVehicle(Planar());
+  EncodeVehicle(record, &vehicle);
+  EXPECT_EQ(vehicle.state(), v1::VEHICLE_STATE_DAMAGED);
+  EXPECT_TRUE(vehicle.has_settings());
+  // What damaged rows claim is nothing to rely on.
+  EXPECT_EQ(vehicle.durable_sequence(), 0u);
 }
 
 TEST(AnswerTest, VehicleSaysHowConsistentItIs) {

@@ -22,6 +22,8 @@ Snapshot Take(const VehicleView& view) {
   snapshot.loop_closure_count = view.loop_closure_count;
   snapshot.consistency = view.engine.consistency();
   snapshot.config = view.config;
+  snapshot.damage = view.damage;
+  snapshot.config_is_known = view.config_is_known;
   const core::PoseGraph& graph = view.engine.graph();
   snapshot.node_count = graph.size();
   std::ostringstream text;

@@ -27,6 +27,8 @@ struct Snapshot {
   // Every number of every node, and the loop edges, as text.
   std::string graph;
   std::int64_t node_count = 0;
+  absl::Status damage;
+  bool config_is_known = true;
 };
 
 // Nodes 1 m apart, 10 m sequences, a check every 5 m.

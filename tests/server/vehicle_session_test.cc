@@ -929,7 +929,8 @@ TEST_F(VehicleSessionTest, WritesAgainOnceTheLossIsAccepted) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
   EXPECT_THAT(AcceptDataLossNow(*session_, 9),
               IsError(StatusCode::kFailedPrecondition, "NO_DATA_LOSS",
-                      "vehicle 'truck' is not in the state DATA_LOSS"));
+                      "vehicle 'truck' is neither in the state DATA_LOSS nor "
+                      "DAMAGED"));
   ASSERT_FALSE(CheckAcknowledgedNow(*session_, 12, kUid).ok());
   EXPECT_THAT(
       AcceptDataLossNow(*session_, 12),
@@ -953,6 +954,103 @@ TEST_F(VehicleSessionTest, RefusesWritesEvenIfTheLossCannotBeStored) {
   EXPECT_THAT(checked.Get(), lost);
   storage_.ReleaseAll();
   EXPECT_THAT(AppendNow(*session_, StraightBatch(1, 1)), lost);
+}
+
+// ---- Damage
+
+TEST_F(VehicleSessionTest, DamagedVehicleIsReadAsFarAsItIsSound) {
+  for (std::uint64_t first = 1; first <= 7; first += 3) {
+    ASSERT_THAT(AppendNow(*session_, StraightBatch(first, 3)), IsOk());
+  }
+  ASSERT_THAT(AddPairNow(*session_, kClosure, {"in", 3, 1, 0}), IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kRejection, {"out", 9, 1, 0}), IsOk());
+  const std::uint64_t revision = ReadNow(*session_)->revision;
+  memory_.DamagePose("truck", 5);
+  Reload();
+  const auto damaged =
+      IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+              AllOf(HasSubstr("vehicle 'truck' is damaged: batch is damaged"),
+                    HasSubstr("AcceptDataLoss with durable_sequence 3")));
+  for (int i = 0; i < 2; ++i) {
+    const auto read = ReadNow(*session_);
+    ASSERT_THAT(read, IsOk());
+    EXPECT_THAT(read->damage, damaged);
+    EXPECT_EQ(read->durable_sequence, 3u);
+    EXPECT_EQ(read->node_count, 3);
+    EXPECT_EQ(read->loop_closure_count, 1);
+    EXPECT_EQ(read->consistency.rejected, 0);
+    // Of the poses that are lost nobody knows what they had brought.
+    EXPECT_EQ(read->revision, revision + 6);
+    EXPECT_THAT(AppendNow(*session_, StraightBatch(4, 1)), damaged);
+    EXPECT_THAT(AppendNow(*session_, StraightBatch(1, 1)), damaged);
+    EXPECT_THAT(AddPairNow(*session_, kClosure, {"a", 3, 2, 0}), damaged);
+    EXPECT_THAT(DeletePairNow(*session_, kClosure, "in"), damaged);
+    EXPECT_THAT(CheckAcknowledgedNow(*session_, 9, kUid), damaged);
+    EXPECT_THAT(CheckAcknowledgedNow(*session_, 9, "uid-of-old"),
+                IsError(StatusCode::kFailedPrecondition, "VEHICLE_REPLACED",
+                        _));
+    EXPECT_THAT(UpdateNow(*session_,
+                          [](const VehicleView& view) { return view.config; }),
+                damaged);
+    Reload();
+  }
+  EXPECT_THAT(AcceptDataLossNow(*session_, 9),
+              IsError(StatusCode::kFailedPrecondition,
+                      "DURABLE_SEQUENCE_MISMATCH", _));
+  const auto accepted = AcceptDataLossNow(*session_, 3);
+  ASSERT_THAT(accepted, IsOk());
+  EXPECT_THAT(accepted->damage, IsOk());
+  EXPECT_EQ(accepted->revision, revision + 7);
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(4, 2)), IsOk());
+  const Snapshot whole = *ReadNow(*session_);
+  Reload();
+  EXPECT_EQ(ReadNow(*session_)->graph, whole.graph);
+  EXPECT_EQ(ReadNow(*session_)->revision, revision + 8);
+  EXPECT_EQ(ReadNow(*session_)->durable_sequence, 5u);
+}
+
+TEST_F(VehicleSessionTest, DamagedPairIsGivenUpAlone) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kClosure, {"a", 9, 1, 0}), IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kClosure, {"b", 8, 1, 0}), IsOk());
+  memory_.DamagePair("truck", kClosure, "a");
+  Reload();
+  EXPECT_THAT(ReadNow(*session_)->damage,
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                      HasSubstr("pair a is damaged")));
+  EXPECT_EQ(ReadNow(*session_)->loop_closure_count, 1);
+  EXPECT_EQ(ReadNow(*session_)->durable_sequence, 9u);
+  ASSERT_THAT(AcceptDataLossNow(*session_, 9), IsOk());
+  Reload();
+  EXPECT_THAT(ReadNow(*session_)->damage, IsOk());
+  EXPECT_EQ(ReadNow(*session_)->loop_closure_count, 1);
+}
+
+TEST_F(VehicleSessionTest, VehicleWithoutItsSettingsCanBeDeleted) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  memory_.DamageVehicle("truck");
+  Reload();
+  const auto damaged = IsError(
+      StatusCode::kDataLoss, "STORE_CORRUPT",
+      HasSubstr("vehicle is damaged; without its settings it can only be "
+                "deleted"));
+  EXPECT_THAT(ReadNow(*session_)->damage, damaged);
+  EXPECT_FALSE(ReadNow(*session_)->config_is_known);
+  EXPECT_EQ(ReadNow(*session_)->durable_sequence, 0u);
+  EXPECT_THAT(AppendNow(*session_, StraightBatch(1, 1)), damaged);
+  EXPECT_THAT(CheckAcknowledgedNow(*session_, 9, kUid), damaged);
+  EXPECT_THAT(AcceptDataLossNow(*session_, 0), damaged);
+  EXPECT_THAT(DeleteNow(*session_), IsOk());
+  EXPECT_FALSE(memory_.GetVehicle("truck").ok());
+}
+
+TEST_F(VehicleSessionTest, IsLoadedAnewWhereSomebodyMetDamage) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  session_->LoadAnew();
+  EXPECT_THAT(AppendNow(*session_, StraightBatch(10, 1)),
+              IsError(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                      HasSubstr("has to be loaded anew")));
+  EXPECT_TRUE(session_->gone());
 }
 
 TEST_F(VehicleSessionTest, AnswersNotFoundAfterDelete) {
@@ -1024,17 +1122,18 @@ TEST_F(VehicleSessionTest, OriginGoesWithTheBatchThatWasNotWritten) {
 
 TEST_F(VehicleSessionTest, SaysThatStoredVehicleCannotBeRead) {
   ASSERT_THAT(BlockingWrites(&memory_).Create("broken", "nonsense"), IsOk());
-  EXPECT_THAT(ReadNow(*Load("broken")), IsError(StatusCode::kDataLoss, _, _));
+  EXPECT_THAT(ReadNow(*Load("broken"))->damage,
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
   const VehicleKey key =
       *BlockingWrites(&memory_).Create("bad", codec_.EncodeVehicle({}));
   ASSERT_THAT(
       BlockingWrites(&memory_).Append(key, {1, 2, 2, StraightBatch(1, 3)}),
       IsOk());
   const std::shared_ptr<VehicleSession> bad = Load("bad");
-  EXPECT_THAT(ReadNow(*bad),
+  EXPECT_THAT(ReadNow(*bad)->damage,
               IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
                       AllOf(HasSubstr("'bad'"), HasSubstr("sequence 1"))));
-  EXPECT_TRUE(bad->gone());
+  EXPECT_EQ(ReadNow(*bad)->durable_sequence, 0u);
 }
 
 TEST_F(VehicleSessionTest, CloseFinishesWhatWasCalledAndRefusesTheRest) {
