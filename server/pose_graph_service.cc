@@ -175,6 +175,19 @@ void FillFromMemory(Fleet* fleet, const UnaryCallPtr& call,
   }
 }
 
+// What a caller is told of a vehicle that it changed but may not read: which
+// one it is, and the settings that it named itself.
+v1::Vehicle ToldToWriter(const v1::Vehicle& vehicle) {
+  v1::Vehicle told;
+  told.set_name(vehicle.name());
+  told.set_uid(vehicle.uid());
+  return told;
+}
+
+bool MayRead(const UnaryCall& call, const std::string& vehicle_id) {
+  return call.caller().May(Verb::kRead, vehicle_id);
+}
+
 // Key of the last element of a page of poses.
 absl::StatusOr<std::uint64_t> FirstSequence(const v1::ListPosesRequest& request,
                                             const std::string& list) {
@@ -405,12 +418,17 @@ grpc::ServerUnaryReactor* PoseGraphService::CreateVehicle(
     if (!config.ok()) return config.status();
     config->create_time_ns = NowNanoseconds();
     config->uid = NewVehicleUid();
-    const auto encode = [response](const VehicleView& view) {
-      EncodeVehicle(view, response->mutable_vehicle());
-      return absl::OkStatus();
-    };
     Fleet* const fleet = context_.fleet;
     const VehicleConfig requested = *config;
+    const auto encode = [=](const VehicleView& view) {
+      v1::Vehicle* const vehicle = response->mutable_vehicle();
+      EncodeVehicle(view, vehicle);
+      if (!MayRead(*call, view.id)) {
+        *vehicle = ToldToWriter(*vehicle);
+        EncodeSettings(requested, vehicle->mutable_settings());
+      }
+      return absl::OkStatus();
+    };
     fleet->Create(id, requested, [=](absl::StatusOr<VehicleView> created) {
       if (!absl::IsAlreadyExists(created.status())) {
         FinishWith<VehicleView>(call, encode)(std::move(created));
@@ -488,7 +506,16 @@ grpc::ServerUnaryReactor* PoseGraphService::UpdateVehicle(
                                 request->update_mask());
         },
         FinishWith<VehicleView>(call, [=](const VehicleView& view) {
-          EncodeVehicle(view, response->mutable_vehicle());
+          v1::Vehicle* const answer = response->mutable_vehicle();
+          EncodeVehicle(view, answer);
+          if (MayRead(*call, view.id)) return absl::OkStatus();
+          const v1::Vehicle whole = *answer;
+          FieldMaskUtil::TrimMessage(request->update_mask(), answer);
+          // Left out, it may be that of the first pose.
+          if (!request->vehicle().settings().has_geodetic_origin()) {
+            answer->mutable_settings()->clear_geodetic_origin();
+          }
+          answer->MergeFrom(ToldToWriter(whole));
           return absl::OkStatus();
         }));
     return absl::OkStatus();
@@ -671,7 +698,7 @@ grpc::ServerUnaryReactor* PoseGraphService::ListPoses(
       return status;
     }
     const std::weak_ptr<VehicleSession> loaded = *session;
-    (*session)->LongRead(FinishWith<VehicleView>(
+    (*session)->ReadStored(FinishWith<VehicleView>(
         call, [=, storage = context_.storage](const VehicleView& view) {
           const absl::Status status =
               ReadPoses(storage, view, *first, *page_size,
@@ -703,7 +730,11 @@ grpc::ServerUnaryReactor* PoseGraphService::AcceptDataLoss(
     (*session)->AcceptDataLoss(
         request->durable_sequence(),
         FinishWith<VehicleView>(call, [=](const VehicleView& view) {
-          EncodeVehicle(view, response->mutable_vehicle());
+          v1::Vehicle* const vehicle = response->mutable_vehicle();
+          EncodeVehicle(view, vehicle);
+          if (MayRead(*call, view.id)) return absl::OkStatus();
+          *vehicle = ToldToWriter(*vehicle);
+          vehicle->set_state(v1::VEHICLE_STATE_ACTIVE);
           return absl::OkStatus();
         }));
     return absl::OkStatus();

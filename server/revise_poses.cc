@@ -57,9 +57,21 @@ absl::StatusOr<std::vector<NumberedPose>> SortedPoses(
   return sorted;
 }
 
-// Reads the batches that hold the poses, and replaces these.
+absl::Status RevisionMismatch(const VehicleView& view, std::uint64_t expected) {
+  return Error(absl::StatusCode::kAborted, "REVISION_MISMATCH",
+               VehicleName(view.id) + " is at revision " +
+                   std::to_string(view.revision) + ", not " +
+                   std::to_string(expected),
+               {{"revision", std::to_string(view.revision)},
+                {"expected_revision", std::to_string(expected)}});
+}
+
+// Reads the batches that hold the poses, and replaces these. If `expected` is
+// not 0, it must be the revision of the vehicle, unless what follows from it is
+// there already: then the answer to an earlier call got lost.
 absl::StatusOr<RevisionPlan> Plan(Storage* storage, const VehicleView& view,
-                                  const std::vector<const v1::Pose*>& poses) {
+                                  const std::vector<const v1::Pose*>& poses,
+                                  std::uint64_t expected) {
   if (absl::Status status = CheckRevisedPoses(poses, view.config);
       !status.ok()) {
     return status;
@@ -81,6 +93,7 @@ absl::StatusOr<RevisionPlan> Plan(Storage* storage, const VehicleView& view,
   };
   RevisionPlan plan;
   plan.revised_count = static_cast<std::int64_t>(sorted->size());
+  bool is_done = expected != 0 && expected != view.revision;
   absl::Status failure;
   const absl::Status read = storage->ReadBatches(
       view.key, sorted->front().sequence, last, BatchVersion::kCurrent,
@@ -90,11 +103,19 @@ absl::StatusOr<RevisionPlan> Plan(Storage* storage, const VehicleView& view,
           failure = record.status();
           return false;
         }
-        if (*record) plan.batches.push_back(**std::move(record));
+        if (!*record) return true;
+        is_done = is_done && batch.revision == expected + 1 &&
+                  batch.payload == (*record)->payload;
+        plan.batches.push_back(**std::move(record));
         return true;
       });
   if (!read.ok()) return read;
   if (!failure.ok()) return failure;
+  if (is_done) {
+    plan.done_by = expected + 1;
+  } else if (expected != 0 && expected != view.revision) {
+    return RevisionMismatch(view, expected);
+  }
   return plan;
 }
 
@@ -243,19 +264,15 @@ class Revision final : public grpc::ServerReadReactor<Request>,
 
   absl::StatusOr<RevisionPlan> MakePlan(const VehicleView& view) {
     if (call_.given_up()) return call_.GivenUpStatus();
-    if (expected_revision_ != 0 && expected_revision_ != view.revision) {
-      return Error(absl::StatusCode::kAborted, "REVISION_MISMATCH",
-                   VehicleName(view.id) + " is at revision " +
-                       std::to_string(view.revision) + ", not " +
-                       std::to_string(expected_revision_),
-                   {{"revision", std::to_string(view.revision)},
-                    {"expected_revision", std::to_string(expected_revision_)}});
+    // Nothing can have been done from a revision that is still to come.
+    if (expected_revision_ > view.revision) {
+      return RevisionMismatch(view, expected_revision_);
     }
     std::vector<const v1::Pose*> poses;
     for (const Poses& message : messages_) {
       for (const v1::Pose& pose : message) poses.push_back(&pose);
     }
-    return Plan(context_.storage, view, poses);
+    return Plan(context_.storage, view, poses, expected_revision_);
   }
 
   // Nothing has changed yet if the poses are still coming.

@@ -38,17 +38,23 @@ bool MovesNodes(const core::EngineSettings& before,
 
 // Something that waits for its turn on the strand.
 struct Operation {
-  // Runs as soon as the vehicle is loaded, whatever else waits.
+  // Runs as soon as the vehicle is loaded, whatever else waits, but for a write
+  // that would show in the store before it shows in memory.
   bool is_read = false;
   // Runs only while no append is in flight.
   bool needs_quiet = false;
   // Called once, with OK to do it, or with what to answer instead.
   std::function<void(const absl::Status&)> run;
+  // Of a read: whether it reads the store too.
+  bool reads_store = false;
 };
 
 // An append from its staging to its last callback.
 struct PendingAppend {
   AppendRequest request;
+  // Of all that came, also where only a part is new.
+  std::uint64_t first_sequence = 0;
+  std::uint64_t last_sequence = 0;
   // Nothing until decoded. Samples and payload are those to write.
   std::optional<DecodedBatch> decoded;
   // Of the write, if there is one; 0 if not.
@@ -62,6 +68,7 @@ struct Replay {
   VehicleConfig config;
   std::uint64_t revision;
   std::unique_ptr<core::Engine> engine;
+  std::vector<core::Jump> jumps;
   std::uint64_t next_sequence = 1;
   // Stands for revisions until the last step: batches have each their own,
   // which do not grow with the sequence once some are revised.
@@ -129,6 +136,8 @@ struct VehicleSession::State
   VehicleKey key = 0;
   VehicleConfig config;
   std::unique_ptr<core::Engine> engine;
+  // Of the graph, by sequence.
+  std::vector<core::Jump> jumps;
   std::uint64_t durable_sequence = 0;
   std::uint64_t revision = 0;
   PosePairs loop_closures;
@@ -151,6 +160,10 @@ struct VehicleSession::State
   bool pumping = false;
   // Loading or changing: nothing but reads may run.
   bool exclusive = false;
+  // What is stored is, or may be at any moment, what the vehicle will be and is
+  // not yet: its poses, or that it is gone.
+  bool poses_are_ahead = false;
+  bool deleting = false;
   // The checks of an append that has landed are still to be run. What is in
   // flight behind it lands after them.
   bool checking = false;
@@ -253,7 +266,8 @@ struct VehicleSession::State
   }
 
   void Add(Operation operation) {
-    if (operation.is_read && (engine != nullptr || gone_status)) {
+    if (operation.is_read && (engine != nullptr || gone_status) &&
+        !MustWait(operation)) {
       operation.run(gone_status.value_or(absl::OkStatus()));
       return;
     }
@@ -266,13 +280,23 @@ struct VehicleSession::State
     if (pumping) return;
     pumping = true;
     while (!waiting.empty() && MayRun(waiting.front())) {
-      const Operation operation = std::move(waiting.front());
+      Operation operation = std::move(waiting.front());
       waiting.pop_front();
+      if (operation.reads_store && !gone_status) {
+        SubmitLong(std::move(operation));
+        continue;
+      }
       absl::Status status = gone_status.value_or(absl::OkStatus());
       if (status.ok() && !operation.is_read) status = ClearDoubt();
       operation.run(status);
     }
     pumping = false;
+  }
+
+  // Of a read: whether it could show what a later one does not.
+  bool MustWait(const Operation& operation) const {
+    return !gone_status &&
+           (deleting || (poses_are_ahead && operation.reads_store));
   }
 
   bool MayRun(const Operation& operation) const {
@@ -440,8 +464,10 @@ struct VehicleSession::State
     }
     Replay done = *std::move(replay);
     replay.reset();
+    poses_are_ahead = false;
     if (finished.ok()) {
       engine = std::move(done.engine);
+      jumps = std::move(done.jumps);
       Settled(done.config, done.revision);
     }
     NoteResidency();
@@ -464,7 +490,10 @@ struct VehicleSession::State
               decoding = decoded.status();
               return false;
             }
-            replay->engine->Append(decoded->samples, ++replay->steps);
+            const core::AppendResult applied =
+                replay->engine->Append(decoded->samples, ++replay->steps);
+            replay->jumps.insert(replay->jumps.end(), applied.jumps.begin(),
+                                 applied.jumps.end());
             replay->highest_revision =
                 std::max(replay->highest_revision, batch.revision);
             replay->next_sequence = batch.first_sequence + batch.count;
@@ -656,6 +685,8 @@ struct VehicleSession::State
     DecodedBatch& batch = *append->decoded;
     const std::uint64_t first = batch.samples.front().sequence;
     const std::uint64_t last = batch.samples.back().sequence;
+    append->first_sequence = first;
+    append->last_sequence = last;
     if (first > staged_sequence + 1) {
       const std::string expected = std::to_string(staged_sequence + 1);
       return Error(StatusCode::kFailedPrecondition, "SEQUENCE_GAP",
@@ -805,7 +836,7 @@ struct VehicleSession::State
           std::move(in_flight.front());
       in_flight.pop_front();
       if (append->revision == 0) {
-        Answer(append, *append->result, {});
+        Answer(append, *append->result);
       } else {
         Land(append);
       }
@@ -833,17 +864,18 @@ struct VehicleSession::State
       in_doubt = true;
     }
     if (!status.ok()) {
-      Answer(append, status, {});
+      Answer(append, status);
       return;
     }
     const std::vector<core::PoseSample>& samples = append->decoded->samples;
     core::AppendResult applied = engine->Append(samples, append->revision);
+    jumps.insert(jumps.end(), applied.jumps.begin(), applied.jumps.end());
     NoteResidency();
     durable_sequence = samples.back().sequence;
     revision = append->revision;
     if (!config.origin) config.origin = append->decoded->origin;
     const AppendRequest& request = append->request;
-    Answer(append, absl::OkStatus(), std::move(applied.jumps));
+    Answer(append, absl::OkStatus());
     if (!request.check || !request.callbacks.candidates ||
         applied.checks_due.empty()) {
       return;
@@ -874,15 +906,32 @@ struct VehicleSession::State
   }
 
   void Answer(const std::shared_ptr<PendingAppend>& append,
-              const absl::Status& status, std::vector<core::Jump> jumps) {
+              const absl::Status& status) {
     pending_appends.fetch_sub(1);
     const auto durable = std::move(append->request.callbacks.durable);
     if (!durable) return;
     if (!status.ok()) {
       durable(status);
     } else {
-      durable(Acknowledgement{durable_sequence, revision, std::move(jumps)});
+      durable(Acknowledgement{
+          durable_sequence, revision,
+          JumpsAt(append->first_sequence, append->last_sequence)});
     }
+  }
+
+  std::vector<core::Jump> JumpsAt(std::uint64_t first,
+                                  std::uint64_t last) const {
+    const auto begin =
+        std::lower_bound(jumps.begin(), jumps.end(), first,
+                         [](const core::Jump& jump, std::uint64_t sequence) {
+                           return jump.sequence < sequence;
+                         });
+    const auto end =
+        std::upper_bound(begin, jumps.end(), last,
+                         [](std::uint64_t sequence, const core::Jump& jump) {
+                           return sequence < jump.sequence;
+                         });
+    return {begin, end};
   }
 
   absl::Status Regressed(const std::string& what,
@@ -1134,6 +1183,10 @@ struct VehicleSession::State
       callback(plan.status());
       return;
     }
+    if (plan->done_by) {
+      callback(std::make_pair(*plan->done_by, plan->revised_count));
+      return;
+    }
     if (plan->batches.empty()) {
       callback(std::make_pair(revision, std::int64_t{0}));
       return;
@@ -1147,6 +1200,7 @@ struct VehicleSession::State
         callback(status);
       }
     };
+    poses_are_ahead = true;
     WriteAlone(
         [&](Storage::Done done) {
           storage->ReviseBatches(key, std::move(plan->batches), next,
@@ -1154,6 +1208,7 @@ struct VehicleSession::State
         },
         [this, next, answer](const absl::Status& status) {
           if (!status.ok()) {
+            poses_are_ahead = false;
             answer(status);
           } else {
             Rebuild(config, next, answer);
@@ -1256,11 +1311,13 @@ struct VehicleSession::State
   }
 
   void Delete(const std::function<void(absl::Status)>& callback) {
+    deleting = true;
     WriteAlone(
         [&](Storage::Done done) {
           storage->DeleteVehicle(key, std::move(done));
         },
         [this, callback](const absl::Status& status) {
+          deleting = false;
           if (status.ok() || absl::IsNotFound(status))
             Leave(VehicleNotFound(id));
           callback(status);
@@ -1290,6 +1347,13 @@ void VehicleSession::Read(
 void VehicleSession::LongRead(
     std::function<void(absl::StatusOr<VehicleView>)> callback) {
   state_->SubmitLong(state_->Reading(std::move(callback)));
+}
+
+void VehicleSession::ReadStored(
+    std::function<void(absl::StatusOr<VehicleView>)> callback) {
+  Operation reading = state_->Reading(std::move(callback));
+  reading.reads_store = true;
+  state_->SubmitLong(std::move(reading));
 }
 
 void VehicleSession::Append(AppendRequest request) {

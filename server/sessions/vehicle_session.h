@@ -147,6 +147,9 @@ struct RevisionPlan {
   // Batches with new payloads: first sequence and count as stored.
   std::vector<BatchRecord> batches;
   std::int64_t revised_count = 0;
+  // This revision has done the same before: it is answered again, and nothing
+  // is replaced.
+  std::optional<std::uint64_t> done_by;
 };
 
 class VehicleSession {
@@ -168,11 +171,16 @@ class VehicleSession {
   VehicleSession(const VehicleSession&) = delete;
   VehicleSession& operator=(const VehicleSession&) = delete;
 
-  // Reads at one revision: what is durable and applied.
+  // Reads at one revision: what is durable and applied. What a read has shown,
+  // all later ones show as well.
   void Read(std::function<void(absl::StatusOr<VehicleView>)> callback);
-  // The same for a callback that searches, or reads the store: it runs where
-  // long work does, and holds up this vehicle only.
+  // The same for a callback that searches: it runs where long work does, and
+  // holds up this vehicle only.
   void LongRead(std::function<void(absl::StatusOr<VehicleView>)> callback);
+  // The same for one that reads the store, as long work: it waits while what is
+  // stored is of another revision than the view, which is from when a revision
+  // is written until it is applied.
+  void ReadStored(std::function<void(absl::StatusOr<VehicleView>)> callback);
 
   // See AppendCallbacks. Poses that are stored already with the same content
   // are acknowledged again; errors: ALREADY_EXISTS (SEQUENCE_CONTENT_MISMATCH),
@@ -207,7 +215,7 @@ class VehicleSession {
 
   // Revises poses: `plan` reads what is stored and says what to replace, or
   // refuses. Answers the revision and the count of the plan; a plan without
-  // batches changes nothing.
+  // batches, or that was done before, changes nothing.
   void Revise(
       std::function<absl::StatusOr<RevisionPlan>(const VehicleView&)> plan,
       std::function<

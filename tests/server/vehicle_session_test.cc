@@ -133,14 +133,33 @@ TEST_F(VehicleSessionTest, AcknowledgesAndAppliesBatches) {
   EXPECT_EQ(memory_.GetVehicle("truck")->revision, 3u);
 }
 
-TEST_F(VehicleSessionTest, ReportsJumpsOnce) {
+// An acknowledgement that got lost is given again when the batch is, but it
+// lacked the jumps.
+TEST_F(VehicleSessionTest, ReportsJumpsOfResentBatchAgain) {
+  const auto jumps = [&](const std::string& batch) {
+    const auto ack = AppendNow(*session_, batch);
+    EXPECT_THAT(ack, IsOk());
+    std::vector<std::pair<std::uint64_t, double>> found;
+    for (const core::Jump& jump : ack->jumps) {
+      found.emplace_back(jump.sequence, jump.distance_meters);
+    }
+    return found;
+  };
+  const auto first = ElementsAre(std::pair(3u, 500.0));
+  const auto both =
+      ElementsAre(std::pair(3u, 500.0), std::pair(6u, 1000.0));
   const std::string batch = PlainBatch(1, {0, 1, 501, 502});
-  const auto ack = AppendNow(*session_, batch);
-  ASSERT_THAT(ack, IsOk());
-  ASSERT_EQ(ack->jumps.size(), 1u);
-  EXPECT_EQ(ack->jumps[0].sequence, 3u);
-  EXPECT_EQ(ack->jumps[0].distance_meters, 500.0);
-  EXPECT_THAT(AppendNow(*session_, batch)->jumps, IsEmpty());
+  EXPECT_THAT(jumps(batch), first);
+  for (int i = 0; i < 2; ++i) {
+    EXPECT_THAT(jumps(batch), first);
+    EXPECT_THAT(jumps(PlainBatch(3, {501})), first);
+    EXPECT_THAT(jumps(PlainBatch(4, {502})), IsEmpty());
+    Reload();
+  }
+  // Partly new.
+  EXPECT_THAT(jumps(PlainBatch(2, {1, 501, 502, 503, 1503})), both);
+  EXPECT_THAT(jumps(PlainBatch(4, {502, 503, 1503, 1504})),
+              ElementsAre(std::pair(6u, 1000.0)));
 }
 
 TEST_F(VehicleSessionTest, ShowsNothingBeforeItIsDurable) {
@@ -702,6 +721,72 @@ TEST_F(VehicleSessionTest, ShowsOldGraphUntilRevisionIsDurable) {
   storage_.ReleaseAll();
   ASSERT_THAT(revised.Get(), IsOk());
   EXPECT_NE(ReadNow(*session_)->graph, before.graph);
+}
+
+// New poses were read while the view was still of the old revision: later reads
+// went back in time.
+TEST_F(VehicleSessionTest, StoreIsReadAtTheRevisionOfTheView) {
+  for (std::uint64_t first = 1; first <= 7; first += 3) {
+    ASSERT_THAT(AppendNow(*session_, StraightBatch(first, 3)), IsOk());
+  }
+  const auto read_stored = [&] {
+    const Answer<absl::StatusOr<Snapshot>> answer;
+    session_->ReadStored(Taking(answer));
+    return answer;
+  };
+  EXPECT_EQ(read_stored().Get()->revision, 4u);
+  storage_.Hold();
+  const Answer<absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>> revised;
+  session_->Revise(ShiftSecondBatch, revised.Setter());
+  storage_.Await(1);
+  const auto stored = read_stored();
+  EXPECT_EQ(ReadNow(*session_)->revision, 4u);
+  EXPECT_FALSE(stored.IsSet());
+  storage_.ReleaseAll();
+  EXPECT_EQ(stored.Get()->revision, 5u);
+  // Nor does one that failed hold it up.
+  storage_.Hold();
+  session_->Revise(ShiftSecondBatch, [](const auto&) {});
+  storage_.FailOne(DeviceFailure());
+  EXPECT_EQ(read_stored().Get()->revision, 5u);
+  storage_.ReleaseAll();
+}
+
+TEST_F(VehicleSessionTest, DeletedVehicleIsNotReadOnceTheStoreIsWithoutIt) {
+  storage_.Hold();
+  const Answer<absl::Status> deleted;
+  session_->Delete(deleted.Setter());
+  storage_.Await(1);
+  const Answer<absl::StatusOr<Snapshot>> read;
+  session_->Read(Taking(read));
+  const Answer<absl::StatusOr<Snapshot>> behind;
+  session_->LongRead(Taking(behind));
+  EXPECT_FALSE(read.IsSet());
+  storage_.FailOne(DeviceFailure());
+  EXPECT_THAT(read.Get(), IsOk());
+  EXPECT_THAT(behind.Get(), IsOk());
+  const Answer<absl::Status> again;
+  session_->Delete(again.Setter());
+  storage_.Await(1);
+  const Answer<absl::StatusOr<Snapshot>> late;
+  session_->Read(Taking(late));
+  storage_.ReleaseAll();
+  EXPECT_THAT(late.Get(),
+              IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
+}
+
+TEST_F(VehicleSessionTest, RevisionThatWasDoneBeforeIsAnsweredAgain) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  const auto revised = ReviseNow(*session_, [](const VehicleView&) {
+    RevisionPlan plan;
+    plan.batches.push_back({1, 9, 0, StraightBatch(1, 9)});
+    plan.revised_count = 4;
+    plan.done_by = 2;
+    return plan;
+  });
+  ASSERT_THAT(revised, IsOk());
+  EXPECT_EQ(*revised, std::pair(std::uint64_t{2}, std::int64_t{4}));
+  EXPECT_EQ(ReadNow(*session_)->revision, 2u);
 }
 
 TEST_F(VehicleSessionTest, LoadsAnewIfRevisedPosesCannotBeRead) {
