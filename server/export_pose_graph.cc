@@ -75,6 +75,7 @@ class Export final : public grpc::ServerWriteReactor<Response>,
       return;
     }
     graph_ = view->engine.graph();
+    damage_ = view->damage;
     space_ = view->config.engine.state_space;
     loop_edges_ = graph_.LoopEdges();
     EncodeVehicle(*view, message_.mutable_vehicle());
@@ -101,7 +102,8 @@ class Export final : public grpc::ServerWriteReactor<Response>,
     if (something) {
       StartWrite(&message_);
     } else {
-      Finish(call_.End(absl::OkStatus()));
+      // Behind all that is sound comes what is wrong with the rest.
+      Finish(call_.End(damage_));
     }
   }
 
@@ -138,6 +140,8 @@ class Export final : public grpc::ServerWriteReactor<Response>,
   std::shared_ptr<Export> self_;
 
   core::PoseGraph graph_;
+  // See VehicleView.
+  absl::Status damage_;
   core::StateSpace space_ = core::StateSpace::kPlanar;
   std::vector<std::pair<core::NodeIndex, core::NodeIndex>> loop_edges_;
   core::NodeIndex next_node_ = 0;

@@ -22,6 +22,7 @@
 #include "server/sessions/executor.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
+#include "server/sessions/vehicle_uid.h"
 #include "server/status.h"
 #include "server/storage/storage.h"
 #include "server/stream_poses.h"
@@ -139,11 +140,7 @@ absl::Status ListStored(Storage* storage, const Caller& caller,
           response->set_next_page_token(MakePageToken(list, last));
           return absl::OkStatus();
         }
-        if (absl::Status status =
-                EncodeVehicle(record, response->add_vehicles());
-            !status.ok()) {
-          return status;
-        }
+        EncodeVehicle(record, response->add_vehicles());
         last = record.id;
       }
       if (!past) place = records->back().id;
@@ -163,12 +160,32 @@ void FillFromMemory(Fleet* fleet, const UnaryCallPtr& call,
     const std::string id = vehicle.name().substr(VehicleName("").size());
     const auto session = fleet->SessionIfLoaded(id);
     if (session == nullptr) continue;
-    session->Read([finish, &vehicle](const absl::StatusOr<VehicleView>& view) {
+    session->Read([finish, session = std::weak_ptr<VehicleSession>(session),
+                   &vehicle](const absl::StatusOr<VehicleView>& view) {
       // It may have been deleted or unloaded meanwhile: then what was stored
       // stands.
-      if (view.ok()) EncodeVehicle(*view, &vehicle);
+      if (!view.ok()) return;
+      if (vehicle.state() == v1::VEHICLE_STATE_DAMAGED && view->damage.ok()) {
+        if (const auto loaded = session.lock()) loaded->LoadAnew();
+        return;
+      }
+      vehicle.Clear();
+      EncodeVehicle(*view, &vehicle);
     });
   }
+}
+
+// What a caller is told of a vehicle that it changed but may not read: which
+// one it is, and the settings that it named itself.
+v1::Vehicle ToldToWriter(const v1::Vehicle& vehicle) {
+  v1::Vehicle told;
+  told.set_name(vehicle.name());
+  told.set_uid(vehicle.uid());
+  return told;
+}
+
+bool MayRead(const UnaryCall& call, const std::string& vehicle_id) {
+  return call.caller().May(Verb::kRead, vehicle_id);
 }
 
 // Key of the last element of a page of poses.
@@ -194,13 +211,14 @@ absl::Status CheckReadMask(const google::protobuf::FieldMask& mask) {
   return violations.ToStatus();
 }
 
-// Fills a page with the poses from `first` on.
+// Fills a page with the poses from `first` on. Where they are damaged, a page
+// ends before the damage, and the next one begins with it: DATA_LOSS.
 absl::Status ReadPoses(Storage* storage, const VehicleView& view,
                        std::uint64_t first, int page_size,
                        const google::protobuf::FieldMask& mask,
                        const std::string& list,
                        v1::ListPosesResponse* response) {
-  if (first > view.durable_sequence) return absl::OkStatus();
+  if (first > view.durable_sequence) return view.damage;
   const std::uint64_t last = std::min(
       view.durable_sequence, first + static_cast<std::uint64_t>(page_size) - 1);
   std::uint64_t last_taken = 0;
@@ -220,9 +238,11 @@ absl::Status ReadPoses(Storage* storage, const VehicleView& view,
         });
         return parsed.ok() && bytes <= kMaxPageBytes;
       });
-  if (!read.ok()) return read;
-  if (!parsed.ok()) return parsed;
-  if (last_taken < view.durable_sequence) {
+  const absl::Status& failure = read.ok() ? parsed : read;
+  if (!failure.ok() && !(absl::IsDataLoss(failure) && last_taken > 0)) {
+    return failure;
+  }
+  if (last_taken < view.durable_sequence || !view.damage.ok()) {
     response->set_next_page_token(
         MakePageToken(list, std::to_string(last_taken)));
   }
@@ -257,6 +277,8 @@ absl::Status Find(const UnaryCall& call, const Limits& limits,
                   v1::FindCandidatesResponse* response) {
   // It may have waited long behind other work.
   if (call.given_up()) return call.GivenUpStatus();
+  // What the history lacks would not be found, and nobody would know.
+  if (!view.damage.ok()) return view.damage;
   absl::StatusOr<core::SearchOptions> options = DecodeCandidateOptions(
       request.options(), view.config, kRequest.Field("options"));
   if (!options.ok()) return options.status();
@@ -326,22 +348,20 @@ absl::Status ListPairs(const ServiceContext& context, const UnaryCallPtr& call,
   const absl::StatusOr<std::string> after =
       ParsePageToken(list, request.page_token());
   if (!after.ok()) return after.status();
-  (*session)->LongRead(FinishWith<VehicleView>(
-      call, [=, storage = context.storage](const VehicleView& view) {
-        const auto records =
-            storage->ListPosePairs(view.key, kind, *after, *page_size + 1);
-        if (!records.ok()) return records.status();
-        std::string last;
-        for (const PosePairRecord& record : *records) {
-          if (page->size() == *page_size) {
-            response->set_next_page_token(MakePageToken(list, last));
-            break;
-          }
-          EncodePosePair(view.id, record, page->Add());
-          last = record.id;
-        }
-        return absl::OkStatus();
-      }));
+  (*session)->Read(FinishWith<VehicleView>(call, [=](const VehicleView& view) {
+    const PosePairs& pairs = view.pairs(kind);
+    auto next = pairs.upper_bound(*after);
+    std::string last;
+    for (; next != pairs.end() && page->size() < *page_size; ++next) {
+      EncodePosePair(view.id, next->second, page->Add());
+      last = next->first;
+    }
+    if (next == pairs.end() && view.damage.ok()) return absl::OkStatus();
+    // Behind those that are sound comes what is wrong with the others.
+    if (last.empty()) return view.damage;
+    response->set_next_page_token(MakePageToken(list, last));
+    return absl::OkStatus();
+  }));
   return absl::OkStatus();
 }
 
@@ -397,12 +417,18 @@ grpc::ServerUnaryReactor* PoseGraphService::CreateVehicle(
                        kRequest.Field("vehicle").Field("settings"));
     if (!config.ok()) return config.status();
     config->create_time_ns = NowNanoseconds();
-    const auto encode = [response](const VehicleView& view) {
-      EncodeVehicle(view, response->mutable_vehicle());
-      return absl::OkStatus();
-    };
+    config->uid = NewVehicleUid();
     Fleet* const fleet = context_.fleet;
     const VehicleConfig requested = *config;
+    const auto encode = [=](const VehicleView& view) {
+      v1::Vehicle* const vehicle = response->mutable_vehicle();
+      EncodeVehicle(view, vehicle);
+      if (!MayRead(*call, view.id)) {
+        *vehicle = ToldToWriter(*vehicle);
+        EncodeSettings(requested, vehicle->mutable_settings());
+      }
+      return absl::OkStatus();
+    };
     fleet->Create(id, requested, [=](absl::StatusOr<VehicleView> created) {
       if (!absl::IsAlreadyExists(created.status())) {
         FinishWith<VehicleView>(call, encode)(std::move(created));
@@ -410,7 +436,9 @@ grpc::ServerUnaryReactor* PoseGraphService::CreateVehicle(
       }
       fleet->Session(request->vehicle_id())
           ->Read(FinishWith<VehicleView>(call, [=](const VehicleView& view) {
-            if (SameSettings(view.config, requested)) return encode(view);
+            if (view.config_is_known && SameSettings(view.config, requested)) {
+              return encode(view);
+            }
             return Error(absl::StatusCode::kAlreadyExists, "VEHICLE_EXISTS",
                          VehicleName(view.id) +
                              " exists with other settings; change them with "
@@ -478,7 +506,16 @@ grpc::ServerUnaryReactor* PoseGraphService::UpdateVehicle(
                                 request->update_mask());
         },
         FinishWith<VehicleView>(call, [=](const VehicleView& view) {
-          EncodeVehicle(view, response->mutable_vehicle());
+          v1::Vehicle* const answer = response->mutable_vehicle();
+          EncodeVehicle(view, answer);
+          if (MayRead(*call, view.id)) return absl::OkStatus();
+          const v1::Vehicle whole = *answer;
+          FieldMaskUtil::TrimMessage(request->update_mask(), answer);
+          // Left out, it may be that of the first pose.
+          if (!request->vehicle().settings().has_geodetic_origin()) {
+            answer->mutable_settings()->clear_geodetic_origin();
+          }
+          answer->MergeFrom(ToldToWriter(whole));
           return absl::OkStatus();
         }));
     return absl::OkStatus();
@@ -508,6 +545,11 @@ grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
     const auto session = SessionOf(context_, request->vehicle(),
                                    kRequest.Field("vehicle"), call.get());
     if (!session.ok()) return session.status();
+    if (absl::Status status = CheckUid(request->vehicle_uid(),
+                                       kRequest.Field("vehicle_uid"));
+        !status.ok()) {
+      return status;
+    }
     const absl::StatusOr<Permit> room =
         call->AdmitBatch(request->ByteSizeLong());
     if (!room.ok()) return room.status();
@@ -517,6 +559,12 @@ grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
             const VehicleConfig& config) -> absl::StatusOr<DecodedBatch> {
       // It may have waited long.
       if (call->given_up()) return call->GivenUpStatus();
+      if (absl::Status meant =
+              CheckMeant(request->vehicle().substr(VehicleName("").size()),
+                         config, request->vehicle_uid());
+          !meant.ok()) {
+        return meant;
+      }
       return DecodeBatch(request->poses(), max_poses, config, kRequest);
     };
     append.should_stop = [] { return false; };
@@ -649,10 +697,17 @@ grpc::ServerUnaryReactor* PoseGraphService::ListPoses(
         !status.ok()) {
       return status;
     }
-    (*session)->LongRead(FinishWith<VehicleView>(
+    const std::weak_ptr<VehicleSession> loaded = *session;
+    (*session)->ReadStored(FinishWith<VehicleView>(
         call, [=, storage = context_.storage](const VehicleView& view) {
-          return ReadPoses(storage, view, *first, *page_size,
-                           request->read_mask(), list, response);
+          const absl::Status status =
+              ReadPoses(storage, view, *first, *page_size,
+                        request->read_mask(), list, response);
+          const auto still_there = loaded.lock();
+          if (absl::IsDataLoss(status) && still_there != nullptr) {
+            still_there->LoadAnew();
+          }
+          return status;
         }));
     return absl::OkStatus();
   });
@@ -675,7 +730,11 @@ grpc::ServerUnaryReactor* PoseGraphService::AcceptDataLoss(
     (*session)->AcceptDataLoss(
         request->durable_sequence(),
         FinishWith<VehicleView>(call, [=](const VehicleView& view) {
-          EncodeVehicle(view, response->mutable_vehicle());
+          v1::Vehicle* const vehicle = response->mutable_vehicle();
+          EncodeVehicle(view, vehicle);
+          if (MayRead(*call, view.id)) return absl::OkStatus();
+          *vehicle = ToldToWriter(*vehicle);
+          vehicle->set_state(v1::VEHICLE_STATE_ACTIVE);
           return absl::OkStatus();
         }));
     return absl::OkStatus();

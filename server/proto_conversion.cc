@@ -14,6 +14,7 @@
 #include "core/number_text.h"
 #include "google/protobuf/io/coded_stream.h"
 #include "google/protobuf/timestamp.pb.h"
+#include "server/sessions/vehicle_uid.h"
 #include "server/status.h"
 
 namespace revisit::server {
@@ -1010,6 +1011,14 @@ absl::Status CheckId(const std::string& id, const FieldPath& path) {
                           "hyphens, with no hyphen at either end");
 }
 
+absl::Status CheckUid(const std::string& uid, const FieldPath& path) {
+  if (uid.empty() || IsUuid(uid)) return absl::OkStatus();
+  return InvalidField(kInvalidField, path,
+                      "got " + Quoted(uid) +
+                          "; a uid is 8-4-4-4-12 hexadecimal digits in lower "
+                          "case, as Vehicle.uid has it");
+}
+
 absl::StatusOr<std::string> ParseVehicleName(const std::string& name,
                                              const FieldPath& path) {
   const std::string collection = "vehicles/";
@@ -1145,6 +1154,7 @@ absl::StatusOr<VehicleConfig> UpdateSettings(
   if (!updated.ok()) return updated.status();
   updated->create_time_ns = current.create_time_ns;
   updated->data_loss = current.data_loss;
+  updated->uid = current.uid;
   if (!has_poses) return updated;
 
   const auto filter = [](const VehicleConfig& config) {
@@ -1185,33 +1195,38 @@ void EncodeConfig(const VehicleConfig& config, v1::Vehicle* vehicle) {
   vehicle->set_state(config.data_loss ? v1::VEHICLE_STATE_DATA_LOSS
                                       : v1::VEHICLE_STATE_ACTIVE);
   EncodeTime(config.create_time_ns, vehicle->mutable_create_time());
+  vehicle->set_uid(config.uid);
 }
 
 }  // namespace
 
 void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle) {
   vehicle->set_name(VehicleName(view.id));
-  EncodeConfig(view.config, vehicle);
+  if (view.config_is_known) EncodeConfig(view.config, vehicle);
+  if (!view.damage.ok()) vehicle->set_state(v1::VEHICLE_STATE_DAMAGED);
   vehicle->set_durable_sequence(view.durable_sequence);
   vehicle->set_revision(view.revision);
   vehicle->set_node_count(view.engine.graph().size());
   vehicle->set_loop_closure_count(view.loop_closure_count);
   vehicle->set_travelled_meters(view.engine.travelled_meters());
+  if (!view.config_is_known) return;
   EncodeConsistency(view.engine.consistency(),
                     view.config.engine.apply_inflation,
                     vehicle->mutable_consistency());
 }
 
-absl::Status EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle) {
+void EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle) {
   const absl::StatusOr<VehicleConfig> config =
-      ProtoRecordCodec().DecodeVehicle(record.payload);
-  if (!config.ok()) return config.status();
+      ProtoRecordCodec().DecodeVehicle(record);
   vehicle->set_name(VehicleName(record.id));
-  EncodeConfig(*config, vehicle);
-  vehicle->set_durable_sequence(record.durable_sequence);
+  if (config.ok()) EncodeConfig(*config, vehicle);
   vehicle->set_revision(record.revision);
+  if (!config.ok() || !record.damage.ok()) {
+    vehicle->set_state(v1::VEHICLE_STATE_DAMAGED);
+    return;
+  }
+  vehicle->set_durable_sequence(record.durable_sequence);
   vehicle->set_loop_closure_count(record.loop_closure_count);
-  return absl::OkStatus();
 }
 
 absl::StatusOr<core::SearchOptions> DecodeCandidateOptions(
@@ -1310,9 +1325,9 @@ std::string ProtoRecordCodec::EncodeVehicle(const VehicleConfig& config) const {
 }
 
 absl::StatusOr<VehicleConfig> ProtoRecordCodec::DecodeVehicle(
-    const std::string& payload) const {
+    const VehicleRecord& record) const {
   v1::Vehicle vehicle;
-  if (!vehicle.ParseFromString(payload)) {
+  if (!vehicle.ParseFromString(record.payload)) {
     return Corrupt("a stored vehicle is not a Vehicle");
   }
   absl::StatusOr<VehicleConfig> config =
@@ -1328,6 +1343,10 @@ absl::StatusOr<VehicleConfig> ProtoRecordCodec::DecodeVehicle(
   }
   config->create_time_ns = ToNanoseconds(vehicle.create_time());
   config->data_loss = vehicle.state() == v1::VEHICLE_STATE_DATA_LOSS;
+  config->uid = vehicle.uid().empty()
+                    ? DerivedVehicleUid(record.key, record.id,
+                                        config->create_time_ns)
+                    : vehicle.uid();
   return config;
 }
 

@@ -62,6 +62,10 @@ absl::Status CheckId(const std::string& id, const FieldPath& path);
 absl::StatusOr<std::string> ParseVehicleName(const std::string& name,
                                              const FieldPath& path);
 
+// INVALID_ARGUMENT (INVALID_FIELD) unless the uid of a vehicle is empty or one
+// that a vehicle may have.
+absl::Status CheckUid(const std::string& uid, const FieldPath& path);
+
 struct PosePairName {
   std::string vehicle_id;
   std::string id;
@@ -74,7 +78,8 @@ absl::StatusOr<PosePairName> ParsePosePairName(PairKind kind,
 
 // ---- Vehicles and their settings
 
-// Fields left out take their defaults. State and creation time are left alone.
+// Fields left out take their defaults. State, uid and creation time are left
+// alone.
 absl::StatusOr<VehicleConfig> DecodeSettings(
     const v1::VehicleSettings& settings, const FieldPath& path);
 void EncodeSettings(const VehicleConfig& config, v1::VehicleSettings* settings);
@@ -92,9 +97,8 @@ bool SameSettings(const VehicleConfig& existing,
                   const VehicleConfig& requested);
 
 void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle);
-// What is stored of a vehicle that is not in memory. DATA_LOSS if it cannot be
-// read.
-absl::Status EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle);
+// What is stored of a vehicle that is not in memory.
+void EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle);
 
 // The vehicle's own search with what the options change.
 absl::StatusOr<core::SearchOptions> DecodeCandidateOptions(
@@ -132,14 +136,14 @@ absl::Status VisitPoses(const BatchRecord& stored,
                         const std::function<bool(v1::Pose*)>& visit);
 
 // The bytes in the store: a vehicle is a serialized revisit.v1.Vehicle with
-// settings, state and creation time; a batch is a serialized
+// settings, state, uid and creation time; a batch is a serialized
 // revisit.v1.PoseBatch. The fingerprint of a pose is the XXH3-64 of its
 // serialized message.
 class ProtoRecordCodec : public RecordCodec {
  public:
   std::string EncodeVehicle(const VehicleConfig& config) const override;
   absl::StatusOr<VehicleConfig> DecodeVehicle(
-      const std::string& payload) const override;
+      const VehicleRecord& record) const override;
   absl::StatusOr<DecodedBatch> DecodeBatch(
       const std::string& payload, const VehicleConfig& config) const override;
   absl::StatusOr<std::string> SliceBatch(const std::string& payload,

@@ -26,9 +26,19 @@ namespace {
 
 using Request = v1::RevisePosesRequest;
 
-// Puts the batch into the draft as its poses change it, if they do.
-absl::Status Revise(const BatchRecord& batch, const VehicleConfig& config,
-                    RevisionDraft* draft) {
+absl::Status RevisionMismatch(const VehicleView& view, std::uint64_t expected) {
+  return Error(absl::StatusCode::kAborted, "REVISION_MISMATCH",
+               VehicleName(view.id) + " is at revision " +
+                   std::to_string(view.revision) + ", not " +
+                   std::to_string(expected),
+               {{"revision", std::to_string(view.revision)},
+                {"expected_revision", std::to_string(expected)}});
+}
+
+// The batch as the poses of the draft change it; nothing if they do not.
+absl::StatusOr<std::optional<BatchRecord>> Revise(const BatchRecord& batch,
+                                                  const VehicleConfig& config,
+                                                  RevisionDraft* draft) {
   std::vector<v1::Pose> poses(batch.count);
   std::vector<bool> named(batch.count, false);
   const std::uint64_t first = batch.first_sequence;
@@ -43,33 +53,49 @@ absl::Status Revise(const BatchRecord& batch, const VehicleConfig& config,
                            "a pose of a revision cannot be read again");
       });
   if (!read.ok()) return read;
-  const auto revised =
-      ReviseBatch(batch, config, [&](std::uint64_t sequence) {
-        const std::size_t place = sequence - first;
-        const bool found = place < named.size() && named[place];
-        return found ? &poses[place] : nullptr;
-      });
-  if (!revised.ok()) return revised.status();
-  return *revised ? draft->AddBatch(**revised) : absl::OkStatus();
+  return ReviseBatch(batch, config, [&](std::uint64_t sequence) {
+    const std::size_t place = sequence - first;
+    const bool found = place < named.size() && named[place];
+    return found ? &poses[place] : nullptr;
+  });
 }
 
-// Reads the batches that hold the poses of the draft, and replaces these.
+// Reads the batches that hold the poses of the draft, and replaces these. If
+// `expected` is not 0, it must be the revision of the vehicle, unless what
+// follows from it is there already: then the answer to an earlier call got
+// lost.
 absl::StatusOr<RevisionPlan> Plan(Storage* storage, const VehicleView& view,
                                   const std::shared_ptr<RevisionDraft>& draft,
-                                  const Call& call) {
+                                  std::uint64_t expected, const Call& call) {
+  bool is_done = expected != 0 && expected != view.revision;
   absl::Status failure;
   const absl::Status read = storage->ReadBatches(
       view.key, draft->first_sequence(), draft->last_sequence(),
       BatchVersion::kCurrent, [&](const BatchRecord& batch) {
-        failure = call.given_up() ? call.GivenUpStatus()
-                                  : Revise(batch, view.config, draft.get());
+        if (call.given_up()) {
+          failure = call.GivenUpStatus();
+          return false;
+        }
+        const auto revised = Revise(batch, view.config, draft.get());
+        if (!revised.ok()) {
+          failure = revised.status();
+          return false;
+        }
+        if (!*revised) return true;
+        is_done = is_done && batch.revision == expected + 1 &&
+                  batch.payload == (*revised)->payload;
+        failure = draft->AddBatch(**revised);
         return failure.ok();
       });
   if (!read.ok()) return read;
   if (!failure.ok()) return failure;
   RevisionPlan plan;
   plan.revised_count = draft->pose_count();
-  if (draft->has_batches()) {
+  if (is_done) {
+    plan.done_by = expected + 1;
+  } else if (expected != 0 && expected != view.revision) {
+    return RevisionMismatch(view, expected);
+  } else if (draft->has_batches()) {
     plan.batches =
         [draft](const std::function<absl::Status(const BatchRecord&)>& take) {
           return draft->ReadBatches(take);
@@ -202,7 +228,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
   // The state space and the frame of a vehicle with poses are fixed, so what is
   // valid now will be when all have come.
   absl::Status Draft(const VehicleView& view) {
-    if (absl::Status status = CheckExpected(view); !status.ok()) return status;
+    if (absl::Status status = CheckNotAhead(view); !status.ok()) return status;
     const Poses& poses = request_.poses();
     if (poses.empty()) return absl::OkStatus();
     DropUnknownFields(request_.mutable_poses());
@@ -271,24 +297,20 @@ class Revision final : public grpc::ServerReadReactor<Request>,
     return absl::OkStatus();
   }
 
-  absl::Status CheckExpected(const VehicleView& view) const {
+  // Nothing can have been done from a revision that is still to come; whether
+  // it was done from one that is past is known once all poses are there.
+  absl::Status CheckNotAhead(const VehicleView& view) const {
     if (call_.given_up()) return call_.GivenUpStatus();
-    if (expected_revision_ == 0 || expected_revision_ == view.revision) {
-      return absl::OkStatus();
-    }
-    return Error(absl::StatusCode::kAborted, "REVISION_MISMATCH",
-                 VehicleName(view.id) + " is at revision " +
-                     std::to_string(view.revision) + ", not " +
-                     std::to_string(expected_revision_),
-                 {{"revision", std::to_string(view.revision)},
-                  {"expected_revision", std::to_string(expected_revision_)}});
+    return expected_revision_ > view.revision
+               ? RevisionMismatch(view, expected_revision_)
+               : absl::OkStatus();
   }
 
   absl::StatusOr<RevisionPlan> MakePlan(const VehicleView& view) {
+    if (absl::Status status = CheckNotAhead(view); !status.ok()) return status;
     // The draft goes with the plan.
     const std::shared_ptr<RevisionDraft> draft = std::move(draft_);
-    if (absl::Status status = CheckExpected(view); !status.ok()) return status;
-    return Plan(context_.storage, view, draft, call_);
+    return Plan(context_.storage, view, draft, expected_revision_, call_);
   }
 
   void OnRevised(

@@ -179,6 +179,12 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
                             "; allowed is [0, 9223372036854775807]"));
       return;
     }
+    if (absl::Status status =
+            CheckUid(open.vehicle_uid(), path.Field("vehicle_uid"));
+        !status.ok()) {
+      Fail(status);
+      return;
+    }
     {
       const MutexLock lock(&mutex_);
       absl::Status allowed = call_.ChooseVehicle(*id);
@@ -201,7 +207,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       session_ = session;
     }
     session->CheckAcknowledged(
-        open.acked_sequence(),
+        open.acked_sequence(), open.vehicle_uid(),
         [self = shared_from_this()](const absl::StatusOr<VehicleView>& view) {
           self->OnChecked(view);
         });
@@ -232,6 +238,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     opened->set_durable_sequence(view->durable_sequence);
     opened->set_revision(view->revision);
     opened->set_max_batch_poses(context_.limits.max_batch_poses);
+    opened->set_vehicle_uid(view->config.uid);
     const MutexLock lock(&mutex_);
     handling_ = false;
     queue_.push_back({{}, std::move(response)});

@@ -597,6 +597,12 @@ class Program {
                      "less, it answers DATA_LOSS")
         ->type_name("N")
         ->transform(WholeNumber(0, kMaxSequence));
+    command
+        ->add_option("--vehicle-uid", stream_.vehicle_uid,
+                     "Uid of the vehicle that is meant; another one of its name "
+                     "is refused, and with it --acked-sequence proves a loss to "
+                     "the server, which then refuses writes until accept-loss")
+        ->type_name("UID");
     AddDouble({command}, "--give-up-after", "S", &give_up_seconds_,
               "Seconds without progress; 0 tries for ever");
     AddUncertainty(command, &stream_.uncertainty);

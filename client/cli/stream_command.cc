@@ -102,6 +102,12 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
   PoseStreamOptions stream_options;
   stream_options.batch_poses = options.batch_poses;
   stream_options.acked_sequence = options.acked_sequence;
+  stream_options.vehicle_uid = options.vehicle_uid;
+  // What is claimed without a uid may be of an earlier vehicle of this name:
+  // the one that is there now must not answer for it.
+  if (options.vehicle_uid.empty() && options.acked_sequence == 0) {
+    stream_options.vehicle_uid = vehicle->uid();
+  }
   stream_options.send_candidates = options.candidates;
   stream_options.give_up_after = options.give_up_after;
   PoseStreamCallbacks callbacks;
@@ -159,6 +165,7 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
   if (console.json) {
     nlohmann::ordered_json json;
     json["vehicle"] = vehicle->name();
+    json["vehicleUid"] = stream.vehicle_uid();
     json["poses"] = drive->samples.size();
     json["alreadyDurable"] = *durable;
     json["durableSequence"] = stream.acked_sequence();
@@ -172,6 +179,7 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
   }
   std::vector<std::pair<std::string, std::string>> fields = {
       {"vehicle", vehicle->name()},
+      {"vehicle uid", stream.vehicle_uid()},
       {"already durable", std::to_string(*durable)},
       {"streamed",
        std::to_string(sent) + " poses in " + Fixed(seconds, 2) + " s, " +

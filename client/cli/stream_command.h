@@ -31,6 +31,8 @@ struct StreamOptions {
   int batch_poses = 64;
   // Highest sequence that the caller knows to be durable; 0 for no record.
   std::uint64_t acked_sequence = 0;
+  // Of the vehicle that this was told of; empty for whichever has the name.
+  std::string vehicle_uid;
   // Prints the candidates of each check that falls due.
   bool candidates = false;
   std::optional<std::chrono::milliseconds> give_up_after;

@@ -19,6 +19,13 @@ std::string Text(const v1::PlaceTolerance& tolerance) {
          Fixed(tolerance.heading_radians(), 4) + " rad";
 }
 
+// Of a damaged vehicle it may be lost.
+std::string CreateTime(const v1::Vehicle& vehicle) {
+  return vehicle.has_create_time() ? google::protobuf::util::TimeUtil::ToString(
+                                         vehicle.create_time())
+                                   : "unknown";
+}
+
 void AddConsistency(const v1::Consistency& consistency, Fields* fields) {
   fields->emplace_back(
       "verified",
@@ -52,9 +59,9 @@ void PrintVehicle(const v1::Vehicle& vehicle, const Console& console) {
   const v1::VehicleSettings& settings = vehicle.settings();
   Fields fields = {
       {"name", vehicle.name()},
+      {"uid", vehicle.uid()},
       {"state", NameOf(vehicle.state())},
-      {"created",
-       google::protobuf::util::TimeUtil::ToString(vehicle.create_time())},
+      {"created", CreateTime(vehicle)},
       {"durable poses", std::to_string(vehicle.durable_sequence())},
       {"revision", std::to_string(vehicle.revision())},
       {"nodes", std::to_string(vehicle.node_count())},
@@ -167,7 +174,7 @@ absl::Status RunVehicleList(const Client& client, const Console& console) {
          std::to_string(vehicle.loop_closure_count()),
          NameOf(vehicle.settings().state_space()),
          NameOf(vehicle.settings().correlation_model()),
-         google::protobuf::util::TimeUtil::ToString(vehicle.create_time())});
+         CreateTime(vehicle)});
   }
   table.Print(console.out);
   return absl::OkStatus();

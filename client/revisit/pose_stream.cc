@@ -47,7 +47,8 @@ struct PoseStream::Rep {
         vehicle(vehicle_name),
         options(stream_options),
         callbacks(stream_callbacks),
-        acked_sequence(stream_options.acked_sequence) {}
+        acked_sequence(stream_options.acked_sequence),
+        vehicle_uid(stream_options.vehicle_uid) {}
 
   void Run();
   // Holds one connection until it is over. OK if the server ended it in answer
@@ -101,6 +102,8 @@ struct PoseStream::Rep {
   // it.
   std::uint64_t last_sent_sequence ABSL_GUARDED_BY(mutex) = 0;
   std::uint64_t acked_sequence ABSL_GUARDED_BY(mutex);
+  // Empty until it is known.
+  std::string vehicle_uid ABSL_GUARDED_BY(mutex);
   std::optional<std::uint64_t> first_durable_sequence ABSL_GUARDED_BY(mutex);
   int reconnects ABSL_GUARDED_BY(mutex) = 0;
   bool finishing ABSL_GUARDED_BY(mutex) = false;
@@ -205,6 +208,8 @@ class PoseStream::Connection final
   bool Open(const v1::StreamPosesOpened& message)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(rep_->mutex) {
     const std::uint64_t durable = message.durable_sequence();
+    // Before anything is taken for durable because this one has its sequence.
+    if (!IsMeant(message)) return false;
     if (durable < rep_->acked_sequence) {
       rep_->own_verdict = absl::DataLossError(
           "the server has poses up to sequence " + std::to_string(durable) +
@@ -224,6 +229,18 @@ class PoseStream::Connection final
     const bool resumed = rep_->first_durable_sequence.has_value();
     if (!resumed) rep_->first_durable_sequence = durable;
     return resumed;
+  }
+
+  // Whether the vehicle is still the one that the stream began with.
+  bool IsMeant(const v1::StreamPosesOpened& message)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(rep_->mutex) {
+    if (rep_->vehicle_uid.empty()) rep_->vehicle_uid = message.vehicle_uid();
+    if (rep_->vehicle_uid == message.vehicle_uid()) return true;
+    rep_->own_verdict = absl::FailedPreconditionError(
+        rep_->vehicle + " has the uid " + message.vehicle_uid() +
+        ", but the stream began with " + rep_->vehicle_uid +
+        ": it was deleted and made again");
+    return false;
   }
 
   Rep* const rep_;
@@ -305,6 +322,7 @@ absl::Status PoseStream::Rep::RunConnection() {
   v1::StreamPosesOpen* open = connection.request()->mutable_open();
   open->set_vehicle(vehicle);
   open->set_acked_sequence(acked_sequence);
+  open->set_vehicle_uid(vehicle_uid);
   open->set_send_candidates(options.send_candidates);
   if (options.send_candidates) {
     *open->mutable_candidate_options() = options.candidate_options;
@@ -474,6 +492,11 @@ void PoseStream::Cancel() {
 std::uint64_t PoseStream::acked_sequence() const {
   const MutexLock lock(&rep_->mutex);
   return rep_->acked_sequence;
+}
+
+std::string PoseStream::vehicle_uid() const {
+  const MutexLock lock(&rep_->mutex);
+  return rep_->vehicle_uid;
 }
 
 int PoseStream::reconnects() const {

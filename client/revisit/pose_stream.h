@@ -21,7 +21,9 @@
 // connection reads it anew (channel.h). Any other status ends the stream, among
 // them DATA_LOSS (the server has less
 // than was acknowledged), ALREADY_EXISTS (a sequence is stored with other
-// content), FAILED_PRECONDITION (a gap), INVALID_ARGUMENT and NOT_FOUND.
+// content), FAILED_PRECONDITION (a gap, or the vehicle was deleted and made
+// again under the stream: VEHICLE_REPLACED, with no pose taken for durable
+// because the new one has its sequence), INVALID_ARGUMENT and NOT_FOUND.
 //
 // Candidates: the server sends the answer of a check once, on the stream on
 // which the check's batch became durable. If the connection breaks after that
@@ -61,6 +63,10 @@ struct PoseStreamOptions {
   // Highest sequence that this client knows to be durable from an earlier life;
   // 0 if it keeps no such record. The server answers DATA_LOSS if it has less.
   std::uint64_t acked_sequence = 0;
+  // vehicle_uid() of that earlier life; the stream ends with VEHICLE_REPLACED if
+  // the vehicle is another by now. Empty: whichever vehicle has the name when
+  // the stream is first opened.
+  std::string vehicle_uid;
   // Whether the server answers with candidates at every check, and how.
   bool send_candidates = false;
   v1::CandidateOptions candidate_options;
@@ -129,8 +135,12 @@ class PoseStream {
   void Cancel();
 
   // Highest sequence known to be durable. A client that keeps it over restarts,
-  // and hands it in as PoseStreamOptions::acked_sequence, learns of data loss.
+  // with the uid, and hands both in with PoseStreamOptions, learns of data loss.
   std::uint64_t acked_sequence() const;
+
+  // Which vehicle it is (v1::Vehicle.uid). Empty until it is known: by the
+  // options or the first connection.
+  std::string vehicle_uid() const;
 
   // Connections after the first one.
   int reconnects() const;

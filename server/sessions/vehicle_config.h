@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <string>
 
 #include "core/settings.h"
 
@@ -18,6 +19,8 @@ struct GeodeticOrigin {
 };
 
 struct VehicleConfig {
+  // See vehicle_uid.h. Never changes.
+  std::string uid;
   core::EngineSettings engine;
   CoordinateFrame frame = CoordinateFrame::kLocal;
   // Of a geodetic vehicle: given on creation, or set by its first pose.

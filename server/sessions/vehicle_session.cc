@@ -5,7 +5,6 @@
 #include <chrono>
 #include <cstddef>
 #include <deque>
-#include <map>
 #include <tuple>
 
 #include "server/status.h"
@@ -37,22 +36,25 @@ bool MovesNodes(const core::EngineSettings& before,
          is_filter(before) != is_filter(after);
 }
 
-// What verifiers found, by id.
-using PosePairs = std::map<std::string, PosePairRecord>;
-
 // Something that waits for its turn on the strand.
 struct Operation {
-  // Runs as soon as the vehicle is loaded, whatever else waits.
+  // Runs as soon as the vehicle is loaded, whatever else waits, but for a write
+  // that would show in the store before it shows in memory.
   bool is_read = false;
   // Runs only while no append is in flight.
   bool needs_quiet = false;
   // Called once, with OK to do it, or with what to answer instead.
   std::function<void(const absl::Status&)> run;
+  // Of a read: whether it reads the store too.
+  bool reads_store = false;
 };
 
 // An append from its staging to its last callback.
 struct PendingAppend {
   AppendRequest request;
+  // Of all that came, also where only a part is new.
+  std::uint64_t first_sequence = 0;
+  std::uint64_t last_sequence = 0;
   // Nothing until decoded. Samples and payload are those to write.
   std::optional<DecodedBatch> decoded;
   // Of the write, if there is one; 0 if not.
@@ -66,10 +68,15 @@ struct Replay {
   VehicleConfig config;
   std::uint64_t revision;
   std::unique_ptr<core::Engine> engine;
+  std::vector<core::Jump> jumps;
   std::uint64_t next_sequence = 1;
   // Stands for revisions until the last step: batches have each their own,
   // which do not grow with the sequence once some are revised.
   std::uint64_t steps = 0;
+  // Of the batches.
+  std::uint64_t highest_revision = 0;
+  // Whether it goes only as far as what is stored is sound.
+  bool is_load = false;
   std::function<void(const absl::Status&)> then;
 };
 
@@ -85,6 +92,21 @@ absl::Status PoseNotFound(const std::string& vehicle_id, std::uint64_t sequence,
                         : ", it has 1 to " + std::to_string(durable_sequence)),
                {{"sequence", std::to_string(sequence)},
                 {"durable_sequence", std::to_string(durable_sequence)}});
+}
+
+absl::Status CheckMeant(const std::string& vehicle_id,
+                        const VehicleConfig& config,
+                        const std::string& expected_uid) {
+  if (expected_uid.empty() || expected_uid == config.uid) {
+    return absl::OkStatus();
+  }
+  return Error(StatusCode::kFailedPrecondition, "VEHICLE_REPLACED",
+               "vehicle '" + vehicle_id + "' has the uid " + config.uid +
+                   ", got " + expected_uid +
+                   ": it was made anew, and what was acknowledged was of "
+                   "another vehicle of this name",
+               {{"vehicle_uid", config.uid},
+                {"expected_vehicle_uid", expected_uid}});
 }
 
 // Everything but what is constant or atomic belongs to the strand.
@@ -114,10 +136,15 @@ struct VehicleSession::State
   VehicleKey key = 0;
   VehicleConfig config;
   std::unique_ptr<core::Engine> engine;
+  // Of the graph, by sequence.
+  std::vector<core::Jump> jumps;
   std::uint64_t durable_sequence = 0;
   std::uint64_t revision = 0;
   PosePairs loop_closures;
   PosePairs rejections;
+  // See VehicleView; while it is loaded, the first cause.
+  absl::Status damage;
+  bool config_is_known = true;
 
   // The same with what is in flight.
   std::uint64_t staged_sequence = 0;
@@ -133,6 +160,10 @@ struct VehicleSession::State
   bool pumping = false;
   // Loading or changing: nothing but reads may run.
   bool exclusive = false;
+  // What is stored is, or may be at any moment, what the vehicle will be and is
+  // not yet: its poses, or that it is gone.
+  bool poses_are_ahead = false;
+  bool deleting = false;
   // The checks of an append that has landed are still to be run. What is in
   // flight behind it lands after them.
   bool checking = false;
@@ -149,7 +180,11 @@ struct VehicleSession::State
                        key,
                        durable_sequence,
                        revision,
-                       static_cast<std::int64_t>(loop_closures.size())};
+                       static_cast<std::int64_t>(loop_closures.size()),
+                       &loop_closures,
+                       &rejections,
+                       damage,
+                       config_is_known};
   }
 
   PosePairs& Pairs(PairKind kind) {
@@ -231,7 +266,8 @@ struct VehicleSession::State
   }
 
   void Add(Operation operation) {
-    if (operation.is_read && (engine != nullptr || gone_status)) {
+    if (operation.is_read && (engine != nullptr || gone_status) &&
+        !MustWait(operation)) {
       operation.run(gone_status.value_or(absl::OkStatus()));
       return;
     }
@@ -244,13 +280,23 @@ struct VehicleSession::State
     if (pumping) return;
     pumping = true;
     while (!waiting.empty() && MayRun(waiting.front())) {
-      const Operation operation = std::move(waiting.front());
+      Operation operation = std::move(waiting.front());
       waiting.pop_front();
+      if (operation.reads_store && !gone_status) {
+        SubmitLong(std::move(operation));
+        continue;
+      }
       absl::Status status = gone_status.value_or(absl::OkStatus());
       if (status.ok() && !operation.is_read) status = ClearDoubt();
       operation.run(status);
     }
     pumping = false;
+  }
+
+  // Of a read: whether it could show what a later one does not.
+  bool MustWait(const Operation& operation) const {
+    return !gone_status &&
+           (deleting || (poses_are_ahead && operation.reads_store));
   }
 
   bool MayRun(const Operation& operation) const {
@@ -274,7 +320,8 @@ struct VehicleSession::State
         record->loop_closure_count !=
             static_cast<std::int64_t>(loop_closures.size()) ||
         record->rejected_candidate_count !=
-            static_cast<std::int64_t>(rejections.size())) {
+            static_cast<std::int64_t>(rejections.size()) ||
+        !record->damage.ok() || !damage.ok()) {
       Leave(OutOfStep());
       return *gone_status;
     }
@@ -285,7 +332,8 @@ struct VehicleSession::State
   absl::Status OutOfStep() const {
     return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
                  "vehicle '" + id +
-                     "' has to be loaded anew after a failed write; try again");
+                     "' has to be loaded anew, since it and the store disagree; try "
+                     "again");
   }
 
   // From now on everything is answered with `status`.
@@ -308,16 +356,18 @@ struct VehicleSession::State
   absl::Status StartLoad() {
     absl::StatusOr<VehicleRecord> record = storage->GetVehicle(id);
     if (!record.ok()) return record.status();
-    absl::StatusOr<VehicleConfig> decoded =
-        codec->DecodeVehicle(record->payload);
-    if (!decoded.ok()) return decoded.status();
-    const std::vector<core::SettingProblem> problems =
-        core::FindProblems(decoded->engine);
-    if (!problems.empty()) {
-      return Corrupt("stored settings: " + problems.front().field + ": " +
-                     problems.front().description);
-    }
     key = record->key;
+    absl::StatusOr<VehicleConfig> decoded = StoredConfig(*record);
+    if (!decoded.ok()) {
+      // Poses cannot be read without it.
+      config_is_known = false;
+      engine = std::make_unique<core::Engine>(config.engine);
+      Settled(config, record->revision);
+      damage = Damaged(record->damage.ok() ? decoded.status() : record->damage);
+      exclusive = false;
+      Pump();
+      return absl::OkStatus();
+    }
     durable_sequence = record->durable_sequence;
     for (const PairKind kind : kPairKinds) {
       const absl::Status read = LoadPairs(kind);
@@ -326,8 +376,42 @@ struct VehicleSession::State
     StartReplay(*std::move(decoded), record->revision,
                 [this](const absl::Status& status) {
                   if (!status.ok()) Leave(status);
-                });
+                  if (!damage.ok()) damage = Damaged(damage);
+                },
+                /*is_load=*/true);
     return absl::OkStatus();
+  }
+
+  absl::StatusOr<VehicleConfig> StoredConfig(
+      const VehicleRecord& record) const {
+    absl::StatusOr<VehicleConfig> decoded = codec->DecodeVehicle(record);
+    if (!decoded.ok()) return decoded;
+    const std::vector<core::SettingProblem> problems =
+        core::FindProblems(decoded->engine);
+    if (!problems.empty()) {
+      return Corrupt("stored settings: " + problems.front().field + ": " +
+                     problems.front().description);
+    }
+    return decoded;
+  }
+
+  void NoteDamage(const absl::Status& cause) {
+    if (damage.ok()) damage = cause;
+  }
+
+  absl::Status Damaged(const absl::Status& cause) const {
+    const std::string durable = std::to_string(durable_sequence);
+    return Error(
+        StatusCode::kDataLoss, "STORE_CORRUPT",
+        "vehicle '" + id + "' is damaged: " + std::string(cause.message()) +
+            (config_is_known
+                 ? "; " + durable +
+                       " poses before it are sound and can be read, writes "
+                       "and searches are refused until an operator gives up "
+                       "the rest (AcceptDataLoss with durable_sequence " +
+                       durable + ") or deletes the vehicle"
+                 : "; without its settings it can only be deleted"),
+        {{"vehicle", id}, {"durable_sequence", durable}});
   }
 
   absl::Status LoadPairs(PairKind kind) {
@@ -335,11 +419,19 @@ struct VehicleSession::State
     while (true) {
       const absl::StatusOr<std::vector<PosePairRecord>> page =
           storage->ListPosePairs(key, kind, after, kPairsPerRead);
+      if (absl::IsDataLoss(page.status())) {
+        NoteDamage(page.status());
+        return absl::OkStatus();
+      }
       if (!page.ok()) return page.status();
       if (page->empty()) return absl::OkStatus();
       after = page->back().id;
       for (const PosePairRecord& pair : *page) {
-        Pairs(kind).emplace(pair.id, pair);
+        if (pair.damage.ok()) {
+          Pairs(kind).emplace(pair.id, pair);
+        } else {
+          NoteDamage(pair.damage);
+        }
       }
     }
   }
@@ -347,9 +439,11 @@ struct VehicleSession::State
   // Makes a graph from what is stored; when done, that becomes the vehicle's,
   // with this config and revision. Reads see the old one until then.
   void StartReplay(VehicleConfig new_config, std::uint64_t new_revision,
-                   std::function<void(const absl::Status&)> then) {
+                   std::function<void(const absl::Status&)> then,
+                   bool is_load = false) {
     exclusive = true;
     replay.emplace();
+    replay->is_load = is_load;
     replay->config = new_config;
     replay->revision = new_revision;
     replay->engine = std::make_unique<core::Engine>(replay->config.engine);
@@ -370,8 +464,10 @@ struct VehicleSession::State
     }
     Replay done = *std::move(replay);
     replay.reset();
+    poses_are_ahead = false;
     if (finished.ok()) {
       engine = std::move(done.engine);
+      jumps = std::move(done.jumps);
       Settled(done.config, done.revision);
     }
     NoteResidency();
@@ -394,28 +490,69 @@ struct VehicleSession::State
               decoding = decoded.status();
               return false;
             }
-            replay->engine->Append(decoded->samples, ++replay->steps);
+            const core::AppendResult applied =
+                replay->engine->Append(decoded->samples, ++replay->steps);
+            replay->jumps.insert(replay->jumps.end(), applied.jumps.begin(),
+                                 applied.jumps.end());
+            replay->highest_revision =
+                std::max(replay->highest_revision, batch.revision);
             replay->next_sequence = batch.first_sequence + batch.count;
             return std::chrono::steady_clock::now() < pause;
           });
-      if (!reading.ok()) return reading;
-      if (!decoding.ok()) return decoding;
+      const absl::Status& unread = reading.ok() ? decoding : reading;
+      if (replay->is_load && absl::IsDataLoss(unread)) {
+        GoNoFurther(unread);
+      } else if (!unread.ok()) {
+        return unread;
+      }
       if (replay->next_sequence <= durable_sequence) return false;
     }
+    if (const absl::Status status = CheckPairs(); !status.ok()) return status;
     for (const auto& [kind, pair] : PairsAsAdded()) {
-      if (pair->matched_sequence < 1 ||
-          pair->query_sequence > durable_sequence) {
-        return Corrupt("stored " + std::string(WordsOf(kind).noun) + " '" +
-                       pair->id + "' names a pose that is not stored");
-      }
       Apply(replay->engine.get(), kind, *pair, ++replay->steps);
     }
     if (replay->steps >= replay->revision) {
-      return Corrupt("stored revision " + std::to_string(replay->revision) +
-                     " is less than the number of changes");
+      const absl::Status status =
+          Corrupt("stored revision " + std::to_string(replay->revision) +
+                  " is less than the number of changes");
+      if (!replay->is_load) return status;
+      NoteDamage(status);
+      replay->revision = replay->steps + 1;
     }
     replay->engine->ChangeSettings(replay->config.engine, replay->revision);
     return true;
+  }
+
+  // The poses from the next one on cannot be read. Each of them may have brought
+  // a revision, and those must not come again.
+  void GoNoFurther(const absl::Status& cause) {
+    NoteDamage(cause);
+    const std::uint64_t sound = replay->next_sequence - 1;
+    replay->revision = std::max(replay->revision, replay->highest_revision) +
+                       (durable_sequence - sound);
+    durable_sequence = sound;
+  }
+
+  // Pairs name poses that are there. Loading leaves out others.
+  absl::Status CheckPairs() {
+    for (const PairKind kind : kPairKinds) {
+      PosePairs& pairs = Pairs(kind);
+      for (auto i = pairs.begin(); i != pairs.end();) {
+        const PosePairRecord& pair = i->second;
+        if (pair.matched_sequence >= 1 &&
+            pair.query_sequence <= durable_sequence) {
+          ++i;
+          continue;
+        }
+        const absl::Status status =
+            Corrupt("stored " + std::string(WordsOf(kind).noun) + " '" +
+                    pair.id + "' names a pose that is not stored");
+        if (!replay->is_load) return status;
+        NoteDamage(status);
+        i = pairs.erase(i);
+      }
+    }
+    return absl::OkStatus();
   }
 
   // In the order in which they were added, all kinds together, so that graph
@@ -535,7 +672,8 @@ struct VehicleSession::State
 
   absl::StatusOr<Staging> Stage(const std::shared_ptr<PendingAppend>& append,
                                 bool may_read) {
-    if (config.data_loss) return DataLoss({});
+    const absl::Status writable = Writable();
+    if (!writable.ok()) return writable;
     if (!append->decoded) {
       absl::StatusOr<DecodedBatch> decoded =
           append->request.decoder(staged_config);
@@ -547,6 +685,8 @@ struct VehicleSession::State
     DecodedBatch& batch = *append->decoded;
     const std::uint64_t first = batch.samples.front().sequence;
     const std::uint64_t last = batch.samples.back().sequence;
+    append->first_sequence = first;
+    append->last_sequence = last;
     if (first > staged_sequence + 1) {
       const std::string expected = std::to_string(staged_sequence + 1);
       return Error(StatusCode::kFailedPrecondition, "SEQUENCE_GAP",
@@ -696,7 +836,7 @@ struct VehicleSession::State
           std::move(in_flight.front());
       in_flight.pop_front();
       if (append->revision == 0) {
-        Answer(append, *append->result, {});
+        Answer(append, *append->result);
       } else {
         Land(append);
       }
@@ -724,17 +864,18 @@ struct VehicleSession::State
       in_doubt = true;
     }
     if (!status.ok()) {
-      Answer(append, status, {});
+      Answer(append, status);
       return;
     }
     const std::vector<core::PoseSample>& samples = append->decoded->samples;
     core::AppendResult applied = engine->Append(samples, append->revision);
+    jumps.insert(jumps.end(), applied.jumps.begin(), applied.jumps.end());
     NoteResidency();
     durable_sequence = samples.back().sequence;
     revision = append->revision;
     if (!config.origin) config.origin = append->decoded->origin;
     const AppendRequest& request = append->request;
-    Answer(append, absl::OkStatus(), std::move(applied.jumps));
+    Answer(append, absl::OkStatus());
     if (!request.check || !request.callbacks.candidates ||
         applied.checks_due.empty()) {
       return;
@@ -765,34 +906,55 @@ struct VehicleSession::State
   }
 
   void Answer(const std::shared_ptr<PendingAppend>& append,
-              const absl::Status& status, std::vector<core::Jump> jumps) {
+              const absl::Status& status) {
     pending_appends.fetch_sub(1);
     const auto durable = std::move(append->request.callbacks.durable);
     if (!durable) return;
     if (!status.ok()) {
       durable(status);
     } else {
-      durable(Acknowledgement{durable_sequence, revision, std::move(jumps)});
+      durable(Acknowledgement{
+          durable_sequence, revision,
+          JumpsAt(append->first_sequence, append->last_sequence)});
     }
   }
 
-  absl::Status DataLoss(const ErrorMetadata& more) const {
-    ErrorMetadata metadata = more;
+  std::vector<core::Jump> JumpsAt(std::uint64_t first,
+                                  std::uint64_t last) const {
+    const auto begin =
+        std::lower_bound(jumps.begin(), jumps.end(), first,
+                         [](const core::Jump& jump, std::uint64_t sequence) {
+                           return jump.sequence < sequence;
+                         });
+    const auto end =
+        std::upper_bound(begin, jumps.end(), last,
+                         [](std::uint64_t sequence, const core::Jump& jump) {
+                           return sequence < jump.sequence;
+                         });
+    return {begin, end};
+  }
+
+  absl::Status Regressed(const std::string& what,
+                         ErrorMetadata metadata) const {
     metadata.emplace_back("durable_sequence", std::to_string(durable_sequence));
     return Error(StatusCode::kDataLoss, "DURABLE_SEQUENCE_REGRESSED",
-                 "vehicle '" + id +
-                     "': a client held an acknowledgement for more than the " +
-                     std::to_string(durable_sequence) +
-                     " poses that are stored; writes are refused until an "
-                     "operator accepts the loss (AcceptDataLoss with "
-                     "durable_sequence " +
-                     std::to_string(durable_sequence) + ")",
-                 metadata);
+                 "vehicle '" + id + "': " + what, metadata);
+  }
+
+  absl::Status DataLoss(const ErrorMetadata& metadata) const {
+    return Regressed("a client held an acknowledgement for more than the " +
+                         std::to_string(durable_sequence) +
+                         " poses that are stored; writes are refused until an "
+                         "operator accepts the loss (AcceptDataLoss with "
+                         "durable_sequence " +
+                         std::to_string(durable_sequence) + ")",
+                     metadata);
   }
 
   // ---- Other changes; they run while nothing is in flight
 
   absl::Status Writable() const {
+    if (!damage.ok()) return damage;
     return config.data_loss ? DataLoss({}) : absl::OkStatus();
   }
 
@@ -833,14 +995,41 @@ struct VehicleSession::State
         });
   }
 
-  void CheckAcknowledged(std::uint64_t acked_sequence,
-                         const ViewCallback& callback) {
-    if (acked_sequence <= durable_sequence) {
+  // Whether a claim is more than is stored, and if not, what to answer to it.
+  bool IsOfLostPoses(std::uint64_t acked_sequence,
+                     const std::string& vehicle_uid,
+                     const ViewCallback& callback) const {
+    const absl::Status answer =
+        config_is_known ? CheckMeant(id, config, vehicle_uid) : damage;
+    if (!answer.ok()) {
+      callback(answer);
+    } else if (!damage.ok()) {
+      callback(damage);
+    } else if (acked_sequence > durable_sequence) {
+      return true;
+    } else {
       callback(View());
+    }
+    return false;
+  }
+
+  void CheckAcknowledged(std::uint64_t acked_sequence,
+                         const std::string& vehicle_uid,
+                         const ViewCallback& callback) {
+    if (!IsOfLostPoses(acked_sequence, vehicle_uid, callback)) return;
+    const ErrorMetadata acked = {
+        {"acked_sequence", std::to_string(acked_sequence)}};
+    if (vehicle_uid.empty() && !config.data_loss) {
+      callback(Regressed(
+          "the client holds an acknowledgement for sequence " +
+              std::to_string(acked_sequence) + ", but only " +
+              std::to_string(durable_sequence) +
+              " poses are stored; without the uid of the vehicle that it is "
+              "of (vehicle_uid) this ends this stream alone",
+          acked));
       return;
     }
-    const absl::Status loss =
-        DataLoss({{"acked_sequence", std::to_string(acked_sequence)}});
+    const absl::Status loss = DataLoss(acked);
     if (config.data_loss) {
       callback(loss);
       return;
@@ -857,9 +1046,14 @@ struct VehicleSession::State
   void AcceptDataLoss(std::uint64_t sequence, const ViewCallback& callback) {
     const ErrorMetadata metadata = {
         {"durable_sequence", std::to_string(durable_sequence)}};
-    if (!config.data_loss) {
+    if (!config_is_known) {
+      callback(damage);
+      return;
+    }
+    if (!config.data_loss && damage.ok()) {
       callback(Error(StatusCode::kFailedPrecondition, "NO_DATA_LOSS",
-                     "vehicle '" + id + "' is not in the state DATA_LOSS",
+                     "vehicle '" + id +
+                         "' is neither in the state DATA_LOSS nor DAMAGED",
                      metadata));
       return;
     }
@@ -873,13 +1067,39 @@ struct VehicleSession::State
     }
     VehicleConfig new_config = config;
     new_config.data_loss = false;
-    WriteConfig(new_config, [this, callback](const absl::Status& status) {
+    const auto answer = [this, callback](const absl::Status& status) {
       if (status.ok()) {
         callback(View());
       } else {
         callback(status);
       }
-    });
+    };
+    if (damage.ok()) {
+      WriteConfig(new_config, answer);
+    } else {
+      DropDamaged(new_config, answer);
+    }
+  }
+
+  // What is in memory is what stays.
+  void DropDamaged(const VehicleConfig& new_config,
+                   std::function<void(const absl::Status&)> then) {
+    const std::uint64_t next = revision + 1;
+    WriteAlone(
+        [&](Storage::Done done) {
+          storage->DropDamaged(key, durable_sequence,
+                               codec->EncodeVehicle(new_config), next,
+                               std::move(done));
+        },
+        [this, new_config, next,
+         then = std::move(then)](const absl::Status& status) {
+          if (status.ok()) {
+            damage = absl::OkStatus();
+            engine->ChangeSettings(new_config.engine, next);
+            Settled(new_config, next);
+          }
+          then(status);
+        });
   }
 
   void Update(const std::function<
@@ -963,6 +1183,10 @@ struct VehicleSession::State
       callback(plan.status());
       return;
     }
+    if (plan->done_by) {
+      callback(std::make_pair(*plan->done_by, plan->revised_count));
+      return;
+    }
     if (!plan->batches) {
       callback(std::make_pair(revision, std::int64_t{0}));
       return;
@@ -976,6 +1200,7 @@ struct VehicleSession::State
         callback(status);
       }
     };
+    poses_are_ahead = true;
     WriteAlone(
         [&](Storage::Done done) {
           storage->ReviseBatches(key, std::move(plan->batches), next,
@@ -983,6 +1208,7 @@ struct VehicleSession::State
         },
         [this, next, answer](const absl::Status& status) {
           if (!status.ok()) {
+            poses_are_ahead = false;
             answer(status);
           } else {
             Rebuild(config, next, answer);
@@ -1085,11 +1311,13 @@ struct VehicleSession::State
   }
 
   void Delete(const std::function<void(absl::Status)>& callback) {
+    deleting = true;
     WriteAlone(
         [&](Storage::Done done) {
           storage->DeleteVehicle(key, std::move(done));
         },
         [this, callback](const absl::Status& status) {
+          deleting = false;
           if (status.ok() || absl::IsNotFound(status))
             Leave(VehicleNotFound(id));
           callback(status);
@@ -1121,6 +1349,13 @@ void VehicleSession::LongRead(
   state_->SubmitLong(state_->Reading(std::move(callback)));
 }
 
+void VehicleSession::ReadStored(
+    std::function<void(absl::StatusOr<VehicleView>)> callback) {
+  Operation reading = state_->Reading(std::move(callback));
+  reading.reads_store = true;
+  state_->SubmitLong(std::move(reading));
+}
+
 void VehicleSession::Append(AppendRequest request) {
   State* const state = state_.get();
   if (state->pending_appends.fetch_add(1) >=
@@ -1144,29 +1379,31 @@ void VehicleSession::Append(AppendRequest request) {
 }
 
 void VehicleSession::CheckAcknowledged(
-    std::uint64_t acked_sequence,
+    std::uint64_t acked_sequence, const std::string& vehicle_uid,
     std::function<void(absl::StatusOr<VehicleView>)> callback) {
   State* const state = state_.get();
   // Most often there is nothing to change, and nothing to wait for.
   state->Submit(
       {true, false,
-       [state, acked_sequence,
+       [state, acked_sequence, vehicle_uid,
         callback = std::move(callback)](const absl::Status& status) {
          if (!status.ok()) {
            callback(status);
-         } else if (acked_sequence <= state->durable_sequence) {
-           callback(state->View());
-         } else {
-           state->Add(
-               {false, true,
-                [state, acked_sequence, callback](const absl::Status& quiet) {
-                  if (quiet.ok()) {
-                    state->CheckAcknowledged(acked_sequence, callback);
-                  } else {
-                    callback(quiet);
-                  }
-                }});
+           return;
          }
+         if (!state->IsOfLostPoses(acked_sequence, vehicle_uid, callback)) {
+           return;
+         }
+         state->Add({false, true,
+                     [state, acked_sequence, vehicle_uid,
+                      callback](const absl::Status& quiet) {
+                       if (quiet.ok()) {
+                         state->CheckAcknowledged(acked_sequence, vehicle_uid,
+                                                  callback);
+                       } else {
+                         callback(quiet);
+                       }
+                     }});
        }});
 }
 
@@ -1259,6 +1496,15 @@ void VehicleSession::Delete(std::function<void(absl::Status)> callback) {
            callback(status);
          }
        }});
+}
+
+void VehicleSession::LoadAnew() {
+  State* const state = state_.get();
+  state->Submit({false, true, [state](const absl::Status& status) {
+                   if (status.ok() && state->damage.ok()) {
+                     state->Leave(state->OutOfStep());
+                   }
+                 }});
 }
 
 void VehicleSession::Close(std::function<void()> callback) {

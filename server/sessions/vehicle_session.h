@@ -6,6 +6,10 @@
 // run. Appends may be in flight one behind the other; every other change waits
 // until none is, and holds up those behind it.
 //
+// A vehicle of which a part is damaged in the store is loaded as far as it is
+// sound. It answers reads with that, and every write but AcceptDataLoss() and
+// Delete() with DATA_LOSS (STORE_CORRUPT).
+//
 // All public calls are thread-safe and return at once; callbacks run on the
 // threads of the lanes, one at a time for a vehicle, but that Append() may
 // decode and stage a batch, or refuse it, before it returns: call it without a
@@ -17,6 +21,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -54,9 +59,10 @@ class RecordCodec {
  public:
   virtual ~RecordCodec() = default;
   virtual std::string EncodeVehicle(const VehicleConfig& config) const = 0;
-  // DATA_LOSS if the bytes are not what EncodeVehicle makes.
+  // Of the record only key, id and payload are read. DATA_LOSS if the payload is
+  // not what EncodeVehicle makes.
   virtual absl::StatusOr<VehicleConfig> DecodeVehicle(
-      const std::string& payload) const = 0;
+      const VehicleRecord& record) const = 0;
   // DATA_LOSS as above.
   virtual absl::StatusOr<DecodedBatch> DecodeBatch(
       const std::string& payload, const VehicleConfig& config) const = 0;
@@ -67,6 +73,9 @@ class RecordCodec {
                                                  std::size_t count) const = 0;
 };
 
+// What verifiers found, by id.
+using PosePairs = std::map<std::string, PosePairRecord>;
+
 // Consistent state of the vehicle, valid during the callback that is given it.
 struct VehicleView {
   const std::string& id;
@@ -76,11 +85,29 @@ struct VehicleView {
   std::uint64_t durable_sequence;
   std::uint64_t revision;
   std::int64_t loop_closure_count;
+  const PosePairs* loop_closures = nullptr;
+  const PosePairs* rejected_candidates = nullptr;
+  // DATA_LOSS (STORE_CORRUPT) if a part of what is stored is damaged: then all
+  // else here is what comes before the damage.
+  absl::Status damage;
+  // Where that is damaged too, the config is none and there are no poses.
+  bool config_is_known = true;
+
+  const PosePairs& pairs(PairKind kind) const {
+    return kind == PairKind::kLoopClosure ? *loop_closures
+                                          : *rejected_candidates;
+  }
 };
 
 // NOT_FOUND (POSE_NOT_FOUND).
 absl::Status PoseNotFound(const std::string& vehicle_id, std::uint64_t sequence,
                           std::uint64_t durable_sequence);
+
+// FAILED_PRECONDITION (VEHICLE_REPLACED) if the caller means a vehicle of
+// another uid than the one that has this id; an empty one means any.
+absl::Status CheckMeant(const std::string& vehicle_id,
+                        const VehicleConfig& config,
+                        const std::string& expected_uid);
 
 struct Acknowledgement {
   std::uint64_t durable_sequence = 0;
@@ -121,6 +148,9 @@ struct RevisionPlan {
   // nothing changes.
   BatchSource batches;
   std::int64_t revised_count = 0;
+  // This revision has done the same before: it is answered again, and nothing
+  // is replaced.
+  std::optional<std::uint64_t> done_by;
 };
 
 class VehicleSession {
@@ -142,11 +172,16 @@ class VehicleSession {
   VehicleSession(const VehicleSession&) = delete;
   VehicleSession& operator=(const VehicleSession&) = delete;
 
-  // Reads at one revision: what is durable and applied.
+  // Reads at one revision: what is durable and applied. What a read has shown,
+  // all later ones show as well.
   void Read(std::function<void(absl::StatusOr<VehicleView>)> callback);
-  // The same for a callback that searches, or reads the store: it runs where
-  // long work does, and holds up this vehicle only.
+  // The same for a callback that searches: it runs where long work does, and
+  // holds up this vehicle only.
   void LongRead(std::function<void(absl::StatusOr<VehicleView>)> callback);
+  // The same for one that reads the store, as long work: it waits while what is
+  // stored is of another revision than the view, which is from when a revision
+  // is written until it is applied.
+  void ReadStored(std::function<void(absl::StatusOr<VehicleView>)> callback);
 
   // See AppendCallbacks. Poses that are stored already with the same content
   // are acknowledged again; errors: ALREADY_EXISTS (SEQUENCE_CONTENT_MISMATCH),
@@ -155,11 +190,13 @@ class VehicleSession {
   // cannot be written, those in flight behind it fail with the same status.
   void Append(AppendRequest request);
 
-  // A client says it holds acknowledgements up to this sequence. If that is
-  // more than is durable, puts the vehicle into data loss and answers DATA_LOSS
-  // (DURABLE_SEQUENCE_REGRESSED).
+  // A client says it holds acknowledgements up to this sequence, of the vehicle
+  // of this uid; FAILED_PRECONDITION (VEHICLE_REPLACED) if that is another. If
+  // it is more than is durable, answers DATA_LOSS (DURABLE_SEQUENCE_REGRESSED)
+  // and, given a uid, puts the vehicle into data loss: a claim without one may
+  // be about an earlier vehicle of this name.
   void CheckAcknowledged(
-      std::uint64_t acked_sequence,
+      std::uint64_t acked_sequence, const std::string& vehicle_uid,
       std::function<void(absl::StatusOr<VehicleView>)> callback);
 
   // Replaces the config by what `change` makes of the current one; the graph is
@@ -170,15 +207,16 @@ class VehicleSession {
       std::function<absl::StatusOr<VehicleConfig>(const VehicleView&)> change,
       std::function<void(absl::StatusOr<VehicleView>)> callback);
 
-  // Ends the state of data loss; FAILED_PRECONDITION (NO_DATA_LOSS) if there is
-  // none, (DURABLE_SEQUENCE_MISMATCH) if the sequence is not the durable one.
+  // Ends the state of data loss, or gives up what is damaged and all poses after
+  // it; FAILED_PRECONDITION (NO_DATA_LOSS) if there is neither,
+  // (DURABLE_SEQUENCE_MISMATCH) if the sequence is not the durable one.
   void AcceptDataLoss(
       std::uint64_t durable_sequence,
       std::function<void(absl::StatusOr<VehicleView>)> callback);
 
   // Revises poses: `plan` reads what is stored and says what to replace, or
   // refuses. Answers the revision and the count of the plan; a plan without
-  // batches changes nothing.
+  // batches, or that was done before, changes nothing.
   void Revise(
       std::function<absl::StatusOr<RevisionPlan>(const VehicleView&)> plan,
       std::function<
@@ -203,6 +241,10 @@ class VehicleSession {
 
   // Deletes the vehicle. All later calls answer NOT_FOUND.
   void Delete(std::function<void(absl::Status)> callback);
+
+  // Somebody met damage in what is stored that the session does not know of: it
+  // has to be loaded anew to know what is sound.
+  void LoadAnew();
 
   // Ends the session: what was called before is finished, later calls answer
   // UNAVAILABLE (SERVER_DRAINING). When `callback` runs, the session uses

@@ -169,6 +169,21 @@ class SqliteStorage : public Storage {
         std::move(done));
   }
 
+  void DropDamaged(VehicleKey key, std::uint64_t last_sequence,
+                   std::string payload, std::uint64_t revision,
+                   Done done) override {
+    const std::size_t bytes = payload.size();
+    Submit(
+        bytes,
+        [this, key, last_sequence, payload = std::move(payload),
+         revision](SqliteDatabase& database) {
+          next_sequences_.erase(key);
+          return DropDamagedRows(database, key, last_sequence, payload,
+                                 revision);
+        },
+        std::move(done));
+  }
+
   absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override {
     absl::StatusOr<VehicleRecord> record = VehicleRecord();
     const absl::Status status = Read([&](SqliteDatabase& database) {

@@ -8,6 +8,10 @@
 // Payloads are bytes the storage does not look into; it guards each with a
 // format version and a checksum, and answers DATA_LOSS for one that fails.
 //
+// Damage is its vehicle's own. A record of a vehicle or of a pair of poses that
+// fails comes with `damage` set rather than in place of all others, so that it
+// can be told, given up (DropDamaged()) or deleted.
+//
 // Every error carries a reason (server/status.h). Besides those named at each
 // call: UNAVAILABLE (STORE_UNAVAILABLE) where the device or the file system
 // fails, DATA_LOSS (STORE_CORRUPT) for damage, NOT_FOUND (VEHICLE_NOT_FOUND)
@@ -46,6 +50,10 @@ struct VehicleRecord {
   std::uint64_t durable_sequence = 0;
   std::int64_t loop_closure_count = 0;
   std::int64_t rejected_candidate_count = 0;
+  // DATA_LOSS if the row or the last batch is damaged. Of a damaged row only key
+  // and id are told, and the payload is empty; a damaged last batch has what is
+  // told of it for the highest sequence, but not for the revision.
+  absl::Status damage;
 };
 
 struct BatchRecord {
@@ -78,6 +86,8 @@ struct PosePairRecord {
   std::uint64_t query_sequence = 0;
   std::uint64_t matched_sequence = 0;
   std::int64_t create_time_ns = 0;  // Since the Unix epoch.
+  // DATA_LOSS if the row is damaged: then only the id is told.
+  absl::Status damage;
 };
 
 // How messages, fields and error reasons speak of a kind.
@@ -140,6 +150,14 @@ class Storage {
   virtual void DeletePosePair(VehicleKey key, PairKind kind, std::string id,
                               std::uint64_t revision, Done done) = 0;
 
+  // Gives up what is damaged: removes all that is stored of poses after
+  // `last_sequence`, pairs that name such a pose, and damaged pairs; the payload
+  // is replaced. FAILED_PRECONDITION unless a batch ends at `last_sequence`, or
+  // it is 0.
+  virtual void DropDamaged(VehicleKey key, std::uint64_t last_sequence,
+                           std::string payload, std::uint64_t revision,
+                           Done done) = 0;
+
   // NOT_FOUND (VEHICLE_NOT_FOUND) if there is none.
   virtual absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) = 0;
   // Ordered by id, after `after_id` and of those that start with `prefix`.
@@ -147,8 +165,8 @@ class Storage {
   virtual absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
       const std::string& after_id, const std::string& prefix, int limit) = 0;
   // The batches that hold poses of [first_sequence, last_sequence], in order,
-  // until `visit` says false. DATA_LOSS if one is missing or damaged, which is
-  // what a range beyond the durable sequence looks like: ask for no more. All
+  // until `visit` says false. DATA_LOSS if one is missing or damaged, after those
+  // before it have been visited, which is what a range beyond the durable sequence looks like: ask for no more. All
   // of one moment, even where `visit` takes long; it may read from the storage.
   virtual absl::Status ReadBatches(
       VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,

@@ -83,6 +83,7 @@ class Checker {
   absl::Status ReadVehicle(const std::string& id, StoreReport* counts) {
     const absl::StatusOr<VehicleRecord> record = storage_->GetVehicle(id);
     if (!record.ok()) return record.status();
+    if (!record->damage.ok()) return record->damage;
     for (const BatchVersion version :
          {BatchVersion::kAsSent, BatchVersion::kCurrent}) {
       const absl::Status read =
@@ -104,6 +105,9 @@ class Checker {
             storage_->ListPosePairs(record->key, kind, after, kPairsPerRead);
         if (!page.ok()) return page.status();
         if (page->empty()) break;
+        for (const PosePairRecord& pair : *page) {
+          if (!pair.damage.ok()) return pair.damage;
+        }
         count += static_cast<std::int64_t>(page->size());
         after = page->back().id;
       }

@@ -18,6 +18,7 @@ struct PairStatements {
   const std::string insert;
   const std::string remove;
   const std::string remove_all;
+  const std::string remove_after;
   const std::string list;
 
   explicit PairStatements(const std::string& table)
@@ -28,6 +29,9 @@ struct PairStatements {
                "create_time_ns, checksum) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)"),
         remove("DELETE FROM " + table + " WHERE vehicle_key = ?1 AND id = ?2"),
         remove_all("DELETE FROM " + table + " WHERE vehicle_key = ?1"),
+        remove_after("DELETE FROM " + table +
+                     " WHERE vehicle_key = ?1 AND max(query_sequence, "
+                     "matched_sequence) > ?2"),
         list(
             "SELECT id, format, query_sequence, matched_sequence, "
             "create_time_ns, checksum FROM " +
@@ -45,6 +49,9 @@ const PairStatements& StatementsOf(PairKind kind) {
 
 // Batches of deleted vehicles that one transaction removes.
 constexpr int kPurgedBatches = 32;
+
+// What a damaged batch is believed to hold at most.
+constexpr std::int64_t kMostClaimedPoses = 1'000'000;
 
 std::int64_t Signed(std::uint64_t value) {
   return static_cast<std::int64_t>(
@@ -81,18 +88,21 @@ absl::Status CheckRow(std::int64_t format, std::int64_t stored_checksum,
 }
 
 // Columns: key, id, format, revision, checksum, payload.
-absl::StatusOr<VehicleRecord> ReadVehicleRow(const SqliteStatement& row) {
+VehicleRecord ReadVehicleRow(const SqliteStatement& row) {
   VehicleRecord record;
   record.key = row.Integer(0);
   record.id = row.Bytes(1);
   const std::int64_t format = row.Integer(2);
   record.revision = Unsigned(row.Integer(3));
   record.payload = row.Bytes(5);
-  const absl::Status status =
+  record.damage =
       CheckRow(format, row.Integer(4), ChecksumOfVehicle(format, record),
                "stored vehicle '" + Printable(record.id) + "'",
                {{"vehicle", Printable(record.id)}});
-  if (!status.ok()) return status;
+  if (!record.damage.ok()) {
+    record.payload.clear();
+    record.revision = 0;
+  }
   return record;
 }
 
@@ -142,12 +152,34 @@ absl::StatusOr<std::optional<BatchRecord>> ReadLastBatch(
   return std::optional<BatchRecord>(*std::move(batch));
 }
 
+// Where the last batch would end, as its row has it, damaged or not.
+absl::StatusOr<std::uint64_t> ClaimedSequence(SqliteDatabase& database,
+                                              VehicleKey key) {
+  SqliteStatement row = database.Prepare(
+      "SELECT first_sequence, count FROM batches WHERE vehicle_key = ?1 ORDER "
+      "BY first_sequence DESC LIMIT 1");
+  const absl::StatusOr<bool> found = row.Bind(1, key).Step();
+  if (!found.ok()) return found.status();
+  if (!*found) return std::uint64_t{0};
+  // One beyond what a batch can hold was not written so.
+  const std::int64_t count =
+      std::clamp(row.Integer(1), std::int64_t{1}, kMostClaimedPoses);
+  return Unsigned(row.Integer(0)) + Unsigned(count) - 1;
+}
+
 // Adds to a row of `vehicles` what other tables know.
 absl::Status CompleteVehicle(SqliteDatabase& database, VehicleRecord* record) {
   const absl::StatusOr<std::optional<BatchRecord>> last =
-      ReadLastBatch(database, record->key, record->id);
-  if (!last.ok()) return last.status();
-  if (last->has_value()) {
+      ReadLastBatch(database, record->key, Printable(record->id));
+  if (absl::IsDataLoss(last.status())) {
+    if (record->damage.ok()) record->damage = last.status();
+    const absl::StatusOr<std::uint64_t> claimed =
+        ClaimedSequence(database, record->key);
+    if (!claimed.ok()) return claimed.status();
+    record->durable_sequence = *claimed;
+  } else if (!last.ok()) {
+    return last.status();
+  } else if (last->has_value()) {
     record->durable_sequence = (*last)->first_sequence + (*last)->count - 1;
     record->revision = std::max(record->revision, (*last)->revision);
   }
@@ -253,9 +285,8 @@ absl::StatusOr<VehicleRecord> FindVehicle(SqliteDatabase& database,
   const absl::StatusOr<bool> found = row.BindText(1, id).Step();
   if (!found.ok()) return found.status();
   if (!*found) return UnknownVehicle("'" + id + "'");
-  absl::StatusOr<VehicleRecord> record = ReadVehicleRow(row);
-  if (!record.ok()) return record;
-  const absl::Status completed = CompleteVehicle(database, &*record);
+  VehicleRecord record = ReadVehicleRow(row);
+  const absl::Status completed = CompleteVehicle(database, &record);
   if (!completed.ok()) return completed;
   return record;
 }
@@ -275,11 +306,10 @@ absl::StatusOr<std::vector<VehicleRecord>> FindVehicles(
     const absl::StatusOr<bool> found = row.Step();
     if (!found.ok()) return found.status();
     if (!*found) return records;
-    absl::StatusOr<VehicleRecord> record = ReadVehicleRow(row);
-    if (!record.ok()) return record.status();
-    const absl::Status completed = CompleteVehicle(database, &*record);
+    VehicleRecord record = ReadVehicleRow(row);
+    const absl::Status completed = CompleteVehicle(database, &record);
     if (!completed.ok()) return completed;
-    records.push_back(*std::move(record));
+    records.push_back(std::move(record));
   }
 }
 
@@ -324,6 +354,8 @@ absl::Status ChangeVehicle(SqliteDatabase& database, VehicleKey key,
     return ReadVehicleRow(row);
   }();
   if (!record.ok()) return record.status();
+  // Written again, it would pass for sound.
+  if (!record->damage.ok()) return record->damage;
   if (payload.has_value()) record->payload = *payload;
   record->revision = std::max(record->revision, revision);
   return WriteVehicleRow(database, *record);
@@ -415,6 +447,14 @@ absl::Status VisitBatches(SqliteDatabase& database, VehicleKey key,
     const bool revised =
         *found && version == BatchVersion::kCurrent && !row.IsNull(6);
     absl::StatusOr<BatchRecord> batch = BatchRecord();
+    if (revised) {
+      // What was sent must be sound as well: it is compared with what is resent.
+      const absl::Status as_sent =
+          ReadBatchRow(row, 2, row.Integer(0), row.Integer(1), key,
+                       *vehicle_id, BatchVersion::kAsSent)
+              .status();
+      if (!as_sent.ok()) return as_sent;
+    }
     if (*found) {
       batch = revised ? ReadBatchRow(row, 7, row.Integer(0), row.Integer(6),
                                      key, *vehicle_id, BatchVersion::kCurrent)
@@ -506,14 +546,55 @@ absl::StatusOr<std::vector<PosePairRecord>> FindPosePairs(
     pair.matched_sequence = Unsigned(row.Integer(3));
     pair.create_time_ns = row.Integer(4);
     const PairWords words = WordsOf(kind);
-    const absl::Status checked = CheckRow(
+    pair.damage = CheckRow(
         format, row.Integer(5), ChecksumOfPosePair(format, key, kind, pair),
         "stored " + std::string(words.noun) + " '" + Printable(pair.id) +
             "' of vehicle '" + *vehicle_id + "'",
         {{"vehicle", *vehicle_id}, {words.field, Printable(pair.id)}});
-    if (!checked.ok()) return checked;
     pairs.push_back(std::move(pair));
   }
+}
+
+absl::Status DropDamagedRows(SqliteDatabase& database, VehicleKey key,
+                             std::uint64_t last_sequence,
+                             const std::string& payload,
+                             std::uint64_t revision) {
+  absl::Status status = ChangeVehicle(database, key, payload, revision);
+  if (!status.ok()) return status;
+  for (const char* sql :
+       {"DELETE FROM batches WHERE vehicle_key = ?1 AND first_sequence > ?2",
+        "DELETE FROM revised_batches WHERE vehicle_key = ?1 AND "
+        "first_sequence > ?2"}) {
+    status =
+        database.Prepare(sql).Bind(1, key).Bind(2, Signed(last_sequence)).Run();
+    if (!status.ok()) return status;
+  }
+  const absl::StatusOr<std::uint64_t> end = ClaimedSequence(database, key);
+  if (!end.ok()) return end.status();
+  if (*end != last_sequence) {
+    return Error(StatusCode::kFailedPrecondition, "INTERNAL",
+                 "no batch ends at sequence " + std::to_string(last_sequence));
+  }
+  for (const PairKind kind : kPairKinds) {
+    status = database.Prepare(StatementsOf(kind).remove_after.c_str())
+                 .Bind(1, key)
+                 .Bind(2, Signed(last_sequence))
+                 .Run();
+    if (!status.ok()) return status;
+    // No limit.
+    const absl::StatusOr<std::vector<PosePairRecord>> pairs = FindPosePairs(
+        database, key, kind, "", std::numeric_limits<int>::max());
+    if (!pairs.ok()) return pairs.status();
+    for (const PosePairRecord& pair : *pairs) {
+      if (pair.damage.ok()) continue;
+      status = database.Prepare(StatementsOf(kind).remove.c_str())
+                   .Bind(1, key)
+                   .BindText(2, pair.id)
+                   .Run();
+      if (!status.ok()) return status;
+    }
+  }
+  return absl::OkStatus();
 }
 
 absl::StatusOr<bool> PurgeSome(SqliteDatabase& database) {

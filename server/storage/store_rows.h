@@ -3,8 +3,8 @@
 // made in store_opening.cc.
 //
 // All of it runs within the transaction, if any, of the connection it is given.
-// What is read has passed its checksum, or is DATA_LOSS (STORE_CORRUPT). The
-// other errors are those of the calls of Storage (storage.h) that these are
+// What is read has passed its checksum, or is DATA_LOSS (STORE_CORRUPT), or a
+// record that says so of itself. The other errors are those of the calls of Storage (storage.h) that these are
 // for.
 #ifndef REVISIT_SERVER_STORAGE_STORE_ROWS_H_
 #define REVISIT_SERVER_STORAGE_STORE_ROWS_H_
@@ -45,6 +45,11 @@ absl::StatusOr<VehicleKey> InsertVehicle(SqliteDatabase& database,
 absl::Status ChangeVehicle(SqliteDatabase& database, VehicleKey key,
                            const std::optional<std::string>& payload,
                            std::uint64_t revision);
+// As Storage::DropDamaged().
+absl::Status DropDamagedRows(SqliteDatabase& database, VehicleKey key,
+                             std::uint64_t last_sequence,
+                             const std::string& payload,
+                             std::uint64_t revision);
 // Its batches stay, out of reach, until PurgeSome() has removed them.
 absl::Status RemoveVehicle(SqliteDatabase& database, VehicleKey key);
 

@@ -98,6 +98,17 @@ void FakeServer::HoldStreams(bool held) {
   changed_.notify_all();
 }
 
+void FakeServer::Replace(const std::string& uid) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  uid_ = uid;
+  stored_.clear();
+}
+
+void FakeServer::CheckUid(bool check) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  check_uid_ = check;
+}
+
 void FakeServer::Forget(std::uint64_t durable_sequence) {
   std::lock_guard<std::mutex> lock(mutex_);
   stored_.resize(durable_sequence);
@@ -136,6 +147,11 @@ std::uint64_t FakeServer::durable_sequence() const {
 std::vector<std::uint64_t> FakeServer::Opens() const {
   std::lock_guard<std::mutex> lock(mutex_);
   return opens_;
+}
+
+std::vector<std::string> FakeServer::OpenUids() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return open_uids_;
 }
 
 std::vector<std::int64_t> FakeServer::FirstSteps() const {
@@ -321,10 +337,17 @@ grpc::Status FakeServer::StreamPoses(
     return grpc::Status::CANCELLED;
   };
   opens_.push_back(open.acked_sequence());
+  open_uids_.push_back(open.vehicle_uid());
   if (open_faults_) {
     const StreamFault fault = open_faults_();
     if (fault.kind == Kind::kSilence) return silence();
     if (fault.kind != Kind::kNone) return fault.status;
+  }
+  if (check_uid_ && !open.vehicle_uid().empty() &&
+      open.vehicle_uid() != uid_) {
+    return MakeStatus(grpc::StatusCode::FAILED_PRECONDITION,
+                      "another vehicle of this name",
+                      {"VEHICLE_REPLACED", {}, {}, {}});
   }
   if (check_acked_ && open.acked_sequence() > stored_.size()) {
     return MakeStatus(grpc::StatusCode::DATA_LOSS,
@@ -335,6 +358,7 @@ grpc::Status FakeServer::StreamPoses(
   bool first = opens_.size() > 1;
   response.mutable_opened()->set_durable_sequence(told);
   response.mutable_opened()->set_max_batch_poses(max_batch_poses_);
+  response.mutable_opened()->set_vehicle_uid(uid_);
   lock.unlock();
   stream->Write(response);
   while (stream->Read(&request)) {

@@ -71,6 +71,11 @@ class FakeServer final : public v1::PoseGraphService::Service {
   void FailUnaryCalls(std::vector<grpc::Status> statuses);
   // While held, nothing that arrives on a stream is stored or answered.
   void HoldStreams(bool held);
+  // As if the vehicle were deleted and made again: with this uid and nothing
+  // stored. The first is "first".
+  void Replace(const std::string& uid);
+  // Whether streams of another vehicle_uid are refused, as by the real one.
+  void CheckUid(bool check);
   // Forgets poses after this one.
   void Forget(std::uint64_t durable_sequence);
   // Whether it answers DATA_LOSS to a client that knows more, as the real one.
@@ -86,6 +91,8 @@ class FakeServer final : public v1::PoseGraphService::Service {
   std::uint64_t durable_sequence() const;
   // acked_sequence of each open, in order.
   std::vector<std::uint64_t> Opens() const;
+  // vehicle_uid of each open, in order.
+  std::vector<std::string> OpenUids() const;
   // For each resumed stream whose first batch arrived: that batch's first
   // sequence less the durable one that `opened` told.
   std::vector<std::int64_t> FirstSteps() const;
@@ -146,11 +153,14 @@ class FakeServer final : public v1::PoseGraphService::Service {
   bool held_ = false;
   bool stopping_ = false;
   bool check_acked_ = true;
+  bool check_uid_ = true;
+  std::string uid_ = "first";
   std::uint64_t check_interval_ = 0;
   int max_batch_poses_ = 1000;
   v1::CandidateSet candidates_;
   std::vector<std::string> stored_;
   std::vector<std::uint64_t> opens_;
+  std::vector<std::string> open_uids_;
   std::vector<std::int64_t> first_steps_;
   int unary_calls_ = 0;
   int largest_batch_ = 0;

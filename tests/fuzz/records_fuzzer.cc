@@ -29,18 +29,20 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
   const std::string payload = input.Rest();
   const server::ProtoRecordCodec codec;
   if (record == 0) {
-    const auto decoded = codec.DecodeVehicle(payload);
-    RequireDataLoss(decoded.status());
-    if (decoded.ok()) {
-      const auto again = codec.DecodeVehicle(codec.EncodeVehicle(*decoded));
-      Require(again.ok(), "a vehicle that was read can be written");
-      Require(server::SameSettings(*decoded, *again), "and is the same");
-    }
     server::VehicleRecord listed;
     listed.id = "v";
     listed.payload = payload;
+    const auto decoded = codec.DecodeVehicle(listed);
+    RequireDataLoss(decoded.status());
+    if (decoded.ok()) {
+      server::VehicleRecord written;
+      written.payload = codec.EncodeVehicle(*decoded);
+      const auto again = codec.DecodeVehicle(written);
+      Require(again.ok(), "a vehicle that was read can be written");
+      Require(server::SameSettings(*decoded, *again), "and is the same");
+    }
     revisit::v1::Vehicle vehicle;
-    RequireDataLoss(server::EncodeVehicle(listed, &vehicle));
+    server::EncodeVehicle(listed, &vehicle);
     return 0;
   }
   const auto decoded = codec.DecodeBatch(payload, config);

@@ -60,7 +60,9 @@ void CheckConfig(const absl::StatusOr<VehicleConfig>& config) {
   const server::ProtoRecordCodec codec;
   VehicleConfig stored = *config;
   stored.create_time_ns = 1;
-  const auto read = codec.DecodeVehicle(codec.EncodeVehicle(stored));
+  server::VehicleRecord record;
+  record.payload = codec.EncodeVehicle(stored);
+  const auto read = codec.DecodeVehicle(record);
   Require(read.ok(), "a stored vehicle can be read");
 }
 

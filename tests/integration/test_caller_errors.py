@@ -522,7 +522,8 @@ def test_claim_beyond_the_store_stops_writes_until_it_is_accepted(
         stub, filled):
     vehicle = filled({})
     data_loss = grpc.StatusCode.DATA_LOSS
-    with PoseStream(stub, vehicle, acked_sequence=STORED + 7) as stream:
+    with PoseStream(stub, vehicle, acked_sequence=STORED + 7,
+                    vehicle_uid=get(stub, vehicle).uid) as stream:
         failure = failure_of(stream.receive)
     assert failure.code == data_loss
     assert failure.reason == "DURABLE_SEQUENCE_REGRESSED"
@@ -556,6 +557,56 @@ def test_claim_beyond_the_store_stops_writes_until_it_is_accepted(
     assert accepted.state == api.VEHICLE_STATE_ACTIVE
     ack = append(stub, vehicle, straight(1, first=STORED + 1))
     assert ack.durable_sequence == STORED + 1
+
+
+# A client that had kept nothing but a number put the vehicle that was made in
+# place of its own into DATA_LOSS, and went on behind poses of somebody else.
+def test_claim_about_a_vehicle_that_was_replaced_changes_nothing(
+        stub, filled):
+    vehicle = filled({})
+    old = get(stub, vehicle).uid
+    stub.DeleteVehicle(api.DeleteVehicleRequest(name=vehicle))
+    stub.CreateVehicle(api.CreateVehicleRequest(
+        vehicle_id=vehicle.removeprefix("vehicles/")))
+    append(stub, vehicle, straight(STORED))
+    new = get(stub, vehicle).uid
+    assert new != old
+    before = get(stub, vehicle)
+    for acked in (0, STORED, STORED + 7):
+        with PoseStream(stub, vehicle, acked_sequence=acked,
+                        vehicle_uid=old) as stream:
+            failure = failure_of(stream.receive)
+        assert failure.code == grpc.StatusCode.FAILED_PRECONDITION
+        assert failure.reason == "VEHICLE_REPLACED"
+        assert failure.metadata["vehicle_uid"] == new
+        assert failure.metadata["expected_vehicle_uid"] == old
+    failure = failure_of(lambda: stub.AppendPoses(api.AppendPosesRequest(
+        vehicle=vehicle, vehicle_uid=old,
+        poses=straight(1, first=STORED + 1))))
+    assert failure.reason == "VEHICLE_REPLACED"
+    # Nobody can tell which vehicle this claim is about.
+    with PoseStream(stub, vehicle, acked_sequence=2**63 - 1) as stream:
+        failure = failure_of(stream.receive)
+    assert failure.code == grpc.StatusCode.DATA_LOSS
+    assert failure.reason == "DURABLE_SEQUENCE_REGRESSED"
+    assert get(stub, vehicle) == before
+    with PoseStream(stub, vehicle, acked_sequence=STORED,
+                    vehicle_uid=new) as stream:
+        assert stream.receive_kind("opened").vehicle_uid == new
+
+
+def test_uid_that_no_vehicle_can_have_is_refused(stub, filled, unchanged):
+    vehicle = unchanged(filled({}))
+    uid = get(stub, vehicle).uid
+    for bad in (uid.upper(), uid[:-1], uid + "0", "x" * 36, "0" * 100000):
+        with PoseStream(stub, vehicle, vehicle_uid=bad) as stream:
+            failure = failure_of(stream.receive)
+        assert (failure.code, failure.reason) == (INVALID, "INVALID_FIELD")
+        assert failure.fields == ["open.vehicle_uid"]
+        failure = failure_of(lambda bad=bad: stub.AppendPoses(
+            api.AppendPosesRequest(vehicle=vehicle, vehicle_uid=bad,
+                                   poses=straight(1))))
+        assert failure.fields == ["vehicle_uid"]
 
 
 def test_claim_of_what_no_sequence_can_be_is_refused(stub, filled, unchanged):

@@ -403,10 +403,12 @@ def test_store_restored_from_an_old_copy_is_noticed(tmp_path):
     with Server(store) as server:
         acked = append(server.stub(), VEHICLE,
                        straight(10, first=11)).durable_sequence
+        uid = get(server.stub(), VEHICLE).uid
     for path, content in backup.items():
         path.write_bytes(content)
     with Server(store) as server:
-        with PoseStream(server.stub(), VEHICLE, acked_sequence=acked) as stream:
+        with PoseStream(server.stub(), VEHICLE, acked_sequence=acked,
+                        vehicle_uid=uid) as stream:
             failure = failure_of(stream.receive)
         assert failure.code == grpc.StatusCode.DATA_LOSS
         assert failure.metadata["durable_sequence"] == "10"

@@ -17,7 +17,7 @@ from identities import (
 from revisit_server import Server, run, wait_until
 from stubs import ROOT, PoseGraphServiceStub, api
 from wire import (
-    PoseStream, append, decode_failure, failure_of, list_poses, straight)
+    PoseStream, append, decode_failure, failure_of, get, list_poses, straight)
 
 Code = grpc.StatusCode
 USAGE = 64
@@ -538,6 +538,35 @@ def test_verbs_are_checked_whether_the_vehicle_is_there_or_not(
             failure = failure_of(
                 lambda: call(called_by("acme-writer"), method, name))
             assert failure.metadata["verb"] == "admin"
+
+
+# Creating a vehicle again answered its summary, and so did changing it.
+def test_writer_is_told_nothing_of_a_vehicle_but_what_it_wrote(called_by):
+    owner, writer = called_by("acme"), called_by("acme-writer")
+    vehicle = create(owner, "acme-unread-1")
+    append(owner, vehicle, straight(20))
+    uid = get(owner, vehicle).uid
+    request = api.CreateVehicleRequest(vehicle_id="acme-unread-1")
+    told = writer.CreateVehicle(request).vehicle
+    settings = get(owner, vehicle).settings
+    assert told == api.Vehicle(name=vehicle, uid=uid, settings=settings)
+    # A new one looks the same.
+    request.vehicle_id = "acme-unread-2"
+    new = writer.CreateVehicle(request).vehicle
+    assert new == api.Vehicle(name="vehicles/acme-unread-2", uid=new.uid,
+                              settings=settings)
+    told = writer.UpdateVehicle(api.UpdateVehicleRequest(
+        vehicle=api.Vehicle(name=vehicle, settings=api.VehicleSettings(
+            max_candidates=3)),
+        update_mask={"paths": ["settings.max_candidates"]})).vehicle
+    assert told == api.Vehicle(
+        name=vehicle, uid=uid,
+        settings=api.VehicleSettings(max_candidates=3))
+    assert owner.UpdateVehicle(api.UpdateVehicleRequest(
+        vehicle=api.Vehicle(name=vehicle, settings=api.VehicleSettings(
+            max_candidates=4)),
+        update_mask={"paths": ["settings.max_candidates"]})
+        ).vehicle == get(owner, vehicle)
 
 
 def test_candidates_of_a_stream_need_to_be_readable(called_by):

@@ -3,6 +3,7 @@ poses, pages, exports, changed settings, geodetic positions."""
 
 import math
 import random
+import threading
 
 import grpc
 import pytest
@@ -11,7 +12,8 @@ from google.protobuf import field_mask_pb2
 from revisit_server import Server
 from stubs import api
 from wire import (LOOP_CLOSURES, PAIR_KINDS, REJECTED_CANDIDATES, append,
-                  as_bytes, failure_of, get, laps, list_poses, pose, straight)
+                  as_bytes, batches, failure_of, get, laps, list_poses, pose,
+                  straight)
 
 
 def export(stub, vehicle):
@@ -470,6 +472,55 @@ def test_revision_that_is_not_the_expected_one_aborts(stub, driven):
     assert failure.reason == "REVISION_MISMATCH"
     assert failure.metadata["revision"] == str(get(stub, vehicle).revision)
     assert as_bytes(list_poses(stub, vehicle)) == before
+
+
+# Whoever did not get the answer could not tell it from a conflict.
+def test_revision_whose_answer_got_lost_is_answered_again(stub, driven):
+    vehicle = driven()
+    append(stub, vehicle, straight(20, first=102))
+    expected = get(stub, vehicle).revision
+    answer = revise(stub, vehicle, bent(90, 20), expected_revision=expected)
+    assert answer.revision == expected + 1
+    for _ in range(2):
+        again = revise(stub, vehicle, bent(90, 20), expected_revision=expected)
+        assert again == answer
+        # Also when other things have happened since.
+        LOOP_CLOSURES.add(stub, vehicle, 99, 2)
+    # Another change from the same revision is a conflict, and so is this one
+    # once another came on top of it.
+    for poses in (bent(90, 19) + straight(1, first=109), bent(90, 20)):
+        failure = failure_of(lambda poses=poses: revise(
+            stub, vehicle, poses, expected_revision=expected))
+        assert failure.reason == "REVISION_MISMATCH"
+        revise(stub, vehicle, straight(1, first=95))
+
+
+# ListPoses read the store, all else the memory, which is behind while the graph
+# is rebuilt.
+def test_reads_of_all_methods_go_forward_only(stub, new_vehicle):
+    vehicle = new_vehicle()
+    for part in batches(straight(20000), 1000):
+        append(stub, vehicle, part)
+    base = get(stub, vehicle).revision
+    done = threading.Event()
+
+    def revise_often():
+        for number in range(1, 9):
+            moved = straight(1)[0]
+            moved.local.y_meters = number / 100
+            revise(stub, vehicle, [moved])
+        done.set()
+
+    reviser = threading.Thread(target=revise_often)
+    reviser.start()
+    seen = 0
+    while not done.is_set():
+        first = stub.ListPoses(api.ListPosesRequest(
+            parent=vehicle, page_size=1)).poses[0]
+        seen = max(seen, round(first.local.y_meters * 100))
+        assert get(stub, vehicle).revision >= base + seen
+    reviser.join()
+    assert get(stub, vehicle).revision == base + 8
 
 
 def test_resent_pose_is_compared_with_what_was_first_sent(stub, driven):

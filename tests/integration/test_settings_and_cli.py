@@ -386,7 +386,17 @@ def test_loss_of_data_is_accepted(revisit, tmp_path):
         f"{i},{i},0,0\n" for i in range(20)))
     stream = ["stream", drive, "--vehicle", "cli-loss", "--create"]
     assert revisit(*stream).returncode == 0
+    # Of which vehicle, nobody knows.
     lost = revisit(*stream, "--acked-sequence", 30)
+    assert lost.returncode == 64 + 15, lost
+    assert state() == "VEHICLE_STATE_ACTIVE"
+    uid = json.loads(revisit(*stream, "--json").stdout)["vehicleUid"]
+    other = revisit(*stream, "--acked-sequence", 30, "--vehicle-uid",
+                    uid[::-1][:8] + uid[8:])
+    assert other.returncode == 64 + 9, other
+    assert "VEHICLE_REPLACED" in other.stderr
+    assert state() == "VEHICLE_STATE_ACTIVE"
+    lost = revisit(*stream, "--acked-sequence", 30, "--vehicle-uid", uid)
     assert lost.returncode == 64 + 15, lost
     assert state() == "VEHICLE_STATE_DATA_LOSS"
     # Who does not know what there is accepts nothing.

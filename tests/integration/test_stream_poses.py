@@ -215,6 +215,8 @@ def test_jump_is_reported_with_the_ack_and_not_bridged(stub, new_vehicle):
     ack = append(stub, vehicle, [*before, *after])
     assert [jump.sequence for jump in ack.jumps] == [21]
     assert ack.jumps[0].distance_meters == pytest.approx(math.hypot(500, 1))
+    # The same answer to a batch that was sent again, as for a lost one.
+    assert append(stub, vehicle, [*before, *after]) == ack
     # 19 m on each side of it.
     assert get(stub, vehicle).travelled_meters == pytest.approx(38.0)
 

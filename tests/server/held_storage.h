@@ -118,6 +118,15 @@ class HeldStorage : public Storage {
     });
   }
 
+  void DropDamaged(VehicleKey key, std::uint64_t last_sequence,
+                   std::string payload, std::uint64_t revision,
+                   Done done) override {
+    Submit(std::move(done), [=](Done then) {
+      storage_->DropDamaged(key, last_sequence, payload, revision,
+                            std::move(then));
+    });
+  }
+
   absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override {
     const absl::Status status = ReadStatus();
     if (!status.ok()) return status;

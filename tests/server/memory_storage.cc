@@ -14,7 +14,71 @@ absl::Status UnknownVehicle() {
   return Error(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", "no such vehicle");
 }
 
+absl::Status Damage(const std::string& what) {
+  return Error(StatusCode::kDataLoss, "STORE_CORRUPT", what + " is damaged");
+}
+
 }  // namespace
+
+MemoryStorage::Vehicle& MemoryStorage::Find(const std::string& id) {
+  return std::find_if(vehicles_.begin(), vehicles_.end(),
+                      [&](const auto& vehicle) {
+                        return vehicle.second.record.id == id;
+                      })
+      ->second;
+}
+
+void MemoryStorage::DamageVehicle(const std::string& id) {
+  const std::lock_guard<std::mutex> guard(mutex_);
+  VehicleRecord& record = Find(id).record;
+  record.payload.clear();
+  record.damage = Damage("vehicle");
+}
+
+void MemoryStorage::DamagePose(const std::string& id, std::uint64_t sequence) {
+  const std::lock_guard<std::mutex> guard(mutex_);
+  for (Batch& batch : Find(id).batches) {
+    const BatchRecord& record = batch.as_sent;
+    if (record.first_sequence <= sequence &&
+        sequence < record.first_sequence + record.count) {
+      batch.is_damaged = true;
+    }
+  }
+}
+
+void MemoryStorage::DamagePair(const std::string& id, PairKind kind,
+                               const std::string& pair_id) {
+  const std::lock_guard<std::mutex> guard(mutex_);
+  Find(id).pairs[kind].at(pair_id).damage = Damage("pair " + pair_id);
+}
+
+void MemoryStorage::DropDamaged(VehicleKey key, std::uint64_t last_sequence,
+                                std::string payload, std::uint64_t revision,
+                                Done done) {
+  done(Change(key, revision, [&](Vehicle& vehicle) {
+    if (!vehicle.record.damage.ok()) return vehicle.record.damage;
+    auto& batches = vehicle.batches;
+    while (!batches.empty() &&
+           batches.back().as_sent.first_sequence > last_sequence) {
+      batches.pop_back();
+    }
+    if (Complete(vehicle).durable_sequence != last_sequence) {
+      return Error(StatusCode::kFailedPrecondition, "INTERNAL",
+                   "no batch ends there");
+    }
+    vehicle.record.payload = payload;
+    for (auto& [kind, pairs] : vehicle.pairs) {
+      for (auto i = pairs.begin(); i != pairs.end();) {
+        const PosePairRecord& pair = i->second;
+        const bool goes =
+            !pair.damage.ok() || pair.query_sequence > last_sequence ||
+            pair.matched_sequence > last_sequence;
+        i = goes ? pairs.erase(i) : std::next(i);
+      }
+    }
+    return absl::OkStatus();
+  }));
+}
 
 absl::Status MemoryStorage::Change(
     VehicleKey key, std::uint64_t revision,
@@ -35,6 +99,9 @@ VehicleRecord MemoryStorage::Complete(const Vehicle& vehicle) {
   if (!vehicle.batches.empty()) {
     const BatchRecord& last = vehicle.batches.back().as_sent;
     record.durable_sequence = last.first_sequence + last.count - 1;
+    if (vehicle.batches.back().is_damaged) {
+      if (record.damage.ok()) record.damage = Damage("last batch");
+    }
   }
   const auto count = [&](PairKind kind) {
     const auto found = vehicle.pairs.find(kind);
@@ -188,6 +255,7 @@ absl::Status MemoryStorage::ReadBatches(
         batch.as_sent.first_sequence + batch.as_sent.count;
     if (end <= first_sequence) continue;
     if (expected > last_sequence) return absl::OkStatus();
+    if (batch.is_damaged) return Damage("batch");
     expected = end;
     if (!visit(version == BatchVersion::kAsSent ? batch.as_sent
                                                 : batch.current)) {

@@ -35,6 +35,17 @@ class MemoryStorage : public Storage {
   void DeletePosePair(VehicleKey key, PairKind kind, std::string id,
                       std::uint64_t revision, Done done) override;
 
+  void DropDamaged(VehicleKey key, std::uint64_t last_sequence,
+                   std::string payload, std::uint64_t revision,
+                   Done done) override;
+
+  // As found by every read from now on.
+  void DamageVehicle(const std::string& id);
+  // What is stored of this pose, as sent and as it is now.
+  void DamagePose(const std::string& id, std::uint64_t sequence);
+  void DamagePair(const std::string& id, PairKind kind,
+                  const std::string& pair_id);
+
   absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override;
   absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
       const std::string& after_id, const std::string& prefix,
@@ -51,6 +62,7 @@ class MemoryStorage : public Storage {
   struct Batch {
     BatchRecord as_sent;
     BatchRecord current;
+    bool is_damaged = false;
   };
   struct Vehicle {
     VehicleRecord record;
@@ -61,6 +73,7 @@ class MemoryStorage : public Storage {
 
   absl::Status Change(VehicleKey key, std::uint64_t revision,
                       const std::function<absl::Status(Vehicle&)>& change);
+  Vehicle& Find(const std::string& id);
   static VehicleRecord Complete(const Vehicle& vehicle);
 
   std::mutex mutex_;

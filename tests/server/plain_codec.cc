@@ -48,12 +48,13 @@ std::string PlainCodec::EncodeVehicle(const VehicleConfig& config) const {
     line << " " << std::hexfloat << config.origin->latitude_degrees << " "
          << config.origin->longitude_degrees;
   }
+  if (!config.uid.empty()) line << " " << config.uid;
   return line.str();
 }
 
 absl::StatusOr<VehicleConfig> PlainCodec::DecodeVehicle(
-    const std::string& payload) const {
-  std::istringstream stream(payload);
+    const VehicleRecord& record) const {
+  std::istringstream stream(record.payload);
   std::string word;
   VehicleConfig config;
   bool is_geodetic = false;
@@ -76,6 +77,7 @@ absl::StatusOr<VehicleConfig> PlainCodec::DecodeVehicle(
       return Damaged();
     }
   }
+  stream >> config.uid;
   return config;
 }
 

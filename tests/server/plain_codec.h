@@ -20,7 +20,7 @@ class PlainCodec : public RecordCodec {
  public:
   std::string EncodeVehicle(const VehicleConfig& config) const override;
   absl::StatusOr<VehicleConfig> DecodeVehicle(
-      const std::string& payload) const override;
+      const VehicleRecord& record) const override;
   absl::StatusOr<DecodedBatch> DecodeBatch(
       const std::string& payload, const VehicleConfig& config) const override;
   absl::StatusOr<std::string> SliceBatch(const std::string& payload,

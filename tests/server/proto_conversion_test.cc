@@ -18,6 +18,7 @@
 #include "google/protobuf/util/message_differencer.h"
 #include "google/rpc/error_details.pb.h"
 #include "gtest/gtest.h"
+#include "server/sessions/vehicle_uid.h"
 #include "tests/random.h"
 #include "tests/server/error_matchers.h"
 
@@ -44,6 +45,14 @@ Message FromText(const std::string& text) {
   EXPECT_TRUE(google::protobuf::TextFormat::ParseFromString(text, &message))
       << text;
   return message;
+}
+
+VehicleRecord RecordOf(const std::string& payload) {
+  VehicleRecord record;
+  record.key = 1;
+  record.id = "truck";
+  record.payload = payload;
+  return record;
 }
 
 std::vector<std::string> FieldsOf(const absl::Status& status) {
@@ -313,7 +322,7 @@ TEST(SettingsConversionTest, EverySettingSurvivesTheStore) {
   config->create_time_ns = -1234567890123456789;
   config->data_loss = true;
   const ProtoRecordCodec codec;
-  const auto loaded = codec.DecodeVehicle(codec.EncodeVehicle(*config));
+  const auto loaded = codec.DecodeVehicle(RecordOf(codec.EncodeVehicle(*config)));
   ASSERT_THAT(loaded, IsOk());
   EXPECT_EQ(loaded->create_time_ns, config->create_time_ns);
   EXPECT_TRUE(loaded->data_loss);
@@ -425,12 +434,30 @@ TEST(SettingsConversionTest, RecordOfTheFirstReleaseTakesTodaysDefaults) {
     create_time { seconds: 1 }
   )pb");
   const auto config =
-      ProtoRecordCodec().DecodeVehicle(vehicle.SerializeAsString());
+      ProtoRecordCodec().DecodeVehicle(RecordOf(vehicle.SerializeAsString()));
   ASSERT_THAT(config, IsOk());
   EXPECT_EQ(config->engine.node_spacing_meters, 3);
   EXPECT_EQ(config->engine.search.alignment, core::AlignmentKind::kRelative);
   EXPECT_EQ(config->engine.max_inflation, 10);
   EXPECT_FALSE(config->engine.apply_inflation);
+}
+
+TEST(SettingsConversionTest, VehicleStoredBeforeThereWereUidsHasAlwaysTheSame) {
+  const ProtoRecordCodec codec;
+  VehicleRecord record = RecordOf(
+      FromText<v1::Vehicle>("create_time { seconds: 1 }").SerializeAsString());
+  const auto uid = [&] { return codec.DecodeVehicle(record)->uid; };
+  const std::string first = uid();
+  EXPECT_EQ(first, "da5804d8-0180-8507-9a95-6c4d9a0ec1fe");
+  // Also once it is written again.
+  record.payload = codec.EncodeVehicle(*codec.DecodeVehicle(record));
+  record.key = 9;
+  EXPECT_EQ(uid(), first);
+  // Another vehicle has another one.
+  VehicleRecord other = RecordOf(
+      FromText<v1::Vehicle>("create_time { seconds: 1 }").SerializeAsString());
+  other.key = 2;
+  EXPECT_NE(codec.DecodeVehicle(other)->uid, first);
 }
 
 TEST(SettingsConversionTest, ReasonIsThatOfTheFirstFault) {
@@ -451,7 +478,7 @@ TEST(SettingsConversionTest, UnreadableRecordIsDataLoss) {
             "settings { max_candidates: -1 } create_time { seconds: 1 }")
             .SerializeAsString()}) {
     EXPECT_THAT(
-        codec.DecodeVehicle(payload),
+        codec.DecodeVehicle(RecordOf(payload)),
         IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("vehicle")));
   }
 }
@@ -1464,6 +1491,7 @@ TEST(AnswerTest, ExportedNodeHasItsCovarianceInTheFormOfTheVehicle) {
 TEST(AnswerTest, VehicleIsToldTheSameFromMemoryAndFromTheStore) {
   VehicleConfig config;
   config.create_time_ns = -1;
+  config.uid = NewVehicleUid();
   const std::string id = "a";
   const core::Engine engine(config.engine);
   v1::Vehicle loaded;
@@ -1475,7 +1503,7 @@ TEST(AnswerTest, VehicleIsToldTheSameFromMemoryAndFromTheStore) {
   record.revision = 9;
   record.loop_closure_count = 2;
   v1::Vehicle stored;
-  ASSERT_THAT(EncodeVehicle(record, &stored), IsOk());
+  EncodeVehicle(record, &stored);
   // Only who has the vehicle in memory knows how consistent it is.
   EXPECT_FALSE(stored.has_consistency());
   EXPECT_TRUE(loaded.has_consistency());
@@ -1484,6 +1512,23 @@ TEST(AnswerTest, VehicleIsToldTheSameFromMemoryAndFromTheStore) {
   EXPECT_EQ(loaded.name(), "vehicles/a");
   EXPECT_EQ(loaded.create_time().seconds(), -1);
   EXPECT_EQ(loaded.create_time().nanos(), 999999999);
+}
+
+TEST(AnswerTest, DamagedVehicleTellsWhatIsSound) {
+  VehicleRecord record = RecordOf("");
+  record.damage = absl::DataLossError("damaged");
+  record.durable_sequence = 5;
+  v1::Vehicle vehicle;
+  EncodeVehicle(record, &vehicle);
+  EXPECT_EQ(vehicle.DebugString(), FromText<v1::Vehicle>(R"pb(
+    name: "vehicles/truck" state: VEHICLE_STATE_DAMAGED
+  )pb").DebugString());
+  record.payload = ProtoRecordCodec().EncodeVehicle(Planar());
+  EncodeVehicle(record, &vehicle);
+  EXPECT_EQ(vehicle.state(), v1::VEHICLE_STATE_DAMAGED);
+  EXPECT_TRUE(vehicle.has_settings());
+  // What damaged rows claim is nothing to rely on.
+  EXPECT_EQ(vehicle.durable_sequence(), 0u);
 }
 
 TEST(AnswerTest, VehicleSaysHowConsistentItIs) {

@@ -8,6 +8,7 @@ namespace revisit::server {
 
 VehicleConfig TestConfig() {
   VehicleConfig config;
+  config.uid = "uid-of-test";
   config.engine.node_spacing_meters = 1.0;
   config.engine.check_interval_meters = 5.0;
   config.engine.search.sequence_length_meters = 10.0;
@@ -21,6 +22,8 @@ Snapshot Take(const VehicleView& view) {
   snapshot.loop_closure_count = view.loop_closure_count;
   snapshot.consistency = view.engine.consistency();
   snapshot.config = view.config;
+  snapshot.damage = view.damage;
+  snapshot.config_is_known = view.config_is_known;
   const core::PoseGraph& graph = view.engine.graph();
   snapshot.node_count = graph.size();
   std::ostringstream text;
@@ -59,9 +62,10 @@ absl::StatusOr<Snapshot> ReadNow(VehicleSession& session) {
 }
 
 absl::StatusOr<Snapshot> CheckAcknowledgedNow(VehicleSession& session,
-                                              std::uint64_t acked_sequence) {
+                                              std::uint64_t acked_sequence,
+                                              const std::string& uid) {
   const Answer<absl::StatusOr<Snapshot>> answer;
-  session.CheckAcknowledged(acked_sequence, Taking(answer));
+  session.CheckAcknowledged(acked_sequence, uid, Taking(answer));
   return answer.Get();
 }
 

@@ -27,6 +27,8 @@ struct Snapshot {
   // Every number of every node, and the loop edges, as text.
   std::string graph;
   std::int64_t node_count = 0;
+  absl::Status damage;
+  bool config_is_known = true;
 };
 
 // Nodes 1 m apart, 10 m sequences, a check every 5 m.
@@ -41,7 +43,8 @@ std::function<void(absl::StatusOr<VehicleView>)> Taking(
 // The calls of a session, waited for.
 absl::StatusOr<Snapshot> ReadNow(VehicleSession& session);
 absl::StatusOr<Snapshot> CheckAcknowledgedNow(VehicleSession& session,
-                                              std::uint64_t acked_sequence);
+                                              std::uint64_t acked_sequence,
+                                              const std::string& uid = "");
 absl::StatusOr<Snapshot> AcceptDataLossNow(VehicleSession& session,
                                            std::uint64_t durable_sequence);
 absl::StatusOr<Snapshot> UpdateNow(

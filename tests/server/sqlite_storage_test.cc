@@ -442,10 +442,65 @@ TEST_F(SqliteStorageTest, FindsDamageOfVehicle) {
     const std::unique_ptr<Storage> storage = MustOpen(Path());
     const auto corrupt = IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
                                  HasSubstr("vehicle 'truck'"));
-    EXPECT_THAT(storage->GetVehicle("truck"), corrupt);
-    EXPECT_THAT(storage->ListVehicles("", "", 10), corrupt);
-    EXPECT_THAT(storage->ListVehicles("", "other-", 10), IsOk());
+    // It is told of this one alone, and it can be deleted and made again.
+    const VehicleKey sound = *BlockingWrites(storage.get()).Create("sound");
+    const absl::StatusOr<VehicleRecord> record = storage->GetVehicle("truck");
+    ASSERT_THAT(record, IsOk());
+    EXPECT_THAT(record->damage, corrupt);
+    const auto listed = storage->ListVehicles("", "", 10);
+    ASSERT_THAT(listed, IsOk());
+    ASSERT_EQ(listed->size(), 2u);
+    EXPECT_EQ((*listed)[0].key, sound);
+    EXPECT_THAT((*listed)[0].damage, IsOk());
+    EXPECT_THAT((*listed)[1].damage, corrupt);
+    BlockingWrites write(storage.get());
+    EXPECT_THAT(write.Delete(record->key), IsOk());
+    const absl::StatusOr<VehicleKey> again = write.Create("truck");
+    ASSERT_THAT(again, IsOk());
+    EXPECT_THAT(storage->GetVehicle("truck")->damage, IsOk());
+    EXPECT_THAT(write.Append(*again, {1, 1, 2, "a"}), IsOk());
   }
+}
+
+TEST_F(SqliteStorageTest, GivesUpWhatIsDamaged) {
+  for (const char* damage :
+       {"UPDATE batches SET payload = 'x' WHERE first_sequence = 5",
+        "UPDATE batches SET revision = 99 WHERE first_sequence = 3",
+        // The revision is sound, what it revises is not.
+        "UPDATE revised_batches SET payload = 'x'",
+        "DELETE FROM batches WHERE first_sequence = 3"}) {
+    SCOPED_TRACE(damage);
+    std::filesystem::remove(Path());
+    const VehicleKey key = MakeStore();
+    RunSql(Path(), damage);
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    BlockingWrites write(storage.get());
+    std::uint64_t sound = 0;
+    EXPECT_THAT(storage->ReadBatches(key, 1, 6, BatchVersion::kCurrent,
+                                     [&](const BatchRecord& batch) {
+                                       sound = batch.first_sequence +
+                                               batch.count - 1;
+                                       return true;
+                                     }),
+                IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+    ASSERT_LT(sound, 6u);
+    EXPECT_THAT(write.DropDamaged(key, sound, "new", 30), IsOk());
+    const VehicleRecord record = *storage->GetVehicle("truck");
+    EXPECT_THAT(record.damage, IsOk());
+    EXPECT_EQ(record.durable_sequence, sound);
+    EXPECT_EQ(record.revision, 30u);
+    EXPECT_THAT(ReadAll(*storage, key, 1, sound), IsOk());
+    EXPECT_THAT(write.Append(key, {sound + 1, 1, 31, "a"}), IsOk());
+  }
+  // A damaged pair goes alone.
+  std::filesystem::remove(Path());
+  const VehicleKey key = MakeStore();
+  RunSql(Path(), "UPDATE loop_closures SET create_time_ns = 98");
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  EXPECT_THAT(BlockingWrites(storage.get()).DropDamaged(key, 6, "new", 30),
+              IsOk());
+  EXPECT_EQ(storage->GetVehicle("truck")->loop_closure_count, 0);
+  EXPECT_EQ(storage->GetVehicle("truck")->rejected_candidate_count, 1);
 }
 
 TEST_F(SqliteStorageTest, FindsDamageOfPairs) {
@@ -461,8 +516,11 @@ TEST_F(SqliteStorageTest, FindsDamageOfPairs) {
       const VehicleKey key = MakeStore();
       RunSql(Path(), sql);
       const std::unique_ptr<Storage> storage = MustOpen(Path());
+      const auto pairs = storage->ListPosePairs(key, kind, "", 10);
+      ASSERT_THAT(pairs, IsOk());
+      ASSERT_EQ(pairs->size(), 1u);
       EXPECT_THAT(
-          storage->ListPosePairs(key, kind, "", 10),
+          pairs->front().damage,
           IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
                   AllOf(HasSubstr(WordsOf(kind).noun), HasSubstr("'truck'"))));
     }
@@ -475,7 +533,8 @@ TEST_F(SqliteStorageTest, FindsPairThatEndedUpInTheTableOfAnotherKind) {
   const std::unique_ptr<Storage> storage = MustOpen(Path());
   const absl::Status status =
       storage->ListPosePairs(key, PairKind::kRejectedCandidate, "", 10)
-          .status();
+          ->front()
+          .damage;
   EXPECT_THAT(status,
               IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
                       "stored rejected candidate 'link' of vehicle 'truck' "

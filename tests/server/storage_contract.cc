@@ -281,6 +281,38 @@ TEST_P(StorageContract, KeepsKindsOfPairsApart) {
               ElementsAre("a: 8 at 3, 2 ns", "b: 7 at 3, 3 ns"));
 }
 
+TEST_P(StorageContract, GivesUpWhatComesAfterASequence) {
+  const VehicleKey key = *write().Create("truck");
+  for (std::uint64_t i = 0; i < 3; ++i) {
+    ASSERT_THAT(write().Append(key, Batch(2 * i + 1, 2, i + 2, "a")), IsOk());
+  }
+  ASSERT_THAT(
+      write().Revise(key, {Batch(1, 2, 0, "A"), Batch(5, 2, 0, "B")}, 5),
+      IsOk());
+  for (const PairKind kind : kPairKinds) {
+    ASSERT_THAT(write().AddPair(key, kind, {"a", 4, 1, 0}, 6), IsOk());
+    ASSERT_THAT(write().AddPair(key, kind, {"b", 5, 1, 0}, 7), IsOk());
+  }
+  EXPECT_THAT(write().DropDamaged(key, 3, "new", 8),
+              IsError(StatusCode::kFailedPrecondition, "INTERNAL", _));
+  ASSERT_THAT(write().DropDamaged(key, 4, "new", 9), IsOk());
+  store_->Reopen();
+  EXPECT_EQ(ToText(*storage().GetVehicle("truck")),
+            "truck " + std::to_string(key) +
+                ": 1 closures, 1 rejected, to 4, revision 9, 'new'");
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 4)),
+              ElementsAre("1+2, revision 5, 'A'", "3+2, revision 3, 'a'"));
+  EXPECT_THAT(write().Append(key, Batch(5, 1, 10, "c")), IsOk());
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 5, 5)),
+              ElementsAre("5+1, revision 10, 'c'"));
+  ASSERT_THAT(write().DropDamaged(key, 0, "none", 11), IsOk());
+  EXPECT_EQ(ToText(*storage().GetVehicle("truck")),
+            "truck " + std::to_string(key) +
+                ": 0 closures, 0 rejected, to 0, revision 11, 'none'");
+  EXPECT_THAT(write().DropDamaged(99, 0, "none", 12),
+              IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
+}
+
 TEST_P(StorageContract, DeletesVehicleWithAllThatBelongsToIt) {
   const VehicleKey key = *write().Create("truck");
   for (std::uint64_t i = 0; i < 100; ++i) {

@@ -86,6 +86,16 @@ absl::Status BlockingWrites::AddPair(VehicleKey key, PairKind kind,
   });
 }
 
+absl::Status BlockingWrites::DropDamaged(VehicleKey key,
+                                         std::uint64_t last_sequence,
+                                         const std::string& payload,
+                                         std::uint64_t revision) {
+  return Blocking([&](Storage::Done done) {
+    storage_->DropDamaged(key, last_sequence, payload, revision,
+                          std::move(done));
+  });
+}
+
 absl::Status BlockingWrites::DeletePair(VehicleKey key, PairKind kind,
                                         const std::string& id,
                                         std::uint64_t revision) {

@@ -33,6 +33,8 @@ class BlockingWrites {
                       std::uint64_t revision);
   absl::Status AddPair(VehicleKey key, PairKind kind,
                        const PosePairRecord& pair, std::uint64_t revision);
+  absl::Status DropDamaged(VehicleKey key, std::uint64_t last_sequence,
+                           const std::string& payload, std::uint64_t revision);
   absl::Status DeletePair(VehicleKey key, PairKind kind, const std::string& id,
                           std::uint64_t revision);
 

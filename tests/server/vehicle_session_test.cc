@@ -33,6 +33,9 @@ using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
 constexpr PairKind kClosure = PairKind::kLoopClosure;
+// Of TestConfig().
+constexpr char kUid[] = "uid-of-test";
+
 constexpr PairKind kRejection = PairKind::kRejectedCandidate;
 
 const absl::Status& DeviceFailure() {
@@ -130,14 +133,33 @@ TEST_F(VehicleSessionTest, AcknowledgesAndAppliesBatches) {
   EXPECT_EQ(memory_.GetVehicle("truck")->revision, 3u);
 }
 
-TEST_F(VehicleSessionTest, ReportsJumpsOnce) {
+// An acknowledgement that got lost is given again when the batch is, but it
+// lacked the jumps.
+TEST_F(VehicleSessionTest, ReportsJumpsOfResentBatchAgain) {
+  const auto jumps = [&](const std::string& batch) {
+    const auto ack = AppendNow(*session_, batch);
+    EXPECT_THAT(ack, IsOk());
+    std::vector<std::pair<std::uint64_t, double>> found;
+    for (const core::Jump& jump : ack->jumps) {
+      found.emplace_back(jump.sequence, jump.distance_meters);
+    }
+    return found;
+  };
+  const auto first = ElementsAre(std::pair(3u, 500.0));
+  const auto both =
+      ElementsAre(std::pair(3u, 500.0), std::pair(6u, 1000.0));
   const std::string batch = PlainBatch(1, {0, 1, 501, 502});
-  const auto ack = AppendNow(*session_, batch);
-  ASSERT_THAT(ack, IsOk());
-  ASSERT_EQ(ack->jumps.size(), 1u);
-  EXPECT_EQ(ack->jumps[0].sequence, 3u);
-  EXPECT_EQ(ack->jumps[0].distance_meters, 500.0);
-  EXPECT_THAT(AppendNow(*session_, batch)->jumps, IsEmpty());
+  EXPECT_THAT(jumps(batch), first);
+  for (int i = 0; i < 2; ++i) {
+    EXPECT_THAT(jumps(batch), first);
+    EXPECT_THAT(jumps(PlainBatch(3, {501})), first);
+    EXPECT_THAT(jumps(PlainBatch(4, {502})), IsEmpty());
+    Reload();
+  }
+  // Partly new.
+  EXPECT_THAT(jumps(PlainBatch(2, {1, 501, 502, 503, 1503})), both);
+  EXPECT_THAT(jumps(PlainBatch(4, {502, 503, 1503, 1504})),
+              ElementsAre(std::pair(6u, 1000.0)));
 }
 
 TEST_F(VehicleSessionTest, ShowsNothingBeforeItIsDurable) {
@@ -701,6 +723,72 @@ TEST_F(VehicleSessionTest, ShowsOldGraphUntilRevisionIsDurable) {
   EXPECT_NE(ReadNow(*session_)->graph, before.graph);
 }
 
+// New poses were read while the view was still of the old revision: later reads
+// went back in time.
+TEST_F(VehicleSessionTest, StoreIsReadAtTheRevisionOfTheView) {
+  for (std::uint64_t first = 1; first <= 7; first += 3) {
+    ASSERT_THAT(AppendNow(*session_, StraightBatch(first, 3)), IsOk());
+  }
+  const auto read_stored = [&] {
+    const Answer<absl::StatusOr<Snapshot>> answer;
+    session_->ReadStored(Taking(answer));
+    return answer;
+  };
+  EXPECT_EQ(read_stored().Get()->revision, 4u);
+  storage_.Hold();
+  const Answer<absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>> revised;
+  session_->Revise(ShiftSecondBatch, revised.Setter());
+  storage_.Await(1);
+  const auto stored = read_stored();
+  EXPECT_EQ(ReadNow(*session_)->revision, 4u);
+  EXPECT_FALSE(stored.IsSet());
+  storage_.ReleaseAll();
+  EXPECT_EQ(stored.Get()->revision, 5u);
+  // Nor does one that failed hold it up.
+  storage_.Hold();
+  session_->Revise(ShiftSecondBatch, [](const auto&) {});
+  storage_.FailOne(DeviceFailure());
+  EXPECT_EQ(read_stored().Get()->revision, 5u);
+  storage_.ReleaseAll();
+}
+
+TEST_F(VehicleSessionTest, DeletedVehicleIsNotReadOnceTheStoreIsWithoutIt) {
+  storage_.Hold();
+  const Answer<absl::Status> deleted;
+  session_->Delete(deleted.Setter());
+  storage_.Await(1);
+  const Answer<absl::StatusOr<Snapshot>> read;
+  session_->Read(Taking(read));
+  const Answer<absl::StatusOr<Snapshot>> behind;
+  session_->LongRead(Taking(behind));
+  EXPECT_FALSE(read.IsSet());
+  storage_.FailOne(DeviceFailure());
+  EXPECT_THAT(read.Get(), IsOk());
+  EXPECT_THAT(behind.Get(), IsOk());
+  const Answer<absl::Status> again;
+  session_->Delete(again.Setter());
+  storage_.Await(1);
+  const Answer<absl::StatusOr<Snapshot>> late;
+  session_->Read(Taking(late));
+  storage_.ReleaseAll();
+  EXPECT_THAT(late.Get(),
+              IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
+}
+
+TEST_F(VehicleSessionTest, RevisionThatWasDoneBeforeIsAnsweredAgain) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  const auto revised = ReviseNow(*session_, [](const VehicleView&) {
+    RevisionPlan plan;
+    plan.batches.push_back({1, 9, 0, StraightBatch(1, 9)});
+    plan.revised_count = 4;
+    plan.done_by = 2;
+    return plan;
+  });
+  ASSERT_THAT(revised, IsOk());
+  EXPECT_EQ(*revised, std::pair(std::uint64_t{2}, std::int64_t{4}));
+  EXPECT_EQ(ReadNow(*session_)->revision, 2u);
+}
+
 TEST_F(VehicleSessionTest, LoadsAnewIfRevisedPosesCannotBeRead) {
   for (std::uint64_t first = 1; first <= 7; first += 3) {
     ASSERT_THAT(AppendNow(*session_, StraightBatch(first, 3)), IsOk());
@@ -865,7 +953,8 @@ TEST_F(VehicleSessionTest, BelievesClientThatHoldsNoMoreThanIsStored) {
 
 TEST_F(VehicleSessionTest, RefusesWritesOnceDataWasLost) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
-  const absl::Status status = CheckAcknowledgedNow(*session_, 12).status();
+  const absl::Status status =
+      CheckAcknowledgedNow(*session_, 12, kUid).status();
   EXPECT_THAT(status,
               IsError(StatusCode::kDataLoss, "DURABLE_SEQUENCE_REGRESSED",
                       HasSubstr("the 9 poses that are stored")));
@@ -884,7 +973,7 @@ TEST_F(VehicleSessionTest, RefusesWritesOnceDataWasLost) {
     EXPECT_THAT(UpdateNow(*session_,
                           [](const VehicleView& view) { return view.config; }),
                 lost);
-    EXPECT_THAT(CheckAcknowledgedNow(*session_, 10), lost);
+    EXPECT_THAT(CheckAcknowledgedNow(*session_, 10, kUid), lost);
     // Reads go on.
     const auto read = ReadNow(*session_);
     EXPECT_TRUE(read->config.data_loss);
@@ -895,12 +984,39 @@ TEST_F(VehicleSessionTest, RefusesWritesOnceDataWasLost) {
   }
 }
 
+// A vehicle was deleted and made again, and a client of the old one put the new
+// one into data loss; and so could any number that somebody made up.
+TEST_F(VehicleSessionTest, ClaimOfAnotherVehicleChangesNothing) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  for (const std::uint64_t acked : {0, 5, 12}) {
+    const absl::Status status =
+        CheckAcknowledgedNow(*session_, acked, "uid-of-old").status();
+    EXPECT_THAT(status,
+                IsError(StatusCode::kFailedPrecondition, "VEHICLE_REPLACED",
+                        HasSubstr("has the uid uid-of-test, got uid-of-old")));
+    EXPECT_EQ(MetadataOf(status, "vehicle_uid"), "uid-of-test");
+    EXPECT_EQ(MetadataOf(status, "expected_vehicle_uid"), "uid-of-old");
+  }
+  // One that does not say which vehicle it is of ends by itself.
+  const absl::Status nameless = CheckAcknowledgedNow(*session_, 12).status();
+  EXPECT_THAT(nameless,
+              IsError(StatusCode::kDataLoss, "DURABLE_SEQUENCE_REGRESSED",
+                      HasSubstr("only 9 poses are stored")));
+  EXPECT_EQ(MetadataOf(nameless, "durable_sequence"), "9");
+  EXPECT_EQ(MetadataOf(nameless, "acked_sequence"), "12");
+  const auto read = ReadNow(*session_);
+  EXPECT_FALSE(read->config.data_loss);
+  EXPECT_EQ(read->revision, 2u);
+  EXPECT_THAT(AppendNow(*session_, StraightBatch(10, 1)), IsOk());
+}
+
 TEST_F(VehicleSessionTest, WritesAgainOnceTheLossIsAccepted) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
   EXPECT_THAT(AcceptDataLossNow(*session_, 9),
               IsError(StatusCode::kFailedPrecondition, "NO_DATA_LOSS",
-                      "vehicle 'truck' is not in the state DATA_LOSS"));
-  ASSERT_FALSE(CheckAcknowledgedNow(*session_, 12).ok());
+                      "vehicle 'truck' is neither in the state DATA_LOSS nor "
+                      "DAMAGED"));
+  ASSERT_FALSE(CheckAcknowledgedNow(*session_, 12, kUid).ok());
   EXPECT_THAT(
       AcceptDataLossNow(*session_, 12),
       IsError(StatusCode::kFailedPrecondition, "DURABLE_SEQUENCE_MISMATCH",
@@ -916,13 +1032,110 @@ TEST_F(VehicleSessionTest, WritesAgainOnceTheLossIsAccepted) {
 TEST_F(VehicleSessionTest, RefusesWritesEvenIfTheLossCannotBeStored) {
   storage_.Hold();
   const Answer<absl::StatusOr<Snapshot>> checked;
-  session_->CheckAcknowledged(12, Taking(checked));
+  session_->CheckAcknowledged(12, kUid, Taking(checked));
   storage_.FailOne(DeviceFailure());
   const auto lost =
       IsError(StatusCode::kDataLoss, "DURABLE_SEQUENCE_REGRESSED", _);
   EXPECT_THAT(checked.Get(), lost);
   storage_.ReleaseAll();
   EXPECT_THAT(AppendNow(*session_, StraightBatch(1, 1)), lost);
+}
+
+// ---- Damage
+
+TEST_F(VehicleSessionTest, DamagedVehicleIsReadAsFarAsItIsSound) {
+  for (std::uint64_t first = 1; first <= 7; first += 3) {
+    ASSERT_THAT(AppendNow(*session_, StraightBatch(first, 3)), IsOk());
+  }
+  ASSERT_THAT(AddPairNow(*session_, kClosure, {"in", 3, 1, 0}), IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kRejection, {"out", 9, 1, 0}), IsOk());
+  const std::uint64_t revision = ReadNow(*session_)->revision;
+  memory_.DamagePose("truck", 5);
+  Reload();
+  const auto damaged =
+      IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+              AllOf(HasSubstr("vehicle 'truck' is damaged: batch is damaged"),
+                    HasSubstr("AcceptDataLoss with durable_sequence 3")));
+  for (int i = 0; i < 2; ++i) {
+    const auto read = ReadNow(*session_);
+    ASSERT_THAT(read, IsOk());
+    EXPECT_THAT(read->damage, damaged);
+    EXPECT_EQ(read->durable_sequence, 3u);
+    EXPECT_EQ(read->node_count, 3);
+    EXPECT_EQ(read->loop_closure_count, 1);
+    EXPECT_EQ(read->consistency.rejected, 0);
+    // Of the poses that are lost nobody knows what they had brought.
+    EXPECT_EQ(read->revision, revision + 6);
+    EXPECT_THAT(AppendNow(*session_, StraightBatch(4, 1)), damaged);
+    EXPECT_THAT(AppendNow(*session_, StraightBatch(1, 1)), damaged);
+    EXPECT_THAT(AddPairNow(*session_, kClosure, {"a", 3, 2, 0}), damaged);
+    EXPECT_THAT(DeletePairNow(*session_, kClosure, "in"), damaged);
+    EXPECT_THAT(CheckAcknowledgedNow(*session_, 9, kUid), damaged);
+    EXPECT_THAT(CheckAcknowledgedNow(*session_, 9, "uid-of-old"),
+                IsError(StatusCode::kFailedPrecondition, "VEHICLE_REPLACED",
+                        _));
+    EXPECT_THAT(UpdateNow(*session_,
+                          [](const VehicleView& view) { return view.config; }),
+                damaged);
+    Reload();
+  }
+  EXPECT_THAT(AcceptDataLossNow(*session_, 9),
+              IsError(StatusCode::kFailedPrecondition,
+                      "DURABLE_SEQUENCE_MISMATCH", _));
+  const auto accepted = AcceptDataLossNow(*session_, 3);
+  ASSERT_THAT(accepted, IsOk());
+  EXPECT_THAT(accepted->damage, IsOk());
+  EXPECT_EQ(accepted->revision, revision + 7);
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(4, 2)), IsOk());
+  const Snapshot whole = *ReadNow(*session_);
+  Reload();
+  EXPECT_EQ(ReadNow(*session_)->graph, whole.graph);
+  EXPECT_EQ(ReadNow(*session_)->revision, revision + 8);
+  EXPECT_EQ(ReadNow(*session_)->durable_sequence, 5u);
+}
+
+TEST_F(VehicleSessionTest, DamagedPairIsGivenUpAlone) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kClosure, {"a", 9, 1, 0}), IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kClosure, {"b", 8, 1, 0}), IsOk());
+  memory_.DamagePair("truck", kClosure, "a");
+  Reload();
+  EXPECT_THAT(ReadNow(*session_)->damage,
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                      HasSubstr("pair a is damaged")));
+  EXPECT_EQ(ReadNow(*session_)->loop_closure_count, 1);
+  EXPECT_EQ(ReadNow(*session_)->durable_sequence, 9u);
+  ASSERT_THAT(AcceptDataLossNow(*session_, 9), IsOk());
+  Reload();
+  EXPECT_THAT(ReadNow(*session_)->damage, IsOk());
+  EXPECT_EQ(ReadNow(*session_)->loop_closure_count, 1);
+}
+
+TEST_F(VehicleSessionTest, VehicleWithoutItsSettingsCanBeDeleted) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  memory_.DamageVehicle("truck");
+  Reload();
+  const auto damaged = IsError(
+      StatusCode::kDataLoss, "STORE_CORRUPT",
+      HasSubstr("vehicle is damaged; without its settings it can only be "
+                "deleted"));
+  EXPECT_THAT(ReadNow(*session_)->damage, damaged);
+  EXPECT_FALSE(ReadNow(*session_)->config_is_known);
+  EXPECT_EQ(ReadNow(*session_)->durable_sequence, 0u);
+  EXPECT_THAT(AppendNow(*session_, StraightBatch(1, 1)), damaged);
+  EXPECT_THAT(CheckAcknowledgedNow(*session_, 9, kUid), damaged);
+  EXPECT_THAT(AcceptDataLossNow(*session_, 0), damaged);
+  EXPECT_THAT(DeleteNow(*session_), IsOk());
+  EXPECT_FALSE(memory_.GetVehicle("truck").ok());
+}
+
+TEST_F(VehicleSessionTest, IsLoadedAnewWhereSomebodyMetDamage) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  session_->LoadAnew();
+  EXPECT_THAT(AppendNow(*session_, StraightBatch(10, 1)),
+              IsError(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                      HasSubstr("has to be loaded anew")));
+  EXPECT_TRUE(session_->gone());
 }
 
 TEST_F(VehicleSessionTest, AnswersNotFoundAfterDelete) {
@@ -994,17 +1207,18 @@ TEST_F(VehicleSessionTest, OriginGoesWithTheBatchThatWasNotWritten) {
 
 TEST_F(VehicleSessionTest, SaysThatStoredVehicleCannotBeRead) {
   ASSERT_THAT(BlockingWrites(&memory_).Create("broken", "nonsense"), IsOk());
-  EXPECT_THAT(ReadNow(*Load("broken")), IsError(StatusCode::kDataLoss, _, _));
+  EXPECT_THAT(ReadNow(*Load("broken"))->damage,
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
   const VehicleKey key =
       *BlockingWrites(&memory_).Create("bad", codec_.EncodeVehicle({}));
   ASSERT_THAT(
       BlockingWrites(&memory_).Append(key, {1, 2, 2, StraightBatch(1, 3)}),
       IsOk());
   const std::shared_ptr<VehicleSession> bad = Load("bad");
-  EXPECT_THAT(ReadNow(*bad),
+  EXPECT_THAT(ReadNow(*bad)->damage,
               IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
                       AllOf(HasSubstr("'bad'"), HasSubstr("sequence 1"))));
-  EXPECT_TRUE(bad->gone());
+  EXPECT_EQ(ReadNow(*bad)->durable_sequence, 0u);
 }
 
 TEST_F(VehicleSessionTest, CloseFinishesWhatWasCalledAndRefusesTheRest) {

@@ -251,6 +251,60 @@ TEST_F(PoseStreamTest, SeesDataLossEvenIfTheServerDoesNot) {
       HasSubstr("has poses up to sequence 0, but acknowledged up to 5"));
 }
 
+// A vehicle that was deleted, made again and filled by somebody else has the
+// sequences that this client waits for: it took its own poses for durable, and
+// claimed what it had acknowledged of the old one.
+TEST_F(PoseStreamTest, TakesNoOtherVehicleOfTheSameNameForItsOwn) {
+  for (const bool server_checks : {true, false}) {
+    FakeServer server;
+    server.CheckUid(server_checks);
+    const auto open = [&](const PoseStreamOptions& options) {
+      return std::make_unique<PoseStream>(MakeInsecureChannel(server.address()),
+                                          "vehicles/shuttle", options,
+                                          PoseStreamCallbacks());
+    };
+    const auto stream = open(Options());
+    ASSERT_TRUE(stream->WaitUntilOpened().ok());
+    EXPECT_EQ(stream->vehicle_uid(), "first");
+    server.HoldStreams(true);
+    ASSERT_TRUE(stream->Append(MakeBatch(1, 40)).ok());
+    server.Stop();
+    server.HoldStreams(false);
+    server.Replace("second");
+    server.Start();
+    {
+      PoseStreamOptions other = Options();
+      other.batch_poses = 100;
+      const auto somebody = open(other);
+      ASSERT_TRUE(somebody->Append(MakeBatch(1, 60)).ok());
+      // Not long enough for `stream` to be asked nothing.
+      ASSERT_TRUE(somebody->Finish().ok());
+    }
+    const absl::Status finished = stream->Finish();
+    EXPECT_EQ(finished.code(), absl::StatusCode::kFailedPrecondition);
+    if (server_checks) {
+      EXPECT_EQ(DetailsOf(finished).reason, "VEHICLE_REPLACED");
+    } else {
+      EXPECT_THAT(std::string(finished.message()),
+                  HasSubstr("vehicles/shuttle has the uid second, but the "
+                            "stream began with first"));
+    }
+    EXPECT_EQ(stream->pending_poses(), 40u);
+    EXPECT_EQ(stream->acked_sequence(), 0u);
+    EXPECT_EQ(stream->vehicle_uid(), "first");
+  }
+}
+
+TEST_F(PoseStreamTest, SaysWhichVehicleItMeansFromAnEarlierLife) {
+  PoseStreamOptions options = Options();
+  options.vehicle_uid = "first";
+  ASSERT_TRUE(Open(options)->Finish().ok());
+  options.vehicle_uid = "another";
+  options.acked_sequence = 5;
+  EXPECT_EQ(DetailsOf(Open(options)->Finish()).reason, "VEHICLE_REPLACED");
+  EXPECT_THAT(server_.OpenUids(), ElementsAre("first", "another"));
+}
+
 TEST_F(PoseStreamTest, HoldsNoMorePosesThanAllowed) {
   server_.HoldStreams(true);
   PoseStreamOptions options = Options();

@@ -1,0 +1,156 @@
+"""Damaged rows of one vehicle cost that vehicle what is damaged, and nobody
+anything else."""
+
+import sqlite3
+
+import grpc
+import pytest
+
+from drive_client import create
+from revisit_server import Server
+from stubs import api
+from wire import (LOOP_CLOSURES, REJECTED_CANDIDATES, PoseStream, append,
+                  as_bytes, batches, failure_of, get, list_poses, straight)
+
+DAMAGED = "vehicles/truck-2"
+VEHICLES = ["vehicles/truck-1", DAMAGED, "vehicles/truck-3"]
+STORED = 40
+
+
+def row_of(table, condition=""):
+    return (f"UPDATE {table} SET checksum = checksum + 1 WHERE vehicle_key = "
+            f"(SELECT key FROM vehicles WHERE id = 'truck-2') {condition}")
+
+
+# What is damaged, and how many poses come before it: None if nobody can tell.
+DAMAGES = {
+    "first batch": (row_of("batches", "AND first_sequence = 1"), 0),
+    "batch in the middle": (row_of("batches", "AND first_sequence = 21"), 20),
+    "last batch": (row_of("batches", "AND first_sequence = 31"), 30),
+    "revised batch": (row_of("revised_batches"), 10),
+    "loop closure": (row_of("loop_closures"), STORED),
+    "rejected candidate": (row_of("rejected_candidates"), STORED),
+    "vehicle": ("UPDATE vehicles SET checksum = checksum + 1 "
+                "WHERE id = 'truck-2'", None),
+}
+
+
+@pytest.fixture(params=list(DAMAGES.items()), ids=lambda item: item[0])
+def damaged(request, tmp_path):
+    """(a server over a store with one damaged vehicle, its sound poses)"""
+    sql, sound = request.param[1]
+    with Server(tmp_path / "store") as server:
+        stub = server.stub()
+        for vehicle in VEHICLES:
+            create(stub, vehicle)
+            for part in batches(straight(STORED), 10):
+                append(stub, vehicle, part)
+            stub.RevisePoses(iter([api.RevisePosesRequest(
+                vehicle=vehicle, poses=straight(5, first=12, spacing=1.01))]))
+            LOOP_CLOSURES.add(stub, vehicle, 9, 2)
+            REJECTED_CANDIDATES.add(stub, vehicle, 39, 2)
+    database = sqlite3.connect(tmp_path / "store" / "revisit.sqlite")
+    with database:
+        assert database.execute(sql).rowcount == 1
+    database.close()
+    with Server(tmp_path / "store") as server:
+        yield server.stub(), sound
+
+
+def assert_corrupt(failure):
+    assert failure.code == grpc.StatusCode.DATA_LOSS, failure
+    assert failure.reason == "STORE_CORRUPT"
+    assert failure.metadata["vehicle"] == "truck-2"
+    assert "truck-2" in failure.message
+
+
+def listed(stub):
+    vehicles = stub.ListVehicles(api.ListVehiclesRequest()).vehicles
+    assert [vehicle.name for vehicle in vehicles] == VEHICLES
+    assert [vehicle.state for vehicle in (vehicles[0], vehicles[2])] == [
+        api.VEHICLE_STATE_ACTIVE] * 2
+    assert vehicles[0].durable_sequence == STORED
+    return vehicles[1]
+
+
+def sound_poses(stub):
+    """What pages give until one fails, and how that one fails."""
+    request = api.ListPosesRequest(parent=DAMAGED, page_size=7)
+    poses = []
+    while True:
+        try:
+            page = stub.ListPoses(request)
+        except grpc.RpcError:
+            return poses, failure_of(lambda: stub.ListPoses(request))
+        poses.extend(page.poses)
+        assert page.next_page_token, "ended as if nothing were missing"
+        request.page_token = page.next_page_token
+
+
+# One row of one vehicle made ListVehicles fail for everybody.
+def test_damage_is_told_and_what_comes_before_it_is_read(damaged):
+    stub, sound = damaged
+    # Before it is loaded, too, where the list meets it.
+    listed(stub)
+    vehicle = get(stub, DAMAGED)
+    assert vehicle.state == api.VEHICLE_STATE_DAMAGED
+    assert vehicle.durable_sequence == (sound or 0)
+    assert vehicle.HasField("settings") == (sound is not None)
+    assert listed(stub) == vehicle
+    poses, failure = sound_poses(stub)
+    assert_corrupt(failure)
+    assert as_bytes(poses) == as_bytes(
+        list_poses(stub, VEHICLES[0])[:sound or 0])
+
+    exported = []
+    with pytest.raises(grpc.RpcError):
+        for part in stub.ExportPoseGraph(
+                api.ExportPoseGraphRequest(vehicle=DAMAGED)):
+            exported.append(part)
+    assert exported[0].vehicle == vehicle
+    assert sum(len(part.nodes) for part in exported) == vehicle.node_count
+    assert_corrupt(failure_of(lambda: list(stub.ExportPoseGraph(
+        api.ExportPoseGraphRequest(vehicle=DAMAGED)))))
+
+    assert_corrupt(failure_of(lambda: stub.FindCandidates(
+        api.FindCandidatesRequest(vehicle=DAMAGED))))
+    assert_corrupt(failure_of(lambda: append(
+        stub, DAMAGED, straight(1, first=STORED + 1))))
+    with PoseStream(stub, DAMAGED, acked_sequence=STORED) as stream:
+        assert_corrupt(failure_of(stream.receive))
+    # The others are served.
+    for other in (VEHICLES[0], VEHICLES[2]):
+        assert append(stub, other, straight(1, first=STORED + 1)
+                      ).durable_sequence == STORED + 1
+
+
+def test_damaged_vehicle_can_be_deleted_and_made_again(damaged):
+    stub, _ = damaged
+    stub.DeleteVehicle(api.DeleteVehicleRequest(name=DAMAGED))
+    create(stub, DAMAGED)
+    assert get(stub, DAMAGED).state == api.VEHICLE_STATE_ACTIVE
+    append(stub, DAMAGED, straight(STORED))
+    assert len(list_poses(stub, DAMAGED)) == STORED
+    assert listed(stub).state == api.VEHICLE_STATE_ACTIVE
+
+
+def test_damage_is_accepted_by_giving_up_what_comes_after_it(damaged):
+    stub, sound = damaged
+    before = get(stub, DAMAGED)
+
+    def accept(durable_sequence):
+        return stub.AcceptDataLoss(api.AcceptDataLossRequest(
+            name=DAMAGED, durable_sequence=durable_sequence)).vehicle
+
+    if sound is None:
+        assert_corrupt(failure_of(lambda: accept(0)))
+        return
+    assert failure_of(
+        lambda: accept(sound + 1)).reason == "DURABLE_SEQUENCE_MISMATCH"
+    accepted = accept(sound)
+    assert accepted.state == api.VEHICLE_STATE_ACTIVE
+    assert accepted.revision > before.revision >= 8
+    assert accepted.uid == before.uid
+    append(stub, DAMAGED, straight(5, first=sound + 1))
+    assert len(list_poses(stub, DAMAGED)) == sound + 5
+    stub.FindCandidates(api.FindCandidatesRequest(vehicle=DAMAGED))
