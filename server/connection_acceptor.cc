@@ -34,6 +34,10 @@ constexpr std::chrono::seconds kLogInterval{1};
 // time however many there are.
 constexpr std::chrono::milliseconds kLeastLookInterval{100};
 constexpr std::chrono::microseconds kLookIntervalPerConnection{100};
+// Connections that are taken from one listener before anything else is done: a
+// flood must hold up neither the end of the server nor the looks at those that
+// are open.
+constexpr int kAcceptsPerRound = 64;
 // Before another try where the kernel lacks something.
 constexpr int kPauseMilliseconds = 10;
 
@@ -79,6 +83,26 @@ int OpenListener(const sockaddr* address, socklen_t length) {
   close(listener);
   errno = error;
   return -1;
+}
+
+// Device and inode; nothing if there is no socket at the path.
+std::optional<std::pair<dev_t, ino_t>> FileOfSocket(const std::string& path) {
+  struct stat file {};
+  if (stat(path.c_str(), &file) != 0 || !S_ISSOCK(file.st_mode)) {
+    return std::nullopt;
+  }
+  return std::make_pair(file.st_dev, file.st_ino);
+}
+
+// Only a refusal says that nobody does: a full queue, for one, says otherwise.
+bool IsListenedAt(const sockaddr* address, socklen_t length) {
+  const int probe =
+      socket(address->sa_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+  if (probe < 0) return true;
+  const bool refused =
+      connect(probe, address, length) != 0 && errno == ECONNREFUSED;
+  close(probe);
+  return !refused;
 }
 
 std::uint16_t PortOf(int listener) {
@@ -263,16 +287,21 @@ absl::Status ConnectionAcceptor::OpenUnix() {
   std::memcpy(address.sun_path + (abstract ? 1 : 0), path.data(), path.size());
   const auto length =
       static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + path.size() + 1);
-  struct stat file {};
-  if (!abstract && stat(path.c_str(), &file) == 0 && S_ISSOCK(file.st_mode)) {
-    // What a server that was killed left behind.
+  const auto* const name = reinterpret_cast<const sockaddr*>(&address);
+  if (!abstract && FileOfSocket(path)) {
+    if (IsListenedAt(name, length)) {
+      return CannotListen(address_, "another program listens at it");
+    }
+    // A server that was killed has left it behind.
     unlink(path.c_str());
   }
-  const int listener =
-      OpenListener(reinterpret_cast<const sockaddr*>(&address), length);
+  const int listener = OpenListener(name, length);
   if (listener < 0) return CannotListen(address_, ErrnoText());
   listeners_.push_back(listener);
-  if (!abstract) socket_path_ = path;
+  if (!abstract) {
+    socket_path_ = path;
+    socket_file_ = FileOfSocket(path);
+  }
   return absl::OkStatus();
 }
 
@@ -295,8 +324,11 @@ void ConnectionAcceptor::Stop() {
   }
   for (const int listener : listeners_) close(listener);
   listeners_.clear();
-  if (!socket_path_.empty()) unlink(socket_path_.c_str());
-  socket_path_.clear();
+  // Another server may have put its own in this place.
+  if (socket_file_ && FileOfSocket(socket_path_) == socket_file_) {
+    unlink(socket_path_.c_str());
+  }
+  socket_file_.reset();
   for (int* descriptor : {&wake_, &reserve_}) {
     if (*descriptor >= 0) close(std::exchange(*descriptor, -1));
   }
@@ -321,13 +353,13 @@ void ConnectionAcceptor::Run() {
     if (ready <= 0) continue;
     if (polled.back().revents != 0) return;
     for (const pollfd& one : polled) {
-      if (one.revents != 0) AcceptAll(one.fd);
+      if (one.revents != 0) AcceptSome(one.fd);
     }
   }
 }
 
-void ConnectionAcceptor::AcceptAll(int listener) {
-  while (true) {
+void ConnectionAcceptor::AcceptSome(int listener) {
+  for (int i = 0; i < kAcceptsPerRound; ++i) {
     const int connection =
         accept4(listener, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
     if (connection >= 0) {

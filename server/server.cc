@@ -289,6 +289,11 @@ int WholeMilliseconds(double seconds) {
 
 void Configure(const Limits& limits, grpc::ServerBuilder* builder) {
   builder->SetMaxReceiveMessageSize(static_cast<int>(limits.max_message_bytes));
+  // This version of gRPC inflates a message whole before it looks at its size:
+  // a thousand times what came.
+  for (const auto algorithm : {GRPC_COMPRESS_DEFLATE, GRPC_COMPRESS_GZIP}) {
+    builder->SetCompressionAlgorithmSupportStatus(algorithm, false);
+  }
   grpc::ResourceQuota quota("connections");
   quota.Resize(static_cast<std::size_t>(limits.max_transport_bytes));
   builder->SetResourceQuota(quota);
