@@ -4,8 +4,7 @@
 #include <fcntl.h>
 #include <netdb.h>
 #include <netinet/in.h>
-// Not netinet/tcp.h: that one does not know all that the kernel tells.
-#include <linux/tcp.h>
+#include <netinet/tcp.h>
 #include <poll.h>
 #include <sys/eventfd.h>
 #include <sys/resource.h>
@@ -21,6 +20,8 @@
 #include <limits>
 #include <optional>
 #include <utility>
+
+#include "server/metered_reads.h"
 
 namespace revisit::server {
 namespace {
@@ -160,18 +161,6 @@ std::optional<std::uint64_t> SocketCookie(int descriptor) {
   return cookie;
 }
 
-// Of what TCP has taken in.
-std::optional<std::uint64_t> ReceivedBytes(int descriptor) {
-  tcp_info info{};
-  socklen_t length = sizeof(info);
-  if (getsockopt(descriptor, IPPROTO_TCP, TCP_INFO, &info, &length) != 0 ||
-      length < offsetof(tcp_info, tcpi_bytes_received) +
-                   sizeof(info.tcpi_bytes_received)) {
-    return std::nullopt;
-  }
-  return info.tcpi_bytes_received;
-}
-
 // Descriptors are given out lowest first, so one from here on means that as
 // many are open.
 int DescriptorLimit() {
@@ -196,21 +185,21 @@ void Reset(int connection) {
 }  // namespace
 
 ConnectionAcceptor::ConnectionAcceptor(const Options& options, const Log* log,
-                                       ConnectionProgress* progress)
+                                       ConnectionMeters* meters)
     : options_(options),
       log_(log),
       address_(options.address),
       table_(
-          options.bounds, SocketCookie, ReceivedBytes,
+          options.bounds, SocketCookie, MeterReads,
           [this](const std::string& remote) {
             return transport_calls_.Held(remote);
           },
-          progress) {}
+          meters) {}
 
 absl::StatusOr<std::unique_ptr<ConnectionAcceptor>> ConnectionAcceptor::Listen(
-    const Options& options, const Log* log, ConnectionProgress* progress) {
+    const Options& options, const Log* log, ConnectionMeters* meters) {
   std::unique_ptr<ConnectionAcceptor> acceptor(
-      new ConnectionAcceptor(options, log, progress));
+      new ConnectionAcceptor(options, log, meters));
   if (absl::Status status = acceptor->Open(); !status.ok()) return status;
   return acceptor;
 }
@@ -419,7 +408,7 @@ void ConnectionAcceptor::CutHarmful() {
         LogLevel::kWarning, "connection_cut",
         {{"limit", std::string(harmful.bound)}, {"peer", harmful.host}});
     // The descriptor stays gRPC's, who hears of the end.
-    shutdown(harmful.descriptor, SHUT_RDWR);
+    if (harmful.descriptor >= 0) shutdown(harmful.descriptor, SHUT_RDWR);
   }
 }
 

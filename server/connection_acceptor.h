@@ -23,7 +23,7 @@
 #include "absl/status/statusor.h"
 #include "grpcpp/security/server_credentials.h"
 #include "grpcpp/server_builder.h"
-#include "server/connection_progress.h"
+#include "server/connection_meter.h"
 #include "server/connection_table.h"
 #include "server/logging.h"
 #include "server/transport_calls.h"
@@ -44,9 +44,9 @@ class ConnectionAcceptor {
   };
 
   // UNAVAILABLE with the reason if the address cannot be listened on. Log and
-  // progress must outlive this.
+  // meters must outlive this.
   static absl::StatusOr<std::unique_ptr<ConnectionAcceptor>> Listen(
-      const Options& options, const Log* log, ConnectionProgress* progress);
+      const Options& options, const Log* log, ConnectionMeters* meters);
   // Stops.
   ~ConnectionAcceptor();
 
@@ -67,7 +67,7 @@ class ConnectionAcceptor {
 
  private:
   ConnectionAcceptor(const Options& options, const Log* log,
-                     ConnectionProgress* progress);
+                     ConnectionMeters* meters);
 
   absl::Status Open();
   absl::Status OpenInternet();

@@ -46,6 +46,9 @@ constexpr std::chrono::milliseconds kGoodbyeTime{100};
 // Calls of a connection that may have ended and wait to be cleared away, which
 // takes a moment also of those that ended well: 20 MB at most.
 constexpr std::int64_t kCallsToClear = 1000;
+// Calls at a time, those that wait to be cleared away included, of all
+// connections together that have not had one let in: 40 MB.
+constexpr std::int64_t kUnadmittedCalls = 2000;
 // How often memory is looked at, should no call do so.
 constexpr std::chrono::milliseconds kMemoryPeriod{2000};
 
@@ -215,7 +218,7 @@ struct RevisitServer::State {
   std::unique_ptr<Executor> executor;
   std::unique_ptr<Executor> search_executor;
   std::unique_ptr<Fleet> fleet;
-  ConnectionProgress connections;
+  std::unique_ptr<ConnectionMeters> meters;
   std::unique_ptr<Admission> admission;
   std::unique_ptr<Periodic> unload_timer;
   Drain drain;
@@ -342,15 +345,27 @@ SqliteOptions StorageOptions(const ServerSettings& settings, const Log* log,
   return options;
 }
 
+MeterBounds MetersOf(const Limits& limits) {
+  MeterBounds bounds;
+  bounds.max_idle_bytes = static_cast<std::uint64_t>(limits.max_idle_bytes);
+  bounds.max_unadmitted_bytes =
+      static_cast<std::uint64_t>(limits.max_unadmitted_bytes);
+  bounds.credit_bytes = static_cast<std::uint64_t>(limits.max_message_bytes +
+                                                   limits.max_metadata_bytes);
+  return bounds;
+}
+
 ConnectionAcceptor::Options AcceptorOptions(const ServerSettings& settings) {
   ConnectionAcceptor::Options options;
   options.address = settings.listen;
   options.bounds.max_connections = settings.limits.max_connections;
   options.bounds.max_connections_per_address =
       settings.limits.max_connections_per_address;
-  options.bounds.max_idle_bytes = settings.limits.max_idle_bytes;
+  options.bounds.max_unadmitted_connections =
+      settings.limits.max_unadmitted_connections;
   options.bounds.max_held_calls =
       settings.limits.max_concurrent_streams + kCallsToClear;
+  options.bounds.max_unadmitted_calls = kUnadmittedCalls;
   options.unacknowledged_timeout =
       Milliseconds(settings.limits.keepalive_timeout_seconds);
   return options;
@@ -442,7 +457,8 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   context.gatekeeper = state->gatekeeper.get();
   context.log = log;
   context.admission = state->admission.get();
-  context.connections = &state->connections;
+  state->meters = std::make_unique<ConnectionMeters>(MetersOf(limits));
+  context.meters = state->meters.get();
   context.limits = settings.limits;
   // A stream alone must not exceed what one vehicle may have waiting.
   context.limits.max_batches_in_flight =
@@ -459,7 +475,7 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   }
   Configure(settings.limits, &builder);
   auto acceptor = ConnectionAcceptor::Listen(AcceptorOptions(settings), log,
-                                             &state->connections);
+                                             state->meters.get());
   if (!acceptor.ok()) {
     *error = {absl::IsInvalidArgument(acceptor.status()) ? kExitUsage
                                                          : kExitCannotListen,

@@ -8,7 +8,7 @@
 
 #include "grpc/grpc.h"
 #include "grpc/support/alloc.h"
-#include "server/connection_progress.h"
+#include "server/connection_meter.h"
 
 namespace revisit::server {
 namespace {
@@ -84,7 +84,7 @@ void TransportCalls::LearnNew() {
         const std::string& text = name.get_ref<const std::string&>();
         const std::size_t peer = text.find(' ');
         if (peer == std::string::npos) continue;
-        sockets_[ConnectionProgress::RemoteOf(text.substr(peer + 1))] = socket;
+        sockets_[ConnectionMeters::RemoteOf(text.substr(peer + 1))] = socket;
       }
       next = std::max(next, from);
       more = !refs.empty() && Member(page, "end") != true;

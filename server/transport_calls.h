@@ -19,7 +19,7 @@ namespace revisit::server {
 // Thread-compatible. Knows the connections of all gRPC servers in the process.
 class TransportCalls {
  public:
-  // Of the connection whose other end is `remote`, as ConnectionProgress names
+  // Of the connection whose other end is `remote`, as ConnectionMeters names
   // it. Nothing if gRPC does not know such a connection, or not yet. Some 10
   // us; more by that for each connection that came since the last call.
   std::optional<std::uint64_t> Held(const std::string& remote);
