@@ -192,7 +192,7 @@ ConnectionAcceptor::ConnectionAcceptor(const Options& options, const Log* log,
       table_(
           options.bounds, SocketCookie, MeterReads,
           [this](const std::string& remote) {
-            return transport_calls_.Held(remote);
+            return transport_calls_.Count(remote);
           },
           meters) {}
 

@@ -26,12 +26,12 @@ bool Reaches(std::size_t count, std::int64_t most) {
 }  // namespace
 
 ConnectionTable::ConnectionTable(const Bounds& bounds, Cookie cookie,
-                                 Attach attach, Held held,
+                                 Attach attach, Count count,
                                  ConnectionMeters* meters)
     : bounds_(bounds),
       cookie_(std::move(cookie)),
       attach_(std::move(attach)),
-      held_(std::move(held)),
+      count_(std::move(count)),
       meters_(meters) {}
 
 ConnectionTable::~ConnectionTable() {
@@ -118,10 +118,16 @@ void ConnectionTable::Look(Connection* connection) const {
   const bool may_be_forgiven = meter.IsHalfWay();
   if (!may_hold_more && !may_hold_less && !may_be_forgiven) return;
   connection->counted_bytes = bytes;
-  const std::optional<std::uint64_t> held = held_(connection->remote);
-  connection->held = held.value_or(0);
-  // A call whose headers have not ended is held as well.
-  if (may_be_forgiven && held == std::uint64_t{0}) meter.Forgive();
+  const std::optional<CallCounts> counts = count_(connection->remote);
+  connection->held = counts ? counts->held : 0;
+  // Nothing is held of a connection without calls; one whose headers have not
+  // ended is a call as well. But answers may wait to be read that are no calls':
+  // so one has to have come to its end.
+  if (may_be_forgiven && counts && counts->held == 0 &&
+      counts->over > connection->forgiven_calls) {
+    connection->forgiven_calls = counts->over;
+    meter.Forgive();
+  }
 }
 
 const char* ConnectionTable::BoundPassed(const Connection& connection) const {

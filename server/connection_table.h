@@ -20,6 +20,14 @@
 
 namespace revisit::server {
 
+// Calls of one connection.
+struct CallCounts {
+  // In memory, those that were reset and are not cleared away included.
+  std::uint64_t held = 0;
+  // No longer.
+  std::uint64_t over = 0;
+};
+
 // Thread-compatible.
 class ConnectionTable {
  public:
@@ -30,9 +38,8 @@ class ConnectionTable {
   // Has what comes on a connection counted; null: no longer.
   using Attach = std::function<void(int, MeterPointer)>;
 
-  // Calls held in memory for the connection whose other end this is; nothing
-  // if that cannot be told.
-  using Held = std::function<std::optional<std::uint64_t>(const std::string&)>;
+  // Of the connection whose other end this is; nothing if that cannot be told.
+  using Count = std::function<std::optional<CallCounts>(const std::string&)>;
 
   struct Bounds {
     // Those of Limits; 0 is off.
@@ -47,7 +54,7 @@ class ConnectionTable {
 
   // `meters` outlives this.
   ConnectionTable(const Bounds& bounds, Cookie cookie, Attach attach,
-                  Held held, ConnectionMeters* meters);
+                  Count count, ConnectionMeters* meters);
   ~ConnectionTable();
 
   ConnectionTable(const ConnectionTable&) = delete;
@@ -88,6 +95,8 @@ class ConnectionTable {
     // When last counted: the calls it holds, and the bytes that had come.
     std::uint64_t held = 0;
     std::uint64_t counted_bytes = 0;
+    // Calls that were over when it was last forgiven.
+    std::uint64_t forgiven_calls = 0;
     bool was_told = false;
   };
 
@@ -105,7 +114,7 @@ class ConnectionTable {
   const Bounds bounds_;
   const Cookie cookie_;
   const Attach attach_;
-  const Held held_;
+  const Count count_;
   ConnectionMeters* const meters_;
   std::uint64_t last_number_ = 0;
   std::unordered_map<int, Connection> connections_;

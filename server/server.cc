@@ -3,11 +3,8 @@
 #include <google/protobuf/stubs/logging.h>
 #include <grpc/impl/codegen/grpc_types.h>
 #include <grpc/support/log.h>
-#include <grpcpp/ext/proto_server_reflection_plugin.h>
 #include <grpcpp/grpcpp.h>
 #include <grpcpp/health_check_service_interface.h>
-#include <grpcpp/impl/server_builder_option.h>
-#include <grpcpp/impl/server_builder_plugin.h>
 #include <malloc.h>
 
 #include <algorithm>
@@ -18,6 +15,7 @@
 #include <fstream>
 #include <optional>
 #include <system_error>
+#include <string>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -28,6 +26,7 @@
 #include "server/periodic.h"
 #include "server/pose_graph_service.h"
 #include "server/proto_conversion.h"
+#include "server/reflection.h"
 #include "server/security/gatekeeper.h"
 #include "server/security/server_credentials.h"
 #include "server/security/tls_files.h"
@@ -228,6 +227,8 @@ struct RevisitServer::State {
   std::unique_ptr<Periodic> tls_timer;
   std::shared_ptr<grpc::ServerCredentials> credentials;
   std::unique_ptr<PoseGraphService> service;
+  // Empty if it is not served.
+  std::vector<std::unique_ptr<grpc::Service>> reflection;
   std::unique_ptr<grpc::Server> grpc_server;
   std::unique_ptr<ConnectionAcceptor> acceptor;
   std::function<void()> on_failure;
@@ -266,22 +267,6 @@ std::shared_ptr<grpc::ServerCredentials> ListenerCredentials(
                                              ? ClientCertificates::kDoNotAsk
                                              : settings.tls_client_certs);
 }
-
-// Reflection is a plugin that adds itself to every builder as soon as its
-// library is loaded.
-class WithoutReflection final : public grpc::ServerBuilderOption {
- public:
-  void UpdateArguments(grpc::ChannelArguments*) override {}
-  void UpdatePlugins(std::vector<std::unique_ptr<grpc::ServerBuilderPlugin>>*
-                         plugins) override {
-    plugins->erase(std::remove_if(plugins->begin(), plugins->end(),
-                                  [](const auto& plugin) {
-                                    return plugin->name() ==
-                                           "proto_server_reflection";
-                                  }),
-                   plugins->end());
-  }
-};
 
 // Some 3,000 calls that are reset at once.
 constexpr int kMaxReadBytes = 64 << 10;
@@ -343,6 +328,13 @@ SqliteOptions StorageOptions(const ServerSettings& settings, const Log* log,
         on_failure();
       };
   return options;
+}
+
+// But for reflection itself.
+std::vector<std::string> ServedNames(const ServerSettings& settings) {
+  std::vector<std::string> names = {v1::PoseGraphService::service_full_name()};
+  if (settings.serve_health) names.emplace_back("grpc.health.v1.Health");
+  return names;
 }
 
 MeterBounds MetersOf(const Limits& limits) {
@@ -467,12 +459,7 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->service = std::make_unique<PoseGraphService>(context);
 
   grpc::EnableDefaultHealthCheckService(settings.serve_health);
-  // By name, since a linker drops a library that is used by its mere presence.
-  grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   grpc::ServerBuilder builder;
-  if (!settings.serve_reflection) {
-    builder.SetOption(std::make_unique<WithoutReflection>());
-  }
   Configure(settings.limits, &builder);
   auto acceptor = ConnectionAcceptor::Listen(AcceptorOptions(settings), log,
                                              state->meters.get());
@@ -486,6 +473,12 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->credentials = ListenerCredentials(settings, state->tls_files.get());
   state->acceptor->Register(state->credentials, &builder);
   builder.RegisterService(state->service.get());
+  if (settings.serve_reflection) {
+    state->reflection = MakeReflectionServices(ServedNames(settings));
+  }
+  for (const auto& service : state->reflection) {
+    builder.RegisterService(service.get());
+  }
   state->grpc_server = builder.BuildAndStart();
   if (state->grpc_server == nullptr) {
     *error = {kExitCannotListen, "cannot start a server at " + settings.listen};

@@ -45,7 +45,7 @@ Json ReadSocket(std::int64_t socket) {
 
 }  // namespace
 
-std::optional<std::uint64_t> TransportCalls::Held(const std::string& remote) {
+std::optional<CallCounts> TransportCalls::Count(const std::string& remote) {
   auto found = sockets_.find(remote);
   if (found == sockets_.end()) {
     LearnNew();
@@ -61,8 +61,9 @@ std::optional<std::uint64_t> TransportCalls::Held(const std::string& remote) {
   const Json& data = Member(Member(socket, "socket"), "data");
   const std::int64_t over =
       Number(data, "streamsSucceeded") + Number(data, "streamsFailed");
-  return static_cast<std::uint64_t>(
-      std::max<std::int64_t>(Number(data, "streamsStarted") - over, 0));
+  const std::int64_t held = Number(data, "streamsStarted") - over;
+  return CallCounts{static_cast<std::uint64_t>(std::max<std::int64_t>(held, 0)),
+                    static_cast<std::uint64_t>(over)};
 }
 
 void TransportCalls::LearnNew() {

@@ -27,11 +27,11 @@ class ConnectionTableTest : public ::testing::Test {
         [this](int descriptor, const MeterPointer& meter) {
           attached_[descriptor] = meter;
         },
-        [this](const std::string& remote) -> std::optional<std::uint64_t> {
+        [this](const std::string& remote) -> std::optional<CallCounts> {
           ++counted_;
           const auto found = held_.find(remote);
           if (found == held_.end()) return std::nullopt;
-          return found->second;
+          return CallCounts{found->second, over_};
         },
         &meters_);
   }
@@ -61,6 +61,7 @@ class ConnectionTableTest : public ::testing::Test {
   std::map<int, std::uint64_t> open_;
   std::map<int, MeterPointer> attached_;
   std::map<std::string, std::uint64_t> held_;
+  std::uint64_t over_ = 0;
   int counted_ = 0;
   std::uint64_t last_cookie_ = 0;
   int asked_ = 0;
@@ -123,9 +124,20 @@ TEST_F(ConnectionTableTest, WithoutACallThatIsHeldWhatCameIsForgiven) {
   for (int i = 0; i < 10; ++i) {
     attached_[1]->CountReceived(300);
     held_["h:5001"] = 0;
+    ++over_;
     EXPECT_EQ(TakeHarmful(&table), "");
   }
   held_["h:5001"] = 1;
+  attached_[1]->CountReceived(300);
+  EXPECT_EQ(TakeHarmful(&table), "");
+  attached_[1]->CountReceived(300);
+  EXPECT_EQ(TakeHarmful(&table), "max-unadmitted-bytes 1 h;");
+}
+
+TEST_F(ConnectionTableTest, WithoutACallThatEndedNothingIsForgiven) {
+  ConnectionTable table = Make(0, 0);
+  EXPECT_EQ(Add(&table, 1, "h"), "");
+  held_["h:5001"] = 0;
   attached_[1]->CountReceived(300);
   EXPECT_EQ(TakeHarmful(&table), "");
   attached_[1]->CountReceived(300);
