@@ -10,7 +10,7 @@
 namespace revisit::server {
 
 class Admission;
-class ConnectionProgress;
+class ConnectionMeters;
 class Drain;
 class Executor;
 class Fleet;
@@ -28,11 +28,11 @@ struct ServiceContext {
   Gatekeeper* gatekeeper = nullptr;
   const Log* log = nullptr;
   Admission* admission = nullptr;
-  ConnectionProgress* connections = nullptr;
   // Where a revision in the making lies, and how much of that file system it
   // leaves free.
   std::string scratch_directory;
   std::int64_t min_free_bytes = 0;
+  ConnectionMeters* meters = nullptr;
   Limits limits;
 };
 
