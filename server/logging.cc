@@ -2,12 +2,15 @@
 
 #include <spdlog/logger.h>
 #include <spdlog/pattern_formatter.h>
+#include <spdlog/sinks/base_sink.h>
 #include <spdlog/sinks/ostream_sink.h>
-#include <spdlog/sinks/stdout_sinks.h>
 
 #include <cmath>
 #include <cstdio>
+#include <mutex>
 #include <ostream>
+
+#include "server/line_writer.h"
 
 namespace revisit::server {
 namespace {
@@ -143,37 +146,17 @@ std::string EscapeForLog(const std::string& text) {
   return escaped;
 }
 
-struct Log::Sink {
-  explicit Sink(spdlog::sink_ptr sink) : logger("revisitd", std::move(sink)) {}
-  // Logging changes nothing that a caller could see.
-  mutable spdlog::logger logger;
-};
+namespace {
 
-Log::Log(LogFormat format, LogLevel level, std::unique_ptr<Sink> sink)
-    : format_(format), sink_(std::move(sink)) {
-  sink_->logger.set_level(ToSpdlog(level));
-  sink_->logger.flush_on(spdlog::level::info);
-  sink_->logger.set_formatter(std::make_unique<spdlog::pattern_formatter>(
+std::unique_ptr<spdlog::formatter> MakeFormatter(LogFormat format) {
+  return std::make_unique<spdlog::pattern_formatter>(
       format == LogFormat::kJson ? kJsonPattern : kTextPattern,
-      spdlog::pattern_time_type::utc));
+      spdlog::pattern_time_type::utc);
 }
 
-Log::Log(LogFormat format, LogLevel level)
-    : Log(format, level,
-          std::make_unique<Sink>(
-              std::make_shared<spdlog::sinks::stderr_sink_mt>())) {}
-
-Log::Log(LogFormat format, LogLevel level, std::ostream* stream)
-    : Log(format, level,
-          std::make_unique<Sink>(
-              std::make_shared<spdlog::sinks::ostream_sink_mt>(*stream))) {}
-
-Log::~Log() = default;
-
-void Log::Write(LogLevel level, const char* event,
-                std::initializer_list<LogField> fields) const {
-  if (!sink_->logger.should_log(ToSpdlog(level))) return;
-  const bool json = format_ == LogFormat::kJson;
+std::string Render(LogFormat format, const char* event,
+                   std::initializer_list<LogField> fields) {
+  const bool json = format == LogFormat::kJson;
   std::string line =
       json ? std::string("\"event\":\"") + event + "\"" : std::string(event);
   for (const LogField& field : fields) {
@@ -193,7 +176,73 @@ void Log::Write(LogLevel level, const char* event,
       line += NumberText(std::get<double>(field.value));
     }
   }
-  sink_->logger.log(ToSpdlog(level), line);
+  return line;
+}
+
+std::string ToString(const spdlog::memory_buf_t& buffer) {
+  return std::string(buffer.data(), buffer.size());
+}
+
+// The line that stands for so many dropped ones.
+std::string GapLine(LogFormat format, std::int64_t dropped) {
+  const std::string text =
+      Render(format, "log_lines_dropped", {{"count", dropped}});
+  spdlog::memory_buf_t line;
+  MakeFormatter(format)->format(
+      spdlog::details::log_msg("revisitd", spdlog::level::warn, text), line);
+  return ToString(line);
+}
+
+class LineWriterSink final : public spdlog::sinks::base_sink<std::mutex> {
+ public:
+  LineWriterSink(LogFormat format, int descriptor)
+      : writer_(descriptor, LineWriter::Options(),
+                [format](std::int64_t dropped) {
+                  return GapLine(format, dropped);
+                }) {}
+
+ private:
+  void sink_it_(const spdlog::details::log_msg& message) override {
+    spdlog::memory_buf_t line;
+    formatter_->format(message, line);
+    writer_.Write(ToString(line));
+  }
+  void flush_() override {}
+
+  LineWriter writer_;
+};
+
+}  // namespace
+
+struct Log::Sink {
+  explicit Sink(spdlog::sink_ptr sink) : logger("revisitd", std::move(sink)) {}
+  // Logging changes nothing that a caller could see.
+  mutable spdlog::logger logger;
+};
+
+Log::Log(LogFormat format, LogLevel level, std::unique_ptr<Sink> sink)
+    : format_(format), sink_(std::move(sink)) {
+  sink_->logger.set_level(ToSpdlog(level));
+  sink_->logger.flush_on(spdlog::level::info);
+  sink_->logger.set_formatter(MakeFormatter(format));
+}
+
+Log::Log(LogFormat format, LogLevel level, int descriptor)
+    : Log(format, level,
+          std::make_unique<Sink>(
+              std::make_shared<LineWriterSink>(format, descriptor))) {}
+
+Log::Log(LogFormat format, LogLevel level, std::ostream* stream)
+    : Log(format, level,
+          std::make_unique<Sink>(
+              std::make_shared<spdlog::sinks::ostream_sink_mt>(*stream))) {}
+
+Log::~Log() = default;
+
+void Log::Write(LogLevel level, const char* event,
+                std::initializer_list<LogField> fields) const {
+  if (!sink_->logger.should_log(ToSpdlog(level))) return;
+  sink_->logger.log(ToSpdlog(level), Render(format_, event, fields));
 }
 
 }  // namespace revisit::server

@@ -26,7 +26,9 @@ struct LogField {
 // caller can forge a line or send control sequences to a terminal.
 std::string EscapeForLog(const std::string& text);
 
-// Thread-safe.
+// Thread-safe. Where it writes to a descriptor, no call waits for whoever reads
+// that: lines that find no room (LineWriter::Options) are dropped, and counted
+// in a line of the event log_lines_dropped in their place.
 //
 //   text: 2026-01-31T12:00:00.000Z info call method=GetVehicle code=OK ...
 //   JSON: {"time":"2026-01-31T12:00:00.000Z","level":"info","event":"call",
@@ -36,9 +38,10 @@ std::string EscapeForLog(const std::string& text);
 // only, and in quotes otherwise. Times are UTC.
 class Log {
  public:
-  // To standard error.
-  Log(LogFormat format, LogLevel level);
-  // To a stream that must outlive this.
+  // To a descriptor, which stays the caller's; SIGPIPE must be ignored. The
+  // destructor waits a moment for lines that are not yet written.
+  Log(LogFormat format, LogLevel level, int descriptor);
+  // To a stream that must outlive this, before Write() returns.
   Log(LogFormat format, LogLevel level, std::ostream* stream);
   ~Log();
 

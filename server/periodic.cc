@@ -16,13 +16,22 @@ Periodic::~Periodic() {
   thread_.join();
 }
 
+void Periodic::Hasten() {
+  {
+    const MutexLock lock(&mutex_);
+    hastened_ = true;
+  }
+  wake_.NotifyAll();
+}
+
 void Periodic::Run() {
   MutexLock lock(&mutex_);
   while (true) {
     const auto next = std::chrono::steady_clock::now() + period_;
-    while (!stopping_ && !wake_.WaitUntil(&mutex_, next)) {
+    while (!stopping_ && !hastened_ && !wake_.WaitUntil(&mutex_, next)) {
     }
     if (stopping_) return;
+    hastened_ = false;
     lock.Unlock();
     work_();
     lock.Lock();

@@ -11,7 +11,7 @@
 namespace revisit::server {
 
 // Calls `work` every `period`, the first time after one, on a thread of its
-// own, until it is destroyed.
+// own, until it is destroyed. Thread-safe.
 class Periodic {
  public:
   Periodic(std::chrono::milliseconds period, std::function<void()> work);
@@ -19,6 +19,9 @@ class Periodic {
 
   Periodic(const Periodic&) = delete;
   Periodic& operator=(const Periodic&) = delete;
+
+  // Has `work` called as soon as its thread is free, and then a period later.
+  void Hasten();
 
  private:
   void Run();
@@ -28,6 +31,7 @@ class Periodic {
   Mutex mutex_;
   CondVar wake_;
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
+  bool hastened_ ABSL_GUARDED_BY(mutex_) = false;
   // Last: it uses the others.
   std::thread thread_;
 };

@@ -48,6 +48,10 @@ constexpr std::int64_t kCallsToClear = 1000;
 // Calls at a time, those that wait to be cleared away included, of all
 // connections together that have not had one let in: 40 MB.
 constexpr std::int64_t kUnadmittedCalls = 2000;
+// Reads go on while the store has no room for writes, so that they have a health
+// service of their own.
+constexpr char kWriteHealth[] = "revisit.v1.PoseGraphService/write";
+constexpr std::chrono::milliseconds kWriteHealthPeriod{1000};
 // How often memory is looked at, should no call do so.
 constexpr std::chrono::milliseconds kMemoryPeriod{2000};
 
@@ -154,6 +158,22 @@ std::unique_ptr<Periodic> MakeUnloadTimer(Fleet* fleet, Admission* admission,
       });
 }
 
+// Has the health of writes follow the room that the store has for them.
+std::unique_ptr<Periodic> MakeWriteHealthTimer(
+    Storage* storage, grpc::HealthCheckServiceInterface* health,
+    const Log* log) {
+  return std::make_unique<Periodic>(
+      kWriteHealthPeriod, [=, had_room = true]() mutable {
+        const bool has_room = storage->HasRoom();
+        if (has_room == had_room) return;
+        had_room = has_room;
+        health->SetServingStatus(kWriteHealth, has_room);
+        log->Write(has_room ? LogLevel::kInfo : LogLevel::kWarning,
+                   has_room ? "writes_taken_again" : "writes_refused",
+                   {{"reason", std::string("STORAGE_FULL")}});
+      });
+}
+
 // Whole or not at all, for a script may be waiting for it.
 bool WritePortFile(const std::string& path, const std::string& address) {
   const std::string temporary = path + ".new";
@@ -230,6 +250,7 @@ struct RevisitServer::State {
   // Empty if it is not served.
   std::vector<std::unique_ptr<grpc::Service>> reflection;
   std::unique_ptr<grpc::Server> grpc_server;
+  std::unique_ptr<Periodic> write_health_timer;
   std::unique_ptr<ConnectionAcceptor> acceptor;
   std::function<void()> on_failure;
   std::atomic<bool> has_failed{false};
@@ -491,6 +512,11 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   if (auto* health = state->grpc_server->GetHealthCheckService()) {
     health->SetServingStatus(true);
     health->SetServingStatus(v1::PoseGraphService::service_full_name(), true);
+    health->SetServingStatus(kWriteHealth, true);
+    state->write_health_timer =
+        MakeWriteHealthTimer(state->storage.get(), health, log);
+    // A server may start on a full disk.
+    state->write_health_timer->Hasten();
   }
   state->acceptor->Start();
   if (!settings.port_file.empty() &&
@@ -532,10 +558,17 @@ const std::string& RevisitServer::address() const {
   return state_->acceptor->address();
 }
 
+void RevisitServer::LookAtFiles() {
+  state_->gatekeeper->LookAtFiles();
+  if (state_->tls_timer != nullptr) state_->tls_timer->Hasten();
+}
+
 void RevisitServer::Shutdown() {
   if (state_->grpc_server == nullptr) return;
   const auto start = std::chrono::steady_clock::now();
   state_->log->Write(LogLevel::kInfo, "draining", {});
+  // It would set what is set here.
+  state_->write_health_timer.reset();
   if (auto* health = state_->grpc_server->GetHealthCheckService()) {
     health->SetServingStatus(false);
   }

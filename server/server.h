@@ -53,6 +53,10 @@ class RevisitServer {
   // The address that calls are taken at, with the port that was chosen.
   const std::string& address() const;
 
+  // Looks at the files that may be replaced while the server runs, now rather
+  // than within ServerSettings::security_check_seconds. Returns at once.
+  void LookAtFiles();
+
   // Drains: health says NOT_SERVING, new calls are refused, streams send
   // their last acknowledgements and end with UNAVAILABLE (SERVER_DRAINING).
   // Calls that outlast ServerSettings::drain_timeout_seconds are cut. Then the

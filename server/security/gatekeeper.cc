@@ -47,6 +47,7 @@ class OpenGatekeeper final : public Gatekeeper {
   }
   WatchId Watch(Time, std::function<void()>) override { return -1; }
   void Unwatch(WatchId) override {}
+  void LookAtFiles() override {}
 
  private:
   const std::shared_ptr<const Caller> everyone_ =
@@ -230,6 +231,14 @@ class FileGatekeeper final : public Gatekeeper {
     watches_.erase(id);
   }
 
+  void LookAtFiles() override {
+    {
+      const MutexLock lock(&mutex_);
+      hastened_ = true;
+    }
+    wake_.NotifyAll();
+  }
+
  private:
   struct Watched {
     Time expires;
@@ -277,7 +286,7 @@ class FileGatekeeper final : public Gatekeeper {
     return absl::OkStatus();
   }
 
-  void LookAtFiles() ABSL_LOCKS_EXCLUDED(mutex_) {
+  void TakeChanges() ABSL_LOCKS_EXCLUDED(mutex_) {
     if (!files_.Look()) return;
     if (const absl::Status status = Take(); status.ok()) {
       log_->Write(LogLevel::kInfo, "access_rules_loaded", {});
@@ -301,14 +310,15 @@ class FileGatekeeper final : public Gatekeeper {
             wait, std::max(watch.expires, now) - now);
       }
       wakes_at_ = now + wait;
-      if (wait.count() > 0) {
+      if (wait.count() > 0 && !hastened_) {
         wake_.WaitUntil(&mutex_, std::chrono::steady_clock::now() + wait);
       }
       if (stopping_) return;
-      const bool check_all = std::chrono::steady_clock::now() >= next_check;
+      const bool check_all = std::exchange(hastened_, false) ||
+                             std::chrono::steady_clock::now() >= next_check;
       if (check_all) {
         lock.Unlock();
-        LookAtFiles();
+        TakeChanges();
         lock.Lock();
         next_check = std::chrono::steady_clock::now() + settings_.check_period;
       }
@@ -338,6 +348,8 @@ class FileGatekeeper final : public Gatekeeper {
   Mutex mutex_;
   CondVar wake_;
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
+  // Whether LookAtFiles() was called and has not been served.
+  bool hastened_ ABSL_GUARDED_BY(mutex_) = false;
   WatchId next_id_ ABSL_GUARDED_BY(mutex_) = 0;
   std::map<WatchId, Watched> watches_ ABSL_GUARDED_BY(mutex_);
   Time wakes_at_ ABSL_GUARDED_BY(mutex_) = Time::max();

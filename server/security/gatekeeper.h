@@ -48,6 +48,10 @@ class Gatekeeper {
   // comes on a thread of the gatekeeper's, also shortly after Unwatch().
   virtual WatchId Watch(Time expires, std::function<void()> recheck) = 0;
   virtual void Unwatch(WatchId id) = 0;
+
+  // Looks at its files, and has all streams recheck, soon rather than when it
+  // is due. Returns at once.
+  virtual void LookAtFiles() = 0;
 };
 
 struct GatekeeperSettings {

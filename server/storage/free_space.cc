@@ -11,6 +11,8 @@ namespace revisit::server {
 namespace {
 
 constexpr std::chrono::seconds kRetryDelay{30};
+// More than what comes and goes by itself on a full disk.
+constexpr std::int64_t kSomeRoom = std::int64_t{1} << 20;
 
 }  // namespace
 
@@ -29,6 +31,29 @@ absl::Status StorageFull(const std::string& message) {
 }
 
 absl::Status FreeSpaceGuard::Check() {
+  const MutexLock lock(&mutex_);
+  return CheckMark();
+}
+
+void FreeSpaceGuard::NoteWrite(bool found_full) {
+  const MutexLock lock(&mutex_);
+  if (!found_full) {
+    full_at_.reset();
+    return;
+  }
+  const absl::StatusOr<std::int64_t> free = free_bytes_();
+  if (free.ok()) full_at_ = *free;
+}
+
+bool FreeSpaceGuard::HasRoom() {
+  const MutexLock lock(&mutex_);
+  if (!CheckMark().ok()) return false;
+  if (!full_at_.has_value()) return true;
+  const absl::StatusOr<std::int64_t> free = free_bytes_();
+  return !free.ok() || *free >= *full_at_ + kSomeRoom;
+}
+
+absl::Status FreeSpaceGuard::CheckMark() {
   if (min_free_bytes_ == 0) return absl::OkStatus();
   const absl::StatusOr<std::int64_t> free = free_bytes_();
   if (!free.ok()) return absl::OkStatus();

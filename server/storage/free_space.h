@@ -7,10 +7,13 @@
 
 #include <cstdint>
 #include <functional>
+#include <optional>
 #include <string>
+#include <utility>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "server/mutex.h"
 
 namespace revisit::server {
 
@@ -21,7 +24,7 @@ absl::StatusOr<std::int64_t> FreeBytes(const std::string& path);
 // minute.
 absl::Status StorageFull(const std::string& message);
 
-// One thread at a time.
+// Thread-safe.
 class FreeSpaceGuard {
  public:
   // Once less than `min_free_bytes` were free, writes wait until a quarter more
@@ -33,10 +36,25 @@ class FreeSpaceGuard {
   // OK, or StorageFull(). A file system that does not tell stops nothing.
   absl::Status Check();
 
+  // Notes whether a write that was tried found the disk full, which without a
+  // mark is the only way to tell.
+  void NoteWrite(bool found_full);
+
+  // Whether the next write is likely to find room, so that callers may be told
+  // before they try: Check() is OK, and after a write that found the disk full
+  // some room has come since.
+  bool HasRoom();
+
  private:
+  absl::Status CheckMark() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+
   const std::int64_t min_free_bytes_;
   const std::function<absl::StatusOr<std::int64_t>()> free_bytes_;
-  bool stopped_ = false;
+  Mutex mutex_;
+  bool stopped_ ABSL_GUARDED_BY(mutex_) = false;
+  // Free bytes when a write found the disk full; nothing if the last one did
+  // not.
+  std::optional<std::int64_t> full_at_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace revisit::server

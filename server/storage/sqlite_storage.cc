@@ -230,6 +230,8 @@ class SqliteStorage : public Storage {
     return pairs;
   }
 
+  bool HasRoom() override { return space_.HasRoom(); }
+
   CommitCounts Counts() const override { return {commits_, writes_}; }
 
  private:
@@ -410,6 +412,7 @@ class SqliteStorage : public Storage {
     }
     if (status.ok()) status = writer_->Prepare("COMMIT").Run();
     if (status.ok()) {
+      space_.NoteWrite(/*found_full=*/false);
       Count(group, results);
       // Where all was refused there was nothing to flush, and the log may have
       // been begun anew without a commit in it.
@@ -436,7 +439,10 @@ class SqliteStorage : public Storage {
         "nothing was written: " + std::string(status.message());
     absl::Status failure =
         Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE", message);
-    if (IsStorageFull(status)) failure = StorageFull(message);
+    if (IsStorageFull(status)) {
+      space_.NoteWrite(/*found_full=*/true);
+      failure = StorageFull(message);
+    }
     if (IsFailedFlush(status)) {
       GiveUp(status);
       failure = given_up_;
@@ -585,8 +591,8 @@ class SqliteStorage : public Storage {
   const std::unique_ptr<StoreLock> lock_;
   const std::unique_ptr<DurableMark> mark_;
 
-  // The writer's thread only, once it runs.
   FreeSpaceGuard space_;
+  // The writer's thread only, once it runs.
   // Why no write is taken on any more.
   absl::Status given_up_;
   // Nothing after a failure.

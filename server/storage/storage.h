@@ -176,6 +176,10 @@ class Storage {
       VehicleKey key, PairKind kind, const std::string& after_id,
       int limit) = 0;
 
+  // Whether the next write is likely to find room, or would be refused with
+  // RESOURCE_EXHAUSTED (STORAGE_FULL).
+  virtual bool HasRoom() { return true; }
+
   // Nothing where nobody counts.
   virtual CommitCounts Counts() const { return {}; }
 };

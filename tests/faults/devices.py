@@ -7,10 +7,11 @@ import subprocess
 import time
 
 import grpc
+from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from drive_client import VEHICLE, Client, Drive, create
 from kills import SETTINGS, preloaded
-from revisit_server import Server
+from revisit_server import Server, wait_until
 from skipped import Skipped
 from stubs import api
 from wire import append, as_bytes, decode_failure, failure_of, get, list_poses
@@ -73,6 +74,28 @@ def append_all(stub, poses, first, last):
     return acked, None
 
 
+class Health:
+    """What the health service says of everything, of the service, and of
+    writes."""
+
+    SERVING = health_pb2.HealthCheckResponse.SERVING
+    NOT_SERVING = health_pb2.HealthCheckResponse.NOT_SERVING
+    NAMES = ("", "revisit.v1.PoseGraphService",
+             "revisit.v1.PoseGraphService/write")
+
+    def __init__(self, server):
+        self.stub = health_pb2_grpc.HealthStub(server.channel())
+
+    def statuses(self):
+        return [self.stub.Check(health_pb2.HealthCheckRequest(service=name),
+                                timeout=30).status for name in self.NAMES]
+
+    def await_writes(self, status):
+        """Reads are served all the time."""
+        wait_until(lambda: self.statuses() == [self.SERVING, self.SERVING,
+                                               status], f"writes {status}")
+
+
 def watermark(run):
     drive = Drive(run.seed)
     with small_disk(run, 48) as disk:
@@ -81,8 +104,12 @@ def watermark(run):
             create(stub, **SETTINGS)
             acked = append(stub, VEHICLE, drive[0:200]).durable_sequence
             rounds = run.rounds(short=2, long=10)
+            health = Health(server)
             for _ in range(rounds):
+                health.await_writes(Health.SERVING)
                 fill(disk, leave=15 * MIB)
+                # Also before anybody tries to write.
+                health.await_writes(Health.NOT_SERVING)
                 full_failure(lambda: append(stub, VEHICLE,
                                             drive[acked:acked + 200]))
                 full_failure(lambda: create(stub, "vehicles/another"))
@@ -104,7 +131,8 @@ def watermark(run):
             create_refused = full_failure(lambda: create(stub, "vehicles/b"))
             assert str(16 * MIB + 4 * MIB) in create_refused.message
             stub.DeleteVehicle(api.DeleteVehicleRequest(name=VEHICLE))
-    return rounds, "writes STORAGE_FULL with 30 s, reads go on, back by itself"
+    return rounds, ("writes STORAGE_FULL with 30 s and not healthy, reads go on, "
+                    "back by itself")
 
 
 def no_space(run):
@@ -122,10 +150,12 @@ def no_space(run):
                 assert failure is not None, "the disk never got full"
                 assert failure.code == grpc.StatusCode.RESOURCE_EXHAUSTED
                 assert failure.reason == "STORAGE_FULL"
+                Health(server).await_writes(Health.NOT_SERVING)
                 assert get(stub, VEHICLE).durable_sequence == acked
                 assert as_bytes(list_poses(stub, VEHICLE)) == as_bytes(
                     drive[0:acked])
                 (disk / "ballast").unlink()
+                Health(server).await_writes(Health.SERVING)
                 acked, failure = append_all(stub, drive, acked, acked + 400)
                 assert failure is None, failure
             fill(disk, leave=0)

@@ -20,12 +20,13 @@ import traceback
 import crowds
 import damage
 import devices
+import ends
 import kills
 import restarts
 from skipped import Skipped
 
 ROWS = [*kills.ROWS, *damage.ROWS, *devices.ROWS, *restarts.ROWS,
-        *crowds.ROWS]
+        *ends.ROWS, *crowds.ROWS]
 
 
 @dataclasses.dataclass

@@ -51,10 +51,11 @@ def wait_until(condition, what, seconds=START_SECONDS):
 
 class Server:
     """One revisitd on a free port of the loopback, over one store. It may open
-    as many files as `descriptors` says, if it says."""
+    as many files as `descriptors` says, if it says. Its log goes to a file
+    beside the store, or to the descriptor `stderr`."""
 
     def __init__(self, store, *flags, env=None, wait=True, descriptors=None,
-                 listen="127.0.0.1:0"):
+                 listen="127.0.0.1:0", stderr=None):
         self.store = pathlib.Path(store)
         self.log_path = self.store.with_name(self.store.name + ".log")
         self._lines = queue.SimpleQueue()
@@ -64,7 +65,8 @@ class Server:
             self.process = subprocess.Popen(
                 [BIN / "revisitd", "--listen", listen, "--store",
                  self.store, *map(str, flags)],
-                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log,
+                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                stderr=log if stderr is None else stderr,
                 text=True, env=env or clean_environment(),
                 preexec_fn=descriptors and (lambda: resource.setrlimit(
                     resource.RLIMIT_NOFILE, (descriptors, descriptors))))
@@ -98,6 +100,16 @@ class Server:
 
     def log(self):
         return self.log_path.read_text(errors="replace")
+
+    def logged(self, text, count=1):
+        """Waits until so many lines of the log have this in them, for it is
+        written beside the calls; answers them."""
+
+        def lines():
+            found = [line for line in self.log().splitlines() if text in line]
+            return len(found) >= count and found
+
+        return wait_until(lines, f"{text!r} in the log")
 
     def is_running(self):
         return self.process.poll() is None

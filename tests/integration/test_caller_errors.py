@@ -1176,8 +1176,7 @@ def test_malformed_protobuf_on_a_stream_is_the_callers_fault(
     assert "not a valid protobuf" in failure.message
     assert server.is_running()
     # No operator is called to look at it.
-    own = [line for line in server.log().splitlines()
-           if f"bad-{method}-{well}" in line]
+    own = server.logged(f"bad-{method}-{well}")
     assert len(own) == 1
     assert "INVALID_ARGUMENT" in own[0]
     assert "error" not in own[0].lower().split("message")[0]

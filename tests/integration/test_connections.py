@@ -61,11 +61,6 @@ def flood(server, count):
         yield sockets
 
 
-def shed_events(server):
-    return [line for line in server.log().splitlines()
-            if " connections_shed " in line]
-
-
 def test_flood_beyond_the_descriptors_is_shed_and_service_goes_on_at_once(
         tmp_path):
     with Server(tmp_path / "store", descriptors=96) as server:
@@ -82,8 +77,8 @@ def test_flood_beyond_the_descriptors_is_shed_and_service_goes_on_at_once(
             grpc.channel_ready_future(channel).result(timeout=5)
             assert time.monotonic() - start < 2
             info(server.stub())
-        assert shed_events(server)
-        assert "limit=descriptors" in shed_events(server)[0]
+        shed = server.logged(" connections_shed ")
+        assert "limit=descriptors" in shed[0]
         # The store still has its files.
         stub.CreateVehicle(api.CreateVehicleRequest(vehicle_id="after"))
 
@@ -108,7 +103,7 @@ def test_caps_of_connections_hold_and_count_only_the_living(tmp_path):
                 wait_until(lambda: takes_one_more(server), "room")
         info(server.stub(), timeout=20, wait_for_ready=True)
         assert any("limit=max-connections-per-address" in line
-                   for line in shed_events(server))
+                   for line in server.logged(" connections_shed "))
 
 
 def takes_one_more(server):

@@ -76,7 +76,9 @@ def test_every_line_of_the_log_is_one_event_of_json(logged):
                 call_headers(path=f"{SERVICE}/GetVehicle", extra=extra),
                 message(body))
             assert connection.outcome().startswith("status ")
-    stub.GetServerInfo(api.GetServerInfoRequest())
+    stub.GetServerInfo(api.GetServerInfoRequest(),
+                       metadata=[("x-request-id", "the-last-one")])
+    logged.logged("the-last-one")
     raw = logged.log_path.read_bytes()
     assert not [byte for byte in raw if byte < 0x20 and byte != 0x0a or
                 byte > 0x7e]

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import re
+import signal
 import socket
 import ssl
 import threading
@@ -173,7 +174,7 @@ def test_client_is_known_by_its_certificate(tls_server, identities):
         failure = failure_of(lambda: create(stub, "acme-bus-2"))
         assert (failure.code, failure.reason) == (
             Code.PERMISSION_DENIED, "NOT_GRANTED")
-    assert "certificate:spiffe://fleet.example/acme/bus-1" in tls_server.log()
+    tls_server.logged("certificate:spiffe://fleet.example/acme/bus-1")
 
 
 @pytest.mark.parametrize("names, reason, words", [
@@ -221,7 +222,7 @@ def test_handshake_fails_without_the_right_certificate(tls_server, identities):
     # The callers are told nothing; whoever runs the server is.
     for reason in ("peer did not return a certificate",
                    "certificate verify failed"):
-        assert reason in tls_server.log()
+        tls_server.logged(reason)
 
 
 def test_plaintext_gets_nothing_from_a_tls_listener(tls_server):
@@ -333,6 +334,30 @@ def test_rotated_certificates_are_taken_and_bad_ones_are_not(tmp_path):
         wait_until(lambda: not refused_now(server, own, new_client),
                    "client of the new authority")
         assert refused(server, own.authority.pem, client)
+
+
+def test_hangup_has_certificates_keys_and_policy_looked_at_now(tmp_path):
+    own = Identities(tmp_path)
+    client = own.authority.issue("spiffe://fleet.example/acme/bus-1")
+    # It would be a minute until the next look.
+    with Server(tmp_path / "certified", *own.client_flags[:-1], 60) as server:
+        assert served_serial(server, own, client) == own.certificate.serial
+        fresh = own.authority.issue_for_server()
+        own.show(fresh)
+        server.process.send_signal(signal.SIGHUP)
+        wait_until(
+            lambda: served_serial(server, own, client) == fresh.serial,
+            "new certificate")
+    with Server(tmp_path / "policed", *own.token_flags[:-1], 60) as server:
+        acme = As(server.stub(), own.key.token("acme"))
+        ask(acme)
+        policy = json.loads(json.dumps(POLICY))
+        policy["grants"] = [grant for grant in policy["grants"]
+                            if grant.get("token_subject") != "acme"]
+        replace(own.policy_file, json.dumps(policy))
+        server.process.send_signal(signal.SIGHUP)
+        server.logged("access_rules_loaded")
+        assert failure_of(lambda: ask(acme)).reason == "NOT_GRANTED"
 
 
 def refused_now(server, identities, certificate):
@@ -637,6 +662,8 @@ def test_log_tells_who_called_and_keeps_no_token(token_server, identities):
     create(As(token_server.stub(), token), "acme-logged-1")
     bad = token[:-6] + "AAAAAA"
     failure_of(lambda: ask(As(token_server.stub(), bad)))
+    # The last line of these calls.
+    token_server.logged("CREDENTIALS_INVALID")
     log = token_server.log()
     assert re.search("vehicle=acme-logged-1 tenant=acme caller=token:acme ",
                      log)

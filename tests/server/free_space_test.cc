@@ -45,6 +45,34 @@ TEST(FreeSpaceTest, FileSystemThatDoesNotTellStopsNothing) {
   EXPECT_THAT(guard.Check(), IsOk());
 }
 
+TEST(FreeSpaceTest, HasNoRoomWhereWritesWait) {
+  std::int64_t free = 100;
+  FreeSpaceGuard guard(100, [&] { return free; });
+  EXPECT_TRUE(guard.HasRoom());
+  free = 99;
+  EXPECT_FALSE(guard.HasRoom());
+  free = 124;
+  EXPECT_FALSE(guard.HasRoom());
+  free = 125;
+  EXPECT_TRUE(guard.HasRoom());
+}
+
+TEST(FreeSpaceTest, HasNoRoomAfterAWriteFoundNoneUntilSomeComesOrAWriteSucceeds) {
+  std::int64_t free = 5000;
+  FreeSpaceGuard guard(0, [&] { return free; });
+  guard.NoteWrite(/*found_full=*/true);
+  EXPECT_THAT(guard.Check(), IsOk());
+  EXPECT_FALSE(guard.HasRoom());
+  free += 4096;
+  EXPECT_FALSE(guard.HasRoom());
+  free += 1 << 20;
+  EXPECT_TRUE(guard.HasRoom());
+  guard.NoteWrite(/*found_full=*/true);
+  EXPECT_FALSE(guard.HasRoom());
+  guard.NoteWrite(/*found_full=*/false);
+  EXPECT_TRUE(guard.HasRoom());
+}
+
 TEST(FreeSpaceTest, SaysWhoseQuotaItIsAndWhenToTryAgain) {
   const absl::Status status = StorageFull("no room");
   google::rpc::QuotaFailure quota;

@@ -1,6 +1,12 @@
 #include "server/logging.h"
 
+#include <fcntl.h>
+#include <signal.h>
+#include <unistd.h>
+
 #include <cmath>
+#include <cstdint>
+#include <cstdio>
 #include <nlohmann/json.hpp>
 #include <sstream>
 #include <string>
@@ -107,6 +113,49 @@ TEST(LogTest, LevelsBelowTheOneAskedForAreLeftOut) {
   EXPECT_NE(Written(LogFormat::kText, LogLevel::kDebug, "x"), "");
   EXPECT_EQ(Written(LogFormat::kText, LogLevel::kWarning, "x"), "");
   EXPECT_EQ(Written(LogFormat::kText, LogLevel::kOff, "x"), "");
+}
+
+// How many lines a line of the log says were dropped; 0 of any other.
+std::int64_t Dropped(LogFormat format, const std::string& line) {
+  if (line.find("log_lines_dropped") == std::string::npos) return 0;
+  if (format == LogFormat::kJson) {
+    const auto event = nlohmann::json::parse(line);
+    EXPECT_EQ(event["level"], "warning");
+    return event["count"];
+  }
+  EXPECT_THAT(line, ContainsRegex("Z warning log_lines_dropped count=[0-9]+\n$"));
+  return std::stoll(line.substr(line.find("count=") + 6));
+}
+
+TEST(LogTest, NobodyWaitsForAPipeThatNobodyReads) {
+  signal(SIGPIPE, SIG_IGN);
+  for (const LogFormat format : {LogFormat::kText, LogFormat::kJson}) {
+    int ends[2];
+    ASSERT_EQ(pipe2(ends, O_CLOEXEC), 0);
+    constexpr std::int64_t kWritten = 20'000;
+    {
+      const Log log(format, LogLevel::kInfo, ends[1]);
+      for (std::int64_t i = 0; i < kWritten; ++i) {
+        log.Write(LogLevel::kInfo, "call",
+                  {{"number", i}, {"value", std::string(100, 'a')}});
+      }
+      // Read again, it tells of all that it left out.
+      std::FILE* const reader = fdopen(ends[0], "r");
+      std::int64_t seen = 0;
+      std::int64_t told = 0;
+      while (seen + told < kWritten) {
+        char line[1000];
+        ASSERT_NE(std::fgets(line, sizeof(line), reader), nullptr);
+        const std::int64_t dropped = Dropped(format, line);
+        told += dropped;
+        if (dropped == 0) ++seen;
+      }
+      EXPECT_EQ(seen + told, kWritten);
+      EXPECT_GT(told, 0);
+      std::fclose(reader);
+    }
+    close(ends[1]);
+  }
 }
 
 TEST(LogTest, LinesOfManyThreadsStayWhole) {

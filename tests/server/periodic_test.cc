@@ -32,6 +32,13 @@ TEST(PeriodicTest, GoesWithoutWaitingForItsTime) {
   EXPECT_EQ(calls, 0);
 }
 
+TEST(PeriodicTest, WorksBeforeItsTimeIfItIsHastened) {
+  const Answer<bool> worked;
+  Periodic periodic(std::chrono::hours(1), [&] { worked.Set(true); });
+  periodic.Hasten();
+  worked.Get();
+}
+
 TEST(PeriodicTest, FinishesTheWorkItIsAtBeforeItGoes) {
   const Answer<bool> at_work;
   std::atomic<bool> finished{false};

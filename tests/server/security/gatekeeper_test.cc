@@ -235,6 +235,23 @@ TEST_F(GatekeeperTest, WatchersAreAskedWhenTheirTimeIsOver) {
   gatekeeper->Unwatch(id);
 }
 
+TEST_F(GatekeeperTest, LooksAtItsFilesAtOnceIfItIsAsked) {
+  // Far longer than the test.
+  settings_.check_period = hours(1);
+  const auto gatekeeper = Start();
+  const auto other = Bearer(Token(Now() + hours(1), "other"));
+  EXPECT_THAT(gatekeeper->Admit(other, Now()),
+              IsError(StatusCode::kPermissionDenied, "NOT_GRANTED", _));
+  Put("policy", PolicyFor("other"));
+  std::promise<void> rechecked;
+  const auto id = gatekeeper->Watch(Gatekeeper::Time::max(),
+                                    [&] { rechecked.set_value(); });
+  gatekeeper->LookAtFiles();
+  rechecked.get_future().wait();
+  EXPECT_THAT(gatekeeper->Admit(other, Now()), IsOk());
+  gatekeeper->Unwatch(id);
+}
+
 TEST_F(GatekeeperTest, WatchersThatLeftAreNotAsked) {
   const auto gatekeeper = Start();
   std::atomic<int> asked{0};
