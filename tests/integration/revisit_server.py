@@ -51,12 +51,14 @@ def wait_until(condition, what, seconds=START_SECONDS):
 
 class Server:
     """One revisitd on a free port of the loopback, over one store. It may open
-    as many files as `descriptors` says, if it says."""
+    as many files as `descriptors` says, if it says. Its log lies beside the
+    store, or where `log_path` says."""
 
     def __init__(self, store, *flags, env=None, wait=True, descriptors=None,
-                 listen="127.0.0.1:0"):
+                 listen="127.0.0.1:0", log_path=None):
         self.store = pathlib.Path(store)
-        self.log_path = self.store.with_name(self.store.name + ".log")
+        self.log_path = log_path or self.store.with_name(
+            self.store.name + ".log")
         self._lines = queue.SimpleQueue()
         self._channels = []
         self.port = None
