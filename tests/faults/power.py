@@ -138,12 +138,12 @@ def all_hold(recording, fleet, lines):
     assert bad is None, (dict(seen), bad)
 
 
-def served(run, fleet, lines):
+def served(run, recording, fleet, lines):
     """The states that were kept, by a real server and over its API: the same as
     the storage said, and written to. Answers how many."""
     kept = [line for line in lines if "kept" in line]
     for line in kept:
-        store = line["kept"] / line["below"]
+        store = line["kept"] / recording.store.relative_to(recording.root)
         with Server(store, log_path=run.directory / "server.log") as server:
             stub = server.stub()
             for name, vehicle in fleet.vehicles.items():
@@ -166,18 +166,21 @@ def served(run, fleet, lines):
 
 def hold(run, recording, fleet, count, **settings):
     """Makes states of a recording and holds them against the contract; answers
-    what became of them, in words."""
+    what they were, and what became of them in words."""
     recording.check()
-    real = max(1, count // 20)
-    with scratch(run) as kept:
-        lines = recording.states(run, count, kept=real, keep_in=kept,
-                                 **settings)
-        for line in lines:
-            line["below"] = recording.store.relative_to(recording.root)
-        all_hold(recording, fleet, lines)
-        real = served(run, fleet, lines)
-    return lines, (f"0 lost, 0 refused of {len(lines)} after "
-                   f"{fleet.acked} acks, {real} of them served")
+    lines = []
+    real = 0
+    while len(lines) < count:
+        # No more at a time than there is memory to keep some of.
+        states = min(count - len(lines), 400)
+        with scratch(run) as kept:
+            some = recording.states(run, states, kept=max(1, states // 20),
+                                    keep_in=kept, **settings)
+            all_hold(recording, fleet, some)
+            real += served(run, recording, fleet, some)
+        lines += some
+    return lines, (f"0 lost, 0 refused of {count} after {fleet.acked} acks, "
+                   f"{real} of them served")
 
 
 def record_writes(run, name, operations):
