@@ -14,6 +14,9 @@ from stubs import api
 from wire import (PAIR_KINDS, PoseStream, append, decode_failure, get,
                   list_poses)
 
+# A vehicle that has so many is deleted and made again, lest states get large.
+MANY_POSES = 6000
+
 # How a server that is killed ends the calls on it.
 GONE = (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.CANCELLED)
 
@@ -161,6 +164,8 @@ class Vehicle:
             self.create(stub)
         elif len(content.poses) < 20:
             self.append(stub, self.rng.randint(1, 40))
+        elif len(content.poses) > MANY_POSES:
+            self.delete(stub)
         else:
             self.rng.choices(
                 [lambda: self.append(stub, self.rng.randint(1, 40)),
@@ -232,12 +237,10 @@ class Vehicle:
         stored = len(self.content.poses)
         count = self.rng.randint(1, min(stored, 30))
         first = self.rng.randint(0, stored - count)
-        poses = []
-        for pose in self.drive[first:first + count]:
-            revised = api.Pose()
-            revised.CopyFrom(pose)
-            revised.local.x_meters += self.rng.random()
-            poses.append(revised)
+        poses = [api.PoseBatch.FromString(payload).poses[0]
+                 for payload in self.content.poses[first:first + count]]
+        for pose in poses:
+            pose.local.x_meters += self.rng.random()
         self.call(self.content.with_revised(poses),
                   lambda: stub.RevisePoses(iter([
                       api.RevisePosesRequest(vehicle=self.name, poses=poses)])),

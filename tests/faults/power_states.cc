@@ -1,6 +1,6 @@
-// Makes crash states from a recording, verifies each as an operator would, opens
-// it as a server does that starts on it, and prints what it then holds; for
-// power.py, which says what it must.
+// Makes crash states from a recording, verifies each as an operator would,
+// opens it as a server does that starts on it, and prints what it then holds;
+// for power.py, which says what it must.
 //
 //   power_states check RECORDING
 //       Whether the recording is complete: says where the files differ now from
