@@ -17,6 +17,9 @@ from wire import (PAIR_KINDS, PoseStream, append, decode_failure, get,
 # A vehicle that has so many is deleted and made again, lest states get large.
 MANY_POSES = 6000
 
+# gRPC for Python may hear nothing of the end of a server; see drive_client.py.
+HEARS_SECONDS = 30
+
 # How a server that is killed ends the calls on it.
 GONE = (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.CANCELLED)
 
@@ -385,7 +388,10 @@ class Fleet:
         finally:
             stop.set()
             for thread in threads:
-                thread.join()
+                thread.join(HEARS_SECONDS)
+                if thread.is_alive():
+                    server.close_channels()
+                    thread.join()
         if failures:
             raise failures[0]
 
