@@ -668,6 +668,11 @@ absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
                    std::string(writer.status().message()));
     }
   }
+  // Also of a store that is not new: the server that made it may have been
+  // killed before it came to this.
+  const absl::Status found = FlushDirectories(
+      std::filesystem::path(store).parent_path().string());
+  if (!found.ok()) return found;
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> anchor =
       OpenAnchor(store, options.vfs);
   if (!anchor.ok()) return anchor.status();

@@ -1,9 +1,11 @@
 #include "server/storage/store_files.h"
 
 #include <fcntl.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <cerrno>
+#include <filesystem>
 
 #include "server/status.h"
 
@@ -29,6 +31,27 @@ absl::Status FlushFile(const std::string& path) {
   return Error(
       absl::StatusCode::kUnavailable, "STORE_SYNC_FAILED",
       "cannot flush: " + absl::ErrnoToStatus(failure, path).ToString());
+}
+
+absl::Status FlushDirectories(const std::string& directory) {
+  std::filesystem::path path = std::filesystem::path(directory);
+  struct stat first;
+  struct stat status;
+  if (stat(path.c_str(), &first) != 0) return absl::OkStatus();
+  while (stat(path.c_str(), &status) == 0 && status.st_dev == first.st_dev) {
+    const int file = open(path.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+    // Nobody who may not read it has made something in it.
+    if (file < 0) return absl::OkStatus();
+    const bool failed = fsync(file) != 0 && errno == EIO;
+    close(file);
+    if (failed) {
+      return Error(absl::StatusCode::kUnavailable, "STORE_SYNC_FAILED",
+                   "cannot flush the directory " + path.string());
+    }
+    if (path == path.parent_path()) break;
+    path = path.parent_path();
+  }
+  return absl::OkStatus();
 }
 
 void KeepReserve(const std::string& store_path) {

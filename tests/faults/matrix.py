@@ -22,11 +22,12 @@ import damage
 import devices
 import ends
 import kills
+import power
 import restarts
 from skipped import Skipped
 
-ROWS = [*kills.ROWS, *damage.ROWS, *devices.ROWS, *restarts.ROWS,
-        *ends.ROWS, *crowds.ROWS]
+ROWS = [*kills.ROWS, *power.ROWS, *damage.ROWS, *devices.ROWS,
+        *restarts.ROWS, *ends.ROWS, *crowds.ROWS]
 
 
 @dataclasses.dataclass
@@ -55,9 +56,9 @@ def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--long", action="store_true",
-                        help="200 kills, 2,000 failing calls, 500 damaged "
-                        "stores, 20,000 streams, 100,000 vehicles; some 45 "
-                        "minutes, more on a busy machine")
+                        help="200 kills, 10,000 power losses, 2,000 failing "
+                        "calls, 500 damaged stores, 20,000 streams, 100,000 "
+                        "vehicles; some 50 minutes, more on a busy machine")
     parser.add_argument("--scale", type=float, default=1.0,
                         help="multiplies the rounds of every row")
     parser.add_argument("--seed", type=int, default=None,
