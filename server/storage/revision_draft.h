@@ -32,7 +32,7 @@ class RevisionDraft {
   RevisionDraft& operator=(const RevisionDraft&) = delete;
 
   // RESOURCE_EXHAUSTED (STORAGE_FULL) if poses are not to be added now.
-  absl::Status CheckRoom() { return space_.Check(); }
+  absl::Status CheckRoom() { return space_->Check(); }
 
   // Whether the pose was added: a sequence that came before is not.
   absl::StatusOr<bool> AddPose(std::uint64_t sequence, const std::string& pose);
@@ -54,11 +54,12 @@ class RevisionDraft {
       const std::function<absl::Status(const BatchRecord&)>& take);
 
  private:
-  RevisionDraft(std::unique_ptr<SqliteDatabase> database, FreeSpaceGuard space)
+  RevisionDraft(std::unique_ptr<SqliteDatabase> database,
+                std::unique_ptr<FreeSpaceGuard> space)
       : database_(std::move(database)), space_(std::move(space)) {}
 
   const std::unique_ptr<SqliteDatabase> database_;
-  FreeSpaceGuard space_;
+  const std::unique_ptr<FreeSpaceGuard> space_;
   std::int64_t pose_count_ = 0;
   std::uint64_t first_sequence_ = 0;
   std::uint64_t last_sequence_ = 0;
