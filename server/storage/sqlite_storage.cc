@@ -668,6 +668,11 @@ absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
                    std::string(writer.status().message()));
     }
   }
+  if (writer.ok() && options.drop_damaged_log) {
+    // Else what was dropped could be back after a power failure.
+    const absl::Status dropped = FlushFile(store + "-wal");
+    if (!dropped.ok()) return dropped;
+  }
   // Also of a store that is not new: the server that made it may have been
   // killed before it came to this.
   const absl::Status found = FlushDirectories(

@@ -14,6 +14,8 @@ namespace revisit::server {
 namespace {
 
 constexpr std::size_t kFrameHeaderBytes = 24;
+// The least that a device writes whole or not at all.
+constexpr std::uint64_t kSectorBytes = 512;
 // The last bit says in which byte order the checksums were summed.
 constexpr std::uint32_t kMagic = 0x377f0682;
 constexpr std::uint32_t kFormat = 3007000;
@@ -83,6 +85,14 @@ struct Frame {
     return seed;
   }
 };
+
+// Whether the word that says if a frame ends a commit lies in another sector
+// than its salts: then it may be that of an older use, though they are not.
+bool MayBeTorn(std::uint32_t number, std::size_t frame_bytes) {
+  const std::uint64_t at =
+      kLogHeaderBytes + std::uint64_t{number - 1} * frame_bytes;
+  return at / kSectorBytes != (at + 8) / kSectorBytes;
+}
 
 // Answers false at the end of what is whole.
 absl::StatusOr<bool> ReadFrame(std::FILE* file, const std::string& path,
@@ -296,7 +306,9 @@ absl::StatusOr<LogReport> ReadLog(const std::string& path) {
       }
     }
     stored = frame.stored();
-    after_commit = frame.is_commit() && (has_salts || number == first_bad);
+    after_commit = frame.is_commit() &&
+                   (fits || ((has_salts || number == first_bad) &&
+                             !MayBeTorn(number, frame.bytes.size())));
   }
   if (first_bad == 0 && report.frames_in_file > report.end.frames) {
     report.has_unfinished_tail = true;

@@ -9,7 +9,8 @@
 // written. So what a crash leaves unfinished is one transaction, the last. If
 // frames of this log follow that begin another transaction, the bad frame was
 // flushed once and has been damaged since. Frames of an older use of the file
-// have other salts.
+// have other salts. Power may be lost in the middle of a frame: of one that
+// fails its checksum no more is believed than lies in a sector with its salts.
 //
 // The format is that of https://www.sqlite.org/fileformat2.html#walformat.
 #ifndef REVISIT_SERVER_STORAGE_WRITE_AHEAD_LOG_H_

@@ -183,6 +183,35 @@ TEST_F(WriteAheadLogTest, TellsEveryFlippedBit) {
   }
 }
 
+// A power failure tore an unfinished write between two sectors, just where the
+// older use of the log below had ended a commit: a frame seemed to end one, and
+// the next to begin another, so that the server refused to start.
+TEST_F(WriteAheadLogTest, TakesATornFrameForNoCommit) {
+  const std::string path = directory_.File("large.db");
+  absl::StatusOr<std::unique_ptr<Storage>> storage = OpenSqliteStorage(path);
+  ASSERT_THAT(storage, IsOk());
+  BlockingWrites write(storage->get());
+  const VehicleKey truck = *write.Create("truck");
+  const std::uint32_t before = Read(ReadFile(path + "-wal")).end.frames;
+  ASSERT_THAT(write.Append(truck, {1, 1, 2, std::string(500'000, 'x')}),
+              IsOk());
+  const std::string log = ReadFile(path + "-wal");
+  // The first 8 bytes of this frame's header end a sector.
+  constexpr std::size_t kTorn = kHeader + 41 * kFrame;
+  static_assert(kTorn % 512 == 504);
+  ASSERT_GT(log.size(), kTorn + 5 * kFrame);
+  std::string torn = log;
+  torn.replace(kTorn, 8, std::string("\0\0\0\7\0\0\0\11", 8));
+  // Alone, and behind another that is not there.
+  for (const std::size_t other : {kTorn + 8, kTorn - 2 * kFrame}) {
+    torn.replace(other + 1000, 512, std::string(512, '\0'));
+    const LogReport report = Read(torn);
+    EXPECT_EQ(report.damage, "");
+    EXPECT_TRUE(report.has_unfinished_tail);
+    EXPECT_EQ(report.end.frames, before);
+  }
+}
+
 TEST_F(WriteAheadLogTest, TakesTheRestOfAnOlderUseForWhatItIs) {
   // The log starts over at its beginning: the frames behind have other salts.
   std::string older = log_.substr(kHeader);
