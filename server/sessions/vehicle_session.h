@@ -144,9 +144,11 @@ class VehicleSession {
 
   // Reads at one revision: what is durable and applied.
   void Read(std::function<void(absl::StatusOr<VehicleView>)> callback);
-  // The same for a callback that searches, or reads the store: it runs where
-  // long work does, and holds up this vehicle only.
+  // The same for a callback that reads the store: it runs where long work does,
+  // and holds up this vehicle only.
   void LongRead(std::function<void(absl::StatusOr<VehicleView>)> callback);
+  // The same for a callback that searches.
+  void Search(std::function<void(absl::StatusOr<VehicleView>)> callback);
 
   // See AppendCallbacks. Poses that are stored already with the same content
   // are acknowledged again; errors: ALREADY_EXISTS (SEQUENCE_CONTENT_MISMATCH),
