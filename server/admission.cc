@@ -28,6 +28,9 @@ constexpr milliseconds kQueueDelay{200};
 constexpr milliseconds kStreamDelay{2000};
 constexpr milliseconds kMemoryDelay{5000};
 
+// Exports of one vehicle leave room for those of others.
+constexpr std::int64_t kExportsOfAllAndOfOne = 4;
+
 // Buckets of callers that have not been heard of for long are full.
 constexpr std::size_t kMostBuckets = 10000;
 
@@ -110,6 +113,9 @@ Admission::Admission(const Limits& limits, int search_threads,
                                        limits.max_searches_per_vehicle)),
       queue_(std::make_shared<Pool>(limits.max_queued_bytes,
                                     limits.max_queued_bytes_per_vehicle)),
+      exports_(std::make_shared<Pool>(
+          limits.max_export_bytes,
+          limits.max_export_bytes / kExportsOfAllAndOfOne)),
       random_(std::random_device{}()) {}
 
 Admission::~Admission() = default;
@@ -186,6 +192,23 @@ absl::StatusOr<Permit> Admission::Queue(const std::string& vehicle,
                        limits_.max_queued_bytes_per_vehicle);
   }
   return Pool::MakePermit(queue_, vehicle, bytes);
+}
+
+absl::StatusOr<Permit> Admission::Export(const std::string& vehicle,
+                                         std::int64_t bytes) {
+  if (absl::Status status = CheckMemory(); !status.ok()) return status;
+  switch (exports_->Take(vehicle, bytes)) {
+    case Pool::Outcome::kTaken:
+      break;
+    case Pool::Outcome::kAllTaken:
+      return Overloaded("streams", "bytes of graphs that are being exported",
+                        limits_.max_export_bytes);
+    case Pool::Outcome::kKeyTaken:
+      return OverQuota("STREAM_QUOTA", "vehicles/" + vehicle,
+                       "bytes of its graph that are being exported",
+                       limits_.max_export_bytes / kExportsOfAllAndOfOne);
+  }
+  return Pool::MakePermit(exports_, vehicle, bytes);
 }
 
 bool Admission::UnderMemoryPressure() {

@@ -246,6 +246,10 @@ absl::StatusOr<Permit> Call::AdmitBatch(std::size_t bytes) const {
   return room_->Queue(vehicle_, static_cast<std::int64_t>(bytes));
 }
 
+absl::StatusOr<Permit> Call::AdmitExport(std::size_t bytes) const {
+  return room_->Export(vehicle_, static_cast<std::int64_t>(bytes));
+}
+
 absl::Status Call::AlsoNeeds(Verb verb) {
   also_needs_.push_back(verb);
   return Check(*caller_, verb);

@@ -4,16 +4,16 @@
 
 #include "grpcpp/server_context.h"
 #include "grpcpp/support/server_callback.h"
-#include "revisit/v1/pose_graph_service.pb.h"
+#include "grpcpp/support/byte_buffer.h"
 #include "server/service_context.h"
 
 namespace revisit::server {
 
-// Starts the call, which owns itself until it is done. Context and request are
-// copied as far as needed.
-grpc::ServerWriteReactor<v1::ExportPoseGraphResponse>* StartExport(
+// Starts the call, which owns itself until it is done. The context is copied, the
+// request, of type ExportPoseGraphRequest, is read at once.
+grpc::ServerWriteReactor<grpc::ByteBuffer>* StartExport(
     grpc::CallbackServerContext* call, const ServiceContext& context,
-    const v1::ExportPoseGraphRequest& request);
+    const grpc::ByteBuffer* request);
 
 }  // namespace revisit::server
 

@@ -52,8 +52,8 @@ struct Limits {
   std::int64_t max_message_bytes = 4 << 20;
   // Most poses in a batch. Range [1, 1e6].
   int max_batch_poses = 4096;
-  // Most bytes of poses that one RevisePoses call may bring. Range [1024,
-  // 2^36].
+  // Most bytes that one RevisePoses call may bring. They wait on the disk
+  // (revision_draft.h). Range [1024, 2^36].
   std::int64_t max_revision_bytes = std::int64_t{256} << 20;
 
   // ---- Streams (admission.h for those over all calls)
@@ -70,18 +70,24 @@ struct Limits {
   int max_batches_in_flight = 512;
   std::int64_t max_bytes_in_flight = std::int64_t{2} << 20;
   // Candidates of one stream that may wait for the client to read them, and
-  // how long a client that let more come has to read why its stream ends. Range
-  // [4096, 2^36] and [0.1, 3600].
+  // how long a client that let more come has to read why its stream ends. A
+  // client that takes nothing of an export for that long is told the same, and
+  // has as long again. Range [4096, 2^36] and [0.1, 3600].
   std::int64_t max_unread_bytes = 8 << 20;
   double slow_consumer_seconds = 10.0;
+  // Memory of the graphs that are being exported, each revision once; those of
+  // one vehicle may come to a quarter of it. One alone may take more. Range
+  // [1024, 2^40].
+  std::int64_t max_export_bytes = std::int64_t{256} << 20;
 
   // ---- Queues
 
   // Batches of one vehicle, over all its streams and calls, that may wait.
   // Range [1, 1e6].
   int max_pending_appends = 1024;
-  // Bytes of the batches that were read and are not durable: of one vehicle,
-  // and in all. Range [1024, 2^40].
+  // Bytes of the batches that were read and are not durable, and of the message
+  // of each revision that is being taken on: of one vehicle, and in all. Range
+  // [1024, 2^40].
   std::int64_t max_queued_bytes_per_vehicle = std::int64_t{64} << 20;
   std::int64_t max_queued_bytes = std::int64_t{256} << 20;
 

@@ -4,10 +4,13 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <optional>
 
 #include "absl/strings/escaping.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/string_view.h"
 #include "server/field_violations.h"
+#include "server/proto_conversion.h"
 
 namespace revisit::server {
 namespace {
@@ -27,6 +30,26 @@ std::string Seal(const std::string& list, const std::string& key) {
   return bytes;
 }
 
+// What a token holds, if it is sealed to the list.
+std::optional<std::string> Open(const std::string& list,
+                                const std::string& token) {
+  std::string plain;
+  if (absl::WebSafeBase64Unescape(absl::string_view(token.data(), token.size()),
+                                  &plain) &&
+      plain.size() > 1 + kSealBytes && plain[0] == kVersion) {
+    std::string key = plain.substr(1 + kSealBytes);
+    if (plain.compare(1, kSealBytes, Seal(list, key)) == 0) return key;
+  }
+  return std::nullopt;
+}
+
+absl::Status NotIssued() {
+  return InvalidField(
+      "INVALID_PAGE_TOKEN", FieldPath().Field("page_token"),
+      "it was not issued for this list; take the "
+      "`next_page_token` of the page before, or leave it empty");
+}
+
 }  // namespace
 
 std::string MakePageToken(const std::string& list, const std::string& key) {
@@ -37,20 +60,33 @@ std::string MakePageToken(const std::string& list, const std::string& key) {
   return token;
 }
 
+std::string MakePageToken(const std::string& list, std::uint64_t sequence) {
+  return MakePageToken(list, std::to_string(sequence));
+}
+
 absl::StatusOr<std::string> ParsePageToken(const std::string& list,
                                            const std::string& token) {
   if (token.empty()) return std::string();
-  std::string plain;
-  if (absl::WebSafeBase64Unescape(absl::string_view(token.data(), token.size()),
-                                  &plain) &&
-      plain.size() > 1 + kSealBytes && plain[0] == kVersion) {
-    const std::string key = plain.substr(1 + kSealBytes);
-    if (plain.compare(1, kSealBytes, Seal(list, key)) == 0) return key;
+  const std::optional<std::string> key = Open(list, token);
+  if (!key || !CheckId(*key, FieldPath()).ok()) return NotIssued();
+  return *key;
+}
+
+absl::StatusOr<std::uint64_t> ParseSequenceToken(const std::string& list,
+                                                 const std::string& token) {
+  if (token.empty()) return std::uint64_t{0};
+  const std::optional<std::string> key = Open(list, token);
+  std::uint64_t sequence = 0;
+  if (!key || !absl::SimpleAtoi(absl::string_view(key->data(), key->size()),
+                                &sequence)) {
+    return NotIssued();
   }
-  return InvalidField(
-      "INVALID_PAGE_TOKEN", FieldPath().Field("page_token"),
-      "it was not issued for this list; take the "
-      "`next_page_token` of the page before, or leave it empty");
+  // Another way to write the number is not ours either.
+  if (sequence < 1 || sequence > kMaxSequence ||
+      std::to_string(sequence) != *key) {
+    return NotIssued();
+  }
+  return sequence;
 }
 
 absl::StatusOr<int> PageSize(int asked, int usual, int most) {

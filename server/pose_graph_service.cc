@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <chrono>
 #include <cstdint>
-#include <cstdlib>
 #include <limits>
 #include <memory>
 #include <string>
@@ -16,6 +15,7 @@
 #include "server/call.h"
 #include "server/export_pose_graph.h"
 #include "server/field_violations.h"
+#include "server/message_bytes.h"
 #include "server/page_token.h"
 #include "server/proto_conversion.h"
 #include "server/revise_poses.h"
@@ -44,10 +44,10 @@ std::int64_t NowNanoseconds() {
       .count();
 }
 
-// The reactor of a unary call. Request and response live until Finish(). Held
-// by a shared_ptr for the reasons given in stream_poses.cc.
-class UnaryCall final : public grpc::ServerUnaryReactor,
-                        public std::enable_shared_from_this<UnaryCall> {
+// The reactor of a unary call. Held by a shared_ptr for the reasons given in
+// stream_poses.cc.
+class UnaryCall : public grpc::ServerUnaryReactor,
+                  public std::enable_shared_from_this<UnaryCall> {
  public:
   UnaryCall(grpc::CallbackServerContext* context, const char* method,
             const ServiceContext& service)
@@ -80,11 +80,34 @@ class UnaryCall final : public grpc::ServerUnaryReactor,
   absl::Status GivenUpStatus() const { return call_.GivenUpStatus(); }
 
   // Once, on any thread.
-  void End(const absl::Status& status) { Finish(call_.End(status)); }
+  void End(const absl::Status& status) {
+    if (status.ok()) WriteResponse();
+    Finish(call_.End(status));
+  }
 
  private:
+  virtual void WriteResponse() = 0;
+
   Call call_;
   std::shared_ptr<UnaryCall> self_;
+};
+
+// The same with its messages.
+template <typename Request, typename Response>
+class TypedCall final : public UnaryCall {
+ public:
+  // The bytes of the response live until Finish().
+  TypedCall(grpc::CallbackServerContext* context, const char* method,
+            const ServiceContext& service, grpc::ByteBuffer* response_bytes)
+      : UnaryCall(context, method, service), response_bytes_(response_bytes) {}
+
+  Request request;
+  Response response;
+
+ private:
+  void WriteResponse() override { WriteMessage(response, response_bytes_); }
+
+  grpc::ByteBuffer* const response_bytes_;
 };
 
 using UnaryCallPtr = std::shared_ptr<UnaryCall>;
@@ -188,13 +211,13 @@ bool MayRead(const UnaryCall& call, const std::string& vehicle_id) {
   return call.caller().May(Verb::kRead, vehicle_id);
 }
 
-// Key of the last element of a page of poses.
+// Where a page of poses begins.
 absl::StatusOr<std::uint64_t> FirstSequence(const v1::ListPosesRequest& request,
                                             const std::string& list) {
-  const absl::StatusOr<std::string> key =
-      ParsePageToken(list, request.page_token());
-  if (!key.ok()) return key.status();
-  if (!key->empty()) return std::strtoull(key->c_str(), nullptr, 10) + 1;
+  const absl::StatusOr<std::uint64_t> last =
+      ParseSequenceToken(list, request.page_token());
+  if (!last.ok()) return last.status();
+  if (*last > 0) return *last + 1;
   return request.first_sequence() == 0 ? 1 : request.first_sequence();
 }
 
@@ -244,7 +267,7 @@ absl::Status ReadPoses(Storage* storage, const VehicleView& view,
   }
   if (last_taken < view.durable_sequence || !view.damage.ok()) {
     response->set_next_page_token(
-        MakePageToken(list, std::to_string(last_taken)));
+        MakePageToken(list, last_taken));
   }
   return absl::OkStatus();
 }
@@ -388,22 +411,28 @@ absl::Status DeletePair(const ServiceContext& context, const UnaryCallPtr& call,
 
 }  // namespace
 
-template <typename Handle>
+template <typename Request, typename Response, typename Handle>
 grpc::ServerUnaryReactor* PoseGraphService::Unary(
-    grpc::CallbackServerContext* context, const char* method, Handle handle) {
-  const auto call = std::make_shared<UnaryCall>(context, method, context_);
+    grpc::CallbackServerContext* context, const char* method,
+    const grpc::ByteBuffer* request, grpc::ByteBuffer* response,
+    Handle handle) {
+  const auto call = std::make_shared<TypedCall<Request, Response>>(
+      context, method, context_, response);
   call->Start();
-  const absl::Status status =
-      call->admission().ok() ? handle(call) : call->admission();
+  absl::Status status = call->admission();
+  if (status.ok()) status = ParseMessage(request, &call->request);
+  if (status.ok()) status = handle(call, &call->request, &call->response);
   if (!status.ok()) call->End(status);
   return call.get();
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::CreateVehicle(
     grpc::CallbackServerContext* call_context,
-    const v1::CreateVehicleRequest* request,
-    v1::CreateVehicleResponse* response) {
-  return Unary(call_context, "CreateVehicle", [=](const UnaryCallPtr& call) {
+    const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
+  return Unary<v1::CreateVehicleRequest, v1::CreateVehicleResponse>(
+      call_context, "CreateVehicle", request_bytes, response_bytes,
+      [=](const UnaryCallPtr& call, const v1::CreateVehicleRequest* request,
+          v1::CreateVehicleResponse* response) {
     const std::string& id = request->vehicle_id();
     if (absl::Status status = CheckId(id, kRequest.Field("vehicle_id"));
         !status.ok()) {
@@ -451,8 +480,11 @@ grpc::ServerUnaryReactor* PoseGraphService::CreateVehicle(
 
 grpc::ServerUnaryReactor* PoseGraphService::GetVehicle(
     grpc::CallbackServerContext* call_context,
-    const v1::GetVehicleRequest* request, v1::GetVehicleResponse* response) {
-  return Unary(call_context, "GetVehicle", [=](const UnaryCallPtr& call) {
+    const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
+  return Unary<v1::GetVehicleRequest, v1::GetVehicleResponse>(
+      call_context, "GetVehicle", request_bytes, response_bytes,
+      [=](const UnaryCallPtr& call, const v1::GetVehicleRequest* request,
+          v1::GetVehicleResponse* response) {
     const auto session = SessionOf(context_, request->name(),
                                    kRequest.Field("name"), call.get());
     if (!session.ok()) return session.status();
@@ -466,9 +498,11 @@ grpc::ServerUnaryReactor* PoseGraphService::GetVehicle(
 
 grpc::ServerUnaryReactor* PoseGraphService::ListVehicles(
     grpc::CallbackServerContext* call_context,
-    const v1::ListVehiclesRequest* request,
-    v1::ListVehiclesResponse* response) {
-  return Unary(call_context, "ListVehicles", [=](const UnaryCallPtr& call) {
+    const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
+  return Unary<v1::ListVehiclesRequest, v1::ListVehiclesResponse>(
+      call_context, "ListVehicles", request_bytes, response_bytes,
+      [=](const UnaryCallPtr& call, const v1::ListVehiclesRequest* request,
+          v1::ListVehiclesResponse* response) {
     const std::string list = "ListVehicles";
     const absl::StatusOr<int> page_size =
         PageSize(request->page_size(), 100, 1000);
@@ -491,9 +525,11 @@ grpc::ServerUnaryReactor* PoseGraphService::ListVehicles(
 
 grpc::ServerUnaryReactor* PoseGraphService::UpdateVehicle(
     grpc::CallbackServerContext* call_context,
-    const v1::UpdateVehicleRequest* request,
-    v1::UpdateVehicleResponse* response) {
-  return Unary(call_context, "UpdateVehicle", [=](const UnaryCallPtr& call) {
+    const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
+  return Unary<v1::UpdateVehicleRequest, v1::UpdateVehicleResponse>(
+      call_context, "UpdateVehicle", request_bytes, response_bytes,
+      [=](const UnaryCallPtr& call, const v1::UpdateVehicleRequest* request,
+          v1::UpdateVehicleResponse* response) {
     const FieldPath vehicle = kRequest.Field("vehicle");
     const auto session = SessionOf(context_, request->vehicle().name(),
                                    vehicle.Field("name"), call.get());
@@ -524,8 +560,11 @@ grpc::ServerUnaryReactor* PoseGraphService::UpdateVehicle(
 
 grpc::ServerUnaryReactor* PoseGraphService::DeleteVehicle(
     grpc::CallbackServerContext* call_context,
-    const v1::DeleteVehicleRequest* request, v1::DeleteVehicleResponse*) {
-  return Unary(call_context, "DeleteVehicle", [=](const UnaryCallPtr& call) {
+    const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
+  return Unary<v1::DeleteVehicleRequest, v1::DeleteVehicleResponse>(
+      call_context, "DeleteVehicle", request_bytes, response_bytes,
+      [=](const UnaryCallPtr& call, const v1::DeleteVehicleRequest* request,
+          v1::DeleteVehicleResponse* ) {
     const absl::StatusOr<std::string> id =
         ParseVehicleName(request->name(), kRequest.Field("name"));
     if (!id.ok()) return id.status();
@@ -540,8 +579,11 @@ grpc::ServerUnaryReactor* PoseGraphService::DeleteVehicle(
 
 grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
     grpc::CallbackServerContext* call_context,
-    const v1::AppendPosesRequest* request, v1::AppendPosesResponse* response) {
-  return Unary(call_context, "AppendPoses", [=](const UnaryCallPtr& call) {
+    const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
+  return Unary<v1::AppendPosesRequest, v1::AppendPosesResponse>(
+      call_context, "AppendPoses", request_bytes, response_bytes,
+      [=](const UnaryCallPtr& call, v1::AppendPosesRequest* request,
+          v1::AppendPosesResponse* response) {
     const auto session = SessionOf(context_, request->vehicle(),
                                    kRequest.Field("vehicle"), call.get());
     if (!session.ok()) return session.status();
@@ -565,6 +607,7 @@ grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
           !meant.ok()) {
         return meant;
       }
+      DropUnknownFields(request->mutable_poses());
       return DecodeBatch(request->poses(), max_poses, config, kRequest);
     };
     append.should_stop = [] { return false; };
@@ -588,14 +631,16 @@ PoseGraphService::StreamPoses(grpc::CallbackServerContext* call_context) {
 
 grpc::ServerUnaryReactor* PoseGraphService::FindCandidates(
     grpc::CallbackServerContext* call_context,
-    const v1::FindCandidatesRequest* request,
-    v1::FindCandidatesResponse* response) {
-  return Unary(call_context, "FindCandidates", [=](const UnaryCallPtr& call) {
+    const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
+  return Unary<v1::FindCandidatesRequest, v1::FindCandidatesResponse>(
+      call_context, "FindCandidates", request_bytes, response_bytes,
+      [=](const UnaryCallPtr& call, const v1::FindCandidatesRequest* request,
+          v1::FindCandidatesResponse* response) {
     const auto session = SessionOf(context_, request->vehicle(),
                                    kRequest.Field("vehicle"), call.get());
     if (!session.ok()) return session.status();
     if (absl::Status status = call->AdmitSearch(); !status.ok()) return status;
-    (*session)->LongRead(FinishWith<VehicleView>(
+    (*session)->Search(FinishWith<VehicleView>(
         call, [=, limits = context_.limits](const VehicleView& view) {
           return Find(*call, limits, view, *request, response);
         }));
@@ -605,9 +650,11 @@ grpc::ServerUnaryReactor* PoseGraphService::FindCandidates(
 
 grpc::ServerUnaryReactor* PoseGraphService::AddLoopClosure(
     grpc::CallbackServerContext* call_context,
-    const v1::AddLoopClosureRequest* request,
-    v1::AddLoopClosureResponse* response) {
-  return Unary(call_context, "AddLoopClosure", [=](const UnaryCallPtr& call) {
+    const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
+  return Unary<v1::AddLoopClosureRequest, v1::AddLoopClosureResponse>(
+      call_context, "AddLoopClosure", request_bytes, response_bytes,
+      [=](const UnaryCallPtr& call, const v1::AddLoopClosureRequest* request,
+          v1::AddLoopClosureResponse* response) {
     return AddPair(
         context_, call, PairKind::kLoopClosure, request->parent(),
         request->loop_closure_id(),
@@ -618,9 +665,11 @@ grpc::ServerUnaryReactor* PoseGraphService::AddLoopClosure(
 
 grpc::ServerUnaryReactor* PoseGraphService::ListLoopClosures(
     grpc::CallbackServerContext* call_context,
-    const v1::ListLoopClosuresRequest* request,
-    v1::ListLoopClosuresResponse* response) {
-  return Unary(call_context, "ListLoopClosures", [=](const UnaryCallPtr& call) {
+    const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
+  return Unary<v1::ListLoopClosuresRequest, v1::ListLoopClosuresResponse>(
+      call_context, "ListLoopClosures", request_bytes, response_bytes,
+      [=](const UnaryCallPtr& call, const v1::ListLoopClosuresRequest* request,
+          v1::ListLoopClosuresResponse* response) {
     return ListPairs(context_, call, PairKind::kLoopClosure, "ListLoopClosures",
                      *request, response->mutable_loop_closures(), response);
   });
@@ -628,10 +677,11 @@ grpc::ServerUnaryReactor* PoseGraphService::ListLoopClosures(
 
 grpc::ServerUnaryReactor* PoseGraphService::DeleteLoopClosure(
     grpc::CallbackServerContext* call_context,
-    const v1::DeleteLoopClosureRequest* request,
-    v1::DeleteLoopClosureResponse* response) {
-  return Unary(call_context, "DeleteLoopClosure",
-               [=](const UnaryCallPtr& call) {
+    const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
+  return Unary<v1::DeleteLoopClosureRequest, v1::DeleteLoopClosureResponse>(
+      call_context, "DeleteLoopClosure", request_bytes, response_bytes,
+      [=](const UnaryCallPtr& call, const v1::DeleteLoopClosureRequest* request,
+          v1::DeleteLoopClosureResponse* response) {
                  return DeletePair(context_, call, PairKind::kLoopClosure,
                                    request->name(), response);
                });
@@ -639,9 +689,11 @@ grpc::ServerUnaryReactor* PoseGraphService::DeleteLoopClosure(
 
 grpc::ServerUnaryReactor* PoseGraphService::RejectCandidate(
     grpc::CallbackServerContext* call_context,
-    const v1::RejectCandidateRequest* request,
-    v1::RejectCandidateResponse* response) {
-  return Unary(call_context, "RejectCandidate", [=](const UnaryCallPtr& call) {
+    const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
+  return Unary<v1::RejectCandidateRequest, v1::RejectCandidateResponse>(
+      call_context, "RejectCandidate", request_bytes, response_bytes,
+      [=](const UnaryCallPtr& call, const v1::RejectCandidateRequest* request,
+          v1::RejectCandidateResponse* response) {
     return AddPair(
         context_, call, PairKind::kRejectedCandidate, request->parent(),
         request->rejected_candidate_id(),
@@ -653,10 +705,11 @@ grpc::ServerUnaryReactor* PoseGraphService::RejectCandidate(
 
 grpc::ServerUnaryReactor* PoseGraphService::ListRejectedCandidates(
     grpc::CallbackServerContext* call_context,
-    const v1::ListRejectedCandidatesRequest* request,
-    v1::ListRejectedCandidatesResponse* response) {
-  return Unary(
-      call_context, "ListRejectedCandidates", [=](const UnaryCallPtr& call) {
+    const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
+  return Unary<v1::ListRejectedCandidatesRequest, v1::ListRejectedCandidatesResponse>(
+      call_context, "ListRejectedCandidates", request_bytes, response_bytes,
+      [=](const UnaryCallPtr& call, const v1::ListRejectedCandidatesRequest* request,
+          v1::ListRejectedCandidatesResponse* response) {
         return ListPairs(context_, call, PairKind::kRejectedCandidate,
                          "ListRejectedCandidates", *request,
                          response->mutable_rejected_candidates(), response);
@@ -665,10 +718,11 @@ grpc::ServerUnaryReactor* PoseGraphService::ListRejectedCandidates(
 
 grpc::ServerUnaryReactor* PoseGraphService::DeleteRejectedCandidate(
     grpc::CallbackServerContext* call_context,
-    const v1::DeleteRejectedCandidateRequest* request,
-    v1::DeleteRejectedCandidateResponse* response) {
-  return Unary(call_context, "DeleteRejectedCandidate",
-               [=](const UnaryCallPtr& call) {
+    const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
+  return Unary<v1::DeleteRejectedCandidateRequest, v1::DeleteRejectedCandidateResponse>(
+      call_context, "DeleteRejectedCandidate", request_bytes, response_bytes,
+      [=](const UnaryCallPtr& call, const v1::DeleteRejectedCandidateRequest* request,
+          v1::DeleteRejectedCandidateResponse* response) {
                  return DeletePair(context_, call, PairKind::kRejectedCandidate,
                                    request->name(), response);
                });
@@ -682,8 +736,11 @@ grpc::ServerReadReactor<v1::RevisePosesRequest>* PoseGraphService::RevisePoses(
 
 grpc::ServerUnaryReactor* PoseGraphService::ListPoses(
     grpc::CallbackServerContext* call_context,
-    const v1::ListPosesRequest* request, v1::ListPosesResponse* response) {
-  return Unary(call_context, "ListPoses", [=](const UnaryCallPtr& call) {
+    const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
+  return Unary<v1::ListPosesRequest, v1::ListPosesResponse>(
+      call_context, "ListPoses", request_bytes, response_bytes,
+      [=](const UnaryCallPtr& call, const v1::ListPosesRequest* request,
+          v1::ListPosesResponse* response) {
     const auto session = SessionOf(context_, request->parent(),
                                    kRequest.Field("parent"), call.get());
     if (!session.ok()) return session.status();
@@ -713,17 +770,19 @@ grpc::ServerUnaryReactor* PoseGraphService::ListPoses(
   });
 }
 
-grpc::ServerWriteReactor<v1::ExportPoseGraphResponse>*
-PoseGraphService::ExportPoseGraph(grpc::CallbackServerContext* call_context,
-                                  const v1::ExportPoseGraphRequest* request) {
-  return StartExport(call_context, context_, *request);
+grpc::ServerWriteReactor<grpc::ByteBuffer>* PoseGraphService::ExportPoseGraph(
+    grpc::CallbackServerContext* call_context,
+    const grpc::ByteBuffer* request) {
+  return StartExport(call_context, context_, request);
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::AcceptDataLoss(
     grpc::CallbackServerContext* call_context,
-    const v1::AcceptDataLossRequest* request,
-    v1::AcceptDataLossResponse* response) {
-  return Unary(call_context, "AcceptDataLoss", [=](const UnaryCallPtr& call) {
+    const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
+  return Unary<v1::AcceptDataLossRequest, v1::AcceptDataLossResponse>(
+      call_context, "AcceptDataLoss", request_bytes, response_bytes,
+      [=](const UnaryCallPtr& call, const v1::AcceptDataLossRequest* request,
+          v1::AcceptDataLossResponse* response) {
     const auto session = SessionOf(context_, request->name(),
                                    kRequest.Field("name"), call.get());
     if (!session.ok()) return session.status();
@@ -742,9 +801,12 @@ grpc::ServerUnaryReactor* PoseGraphService::AcceptDataLoss(
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::GetServerInfo(
-    grpc::CallbackServerContext* call_context, const v1::GetServerInfoRequest*,
-    v1::GetServerInfoResponse* response) {
-  return Unary(call_context, "GetServerInfo", [=](const UnaryCallPtr& call) {
+    grpc::CallbackServerContext* call_context,
+    const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
+  return Unary<v1::GetServerInfoRequest, v1::GetServerInfoResponse>(
+      call_context, "GetServerInfo", request_bytes, response_bytes,
+      [=](const UnaryCallPtr& call, const v1::GetServerInfoRequest* ,
+          v1::GetServerInfoResponse* response) {
     response->set_version(REVISIT_VERSION);
     response->set_durability(v1::DURABILITY_LOCAL);
     response->set_store_format(kStoreFormat);

@@ -1312,6 +1312,8 @@ absl::Status VisitPoses(const BatchRecord& stored,
                         const std::function<bool(v1::Pose*)>& visit) {
   absl::StatusOr<v1::PoseBatch> batch = ParseBatch(stored.payload);
   if (!batch.ok()) return batch.status();
+  // Earlier servers stored what they did not know.
+  DropUnknownFields(batch->mutable_poses());
   for (v1::Pose& pose : *batch->mutable_poses()) {
     if (!visit(&pose)) break;
   }

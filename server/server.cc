@@ -23,6 +23,7 @@
 #include "server/admission.h"
 #include "server/connection_acceptor.h"
 #include "server/drain.h"
+#include "server/graph_snapshots.h"
 #include "server/periodic.h"
 #include "server/pose_graph_service.h"
 #include "server/proto_conversion.h"
@@ -235,10 +236,12 @@ struct RevisitServer::State {
   ProtoRecordCodec codec;
   std::unique_ptr<Storage> storage;
   std::unique_ptr<Executor> executor;
+  std::unique_ptr<Executor> read_executor;
   std::unique_ptr<Executor> search_executor;
   std::unique_ptr<Fleet> fleet;
   std::unique_ptr<ConnectionMeters> meters;
   std::unique_ptr<Admission> admission;
+  GraphSnapshots snapshots;
   std::unique_ptr<Periodic> unload_timer;
   Drain drain;
   std::unique_ptr<Gatekeeper> gatekeeper;
@@ -438,7 +441,9 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->executor = std::make_unique<Executor>(
       "vehicles",
       settings.worker_threads > 0 ? settings.worker_threads : processors);
-  // With one alone, every vehicle that is loaded waits for every search.
+  // With one alone, every vehicle that is loaded waits for whoever reads long.
+  state->read_executor =
+      std::make_unique<Executor>("reads", std::max(2, processors));
   const int search_threads = settings.search_threads > 0
                                  ? settings.search_threads
                                  : std::max(2, processors);
@@ -452,7 +457,9 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   options.session.max_pending_appends = settings.limits.max_pending_appends;
   state->fleet = std::make_unique<Fleet>(
       state->storage.get(), &state->codec,
-      Lanes(state->executor.get(), state->search_executor.get()), options);
+      Lanes(state->executor.get(), state->read_executor.get(),
+            state->search_executor.get()),
+      options);
   Limits limits = settings.limits;
   if (limits.max_memory_bytes == 0) {
     limits.max_memory_bytes = DefaultMemoryLimit();
@@ -464,12 +471,13 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
 
   ServiceContext context;
   context.storage = state->storage.get();
-  context.executor = state->search_executor.get();
+  context.executor = state->read_executor.get();
   context.fleet = state->fleet.get();
   context.drain = &state->drain;
   context.gatekeeper = state->gatekeeper.get();
   context.log = log;
   context.admission = state->admission.get();
+  context.snapshots = &state->snapshots;
   context.scratch_directory =
       std::filesystem::absolute(*file).parent_path().string();
   context.min_free_bytes = settings.min_free_bytes;
@@ -587,6 +595,7 @@ void RevisitServer::Shutdown() {
   state_->unload_timer.reset();
   state_->fleet.reset();
   state_->executor.reset();
+  state_->read_executor.reset();
   state_->search_executor.reset();
   const CommitCounts counts = state_->storage->Counts();
   state_->storage.reset();

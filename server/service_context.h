@@ -15,6 +15,7 @@ class Drain;
 class Executor;
 class Fleet;
 class Gatekeeper;
+class GraphSnapshots;
 class Log;
 class Storage;
 
@@ -28,6 +29,7 @@ struct ServiceContext {
   Gatekeeper* gatekeeper = nullptr;
   const Log* log = nullptr;
   Admission* admission = nullptr;
+  GraphSnapshots* snapshots = nullptr;
   // Where a revision in the making lies, and how much of that file system it
   // leaves free.
   std::string scratch_directory;

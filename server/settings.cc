@@ -340,7 +340,12 @@ class OptionTable {
               "Candidates of one stream that may wait for the client to read "
               "them; a stream with more is ended");
     AddNumber(work, "slow-consumer-seconds", &l.slow_consumer_seconds, 0.1,
-              3600, "What such a client has left to read why");
+              3600, "What such a client has left to read why, and how long one may "
+              "take nothing of an export");
+    AddNumber(work, "max-export-bytes", &l.max_export_bytes, 1024,
+              std::int64_t{1} << 40,
+              "Memory of the graphs that are being exported; one alone may take "
+              "more");
     AddNumber(work, "max-pending-appends", &l.max_pending_appends, 1, 1000000,
               "Batches of one vehicle that may wait, over all its streams");
     AddNumber(work, "max-queued-bytes-per-vehicle",

@@ -274,6 +274,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     AppendRequest append;
     append.decoder = [self](const VehicleConfig& config) {
       const FieldPath batch = FieldPath().Field("batch");
+      DropUnknownFields(self->request_->mutable_batch()->mutable_poses());
       return DecodeBatch(self->request_->batch().poses(),
                          self->context_.limits.max_batch_poses, config, batch);
     };

@@ -139,6 +139,11 @@ void Strand::PostLong(std::function<void()> task) {
   state->Post({std::move(task), state->lanes.long_work});
 }
 
+void Strand::PostSearch(std::function<void()> task) {
+  const std::shared_ptr<State> state = state_;
+  state->Post({std::move(task), state->lanes.searches});
+}
+
 bool Strand::Enter(State* state) {
   const MutexLock guard(&state->mutex);
   if (state->taken) return false;

@@ -1,9 +1,10 @@
 // Threads for the vehicles' work, and an order within one vehicle's.
 //
-// Work that takes long (searches, loading, reading the store at length) has
-// threads of its own. However much there is of it, a thread is free for the
-// short work, such as acknowledging poses, of all vehicles but those whose turn
-// it is; the operating system shares the processors between the two.
+// Work that takes long (loading, reading the store at length) has threads of its
+// own, and searches have others. However much there is of the one, a thread is
+// free for the others and for the short work, such as acknowledging poses, of
+// all vehicles but those whose turn it is; the operating system shares the
+// processors between them.
 #ifndef REVISIT_SERVER_SESSIONS_EXECUTOR_H_
 #define REVISIT_SERVER_SESSIONS_EXECUTOR_H_
 
@@ -46,14 +47,20 @@ class Executor {
   std::vector<std::thread> threads_;
 };
 
-// The two kinds of threads. They may be the same.
+// The kinds of threads. They may be the same.
 struct Lanes {
-  Lanes(Executor* both) : short_work(both), long_work(both) {}
-  Lanes(Executor* for_short_work, Executor* for_long_work)
-      : short_work(for_short_work), long_work(for_long_work) {}
+  Lanes(Executor* all) : Lanes(all, all) {}
+  Lanes(Executor* for_short_work, Executor* for_all_else)
+      : Lanes(for_short_work, for_all_else, for_all_else) {}
+  Lanes(Executor* for_short_work, Executor* for_long_work,
+        Executor* for_searches)
+      : short_work(for_short_work),
+        long_work(for_long_work),
+        searches(for_searches) {}
 
   Executor* short_work;
   Executor* long_work;
+  Executor* searches;
 };
 
 // Runs tasks one after the other, in the order posted, each in its lane; gives
@@ -70,6 +77,7 @@ class Strand {
 
   void Post(std::function<void()> task);
   void PostLong(std::function<void()> task);
+  void PostSearch(std::function<void()> task);
 
   // Runs the task before it returns, on the caller's thread, if nothing of the
   // strand runs or waits; else posts it. For tasks that are short and do not

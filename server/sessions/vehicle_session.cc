@@ -230,6 +230,10 @@ struct VehicleSession::State
     strand->PostLong(Adding(std::move(operation)));
   }
 
+  void SubmitSearch(Operation operation) {
+    strand->PostSearch(Adding(std::move(operation)));
+  }
+
   std::function<void()> Adding(Operation operation) {
     return [self = shared_from_this(),
             operation = std::move(operation)]() mutable {
@@ -881,8 +885,8 @@ struct VehicleSession::State
       return;
     }
     checking = true;
-    strand->PostLong([self = shared_from_this(), append,
-                      due = std::move(applied.checks_due)] {
+    strand->PostSearch([self = shared_from_this(), append,
+                        due = std::move(applied.checks_due)] {
       self->Check(append->request, due);
       self->checking = false;
       // In the lane of short work again.
@@ -1354,6 +1358,11 @@ void VehicleSession::ReadStored(
   Operation reading = state_->Reading(std::move(callback));
   reading.reads_store = true;
   state_->SubmitLong(std::move(reading));
+}
+
+void VehicleSession::Search(
+    std::function<void(absl::StatusOr<VehicleView>)> callback) {
+  state_->SubmitSearch(state_->Reading(std::move(callback)));
 }
 
 void VehicleSession::Append(AppendRequest request) {

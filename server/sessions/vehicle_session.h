@@ -175,13 +175,15 @@ class VehicleSession {
   // Reads at one revision: what is durable and applied. What a read has shown,
   // all later ones show as well.
   void Read(std::function<void(absl::StatusOr<VehicleView>)> callback);
-  // The same for a callback that searches: it runs where long work does, and
+  // The same for a callback that takes long: it runs where long work does, and
   // holds up this vehicle only.
   void LongRead(std::function<void(absl::StatusOr<VehicleView>)> callback);
-  // The same for one that reads the store, as long work: it waits while what is
-  // stored is of another revision than the view, which is from when a revision
-  // is written until it is applied.
+  // The same for one that reads the store: it waits while what is stored is of
+  // another revision than the view, which is from when a revision is written
+  // until it is applied.
   void ReadStored(std::function<void(absl::StatusOr<VehicleView>)> callback);
+  // The same as LongRead() for a callback that searches.
+  void Search(std::function<void(absl::StatusOr<VehicleView>)> callback);
 
   // See AppendCallbacks. Poses that are stored already with the same content
   // are acknowledged again; errors: ALREADY_EXISTS (SEQUENCE_CONTENT_MISMATCH),

@@ -4,6 +4,7 @@
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "server/proto_conversion.h"
 #include "tests/server/error_matchers.h"
 
 namespace revisit::server {
@@ -14,10 +15,40 @@ using ::testing::StartsWith;
 
 TEST(PageTokenTest, GivesBackItsKey) {
   for (const std::string& key :
-       {std::string("1"), std::string("a-b"), std::string("\0\n\xff", 3)}) {
+       {std::string("1"), std::string("a-b"), std::string(63, 'z')}) {
     EXPECT_EQ(ParsePageToken("list", MakePageToken("list", key)).value(), key);
   }
   EXPECT_EQ(ParsePageToken("list", "").value(), "");
+}
+
+TEST(PageTokenTest, GivesBackItsSequence) {
+  for (const std::uint64_t sequence :
+       {std::uint64_t{1}, std::uint64_t{1000}, kMaxSequence}) {
+    EXPECT_EQ(
+        ParseSequenceToken("list", MakePageToken("list", sequence)).value(),
+        sequence);
+  }
+  EXPECT_EQ(ParseSequenceToken("list", "").value(), 0u);
+}
+
+TEST(PageTokenTest, RefusesWhatNoListHasAsAKeyThoughTheSealIsRight) {
+  const auto refused = IsError(StatusCode::kInvalidArgument,
+                               "INVALID_PAGE_TOKEN", StartsWith("page_token: "));
+  for (const std::string& key :
+       {std::string("0"), std::string("-1"), std::string("+1"),
+        std::string("01"), std::string(" 1"), std::string("1 "),
+        std::string("1\0", 2), std::string("a"), std::string("0x1"),
+        std::string("9223372036854775808"), std::string("18446744073709551615"),
+        std::string("99999999999999999999"), std::string(1000, '1')}) {
+    EXPECT_THAT(ParseSequenceToken("list", MakePageToken("list", key)), refused)
+        << key;
+  }
+  for (const std::string& key :
+       {std::string("\0\n\xff", 3), std::string("A"), std::string("a b"),
+        std::string("%"), std::string("a'"), std::string(1000, 'a')}) {
+    EXPECT_THAT(ParsePageToken("list", MakePageToken("list", key)), refused)
+        << key;
+  }
 }
 
 TEST(PageTokenTest, RefusesTokensThatWereNotIssuedForTheList) {
