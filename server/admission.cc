@@ -33,7 +33,8 @@ constexpr std::size_t kMostBuckets = 10000;
 
 }  // namespace
 
-// Counts what is taken, in all and by key. Thread-safe.
+// Counts what is taken, in all and by key. A key is known as long as something
+// of it is taken. Thread-safe.
 class Admission::Pool {
  public:
   enum class Outcome { kTaken, kAllTaken, kKeyTaken };
@@ -43,15 +44,17 @@ class Admission::Pool {
       : most_(most), most_of_key_(most_of_key) {}
 
   Outcome Take(const std::string& key, std::int64_t amount) {
+    // Nothing finds room anywhere, and is not to be known.
+    if (amount == 0) return Outcome::kTaken;
     const MutexLock lock(&mutex_);
     // One that is larger than all the room there is may come alone.
     if (taken_ > 0 && amount > most_ - taken_) return Outcome::kAllTaken;
     if (Counts(key)) {
-      std::int64_t& of_key = by_key_[key];
-      if (of_key > 0 && amount > most_of_key_ - of_key) {
+      const auto [known, is_new] = by_key_.try_emplace(key, 0);
+      if (!is_new && amount > most_of_key_ - known->second) {
         return Outcome::kKeyTaken;
       }
-      of_key += amount;
+      known->second += amount;
     }
     taken_ += amount;
     return Outcome::kTaken;
@@ -62,13 +65,15 @@ class Admission::Pool {
     return taken_;
   }
 
+  // REQUIRES: that it was taken.
   void GiveBack(const std::string& key, std::int64_t amount) {
+    if (amount == 0) return;
     const MutexLock lock(&mutex_);
     taken_ -= amount;
     if (!Counts(key)) return;
-    const auto found = by_key_.find(key);
-    found->second -= amount;
-    if (found->second == 0) by_key_.erase(found);
+    const auto known = by_key_.find(key);
+    known->second -= amount;
+    if (known->second == 0) by_key_.erase(known);
   }
 
   static Permit MakePermit(const std::shared_ptr<Pool>& pool,

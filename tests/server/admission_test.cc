@@ -1,6 +1,7 @@
 #include "server/admission.h"
 
 #include <chrono>
+#include <random>
 #include <set>
 #include <string>
 #include <thread>
@@ -110,6 +111,48 @@ TEST(AdmissionTest, CallersWithoutANameShareNoLimit) {
   const auto first = admission.Stream("");
   const auto second = admission.Stream("");
   EXPECT_TRUE(admission.Stream("").ok());
+}
+
+TEST(AdmissionTest, RoomForNothingIsAlwaysThereAndLeavesNothingBehind) {
+  Admission admission(Small(), 1, NoMemory);
+  auto something = admission.Queue("v", 600);
+  auto nothing = admission.Queue("v", 0);
+  ASSERT_TRUE(something.ok());
+  ASSERT_TRUE(nothing.ok()) << nothing.status();
+  // In the order in which a call lets go of them: the vehicle is forgotten with
+  // the first.
+  something->reset();
+  nothing->reset();
+  for (int i = 0; i < 2; ++i) {
+    const auto again = admission.Queue("v", 600);
+    EXPECT_TRUE(again.ok()) << again.status();
+  }
+  nothing = admission.Queue("w", 0);
+  ASSERT_TRUE(nothing.ok());
+  const auto of_same_vehicle = admission.Queue("w", 600);
+  EXPECT_TRUE(of_same_vehicle.ok());
+}
+
+TEST(AdmissionTest, PermitsMayBeGivenBackInAnyOrder) {
+  std::mt19937 random(20101018);
+  Admission admission(Small(), 1, NoMemory);
+  const std::string vehicles[] = {"", "v", "w"};
+  std::vector<Permit> permits;
+  for (int i = 0; i < 10000; ++i) {
+    if (random() % 2 == 0 && !permits.empty()) {
+      permits.erase(permits.begin() +
+                    static_cast<std::ptrdiff_t>(random() % permits.size()));
+      continue;
+    }
+    const std::int64_t bytes = random() % 4 == 0 ? 0 : random() % 300;
+    auto permit = admission.Queue(vehicles[random() % 3], bytes);
+    if (permit.ok()) permits.push_back(*permit);
+  }
+  permits.clear();
+  const auto all = admission.Queue("v", 600);
+  EXPECT_TRUE(all.ok()) << all.status();
+  const auto rest = admission.Queue("w", 400);
+  EXPECT_TRUE(rest.ok()) << rest.status();
 }
 
 TEST(AdmissionTest, SearchesOfOneVehicleLeaveRoomForAnother) {
