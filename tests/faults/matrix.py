@@ -21,11 +21,12 @@ import crowds
 import damage
 import devices
 import kills
+import linearizable
 import restarts
 from skipped import Skipped
 
 ROWS = [*kills.ROWS, *damage.ROWS, *devices.ROWS, *restarts.ROWS,
-        *crowds.ROWS]
+        *crowds.ROWS, *linearizable.ROWS]
 
 
 @dataclasses.dataclass
