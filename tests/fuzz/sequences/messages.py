@@ -100,6 +100,8 @@ class World:
         self.revision = {}
         self.tokens = []
         self.strings = []
+        # By vehicle and name of the field.
+        self.named = {}
         # Vehicles that take no writes until somebody accepts that.
         self.lossy = set()
 
@@ -128,6 +130,12 @@ class World:
                 self.tokens = [*self.tokens[-30:], value]
             elif field.type == Field.TYPE_STRING and not field.is_repeated:
                 self.strings = [*self.strings[-30:], value]
+                self.named[vehicle_id, field.name] = value
+
+    def of_that_name(self, vehicle_id, name):
+        """What an answer called so, such as the `uid` for a `vehicle_uid`."""
+        return self.named.get((vehicle_id, name)) or self.named.get(
+            (vehicle_id, name.split("_")[-1]))
 
 
 class Maker:
@@ -209,10 +217,10 @@ class Maker:
             return number == 0 or self.chance(0.3)
         if field.name.startswith("expected_"):
             return number == 0 and self.chance(0.3)
-        if field.name == "page_token":
+        if field.name == "page_token" or field.name.endswith("_uid"):
             return self.chance(0.25)
         if field.name.startswith("acked_"):
-            return self.chance(0.02)
+            return self.chance(0.04)
         if field.name in ("poses", "loop_closure", "rejected_candidate",
                           "update_mask", "settings", "query_sequence",
                           "matched_sequence", "vehicle_id"):
@@ -284,6 +292,9 @@ class Maker:
             return rng.choice(PAIR_IDS)
         if field.name.endswith("_token") and self.world.tokens:
             return rng.choice(self.world.tokens)
+        told = self.world.of_that_name(self.vehicle_id, field.name)
+        if told and self.chance(0.9):
+            return told
         if self.world.strings and self.chance(0.3):
             return rng.choice(self.world.strings)
         return rng.choice(TEXTS)
