@@ -211,6 +211,28 @@ bool MayRead(const UnaryCall& call, const std::string& vehicle_id) {
   return call.caller().May(Verb::kRead, vehicle_id);
 }
 
+// Creates a vehicle, or finds the one of that name that is there. One that is
+// deleted between the two is made anew: a creation never finds nothing.
+void CreateOrFind(
+    Fleet* fleet, const UnaryCallPtr& call, const std::string& id,
+    const VehicleConfig& config,
+    const std::function<void(absl::StatusOr<VehicleView>)>& created,
+    const std::function<void(absl::StatusOr<VehicleView>)>& found) {
+  fleet->Create(id, config, [=](const absl::StatusOr<VehicleView>& made) {
+    if (!absl::IsAlreadyExists(made.status())) {
+      created(made);
+      return;
+    }
+    fleet->Session(id)->Read([=](const absl::StatusOr<VehicleView>& view) {
+      if (absl::IsNotFound(view.status()) && !call->given_up()) {
+        CreateOrFind(fleet, call, id, config, created, found);
+      } else {
+        found(view);
+      }
+    });
+  });
+}
+
 // Where a page of poses begins.
 absl::StatusOr<std::uint64_t> FirstSequence(const v1::ListPosesRequest& request,
                                             const std::string& list) {
@@ -447,7 +469,6 @@ grpc::ServerUnaryReactor* PoseGraphService::CreateVehicle(
     if (!config.ok()) return config.status();
     config->create_time_ns = NowNanoseconds();
     config->uid = NewVehicleUid();
-    Fleet* const fleet = context_.fleet;
     const VehicleConfig requested = *config;
     const auto encode = [=](const VehicleView& view) {
       v1::Vehicle* const vehicle = response->mutable_vehicle();
@@ -458,22 +479,18 @@ grpc::ServerUnaryReactor* PoseGraphService::CreateVehicle(
       }
       return absl::OkStatus();
     };
-    fleet->Create(id, requested, [=](absl::StatusOr<VehicleView> created) {
-      if (!absl::IsAlreadyExists(created.status())) {
-        FinishWith<VehicleView>(call, encode)(std::move(created));
-        return;
+    const auto compare = [=](const VehicleView& view) {
+      if (view.config_is_known && SameSettings(view.config, requested)) {
+        return encode(view);
       }
-      fleet->Session(request->vehicle_id())
-          ->Read(FinishWith<VehicleView>(call, [=](const VehicleView& view) {
-            if (view.config_is_known && SameSettings(view.config, requested)) {
-              return encode(view);
-            }
-            return Error(absl::StatusCode::kAlreadyExists, "VEHICLE_EXISTS",
-                         VehicleName(view.id) +
-                             " exists with other settings; change them with "
-                             "UpdateVehicle, or take another id");
-          }));
-    });
+      return Error(absl::StatusCode::kAlreadyExists, "VEHICLE_EXISTS",
+                   VehicleName(view.id) +
+                       " exists with other settings; change them with "
+                       "UpdateVehicle, or take another id");
+    };
+    CreateOrFind(context_.fleet, call, id, requested,
+                 FinishWith<VehicleView>(call, encode),
+                 FinishWith<VehicleView>(call, compare));
     return absl::OkStatus();
   });
 }

@@ -9,6 +9,11 @@
 #include "server/status.h"
 
 namespace revisit::server {
+namespace {
+
+constexpr std::uint64_t kCreatedRevision = 1;
+
+}  // namespace
 
 struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   struct Entry {
@@ -65,18 +70,35 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
     entries.erase(found);
   }
 
-  // Answers a creation with the vehicle that was created.
-  void ReadCreated(const std::string& id, bool again,
-                   const CreateCallback& callback) {
-    Session(id)->Read([self = shared_from_this(), id, again,
+  // Answers a creation with the vehicle as it was created, whatever others have
+  // done to it since: that is how it was at the moment of this call.
+  void AnswerCreated(const std::string& id, const VehicleConfig& config,
+                     VehicleKey key, const CreateCallback& callback) {
+    const core::Engine engine(config.engine);
+    const PosePairs none;
+    callback(VehicleView{id, config, engine, key, /*durable_sequence=*/0,
+                         kCreatedRevision, /*loop_closure_count=*/0, &none,
+                         &none, absl::OkStatus()});
+    Created();
+  }
+
+  // Waits until those who ask for the vehicle find it.
+  void LoadCreated(const std::string& id, const VehicleConfig& config,
+                   VehicleKey key, bool again, const CreateCallback& callback) {
+    Session(id)->Read([self = shared_from_this(), id, config, key, again,
                        callback](const absl::StatusOr<VehicleView>& view) {
-      // It may have been asked for, and not found, just before it was created.
-      if (absl::IsNotFound(view.status()) && again) {
-        self->ReadCreated(id, false, callback);
-        return;
+      if (view.ok()) {
+        self->AnswerCreated(id, config, key, callback);
+      } else if (!absl::IsNotFound(view.status())) {
+        callback(view);
+        self->Created();
+      } else if (again) {
+        // It was asked for, and not found, just before it was created.
+        self->LoadCreated(id, config, key, false, callback);
+      } else {
+        // It has been deleted since.
+        self->AnswerCreated(id, config, key, callback);
       }
-      callback(view);
-      self->Created();
     });
   }
 
@@ -209,20 +231,20 @@ void Fleet::Create(const std::string& id, const VehicleConfig& config,
   VehicleRecord record;
   record.id = id;
   record.payload = state_->codec->EncodeVehicle(config);
-  record.revision = 1;
+  record.revision = kCreatedRevision;
   state_->storage->CreateVehicle(
-      std::move(record), [state = state_, id, callback = std::move(callback)](
-                             const absl::StatusOr<VehicleKey>& key) {
+      std::move(record),
+      [state = state_, id, config, callback = std::move(callback)](
+          const absl::StatusOr<VehicleKey>& key) {
         // Off the writer's thread.
-        state->lanes.short_work->Post(
-            [state, id, callback, status = key.status()] {
-              if (status.ok()) {
-                state->ReadCreated(id, true, callback);
-              } else {
-                callback(status);
-                state->Created();
-              }
-            });
+        state->lanes.short_work->Post([state, id, config, callback, key] {
+          if (key.ok()) {
+            state->LoadCreated(id, config, *key, true, callback);
+          } else {
+            callback(key.status());
+            state->Created();
+          }
+        });
       });
 }
 

@@ -1040,11 +1040,12 @@ struct VehicleSession::State
     }
     VehicleConfig new_config = config;
     new_config.data_loss = true;
-    // Holds in memory even if it cannot be stored; the client will say so
-    // again.
-    config.data_loss = true;
-    WriteConfig(new_config,
-                [callback, loss](const absl::Status&) { callback(loss); });
+    WriteConfig(new_config, [this, callback, loss](const absl::Status&) {
+      // Holds in memory even if it could not be stored; the client will say so
+      // again. Not before: nobody may see what a crash could take back.
+      config.data_loss = true;
+      callback(loss);
+    });
   }
 
   void AcceptDataLoss(std::uint64_t sequence, const ViewCallback& callback) {

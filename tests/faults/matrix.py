@@ -22,12 +22,13 @@ import damage
 import devices
 import ends
 import kills
+import linearizable
 import power
 import restarts
 from skipped import Skipped
 
 ROWS = [*kills.ROWS, *power.ROWS, *damage.ROWS, *devices.ROWS,
-        *restarts.ROWS, *ends.ROWS, *crowds.ROWS]
+        *restarts.ROWS, *ends.ROWS, *crowds.ROWS, *linearizable.ROWS]
 
 
 @dataclasses.dataclass
