@@ -106,6 +106,8 @@ struct VehicleSession::State
   const std::shared_ptr<Strand> strand;
   std::atomic<int> pending_appends{0};
   std::atomic<bool> is_gone{false};
+  // Whether Close() was called: nobody waits for a replay any more.
+  std::atomic<bool> closing{false};
   // See VehicleSession::Residency.
   std::atomic<std::int64_t> resident_nodes{0};
   std::atomic<std::int64_t> resident_bytes{0};
@@ -282,6 +284,11 @@ struct VehicleSession::State
     return absl::OkStatus();
   }
 
+  static absl::Status ShuttingDown() {
+    return Error(StatusCode::kUnavailable, "SERVER_DRAINING",
+                 "the server is shutting down");
+  }
+
   absl::Status OutOfStep() const {
     return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
                  "vehicle '" + id +
@@ -362,7 +369,8 @@ struct VehicleSession::State
   }
 
   void ContinueReplay() {
-    const absl::StatusOr<bool> finished = ReplaySome();
+    absl::StatusOr<bool> finished = ReplaySome();
+    if (finished.ok() && !*finished && closing) finished = ShuttingDown();
     if (finished.ok() && !*finished) {
       NoteResidency();
       PostReplay();
@@ -1263,12 +1271,11 @@ void VehicleSession::Delete(std::function<void(absl::Status)> callback) {
 
 void VehicleSession::Close(std::function<void()> callback) {
   State* const state = state_.get();
+  state->closing = true;
   state->Submit({false, true,
                  [state, callback = std::move(callback)](const absl::Status&) {
                    if (!state->gone_status) {
-                     state->Leave(Error(StatusCode::kUnavailable,
-                                        "SERVER_DRAINING",
-                                        "the server is shutting down"));
+                     state->Leave(State::ShuttingDown());
                    }
                    callback();
                  }});

@@ -204,7 +204,8 @@ class VehicleSession {
   void Delete(std::function<void(absl::Status)> callback);
 
   // Ends the session: what was called before is finished, later calls answer
-  // UNAVAILABLE (SERVER_DRAINING). When `callback` runs, the session uses
+  // UNAVAILABLE (SERVER_DRAINING), and so do those that wait for the graph to
+  // be made from the store, where that takes long. When `callback` runs, the session uses
   // neither storage nor codec any more.
   void Close(std::function<void()> callback);
 
