@@ -106,8 +106,8 @@ struct VehicleSession::State
   const std::shared_ptr<Strand> strand;
   std::atomic<int> pending_appends{0};
   std::atomic<bool> is_gone{false};
-  // Whether Close() was called: nobody waits for a replay any more.
-  std::atomic<bool> closing{false};
+  // Whether GiveUpReplay() was called.
+  std::atomic<bool> gives_up_replay{false};
   // See VehicleSession::Residency.
   std::atomic<std::int64_t> resident_nodes{0};
   std::atomic<std::int64_t> resident_bytes{0};
@@ -370,7 +370,9 @@ struct VehicleSession::State
 
   void ContinueReplay() {
     absl::StatusOr<bool> finished = ReplaySome();
-    if (finished.ok() && !*finished && closing) finished = ShuttingDown();
+    if (finished.ok() && !*finished && gives_up_replay) {
+      finished = ShuttingDown();
+    }
     if (finished.ok() && !*finished) {
       NoteResidency();
       PostReplay();
@@ -1269,9 +1271,11 @@ void VehicleSession::Delete(std::function<void(absl::Status)> callback) {
        }});
 }
 
+void VehicleSession::GiveUpReplay() { state_->gives_up_replay = true; }
+
 void VehicleSession::Close(std::function<void()> callback) {
   State* const state = state_.get();
-  state->closing = true;
+  GiveUpReplay();
   state->Submit({false, true,
                  [state, callback = std::move(callback)](const absl::Status&) {
                    if (!state->gone_status) {

@@ -203,9 +203,12 @@ class VehicleSession {
   // Deletes the vehicle. All later calls answer NOT_FOUND.
   void Delete(std::function<void(absl::Status)> callback);
 
-  // Ends the session: what was called before is finished, later calls answer
-  // UNAVAILABLE (SERVER_DRAINING), and so do those that wait for the graph to
-  // be made from the store, where that takes long. When `callback` runs, the session uses
+  // Has calls that wait for the graph to be made from the store answer
+  // UNAVAILABLE (SERVER_DRAINING), where that takes long. Close() does so too.
+  void GiveUpReplay();
+
+  // Ends the session: what was called before is finished, but for what
+  // GiveUpReplay() ends, later calls answer UNAVAILABLE (SERVER_DRAINING). When `callback` runs, the session uses
   // neither storage nor codec any more.
   void Close(std::function<void()> callback);
 

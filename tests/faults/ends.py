@@ -48,7 +48,7 @@ class Times:
         assert code == 0, (code, server.log())
         assert self.ends[-1] <= self.drain_seconds + END_SECONDS, self
 
-    def __str__(self):
+    def __repr__(self):
         return (f"ended in {max(self.ends, default=0):.2f} s, started in "
                 f"{max(self.starts, default=0):.2f} s at most")
 
