@@ -163,19 +163,19 @@ Call::Call(grpc::CallbackServerContext* context, const char* method,
       drain_(service.drain),
       gatekeeper_(service.gatekeeper),
       room_(service.admission),
-      progress_(service.connections->Find(context->peer())),
+      meter_(service.meters->Find(context->peer())),
       rule_(FindMethodRule(method)),
       start_(std::chrono::steady_clock::now()),
       deadline_(context->deadline()),
       request_id_(RequestId(*context)) {
   context->AddInitialMetadata(kRequestIdKey, request_id_);
-  CountProgress(progress_);
   const bool in_time = drain_->Enter();
   if (gatekeeper_->asks()) credentials_ = CredentialsOf(*context);
   auto caller =
       gatekeeper_->Admit(credentials_, std::chrono::system_clock::now());
   if (caller.ok()) {
     caller_ = *std::move(caller);
+    if (in_time) CountMessage();
   } else {
     caller_ = Nobody();
     admission_ = caller.status();

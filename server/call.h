@@ -16,7 +16,7 @@
 #include "grpcpp/server_context.h"
 #include "grpcpp/support/status.h"
 #include "server/admission.h"
-#include "server/connection_progress.h"
+#include "server/connection_meter.h"
 #include "server/drain.h"
 #include "server/logging.h"
 #include "server/security/caller.h"
@@ -79,8 +79,10 @@ class Call {
   // It may also come shortly after.
   void WatchCaller(std::function<void()> recheck);
 
-  // Call for every message of a stream that was read.
-  void CountMessage() const { CountProgress(progress_); }
+  // Call for every message of a stream that was read, once it was admitted.
+  void CountMessage() const {
+    if (meter_ != nullptr) meter_->CountProgress();
+  }
 
   // Call from the reactor's OnCancel(), which also comes when the deadline
   // passes. The context cannot be asked by work that may outlive the call.
@@ -107,7 +109,7 @@ class Call {
   Drain* const drain_;
   Gatekeeper* const gatekeeper_;
   Admission* const room_;
-  const ProgressCounter progress_;
+  const MeterPointer meter_;
   const MethodRule* const rule_;
   const std::chrono::steady_clock::time_point start_;
   const std::chrono::system_clock::time_point deadline_;

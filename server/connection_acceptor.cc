@@ -4,8 +4,7 @@
 #include <fcntl.h>
 #include <netdb.h>
 #include <netinet/in.h>
-// Not netinet/tcp.h: that one does not know all that the kernel tells.
-#include <linux/tcp.h>
+#include <netinet/tcp.h>
 #include <poll.h>
 #include <sys/eventfd.h>
 #include <sys/resource.h>
@@ -22,6 +21,8 @@
 #include <optional>
 #include <utility>
 
+#include "server/metered_reads.h"
+
 namespace revisit::server {
 namespace {
 
@@ -34,6 +35,10 @@ constexpr std::chrono::seconds kLogInterval{1};
 // time however many there are.
 constexpr std::chrono::milliseconds kLeastLookInterval{100};
 constexpr std::chrono::microseconds kLookIntervalPerConnection{100};
+// Connections that are taken from one listener before anything else is done: a
+// flood must hold up neither the end of the server nor the looks at those that
+// are open.
+constexpr int kAcceptsPerRound = 64;
 // Before another try where the kernel lacks something.
 constexpr int kPauseMilliseconds = 10;
 
@@ -79,6 +84,26 @@ int OpenListener(const sockaddr* address, socklen_t length) {
   close(listener);
   errno = error;
   return -1;
+}
+
+// Device and inode; nothing if there is no socket at the path.
+std::optional<std::pair<dev_t, ino_t>> FileOfSocket(const std::string& path) {
+  struct stat file {};
+  if (stat(path.c_str(), &file) != 0 || !S_ISSOCK(file.st_mode)) {
+    return std::nullopt;
+  }
+  return std::make_pair(file.st_dev, file.st_ino);
+}
+
+// Only a refusal says that nobody does: a full queue, for one, says otherwise.
+bool IsListenedAt(const sockaddr* address, socklen_t length) {
+  const int probe =
+      socket(address->sa_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+  if (probe < 0) return true;
+  const bool refused =
+      connect(probe, address, length) != 0 && errno == ECONNREFUSED;
+  close(probe);
+  return !refused;
 }
 
 std::uint16_t PortOf(int listener) {
@@ -136,18 +161,6 @@ std::optional<std::uint64_t> SocketCookie(int descriptor) {
   return cookie;
 }
 
-// Of what TCP has taken in.
-std::optional<std::uint64_t> ReceivedBytes(int descriptor) {
-  tcp_info info{};
-  socklen_t length = sizeof(info);
-  if (getsockopt(descriptor, IPPROTO_TCP, TCP_INFO, &info, &length) != 0 ||
-      length < offsetof(tcp_info, tcpi_bytes_received) +
-                   sizeof(info.tcpi_bytes_received)) {
-    return std::nullopt;
-  }
-  return info.tcpi_bytes_received;
-}
-
 // Descriptors are given out lowest first, so one from here on means that as
 // many are open.
 int DescriptorLimit() {
@@ -172,21 +185,21 @@ void Reset(int connection) {
 }  // namespace
 
 ConnectionAcceptor::ConnectionAcceptor(const Options& options, const Log* log,
-                                       ConnectionProgress* progress)
+                                       ConnectionMeters* meters)
     : options_(options),
       log_(log),
       address_(options.address),
       table_(
-          options.bounds, SocketCookie, ReceivedBytes,
+          options.bounds, SocketCookie, MeterReads,
           [this](const std::string& remote) {
-            return transport_calls_.Held(remote);
+            return transport_calls_.Count(remote);
           },
-          progress) {}
+          meters) {}
 
 absl::StatusOr<std::unique_ptr<ConnectionAcceptor>> ConnectionAcceptor::Listen(
-    const Options& options, const Log* log, ConnectionProgress* progress) {
+    const Options& options, const Log* log, ConnectionMeters* meters) {
   std::unique_ptr<ConnectionAcceptor> acceptor(
-      new ConnectionAcceptor(options, log, progress));
+      new ConnectionAcceptor(options, log, meters));
   if (absl::Status status = acceptor->Open(); !status.ok()) return status;
   return acceptor;
 }
@@ -263,16 +276,21 @@ absl::Status ConnectionAcceptor::OpenUnix() {
   std::memcpy(address.sun_path + (abstract ? 1 : 0), path.data(), path.size());
   const auto length =
       static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + path.size() + 1);
-  struct stat file {};
-  if (!abstract && stat(path.c_str(), &file) == 0 && S_ISSOCK(file.st_mode)) {
-    // What a server that was killed left behind.
+  const auto* const name = reinterpret_cast<const sockaddr*>(&address);
+  if (!abstract && FileOfSocket(path)) {
+    if (IsListenedAt(name, length)) {
+      return CannotListen(address_, "another program listens at it");
+    }
+    // A server that was killed has left it behind.
     unlink(path.c_str());
   }
-  const int listener =
-      OpenListener(reinterpret_cast<const sockaddr*>(&address), length);
+  const int listener = OpenListener(name, length);
   if (listener < 0) return CannotListen(address_, ErrnoText());
   listeners_.push_back(listener);
-  if (!abstract) socket_path_ = path;
+  if (!abstract) {
+    socket_path_ = path;
+    socket_file_ = FileOfSocket(path);
+  }
   return absl::OkStatus();
 }
 
@@ -295,8 +313,11 @@ void ConnectionAcceptor::Stop() {
   }
   for (const int listener : listeners_) close(listener);
   listeners_.clear();
-  if (!socket_path_.empty()) unlink(socket_path_.c_str());
-  socket_path_.clear();
+  // Another server may have put its own in this place.
+  if (socket_file_ && FileOfSocket(socket_path_) == socket_file_) {
+    unlink(socket_path_.c_str());
+  }
+  socket_file_.reset();
   for (int* descriptor : {&wake_, &reserve_}) {
     if (*descriptor >= 0) close(std::exchange(*descriptor, -1));
   }
@@ -321,13 +342,13 @@ void ConnectionAcceptor::Run() {
     if (ready <= 0) continue;
     if (polled.back().revents != 0) return;
     for (const pollfd& one : polled) {
-      if (one.revents != 0) AcceptAll(one.fd);
+      if (one.revents != 0) AcceptSome(one.fd);
     }
   }
 }
 
-void ConnectionAcceptor::AcceptAll(int listener) {
-  while (true) {
+void ConnectionAcceptor::AcceptSome(int listener) {
+  for (int i = 0; i < kAcceptsPerRound; ++i) {
     const int connection =
         accept4(listener, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
     if (connection >= 0) {
@@ -387,7 +408,7 @@ void ConnectionAcceptor::CutHarmful() {
         LogLevel::kWarning, "connection_cut",
         {{"limit", std::string(harmful.bound)}, {"peer", harmful.host}});
     // The descriptor stays gRPC's, who hears of the end.
-    shutdown(harmful.descriptor, SHUT_RDWR);
+    if (harmful.descriptor >= 0) shutdown(harmful.descriptor, SHUT_RDWR);
   }
 }
 

@@ -8,18 +8,22 @@
 #ifndef REVISIT_SERVER_CONNECTION_ACCEPTOR_H_
 #define REVISIT_SERVER_CONNECTION_ACCEPTOR_H_
 
+#include <sys/types.h>
+
 #include <atomic>
 #include <chrono>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "absl/status/statusor.h"
 #include "grpcpp/security/server_credentials.h"
 #include "grpcpp/server_builder.h"
-#include "server/connection_progress.h"
+#include "server/connection_meter.h"
 #include "server/connection_table.h"
 #include "server/logging.h"
 #include "server/transport_calls.h"
@@ -40,9 +44,9 @@ class ConnectionAcceptor {
   };
 
   // UNAVAILABLE with the reason if the address cannot be listened on. Log and
-  // progress must outlive this.
+  // meters must outlive this.
   static absl::StatusOr<std::unique_ptr<ConnectionAcceptor>> Listen(
-      const Options& options, const Log* log, ConnectionProgress* progress);
+      const Options& options, const Log* log, ConnectionMeters* meters);
   // Stops.
   ~ConnectionAcceptor();
 
@@ -63,14 +67,15 @@ class ConnectionAcceptor {
 
  private:
   ConnectionAcceptor(const Options& options, const Log* log,
-                     ConnectionProgress* progress);
+                     ConnectionMeters* meters);
 
   absl::Status Open();
   absl::Status OpenInternet();
   absl::Status OpenUnix();
   void Run();
-  // Takes what has come to a listening socket.
-  void AcceptAll(int listener);
+  // Takes what has come to a listening socket, but no more at a time than lets
+  // the thread attend to the rest.
+  void AcceptSome(int listener);
   void HandOn(int listener, int connection);
   // Ends connections that only take memory.
   void CutHarmful();
@@ -81,8 +86,9 @@ class ConnectionAcceptor {
   const Options options_;
   const Log* const log_;
   std::string address_;
-  // Removed at the end.
+  // Removed at the end, if the file there is still the one that was made.
   std::string socket_path_;
+  std::optional<std::pair<dev_t, ino_t>> socket_file_;
   std::vector<int> listeners_;
   // Told to stop by this.
   int wake_ = -1;

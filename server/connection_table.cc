@@ -1,5 +1,7 @@
 #include "server/connection_table.h"
 
+#include <algorithm>
+#include <cstddef>
 #include <utility>
 
 namespace revisit::server {
@@ -13,25 +15,29 @@ constexpr std::chrono::milliseconds kSweepInterval{50};
 // headers, and a head and 4 bytes (RFC 9113, 4.1 and 6.4). Half of it, so that
 // those in a bound are counted twice before it can be passed again.
 constexpr std::uint64_t kLeastCallBytes = 12;
+// Calls that a connection must have had bytes for to be counted again, while
+// it has not had one let in.
+constexpr std::uint64_t kFewCalls = 20;
+
+bool Reaches(std::size_t count, std::int64_t most) {
+  return most > 0 && count >= static_cast<std::size_t>(most);
+}
 
 }  // namespace
 
 ConnectionTable::ConnectionTable(const Bounds& bounds, Cookie cookie,
-                                 Received received, Held held,
-                                 ConnectionProgress* progress)
-    : max_connections_(static_cast<std::size_t>(bounds.max_connections)),
-      max_connections_per_address_(
-          static_cast<std::size_t>(bounds.max_connections_per_address)),
-      max_idle_bytes_(static_cast<std::uint64_t>(bounds.max_idle_bytes)),
-      max_held_calls_(static_cast<std::uint64_t>(bounds.max_held_calls)),
+                                 Attach attach, Count count,
+                                 ConnectionMeters* meters)
+    : bounds_(bounds),
       cookie_(std::move(cookie)),
-      received_(std::move(received)),
-      held_(std::move(held)),
-      progress_(progress) {}
+      attach_(std::move(attach)),
+      count_(std::move(count)),
+      meters_(meters) {}
 
 ConnectionTable::~ConnectionTable() {
   for (const auto& [descriptor, connection] : connections_) {
-    progress_->Close(connection.remote, connection.counter);
+    attach_(descriptor, nullptr);
+    meters_->Close(connection.remote, connection.meter);
   }
 }
 
@@ -39,27 +45,38 @@ const char* ConnectionTable::Add(int descriptor, const std::string& host,
                                  int port,
                                  std::chrono::steady_clock::time_point now) {
   Remove(descriptor);
-  if (max_connections_ > 0 && connections_.size() >= max_connections_) {
+  // Those beyond one times the bound are cut at the next look; in between, no
+  // more are taken.
+  const auto too_many_unadmitted = [this] {
+    return Reaches(meters_->unadmitted().connections,
+                   2 * std::int64_t{bounds_.max_unadmitted_connections});
+  };
+  if (Reaches(connections_.size(), bounds_.max_connections) ||
+      too_many_unadmitted()) {
     if (now - last_sweep_ >= kSweepInterval) {
       last_sweep_ = now;
       SweepAll();
     }
-    if (connections_.size() >= max_connections_) return "max-connections";
+    if (Reaches(connections_.size(), bounds_.max_connections)) {
+      return "max-connections";
+    }
+    if (too_many_unadmitted()) return "max-unadmitted-connections";
   }
-  if (max_connections_per_address_ > 0 &&
-      CountOf(host) >= max_connections_per_address_) {
+  if (Reaches(CountOf(host), bounds_.max_connections_per_address)) {
     SweepHost(host);
-    if (CountOf(host) >= max_connections_per_address_) {
+    if (Reaches(CountOf(host), bounds_.max_connections_per_address)) {
       return "max-connections-per-address";
     }
   }
   const std::optional<std::uint64_t> cookie = cookie_(descriptor);
   // Gone already.
   if (!cookie) return nullptr;
-  Connection connection{host, *cookie, "", nullptr, 0, 0, 0};
+  Connection connection{host, *cookie, nullptr, ""};
+  connection.number = ++last_number_;
   if (port != 0) {
     connection.remote = host + ":" + std::to_string(port);
-    connection.counter = progress_->Open(connection.remote);
+    connection.meter = meters_->Open(connection.remote);
+    attach_(descriptor, connection.meter);
   }
   connections_.emplace(descriptor, std::move(connection));
   by_host_[host].insert(descriptor);
@@ -68,39 +85,92 @@ const char* ConnectionTable::Add(int descriptor, const std::string& host,
 
 std::vector<ConnectionTable::Harmful> ConnectionTable::TakeHarmful() {
   std::vector<Harmful> harmful;
+  std::vector<int> closed;
+  std::vector<std::pair<int, Connection*>> unadmitted;
   for (auto& [descriptor, connection] : connections_) {
-    if (connection.counter == nullptr || !IsOpen(descriptor, connection)) {
-      continue;
-    }
-    if (const char* bound = BoundPassed(descriptor, &connection)) {
-      harmful.push_back({descriptor, connection.host, bound});
+    if (connection.meter == nullptr) continue;
+    const bool is_open = IsOpen(descriptor, connection);
+    if (!is_open) closed.push_back(descriptor);
+    if (connection.was_told) continue;
+    if (is_open) Look(&connection);
+    if (const char* bound = BoundPassed(connection)) {
+      connection.was_told = true;
+      harmful.push_back({is_open ? descriptor : -1, connection.host, bound});
+    } else if (is_open && !connection.meter->admitted()) {
+      unadmitted.emplace_back(descriptor, &connection);
     }
   }
-  for (const Harmful& one : harmful) Remove(one.descriptor);
+  FindTooMany(std::move(unadmitted), &harmful);
+  for (const int descriptor : closed) Remove(descriptor);
   return harmful;
 }
 
-const char* ConnectionTable::BoundPassed(int descriptor,
-                                         Connection* connection) const {
-  const std::optional<std::uint64_t> bytes = received_(descriptor);
-  if (!bytes) return nullptr;
-  if (max_held_calls_ > 0 &&
-      *bytes - connection->counted_bytes >= max_held_calls_ * kLeastCallBytes) {
-    connection->counted_bytes = *bytes;
-    if (held_(connection->remote).value_or(0) > max_held_calls_) {
-      return "max-concurrent-streams";
-    }
+void ConnectionTable::Look(Connection* connection) const {
+  ConnectionMeter& meter = *connection->meter;
+  const std::uint64_t bytes = meter.received();
+  const auto calls = meter.admitted()
+                         ? static_cast<std::uint64_t>(bounds_.max_held_calls)
+                         : kFewCalls;
+  const bool may_hold_more =
+      bytes - connection->counted_bytes >= calls * kLeastCallBytes;
+  // Of those that were let in, only whether they are too many is of interest.
+  const bool may_hold_less = !meter.admitted() && connection->held > 0;
+  const bool may_be_forgiven = meter.IsHalfWay();
+  if (!may_hold_more && !may_hold_less && !may_be_forgiven) return;
+  connection->counted_bytes = bytes;
+  const std::optional<CallCounts> counts = count_(connection->remote);
+  connection->held = counts ? counts->held : 0;
+  // Nothing is held of a connection without calls; one whose headers have not
+  // ended is a call as well. But answers may wait to be read that are no calls':
+  // so one has to have come to its end.
+  if (may_be_forgiven && counts && counts->held == 0 &&
+      counts->over > connection->forgiven_calls) {
+    connection->forgiven_calls = counts->over;
+    meter.Forgive();
   }
-  const std::uint64_t progress =
-      connection->counter->load(std::memory_order_relaxed);
-  if (progress != connection->progress) {
-    connection->progress = progress;
-    connection->bytes = *bytes;
-  } else if (max_idle_bytes_ > 0 &&
-             *bytes > connection->bytes + max_idle_bytes_) {
-    return "max-idle-bytes";
+}
+
+const char* ConnectionTable::BoundPassed(const Connection& connection) const {
+  if (const char* bound = connection.meter->BoundPassed()) return bound;
+  return bounds_.max_held_calls > 0 &&
+                 connection.held >
+                     static_cast<std::uint64_t>(bounds_.max_held_calls)
+             ? "max-concurrent-streams"
+             : nullptr;
+}
+
+void ConnectionTable::FindTooMany(
+    std::vector<std::pair<int, Connection*>> unadmitted,
+    std::vector<Harmful>* harmful) const {
+  const auto tell = [harmful](const std::pair<int, Connection*>& one,
+                              const char* bound) {
+    one.second->was_told = true;
+    harmful->push_back({one.first, one.second->host, bound});
+  };
+  std::uint64_t calls = 0;
+  for (const auto& one : unadmitted) calls += one.second->held;
+  std::sort(unadmitted.begin(), unadmitted.end(),
+            [](const auto& a, const auto& b) {
+              return a.second->held > b.second->held;
+            });
+  const auto most_calls =
+      static_cast<std::uint64_t>(bounds_.max_unadmitted_calls);
+  std::size_t kept = 0;
+  for (; most_calls > 0 && calls > most_calls; ++kept) {
+    calls -= unadmitted[kept].second->held;
+    tell(unadmitted[kept], "max-unadmitted-calls");
   }
-  return nullptr;
+  unadmitted.erase(unadmitted.begin(),
+                   unadmitted.begin() + static_cast<std::ptrdiff_t>(kept));
+  const auto most = static_cast<std::size_t>(bounds_.max_unadmitted_connections);
+  if (most == 0 || unadmitted.size() <= most) return;
+  std::sort(unadmitted.begin(), unadmitted.end(),
+            [](const auto& a, const auto& b) {
+              return a.second->number < b.second->number;
+            });
+  for (std::size_t i = 0; i + most < unadmitted.size(); ++i) {
+    tell(unadmitted[i], "max-unadmitted-connections");
+  }
 }
 
 void ConnectionTable::Remove(int descriptor) {
@@ -109,7 +179,8 @@ void ConnectionTable::Remove(int descriptor) {
   const auto host = by_host_.find(found->second.host);
   host->second.erase(descriptor);
   if (host->second.empty()) by_host_.erase(host);
-  progress_->Close(found->second.remote, found->second.counter);
+  attach_(descriptor, nullptr);
+  meters_->Close(found->second.remote, found->second.meter);
   connections_.erase(found);
 }
 

@@ -16,9 +16,17 @@
 #include <utility>
 #include <vector>
 
-#include "server/connection_progress.h"
+#include "server/connection_meter.h"
 
 namespace revisit::server {
+
+// Calls of one connection.
+struct CallCounts {
+  // In memory, those that were reset and are not cleared away included.
+  std::uint64_t held = 0;
+  // No longer.
+  std::uint64_t over = 0;
+};
 
 // Thread-compatible.
 class ConnectionTable {
@@ -27,25 +35,26 @@ class ConnectionTable {
   // nothing if there is none.
   using Cookie = std::function<std::optional<std::uint64_t>(int)>;
 
-  // Bytes that have come on a connection; nothing if that cannot be told.
-  using Received = std::function<std::optional<std::uint64_t>(int)>;
+  // Has what comes on a connection counted; null: no longer.
+  using Attach = std::function<void(int, MeterPointer)>;
 
-  // Calls held in memory for the connection whose other end this is; nothing
-  // if that cannot be told.
-  using Held = std::function<std::optional<std::uint64_t>(const std::string&)>;
+  // Of the connection whose other end this is; nothing if that cannot be told.
+  using Count = std::function<std::optional<CallCounts>(const std::string&)>;
 
   struct Bounds {
     // Those of Limits; 0 is off.
     int max_connections = 0;
     int max_connections_per_address = 0;
-    std::int64_t max_idle_bytes = 0;
+    int max_unadmitted_connections = 0;
     // Of one connection, those that were reset included; 0 is off.
     std::int64_t max_held_calls = 0;
+    // The same of all connections together that have not had a call let in.
+    std::int64_t max_unadmitted_calls = 0;
   };
 
-  // `progress` outlives this.
-  ConnectionTable(const Bounds& bounds, Cookie cookie, Received received,
-                  Held held, ConnectionProgress* progress);
+  // `meters` outlives this.
+  ConnectionTable(const Bounds& bounds, Cookie cookie, Attach attach,
+                  Count count, ConnectionMeters* meters);
   ~ConnectionTable();
 
   ConnectionTable(const ConnectionTable&) = delete;
@@ -53,20 +62,22 @@ class ConnectionTable {
 
   // Why this new connection is one too many; null if there is room, and then it
   // is in the table. `host` and `port` are the other end's; a port of 0 says
-  // that progress cannot be counted.
+  // that it is not metered.
   const char* Add(int descriptor, const std::string& host, int port,
                   std::chrono::steady_clock::time_point now);
 
   // A connection that does more harm than good, and the bound it is beyond.
   struct Harmful {
+    // Negative if it is closed already.
     int descriptor;
     std::string host;
     const char* bound;
   };
 
-  // Connections on which more than max_idle_bytes have come and no progress was
-  // made, or that hold more than max_held_calls. They are no longer in the
-  // table.
+  // Connections that passed a bound of their meter or hold more than
+  // max_held_calls; and of those that have not had a call let in the oldest, if
+  // they are more than max_unadmitted_connections, and those that hold the most
+  // calls, if they hold more than max_unadmitted_calls. Each is told once.
   std::vector<Harmful> TakeHarmful();
 
   // Those that were open when last looked at.
@@ -76,31 +87,36 @@ class ConnectionTable {
   struct Connection {
     std::string host;
     std::uint64_t cookie;
+    // Null, with all that follows, if it is not metered.
+    MeterPointer meter;
     std::string remote;
-    ProgressCounter counter;
-    // When last looked at, and the bytes that had come when progress was last
-    // seen.
-    std::uint64_t progress = 0;
-    std::uint64_t bytes = 0;
-    // Those that had come when the calls it holds were counted.
+    // Goes up with each connection.
+    std::uint64_t number = 0;
+    // When last counted: the calls it holds, and the bytes that had come.
+    std::uint64_t held = 0;
     std::uint64_t counted_bytes = 0;
+    // Calls that were over when it was last forgiven.
+    std::uint64_t forgiven_calls = 0;
+    bool was_told = false;
   };
 
   void Remove(int descriptor);
-  const char* BoundPassed(int descriptor, Connection* connection) const;
+  void Look(Connection* connection) const;
+  const char* BoundPassed(const Connection& connection) const;
+  // Adds to `harmful` those of `unadmitted` that are too much.
+  void FindTooMany(std::vector<std::pair<int, Connection*>> unadmitted,
+                   std::vector<Harmful>* harmful) const;
   bool IsOpen(int descriptor, const Connection& connection) const;
   void SweepAll();
   void SweepHost(const std::string& host);
   std::size_t CountOf(const std::string& host) const;
 
-  const std::size_t max_connections_;
-  const std::size_t max_connections_per_address_;
-  const std::uint64_t max_idle_bytes_;
-  const std::uint64_t max_held_calls_;
+  const Bounds bounds_;
   const Cookie cookie_;
-  const Received received_;
-  const Held held_;
-  ConnectionProgress* const progress_;
+  const Attach attach_;
+  const Count count_;
+  ConnectionMeters* const meters_;
+  std::uint64_t last_number_ = 0;
   std::unordered_map<int, Connection> connections_;
   std::unordered_map<std::string, std::unordered_set<int>> by_host_;
   std::chrono::steady_clock::time_point last_sweep_{};

@@ -32,10 +32,17 @@ struct Limits {
   // Of the headers of one call. A call beyond it takes its connection with it:
   // a proxy in front must allow less. Range [8192, 2^24].
   int max_metadata_bytes = 32 << 10;
-  // A connection on which so much has come since its last call, or message of a
-  // call, is closed: its headers do not end. More than what calls at a time may
-  // have begun to send; off at 0. Range [0, 2^40].
+  // A connection that has brought so much more than its calls and messages were
+  // credited is closed: each for as much as one may bring, once its caller is
+  // let in, and all when none is open. It has to be more than what calls at a
+  // time may have begun to send; off at 0. Range [0, 2^40].
   std::int64_t max_idle_bytes = 64 << 20;
+  // The same of a connection that has not had a call let in; all of them
+  // together may have brought four times as much. Off at 0. Range [0, 2^40].
+  std::int64_t max_unadmitted_bytes = 16 << 20;
+  // Connections that have not had a call let in: of more, the oldest are
+  // closed. Off at 0. Range [0, 1e6].
+  int max_unadmitted_connections = 2000;
   // What all connections together may buffer. Range [2^24, 2^40].
   std::int64_t max_transport_bytes = std::int64_t{512} << 20;
 

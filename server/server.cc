@@ -3,11 +3,8 @@
 #include <google/protobuf/stubs/logging.h>
 #include <grpc/impl/codegen/grpc_types.h>
 #include <grpc/support/log.h>
-#include <grpcpp/ext/proto_server_reflection_plugin.h>
 #include <grpcpp/grpcpp.h>
 #include <grpcpp/health_check_service_interface.h>
-#include <grpcpp/impl/server_builder_option.h>
-#include <grpcpp/impl/server_builder_plugin.h>
 #include <malloc.h>
 
 #include <algorithm>
@@ -18,6 +15,7 @@
 #include <fstream>
 #include <optional>
 #include <system_error>
+#include <string>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -28,6 +26,7 @@
 #include "server/periodic.h"
 #include "server/pose_graph_service.h"
 #include "server/proto_conversion.h"
+#include "server/reflection.h"
 #include "server/security/gatekeeper.h"
 #include "server/security/server_credentials.h"
 #include "server/security/tls_files.h"
@@ -50,6 +49,9 @@ constexpr std::int64_t kCallsToClear = 1000;
 // service of their own.
 constexpr char kWriteHealth[] = "revisit.v1.PoseGraphService/write";
 constexpr std::chrono::milliseconds kWriteHealthPeriod{1000};
+// Calls at a time, those that wait to be cleared away included, of all
+// connections together that have not had one let in: 40 MB.
+constexpr std::int64_t kUnadmittedCalls = 2000;
 // How often memory is looked at, should no call do so.
 constexpr std::chrono::milliseconds kMemoryPeriod{2000};
 
@@ -235,7 +237,7 @@ struct RevisitServer::State {
   std::unique_ptr<Executor> executor;
   std::unique_ptr<Executor> search_executor;
   std::unique_ptr<Fleet> fleet;
-  ConnectionProgress connections;
+  std::unique_ptr<ConnectionMeters> meters;
   std::unique_ptr<Admission> admission;
   std::unique_ptr<Periodic> unload_timer;
   Drain drain;
@@ -245,6 +247,8 @@ struct RevisitServer::State {
   std::unique_ptr<Periodic> tls_timer;
   std::shared_ptr<grpc::ServerCredentials> credentials;
   std::unique_ptr<PoseGraphService> service;
+  // Empty if it is not served.
+  std::vector<std::unique_ptr<grpc::Service>> reflection;
   std::unique_ptr<grpc::Server> grpc_server;
   std::unique_ptr<Periodic> write_health_timer;
   std::unique_ptr<ConnectionAcceptor> acceptor;
@@ -285,22 +289,6 @@ std::shared_ptr<grpc::ServerCredentials> ListenerCredentials(
                                              : settings.tls_client_certs);
 }
 
-// Reflection is a plugin that adds itself to every builder as soon as its
-// library is loaded.
-class WithoutReflection final : public grpc::ServerBuilderOption {
- public:
-  void UpdateArguments(grpc::ChannelArguments*) override {}
-  void UpdatePlugins(std::vector<std::unique_ptr<grpc::ServerBuilderPlugin>>*
-                         plugins) override {
-    plugins->erase(std::remove_if(plugins->begin(), plugins->end(),
-                                  [](const auto& plugin) {
-                                    return plugin->name() ==
-                                           "proto_server_reflection";
-                                  }),
-                   plugins->end());
-  }
-};
-
 // Some 3,000 calls that are reset at once.
 constexpr int kMaxReadBytes = 64 << 10;
 
@@ -310,6 +298,11 @@ int WholeMilliseconds(double seconds) {
 
 void Configure(const Limits& limits, grpc::ServerBuilder* builder) {
   builder->SetMaxReceiveMessageSize(static_cast<int>(limits.max_message_bytes));
+  // This version of gRPC inflates a message whole before it looks at its size:
+  // a thousand times what came.
+  for (const auto algorithm : {GRPC_COMPRESS_DEFLATE, GRPC_COMPRESS_GZIP}) {
+    builder->SetCompressionAlgorithmSupportStatus(algorithm, false);
+  }
   grpc::ResourceQuota quota("connections");
   quota.Resize(static_cast<std::size_t>(limits.max_transport_bytes));
   builder->SetResourceQuota(quota);
@@ -358,15 +351,34 @@ SqliteOptions StorageOptions(const ServerSettings& settings, const Log* log,
   return options;
 }
 
+// But for reflection itself.
+std::vector<std::string> ServedNames(const ServerSettings& settings) {
+  std::vector<std::string> names = {v1::PoseGraphService::service_full_name()};
+  if (settings.serve_health) names.emplace_back("grpc.health.v1.Health");
+  return names;
+}
+
+MeterBounds MetersOf(const Limits& limits) {
+  MeterBounds bounds;
+  bounds.max_idle_bytes = static_cast<std::uint64_t>(limits.max_idle_bytes);
+  bounds.max_unadmitted_bytes =
+      static_cast<std::uint64_t>(limits.max_unadmitted_bytes);
+  bounds.credit_bytes = static_cast<std::uint64_t>(limits.max_message_bytes +
+                                                   limits.max_metadata_bytes);
+  return bounds;
+}
+
 ConnectionAcceptor::Options AcceptorOptions(const ServerSettings& settings) {
   ConnectionAcceptor::Options options;
   options.address = settings.listen;
   options.bounds.max_connections = settings.limits.max_connections;
   options.bounds.max_connections_per_address =
       settings.limits.max_connections_per_address;
-  options.bounds.max_idle_bytes = settings.limits.max_idle_bytes;
+  options.bounds.max_unadmitted_connections =
+      settings.limits.max_unadmitted_connections;
   options.bounds.max_held_calls =
       settings.limits.max_concurrent_streams + kCallsToClear;
+  options.bounds.max_unadmitted_calls = kUnadmittedCalls;
   options.unacknowledged_timeout =
       Milliseconds(settings.limits.keepalive_timeout_seconds);
   return options;
@@ -458,7 +470,8 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   context.gatekeeper = state->gatekeeper.get();
   context.log = log;
   context.admission = state->admission.get();
-  context.connections = &state->connections;
+  state->meters = std::make_unique<ConnectionMeters>(MetersOf(limits));
+  context.meters = state->meters.get();
   context.limits = settings.limits;
   // A stream alone must not exceed what one vehicle may have waiting.
   context.limits.max_batches_in_flight =
@@ -467,15 +480,10 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->service = std::make_unique<PoseGraphService>(context);
 
   grpc::EnableDefaultHealthCheckService(settings.serve_health);
-  // By name, since a linker drops a library that is used by its mere presence.
-  grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   grpc::ServerBuilder builder;
-  if (!settings.serve_reflection) {
-    builder.SetOption(std::make_unique<WithoutReflection>());
-  }
   Configure(settings.limits, &builder);
   auto acceptor = ConnectionAcceptor::Listen(AcceptorOptions(settings), log,
-                                             &state->connections);
+                                             state->meters.get());
   if (!acceptor.ok()) {
     *error = {absl::IsInvalidArgument(acceptor.status()) ? kExitUsage
                                                          : kExitCannotListen,
@@ -486,6 +494,12 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->credentials = ListenerCredentials(settings, state->tls_files.get());
   state->acceptor->Register(state->credentials, &builder);
   builder.RegisterService(state->service.get());
+  if (settings.serve_reflection) {
+    state->reflection = MakeReflectionServices(ServedNames(settings));
+  }
+  for (const auto& service : state->reflection) {
+    builder.RegisterService(service.get());
+  }
   state->grpc_server = builder.BuildAndStart();
   if (state->grpc_server == nullptr) {
     *error = {kExitCannotListen, "cannot start a server at " + settings.listen};

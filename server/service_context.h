@@ -7,7 +7,7 @@
 namespace revisit::server {
 
 class Admission;
-class ConnectionProgress;
+class ConnectionMeters;
 class Drain;
 class Executor;
 class Fleet;
@@ -25,7 +25,7 @@ struct ServiceContext {
   Gatekeeper* gatekeeper = nullptr;
   const Log* log = nullptr;
   Admission* admission = nullptr;
-  ConnectionProgress* connections = nullptr;
+  ConnectionMeters* meters = nullptr;
   Limits limits;
 };
 

@@ -302,8 +302,16 @@ class OptionTable {
               "proxy in front must allow less");
     AddNumber(connections, "max-idle-bytes", &l.max_idle_bytes, 0,
               std::int64_t{1} << 40,
-              "Close one on which so much has come since its last call or "
-              "message; 0: no limit");
+              "Close one that has brought so much more than its calls and "
+              "messages may; 0: no limit");
+    AddNumber(connections, "max-unadmitted-bytes", &l.max_unadmitted_bytes, 0,
+              std::int64_t{1} << 40,
+              "The same of one that has not had a call let in; all of them "
+              "together may bring four times as much; 0: no limit");
+    AddNumber(connections, "max-unadmitted-connections",
+              &l.max_unadmitted_connections, 0, 1000000,
+              "Connections without a call that was let in; of more, the oldest "
+              "are closed; 0: no limit");
     AddNumber(connections, "max-transport-bytes", &l.max_transport_bytes,
               1 << 24, std::int64_t{1} << 40,
               "What all connections together may buffer");

@@ -8,7 +8,7 @@
 
 #include "grpc/grpc.h"
 #include "grpc/support/alloc.h"
-#include "server/connection_progress.h"
+#include "server/connection_meter.h"
 
 namespace revisit::server {
 namespace {
@@ -45,7 +45,7 @@ Json ReadSocket(std::int64_t socket) {
 
 }  // namespace
 
-std::optional<std::uint64_t> TransportCalls::Held(const std::string& remote) {
+std::optional<CallCounts> TransportCalls::Count(const std::string& remote) {
   auto found = sockets_.find(remote);
   if (found == sockets_.end()) {
     LearnNew();
@@ -61,8 +61,9 @@ std::optional<std::uint64_t> TransportCalls::Held(const std::string& remote) {
   const Json& data = Member(Member(socket, "socket"), "data");
   const std::int64_t over =
       Number(data, "streamsSucceeded") + Number(data, "streamsFailed");
-  return static_cast<std::uint64_t>(
-      std::max<std::int64_t>(Number(data, "streamsStarted") - over, 0));
+  const std::int64_t held = Number(data, "streamsStarted") - over;
+  return CallCounts{static_cast<std::uint64_t>(std::max<std::int64_t>(held, 0)),
+                    static_cast<std::uint64_t>(over)};
 }
 
 void TransportCalls::LearnNew() {
@@ -84,7 +85,7 @@ void TransportCalls::LearnNew() {
         const std::string& text = name.get_ref<const std::string&>();
         const std::size_t peer = text.find(' ');
         if (peer == std::string::npos) continue;
-        sockets_[ConnectionProgress::RemoteOf(text.substr(peer + 1))] = socket;
+        sockets_[ConnectionMeters::RemoteOf(text.substr(peer + 1))] = socket;
       }
       next = std::max(next, from);
       more = !refs.empty() && Member(page, "end") != true;

@@ -14,15 +14,17 @@
 #include <string>
 #include <unordered_map>
 
+#include "server/connection_table.h"
+
 namespace revisit::server {
 
 // Thread-compatible. Knows the connections of all gRPC servers in the process.
 class TransportCalls {
  public:
-  // Of the connection whose other end is `remote`, as ConnectionProgress names
+  // Of the connection whose other end is `remote`, as ConnectionMeters names
   // it. Nothing if gRPC does not know such a connection, or not yet. Some 10
   // us; more by that for each connection that came since the last call.
-  std::optional<std::uint64_t> Held(const std::string& remote);
+  std::optional<CallCounts> Count(const std::string& remote);
 
  private:
   void LearnNew();

@@ -211,6 +211,8 @@ class Evaluator {
           std::to_string(begin) +
           " were sent; an evaluation needs a new vehicle of its own"));
     }
+    // Until here nothing was sent, so that no answer can have been lost.
+    const int reconnects = stream.reconnects();
     for (std::size_t next = begin; next < end;) {
       v1::PoseBatch batch;
       const std::size_t batch_end = std::min(end, next + kBatchPoses);
@@ -222,7 +224,7 @@ class Evaluator {
       if (!stream.Append(std::move(batch)).ok()) break;
     }
     if (absl::Status status = stream.Finish(); !status.ok()) return status;
-    if (stream.reconnects() > 0) {
+    if (stream.reconnects() > reconnects) {
       const std::string message =
           "the connection broke while " + drive_.name + " was streamed (" +
           std::string(broken_.message()) +

@@ -136,7 +136,8 @@ def running_backup(run):
         to = store.parent / "backup.sqlite"
         backup = subprocess.Popen(
             [BIN / "revisitd", "backup", "--store", store, "--to", to],
-            env=clean_environment(), stderr=subprocess.PIPE, text=True)
+            env=clean_environment(), stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE, text=True)
         try:
             # Held in the middle of its work.
             wait_until(lambda: any(

@@ -51,12 +51,15 @@ def split(data, size=16384):
 class RawConnection:
     """With acknowledge=False the server's settings, its limits among them, are
     never agreed to. `source` is the address that the server takes the caller
-    for."""
+    for; `tls` is an ssl.SSLContext to speak by."""
 
     def __init__(self, port, settings=b"", acknowledge=True,
-                 source="127.0.0.1"):
+                 source="127.0.0.1", tls=None):
         self.socket = socket.create_connection(("127.0.0.1", port), timeout=5,
                                                source_address=(source, 0))
+        if tls is not None:
+            self.socket = tls.wrap_socket(self.socket,
+                                          server_hostname="localhost")
         self.decoder = hpack.Decoder()
         self.buffer = b""
         self.send(PREFACE + frame(SETTINGS, settings))

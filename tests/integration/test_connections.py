@@ -2,14 +2,17 @@
 too much of one: only they are cut, and the server takes the next at once."""
 
 import contextlib
+import signal
 import socket
 import struct
+import subprocess
+import sys
 import time
 
 import grpc
 import pytest
 
-from revisit_server import Server, wait_until
+from revisit_server import BIN, Server, clean_environment, wait_until
 from stubs import api
 
 PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
@@ -110,6 +113,97 @@ def takes_one_more(server):
             return connection.recv(9) != b""
     except ConnectionError:
         return False
+
+
+# A program that has nothing else to do; it says when it is at it.
+FLOODER = """
+import socket, sys
+count = 0
+while True:
+    try:
+        with socket.socket() as one:
+            one.setblocking(False)
+            one.connect_ex(("127.0.0.1", int(sys.argv[1])))
+    except OSError:
+        pass
+    count += 1
+    if count == 1000:
+        print(flush=True)
+"""
+
+
+@contextlib.contextmanager
+def connect_flood(server, programs=3):
+    """More connections than can be taken."""
+    flooders = [subprocess.Popen(
+        [sys.executable, "-S", "-c", FLOODER, str(server.port)],
+        stdout=subprocess.PIPE) for _ in range(programs)]
+    try:
+        for one in flooders:
+            one.stdout.read(1)
+        yield
+    finally:
+        for one in flooders:
+            one.kill()
+            one.wait()
+            one.stdout.close()
+
+
+@pytest.mark.parametrize("flags", [[], ["--max-connections-per-address=10"]],
+                         ids=["taken", "shed"])
+def test_connect_flood_does_not_hold_up_the_end(flags, tmp_path):
+    with Server(tmp_path / "store", "--drain-timeout-seconds=2",
+                *flags) as server:
+        with connect_flood(server):
+            time.sleep(2)
+            server.process.send_signal(signal.SIGTERM)
+            assert server.process.wait(20) == 0
+
+
+def test_connect_flood_does_not_hide_connections_that_do_harm(tmp_path):
+    with Server(tmp_path / "store", "--max-idle-bytes=1000000") as server:
+        with connect(server) as harmful:
+            # Headers that do not end.
+            harmful.sendall(PREFACE + SETTINGS + frame_head(1, 1, 0, 1) +
+                            b"\x82")
+            with connect_flood(server):
+                time.sleep(1)
+                piece = frame_head(16000, 9, 0, 1) + b"\x00\x01a\x00" * 4000
+                with contextlib.suppress(ConnectionError, TimeoutError):
+                    for _ in range(70):
+                        harmful.sendall(piece)
+                wait_until(lambda: "limit=max-idle-bytes" in server.log(),
+                           "cut", 10)
+
+
+def test_socket_of_a_living_server_is_not_taken_from_it(tmp_path):
+    path = tmp_path / "socket"
+    port_file = tmp_path / "port"
+    with Server(tmp_path / "store", "--port-file", port_file, wait=False,
+                listen=f"unix:{path}"):
+        wait_until(port_file.exists, "port file")
+        second = subprocess.run(
+            [BIN / "revisitd", "--listen", f"unix:{path}", "--store",
+             tmp_path / "other"], capture_output=True, text=True, timeout=20,
+            env=clean_environment(), check=False)
+        assert second.returncode == 69, second
+        assert "another program listens" in second.stderr
+        with grpc.insecure_channel(f"unix:{path}") as channel:
+            grpc.channel_ready_future(channel).result(timeout=10)
+
+
+def test_socket_of_a_server_that_was_killed_is_taken_over(tmp_path):
+    path = tmp_path / "socket"
+    for _ in range(2):
+        port_file = tmp_path / "port"
+        port_file.unlink(missing_ok=True)
+        with Server(tmp_path / "store", "--port-file", port_file, wait=False,
+                    listen=f"unix:{path}") as server:
+            wait_until(port_file.exists, "port file")
+            with grpc.insecure_channel(f"unix:{path}") as channel:
+                grpc.channel_ready_future(channel).result(timeout=10)
+            server.kill()
+        assert path.exists()
 
 
 @pytest.mark.parametrize("opening", [

@@ -1,7 +1,7 @@
 """The real grpcurl against the real server, with the lines of the README.
 
-Fields have the names of the protos in its JSON: the descriptors that gRPC's
-reflection serves hold no others.
+Fields have the names of the protos in its JSON: the descriptors that are served
+hold no others.
 """
 
 import json
@@ -69,7 +69,7 @@ def test_list_shows_the_service_health_and_reflection(results):
     listed = results_of(results, " list")[0]
     assert listed.returncode == 0, listed.stderr
     assert set(listed.stdout.split()) == {
-        SERVICE, "grpc.health.v1.Health",
+        SERVICE, "grpc.health.v1.Health", "grpc.reflection.v1.ServerReflection",
         "grpc.reflection.v1alpha.ServerReflection"}
 
 
@@ -80,6 +80,8 @@ def test_describe_shows_what_a_method_takes(results):
         method.stdout)
     assert message.returncode == 0, message.stderr
     assert "repeated .revisit.v1.Pose poses = 2" in message.stdout
+    # With what the protos say about it.
+    assert "// Appends one batch" in method.stdout
 
 
 def test_create_answers_with_every_setting(results):
@@ -133,11 +135,19 @@ def test_lines_may_be_run_again(results, run_line):
     "google.rpc.RetryInfo", "google.rpc.Status", f"{SERVICE}.StreamPoses",
     "revisit.v1.Pose", "revisit.v1.CandidateSet", "revisit.v1.ErrorReason",
     "google.protobuf.FieldMask", "google.protobuf.Timestamp",
+    "grpc.reflection.v1.ServerReflection", "grpc.health.v1.Health.Watch",
 ])
 def test_descriptor_resolves(symbol, run_line):
     result = run_line(f"grpcurl -plaintext {README_ADDRESS} describe {symbol}")
     assert result.returncode == 0, result.stderr
     assert symbol in result.stdout
+
+
+def test_symbol_that_is_not_there_is_not_found(run_line):
+    result = run_line(
+        f"grpcurl -plaintext {README_ADDRESS} describe revisit.v1.Nothing")
+    assert result.returncode != 0
+    assert "not found" in result.stderr.lower()
 
 
 def test_all_methods_are_listed(run_line):

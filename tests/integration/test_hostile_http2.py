@@ -6,7 +6,9 @@ of the library is seen. Callers that share a connection are not safe from each
 other: where a proxy joins them, it has to keep such headers out."""
 
 import collections
+import gzip
 import os
+import queue
 import random
 import re
 import statistics
@@ -84,9 +86,9 @@ CASES = [
     ("timeout of nothing", with_header("grpc-timeout", "0n"), "status 4"),
     ("unknown encoding", with_header("grpc-encoding", "zstd",
                                      body=message(b"x", 1)), "status 12"),
-    ("gzip that is none", with_header("grpc-encoding", "gzip",
-                                      body=message(b"not gzip", 1)),
-     "reset 2"),
+    *((f"message in {name}", with_header("grpc-encoding", name,
+                                         body=message(b"not looked at", 1)),
+       "status 12") for name in ("gzip", "deflate")),
     ("compressed without an encoding", call(message(b"x", 1)), "status 12"),
     ("binary header not in base64", with_header("x-y-bin", "!!!!"), GONE),
     ("binary header of one character", with_header("x-y-bin", "a"), GONE),
@@ -399,8 +401,7 @@ def test_calls_that_end_cost_no_connection_however_few_it_may_have(tmp_path):
 @pytest.mark.release_build
 def test_headers_without_end_are_cut_off(tmp_path):
     """A client that never agrees to the server's settings is not held to its
-    limits by gRPC: only the bytes that come tell. To ask for them takes the
-    kernel's lock of the socket, which a slower server rarely lets go of."""
+    limits by gRPC: only the bytes that come tell."""
     with Server(tmp_path / "store", "--max-idle-bytes=8000000") as server:
         neighbour = Neighbour(server)
         before = server.resident_bytes()
@@ -414,8 +415,10 @@ def test_headers_without_end_are_cut_off(tmp_path):
                 sent += 10 * len(piece)
                 most = max(most, server.resident_bytes() - before)
         print(f"{sent / 1e6:.0f} MB sent, {most / 1e6:.0f} MB held at most")
-        assert sent < 1e9
-        server.logged("limit=max-idle-bytes")
+        # Some more has left this side, and waits to be read for ever.
+        assert sent < 100e6
+        assert most < 64e6
+        wait_until(lambda: "limit=max-idle-bytes" in server.log(), "cut")
         # Large uploads one after another are no such thing.
         for _ in range(4):
             with pytest.raises(grpc.RpcError):
@@ -423,6 +426,35 @@ def test_headers_without_end_are_cut_off(tmp_path):
                     api.GetVehicleRequest(name="a" * 3900000))
             neighbour.seconds_served()
         neighbour.stream.cancel()
+
+
+@pytest.mark.release_build
+def test_messages_that_would_swell_are_refused_as_they_are(server, neighbour):
+    """A thousand times their size, if they were unpacked: 1.6 MB took 1.7 GB.
+    The one of every method, and those of gRPC's own."""
+    bomb = message(gzip.compress(bytes(64 << 20), 9), 1)
+    before = server.resident_bytes()
+    with RawConnection(server.port) as connection:
+        paths = [GET_VEHICLE, f"{SERVICE}/StreamPoses",
+                 "/grpc.health.v1.Health/Check",
+                 "/grpc.reflection.v1alpha.ServerReflection"
+                 "/ServerReflectionInfo"]
+        for i in range(24):
+            connection.request(call_headers(
+                path=paths[i % len(paths)], extra=[("grpc-encoding", "gzip")]),
+                bomb, stream=2 * i + 1)
+            assert connection.outcome(2 * i + 1) == "status 12"
+            assert server.resident_bytes() - before < 64e6
+    neighbour.seconds_served()
+
+
+def test_caller_who_compresses_is_told_that_it_is_off(server):
+    with pytest.raises(grpc.RpcError) as raised:
+        server.stub().GetVehicle(api.GetVehicleRequest(name="a" * 10000),
+                                 compression=grpc.Compression.Gzip)
+    assert raised.value.code() == grpc.StatusCode.UNIMPLEMENTED
+    assert "gzip" in raised.value.details()
+    assert "disabled" in raised.value.details()
 
 
 def test_uploads_that_stall_hold_bounded_memory(server, neighbour):
@@ -467,7 +499,41 @@ def test_reflection_asked_thousands_of_times_tells_no_more_than_the_api(
         names = set(re.findall(rb"[a-z][\w.]*\.\w+", answer))
         assert names == {b"revisit.v1.PoseGraphService",
                          b"grpc.health.v1.Health",
+                         b"grpc.reflection.v1.ServerReflection",
                          b"grpc.reflection.v1alpha.ServerReflection"}
         if i % 500 == 0:
             assert neighbour.seconds_served() < 5
     assert i == 1999
+
+
+def reflection_streams(server, version, count):
+    """Streams that have had an answer and stay."""
+    ask = server.channel().stream_stream(
+        f"/grpc.reflection.{version}.ServerReflection/ServerReflectionInfo",
+        request_serializer=bytes, response_deserializer=bytes)
+    streams = []
+    for _ in range(count):
+        requests = queue.SimpleQueue()
+        requests.put(b"\x3a\x01*")
+        streams.append(ask(iter(requests.get, None)))
+        assert next(streams[-1])
+        streams[-1].requests = requests
+    return streams
+
+
+@pytest.mark.parametrize("version", ["v1", "v1alpha"])
+def test_reflection_streams_take_no_thread_each_and_the_oldest_go(
+        version, server, neighbour):
+    threads = len(os.listdir(f"/proc/{server.pid}/task"))
+    streams = reflection_streams(server, version, 100)
+    assert len(os.listdir(f"/proc/{server.pid}/task")) < threads + 20
+    with pytest.raises(grpc.RpcError) as raised:
+        next(streams[0])
+    assert raised.value.code() == grpc.StatusCode.CANCELLED
+    # The youngest is served as before.
+    streams[-1].requests.put(b"\x3a\x01*")
+    assert next(streams[-1])
+    for stream in streams:
+        stream.requests.put(None)
+        stream.cancel()
+    neighbour.seconds_served()

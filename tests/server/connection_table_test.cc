@@ -14,27 +14,26 @@ using std::chrono::milliseconds;
 
 class ConnectionTableTest : public ::testing::Test {
  protected:
-  ConnectionTable Make(int most, int most_per_address) {
+  ConnectionTable Make(int most, int most_per_address,
+                       int most_unadmitted = 0) {
     return ConnectionTable(
-        {most, most_per_address, 1000, 10},
+        {most, most_per_address, most_unadmitted, 10, 30},
         [this](int descriptor) -> std::optional<std::uint64_t> {
           ++asked_;
           const auto found = open_.find(descriptor);
           if (found == open_.end()) return std::nullopt;
           return found->second;
         },
-        [this](int descriptor) -> std::optional<std::uint64_t> {
-          const auto found = received_.find(descriptor);
-          if (found == received_.end()) return std::nullopt;
-          return found->second;
+        [this](int descriptor, const MeterPointer& meter) {
+          attached_[descriptor] = meter;
         },
-        [this](const std::string& remote) -> std::optional<std::uint64_t> {
+        [this](const std::string& remote) -> std::optional<CallCounts> {
           ++counted_;
           const auto found = held_.find(remote);
           if (found == held_.end()) return std::nullopt;
-          return found->second;
+          return CallCounts{found->second, over_};
         },
-        &progress_);
+        &meters_);
   }
 
   // A new socket with this descriptor; what was refused is closed.
@@ -58,10 +57,11 @@ class ConnectionTableTest : public ::testing::Test {
     return text;
   }
 
-  ConnectionProgress progress_;
+  ConnectionMeters meters_{{1000, 500, 100}};
   std::map<int, std::uint64_t> open_;
-  std::map<int, std::uint64_t> received_;
+  std::map<int, MeterPointer> attached_;
   std::map<std::string, std::uint64_t> held_;
+  std::uint64_t over_ = 0;
   int counted_ = 0;
   std::uint64_t last_cookie_ = 0;
   int asked_ = 0;
@@ -74,68 +74,96 @@ TEST_F(ConnectionTableTest, WithoutLimitsTakesAll) {
   EXPECT_EQ(table.size(), 100u);
 }
 
-TEST_F(ConnectionTableTest, FindsConnectionsThatBringNothingOfUse) {
+TEST_F(ConnectionTableTest, TellsOnceOfThoseThatPassedABoundOfTheirMeter) {
   ConnectionTable table = Make(0, 0);
-  for (int i = 1; i <= 4; ++i) EXPECT_EQ(Add(&table, i, "1.2.3.4"), "");
-  // Of 4, nobody knows how much has come.
-  received_ = {{1, 1000}, {2, 1001}, {3, 1001}};
-  CountProgress(progress_.Find("ipv4:1.2.3.4:5003"));
-  EXPECT_EQ(TakeHarmful(&table), "max-idle-bytes 2 1.2.3.4;");
-  EXPECT_EQ(progress_.Find("ipv4:1.2.3.4:5002"), nullptr);
-  // Counted from the last progress.
-  received_[3] = 2001;
+  for (int i = 1; i <= 4; ++i) EXPECT_EQ(Add(&table, i, "h"), "");
+  EXPECT_EQ(meters_.Find("ipv4:h:5001"), attached_[1]);
+  attached_[1]->CountReceived(500);
+  attached_[2]->CountReceived(501);
+  attached_[3]->CountProgress();
+  attached_[3]->CountReceived(1001);
+  // This one is closed before anybody looks.
+  attached_[4]->CountReceived(501);
+  open_.erase(4);
+  const std::string told = TakeHarmful(&table);
+  EXPECT_NE(told.find("max-unadmitted-bytes 2 h;"), std::string::npos) << told;
+  EXPECT_NE(told.find("max-idle-bytes 3 h;"), std::string::npos) << told;
+  EXPECT_NE(told.find("max-unadmitted-bytes -1 h;"), std::string::npos) << told;
+  EXPECT_EQ(told.find(" 1 "), std::string::npos) << told;
   EXPECT_EQ(TakeHarmful(&table), "");
-  received_[3] = 2002;
-  received_[1] = 1001;
-  // Closed meanwhile.
-  open_.erase(1);
-  EXPECT_EQ(TakeHarmful(&table), "max-idle-bytes 3 1.2.3.4;");
+  EXPECT_EQ(attached_[4], nullptr);
+  EXPECT_EQ(table.size(), 3u);
 }
 
 TEST_F(ConnectionTableTest, FindsConnectionsThatHoldTooManyCalls) {
   ConnectionTable table = Make(0, 0);
   for (int i = 1; i <= 3; ++i) EXPECT_EQ(Add(&table, i, "h"), "");
-  // Of 3, nobody knows.
+  // Nobody knows of 3.
   held_ = {{"h:5001", 10}, {"h:5002", 11}};
-  received_ = {{1, 500}, {2, 500}, {3, 500}};
+  for (int i = 1; i <= 3; ++i) attached_[i]->CountReceived(400);
   EXPECT_EQ(TakeHarmful(&table), "max-concurrent-streams 2 h;");
   held_["h:5001"] = 11;
-  EXPECT_EQ(TakeHarmful(&table), "");
-  received_[1] = 620;
   EXPECT_EQ(TakeHarmful(&table), "max-concurrent-streams 1 h;");
 }
 
-TEST_F(ConnectionTableTest, CallsAreCountedOnlyWhereEnoughHasComeForThem) {
+TEST_F(ConnectionTableTest, CallsOfAnAdmittedConnectionAreCountedRarely) {
   ConnectionTable table = Make(0, 0);
   EXPECT_EQ(Add(&table, 1, "h"), "");
-  CountProgress(progress_.Find("ipv4:h:5001"));
+  attached_[1]->CountProgress();
   for (std::uint64_t bytes = 0; bytes < 12000; bytes += 12) {
-    received_[1] = bytes;
     EXPECT_EQ(TakeHarmful(&table), "");
-    CountProgress(progress_.Find("ipv4:h:5001"));
+    attached_[1]->CountReceived(12);
+    attached_[1]->CountProgress();
   }
   EXPECT_EQ(counted_, 99);
 }
 
-TEST(ConnectionProgressTest, KnowsWhomGrpcMeans) {
-  EXPECT_EQ(ConnectionProgress::RemoteOf("ipv4:127.0.0.1:80"), "127.0.0.1:80");
-  EXPECT_EQ(ConnectionProgress::RemoteOf("ipv6:%5B::1%5D:80"), "::1:80");
-  EXPECT_EQ(ConnectionProgress::RemoteOf("ipv6:[::1]:80"), "::1:80");
-  EXPECT_EQ(ConnectionProgress::RemoteOf("unix:"), "");
-  EXPECT_EQ(ConnectionProgress::RemoteOf("odd"), "odd");
+TEST_F(ConnectionTableTest, WithoutACallThatIsHeldWhatCameIsForgiven) {
+  ConnectionTable table = Make(0, 0);
+  EXPECT_EQ(Add(&table, 1, "h"), "");
+  for (int i = 0; i < 10; ++i) {
+    attached_[1]->CountReceived(300);
+    held_["h:5001"] = 0;
+    ++over_;
+    EXPECT_EQ(TakeHarmful(&table), "");
+  }
+  held_["h:5001"] = 1;
+  attached_[1]->CountReceived(300);
+  EXPECT_EQ(TakeHarmful(&table), "");
+  attached_[1]->CountReceived(300);
+  EXPECT_EQ(TakeHarmful(&table), "max-unadmitted-bytes 1 h;");
 }
 
-TEST(ConnectionProgressTest, NewConnectionTakesThePlaceOfTheOld) {
-  ConnectionProgress progress;
-  const ProgressCounter old = progress.Open("h:1");
-  const ProgressCounter young = progress.Open("h:1");
-  CountProgress(progress.Find("ipv4:h:1"));
-  EXPECT_EQ(old->load(), 0u);
-  EXPECT_EQ(young->load(), 1u);
-  progress.Close("h:1", old);
-  EXPECT_EQ(progress.Find("ipv4:h:1"), young);
-  progress.Close("h:1", young);
-  EXPECT_EQ(progress.Find("ipv4:h:1"), nullptr);
+TEST_F(ConnectionTableTest, WithoutACallThatEndedNothingIsForgiven) {
+  ConnectionTable table = Make(0, 0);
+  EXPECT_EQ(Add(&table, 1, "h"), "");
+  held_["h:5001"] = 0;
+  attached_[1]->CountReceived(300);
+  EXPECT_EQ(TakeHarmful(&table), "");
+  attached_[1]->CountReceived(300);
+  EXPECT_EQ(TakeHarmful(&table), "max-unadmitted-bytes 1 h;");
+}
+
+TEST_F(ConnectionTableTest, OfThoseNotAdmittedTheOldestGo) {
+  ConnectionTable table = Make(0, 0, 2);
+  for (int i = 1; i <= 4; ++i) EXPECT_EQ(Add(&table, i, "h"), "");
+  // No more than twice as many are there at any time.
+  EXPECT_EQ(Add(&table, 5, "h"), "max-unadmitted-connections");
+  attached_[1]->CountProgress();
+  EXPECT_EQ(TakeHarmful(&table), "max-unadmitted-connections 2 h;");
+  EXPECT_EQ(TakeHarmful(&table), "");
+}
+
+TEST_F(ConnectionTableTest, OfThoseNotAdmittedWhoHoldsTheMostCallsGoes) {
+  ConnectionTable table = Make(0, 0);
+  for (int i = 1; i <= 5; ++i) {
+    EXPECT_EQ(Add(&table, i, "h"), "");
+    attached_[i]->CountReceived(300);
+    held_["h:" + std::to_string(5000 + i)] = i == 4 ? 9 : 8;
+  }
+  // Calls of this one are not among them.
+  attached_[1]->CountProgress();
+  EXPECT_EQ(TakeHarmful(&table), "max-unadmitted-calls 4 h;");
 }
 
 TEST_F(ConnectionTableTest, RefusesWhatIsTooMuchUntilOneIsClosed) {
