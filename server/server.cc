@@ -584,6 +584,8 @@ void RevisitServer::Shutdown() {
   state_->drain.WaitForCalls(
       start + Milliseconds(state_->settings.drain_timeout_seconds));
   state_->acceptor->Stop();
+  // Calls that are cut still wait for what they have begun.
+  state_->fleet->GiveUpReplays();
   // Cuts the calls that are left, and the connections that do not answer to
   // being closed.
   state_->grpc_server->Shutdown(std::chrono::system_clock::now() +

@@ -34,7 +34,8 @@ Flags win over the environment, the environment over the file.
 
 Once calls are taken, "listening on ADDRESS" is printed to standard output; logs
 go to standard error. SIGTERM or SIGINT drains: new calls are refused, streams
-get their last acknowledgements, then the store is closed.
+get their last acknowledgements, then the store is closed. SIGHUP has the files
+of keys, certificates and policy looked at now.
 
 Exit codes:
   0   stopped as told

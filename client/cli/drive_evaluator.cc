@@ -20,6 +20,8 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 constexpr std::size_t kBatchPoses = 64;
+// How often a drive is streamed before a connection that breaks is given up.
+constexpr int kAttempts = 3;
 
 absl::StatusOr<Verdict> ToVerdict(v1::Verdict verdict) {
   switch (verdict) {
@@ -103,6 +105,14 @@ class Evaluator {
         uncertainty_(uncertainty),
         run_(run),
         progress_(console, run.label, drive.samples.size(), "poses") {}
+
+  // Why the stream was interrupted last; OK if it never was.
+  const absl::Status& broken() const { return broken_; }
+
+  void TellOfAnotherAttempt() {
+    progress_.Note("the connection broke (" + std::string(broken_.message()) +
+                   "); the drive is streamed again from its start");
+  }
 
   absl::StatusOr<DriveResult> Run(const v1::Vehicle& vehicle) {
     vehicle_ = vehicle.name();
@@ -188,6 +198,10 @@ class Evaluator {
       result_.answers.push_back(*std::move(answer));
       if (run_.verify) unverified_.push_back(set);
     };
+    callbacks.disconnected = [&](const absl::Status& status,
+                                 std::chrono::nanoseconds) {
+      broken_ = status;
+    };
     PoseStream stream(channel_, vehicle_, options, callbacks);
     const auto durable = stream.WaitUntilOpened();
     if (!durable.ok()) return durable.status();
@@ -197,6 +211,8 @@ class Evaluator {
           std::to_string(begin) +
           " were sent; an evaluation needs a new vehicle of its own"));
     }
+    // Until here nothing was sent, so that no answer can have been lost.
+    const int reconnects = stream.reconnects();
     for (std::size_t next = begin; next < end;) {
       v1::PoseBatch batch;
       const std::size_t batch_end = std::min(end, next + kBatchPoses);
@@ -208,12 +224,13 @@ class Evaluator {
       if (!stream.Append(std::move(batch)).ok()) break;
     }
     if (absl::Status status = stream.Finish(); !status.ok()) return status;
-    if (stream.reconnects() > 0) {
-      return absl::UnavailableError("the connection broke while " +
-                                    drive_.name +
-                                    " was streamed; answers of checks may be "
-                                    "lost, so the figures would not "
-                                    "be comparable: run it again");
+    if (stream.reconnects() > reconnects) {
+      const std::string message =
+          "the connection broke while " + drive_.name + " was streamed (" +
+          std::string(broken_.message()) +
+          "); answers of checks may be lost, so the figures would not be "
+          "comparable";
+      return absl::UnavailableError(message.c_str());
     }
     return understood;
   }
@@ -339,6 +356,8 @@ class Evaluator {
   const DriveRun& run_;
   Progress progress_;
   std::string vehicle_;
+  // Written by the stream, read when it is over.
+  absl::Status broken_;
   // Filled as answers come; its tally holds what is counted on the way.
   DriveResult result_;
   std::vector<v1::CandidateSet> unverified_;
@@ -351,14 +370,26 @@ absl::StatusOr<DriveResult> EvaluateDrive(
     const Drive& drive, const std::vector<ClaimedUncertainty>& uncertainty,
     const DriveRun& run, const std::function<void(const v1::Vehicle&)>& created,
     const Console& console) {
-  v1::CreateVehicleRequest create;
-  create.set_vehicle_id(run.vehicle_id);
-  *create.mutable_vehicle()->mutable_settings() = run.settings;
-  const auto answer = client.CreateVehicle(create);
-  if (!answer.ok()) return answer.status();
-  created(answer->vehicle());
-  Evaluator evaluator(channel, client, drive, uncertainty, run, console);
-  return evaluator.Run(answer->vehicle());
+  for (int attempt = 1;; ++attempt) {
+    v1::CreateVehicleRequest create;
+    create.set_vehicle_id(run.vehicle_id);
+    *create.mutable_vehicle()->mutable_settings() = run.settings;
+    const auto answer = client.CreateVehicle(create);
+    if (!answer.ok()) return answer.status();
+    created(answer->vehicle());
+    Evaluator evaluator(channel, client, drive, uncertainty, run, console);
+    auto result = evaluator.Run(answer->vehicle());
+    if (result.ok() || evaluator.broken().ok() || attempt == kAttempts) {
+      return result;
+    }
+    evaluator.TellOfAnotherAttempt();
+    v1::DeleteVehicleRequest forget;
+    forget.set_name(answer->vehicle().name());
+    if (absl::Status status = client.DeleteVehicle(forget).status();
+        !status.ok()) {
+      return status;
+    }
+  }
 }
 
 }  // namespace revisit::client

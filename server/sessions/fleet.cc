@@ -49,6 +49,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
       }
       session =
           VehicleSession::Load(id, storage, codec, lanes, options.session);
+      if (gives_up_replays) session->GiveUpReplay();
       replaced = std::exchange(entry.session, session);
     }
     // A vehicle that is not there takes no room.
@@ -173,6 +174,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   Mutex mutex;
   CondVar changed;
   Entries entries ABSL_GUARDED_BY(mutex);
+  bool gives_up_replays ABSL_GUARDED_BY(mutex) = false;
   // Calls of Create() that are not answered.
   int creating ABSL_GUARDED_BY(mutex) = 0;
 };
@@ -206,6 +208,12 @@ Fleet::~Fleet() {
   }
   const MutexLock lock(&countdown->mutex);
   while (countdown->left != 0) countdown->zero.Wait(&countdown->mutex);
+}
+
+void Fleet::GiveUpReplays() {
+  const MutexLock lock(&state_->mutex);
+  state_->gives_up_replays = true;
+  for (const auto& [id, entry] : state_->entries) entry.session->GiveUpReplay();
 }
 
 std::shared_ptr<VehicleSession> Fleet::Session(const std::string& id) {

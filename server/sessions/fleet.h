@@ -62,6 +62,10 @@ class Fleet {
   void Delete(const std::string& id,
               std::function<void(absl::Status)> callback);
 
+  // Has vehicles that are being loaded, now or later, give up where that takes
+  // long (VehicleSession::GiveUpReplay()): the server ends.
+  void GiveUpReplays();
+
   // Vehicles in memory.
   std::size_t loaded() const;
 

@@ -128,6 +128,8 @@ struct VehicleSession::State
   const std::shared_ptr<Strand> strand;
   std::atomic<int> pending_appends{0};
   std::atomic<bool> is_gone{false};
+  // Whether GiveUpReplay() was called.
+  std::atomic<bool> gives_up_replay{false};
   // See VehicleSession::Residency.
   std::atomic<std::int64_t> resident_nodes{0};
   std::atomic<std::int64_t> resident_bytes{0};
@@ -333,6 +335,11 @@ struct VehicleSession::State
     return absl::OkStatus();
   }
 
+  static absl::Status ShuttingDown() {
+    return Error(StatusCode::kUnavailable, "SERVER_DRAINING",
+                 "the server is shutting down");
+  }
+
   absl::Status OutOfStep() const {
     return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
                  "vehicle '" + id +
@@ -460,7 +467,10 @@ struct VehicleSession::State
   }
 
   void ContinueReplay() {
-    const absl::StatusOr<bool> finished = ReplaySome();
+    absl::StatusOr<bool> finished = ReplaySome();
+    if (finished.ok() && !*finished && gives_up_replay) {
+      finished = ShuttingDown();
+    }
     if (finished.ok() && !*finished) {
       NoteResidency();
       PostReplay();
@@ -1517,14 +1527,15 @@ void VehicleSession::LoadAnew() {
                  }});
 }
 
+void VehicleSession::GiveUpReplay() { state_->gives_up_replay = true; }
+
 void VehicleSession::Close(std::function<void()> callback) {
   State* const state = state_.get();
+  GiveUpReplay();
   state->Submit({false, true,
                  [state, callback = std::move(callback)](const absl::Status&) {
                    if (!state->gone_status) {
-                     state->Leave(Error(StatusCode::kUnavailable,
-                                        "SERVER_DRAINING",
-                                        "the server is shutting down"));
+                     state->Leave(State::ShuttingDown());
                    }
                    callback();
                  }});

@@ -248,8 +248,13 @@ class VehicleSession {
   // has to be loaded anew to know what is sound.
   void LoadAnew();
 
-  // Ends the session: what was called before is finished, later calls answer
-  // UNAVAILABLE (SERVER_DRAINING). When `callback` runs, the session uses
+  // Has calls that wait for the graph to be made from the store answer
+  // UNAVAILABLE (SERVER_DRAINING), where that takes long. Close() does so too.
+  void GiveUpReplay();
+
+  // Ends the session: what was called before is finished, but for what
+  // GiveUpReplay() ends; later calls answer UNAVAILABLE (SERVER_DRAINING). When
+  // `callback` runs, the session uses
   // neither storage nor codec any more.
   void Close(std::function<void()> callback);
 

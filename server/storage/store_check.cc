@@ -1,5 +1,6 @@
 #include "server/storage/store_check.h"
 
+#include <cstdint>
 #include <filesystem>
 #include <memory>
 #include <system_error>
@@ -7,7 +8,9 @@
 
 #include "server/storage/durable_mark.h"
 #include "server/storage/sqlite_storage.h"
+#include "server/storage/store_files.h"
 #include "server/storage/store_opening.h"
+#include "server/storage/write_ahead_log.h"
 
 namespace revisit::server {
 namespace {
@@ -161,6 +164,16 @@ class Checker {
   StoreReport report_;
 };
 
+// Whether the log holds a page, so that it does not matter what the file has in
+// its place: a full disk, or a crash, may stop the copying of the log in the
+// middle of a page.
+bool IsInLog(const std::string& path, std::uintmax_t page) {
+  const absl::StatusOr<LogReport> log = ReadLog(LogOf(path));
+  if (!log.ok()) return false;
+  const auto pages = PagesIn(LogOf(path), *log);
+  return pages.ok() && pages->count(static_cast<std::uint32_t>(page)) > 0;
+}
+
 }  // namespace
 
 absl::StatusOr<std::vector<std::string>> FindStructuralDamage(
@@ -172,8 +185,9 @@ absl::StatusOr<std::vector<std::string>> FindStructuralDamage(
   if (!page_bytes.ok()) return page_bytes.status();
   std::error_code error;
   const std::uintmax_t bytes = std::filesystem::file_size(path, error);
-  if (use == StoreUse::kIdle && !error &&
-      bytes % static_cast<std::uintmax_t>(*page_bytes) != 0) {
+  const auto page_size = static_cast<std::uintmax_t>(*page_bytes);
+  if (use == StoreUse::kIdle && !error && bytes % page_size != 0 &&
+      !IsInLog(path, bytes / page_size + 1)) {
     problems.push_back("the file has " + std::to_string(bytes) +
                        " bytes, which is no whole number of pages");
   }

@@ -21,6 +21,8 @@ std::string ReserveOf(const std::string& store_path) {
 
 }  // namespace
 
+std::string LogOf(const std::string& store_path) { return store_path + "-wal"; }
+
 absl::Status FlushFile(const std::string& path) {
   const int file = open(path.c_str(), O_RDONLY | O_CLOEXEC);
   if (file < 0 && errno == ENOENT) return absl::OkStatus();

@@ -8,6 +8,9 @@
 
 namespace revisit::server {
 
+// The write-ahead log beside a store.
+std::string LogOf(const std::string& store_path);
+
 // Flushes a file, or a directory, to the device. A file that is not there has
 // nothing to flush. UNAVAILABLE (STORE_SYNC_FAILED) if the device fails.
 absl::Status FlushFile(const std::string& path);

@@ -11,6 +11,7 @@
 
 #include "server/status.h"
 #include "server/storage/store_check.h"
+#include "server/storage/store_files.h"
 #include "server/storage/store_rows.h"
 #include "server/storage/write_ahead_log.h"
 
@@ -222,8 +223,6 @@ absl::Status EmptyLog(SqliteDatabase& database, DurableMark* mark) {
   if (status.ok()) status = checkpoint("PRAGMA wal_checkpoint(TRUNCATE)");
   return status;
 }
-
-std::string LogOf(const std::string& store) { return store + "-wal"; }
 
 // Vehicles with rows in the unreadable part of the log that are nowhere else.
 absl::StatusOr<std::set<std::string>> VehiclesBehind(const std::string& store,

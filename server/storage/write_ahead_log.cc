@@ -71,6 +71,7 @@ absl::Status Unreadable(const std::string& path) {
 struct Frame {
   std::vector<unsigned char> bytes;  // Header and page.
 
+  std::uint32_t page_number() const { return BigEndian(bytes.data()); }
   const unsigned char* page() const { return bytes.data() + kFrameHeaderBytes; }
   std::size_t page_bytes() const { return bytes.size() - kFrameHeaderBytes; }
   bool is_commit() const { return BigEndian(bytes.data() + 4) != 0; }
@@ -314,6 +315,26 @@ absl::StatusOr<LogReport> ReadLog(const std::string& path) {
     report.has_unfinished_tail = true;
   }
   return report;
+}
+
+absl::StatusOr<std::set<std::uint32_t>> PagesIn(const std::string& path,
+                                                const LogReport& log) {
+  std::set<std::uint32_t> pages;
+  if (log.end.frames == 0) return pages;
+  const File file(std::fopen(path.c_str(), "rb"));
+  if (file == nullptr) return Unreadable(path);
+  if (fseeko(file.get(), kLogHeaderBytes, SEEK_SET) != 0) {
+    return Unreadable(path);
+  }
+  Frame frame;
+  frame.bytes.resize(kFrameHeaderBytes + log.page_bytes);
+  for (std::uint32_t i = 0; i < log.end.frames; ++i) {
+    const absl::StatusOr<bool> whole = ReadFrame(file.get(), path, &frame);
+    if (!whole.ok()) return whole.status();
+    if (!*whole) break;
+    pages.insert(frame.page_number());
+  }
+  return pages;
 }
 
 std::string MissingFrom(const LogReport& log,

@@ -21,6 +21,7 @@
 #include <cstdint>
 #include <functional>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -62,6 +63,10 @@ struct LogReport {
 
 // A file that is not there is an empty log. UNAVAILABLE if it cannot be read.
 absl::StatusOr<LogReport> ReadLog(const std::string& path);
+
+// Numbers of the pages that the log holds up to `log.end`.
+absl::StatusOr<std::set<std::uint32_t>> PagesIn(const std::string& path,
+                                                const LogReport& log);
 
 // Whether a log holds at least what is known to have been flushed, if anything
 // is known: empty, or what is missing.

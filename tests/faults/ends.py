@@ -26,12 +26,14 @@ START_SECONDS = 5.0
 class Times:
     """How long ends and starts took."""
 
-    def __init__(self):
+    def __init__(self, drain_seconds=DRAIN_SECONDS):
+        self.drain_seconds = drain_seconds
         self.ends, self.starts = [], []
 
     def start(self, *arguments, **options):
         begun = time.monotonic()
-        server = Server(*arguments, "--drain-timeout-seconds", DRAIN_SECONDS,
+        server = Server(*arguments, "--drain-timeout-seconds",
+                        self.drain_seconds,
                         **options)
         self.starts.append(time.monotonic() - begun)
         assert self.starts[-1] <= START_SECONDS, self
@@ -44,9 +46,9 @@ class Times:
         code = server.process.wait(60)
         self.ends.append(time.monotonic() - begun)
         assert code == 0, (code, server.log())
-        assert self.ends[-1] <= DRAIN_SECONDS + END_SECONDS, self
+        assert self.ends[-1] <= self.drain_seconds + END_SECONDS, self
 
-    def __str__(self):
+    def __repr__(self):
         return (f"ended in {max(self.ends, default=0):.2f} s, started in "
                 f"{max(self.starts, default=0):.2f} s at most")
 
@@ -134,7 +136,8 @@ def running_backup(run):
         to = store.parent / "backup.sqlite"
         backup = subprocess.Popen(
             [BIN / "revisitd", "backup", "--store", store, "--to", to],
-            env=clean_environment(), stderr=subprocess.PIPE, text=True)
+            env=clean_environment(), stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE, text=True)
         try:
             # Held in the middle of its work.
             wait_until(lambda: any(
@@ -230,7 +233,7 @@ def full_disk(run):
 
 # ---- Much to read before the server can answer
 
-LONG = 600000
+LONG = 300000
 
 
 def pose_bytes(sequence):
@@ -238,7 +241,7 @@ def pose_bytes(sequence):
     as a replay takes long for would take a library longer."""
     head = api.Pose(sequence=sequence).SerializeToString()
     tail = api.Pose(
-        local=api.LocalPosition(x_meters=0.5 * sequence),
+        local=api.LocalPosition(x_meters=2.0 * sequence),
         heading_radians=0.0, covariance=api.Covariance(
             form=api.COVARIANCE_FORM_PLANAR_6,
             values=(0.01, 0.0, 0.0, 0.01, 0.0, 1e-4))).SerializeToString()
@@ -263,7 +266,8 @@ def long_replay(run):
     the log that a kill left is long."""
     count = run.rounds(short=LONG, long=4 * LONG)
     store = run.new("replay") / "s"
-    times = Times()
+    # Who waits for the replay is not waited for.
+    times = Times(drain_seconds=0.0)
     with Server(store) as server:
         create(server.stub())
         append_many(server, count)

@@ -3,12 +3,14 @@
 import json
 import math
 import re
+import socket
 import sys
+import threading
 import xml.etree.ElementTree
 
 import pytest
 
-from revisit_server import BIN, clean_environment, run
+from revisit_server import BIN, Server, clean_environment, run
 from stubs import ROOT
 from wire import BOREAS
 
@@ -311,3 +313,76 @@ def test_leave_one_out_runs_the_real_evaluation(tmp_path):
     assert [one["drive"] for one in report["held_out"]] == ["a", "b"]
     assert len(report["points"]) == 2
     assert report["held_out_total"]["checks"] > 20
+
+
+class CuttingProxy:
+    """Passes connections on to a server, and cuts the first of them after so
+    many bytes of the client's."""
+
+    def __init__(self, server, cuts, after_bytes):
+        self.server, self.after_bytes = server, after_bytes
+        self.cuts_left, self.cuts_made = cuts, 0
+        self.listener = socket.create_server(("127.0.0.1", 0))
+        threading.Thread(target=self.accept, daemon=True).start()
+
+    @property
+    def address(self):
+        return f"127.0.0.1:{self.listener.getsockname()[1]}"
+
+    def accept(self):
+        while True:
+            try:
+                client, _ = self.listener.accept()
+            except OSError:
+                return
+            server = socket.create_connection(("127.0.0.1", self.server.port))
+            limit = None
+            if self.cuts_left > 0:
+                self.cuts_left -= 1
+                limit = self.after_bytes
+            for ends in ((client, server, limit), (server, client, None)):
+                threading.Thread(target=self.pass_on, args=ends,
+                                 daemon=True).start()
+
+    def pass_on(self, source, sink, limit):
+        passed = 0
+        try:
+            while data := source.recv(4096):
+                passed += len(data)
+                if limit is not None and passed > limit:
+                    self.cuts_made += 1
+                    break
+                sink.sendall(data)
+        except OSError:
+            pass
+        for end in (source, sink):
+            try:
+                end.shutdown(socket.SHUT_RDWR)
+            except OSError:
+                pass
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.listener.close()
+
+
+@pytest.mark.parametrize("verify", [False, True], ids=["alone", "verified"])
+def test_drive_whose_connection_breaks_is_streamed_again(verify, tmp_path):
+    flags = [write_drive(tmp_path / "square.csv", 3)] + ["--verify"] * verify
+    with Server(tmp_path / "store") as server:
+        unbroken = report_of(*flags, "--server", server.address)
+        with CuttingProxy(server, cuts=1, after_bytes=40000) as proxy:
+            result = evaluate(*flags, "--json", "--server", proxy.address)
+            assert result.returncode == 0, result.stderr
+            assert proxy.cuts_made == 1
+        assert result.stderr.count("streamed again from its start") == 1
+        assert without_times(json.loads(result.stdout)["total"]) == \
+            without_times(unbroken["total"])
+        # One that breaks again and again is given up, and says why.
+        with CuttingProxy(server, cuts=1000, after_bytes=40000) as proxy:
+            result = evaluate(*flags, "--server", proxy.address)
+            assert result.returncode == 64 + 14, result
+            assert "the connection broke while square was streamed (" \
+                in result.stderr

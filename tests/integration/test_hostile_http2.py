@@ -25,7 +25,7 @@ from raw_http2 import (ACK, CONTINUATION, DATA, END_HEADERS, END_STREAM,
                        encode, frame, message)
 from revisit_server import Server, wait_until
 from stubs import api
-from wire import PoseStream, append, pose
+from wire import PoseStream, append, pose, served_again
 
 
 def call(body=message(b""), **headers):
@@ -356,7 +356,8 @@ def test_header_bomb_takes_its_own_connection_and_no_other(server, neighbour):
     assert raised.value.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
     neighbour.seconds_served()
     # Its client comes back on another connection.
-    info(api.GetServerInfoRequest(), timeout=10, wait_for_ready=True)
+    served_again(lambda: info(api.GetServerInfoRequest(), timeout=10,
+                              wait_for_ready=True))
 
 
 @pytest.mark.release_build

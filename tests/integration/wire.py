@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import math
 import queue
+import time
 
 import grpc
 import pytest
@@ -252,6 +253,22 @@ def decode_failure(error):
         if retry else None,
         quota_subjects=[violation.subject for violation in quota.violations]
         if quota else [])
+
+
+def served_again(call, seconds=30):
+    """What a call answers whose channel has just lost its connection: gRPC may
+    begin it on the one that is dying, and then fails it with UNAVAILABLE, which
+    callers are to try again. What the server itself answers is not repeated."""
+    deadline = time.monotonic() + seconds
+    while True:
+        try:
+            return call()
+        except grpc.RpcError as error:
+            if (error.code() != grpc.StatusCode.UNAVAILABLE
+                    or "grpc-status-details-bin" in dict(
+                        error.trailing_metadata() or ())
+                    or time.monotonic() > deadline):
+                raise
 
 
 def failure_of(call):

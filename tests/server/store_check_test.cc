@@ -175,6 +175,26 @@ TEST_F(StoreCheckTest, FileThatWasCutIsNotOpened) {
   }
 }
 
+// A full disk stopped the copying of the log in the middle of a page.
+TEST_F(StoreCheckTest, PageThatIsCutDoesNoHarmWhereTheLogHoldsIt) {
+  const std::string copy = directory_.File("copy.db");
+  {
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    Fill(storage.get());
+    for (const char* suffix : {"", "-wal", ".mark"}) {
+      ASSERT_TRUE(std::filesystem::copy_file(Path() + suffix, copy + suffix));
+    }
+  }
+  ASSERT_GT(std::filesystem::file_size(copy + "-wal"), 100'000u);
+  std::ofstream(copy, std::ios::binary | std::ios::app)
+      << std::string(4096 - 512, '\0');
+  const absl::StatusOr<StoreReport> report =
+      CheckStore(copy, StoreUse::kIdle);
+  ASSERT_THAT(report, IsOk());
+  EXPECT_THAT(report->problems, IsEmpty());
+  EXPECT_EQ(report->poses, 120);
+}
+
 TEST_F(StoreCheckTest, FindsRowsThatBelongToNobody) {
   MakeStore();
   {
