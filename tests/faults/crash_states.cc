@@ -290,8 +290,7 @@ void Device::WriteDirectory(const Inode& directory, const Draw& draw,
     const Inode& inode = inodes_[number];
     if (inode.is_directory) {
       WriteDirectory(inode, draw, random, path + "/" + name);
-    } else if (!inode.is_shared_memory() ||
-               (random != nullptr && Chance(random, 0.7))) {
+    } else if (!inode.is_shared_memory() || Chance(random, 0.7)) {
       WriteFile(path + "/" + name, DrawContent(inode, draw, random));
     }
   }
