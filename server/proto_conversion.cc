@@ -1224,11 +1224,11 @@ void EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle) {
       name.begin(), name.end(), [](char c) { return c < ' ' || c > '~'; }, '?');
   vehicle->set_name(name);
   if (config.ok()) EncodeConfig(*config, vehicle);
-  vehicle->set_revision(record.revision);
   if (!config.ok() || !record.damage.ok()) {
     vehicle->set_state(v1::VEHICLE_STATE_DAMAGED);
     return;
   }
+  vehicle->set_revision(record.revision);
   vehicle->set_durable_sequence(record.durable_sequence);
   vehicle->set_loop_closure_count(record.loop_closure_count);
 }

@@ -162,8 +162,8 @@ struct VehicleSession::State
   bool pumping = false;
   // Loading or changing: nothing but reads may run.
   bool exclusive = false;
-  // The stored poses are, or may be at any moment, what the vehicle's will be and
-  // are not yet.
+  // The stored poses are, or may be at any moment, what the vehicle's will be
+  // and are not yet.
   bool poses_are_ahead = false;
   // The same of the vehicle: it is gone in the store, or its pairs are not yet
   // in the graph.
@@ -336,8 +336,8 @@ struct VehicleSession::State
   absl::Status OutOfStep() const {
     return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
                  "vehicle '" + id +
-                     "' has to be loaded anew, since it and the store disagree; try "
-                     "again");
+                     "' has to be loaded anew, since it and the store "
+                     "disagree; try again");
   }
 
   // From now on everything is answered with `status`.
@@ -529,8 +529,8 @@ struct VehicleSession::State
     return true;
   }
 
-  // The poses from the next one on cannot be read. Each of them may have brought
-  // a revision, and those must not come again.
+  // The poses from the next one on cannot be read. Each of them may have
+  // brought a revision, and those must not come again.
   void GoNoFurther(const absl::Status& cause) {
     NoteDamage(cause);
     const std::uint64_t sound = replay->next_sequence - 1;
