@@ -59,8 +59,8 @@ class RecordCodec {
  public:
   virtual ~RecordCodec() = default;
   virtual std::string EncodeVehicle(const VehicleConfig& config) const = 0;
-  // Of the record only key, id and payload are read. DATA_LOSS if the payload is
-  // not what EncodeVehicle makes.
+  // Of the record only key, id and payload are read. DATA_LOSS if the payload
+  // is not what EncodeVehicle makes.
   virtual absl::StatusOr<VehicleConfig> DecodeVehicle(
       const VehicleRecord& record) const = 0;
   // DATA_LOSS as above.
@@ -211,8 +211,8 @@ class VehicleSession {
       std::function<absl::StatusOr<VehicleConfig>(const VehicleView&)> change,
       std::function<void(absl::StatusOr<VehicleView>)> callback);
 
-  // Ends the state of data loss, or gives up what is damaged and all poses after
-  // it; FAILED_PRECONDITION (NO_DATA_LOSS) if there is neither,
+  // Ends the state of data loss, or gives up what is damaged and all poses
+  // after it; FAILED_PRECONDITION (NO_DATA_LOSS) if there is neither,
   // (DURABLE_SEQUENCE_MISMATCH) if the sequence is not the durable one.
   void AcceptDataLoss(
       std::uint64_t durable_sequence,
@@ -228,8 +228,8 @@ class VehicleSession {
           callback);
 
   // Adds what a verifier found; answers the stored pair and the revision. The
-  // same id and sequences again: the existing one. Creation times tell the order:
-  // one that is not later than all others' is moved behind them. Where that is
+  // same id and sequences again: the existing one. Creation times tell the
+  // order: one not later than all others' is moved behind them. Where that is
   // further than kMostClockError, the clock was wrong before, and the pair goes
   // where its time says. Errors: ALREADY_EXISTS (WordsOf(kind).exists),
   // NOT_FOUND (POSE_NOT_FOUND) if a sequence is not durable,

@@ -1041,7 +1041,7 @@ TEST_F(VehicleSessionTest, RefusesWritesEvenIfTheLossCannotBeStored) {
   EXPECT_THAT(AppendNow(*session_, StraightBatch(1, 1)), lost);
 }
 
-// After a clock had been wrong once, all later pairs had the wrong time as well.
+// After a clock had been wrong once, all later pairs had a wrong time as well.
 TEST_F(VehicleSessionTest, WrongClockDoesNotLast) {
   for (std::uint64_t first = 1; first <= 161; first += 20) {
     ASSERT_THAT(AppendNow(*session_, SquareBatch(first, 20)), IsOk());
