@@ -599,8 +599,8 @@ class Program {
         ->transform(WholeNumber(0, kMaxSequence));
     command
         ->add_option("--vehicle-uid", stream_.vehicle_uid,
-                     "Uid of the vehicle that is meant; another one of its name "
-                     "is refused, and with it --acked-sequence proves a loss to "
+                     "Uid of the vehicle that is meant; another of its name is "
+                     "refused, and with it --acked-sequence proves a loss to "
                      "the server, which then refuses writes until accept-loss")
         ->type_name("UID");
     AddDouble({command}, "--give-up-after", "S", &give_up_seconds_,

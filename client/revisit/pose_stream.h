@@ -63,9 +63,9 @@ struct PoseStreamOptions {
   // Highest sequence that this client knows to be durable from an earlier life;
   // 0 if it keeps no such record. The server answers DATA_LOSS if it has less.
   std::uint64_t acked_sequence = 0;
-  // vehicle_uid() of that earlier life; the stream ends with VEHICLE_REPLACED if
-  // the vehicle is another by now. Empty: whichever vehicle has the name when
-  // the stream is first opened.
+  // vehicle_uid() of that earlier life; the stream ends with VEHICLE_REPLACED
+  // if the vehicle is another by now. Empty: whichever vehicle has the name
+  // when the stream is first opened.
   std::string vehicle_uid;
   // Whether the server answers with candidates at every check, and how.
   bool send_candidates = false;
@@ -135,7 +135,7 @@ class PoseStream {
   void Cancel();
 
   // Highest sequence known to be durable. A client that keeps it over restarts,
-  // with the uid, and hands both in with PoseStreamOptions, learns of data loss.
+  // with the uid, and hands both in by PoseStreamOptions, learns of data loss.
   std::uint64_t acked_sequence() const;
 
   // Which vehicle it is (v1::Vehicle.uid). Empty until it is known: by the

@@ -50,10 +50,10 @@ struct VehicleRecord {
   std::uint64_t durable_sequence = 0;
   std::int64_t loop_closure_count = 0;
   std::int64_t rejected_candidate_count = 0;
-  // DATA_LOSS if the row or the last batch is damaged. Of a damaged row only key
-  // and id are told, and the payload is empty; a damaged last batch has what is
-  // told of it for the highest sequence, but not for the revision.
-  absl::Status damage;
+  // DATA_LOSS if the row or the last batch is damaged. Of a damaged row only
+  // key and id are told, and the payload is empty; of a damaged last batch, the
+  // highest sequence as its row has it, but not the revision.
+  absl::Status damage = absl::OkStatus();
 };
 
 struct BatchRecord {
@@ -87,7 +87,7 @@ struct PosePairRecord {
   std::uint64_t matched_sequence = 0;
   std::int64_t create_time_ns = 0;  // Since the Unix epoch.
   // DATA_LOSS if the row is damaged: then only the id is told.
-  absl::Status damage;
+  absl::Status damage = absl::OkStatus();
 };
 
 // How messages, fields and error reasons speak of a kind.
@@ -151,8 +151,8 @@ class Storage {
                               std::uint64_t revision, Done done) = 0;
 
   // Gives up what is damaged: removes all that is stored of poses after
-  // `last_sequence`, pairs that name such a pose, and damaged pairs; the payload
-  // is replaced. FAILED_PRECONDITION unless a batch ends at `last_sequence`, or
+  // `last_sequence`, pairs that name such a pose, and damaged pairs, and sets
+  // the payload. FAILED_PRECONDITION unless a batch ends at `last_sequence`, or
   // it is 0.
   virtual void DropDamaged(VehicleKey key, std::uint64_t last_sequence,
                            std::string payload, std::uint64_t revision,
@@ -165,9 +165,9 @@ class Storage {
   virtual absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
       const std::string& after_id, const std::string& prefix, int limit) = 0;
   // The batches that hold poses of [first_sequence, last_sequence], in order,
-  // until `visit` says false. DATA_LOSS if one is missing or damaged, after those
-  // before it have been visited, which is what a range beyond the durable sequence looks like: ask for no more. All
-  // of one moment, even where `visit` takes long; it may read from the storage.
+  // until `visit` says false; all of one moment, and `visit` may read from the
+  // storage. DATA_LOSS if one is missing or damaged, after those before it: so
+  // looks a range beyond the durable sequence, too, which is not to be asked for.
   virtual absl::Status ReadBatches(
       VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
       BatchVersion version, const std::function<bool(BatchRecord)>& visit) = 0;

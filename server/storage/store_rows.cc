@@ -448,7 +448,7 @@ absl::Status VisitBatches(SqliteDatabase& database, VehicleKey key,
         *found && version == BatchVersion::kCurrent && !row.IsNull(6);
     absl::StatusOr<BatchRecord> batch = BatchRecord();
     if (revised) {
-      // What was sent must be sound as well: it is compared with what is resent.
+      // What was sent must be sound as well: what is resent is compared with it.
       const absl::Status as_sent =
           ReadBatchRow(row, 2, row.Integer(0), row.Integer(1), key,
                        *vehicle_id, BatchVersion::kAsSent)

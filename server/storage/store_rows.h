@@ -4,8 +4,8 @@
 //
 // All of it runs within the transaction, if any, of the connection it is given.
 // What is read has passed its checksum, or is DATA_LOSS (STORE_CORRUPT), or a
-// record that says so of itself. The other errors are those of the calls of Storage (storage.h) that these are
-// for.
+// record that says so of itself. The other errors are those of the calls of
+// Storage (storage.h) that these are for.
 #ifndef REVISIT_SERVER_STORAGE_STORE_ROWS_H_
 #define REVISIT_SERVER_STORAGE_STORE_ROWS_H_
 

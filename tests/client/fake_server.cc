@@ -98,10 +98,13 @@ void FakeServer::HoldStreams(bool held) {
   changed_.notify_all();
 }
 
-void FakeServer::Replace(const std::string& uid) {
+void FakeServer::Replace(const std::string& uid, const v1::PoseBatch& poses) {
   std::lock_guard<std::mutex> lock(mutex_);
   uid_ = uid;
   stored_.clear();
+  for (const v1::Pose& pose : poses.poses()) {
+    stored_.push_back(pose.SerializeAsString());
+  }
 }
 
 void FakeServer::CheckUid(bool check) {

@@ -71,9 +71,9 @@ class FakeServer final : public v1::PoseGraphService::Service {
   void FailUnaryCalls(std::vector<grpc::Status> statuses);
   // While held, nothing that arrives on a stream is stored or answered.
   void HoldStreams(bool held);
-  // As if the vehicle were deleted and made again: with this uid and nothing
-  // stored. The first is "first".
-  void Replace(const std::string& uid);
+  // As if the vehicle were deleted and made again by somebody else: with this
+  // uid and these poses. The first is "first".
+  void Replace(const std::string& uid, const v1::PoseBatch& poses);
   // Whether streams of another vehicle_uid are refused, as by the real one.
   void CheckUid(bool check);
   // Forgets poses after this one.

@@ -329,7 +329,8 @@ def test_damaged_record_is_told_and_harms_no_other_vehicle(tmp_path):
     path.write_bytes(content)
     with Server(store) as server:
         stub = server.stub()
-        failure = failure_of(lambda: get(stub, VEHICLE))
+        assert get(stub, VEHICLE).state == api.VEHICLE_STATE_DAMAGED
+        failure = failure_of(lambda: list_poses(stub, VEHICLE))
         assert failure.code == grpc.StatusCode.DATA_LOSS
         assert failure.reason == "STORE_CORRUPT"
         failure = failure_of(lambda: append(stub, VEHICLE,

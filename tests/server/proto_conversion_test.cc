@@ -442,7 +442,8 @@ TEST(SettingsConversionTest, RecordOfTheFirstReleaseTakesTodaysDefaults) {
   EXPECT_FALSE(config->engine.apply_inflation);
 }
 
-TEST(SettingsConversionTest, VehicleStoredBeforeThereWereUidsHasAlwaysTheSame) {
+TEST(SettingsConversionTest,
+     VehicleStoredBeforeThereWereUidsHasAlwaysTheSame) {
   const ProtoRecordCodec codec;
   VehicleRecord record = RecordOf(
       FromText<v1::Vehicle>("create_time { seconds: 1 }").SerializeAsString());
@@ -1527,6 +1528,9 @@ TEST(AnswerTest, DamagedVehicleTellsWhatIsSound) {
   EncodeVehicle(record, &vehicle);
   EXPECT_EQ(vehicle.state(), v1::VEHICLE_STATE_DAMAGED);
   EXPECT_TRUE(vehicle.has_settings());
+  record.id = "tr\xff" "ck";
+  EncodeVehicle(record, &vehicle);
+  EXPECT_EQ(vehicle.name(), "vehicles/tr?ck");
   // What damaged rows claim is nothing to rely on.
   EXPECT_EQ(vehicle.durable_sequence(), 0u);
 }

@@ -258,28 +258,23 @@ TEST_F(PoseStreamTest, TakesNoOtherVehicleOfTheSameNameForItsOwn) {
   for (const bool server_checks : {true, false}) {
     FakeServer server;
     server.CheckUid(server_checks);
-    const auto open = [&](const PoseStreamOptions& options) {
-      return std::make_unique<PoseStream>(MakeInsecureChannel(server.address()),
-                                          "vehicles/shuttle", options,
-                                          PoseStreamCallbacks());
-    };
-    const auto stream = open(Options());
+    std::atomic<bool> away{false};
+    server.FailOpens([&away] {
+      return away ? StreamFault{Kind::kBefore, Unavailable()} : StreamFault();
+    });
+    server.FailBatches(FaultAt(0, {Kind::kBefore, Unavailable()}));
+    const auto stream = std::make_unique<PoseStream>(
+        MakeInsecureChannel(server.address()), "vehicles/shuttle", Options(),
+        PoseStreamCallbacks());
     ASSERT_TRUE(stream->WaitUntilOpened().ok());
     EXPECT_EQ(stream->vehicle_uid(), "first");
-    server.HoldStreams(true);
+    away = true;
     ASSERT_TRUE(stream->Append(MakeBatch(1, 40)).ok());
-    server.Stop();
-    server.HoldStreams(false);
-    server.Replace("second");
-    server.Start();
-    {
-      PoseStreamOptions other = Options();
-      other.batch_poses = 100;
-      const auto somebody = open(other);
-      ASSERT_TRUE(somebody->Append(MakeBatch(1, 60)).ok());
-      // Not long enough for `stream` to be asked nothing.
-      ASSERT_TRUE(somebody->Finish().ok());
+    while (server.Opens().size() < 2) {
+      std::this_thread::sleep_for(milliseconds(1));
     }
+    server.Replace("second", MakeBatch(1, 60));
+    away = false;
     const absl::Status finished = stream->Finish();
     EXPECT_EQ(finished.code(), absl::StatusCode::kFailedPrecondition);
     if (server_checks) {
