@@ -1218,7 +1218,11 @@ void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle) {
 void EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle) {
   const absl::StatusOr<VehicleConfig> config =
       ProtoRecordCodec().DecodeVehicle(record);
-  vehicle->set_name(VehicleName(record.id));
+  std::string name = VehicleName(record.id);
+  // A damaged one may hold bytes that no message can.
+  std::replace_if(
+      name.begin(), name.end(), [](char c) { return c < ' ' || c > '~'; }, '?');
+  vehicle->set_name(name);
   if (config.ok()) EncodeConfig(*config, vehicle);
   vehicle->set_revision(record.revision);
   if (!config.ok() || !record.damage.ok()) {

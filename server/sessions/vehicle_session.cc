@@ -142,6 +142,8 @@ struct VehicleSession::State
   std::uint64_t revision = 0;
   PosePairs loop_closures;
   PosePairs rejections;
+  // Of both; nothing if there are none.
+  std::optional<std::int64_t> latest_pair_ns;
   // See VehicleView; while it is loaded, the first cause.
   absl::Status damage;
   bool config_is_known = true;
@@ -160,10 +162,12 @@ struct VehicleSession::State
   bool pumping = false;
   // Loading or changing: nothing but reads may run.
   bool exclusive = false;
-  // What is stored is, or may be at any moment, what the vehicle will be and is
-  // not yet: its poses, or that it is gone.
+  // The stored poses are, or may be at any moment, what the vehicle's will be and
+  // are not yet.
   bool poses_are_ahead = false;
-  bool deleting = false;
+  // The same of the vehicle: it is gone in the store, or its pairs are not yet
+  // in the graph.
+  bool vehicle_is_ahead = false;
   // The checks of an append that has landed are still to be run. What is in
   // flight behind it lands after them.
   bool checking = false;
@@ -296,7 +300,7 @@ struct VehicleSession::State
   // Of a read: whether it could show what a later one does not.
   bool MustWait(const Operation& operation) const {
     return !gone_status &&
-           (deleting || (poses_are_ahead && operation.reads_store));
+           (vehicle_is_ahead || (poses_are_ahead && operation.reads_store));
   }
 
   bool MayRun(const Operation& operation) const {
@@ -465,6 +469,7 @@ struct VehicleSession::State
     Replay done = *std::move(replay);
     replay.reset();
     poses_are_ahead = false;
+    vehicle_is_ahead = false;
     if (finished.ok()) {
       engine = std::move(done.engine);
       jumps = std::move(done.jumps);
@@ -508,6 +513,7 @@ struct VehicleSession::State
       if (replay->next_sequence <= durable_sequence) return false;
     }
     if (const absl::Status status = CheckPairs(); !status.ok()) return status;
+    FindLatestPair();
     for (const auto& [kind, pair] : PairsAsAdded()) {
       Apply(replay->engine.get(), kind, *pair, ++replay->steps);
     }
@@ -1252,28 +1258,65 @@ struct VehicleSession::State
       }
       return;
     }
-    for (const PosePairs* of_kind : {&loop_closures, &rejections}) {
-      for (const auto& [other_id, other] : *of_kind) {
-        pair.create_time_ns =
-            std::max(pair.create_time_ns, other.create_time_ns + 1);
-      }
+    if (Pairs(kind).size() >= limits.max_pose_pairs) {
+      callback(TooManyPairs(kind));
+      return;
+    }
+    const bool is_last =
+        !latest_pair_ns ||
+        *latest_pair_ns - kMostClockError <= pair.create_time_ns;
+    if (is_last && latest_pair_ns) {
+      pair.create_time_ns = std::max(pair.create_time_ns, *latest_pair_ns + 1);
     }
     const std::uint64_t next = revision + 1;
     WriteAlone(
         [&](Storage::Done done) {
           storage->AddPosePair(key, kind, pair, next, std::move(done));
         },
-        [this, kind, pair, next, callback](const absl::Status& status) {
+        [this, kind, pair, next, is_last,
+         callback](const absl::Status& status) {
           if (!status.ok()) {
             callback(status);
             return;
           }
-          Apply(engine.get(), kind, pair, next);
-          NoteResidency();
           Pairs(kind).emplace(pair.id, pair);
-          Settled(config, next);
-          callback(std::make_pair(pair, next));
+          if (is_last) {
+            latest_pair_ns = pair.create_time_ns;
+            Apply(engine.get(), kind, pair, next);
+            NoteResidency();
+            Settled(config, next);
+            callback(std::make_pair(pair, next));
+            return;
+          }
+          vehicle_is_ahead = true;
+          Rebuild(config, next,
+                  [pair, next, callback](const absl::Status& rebuilt) {
+                    if (rebuilt.ok()) {
+                      callback(std::make_pair(pair, next));
+                    } else {
+                      callback(rebuilt);
+                    }
+                  });
         });
+  }
+
+  absl::Status TooManyPairs(PairKind kind) const {
+    const std::string limit = std::to_string(limits.max_pose_pairs);
+    return Error(StatusCode::kFailedPrecondition, "POSE_PAIR_LIMIT",
+                 "vehicle '" + id + "' has " + limit + " " +
+                     WordsOf(kind).noun +
+                     "s, which is the limit; delete some first",
+                 {{"limit", limit}});
+  }
+
+  void FindLatestPair() {
+    latest_pair_ns.reset();
+    for (const PosePairs* of_kind : {&loop_closures, &rejections}) {
+      for (const auto& [pair_id, pair] : *of_kind) {
+        latest_pair_ns = std::max(latest_pair_ns.value_or(pair.create_time_ns),
+                                  pair.create_time_ns);
+      }
+    }
   }
 
   void DeletePosePair(
@@ -1306,19 +1349,20 @@ struct VehicleSession::State
           TakeBack(kind, pair, next);
           NoteResidency();
           Pairs(kind).erase(pair.id);
+          FindLatestPair();
           Settled(config, next);
           callback(next);
         });
   }
 
   void Delete(const std::function<void(absl::Status)>& callback) {
-    deleting = true;
+    vehicle_is_ahead = true;
     WriteAlone(
         [&](Storage::Done done) {
           storage->DeleteVehicle(key, std::move(done));
         },
         [this, callback](const absl::Status& status) {
-          deleting = false;
+          vehicle_is_ahead = false;
           if (status.ok() || absl::IsNotFound(status))
             Leave(VehicleNotFound(id));
           callback(status);

@@ -89,7 +89,7 @@ struct VehicleView {
   const PosePairs* rejected_candidates = nullptr;
   // DATA_LOSS (STORE_CORRUPT) if a part of what is stored is damaged: then all
   // else here is what comes before the damage.
-  absl::Status damage;
+  absl::Status damage = absl::OkStatus();
   // Where that is damaged too, the config is none and there are no poses.
   bool config_is_known = true;
 
@@ -152,12 +152,17 @@ struct RevisionPlan {
   std::optional<std::uint64_t> done_by;
 };
 
+// How far a pair's creation time may be moved.
+inline constexpr std::int64_t kMostClockError = 3'600'000'000'000;  // An hour.
+
 class VehicleSession {
  public:
   struct Limits {
     // Appends that may wait or be in flight; more are RESOURCE_EXHAUSTED
     // (QUEUE_FULL).
     int max_pending_appends = 256;
+    // Pairs of poses of each kind: searches look at all of them.
+    std::size_t max_pose_pairs = 100'000;
   };
 
   // Loads the vehicle on its strand, before anything else it does. If there is
@@ -223,10 +228,12 @@ class VehicleSession {
           callback);
 
   // Adds what a verifier found; answers the stored pair and the revision. The
-  // same id and sequences again: the existing one. A creation time that is not
-  // later than all others' is moved behind them, so that times tell the order.
-  // Errors: ALREADY_EXISTS (WordsOf(kind).exists), NOT_FOUND (POSE_NOT_FOUND)
-  // if a sequence is not durable. REQUIRES: 1 <= matched_sequence <
+  // same id and sequences again: the existing one. Creation times tell the order:
+  // one that is not later than all others' is moved behind them. Where that is
+  // further than kMostClockError, the clock was wrong before, and the pair goes
+  // where its time says. Errors: ALREADY_EXISTS (WordsOf(kind).exists),
+  // NOT_FOUND (POSE_NOT_FOUND) if a sequence is not durable,
+  // FAILED_PRECONDITION (POSE_PAIR_LIMIT). REQUIRES: 1 <= matched_sequence <
   // query_sequence.
   void AddPosePair(
       PairKind kind, PosePairRecord pair,

@@ -53,7 +53,7 @@ struct VehicleRecord {
   // DATA_LOSS if the row or the last batch is damaged. Of a damaged row only key
   // and id are told, and the payload is empty; a damaged last batch has what is
   // told of it for the highest sequence, but not for the revision.
-  absl::Status damage;
+  absl::Status damage = absl::OkStatus();
 };
 
 struct BatchRecord {
@@ -82,7 +82,7 @@ struct PosePairRecord {
   std::uint64_t matched_sequence = 0;
   std::int64_t create_time_ns = 0;  // Since the Unix epoch.
   // DATA_LOSS if the row is damaged: then only the id is told.
-  absl::Status damage;
+  absl::Status damage = absl::OkStatus();
 };
 
 // How messages, fields and error reasons speak of a kind.

@@ -1523,6 +1523,9 @@ TEST(AnswerTest, DamagedVehicleTellsWhatIsSound) {
   EncodeVehicle(record, &vehicle);
   EXPECT_EQ(vehicle.state(), v1::VEHICLE_STATE_DAMAGED);
   EXPECT_TRUE(vehicle.has_settings());
+  record.id = "tr\xffck";
+  EncodeVehicle(record, &vehicle);
+  EXPECT_EQ(vehicle.name(), "vehicles/tr?ck");
   // What damaged rows claim is nothing to rely on.
   EXPECT_EQ(vehicle.durable_sequence(), 0u);
 }

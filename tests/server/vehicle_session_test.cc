@@ -1041,6 +1041,59 @@ TEST_F(VehicleSessionTest, RefusesWritesEvenIfTheLossCannotBeStored) {
   EXPECT_THAT(AppendNow(*session_, StraightBatch(1, 1)), lost);
 }
 
+// After a clock had been wrong once, all later pairs had the wrong time as well.
+TEST_F(VehicleSessionTest, WrongClockDoesNotLast) {
+  for (std::uint64_t first = 1; first <= 161; first += 20) {
+    ASSERT_THAT(AppendNow(*session_, SquareBatch(first, 20)), IsOk());
+  }
+  constexpr std::int64_t kWrong = 3'155'760'000'000'000'000;  // A century.
+  const auto time_of = [&](PairKind kind, const PosePairRecord& pair) {
+    const auto added = AddPairNow(*session_, kind, pair);
+    EXPECT_THAT(added, IsOk());
+    return added->first.create_time_ns;
+  };
+  EXPECT_EQ(time_of(kClosure, {"a", 100, 20, 10}), 10);
+  EXPECT_EQ(time_of(kClosure, {"b", 120, 40, kWrong}), kWrong);
+  EXPECT_EQ(time_of(kClosure, {"c", 140, 61, 30}), 30);
+  EXPECT_EQ(time_of(kRejection, {"d", 140, 62, 40}), 40);
+  // What is corrected by no more than clocks are goes behind the last.
+  EXPECT_EQ(time_of(kClosure, {"e", 150, 70, kWrong - kMostClockError}),
+            kWrong + 1);
+  // The order is that of the times, as it will be once it is loaded again.
+  const Snapshot before = *ReadNow(*session_);
+  EXPECT_EQ(before.loop_closure_count, 4);
+  EXPECT_EQ(before.consistency.confirmed, 4);
+  Reload();
+  const Snapshot after = *ReadNow(*session_);
+  EXPECT_EQ(after.graph, before.graph);
+  EXPECT_EQ(after.revision, before.revision);
+  EXPECT_EQ(after.consistency.inflation, before.consistency.inflation);
+  // Gone with the pair that had it.
+  ASSERT_THAT(DeletePairNow(*session_, kClosure, "e"), IsOk());
+  ASSERT_THAT(DeletePairNow(*session_, kClosure, "b"), IsOk());
+  EXPECT_EQ(time_of(kClosure, {"f", 160, 80, 7}), 41);
+}
+
+TEST_F(VehicleSessionTest, TakesAsManyPairsAsItMay) {
+  limits_.max_pose_pairs = 2;
+  Reload();
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  for (const PairKind kind : {kClosure, kRejection}) {
+    ASSERT_THAT(AddPairNow(*session_, kind, {"a", 9, 1, 0}), IsOk());
+    ASSERT_THAT(AddPairNow(*session_, kind, {"b", 9, 2, 0}), IsOk());
+    const absl::Status full =
+        AddPairNow(*session_, kind, {"c", 9, 3, 0}).status();
+    EXPECT_THAT(full,
+                IsError(StatusCode::kFailedPrecondition, "POSE_PAIR_LIMIT",
+                        HasSubstr("has 2 " + std::string(WordsOf(kind).noun))));
+    EXPECT_EQ(MetadataOf(full, "limit"), "2");
+    // Those that are there are answered again.
+    EXPECT_THAT(AddPairNow(*session_, kind, {"b", 9, 2, 0}), IsOk());
+    ASSERT_THAT(DeletePairNow(*session_, kind, "a"), IsOk());
+    EXPECT_THAT(AddPairNow(*session_, kind, {"c", 9, 3, 0}), IsOk());
+  }
+}
+
 // ---- Damage
 
 TEST_F(VehicleSessionTest, DamagedVehicleIsReadAsFarAsItIsSound) {
