@@ -1,6 +1,6 @@
-"""A row in which many clients use all methods at random on a few vehicles, while
-the server is killed and comes back, and every answer is held against what one
-vehicle would have answered to one call at a time."""
+"""A row in which many clients use all methods at random on a few vehicles,
+while the server is killed and comes back, and every answer is held against
+what one vehicle would have answered to one call at a time."""
 
 import collections
 import random

@@ -1,17 +1,18 @@
 """Decides whether a history of concurrent operations could have come from a
-sequential object: whether each operation can be given one moment between its call
-and its return, so that all answers are those that the object gives when the
-operations are done one at a time, in that order (Herlihy and Wing).
+sequential object: whether each operation can be given one moment between its
+call and its return, so that all answers are those that the object gives when
+the operations are done one at a time, in that order (Herlihy and Wing).
 
-The search is that of Wing and Gong with Lowe's memory of what was seen, run just
-in time: events are taken in their order, and kept is every pair of a state that
-the object may be in, and the operations under way that have had their moment.
-When an operation returns, those remain in which it has had it, or can have it now
-after some of the others that are under way. If none remains, there is no such
-order.
+The search is that of Wing and Gong with Lowe's memory of what was seen, run
+just in time: events are taken in their order, and kept is every pair of a
+state that the object may be in, and the operations under way that have had
+their moment. When an operation returns, those remain in which it has had it,
+or can have it now after some of the others that are under way. If none
+remains, there is no such order.
 
-An operation whose outcome nobody knows may have its moment at any time, or never:
-until it is known to be over, or until the end of its part of the history.
+An operation whose outcome nobody knows may have its moment at any time, or
+never: until it is known to be over, or until the end of its part of the
+history.
 """
 
 import collections
@@ -35,7 +36,9 @@ class Operation:
     client: str = ""
 
     def __str__(self):
-        end = "          " if self.returned is None else f"{self.returned:10.4f}"
+        end = " " * 10
+        if self.returned is not None:
+            end = f"{self.returned:10.4f}"
         result = "not known" if self.result is None else self.result
         text = (f"{self.called:10.4f} {end} {self.client:8} "
                 f"{self.kind}{self.arguments} -> {result}")
@@ -44,8 +47,8 @@ class Operation:
 
 class Violation(Exception):
     """No order of the operations explains the answer of `failed`. At its call
-    the object could be in one of `states`; `window` are the operations that were
-    under way from then on, and `before` those that had returned last."""
+    the object could be in one of `states`; `window` are the operations that
+    were under way from then on, and `before` those that had returned last."""
 
     def __init__(self, failed, states, before, window):
         super().__init__(f"no order of the operations explains\n  {failed}")
@@ -69,12 +72,13 @@ class Undecided(Exception):
 
 def check(model, states, operations, seen=()):
     """The states in which the object may be at the end, given those in which it
-    may be at the beginning. Violation if there is none. `seen` are reads that were
-    made after the end, one after the other.
+    may be at the beginning. Violation if there is none. `seen` are reads that
+    were made after the end, one after the other.
 
     `model.apply(state, operation)` answers the states that the operation may
-    lead to with the result that it had: none if it cannot have it. With a result
-    that is not known, it answers those to which it leads if it took place.
+    lead to with the result that it had: none if it cannot have it. With a
+    result that is not known, it answers those to which it leads if it took
+    place.
     `model.may_become(state, read)` is whether a state can still come to be as
     the read shows it.
     """

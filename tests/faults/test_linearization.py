@@ -158,8 +158,8 @@ def test_claim_of_more_than_is_stored_stops_writes_until_it_is_accepted():
 
 
 def random_history(rng, length):
-    """Clients side by side, each call at its one moment between call and return:
-    so that it has an order."""
+    """Clients side by side, each call at its one moment between call and
+    return: so that it has an order."""
     state, operations, moment = None, [], 0.0
     while len(operations) < length:
         moment += rng.uniform(0.1, 1.0)

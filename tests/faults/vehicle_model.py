@@ -1,8 +1,8 @@
-"""One vehicle as its callers are promised it, with one call at a time: the object
-that linearization.py holds histories against.
+"""One vehicle as its callers are promised it, with one call at a time: the
+object that linearization.py holds histories against.
 
-A vehicle that is not there is None. Poses stand for what is in them by a number:
-1 to 9 as they were sent, more as they were revised.
+A vehicle that is not there is None. Poses stand for what is in them by a
+number: 1 to 9 as they were sent, more as they were revised.
 """
 
 import typing
@@ -53,7 +53,8 @@ class Vehicle(typing.NamedTuple):
 
     def __str__(self):
         poses = "".join(f" {code}" for code in self.current.values[-12:])
-        return (f"uid {self.uid} revision {self.revision} settings {self.settings} "
+        return (f"uid {self.uid} revision {self.revision} "
+                f"settings {self.settings} "
                 f"{len(self.current)} poses, the last{poses}; closures "
                 f"{sorted(self.closures)} rejections {sorted(self.rejections)}"
                 f"{' LOSS' if self.loss else ''}")
@@ -94,8 +95,8 @@ def _see(vehicle, summary):
 
 
 def _changed(vehicle, revision, **fields):
-    """After a change, which takes the vehicle to the next revision: to this one,
-    if the answer said so."""
+    """After a change, which takes the vehicle to the next revision: to this
+    one, if the answer said so."""
     after = vehicle._replace(revision=vehicle.revision + 1, **fields)
     return _if(revision in (None, after.revision), after)
 

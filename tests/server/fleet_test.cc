@@ -92,6 +92,31 @@ TEST_F(FleetTest, CreatesVehicleAndAnswersWithIt) {
             2u);
 }
 
+// A creation that found nothing was answered NOT_FOUND, which it never is.
+TEST_F(FleetTest, AnswersWithTheVehicleThatItCreatedAlsoIfItIsDeletedAtOnce) {
+  Executor short_work(1);
+  Executor long_work(1);
+  Fleet fleet(&storage_, &codec_, Lanes(&short_work, &long_work),
+              Fleet::Options());
+  const Answer<bool> gate;
+  short_work.Post([=] { gate.Get(); });
+  const Answer<absl::StatusOr<Snapshot>> created;
+  fleet.Create("truck", TestConfig(), Taking(created));
+  absl::StatusOr<VehicleRecord> stored = memory_.GetVehicle("truck");
+  while (!stored.ok()) {
+    std::this_thread::yield();
+    stored = memory_.GetVehicle("truck");
+  }
+  const Answer<absl::Status> deleted;
+  memory_.DeleteVehicle(stored->key, deleted.Setter());
+  ASSERT_THAT(deleted.Get(), IsOk());
+  gate.Set(true);
+  ASSERT_THAT(created.Get(), IsOk());
+  EXPECT_EQ(created.Get()->revision, 1u);
+  EXPECT_EQ(created.Get()->durable_sequence, 0u);
+  EXPECT_THAT(ReadNow(*fleet.Session("truck")), kNotFound);
+}
+
 TEST_F(FleetTest, OthersAreAcknowledgedWhileOneVehicleSearches) {
   Executor short_work(1);
   Executor long_work(1);

@@ -1029,6 +1029,24 @@ TEST_F(VehicleSessionTest, WritesAgainOnceTheLossIsAccepted) {
   EXPECT_THAT(AppendNow(*session_, StraightBatch(10, 1)), IsOk());
 }
 
+// A reader saw it, at the revision from before it, and a crash took it back.
+TEST_F(VehicleSessionTest, ClaimedLossShowsOnceItIsStored) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  storage_.Hold();
+  const Answer<absl::StatusOr<Snapshot>> checked;
+  session_->CheckAcknowledged(12, kUid, Taking(checked));
+  storage_.Await(1);
+  const auto before = ReadNow(*session_);
+  EXPECT_FALSE(before->config.data_loss);
+  EXPECT_EQ(before->revision, 2u);
+  storage_.ReleaseAll();
+  EXPECT_THAT(checked.Get(), IsError(StatusCode::kDataLoss,
+                                     "DURABLE_SEQUENCE_REGRESSED", _));
+  const auto after = ReadNow(*session_);
+  EXPECT_TRUE(after->config.data_loss);
+  EXPECT_EQ(after->revision, 3u);
+}
+
 TEST_F(VehicleSessionTest, RefusesWritesEvenIfTheLossCannotBeStored) {
   storage_.Hold();
   const Answer<absl::StatusOr<Snapshot>> checked;

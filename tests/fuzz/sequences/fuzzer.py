@@ -1,17 +1,17 @@
 """Fuzzes sequences of calls on every method against a real revisitd.
 
-Several connections at a time run scenarios: calls of all methods side by side, on
-the same few vehicles, from several tenants, made from the descriptors: messages
-that go on where the vehicle is, and others; empty ones, repeated ones, in another
-order than allowed, some with values at the edges, some that are no protobuf;
-half-closed, reset, given up, cut off. Rounds of some seconds alternate between a
-server that asks nobody and one with tenants and small limits; each goes on from
-the store of its last round.
+Several connections at a time run scenarios: calls of all methods side by side,
+on the same few vehicles, from several tenants, made from the descriptors:
+messages that go on where the vehicle is, and others; empty ones, repeated
+ones, in another order than allowed, some with values at the edges, some that
+are no protobuf; half-closed, reset, given up, cut off. Rounds of some seconds
+alternate between a server that asks nobody and one with tenants and small
+limits; each goes on from the store of its last round.
 
 The server must live, end with 0 when asked to (a sanitizer would not), and be
-SERVING. Each call ends, with what its method answers or a status that carries an
-ErrorInfo, but for what comes from the transport; never INTERNAL or UNKNOWN; and
-the log holds no error but data loss that a client has made up.
+SERVING. Each call ends, with what its method answers or a status that carries
+an ErrorInfo, but for what comes from the transport; never INTERNAL or UNKNOWN;
+and the log holds no error but data loss that a client has made up.
 """
 
 import argparse
@@ -49,8 +49,8 @@ KEPT = 4000
 
 OK, CANCELLED, UNKNOWN, INVALID, DEADLINE = 0, 1, 2, 3, 4
 EXHAUSTED, UNIMPLEMENTED, INTERNAL = 8, 12, 13
-# Errors in the log that clients can bring about: a claim to know more than there
-# is, and a connection that is cut before gRPC has looked at it.
+# Errors in the log that clients can bring about: a claim to know more than
+# there is, and a connection that is cut before gRPC has looked at it.
 HARMLESS = ['"reason":"DURABLE_SEQUENCE_REGRESSED"', "Failed getpeername"]
 REASONS = {name.removeprefix("ERROR_REASON_") for name in
            api.ErrorReason.keys()}
@@ -131,7 +131,7 @@ class Worker:
         self.idle = False
 
     def advance(self, now):
-        """As far as it goes without waiting. Answers whether it did anything."""
+        """As far as it goes without waiting; whether it did anything."""
         moved = False
         while not self.idle:
             if self.scenario is None:
@@ -313,7 +313,7 @@ def _binary(value):
 
 
 def drive(server, setup, world, source, statistics, until):
-    """Runs scenarios from `source` until it has no more, or the time is over."""
+    """Runs scenarios from `source` until it has none, or the time is over."""
     workers = [Worker(server, setup, world, source, statistics)
                for _ in range(CONNECTIONS)]
     stopped = False
@@ -373,13 +373,15 @@ def is_harmless(line):
 
 
 def sanitizer_report(server):
-    found = re.search(r"(ERROR: \w+Sanitizer|runtime error:|DEADLYSIGNAL)[^\n]*",
-                      server.log()[-200000:])
+    found = re.search(
+        r"(ERROR: \w+Sanitizer|runtime error:|DEADLYSIGNAL)[^\n]*",
+        server.log()[-200000:])
     return found and found.group(0)
 
 
 def check_after(server, setup, begin):
-    """What must be so at the end of each round; `begin` is where its log does."""
+    """What must be so at the end of each round, whose log is from `begin` on.
+    """
     connection = Connection(server.port, 2**31 - 1)
     number = connection.open(call_headers(path="/grpc.health.v1.Health/Check"))
     connection.send(number, b"\0\0\0\0\0")

@@ -1,5 +1,5 @@
-"""Scenarios: what one connection does, step by step. A scenario is plain data, so
-that it can be kept, run again, and made smaller."""
+"""Scenarios: what one connection does, step by step. A scenario is plain data,
+so that it can be kept, run again, and made smaller."""
 
 import base64
 import copy
