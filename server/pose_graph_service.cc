@@ -246,8 +246,7 @@ absl::Status ReadPoses(Storage* storage, const VehicleView& view,
   if (!read.ok()) return read;
   if (!parsed.ok()) return parsed;
   if (last_taken < view.durable_sequence) {
-    response->set_next_page_token(
-        MakePageToken(list, last_taken));
+    response->set_next_page_token(MakePageToken(list, last_taken));
   }
   return absl::OkStatus();
 }
@@ -413,41 +412,44 @@ grpc::ServerUnaryReactor* PoseGraphService::CreateVehicle(
       call_context, "CreateVehicle", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::CreateVehicleRequest* request,
           v1::CreateVehicleResponse* response) {
-    const std::string& id = request->vehicle_id();
-    if (absl::Status status = CheckId(id, kRequest.Field("vehicle_id"));
-        !status.ok()) {
-      return status;
-    }
-    if (absl::Status status = call->ChooseVehicle(id); !status.ok()) {
-      return status;
-    }
-    absl::StatusOr<VehicleConfig> config =
-        DecodeSettings(request->vehicle().settings(),
-                       kRequest.Field("vehicle").Field("settings"));
-    if (!config.ok()) return config.status();
-    config->create_time_ns = NowNanoseconds();
-    const auto encode = [response](const VehicleView& view) {
-      EncodeVehicle(view, response->mutable_vehicle());
-      return absl::OkStatus();
-    };
-    Fleet* const fleet = context_.fleet;
-    const VehicleConfig requested = *config;
-    fleet->Create(id, requested, [=](absl::StatusOr<VehicleView> created) {
-      if (!absl::IsAlreadyExists(created.status())) {
-        FinishWith<VehicleView>(call, encode)(std::move(created));
-        return;
-      }
-      fleet->Session(request->vehicle_id())
-          ->Read(FinishWith<VehicleView>(call, [=](const VehicleView& view) {
-            if (SameSettings(view.config, requested)) return encode(view);
-            return Error(absl::StatusCode::kAlreadyExists, "VEHICLE_EXISTS",
-                         VehicleName(view.id) +
-                             " exists with other settings; change them with "
-                             "UpdateVehicle, or take another id");
-          }));
-    });
-    return absl::OkStatus();
-  });
+        const std::string& id = request->vehicle_id();
+        if (absl::Status status = CheckId(id, kRequest.Field("vehicle_id"));
+            !status.ok()) {
+          return status;
+        }
+        if (absl::Status status = call->ChooseVehicle(id); !status.ok()) {
+          return status;
+        }
+        absl::StatusOr<VehicleConfig> config =
+            DecodeSettings(request->vehicle().settings(),
+                           kRequest.Field("vehicle").Field("settings"));
+        if (!config.ok()) return config.status();
+        config->create_time_ns = NowNanoseconds();
+        const auto encode = [response](const VehicleView& view) {
+          EncodeVehicle(view, response->mutable_vehicle());
+          return absl::OkStatus();
+        };
+        Fleet* const fleet = context_.fleet;
+        const VehicleConfig requested = *config;
+        fleet->Create(id, requested, [=](absl::StatusOr<VehicleView> created) {
+          if (!absl::IsAlreadyExists(created.status())) {
+            FinishWith<VehicleView>(call, encode)(std::move(created));
+            return;
+          }
+          fleet->Session(request->vehicle_id())
+              ->Read(
+                  FinishWith<VehicleView>(call, [=](const VehicleView& view) {
+                    if (SameSettings(view.config, requested))
+                      return encode(view);
+                    return Error(
+                        absl::StatusCode::kAlreadyExists, "VEHICLE_EXISTS",
+                        VehicleName(view.id) +
+                            " exists with other settings; change them with "
+                            "UpdateVehicle, or take another id");
+                  }));
+        });
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::GetVehicle(
@@ -457,15 +459,15 @@ grpc::ServerUnaryReactor* PoseGraphService::GetVehicle(
       call_context, "GetVehicle", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::GetVehicleRequest* request,
           v1::GetVehicleResponse* response) {
-    const auto session = SessionOf(context_, request->name(),
-                                   kRequest.Field("name"), call.get());
-    if (!session.ok()) return session.status();
-    (*session)->Read(FinishWith<VehicleView>(call, [=](const auto& view) {
-      EncodeVehicle(view, response->mutable_vehicle());
-      return absl::OkStatus();
-    }));
-    return absl::OkStatus();
-  });
+        const auto session = SessionOf(context_, request->name(),
+                                       kRequest.Field("name"), call.get());
+        if (!session.ok()) return session.status();
+        (*session)->Read(FinishWith<VehicleView>(call, [=](const auto& view) {
+          EncodeVehicle(view, response->mutable_vehicle());
+          return absl::OkStatus();
+        }));
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::ListVehicles(
@@ -475,24 +477,25 @@ grpc::ServerUnaryReactor* PoseGraphService::ListVehicles(
       call_context, "ListVehicles", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::ListVehiclesRequest* request,
           v1::ListVehiclesResponse* response) {
-    const std::string list = "ListVehicles";
-    const absl::StatusOr<int> page_size =
-        PageSize(request->page_size(), 100, 1000);
-    if (!page_size.ok()) return page_size.status();
-    const absl::StatusOr<std::string> after =
-        ParsePageToken(list, request->page_token());
-    if (!after.ok()) return after.status();
-    context_.executor->Post([=, context = context_] {
-      const absl::Status status = ListStored(
-          context.storage, call->caller(), list, *after, *page_size, response);
-      if (status.ok()) {
-        FillFromMemory(context.fleet, call, response);
-      } else {
-        call->End(status);
-      }
-    });
-    return absl::OkStatus();
-  });
+        const std::string list = "ListVehicles";
+        const absl::StatusOr<int> page_size =
+            PageSize(request->page_size(), 100, 1000);
+        if (!page_size.ok()) return page_size.status();
+        const absl::StatusOr<std::string> after =
+            ParsePageToken(list, request->page_token());
+        if (!after.ok()) return after.status();
+        context_.executor->Post([=, context = context_] {
+          const absl::Status status =
+              ListStored(context.storage, call->caller(), list, *after,
+                         *page_size, response);
+          if (status.ok()) {
+            FillFromMemory(context.fleet, call, response);
+          } else {
+            call->End(status);
+          }
+        });
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::UpdateVehicle(
@@ -502,23 +505,23 @@ grpc::ServerUnaryReactor* PoseGraphService::UpdateVehicle(
       call_context, "UpdateVehicle", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::UpdateVehicleRequest* request,
           v1::UpdateVehicleResponse* response) {
-    const FieldPath vehicle = kRequest.Field("vehicle");
-    const auto session = SessionOf(context_, request->vehicle().name(),
-                                   vehicle.Field("name"), call.get());
-    if (!session.ok()) return session.status();
-    (*session)->Update(
-        [=](const VehicleView& view) -> absl::StatusOr<VehicleConfig> {
-          if (call->given_up()) return call->GivenUpStatus();
-          return UpdateSettings(view.config, view.durable_sequence > 0,
-                                request->vehicle().settings(),
-                                request->update_mask());
-        },
-        FinishWith<VehicleView>(call, [=](const VehicleView& view) {
-          EncodeVehicle(view, response->mutable_vehicle());
-          return absl::OkStatus();
-        }));
-    return absl::OkStatus();
-  });
+        const FieldPath vehicle = kRequest.Field("vehicle");
+        const auto session = SessionOf(context_, request->vehicle().name(),
+                                       vehicle.Field("name"), call.get());
+        if (!session.ok()) return session.status();
+        (*session)->Update(
+            [=](const VehicleView& view) -> absl::StatusOr<VehicleConfig> {
+              if (call->given_up()) return call->GivenUpStatus();
+              return UpdateSettings(view.config, view.durable_sequence > 0,
+                                    request->vehicle().settings(),
+                                    request->update_mask());
+            },
+            FinishWith<VehicleView>(call, [=](const VehicleView& view) {
+              EncodeVehicle(view, response->mutable_vehicle());
+              return absl::OkStatus();
+            }));
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::DeleteVehicle(
@@ -527,17 +530,17 @@ grpc::ServerUnaryReactor* PoseGraphService::DeleteVehicle(
   return Unary<v1::DeleteVehicleRequest, v1::DeleteVehicleResponse>(
       call_context, "DeleteVehicle", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::DeleteVehicleRequest* request,
-          v1::DeleteVehicleResponse* ) {
-    const absl::StatusOr<std::string> id =
-        ParseVehicleName(request->name(), kRequest.Field("name"));
-    if (!id.ok()) return id.status();
-    if (absl::Status status = call->ChooseVehicle(*id); !status.ok()) {
-      return status;
-    }
-    context_.fleet->Delete(
-        *id, [=](const absl::Status& status) { call->End(status); });
-    return absl::OkStatus();
-  });
+          v1::DeleteVehicleResponse*) {
+        const absl::StatusOr<std::string> id =
+            ParseVehicleName(request->name(), kRequest.Field("name"));
+        if (!id.ok()) return id.status();
+        if (absl::Status status = call->ChooseVehicle(*id); !status.ok()) {
+          return status;
+        }
+        context_.fleet->Delete(
+            *id, [=](const absl::Status& status) { call->End(status); });
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
@@ -547,33 +550,34 @@ grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
       call_context, "AppendPoses", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, v1::AppendPosesRequest* request,
           v1::AppendPosesResponse* response) {
-    const auto session = SessionOf(context_, request->vehicle(),
-                                   kRequest.Field("vehicle"), call.get());
-    if (!session.ok()) return session.status();
-    const absl::StatusOr<Permit> room =
-        call->AdmitBatch(request->ByteSizeLong());
-    if (!room.ok()) return room.status();
-    AppendRequest append;
-    append.decoder =
-        [=, max_poses = context_.limits.max_batch_poses](
-            const VehicleConfig& config) -> absl::StatusOr<DecodedBatch> {
-      // It may have waited long.
-      if (call->given_up()) return call->GivenUpStatus();
-      DropUnknownFields(request->mutable_poses());
-      return DecodeBatch(request->poses(), max_poses, config, kRequest);
-    };
-    append.should_stop = [] { return false; };
-    append.callbacks.staged = [](const absl::Status&) {};
-    append.callbacks.durable = FinishWith<Acknowledgement>(
-        call, [=, permit = *room](const Acknowledgement& durable) {
-          EncodeAck(durable, response->mutable_ack());
-          return absl::OkStatus();
-        });
-    append.callbacks.candidates =
-        [](const VehicleView&, const absl::StatusOr<core::CandidateSet>&) {};
-    (*session)->Append(std::move(append));
-    return absl::OkStatus();
-  });
+        const auto session = SessionOf(context_, request->vehicle(),
+                                       kRequest.Field("vehicle"), call.get());
+        if (!session.ok()) return session.status();
+        const absl::StatusOr<Permit> room =
+            call->AdmitBatch(request->ByteSizeLong());
+        if (!room.ok()) return room.status();
+        AppendRequest append;
+        append.decoder =
+            [=, max_poses = context_.limits.max_batch_poses](
+                const VehicleConfig& config) -> absl::StatusOr<DecodedBatch> {
+          // It may have waited long.
+          if (call->given_up()) return call->GivenUpStatus();
+          DropUnknownFields(request->mutable_poses());
+          return DecodeBatch(request->poses(), max_poses, config, kRequest);
+        };
+        append.should_stop = [] { return false; };
+        append.callbacks.staged = [](const absl::Status&) {};
+        append.callbacks.durable = FinishWith<Acknowledgement>(
+            call, [=, permit = *room](const Acknowledgement& durable) {
+              EncodeAck(durable, response->mutable_ack());
+              return absl::OkStatus();
+            });
+        append.callbacks.candidates =
+            [](const VehicleView&, const absl::StatusOr<core::CandidateSet>&) {
+            };
+        (*session)->Append(std::move(append));
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerBidiReactor<v1::StreamPosesRequest, v1::StreamPosesResponse>*
@@ -588,16 +592,17 @@ grpc::ServerUnaryReactor* PoseGraphService::FindCandidates(
       call_context, "FindCandidates", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::FindCandidatesRequest* request,
           v1::FindCandidatesResponse* response) {
-    const auto session = SessionOf(context_, request->vehicle(),
-                                   kRequest.Field("vehicle"), call.get());
-    if (!session.ok()) return session.status();
-    if (absl::Status status = call->AdmitSearch(); !status.ok()) return status;
-    (*session)->Search(FinishWith<VehicleView>(
-        call, [=, limits = context_.limits](const VehicleView& view) {
-          return Find(*call, limits, view, *request, response);
-        }));
-    return absl::OkStatus();
-  });
+        const auto session = SessionOf(context_, request->vehicle(),
+                                       kRequest.Field("vehicle"), call.get());
+        if (!session.ok()) return session.status();
+        if (absl::Status status = call->AdmitSearch(); !status.ok())
+          return status;
+        (*session)->Search(FinishWith<VehicleView>(
+            call, [=, limits = context_.limits](const VehicleView& view) {
+              return Find(*call, limits, view, *request, response);
+            }));
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::AddLoopClosure(
@@ -607,12 +612,12 @@ grpc::ServerUnaryReactor* PoseGraphService::AddLoopClosure(
       call_context, "AddLoopClosure", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::AddLoopClosureRequest* request,
           v1::AddLoopClosureResponse* response) {
-    return AddPair(
-        context_, call, PairKind::kLoopClosure, request->parent(),
-        request->loop_closure_id(),
-        request->has_loop_closure() ? &request->loop_closure() : nullptr,
-        &v1::AddLoopClosureResponse::mutable_loop_closure, response);
-  });
+        return AddPair(
+            context_, call, PairKind::kLoopClosure, request->parent(),
+            request->loop_closure_id(),
+            request->has_loop_closure() ? &request->loop_closure() : nullptr,
+            &v1::AddLoopClosureResponse::mutable_loop_closure, response);
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::ListLoopClosures(
@@ -622,9 +627,10 @@ grpc::ServerUnaryReactor* PoseGraphService::ListLoopClosures(
       call_context, "ListLoopClosures", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::ListLoopClosuresRequest* request,
           v1::ListLoopClosuresResponse* response) {
-    return ListPairs(context_, call, PairKind::kLoopClosure, "ListLoopClosures",
-                     *request, response->mutable_loop_closures(), response);
-  });
+        return ListPairs(context_, call, PairKind::kLoopClosure,
+                         "ListLoopClosures", *request,
+                         response->mutable_loop_closures(), response);
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::DeleteLoopClosure(
@@ -634,9 +640,9 @@ grpc::ServerUnaryReactor* PoseGraphService::DeleteLoopClosure(
       call_context, "DeleteLoopClosure", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::DeleteLoopClosureRequest* request,
           v1::DeleteLoopClosureResponse* response) {
-                 return DeletePair(context_, call, PairKind::kLoopClosure,
-                                   request->name(), response);
-               });
+        return DeletePair(context_, call, PairKind::kLoopClosure,
+                          request->name(), response);
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::RejectCandidate(
@@ -646,21 +652,23 @@ grpc::ServerUnaryReactor* PoseGraphService::RejectCandidate(
       call_context, "RejectCandidate", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::RejectCandidateRequest* request,
           v1::RejectCandidateResponse* response) {
-    return AddPair(
-        context_, call, PairKind::kRejectedCandidate, request->parent(),
-        request->rejected_candidate_id(),
-        request->has_rejected_candidate() ? &request->rejected_candidate()
-                                          : nullptr,
-        &v1::RejectCandidateResponse::mutable_rejected_candidate, response);
-  });
+        return AddPair(
+            context_, call, PairKind::kRejectedCandidate, request->parent(),
+            request->rejected_candidate_id(),
+            request->has_rejected_candidate() ? &request->rejected_candidate()
+                                              : nullptr,
+            &v1::RejectCandidateResponse::mutable_rejected_candidate, response);
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::ListRejectedCandidates(
     grpc::CallbackServerContext* call_context,
     const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
-  return Unary<v1::ListRejectedCandidatesRequest, v1::ListRejectedCandidatesResponse>(
+  return Unary<v1::ListRejectedCandidatesRequest,
+               v1::ListRejectedCandidatesResponse>(
       call_context, "ListRejectedCandidates", request_bytes, response_bytes,
-      [=](const UnaryCallPtr& call, const v1::ListRejectedCandidatesRequest* request,
+      [=](const UnaryCallPtr& call,
+          const v1::ListRejectedCandidatesRequest* request,
           v1::ListRejectedCandidatesResponse* response) {
         return ListPairs(context_, call, PairKind::kRejectedCandidate,
                          "ListRejectedCandidates", *request,
@@ -671,13 +679,15 @@ grpc::ServerUnaryReactor* PoseGraphService::ListRejectedCandidates(
 grpc::ServerUnaryReactor* PoseGraphService::DeleteRejectedCandidate(
     grpc::CallbackServerContext* call_context,
     const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
-  return Unary<v1::DeleteRejectedCandidateRequest, v1::DeleteRejectedCandidateResponse>(
+  return Unary<v1::DeleteRejectedCandidateRequest,
+               v1::DeleteRejectedCandidateResponse>(
       call_context, "DeleteRejectedCandidate", request_bytes, response_bytes,
-      [=](const UnaryCallPtr& call, const v1::DeleteRejectedCandidateRequest* request,
+      [=](const UnaryCallPtr& call,
+          const v1::DeleteRejectedCandidateRequest* request,
           v1::DeleteRejectedCandidateResponse* response) {
-                 return DeletePair(context_, call, PairKind::kRejectedCandidate,
-                                   request->name(), response);
-               });
+        return DeletePair(context_, call, PairKind::kRejectedCandidate,
+                          request->name(), response);
+      });
 }
 
 grpc::ServerReadReactor<v1::RevisePosesRequest>* PoseGraphService::RevisePoses(
@@ -693,26 +703,27 @@ grpc::ServerUnaryReactor* PoseGraphService::ListPoses(
       call_context, "ListPoses", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::ListPosesRequest* request,
           v1::ListPosesResponse* response) {
-    const auto session = SessionOf(context_, request->parent(),
-                                   kRequest.Field("parent"), call.get());
-    if (!session.ok()) return session.status();
-    const std::string list = "ListPoses " + request->parent();
-    const absl::StatusOr<int> page_size =
-        PageSize(request->page_size(), 1000, 10000);
-    if (!page_size.ok()) return page_size.status();
-    const absl::StatusOr<std::uint64_t> first = FirstSequence(*request, list);
-    if (!first.ok()) return first.status();
-    if (absl::Status status = CheckReadMask(request->read_mask());
-        !status.ok()) {
-      return status;
-    }
-    (*session)->LongRead(FinishWith<VehicleView>(
-        call, [=, storage = context_.storage](const VehicleView& view) {
-          return ReadPoses(storage, view, *first, *page_size,
-                           request->read_mask(), list, response);
-        }));
-    return absl::OkStatus();
-  });
+        const auto session = SessionOf(context_, request->parent(),
+                                       kRequest.Field("parent"), call.get());
+        if (!session.ok()) return session.status();
+        const std::string list = "ListPoses " + request->parent();
+        const absl::StatusOr<int> page_size =
+            PageSize(request->page_size(), 1000, 10000);
+        if (!page_size.ok()) return page_size.status();
+        const absl::StatusOr<std::uint64_t> first =
+            FirstSequence(*request, list);
+        if (!first.ok()) return first.status();
+        if (absl::Status status = CheckReadMask(request->read_mask());
+            !status.ok()) {
+          return status;
+        }
+        (*session)->LongRead(FinishWith<VehicleView>(
+            call, [=, storage = context_.storage](const VehicleView& view) {
+              return ReadPoses(storage, view, *first, *page_size,
+                               request->read_mask(), list, response);
+            }));
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerWriteReactor<grpc::ByteBuffer>* PoseGraphService::ExportPoseGraph(
@@ -728,17 +739,17 @@ grpc::ServerUnaryReactor* PoseGraphService::AcceptDataLoss(
       call_context, "AcceptDataLoss", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::AcceptDataLossRequest* request,
           v1::AcceptDataLossResponse* response) {
-    const auto session = SessionOf(context_, request->name(),
-                                   kRequest.Field("name"), call.get());
-    if (!session.ok()) return session.status();
-    (*session)->AcceptDataLoss(
-        request->durable_sequence(),
-        FinishWith<VehicleView>(call, [=](const VehicleView& view) {
-          EncodeVehicle(view, response->mutable_vehicle());
-          return absl::OkStatus();
-        }));
-    return absl::OkStatus();
-  });
+        const auto session = SessionOf(context_, request->name(),
+                                       kRequest.Field("name"), call.get());
+        if (!session.ok()) return session.status();
+        (*session)->AcceptDataLoss(
+            request->durable_sequence(),
+            FinishWith<VehicleView>(call, [=](const VehicleView& view) {
+              EncodeVehicle(view, response->mutable_vehicle());
+              return absl::OkStatus();
+            }));
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::GetServerInfo(
@@ -746,24 +757,25 @@ grpc::ServerUnaryReactor* PoseGraphService::GetServerInfo(
     const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
   return Unary<v1::GetServerInfoRequest, v1::GetServerInfoResponse>(
       call_context, "GetServerInfo", request_bytes, response_bytes,
-      [=](const UnaryCallPtr& call, const v1::GetServerInfoRequest* ,
+      [=](const UnaryCallPtr& call, const v1::GetServerInfoRequest*,
           v1::GetServerInfoResponse* response) {
-    response->set_version(REVISIT_VERSION);
-    response->set_durability(v1::DURABILITY_LOCAL);
-    response->set_store_format(kStoreFormat);
-    response->set_max_batch_poses(context_.limits.max_batch_poses);
-    response->set_max_message_bytes(context_.limits.max_message_bytes);
-    response->set_max_batches_in_flight(context_.limits.max_batches_in_flight);
-    // What others have on the server is no business of a tenant's.
-    if (!call->caller().grants || call->caller().tenant == "*") {
-      const Fleet::Residency residency = context_.fleet->residency();
-      response->set_resident_vehicle_count(residency.vehicles);
-      response->set_resident_node_count(residency.nodes);
-      response->set_resident_bytes(residency.bytes);
-    }
-    call->End(absl::OkStatus());
-    return absl::OkStatus();
-  });
+        response->set_version(REVISIT_VERSION);
+        response->set_durability(v1::DURABILITY_LOCAL);
+        response->set_store_format(kStoreFormat);
+        response->set_max_batch_poses(context_.limits.max_batch_poses);
+        response->set_max_message_bytes(context_.limits.max_message_bytes);
+        response->set_max_batches_in_flight(
+            context_.limits.max_batches_in_flight);
+        // What others have on the server is no business of a tenant's.
+        if (!call->caller().grants || call->caller().tenant == "*") {
+          const Fleet::Residency residency = context_.fleet->residency();
+          response->set_resident_vehicle_count(residency.vehicles);
+          response->set_resident_node_count(residency.nodes);
+          response->set_resident_bytes(residency.bytes);
+        }
+        call->End(absl::OkStatus());
+        return absl::OkStatus();
+      });
 }
 
 }  // namespace revisit::server
