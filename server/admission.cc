@@ -113,6 +113,10 @@ Admission::Admission(const Limits& limits, int search_threads,
                                        limits.max_searches_per_vehicle)),
       queue_(std::make_shared<Pool>(limits.max_queued_bytes,
                                     limits.max_queued_bytes_per_vehicle)),
+      // Revisions come in pieces, so that one alone is not told from several.
+      drafts_(std::make_shared<Pool>(
+          std::max(limits.max_draft_bytes, limits.max_revision_bytes),
+          limits.max_revision_bytes)),
       exports_(std::make_shared<Pool>(
           limits.max_export_bytes,
           limits.max_export_bytes / kExportsOfAllAndOfOne)),
@@ -192,6 +196,22 @@ absl::StatusOr<Permit> Admission::Queue(const std::string& vehicle,
                        limits_.max_queued_bytes_per_vehicle);
   }
   return Pool::MakePermit(queue_, vehicle, bytes);
+}
+
+absl::StatusOr<Permit> Admission::Draft(const std::string& vehicle,
+                                        std::int64_t bytes) {
+  switch (drafts_->Take(vehicle, bytes)) {
+    case Pool::Outcome::kTaken:
+      break;
+    case Pool::Outcome::kAllTaken:
+      return Overloaded("streams", "bytes of revisions that are being sent",
+                        limits_.max_draft_bytes);
+    case Pool::Outcome::kKeyTaken:
+      return OverQuota("QUEUE_FULL", "vehicles/" + vehicle,
+                       "bytes of revisions that are being sent",
+                       limits_.max_revision_bytes);
+  }
+  return Pool::MakePermit(drafts_, vehicle, bytes);
 }
 
 absl::StatusOr<Permit> Admission::Export(const std::string& vehicle,

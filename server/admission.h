@@ -60,6 +60,9 @@ class Admission {
   // Bytes of a batch that waits to be durable: OVERLOADED, or QUEUE_FULL of the
   // vehicle.
   absl::StatusOr<Permit> Queue(const std::string& vehicle, std::int64_t bytes);
+  // Bytes of a revision that is being sent: OVERLOADED, or QUEUE_FULL of the
+  // vehicle.
+  absl::StatusOr<Permit> Draft(const std::string& vehicle, std::int64_t bytes);
   // Bytes of a graph that is being exported: OVERLOADED, or STREAM_QUOTA of the
   // vehicle.
   absl::StatusOr<Permit> Export(const std::string& vehicle, std::int64_t bytes);
@@ -95,6 +98,7 @@ class Admission {
   const std::shared_ptr<Pool> vehicle_streams_;
   const std::shared_ptr<Pool> searches_;
   const std::shared_ptr<Pool> queue_;
+  const std::shared_ptr<Pool> drafts_;
   const std::shared_ptr<Pool> exports_;
 
   Mutex mutex_;

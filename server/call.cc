@@ -246,6 +246,10 @@ absl::StatusOr<Permit> Call::AdmitBatch(std::size_t bytes) const {
   return room_->Queue(vehicle_, static_cast<std::int64_t>(bytes));
 }
 
+absl::StatusOr<Permit> Call::AdmitDraft(std::int64_t bytes) const {
+  return room_->Draft(vehicle_, bytes);
+}
+
 absl::StatusOr<Permit> Call::AdmitExport(std::size_t bytes) const {
   return room_->Export(vehicle_, static_cast<std::int64_t>(bytes));
 }

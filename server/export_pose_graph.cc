@@ -32,9 +32,9 @@ constexpr core::NodeIndex kEdgesAMessage = 4096;
 // Writes a graph piece by piece: the next piece is made when the last has gone
 // out. Held by a shared_ptr for the reasons given in stream_poses.cc.
 //
-// A client that takes nothing for slow_consumer_seconds gets no more: it is told
-// so when it comes to read what has been written, and cut off if it does not for
-// as long again.
+// A client that takes nothing for slow_consumer_seconds gets no more: it is
+// told so when it comes to read what has been written, and cut off if it does
+// not for as long again.
 class Export final : public grpc::ServerWriteReactor<grpc::ByteBuffer>,
                      public std::enable_shared_from_this<Export> {
  public:
@@ -98,11 +98,10 @@ class Export final : public grpc::ServerWriteReactor<grpc::ByteBuffer>,
 
   void OnRead(const absl::StatusOr<VehicleView>& view) {
     const absl::StatusOr<std::shared_ptr<const GraphSnapshot>> snapshot =
-        view.ok() ? context_.snapshots->Take(
-                        *view,
-                        [this](std::size_t bytes) {
-                          return call_.AdmitExport(bytes);
-                        })
+        view.ok() ? context_.snapshots->Take(*view,
+                                             [this](std::size_t bytes) {
+                                               return call_.AdmitExport(bytes);
+                                             })
                   : view.status();
     const MutexLock lock(&mutex_);
     if (!snapshot.ok()) {
@@ -185,8 +184,8 @@ class Export final : public grpc::ServerWriteReactor<grpc::ByteBuffer>,
 
   void AddNodes() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     const core::PoseGraph& graph = snapshot_->graph;
-    for (core::NodeIndex i = 0;
-         i < kNodesAMessage && next_node_ < graph.size(); ++i, ++next_node_) {
+    for (core::NodeIndex i = 0; i < kNodesAMessage && next_node_ < graph.size();
+         ++i, ++next_node_) {
       EncodeNode(graph, next_node_, snapshot_->space, true,
                  message_.add_nodes());
     }

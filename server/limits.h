@@ -55,6 +55,10 @@ struct Limits {
   // Most bytes that one RevisePoses call may bring. They wait on the disk
   // (revision_draft.h). Range [1024, 2^36].
   std::int64_t max_revision_bytes = std::int64_t{256} << 20;
+  // What all such calls together may bring, in steps of a mebibyte, which a
+  // single one may exceed; those of one vehicle may come to max_revision_bytes.
+  // Range [1024, 2^40].
+  std::int64_t max_draft_bytes = std::int64_t{1} << 30;
 
   // ---- Streams (admission.h for those over all calls)
 

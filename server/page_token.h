@@ -2,9 +2,9 @@
 // for.
 //
 // The seal tells mistakes. It is no secret, so that a token is good at any
-// server and after any restart; one that a caller makes, or changes, is worth no
-// more than a page that the caller may have anyway, or is refused: nothing is
-// believed of it but that it has the form of a key.
+// server and after any restart; one that a caller makes, or changes, is worth
+// no more than a page that the caller may have anyway, or is refused: nothing
+// is believed of it but that it has the form of a key.
 #ifndef REVISIT_SERVER_PAGE_TOKEN_H_
 #define REVISIT_SERVER_PAGE_TOKEN_H_
 

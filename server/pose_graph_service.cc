@@ -502,15 +502,15 @@ grpc::ServerUnaryReactor* PoseGraphService::GetVehicle(
       call_context, "GetVehicle", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::GetVehicleRequest* request,
           v1::GetVehicleResponse* response) {
-    const auto session = SessionOf(context_, request->name(),
-                                   kRequest.Field("name"), call.get());
-    if (!session.ok()) return session.status();
-    (*session)->Read(FinishWith<VehicleView>(call, [=](const auto& view) {
-      EncodeVehicle(view, response->mutable_vehicle());
-      return absl::OkStatus();
-    }));
-    return absl::OkStatus();
-  });
+        const auto session = SessionOf(context_, request->name(),
+                                       kRequest.Field("name"), call.get());
+        if (!session.ok()) return session.status();
+        (*session)->Read(FinishWith<VehicleView>(call, [=](const auto& view) {
+          EncodeVehicle(view, response->mutable_vehicle());
+          return absl::OkStatus();
+        }));
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::ListVehicles(
@@ -520,24 +520,25 @@ grpc::ServerUnaryReactor* PoseGraphService::ListVehicles(
       call_context, "ListVehicles", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::ListVehiclesRequest* request,
           v1::ListVehiclesResponse* response) {
-    const std::string list = "ListVehicles";
-    const absl::StatusOr<int> page_size =
-        PageSize(request->page_size(), 100, 1000);
-    if (!page_size.ok()) return page_size.status();
-    const absl::StatusOr<std::string> after =
-        ParsePageToken(list, request->page_token());
-    if (!after.ok()) return after.status();
-    context_.executor->Post([=, context = context_] {
-      const absl::Status status = ListStored(
-          context.storage, call->caller(), list, *after, *page_size, response);
-      if (status.ok()) {
-        FillFromMemory(context.fleet, call, response);
-      } else {
-        call->End(status);
-      }
-    });
-    return absl::OkStatus();
-  });
+        const std::string list = "ListVehicles";
+        const absl::StatusOr<int> page_size =
+            PageSize(request->page_size(), 100, 1000);
+        if (!page_size.ok()) return page_size.status();
+        const absl::StatusOr<std::string> after =
+            ParsePageToken(list, request->page_token());
+        if (!after.ok()) return after.status();
+        context_.executor->Post([=, context = context_] {
+          const absl::Status status =
+              ListStored(context.storage, call->caller(), list, *after,
+                         *page_size, response);
+          if (status.ok()) {
+            FillFromMemory(context.fleet, call, response);
+          } else {
+            call->End(status);
+          }
+        });
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::UpdateVehicle(
@@ -581,17 +582,17 @@ grpc::ServerUnaryReactor* PoseGraphService::DeleteVehicle(
   return Unary<v1::DeleteVehicleRequest, v1::DeleteVehicleResponse>(
       call_context, "DeleteVehicle", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::DeleteVehicleRequest* request,
-          v1::DeleteVehicleResponse* ) {
-    const absl::StatusOr<std::string> id =
-        ParseVehicleName(request->name(), kRequest.Field("name"));
-    if (!id.ok()) return id.status();
-    if (absl::Status status = call->ChooseVehicle(*id); !status.ok()) {
-      return status;
-    }
-    context_.fleet->Delete(
-        *id, [=](const absl::Status& status) { call->End(status); });
-    return absl::OkStatus();
-  });
+          v1::DeleteVehicleResponse*) {
+        const absl::StatusOr<std::string> id =
+            ParseVehicleName(request->name(), kRequest.Field("name"));
+        if (!id.ok()) return id.status();
+        if (absl::Status status = call->ChooseVehicle(*id); !status.ok()) {
+          return status;
+        }
+        context_.fleet->Delete(
+            *id, [=](const absl::Status& status) { call->End(status); });
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
@@ -653,16 +654,17 @@ grpc::ServerUnaryReactor* PoseGraphService::FindCandidates(
       call_context, "FindCandidates", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::FindCandidatesRequest* request,
           v1::FindCandidatesResponse* response) {
-    const auto session = SessionOf(context_, request->vehicle(),
-                                   kRequest.Field("vehicle"), call.get());
-    if (!session.ok()) return session.status();
-    if (absl::Status status = call->AdmitSearch(); !status.ok()) return status;
-    (*session)->Search(FinishWith<VehicleView>(
-        call, [=, limits = context_.limits](const VehicleView& view) {
-          return Find(*call, limits, view, *request, response);
-        }));
-    return absl::OkStatus();
-  });
+        const auto session = SessionOf(context_, request->vehicle(),
+                                       kRequest.Field("vehicle"), call.get());
+        if (!session.ok()) return session.status();
+        if (absl::Status status = call->AdmitSearch(); !status.ok())
+          return status;
+        (*session)->Search(FinishWith<VehicleView>(
+            call, [=, limits = context_.limits](const VehicleView& view) {
+              return Find(*call, limits, view, *request, response);
+            }));
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::AddLoopClosure(
@@ -672,12 +674,12 @@ grpc::ServerUnaryReactor* PoseGraphService::AddLoopClosure(
       call_context, "AddLoopClosure", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::AddLoopClosureRequest* request,
           v1::AddLoopClosureResponse* response) {
-    return AddPair(
-        context_, call, PairKind::kLoopClosure, request->parent(),
-        request->loop_closure_id(),
-        request->has_loop_closure() ? &request->loop_closure() : nullptr,
-        &v1::AddLoopClosureResponse::mutable_loop_closure, response);
-  });
+        return AddPair(
+            context_, call, PairKind::kLoopClosure, request->parent(),
+            request->loop_closure_id(),
+            request->has_loop_closure() ? &request->loop_closure() : nullptr,
+            &v1::AddLoopClosureResponse::mutable_loop_closure, response);
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::ListLoopClosures(
@@ -687,9 +689,10 @@ grpc::ServerUnaryReactor* PoseGraphService::ListLoopClosures(
       call_context, "ListLoopClosures", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::ListLoopClosuresRequest* request,
           v1::ListLoopClosuresResponse* response) {
-    return ListPairs(context_, call, PairKind::kLoopClosure, "ListLoopClosures",
-                     *request, response->mutable_loop_closures(), response);
-  });
+        return ListPairs(context_, call, PairKind::kLoopClosure,
+                         "ListLoopClosures", *request,
+                         response->mutable_loop_closures(), response);
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::DeleteLoopClosure(
@@ -699,9 +702,9 @@ grpc::ServerUnaryReactor* PoseGraphService::DeleteLoopClosure(
       call_context, "DeleteLoopClosure", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::DeleteLoopClosureRequest* request,
           v1::DeleteLoopClosureResponse* response) {
-                 return DeletePair(context_, call, PairKind::kLoopClosure,
-                                   request->name(), response);
-               });
+        return DeletePair(context_, call, PairKind::kLoopClosure,
+                          request->name(), response);
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::RejectCandidate(
@@ -711,21 +714,23 @@ grpc::ServerUnaryReactor* PoseGraphService::RejectCandidate(
       call_context, "RejectCandidate", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::RejectCandidateRequest* request,
           v1::RejectCandidateResponse* response) {
-    return AddPair(
-        context_, call, PairKind::kRejectedCandidate, request->parent(),
-        request->rejected_candidate_id(),
-        request->has_rejected_candidate() ? &request->rejected_candidate()
-                                          : nullptr,
-        &v1::RejectCandidateResponse::mutable_rejected_candidate, response);
-  });
+        return AddPair(
+            context_, call, PairKind::kRejectedCandidate, request->parent(),
+            request->rejected_candidate_id(),
+            request->has_rejected_candidate() ? &request->rejected_candidate()
+                                              : nullptr,
+            &v1::RejectCandidateResponse::mutable_rejected_candidate, response);
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::ListRejectedCandidates(
     grpc::CallbackServerContext* call_context,
     const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
-  return Unary<v1::ListRejectedCandidatesRequest, v1::ListRejectedCandidatesResponse>(
+  return Unary<v1::ListRejectedCandidatesRequest,
+               v1::ListRejectedCandidatesResponse>(
       call_context, "ListRejectedCandidates", request_bytes, response_bytes,
-      [=](const UnaryCallPtr& call, const v1::ListRejectedCandidatesRequest* request,
+      [=](const UnaryCallPtr& call,
+          const v1::ListRejectedCandidatesRequest* request,
           v1::ListRejectedCandidatesResponse* response) {
         return ListPairs(context_, call, PairKind::kRejectedCandidate,
                          "ListRejectedCandidates", *request,
@@ -736,13 +741,15 @@ grpc::ServerUnaryReactor* PoseGraphService::ListRejectedCandidates(
 grpc::ServerUnaryReactor* PoseGraphService::DeleteRejectedCandidate(
     grpc::CallbackServerContext* call_context,
     const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
-  return Unary<v1::DeleteRejectedCandidateRequest, v1::DeleteRejectedCandidateResponse>(
+  return Unary<v1::DeleteRejectedCandidateRequest,
+               v1::DeleteRejectedCandidateResponse>(
       call_context, "DeleteRejectedCandidate", request_bytes, response_bytes,
-      [=](const UnaryCallPtr& call, const v1::DeleteRejectedCandidateRequest* request,
+      [=](const UnaryCallPtr& call,
+          const v1::DeleteRejectedCandidateRequest* request,
           v1::DeleteRejectedCandidateResponse* response) {
-                 return DeletePair(context_, call, PairKind::kRejectedCandidate,
-                                   request->name(), response);
-               });
+        return DeletePair(context_, call, PairKind::kRejectedCandidate,
+                          request->name(), response);
+      });
 }
 
 grpc::ServerReadReactor<v1::RevisePosesRequest>* PoseGraphService::RevisePoses(
@@ -822,24 +829,25 @@ grpc::ServerUnaryReactor* PoseGraphService::GetServerInfo(
     const grpc::ByteBuffer* request_bytes, grpc::ByteBuffer* response_bytes) {
   return Unary<v1::GetServerInfoRequest, v1::GetServerInfoResponse>(
       call_context, "GetServerInfo", request_bytes, response_bytes,
-      [=](const UnaryCallPtr& call, const v1::GetServerInfoRequest* ,
+      [=](const UnaryCallPtr& call, const v1::GetServerInfoRequest*,
           v1::GetServerInfoResponse* response) {
-    response->set_version(REVISIT_VERSION);
-    response->set_durability(v1::DURABILITY_LOCAL);
-    response->set_store_format(kStoreFormat);
-    response->set_max_batch_poses(context_.limits.max_batch_poses);
-    response->set_max_message_bytes(context_.limits.max_message_bytes);
-    response->set_max_batches_in_flight(context_.limits.max_batches_in_flight);
-    // What others have on the server is no business of a tenant's.
-    if (!call->caller().grants || call->caller().tenant == "*") {
-      const Fleet::Residency residency = context_.fleet->residency();
-      response->set_resident_vehicle_count(residency.vehicles);
-      response->set_resident_node_count(residency.nodes);
-      response->set_resident_bytes(residency.bytes);
-    }
-    call->End(absl::OkStatus());
-    return absl::OkStatus();
-  });
+        response->set_version(REVISIT_VERSION);
+        response->set_durability(v1::DURABILITY_LOCAL);
+        response->set_store_format(kStoreFormat);
+        response->set_max_batch_poses(context_.limits.max_batch_poses);
+        response->set_max_message_bytes(context_.limits.max_message_bytes);
+        response->set_max_batches_in_flight(
+            context_.limits.max_batches_in_flight);
+        // What others have on the server is no business of a tenant's.
+        if (!call->caller().grants || call->caller().tenant == "*") {
+          const Fleet::Residency residency = context_.fleet->residency();
+          response->set_resident_vehicle_count(residency.vehicles);
+          response->set_resident_node_count(residency.nodes);
+          response->set_resident_bytes(residency.bytes);
+        }
+        call->End(absl::OkStatus());
+        return absl::OkStatus();
+      });
 }
 
 }  // namespace revisit::server

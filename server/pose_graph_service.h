@@ -10,8 +10,8 @@
 namespace revisit::server {
 
 // Calls with one message get it as bytes: so that one that is no protobuf is
-// answered as other mistakes of callers are, and nothing is parsed of callers who
-// are not let in.
+// answered as other mistakes of callers are, and nothing is parsed of callers
+// who are not let in.
 namespace service_internal {
 
 using Service = v1::PoseGraphService;
@@ -39,8 +39,8 @@ using WithCandidates = Service::WithRawCallbackMethod_FindCandidates<
 template <typename Base>
 using WithOperations = Service::WithRawCallbackMethod_AcceptDataLoss<
     Service::WithRawCallbackMethod_GetServerInfo<Base>>;
-using AllMethods = WithVehicles<WithPoses<WithLoopClosures<
-    WithCandidates<WithOperations<Service::Service>>>>>;
+using AllMethods = WithVehicles<WithPoses<
+    WithLoopClosures<WithCandidates<WithOperations<Service::Service>>>>>;
 
 }  // namespace service_internal
 
@@ -49,32 +49,32 @@ class PoseGraphService final : public service_internal::AllMethods {
   explicit PoseGraphService(const ServiceContext& context)
       : context_(context) {}
 
-  grpc::ServerUnaryReactor* CreateVehicle(
-      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
-      grpc::ByteBuffer* response) override;
-  grpc::ServerUnaryReactor* GetVehicle(
-      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
-      grpc::ByteBuffer* response) override;
-  grpc::ServerUnaryReactor* ListVehicles(
-      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
-      grpc::ByteBuffer* response) override;
-  grpc::ServerUnaryReactor* UpdateVehicle(
-      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
-      grpc::ByteBuffer* response) override;
-  grpc::ServerUnaryReactor* DeleteVehicle(
-      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
-      grpc::ByteBuffer* response) override;
-  grpc::ServerUnaryReactor* AppendPoses(
-      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
-      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* CreateVehicle(grpc::CallbackServerContext* call,
+                                          const grpc::ByteBuffer* request,
+                                          grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* GetVehicle(grpc::CallbackServerContext* call,
+                                       const grpc::ByteBuffer* request,
+                                       grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* ListVehicles(grpc::CallbackServerContext* call,
+                                         const grpc::ByteBuffer* request,
+                                         grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* UpdateVehicle(grpc::CallbackServerContext* call,
+                                          const grpc::ByteBuffer* request,
+                                          grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* DeleteVehicle(grpc::CallbackServerContext* call,
+                                          const grpc::ByteBuffer* request,
+                                          grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* AppendPoses(grpc::CallbackServerContext* call,
+                                        const grpc::ByteBuffer* request,
+                                        grpc::ByteBuffer* response) override;
   grpc::ServerBidiReactor<v1::StreamPosesRequest, v1::StreamPosesResponse>*
   StreamPoses(grpc::CallbackServerContext* call) override;
-  grpc::ServerUnaryReactor* FindCandidates(
-      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
-      grpc::ByteBuffer* response) override;
-  grpc::ServerUnaryReactor* AddLoopClosure(
-      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
-      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* FindCandidates(grpc::CallbackServerContext* call,
+                                           const grpc::ByteBuffer* request,
+                                           grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* AddLoopClosure(grpc::CallbackServerContext* call,
+                                           const grpc::ByteBuffer* request,
+                                           grpc::ByteBuffer* response) override;
   grpc::ServerUnaryReactor* ListLoopClosures(
       grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
       grpc::ByteBuffer* response) override;
@@ -93,18 +93,18 @@ class PoseGraphService final : public service_internal::AllMethods {
   grpc::ServerReadReactor<v1::RevisePosesRequest>* RevisePoses(
       grpc::CallbackServerContext* call,
       v1::RevisePosesResponse* response) override;
-  grpc::ServerUnaryReactor* ListPoses(
-      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
-      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* ListPoses(grpc::CallbackServerContext* call,
+                                      const grpc::ByteBuffer* request,
+                                      grpc::ByteBuffer* response) override;
   grpc::ServerWriteReactor<grpc::ByteBuffer>* ExportPoseGraph(
       grpc::CallbackServerContext* call,
       const grpc::ByteBuffer* request) override;
-  grpc::ServerUnaryReactor* AcceptDataLoss(
-      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
-      grpc::ByteBuffer* response) override;
-  grpc::ServerUnaryReactor* GetServerInfo(
-      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
-      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* AcceptDataLoss(grpc::CallbackServerContext* call,
+                                           const grpc::ByteBuffer* request,
+                                           grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* GetServerInfo(grpc::CallbackServerContext* call,
+                                          const grpc::ByteBuffer* request,
+                                          grpc::ByteBuffer* response) override;
 
  private:
   // Runs the handler of a unary call. `handle` is given the call, the request

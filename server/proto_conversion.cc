@@ -1266,8 +1266,7 @@ absl::StatusOr<DecodedBatch> DecodeBatch(const Poses& poses, int max_poses,
 void DropUnknownFields(Poses* poses) {
   // Asked of each message first: dropping visits every field by reflection.
   const auto is_clean = [](bool has, const google::protobuf::Message& message) {
-    return !has ||
-           message.GetReflection()->GetUnknownFields(message).empty();
+    return !has || message.GetReflection()->GetUnknownFields(message).empty();
   };
   for (v1::Pose& pose : *poses) {
     if (is_clean(true, pose) && is_clean(pose.has_stamp(), pose.stamp()) &&

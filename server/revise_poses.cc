@@ -178,6 +178,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
  private:
   void End(const absl::Status& status) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     finished_ = true;
+    draft_room_.clear();
     Finish(call_.End(status));
   }
 
@@ -218,6 +219,16 @@ class Revision final : public grpc::ServerReadReactor<Request>,
           "BATCH_SIZE", request.Field("poses"),
           "the call brings more than " +
               std::to_string(context_.limits.max_revision_bytes) + " bytes");
+    }
+    // No more than the limit, so that there is room for all of a revision that
+    // has its vehicle to itself.
+    while (bytes_ > drafted_) {
+      const std::int64_t step =
+          std::min(kDraftStep, context_.limits.max_revision_bytes - drafted_);
+      absl::StatusOr<Permit> room = call_.AdmitDraft(step);
+      if (!room.ok()) return room.status();
+      draft_room_.push_back(*std::move(room));
+      drafted_ += step;
     }
     absl::StatusOr<Permit> room = call_.AdmitBatch(request_.SpaceUsedLong());
     if (!room.ok()) return room.status();
@@ -359,6 +370,9 @@ class Revision final : public grpc::ServerReadReactor<Request>,
 
   Mutex mutex_;
   std::shared_ptr<VehicleSession> session_ ABSL_GUARDED_BY(mutex_);
+  // Room for the draft, and how much.
+  std::vector<Permit> draft_room_ ABSL_GUARDED_BY(mutex_);
+  std::int64_t drafted_ ABSL_GUARDED_BY(mutex_) = 0;
   std::string vehicle_ ABSL_GUARDED_BY(mutex_);
   bool revising_ ABSL_GUARDED_BY(mutex_) = false;
   bool finished_ ABSL_GUARDED_BY(mutex_) = false;

@@ -323,7 +323,11 @@ class OptionTable {
               "Most poses in a batch");
     AddNumber(messages, "max-revision-bytes", &l.max_revision_bytes, 1024,
               std::int64_t{1} << 36,
-              "Most bytes one RevisePoses call may bring");
+              "Most bytes one RevisePoses call may bring, and those of one "
+              "vehicle at a time");
+    AddNumber(messages, "max-draft-bytes", &l.max_draft_bytes, 1024,
+              std::int64_t{1} << 40,
+              "What all of them at a time may bring; one alone may bring more");
 
     const char* work = "Work";
     AddNumber(work, "max-streams", &l.max_streams, 1, 1000000,
@@ -341,12 +345,14 @@ class OptionTable {
               "Candidates of one stream that may wait for the client to read "
               "them; a stream with more is ended");
     AddNumber(work, "slow-consumer-seconds", &l.slow_consumer_seconds, 0.1,
-              3600, "What such a client has left to read why, and how long one may "
+              3600,
+              "What such a client has left to read why, and how long one may "
               "take nothing of an export");
-    AddNumber(work, "max-export-bytes", &l.max_export_bytes, 1024,
-              std::int64_t{1} << 40,
-              "Memory of the graphs that are being exported; one alone may take "
-              "more");
+    AddNumber(
+        work, "max-export-bytes", &l.max_export_bytes, 1024,
+        std::int64_t{1} << 40,
+        "Memory of the graphs that are being exported; one alone may take "
+        "more");
     AddNumber(work, "max-pending-appends", &l.max_pending_appends, 1, 1000000,
               "Batches of one vehicle that may wait, over all its streams");
     AddNumber(work, "max-queued-bytes-per-vehicle",

@@ -1,9 +1,9 @@
 // Threads for the vehicles' work, and an order within one vehicle's.
 //
-// Work that takes long (loading, reading the store at length) has threads of its
-// own, and searches have others. However much there is of the one, a thread is
-// free for the others and for the short work, such as acknowledging poses, of
-// all vehicles but those whose turn it is; the operating system shares the
+// Work that takes long (loading, reading the store at length) has threads of
+// its own, and searches have others. However much there is of the one, a thread
+// is free for the others and for the short work, such as acknowledging poses,
+// of all vehicles but those whose turn it is; the operating system shares the
 // processors between them.
 #ifndef REVISIT_SERVER_SESSIONS_EXECUTOR_H_
 #define REVISIT_SERVER_SESSIONS_EXECUTOR_H_

@@ -23,8 +23,8 @@ namespace revisit::server {
 class RevisionDraft {
  public:
   // Makes the file in `directory`. It has no name, so that it goes with this or
-  // with the process, and takes no more than leaves `min_free_bytes` on its file
-  // system.
+  // with the process, and takes no more than leaves `min_free_bytes` on its
+  // file system.
   static absl::StatusOr<std::unique_ptr<RevisionDraft>> Create(
       const std::string& directory, std::int64_t min_free_bytes);
 

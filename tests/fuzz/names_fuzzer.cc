@@ -62,13 +62,13 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
   revisit::fuzz::RequireGoodError(own.status());
   Require(!checked.ok() || (own.ok() && *own == text),
           "a token that was made can be read");
-  const auto sequence = server::ParseSequenceToken(
-      "list", server::MakePageToken("list", text));
+  const auto sequence =
+      server::ParseSequenceToken("list", server::MakePageToken("list", text));
   revisit::fuzz::RequireGoodError(sequence.status());
-  Require(!sequence.ok() ||
-              (*sequence >= 1 && *sequence <= server::kMaxSequence &&
-               std::to_string(*sequence) == text),
-          "a key of poses is a sequence");
+  Require(
+      !sequence.ok() || (*sequence >= 1 && *sequence <= server::kMaxSequence &&
+                         std::to_string(*sequence) == text),
+      "a key of poses is a sequence");
 
   Require(IsPrintableLine(server::Quoted(text)), "a quotation is one line");
   Require(IsPrintableLine(server::EscapeForLog(text)), "so is the log's");

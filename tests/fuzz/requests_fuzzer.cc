@@ -102,7 +102,7 @@ void CheckRevision(const v1::RevisePosesRequest& request,
     poses.push_back(&pose);
     stored.add_poses()->set_sequence(pose.sequence());
   }
-  const absl::Status checked = 
+  const absl::Status checked =
       server::CheckRevisedPoses(request.poses(), 0, config);
   RequireGoodError(checked);
   if (!checked.ok() || poses.empty()) return;

@@ -11,8 +11,8 @@ import pytest
 
 from revisit_server import Server, wait_until
 from stubs import api
-from wire import (append, as_bytes, batches, failure_of, get, list_poses, pose,
-                  straight)
+from wire import (append, as_bytes, batches, decode_failure, failure_of, get,
+                  list_poses, pose, straight)
 
 STORED = 20
 
@@ -131,6 +131,47 @@ def test_revision_may_be_as_large_as_is_allowed_and_no_larger(tmp_path):
         assert answer.revised_count == len(poses)
         assert answer.revision == before.revision + 1
         assert as_bytes(list_poses(stub, "vehicles/car")) == as_bytes(revised)
+
+
+def test_revisions_that_never_end_leave_room_for_those_of_others(tmp_path):
+    with Server(tmp_path / "store", f"--max-revision-bytes={3 << 20}",
+                f"--max-draft-bytes={4 << 20}") as server:
+        stub = server.stub()
+        for name in ("car", "bus"):
+            stub.CreateVehicle(api.CreateVehicleRequest(vehicle_id=name))
+            append(stub, f"vehicles/{name}", straight(STORED))
+        release = threading.Event()
+        started = threading.Semaphore(0)
+
+        def messages():
+            yield message("vehicles/car", moved(1, STORED))
+            started.release()
+            release.wait(60)
+
+        def revise(name):
+            return stub.RevisePoses(iter([message(
+                f"vehicles/{name}", moved(1, STORED))]))
+        calls = [stub.RevisePoses.future(messages()) for _ in range(3)]
+        for _ in calls:
+            assert started.acquire(timeout=20)
+        # What was sent may still be on its way.
+        failure = wait_until(lambda: _failure(lambda: revise("car")), "refusal")
+        assert (failure.code, failure.reason) == (
+            grpc.StatusCode.RESOURCE_EXHAUSTED, "QUEUE_FULL")
+        assert failure.quota_subjects == ["vehicles/car"]
+        assert revise("bus").revised_count == STORED
+        release.set()
+        for call in calls:
+            assert call.result(timeout=20).revised_count == STORED
+        assert revise("car").revised_count == STORED
+
+
+def _failure(call):
+    try:
+        call()
+    except grpc.RpcError as error:
+        return decode_failure(error)
+    return None
 
 
 def test_poses_of_a_revision_may_come_in_any_order_over_its_messages(

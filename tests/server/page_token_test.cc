@@ -32,8 +32,9 @@ TEST(PageTokenTest, GivesBackItsSequence) {
 }
 
 TEST(PageTokenTest, RefusesWhatNoListHasAsAKeyThoughTheSealIsRight) {
-  const auto refused = IsError(StatusCode::kInvalidArgument,
-                               "INVALID_PAGE_TOKEN", StartsWith("page_token: "));
+  const auto refused =
+      IsError(StatusCode::kInvalidArgument, "INVALID_PAGE_TOKEN",
+              StartsWith("page_token: "));
   for (const std::string& key :
        {std::string("0"), std::string("-1"), std::string("+1"),
         std::string("01"), std::string(" 1"), std::string("1 "),

@@ -77,9 +77,8 @@ TEST_F(RevisionDraftTest, BatchesCanBeReadAgainAfterARefusal) {
   ASSERT_THAT(draft->AddBatch({4, 2, 0, zero}), IsOk());
   ASSERT_THAT(draft->AddBatch({1, 3, 0, "a"}), IsOk());
   EXPECT_TRUE(draft->has_batches());
-  EXPECT_THAT(draft->ReadBatches([](const BatchRecord&) {
-    return absl::AbortedError("no");
-  }),
+  EXPECT_THAT(draft->ReadBatches(
+                  [](const BatchRecord&) { return absl::AbortedError("no"); }),
               ::testing::Property(&absl::Status::code, StatusCode::kAborted));
   std::vector<BatchRecord> batches;
   ASSERT_THAT(draft->ReadBatches([&](const BatchRecord& batch) {

@@ -73,8 +73,7 @@ absl::Status BlockingWrites::Revise(VehicleKey key,
                                     const std::vector<BatchRecord>& batches,
                                     std::uint64_t revision) {
   return Blocking([&](Storage::Done done) {
-    storage_->ReviseBatches(key, BatchesOf(batches), revision,
-                            std::move(done));
+    storage_->ReviseBatches(key, BatchesOf(batches), revision, std::move(done));
   });
 }
 
