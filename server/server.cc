@@ -221,9 +221,9 @@ struct RevisitServer::State {
   std::unique_ptr<Admission> admission;
   std::unique_ptr<Periodic> unload_timer;
   Drain drain;
-  std::unique_ptr<Gatekeeper> gatekeeper;
   // Null if the listener speaks plaintext.
   std::unique_ptr<TlsFiles> tls_files;
+  std::unique_ptr<Gatekeeper> gatekeeper;
   std::unique_ptr<Periodic> tls_timer;
   std::shared_ptr<grpc::ServerCredentials> credentials;
   std::unique_ptr<PoseGraphService> service;
@@ -238,7 +238,8 @@ struct RevisitServer::State {
 namespace {
 
 absl::StatusOr<std::unique_ptr<Gatekeeper>> MakeGatekeeper(
-    const ServerSettings& settings, const Log* log) {
+    const ServerSettings& settings, const TlsFiles* tls_files,
+    const Log* log) {
   if (settings.policy.empty()) return MakeOpenGatekeeper();
   GatekeeperSettings gatekeeper;
   gatekeeper.policy_file = settings.policy;
@@ -247,6 +248,7 @@ absl::StatusOr<std::unique_ptr<Gatekeeper>> MakeGatekeeper(
       settings.token_issuer, settings.token_audience,
       std::chrono::seconds(settings.token_leeway_seconds)};
   gatekeeper.takes_certificates = !settings.tls_client_ca.empty();
+  gatekeeper.tls_files = tls_files;
   gatekeeper.check_period = Milliseconds(settings.security_check_seconds);
   return StartGatekeeper(gatekeeper, log);
 }
@@ -379,15 +381,16 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->library_log.emplace(log);
 
   // First: they are settings, and a wrong one leaves no trace.
-  auto gatekeeper = MakeGatekeeper(settings, log);
   auto tls_files = LoadTlsFiles(settings, log);
+  auto gatekeeper = MakeGatekeeper(
+      settings, tls_files.ok() ? tls_files->get() : nullptr, log);
   for (const absl::Status& status : {gatekeeper.status(), tls_files.status()}) {
     if (status.ok()) continue;
     *error = {kExitUsage, std::string(status.message())};
     return nullptr;
   }
-  state->gatekeeper = *std::move(gatekeeper);
   state->tls_files = *std::move(tls_files);
+  state->gatekeeper = *std::move(gatekeeper);
   if (state->tls_files != nullptr) {
     state->tls_timer = std::make_unique<Periodic>(
         Milliseconds(settings.security_check_seconds),
