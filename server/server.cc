@@ -46,8 +46,9 @@ constexpr std::chrono::milliseconds kGoodbyeTime{100};
 // takes a moment also of those that ended well: 20 MB at most.
 constexpr std::int64_t kCallsToClear = 1000;
 // Calls at a time, those that wait to be cleared away included, of all
-// connections together that have not had one let in: 40 MB.
-constexpr std::int64_t kUnadmittedCalls = 2000;
+// connections together that have not had one let in: 30 MB, and as much again
+// may come between two looks.
+constexpr std::int64_t kUnadmittedCalls = 1500;
 // How often memory is looked at, should no call do so.
 constexpr std::chrono::milliseconds kMemoryPeriod{2000};
 

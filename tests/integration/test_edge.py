@@ -37,8 +37,6 @@ def find_envoy():
 
 ENVOY = find_envoy()
 
-pytestmark = pytest.mark.release_build
-
 
 @pytest.fixture(scope="module", autouse=True)
 def envoy():
@@ -157,6 +155,7 @@ def test_callers_are_served_through_it_and_strangers_answered_by_it(edge):
     assert "UNAUTHENTICATED" not in edge.server.log()
 
 
+@pytest.mark.release_build
 @pytest.mark.parametrize("connections, promised", [
     (1, MB_OF_ONE), (CONNECTIONS, MB_OF_ALL)], ids=["one", "many"])
 @pytest.mark.parametrize("attack", attacks.ATTACKS)
@@ -174,6 +173,7 @@ def test_attack_costs_no_more_than_is_promised(
         call_as_acme(edge, channel, 2)
 
 
+@pytest.mark.release_build
 def test_half_open_connections_cost_no_more_than_is_promised(edge):
     with attacks.Watcher(*edge.pids) as watcher:
         with attacks.half_open(edge.port, 500), \
