@@ -57,12 +57,15 @@ Credentials CredentialsOf(const grpc::CallbackServerContext& context) {
   if (authentication == nullptr || !authentication->IsPeerAuthenticated()) {
     return credentials;
   }
-  const auto certificates =
-      authentication->FindPropertyValues(GRPC_X509_PEM_CERT_PROPERTY_NAME);
-  if (!certificates.empty()) {
-    credentials.certificate_pem.assign(certificates.front().data(),
-                                       certificates.front().size());
-  }
+  const auto property = [&](const char* name) {
+    const auto values = authentication->FindPropertyValues(name);
+    return values.empty()
+               ? std::string()
+               : std::string(values.front().data(), values.front().size());
+  };
+  credentials.certificate_pem = property(GRPC_X509_PEM_CERT_PROPERTY_NAME);
+  credentials.certificate_chain_pem =
+      property(GRPC_X509_PEM_CERT_CHAIN_PROPERTY_NAME);
   return credentials;
 }
 

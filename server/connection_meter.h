@@ -4,10 +4,10 @@
 // gRPC as Debian 12 has it (1.51) stores the headers of a call as they come
 // until they end, holds a client to a limit only once that client has agreed to
 // it, and then to a limit for each frame of headers: a connection whose headers
-// do not end, or that begins calls without end, fills the memory. Only the bytes
-// that come tell, so they are counted before gRPC gets them (metered_reads.h).
-// What counts as use is a call of a caller who is let in, or a message of such a
-// call, and no more of it than a call and a message may bring.
+// do not end, or that begins calls without end, fills the memory. Only the
+// bytes that come tell, so they are counted before gRPC gets them
+// (metered_reads.h). A call of a caller who is let in counts as use, or a
+// message of such a call, and no more of it than call and message may bring.
 #ifndef REVISIT_SERVER_CONNECTION_METER_H_
 #define REVISIT_SERVER_CONNECTION_METER_H_
 

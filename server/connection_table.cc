@@ -121,8 +121,8 @@ void ConnectionTable::Look(Connection* connection) const {
   const std::optional<CallCounts> counts = count_(connection->remote);
   connection->held = counts ? counts->held : 0;
   // Nothing is held of a connection without calls; one whose headers have not
-  // ended is a call as well. But answers may wait to be read that are no calls':
-  // so one has to have come to its end.
+  // ended is a call as well. But answers that belong to no call may wait to be
+  // read: so a call has to have come to its end.
   if (may_be_forgiven && counts && counts->held == 0 &&
       counts->over > connection->forgiven_calls) {
     connection->forgiven_calls = counts->over;
@@ -162,7 +162,8 @@ void ConnectionTable::FindTooMany(
   }
   unadmitted.erase(unadmitted.begin(),
                    unadmitted.begin() + static_cast<std::ptrdiff_t>(kept));
-  const auto most = static_cast<std::size_t>(bounds_.max_unadmitted_connections);
+  const auto most =
+      static_cast<std::size_t>(bounds_.max_unadmitted_connections);
   if (most == 0 || unadmitted.size() <= most) return;
   std::sort(unadmitted.begin(), unadmitted.end(),
             [](const auto& a, const auto& b) {

@@ -1,7 +1,7 @@
 // Counts what connections bring before gRPC gets it.
 //
-// gRPC reads its sockets by recvmsg(). The one of this program stands before the
-// C library's, as the dynamic linker has it for any symbol that a program
+// gRPC reads its sockets by recvmsg(). The one of this program stands before
+// the C library's, as the dynamic linker has it for any symbol that a program
 // defines: it counts, and lets a connection that has passed a bound come to its
 // end. To ask the kernel from time to time instead (TCP_INFO) is no bound: on a
 // loopback 200 MB came between two looks, and whoever asks waits for the

@@ -1,5 +1,5 @@
-// Tells callers what is served: the standard reflection service, v1 and v1alpha,
-// with the comments of the protos.
+// Tells callers what is served: the standard reflection service, v1 and
+// v1alpha, with the comments of the protos.
 //
 // gRPC's own, as Debian 12 has it (1.51), keeps a thread for each stream, as
 // many as callers open, and knows neither v1 nor comments.

@@ -26,6 +26,9 @@ namespace {
 
 using Request = v1::RevisePosesRequest;
 
+// A revision takes room on the disk in pieces of this.
+constexpr std::int64_t kDraftStep = std::int64_t{1} << 20;
+
 absl::Status RevisionMismatch(const VehicleView& view, std::uint64_t expected) {
   return Error(absl::StatusCode::kAborted, "REVISION_MISMATCH",
                VehicleName(view.id) + " is at revision " +

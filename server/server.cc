@@ -47,8 +47,9 @@ constexpr std::chrono::milliseconds kGoodbyeTime{100};
 // takes a moment also of those that ended well: 20 MB at most.
 constexpr std::int64_t kCallsToClear = 1000;
 // Calls at a time, those that wait to be cleared away included, of all
-// connections together that have not had one let in: 40 MB.
-constexpr std::int64_t kUnadmittedCalls = 2000;
+// connections together that have not had one let in: 30 MB, and as much again
+// may come between two looks.
+constexpr std::int64_t kUnadmittedCalls = 1500;
 // Reads go on while the store has no room for writes, so that they have a health
 // service of their own.
 constexpr char kWriteHealth[] = "revisit.v1.PoseGraphService/write";
@@ -244,9 +245,9 @@ struct RevisitServer::State {
   GraphSnapshots snapshots;
   std::unique_ptr<Periodic> unload_timer;
   Drain drain;
-  std::unique_ptr<Gatekeeper> gatekeeper;
   // Null if the listener speaks plaintext.
   std::unique_ptr<TlsFiles> tls_files;
+  std::unique_ptr<Gatekeeper> gatekeeper;
   std::unique_ptr<Periodic> tls_timer;
   std::shared_ptr<grpc::ServerCredentials> credentials;
   std::unique_ptr<PoseGraphService> service;
@@ -262,7 +263,8 @@ struct RevisitServer::State {
 namespace {
 
 absl::StatusOr<std::unique_ptr<Gatekeeper>> MakeGatekeeper(
-    const ServerSettings& settings, const Log* log) {
+    const ServerSettings& settings, const TlsFiles* tls_files,
+    const Log* log) {
   if (settings.policy.empty()) return MakeOpenGatekeeper();
   GatekeeperSettings gatekeeper;
   gatekeeper.policy_file = settings.policy;
@@ -271,6 +273,7 @@ absl::StatusOr<std::unique_ptr<Gatekeeper>> MakeGatekeeper(
       settings.token_issuer, settings.token_audience,
       std::chrono::seconds(settings.token_leeway_seconds)};
   gatekeeper.takes_certificates = !settings.tls_client_ca.empty();
+  gatekeeper.tls_files = tls_files;
   gatekeeper.check_period = Milliseconds(settings.security_check_seconds);
   return StartGatekeeper(gatekeeper, log);
 }
@@ -403,15 +406,16 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->library_log.emplace(log);
 
   // First: they are settings, and a wrong one leaves no trace.
-  auto gatekeeper = MakeGatekeeper(settings, log);
   auto tls_files = LoadTlsFiles(settings, log);
+  auto gatekeeper = MakeGatekeeper(
+      settings, tls_files.ok() ? tls_files->get() : nullptr, log);
   for (const absl::Status& status : {gatekeeper.status(), tls_files.status()}) {
     if (status.ok()) continue;
     *error = {kExitUsage, std::string(status.message())};
     return nullptr;
   }
-  state->gatekeeper = *std::move(gatekeeper);
   state->tls_files = *std::move(tls_files);
+  state->gatekeeper = *std::move(gatekeeper);
   if (state->tls_files != nullptr) {
     state->tls_timer = std::make_unique<Periodic>(
         Milliseconds(settings.security_check_seconds),

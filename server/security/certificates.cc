@@ -219,4 +219,38 @@ absl::StatusOr<ClientCertificate> ReadClientCertificate(
   return client;
 }
 
+absl::Status CheckClientAuthority(const std::string& pem,
+                                  const std::string& chain,
+                                  const std::string& authorities) {
+  ERR_clear_error();
+  const openssl::Certificate certificate =
+      openssl::ReadCertificate(openssl::Memory(pem));
+  const openssl::Store store(X509_STORE_new());
+  const openssl::StoreContext context(X509_STORE_CTX_new());
+  const openssl::CertificateStack between(sk_X509_new_null());
+  if (certificate == nullptr || store == nullptr || context == nullptr ||
+      between == nullptr) {
+    return ProblemWithReason("the client certificate cannot be read");
+  }
+  const openssl::Bio trusted = openssl::Memory(authorities);
+  while (const openssl::Certificate one = openssl::ReadCertificate(trusted)) {
+    X509_STORE_add_cert(store.get(), one.get());
+  }
+  // An authority that is listed is trusted, whoever issued it.
+  X509_STORE_set_flags(store.get(), X509_V_FLAG_PARTIAL_CHAIN);
+  const openssl::Bio shown = openssl::Memory(chain);
+  while (openssl::Certificate one = openssl::ReadCertificate(shown)) {
+    if (sk_X509_push(between.get(), one.get()) > 0) one.release();
+  }
+  if (X509_STORE_CTX_init(context.get(), store.get(), certificate.get(),
+                          between.get()) != 1) {
+    return ProblemWithReason("the client certificate cannot be verified");
+  }
+  const bool verified = X509_verify_cert(context.get()) == 1;
+  const int error = X509_STORE_CTX_get_error(context.get());
+  ERR_clear_error();
+  if (verified) return absl::OkStatus();
+  return Problem(X509_verify_cert_error_string(error));
+}
+
 }  // namespace revisit::server

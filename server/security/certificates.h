@@ -49,6 +49,13 @@ struct ClientCertificate {
 // Reads one that the handshake has verified.
 absl::StatusOr<ClientCertificate> ReadClientCertificate(const std::string& pem);
 
+// Whether one of `authorities` stands behind a client's certificate now, by way
+// of `chain`, which came with it and may be empty. All in PEM. INVALID_ARGUMENT
+// with OpenSSL's reason otherwise.
+absl::Status CheckClientAuthority(const std::string& pem,
+                                  const std::string& chain,
+                                  const std::string& authorities);
+
 }  // namespace revisit::server
 
 #endif  // REVISIT_SERVER_SECURITY_CERTIFICATES_H_

@@ -85,9 +85,17 @@ class Rules {
                 verified->expires);
   }
 
+  // `files` may be null.
   absl::StatusOr<std::shared_ptr<const Caller>> ByCertificate(
-      const std::string& pem, Gatekeeper::Time now) const {
-    const std::string fingerprint = Fingerprint(pem);
+      const Credentials& credentials, const TlsFiles* files,
+      Gatekeeper::Time now) const {
+    const std::string& pem = credentials.certificate_pem;
+    const TlsFiles::Current trusted =
+        files == nullptr ? TlsFiles::Current() : files->current();
+    // Whom other authorities stood behind is not remembered.
+    const std::string fingerprint =
+        Fingerprint(std::to_string(trusted.version) + pem +
+                    credentials.certificate_chain_pem);
     if (auto known = Recall(fingerprint)) {
       if (now < known->expires) return known;
     }
@@ -100,6 +108,18 @@ class Rules {
       return Unauthenticated(
           "CERTIFICATE_EXPIRED",
           "the client certificate has expired; connect with a new one");
+    }
+    if (trusted.material != nullptr) {
+      const absl::Status status = CheckClientAuthority(
+          pem, credentials.certificate_chain_pem,
+          trusted.material->client_authorities);
+      if (!status.ok()) {
+        return Unauthenticated(
+            "CREDENTIALS_INVALID",
+            "no authority that is trusted now stands behind the client "
+            "certificate (" +
+                std::string(status.message()) + "); connect with a new one");
+      }
     }
     Identity identity;
     identity.certificate_uris = std::move(certificate->uris);
@@ -205,7 +225,7 @@ class FileGatekeeper final : public Gatekeeper {
       return rules->ByToken(*token, now);
     }
     if (settings_.takes_certificates && !credentials.certificate_pem.empty()) {
-      return rules->ByCertificate(credentials.certificate_pem, now);
+      return rules->ByCertificate(credentials, settings_.tls_files, now);
     }
     std::string needed;
     if (rules->takes_tokens()) {

@@ -13,6 +13,7 @@
 #include "absl/status/statusor.h"
 #include "server/logging.h"
 #include "server/security/caller.h"
+#include "server/security/tls_files.h"
 #include "server/security/token.h"
 
 namespace revisit::server {
@@ -23,6 +24,8 @@ struct Credentials {
   std::vector<std::string> authorizations;
   // Of the client, verified by the handshake; empty if there is none.
   std::string certificate_pem;
+  // What the client showed besides, up to an authority; may be empty.
+  std::string certificate_chain_pem{};
 };
 
 // Thread-safe.
@@ -62,6 +65,10 @@ struct GatekeeperSettings {
   TokenRules token_rules;
   // Whether a client's certificate says who calls, if there is no token.
   bool takes_certificates = false;
+  // Whose client authorities have to stand behind a certificate at every call
+  // and recheck, for the handshake asked those of its time. Null: nobody is
+  // asked again. Outlives the gatekeeper.
+  const TlsFiles* tls_files = nullptr;
   // How often files are looked at and all streams recheck.
   std::chrono::milliseconds check_period{10'000};
 };

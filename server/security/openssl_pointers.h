@@ -11,6 +11,7 @@
 #include <openssl/pem.h>
 #include <openssl/ssl.h>
 #include <openssl/x509.h>
+#include <openssl/x509_vfy.h>
 #include <openssl/x509v3.h>
 
 #include <memory>
@@ -38,6 +39,17 @@ using KeyContext = std::unique_ptr<EVP_PKEY_CTX, Free<EVP_PKEY_CTX_free>>;
 using Params = std::unique_ptr<OSSL_PARAM, Free<OSSL_PARAM_free>>;
 using ParamsBuilder =
     std::unique_ptr<OSSL_PARAM_BLD, Free<OSSL_PARAM_BLD_free>>;
+
+using Store = std::unique_ptr<X509_STORE, Free<X509_STORE_free>>;
+using StoreContext =
+    std::unique_ptr<X509_STORE_CTX, Free<X509_STORE_CTX_free>>;
+
+struct FreeStack {
+  void operator()(STACK_OF(X509) * stack) const {
+    sk_X509_pop_free(stack, X509_free);
+  }
+};
+using CertificateStack = std::unique_ptr<STACK_OF(X509), FreeStack>;
 
 // Of a text that outlives it.
 inline Bio Memory(const std::string& text) {

@@ -19,7 +19,7 @@ REFLECTION = ("/grpc.reflection.v1alpha.ServerReflection/"
               "ServerReflectionInfo")
 WATCH = "/grpc.health.v1.Health/Watch"
 # Of one attack on one connection, if nobody stops it.
-SECONDS = 5
+SECONDS = 4
 
 
 def until_cut(connection, pieces, seconds=SECONDS):
@@ -169,7 +169,7 @@ ATTACKS = {
 def run(attack, connect, connections):
     """The attack on so many connections at a time, each again if it is cut
     early."""
-    end = time.monotonic() + 2 * SECONDS
+    end = time.monotonic() + SECONDS
 
     def work():
         while time.monotonic() < end:

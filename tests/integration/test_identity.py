@@ -386,6 +386,34 @@ def test_stream_ends_when_the_client_certificate_expires(
         assert failure.reason == "CERTIFICATE_EXPIRED"
 
 
+def test_client_whose_authority_is_removed_is_ended_on_its_open_connection(
+        tmp_path):
+    own = Identities(tmp_path)
+    client = own.authority.issue("spiffe://fleet.example/acme/bus-1")
+    with Server(tmp_path / "store", *own.client_flags) as server, \
+            secure_stub(server, own.authority.pem, client) as stub:
+        vehicle = create(stub, "acme-bus-1")
+        with PoseStream(stub, vehicle) as stream:
+            stream.receive_kind("opened")
+            # One more is trusted: nobody is ended.
+            other = Authority("Other")
+            replace(own.authority_file, own.authority.pem + other.pem)
+            second = other.issue("spiffe://fleet.example/acme/bus-2")
+            wait_until(lambda: not refused_now(server, own, second),
+                       "client of the other authority")
+            stream.send(straight(1))
+            assert stream.receive_kind("ack").durable_sequence == 1
+            replace(own.authority_file, other.pem)
+            failure = failure_of(stream.receive_all)
+            assert (failure.code, failure.reason) == (
+                Code.UNAUTHENTICATED, "CREDENTIALS_INVALID")
+        # The connection is the one that was there.
+        failure = failure_of(lambda: ask(stub))
+        assert (failure.code, failure.reason) == (
+            Code.UNAUTHENTICATED, "CREDENTIALS_INVALID")
+        assert "no authority that is trusted now" in failure.message
+
+
 # --- Tokens.
 
 def test_tokens_of_every_algorithm_are_taken(token_server, identities):

@@ -166,5 +166,32 @@ TEST_F(CertificatesTest, ClientCertificateMayHaveNoNames) {
             StatusCode::kInvalidArgument);
 }
 
+TEST(CheckClientAuthorityTest, AsksWhoIsTrustedNow) {
+  CertificateRequest authority;
+  authority.is_authority = true;
+  authority.common_name = "root";
+  const TestCertificate root(authority);
+  authority.common_name = "between";
+  const TestCertificate between(authority, &root);
+  authority.common_name = "other";
+  const TestCertificate other(authority);
+  CertificateRequest request;
+  request.alternative_names = "URI:urn:bus";
+  const TestCertificate direct(request, &root);
+  const TestCertificate indirect(request, &between);
+
+  EXPECT_TRUE(CheckClientAuthority(direct.Pem(), "", root.Pem()).ok());
+  EXPECT_TRUE(
+      CheckClientAuthority(direct.Pem(), "", other.Pem() + root.Pem()).ok());
+  EXPECT_FALSE(CheckClientAuthority(direct.Pem(), "", other.Pem()).ok());
+  EXPECT_TRUE(
+      CheckClientAuthority(indirect.Pem(), between.Pem(), root.Pem()).ok());
+  EXPECT_TRUE(CheckClientAuthority(indirect.Pem(), "", between.Pem()).ok());
+  EXPECT_FALSE(CheckClientAuthority(indirect.Pem(), "", root.Pem()).ok());
+  EXPECT_FALSE(
+      CheckClientAuthority(indirect.Pem(), between.Pem(), other.Pem()).ok());
+  EXPECT_FALSE(CheckClientAuthority("rubbish", "", root.Pem()).ok());
+}
+
 }  // namespace
 }  // namespace revisit::server

