@@ -33,11 +33,17 @@ absl::Status FreeSpaceGuard::Check() {
   const absl::StatusOr<std::int64_t> free = free_bytes_();
   if (!free.ok()) return absl::OkStatus();
   const std::int64_t enough = min_free_bytes_ + min_free_bytes_ / 4;
-  stopped_ = *free < (stopped_ ? enough : min_free_bytes_);
+  const std::int64_t needed = stopped_ ? enough : min_free_bytes_;
+  std::int64_t inside = 0;
+  if (*free < needed && *free >= min_free_bytes_ / 4) {
+    inside = free_bytes_inside_();
+  }
+  stopped_ = *free + inside < needed;
   if (!stopped_) return absl::OkStatus();
   return StorageFull("nothing was written: the file system of the store has " +
-                     std::to_string(*free) +
-                     " bytes left, writes are taken again from " +
+                     std::to_string(*free) + " bytes left and its file " +
+                     std::to_string(inside) +
+                     ", writes are taken again from " +
                      std::to_string(enough) + " on; reads go on");
 }
 

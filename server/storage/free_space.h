@@ -25,10 +25,15 @@ absl::Status StorageFull(const std::string& message);
 class FreeSpaceGuard {
  public:
   // Once less than `min_free_bytes` were free, writes wait until a quarter more
-  // than that is. 0 never stops them.
+  // than that is. 0 never stops them. What is free inside the store's own file
+  // counts too, as long as the file system has a quarter of the bytes: the log
+  // needs some.
   FreeSpaceGuard(std::int64_t min_free_bytes,
-                 std::function<absl::StatusOr<std::int64_t>()> free_bytes)
-      : min_free_bytes_(min_free_bytes), free_bytes_(std::move(free_bytes)) {}
+                 std::function<absl::StatusOr<std::int64_t>()> free_bytes,
+                 std::function<std::int64_t()> free_bytes_inside)
+      : min_free_bytes_(min_free_bytes),
+        free_bytes_(std::move(free_bytes)),
+        free_bytes_inside_(std::move(free_bytes_inside)) {}
 
   // OK, or StorageFull(). A file system that does not tell stops nothing.
   absl::Status Check();
@@ -36,6 +41,7 @@ class FreeSpaceGuard {
  private:
   const std::int64_t min_free_bytes_;
   const std::function<absl::StatusOr<std::int64_t>()> free_bytes_;
+  const std::function<std::int64_t()> free_bytes_inside_;
   bool stopped_ = false;
 };
 
