@@ -34,6 +34,7 @@
 #include "server/sessions/executor.h"
 #include "server/sessions/fleet.h"
 #include "server/storage/sqlite_storage.h"
+#include "server/storage/store_files.h"
 
 namespace revisit::server {
 namespace {
@@ -69,12 +70,8 @@ std::string InDirectory(const std::string& path) {
 absl::StatusOr<std::string> StoreFile(const std::string& path) {
   std::error_code error;
   if (std::filesystem::is_regular_file(path, error)) return path;
-  std::filesystem::create_directories(path, error);
-  if (error) {
-    return absl::UnavailableError(
-        ("cannot create the directory " + path + ": " + error.message())
-            .c_str());
-  }
+  const absl::Status made = MakeDirectory(path);
+  if (!made.ok()) return made;
   return InDirectory(path);
 }
 
@@ -348,7 +345,7 @@ SqliteOptions StorageOptions(const ServerSettings& settings, const Log* log,
   options.warn = [log](const std::string& message) {
     log->Write(LogLevel::kWarning, "store", {{"message", message}});
   };
-  options.on_failed_flush =
+  options.on_failure =
       [log, on_failure = std::move(on_failure)](const absl::Status& status) {
         log->Write(LogLevel::kError, "store",
                    {{"message", std::string(status.message())}});
@@ -558,6 +555,10 @@ absl::StatusOr<std::string> ExistingStoreFile(const std::string& path) {
   std::error_code error;
   for (const std::string& file : {path, InDirectory(path)}) {
     if (std::filesystem::is_regular_file(file, error)) return file;
+  }
+  // What is left of a store is for whoever examines it.
+  for (const std::string& file : {path, InDirectory(path)}) {
+    if (!FilesBeside(file).empty()) return file;
   }
   return absl::NotFoundError(("there is no store at " + path).c_str());
 }

@@ -26,8 +26,8 @@ enum ExitCode {
 // For a store that could not be opened or read.
 ExitCode ExitCodeOf(const absl::Status& status);
 
-// The file of the store that a path names: ServerSettings::store. NOT_FOUND if
-// there is none.
+// The file of the store that a path names: ServerSettings::store. It may be
+// missing where other files of the store are there; NOT_FOUND if none is.
 absl::StatusOr<std::string> ExistingStoreFile(const std::string& path);
 
 struct StartError {

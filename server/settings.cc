@@ -55,6 +55,7 @@ Examples:
   revisitd --worker-threads 2 --print-config > revisitd.conf
   revisitd backup --store /var/lib/revisit --to /backup/monday.sqlite
   revisitd verify --store /backup/monday.sqlite
+  revisitd compact --store /var/lib/revisit
 )";
 
 template <typename T>
@@ -478,7 +479,9 @@ struct Parser {
         ->required();
     verify = app.add_subcommand("verify",
                                 "Read the whole store and say what is wrong");
-    for (CLI::App* subcommand : {backup, verify}) {
+    compact = app.add_subcommand(
+        "compact", "Make the file of a stopped store as small as it can be");
+    for (CLI::App* subcommand : {backup, verify, compact}) {
       subcommand->fallthrough();
       subcommand->footer("--store and --config are those of revisitd itself.");
     }
@@ -502,17 +505,23 @@ struct Parser {
   }
 
   std::optional<StoreTask> Task() const {
-    if (!backup->parsed() && !verify->parsed()) return std::nullopt;
-    StoreTask asked = task;
-    asked.kind =
-        backup->parsed() ? StoreTask::Kind::kBackup : StoreTask::Kind::kVerify;
-    return asked;
+    for (const auto& [subcommand, kind] :
+         {std::pair(backup, StoreTask::Kind::kBackup),
+          std::pair(verify, StoreTask::Kind::kVerify),
+          std::pair(compact, StoreTask::Kind::kCompact)}) {
+      if (!subcommand->parsed()) continue;
+      StoreTask asked = task;
+      asked.kind = kind;
+      return asked;
+    }
+    return std::nullopt;
   }
 
   ServerSettings settings;
   StoreTask task{};
   CLI::App* backup = nullptr;
   CLI::App* verify = nullptr;
+  CLI::App* compact = nullptr;
   std::string config;
   bool print_config = false;
   std::optional<std::string> print;

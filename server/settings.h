@@ -98,7 +98,7 @@ struct ServerSettings {
 
 // What revisitd can do with a store besides serving it.
 struct StoreTask {
-  enum class Kind { kBackup, kVerify };
+  enum class Kind { kBackup, kVerify, kCompact };
   Kind kind;
   // File of the backup.
   std::string destination;

@@ -1,14 +1,14 @@
 #include "server/store_tasks.h"
 
+#include <cstdint>
 #include <cstdio>
-#include <filesystem>
 #include <string>
-#include <system_error>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "server/storage/store_backup.h"
 #include "server/storage/store_check.h"
+#include "server/storage/store_compaction.h"
 #include "server/storage/store_lock.h"
 
 namespace revisit::server {
@@ -31,12 +31,8 @@ ExitCode Fail(const absl::Status& status) {
   return ExitCodeOf(status);
 }
 
-// Whether no server has the store. Only a store that has been served has a
-// lock.
 StoreUse UseOf(const std::string& file) {
-  std::error_code error;
-  if (!std::filesystem::exists(file + ".lock", error)) return StoreUse::kIdle;
-  return StoreLock::Acquire(file).ok() ? StoreUse::kIdle : StoreUse::kServed;
+  return StoreLock::IsHeld(file) ? StoreUse::kServed : StoreUse::kIdle;
 }
 
 ExitCode Verify(const std::string& file) {
@@ -56,12 +52,25 @@ ExitCode Verify(const std::string& file) {
   return kExitStoreDamaged;
 }
 
-ExitCode BackUp(const std::string& file, const std::string& destination) {
+ExitCode BackUp(const std::string& file, const std::string& destination,
+                std::int64_t min_free_bytes) {
+  BackupBounds bounds;
+  // The server refuses writes when that is reached: it is left a quarter more.
+  bounds.min_free_bytes = min_free_bytes + min_free_bytes / 4;
   const absl::StatusOr<StoreReport> report =
-      BackUpStore(file, UseOf(file), destination);
+      BackUpStore(file, UseOf(file), destination, bounds);
   if (!report.ok()) return Fail(report.status());
   Print(*report);
   std::printf("backup %s\n", destination.c_str());
+  return kExitOk;
+}
+
+ExitCode Compact(const std::string& file) {
+  const absl::StatusOr<CompactionReport> report = CompactStore(file);
+  if (!report.ok()) return Fail(report.status());
+  std::printf("bytes before %lld\nbytes after %lld\n",
+              static_cast<long long>(report->bytes_before),
+              static_cast<long long>(report->bytes_after));
   return kExitOk;
 }
 
@@ -70,8 +79,15 @@ ExitCode BackUp(const std::string& file, const std::string& destination) {
 ExitCode RunStoreTask(const ServerSettings& settings, const StoreTask& task) {
   const absl::StatusOr<std::string> file = ExistingStoreFile(settings.store);
   if (!file.ok()) return Fail(file.status());
-  return task.kind == StoreTask::Kind::kBackup ? BackUp(*file, task.destination)
-                                               : Verify(*file);
+  switch (task.kind) {
+    case StoreTask::Kind::kBackup:
+      return BackUp(*file, task.destination, settings.min_free_bytes);
+    case StoreTask::Kind::kCompact:
+      return Compact(*file);
+    case StoreTask::Kind::kVerify:
+      break;
+  }
+  return Verify(*file);
 }
 
 }  // namespace revisit::server

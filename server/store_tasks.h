@@ -1,4 +1,5 @@
-// What revisitd does with a store besides serving it: backup and verify.
+// What revisitd does with a store besides serving it: backup, verify and
+// compact.
 #ifndef REVISIT_SERVER_STORE_TASKS_H_
 #define REVISIT_SERVER_STORE_TASKS_H_
 
@@ -8,9 +9,9 @@
 namespace revisit::server {
 
 // Prints what it found to standard output and what failed to standard error.
-// Both are processes of their own that read the files beside a server, so that
-// whoever may read the files may do it, nobody else, and also if no server
-// runs.
+// All are processes of their own, so that whoever may read the files may do it,
+// nobody else, and also if no server runs. Backup and verify read beside a
+// server and change nothing; compact writes, and wants the store for itself.
 ExitCode RunStoreTask(const ServerSettings& settings, const StoreTask& task);
 
 }  // namespace revisit::server

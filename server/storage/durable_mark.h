@@ -1,4 +1,4 @@
-// How far the write-ahead log is known to have been flushed.
+// Which commit is known to have been flushed last.
 //
 // A small file beside the store, written after each commit and not flushed
 // itself: so it never says more than is true, costs one write to the page
@@ -14,9 +14,17 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "server/storage/store_state.h"
 #include "server/storage/write_ahead_log.h"
 
 namespace revisit::server {
+
+// What a mark says; nothing if it is not whole.
+struct Mark {
+  std::optional<StoreState> state;
+  // Instead, of a store of format 1 or 2: how far its log was flushed.
+  std::optional<LogPosition> position;
+};
 
 // The file `<store>.mark`. One thread at a time.
 class DurableMark {
@@ -29,13 +37,14 @@ class DurableMark {
   DurableMark& operator=(const DurableMark&) = delete;
 
   // What the mark of a store says, also while another process writes it.
-  // Nothing if there is none, or if it is not whole.
-  static std::optional<LogPosition> Read(const std::string& store_path);
-  std::optional<LogPosition> Read() const;
+  static Mark Read(const std::string& store_path);
   // What was flushed. If it cannot be written the older one stays, which is
   // still true.
-  void Write(const LogPosition& flushed);
-  // Nothing is known any more: REQUIRED before the log is emptied. Flushed.
+  void Write(const StoreState& flushed);
+  // The same, and flushes it: REQUIRED before the log is emptied, for without a
+  // log only a mark of the same commit says that none is needed.
+  absl::Status Flush(const StoreState& flushed);
+  // Nothing is known any more. Flushed.
   absl::Status Clear();
 
  private:
@@ -44,9 +53,6 @@ class DurableMark {
 
   const std::string path_;
   const int file_;
-  // Whether the file as it is has been flushed, so that nothing older can come
-  // back after a power failure.
-  bool is_flushed_ = false;
 };
 
 }  // namespace revisit::server

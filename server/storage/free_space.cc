@@ -32,6 +32,7 @@ absl::Status StorageFull(const std::string& message) {
 
 absl::Status FreeSpaceGuard::Check() {
   const MutexLock lock(&mutex_);
+  if (IsShort()) inside_ = free_bytes_inside_();
   return CheckMark();
 }
 
@@ -53,17 +54,32 @@ bool FreeSpaceGuard::HasRoom() {
   return !free.ok() || *free >= *full_at_ + kSomeRoom;
 }
 
+bool FreeSpaceGuard::IsShort() const {
+  if (min_free_bytes_ == 0) return false;
+  const absl::StatusOr<std::int64_t> free = free_bytes_();
+  return free.ok() && *free < Needed();
+}
+
+std::int64_t FreeSpaceGuard::Needed() const {
+  return stopped_ ? EnoughAgain() : min_free_bytes_;
+}
+
+std::int64_t FreeSpaceGuard::EnoughAgain() const {
+  return min_free_bytes_ + min_free_bytes_ / 4;
+}
+
 absl::Status FreeSpaceGuard::CheckMark() {
   if (min_free_bytes_ == 0) return absl::OkStatus();
   const absl::StatusOr<std::int64_t> free = free_bytes_();
   if (!free.ok()) return absl::OkStatus();
-  const std::int64_t enough = min_free_bytes_ + min_free_bytes_ / 4;
-  stopped_ = *free < (stopped_ ? enough : min_free_bytes_);
+  const std::int64_t inside = *free >= min_free_bytes_ / 4 ? inside_ : 0;
+  stopped_ = *free < Needed() && *free + inside < Needed();
   if (!stopped_) return absl::OkStatus();
   return StorageFull("nothing was written: the file system of the store has " +
-                     std::to_string(*free) +
-                     " bytes left, writes are taken again from " +
-                     std::to_string(enough) + " on; reads go on");
+                     std::to_string(*free) + " bytes left and its file " +
+                     std::to_string(inside) +
+                     ", writes are taken again from " +
+                     std::to_string(EnoughAgain()) + " on; reads go on");
 }
 
 }  // namespace revisit::server

@@ -28,12 +28,18 @@ absl::Status StorageFull(const std::string& message);
 class FreeSpaceGuard {
  public:
   // Once less than `min_free_bytes` were free, writes wait until a quarter more
-  // than that is. 0 never stops them.
+  // than that is. 0 never stops them. What is free inside the store's own file
+  // counts too, as long as the file system has a quarter of the bytes: the log
+  // needs some.
   FreeSpaceGuard(std::int64_t min_free_bytes,
-                 std::function<absl::StatusOr<std::int64_t>()> free_bytes)
-      : min_free_bytes_(min_free_bytes), free_bytes_(std::move(free_bytes)) {}
+                 std::function<absl::StatusOr<std::int64_t>()> free_bytes,
+                 std::function<std::int64_t()> free_bytes_inside)
+      : min_free_bytes_(min_free_bytes),
+        free_bytes_(std::move(free_bytes)),
+        free_bytes_inside_(std::move(free_bytes_inside)) {}
 
-  // OK, or StorageFull(). A file system that does not tell stops nothing.
+  // OK, or StorageFull(). A file system that does not tell stops nothing. Asks
+  // for the bytes inside, so that it belongs to the thread that may.
   absl::Status Check();
 
   // Notes whether a write that was tried found the disk full, which without a
@@ -41,17 +47,25 @@ class FreeSpaceGuard {
   void NoteWrite(bool found_full);
 
   // Whether the next write is likely to find room, so that callers may be told
-  // before they try: Check() is OK, and after a write that found the disk full
-  // some room has come since.
+  // before they try: by what Check() found inside last, there is enough, and
+  // after a write that found the disk full some room has come since.
   bool HasRoom();
 
  private:
   absl::Status CheckMark() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Whether the file system alone has less than writes need now.
+  bool IsShort() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  std::int64_t Needed() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // From here on writes that were stopped are taken again.
+  std::int64_t EnoughAgain() const;
 
   const std::int64_t min_free_bytes_;
   const std::function<absl::StatusOr<std::int64_t>()> free_bytes_;
+  const std::function<std::int64_t()> free_bytes_inside_;
   Mutex mutex_;
   bool stopped_ ABSL_GUARDED_BY(mutex_) = false;
+  // Free bytes inside the store's file, when that was last asked for.
+  std::int64_t inside_ ABSL_GUARDED_BY(mutex_) = 0;
   // Free bytes when a write found the disk full; nothing if the last one did
   // not.
   std::optional<std::int64_t> full_at_ ABSL_GUARDED_BY(mutex_);

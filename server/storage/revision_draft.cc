@@ -44,7 +44,8 @@ absl::Status Failure(const char* what, const std::string& path) {
 absl::StatusOr<std::unique_ptr<RevisionDraft>> RevisionDraft::Create(
     const std::string& directory, std::int64_t min_free_bytes) {
   auto space = std::make_unique<FreeSpaceGuard>(
-      min_free_bytes, [directory] { return FreeBytes(directory); });
+      min_free_bytes, [directory] { return FreeBytes(directory); },
+      [] { return std::int64_t{0}; });
   if (absl::Status status = space->Check(); !status.ok()) return status;
   std::string path = directory + "/.revision-XXXXXX";
   const int descriptor = mkstemp(path.data());

@@ -1,6 +1,5 @@
 #include "server/storage/sqlite_database.h"
 
-#include <array>
 #include <cstring>
 
 #include "server/status.h"
@@ -16,6 +15,26 @@ constexpr int kBusyTimeoutMilliseconds = 5000;
 // The log is copied into the database after a commit that leaves it longer than
 // this, as SQLite does by itself.
 constexpr int kFramesBeforeCopy = 1000;
+
+// 8 MiB.
+constexpr int kPagesPerStep = 1024;
+
+// A name for SQLite that says how to open the file.
+std::string UriOf(const std::string& path) {
+  std::string uri = "file:";
+  for (const char c : path) {
+    if (c == '%') {
+      uri += "%25";
+    } else if (c == '?') {
+      uri += "%3f";
+    } else if (c == '#') {
+      uri += "%23";
+    } else {
+      uri += c;
+    }
+  }
+  return uri + "?immutable=1";
+}
 
 absl::Status ToStatus(sqlite3* database, int code, const char* doing) {
   std::string message = "store: ";
@@ -132,12 +151,14 @@ absl::StatusOr<std::unique_ptr<SqliteDatabase>> SqliteDatabase::Open(
     const std::string& path, Mode mode, const std::string& vfs) {
   // No mutex of SQLite's: a connection is used by one thread at a time.
   const int flags =
-      (mode == Mode::kReadOnly ? SQLITE_OPEN_READONLY
-                               : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE) |
-      SQLITE_OPEN_NOMUTEX | SQLITE_OPEN_EXRESCODE;
+      (mode == Mode::kReadWrite ? SQLITE_OPEN_READWRITE
+                                : SQLITE_OPEN_READONLY) |
+      (mode == Mode::kFileOnly ? SQLITE_OPEN_URI : 0) | SQLITE_OPEN_NOMUTEX |
+      SQLITE_OPEN_EXRESCODE;
   sqlite3* database = nullptr;
-  const int code = sqlite3_open_v2(path.c_str(), &database, flags,
-                                   vfs.empty() ? nullptr : vfs.c_str());
+  const int code = sqlite3_open_v2(
+      (mode == Mode::kFileOnly ? UriOf(path) : path).c_str(), &database, flags,
+      vfs.empty() ? nullptr : vfs.c_str());
   if (code != SQLITE_OK) {
     const absl::Status status =
         ToStatus(database, code, ("open " + path).c_str());
@@ -153,18 +174,13 @@ absl::StatusOr<std::unique_ptr<SqliteDatabase>> SqliteDatabase::Open(
   return opened;
 }
 
-int SqliteDatabase::OnCommit(void* self, sqlite3* database, const char* name,
-                             int frames) {
+int SqliteDatabase::OnCommit(void* self, sqlite3* /*database*/,
+                             const char* /*name*/, int frames) {
   auto* const connection = static_cast<SqliteDatabase*>(self);
-  connection->log_frames_ = static_cast<std::uint32_t>(frames);
   connection->copy_failure_ = absl::OkStatus();
-  if (frames < kFramesBeforeCopy) return SQLITE_OK;
-  const int code = sqlite3_wal_checkpoint_v2(
-      database, name, SQLITE_CHECKPOINT_PASSIVE, nullptr, nullptr);
   // A reader may keep it from being copied whole; then it is tried again.
-  if (code != SQLITE_OK && (code & 0xff) != SQLITE_BUSY) {
-    connection->copy_failure_ =
-        ToStatus(database, code, "copying the log into the database");
+  if (frames >= kFramesBeforeCopy) {
+    connection->copy_failure_ = connection->CopyLog().status();
   }
   return SQLITE_OK;
 }
@@ -210,44 +226,60 @@ std::int64_t SqliteDatabase::LastInsertedKey() const {
 
 int SqliteDatabase::Changes() const { return sqlite3_changes(database_); }
 
-absl::StatusOr<LogPosition> SqliteDatabase::LogEnd() {
-  sqlite3_file* log = nullptr;
-  int code = sqlite3_file_control(database_, "main",
-                                  SQLITE_FCNTL_JOURNAL_POINTER, &log);
-  constexpr char kDoing[] = "reading the header of the log";
-  if (code != SQLITE_OK) return ToStatus(database_, code, kDoing);
-  if (log == nullptr || log->pMethods == nullptr) {
-    return ToStatus(nullptr, SQLITE_MISUSE, kDoing);
-  }
-  std::array<unsigned char, kLogHeaderBytes> header;
-  code = log->pMethods->xRead(log, header.data(),
-                              static_cast<int>(header.size()), 0);
-  if (code != SQLITE_OK) return ToStatus(nullptr, code, kDoing);
-  LogPosition end = SaltsOf(header);
-  end.frames = log_frames_;
-  return end;
-}
-
 void SqliteDatabase::KeepLogOnClose(bool keep) {
   sqlite3_db_config(database_, SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, keep ? 1 : 0,
                     nullptr);
 }
 
-absl::Status SqliteDatabase::CopyTo(SqliteDatabase* destination) {
+absl::StatusOr<bool> SqliteDatabase::CopyLog() {
+  int frames = 0;
+  int copied = 0;
+  const int code = sqlite3_wal_checkpoint_v2(
+      database_, "main", SQLITE_CHECKPOINT_PASSIVE, &frames, &copied);
+  if ((code & 0xff) == SQLITE_BUSY) return false;
+  if (code != SQLITE_OK) {
+    return ToStatus(database_, code, "copying the log into the database");
+  }
+  return copied == frames;
+}
+
+absl::Status SqliteDatabase::EmptyLog() {
+  sqlite3_busy_timeout(database_, 0);
+  const int code = sqlite3_wal_checkpoint_v2(
+      database_, "main", SQLITE_CHECKPOINT_TRUNCATE, nullptr, nullptr);
+  sqlite3_busy_timeout(database_, kBusyTimeoutMilliseconds);
+  if (code == SQLITE_OK || (code & 0xff) == SQLITE_BUSY) {
+    return absl::OkStatus();
+  }
+  return ToStatus(database_, code, "emptying the log");
+}
+
+absl::Status SqliteDatabase::CopyTo(
+    SqliteDatabase* destination, const std::function<absl::Status()>& go_on) {
   constexpr char kDoing[] = "copying the database";
+  // Of one moment: without a transaction around them, steps would begin again
+  // whenever the store has changed, for ever.
+  absl::Status status = Execute("BEGIN; SELECT 1 FROM sqlite_schema");
+  if (!status.ok()) return status;
   sqlite3_backup* const copy =
       sqlite3_backup_init(destination->database_, "main", database_, "main");
   if (copy == nullptr) {
     return ToStatus(destination->database_,
                     sqlite3_extended_errcode(destination->database_), kDoing);
   }
-  // In one step: a step ends what it has read from changing, and a store that
-  // changes meanwhile would be copied from the beginning again, for ever.
-  const int code = sqlite3_backup_step(copy, -1);
+  int code = SQLITE_OK;
+  while (code == SQLITE_OK && status.ok()) {
+    status = go_on();
+    if (status.ok()) code = sqlite3_backup_step(copy, kPagesPerStep);
+  }
   const int finished = sqlite3_backup_finish(copy);
-  if (code != SQLITE_DONE) return ToStatus(nullptr, code, kDoing);
+  const absl::Status ended = Execute("COMMIT");
+  if (code != SQLITE_DONE && code != SQLITE_OK) {
+    return ToStatus(nullptr, code, kDoing);
+  }
+  if (!status.ok()) return status;
   if (finished != SQLITE_OK) return ToStatus(nullptr, finished, kDoing);
-  return absl::OkStatus();
+  return ended;
 }
 
 std::string Printable(std::string text) {

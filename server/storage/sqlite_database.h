@@ -5,13 +5,13 @@
 #define REVISIT_SERVER_STORAGE_SQLITE_DATABASE_H_
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <string>
 #include <unordered_map>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "server/storage/write_ahead_log.h"
 
 struct sqlite3;
 struct sqlite3_stmt;
@@ -53,9 +53,12 @@ class SqliteStatement {
 
 class SqliteDatabase {
  public:
-  enum class Mode { kReadWrite, kReadOnly };
+  // kFileOnly reads the database as if it had no log, which is right where it
+  // has none and nobody writes: then no file is made, written or locked.
+  enum class Mode { kReadWrite, kReadOnly, kFileOnly };
 
-  // `vfs`: name of SQLite's layer to the operating system; empty for the usual.
+  // The file must be there. `vfs`: name of SQLite's layer to the operating
+  // system; empty for the usual.
   static absl::StatusOr<std::unique_ptr<SqliteDatabase>> Open(
       const std::string& path, Mode mode, const std::string& vfs);
   ~SqliteDatabase();
@@ -77,9 +80,6 @@ class SqliteDatabase {
   // Rows changed by the last statement.
   int Changes() const;
 
-  // Where the log ended after this connection's last commit. REQUIRES: there
-  // was one, in write-ahead mode.
-  absl::StatusOr<LogPosition> LogEnd();
   // Of a connection that writes: why the log could not be copied into the
   // database after the last commit, which itself is flushed.
   const absl::Status& copy_failure() const { return copy_failure_; }
@@ -88,8 +88,18 @@ class SqliteDatabase {
   // rather than copies and removes it.
   void KeepLogOnClose(bool keep);
 
+  // Copies what the log holds into the database, as far as readers that began
+  // before let it, and flushes both; answers whether that was all. Waits for
+  // nobody. REQUIRES: something was read, for SQLite opens the log only then.
+  absl::StatusOr<bool> CopyLog();
+  // Empties a log that was copied whole, unless somebody reads.
+  absl::Status EmptyLog();
+
   // Copies all that is committed into another database, as of one moment.
-  absl::Status CopyTo(SqliteDatabase* destination);
+  // `go_on` is asked between pieces of a few megabytes; a failure of its ends
+  // the copying.
+  absl::Status CopyTo(SqliteDatabase* destination,
+                      const std::function<absl::Status()>& go_on);
 
  private:
   explicit SqliteDatabase(sqlite3* database) : database_(database) {}
@@ -99,7 +109,6 @@ class SqliteDatabase {
                       int frames);
 
   sqlite3* const database_;
-  std::uint32_t log_frames_ = 0;
   absl::Status copy_failure_;
   std::unordered_map<const char*, sqlite3_stmt*> statements_;
 };

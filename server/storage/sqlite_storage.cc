@@ -30,30 +30,62 @@ using absl::StatusCode;
 // Read-only connections that are kept open while nobody uses them.
 constexpr std::size_t kIdleReaders = 4;
 
+// How long chores rest after a transaction has failed.
+constexpr std::chrono::milliseconds kChoresDelay{1000};
+
+// Batches of deleted vehicles that one transaction removes; where there is no
+// room, few: Debian's SQLite writes each page that it frees.
+constexpr int kPurgedBatches = 32;
+constexpr int kPurgedBatchesWithoutRoom = 2;
+
+// Free pages that the file keeps for what comes next, and how many are given
+// back in one transaction: 8 MiB and 2 MiB. Where there is no room, none and
+// few.
+constexpr std::int64_t kKeptPages = 1024;
+constexpr std::int64_t kGivenPages = 256;
+constexpr std::int64_t kGivenPagesWithoutRoom = 16;
+
 // Vehicles of which the writer remembers the sequence that comes next.
 constexpr std::size_t kMaxKnownSequences = 100'000;
 
 class SqliteStorage : public Storage {
  public:
+  // One that writes.
   SqliteStorage(std::string path, const SqliteOptions& options,
-                std::unique_ptr<StoreLock> lock,
-                std::unique_ptr<DurableMark> mark,
-                std::unique_ptr<SqliteDatabase> writer,
+                std::uint64_t run, std::unique_ptr<StoreLock> lock,
+                std::unique_ptr<DurableMark> mark, OpenedWriter writer,
                 std::unique_ptr<SqliteDatabase> anchor)
       : path_(std::move(path)),
         options_(options),
+        reader_mode_(SqliteDatabase::Mode::kReadOnly),
+        run_(run),
         lock_(std::move(lock)),
         mark_(std::move(mark)),
-        space_(options.min_free_bytes,
-               [file = path_] {
-                 return FreeBytes(std::filesystem::path(file).parent_path());
-               }),
-        writer_(std::move(writer)),
+        watch_(path_),
+        space_(
+            options.min_free_bytes,
+            [file = path_] {
+              return FreeBytes(std::filesystem::path(file).parent_path());
+            },
+            [this] { return FreeBytesInside(); }),
+        writer_(std::move(writer.database)),
+        state_(writer.state),
         anchor_(std::move(anchor)),
         thread_([this] { Write(); }) {
     // For tools that list threads.
     pthread_setname_np(thread_.native_handle(), "store-writer");
   }
+
+  // One that reads.
+  SqliteStorage(std::string path, SqliteDatabase::Mode reader_mode,
+                std::unique_ptr<SqliteDatabase> anchor)
+      : path_(std::move(path)),
+        reader_mode_(reader_mode),
+        run_(0),
+        watch_(path_),
+        space_(0, nullptr, nullptr),
+        anchor_(std::move(anchor)),
+        thread_([this] { Write(); }) {}
 
   ~SqliteStorage() override {
     {
@@ -62,10 +94,7 @@ class SqliteStorage : public Storage {
     }
     wake_.NotifyOne();
     thread_.join();
-    // An orderly end leaves no log.
-    if (writer_ != nullptr && mark_->Clear().ok()) {
-      writer_->KeepLogOnClose(false);
-    }
+    if (lock_ != nullptr) Close();
   }
 
   void CreateVehicle(
@@ -107,7 +136,7 @@ class SqliteStorage : public Storage {
         0,
         [this, key](SqliteDatabase& database) {
           const absl::Status status = RemoveVehicle(database, key);
-          if (status.ok()) purge_ = true;
+          if (status.ok()) chores_ = Chores::kPurge;
           next_sequences_.erase(key);
           return status;
         },
@@ -240,6 +269,11 @@ class SqliteStorage : public Storage {
   // Whether a write may be taken on where there is little room.
   enum class Need { kRoom, kLittle };
 
+  // What is done when there is nothing better to do, in this order: rows of
+  // deleted vehicles are removed, and the room in the file that nobody uses is
+  // given back.
+  enum class Chores { kNone, kPurge, kShrink };
+
   // One row of `batches`, or something else.
   struct PendingWrite {
     std::size_t bytes = 0;
@@ -318,9 +352,14 @@ class SqliteStorage : public Storage {
   void Write() {
     MutexLock lock(&mutex_);
     while (true) {
-      // A rest of deleted rows is removed when there is nothing better to do,
-      // and left for the next start if the server stops.
-      while (!stopping_ && !purge_ && queue_.empty()) wake_.Wait(&mutex_);
+      // A rest of the chores is left for the next start if the server stops.
+      while (!stopping_ && queue_.empty() && !ChoresAreDue()) {
+        if (chores_ == Chores::kNone) {
+          wake_.Wait(&mutex_);
+        } else {
+          wake_.WaitUntil(&mutex_, chores_due_);
+        }
+      }
       if (queue_.empty() && stopping_) break;
       Gather();
       std::vector<PendingWrite> group;
@@ -348,8 +387,10 @@ class SqliteStorage : public Storage {
       group.clear();
       lock.Lock();
     }
-    // Rids the log of a transaction that failed last.
-    if (lock_ != nullptr) EnsureWriter().IgnoreError();
+  }
+
+  bool ChoresAreDue() const {
+    return chores_ != Chores::kNone && Clock::now() >= chores_due_;
   }
 
   // Waits for more, see SqliteOptions::latency_target.
@@ -369,20 +410,37 @@ class SqliteStorage : public Storage {
   std::vector<absl::Status> CommitOrRefuse(
       const std::vector<PendingWrite>& group) {
     const absl::Status room = lock_ != nullptr ? space_.Check() : ReadOnly();
-    const bool is_pointless =
-        !room.ok() &&
-        std::none_of(group.begin(), group.end(), [](const PendingWrite& write) {
-          return write.need == Need::kLittle;
-        });
-    if (is_pointless || lock_ == nullptr) {
-      purge_ = false;
+    if (lock_ == nullptr) {
+      chores_ = Chores::kNone;
       return std::vector<absl::Status>(group.size(), room);
+    }
+    // What is in the log now finds its place in the database while there is
+    // still room, so that what makes room can write over it.
+    if (!room.ok() && had_room_ && writer_ != nullptr) {
+      writer_->CopyLog().IgnoreError();
+    }
+    had_room_ = room.ok();
+    if (!room.ok() && !MakesRoom(group)) {
+      return std::vector<absl::Status>(group.size(), room);
+    }
+    if (room.ok() && gave_up_reserve_) {
+      KeepReserve(path_);
+      gave_up_reserve_ = false;
     }
     const Clock::time_point start = Clock::now();
     std::vector<absl::Status> results = Commit(group, room);
     // Follows the device, and forgets a single slow flush soon.
     commit_time_ += (Clock::now() - start - commit_time_) / 8;
     return results;
+  }
+
+  // Whether something is to be done that leaves more room than there was.
+  bool MakesRoom(const std::vector<PendingWrite>& group) const {
+    return ChoresAreDue() ||
+           std::any_of(group.begin(), group.end(),
+                       [](const PendingWrite& write) {
+                         return write.need == Need::kLittle;
+                       });
   }
 
   // Writes a group in one transaction, without `room` what needs little of it.
@@ -403,28 +461,36 @@ class SqliteStorage : public Storage {
         ApplyAll(group, room, /*careful=*/true, &results, &status);
       }
     }
-    bool purged = false;
-    if (status.ok() && purge_) {
-      const absl::StatusOr<bool> more = PurgeSome(*writer_);
-      status = more.status();
-      purged = more.ok() && *more;
-      purge_ = purged;
+    bool changed =
+        std::any_of(results.begin(), results.end(),
+                    [](const absl::Status& result) { return result.ok(); });
+    // On the reserve a deletion comes first, alone.
+    if (status.ok() && ChoresAreDue() &&
+        (group.empty() || !lives_on_reserve_)) {
+      const absl::StatusOr<bool> done =
+          DoChores(/*has_time=*/group.empty(), /*has_room=*/room.ok());
+      status = done.status();
+      changed |= done.ok() && *done;
     }
+    StoreState next = NextState(state_, run_, /*is_closed=*/false);
+    if (status.ok() && changed) status = WriteState(*writer_, next);
     if (status.ok()) status = writer_->Prepare("COMMIT").Run();
+    if (status.ok() && changed) {
+      status = watch_.Check();
+      if (!status.ok()) GiveUp(status);
+    }
     if (status.ok()) {
       space_.NoteWrite(/*found_full=*/false);
       Count(group, results);
-      // Where all was refused there was nothing to flush, and the log may have
-      // been begun anew without a commit in it.
-      if (purged ||
-          std::any_of(results.begin(), results.end(),
-                      [](const absl::Status& result) { return result.ok(); })) {
-        const absl::StatusOr<LogPosition> flushed = writer_->LogEnd();
-        if (flushed.ok()) mark_->Write(*flushed);
+      if (changed) NoteCommit(next);
+      if (chores_ == Chores::kNone ? gave_pages_ || !room.ok()
+                                   : !room.ok() && !lives_on_reserve_) {
+        // The file gets shorter, and the log can be written over.
+        CheckCopied(writer_->CopyLog().status());
+        gave_pages_ = false;
+        lives_on_reserve_ = false;
       }
-      if (IsFailedFlush(writer_->copy_failure())) {
-        GiveUp(writer_->copy_failure());
-      }
+      CheckCopied(writer_->copy_failure());
       return results;
     }
 
@@ -432,9 +498,10 @@ class SqliteStorage : public Storage {
     // succeeded, nothing was touched.
     if (begun) writer_.reset();
     next_sequences_.clear();
-    // Else a full disk would be asked again and again. Taken up after the next
-    // delete or start.
-    purge_ = false;
+    lives_on_reserve_ = false;
+    const bool makes_room = MakesRoom(group);
+    // Else a full disk would be asked again and again.
+    chores_due_ = Clock::now() + kChoresDelay;
     const std::string message =
         "nothing was written: " + std::string(status.message());
     absl::Status failure =
@@ -443,11 +510,80 @@ class SqliteStorage : public Storage {
       space_.NoteWrite(/*found_full=*/true);
       failure = StorageFull(message);
     }
-    if (IsFailedFlush(status)) {
-      GiveUp(status);
-      failure = given_up_;
+    if (IsFailedFlush(status)) GiveUp(status);
+    if (!given_up_.ok()) failure = given_up_;
+    if (IsStorageFull(failure) && makes_room && GiveUpReserve(path_)) {
+      gave_up_reserve_ = true;
+      lives_on_reserve_ = true;
+      chores_due_ = Clock::now();
+      return Commit(group, failure);
     }
     return std::vector<absl::Status>(group.size(), failure);
+  }
+
+  // A step of the chores, within a transaction; answers whether it changed
+  // anything.
+  absl::StatusOr<bool> DoChores(bool has_time, bool has_room) {
+    if (chores_ == Chores::kPurge) {
+      const absl::StatusOr<bool> more = PurgeSome(
+          *writer_, has_room ? kPurgedBatches : kPurgedBatchesWithoutRoom);
+      if (!more.ok()) return more;
+      if (!*more) chores_ = Chores::kShrink;
+      return *more;
+    }
+    // Pages are moved, which takes longer than the writes that wait for it.
+    if (!has_time && has_room) return false;
+    const absl::StatusOr<std::int64_t> given =
+        has_room ? GiveBackPages(*writer_, kKeptPages, kGivenPages)
+                 : GiveBackPages(*writer_, 0, kGivenPagesWithoutRoom);
+    if (!given.ok()) return given.status();
+    if (*given == 0) {
+      chores_ = Chores::kNone;
+    } else {
+      gave_pages_ = true;
+    }
+    return *given > 0;
+  }
+
+  // After a commit.
+  void NoteCommit(const StoreState& state) {
+    const bool is_first = state_.run != run_;
+    state_ = state;
+    mark_->Write(state_);
+    if (is_first) lock_->Write(state_);
+  }
+
+  void CheckCopied(const absl::Status& copied) {
+    if (IsFailedFlush(copied)) GiveUp(copied);
+  }
+
+  // What is free in the file itself, as far as SQLite can use it.
+  std::int64_t FreeBytesInside() {
+    if (writer_ == nullptr) return 0;
+    const absl::StatusOr<std::int64_t> pages =
+        writer_->QueryInteger("PRAGMA freelist_count");
+    const absl::StatusOr<std::int64_t> page_bytes =
+        writer_->QueryInteger("PRAGMA page_size");
+    return pages.ok() && page_bytes.ok() ? *pages * *page_bytes : 0;
+  }
+
+  // An orderly end: the database alone is the store, and says so. If that
+  // cannot be written the log stays, as after a kill.
+  void Close() {
+    if (!EnsureWriter().ok() || !watch_.Check().ok()) return;
+    if (!state_.is_closed) {
+      const StoreState closed = NextState(state_, run_, /*is_closed=*/true);
+      absl::Status status = writer_->Prepare("BEGIN IMMEDIATE").Run();
+      if (status.ok()) status = WriteState(*writer_, closed);
+      if (status.ok()) status = writer_->Prepare("COMMIT").Run();
+      if (!status.ok()) return;
+      NoteCommit(closed);
+      lock_->Write(closed);
+    }
+    const absl::StatusOr<bool> copied = writer_->CopyLog();
+    if (copied.ok() && *copied && mark_->Flush(state_).ok()) {
+      writer_->KeepLogOnClose(false);
+    }
   }
 
   // What a transaction that was committed held.
@@ -466,13 +602,16 @@ class SqliteStorage : public Storage {
                  "this store was opened for reading");
   }
 
-  // After a failed flush; see the header.
+  // After a failed flush, or if the files are gone; see the header.
   void GiveUp(const absl::Status& cause) {
     if (!given_up_.ok()) return;
-    given_up_ = Error(StatusCode::kUnavailable, "STORE_SYNC_FAILED",
-                      "the store takes no more writes, since a flush failed: " +
-                          std::string(cause.message()));
-    if (options_.on_failed_flush) options_.on_failed_flush(given_up_);
+    given_up_ =
+        Error(StatusCode::kUnavailable, ReasonOf(cause),
+              std::string("the store takes no more writes, since ") +
+                  (IsFailedFlush(cause) ? "a flush failed: " : "") +
+                  std::string(cause.message()));
+    chores_ = Chores::kNone;
+    if (options_.on_failure) options_.on_failure(given_up_);
   }
 
   // Answers whether all writes could be applied or refused; `status` is not OK
@@ -545,10 +684,19 @@ class SqliteStorage : public Storage {
   absl::Status EnsureWriter() {
     if (!given_up_.ok()) return given_up_;
     if (writer_ != nullptr) return absl::OkStatus();
-    absl::StatusOr<std::unique_ptr<SqliteDatabase>> opened =
-        OpenWriter(path_, options_.vfs, mark_.get());
+    const absl::Status is_there = watch_.Check();
+    if (!is_there.ok()) {
+      GiveUp(is_there);
+      return given_up_;
+    }
+    // If the log is not copied now, for somebody reads or there is no room, it
+    // is as good as it was: this process has seen it flushed.
+    absl::StatusOr<OpenedWriter> opened =
+        OpenWriter(path_, options_.vfs, run_, mark_.get(),
+                   /*copies_log=*/!lives_on_reserve_);
     if (!opened.ok()) return opened.status();
-    writer_ = *std::move(opened);
+    writer_ = std::move(opened->database);
+    state_ = opened->state;
     return absl::OkStatus();
   }
 
@@ -565,8 +713,7 @@ class SqliteStorage : public Storage {
     }
     if (reader == nullptr) {
       absl::StatusOr<std::unique_ptr<SqliteDatabase>> opened =
-          SqliteDatabase::Open(path_, SqliteDatabase::Mode::kReadOnly,
-                               options_.vfs);
+          SqliteDatabase::Open(path_, reader_mode_, options_.vfs);
       if (!opened.ok()) return opened.status();
       reader = *std::move(opened);
     }
@@ -587,9 +734,12 @@ class SqliteStorage : public Storage {
 
   const std::string path_;
   const SqliteOptions options_;
+  const SqliteDatabase::Mode reader_mode_;
+  const std::uint64_t run_;
   // Nothing if opened for reading; so is the mark.
   const std::unique_ptr<StoreLock> lock_;
   const std::unique_ptr<DurableMark> mark_;
+  const FileWatch watch_;
 
   FreeSpaceGuard space_;
   // The writer's thread only, once it runs.
@@ -597,7 +747,18 @@ class SqliteStorage : public Storage {
   absl::Status given_up_;
   // Nothing after a failure.
   std::unique_ptr<SqliteDatabase> writer_;
-  bool purge_ = true;
+  // Of the last commit.
+  StoreState state_;
+  // The server before may have left some.
+  Chores chores_ = Chores::kPurge;
+  Clock::time_point chores_due_;
+  // Since the log was copied last.
+  bool gave_pages_ = false;
+  bool had_room_ = true;
+  bool gave_up_reserve_ = false;
+  // Since then: the room is for what the chores write to the log, and copying
+  // the log would take it, as long as the file has to grow for that.
+  bool lives_on_reserve_ = false;
   // The sequence that comes next of vehicles that were written to, as the
   // transaction under way would have it. Forgotten when that is in doubt.
   std::unordered_map<VehicleKey, std::uint64_t> next_sequences_;
@@ -645,58 +806,61 @@ std::string Canonical(const std::string& path) {
 absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
     const std::string& path, const SqliteOptions& options) {
   const std::string store = Canonical(path);
+  const std::uint64_t run = RandomRun();
+  absl::Status status = CheckDatabaseIsThere(store);
+  if (absl::IsNotFound(status)) status = MakeStore(store, options.vfs, run);
+  if (!status.ok()) return status;
   absl::StatusOr<std::unique_ptr<StoreLock>> lock = StoreLock::Acquire(store);
   if (!lock.ok()) return lock.status();
   absl::StatusOr<std::unique_ptr<DurableMark>> mark = DurableMark::Open(store);
   if (!mark.ok()) return mark.status();
-  const absl::Status whole =
-      CheckLog(store, options.drop_damaged_log, options.warn, mark->get());
-  if (!whole.ok()) return whole;
-  absl::StatusOr<std::unique_ptr<SqliteDatabase>> writer =
-      OpenWriter(store, options.vfs, mark->get());
-  if (IsStorageFull(writer.status()) && GiveUpReserve(store)) {
-    writer = OpenWriter(store, options.vfs, mark->get());
+  status = CheckStoreFiles(store, options.drop_damaged_log, options.warn,
+                           mark->get());
+  if (!status.ok()) return status;
+  absl::StatusOr<OpenedWriter> writer =
+      OpenWriter(store, options.vfs, run, mark->get(), /*copies_log=*/true);
+  const bool gave_up_reserve =
+      IsStorageFull(writer.status()) && GiveUpReserve(store);
+  if (gave_up_reserve) {
+    writer = OpenWriter(store, options.vfs, run, mark->get(),
+                        /*copies_log=*/true);
   }
-  if (!writer.ok() && !IsStorageFull(writer.status())) return writer.status();
-  if (!writer.ok()) {
-    // What is told to be durable from here on must be, at least as far as the
-    // log goes.
-    const absl::Status flushed = FlushFile(store + "-wal");
-    if (!flushed.ok()) return flushed;
-    if (options.warn) {
-      options.warn("nothing can be written until there is room: " +
-                   std::string(writer.status().message()));
-    }
-  }
-  if (writer.ok() && options.drop_damaged_log) {
+  if (!writer.ok()) return writer.status();
+  // What the log holds may never have been flushed: the server before may have
+  // been killed, or its device have failed, just then. From here on it counts
+  // as durable, so it is made durable: in the database, or where it is.
+  if (!writer->is_copied) status = FlushAnew(LogOf(store));
+  if (!status.ok()) return status;
+  if (options.drop_damaged_log) {
     // Else what was dropped could be back after a power failure.
-    const absl::Status dropped = FlushFile(store + "-wal");
-    if (!dropped.ok()) return dropped;
+    status = FlushFile(LogOf(store));
+    if (!status.ok()) return status;
   }
   // Also of a store that is not new: the server that made it may have been
   // killed before it came to this.
-  const absl::Status found = FlushDirectories(
+  status = FlushDirectories(
       std::filesystem::path(store).parent_path().string());
-  if (!found.ok()) return found;
+  if (!status.ok()) return status;
+  // After a log was dropped, it may have said more.
+  (*lock)->Write(writer->state);
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> anchor =
       OpenAnchor(store, options.vfs);
   if (!anchor.ok()) return anchor.status();
-  const absl::Status sound =
-      CheckFile(**anchor, store, options.max_checked_bytes);
-  if (!sound.ok()) return sound;
-  if (writer.ok()) KeepReserve(store);
+  status = CheckFile(**anchor, store, options.max_checked_bytes);
+  if (!status.ok()) return status;
+  if (!gave_up_reserve) KeepReserve(store);
   return std::unique_ptr<Storage>(new SqliteStorage(
-      store, options, *std::move(lock), *std::move(mark),
-      writer.ok() ? *std::move(writer) : nullptr, *std::move(anchor)));
+      store, options, run, *std::move(lock), *std::move(mark),
+      *std::move(writer), *std::move(anchor)));
 }
 
 absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorageToRead(
-    const std::string& path) {
+    const std::string& path, SqliteDatabase::Mode mode) {
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> anchor =
-      OpenDatabaseToRead(path);
+      OpenDatabaseToRead(path, mode);
   if (!anchor.ok()) return anchor.status();
-  return std::unique_ptr<Storage>(new SqliteStorage(
-      path, SqliteOptions(), nullptr, nullptr, nullptr, *std::move(anchor)));
+  return std::unique_ptr<Storage>(
+      new SqliteStorage(path, mode, *std::move(anchor)));
 }
 
 }  // namespace revisit::server

@@ -9,16 +9,22 @@
 // have connections of their own and never wait for the writer.
 //
 // After a failed transaction the connection is closed, and no write is taken on
-// until it has been opened anew and the whole log has been copied into the
-// database file and flushed there. After a failed flush none is taken on at all
-// until a new process has done the same: what the system's memory shows may no
-// longer be what is on the device.
+// until it has been opened anew and the log been copied into the database file
+// and emptied; where somebody reads, or there is no room, it is written on
+// behind its last commit. After a failed flush none is taken on at all until a
+// new process has copied the log, or written it anew, and flushed that: what
+// the system's memory shows may no longer be what is on the device. Nor is any
+// once the files were removed or replaced.
 //
-// Opening checks that the log holds all that was flushed (write_ahead_log.h,
-// durable_mark.h), and, of a file that is not too large, that tables and
-// indexes hang together, so that no row is missed. Rows are checked as they are
-// read. A store that fits nowhere any more opens too, if need be for reading
-// only.
+// Opening checks that database, log, mark and lock belong together and hold all
+// that was flushed (store_state.h, durable_mark.h, write_ahead_log.h), and, of
+// a file that is not too large, that tables and indexes hang together, so that
+// no row is missed. Rows are checked as they are read. A store that fits
+// nowhere any more opens too.
+//
+// Where vehicles were deleted, their rows are removed and pages that no row
+// uses are given back to the file system, some at a time while there is nothing
+// better to do, or no room.
 //
 // Tables (see kSchema in store_opening.cc; the file's user_version is
 // kStoreFormat):
@@ -31,6 +37,8 @@
 //   rejected_candidates  a row a rejected candidate; since format 2
 //   deleted_vehicles     keys whose batches are still to be removed, a few at
 //                        a time
+//   store                one row: which store this is, and the number of its
+//                        last commit; since format 3
 // Every row has a format version and a checksum (record_checksum.h), checked
 // whenever it is read. The version is that of the store when the row was
 // written: opening an older store adds the tables that it lacks, in one
@@ -47,6 +55,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "server/storage/sqlite_database.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {
@@ -79,9 +88,9 @@ struct SqliteOptions {
   bool drop_damaged_log = false;
   // What an operator should know of; at opening.
   std::function<void(const std::string&)> warn;
-  // A flush has failed: no write will be taken on any more. On the writer's
-  // thread, once.
-  std::function<void(const absl::Status&)> on_failed_flush;
+  // A flush has failed, or the store's files are gone: no write will be taken
+  // on any more. On the writer's thread, once.
+  std::function<void(const absl::Status&)> on_failure;
 };
 
 // Opens the store, or creates it in a directory that is there.
@@ -93,10 +102,11 @@ struct SqliteOptions {
 absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
     const std::string& path, const SqliteOptions& options = {});
 
-// Opens a store of this format for reading, also while a server has it open.
-// Writes are FAILED_PRECONDITION. The same errors as above.
+// Opens a store of this format for reading, in a mode that only reads;
+// kReadOnly also while a server has it open. Writes are FAILED_PRECONDITION.
+// The same errors as above.
 absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorageToRead(
-    const std::string& path);
+    const std::string& path, SqliteDatabase::Mode mode);
 
 }  // namespace revisit::server
 

@@ -35,7 +35,7 @@
 namespace revisit::server {
 
 // Version of the tables and of what is in them.
-inline constexpr int kStoreFormat = 2;
+inline constexpr int kStoreFormat = 3;
 
 // Key of a vehicle's rows; never used again after the vehicle is deleted.
 using VehicleKey = std::int64_t;

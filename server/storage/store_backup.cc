@@ -7,9 +7,10 @@
 #include <system_error>
 
 #include "server/status.h"
-#include "server/storage/durable_mark.h"
+#include "server/storage/free_space.h"
 #include "server/storage/store_files.h"
 #include "server/storage/store_opening.h"
+#include "server/storage/store_state.h"
 
 namespace revisit::server {
 namespace {
@@ -21,33 +22,78 @@ void RemoveCopy(const std::string& path) {
   }
 }
 
-absl::Status Copy(const std::string& path, const std::string& copy) {
+std::int64_t BytesOf(const std::string& path) {
+  std::error_code error;
+  const std::uintmax_t bytes = std::filesystem::file_size(path, error);
+  return error ? 0 : static_cast<std::int64_t>(bytes);
+}
+
+absl::Status GiveWay(const std::string& why) {
+  return Error(absl::StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+               "the backup gave way to the server, and nothing was kept of "
+               "it: " +
+                   why +
+                   "; copy to a faster disk, or while less is written");
+}
+
+// While the copy is made the log of the store cannot be written over.
+absl::Status CheckLog(const std::string& path, std::int64_t log_bytes_before,
+                      const BackupBounds& bounds) {
+  const std::int64_t grown = BytesOf(LogOf(path)) - log_bytes_before;
+  if (grown > bounds.max_log_growth) {
+    return GiveWay("the log " + LogOf(path) + " grew by " +
+                   std::to_string(grown) + " bytes meanwhile, allowed are " +
+                   std::to_string(bounds.max_log_growth));
+  }
+  const absl::StatusOr<std::int64_t> free = FreeBytes(
+      std::filesystem::absolute(path).parent_path().string());
+  if (free.ok() && *free < bounds.min_free_bytes) {
+    return GiveWay("the file system of the store has " + std::to_string(*free) +
+                   " bytes left, needed are " +
+                   std::to_string(bounds.min_free_bytes));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status Copy(const StoreToRead& store, const std::string& copy,
+                  const BackupBounds& bounds) {
   const absl::StatusOr<std::unique_ptr<SqliteDatabase>> source =
-      OpenDatabaseToRead(path);
+      OpenDatabaseToRead(store.path, store.mode);
   if (!source.ok()) return source.status();
+  const absl::Status made = MakePrivateFile(copy);
+  if (!made.ok()) return made;
   const absl::StatusOr<std::unique_ptr<SqliteDatabase>> destination =
       SqliteDatabase::Open(copy, SqliteDatabase::Mode::kReadWrite, "");
   if (!destination.ok()) return destination.status();
-  const absl::Status copied = (*source)->CopyTo(destination->get());
+  const std::int64_t log_bytes = BytesOf(LogOf(store.path));
+  const absl::Status copied = (*source)->CopyTo(destination->get(), [&] {
+    return store.use == StoreUse::kIdle
+               ? absl::OkStatus()
+               : CheckLog(store.path, log_bytes, bounds);
+  });
   if (!copied.ok()) return copied;
+  absl::StatusOr<StoreState> state = ReadState(**destination);
+  if (!state.ok()) return state.status();
+  state->is_closed = true;
+  const absl::Status closed = WriteState(**destination, *state);
+  if (!closed.ok()) return closed;
   // One file, without a log beside it.
   return (*destination)->Execute("PRAGMA journal_mode = DELETE");
 }
 
 absl::StatusOr<StoreReport> CopyAndCheck(const std::string& path, StoreUse use,
-                                         const std::string& copy) {
+                                         const std::string& copy,
+                                         const BackupBounds& bounds) {
+  const absl::StatusOr<StoreToRead> store = LookAtStore(path, use);
+  if (!store.ok()) return store.status();
   // A log is read up to its first damage: the copy would be whole, and lack
   // what was acknowledged since.
-  if (use == StoreUse::kIdle) {
-    const absl::StatusOr<LogExamination> log =
-        ExamineLog(path, DurableMark::Read(path));
-    if (!log.ok()) return log.status();
-    if (!log->damage.empty()) {
-      return Error(absl::StatusCode::kDataLoss, "STORE_CORRUPT",
-                   DamageText(path, *log));
-    }
+  if (!store->files.damage.empty()) return DamageOf(store->files);
+  const absl::Status copied = Copy(*store, copy, bounds);
+  if (HasChanged(*store)) {
+    RemoveCopy(copy);
+    return CopyAndCheck(path, StoreUse::kServed, copy, bounds);
   }
-  const absl::Status copied = Copy(path, copy);
   if (!copied.ok()) return copied;
   absl::StatusOr<StoreReport> report = CheckStore(copy, StoreUse::kIdle);
   if (!report.ok()) return report;
@@ -64,7 +110,8 @@ absl::StatusOr<StoreReport> CopyAndCheck(const std::string& path, StoreUse use,
 }  // namespace
 
 absl::StatusOr<StoreReport> BackUpStore(const std::string& path, StoreUse use,
-                                        const std::string& destination) {
+                                        const std::string& destination,
+                                        const BackupBounds& bounds) {
   std::error_code error;
   if (std::filesystem::exists(destination, error)) {
     return absl::FailedPreconditionError(
@@ -72,7 +119,7 @@ absl::StatusOr<StoreReport> BackUpStore(const std::string& path, StoreUse use,
   }
   const std::string copy = destination + ".partial";
   RemoveCopy(copy);
-  absl::StatusOr<StoreReport> report = CopyAndCheck(path, use, copy);
+  absl::StatusOr<StoreReport> report = CopyAndCheck(path, use, copy, bounds);
   if (report.ok() && std::rename(copy.c_str(), destination.c_str()) != 0) {
     report = absl::ErrnoToStatus(errno, "cannot name the copy " + destination);
   }

@@ -2,6 +2,7 @@
 #ifndef REVISIT_SERVER_STORAGE_STORE_BACKUP_H_
 #define REVISIT_SERVER_STORAGE_STORE_BACKUP_H_
 
+#include <cstdint>
 #include <string>
 
 #include "absl/status/statusor.h"
@@ -9,16 +10,26 @@
 
 namespace revisit::server {
 
+// How much a backup may cost the server beside it: the server cannot write over
+// its log while it is copied from.
+struct BackupBounds {
+  std::int64_t max_log_growth = std::int64_t{1} << 30;
+  // Of the file system of the store.
+  std::int64_t min_free_bytes = 0;
+};
+
 // Makes one file that is a store by itself, as of one moment: every write that
 // was acknowledged before the call is in it. The copy is read whole and flushed
-// before it gets its name, so a file of that name is a good one. Writes go on
-// meanwhile; the log grows until the copy is done.
+// before it gets its name, so a file of that name is a good one. Nothing of the
+// store is changed, and writes go on meanwhile; the log grows until the copy is
+// done.
 //
 // FAILED_PRECONDITION if there is a file of that name, or if the store is none
-// of this format; DATA_LOSS if the store is damaged, and then there is no copy.
-// `use`: as of CheckStore().
+// of this format; DATA_LOSS if the store is damaged, UNAVAILABLE beyond a
+// bound, and then there is no copy. `use`: as of CheckStore().
 absl::StatusOr<StoreReport> BackUpStore(const std::string& path, StoreUse use,
-                                        const std::string& destination);
+                                        const std::string& destination,
+                                        const BackupBounds& bounds = {});
 
 }  // namespace revisit::server
 

@@ -1,14 +1,16 @@
 #include "server/storage/store_check.h"
 
+#include <sys/stat.h>
+
 #include <cstdint>
 #include <filesystem>
 #include <memory>
 #include <system_error>
 #include <utility>
 
-#include "server/storage/durable_mark.h"
 #include "server/storage/sqlite_storage.h"
 #include "server/storage/store_files.h"
+#include "server/storage/store_lock.h"
 #include "server/storage/store_opening.h"
 #include "server/storage/write_ahead_log.h"
 
@@ -17,6 +19,16 @@ namespace {
 
 constexpr std::size_t kListedNames = 20;
 constexpr int kPairsPerRead = 1000;
+
+// What is seen of a database from outside: another if anybody has written to
+// it.
+std::string LooksOf(const std::string& path) {
+  struct stat status;
+  if (stat(path.c_str(), &status) != 0) return "";
+  return std::to_string(status.st_ino) + " " + std::to_string(status.st_size) +
+         " " + std::to_string(status.st_mtim.tv_sec) + " " +
+         std::to_string(status.st_mtim.tv_nsec);
+}
 
 class Checker {
  public:
@@ -201,25 +213,45 @@ absl::StatusOr<std::vector<std::string>> FindStructuralDamage(
   }
 }
 
+absl::StatusOr<StoreToRead> LookAtStore(const std::string& path,
+                                        StoreUse use) {
+  StoreToRead store{path, use, SqliteDatabase::Mode::kReadOnly, {}, {}};
+  const absl::Status is_there = CheckDatabaseIsThere(path);
+  if (!is_there.ok()) return is_there;
+  if (use == StoreUse::kServed) return store;
+  store.looks = LooksOf(path);
+  absl::StatusOr<StoreExamination> examination = ExamineStore(path);
+  if (!examination.ok()) return examination.status();
+  store.mode = ReadingMode(examination->has_no_log);
+  store.files = *std::move(examination);
+  return store;
+}
+
+bool HasChanged(const StoreToRead& store) {
+  return store.use == StoreUse::kIdle &&
+         (StoreLock::IsHeld(store.path) || LooksOf(store.path) != store.looks);
+}
+
 absl::StatusOr<StoreReport> CheckStore(const std::string& path, StoreUse use) {
-  LogExamination log;
-  if (use == StoreUse::kIdle) {
-    absl::StatusOr<LogExamination> examined =
-        ExamineLog(path, DurableMark::Read(path));
-    if (!examined.ok()) return examined.status();
-    log = *std::move(examined);
-  }
-  absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
-      OpenDatabaseToRead(path);
-  if (!database.ok()) return database.status();
-  absl::StatusOr<std::unique_ptr<Storage>> storage =
-      OpenSqliteStorageToRead(path);
-  if (!storage.ok()) return storage.status();
-  StoreReport report =
-      Checker(path, use, database->get(), storage->get()).Check();
-  if (!log.damage.empty()) {
-    report.problems.push_back(DamageText(path, log));
-    report.damaged_vehicles.merge(log.vehicles);
+  const absl::StatusOr<StoreToRead> store = LookAtStore(path, use);
+  if (!store.ok()) return store.status();
+  // SQLite would put together what does not belong together.
+  const StoreExamination& files = store->files;
+  if (!files.damage.empty() && !files.can_be_dropped) return DamageOf(files);
+  absl::StatusOr<StoreReport> report = [&]() -> absl::StatusOr<StoreReport> {
+    absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
+        OpenDatabaseToRead(path, store->mode);
+    if (!database.ok()) return database.status();
+    absl::StatusOr<std::unique_ptr<Storage>> storage =
+        OpenSqliteStorageToRead(path, store->mode);
+    if (!storage.ok()) return storage.status();
+    return Checker(path, use, database->get(), storage->get()).Check();
+  }();
+  if (HasChanged(*store)) return CheckStore(path, StoreUse::kServed);
+  if (report.ok() && !files.damage.empty()) {
+    report->problems.emplace_back(DamageOf(files).message());
+    report->damaged_vehicles.insert(files.vehicles.begin(),
+                                    files.vehicles.end());
   }
   return report;
 }

@@ -9,6 +9,7 @@
 
 #include "absl/status/statusor.h"
 #include "server/storage/sqlite_database.h"
+#include "server/storage/store_opening.h"
 
 namespace revisit::server {
 
@@ -29,6 +30,23 @@ struct StoreReport {
   std::set<std::string> damaged_vehicles;
 };
 
+// How a store is to be read whole, by a process that is no server.
+struct StoreToRead {
+  std::string path;
+  StoreUse use;
+  SqliteDatabase::Mode mode;
+  // Of an idle store.
+  StoreExamination files;
+  std::string looks;
+};
+
+// DATA_LOSS (STORE_CORRUPT) if the database is missing or empty. Writes
+// nothing.
+absl::StatusOr<StoreToRead> LookAtStore(const std::string& path, StoreUse use);
+// Whether a server has taken an idle store since. What was read then may be
+// wrong: read it again, as served.
+bool HasChanged(const StoreToRead& store);
+
 // Whether every page, table and index is what the others say: empty, or up to
 // ten problems. Rows' own checksums are not looked at. DATA_LOSS where the
 // damage does not even let it go on.
@@ -37,8 +55,9 @@ absl::StatusOr<std::vector<std::string>> FindStructuralDamage(
 
 // Reads every row of every vehicle: checksums, sequences without a gap, nothing
 // that belongs to nobody; as of one moment a vehicle. Of an idle store also
-// whether its log holds all that was flushed. Fails only where the store cannot
-// be opened at all: as OpenSqliteStorageToRead() does.
+// whether its files belong together and hold all that was flushed. Changes none
+// of them. Fails only where the store cannot be opened at all: as
+// OpenSqliteStorageToRead() does, or where its files do not belong together.
 absl::StatusOr<StoreReport> CheckStore(const std::string& path, StoreUse use);
 
 // "a, b and 3 more".

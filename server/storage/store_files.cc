@@ -6,17 +6,47 @@
 
 #include <cerrno>
 #include <filesystem>
+#include <system_error>
 
 #include "server/status.h"
 
 namespace revisit::server {
 namespace {
 
-// The index of a log of 64 MiB takes 64 kB.
-constexpr off_t kReserveBytes = 256 << 10;
+// What deleting a vehicle takes, and the index of a log of 256 MiB.
+constexpr off_t kReserveBytes = 1 << 20;
+// Of a file that is written anew, at a time.
+constexpr std::size_t kPieceBytes = std::size_t{1} << 20;
 
 std::string ReserveOf(const std::string& store_path) {
   return store_path + ".reserve";
+}
+
+absl::Status FlushFailed(const std::string& path) {
+  const int failure = errno;
+  return Error(
+      absl::StatusCode::kUnavailable, "STORE_SYNC_FAILED",
+      "cannot flush: " + absl::ErrnoToStatus(failure, path).ToString());
+}
+
+absl::Status Unavailable(const std::string& message) {
+  return Error(absl::StatusCode::kUnavailable, "STORE_UNAVAILABLE", message);
+}
+
+// Answers whether all of it could be written and flushed; else errno says why
+// not.
+bool WriteAnew(int file) {
+  std::vector<char> piece(kPieceBytes);
+  off_t at = 0;
+  while (true) {
+    const ssize_t size = pread(file, piece.data(), piece.size(), at);
+    if (size < 0) return false;
+    if (size == 0) return fsync(file) == 0;
+    const ssize_t written =
+        pwrite(file, piece.data(), static_cast<std::size_t>(size), at);
+    if (written < 0) return false;
+    at += written;
+  }
 }
 
 }  // namespace
@@ -26,13 +56,19 @@ std::string LogOf(const std::string& store_path) { return store_path + "-wal"; }
 absl::Status FlushFile(const std::string& path) {
   const int file = open(path.c_str(), O_RDONLY | O_CLOEXEC);
   if (file < 0 && errno == ENOENT) return absl::OkStatus();
-  const bool flushed = file >= 0 && fsync(file) == 0;
-  const int failure = errno;
+  const absl::Status status =
+      file >= 0 && fsync(file) == 0 ? absl::OkStatus() : FlushFailed(path);
   if (file >= 0) close(file);
-  if (flushed) return absl::OkStatus();
-  return Error(
-      absl::StatusCode::kUnavailable, "STORE_SYNC_FAILED",
-      "cannot flush: " + absl::ErrnoToStatus(failure, path).ToString());
+  return status;
+}
+
+absl::Status FlushAnew(const std::string& path) {
+  const int file = open(path.c_str(), O_RDWR | O_CLOEXEC);
+  if (file < 0 && errno == ENOENT) return absl::OkStatus();
+  const absl::Status status =
+      file >= 0 && WriteAnew(file) ? absl::OkStatus() : FlushFailed(path);
+  if (file >= 0) close(file);
+  return status;
 }
 
 absl::Status FlushDirectories(const std::string& directory) {
@@ -56,10 +92,51 @@ absl::Status FlushDirectories(const std::string& directory) {
   return absl::OkStatus();
 }
 
+absl::Status MakeDirectory(const std::string& path) {
+  std::error_code error;
+  std::filesystem::path directory =
+      std::filesystem::absolute(path, error).lexically_normal();
+  // "store/" is its own parent's child of no name.
+  if (!directory.has_filename()) directory = directory.parent_path();
+  if (std::filesystem::is_directory(directory, error)) return absl::OkStatus();
+  const std::filesystem::path parent = directory.parent_path();
+  if (parent != directory) {
+    const absl::Status made = MakeDirectory(parent.string());
+    if (!made.ok()) return made;
+  }
+  if (mkdir(directory.c_str(), 0700) != 0 && errno != EEXIST) {
+    return Unavailable(
+        "cannot create the directory " +
+        absl::ErrnoToStatus(errno, directory.string()).ToString());
+  }
+  return absl::OkStatus();
+}
+
+absl::Status MakePrivateFile(const std::string& path) {
+  const int file = open(path.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
+  if (file < 0) {
+    return absl::ErrnoToStatus(errno, "cannot create " + path);
+  }
+  close(file);
+  return absl::OkStatus();
+}
+
+std::vector<std::string> FilesBeside(const std::string& store_path) {
+  std::vector<std::string> files;
+  for (const char* suffix :
+       {"-wal", "-shm", "-journal", ".mark", ".lock", ".reserve"}) {
+    std::error_code error;
+    if (std::filesystem::exists(store_path + suffix, error)) {
+      files.push_back(store_path + suffix);
+    }
+  }
+  return files;
+}
+
 void KeepReserve(const std::string& store_path) {
   const std::string path = ReserveOf(store_path);
   const int file =
-      open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0644);
+      open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0600);
   if (file < 0) return;
   if (posix_fallocate(file, 0, kReserveBytes) != 0) unlink(path.c_str());
   close(file);
@@ -67,6 +144,35 @@ void KeepReserve(const std::string& store_path) {
 
 bool GiveUpReserve(const std::string& store_path) {
   return unlink(ReserveOf(store_path).c_str()) == 0;
+}
+
+FileWatch::FileWatch(const std::string& store_path) {
+  // Those that stay as long as the store is open.
+  for (const char* suffix : {"", "-wal", "-shm", ".mark", ".lock"}) {
+    const std::string path = store_path + suffix;
+    struct stat status;
+    if (stat(path.c_str(), &status) == 0) {
+      files_.push_back({path, status.st_dev, status.st_ino});
+    }
+  }
+}
+
+absl::Status FileWatch::Check() const {
+  for (const File& file : files_) {
+    struct stat status;
+    const bool is_there = stat(file.path.c_str(), &status) == 0;
+    // Whoever may not look cannot tell.
+    if (!is_there && errno != ENOENT && errno != ENOTDIR) continue;
+    // While it is open here, its number is given to no other file.
+    if (is_there && status.st_dev == file.device &&
+        status.st_ino == file.inode) {
+      continue;
+    }
+    return Unavailable("the file " + file.path + " was " +
+                       (is_there ? "replaced" : "removed") +
+                       " while the server had it open");
+  }
+  return absl::OkStatus();
 }
 
 }  // namespace revisit::server

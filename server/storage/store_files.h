@@ -2,7 +2,9 @@
 #ifndef REVISIT_SERVER_STORAGE_STORE_FILES_H_
 #define REVISIT_SERVER_STORAGE_STORE_FILES_H_
 
+#include <cstdint>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 
@@ -20,13 +22,49 @@ absl::Status FlushFile(const std::string& path);
 // a power failure. `directory` is absolute. Not every file system can flush a
 // directory; only a device that fails is an error.
 absl::Status FlushDirectories(const std::string& directory);
+// Writes a file anew with what it holds, in place, and flushes it. After a
+// failed flush the system may show what never reached the device, and call it
+// flushed: this makes it true. Others may read the file meanwhile. Errors as
+// above.
+absl::Status FlushAnew(const std::string& path);
+
+// Makes a directory for its owner alone, and those above it that are missing;
+// FlushDirectories() keeps them. UNAVAILABLE (STORE_UNAVAILABLE).
+absl::Status MakeDirectory(const std::string& path);
+
+// Makes an empty file for its owner alone, if there is none; SQLite gives its
+// own files beside it the same rights. The status says why that failed.
+absl::Status MakePrivateFile(const std::string& path);
+
+// The files of a store beside its database that are there.
+std::vector<std::string> FilesBeside(const std::string& store_path);
 
 // Room set aside, in the file `<store>.reserve`, so that a store can still be
-// opened where others have filled the disk: SQLite needs some for the index of
-// its log. Makes it if it is not there; without room there is none.
+// opened, and vehicles be deleted, where others have filled the disk: SQLite
+// needs some for its log and the index of it. Makes it if it is not there;
+// without room there is none.
 void KeepReserve(const std::string& store_path);
 // Gives the room back; answers whether there was any.
 bool GiveUpReserve(const std::string& store_path);
+
+// Notices that files that are open were removed or replaced: what is written to
+// them then will not be found by anybody.
+class FileWatch {
+ public:
+  // The database and the files beside it that are there now.
+  explicit FileWatch(const std::string& store_path);
+
+  // OK, or UNAVAILABLE (STORE_UNAVAILABLE) naming the file.
+  absl::Status Check() const;
+
+ private:
+  struct File {
+    std::string path;
+    std::uint64_t device;
+    std::uint64_t inode;
+  };
+  std::vector<File> files_;
+};
 
 }  // namespace revisit::server
 

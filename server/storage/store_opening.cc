@@ -1,9 +1,17 @@
 #include "server/storage/store_opening.h"
 
+#include <fcntl.h>
+#include <sys/file.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
 #include <cstdint>
+#include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <map>
+#include <optional>
 #include <set>
 #include <system_error>
 #include <utility>
@@ -12,6 +20,7 @@
 #include "server/status.h"
 #include "server/storage/store_check.h"
 #include "server/storage/store_files.h"
+#include "server/storage/store_lock.h"
 #include "server/storage/store_rows.h"
 #include "server/storage/write_ahead_log.h"
 
@@ -88,6 +97,18 @@ CREATE TABLE rejected_candidates (
 ) WITHOUT ROWID;
 )sql";
 
+// What format 3 has beyond format 2: one row, store_state.h.
+constexpr char kSchemaSince3[] = R"sql(
+CREATE TABLE store (
+  key INTEGER PRIMARY KEY,
+  state BLOB NOT NULL
+);
+)sql";
+
+// Pages of rows that were deleted can be given back to the file system. Only
+// for a file without tables.
+constexpr char kVacuum[] = "PRAGMA auto_vacuum = INCREMENTAL";
+
 // What the head of an SQLite file says of who made it; both 0 in a new one.
 struct FileFormat {
   std::int64_t application = 0;
@@ -120,30 +141,27 @@ absl::Status CheckKnownFormat(const std::string& path,
   return absl::OkStatus();
 }
 
-// Sets up a new file, or checks one that is there and brings it to this format.
-absl::Status CheckFormat(SqliteDatabase& database, const std::string& path) {
+// Brings a store to this format.
+absl::Status CheckFormat(SqliteDatabase& database, const std::string& path,
+                         std::uint64_t run) {
   const absl::StatusOr<FileFormat> format = ReadFormat(database);
   if (!format.ok()) return format.status();
-  const absl::StatusOr<std::int64_t> tables =
-      database.QueryInteger("SELECT count(*) FROM sqlite_schema");
-  if (!tables.ok()) return tables.status();
-  if (format->application == 0 && format->version == 0 && *tables == 0) {
-    const std::string sql =
-        "PRAGMA page_size = " + std::to_string(kPageBytes) +
-        "; BEGIN IMMEDIATE;" + std::string(kSchema) + kSchemaSince2 +
-        "PRAGMA application_id = " + std::to_string(kApplicationId) +
-        "; PRAGMA user_version = " + std::to_string(kStoreFormat) + "; COMMIT";
-    return database.Execute(sql.c_str());
-  }
   const absl::Status known = CheckKnownFormat(path, *format);
   if (!known.ok()) return known;
   if (format->version == kStoreFormat) return absl::OkStatus();
   // Not done until committed: a failure closes the connection, and that rolls
   // back.
-  const std::string sql =
-      "BEGIN IMMEDIATE;" + std::string(kSchemaSince2) +
-      "PRAGMA user_version = " + std::to_string(kStoreFormat) + "; COMMIT";
-  return database.Execute(sql.c_str());
+  std::string sql = "BEGIN IMMEDIATE;";
+  if (format->version < 2) sql += kSchemaSince2;
+  sql += kSchemaSince3;
+  sql += "PRAGMA user_version = " + std::to_string(kStoreFormat);
+  absl::Status status = database.Execute(sql.c_str());
+  if (!status.ok()) return status;
+  StoreState first = FirstState(run);
+  first.is_closed = false;
+  status = WriteState(database, first);
+  if (!status.ok()) return status;
+  return database.Execute("COMMIT");
 }
 
 // SQLite takes any table for ours that has its name. The words it was made with
@@ -152,8 +170,8 @@ absl::Status CheckSchema(SqliteDatabase& database, const std::string& path) {
   const absl::StatusOr<std::unique_ptr<SqliteDatabase>> expected =
       SqliteDatabase::Open(":memory:", SqliteDatabase::Mode::kReadWrite, "");
   if (!expected.ok()) return expected.status();
-  const absl::Status made =
-      (*expected)->Execute((std::string(kSchema) + kSchemaSince2).c_str());
+  const absl::Status made = (*expected)->Execute(
+      (std::string(kSchema) + kSchemaSince2 + kSchemaSince3).c_str());
   if (!made.ok()) return made;
   static constexpr char kTables[] =
       "SELECT name, sql FROM sqlite_schema WHERE type = 'table'";
@@ -207,28 +225,182 @@ absl::Status CheckReadable(SqliteDatabase& database, const std::string& path) {
   return Corrupt("the store " + path + " is damaged: " + what, {});
 }
 
-// Copies the log into the database, flushes that, and empties the log.
-absl::Status EmptyLog(SqliteDatabase& database, DurableMark* mark) {
-  const auto checkpoint = [&](const char* sql) -> absl::Status {
-    SqliteStatement statement = database.Prepare(sql);
-    const absl::StatusOr<bool> row = statement.Step();
-    if (!row.ok()) return row.status();
-    if (*row && statement.Integer(0) == 0) return absl::OkStatus();
-    return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
-                 "store: other readers keep the log from being copied");
-  };
-  absl::Status status = checkpoint("PRAGMA wal_checkpoint(FULL)");
-  // All is in the database: an empty log is right from here on.
-  if (status.ok()) status = mark->Clear();
-  if (status.ok()) status = checkpoint("PRAGMA wal_checkpoint(TRUNCATE)");
-  return status;
+// What a database says of itself without its log.
+struct FileContent {
+  // Whether it could be read as a store; else nothing is known.
+  bool is_readable = false;
+  // Not of formats 1 and 2.
+  std::optional<StoreState> state;
+};
+
+FileContent ReadFileAlone(const std::string& store) {
+  FileContent content;
+  const absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
+      SqliteDatabase::Open(store, SqliteDatabase::Mode::kFileOnly, "");
+  if (!database.ok()) return content;
+  const absl::StatusOr<FileFormat> format = ReadFormat(**database);
+  if (!format.ok() || !CheckKnownFormat(store, *format).ok()) return content;
+  content.is_readable = format->version < 3;
+  if (content.is_readable) return content;
+  const absl::StatusOr<StoreState> state = ReadState(**database);
+  content.is_readable = state.ok();
+  if (state.ok()) content.state = *state;
+  return content;
 }
+
+// Keeps other servers that make a store in the same directory waiting. One on a
+// file system without such locks waits for nobody.
+class DirectoryLock {
+ public:
+  explicit DirectoryLock(const std::string& directory)
+      : file_(open(directory.empty() ? "." : directory.c_str(),
+                   O_RDONLY | O_DIRECTORY | O_CLOEXEC)) {
+    if (file_ >= 0) static_cast<void>(flock(file_, LOCK_EX));
+  }
+  ~DirectoryLock() {
+    if (file_ >= 0) close(file_);
+  }
+
+  DirectoryLock(const DirectoryLock&) = delete;
+  DirectoryLock& operator=(const DirectoryLock&) = delete;
+
+ private:
+  const int file_;
+};
+
+// Compares what the files of a store say of it.
+class Comparison {
+ public:
+  Comparison(std::string store, const LogReport& log)
+      : store_(std::move(store)),
+        log_(log),
+        file_(ReadFileAlone(store_)),
+        mark_(DurableMark::Read(store_)),
+        lock_(StoreLock::Read(store_)) {}
+
+  // In the order in which the answers matter: what cannot be dropped first.
+  StoreExamination Compare() const {
+    StoreExamination result;
+    result.damage = FindStranger();
+    if (result.damage.empty()) result.damage = FindGap();
+    if (!result.damage.empty()) return result;
+    result.can_be_dropped = true;
+    result.damage = FindMissing();
+    return result;
+  }
+
+ private:
+  bool log_is_used() const { return log_.end.frames > 0; }
+  // The last commit that SQLite will see.
+  std::optional<StoreState> end() const {
+    return log_.states.empty() ? file_.state : log_.states.back();
+  }
+
+  std::string FindStranger() const {
+    struct Known {
+      std::string file;
+      std::optional<StoreState> state;
+    };
+    const std::vector<Known> all = {
+        {store_, file_.state},
+        {LogOf(store_), log_.states.empty()
+                            ? std::nullopt
+                            : std::optional(log_.states.front())},
+        {store_ + ".mark", mark_.state},
+        {store_ + ".lock", lock_}};
+    const Known* first = nullptr;
+    for (const Known& known : all) {
+      if (!known.state) continue;
+      if (first == nullptr) first = &known;
+      if (known.state->id != first->state->id) {
+        return known.file + " is of another store than " + first->file + ": " +
+               ToText(*known.state) + " and " + ToText(*first->state);
+      }
+    }
+    return "";
+  }
+
+  // Whether the log, if there is one, goes on from what the database holds.
+  std::string FindGap() const {
+    if (!file_.is_readable || !log_is_used()) return "";
+    if (log_.states.empty()) {
+      if (!file_.state) return "";
+      return "the log " + LogOf(store_) +
+             " is of another store, or older than the database";
+    }
+    const StoreState& first = log_.states.front();
+    const StoreState& last = log_.states.back();
+    const std::uint64_t reached = file_.state ? file_.state->commit : 0;
+    const std::string but = ": the database holds commits up to " +
+                            std::to_string(reached) + ", the log " +
+                            std::to_string(first.commit) + " to " +
+                            std::to_string(last.commit);
+    if (reached + 1 < first.commit) {
+      return "the database " + store_ + " is older than its log" + but;
+    }
+    if (reached > last.commit) {
+      return "the log " + LogOf(store_) + " is older than the database" + but;
+    }
+    const bool fits =
+        reached + 1 == first.commit
+            ? first.previous_run == (file_.state ? file_.state->run : 0)
+            : std::any_of(log_.states.begin(), log_.states.end(),
+                          [&](const StoreState& state) {
+                            return IsSameCommit(state, *file_.state);
+                          });
+    if (fits) return "";
+    return "the log " + LogOf(store_) +
+           " is of a copy of the store that went its own way" + but;
+  }
+
+  // Whether what is there is all that was flushed.
+  std::string FindMissing() const {
+    if (mark_.position) {
+      const std::string missing = MissingFrom(log_, *mark_.position);
+      if (!missing.empty()) {
+        return "the log " + LogOf(store_) + " is damaged: " + missing;
+      }
+    }
+    if (!file_.is_readable && log_.states.empty()) return "";
+    const std::uint64_t reached = end() ? end()->commit : 0;
+    for (const std::optional<StoreState>& known : {mark_.state, lock_}) {
+      if (!known) continue;
+      if (known->commit > reached) {
+        return "the log " + LogOf(store_) +
+               (log_is_used() ? " is damaged: it ends with commit "
+                              : " is missing, or the database is older: that "
+                                "ends with commit ") +
+               std::to_string(reached) + ", but commit " +
+               std::to_string(known->commit) + " was flushed";
+      }
+      if (known->commit == reached && known->run != end()->run) {
+        return "the log " + LogOf(store_) +
+               " is of a copy of the store that went its own way from commit " +
+               std::to_string(reached) + " on";
+      }
+    }
+    // A database in use has a log, but for a moment in which the mark says that
+    // none is needed.
+    if (!log_.has_header && file_.state && !file_.state->is_closed &&
+        !(mark_.state && IsSameCommit(*mark_.state, *file_.state))) {
+      return "the log " + LogOf(store_) +
+             " is missing or empty, but the database was in use";
+    }
+    return "";
+  }
+
+  const std::string store_;
+  const LogReport& log_;
+  const FileContent file_;
+  const Mark mark_;
+  const std::optional<StoreState> lock_;
+};
 
 // Vehicles with rows in the unreadable part of the log that are nowhere else.
 absl::StatusOr<std::set<std::string>> VehiclesBehind(const std::string& store,
                                                      const LogReport& log) {
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
-      SqliteDatabase::Open(store, SqliteDatabase::Mode::kReadOnly, "");
+      SqliteDatabase::Open(store, ReadingMode(log.end.frames == 0), "");
   if (!database.ok()) return database.status();
   std::set<std::string> names;
   absl::Status failure;
@@ -274,70 +446,134 @@ absl::StatusOr<std::set<std::string>> VehiclesBehind(const std::string& store,
   return names;
 }
 
-std::string LostIn(const LogExamination& examination) {
+std::string LostIn(const StoreExamination& examination) {
   return examination.vehicles.empty() ? "cannot be told"
                                       : Listed(examination.vehicles);
 }
 
 }  // namespace
 
-absl::StatusOr<LogExamination> ExamineLog(
-    const std::string& store, const std::optional<LogPosition>& known) {
+absl::Status CheckDatabaseIsThere(const std::string& store) {
+  std::error_code error;
+  const std::uintmax_t bytes = std::filesystem::file_size(store, error);
+  if (!error && bytes > 0) return absl::OkStatus();
+  const bool is_there = std::filesystem::exists(store, error);
+  const std::vector<std::string> others = FilesBeside(store);
+  if (!is_there && others.empty()) {
+    return absl::NotFoundError(("there is no store at " + store).c_str());
+  }
+  std::string beside;
+  for (const std::string& file : others) {
+    beside += (beside.empty() ? ", beside " : " and ") + file;
+  }
+  return Corrupt("the database " + store + " is " +
+                     (is_there ? "empty" : "missing") + beside +
+                     ": put it back, or restore a backup into a new directory",
+                 {});
+}
+
+absl::StatusOr<StoreExamination> ExamineStore(const std::string& store) {
+  const absl::Status is_there = CheckDatabaseIsThere(store);
+  if (!is_there.ok()) return is_there;
   const absl::StatusOr<LogReport> log = ReadLog(LogOf(store));
   if (!log.ok()) return log.status();
-  LogExamination examination;
+  StoreExamination examination = Comparison(store, *log).Compare();
   examination.has_unfinished_tail = log->has_unfinished_tail;
-  examination.damage = log->damage;
-  if (examination.damage.empty()) {
-    examination.damage = MissingFrom(*log, known);
+  examination.has_no_log = log->end.frames == 0;
+  if (!log->damage.empty() &&
+      (examination.damage.empty() || examination.can_be_dropped)) {
+    examination.damage =
+        "the log " + LogOf(store) + " is damaged: " + log->damage;
+    examination.can_be_dropped = true;
   }
-  if (examination.damage.empty()) return examination;
+  if (examination.damage.empty() || !examination.can_be_dropped) {
+    return examination;
+  }
   absl::StatusOr<std::set<std::string>> vehicles = VehiclesBehind(store, *log);
   if (vehicles.ok()) examination.vehicles = *std::move(vehicles);
   return examination;
 }
 
-std::string DamageText(const std::string& store,
-                       const LogExamination& examination) {
-  return "the log " + LogOf(store) + " is damaged: " + examination.damage +
-         "; vehicles with lost changes: " + LostIn(examination);
+absl::Status DamageOf(const StoreExamination& examination) {
+  return Corrupt(examination.damage +
+                     "; vehicles with lost changes: " + LostIn(examination),
+                 {{"vehicles", LostIn(examination)}});
 }
 
-absl::Status CheckLog(const std::string& store, bool drop_damaged_log,
-                      const std::function<void(const std::string&)>& warn,
-                      DurableMark* mark) {
+absl::Status CheckStoreFiles(
+    const std::string& store, bool drop_damaged_log,
+    const std::function<void(const std::string&)>& warn, DurableMark* mark) {
   const auto tell = [&](const std::string& message) {
     if (warn) warn(message);
   };
-  const absl::StatusOr<LogExamination> log = ExamineLog(store, mark->Read());
-  if (!log.ok()) return log.status();
-  if (log->damage.empty()) {
-    if (log->has_unfinished_tail) {
+  const absl::StatusOr<StoreExamination> found = ExamineStore(store);
+  if (!found.ok()) return found.status();
+  if (found->damage.empty()) {
+    if (found->has_unfinished_tail) {
       tell("the log " + LogOf(store) +
            " ends in an unfinished write, which was not acknowledged; it is "
            "left out");
     }
     return absl::OkStatus();
   }
-  const std::string message = DamageText(store, *log);
-  if (drop_damaged_log) {
-    tell(message + "; dropped as told");
-    return mark->Clear();
-  }
-  return Corrupt(message, {{"vehicles", LostIn(*log)}});
+  const absl::Status damage = DamageOf(*found);
+  if (!drop_damaged_log || !found->can_be_dropped) return damage;
+  tell(std::string(damage.message()) + "; dropped as told");
+  return mark->Clear();
 }
 
-absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenWriter(
-    const std::string& path, const std::string& vfs, DurableMark* mark) {
+absl::Status MakeStore(const std::string& store, const std::string& vfs,
+                       std::uint64_t run) {
+  const std::string directory =
+      std::filesystem::path(store).parent_path().string();
+  const DirectoryLock lock(directory);
+  std::error_code error;
+  if (std::filesystem::exists(store, error)) return absl::OkStatus();
+  // Under another name until it is whole: a kill leaves no half of a store.
+  const std::string made = store + ".new";
+  for (const char* suffix : {"", "-journal", "-wal", "-shm"}) {
+    std::filesystem::remove(made + suffix, error);
+  }
+  absl::Status status = MakePrivateFile(made);
+  if (!status.ok()) return status;
+  {
+    const absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
+        SqliteDatabase::Open(made, SqliteDatabase::Mode::kReadWrite, vfs);
+    if (!database.ok()) return database.status();
+    status = (*database)->Execute(
+        ("PRAGMA page_size = " + std::to_string(kPageBytes) + ";" + kVacuum +
+         "; BEGIN IMMEDIATE;" + kSchema + kSchemaSince2 + kSchemaSince3 +
+         "PRAGMA application_id = " + std::to_string(kApplicationId) +
+         "; PRAGMA user_version = " + std::to_string(kStoreFormat))
+            .c_str());
+    if (status.ok()) status = WriteState(**database, FirstState(run));
+    if (status.ok()) {
+      status = (*database)->Execute("COMMIT; PRAGMA journal_mode = WAL");
+    }
+  }
+  if (status.ok()) status = FlushFile(made);
+  if (!status.ok()) return status;
+  if (std::rename(made.c_str(), store.c_str()) != 0) {
+    return Error(
+        StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+        "cannot name " + absl::ErrnoToStatus(errno, store).ToString());
+  }
+  return FlushFile(directory);
+}
+
+absl::StatusOr<OpenedWriter> OpenWriter(const std::string& path,
+                                        const std::string& vfs,
+                                        std::uint64_t run, DurableMark* mark,
+                                        bool copies_log) {
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
       SqliteDatabase::Open(path, SqliteDatabase::Mode::kReadWrite, vfs);
-  if (!database.ok()) return database;
+  if (!database.ok()) return database.status();
   // Else a failure below would remove a log that the mark speaks of.
   (*database)->KeepLogOnClose(true);
   // Before anything is changed in a file that may not be ours.
   absl::Status status = CheckReadable(**database, path);
   if (!status.ok()) return status;
-  status = CheckFormat(**database, path);
+  status = CheckFormat(**database, path, run);
   if (!status.ok()) return status;
   status = CheckSchema(**database, path);
   if (!status.ok()) return status;
@@ -358,12 +594,23 @@ absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenWriter(
       "PRAGMA temp_store = MEMORY;"
       "PRAGMA journal_size_limit = 67108864");
   if (!status.ok()) return status;
-  // What the log holds may never have been flushed: the server before may have
-  // been killed, or its device have failed, just then. From here on it counts
-  // as durable, so it is made durable.
-  status = EmptyLog(**database, mark);
-  if (!status.ok()) return status;
-  return database;
+  const absl::StatusOr<StoreState> state = ReadState(**database);
+  if (!state.ok()) return state.status();
+  const absl::StatusOr<bool> copied =
+      copies_log ? (*database)->CopyLog() : false;
+  if (!copied.ok() && !IsStorageFull(copied.status())) return copied.status();
+  OpenedWriter opened;
+  opened.state = *state;
+  opened.is_copied = copied.ok() && *copied;
+  if (opened.is_copied) {
+    // All is in the database: an empty log is right from here on, which rids it
+    // of what a transaction left that failed.
+    status = mark->Flush(*state);
+    if (status.ok()) status = (*database)->EmptyLog();
+    if (!status.ok() && !IsStorageFull(status)) return status;
+  }
+  opened.database = *std::move(database);
+  return opened;
 }
 
 absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenAnchor(
@@ -392,7 +639,9 @@ absl::Status CheckFile(SqliteDatabase& database, const std::string& store,
   const std::string what = problems.ok()
                                ? problems->front()
                                : std::string(problems.status().message());
-  const absl::StatusOr<StoreReport> report = CheckStore(store, StoreUse::kIdle);
+  // This process has it open: what else lies beside was looked at before.
+  const absl::StatusOr<StoreReport> report =
+      CheckStore(store, StoreUse::kServed);
   const std::string names = report.ok() && !report->damaged_vehicles.empty()
                                 ? Listed(report->damaged_vehicles)
                                 : "cannot be told";
@@ -402,10 +651,12 @@ absl::Status CheckFile(SqliteDatabase& database, const std::string& store,
 }
 
 absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenDatabaseToRead(
-    const std::string& path) {
+    const std::string& path, SqliteDatabase::Mode mode) {
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
-      OpenAnchor(path, "");
+      SqliteDatabase::Open(path, mode, "");
   if (!database.ok()) return database;
+  const absl::Status readable = CheckReadable(**database, path);
+  if (!readable.ok()) return readable;
   const absl::StatusOr<FileFormat> format = ReadFormat(**database);
   if (!format.ok()) return format.status();
   const absl::Status known = CheckKnownFormat(path, *format);

@@ -47,9 +47,6 @@ const PairStatements& StatementsOf(PairKind kind) {
   return kind == PairKind::kLoopClosure ? closures : rejections;
 }
 
-// Batches of deleted vehicles that one transaction removes.
-constexpr int kPurgedBatches = 32;
-
 // What a damaged batch is believed to hold at most.
 constexpr std::int64_t kMostClaimedPoses = 1'000'000;
 
@@ -206,6 +203,15 @@ absl::Status WriteVehicleRow(SqliteDatabase& database,
       .Bind(4, ChecksumOfVehicle(kStoreFormat, record))
       .BindBlob(5, record.payload)
       .Run();
+}
+
+// Whether pages can be given back; set when the file was made.
+absl::StatusOr<bool> CanShrink(SqliteDatabase& database) {
+  constexpr std::int64_t kIncremental = 2;
+  const absl::StatusOr<std::int64_t> mode =
+      database.QueryInteger("PRAGMA auto_vacuum");
+  if (!mode.ok()) return mode.status();
+  return *mode == kIncremental;
 }
 
 absl::Status Gap(const std::string& vehicle_id, std::uint64_t expected,
@@ -597,7 +603,7 @@ absl::Status DropDamagedRows(SqliteDatabase& database, VehicleKey key,
   return absl::OkStatus();
 }
 
-absl::StatusOr<bool> PurgeSome(SqliteDatabase& database) {
+absl::StatusOr<bool> PurgeSome(SqliteDatabase& database, int batches) {
   VehicleKey key = 0;
   {
     SqliteStatement row =
@@ -614,7 +620,7 @@ absl::StatusOr<bool> PurgeSome(SqliteDatabase& database) {
         "DELETE FROM revised_batches WHERE rowid IN (SELECT rowid FROM "
         "revised_batches WHERE vehicle_key = ?1 LIMIT ?2)"}) {
     const absl::Status status =
-        database.Prepare(sql).Bind(1, key).Bind(2, kPurgedBatches).Run();
+        database.Prepare(sql).Bind(1, key).Bind(2, batches).Run();
     if (!status.ok()) return status;
     removed += database.Changes();
   }
@@ -626,6 +632,31 @@ absl::StatusOr<bool> PurgeSome(SqliteDatabase& database) {
     if (!status.ok()) return status;
   }
   return true;
+}
+
+absl::StatusOr<std::int64_t> GiveBackPages(SqliteDatabase& database,
+                                           std::int64_t kept,
+                                           std::int64_t most) {
+  static constexpr char kFree[] = "PRAGMA freelist_count";
+  const absl::StatusOr<bool> shrinks = CanShrink(database);
+  if (!shrinks.ok()) return shrinks.status();
+  if (!*shrinks) return 0;
+  const absl::StatusOr<std::int64_t> before = database.QueryInteger(kFree);
+  if (!before.ok()) return before.status();
+  if (*before <= kept) return 0;
+  const std::int64_t pages = std::min(most, *before - kept);
+  const absl::Status status = database.Execute(
+      ("PRAGMA incremental_vacuum(" + std::to_string(pages) + ")").c_str());
+  if (!status.ok()) return status;
+  const absl::StatusOr<std::int64_t> after = database.QueryInteger(kFree);
+  if (!after.ok()) return after.status();
+  return *before - *after;
+}
+
+absl::Status SetShrinking(SqliteDatabase& database) {
+  const absl::StatusOr<bool> shrinks = CanShrink(database);
+  if (!shrinks.ok() || *shrinks) return shrinks.status();
+  return database.Execute("PRAGMA auto_vacuum = INCREMENTAL");
 }
 
 }  // namespace revisit::server

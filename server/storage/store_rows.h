@@ -53,8 +53,19 @@ absl::Status DropDamagedRows(SqliteDatabase& database, VehicleKey key,
 // Its batches stay, out of reach, until PurgeSome() has removed them.
 absl::Status RemoveVehicle(SqliteDatabase& database, VehicleKey key);
 
-// Removes some rows of deleted vehicles; answers whether more may be left.
-absl::StatusOr<bool> PurgeSome(SqliteDatabase& database);
+// Removes some rows of deleted vehicles, with so many batches at most; answers
+// whether more may be left.
+absl::StatusOr<bool> PurgeSome(SqliteDatabase& database, int batches);
+
+// Gives pages that no row uses back to the file system, as far as there are
+// more than `kept` and not more than `most` at a time, since others are moved
+// to their places; answers how many. None in a file that was made by a server
+// of format 1 or 2 and not compacted since.
+absl::StatusOr<std::int64_t> GiveBackPages(SqliteDatabase& database,
+                                           std::int64_t kept,
+                                           std::int64_t most);
+// Makes that possible in the file that this one is vacuumed into.
+absl::Status SetShrinking(SqliteDatabase& database);
 
 // ---- Batches
 

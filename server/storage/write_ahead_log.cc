@@ -13,6 +13,7 @@
 namespace revisit::server {
 namespace {
 
+constexpr std::size_t kLogHeaderBytes = 32;
 constexpr std::size_t kFrameHeaderBytes = 24;
 // The least that a device writes whole or not at all.
 constexpr std::uint64_t kSectorBytes = 512;
@@ -231,10 +232,6 @@ void VisitRows(const unsigned char* page, std::size_t size,
 
 }  // namespace
 
-LogPosition SaltsOf(const std::array<unsigned char, kLogHeaderBytes>& header) {
-  return {BigEndian(header.data() + 16), BigEndian(header.data() + 20), 0};
-}
-
 absl::StatusOr<LogReport> ReadLog(const std::string& path) {
   LogReport report;
   const File file(std::fopen(path.c_str(), "rb"));
@@ -270,7 +267,8 @@ absl::StatusOr<LogReport> ReadLog(const std::string& path) {
     }
     return report;
   }
-  report.end = SaltsOf(header);
+  report.end = {BigEndian(header.data() + 16), BigEndian(header.data() + 20),
+                0};
 
   Frame frame;
   frame.bytes.resize(kFrameHeaderBytes + report.page_bytes);
@@ -279,6 +277,8 @@ absl::StatusOr<LogReport> ReadLog(const std::string& path) {
   std::optional<Checksum> computed;
   bool after_commit = false;
   std::uint32_t first_bad = 0;
+  // Of the commit that is being read.
+  std::optional<StoreState> state;
   while (true) {
     const absl::StatusOr<bool> whole = ReadFrame(file.get(), path, &frame);
     if (!whole.ok()) return whole.status();
@@ -292,7 +292,14 @@ absl::StatusOr<LogReport> ReadLog(const std::string& path) {
          (computed && frame.Computed(*computed, big_endian) == frame.stored()));
     computed.reset();
     if (first_bad == 0 && fits) {
-      if (frame.is_commit()) report.end.frames = number;
+      if (const auto found = StateInPage(frame.page(), frame.page_bytes())) {
+        state = found;
+      }
+      if (frame.is_commit()) {
+        report.end.frames = number;
+        if (state) report.states.push_back(*state);
+        state.reset();
+      }
     } else if (first_bad == 0) {
       first_bad = number;
       computed = continued;
@@ -337,10 +344,8 @@ absl::StatusOr<std::set<std::uint32_t>> PagesIn(const std::string& path,
   return pages;
 }
 
-std::string MissingFrom(const LogReport& log,
-                        const std::optional<LogPosition>& known) {
-  if (!known || known->frames == 0) return "";
-  const LogPosition& flushed = *known;
+std::string MissingFrom(const LogReport& log, const LogPosition& flushed) {
+  if (flushed.frames == 0) return "";
   const std::string count =
       std::to_string(flushed.frames) + " frames were flushed";
   if (!log.has_header) return "it is missing or empty, but " + count;

@@ -16,17 +16,16 @@
 #ifndef REVISIT_SERVER_STORAGE_WRITE_AHEAD_LOG_H_
 #define REVISIT_SERVER_STORAGE_WRITE_AHEAD_LOG_H_
 
-#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
-#include <optional>
 #include <set>
 #include <string>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "server/storage/store_state.h"
 
 namespace revisit::server {
 
@@ -42,11 +41,6 @@ inline bool operator==(const LogPosition& a, const LogPosition& b) {
   return a.salt1 == b.salt1 && a.salt2 == b.salt2 && a.frames == b.frames;
 }
 
-inline constexpr std::size_t kLogHeaderBytes = 32;
-
-// Position 0 of the log with this header, which is not checked.
-LogPosition SaltsOf(const std::array<unsigned char, kLogHeaderBytes>& header);
-
 struct LogReport {
   // Whether there is a header that SQLite would take; else it takes nothing.
   bool has_header = false;
@@ -57,6 +51,9 @@ struct LogReport {
   std::uint32_t frames_in_file = 0;
   // Whether something follows `end` that is not the rest of an older use.
   bool has_unfinished_tail = false;
+  // What the commits up to `end` say of the store, in their order. Those of a
+  // store of format 1 or 2 say nothing.
+  std::vector<StoreState> states;
   // Where flushed frames fail their checksum; empty if none is known to.
   std::string damage;
 };
@@ -68,10 +65,9 @@ absl::StatusOr<LogReport> ReadLog(const std::string& path);
 absl::StatusOr<std::set<std::uint32_t>> PagesIn(const std::string& path,
                                                 const LogReport& log);
 
-// Whether a log holds at least what is known to have been flushed, if anything
-// is known: empty, or what is missing.
-std::string MissingFrom(const LogReport& log,
-                        const std::optional<LogPosition>& known);
+// Whether the log of a store of format 1 or 2 holds at least what is known to
+// have been flushed: empty, or what is missing.
+std::string MissingFrom(const LogReport& log, const LogPosition& flushed);
 
 // A row of a table as it stands in the log, with the columns before its
 // payload.

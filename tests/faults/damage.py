@@ -293,6 +293,77 @@ def missing_files(run):
         "backup: DURABLE_SEQUENCE_REGRESSED"
 
 
+def missing_database(run):
+    """It was taken for a new store once, and the log of the old one removed."""
+    base = Base(run, killed=True)
+    tried = 0
+    for harm in ("gone", "empty"):
+        for kept in ("-wal", ".mark", ".lock", ""):
+            store = base.copy(run)
+            for path in store.iterdir():
+                if kept and path.name not in ("revisit.sqlite",
+                                              "revisit.sqlite" + kept):
+                    path.unlink()
+            (store / "revisit.sqlite").unlink()
+            if harm == "empty":
+                (store / "revisit.sqlite").touch()
+            before = {path: path.read_bytes() for path in store.iterdir()}
+            assert read_by_tasks(store)[0] == 65
+            outcome = Outcome(store, base)
+            assert outcome.exit == 65, (harm, kept, outcome.kind)
+            assert "revisit.sqlite is " in outcome.message
+            after = {path: path.read_bytes() for path in store.iterdir()}
+            assert after == before
+            tried += 1
+    # Files of another store beside this one's.
+    other = run.new("other") / "s"
+    shutil.copytree(base.store, other)
+    base = Base(run, killed=True)
+    for strange in ("revisit.sqlite", "revisit.sqlite-wal",
+                    "revisit.sqlite.mark", "revisit.sqlite.lock"):
+        store = base.copy(run)
+        shutil.copy(other / strange, store / strange)
+        before = {path: path.read_bytes() for path in store.iterdir()}
+        assert read_by_tasks(store)[0] == 65
+        outcome = Outcome(store, base, "--damaged-log", "drop")
+        assert outcome.exit == 65, (strange, outcome.kind)
+        assert "is of another store" in outcome.message
+        after = {path: path.read_bytes() for path in store.iterdir()
+                 if path.suffix != ".lock"}
+        assert all(before[path] == after[path] for path in after)
+        tried += 1
+    return tried, "exit 65 each time, every file as it was"
+
+
+def directory_goes(run):
+    """Removed or replaced under the server: nothing is acknowledged that nobody
+    would find again."""
+    seen = []
+    for harm in ("removed", "moved", "replaced"):
+        store = run.new("goes") / "s"
+        drive = Drive(run.seed)
+        with Server(store) as server:
+            stub = server.stub()
+            create(stub, VEHICLE)
+            append(stub, VEHICLE, drive[0:10])
+            if harm == "removed":
+                shutil.rmtree(store)
+            else:
+                store.rename(store.with_name("away"))
+            if harm == "replaced":
+                shutil.copytree(store.with_name("away"), store)
+            failure = failure_of(lambda: append(stub, VEHICLE, drive[10:20]))
+            assert failure.code == grpc.StatusCode.UNAVAILABLE, failure
+            assert failure.reason == "STORE_UNAVAILABLE", failure
+            assert server.process.wait(20) == 74, server.log()
+            assert "revisit.sqlite" in server.log()
+        if harm == "replaced":
+            with Server(store) as server:
+                assert get(server.stub(), VEHICLE).durable_sequence == 10
+        seen.append(harm)
+    return len(seen), f"{', '.join(seen)}: no ack, exit 74"
+
+
 def stray_files(run):
     base = Base(run, killed=True)
     store = base.copy(run)
@@ -391,6 +462,9 @@ ROWS = [
      "DATA_LOSS of its vehicles, or exit 65; never less", flipped_database),
     ("log missing, old backup, database cut", "6",
      "exit 65; DATA_LOSS DURABLE_SEQUENCE_REGRESSED", missing_files),
+    ("database missing, files of another store", "6",
+     "exit 65, nothing touched", missing_database),
+    ("directory removed or replaced", "6", "no ack, exit 74", directory_goes),
     ("stray files", "7", "served", stray_files),
     ("newer format", "62", "refused, left as it is", newer_format),
     ("backup while running", "62", "sound copy; truncated: refused", backup),

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import random
+import sqlite3
 import subprocess
 import time
 
@@ -11,7 +12,7 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from drive_client import VEHICLE, Client, Drive, create
 from kills import SETTINGS, preloaded
-from revisit_server import Server, wait_until
+from revisit_server import Server, run as run_program, wait_until
 from skipped import Skipped
 from stubs import api
 from wire import append, as_bytes, decode_failure, failure_of, get, list_poses
@@ -133,6 +134,116 @@ def watermark(run):
             stub.DeleteVehicle(api.DeleteVehicleRequest(name=VEHICLE))
     return rounds, ("writes STORAGE_FULL with 30 s and not healthy, reads go on, "
                     "back by itself")
+
+
+def without_shrinking(store):
+    """As a server of format 2 made it: the file keeps its room."""
+    database = sqlite3.connect(store / "revisit.sqlite", isolation_level=None)
+    database.execute("PRAGMA journal_mode = DELETE")
+    database.execute("PRAGMA auto_vacuum = NONE")
+    database.execute("VACUUM")
+    assert database.execute("PRAGMA auto_vacuum").fetchone()[0] == 0
+    database.close()
+
+
+def deletion(run):
+    """Fills the disk with vehicles, and makes room by deleting alone: in a store
+    that shrinks, and in one of an older server."""
+    drive = Drive(run.seed)
+    seen = []
+    for shrinks in (True, False):
+        with small_disk(run, 64) as disk:
+            flags = ("--min-free-bytes", 16 * MIB)
+            with Server(disk / "s", *flags) as server:
+                for number in range(4):
+                    create(server.stub(), f"vehicles/v-{number}")
+            if not shrinks:
+                without_shrinking(disk / "s")
+            with Server(disk / "s", *flags) as server:
+                stub = server.stub()
+                acked = [0] * 4
+                failure = None
+                while failure is None:
+                    vehicle = acked.index(min(acked))
+                    try:
+                        first = acked[vehicle]
+                        acked[vehicle] = append(
+                            stub, f"vehicles/v-{vehicle}",
+                            drive[first:first + 400]).durable_sequence
+                    except grpc.RpcError as error:
+                        failure = decode_failure(error)
+                assert failure.reason == "STORAGE_FULL", failure
+                full = free_bytes(disk)
+                for number in range(3):
+                    stub.DeleteVehicle(api.DeleteVehicleRequest(
+                        name=f"vehicles/v-{number}"))
+
+                def takes_writes():
+                    try:
+                        acked[3] = append(
+                            stub, "vehicles/v-3",
+                            drive[acked[3]:acked[3] + 10]).durable_sequence
+                        return True
+                    except grpc.RpcError as error:
+                        assert decode_failure(error).reason == "STORAGE_FULL"
+                        return False
+
+                wait_until(takes_writes, "room from deleting")
+                if shrinks:
+                    wait_until(lambda: free_bytes(disk) > full + 10 * MIB,
+                               "room on the disk")
+                    seen.append(f"{(free_bytes(disk) - full) // MIB} MiB back")
+                # And not just once: what was freed can be filled again.
+                more = 0
+                while more < 100 and takes_writes():
+                    more += 1
+                assert more == 100, more
+                server.kill()
+            with Server(disk / "s", *flags) as server:
+                assert as_bytes(list_poses(server.stub(), "vehicles/v-3")) == \
+                    as_bytes(drive[0:acked[3]])
+            before = free_bytes(disk)
+            compacted = run_program("revisitd", "compact", "--store", disk / "s")
+            assert compacted.returncode == 0, compacted
+            verified = run_program("revisitd", "verify", "--store", disk / "s")
+            assert verified.returncode == 0, verified
+            if not shrinks:
+                assert free_bytes(disk) > before + 10 * MIB, before
+                seen.append("an older store compacted: "
+                            f"{(free_bytes(disk) - before) // MIB} MiB back")
+            with Server(disk / "s", *flags) as server:
+                assert as_bytes(list_poses(server.stub(), "vehicles/v-3")) == \
+                    as_bytes(drive[0:acked[3]])
+    return 2, "writes taken again after deleting; " + ", ".join(seen)
+
+
+def deletion_at_the_last_byte(run):
+    """Others have taken all there was: deleting works, and gives them room."""
+    drive = Drive(run.seed)
+    with small_disk(run, 64) as disk:
+        flags = ("--min-free-bytes", 8 * MIB)
+        with Server(disk / "s", *flags) as server:
+            stub = server.stub()
+            for name in ("vehicles/a", "vehicles/b"):
+                create(stub, name)
+                acked = 0
+                while acked < 12000:
+                    acked = append(stub, name,
+                                   drive[acked:acked + 400]).durable_sequence
+        with Server(disk / "s", *flags) as server:
+            stub = server.stub()
+            fill(disk, leave=0)
+            full_failure(lambda: append(stub, "vehicles/a",
+                                        drive[acked:acked + 400]))
+            stub.DeleteVehicle(api.DeleteVehicleRequest(name="vehicles/b"))
+            wait_until(lambda: free_bytes(disk) > MIB, "room on the disk")
+            given = free_bytes(disk)
+            assert as_bytes(list_poses(stub, "vehicles/a")) == as_bytes(
+                drive[0:acked])
+        with Server(disk / "s") as server:
+            assert as_bytes(list_poses(server.stub(), "vehicles/a")) == \
+                as_bytes(drive[0:acked])
+    return 1, f"deleted at 0 bytes left, {given // 1024} kB back at once"
 
 
 def no_space(run):
@@ -324,6 +435,10 @@ def failure_code(call):
 ROWS = [
     ("disk below the watermark", "8",
      "RESOURCE_EXHAUSTED STORAGE_FULL, reads go on, back by itself", watermark),
+    ("disk full, vehicles deleted", "8",
+     "room in the file counts, and is given back", deletion),
+    ("vehicle deleted on a disk without a byte", "8",
+     "deleted, and room given back", deletion_at_the_last_byte),
     ("disk full to the last byte", "8", "the same; nothing acked lost",
      no_space),
     ("start on a full disk", "9", "reads served, writes STORAGE_FULL, no abort",

@@ -221,8 +221,12 @@ def make_format_1(path):
     storage."""
     database = sqlite3.connect(path)
     database.execute("DROP TABLE rejected_candidates")
+    # Its files did not say of which store and commit they are.
+    database.execute("DROP TABLE store")
     database.execute("PRAGMA user_version = 1")
     database.close()
+    for suffix in (".mark", ".lock"):
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
 
 
 def while_upgraded(run):

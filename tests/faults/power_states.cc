@@ -221,7 +221,8 @@ absl::Status Verified(const std::string& path) {
 std::string LookAtBackup(const std::string& path) {
   const absl::Status verified = Verified(path);
   if (!verified.ok()) return Described(verified);
-  return Described(server::OpenSqliteStorageToRead(path));
+  return Described(server::OpenSqliteStorageToRead(
+      path, server::SqliteDatabase::Mode::kFileOnly));
 }
 
 // {name: what it holds, ...}

@@ -4,6 +4,7 @@ import asyncio
 import os
 import signal
 import socket
+import sqlite3
 import time
 
 import grpc
@@ -38,6 +39,50 @@ def second_server(run):
     with Server(store) as third:
         assert get(third.stub(), VEHICLE).durable_sequence == 20
     return 4, "exit 73 naming the first's pid, by any name; stale lock: served"
+
+
+def killed_beside_a_backup(run):
+    """A backup that goes on holds the log of the killed server."""
+    drive = Drive(run.seed)
+    rounds = run.rounds(short=2, long=10)
+    store = run.new("beside") / "s"
+    slowest = 0.0
+    acked = 0
+    with Server(store) as server:
+        create(server.stub())
+    for number in range(rounds):
+        with Server(store) as server:
+            acked = append(server.stub(), VEHICLE,
+                           drive[acked:acked + 300]).durable_sequence
+            # Reads as a backup does, for as long as it likes.
+            backup = sqlite3.connect(
+                f"file:{store}/revisit.sqlite?mode=ro", uri=True,
+                isolation_level=None)
+            backup.execute("BEGIN")
+            batches = backup.execute("SELECT count(*) FROM batches").fetchone()
+            acked = append(server.stub(), VEHICLE,
+                           drive[acked:acked + 300]).durable_sequence
+            server.kill()
+        for _ in range(2):
+            begun = time.monotonic()
+            with Server(store) as server:
+                slowest = max(slowest, time.monotonic() - begun)
+                stub = server.stub()
+                assert as_bytes(list_poses(stub, VEHICLE)) == as_bytes(
+                    drive[0:acked])
+                acked = append(stub, VEHICLE,
+                               drive[acked:acked + 30]).durable_sequence
+                server.kill()
+        assert batches == backup.execute(
+            "SELECT count(*) FROM batches").fetchone()
+        backup.execute("COMMIT")
+        backup.close()
+        with Server(store) as server:
+            assert get(server.stub(), VEHICLE).durable_sequence == acked
+    assert slowest < 5.0, slowest
+    verified = run_program("revisitd", "verify", "--store", store)
+    assert verified.returncode == 0, verified
+    return 2 * rounds, f"back after {slowest:.2f} s at most, nothing lost"
 
 
 class Vehicle:
@@ -210,6 +255,8 @@ async def restart(run, store, rounds):
 ROWS = [
     ("second server on the store", "13", "exit 73 naming the pid, first unharmed",
      second_server),
+    ("killed beside a backup", "1", "back within 5 s, nothing lost",
+     killed_beside_a_backup),
     ("rolling restart under 300 streams", "16",
      "no ack lost, no pose doubled, back within 1 s", rolling_restart),
 ]

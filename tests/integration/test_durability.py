@@ -360,12 +360,12 @@ def test_store_of_a_newer_format_is_refused_and_left_alone(tmp_path):
         pass
     path = database_of(store)
     database = sqlite3.connect(path)
-    database.execute("PRAGMA user_version = 3")
+    database.execute("PRAGMA user_version = 4")
     database.close()
     content = path.read_bytes()
     result = run("revisitd", "--listen", "127.0.0.1:0", "--store", store)
     assert result.returncode in (73, 74)
-    assert "has format 3" in result.stderr
+    assert "has format 4" in result.stderr
     assert "use a newer server" in result.stderr
     assert path.read_bytes() == content
 
@@ -381,12 +381,16 @@ def test_store_of_format_1_is_brought_up_to_date(tmp_path):
     path = database_of(store)
     database = sqlite3.connect(path)
     database.execute("DROP TABLE rejected_candidates")
+    database.execute("DROP TABLE store")
     database.execute("PRAGMA user_version = 1")
     database.close()
+    # Such a server left nothing in its mark and only its number in its lock.
+    path.with_name(path.name + ".mark").write_bytes(b"")
+    path.with_name(path.name + ".lock").write_text("123\n")
     with Server(store) as server:
         stub = server.stub()
         assert state_of(stub) == before
-        assert stub.GetServerInfo(api.GetServerInfoRequest()).store_format == 2
+        assert stub.GetServerInfo(api.GetServerInfoRequest()).store_format == 3
         REJECTED_CANDIDATES.add(stub, VEHICLE, 9, 2)
         server.kill()
     with Server(store) as server:

@@ -16,7 +16,8 @@ using ::testing::HasSubstr;
 
 TEST(FreeSpaceTest, WritesWaitBelowTheMarkUntilAQuarterMoreIsFree) {
   std::int64_t free = 100;
-  FreeSpaceGuard guard(100, [&] { return free; });
+  FreeSpaceGuard guard(
+      100, [&] { return free; }, [] { return 0; });
   const auto full = IsError(StatusCode::kResourceExhausted, "STORAGE_FULL",
                             HasSubstr("taken again from 125 on"));
   EXPECT_THAT(guard.Check(), IsOk());
@@ -30,24 +31,52 @@ TEST(FreeSpaceTest, WritesWaitBelowTheMarkUntilAQuarterMoreIsFree) {
   EXPECT_THAT(guard.Check(), IsOk());
 }
 
+TEST(FreeSpaceTest, RoomInTheFileCountsWhereTheLogHasSomeToo) {
+  // Deleting made room in the file alone, and nothing could be written.
+  std::int64_t free = 99;
+  std::int64_t inside = 0;
+  FreeSpaceGuard guard(
+      100, [&] { return free; }, [&] { return inside; });
+  const auto full = IsError(StatusCode::kResourceExhausted, "STORAGE_FULL",
+                            HasSubstr("bytes left and its file"));
+  EXPECT_THAT(guard.Check(), full);
+  inside = 25;
+  EXPECT_THAT(guard.Check(), full);
+  inside = 26;
+  EXPECT_THAT(guard.Check(), IsOk());
+  free = 25;
+  inside = 75;
+  EXPECT_THAT(guard.Check(), IsOk());
+  free = 24;
+  inside = 1000;
+  EXPECT_THAT(guard.Check(), full);
+}
+
 TEST(FreeSpaceTest, MarkOfZeroAsksNobody) {
-  FreeSpaceGuard guard(0, []() -> absl::StatusOr<std::int64_t> {
-    ADD_FAILURE();
-    return 0;
-  });
+  FreeSpaceGuard guard(
+      0,
+      []() -> absl::StatusOr<std::int64_t> {
+        ADD_FAILURE();
+        return 0;
+      },
+      nullptr);
   EXPECT_THAT(guard.Check(), IsOk());
 }
 
 TEST(FreeSpaceTest, FileSystemThatDoesNotTellStopsNothing) {
-  FreeSpaceGuard guard(100, []() -> absl::StatusOr<std::int64_t> {
-    return absl::UnavailableError("who knows");
-  });
+  FreeSpaceGuard guard(
+      100,
+      []() -> absl::StatusOr<std::int64_t> {
+        return absl::UnavailableError("who knows");
+      },
+      nullptr);
   EXPECT_THAT(guard.Check(), IsOk());
 }
 
 TEST(FreeSpaceTest, HasNoRoomWhereWritesWait) {
   std::int64_t free = 100;
-  FreeSpaceGuard guard(100, [&] { return free; });
+  FreeSpaceGuard guard(
+      100, [&] { return free; }, [] { return std::int64_t{0}; });
   EXPECT_TRUE(guard.HasRoom());
   free = 99;
   EXPECT_FALSE(guard.HasRoom());
@@ -59,7 +88,8 @@ TEST(FreeSpaceTest, HasNoRoomWhereWritesWait) {
 
 TEST(FreeSpaceTest, HasNoRoomAfterAWriteFoundNoneUntilSomeComesOrAWriteSucceeds) {
   std::int64_t free = 5000;
-  FreeSpaceGuard guard(0, [&] { return free; });
+  FreeSpaceGuard guard(
+      0, [&] { return free; }, [] { return std::int64_t{0}; });
   guard.NoteWrite(/*found_full=*/true);
   EXPECT_THAT(guard.Check(), IsOk());
   EXPECT_FALSE(guard.HasRoom());

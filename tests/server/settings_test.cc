@@ -257,6 +257,10 @@ TEST_F(SettingsTest, TasksTakeTheStoreFromTheSameSettings) {
   ASSERT_TRUE(verify->task.has_value());
   EXPECT_EQ(verify->task->kind, StoreTask::Kind::kVerify);
   EXPECT_EQ(verify->settings.store, "there");
+  const auto compact = ParseSettings({"compact", "--store", "here"}, {});
+  ASSERT_TRUE(compact.ok()) << compact.status();
+  ASSERT_TRUE(compact->task.has_value());
+  EXPECT_EQ(compact->task->kind, StoreTask::Kind::kCompact);
 }
 
 TEST_F(SettingsTest, BackupWithoutAFileToMakeIsRefused) {

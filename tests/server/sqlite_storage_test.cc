@@ -2,17 +2,20 @@
 
 #include <unistd.h>
 
+#include <chrono>
 #include <filesystem>
 #include <fstream>
 #include <memory>
 #include <sstream>
 #include <string>
+#include <thread>
 #include <utility>
 #include <vector>
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "server/storage/record_checksum.h"
+#include "server/storage/store_files.h"
 #include "sqlite3.h"
 #include "tests/random.h"
 #include "tests/server/error_matchers.h"
@@ -122,6 +125,13 @@ class SqliteStorageTest : public ::testing::Test {
  protected:
   std::string Path() const { return directory_.File("store.db"); }
 
+  void RemoveStore() const {
+    std::filesystem::remove(Path());
+    for (const std::string& file : FilesBeside(Path())) {
+      std::filesystem::remove(file);
+    }
+  }
+
   // A store with one vehicle `truck`: batches 1-2, 3-4, 5-6, of which the last
   // is revised, a loop closure, and a rejected candidate.
   VehicleKey MakeStore() {
@@ -176,11 +186,11 @@ TEST_F(SqliteStorageTest, SaysWhichDirectoryIsMissing) {
 
 TEST_F(SqliteStorageTest, RefusesNewerFormat) {
   MakeStore();
-  RunSql(Path(), "PRAGMA user_version = 3");
+  RunSql(Path(), "PRAGMA user_version = 4");
   EXPECT_THAT(OpenSqliteStorage(Path()),
               IsError(StatusCode::kFailedPrecondition, "",
-                      AllOf(HasSubstr("has format 3"),
-                            HasSubstr("this server reads formats 1 to 2"),
+                      AllOf(HasSubstr("has format 4"),
+                            HasSubstr("this server reads formats 1 to 3"),
                             HasSubstr("use a newer server"))));
 }
 
@@ -190,7 +200,7 @@ TEST_F(SqliteStorageTest, RefusesFormatThatNeverWas) {
   EXPECT_THAT(OpenSqliteStorage(Path()),
               IsError(StatusCode::kFailedPrecondition, "",
                       AllOf(HasSubstr("has format 0"),
-                            HasSubstr("this server reads formats 1 to 2"))));
+                            HasSubstr("this server reads formats 1 to 3"))));
 }
 
 // What a server of format 1 left: that of MakeStore(), without rejections. Rows
@@ -277,10 +287,10 @@ TEST_F(SqliteStorageTest, StoreOfFormat1OpensAndGainsWhatItLacks) {
         IsOk());
     EXPECT_THAT(write.Append(1, {7, 1, 8, "delta"}), IsOk());
   }
-  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "2\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "3\n");
   // Rows that nobody changed are as they were.
   EXPECT_EQ(RunSql(Path(), "SELECT format, count(*) FROM batches GROUP BY 1"),
-            "1|3\n2|1\n");
+            "1|3\n3|1\n");
   EXPECT_EQ(RunSql(Path(), "SELECT format, checksum FROM loop_closures"),
             "1|3065229329497340342\n");
   const std::unique_ptr<Storage> storage = MustOpen(Path());
@@ -321,13 +331,13 @@ TEST_F(SqliteStorageTest, RefusesFileThatIsNoDatabase) {
                       HasSubstr("is not a store of revisit")));
 }
 
-TEST_F(SqliteStorageTest, WritesFormat2) {
+TEST_F(SqliteStorageTest, WritesFormat3) {
   // Golden: a change here is a new format. The checksums were printed by this
   // program once; record_checksum.h says what they are made of.
   const VehicleKey key = MakeStore();
   EXPECT_EQ(key, 1);
   EXPECT_EQ(RunSql(Path(), "PRAGMA application_id; PRAGMA user_version"),
-            "1381389140\n2\n");
+            "1381389140\n3\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA journal_mode"), "wal\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA page_size"), "8192\n");
   EXPECT_EQ(
@@ -335,27 +345,35 @@ TEST_F(SqliteStorageTest, WritesFormat2) {
              "SELECT name FROM sqlite_schema WHERE type = "
              "'table' ORDER BY name"),
       "batches\ndeleted_vehicles\nloop_closures\n"
-      "rejected_candidates\nrevised_batches\nsqlite_sequence\nvehicles\n");
+      "rejected_candidates\nrevised_batches\nsqlite_sequence\nstore\n"
+      "vehicles\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT key, id, format, revision, checksum, "
                    "payload FROM vehicles"),
-            "1|truck|2|7|-4746820090971336882|payload\n");
+            "1|truck|3|7|-87707387594918857|payload\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA auto_vacuum"), "2\n");
+  // Where store_state.h says that it stands; of the rest only the number of the
+  // commit, the creation's included, and that it was the last are known.
+  EXPECT_EQ(RunSql(Path(),
+                   "SELECT key, substr(state, 1, 8), hex(substr(state, 25, "
+                   "8)), hex(substr(state, 49, 8)), length(state) FROM store"),
+            "1|RVSTATE3|0900000000000000|0100000000000000|64\n");
   const std::string batch =
       "SELECT vehicle_key, first_sequence, count, format, revision, checksum, "
       "payload FROM ";
   EXPECT_EQ(RunSql(Path(), batch + "batches"),
-            "1|1|2|2|2|5302829468235040921|alpha\n"
-            "1|3|2|2|3|-5815075085718803114|beta\n"
-            "1|5|2|2|4|4396629222221306791|gamma\n");
+            "1|1|2|3|2|1468958268839417343|alpha\n"
+            "1|3|2|3|3|-3236131221087917378|beta\n"
+            "1|5|2|3|4|5528962054912418739|gamma\n");
   EXPECT_EQ(RunSql(Path(), batch + "revised_batches"),
-            "1|5|2|2|5|-8018247362995697066|GAMMA\n");
+            "1|5|2|3|5|316402039987005661|GAMMA\n");
   const std::string pair =
       "SELECT vehicle_key, id, format, query_sequence, matched_sequence, "
       "create_time_ns, checksum FROM ";
   EXPECT_EQ(RunSql(Path(), pair + "loop_closures"),
-            "1|link|2|6|1|99|3016806141671696254\n");
+            "1|link|3|6|1|99|4810803329536871510\n");
   EXPECT_EQ(RunSql(Path(), pair + "rejected_candidates"),
-            "1|no|2|6|2|100|4941145785303718429\n");
+            "1|no|3|6|2|100|-7183881975712766587\n");
 }
 
 TEST_F(SqliteStorageTest, NamesBatchWhosePayloadIsDamaged) {
@@ -397,7 +415,7 @@ TEST_F(SqliteStorageTest, FindsDamageOfEveryColumn) {
   };
   for (const std::string& damage : damages) {
     SCOPED_TRACE(damage);
-    std::filesystem::remove(Path());
+    RemoveStore();
     const VehicleKey key = MakeStore();
     RunSql(Path(), damage);
     const std::unique_ptr<Storage> storage = MustOpen(Path());
@@ -436,7 +454,7 @@ TEST_F(SqliteStorageTest, FindsDamageOfVehicle) {
         "UPDATE batches SET count = 3 WHERE first_sequence = 5",
         "UPDATE batches SET revision = 3 WHERE first_sequence = 5"}) {
     SCOPED_TRACE(damage);
-    std::filesystem::remove(Path());
+    RemoveStore();
     MakeStore();
     RunSql(Path(), damage);
     const std::unique_ptr<Storage> storage = MustOpen(Path());
@@ -512,7 +530,7 @@ TEST_F(SqliteStorageTest, FindsDamageOfPairs) {
           "id = 'lint'", "format = 1"}) {
       const std::string sql = "UPDATE " + std::string(table) + " SET " + damage;
       SCOPED_TRACE(sql);
-      std::filesystem::remove(Path());
+      RemoveStore();
       const VehicleKey key = MakeStore();
       RunSql(Path(), sql);
       const std::unique_ptr<Storage> storage = MustOpen(Path());
@@ -621,6 +639,112 @@ TEST_F(SqliteStorageTest, RecoversFromLogAfterCrash) {
               ElementsAre("1+2, revision 2, 'alpha'"));
 }
 
+TEST_F(SqliteStorageTest, TakesWritesAtOnceWhereSomebodyStillReads) {
+  // A backup goes on when the server is killed. The log could not be emptied
+  // then, and no server could start until the backup had ended.
+  const std::string crashed = directory_.File("crashed.db");
+  VehicleKey key = 0;
+  {
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    BlockingWrites write(storage.get());
+    key = *write.Create("truck");
+    ASSERT_THAT(write.Append(key, {1, 2, 2, "alpha"}), IsOk());
+    std::filesystem::copy_file(Path(), crashed);
+    std::filesystem::copy_file(Path() + "-wal", crashed + "-wal");
+  }
+  const auto backup =
+      *SqliteDatabase::Open(crashed, SqliteDatabase::Mode::kReadOnly, "");
+  ASSERT_THAT(
+      backup->Execute("BEGIN; SELECT count(*) FROM batches"), IsOk());
+  for (std::uint64_t i = 0; i < 3; ++i) {
+    const std::unique_ptr<Storage> storage = MustOpen(crashed);
+    EXPECT_EQ(storage->GetVehicle("truck")->durable_sequence, 2 + i);
+    EXPECT_THAT(
+        BlockingWrites(storage.get()).Append(key, {3 + i, 1, 3 + i, "x"}),
+        IsOk());
+  }
+  // It reads what it began with, to its end.
+  EXPECT_EQ(*backup->QueryInteger("SELECT count(*) FROM batches"), 1);
+  ASSERT_THAT(backup->Execute("COMMIT"), IsOk());
+  const std::unique_ptr<Storage> storage = MustOpen(crashed);
+  EXPECT_THAT(ToTexts(*ReadAll(*storage, key, 1, 5)),
+              ElementsAre("1+2, revision 2, 'alpha'", "3+1, revision 3, 'x'",
+                          "4+1, revision 4, 'x'", "5+1, revision 5, 'x'"));
+}
+
+TEST_F(SqliteStorageTest, AcknowledgesNothingOnceItsFilesAreGone) {
+  // Acknowledgements went on when the directory had been removed.
+  enum class Harm { kRemoved, kMoved, kReplaced, kLogRemoved };
+  for (const Harm harm :
+       {Harm::kRemoved, Harm::kMoved, Harm::kReplaced, Harm::kLogRemoved}) {
+    SCOPED_TRACE(static_cast<int>(harm));
+    const std::filesystem::path home = directory_.File("home");
+    std::filesystem::create_directory(home);
+    const std::string path = (home / "store.db").string();
+    int told = 0;
+    SqliteOptions options;
+    options.on_failure = [&](const absl::Status&) { ++told; };
+    std::unique_ptr<Storage> storage = MustOpen(path, options);
+    const VehicleKey key = *BlockingWrites(storage.get()).Create("truck");
+    ASSERT_THAT(BlockingWrites(storage.get()).Append(key, {1, 1, 2, "one"}),
+                IsOk());
+    const std::string away = directory_.File("away");
+    if (harm == Harm::kRemoved) {
+      std::filesystem::remove_all(home);
+    } else if (harm == Harm::kLogRemoved) {
+      std::filesystem::remove(path + "-wal");
+    } else {
+      std::filesystem::rename(home, away);
+    }
+    if (harm == Harm::kReplaced) {
+      std::filesystem::copy(away, home);
+    }
+    const auto gone = IsError(
+        StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+        AllOf(HasSubstr("takes no more writes"), HasSubstr("store.db"),
+              HasSubstr(harm == Harm::kReplaced ? "replaced" : "removed")));
+    EXPECT_THAT(BlockingWrites(storage.get()).Append(key, {2, 1, 3, "two"}),
+                gone);
+    EXPECT_THAT(BlockingWrites(storage.get()).Append(key, {2, 1, 3, "two"}),
+                gone);
+    storage.reset();
+    EXPECT_EQ(told, 1);
+    // Nothing was made in the place of what is gone.
+    if (harm == Harm::kRemoved || harm == Harm::kMoved) {
+      EXPECT_FALSE(std::filesystem::exists(home));
+    }
+    std::filesystem::remove_all(home);
+    std::filesystem::remove_all(away);
+  }
+}
+
+TEST_F(SqliteStorageTest, DeletingGivesTheRoomBack) {
+  std::unique_ptr<Storage> storage = MustOpen(Path());
+  BlockingWrites write(storage.get());
+  const VehicleKey truck = *write.Create("truck");
+  const VehicleKey car = *write.Create("car");
+  constexpr std::uint64_t kBatches = 40;
+  for (std::uint64_t i = 1; i <= kBatches; ++i) {
+    ASSERT_THAT(write.Append(truck, {i, 1, i, std::string(1 << 20, 't')}),
+                IsOk());
+    ASSERT_THAT(write.Append(car, {i, 1, i, std::string(10000, 'c')}), IsOk());
+  }
+  const auto full = std::filesystem::file_size(Path());
+  EXPECT_GT(full, kBatches << 20);
+  ASSERT_THAT(write.Delete(truck), IsOk());
+  // While nobody does anything.
+  const auto deadline =
+      std::chrono::steady_clock::now() + std::chrono::seconds(60);
+  while (std::filesystem::file_size(Path()) > (std::uintmax_t{10} << 20)) {
+    ASSERT_LT(std::chrono::steady_clock::now(), deadline);
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  }
+  EXPECT_THAT(ReadAll(*storage, car, 1, kBatches), IsOk());
+  storage.reset();
+  storage = MustOpen(Path());
+  EXPECT_THAT(ReadAll(*storage, car, 1, kBatches), IsOk());
+}
+
 TEST_F(SqliteStorageTest, CutLogLeavesPrefix) {
   // A crash in the middle of a write: every length of the log is a store with
   // some number of whole batches, in order.
@@ -635,7 +759,7 @@ TEST_F(SqliteStorageTest, CutLogLeavesPrefix) {
   std::uint64_t longest = 0;
   for (std::uintmax_t length = 0; length <= size; length += 1777) {
     const std::string crashed = directory_.File("crashed.db");
-    for (const char* suffix : {"", "-wal", "-shm"}) {
+    for (const char* suffix : {"", "-wal", "-shm", ".mark", ".lock"}) {
       std::filesystem::remove(crashed + suffix);
     }
     std::filesystem::copy_file(Path(), crashed);
@@ -1023,7 +1147,7 @@ TEST_F(FailingDeviceTest, FailedFlushFailsAllOfTheGroupAndKeepsNothing) {
 
 TEST_F(FailingDeviceTest, TakesNothingOnAfterAFailedFlushUntilOpenedAnew) {
   int told = 0;
-  options_.on_failed_flush = [&](const absl::Status& status) {
+  options_.on_failure = [&](const absl::Status& status) {
     EXPECT_THAT(status, kFlushFailed);
     ++told;
   };
@@ -1053,7 +1177,7 @@ TEST_F(FailingDeviceTest, OpensNoStoreWhoseLogCannotBeFlushed) {
   device_.FailFlushes(true);
   EXPECT_THAT(OpenSqliteStorage(crashed, options_),
               IsError(StatusCode::kUnavailable, "STORE_SYNC_FAILED",
-                      HasSubstr("wal_checkpoint")));
+                      HasSubstr("copying the log")));
   device_.FailFlushes(false);
   EXPECT_THAT((*OpenSqliteStorage(crashed, options_))
                   ->GetVehicle("truck")

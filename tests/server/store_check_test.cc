@@ -12,6 +12,7 @@
 #include "gtest/gtest.h"
 #include "server/storage/sqlite_storage.h"
 #include "server/storage/store_backup.h"
+#include "server/storage/store_compaction.h"
 #include "server/storage/store_files.h"
 #include "tests/server/error_matchers.h"
 #include "tests/server/storage_testing.h"
@@ -210,8 +211,9 @@ TEST_F(StoreCheckTest, FindsRowsThatBelongToNobody) {
 
 TEST_F(StoreCheckTest, RefusesWhatIsNoStoreOfThisFormat) {
   EXPECT_THAT(CheckStore(directory_.File("none"), StoreUse::kIdle),
-              Not(IsOk()));
+              IsError(StatusCode::kNotFound, "", HasSubstr("no store at")));
   {
+    ASSERT_THAT(MakePrivateFile(Path()), IsOk());
     const auto database =
         *SqliteDatabase::Open(Path(), SqliteDatabase::Mode::kReadWrite, "");
     ASSERT_THAT(database->Execute("CREATE TABLE songs (title TEXT)"), IsOk());
@@ -223,7 +225,8 @@ TEST_F(StoreCheckTest, RefusesWhatIsNoStoreOfThisFormat) {
 
 TEST_F(StoreCheckTest, StoreOpenedForReadingTakesNoWrites) {
   MakeStore();
-  const auto storage = OpenSqliteStorageToRead(Path());
+  const auto storage =
+      OpenSqliteStorageToRead(Path(), SqliteDatabase::Mode::kReadOnly);
   ASSERT_THAT(storage, IsOk());
   EXPECT_EQ((*storage)->GetVehicle("car")->durable_sequence, 60u);
   EXPECT_THAT(BlockingWrites(storage->get()).Create("bus"),
@@ -246,6 +249,98 @@ TEST_F(StoreCheckTest, BackupOfAStoreInUseHoldsAllThatWasAcknowledged) {
   const std::unique_ptr<Storage> restored = MustOpen(copy);
   EXPECT_EQ(restored->GetVehicle("truck")->durable_sequence, 60u);
   EXPECT_THAT(BlockingWrites(restored.get()).Create("bus"), IsOk());
+}
+
+TEST_F(StoreCheckTest, BackupGivesWayToAServerWhoseLogGrowsTooFar) {
+  // While it copied, the log grew without a bound.
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  Fill(storage.get());
+  const std::string copy = directory_.File("copy.db");
+  BackupBounds bounds;
+  bounds.max_log_growth = -1;
+  EXPECT_THAT(BackUpStore(Path(), StoreUse::kServed, copy, bounds),
+              IsError(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                      AllOf(HasSubstr("gave way"), HasSubstr("-wal grew"))));
+  bounds.max_log_growth = 0;
+  bounds.min_free_bytes = std::int64_t{1} << 60;
+  EXPECT_THAT(BackUpStore(Path(), StoreUse::kServed, copy, bounds),
+              IsError(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                      AllOf(HasSubstr("gave way"), HasSubstr("bytes left"))));
+  EXPECT_FALSE(std::filesystem::exists(copy));
+  EXPECT_FALSE(std::filesystem::exists(copy + ".partial"));
+  bounds.min_free_bytes = 0;
+  EXPECT_THAT(BackUpStore(Path(), StoreUse::kServed, copy, bounds), IsOk());
+}
+
+TEST_F(StoreCheckTest, CompactingKeepsEveryRowAndNoRoom) {
+  MakeStore();
+  {
+    // As a server of format 2 made it: it cannot shrink by itself.
+    const auto database =
+        *SqliteDatabase::Open(Path(), SqliteDatabase::Mode::kReadWrite, "");
+    ASSERT_THAT(database->Execute("PRAGMA journal_mode = DELETE;"
+                                  "PRAGMA auto_vacuum = NONE; VACUUM"),
+                IsOk());
+    ASSERT_EQ(*database->QueryInteger("PRAGMA auto_vacuum"), 0);
+  }
+  {
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    BlockingWrites write(storage.get());
+    ASSERT_THAT(write.Delete(storage->GetVehicle("car")->key), IsOk());
+    // Every other write removes some of its rows.
+    for (int i = 0; i < 5; ++i) {
+      ASSERT_THAT(write.Update(storage->GetVehicle("truck")->key, "new", 50),
+                  IsOk());
+    }
+  }
+  std::filesystem::permissions(Path(), std::filesystem::perms(0640));
+  const absl::StatusOr<CompactionReport> report = CompactStore(Path());
+  ASSERT_THAT(report, IsOk());
+  EXPECT_LT(report->bytes_after, report->bytes_before * 2 / 3);
+  EXPECT_EQ(static_cast<std::uintmax_t>(report->bytes_after),
+            std::filesystem::file_size(Path()));
+  EXPECT_FALSE(std::filesystem::exists(Path() + ".compact"));
+  EXPECT_EQ(std::filesystem::status(Path()).permissions(),
+            std::filesystem::perms(0640));
+  const StoreReport sound = *CheckStore(Path(), StoreUse::kIdle);
+  EXPECT_THAT(sound.problems, IsEmpty());
+  EXPECT_EQ(sound.vehicles, 1);
+  EXPECT_EQ(sound.batches, 30);
+  {
+    const auto database =
+        *SqliteDatabase::Open(Path(), SqliteDatabase::Mode::kReadOnly, "");
+    EXPECT_EQ(*database->QueryInteger("PRAGMA auto_vacuum"), 2);
+    EXPECT_EQ(*database->QueryInteger("PRAGMA page_size"), 8192);
+  }
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  EXPECT_THAT(BlockingWrites(storage.get()).Create("bus"), IsOk());
+  EXPECT_THAT(CompactStore(Path()),
+              IsError(StatusCode::kFailedPrecondition, "", HasSubstr("in use")));
+}
+
+TEST_F(StoreCheckTest, LogOfBeforeIsNotAppliedToACompactedStore) {
+  std::string log;
+  {
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    Fill(storage.get());
+    log = ReadFile(Path() + "-wal");
+  }
+  ASSERT_THAT(CompactStore(Path()), IsOk());
+  std::ofstream(Path() + "-wal", std::ios::binary) << log;
+  EXPECT_THAT(OpenSqliteStorage(Path()),
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                      HasSubstr("is older than the database")));
+}
+
+TEST_F(StoreCheckTest, DamagedStoreIsNotCompacted) {
+  MakeStore();
+  Damage(std::string(3000, 't'), 1500);
+  const std::string before = ReadFile(Path());
+  EXPECT_THAT(
+      CompactStore(Path()),
+      IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("truck")));
+  EXPECT_EQ(ReadFile(Path()), before);
+  EXPECT_FALSE(std::filesystem::exists(Path() + ".compact"));
 }
 
 TEST_F(StoreCheckTest, BackupReplacesNothing) {

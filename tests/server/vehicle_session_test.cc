@@ -779,7 +779,7 @@ TEST_F(VehicleSessionTest, RevisionThatWasDoneBeforeIsAnsweredAgain) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
   const auto revised = ReviseNow(*session_, [](const VehicleView&) {
     RevisionPlan plan;
-    plan.batches.push_back({1, 9, 0, StraightBatch(1, 9)});
+    plan.batches = BatchesOf({{1, 9, 0, StraightBatch(1, 9)}});
     plan.revised_count = 4;
     plan.done_by = 2;
     return plan;
