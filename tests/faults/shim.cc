@@ -230,6 +230,20 @@ int open64(const char* path, int flags, ...) {
   return Open("open64", path, flags, mode);
 }
 
+// The C library's own opens the file by a call that nobody can stand before.
+int mkstemp(char* pattern) {
+  static std::atomic<unsigned> next{static_cast<unsigned>(getpid())};
+  constexpr unsigned kNames = 1000000;
+  char* const suffix = pattern + strlen(pattern) - strlen("XXXXXX");
+  for (unsigned tries = 0; tries < kNames; ++tries) {
+    snprintf(suffix, strlen("XXXXXX") + 1, "%06u", next++ % kNames);
+    const int file = open64(pattern, O_RDWR | O_CREAT | O_EXCL, 0600);
+    if (file >= 0 || errno != EEXIST) return file;
+  }
+  return -1;
+}
+int mkstemp64(char* pattern) { return mkstemp(pattern); }
+
 int mkdir(const char* path, mode_t mode) noexcept {
   Recording recording(path);
   const int result = Next<int(const char*, mode_t)>("mkdir")(path, mode);
