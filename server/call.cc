@@ -249,6 +249,13 @@ absl::StatusOr<Permit> Call::AdmitBatch(std::size_t bytes) const {
   return room_->Queue(vehicle_, static_cast<std::int64_t>(bytes));
 }
 
+absl::Status Call::HoldBatch(std::size_t bytes) {
+  absl::StatusOr<Permit> permit = AdmitBatch(bytes);
+  if (!permit.ok()) return permit.status();
+  permits_.push_back(*std::move(permit));
+  return absl::OkStatus();
+}
+
 absl::StatusOr<Permit> Call::AdmitDraft(std::int64_t bytes) const {
   return room_->Draft(vehicle_, bytes);
 }

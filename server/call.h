@@ -71,6 +71,8 @@ class Call {
   // Room for a batch that waits to be durable. After ChooseVehicle(); any
   // thread.
   absl::StatusOr<Permit> AdmitBatch(std::size_t bytes) const;
+  // The same, held as long as this: until End().
+  absl::Status HoldBatch(std::size_t bytes);
   // Room for some more of a revision. After ChooseVehicle(); any thread.
   absl::StatusOr<Permit> AdmitDraft(std::int64_t bytes) const;
   // Room for a graph that is exported. After ChooseVehicle(); any thread.

@@ -84,7 +84,7 @@ const char* ConnectionTable::Add(int descriptor, const std::string& host,
 }
 
 std::vector<ConnectionTable::Harmful> ConnectionTable::TakeHarmful() {
-  std::vector<Harmful> harmful;
+  std::vector<Harmful> harmful = std::exchange(untold_, {});
   std::vector<int> closed;
   std::vector<std::pair<int, Connection*>> unadmitted;
   for (auto& [descriptor, connection] : connections_) {
@@ -177,11 +177,18 @@ void ConnectionTable::FindTooMany(
 void ConnectionTable::Remove(int descriptor) {
   const auto found = connections_.find(descriptor);
   if (found == connections_.end()) return;
-  const auto host = by_host_.find(found->second.host);
+  const Connection& connection = found->second;
+  if (connection.meter != nullptr && !connection.was_told) {
+    // It was closed for that, and its descriptor may be another's already.
+    if (const char* bound = BoundPassed(connection)) {
+      untold_.push_back({-1, connection.host, bound});
+    }
+  }
+  const auto host = by_host_.find(connection.host);
   host->second.erase(descriptor);
   if (host->second.empty()) by_host_.erase(host);
   attach_(descriptor, nullptr);
-  meters_->Close(found->second.remote, found->second.meter);
+  meters_->Close(connection.remote, connection.meter);
   connections_.erase(found);
 }
 

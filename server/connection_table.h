@@ -118,6 +118,8 @@ class ConnectionTable {
   ConnectionMeters* const meters_;
   std::uint64_t last_number_ = 0;
   std::unordered_map<int, Connection> connections_;
+  // Those that were closed for a bound they passed, until TakeHarmful().
+  std::vector<Harmful> untold_;
   std::unordered_map<std::string, std::unordered_set<int>> by_host_;
   std::chrono::steady_clock::time_point last_sweep_{};
 };

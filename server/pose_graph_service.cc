@@ -73,9 +73,7 @@ class UnaryCall : public grpc::ServerUnaryReactor,
   void SearchTook(std::chrono::steady_clock::duration duration) const {
     call_.SearchTook(duration);
   }
-  absl::StatusOr<Permit> AdmitBatch(std::size_t bytes) const {
-    return call_.AdmitBatch(bytes);
-  }
+  absl::Status HoldBatch(std::size_t bytes) { return call_.HoldBatch(bytes); }
   bool given_up() const { return call_.given_up(); }
   absl::Status GivenUpStatus() const { return call_.GivenUpStatus(); }
 
@@ -610,9 +608,10 @@ grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
         !status.ok()) {
       return status;
     }
-    const absl::StatusOr<Permit> room =
-        call->AdmitBatch(request->ByteSizeLong());
-    if (!room.ok()) return room.status();
+    if (absl::Status status = call->HoldBatch(request->ByteSizeLong());
+        !status.ok()) {
+      return status;
+    }
     AppendRequest append;
     append.decoder =
         [=, max_poses = context_.limits.max_batch_poses](
@@ -631,7 +630,7 @@ grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
     append.should_stop = [] { return false; };
     append.callbacks.staged = [](const absl::Status&) {};
     append.callbacks.durable = FinishWith<Acknowledgement>(
-        call, [=, permit = *room](const Acknowledgement& durable) {
+        call, [=](const Acknowledgement& durable) {
           EncodeAck(durable, response->mutable_ack());
           return absl::OkStatus();
         });

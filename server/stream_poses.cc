@@ -289,7 +289,9 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     };
     append.callbacks.durable =
         [self, scope, permit = *room](
-            const absl::StatusOr<Acknowledgement>& acknowledgement) {
+            const absl::StatusOr<Acknowledgement>& acknowledgement) mutable {
+          // Whoever has the acknowledgement may send as much again.
+          permit.reset();
           self->OnDurable(acknowledgement, scope->bytes);
           scope->work_start = std::chrono::steady_clock::now();
         };

@@ -95,6 +95,15 @@ TEST_F(ConnectionTableTest, TellsOnceOfThoseThatPassedABoundOfTheirMeter) {
   EXPECT_EQ(table.size(), 3u);
 }
 
+TEST_F(ConnectionTableTest, TellsOfAConnectionWhoseDescriptorIsAnothersAlready) {
+  ConnectionTable table = Make(0, 0);
+  EXPECT_EQ(Add(&table, 1, "harmful"), "");
+  attached_[1]->CountReceived(501);
+  EXPECT_EQ(Add(&table, 1, "next"), "");
+  EXPECT_EQ(TakeHarmful(&table), "max-unadmitted-bytes -1 harmful;");
+  EXPECT_EQ(TakeHarmful(&table), "");
+}
+
 TEST_F(ConnectionTableTest, FindsConnectionsThatHoldTooManyCalls) {
   ConnectionTable table = Make(0, 0);
   for (int i = 1; i <= 3; ++i) EXPECT_EQ(Add(&table, i, "h"), "");

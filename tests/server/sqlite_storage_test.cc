@@ -488,7 +488,7 @@ TEST_F(SqliteStorageTest, GivesUpWhatIsDamaged) {
         "UPDATE revised_batches SET payload = 'x'",
         "DELETE FROM batches WHERE first_sequence = 3"}) {
     SCOPED_TRACE(damage);
-    std::filesystem::remove(Path());
+    RemoveStore();
     const VehicleKey key = MakeStore();
     RunSql(Path(), damage);
     const std::unique_ptr<Storage> storage = MustOpen(Path());
@@ -511,7 +511,7 @@ TEST_F(SqliteStorageTest, GivesUpWhatIsDamaged) {
     EXPECT_THAT(write.Append(key, {sound + 1, 1, 31, "a"}), IsOk());
   }
   // A damaged pair goes alone.
-  std::filesystem::remove(Path());
+  RemoveStore();
   const VehicleKey key = MakeStore();
   RunSql(Path(), "UPDATE loop_closures SET create_time_ns = 98");
   const std::unique_ptr<Storage> storage = MustOpen(Path());
