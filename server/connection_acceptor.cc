@@ -35,6 +35,9 @@ constexpr std::chrono::seconds kLogInterval{1};
 // time however many there are.
 constexpr std::chrono::milliseconds kLeastLookInterval{100};
 constexpr std::chrono::microseconds kLookIntervalPerConnection{100};
+// The same while connections that have not had a call let in bring much.
+constexpr std::chrono::milliseconds kHurriedLookInterval{2};
+constexpr std::chrono::microseconds kHurriedLookIntervalPerConnection{25};
 // Connections that are taken from one listener before anything else is done: a
 // flood must hold up neither the end of the server nor the looks at those that
 // are open.
@@ -188,6 +191,7 @@ ConnectionAcceptor::ConnectionAcceptor(const Options& options, const Log* log,
                                        ConnectionMeters* meters)
     : options_(options),
       log_(log),
+      meters_(meters),
       address_(options.address),
       table_(
           options.bounds, SocketCookie, MeterReads,
@@ -326,23 +330,37 @@ void ConnectionAcceptor::Stop() {
 void ConnectionAcceptor::Run() {
   std::vector<pollfd> polled;
   for (const int listener : listeners_) polled.push_back({listener, POLLIN, 0});
+  const std::size_t listeners = polled.size();
   polled.push_back({wake_, POLLIN, 0});
+  polled.push_back({meters_->look_event(), POLLIN, 0});
+  pollfd& end = polled[listeners];
+  pollfd& hurry = polled[listeners + 1];
   auto last_look = std::chrono::steady_clock::now();
   while (true) {
     const int ready = poll(polled.data(), polled.size(),
                            static_cast<int>(kLeastLookInterval.count()));
+    if (ready > 0 && end.revents != 0) return;
     const auto now = std::chrono::steady_clock::now();
-    const auto interval = std::max<std::chrono::microseconds>(
-        kLeastLookInterval,
-        kLookIntervalPerConnection * static_cast<std::int64_t>(table_.size()));
+    const auto connections = static_cast<std::int64_t>(table_.size());
+    const bool is_hurried = ready > 0 && hurry.revents != 0;
+    const auto interval =
+        is_hurried
+            ? kHurriedLookInterval +
+                  kHurriedLookIntervalPerConnection * connections
+            : std::max<std::chrono::microseconds>(
+                  kLeastLookInterval, kLookIntervalPerConnection * connections);
     if (now - last_look >= interval) {
       last_look = now;
+      meters_->NoteLook();
       CutHarmful();
+    } else if (is_hurried && ready == 1) {
+      // Nobody else waits; the event stays until somebody has looked.
+      std::this_thread::sleep_for(std::min<std::chrono::steady_clock::duration>(
+          interval - (now - last_look), kLeastLookInterval));
     }
     if (ready <= 0) continue;
-    if (polled.back().revents != 0) return;
-    for (const pollfd& one : polled) {
-      if (one.revents != 0) AcceptSome(one.fd);
+    for (std::size_t i = 0; i < listeners; ++i) {
+      if (polled[i].revents != 0) AcceptSome(polled[i].fd);
     }
   }
 }

@@ -85,6 +85,7 @@ class ConnectionAcceptor {
 
   const Options options_;
   const Log* const log_;
+  ConnectionMeters* const meters_;
   std::string address_;
   // Removed at the end, if the file there is still the one that was made.
   std::string socket_path_;

@@ -31,8 +31,19 @@ struct MeterBounds {
 
 // All connections together that have not had a call let in. Thread-safe.
 struct Unadmitted {
+  Unadmitted();
+  ~Unadmitted();
+
+  // Counts bytes until the next look, and raises `look_event` where they may
+  // begin more calls than should go unseen.
+  void CountTowardsLook(std::uint64_t received);
+
   std::atomic<std::uint64_t> connections{0};
   std::atomic<std::uint64_t> bytes{0};
+  // Since somebody last looked at the connections.
+  std::atomic<std::uint64_t> bytes_unseen{0};
+  // An eventfd; negative if there was no descriptor for it.
+  const int look_event;
 };
 
 // Of one connection. Thread-safe.
@@ -91,6 +102,11 @@ class ConnectionMeters {
   MeterPointer Find(const std::string& peer) const;
 
   const Unadmitted& unadmitted() const { return *unadmitted_; }
+  // Readable once connections without a call let in have brought so much that
+  // somebody should look at them; negative if there is none.
+  int look_event() const { return unadmitted_->look_event; }
+  // Somebody looks at them now.
+  void NoteLook();
 
   // The remote end that gRPC means.
   static std::string RemoteOf(const std::string& peer);
@@ -100,8 +116,7 @@ class ConnectionMeters {
   // Also of meters that outlive this.
   const std::shared_ptr<Unadmitted> unadmitted_;
   mutable Mutex mutex_;
-  std::unordered_map<std::string, MeterPointer> meters_
-      ABSL_GUARDED_BY(mutex_);
+  std::unordered_map<std::string, MeterPointer> meters_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace revisit::server

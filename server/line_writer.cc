@@ -108,9 +108,8 @@ void LineWriter::State::Settle(const std::string& batch, std::size_t written) {
   const MutexLock lock(&mutex);
   failed = written < batch.size();
   if (failed) {
-    dropped += std::count(
-        batch.begin() + static_cast<std::ptrdiff_t>(written), batch.end(),
-        '\n');
+    dropped += std::count(batch.begin() + static_cast<std::ptrdiff_t>(written),
+                          batch.end(), '\n');
     // The line about dropped ones was lost with what it told.
     if (told > 0) dropped += told - 1;
   }
@@ -165,8 +164,7 @@ void LineWriter::Write(const std::string& line) {
   const std::size_t waiting = state_->queue.size() + state_->in_flight;
   // Behind a gap nothing is queued before the gap has been told.
   const bool gap_is_open = state_->dropped > 0 && !state_->failed;
-  if (gap_is_open ||
-      waiting + line.size() > state_->options.max_queued_bytes) {
+  if (gap_is_open || waiting + line.size() > state_->options.max_queued_bytes) {
     ++state_->dropped;
     return;
   }

@@ -63,8 +63,7 @@ class StopWhileStarting {
  public:
   StopWhileStarting()
       : thread_([] {
-          const int signal =
-              WaitFor(SetOf({SIGINT, SIGTERM, StartedSignal()}));
+          const int signal = WaitFor(SetOf({SIGINT, SIGTERM, StartedSignal()}));
           if (signal != StartedSignal()) std::_Exit(revisit::server::kExitOk);
         }) {}
   ~StopWhileStarting() {
@@ -113,8 +112,7 @@ int main(int argc, char** argv) {
   const auto parsed = revisit::server::ParseSettings(
       arguments, revisit::server::ProcessEnvironment());
   if (!parsed.ok()) {
-    Complain(std::string(parsed.status().message()) +
-             "\nTry: revisitd --help");
+    Complain(std::string(parsed.status().message()) + "\nTry: revisitd --help");
     return revisit::server::kExitUsage;
   }
   if (parsed->print) {
@@ -132,7 +130,8 @@ int main(int argc, char** argv) {
   {
     const StopWhileStarting stop;
     server = RevisitServer::Start(
-        parsed->settings, &log, [] { kill(getpid(), FailureSignal()); }, &error);
+        parsed->settings, &log, [] { kill(getpid(), FailureSignal()); },
+        &error);
   }
   if (server == nullptr) {
     Complain(error.message);

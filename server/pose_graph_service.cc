@@ -286,8 +286,7 @@ absl::Status ReadPoses(Storage* storage, const VehicleView& view,
     return failure;
   }
   if (last_taken < view.durable_sequence || !view.damage.ok()) {
-    response->set_next_page_token(
-        MakePageToken(list, last_taken));
+    response->set_next_page_token(MakePageToken(list, last_taken));
   }
   return absl::OkStatus();
 }
@@ -453,44 +452,44 @@ grpc::ServerUnaryReactor* PoseGraphService::CreateVehicle(
       call_context, "CreateVehicle", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::CreateVehicleRequest* request,
           v1::CreateVehicleResponse* response) {
-    const std::string& id = request->vehicle_id();
-    if (absl::Status status = CheckId(id, kRequest.Field("vehicle_id"));
-        !status.ok()) {
-      return status;
-    }
-    if (absl::Status status = call->ChooseVehicle(id); !status.ok()) {
-      return status;
-    }
-    absl::StatusOr<VehicleConfig> config =
-        DecodeSettings(request->vehicle().settings(),
-                       kRequest.Field("vehicle").Field("settings"));
-    if (!config.ok()) return config.status();
-    config->create_time_ns = NowNanoseconds();
-    config->uid = NewVehicleUid();
-    const VehicleConfig requested = *config;
-    const auto encode = [=](const VehicleView& view) {
-      v1::Vehicle* const vehicle = response->mutable_vehicle();
-      EncodeVehicle(view, vehicle);
-      if (!MayRead(*call, view.id)) {
-        *vehicle = ToldToWriter(*vehicle);
-        EncodeSettings(requested, vehicle->mutable_settings());
-      }
-      return absl::OkStatus();
-    };
-    const auto compare = [=](const VehicleView& view) {
-      if (view.config_is_known && SameSettings(view.config, requested)) {
-        return encode(view);
-      }
-      return Error(absl::StatusCode::kAlreadyExists, "VEHICLE_EXISTS",
-                   VehicleName(view.id) +
-                       " exists with other settings; change them with "
-                       "UpdateVehicle, or take another id");
-    };
-    CreateOrFind(context_.fleet, call, id, requested,
-                 FinishWith<VehicleView>(call, encode),
-                 FinishWith<VehicleView>(call, compare));
-    return absl::OkStatus();
-  });
+        const std::string& id = request->vehicle_id();
+        if (absl::Status status = CheckId(id, kRequest.Field("vehicle_id"));
+            !status.ok()) {
+          return status;
+        }
+        if (absl::Status status = call->ChooseVehicle(id); !status.ok()) {
+          return status;
+        }
+        absl::StatusOr<VehicleConfig> config =
+            DecodeSettings(request->vehicle().settings(),
+                           kRequest.Field("vehicle").Field("settings"));
+        if (!config.ok()) return config.status();
+        config->create_time_ns = NowNanoseconds();
+        config->uid = NewVehicleUid();
+        const VehicleConfig requested = *config;
+        const auto encode = [=](const VehicleView& view) {
+          v1::Vehicle* const vehicle = response->mutable_vehicle();
+          EncodeVehicle(view, vehicle);
+          if (!MayRead(*call, view.id)) {
+            *vehicle = ToldToWriter(*vehicle);
+            EncodeSettings(requested, vehicle->mutable_settings());
+          }
+          return absl::OkStatus();
+        };
+        const auto compare = [=](const VehicleView& view) {
+          if (view.config_is_known && SameSettings(view.config, requested)) {
+            return encode(view);
+          }
+          return Error(absl::StatusCode::kAlreadyExists, "VEHICLE_EXISTS",
+                       VehicleName(view.id) +
+                           " exists with other settings; change them with "
+                           "UpdateVehicle, or take another id");
+        };
+        CreateOrFind(context_.fleet, call, id, requested,
+                     FinishWith<VehicleView>(call, encode),
+                     FinishWith<VehicleView>(call, compare));
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::GetVehicle(
@@ -546,32 +545,32 @@ grpc::ServerUnaryReactor* PoseGraphService::UpdateVehicle(
       call_context, "UpdateVehicle", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::UpdateVehicleRequest* request,
           v1::UpdateVehicleResponse* response) {
-    const FieldPath vehicle = kRequest.Field("vehicle");
-    const auto session = SessionOf(context_, request->vehicle().name(),
-                                   vehicle.Field("name"), call.get());
-    if (!session.ok()) return session.status();
-    (*session)->Update(
-        [=](const VehicleView& view) -> absl::StatusOr<VehicleConfig> {
-          if (call->given_up()) return call->GivenUpStatus();
-          return UpdateSettings(view.config, view.durable_sequence > 0,
-                                request->vehicle().settings(),
-                                request->update_mask());
-        },
-        FinishWith<VehicleView>(call, [=](const VehicleView& view) {
-          v1::Vehicle* const answer = response->mutable_vehicle();
-          EncodeVehicle(view, answer);
-          if (MayRead(*call, view.id)) return absl::OkStatus();
-          const v1::Vehicle whole = *answer;
-          FieldMaskUtil::TrimMessage(request->update_mask(), answer);
-          // Left out, it may be that of the first pose.
-          if (!request->vehicle().settings().has_geodetic_origin()) {
-            answer->mutable_settings()->clear_geodetic_origin();
-          }
-          answer->MergeFrom(ToldToWriter(whole));
-          return absl::OkStatus();
-        }));
-    return absl::OkStatus();
-  });
+        const FieldPath vehicle = kRequest.Field("vehicle");
+        const auto session = SessionOf(context_, request->vehicle().name(),
+                                       vehicle.Field("name"), call.get());
+        if (!session.ok()) return session.status();
+        (*session)->Update(
+            [=](const VehicleView& view) -> absl::StatusOr<VehicleConfig> {
+              if (call->given_up()) return call->GivenUpStatus();
+              return UpdateSettings(view.config, view.durable_sequence > 0,
+                                    request->vehicle().settings(),
+                                    request->update_mask());
+            },
+            FinishWith<VehicleView>(call, [=](const VehicleView& view) {
+              v1::Vehicle* const answer = response->mutable_vehicle();
+              EncodeVehicle(view, answer);
+              if (MayRead(*call, view.id)) return absl::OkStatus();
+              const v1::Vehicle whole = *answer;
+              FieldMaskUtil::TrimMessage(request->update_mask(), answer);
+              // Left out, it may be that of the first pose.
+              if (!request->vehicle().settings().has_geodetic_origin()) {
+                answer->mutable_settings()->clear_geodetic_origin();
+              }
+              answer->MergeFrom(ToldToWriter(whole));
+              return absl::OkStatus();
+            }));
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::DeleteVehicle(
@@ -600,45 +599,46 @@ grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
       call_context, "AppendPoses", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, v1::AppendPosesRequest* request,
           v1::AppendPosesResponse* response) {
-    const auto session = SessionOf(context_, request->vehicle(),
-                                   kRequest.Field("vehicle"), call.get());
-    if (!session.ok()) return session.status();
-    if (absl::Status status = CheckUid(request->vehicle_uid(),
-                                       kRequest.Field("vehicle_uid"));
-        !status.ok()) {
-      return status;
-    }
-    if (absl::Status status = call->HoldBatch(request->ByteSizeLong());
-        !status.ok()) {
-      return status;
-    }
-    AppendRequest append;
-    append.decoder =
-        [=, max_poses = context_.limits.max_batch_poses](
-            const VehicleConfig& config) -> absl::StatusOr<DecodedBatch> {
-      // It may have waited long.
-      if (call->given_up()) return call->GivenUpStatus();
-      if (absl::Status meant =
-              CheckMeant(request->vehicle().substr(VehicleName("").size()),
-                         config, request->vehicle_uid());
-          !meant.ok()) {
-        return meant;
-      }
-      DropUnknownFields(request->mutable_poses());
-      return DecodeBatch(request->poses(), max_poses, config, kRequest);
-    };
-    append.should_stop = [] { return false; };
-    append.callbacks.staged = [](const absl::Status&) {};
-    append.callbacks.durable = FinishWith<Acknowledgement>(
-        call, [=](const Acknowledgement& durable) {
-          EncodeAck(durable, response->mutable_ack());
-          return absl::OkStatus();
-        });
-    append.callbacks.candidates =
-        [](const VehicleView&, const absl::StatusOr<core::CandidateSet>&) {};
-    (*session)->Append(std::move(append));
-    return absl::OkStatus();
-  });
+        const auto session = SessionOf(context_, request->vehicle(),
+                                       kRequest.Field("vehicle"), call.get());
+        if (!session.ok()) return session.status();
+        if (absl::Status status =
+                CheckUid(request->vehicle_uid(), kRequest.Field("vehicle_uid"));
+            !status.ok()) {
+          return status;
+        }
+        if (absl::Status status = call->HoldBatch(request->ByteSizeLong());
+            !status.ok()) {
+          return status;
+        }
+        AppendRequest append;
+        append.decoder =
+            [=, max_poses = context_.limits.max_batch_poses](
+                const VehicleConfig& config) -> absl::StatusOr<DecodedBatch> {
+          // It may have waited long.
+          if (call->given_up()) return call->GivenUpStatus();
+          if (absl::Status meant =
+                  CheckMeant(request->vehicle().substr(VehicleName("").size()),
+                             config, request->vehicle_uid());
+              !meant.ok()) {
+            return meant;
+          }
+          DropUnknownFields(request->mutable_poses());
+          return DecodeBatch(request->poses(), max_poses, config, kRequest);
+        };
+        append.should_stop = [] { return false; };
+        append.callbacks.staged = [](const absl::Status&) {};
+        append.callbacks.durable = FinishWith<Acknowledgement>(
+            call, [=](const Acknowledgement& durable) {
+              EncodeAck(durable, response->mutable_ack());
+              return absl::OkStatus();
+            });
+        append.callbacks.candidates =
+            [](const VehicleView&, const absl::StatusOr<core::CandidateSet>&) {
+            };
+        (*session)->Append(std::move(append));
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerBidiReactor<v1::StreamPosesRequest, v1::StreamPosesResponse>*
@@ -764,33 +764,34 @@ grpc::ServerUnaryReactor* PoseGraphService::ListPoses(
       call_context, "ListPoses", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::ListPosesRequest* request,
           v1::ListPosesResponse* response) {
-    const auto session = SessionOf(context_, request->parent(),
-                                   kRequest.Field("parent"), call.get());
-    if (!session.ok()) return session.status();
-    const std::string list = "ListPoses " + request->parent();
-    const absl::StatusOr<int> page_size =
-        PageSize(request->page_size(), 1000, 10000);
-    if (!page_size.ok()) return page_size.status();
-    const absl::StatusOr<std::uint64_t> first = FirstSequence(*request, list);
-    if (!first.ok()) return first.status();
-    if (absl::Status status = CheckReadMask(request->read_mask());
-        !status.ok()) {
-      return status;
-    }
-    const std::weak_ptr<VehicleSession> loaded = *session;
-    (*session)->ReadStored(FinishWith<VehicleView>(
-        call, [=, storage = context_.storage](const VehicleView& view) {
-          const absl::Status status =
-              ReadPoses(storage, view, *first, *page_size,
-                        request->read_mask(), list, response);
-          const auto still_there = loaded.lock();
-          if (absl::IsDataLoss(status) && still_there != nullptr) {
-            still_there->LoadAnew();
-          }
+        const auto session = SessionOf(context_, request->parent(),
+                                       kRequest.Field("parent"), call.get());
+        if (!session.ok()) return session.status();
+        const std::string list = "ListPoses " + request->parent();
+        const absl::StatusOr<int> page_size =
+            PageSize(request->page_size(), 1000, 10000);
+        if (!page_size.ok()) return page_size.status();
+        const absl::StatusOr<std::uint64_t> first =
+            FirstSequence(*request, list);
+        if (!first.ok()) return first.status();
+        if (absl::Status status = CheckReadMask(request->read_mask());
+            !status.ok()) {
           return status;
-        }));
-    return absl::OkStatus();
-  });
+        }
+        const std::weak_ptr<VehicleSession> loaded = *session;
+        (*session)->ReadStored(FinishWith<VehicleView>(
+            call, [=, storage = context_.storage](const VehicleView& view) {
+              const absl::Status status =
+                  ReadPoses(storage, view, *first, *page_size,
+                            request->read_mask(), list, response);
+              const auto still_there = loaded.lock();
+              if (absl::IsDataLoss(status) && still_there != nullptr) {
+                still_there->LoadAnew();
+              }
+              return status;
+            }));
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerWriteReactor<grpc::ByteBuffer>* PoseGraphService::ExportPoseGraph(
@@ -806,21 +807,21 @@ grpc::ServerUnaryReactor* PoseGraphService::AcceptDataLoss(
       call_context, "AcceptDataLoss", request_bytes, response_bytes,
       [=](const UnaryCallPtr& call, const v1::AcceptDataLossRequest* request,
           v1::AcceptDataLossResponse* response) {
-    const auto session = SessionOf(context_, request->name(),
-                                   kRequest.Field("name"), call.get());
-    if (!session.ok()) return session.status();
-    (*session)->AcceptDataLoss(
-        request->durable_sequence(),
-        FinishWith<VehicleView>(call, [=](const VehicleView& view) {
-          v1::Vehicle* const vehicle = response->mutable_vehicle();
-          EncodeVehicle(view, vehicle);
-          if (MayRead(*call, view.id)) return absl::OkStatus();
-          *vehicle = ToldToWriter(*vehicle);
-          vehicle->set_state(v1::VEHICLE_STATE_ACTIVE);
-          return absl::OkStatus();
-        }));
-    return absl::OkStatus();
-  });
+        const auto session = SessionOf(context_, request->name(),
+                                       kRequest.Field("name"), call.get());
+        if (!session.ok()) return session.status();
+        (*session)->AcceptDataLoss(
+            request->durable_sequence(),
+            FinishWith<VehicleView>(call, [=](const VehicleView& view) {
+              v1::Vehicle* const vehicle = response->mutable_vehicle();
+              EncodeVehicle(view, vehicle);
+              if (MayRead(*call, view.id)) return absl::OkStatus();
+              *vehicle = ToldToWriter(*vehicle);
+              vehicle->set_state(v1::VEHICLE_STATE_ACTIVE);
+              return absl::OkStatus();
+            }));
+        return absl::OkStatus();
+      });
 }
 
 grpc::ServerUnaryReactor* PoseGraphService::GetServerInfo(

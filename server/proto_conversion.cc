@@ -1348,10 +1348,10 @@ absl::StatusOr<VehicleConfig> ProtoRecordCodec::DecodeVehicle(
   }
   config->create_time_ns = ToNanoseconds(vehicle.create_time());
   config->data_loss = vehicle.state() == v1::VEHICLE_STATE_DATA_LOSS;
-  config->uid = vehicle.uid().empty()
-                    ? DerivedVehicleUid(record.key, record.id,
-                                        config->create_time_ns)
-                    : vehicle.uid();
+  config->uid =
+      vehicle.uid().empty()
+          ? DerivedVehicleUid(record.key, record.id, config->create_time_ns)
+          : vehicle.uid();
   return config;
 }
 

@@ -251,10 +251,9 @@ std::vector<std::unique_ptr<grpc::Service>> MakeReflectionServices(
   const auto shared = std::make_shared<Shared>(std::move(served));
   std::vector<std::unique_ptr<grpc::Service>> services;
   services.push_back(
-      std::make_unique<ReflectionService<v1::ServerReflection,
-                                         v1::ServerReflectionRequest,
-                                         v1::ServerReflectionResponse>>(
-          shared));
+      std::make_unique<
+          ReflectionService<v1::ServerReflection, v1::ServerReflectionRequest,
+                            v1::ServerReflectionResponse>>(shared));
   services.push_back(
       std::make_unique<ReflectionService<v1alpha::ServerReflection,
                                          v1alpha::ServerReflectionRequest,

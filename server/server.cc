@@ -14,8 +14,8 @@
 #include <filesystem>
 #include <fstream>
 #include <optional>
-#include <system_error>
 #include <string>
+#include <system_error>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -51,12 +51,12 @@ constexpr std::int64_t kCallsToClear = 1000;
 // connections together that have not had one let in: 30 MB, and as much again
 // may come between two looks.
 constexpr std::int64_t kUnadmittedCalls = 1500;
-// Reads go on while the store has no room for writes, so that they have a health
-// service of their own.
+// Reads go on while the store has no room for writes, so that they have a
+// health service of their own.
 constexpr char kWriteHealth[] = "revisit.v1.PoseGraphService/write";
 constexpr std::chrono::milliseconds kWriteHealthPeriod{1000};
 // How often memory is looked at, should no call do so.
-constexpr std::chrono::milliseconds kMemoryPeriod{2000};
+constexpr std::chrono::milliseconds kMemoryPeriod{500};
 
 std::chrono::milliseconds Milliseconds(double seconds) {
   return std::chrono::milliseconds(static_cast<std::int64_t>(seconds * 1000.0));
@@ -78,6 +78,9 @@ absl::StatusOr<std::string> StoreFile(const std::string& path) {
 // Bytes that are worth giving back to the system, which takes some milliseconds
 // per 100 MB.
 constexpr std::int64_t kWorthTrimming = std::int64_t{8} << 20;
+// Bytes that are not left lying until that is looked at: callers who are cut
+// off one after another leave so much within a second.
+constexpr std::int64_t kMuchToTrim = std::int64_t{32} << 20;
 // The heap shrinks no more when it does by less than this between two looks.
 constexpr std::int64_t kStillShrinking = std::int64_t{256} << 10;
 
@@ -97,6 +100,10 @@ class Trimmer {
       least_unused_ = std::min(least_unused_, memory.unused);
       trimmed_in_use_ = 0;
     }
+  }
+
+  void TrimIfMuch() {
+    if (Look().unused - least_unused_ >= kMuchToTrim) Trim();
   }
 
   void Trim() {
@@ -146,7 +153,10 @@ std::unique_ptr<Periodic> MakeUnloadTimer(Fleet* fleet, Admission* admission,
        trimmer = Trimmer()]() mutable {
         const auto now = Clock::now();
         const bool pressed = admission->UnderMemoryPressure();
-        if (!pressed && now < next) return;
+        if (!pressed && now < next) {
+          trimmer.TrimIfMuch();
+          return;
+        }
         next = now + period;
         fleet->UnloadIdle(pressed ? now + idle_unload : now);
         if (pressed) {
@@ -260,8 +270,7 @@ struct RevisitServer::State {
 namespace {
 
 absl::StatusOr<std::unique_ptr<Gatekeeper>> MakeGatekeeper(
-    const ServerSettings& settings, const TlsFiles* tls_files,
-    const Log* log) {
+    const ServerSettings& settings, const TlsFiles* tls_files, const Log* log) {
   if (settings.policy.empty()) return MakeOpenGatekeeper();
   GatekeeperSettings gatekeeper;
   gatekeeper.policy_file = settings.policy;

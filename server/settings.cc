@@ -479,8 +479,8 @@ struct Parser {
         ->required();
     verify = app.add_subcommand("verify",
                                 "Read the whole store and say what is wrong");
-    compact = app.add_subcommand(
-        "compact", "Make the file of a stopped store small");
+    compact =
+        app.add_subcommand("compact", "Make the file of a stopped store small");
     for (CLI::App* subcommand : {backup, verify, compact}) {
       subcommand->fallthrough();
       subcommand->footer("--store and --config are those of revisitd itself.");

@@ -45,10 +45,10 @@ struct DriveRun {
 };
 
 // Streams the estimates of a drive with truth into a new vehicle and judges the
-// answers. `created` hears the vehicle's name as soon as it exists. A connection
-// that breaks may lose answers; the drive is then streamed again from its start,
-// to a new vehicle of the same name, so that figures are always those of an
-// unbroken stream. UNAVAILABLE if it keeps breaking.
+// answers. `created` hears the vehicle's name as soon as it exists. A
+// connection that breaks may lose answers; the drive is then streamed again
+// from its start, to a new vehicle of the same name, so that figures are always
+// those of an unbroken stream. UNAVAILABLE if it keeps breaking.
 absl::StatusOr<DriveResult> EvaluateDrive(
     const std::shared_ptr<grpc::Channel>& channel, const Client& client,
     const Drive& drive, const std::vector<ClaimedUncertainty>& uncertainty,

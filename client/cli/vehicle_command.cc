@@ -21,9 +21,9 @@ std::string Text(const v1::PlaceTolerance& tolerance) {
 
 // Of a damaged vehicle it may be lost.
 std::string CreateTime(const v1::Vehicle& vehicle) {
-  return vehicle.has_create_time() ? google::protobuf::util::TimeUtil::ToString(
-                                         vehicle.create_time())
-                                   : "unknown";
+  return vehicle.has_create_time()
+             ? google::protobuf::util::TimeUtil::ToString(vehicle.create_time())
+             : "unknown";
 }
 
 void AddConsistency(const v1::Consistency& consistency, Fields* fields) {
@@ -167,14 +167,13 @@ absl::Status RunVehicleList(const Client& client, const Console& console) {
                {"MODEL", Align::kLeft},
                {"CREATED", Align::kLeft}});
   for (const v1::Vehicle& vehicle : all.vehicles()) {
-    table.AddRow(
-        {vehicle.name(), NameOf(vehicle.state()),
-         std::to_string(vehicle.durable_sequence()),
-         std::to_string(vehicle.revision()),
-         std::to_string(vehicle.loop_closure_count()),
-         NameOf(vehicle.settings().state_space()),
-         NameOf(vehicle.settings().correlation_model()),
-         CreateTime(vehicle)});
+    table.AddRow({vehicle.name(), NameOf(vehicle.state()),
+                  std::to_string(vehicle.durable_sequence()),
+                  std::to_string(vehicle.revision()),
+                  std::to_string(vehicle.loop_closure_count()),
+                  NameOf(vehicle.settings().state_space()),
+                  NameOf(vehicle.settings().correlation_model()),
+                  CreateTime(vehicle)});
   }
   table.Print(console.out);
   return absl::OkStatus();

@@ -110,9 +110,9 @@ class Rules {
           "the client certificate has expired; connect with a new one");
     }
     if (trusted.material != nullptr) {
-      const absl::Status status = CheckClientAuthority(
-          pem, credentials.certificate_chain_pem,
-          trusted.material->client_authorities);
+      const absl::Status status =
+          CheckClientAuthority(pem, credentials.certificate_chain_pem,
+                               trusted.material->client_authorities);
       if (!status.ok()) {
         return Unauthenticated(
             "CREDENTIALS_INVALID",

@@ -41,8 +41,7 @@ using ParamsBuilder =
     std::unique_ptr<OSSL_PARAM_BLD, Free<OSSL_PARAM_BLD_free>>;
 
 using Store = std::unique_ptr<X509_STORE, Free<X509_STORE_free>>;
-using StoreContext =
-    std::unique_ptr<X509_STORE_CTX, Free<X509_STORE_CTX_free>>;
+using StoreContext = std::unique_ptr<X509_STORE_CTX, Free<X509_STORE_CTX_free>>;
 
 struct FreeStack {
   void operator()(STACK_OF(X509) * stack) const {

@@ -242,8 +242,8 @@ void Fleet::Create(const std::string& id, const VehicleConfig& config,
   record.revision = kCreatedRevision;
   state_->storage->CreateVehicle(
       std::move(record),
-      [state = state_, id, config, callback = std::move(callback)](
-          const absl::StatusOr<VehicleKey>& key) {
+      [state = state_, id, config,
+       callback = std::move(callback)](const absl::StatusOr<VehicleKey>& key) {
         // Off the writer's thread.
         state->lanes.short_work->Post([state, id, config, callback, key] {
           if (key.ok()) {

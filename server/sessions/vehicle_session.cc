@@ -100,13 +100,13 @@ absl::Status CheckMeant(const std::string& vehicle_id,
   if (expected_uid.empty() || expected_uid == config.uid) {
     return absl::OkStatus();
   }
-  return Error(StatusCode::kFailedPrecondition, "VEHICLE_REPLACED",
-               "vehicle '" + vehicle_id + "' has the uid " + config.uid +
-                   ", got " + expected_uid +
-                   ": it was made anew, and what was acknowledged was of "
-                   "another vehicle of this name",
-               {{"vehicle_uid", config.uid},
-                {"expected_vehicle_uid", expected_uid}});
+  return Error(
+      StatusCode::kFailedPrecondition, "VEHICLE_REPLACED",
+      "vehicle '" + vehicle_id + "' has the uid " + config.uid + ", got " +
+          expected_uid +
+          ": it was made anew, and what was acknowledged was of "
+          "another vehicle of this name",
+      {{"vehicle_uid", config.uid}, {"expected_vehicle_uid", expected_uid}});
 }
 
 // Everything but what is constant or atomic belongs to the strand.
@@ -388,12 +388,13 @@ struct VehicleSession::State
       const absl::Status read = LoadPairs(kind);
       if (!read.ok()) return read;
     }
-    StartReplay(*std::move(decoded), record->revision,
-                [this](const absl::Status& status) {
-                  if (!status.ok()) Leave(status);
-                  if (!damage.ok()) damage = Damaged(damage);
-                },
-                /*is_load=*/true);
+    StartReplay(
+        *std::move(decoded), record->revision,
+        [this](const absl::Status& status) {
+          if (!status.ok()) Leave(status);
+          if (!damage.ok()) damage = Damaged(damage);
+        },
+        /*is_load=*/true);
     return absl::OkStatus();
   }
 
@@ -1072,10 +1073,10 @@ struct VehicleSession::State
       return;
     }
     if (!config.data_loss && damage.ok()) {
-      callback(Error(StatusCode::kFailedPrecondition, "NO_DATA_LOSS",
-                     "vehicle '" + id +
-                         "' is neither in the state DATA_LOSS nor DAMAGED",
-                     metadata));
+      callback(Error(
+          StatusCode::kFailedPrecondition, "NO_DATA_LOSS",
+          "vehicle '" + id + "' is neither in the state DATA_LOSS nor DAMAGED",
+          metadata));
       return;
     }
     if (sequence != durable_sequence) {
@@ -1276,9 +1277,8 @@ struct VehicleSession::State
       callback(TooManyPairs(kind));
       return;
     }
-    const bool is_last =
-        !latest_pair_ns ||
-        *latest_pair_ns - kMostClockError <= pair.create_time_ns;
+    const bool is_last = !latest_pair_ns || *latest_pair_ns - kMostClockError <=
+                                                pair.create_time_ns;
     if (is_last && latest_pair_ns) {
       pair.create_time_ns = std::max(pair.create_time_ns, *latest_pair_ns + 1);
     }

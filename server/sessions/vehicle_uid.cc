@@ -38,8 +38,8 @@ std::string NewVehicleUid() {
 
 std::string DerivedVehicleUid(VehicleKey key, const std::string& id,
                               std::int64_t create_time_ns) {
-  const std::string text = std::to_string(key) + " " + id + " " +
-                           std::to_string(create_time_ns);
+  const std::string text =
+      std::to_string(key) + " " + id + " " + std::to_string(create_time_ns);
   XXH128_canonical_t hash;
   XXH128_canonicalFromHash(&hash, XXH3_128bits(text.data(), text.size()));
   Bytes bytes;

@@ -77,8 +77,7 @@ absl::Status FreeSpaceGuard::CheckMark() {
   if (!stopped_) return absl::OkStatus();
   return StorageFull("nothing was written: the file system of the store has " +
                      std::to_string(*free) + " bytes left and its file " +
-                     std::to_string(inside) +
-                     ", writes are taken again from " +
+                     std::to_string(inside) + ", writes are taken again from " +
                      std::to_string(EnoughAgain()) + " on; reads go on");
 }
 

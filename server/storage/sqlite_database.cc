@@ -150,15 +150,14 @@ std::string SqliteStatement::Bytes(int column) const {
 absl::StatusOr<std::unique_ptr<SqliteDatabase>> SqliteDatabase::Open(
     const std::string& path, Mode mode, const std::string& vfs) {
   // No mutex of SQLite's: a connection is used by one thread at a time.
-  const int flags =
-      (mode == Mode::kReadWrite ? SQLITE_OPEN_READWRITE
-                                : SQLITE_OPEN_READONLY) |
-      (mode == Mode::kFileOnly ? SQLITE_OPEN_URI : 0) | SQLITE_OPEN_NOMUTEX |
-      SQLITE_OPEN_EXRESCODE;
+  const int flags = (mode == Mode::kReadWrite ? SQLITE_OPEN_READWRITE
+                                              : SQLITE_OPEN_READONLY) |
+                    (mode == Mode::kFileOnly ? SQLITE_OPEN_URI : 0) |
+                    SQLITE_OPEN_NOMUTEX | SQLITE_OPEN_EXRESCODE;
   sqlite3* database = nullptr;
-  const int code = sqlite3_open_v2(
-      (mode == Mode::kFileOnly ? UriOf(path) : path).c_str(), &database, flags,
-      vfs.empty() ? nullptr : vfs.c_str());
+  const int code =
+      sqlite3_open_v2((mode == Mode::kFileOnly ? UriOf(path) : path).c_str(),
+                      &database, flags, vfs.empty() ? nullptr : vfs.c_str());
   if (code != SQLITE_OK) {
     const absl::Status status =
         ToStatus(database, code, ("open " + path).c_str());

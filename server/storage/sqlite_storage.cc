@@ -436,11 +436,10 @@ class SqliteStorage : public Storage {
 
   // Whether something is to be done that leaves more room than there was.
   bool MakesRoom(const std::vector<PendingWrite>& group) const {
-    return ChoresAreDue() ||
-           std::any_of(group.begin(), group.end(),
-                       [](const PendingWrite& write) {
-                         return write.need == Need::kLittle;
-                       });
+    return ChoresAreDue() || std::any_of(group.begin(), group.end(),
+                                         [](const PendingWrite& write) {
+                                           return write.need == Need::kLittle;
+                                         });
   }
 
   // Writes a group in one transaction, without `room` what needs little of it.
@@ -605,11 +604,10 @@ class SqliteStorage : public Storage {
   // After a failed flush, or if the files are gone; see the header.
   void GiveUp(const absl::Status& cause) {
     if (!given_up_.ok()) return;
-    given_up_ =
-        Error(StatusCode::kUnavailable, ReasonOf(cause),
-              std::string("the store takes no more writes, since ") +
-                  (IsFailedFlush(cause) ? "a flush failed: " : "") +
-                  std::string(cause.message()));
+    given_up_ = Error(StatusCode::kUnavailable, ReasonOf(cause),
+                      std::string("the store takes no more writes, since ") +
+                          (IsFailedFlush(cause) ? "a flush failed: " : "") +
+                          std::string(cause.message()));
     chores_ = Chores::kNone;
     if (options_.on_failure) options_.on_failure(given_up_);
   }
@@ -838,8 +836,8 @@ absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
   }
   // Also of a store that is not new: the server that made it may have been
   // killed before it came to this.
-  status = FlushDirectories(
-      std::filesystem::path(store).parent_path().string());
+  status =
+      FlushDirectories(std::filesystem::path(store).parent_path().string());
   if (!status.ok()) return status;
   // After a log was dropped, it may have said more.
   (*lock)->Write(writer->state);
@@ -849,9 +847,9 @@ absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
   status = CheckFile(**anchor, store, options.max_checked_bytes);
   if (!status.ok()) return status;
   if (!gave_up_reserve) KeepReserve(store);
-  return std::unique_ptr<Storage>(new SqliteStorage(
-      store, options, run, *std::move(lock), *std::move(mark),
-      *std::move(writer), *std::move(anchor)));
+  return std::unique_ptr<Storage>(
+      new SqliteStorage(store, options, run, *std::move(lock), *std::move(mark),
+                        *std::move(writer), *std::move(anchor)));
 }
 
 absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorageToRead(

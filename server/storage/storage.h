@@ -167,7 +167,8 @@ class Storage {
   // The batches that hold poses of [first_sequence, last_sequence], in order,
   // until `visit` says false; all of one moment, and `visit` may read from the
   // storage. DATA_LOSS if one is missing or damaged, after those before it: so
-  // looks a range beyond the durable sequence, too, which is not to be asked for.
+  // looks a range beyond the durable sequence, too, which is not to be asked
+  // for.
   virtual absl::Status ReadBatches(
       VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
       BatchVersion version, const std::function<bool(BatchRecord)>& visit) = 0;

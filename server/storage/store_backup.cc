@@ -32,8 +32,7 @@ absl::Status GiveWay(const std::string& why) {
   return Error(absl::StatusCode::kUnavailable, "STORE_UNAVAILABLE",
                "the backup gave way to the server, and nothing was kept of "
                "it: " +
-                   why +
-                   "; copy to a faster disk, or while less is written");
+                   why + "; copy to a faster disk, or while less is written");
 }
 
 // While the copy is made the log of the store cannot be written over.
@@ -45,8 +44,8 @@ absl::Status CheckLog(const std::string& path, std::int64_t log_bytes_before,
                    std::to_string(grown) + " bytes meanwhile, allowed are " +
                    std::to_string(bounds.max_log_growth));
   }
-  const absl::StatusOr<std::int64_t> free = FreeBytes(
-      std::filesystem::absolute(path).parent_path().string());
+  const absl::StatusOr<std::int64_t> free =
+      FreeBytes(std::filesystem::absolute(path).parent_path().string());
   if (free.ok() && *free < bounds.min_free_bytes) {
     return GiveWay("the file system of the store has " + std::to_string(*free) +
                    " bytes left, needed are " +

@@ -213,8 +213,7 @@ absl::StatusOr<std::vector<std::string>> FindStructuralDamage(
   }
 }
 
-absl::StatusOr<StoreToRead> LookAtStore(const std::string& path,
-                                        StoreUse use) {
+absl::StatusOr<StoreToRead> LookAtStore(const std::string& path, StoreUse use) {
   StoreToRead store{path, use, SqliteDatabase::Mode::kReadOnly, {}, {}};
   const absl::Status is_there = CheckDatabaseIsThere(path);
   if (!is_there.ok()) return is_there;

@@ -86,9 +86,8 @@ bool HoldTheSame(const StoreReport& a, const StoreReport& b) {
 absl::StatusOr<StoreReport> MustBeSound(const std::string& path) {
   absl::StatusOr<StoreReport> report = CheckStore(path, StoreUse::kIdle);
   if (!report.ok() || report->problems.empty()) return report;
-  return Corrupt("the store " + path + " is damaged: " +
-                     report->problems.front(),
-                 {});
+  return Corrupt(
+      "the store " + path + " is damaged: " + report->problems.front(), {});
 }
 
 absl::Status Replace(const std::string& path, const std::string& copy,

@@ -77,8 +77,7 @@ StoreLock::~StoreLock() { close(file_); }
 bool StoreLock::IsHeld(const std::string& store_path) {
   const int file = open((store_path + ".lock").c_str(), O_RDONLY | O_CLOEXEC);
   if (file < 0) return false;
-  const bool held =
-      flock(file, LOCK_SH | LOCK_NB) != 0 && errno == EWOULDBLOCK;
+  const bool held = flock(file, LOCK_SH | LOCK_NB) != 0 && errno == EWOULDBLOCK;
   close(file);
   return held;
 }

@@ -554,9 +554,8 @@ absl::Status MakeStore(const std::string& store, const std::string& vfs,
   if (status.ok()) status = FlushFile(made);
   if (!status.ok()) return status;
   if (std::rename(made.c_str(), store.c_str()) != 0) {
-    return Error(
-        StatusCode::kUnavailable, "STORE_UNAVAILABLE",
-        "cannot name " + absl::ErrnoToStatus(errno, store).ToString());
+    return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                 "cannot name " + absl::ErrnoToStatus(errno, store).ToString());
   }
   return FlushFile(directory);
 }

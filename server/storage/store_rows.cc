@@ -454,10 +454,11 @@ absl::Status VisitBatches(SqliteDatabase& database, VehicleKey key,
         *found && version == BatchVersion::kCurrent && !row.IsNull(6);
     absl::StatusOr<BatchRecord> batch = BatchRecord();
     if (revised) {
-      // What was sent must be sound as well: what is resent is compared with it.
+      // What was sent must be sound as well: what is resent is compared with
+      // it.
       const absl::Status as_sent =
-          ReadBatchRow(row, 2, row.Integer(0), row.Integer(1), key,
-                       *vehicle_id, BatchVersion::kAsSent)
+          ReadBatchRow(row, 2, row.Integer(0), row.Integer(1), key, *vehicle_id,
+                       BatchVersion::kAsSent)
               .status();
       if (!as_sent.ok()) return as_sent;
     }
@@ -588,8 +589,8 @@ absl::Status DropDamagedRows(SqliteDatabase& database, VehicleKey key,
                  .Run();
     if (!status.ok()) return status;
     // No limit.
-    const absl::StatusOr<std::vector<PosePairRecord>> pairs = FindPosePairs(
-        database, key, kind, "", std::numeric_limits<int>::max());
+    const absl::StatusOr<std::vector<PosePairRecord>> pairs =
+        FindPosePairs(database, key, kind, "", std::numeric_limits<int>::max());
     if (!pairs.ok()) return pairs.status();
     for (const PosePairRecord& pair : *pairs) {
       if (pair.damage.ok()) continue;

@@ -66,9 +66,8 @@ std::string Encoded(const StoreState& state) {
   at += kMagicBytes;
   std::memcpy(at, state.id.data(), state.id.size());
   at += state.id.size();
-  for (const std::uint64_t value :
-       {state.commit, state.run, state.previous_run,
-        std::uint64_t{state.is_closed ? 1u : 0u}}) {
+  for (const std::uint64_t value : {state.commit, state.run, state.previous_run,
+                                    std::uint64_t{state.is_closed ? 1u : 0u}}) {
     Put(value, at);
     at += 8;
   }

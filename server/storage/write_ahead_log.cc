@@ -314,9 +314,9 @@ absl::StatusOr<LogReport> ReadLog(const std::string& path) {
       }
     }
     stored = frame.stored();
-    after_commit = frame.is_commit() &&
-                   (fits || ((has_salts || number == first_bad) &&
-                             !MayBeTorn(number, frame.bytes.size())));
+    after_commit =
+        frame.is_commit() && (fits || ((has_salts || number == first_bad) &&
+                                       !MayBeTorn(number, frame.bytes.size())));
   }
   if (first_bad == 0 && report.frames_in_file > report.end.frames) {
     report.has_unfinished_tail = true;

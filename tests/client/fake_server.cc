@@ -346,8 +346,7 @@ grpc::Status FakeServer::StreamPoses(
     if (fault.kind == Kind::kSilence) return silence();
     if (fault.kind != Kind::kNone) return fault.status;
   }
-  if (check_uid_ && !open.vehicle_uid().empty() &&
-      open.vehicle_uid() != uid_) {
+  if (check_uid_ && !open.vehicle_uid().empty() && open.vehicle_uid() != uid_) {
     return MakeStatus(grpc::StatusCode::FAILED_PRECONDITION,
                       "another vehicle of this name",
                       {"VEHICLE_REPLACED", {}, {}, {}});

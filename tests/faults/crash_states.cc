@@ -241,8 +241,7 @@ std::string Device::DrawContent(const Inode& inode, const Draw& draw,
     std::uint64_t at = change.offset;
     while (at < end) {
       const std::uint64_t number = at / draw.block_bytes;
-      const std::uint64_t next =
-          std::min(end, (number + 1) * draw.block_bytes);
+      const std::uint64_t next = std::min(end, (number + 1) * draw.block_bytes);
       auto found = blocks.find(number);
       if (found == blocks.end()) {
         const std::size_t moment =
@@ -297,9 +296,9 @@ void Device::WriteDirectory(const Inode& directory, const Draw& draw,
 }
 
 void Device::WriteState(Random random, const std::string& directory) const {
-  constexpr Draw::Part kParts[] = {Draw::Part::kAll, Draw::Part::kNone,
+  constexpr Draw::Part kParts[] = {Draw::Part::kAll,   Draw::Part::kNone,
                                    Draw::Part::kFirst, Draw::Part::kSome,
-                                   Draw::Part::kSome, Draw::Part::kSome};
+                                   Draw::Part::kSome,  Draw::Part::kSome};
   Draw draw;
   draw.block_bytes = Chance(&random, 0.5) ? 512 : 4096;
   draw.part = kParts[Below(&random, 6)];

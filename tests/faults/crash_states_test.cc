@@ -108,8 +108,7 @@ TEST_F(CrashStates, ANewFileMayBeMissingUntilItsDirectoryIsFlushed) {
   Do(EventKind::kCreate, kFile, 0, "file");
   Write(0, "flushed");
   Flush(kFile);
-  EXPECT_THAT(States(),
-              ElementsAre(State{}, State{{"file", "flushed"}}));
+  EXPECT_THAT(States(), ElementsAre(State{}, State{{"file", "flushed"}}));
 }
 
 TEST_F(CrashStates, ARemovedFileMayBeBackUntilItsDirectoryIsFlushed) {
@@ -141,10 +140,9 @@ TEST_F(CrashStates, BlocksOfAWriteGetToTheDeviceInAnyOrder) {
   Write(0, std::string(1024, 'b'));
   const std::string a(512, 'a');
   const std::string b(512, 'b');
-  EXPECT_THAT(States(), ElementsAre(State{{"file", a + a}},
-                                    State{{"file", a + b}},
-                                    State{{"file", b + a}},
-                                    State{{"file", b + b}}));
+  EXPECT_THAT(States(),
+              ElementsAre(State{{"file", a + a}}, State{{"file", a + b}},
+                          State{{"file", b + a}}, State{{"file", b + b}}));
 }
 
 TEST_F(CrashStates, AFileMayBeLongerThanWhatWasWrittenOfIt) {
@@ -177,10 +175,9 @@ TEST_F(CrashStates, SharedMemoryHoldsAnything) {
   Flush(kRoot);
   Do(EventKind::kMapped, kFile, 0, "", "index");
   const std::set<State> states = States();
-  EXPECT_THAT(states, AllOf(Contains(State{}),
-                            Contains(State{{"store-shm", "index"}}),
-                            Contains(State{
-                                {"store-shm", std::string(5, '\0')}})));
+  EXPECT_THAT(states,
+              AllOf(Contains(State{}), Contains(State{{"store-shm", "index"}}),
+                    Contains(State{{"store-shm", std::string(5, '\0')}})));
 }
 
 TEST_F(CrashStates, AFlushThatIsNotHonouredPromisesNothing) {

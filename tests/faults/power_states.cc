@@ -55,9 +55,9 @@ using Arguments = std::map<std::string, std::string>;
 
 std::uint64_t Number(const Arguments& arguments, const char* name) {
   const auto found = arguments.find(name);
-  return found == arguments.end() ? 0
-                                  : std::strtoull(found->second.c_str(),
-                                                  nullptr, 10);
+  return found == arguments.end()
+             ? 0
+             : std::strtoull(found->second.c_str(), nullptr, 10);
 }
 
 std::string Text(const Arguments& arguments, const char* name) {
@@ -149,8 +149,8 @@ absl::StatusOr<std::string> Described(Storage& storage,
       PairsOf(storage, vehicle.key, PairKind::kRejectedCandidate);
   if (!rejected.ok()) return rejected.status();
   return "{\"durable\":" + std::to_string(vehicle.durable_sequence) +
-         ",\"revision\":" + std::to_string(vehicle.revision) +
-         ",\"sent\":\"" + *sent + "\",\"current\":\"" + *current +
+         ",\"revision\":" + std::to_string(vehicle.revision) + ",\"sent\":\"" +
+         *sent + "\",\"current\":\"" + *current +
          "\",\"loop_closure\":" + *closures +
          ",\"rejected_candidate\":" + *rejected + "}";
 }
@@ -166,8 +166,7 @@ std::string Described(const absl::StatusOr<std::unique_ptr<Storage>>& storage) {
   if (!vehicles.ok()) return refused(vehicles.status());
   std::string text;
   for (const VehicleRecord& vehicle : *vehicles) {
-    const absl::StatusOr<std::string> described =
-        Described(**storage, vehicle);
+    const absl::StatusOr<std::string> described = Described(**storage, vehicle);
     if (!described.ok()) return refused(described.status());
     text += (text.empty() ? "" : ",") + Quoted(vehicle.id) + ":" + *described;
   }
@@ -260,10 +259,9 @@ std::vector<std::size_t> CrashPoints(const std::vector<Event>& events,
   };
   std::vector<std::size_t> points;
   for (std::size_t i = 0; i < count; ++i) {
-    const std::size_t point = i % 2 == 0
-                                  ? between(first + 1, events.size())
-                                  : turns[between(0, turns.size() - 1)] +
-                                        between(0, 3);
+    const std::size_t point =
+        i % 2 == 0 ? between(first + 1, events.size())
+                   : turns[between(0, turns.size() - 1)] + between(0, 3);
     points.push_back(std::clamp(point, first + 1, events.size()));
   }
   std::sort(points.begin(), points.end());
@@ -296,9 +294,9 @@ int Open(const std::string& recording, const Arguments& arguments) {
     const std::string opened =
         OpenStore(store, Number(arguments, "drop_damaged_log") != 0);
     // Who got an answer before this moment got it before the power was lost.
-    const std::uint64_t time =
-        points[i] < events.size() ? events[points[i]].header.time_ns
-                                  : std::uint64_t{1} << 62;
+    const std::uint64_t time = points[i] < events.size()
+                                   ? events[points[i]].header.time_ns
+                                   : std::uint64_t{1} << 62;
     std::printf("{\"state\":%zu,\"event\":%zu,\"time\":%" PRIu64
                 ",\"verified\":%s,\"store\":%s,\"backups\":%s}\n",
                 i, points[i], time, Quoted(verified.ToString()).c_str(),

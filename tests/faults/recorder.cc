@@ -121,8 +121,7 @@ class Recorder {
     const iovec parts[] = {{&header, sizeof(header)},
                            {const_cast<char*>(name.data()), name.size()},
                            {const_cast<void*>(data), size}};
-    const auto whole =
-        static_cast<long>(sizeof(header) + name.size() + size);
+    const auto whole = static_cast<long>(sizeof(header) + name.size() + size);
     // A recording with a hole would prove nothing.
     if (syscall(SYS_writev, log_, parts, 3) != whole) abort();
   }

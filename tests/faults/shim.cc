@@ -121,8 +121,8 @@ ssize_t WriteAt(const char* name, int file, const void* data, size_t size,
                 Offset offset) {
   if (WriteFails(file)) return -1;
   Recording recording(file);
-  const ssize_t written = Next<ssize_t(int, const void*, size_t, Offset)>(
-      name)(file, data, size, offset);
+  const ssize_t written = Next<ssize_t(int, const void*, size_t, Offset)>(name)(
+      file, data, size, offset);
   recording.Wrote(file, data, written, offset);
   return written;
 }
@@ -162,8 +162,7 @@ int Unlink(const char* name, const char* path) {
 template <typename Offset>
 void* Map(const char* name, void* at, size_t size, int protection, int flags,
           int file, Offset offset) {
-  const auto next =
-      Next<void*(void*, size_t, int, int, int, Offset)>(name);
+  const auto next = Next<void*(void*, size_t, int, int, int, Offset)>(name);
   if (file < 0 || (flags & MAP_SHARED) == 0 || (protection & PROT_WRITE) == 0) {
     return next(at, size, protection, flags, file, offset);
   }
@@ -257,16 +256,14 @@ int remove(const char* path) noexcept { return Unlink("remove", path); }
 
 int link(const char* path, const char* other) noexcept {
   Recording recording(path);
-  const int result =
-      Next<int(const char*, const char*)>("link")(path, other);
+  const int result = Next<int(const char*, const char*)>("link")(path, other);
   if (result == 0) recording.Linked(other);
   return result;
 }
 
 int rename(const char* path, const char* other) noexcept {
   Recording recording(path);
-  const int result =
-      Next<int(const char*, const char*)>("rename")(path, other);
+  const int result = Next<int(const char*, const char*)>("rename")(path, other);
   if (result == 0) recording.RenamedTo(other);
   return result;
 }

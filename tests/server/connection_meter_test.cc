@@ -1,5 +1,7 @@
 #include "server/connection_meter.h"
 
+#include <poll.h>
+
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -87,6 +89,27 @@ TEST(ConnectionMeterTest, WhoIsGoneTakesNothing) {
   meter.reset();
   EXPECT_EQ(meters.unadmitted().bytes, 0u);
   EXPECT_EQ(meters.unadmitted().connections, 0u);
+}
+
+TEST(ConnectionMeterTest, AsksForALookWhereUnadmittedBroughtMuchSinceTheLast) {
+  ConnectionMeters meters({0, 0, 1'000});
+  const MeterPointer stranger = meters.Open("h:1");
+  const MeterPointer caller = meters.Open("h:2");
+  caller->CountProgress();
+  const auto is_asked_for = [&meters] {
+    pollfd event{meters.look_event(), POLLIN, 0};
+    return poll(&event, 1, 0) == 1;
+  };
+  ASSERT_GE(meters.look_event(), 0);
+  caller->CountReceived(10 << 20);
+  stranger->CountReceived((64 << 10) - 1);
+  EXPECT_FALSE(is_asked_for());
+  stranger->CountReceived(1);
+  EXPECT_TRUE(is_asked_for());
+  meters.NoteLook();
+  EXPECT_FALSE(is_asked_for());
+  stranger->CountReceived(64 << 10);
+  EXPECT_TRUE(is_asked_for());
 }
 
 TEST(ConnectionMeterTest, BoundsMayBeOff) {

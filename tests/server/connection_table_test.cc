@@ -95,7 +95,8 @@ TEST_F(ConnectionTableTest, TellsOnceOfThoseThatPassedABoundOfTheirMeter) {
   EXPECT_EQ(table.size(), 3u);
 }
 
-TEST_F(ConnectionTableTest, TellsOfAConnectionWhoseDescriptorIsAnothersAlready) {
+TEST_F(ConnectionTableTest,
+       TellsOfAConnectionWhoseDescriptorIsAnothersAlready) {
   ConnectionTable table = Make(0, 0);
   EXPECT_EQ(Add(&table, 1, "harmful"), "");
   attached_[1]->CountReceived(501);

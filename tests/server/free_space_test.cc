@@ -86,7 +86,8 @@ TEST(FreeSpaceTest, HasNoRoomWhereWritesWait) {
   EXPECT_TRUE(guard.HasRoom());
 }
 
-TEST(FreeSpaceTest, HasNoRoomAfterAWriteFoundNoneUntilSomeComesOrAWriteSucceeds) {
+TEST(FreeSpaceTest,
+     HasNoRoomAfterAWriteFoundNoneUntilSomeComesOrAWriteSucceeds) {
   std::int64_t free = 5000;
   FreeSpaceGuard guard(
       0, [&] { return free; }, [] { return std::int64_t{0}; });

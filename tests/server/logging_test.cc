@@ -123,7 +123,8 @@ std::int64_t Dropped(LogFormat format, const std::string& line) {
     EXPECT_EQ(event["level"], "warning");
     return event["count"];
   }
-  EXPECT_THAT(line, ContainsRegex("Z warning log_lines_dropped count=[0-9]+\n$"));
+  EXPECT_THAT(line,
+              ContainsRegex("Z warning log_lines_dropped count=[0-9]+\n$"));
   return std::stoll(line.substr(line.find("count=") + 6));
 }
 

@@ -70,9 +70,9 @@ void MemoryStorage::DropDamaged(VehicleKey key, std::uint64_t last_sequence,
     for (auto& [kind, pairs] : vehicle.pairs) {
       for (auto i = pairs.begin(); i != pairs.end();) {
         const PosePairRecord& pair = i->second;
-        const bool goes =
-            !pair.damage.ok() || pair.query_sequence > last_sequence ||
-            pair.matched_sequence > last_sequence;
+        const bool goes = !pair.damage.ok() ||
+                          pair.query_sequence > last_sequence ||
+                          pair.matched_sequence > last_sequence;
         i = goes ? pairs.erase(i) : std::next(i);
       }
     }

@@ -322,7 +322,8 @@ TEST(SettingsConversionTest, EverySettingSurvivesTheStore) {
   config->create_time_ns = -1234567890123456789;
   config->data_loss = true;
   const ProtoRecordCodec codec;
-  const auto loaded = codec.DecodeVehicle(RecordOf(codec.EncodeVehicle(*config)));
+  const auto loaded =
+      codec.DecodeVehicle(RecordOf(codec.EncodeVehicle(*config)));
   ASSERT_THAT(loaded, IsOk());
   EXPECT_EQ(loaded->create_time_ns, config->create_time_ns);
   EXPECT_TRUE(loaded->data_loss);
@@ -442,8 +443,7 @@ TEST(SettingsConversionTest, RecordOfTheFirstReleaseTakesTodaysDefaults) {
   EXPECT_FALSE(config->engine.apply_inflation);
 }
 
-TEST(SettingsConversionTest,
-     VehicleStoredBeforeThereWereUidsHasAlwaysTheSame) {
+TEST(SettingsConversionTest, VehicleStoredBeforeThereWereUidsHasAlwaysTheSame) {
   const ProtoRecordCodec codec;
   VehicleRecord record = RecordOf(
       FromText<v1::Vehicle>("create_time { seconds: 1 }").SerializeAsString());
@@ -1522,13 +1522,17 @@ TEST(AnswerTest, DamagedVehicleTellsWhatIsSound) {
   v1::Vehicle vehicle;
   EncodeVehicle(record, &vehicle);
   EXPECT_EQ(vehicle.DebugString(), FromText<v1::Vehicle>(R"pb(
-    name: "vehicles/truck" state: VEHICLE_STATE_DAMAGED
-  )pb").DebugString());
+                                     name: "vehicles/truck"
+                                     state: VEHICLE_STATE_DAMAGED
+                                   )pb")
+                                       .DebugString());
   record.payload = ProtoRecordCodec().EncodeVehicle(Planar());
   EncodeVehicle(record, &vehicle);
   EXPECT_EQ(vehicle.state(), v1::VEHICLE_STATE_DAMAGED);
   EXPECT_TRUE(vehicle.has_settings());
-  record.id = "tr\xff" "ck";
+  record.id =
+      "tr\xff"
+      "ck";
   EncodeVehicle(record, &vehicle);
   EXPECT_EQ(vehicle.name(), "vehicles/tr?ck");
   // What damaged rows claim is nothing to rely on.

@@ -340,13 +340,12 @@ TEST_F(SqliteStorageTest, WritesFormat3) {
             "1381389140\n3\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA journal_mode"), "wal\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA page_size"), "8192\n");
-  EXPECT_EQ(
-      RunSql(Path(),
-             "SELECT name FROM sqlite_schema WHERE type = "
-             "'table' ORDER BY name"),
-      "batches\ndeleted_vehicles\nloop_closures\n"
-      "rejected_candidates\nrevised_batches\nsqlite_sequence\nstore\n"
-      "vehicles\n");
+  EXPECT_EQ(RunSql(Path(),
+                   "SELECT name FROM sqlite_schema WHERE type = "
+                   "'table' ORDER BY name"),
+            "batches\ndeleted_vehicles\nloop_closures\n"
+            "rejected_candidates\nrevised_batches\nsqlite_sequence\nstore\n"
+            "vehicles\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT key, id, format, revision, checksum, "
                    "payload FROM vehicles"),
@@ -654,8 +653,7 @@ TEST_F(SqliteStorageTest, TakesWritesAtOnceWhereSomebodyStillReads) {
   }
   const auto backup =
       *SqliteDatabase::Open(crashed, SqliteDatabase::Mode::kReadOnly, "");
-  ASSERT_THAT(
-      backup->Execute("BEGIN; SELECT count(*) FROM batches"), IsOk());
+  ASSERT_THAT(backup->Execute("BEGIN; SELECT count(*) FROM batches"), IsOk());
   for (std::uint64_t i = 0; i < 3; ++i) {
     const std::unique_ptr<Storage> storage = MustOpen(crashed);
     EXPECT_EQ(storage->GetVehicle("truck")->durable_sequence, 2 + i);

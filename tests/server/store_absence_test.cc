@@ -169,8 +169,7 @@ TEST_F(StoreAbsenceTest, IsToldOrServedRightInEveryCombination) {
         const int how = rest % 5;
         rest /= 5;
         const Content choices[] = {life[tried.now].files[i], std::nullopt, "",
-                                   life[tried.older].files[i],
-                                   other.files[i]};
+                                   life[tried.older].files[i], other.files[i]};
         files[i] = choices[how];
         text += std::string(" ") + kSuffixes[i] + " " + kHow[how];
         has_any |= files[i].has_value();
@@ -182,8 +181,8 @@ TEST_F(StoreAbsenceTest, IsToldOrServedRightInEveryCombination) {
         } else {
           has_ours = true;
         }
-        newest = std::max(
-            newest, proven(how == 4 ? others_life : life, i, files[i]));
+        newest = std::max(newest,
+                          proven(how == 4 ? others_life : life, i, files[i]));
       }
       SCOPED_TRACE(text);
       Put(files);
@@ -239,11 +238,11 @@ TEST_F(StoreAbsenceTest, SaysWhichFileIsMissingAndWhatIsThere) {
     Moment harmed = now;
     harmed.files[0] = database;
     Put(harmed.files);
-    const auto told = IsError(
-        StatusCode::kDataLoss, "STORE_CORRUPT",
-        AllOf(HasSubstr("tried.db is " + std::string(database ? "empty"
-                                                              : "missing")),
-              HasSubstr("tried.db-wal and")));
+    const auto told =
+        IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                AllOf(HasSubstr("tried.db is " +
+                                std::string(database ? "empty" : "missing")),
+                      HasSubstr("tried.db-wal and")));
     EXPECT_THAT(CheckStore(Path(), StoreUse::kIdle), told);
     EXPECT_THAT(CheckStore(Path(), StoreUse::kServed), told);
     EXPECT_THAT(

@@ -189,8 +189,7 @@ TEST_F(StoreCheckTest, PageThatIsCutDoesNoHarmWhereTheLogHoldsIt) {
   ASSERT_GT(std::filesystem::file_size(copy + "-wal"), 100'000u);
   std::ofstream(copy, std::ios::binary | std::ios::app)
       << std::string(4096 - 512, '\0');
-  const absl::StatusOr<StoreReport> report =
-      CheckStore(copy, StoreUse::kIdle);
+  const absl::StatusOr<StoreReport> report = CheckStore(copy, StoreUse::kIdle);
   ASSERT_THAT(report, IsOk());
   EXPECT_THAT(report->problems, IsEmpty());
   EXPECT_EQ(report->poses, 120);
@@ -314,8 +313,8 @@ TEST_F(StoreCheckTest, CompactingKeepsEveryRowAndNoRoom) {
   }
   const std::unique_ptr<Storage> storage = MustOpen(Path());
   EXPECT_THAT(BlockingWrites(storage.get()).Create("bus"), IsOk());
-  EXPECT_THAT(CompactStore(Path()),
-              IsError(StatusCode::kFailedPrecondition, "", HasSubstr("in use")));
+  EXPECT_THAT(CompactStore(Path()), IsError(StatusCode::kFailedPrecondition, "",
+                                            HasSubstr("in use")));
 }
 
 TEST_F(StoreCheckTest, LogOfBeforeIsNotAppliedToACompactedStore) {

@@ -146,8 +146,7 @@ TEST_F(VehicleSessionTest, ReportsJumpsOfResentBatchAgain) {
     return found;
   };
   const auto first = ElementsAre(std::pair(3u, 500.0));
-  const auto both =
-      ElementsAre(std::pair(3u, 500.0), std::pair(6u, 1000.0));
+  const auto both = ElementsAre(std::pair(3u, 500.0), std::pair(6u, 1000.0));
   const std::string batch = PlainBatch(1, {0, 1, 501, 502});
   EXPECT_THAT(jumps(batch), first);
   for (int i = 0; i < 2; ++i) {
@@ -1040,8 +1039,8 @@ TEST_F(VehicleSessionTest, ClaimedLossShowsOnceItIsStored) {
   EXPECT_FALSE(before->config.data_loss);
   EXPECT_EQ(before->revision, 2u);
   storage_.ReleaseAll();
-  EXPECT_THAT(checked.Get(), IsError(StatusCode::kDataLoss,
-                                     "DURABLE_SEQUENCE_REGRESSED", _));
+  EXPECT_THAT(checked.Get(),
+              IsError(StatusCode::kDataLoss, "DURABLE_SEQUENCE_REGRESSED", _));
   const auto after = ReadNow(*session_);
   EXPECT_TRUE(after->config.data_loss);
   EXPECT_EQ(after->revision, 3u);
@@ -1142,17 +1141,17 @@ TEST_F(VehicleSessionTest, DamagedVehicleIsReadAsFarAsItIsSound) {
     EXPECT_THAT(AddPairNow(*session_, kClosure, {"a", 3, 2, 0}), damaged);
     EXPECT_THAT(DeletePairNow(*session_, kClosure, "in"), damaged);
     EXPECT_THAT(CheckAcknowledgedNow(*session_, 9, kUid), damaged);
-    EXPECT_THAT(CheckAcknowledgedNow(*session_, 9, "uid-of-old"),
-                IsError(StatusCode::kFailedPrecondition, "VEHICLE_REPLACED",
-                        _));
+    EXPECT_THAT(
+        CheckAcknowledgedNow(*session_, 9, "uid-of-old"),
+        IsError(StatusCode::kFailedPrecondition, "VEHICLE_REPLACED", _));
     EXPECT_THAT(UpdateNow(*session_,
                           [](const VehicleView& view) { return view.config; }),
                 damaged);
     Reload();
   }
-  EXPECT_THAT(AcceptDataLossNow(*session_, 9),
-              IsError(StatusCode::kFailedPrecondition,
-                      "DURABLE_SEQUENCE_MISMATCH", _));
+  EXPECT_THAT(
+      AcceptDataLossNow(*session_, 9),
+      IsError(StatusCode::kFailedPrecondition, "DURABLE_SEQUENCE_MISMATCH", _));
   const auto accepted = AcceptDataLossNow(*session_, 3);
   ASSERT_THAT(accepted, IsOk());
   EXPECT_THAT(accepted->damage, IsOk());

@@ -283,9 +283,10 @@ TEST_F(WriteAheadLogTest, MarkKeepsWhatWasWrittenLastUntilCleared) {
 TEST_F(WriteAheadLogTest, MarkOfAnOlderFormatSaysHowManyFramesWereFlushed) {
   // Golden: what a server of format 2 wrote for salts 4 and 5 and 6 frames.
   const std::string path = directory_.File("old");
-  const unsigned char old[] = {'R', 'V', 'S', 'T', 'M', 'R', 'K', '1', 4,
-                               0,   0,   0,   5,   0,   0,   0,   6,   0,
-                               0,   0,   0x9f, 0xc5, 0xab, 0x56, 0x28, 0xea, 0x1b, 0xa3};
+  const unsigned char old[] = {'R',  'V',  'S',  'T',  'M',  'R',  'K',
+                               '1',  4,    0,    0,    0,    5,    0,
+                               0,    0,    6,    0,    0,    0,    0x9f,
+                               0xc5, 0xab, 0x56, 0x28, 0xea, 0x1b, 0xa3};
   WriteFile(path + ".mark",
             std::string(reinterpret_cast<const char*>(old), sizeof old));
   const Mark mark = DurableMark::Read(path);
