@@ -240,7 +240,10 @@ absl::Status CheckClientAuthority(const std::string& pem,
   X509_STORE_set_flags(store.get(), X509_V_FLAG_PARTIAL_CHAIN);
   const openssl::Bio shown = openssl::Memory(chain);
   while (openssl::Certificate one = openssl::ReadCertificate(shown)) {
-    if (sk_X509_push(between.get(), one.get()) > 0) one.release();
+    // From then on the stack owns it.
+    if (sk_X509_push(between.get(), one.get()) > 0) {
+      static_cast<void>(one.release());
+    }
   }
   if (X509_STORE_CTX_init(context.get(), store.get(), certificate.get(),
                           between.get()) != 1) {

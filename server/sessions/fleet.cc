@@ -88,17 +88,16 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
                    VehicleKey key, bool again, const CreateCallback& callback) {
     Session(id)->Read([self = shared_from_this(), id, config, key, again,
                        callback](const absl::StatusOr<VehicleView>& view) {
-      if (view.ok()) {
-        self->AnswerCreated(id, config, key, callback);
-      } else if (!absl::IsNotFound(view.status())) {
-        callback(view);
-        self->Created();
-      } else if (again) {
+      const bool is_missing = absl::IsNotFound(view.status());
+      if (is_missing && again) {
         // It was asked for, and not found, just before it was created.
         self->LoadCreated(id, config, key, false, callback);
-      } else {
-        // It has been deleted since.
+      } else if (view.ok() || is_missing) {
+        // Missing the second time, it has been deleted since.
         self->AnswerCreated(id, config, key, callback);
+      } else {
+        callback(view);
+        self->Created();
       }
     });
   }

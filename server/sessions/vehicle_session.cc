@@ -460,7 +460,7 @@ struct VehicleSession::State
     exclusive = true;
     replay.emplace();
     replay->is_load = is_load;
-    replay->config = new_config;
+    replay->config = std::move(new_config);
     replay->revision = new_revision;
     replay->engine = std::make_unique<core::Engine>(replay->config.engine);
     replay->then = std::move(then);
