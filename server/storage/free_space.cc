@@ -32,8 +32,10 @@ absl::Status StorageFull(const std::string& message) {
 
 absl::Status FreeSpaceGuard::Check() {
   const MutexLock lock(&mutex_);
-  if (IsShort()) inside_ = free_bytes_inside_();
-  return CheckMark();
+  if (min_free_bytes_ == 0) return absl::OkStatus();
+  const absl::StatusOr<std::int64_t> free = free_bytes_();
+  if (free.ok() && *free < Needed()) inside_ = free_bytes_inside_();
+  return CheckMark(free);
 }
 
 void FreeSpaceGuard::NoteWrite(bool found_full) {
@@ -48,16 +50,10 @@ void FreeSpaceGuard::NoteWrite(bool found_full) {
 
 bool FreeSpaceGuard::HasRoom() {
   const MutexLock lock(&mutex_);
-  if (!CheckMark().ok()) return false;
+  if (min_free_bytes_ != 0 && !CheckMark(free_bytes_()).ok()) return false;
   if (!full_at_.has_value()) return true;
   const absl::StatusOr<std::int64_t> free = free_bytes_();
   return !free.ok() || *free >= *full_at_ + kSomeRoom;
-}
-
-bool FreeSpaceGuard::IsShort() const {
-  if (min_free_bytes_ == 0) return false;
-  const absl::StatusOr<std::int64_t> free = free_bytes_();
-  return free.ok() && *free < Needed();
 }
 
 std::int64_t FreeSpaceGuard::Needed() const {
@@ -68,9 +64,8 @@ std::int64_t FreeSpaceGuard::EnoughAgain() const {
   return min_free_bytes_ + min_free_bytes_ / 4;
 }
 
-absl::Status FreeSpaceGuard::CheckMark() {
-  if (min_free_bytes_ == 0) return absl::OkStatus();
-  const absl::StatusOr<std::int64_t> free = free_bytes_();
+absl::Status FreeSpaceGuard::CheckMark(
+    const absl::StatusOr<std::int64_t>& free) {
   if (!free.ok()) return absl::OkStatus();
   const std::int64_t inside = *free >= min_free_bytes_ / 4 ? inside_ : 0;
   stopped_ = *free < Needed() && *free + inside < Needed();

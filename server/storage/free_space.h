@@ -52,9 +52,8 @@ class FreeSpaceGuard {
   bool HasRoom();
 
  private:
-  absl::Status CheckMark() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
-  // Whether the file system alone has less than writes need now.
-  bool IsShort() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  absl::Status CheckMark(const absl::StatusOr<std::int64_t>& free)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   std::int64_t Needed() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // From here on writes that were stopped are taken again.
   std::int64_t EnoughAgain() const;
