@@ -21,7 +21,7 @@
 
 namespace revisit::server {
 
-// Those of Limits; 0 is off.
+// The limits of the same names (limits.h); 0 switches one off.
 struct MeterBounds {
   std::uint64_t max_idle_bytes = 0;
   std::uint64_t max_unadmitted_bytes = 0;
@@ -46,7 +46,7 @@ struct Unadmitted {
   const int look_event;
 };
 
-// Of one connection. Thread-safe.
+// Meters one connection. Thread-safe.
 class ConnectionMeter {
  public:
   ConnectionMeter(const MeterBounds& bounds,
@@ -96,7 +96,7 @@ class ConnectionMeters {
   // `remote` is the other end, host and port: "127.0.0.1:4711", "::1:4711". A
   // connection takes the place of the one there was from there.
   MeterPointer Open(const std::string& remote);
-  // Of a connection that is gone; not of one that has taken its place.
+  // Forgets a connection that is gone, but not one that has taken its place.
   void Close(const std::string& remote, const MeterPointer& meter);
   // `peer` as gRPC tells it: "ipv4:127.0.0.1:4711", "ipv6:%5B::1%5D:4711".
   MeterPointer Find(const std::string& peer) const;

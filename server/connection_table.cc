@@ -45,8 +45,8 @@ const char* ConnectionTable::Add(int descriptor, const std::string& host,
                                  int port,
                                  std::chrono::steady_clock::time_point now) {
   Remove(descriptor);
-  // Those beyond one times the bound are cut at the next look; in between, no
-  // more are taken.
+  // The next look cuts all beyond the bound; beyond twice the bound no more are
+  // taken until then.
   const auto too_many_unadmitted = [this] {
     return Reaches(meters_->unadmitted().connections,
                    2 * std::int64_t{bounds_.max_unadmitted_connections});
@@ -113,7 +113,7 @@ void ConnectionTable::Look(Connection* connection) const {
                          : kFewCalls;
   const bool may_hold_more =
       bytes - connection->counted_bytes >= calls * kLeastCallBytes;
-  // Of those that were let in, only whether they are too many is of interest.
+  // Once a connection was let in, only too many calls of it are of interest.
   const bool may_hold_less = !meter.admitted() && connection->held > 0;
   const bool may_be_forgiven = meter.IsHalfWay();
   if (!may_hold_more && !may_hold_less && !may_be_forgiven) return;
