@@ -35,7 +35,7 @@ Engine Driven(const std::vector<Pose>& poses,
   return Driven(oracle::WithCovariances(poses, LittleNoise()), settings);
 }
 
-EngineSettings Independent() {
+EngineSettings IndependentSettings() {
   EngineSettings settings;
   settings.search.correlation_model = CorrelationModel::kIndependent;
   return settings;
@@ -184,7 +184,7 @@ TEST(EngineRelativeTest, AStraightRoadUnderHugeCovariancesIsUninformative) {
   // Any node of the straight is within the gate.
   const Engine engine =
       Driven(WithDeviations(Trip().Straight(1500.0).poses(), 1000.0, 1.0),
-             Independent());
+             IndependentSettings());
   const CandidateSet set = Find(engine);
   ASSERT_FALSE(set.candidates.empty());
   for (const Candidate& candidate : set.candidates) {
@@ -208,7 +208,7 @@ std::vector<PoseSample> AlongAgain(double radians) {
 }
 
 TEST(EngineRelativeTest, AShapeThatStraysTooFarIsRejectedByShape) {
-  EngineSettings settings = Independent();
+  EngineSettings settings = IndependentSettings();
   settings.search.shape.tolerance.heading_radians = 0.02;
   settings.search.gate_probability = 0.9;
   const CandidateSet within = Find(Driven(AlongAgain(0.02), settings));
@@ -233,7 +233,7 @@ TEST(EngineRelativeTest, AnEndAtTheEdgeOfTheGateNeedsAShapeThatSpeaksForIt) {
       WithDeviations(
           Trip().Straight(800.0).JumpTo({300.0, 150.0}).Straight(250.0).poses(),
           60.0 / std::sqrt(2.0), 0.03),
-      Independent());
+      IndependentSettings());
   const CandidateSet set = Find(engine);
   ASSERT_FALSE(set.candidates.empty());
   const Candidate& best = set.candidates[0];
@@ -327,7 +327,7 @@ TEST(EngineRelativeTest, OnePoseOnAnOldRoadIsNotAccepted) {
     poses.push_back(pose);
   }
   const Engine engine =
-      Driven(WithDeviations(poses, 60.0, 0.05), Independent());
+      Driven(WithDeviations(poses, 60.0, 0.05), IndependentSettings());
   const CandidateSet set = Find(engine);
   ASSERT_FALSE(set.candidates.empty());
   for (const Candidate& candidate : set.candidates) {
@@ -389,7 +389,7 @@ TEST(EngineRelativeTest, AnOldRoadJoinedSixtyMetersAgoIsFound) {
   }
   for (std::size_t i = 240; i <= 300; ++i) poses.push_back(old_road.poses()[i]);
   const Engine engine =
-      Driven(WithDeviations(poses, 15.0, 0.05), Independent());
+      Driven(WithDeviations(poses, 15.0, 0.05), IndependentSettings());
   const CandidateSet set = Find(engine);
   ASSERT_FALSE(set.candidates.empty());
   const Candidate& best = set.candidates[0];
@@ -412,7 +412,7 @@ TEST(EngineRelativeTest, AnOverlapGoesOnOverAConfirmedLoopClosure) {
   drive(0, 320);
   drive(300, 600);  // From 320 m back to 300 m: a jump of 20 m, taken below.
   drive(200, 400);
-  EngineSettings settings = Independent();
+  EngineSettings settings = IndependentSettings();
   settings.max_step_meters = 10.0;
   Engine engine(settings);
   ASSERT_EQ(engine.Append(WithDeviations(poses, 3.0, 0.02), 1).jumps.size(),

@@ -78,4 +78,4 @@ def test_oldest_of_strangers_makes_room_and_callers_stay(key, tmp_path):
                 for _ in range(20):
                     stub.GetServerInfo(api.GetServerInfoRequest(), timeout=20,
                                        wait_for_ready=True)
-            assert "max-unadmitted-connections" in server.log()
+            server.logged("max-unadmitted-connections")

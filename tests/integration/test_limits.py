@@ -168,7 +168,7 @@ def test_client_that_never_reads_again_is_let_go(tmp_path):
                      for batch in batches(laps(4000), 64)]
         call = stalled(iter(requests))
         next(call)
-        wait_until(lambda: "SLOW_CONSUMER" in server.log(), "the cut")
+        server.logged("SLOW_CONSUMER")
 
         def opens():
             with PoseStream(stub, vehicle) as again:

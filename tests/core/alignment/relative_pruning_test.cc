@@ -17,7 +17,7 @@ namespace revisit::core {
 namespace {
 
 // How often the trials have come by what.
-struct Seen {
+struct PruningSeen {
   std::int64_t kept = 0;
   std::int64_t left_out = 0;
   std::int64_t considered = 0;
@@ -73,7 +73,7 @@ std::vector<NodeRange> RandomRanges(std::mt19937_64& random,
 // What an unbounded search says of the ends that are sought, less what has
 // lower log-odds: bit for bit.
 void ExpectTheSameButForLowOdds(std::mt19937_64& random, const Town& town,
-                                Seen* seen) {
+                                PruningSeen* seen) {
   const auto dense = AlignRelative(town.graph, town.model, town.query,
                                    town.steps, town.history, nullptr);
   ASSERT_TRUE(dense);
@@ -154,7 +154,7 @@ void ClaimAnything(std::mt19937_64& random, Town* town) {
   town->graph = graph;
 }
 
-void Print(const Seen& seen) {
+void Print(const PruningSeen& seen) {
   std::cout << seen.kept << " ends kept, " << seen.left_out
             << " left out; walked back from " << seen.considered << " nodes of "
             << seen.of_nodes << "; steps over loop closures " << seen.over_loops
@@ -163,7 +163,7 @@ void Print(const Seen& seen) {
 
 TEST(AlignRelativePruningTest, LeavesOutLowOddsAloneInSmallTowns) {
   std::mt19937_64 random = SeededRandom();
-  Seen seen;
+  PruningSeen seen;
   for (int trial = 0; trial < 3000 && !::testing::Test::HasFailure(); ++trial) {
     SCOPED_TRACE(trial);
     Town town = RandomTown(random);
@@ -183,8 +183,8 @@ TEST(AlignRelativePruningTest, LeavesOutLowOddsAloneInSmallTowns) {
 TEST(AlignRelativePruningTest,
      LeavesOutLowOddsAloneAndWholeBlocksInLargeTowns) {
   std::mt19937_64 random = SeededRandom();
-  Seen honest;
-  Seen nonsense;
+  PruningSeen honest;
+  PruningSeen nonsense;
   for (int trial = 0; trial < 60 && !::testing::Test::HasFailure(); ++trial) {
     SCOPED_TRACE(trial);
     Town town = RandomTown(random, UniformInt(random, 10, 60));

@@ -113,7 +113,7 @@ PoseGraph RandomDrive(std::mt19937_64& random, NodeIndex size,
 }
 
 // How often the trials have come by what.
-struct Seen {
+struct ValuesSeen {
   int before_closure = 0;
   int between = 0;
   int after_closure = 0;
@@ -121,7 +121,7 @@ struct Seen {
 };
 
 template <int D>
-void ExpectDifferencesOfPairs(std::mt19937_64& random, Seen* seen) {
+void ExpectDifferencesOfPairs(std::mt19937_64& random, ValuesSeen* seen) {
   const NodeIndex size = UniformInt(random, 4, 300);
   const auto any = [&](NodeIndex last) {
     return static_cast<NodeIndex>(
@@ -192,7 +192,7 @@ void ExpectDifferencesOfPairs(std::mt19937_64& random, Seen* seen) {
 
 TEST(SimilarityKernelTest, DifferencesAreThoseOfPairsGivenAClosureOrNot) {
   std::mt19937_64 random = SeededRandom();
-  Seen seen;
+  ValuesSeen seen;
   ForEachVectorTarget([&] {
     for (int trial = 0; trial < 60 && !::testing::Test::HasFailure(); ++trial) {
       SCOPED_TRACE(trial);
@@ -207,14 +207,14 @@ TEST(SimilarityKernelTest, DifferencesAreThoseOfPairsGivenAClosureOrNot) {
 }
 
 // Whether what was evaluated is changed, and the trials' tally of it.
-struct Tally {
+struct KernelTally {
   int changed = 0;
   int as_it_was = 0;
   int impossible = 0;
 };
 
 template <int D>
-void ExpectEvaluatedAsPairs(std::mt19937_64& random, Tally* tally) {
+void ExpectEvaluatedAsPairs(std::mt19937_64& random, KernelTally* tally) {
   constexpr StateSpace kSpace =
       D == 3 ? StateSpace::kPlanar : StateSpace::kSpatial;
   const auto draw = [&random](double scale) {
@@ -305,7 +305,7 @@ void ExpectEvaluatedAsPairs(std::mt19937_64& random, Tally* tally) {
 
 TEST(SimilarityKernelTest, EvaluatesDifferencesAsTheyAreAndChanged) {
   std::mt19937_64 random = SeededRandom();
-  Tally tally;
+  KernelTally tally;
   ForEachVectorTarget([&] {
     for (int trial = 0; trial < 50 && !::testing::Test::HasFailure(); ++trial) {
       SCOPED_TRACE(trial);

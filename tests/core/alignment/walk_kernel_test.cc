@@ -44,7 +44,7 @@ std::vector<double> PosesOf(const PoseGraph& graph) {
 }
 
 // How often the trials have come by what.
-struct Seen {
+struct WalksSeen {
   int walked_on = 0;
   int better = 0;
   int hopeless = 0;
@@ -159,7 +159,7 @@ void ExpectUntouched(const Walkers& before, const Walkers& after,
 }
 
 template <int D>
-void ExpectWhatTheFilterSays(std::mt19937_64& random, Seen* seen) {
+void ExpectWhatTheFilterSays(std::mt19937_64& random, WalksSeen* seen) {
   const PoseGraph graph = RandomDrive(random, UniformInt(random, 30, 200));
   const auto poses = PosesOf(graph);
   const std::int64_t steps = UniformInt(random, 2, 25);
@@ -281,7 +281,7 @@ void ExpectWhatTheFilterSays(std::mt19937_64& random, Seen* seen) {
 
 TEST(WalkOnTest, DoesWhatTheFilterDoesForEachThatKeepsStepAndSaysWhoDoesNot) {
   std::mt19937_64 random = SeededRandom();
-  Seen seen;
+  WalksSeen seen;
   ForEachVectorTarget([&] {
     for (int trial = 0; trial < 100 && !::testing::Test::HasFailure();
          ++trial) {

@@ -274,7 +274,8 @@ class Worker:
                 return False
             if code == EXHAUSTED and "larger than max" in text:
                 return False
-            if call.bad_message and not call.method.client_streaming:
+            # gRPC's own.
+            if call.bad_message and call.path.startswith("/grpc.health."):
                 return False
             if code in (DEADLINE, CANCELLED) and any(
                     name == "grpc-timeout" for name, _ in call.extra):
