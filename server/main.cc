@@ -12,10 +12,10 @@
 #include <thread>
 #include <vector>
 
-#include "server/line_writer.h"
-#include "server/logging.h"
+#include "server/base/line_writer.h"
+#include "server/base/logging.h"
 #include "server/server.h"
-#include "server/settings.h"
+#include "server/settings/settings.h"
 #include "server/store_tasks.h"
 
 namespace {

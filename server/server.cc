@@ -1,11 +1,8 @@
 #include "server/server.h"
 
-#include <google/protobuf/stubs/logging.h>
 #include <grpc/impl/codegen/grpc_types.h>
-#include <grpc/support/log.h>
 #include <grpcpp/grpcpp.h>
 #include <grpcpp/health_check_service_interface.h>
-#include <malloc.h>
 
 #include <algorithm>
 #include <atomic>
@@ -20,17 +17,19 @@
 #include <utility>
 #include <vector>
 
-#include "server/admission.h"
-#include "server/connection_acceptor.h"
-#include "server/drain.h"
-#include "server/graph_snapshots.h"
-#include "server/periodic.h"
-#include "server/pose_graph_service.h"
-#include "server/proto_conversion.h"
-#include "server/reflection.h"
+#include "server/base/library_log.h"
+#include "server/base/periodic.h"
+#include "server/base/process_memory.h"
+#include "server/connections/admission.h"
+#include "server/connections/connection_acceptor.h"
+#include "server/connections/drain.h"
+#include "server/conversion/proto_conversion.h"
 #include "server/security/gatekeeper.h"
 #include "server/security/server_credentials.h"
 #include "server/security/tls_files.h"
+#include "server/service/graph_snapshots.h"
+#include "server/service/pose_graph_service.h"
+#include "server/service/reflection.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/fleet.h"
 #include "server/storage/sqlite_storage.h"
@@ -39,7 +38,6 @@
 namespace revisit::server {
 namespace {
 
-constexpr char kStoreFile[] = "revisit.sqlite";
 // Of vehicles that send few poses a batch, as many as others send at once.
 constexpr std::size_t kRowPoses = 64;
 // For connections to be closed in an orderly way.
@@ -61,77 +59,6 @@ constexpr std::chrono::milliseconds kMemoryPeriod{500};
 std::chrono::milliseconds Milliseconds(double seconds) {
   return std::chrono::milliseconds(static_cast<std::int64_t>(seconds * 1000.0));
 }
-
-std::string InDirectory(const std::string& path) {
-  return (std::filesystem::path(path) / kStoreFile).string();
-}
-
-// The store's file, in its directory, which is made if it is not there.
-absl::StatusOr<std::string> StoreFile(const std::string& path) {
-  std::error_code error;
-  if (std::filesystem::is_regular_file(path, error)) return path;
-  const absl::Status made = MakeDirectory(path);
-  if (!made.ok()) return made;
-  return InDirectory(path);
-}
-
-// Bytes that are worth giving back to the system, which takes some milliseconds
-// per 100 MB.
-constexpr std::int64_t kWorthTrimming = std::int64_t{8} << 20;
-// Bytes that are not left lying until that is looked at: callers who are cut
-// off one after another leave so much within a second.
-constexpr std::int64_t kMuchToTrim = std::int64_t{32} << 20;
-// The heap shrinks no more when it does by less than this between two looks.
-constexpr std::int64_t kStillShrinking = std::int64_t{256} << 10;
-
-// Gives back what the C library keeps of memory that was freed: after unloaded
-// vehicles, and after many calls or streams at once.
-class Trimmer {
- public:
-  // A crowd may be leaving still when it is first worthwhile, and what the last
-  // of it frees may not be worth it alone; so a trim is followed by others
-  // until the heap shrinks no more.
-  void TrimIfWorthwhile() {
-    const Memory memory = Look();
-    if (memory.unused - least_unused_ >= kWorthTrimming ||
-        trimmed_in_use_ - memory.in_use >= kStillShrinking) {
-      Trim();
-    } else {
-      least_unused_ = std::min(least_unused_, memory.unused);
-      trimmed_in_use_ = 0;
-    }
-  }
-
-  void TrimIfMuch() {
-    if (Look().unused - least_unused_ >= kMuchToTrim) Trim();
-  }
-
-  void Trim() {
-    malloc_trim(0);
-    const Memory memory = Look();
-    least_unused_ = memory.unused;
-    trimmed_in_use_ = memory.in_use;
-  }
-
- private:
-  struct Memory {
-    // On the heap and of the mapped blocks.
-    std::int64_t in_use;
-    // Resident, but not in use: not only what could be given back, so that it
-    // tells something by its growth.
-    std::int64_t unused;
-  };
-
-  static Memory Look() {
-    const struct mallinfo2 heap = mallinfo2();
-    const auto in_use = static_cast<std::int64_t>(heap.uordblks + heap.hblkhd);
-    return {in_use, ResidentBytes() - in_use};
-  }
-
-  std::int64_t least_unused_ = 0;
-  // At the last look, if that trimmed; else 0.
-  std::int64_t trimmed_in_use_ = 0;
-};
 
 // A vehicle stays at most a tenth longer than promised, and memory at most a
 // second above the budget.
@@ -191,47 +118,6 @@ bool WritePortFile(const std::string& path, const std::string& address) {
   file.close();
   return !file.fail() && std::rename(temporary.c_str(), path.c_str()) == 0;
 }
-
-// Gives the lines of gRPC's and protobuf's own logs the form of ours, as long
-// as it lives. They know one place for the whole process.
-class LibraryLogRoute {
- public:
-  explicit LibraryLogRoute(const Log* log) {
-    destination_ = log;
-    gpr_set_log_function(Write);
-    google::protobuf::SetLogHandler(WriteProtobuf);
-  }
-  ~LibraryLogRoute() { destination_ = nullptr; }
-
-  LibraryLogRoute(const LibraryLogRoute&) = delete;
-  LibraryLogRoute& operator=(const LibraryLogRoute&) = delete;
-
- private:
-  static void Write(gpr_log_func_args* line) {
-    const Log* const log = destination_;
-    if (log == nullptr) return;
-    const LogLevel level =
-        line->severity == GPR_LOG_SEVERITY_ERROR  ? LogLevel::kError
-        : line->severity == GPR_LOG_SEVERITY_INFO ? LogLevel::kInfo
-                                                  : LogLevel::kDebug;
-    log->Write(level, "grpc", {{"message", std::string(line->message)}});
-  }
-
-  // What a caller can make protobuf say is no more than that a message of the
-  // caller's is wrong, and the caller is told.
-  static void WriteProtobuf(google::protobuf::LogLevel level, const char*, int,
-                            const std::string& message) {
-    const Log* const log = destination_;
-    if (log == nullptr) return;
-    log->Write(level == google::protobuf::LOGLEVEL_FATAL ? LogLevel::kError
-                                                         : LogLevel::kDebug,
-               "protobuf", {{"message", message}});
-  }
-
-  static std::atomic<const Log*> destination_;
-};
-
-std::atomic<const Log*> LibraryLogRoute::destination_{nullptr};
 
 }  // namespace
 
@@ -436,7 +322,7 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
         state->has_failed = true;
         if (state->on_failure) state->on_failure();
       });
-  const absl::StatusOr<std::string> file = StoreFile(settings.store);
+  const absl::StatusOr<std::string> file = StoreFileToServe(settings.store);
   absl::StatusOr<std::unique_ptr<Storage>> storage =
       file.ok() ? OpenSqliteStorage(*file, storage_options) : file.status();
   if (!storage.ok()) {
@@ -552,24 +438,6 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
       LogLevel::kInfo, "serving",
       {{"address", address}, {"store", *file}, {"version", REVISIT_VERSION}});
   return std::unique_ptr<RevisitServer>(new RevisitServer(std::move(state)));
-}
-
-ExitCode ExitCodeOf(const absl::Status& status) {
-  if (absl::IsDataLoss(status)) return kExitStoreDamaged;
-  if (absl::IsFailedPrecondition(status)) return kExitStoreInUse;
-  return kExitStoreFailed;
-}
-
-absl::StatusOr<std::string> ExistingStoreFile(const std::string& path) {
-  std::error_code error;
-  for (const std::string& file : {path, InDirectory(path)}) {
-    if (std::filesystem::is_regular_file(file, error)) return file;
-  }
-  // What is left of a store is for whoever examines it.
-  for (const std::string& file : {path, InDirectory(path)}) {
-    if (!FilesBeside(file).empty()) return file;
-  }
-  return absl::NotFoundError(("there is no store at " + path).c_str());
 }
 
 ExitCode RevisitServer::exit_code() const {

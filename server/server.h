@@ -8,27 +8,11 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "server/logging.h"
-#include "server/settings.h"
+#include "server/base/logging.h"
+#include "server/exit_code.h"
+#include "server/settings/settings.h"
 
 namespace revisit::server {
-
-// What the process ends with; sysexits.h has the numbers.
-enum ExitCode {
-  kExitOk = 0,
-  kExitUsage = 64,
-  kExitStoreDamaged = 65,
-  kExitCannotListen = 69,
-  kExitStoreInUse = 73,
-  kExitStoreFailed = 74,
-};
-
-// For a store that could not be opened or read.
-ExitCode ExitCodeOf(const absl::Status& status);
-
-// The file of the store that a path names: ServerSettings::store. It may be
-// missing where other files of the store are there; NOT_FOUND if none is.
-absl::StatusOr<std::string> ExistingStoreFile(const std::string& path);
 
 struct StartError {
   ExitCode exit_code;

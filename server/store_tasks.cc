@@ -9,6 +9,7 @@
 #include "server/storage/store_backup.h"
 #include "server/storage/store_check.h"
 #include "server/storage/store_compaction.h"
+#include "server/storage/store_files.h"
 #include "server/storage/store_lock.h"
 
 namespace revisit::server {

@@ -3,8 +3,8 @@
 #ifndef REVISIT_SERVER_STORE_TASKS_H_
 #define REVISIT_SERVER_STORE_TASKS_H_
 
-#include "server/server.h"
-#include "server/settings.h"
+#include "server/exit_code.h"
+#include "server/settings/settings.h"
 
 namespace revisit::server {
 

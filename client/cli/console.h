@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "server/mutex.h"
+#include "core/base/mutex.h"
 
 namespace google::protobuf {
 class Message;

@@ -6,7 +6,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "client/cli/dead_reckoning.h"
+#include "client/cli/evaluation/dead_reckoning.h"
 #include "client/formats/drive_file.h"
 #include "revisit/v1/geometry.pb.h"
 #include "revisit/v1/vehicle.pb.h"

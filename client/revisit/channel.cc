@@ -10,10 +10,10 @@
 #include <map>
 #include <utility>
 
+#include "core/base/openssl_pointers.h"
 #include "grpcpp/create_channel.h"
 #include "grpcpp/security/credentials.h"
 #include "grpcpp/support/channel_arguments.h"
-#include "server/security/openssl_pointers.h"
 
 namespace revisit::client {
 namespace {
@@ -81,8 +81,6 @@ class TokenFile final : public grpc::MetadataCredentialsPlugin {
  private:
   const std::string path_;
 };
-
-namespace openssl = server::openssl;
 
 openssl::Certificate FirstCertificate(const std::string& pem) {
   return openssl::ReadCertificate(openssl::Memory(pem));

@@ -8,10 +8,10 @@
 
 #include "client/revisit/status.h"
 #include "client/revisit/status_from_grpc.h"
+#include "core/base/mutex.h"
 #include "grpcpp/client_context.h"
 #include "grpcpp/support/client_callback.h"
 #include "revisit/v1/pose_graph_service.grpc.pb.h"
-#include "server/mutex.h"
 
 namespace revisit::client {
 namespace {

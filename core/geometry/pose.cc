@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/base/number_text.h"
 #include "core/geometry/heading.h"
-#include "core/number_text.h"
 
 namespace revisit::core {
 namespace {

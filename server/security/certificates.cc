@@ -8,7 +8,7 @@
 #include <ctime>
 #include <utility>
 
-#include "server/security/openssl_pointers.h"
+#include "core/base/openssl_pointers.h"
 
 namespace revisit::server {
 namespace {

@@ -11,11 +11,11 @@
 #include <utility>
 
 #include "absl/strings/ascii.h"
-#include "server/mutex.h"
+#include "core/base/mutex.h"
+#include "server/base/status.h"
 #include "server/security/certificates.h"
 #include "server/security/policy.h"
 #include "server/security/watched_files.h"
-#include "server/status.h"
 
 namespace revisit::server {
 namespace {

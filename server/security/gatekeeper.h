@@ -11,7 +11,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "server/logging.h"
+#include "server/base/logging.h"
 #include "server/security/caller.h"
 #include "server/security/tls_files.h"
 #include "server/security/token.h"

@@ -7,8 +7,8 @@
 #include <optional>
 #include <utility>
 
+#include "core/base/openssl_pointers.h"
 #include "server/security/base64url.h"
-#include "server/security/openssl_pointers.h"
 #include "server/security/strict_json.h"
 
 namespace revisit::server {

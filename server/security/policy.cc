@@ -8,8 +8,8 @@
 #include <set>
 #include <utility>
 
+#include "server/base/status.h"
 #include "server/security/strict_json.h"
-#include "server/status.h"
 
 namespace revisit::server {
 namespace {

@@ -6,7 +6,7 @@
 #include <deque>
 #include <string>
 
-#include "server/mutex.h"
+#include "core/base/mutex.h"
 
 namespace revisit::server {
 namespace {

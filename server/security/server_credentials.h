@@ -5,8 +5,8 @@
 #include <memory>
 
 #include "grpcpp/security/server_credentials.h"
+#include "server/security/client_certificates.h"
 #include "server/security/tls_files.h"
-#include "server/settings.h"
 
 namespace revisit::server {
 

@@ -14,8 +14,8 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "server/logging.h"
-#include "server/mutex.h"
+#include "core/base/mutex.h"
+#include "server/base/logging.h"
 #include "server/security/certificates.h"
 #include "server/security/watched_files.h"
 

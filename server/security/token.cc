@@ -8,9 +8,9 @@
 #include <utility>
 
 #include "absl/strings/ascii.h"
+#include "server/base/status.h"
 #include "server/security/base64url.h"
 #include "server/security/strict_json.h"
-#include "server/status.h"
 
 namespace revisit::server {
 namespace {

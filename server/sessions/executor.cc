@@ -5,7 +5,7 @@
 #include <chrono>
 #include <utility>
 
-#include "server/mutex.h"
+#include "core/base/mutex.h"
 
 namespace revisit::server {
 namespace {

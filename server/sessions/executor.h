@@ -15,7 +15,7 @@
 #include <utility>
 #include <vector>
 
-#include "server/mutex.h"
+#include "core/base/mutex.h"
 
 namespace revisit::server {
 

@@ -5,8 +5,8 @@
 #include <utility>
 #include <vector>
 
-#include "server/mutex.h"
-#include "server/status.h"
+#include "core/base/mutex.h"
+#include "server/base/status.h"
 
 namespace revisit::server {
 namespace {

@@ -7,7 +7,7 @@
 #include <deque>
 #include <tuple>
 
-#include "server/status.h"
+#include "server/base/status.h"
 
 namespace revisit::server {
 namespace {

@@ -10,7 +10,7 @@
 #include <cstring>
 #include <filesystem>
 
-#include "server/status.h"
+#include "server/base/status.h"
 #include "server/storage/free_space.h"
 #include "server/storage/store_files.h"
 #include "xxhash.h"

@@ -5,7 +5,7 @@
 #include <cerrno>
 #include <chrono>
 
-#include "server/status.h"
+#include "server/base/status.h"
 
 namespace revisit::server {
 namespace {

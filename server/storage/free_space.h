@@ -13,7 +13,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "server/mutex.h"
+#include "core/base/mutex.h"
 
 namespace revisit::server {
 

@@ -7,7 +7,7 @@
 #include <cerrno>
 #include <utility>
 
-#include "server/status.h"
+#include "server/base/status.h"
 
 namespace revisit::server {
 namespace {

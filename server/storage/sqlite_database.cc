@@ -2,7 +2,7 @@
 
 #include <cstring>
 
-#include "server/status.h"
+#include "server/base/status.h"
 #include "server/storage/free_space.h"
 #include "sqlite3.h"
 

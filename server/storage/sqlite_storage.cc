@@ -12,8 +12,8 @@
 #include <unordered_map>
 #include <utility>
 
-#include "server/mutex.h"
-#include "server/status.h"
+#include "core/base/mutex.h"
+#include "server/base/status.h"
 #include "server/storage/durable_mark.h"
 #include "server/storage/free_space.h"
 #include "server/storage/sqlite_database.h"

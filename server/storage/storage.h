@@ -12,12 +12,13 @@
 // fails comes with `damage` set rather than in place of all others, so that it
 // can be told, given up (DropDamaged()) or deleted.
 //
-// Every error carries a reason (server/status.h). Besides those named at each
-// call: UNAVAILABLE (STORE_UNAVAILABLE) where the device or the file system
-// fails, DATA_LOSS (STORE_CORRUPT) for damage, NOT_FOUND (VEHICLE_NOT_FOUND)
-// for the key of a vehicle that is not there. A write that was answered with
-// UNAVAILABLE is not visible, but a crash right after may bring it back; a
-// later write is never acknowledged on top of one whose fate is unknown.
+// Every error carries a reason (server/base/status.h). Besides those named at
+// each call: UNAVAILABLE (STORE_UNAVAILABLE) where the device or the file
+// system fails, DATA_LOSS (STORE_CORRUPT) for damage, NOT_FOUND
+// (VEHICLE_NOT_FOUND) for the key of a vehicle that is not there. A write that
+// was answered with UNAVAILABLE is not visible, but a crash right after may
+// bring it back; a later write is never acknowledged on top of one whose fate
+// is unknown.
 //
 // Thread-safe.
 #ifndef REVISIT_SERVER_STORAGE_STORAGE_H_

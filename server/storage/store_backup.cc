@@ -6,7 +6,7 @@
 #include <memory>
 #include <system_error>
 
-#include "server/status.h"
+#include "server/base/status.h"
 #include "server/storage/free_space.h"
 #include "server/storage/store_files.h"
 #include "server/storage/store_opening.h"

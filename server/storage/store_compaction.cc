@@ -9,7 +9,7 @@
 #include <memory>
 #include <system_error>
 
-#include "server/status.h"
+#include "server/base/status.h"
 #include "server/storage/sqlite_storage.h"
 #include "server/storage/store_check.h"
 #include "server/storage/store_files.h"

@@ -8,15 +8,20 @@
 #include <filesystem>
 #include <system_error>
 
-#include "server/status.h"
+#include "server/base/status.h"
 
 namespace revisit::server {
 namespace {
 
+constexpr char kFileInDirectory[] = "revisit.sqlite";
 // What deleting a vehicle takes, and the index of a log of 256 MiB.
 constexpr off_t kReserveBytes = 1 << 20;
 // Of a file that is written anew, at a time.
 constexpr std::size_t kPieceBytes = std::size_t{1} << 20;
+
+std::string InDirectory(const std::string& path) {
+  return (std::filesystem::path(path) / kFileInDirectory).string();
+}
 
 std::string ReserveOf(const std::string& store_path) {
   return store_path + ".reserve";
@@ -50,6 +55,25 @@ bool WriteAnew(int file) {
 }
 
 }  // namespace
+
+absl::StatusOr<std::string> StoreFileToServe(const std::string& path) {
+  std::error_code error;
+  if (std::filesystem::is_regular_file(path, error)) return path;
+  const absl::Status made = MakeDirectory(path);
+  if (!made.ok()) return made;
+  return InDirectory(path);
+}
+
+absl::StatusOr<std::string> ExistingStoreFile(const std::string& path) {
+  std::error_code error;
+  for (const std::string& file : {path, InDirectory(path)}) {
+    if (std::filesystem::is_regular_file(file, error)) return file;
+  }
+  for (const std::string& file : {path, InDirectory(path)}) {
+    if (!FilesBeside(file).empty()) return file;
+  }
+  return absl::NotFoundError(("there is no store at " + path).c_str());
+}
 
 std::string LogOf(const std::string& store_path) { return store_path + "-wal"; }
 

@@ -7,8 +7,20 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
 
 namespace revisit::server {
+
+// A store is named by its file or by the directory that holds it.
+
+// The file of the store to serve; its directory is made if it is missing.
+// Errors of MakeDirectory().
+absl::StatusOr<std::string> StoreFileToServe(const std::string& path);
+
+// The file of a store that is there. The file itself may be missing where
+// others of the store are left: those are for whoever examines the store.
+// NOT_FOUND if there is none of them.
+absl::StatusOr<std::string> ExistingStoreFile(const std::string& path);
 
 // The write-ahead log beside a store.
 std::string LogOf(const std::string& store_path);

@@ -17,7 +17,7 @@
 #include <utility>
 #include <vector>
 
-#include "server/status.h"
+#include "server/base/status.h"
 #include "server/storage/store_check.h"
 #include "server/storage/store_files.h"
 #include "server/storage/store_lock.h"

@@ -17,7 +17,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "server/status.h"
+#include "server/base/status.h"
 #include "server/storage/sqlite_database.h"
 #include "server/storage/storage.h"
 

@@ -3,7 +3,7 @@
 #include <cstring>
 #include <random>
 
-#include "server/status.h"
+#include "server/base/status.h"
 #include "server/storage/sqlite_database.h"
 #include "xxhash.h"
 

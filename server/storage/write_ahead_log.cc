@@ -8,7 +8,7 @@
 #include <memory>
 #include <optional>
 
-#include "server/status.h"
+#include "server/base/status.h"
 
 namespace revisit::server {
 namespace {

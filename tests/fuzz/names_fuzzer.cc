@@ -3,10 +3,10 @@
 #include <sstream>
 #include <string>
 
-#include "server/field_violations.h"
-#include "server/logging.h"
-#include "server/page_token.h"
-#include "server/proto_conversion.h"
+#include "server/base/logging.h"
+#include "server/conversion/field_violations.h"
+#include "server/conversion/page_token.h"
+#include "server/conversion/proto_conversion.h"
 #include "tests/fuzz/fuzzing.h"
 #include "tests/fuzz/vehicles.h"
 

@@ -4,7 +4,7 @@
 
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "revisit/v1/vehicle.pb.h"
-#include "server/proto_conversion.h"
+#include "server/conversion/proto_conversion.h"
 #include "tests/fuzz/fuzzing.h"
 #include "tests/fuzz/vehicles.h"
 

@@ -6,8 +6,8 @@
 
 #include "google/protobuf/util/field_mask_util.h"
 #include "revisit/v1/pose_graph_service.pb.h"
-#include "server/page_token.h"
-#include "server/proto_conversion.h"
+#include "server/conversion/page_token.h"
+#include "server/conversion/proto_conversion.h"
 #include "tests/fuzz/fuzzing.h"
 #include "tests/fuzz/vehicles.h"
 

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "server/settings.h"
+#include "server/settings/settings.h"
 #include "tests/fuzz/fuzzing.h"
 
 namespace {

@@ -5,8 +5,8 @@
 #include <optional>
 
 #include "core/engine.h"
-#include "server/status.h"
-#include "server/status_grpc.h"
+#include "server/base/status.h"
+#include "server/base/status_grpc.h"
 
 namespace revisit::fuzz {
 namespace {

@@ -8,7 +8,7 @@
 #include "absl/status/statusor.h"
 #include "gmock/gmock.h"
 #include "google/rpc/error_details.pb.h"
-#include "server/status.h"
+#include "server/base/status.h"
 
 namespace revisit::server {
 

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <utility>
 
-#include "server/status.h"
+#include "server/base/status.h"
 
 namespace revisit::server {
 namespace {

@@ -12,8 +12,8 @@
 #include <utility>
 #include <vector>
 
-#include "client/cli/dead_reckoning.h"
-#include "client/cli/evaluation.h"
+#include "client/cli/evaluation/dead_reckoning.h"
+#include "client/cli/evaluation/evaluation.h"
 #include "client/formats/drive_file.h"
 #include "core/alignment/log_similarity.h"
 #include "core/candidates/gate.h"

@@ -5,7 +5,7 @@
 #include <chrono>
 #include <string>
 
-#include "server/security/openssl_pointers.h"
+#include "core/base/openssl_pointers.h"
 
 namespace revisit::server {
 

@@ -4,7 +4,7 @@
 
 #include <string>
 
-#include "server/security/openssl_pointers.h"
+#include "core/base/openssl_pointers.h"
 
 namespace revisit::server {
 

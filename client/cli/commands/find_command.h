@@ -1,0 +1,17 @@
+// revisit find
+#ifndef REVISIT_CLIENT_CLI_COMMANDS_FIND_COMMAND_H_
+#define REVISIT_CLIENT_CLI_COMMANDS_FIND_COMMAND_H_
+
+#include "absl/status/status.h"
+#include "client/cli/console.h"
+#include "client/revisit/client.h"
+
+namespace revisit::client {
+
+// Asks and prints. `request.vehicle` may be an id.
+absl::Status RunFind(const Client& client, v1::FindCandidatesRequest request,
+                     const Console& console);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_COMMANDS_FIND_COMMAND_H_

@@ -1,0 +1,50 @@
+// revisit stream
+#ifndef REVISIT_CLIENT_CLI_COMMANDS_STREAM_COMMAND_H_
+#define REVISIT_CLIENT_CLI_COMMANDS_STREAM_COMMAND_H_
+
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "absl/status/status.h"
+#include "client/cli/console.h"
+#include "client/cli/evaluation/dead_reckoning.h"
+#include "client/formats/drive_file.h"
+#include "client/revisit/client.h"
+
+namespace grpc {
+class Channel;
+}
+
+namespace revisit::client {
+
+struct StreamOptions {
+  std::string file;
+  DriveFormat format = DriveFormat::kDrive;
+  std::string vehicle;
+  UncertaintyOptions uncertainty;
+  // Creates the vehicle, with these settings, if there is none.
+  bool create = false;
+  v1::VehicleSettings settings;
+  int batch_poses = 64;
+  // Highest sequence that the caller knows to be durable; 0 for no record.
+  std::uint64_t acked_sequence = 0;
+  // Of the vehicle that this was told of; empty for whichever has the name.
+  std::string vehicle_uid;
+  // Prints the candidates of each check that falls due.
+  bool candidates = false;
+  std::optional<std::chrono::milliseconds> give_up_after;
+};
+
+// Streams the estimates of a drive file: pose i of the file gets sequence i.
+// Goes on where the vehicle's durable poses end, after the server has compared
+// the last of these with the file's. The truth in the file, if any, is not
+// read.
+absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
+                       const StreamOptions& options, const Console& console);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_COMMANDS_STREAM_COMMAND_H_

@@ -1,0 +1,40 @@
+// revisit vehicle create|get|list|update|accept-loss|delete
+#ifndef REVISIT_CLIENT_CLI_COMMANDS_VEHICLE_COMMAND_H_
+#define REVISIT_CLIENT_CLI_COMMANDS_VEHICLE_COMMAND_H_
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "client/cli/console.h"
+#include "client/revisit/client.h"
+
+namespace revisit::client {
+
+absl::Status RunVehicleCreate(const Client& client, const std::string& id,
+                              const v1::VehicleSettings& settings,
+                              const Console& console);
+absl::Status RunVehicleGet(const Client& client, const std::string& id,
+                           const Console& console);
+// All pages. As JSON: {"vehicles": [...]}.
+absl::Status RunVehicleList(const Client& client, const Console& console);
+// Changes the settings that are set, and no others. REQUIRES: one is.
+absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
+                              const v1::VehicleSettings& changes,
+                              const Console& console);
+// Ends the state DATA_LOSS. `durable_sequence` has to be the vehicle's.
+absl::Status RunVehicleAcceptLoss(const Client& client, const std::string& id,
+                                  std::uint64_t durable_sequence,
+                                  const Console& console);
+// Stops at the first that cannot be deleted.
+absl::Status RunVehicleDelete(const Client& client,
+                              const std::vector<std::string>& ids,
+                              const Console& console);
+
+// A vehicle and its settings for people.
+void PrintVehicle(const v1::Vehicle& vehicle, const Console& console);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_COMMANDS_VEHICLE_COMMAND_H_

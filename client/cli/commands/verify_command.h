@@ -1,0 +1,31 @@
+// revisit confirm, revisit reject
+#ifndef REVISIT_CLIENT_CLI_COMMANDS_VERIFY_COMMAND_H_
+#define REVISIT_CLIENT_CLI_COMMANDS_VERIFY_COMMAND_H_
+
+#include <cstdint>
+#include <string>
+
+#include "absl/status/status.h"
+#include "client/cli/console.h"
+#include "client/revisit/client.h"
+
+namespace revisit::client {
+
+// Two poses of a candidate that somebody has looked at.
+struct VerifiedPair {
+  // Id or name.
+  std::string vehicle;
+  std::uint64_t query_sequence = 0;
+  std::uint64_t matched_sequence = 0;
+};
+
+// They are one place: adds a loop closure. Prints it; as JSON, the response.
+absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
+                        const Console& console);
+// They are not: rejects the candidate. Prints likewise.
+absl::Status RunReject(const Client& client, const VerifiedPair& pair,
+                       const Console& console);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_COMMANDS_VERIFY_COMMAND_H_

@@ -1,0 +1,64 @@
+// How well stated confidence agrees with the truth.
+//
+// Precision-recall: a check's first candidate counts as chosen if its score
+// reaches a threshold; precision and recall as in evaluation.h, over all
+// thresholds.
+//
+// Reliability: stated probabilities are sorted into ten bins of equal width;
+// in each, their mean is compared with the share that was correct. The expected
+// calibration error is the mean absolute difference, weighed by the bins'
+// counts:
+//
+//   ECE = sum over bins of n_b / n |mean stated_b - share correct_b|
+#ifndef REVISIT_CLIENT_CLI_EVALUATION_CALIBRATION_H_
+#define REVISIT_CLIENT_CLI_EVALUATION_CALIBRATION_H_
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+namespace revisit::client {
+
+// How sure one candidate was, and whether it was rightly so. The higher the
+// score, the surer.
+struct Scored {
+  double score = 0.0;
+  bool correct = false;
+};
+
+struct CurvePoint {
+  double threshold = 0.0;
+  double precision = 0.0;
+  double recall = 0.0;
+};
+
+// A point for each different score, from the highest on. Recall is not capped:
+// it refers to `true_loops`. Empty if there are none of either.
+std::vector<CurvePoint> PrecisionRecallCurve(std::vector<Scored> scored,
+                                             std::int64_t true_loops);
+
+inline constexpr std::size_t kReliabilityBins = 10;
+
+// Probabilities in [low, high); the last bin has 1 too. Means are 0 where there
+// are none.
+struct ReliabilityBin {
+  double low = 0.0;
+  double high = 0.0;
+  std::int64_t count = 0;
+  double mean_stated = 0.0;
+  double share_correct = 0.0;
+};
+
+// REQUIRES: scores in [0, 1].
+std::array<ReliabilityBin, kReliabilityBins> Reliability(
+    const std::vector<Scored>& stated);
+
+// Nothing if nothing was stated. REQUIRES: scores in [0, 1].
+std::optional<double> ExpectedCalibrationError(
+    const std::vector<Scored>& stated);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_EVALUATION_CALIBRATION_H_

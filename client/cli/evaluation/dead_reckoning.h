@@ -1,0 +1,64 @@
+// The uncertainty that a drive's estimate claims when it is streamed.
+//
+// Model: dead reckoning with noise that grows with the distance. A step of
+// length s from (x, y, h) to (x + dx, y + dy, .) carries the covariance on as
+//
+//   P <- F P F^T + G Q G^T
+//
+//       1 0 -dy         c -s' 0
+//   F = 0 1  dx     G = s' c  0     Q = s diag(along^2, across^2, heading^2)
+//       0 0  1          0  0  1
+//
+// with (c, s') the direction half-way between the two headings. It starts at
+// diag(position^2, position^2, heading^2). Height, where it counts, is on its
+// own: variance position^2 + up^2 times the distance.
+#ifndef REVISIT_CLIENT_CLI_EVALUATION_DEAD_RECKONING_H_
+#define REVISIT_CLIENT_CLI_EVALUATION_DEAD_RECKONING_H_
+
+#include <array>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "client/formats/drive_file.h"
+
+namespace revisit::client {
+
+struct UncertaintyOptions {
+  enum class Source {
+    // The model above, along the file's estimate.
+    kModel,
+    // The file's columns. Since files start with certainty, which the server
+    // refuses, the start's covariance is added, carried along by F as above.
+    kFile,
+    // The file's columns as they are: each pose is a fix of its own.
+    kFixes,
+  };
+  Source source = Source::kModel;
+  // Standard deviations per square root of a metre: metres and radians.
+  double along = 0.1;
+  double across = 0.05;
+  double up = 0.05;
+  double heading = 0.1 * 3.14159265358979323846 / 180.0;
+  // Standard deviations at the start: metres and radians.
+  double start_position = 0.1;
+  double start_heading = 0.01;
+  // Every standard deviation is claimed this many times as large as the above
+  // says: 0.5 is a filter that is overconfident by two. Positive.
+  double claimed_scale = 1.0;
+};
+
+struct ClaimedUncertainty {
+  // xx, xy, xh, yy, yh, hh.
+  std::array<double, 6> planar{};
+  // Variance of height, independent of the rest.
+  double z_variance = 0.0;
+};
+
+// One for each sample. INVALID_ARGUMENT if the source is the file and it has no
+// such columns.
+absl::StatusOr<std::vector<ClaimedUncertainty>> ClaimUncertainty(
+    const Drive& drive, const UncertaintyOptions& options);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_EVALUATION_DEAD_RECKONING_H_

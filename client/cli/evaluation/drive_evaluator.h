@@ -1,0 +1,60 @@
+// One method on one drive, through the service.
+#ifndef REVISIT_CLIENT_CLI_EVALUATION_DRIVE_EVALUATOR_H_
+#define REVISIT_CLIENT_CLI_EVALUATION_DRIVE_EVALUATOR_H_
+
+#include <cstddef>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "client/cli/console.h"
+#include "client/cli/evaluation/dead_reckoning.h"
+#include "client/cli/evaluation/evaluation.h"
+#include "client/cli/evaluation/evaluation_report.h"
+#include "client/formats/drive_file.h"
+#include "client/revisit/client.h"
+#include "revisit/v1/vehicle.pb.h"
+
+namespace grpc {
+class Channel;
+}
+
+namespace revisit::client {
+
+struct DriveRun {
+  // Of the vehicle that is made.
+  std::string vehicle_id;
+  v1::VehicleSettings settings;
+  // What progress is labelled with.
+  std::string label;
+  // Its direction is what is asked for.
+  Judging judging;
+  // CandidateOptions.exhaustive.
+  bool exhaustive = false;
+  // Plays the verifier: an accepted first candidate that is right is added as a
+  // loop closure, one that is wrong is rejected, before any pose beyond the
+  // next check is sent. Checks and verdicts then follow each other in one
+  // order, so that the result is the same every time.
+  bool verify = false;
+  // Leaves out candidates of the recent path (Judging::excluded_nodes) and
+  // keeps this many of the others, for methods that do not know it.
+  std::optional<std::size_t> older_candidates;
+};
+
+// Streams the estimates of a drive with truth into a new vehicle and judges the
+// answers. `created` hears the vehicle's name as soon as it exists. A
+// connection that breaks may lose answers; the drive is then streamed again
+// from its start, to a new vehicle of the same name, so that figures are always
+// those of an unbroken stream. UNAVAILABLE if it keeps breaking.
+absl::StatusOr<DriveResult> EvaluateDrive(
+    const std::shared_ptr<grpc::Channel>& channel, const Client& client,
+    const Drive& drive, const std::vector<ClaimedUncertainty>& uncertainty,
+    const DriveRun& run, const std::function<void(const v1::Vehicle&)>& created,
+    const Console& console);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_EVALUATION_DRIVE_EVALUATOR_H_

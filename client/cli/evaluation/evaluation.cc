@@ -1,0 +1,226 @@
+#include "client/cli/evaluation/evaluation.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace revisit::client {
+namespace {
+
+constexpr double kHalfTurn = 3.14159265358979323846;
+constexpr double kTurn = 2.0 * kHalfTurn;
+
+std::optional<double> Ratio(double numerator, double denominator) {
+  if (denominator <= 0.0) return std::nullopt;
+  return numerator / denominator;
+}
+
+bool SameCandidate(const CandidateAnswer& a, const CandidateAnswer& b) {
+  return a.matched == b.matched && a.verdict == b.verdict &&
+         a.squared_distance == b.squared_distance &&
+         a.threshold == b.threshold && a.p_value == b.p_value &&
+         a.probability == b.probability && a.opposite == b.opposite &&
+         a.confidence == b.confidence;
+}
+
+}  // namespace
+
+std::string NameOf(Verdict verdict) {
+  switch (verdict) {
+    case Verdict::kAccepted:
+      return "ACCEPTED";
+    case Verdict::kRejectedByGate:
+      return "REJECTED_BY_GATE";
+    case Verdict::kRejectedByShape:
+      return "REJECTED_BY_SHAPE";
+    case Verdict::kAmbiguous:
+      return "AMBIGUOUS";
+    case Verdict::kUninformative:
+      return "UNINFORMATIVE";
+    case Verdict::kIllConditioned:
+      return "ILL_CONDITIONED";
+  }
+  return "";
+}
+
+bool SameAnswer(const CheckAnswer& a, const CheckAnswer& b) {
+  return a.query == b.query && a.empty_reason == b.empty_reason &&
+         std::equal(a.candidates.begin(), a.candidates.end(),
+                    b.candidates.begin(), b.candidates.end(), SameCandidate);
+}
+
+std::optional<double> Tally::precision() const {
+  return Ratio(static_cast<double>(accepted_correct),
+               static_cast<double>(accepted));
+}
+
+std::optional<double> Tally::recall() const {
+  return Ratio(static_cast<double>(accepted_correct),
+               static_cast<double>(true_loops));
+}
+
+std::optional<double> Tally::f1() const {
+  return Ratio(2.0 * static_cast<double>(accepted_correct),
+               static_cast<double>(accepted + true_loops));
+}
+
+std::optional<double> Tally::top1() const {
+  return Ratio(static_cast<double>(top1_correct),
+               static_cast<double>(true_loops));
+}
+
+std::optional<double> Tally::recall_at_5() const {
+  return Ratio(static_cast<double>(top5_correct),
+               static_cast<double>(true_loops));
+}
+
+std::optional<double> Tally::calibration_error() const {
+  return ExpectedCalibrationError(probabilities);
+}
+
+std::optional<double> Tally::to_verify_per_loop() const {
+  return Ratio(static_cast<double>(to_verify),
+               static_cast<double>(loops_found));
+}
+
+std::optional<double> Tally::poses_per_second() const {
+  return Ratio(static_cast<double>(timed_poses), seconds);
+}
+
+std::optional<double> Tally::search_percentile(double percent) const {
+  if (search_milliseconds.empty()) return std::nullopt;
+  std::vector<double> sorted = search_milliseconds;
+  std::sort(sorted.begin(), sorted.end());
+  const double rank =
+      std::ceil(percent / 100.0 * static_cast<double>(sorted.size()));
+  const auto index = static_cast<std::size_t>(std::max(rank, 1.0)) - 1;
+  return sorted[std::min(index, sorted.size() - 1)];
+}
+
+void Tally::Add(const Tally& other) {
+  checks += other.checks;
+  true_loops += other.true_loops;
+  accepted += other.accepted;
+  accepted_correct += other.accepted_correct;
+  top1_correct += other.top1_correct;
+  top5_correct += other.top5_correct;
+  to_verify += other.to_verify;
+  loops_found += other.loops_found;
+  const auto append = [](auto* to, const auto& from) {
+    to->insert(to->end(), from.begin(), from.end());
+  };
+  append(&confidences, other.confidences);
+  append(&probabilities, other.probabilities);
+  append(&search_milliseconds, other.search_milliseconds);
+  confirmed += other.confirmed;
+  rejected += other.rejected;
+  jumps += other.jumps;
+  poses += other.poses;
+  timed_poses += other.timed_poses;
+  seconds += other.seconds;
+}
+
+PlanarPose TruthAt(std::uint64_t sequence, double fraction,
+                   const std::vector<PlanarPose>& truth) {
+  const std::size_t index = static_cast<std::size_t>(sequence) - 1;
+  const PlanarPose& before = truth[index];
+  const PlanarPose& after = truth[std::min(index + 1, truth.size() - 1)];
+  const double turn = std::remainder(after.heading - before.heading, kTurn);
+  return {before.x + fraction * (after.x - before.x),
+          before.y + fraction * (after.y - before.y),
+          std::remainder(before.heading + fraction * turn, kTurn)};
+}
+
+std::vector<PlanarPose> TruthAtNodes(const std::vector<GraphNode>& nodes,
+                                     const std::vector<PlanarPose>& truth) {
+  std::vector<PlanarPose> at_nodes;
+  at_nodes.reserve(nodes.size());
+  for (const GraphNode& node : nodes) {
+    at_nodes.push_back(TruthAt(node.sequence, node.fraction, truth));
+  }
+  return at_nodes;
+}
+
+bool SamePlace(const PlanarPose& a, const PlanarPose& b, bool opposite,
+               const Judging& judging) {
+  const double turn = b.heading - a.heading - (opposite ? kHalfTurn : 0.0);
+  return std::hypot(a.x - b.x, a.y - b.y) <= judging.loop_distance_meters &&
+         std::abs(std::remainder(turn, kTurn)) <= judging.loop_heading_radians;
+}
+
+std::vector<JudgedCheck> Judge(const std::vector<GraphNode>& nodes,
+                               const std::vector<PlanarPose>& truth_at_nodes,
+                               const std::vector<CheckAnswer>& answers,
+                               const Judging& judging) {
+  // Travelled distances are sums of many steps.
+  constexpr double kRounding = 1e-6;
+  std::vector<JudgedCheck> checks;
+  for (const CheckAnswer& answer : answers) {
+    const auto query = static_cast<std::size_t>(answer.query);
+    if (nodes[query].travelled_meters <
+        judging.first_check_meters - kRounding) {
+      continue;
+    }
+    const std::int64_t last = answer.query - judging.excluded_nodes;
+    const PlanarPose& here = truth_at_nodes[query];
+    JudgedCheck check;
+    for (std::int64_t i = 0; i <= last && !check.true_loop; ++i) {
+      const PlanarPose& there = truth_at_nodes[static_cast<std::size_t>(i)];
+      check.true_loop = (judging.direction != PassDirection::kOpposite &&
+                         SamePlace(here, there, false, judging)) ||
+                        (judging.direction != PassDirection::kSame &&
+                         SamePlace(here, there, true, judging));
+    }
+    for (const CandidateAnswer& candidate : answer.candidates) {
+      check.correct.push_back(
+          candidate.matched <= last &&
+          SamePlace(here,
+                    truth_at_nodes[static_cast<std::size_t>(candidate.matched)],
+                    candidate.opposite, judging));
+    }
+    check.answer = answer;
+    checks.push_back(std::move(check));
+  }
+  return checks;
+}
+
+Tally Count(const std::vector<JudgedCheck>& checks) {
+  constexpr std::size_t kFirst = 5;
+  Tally tally;
+  for (const JudgedCheck& check : checks) {
+    ++tally.checks;
+    if (check.true_loop) ++tally.true_loops;
+    if (check.accepted()) ++tally.accepted;
+    if (check.accepted() && check.top_correct()) ++tally.accepted_correct;
+    if (check.top_correct()) ++tally.top1_correct;
+    const auto end =
+        check.correct.begin() +
+        static_cast<std::ptrdiff_t>(std::min(kFirst, check.correct.size()));
+    if (std::find(check.correct.begin(), end, true) != end) {
+      ++tally.top5_correct;
+    }
+    bool found = false;
+    for (std::size_t i = 0; i < check.correct.size(); ++i) {
+      if (check.answer.candidates[i].verdict != Verdict::kAccepted) continue;
+      ++tally.to_verify;
+      found = found || check.correct[i];
+    }
+    if (found) ++tally.loops_found;
+    if (!check.correct.empty()) {
+      const CandidateAnswer& first = check.answer.candidates[0];
+      tally.confidences.push_back({first.confidence, check.top_correct()});
+      if (first.probability.has_value()) {
+        tally.probabilities.push_back(
+            {*first.probability, check.top_correct()});
+      }
+    } else if (check.answer.none_probable) {
+      // The best that was left out.
+      tally.probabilities.push_back({0.0, false});
+    }
+    if (check.answer.search_milliseconds.has_value()) {
+      tally.search_milliseconds.push_back(*check.answer.search_milliseconds);
+    }
+  }
+  return tally;
+}
+
+}  // namespace revisit::client

@@ -1,0 +1,184 @@
+// Judges the answers of checks against the truth of a drive.
+//
+// Nodes and their truth: a node lies between two poses of the stream, and so
+// does its true pose, interpolated between theirs (heading on the shorter arc).
+// Two nodes are one place if their true positions lie within a distance and
+// their true headings within an angle. A check at node i is a TRUE LOOP if one
+// of the nodes 0 to i - K is the same place, K nodes being the excluded recent
+// path. A candidate is CORRECT if its matched node is one of those. Where
+// opposite passes are sought, headings are compared after half a turn; a
+// candidate is judged by the direction that it states. Precision and recall
+// count the first candidate of a check only, and only if its verdict is
+// ACCEPTED:
+//
+//   precision = accepted and correct / accepted
+//   recall    = accepted and correct / true loops
+//   f1        = 2 accepted and correct / (accepted + true loops)
+//   top1      = first candidate correct / true loops, verdict aside
+//   recall@5  = one of the first five correct / true loops, verdict aside
+#ifndef REVISIT_CLIENT_CLI_EVALUATION_EVALUATION_H_
+#define REVISIT_CLIENT_CLI_EVALUATION_EVALUATION_H_
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "client/cli/evaluation/calibration.h"
+#include "client/formats/drive_file.h"
+
+namespace revisit::client {
+
+struct GraphNode {
+  // The pose at or before the node, from 1, and how far on to the next.
+  std::uint64_t sequence = 0;
+  double fraction = 0.0;
+  double travelled_meters = 0.0;
+  PlanarPose estimate;
+  // Covariance of the position: xx, xy, yy.
+  double xx = 0.0;
+  double xy = 0.0;
+  double yy = 0.0;
+};
+
+// The service's verdicts; baselines that know less use the first two.
+enum class Verdict {
+  kAccepted,
+  kRejectedByGate,
+  kRejectedByShape,
+  kAmbiguous,
+  kUninformative,
+  kIllConditioned
+};
+
+// As people write it, such as "REJECTED_BY_GATE".
+std::string NameOf(Verdict verdict);
+
+struct CandidateAnswer {
+  std::int64_t matched = 0;
+  Verdict verdict = Verdict::kRejectedByGate;
+  // The gate at the end of the path.
+  double squared_distance = 0.0;
+  double threshold = 0.0;
+  double p_value = 0.0;
+  // Where the method states one.
+  std::optional<double> probability;
+  // The other way than now.
+  bool opposite = false;
+  // By which precision-recall curves choose, higher being surer: the
+  // probability if there is one, else the gate's p-value.
+  double confidence = 0.0;
+};
+
+// What came back from one check.
+struct CheckAnswer {
+  std::int64_t query = 0;
+  std::vector<CandidateAnswer> candidates;
+  // Why there are none.
+  std::string empty_reason;
+  // None, because each is all but impossible.
+  bool none_probable = false;
+  // Where the method measures it.
+  std::optional<double> search_milliseconds;
+};
+
+// Equal but for the time the search took.
+bool SameAnswer(const CheckAnswer& a, const CheckAnswer& b);
+
+// Which passes are sought.
+enum class PassDirection { kSame, kOpposite, kEither };
+
+struct Judging {
+  // Checks before this travelled distance do not count.
+  double first_check_meters = 300.0;
+  // K.
+  std::int64_t excluded_nodes = 75;
+  double loop_distance_meters = 10.0;
+  double loop_heading_radians = 3.14159265358979323846 / 4.0;
+  PassDirection direction = PassDirection::kSame;
+};
+
+struct JudgedCheck {
+  CheckAnswer answer;
+  bool true_loop = false;
+  // One for each candidate.
+  std::vector<bool> correct;
+
+  bool accepted() const {
+    return !answer.candidates.empty() &&
+           answer.candidates[0].verdict == Verdict::kAccepted;
+  }
+  bool top_correct() const { return !correct.empty() && correct[0]; }
+};
+
+struct Tally {
+  std::int64_t checks = 0;
+  std::int64_t true_loops = 0;
+  // Checks whose first candidate was accepted, and, of these, is correct.
+  std::int64_t accepted = 0;
+  std::int64_t accepted_correct = 0;
+  // Checks with a correct candidate first, or among the first five, whatever
+  // the verdict.
+  std::int64_t top1_correct = 0;
+  std::int64_t top5_correct = 0;
+  // Accepted candidates of any rank: what somebody would have to verify; and
+  // checks with a correct one among them: the loops that would be found.
+  std::int64_t to_verify = 0;
+  std::int64_t loops_found = 0;
+  // First candidates: their confidence, and their probability where stated.
+  std::vector<Scored> confidences;
+  std::vector<Scored> probabilities;
+  // What a verifier told the service.
+  std::int64_t confirmed = 0;
+  std::int64_t rejected = 0;
+  // Jumps at which the trajectory was cut.
+  std::int64_t jumps = 0;
+  std::vector<double> search_milliseconds;
+  std::int64_t poses = 0;
+  // Poses that were streamed in `seconds`: more than `poses` where an
+  // evaluation is repeated.
+  std::int64_t timed_poses = 0;
+  double seconds = 0.0;
+
+  // Nothing where there is nothing to divide by.
+  std::optional<double> precision() const;
+  std::optional<double> recall() const;
+  std::optional<double> f1() const;
+  std::optional<double> top1() const;
+  std::optional<double> recall_at_5() const;
+  std::optional<double> to_verify_per_loop() const;
+  std::optional<double> calibration_error() const;
+  std::optional<double> poses_per_second() const;
+  // The nearest-rank percentile, in [0, 100].
+  std::optional<double> search_percentile(double percent) const;
+
+  void Add(const Tally& other);
+};
+
+// The true pose between two poses of the stream. REQUIRES: as many truths as
+// the stream had poses, one at least, and a sequence among them.
+PlanarPose TruthAt(std::uint64_t sequence, double fraction,
+                   const std::vector<PlanarPose>& truth);
+
+// The true pose of each node. REQUIRES: as TruthAt().
+std::vector<PlanarPose> TruthAtNodes(const std::vector<GraphNode>& nodes,
+                                     const std::vector<PlanarPose>& truth);
+
+// Whether two true poses are one place, passed the same or the opposite way.
+bool SamePlace(const PlanarPose& a, const PlanarPose& b, bool opposite,
+               const Judging& judging);
+
+// Judges those answers that count, in order. REQUIRES: a true pose for each
+// node, and all answers about nodes.
+std::vector<JudgedCheck> Judge(const std::vector<GraphNode>& nodes,
+                               const std::vector<PlanarPose>& truth_at_nodes,
+                               const std::vector<CheckAnswer>& answers,
+                               const Judging& judging);
+
+// All that can be counted from checks: not poses, times, jumps, and what a
+// verifier told.
+Tally Count(const std::vector<JudgedCheck>& checks);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_EVALUATION_EVALUATION_H_

@@ -1,0 +1,38 @@
+// Drawings of how well candidates are ranked and how true their probabilities
+// are.
+#ifndef REVISIT_CLIENT_CLI_EVALUATION_EVALUATION_PLOTS_H_
+#define REVISIT_CLIENT_CLI_EVALUATION_EVALUATION_PLOTS_H_
+
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "client/cli/evaluation/calibration.h"
+
+namespace revisit::client {
+
+struct PlottedCurve {
+  std::string name;
+  std::vector<CurvePoint> curve;
+  // What the verdicts themselves come to, where they accepted anything.
+  std::optional<double> precision;
+  std::optional<double> recall;
+};
+
+// An SVG document: precision against recall, a line for each curve with a dot
+// where its verdicts stand.
+std::string DrawPrecisionRecall(const std::string& subtitle,
+                                const std::vector<PlottedCurve>& curves);
+
+// An SVG document: the share that was correct against the stated probability,
+// a bar for each bin with its count; perfect statements lie on the diagonal.
+std::string DrawReliability(
+    const std::string& subtitle,
+    const std::array<ReliabilityBin, kReliabilityBins>& bins,
+    std::optional<double> expected_calibration_error);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_EVALUATION_EVALUATION_PLOTS_H_

@@ -1,0 +1,65 @@
+// What an evaluation found, as tables and as JSON.
+#ifndef REVISIT_CLIENT_CLI_EVALUATION_EVALUATION_REPORT_H_
+#define REVISIT_CLIENT_CLI_EVALUATION_EVALUATION_REPORT_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <ostream>
+#include <string>
+#include <vector>
+
+#include "client/cli/evaluation/evaluation.h"
+#include "client/formats/drive_file.h"
+
+namespace revisit::client {
+
+// One method on one drive.
+struct DriveResult {
+  std::string drive;
+  // Of a simulated drive.
+  std::optional<std::uint64_t> seed;
+  std::vector<GraphNode> nodes;
+  // One for each node.
+  std::vector<PlanarPose> truth_at_nodes;
+  // All that came back, and what of it counts.
+  std::vector<CheckAnswer> answers;
+  std::vector<JudgedCheck> checks;
+  Tally tally;
+  // Vehicle.consistency at the end, where a verifier took part.
+  std::optional<double> inflation;
+};
+
+struct MethodResult {
+  std::string method;
+  double sequence_length_meters = 0.0;
+  std::vector<DriveResult> drives;
+};
+
+Tally TotalOf(const MethodResult& method);
+
+struct Report {
+  // At least one, with the same drives in each.
+  std::vector<MethodResult> methods;
+  // The method that was asked for; the others are there to compare.
+  std::size_t main = 0;
+  // Whether a verifier took part.
+  bool verified = false;
+  int repeats = 1;
+  // Stand below the tables.
+  std::vector<std::string> notes;
+};
+
+// A line for each check: its first candidate.
+void PrintChecks(const DriveResult& result, std::ostream& out);
+
+// One row on its own as a list, several as a table: for each method its drives,
+// all seeds of a drive in one row, and the total.
+void PrintReport(const Report& report, std::ostream& out);
+
+// {"drives", "total", "methods", "repeats", "notes"}; see evaluate_command.h.
+std::string ReportJson(const Report& report, bool verbose);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_EVALUATION_EVALUATION_REPORT_H_

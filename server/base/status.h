@@ -1,0 +1,65 @@
+// Errors of the service: absl::Status with google.rpc details as payloads,
+// turned into grpc::Status in one place (status_grpc.h).
+#ifndef REVISIT_SERVER_BASE_STATUS_H_
+#define REVISIT_SERVER_BASE_STATUS_H_
+
+#include <chrono>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/status/status.h"
+
+namespace revisit::server {
+
+// Type URLs of the payloads, the same as in google.rpc.Status.details. The
+// payload bytes are the serialized messages.
+inline constexpr char kErrorInfoUrl[] =
+    "type.googleapis.com/google.rpc.ErrorInfo";
+inline constexpr char kBadRequestUrl[] =
+    "type.googleapis.com/google.rpc.BadRequest";
+inline constexpr char kRetryInfoUrl[] =
+    "type.googleapis.com/google.rpc.RetryInfo";
+
+inline constexpr char kQuotaFailureUrl[] =
+    "type.googleapis.com/google.rpc.QuotaFailure";
+
+struct FieldViolation {
+  std::string field;        // Such as "poses[3].covariance.values[0]".
+  std::string description;  // What was got and what is allowed.
+};
+
+using ErrorMetadata = std::vector<std::pair<std::string, std::string>>;
+
+// A status with ErrorInfo{reason, domain "revisit", metadata}. `reason` is a
+// value of revisit.v1.ErrorReason without its prefix. RetryInfo is added to
+// UNAVAILABLE and RESOURCE_EXHAUSTED. A message too long for a trailer is cut.
+// REQUIRES: code is not OK.
+absl::Status Error(absl::StatusCode code, const std::string& reason,
+                   const std::string& message,
+                   const ErrorMetadata& metadata = {});
+
+// INVALID_ARGUMENT with BadRequest; the message tells the first violation and
+// how many more there are. BadRequest holds as many as a trailer does; metadata
+// `violations` counts all. REQUIRES: at least one violation.
+absl::Status InvalidFields(const std::string& reason,
+                           const std::vector<FieldViolation>& violations);
+
+// The same as Error(), with a QuotaFailure of one violation, described by the
+// message, and this RetryInfo.
+absl::Status QuotaExceeded(absl::StatusCode code, const std::string& reason,
+                           const std::string& subject,
+                           const std::string& message,
+                           std::chrono::milliseconds retry_delay,
+                           const ErrorMetadata& metadata = {});
+
+// NOT_FOUND (VEHICLE_NOT_FOUND). The same words whether there is none or it is
+// not the caller's to know of.
+absl::Status VehicleNotFound(const std::string& id);
+
+// Reason of a status made here; empty if it has none.
+std::string ReasonOf(const absl::Status& status);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_BASE_STATUS_H_

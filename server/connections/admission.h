@@ -1,0 +1,115 @@
+// Whether there is room for one more call, stream, search or batch. What there
+// is no room for is refused at once, before it costs anything, and told when to
+// come again: so that under overload the server goes on doing as much as it
+// can.
+#ifndef REVISIT_SERVER_CONNECTIONS_ADMISSION_H_
+#define REVISIT_SERVER_CONNECTIONS_ADMISSION_H_
+
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <random>
+#include <string>
+#include <unordered_map>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "core/base/mutex.h"
+#include "server/settings/limits.h"
+
+namespace revisit::server {
+
+// Room that was taken; given back when the last copy goes.
+using Permit = std::shared_ptr<const void>;
+
+// Refusals say what was reached and what is allowed, and carry QuotaFailure and
+// a RetryInfo that differs from caller to caller. Of the server as a whole they
+// are UNAVAILABLE (OVERLOADED), of a caller or a vehicle RESOURCE_EXHAUSTED;
+// where memory runs out, RESOURCE_EXHAUSTED (MEMORY_PRESSURE).
+//
+// Permits may outlive this. Thread-safe.
+class Admission {
+ public:
+  using Clock = std::chrono::steady_clock;
+  // Resident memory of the process, in bytes.
+  using MemoryMeter = std::function<std::int64_t()>;
+
+  // `search_threads`: how many searches may run at the same time.
+  Admission(const Limits& limits, int search_threads, MemoryMeter memory_meter);
+  ~Admission();
+
+  Admission(const Admission&) = delete;
+  Admission& operator=(const Admission&) = delete;
+
+  // A unary call.
+  absl::StatusOr<Permit> Call();
+  // A streaming call, as it begins: OVERLOADED, or STREAM_QUOTA of the caller.
+  // `caller` may be empty: then it is nobody's.
+  absl::StatusOr<Permit> Stream(const std::string& caller);
+  // The same stream, when it is known which vehicle it is about: STREAM_QUOTA.
+  absl::StatusOr<Permit> StreamOf(const std::string& vehicle);
+  // A search, beside the permit of its call: OVERLOADED, also where so many
+  // wait that the caller, who has `remaining` time, would not have the answer;
+  // SEARCH_QUOTA of the vehicle, or of the caller's rate.
+  absl::StatusOr<Permit> Search(const std::string& vehicle,
+                                const std::string& caller,
+                                Clock::duration remaining);
+  // Tells how long one took that was admitted, without waiting.
+  void SearchTook(Clock::duration duration);
+  // Bytes of a batch that waits to be durable: OVERLOADED, or QUEUE_FULL of the
+  // vehicle.
+  absl::StatusOr<Permit> Queue(const std::string& vehicle, std::int64_t bytes);
+  // Bytes of a revision that is being sent: OVERLOADED, or QUEUE_FULL of the
+  // vehicle.
+  absl::StatusOr<Permit> Draft(const std::string& vehicle, std::int64_t bytes);
+  // Bytes of a graph that is being exported: OVERLOADED, or STREAM_QUOTA of the
+  // vehicle.
+  absl::StatusOr<Permit> Export(const std::string& vehicle, std::int64_t bytes);
+
+  // Whether the memory limit is reached, as last measured.
+  bool UnderMemoryPressure();
+
+ private:
+  class Pool;
+  // Searches that a caller may make at once, and when that was true.
+  struct Bucket {
+    double tokens;
+    Clock::time_point time;
+  };
+
+  absl::Status CheckMemory();
+  // How long a search that comes now will wait, roughly.
+  Clock::duration ExpectedWait() ABSL_LOCKS_EXCLUDED(mutex_);
+  absl::Status CheckRate(const std::string& caller);
+  // A time to come again, of this order.
+  std::chrono::milliseconds Later(std::chrono::milliseconds order)
+      ABSL_LOCKS_EXCLUDED(mutex_);
+  absl::Status Overloaded(const char* subject, const char* what,
+                          std::int64_t limit);
+  absl::Status OverQuota(const char* reason, const std::string& subject,
+                         const char* what, std::int64_t limit);
+
+  const Limits limits_;
+  const int search_threads_;
+  const MemoryMeter memory_meter_;
+  const std::shared_ptr<Pool> calls_;
+  const std::shared_ptr<Pool> streams_;
+  const std::shared_ptr<Pool> vehicle_streams_;
+  const std::shared_ptr<Pool> searches_;
+  const std::shared_ptr<Pool> queue_;
+  const std::shared_ptr<Pool> drafts_;
+  const std::shared_ptr<Pool> exports_;
+
+  Mutex mutex_;
+  std::mt19937 random_ ABSL_GUARDED_BY(mutex_);
+  std::unordered_map<std::string, Bucket> buckets_ ABSL_GUARDED_BY(mutex_);
+  Clock::time_point last_measured_ ABSL_GUARDED_BY(mutex_){};
+  std::int64_t memory_bytes_ ABSL_GUARDED_BY(mutex_) = 0;
+  // Of the last searches.
+  Clock::duration mean_search_ ABSL_GUARDED_BY(mutex_){};
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_CONNECTIONS_ADMISSION_H_

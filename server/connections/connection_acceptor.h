@@ -1,0 +1,112 @@
+// Takes connections and hands them to gRPC.
+//
+// gRPC's own listener, as Debian 12 has it (1.51), stops listening for good the
+// first time that accept() finds no free descriptor: a flood of connections
+// ends the service of a process that looks healthy. So the server accepts by
+// itself, sheds what is too much by closing it at once, and can therefore serve
+// the next caller as soon as there is room.
+#ifndef REVISIT_SERVER_CONNECTIONS_CONNECTION_ACCEPTOR_H_
+#define REVISIT_SERVER_CONNECTIONS_CONNECTION_ACCEPTOR_H_
+
+#include <sys/types.h>
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "grpcpp/security/server_credentials.h"
+#include "grpcpp/server_builder.h"
+#include "server/base/logging.h"
+#include "server/connections/connection_meter.h"
+#include "server/connections/connection_table.h"
+#include "server/connections/transport_calls.h"
+
+namespace revisit::server {
+
+// Order of life: Listen(), Register() with the builder, Start() once gRPC's
+// server runs, Stop() before it is shut down.
+class ConnectionAcceptor {
+ public:
+  struct Options {
+    // HOST:PORT, [V6]:PORT, unix:PATH or unix-abstract:NAME. Port 0 takes a
+    // free one, the same on all addresses of the host.
+    std::string address;
+    ConnectionTable::Bounds bounds;
+    // What was sent and not acknowledged by then ends the connection.
+    std::chrono::milliseconds unacknowledged_timeout{20000};
+  };
+
+  // UNAVAILABLE with the reason if the address cannot be listened on. Log and
+  // meters must outlive this.
+  static absl::StatusOr<std::unique_ptr<ConnectionAcceptor>> Listen(
+      const Options& options, const Log* log, ConnectionMeters* meters);
+  // Stops.
+  ~ConnectionAcceptor();
+
+  ConnectionAcceptor(const ConnectionAcceptor&) = delete;
+  ConnectionAcceptor& operator=(const ConnectionAcceptor&) = delete;
+
+  // Every connection will speak by these credentials.
+  void Register(std::shared_ptr<grpc::ServerCredentials> credentials,
+                grpc::ServerBuilder* builder);
+  void Start();
+  // Closes the listening sockets. Connections that were handed on live.
+  void Stop();
+
+  // The address with the port that was chosen.
+  const std::string& address() const { return address_; }
+  // Connections closed because there were too many, or of no use.
+  std::int64_t shed() const { return shed_.load(); }
+
+ private:
+  ConnectionAcceptor(const Options& options, const Log* log,
+                     ConnectionMeters* meters);
+
+  absl::Status Open();
+  absl::Status OpenInternet();
+  absl::Status OpenUnix();
+  void Run();
+  // Takes what has come to a listening socket, but no more at a time than lets
+  // the thread attend to the rest.
+  void AcceptSome(int listener);
+  void HandOn(int listener, int connection);
+  // Ends connections that only take memory.
+  void CutHarmful();
+  void Shed(int connection, const char* why, const std::string& peer);
+  // Accept failed for want of a descriptor: frees one to turn a caller away.
+  void TurnAway(int listener);
+
+  const Options options_;
+  const Log* const log_;
+  ConnectionMeters* const meters_;
+  std::string address_;
+  // Removed at the end, if the file there is still the one that was made.
+  std::string socket_path_;
+  std::optional<std::pair<dev_t, ino_t>> socket_file_;
+  std::vector<int> listeners_;
+  // Told to stop by this.
+  int wake_ = -1;
+  // Kept to be given up in TurnAway().
+  int reserve_ = -1;
+  std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> grpc_;
+  std::atomic<std::int64_t> shed_{0};
+
+  // Used by the thread only.
+  TransportCalls transport_calls_;
+  ConnectionTable table_;
+  std::int64_t shed_unsaid_ = 0;
+  std::chrono::steady_clock::time_point last_said_{};
+
+  std::thread thread_;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_CONNECTIONS_CONNECTION_ACCEPTOR_H_

@@ -1,0 +1,76 @@
+// Collects what is wrong with the fields of one request.
+#ifndef REVISIT_SERVER_CONVERSION_FIELD_VIOLATIONS_H_
+#define REVISIT_SERVER_CONVERSION_FIELD_VIOLATIONS_H_
+
+#include <cstddef>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "server/base/status.h"
+
+namespace revisit::server {
+
+// Where a field is, such as poses[3].covariance.values[2]. A chain on the
+// stack: text is made only for a field that is wrong, so naming the fields of a
+// good request costs nothing. A path must not outlive the one it was made from,
+// nor its name.
+class FieldPath {
+ public:
+  // Below the request itself.
+  constexpr FieldPath() = default;
+
+  constexpr FieldPath Field(const char* name) const {
+    return FieldPath(Parent(), name, kNoIndex);
+  }
+  // An element of a repeated field.
+  constexpr FieldPath At(const char* name, std::size_t index) const {
+    return FieldPath(Parent(), name, index);
+  }
+
+  std::string ToString() const;
+
+ private:
+  static constexpr std::size_t kNoIndex = static_cast<std::size_t>(-1);
+
+  // The request itself is no part of a path, so that what lies directly below
+  // it stands alone.
+  constexpr const FieldPath* Parent() const {
+    return name_ == nullptr ? nullptr : this;
+  }
+
+  constexpr FieldPath(const FieldPath* parent, const char* name,
+                      std::size_t index)
+      : parent_(parent), name_(name), index_(index) {}
+
+  const FieldPath* parent_ = nullptr;
+  const char* name_ = nullptr;
+  std::size_t index_ = kNoIndex;
+};
+
+class Violations {
+ public:
+  void Add(const char* reason, const FieldPath& path,
+           const std::string& description);
+
+  std::size_t count() const { return violations_.size(); }
+
+  // OK if there are none; otherwise InvalidFields() with the reason of the
+  // first.
+  absl::Status ToStatus() const;
+
+ private:
+  std::string reason_;
+  std::vector<FieldViolation> violations_;
+};
+
+// What a caller sent, fit for a message: in quotes, and in printable ASCII.
+std::string Quoted(const std::string& text);
+
+// A single violation as a status.
+absl::Status InvalidField(const char* reason, const FieldPath& path,
+                          const std::string& description);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_CONVERSION_FIELD_VIOLATIONS_H_

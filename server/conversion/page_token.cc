@@ -1,0 +1,102 @@
+#include "server/conversion/page_token.h"
+
+#include <xxhash.h>
+
+#include <algorithm>
+#include <cstdint>
+#include <optional>
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/numbers.h"
+#include "absl/strings/string_view.h"
+#include "server/conversion/field_violations.h"
+#include "server/conversion/proto_conversion.h"
+
+namespace revisit::server {
+namespace {
+
+constexpr char kVersion = '1';
+constexpr std::size_t kSealBytes = 8;
+
+// Tells a token for another list, or a mistyped one, from a good one.
+std::string Seal(const std::string& list, const std::string& key) {
+  const std::string sealed = list + '\n' + key;
+  std::uint64_t hash = XXH3_64bits(sealed.data(), sealed.size());
+  std::string bytes(kSealBytes, '\0');
+  for (char& byte : bytes) {
+    byte = static_cast<char>(hash & 0xFF);
+    hash >>= 8;
+  }
+  return bytes;
+}
+
+// What a token holds, if it is sealed to the list.
+std::optional<std::string> Open(const std::string& list,
+                                const std::string& token) {
+  std::string plain;
+  if (absl::WebSafeBase64Unescape(absl::string_view(token.data(), token.size()),
+                                  &plain) &&
+      plain.size() > 1 + kSealBytes && plain[0] == kVersion) {
+    std::string key = plain.substr(1 + kSealBytes);
+    if (plain.compare(1, kSealBytes, Seal(list, key)) == 0) return key;
+  }
+  return std::nullopt;
+}
+
+absl::Status NotIssued() {
+  return InvalidField(
+      "INVALID_PAGE_TOKEN", FieldPath().Field("page_token"),
+      "it was not issued for this list; take the "
+      "`next_page_token` of the page before, or leave it empty");
+}
+
+}  // namespace
+
+std::string MakePageToken(const std::string& list, const std::string& key) {
+  const std::string plain = kVersion + Seal(list, key) + key;
+  std::string token;
+  absl::WebSafeBase64Escape(absl::string_view(plain.data(), plain.size()),
+                            &token);
+  return token;
+}
+
+std::string MakePageToken(const std::string& list, std::uint64_t sequence) {
+  return MakePageToken(list, std::to_string(sequence));
+}
+
+absl::StatusOr<std::string> ParsePageToken(const std::string& list,
+                                           const std::string& token) {
+  if (token.empty()) return std::string();
+  const std::optional<std::string> key = Open(list, token);
+  if (!key || !CheckId(*key, FieldPath()).ok()) return NotIssued();
+  return *key;
+}
+
+absl::StatusOr<std::uint64_t> ParseSequenceToken(const std::string& list,
+                                                 const std::string& token) {
+  if (token.empty()) return std::uint64_t{0};
+  const std::optional<std::string> key = Open(list, token);
+  std::uint64_t sequence = 0;
+  if (!key || !absl::SimpleAtoi(absl::string_view(key->data(), key->size()),
+                                &sequence)) {
+    return NotIssued();
+  }
+  // Another way to write the number is not ours either.
+  if (sequence < 1 || sequence > kMaxSequence ||
+      std::to_string(sequence) != *key) {
+    return NotIssued();
+  }
+  return sequence;
+}
+
+absl::StatusOr<int> PageSize(int asked, int usual, int most) {
+  if (asked < 0) {
+    return InvalidField("INVALID_FIELD", FieldPath().Field("page_size"),
+                        "got " + std::to_string(asked) +
+                            "; allowed is 0, which means " +
+                            std::to_string(usual) + ", or more");
+  }
+  return asked == 0 ? usual : std::min(asked, most);
+}
+
+}  // namespace revisit::server

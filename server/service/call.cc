@@ -1,0 +1,319 @@
+#include "server/service/call.h"
+
+#include <algorithm>
+#include <cstdint>
+#include <cstdio>
+#include <random>
+#include <utility>
+
+#include "absl/strings/cord.h"
+#include "absl/strings/string_view.h"
+#include "google/rpc/error_details.pb.h"
+#include "grpc/grpc_security_constants.h"
+#include "grpcpp/security/auth_context.h"
+#include "server/base/status.h"
+#include "server/base/status_grpc.h"
+#include "server/security/method_rules.h"
+
+namespace revisit::server {
+namespace {
+
+constexpr char kRequestIdKey[] = "x-request-id";
+constexpr char kAuthorizationKey[] = "authorization";
+constexpr std::size_t kMaxRequestIdBytes = 128;
+
+// Of callers without a deadline, and short enough for sums.
+constexpr std::chrono::hours kEndless{24};
+
+std::string NewRequestId() {
+  thread_local std::mt19937_64 generator(std::random_device{}());
+  char text[17];
+  std::snprintf(text, sizeof(text), "%016llx",
+                static_cast<unsigned long long>(generator()));
+  return text;
+}
+
+std::string RequestId(const grpc::CallbackServerContext& context) {
+  const auto& metadata = context.client_metadata();
+  const auto entry = metadata.find(kRequestIdKey);
+  if (entry != metadata.end()) {
+    const std::string id(entry->second.data(), entry->second.size());
+    const bool printable = std::all_of(
+        id.begin(), id.end(), [](char c) { return c >= ' ' && c <= '~'; });
+    if (!id.empty() && id.size() <= kMaxRequestIdBytes && printable) return id;
+  }
+  return NewRequestId();
+}
+
+Credentials CredentialsOf(const grpc::CallbackServerContext& context) {
+  Credentials credentials;
+  const auto [first, last] =
+      context.client_metadata().equal_range(kAuthorizationKey);
+  for (auto entry = first; entry != last; ++entry) {
+    credentials.authorizations.emplace_back(entry->second.data(),
+                                            entry->second.size());
+  }
+  const auto authentication = context.auth_context();
+  if (authentication == nullptr || !authentication->IsPeerAuthenticated()) {
+    return credentials;
+  }
+  const auto property = [&](const char* name) {
+    const auto values = authentication->FindPropertyValues(name);
+    return values.empty()
+               ? std::string()
+               : std::string(values.front().data(), values.front().size());
+  };
+  credentials.certificate_pem = property(GRPC_X509_PEM_CERT_PROPERTY_NAME);
+  credentials.certificate_chain_pem =
+      property(GRPC_X509_PEM_CERT_CHAIN_PROPERTY_NAME);
+  return credentials;
+}
+
+std::shared_ptr<const Caller> Nobody() {
+  static const auto* const nobody = new std::shared_ptr<const Caller>([] {
+    auto caller = std::make_shared<Caller>();
+    caller->grants.emplace();
+    return caller;
+  }());
+  return *nobody;
+}
+
+// Limits are shared by all callers of a tenant; where nobody is asked who
+// calls, by all programs at one address.
+std::string QuotaKey(const Caller& caller,
+                     const grpc::CallbackServerContext& context) {
+  if (!caller.tenant.empty() && caller.tenant != "*") return caller.tenant;
+  if (!caller.identity.empty()) return caller.identity;
+  // Such as ipv4:127.0.0.1:4711.
+  const std::string peer = context.peer();
+  return peer.substr(0, peer.rfind(':'));
+}
+
+const char* CodeName(grpc::StatusCode code) {
+  static constexpr const char* kNames[] = {"OK",
+                                           "CANCELLED",
+                                           "UNKNOWN",
+                                           "INVALID_ARGUMENT",
+                                           "DEADLINE_EXCEEDED",
+                                           "NOT_FOUND",
+                                           "ALREADY_EXISTS",
+                                           "PERMISSION_DENIED",
+                                           "RESOURCE_EXHAUSTED",
+                                           "FAILED_PRECONDITION",
+                                           "ABORTED",
+                                           "OUT_OF_RANGE",
+                                           "UNIMPLEMENTED",
+                                           "INTERNAL",
+                                           "UNAVAILABLE",
+                                           "DATA_LOSS",
+                                           "UNAUTHENTICATED"};
+  const auto index = static_cast<std::size_t>(code);
+  return index < std::size(kNames) ? kNames[index] : "UNKNOWN";
+}
+
+// Errors of ours, as opposed to those of callers, are what an operator looks
+// for.
+LogLevel LevelOf(grpc::StatusCode code) {
+  switch (code) {
+    case grpc::StatusCode::INTERNAL:
+    case grpc::StatusCode::DATA_LOSS:
+      return LogLevel::kError;
+    case grpc::StatusCode::UNAVAILABLE:
+    case grpc::StatusCode::RESOURCE_EXHAUSTED:
+      return LogLevel::kWarning;
+    default:
+      return LogLevel::kInfo;
+  }
+}
+
+// Every error gets an ErrorInfo, and every ErrorInfo the request id.
+absl::Status WithRequestId(const absl::Status& status, const std::string& id) {
+  if (status.ok()) return status;
+  absl::Status result = status;
+  if (ReasonOf(status).empty()) {
+    switch (status.code()) {
+      case absl::StatusCode::kCancelled:
+        result = Error(status.code(), "CANCELLED", "the caller gave up");
+        break;
+      case absl::StatusCode::kDeadlineExceeded:
+        result = Error(status.code(), "DEADLINE_EXCEEDED",
+                       "the caller's deadline passed");
+        break;
+      default:
+        result = Error(absl::StatusCode::kInternal, "INTERNAL",
+                       "a defect of the server; the request id finds it in the "
+                       "log");
+    }
+  }
+  google::rpc::ErrorInfo info;
+  info.ParseFromString(std::string(*result.GetPayload(kErrorInfoUrl)));
+  (*info.mutable_metadata())["request_id"] = id;
+  result.SetPayload(kErrorInfoUrl, absl::Cord(info.SerializeAsString()));
+  return result;
+}
+
+}  // namespace
+
+absl::Status MalformedMessage() {
+  return Error(absl::StatusCode::kInvalidArgument, "STREAM_PROTOCOL",
+               "a message of the stream is not a valid protobuf");
+}
+
+Call::Call(grpc::CallbackServerContext* context, const char* method,
+           const ServiceContext& service)
+    : method_(method),
+      log_(service.log),
+      drain_(service.drain),
+      gatekeeper_(service.gatekeeper),
+      room_(service.admission),
+      meter_(service.meters->Find(context->peer())),
+      rule_(FindMethodRule(method)),
+      start_(std::chrono::steady_clock::now()),
+      deadline_(context->deadline()),
+      request_id_(RequestId(*context)) {
+  context->AddInitialMetadata(kRequestIdKey, request_id_);
+  const bool in_time = drain_->Enter();
+  if (gatekeeper_->asks()) credentials_ = CredentialsOf(*context);
+  auto caller =
+      gatekeeper_->Admit(credentials_, std::chrono::system_clock::now());
+  if (caller.ok()) {
+    caller_ = *std::move(caller);
+    if (in_time) CountMessage();
+  } else {
+    caller_ = Nobody();
+    admission_ = caller.status();
+  }
+  if (!in_time) admission_ = Drain::Refusal();
+  if (!admission_.ok()) return;
+  quota_key_ = QuotaKey(*caller_, *context);
+  admission_ = TakeRoom();
+}
+
+absl::Status Call::TakeRoom() {
+  // An operator wants to know about a server that is full.
+  if (rule_ == nullptr || !rule_->verb) return absl::OkStatus();
+  absl::StatusOr<Permit> permit =
+      rule_->streams ? room_->Stream(quota_key_) : room_->Call();
+  if (!permit.ok()) return permit.status();
+  permits_.push_back(*std::move(permit));
+  return absl::OkStatus();
+}
+
+void Call::Done() {
+  if (watch_ >= 0) gatekeeper_->Unwatch(watch_);
+  drain_->Leave();
+}
+
+Verb Call::MethodVerb() const {
+  if (rule_ == nullptr) return Verb::kAdmin;
+  return rule_->verb.value_or(Verb::kAdmin);
+}
+
+absl::Status Call::Check(const Caller& caller, Verb verb) const {
+  if (caller.May(verb, vehicle_)) return absl::OkStatus();
+  const bool creates = rule_ != nullptr && rule_->creates;
+  if (!caller.MaySee(vehicle_) && !creates) return VehicleNotFound(vehicle_);
+  return Error(absl::StatusCode::kPermissionDenied, "NOT_GRANTED",
+               std::string(method_) + " needs the verb " + VerbName(verb) +
+                   " on this vehicle, which is not granted to the caller",
+               {{"verb", VerbName(verb)}});
+}
+
+absl::Status Call::ChooseVehicle(const std::string& id) {
+  vehicle_ = id;
+  if (absl::Status status = Check(*caller_, MethodVerb()); !status.ok()) {
+    return status;
+  }
+  if (rule_ == nullptr || !rule_->streams) return absl::OkStatus();
+  absl::StatusOr<Permit> permit = room_->StreamOf(id);
+  if (!permit.ok()) return permit.status();
+  permits_.push_back(*std::move(permit));
+  return absl::OkStatus();
+}
+
+absl::Status Call::AdmitSearch() {
+  const auto now = std::chrono::system_clock::now();
+  const auto latest = std::min(deadline_, now + kEndless);
+  absl::StatusOr<Permit> permit =
+      room_->Search(vehicle_, quota_key_, latest - now);
+  if (!permit.ok()) return permit.status();
+  permits_.push_back(*std::move(permit));
+  return absl::OkStatus();
+}
+
+void Call::SearchTook(std::chrono::steady_clock::duration duration) const {
+  room_->SearchTook(duration);
+}
+
+absl::StatusOr<Permit> Call::AdmitBatch(std::size_t bytes) const {
+  return room_->Queue(vehicle_, static_cast<std::int64_t>(bytes));
+}
+
+absl::Status Call::HoldBatch(std::size_t bytes) {
+  absl::StatusOr<Permit> permit = AdmitBatch(bytes);
+  if (!permit.ok()) return permit.status();
+  permits_.push_back(*std::move(permit));
+  return absl::OkStatus();
+}
+
+absl::StatusOr<Permit> Call::AdmitDraft(std::int64_t bytes) const {
+  return room_->Draft(vehicle_, bytes);
+}
+
+absl::StatusOr<Permit> Call::AdmitExport(std::size_t bytes) const {
+  return room_->Export(vehicle_, static_cast<std::int64_t>(bytes));
+}
+
+absl::Status Call::AlsoNeeds(Verb verb) {
+  also_needs_.push_back(verb);
+  return Check(*caller_, verb);
+}
+
+absl::Status Call::Recheck() const {
+  const auto caller =
+      gatekeeper_->Admit(credentials_, std::chrono::system_clock::now());
+  if (!caller.ok()) return caller.status();
+  if (vehicle_.empty()) return absl::OkStatus();
+  std::vector<Verb> verbs = also_needs_;
+  verbs.push_back(MethodVerb());
+  for (const Verb verb : verbs) {
+    if (absl::Status status = Check(**caller, verb); !status.ok()) {
+      return status;
+    }
+  }
+  return absl::OkStatus();
+}
+
+void Call::WatchCaller(std::function<void()> recheck) {
+  watch_ = gatekeeper_->Watch(caller_->expires, std::move(recheck));
+}
+
+absl::Status Call::GivenUpStatus() const {
+  if (std::chrono::system_clock::now() < deadline_) {
+    return Error(absl::StatusCode::kCancelled, "CANCELLED",
+                 "the caller gave up");
+  }
+  return Error(absl::StatusCode::kDeadlineExceeded, "DEADLINE_EXCEEDED",
+               "the caller's deadline passed");
+}
+
+grpc::Status Call::End(const absl::Status& status) {
+  permits_.clear();
+  const absl::Status named = WithRequestId(status, request_id_);
+  const grpc::Status answer = ToGrpcStatus(named);
+  const std::chrono::duration<double, std::milli> duration =
+      std::chrono::steady_clock::now() - start_;
+  log_->Write(LevelOf(answer.error_code()), "call",
+              {{"request_id", request_id_},
+               {"method", method_},
+               {"vehicle", vehicle_},
+               {"tenant", caller_->tenant},
+               {"caller", caller_->identity},
+               {"code", CodeName(answer.error_code())},
+               {"reason", ReasonOf(named)},
+               {"message", std::string(status.message())},
+               {"duration_ms", duration.count()}});
+  return answer;
+}
+
+}  // namespace revisit::server

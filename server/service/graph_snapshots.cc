@@ -1,0 +1,33 @@
+#include "server/service/graph_snapshots.h"
+
+#include "core/engine.h"
+
+namespace revisit::server {
+
+absl::StatusOr<std::shared_ptr<const GraphSnapshot>> GraphSnapshots::Take(
+    const VehicleView& view, const Admit& admit) {
+  // Of one vehicle there is one view at a time, so that nobody else makes the
+  // same copy meanwhile.
+  {
+    const MutexLock lock(&mutex_);
+    const auto found = entries_.find(view.key);
+    if (found != entries_.end() && found->second.revision == view.revision) {
+      if (auto snapshot = found->second.snapshot.lock()) return snapshot;
+    }
+  }
+  absl::StatusOr<Permit> room = admit(view.engine.graph().bytes());
+  if (!room.ok()) return room.status();
+  auto snapshot = std::make_shared<GraphSnapshot>();
+  snapshot->room = *std::move(room);
+  snapshot->graph = view.engine.graph();
+  snapshot->space = view.config.engine.state_space;
+  snapshot->loop_edges = snapshot->graph.LoopEdges();
+  const MutexLock lock(&mutex_);
+  for (auto i = entries_.begin(); i != entries_.end();) {
+    i = i->second.snapshot.expired() ? entries_.erase(i) : std::next(i);
+  }
+  entries_[view.key] = {view.revision, snapshot};
+  return std::shared_ptr<const GraphSnapshot>(std::move(snapshot));
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,39 @@
+// Messages from and to their bytes in gRPC's buffers.
+#ifndef REVISIT_SERVER_SERVICE_MESSAGE_BYTES_H_
+#define REVISIT_SERVER_SERVICE_MESSAGE_BYTES_H_
+
+#include "absl/status/status.h"
+#include "grpcpp/impl/codegen/proto_utils.h"
+#include "grpcpp/support/byte_buffer.h"
+#include "server/base/status.h"
+
+namespace revisit::server {
+
+// Takes the one message of a call out of its bytes, which go. INVALID_ARGUMENT
+// (MALFORMED_MESSAGE) if they are none.
+template <typename Message>
+absl::Status ParseMessage(const grpc::ByteBuffer* bytes, Message* message) {
+  // gRPC has no more use for them, but would keep them until the call ends.
+  auto* const taken = const_cast<grpc::ByteBuffer*>(bytes);
+  if (grpc::SerializationTraits<Message>::Deserialize(taken, message).ok()) {
+    return absl::OkStatus();
+  }
+  return Error(absl::StatusCode::kInvalidArgument, "MALFORMED_MESSAGE",
+               "the request is not a valid protobuf of the type " +
+                   Message::descriptor()->full_name());
+}
+
+template <typename Message>
+void WriteMessage(const Message& message, grpc::ByteBuffer* bytes) {
+  // gRPC ends the process over a buffer that still holds something.
+  bytes->Clear();
+  bool own_buffer;
+  // What goes wrong is that a message is larger than 2 GiB.
+  const grpc::Status status = grpc::SerializationTraits<Message>::Serialize(
+      message, bytes, &own_buffer);
+  if (!status.ok()) bytes->Clear();
+}
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SERVICE_MESSAGE_BYTES_H_

@@ -1,0 +1,125 @@
+// The handlers of revisit.v1.PoseGraphService. Each decodes, calls a session,
+// and encodes; none blocks a thread of gRPC's.
+#ifndef REVISIT_SERVER_SERVICE_POSE_GRAPH_SERVICE_H_
+#define REVISIT_SERVER_SERVICE_POSE_GRAPH_SERVICE_H_
+
+#include "grpcpp/support/byte_buffer.h"
+#include "revisit/v1/pose_graph_service.grpc.pb.h"
+#include "server/service/service_context.h"
+
+namespace revisit::server {
+
+// Calls with one message get it as bytes: so that one that is no protobuf is
+// answered as other mistakes of callers are, and nothing is parsed of callers
+// who are not let in.
+namespace service_internal {
+
+using Service = v1::PoseGraphService;
+template <typename Base>
+using WithVehicles = Service::WithRawCallbackMethod_CreateVehicle<
+    Service::WithRawCallbackMethod_GetVehicle<
+        Service::WithRawCallbackMethod_ListVehicles<
+            Service::WithRawCallbackMethod_UpdateVehicle<
+                Service::WithRawCallbackMethod_DeleteVehicle<Base>>>>>;
+template <typename Base>
+using WithPoses = Service::WithRawCallbackMethod_AppendPoses<
+    Service::WithCallbackMethod_StreamPoses<
+        Service::WithCallbackMethod_RevisePoses<
+            Service::WithRawCallbackMethod_ListPoses<
+                Service::WithRawCallbackMethod_ExportPoseGraph<Base>>>>>;
+template <typename Base>
+using WithLoopClosures = Service::WithRawCallbackMethod_AddLoopClosure<
+    Service::WithRawCallbackMethod_ListLoopClosures<
+        Service::WithRawCallbackMethod_DeleteLoopClosure<Base>>>;
+template <typename Base>
+using WithCandidates = Service::WithRawCallbackMethod_FindCandidates<
+    Service::WithRawCallbackMethod_RejectCandidate<
+        Service::WithRawCallbackMethod_ListRejectedCandidates<
+            Service::WithRawCallbackMethod_DeleteRejectedCandidate<Base>>>>;
+template <typename Base>
+using WithOperations = Service::WithRawCallbackMethod_AcceptDataLoss<
+    Service::WithRawCallbackMethod_GetServerInfo<Base>>;
+using AllMethods = WithVehicles<WithPoses<
+    WithLoopClosures<WithCandidates<WithOperations<Service::Service>>>>>;
+
+}  // namespace service_internal
+
+class PoseGraphService final : public service_internal::AllMethods {
+ public:
+  explicit PoseGraphService(const ServiceContext& context)
+      : context_(context) {}
+
+  grpc::ServerUnaryReactor* CreateVehicle(grpc::CallbackServerContext* call,
+                                          const grpc::ByteBuffer* request,
+                                          grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* GetVehicle(grpc::CallbackServerContext* call,
+                                       const grpc::ByteBuffer* request,
+                                       grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* ListVehicles(grpc::CallbackServerContext* call,
+                                         const grpc::ByteBuffer* request,
+                                         grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* UpdateVehicle(grpc::CallbackServerContext* call,
+                                          const grpc::ByteBuffer* request,
+                                          grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* DeleteVehicle(grpc::CallbackServerContext* call,
+                                          const grpc::ByteBuffer* request,
+                                          grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* AppendPoses(grpc::CallbackServerContext* call,
+                                        const grpc::ByteBuffer* request,
+                                        grpc::ByteBuffer* response) override;
+  grpc::ServerBidiReactor<v1::StreamPosesRequest, v1::StreamPosesResponse>*
+  StreamPoses(grpc::CallbackServerContext* call) override;
+  grpc::ServerUnaryReactor* FindCandidates(grpc::CallbackServerContext* call,
+                                           const grpc::ByteBuffer* request,
+                                           grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* AddLoopClosure(grpc::CallbackServerContext* call,
+                                           const grpc::ByteBuffer* request,
+                                           grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* ListLoopClosures(
+      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* DeleteLoopClosure(
+      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* RejectCandidate(
+      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* ListRejectedCandidates(
+      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+      grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* DeleteRejectedCandidate(
+      grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
+      grpc::ByteBuffer* response) override;
+  grpc::ServerReadReactor<v1::RevisePosesRequest>* RevisePoses(
+      grpc::CallbackServerContext* call,
+      v1::RevisePosesResponse* response) override;
+  grpc::ServerUnaryReactor* ListPoses(grpc::CallbackServerContext* call,
+                                      const grpc::ByteBuffer* request,
+                                      grpc::ByteBuffer* response) override;
+  grpc::ServerWriteReactor<grpc::ByteBuffer>* ExportPoseGraph(
+      grpc::CallbackServerContext* call,
+      const grpc::ByteBuffer* request) override;
+  grpc::ServerUnaryReactor* AcceptDataLoss(grpc::CallbackServerContext* call,
+                                           const grpc::ByteBuffer* request,
+                                           grpc::ByteBuffer* response) override;
+  grpc::ServerUnaryReactor* GetServerInfo(grpc::CallbackServerContext* call,
+                                          const grpc::ByteBuffer* request,
+                                          grpc::ByteBuffer* response) override;
+
+ private:
+  // Runs the handler of a unary call. `handle` is given the call, the request
+  // and the response, which live as long as the call, and either returns an
+  // error, which ends it, or OK, and then sees to it that the call is finished,
+  // once, from whatever thread.
+  template <typename Request, typename Response, typename Handle>
+  grpc::ServerUnaryReactor* Unary(grpc::CallbackServerContext* context,
+                                  const char* method,
+                                  const grpc::ByteBuffer* request,
+                                  grpc::ByteBuffer* response, Handle handle);
+
+  const ServiceContext context_;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SERVICE_POSE_GRAPH_SERVICE_H_

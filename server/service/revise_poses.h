@@ -1,0 +1,20 @@
+// The reactor of RevisePoses.
+#ifndef REVISIT_SERVER_SERVICE_REVISE_POSES_H_
+#define REVISIT_SERVER_SERVICE_REVISE_POSES_H_
+
+#include "grpcpp/server_context.h"
+#include "grpcpp/support/server_callback.h"
+#include "revisit/v1/pose_graph_service.pb.h"
+#include "server/service/service_context.h"
+
+namespace revisit::server {
+
+// Starts the call, which owns itself until it is done. The context is copied;
+// `response` is filled before the call finishes.
+grpc::ServerReadReactor<v1::RevisePosesRequest>* StartRevision(
+    grpc::CallbackServerContext* call, const ServiceContext& context,
+    v1::RevisePosesResponse* response);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SERVICE_REVISE_POSES_H_

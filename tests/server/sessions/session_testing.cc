@@ -1,0 +1,141 @@
+#include "tests/server/sessions/session_testing.h"
+
+#include <sstream>
+
+#include "tests/server/plain_codec.h"
+
+namespace revisit::server {
+
+VehicleConfig TestConfig() {
+  VehicleConfig config;
+  config.uid = "uid-of-test";
+  config.engine.node_spacing_meters = 1.0;
+  config.engine.check_interval_meters = 5.0;
+  config.engine.search.sequence_length_meters = 10.0;
+  return config;
+}
+
+Snapshot Take(const VehicleView& view) {
+  Snapshot snapshot;
+  snapshot.durable_sequence = view.durable_sequence;
+  snapshot.revision = view.revision;
+  snapshot.loop_closure_count = view.loop_closure_count;
+  snapshot.consistency = view.engine.consistency();
+  snapshot.config = view.config;
+  snapshot.damage = view.damage;
+  snapshot.config_is_known = view.config_is_known;
+  const core::PoseGraph& graph = view.engine.graph();
+  snapshot.node_count = graph.size();
+  std::ostringstream text;
+  text << std::hexfloat;
+  for (core::NodeIndex i = 0; i < graph.size(); ++i) {
+    const core::Node& node = graph.node(i);
+    text << node.sequence << " " << node.fraction << " "
+         << node.travelled_meters << " " << node.pose.x << " " << node.pose.y
+         << " " << node.pose.heading;
+    for (const double value : node.covariance.upper) text << " " << value;
+    text << "\n";
+  }
+  for (const auto& [from, to] : graph.LoopEdges()) {
+    text << from << " - " << to << "\n";
+  }
+  snapshot.graph = text.str();
+  return snapshot;
+}
+
+absl::StatusOr<Snapshot> Take(const absl::StatusOr<VehicleView>& view) {
+  if (!view.ok()) return view.status();
+  return Take(*view);
+}
+
+std::function<void(absl::StatusOr<VehicleView>)> Taking(
+    const Answer<absl::StatusOr<Snapshot>>& answer) {
+  return [answer](const absl::StatusOr<VehicleView>& view) {
+    answer.Set(Take(view));
+  };
+}
+
+absl::StatusOr<Snapshot> ReadNow(VehicleSession& session) {
+  const Answer<absl::StatusOr<Snapshot>> answer;
+  session.Read(Taking(answer));
+  return answer.Get();
+}
+
+absl::StatusOr<Snapshot> CheckAcknowledgedNow(VehicleSession& session,
+                                              std::uint64_t acked_sequence,
+                                              const std::string& uid) {
+  const Answer<absl::StatusOr<Snapshot>> answer;
+  session.CheckAcknowledged(acked_sequence, uid, Taking(answer));
+  return answer.Get();
+}
+
+absl::StatusOr<Snapshot> AcceptDataLossNow(VehicleSession& session,
+                                           std::uint64_t durable_sequence) {
+  const Answer<absl::StatusOr<Snapshot>> answer;
+  session.AcceptDataLoss(durable_sequence, Taking(answer));
+  return answer.Get();
+}
+
+absl::StatusOr<Snapshot> UpdateNow(
+    VehicleSession& session,
+    const std::function<absl::StatusOr<VehicleConfig>(const VehicleView&)>&
+        change) {
+  const Answer<absl::StatusOr<Snapshot>> answer;
+  session.Update(change, Taking(answer));
+  return answer.Get();
+}
+
+absl::StatusOr<std::pair<std::uint64_t, std::int64_t>> ReviseNow(
+    VehicleSession& session,
+    const std::function<absl::StatusOr<RevisionPlan>(const VehicleView&)>&
+        plan) {
+  const Answer<absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>> answer;
+  session.Revise(plan, answer.Setter());
+  return answer.Get();
+}
+
+absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>> AddPairNow(
+    VehicleSession& session, PairKind kind, const PosePairRecord& pair) {
+  const Answer<absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>>> answer;
+  session.AddPosePair(kind, pair, answer.Setter());
+  return answer.Get();
+}
+
+absl::StatusOr<std::uint64_t> DeletePairNow(VehicleSession& session,
+                                            PairKind kind,
+                                            const std::string& id) {
+  const Answer<absl::StatusOr<std::uint64_t>> answer;
+  session.DeletePosePair(kind, id, answer.Setter());
+  return answer.Get();
+}
+
+absl::Status DeleteNow(VehicleSession& session) {
+  const Answer<absl::Status> answer;
+  session.Delete(answer.Setter());
+  return answer.Get();
+}
+
+void CloseNow(VehicleSession& session) {
+  const Answer<bool> answer;
+  session.Close([answer] { answer.Set(true); });
+  answer.Get();
+}
+
+Appended Append(VehicleSession& session, const std::string& payload) {
+  const Appended appended;
+  AppendRequest request;
+  request.decoder = [payload](const VehicleConfig& config) {
+    return PlainCodec().DecodeBatch(payload, config);
+  };
+  request.callbacks.staged = appended.staged.Setter();
+  request.callbacks.durable = appended.durable.Setter();
+  session.Append(std::move(request));
+  return appended;
+}
+
+absl::StatusOr<Acknowledgement> AppendNow(VehicleSession& session,
+                                          const std::string& payload) {
+  return Append(session, payload).durable.Get();
+}
+
+}  // namespace revisit::server

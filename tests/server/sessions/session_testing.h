@@ -1,0 +1,79 @@
+// What tests of sessions and the fleet share.
+#ifndef REVISIT_TESTS_SERVER_SESSIONS_SESSION_TESTING_H_
+#define REVISIT_TESTS_SERVER_SESSIONS_SESSION_TESTING_H_
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "server/sessions/vehicle_session.h"
+#include "tests/server/waiting.h"
+
+namespace revisit::server {
+
+// A vehicle's view, to keep.
+struct Snapshot {
+  std::uint64_t durable_sequence = 0;
+  std::uint64_t revision = 0;
+  std::int64_t loop_closure_count = 0;
+  core::Consistency consistency;
+  VehicleConfig config;
+  // Every number of every node, and the loop edges, as text.
+  std::string graph;
+  std::int64_t node_count = 0;
+  absl::Status damage;
+  bool config_is_known = true;
+};
+
+// Nodes 1 m apart, 10 m sequences, a check every 5 m.
+VehicleConfig TestConfig();
+
+Snapshot Take(const VehicleView& view);
+absl::StatusOr<Snapshot> Take(const absl::StatusOr<VehicleView>& view);
+// The callback of a call that answers with a view.
+std::function<void(absl::StatusOr<VehicleView>)> Taking(
+    const Answer<absl::StatusOr<Snapshot>>& answer);
+
+// The calls of a session, waited for.
+absl::StatusOr<Snapshot> ReadNow(VehicleSession& session);
+absl::StatusOr<Snapshot> CheckAcknowledgedNow(VehicleSession& session,
+                                              std::uint64_t acked_sequence,
+                                              const std::string& uid = "");
+absl::StatusOr<Snapshot> AcceptDataLossNow(VehicleSession& session,
+                                           std::uint64_t durable_sequence);
+absl::StatusOr<Snapshot> UpdateNow(
+    VehicleSession& session,
+    const std::function<absl::StatusOr<VehicleConfig>(const VehicleView&)>&
+        change);
+absl::StatusOr<std::pair<std::uint64_t, std::int64_t>> ReviseNow(
+    VehicleSession& session,
+    const std::function<absl::StatusOr<RevisionPlan>(const VehicleView&)>&
+        plan);
+absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>> AddPairNow(
+    VehicleSession& session, PairKind kind, const PosePairRecord& pair);
+absl::StatusOr<std::uint64_t> DeletePairNow(VehicleSession& session,
+                                            PairKind kind,
+                                            const std::string& id);
+absl::Status DeleteNow(VehicleSession& session);
+void CloseNow(VehicleSession& session);
+
+// What became of an append.
+struct Appended {
+  Answer<absl::Status> staged;
+  Answer<absl::StatusOr<Acknowledgement>> durable;
+};
+
+// Appends a batch of plain_codec.h.
+Appended Append(VehicleSession& session, const std::string& payload);
+absl::StatusOr<Acknowledgement> AppendNow(VehicleSession& session,
+                                          const std::string& payload);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_TESTS_SERVER_SESSIONS_SESSION_TESTING_H_

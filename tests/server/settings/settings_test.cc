@@ -1,0 +1,284 @@
+#include "server/settings/settings.h"
+
+#include <cstdint>
+#include <fstream>
+#include <sstream>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "tests/server/temporary_directory.h"
+
+namespace revisit::server {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+using Words = std::vector<std::string>;
+
+class SettingsTest : public ::testing::Test {
+ protected:
+  std::string WriteFile(const std::string& text) {
+    const std::string path = directory_.File("revisitd.conf");
+    std::ofstream(path) << text;
+    return path;
+  }
+
+  // Settings that must be good.
+  static ServerSettings Parse(const Words& arguments,
+                              const Words& environment = {}) {
+    const auto parsed = ParseSettings(arguments, environment);
+    EXPECT_TRUE(parsed.ok()) << parsed.status();
+    return parsed.ok() ? parsed->settings : ServerSettings();
+  }
+
+  // The message for settings that must be refused.
+  static std::string Refusal(const Words& arguments,
+                             const Words& environment = {}) {
+    const auto parsed = ParseSettings(arguments, environment);
+    EXPECT_EQ(parsed.status().code(), absl::StatusCode::kInvalidArgument);
+    return std::string(parsed.status().message());
+  }
+
+ private:
+  TemporaryDirectory directory_;
+};
+
+TEST_F(SettingsTest, DefaultsListenOnTheLoopbackOnly) {
+  const ServerSettings settings = Parse({});
+  EXPECT_EQ(settings.listen, "127.0.0.1:50051");
+  EXPECT_EQ(settings.limits.max_message_bytes, 4 << 20);
+  EXPECT_EQ(settings.log_format, LogFormat::kText);
+}
+
+TEST_F(SettingsTest, FlagsWinOverEnvironmentOverFileOverDefaults) {
+  const std::string file = WriteFile(
+      "# All of these are given.\n"
+      "\n"
+      "  listen=127.0.0.3:1\n"
+      "store = \"of the file\"\n"
+      "log-level = debug\n");
+  const Words environment = {"REVISIT_CONFIG=" + file,
+                             "REVISIT_LISTEN=environment:1",
+                             "REVISIT_STORE=of the environment", "HOME=/"};
+  const ServerSettings settings =
+      Parse({"--listen", "127.0.0.2:1"}, environment);
+  EXPECT_EQ(settings.listen, "127.0.0.2:1");
+  EXPECT_EQ(settings.store, "of the environment");
+  EXPECT_EQ(settings.log_level, LogLevel::kDebug);
+  EXPECT_EQ(settings.limits.max_batch_poses, 4096);
+  // Also where the same flag is given with an equals sign.
+  EXPECT_EQ(Parse({"--listen=127.0.0.2:1"}, environment).listen, "127.0.0.2:1");
+  // And the flag for the file over the variable for it.
+  EXPECT_EQ(Parse({"--config", file}, {"REVISIT_CONFIG=/no/such/file"}).listen,
+            "127.0.0.3:1");
+}
+
+TEST_F(SettingsTest, UnknownKeysAreRefusedByName) {
+  EXPECT_THAT(Refusal({"--no-such-flag"}), HasSubstr("--no-such-flag"));
+  EXPECT_THAT(Refusal({"stray"}), HasSubstr("stray"));
+  EXPECT_THAT(Refusal({}, {"REVISIT_NO_SUCH=1"}), HasSubstr("REVISIT_NO_SUCH"));
+  const std::string file = WriteFile("listen = a:1\nno-such-key = 1\n");
+  EXPECT_THAT(Refusal({"--config", file}),
+              AllOf(HasSubstr(file + ":2"), HasSubstr("\"no-such-key\"")));
+  // What asks for something else than a server is no setting.
+  for (const std::string key : {"config", "print-config", "help", "version"}) {
+    const std::string asking = WriteFile(key + " = 1\n");
+    EXPECT_THAT(Refusal({"--config", asking}), HasSubstr("\"" + key + "\""));
+  }
+}
+
+TEST_F(SettingsTest, VariablesOfOtherProgramsAreLeftAlone) {
+  Parse({}, {"REVISIT_SERVER=x", "REVISIT_TEST_SEED=1", "REVISITD=1",
+             "X=", "no equals sign"});
+}
+
+TEST_F(SettingsTest, ValuesOutOfRangeAreRefusedWithTheRange) {
+  EXPECT_THAT(Refusal({"--worker-threads=-1"}),
+              AllOf(HasSubstr("--worker-threads"), HasSubstr("\"-1\""),
+                    HasSubstr("[0, 1024]")));
+  EXPECT_THAT(
+      Refusal({}, {"REVISIT_MAX_BATCH_POSES=0"}),
+      AllOf(HasSubstr("REVISIT_MAX_BATCH_POSES"), HasSubstr("[1, 1000000]")));
+  const std::string file = WriteFile("idle-unload-minutes = nan\n");
+  EXPECT_THAT(Refusal({"--config", file}),
+              AllOf(HasSubstr(file + ":1"), HasSubstr("\"nan\"")));
+  EXPECT_THAT(Refusal({"--log-format", "xml"}),
+              AllOf(HasSubstr("\"xml\""), HasSubstr("text|json")));
+  for (const std::string value : {"", "4x", "1e3", "99999999999999999999"}) {
+    EXPECT_THAT(Refusal({}, {"REVISIT_WORKER_THREADS=" + value}),
+                HasSubstr("REVISIT_WORKER_THREADS"))
+        << value;
+  }
+}
+
+TEST_F(SettingsTest, MalformedFilesAreRefusedWithTheLine) {
+  const std::vector<std::pair<std::string, std::string>> cases = {
+      {"listen\n", ":1: expected KEY = VALUE"},
+      {"\n[section]\n", ":2: expected KEY = VALUE"},
+      {"listen = \"a\n", ":1: listen: malformed string"},
+      {"listen = \"a\" b\n", ":1: listen: malformed string"},
+      {"listen = \"\\x\"\n", ":1: listen: malformed string"},
+      {"listen = \"a\\\"\n", ":1: listen: malformed string"},
+      {"listen = 127.0.0.1:1 # mine\n",
+       ":1: listen: got 127.0.0.1:1 # mine; a comment has a line of its own"},
+      {"listen = a\nlisten = b\n", ":2: listen stands twice"}};
+  for (const auto& [text, message] : cases) {
+    EXPECT_THAT(Refusal({"--config", WriteFile(text)}), HasSubstr(message))
+        << text;
+  }
+}
+
+TEST_F(SettingsTest, ListeningBeyondTheMachineNeedsTlsAndIdentities) {
+  const Words tls = {"--tls-cert=c", "--tls-key=k"};
+  const Words tokens = {"--token-keys=j", "--token-issuer=i",
+                        "--token-audience=a", "--policy=p"};
+  const auto with = [](Words words, const Words& more) {
+    words.insert(words.end(), more.begin(), more.end());
+    return words;
+  };
+  for (const std::string listen :
+       {"127.0.0.1:1", "127.1.2.3:1", "localhost:1", "[::1]:1", "unix:/tmp/a",
+        "unix-abstract:a"}) {
+    Parse({"--listen", listen});
+  }
+  for (const std::string listen :
+       {"0.0.0.0:1", "[::]:1", "128.0.0.1:1", "127.0.0.1.example:1",
+        "localhost.example:1", "127.1:1", "example:1", "*:1", ":1",
+        "[::ffff:10.0.0.1]:1", "dns:///127.0.0.1:1"}) {
+    const Words remote = {"--listen=" + listen};
+    const auto open = HasSubstr("could read and change all vehicles");
+    EXPECT_THAT(Refusal(remote), open) << listen;
+    EXPECT_THAT(Refusal(with(remote, tls)), open) << listen;
+    EXPECT_THAT(Refusal(with(remote, tokens)),
+                HasSubstr("could read and take tokens"))
+        << listen;
+    Parse(with(remote, with(tls, tokens)));
+    Parse(with(remote, with(tls, {"--tls-client-ca=a", "--policy=p"})));
+    Parse(with(remote, {"--insecure-allow-remote=on"}));
+  }
+}
+
+TEST_F(SettingsTest, SecuritySettingsThatDoNotGoTogetherAreRefused) {
+  const std::vector<std::pair<Words, std::string>> cases = {
+      {{"--tls-cert=c"}, "tls-cert and tls-key are needed together"},
+      {{"--tls-key=c"}, "tls-cert and tls-key are needed together"},
+      {{"--tls-client-ca=c", "--policy=p"}, "tls-client-ca needs tls-cert"},
+      {{"--token-keys=k", "--policy=p"}, "token-issuer"},
+      {{"--token-keys=k", "--policy=p", "--token-issuer=i"}, "token-audience"},
+      {{"--token-issuer=i", "--token-audience=a"}, "token-keys"},
+      {{"--token-keys=k", "--token-issuer=i", "--token-audience=a"},
+       "need policy"},
+      {{"--tls-cert=c", "--tls-key=k", "--tls-client-ca=a"}, "need policy"},
+      {{"--policy=p"}, "policy needs token-keys or tls-client-ca"},
+      {{"--tls-client-certs=maybe"}, "require|optional"},
+      {{"--token-leeway-seconds=301"}, "[0, 300]"},
+      {{"--security-check-seconds=61"}, "[0.05, 60]"},
+      {{"--serve-health=no"}, "on|off"}};
+  for (const auto& [arguments, message] : cases) {
+    EXPECT_THAT(Refusal(arguments), HasSubstr(message)) << message;
+  }
+}
+
+TEST_F(SettingsTest, FileThatIsNotThereIsRefusedByName) {
+  EXPECT_THAT(Refusal({"--config", "/no/such/file"}),
+              HasSubstr("/no/such/file"));
+  EXPECT_THAT(Refusal({"--config", "/"}), HasSubstr("/"));
+}
+
+TEST_F(SettingsTest, PrintedSettingsReadBackAsTheSame) {
+  const Words arguments = {"--listen",
+                           "[::1]:0",
+                           "--store",
+                           "a \"quoted\" \\ path\nwith a line break # and more",
+                           "--worker-threads",
+                           "3",
+                           "--drain-timeout-seconds",
+                           "0.1",
+                           "--max-revision-bytes",
+                           "68719476736",
+                           "--log-format",
+                           "json",
+                           "--log-level",
+                           "off"};
+  const std::string printed = PrintSettings(Parse(arguments));
+  const ServerSettings again = Parse({"--config", WriteFile(printed)});
+  EXPECT_EQ(PrintSettings(again), printed);
+  EXPECT_EQ(again.store, arguments[3]);
+  EXPECT_EQ(again.worker_threads, 3);
+  EXPECT_EQ(again.drain_timeout_seconds, 0.1);
+  EXPECT_EQ(again.limits.max_revision_bytes, std::int64_t{1} << 36);
+  EXPECT_EQ(again.log_format, LogFormat::kJson);
+  EXPECT_EQ(again.log_level, LogLevel::kOff);
+}
+
+TEST_F(SettingsTest, PrintConfigTellsWhatWouldBeUsed) {
+  const auto parsed = ParseSettings(
+      {"--print-config", "--listen", "127.0.0.2:1"}, {"REVISIT_STORE=there"});
+  ASSERT_TRUE(parsed.ok()) << parsed.status();
+  ASSERT_TRUE(parsed->print.has_value());
+  EXPECT_THAT(*parsed->print, AllOf(HasSubstr("listen = \"127.0.0.2:1\"\n"),
+                                    HasSubstr("store = \"there\"\n")));
+}
+
+TEST_F(SettingsTest, HelpNamesEverySettingAndFitsATerminal) {
+  const auto parsed = ParseSettings({"--help"}, {});
+  ASSERT_TRUE(parsed.ok()) << parsed.status();
+  ASSERT_TRUE(parsed->print.has_value());
+  std::istringstream settings(PrintSettings({}));
+  for (std::string line; std::getline(settings, line);) {
+    EXPECT_THAT(*parsed->print,
+                HasSubstr("--" + line.substr(0, line.find(' '))));
+  }
+  std::istringstream help(*parsed->print);
+  for (std::string line; std::getline(help, line);) {
+    EXPECT_LE(line.size(), 80u) << line;
+  }
+  EXPECT_THAT(*parsed->print, HasSubstr("Exit codes:"));
+}
+
+TEST_F(SettingsTest, TasksTakeTheStoreFromTheSameSettings) {
+  const auto served = ParseSettings({"--store", "here"}, {});
+  ASSERT_TRUE(served.ok()) << served.status();
+  EXPECT_FALSE(served->task.has_value());
+  const auto backup =
+      ParseSettings({"backup", "--store", "here", "--to", "copy.sqlite"}, {});
+  ASSERT_TRUE(backup.ok()) << backup.status();
+  ASSERT_TRUE(backup->task.has_value());
+  EXPECT_EQ(backup->task->kind, StoreTask::Kind::kBackup);
+  EXPECT_EQ(backup->task->destination, "copy.sqlite");
+  EXPECT_EQ(backup->settings.store, "here");
+  const auto verify = ParseSettings({"verify"}, {"REVISIT_STORE=there"});
+  ASSERT_TRUE(verify.ok()) << verify.status();
+  ASSERT_TRUE(verify->task.has_value());
+  EXPECT_EQ(verify->task->kind, StoreTask::Kind::kVerify);
+  EXPECT_EQ(verify->settings.store, "there");
+  const auto compact = ParseSettings({"compact", "--store", "here"}, {});
+  ASSERT_TRUE(compact.ok()) << compact.status();
+  ASSERT_TRUE(compact->task.has_value());
+  EXPECT_EQ(compact->task->kind, StoreTask::Kind::kCompact);
+}
+
+TEST_F(SettingsTest, BackupWithoutAFileToMakeIsRefused) {
+  EXPECT_THAT(Refusal({"backup", "--store", "here"}), HasSubstr("--to"));
+}
+
+TEST_F(SettingsTest, DamagedLogIsRefusedUnlessToldOtherwise) {
+  EXPECT_EQ(Parse({}).damaged_log, DamagedLog::kRefuse);
+  EXPECT_EQ(Parse({"--damaged-log", "drop"}).damaged_log, DamagedLog::kDrop);
+  EXPECT_THAT(Refusal({"--damaged-log", "ignore"}),
+              AllOf(HasSubstr("ignore"), HasSubstr("refuse|drop")));
+}
+
+TEST_F(SettingsTest, VersionIsPrinted) {
+  const auto parsed = ParseSettings({"--version"}, {});
+  ASSERT_TRUE(parsed.ok()) << parsed.status();
+  EXPECT_EQ(parsed->print, "revisitd " REVISIT_VERSION "\n");
+}
+
+}  // namespace
+}  // namespace revisit::server

@@ -1,0 +1,598 @@
+#include "tests/server/storage/storage_contract.h"
+
+#include <algorithm>
+#include <atomic>
+#include <mutex>
+#include <optional>
+#include <random>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "gmock/gmock.h"
+#include "tests/random.h"
+#include "tests/server/error_matchers.h"
+#include "tests/server/memory_storage.h"
+#include "tests/server/waiting.h"
+
+namespace revisit::server {
+
+using absl::StatusCode;
+using ::testing::_;
+using ::testing::ElementsAre;
+using ::testing::IsEmpty;
+
+namespace {
+
+BatchRecord Batch(std::uint64_t first, std::uint32_t count,
+                  std::uint64_t revision, const std::string& payload) {
+  return BatchRecord{first, count, revision, payload};
+}
+
+}  // namespace
+
+TEST_P(StorageContract, ReadsBackWhatWasCreated) {
+  // Bytes of every value, the zero byte too.
+  std::string payload;
+  for (int i = 0; i < 256; ++i) payload.push_back(static_cast<char>(i));
+  const absl::StatusOr<VehicleKey> key = write().Create("truck", payload, 7);
+  ASSERT_THAT(key, IsOk());
+  store_->Reopen();
+  const absl::StatusOr<VehicleRecord> record = storage().GetVehicle("truck");
+  ASSERT_THAT(record, IsOk());
+  EXPECT_EQ(record->key, *key);
+  EXPECT_EQ(record->id, "truck");
+  EXPECT_EQ(record->payload, payload);
+  EXPECT_EQ(record->revision, 7u);
+  EXPECT_EQ(record->durable_sequence, 0u);
+  EXPECT_EQ(record->loop_closure_count, 0);
+  EXPECT_EQ(record->rejected_candidate_count, 0);
+}
+
+TEST_P(StorageContract, RefusesIdThatIsTaken) {
+  ASSERT_THAT(write().Create("truck", "first"), IsOk());
+  EXPECT_THAT(write().Create("truck", "second"),
+              IsError(StatusCode::kAlreadyExists, "VEHICLE_EXISTS", _));
+  EXPECT_EQ(storage().GetVehicle("truck")->payload, "first");
+}
+
+TEST_P(StorageContract, SaysWhichVehicleIsUnknown) {
+  EXPECT_THAT(storage().GetVehicle("truck"),
+              IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
+}
+
+TEST_P(StorageContract, AnswersNotFoundForKeyOfNoVehicle) {
+  const auto not_found = IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _);
+  EXPECT_THAT(write().Update(5, "x", 2), not_found);
+  EXPECT_THAT(write().Delete(5), not_found);
+  EXPECT_THAT(write().Append(5, Batch(1, 1, 2, "x")), not_found);
+  EXPECT_THAT(write().Revise(5, {}, 2), not_found);
+  EXPECT_THAT(ReadAll(storage(), 5, 1, 1), not_found);
+  for (const PairKind kind : kPairKinds) {
+    EXPECT_THAT(write().AddPair(5, kind, {"a", 2, 1, 0}, 2), not_found);
+    EXPECT_THAT(write().DeletePair(5, kind, "a", 2), not_found);
+    EXPECT_THAT(storage().ListPosePairs(5, kind, "", 10), not_found);
+  }
+}
+
+TEST_P(StorageContract, ListsVehiclesByIdInPages) {
+  for (const char* id : {"c", "a", "b10", "b", "b-1"}) {
+    ASSERT_THAT(write().Create(id), IsOk());
+  }
+  const auto ids = [&](const std::string& after, int limit,
+                       const std::string& prefix = "") {
+    std::vector<std::string> result;
+    const auto records = storage().ListVehicles(after, prefix, limit);
+    EXPECT_THAT(records, IsOk());
+    for (const VehicleRecord& record : *records) result.push_back(record.id);
+    return result;
+  };
+  EXPECT_THAT(ids("", 10), ElementsAre("a", "b", "b-1", "b10", "c"));
+  EXPECT_THAT(ids("", 2), ElementsAre("a", "b"));
+  EXPECT_THAT(ids("b", 2), ElementsAre("b-1", "b10"));
+  EXPECT_THAT(ids("bb", 2), ElementsAre("c"));
+  EXPECT_THAT(ids("c", 2), IsEmpty());
+  EXPECT_THAT(ids("", 10, "b"), ElementsAre("b", "b-1", "b10"));
+  EXPECT_THAT(ids("b", 10, "b"), ElementsAre("b-1", "b10"));
+  EXPECT_THAT(ids("", 10, "b1"), ElementsAre("b10"));
+  EXPECT_THAT(ids("", 10, "b-"), ElementsAre("b-1"));
+  EXPECT_THAT(ids("c", 10, "b"), IsEmpty());
+  EXPECT_THAT(ids("", 10, "bb"), IsEmpty());
+}
+
+TEST_P(StorageContract, ReplacesPayloadAndRaisesRevision) {
+  const VehicleKey key = *write().Create("truck", "first", 3);
+  ASSERT_THAT(write().Update(key, "second", 5), IsOk());
+  EXPECT_EQ(storage().GetVehicle("truck")->payload, "second");
+  EXPECT_EQ(storage().GetVehicle("truck")->revision, 5u);
+  ASSERT_THAT(write().Update(key, "third", 4), IsOk());
+  EXPECT_EQ(storage().GetVehicle("truck")->payload, "third");
+  EXPECT_EQ(storage().GetVehicle("truck")->revision, 5u);
+}
+
+TEST_P(StorageContract, AppendsOnlyWithoutGap) {
+  const VehicleKey key = *write().Create("truck");
+  const auto gap = [](const absl::Status& status) {
+    EXPECT_THAT(status,
+                IsError(StatusCode::kFailedPrecondition, "SEQUENCE_GAP", _));
+    return MetadataOf(status, "expected_sequence");
+  };
+  EXPECT_EQ(gap(write().Append(key, Batch(2, 1, 2, "x"))), "1");
+  ASSERT_THAT(write().Append(key, Batch(1, 3, 2, "one")), IsOk());
+  EXPECT_EQ(gap(write().Append(key, Batch(1, 3, 3, "one"))), "4");
+  EXPECT_EQ(gap(write().Append(key, Batch(3, 3, 3, "x"))), "4");
+  EXPECT_EQ(gap(write().Append(key, Batch(5, 3, 3, "x"))), "4");
+  ASSERT_THAT(write().Append(key, Batch(4, 1, 3, "two")), IsOk());
+  store_->Reopen();
+  EXPECT_EQ(ToText(*storage().GetVehicle("truck")),
+            "truck " + std::to_string(key) +
+                ": 0 closures, 0 rejected, to 4, revision 3, 'payload'");
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 4)),
+              ElementsAre("1+3, revision 2, 'one'", "4+1, revision 3, 'two'"));
+}
+
+TEST_P(StorageContract, ReplacesVehiclePayloadWithBatchOrNotAtAll) {
+  const VehicleKey key = *write().Create("truck", "old");
+  EXPECT_THAT(write().AppendWithVehicle(key, Batch(2, 1, 2, "x"), "new"),
+              IsError(StatusCode::kFailedPrecondition, "SEQUENCE_GAP", _));
+  EXPECT_EQ(storage().GetVehicle("truck")->payload, "old");
+  ASSERT_THAT(write().AppendWithVehicle(key, Batch(1, 1, 2, "x"), "new"),
+              IsOk());
+  EXPECT_EQ(storage().GetVehicle("truck")->payload, "new");
+}
+
+TEST_P(StorageContract, ReadsBatchesThatHoldTheRange) {
+  const VehicleKey key = *write().Create("truck");
+  const VehicleKey other = *write().Create("other");
+  for (std::uint64_t first = 1; first <= 13; first += 3) {
+    const auto revision = first + 1;
+    ASSERT_THAT(write().Append(key, Batch(first, 3, revision, "mine")), IsOk());
+    ASSERT_THAT(write().Append(other, Batch(first, 3, revision, "theirs")),
+                IsOk());
+  }
+  const auto firsts = [&](std::uint64_t first, std::uint64_t last) {
+    std::vector<std::uint64_t> result;
+    const auto batches = ReadAll(storage(), key, first, last);
+    EXPECT_THAT(batches, IsOk());
+    for (const BatchRecord& batch : *batches) {
+      EXPECT_EQ(batch.payload, "mine");
+      result.push_back(batch.first_sequence);
+    }
+    return result;
+  };
+  EXPECT_THAT(firsts(1, 15), ElementsAre(1, 4, 7, 10, 13));
+  EXPECT_THAT(firsts(4, 4), ElementsAre(4));
+  EXPECT_THAT(firsts(6, 7), ElementsAre(4, 7));
+  EXPECT_THAT(firsts(15, 15), ElementsAre(13));
+  EXPECT_THAT(firsts(9, 8), IsEmpty());
+}
+
+TEST_P(StorageContract, StopsReadingWhenTold) {
+  const VehicleKey key = *write().Create("truck");
+  ASSERT_THAT(write().Append(key, Batch(1, 2, 2, "a")), IsOk());
+  ASSERT_THAT(write().Append(key, Batch(3, 2, 3, "b")), IsOk());
+  std::vector<std::string> visited;
+  EXPECT_THAT(storage().ReadBatches(key, 1, 4, BatchVersion::kAsSent,
+                                    [&](const BatchRecord& batch) {
+                                      visited.push_back(batch.payload);
+                                      return false;
+                                    }),
+              IsOk());
+  EXPECT_THAT(visited, ElementsAre("a"));
+}
+
+TEST_P(StorageContract, CallsPosesThatAreNotThereLost) {
+  const VehicleKey key = *write().Create("truck");
+  const auto lost = IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _);
+  EXPECT_THAT(ReadAll(storage(), key, 1, 1), lost);
+  ASSERT_THAT(write().Append(key, Batch(1, 2, 2, "a")), IsOk());
+  EXPECT_THAT(ReadAll(storage(), key, 1, 3), lost);
+  EXPECT_THAT(ReadAll(storage(), key, 3, 3), lost);
+  EXPECT_THAT(ReadAll(storage(), key, 3, 1000), lost);
+  EXPECT_THAT(ReadAll(storage(), key, 1, 2), IsOk());
+}
+
+TEST_P(StorageContract, KeepsWhatWasSentBesideItsRevision) {
+  const VehicleKey key = *write().Create("truck");
+  ASSERT_THAT(write().Append(key, Batch(1, 2, 2, "a")), IsOk());
+  ASSERT_THAT(write().Append(key, Batch(3, 2, 3, "b")), IsOk());
+  ASSERT_THAT(write().Append(key, Batch(5, 2, 4, "c")), IsOk());
+  ASSERT_THAT(
+      write().Revise(key, {Batch(1, 2, 0, "A"), Batch(5, 2, 0, "C")}, 6),
+      IsOk());
+  ASSERT_THAT(write().Revise(key, {Batch(5, 2, 0, "CC")}, 7), IsOk());
+  store_->Reopen();
+  EXPECT_EQ(storage().GetVehicle("truck")->revision, 7u);
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 6, BatchVersion::kCurrent)),
+              ElementsAre("1+2, revision 6, 'A'", "3+2, revision 3, 'b'",
+                          "5+2, revision 7, 'CC'"));
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 6, BatchVersion::kAsSent)),
+              ElementsAre("1+2, revision 2, 'a'", "3+2, revision 3, 'b'",
+                          "5+2, revision 4, 'c'"));
+}
+
+TEST_P(StorageContract, RevisesAllOrNothing) {
+  const VehicleKey key = *write().Create("truck");
+  ASSERT_THAT(write().Append(key, Batch(1, 2, 2, "a")), IsOk());
+  for (const BatchRecord& wrong :
+       {Batch(3, 2, 0, "x"), Batch(2, 1, 0, "x"), Batch(1, 1, 0, "x")}) {
+    EXPECT_THAT(write().Revise(key, {Batch(1, 2, 0, "A"), wrong}, 3),
+                IsError(StatusCode::kFailedPrecondition, _, _))
+        << ToText(wrong);
+  }
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 2)),
+              ElementsAre("1+2, revision 2, 'a'"));
+  EXPECT_EQ(storage().GetVehicle("truck")->revision, 2u);
+}
+
+TEST_P(StorageContract, KeepsPairsOfPoses) {
+  for (const PairKind kind : kPairKinds) {
+    const PairWords words = WordsOf(kind);
+    SCOPED_TRACE(words.noun);
+    const std::string id = "truck-" + std::to_string(static_cast<int>(kind));
+    const VehicleKey key = *write().Create(id);
+    const VehicleKey other = *write().Create("other-" + id);
+    const auto add = [&](const PosePairRecord& pair, std::uint64_t revision) {
+      return write().AddPair(key, kind, pair, revision);
+    };
+    const auto list = [&](const std::string& after, int limit) {
+      return ToTexts(*storage().ListPosePairs(key, kind, after, limit));
+    };
+    ASSERT_THAT(add({"b", 9, 2, -5}, 2), IsOk());
+    ASSERT_THAT(add({"a", 8, 1, 1234567890123456789}, 3), IsOk());
+    ASSERT_THAT(add({"c", 7, 3, 0}, 4), IsOk());
+    ASSERT_THAT(write().AddPair(other, kind, {"a", 3, 2, 0}, 2), IsOk());
+    EXPECT_THAT(add({"a", 8, 1, 0}, 9),
+                IsError(StatusCode::kAlreadyExists, words.exists, _));
+    EXPECT_EQ(storage().GetVehicle(id)->revision, 4u);
+    ASSERT_THAT(write().DeletePair(key, kind, "c", 5), IsOk());
+    EXPECT_THAT(write().DeletePair(key, kind, "c", 6),
+                IsError(StatusCode::kNotFound, words.not_found, _));
+    store_->Reopen();
+    EXPECT_EQ(storage().GetVehicle(id)->revision, 5u);
+    EXPECT_THAT(list("", 10), ElementsAre("a: 8 at 1, 1234567890123456789 ns",
+                                          "b: 9 at 2, -5 ns"));
+    EXPECT_THAT(list("", 1), ElementsAre("a: 8 at 1, 1234567890123456789 ns"));
+    EXPECT_THAT(list("a", 10), ElementsAre("b: 9 at 2, -5 ns"));
+  }
+}
+
+TEST_P(StorageContract, KeepsKindsOfPairsApart) {
+  const VehicleKey key = *write().Create("truck");
+  ASSERT_THAT(write().AddPair(key, PairKind::kLoopClosure, {"a", 9, 2, 1}, 2),
+              IsOk());
+  EXPECT_THAT(
+      write().DeletePair(key, PairKind::kRejectedCandidate, "a", 3),
+      IsError(StatusCode::kNotFound, "REJECTED_CANDIDATE_NOT_FOUND", _));
+  ASSERT_THAT(
+      write().AddPair(key, PairKind::kRejectedCandidate, {"a", 8, 3, 2}, 3),
+      IsOk());
+  ASSERT_THAT(
+      write().AddPair(key, PairKind::kRejectedCandidate, {"b", 7, 3, 3}, 4),
+      IsOk());
+  EXPECT_EQ(ToText(*storage().GetVehicle("truck")),
+            "truck " + std::to_string(key) +
+                ": 1 closures, 2 rejected, to 0, revision 4, 'payload'");
+  ASSERT_THAT(write().DeletePair(key, PairKind::kLoopClosure, "a", 5), IsOk());
+  EXPECT_THAT(*storage().ListPosePairs(key, PairKind::kLoopClosure, "", 10),
+              IsEmpty());
+  EXPECT_THAT(ToTexts(*storage().ListPosePairs(
+                  key, PairKind::kRejectedCandidate, "", 10)),
+              ElementsAre("a: 8 at 3, 2 ns", "b: 7 at 3, 3 ns"));
+}
+
+TEST_P(StorageContract, GivesUpWhatComesAfterASequence) {
+  const VehicleKey key = *write().Create("truck");
+  for (std::uint64_t i = 0; i < 3; ++i) {
+    ASSERT_THAT(write().Append(key, Batch(2 * i + 1, 2, i + 2, "a")), IsOk());
+  }
+  ASSERT_THAT(
+      write().Revise(key, {Batch(1, 2, 0, "A"), Batch(5, 2, 0, "B")}, 5),
+      IsOk());
+  for (const PairKind kind : kPairKinds) {
+    ASSERT_THAT(write().AddPair(key, kind, {"a", 4, 1, 0}, 6), IsOk());
+    ASSERT_THAT(write().AddPair(key, kind, {"b", 5, 1, 0}, 7), IsOk());
+  }
+  EXPECT_THAT(write().DropDamaged(key, 3, "new", 8),
+              IsError(StatusCode::kFailedPrecondition, "INTERNAL", _));
+  ASSERT_THAT(write().DropDamaged(key, 4, "new", 9), IsOk());
+  store_->Reopen();
+  EXPECT_EQ(ToText(*storage().GetVehicle("truck")),
+            "truck " + std::to_string(key) +
+                ": 1 closures, 1 rejected, to 4, revision 9, 'new'");
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 4)),
+              ElementsAre("1+2, revision 5, 'A'", "3+2, revision 3, 'a'"));
+  EXPECT_THAT(write().Append(key, Batch(5, 1, 10, "c")), IsOk());
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 5, 5)),
+              ElementsAre("5+1, revision 10, 'c'"));
+  ASSERT_THAT(write().DropDamaged(key, 0, "none", 11), IsOk());
+  EXPECT_EQ(ToText(*storage().GetVehicle("truck")),
+            "truck " + std::to_string(key) +
+                ": 0 closures, 0 rejected, to 0, revision 11, 'none'");
+  EXPECT_THAT(write().DropDamaged(99, 0, "none", 12),
+              IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
+}
+
+TEST_P(StorageContract, DeletesVehicleWithAllThatBelongsToIt) {
+  const VehicleKey key = *write().Create("truck");
+  for (std::uint64_t i = 0; i < 100; ++i) {
+    ASSERT_THAT(write().Append(key, Batch(2 * i + 1, 2, i + 2, "a")), IsOk());
+  }
+  ASSERT_THAT(write().Revise(key, {Batch(1, 2, 0, "A")}, 200), IsOk());
+  for (const PairKind kind : kPairKinds) {
+    ASSERT_THAT(write().AddPair(key, kind, {"a", 2, 1, 0}, 201), IsOk());
+  }
+  ASSERT_THAT(write().Delete(key), IsOk());
+  const auto not_found = IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _);
+  EXPECT_THAT(storage().GetVehicle("truck"), not_found);
+  EXPECT_THAT(ReadAll(storage(), key, 1, 2), not_found);
+  EXPECT_THAT(write().Append(key, Batch(201, 1, 202, "b")), not_found);
+  EXPECT_THAT(write().Delete(key), not_found);
+  store_->Reopen();
+  const absl::StatusOr<VehicleKey> again = write().Create("truck", "new");
+  ASSERT_THAT(again, IsOk());
+  EXPECT_NE(*again, key);
+  EXPECT_EQ(ToText(*storage().GetVehicle("truck")),
+            "truck " + std::to_string(*again) +
+                ": 0 closures, 0 rejected, to 0, revision 1, 'new'");
+  for (const PairKind kind : kPairKinds) {
+    EXPECT_THAT(*storage().ListPosePairs(*again, kind, "", 10), IsEmpty());
+  }
+}
+
+TEST_P(StorageContract, NeverUsesKeyAgain) {
+  const VehicleKey first = *write().Create("a");
+  ASSERT_THAT(write().Delete(first), IsOk());
+  store_->Reopen();
+  const VehicleKey second = *write().Create("a");
+  EXPECT_GT(second, first);
+}
+
+TEST_P(StorageContract, RefusedWriteLeavesThoseAroundItAlone) {
+  const VehicleKey key = *write().Create("truck");
+  std::vector<Answer<absl::Status>> answers(4);
+  storage().AppendBatch(key, Batch(1, 1, 2, "a"), "one", answers[0].Setter());
+  storage().AppendBatch(key, Batch(1, 1, 2, "b"), "two", answers[1].Setter());
+  storage().AppendBatch(key, Batch(3, 1, 2, "c"), "three", answers[2].Setter());
+  storage().AppendBatch(key, Batch(2, 1, 3, "d"), std::nullopt,
+                        answers[3].Setter());
+  EXPECT_THAT(answers[0].Get(), IsOk());
+  EXPECT_THAT(answers[1].Get(),
+              IsError(StatusCode::kFailedPrecondition, "SEQUENCE_GAP", _));
+  EXPECT_THAT(answers[2].Get(),
+              IsError(StatusCode::kFailedPrecondition, "SEQUENCE_GAP", _));
+  EXPECT_THAT(answers[3].Get(), IsOk());
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 2)),
+              ElementsAre("1+1, revision 2, 'a'", "2+1, revision 3, 'd'"));
+  EXPECT_EQ(storage().GetVehicle("truck")->payload, "one");
+}
+
+TEST_P(StorageContract, CommitsWhatWasSubmittedBeforeItCloses) {
+  const VehicleKey key = *write().Create("truck");
+  std::atomic<int> done{0};
+  for (std::uint64_t i = 1; i <= 300; ++i) {
+    storage().AppendBatch(key, Batch(i, 1, i + 1, "a"), std::nullopt,
+                          [&](const absl::Status& status) {
+                            EXPECT_THAT(status, IsOk());
+                            ++done;
+                          });
+  }
+  store_->Reopen();
+  EXPECT_EQ(done, 300);
+  EXPECT_EQ(storage().GetVehicle("truck")->durable_sequence, 300u);
+}
+
+TEST_P(StorageContract, AnswersWritesInTheOrderTheyCame) {
+  constexpr int kThreads = 4;
+  constexpr std::uint64_t kBatches = 200;
+  std::vector<VehicleKey> keys;
+  for (int t = 0; t < kThreads; ++t) {
+    keys.push_back(*write().Create("vehicle-" + std::to_string(t)));
+  }
+  std::mutex mutex;
+  std::vector<std::vector<std::uint64_t>> answered(kThreads);
+  std::vector<std::thread> threads;
+  for (int t = 0; t < kThreads; ++t) {
+    threads.emplace_back([&, t] {
+      const auto index = static_cast<std::size_t>(t);
+      for (std::uint64_t i = 1; i <= kBatches; ++i) {
+        storage().AppendBatch(keys[index], Batch(i, 1, i + 1, "a"),
+                              std::nullopt, [&, index, i](absl::Status status) {
+                                EXPECT_THAT(status, IsOk());
+                                const std::lock_guard<std::mutex> g(mutex);
+                                answered[index].push_back(i);
+                              });
+      }
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  store_->Reopen();
+  for (int t = 0; t < kThreads; ++t) {
+    const auto index = static_cast<std::size_t>(t);
+    const std::vector<std::uint64_t>& order = answered[index];
+    EXPECT_TRUE(std::is_sorted(order.begin(), order.end()));
+    EXPECT_EQ(order.size(), kBatches);
+    EXPECT_EQ(
+        storage().GetVehicle("vehicle-" + std::to_string(t))->durable_sequence,
+        kBatches);
+  }
+}
+
+TEST_P(StorageContract, ReadsOneMomentEvenWhileWritesGoOn) {
+  const VehicleKey key = *write().Create("truck");
+  for (std::uint64_t i = 1; i <= 3; ++i) {
+    ASSERT_THAT(write().Append(key, Batch(i, 1, i + 1, "old")), IsOk());
+  }
+  std::vector<std::string> visited;
+  EXPECT_THAT(storage().ReadBatches(
+                  key, 1, 3, BatchVersion::kCurrent,
+                  [&](const BatchRecord& batch) {
+                    if (visited.empty()) {
+                      EXPECT_THAT(
+                          write().Revise(key, {Batch(3, 1, 0, "new")}, 9),
+                          IsOk());
+                      EXPECT_EQ(storage().GetVehicle("truck")->revision, 9u);
+                    }
+                    visited.push_back(batch.payload);
+                    return true;
+                  }),
+              IsOk());
+  EXPECT_THAT(visited, ElementsAre("old", "old", "old"));
+}
+
+TEST_P(StorageContract, ReadersSeeEveryWriteThatWasAnswered) {
+  const VehicleKey key = *write().Create("truck");
+  std::atomic<std::uint64_t> acknowledged{0};
+  std::thread reader([&] {
+    while (acknowledged < 200) {
+      const std::uint64_t before = acknowledged;
+      const absl::StatusOr<VehicleRecord> record =
+          storage().GetVehicle("truck");
+      ASSERT_THAT(record, IsOk());
+      EXPECT_GE(record->durable_sequence, before);
+    }
+  });
+  for (std::uint64_t i = 1; i <= 200; ++i) {
+    EXPECT_THAT(write().Append(key, Batch(i, 1, i + 1, "a")), IsOk());
+    acknowledged = i;
+  }
+  reader.join();
+}
+
+TEST_P(StorageContract, DoesWhatTheModelDoes) {
+  std::mt19937_64 random = SeededRandom();
+  MemoryStorage model;
+  const std::vector<std::string> ids = {"a", "b", "c"};
+  const std::vector<std::string> pairs = {"x", "y", "z"};
+  std::uint64_t revision = 0;
+  // Keys of vehicles that are there, were there, and never were.
+  std::vector<std::pair<VehicleKey, VehicleKey>> keys = {{99999, 99999}};
+  const auto pick = [&](const auto& options) {
+    return options[static_cast<std::size_t>(
+        UniformInt(random, 0, static_cast<int>(options.size()) - 1))];
+  };
+  for (int step = 0; step < 500; ++step) {
+    SCOPED_TRACE("step " + std::to_string(step));
+    if (UniformInt(random, 0, 99) == 0) store_->Reopen();
+    // Sometimes one that does not grow.
+    revision += static_cast<std::uint64_t>(UniformInt(random, 0, 2));
+    const std::string payload(
+        static_cast<std::size_t>(UniformInt(random, 0, 6000)),
+        static_cast<char>(UniformInt(random, 0, 255)));
+    // Mostly one of the newest.
+    const std::pair<VehicleKey, VehicleKey> key =
+        UniformInt(random, 0, 3) == 0 ? pick(keys) : keys.back();
+    std::pair<absl::Status, absl::Status> results;
+    const auto both = [&](const auto& call) {
+      results = {call(write(), key.first),
+                 call(BlockingWrites(&model), key.second)};
+    };
+    switch (UniformInt(random, 0, 9)) {
+      case 0: {
+        const std::string id = pick(ids);
+        const auto real_key = write().Create(id, payload, revision);
+        const auto model_key =
+            BlockingWrites(&model).Create(id, payload, revision);
+        results = {real_key.status(), model_key.status()};
+        if (real_key.ok() && model_key.ok()) {
+          keys.emplace_back(*real_key, *model_key);
+        }
+        break;
+      }
+      case 1:
+        both([&](BlockingWrites writes, VehicleKey k) {
+          return writes.Update(k, payload, revision);
+        });
+        break;
+      case 2:
+        if (UniformInt(random, 0, 4) != 0) break;
+        both([&](BlockingWrites writes, VehicleKey k) {
+          return writes.Delete(k);
+        });
+        break;
+      case 3: {
+        const PairKind kind = kPairKinds[UniformInt(random, 0, 1)];
+        const PosePairRecord pair{
+            pick(pairs), static_cast<std::uint64_t>(step) + 2, 1, step};
+        both([&](BlockingWrites writes, VehicleKey k) {
+          return writes.AddPair(k, kind, pair, revision);
+        });
+        break;
+      }
+      case 4: {
+        const PairKind kind = kPairKinds[UniformInt(random, 0, 1)];
+        const std::string id = pick(pairs);
+        both([&](BlockingWrites writes, VehicleKey k) {
+          return writes.DeletePair(k, kind, id, revision);
+        });
+        break;
+      }
+      case 5: {
+        std::vector<BatchRecord> revised;
+        for (int i = UniformInt(random, 0, 3); i > 0; --i) {
+          revised.push_back(
+              Batch(static_cast<std::uint64_t>(UniformInt(random, 1, 8)),
+                    static_cast<std::uint32_t>(UniformInt(random, 1, 3)), 0,
+                    payload));
+        }
+        both([&](BlockingWrites writes, VehicleKey k) {
+          return writes.Revise(k, revised, revision);
+        });
+        break;
+      }
+      default: {
+        // At the end of the vehicle, or a little off.
+        std::uint64_t next = 1;
+        const auto vehicles = model.ListVehicles("", "", 10);
+        for (const VehicleRecord& record : *vehicles) {
+          if (record.key == key.second) next = record.durable_sequence + 1;
+        }
+        if (UniformInt(random, 0, 4) == 0) {
+          next += static_cast<std::uint64_t>(UniformInt(random, 0, 2));
+        }
+        const BatchRecord batch =
+            Batch(next, static_cast<std::uint32_t>(UniformInt(random, 1, 3)),
+                  revision, payload);
+        std::optional<std::string> vehicle;
+        if (UniformInt(random, 0, 3) == 0) vehicle = payload + "!";
+        both([&](BlockingWrites writes, VehicleKey k) {
+          return vehicle ? writes.AppendWithVehicle(k, batch, *vehicle)
+                         : writes.Append(k, batch);
+        });
+        break;
+      }
+    }
+    ASSERT_EQ(results.first.code(), results.second.code())
+        << results.first << " instead of " << results.second;
+    ASSERT_EQ(ReasonOf(results.first), ReasonOf(results.second));
+
+    const auto real_vehicles = storage().ListVehicles("", "", 10);
+    const auto model_vehicles = model.ListVehicles("", "", 10);
+    ASSERT_THAT(real_vehicles, IsOk());
+    ASSERT_EQ(real_vehicles->size(), model_vehicles->size());
+    for (std::size_t i = 0; i < real_vehicles->size(); ++i) {
+      VehicleRecord real = (*real_vehicles)[i];
+      const VehicleRecord& expected = (*model_vehicles)[i];
+      const VehicleKey real_key = std::exchange(real.key, expected.key);
+      ASSERT_EQ(ToText(real), ToText(expected));
+      for (const PairKind kind : kPairKinds) {
+        ASSERT_EQ(ToTexts(*storage().ListPosePairs(real_key, kind, "", 10)),
+                  ToTexts(*model.ListPosePairs(expected.key, kind, "", 10)));
+      }
+      if (expected.durable_sequence == 0) continue;
+      const auto first = static_cast<std::uint64_t>(
+          UniformInt(random, 1, static_cast<int>(expected.durable_sequence)));
+      for (const BatchVersion version :
+           {BatchVersion::kAsSent, BatchVersion::kCurrent}) {
+        const auto real_batches =
+            ReadAll(storage(), real_key, first, real.durable_sequence, version);
+        ASSERT_THAT(real_batches, IsOk());
+        ASSERT_EQ(ToTexts(*real_batches),
+                  ToTexts(*ReadAll(model, expected.key, first,
+                                   real.durable_sequence, version)));
+      }
+    }
+  }
+}
+
+}  // namespace revisit::server

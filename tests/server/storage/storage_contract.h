@@ -1,0 +1,47 @@
+// Tests of what storage.h promises, for any storage: instantiate
+// StorageContract with a factory.
+#ifndef REVISIT_TESTS_SERVER_STORAGE_STORAGE_CONTRACT_H_
+#define REVISIT_TESTS_SERVER_STORAGE_STORAGE_CONTRACT_H_
+
+#include <functional>
+#include <memory>
+#include <ostream>
+#include <string>
+
+#include "gtest/gtest.h"
+#include "server/storage/storage.h"
+#include "tests/server/storage_testing.h"
+
+namespace revisit::server {
+
+// A store of one test.
+class StoreUnderTest {
+ public:
+  virtual ~StoreUnderTest() = default;
+  virtual Storage& storage() = 0;
+  // Closes and opens it again. A storage that keeps nothing does nothing.
+  virtual void Reopen() = 0;
+};
+
+struct StoreFactory {
+  std::string name;
+  std::function<std::unique_ptr<StoreUnderTest>()> make;
+};
+
+inline void PrintTo(const StoreFactory& factory, std::ostream* stream) {
+  *stream << factory.name;
+}
+
+class StorageContract : public ::testing::TestWithParam<StoreFactory> {
+ protected:
+  StorageContract() : store_(GetParam().make()) {}
+
+  Storage& storage() { return store_->storage(); }
+  BlockingWrites write() { return BlockingWrites(&storage()); }
+
+  const std::unique_ptr<StoreUnderTest> store_;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_TESTS_SERVER_STORAGE_STORAGE_CONTRACT_H_
