@@ -280,6 +280,8 @@ class Worker:
             if code in (DEADLINE, CANCELLED) and any(
                     name == "grpc-timeout" for name, _ in call.extra):
                 return False
+            if code == CANCELLED and self._was_cut_as_slow(call):
+                return False
             raise Finding(f"{found} without details")
         if code in (UNKNOWN, INTERNAL):
             raise Finding(found)
@@ -295,6 +297,18 @@ class Worker:
                 self.world.learn_failure(call.vehicle_id, info)
                 return False
         raise Finding(f"{found} without ErrorInfo")
+
+    def _was_cut_as_slow(self, call):
+        """An export that took nothing for twice the limit is cut where it
+        stands, since no trailer would reach it; the log says why, a moment
+        later."""
+        until = time.monotonic() + 5
+        while call.method.server_streaming and time.monotonic() < until:
+            if any("SLOW_CONSUMER" in line and call.vehicle_id in line
+                   for line in self.server.log().splitlines()):
+                return True
+            time.sleep(0.05)
+        return False
 
     def _learn(self, call, stream):
         answer = messages.message_class(call.method.output_type)
