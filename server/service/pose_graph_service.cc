@@ -231,6 +231,41 @@ void CreateOrFind(
   });
 }
 
+// The batch of an AppendPoses call. Request and response live as long as the
+// call.
+class UnaryAppend final : public AppendSink {
+ public:
+  UnaryAppend(UnaryCallPtr call, v1::AppendPosesRequest* request,
+              v1::AppendPosesResponse* response, int max_poses)
+      : call_(std::move(call)),
+        request_(request),
+        response_(response),
+        max_poses_(max_poses) {}
+
+  absl::StatusOr<DecodedBatch> Decode(const VehicleConfig& config) override {
+    // It may have waited long.
+    if (call_->given_up()) return call_->GivenUpStatus();
+    const std::string id = request_->vehicle().substr(VehicleName("").size());
+    if (absl::Status meant = CheckMeant(id, config, request_->vehicle_uid());
+        !meant.ok()) {
+      return meant;
+    }
+    DropUnknownFields(request_->mutable_poses());
+    return DecodeBatch(request_->poses(), max_poses_, config, kRequest);
+  }
+
+  void OnDurable(const absl::StatusOr<Acknowledgement>& result) override {
+    if (result.ok()) EncodeAck(*result, response_->mutable_ack());
+    call_->End(result.status());
+  }
+
+ private:
+  const UnaryCallPtr call_;
+  v1::AppendPosesRequest* const request_;
+  v1::AppendPosesResponse* const response_;
+  const int max_poses_;
+};
+
 // Where a page of poses begins.
 absl::StatusOr<std::uint64_t> FirstSequence(const v1::ListPosesRequest& request,
                                             const std::string& list) {
@@ -611,32 +646,8 @@ grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
             !status.ok()) {
           return status;
         }
-        AppendRequest append;
-        append.decoder =
-            [=, max_poses = context_.limits.max_batch_poses](
-                const VehicleConfig& config) -> absl::StatusOr<DecodedBatch> {
-          // It may have waited long.
-          if (call->given_up()) return call->GivenUpStatus();
-          if (absl::Status meant =
-                  CheckMeant(request->vehicle().substr(VehicleName("").size()),
-                             config, request->vehicle_uid());
-              !meant.ok()) {
-            return meant;
-          }
-          DropUnknownFields(request->mutable_poses());
-          return DecodeBatch(request->poses(), max_poses, config, kRequest);
-        };
-        append.should_stop = [] { return false; };
-        append.callbacks.staged = [](const absl::Status&) {};
-        append.callbacks.durable = FinishWith<Acknowledgement>(
-            call, [=](const Acknowledgement& durable) {
-              EncodeAck(durable, response->mutable_ack());
-              return absl::OkStatus();
-            });
-        append.callbacks.candidates =
-            [](const VehicleView&, const absl::StatusOr<core::CandidateSet>&) {
-            };
-        (*session)->Append(std::move(append));
+        (*session)->Append(std::make_shared<UnaryAppend>(
+            call, request, response, context_.limits.max_batch_poses));
         return absl::OkStatus();
       });
 }

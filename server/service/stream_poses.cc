@@ -132,19 +132,55 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   }
 
  private:
-  // Held by the callbacks of one append: when the session has dropped them all,
-  // nothing more comes of it. How many checks a batch makes fall due is known
-  // to nobody before.
-  struct AppendScope {
-    explicit AppendScope(std::shared_ptr<PoseStream> owner)
-        : stream(std::move(owner)) {}
-    ~AppendScope() { stream->OnAppendOver(); }
+  // One batch of this stream on its way through the session.
+  class Batch final : public AppendSink {
+   public:
+    // `bytes`: memory that the batch takes; `room` is held until it is durable.
+    Batch(std::shared_ptr<PoseStream> stream, std::size_t bytes, Permit room)
+        : stream_(std::move(stream)), bytes_(bytes), room_(std::move(room)) {}
 
-    const std::shared_ptr<PoseStream> stream;
-    // Memory of the batch.
-    std::size_t bytes = 0;
-    // When the strand got to the work it is doing now; used there only.
-    std::chrono::steady_clock::time_point work_start;
+    absl::StatusOr<DecodedBatch> Decode(const VehicleConfig& config) override {
+      auto* const poses = stream_->request_->mutable_batch()->mutable_poses();
+      DropUnknownFields(poses);
+      return DecodeBatch(*poses, stream_->context_.limits.max_batch_poses,
+                         config, FieldPath().Field("batch"));
+    }
+
+    void OnStaged(const absl::Status& status) override {
+      stream_->OnStaged(status);
+    }
+
+    void OnDurable(const absl::StatusOr<Acknowledgement>& result) override {
+      // Whoever has the acknowledgement may send as much again.
+      room_.reset();
+      stream_->OnDurable(result, bytes_);
+      work_start_ = std::chrono::steady_clock::now();
+    }
+
+    bool wants_candidates() const override { return stream_->send_candidates_; }
+
+    absl::StatusOr<core::SearchOptions> CheckOptions(
+        const VehicleConfig& config) const override {
+      return stream_->SearchOptions(config);
+    }
+
+    bool ShouldStop() const override { return stream_->call_.given_up(); }
+
+    void OnCandidates(const VehicleView& view,
+                      const absl::StatusOr<core::CandidateSet>& set) override {
+      stream_->OnCandidates(view, set,
+                            std::chrono::steady_clock::now() - work_start_);
+      work_start_ = std::chrono::steady_clock::now();
+    }
+
+    void OnOver() override { stream_->OnAppendOver(); }
+
+   private:
+    const std::shared_ptr<PoseStream> stream_;
+    const std::size_t bytes_;
+    Permit room_;
+    // When the session got to the search that it runs now.
+    std::chrono::steady_clock::time_point work_start_;
   };
 
   // What is to be written: `other`, or an acknowledgement if there is none.
@@ -254,55 +290,22 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     }
     // What comes of it takes about as much.
     const auto bytes = static_cast<std::size_t>(arena_.SpaceUsed());
-    const absl::StatusOr<Permit> room = call_.AdmitBatch(bytes);
+    absl::StatusOr<Permit> room = call_.AdmitBatch(bytes);
     if (!room.ok()) {
       Fail(room.status());
       return;
     }
-    const auto self = shared_from_this();
-    const auto scope = std::make_shared<AppendScope>(self);
-    scope->bytes = bytes;
     // Once there, it stays as long as this.
     VehicleSession* session;
     {
       const MutexLock lock(&mutex_);
       ++in_flight_;
       ++open_appends_;
-      bytes_in_flight_ += scope->bytes;
+      bytes_in_flight_ += bytes;
       session = session_.get();
     }
-    AppendRequest append;
-    append.decoder = [self](const VehicleConfig& config) {
-      const FieldPath batch = FieldPath().Field("batch");
-      DropUnknownFields(self->request_->mutable_batch()->mutable_poses());
-      return DecodeBatch(self->request_->batch().poses(),
-                         self->context_.limits.max_batch_poses, config, batch);
-    };
-    if (send_candidates_) {
-      append.check = [self](const VehicleConfig& config) {
-        return self->SearchOptions(config);
-      };
-    }
-    append.should_stop = [self] { return self->call_.given_up(); };
-    append.callbacks.staged = [self](const absl::Status& status) {
-      self->OnStaged(status);
-    };
-    append.callbacks.durable =
-        [self, scope, permit = *room](
-            const absl::StatusOr<Acknowledgement>& acknowledgement) mutable {
-          // Whoever has the acknowledgement may send as much again.
-          permit.reset();
-          self->OnDurable(acknowledgement, scope->bytes);
-          scope->work_start = std::chrono::steady_clock::now();
-        };
-    append.callbacks.candidates =
-        [self, scope](const VehicleView& view,
-                      const absl::StatusOr<core::CandidateSet>& set) {
-          self->OnCandidates(
-              view, set, std::chrono::steady_clock::now() - scope->work_start);
-          scope->work_start = std::chrono::steady_clock::now();
-        };
-    session->Append(std::move(append));
+    session->Append(
+        std::make_shared<Batch>(shared_from_this(), bytes, *std::move(room)));
   }
 
   void OnStaged(const absl::Status& status) {

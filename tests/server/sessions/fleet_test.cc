@@ -427,27 +427,21 @@ class Driver {
  private:
   void AppendOne() {
     const std::string payload = SquareBatch(acknowledged_ + 1, kBatchPoses);
-    AppendRequest request;
-    request.decoder = [payload](const VehicleConfig& config) {
-      return PlainCodec().DecodeBatch(payload, config);
-    };
-    request.check = [](const VehicleConfig& config) {
-      return absl::StatusOr<core::SearchOptions>(config.engine.search);
-    };
     const Answer<absl::StatusOr<Acknowledgement>> durable;
-    request.callbacks.durable = durable.Setter();
-    request.callbacks.candidates =
-        [this](const VehicleView& view,
-               const absl::StatusOr<core::CandidateSet>& set) {
-          ASSERT_THAT(set, IsOk());
-          found_ += std::to_string(view.durable_sequence) + ": node " +
-                    std::to_string(*set->query);
-          for (const core::Candidate& candidate : set->candidates) {
-            found_ += " " + std::to_string(candidate.matched);
-          }
-          found_ += "\n";
-        };
-    fleet_->Session(id_)->Append(std::move(request));
+    const auto append = std::make_shared<PlainAppend>(payload);
+    append->durable = durable.Setter();
+    append->wants = true;
+    append->candidates = [this](const VehicleView& view,
+                                const absl::StatusOr<core::CandidateSet>& set) {
+      ASSERT_THAT(set, IsOk());
+      found_ += std::to_string(view.durable_sequence) + ": node " +
+                std::to_string(*set->query);
+      for (const core::Candidate& candidate : set->candidates) {
+        found_ += " " + std::to_string(candidate.matched);
+      }
+      found_ += "\n";
+    };
+    fleet_->Session(id_)->Append(append);
     const absl::StatusOr<Acknowledgement> acknowledgement = durable.Get();
     ASSERT_THAT(acknowledgement, IsOk());
     acknowledged_ += kBatchPoses;

@@ -121,15 +121,40 @@ void CloseNow(VehicleSession& session) {
   answer.Get();
 }
 
+absl::StatusOr<DecodedBatch> PlainAppend::Decode(const VehicleConfig& config) {
+  return PlainCodec().DecodeBatch(payload_, config);
+}
+
+void PlainAppend::OnStaged(const absl::Status& status) {
+  if (staged) staged(status);
+}
+
+void PlainAppend::OnDurable(const absl::StatusOr<Acknowledgement>& result) {
+  if (durable) durable(result);
+}
+
+absl::StatusOr<core::SearchOptions> PlainAppend::CheckOptions(
+    const VehicleConfig& config) const {
+  return options ? options(config) : AppendSink::CheckOptions(config);
+}
+
+bool PlainAppend::ShouldStop() const { return should_stop && should_stop(); }
+
+void PlainAppend::OnCandidates(const VehicleView& view,
+                               const absl::StatusOr<core::CandidateSet>& set) {
+  candidates(view, set);
+}
+
+void PlainAppend::OnOver() {
+  if (over) over();
+}
+
 Appended Append(VehicleSession& session, const std::string& payload) {
   const Appended appended;
-  AppendRequest request;
-  request.decoder = [payload](const VehicleConfig& config) {
-    return PlainCodec().DecodeBatch(payload, config);
-  };
-  request.callbacks.staged = appended.staged.Setter();
-  request.callbacks.durable = appended.durable.Setter();
-  session.Append(std::move(request));
+  auto append = std::make_shared<PlainAppend>(payload);
+  append->staged = appended.staged.Setter();
+  append->durable = appended.durable.Setter();
+  session.Append(append);
   return appended;
 }
 

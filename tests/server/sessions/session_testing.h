@@ -69,7 +69,39 @@ struct Appended {
   Answer<absl::StatusOr<Acknowledgement>> durable;
 };
 
-// Appends a batch of plain_codec.h.
+// Appends a batch of plain_codec.h; hears of it by functions, each of which may
+// be empty.
+class PlainAppend final : public AppendSink {
+ public:
+  explicit PlainAppend(std::string payload) : payload_(std::move(payload)) {}
+
+  absl::StatusOr<DecodedBatch> Decode(const VehicleConfig& config) override;
+  void OnStaged(const absl::Status& status) override;
+  void OnDurable(const absl::StatusOr<Acknowledgement>& result) override;
+  bool wants_candidates() const override { return wants; }
+  absl::StatusOr<core::SearchOptions> CheckOptions(
+      const VehicleConfig& config) const override;
+  bool ShouldStop() const override;
+  void OnCandidates(const VehicleView& view,
+                    const absl::StatusOr<core::CandidateSet>& set) override;
+  void OnOver() override;
+
+  std::function<void(absl::Status)> staged;
+  std::function<void(absl::StatusOr<Acknowledgement>)> durable;
+  std::function<void(const VehicleView&,
+                     const absl::StatusOr<core::CandidateSet>&)>
+      candidates;
+  bool wants = false;
+  // Empty for those of the vehicle.
+  std::function<absl::StatusOr<core::SearchOptions>(const VehicleConfig&)>
+      options;
+  std::function<bool()> should_stop;
+  std::function<void()> over;
+
+ private:
+  const std::string payload_;
+};
+
 Appended Append(VehicleSession& session, const std::string& payload);
 absl::StatusOr<Acknowledgement> AppendNow(VehicleSession& session,
                                           const std::string& payload);

@@ -418,29 +418,36 @@ TEST_F(VehicleSessionTest, ChangeWaitsForAppendsAndHoldsUpThoseBehind) {
 // Appends with checks, and says in which order what was answered.
 class CheckedAppend {
  public:
+  using Options = absl::StatusOr<core::SearchOptions>(const VehicleConfig&);
+
   CheckedAppend(VehicleSession& session, const std::string& payload,
-                CheckOptions check, core::ShouldStop should_stop = nullptr) {
-    AppendRequest request;
-    request.decoder = [payload](const VehicleConfig& config) {
-      return PlainCodec().DecodeBatch(payload, config);
+                const std::function<Options>& options = nullptr,
+                const std::function<bool()>& should_stop = nullptr) {
+    const auto append = std::make_shared<PlainAppend>(payload);
+    append->wants = true;
+    append->options = options;
+    append->should_stop = should_stop;
+    append->durable = [this](const absl::StatusOr<Acknowledgement>& ack) {
+      EXPECT_THAT(ack, IsOk());
+      EXPECT_FALSE(over_);
+      durable_ = true;
     };
-    request.check = std::move(check);
-    request.should_stop = std::move(should_stop);
-    request.callbacks.durable =
-        [this](const absl::StatusOr<Acknowledgement>& ack) {
-          EXPECT_THAT(ack, IsOk());
-          durable_ = true;
-        };
-    request.callbacks.candidates =
-        [this](const VehicleView& view,
-               const absl::StatusOr<core::CandidateSet>& set) {
-          EXPECT_TRUE(durable_);
-          revisions_.push_back(view.revision);
-          sets_.push_back(set);
-        };
-    session.Append(std::move(request));
+    append->candidates = [this](const VehicleView& view,
+                                const absl::StatusOr<core::CandidateSet>& set) {
+      EXPECT_TRUE(durable_);
+      EXPECT_FALSE(over_);
+      revisions_.push_back(view.revision);
+      sets_.push_back(set);
+    };
+    append->over = [this] {
+      EXPECT_TRUE(durable_);
+      EXPECT_FALSE(over_);
+      over_ = true;
+    };
+    session.Append(append);
     // Answered behind all of the append.
     EXPECT_THAT(AppendNow(session, payload), IsOk());
+    EXPECT_TRUE(over_);
   }
 
   const std::vector<absl::StatusOr<core::CandidateSet>>& sets() const {
@@ -450,19 +457,16 @@ class CheckedAppend {
 
  private:
   bool durable_ = false;
+  bool over_ = false;
   std::vector<std::uint64_t> revisions_;
   std::vector<absl::StatusOr<core::CandidateSet>> sets_;
 };
 
-absl::StatusOr<core::SearchOptions> OwnOptions(const VehicleConfig& config) {
-  return config.engine.search;
-}
-
 TEST_F(VehicleSessionTest, AnswersWithCandidatesOfEveryCheckThatFellDue) {
   // One lap is 80 m; checks from 20 m on, every 5 m.
-  const CheckedAppend first(*session_, SquareBatch(1, 80), OwnOptions);
+  const CheckedAppend first(*session_, SquareBatch(1, 80));
   EXPECT_EQ(first.sets().size(), 12u);
-  const CheckedAppend second(*session_, SquareBatch(81, 60), OwnOptions);
+  const CheckedAppend second(*session_, SquareBatch(81, 60));
   ASSERT_EQ(second.sets().size(), 12u);
   // Well into the second lap the first is found.
   const core::CandidateSet set = *second.sets().back();
@@ -472,14 +476,9 @@ TEST_F(VehicleSessionTest, AnswersWithCandidatesOfEveryCheckThatFellDue) {
 }
 
 TEST_F(VehicleSessionTest, ChecksOnlyWhereAsked) {
-  AppendRequest request;
-  request.decoder = [](const VehicleConfig& config) {
-    return PlainCodec().DecodeBatch(SquareBatch(1, 80), config);
-  };
-  request.callbacks.candidates = [](const auto&, const auto&) {
-    ADD_FAILURE();
-  };
-  session_->Append(std::move(request));
+  const auto append = std::make_shared<PlainAppend>(SquareBatch(1, 80));
+  append->candidates = [](const auto&, const auto&) { ADD_FAILURE(); };
+  session_->Append(append);
   EXPECT_THAT(AppendNow(*session_, SquareBatch(81, 1)), IsOk());
 }
 
@@ -495,29 +494,23 @@ TEST_F(VehicleSessionTest, NothingGetsBetweenAnAcknowledgementAndItsChecks) {
   std::vector<Answer<bool>> answers(4);
   for (std::uint64_t i = 0; i < answers.size(); ++i) {
     const std::string name = std::to_string(i);
-    AppendRequest request;
-    request.decoder =
-        [payload = SquareBatch(1 + 40 * i, 40)](const VehicleConfig& config) {
-          return PlainCodec().DecodeBatch(payload, config);
-        };
-    request.check = [](const VehicleConfig& config) {
-      return absl::StatusOr<core::SearchOptions>(config.engine.search);
-    };
-    request.callbacks.durable =
+    const auto append =
+        std::make_shared<PlainAppend>(SquareBatch(1 + 40 * i, 40));
+    append->wants = true;
+    append->durable =
         [&, name, answer = answers[i]](
             const absl::StatusOr<Acknowledgement>& acknowledgement) {
           EXPECT_THAT(acknowledgement.status(), IsOk());
           note("ack " + name);
           answer.Set(true);
         };
-    request.callbacks.candidates =
-        [&, name](const VehicleView& view,
-                  const absl::StatusOr<core::CandidateSet>& set) {
-          EXPECT_THAT(set.status(), IsOk());
-          note("check " + name + " at " +
-               std::to_string(view.durable_sequence));
-        };
-    session_->Append(std::move(request));
+    append->candidates = [&, name](
+                             const VehicleView& view,
+                             const absl::StatusOr<core::CandidateSet>& set) {
+      EXPECT_THAT(set.status(), IsOk());
+      note("check " + name + " at " + std::to_string(view.durable_sequence));
+    };
+    session_->Append(append);
   }
   const Answer<absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>>> pair;
   session_->AddPosePair(PairKind::kLoopClosure, {"a", 60, 1, 1}, pair.Setter());
@@ -550,7 +543,7 @@ TEST_F(VehicleSessionTest, SaysWhyCheckIsNotRun) {
 
 TEST_F(VehicleSessionTest, GivesUpChecksButNotTheAppendWhenToldToStop) {
   ASSERT_THAT(AppendNow(*session_, SquareBatch(1, 99)), IsOk());
-  const CheckedAppend appended(*session_, SquareBatch(100, 3), OwnOptions,
+  const CheckedAppend appended(*session_, SquareBatch(100, 3), nullptr,
                                [] { return true; });
   EXPECT_THAT(appended.sets(),
               ElementsAre(IsError(StatusCode::kCancelled, _, _)));

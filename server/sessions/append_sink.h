@@ -1,0 +1,64 @@
+// One batch on its way into a vehicle: where its poses come from, and who hears
+// what becomes of them.
+#ifndef REVISIT_SERVER_SESSIONS_APPEND_SINK_H_
+#define REVISIT_SERVER_SESSIONS_APPEND_SINK_H_
+
+#include <cstdint>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "core/engine.h"
+#include "core/settings.h"
+#include "server/sessions/record_codec.h"
+#include "server/sessions/vehicle_view.h"
+
+namespace revisit::server {
+
+struct Acknowledgement {
+  std::uint64_t durable_sequence = 0;
+  std::uint64_t revision = 0;
+  std::vector<core::Jump> jumps;
+};
+
+// The session calls, in this order and one at a time per vehicle: Decode() at
+// most once, OnStaged() once, OnDurable() once, OnCandidates() once for each
+// check that fell due, OnOver() once. OnDurable() comes in the order of the
+// vehicle's appends, success or failure; only an append that is refused with
+// QUEUE_FULL is answered ahead of those before it.
+class AppendSink {
+ public:
+  virtual ~AppendSink() = default;
+
+  // Decodes the batch for a vehicle, whose origin the first batch may set.
+  // INVALID_ARGUMENT, with details, for defects.
+  virtual absl::StatusOr<DecodedBatch> Decode(const VehicleConfig& config) = 0;
+
+  // Decode() has been called or never will be, so its message may be reused. OK
+  // if the batch was taken on; otherwise OnDurable() will report the same.
+  virtual void OnStaged(const absl::Status& /*status*/) {}
+
+  // The batch is durable and applied, or the reason why not.
+  virtual void OnDurable(const absl::StatusOr<Acknowledgement>& result) = 0;
+
+  // Whether the checks that the batch makes fall due are run.
+  virtual bool wants_candidates() const { return false; }
+  // How they are run for a vehicle of this config. INVALID_ARGUMENT if the
+  // options do not fit it.
+  virtual absl::StatusOr<core::SearchOptions> CheckOptions(
+      const VehicleConfig& config) const {
+    return config.engine.search;
+  }
+  // Gives up the checks; a batch that was staged is not given up.
+  virtual bool ShouldStop() const { return false; }
+  virtual void OnCandidates(const VehicleView& /*view*/,
+                            const absl::StatusOr<core::CandidateSet>& /*set*/) {
+  }
+
+  // Nothing more comes of this append.
+  virtual void OnOver() {}
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SESSIONS_APPEND_SINK_H_

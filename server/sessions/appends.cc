@@ -1,0 +1,360 @@
+#include "server/sessions/appends.h"
+
+#include <algorithm>
+#include <string>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StatusCode;
+using absl::StrCat;
+
+bool SamePosition(const GeodeticOrigin& a, const GeodeticOrigin& b) {
+  return a.latitude_degrees == b.latitude_degrees &&
+         a.longitude_degrees == b.longitude_degrees &&
+         a.height_meters == b.height_meters;
+}
+
+absl::Status CheckConsecutive(const DecodedBatch& batch) {
+  if (batch.samples.empty()) {
+    return InvalidFields("BATCH_SIZE", {{"poses", "got 0, at least 1"}});
+  }
+  const std::uint64_t first = batch.samples.front().sequence;
+  if (first == 0) {
+    return InvalidFields("INVALID_FIELD",
+                         {{"poses[0].sequence", "got 0, at least 1"}});
+  }
+  for (std::size_t i = 0; i < batch.samples.size(); ++i) {
+    if (batch.samples[i].sequence != first + i) {
+      return InvalidFields(
+          "INVALID_FIELD",
+          {{StrCat("poses[", i, "].sequence"),
+            StrCat("got ", batch.samples[i].sequence,
+                   ", in a batch it must be the one before plus 1, ",
+                   first + i)}});
+    }
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+struct Appends::Pending {
+  std::shared_ptr<AppendSink> sink;
+  // The poses that came, also where only a part of them is new.
+  std::uint64_t first_sequence = 0;
+  std::uint64_t last_sequence = 0;
+  // Nothing until decoded. Samples and payload are those to write.
+  std::optional<DecodedBatch> decoded;
+  // The revision that the write makes; 0 if there is nothing to write.
+  std::uint64_t revision = 0;
+  // Set once it is known what to answer; answered in order.
+  std::optional<absl::Status> result;
+};
+
+void Appends::Submit(std::shared_ptr<AppendSink> sink) {
+  if (pending_.fetch_add(1) >= max_pending_) {
+    pending_.fetch_sub(1);
+    Refuse(std::move(sink));
+    return;
+  }
+  auto append = std::make_shared<Pending>();
+  append->sink = std::move(sink);
+  queue_->RunOrPost([this, append = std::move(append)]() mutable {
+    if (queue_->MayAppendHere()) {
+      Run(append, absl::OkStatus(), /*may_read=*/false);
+      return;
+    }
+    queue_->PushBack(
+        {Turn::kAppend, [this, append](const absl::Status& status) {
+           Run(append, status, /*may_read=*/true);
+         }});
+    queue_->PumpLater();
+  });
+}
+
+void Appends::Refuse(std::shared_ptr<AppendSink> sink) {
+  const absl::Status full =
+      Error(StatusCode::kResourceExhausted, "QUEUE_FULL",
+            StrCat("vehicle '", vehicle_->id, "': ", max_pending_,
+                   " batches wait to be stored, which is the limit"));
+  queue_->Post([sink = std::move(sink), full] {
+    sink->OnStaged(full);
+    sink->OnDurable(full);
+    sink->OnOver();
+  });
+}
+
+void Appends::Run(const PendingPtr& append, const absl::Status& status,
+                  bool may_read) {
+  const absl::StatusOr<Taken> taken =
+      status.ok() ? TakeOn(append, may_read) : status;
+  if (!taken.ok()) {
+    // Answered behind those before it.
+    append->result = taken.status();
+    in_flight_.push_back(append);
+    append->sink->OnStaged(taken.status());
+    AnswerInOrder();
+  } else if (*taken != Taken::kYes) {
+    const Turn turn = *taken == Taken::kWhenIdle ? Turn::kAlone : Turn::kAppend;
+    queue_->PushFront({turn, [this, append](const absl::Status& later) {
+                         Run(append, later, /*may_read=*/true);
+                       }});
+    if (!may_read) queue_->PumpLater();
+  }
+}
+
+absl::StatusOr<Appends::Taken> Appends::TakeOn(const PendingPtr& append,
+                                               bool may_read) {
+  if (absl::Status status = vehicle_->Writable(); !status.ok()) return status;
+  if (absl::Status status = Decode(append.get()); !status.ok()) return status;
+  DecodedBatch& batch = *append->decoded;
+  const std::uint64_t first = append->first_sequence;
+  const std::uint64_t last = append->last_sequence;
+  const std::uint64_t staged = vehicle_->staged.sequence;
+  const std::uint64_t durable = vehicle_->durable_sequence;
+  if (first > staged + 1) {
+    const std::string expected = StrCat(staged + 1);
+    return Error(
+        StatusCode::kFailedPrecondition, "SEQUENCE_GAP",
+        StrCat("vehicle '", vehicle_->id, "': got a batch from sequence ",
+               first, ", expected ", expected),
+        {{"expected_sequence", expected}});
+  }
+  if (first <= staged) {
+    if (last > durable && staged > durable) return Taken::kWhenIdle;
+    if (!may_read) return Taken::kWhereReadsMayWait;
+    const absl::Status same =
+        CompareWithStored(batch, first, std::min(last, durable));
+    if (!same.ok()) return same;
+    if (last <= durable) {
+      append->result = absl::OkStatus();
+      in_flight_.push_back(append);
+      append->sink->OnStaged(absl::OkStatus());
+      AnswerInOrder();
+      return Taken::kYes;
+    }
+    if (absl::Status sliced = KeepFrom(durable + 1 - first, &batch);
+        !sliced.ok()) {
+      return sliced;
+    }
+  }
+  if (absl::Status status = TakeOrigin(batch); !status.ok()) return status;
+  Write(append);
+  return Taken::kYes;
+}
+
+// An append that is run again is decoded already.
+absl::Status Appends::Decode(Pending* append) {
+  if (append->decoded) return absl::OkStatus();
+  absl::StatusOr<DecodedBatch> decoded =
+      append->sink->Decode(vehicle_->staged.config);
+  if (!decoded.ok()) return decoded.status();
+  if (absl::Status status = CheckConsecutive(*decoded); !status.ok()) {
+    return status;
+  }
+  append->first_sequence = decoded->samples.front().sequence;
+  append->last_sequence = decoded->samples.back().sequence;
+  append->decoded = *std::move(decoded);
+  return absl::OkStatus();
+}
+
+// The first batch of a geodetic vehicle may set its origin.
+absl::Status Appends::TakeOrigin(const DecodedBatch& batch) {
+  if (!batch.origin) return absl::OkStatus();
+  std::optional<GeodeticOrigin>& origin = vehicle_->staged.config.origin;
+  if (!origin) {
+    origin = batch.origin;
+    return absl::OkStatus();
+  }
+  if (!SamePosition(*origin, *batch.origin)) {
+    return Error(StatusCode::kInternal, "INTERNAL",
+                 StrCat("vehicle '", vehicle_->id,
+                        "': a batch was decoded with another geodetic origin"));
+  }
+  return absl::OkStatus();
+}
+
+// Whether the poses of [first, last] are stored with the same content.
+absl::Status Appends::CompareWithStored(const DecodedBatch& batch,
+                                        std::uint64_t first,
+                                        std::uint64_t last) const {
+  absl::Status result;
+  const absl::Status reading = vehicle_->storage->ReadBatches(
+      vehicle_->key, first, last, BatchVersion::kAsSent,
+      [&](const BatchRecord& record) {
+        const absl::StatusOr<DecodedBatch> stored =
+            vehicle_->DecodeStored(record, vehicle_->config);
+        if (!stored.ok()) {
+          result = stored.status();
+          return false;
+        }
+        const std::uint64_t from = std::max(first, record.first_sequence);
+        const std::uint64_t to =
+            std::min(last, record.first_sequence + record.count - 1);
+        for (std::uint64_t sequence = from; sequence <= to; ++sequence) {
+          if (batch.fingerprints[sequence - first] ==
+              stored->fingerprints[sequence - record.first_sequence]) {
+            continue;
+          }
+          result = Error(
+              StatusCode::kAlreadyExists, "SEQUENCE_CONTENT_MISMATCH",
+              StrCat("vehicle '", vehicle_->id, "': the pose of sequence ",
+                     sequence, " is stored with other content"),
+              {{"sequence", StrCat(sequence)}});
+          return false;
+        }
+        return true;
+      });
+  return reading.ok() ? result : reading;
+}
+
+absl::Status Appends::KeepFrom(std::size_t first, DecodedBatch* batch) const {
+  const std::size_t count = batch->samples.size() - first;
+  absl::StatusOr<std::string> payload =
+      vehicle_->codec->SliceBatch(batch->payload, first, count);
+  if (!payload.ok()) return payload.status();
+  batch->payload = *std::move(payload);
+  const auto offset = static_cast<std::ptrdiff_t>(first);
+  batch->samples.erase(batch->samples.begin(), batch->samples.begin() + offset);
+  batch->fingerprints.erase(batch->fingerprints.begin(),
+                            batch->fingerprints.begin() + offset);
+  return absl::OkStatus();
+}
+
+void Appends::Write(const PendingPtr& append) {
+  VehicleState::Staged& staged = vehicle_->staged;
+  DecodedBatch& batch = *append->decoded;
+  BatchRecord record;
+  record.first_sequence = batch.samples.front().sequence;
+  record.count = static_cast<std::uint32_t>(batch.samples.size());
+  record.revision = ++staged.revision;
+  record.payload = std::move(batch.payload);
+  std::optional<std::string> vehicle_payload;
+  if (staged.config.origin && !vehicle_->config.origin &&
+      record.first_sequence == 1) {
+    vehicle_payload = vehicle_->codec->EncodeVehicle(staged.config);
+  }
+  append->revision = record.revision;
+  staged.sequence = batch.samples.back().sequence;
+  in_flight_.push_back(append);
+  append->sink->OnStaged(absl::OkStatus());
+  vehicle_->storage->AppendBatch(
+      vehicle_->key, std::move(record), std::move(vehicle_payload),
+      queue_->OnStrand([this, append](const absl::Status& result) {
+        TakeResult(append, result);
+      }));
+}
+
+void Appends::TakeResult(const PendingPtr& append, const absl::Status& result) {
+  append->result = result;
+  AnswerInOrder();
+  queue_->Pump();
+}
+
+void Appends::AnswerInOrder() {
+  while (!checking_ && !in_flight_.empty() && in_flight_.front()->result) {
+    const PendingPtr append = std::move(in_flight_.front());
+    in_flight_.pop_front();
+    if (append->revision == 0) {
+      Answer(*append, *append->result);
+      append->sink->OnOver();
+    } else {
+      Land(append);
+    }
+  }
+  if (idle() && failure_) {
+    failure_.reset();
+    vehicle_->Adopt(vehicle_->config, vehicle_->revision);
+  }
+}
+
+// A write came back.
+void Appends::Land(const PendingPtr& append) {
+  const absl::Status status = ResultOf(*append);
+  if (!status.ok()) {
+    Answer(*append, status);
+    append->sink->OnOver();
+    return;
+  }
+  std::vector<core::NodeIndex> due = Apply(*append);
+  Answer(*append, absl::OkStatus());
+  if (due.empty() || !append->sink->wants_candidates()) {
+    append->sink->OnOver();
+  } else {
+    RunChecks(append, std::move(due));
+  }
+}
+
+// The result of a write, in the light of those before it.
+absl::Status Appends::ResultOf(const Pending& append) {
+  const absl::Status& written = *append.result;
+  if (failure_) {
+    // Stored behind one that was not: the store is no prefix of what was
+    // staged, which its contract rules out.
+    if (written.ok()) vehicle_->Leave(vehicle_->OutOfStep());
+    return *failure_;
+  }
+  if (written.ok()) return written;
+  // The store expected another batch than this session does.
+  const bool out_of_step = written.code() == StatusCode::kFailedPrecondition;
+  failure_ = out_of_step ? vehicle_->OutOfStep() : written;
+  vehicle_->in_doubt = true;
+  return *failure_;
+}
+
+// Applies what is durable. Returns the nodes at which a check fell due.
+std::vector<core::NodeIndex> Appends::Apply(const Pending& append) {
+  const std::vector<core::PoseSample>& samples = append.decoded->samples;
+  core::AppendResult applied =
+      vehicle_->engine->Append(samples, append.revision);
+  vehicle_->jumps.insert(vehicle_->jumps.end(), applied.jumps.begin(),
+                         applied.jumps.end());
+  vehicle_->NoteResidency();
+  vehicle_->durable_sequence = samples.back().sequence;
+  vehicle_->revision = append.revision;
+  if (!vehicle_->config.origin) {
+    vehicle_->config.origin = append.decoded->origin;
+  }
+  return std::move(applied.checks_due);
+}
+
+void Appends::RunChecks(const PendingPtr& append,
+                        std::vector<core::NodeIndex> due) {
+  checking_ = true;
+  queue_->PostSearch([this, append, due = std::move(due)] {
+    AppendSink* const sink = append->sink.get();
+    const absl::StatusOr<core::SearchOptions> options =
+        sink->CheckOptions(vehicle_->config);
+    const auto should_stop = [sink] { return sink->ShouldStop(); };
+    for (const core::NodeIndex node : due) {
+      sink->OnCandidates(vehicle_->View(),
+                         options.ok() ? vehicle_->engine->FindCandidates(
+                                            node, *options, should_stop)
+                                      : options.status());
+    }
+    sink->OnOver();
+    checking_ = false;
+    // In the lane of short work again.
+    queue_->Post([this] {
+      AnswerInOrder();
+      queue_->Pump();
+    });
+  });
+}
+
+void Appends::Answer(const Pending& append, const absl::Status& status) {
+  pending_.fetch_sub(1);
+  if (!status.ok()) {
+    append.sink->OnDurable(status);
+    return;
+  }
+  append.sink->OnDurable(Acknowledgement{
+      vehicle_->durable_sequence, vehicle_->revision,
+      vehicle_->JumpsAt(append.first_sequence, append.last_sequence)});
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,90 @@
+// Appends of one vehicle, from their coming to their last callback.
+#ifndef REVISIT_SERVER_SESSIONS_APPENDS_H_
+#define REVISIT_SERVER_SESSIONS_APPENDS_H_
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "core/engine.h"
+#include "server/sessions/append_sink.h"
+#include "server/sessions/vehicle_queue.h"
+#include "server/sessions/vehicle_state.h"
+
+namespace revisit::server {
+
+// A batch is decoded and checked whole, staged, written by the storage, and,
+// once durable, applied and acknowledged; then the checks that fell due run.
+// Appends may be in flight one behind the other. Belongs to the strand, but for
+// Submit().
+class Appends {
+ public:
+  // At most `max_pending` appends wait or are in flight.
+  Appends(VehicleState* vehicle, VehicleQueue* queue, int max_pending)
+      : vehicle_(vehicle), queue_(queue), max_pending_(max_pending) {}
+
+  // See VehicleSession::Append(). From any thread; stages the batch before it
+  // returns if nothing stands in its way, so that the caller's thread does what
+  // it would else have woken another for.
+  void Submit(std::shared_ptr<AppendSink> sink);
+
+  // Whether no append is in flight, the checks of those that landed included.
+  bool idle() const { return in_flight_.empty() && !checking_; }
+  // Whether one in flight has failed: those behind it fail too, and no other
+  // may start.
+  bool failing() const { return failure_.has_value(); }
+
+ private:
+  struct Pending;
+  using PendingPtr = std::shared_ptr<Pending>;
+
+  // Whether an append was taken on, or when it can be.
+  enum class Taken {
+    kYes,
+    // Once all that is in flight has landed.
+    kWhenIdle,
+    // On a thread that may wait for the storage.
+    kWhereReadsMayWait,
+  };
+
+  void Refuse(std::shared_ptr<AppendSink> sink);
+  // `may_read`: whether this thread may wait for the storage.
+  void Run(const PendingPtr& append, const absl::Status& status, bool may_read);
+  absl::StatusOr<Taken> TakeOn(const PendingPtr& append, bool may_read);
+  absl::Status Decode(Pending* append);
+  absl::Status TakeOrigin(const DecodedBatch& batch);
+  absl::Status CompareWithStored(const DecodedBatch& batch, std::uint64_t first,
+                                 std::uint64_t last) const;
+  absl::Status KeepFrom(std::size_t first, DecodedBatch* batch) const;
+  void Write(const PendingPtr& append);
+  void TakeResult(const PendingPtr& append, const absl::Status& result);
+  void AnswerInOrder();
+  void Land(const PendingPtr& append);
+  absl::Status ResultOf(const Pending& append);
+  std::vector<core::NodeIndex> Apply(const Pending& append);
+  void RunChecks(const PendingPtr& append, std::vector<core::NodeIndex> due);
+  void Answer(const Pending& append, const absl::Status& status);
+
+  VehicleState* const vehicle_;
+  VehicleQueue* const queue_;
+  const int max_pending_;
+  std::atomic<int> pending_{0};
+
+  // Taken on or refused, oldest first, until answered.
+  std::deque<PendingPtr> in_flight_;
+  // Why the first of them failed that did.
+  std::optional<absl::Status> failure_;
+  // The checks of an append that has landed are still to be run. Appends in
+  // flight behind it land after them.
+  bool checking_ = false;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SESSIONS_APPENDS_H_

@@ -1,0 +1,407 @@
+#include "server/sessions/changes.h"
+
+#include <algorithm>
+
+#include "absl/strings/str_cat.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StatusCode;
+using absl::StrCat;
+
+bool MovesNodes(const core::EngineSettings& before,
+                const core::EngineSettings& after) {
+  const auto is_filter = [](const core::EngineSettings& settings) {
+    return settings.search.correlation_model == core::CorrelationModel::kFilter;
+  };
+  return before.state_space != after.state_space ||
+         before.node_spacing_meters != after.node_spacing_meters ||
+         before.max_step_meters != after.max_step_meters ||
+         is_filter(before) != is_filter(after);
+}
+
+}  // namespace
+
+void Changes::Write(const std::function<void(Storage::Done)>& write,
+                    Then then) {
+  queue_->Hold();
+  write(queue_->OnStrand(
+      [this, then = std::move(then)](const absl::Status& status) {
+        if (!status.ok()) vehicle_->in_doubt = true;
+        queue_->Release([&] { then(status); });
+      }));
+}
+
+void Changes::WriteConfig(const VehicleConfig& config, Then then) {
+  Write(
+      [&](Storage::Done done) {
+        vehicle_->storage->UpdateVehicle(
+            vehicle_->key, vehicle_->codec->EncodeVehicle(config),
+            vehicle_->revision + 1, std::move(done));
+      },
+      std::move(then));
+}
+
+void Changes::ChangeConfig(const VehicleConfig& config, Then then) {
+  WriteConfig(config, [this, config, next = vehicle_->revision + 1,
+                       then = std::move(then)](const absl::Status& status) {
+    if (status.ok()) {
+      vehicle_->engine->ChangeSettings(config.engine, next);
+      vehicle_->Adopt(config, next);
+    }
+    then(status);
+  });
+}
+
+Changes::Then Changes::AnswerWithView(const ViewCallback& callback) {
+  return [this, callback](const absl::Status& status) {
+    if (status.ok()) {
+      callback(vehicle_->View());
+    } else {
+      callback(status);
+    }
+  };
+}
+
+bool Changes::IsOfLostPoses(std::uint64_t acked_sequence,
+                            const std::string& vehicle_uid,
+                            const ViewCallback& callback) const {
+  const absl::Status meant =
+      vehicle_->config_is_known
+          ? CheckMeant(vehicle_->id, vehicle_->config, vehicle_uid)
+          : vehicle_->damage;
+  if (!meant.ok()) {
+    callback(meant);
+  } else if (!vehicle_->damage.ok()) {
+    callback(vehicle_->damage);
+  } else if (acked_sequence > vehicle_->durable_sequence) {
+    return true;
+  } else {
+    callback(vehicle_->View());
+  }
+  return false;
+}
+
+void Changes::CheckAcknowledged(std::uint64_t acked_sequence,
+                                const std::string& vehicle_uid,
+                                const ViewCallback& callback) {
+  if (!IsOfLostPoses(acked_sequence, vehicle_uid, callback)) return;
+  const ErrorMetadata acked = {{"acked_sequence", StrCat(acked_sequence)}};
+  const absl::Status loss = vehicle_->DataLoss(acked);
+  if (vehicle_->config.data_loss) {
+    callback(loss);
+    return;
+  }
+  if (vehicle_uid.empty()) {
+    callback(vehicle_->Regressed(
+        StrCat("the client holds an acknowledgement for sequence ",
+               acked_sequence, ", but only ", vehicle_->durable_sequence,
+               " poses are stored; without the uid of the vehicle that it is "
+               "of (vehicle_uid) this ends this stream alone"),
+        acked));
+    return;
+  }
+  VehicleConfig config = vehicle_->config;
+  config.data_loss = true;
+  ChangeConfig(config, [this, callback, loss](const absl::Status&) {
+    // Holds in memory even if it could not be stored; the client will say so
+    // again. Not before: nobody may see what a crash could take back.
+    vehicle_->config.data_loss = true;
+    callback(loss);
+  });
+}
+
+void Changes::AcceptDataLoss(std::uint64_t durable_sequence,
+                             const ViewCallback& callback) {
+  const ErrorMetadata metadata = {
+      {"durable_sequence", StrCat(vehicle_->durable_sequence)}};
+  if (!vehicle_->config_is_known) {
+    callback(vehicle_->damage);
+    return;
+  }
+  if (!vehicle_->config.data_loss && vehicle_->damage.ok()) {
+    callback(Error(StatusCode::kFailedPrecondition, "NO_DATA_LOSS",
+                   StrCat("vehicle '", vehicle_->id,
+                          "' is neither in the state DATA_LOSS nor DAMAGED"),
+                   metadata));
+    return;
+  }
+  if (durable_sequence != vehicle_->durable_sequence) {
+    callback(Error(StatusCode::kFailedPrecondition, "DURABLE_SEQUENCE_MISMATCH",
+                   StrCat("durable_sequence: got ", durable_sequence,
+                          ", the vehicle's is ", vehicle_->durable_sequence),
+                   metadata));
+    return;
+  }
+  VehicleConfig config = vehicle_->config;
+  config.data_loss = false;
+  if (vehicle_->damage.ok()) {
+    ChangeConfig(config, AnswerWithView(callback));
+  } else {
+    DropDamaged(config, AnswerWithView(callback));
+  }
+}
+
+void Changes::DropDamaged(const VehicleConfig& config, Then then) {
+  const std::uint64_t next = vehicle_->revision + 1;
+  Write(
+      [&](Storage::Done done) {
+        vehicle_->storage->DropDamaged(
+            vehicle_->key, vehicle_->durable_sequence,
+            vehicle_->codec->EncodeVehicle(config), next, std::move(done));
+      },
+      [this, config, next, then = std::move(then)](const absl::Status& status) {
+        if (status.ok()) {
+          vehicle_->damage = absl::OkStatus();
+          vehicle_->engine->ChangeSettings(config.engine, next);
+          vehicle_->Adopt(config, next);
+        }
+        then(status);
+      });
+}
+
+void Changes::Update(const ConfigChange& change, const ViewCallback& callback) {
+  if (absl::Status status = vehicle_->Writable(); !status.ok()) {
+    callback(status);
+    return;
+  }
+  const absl::StatusOr<VehicleConfig> config = change(vehicle_->View());
+  if (!config.ok()) {
+    callback(config.status());
+    return;
+  }
+  const Then answer = AnswerWithView(callback);
+  if (!MovesNodes(vehicle_->config.engine, config->engine)) {
+    ChangeConfig(*config, answer);
+    return;
+  }
+  WriteConfig(*config, [this, config = *config, next = vehicle_->revision + 1,
+                        answer](const absl::Status& status) {
+    if (status.ok()) {
+      replayer_->Rebuild(config, next, answer);
+    } else {
+      answer(status);
+    }
+  });
+}
+
+void Changes::Revise(const RevisionPlanner& plan,
+                     const RevisionCallback& callback) {
+  if (absl::Status status = vehicle_->Writable(); !status.ok()) {
+    callback(status);
+    return;
+  }
+  // The plan reads all that it revises.
+  queue_->Hold();
+  queue_->PostLong([this, plan, callback] {
+    queue_->Release([&] { WriteRevision(plan, callback); });
+  });
+}
+
+void Changes::WriteRevision(const RevisionPlanner& make_plan,
+                            const RevisionCallback& callback) {
+  absl::StatusOr<RevisionPlan> plan = make_plan(vehicle_->View());
+  if (!plan.ok()) {
+    callback(plan.status());
+    return;
+  }
+  if (plan->done_by) {
+    callback(std::make_pair(*plan->done_by, plan->revised_count));
+    return;
+  }
+  if (!plan->batches) {
+    callback(std::make_pair(vehicle_->revision, std::int64_t{0}));
+    return;
+  }
+  const std::uint64_t next = vehicle_->revision + 1;
+  const Then answer = [this, callback, count = plan->revised_count](
+                          const absl::Status& status) {
+    if (status.ok()) {
+      callback(std::make_pair(vehicle_->revision, count));
+    } else {
+      callback(status);
+    }
+  };
+  queue_->set_store_lead(VehicleQueue::StoreLead::kPoses);
+  Write(
+      [&](Storage::Done done) {
+        vehicle_->storage->ReviseBatches(
+            vehicle_->key, std::move(plan->batches), next, std::move(done));
+      },
+      [this, next, answer](const absl::Status& status) {
+        if (status.ok()) {
+          replayer_->Rebuild(vehicle_->config, next, answer);
+        } else {
+          queue_->set_store_lead(VehicleQueue::StoreLead::kNone);
+          answer(status);
+        }
+      });
+}
+
+void Changes::AddPosePair(PairKind kind, PosePairRecord pair,
+                          const PairCallback& callback) {
+  absl::Status allowed = vehicle_->Writable();
+  const PosePairs& pairs = vehicle_->Pairs(kind);
+  if (allowed.ok()) allowed = CheckNewPair(kind, pair);
+  if (!allowed.ok()) {
+    callback(allowed);
+    return;
+  }
+  if (const auto there = pairs.find(pair.id); there != pairs.end()) {
+    callback(std::make_pair(there->second, vehicle_->revision));
+    return;
+  }
+  const bool is_last = PlaceInOrder(&pair);
+  const std::uint64_t next = vehicle_->revision + 1;
+  Write(
+      [&](Storage::Done done) {
+        vehicle_->storage->AddPosePair(vehicle_->key, kind, pair, next,
+                                       std::move(done));
+      },
+      [this, kind, pair, next, is_last, callback](const absl::Status& status) {
+        if (!status.ok()) {
+          callback(status);
+          return;
+        }
+        vehicle_->Pairs(kind).emplace(pair.id, pair);
+        if (is_last) {
+          TakeOnLastPair(kind, pair, next);
+          callback(std::make_pair(pair, next));
+          return;
+        }
+        queue_->set_store_lead(VehicleQueue::StoreLead::kVehicle);
+        replayer_->Rebuild(vehicle_->config, next,
+                           [pair, next, callback](const absl::Status& rebuilt) {
+                             if (rebuilt.ok()) {
+                               callback(std::make_pair(pair, next));
+                             } else {
+                               callback(rebuilt);
+                             }
+                           });
+      });
+}
+
+absl::Status Changes::CheckNewPair(PairKind kind,
+                                   const PosePairRecord& pair) const {
+  for (const std::uint64_t sequence :
+       {pair.query_sequence, pair.matched_sequence}) {
+    if (sequence < 1 || sequence > vehicle_->durable_sequence) {
+      return PoseNotFound(vehicle_->id, sequence, vehicle_->durable_sequence);
+    }
+  }
+  const PairWords words = WordsOf(kind);
+  const PosePairs& pairs = vehicle_->Pairs(kind);
+  const auto found = pairs.find(pair.id);
+  if (found != pairs.end()) {
+    const PosePairRecord& there = found->second;
+    if (there.query_sequence == pair.query_sequence &&
+        there.matched_sequence == pair.matched_sequence) {
+      return absl::OkStatus();
+    }
+    return Error(
+        StatusCode::kAlreadyExists, words.exists,
+        StrCat(words.noun, " '", pair.id, "' names sequences ",
+               there.query_sequence, " and ", there.matched_sequence, ", got ",
+               pair.query_sequence, " and ", pair.matched_sequence));
+  }
+  if (pairs.size() >= max_pose_pairs_) {
+    const std::string limit = StrCat(max_pose_pairs_);
+    return Error(StatusCode::kFailedPrecondition, "POSE_PAIR_LIMIT",
+                 StrCat("vehicle '", vehicle_->id, "' has ", limit, " ",
+                        words.noun, "s, which is the limit; delete some first"),
+                 {{"limit", limit}});
+  }
+  return absl::OkStatus();
+}
+
+bool Changes::PlaceInOrder(PosePairRecord* pair) const {
+  const std::optional<std::int64_t>& latest = vehicle_->latest_pair_ns;
+  if (!latest) return true;
+  if (*latest - kMostClockError > pair->create_time_ns) return false;
+  pair->create_time_ns = std::max(pair->create_time_ns, *latest + 1);
+  return true;
+}
+
+void Changes::TakeOnLastPair(PairKind kind, const PosePairRecord& pair,
+                             std::uint64_t revision) {
+  vehicle_->latest_pair_ns = pair.create_time_ns;
+  AddPair(vehicle_->engine.get(), kind, pair, revision);
+  vehicle_->NoteResidency();
+  vehicle_->Adopt(vehicle_->config, revision);
+}
+
+void Changes::DeletePosePair(
+    PairKind kind, const std::string& id,
+    const std::function<void(absl::StatusOr<std::uint64_t>)>& callback) {
+  if (absl::Status status = vehicle_->Writable(); !status.ok()) {
+    callback(status);
+    return;
+  }
+  const auto found = vehicle_->Pairs(kind).find(id);
+  if (found == vehicle_->Pairs(kind).end()) {
+    const PairWords words = WordsOf(kind);
+    callback(Error(StatusCode::kNotFound, words.not_found,
+                   StrCat("vehicle '", vehicle_->id, "' has no ", words.noun,
+                          " '", id, "'")));
+    return;
+  }
+  const std::uint64_t next = vehicle_->revision + 1;
+  Write(
+      [&](Storage::Done done) {
+        vehicle_->storage->DeletePosePair(vehicle_->key, kind, id, next,
+                                          std::move(done));
+      },
+      [this, kind, pair = found->second, next,
+       callback](const absl::Status& status) {
+        if (!status.ok()) {
+          callback(status);
+          return;
+        }
+        TakeBack(kind, pair, next);
+        vehicle_->NoteResidency();
+        vehicle_->Pairs(kind).erase(pair.id);
+        vehicle_->FindLatestPair();
+        vehicle_->Adopt(vehicle_->config, next);
+        callback(next);
+      });
+}
+
+void Changes::TakeBack(PairKind kind, const PosePairRecord& pair,
+                       std::uint64_t revision) {
+  if (kind == PairKind::kRejectedCandidate) {
+    vehicle_->engine->RemoveRejection(pair.query_sequence,
+                                      pair.matched_sequence, revision);
+    return;
+  }
+  // The same poses may be named more than once, and what the others teach
+  // depends on their order.
+  std::size_t occurrence = 0;
+  for (const auto& [other_kind, other] : vehicle_->PairsAsAdded()) {
+    if (other_kind != kind) continue;
+    if (other->id == pair.id) break;
+    if (other->query_sequence == pair.query_sequence &&
+        other->matched_sequence == pair.matched_sequence) {
+      ++occurrence;
+    }
+  }
+  vehicle_->engine->RemoveLoopClosure(
+      pair.query_sequence, pair.matched_sequence, revision, occurrence);
+}
+
+void Changes::Delete(const std::function<void(absl::Status)>& callback) {
+  queue_->set_store_lead(VehicleQueue::StoreLead::kVehicle);
+  Write(
+      [&](Storage::Done done) {
+        vehicle_->storage->DeleteVehicle(vehicle_->key, std::move(done));
+      },
+      [this, callback](const absl::Status& status) {
+        queue_->set_store_lead(VehicleQueue::StoreLead::kNone);
+        if (status.ok() || absl::IsNotFound(status)) {
+          vehicle_->Leave(VehicleNotFound(vehicle_->id));
+        }
+        callback(status);
+      });
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,111 @@
+// Everything that changes a vehicle, but for appends. The session calls each
+// while no append is in flight; nothing but reads starts until it has answered.
+#ifndef REVISIT_SERVER_SESSIONS_CHANGES_H_
+#define REVISIT_SERVER_SESSIONS_CHANGES_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <string>
+#include <utility>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "server/sessions/replay.h"
+#include "server/sessions/vehicle_queue.h"
+#include "server/sessions/vehicle_state.h"
+#include "server/sessions/vehicle_view.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+// A pair's creation time is moved behind the latest by at most an hour.
+inline constexpr std::int64_t kMostClockError = 3'600'000'000'000;  // ns.
+
+// Which poses a revision replaces.
+struct RevisionPlan {
+  // Batches with new payloads: first sequence and count as stored. None where
+  // nothing changes.
+  BatchSource batches;
+  std::int64_t revised_count = 0;
+  // The revision that has done the same before, if there is one: it is answered
+  // again, and nothing is replaced.
+  std::optional<std::uint64_t> done_by;
+};
+
+using ConfigChange =
+    std::function<absl::StatusOr<VehicleConfig>(const VehicleView&)>;
+using RevisionPlanner =
+    std::function<absl::StatusOr<RevisionPlan>(const VehicleView&)>;
+// The revision, and how many poses were revised.
+using RevisionCallback =
+    std::function<void(absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>)>;
+// The pair as stored, and the revision.
+using PairCallback = std::function<void(
+    absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>>)>;
+
+// Contracts of the methods: see those of VehicleSession. Belongs to the strand.
+class Changes {
+ public:
+  Changes(VehicleState* vehicle, VehicleQueue* queue, Replayer* replayer,
+          std::size_t max_pose_pairs)
+      : vehicle_(vehicle),
+        queue_(queue),
+        replayer_(replayer),
+        max_pose_pairs_(max_pose_pairs) {}
+
+  // Whether a claim is for more than is stored. Answers it if not. Changes
+  // nothing, and may be called at any time.
+  bool IsOfLostPoses(std::uint64_t acked_sequence,
+                     const std::string& vehicle_uid,
+                     const ViewCallback& callback) const;
+  void CheckAcknowledged(std::uint64_t acked_sequence,
+                         const std::string& vehicle_uid,
+                         const ViewCallback& callback);
+  void AcceptDataLoss(std::uint64_t durable_sequence,
+                      const ViewCallback& callback);
+  void Update(const ConfigChange& change, const ViewCallback& callback);
+  void Revise(const RevisionPlanner& plan, const RevisionCallback& callback);
+  void AddPosePair(PairKind kind, PosePairRecord pair,
+                   const PairCallback& callback);
+  void DeletePosePair(
+      PairKind kind, const std::string& id,
+      const std::function<void(absl::StatusOr<std::uint64_t>)>& callback);
+  void Delete(const std::function<void(absl::Status)>& callback);
+
+ private:
+  using Then = std::function<void(const absl::Status&)>;
+
+  // Hands a write to the storage; `then` runs on the strand when it is done,
+  // and nothing but reads starts before `then` returns.
+  void Write(const std::function<void(Storage::Done)>& write, Then then);
+  // Writes a config; `then` applies it.
+  void WriteConfig(const VehicleConfig& config, Then then);
+  // Stores and applies a config that moves no nodes.
+  void ChangeConfig(const VehicleConfig& config, Then then);
+  // Removes from the store what is damaged: the vehicle in memory stays.
+  void DropDamaged(const VehicleConfig& config, Then then);
+  Then AnswerWithView(const ViewCallback& callback);
+  void WriteRevision(const RevisionPlanner& make_plan,
+                     const RevisionCallback& callback);
+  // OK if the pair may be added.
+  absl::Status CheckNewPair(PairKind kind, const PosePairRecord& pair) const;
+  // Gives the pair its place in the order of creation times. Returns whether it
+  // is the last.
+  bool PlaceInOrder(PosePairRecord* pair) const;
+  void TakeOnLastPair(PairKind kind, const PosePairRecord& pair,
+                      std::uint64_t revision);
+  // Takes a pair, which is still among Pairs(), out of the graph.
+  void TakeBack(PairKind kind, const PosePairRecord& pair,
+                std::uint64_t revision);
+
+  VehicleState* const vehicle_;
+  VehicleQueue* const queue_;
+  Replayer* const replayer_;
+  const std::size_t max_pose_pairs_;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SESSIONS_CHANGES_H_

@@ -1,0 +1,51 @@
+// How a vehicle and its batches become bytes in the store, and come back.
+#ifndef REVISIT_SERVER_SESSIONS_RECORD_CODEC_H_
+#define REVISIT_SERVER_SESSIONS_RECORD_CODEC_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "core/geometry/pose.h"
+#include "server/sessions/vehicle_config.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+// A batch in core's types, with the bytes that are stored for it.
+struct DecodedBatch {
+  std::vector<core::PoseSample> samples;
+  // 64-bit hash of each pose's content, exact to the bit: equal hashes are
+  // taken for equal poses.
+  std::vector<std::uint64_t> fingerprints;
+  // The bytes that the storage keeps: the poses as they came.
+  std::string payload;
+  // The origin that the batch was decoded with, if the vehicle is geodetic.
+  std::optional<GeodeticOrigin> origin;
+};
+
+// Knows the bytes in the store. Thread-safe.
+class RecordCodec {
+ public:
+  virtual ~RecordCodec() = default;
+  virtual std::string EncodeVehicle(const VehicleConfig& config) const = 0;
+  // Reads only key, id and payload of the record. DATA_LOSS if the payload is
+  // not what EncodeVehicle makes.
+  virtual absl::StatusOr<VehicleConfig> DecodeVehicle(
+      const VehicleRecord& record) const = 0;
+  // DATA_LOSS if the payload is not that of a batch.
+  virtual absl::StatusOr<DecodedBatch> DecodeBatch(
+      const std::string& payload, const VehicleConfig& config) const = 0;
+  // A part of a stored batch: the poses from index `first` on, `count` of them,
+  // encoded as a batch of their own.
+  virtual absl::StatusOr<std::string> SliceBatch(const std::string& payload,
+                                                 std::size_t first,
+                                                 std::size_t count) const = 0;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SESSIONS_RECORD_CODEC_H_

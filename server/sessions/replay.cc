@@ -1,0 +1,263 @@
+#include "server/sessions/replay.h"
+
+#include <algorithm>
+#include <chrono>
+#include <string>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StrCat;
+
+// Longest that one task replays batches before the strand lets others run.
+constexpr std::chrono::milliseconds kReplaySlice{20};
+
+constexpr int kPairsPerRead = 1000;
+
+}  // namespace
+
+void AddPair(core::Engine* engine, PairKind kind, const PosePairRecord& pair,
+             std::uint64_t revision) {
+  if (kind == PairKind::kLoopClosure) {
+    engine->AddLoopClosure(pair.query_sequence, pair.matched_sequence,
+                           revision);
+  } else {
+    engine->AddRejection(pair.query_sequence, pair.matched_sequence, revision);
+  }
+}
+
+void Replayer::Load() {
+  queue_->Hold();
+  const absl::Status status = StartLoad();
+  if (status.ok()) return;
+  queue_->Release([&] {
+    vehicle_->Leave(absl::IsNotFound(status) ? VehicleNotFound(vehicle_->id)
+                                             : status);
+  });
+}
+
+absl::Status Replayer::StartLoad() {
+  const absl::StatusOr<VehicleRecord> record =
+      vehicle_->storage->GetVehicle(vehicle_->id);
+  if (!record.ok()) return record.status();
+  vehicle_->key = record->key;
+  absl::StatusOr<VehicleConfig> config = StoredConfig(*record);
+  if (!config.ok()) {
+    TakeUnknown(*record, config.status());
+    return absl::OkStatus();
+  }
+  vehicle_->durable_sequence = record->durable_sequence;
+  for (const PairKind kind : kPairKinds) {
+    if (absl::Status read = LoadPairs(kind); !read.ok()) return read;
+  }
+  Start(*std::move(config), record->revision, /*is_load=*/true,
+        [this](const absl::Status& status) {
+          if (!status.ok()) vehicle_->Leave(status);
+          if (!vehicle_->damage.ok()) {
+            vehicle_->damage = Damaged(vehicle_->damage);
+          }
+        });
+  return absl::OkStatus();
+}
+
+// Without its settings, a vehicle's poses cannot be read.
+void Replayer::TakeUnknown(const VehicleRecord& record,
+                           const absl::Status& cause) {
+  vehicle_->config_is_known = false;
+  vehicle_->engine = std::make_unique<core::Engine>(vehicle_->config.engine);
+  vehicle_->Adopt(vehicle_->config, record.revision);
+  vehicle_->damage = Damaged(record.damage.ok() ? cause : record.damage);
+  queue_->Release([] {});
+}
+
+absl::StatusOr<VehicleConfig> Replayer::StoredConfig(
+    const VehicleRecord& record) const {
+  absl::StatusOr<VehicleConfig> config = vehicle_->codec->DecodeVehicle(record);
+  if (!config.ok()) return config;
+  const std::vector<core::SettingProblem> problems =
+      core::FindProblems(config->engine);
+  if (!problems.empty()) {
+    return vehicle_->Corrupt(StrCat("stored settings: ", problems.front().field,
+                                    ": ", problems.front().description));
+  }
+  return config;
+}
+
+void Replayer::NoteDamage(const absl::Status& cause) {
+  if (vehicle_->damage.ok()) vehicle_->damage = cause;
+}
+
+absl::Status Replayer::Damaged(const absl::Status& cause) const {
+  const std::string durable = StrCat(vehicle_->durable_sequence);
+  const std::string remedy =
+      vehicle_->config_is_known
+          ? StrCat(durable,
+                   " poses before it are sound and can be read, writes and "
+                   "searches are refused until an operator gives up the rest "
+                   "(AcceptDataLoss with durable_sequence ",
+                   durable, ") or deletes the vehicle")
+          : "without its settings it can only be deleted";
+  return Error(absl::StatusCode::kDataLoss, "STORE_CORRUPT",
+               StrCat("vehicle '", vehicle_->id, "' is damaged: ",
+                      std::string(cause.message()), "; ", remedy),
+               {{"vehicle", vehicle_->id}, {"durable_sequence", durable}});
+}
+
+absl::Status Replayer::LoadPairs(PairKind kind) {
+  std::string after;
+  while (true) {
+    const absl::StatusOr<std::vector<PosePairRecord>> page =
+        vehicle_->storage->ListPosePairs(vehicle_->key, kind, after,
+                                         kPairsPerRead);
+    if (absl::IsDataLoss(page.status())) {
+      NoteDamage(page.status());
+      return absl::OkStatus();
+    }
+    if (!page.ok()) return page.status();
+    if (page->empty()) return absl::OkStatus();
+    after = page->back().id;
+    for (const PosePairRecord& pair : *page) {
+      if (pair.damage.ok()) {
+        vehicle_->Pairs(kind).emplace(pair.id, pair);
+      } else {
+        NoteDamage(pair.damage);
+      }
+    }
+  }
+}
+
+void Replayer::Rebuild(const VehicleConfig& config, std::uint64_t revision,
+                       std::function<void(const absl::Status&)> then) {
+  Start(config, revision, /*is_load=*/false,
+        [this, then = std::move(then)](const absl::Status& status) {
+          if (!status.ok()) vehicle_->Leave(status);
+          then(status);
+        });
+}
+
+void Replayer::Start(VehicleConfig config, std::uint64_t revision, bool is_load,
+                     std::function<void(const absl::Status&)> then) {
+  queue_->Hold();
+  replay_.emplace();
+  replay_->config = std::move(config);
+  replay_->revision = revision;
+  replay_->is_load = is_load;
+  replay_->then = std::move(then);
+  replay_->engine = std::make_unique<core::Engine>(replay_->config.engine);
+  Post();
+}
+
+void Replayer::Post() {
+  queue_->PostLong([this] { Continue(); });
+}
+
+void Replayer::Continue() {
+  absl::StatusOr<bool> all = ReplayBatches();
+  if (all.ok() && !*all && gives_up_) all = ShuttingDown();
+  if (all.ok() && !*all) {
+    vehicle_->NoteResidency(replay_->engine.get());
+    Post();
+    return;
+  }
+  Finish(all.ok() ? FinishGraph() : all.status());
+}
+
+void Replayer::Finish(const absl::Status& status) {
+  Replay done = *std::move(replay_);
+  replay_.reset();
+  queue_->set_store_lead(VehicleQueue::StoreLead::kNone);
+  if (status.ok()) {
+    vehicle_->engine = std::move(done.engine);
+    vehicle_->jumps = std::move(done.jumps);
+    vehicle_->Adopt(done.config, done.revision);
+  }
+  vehicle_->NoteResidency();
+  queue_->Release([&] { done.then(status); });
+}
+
+absl::StatusOr<bool> Replayer::ReplayBatches() {
+  if (replay_->next_sequence > vehicle_->durable_sequence) return true;
+  const auto pause = std::chrono::steady_clock::now() + kReplaySlice;
+  absl::Status decoding;
+  const absl::Status reading = vehicle_->storage->ReadBatches(
+      vehicle_->key, replay_->next_sequence, vehicle_->durable_sequence,
+      BatchVersion::kCurrent, [&](const BatchRecord& batch) {
+        const absl::StatusOr<DecodedBatch> decoded =
+            vehicle_->DecodeStored(batch, replay_->config);
+        if (!decoded.ok()) {
+          decoding = decoded.status();
+          return false;
+        }
+        const core::AppendResult applied =
+            replay_->engine->Append(decoded->samples, ++replay_->steps);
+        replay_->jumps.insert(replay_->jumps.end(), applied.jumps.begin(),
+                              applied.jumps.end());
+        replay_->highest_revision =
+            std::max(replay_->highest_revision, batch.revision);
+        replay_->next_sequence = batch.first_sequence + batch.count;
+        return std::chrono::steady_clock::now() < pause;
+      });
+  const absl::Status& unread = reading.ok() ? decoding : reading;
+  if (replay_->is_load && absl::IsDataLoss(unread)) {
+    GoNoFurther(unread);
+  } else if (!unread.ok()) {
+    return unread;
+  }
+  return replay_->next_sequence > vehicle_->durable_sequence;
+}
+
+// Adds the pairs, and gives the graph its revision.
+absl::Status Replayer::FinishGraph() {
+  if (absl::Status status = CheckPairs(); !status.ok()) return status;
+  vehicle_->FindLatestPair();
+  for (const auto& [kind, pair] : vehicle_->PairsAsAdded()) {
+    AddPair(replay_->engine.get(), kind, *pair, ++replay_->steps);
+  }
+  if (replay_->steps >= replay_->revision) {
+    const absl::Status status =
+        vehicle_->Corrupt(StrCat("stored revision ", replay_->revision,
+                                 " is less than the number of changes"));
+    if (!replay_->is_load) return status;
+    NoteDamage(status);
+    replay_->revision = replay_->steps + 1;
+  }
+  replay_->engine->ChangeSettings(replay_->config.engine, replay_->revision);
+  return absl::OkStatus();
+}
+
+// The poses from the next one on cannot be read. Each of them may have brought
+// a revision, and those must not come again.
+void Replayer::GoNoFurther(const absl::Status& cause) {
+  NoteDamage(cause);
+  const std::uint64_t sound = replay_->next_sequence - 1;
+  replay_->revision = std::max(replay_->revision, replay_->highest_revision) +
+                      (vehicle_->durable_sequence - sound);
+  vehicle_->durable_sequence = sound;
+}
+
+// Pairs name poses that are there. A load leaves out others.
+absl::Status Replayer::CheckPairs() {
+  for (const PairKind kind : kPairKinds) {
+    PosePairs& pairs = vehicle_->Pairs(kind);
+    for (auto i = pairs.begin(); i != pairs.end();) {
+      const PosePairRecord& pair = i->second;
+      if (pair.matched_sequence >= 1 &&
+          pair.query_sequence <= vehicle_->durable_sequence) {
+        ++i;
+        continue;
+      }
+      const absl::Status status =
+          vehicle_->Corrupt(StrCat("stored ", WordsOf(kind).noun, " '", pair.id,
+                                   "' names a pose that is not stored"));
+      if (!replay_->is_load) return status;
+      NoteDamage(status);
+      i = pairs.erase(i);
+    }
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,88 @@
+// Makes a vehicle's graph from what is stored.
+#ifndef REVISIT_SERVER_SESSIONS_REPLAY_H_
+#define REVISIT_SERVER_SESSIONS_REPLAY_H_
+
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "core/engine.h"
+#include "server/sessions/vehicle_queue.h"
+#include "server/sessions/vehicle_state.h"
+
+namespace revisit::server {
+
+// Belongs to the strand, but for GiveUp(). Works in slices of time, so that
+// other vehicles get their turn; reads see the old graph until it is done.
+class Replayer {
+ public:
+  Replayer(VehicleState* vehicle, VehicleQueue* queue)
+      : vehicle_(vehicle), queue_(queue) {}
+
+  // Loads the vehicle, as far as what is stored is sound; it leaves if it
+  // cannot be loaded. First task of the strand.
+  void Load();
+
+  // After a change that is stored: makes the graph anew, with this config and
+  // revision. A vehicle whose graph cannot be made leaves, since its memory is
+  // no longer that of the store. REQUIRES: no append is in flight.
+  void Rebuild(const VehicleConfig& config, std::uint64_t revision,
+               std::function<void(const absl::Status&)> then);
+
+  // From any thread: a replay that goes on, or begins, ends with UNAVAILABLE
+  // (SERVER_DRAINING) if it takes more than a slice of time.
+  void GiveUp() { gives_up_ = true; }
+
+ private:
+  // A graph in the making.
+  struct Replay {
+    VehicleConfig config;
+    std::uint64_t revision;
+    // A load goes only as far as what is stored is sound.
+    bool is_load;
+    std::function<void(const absl::Status&)> then;
+    std::unique_ptr<core::Engine> engine;
+    std::vector<core::Jump> jumps;
+    std::uint64_t next_sequence = 1;
+    // Stand for revisions until the last step: batches have each their own,
+    // which do not grow with the sequence once some are revised.
+    std::uint64_t steps = 0;
+    // The highest revision of the batches so far.
+    std::uint64_t highest_revision = 0;
+  };
+
+  absl::Status StartLoad();
+  absl::StatusOr<VehicleConfig> StoredConfig(const VehicleRecord& record) const;
+  absl::Status LoadPairs(PairKind kind);
+  void TakeUnknown(const VehicleRecord& record, const absl::Status& cause);
+  void Start(VehicleConfig config, std::uint64_t revision, bool is_load,
+             std::function<void(const absl::Status&)> then);
+  void Post();
+  void Continue();
+  void Finish(const absl::Status& status);
+  // Replays batches for a slice of time. Returns whether all are replayed.
+  absl::StatusOr<bool> ReplayBatches();
+  absl::Status FinishGraph();
+  void GoNoFurther(const absl::Status& cause);
+  absl::Status CheckPairs();
+  void NoteDamage(const absl::Status& cause);
+  absl::Status Damaged(const absl::Status& cause) const;
+
+  VehicleState* const vehicle_;
+  VehicleQueue* const queue_;
+  std::optional<Replay> replay_;
+  std::atomic<bool> gives_up_{false};
+};
+
+// Adds a pair to a graph.
+void AddPair(core::Engine* engine, PairKind kind, const PosePairRecord& pair,
+             std::uint64_t revision);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SESSIONS_REPLAY_H_

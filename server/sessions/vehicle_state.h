@@ -1,0 +1,120 @@
+// A vehicle as it is durable and applied, for the parts of a session that
+// change it. Belongs to the session's strand, but for what is constant or
+// atomic.
+#ifndef REVISIT_SERVER_SESSIONS_VEHICLE_STATE_H_
+#define REVISIT_SERVER_SESSIONS_VEHICLE_STATE_H_
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "core/engine.h"
+#include "server/base/status.h"
+#include "server/sessions/record_codec.h"
+#include "server/sessions/vehicle_view.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+// UNAVAILABLE (SERVER_DRAINING).
+absl::Status ShuttingDown();
+
+struct VehicleState {
+  VehicleState(std::string vehicle_id, Storage* vehicle_storage,
+               const RecordCodec* record_codec)
+      : id(std::move(vehicle_id)),
+        storage(vehicle_storage),
+        codec(record_codec) {}
+
+  const std::string id;
+  Storage* const storage;
+  const RecordCodec* const codec;
+
+  VehicleKey key = 0;
+  VehicleConfig config;
+  // Null until loaded.
+  std::unique_ptr<core::Engine> engine;
+  // The jumps of the graph, by sequence.
+  std::vector<core::Jump> jumps;
+  std::uint64_t durable_sequence = 0;
+  std::uint64_t revision = 0;
+  PosePairs loop_closures;
+  PosePairs rejections;
+  // Creation time of the latest pair of either kind.
+  std::optional<std::int64_t> latest_pair_ns;
+  // See VehicleView. While the vehicle is loaded, the first cause.
+  absl::Status damage;
+  bool config_is_known = true;
+
+  // The same with the appends that are in flight.
+  struct Staged {
+    VehicleConfig config;
+    std::uint64_t sequence = 0;
+    std::uint64_t revision = 0;
+  };
+  Staged staged;
+
+  // A write failed, so that store and memory may differ: see
+  // CheckAgainstStore().
+  bool in_doubt = false;
+
+  // The answer to every call from now on, once there is one.
+  std::optional<absl::Status> gone_status;
+  std::atomic<bool> is_gone{false};
+  // See VehicleSession::Residency.
+  std::atomic<std::int64_t> resident_nodes{0};
+  std::atomic<std::int64_t> resident_bytes{0};
+
+  VehicleView View() const;
+
+  // Takes on a config and a revision that are durable. REQUIRES: no append is
+  // in flight.
+  void Adopt(const VehicleConfig& new_config, std::uint64_t new_revision);
+
+  PosePairs& Pairs(PairKind kind) {
+    return kind == PairKind::kLoopClosure ? loop_closures : rejections;
+  }
+  // All pairs in the order in which they were added, so that the graph and its
+  // consistency come out the same whenever they are made anew.
+  std::vector<std::pair<PairKind, const PosePairRecord*>> PairsAsAdded();
+  void FindLatestPair();
+
+  // The jumps of [first, last].
+  std::vector<core::Jump> JumpsAt(std::uint64_t first,
+                                  std::uint64_t last) const;
+
+  // Call after every change of a graph; `in_the_making` is the one that is
+  // being rebuilt, if any.
+  void NoteResidency(const core::Engine* in_the_making = nullptr);
+
+  // From now on every call is answered with `status`.
+  void Leave(const absl::Status& status);
+
+  // After a failed write: OK if store and memory agree. Where they do not, the
+  // vehicle leaves. Reads the store.
+  absl::Status CheckAgainstStore();
+
+  // Decodes a stored batch. DATA_LOSS if it is not what its row says.
+  absl::StatusOr<DecodedBatch> DecodeStored(
+      const BatchRecord& batch, const VehicleConfig& with_config) const;
+
+  // OK if the vehicle takes writes.
+  absl::Status Writable() const;
+
+  // Errors about this vehicle.
+  absl::Status OutOfStep() const;
+  absl::Status Corrupt(const std::string& cause) const;
+  absl::Status Regressed(const std::string& cause,
+                         ErrorMetadata metadata) const;
+  absl::Status DataLoss(const ErrorMetadata& metadata) const;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SESSIONS_VEHICLE_STATE_H_
