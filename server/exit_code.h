@@ -1,4 +1,4 @@
-// What the process ends with; the numbers are those of sysexits.h.
+// Exit codes of the process, with the numbers of sysexits.h.
 #ifndef REVISIT_SERVER_EXIT_CODE_H_
 #define REVISIT_SERVER_EXIT_CODE_H_
 

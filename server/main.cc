@@ -24,11 +24,11 @@ using revisit::server::Log;
 using revisit::server::LogLevel;
 using revisit::server::RevisitServer;
 
-// How long a message may wait for whoever reads the standard streams.
+// How long a message may wait for a reader of the standard streams.
 constexpr std::chrono::seconds kPatience{1};
 
-// The process's own, which nobody else sends: the server can no longer do its
-// work, and the start is over.
+// Signals that the process sends to itself: the server can no longer do its
+// work; the start is over.
 int FailureSignal() { return SIGRTMIN; }
 int StartedSignal() { return SIGRTMIN + 1; }
 
@@ -45,9 +45,9 @@ int WaitFor(const sigset_t& signals) {
   return signal_number;
 }
 
-// Before any thread starts, so that all of them inherit it and only sigwait()
-// sees the signals. SIGQUIT keeps its meaning: it ends the process with a core
-// file, for whoever wants to see what it is doing.
+// Call before any thread starts, so that all threads inherit the mask and only
+// sigwait() sees the signals. SIGQUIT keeps its meaning: it ends the process
+// with a core file that shows what it was doing.
 void BlockSignals() {
   const sigset_t signals = SetOf({SIGINT, SIGTERM, SIGHUP, SIGUSR1, SIGUSR2,
                                   FailureSignal(), StartedSignal()});
@@ -56,9 +56,9 @@ void BlockSignals() {
   signal(SIGPIPE, SIG_IGN);
 }
 
-// Ends the process if it is told to stop while it starts, which takes long if
-// there is much to check in the store. There is nothing to drain yet, and the
-// store withstands the end of the process at any time.
+// Ends the process if a signal asks it to stop while it starts, which takes
+// long if there is much to check in the store. There is nothing to drain yet,
+// and the store withstands the end of the process at any time.
 class StopWhileStarting {
  public:
   StopWhileStarting()
@@ -78,10 +78,10 @@ class StopWhileStarting {
   std::thread thread_;
 };
 
-// Serves until a signal asks for the end. SIGHUP has the files looked at that
-// may be replaced while the server runs. SIGUSR1 and SIGUSR2, by which log
-// rotation asks for files to be opened again, have nothing to do here and must
-// not end the server.
+// Serves until a signal asks for the end. On SIGHUP, the files that may be
+// replaced while the server runs are read now. SIGUSR1 and SIGUSR2, by which
+// log rotation asks for files to be opened again, have nothing to do here and
+// must not end the server.
 void ServeUntilStopped(RevisitServer* server, const Log& log) {
   const sigset_t signals =
       SetOf({SIGINT, SIGTERM, SIGHUP, SIGUSR1, SIGUSR2, FailureSignal()});

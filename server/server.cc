@@ -38,38 +38,39 @@
 namespace revisit::server {
 namespace {
 
-// Of vehicles that send few poses a batch, as many as others send at once.
+// Poses that a row of the store may gather from small batches of one vehicle:
+// as many as one usual batch holds.
 constexpr std::size_t kRowPoses = 64;
-// For connections to be closed in an orderly way.
+// Time for connections to be closed in an orderly way.
 constexpr std::chrono::milliseconds kGoodbyeTime{100};
-// Calls of a connection that may have ended and wait to be cleared away, which
-// takes a moment also of those that ended well: 20 MB at most.
+// Calls of a connection that may have ended and wait to be cleared away, 20 MB
+// at most. Calls that ended well also take a moment to be cleared away.
 constexpr std::int64_t kCallsToClear = 1000;
-// Calls at a time, those that wait to be cleared away included, of all
-// connections together that have not had one let in: 30 MB, and as much again
-// may come between two looks.
+// Calls at a time, including those that wait to be cleared away, of all
+// connections together that have not had a call let in: 30 MB, and as much
+// again may come between two looks.
 constexpr std::int64_t kUnadmittedCalls = 1500;
-// Reads go on while the store has no room for writes, so that they have a
-// health service of their own.
+// Name in the health service for writes alone: reads go on while the store has
+// no room for writes.
 constexpr char kWriteHealth[] = "revisit.v1.PoseGraphService/write";
 constexpr std::chrono::milliseconds kWriteHealthPeriod{1000};
-// How often memory is looked at, should no call do so.
+// How often memory is measured if no call does so.
 constexpr std::chrono::milliseconds kMemoryPeriod{500};
 
 std::chrono::milliseconds Milliseconds(double seconds) {
   return std::chrono::milliseconds(static_cast<std::int64_t>(seconds * 1000.0));
 }
 
-// A vehicle stays at most a tenth longer than promised, and memory at most a
-// second above the budget.
+// How often vehicles are unloaded. A vehicle stays at most a tenth longer than
+// promised, and memory at most a second above the budget.
 std::chrono::milliseconds UnloadPeriod(const Fleet::Options& options) {
   return std::clamp<std::chrono::milliseconds>(
       options.idle_unload / 10, std::chrono::milliseconds(100),
       std::chrono::seconds(options.memory_budget_bytes ? 1 : 30));
 }
 
-// Unloads what has been idle for long, and all that nobody uses where memory is
-// short; and gives memory back.
+// Unloads vehicles that have been idle for long, or, if memory is short, all
+// unused ones, and gives memory back to the system.
 std::unique_ptr<Periodic> MakeUnloadTimer(Fleet* fleet, Admission* admission,
                                           const Fleet::Options& options) {
   using Clock = std::chrono::steady_clock;
@@ -94,7 +95,7 @@ std::unique_ptr<Periodic> MakeUnloadTimer(Fleet* fleet, Admission* admission,
       });
 }
 
-// Has the health of writes follow the room that the store has for them.
+// Sets the health of writes by whether the store has room for them.
 std::unique_ptr<Periodic> MakeWriteHealthTimer(
     Storage* storage, grpc::HealthCheckServiceInterface* health,
     const Log* log) {
@@ -110,7 +111,7 @@ std::unique_ptr<Periodic> MakeWriteHealthTimer(
       });
 }
 
-// Whole or not at all, for a script may be waiting for it.
+// Writes the file whole or not at all, because a script may be waiting for it.
 bool WritePortFile(const std::string& path, const std::string& address) {
   const std::string temporary = path + ".new";
   std::ofstream file(temporary);
@@ -121,8 +122,8 @@ bool WritePortFile(const std::string& path, const std::string& address) {
 
 }  // namespace
 
-// Destroyed from the last member to the first. The fleet waits for its work,
-// which needs executor, codec and storage.
+// Members are destroyed from the last to the first. The fleet waits for its
+// work, which needs executor, codec and storage.
 struct RevisitServer::State {
   ServerSettings settings;
   const Log* log = nullptr;
@@ -144,7 +145,7 @@ struct RevisitServer::State {
   std::unique_ptr<Periodic> tls_timer;
   std::shared_ptr<grpc::ServerCredentials> credentials;
   std::unique_ptr<PoseGraphService> service;
-  // Empty if it is not served.
+  // Empty if reflection is not served.
   std::vector<std::unique_ptr<grpc::Service>> reflection;
   std::unique_ptr<grpc::Server> grpc_server;
   std::unique_ptr<Periodic> write_health_timer;
@@ -170,7 +171,7 @@ absl::StatusOr<std::unique_ptr<Gatekeeper>> MakeGatekeeper(
   return StartGatekeeper(gatekeeper, log);
 }
 
-// Null if the listener is to speak plaintext.
+// The files of TLS; null if the listener is to speak plaintext.
 absl::StatusOr<std::unique_ptr<TlsFiles>> LoadTlsFiles(
     const ServerSettings& settings, const Log* log) {
   if (settings.tls_cert.empty()) return std::unique_ptr<TlsFiles>();
@@ -187,7 +188,7 @@ std::shared_ptr<grpc::ServerCredentials> ListenerCredentials(
                                              : settings.tls_client_certs);
 }
 
-// Some 3,000 calls that are reset at once.
+// Most bytes of one read: some 3,000 calls that are reset at once.
 constexpr int kMaxReadBytes = 64 << 10;
 
 int WholeMilliseconds(double seconds) {
@@ -206,11 +207,11 @@ void Configure(const Limits& limits, grpc::ServerBuilder* builder) {
   builder->SetResourceQuota(quota);
   builder->AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS,
                               limits.max_concurrent_streams);
-  // What was read is handled even if the connection is cut meanwhile.
+  // Bytes that were read are handled even if the connection is cut meanwhile.
   builder->AddChannelArgument(GRPC_ARG_TCP_MAX_READ_CHUNK_SIZE, kMaxReadBytes);
   builder->AddChannelArgument(GRPC_ARG_MAX_METADATA_SIZE,
                               limits.max_metadata_bytes);
-  // Until the client's settings have come.
+  // The handshake lasts until the client's settings have come.
   builder->AddChannelArgument(
       GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS,
       WholeMilliseconds(limits.handshake_timeout_seconds));
@@ -249,7 +250,7 @@ SqliteOptions StorageOptions(const ServerSettings& settings, const Log* log,
   return options;
 }
 
-// But for reflection itself.
+// Full names of the services that reflection describes beside itself.
 std::vector<std::string> ServedNames(const ServerSettings& settings) {
   std::vector<std::string> names = {v1::PoseGraphService::service_full_name()};
   if (settings.serve_health) names.emplace_back("grpc.health.v1.Health");
@@ -297,7 +298,7 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->log = log;
   state->library_log.emplace(log);
 
-  // First: they are settings, and a wrong one leaves no trace.
+  // These come first because they are settings: a wrong one leaves no trace.
   auto tls_files = LoadTlsFiles(settings, log);
   auto gatekeeper = MakeGatekeeper(
       settings, tls_files.ok() ? tls_files->get() : nullptr, log);
@@ -337,7 +338,8 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->executor = std::make_unique<Executor>(
       "vehicles",
       settings.worker_threads > 0 ? settings.worker_threads : processors);
-  // With one alone, every vehicle that is loaded waits for whoever reads long.
+  // With one thread alone, the loading of every vehicle would wait for each
+  // long read.
   state->read_executor =
       std::make_unique<Executor>("reads", std::max(2, processors));
   const int search_threads = settings.search_threads > 0
@@ -380,7 +382,8 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->meters = std::make_unique<ConnectionMeters>(MetersOf(limits));
   context.meters = state->meters.get();
   context.limits = settings.limits;
-  // A stream alone must not exceed what one vehicle may have waiting.
+  // One stream alone must not exceed the batches that its vehicle may have
+  // waiting.
   context.limits.max_batches_in_flight =
       std::min(settings.limits.max_batches_in_flight,
                settings.limits.max_pending_appends);
@@ -457,7 +460,7 @@ void RevisitServer::Shutdown() {
   if (state_->grpc_server == nullptr) return;
   const auto start = std::chrono::steady_clock::now();
   state_->log->Write(LogLevel::kInfo, "draining", {});
-  // It would set what is set here.
+  // Stopped first: it would overwrite the health that is set here.
   state_->write_health_timer.reset();
   if (auto* health = state_->grpc_server->GetHealthCheckService()) {
     health->SetServingStatus(false);
@@ -466,7 +469,7 @@ void RevisitServer::Shutdown() {
   state_->drain.WaitForCalls(
       start + Milliseconds(state_->settings.drain_timeout_seconds));
   state_->acceptor->Stop();
-  // Calls that are cut still wait for what they have begun.
+  // Calls that are cut still wait for loading that they have begun.
   state_->fleet->GiveUpReplays();
   // Cuts the calls that are left, and the connections that do not answer to
   // being closed.
@@ -474,7 +477,7 @@ void RevisitServer::Shutdown() {
                                 kGoodbyeTime);
   state_->grpc_server->Wait();
   state_->grpc_server.reset();
-  // Its thread may hold the last of a stream, and with it a session.
+  // Its thread may hold the last reference to a stream, and with it a session.
   state_->gatekeeper.reset();
   state_->unload_timer.reset();
   state_->fleet.reset();

@@ -1,4 +1,4 @@
-// The server as a whole: what main() starts and stops.
+// The server as a whole, which main() starts and stops.
 #ifndef REVISIT_SERVER_SERVER_H_
 #define REVISIT_SERVER_SERVER_H_
 
@@ -21,9 +21,9 @@ struct StartError {
 
 class RevisitServer {
  public:
-  // Opens the store and takes calls. Null, with `*error` set, if that fails.
-  // The log must outlive the server. `on_failure` is called, once and on any
-  // thread, if the server can no longer do its work: shut it down then.
+  // Opens the store and takes calls. Returns null, with `*error` set, if that
+  // fails. The log must outlive the server. `on_failure` is called, once and on
+  // any thread, if the server can no longer do its work: shut it down then.
   static std::unique_ptr<RevisitServer> Start(const ServerSettings& settings,
                                               const Log* log,
                                               std::function<void()> on_failure,
@@ -34,10 +34,10 @@ class RevisitServer {
   RevisitServer(const RevisitServer&) = delete;
   RevisitServer& operator=(const RevisitServer&) = delete;
 
-  // The address that calls are taken at, with the port that was chosen.
+  // The address at which calls are taken, with the port that was chosen.
   const std::string& address() const;
 
-  // Looks at the files that may be replaced while the server runs, now rather
+  // Has the files that may be replaced while the server runs read now, rather
   // than within ServerSettings::security_check_seconds. Returns at once.
   void LookAtFiles();
 
@@ -47,7 +47,7 @@ class RevisitServer {
   // store is closed.
   void Shutdown();
 
-  // What the process ends with after Shutdown().
+  // The exit code of the process after Shutdown().
   ExitCode exit_code() const;
 
  private:

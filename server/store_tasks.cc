@@ -56,7 +56,8 @@ ExitCode Verify(const std::string& file) {
 ExitCode BackUp(const std::string& file, const std::string& destination,
                 std::int64_t min_free_bytes) {
   BackupBounds bounds;
-  // The server refuses writes when that is reached: it is left a quarter more.
+  // The server refuses writes below `min_free_bytes`, so a backup leaves it a
+  // quarter more.
   bounds.min_free_bytes = min_free_bytes + min_free_bytes / 4;
   const absl::StatusOr<StoreReport> report =
       BackUpStore(file, UseOf(file), destination, bounds);

@@ -1,5 +1,5 @@
-// What revisitd does with a store besides serving it: backup, verify and
-// compact.
+// The tasks that revisitd does with a store besides serving it: backup, verify
+// and compact.
 #ifndef REVISIT_SERVER_STORE_TASKS_H_
 #define REVISIT_SERVER_STORE_TASKS_H_
 
@@ -8,10 +8,10 @@
 
 namespace revisit::server {
 
-// Prints what it found to standard output and what failed to standard error.
-// All are processes of their own, so that whoever may read the files may do it,
-// nobody else, and also if no server runs. Backup and verify read beside a
-// server and change nothing; compact writes, and wants the store for itself.
+// Runs a task, prints findings to standard output and failures to standard
+// error. Each task is a process of its own: it needs no server, only the right
+// to read the files. Backup and verify read beside a server and change nothing;
+// compact writes, and needs the store for itself.
 ExitCode RunStoreTask(const ServerSettings& settings, const StoreTask& task);
 
 }  // namespace revisit::server

@@ -14,40 +14,42 @@ using std::chrono::milliseconds;
 
 constexpr milliseconds kMemoryInterval{100};
 
-// Waiting is estimated, and a search takes time itself: one that would begin in
-// the last third of its caller's time is not begun.
+// Margin of the estimated wait, because a search takes time itself: a search
+// that would begin in the last third of its caller's time is refused.
 constexpr double kWaitMargin = 1.5;
 // Weight of the last search in the mean of their times.
 constexpr double kSearchWeight = 0.1;
 
-// When to come again: a queue empties soon, streams end late.
+// Times to come again: a queue empties soon, streams end late.
 constexpr milliseconds kQueueDelay{200};
 constexpr milliseconds kStreamDelay{2000};
 constexpr milliseconds kMemoryDelay{5000};
 
-// Exports of one vehicle leave room for those of others.
+// Exports of one vehicle may take the room divided by this, so that those of
+// others have room too.
 constexpr std::int64_t kExportsOfAllAndOfOne = 4;
 
-// Buckets of callers that have not been heard of for long are full.
+// Buckets kept before full ones are forgotten: a caller that has not called for
+// long has a full bucket.
 constexpr std::size_t kMostBuckets = 10000;
 
 }  // namespace
 
-// Counts what is taken, in all and by key. A key is known as long as something
-// of it is taken. Thread-safe.
+// Counts how much is taken, in total and per key. A key is kept as long as
+// something is taken for it. Thread-safe.
 class Admission::Pool {
  public:
   enum class Outcome { kTaken, kAllTaken, kKeyTaken };
 
-  // No limit of a key at 0; nor of the empty key.
+  // Keys have no limit if `most_of_key` is 0; the empty key never has one.
   Pool(std::int64_t most, std::int64_t most_of_key)
       : most_(most), most_of_key_(most_of_key) {}
 
   Outcome Take(const std::string& key, std::int64_t amount) {
-    // Nothing finds room anywhere, and is not to be known.
+    // Zero always finds room, and leaves no key behind.
     if (amount == 0) return Outcome::kTaken;
     const MutexLock lock(&mutex_);
-    // One that is larger than all the room there is may come alone.
+    // An amount larger than the whole pool may be taken while nothing else is.
     if (taken_ > 0 && amount > most_ - taken_) return Outcome::kAllTaken;
     if (Counts(key)) {
       const auto [known, is_new] = by_key_.try_emplace(key, 0);
@@ -65,7 +67,7 @@ class Admission::Pool {
     return taken_;
   }
 
-  // REQUIRES: that it was taken.
+  // REQUIRES: `amount` was taken for `key`.
   void GiveBack(const std::string& key, std::int64_t amount) {
     if (amount == 0) return;
     const MutexLock lock(&mutex_);
@@ -110,7 +112,7 @@ Admission::Admission(const Limits& limits, int search_threads,
                                        limits.max_searches_per_vehicle)),
       queue_(std::make_shared<Pool>(limits.max_queued_bytes,
                                     limits.max_queued_bytes_per_vehicle)),
-      // Revisions come in pieces, so that one alone is not told from several.
+      // A revision comes in pieces, so the pool cannot see whether it is alone.
       drafts_(std::make_shared<Pool>(
           std::max(limits.max_draft_bytes, limits.max_revision_bytes),
           limits.max_revision_bytes)),
@@ -268,7 +270,7 @@ absl::Status Admission::CheckRate(const std::string& caller) {
   {
     const MutexLock lock(&mutex_);
     const auto now = Clock::now();
-    // A second's worth may come at once.
+    // The searches of one second may come at once.
     const double most = std::max(1.0, rate);
     const auto tokens_of = [&](const Bucket& bucket) {
       const std::chrono::duration<double> passed = now - bucket.time;

@@ -1,6 +1,6 @@
-// Whether there is room for one more call, stream, search or batch. What there
-// is no room for is refused at once, before it costs anything, and told when to
-// come again: so that under overload the server goes on doing as much as it
+// Decides whether there is room for one more call, stream, search or batch.
+// Work without room is refused at once, before it costs anything, with a time
+// to come again: so that under overload the server goes on doing as much as it
 // can.
 #ifndef REVISIT_SERVER_CONNECTIONS_ADMISSION_H_
 #define REVISIT_SERVER_CONNECTIONS_ADMISSION_H_
@@ -20,13 +20,14 @@
 
 namespace revisit::server {
 
-// Room that was taken; given back when the last copy goes.
+// Room that was taken; it is given back when the last copy is destroyed.
 using Permit = std::shared_ptr<const void>;
 
-// Refusals say what was reached and what is allowed, and carry QuotaFailure and
-// a RetryInfo that differs from caller to caller. Of the server as a whole they
-// are UNAVAILABLE (OVERLOADED), of a caller or a vehicle RESOURCE_EXHAUSTED;
-// where memory runs out, RESOURCE_EXHAUSTED (MEMORY_PRESSURE).
+// Refusals name the limit that was reached, and carry QuotaFailure and a
+// RetryInfo that differs from caller to caller. At a limit of the server as a
+// whole they are UNAVAILABLE (OVERLOADED), at one of a caller or a vehicle
+// RESOURCE_EXHAUSTED; where memory runs out, RESOURCE_EXHAUSTED
+// (MEMORY_PRESSURE).
 //
 // Permits may outlive this. Thread-safe.
 class Admission {
@@ -42,29 +43,30 @@ class Admission {
   Admission(const Admission&) = delete;
   Admission& operator=(const Admission&) = delete;
 
-  // A unary call.
+  // Room for a unary call.
   absl::StatusOr<Permit> Call();
-  // A streaming call, as it begins: OVERLOADED, or STREAM_QUOTA of the caller.
-  // `caller` may be empty: then it is nobody's.
+  // Room for a streaming call, as it begins: OVERLOADED, or STREAM_QUOTA of the
+  // caller. With an empty `caller`, no caller's limit counts.
   absl::StatusOr<Permit> Stream(const std::string& caller);
-  // The same stream, when it is known which vehicle it is about: STREAM_QUOTA.
+  // Room for that stream at a vehicle, once it is known which one it is about:
+  // STREAM_QUOTA.
   absl::StatusOr<Permit> StreamOf(const std::string& vehicle);
-  // A search, beside the permit of its call: OVERLOADED, also where so many
-  // wait that the caller, who has `remaining` time, would not have the answer;
-  // SEARCH_QUOTA of the vehicle, or of the caller's rate.
+  // Room for a search, beside the permit of its call. OVERLOADED, also if so
+  // many wait that the caller, who has `remaining` time, would not get the
+  // answer in time; SEARCH_QUOTA of the vehicle, or of the caller's rate.
   absl::StatusOr<Permit> Search(const std::string& vehicle,
                                 const std::string& caller,
                                 Clock::duration remaining);
-  // Tells how long one took that was admitted, without waiting.
+  // Notes how long an admitted search took, without its wait.
   void SearchTook(Clock::duration duration);
-  // Bytes of a batch that waits to be durable: OVERLOADED, or QUEUE_FULL of the
-  // vehicle.
+  // Room for the bytes of a batch that waits to be durable: OVERLOADED, or
+  // QUEUE_FULL of the vehicle.
   absl::StatusOr<Permit> Queue(const std::string& vehicle, std::int64_t bytes);
-  // Bytes of a revision that is being sent: OVERLOADED, or QUEUE_FULL of the
-  // vehicle.
+  // Room for the bytes of a revision that is being sent: OVERLOADED, or
+  // QUEUE_FULL of the vehicle.
   absl::StatusOr<Permit> Draft(const std::string& vehicle, std::int64_t bytes);
-  // Bytes of a graph that is being exported: OVERLOADED, or STREAM_QUOTA of the
-  // vehicle.
+  // Room for the bytes of a graph that is being exported: OVERLOADED, or
+  // STREAM_QUOTA of the vehicle.
   absl::StatusOr<Permit> Export(const std::string& vehicle, std::int64_t bytes);
 
   // Whether the memory limit is reached, as last measured.
@@ -72,7 +74,7 @@ class Admission {
 
  private:
   class Pool;
-  // Searches that a caller may make at once, and when that was true.
+  // Number of searches that a caller may make at once, as of a moment.
   struct Bucket {
     double tokens;
     Clock::time_point time;
@@ -82,7 +84,7 @@ class Admission {
   // How long a search that comes now will wait, roughly.
   Clock::duration ExpectedWait() ABSL_LOCKS_EXCLUDED(mutex_);
   absl::Status CheckRate(const std::string& caller);
-  // A time to come again, of this order.
+  // A random time to come again, of this order.
   std::chrono::milliseconds Later(std::chrono::milliseconds order)
       ABSL_LOCKS_EXCLUDED(mutex_);
   absl::Status Overloaded(const char* subject, const char* what,
@@ -106,7 +108,7 @@ class Admission {
   std::unordered_map<std::string, Bucket> buckets_ ABSL_GUARDED_BY(mutex_);
   Clock::time_point last_measured_ ABSL_GUARDED_BY(mutex_){};
   std::int64_t memory_bytes_ ABSL_GUARDED_BY(mutex_) = 0;
-  // Of the last searches.
+  // Mean time of the last searches, the latest weighing most.
   Clock::duration mean_search_ ABSL_GUARDED_BY(mutex_){};
 };
 

@@ -29,20 +29,21 @@ namespace {
 constexpr int kBacklog = 4096;
 constexpr char kUnixPrefix[] = "unix:";
 constexpr char kAbstractPrefix[] = "unix-abstract:";
-// One line in the log for all that were shed meanwhile.
+// All connections shed within this interval share one line in the log.
 constexpr std::chrono::seconds kLogInterval{1};
 // How often connections are looked at: rarely enough that it takes next to no
 // time however many there are.
 constexpr std::chrono::milliseconds kLeastLookInterval{100};
 constexpr std::chrono::microseconds kLookIntervalPerConnection{100};
-// The same while connections that have not had a call let in bring much.
+// How often they are looked at while connections that have not had a call let
+// in bring much.
 constexpr std::chrono::milliseconds kHurriedLookInterval{2};
 constexpr std::chrono::microseconds kHurriedLookIntervalPerConnection{25};
 // Connections that are taken from one listener before anything else is done: a
 // flood must hold up neither the end of the server nor the looks at those that
 // are open.
 constexpr int kAcceptsPerRound = 64;
-// Before another try where the kernel lacks something.
+// Pause before another try after the kernel lacked a resource.
 constexpr int kPauseMilliseconds = 10;
 
 std::string ErrnoText() {
@@ -65,11 +66,12 @@ bool HasPrefix(const std::string& text, const char* prefix) {
 }
 
 void SetOption(int socket, int level, int option, int value) {
-  // Not supported by all kinds of sockets, and no more than a refinement.
+  // A failure is ignored: not all kinds of sockets support every option, and
+  // the options only refine.
   setsockopt(socket, level, option, &value, sizeof(value));
 }
 
-// What gRPC does to a socket of its own, for the kinds it accepts.
+// Opens a listening socket with the options that gRPC sets on its own.
 int OpenListener(const sockaddr* address, socklen_t length) {
   const int listener =
       socket(address->sa_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
@@ -98,7 +100,8 @@ std::optional<std::pair<dev_t, ino_t>> FileOfSocket(const std::string& path) {
   return std::make_pair(file.st_dev, file.st_ino);
 }
 
-// Only a refusal says that nobody does: a full queue, for one, says otherwise.
+// Whether a program listens at the address. Only a refused connection shows
+// that none does: any other failure, such as a full queue, means that one does.
 bool IsListenedAt(const sockaddr* address, socklen_t length) {
   const int probe =
       socket(address->sa_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
@@ -126,8 +129,7 @@ void SetPort(std::uint16_t port, sockaddr* address) {
   }
 }
 
-// The port of the other end; 0 where it takes more than host and port to tell
-// who it is.
+// The port of the other end; 0 where host and port do not identify it.
 int PeerPort(const sockaddr_storage& peer) {
   if (peer.ss_family == AF_INET) {
     return ntohs(reinterpret_cast<const sockaddr_in*>(&peer)->sin_port);
@@ -178,7 +180,8 @@ int DescriptorLimit() {
 
 int OpenReserve() { return open("/dev/null", O_RDONLY | O_CLOEXEC); }
 
-// Without leaving anything behind for the flooder to fill.
+// Closes the connection by a reset, so that a flooder leaves no state behind in
+// the kernel.
 void Reset(int connection) {
   const linger at_once{1, 0};
   setsockopt(connection, SOL_SOCKET, SO_LINGER, &at_once, sizeof(at_once));
@@ -384,7 +387,7 @@ void ConnectionAcceptor::AcceptSome(int listener) {
       case ECONNABORTED:
         continue;
       default:
-        // The network, or a filter in front of it.
+        // A fault of the network, or of a filter in front of it.
         poll(nullptr, 0, kPauseMilliseconds);
         return;
     }
@@ -425,7 +428,7 @@ void ConnectionAcceptor::CutHarmful() {
     log_->Write(
         LogLevel::kWarning, "connection_cut",
         {{"limit", std::string(harmful.bound)}, {"peer", harmful.host}});
-    // The descriptor stays gRPC's, who hears of the end.
+    // gRPC keeps the descriptor and notices the end.
     if (harmful.descriptor >= 0) shutdown(harmful.descriptor, SHUT_RDWR);
   }
 }
@@ -451,7 +454,7 @@ void ConnectionAcceptor::TurnAway(int listener) {
   const int connection = accept4(listener, nullptr, nullptr, SOCK_CLOEXEC);
   if (connection >= 0) Shed(connection, "descriptors", "");
   reserve_ = OpenReserve();
-  // Something else in the process has taken them all: it takes time.
+  // Something else in the process holds all descriptors: give it time.
   poll(nullptr, 0, kPauseMilliseconds);
 }
 

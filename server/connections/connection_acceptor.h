@@ -3,8 +3,8 @@
 // gRPC's own listener, as Debian 12 has it (1.51), stops listening for good the
 // first time that accept() finds no free descriptor: a flood of connections
 // ends the service of a process that looks healthy. So the server accepts by
-// itself, sheds what is too much by closing it at once, and can therefore serve
-// the next caller as soon as there is room.
+// itself, sheds connections beyond its bounds by closing them at once, and can
+// therefore serve the next caller as soon as there is room.
 #ifndef REVISIT_SERVER_CONNECTIONS_CONNECTION_ACCEPTOR_H_
 #define REVISIT_SERVER_CONNECTIONS_CONNECTION_ACCEPTOR_H_
 
@@ -39,7 +39,8 @@ class ConnectionAcceptor {
     // free one, the same on all addresses of the host.
     std::string address;
     ConnectionTable::Bounds bounds;
-    // What was sent and not acknowledged by then ends the connection.
+    // A connection ends if the other side has not acknowledged bytes that were
+    // sent this long ago (TCP_USER_TIMEOUT).
     std::chrono::milliseconds unacknowledged_timeout{20000};
   };
 
@@ -53,16 +54,17 @@ class ConnectionAcceptor {
   ConnectionAcceptor(const ConnectionAcceptor&) = delete;
   ConnectionAcceptor& operator=(const ConnectionAcceptor&) = delete;
 
-  // Every connection will speak by these credentials.
+  // Every connection will use these credentials.
   void Register(std::shared_ptr<grpc::ServerCredentials> credentials,
                 grpc::ServerBuilder* builder);
   void Start();
-  // Closes the listening sockets. Connections that were handed on live.
+  // Closes the listening sockets. Connections that were handed on stay open.
   void Stop();
 
   // The address with the port that was chosen.
   const std::string& address() const { return address_; }
-  // Connections closed because there were too many, or of no use.
+  // Number of connections closed because there were too many or because they
+  // were harmful.
   std::int64_t shed() const { return shed_.load(); }
 
  private:
@@ -73,27 +75,29 @@ class ConnectionAcceptor {
   absl::Status OpenInternet();
   absl::Status OpenUnix();
   void Run();
-  // Takes what has come to a listening socket, but no more at a time than lets
-  // the thread attend to the rest.
+  // Accepts connections from a listening socket, but only so many at a time
+  // that the thread can attend to its other work.
   void AcceptSome(int listener);
   void HandOn(int listener, int connection);
   // Ends connections that only take memory.
   void CutHarmful();
   void Shed(int connection, const char* why, const std::string& peer);
-  // Accept failed for want of a descriptor: frees one to turn a caller away.
+  // After accept() failed for want of a descriptor: frees the reserve to accept
+  // one connection and close it.
   void TurnAway(int listener);
 
   const Options options_;
   const Log* const log_;
   ConnectionMeters* const meters_;
   std::string address_;
-  // Removed at the end, if the file there is still the one that was made.
+  // File of a unix socket, removed at the end if it is still the one that was
+  // made.
   std::string socket_path_;
   std::optional<std::pair<dev_t, ino_t>> socket_file_;
   std::vector<int> listeners_;
-  // Told to stop by this.
+  // An eventfd that asks the thread to stop.
   int wake_ = -1;
-  // Kept to be given up in TurnAway().
+  // A descriptor that is kept to be given up in TurnAway().
   int reserve_ = -1;
   std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> grpc_;
   std::atomic<std::int64_t> shed_{0};

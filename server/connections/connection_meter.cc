@@ -9,12 +9,12 @@
 namespace revisit::server {
 namespace {
 
-// All connections without a call that was let in may have brought as much as
-// so many of them may.
+// All connections together that have not had a call let in may have brought
+// this many times what one of them may.
 constexpr std::uint64_t kShares = 4;
-// One that has brought less is never taken for the cause of that.
+// A connection that has brought less than this is never cut for that sum.
 constexpr std::uint64_t kFewBytes = std::uint64_t{64} << 10;
-// Some 3,000 calls of the smallest kind, of which gRPC makes 60 MB.
+// Bytes of some 3,000 of the smallest calls, which take 60 MB in gRPC.
 constexpr std::uint64_t kBytesBetweenLooks = std::uint64_t{64} << 10;
 
 }  // namespace

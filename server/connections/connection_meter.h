@@ -1,13 +1,14 @@
-// How much each connection has brought since it was last of use, and when that
-// is too much.
+// Counts how many bytes each connection has brought since it last made
+// progress, and says when that is too much.
 //
 // gRPC as Debian 12 has it (1.51) stores the headers of a call as they come
 // until they end, holds a client to a limit only once that client has agreed to
 // it, and then to a limit for each frame of headers: a connection whose headers
 // do not end, or that begins calls without end, fills the memory. Only the
-// bytes that come tell, so they are counted before gRPC gets them
-// (metered_reads.h). A call of a caller who is let in counts as use, or a
-// message of such a call, and no more of it than call and message may bring.
+// received bytes show it, so they are counted before gRPC gets them
+// (metered_reads.h). Progress is a call of a caller who was let in, or a
+// message of such a call; it is credited at most with the bytes that a call and
+// its message may bring.
 #ifndef REVISIT_SERVER_CONNECTIONS_CONNECTION_METER_H_
 #define REVISIT_SERVER_CONNECTIONS_CONNECTION_METER_H_
 
@@ -25,11 +26,11 @@ namespace revisit::server {
 struct MeterBounds {
   std::uint64_t max_idle_bytes = 0;
   std::uint64_t max_unadmitted_bytes = 0;
-  // Largest that one call and its message, or one more message, is credited.
+  // Most bytes credited for a call with its message, or for one more message.
   std::uint64_t credit_bytes = 0;
 };
 
-// All connections together that have not had a call let in. Thread-safe.
+// Totals over all connections that have not had a call let in. Thread-safe.
 struct Unadmitted {
   Unadmitted();
   ~Unadmitted();
@@ -40,7 +41,7 @@ struct Unadmitted {
 
   std::atomic<std::uint64_t> connections{0};
   std::atomic<std::uint64_t> bytes{0};
-  // Since somebody last looked at the connections.
+  // Bytes since somebody last looked at the connections.
   std::atomic<std::uint64_t> bytes_unseen{0};
   // An eventfd; negative if there was no descriptor for it.
   const int look_event;
@@ -59,7 +60,7 @@ class ConnectionMeter {
   void CountReceived(std::uint64_t bytes);
   // A call was let in, or a message of such a call was read.
   void CountProgress();
-  // Nothing of what came is held any more.
+  // gRPC holds nothing any more of what came on this connection.
   void Forgive();
 
   // The bound that the connection has passed, for good; null as long as it may
@@ -79,7 +80,7 @@ class ConnectionMeter {
 
   mutable Mutex mutex_;
   std::uint64_t received_ ABSL_GUARDED_BY(mutex_) = 0;
-  // Bytes that came and have not been of use.
+  // Bytes that came without progress.
   std::uint64_t debt_ ABSL_GUARDED_BY(mutex_) = 0;
   bool admitted_ ABSL_GUARDED_BY(mutex_) = false;
   const char* passed_ ABSL_GUARDED_BY(mutex_) = nullptr;
@@ -93,27 +94,28 @@ class ConnectionMeters {
  public:
   explicit ConnectionMeters(const MeterBounds& bounds);
 
-  // `remote` is the other end, host and port: "127.0.0.1:4711", "::1:4711". A
-  // connection takes the place of the one there was from there.
+  // `remote` is the other end, host and port: "127.0.0.1:4711", "::1:4711". The
+  // new connection replaces an earlier one from there.
   MeterPointer Open(const std::string& remote);
   // Forgets a connection that is gone, but not one that has taken its place.
   void Close(const std::string& remote, const MeterPointer& meter);
-  // `peer` as gRPC tells it: "ipv4:127.0.0.1:4711", "ipv6:%5B::1%5D:4711".
+  // `peer` in gRPC's form: "ipv4:127.0.0.1:4711", "ipv6:%5B::1%5D:4711".
   MeterPointer Find(const std::string& peer) const;
 
   const Unadmitted& unadmitted() const { return *unadmitted_; }
   // Readable once connections without a call let in have brought so much that
   // somebody should look at them; negative if there is none.
   int look_event() const { return unadmitted_->look_event; }
-  // Somebody looks at them now.
+  // Called when somebody looks at them: counting towards the next look starts
+  // over.
   void NoteLook();
 
-  // The remote end that gRPC means.
+  // The remote end that a peer in gRPC's form names.
   static std::string RemoteOf(const std::string& peer);
 
  private:
   const MeterBounds bounds_;
-  // Also of meters that outlive this.
+  // Shared with meters, which may outlive this.
   const std::shared_ptr<Unadmitted> unadmitted_;
   mutable Mutex mutex_;
   std::unordered_map<std::string, MeterPointer> meters_ ABSL_GUARDED_BY(mutex_);

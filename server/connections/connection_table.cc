@@ -7,16 +7,18 @@
 namespace revisit::server {
 namespace {
 
-// A sweep asks the system about every connection: not for each one that is
-// turned away in a flood.
+// Least time between two sweeps. A sweep asks the system about every
+// connection, so a flood must not cause one for each connection that is turned
+// away.
 constexpr std::chrono::milliseconds kSweepInterval{50};
 
-// A call that is reset takes two frames: a head of 9 bytes and a byte of
-// headers, and a head and 4 bytes (RFC 9113, 4.1 and 6.4). Half of it, so that
-// those in a bound are counted twice before it can be passed again.
+// A call that is reset takes two frames on the wire: a head of 9 bytes and a
+// byte of headers, then a head and 4 bytes (RFC 9113, 4.1 and 6.4), 23 bytes
+// together. This is half of it, so that a connection is counted again by the
+// time half of the calls that it may still begin can have come.
 constexpr std::uint64_t kLeastCallBytes = 12;
-// Calls that a connection must have had bytes for to be counted again, while
-// it has not had one let in.
+// A connection that has not had a call let in is counted again once it has
+// brought the bytes of this many calls.
 constexpr std::uint64_t kFewCalls = 20;
 
 bool Reaches(std::size_t count, std::int64_t most) {
@@ -113,16 +115,17 @@ void ConnectionTable::Look(Connection* connection) const {
                          : kFewCalls;
   const bool may_hold_more =
       bytes - connection->counted_bytes >= calls * kLeastCallBytes;
-  // Once a connection was let in, only too many calls of it are of interest.
+  // Once a call of the connection was let in, it matters only whether it holds
+  // too many.
   const bool may_hold_less = !meter.admitted() && connection->held > 0;
   const bool may_be_forgiven = meter.IsHalfWay();
   if (!may_hold_more && !may_hold_less && !may_be_forgiven) return;
   connection->counted_bytes = bytes;
   const std::optional<CallCounts> counts = count_(connection->remote);
   connection->held = counts ? counts->held : 0;
-  // Nothing is held of a connection without calls; one whose headers have not
-  // ended is a call as well. But answers that belong to no call may wait to be
-  // read: so a call has to have come to its end.
+  // gRPC holds nothing for a connection without calls, and headers that have
+  // not ended count as a call. But answers that belong to no call (to pings and
+  // settings) may wait to be read: so a call must also have come to its end.
   if (may_be_forgiven && counts && counts->held == 0 &&
       counts->over > connection->forgiven_calls) {
     connection->forgiven_calls = counts->over;
@@ -179,7 +182,8 @@ void ConnectionTable::Remove(int descriptor) {
   if (found == connections_.end()) return;
   const Connection& connection = found->second;
   if (connection.meter != nullptr && !connection.was_told) {
-    // It was closed for that, and its descriptor may be another's already.
+    // It was closed for this bound; its descriptor may belong to another
+    // connection already.
     if (const char* bound = BoundPassed(connection)) {
       untold_.push_back({-1, connection.host, bound});
     }

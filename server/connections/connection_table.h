@@ -1,7 +1,7 @@
-// Which connections are open, from where, and what they bring. gRPC closes them
-// without a word, so the table finds out when it needs to know: a descriptor
-// that was given anew was closed before, and whoever stands in the way of a new
-// connection is asked whether it is still there.
+// Keeps which connections are open, from where, and what they bring. gRPC
+// closes them without notice, so the table finds out when it needs to know: a
+// descriptor that is given out anew was closed before, and before a new
+// connection is refused, the table checks which of the old ones are still open.
 #ifndef REVISIT_SERVER_CONNECTIONS_CONNECTION_TABLE_H_
 #define REVISIT_SERVER_CONNECTIONS_CONNECTION_TABLE_H_
 
@@ -22,33 +22,36 @@ namespace revisit::server {
 
 // Calls of one connection.
 struct CallCounts {
-  // In memory, those that were reset and are not cleared away included.
+  // Calls in memory, including those that were reset and not yet cleared away.
   std::uint64_t held = 0;
-  // No longer.
+  // Calls that have ended and left the memory.
   std::uint64_t over = 0;
 };
 
 // Thread-compatible.
 class ConnectionTable {
  public:
-  // What tells the socket behind a descriptor from all others there ever were;
-  // nothing if there is none.
+  // Unique id (SO_COOKIE) of the socket behind a descriptor, or nullopt.
   using Cookie = std::function<std::optional<std::uint64_t>(int)>;
 
-  // Has what comes on a connection counted; null: no longer.
+  // Has a meter count the bytes that come on a descriptor; null detaches the
+  // meter.
   using Attach = std::function<void(int, MeterPointer)>;
 
-  // Of the connection whose other end this is; nothing if that cannot be told.
+  // The calls of the connection with this remote end, or nullopt if they are
+  // not known.
   using Count = std::function<std::optional<CallCounts>(const std::string&)>;
 
   struct Bounds {
-    // Those of Limits; 0 is off.
+    // The limits of the same names (limits.h); 0 switches one off.
     int max_connections = 0;
     int max_connections_per_address = 0;
     int max_unadmitted_connections = 0;
-    // Of one connection, those that were reset included; 0 is off.
+    // Calls that one connection may hold, including those that were reset; 0
+    // switches it off.
     std::int64_t max_held_calls = 0;
-    // The same of all connections together that have not had a call let in.
+    // Calls that all connections together may hold that have not had a call let
+    // in; 0 switches it off.
     std::int64_t max_unadmitted_calls = 0;
   };
 
@@ -60,27 +63,27 @@ class ConnectionTable {
   ConnectionTable(const ConnectionTable&) = delete;
   ConnectionTable& operator=(const ConnectionTable&) = delete;
 
-  // Why this new connection is one too many; null if there is room, and then it
-  // is in the table. `host` and `port` are the other end's; a port of 0 says
-  // that it is not metered.
+  // Adds a new connection and returns null, or returns why it is one too many.
+  // `host` and `port` are the other end's; with port 0 it is not metered.
   const char* Add(int descriptor, const std::string& host, int port,
                   std::chrono::steady_clock::time_point now);
 
-  // A connection that does more harm than good, and the bound it is beyond.
+  // A connection to be closed, and the bound that it has passed.
   struct Harmful {
-    // Negative if it is closed already.
+    // Negative if the connection is closed already.
     int descriptor;
     std::string host;
     const char* bound;
   };
 
-  // Connections that passed a bound of their meter or hold more than
-  // max_held_calls; and of those that have not had a call let in the oldest, if
-  // they are more than max_unadmitted_connections, and those that hold the most
-  // calls, if they hold more than max_unadmitted_calls. Each is told once.
+  // Returns connections that passed a bound of their meter or hold more than
+  // max_held_calls. Among those that have not had a call let in, also the
+  // oldest beyond max_unadmitted_connections, and, while together they hold
+  // more than max_unadmitted_calls, those that hold the most. Each connection
+  // is returned once.
   std::vector<Harmful> TakeHarmful();
 
-  // Those that were open when last looked at.
+  // Number of connections that were open when last looked at.
   std::size_t size() const { return connections_.size(); }
 
  private:
@@ -90,9 +93,9 @@ class ConnectionTable {
     // Null, with all that follows, if it is not metered.
     MeterPointer meter;
     std::string remote;
-    // Goes up with each connection.
+    // Number of the connection, in the order in which they came.
     std::uint64_t number = 0;
-    // When last counted: the calls it holds, and the bytes that had come.
+    // At the last count: the calls it held, and the bytes that had come.
     std::uint64_t held = 0;
     std::uint64_t counted_bytes = 0;
     // Calls that were over when it was last forgiven.
@@ -103,7 +106,8 @@ class ConnectionTable {
   void Remove(int descriptor);
   void Look(Connection* connection) const;
   const char* BoundPassed(const Connection& connection) const;
-  // Adds to `harmful` those of `unadmitted` that are too much.
+  // Adds to `harmful` those of `unadmitted` that are beyond the bounds which
+  // they share.
   void FindTooMany(std::vector<std::pair<int, Connection*>> unadmitted,
                    std::vector<Harmful>* harmful) const;
   bool IsOpen(int descriptor, const Connection& connection) const;
@@ -118,7 +122,8 @@ class ConnectionTable {
   ConnectionMeters* const meters_;
   std::uint64_t last_number_ = 0;
   std::unordered_map<int, Connection> connections_;
-  // Those that were closed for a bound they passed, until TakeHarmful().
+  // Connections that were closed for a bound they passed, until TakeHarmful()
+  // returns them.
   std::vector<Harmful> untold_;
   std::unordered_map<std::string, std::unordered_set<int>> by_host_;
   std::chrono::steady_clock::time_point last_sweep_{};

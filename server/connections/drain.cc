@@ -14,7 +14,7 @@ bool Drain::Enter() {
 
 void Drain::Leave() {
   const MutexLock lock(&mutex_);
-  // Under the lock: afterwards this may be destroyed.
+  // Notified under the lock: once it is released, this may be destroyed.
   if (--calls_ == 0) idle_.NotifyAll();
 }
 
@@ -27,7 +27,7 @@ Drain::WatchId Drain::Watch(std::function<void()> wind_down) {
       return id;
     }
   }
-  // Not under the lock: it may call Unwatch().
+  // Called without the lock: it may call Unwatch().
   wind_down();
   return -1;
 }

@@ -1,8 +1,8 @@
-// The end of the server's life: who is still at work, and telling them.
+// Counts the calls that are still at work when the server ends, and notifies
+// them.
 //
-// gRPC's own shutdown cannot be waited for: it also waits for every idle client
-// to hear of it, which may take until its deadline. So the calls are counted
-// here.
+// gRPC's own shutdown is no substitute: it also waits for every idle client to
+// hear of it, which may take until its deadline.
 #ifndef REVISIT_SERVER_CONNECTIONS_DRAIN_H_
 #define REVISIT_SERVER_CONNECTIONS_DRAIN_H_
 
@@ -21,13 +21,13 @@ class Drain {
  public:
   using WatchId = std::int64_t;
 
-  // A call begins; false if it comes too late and is to be refused. Either way,
-  // Leave() is called when gRPC has done with it.
+  // Notes that a call begins; false if it comes too late and is to be refused.
+  // Either way, call Leave() when gRPC is done with it.
   bool Enter();
   void Leave();
 
   // Calls `wind_down` once when draining starts, or at once if it has started.
-  // It may come on any thread, also after Unwatch() was called.
+  // The call may come on any thread, also after Unwatch() was called.
   WatchId Watch(std::function<void()> wind_down);
   void Unwatch(WatchId id);
 
@@ -35,7 +35,7 @@ class Drain {
   // Waits until no call is left, or until the deadline.
   void WaitForCalls(std::chrono::steady_clock::time_point deadline);
 
-  // What a call that is cut short answers: UNAVAILABLE (SERVER_DRAINING).
+  // The status of a call that is cut short: UNAVAILABLE (SERVER_DRAINING).
   static absl::Status Refusal();
 
  private:

@@ -14,7 +14,8 @@
 namespace revisit::server {
 namespace {
 
-// A lock for each few of them: all threads that read go through here.
+// A share of the descriptors with a lock of its own: all threads that read go
+// through here.
 struct Shard {
   Mutex mutex;
   std::unordered_map<int, MeterPointer> meters ABSL_GUARDED_BY(mutex);
@@ -22,7 +23,7 @@ struct Shard {
 
 constexpr std::size_t kShards = 64;
 
-// Never destroyed: threads of gRPC may read to the very end.
+// Shards are never destroyed: threads of gRPC may read to the very end.
 Shard& ShardOf(int descriptor) {
   static auto* const shards = new std::array<Shard, kShards>();
   return (*shards)[static_cast<std::size_t>(descriptor) % kShards];
@@ -41,7 +42,7 @@ ssize_t Read(int descriptor, msghdr* message, int flags) {
 }
 
 ssize_t ReadMetered(int descriptor, msghdr* message, int flags) {
-  // Other kinds of reads, such as of the error queue, bring nothing.
+  // Reads with flags, such as of the error queue, bring no bytes of the stream.
   const MeterPointer meter = flags == 0 ? MeterOf(descriptor) : nullptr;
   if (meter == nullptr) return Read(descriptor, message, flags);
   if (meter->BoundPassed() != nullptr) return 0;

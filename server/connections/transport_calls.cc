@@ -15,8 +15,8 @@ namespace {
 
 using Json = nlohmann::json;
 
-// What gRPC renders, in the JSON form of channelz.proto: members that are 0 or
-// empty are left out, numbers of 64 bits are strings.
+// Parses and frees a rendering of gRPC. It has the JSON form of channelz.proto:
+// members that are 0 or empty are left out, numbers of 64 bits are strings.
 Json Take(char* rendered) {
   const std::unique_ptr<char, void (*)(void*)> text(rendered, gpr_free);
   if (text == nullptr) return Json::object();
@@ -38,7 +38,7 @@ std::int64_t Number(const Json& json, const char* name) {
                       10);
 }
 
-// Empty if it is closed.
+// Description of a socket; empty if the socket is closed.
 Json ReadSocket(std::int64_t socket) {
   return Take(grpc_channelz_get_socket(static_cast<intptr_t>(socket)));
 }
@@ -54,7 +54,7 @@ std::optional<CallCounts> TransportCalls::Count(const std::string& remote) {
   }
   const Json socket = ReadSocket(found->second);
   if (socket.empty()) {
-    // Another may come from the same port.
+    // Another connection may come from the same port.
     sockets_.erase(found);
     return std::nullopt;
   }
@@ -79,7 +79,7 @@ void TransportCalls::LearnNew() {
       for (const Json& ref : refs) {
         const std::int64_t socket = Number(ref, "socketId");
         from = std::max(from, socket + 1);
-        // Such as "chttp2 ipv4:127.0.0.1:4711".
+        // A name such as "chttp2 ipv4:127.0.0.1:4711".
         const Json& name = Member(ref, "name");
         if (!name.is_string()) continue;
         const std::string& text = name.get_ref<const std::string&>();

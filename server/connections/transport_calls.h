@@ -21,19 +21,20 @@ namespace revisit::server {
 // Thread-compatible. Knows the connections of all gRPC servers in the process.
 class TransportCalls {
  public:
-  // Of the connection whose other end is `remote`, as ConnectionMeters names
-  // it. Nothing if gRPC does not know such a connection, or not yet. Some 10
-  // us; more by that for each connection that came since the last call.
+  // The calls of the connection whose other end is `remote`, named as in
+  // ConnectionMeters. Nullopt if gRPC does not know such a connection, or not
+  // yet. Takes some 10 us, and as much again for each connection that came
+  // since the last call.
   std::optional<CallCounts> Count(const std::string& remote);
 
  private:
   void LearnNew();
   void ForgetClosed();
 
-  // Numbers only grow; the lowest that can be new.
+  // The lowest number of a socket that may be new; numbers only grow.
   std::int64_t next_socket_ = 0;
   std::unordered_map<std::string, std::int64_t> sockets_;
-  // So many may be known before those that were closed are forgotten.
+  // Sockets that may be known before those that were closed are forgotten.
   std::size_t most_ = 1024;
 };
 

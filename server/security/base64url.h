@@ -7,8 +7,9 @@
 
 namespace revisit::server {
 
-// Nothing unless `text` is the one way to write these bytes: the alphabet of
-// RFC 4648 section 5, no padding, no other character, unused bits zero.
+// The decoded bytes; nullopt unless `text` is the one canonical way to write
+// them: the alphabet of RFC 4648 section 5, no padding, no other character,
+// unused bits zero.
 std::optional<std::string> DecodeBase64Url(const std::string& text);
 
 }  // namespace revisit::server

@@ -1,4 +1,4 @@
-// Who calls, and what that one may do.
+// Who calls, and what they may do.
 #ifndef REVISIT_SERVER_SECURITY_CALLER_H_
 #define REVISIT_SERVER_SECURITY_CALLER_H_
 
@@ -17,10 +17,10 @@ const char* VerbName(Verb verb);
 
 // Some vehicles of one tenant, and what may be done with them.
 struct Grant {
-  // Of the tenant: no id without it belongs to this grant.
+  // The tenant's prefix: no id without it belongs to this grant.
   std::string vehicle_prefix;
-  // Over the whole id; `*` stands for any run of characters, an empty one too.
-  // An id has to match one of them.
+  // Patterns of whole ids, of which an id has to match one. `*` stands for any
+  // run of characters, even an empty one.
   std::vector<std::string> vehicle_patterns;
   // Bits of Verb.
   std::uint8_t verbs = 0;
@@ -39,19 +39,19 @@ struct Caller {
   // All grants are of this tenant; "*" means all of them. Empty if the server
   // does not ask who calls.
   std::string tenant;
-  // From then on the caller is nobody.
+  // From this time on the credentials are invalid.
   std::chrono::system_clock::time_point expires =
       std::chrono::system_clock::time_point::max();
-  // Nothing: all vehicles, everything.
+  // Nullopt grants everything on all vehicles.
   std::optional<std::vector<Grant>> grants;
 
-  // Whether anything may be done with the vehicle. What a caller may not see is
-  // to that caller as if it were not there.
+  // Whether the caller may do anything with the vehicle. To a caller who may
+  // not see a vehicle, every answer is as if it did not exist.
   bool MaySee(const std::string& vehicle_id) const;
   bool May(Verb verb, const std::string& vehicle_id) const;
 
-  // Prefixes of ids, in order, none a prefix of another: whatever the verb is
-  // granted for starts with one of them.
+  // Prefixes of ids, in order, none a prefix of another. Every id for which the
+  // verb is granted starts with one of them.
   std::vector<std::string> PrefixesOf(Verb verb) const;
 };
 

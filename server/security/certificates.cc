@@ -18,7 +18,7 @@ absl::Status Problem(const std::string& what) {
   return absl::InvalidArgumentError(what.c_str());
 }
 
-// With OpenSSL's own words for the last error.
+// INVALID_ARGUMENT with OpenSSL's own words for its last error.
 absl::Status ProblemWithReason(const std::string& what) {
   const unsigned long code = ERR_peek_last_error();
   const char* const reason =
@@ -103,7 +103,7 @@ std::string SerialNumber(X509* certificate) {
   return serial;
 }
 
-// Takes everything as a listener would.
+// Loads everything into a TLS context, as a listener would.
 absl::Status TryListening(const std::vector<openssl::Certificate>& chain,
                           EVP_PKEY* key) {
   const openssl::Context context(SSL_CTX_new(TLS_server_method()));
@@ -211,7 +211,7 @@ absl::StatusOr<ClientCertificate> ReadClientCertificate(
     std::string value(
         reinterpret_cast<const char*>(ASN1_STRING_get0_data(text)),
         static_cast<std::size_t>(ASN1_STRING_length(text)));
-    // Two readers would take a NUL for two different names.
+    // A name with a NUL would be read differently by two readers.
     if (value.find('\0') == std::string::npos)
       list->push_back(std::move(value));
   }
@@ -240,7 +240,7 @@ absl::Status CheckClientAuthority(const std::string& pem,
   X509_STORE_set_flags(store.get(), X509_V_FLAG_PARTIAL_CHAIN);
   const openssl::Bio shown = openssl::Memory(chain);
   while (openssl::Certificate one = openssl::ReadCertificate(shown)) {
-    // From then on the stack owns it.
+    // Once pushed, the stack owns it.
     if (sk_X509_push(between.get(), one.get()) > 0) {
       static_cast<void>(one.release());
     }

@@ -1,5 +1,5 @@
-// X.509 certificates: checked before they are used, read when a client shows
-// one.
+// Checks X.509 certificates before a listener uses them, and reads those that
+// clients present.
 #ifndef REVISIT_SERVER_SECURITY_CERTIFICATES_H_
 #define REVISIT_SERVER_SECURITY_CERTIFICATES_H_
 
@@ -14,7 +14,7 @@ namespace revisit::server {
 
 using CertificateTime = std::chrono::system_clock::time_point;
 
-// What a listener shows and trusts, in PEM.
+// Key and certificates of a listener, and the authorities it trusts, in PEM.
 struct TlsMaterial {
   std::string private_key;
   // The server's own certificate first, then those that issued it.
@@ -25,17 +25,17 @@ struct TlsMaterial {
 };
 
 struct TlsSummary {
-  // Of the server's own certificate.
+  // When the server's own certificate expires.
   CertificateTime expires;
   std::string serial_number;
 };
 
-// Whether a listener can serve with it: the key is whole, not encrypted, and
-// that of the first certificate; each certificate of the chain was issued by
-// the next; all of them are valid at `now`; OpenSSL takes them at its own level
-// of security; and all client authorities are authorities, at least one of them
-// valid. INVALID_ARGUMENT with what is wrong otherwise; nothing of the key is
-// repeated.
+// Checks whether a listener can serve with the material: the key is whole, not
+// encrypted, and belongs to the first certificate; each certificate of the
+// chain was issued by the next; all of them are valid at `now`; OpenSSL takes
+// them at its own level of security; and all client authorities are
+// authorities, at least one of them valid. Otherwise INVALID_ARGUMENT, which
+// says what is wrong and repeats nothing of the key.
 absl::StatusOr<TlsSummary> CheckTlsMaterial(const TlsMaterial& material,
                                             CertificateTime now);
 
@@ -46,12 +46,12 @@ struct ClientCertificate {
   CertificateTime expires;
 };
 
-// Reads one that the handshake has verified.
+// Reads a certificate that the handshake has verified.
 absl::StatusOr<ClientCertificate> ReadClientCertificate(const std::string& pem);
 
-// Whether one of `authorities` stands behind a client's certificate now, by way
-// of `chain`, which came with it and may be empty. All in PEM. INVALID_ARGUMENT
-// with OpenSSL's reason otherwise.
+// OK if one of `authorities` vouches for a client's certificate now, by way of
+// `chain`, which came with it and may be empty. All in PEM. Otherwise
+// INVALID_ARGUMENT with OpenSSL's reason.
 absl::Status CheckClientAuthority(const std::string& pem,
                                   const std::string& chain,
                                   const std::string& authorities);

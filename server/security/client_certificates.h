@@ -1,4 +1,4 @@
-// Which certificates a TLS listener asks of its clients.
+// Whether the clients of a TLS listener must present a certificate.
 #ifndef REVISIT_SERVER_SECURITY_CLIENT_CERTIFICATES_H_
 #define REVISIT_SERVER_SECURITY_CLIENT_CERTIFICATES_H_
 

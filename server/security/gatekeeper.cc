@@ -20,15 +20,15 @@
 namespace revisit::server {
 namespace {
 
-// Callers whose credentials need not be verified again. Far more than a
-// server's connections would be a flood.
+// Callers that are remembered, so that their credentials need not be verified
+// again. More credentials than this would be a flood.
 constexpr std::size_t kMaxRemembered = 10000;
 
 absl::Status Unauthenticated(const char* reason, const std::string& what) {
   return Error(absl::StatusCode::kUnauthenticated, reason, what);
 }
 
-// So that what is remembered is small, and no secret.
+// A hash, so that what is remembered is small and no secret.
 std::string Fingerprint(const std::string& credential) {
   std::string hash(EVP_MAX_MD_SIZE, '\0');
   std::size_t size = 0;
@@ -67,7 +67,7 @@ class Rules {
 
   absl::StatusOr<std::shared_ptr<const Caller>> ByToken(
       const std::string& token, Gatekeeper::Time now) const {
-    // No certificate is a token.
+    // Tokens and certificates share one map: no certificate is a token.
     const std::string fingerprint = Fingerprint(token);
     if (auto known = Recall(fingerprint)) {
       if (now < known->expires) return known;
@@ -92,7 +92,8 @@ class Rules {
     const std::string& pem = credentials.certificate_pem;
     const TlsFiles::Current trusted =
         files == nullptr ? TlsFiles::Current() : files->current();
-    // Whom other authorities stood behind is not remembered.
+    // The authorities are part of the key: a caller is not remembered once they
+    // have changed.
     const std::string fingerprint =
         Fingerprint(std::to_string(trusted.version) + pem +
                     credentials.certificate_chain_pem);
@@ -166,12 +167,12 @@ class Rules {
   const TokenRules token_rules_;
 
   mutable Mutex mutex_;
-  // By fingerprint of the credential; only what was verified.
+  // Verified callers, by the fingerprint of their credential.
   mutable std::unordered_map<std::string, std::shared_ptr<const Caller>>
       remembered_ ABSL_GUARDED_BY(mutex_);
 };
 
-// The token of an `authorization` value; nothing if it is no bearer token.
+// The token of an `authorization` value; nullopt if it is no bearer token.
 std::optional<std::string> BearerToken(const std::string& authorization) {
   constexpr std::size_t kSchemeBytes = 7;
   if (absl::AsciiStrToLower(authorization.substr(0, kSchemeBytes)) !=
@@ -278,7 +279,7 @@ class FileGatekeeper final : public Gatekeeper {
     return rules_;
   }
 
-  // Makes rules of the files as they were looked at last.
+  // Makes rules of the contents that the files had at the last look.
   absl::Status Take() {
     if (!files_.contents().ok()) return files_.contents().status();
     const std::vector<std::string>& texts = *files_.contents();
@@ -321,8 +322,8 @@ class FileGatekeeper final : public Gatekeeper {
     auto next_check = std::chrono::steady_clock::now() + settings_.check_period;
     MutexLock lock(&mutex_);
     while (!stopping_) {
-      // Times of expiry are of the system's clock, which may jump: so no longer
-      // than to the next check.
+      // Times of expiry are those of the system's clock, which may jump: so it
+      // sleeps no longer than to the next check.
       const auto now = std::chrono::system_clock::now();
       auto wait = next_check - std::chrono::steady_clock::now();
       for (const auto& [id, watch] : watches_) {
@@ -346,10 +347,10 @@ class FileGatekeeper final : public Gatekeeper {
       for (auto& [id, watch] : watches_) {
         const bool expired = watch.expires <= std::chrono::system_clock::now();
         if (check_all || expired) due.push_back(watch.recheck);
-        // Once is enough: whoever expired does not come back.
+        // One call is enough: expired credentials stay expired.
         if (expired) watch.expires = Time::max();
       }
-      // They may call Unwatch().
+      // Called without the lock: callbacks may call Unwatch().
       lock.Unlock();
       for (const auto& recheck : due) recheck();
       due.clear();
@@ -359,7 +360,7 @@ class FileGatekeeper final : public Gatekeeper {
 
   const GatekeeperSettings settings_;
   const Log* const log_;
-  // Of Start(), then of the thread alone.
+  // Used by Start(), then by the thread alone.
   WatchedFiles files_;
 
   mutable Mutex rules_mutex_;
@@ -368,13 +369,13 @@ class FileGatekeeper final : public Gatekeeper {
   Mutex mutex_;
   CondVar wake_;
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
-  // Whether LookAtFiles() was called and has not been served.
+  // Whether LookAtFiles() was called and the thread has not looked since.
   bool hastened_ ABSL_GUARDED_BY(mutex_) = false;
   WatchId next_id_ ABSL_GUARDED_BY(mutex_) = 0;
   std::map<WatchId, Watched> watches_ ABSL_GUARDED_BY(mutex_);
   Time wakes_at_ ABSL_GUARDED_BY(mutex_) = Time::max();
 
-  // Last: it uses the others.
+  // Declared last: it uses the other members.
   std::thread thread_;
 };
 

@@ -1,4 +1,4 @@
-// Tells who calls, by what the call brought, and has streams look again.
+// Identifies callers by their credentials, and has streams check again.
 #ifndef REVISIT_SERVER_SECURITY_GATEKEEPER_H_
 #define REVISIT_SERVER_SECURITY_GATEKEEPER_H_
 
@@ -18,13 +18,15 @@
 
 namespace revisit::server {
 
-// What a call brought to show who its caller is.
+// Credentials that came with a call.
 struct Credentials {
   // Values of the metadata key `authorization`, as they came.
   std::vector<std::string> authorizations;
-  // Of the client, verified by the handshake; empty if there is none.
+  // The client's certificate, verified by the handshake; empty if it presented
+  // none.
   std::string certificate_pem;
-  // What the client showed besides, up to an authority; may be empty.
+  // Further certificates that the client sent, up to an authority; may be
+  // empty.
   std::string certificate_chain_pem{};
 };
 
@@ -36,51 +38,52 @@ class Gatekeeper {
 
   virtual ~Gatekeeper() = default;
 
-  // False: everyone is let in and may do everything; credentials are not
-  // looked at.
+  // Whether callers need credentials. If not, everyone may do everything, and
+  // credentials are ignored.
   virtual bool asks() const = 0;
 
-  // UNAUTHENTICATED if the credentials are missing or not good at this time,
-  // PERMISSION_DENIED (NOT_GRANTED) if they are, but nothing is granted to who
-  // they name.
+  // The caller that the credentials name. UNAUTHENTICATED if they are missing,
+  // or invalid at this time; PERMISSION_DENIED (NOT_GRANTED) if they are valid,
+  // but nothing is granted to that caller.
   virtual absl::StatusOr<std::shared_ptr<const Caller>> Admit(
       const Credentials& credentials, Time now) = 0;
 
-  // Calls `recheck` whenever what was found of a caller may have changed: at
-  // `expires`, whenever keys or policy have changed, and from time to time. It
-  // comes on a thread of the gatekeeper's, also shortly after Unwatch().
+  // Calls `recheck` whenever the rights of a caller may have changed: at
+  // `expires`, whenever keys or policy have changed, and from time to time. The
+  // call comes on a thread of the gatekeeper's, also shortly after Unwatch().
   virtual WatchId Watch(Time expires, std::function<void()> recheck) = 0;
   virtual void Unwatch(WatchId id) = 0;
 
-  // Looks at its files, and has all streams recheck, soon rather than when it
-  // is due. Returns at once.
+  // Has files read and all streams rechecked soon, before the next period ends.
+  // Returns at once.
   virtual void LookAtFiles() = 0;
 };
 
 struct GatekeeperSettings {
-  // See policy.h.
+  // The policy (policy.h).
   std::string policy_file;
   // A key set (jwk_set.h); empty if no bearer tokens are taken.
   std::string token_keys_file;
   TokenRules token_rules;
   // Whether a client's certificate says who calls, if there is no token.
   bool takes_certificates = false;
-  // Whose client authorities have to stand behind a certificate at every call
-  // and recheck, for the handshake asked those of its time. Null: nobody is
-  // asked again. Outlives the gatekeeper.
+  // Holds the client authorities that must vouch for a certificate at every
+  // call and recheck: the handshake checked only those of its own time. If
+  // null, certificates are not checked again. Outlives the gatekeeper.
   const TlsFiles* tls_files = nullptr;
-  // How often files are looked at and all streams recheck.
+  // How often files are read and all streams rechecked.
   std::chrono::milliseconds check_period{10'000};
 };
 
-// Knows callers by token or certificate. Files that change are taken together,
-// or, if one of them is no good, refused together with a line in the log, once
-// a change; then what was good before stays in use. INVALID_ARGUMENT if they
-// are no good at the start. The log must outlive the gatekeeper.
+// A gatekeeper that knows callers by token or certificate. Changed files are
+// taken up together. If one of them is invalid, they are refused together, with
+// one line in the log per change, and the earlier contents stay in use.
+// INVALID_ARGUMENT if they are invalid at the start. The log must outlive the
+// gatekeeper.
 absl::StatusOr<std::unique_ptr<Gatekeeper>> StartGatekeeper(
     const GatekeeperSettings& settings, const Log* log);
 
-// Lets everyone in.
+// A gatekeeper that lets everyone in.
 std::unique_ptr<Gatekeeper> MakeOpenGatekeeper();
 
 }  // namespace revisit::server

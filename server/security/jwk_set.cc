@@ -17,7 +17,7 @@ namespace {
 using Json = nlohmann::json;
 
 constexpr int kMinRsaBits = 2048;
-// Verifying takes time in the square of it.
+// Longest RSA key: the time to verify grows with the square of its length.
 constexpr int kMaxRsaBits = 8192;
 constexpr int kMaxExponentBits = 64;
 constexpr std::size_t kCoordinateBytes = 32;
@@ -30,15 +30,15 @@ absl::Status Problem(const std::string& where, const std::string& what) {
   return absl::InvalidArgumentError((where + ": " + what).c_str());
 }
 
-// Empty if there is no such member; members that are not strings are told apart
-// by the check on all of them.
+// The text of a member; empty if there is no such member. Members that are not
+// strings are found by the check of all members.
 std::string Text(const Json& key, const char* member) {
   const auto found = key.find(member);
   return found != key.end() && found->is_string() ? found->get<std::string>()
                                                   : "";
 }
 
-// The bytes of a member; nothing if it is missing or not well-formed.
+// The bytes of a member; nullopt if it is missing or malformed.
 std::optional<std::string> Binary(const Json& key, const char* member) {
   const std::string text = Text(key, member);
   if (text.empty()) return std::nullopt;
@@ -125,7 +125,7 @@ absl::StatusOr<openssl::Key> Ed25519Key(const Json& key,
 // Kinds of keys that can be used.
 struct Kind {
   const char* type;
-  // Null if the type has none.
+  // Null if the type has no curves.
   const char* curve;
   const char* algorithm;
   absl::StatusOr<openssl::Key> (*make)(const Json&, const std::string&);
@@ -134,7 +134,7 @@ constexpr Kind kKinds[] = {{"RSA", nullptr, "RS256", RsaKey},
                            {"EC", "P-256", "ES256", EcKey},
                            {"OKP", "Ed25519", "EdDSA", Ed25519Key}};
 
-// Null for a key that is not to be used here.
+// The kind of a key; null for a key that is not to be used here.
 const Kind* KindOf(const Json& key) {
   const std::string use = Text(key, "use");
   if (!use.empty() && use != "sig") return nullptr;
@@ -148,14 +148,15 @@ const Kind* KindOf(const Json& key) {
   return nullptr;
 }
 
-// ECDSA's two numbers side by side, as OpenSSL wants them. Empty if it fails.
+// Converts a signature of ECDSA's two numbers side by side to the DER that
+// OpenSSL takes. Empty if it fails.
 std::string ToDer(const std::string& signature) {
   if (signature.size() != 2 * kCoordinateBytes) return "";
   openssl::EcdsaSignature pair(ECDSA_SIG_new());
   openssl::BigNumber r = Number(signature.substr(0, kCoordinateBytes));
   openssl::BigNumber s = Number(signature.substr(kCoordinateBytes));
   if (ECDSA_SIG_set0(pair.get(), r.get(), s.get()) != 1) return "";
-  // They belong to the pair now.
+  // The pair owns them now.
   static_cast<void>(r.release());
   static_cast<void>(s.release());
   unsigned char* encoded = nullptr;
@@ -233,7 +234,8 @@ JwkSet::Result JwkSet::Verify(const std::string& key_id,
                            key.key.get()) == 1 &&
       EVP_DigestVerify(context.get(), Bytes(encoded), encoded.size(),
                        Bytes(message), message.size()) == 1;
-  // Else the reasons would be found by the next who asks, TLS for one.
+  // Errors left in the queue would be taken for those of a later operation,
+  // such as one of TLS.
   ERR_clear_error();
   return good ? Result::kGood : Result::kBadSignature;
 }

@@ -1,4 +1,4 @@
-// Public keys that tokens are verified with, as a JSON Web Key Set (RFC 7517).
+// Public keys by which tokens are verified, from a JSON Web Key Set (RFC 7517).
 #ifndef REVISIT_SERVER_SECURITY_JWK_SET_H_
 #define REVISIT_SERVER_SECURITY_JWK_SET_H_
 
@@ -21,18 +21,18 @@ namespace revisit::server {
 // So a token cannot choose how its own signature is verified.
 class JwkSet {
  public:
-  // Keys of other kinds, for other algorithms or other use are passed over:
+  // Keys of other kinds, for other algorithms or other uses are skipped:
   // issuers publish them side by side. INVALID_ARGUMENT if the text is no key
-  // set, a key that is to be used is malformed or has no `kid` or the same as
-  // another, none can be used, or a private or symmetric key is in it.
+  // set, if a key to be used is malformed, has no `kid` or the `kid` of
+  // another, if no key can be used, or if there is a private or symmetric key.
   static absl::StatusOr<JwkSet> Parse(const std::string& text);
 
   std::size_t size() const { return keys_.size(); }
 
   enum class Result { kGood, kUnknownKey, kWrongAlgorithm, kBadSignature };
-  // Whether `signature`, as a JSON Web Signature has it (RFC 7518), is that of
-  // `message` by the key of this id. kWrongAlgorithm if the key is not for
-  // `algorithm`.
+  // Verifies that the key of this id made `signature`, in the form of a JSON
+  // Web Signature (RFC 7518), over `message`. kWrongAlgorithm if the key is not
+  // for `algorithm`.
   Result Verify(const std::string& key_id, const std::string& algorithm,
                 const std::string& message, const std::string& signature) const;
 

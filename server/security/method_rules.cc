@@ -21,7 +21,7 @@ constexpr MethodRule kRules[] = {
     {"ListVehicles", Verb::kRead},
     {"RejectCandidate", Verb::kWrite},
     {"RevisePoses", Verb::kWrite, false, true},
-    // And kRead, if candidates are asked for.
+    // Also requires kRead if candidates are asked for.
     {"StreamPoses", Verb::kWrite, false, true},
     {"UpdateVehicle", Verb::kWrite},
 };

@@ -1,4 +1,4 @@
-// What each call of the service takes of its caller.
+// The verb that each method of the service requires of its caller.
 #ifndef REVISIT_SERVER_SECURITY_METHOD_RULES_H_
 #define REVISIT_SERVER_SECURITY_METHOD_RULES_H_
 
@@ -11,15 +11,17 @@ namespace revisit::server {
 
 struct MethodRule {
   const char* method;
-  // Nothing: whoever is let in at all.
+  // Nullopt if every known caller may call it.
   std::optional<Verb> verb;
-  // Names a vehicle that is not there yet: "not found" would say nothing.
+  // Whether the method names a vehicle that does not exist yet, so that "not
+  // found" would make no sense.
   bool creates = false;
-  // Lasts: counts as a stream, not as a unary call.
+  // Whether the call lasts, and so counts as a stream, not as a unary call.
   bool streams = false;
 };
 
-// Null for a method that nobody has thought of: it takes kAdmin.
+// The rule of a method. Null for a method without one, which then requires
+// kAdmin.
 const MethodRule* FindMethodRule(const std::string& method);
 
 }  // namespace revisit::server

@@ -19,7 +19,7 @@ using Json = nlohmann::json;
 constexpr char kAllTenants[] = "*";
 constexpr char kMatch[] = "{match}";
 constexpr std::size_t kMatchBytes = sizeof(kMatch) - 1;
-// An id is no longer, nor is a pattern of use.
+// Longest pattern: no id is longer, so no longer pattern could match one.
 constexpr std::size_t kMaxPatternBytes = 200;
 
 bool IsIdCharacter(char c) {
@@ -54,7 +54,7 @@ absl::StatusOr<std::string> Text(const Json& object, const char* key,
   return found->get<std::string>();
 }
 
-// The texts of an array that is not empty, with where each stands.
+// The texts of a non-empty array, each with its place for messages.
 absl::StatusOr<std::vector<std::pair<std::string, std::string>>> Texts(
     const Json& object, const char* key, const std::string& where) {
   const std::string path = where + "." + key;
@@ -166,8 +166,8 @@ absl::StatusOr<std::vector<std::string>> ReadPatterns(
   return patterns;
 }
 
-// What the `*` of the pattern stands for, empty if it has none; nothing if the
-// name does not match.
+// The text that the `*` of the pattern matched, empty if the pattern has none;
+// nullopt if the name does not match.
 std::optional<std::string> MatchName(const std::string& pattern,
                                      const std::string& name) {
   const std::size_t star = pattern.find('*');
@@ -184,14 +184,15 @@ std::optional<std::string> MatchName(const std::string& pattern,
   return matched;
 }
 
-// With {match} put in. Patterns that would be of other characters are left out.
+// The patterns with {match} replaced. Patterns that would get characters which
+// no id has are left out.
 std::vector<std::string> Filled(const std::vector<std::string>& patterns,
                                 const std::string& matched) {
   std::vector<std::string> filled;
   for (std::string pattern : patterns) {
     const std::size_t at = pattern.find(kMatch);
     if (at != std::string::npos) {
-      // Also so that nobody brings a `*` of his own.
+      // This also keeps callers from bringing a `*` of their own.
       if (!IsOfIdCharacters(matched)) continue;
       pattern.replace(at, kMatchBytes, matched);
     }

@@ -25,15 +25,15 @@
 //   certificate_dns    a DNS name among them
 // Each of these texts may hold one `*`, for one or more characters other than
 // `/`. Then it lists vehicles by patterns over the whole id, in which any
-// number of `*` stand for any characters, and `{match}` for what the `*` above
-// matched (of which nothing is granted unless it is made of lower-case letters,
-// digits and hyphens); and what may be done: "read", "write", "admin", neither
-// of which includes another. Patterns never reach beyond the tenant's prefix.
-// The tenant
-// "*" has all vehicles; it is for those who run the fleet.
+// number of `*` stand for any characters, and `{match}` for the text that the
+// `*` above matched (nothing is granted unless that is made of lower-case
+// letters, digits and hyphens); and the verbs that are granted: "read",
+// "write", "admin", none of which includes another. Patterns never reach beyond
+// the tenant's prefix. The tenant "*" has all vehicles; it is for those who run
+// the fleet.
 //
-// All grants that fit count together. They have to be of one tenant: an
-// identity with grants of two is refused, rather than guessed at.
+// All grants that fit count together. They have to belong to one tenant: an
+// identity with grants of two tenants is refused, rather than guessed at.
 #ifndef REVISIT_SERVER_SECURITY_POLICY_H_
 #define REVISIT_SERVER_SECURITY_POLICY_H_
 
@@ -47,7 +47,7 @@
 
 namespace revisit::server {
 
-// What was found of who calls, verified.
+// The verified names of a caller.
 struct Identity {
   std::string token_subject;
   std::map<std::string, std::vector<std::string>> token_claims;
@@ -58,13 +58,13 @@ struct Identity {
 // Immutable.
 class Policy {
  public:
-  // INVALID_ARGUMENT if the text is not as above in every part, unknown keys
-  // and repeated ones included; the message says where: the line, if it is no
-  // JSON, or the field.
+  // INVALID_ARGUMENT if any part of the text is not as described above, also
+  // for unknown and repeated keys. The message names the line, if the text is
+  // no JSON, or the field.
   static absl::StatusOr<Policy> Parse(const std::string& text);
 
-  // Sets tenant and grants. PERMISSION_DENIED (NOT_GRANTED) if there are none,
-  // or of more than one tenant.
+  // Sets tenant and grants of the caller. PERMISSION_DENIED (NOT_GRANTED) if
+  // the identity has no grants, or those of more than one tenant.
   absl::Status Apply(const Identity& identity, Caller* caller) const;
 
  private:
@@ -76,14 +76,14 @@ class Policy {
   };
   struct Rule {
     Who who;
-    std::string claim;  // Of kTokenClaim.
+    std::string claim;  // Name of the claim, for kTokenClaim.
     std::string name_pattern;
     std::string tenant;
-    // As written: with {match}.
+    // As written, with {match} not yet replaced.
     Grant grant;
   };
 
-  // The names that a rule looks at.
+  // Those names of the identity that the rule compares.
   static std::vector<std::string> NamesFor(const Rule& rule,
                                            const Identity& identity);
 

@@ -11,7 +11,7 @@
 namespace revisit::server {
 namespace {
 
-// What one listener has got.
+// The state of one listener: which version of the files it was given last.
 struct Listener {
   const TlsFiles* files;
   std::int64_t version = 0;
@@ -69,7 +69,7 @@ class TlsServerCredentials final : public grpc::ServerCredentials {
   const TlsFiles* const files_;
   const grpc_ssl_client_certificate_request_type request_;
   Mutex mutex_;
-  // Elements stay where they are.
+  // A deque, because its elements stay at their addresses.
   std::deque<Listener> listeners_ ABSL_GUARDED_BY(mutex_);
 };
 

@@ -10,8 +10,9 @@
 
 namespace revisit::server {
 
-// TLS 1.2 or later, with what `files` hold at each handshake. May serve any
-// number of listeners. `files`, and what is returned, must outlive the server.
+// Credentials for TLS 1.2 or later, which use the contents of `files` at the
+// time of each handshake. They may serve any number of listeners. `files` and
+// the credentials must outlive the server.
 std::shared_ptr<grpc::ServerCredentials> MakeTlsServerCredentials(
     const TlsFiles* files, ClientCertificates clients);
 

@@ -12,7 +12,7 @@ using Json = nlohmann::json;
 
 constexpr std::size_t kMaxDepth = 16;
 
-// Builds the value as the library's own reader does, and looks more closely.
+// Builds the value as the library's own reader does, with stricter checks.
 class Reader final : public nlohmann::json_sax<Json> {
  public:
   explicit Reader(Json* root) : root_(root) {}
@@ -46,7 +46,7 @@ class Reader final : public nlohmann::json_sax<Json> {
   bool parse_error(std::size_t, const std::string&,
                    const nlohmann::detail::exception& error) override {
     problem_ = error.what();
-    // The library's own number of the error comes first.
+    // Skips the library's own number of the error, which comes first.
     const std::size_t end = problem_.find("] ");
     if (problem_.rfind("[json", 0) == 0 && end != std::string::npos) {
       problem_ = problem_.substr(end + 2);

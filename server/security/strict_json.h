@@ -1,4 +1,4 @@
-// JSON of which two readers cannot make different things.
+// Parses JSON that no two readers can understand differently.
 #ifndef REVISIT_SERVER_SECURITY_STRICT_JSON_H_
 #define REVISIT_SERVER_SECURITY_STRICT_JSON_H_
 

@@ -38,7 +38,8 @@ absl::StatusOr<std::unique_ptr<TlsFiles>> TlsFiles::Load(const TlsPaths& paths,
 
 void TlsFiles::Look(CertificateTime now) {
   const bool changed = files_.Look();
-  // What was refused may have come into its time.
+  // Refused files are checked again even if unchanged: a certificate that was
+  // not valid yet may be valid now.
   if (changed || !refusal_.ok()) {
     const absl::Status refused_before = refusal_;
     refusal_ = Take(now);

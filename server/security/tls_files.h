@@ -1,9 +1,9 @@
 // Key and certificates of the listener, from files that may be replaced while
 // the server runs.
 //
-// gRPC's own watcher of files takes whatever it finds, and then no handshake
-// succeeds any more. Here files are checked first, and as long as they are no
-// good, what was good before stays in use.
+// gRPC's own watcher of files takes whatever it finds, and if that is invalid
+// no handshake succeeds any more. Here files are checked first, and as long as
+// they are invalid, the earlier contents stay in use.
 #ifndef REVISIT_SERVER_SECURITY_TLS_FILES_H_
 #define REVISIT_SERVER_SECURITY_TLS_FILES_H_
 
@@ -24,26 +24,26 @@ namespace revisit::server {
 struct TlsPaths {
   std::string private_key;
   std::string certificate_chain;
-  // Empty: clients are not asked for certificates.
+  // Empty if clients are not asked for certificates.
   std::string client_authorities;
 };
 
 // Thread-safe.
 class TlsFiles {
  public:
-  // INVALID_ARGUMENT if the files are missing or no good at `now`. The log must
+  // INVALID_ARGUMENT if the files are missing or invalid at `now`. The log must
   // outlive this.
   static absl::StatusOr<std::unique_ptr<TlsFiles>> Load(const TlsPaths& paths,
                                                         const Log* log,
                                                         CertificateTime now);
 
-  // Looks at the files. What has changed is taken, or refused with a line in
-  // the log, once a change. Warns, once a day, of a certificate that expires
-  // within 14 days. From one thread at a time.
+  // Looks at the files. Changed contents are taken up, or refused with one line
+  // in the log per change. Warns, once a day, about a certificate that expires
+  // within 14 days. For one thread at a time.
   void Look(CertificateTime now);
 
   struct Current {
-    // Goes up with each change.
+    // Grows with each change.
     std::int64_t version = 0;
     std::shared_ptr<const TlsMaterial> material;
   };
@@ -57,10 +57,10 @@ class TlsFiles {
 
   const Log* const log_;
 
-  // Of Look() alone.
+  // Used by Look() alone.
   const bool has_authorities_;
   WatchedFiles files_;
-  // Of what was refused last; OK if the files as they are now are in use.
+  // Why the present contents were refused; OK if they are in use.
   absl::Status refusal_;
   TlsSummary summary_;
   CertificateTime warned_ = CertificateTime::min();

@@ -27,7 +27,7 @@ absl::Status Invalid(const std::string& what) {
                "the bearer token is not accepted: " + what);
 }
 
-// An object out of one part of a token; nothing if it is not one.
+// The JSON object in one part of a token; nullopt if there is none.
 std::optional<Json> Object(const std::string& encoded) {
   const std::optional<std::string> text = DecodeBase64Url(encoded);
   if (!text) return std::nullopt;
@@ -38,14 +38,14 @@ std::optional<Json> Object(const std::string& encoded) {
   return object;
 }
 
-// Empty if it is no string.
+// The text of a member; empty if it is no string.
 std::string Text(const Json& object, const char* member) {
   const auto found = object.find(member);
   return found != object.end() && found->is_string() ? found->get<std::string>()
                                                      : "";
 }
 
-// Nothing if the claim is missing or is not a number of seconds.
+// The time of a claim; nullopt if it is missing or is no number of seconds.
 std::optional<Token::Time> TimeOf(const Json& claims, const char* name) {
   const auto found = claims.find(name);
   if (found == claims.end() || !found->is_number()) return std::nullopt;
@@ -67,8 +67,7 @@ std::vector<std::string> Texts(const Json& value) {
   return texts;
 }
 
-// Splits at the dots; nothing unless it comes to three parts that are not
-// empty.
+// Splits at the dots; nullopt unless there are three non-empty parts.
 std::optional<std::vector<std::string>> Parts(const std::string& text) {
   std::vector<std::string> parts;
   std::size_t start = 0;

@@ -1,4 +1,4 @@
-// Files that may change while the server runs.
+// Reads files that may change while the server runs.
 #ifndef REVISIT_SERVER_SECURITY_WATCHED_FILES_H_
 #define REVISIT_SERVER_SECURITY_WATCHED_FILES_H_
 
@@ -14,13 +14,13 @@ class WatchedFiles {
  public:
   explicit WatchedFiles(std::vector<std::string> paths);
 
-  // Reads all files. True if anything is different from the time before: what
-  // they hold, or that one cannot be read. Compares contents, since times of
-  // files are coarse and do not change by what a link points to.
+  // Reads all files. True if anything differs from the last look: contents, or
+  // whether a file can be read. It compares contents, because times of files
+  // are coarse and do not change when a link is pointed elsewhere.
   bool Look();
 
-  // Of the last look, in the order of the paths; INVALID_ARGUMENT if a file
-  // cannot be read or is larger than 1 MiB.
+  // Contents at the last look, in the order of the paths; INVALID_ARGUMENT if a
+  // file could not be read or was larger than 1 MiB.
   const absl::StatusOr<std::vector<std::string>>& contents() const {
     return contents_;
   }

@@ -22,7 +22,8 @@ constexpr char kRequestIdKey[] = "x-request-id";
 constexpr char kAuthorizationKey[] = "authorization";
 constexpr std::size_t kMaxRequestIdBytes = 128;
 
-// Of callers without a deadline, and short enough for sums.
+// The remaining time of callers without a deadline, short enough to be added to
+// other times.
 constexpr std::chrono::hours kEndless{24};
 
 std::string NewRequestId() {
@@ -78,13 +79,13 @@ std::shared_ptr<const Caller> Nobody() {
   return *nobody;
 }
 
-// Limits are shared by all callers of a tenant; where nobody is asked who
-// calls, by all programs at one address.
+// The key of a caller's limits. They are shared by all callers of a tenant, or,
+// where nobody is asked who calls, by all programs at one address.
 std::string QuotaKey(const Caller& caller,
                      const grpc::CallbackServerContext& context) {
   if (!caller.tenant.empty() && caller.tenant != "*") return caller.tenant;
   if (!caller.identity.empty()) return caller.identity;
-  // Such as ipv4:127.0.0.1:4711.
+  // An address such as ipv4:127.0.0.1:4711.
   const std::string peer = context.peer();
   return peer.substr(0, peer.rfind(':'));
 }
@@ -111,8 +112,8 @@ const char* CodeName(grpc::StatusCode code) {
   return index < std::size(kNames) ? kNames[index] : "UNKNOWN";
 }
 
-// Errors of ours, as opposed to those of callers, are what an operator looks
-// for.
+// Errors of the server have a higher level than those of callers, because
+// operators look for them.
 LogLevel LevelOf(grpc::StatusCode code) {
   switch (code) {
     case grpc::StatusCode::INTERNAL:
@@ -126,7 +127,8 @@ LogLevel LevelOf(grpc::StatusCode code) {
   }
 }
 
-// Every error gets an ErrorInfo, and every ErrorInfo the request id.
+// Adds the request id to the ErrorInfo of an error, and an ErrorInfo to an
+// error without one.
 absl::Status WithRequestId(const absl::Status& status, const std::string& id) {
   if (status.ok()) return status;
   absl::Status result = status;

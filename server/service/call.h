@@ -1,5 +1,5 @@
-// One call of the service: who its caller is and what that one may do, whether
-// the caller still waits, and its one line in the log.
+// One call of the service: who its caller is and what they may do, whether the
+// caller still waits, and its one line in the log.
 #ifndef REVISIT_SERVER_SERVICE_CALL_H_
 #define REVISIT_SERVER_SERVICE_CALL_H_
 
@@ -25,17 +25,16 @@
 
 namespace revisit::server {
 
-// gRPC tells a stream's reader of a message that is no protobuf in the same way
-// as of the stream's end. But a message that was read, well or badly, was
-// cleared first: what is put into some string before and is still there after
-// the last read means that this was the end.
+// gRPC reports a malformed message like the end of the stream. But it clears a
+// message before it parses it: a marker that was put into some string field
+// before the last read and survives it means a clean end.
 inline constexpr char kUnread[] = "\x01unread";
-// What a stream ends with otherwise.
+// The status of a stream whose marker did not survive.
 absl::Status MalformedMessage();
 
 struct MethodRule;
 
-// Thread-safe, but for ChooseVehicle() and AlsoNeeds().
+// Thread-safe, except ChooseVehicle() and AlsoNeeds().
 class Call {
  public:
   // Takes the request id from the metadata or makes one, and sends it back. Log
@@ -46,43 +45,46 @@ class Call {
   Call(const Call&) = delete;
   Call& operator=(const Call&) = delete;
 
-  // If not OK, the call ends with it at once: it came too late, its caller is
-  // not let in, or there is no room for it.
+  // If not OK, end the call with this status at once: it came too late, its
+  // caller is not let in, or there is no room for it.
   const absl::Status& admission() const { return admission_; }
 
-  // Of a call that was admitted.
+  // The caller. REQUIRES: the call was admitted.
   const Caller& caller() const { return *caller_; }
 
   // Names the vehicle that the call is about. Every handler goes through here
   // before it does anything with a vehicle, and before the work is handed to
-  // other threads. VEHICLE_NOT_FOUND if the vehicle is not the caller's to know
-  // of, there or not; PERMISSION_DENIED (NOT_GRANTED) if the method is more
-  // than the caller may do with it; STREAM_QUOTA if the vehicle has as many
-  // streams as it may.
+  // other threads. VEHICLE_NOT_FOUND if the caller may not know of the vehicle,
+  // whether it exists or not; PERMISSION_DENIED (NOT_GRANTED) if the caller may
+  // not use this method on it; STREAM_QUOTA if the vehicle has as many streams
+  // as it may have.
   absl::Status ChooseVehicle(const std::string& id);
 
-  // The call turns out to do more than its method says. After ChooseVehicle().
+  // Checks a further verb, for a call that does more than its method requires.
+  // After ChooseVehicle().
   absl::Status AlsoNeeds(Verb verb);
 
-  // Room for a search, held as long as this. After ChooseVehicle().
+  // Takes room for a search until End(). After ChooseVehicle().
   absl::Status AdmitSearch();
-  // How long it took, without waiting.
+  // Notes how long the search took, without its wait.
   void SearchTook(std::chrono::steady_clock::duration duration) const;
-  // Room for a batch that waits to be durable. After ChooseVehicle(); any
-  // thread.
+  // Takes room for a batch that waits to be durable. After ChooseVehicle(); on
+  // any thread.
   absl::StatusOr<Permit> AdmitBatch(std::size_t bytes) const;
-  // The same, held as long as this: until End().
+  // Takes room for a batch until End().
   absl::Status HoldBatch(std::size_t bytes);
-  // Room for some more of a revision. After ChooseVehicle(); any thread.
+  // Takes room for some more of a revision. After ChooseVehicle(); on any
+  // thread.
   absl::StatusOr<Permit> AdmitDraft(std::int64_t bytes) const;
-  // Room for a graph that is exported. After ChooseVehicle(); any thread.
+  // Takes room for a graph that is exported. After ChooseVehicle(); on any
+  // thread.
   absl::StatusOr<Permit> AdmitExport(std::size_t bytes) const;
 
-  // What a new call of the same kind, with the same credentials, would be told
-  // now. Calls that last ask from time to time.
+  // OK, or the refusal that a new call of the same kind with the same
+  // credentials would get now. Long calls check it from time to time.
   absl::Status Recheck() const;
-  // Calls `recheck` whenever Recheck() may have changed its mind, until Done().
-  // It may also come shortly after.
+  // Calls `recheck` whenever the result of Recheck() may have changed, until
+  // Done(). The call may also come shortly after.
   void WatchCaller(std::function<void()> recheck);
 
   // Call for every message of a stream that was read, once it was admitted.
@@ -91,15 +93,16 @@ class Call {
   }
 
   // Call from the reactor's OnCancel(), which also comes when the deadline
-  // passes. The context cannot be asked by work that may outlive the call.
+  // passes. Work that may outlive the call cannot ask the context.
   void MarkGivenUp() { given_up_ = true; }
   bool given_up() const { return given_up_; }
 
-  // What a call that was given up ends with: DEADLINE_EXCEEDED or CANCELLED.
+  // The status of a call that was given up: DEADLINE_EXCEEDED or CANCELLED.
   absl::Status GivenUpStatus() const;
 
-  // The status to finish with; logs the call, and gives back the room that it
-  // took: whoever has the answer may come again. Call once, at the end.
+  // Returns the status to finish with, logs the call, and gives back the room
+  // that it took: a caller who has the answer may come again. Call once, at the
+  // end.
   grpc::Status End(const absl::Status& status);
 
   // Call from the reactor's OnDone().
@@ -123,7 +126,7 @@ class Call {
   Credentials credentials_;
   std::shared_ptr<const Caller> caller_;
   absl::Status admission_;
-  // Whose limits count; empty for nobody's.
+  // The key of the caller's limits; empty if the call has none.
   std::string quota_key_;
   std::vector<Permit> permits_;
   Gatekeeper::WatchId watch_ = -1;

@@ -25,16 +25,16 @@ namespace {
 
 using Response = v1::ExportPoseGraphResponse;
 
-// A message of this many is about 100 KiB.
+// Nodes per message, which makes about 100 KiB.
 constexpr core::NodeIndex kNodesAMessage = 512;
 constexpr core::NodeIndex kEdgesAMessage = 4096;
 
 // Writes a graph piece by piece: the next piece is made when the last has gone
 // out. Held by a shared_ptr for the reasons given in stream_poses.cc.
 //
-// A client that takes nothing for slow_consumer_seconds gets no more: it is
-// told so when it comes to read what has been written, and cut off if it does
-// not for as long again.
+// A client that takes nothing for slow_consumer_seconds gets no more: its call
+// ends with SLOW_CONSUMER once it has read what was written, and is cut off if
+// it does not for as long again.
 class Export final : public grpc::ServerWriteReactor<grpc::ByteBuffer>,
                      public std::enable_shared_from_this<Export> {
  public:
@@ -91,7 +91,7 @@ class Export final : public grpc::ServerWriteReactor<grpc::ByteBuffer>,
 
   void End(const absl::Status& status) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     finished_ = true;
-    // A late alarm may keep this.
+    // A late alarm may keep this object, so the copy is dropped now.
     snapshot_.reset();
     Finish(call_.End(status));
   }
@@ -135,7 +135,7 @@ class Export final : public grpc::ServerWriteReactor<grpc::ByteBuffer>,
                            message_.nodes_size() > 0 ||
                            message_.edges_size() > 0;
     if (!something) {
-      // Behind all that is sound comes what is wrong with the rest.
+      // After all that is sound comes the status of the damage.
       End(damage_);
       return;
     }
@@ -154,7 +154,7 @@ class Export final : public grpc::ServerWriteReactor<grpc::ByteBuffer>,
                  {{"limit", limit}});
   }
 
-  // Looks then at what is being written.
+  // After `duration`, checks whether the client has taken anything.
   void WatchFor(Clock::duration duration)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     alarm_ = std::make_unique<grpc::Alarm>();
@@ -222,14 +222,14 @@ class Export final : public grpc::ServerWriteReactor<grpc::ByteBuffer>,
   std::shared_ptr<Export> self_;
 
   Mutex mutex_;
-  // Not of a client that was found to be slow.
+  // Null once the client was found to be slow.
   std::shared_ptr<const GraphSnapshot> snapshot_ ABSL_GUARDED_BY(mutex_);
-  // See VehicleView.
+  // The damage of the vehicle, as in VehicleView.
   absl::Status damage_ ABSL_GUARDED_BY(mutex_);
   core::NodeIndex next_node_ ABSL_GUARDED_BY(mutex_) = 0;
   core::NodeIndex next_consecutive_ ABSL_GUARDED_BY(mutex_) = 1;
   std::size_t next_loop_ ABSL_GUARDED_BY(mutex_) = 0;
-  // What comes next; the vehicle goes first.
+  // The message that is written next; the first holds the vehicle.
   Response message_ ABSL_GUARDED_BY(mutex_);
   // Belongs to gRPC while `writing_`.
   grpc::ByteBuffer bytes_ ABSL_GUARDED_BY(mutex_);

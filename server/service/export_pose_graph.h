@@ -9,8 +9,8 @@
 
 namespace revisit::server {
 
-// Starts the call, which owns itself until it is done. The context is copied,
-// the request, of type ExportPoseGraphRequest, is read at once.
+// Starts the call, which owns itself until it is done. The service context is
+// copied; the request, of type ExportPoseGraphRequest, is read at once.
 grpc::ServerWriteReactor<grpc::ByteBuffer>* StartExport(
     grpc::CallbackServerContext* call, const ServiceContext& context,
     const grpc::ByteBuffer* request);

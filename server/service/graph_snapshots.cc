@@ -6,8 +6,8 @@ namespace revisit::server {
 
 absl::StatusOr<std::shared_ptr<const GraphSnapshot>> GraphSnapshots::Take(
     const VehicleView& view, const Admit& admit) {
-  // Of one vehicle there is one view at a time, so that nobody else makes the
-  // same copy meanwhile.
+  // There is one view at a time per vehicle, so nobody else makes the same copy
+  // meanwhile.
   {
     const MutexLock lock(&mutex_);
     const auto found = entries_.find(view.key);

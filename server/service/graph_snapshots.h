@@ -1,6 +1,6 @@
-// Copies of graphs that are being exported, each shared by all who export the
+// Copies of graphs that are being exported, each shared by all exports of the
 // same vehicle at the same revision: so that a slow reader holds up nobody and
-// still gets one revision, and many readers take no more than one.
+// still gets one revision, and many readers take the memory of one.
 #ifndef REVISIT_SERVER_SERVICE_GRAPH_SNAPSHOTS_H_
 #define REVISIT_SERVER_SERVICE_GRAPH_SNAPSHOTS_H_
 
@@ -20,7 +20,7 @@
 namespace revisit::server {
 
 struct GraphSnapshot {
-  // For as long as the copy is there.
+  // Held as long as the copy exists.
   Permit room;
   core::PoseGraph graph;
   core::StateSpace space = core::StateSpace::kPlanar;
@@ -32,8 +32,8 @@ class GraphSnapshots {
  public:
   using Admit = std::function<absl::StatusOr<Permit>(std::size_t bytes)>;
 
-  // The graph as the view shows it. A copy is made if there is none and `admit`
-  // has room for it; else its refusal is the answer.
+  // The graph as the view shows it. If there is no copy, `admit` is asked for
+  // room: one is made, or its refusal is returned.
   absl::StatusOr<std::shared_ptr<const GraphSnapshot>> Take(
       const VehicleView& view, const Admit& admit);
 
@@ -44,7 +44,7 @@ class GraphSnapshots {
   };
 
   Mutex mutex_;
-  // The last of each vehicle; some may have gone.
+  // The last copy of each vehicle; some may have expired.
   std::unordered_map<VehicleKey, Entry> entries_ ABSL_GUARDED_BY(mutex_);
 };
 

@@ -1,4 +1,4 @@
-// Messages from and to their bytes in gRPC's buffers.
+// Parses messages from gRPC's buffers and serializes them into these.
 #ifndef REVISIT_SERVER_SERVICE_MESSAGE_BYTES_H_
 #define REVISIT_SERVER_SERVICE_MESSAGE_BYTES_H_
 
@@ -9,11 +9,11 @@
 
 namespace revisit::server {
 
-// Takes the one message of a call out of its bytes, which go. INVALID_ARGUMENT
-// (MALFORMED_MESSAGE) if they are none.
+// Parses the one message of a call and frees its bytes. INVALID_ARGUMENT
+// (MALFORMED_MESSAGE) if they are not valid.
 template <typename Message>
 absl::Status ParseMessage(const grpc::ByteBuffer* bytes, Message* message) {
-  // gRPC has no more use for them, but would keep them until the call ends.
+  // gRPC no longer needs the bytes, but would keep them until the call ends.
   auto* const taken = const_cast<grpc::ByteBuffer*>(bytes);
   if (grpc::SerializationTraits<Message>::Deserialize(taken, message).ok()) {
     return absl::OkStatus();
@@ -28,7 +28,7 @@ void WriteMessage(const Message& message, grpc::ByteBuffer* bytes) {
   // gRPC ends the process over a buffer that still holds something.
   bytes->Clear();
   bool own_buffer;
-  // What goes wrong is that a message is larger than 2 GiB.
+  // This fails only if a message is larger than 2 GiB.
   const grpc::Status status = grpc::SerializationTraits<Message>::Serialize(
       message, bytes, &own_buffer);
   if (!status.ok()) bytes->Clear();

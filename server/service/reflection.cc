@@ -18,7 +18,7 @@
 #include "grpcpp/server_context.h"
 #include "grpcpp/support/server_callback.h"
 
-// The descriptors of all that is served, made by the build (proto/CMakeLists).
+// The descriptors of all services, made by the build (proto/CMakeLists.txt).
 extern "C" {
 extern const unsigned char kRevisitServedDescriptors[];
 extern const std::size_t kRevisitServedDescriptorsSize;
@@ -29,17 +29,18 @@ namespace {
 
 namespace protobuf = google::protobuf;
 
-// Each holds at most one answer, of up to half a megabyte.
+// Streams at a time. Each holds at most one answer, of up to half a megabyte.
 constexpr std::size_t kMaxStreams = 32;
 
-// With these names grpcurl would write other JSON than the protos say.
+// Removes the JSON names, because with them grpcurl would write other names
+// than those of the protos.
 void ClearJsonNames(protobuf::DescriptorProto* message) {
   for (auto& field : *message->mutable_field()) field.clear_json_name();
   for (auto& field : *message->mutable_extension()) field.clear_json_name();
   for (auto& nested : *message->mutable_nested_type()) ClearJsonNames(&nested);
 }
 
-// All that can be asked for. Immutable, so that threads may share it.
+// All descriptors. Immutable, so that threads may share it.
 class Catalog {
  public:
   explicit Catalog(std::vector<std::string> services)
@@ -47,7 +48,7 @@ class Catalog {
     protobuf::FileDescriptorSet set;
     set.ParseFromArray(kRevisitServedDescriptors,
                        static_cast<int>(kRevisitServedDescriptorsSize));
-    // Each comes after those that it imports.
+    // Each file comes after those that it imports.
     for (auto& file : *set.mutable_file()) {
       for (auto& message : *file.mutable_message_type()) {
         ClearJsonNames(&message);
@@ -81,7 +82,7 @@ class OpenStreams {
     }
     open_.push_back(context);
   }
-  // From then on the context is not touched.
+  // Once this returns, the context is not touched any more.
   void Leave(grpc::CallbackServerContext* context) {
     const MutexLock lock(&mutex_);
     open_.remove(context);
@@ -166,7 +167,8 @@ class Stream final : public grpc::ServerBidiReactor<Request, Response> {
     response_.mutable_error_response()->set_error_message(what);
   }
 
-  // With what it imports, as far as the stream has not had it before.
+  // Answers a file with all its imports, except imports that the stream has
+  // sent before.
   void AnswerFile(const protobuf::FileDescriptor* file) {
     if (file == nullptr) {
       return AnswerError(grpc::StatusCode::NOT_FOUND, "there is none here");
@@ -177,7 +179,7 @@ class Stream final : public grpc::ServerBidiReactor<Request, Response> {
     while (!waiting.empty()) {
       const protobuf::FileDescriptor* const one = waiting.back();
       waiting.pop_back();
-      // The one that was asked for comes each time.
+      // The requested file itself is sent each time.
       if (!added.insert(one).second ||
           (!sent_.insert(one).second && one != file)) {
         continue;

@@ -1,5 +1,5 @@
-// Tells callers what is served: the standard reflection service, v1 and
-// v1alpha, with the comments of the protos.
+// The standard reflection service, v1 and v1alpha, with the comments of the
+// protos.
 //
 // gRPC's own, as Debian 12 has it (1.51), keeps a thread for each stream, as
 // many as callers open, and knows neither v1 nor comments.
@@ -14,9 +14,9 @@
 
 namespace revisit::server {
 
-// The services that make up reflection. They have to outlive the server that
-// they are registered with. `served` are the full names of the others. Whoever
-// reaches the listener may ask; of streams that are too many at a time, the
+// The services that make up reflection. They must outlive the server with which
+// they are registered. `served` are the full names of the other services. All
+// who reach the listener may ask; if there are too many streams at a time, the
 // oldest is cancelled.
 std::vector<std::unique_ptr<grpc::Service>> MakeReflectionServices(
     std::vector<std::string> served);

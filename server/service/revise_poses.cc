@@ -26,7 +26,7 @@ namespace {
 
 using Request = v1::RevisePosesRequest;
 
-// A revision takes room on the disk in pieces of this.
+// A revision reserves room on the disk in steps of this many bytes.
 constexpr std::int64_t kDraftStep = std::int64_t{1} << 20;
 
 absl::Status RevisionMismatch(const VehicleView& view, std::uint64_t expected) {
@@ -38,7 +38,7 @@ absl::Status RevisionMismatch(const VehicleView& view, std::uint64_t expected) {
                 {"expected_revision", std::to_string(expected)}});
 }
 
-// The batch as the poses of the draft change it; nothing if they do not.
+// The batch as the poses of the draft change it; nullopt if they do not.
 absl::StatusOr<std::optional<BatchRecord>> Revise(const BatchRecord& batch,
                                                   const VehicleConfig& config,
                                                   RevisionDraft* draft) {
@@ -63,10 +63,10 @@ absl::StatusOr<std::optional<BatchRecord>> Revise(const BatchRecord& batch,
   });
 }
 
-// Reads the batches that hold the poses of the draft, and replaces these. If
-// `expected` is not 0, it must be the revision of the vehicle, unless what
-// follows from it is there already: then the answer to an earlier call got
-// lost.
+// Reads the batches that hold the poses of the draft, and replaces these poses.
+// If `expected` is not 0, it must be the revision of the vehicle, unless the
+// result of the change is stored already: then the answer to an earlier call
+// got lost.
 absl::StatusOr<RevisionPlan> Plan(Storage* storage, const VehicleView& view,
                                   const std::shared_ptr<RevisionDraft>& draft,
                                   std::uint64_t expected, const Call& call) {
@@ -107,9 +107,10 @@ absl::StatusOr<RevisionPlan> Plan(Storage* storage, const VehicleView& view,
   return plan;
 }
 
-// Puts the poses of each message into a draft before it reads the next, so that
-// a call takes the memory of one message; then hands all to the session in one
-// piece. Held by a shared_ptr for the reasons given in stream_poses.cc.
+// Puts the poses of each message into a draft before it reads the next message,
+// so that a call takes the memory of one message; then hands the draft to the
+// session as a whole. Held by a shared_ptr for the reasons given in
+// stream_poses.cc.
 class Revision final : public grpc::ServerReadReactor<Request>,
                        public std::enable_shared_from_this<Revision> {
  public:
@@ -163,7 +164,8 @@ class Revision final : public grpc::ServerReadReactor<Request>,
                      revised) { self->OnRevised(revised); });
       return;
     }
-    // Off the threads of gRPC: it checks the poses and writes them to a file.
+    // Runs off the threads of gRPC: it checks the poses and writes them to a
+    // file.
     session->LongRead([self](const absl::StatusOr<VehicleView>& view) {
       self->OnDrafted(view.ok() ? self->Draft(*view) : view.status());
     });
@@ -190,7 +192,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
     StartRead(&request_);
   }
 
-  // Whether the message may be looked at closely.
+  // Checks vehicle and room before the poses of a message are checked.
   absl::Status Admit() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     const FieldPath request;
     if (session_ == nullptr) {
@@ -201,8 +203,8 @@ class Revision final : public grpc::ServerReadReactor<Request>,
         return status;
       }
       expected_revision_ = request_.expected_revision();
-      // To the end, so that all messages are about the same vehicle, even if it
-      // is deleted and made again.
+      // The session is kept to the end, so that all messages are about the same
+      // vehicle, even if it is deleted and made again.
       session_ = context_.fleet->Session(*id);
       vehicle_ = VehicleName(*id);
     } else {
@@ -223,8 +225,8 @@ class Revision final : public grpc::ServerReadReactor<Request>,
           "the call brings more than " +
               std::to_string(context_.limits.max_revision_bytes) + " bytes");
     }
-    // No more than the limit, so that there is room for all of a revision that
-    // has its vehicle to itself.
+    // At most the limit, so that a revision which has its vehicle to itself
+    // finds room for all of its poses.
     while (bytes_ > drafted_) {
       const std::int64_t step =
           std::min(kDraftStep, context_.limits.max_revision_bytes - drafted_);
@@ -239,8 +241,8 @@ class Revision final : public grpc::ServerReadReactor<Request>,
     return absl::OkStatus();
   }
 
-  // The state space and the frame of a vehicle with poses are fixed, so what is
-  // valid now will be when all have come.
+  // The state space and the frame of a vehicle with poses are fixed, so a pose
+  // that is valid now is valid when all have come.
   absl::Status Draft(const VehicleView& view) {
     if (absl::Status status = CheckNotAhead(view); !status.ok()) return status;
     const Poses& poses = request_.poses();
@@ -283,7 +285,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
   }
 
   void OnDrafted(const absl::Status& status) ABSL_LOCKS_EXCLUDED(mutex_) {
-    // What the message takes goes before the next comes.
+    // The memory of the message is freed before the next one comes.
     Request().Swap(&request_);
     room_.reset();
     const MutexLock lock(&mutex_);
@@ -311,8 +313,8 @@ class Revision final : public grpc::ServerReadReactor<Request>,
     return absl::OkStatus();
   }
 
-  // Nothing can have been done from a revision that is still to come; whether
-  // it was done from one that is past is known once all poses are there.
+  // Refuses an expected revision that the vehicle has not reached yet. Whether
+  // the change was made from a past one is known once all poses have come.
   absl::Status CheckNotAhead(const VehicleView& view) const {
     if (call_.given_up()) return call_.GivenUpStatus();
     return expected_revision_ > view.revision
@@ -322,7 +324,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
 
   absl::StatusOr<RevisionPlan> MakePlan(const VehicleView& view) {
     if (absl::Status status = CheckNotAhead(view); !status.ok()) return status;
-    // The draft goes with the plan.
+    // The draft is destroyed with the plan.
     const std::shared_ptr<RevisionDraft> draft = std::move(draft_);
     return Plan(context_.storage, view, draft, expected_revision_, call_);
   }
@@ -338,13 +340,14 @@ class Revision final : public grpc::ServerReadReactor<Request>,
     End(revised.status());
   }
 
-  // Nothing has changed yet if the poses are still coming.
+  // Ends a call whose poses are still coming: nothing has changed yet.
   void WindDown() {
     const MutexLock lock(&mutex_);
     if (!finished_ && !revising_) End(Drain::Refusal());
   }
 
-  // A revision that the session has got already is carried through.
+  // Ends the call of a caller who has lost the right to it, unless the session
+  // has the revision already: that is carried through.
   void Recheck() {
     const MutexLock lock(&mutex_);
     if (finished_ || revising_) return;
@@ -362,13 +365,13 @@ class Revision final : public grpc::ServerReadReactor<Request>,
 
   // Belong to gRPC while a message is read, to the session until it is drafted.
   Request request_;
-  // Of the message that is being drafted.
+  // Room for the message that is being drafted.
   Permit room_;
   std::uint64_t expected_revision_ = 0;
-  // Of the next pose in the whole call.
+  // Number of the next pose in the whole call.
   std::size_t pose_number_ = 0;
   std::int64_t bytes_ = 0;
-  // Once there are poses.
+  // Null until there are poses.
   std::shared_ptr<RevisionDraft> draft_;
 
   Mutex mutex_;

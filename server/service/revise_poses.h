@@ -9,8 +9,8 @@
 
 namespace revisit::server {
 
-// Starts the call, which owns itself until it is done. The context is copied;
-// `response` is filled before the call finishes.
+// Starts the call, which owns itself until it is done. The service context is
+// copied; `response` is filled before the call finishes.
 grpc::ServerReadReactor<v1::RevisePosesRequest>* StartRevision(
     grpc::CallbackServerContext* call, const ServiceContext& context,
     v1::RevisePosesResponse* response);

@@ -1,4 +1,4 @@
-// What the handlers of the service share.
+// The parts of the server that all handlers of the service share.
 #ifndef REVISIT_SERVER_SERVICE_SERVICE_CONTEXT_H_
 #define REVISIT_SERVER_SERVICE_SERVICE_CONTEXT_H_
 
@@ -19,10 +19,10 @@ class GraphSnapshots;
 class Log;
 class Storage;
 
-// All outlive the calls.
+// All of these outlive the calls.
 struct ServiceContext {
   Storage* storage = nullptr;
-  // Where what reads the store runs.
+  // Runs the work that reads the store.
   Executor* executor = nullptr;
   Fleet* fleet = nullptr;
   Drain* drain = nullptr;
@@ -30,8 +30,8 @@ struct ServiceContext {
   const Log* log = nullptr;
   Admission* admission = nullptr;
   GraphSnapshots* snapshots = nullptr;
-  // Where a revision in the making lies, and how much of that file system it
-  // leaves free.
+  // Directory of the drafts of revisions, and how much of its file system they
+  // leave free.
   std::string scratch_directory;
   std::int64_t min_free_bytes = 0;
   ConnectionMeters* meters = nullptr;

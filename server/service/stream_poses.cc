@@ -27,9 +27,9 @@ namespace {
 using Request = v1::StreamPosesRequest;
 using Response = v1::StreamPosesResponse;
 
-// What a stream that says nothing keeps for its next message. A batch takes
-// more, in blocks of up to the second, and gives them back when it is staged:
-// most streams are idle at any time, and what they keep adds up.
+// Memory that an idle stream keeps for its next message. A batch takes more, in
+// blocks of up to the second size, and gives them back when it is staged: most
+// streams are idle at any time, and the memory that they keep adds up.
 constexpr std::size_t kRequestBlockBytes = std::size_t{4} << 10;
 constexpr std::size_t kMostRequestBlockBytes = std::size_t{64} << 10;
 
@@ -50,13 +50,13 @@ google::protobuf::ArenaOptions RequestArenaOptions(char* first_block) {
 // the batches that are not durable to less than max_bytes_in_flight.
 // So the transport's own flow control reaches the client.
 //
-// A client that sends poses but does not read what their checks found is cut
-// off at max_unread_bytes: candidates, unlike acknowledgements, are not bounded
-// by what was read.
+// A client that sends poses but does not read the candidates of their checks is
+// cut off at max_unread_bytes: candidates, unlike acknowledgements, are not
+// bounded by the batches in flight.
 //
 // Ending: whatever ends the stream (half-close, failure, drain), batches that
-// were taken on run to their end and their answers are written first. Only a
-// stream whose caller is gone skips that.
+// the session has taken run to their end and their answers are written first.
+// Only a stream whose caller is gone skips that.
 //
 // Lifetime: gRPC may destroy its side as soon as OnDone() has run, and sessions
 // call back from their own threads at any time. So the stream is held by a
@@ -183,11 +183,11 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     std::chrono::steady_clock::time_point work_start_;
   };
 
-  // What is to be written: `other`, or an acknowledgement if there is none.
+  // An answer to be written: `other`, or an acknowledgement if that is null.
   struct Answer {
     Acknowledgement ack;
     std::unique_ptr<Response> other;
-    // Of candidates: what they take.
+    // Bytes of the candidates, if it holds any.
     std::int64_t candidate_bytes = 0;
   };
 
@@ -288,14 +288,14 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
                           : "a message after `open` is a `batch`"));
       return;
     }
-    // What comes of it takes about as much.
+    // The staged batch takes about as much memory as the message.
     const auto bytes = static_cast<std::size_t>(arena_.SpaceUsed());
     absl::StatusOr<Permit> room = call_.AdmitBatch(bytes);
     if (!room.ok()) {
       Fail(room.status());
       return;
     }
-    // Once there, it stays as long as this.
+    // A session that was found stays as long as this stream.
     VehicleSession* session;
     {
       const MutexLock lock(&mutex_);
@@ -351,8 +351,8 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     Advance();
   }
 
-  // Frees what waits, and the stream itself if the client does not come to read
-  // why.
+  // Drops the candidates that wait and ends the stream with SLOW_CONSUMER; if
+  // the client does not read that in time, the stream is cancelled.
   void CutSlowConsumer(std::uint64_t durable_sequence, std::int64_t limit)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     slow_ = true;
@@ -389,16 +389,16 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     Advance();
   }
 
-  // What is not yet acknowledged and was not taken on is the client's to
-  // resend.
+  // Ends the stream after the last acknowledgement. The client resends batches
+  // that the session has not taken.
   void WindDown() {
     const MutexLock lock(&mutex_);
     draining_ = true;
     Advance();
   }
 
-  // Ends the stream of a caller who may no longer do this: after the last
-  // acknowledgement of what was taken on.
+  // Ends the stream of a caller who has lost the right to it, after the last
+  // acknowledgement of batches that the session has taken.
   void Recheck() {
     const MutexLock lock(&mutex_);
     if (finished_) return;
@@ -443,10 +443,10 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     return half_closed_ ? absl::OkStatus() : Drain::Refusal();
   }
 
-  // Starts whatever can be started now. Lets go of the mutex for that: starting
-  // a write may take as long as the system takes to send it, and whoever waited
-  // for the mutex would sleep through that. `starting_` holds Finish() off
-  // meanwhile.
+  // Starts all operations that can be started now. It releases the mutex for
+  // that: starting a write may take as long as the system takes to send it, and
+  // other threads would wait for the mutex all that time. `starting_` holds
+  // Finish() off meanwhile.
   void Advance() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     while (!finished_) {
       if (call_.given_up()) queue_.clear();
@@ -500,8 +500,8 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     return !reading_ && !handling_ && has_room;
   }
 
-  // Makes a response of an answer. Acknowledgements, which are many, share what
-  // the one before has taken.
+  // Makes a response of an answer. Acknowledgements, which are many, reuse the
+  // memory of the one before.
   void Encode(Answer answer) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     if (answer.other != nullptr) {
       response_ = *std::move(answer.other);
@@ -531,7 +531,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   Mutex mutex_;
   std::shared_ptr<VehicleSession> session_ ABSL_GUARDED_BY(mutex_);
   std::deque<Answer> queue_ ABSL_GUARDED_BY(mutex_);
-  // Of the candidates in it.
+  // Bytes of the candidates among the queued answers.
   std::int64_t unread_bytes_ ABSL_GUARDED_BY(mutex_) = 0;
   // Whether the client was found not to read its candidates.
   bool slow_ ABSL_GUARDED_BY(mutex_) = false;
@@ -542,13 +542,13 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   bool half_closed_ ABSL_GUARDED_BY(mutex_) = false;
   bool draining_ ABSL_GUARDED_BY(mutex_) = false;
   bool finished_ ABSL_GUARDED_BY(mutex_) = false;
-  // Threads that start an operation just now.
+  // Number of threads that are starting an operation.
   int starting_ ABSL_GUARDED_BY(mutex_) = 0;
   std::optional<absl::Status> failure_ ABSL_GUARDED_BY(mutex_);
-  // Batches that are not durable.
+  // Number of batches that are not durable.
   int in_flight_ ABSL_GUARDED_BY(mutex_) = 0;
   std::size_t bytes_in_flight_ ABSL_GUARDED_BY(mutex_) = 0;
-  // Batches of which something may still come.
+  // Number of batches for which an answer may still come.
   int open_appends_ ABSL_GUARDED_BY(mutex_) = 0;
 };
 

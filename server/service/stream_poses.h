@@ -9,7 +9,8 @@
 
 namespace revisit::server {
 
-// Starts the stream, which owns itself until it is done. The context is copied.
+// Starts the stream, which owns itself until it is done. The service context is
+// copied.
 grpc::ServerBidiReactor<v1::StreamPosesRequest, v1::StreamPosesResponse>*
 StartPoseStream(grpc::CallbackServerContext* call,
                 const ServiceContext& context);

@@ -18,8 +18,8 @@
 namespace revisit::server {
 namespace {
 
-// Of formats 1 and 2: magic, salts and frames, all little-endian, then XXH3 of
-// what is before.
+// Marks of formats 1 and 2: magic, salts and frames, all little-endian, then
+// XXH3 of the bytes before.
 constexpr char kOldMagic[] = "RVSTMRK1";
 constexpr std::size_t kOldMagicBytes = 8;
 constexpr std::size_t kOldContentBytes = kOldMagicBytes + 3 * 4;
@@ -93,7 +93,7 @@ absl::Status DurableMark::Flush(const StoreState& flushed) {
   }
   const absl::Status flushed_file = FlushFile(path_);
   if (!flushed_file.ok()) return flushed_file;
-  // It may have been made just now.
+  // The file may be new, so its directory is flushed too.
   return FlushFile(std::filesystem::path(path_).parent_path().string());
 }
 

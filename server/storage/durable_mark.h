@@ -1,10 +1,10 @@
-// Which commit is known to have been flushed last.
+// Keeps which commit is known to have been flushed last.
 //
-// A small file beside the store, written after each commit and not flushed
-// itself: so it never says more than is true, costs one write to the page
-// cache, and is exact after the server was killed. After a power failure it may
-// say less. With it a log that was cut short, even at a boundary of commits, is
-// told from one that ends where it should.
+// It is a small file beside the store, written after each commit and not
+// flushed itself: so it never says more than is true, costs one write to the
+// page cache, and is exact after the server was killed. After a power failure
+// it may say less. It distinguishes a log that was cut short, even at a
+// boundary of commits, from one that ends where it should.
 #ifndef REVISIT_SERVER_STORAGE_DURABLE_MARK_H_
 #define REVISIT_SERVER_STORAGE_DURABLE_MARK_H_
 
@@ -19,14 +19,14 @@
 
 namespace revisit::server {
 
-// What a mark says; nothing if it is not whole.
+// The content of a mark; empty if the file is not whole.
 struct Mark {
   std::optional<StoreState> state;
-  // Instead, of a store of format 1 or 2: how far its log was flushed.
+  // For a store of format 1 or 2, instead: how far its log was flushed.
   std::optional<LogPosition> position;
 };
 
-// The file `<store>.mark`. One thread at a time.
+// The file `<store>.mark`. For one thread at a time.
 class DurableMark {
  public:
   static absl::StatusOr<std::unique_ptr<DurableMark>> Open(
@@ -36,15 +36,16 @@ class DurableMark {
   DurableMark(const DurableMark&) = delete;
   DurableMark& operator=(const DurableMark&) = delete;
 
-  // What the mark of a store says, also while another process writes it.
+  // Reads the mark of a store, also while another process writes it.
   static Mark Read(const std::string& store_path);
-  // What was flushed. If it cannot be written the older one stays, which is
-  // still true.
+  // Notes a commit that was flushed. If the file cannot be written, the older
+  // mark stays, which is still true.
   void Write(const StoreState& flushed);
-  // The same, and flushes it: REQUIRED before the log is emptied, for without a
-  // log only a mark of the same commit says that none is needed.
+  // Notes a commit that was flushed, and flushes the mark. REQUIRED before the
+  // log is emptied: without a log, only a mark of the same commit says that
+  // none is needed.
   absl::Status Flush(const StoreState& flushed);
-  // Nothing is known any more. Flushed.
+  // Notes that nothing is known any more, and flushes the mark.
   absl::Status Clear();
 
  private:

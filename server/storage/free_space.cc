@@ -11,7 +11,8 @@ namespace revisit::server {
 namespace {
 
 constexpr std::chrono::seconds kRetryDelay{30};
-// More than what comes and goes by itself on a full disk.
+// Room that must have come after a write found the disk full: more than comes
+// and goes by itself there.
 constexpr std::int64_t kSomeRoom = std::int64_t{1} << 20;
 
 }  // namespace

@@ -1,7 +1,7 @@
 // Stops writes before the disk is full.
 //
 // A full disk is worse than an almost full one: SQLite needs room to copy its
-// log even to start, and whatever else lives there fails too.
+// log even to start, and other programs that use the disk fail too.
 #ifndef REVISIT_SERVER_STORAGE_FREE_SPACE_H_
 #define REVISIT_SERVER_STORAGE_FREE_SPACE_H_
 
@@ -27,10 +27,10 @@ absl::Status StorageFull(const std::string& message);
 // Thread-safe.
 class FreeSpaceGuard {
  public:
-  // Once less than `min_free_bytes` were free, writes wait until a quarter more
-  // than that is. 0 never stops them. What is free inside the store's own file
-  // counts too, as long as the file system has a quarter of the bytes: the log
-  // needs some.
+  // Once less than `min_free_bytes` were free, writes are refused until a
+  // quarter more than that is free. 0 never refuses. Free bytes inside the
+  // store's own file count too, as long as the file system has a quarter of
+  // `min_free_bytes`: the log needs some.
   FreeSpaceGuard(std::int64_t min_free_bytes,
                  std::function<absl::StatusOr<std::int64_t>()> free_bytes,
                  std::function<std::int64_t()> free_bytes_inside)
@@ -38,24 +38,25 @@ class FreeSpaceGuard {
         free_bytes_(std::move(free_bytes)),
         free_bytes_inside_(std::move(free_bytes_inside)) {}
 
-  // OK, or StorageFull(). A file system that does not tell stops nothing. Asks
-  // for the bytes inside, so that it belongs to the thread that may.
+  // OK, or StorageFull(). OK if the file system does not say how much is free.
+  // Asks for the bytes inside, so only the thread that may do that calls it.
   absl::Status Check();
 
-  // Notes whether a write that was tried found the disk full, which without a
-  // mark is the only way to tell.
+  // Notes whether a write that was tried found the disk full: with
+  // `min_free_bytes` 0 nothing else shows it.
   void NoteWrite(bool found_full);
 
-  // Whether the next write is likely to find room, so that callers may be told
-  // before they try: by what Check() found inside last, there is enough, and
-  // after a write that found the disk full some room has come since.
+  // Whether the next write is likely to find room, so that callers can be
+  // refused before they try. There has to be enough room, counting the bytes
+  // inside as of the last Check(), and after a write that found the disk full,
+  // some more than there was then.
   bool HasRoom();
 
  private:
   absl::Status CheckMark(const absl::StatusOr<std::int64_t>& free)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   std::int64_t Needed() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
-  // From here on writes that were stopped are taken again.
+  // Free bytes from which on writes are taken again.
   std::int64_t EnoughAgain() const;
 
   const std::int64_t min_free_bytes_;
@@ -63,9 +64,9 @@ class FreeSpaceGuard {
   const std::function<std::int64_t()> free_bytes_inside_;
   Mutex mutex_;
   bool stopped_ ABSL_GUARDED_BY(mutex_) = false;
-  // Free bytes inside the store's file, when that was last asked for.
+  // Free bytes inside the store's file at the last Check().
   std::int64_t inside_ ABSL_GUARDED_BY(mutex_) = 0;
-  // Free bytes when a write found the disk full; nothing if the last one did
+  // Free bytes when a write found the disk full; nullopt if the last one did
   // not.
   std::optional<std::int64_t> full_at_ ABSL_GUARDED_BY(mutex_);
 };

@@ -13,7 +13,7 @@ namespace revisit::server {
 // ('V', 'B', 'R', 'L', 'N'), then the columns in the order of the schema,
 // integers as 8 bytes little-endian, text and blobs as their size (8 bytes) and
 // their bytes. The columns include format version and vehicle key, so a row
-// that ended up at another place fails too. It finds damage, not malice. The 64
+// that ended up in another place fails too. It finds damage, not malice. The 64
 // bits are stored as SQLite's signed integer.
 std::int64_t ChecksumOfVehicle(std::int64_t format, const VehicleRecord& row);
 std::int64_t ChecksumOfBatch(std::int64_t format, VehicleKey key,

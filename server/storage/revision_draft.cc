@@ -12,9 +12,8 @@
 namespace revisit::server {
 namespace {
 
-// Nothing of the file outlives the process, so nothing is flushed, and nothing
-// is kept for taking changes back. The page cache, of 2 MiB, is what a draft
-// takes in memory.
+// The file does not outlive the process, so nothing is flushed and there is no
+// journal for rollbacks. In memory, a draft takes the page cache of 2 MiB.
 constexpr char kSetUp[] =
     "PRAGMA locking_mode = EXCLUSIVE;"
     "PRAGMA journal_mode = OFF;"
@@ -25,7 +24,7 @@ constexpr char kSetUp[] =
     "CREATE TABLE batches (first_sequence INTEGER PRIMARY KEY, "
     "count INTEGER NOT NULL, payload BLOB NOT NULL)";
 
-// Sequences are below 2^63.
+// The sequence as SQLite's signed integer: sequences are below 2^63.
 std::int64_t Signed(std::uint64_t sequence) {
   return static_cast<std::int64_t>(sequence);
 }
@@ -54,7 +53,7 @@ absl::StatusOr<std::unique_ptr<RevisionDraft>> RevisionDraft::Create(
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
       SqliteDatabase::Open(path, SqliteDatabase::Mode::kReadWrite, "");
   absl::Status status = database.status();
-  // This opens the file, which can lose its name then.
+  // This opens the file, which can then be unlinked.
   if (status.ok()) status = (*database)->Execute(kSetUp);
   if (unlink(path.c_str()) != 0 && status.ok()) {
     status = Failure("unlink", directory);

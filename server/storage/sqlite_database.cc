@@ -16,10 +16,10 @@ constexpr int kBusyTimeoutMilliseconds = 5000;
 // this, as SQLite does by itself.
 constexpr int kFramesBeforeCopy = 1000;
 
-// 8 MiB.
+// Pages that one step of a copy takes: 8 MiB.
 constexpr int kPagesPerStep = 1024;
 
-// A name for SQLite that says how to open the file.
+// The URI that tells SQLite how to open the file.
 std::string UriOf(const std::string& path) {
   std::string uri = "file:";
   for (const char c : path) {
@@ -61,7 +61,7 @@ absl::Status ToStatus(sqlite3* database, int code, const char* doing) {
     case SQLITE_CORRUPT:
     case SQLITE_NOTADB:
       return Error(absl::StatusCode::kDataLoss, "STORE_CORRUPT", message);
-    // Defects of ours.
+    // Defects of this program.
     case SQLITE_ERROR:
     case SQLITE_MISUSE:
     case SQLITE_RANGE:
@@ -139,7 +139,7 @@ bool SqliteStatement::IsNull(int column) const {
 }
 
 std::string SqliteStatement::Bytes(int column) const {
-  // The pointer first: asking for it may convert the value and change its size.
+  // The pointer is taken first: that may convert the value and change its size.
   const void* data = sqlite3_column_blob(statement_, column);
   const int size = sqlite3_column_bytes(statement_, column);
   if (data == nullptr || size <= 0) return "";
@@ -149,7 +149,7 @@ std::string SqliteStatement::Bytes(int column) const {
 
 absl::StatusOr<std::unique_ptr<SqliteDatabase>> SqliteDatabase::Open(
     const std::string& path, Mode mode, const std::string& vfs) {
-  // No mutex of SQLite's: a connection is used by one thread at a time.
+  // SQLite needs no mutex: a connection is used by one thread at a time.
   const int flags = (mode == Mode::kReadWrite ? SQLITE_OPEN_READWRITE
                                               : SQLITE_OPEN_READONLY) |
                     (mode == Mode::kFileOnly ? SQLITE_OPEN_URI : 0) |
@@ -167,7 +167,7 @@ absl::StatusOr<std::unique_ptr<SqliteDatabase>> SqliteDatabase::Open(
   sqlite3_busy_timeout(database, kBusyTimeoutMilliseconds);
   auto opened = std::unique_ptr<SqliteDatabase>(new SqliteDatabase(database));
   if (mode == Mode::kReadWrite) {
-    // Takes the place of SQLite's own, which keeps failures to itself.
+    // Replaces SQLite's own hook, which does not report failures.
     sqlite3_wal_hook(database, OnCommit, opened.get());
   }
   return opened;
@@ -177,7 +177,8 @@ int SqliteDatabase::OnCommit(void* self, sqlite3* /*database*/,
                              const char* /*name*/, int frames) {
   auto* const connection = static_cast<SqliteDatabase*>(self);
   connection->copy_failure_ = absl::OkStatus();
-  // A reader may keep it from being copied whole; then it is tried again.
+  // A reader may keep the log from being copied whole; then a later commit
+  // tries again.
   if (frames >= kFramesBeforeCopy) {
     connection->copy_failure_ = connection->CopyLog().status();
   }
@@ -256,8 +257,8 @@ absl::Status SqliteDatabase::EmptyLog() {
 absl::Status SqliteDatabase::CopyTo(
     SqliteDatabase* destination, const std::function<absl::Status()>& go_on) {
   constexpr char kDoing[] = "copying the database";
-  // Of one moment: without a transaction around them, steps would begin again
-  // whenever the store has changed, for ever.
+  // The transaction fixes one moment: without it, the steps would begin again
+  // whenever the store has changed, possibly for ever.
   absl::Status status = Execute("BEGIN; SELECT 1 FROM sqlite_schema");
   if (!status.ok()) return status;
   sqlite3_backup* const copy =
@@ -283,7 +284,7 @@ absl::Status SqliteDatabase::CopyTo(
 
 std::string Printable(std::string text) {
   for (char& c : text) {
-    // SQLite tells of several damages in lines.
+    // SQLite reports several damages in several lines.
     if (c == '\n') c = ' ';
     if (c < ' ' || c > '~') c = '?';
   }

@@ -18,9 +18,9 @@ struct sqlite3_stmt;
 
 namespace revisit::server {
 
-// A prepared statement in use; gives it back to its connection when it goes.
-// Parameters and columns are numbered as SQLite does: from 1 and from 0. What
-// is bound must stay as it is until the statement has gone.
+// A prepared statement in use. Its destructor gives it back to the connection.
+// Parameters are numbered from 1 and columns from 0, as in SQLite. Bound values
+// must stay unchanged as long as this lives.
 class SqliteStatement {
  public:
   SqliteStatement(sqlite3* database, sqlite3_stmt* statement, int prepare_code,
@@ -34,14 +34,14 @@ class SqliteStatement {
   SqliteStatement& BindText(int parameter, const std::string& text);
   SqliteStatement& BindBlob(int parameter, const std::string& bytes);
 
-  // Whether there is a row.
+  // Goes to the next row; false if there is none.
   absl::StatusOr<bool> Step();
-  // For a statement that returns no rows, or whose rows are of no interest.
+  // Runs a statement without rows, or whose rows do not matter.
   absl::Status Run();
 
   std::int64_t Integer(int column) const;
   bool IsNull(int column) const;
-  // Text or blob.
+  // The bytes of a text or a blob.
   std::string Bytes(int column) const;
 
  private:
@@ -53,12 +53,12 @@ class SqliteStatement {
 
 class SqliteDatabase {
  public:
-  // kFileOnly reads the database as if it had no log, which is right where it
-  // has none and nobody writes: then no file is made, written or locked.
+  // kFileOnly reads the database as if it had no log, and makes, writes or
+  // locks no file. REQUIRES for that: there is no log, and nobody writes.
   enum class Mode { kReadWrite, kReadOnly, kFileOnly };
 
-  // The file must be there. `vfs`: name of SQLite's layer to the operating
-  // system; empty for the usual.
+  // Opens a file that exists. `vfs` is the name of SQLite's layer to the
+  // operating system; empty for the usual one.
   static absl::StatusOr<std::unique_ptr<SqliteDatabase>> Open(
       const std::string& path, Mode mode, const std::string& vfs);
   ~SqliteDatabase();
@@ -66,45 +66,46 @@ class SqliteDatabase {
   SqliteDatabase(const SqliteDatabase&) = delete;
   SqliteDatabase& operator=(const SqliteDatabase&) = delete;
 
-  // `sql` must stay, such as a literal does: its address names the prepared
-  // statement, which is kept. One can be in use only once at a time. A failure
-  // shows at the first step.
+  // `sql` must outlive the connection, as a literal does: statements are cached
+  // by its address. Each can be in use only once at a time. A failure shows at
+  // the first step.
   SqliteStatement Prepare(const char* sql);
-  // Statements that are run once, separated by semicolons.
+  // Runs statements once, separated by semicolons.
   absl::Status Execute(const char* sql);
-  // The single number that a query answers.
+  // Runs a query that answers a single number.
   absl::StatusOr<std::int64_t> QueryInteger(const char* sql);
 
   bool InTransaction() const;
   std::int64_t LastInsertedKey() const;
-  // Rows changed by the last statement.
+  // Number of rows changed by the last statement.
   int Changes() const;
 
-  // Of a connection that writes: why the log could not be copied into the
-  // database after the last commit, which itself is flushed.
+  // Why the log could not be copied into the database after the last commit of
+  // this connection. The commit itself is flushed.
   const absl::Status& copy_failure() const { return copy_failure_; }
 
-  // Whether closing, if this is the last connection, leaves the log as it is,
-  // rather than copies and removes it.
+  // Sets whether closing the last connection leaves the log as it is, rather
+  // than copying and removing it.
   void KeepLogOnClose(bool keep);
 
-  // Copies what the log holds into the database, as far as readers that began
-  // before let it, and flushes both; answers whether that was all. Waits for
-  // nobody. REQUIRES: something was read, for SQLite opens the log only then.
+  // Copies the log into the database, as far as readers that began earlier
+  // allow, and flushes both; returns whether all of it was copied. Waits for
+  // nobody. REQUIRES: something was read, because SQLite opens the log only
+  // then.
   absl::StatusOr<bool> CopyLog();
   // Empties a log that was copied whole, unless somebody reads.
   absl::Status EmptyLog();
 
-  // Copies all that is committed into another database, as of one moment.
-  // `go_on` is asked between pieces of a few megabytes; a failure of its ends
-  // the copying.
+  // Copies everything committed into another database, as of one moment.
+  // `go_on` is called between pieces of a few megabytes; if it fails, the
+  // copying ends with its status.
   absl::Status CopyTo(SqliteDatabase* destination,
                       const std::function<absl::Status()>& go_on);
 
  private:
   explicit SqliteDatabase(sqlite3* database) : database_(database) {}
 
-  // What SQLite calls after each commit.
+  // Called by SQLite after each commit.
   static int OnCommit(void* self, sqlite3* database, const char* name,
                       int frames);
 
@@ -113,19 +114,19 @@ class SqliteDatabase {
   std::unordered_map<const char*, sqlite3_stmt*> statements_;
 };
 
-// Text out of a file that may be damaged, fit for a message: what is not
-// printable ASCII becomes a question mark. Ids of ours are.
+// Makes text from a file that may be damaged fit for a message: characters
+// other than printable ASCII become question marks. Valid ids have none.
 std::string Printable(std::string text);
 
 // Whether a status comes from a damaged file, rather than from one that cannot
 // be read or written now.
 bool IsCorruption(const absl::Status& status);
 
-// Whether it comes from a flush that failed: what was written before may or may
-// not be on the device, and asking again does not tell.
+// Whether a status comes from a failed flush: earlier writes may or may not be
+// on the device, and flushing again does not show which.
 bool IsFailedFlush(const absl::Status& status);
 
-// Whether it comes from a file system without room.
+// Whether a status comes from a file system without room.
 bool IsStorageFull(const absl::Status& status);
 
 }  // namespace revisit::server

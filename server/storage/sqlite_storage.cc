@@ -33,24 +33,24 @@ constexpr std::size_t kIdleReaders = 4;
 // How long chores rest after a transaction has failed.
 constexpr std::chrono::milliseconds kChoresDelay{1000};
 
-// Batches of deleted vehicles that one transaction removes; where there is no
-// room, few: Debian's SQLite writes each page that it frees.
+// Batches of deleted vehicles that one transaction removes: few where there is
+// no room, because Debian's SQLite writes each page that it frees.
 constexpr int kPurgedBatches = 32;
 constexpr int kPurgedBatchesWithoutRoom = 2;
 
-// Free pages that the file keeps for what comes next, and how many are given
-// back in one transaction: 8 MiB and 2 MiB. Where there is no room, none and
-// few.
+// Free pages that the file keeps for coming writes, 8 MiB, and how many are
+// given back in one transaction, 2 MiB. Where there is no room, none are kept
+// and few are given back.
 constexpr std::int64_t kKeptPages = 1024;
 constexpr std::int64_t kGivenPages = 256;
 constexpr std::int64_t kGivenPagesWithoutRoom = 16;
 
-// Vehicles of which the writer remembers the sequence that comes next.
+// Vehicles for which the writer remembers the sequence that comes next.
 constexpr std::size_t kMaxKnownSequences = 100'000;
 
 class SqliteStorage : public Storage {
  public:
-  // One that writes.
+  // A storage that writes.
   SqliteStorage(std::string path, const SqliteOptions& options,
                 std::uint64_t run, std::unique_ptr<StoreLock> lock,
                 std::unique_ptr<DurableMark> mark, OpenedWriter writer,
@@ -72,11 +72,11 @@ class SqliteStorage : public Storage {
         state_(writer.state),
         anchor_(std::move(anchor)),
         thread_([this] { Write(); }) {
-    // For tools that list threads.
+    // Names the thread for tools that list threads.
     pthread_setname_np(thread_.native_handle(), "store-writer");
   }
 
-  // One that reads.
+  // A storage that only reads.
   SqliteStorage(std::string path, SqliteDatabase::Mode reader_mode,
                 std::unique_ptr<SqliteDatabase> anchor)
       : path_(std::move(path)),
@@ -168,7 +168,7 @@ class SqliteStorage : public Storage {
   void ReviseBatches(VehicleKey key, BatchSource batches,
                      std::uint64_t revision, Done done) override {
     Submit(
-        // It may be large: nothing shares a transaction with it.
+        // A revision may be large: nothing shares a transaction with it.
         options_.max_group_bytes,
         [key, batches = std::move(batches),
          revision](SqliteDatabase& database) {
@@ -266,23 +266,22 @@ class SqliteStorage : public Storage {
  private:
   using Clock = std::chrono::steady_clock;
 
-  // Whether a write may be taken on where there is little room.
+  // How much room a write needs: kLittle is taken even when the disk is short.
   enum class Need { kRoom, kLittle };
 
-  // What is done when there is nothing better to do, in this order: rows of
-  // deleted vehicles are removed, and the room in the file that nobody uses is
-  // given back.
+  // Work for when there is nothing better to do, in this order: removing rows
+  // of deleted vehicles, then giving back unused room in the file.
   enum class Chores { kNone, kPurge, kShrink };
 
   // One row of `batches`, or something else.
   struct PendingWrite {
     std::size_t bytes = 0;
-    // Of a row: one append, or several of a vehicle that follow each other.
+    // For a row: one append, or several of a vehicle that follow each other.
     VehicleKey key = 0;
     BatchRecord batch;
-    // Of something else: may be called again after it was rolled back.
+    // For something else: may be called again after it was rolled back.
     std::function<absl::Status(SqliteDatabase&)> apply;
-    // Of everything that this is.
+    // One callback per joined append, or a single one.
     std::vector<Done> done;
     Need need = Need::kRoom;
   };
@@ -301,7 +300,7 @@ class SqliteStorage : public Storage {
   void Submit(PendingWrite write) {
     {
       const MutexLock guard(&mutex_);
-      // What comes later of any vehicle must not get before it.
+      // Later appends of any vehicle must not get before this write.
       open_rows_.clear();
       Enqueue(std::move(write));
     }
@@ -320,7 +319,7 @@ class SqliteStorage : public Storage {
         Enqueue(std::move(write));
         open_rows_[queue_.back().key] = &queue_.back();
       }
-      // One that is busy looks by itself.
+      // A busy writer looks at the queue by itself.
       wake = wake || (gathering_ && waiting_writes_ >= last_group_writes_);
     }
     if (wake) wake_.NotifyOne();
@@ -332,7 +331,7 @@ class SqliteStorage : public Storage {
     queue_.push_back(std::move(write));
   }
 
-  // Makes an append part of a row that waits, if it follows and fits.
+  // Joins an append to a waiting row, if it follows and fits.
   bool Join(PendingWrite* row, PendingWrite* append) const {
     if (append->batch.first_sequence !=
             row->batch.first_sequence + row->batch.count ||
@@ -352,7 +351,7 @@ class SqliteStorage : public Storage {
   void Write() {
     MutexLock lock(&mutex_);
     while (true) {
-      // A rest of the chores is left for the next start if the server stops.
+      // If the server stops, unfinished chores are left for the next start.
       while (!stopping_ && queue_.empty() && !ChoresAreDue()) {
         if (chores_ == Chores::kNone) {
           wake_.Wait(&mutex_);
@@ -376,14 +375,14 @@ class SqliteStorage : public Storage {
       open_rows_.clear();
       waiting_writes_ -= writes;
       last_group_writes_ = writes;
-      // Of those that are left behind, near enough.
+      // Close enough to the time of the oldest write that is left behind.
       oldest_submission_ = Clock::now();
       lock.Unlock();
       const std::vector<absl::Status> results = CommitOrRefuse(group);
       for (std::size_t i = 0; i < group.size(); ++i) {
         for (const Done& done : group[i].done) done(results[i]);
       }
-      // What the callbacks hold goes before others are taken on.
+      // Frees what the callbacks hold before other writes are taken.
       group.clear();
       lock.Lock();
     }
@@ -393,7 +392,7 @@ class SqliteStorage : public Storage {
     return chores_ != Chores::kNone && Clock::now() >= chores_due_;
   }
 
-  // Waits for more, see SqliteOptions::latency_target.
+  // Waits for more writes; see SqliteOptions::latency_target.
   void Gather() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     if (options_.latency_target <= commit_time_) return;
     gathering_ = true;
@@ -406,7 +405,8 @@ class SqliteStorage : public Storage {
     gathering_ = false;
   }
 
-  // What became of each write of a group, for all that it is made of.
+  // Commits a group; returns the outcome of each write, which holds for all
+  // appends that it joins.
   std::vector<absl::Status> CommitOrRefuse(
       const std::vector<PendingWrite>& group) {
     const absl::Status room = lock_ != nullptr ? space_.Check() : ReadOnly();
@@ -414,8 +414,8 @@ class SqliteStorage : public Storage {
       chores_ = Chores::kNone;
       return std::vector<absl::Status>(group.size(), room);
     }
-    // What is in the log now finds its place in the database while there is
-    // still room, so that what makes room can write over it.
+    // The log is copied into the database while there is still room, so that
+    // writes which make room can write over it.
     if (!room.ok() && had_room_ && writer_ != nullptr) {
       writer_->CopyLog().IgnoreError();
     }
@@ -429,12 +429,12 @@ class SqliteStorage : public Storage {
     }
     const Clock::time_point start = Clock::now();
     std::vector<absl::Status> results = Commit(group, room);
-    // Follows the device, and forgets a single slow flush soon.
+    // A moving mean follows the device, and soon forgets a single slow flush.
     commit_time_ += (Clock::now() - start - commit_time_) / 8;
     return results;
   }
 
-  // Whether something is to be done that leaves more room than there was.
+  // Whether the group or the chores leave more room than there was.
   bool MakesRoom(const std::vector<PendingWrite>& group) const {
     return ChoresAreDue() || std::any_of(group.begin(), group.end(),
                                          [](const PendingWrite& write) {
@@ -442,7 +442,8 @@ class SqliteStorage : public Storage {
                                          });
   }
 
-  // Writes a group in one transaction, without `room` what needs little of it.
+  // Writes a group in one transaction; without `room`, only writes that need
+  // little.
   std::vector<absl::Status> Commit(const std::vector<PendingWrite>& group,
                                    const absl::Status& room) {
     std::vector<absl::Status> results;
@@ -450,8 +451,8 @@ class SqliteStorage : public Storage {
     if (status.ok()) status = writer_->Prepare("BEGIN IMMEDIATE").Run();
     const bool begun = status.ok();
     // Rows are inserted without a savepoint each, which costs more than the
-    // insertion. Should one of them damage the transaction, which takes a
-    // damaged file or a full disk, all is begun again with savepoints.
+    // insertion. If one of them damages the transaction, which happens only
+    // with a damaged file or a full disk, all is begun again with savepoints.
     if (begun && !ApplyAll(group, room, /*careful=*/false, &results, &status)) {
       next_sequences_.clear();
       status = writer_->Prepare("ROLLBACK").Run();
@@ -463,7 +464,7 @@ class SqliteStorage : public Storage {
     bool changed =
         std::any_of(results.begin(), results.end(),
                     [](const absl::Status& result) { return result.ok(); });
-    // On the reserve a deletion comes first, alone.
+    // While the store lives on its reserve, a deletion comes first, alone.
     if (status.ok() && ChoresAreDue() &&
         (group.empty() || !lives_on_reserve_)) {
       const absl::StatusOr<bool> done =
@@ -484,7 +485,7 @@ class SqliteStorage : public Storage {
       if (changed) NoteCommit(next);
       if (chores_ == Chores::kNone ? gave_pages_ || !room.ok()
                                    : !room.ok() && !lives_on_reserve_) {
-        // The file gets shorter, and the log can be written over.
+        // Copying makes the file shorter, and lets the log be written over.
         CheckCopied(writer_->CopyLog().status());
         gave_pages_ = false;
         lives_on_reserve_ = false;
@@ -493,13 +494,13 @@ class SqliteStorage : public Storage {
       return results;
     }
 
-    // Whatever is left is in doubt; see the header. Where not even BEGIN
-    // succeeded, nothing was touched.
+    // The state of the transaction is in doubt, so the connection is closed;
+    // see the header. If not even BEGIN succeeded, nothing was touched.
     if (begun) writer_.reset();
     next_sequences_.clear();
     lives_on_reserve_ = false;
     const bool makes_room = MakesRoom(group);
-    // Else a full disk would be asked again and again.
+    // Without a delay a full disk would be tried again and again.
     chores_due_ = Clock::now() + kChoresDelay;
     const std::string message =
         "nothing was written: " + std::string(status.message());
@@ -520,7 +521,7 @@ class SqliteStorage : public Storage {
     return std::vector<absl::Status>(group.size(), failure);
   }
 
-  // A step of the chores, within a transaction; answers whether it changed
+  // Does a step of the chores, within a transaction; returns whether it changed
   // anything.
   absl::StatusOr<bool> DoChores(bool has_time, bool has_room) {
     if (chores_ == Chores::kPurge) {
@@ -530,7 +531,7 @@ class SqliteStorage : public Storage {
       if (!*more) chores_ = Chores::kShrink;
       return *more;
     }
-    // Pages are moved, which takes longer than the writes that wait for it.
+    // Giving back moves pages, which takes longer than the waiting writes.
     if (!has_time && has_room) return false;
     const absl::StatusOr<std::int64_t> given =
         has_room ? GiveBackPages(*writer_, kKeptPages, kGivenPages)
@@ -544,7 +545,7 @@ class SqliteStorage : public Storage {
     return *given > 0;
   }
 
-  // After a commit.
+  // Call after each commit.
   void NoteCommit(const StoreState& state) {
     const bool is_first = state_.run != run_;
     state_ = state;
@@ -556,7 +557,7 @@ class SqliteStorage : public Storage {
     if (IsFailedFlush(copied)) GiveUp(copied);
   }
 
-  // What is free in the file itself, as far as SQLite can use it.
+  // Free bytes in the file itself, as far as SQLite can use them.
   std::int64_t FreeBytesInside() {
     if (writer_ == nullptr) return 0;
     const absl::StatusOr<std::int64_t> pages =
@@ -566,8 +567,8 @@ class SqliteStorage : public Storage {
     return pages.ok() && page_bytes.ok() ? *pages * *page_bytes : 0;
   }
 
-  // An orderly end: the database alone is the store, and says so. If that
-  // cannot be written the log stays, as after a kill.
+  // Ends in order: the database alone is the store, and says so. If that cannot
+  // be written, the log stays, as after a kill.
   void Close() {
     if (!EnsureWriter().ok() || !watch_.Check().ok()) return;
     if (!state_.is_closed) {
@@ -585,7 +586,7 @@ class SqliteStorage : public Storage {
     }
   }
 
-  // What a transaction that was committed held.
+  // Counts the writes of a committed transaction.
   void Count(const std::vector<PendingWrite>& group,
              const std::vector<absl::Status>& results) {
     std::uint64_t writes = 0;
@@ -601,7 +602,8 @@ class SqliteStorage : public Storage {
                  "this store was opened for reading");
   }
 
-  // After a failed flush, or if the files are gone; see the header.
+  // Takes no write any more, after a failed flush or if the files are gone; see
+  // the header.
   void GiveUp(const absl::Status& cause) {
     if (!given_up_.ok()) return;
     given_up_ = Error(StatusCode::kUnavailable, ReasonOf(cause),
@@ -612,15 +614,15 @@ class SqliteStorage : public Storage {
     if (options_.on_failure) options_.on_failure(given_up_);
   }
 
-  // Answers whether all writes could be applied or refused; `status` is not OK
-  // if the transaction cannot go on.
+  // Applies or refuses each write; returns whether that was possible for all.
+  // `status` is not OK if the transaction cannot go on.
   bool ApplyAll(const std::vector<PendingWrite>& group,
                 const absl::Status& room, bool careful,
                 std::vector<absl::Status>* results, absl::Status* status) {
     results->clear();
     for (const PendingWrite& write : group) {
       if (!room.ok() && write.need == Need::kRoom) {
-        // Nothing was touched: what comes next of its vehicle is as it was.
+        // Nothing was touched: the vehicle's next sequence is as it was.
         results->push_back(room);
         continue;
       }
@@ -657,13 +659,13 @@ class SqliteStorage : public Storage {
     if (next_sequences_.size() >= kMaxKnownSequences) next_sequences_.clear();
     std::uint64_t& next = next_sequences_[key];
     const absl::Status status = InsertBatch(database, key, batch, &next);
-    // What a refused write did is rolled back.
+    // A refused write is rolled back, so `next` may be wrong.
     if (!status.ok()) next_sequences_.erase(key);
     return status;
   }
 
-  // Applies one write so that, refused, it leaves nothing behind. Answers not
-  // OK if the transaction cannot go on.
+  // Applies one write so that it leaves nothing behind if it is refused. The
+  // returned status is not OK if the transaction cannot go on.
   absl::Status ApplyAlone(const PendingWrite& write, absl::Status* result) {
     absl::Status status = writer_->Prepare("SAVEPOINT one").Run();
     if (!status.ok()) return status;
@@ -687,8 +689,8 @@ class SqliteStorage : public Storage {
       GiveUp(is_there);
       return given_up_;
     }
-    // If the log is not copied now, for somebody reads or there is no room, it
-    // is as good as it was: this process has seen it flushed.
+    // If the log is not copied now, because somebody reads or there is no room,
+    // it is as good as before: this process has seen it flushed.
     absl::StatusOr<OpenedWriter> opened =
         OpenWriter(path_, options_.vfs, run_, mark_.get(),
                    /*copies_log=*/!lives_on_reserve_);
@@ -698,7 +700,7 @@ class SqliteStorage : public Storage {
     return absl::OkStatus();
   }
 
-  // Runs `read` on a connection of its own, all of it at one moment.
+  // Runs `read` on a connection of its own, as of one moment.
   template <typename Function>
   absl::Status Read(const Function& read) {
     std::unique_ptr<SqliteDatabase> reader;
@@ -718,7 +720,7 @@ class SqliteStorage : public Storage {
     absl::Status status = reader->Prepare("BEGIN").Run();
     if (status.ok()) {
       status = read(*reader);
-      // Nothing to commit, but the moment must end.
+      // There is nothing to commit, but the read transaction must end.
       const absl::Status ended = reader->Prepare("COMMIT").Run();
       if (status.ok()) status = ended;
     }
@@ -734,53 +736,56 @@ class SqliteStorage : public Storage {
   const SqliteOptions options_;
   const SqliteDatabase::Mode reader_mode_;
   const std::uint64_t run_;
-  // Nothing if opened for reading; so is the mark.
+  // Null if opened for reading, as is the mark.
   const std::unique_ptr<StoreLock> lock_;
   const std::unique_ptr<DurableMark> mark_;
   const FileWatch watch_;
 
   FreeSpaceGuard space_;
-  // The writer's thread only, once it runs.
-  // Why no write is taken on any more.
+  // From here to `commits_`, members are used by the writer's thread only, once
+  // it runs.
+  //
+  // Why no write is taken any more; OK as long as writes are taken.
   absl::Status given_up_;
-  // Nothing after a failure.
+  // Null after a failure, until it is opened anew.
   std::unique_ptr<SqliteDatabase> writer_;
-  // Of the last commit.
+  // State of the last commit.
   StoreState state_;
-  // The server before may have left some.
+  // At first all, because the server before may have left some.
   Chores chores_ = Chores::kPurge;
   Clock::time_point chores_due_;
-  // Since the log was copied last.
+  // Whether pages were given back since the log was copied last.
   bool gave_pages_ = false;
   bool had_room_ = true;
   bool gave_up_reserve_ = false;
-  // Since then: the room is for what the chores write to the log, and copying
-  // the log would take it, as long as the file has to grow for that.
+  // Whether the room of the reserve, since it was given up, is still needed for
+  // the chores' writes to the log. Copying the log would take that room, as
+  // long as the file has to grow for it.
   bool lives_on_reserve_ = false;
-  // The sequence that comes next of vehicles that were written to, as the
-  // transaction under way would have it. Forgotten when that is in doubt.
+  // Next sequence of vehicles that were written to, as of the transaction under
+  // way. Forgotten when it is in doubt.
   std::unordered_map<VehicleKey, std::uint64_t> next_sequences_;
-  // What a commit takes.
+  // Mean time of a commit.
   Clock::duration commit_time_{0};
-  // Written by that thread.
+  // Written by the writer's thread, read by others.
   std::atomic<std::uint64_t> commits_{0};
   std::atomic<std::uint64_t> writes_{0};
 
-  // Keeps the log's index in shared memory while the writer is opened anew: it
-  // would otherwise be made from the log, failed transactions included.
+  // Keeps the log's index in shared memory while the writer is opened anew:
+  // otherwise it would be made from the log, including failed transactions.
   const std::unique_ptr<SqliteDatabase> anchor_;
 
   Mutex mutex_;
   CondVar wake_;
   std::deque<PendingWrite> queue_ ABSL_GUARDED_BY(mutex_);
-  // By vehicle, the row in the queue that appends may still join.
+  // The row in the queue that appends of a vehicle may still join.
   std::unordered_map<VehicleKey, PendingWrite*> open_rows_
       ABSL_GUARDED_BY(mutex_);
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
-  // In the queue, each batch of a row counted.
+  // Number of writes in the queue, counting each batch of a row.
   std::size_t waiting_writes_ ABSL_GUARDED_BY(mutex_) = 0;
   std::size_t last_group_writes_ ABSL_GUARDED_BY(mutex_) = 0;
-  // Of the first in the queue, or when the last group was taken.
+  // When the first write of the queue was submitted, or the last group taken.
   Clock::time_point oldest_submission_ ABSL_GUARDED_BY(mutex_);
   bool gathering_ ABSL_GUARDED_BY(mutex_) = false;
 
@@ -791,7 +796,7 @@ class SqliteStorage : public Storage {
   std::thread thread_;
 };
 
-// Two names of one file must find the same lock.
+// The canonical path, because two names of one file must find the same lock.
 std::string Canonical(const std::string& path) {
   std::error_code error;
   const std::filesystem::path canonical =
@@ -824,22 +829,22 @@ absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
                         /*copies_log=*/true);
   }
   if (!writer.ok()) return writer.status();
-  // What the log holds may never have been flushed: the server before may have
-  // been killed, or its device have failed, just then. From here on it counts
-  // as durable, so it is made durable: in the database, or where it is.
+  // The log may never have been flushed: the server before may have been
+  // killed, or its device may have failed, just then. From here on its commits
+  // count as durable, so they are made durable: in the database, or in the log.
   if (!writer->is_copied) status = FlushAnew(LogOf(store));
   if (!status.ok()) return status;
   if (options.drop_damaged_log) {
-    // Else what was dropped could be back after a power failure.
+    // Without this, dropped commits could be back after a power failure.
     status = FlushFile(LogOf(store));
     if (!status.ok()) return status;
   }
-  // Also of a store that is not new: the server that made it may have been
-  // killed before it came to this.
+  // An old store needs this too: the server that made it may have been killed
+  // before it came to this.
   status =
       FlushDirectories(std::filesystem::path(store).parent_path().string());
   if (!status.ok()) return status;
-  // After a log was dropped, it may have said more.
+  // The lock may hold a later state if a log was dropped.
   (*lock)->Write(writer->state);
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> anchor =
       OpenAnchor(store, options.vfs);

@@ -2,39 +2,39 @@
 //
 // The file is in WAL mode with synchronous=FULL: a commit returns after the log
 // was flushed to the device. One thread writes: it takes all writes that wait,
-// commits them as one transaction, and then answers each. What comes meanwhile
-// waits for the next: an idle store commits at once, a busy one many together.
-// A write that is refused (a gap, an id that is taken) is rolled back alone; a
-// transaction that fails is rolled back whole, and all its writes fail. Reads
-// have connections of their own and never wait for the writer.
+// commits them as one transaction, and then answers each. Writes that come
+// meanwhile wait for the next transaction: an idle store commits at once, a
+// busy one many together. A write that is refused (a gap, an id that is taken)
+// is rolled back alone; a transaction that fails is rolled back whole, and all
+// its writes fail. Reads have connections of their own and never wait for the
+// writer.
 //
-// After a failed transaction the connection is closed, and no write is taken on
-// until it has been opened anew and the log been copied into the database file
-// and emptied; where somebody reads, or there is no room, it is written on
-// behind its last commit. After a failed flush none is taken on at all until a
-// new process has copied the log, or written it anew, and flushed that: what
-// the system's memory shows may no longer be what is on the device. Nor is any
-// once the files were removed or replaced.
+// After a failed transaction the connection is closed, and no write is taken
+// until it has been opened anew and the log has been copied into the database
+// file and emptied; if somebody reads, or there is no room, the log is
+// continued behind its last commit instead. After a failed flush no write is
+// taken at all until a new process has copied the log, or written it anew, and
+// flushed that: the system's memory may no longer show what is on the device.
+// Nor is any write taken once the files were removed or replaced.
 //
 // Opening checks that database, log, mark and lock belong together and hold all
-// that was flushed (store_state.h, durable_mark.h, write_ahead_log.h), and, of
-// a file that is not too large, that tables and indexes hang together, so that
-// no row is missed. Rows are checked as they are read. A store that fits
-// nowhere any more opens too.
+// that was flushed (store_state.h, durable_mark.h, write_ahead_log.h), and, if
+// the file is not too large, that tables and indexes agree, so that no row is
+// missed. Rows are checked as they are read. A store on a full disk opens too.
 //
-// Where vehicles were deleted, their rows are removed and pages that no row
-// uses are given back to the file system, some at a time while there is nothing
-// better to do, or no room.
+// Rows of deleted vehicles are removed, and pages that no row uses are given
+// back to the file system, some at a time while there is nothing better to do,
+// or no room.
 //
 // Tables (see kSchema in store_opening.cc; the file's user_version is
 // kStoreFormat):
-//   vehicles             a row a vehicle; keys are never used again
-//   batches              a row a batch, or some small ones that were committed
-//                        together, as sent; never rewritten
-//   revised_batches      a row a batch whose poses were revised: its current
+//   vehicles             a row per vehicle; keys are never used again
+//   batches              a row per batch, or per some small ones that were
+//                        committed together, as sent; never rewritten
+//   revised_batches      a row per batch whose poses were revised: its current
 //                        version
-//   loop_closures        a row a loop closure
-//   rejected_candidates  a row a rejected candidate; since format 2
+//   loop_closures        a row per loop closure
+//   rejected_candidates  a row per rejected candidate; since format 2
 //   deleted_vehicles     keys whose batches are still to be removed, a few at
 //                        a time
 //   store                one row: which store this is, and the number of its
@@ -64,16 +64,16 @@ struct SqliteOptions {
   // Bounds of one transaction. One write may exceed the bytes.
   std::size_t max_group_writes = 1024;
   std::size_t max_group_bytes = std::size_t{8} << 20;
-  // Bounds of a row that is made of several batches of a vehicle which waited
-  // together and follow each other. Their payloads are put one behind the
-  // other, which must be the payload of all their poses, as it is of protobufs'
-  // repeated fields. 0 poses: each batch has a row of its own.
+  // Bounds of a row that joins several batches of one vehicle which waited
+  // together and follow each other. Their payloads are concatenated, which must
+  // make the payload of all their poses, as it does for repeated fields of
+  // protobuf. With 0 poses, each batch has a row of its own.
   std::size_t max_joined_poses = 0;
   std::size_t max_joined_bytes = std::size_t{64} << 10;
-  // While writes come thick, a commit waits until as many wait as the one
-  // before held, for as long as those that wait can still be answered within
-  // this time of their submission. So a device that flushes fast is not asked
-  // to flush for every few writes. 0: no commit waits.
+  // While many writes come, a commit waits until as many wait as the last one
+  // held, but only as long as the waiting ones can still be answered within
+  // this time of their submission. So a device that flushes fast does not flush
+  // for every few writes. With 0, no commit waits.
   std::chrono::microseconds latency_target{0};
   // Name of SQLite's layer to the operating system; empty for the usual one.
   // Tests put one here whose device fails.
@@ -83,28 +83,28 @@ struct SqliteOptions {
   std::int64_t min_free_bytes = 0;
   // The largest file that is checked whole when it is opened.
   std::int64_t max_checked_bytes = std::int64_t{256} << 20;
-  // Of a damaged log: whether to drop what can no longer be read, rather than
-  // to refuse to open.
+  // Whether to drop the unreadable part of a damaged log, rather than refuse to
+  // open the store.
   bool drop_damaged_log = false;
-  // What an operator should know of; at opening.
+  // Called while the store is opened, with what an operator should know.
   std::function<void(const std::string&)> warn;
-  // A flush has failed, or the store's files are gone: no write will be taken
-  // on any more. On the writer's thread, once.
+  // Called once, on the writer's thread, when no write will be taken any more
+  // because a flush has failed or the store's files are gone.
   std::function<void(const absl::Status&)> on_failure;
 };
 
-// Opens the store, or creates it in a directory that is there.
-// A store of an older format becomes one of this format. FAILED_PRECONDITION if
-// another server has it open, or if the file is not a store, or one of a newer
-// format; the message tells which. DATA_LOSS (STORE_CORRUPT) if it is damaged
-// in a way that could make it answer less than was acknowledged; the message
-// names the vehicles, where that can be told.
+// Opens the store, or creates it in an existing directory. A store of an older
+// format becomes one of this format. FAILED_PRECONDITION if another server has
+// it open, or if the file is not a store, or one of a newer format; the message
+// says which. DATA_LOSS (STORE_CORRUPT) if it is damaged in a way that could
+// make it answer less than was acknowledged; the message names the vehicles,
+// where they are known.
 absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
     const std::string& path, const SqliteOptions& options = {});
 
 // Opens a store of this format for reading, in a mode that only reads;
 // kReadOnly also while a server has it open. Writes are FAILED_PRECONDITION.
-// The same errors as above.
+// Errors are those of OpenSqliteStorage().
 absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorageToRead(
     const std::string& path, SqliteDatabase::Mode mode);
 

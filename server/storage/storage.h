@@ -1,24 +1,24 @@
-// What the server keeps, and the promise that it is kept.
+// The contract of the server's storage: records, and the promise that they are
+// kept.
 //
 // Writes are asynchronous. One writer commits them in the order in which they
 // were submitted, many at a time (group commit over all vehicles), and calls
 // `done` after the commit has returned: OK means durable. Reads block and see
 // every write whose `done` has been called.
 //
-// Payloads are bytes the storage does not look into; it guards each with a
+// Payloads are bytes that the storage does not interpret; it guards each with a
 // format version and a checksum, and answers DATA_LOSS for one that fails.
 //
-// Damage is its vehicle's own. A record of a vehicle or of a pair of poses that
-// fails comes with `damage` set rather than in place of all others, so that it
-// can be told, given up (DropDamaged()) or deleted.
+// Damage affects its own vehicle only. A damaged record of a vehicle or of a
+// pair of poses is returned with `damage` set, beside all others, so that it
+// can be reported, given up (DropDamaged()) or deleted.
 //
 // Every error carries a reason (server/base/status.h). Besides those named at
 // each call: UNAVAILABLE (STORE_UNAVAILABLE) where the device or the file
 // system fails, DATA_LOSS (STORE_CORRUPT) for damage, NOT_FOUND
-// (VEHICLE_NOT_FOUND) for the key of a vehicle that is not there. A write that
-// was answered with UNAVAILABLE is not visible, but a crash right after may
-// bring it back; a later write is never acknowledged on top of one whose fate
-// is unknown.
+// (VEHICLE_NOT_FOUND) for a key without a vehicle. A write that was answered
+// with UNAVAILABLE is not visible, but may be after a crash right then; a later
+// write is never acknowledged on top of one whose fate is unknown.
 //
 // Thread-safe.
 #ifndef REVISIT_SERVER_STORAGE_STORAGE_H_
@@ -35,7 +35,7 @@
 
 namespace revisit::server {
 
-// Version of the tables and of what is in them.
+// Version of the tables and of their contents.
 inline constexpr int kStoreFormat = 3;
 
 // Key of a vehicle's rows; never used again after the vehicle is deleted.
@@ -51,9 +51,9 @@ struct VehicleRecord {
   std::uint64_t durable_sequence = 0;
   std::int64_t loop_closure_count = 0;
   std::int64_t rejected_candidate_count = 0;
-  // DATA_LOSS if the row or the last batch is damaged. Of a damaged row only
-  // key and id are told, and the payload is empty; of a damaged last batch, the
-  // highest sequence as its row has it, but not the revision.
+  // DATA_LOSS if the row or the last batch is damaged. If the row is, only key
+  // and id are set, and the payload is empty. If the last batch is, the highest
+  // sequence is the one its row claims, and the revision does not count it.
   absl::Status damage = absl::OkStatus();
 };
 
@@ -64,20 +64,20 @@ struct BatchRecord {
   std::string payload;
 };
 
-// Gives batches, one after the other, until `take` refuses; answers its own
-// failure or that of `take`. May be asked again.
+// Passes on batches, one after the other, until `take` refuses; returns its own
+// failure or that of `take`. May be called again.
 using BatchSource = std::function<absl::Status(
     const std::function<absl::Status(const BatchRecord&)>& take)>;
 
-// Since the storage was opened.
+// Counts since the storage was opened.
 struct CommitCounts {
   // Transactions that were committed, and the writes that they held.
   std::uint64_t commits = 0;
   std::uint64_t writes = 0;
 };
 
-// What a verifier said of two poses. Ids are unique among the pairs of one
-// kind.
+// A verifier's finding about two poses. Ids are unique among the pairs of one
+// kind of one vehicle.
 enum class PairKind { kLoopClosure, kRejectedCandidate };
 inline constexpr PairKind kPairKinds[] = {PairKind::kLoopClosure,
                                           PairKind::kRejectedCandidate};
@@ -87,11 +87,11 @@ struct PosePairRecord {
   std::uint64_t query_sequence = 0;
   std::uint64_t matched_sequence = 0;
   std::int64_t create_time_ns = 0;  // Since the Unix epoch.
-  // DATA_LOSS if the row is damaged: then only the id is told.
+  // DATA_LOSS if the row is damaged: then only the id is set.
   absl::Status damage = absl::OkStatus();
 };
 
-// How messages, fields and error reasons speak of a kind.
+// The words for a kind in messages, fields and error reasons.
 struct PairWords {
   const char* noun;
   const char* field;
@@ -108,7 +108,7 @@ constexpr PairWords WordsOf(PairKind kind) {
                          "REJECTED_CANDIDATE_NOT_FOUND"};
 }
 
-// A batch keeps what was first sent, even where its poses were revised.
+// A batch keeps the poses that were first sent, even if they were revised.
 enum class BatchVersion { kAsSent, kCurrent };
 
 class Storage {
@@ -125,8 +125,8 @@ class Storage {
   virtual void CreateVehicle(
       VehicleRecord record,
       std::function<void(absl::StatusOr<VehicleKey>)> done) = 0;
-  // Replaces the payload; the vehicle's revision becomes this one, if greater.
-  // So it is wherever a revision is given.
+  // Replaces the payload. In this and all other calls with a revision, the
+  // vehicle's revision becomes that one if it is greater.
   virtual void UpdateVehicle(VehicleKey key, std::string payload,
                              std::uint64_t revision, Done done) = 0;
   // Removes the vehicle and all that belongs to it.
@@ -140,40 +140,39 @@ class Storage {
                            Done done) = 0;
   // Sets the current version of stored batches, all in one step; the records'
   // own revisions are ignored. FAILED_PRECONDITION if one is not stored with
-  // this first sequence and count. The source is asked on the writer's thread,
-  // which all writes wait for: it has the batches ready.
+  // this first sequence and count. REQUIRES: the source has the batches ready,
+  // because it is called on the writer's thread, for which all writes wait.
   virtual void ReviseBatches(VehicleKey key, BatchSource batches,
                              std::uint64_t revision, Done done) = 0;
   // ALREADY_EXISTS (WordsOf(kind).exists) if the id is taken.
   virtual void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                            std::uint64_t revision, Done done) = 0;
-  // NOT_FOUND (WordsOf(kind).not_found) if there is none.
+  // NOT_FOUND (WordsOf(kind).not_found) if there is no such pair.
   virtual void DeletePosePair(VehicleKey key, PairKind kind, std::string id,
                               std::uint64_t revision, Done done) = 0;
 
-  // Gives up what is damaged: removes all that is stored of poses after
-  // `last_sequence`, pairs that name such a pose, and damaged pairs, and sets
-  // the payload. FAILED_PRECONDITION unless a batch ends at `last_sequence`, or
-  // it is 0.
+  // Gives up damaged rows: removes all poses after `last_sequence`, pairs that
+  // name such a pose, and damaged pairs, and sets the payload.
+  // FAILED_PRECONDITION unless a batch ends at `last_sequence`, or it is 0.
   virtual void DropDamaged(VehicleKey key, std::uint64_t last_sequence,
                            std::string payload, std::uint64_t revision,
                            Done done) = 0;
 
-  // NOT_FOUND (VEHICLE_NOT_FOUND) if there is none.
+  // NOT_FOUND (VEHICLE_NOT_FOUND) if there is no such vehicle.
   virtual absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) = 0;
-  // Ordered by id, after `after_id` and of those that start with `prefix`.
-  // Others are not read, so that their damage is not met.
+  // The vehicles whose ids start with `prefix` and come after `after_id`,
+  // ordered by id. Others are not read, so their damage does not matter.
   virtual absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
       const std::string& after_id, const std::string& prefix, int limit) = 0;
-  // The batches that hold poses of [first_sequence, last_sequence], in order,
-  // until `visit` says false; all of one moment, and `visit` may read from the
-  // storage. DATA_LOSS if one is missing or damaged, after those before it: so
-  // looks a range beyond the durable sequence, too, which is not to be asked
-  // for.
+  // Visits the batches that hold poses of [first_sequence, last_sequence], in
+  // order and as of one moment, until `visit` returns false. `visit` may read
+  // from the storage. DATA_LOSS if a batch is missing or damaged, after those
+  // before it. REQUIRES: the range ends at or before the durable sequence;
+  // poses beyond it would look like damage.
   virtual absl::Status ReadBatches(
       VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
       BatchVersion version, const std::function<bool(BatchRecord)>& visit) = 0;
-  // Ordered by id, after `after_id`.
+  // The pairs whose ids come after `after_id`, ordered by id.
   virtual absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
       VehicleKey key, PairKind kind, const std::string& after_id,
       int limit) = 0;
@@ -182,7 +181,7 @@ class Storage {
   // RESOURCE_EXHAUSTED (STORAGE_FULL).
   virtual bool HasRoom() { return true; }
 
-  // Nothing where nobody counts.
+  // Zeros if the implementation does not count.
   virtual CommitCounts Counts() const { return {}; }
 };
 

@@ -35,7 +35,8 @@ absl::Status GiveWay(const std::string& why) {
                    why + "; copy to a faster disk, or while less is written");
 }
 
-// While the copy is made the log of the store cannot be written over.
+// UNAVAILABLE if the log has grown beyond the bounds, for it cannot be written
+// over while the copy is made, or if the disk runs short.
 absl::Status CheckLog(const std::string& path, std::int64_t log_bytes_before,
                       const BackupBounds& bounds) {
   const std::int64_t grown = BytesOf(LogOf(path)) - log_bytes_before;
@@ -76,7 +77,7 @@ absl::Status Copy(const StoreToRead& store, const std::string& copy,
   state->is_closed = true;
   const absl::Status closed = WriteState(**destination, *state);
   if (!closed.ok()) return closed;
-  // One file, without a log beside it.
+  // Makes it one file, without a log beside it.
   return (*destination)->Execute("PRAGMA journal_mode = DELETE");
 }
 
@@ -85,8 +86,8 @@ absl::StatusOr<StoreReport> CopyAndCheck(const std::string& path, StoreUse use,
                                          const BackupBounds& bounds) {
   const absl::StatusOr<StoreToRead> store = LookAtStore(path, use);
   if (!store.ok()) return store.status();
-  // A log is read up to its first damage: the copy would be whole, and lack
-  // what was acknowledged since.
+  // SQLite reads a log up to its first damage: the copy would be sound, and
+  // lack commits that were acknowledged since.
   if (!store->files.damage.empty()) return DamageOf(store->files);
   const absl::Status copied = Copy(*store, copy, bounds);
   if (HasChanged(*store)) {

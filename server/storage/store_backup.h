@@ -10,23 +10,24 @@
 
 namespace revisit::server {
 
-// How much a backup may cost the server beside it: the server cannot write over
-// its log while it is copied from.
+// How much a backup may cost the server beside it, which cannot write over its
+// log while the copy is made.
 struct BackupBounds {
   std::int64_t max_log_growth = std::int64_t{1} << 30;
-  // Of the file system of the store.
+  // Bytes that must stay free on the file system of the store.
   std::int64_t min_free_bytes = 0;
 };
 
 // Makes one file that is a store by itself, as of one moment: every write that
 // was acknowledged before the call is in it. The copy is read whole and flushed
-// before it gets its name, so a file of that name is a good one. Nothing of the
-// store is changed, and writes go on meanwhile; the log grows until the copy is
+// before it gets its name, so a file of that name is a good one. The store is
+// not changed, and writes go on meanwhile; the log grows until the copy is
 // done.
 //
-// FAILED_PRECONDITION if there is a file of that name, or if the store is none
-// of this format; DATA_LOSS if the store is damaged, UNAVAILABLE beyond a
-// bound, and then there is no copy. `use`: as of CheckStore().
+// FAILED_PRECONDITION if there is a file of that name, or if the store is not
+// of this format; DATA_LOSS if the store is damaged; UNAVAILABLE beyond a
+// bound. After an error there is no copy. `use` says whether a server may be
+// writing to the store.
 absl::StatusOr<StoreReport> BackUpStore(const std::string& path, StoreUse use,
                                         const std::string& destination,
                                         const BackupBounds& bounds = {});

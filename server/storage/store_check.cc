@@ -20,7 +20,7 @@ namespace {
 constexpr std::size_t kListedNames = 20;
 constexpr int kPairsPerRead = 1000;
 
-// What is seen of a database from outside: another if anybody has written to
+// A text of the database's size and times, which changes when anybody writes to
 // it.
 std::string LooksOf(const std::string& path) {
   struct stat status;
@@ -58,7 +58,7 @@ class Checker {
 
   std::vector<std::pair<VehicleKey, std::string>> Vehicles() {
     std::vector<std::pair<VehicleKey, std::string>> vehicles;
-    // By the table, for an index may hide some.
+    // Reads the table itself, because a damaged index may hide rows.
     SqliteStatement row =
         database_->Prepare("SELECT key, id FROM vehicles NOT INDEXED");
     while (true) {
@@ -80,7 +80,7 @@ class Checker {
   void CheckVehicle(VehicleKey key, const std::string& id) {
     StoreReport counts;
     const absl::Status status = ReadVehicle(id, &counts);
-    // By whoever serves the store, since it was listed.
+    // The server may have deleted the vehicle since it was listed.
     if (use_ == StoreUse::kServed && absl::IsNotFound(status) &&
         IsDeleted(key)) {
       return;
@@ -234,7 +234,7 @@ bool HasChanged(const StoreToRead& store) {
 absl::StatusOr<StoreReport> CheckStore(const std::string& path, StoreUse use) {
   const absl::StatusOr<StoreToRead> store = LookAtStore(path, use);
   if (!store.ok()) return store.status();
-  // SQLite would put together what does not belong together.
+  // SQLite would combine files that do not belong together.
   const StoreExamination& files = store->files;
   if (!files.damage.empty() && !files.can_be_dropped) return DamageOf(files);
   absl::StatusOr<StoreReport> report = [&]() -> absl::StatusOr<StoreReport> {

@@ -23,19 +23,19 @@ struct StoreReport {
   std::int64_t revised_batches = 0;
   std::int64_t loop_closures = 0;
   std::int64_t rejected_candidates = 0;
-  // Each for people, in one line.
+  // Problems for people to read, each in one line.
   std::vector<std::string> problems;
-  // Ids of those that cannot be read whole, or that a damaged log has changes
-  // of, as far as can be told.
+  // Ids of vehicles that cannot be read whole, or that have changes in the
+  // damaged part of a log, as far as they are known.
   std::set<std::string> damaged_vehicles;
 };
 
-// How a store is to be read whole, by a process that is no server.
+// How a process other than the server reads a store whole.
 struct StoreToRead {
   std::string path;
   StoreUse use;
   SqliteDatabase::Mode mode;
-  // Of an idle store.
+  // Examination of an idle store; not filled in for one that is served.
   StoreExamination files;
   std::string looks;
 };
@@ -43,21 +43,22 @@ struct StoreToRead {
 // DATA_LOSS (STORE_CORRUPT) if the database is missing or empty. Writes
 // nothing.
 absl::StatusOr<StoreToRead> LookAtStore(const std::string& path, StoreUse use);
-// Whether a server has taken an idle store since. What was read then may be
-// wrong: read it again, as served.
+// Whether a server has taken an idle store since LookAtStore(). What was read
+// meanwhile may be wrong: read it again, as a served store.
 bool HasChanged(const StoreToRead& store);
 
-// Whether every page, table and index is what the others say: empty, or up to
-// ten problems. Rows' own checksums are not looked at. DATA_LOSS where the
-// damage does not even let it go on.
+// Checks that pages, tables and indexes agree with each other. Returns up to
+// ten problems. It does not check the checksums of rows. DATA_LOSS if damage
+// keeps it from going on.
 absl::StatusOr<std::vector<std::string>> FindStructuralDamage(
     SqliteDatabase& database, StoreUse use, const std::string& path);
 
-// Reads every row of every vehicle: checksums, sequences without a gap, nothing
-// that belongs to nobody; as of one moment a vehicle. Of an idle store also
-// whether its files belong together and hold all that was flushed. Changes none
-// of them. Fails only where the store cannot be opened at all: as
-// OpenSqliteStorageToRead() does, or where its files do not belong together.
+// Reads every row of every vehicle, as of one moment per vehicle, and checks
+// checksums, that sequences have no gap, and that no row is without its
+// vehicle. For an idle store it also checks that the files belong together and
+// hold all that was flushed. It changes none of them. It fails only if the
+// store cannot be opened at all: as OpenSqliteStorageToRead() does, or if its
+// files do not belong together.
 absl::StatusOr<StoreReport> CheckStore(const std::string& path, StoreUse use);
 
 // "a, b and 3 more".

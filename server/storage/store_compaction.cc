@@ -42,7 +42,7 @@ std::string Quoted(const std::string& text) {
   return quoted + "'";
 }
 
-// A store that nobody has open and that has no log.
+// Writes the copy. REQUIRES: nobody has the store open, and it has no log.
 absl::Status Vacuum(const std::string& path, const std::string& copy,
                     StoreState* state) {
   const absl::StatusOr<std::unique_ptr<SqliteDatabase>> source =
@@ -59,12 +59,12 @@ absl::Status Vacuum(const std::string& path, const std::string& copy,
   const absl::StatusOr<std::unique_ptr<SqliteDatabase>> made =
       SqliteDatabase::Open(copy, SqliteDatabase::Mode::kReadWrite, "");
   if (!made.ok()) return made.status();
-  // A log of before speaks of other pages.
+  // A new run, because a log of the old file describes other pages.
   *state = NextState(*before, RandomRun(), /*is_closed=*/true);
   return WriteState(**made, *state);
 }
 
-// The same rights as the file that it replaces.
+// Gives the copy the rights of the file that it replaces.
 absl::Status TakeRightsOf(const std::string& path, const std::string& copy) {
   struct stat status;
   if (stat(path.c_str(), &status) != 0 ||
@@ -122,7 +122,7 @@ absl::StatusOr<CompactionReport> CompactStore(const std::string& name) {
   if (!is_there.ok()) return is_there;
   CompactionReport report;
   report.bytes_before = BytesOf(path);
-  // Brings it to this format, and puts the log into it.
+  // Opening brings the store to this format, and copies the log into it.
   absl::Status status = OpenSqliteStorage(path).status();
   if (!status.ok()) return status;
   const absl::StatusOr<std::unique_ptr<StoreLock>> lock =

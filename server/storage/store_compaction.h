@@ -1,4 +1,4 @@
-// Makes the file of a store as small as what is in it.
+// Makes the file of a store as small as its contents.
 #ifndef REVISIT_SERVER_STORAGE_STORE_COMPACTION_H_
 #define REVISIT_SERVER_STORAGE_STORE_COMPACTION_H_
 
@@ -15,14 +15,14 @@ struct CompactionReport {
 };
 
 // Writes a store that no server has, or a backup, anew beside itself, reads the
-// copy whole and puts it in its place: a kill or a power failure leaves the one
-// or the other. Needs room for what is in it. From then on the server gives
-// room back by itself, which it cannot in a file that a server of format 1 or 2
-// made.
+// copy whole and puts it in its place: a kill or a power failure leaves either
+// the old file or the new one. It needs room for the contents. From then on the
+// server gives room back by itself, which it cannot do in a file that a server
+// of format 1 or 2 made.
 //
-// FAILED_PRECONDITION if a server has it, or another process reads it;
-// DATA_LOSS if it is damaged; RESOURCE_EXHAUSTED (STORAGE_FULL). Then it is as
-// it was.
+// FAILED_PRECONDITION if a server has the store, or another process reads it;
+// DATA_LOSS if it is damaged; RESOURCE_EXHAUSTED (STORAGE_FULL) without room.
+// After an error the store is as it was.
 absl::StatusOr<CompactionReport> CompactStore(const std::string& path);
 
 }  // namespace revisit::server

@@ -14,9 +14,10 @@ namespace revisit::server {
 namespace {
 
 constexpr char kFileInDirectory[] = "revisit.sqlite";
-// What deleting a vehicle takes, and the index of a log of 256 MiB.
+// Size of the reserve: room to delete a vehicle, and for the index of a log of
+// 256 MiB.
 constexpr off_t kReserveBytes = 1 << 20;
-// Of a file that is written anew, at a time.
+// Bytes that are written at a time when a file is written anew.
 constexpr std::size_t kPieceBytes = std::size_t{1} << 20;
 
 std::string InDirectory(const std::string& path) {
@@ -38,8 +39,8 @@ absl::Status Unavailable(const std::string& message) {
   return Error(absl::StatusCode::kUnavailable, "STORE_UNAVAILABLE", message);
 }
 
-// Answers whether all of it could be written and flushed; else errno says why
-// not.
+// Returns whether all of the file could be written and flushed; if not, errno
+// says why.
 bool WriteAnew(int file) {
   std::vector<char> piece(kPieceBytes);
   off_t at = 0;
@@ -102,7 +103,7 @@ absl::Status FlushDirectories(const std::string& directory) {
   if (stat(path.c_str(), &first) != 0) return absl::OkStatus();
   while (stat(path.c_str(), &status) == 0 && status.st_dev == first.st_dev) {
     const int file = open(path.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-    // Nobody who may not read it has made something in it.
+    // A process that may not read a directory has made nothing in it.
     if (file < 0) return absl::OkStatus();
     const bool failed = fsync(file) != 0 && errno == EIO;
     close(file);
@@ -120,7 +121,7 @@ absl::Status MakeDirectory(const std::string& path) {
   std::error_code error;
   std::filesystem::path directory =
       std::filesystem::absolute(path, error).lexically_normal();
-  // "store/" is its own parent's child of no name.
+  // The parent of "store/" is "store", so the trailing slash is dropped.
   if (!directory.has_filename()) directory = directory.parent_path();
   if (std::filesystem::is_directory(directory, error)) return absl::OkStatus();
   const std::filesystem::path parent = directory.parent_path();
@@ -171,7 +172,7 @@ bool GiveUpReserve(const std::string& store_path) {
 }
 
 FileWatch::FileWatch(const std::string& store_path) {
-  // Those that stay as long as the store is open.
+  // The files that stay as long as the store is open.
   for (const char* suffix : {"", "-wal", "-shm", ".mark", ".lock"}) {
     const std::string path = store_path + suffix;
     struct stat status;
@@ -185,9 +186,9 @@ absl::Status FileWatch::Check() const {
   for (const File& file : files_) {
     struct stat status;
     const bool is_there = stat(file.path.c_str(), &status) == 0;
-    // Whoever may not look cannot tell.
+    // Without the right to look, nothing is known.
     if (!is_there && errno != ENOENT && errno != ENOTDIR) continue;
-    // While it is open here, its number is given to no other file.
+    // While the file is open here, no other file gets its inode number.
     if (is_there && status.st_dev == file.device &&
         status.st_ino == file.inode) {
       continue;

@@ -13,16 +13,17 @@
 namespace revisit::server {
 namespace {
 
-// The process id, filled up with spaces, and a line break: so that what follows
-// stays in its place whoever the owner is.
+// Size of the process id with spaces and a line break, so that the states
+// behind it stay in their places whatever the id is.
 constexpr std::size_t kOwnerBytes = 12;
 
-// Whoever asks whether a store is in use holds its lock for a moment.
+// Tries to lock, because IsHeld() of another process takes the lock for a
+// moment.
 constexpr int kTries = 10;
 constexpr std::chrono::milliseconds kBetweenTries{20};
 
-// The owner writes its id right after it has locked, so for a moment the file
-// may be empty.
+// The process id of the owner. The owner writes it right after it has locked,
+// so for a moment the file may be empty.
 std::string Owner(int file) {
   char buffer[kOwnerBytes];
   const ssize_t size = pread(file, buffer, sizeof buffer, 0);
@@ -59,8 +60,8 @@ absl::StatusOr<std::unique_ptr<StoreLock>> StoreLock::Acquire(
                                          " is in use by " + Owner(file) +
                                          "; a store has one server at a time");
   }
-  // In place, where a full disk still has room. If it has not, the owner stays
-  // unnamed.
+  // Written in place, which usually works on a full disk too. If it does not,
+  // the owner stays unnamed.
   std::string pid = std::to_string(getpid());
   pid.resize(kOwnerBytes - 1, ' ');
   pid += '\n';

@@ -29,12 +29,12 @@ namespace {
 
 using absl::StatusCode;
 
-// "RVST": tells a store from other SQLite files.
+// "RVST", which marks an SQLite file as a store.
 constexpr std::int64_t kApplicationId = 0x52565354;
 
-// Of a new store. A batch of 64 poses has some 12 kB: measured with those, the
-// store takes in a quarter more than with SQLite's own 4096, and with 16384 the
-// file grows by a third.
+// Page size of a new store. A batch of 64 poses has some 12 kB: with such
+// batches the store takes in a quarter more than with SQLite's own 4096, and
+// with 16384 the file grows by a third.
 constexpr int kPageBytes = 8192;
 
 // Payloads come last, so that the columns before them are read without them.
@@ -83,7 +83,7 @@ CREATE TABLE deleted_vehicles (
 );
 )sql";
 
-// What format 2 has beyond format 1.
+// Tables that format 2 has beyond format 1.
 constexpr char kSchemaSince2[] = R"sql(
 CREATE TABLE rejected_candidates (
   vehicle_key INTEGER NOT NULL,
@@ -97,7 +97,7 @@ CREATE TABLE rejected_candidates (
 ) WITHOUT ROWID;
 )sql";
 
-// What format 3 has beyond format 2: one row, store_state.h.
+// The table that format 3 has beyond format 2, with one row (store_state.h).
 constexpr char kSchemaSince3[] = R"sql(
 CREATE TABLE store (
   key INTEGER PRIMARY KEY,
@@ -105,11 +105,12 @@ CREATE TABLE store (
 );
 )sql";
 
-// Pages of rows that were deleted can be given back to the file system. Only
-// for a file without tables.
+// Lets pages of deleted rows be given back to the file system. Works only for a
+// file without tables.
 constexpr char kVacuum[] = "PRAGMA auto_vacuum = INCREMENTAL";
 
-// What the head of an SQLite file says of who made it; both 0 in a new one.
+// The program and the format that the head of an SQLite file names; both are 0
+// in a new file.
 struct FileFormat {
   std::int64_t application = 0;
   std::int64_t version = 0;
@@ -149,8 +150,8 @@ absl::Status CheckFormat(SqliteDatabase& database, const std::string& path,
   const absl::Status known = CheckKnownFormat(path, *format);
   if (!known.ok()) return known;
   if (format->version == kStoreFormat) return absl::OkStatus();
-  // Not done until committed: a failure closes the connection, and that rolls
-  // back.
+  // Nothing is changed before the commit: a failure closes the connection,
+  // which rolls back.
   std::string sql = "BEGIN IMMEDIATE;";
   if (format->version < 2) sql += kSchemaSince2;
   sql += kSchemaSince3;
@@ -164,8 +165,9 @@ absl::Status CheckFormat(SqliteDatabase& database, const std::string& path,
   return database.Execute("COMMIT");
 }
 
-// SQLite takes any table for ours that has its name. The words it was made with
-// are stored: damage to them would show as a defect of the server, later.
+// Compares the stored statements that made the tables with ours: SQLite goes by
+// the names of tables alone, and damage to a statement would later look like a
+// defect of the server.
 absl::Status CheckSchema(SqliteDatabase& database, const std::string& path) {
   const absl::StatusOr<std::unique_ptr<SqliteDatabase>> expected =
       SqliteDatabase::Open(":memory:", SqliteDatabase::Mode::kReadWrite, "");
@@ -212,7 +214,7 @@ bool BeginsAsDatabase(const std::string& path) {
          found == expected;
 }
 
-// Whether there is anything to read at all.
+// Checks that the database can be read at all.
 absl::Status CheckReadable(SqliteDatabase& database, const std::string& path) {
   const absl::Status status =
       database.QueryInteger("PRAGMA schema_version").status();
@@ -225,11 +227,11 @@ absl::Status CheckReadable(SqliteDatabase& database, const std::string& path) {
   return Corrupt("the store " + path + " is damaged: " + what, {});
 }
 
-// What a database says of itself without its log.
+// The content of a database without its log.
 struct FileContent {
-  // Whether it could be read as a store; else nothing is known.
+  // Whether it could be read as a store; if not, nothing is known.
   bool is_readable = false;
-  // Not of formats 1 and 2.
+  // Absent in formats 1 and 2.
   std::optional<StoreState> state;
 };
 
@@ -248,8 +250,8 @@ FileContent ReadFileAlone(const std::string& store) {
   return content;
 }
 
-// Keeps other servers that make a store in the same directory waiting. One on a
-// file system without such locks waits for nobody.
+// Makes other servers wait that make a store in the same directory. On a file
+// system without such locks nobody waits.
 class DirectoryLock {
  public:
   explicit DirectoryLock(const std::string& directory)
@@ -268,7 +270,7 @@ class DirectoryLock {
   const int file_;
 };
 
-// Compares what the files of a store say of it.
+// Compares the states that the files of a store hold.
 class Comparison {
  public:
   Comparison(std::string store, const LogReport& log)
@@ -278,7 +280,7 @@ class Comparison {
         mark_(DurableMark::Read(store_)),
         lock_(StoreLock::Read(store_)) {}
 
-  // In the order in which the answers matter: what cannot be dropped first.
+  // Looks for damage that cannot be dropped first.
   StoreExamination Compare() const {
     StoreExamination result;
     result.damage = FindStranger();
@@ -320,7 +322,7 @@ class Comparison {
     return "";
   }
 
-  // Whether the log, if there is one, goes on from what the database holds.
+  // Whether the log, if there is one, goes on from the database's last commit.
   std::string FindGap() const {
     if (!file_.is_readable || !log_is_used()) return "";
     if (log_.states.empty()) {
@@ -353,7 +355,7 @@ class Comparison {
            " is of a copy of the store that went its own way" + but;
   }
 
-  // Whether what is there is all that was flushed.
+  // Whether the files hold everything that was flushed.
   std::string FindMissing() const {
     if (mark_.position) {
       const std::string missing = MissingFrom(log_, *mark_.position);
@@ -379,8 +381,8 @@ class Comparison {
                std::to_string(reached) + " on";
       }
     }
-    // A database in use has a log, but for a moment in which the mark says that
-    // none is needed.
+    // A database in use has a log, except for a moment in which the mark says
+    // that none is needed.
     if (!log_.has_header && file_.state && !file_.state->is_closed &&
         !(mark_.state && IsSameCommit(*mark_.state, *file_.state))) {
       return "the log " + LogOf(store_) +
@@ -396,7 +398,7 @@ class Comparison {
   const std::optional<StoreState> lock_;
 };
 
-// Vehicles with rows in the unreadable part of the log that are nowhere else.
+// Vehicles with rows that are only in the unreadable part of the log.
 absl::StatusOr<std::set<std::string>> VehiclesBehind(const std::string& store,
                                                      const LogReport& log) {
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
@@ -437,7 +439,7 @@ absl::StatusOr<std::set<std::string>> VehiclesBehind(const std::string& store,
         } else if (!*is_there) {
           const absl::StatusOr<std::string> id =
               VehicleId(**database, row.vehicle_key);
-          // One that was created only there names itself by its own row.
+          // A vehicle that was created there is named by its own row.
           if (id.ok()) names.insert(*id);
         }
       });
@@ -529,7 +531,7 @@ absl::Status MakeStore(const std::string& store, const std::string& vfs,
   const DirectoryLock lock(directory);
   std::error_code error;
   if (std::filesystem::exists(store, error)) return absl::OkStatus();
-  // Under another name until it is whole: a kill leaves no half of a store.
+  // The file has another name until it is whole: a kill leaves no half a store.
   const std::string made = store + ".new";
   for (const char* suffix : {"", "-journal", "-wal", "-shm"}) {
     std::filesystem::remove(made + suffix, error);
@@ -567,9 +569,9 @@ absl::StatusOr<OpenedWriter> OpenWriter(const std::string& path,
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
       SqliteDatabase::Open(path, SqliteDatabase::Mode::kReadWrite, vfs);
   if (!database.ok()) return database.status();
-  // Else a failure below would remove a log that the mark speaks of.
+  // Otherwise a failure below would remove a log that the mark names.
   (*database)->KeepLogOnClose(true);
-  // Before anything is changed in a file that may not be ours.
+  // Checked before anything is changed in a file that may not be a store.
   absl::Status status = CheckReadable(**database, path);
   if (!status.ok()) return status;
   status = CheckFormat(**database, path, run);
@@ -602,8 +604,8 @@ absl::StatusOr<OpenedWriter> OpenWriter(const std::string& path,
   opened.state = *state;
   opened.is_copied = copied.ok() && *copied;
   if (opened.is_copied) {
-    // All is in the database: an empty log is right from here on, which rids it
-    // of what a transaction left that failed.
+    // Everything is in the database, so the log may be emptied, which removes
+    // what a failed transaction left in it.
     status = mark->Flush(*state);
     if (status.ok()) status = (*database)->EmptyLog();
     if (!status.ok() && !IsStorageFull(status)) return status;
@@ -638,7 +640,8 @@ absl::Status CheckFile(SqliteDatabase& database, const std::string& store,
   const std::string what = problems.ok()
                                ? problems->front()
                                : std::string(problems.status().message());
-  // This process has it open: what else lies beside was looked at before.
+  // Read as served, because this process has it open; the files beside it were
+  // examined before.
   const absl::StatusOr<StoreReport> report =
       CheckStore(store, StoreUse::kServed);
   const std::string names = report.ok() && !report->damaged_vehicles.empty()

@@ -1,6 +1,6 @@
-// Opening a store: whether the file is one, of which format, and whether it and
-// its log are whole. sqlite_storage.h says in which order and what for; here
-// are the steps, and the tables of a new store.
+// The steps of opening a store, and the tables of a new one: whether the file
+// is a store, of which format, and whether it and its log are whole.
+// sqlite_storage.h says in which order and what for.
 //
 // Errors, besides those of the device: FAILED_PRECONDITION for a file that is
 // no store, or one of a newer format; DATA_LOSS (STORE_CORRUPT) for damage. The
@@ -24,14 +24,14 @@ namespace revisit::server {
 
 // Whether the files of a store belong together, and hold all that was flushed.
 struct StoreExamination {
-  // Empty if so; else what is wrong, in one line that names the file.
+  // Empty if they do; otherwise what is wrong, in one line that names the file.
   std::string damage;
-  // Whether the store can be opened all the same, with what its database and
-  // the sound part of its log hold: not where SQLite would put together what
-  // does not belong together.
+  // Whether the store can be opened all the same, with the contents of its
+  // database and of the sound part of its log. It cannot if SQLite would
+  // combine files that do not belong together.
   bool can_be_dropped = false;
-  // Those with changes in the damaged part of the log that are nowhere else, as
-  // far as can be told.
+  // Vehicles with changes that are only in the damaged part of the log, as far
+  // as they are known.
   std::set<std::string> vehicles;
   // Whether the log ends in a write that was never acknowledged.
   bool has_unfinished_tail = false;
@@ -39,62 +39,62 @@ struct StoreExamination {
   bool has_no_log = false;
 };
 
-// What is wrong if there is no database, or an empty one: DATA_LOSS
-// (STORE_CORRUPT) where other files of the store are there or it is empty,
-// NOT_FOUND where there is nothing at all.
+// OK if there is a database that is not empty. DATA_LOSS (STORE_CORRUPT) if it
+// is empty, or missing beside other files of the store; NOT_FOUND if there is
+// nothing at all.
 absl::Status CheckDatabaseIsThere(const std::string& store);
 
-// Of a store that no server has, before SQLite has opened it: SQLite would end
-// a log silently at the first damage, apply one of another store, or remove it
-// beside an empty database. Writes nothing.
+// Examines a store that no server has, before SQLite opens it: SQLite would
+// silently end a log at the first damage, apply one of another store, or remove
+// it beside an empty database. Writes nothing.
 absl::StatusOr<StoreExamination> ExamineStore(const std::string& store);
 
-// DATA_LOSS (STORE_CORRUPT): the damage, with the vehicles.
+// DATA_LOSS (STORE_CORRUPT) with the damage and the vehicles.
 absl::Status DamageOf(const StoreExamination& examination);
 
-// The same for a server that has the lock: DATA_LOSS (STORE_CORRUPT) if
-// something is wrong, unless it can be dropped and `drop_damaged_log`. `warn`
-// may be empty.
+// Examines the store for a server that has its lock: DATA_LOSS (STORE_CORRUPT)
+// if something is wrong, unless `drop_damaged_log` is set and the damage can be
+// dropped. `warn` may be empty.
 absl::Status CheckStoreFiles(
     const std::string& store, bool drop_damaged_log,
     const std::function<void(const std::string&)>& warn, DurableMark* mark);
 
-// Makes a new store, whole or not at all. REQUIRES: there is none. Another
-// server may be making it at the same time; then its is there afterwards.
+// Makes a new store, whole or not at all. REQUIRES: there is none. If another
+// server makes one at the same time, that one may be there afterwards.
 absl::Status MakeStore(const std::string& store, const std::string& vfs,
                        std::uint64_t run);
 
 struct OpenedWriter {
   std::unique_ptr<SqliteDatabase> database;
   StoreState state;
-  // Whether all that is in the log is in the file and flushed there too. If
-  // not, for there are readers or no room, the log is as it was.
+  // Whether everything in the log is in the file and flushed there too. If not,
+  // because of readers or for want of room, the log is as it was.
   bool is_copied = false;
 };
 
-// The connection that writes. Brings an older store to this format, and copies
-// what the log holds into the file, if told to. `vfs` as in SqliteOptions.
+// Opens the connection that writes. Brings an older store to this format, and
+// copies the log into the file, if asked to. `vfs` is as in SqliteOptions.
 absl::StatusOr<OpenedWriter> OpenWriter(const std::string& store,
                                         const std::string& vfs,
                                         std::uint64_t run, DurableMark* mark,
                                         bool copies_log);
 
-// How to read a store that nobody writes to.
+// The mode for reading a store to which nobody writes.
 inline SqliteDatabase::Mode ReadingMode(bool has_no_log) {
   return has_no_log ? SqliteDatabase::Mode::kFileOnly
                     : SqliteDatabase::Mode::kReadOnly;
 }
 
-// A connection that reads, and so holds the log and its index.
+// Opens a connection that reads, and so keeps the log and its index open.
 absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenAnchor(
     const std::string& store, const std::string& vfs);
 
-// Whether a file that is not larger than that can be trusted to hide nothing;
-// the message names the vehicles that it hides.
+// Checks that the structure of a file hides no row, unless the file is larger
+// than the bound; the message names the vehicles with hidden rows.
 absl::Status CheckFile(SqliteDatabase& database, const std::string& store,
                        std::int64_t max_checked_bytes);
 
-// A store of this format, for whoever reads it whole (store_check.h,
+// Opens a store of this format to read it whole (store_check.h,
 // store_backup.h), also while a server has it open.
 absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenDatabaseToRead(
     const std::string& path, SqliteDatabase::Mode mode);

@@ -40,14 +40,15 @@ struct PairStatements {
             "?3") {}
 };
 
-// For the life of the program, since connections know statements by address.
+// They live as long as the program, because connections cache statements by
+// address.
 const PairStatements& StatementsOf(PairKind kind) {
   static const auto& closures = *new PairStatements("loop_closures");
   static const auto& rejections = *new PairStatements("rejected_candidates");
   return kind == PairKind::kLoopClosure ? closures : rejections;
 }
 
-// What a damaged batch is believed to hold at most.
+// Most poses that the row of a damaged batch is believed to hold.
 constexpr std::int64_t kMostClaimedPoses = 1'000'000;
 
 std::int64_t Signed(std::uint64_t value) {
@@ -69,7 +70,7 @@ absl::Status UnknownVehicle(const std::string& which) {
                "no such vehicle: " + which);
 }
 
-// A row is right if its checksum is, and if it is of a format known here.
+// A row is sound if its checksum matches and its format is known here.
 absl::Status CheckRow(std::int64_t format, std::int64_t stored_checksum,
                       std::int64_t computed_checksum, const std::string& what,
                       const ErrorMetadata& metadata) {
@@ -84,7 +85,7 @@ absl::Status CheckRow(std::int64_t format, std::int64_t stored_checksum,
   return absl::OkStatus();
 }
 
-// Columns: key, id, format, revision, checksum, payload.
+// The columns are key, id, format, revision, checksum, payload.
 VehicleRecord ReadVehicleRow(const SqliteStatement& row) {
   VehicleRecord record;
   record.key = row.Integer(0);
@@ -103,7 +104,7 @@ VehicleRecord ReadVehicleRow(const SqliteStatement& row) {
   return record;
 }
 
-// Columns from `column` on: format, revision, checksum, payload.
+// The columns from `column` on are format, revision, checksum, payload.
 absl::StatusOr<BatchRecord> ReadBatchRow(const SqliteStatement& row, int column,
                                          std::int64_t first_sequence,
                                          std::int64_t count, VehicleKey key,
@@ -149,7 +150,7 @@ absl::StatusOr<std::optional<BatchRecord>> ReadLastBatch(
   return std::optional<BatchRecord>(*std::move(batch));
 }
 
-// Where the last batch would end, as its row has it, damaged or not.
+// Sequence at which the last batch ends according to its row, damaged or not.
 absl::StatusOr<std::uint64_t> ClaimedSequence(SqliteDatabase& database,
                                               VehicleKey key) {
   SqliteStatement row = database.Prepare(
@@ -158,13 +159,13 @@ absl::StatusOr<std::uint64_t> ClaimedSequence(SqliteDatabase& database,
   const absl::StatusOr<bool> found = row.Bind(1, key).Step();
   if (!found.ok()) return found.status();
   if (!*found) return std::uint64_t{0};
-  // One beyond what a batch can hold was not written so.
+  // A count beyond what a batch can hold was not written so.
   const std::int64_t count =
       std::clamp(row.Integer(1), std::int64_t{1}, kMostClaimedPoses);
   return Unsigned(row.Integer(0)) + Unsigned(count) - 1;
 }
 
-// Adds to a row of `vehicles` what other tables know.
+// Adds the data of other tables to a row of `vehicles`.
 absl::Status CompleteVehicle(SqliteDatabase& database, VehicleRecord* record) {
   const absl::StatusOr<std::optional<BatchRecord>> last =
       ReadLastBatch(database, record->key, Printable(record->id));
@@ -205,7 +206,7 @@ absl::Status WriteVehicleRow(SqliteDatabase& database,
       .Run();
 }
 
-// Whether pages can be given back; set when the file was made.
+// Whether pages can be given back, which was decided when the file was made.
 absl::StatusOr<bool> CanShrink(SqliteDatabase& database) {
   constexpr std::int64_t kIncremental = 2;
   const absl::StatusOr<std::int64_t> mode =
@@ -223,9 +224,9 @@ absl::Status Gap(const std::string& vehicle_id, std::uint64_t expected,
                {{"expected_sequence", std::to_string(expected)}});
 }
 
-// `sql` is a literal, by whose address the connection knows the statement. Its
-// parameters: vehicle_key, first_sequence, count, format, revision, checksum,
-// payload.
+// `sql` is a literal, by whose address the connection caches the statement. Its
+// parameters are vehicle_key, first_sequence, count, format, revision,
+// checksum, payload.
 absl::Status WriteBatchRow(SqliteDatabase& database, const char* sql,
                            VehicleKey key, BatchVersion version,
                            const BatchRecord& batch) {
@@ -360,7 +361,7 @@ absl::Status ChangeVehicle(SqliteDatabase& database, VehicleKey key,
     return ReadVehicleRow(row);
   }();
   if (!record.ok()) return record.status();
-  // Written again, it would pass for sound.
+  // A damaged row that is written again would pass for sound.
   if (!record->damage.ok()) return record->damage;
   if (payload.has_value()) record->payload = *payload;
   record->revision = std::max(record->revision, revision);
@@ -454,8 +455,8 @@ absl::Status VisitBatches(SqliteDatabase& database, VehicleKey key,
         *found && version == BatchVersion::kCurrent && !row.IsNull(6);
     absl::StatusOr<BatchRecord> batch = BatchRecord();
     if (revised) {
-      // What was sent must be sound as well: what is resent is compared with
-      // it.
+      // The batch as sent must be sound as well, because resent poses are
+      // compared with it.
       const absl::Status as_sent =
           ReadBatchRow(row, 2, row.Integer(0), row.Integer(1), key, *vehicle_id,
                        BatchVersion::kAsSent)
@@ -588,7 +589,7 @@ absl::Status DropDamagedRows(SqliteDatabase& database, VehicleKey key,
                  .Bind(2, Signed(last_sequence))
                  .Run();
     if (!status.ok()) return status;
-    // No limit.
+    // Reads all pairs, without a limit.
     const absl::StatusOr<std::vector<PosePairRecord>> pairs =
         FindPosePairs(database, key, kind, "", std::numeric_limits<int>::max());
     if (!pairs.ok()) return pairs.status();

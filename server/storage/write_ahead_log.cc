@@ -15,9 +15,10 @@ namespace {
 
 constexpr std::size_t kLogHeaderBytes = 32;
 constexpr std::size_t kFrameHeaderBytes = 24;
-// The least that a device writes whole or not at all.
+// Smallest unit that a device writes whole or not at all.
 constexpr std::uint64_t kSectorBytes = 512;
-// The last bit says in which byte order the checksums were summed.
+// First word of a log. Its last bit says in which byte order the checksums were
+// summed.
 constexpr std::uint32_t kMagic = 0x377f0682;
 constexpr std::uint32_t kFormat = 3007000;
 
@@ -43,7 +44,7 @@ struct Checksum {
     return {BigEndian(bytes), BigEndian(bytes + 4)};
   }
 
-  // REQUIRES: a multiple of 8 bytes.
+  // REQUIRES: `size` is a multiple of 8.
   void Add(const unsigned char* bytes, std::size_t size, bool big_endian) {
     for (std::size_t i = 0; i < size; i += 8) {
       a += (big_endian ? BigEndian(bytes + i) : LittleEndian(bytes + i)) + b;
@@ -89,14 +90,15 @@ struct Frame {
 };
 
 // Whether the word that says if a frame ends a commit lies in another sector
-// than its salts: then it may be that of an older use, though they are not.
+// than its salts: then the word may be that of an older use although the salts
+// are new.
 bool MayBeTorn(std::uint32_t number, std::size_t frame_bytes) {
   const std::uint64_t at =
       kLogHeaderBytes + std::uint64_t{number - 1} * frame_bytes;
   return at / kSectorBytes != (at + 8) / kSectorBytes;
 }
 
-// Answers false at the end of what is whole.
+// Reads the next frame; false at the end of the whole frames.
 absl::StatusOr<bool> ReadFrame(std::FILE* file, const std::string& path,
                                Frame* frame) {
   const std::size_t read =
@@ -106,7 +108,7 @@ absl::StatusOr<bool> ReadFrame(std::FILE* file, const std::string& path,
   return false;
 }
 
-// Of 1 to 9 bytes; nothing if it does not end in time.
+// Reads a varint of 1 to 9 bytes; nullopt if it does not end before `end`.
 std::optional<std::uint64_t> Varint(const unsigned char** at,
                                     const unsigned char* end) {
   std::uint64_t value = 0;
@@ -137,7 +139,7 @@ struct Column {
   }
   std::int64_t integer() const {
     if (type == 8 || type == 9) return static_cast<std::int64_t>(type - 8);
-    // The first byte has the sign.
+    // The first byte holds the sign.
     std::uint64_t value =
         (bytes[0] & 0x80) != 0 ? ~std::uint64_t{0} : std::uint64_t{0};
     for (std::size_t i = 0; i < size(); ++i) value = value << 8 | bytes[i];
@@ -148,8 +150,8 @@ struct Column {
   }
 };
 
-// The columns of a record up to the first that does not lie in the page whole;
-// that one is there without its bytes, and the last.
+// The columns of a record up to and including the first that does not lie whole
+// in the page, which comes without its bytes.
 std::vector<Column> Columns(const unsigned char* at, const unsigned char* end) {
   std::vector<Column> columns;
   const unsigned char* const start = at;
@@ -250,7 +252,7 @@ absl::StatusOr<LogReport> ReadLog(const std::string& path) {
   Checksum checksum;
   checksum.Add(header.data(), kFrameHeaderBytes, big_endian);
   report.page_bytes = BigEndian(header.data() + 8);
-  // As SQLite has it: a power of two of 512 to 65536.
+  // SQLite's page sizes are powers of two from 512 to 65536.
   const bool page_size_is_sane =
       report.page_bytes >= 512 && report.page_bytes <= 65536 &&
       (report.page_bytes & (report.page_bytes - 1)) == 0;
@@ -272,12 +274,12 @@ absl::StatusOr<LogReport> ReadLog(const std::string& path) {
 
   Frame frame;
   frame.bytes.resize(kFrameHeaderBytes + report.page_bytes);
-  // Of the frame before: as stored there, and as it should have been.
+  // Checksums of the frame before: the stored one, and the right one.
   Checksum stored = checksum;
   std::optional<Checksum> computed;
   bool after_commit = false;
   std::uint32_t first_bad = 0;
-  // Of the commit that is being read.
+  // State in the commit that is being read.
   std::optional<StoreState> state;
   while (true) {
     const absl::StatusOr<bool> whole = ReadFrame(file.get(), path, &frame);
@@ -354,8 +356,8 @@ std::string MissingFrom(const LogReport& log, const LogPosition& flushed) {
     return "it ends after frame " + std::to_string(log.end.frames) + ", but " +
            count;
   }
-  // Started over since; by then all of it was in the database. The difference
-  // is taken modulo 2^32, as SQLite counts.
+  // If the log was started over since, everything was in the database by then.
+  // The difference is taken modulo 2^32, as SQLite counts.
   const std::uint32_t restarts = log.end.salt1 - flushed.salt1;
   if (restarts != 0 && restarts < std::uint32_t{1} << 31) return "";
   return "it is older than what was flushed last";
@@ -377,7 +379,7 @@ absl::Status VisitRowsBehind(
     const absl::StatusOr<bool> whole = ReadFrame(file.get(), path, &frame);
     if (!whole.ok()) return whole.status();
     if (!*whole) return absl::OkStatus();
-    // The damaged one may have lost its salts.
+    // The damaged frame may have lost its salts.
     if (is_first || frame.has_salts(log.end)) {
       VisitRows(frame.page(), frame.page_bytes(), visit);
     }

@@ -1,16 +1,17 @@
 // Reads SQLite's write-ahead log before SQLite does.
 //
-// SQLite takes the log up to the first frame that fails its checksum, and says
-// nothing of what comes after: after a crash that is the end of what was being
-// written. But one flipped bit in the middle would silently drop every commit
+// SQLite takes the log up to the first frame that fails its checksum, and
+// silently ignores the rest: after a crash, that is the end of an unfinished
+// write. But one flipped bit in the middle would silently drop every commit
 // behind it. So the log is read here too, and beyond such a frame.
 //
-// What tells the two apart: each commit is flushed before the next one is
-// written. So what a crash leaves unfinished is one transaction, the last. If
+// The two cases differ in this: each commit is flushed before the next one is
+// written, so a crash leaves only one transaction unfinished, the last. If
 // frames of this log follow that begin another transaction, the bad frame was
 // flushed once and has been damaged since. Frames of an older use of the file
-// have other salts. Power may be lost in the middle of a frame: of one that
-// fails its checksum no more is believed than lies in a sector with its salts.
+// have other salts. Power may be lost in the middle of a frame: if a frame
+// fails its checksum, only those of its bytes are believed that share a sector
+// with its salts.
 //
 // The format is that of https://www.sqlite.org/fileformat2.html#walformat.
 #ifndef REVISIT_SERVER_STORAGE_WRITE_AHEAD_LOG_H_
@@ -29,8 +30,8 @@
 
 namespace revisit::server {
 
-// A place in the log. The salts tell one use of the file from the next: the
-// first grows by one each time SQLite starts over at the beginning.
+// A place in the log. The salts distinguish one use of the file from the next:
+// the first grows by one each time SQLite starts over at the beginning.
 struct LogPosition {
   std::uint32_t salt1 = 0;
   std::uint32_t salt2 = 0;
@@ -42,31 +43,34 @@ inline bool operator==(const LogPosition& a, const LogPosition& b) {
 }
 
 struct LogReport {
-  // Whether there is a header that SQLite would take; else it takes nothing.
+  // Whether there is a header that SQLite would take; without one it takes
+  // nothing of the log.
   bool has_header = false;
   // The end of the last commit that SQLite takes.
   LogPosition end;
   std::uint32_t page_bytes = 0;
-  // Whole frames that the file has room for, whatever is in them.
+  // Number of whole frames for which the file has room, whatever they hold.
   std::uint32_t frames_in_file = 0;
   // Whether something follows `end` that is not the rest of an older use.
   bool has_unfinished_tail = false;
-  // What the commits up to `end` say of the store, in their order. Those of a
-  // store of format 1 or 2 say nothing.
+  // States of the store that the commits up to `end` hold, in their order.
+  // Empty for a store of format 1 or 2.
   std::vector<StoreState> states;
-  // Where flushed frames fail their checksum; empty if none is known to.
+  // Where flushed frames fail their checksum; empty if none is known to fail.
   std::string damage;
 };
 
-// A file that is not there is an empty log. UNAVAILABLE if it cannot be read.
+// Reads a log. A missing file is an empty log. UNAVAILABLE if the file cannot
+// be read.
 absl::StatusOr<LogReport> ReadLog(const std::string& path);
 
 // Numbers of the pages that the log holds up to `log.end`.
 absl::StatusOr<std::set<std::uint32_t>> PagesIn(const std::string& path,
                                                 const LogReport& log);
 
-// Whether the log of a store of format 1 or 2 holds at least what is known to
-// have been flushed: empty, or what is missing.
+// Checks that the log of a store of format 1 or 2 holds at least the frames
+// that are known to have been flushed. Empty, or a text that says what is
+// missing.
 std::string MissingFrom(const LogReport& log, const LogPosition& flushed);
 
 // A row of a table as it stands in the log, with the columns before its
@@ -74,14 +78,14 @@ std::string MissingFrom(const LogReport& log, const LogPosition& flushed);
 struct LoggedRow {
   enum class Table { kVehicles, kBatches, kPairs };
   Table table;
-  std::int64_t vehicle_key = 0;     // Not of kVehicles.
-  std::string id;                   // Not of kBatches.
-  std::int64_t first_sequence = 0;  // Only of kBatches.
+  std::int64_t vehicle_key = 0;     // Unset for kVehicles.
+  std::string id;                   // Unset for kBatches.
+  std::int64_t first_sequence = 0;  // Set for kBatches only.
   std::int64_t checksum = 0;
 };
 
-// Calls back with the rows in all frames behind `log.end` that look like rows
-// of ours. What is damaged may look like another row, or like none.
+// Visits all rows in frames behind `log.end` that look like rows of a store. A
+// damaged row may look like another one, or like none.
 absl::Status VisitRowsBehind(
     const std::string& path, const LogReport& log,
     const std::function<void(const LoggedRow&)>& visit);

@@ -1,0 +1,57 @@
+"""What the documents link to is there: files, folders and headings."""
+
+import re
+
+import pytest
+
+from stubs import ROOT
+
+DOCUMENTS = sorted([
+    *ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"),
+    *(ROOT / "tests").rglob("*.md")])
+
+
+def without_code(text):
+    return re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def anchors(path):
+    """Headings of a document in the form in which links name them."""
+    headings = re.findall(r"^#+ +(.+)$", without_code(path.read_text()),
+                          re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+            for heading in headings}
+
+
+def links(path):
+    """Targets of the links of a document that lead to files of the tree."""
+    targets = re.findall(r"\]\(([^)\s]+)\)", without_code(path.read_text()))
+    return [target for target in targets
+            if not re.match(r"[a-z]+:", target)]
+
+
+def test_there_are_documents_with_links():
+    names = {path.relative_to(ROOT).as_posix() for path in DOCUMENTS}
+    assert {"README.md", "CHANGELOG.md", "SECURITY.md",
+            "docs/operate.md"} <= names
+    assert len(links(ROOT / "README.md")) > 5
+
+
+@pytest.mark.parametrize(
+    "document", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_every_link_leads_to_something_in_the_tree(document):
+    missing = []
+    for link in links(document):
+        name, _, anchor = link.partition("#")
+        target = (document.parent / name).resolve() if name else document
+        if not target.is_relative_to(ROOT) or not target.exists():
+            missing.append(link)
+        elif anchor and anchor not in anchors(target):
+            missing.append(link)
+    assert missing == []
+
+
+@pytest.mark.parametrize("document", ["operate", "integrate", "how-it-works",
+                                      "limits"])
+def test_readme_leads_to(document):
+    assert f"docs/{document}.md" in links(ROOT / "README.md")
