@@ -5,30 +5,27 @@
 #include <atomic>
 #include <chrono>
 #include <cstdio>
-#include <deque>
 #include <filesystem>
 #include <system_error>
 #include <thread>
 #include <unordered_map>
 #include <utility>
 
-#include "core/base/mutex.h"
 #include "server/base/status.h"
 #include "server/storage/durable_mark.h"
 #include "server/storage/free_space.h"
+#include "server/storage/reader_pool.h"
 #include "server/storage/sqlite_database.h"
 #include "server/storage/store_files.h"
 #include "server/storage/store_lock.h"
 #include "server/storage/store_opening.h"
 #include "server/storage/store_rows.h"
+#include "server/storage/write_queue.h"
 
 namespace revisit::server {
 namespace {
 
 using absl::StatusCode;
-
-// Read-only connections that are kept open while nobody uses them.
-constexpr std::size_t kIdleReaders = 4;
 
 // How long chores rest after a transaction has failed.
 constexpr std::chrono::milliseconds kChoresDelay{1000};
@@ -57,7 +54,6 @@ class SqliteStorage : public Storage {
                 std::unique_ptr<SqliteDatabase> anchor)
       : path_(std::move(path)),
         options_(options),
-        reader_mode_(SqliteDatabase::Mode::kReadOnly),
         run_(run),
         lock_(std::move(lock)),
         mark_(std::move(mark)),
@@ -71,6 +67,8 @@ class SqliteStorage : public Storage {
         writer_(std::move(writer.database)),
         state_(writer.state),
         anchor_(std::move(anchor)),
+        readers_(path_, SqliteDatabase::Mode::kReadOnly, options.vfs),
+        queue_(options),
         thread_([this] { Write(); }) {
     // Names the thread for tools that list threads.
     pthread_setname_np(thread_.native_handle(), "store-writer");
@@ -80,19 +78,16 @@ class SqliteStorage : public Storage {
   SqliteStorage(std::string path, SqliteDatabase::Mode reader_mode,
                 std::unique_ptr<SqliteDatabase> anchor)
       : path_(std::move(path)),
-        reader_mode_(reader_mode),
         run_(0),
         watch_(path_),
         space_(0, nullptr, nullptr),
         anchor_(std::move(anchor)),
+        readers_(path_, reader_mode, ""),
+        queue_(options_),
         thread_([this] { Write(); }) {}
 
   ~SqliteStorage() override {
-    {
-      const MutexLock guard(&mutex_);
-      stopping_ = true;
-    }
-    wake_.NotifyOne();
+    queue_.Stop();
     thread_.join();
     if (lock_ != nullptr) Close();
   }
@@ -152,7 +147,7 @@ class SqliteStorage : public Storage {
     if (!vehicle_payload.has_value()) {
       write.key = key;
       write.batch = std::move(batch);
-      SubmitAppend(std::move(write));
+      queue_.SubmitAppend(std::move(write));
       return;
     }
     write.apply = [this, key, batch = std::move(batch),
@@ -162,7 +157,7 @@ class SqliteStorage : public Storage {
       if (!status.ok()) return status;
       return ChangeVehicle(database, key, payload, batch.revision);
     };
-    Submit(std::move(write));
+    queue_.Submit(std::move(write));
   }
 
   void ReviseBatches(VehicleKey key, BatchSource batches,
@@ -215,7 +210,7 @@ class SqliteStorage : public Storage {
 
   absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override {
     absl::StatusOr<VehicleRecord> record = VehicleRecord();
-    const absl::Status status = Read([&](SqliteDatabase& database) {
+    const absl::Status status = readers_.Read([&](SqliteDatabase& database) {
       record = FindVehicle(database, id);
       return record.status();
     });
@@ -228,7 +223,7 @@ class SqliteStorage : public Storage {
       int limit) override {
     absl::StatusOr<std::vector<VehicleRecord>> records =
         std::vector<VehicleRecord>();
-    const absl::Status status = Read([&](SqliteDatabase& database) {
+    const absl::Status status = readers_.Read([&](SqliteDatabase& database) {
       records = FindVehicles(database, after_id, prefix, limit);
       return records.status();
     });
@@ -240,7 +235,7 @@ class SqliteStorage : public Storage {
       VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
       BatchVersion version,
       const std::function<bool(BatchRecord)>& visit) override {
-    return Read([&](SqliteDatabase& database) {
+    return readers_.Read([&](SqliteDatabase& database) {
       return VisitBatches(database, key, first_sequence, last_sequence, version,
                           visit);
     });
@@ -251,7 +246,7 @@ class SqliteStorage : public Storage {
       int limit) override {
     absl::StatusOr<std::vector<PosePairRecord>> pairs =
         std::vector<PosePairRecord>();
-    const absl::Status status = Read([&](SqliteDatabase& database) {
+    const absl::Status status = readers_.Read([&](SqliteDatabase& database) {
       pairs = FindPosePairs(database, key, kind, after_id, limit);
       return pairs.status();
     });
@@ -266,25 +261,11 @@ class SqliteStorage : public Storage {
  private:
   using Clock = std::chrono::steady_clock;
 
-  // How much room a write needs: kLittle is taken even when the disk is short.
-  enum class Need { kRoom, kLittle };
+  using Need = PendingWrite::Need;
 
   // Work for when there is nothing better to do, in this order: removing rows
   // of deleted vehicles, then giving back unused room in the file.
   enum class Chores { kNone, kPurge, kShrink };
-
-  // One row of `batches`, or something else.
-  struct PendingWrite {
-    std::size_t bytes = 0;
-    // For a row: one append, or several of a vehicle that follow each other.
-    VehicleKey key = 0;
-    BatchRecord batch;
-    // For something else: may be called again after it was rolled back.
-    std::function<absl::Status(SqliteDatabase&)> apply;
-    // One callback per joined append, or a single one.
-    std::vector<Done> done;
-    Need need = Need::kRoom;
-  };
 
   void Submit(std::size_t bytes,
               std::function<absl::Status(SqliteDatabase&)> apply, Done done,
@@ -294,115 +275,28 @@ class SqliteStorage : public Storage {
     write.apply = std::move(apply);
     write.done.push_back(std::move(done));
     write.need = need;
-    Submit(std::move(write));
-  }
-
-  void Submit(PendingWrite write) {
-    {
-      const MutexLock guard(&mutex_);
-      // Later appends of any vehicle must not get before this write.
-      open_rows_.clear();
-      Enqueue(std::move(write));
-    }
-    wake_.NotifyOne();
-  }
-
-  void SubmitAppend(PendingWrite write) {
-    bool wake;
-    {
-      const MutexLock guard(&mutex_);
-      wake = queue_.empty();
-      const auto open = open_rows_.find(write.key);
-      if (open != open_rows_.end() && Join(open->second, &write)) {
-        ++waiting_writes_;
-      } else {
-        Enqueue(std::move(write));
-        open_rows_[queue_.back().key] = &queue_.back();
-      }
-      // A busy writer looks at the queue by itself.
-      wake = wake || (gathering_ && waiting_writes_ >= last_group_writes_);
-    }
-    if (wake) wake_.NotifyOne();
-  }
-
-  void Enqueue(PendingWrite write) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    if (queue_.empty()) oldest_submission_ = Clock::now();
-    ++waiting_writes_;
-    queue_.push_back(std::move(write));
-  }
-
-  // Joins an append to a waiting row, if it follows and fits.
-  bool Join(PendingWrite* row, PendingWrite* append) const {
-    if (append->batch.first_sequence !=
-            row->batch.first_sequence + row->batch.count ||
-        row->batch.count + append->batch.count > options_.max_joined_poses ||
-        row->bytes + append->bytes > options_.max_joined_bytes) {
-      return false;
-    }
-    row->batch.payload += append->batch.payload;
-    row->batch.count += append->batch.count;
-    row->batch.revision = append->batch.revision;
-    row->bytes += append->bytes;
-    row->done.push_back(std::move(append->done.front()));
-    return true;
+    queue_.Submit(std::move(write));
   }
 
   // The writer's thread.
   void Write() {
-    MutexLock lock(&mutex_);
-    while (true) {
-      // If the server stops, unfinished chores are left for the next start.
-      while (!stopping_ && queue_.empty() && !ChoresAreDue()) {
-        if (chores_ == Chores::kNone) {
-          wake_.Wait(&mutex_);
-        } else {
-          wake_.WaitUntil(&mutex_, chores_due_);
-        }
+    while (auto group = queue_.Take(ChoresDue(), commit_time_)) {
+      const std::vector<absl::Status> results = CommitOrRefuse(*group);
+      for (std::size_t i = 0; i < group->size(); ++i) {
+        for (const Done& done : (*group)[i].done) done(results[i]);
       }
-      if (queue_.empty() && stopping_) break;
-      Gather();
-      std::vector<PendingWrite> group;
-      std::size_t bytes = 0;
-      std::size_t writes = 0;
-      while (!queue_.empty() && group.size() < options_.max_group_writes &&
-             (group.empty() ||
-              bytes + queue_.front().bytes <= options_.max_group_bytes)) {
-        bytes += queue_.front().bytes;
-        writes += queue_.front().done.size();
-        group.push_back(std::move(queue_.front()));
-        queue_.pop_front();
-      }
-      open_rows_.clear();
-      waiting_writes_ -= writes;
-      last_group_writes_ = writes;
-      // Close enough to the time of the oldest write that is left behind.
-      oldest_submission_ = Clock::now();
-      lock.Unlock();
-      const std::vector<absl::Status> results = CommitOrRefuse(group);
-      for (std::size_t i = 0; i < group.size(); ++i) {
-        for (const Done& done : group[i].done) done(results[i]);
-      }
-      // Frees what the callbacks hold before other writes are taken.
-      group.clear();
-      lock.Lock();
+      // What the callbacks hold goes before others are taken on.
+      group->clear();
     }
+  }
+
+  std::optional<Clock::time_point> ChoresDue() const {
+    if (chores_ == Chores::kNone) return std::nullopt;
+    return chores_due_;
   }
 
   bool ChoresAreDue() const {
     return chores_ != Chores::kNone && Clock::now() >= chores_due_;
-  }
-
-  // Waits for more writes; see SqliteOptions::latency_target.
-  void Gather() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    if (options_.latency_target <= commit_time_) return;
-    gathering_ = true;
-    while (!stopping_ && !queue_.empty() &&
-           waiting_writes_ < last_group_writes_) {
-      const Clock::time_point latest =
-          oldest_submission_ + options_.latency_target - commit_time_;
-      if (wake_.WaitUntil(&mutex_, latest)) break;
-    }
-    gathering_ = false;
   }
 
   // Commits a group; returns the outcome of each write, which holds for all
@@ -700,41 +594,8 @@ class SqliteStorage : public Storage {
     return absl::OkStatus();
   }
 
-  // Runs `read` on a connection of its own, as of one moment.
-  template <typename Function>
-  absl::Status Read(const Function& read) {
-    std::unique_ptr<SqliteDatabase> reader;
-    {
-      const MutexLock guard(&readers_mutex_);
-      if (!idle_readers_.empty()) {
-        reader = std::move(idle_readers_.back());
-        idle_readers_.pop_back();
-      }
-    }
-    if (reader == nullptr) {
-      absl::StatusOr<std::unique_ptr<SqliteDatabase>> opened =
-          SqliteDatabase::Open(path_, reader_mode_, options_.vfs);
-      if (!opened.ok()) return opened.status();
-      reader = *std::move(opened);
-    }
-    absl::Status status = reader->Prepare("BEGIN").Run();
-    if (status.ok()) {
-      status = read(*reader);
-      // There is nothing to commit, but the read transaction must end.
-      const absl::Status ended = reader->Prepare("COMMIT").Run();
-      if (status.ok()) status = ended;
-    }
-    const bool usable = !reader->InTransaction();
-    const MutexLock guard(&readers_mutex_);
-    if (usable && idle_readers_.size() < kIdleReaders) {
-      idle_readers_.push_back(std::move(reader));
-    }
-    return status;
-  }
-
   const std::string path_;
   const SqliteOptions options_;
-  const SqliteDatabase::Mode reader_mode_;
   const std::uint64_t run_;
   // Null if opened for reading, as is the mark.
   const std::unique_ptr<StoreLock> lock_;
@@ -775,24 +636,8 @@ class SqliteStorage : public Storage {
   // otherwise it would be made from the log, including failed transactions.
   const std::unique_ptr<SqliteDatabase> anchor_;
 
-  Mutex mutex_;
-  CondVar wake_;
-  std::deque<PendingWrite> queue_ ABSL_GUARDED_BY(mutex_);
-  // The row in the queue that appends of a vehicle may still join.
-  std::unordered_map<VehicleKey, PendingWrite*> open_rows_
-      ABSL_GUARDED_BY(mutex_);
-  bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
-  // Number of writes in the queue, counting each batch of a row.
-  std::size_t waiting_writes_ ABSL_GUARDED_BY(mutex_) = 0;
-  std::size_t last_group_writes_ ABSL_GUARDED_BY(mutex_) = 0;
-  // When the first write of the queue was submitted, or the last group taken.
-  Clock::time_point oldest_submission_ ABSL_GUARDED_BY(mutex_);
-  bool gathering_ ABSL_GUARDED_BY(mutex_) = false;
-
-  Mutex readers_mutex_;
-  std::vector<std::unique_ptr<SqliteDatabase>> idle_readers_
-      ABSL_GUARDED_BY(readers_mutex_);
-
+  ReaderPool readers_;
+  WriteQueue queue_;
   std::thread thread_;
 };
 

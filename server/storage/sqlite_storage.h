@@ -57,24 +57,11 @@
 #include "absl/status/statusor.h"
 #include "server/storage/sqlite_database.h"
 #include "server/storage/storage.h"
+#include "server/storage/write_queue.h"
 
 namespace revisit::server {
 
-struct SqliteOptions {
-  // Bounds of one transaction. One write may exceed the bytes.
-  std::size_t max_group_writes = 1024;
-  std::size_t max_group_bytes = std::size_t{8} << 20;
-  // Bounds of a row that joins several batches of one vehicle which waited
-  // together and follow each other. Their payloads are concatenated, which must
-  // make the payload of all their poses, as it does for repeated fields of
-  // protobuf. With 0 poses, each batch has a row of its own.
-  std::size_t max_joined_poses = 0;
-  std::size_t max_joined_bytes = std::size_t{64} << 10;
-  // While many writes come, a commit waits until as many wait as the last one
-  // held, but only as long as the waiting ones can still be answered within
-  // this time of their submission. So a device that flushes fast does not flush
-  // for every few writes. With 0, no commit waits.
-  std::chrono::microseconds latency_target{0};
+struct SqliteOptions : WriteGroupOptions {
   // Name of SQLite's layer to the operating system; empty for the usual one.
   // Tests put one here whose device fails.
   std::string vfs;
