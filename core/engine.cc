@@ -1,15 +1,15 @@
 #include "core/engine.h"
 
 #include <algorithm>
-#include <array>
 #include <cassert>
 #include <cmath>
 
 #include "absl/status/status.h"
-#include "core/alignment/relative.h"
+#include "core/candidates/composite_search.h"
 #include "core/candidates/posterior.h"
 #include "core/candidates/ranking.h"
-#include "core/candidates/same_place.h"
+#include "core/candidates/relative_search.h"
+#include "core/candidates/search_task.h"
 
 namespace revisit::core {
 namespace {
@@ -24,7 +24,7 @@ ResamplerOptions MakeResamplerOptions(const EngineSettings& settings) {
   return options;
 }
 
-// Without inflation.
+// The model with the claimed covariances, not inflated.
 SimilarityModel ClaimedModel(StateSpace space, const SearchOptions& options) {
   SimilarityModel model;
   model.state_space = space;
@@ -43,98 +43,10 @@ ConsistencyOptions MakeConsistencyOptions(const EngineSettings& settings) {
   return options;
 }
 
-// A node this fraction of a check interval before a multiple of it counts as
-// there: multiples of spacing and interval are rounded differently.
+// A node that lies short of a multiple of the check interval by this fraction
+// of it counts as there: multiples of spacing and interval are rounded
+// differently.
 constexpr double kCheckTolerance = 1e-9;
-
-std::vector<Direction> Directions(SearchDirection direction) {
-  switch (direction) {
-    case SearchDirection::kSame:
-      return {Direction::kSame};
-    case SearchDirection::kOpposite:
-      return {Direction::kOpposite};
-    case SearchDirection::kEither:
-      break;
-  }
-  return {Direction::kSame, Direction::kOpposite};
-}
-
-// Share of all odds, a new place's 1 among them, that a search may leave out,
-// all ends together.
-constexpr double kPrunedShare = 1e-6;
-
-absl::Status Stopped() {
-  return absl::CancelledError("the search was told to stop");
-}
-
-// An end that was ranked, and what it may claim for itself.
-struct RankedPlace {
-  Direction direction;
-  RankedEnd end;
-  double claimed = 0.0;
-  // With all other passes of the same place.
-  double probability = 0.0;
-};
-
-// Places more probable than this are weighed against each other.
-constexpr double kLeastRivalProbability = 1e-3;
-constexpr int kMostRivals = 16;
-
-// A candidate this many times less probable than another is not "about as
-// good".
-constexpr double kAmbiguousOdds = 10.0;
-
-Verdict GateAlone(GateVerdict gate) {
-  switch (gate) {
-    case GateVerdict::kAccepted:
-      return Verdict::kAccepted;
-    case GateVerdict::kRejected:
-      return Verdict::kRejectedByGate;
-    case GateVerdict::kIllConditioned:
-      break;
-  }
-  return Verdict::kIllConditioned;
-}
-
-Verdict Decide(const GateResult& gate, const RelativeEvidence& evidence,
-               double runner_up, double new_place,
-               double acceptance_probability) {
-  // One noisy pose at the end does not count against what the path tells.
-  const bool outside = gate.verdict == GateVerdict::kRejected &&
-                       evidence.squared_end_difference > gate.threshold;
-  if (outside || gate.verdict == GateVerdict::kIllConditioned) {
-    return GateAlone(gate.verdict);
-  }
-  if (evidence.path_gate.verdict == GateVerdict::kRejected) {
-    return Verdict::kRejectedByShape;
-  }
-  const double here = evidence.probability;
-  if (here >= acceptance_probability) return Verdict::kAccepted;
-  if (1.0 - new_place >= acceptance_probability) {
-    // It is somewhere in the history.
-    return runner_up < acceptance_probability &&
-                   here * kAmbiguousOdds >= runner_up
-               ? Verdict::kAmbiguous
-               : Verdict::kRejectedByShape;
-  }
-  // Had the two ends coincided, with the same shape.
-  const double at_best = here * std::exp(0.5 * evidence.squared_end_difference);
-  const double total = 1.0 - here + at_best;
-  if (at_best < acceptance_probability * total) {
-    return Verdict::kUninformative;
-  }
-  return Verdict::kRejectedByShape;
-}
-
-// Of those found in either direction; ties keep their order.
-void KeepBest(int count, std::vector<Candidate>* candidates) {
-  std::stable_sort(
-      candidates->begin(), candidates->end(),
-      [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
-  if (candidates->size() > static_cast<std::size_t>(count)) {
-    candidates->resize(static_cast<std::size_t>(count));
-  }
-}
 
 }  // namespace
 
@@ -157,16 +69,16 @@ MotionHistory Engine::MakeMotionHistory() const {
                                  settings_.node_spacing_meters)));
 }
 
-// Under kFilter a search goes through all nodes whatever there is, and they
-// take the most memory: it does without.
+// Searches under kFilter go through all nodes in any case, and their nodes take
+// the most memory: they do without indexes.
 void Engine::ExtendIndexes() {
   if (settings_.search.correlation_model == CorrelationModel::kFilter) return;
   motion_history_.Extend(graph_);
   block_bounds_.Extend(graph_);
 }
 
-// The first check that lies after all nodes there are and leaves room for the
-// sequence and as much history.
+// The next check is the first that lies after all present nodes and leaves room
+// for the sequence and as much history.
 void Engine::ScheduleNextCheck() {
   const double interval = settings_.check_interval_meters;
   const double first =
@@ -331,33 +243,31 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
       options.candidate_separation_meters) {
     return empty(EmptyReason::kAllSuppressed);
   }
-
   set.comparisons =
       steps * history_size *
       static_cast<std::int64_t>(Directions(options.direction).size());
   if (set.comparisons > options.max_comparisons) {
     return empty(EmptyReason::kTooMuchWork);
   }
+
+  const SearchTask task = {
+      graph_,
+      motion_history_,
+      block_bounds_,
+      options,
+      settings_.node_spacing_meters,
+      MakeSimilarityModel(options),
+      query,
+      steps,
+      history_size,
+      NotSought(query, options.candidate_separation_meters),
+      LastConfirmed(query),
+      should_stop};
   set.nodes_considered = history_size;
-  set.inflation = MakeSimilarityModel(options).inflation;
-  absl::Status status;
-  if (options.alignment == AlignmentKind::kComposite) {
-    status =
-        FindComposite(query, steps, history_size, options, should_stop, &set);
-  } else {
-    bool undecided = options.exhaustive;
-    CandidateSet found = set;
-    if (!options.exhaustive) {
-      status = FindRelative(query, steps, history_size, options, should_stop,
-                            &found, &undecided);
-    }
-    if (status.ok() && undecided) {
-      found = set;
-      status = FindRelative(query, steps, history_size, options, should_stop,
-                            &found, nullptr);
-    }
-    set = std::move(found);
-  }
+  set.inflation = task.similarity.inflation;
+  const absl::Status status = options.alignment == AlignmentKind::kComposite
+                                  ? SearchComposite(task, &set)
+                                  : SearchRelative(task, &set);
   if (!status.ok()) return status;
   for (std::size_t i = 0; i < set.candidates.size(); ++i) {
     set.candidates[i].rank = static_cast<int>(i) + 1;
@@ -392,7 +302,7 @@ std::vector<NodeRange> Engine::NotSought(NodeIndex query,
                                          double separation_meters) const {
   std::vector<NodeRange> nodes = {
       NodesNearer(graph_, query, separation_meters)};
-  // A hair more, so that what lies just as far is struck out too.
+  // Slightly more, so that nodes at exactly this distance are excluded too.
   const double around =
       std::max(separation_meters, kPlaceRadiusMeters) * (1.0 + 1e-9);
   for (const auto& [rejected_query, rejected_match] : rejected_) {
@@ -401,202 +311,6 @@ std::vector<NodeRange> Engine::NotSought(NodeIndex query,
     }
   }
   return nodes;
-}
-
-absl::Status Engine::FindComposite(NodeIndex query, std::int64_t steps,
-                                   NodeIndex history_size,
-                                   const SearchOptions& options,
-                                   const ShouldStop& should_stop,
-                                   CandidateSet* set) const {
-  const Gate gate(settings_.state_space, options.gate_probability);
-  const std::vector<NodeRange> not_sought =
-      NotSought(query, options.candidate_separation_meters);
-  for (const Direction direction : Directions(options.direction)) {
-    SimilarityModel model = MakeSimilarityModel(options);
-    model.direction = direction;
-    const std::optional<Alignment> alignment =
-        Align(graph_, model, query, steps, history_size, should_stop);
-    if (!alignment) return Stopped();
-    ScoredEnds ends = PossibleEnds(alignment->scores());
-    for (const NodeRange& nodes : not_sought) StrikeOut(nodes, &ends);
-    for (const RankedEnd& end :
-         RankEnds(graph_, ends, options.candidate_separation_meters,
-                  options.max_candidates)) {
-      Candidate candidate;
-      candidate.score = end.score;
-      candidate.matched = end.matched;
-      candidate.direction = direction;
-      candidate.difference = DecideAt(graph_, model, gate, query, end.matched);
-      candidate.verdict = GateAlone(candidate.difference.gate.verdict);
-      if (options.tell_paths) {
-        NodeIndex recent = query - steps + 1;
-        for (NodeIndex matched : alignment->Path(end.matched)) {
-          candidate.path.emplace_back(recent++, matched);
-        }
-      }
-      set->candidates.push_back(std::move(candidate));
-    }
-  }
-  KeepBest(options.max_candidates, &set->candidates);
-  return absl::OkStatus();
-}
-
-absl::Status Engine::FindRelative(NodeIndex query, std::int64_t steps,
-                                  NodeIndex history_size,
-                                  const SearchOptions& options,
-                                  const ShouldStop& should_stop,
-                                  CandidateSet* set, bool* undecided) const {
-  RelativeModel model;
-  model.similarity = MakeSimilarityModel(options);
-  model.shape = options.shape;
-  model.spacing_meters = settings_.node_spacing_meters;
-  model.road_spacing_meters = options.road_spacing_meters;
-  model.same_direction = options.direction != SearchDirection::kOpposite;
-  model.opposite_direction = options.direction != SearchDirection::kSame;
-  if (model.similarity.correlation == CorrelationModel::kDeadReckoning) {
-    model.last_confirmed = LastConfirmed(query);
-  }
-  model.not_sought = NotSought(query, options.candidate_separation_meters);
-  model.motion_history = &motion_history_;
-  // So little that no end with less can be accepted.
-  const double pruned_share =
-      std::min(kPrunedShare, 1e-3 * options.acceptance_probability);
-  if (undecided != nullptr) {
-    const double ends =
-        (model.same_direction && model.opposite_direction ? 2.0 : 1.0) *
-        static_cast<double>(history_size);
-    model.least_log_share = std::log(pruned_share / ends);
-    model.block_bounds = &block_bounds_;
-  }
-  const std::optional<RelativeAlignment> alignment =
-      AlignRelative(graph_, model, query, steps, history_size, should_stop);
-  if (!alignment) return Stopped();
-  set->nodes_considered = alignment->considered();
-  set->nodes_pruned = history_size - alignment->considered();
-
-  std::array<ScoredEnds, 2> log_odds = {alignment->ends(Direction::kSame),
-                                        alignment->ends(Direction::kOpposite)};
-  // Best first; of equal scores, the same direction first.
-  std::vector<RankedPlace> places;
-  for (const Direction direction : Directions(options.direction)) {
-    for (const RankedEnd& end :
-         RankEnds(graph_, log_odds[IndexOf(direction)],
-                  options.candidate_separation_meters,
-                  std::max(options.max_candidates, kMostRivals))) {
-      places.push_back({direction, end});
-    }
-  }
-  std::stable_sort(places.begin(), places.end(),
-                   [](const RankedPlace& a, const RankedPlace& b) {
-                     return a.end.score > b.end.score;
-                   });
-  // Nothing can be said where no covariance is well-conditioned.
-  if (places.empty() && set->nodes_pruned == 0) return absl::OkStatus();
-  Posterior posterior(graph_, std::move(log_odds));
-  set->new_place_probability = posterior.new_place();
-  for (RankedPlace& place : places) {
-    place.claimed = posterior.Claim(place.direction, place.end.matched);
-  }
-  const auto match_of = [&](const RankedPlace& place) -> const ShapeMatch& {
-    return alignment->match(place.direction, place.end.matched);
-  };
-  // Whether two are passes of one place, found once for each two. What is
-  // improbable is not asked about.
-  std::vector<double> same_place(places.size() * places.size());
-  const auto same = [&](std::size_t i, std::size_t j) -> double& {
-    return same_place[i * places.size() + j];
-  };
-  for (std::size_t i = 0; i < places.size(); ++i) {
-    for (std::size_t j = 0; j < places.size(); ++j) {
-      const RankedPlace& a = places[i];
-      const RankedPlace& b = places[j];
-      if (i == j) {
-        same(i, j) = 1.0;
-      } else if (a.direction == b.direction &&
-                 b.claimed >= kLeastRivalProbability) {
-        same(i, j) =
-            SamePlaceProbability(graph_, model, a.end.matched, b.end.matched,
-                                 std::min(match_of(a).log_likelihood_ratio,
-                                          match_of(b).log_likelihood_ratio));
-      }
-    }
-  }
-  for (std::size_t i = 0; i < places.size(); ++i) {
-    RankedPlace& place = places[i];
-    // The best end of a stretch stands for all of it.
-    const bool stands = std::none_of(
-        places.begin(), places.begin() + static_cast<int>(i),
-        [&](const RankedPlace& better) {
-          return better.direction == place.direction &&
-                 graph_.MetersApart(better.end.matched, place.end.matched) <=
-                     2.0 * kPlaceRadiusMeters;
-        });
-    place.probability = place.claimed;
-    for (std::size_t j = 0; j < places.size(); ++j) {
-      if (stands && j != i) place.probability += same(i, j) * places[j].claimed;
-    }
-    place.probability = std::min(place.probability, 1.0);
-  }
-
-  const Gate gate(settings_.state_space, options.gate_probability);
-  const double weight = ShapeWeight(model.shape, model.spacing_meters);
-  const int dimensions = DegreesOfFreedom(settings_.state_space);
-  // Those that are not answered have counted as rivals.
-  const std::size_t answered =
-      std::min(places.size(), static_cast<std::size_t>(options.max_candidates));
-  for (std::size_t i = 0; i < answered; ++i) {
-    const RankedPlace& place = places[i];
-    SimilarityModel similarity = model.similarity;
-    similarity.direction = place.direction;
-    const NodeIndex matched = place.end.matched;
-    const ShapeMatch& match = match_of(place);
-    Candidate candidate;
-    candidate.score = place.end.score;
-    candidate.matched = matched;
-    candidate.direction = place.direction;
-    candidate.difference = DecideAt(graph_, similarity, gate, query, matched);
-
-    RelativeEvidence evidence;
-    evidence.probability = place.probability;
-    double runner_up = 0.0;
-    for (std::size_t j = 0; j < places.size(); ++j) {
-      // What counts for the other because of this one does not count against
-      // it.
-      const double without = places[j].probability - same(j, i) * place.claimed;
-      runner_up = std::max(runner_up, (1.0 - same(i, j)) * without);
-    }
-    if (runner_up > 0.0) {
-      evidence.odds_to_runner_up = place.probability / runner_up;
-    }
-    evidence.path_gate = gate.DecidePath(
-        match.squared_end_difference + weight * match.squared_innovations,
-        dimensions * (1.0 + weight * static_cast<double>(match.steps)));
-    evidence.squared_end_difference = match.squared_end_difference;
-    evidence.overlap_meters =
-        static_cast<double>(match.steps) * model.spacing_meters;
-    evidence.log_likelihood_ratio = match.log_likelihood_ratio;
-    candidate.verdict =
-        Decide(candidate.difference.gate, evidence, runner_up,
-               *set->new_place_probability, options.acceptance_probability);
-    if (options.tell_paths) {
-      for (const PathStep& step : alignment->Path(place.direction, matched)) {
-        candidate.path.emplace_back(query - step.t, step.node);
-      }
-      std::reverse(candidate.path.begin(), candidate.path.end());
-    }
-    candidate.relative = evidence;
-    set->candidates.push_back(std::move(candidate));
-  }
-  if (undecided != nullptr) {
-    // What was left out would take away at most this share, or add as much.
-    *undecided = std::any_of(
-        set->candidates.begin(), set->candidates.end(),
-        [&](const Candidate& candidate) {
-          return std::abs(candidate.relative->probability -
-                          options.acceptance_probability) <= 2.0 * pruned_share;
-        });
-  }
-  return absl::OkStatus();
 }
 
 }  // namespace revisit::core

@@ -26,7 +26,7 @@ void CheckProbability(const char* field, double value,
 constexpr double kLeastSpacingMeters = 0.01;
 constexpr double kLongestStepMeters = 1e6;
 
-// A spacing that is itself refused sets no bound.
+// A spacing that is itself refused sets no bound on the step.
 double LongestStep(double node_spacing_meters) {
   if (!(node_spacing_meters >= kLeastSpacingMeters)) return kLongestStepMeters;
   return std::min(kLongestStepMeters,
@@ -35,7 +35,7 @@ double LongestStep(double node_spacing_meters) {
 
 void CheckSearch(const SearchOptions& options, double node_spacing_meters,
                  std::vector<SettingProblem>* problems) {
-  // A spacing that is itself refused must not cast doubt on the length.
+  // With a spacing that is itself refused, no length would be allowed.
   if (node_spacing_meters > 0.0 && std::isfinite(node_spacing_meters)) {
     CheckRange("sequence_length_meters", options.sequence_length_meters,
                node_spacing_meters,

@@ -23,8 +23,8 @@ bool PositiveDefinite(const StateMatrix<D>& m) {
   return Evaluate<D>(m, StateVector<D>::Zero()).has_value();
 }
 
-// Whether the error at the later node can be that at the earlier one, carried
-// on, and new noise.
+// Whether the error at the later node can be the error at the earlier one,
+// carried on, plus new noise.
 template <int D>
 bool GrowsForward(const PoseGraph& graph, NodeIndex a, NodeIndex b) {
   const Node earlier = graph.node(std::min(a, b));

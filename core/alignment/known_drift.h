@@ -1,8 +1,8 @@
-// What a confirmed loop closure tells of the drift at other pairs of nodes.
+// How a confirmed loop closure shows the drift between other pairs of nodes.
 //
-// The closure (c, m) says that the true poses of c and m are one place, so that
-// their estimated difference y is the error e_c - e_m, but for a tolerance R_c.
-// The error of another pair, e_q - e_j, hangs together with it:
+// The closure (c, m) says that the true poses of c and m are one place, so
+// their estimated difference y is the error e_c - e_m, up to a tolerance R_c.
+// The error of another pair, e_q - e_j, is correlated with it:
 //
 //   X = Cov(e_q - e_j, e_c - e_m) = S_qc - S_qm - S_jc + S_jm,
 //
@@ -20,8 +20,8 @@
 
 namespace revisit::core {
 
-// R_c: a verifier confirms that two poses are one place, which is some 10 m
-// wide (two standard deviations), and not how they lie to each other.
+// R_c: a verifier confirms that two poses are at one place, which is some 10 m
+// wide (two standard deviations), but not how they lie to each other.
 inline constexpr PlaceTolerance kConfirmedTolerance{5.0, 0.15};
 
 struct ConfirmedLoop {
@@ -29,29 +29,30 @@ struct ConfirmedLoop {
   NodeIndex matched = 0;
 };
 
-// The direction in which a loop was closed, told by the headings.
+// The direction in which a loop was closed, judged by the headings.
 Direction DirectionOf(const PoseGraph& graph, const ConfirmedLoop& loop);
 
-// Of one query node.
+// The drift between one query node and any other node.
 template <int D>
 class KnownDrift {
  public:
-  // For kDeadReckoning, where S is O(1); the other models forget what a closure
-  // tells before it is needed, or nearly so. Nothing where the covariances are
-  // not those of a forward filter from the one node of the closure over the
-  // other to the query, as after an optimiser has revised them: there
+  // Returns nothing where the covariances are not those of a forward filter
+  // from one node of the closure over the other to the query, such as after an
+  // optimiser has revised them: there
   //   S_later - Psi S_earlier Psi^T + R_c
-  // is not positive definite, and the formulas above say nothing.
+  // is not positive definite, and the formulas above do not hold.
+  // REQUIRES: kDeadReckoning, where S is O(1). The errors of other models have
+  // (nearly) decorrelated from the closure's by the time it could be used.
   static std::optional<KnownDrift> Make(const PoseGraph& graph,
                                         const SimilarityModel& model,
                                         const ConfirmedLoop& loop,
                                         NodeIndex query);
 
-  // As the kernel takes it.
+  // The same in the form that the kernel takes.
   KnownDriftTerms Terms() const;
 
-  // Takes K y from the difference of the query and node j, and K X^T from its
-  // covariance.
+  // Subtracts K y from the difference of the query and node j, and K X^T from
+  // its covariance.
   void Apply(NodeIndex j, StateVector<D>* difference,
              StateMatrix<D>* covariance) const;
 

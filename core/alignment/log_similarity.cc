@@ -88,8 +88,8 @@ std::optional<QuadraticForm> Evaluate(const StateMatrix<D>& gamma,
     determinant *= p;
     terms.squared_mahalanobis += y * y * inverse[r];
   }
-  // Pivots of a valid graph lie within (1e-60, 1e40): their product is finite
-  // and one logarithm does for all. Beyond that, one each.
+  // Pivots of a valid graph lie within (1e-60, 1e40), so that their product is
+  // finite and takes a single logarithm. Beyond that, each takes its own.
   if (std::isnormal(determinant)) {
     terms.log_determinant = std::log(determinant);
   } else {

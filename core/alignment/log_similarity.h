@@ -23,22 +23,22 @@ namespace revisit::core {
 
 enum class LikelihoodForm { kGaussian, kAsPrinted };
 
-// Which way the history is taken to have been driven, against the recent path.
+// The direction in which the history was driven, against the recent path.
 enum class Direction { kSame, kOpposite };
 
-// Place of a direction in arrays of two.
+// Index of a direction in arrays of two.
 constexpr std::size_t IndexOf(Direction direction) {
   return direction == Direction::kSame ? 0 : 1;
 }
 
-// Standard deviations, added squared to the diagonal of Gamma: how far apart
-// two passes of one place may truly be.
+// How far apart two passes of one place may truly be: standard deviations,
+// whose squares are added to the diagonal of Gamma (R).
 struct PlaceTolerance {
   double position_meters = 2.0;
   double heading_radians = 0.1;
 };
 
-// Adds R.
+// Adds R to gamma.
 template <int D>
 void AddTolerance(const PlaceTolerance& tolerance, StateMatrix<D>* gamma) {
   const double position = tolerance.position_meters;
@@ -57,7 +57,7 @@ struct SimilarityModel {
   double inflation = 1.0;
 };
 
-// The claimed covariance of a difference, inflated, and R added.
+// The claimed covariance of a difference, inflated, plus R.
 template <int D>
 StateMatrix<D> ToleratedCovariance(const SimilarityModel& model,
                                    const StateMatrix<D>& gamma) {
@@ -66,11 +66,11 @@ StateMatrix<D> ToleratedCovariance(const SimilarityModel& model,
   return sum;
 }
 
-// a - b; for kOpposite with the heading of one turned by pi.
+// a - b, for kOpposite with one of the headings turned by pi.
 Pose PassDifference(const SimilarityModel& model, const Pose& a, const Pose& b);
 
-// Log-similarity of what cannot be: Gamma is not positive definite in double
-// precision, or no path leads here.
+// Log-similarity of the impossible: Gamma is not positive definite in double
+// precision, or no path leads to the node.
 inline constexpr double kImpossible = -std::numeric_limits<double>::infinity();
 
 // The terms of a Gaussian in d with covariance gamma.
@@ -79,8 +79,9 @@ struct QuadraticForm {
   double log_determinant = 0.0;      // ln|gamma|
 };
 
-// By LDL^T. Nothing if a pivot is not above kPivotTolerance times its diagonal
-// entry: gamma is not positive definite as far as double precision can tell.
+// Computed by LDL^T. Nothing if a pivot is not above kPivotTolerance times its
+// diagonal entry: as far as double precision shows, gamma is not positive
+// definite then.
 template <int D>
 std::optional<QuadraticForm> Evaluate(const StateMatrix<D>& gamma,
                                       const StateVector<D>& d);
@@ -90,19 +91,20 @@ std::optional<QuadraticForm> Evaluate(const StateMatrix<D>& gamma,
 double LogSimilarity(const PoseGraph& graph, const SimilarityModel& model,
                      NodeIndex i, NodeIndex j);
 
-// lambda(query, i) for all i in [0, count), count <= query: a column of the
-// trellis. O(count) in every correlation model. kDeadReckoning and kIndependent
-// by the kernel (similarity_kernel.h).
+// lambda(query, i) for all i in [0, count): a column of the trellis. O(count)
+// in every correlation model. For kDeadReckoning and kIndependent the kernel
+// computes it (similarity_kernel.h). REQUIRES: count <= query.
 void LogSimilarityColumn(const PoseGraph& graph, const SimilarityModel& model,
                          NodeIndex query, NodeIndex count,
                          std::vector<double>* column);
 
+// A query node as the kernel takes it. REQUIRES: the model is not kFilter.
 KernelQuery MakeKernelQuery(const PoseGraph& graph,
                             const SimilarityModel& model, NodeIndex query);
 
-// For kDeadReckoning and kIndependent: calls visit(first, part) for the nodes
-// of [0, count) block by block; entry k of a part is that of node first + k,
-// and means nothing from `count` on. REQUIRES: count <= query.
+// Calls visit(first, part) for the nodes of [0, count) block by block. Entry k
+// of a part is the similarity of node first + k; entries from node `count` on
+// are undefined. REQUIRES: count <= query; the model is not kFilter.
 template <typename Visit>
 void VisitBlockSimilarities(const PoseGraph& graph,
                             const SimilarityModel& model, NodeIndex query,
@@ -111,7 +113,7 @@ void VisitBlockSimilarities(const PoseGraph& graph,
   const std::size_t blocks = BlocksOf(count);
   BlockSimilarity part;
   for (std::size_t k = 0; k < blocks; ++k) {
-    // After the last comes the first: with the next query.
+    // After the last block comes the first, with the next query.
     EvaluateBlock(kernel_query, graph.block(k),
                   graph.block(k + 1 < blocks ? k + 1 : 0), &part);
     visit(static_cast<NodeIndex>(k * NodeBlock::kSize), part);

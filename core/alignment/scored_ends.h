@@ -1,5 +1,5 @@
-// How good the nodes of history are as the end of an alignment, without those
-// that cannot be one.
+// Scores of history nodes as the end of an alignment, for those nodes that can
+// be one.
 #ifndef REVISIT_CORE_ALIGNMENT_SCORED_ENDS_H_
 #define REVISIT_CORE_ALIGNMENT_SCORED_ENDS_H_
 
@@ -16,11 +16,11 @@ struct ScoredEnd {
   double score = 0.0;
 };
 
-// Sorted by node, each node once. Nodes that are absent are impossible, as are
-// those of score kImpossible.
+// Sorted by node, each node at most once. Absent nodes are impossible, as are
+// those with the score kImpossible.
 using ScoredEnds = std::vector<ScoredEnd>;
 
-// Of nodes 0, 1, ..., all that are not impossible.
+// An end for each i with scores[i] != kImpossible.
 ScoredEnds PossibleEnds(const std::vector<double>& scores);
 
 // Nodes [first, last).
@@ -29,21 +29,20 @@ struct NodeRange {
   NodeIndex last = 0;
 };
 
-// Makes those ends impossible that are of these nodes. O(log n), and as much
-// for every end struck out.
+// Makes the ends at these nodes impossible. O(log n + ends struck out).
 void StrikeOut(const NodeRange& nodes, ScoredEnds* ends);
 
-// Entries [first, last) of ScoredEnds; those from `later` on are of nodes after
-// the centre.
+// Entries [first, last) of ScoredEnds; the nodes of entries from `later` on lie
+// after the centre.
 struct EndsAround {
   std::size_t first = 0;
   std::size_t later = 0;
   std::size_t last = 0;
 };
 
-// The ends near a node, which need not be among them. `near` says of a node
-// whether it is, and is true of all nodes between the centre and one it is true
-// of. O(log n).
+// The ends near the centre, a node which need not be among them. near(node)
+// says whether a node is near. REQUIRES: it is true for all nodes between the
+// centre and a node for which it is true. O(log n).
 template <typename Near>
 EndsAround FindEndsAround(const ScoredEnds& ends, NodeIndex centre,
                           const Near& near) {

@@ -8,11 +8,11 @@
 namespace revisit::core {
 namespace {
 
-// Least standard deviation of drift_0: its covariance is inverted.
+// Least standard deviation of drift_0, whose covariance must be invertible.
 constexpr double kLeastEndDrift = 1e-4;
 
-// Inverse of a positive definite matrix. By columns: Eigen solves for a matrix
-// as if it were a large one.
+// Inverse of a positive definite matrix, column by column: to solve for all at
+// once, Eigen takes the slower way that suits large matrices.
 template <int D>
 StateMatrix<D> Inverse(const StateMatrix<D>& m) {
   const Eigen::LLT<StateMatrix<D>> factors(m);
@@ -28,8 +28,8 @@ StateMatrix<D> Symmetric(const StateMatrix<D>& m) {
   return 0.5 * (m + m.transpose());
 }
 
-// How far the path turns around each of its nodes, back from the end: over
-// `stretch_nodes` steps, centred where the path allows.
+// How far the path turns around each of its nodes, from the end backward: over
+// `stretch_nodes` steps, which are centred where the path allows.
 std::vector<double> Turns(const PoseGraph& graph, NodeIndex query,
                           std::int64_t steps, NodeIndex stretch_nodes) {
   const NodeIndex first = query - steps + 1;
@@ -69,7 +69,7 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
       history != nullptr && history->model() == correlation
           ? history->Measure<D>(graph, query)
           : MeasureMotion<D>(graph, correlation, query);
-  // Both passes drift.
+  // Both passes drift: twice the noise of one.
   StateMatrix<D> noise = 2.0 * claimed * motion.drift;
   AddTolerance<D>({kLeastStepNoiseMeters * std::sqrt(spacing_meters),
                    kLeastStepNoiseRadians * std::sqrt(spacing_meters)},
@@ -99,7 +99,8 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
 
   const Pose end = graph.pose(query);
   const StateMatrix<D> from_end = TurnAbout<D>(-end.heading);
-  // Of the drift now, with that at the end, and of that at the end.
+  // Covariances of the drift now, between drift_0 and the drift now, and of
+  // drift_0.
   StateMatrix<D> covariance = end_prior;
   StateMatrix<D> end_cross = end_prior;
   StateMatrix<D> end_covariance = end_prior;
@@ -138,8 +139,8 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
         end_prior - Inverse<D>(end_prior_information + weight * gathered);
     step.surprise = -std::log(shares[static_cast<std::size_t>(t)]);
   }
-  // Cov(at_end) is the sum of K S K^T over the steps, which bounds
-  // sum K nu by Cauchy and Schwarz.
+  // Cov(at_end) is the sum of K S K^T over the steps, which bounds sum K nu by
+  // Cauchy and Schwarz.
   end_shift_ = end_prior - end_covariance;
 }
 
@@ -153,7 +154,7 @@ WalkStep ShapeFilter<D>::Kernel(std::int64_t t) const {
   kernel.surprise = step.surprise;
   for (int r = 0; r < D; ++r) {
     kernel.path[r] = step.path(r);
-    // The path's end is no step.
+    // Entry 0 is the path's end and no step.
     for (int c = 0; t > 0 && c < D; ++c) {
       kernel.gain[r][c] = step.gain(r, c);
       kernel.end_gain[r][c] = step.end_gain(r, c);

@@ -1,5 +1,5 @@
 // How far the shape of a path may stray from the shape it is compared with, and
-// what it is worth that it does not.
+// how much a match of the two is worth.
 //
 // Two paths are walked back from their ends together, each seen from its own
 // end pose. Their mismatch e_t = p'_t - q'_t is zero at the end. On the same
@@ -12,25 +12,25 @@
 //
 // F_t is the lever arm of p's step, T the tolerance, J the jitter of one node
 // (motion_statistics.h). drift_0 is how far the two end poses themselves stray:
-// E_0 is 2 J and R, the place tolerance; of R in position no more than T, since
-// another lane is the same offset all along. This is a Kalman filter whose
-// covariances depend on p only: gains are computed once a query and shared by
-// all of the history. With it runs its fixed-point smoother, which tells
-// drift_0 from what came after: so the ends are compared by the whole path and
-// not by two poses.
+// E_0 is 2 J plus the place tolerance R; in position, R counts no more than T,
+// since another lane is at the same offset all along. This is a Kalman filter
+// whose covariances depend on p only: gains are computed once per query and
+// shared by all of the history. With it runs its fixed-point smoother, which
+// estimates drift_0 from all later steps: so the ends are compared by the whole
+// path and not by two poses.
 //
-// What a match is worth depends on how rare the shape is. Another road would
-// turn as p does by chance: about as often as the vehicle's own roads do. The
-// log-likelihood ratio of same road against another is, for each step,
+// A match is worth the more, the rarer the shape is. Another road would turn as
+// p does by chance, about as often as the vehicle's own roads do. For each
+// step, the log-likelihood ratio of the same road against another is
 //
 //   -ln(share of own stretches that turn as p does around t) - 1/2 nu^T S^-1 nu
 //
-// with nu the innovation and S its covariance: a straight gains next to
-// nothing, a corner much, and a mismatch costs the same on both.
+// with nu the innovation and S its covariance. A straight gains next to nothing
+// and a corner much; a mismatch costs the same on both.
 //
-// Neighbouring nodes stray together. Sums over steps are therefore weighed by
+// Neighbouring nodes stray together. Sums over steps are therefore weighted by
 // w = node spacing / correlation distance, and so is the information that the
-// smoother has gathered; stretches are as long as the correlation distance.
+// smoother has gathered. Stretches are as long as the correlation distance.
 //
 // Kalman filter and fixed-point smoother: Anderson, Moore, "Optimal Filtering"
 // (1979), 3.1 and 7.2.
@@ -52,47 +52,48 @@
 namespace revisit::core {
 
 struct ShapeModel {
-  // Standard deviations at each node, beside the drift: position [0.01, 1000]
-  // m, heading [0.001, 3] rad.
+  // Standard deviations by which each node strays, beside the drift: position
+  // [0.01, 1000] m, heading [0.001, 3] rad.
   PlaceTolerance tolerance{1.0, 0.06};
-  // Distance over which that straying is one and the same, [0.01, 1e6] m.
+  // Distance over which nodes stray together, [0.01, 1e6] m.
   double correlation_meters = 10.0;
 };
 
-// Least noise of odometry, whatever the covariances claim: those of an
-// optimiser, or constant ones, say nothing of a single step. Standard
+// Least noise of odometry, whatever the covariances claim: the covariances of
+// an optimiser, or constant ones, say nothing about a single step. Standard
 // deviations per square root of a metre.
 inline constexpr double kLeastStepNoiseMeters = 0.02;
 inline constexpr double kLeastStepNoiseRadians = 0.0005;
 
-// Stretches whose turns are compared: as long as the correlation distance, but
-// no longer than a path of `steps` nodes, so that like is compared with like.
+// Steps of the stretches whose turns are compared: they are as long as the
+// correlation distance, but no longer than a path of `steps` nodes, so that
+// like is compared with like.
 NodeIndex StretchNodes(const ShapeModel& model, double spacing_meters,
                        std::int64_t steps);
 
-// w, at most 1.
+// The weight w, at most 1.
 double ShapeWeight(const ShapeModel& model, double spacing_meters);
 
 template <int D>
 class ShapeFilter {
  public:
-  // What the filter knows of one other path.
+  // The filter's estimates for one other path.
   struct Drift {
     StateVector<D> now = StateVector<D>::Zero();
     // drift_0, in the axes of the vehicle at the end of the path.
     StateVector<D> at_end = StateVector<D>::Zero();
   };
-  // What one step brought.
+  // The outcome of one step.
   struct Evidence {
     // nu^T S^-1 nu
     double squared_innovation = 0.0;
     double log_likelihood_ratio = 0.0;
   };
 
-  // The path of `steps` nodes that ends at `query`, within one segment.
-  // `inflation` multiplies the standard deviations of the nodes' motion under
-  // this correlation model. `history`, if there is one, is that of the graph;
-  // what it does not know is measured.
+  // The filter of the path of `steps` nodes that ends at `query`. `inflation`
+  // multiplies the standard deviations of the nodes' motion under this
+  // correlation model. `history` is the graph's or null; statistics that it
+  // does not have are measured. REQUIRES: the path lies within one segment.
   ShapeFilter(const PoseGraph& graph, const MotionHistory* history,
               NodeIndex query, std::int64_t steps, CorrelationModel correlation,
               const ShapeModel& model, const PlaceTolerance& place_tolerance,
@@ -101,8 +102,8 @@ class ShapeFilter {
   // Nodes of the path.
   std::int64_t size() const { return static_cast<std::int64_t>(steps_.size()); }
 
-  // Carries the drift from step t - 1 to t in [1, size()), where the other path
-  // is at `other`, seen from its own end.
+  // Carries the drift from step t - 1 to step t, at which the other path is at
+  // `other`, seen from its own end. REQUIRES: t in [1, size()).
   Evidence Advance(std::int64_t t, const StateVector<D>& other,
                    Drift* drift) const {
     const Step& step = steps_[static_cast<std::size_t>(t)];
@@ -118,23 +119,25 @@ class ShapeFilter {
     return {squared, step.surprise - 0.5 * squared};
   }
 
-  // The step as the kernel takes it; `to_come` and `settled` are the caller's.
+  // The step in the form that the kernel takes. The caller sets `to_come` and
+  // `settled`.
   WalkStep Kernel(std::int64_t t) const;
 
-  // A shift of at_end has at least s^T EndShift()^-1 s of squared innovations.
+  // E such that a path whose drift_0 is estimated as s has squared innovations
+  // of at least s^T E^-1 s in sum.
   const StateMatrix<D>& EndShift() const { return end_shift_; }
 
-  // By how much the covariance of drift_0 has shrunk after step t, in the same
-  // axes.
+  // By how much the covariance of drift_0 has shrunk after step t, in the axes
+  // of the vehicle at the end.
   const StateMatrix<D>& EndCertainty(std::int64_t t) const {
     return steps_[static_cast<std::size_t>(t)].end_certainty;
   }
 
  private:
   struct Step {
-    // Seen from the end.
+    // The node of the path, seen from the end.
     StateVector<D> path;
-    // From the node after it.
+    // The way from the node after it.
     double step_x = 0.0;
     double step_y = 0.0;
     StateMatrix<D> gain;

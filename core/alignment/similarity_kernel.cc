@@ -7,7 +7,7 @@
 #include "core/alignment/log_similarity.h"
 #include "core/geometry/heading.h"
 
-// Highway includes this file once for each kind of vectors.
+// Highway includes this file once per instruction set.
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "core/alignment/similarity_kernel.cc"
 #include <hwy/foreach_target.h>
@@ -21,12 +21,12 @@ namespace revisit::core::HWY_NAMESPACE {
 
 namespace hn = hwy::HWY_NAMESPACE;
 
-// No wider than a row.
+// Vectors no wider than a row.
 using Tag = hn::CappedTag<double, NodeBlock::kGroupSize>;
 using Vector = hn::Vec<Tag>;
 using Mask = hn::Mask<Tag>;
 
-// The same angle in (-pi, pi], of one in (-3 pi, 3 pi): exact there.
+// The same angle in (-pi, pi]. Exact for angles in (-3 pi, 3 pi).
 HWY_INLINE Vector Wrap(Tag tag, Vector angle) {
   const Vector pi = hn::Set(tag, kPi);
   const Vector turn = hn::Set(tag, 2.0 * kPi);
@@ -35,13 +35,15 @@ HWY_INLINE Vector Wrap(Tag tag, Vector angle) {
   return hn::Add(hn::Sub(angle, down), up);
 }
 
-// One row of LDL^T less what the rows before it explain, as Evaluate() has it.
+// The sums over the rows of LDL^T, as in Evaluate().
 struct Sum {
   Mask possible;
   Vector determinant;
   Vector squared;
 };
 
+// Adds one row: `pivot` is its diagonal entry less what the rows before
+// explain.
 HWY_INLINE void AddPivot(Tag tag, Vector diagonal, Vector pivot, Vector solved,
                          Vector* inverse, Sum* sum) {
   const Vector least = hn::Mul(hn::Set(tag, kPivotTolerance), diagonal);
@@ -55,7 +57,7 @@ HWY_INLINE void AddPivot(Tag tag, Vector diagonal, Vector pivot, Vector solved,
       hn::Add(sum->squared, hn::Mul(hn::Mul(solved, solved), *inverse));
 }
 
-// Entries of a symmetric matrix, or of the difference, in the state's order.
+// Differences and their covariances, in the order of the state.
 template <int D>
 struct State {
   Vector difference[D];
@@ -63,12 +65,12 @@ struct State {
   Vector covariance[D][D];
 };
 
-// Reads a block, and fetches on the way what will be read next.
+// Reads a block, and on the way fetches the one that will be read next.
 class Rows {
  public:
   Rows(const NodeBlock& block, const NodeBlock& next)
       : rows_(block.group(0)),
-        // What is asked for next lies elsewhere if it is not laid out alike.
+        // A block of another layout cannot be fetched by the same offsets.
         next_rows_(next.groups() >= block.groups() &&
                            next.spatial() == block.spatial()
                        ? next.group(0)
@@ -76,7 +78,7 @@ class Rows {
         group_entries_(block.rows() * NodeBlock::kGroupSize),
         spatial_(block.spatial()) {}
 
-  // Of the nodes from i on.
+  // A row's entries for the nodes from i on.
   HWY_INLINE Vector Load(NodeBlock::Row row, std::size_t i) const {
     const std::size_t at = i / NodeBlock::kGroupSize * group_entries_ +
                            i % NodeBlock::kGroupSize +
@@ -84,7 +86,7 @@ class Rows {
     hwy::Prefetch(next_rows_ + at);
     return hn::Load(Tag(), rows_ + at);
   }
-  // Of a row that is there only if the block is spatial.
+  // The same of a row that exists only if the block is spatial; else 0.
   HWY_INLINE Vector LoadZ(NodeBlock::Row row, std::size_t i) const {
     return spatial_ ? Load(row, i) : hn::Zero(Tag());
   }
@@ -100,7 +102,8 @@ HWY_INLINE std::size_t EntriesOf(const NodeBlock& block) {
   return block.groups() * NodeBlock::kGroupSize;
 }
 
-// Gamma, inflated, and R added, of the nodes from i on.
+// The differences of the nodes from i on, and their covariances: Gamma,
+// inflated, plus R.
 template <int D, bool kDeadReckoning>
 HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
                               std::size_t i) {
@@ -123,7 +126,7 @@ HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
   state.difference[1] = dy;
   state.difference[h] = dh;
 
-  // Of Gamma without the lever arm.
+  // An entry of Gamma without the lever arm.
   const auto base = [&](int r, int c, Vector node) HWY_ATTR {
     const Vector mine = set(query.covariance(r, c));
     return kDeadReckoning ? hn::Sub(mine, node) : hn::Add(mine, node);
@@ -175,7 +178,7 @@ HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
   return state;
 }
 
-// What Evaluate() finds.
+// The results of Evaluate().
 struct Terms {
   Mask possible;
   Vector log_determinant;
@@ -198,7 +201,7 @@ HWY_INLINE Terms Evaluate(const State<D>& state) {
   const Vector hy = covariance[h][1];
   const Vector hh = covariance[h][h];
 
-  // LDL^T, row by row: of x, y, z if spatial, heading.
+  // LDL^T, row by row: x, y, z if spatial, heading.
   const Vector one = set(1.0);
   Sum sum = {hn::Eq(one, one), one, hn::Zero(tag)};
   Vector inverse_x;
@@ -246,7 +249,7 @@ HWY_INLINE Terms Evaluate(const State<D>& state) {
                               hn::Le(sum.determinant, largest));
   Terms terms;
   terms.log_determinant = hn::Log(tag, sum.determinant);
-  // As Evaluate(): beyond the range of double, a logarithm a pivot.
+  // Beyond the range of double, one logarithm per pivot, as in Evaluate().
   const Mask beyond = hn::AndNot(normal, sum.possible);
   if (HWY_UNLIKELY(!hn::AllFalse(tag, beyond))) {
     Vector logs = hn::Add(hn::Log(tag, xx), hn::Log(tag, pivot_y));
@@ -278,7 +281,7 @@ HWY_INLINE void EvaluateAll(const KernelQuery& query, const NodeBlock& block,
               similarity->log_similarity.data() + i);
     hn::Store(terms.squared, tag, similarity->squared_mahalanobis.data() + i);
   }
-  // Of nodes that there are not.
+  // Entries without a node.
   for (std::size_t i = entries; i < NodeBlock::kSize; ++i) {
     similarity->log_similarity[i] = kImpossible;
     similarity->squared_mahalanobis[i] = 0.0;
@@ -359,8 +362,8 @@ void FindDifferences(const KernelQuery& query, const NodeBlock& block,
   }
 }
 
-// S_ja of the nodes j of a block and a node a of the loop, added to x or taken
-// from it: S_jj Psi(a, j)^T where j is the earlier, else Psi(j, a) S_aa.
+// Adds S_ja, times `sign`, to x for nodes j of a block and a node a of the
+// loop: S_jj Psi(a, j)^T where j is the earlier node, else Psi(j, a) S_aa.
 template <int D>
 HWY_INLINE void AddCross(const KnownDriftTerms::LoopNode& a, double sign,
                          const Vector (&node)[D][D], Vector node_x,
@@ -511,7 +514,7 @@ HWY_INLINE void EvaluateAllChanged(const DifferenceBlock& differences,
   const Vector kept = hn::Set(tag, 1.0 - change.least_left);
   for (std::size_t i = 0; i < NodeBlock::kSize; i += hn::Lanes(tag)) {
     const auto row = hn::Load(index_tag, change.row.data() + i);
-    // Times kMostEntries.
+    // The row's first entry: row times kMostEntries.
     const auto at = hn::Add(hn::ShiftLeft<3>(row), hn::ShiftLeft<1>(row));
     State<D> state = LoadState<D>(differences, i);
     State<D> left;
@@ -633,7 +636,7 @@ bool HoldsNear(const NodeRegion& region, const NodeBlock& block) {
                 hn::Mul(entry(region.yy, NodeBlock::kYY, i), dy));
     const Vector varies = hn::Add(hn::Add(hn::Mul(dx, of_x), hn::Mul(dy, of_y)),
                                   hn::Mul(set(region.variance), squared));
-    // Written so that what is not a number is near.
+    // Written so that NaN is near.
     const Mask far = hn::Gt(hn::Mul(squared, squared),
                             hn::Mul(set(region.squared_per_variance), varies));
     if (!hn::AllTrue(tag, far)) return true;

@@ -1,10 +1,11 @@
-// The similarity of one query node with a block of nodes, many at a time: with
-// the widest vectors of the machine it runs on.
+// The similarity of one query node with a block of nodes, many at a time, with
+// the widest vectors of the machine that this runs on.
 //
-// Gamma in closed form, LDL^T and what counts as ill-conditioned are those of
-// DeadReckoningDifferenceCovariance() and Evaluate(), operation by operation,
-// in double precision without fused multiply-add: machines differ from each
-// other, and from Evaluate(), in the logarithm alone, by its last digit.
+// Gamma in closed form, LDL^T and the test for ill-conditioned covariances
+// equal those of DeadReckoningDifferenceCovariance() and Evaluate() operation
+// by operation, in double precision without fused multiply-add. Results differ
+// between machines, and from Evaluate(), only in the last digit of the
+// logarithm.
 #ifndef REVISIT_CORE_ALIGNMENT_SIMILARITY_KERNEL_H_
 #define REVISIT_CORE_ALIGNMENT_SIMILARITY_KERNEL_H_
 
@@ -17,54 +18,55 @@
 
 namespace revisit::core {
 
-// What all nodes are compared with.
+// The query that all nodes are compared with, and how.
 struct KernelQuery {
   // Heading in (-pi, pi].
   Pose pose;
   Covariance covariance;
   StateSpace state_space = StateSpace::kPlanar;
-  // Errors of dead reckoning; else independent ones.
+  // Whether errors are those of dead reckoning; else they are independent.
   bool dead_reckoning = true;
-  // Headings of the block are turned by pi.
+  // Whether headings of the block are turned by pi.
   bool opposite = false;
   // Multiplies Gamma.
   double variance_scale = 1.0;
-  // Added to the diagonal then.
+  // Added to the diagonal of the result.
   double position_variance = 0.0;
   double heading_variance = 0.0;
-  // Of d^T Gamma^-1 d, c.
+  // c, the factor of d^T Gamma^-1 d.
   double exponent = 0.5;
 };
 
-// One entry a node of a block.
+// One entry per node of a block.
 struct alignas(64) BlockSimilarity {
   std::array<double, NodeBlock::kSize> log_similarity;
   std::array<double, NodeBlock::kSize> squared_mahalanobis;
 };
 
-// Of all nodes of the block; kImpossible where ill-conditioned. For dead
-// reckoning, the query is the later node of each pair. `next` is the block that
-// will be asked for next, or the same again: it is fetched on the way.
+// Finds the similarity with all nodes of the block, kImpossible where
+// ill-conditioned. For dead reckoning, the query is the later node of each
+// pair. `next` is the block that will be asked for next, which is fetched on
+// the way, or the same block.
 void EvaluateBlock(const KernelQuery& query, const NodeBlock& block,
                    const NodeBlock& next, BlockSimilarity* similarity);
 
 using BlockColumn = std::array<double, NodeBlock::kSize>;
 
-// Row by row, the lower triangle of a symmetric matrix.
+// Entries of the lower triangle of a symmetric matrix, stored row by row.
 inline constexpr std::size_t kMostEntries = 10;
 
 // The query less each node of a block, in the order of the state (x, y, z if
-// spatial, heading), and the covariance of that.
+// spatial, heading), and the covariance of this difference.
 struct alignas(64) DifferenceBlock {
   std::array<BlockColumn, 4> difference;
   std::array<BlockColumn, kMostEntries> covariance;
 };
 
-// What EvaluateBlock() evaluates.
+// Finds the differences that EvaluateBlock() evaluates.
 void FindDifferences(const KernelQuery& query, const NodeBlock& block,
                      const NodeBlock& next, DifferenceBlock* differences);
 
-// What KnownDrift::Apply() needs, in the order of the state.
+// The inputs of KnownDrift::Apply(), in the order of the state.
 struct KnownDriftTerms {
   struct LoopNode {
     NodeIndex index = 0;
@@ -80,72 +82,74 @@ struct KnownDriftTerms {
   double variance_scale = 1.0;
 };
 
-// KnownDrift::Apply() for the nodes of a block, `first` on, where what is left
-// of the covariance is well-conditioned; elsewhere nothing changes.
+// KnownDrift::Apply() for the nodes of a block, which begins at node `first`.
+// Where the covariance that is left would be ill-conditioned, nothing changes.
 void TakeKnownDrift(const KnownDriftTerms& terms, StateSpace state_space,
                     const NodeBlock& block, NodeIndex first,
                     DifferenceBlock* differences);
 
-// Evaluate() of differences as they are. kImpossible where ill-conditioned;
-// the exponent is 1/2.
+// Evaluates the differences as they are, with exponent 1/2. kImpossible where
+// ill-conditioned.
 void EvaluateDifferences(StateSpace state_space,
                          const DifferenceBlock& differences,
                          BlockSimilarity* similarity);
 
-// How each difference is changed before it is evaluated, by entry k of
-// `change`: row change[k] of `certainty` (kMostEntries a row) is taken from the
-// covariance, and the shift, turned by the angle of this cosine and sine about
-// z, is added to the difference.
+// How difference k of a block is changed before it is evaluated: row[k] of
+// `certainty` (kMostEntries per row) is subtracted from its covariance, and
+// shift k, turned about z by the angle of this cosine and sine, is added to it.
 struct DifferenceChange {
   const double* certainty = nullptr;
   double cosine = 1.0;
   double sine = 0.0;
-  // Share of the covariance that has to be left, or nothing is changed.
+  // Share of the covariance that has to be left; otherwise the difference stays
+  // as it is.
   double least_left = 0.0;
   alignas(64) std::array<std::int64_t, NodeBlock::kSize> row;
   std::array<BlockColumn, 4> shift;
 };
 
-// Where `similarity`, which has what EvaluateDifferences() says, is possible
-// unchanged but not changed, it stays as it is.
+// Evaluates the differences once changed. `similarity` holds the results of
+// EvaluateDifferences(), which stay where a changed difference would be
+// ill-conditioned.
 void EvaluateChanged(StateSpace state_space, const DifferenceBlock& differences,
                      const DifferenceChange& change,
                      BlockSimilarity* similarity);
 
-// A bound of what EvaluateChanged() can make of differences, whatever it takes
-// and shifts: entries as the lower triangle of a DifferenceBlock.
+// Bounds for any change that EvaluateChanged() may be given. Entries are those
+// of lower triangles, as in DifferenceBlock.
 struct ChangeBound {
-  // Shifts s cost at least 1/2 s^T shift^-1 s elsewhere.
+  // A shift s costs the path at least 1/2 s^T shift^-1 s elsewhere.
   double shift[kMostEntries] = {};
-  // No more than this is taken from a covariance.
+  // No more than this is subtracted from a covariance.
   double certainty[kMostEntries] = {};
-  // As DifferenceChange has it.
+  // As in DifferenceChange.
   double least_left = 0.0;
 };
 
-// For each node the most that EvaluateChanged() can say of it, less what the
-// shift costs. `similarity` has what EvaluateDifferences() says; `most` need
-// not be aligned.
+// For each node, an upper bound on the log-similarity that EvaluateChanged()
+// can find, less what the shift costs. `similarity` holds the results of
+// EvaluateDifferences(); `most` need not be aligned.
 void BoundChanged(StateSpace state_space, const DifferenceBlock& differences,
                   const ChangeBound& bound, const BlockSimilarity& similarity,
                   BlockColumn* most);
 
-// Nodes that lie near enough to a query: with d the way from the node to it in
-// x and y, r its length and C the covariance of d,
-//   r^2 <= squared_per_variance (d^T C d / r^2 + variance).
+// The nodes near a query: those with
+//   r^2 <= squared_per_variance (d^T C d / r^2 + variance),
+// where d is the way from the node to the query in x and y, r its length and C
+// its covariance.
 struct NodeRegion {
   double x = 0.0;
   double y = 0.0;
   double squared_per_variance = 0.0;
   double variance = 0.0;
-  // C: the query's, and the node's times this.
+  // C is this covariance of the query, plus the node's times node_scale.
   double xx = 0.0;
   double xy = 0.0;
   double yy = 0.0;
   double node_scale = 0.0;
 };
 
-// Whether any node of a full block does, or is not a number.
+// Whether any node of a full block is near or not a number.
 bool HoldsNear(const NodeRegion& region, const NodeBlock& block);
 
 }  // namespace revisit::core

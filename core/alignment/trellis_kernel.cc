@@ -2,7 +2,7 @@
 
 #include <cstring>
 
-// Highway includes this file once for each kind of vectors.
+// Highway includes this file once per instruction set.
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "core/alignment/trellis_kernel.cc"
 #include <hwy/foreach_target.h>

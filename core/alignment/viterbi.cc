@@ -14,8 +14,8 @@ namespace {
 constexpr NodeIndex kNowhere = -1;
 constexpr std::size_t kBlock = NodeBlock::kSize;
 
-// Calls visit(first, emission) for the history block by block; entries of
-// `emission`, a whole block, mean nothing beyond the history.
+// Calls visit(first, emission) for the history block by block. `emission` holds
+// a whole block; its entries beyond the history are undefined.
 template <typename Visit>
 void VisitEmissions(const PoseGraph& graph, const SimilarityModel& model,
                     NodeIndex query, NodeIndex size, const Visit& visit) {
@@ -108,14 +108,14 @@ std::optional<Alignment> Align(const PoseGraph& graph,
   alignment.from_after_.resize(past_first * blocks * kStepBytes);
   alignment.from_junction_.resize(past_first * junctions.size());
 
-  // Score of the best path to each node, less the cost of leaving it; with room
+  // Score of the best path to each node, less the cost of leaving it, with room
   // for a neighbour at either end.
   std::vector<double> leaving(blocks * kBlock + 2);
   std::vector<double> next(leaving.size());
   const double log_two = std::log(2.0);
   for (std::int64_t t = 0; t < steps; ++t) {
     if (t > 0 && should_stop && should_stop()) return std::nullopt;
-    // Nothing is left from the last.
+    // The last node of a path is not left.
     const bool last = t + 1 == steps;
     const double cost = last ? 0.0 : log_two;
     std::size_t junction = 0;

@@ -3,14 +3,13 @@
 // at step j is lambda(i,j), and there are as many hidden states as history
 // nodes).
 //
-// p = the k nodes that end at the query. q = a path of k nodes in the history,
-// each step along an edge: consecutive nodes either way, or a loop closure. The
-// hidden states are the history's nodes; the transition out of h is uniform
-// over its edges within the history, -ln(degree of h). Sought, for every node
-// j, is the best q that ends at j:
+// p are the k nodes that end at the query. q is a path of k nodes in the
+// history, with each step along an edge: between consecutive nodes, either way,
+// or over a loop closure. The hidden states are the history's nodes. The
+// transition out of h is uniform over its edges within the history:
+// -ln(degree of h). For every node j, the best q that ends at j is sought:
 //
-//   score(j) = max over q ending at j of sum_t lambda(p_t, q_t) - sum_t ln
-//   deg(q_t)
+//   score(j) = max over q of sum_t lambda(p_t, q_t) - sum_t ln degree(q_t)
 //
 // with the second sum over all but the last node of q.
 #ifndef REVISIT_CORE_ALIGNMENT_VITERBI_H_
@@ -26,13 +25,14 @@
 
 namespace revisit::core {
 
-// Asked now and then during long work; true means give up.
+// Called now and then during long work, which is given up once this returns
+// true.
 using ShouldStop = std::function<bool()>;
 
 // The solved trellis of one query.
 class Alignment {
  public:
-  // Nodes of history: [0, size).
+  // The history is nodes [0, size()).
   NodeIndex size() const { return static_cast<NodeIndex>(scores_.size()); }
 
   // Best score of a path that ends at history node j; kImpossible if none does.
@@ -42,10 +42,10 @@ class Alignment {
 
   const std::vector<double>& scores() const { return scores_; }
 
-  // The history nodes of that path, oldest first, one for each of p. Among
-  // equal paths, back from the end: from the node before, else from the node
-  // after, else over the loop closure that was added first. REQUIRES: score(j)
-  // is not kImpossible.
+  // The history nodes of that path, oldest first, one for each node of p. Of
+  // paths with equal scores, the one that, going back from the end, comes from
+  // the node before, else from the node after, else over the loop closure that
+  // was added first. REQUIRES: score(j) is not kImpossible.
   std::vector<NodeIndex> Path(NodeIndex j) const;
 
  private:
@@ -54,13 +54,15 @@ class Alignment {
                                         std::int64_t, NodeIndex,
                                         const ShouldStop&);
 
-  // A node of history that is not just between two others: it has loop
-  // closures, or lies where a segment or the history begins or ends.
+  // A node of the history with other edges than those to the node before and
+  // the node after: it has loop closures, or a segment or the history begins or
+  // ends there.
   struct Junction {
     NodeIndex node = 0;
-    // ln of the number of its edges.
+    // Logarithm of the number of its edges.
     double log_degree = 0.0;
-    // By edges, before, after, then loop closures as added.
+    // Other ends of its edges: the node before, the node after, then loop
+    // closures as they were added.
     std::vector<NodeIndex> neighbours;
   };
 
@@ -69,19 +71,21 @@ class Alignment {
 
   std::vector<double> scores_;
   std::int64_t steps_ = 0;
-  // In the order of nodes.
+  // Sorted by node.
   std::vector<Junction> junctions_;
-  // For step t in [1, k), at (t - 1) * row + node: whether the node before it
-  // on the best path is the one after it on the road. Not of junctions.
+  // A bit for each step t in [1, k) and node, kStepBytes per block: whether its
+  // predecessor on the best path is the node after it (else the node before
+  // it). Undefined for junctions.
   std::vector<std::uint8_t> from_after_;
-  // For step t, at (t - 1) * junctions + junction: the node before it.
+  // For step t, at (t - 1) * junctions + junction: its predecessor on the best
+  // path.
   std::vector<NodeIndex> from_junction_;
 };
 
 // Aligns the `steps` nodes that end at `query` with the history [0,
-// history_size). Time and memory O(steps * (history_size + loop edges)): a bit
-// a step and node. Nothing if told to stop. REQUIRES: 1 <= steps <= query + 1,
-// history_size <= query - steps + 1.
+// history_size). Time and memory O(steps * (history_size + loop edges)), with a
+// bit per step and node. Returns nothing if told to stop. REQUIRES: 1 <= steps
+// <= query + 1, history_size <= query - steps + 1.
 std::optional<Alignment> Align(const PoseGraph& graph,
                                const SimilarityModel& model, NodeIndex query,
                                std::int64_t steps, NodeIndex history_size,

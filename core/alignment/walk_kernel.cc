@@ -6,7 +6,7 @@
 
 #include "core/geometry/heading.h"
 
-// Highway includes this file once for each kind of vectors.
+// Highway includes this file once per instruction set.
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "core/alignment/walk_kernel.cc"
 #include <hwy/foreach_target.h>
@@ -18,8 +18,8 @@ namespace revisit::core::HWY_NAMESPACE {
 
 namespace hn = hwy::HWY_NAMESPACE;
 
-// Fetches where the walkers would be, all they need before the first is used:
-// gathering with vectors is slower on most machines.
+// Copies the poses at which the walkers would be next into their columns, for
+// all walkers in advance: gathering with vectors is slower on most machines.
 void Fetch(const double* poses, std::size_t count, Walkers* walkers) {
   const std::int64_t* const nodes = walkers->indices(Walkers::kNode);
   const std::int64_t* const strides = walkers->indices(Walkers::kStride);
@@ -47,7 +47,7 @@ HWY_INLINE void WalkAllOn(const WalkStep& step, std::size_t count,
   constexpr int h = D - 1;
   const auto set = [tag](double value) HWY_ATTR { return hn::Set(tag, value); };
   const std::size_t lanes = hn::Lanes(tag);
-  // Copies, which stores cannot change.
+  // Local copies, which no store can change.
   const std::size_t room = walkers->room();
   double* const columns = walkers->column(0);
   std::int64_t* const nodes = walkers->indices(Walkers::kNode);
@@ -76,7 +76,7 @@ HWY_INLINE void WalkAllOn(const WalkStep& step, std::size_t count,
     now[0] = hn::Sub(now[0], hn::Mul(set(step.step_y), now[h]));
     now[1] = hn::Add(now[1], hn::Mul(set(step.step_x), now[h]));
     Vector innovation[D];
-    // Seen from the end.
+    // The next pose, seen from the end.
     const Vector x = hn::Sub(load(Walkers::kThere), end_x);
     const Vector y = hn::Sub(load(Walkers::kThere + 1), end_y);
     innovation[0] = hn::Add(hn::Mul(cosine, x), hn::Mul(sine, y));
@@ -218,8 +218,8 @@ void Walkers::Begin(std::size_t count) {
 }
 
 void Walkers::Grow(std::size_t least) {
-  // Whole vectors of any machine. Entries beyond the last are read but mean
-  // nothing: node 0 is one.
+  // Whole vectors of any machine. Entries beyond the last walker are read but
+  // not used; they name node 0, which exists.
   std::size_t room = std::max<std::size_t>(64, 2 * room_);
   while (room < least) room *= 2;
   std::vector<double> columns(kColumns * room);

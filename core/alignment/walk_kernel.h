@@ -1,8 +1,9 @@
-// One step of many paths through history at once: the recursion of
-// shape_filter.h with the widest vectors of the machine, for paths that keep
-// step with the recent one. What that does not settle is left to the caller.
+// One step of many paths through the history at once: the recursion of
+// shape_filter.h, with the widest vectors of the machine, for paths that keep
+// step with the recent one. Walkers for which keeping step may not be best are
+// left to the caller.
 //
-// Operation by operation what ShapeFilter::Advance() does, in double precision
+// Equals ShapeFilter::Advance() operation by operation, in double precision
 // without fused multiply-add.
 #ifndef REVISIT_CORE_ALIGNMENT_WALK_KERNEL_H_
 #define REVISIT_CORE_ALIGNMENT_WALK_KERNEL_H_
@@ -15,60 +16,61 @@
 
 namespace revisit::core {
 
-// Paths side by side, one array a quantity.
+// Paths side by side, one array per quantity.
 class Walkers {
  public:
   enum Column : std::size_t {
-    // From where the path is seen: its end pose, carried over loop closures.
-    // The heading is that less pi where the path is walked the other way.
+    // The pose from which the path is seen: its end's, carried over loop
+    // closures. kHeading is less by pi where the path is walked forward in
+    // time, since the headings of the nodes there are not turned.
     kX,
     kY,
     kZ,
     kHeading,
     kCosine,
     kSine,
-    // What the shape filter knows of it.
+    // ShapeFilter::Drift: now and at_end.
     kNow,
     kAtEnd = kNow + 4,
-    // Log-likelihood ratio and sum of squared innovations so far.
+    // Log-likelihood ratio so far, and sum of squared innovations.
     kRatio = kAtEnd + 4,
     kSquared,
-    // The same, what was known of the end, and steps, where the ratio was
-    // greatest.
+    // The same, at_end, and the number of steps, where the ratio was greatest.
     kBestRatio,
     kBestSquared,
     kBestAtEnd,
     kBestSteps = kBestAtEnd + 4,
-    // A path whose ratio plus a quarter of its squared innovations cannot come
-    // to this is of no use.
+    // A path is of no use once its ratio plus a quarter of its squared
+    // innovations cannot come to this.
     kNeeded,
-    // For the kernel.
+    // Scratch of the kernel.
     kThere,
     kColumns = kThere + 4,
   };
   static constexpr std::size_t kIndices = 6;
   enum Index : std::size_t {
     kNode,
-    // -1 walks back in time, as the recent path is walked; 1 forward.
+    // -1 walks back in time, as the recent path is walked; 1 walks forward.
     kStride,
-    // Where the road ends, walked this way.
+    // Last node of the road, walked this way.
     kLast,
-    // For the caller: where it began, and where its way is recorded.
+    // For the caller: the end from which the path began, and where its steps
+    // are recorded.
     kEnd,
     kTrail,
     kBestTrail,
   };
 
   std::size_t size() const { return size_; }
-  // From one column to the next.
+  // Distance from one column to the next.
   std::size_t room() const { return room_; }
-  // As many, all of whose entries are 0, and no others.
+  // Replaces all walkers by `count` new ones, with all entries 0.
   void Begin(std::size_t count);
-  // Appends one; returns its place. What it holds is left from others.
+  // Appends a walker with undefined entries; returns its index.
   std::size_t Add();
-  // Puts the last one into its place.
+  // Removes walker i: the last one takes its index.
   void Remove(std::size_t i);
-  // Makes `to` what `from` is.
+  // Copies all entries of walker `from` to walker `to`.
   void Copy(std::size_t from, std::size_t to);
 
   double* column(std::size_t c) { return columns_.data() + c * room_; }
@@ -83,21 +85,21 @@ class Walkers {
   }
 
  private:
-  // Room for at least as many.
+  // Makes room for at least this many walkers.
   void Grow(std::size_t least);
 
   std::size_t size_ = 0;
-  // Of each column: whole vectors of any machine.
+  // Entries per column: whole vectors of any machine.
   std::size_t room_ = 0;
   // One column behind the other.
   std::vector<double> columns_;
   std::vector<std::int64_t> indices_;
 };
 
-// What all paths share at one step; matrices by rows, in the order of the
-// state.
+// The values that all paths share at one step. Matrices are stored by rows, in
+// the order of the state.
 struct WalkStep {
-  // t
+  // The number t of the step.
   double number = 0.0;
   double path[4] = {};
   double step_x = 0.0;
@@ -109,23 +111,24 @@ struct WalkStep {
   double surprise = 0.0;
   // Sum of the surprises of all later steps.
   double to_come = 0.0;
-  // Keeping step settles it up to this squared innovation.
+  // Keeping step is best up to this squared innovation.
   double settled = 0.0;
 };
 
-// What the kernel left, of one walker.
+// A walker that the kernel has left to the caller.
 struct Unsettled {
   std::size_t walker = 0;
-  // Keeps step and is of no further use. If not, it has not walked on.
+  // Whether it has walked on but is of no further use. If not, it has not
+  // walked on.
   bool hopeless = false;
-  // Its squared innovation where it would be, keeping step; infinite where the
-  // road ends before.
+  // Its squared innovation if it keeps step; infinite where the road ends.
   double squared_innovation = 0.0;
 };
 
-// Walks on those of the first `count` walkers that keep step. `poses` has x, y,
-// z and heading of each node of history. `unsettled` is overwritten, in the
-// order of the walkers.
+// Takes those of the first `count` walkers one step on for which keeping step
+// is best. `poses` holds x, y, z and heading of each node of the history.
+// `unsettled` is overwritten with the others, and with those of no further use,
+// in the order of the walkers.
 void WalkOn(StateSpace state_space, const WalkStep& step, const double* poses,
             std::size_t count, Walkers* walkers,
             std::vector<Unsettled>* unsettled);

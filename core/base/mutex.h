@@ -1,15 +1,15 @@
-// The locks of server and client: std::mutex, told to clang's thread safety
-// analysis, so that whoever touches what a mutex guards without holding it is
-// not compiled (-Wthread-safety, see CMakeLists.txt). Not for headers that
-// callers of the client library include.
+// The locks of server and client: std::mutex with the annotations of clang's
+// thread safety analysis, so that code which touches a guarded member without
+// holding its mutex does not compile (-Wthread-safety, see CMakeLists.txt). Not
+// for headers that callers of the client library include.
 //
-// Members say what guards them with ABSL_GUARDED_BY, functions what their
-// caller holds with ABSL_EXCLUSIVE_LOCKS_REQUIRED. The analysis does not look
-// into lambdas that run under a lock of the function around them: so waits are
-// loops, `while (!condition) changed_.Wait(&mutex_);`.
+// ABSL_GUARDED_BY names the mutex that guards a member,
+// ABSL_EXCLUSIVE_LOCKS_REQUIRED those that the caller of a function holds. The
+// analysis does not know which locks a lambda's caller holds, so waits are
+// written as loops, `while (!condition) changed_.Wait(&mutex_);`.
 //
-// Not absl::Mutex: thread sanitizer knows the locks of pthreads, but not those
-// of a library that was built without it, as Debian's Abseil is.
+// absl::Mutex would not do: thread sanitizer knows the locks of pthreads, but
+// not those of a library that was built without it, as Debian's Abseil is.
 #ifndef REVISIT_CORE_BASE_MUTEX_H_
 #define REVISIT_CORE_BASE_MUTEX_H_
 
@@ -36,8 +36,8 @@ class ABSL_LOCKABLE Mutex {
   std::mutex mutex_;
 };
 
-// Holds a mutex for the length of a block, or less: Unlock() lets go of it and
-// Lock() takes it again.
+// Holds a mutex until the end of its block. In between, Unlock() releases it
+// and Lock() acquires it again.
 class ABSL_SCOPED_LOCKABLE MutexLock {
  public:
   explicit MutexLock(Mutex* mutex) ABSL_EXCLUSIVE_LOCK_FUNCTION(mutex)
@@ -51,12 +51,12 @@ class ABSL_SCOPED_LOCKABLE MutexLock {
   MutexLock(const MutexLock&) = delete;
   MutexLock& operator=(const MutexLock&) = delete;
 
-  // REQUIRES: it does not hold the mutex.
+  // REQUIRES: this does not hold the mutex.
   void Lock() ABSL_EXCLUSIVE_LOCK_FUNCTION() {
     mutex_->Lock();
     holds_ = true;
   }
-  // REQUIRES: it holds the mutex.
+  // REQUIRES: this holds the mutex.
   void Unlock() ABSL_UNLOCK_FUNCTION() {
     holds_ = false;
     mutex_->Unlock();
@@ -67,7 +67,7 @@ class ABSL_SCOPED_LOCKABLE MutexLock {
   bool holds_ = true;
 };
 
-// Waits may end without a reason; ask for what was waited for.
+// Waits may end without a notification: check the condition again.
 class CondVar {
  public:
   CondVar() = default;
@@ -83,7 +83,7 @@ class CondVar {
     lock.release();
   }
 
-  // Answers whether the time has come.
+  // Returns whether the time has come.
   bool WaitUntil(Mutex* mutex, std::chrono::steady_clock::time_point time)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
     std::unique_lock<std::mutex> lock(mutex->mutex_, std::adopt_lock);

@@ -1,4 +1,4 @@
-// Numbers as the messages of errors show them.
+// How error messages show numbers.
 #ifndef REVISIT_CORE_BASE_NUMBER_TEXT_H_
 #define REVISIT_CORE_BASE_NUMBER_TEXT_H_
 
@@ -7,7 +7,7 @@
 
 namespace revisit::core {
 
-// Nine digits: enough to see by how much a bound was missed.
+// At most nine significant digits, which show by how much a bound was missed.
 inline std::string NumberText(double value) {
   char text[32];
   std::snprintf(text, sizeof(text), "%.9g", value);

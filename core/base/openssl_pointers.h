@@ -1,5 +1,5 @@
-// Owners of OpenSSL's objects, and how server and client read them from PEM.
-// Not for the library of core, which links no OpenSSL.
+// Owning pointers to OpenSSL's objects, and the readers of PEM that server and
+// client share. The core library does not include this: it links no OpenSSL.
 #ifndef REVISIT_CORE_BASE_OPENSSL_POINTERS_H_
 #define REVISIT_CORE_BASE_OPENSSL_POINTERS_H_
 
@@ -55,11 +55,11 @@ inline Bio Memory(const std::string& text) {
   return Bio(BIO_new_mem_buf(text.data(), static_cast<int>(text.size())));
 }
 
-// A key that is encrypted is refused: without this, OpenSSL would ask a
-// terminal for the passphrase.
+// Refuses keys that are encrypted. Without it, OpenSSL would ask for the
+// passphrase on the terminal.
 inline int NoPassphrase(char*, int, int, void*) { return -1; }
 
-// Reads the next object in PEM; null if none can be read.
+// Read the next object in PEM; null if none can be read.
 inline Certificate ReadCertificate(const Bio& bio) {
   return Certificate(
       PEM_read_bio_X509(bio.get(), nullptr, NoPassphrase, nullptr));

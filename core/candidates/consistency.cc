@@ -15,7 +15,7 @@
 namespace revisit::core {
 namespace {
 
-// Values of ln f, evenly from 0 to ln max.
+// Number of values of ln f, spread evenly from 0 to ln max.
 constexpr std::size_t kGridSize = 31;
 
 double LogFactor(std::size_t i, double max_inflation) {
@@ -34,7 +34,7 @@ double LogPassProbability(const StateMatrix<D>& a, const StateMatrix<D>& b,
   const double scale = sum_of_squares / sum;
   const double degrees = sum * sum / sum_of_squares;
   const double passes = ChiSquaredBelow(degrees, threshold / scale);
-  // Where nothing can be said, the gate is taken to cut nothing off.
+  // Where the approximation fails, the gate counts as cutting nothing off.
   return passes > 0.0 ? std::log(passes) : 0.0;
 }
 
@@ -117,7 +117,7 @@ void ConsistencyMonitor::Confirm(const PoseGraph& graph,
   UpdateInflation();
 }
 
-// exp of the mean of ln f.
+// Sets the inflation to exp of the mean of ln f.
 void ConsistencyMonitor::UpdateInflation() {
   const double greatest =
       *std::max_element(log_density_.begin(), log_density_.end());

@@ -1,19 +1,19 @@
 // Whether the claimed covariances are as large as the errors that confirmed
 // loop closures have shown.
 //
-// A confirmed pair is one place, so its difference d is drawn from
-// N(0, f^2 Gamma + R), f being what the claimed standard deviations would have
-// to be multiplied by. f is estimated from all confirmed pairs in the order in
-// which they came: the posterior mean of ln f on [0, ln max], with a normal
-// prior of which a factor of two is one standard deviation. Pairs that lie
-// within the gate were perhaps only looked at since they do: their likelihood
-// is that of a distribution cut off by the gate in force when they came,
+// A confirmed pair is one place, so its difference d has the distribution
+// N(0, f^2 Gamma + R), with f the factor by which the claimed standard
+// deviations are too small. f is estimated from all confirmed pairs, in the
+// order in which they came, as the posterior mean of ln f on [0, ln max]. The
+// standard deviation of the normal prior is a factor of two. Pairs within the
+// gate may have been looked at only because they are within it, so their
+// likelihood is that of a distribution cut off by the gate then in force,
 //
 //   ln N(d; 0, f^2 Gamma + R) - ln P(gate passes | f).
 //
-// P is that of a weighted sum of chi-squares, by Satterthwaite's approximation
-// ("An approximate distribution of estimates of variance components",
-// Biometrics Bulletin 2 (1946)).
+// P concerns a weighted sum of chi-squares and uses Satterthwaite's
+// approximation ("An approximate distribution of estimates of variance
+// components", Biometrics Bulletin 2 (1946)).
 #ifndef REVISIT_CORE_CANDIDATES_CONSISTENCY_H_
 #define REVISIT_CORE_CANDIDATES_CONSISTENCY_H_
 
@@ -34,34 +34,34 @@ struct Consistency {
   // Mean of d^T (Gamma + R)^-1 d over the confirmed ones, as claimed.
   std::optional<double> mean_normalized_innovation_squared;
   int degrees_of_freedom = 3;
-  // f; before the first confirmed pair, what the prior takes it for.
+  // The estimate of f; before the first confirmed pair, that of the prior.
   double inflation = 1.0;
 };
 
 // Standard deviation of the prior of ln f: ln 2. Estimators in the field are
-// too sure of themselves more often than not, and a search that starts out with
-// what is claimed never gets to see the loops that would show it.
+// more often overconfident than not, and a search that begins with the claimed
+// covariances would never see the loops that show it.
 inline constexpr double kInflationPrior = 0.693;
 
 struct ConsistencyOptions {
-  // Direction and inflation are ignored.
+  // Its direction and inflation are ignored.
   SimilarityModel similarity;
   double gate_probability = 0.95;
-  // Whether searches apply the inflation, so that the gate was as wide.
+  // Whether searches apply the inflation, so that their gate was wider by it.
   bool applied = false;
   double max_inflation = 10.0;
 };
 bool operator==(const ConsistencyOptions& a, const ConsistencyOptions& b);
 
-// Learns from one confirmed pair after the other.
+// Estimates f from one confirmed pair after the other.
 class ConsistencyMonitor {
  public:
   explicit ConsistencyMonitor(const ConsistencyOptions& options);
 
-  // O(1), but O(nodes between the two) for kFilter.
+  // Adds a confirmed pair. O(1), but O(nodes between the two) for kFilter.
   void Confirm(const PoseGraph& graph, const ConfirmedLoop& loop);
 
-  // All but `rejected`.
+  // `rejected` is not filled in.
   const Consistency& consistency() const { return consistency_; }
 
  private:
@@ -70,9 +70,10 @@ class ConsistencyMonitor {
   void UpdateInflation();
 
   ConsistencyOptions options_;
-  // Of the gate.
+  // Threshold of the gate.
   double threshold_;
-  // ln of the posterior density of ln f, less a constant, at even steps.
+  // Logarithm of the posterior density of ln f, less a constant, at even steps
+  // of ln f.
   std::vector<double> log_density_;
   double sum_of_squares_ = 0.0;
   Consistency consistency_;

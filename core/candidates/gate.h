@@ -1,4 +1,4 @@
-// The chi-square gate: whether two estimates can be of one place.
+// The chi-square gate: whether two pose estimates can be at one place.
 #ifndef REVISIT_CORE_CANDIDATES_GATE_H_
 #define REVISIT_CORE_CANDIDATES_GATE_H_
 
@@ -13,12 +13,12 @@ enum class GateVerdict { kAccepted, kRejected, kIllConditioned };
 struct GateResult {
   // d^T (Gamma + R)^-1 d; 0 if ill-conditioned.
   double squared_mahalanobis = 0.0;
-  // Those of the state; of a path, more, and not a whole number.
+  // The dimensions of the state; for a path more, and not a whole number.
   double degrees_of_freedom = 0.0;
   // Chi-square quantile of the degrees of freedom at the gate probability.
   double threshold = 0.0;
-  // Probability of at least this squared distance for one place; 0 if
-  // ill-conditioned.
+  // Probability that two estimates at one place have at least this squared
+  // distance; 0 if ill-conditioned.
   double p_value = 0.0;
   GateVerdict verdict = GateVerdict::kIllConditioned;
 };
@@ -31,9 +31,10 @@ class Gate {
   // Accepts if squared_mahalanobis <= threshold().
   GateResult Decide(double squared_mahalanobis) const;
   GateResult IllConditioned() const;
-  // The test of a whole aligned stretch at the same probability: the difference
-  // at its end once, and the innovations of its shape, discounted by how much
-  // neighbouring steps share. REQUIRES: positive degrees of freedom.
+  // Decides on a whole aligned stretch, at the same probability. Its squared
+  // distance is that of the difference at its end plus the innovations of its
+  // shape, discounted for what neighbouring steps share.
+  // REQUIRES: positive degrees of freedom.
   GateResult DecidePath(double squared_mahalanobis,
                         double degrees_of_freedom) const;
 
@@ -45,8 +46,8 @@ class Gate {
   double threshold_;
 };
 
-// Query minus matched, with the covariance of that difference (Gamma, inflated,
-// without the tolerance), and the gate's decision on it with the tolerance.
+// Query minus matched, the covariance of that difference (Gamma, inflated,
+// without the tolerance), and the gate's decision, with the tolerance.
 struct GatedDifference {
   Pose difference;
   Covariance covariance;

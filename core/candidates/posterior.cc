@@ -8,8 +8,8 @@
 namespace revisit::core {
 namespace {
 
-// What is smaller than a sum by this factor, in logarithms, is less than half
-// of its last bit: 54 ln 2 is 37.4.
+// A term that is smaller than a sum by this factor, as a logarithm, is less
+// than half of the sum's last bit: 54 ln 2 is 37.4.
 constexpr double kNegligible = 38.0;
 
 }  // namespace
@@ -21,7 +21,7 @@ Posterior::Posterior(const PoseGraph& graph, std::array<ScoredEnds, 2> log_odds)
     for (const ScoredEnd& end : ends) greatest = std::max(greatest, end.score);
   }
   double sum = std::exp(-greatest);
-  // Most are so small that the sum stays the same double.
+  // Most terms are so small that the sum stays the same double.
   double largest = -greatest;
   for (const ScoredEnds& ends : log_odds_) {
     for (const ScoredEnd& end : ends) {
@@ -43,7 +43,7 @@ double Posterior::Claim(Direction direction, NodeIndex j) {
   const auto claim = [&](std::size_t k) {
     sum += Probability(std::exchange(ends[k].score, kImpossible));
   };
-  // The place itself first, outward from it.
+  // From the place itself outward.
   for (std::size_t k = around.later; k > around.first; --k) claim(k - 1);
   for (std::size_t k = around.later; k < around.last; ++k) claim(k);
   return std::min(sum, 1.0);

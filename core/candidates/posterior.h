@@ -1,5 +1,5 @@
-// How probable each place of the history is, against the others and against a
-// place not seen before.
+// How probable each place of the history is, against the other places and
+// against a place not seen before.
 #ifndef REVISIT_CORE_CANDIDATES_POSTERIOR_H_
 #define REVISIT_CORE_CANDIDATES_POSTERIOR_H_
 
@@ -17,25 +17,26 @@ inline constexpr double kPlaceRadiusMeters = 10.0;
 
 class Posterior {
  public:
-  // Log-odds of the history nodes against a new place, by direction; empty for
-  // one that was not sought. The graph must outlive this.
+  // Log-odds of the history nodes against a new place, for each direction;
+  // empty for a direction that was not sought. The graph must outlive this.
   Posterior(const PoseGraph& graph, std::array<ScoredEnds, 2> log_odds);
 
+  // Probability that the vehicle is at no place of the history.
   double new_place() const { return Probability(0.0); }
 
-  // Takes for the place of j all nodes within kPlaceRadiusMeters of it that no
-  // place has taken before, and answers how probable they are together. So what
-  // two neighbouring places share counts for the one that is asked for first.
-  // O(log n), and as much for every node taken.
+  // Claims for the place of j all nodes within kPlaceRadiusMeters of it that no
+  // other place has claimed before, and returns how probable they are together.
+  // So nodes that two neighbouring places share count for the first to claim.
+  // O(log n + nodes claimed).
   double Claim(Direction direction, NodeIndex j);
 
  private:
   double Probability(double log_odds) const;
 
   const PoseGraph& graph_;
-  // kImpossible for what is claimed.
+  // kImpossible for nodes that are claimed.
   std::array<ScoredEnds, 2> log_odds_;
-  // ln of the sum of all odds, the new place's 1 among them.
+  // Logarithm of the sum of all odds, the new place's 1 among them.
   double log_total_ = 0.0;
 };
 

@@ -8,14 +8,15 @@
 namespace revisit::core {
 namespace {
 
-// Travelled distance grows with the index, so what is near is a range.
+// Travelled distance grows with the index, so the nodes near the centre are a
+// range.
 bool IsNearer(const PoseGraph& graph, NodeIndex centre,
               double separation_meters, NodeIndex i) {
   return i == centre || graph.MetersApart(i, centre) < separation_meters;
 }
 
-// The first of [first, last) with a property that all behind it have too; last
-// if none has.
+// The first of [first, last) with a property that all after it have too; last
+// if none has it.
 template <typename Property>
 NodeIndex FirstWith(NodeIndex first, NodeIndex last, const Property& has) {
   while (first < last) {
@@ -29,8 +30,8 @@ NodeIndex FirstWith(NodeIndex first, NodeIndex last, const Property& has) {
   return first;
 }
 
-// The best of the ends not struck out, found again after some are: the best of
-// each group is kept.
+// The best of the ends that are not struck out. Keeps the best of each group,
+// so that it is found again quickly after some are.
 class BestEnds {
  public:
   explicit BestEnds(const ScoredEnds& ends)
@@ -40,7 +41,8 @@ class BestEnds {
     for (std::size_t g = 0; g < best_.size(); ++g) FindBest(g);
   }
 
-  // Of equal scores, the first; score kImpossible if there is none.
+  // The best end, of equal scores the first; its score is kImpossible if there
+  // is none.
   ScoredEnd Best() const {
     ScoredEnd best = kNone;
     for (const ScoredEnd& of_group : best_) {

@@ -1,4 +1,4 @@
-// Picks the best end nodes of an alignment, one for each stretch of road.
+// Picks the best end nodes of an alignment, one per stretch of road.
 #ifndef REVISIT_CORE_CANDIDATES_RANKING_H_
 #define REVISIT_CORE_CANDIDATES_RANKING_H_
 
@@ -14,15 +14,15 @@ struct RankedEnd {
   double score = 0.0;
 };
 
-// The nodes nearer than `separation_meters` to the centre, along the path
-// (travelled distance); the centre always. O(log n).
+// The centre and the nodes nearer to it than `separation_meters` along the path
+// (in travelled distance). O(log n).
 NodeRange NodesNearer(const PoseGraph& graph, NodeIndex centre,
                       double separation_meters);
 
-// Takes the best end, leaves out what is near it, and so on, until
-// `max_candidates` are found or none is left. Best first; of equal scores, the
-// lower index; kImpossible ends are never taken. O(n) once, and for every
-// candidate a hundredth of that and what is near it.
+// Takes the best end, leaves out the ends near it, and repeats until
+// `max_candidates` are found or no end is left. Best first; of equal scores,
+// the lower index; kImpossible ends are never taken. O(n), plus for each
+// candidate n / 128 and the number of ends near it.
 std::vector<RankedEnd> RankEnds(const PoseGraph& graph, const ScoredEnds& ends,
                                 double separation_meters, int max_candidates);
 

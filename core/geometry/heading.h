@@ -8,7 +8,7 @@ namespace revisit::core {
 
 inline constexpr double kPi = 3.14159265358979323846;
 
-// The same angle in (-pi, pi].
+// The angle, wrapped to (-pi, pi].
 inline double WrapHeading(double angle) {
   if (angle > -kPi && angle <= kPi) return angle;
   // remainder() rounds half-way cases to even, so -pi can come out; the

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "absl/strings/str_cat.h"
 #include "core/base/number_text.h"
 #include "core/geometry/heading.h"
 
@@ -20,7 +21,7 @@ Defect NotFinite(const char* part, const std::string& what) {
   return {DefectKind::kNotFinite, part, what + " is not a finite number"};
 }
 
-// Names of the state's coordinates, for messages.
+// Name of coordinate i of the state, for messages.
 template <int D>
 const char* CoordinateName(int i) {
   static constexpr const char* kNames[] = {"x", "y", "z", "heading"};
@@ -56,7 +57,8 @@ std::optional<Defect> FindCovarianceDefect(const Covariance& covariance) {
                         NumberText(kMaxStandardDeviation)};
     }
   }
-  // Cholesky factor of the correlation matrix: pivots free of units, 1 at best.
+  // Cholesky factor of the correlation matrix, whose pivots have no units and
+  // are at most 1.
   StateMatrix<D> factor = StateMatrix<D>::Zero();
   for (int r = 0; r < D; ++r) {
     for (int c = 0; c < r; ++c) {
@@ -87,7 +89,7 @@ std::optional<Defect> FindTransitionDefect(const ErrorTransition& transition) {
     for (int c = 0; c < D; ++c) {
       const double value = transition.values[static_cast<std::size_t>(
           4 * StateIndex<D>(r) + StateIndex<D>(c))];
-      if (std::abs(value) <= kMaxTransitionEntry) continue;  // Not so if NaN.
+      if (std::abs(value) <= kMaxTransitionEntry) continue;  // False for NaN.
       const std::string what = std::string("the entry of ") +
                                CoordinateName<D>(r) + " from " +
                                CoordinateName<D>(c);
@@ -139,7 +141,7 @@ std::optional<Defect> FindAsymmetry(const double* matrix, int size) {
   double largest = 0.0;
   for (int i = 0; i < size * size; ++i) {
     if (!std::isfinite(matrix[i])) {
-      return NotFinite("covariance", "entry " + std::to_string(i));
+      return NotFinite("covariance", absl::StrCat("entry ", i));
     }
     largest = std::max(largest, std::abs(matrix[i]));
   }
@@ -148,12 +150,12 @@ std::optional<Defect> FindAsymmetry(const double* matrix, int size) {
       const double upper = matrix[r * size + c];
       const double lower = matrix[c * size + r];
       if (std::abs(upper - lower) > kSymmetryTolerance * largest) {
-        return Defect{DefectKind::kNotSymmetric, "covariance",
-                      "row " + std::to_string(r) + " column " +
-                          std::to_string(c) + " is " + NumberText(upper) +
-                          " but its mirror image is " + NumberText(lower) +
-                          "; allowed is a difference of at most " +
-                          NumberText(kSymmetryTolerance * largest)};
+        return Defect{
+            DefectKind::kNotSymmetric, "covariance",
+            absl::StrCat("row ", r, " column ", c, " is ", NumberText(upper),
+                         " but its mirror image is ", NumberText(lower),
+                         "; allowed is a difference of at most ",
+                         NumberText(kSymmetryTolerance * largest))};
       }
     }
   }

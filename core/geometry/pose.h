@@ -1,4 +1,4 @@
-// A pose of the vehicle, its covariance, and when both make sense.
+// A pose of the vehicle, its covariance, and the rules for valid ones.
 //
 // The state of a pose is (x, y, z, heading), in this order: metres and radians
 // in the vehicle's local frame, right-handed with z up, heading
@@ -54,8 +54,8 @@ struct Covariance {
   }
 };
 
-// The least and the greatest variance in any direction of two coordinates with
-// these variances and covariance: the eigenvalues.
+// The least and the greatest variance in any direction of the plane: the
+// eigenvalues of the covariance ((xx, xy), (xy, yy)).
 struct VarianceRange {
   double least = 0.0;
   double most = 0.0;
@@ -66,14 +66,14 @@ inline VarianceRange VariancesInAnyDirection(double xx, double xy, double yy) {
   return {mean - spread, mean + spread};
 }
 
-// How the error of one pose becomes part of the error of the next: row-major
-// 4x4 over (x, y, z, heading). For PLANAR, the row and column of z are not
-// used.
+// The matrix that carries the error of one pose into the error of the next:
+// row-major 4x4 over (x, y, z, heading). For PLANAR, the row and column of z
+// are not used.
 struct ErrorTransition {
   std::array<double, 16> values{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
 };
 
-// Where coordinate i of a D-dimensional state lies among (x, y, z, heading).
+// Index among (x, y, z, heading) of coordinate i of a D-dimensional state.
 template <int D>
 constexpr int StateIndex(int i) {
   static_assert(D == 3 || D == 4);
@@ -117,7 +117,7 @@ StateMatrix<D> ToMatrix(const ErrorTransition& transition) {
   return matrix;
 }
 
-// The turn of a state by `angle` about z.
+// The matrix that turns a state by `angle` about z.
 template <int D>
 StateMatrix<D> TurnAbout(double angle) {
   StateMatrix<D> turn = StateMatrix<D>::Identity();
@@ -130,7 +130,7 @@ StateMatrix<D> TurnAbout(double angle) {
   return turn;
 }
 
-// Takes the upper triangle. Entries of z are 0 if D is 3.
+// Reads the upper triangle. Entries of z are 0 if D is 3.
 template <int D>
 Covariance ToCovariance(const StateMatrix<D>& matrix) {
   Covariance covariance;
@@ -163,7 +163,8 @@ struct PoseSample {
   std::optional<std::int64_t> stamp_ns;
   Pose pose;
   Covariance covariance;
-  // From the pose before to this one; for the FILTER correlation model.
+  // The transition from the pose before to this one. For the FILTER correlation
+  // model only.
   std::optional<ErrorTransition> transition;
 };
 
@@ -179,11 +180,12 @@ struct Defect {
   DefectKind kind;
   // "position", "heading", "covariance" or "error_transition".
   std::string part;
-  // What was got and what is allowed, as a sentence without a full stop.
+  // The value that was given and those that are allowed: a sentence without a
+  // full stop.
   std::string description;
 };
 
-// Limits of what is taken for a pose.
+// Limits of the values of a valid pose.
 inline constexpr double kMaxCoordinateMeters = 1e8;
 inline constexpr double kMaxHeadingRadians = 1e6;
 inline constexpr double kMaxStandardDeviation = 1e9;
@@ -193,11 +195,12 @@ inline constexpr double kSymmetryTolerance = 1e-9;
 // Smallest pivot of the correlation matrix that counts as positive definite.
 inline constexpr double kPivotTolerance = 1e-12;
 
-// First defect of a sample in this state space: finite, in range, covariance
-// positive definite.
+// The first defect of a sample in this state space, or nothing: all values must
+// be finite and in range, and the covariance positive definite.
 std::optional<Defect> FindDefect(const PoseSample& sample, StateSpace space);
 
-// Whether a size x size row-major matrix is finite and symmetric.
+// The defect of a size x size row-major matrix that is not finite or not
+// symmetric, or nothing.
 std::optional<Defect> FindAsymmetry(const double* matrix, int size);
 
 }  // namespace revisit::core

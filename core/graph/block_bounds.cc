@@ -14,8 +14,8 @@ NodeIndex FirstNode(std::size_t block) {
   return static_cast<NodeIndex>(block) * kBlock;
 }
 
-// Whether the error at the later node can be that at the earlier one, carried
-// on as dead reckoning does, and new noise in every direction.
+// Whether the error at the later node can be the error at the earlier one,
+// carried on by dead reckoning, plus new noise in every direction.
 template <int D>
 bool NoiseIsAdded(const PoseGraph& graph, NodeIndex earlier, NodeIndex later) {
   const Node from = graph.node(earlier);
@@ -53,8 +53,9 @@ void BlockBounds::Extend(const PoseGraph& graph) {
   }
 }
 
-// A block grows if each of its nodes does to the first node two blocks on: over
-// so far, what interpolating covariances gets wrong does not matter.
+// Errors grow in a block if they grow from each of its nodes to the first node
+// two blocks on: over such a distance, the error of interpolated covariances
+// does not matter.
 bool BlockBounds::Grows(const PoseGraph& graph, std::size_t k) const {
   for (NodeIndex j = FirstNode(k); j < FirstNode(k + 1); ++j) {
     if (!NoiseIsAdded(state_space_, graph, j, FirstNode(k + 2))) return false;
@@ -64,8 +65,8 @@ bool BlockBounds::Grows(const PoseGraph& graph, std::size_t k) const {
 
 std::size_t BlockBounds::FirstGrowing(const PoseGraph& graph, NodeIndex query,
                                       std::size_t blocks) const {
-  // From the first nodes of blocks that are two apart to the query: of even and
-  // of odd blocks.
+  // growing_since_ leads from even blocks to even and from odd to odd ones;
+  // from the last of either, the query is yet to be reached.
   if (blocks == 0 || FirstNode(blocks + 1) > query ||
       !NoiseIsAdded(state_space_, graph, FirstNode(blocks), query) ||
       !NoiseIsAdded(state_space_, graph, FirstNode(blocks + 1), query)) {
@@ -112,7 +113,7 @@ bool BlockBounds::Near(const Region& region, const Bounds& bounds) {
   const double variance = region.variance +
                           region.most_added * bounds.most_variance -
                           region.least_taken * bounds.least_variance;
-  // Written so that what is not a number is near.
+  // Written so that NaN is near.
   return !(x * x + y * y > region.squared_per_variance * variance);
 }
 

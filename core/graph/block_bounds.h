@@ -1,5 +1,5 @@
-// Where the blocks of a graph lie and how certain their nodes are, so that a
-// search can tell from a few numbers that a block holds nothing it could use.
+// Where the blocks of a graph lie and how certain their nodes are: a few
+// numbers that show a search which blocks hold nothing it could use.
 //
 // Thread-compatible: const calls may run at the same time.
 #ifndef REVISIT_CORE_GRAPH_BLOCK_BOUNDS_H_
@@ -14,36 +14,35 @@
 
 namespace revisit::core {
 
-// Of one graph, which all calls are given; nodes may be added to it between
-// them, and loop edges change.
+// Bound to one graph: pass the same graph to every call. Between calls, nodes
+// may be added to it and loop edges may change.
 class BlockBounds {
  public:
   explicit BlockBounds(StateSpace state_space) : state_space_(state_space) {}
 
-  // Takes on the blocks that have become full and have two more behind them.
+  // Adds the blocks that are now full and followed by at least two others.
   void Extend(const PoseGraph& graph);
 
-  // Blocks [0, size()) are known.
+  // Bounds are known of blocks [0, size()).
   std::size_t size() const { return blocks_.size(); }
 
-  // First of the known blocks from which on errors grow as those of dead
-  // reckoning do: for each node j of these and the query q,
+  // The first k such that in blocks [k, blocks) errors grow as those of dead
+  // reckoning do: for each of their nodes j and the query q,
   //
   //   S_q - Psi(q, j) S_j Psi(q, j)^T
   //
-  // is positive definite, so that what kDeadReckoning makes of the covariance
-  // of their difference is positive definite too. size() if that cannot be told
-  // of any. REQUIRES: the query lies after the known blocks that are asked for;
-  // `blocks` of them are, at most size().
+  // is positive definite, and so is the covariance of their difference under
+  // kDeadReckoning. `blocks` if it cannot be shown of any.
+  // REQUIRES: blocks <= size(); the query lies after these blocks.
   std::size_t FirstGrowing(const PoseGraph& graph, NodeIndex query,
                            std::size_t blocks) const;
 
-  // A disc about a point, in x and y, whose squared radius grows with the
-  // variance of what it is compared with:
+  // A disc about a point, in x and y, whose squared radius depends on the
+  // variances of the node that it is compared with:
   //
-  //   squared_per_variance (variance - least_taken l + most_added m),
+  //   squared_per_variance (variance - least_taken l + most_added m)
   //
-  // l the least and m the greatest variance of a node's position in any
+  // with l the least and m the greatest variance of the node's position in any
   // direction.
   struct Region {
     double x = 0.0;
@@ -74,7 +73,8 @@ class BlockBounds {
   }
 
  private:
-  // Blocks whose bounds are kept together too.
+  // Blocks per group. A group has common bounds too, so that a search can pass
+  // over all of its blocks at once.
   static constexpr std::size_t kGroup = 16;
 
   struct Bounds {
@@ -82,7 +82,7 @@ class BlockBounds {
     double most_x;
     double least_y;
     double most_y;
-    // Of the positions' errors, in any direction.
+    // Variances of the positions' errors in any direction.
     double least_variance;
     double most_variance;
   };
@@ -95,8 +95,8 @@ class BlockBounds {
   StateSpace state_space_;
   std::vector<Bounds> blocks_;
   std::vector<Bounds> groups_;
-  // First block from which on all grow up to this one; the one behind it if
-  // this one does not.
+  // For each block k, the first block from which errors grow in all blocks up
+  // to k; k + 1 if they do not grow in k itself.
   std::vector<std::uint32_t> growing_since_;
 };
 

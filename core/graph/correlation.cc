@@ -15,8 +15,8 @@ StateMatrix<D> PropagatedError(const PoseGraph& graph, CorrelationModel model,
     case CorrelationModel::kFilter:
       break;
   }
-  // From the later node backward, as products of decaying factors should be
-  // run.
+  // Backward from the later node, so that the product can stop as soon as the
+  // errors have decorrelated.
   StateMatrix<D> psi = StateMatrix<D>::Identity();
   for (NodeIndex i = later; i > earlier; --i) {
     psi *= ToMatrix<D>(graph.transition(i));

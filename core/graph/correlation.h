@@ -1,4 +1,4 @@
-// How the errors of two nodes hang together, and the covariance of their
+// How the errors of two nodes are correlated, and the covariance of their
 // difference (paper, Eq. 3).
 //
 // For any forward filter the error obeys e_j = Psi(j,i) e_i + (noise
@@ -19,7 +19,8 @@ namespace revisit::core {
 
 enum class CorrelationModel {
   // Psi carries the heading error over the lever arm between the two positions:
-  // the identity but for the column of heading, J (p_j - p_i) in x and y.
+  // it is the identity except for the column of heading, which is J (p_j - p_i)
+  // in x and y, with J the turn by a right angle.
   kDeadReckoning,
   // Psi = 0.
   kIndependent,
@@ -27,9 +28,9 @@ enum class CorrelationModel {
   kFilter,
 };
 
-// Products of error transitions whose largest entry, with the heading's lever
-// arm counted per metre, falls below this are taken for zero: the errors have
-// decorrelated.
+// A product of error transitions with no entry above this counts as zero: the
+// errors have decorrelated. Entries of different units are compared as they are
+// in metres and radians.
 inline constexpr double kDecorrelatedNorm = 1e-9;
 
 // Psi(later, earlier). O(1), but O(later - earlier) for kFilter.
@@ -38,7 +39,7 @@ template <int D>
 StateMatrix<D> PropagatedError(const PoseGraph& graph, CorrelationModel model,
                                NodeIndex earlier, NodeIndex later);
 
-// Psi for kDeadReckoning from the two poses alone.
+// Psi for kDeadReckoning, which depends on the two poses alone.
 template <int D>
 StateMatrix<D> DeadReckoningTransition(const Pose& earlier, const Pose& later) {
   StateMatrix<D> psi = StateMatrix<D>::Identity();
@@ -47,7 +48,7 @@ StateMatrix<D> DeadReckoningTransition(const Pose& earlier, const Pose& later) {
   return psi;
 }
 
-// Gamma from its parts.
+// Gamma from the two covariances and Psi.
 template <int D>
 StateMatrix<D> DifferenceCovariance(const StateMatrix<D>& earlier_covariance,
                                     const StateMatrix<D>& later_covariance,
@@ -56,8 +57,9 @@ StateMatrix<D> DifferenceCovariance(const StateMatrix<D>& earlier_covariance,
   return earlier_covariance + later_covariance - carried - carried.transpose();
 }
 
-// Gamma for kDeadReckoning, in closed form: with h the heading and l the lever
-// arm J (p_later - p_earlier), 0 but in x and y, Psi is I + l e_h^T and
+// Gamma for kDeadReckoning, in closed form. With h the index of heading and l
+// the lever arm J (p_later - p_earlier), which is 0 except in x and y, Psi is
+// I + l e_h^T and
 //
 //   Gamma(r,c) = later(r,c) - earlier(r,c)
 //                - (l_r earlier(h,c) + l_c earlier(h,r)).

@@ -24,9 +24,10 @@ Pose Interpolate(const Pose& a, const Pose& b, double f) {
           WrapHeading(a.heading + f * step.heading)};
 }
 
-// The part from `from` to `to` of a step whose error transition is `whole`,
-// errors being interpolated linearly along it: the error at f is ((1-f) I + f
-// whole) e. Both are functions of one matrix, so they commute.
+// The error transition over the part from `from` to `to` of a step whose error
+// transition is `whole`. Errors are interpolated linearly along the step: at f
+// the error is ((1-f) I + f whole) e. These matrices are functions of one
+// matrix, so they commute.
 Eigen::Matrix4d PartialTransition(const Eigen::Matrix4d& whole, double from,
                                   double to) {
   const auto at = [&whole](double f) -> Eigen::Matrix4d {
@@ -36,7 +37,7 @@ Eigen::Matrix4d PartialTransition(const Eigen::Matrix4d& whole, double from,
   return at(to) * at(from).inverse();
 }
 
-// Nanoseconds that std::llround() takes.
+// Nanoseconds that std::llround() can round.
 constexpr double kMostStampSpan = 9e18;
 
 }  // namespace
@@ -67,13 +68,14 @@ std::optional<Jump> DistanceResampler::Add(const PoseSample& sample,
     last_sequence_ = sample.sequence;
     last_stamp_ns_ = sample.stamp_ns;
   } else {
-    double reached = 0.0;  // Fraction of this step at the last node.
+    // Fraction of this step at which the last node lies.
+    double reached = 0.0;
     while (true) {
-      // Products, not sums, so that rounding does not add up along the path.
+      // A product and not a running sum, so that rounding errors do not add up.
       const double mark =
           segment_start_meters_ +
           static_cast<double>(segment_nodes_) * options_.spacing_meters;
-      // Rounding can put the mark a hair before the anchor.
+      // Rounding can put the mark slightly before the anchor.
       const double f = std::max(0.0, (mark - travelled_meters_) / step);
       if (f > 1.0) break;
       if (options_.carry_transitions) {
@@ -108,7 +110,8 @@ void DistanceResampler::StartSegment(const PoseSample& sample,
   AddNode(sample, 1.0, /*starts_segment=*/true, graph);
 }
 
-// At fraction f in (0, 1] of the step from the anchor to this sample.
+// Adds the node at fraction f in (0, 1] of the step from the anchor to this
+// sample.
 void DistanceResampler::AddNode(const PoseSample& sample, double f,
                                 bool starts_segment, PoseGraph* graph) {
   Node node;
@@ -122,14 +125,15 @@ void DistanceResampler::AddNode(const PoseSample& sample, double f,
     node.pose.heading = WrapHeading(sample.pose.heading);
     node.covariance = sample.covariance;
   } else {
-    // While the vehicle stood, only time went on: the step leads from where the
-    // anchor is, but leaves when the last pose was taken.
+    // While the vehicle stood still, only time passed: the step begins where
+    // the anchor is, but at the time of the last pose.
     node.sequence = last_sequence_;
     node.fraction = f;
     if (last_stamp_ns_ && sample.stamp_ns) {
       const double span = static_cast<double>(*sample.stamp_ns) -
                           static_cast<double>(*last_stamp_ns_);
-      // Stamps may be centuries apart; what does not fit is left out.
+      // Stamps may be centuries apart. A node whose stamp would not fit has
+      // none.
       std::int64_t stamp_ns = 0;
       if (std::abs(span) < kMostStampSpan &&
           !__builtin_add_overflow(*last_stamp_ns_, std::llround(f * span),
@@ -141,7 +145,7 @@ void DistanceResampler::AddNode(const PoseSample& sample, double f,
     node.covariance = Interpolate(anchor_->covariance, sample.covariance, f);
   }
   if (options_.state_space == StateSpace::kPlanar) {
-    // What is not part of the state must not look as if it were.
+    // z is not part of the state: nothing may depend on what was given for it.
     node.pose.z = 0.0;
     for (int i = 0; i < 4; ++i) node.covariance(2, i) = 0.0;
   }

@@ -7,9 +7,9 @@
 // (a convex combination of positive definite matrices is one too), and the
 // stamp linearly.
 //
-// Standing still adds nothing: a pose closer than `standstill_fraction` of the
-// spacing to the last one that counted is not counted itself, so the jitter of
-// a parked estimator does not wind up distance. A step longer than
+// Standing still adds no distance: a pose that is closer to the last counted
+// pose than `standstill_fraction` of the spacing is not counted itself, so the
+// jitter of a parked estimator does not add up. A step longer than
 // `max_step_meters` is a jump: it is reported, adds no distance, and starts a
 // new segment at the pose after it.
 #ifndef REVISIT_CORE_GRAPH_DISTANCE_RESAMPLER_H_
@@ -28,8 +28,8 @@ struct ResamplerOptions {
   double spacing_meters = 2.0;
   double max_step_meters = 100.0;
   double standstill_fraction = 0.05;
-  // Whether samples have error transitions (all but the first must) and nodes
-  // get theirs.
+  // Whether nodes get error transitions; all samples but the first must have
+  // them.
   bool carry_transitions = false;
 };
 
@@ -44,15 +44,17 @@ class DistanceResampler {
   // REQUIRES: positive spacing and maximal step.
   explicit DistanceResampler(const ResamplerOptions& options);
 
-  // Adds to the graph the nodes that the step to this sample reaches.
-  // REQUIRES: no defect, and the sequence after that of the last sample.
+  // Adds to the graph the nodes that the step to this sample reaches. Returns
+  // the jump, if the step is one.
+  // REQUIRES: the sample has no defect and the sequence number that follows the
+  // last sample's.
   std::optional<Jump> Add(const PoseSample& sample, PoseGraph* graph);
 
-  // Path length without jumps up to the last pose that counted.
+  // Path length up to the last counted pose, without jumps.
   double travelled_meters() const { return travelled_meters_; }
 
  private:
-  // What counts of a pose once it is passed.
+  // The part of a counted pose that the next step needs.
   struct Anchor {
     Pose pose;
     Covariance covariance;
@@ -64,7 +66,7 @@ class DistanceResampler {
                PoseGraph* graph);
 
   ResamplerOptions options_;
-  // The last pose that counted.
+  // The last counted pose.
   std::optional<Anchor> anchor_;
   // The last pose, counted or not.
   std::uint64_t last_sequence_ = 0;
@@ -72,8 +74,8 @@ class DistanceResampler {
   double travelled_meters_ = 0.0;
   double segment_start_meters_ = 0.0;
   std::int64_t segment_nodes_ = 0;
-  // Error transition from the last node to the anchor, and from the anchor to
-  // the last pose; only kept if they are carried.
+  // Error transitions from the last node to the anchor and from the anchor to
+  // the last pose. Used only with carry_transitions.
   Eigen::Matrix4d node_to_anchor_ = Eigen::Matrix4d::Identity();
   Eigen::Matrix4d anchor_to_last_ = Eigen::Matrix4d::Identity();
 };

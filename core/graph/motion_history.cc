@@ -14,7 +14,7 @@ void AddBlock(const PoseGraph& graph, CorrelationModel model, NodeIndex begin,
   MotionSums<D> sum;
   if (!sums->empty()) sum = sums->back();
   AddMotion<D>(graph, model, begin, end, &sum);
-  // Doubling would leave more unused than is worth it.
+  // Doubling would leave too much memory unused.
   if (sums->size() == sums->capacity()) {
     sums->reserve(sums->size() + sums->size() / 8 + 1);
   }
@@ -90,7 +90,7 @@ std::vector<double> MotionHistory::Shares(const PoseGraph& graph,
     if (begin >= end) break;
     if (run.end - end < end - begin) {
       counter.AddSorted(run.turns);
-      // Those beyond the last node, if any, do not count.
+      // Takes those beyond the last node back out, if any.
       add(end, run.end, -1);
     } else {
       add(begin, end, 1);

@@ -1,15 +1,16 @@
-// What motion_statistics.h measures over all of a vehicle's nodes, kept as the
-// graph grows, so that a query does not walk them.
+// The statistics of motion_statistics.h over all nodes of a vehicle, kept up to
+// date as the graph grows, so that a query need not walk all nodes.
 //
-// By blocks of nodes: the sums of the steps' noise up to the end of each block,
-// and the turns of the stretches in runs of blocks, each run sorted and as long
-// as a power of two, the longest first (the logarithmic method; Bentley & Saxe,
-// "Decomposable searching problems", J. Algorithms 1 (1980)). What lies between
-// the end of a block and the node asked about is measured there and then, so
-// that answers are those of the slow functions to the last bit, whatever has
-// been taken on.
+// Kept per block of nodes: the sums of the steps' noise up to the end of each
+// block, and the turns of stretches in runs of blocks. Each run is sorted, and
+// its number of blocks is a power of two, the longest run first (the
+// logarithmic method; Bentley & Saxe, "Decomposable searching problems", J.
+// Algorithms 1 (1980)). Nodes between the end of a block and the node that a
+// query asks about are measured during the query, so answers equal those of the
+// slow functions to the last bit, whatever has been added so far.
 //
-// At most 9.3 bytes a node; about 20 while the longest two runs are merged.
+// Takes at most 9.3 bytes per node, and about 20 while the two longest runs are
+// merged.
 //
 // Thread-compatible: const calls may run at the same time.
 #ifndef REVISIT_CORE_GRAPH_MOTION_HISTORY_H_
@@ -26,8 +27,8 @@
 
 namespace revisit::core {
 
-// Of one graph, which all calls are given. Between them, nodes may be added to
-// it and loop edges change; nothing else may.
+// Bound to one graph: pass the same graph to every call. Between calls, nodes
+// may be added to it and loop edges may change; nothing else may.
 class MotionHistory {
  public:
   // REQUIRES: stretch_nodes >= 1.
@@ -37,35 +38,35 @@ class MotionHistory {
   CorrelationModel model() const { return model_; }
   NodeIndex stretch_nodes() const { return stretch_nodes_; }
 
-  // Takes on the nodes added since. Amortised O(log n) a node.
+  // Adds the nodes that the graph has grown by. Amortised O(log n) per node.
   void Extend(const PoseGraph& graph);
 
-  // MeasureMotion() of these nodes. O(1), and as much for every node from the
-  // last block taken on to `last`. REQUIRES: D is of the state space.
+  // MeasureMotion() over nodes [0, last]. O(1 + nodes from the last added block
+  // to `last`). REQUIRES: D is the dimension of the state space.
   template <int D>
   MotionStatistics<D> Measure(const PoseGraph& graph, NodeIndex last) const;
 
-  // ShareOfStretches() of these nodes. O(turns log^2 n), and O(log(turns)) for
-  // every node from the last block taken on to `last`, or from `last` to that
-  // block; never more than ShareOfStretches() itself visits.
+  // ShareOfStretches() over nodes [0, last]. O(turns log^2 n), and
+  // O(log(turns)) for each node between the last added block and `last`; visits
+  // no more nodes than ShareOfStretches() itself.
   std::vector<double> Shares(const PoseGraph& graph, NodeIndex last,
                              const std::vector<double>& turns,
                              double tolerance_radians) const;
 
-  // Held on the heap.
+  // Memory held on the heap.
   std::size_t bytes() const;
 
  private:
   static constexpr NodeIndex kBlockNodes = 128;
 
-  // Of stretches whose last node lies after those of the run before, up to and
-  // without `end`.
+  // Sorted turns of the stretches whose last node lies in [end of the run
+  // before, end).
   struct Run {
     NodeIndex end = 0;
     std::vector<double> turns;
   };
 
-  // Nodes of run k.
+  // Number of nodes of run k.
   NodeIndex Length(std::size_t k) const {
     return runs_[k].end - (k == 0 ? 0 : runs_[k - 1].end);
   }
@@ -73,7 +74,7 @@ class MotionHistory {
 
   CorrelationModel model_;
   NodeIndex stretch_nodes_;
-  // Entry k is over the first k + 1 blocks.
+  // Entry k sums over the first k + 1 blocks.
   template <int D>
   using Sums = std::vector<MotionSums<D>>;
   std::variant<Sums<3>, Sums<4>> sums_;

@@ -11,7 +11,7 @@
 namespace revisit::core {
 namespace {
 
-// R^T m R, with R the turn by `heading` about z.
+// R^T m R with R the turn by `heading` about z.
 template <int D>
 StateMatrix<D> InVehicleAxes(const StateMatrix<D>& m, double heading) {
   const StateMatrix<D> r = TurnAbout<D>(heading);
@@ -35,7 +35,7 @@ void AddMotion(const PoseGraph& graph, CorrelationModel model, NodeIndex first,
                NodeIndex end, MotionSums<D>* sums) {
   assert(0 <= first && end <= graph.size());
   if (first >= end) return;
-  // Starts are few: looked up once a segment.
+  // Segments are long, so their starts are looked up only once each.
   NodeIndex next_start =
       graph.SegmentStart(first) == first ? first : graph.SegmentEnd(first);
   for (NodeIndex i = first; i < end; ++i) {

@@ -1,5 +1,5 @@
-// What a vehicle's own nodes say of its estimator and of its roads: the noise
-// of one step between consecutive nodes, and how much the roads bend.
+// Statistics of a vehicle's own nodes: the noise that its estimator adds in one
+// step between consecutive nodes, and how much its roads bend.
 #ifndef REVISIT_CORE_GRAPH_MOTION_STATISTICS_H_
 #define REVISIT_CORE_GRAPH_MOTION_STATISTICS_H_
 
@@ -15,41 +15,40 @@
 
 namespace revisit::core {
 
-// Means over the steps from one node to the next, jumps left out. Axes of the
-// vehicle at the later node: x forward, y left, z up.
+// Means over the steps from one node to the next, without jumps, in the axes of
+// the vehicle at the later node: x forward, y left, z up.
 template <int D>
 struct MotionStatistics {
   std::int64_t steps = 0;
-  // Covariance of what one step adds to the error, Cov(e_i - F e_(i-1)) with F
-  // the transition of dead reckoning: grows with distance. With Psi the model's
-  // transition it is
+  // Covariance of the error that one step adds, Cov(e_i - F e_(i-1)) with F the
+  // transition of dead reckoning. With Psi the model's transition it is
   //
   //   S_i + F S_(i-1) F^T - Psi S_(i-1) F^T - F S_(i-1) Psi^T.
   //
-  // Zero for kIndependent, whose errors do not grow but start anew.
+  // Zero for kIndependent, whose errors do not accumulate.
   StateMatrix<D> drift = StateMatrix<D>::Zero();
-  // Covariance of the error that each node has for itself: S_i for
-  // kIndependent, else zero.
+  // Covariance of the error of each node that is independent of the others':
+  // S_i for kIndependent, else zero.
   StateMatrix<D> jitter = StateMatrix<D>::Zero();
 };
 
-// Over nodes [0, last]. Both covariances are positive semidefinite: means that
-// rounding, interpolation or an optimiser made indefinite lose their negative
-// part. O(last).
+// The statistics over nodes [0, last]. Both covariances are positive
+// semidefinite: a mean that rounding, interpolation or an optimiser has made
+// indefinite loses its negative part. O(last).
 template <int D>
 MotionStatistics<D> MeasureMotion(const PoseGraph& graph,
                                   CorrelationModel model, NodeIndex last);
 
-// What MotionStatistics are the means of.
+// The sums that MotionStatistics are the means of.
 template <int D>
 struct MotionSums {
   std::int64_t steps = 0;
-  // Of jitter for kIndependent, of drift for the others.
+  // Sum of jitter for kIndependent, of drift for the other models.
   StateMatrix<D> sum = StateMatrix<D>::Zero();
 };
 
-// Adds the steps that lead to nodes [first, end), one after the other: sums
-// come out the same, to the last bit, however often they were put aside.
+// Adds the steps that lead to nodes [first, end), in order: a sum that is built
+// by several calls equals that of a single call to the last bit.
 template <int D>
 void AddMotion(const PoseGraph& graph, CorrelationModel model, NodeIndex first,
                NodeIndex end, MotionSums<D>* sums);
@@ -58,10 +57,10 @@ template <int D>
 MotionStatistics<D> MeanMotion(CorrelationModel model,
                                const MotionSums<D>& sums);
 
-// How common turns are among the vehicle's own: for each of the turns given
-// (rad), the share of all stretches of `stretch_nodes` steps within nodes [0,
-// last] that turn by as much to within `tolerance_radians`, with one more that
-// does, so that it is never 0. O(last log(turns)).
+// How common turns are on the vehicle's own roads: for each given turn (rad),
+// the share of those stretches of `stretch_nodes` steps within nodes [0, last]
+// that turn by as much to within `tolerance_radians`. One stretch that does is
+// added to all, so that no share is 0. O(last log(turns)).
 std::vector<double> ShareOfStretches(const PoseGraph& graph, NodeIndex last,
                                      NodeIndex stretch_nodes,
                                      const std::vector<double>& turns,
@@ -89,25 +88,25 @@ class StretchCounter {
  public:
   StretchCounter(const std::vector<double>& turns, double tolerance_radians);
 
-  // A stretch, or one less. O(log(turns)).
+  // Counts a stretch `times` times; -1 takes it back out. O(log(turns)).
   void Add(double turn, std::int64_t times = 1);
-  // Many, sorted. O(turns log(stretches)).
+  // Counts many stretches, which are sorted. O(turns log(stretches)).
   void AddSorted(const std::vector<double>& stretches);
 
   std::vector<double> Shares() const;
 
  private:
-  // Bounds that are at most this turn.
+  // Number of bounds that are at most this turn.
   std::size_t BoundsUpTo(double turn) const;
 
   std::vector<double> turns_;
   double tolerance_radians_;
-  // Of what counts for each turn, sorted: between two neighbouring ones, all
-  // stretches count for the same turns.
+  // Least and greatest stretch that counts for each turn, all sorted: between
+  // two neighbouring bounds, all stretches count for the same turns.
   std::vector<double> bounds_;
-  // Stretches that lie beyond as many bounds, from Add().
+  // Entry n is the number of stretches from Add() with BoundsUpTo() n.
   std::vector<std::int64_t> beyond_;
-  // Stretches below each bound, from AddSorted().
+  // Number of stretches from AddSorted() below each bound.
   std::vector<std::int64_t> below_;
   std::int64_t stretches_ = 0;
 };

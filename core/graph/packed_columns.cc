@@ -25,7 +25,7 @@ PackedColumns::PackedColumns(const std::vector<std::uint64_t>& values,
           64 - shift - static_cast<std::uint64_t>(__builtin_clzll(distances));
     }
     heads.push_back(least);
-    // Entries without bits are read too, where there certainly is something.
+    // at() reads a word even for entries without bits: the first always exists.
     heads.push_back(width | shift << 8 | (width == 0 ? 0 : bit) << 16);
     bit += width * rows;
   }

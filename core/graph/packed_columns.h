@@ -1,5 +1,6 @@
-// Columns of 64-bit numbers, each in as few bits as tell its entries apart:
-// what most entries of a column share is kept once. Nothing is lost.
+// Columns of 64-bit numbers, compressed without loss: bits that all entries of
+// a column share are kept once, so an entry takes only as many bits as tell the
+// column's entries apart.
 //
 // Immutable, so thread-safe.
 #ifndef REVISIT_CORE_GRAPH_PACKED_COLUMNS_H_
@@ -14,10 +15,10 @@ namespace revisit::core {
 
 class PackedColumns {
  public:
-  // Of no columns.
+  // No columns.
   PackedColumns() = default;
-  // `values` column after column, `rows` of each.
-  // REQUIRES: rows > 0, a whole number of columns.
+  // `values` are the columns one after the other, with `rows` entries each.
+  // REQUIRES: rows > 0 divides the number of values.
   PackedColumns(const std::vector<std::uint64_t>& values, std::size_t rows);
 
   // O(1), without a branch. REQUIRES: both in range.
@@ -35,8 +36,8 @@ class PackedColumns {
     return head[0] + ((bits & mask) << shift);
   }
 
-  // A whole column, faster than one by one: calls take(row, entry) in order.
-  // REQUIRES: the column in range, no more rows than there are.
+  // Calls take(row, entry) for the first `rows` entries of a column in order,
+  // which is faster than at() for each. REQUIRES: both in range.
   template <typename Take>
   void Visit(std::size_t column, std::size_t rows, const Take& take) const {
     const std::uint64_t* const head = words_.data() + kHeadWords * column;
@@ -52,15 +53,16 @@ class PackedColumns {
  private:
   static constexpr std::size_t kHeadWords = 2;
 
-  // A head a column: its least entry; the width of an entry in bits, by how
-  // much it is shifted, and the place of the first, in bits from the start. An
-  // entry is its distance from the least. Then all entries, and a word to read
-  // past the last.
+  // First a head per column: its least entry, then one word with the width of
+  // an entry in bits, the number of bits by which it is shifted, and the
+  // position of the first entry, in bits from the start. An entry is kept as
+  // its distance from the least. Then all entries, and one more word, since
+  // at() reads past the last.
   std::vector<std::uint64_t> words_;
 };
 
-// Doubles as numbers that share leading bits where the doubles are of like
-// size, whatever their signs.
+// Converts doubles to numbers that share leading bits where the doubles are of
+// similar magnitude, whatever their signs.
 inline std::uint64_t ToPackable(double value) {
   std::uint64_t bits;
   std::memcpy(&bits, &value, sizeof(bits));

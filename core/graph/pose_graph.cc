@@ -9,7 +9,8 @@ namespace revisit::core {
 
 namespace {
 
-// Doubling would leave a quarter of the memory unused.
+// Makes room for `size` entries in whole steps. Doubling, as vectors do, would
+// leave a quarter of the memory unused.
 template <typename T>
 void ReserveInSteps(std::size_t size, std::size_t step, std::size_t most,
                     std::vector<T>* vector) {
@@ -138,7 +139,7 @@ void PoseGraph::AddNode(const Node& node, bool starts_segment,
   blocks_.back().Add(at, node.pose, node.covariance,
                      nodes_at_a_time / NodeBlock::kGroupSize);
   ReserveInSteps(at + 1, nodes_at_a_time, NodeBlock::kSize, &records_);
-  // Where there is no stamp, one that takes no room.
+  // A node without a stamp repeats the one before, which packs to nothing.
   const std::int64_t before = records_.empty() ? 0 : records_.back().stamp_ns;
   has_stamp_[at] = node.stamp_ns.has_value();
   records_.push_back({node.sequence, node.fraction, node.travelled_meters,
@@ -151,9 +152,9 @@ void PoseGraph::AddNode(const Node& node, bool starts_segment,
   ++size_;
 }
 
-// A fleet has many small graphs, which must not hold much that they do not use;
-// but to grow by little, again and again, leaves holes behind that nothing else
-// fits into. So: a 128th of what there is, and from 16384 nodes on a block.
+// A fleet has many small graphs, which must not hold much unused memory; but
+// growing by little, again and again, fragments the heap. So a graph grows by a
+// 128th of its size, and from 16384 nodes on by a block.
 std::size_t PoseGraph::NodesAtATime() const {
   const std::size_t groups = Position(size_) / 128 / NodeBlock::kGroupSize;
   return std::clamp<std::size_t>(groups, 1,
@@ -202,7 +203,7 @@ std::size_t PoseGraph::bytes() const {
     return vector.capacity() * sizeof(vector[0]);
   };
   const std::size_t last = blocks_.empty() ? 0 : blocks_.back().bytes();
-  // Most ends of loop closures have one.
+  // Most nodes with loop closures have one.
   const std::size_t loop_end =
       sizeof(*loop_neighbours_.begin()) + sizeof(NodeIndex);
   return full_bytes_ + last + bytes_of(blocks_) + bytes_of(packed_) +

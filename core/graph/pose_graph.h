@@ -3,7 +3,7 @@
 //
 // Indices are dense and grow with the travelled distance. Edges are undirected.
 // Where the trajectory jumped, consecutive nodes have no edge; the nodes
-// between two such places form a segment.
+// between two jumps form a segment.
 //
 // Thread-compatible: const calls may run at the same time.
 #ifndef REVISIT_CORE_GRAPH_POSE_GRAPH_H_
@@ -27,27 +27,28 @@ namespace revisit::core {
 using NodeIndex = std::int64_t;
 
 struct Node {
-  // The pose at or before the node, and how far on towards the next one it
-  // lies, in [0, 1).
+  // The last pose at or before the node, and the fraction in [0, 1) of the way
+  // to the next pose at which the node lies.
   std::uint64_t sequence = 0;
   double fraction = 0.0;
   std::optional<std::int64_t> stamp_ns;
-  // Distance travelled to here, without jumps.
+  // Distance travelled up to the node, without jumps.
   double travelled_meters = 0.0;
   // Heading in (-pi, pi].
   Pose pose;
   Covariance covariance;
 };
 
-// What the similarity of a query with all of history reads, many nodes at once:
-// groups of nodes one after the other, in each group one row a quantity, of
-// eight nodes side by side. What else there is to a node is kept elsewhere.
+// The poses and covariances of up to 128 nodes, laid out for kernels that read
+// many nodes at once: in groups of eight nodes, and in each group one row per
+// quantity, in which the eight nodes stand side by side. The other fields of a
+// node are kept elsewhere.
 class NodeBlock {
  public:
   static constexpr std::size_t kSize = 128;
   static constexpr std::size_t kGroupSize = 8;
 
-  // Rows of a group. Those from kZ on are there only if spatial().
+  // Rows of a group. The rows from kZ on exist only if spatial().
   enum Row : std::size_t {
     kX,
     kY,
@@ -67,16 +68,16 @@ class NodeBlock {
   static constexpr std::size_t kPlanarRows = kZ;
   static constexpr std::size_t kSpatialRows = kZH + 1;
 
-  // Row of the covariance's entry r, c over (x, y, z, heading).
+  // Row of the covariance's entry (r, c) over (x, y, z, heading).
   static constexpr Row CovarianceRow(int r, int c) {
     constexpr Row kRows[] = {kXX, kXY, kXZ, kXH, kYY, kYZ, kYH, kZZ, kZH, kHH};
     return kRows[Covariance::Index(r, c)];
   }
 
-  // Whether a node has anything but 0 in z or its covariances.
+  // Whether z or one of its covariances is not 0 for some node.
   bool spatial() const { return spatial_; }
   std::size_t rows() const { return spatial_ ? kSpatialRows : kPlanarRows; }
-  // Entries of groups beyond the last node are 0.
+  // Number of groups. Entries beyond the last node are 0.
   std::size_t groups() const { return lines_.size() / rows(); }
   // The rows of a group, one after the other, in whole lines of the cache.
   const double* group(std::size_t g) const {
@@ -112,8 +113,8 @@ class NodeBlock {
     return covariance;
   }
 
-  // REQUIRES: `at` nodes so far, fewer than kSize. Memory is taken for so many
-  // groups at a time.
+  // Adds a node. Memory is allocated for this many groups at a time.
+  // REQUIRES: at < kSize is the number of nodes so far.
   void Add(std::size_t at, const Pose& pose, const Covariance& covariance,
            std::size_t groups_at_a_time);
 
@@ -130,7 +131,7 @@ class NodeBlock {
   bool spatial_ = false;
 };
 
-// Blocks that hold the first `count` nodes.
+// Number of blocks that hold the first `count` nodes.
 inline std::size_t BlocksOf(NodeIndex count) {
   return (static_cast<std::size_t>(count) + NodeBlock::kSize - 1) /
          NodeBlock::kSize;
@@ -139,8 +140,7 @@ inline std::size_t BlocksOf(NodeIndex count) {
 class PoseGraph {
  public:
   NodeIndex size() const { return size_; }
-  // Gathered from where it is kept. Inlined, so that what the caller does not
-  // use of it costs nothing.
+  // Always inlined, so that fields that the caller does not use cost nothing.
   __attribute__((always_inline)) Node node(NodeIndex i) const {
     const std::size_t block = Position(i) / NodeBlock::kSize;
     const std::size_t at = Position(i) % NodeBlock::kSize;
@@ -172,15 +172,15 @@ class PoseGraph {
     return blocks_[Position(i) / NodeBlock::kSize].covariance(Position(i) %
                                                               NodeBlock::kSize);
   }
-  // Between two nodes, along the path.
+  // Distance between two nodes along the path.
   double MetersApart(NodeIndex i, NodeIndex j) const {
     return std::abs(TravelledMeters(i) - TravelledMeters(j));
   }
-  // Nodes from k * NodeBlock::kSize on.
+  // Block k holds the nodes from k * NodeBlock::kSize on.
   const NodeBlock& block(std::size_t k) const { return blocks_[k]; }
 
-  // The error transition from node i-1 to node i; identity for node 0 and where
-  // none was given.
+  // The error transition from node i - 1 to node i; the identity for node 0 and
+  // where none was given.
   ErrorTransition transition(NodeIndex i) const {
     ErrorTransition transition;
     if (!has_transitions_) return transition;
@@ -194,45 +194,46 @@ class PoseGraph {
     return transition;
   }
 
-  // The same of all nodes of block k, by place in the block: faster than one by
-  // one for who goes through many.
+  // Reads the transitions of all nodes of block k, in order: faster than
+  // calling transition() for each.
   void ReadTransitions(std::size_t k,
                        std::vector<ErrorTransition>* transitions) const;
 
   // First node of the segment that holds node i.
   NodeIndex SegmentStart(NodeIndex i) const;
-  // First node after that segment; size() if it is the last.
+  // First node after the segment that holds node i; size() if it is the last.
   NodeIndex SegmentEnd(NodeIndex i) const;
 
-  // Last node at or before the pose: nothing if there is none.
+  // The last node at or before the pose, or nothing if there is none.
   std::optional<NodeIndex> NodeAtOrBefore(std::uint64_t sequence) const;
 
   bool has_loop_edges() const { return !loop_neighbours_.empty(); }
 
-  // Other ends of the loop-closure edges at i, in the order they were added.
+  // Other ends of the loop-closure edges at node i, in the order in which the
+  // edges were added.
   const std::vector<NodeIndex>& LoopNeighbours(NodeIndex i) const;
 
-  // Every loop-closure edge once, from < to, in the order of `from`.
+  // Every loop-closure edge once as (from, to) with from < to, sorted.
   std::vector<std::pair<NodeIndex, NodeIndex>> LoopEdges() const;
 
-  // `starts_segment`: no edge to the node before. `transition` only for
-  // vehicles whose errors are carried by the caller's filter: give it for all
+  // A node that starts a segment has no edge to the node before. `transition`
+  // is for vehicles whose filter reports error transitions: give it for all
   // nodes or for none.
   void AddNode(const Node& node, bool starts_segment,
                const std::optional<ErrorTransition>& transition);
 
-  // An edge between two nodes that differ. The same edge may be there more than
-  // once (two loop closures between the same nodes); each counts for the
-  // degree.
+  // Adds an edge between two different nodes. Two nodes may have more than one
+  // edge (as many as loop closures between them); each counts for the degree.
   void AddLoopEdge(NodeIndex a, NodeIndex b);
-  // Removes one edge of the two. Returns whether there was one.
+  // Removes one edge between the two nodes. Returns whether there was one.
   bool RemoveLoopEdge(NodeIndex a, NodeIndex b);
 
-  // Memory that nodes and edges take, without what an allocator adds. O(1).
+  // Memory of nodes and edges, without the allocator's overhead. O(1).
   std::size_t bytes() const;
 
  private:
-  // What is not in a block, of the nodes of the last one.
+  // The fields of a node that are not in its block, for nodes of the last
+  // block.
   struct Record {
     std::uint64_t sequence;
     double fraction;
@@ -240,14 +241,14 @@ class PoseGraph {
     std::int64_t stamp_ns;
   };
 
-  // The same of the blocks before it, which are full, as columns.
+  // Columns of the same fields for the full blocks before it.
   enum PackedColumn : std::size_t {
     kSequence,
     kFraction,
     kTravelled,
     kHasStamp,
     kStamp,
-    // One for each of its entries, if there are transitions.
+    // One column per entry of the matrix, if there are transitions.
     kTransition,
   };
 
@@ -261,16 +262,16 @@ class PoseGraph {
                ? FromPackable(packed_[block].at(kTravelled, at))
                : records_[at].travelled_meters;
   }
-  // Nodes that memory is taken for at a time, in whole groups.
+  // Number of nodes for which memory is allocated at a time: whole groups.
   std::size_t NodesAtATime() const;
-  // The records, once there is one for every node of a block.
+  // Packs the records, once the last block is full.
   void Pack();
 
   NodeIndex size_ = 0;
   bool has_transitions_ = false;
   std::vector<NodeBlock> blocks_;
   std::vector<PackedColumns> packed_;
-  // Of the blocks that are full.
+  // Memory of the full blocks.
   std::size_t full_bytes_ = 0;
   std::vector<Record> records_;
   std::bitset<NodeBlock::kSize> has_stamp_;

@@ -1,6 +1,6 @@
 // The paper's simulation (section on the simulated vehicle, Fig. 3): the car of
 // Bailey and Nieto's SLAM simulators drives laps of a closed course; its
-// estimator only predicts, so uncertainty grows; a check every 5 m with
+// estimator only predicts, so uncertainty grows; it checks every 5 m with
 // sequences of 30 m.
 //
 // Parameters are those of the simulators' configuration (2004): 3 m/s,
@@ -51,7 +51,7 @@ struct SimulatedDrive {
   std::vector<PoseSample> estimate;
 };
 
-// Truth follows the course; the estimate integrates the noisy controls.
+// The truth follows the course; the estimate integrates the noisy controls.
 SimulatedDrive Drive(int laps, std::mt19937_64& random) {
   SimulatedDrive run;
   Pose truth;
@@ -238,7 +238,7 @@ Judged DriveAndCheck(AlignmentKind alignment, std::mt19937_64& random) {
   return judged;
 }
 
-// What came of the checks of some drives.
+// Results of the checks of some drives.
 struct Tally {
   int inside = 0;
   int accepted = 0;
@@ -252,7 +252,7 @@ struct Tally {
   double count() const { return straight + corner; }
 };
 
-// The first drive is drawn, if a file is given.
+// Draws the first drive if a file is given.
 Tally DriveMuch(int drives, AlignmentKind alignment,
                 const std::optional<std::string>& drawing,
                 std::mt19937_64& random) {
@@ -298,7 +298,7 @@ TEST(CarSimulationTest, CandidatesLieAlongTheEllipseAndImproveWithACorner) {
   EXPECT_GE(tally.inside / tally.count(), 0.95);
   EXPECT_GE(tally.accepted / tally.count(), 0.95);
   EXPECT_LT(tally.across, 0.7 * tally.along);
-  // Fewer drives will not do: of twelve, some seeds come to 0.79.
+  // Fewer drives are too few: with twelve, some seeds result in 0.79.
   EXPECT_LT(tally.corner_error, 0.75 * tally.straight_error);
 }
 

@@ -21,7 +21,7 @@ class Trip {
     return *this;
   }
 
-  // Left if positive.
+  // Turns left if positive.
   Trip& Turn(double degrees, double radius) {
     const double angle = degrees * kPi / 180.0;
     const int steps = static_cast<int>(std::ceil(std::abs(angle) * radius));
@@ -29,7 +29,7 @@ class Trip {
     return *this;
   }
 
-  // A road that winds: the same at the same place along it.
+  // A winding road, which is the same at the same place along it.
   Trip& Winding(double from, double to) {
     for (double s = from; s + 0.5 < to; s += 1.0) {
       Step(0.03 * std::sin(s / 17.0) + 0.02 * std::sin(s / 7.3));
@@ -37,7 +37,7 @@ class Trip {
     return *this;
   }
 
-  // To another place without a drive: the stream jumps there.
+  // Jumps to another place without driving there.
   Trip& JumpTo(const Pose& pose) {
     pose_ = pose;
     poses_.push_back(pose);

@@ -1,5 +1,5 @@
-// Whatever passes FindDefect() and FindProblems() must give an answer: the
-// engine runs in a server that serves others too.
+// All inputs that pass FindDefect() and FindProblems() must be answered: the
+// engine runs in a server that serves other vehicles too.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -95,7 +95,7 @@ Extremes DrawExtremes(std::mt19937_64& random) {
           steady ? (k == 3 ? heading : position) : AnyOf(random, deviations);
       sample.covariance(k, k) = deviation * deviation;
     }
-    // Nearly as dependent as is allowed.
+    // Correlations close to the limit.
     if (UniformInt(random, 0, 1)) {
       sample.covariance(0, 3) = (1.0 - 1e-9) *
                                 std::sqrt(sample.covariance(0, 0)) *

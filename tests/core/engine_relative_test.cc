@@ -1,5 +1,4 @@
-// Relative alignments through the engine: what is found, and what is said of
-// it.
+// Relative alignments through the engine: the candidates and their evidence.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -16,7 +15,7 @@
 namespace revisit::core {
 namespace {
 
-// Of what the dead reckoning of these tests adds.
+// The noise that the dead reckoning of these tests adds.
 oracle::Noise LittleNoise() {
   oracle::Noise noise;
   noise.heading_radians = 0.0003;
@@ -113,11 +112,11 @@ TEST(EngineRelativeTest, ASecondLapIsAccepted) {
 }
 
 TEST(EngineRelativeTest, AnEndFarOutsideItsUncertaintyIsRejectedByTheGate) {
-  // The estimator has slipped 60 m sideways between the laps and does not know.
+  // The estimator has slipped 60 m sideways between the laps, unnoticed.
   std::vector<Pose> poses = Ring(1600.0);
   for (std::size_t i = 1200; i < poses.size(); ++i) poses[i].y += 60.0;
   const Engine engine = Driven(poses);
-  // So improbable that it has to be asked for.
+  // So improbable that only an exhaustive search finds it.
   EXPECT_EQ(Find(engine).empty_reason, EmptyReason::kNoProbablePlace);
   SearchOptions options;
   options.exhaustive = true;
@@ -132,8 +131,8 @@ TEST(EngineRelativeTest, AnEndFarOutsideItsUncertaintyIsRejectedByTheGate) {
 }
 
 TEST(EngineRelativeTest, TwoPlacesAsGoodAreAmbiguous) {
-  // Two courses alike, 3 km from each other; then, lost between them, a third
-  // time the same shape.
+  // Two equal courses 3 km from each other; then, with the vehicle lost between
+  // them, the same shape a third time.
   std::vector<Pose> poses;
   for (const double x : {0.0, 3000.0, 1500.0}) {
     for (Pose pose : Ring(x == 1500.0 ? 500.0 : 1200.0)) {
@@ -227,8 +226,8 @@ TEST(EngineRelativeTest, AShapeThatStraysTooFarIsRejectedByShape) {
 }
 
 TEST(EngineRelativeTest, AnEndAtTheEdgeOfTheGateNeedsAShapeThatSpeaksForIt) {
-  // A straight beside another: 2.5 standard deviations off, and nothing in the
-  // shape that would make up for it.
+  // A straight beside another, 2.5 standard deviations off, with nothing in the
+  // shape to make up for it.
   const Engine engine = Driven(
       WithDeviations(
           Trip().Straight(800.0).JumpTo({300.0, 150.0}).Straight(250.0).poses(),
@@ -243,8 +242,8 @@ TEST(EngineRelativeTest, AnEndAtTheEdgeOfTheGateNeedsAShapeThatSpeaksForIt) {
 }
 
 TEST(EngineRelativeTest, NothingIsInventedWhereAllIsIllConditioned) {
-  // Dead reckoning cannot become more certain; claimed so, the covariance of
-  // every difference is indefinite.
+  // Dead reckoning cannot become more certain: where it claims to, the
+  // covariance of every difference is indefinite.
   std::vector<PoseSample> samples = oracle::WithCovariances(Ring(1600.0), {});
   for (std::size_t i = 0; i < samples.size(); ++i) {
     for (int k : {0, 1, 3}) {
@@ -270,8 +269,8 @@ TEST(EngineRelativeTest, NothingIsInventedWhereAllIsIllConditioned) {
   }
 }
 
-// A second lap whose estimator is sure of itself, so that little but the
-// tolerance speaks for a difference.
+// A second lap whose estimator is overconfident, so that hardly anything but
+// the tolerance allows for a difference.
 std::vector<PoseSample> SureSecondLap() {
   std::vector<PoseSample> samples =
       oracle::WithCovariances(Ring(1600.0), LittleNoise());
@@ -281,7 +280,7 @@ std::vector<PoseSample> SureSecondLap() {
   return samples;
 }
 
-// Turns the headings that make up the last node's, and no other's.
+// Turns the headings that the last node's depends on, and no other's.
 void TurnLastNode(double radians, std::vector<PoseSample>* samples) {
   const Engine engine = Driven(*samples);
   const NodeIndex last = engine.graph().size() - 1;
@@ -457,7 +456,7 @@ TEST(EngineRelativeTest, RejectedPairsAreNotOfferedUntilTheRejectionGoes) {
           separation - 2.0);
     }
   }
-  // Queries farther off than the separation are not concerned.
+  // Queries farther away than the separation are not affected.
   const NodeIndex earlier = *before.query - 10;
   const auto other =
       engine.FindCandidates(earlier, engine.settings().search, nullptr);
@@ -629,7 +628,7 @@ TEST(EngineRelativeTest, AClosureTakenBackLeavesNoTraceInTheConsistency) {
   EXPECT_EQ(other.consistency().inflation, plain.consistency().inflation);
   EXPECT_EQ(other.consistency().mean_normalized_innovation_squared,
             plain.consistency().mean_normalized_innovation_squared);
-  // Other settings see the same closures with other eyes.
+  // Other settings result in another estimate from the same closures.
   EngineSettings settings;
   settings.max_inflation = 1.0;
   other.ChangeSettings(settings, 6);

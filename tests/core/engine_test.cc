@@ -16,8 +16,8 @@ namespace {
 using ::testing::ElementsAre;
 using ::testing::IsEmpty;
 
-// Laps of a 400 m by 200 m rectangle, a pose every metre, truth as the
-// estimate.
+// Laps of a 400 m by 200 m rectangle with a pose every metre, estimated without
+// error.
 std::vector<PoseSample> Laps(double meters) {
   std::vector<Pose> path;
   for (double s = 0.0; s <= meters; s += 1.0) {
@@ -135,7 +135,7 @@ TEST(EngineTest, SaysWhyAnAnswerIsEmpty) {
 
   EXPECT_EQ(Driven(140.0).FindCandidates(options, nullptr)->empty_reason,
             EmptyReason::kPathTooShort);
-  // 75 nodes, 148 m: a sequence, and nothing before it.
+  // 75 nodes, 148 m: a sequence with nothing before it.
   EXPECT_EQ(Driven(148.0).FindCandidates(options, nullptr)->empty_reason,
             EmptyReason::kNoHistory);
 
@@ -173,8 +173,8 @@ TEST(EngineTest, StopsWhenTold) {
 TEST(EngineTest, LoopClosuresBecomeEdgesBetweenTheNodesAtOrBefore) {
   Engine engine = Driven(1300.0);
   engine.AddLoopClosure(1212, 10, 2);
-  // Poses 1212 and 10 are 1211 m and 9 m along; the nodes before them, 1210
-  // and 8.
+  // Poses 1212 and 10 are 1211 m and 9 m along; the nodes before them, 1210 and
+  // 8.
   EXPECT_THAT(engine.graph().LoopEdges(),
               ElementsAre(std::make_pair(NodeIndex{4}, NodeIndex{605})));
   EXPECT_EQ(engine.revision(), 2u);

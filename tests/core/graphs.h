@@ -1,4 +1,4 @@
-// Graphs for the core's tests.
+// Random graphs for the core's tests.
 #ifndef REVISIT_TESTS_CORE_GRAPHS_H_
 #define REVISIT_TESTS_CORE_GRAPHS_H_
 
@@ -30,7 +30,7 @@ inline Pose RandomPose(std::mt19937_64& random, double extent) {
           Uniform(random, -extent, extent) / 10.0, Uniform(random, -kPi, kPi)};
 }
 
-// Unrelated nodes: nothing but the interface ties them together.
+// A graph of unrelated random nodes.
 inline PoseGraph RandomGraph(std::mt19937_64& random, NodeIndex size,
                              double new_segment_probability, int loop_edges,
                              bool transitions) {

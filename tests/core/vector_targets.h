@@ -1,4 +1,4 @@
-// Runs a test with every kind of vectors that this machine has.
+// Runs a test with every vector instruction set of this machine.
 #ifndef REVISIT_TESTS_CORE_VECTOR_TARGETS_H_
 #define REVISIT_TESTS_CORE_VECTOR_TARGETS_H_
 

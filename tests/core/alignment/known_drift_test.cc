@@ -18,7 +18,7 @@ struct Drive {
   PoseGraph graph;
 };
 
-// A drive that dead-reckons, its covariances those of the chain.
+// A drive by dead reckoning, with the covariances of its chain of errors.
 template <int D>
 std::pair<Drive, oracle::ErrorChain> RandomDrive(std::mt19937_64& random,
                                                  int nodes) {
@@ -111,7 +111,7 @@ TEST(KnownDriftTest, ConditionsTheJointErrorOfTheChainInSpace) {
 
 TEST(KnownDriftTest, WhatAClosureHasShownHoldsForTheNodesNextToIt) {
   // Between the laps the vehicle was lost for a while: the second is 30 m north
-  // of the first. The closure of one pair says so of the next.
+  // of the first. The closure of one pair shows it of the next.
   PoseGraph graph;
   for (int i = 0; i < 200; ++i) {
     const double angle = 2.0 * kPi * i / 100.0;
@@ -133,13 +133,13 @@ TEST(KnownDriftTest, WhatAClosureHasShownHoldsForTheNodesNextToIt) {
   EXPECT_NEAR(difference(1), 30.0, 1e-9);
   EXPECT_NEAR(covariance(1, 1), 400.0, 0.1);
   known->Apply(55, &difference, &covariance);
-  // A variance of 400 is known but for the closure's tolerance of 5 m.
+  // A variance of 400 is known up to the closure's tolerance of 5 m.
   EXPECT_NEAR(difference(1), 30.0 * 25.0 / 425.0, 0.01);
   EXPECT_NEAR(covariance(1, 1), 400.0 * 25.0 / 425.0, 0.1);
 }
 
 TEST(KnownDriftTest, SaysNothingWhereCovariancesHaveShrunk) {
-  // What an optimiser leaves behind: from node 5 on, far more certain.
+  // As after an optimiser: nodes from 5 on are far more certain.
   PoseGraph graph;
   for (int i = 0; i < 12; ++i) {
     Node node;

@@ -125,8 +125,8 @@ TEST(LogSimilarityTest, AColumnHoldsThePairs) {
   }
 }
 
-// Random nodes at every scale that is taken for a pose, now and then the same
-// twice, with headings where they wrap.
+// Random nodes at every scale that is allowed for a pose. Some occur twice, and
+// some headings lie where they wrap.
 PoseGraph ExtremeGraph(std::mt19937_64& random, NodeIndex size) {
   PoseGraph graph;
   Node node;
@@ -146,7 +146,7 @@ PoseGraph ExtremeGraph(std::mt19937_64& random, NodeIndex size) {
   return graph;
 }
 
-// Tally of what the kernel was held against.
+// How often each case was compared with the kernel.
 struct Tally {
   std::int64_t possible = 0;
   std::int64_t impossible = 0;
@@ -242,8 +242,8 @@ TEST(LogSimilarityTest, DoesNotDependOnTheFrame) {
   const double s = std::sin(angle);
   StateMatrix<4> rotation = StateMatrix<4>::Identity();
   rotation.topLeftCorner<2, 2>() << c, -s, s, c;
-  // A drive whose covariances belong to its path, once as it is and once turned
-  // and moved.
+  // A drive with the covariances of its path, once as it is and once turned and
+  // moved.
   std::vector<Pose> path(100);
   for (std::size_t i = 1; i < path.size(); ++i) {
     path[i].heading = path[i - 1].heading + Normal(random, 0.1);

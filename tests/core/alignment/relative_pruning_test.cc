@@ -16,7 +16,7 @@
 namespace revisit::core {
 namespace {
 
-// How often the trials have come by what.
+// How often each case has occurred in the trials.
 struct PruningSeen {
   std::int64_t kept = 0;
   std::int64_t left_out = 0;
@@ -34,7 +34,7 @@ bool IsSought(const RelativeModel& model, NodeIndex node) {
                       });
 }
 
-// Of the ends that are sought, or a new place's if that is more.
+// The greatest log-odds of the ends that are sought and of a new place.
 double GreatestLogOdds(const RelativeModel& model,
                        const RelativeAlignment& dense) {
   double greatest = 0.0;
@@ -46,7 +46,7 @@ double GreatestLogOdds(const RelativeModel& model,
   return greatest;
 }
 
-// Anything, or what one of the ends has to the last bit, or hardly more.
+// Any log share, or that of one of the ends to the last bit, or hardly more.
 double LeastLogShare(std::mt19937_64& random, const RelativeAlignment& dense,
                      double greatest) {
   const ScoredEnds& ends = dense.ends(
@@ -70,8 +70,8 @@ std::vector<NodeRange> RandomRanges(std::mt19937_64& random,
   return ranges;
 }
 
-// What an unbounded search says of the ends that are sought, less what has
-// lower log-odds: bit for bit.
+// A pruned search finds what an unbounded search does among the ends that are
+// sought, bit for bit, except for ends with lower log-odds.
 void ExpectTheSameButForLowOdds(std::mt19937_64& random, const Town& town,
                                 PruningSeen* seen) {
   const auto dense = AlignRelative(town.graph, town.model, town.query,
@@ -102,7 +102,7 @@ void ExpectTheSameButForLowOdds(std::mt19937_64& random, const Town& town,
                    << "way " << IndexOf(direction) << " end " << of_all.node
                    << " score " << of_all.score);
       const bool found = end != ends.end() && end->node == of_all.node;
-      // Written so that what is not a number is left out.
+      // Written so that NaN is left out.
       ASSERT_EQ(found,
                 IsSought(model, of_all.node) && of_all.score >= least_log_odds);
       if (!found) {

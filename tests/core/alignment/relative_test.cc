@@ -25,7 +25,7 @@ namespace {
 
 using ::testing::ElementsAre;
 
-// How often the trials have come by what.
+// How often each case has occurred in the trials.
 struct Seen {
   int ends = 0;
   int walked = 0;
@@ -144,7 +144,7 @@ class WindingRoadTest : public ::testing::Test {
     return Add(from, to, stride, true);
   }
 
-  // The same as part of the segment before.
+  // The same, as part of the segment before.
   void Append(double from, double to) { Add(from, to, 2.0, false); }
 
   NodeIndex Add(double from, double to, double stride, bool starts_segment) {
@@ -179,7 +179,7 @@ class WindingRoadTest : public ::testing::Test {
     return pose;
   }
 
-  // Of the nodes from `first` to the newest, with those before as history.
+  // Aligns the nodes from `first` to the newest, with those before as history.
   RelativeAlignment Align(NodeIndex first) {
     model_.similarity.correlation = CorrelationModel::kIndependent;
     const NodeIndex query = graph_.size() - 1;
@@ -214,7 +214,7 @@ class WindingRoadTest : public ::testing::Test {
     return slips;
   }
 
-  // Of each node in position, m.
+  // Standard deviation of each node's position, m.
   double sigma_ = 1.0;
   PoseGraph graph_;
   RelativeModel model_;
@@ -261,7 +261,7 @@ TEST_F(WindingRoadTest, OnlyTheOverlapIsTakenWhereTheOldRoadWasJoinedLate) {
   const NodeIndex recent = Add(80.0, 200.0);
   const RelativeAlignment alignment = Align(recent);
   const ShapeMatch& match = alignment.match(Direction::kSame, 30);
-  // 60 m of 120, but for a slip or two at the end.
+  // 60 m of 120, apart from a slip or two at the end.
   EXPECT_GE(match.steps, 30);
   EXPECT_LE(match.steps, 33);
   EXPECT_GT(match.log_likelihood_ratio, 5.0);
@@ -311,7 +311,7 @@ TEST_F(WindingRoadTest, AnOdometerThatIsThreePercentOffHidesNoneOfTheOverlap) {
     const NodeIndex best = Best(alignment, Direction::kSame);
     EXPECT_NEAR(2.0 * static_cast<double>(best), 100.0 + 74.0 * stride, 4.0);
     EXPECT_EQ(alignment.match(Direction::kSame, best).steps, 74);
-    // What slips do not make up for is taken for drift.
+    // The rest, which slips do not make up for, counts as drift.
     const auto path = alignment.Path(Direction::kSame, best);
     EXPECT_LE(Slips(path), 4) << stride;
     EXPECT_NEAR(static_cast<double>(path.back().node), 50.0, 4.0) << stride;
@@ -322,7 +322,7 @@ TEST_F(WindingRoadTest, WhereTheRecentPathLacksANodeOneOfHistoryIsSkipped) {
   sigma_ = 0.01;
   model_.shape.tolerance = {0.3, 0.03};
   Add(0.0, 400.0);
-  // Wheels that spun backward, or a pose or two lost.
+  // As if wheels spun backward, or a pose or two were lost.
   const NodeIndex recent = Add(100.0, 148.0);
   Append(152.0, 200.0);
   const RelativeAlignment alignment = Align(recent);
@@ -378,8 +378,8 @@ TEST_F(WindingRoadTest, ASingleStepIsTheEndAlone) {
   EXPECT_EQ(alignment.match(Direction::kSame, 5).log_likelihood_ratio, 0.0);
   EXPECT_THAT(alignment.Path(Direction::kSame, 5),
               ElementsAre(PathStep{0, 5, Direction::kSame}));
-  // ln N(0; 0, Gamma + R) / rho by hand: Gamma + R is diag(2 + 4, 2 + 4,
-  // 0.02 + 0.01).
+  // ln N(0; 0, Gamma + R) / rho by hand: Gamma + R is diag(2 + 4, 2 + 4, 0.02 +
+  // 0.01).
   EXPECT_NEAR(ScoreOf(alignment, Direction::kSame, 5),
               -1.5 * std::log(2.0 * kPi) - 0.5 * std::log(36.0 * 0.03) +
                   std::log(kPi * 200.0 * 2.0 / 2.0),
@@ -387,7 +387,7 @@ TEST_F(WindingRoadTest, ASingleStepIsTheEndAlone) {
 }
 
 TEST_F(WindingRoadTest, StopsWhenTold) {
-  // It asks once a block.
+  // It asks once per block.
   for (NodeIndex k = 0; graph_.size() <= 2 * 128; ++k) Add(0.0, 200.0);
   const NodeIndex recent = Add(100.0, 150.0);
   const NodeIndex query = graph_.size() - 1;

@@ -83,7 +83,7 @@ Window RandomWindow(std::mt19937_64& random, std::int64_t steps) {
 }
 
 // Draws a window's mismatches from the model, or twice as large, and compares
-// what the filter makes of them with the dense joint Gaussian.
+// the filter's results with those of the dense joint Gaussian.
 template <int D>
 void ExpectFilterIsTheDenseGaussian(std::mt19937_64& random,
                                     const Window& window) {
@@ -98,7 +98,7 @@ void ExpectFilterIsTheDenseGaussian(std::mt19937_64& random,
                         window.correlation,
                         StretchNodes(window.shape, window.spacing, 1000));
   history.Extend(window.graph);
-  // What the history was not kept for is measured.
+  // Statistics that the history does not have are measured.
   const ShapeFilter<D> filter(
       window.graph, UniformInt(random, 0, 1) ? &history : nullptr, window.query,
       window.steps, window.correlation, window.shape, window.place,
@@ -114,7 +114,7 @@ void ExpectFilterIsTheDenseGaussian(std::mt19937_64& random,
     e(k) = Normal(random, Uniform(random, 0.0, 2.0));
   }
   e = (root * e).eval();
-  // No innovation of more than half a turn, else another one is nearest.
+  // No innovation exceeds half a turn, beyond which another one is nearest.
   for (int t = 1; t <= length; ++t) {
     const auto innovation =
         e(t * D - 1) - dense.Predict(e.head((t - 1) * D))(D - 1);

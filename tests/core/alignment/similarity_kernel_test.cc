@@ -52,7 +52,7 @@ void Put(const StateVector<D>& difference, const StateMatrix<D>& covariance,
   }
 }
 
-// In units of the standard deviations; headings but for whole turns.
+// Compares in units of the standard deviations, and headings up to whole turns.
 template <int D>
 void ExpectNear(const DifferenceBlock& differences, std::size_t i,
                 const StateVector<D>& difference,
@@ -76,8 +76,8 @@ void ExpectNear(const DifferenceBlock& differences, std::size_t i,
   }
 }
 
-// A drive that dead-reckons honestly, but for some nodes that claim anything.
-// Now and then all of it lies in the plane.
+// A drive by dead reckoning with honest covariances, except for some nodes that
+// claim anything. Some drives lie in the plane.
 template <int D>
 PoseGraph RandomDrive(std::mt19937_64& random, NodeIndex size,
                       const std::vector<NodeIndex>& honest) {
@@ -112,7 +112,7 @@ PoseGraph RandomDrive(std::mt19937_64& random, NodeIndex size,
   return graph;
 }
 
-// How often the trials have come by what.
+// How often each case has occurred in the trials.
 struct ValuesSeen {
   int before_closure = 0;
   int between = 0;
@@ -206,7 +206,7 @@ TEST(SimilarityKernelTest, DifferencesAreThoseOfPairsGivenAClosureOrNot) {
   EXPECT_GT(seen.unchanged, 20);
 }
 
-// Whether what was evaluated is changed, and the trials' tally of it.
+// How many of the evaluated differences were changed.
 struct KernelTally {
   int changed = 0;
   int as_it_was = 0;
@@ -275,7 +275,7 @@ void ExpectEvaluatedAsPairs(std::mt19937_64& random, KernelTally* tally) {
     const auto unchanged = Evaluate<D>(covariance, difference);
     expect(before, i, unchanged);
     if (!unchanged) {
-      // Never asked for.
+      // Nothing is required of the change here.
       ++tally->impossible;
       continue;
     }
@@ -318,7 +318,7 @@ TEST(SimilarityKernelTest, EvaluatesDifferencesAsTheyAreAndChanged) {
   EXPECT_GT(tally.impossible, 1000);
 }
 
-// Takes and shifts anything within a bound.
+// A random change within a bound.
 template <int D>
 void ExpectBounded(std::mt19937_64& random, double* least_slack,
                    std::int64_t* changed) {
@@ -359,7 +359,7 @@ void ExpectBounded(std::mt19937_64& random, double* least_slack,
   change.least_left = bound.least_left;
   for (int trial = 0; trial < 10; ++trial) {
     for (std::size_t row = 0; row < kRows; ++row) {
-      // All of it once: then the bound is as near as it can be.
+      // Once all of it is taken: then the bound is as near as it can be.
       pack((row == 0 ? 1.0 : Uniform(random, 0.0, 1.0)) * certainty,
            certainties.data() + row * kMostEntries);
     }
@@ -374,7 +374,7 @@ void ExpectBounded(std::mt19937_64& random, double* least_slack,
       StateVector<D> shifted = of_shift.matrixL() * drawn;
       const StateMatrix<D> covariance = CovarianceAt<D>(differences, i);
       if (UniformInt(random, 0, 1)) {
-        // The best there is for this difference.
+        // The best shift for this difference.
         shifted = -shift * (covariance - certainty + shift)
                                .ldlt()
                                .solve(DifferenceAt<D>(differences, i));
@@ -411,7 +411,7 @@ TEST(SimilarityKernelTest, NoChangeWithinABoundSaysMoreThanItsBound) {
   });
   std::cout << changed << " changed, " << least_slack << " nats to spare\n";
   EXPECT_GT(changed, 10000);
-  // And is not far from what can be reached.
+  // The bound is not far from what can be reached.
   EXPECT_LT(least_slack, 0.5);
 }
 
@@ -441,8 +441,8 @@ TEST(SimilarityKernelTest, ABlockHoldsWhatLiesNearByItsOwnCovariance) {
       region.xy = query(0, 1);
       region.yy = query(1, 1);
       region.node_scale = less ? -1.0 : 1.0;
-      // By how much the nearest node is within, and what rounding leaves
-      // undecided.
+      // By how much the nearest node lies within the region, and the margin
+      // that rounding leaves undecided.
       double most_within = -1e300;
       for (NodeIndex i = 0; i < graph.size(); ++i) {
         const Eigen::Vector2d way(region.x - graph.pose(i).x,

@@ -1,4 +1,4 @@
-// Towns at random, for what searches them.
+// Random towns, for tests of searches.
 #ifndef REVISIT_TESTS_CORE_ALIGNMENT_TOWNS_H_
 #define REVISIT_TESTS_CORE_ALIGNMENT_TOWNS_H_
 
@@ -53,10 +53,10 @@ struct Pass {
   NodeIndex first = 0;
   NodeIndex nodes = 0;
   double start = 0.0;
-  // Of the road, signed, from node to node.
+  // Distance along the road from node to node, signed.
   double stride = 0.0;
-  // So many nodes are missing before node first + slip_at; repeated if less
-  // than 0.
+  // Number of nodes missing before node first + slip_at; if negative, nodes are
+  // repeated there.
   int slip = 0;
   NodeIndex slip_at = 0;
 
@@ -92,18 +92,18 @@ struct Town {
 };
 
 // Passes of a road, either way, each in a frame of its own, with odometers that
-// differ, and loop closures true and false. The last pass is the recent path.
-// At a scale of 1 some 50 nodes, and as many times more.
+// differ, and with true and false loop closures. The last pass is the recent
+// path. The number of nodes is some 50 times the scale.
 inline Town RandomTown(std::mt19937_64& random, int scale = 1) {
   Town town;
   // Many passes of the same few metres, with closures all over.
   const bool crowded = UniformInt(random, 0, 3) == 0;
   const double spacing = Uniform(random, 1.0, 4.0);
-  // Odometers that disagree, and nothing else to put it down to.
+  // Odometers that disagree, without any other error that could explain it.
   const bool slippery = !crowded && UniformInt(random, 0, 3) == 0;
   const double length =
       scale * (slippery ? 40.0 : (crowded ? 14.0 : 24.0)) * spacing;
-  // The longer the road, the straighter: it is to lead away.
+  // The longer the road, the straighter, so that it leads away.
   const Road road = RandomRoad(random, length, 0.1 / std::sqrt(scale));
   RelativeModel& model = town.model;
   model.similarity.state_space =
@@ -154,7 +154,7 @@ inline Town RandomTown(std::mt19937_64& random, int scale = 1) {
       pass.slip = UniformInt(random, -1, 1);
       pass.slip_at = UniformInt(random, 1, static_cast<int>(pass.nodes) - 1);
     }
-    // What has drifted between the passes.
+    // The drift between the passes.
     const Pose drift = {Normal(random, 2.0), Normal(random, 2.0),
                         Normal(random, 0.5), Normal(random, 0.1 / scale)};
     const bool jump = p == 0 || UniformInt(random, 0, 3) > 0;

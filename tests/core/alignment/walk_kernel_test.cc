@@ -16,7 +16,7 @@
 namespace revisit::core {
 namespace {
 
-// Winding nodes, of covariances that have nothing to do with them.
+// A winding path of nodes with unrelated covariances.
 PoseGraph RandomDrive(std::mt19937_64& random, NodeIndex size) {
   PoseGraph graph;
   Pose pose = RandomPose(random, 100.0);
@@ -43,7 +43,7 @@ std::vector<double> PosesOf(const PoseGraph& graph) {
   return poses;
 }
 
-// How often the trials have come by what.
+// How often each case has occurred in the trials.
 struct WalksSeen {
   int walked_on = 0;
   int better = 0;
@@ -67,7 +67,7 @@ StateVector<D> SeenBy(const Walkers& walkers, std::size_t i, const Pose& pose) {
   return seen;
 }
 
-// A walker somewhere in the graph that is about to keep step, more or less.
+// A walker somewhere in the graph that more or less keeps step next.
 template <int D>
 void AddWalker(std::mt19937_64& random, const PoseGraph& graph,
                const ShapeFilter<D>& filter, std::int64_t t, Walkers* walkers) {
@@ -102,12 +102,12 @@ void AddWalker(std::mt19937_64& random, const PoseGraph& graph,
       UniformInt(random, 0, 1) ? -std::numeric_limits<double>::infinity()
                                : ratio + Normal(random, 10.0);
 
-  // The end from which the next node is seen where the drift would have it, but
-  // for some straying.
+  // The end is placed so that the next node is seen where the drift predicts
+  // it, up to some straying.
   const NodeIndex next =
       std::clamp<NodeIndex>(node + (back ? -1 : 1), 0, last_node);
   const Pose pose = graph.pose(next);
-  // Might be left from the step before: nothing tells it from what is new.
+  // Scratch that may be left from the step before must not matter.
   walkers->at(Walkers::kThere, i) = pose.x;
   walkers->at(Walkers::kThere + 1, i) = pose.y;
   walkers->at(Walkers::kThere + 2, i) = pose.z;
@@ -123,8 +123,8 @@ void AddWalker(std::mt19937_64& random, const PoseGraph& graph,
   }
   seen[0] += step.step_y * turn;
   seen[1] -= step.step_x * turn;
-  // Headings are told by the end's as it is, but for whole turns; axes by the
-  // end's as it is walked from.
+  // Headings are seen from the end's own heading, up to whole turns; positions
+  // are seen in the axes of the heading in which the end is walked from.
   const double whole_turns = 2.0 * kPi * UniformInt(random, -2, 2);
   const double heading = pose.heading - seen[D - 1];
   const double cosine = std::cos(heading);
@@ -142,7 +142,7 @@ void AddWalker(std::mt19937_64& random, const PoseGraph& graph,
   }
 }
 
-// Bit for bit, but for what the kernel keeps for itself.
+// Compares bit for bit, except for the kernel's scratch.
 void ExpectUntouched(const Walkers& before, const Walkers& after,
                      std::size_t i) {
   for (std::size_t c = 0; c < Walkers::kThere; ++c) {

@@ -25,9 +25,9 @@ Consistency EstimateConsistency(const PoseGraph& graph,
   return monitor.consistency();
 }
 
-// Pairs of nodes with independent errors, of which the second was drawn from
-// what the pair's covariances, `inflation` times as large, and the tolerance
-// make of the first.
+// Pairs of nodes with independent errors. The second node's pose is the first's
+// plus a draw from the pair's covariances, with standard deviations multiplied
+// by `inflation`, and the tolerance.
 class Pairs {
  public:
   Pairs(const SimilarityModel& model, double inflation, double scale)
@@ -78,7 +78,7 @@ ConsistencyOptions Independent(StateSpace space = StateSpace::kPlanar) {
 }
 
 // Confirms `count` pairs that pass the gate in force, as a caller does who
-// looks at nothing else, and returns the inflation estimated in the end.
+// looks at nothing else, and returns the final estimate of the inflation.
 double InflationFound(std::mt19937_64& random, double inflation, int count,
                       const ConsistencyOptions& options) {
   Pairs pairs(options.similarity, inflation, 5.0);
@@ -117,9 +117,9 @@ TEST(ConsistencyTest, IsThePosteriorWithTheGateByQuadrature) {
         EstimateConsistency(pairs.graph(), options, confirmed);
     const double expected =
         oracle::InflationByQuadrature(pairs.graph(), options, confirmed);
-    // The approximation of the pass probability is good to some 10 % of f where
-    // a pair may scatter alike in all coordinates, and worse where far in some
-    // and hardly in others.
+    // The approximation of the pass probability is accurate to some 10 % of f
+    // where a pair scatters equally in all coordinates, and less accurate where
+    // it scatters far in some and hardly in others.
     EXPECT_GT(actual.inflation, 0.6 * expected) << confirmed.size() << " pairs";
     EXPECT_LT(actual.inflation, 1.8 * expected) << confirmed.size() << " pairs";
     ratios.push_back(actual.inflation / expected);
@@ -153,8 +153,8 @@ TEST(ConsistencyTest, AFactorOfTwoIsFoundWhereItIsApplied) {
 }
 
 TEST(ConsistencyTest, AFactorOfTwoIsSeenThroughAGateThatIsTooNarrow) {
-  // What lies outside is never confirmed; what lies inside fills the gate too
-  // evenly for an honest estimator.
+  // Pairs outside the gate are never confirmed; pairs inside fill it too evenly
+  // for an honest estimator.
   std::mt19937_64 random = SeededRandom();
   for (int trial = 0; trial < 5; ++trial) {
     const double found = InflationFound(random, 2.0, 60, Independent());

@@ -70,7 +70,7 @@ TEST(GateTest, DoesNotInventNumbersForIllConditionedDifferences) {
 }
 
 TEST(GateTest, AcceptsTrueRevisitsWithTheStatedProbability) {
-  // A lap and a half of a rounded square, drawn many times from the very model
+  // A lap and a half of a rounded square, drawn many times from the model that
   // the covariances state: node `later` is truly where node `earlier` was.
   std::mt19937_64 random = SeededRandom();
   std::vector<Pose> truth;

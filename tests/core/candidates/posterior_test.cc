@@ -30,7 +30,7 @@ std::array<ScoredEnds, 2> Possible(const LogOdds& log_odds) {
   return {PossibleEnds(log_odds[0]), PossibleEnds(log_odds[1])};
 }
 
-// Impossible ones among them.
+// All ends, the impossible ones among them.
 std::array<ScoredEnds, 2> All(const LogOdds& log_odds) {
   std::array<ScoredEnds, 2> all;
   for (std::size_t way = 0; way < 2; ++way) {
@@ -41,7 +41,8 @@ std::array<ScoredEnds, 2> All(const LogOdds& log_odds) {
   return all;
 }
 
-// Odds of the nodes near j that are not taken yet, over all odds and 1.
+// Odds of the nodes near j that are not claimed yet, over the sum of all odds
+// and 1.
 long double ClaimLiterally(const PoseGraph& graph, const LogOdds& log_odds,
                            std::size_t direction, NodeIndex j,
                            std::set<std::pair<std::size_t, NodeIndex>>* taken) {

@@ -43,7 +43,8 @@ TEST_F(RankingTest, TakesTheBestThatAreFarEnoughApart) {
       ScoredEnds scores = PossibleEnds(alignment_->scores());
       StrikeOut(NodesNearer(graph_, 59, separation), &scores);
       const auto ends = RankEnds(graph_, scores, separation, 8);
-      // The obvious way: sort all, take each that is far from those taken.
+      // The obvious way: sort all ends and take each that is far from those
+      // taken before.
       std::vector<NodeIndex> order(59);
       for (NodeIndex i = 0; i < 59; ++i) order[static_cast<std::size_t>(i)] = i;
       std::sort(order.begin(), order.end(), [&](NodeIndex a, NodeIndex b) {
@@ -143,7 +144,7 @@ TEST_F(RankingTest, OfManyEndsTakesThoseThatLookingThroughAllAgainTakes) {
     }
     ScoredEnds ends;
     const double share = Uniform(random, 0.0, 1.0);
-    // Few scores, and so many alike, or all different ones.
+    // Few different scores, so that many are equal, or all different.
     const int scores = UniformInt(random, 0, 1) == 0 ? 10 : 1 << 30;
     for (NodeIndex i = 0; i < size; ++i) {
       if (Uniform(random, 0.0, 1.0) > share) continue;

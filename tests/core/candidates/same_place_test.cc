@@ -25,7 +25,7 @@ PoseGraph TwoPasses(double apart, double deviation) {
   return graph;
 }
 
-RelativeModel Independent() {
+RelativeModel IndependentModel() {
   RelativeModel model;
   model.similarity.correlation = CorrelationModel::kIndependent;
   return model;
@@ -33,24 +33,26 @@ RelativeModel Independent() {
 
 TEST(SamePlaceTest, NodesNextToEachOtherAreNoTwoPasses) {
   const PoseGraph graph = TwoPasses(0.0, 1.0);
-  EXPECT_EQ(SamePlaceProbability(graph, Independent(), 50, 50, 0.0), 0.0);
-  EXPECT_EQ(SamePlaceProbability(graph, Independent(), 50, 60, 0.0), 0.0);
+  EXPECT_EQ(SamePlaceProbability(graph, IndependentModel(), 50, 50, 0.0), 0.0);
+  EXPECT_EQ(SamePlaceProbability(graph, IndependentModel(), 50, 60, 0.0), 0.0);
 }
 
 TEST(SamePlaceTest, WhatAClosureJoinsNearbyIsOnePlace) {
   PoseGraph graph = TwoPasses(80.0, 1.0);
-  EXPECT_LT(SamePlaceProbability(graph, Independent(), 50, 150, 0.0), 1e-9);
+  EXPECT_LT(SamePlaceProbability(graph, IndependentModel(), 50, 150, 0.0),
+            1e-9);
   graph.AddLoopEdge(154, 53);
-  EXPECT_EQ(SamePlaceProbability(graph, Independent(), 50, 150, 0.0), 1.0);
-  EXPECT_EQ(SamePlaceProbability(graph, Independent(), 150, 50, 0.0), 1.0);
-  EXPECT_LT(SamePlaceProbability(graph, Independent(), 40, 140, 0.0), 1e-9);
+  EXPECT_EQ(SamePlaceProbability(graph, IndependentModel(), 50, 150, 0.0), 1.0);
+  EXPECT_EQ(SamePlaceProbability(graph, IndependentModel(), 150, 50, 0.0), 1.0);
+  EXPECT_LT(SamePlaceProbability(graph, IndependentModel(), 40, 140, 0.0),
+            1e-9);
 }
 
 TEST(SamePlaceTest, IsTheLogisticOfTheOdds) {
   for (const double apart : {0.0, 5.0, 20.0}) {
     for (const double ratio : {0.0, 30.0}) {
       const PoseGraph graph = TwoPasses(apart, 4.0);
-      const RelativeModel model = Independent();
+      const RelativeModel model = IndependentModel();
       oracle::WideVector d(3);
       d << 0.0L, apart, 0.0L;
       const auto form = oracle::EvaluateWide(
@@ -82,7 +84,8 @@ TEST(SamePlaceTest, OppositePassesAreTwoPlaces) {
     graph.AddNode(node, i % 100 == 0, std::nullopt);
   }
   graph.AddLoopEdge(50, 149);
-  EXPECT_LT(SamePlaceProbability(graph, Independent(), 50, 149, 20.0), 1e-9);
+  EXPECT_LT(SamePlaceProbability(graph, IndependentModel(), 50, 149, 20.0),
+            1e-9);
 }
 
 }  // namespace

@@ -19,8 +19,8 @@ namespace {
 
 constexpr auto kBlock = static_cast<NodeIndex>(NodeBlock::kSize);
 
-// A drive that wanders, so that blocks lie apart; its covariances are what
-// `next` makes of the node before.
+// A drive that wanders, so that blocks lie apart. next() makes each covariance
+// from that of the node before.
 PoseGraph Drive(std::mt19937_64& random, NodeIndex nodes,
                 const std::function<Covariance(const Node& before,
                                                const Pose& pose)>& next) {
@@ -40,14 +40,15 @@ PoseGraph Drive(std::mt19937_64& random, NodeIndex nodes,
   return graph;
 }
 
-// One whose errors stay as they are.
+// A drive whose errors stay as they are.
 PoseGraph SteadyDrive(std::mt19937_64& random, NodeIndex nodes) {
   return Drive(random, nodes, [](const Node& before, const Pose&) {
     return before.covariance;
   });
 }
 
-// Dead reckoning: the error before, carried on, and noise.
+// A drive by dead reckoning: each error is the one before, carried on, plus
+// noise.
 template <int D>
 Covariance Reckoned(std::mt19937_64& random, const Node& before,
                     const Pose& pose) {
@@ -57,7 +58,7 @@ Covariance Reckoned(std::mt19937_64& random, const Node& before,
                          ToMatrix<D>(RandomCovariance(random, 0.05)));
 }
 
-// As the header says: whether what has come since is positive definite.
+// Whether the noise added since is positive definite, as the header defines it.
 template <int D>
 bool NoiseIsAddedFrom(const PoseGraph& graph, NodeIndex j, NodeIndex query) {
   const StateMatrix<D> psi =
@@ -98,7 +99,7 @@ TEST(BlockBoundsTest, BlocksWithNodesInTheRegionAreVisited) {
           });
       bounds = BlockBounds(StateSpace::kPlanar);
       bounds.Extend(graph);
-      // All that are full and have two behind them.
+      // All full blocks that are followed by two others.
       ASSERT_EQ(bounds.size(),
                 std::max<NodeIndex>((graph.size() - 1) / kBlock - 1, 0));
     }
@@ -141,7 +142,7 @@ TEST(BlockBoundsTest, BlocksWithNodesInTheRegionAreVisited) {
   std::cout << held_in_all << " blocks hold such nodes, " << visited_in_all
             << " were visited of " << blocks_in_all << "\n";
   EXPECT_GT(held_in_all, 100u);
-  // They are of some use.
+  // The bounds rule out some blocks.
   EXPECT_LT(visited_in_all, 4 * held_in_all);
   EXPECT_LT(2 * visited_in_all, blocks_in_all);
 }
@@ -235,7 +236,7 @@ TEST(BlockBoundsTest, AFixOnTheWayEndsTheGrowthBeforeIt) {
           return Reckoned<3>(random, before, pose);
         });
     const std::size_t block = fixed / NodeBlock::kSize;
-    // What grew over the fix is told by the two blocks behind it.
+    // The two blocks after the fix show whether errors grew over it.
     ExpectGrown<3>(graph, StateSpace::kPlanar, 1499, block - 2, block + 2);
   }
 }

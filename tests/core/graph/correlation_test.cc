@@ -82,8 +82,8 @@ TEST(CorrelationTest, DeadReckoningMatchesTheCovarianceOfDrawnDrives) {
   const StateMatrix<3> s_ij =
       s_ii * PropagatedError<3>(graph, CorrelationModel::kDeadReckoning, i, j)
                  .transpose();
-  // Sample covariances of 20,000 draws are good to about 1 / sqrt(20,000) =
-  // 0.007 of the standard deviations; four times that.
+  // Sample covariances of 20,000 draws are accurate to about 1 / sqrt(20,000) =
+  // 0.007 of the standard deviations; allowed is four times that.
   StateMatrix<3> units = StateMatrix<3>::Zero();
   for (int k = 0; k < 3; ++k) {
     units(k, k) = std::sqrt(s_ii(k, k) * s_jj(k, k));
@@ -97,7 +97,7 @@ TEST(CorrelationTest, DeadReckoningMatchesTheCovarianceOfDrawnDrives) {
 }
 
 TEST(CorrelationTest, FilterMatchesTheCovarianceOfADrawnKalmanFilter) {
-  // A filter with error e_j = A_j e_i + w: draw w, compare, SPATIAL.
+  // A SPATIAL filter with error e_j = A_j e_i + w, with w drawn.
   std::mt19937_64 random = SeededRandom();
   const int nodes = 12;
   std::vector<StateMatrix<4>> transitions;

@@ -143,7 +143,7 @@ TEST(MotionHistoryTest, ExtendedNodeByNodeItAnswersAtEveryNode) {
       }
       ExpectAsCounted(random, graph, histories[0], i);
     }
-    // And of all that came before, once it is whole.
+    // The same for every node before, once the history is complete.
     for (NodeIndex i = 0; i < full.size(); ++i) {
       ExpectAsMeasured(graph, space, kModels[2], histories[2], i);
       ExpectAsCounted(random, graph, histories[2], i);

@@ -1,4 +1,5 @@
-// What a node costs, by counting every allocation of the process.
+// The memory that a node takes, found by counting every allocation of the
+// process.
 #include <gtest/gtest.h>
 #include <malloc.h>
 
@@ -52,7 +53,7 @@ void operator delete(void* memory, std::size_t, std::align_val_t) noexcept {
 namespace revisit::core {
 namespace {
 
-// What is promised for a node, all told.
+// The memory per node that is promised to operators.
 constexpr double kMostBytesPerNode = 250.0;
 
 struct Vehicle {
@@ -67,12 +68,12 @@ PoseSample RandomSample(std::mt19937_64& random, const Vehicle& vehicle,
                         std::uint64_t sequence) {
   PoseSample sample;
   sample.sequence = sequence;
-  // About ten a second, with the jitter of a real clock.
+  // About ten poses per second, with the jitter of a real clock.
   sample.stamp_ns = 1600000000000000000 +
                     static_cast<std::int64_t>(sequence) * 100000000 +
                     UniformInt(random, -2000000, 2000000);
   sample.pose = RandomPose(random, 1.0);
-  // A node a pose, at no round place.
+  // About one node per pose, at no round position.
   sample.pose.x += 2.7 * static_cast<double>(sequence);
   sample.covariance = RandomCovariance(random, 2.0);
   if (vehicle.correlation == CorrelationModel::kFilter && sequence > 1) {
@@ -94,7 +95,7 @@ PoseSample RandomSample(std::mt19937_64& random, const Vehicle& vehicle,
 struct Cost {
   NodeIndex nodes = 0;
   double bytes = 0.0;
-  // As the graph states it.
+  // The same as the graph states it.
   double stated_bytes = 0.0;
 };
 
@@ -118,8 +119,7 @@ Cost CostOf(std::mt19937_64& random, const Vehicle& vehicle, NodeIndex nodes) {
 
 class NodeMemoryTest : public ::testing::Test {
  protected:
-  // The state space, how errors hang together, and whether transitions are
-  // dense.
+  // The state space, the correlation model, and whether transitions are dense.
   const std::vector<Vehicle> kVehicles = {
       {StateSpace::kPlanar, CorrelationModel::kIndependent},
       {StateSpace::kPlanar, CorrelationModel::kDeadReckoning},
@@ -144,7 +144,7 @@ TEST_F(NodeMemoryTest, ANodeOfAnyKindOfVehicleTakesAtMostWhatIsPromised) {
           << ", model " << static_cast<int>(vehicle.correlation)
           << (vehicle.dense_transitions ? ", dense" : ""));
       EXPECT_LE(each, kMostBytesPerNode);
-      // What operators are told is what is taken, within the allocator's share.
+      // The stated memory is the real one, up to the allocator's overhead.
       EXPECT_LE(cost.stated_bytes, cost.bytes);
       EXPECT_GE(cost.stated_bytes, 0.9 * cost.bytes);
       std::printf("%s model %d%s: %.1f bytes a node of %lld\n",

@@ -27,7 +27,7 @@ TEST(PackedColumnsTest, EveryEntryIsKept) {
     const auto rows = static_cast<std::size_t>(UniformInt(random, 1, 200));
     std::vector<std::uint64_t> values;
     for (int column = UniformInt(random, 1, 20); column > 0; --column) {
-      // Any width, shift and least entry, and none.
+      // Any width, including 0, shift and least entry.
       const int width = UniformInt(random, 0, 64);
       const int shift = UniformInt(random, 0, 64 - width);
       const std::uint64_t least = random();

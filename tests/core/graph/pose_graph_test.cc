@@ -97,7 +97,7 @@ TEST(PoseGraphTest, TransitionsAreKeptToTheLastBitAcrossBlocks) {
 }
 
 TEST(PoseGraphTest, ZIsKeptWhereverItComesIn) {
-  // The first nodes of a block have none, so it must be made room for.
+  // The first nodes of the block have no z, so room for it must be made later.
   PoseGraph graph;
   for (int i = 0; i < 20; ++i) {
     Node node = At(static_cast<std::uint64_t>(i) + 1, 0.0);

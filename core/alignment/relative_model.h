@@ -1,0 +1,73 @@
+// The assumptions of a relative alignment (relative.h) about roads, drift and
+// odometers, and which ends it looks for.
+#ifndef REVISIT_CORE_ALIGNMENT_RELATIVE_MODEL_H_
+#define REVISIT_CORE_ALIGNMENT_RELATIVE_MODEL_H_
+
+#include <cstddef>
+#include <optional>
+#include <vector>
+
+#include "core/alignment/known_drift.h"
+#include "core/alignment/log_similarity.h"
+#include "core/alignment/scored_ends.h"
+#include "core/alignment/shape_filter.h"
+#include "core/graph/block_bounds.h"
+#include "core/graph/motion_history.h"
+
+namespace revisit::core {
+
+// Roads not driven are taken to lie within this range of height, m.
+inline constexpr double kRoadHeightRange = 20.0;
+
+// Cost of a slip (a node stayed at, or skipped), nats: odometers that agree to
+// one in a hundred slip once in a hundred nodes, and -ln(1/100) is 4.6.
+inline constexpr double kSlipCost = 4.6;
+
+// Innovations beyond this squared Mahalanobis distance end the overlap of two
+// paths. On the same road, chi-square with 3 degrees of freedom exceeds it once
+// in 900 steps.
+inline constexpr double kSquaredInnovationLimit = 16.0;
+
+// Paths of one end that are walked on side by side.
+inline constexpr std::size_t kMostPaths = 4;
+
+struct RelativeModel {
+  // How the two end poses are compared (the anchor). Direction and form are
+  // ignored.
+  SimilarityModel similarity;
+  ShapeModel shape;
+  double spacing_meters = 2.0;
+  double road_spacing_meters = 200.0;
+  bool same_direction = true;
+  bool opposite_direction = false;
+  // The loop closure that has shown the drift. kDeadReckoning only; both nodes at
+  // or before the query.
+  std::optional<ConfirmedLoop> last_confirmed;
+  // Ranges whose nodes may not be ends. May overlap.
+  std::vector<NodeRange> not_sought;
+  // Ends are left out whose odds are below this share (given as its logarithm)
+  // of the greatest odds, or of a new place's odds of 1 if these are more.
+  // Above -infinity, the search skips such ends where it can rule them out
+  // early: by where their block lies, by their own pose and covariance, or by a
+  // path that cannot make up for these.
+  double least_log_share = kImpossible;
+  // Indexes of the graph, or null. The first saves measuring the graph's motion
+  // anew, the second saves looking at every node.
+  const MotionHistory* motion_history = nullptr;
+  const BlockBounds* block_bounds = nullptr;
+};
+
+// The term that turns a log-similarity in Gaussian form into log-odds against a
+// new place: the logarithm of the Gaussian's constant, less ln rho. rho is the
+// density of nodes on roads not driven, per m^2 and rad. Roads at a mean
+// distance B hold 2 / B metres of road per square metre, with nodes at spacing
+// s, and each can be driven both ways:
+//
+//   rho = (2 / B) (1 / s) 2 / (2 pi) = 2 / (pi B s).
+//
+// SPATIAL: spread evenly over kRoadHeightRange.
+double LogNewPlaceTerm(const RelativeModel& model);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_ALIGNMENT_RELATIVE_MODEL_H_

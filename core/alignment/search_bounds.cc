@@ -1,0 +1,227 @@
+#include "core/alignment/search_bounds.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include "core/alignment/log_similarity.h"
+
+namespace revisit::core {
+namespace {
+
+// Error of a bound due to rounding, nats.
+constexpr double kBoundSlack = 1e-6;
+
+// Error of the difference of two variances due to rounding, as a share of
+// these.
+constexpr double kCancelled = 1e-12;
+
+}  // namespace
+
+// With s the shift of an end, Q the sum of its path's squared innovations, E
+// the filter's EndShift(), and L(s) the log-similarity of the end once changed,
+//
+//   log-odds <= L(s) + constant + w (surprises of its path - Q / 2).
+//
+// Since Q >= s^T E^-1 s, half of the innovations' cost pays for the shift:
+//
+//   w Q / 4 >= 1/2 s^T B^-1 s with B = (2 / w) E,
+//
+// and the maximum of L(s) - 1/2 s^T B^-1 s over s bounds what the shift can
+// gain. The other half, w Q / 4, stays with the path (Walkers::kNeeded).
+template <int D>
+SearchBounds<D>::SearchBounds(const PoseGraph& graph,
+                              const RelativeModel& model,
+                              const RecentPath<D>& recent, NodeIndex query,
+                              NodeIndex history_size)
+    : graph_(graph),
+      model_(model),
+      recent_(recent),
+      query_(query),
+      size_(history_size),
+      constant_(LogNewPlaceTerm(model)) {
+  PackLower<D>(
+      recent.ToFrame((2.0 / recent.weight()) * recent.filter().EndShift()),
+      change_bound_.shift);
+  PackLower<D>(recent.MostCertainty(), change_bound_.certainty);
+  change_bound_.least_left = kLeastUncertaintyLeft;
+}
+
+template <int D>
+void SearchBounds<D>::BoundEnds(const DifferenceBlock& differences,
+                                const BlockSimilarity& similarity,
+                                BlockColumn* most) const {
+  constexpr double kNothingKnown = std::numeric_limits<double>::infinity();
+  if (model_.least_log_share == kImpossible) {
+    most->fill(kNothingKnown);
+    return;
+  }
+  BoundChanged(model_.similarity.state_space, differences, change_bound_,
+               similarity, most);
+  const double beside = constant_ + kBoundSlack +
+                        recent_.weight() * recent_.most_log_likelihood_ratio();
+  for (double& bound : *most) {
+    bound += beside;
+    // Written so that what is not a number is nothing known.
+    bound = bound <= kNothingKnown ? bound : kNothingKnown;
+  }
+}
+
+template <int D>
+std::vector<std::size_t> SearchBounds<D>::BlocksToSearch() const {
+  std::vector<std::size_t> blocks;
+  const std::optional<Regions> regions = FindRegions();
+  const std::size_t all = BlocksOf(size_);
+  if (!regions) {
+    for (std::size_t k = all; k-- > 0;) blocks.push_back(k);
+    return blocks;
+  }
+  for (std::size_t k = all; k-- > regions->last;) blocks.push_back(k);
+  model_.block_bounds->VisitNear(
+      regions->of_blocks, regions->first, regions->last, [&](std::size_t k) {
+        if (HoldsNear(regions->of_nodes, graph_.block(k))) blocks.push_back(k);
+      });
+  for (std::size_t k = regions->first; k-- > 0;) blocks.push_back(k);
+  SortByDistance(&blocks);
+  return blocks;
+}
+
+// Sorts by the distance of the query from one node of each block.
+template <int D>
+void SearchBounds<D>::SortByDistance(std::vector<std::size_t>* blocks) const {
+  const Pose query = graph_.pose(query_);
+  std::vector<std::pair<double, std::size_t>> order;
+  order.reserve(blocks->size());
+  for (const std::size_t k : *blocks) {
+    const auto first = static_cast<NodeIndex>(k * NodeBlock::kSize);
+    constexpr auto kMiddle = static_cast<NodeIndex>(NodeBlock::kSize / 2);
+    const Pose pose = graph_.pose(std::min(first + kMiddle, size_ - 1));
+    order.emplace_back(std::hypot(pose.x - query.x, pose.y - query.y), k);
+  }
+  std::sort(order.begin(), order.end());
+  for (std::size_t i = 0; i < order.size(); ++i) {
+    (*blocks)[i] = order[i].second;
+  }
+}
+
+template <int D>
+auto SearchBounds<D>::FindRegions() const -> std::optional<Regions> {
+  const SimilarityModel& similarity = model_.similarity;
+  const bool dead_reckoning =
+      similarity.correlation == CorrelationModel::kDeadReckoning;
+  if (model_.least_log_share == kImpossible || model_.block_bounds == nullptr) {
+    return std::nullopt;
+  }
+  // A loop closure's drift moves the ends elsewhere, and the errors of filters
+  // may be correlated in any way.
+  if (similarity.correlation == CorrelationModel::kFilter ||
+      (dead_reckoning && model_.last_confirmed)) {
+    return std::nullopt;
+  }
+  StateMatrix<D> tolerance = StateMatrix<D>::Zero();
+  AddTolerance<D>(similarity.tolerance, &tolerance);
+  const std::optional<double> log_determinant = LeastLogDeterminant(tolerance);
+  if (!log_determinant) return std::nullopt;
+  Regions regions;
+  regions.last = BlocksWithBounds();
+  if (dead_reckoning) {
+    regions.first =
+        model_.block_bounds->FirstGrowing(graph_, query_, regions.last);
+  }
+  if (regions.first == regions.last) return std::nullopt;
+  SetRegions(tolerance(0, 0), *log_determinant, &regions);
+  return regions;
+}
+
+// With u the direction from a node to the query in x and y, r their distance,
+// G = Gamma + R, V = u^T G u, a the shift in x and y, and l the greatest
+// variance of the shift:
+//
+//   (d + a)^T G^-1 (d + a) >= (u (d + a))^2 / V >= (r - |a|)^2 / V,
+//
+// and the innovations' cost pays w |a|^2 / l for the shift. The sum of the two,
+// over all a, is at least r^2 / (V + l / w). For dead reckoning the lever arm
+// is at right angles to u, so that u^T Gamma u = u^T (S_q - S_j) u. Where Gamma
+// is positive definite, |G - A| is at least |R - A|, A the most that a path
+// takes from the covariance. So an end has the least log-odds only if
+//
+//   r^2 <= 2 (constant - 1/2 ln|R - A| + w most_log_likelihood_ratio
+//             - least log-odds) (V + l / w).
+//
+// For a whole block V is bounded in any direction; for a single node it is
+// known.
+template <int D>
+void SearchBounds<D>::SetRegions(double position_variance,
+                                 double log_determinant,
+                                 Regions* regions) const {
+  const SimilarityModel& similarity = model_.similarity;
+  const bool dead_reckoning =
+      similarity.correlation == CorrelationModel::kDeadReckoning;
+  const double claimed = similarity.inflation * similarity.inflation;
+  const Covariance covariance = graph_.covariance(query_);
+  const StateMatrix<D>& shift = recent_.filter().EndShift();
+  const Pose query = graph_.pose(query_);
+  // R + l / w.
+  const double of_neither =
+      position_variance +
+      VariancesInAnyDirection(shift(0, 0), shift(0, 1), shift(1, 1)).most /
+          recent_.weight();
+  BlockBounds::Region& of_blocks = regions->of_blocks;
+  of_blocks.x = query.x;
+  of_blocks.y = query.y;
+  of_blocks.variance =
+      claimed * VariancesInAnyDirection(covariance(0, 0), covariance(0, 1),
+                                        covariance(1, 1))
+                    .most +
+      of_neither;
+  of_blocks.squared_per_variance =
+      2.0 * (constant_ - 0.5 * log_determinant +
+             recent_.weight() * recent_.most_log_likelihood_ratio() +
+             kBoundSlack - model_.least_log_share);
+  (dead_reckoning ? of_blocks.least_taken : of_blocks.most_added) = claimed;
+  NodeRegion& of_nodes = regions->of_nodes;
+  of_nodes.x = query.x;
+  of_nodes.y = query.y;
+  of_nodes.squared_per_variance = of_blocks.squared_per_variance;
+  of_nodes.variance = of_neither + kCancelled * of_blocks.variance;
+  of_nodes.xx = claimed * covariance(0, 0);
+  of_nodes.xy = claimed * covariance(0, 1);
+  of_nodes.yy = claimed * covariance(1, 1);
+  of_nodes.node_scale = dead_reckoning ? -claimed : claimed;
+}
+
+// The least ln|R - A|. Where R - A is not positive definite, a path takes no
+// more than all but kLeastUncertaintyLeft. Nothing if R is not either.
+template <int D>
+std::optional<double> SearchBounds<D>::LeastLogDeterminant(
+    const StateMatrix<D>& tolerance) const {
+  const StateVector<D> zero = StateVector<D>::Zero();
+  const StateMatrix<D> left =
+      (1.0 - kLeastUncertaintyLeft) * tolerance - recent_.MostCertainty();
+  if (const auto terms = Evaluate<D>(left, zero)) return terms->log_determinant;
+  if (const auto whole = Evaluate<D>(tolerance, zero)) {
+    return whole->log_determinant + D * std::log(kLeastUncertaintyLeft);
+  }
+  return std::nullopt;
+}
+
+// Full blocks of the history with known bounds that lie well before the query.
+// Most queries lie well behind their history, but sequences may be short.
+template <int D>
+std::size_t SearchBounds<D>::BlocksWithBounds() const {
+  constexpr auto kBlock = static_cast<NodeIndex>(NodeBlock::kSize);
+  std::size_t blocks =
+      std::min(model_.block_bounds->size(),
+               static_cast<std::size_t>(size_) / NodeBlock::kSize);
+  while (blocks > 0 &&
+         (static_cast<NodeIndex>(blocks) + 1) * kBlock + kBlock / 2 > query_) {
+    --blocks;
+  }
+  return blocks;
+}
+
+template class SearchBounds<3>;
+template class SearchBounds<4>;
+
+}  // namespace revisit::core

@@ -1,0 +1,69 @@
+// Which ends of a relative alignment can have the odds that are asked for:
+// upper bounds of log-odds, from the little that is known before any path is
+// walked. Nothing that has the odds is ever ruled out.
+#ifndef REVISIT_CORE_ALIGNMENT_SEARCH_BOUNDS_H_
+#define REVISIT_CORE_ALIGNMENT_SEARCH_BOUNDS_H_
+
+#include <cstddef>
+#include <optional>
+#include <vector>
+
+#include "core/alignment/recent_path.h"
+#include "core/alignment/relative_model.h"
+#include "core/alignment/similarity_kernel.h"
+#include "core/graph/block_bounds.h"
+#include "core/graph/pose_graph.h"
+
+namespace revisit::core {
+
+template <int D>
+class SearchBounds {
+ public:
+  // The ends are sought in [0, history_size). The graph, the model and the
+  // recent path must outlive this.
+  SearchBounds(const PoseGraph& graph, const RelativeModel& model,
+               const RecentPath<D>& recent, NodeIndex query,
+               NodeIndex history_size);
+
+  // Blocks of the history that may hold an end with the least log-odds. They
+  // fall from the last to the first, except where blocks could be ruled out:
+  // there the nearest come first, which are likely to have the greatest odds.
+  // The greater these, the fewer other ends need be walked from.
+  std::vector<std::size_t> BlocksToSearch() const;
+
+  // For each end of a block, the most that its log-odds can come to: had it the
+  // best path there can be. Infinity where nothing is known; undefined where
+  // the similarity is impossible. `similarity` is what EvaluateDifferences()
+  // finds.
+  void BoundEnds(const DifferenceBlock& differences,
+                 const BlockSimilarity& similarity, BlockColumn* most) const;
+
+ private:
+  // Blocks [first, last) may be ruled out by where they and their nodes lie.
+  struct Regions {
+    std::size_t first = 0;
+    std::size_t last = 0;
+    BlockBounds::Region of_blocks;
+    NodeRegion of_nodes;
+  };
+
+  std::optional<Regions> FindRegions() const;
+  void SetRegions(double position_variance, double log_determinant,
+                  Regions* regions) const;
+  std::optional<double> LeastLogDeterminant(
+      const StateMatrix<D>& tolerance) const;
+  std::size_t BlocksWithBounds() const;
+  void SortByDistance(std::vector<std::size_t>* blocks) const;
+
+  const PoseGraph& graph_;
+  const RelativeModel& model_;
+  const RecentPath<D>& recent_;
+  const NodeIndex query_;
+  const NodeIndex size_;
+  const double constant_;
+  ChangeBound change_bound_;
+};
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_ALIGNMENT_SEARCH_BOUNDS_H_

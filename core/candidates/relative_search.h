@@ -1,0 +1,20 @@
+// Candidates by relative alignment (relative.h), weighed against each other and
+// against a new place.
+#ifndef REVISIT_CORE_CANDIDATES_RELATIVE_SEARCH_H_
+#define REVISIT_CORE_CANDIDATES_RELATIVE_SEARCH_H_
+
+#include "absl/status/status.h"
+#include "core/candidates/candidate.h"
+#include "core/candidates/search_task.h"
+
+namespace revisit::core {
+
+// Fills in the candidates and the probability of a new place; leaves that out
+// where no covariance is well-conditioned. Unless the search is exhaustive,
+// ends are pruned that have at most 1e-6 of all odds together, as long as no
+// verdict depends on it. Returns CANCELLED if told to stop.
+absl::Status SearchRelative(const SearchTask& task, CandidateSet* set);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_CANDIDATES_RELATIVE_SEARCH_H_

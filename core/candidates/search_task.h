@@ -1,0 +1,52 @@
+// The inputs of one search for candidates.
+#ifndef REVISIT_CORE_CANDIDATES_SEARCH_TASK_H_
+#define REVISIT_CORE_CANDIDATES_SEARCH_TASK_H_
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "core/alignment/known_drift.h"
+#include "core/alignment/log_similarity.h"
+#include "core/alignment/scored_ends.h"
+#include "core/alignment/viterbi.h"
+#include "core/graph/block_bounds.h"
+#include "core/graph/motion_history.h"
+#include "core/graph/pose_graph.h"
+#include "core/settings.h"
+
+namespace revisit::core {
+
+struct SearchTask {
+  const PoseGraph& graph;
+  // Indexes of the graph.
+  const MotionHistory& motion_history;
+  const BlockBounds& block_bounds;
+
+  const SearchOptions& options;
+  double node_spacing_meters;
+  // The model that the options ask for, inflated. Its direction is ignored.
+  SimilarityModel similarity;
+
+  // The `steps` nodes that end at `query` are sought in the history [0,
+  // history_size), but not as ends in `not_sought`.
+  NodeIndex query;
+  std::int64_t steps;
+  NodeIndex history_size;
+  std::vector<NodeRange> not_sought;
+  // The last loop closure whose nodes both lie at or before the query.
+  std::optional<ConfirmedLoop> last_confirmed;
+
+  const ShouldStop& should_stop;
+};
+
+// The directions that a search looks in: the same direction first.
+std::vector<Direction> Directions(SearchDirection direction);
+
+// The status of a search that was told to stop.
+absl::Status StoppedError();
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_CANDIDATES_SEARCH_TASK_H_
