@@ -6,13 +6,12 @@
 #include <map>
 #include <string_view>
 
+#include "client/formats/angles.h"
 #include "client/formats/text_lines.h"
 
 namespace revisit::client {
 namespace {
 
-constexpr double kHalfTurn = 3.14159265358979323846;
-constexpr double kRadiansPerDegree = kHalfTurn / 180.0;
 // 1980-01-06, where GPS weeks begin.
 constexpr double kGpsEpochSeconds = 315'964'800.0;
 constexpr double kSecondsPerWeek = 604'800.0;
@@ -137,10 +136,10 @@ PlanarPose Interpolate(const std::vector<ReferencePose>& reference,
   const double part = span > 0.0 ? (time_seconds - a.time_seconds) / span : 0.0;
   const auto from = EastNorthUp(origin, a.position);
   const auto to = EastNorthUp(origin, b.position);
-  const double turn = std::remainder(b.heading - a.heading, 2.0 * kHalfTurn);
+  const double turn = std::remainder(b.heading - a.heading, 2.0 * kPi);
   return {from[0] + part * (to[0] - from[0]),
           from[1] + part * (to[1] - from[1]),
-          std::remainder(a.heading + part * turn, 2.0 * kHalfTurn)};
+          std::remainder(a.heading + part * turn, 2.0 * kPi)};
 }
 
 }  // namespace

@@ -25,6 +25,7 @@
 #include <vector>
 
 #include "client/cli/evaluation/calibration.h"
+#include "client/formats/angles.h"
 #include "client/formats/drive_file.h"
 
 namespace revisit::client {
@@ -94,7 +95,7 @@ struct Judging {
   // K.
   std::int64_t excluded_nodes = 75;
   double loop_distance_meters = 10.0;
-  double loop_heading_radians = 3.14159265358979323846 / 4.0;
+  double loop_heading_radians = kPi / 4.0;
   PassDirection direction = PassDirection::kSame;
 };
 

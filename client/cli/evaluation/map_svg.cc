@@ -6,6 +6,7 @@
 #include <cstdint>
 
 #include "client/cli/evaluation/svg.h"
+#include "client/formats/angles.h"
 
 namespace revisit::client {
 namespace {
@@ -429,8 +430,7 @@ class Map {
               SvgNumber(ellipse.minor * view_.pixels_per_meter) +
               "\" transform=\"translate(" + SvgNumber(at.x) + " " +
               SvgNumber(at.y) + ") rotate(" +
-              SvgNumber(-ellipse.direction * 180.0 / 3.14159265358979323846) +
-              ")\"/>\n";
+              SvgNumber(-ellipse.direction * 180.0 / kPi) + ")\"/>\n";
     }
     svg_ += "</g>\n";
   }

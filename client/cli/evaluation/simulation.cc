@@ -7,10 +7,12 @@
 #include <string_view>
 #include <system_error>
 
+#include "client/formats/angles.h"
+
 namespace revisit::client {
 namespace {
 
-constexpr double kTurn = 2.0 * 3.14159265358979323846;
+constexpr double kTurn = 2.0 * kPi;
 constexpr double kStandstillMeters = 0.05;
 
 // FNV-1a: a number of a name that is the same everywhere.
