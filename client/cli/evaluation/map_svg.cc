@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "absl/strings/str_cat.h"
 #include "client/cli/evaluation/svg.h"
 #include "client/formats/angles.h"
 
@@ -139,7 +140,7 @@ class Map {
     DrawScaleBar();
     const std::vector<Detail> details = ChooseDetails();
     for (std::size_t i = 0; i < details.size(); ++i) {
-      DrawDetail(details[i], "detail" + std::to_string(i));
+      DrawDetail(details[i], absl::StrCat("detail", i));
     }
     DrawLegend();
     svg_ += "</svg>\n";

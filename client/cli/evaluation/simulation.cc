@@ -7,6 +7,7 @@
 #include <string_view>
 #include <system_error>
 
+#include "absl/strings/str_cat.h"
 #include "client/formats/angles.h"
 
 namespace revisit::client {
@@ -122,19 +123,18 @@ absl::StatusOr<std::vector<std::uint64_t>> ParseSeeds(const std::string& text) {
                                 ReadSeed(part.substr(dash + 1), &last) &&
                                 first <= last;
     if (!good) {
-      return absl::InvalidArgumentError(
-          "expected seeds such as 7, 1-5 or 1,4,8-10, got \"" + text + "\"");
+      return absl::InvalidArgumentError(absl::StrCat(
+          "expected seeds such as 7, 1-5 or 1,4,8-10, got \"", text, "\""));
     }
     if (last - first >= kMostSeeds ||
         seeds.size() + last - first >= kMostSeeds) {
-      return absl::InvalidArgumentError("expected at most " +
-                                        std::to_string(kMostSeeds) +
-                                        " seeds, got \"" + text + "\"");
+      return absl::InvalidArgumentError(absl::StrCat(
+          "expected at most ", kMostSeeds, " seeds, got \"", text, "\""));
     }
     for (std::uint64_t i = 0; i <= last - first; ++i) {
       if (!known.insert(first + i).second) {
-        return absl::InvalidArgumentError("seed " + std::to_string(first + i) +
-                                          " stands twice in \"" + text + "\"");
+        return absl::InvalidArgumentError(absl::StrCat(
+            "seed ", first + i, " stands twice in \"", text, "\""));
       }
       seeds.push_back(first + i);
     }
