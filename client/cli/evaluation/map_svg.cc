@@ -34,7 +34,7 @@ constexpr char kHalo[] =
 constexpr char kEstimate[] = "#1f3b57";
 constexpr char kTruth[] = "#9a9a9a";
 constexpr char kEllipse[] = "#7b68b5";
-// A pair that those who cannot tell red from green can tell apart.
+// Two colours that remain distinct to those who cannot tell red from green.
 constexpr char kCorrect[] = "#0a8f6a";
 constexpr char kWrong[] = "#d1461f";
 
@@ -99,7 +99,7 @@ struct Rectangle {
   }
 };
 
-// How metres become pixels.
+// Maps metres to pixels.
 struct View {
   // Pixels.
   Rectangle frame;
@@ -205,8 +205,8 @@ class Map {
     return EstimateAt(check.answer.query);
   }
 
-  // Where marks had to be made small: an enlarged part of the map, in a corner
-  // where there is nothing else.
+  // An enlarged part of the map, in a corner where there is nothing else. It is
+  // drawn where marks had to be made small.
   struct Detail {
     // On the map, in pixels.
     Rectangle source;
@@ -240,7 +240,7 @@ class Map {
   }
 
   // Total length of the links that lie in a window; wrong ones count for more,
-  // since one wants to see them.
+  // since they are what a reader looks for.
   double LinksShown(const Rectangle& window) const {
     double shown = 0.0;
     for (const JudgedCheck& check : contents_.checks) {

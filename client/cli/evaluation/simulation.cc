@@ -16,7 +16,7 @@ namespace {
 constexpr double kTurn = 2.0 * kPi;
 constexpr double kStandstillMeters = 0.05;
 
-// FNV-1a: a number of a name that is the same everywhere.
+// FNV-1a, whose hash of a name is the same on every machine.
 std::uint64_t HashOf(const std::string& name) {
   std::uint64_t hash = 14695981039346656037u;
   for (const char c : name) {
@@ -71,7 +71,8 @@ double NormalSource::Next() {
 Drive SimulateDeadReckoning(const Drive& drive, const UncertaintyOptions& noise,
                             std::uint64_t seed) {
   NormalSource normal(seed ^ HashOf(drive.name));
-  // One statement each, since the order of draws must not be the compiler's.
+  // Each draw is a statement of its own: the compiler must not choose their
+  // order.
   const auto draw = [&normal](double sigma) { return sigma * normal.Next(); };
   Drive simulated = drive;
   // The true pose up to which dead reckoning has counted.
