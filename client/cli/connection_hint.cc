@@ -4,18 +4,18 @@ namespace revisit::client {
 
 std::string ConnectionHint(const absl::Status& status,
                            const ChannelOptions& options) {
-  // gRPC tells these by its message alone.
-  const auto told = [&status](const char* words) {
+  // Only the message of gRPC distinguishes these causes.
+  const auto says = [&status](const char* words) {
     return status.message().find(words) != absl::string_view::npos;
   };
-  if (!absl::IsUnavailable(status) || !told("failed to connect")) return "";
-  const bool closed = told("Socket closed") || told("reset by peer");
+  if (!absl::IsUnavailable(status) || !says("failed to connect")) return "";
+  const bool closed = says("Socket closed") || says("reset by peer");
   if (options.tls_authorities_file.empty()) {
     return closed ? "(connected without TLS: does the server want it? see "
                     "--tls-ca)"
                   : "";
   }
-  if (told("wrong version number")) {
+  if (says("wrong version number")) {
     return "(connected with TLS: does the server speak it? it is left out "
            "without --tls-ca)";
   }

@@ -1,4 +1,4 @@
-// What may be wrong with a connection, where gRPC does not say it.
+// Hints at what may be wrong with a connection, where gRPC does not say it.
 #ifndef REVISIT_CLIENT_CLI_CONNECTION_HINT_H_
 #define REVISIT_CLIENT_CLI_CONNECTION_HINT_H_
 
@@ -9,8 +9,8 @@
 
 namespace revisit::client {
 
-// A question to whoever gave the flags, in brackets, if a server was there and
-// no connection came about. Otherwise empty.
+// A question in brackets to whoever gave the flags, if there was a server but
+// no connection came about; otherwise empty.
 std::string ConnectionHint(const absl::Status& status,
                            const ChannelOptions& options);
 

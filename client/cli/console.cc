@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "absl/strings/cord.h"
+#include "absl/strings/str_cat.h"
 #include "client/revisit/status.h"
 #include "google/protobuf/util/json_util.h"
 #include "nlohmann/json.hpp"
@@ -187,9 +188,8 @@ void Progress::Draw() {
       std::chrono::duration<double>(Clock::now() - start_).count();
   const double rate =
       seconds > 0.0 ? static_cast<double>(done_) / seconds : 0.0;
-  const std::string figures = std::to_string(done_) + "/" +
-                              std::to_string(total_) + " " + unit_ + "  " +
-                              Fixed(rate, 0) + "/s";
+  const std::string figures =
+      absl::StrCat(done_, "/", total_, " ", unit_, "  ", Fixed(rate, 0), "/s");
   if (!terminal_) {
     out_ << label_ << ": " << Fixed(100.0 * share, 0) << " %  " << figures
          << '\n'

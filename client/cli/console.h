@@ -1,4 +1,4 @@
-// What commands write to: results on one stream, progress on another.
+// Output of the commands: results on one stream, progress on another.
 #ifndef REVISIT_CLIENT_CLI_CONSOLE_H_
 #define REVISIT_CLIENT_CLI_CONSOLE_H_
 
@@ -27,24 +27,25 @@ struct Console {
   bool json = false;
 };
 
-// Exit codes of the program, beside 64 + the gRPC code of a server's error.
+// Exit codes of the program. An error of a server exits with 64 + its gRPC
+// code.
 inline constexpr int kExitOk = 0;
 inline constexpr int kExitLocalError = 1;
 inline constexpr int kExitUsage = 64;
 inline constexpr int kExitInterrupted = 130;
 
-// Marks a status as the fault of this machine (a file, the private server), not
+// Marks a status as a fault of this machine (a file, the private server), not
 // of the server that was asked.
 absl::Status LocalError(const absl::Status& status);
 
 int ExitCodeOf(const absl::Status& status);
 
-// For people: a fault of this machine in its own words, what came from the
-// server with the code that it answered.
+// Describes an error to people: a fault of this machine in its own words, an
+// error of the server with its code.
 std::string ErrorText(const absl::Status& status);
 
-// A message as protobuf JSON, with fields that have their default value. On one
-// line unless `pretty`.
+// A message as protobuf JSON, including fields that have their default value;
+// on one line unless `pretty`.
 std::string ToJson(const google::protobuf::Message& message, bool pretty);
 
 // An error as {"error": {"code", "message", "reason", "metadata",
@@ -78,11 +79,11 @@ class Table {
 void PrintFields(const std::vector<std::pair<std::string, std::string>>& fields,
                  std::ostream& out);
 
-// With so many digits after the point.
+// The number with this many digits after the point.
 std::string Fixed(double value, int digits);
 
-// How far long work has come: a bar that is drawn over and over on a terminal,
-// a line now and then elsewhere. Thread-safe.
+// Shows how far long work has come: a bar that is redrawn in place on a
+// terminal, a line every few seconds elsewhere. Thread-safe.
 class Progress {
  public:
   // `total` units of work.
@@ -95,7 +96,7 @@ class Progress {
   Progress& operator=(const Progress&) = delete;
 
   void Update(std::uint64_t done);
-  // Says something without spoiling the bar.
+  // Prints a line without spoiling the bar.
   void Note(const std::string& text);
 
  private:

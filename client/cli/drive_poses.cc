@@ -2,6 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "client/cli/console.h"
 
 namespace revisit::client {
 
@@ -51,6 +55,25 @@ v1::Pose MakePose(const Drive& drive,
     }
   }
   return pose;
+}
+
+void AppendPoses(const Drive& drive,
+                 const std::vector<ClaimedUncertainty>& uncertainty,
+                 v1::StateSpace state_space, const SampleRange& range,
+                 std::size_t batch_poses, PoseStream* stream) {
+  for (std::size_t next = range.begin; next < range.end;) {
+    v1::PoseBatch batch;
+    const std::size_t end = std::min(range.end, next + batch_poses);
+    for (; next < end; ++next) {
+      *batch.add_poses() = MakePose(drive, uncertainty, state_space, next);
+    }
+    if (!stream->Append(std::move(batch)).ok()) return;
+  }
+}
+
+std::string JumpText(const v1::Jump& jump) {
+  return absl::StrCat("jump of ", Fixed(jump.distance_meters(), 1),
+                      " m before sequence ", jump.sequence());
 }
 
 }  // namespace revisit::client

@@ -3,21 +3,38 @@
 #define REVISIT_CLIENT_CLI_DRIVE_POSES_H_
 
 #include <cstddef>
-#include <cstdint>
+#include <string>
 #include <vector>
 
 #include "client/cli/evaluation/dead_reckoning.h"
 #include "client/formats/drive_file.h"
+#include "client/revisit/pose_stream.h"
 #include "revisit/v1/geometry.pb.h"
 #include "revisit/v1/vehicle.pb.h"
 
 namespace revisit::client {
 
-// The pose of sample `index`, with sequence index + 1, for a vehicle of this
-// state space. The truth does not take part.
+// Makes the pose of sample `index`, with sequence index + 1, for a vehicle of
+// this state space. The truth of the drive is not used.
 v1::Pose MakePose(const Drive& drive,
                   const std::vector<ClaimedUncertainty>& uncertainty,
                   v1::StateSpace state_space, std::size_t index);
+
+// Samples from `begin` to before `end`.
+struct SampleRange {
+  std::size_t begin = 0;
+  std::size_t end = 0;
+};
+
+// Appends these samples in batches. Stops early if the stream has failed;
+// PoseStream::Finish() then says why.
+void AppendPoses(const Drive& drive,
+                 const std::vector<ClaimedUncertainty>& uncertainty,
+                 v1::StateSpace state_space, const SampleRange& range,
+                 std::size_t batch_poses, PoseStream* stream);
+
+// Reports a jump to people.
+std::string JumpText(const v1::Jump& jump);
 
 }  // namespace revisit::client
 

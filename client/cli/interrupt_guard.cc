@@ -24,7 +24,7 @@ InterruptGuard::InterruptGuard(std::function<void()> clean_up)
 
 InterruptGuard::~InterruptGuard() {
   stopping_ = true;
-  // Which is blocked, and taken by sigwait().
+  // The signal is blocked, and taken by sigwait().
   // NOLINTNEXTLINE(bugprone-bad-signal-to-kill-thread)
   pthread_kill(thread_.native_handle(), SIGTERM);
   thread_.join();

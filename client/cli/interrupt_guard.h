@@ -1,4 +1,4 @@
-// Cleaning up when somebody presses Ctrl-C.
+// Cleans up when somebody presses Ctrl-C.
 #ifndef REVISIT_CLIENT_CLI_INTERRUPT_GUARD_H_
 #define REVISIT_CLIENT_CLI_INTERRUPT_GUARD_H_
 
@@ -9,10 +9,10 @@
 
 namespace revisit::client {
 
-// While it lives, SIGINT, SIGTERM and SIGHUP run `clean_up` on a thread of
-// their own and then end the process with code 130. Only threads that are
-// started afterwards are kept from taking the signals themselves, so make it
-// before the first channel. One at a time in a process.
+// While a guard lives, SIGINT, SIGTERM and SIGHUP run `clean_up` on a thread of
+// its own and then end the process with code 130. Threads that were started
+// before it can still take the signals themselves, so make it before any are
+// started. A process has at most one guard at a time.
 class InterruptGuard {
  public:
   explicit InterruptGuard(std::function<void()> clean_up);

@@ -1,12 +1,20 @@
 #include "client/cli/names.h"
 
+#include "absl/strings/ascii.h"
+
 namespace revisit::client {
 namespace {
 
-std::string WithoutPrefix(const std::string& name, const std::string& prefix) {
-  return name.compare(0, prefix.size(), prefix) == 0
-             ? name.substr(prefix.size())
-             : name;
+using google::protobuf::EnumDescriptor;
+
+// What the values of an enum begin with, such as "STATE_SPACE_" for StateSpace.
+std::string PrefixOf(const EnumDescriptor& type) {
+  std::string prefix;
+  for (const char c : type.name()) {
+    if (absl::ascii_isupper(c) && !prefix.empty()) prefix += '_';
+    prefix += absl::ascii_toupper(c);
+  }
+  return prefix + '_';
 }
 
 }  // namespace
@@ -16,40 +24,24 @@ std::string VehicleName(const std::string& id) {
   return id.rfind(kPrefix, 0) == 0 ? id : kPrefix + id;
 }
 
-std::string NameOf(v1::StateSpace value) {
-  return WithoutPrefix(v1::StateSpace_Name(value), "STATE_SPACE_");
+std::string NameOf(const EnumDescriptor* type, int value) {
+  const auto* known = type->FindValueByNumber(value);
+  if (known == nullptr) return "";
+  const std::string prefix = PrefixOf(*type);
+  const std::string& name = known->name();
+  return name.rfind(prefix, 0) == 0 ? name.substr(prefix.size()) : name;
 }
 
-std::string NameOf(v1::CorrelationModel value) {
-  return WithoutPrefix(v1::CorrelationModel_Name(value), "CORRELATION_MODEL_");
-}
-
-std::string NameOf(v1::LikelihoodForm value) {
-  return WithoutPrefix(v1::LikelihoodForm_Name(value), "LIKELIHOOD_FORM_");
-}
-
-std::string NameOf(v1::Alignment value) {
-  return WithoutPrefix(v1::Alignment_Name(value), "ALIGNMENT_");
-}
-
-std::string NameOf(v1::CoordinateFrame value) {
-  return WithoutPrefix(v1::CoordinateFrame_Name(value), "COORDINATE_FRAME_");
-}
-
-std::string NameOf(v1::VehicleState value) {
-  return WithoutPrefix(v1::VehicleState_Name(value), "VEHICLE_STATE_");
-}
-
-std::string NameOf(v1::GateVerdict value) {
-  return WithoutPrefix(v1::GateVerdict_Name(value), "GATE_VERDICT_");
-}
-
-std::string NameOf(v1::Verdict value) {
-  return WithoutPrefix(v1::Verdict_Name(value), "VERDICT_");
-}
-
-std::string NameOf(v1::Direction value) {
-  return WithoutPrefix(v1::Direction_Name(value), "DIRECTION_");
+std::map<std::string, int> WordsOf(const EnumDescriptor* type) {
+  std::map<std::string, int> words;
+  for (int i = 0; i < type->value_count(); ++i) {
+    const int value = type->value(i)->number();
+    if (value == 0) continue;
+    std::string word = NameOf(type, value);
+    for (char& c : word) c = c == '_' ? '-' : absl::ascii_tolower(c);
+    words[word] = value;
+  }
+  return words;
 }
 
 std::string Explain(v1::EmptyReason reason) {

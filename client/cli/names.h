@@ -2,26 +2,30 @@
 #ifndef REVISIT_CLIENT_CLI_NAMES_H_
 #define REVISIT_CLIENT_CLI_NAMES_H_
 
+#include <map>
 #include <string>
 
+#include "google/protobuf/descriptor.h"
+#include "google/protobuf/generated_enum_reflection.h"
 #include "revisit/v1/candidate.pb.h"
-#include "revisit/v1/vehicle.pb.h"
 
 namespace revisit::client {
 
 // "vehicles/ID" for ID; a resource name stays as it is.
 std::string VehicleName(const std::string& id);
 
-// The value's name without its prefix, such as "PLANAR".
-std::string NameOf(v1::StateSpace value);
-std::string NameOf(v1::CorrelationModel value);
-std::string NameOf(v1::LikelihoodForm value);
-std::string NameOf(v1::Alignment value);
-std::string NameOf(v1::CoordinateFrame value);
-std::string NameOf(v1::VehicleState value);
-std::string NameOf(v1::GateVerdict value);
-std::string NameOf(v1::Verdict value);
-std::string NameOf(v1::Direction value);
+// The value's name without the prefix that names its type, such as "PLANAR" for
+// STATE_SPACE_PLANAR; empty for a value that this program does not know.
+std::string NameOf(const google::protobuf::EnumDescriptor* type, int value);
+template <typename Enum>
+std::string NameOf(Enum value) {
+  return NameOf(google::protobuf::GetEnumDescriptor<Enum>(), value);
+}
+
+// All values but UNSPECIFIED by the words that flags take for them, such as
+// "dead-reckoning" for DEAD_RECKONING.
+std::map<std::string, int> WordsOf(
+    const google::protobuf::EnumDescriptor* type);
 
 // Why there are no candidates, in words.
 std::string Explain(v1::EmptyReason reason);

@@ -4,6 +4,7 @@
 #include <map>
 #include <string_view>
 
+#include "absl/strings/str_cat.h"
 #include "client/formats/text_lines.h"
 
 namespace revisit::client {
@@ -101,9 +102,9 @@ absl::StatusOr<Drive> ReadCommaSeparated(Lines& lines) {
   while (lines.Next(&line)) {
     const auto fields = SplitAtCommas(line);
     if (fields.size() != columns->size()) {
-      return lines.Error("expected " + std::to_string(columns->size()) +
-                         " fields as in the header, got " +
-                         std::to_string(fields.size()));
+      return lines.Error(absl::StrCat("expected ", columns->size(),
+                                      " fields as in the header, got ",
+                                      fields.size()));
     }
     std::map<std::string, double, std::less<>> values;
     for (const auto& [name, index] : *columns) {
@@ -139,8 +140,8 @@ absl::StatusOr<Drive> ReadTum(Lines& lines) {
     const auto fields = SplitAtBlanks(line);
     if (!fields.empty() && fields[0][0] == '#') continue;
     if (fields.size() != kFields) {
-      return lines.Error("expected 8 fields \"t x y z qx qy qz qw\", got " +
-                         std::to_string(fields.size()));
+      return lines.Error(absl::StrCat(
+          "expected 8 fields \"t x y z qx qy qz qw\", got ", fields.size()));
     }
     double values[kFields];
     for (std::size_t i = 0; i < kFields; ++i) {

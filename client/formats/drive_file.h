@@ -29,11 +29,11 @@ struct PlanarPose {
 struct DriveSample {
   double time_seconds = 0.0;
   PlanarPose estimate;
-  // TUM only: height, and the orientation as it stands in the file (x, y, z,
-  // w), of which `estimate.heading` is the heading.
+  // TUM only: height, and the orientation as the file has it (x, y, z, w);
+  // `estimate.heading` is its heading.
   double estimate_z = 0.0;
   std::optional<std::array<double, 4>> quaternion;
-  // GNSS only: what `estimate` was made of.
+  // GNSS only: the position that `estimate` was computed from.
   std::optional<GeodeticPosition> geodetic;
   // Covariance of the estimate: xx, xy, xh, yy, yh, hh.
   std::optional<std::array<double, 6>> covariance;
@@ -49,24 +49,20 @@ struct Drive {
 
 enum class DriveFormat {
   // Comma-separated. The first line names the columns, in any order: t_s
-  // (seconds
-  // since the Unix epoch or since the start), est_x, est_y, est_yaw, and, all
-  // together or not at all, gt_x, gt_y, gt_yaw (the truth) and pxx, pxy, pxt,
-  // pyy,
-  // pyt, ptt (the covariance of the estimate, t meaning yaw). `frame` is
-  // allowed and
-  // ignored; any other name is an error.
+  // (seconds since the Unix epoch or since the start), est_x, est_y, est_yaw,
+  // and, all together or not at all, gt_x, gt_y, gt_yaw (the truth) and pxx,
+  // pxy, pxt, pyy, pyt, ptt (the covariance of the estimate, t meaning yaw).
+  // `frame` is allowed and ignored; any other name is an error.
   kDrive,
-  // As of the TUM RGB-D benchmark: lines "t x y z qx qy qz qw", separated by
-  // blanks,
-  // t in seconds; lines that begin with '#' are comments.
+  // The format of the TUM RGB-D benchmark: lines "t x y z qx qy qz qw",
+  // separated by blanks, t in seconds; lines that begin with '#' are comments.
   kTum,
 };
 
 absl::StatusOr<Drive> ReadDriveFile(const std::string& path,
                                     DriveFormat format);
 
-// The same from a stream; `path` is for messages and the drive's name.
+// Reads a stream likewise; `path` is for messages and the drive's name.
 absl::StatusOr<Drive> ReadDrive(std::istream& input, const std::string& path,
                                 DriveFormat format);
 

@@ -2,10 +2,11 @@
 
 #include <cmath>
 
+#include "client/formats/angles.h"
+
 namespace revisit::client {
 namespace {
 
-constexpr double kRadiansPerDegree = 3.14159265358979323846 / 180.0;
 // WGS84.
 constexpr double kSemiMajorMeters = 6378137.0;
 constexpr double kFlattening = 1.0 / 298.257223563;

@@ -6,13 +6,13 @@
 #include <map>
 #include <string_view>
 
+#include "absl/strings/str_cat.h"
+#include "client/formats/angles.h"
 #include "client/formats/text_lines.h"
 
 namespace revisit::client {
 namespace {
 
-constexpr double kHalfTurn = 3.14159265358979323846;
-constexpr double kRadiansPerDegree = kHalfTurn / 180.0;
 // 1980-01-06, where GPS weeks begin.
 constexpr double kGpsEpochSeconds = 315'964'800.0;
 constexpr double kSecondsPerWeek = 604'800.0;
@@ -137,10 +137,10 @@ PlanarPose Interpolate(const std::vector<ReferencePose>& reference,
   const double part = span > 0.0 ? (time_seconds - a.time_seconds) / span : 0.0;
   const auto from = EastNorthUp(origin, a.position);
   const auto to = EastNorthUp(origin, b.position);
-  const double turn = std::remainder(b.heading - a.heading, 2.0 * kHalfTurn);
+  const double turn = std::remainder(b.heading - a.heading, 2.0 * kPi);
   return {from[0] + part * (to[0] - from[0]),
           from[1] + part * (to[1] - from[1]),
-          std::remainder(a.heading + part * turn, 2.0 * kHalfTurn)};
+          std::remainder(a.heading + part * turn, 2.0 * kPi)};
 }
 
 }  // namespace
@@ -187,8 +187,8 @@ absl::StatusOr<std::vector<GnssFix>> ReadRtklib(std::istream& input,
     }
     const auto fields = SplitAtBlanks(line);
     if (fields.size() != columns.size() + 2) {
-      return lines.Error("expected " + std::to_string(columns.size() + 2) +
-                         " fields, got " + std::to_string(fields.size()));
+      return lines.Error(absl::StrCat("expected ", columns.size() + 2,
+                                      " fields, got ", fields.size()));
     }
     const auto time = ReadCalendarTime(fields[0], fields[1], lines);
     if (!time.ok()) return time.status();
@@ -246,9 +246,9 @@ absl::StatusOr<std::vector<ReferencePose>> ReadReference(
   while (lines.Next(&line)) {
     auto fields = SplitAtCommas(line);
     if (fields.size() != columns.size()) {
-      return lines.Error("expected " + std::to_string(columns.size()) +
-                         " fields as in the header, got " +
-                         std::to_string(fields.size()));
+      return lines.Error(absl::StrCat("expected ", columns.size(),
+                                      " fields as in the header, got ",
+                                      fields.size()));
     }
     for (std::string_view& field : fields) field = WithoutBlanks(field);
     Row row(columns, fields, lines);
@@ -294,10 +294,10 @@ absl::StatusOr<Drive> MakeGnssDrive(const std::string& name,
     if (fix.time_seconds < reference.front().time_seconds ||
         fix.time_seconds > reference.back().time_seconds) {
       return absl::InvalidArgumentError(
-          name + ": an epoch at " + std::to_string(fix.time_seconds) +
-          " s lies outside the reference's times, " +
-          std::to_string(reference.front().time_seconds) + " to " +
-          std::to_string(reference.back().time_seconds) + " s");
+          absl::StrCat(name, ": an epoch at ", std::to_string(fix.time_seconds),
+                       " s lies outside the reference's times, ",
+                       std::to_string(reference.front().time_seconds), " to ",
+                       std::to_string(reference.back().time_seconds), " s"));
     }
     // The unit vector to the left of the velocity.
     const double left_east = -fix.north_velocity / speed;

@@ -54,8 +54,8 @@ inline constexpr double kGnssStandstillMetersPerSecond = 0.5;
 // The drive of a vehicle that faces where it moves. Heading is the direction of
 // the velocity, its variance that of the velocity across, over the speed
 // squared; it is independent of the position. An epoch slower than the
-// standstill speed tells neither heading nor progress, and the wandering of its
-// position would count as travelled distance: it is left out. Truth: the
+// standstill speed shows neither heading nor progress, and the wandering of its
+// position would count as travelled distance: it is left out. The truth is the
 // reference, interpolated at the epochs. Local coordinates are east and north
 // of `origin`.
 //

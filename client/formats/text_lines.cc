@@ -8,6 +8,8 @@
 #include <system_error>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
+
 namespace revisit::client {
 
 Lines::Lines(std::istream& input, std::string path)
@@ -21,8 +23,8 @@ bool Lines::Next(std::string* line) {
 }
 
 absl::Status Lines::Error(const std::string& message) const {
-  return absl::InvalidArgumentError(path_ + ":" + std::to_string(number_) +
-                                    ": " + message);
+  return absl::InvalidArgumentError(
+      absl::StrCat(path_, ":", number_, ": ", message));
 }
 
 std::vector<std::string_view> SplitAtCommas(std::string_view line) {

@@ -1,4 +1,4 @@
-// What readers of text files have in common: lines with their numbers, fields,
+// Shared by the readers of text files: lines with their numbers, fields,
 // numbers in the C locale, and errors that say where.
 #ifndef REVISIT_CLIENT_FORMATS_TEXT_LINES_H_
 #define REVISIT_CLIENT_FORMATS_TEXT_LINES_H_
@@ -14,7 +14,7 @@
 
 namespace revisit::client {
 
-// Lines of a stream and where they are. `path` is for messages.
+// The lines of a stream, counted. `path` is for messages.
 class Lines {
  public:
   Lines(std::istream& input, std::string path);
@@ -32,13 +32,13 @@ class Lines {
 };
 
 std::vector<std::string_view> SplitAtCommas(std::string_view line);
-// At blanks and tabs, any number of them.
+// Splits at blanks and tabs, any number of them.
 std::vector<std::string_view> SplitAtBlanks(std::string_view line);
 
-// Text of a file, fit for a message.
+// Quotes text of a file so that it fits into a message.
 std::string Quoted(std::string_view text);
 
-// A finite number; `name` says what it is.
+// Reads a finite number; `name` says in messages what it is.
 absl::StatusOr<double> ReadNumber(std::string_view field,
                                   const std::string& name, const Lines& lines);
 
@@ -47,7 +47,7 @@ absl::Status RefuseCompressed(const std::string& first_line,
                               const Lines& lines);
 
 // NOT_FOUND or PERMISSION_DENIED if a file cannot be opened, INVALID_ARGUMENT
-// if it is none.
+// if it is no file.
 absl::StatusOr<std::unique_ptr<std::istream>> OpenText(const std::string& path);
 
 // Name of a file without directory and ending.

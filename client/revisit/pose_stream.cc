@@ -6,6 +6,7 @@
 #include <thread>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "client/revisit/status.h"
 #include "client/revisit/status_from_grpc.h"
 #include "core/base/mutex.h"
@@ -212,8 +213,8 @@ class PoseStream::Connection final
     if (!IsMeant(message)) return false;
     if (durable < rep_->acked_sequence) {
       rep_->own_verdict = absl::DataLossError(
-          "the server has poses up to sequence " + std::to_string(durable) +
-          ", but acknowledged up to " + std::to_string(rep_->acked_sequence));
+          absl::StrCat("the server has poses up to sequence ", durable,
+                       ", but acknowledged up to ", rep_->acked_sequence));
       return false;
     }
     if (durable > rep_->acked_sequence) rep_->progressed = true;
@@ -266,17 +267,15 @@ absl::Status PoseStream::Rep::CheckBatch(const v1::PoseBatch& batch) const {
   }
   for (const v1::Pose& pose : batch.poses()) {
     if (pose.sequence() != expected) {
-      return absl::InvalidArgumentError(
-          "sequence " + std::to_string(pose.sequence()) + " where " +
-          std::to_string(expected) + " comes next");
+      return absl::InvalidArgumentError(absl::StrCat(
+          "sequence ", pose.sequence(), " where ", expected, " comes next"));
     }
     ++expected;
     if (pose.SpaceUsedLong() > options.max_pending_bytes) {
-      return absl::InvalidArgumentError(
-          "the pose of sequence " + std::to_string(pose.sequence()) +
-          " takes " + std::to_string(pose.SpaceUsedLong()) +
-          " bytes, more than max_pending_bytes allows (" +
-          std::to_string(options.max_pending_bytes) + ")");
+      return absl::InvalidArgumentError(absl::StrCat(
+          "the pose of sequence ", pose.sequence(), " takes ",
+          pose.SpaceUsedLong(), " bytes, more than max_pending_bytes allows (",
+          options.max_pending_bytes, ")"));
     }
   }
   return absl::OkStatus();
@@ -349,9 +348,8 @@ absl::Status PoseStream::Rep::RunConnection() {
                Clock::now() < deadline) {
       changed.WaitUntil(&mutex, deadline);
     } else {
-      own_verdict = absl::UnavailableError(
-          "no answer for " + std::to_string(options.answer_timeout.count()) +
-          " ms");
+      own_verdict = absl::UnavailableError(absl::StrCat(
+          "no answer for ", options.answer_timeout.count(), " ms"));
     }
   }
   const bool must_end = MustEnd();
@@ -463,10 +461,10 @@ absl::Status PoseStream::TryAppend(const v1::PoseBatch& batch) {
   std::size_t bytes = 0;
   for (const v1::Pose& pose : batch.poses()) bytes += pose.SpaceUsedLong();
   if (!rep_->HasRoom(static_cast<std::size_t>(batch.poses_size()), bytes)) {
-    return absl::ResourceExhaustedError(
-        std::to_string(rep_->pending.size()) +
-        " poses wait for their acknowledgement; there is no room for " +
-        std::to_string(batch.poses_size()) + " more");
+    return absl::ResourceExhaustedError(absl::StrCat(
+        rep_->pending.size(),
+        " poses wait for their acknowledgement; there is no room for ",
+        batch.poses_size(), " more"));
   }
   for (const v1::Pose& pose : batch.poses()) {
     rep_->Take(pose, pose.SpaceUsedLong());

@@ -3,7 +3,7 @@
 // Poses go in, in order of their sequences; the stream keeps each until the
 // server has acknowledged it as durable, reconnects as often as needed, and
 // goes on where the server says it stands. Every pose that was taken arrives
-// exactly once, in order, or Finish() tells why not.
+// exactly once, in order, or Finish() reports why not.
 //
 //   PoseStream stream(channel, "vehicles/shuttle-7", options, callbacks);
 //   absl::StatusOr<std::uint64_t> durable = stream.WaitUntilOpened();
@@ -17,13 +17,13 @@
 // Reconnecting: after UNAVAILABLE, ABORTED, RESOURCE_EXHAUSTED with a
 // RetryInfo, an end that was not asked for, or silence longer than
 // answer_timeout, with exponential back-off that starts over after progress.
-// Also when the token expired under a stream that was opened once: the next
+// An expired token is no end either once the stream was opened: the next
 // connection reads it anew (channel.h). Any other status ends the stream, among
-// them DATA_LOSS (the server has less
-// than was acknowledged), ALREADY_EXISTS (a sequence is stored with other
-// content), FAILED_PRECONDITION (a gap, or the vehicle was deleted and made
-// again under the stream: VEHICLE_REPLACED, with no pose taken for durable
-// because the new one has its sequence), INVALID_ARGUMENT and NOT_FOUND.
+// them DATA_LOSS (the server has less than was acknowledged), ALREADY_EXISTS (a
+// sequence is stored with other content), FAILED_PRECONDITION (a gap, or the
+// vehicle was deleted and made again under the stream: VEHICLE_REPLACED, with
+// no pose taken for durable because the new vehicle has its sequence),
+// INVALID_ARGUMENT and NOT_FOUND.
 //
 // Candidates: the server sends the answer of a check once, on the stream on
 // which the check's batch became durable. If the connection breaks after that
@@ -58,7 +58,8 @@ struct PoseStreamOptions {
   int batch_poses = 64;
   // Unacknowledged poses that are held. At least 1.
   std::size_t max_pending_poses = 65'536;
-  // Their memory. A single pose that needs more is refused.
+  // Bytes that the held poses may take. A single pose that needs more is
+  // refused.
   std::size_t max_pending_bytes = 32 << 20;
   // Highest sequence that this client knows to be durable from an earlier life;
   // 0 if it keeps no such record. The server answers DATA_LOSS if it has less.
@@ -75,8 +76,8 @@ struct PoseStreamOptions {
   // given up for a new one. Time spent in callbacks does not count.
   std::chrono::milliseconds answer_timeout{60'000};
   // How long to reconnect without progress before the stream ends with the last
-  // status. Progress: something became durable or was answered, or a connection
-  // was opened and nothing waits. Nothing: for ever.
+  // status. Progress means that something became durable or was answered, or
+  // that a connection was opened and nothing waits. If absent, for ever.
   std::optional<std::chrono::milliseconds> give_up_after;
 };
 
@@ -106,7 +107,7 @@ class PoseStream {
   PoseStream(const std::shared_ptr<grpc::ChannelInterface>& channel,
              const std::string& vehicle, const PoseStreamOptions& options,
              const PoseStreamCallbacks& callbacks);
-  // Cancels what Finish() did not wait for.
+  // Cancels the stream if Finish() has not ended it.
   ~PoseStream();
 
   PoseStream(const PoseStream&) = delete;
@@ -145,7 +146,7 @@ class PoseStream {
   // Connections after the first one.
   int reconnects() const;
 
-  // What is held now.
+  // Unacknowledged poses that are held now, and their bytes.
   std::size_t pending_poses() const;
   std::size_t pending_bytes() const;
 

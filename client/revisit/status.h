@@ -1,4 +1,4 @@
-// Statuses as the client library hands them out, and what they tell programs.
+// Statuses as the client library returns them, and their details for programs.
 #ifndef REVISIT_CLIENT_REVISIT_STATUS_H_
 #define REVISIT_CLIENT_REVISIT_STATUS_H_
 
@@ -41,8 +41,8 @@ ErrorDetails DetailsOf(const absl::Status& status);
 // moment between the last refusal and the end of the connection.
 bool IsCutByServer(const absl::Status& status);
 
-// For people: the message, the reason, and a line for each field violation that
-// the message does not tell already.
+// Describes a status to people: the message, the reason, and a line for each
+// field violation that the message does not contain.
 std::string Describe(const absl::Status& status);
 
 }  // namespace revisit::client

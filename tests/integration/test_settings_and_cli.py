@@ -346,6 +346,42 @@ def test_settings_are_created_and_updated(revisit):
     assert revisit("vehicle", "delete", "cli-settings").returncode == 0
 
 
+def setting_flags():
+    """The flags of settings, each with the default that its help states."""
+    text = run("revisit", "vehicle", "create", "--help").stdout
+    text = text[text.index("Settings of the vehicle"):text.index("Examples:")]
+    flags = {}
+    for entry in re.split(r"\n(?=  --)", text)[1:]:
+        stated = re.search(r"\(([a-z0-9.-]+)\)\s*$", entry)
+        flags[re.match(r"  (--[a-z-]+)", entry)[1]] = stated and stated[1]
+    return flags
+
+
+def test_defaults_in_the_help_are_those_of_the_server(revisit):
+    flags = setting_flags()
+    # A switch states none.
+    assert flags.pop("--apply-inflation") is None
+    given = [word for flag in flags.items() for word in flag]
+    answers = [revisit("vehicle", "create", name, *words, "--json")
+               for name, words in [("cli-unset", ["--no-apply-inflation"]),
+                                   ("cli-stated", given)]]
+    assert [answer.stderr for answer in answers] == ["", ""]
+    unset, stated = [json.loads(answer.stdout)["settings"]
+                     for answer in answers]
+    assert stated == unset
+
+
+def test_every_setting_has_a_flag():
+    def leaves(message):
+        return sum(leaves(field.message_type) if field.message_type else 1
+                   for field in message.fields)
+
+    settings = api.VehicleSettings.DESCRIPTOR
+    # The server takes it from the first pose.
+    origin = settings.fields_by_name["geodetic_origin"].message_type
+    assert len(setting_flags()) == leaves(settings) - leaves(origin)
+
+
 def test_candidates_are_confirmed_and_rejected(revisit, stub):
     name = "vehicles/cli-verify"
     assert revisit("vehicle", "create", "cli-verify", "--correlation-model",

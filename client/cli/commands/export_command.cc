@@ -8,9 +8,12 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <memory>
 #include <system_error>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
+#include "client/cli/commands/shared_flags.h"
 #include "client/cli/names.h"
 
 namespace revisit::client {
@@ -27,7 +30,7 @@ std::string Exact(double value) {
 }
 
 std::string StampSeconds(const google::protobuf::Timestamp& stamp) {
-  // Exact, which a double is not for stamps of today in nanoseconds.
+  // A double does not hold today's stamps to the nanosecond.
   std::int64_t seconds = stamp.seconds();
   std::int64_t nanos = stamp.nanos();
   std::string sign;
@@ -36,9 +39,9 @@ std::string StampSeconds(const google::protobuf::Timestamp& stamp) {
     nanos = 1'000'000'000 - nanos;
     if (seconds == 0) sign = "-";
   }
-  const std::string digits = std::to_string(nanos);
-  return sign + std::to_string(seconds) + "." +
-         std::string(9 - digits.size(), '0') + digits;
+  const std::string digits = absl::StrCat(nanos);
+  return absl::StrCat(sign, seconds, ".", std::string(9 - digits.size(), '0'),
+                      digits);
 }
 
 void WriteNodeCsv(const v1::Node& node, std::ostream& out) {
@@ -54,7 +57,7 @@ void WriteNodeCsv(const v1::Node& node, std::ostream& out) {
   const bool spatial =
       node.covariance().form() == v1::COVARIANCE_FORM_SPATIAL_10 &&
       v.size() == 10;
-  // Which of the planar values stands in each column; -1 for none.
+  // The index of the planar value in each column; -1 for none.
   constexpr int kPlanarColumns[10] = {0, 1, -1, 2, 3, -1, 4, -1, -1, 5};
   for (int i = 0; i < 10; ++i) {
     out << ',';
@@ -101,8 +104,8 @@ void WritePart(const v1::ExportPoseGraphResponse& part, ExportFormat format,
   }
 }
 
-// A file that gets its name when it is whole: what had the name before stays as
-// it is until then. What is no regular file is written to as the parts come.
+// A file that gets its name when it is whole: a file of this name stays as it
+// is until then. A pipe or a device is written to as the parts come.
 class OutputFile {
  public:
   explicit OutputFile(std::string path) : path_(std::move(path)) {}
@@ -131,7 +134,7 @@ class OutputFile {
       // A link goes on leading to it.
       path_ = fs::canonical(path_, error).string();
     }
-    aside_ = path_ + "." + std::to_string(getpid()) + ".part";
+    aside_ = absl::StrCat(path_, ".", getpid(), ".part");
     stream_.open(aside_, std::ios::binary | std::ios::trunc);
     if (!stream_) return Error();
     if (fs::exists(before)) {
@@ -152,16 +155,54 @@ class OutputFile {
 
  private:
   absl::Status Error() const {
-    return LocalError(absl::UnknownError(path_ + ": " + std::strerror(errno)));
+    return LocalError(
+        absl::UnknownError(absl::StrCat(path_, ": ", std::strerror(errno))));
   }
 
   std::string path_;
-  // Empty where there is none to remove.
+  // The unfinished file, to be removed; empty if there is none.
   std::string aside_;
   std::ofstream stream_;
 };
 
 }  // namespace
+
+void AddExportCommand(const Command& program) {
+  const Command command = program.AddCommand(
+      {"export", "Writes out a vehicle's pose graph.",
+       "Formats:\n"
+       "  jsonl      a JSON object a line: {\"vehicle\": ...}, then {\"node\": "
+       "...} for each node,\n"
+       "             then {\"edge\": ...} for each edge; protobuf JSON\n"
+       "  nodes-csv  comma-separated with a header line: index,sequence,"
+       "fraction,t_s,\n"
+       "             travelled_m,x_m,y_m,z_m,heading_rad and the covariance's "
+       "upper triangle\n"
+       "  edges-csv  the same: from_index,to_index,kind\n"
+       "Numbers read back to the same bits.",
+       "  revisit export shuttle-7 > graph.jsonl\n"
+       "  revisit export shuttle-7 --format nodes-csv --output nodes.csv"});
+  const Words formats = {
+      {"jsonl", static_cast<int>(ExportFormat::kJsonLines)},
+      {"nodes-csv", static_cast<int>(ExportFormat::kNodesCsv)},
+      {"edges-csv", static_cast<int>(ExportFormat::kEdgesCsv)}};
+  const auto options = std::make_shared<ExportOptions>();
+  AddVehicleName(command, &options->vehicle);
+  command.AddChoice("--format", formats, &options->format,
+                    "What to write (jsonl)");
+  command.AddText("--output", "FILE", &options->output,
+                  "File to write instead of standard output");
+  const Check check = [command, options]() -> std::string {
+    return command.Given("--json") &&
+                   options->format != ExportFormat::kJsonLines
+               ? "--json: goes with --format jsonl only"
+               : "";
+  };
+  const Run run = [options](const Connection& server, const Console& console) {
+    return RunExport(server.client, *options, console);
+  };
+  command.Runs(run, check);
+}
 
 absl::Status RunExport(const Client& client, const ExportOptions& options,
                        const Console& console) {

@@ -1,8 +1,53 @@
 #include "client/cli/commands/find_command.h"
 
+#include <cstdint>
+#include <memory>
+
+#include "absl/strings/str_cat.h"
+#include "client/cli/commands/shared_flags.h"
+#include "client/cli/commands/vehicle_settings.h"
 #include "client/cli/names.h"
 
 namespace revisit::client {
+
+void AddFindCommand(const Command& program) {
+  const Command command = program.AddCommand(
+      {"find", "Asks for loop-closure candidates at one pose.", "",
+       "  revisit find shuttle-7\n"
+       "  revisit find shuttle-7 --sequence 2000 --max-candidates 10 --json\n"
+       "  revisit find shuttle-7 --direction either "
+       "--acceptance-probability 0.9"});
+  const auto request = std::make_shared<v1::FindCandidatesRequest>();
+  v1::CandidateOptions* const options = request->mutable_options();
+  AddVehicleName(command, request->mutable_vehicle());
+  command.AddWholeNumber(
+      "--sequence", kSequences,
+      [request](std::int64_t sequence) {
+        request->set_sequence(static_cast<std::uint64_t>(sequence));
+      },
+      "Pose to ask at, with what lay before it as history; the newest if left "
+      "out");
+  command.AddSwitch(
+      "--aligned-path",
+      [options](bool include) { options->set_include_aligned_path(include); },
+      "Let the JSON have the aligned pairs");
+  command.AddSwitch(
+      "--exhaustive",
+      [options](bool exhaustive) { options->set_exhaustive(exhaustive); },
+      "Look at all of history, and answer also what is too improbable to be "
+      "accepted");
+  command.AddChoice(
+      "--direction", WordsOf(v1::Direction_descriptor()),
+      [options](int direction) {
+        options->set_direction(static_cast<v1::Direction>(direction));
+      },
+      "Which way the place was passed before, against the way it is passed now "
+      "(same)");
+  AddSearchSettings(command, options);
+  command.Runs([request](const Connection& server, const Console& console) {
+    return RunFind(server.client, *request, console);
+  });
+}
 
 absl::Status RunFind(const Client& client, v1::FindCandidatesRequest request,
                      const Console& console) {
@@ -47,7 +92,7 @@ absl::Status RunFind(const Client& client, v1::FindCandidatesRequest request,
     const v1::Node& matched = candidate.matched();
     const v1::Gate& gate = candidate.gate();
     table.AddRow(
-        {std::to_string(candidate.rank()), std::to_string(matched.sequence()),
+        {absl::StrCat(candidate.rank()), absl::StrCat(matched.sequence()),
          Fixed(matched.travelled_meters(), 1),
          Fixed(matched.pose().x_meters(), 2),
          Fixed(matched.pose().y_meters(), 2), NameOf(candidate.direction()),

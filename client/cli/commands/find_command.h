@@ -4,11 +4,14 @@
 
 #include "absl/status/status.h"
 #include "client/cli/console.h"
+#include "client/cli/flags.h"
 #include "client/revisit/client.h"
 
 namespace revisit::client {
 
-// Asks and prints. `request.vehicle` may be an id.
+void AddFindCommand(const Command& program);
+
+// Prints the candidates at one pose. `request.vehicle` may be an id.
 absl::Status RunFind(const Client& client, v1::FindCandidatesRequest request,
                      const Console& console);
 

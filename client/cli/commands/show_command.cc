@@ -3,7 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <memory>
 
+#include "absl/strings/str_cat.h"
+#include "client/cli/commands/shared_flags.h"
 #include "client/cli/commands/vehicle_command.h"
 #include "client/cli/names.h"
 #include "nlohmann/json.hpp"
@@ -80,7 +83,22 @@ void PrintJson(const GraphSummary& graph, std::ostream& out) {
   out << json.dump(1) << '\n';
 }
 
+std::string Range(double lowest, double highest) {
+  return absl::StrCat(Fixed(lowest, 1), " to ", Fixed(highest, 1), " m");
+}
+
 }  // namespace
+
+void AddShowCommand(const Command& program) {
+  const Command command =
+      program.AddCommand({"show", "Summarises a vehicle's pose graph.", "",
+                          "  revisit show shuttle-7"});
+  const auto vehicle = std::make_shared<std::string>();
+  AddVehicleName(command, vehicle.get());
+  command.Runs([vehicle](const Connection& server, const Console& console) {
+    return RunShow(server.client, *vehicle, console);
+  });
+}
 
 absl::Status RunShow(const Client& client, const std::string& id,
                      const Console& console) {
@@ -99,23 +117,22 @@ absl::Status RunShow(const Client& client, const std::string& id,
   }
   PrintVehicle(graph.vehicle, console);
   std::vector<std::pair<std::string, std::string>> fields = {
-      {"consecutive edges", std::to_string(graph.consecutive_edges)},
-      {"loop-closure edges", std::to_string(graph.loop_closure_edges)}};
+      {"consecutive edges", absl::StrCat(graph.consecutive_edges)},
+      {"loop-closure edges", absl::StrCat(graph.loop_closure_edges)}};
   if (graph.nodes > 0) {
+    const v1::StatePose& last = graph.last.pose();
     const Sigmas sigmas = SigmasOf(graph.last.covariance());
+    fields.emplace_back("x", Range(graph.min_x, graph.max_x));
+    fields.emplace_back("y", Range(graph.min_y, graph.max_y));
     fields.emplace_back(
-        "x", Fixed(graph.min_x, 1) + " to " + Fixed(graph.max_x, 1) + " m");
+        "last node", absl::StrCat("sequence ", graph.last.sequence(), " at (",
+                                  Fixed(last.x_meters(), 2), ", ",
+                                  Fixed(last.y_meters(), 2), ") m, heading ",
+                                  Fixed(last.heading_radians(), 4), " rad"));
     fields.emplace_back(
-        "y", Fixed(graph.min_y, 1) + " to " + Fixed(graph.max_y, 1) + " m");
-    fields.emplace_back(
-        "last node",
-        "sequence " + std::to_string(graph.last.sequence()) + " at (" +
-            Fixed(graph.last.pose().x_meters(), 2) + ", " +
-            Fixed(graph.last.pose().y_meters(), 2) + ") m, heading " +
-            Fixed(graph.last.pose().heading_radians(), 4) + " rad");
-    fields.emplace_back("its uncertainty", Fixed(sigmas.position, 2) + " m, " +
-                                               Fixed(sigmas.heading, 4) +
-                                               " rad (1 sigma)");
+        "its uncertainty",
+        absl::StrCat(Fixed(sigmas.position, 2), " m, ",
+                     Fixed(sigmas.heading, 4), " rad (1 sigma)"));
   }
   PrintFields(fields, console.out);
   return absl::OkStatus();

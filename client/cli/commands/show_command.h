@@ -6,15 +6,19 @@
 
 #include "absl/status/status.h"
 #include "client/cli/console.h"
+#include "client/cli/flags.h"
 #include "client/revisit/client.h"
 
 namespace revisit::client {
 
-// A summary of the pose graph: counts, extent and how sure the newest node is.
+void AddShowCommand(const Command& program);
+
+// Prints a summary of the pose graph: counts, extent and how sure the newest
+// node is.
 // As JSON: {"vehicle", "nodeCount", "consecutiveEdgeCount",
 // "loopClosureEdgeCount", "minXMeters", "maxXMeters", "minYMeters",
-// "maxYMeters", "lastNode", "positionSigmaMeters", "headingSigmaRadians"}; what
-// a graph without nodes does not have is left out.
+// "maxYMeters", "lastNode", "positionSigmaMeters", "headingSigmaRadians"};
+// fields that a graph without nodes does not have are left out.
 absl::Status RunShow(const Client& client, const std::string& id,
                      const Console& console);
 

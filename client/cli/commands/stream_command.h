@@ -11,6 +11,7 @@
 #include "absl/status/status.h"
 #include "client/cli/console.h"
 #include "client/cli/evaluation/dead_reckoning.h"
+#include "client/cli/flags.h"
 #include "client/formats/drive_file.h"
 #include "client/revisit/client.h"
 
@@ -20,28 +21,30 @@ class Channel;
 
 namespace revisit::client {
 
+void AddStreamCommand(const Command& program);
+
 struct StreamOptions {
   std::string file;
   DriveFormat format = DriveFormat::kDrive;
   std::string vehicle;
   UncertaintyOptions uncertainty;
-  // Creates the vehicle, with these settings, if there is none.
+  // Whether to create the vehicle, with these settings, if there is none.
   bool create = false;
   v1::VehicleSettings settings;
   int batch_poses = 64;
   // Highest sequence that the caller knows to be durable; 0 for no record.
   std::uint64_t acked_sequence = 0;
-  // Of the vehicle that this was told of; empty for whichever has the name.
+  // The uid of the vehicle that is meant; empty for whichever has the name.
   std::string vehicle_uid;
-  // Prints the candidates of each check that falls due.
+  // Whether to print the candidates of each check that falls due.
   bool candidates = false;
+  // How long to try without progress; for ever if absent.
   std::optional<std::chrono::milliseconds> give_up_after;
 };
 
 // Streams the estimates of a drive file: pose i of the file gets sequence i.
 // Goes on where the vehicle's durable poses end, after the server has compared
-// the last of these with the file's. The truth in the file, if any, is not
-// read.
+// the last of these with the file's. Any truth in the file is not read.
 absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
                        const StreamOptions& options, const Console& console);
 

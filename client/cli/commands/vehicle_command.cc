@@ -1,25 +1,20 @@
 #include "client/cli/commands/vehicle_command.h"
 
+#include <memory>
 #include <vector>
 
+#include "absl/strings/str_cat.h"
+#include "client/cli/commands/vehicle_settings.h"
 #include "client/cli/names.h"
 #include "google/protobuf/descriptor.h"
 #include "google/protobuf/util/time_util.h"
 
 namespace revisit::client {
-
 namespace {
 
 using Fields = std::vector<std::pair<std::string, std::string>>;
 
-std::string Meters(double value) { return Fixed(value, 2) + " m"; }
-
-std::string Text(const v1::PlaceTolerance& tolerance) {
-  return Meters(tolerance.position_meters()) + ", " +
-         Fixed(tolerance.heading_radians(), 4) + " rad";
-}
-
-// Of a damaged vehicle it may be lost.
+// A damaged vehicle may have lost it.
 std::string CreateTime(const v1::Vehicle& vehicle) {
   return vehicle.has_create_time()
              ? google::protobuf::util::TimeUtil::ToString(vehicle.create_time())
@@ -28,20 +23,19 @@ std::string CreateTime(const v1::Vehicle& vehicle) {
 
 void AddConsistency(const v1::Consistency& consistency, Fields* fields) {
   fields->emplace_back(
-      "verified",
-      std::to_string(consistency.confirmed_count()) + " confirmed, " +
-          std::to_string(consistency.rejected_count()) + " rejected");
+      "verified", absl::StrCat(consistency.confirmed_count(), " confirmed, ",
+                               consistency.rejected_count(), " rejected"));
   if (consistency.has_mean_normalized_innovation_squared()) {
     fields->emplace_back(
         "squared innovation",
-        Fixed(consistency.mean_normalized_innovation_squared(), 2) +
-            " in the mean, " +
-            std::to_string(consistency.degrees_of_freedom()) +
-            " if the claimed uncertainty is honest");
+        absl::StrCat(Fixed(consistency.mean_normalized_innovation_squared(), 2),
+                     " in the mean, ", consistency.degrees_of_freedom(),
+                     " if the claimed uncertainty is honest"));
   }
   fields->emplace_back(
-      "inflation", Fixed(consistency.inflation(), 2) +
-                       (consistency.applied() ? ", applied" : ", not applied"));
+      "inflation",
+      absl::StrCat(Fixed(consistency.inflation(), 2),
+                   consistency.applied() ? ", applied" : ", not applied"));
 }
 
 absl::Status Print(const v1::Vehicle& vehicle, const Console& console) {
@@ -53,7 +47,113 @@ absl::Status Print(const v1::Vehicle& vehicle, const Console& console) {
   return absl::OkStatus();
 }
 
+void AddId(const Command& command, std::string* id,
+           const std::string& help = "") {
+  command.AddText("ID", "TEXT", id, help).Required();
+}
+
+void AddCreate(const Command& vehicle) {
+  const Command command = vehicle.AddCommand(
+      {"create",
+       "Creates a vehicle. Again with the same settings: the existing one.", "",
+       "  revisit vehicle create shuttle-7\n"
+       "  revisit vehicle create drone-1 --state-space spatial "
+       "--node-spacing 0.5"});
+  const auto id = std::make_shared<std::string>();
+  const auto settings = std::make_shared<v1::VehicleSettings>();
+  AddId(command, id.get(), "Lower-case letters, digits, dashes");
+  AddVehicleSettings(command, settings.get());
+  command.Runs(
+      [id, settings](const Connection& server, const Console& console) {
+        return RunVehicleCreate(server.client, *id, *settings, console);
+      });
+}
+
+void AddGet(const Command& vehicle) {
+  const Command command =
+      vehicle.AddCommand({"get", "Shows a vehicle.", "",
+                          "  revisit vehicle get shuttle-7 --json"});
+  const auto id = std::make_shared<std::string>();
+  AddId(command, id.get());
+  command.Runs([id](const Connection& server, const Console& console) {
+    return RunVehicleGet(server.client, *id, console);
+  });
+}
+
+void AddList(const Command& vehicle) {
+  const Command command = vehicle.AddCommand(
+      {"list", "Lists all vehicles.", "", "  revisit vehicle list"});
+  command.Runs([](const Connection& server, const Console& console) {
+    return RunVehicleList(server.client, console);
+  });
+}
+
+void AddUpdate(const Command& vehicle) {
+  const Command command = vehicle.AddCommand(
+      {"update", "Changes the settings that are given, and no others.",
+       "Once a vehicle has poses, its state space and its frame are fixed, and "
+       "so is\nwhether its correlation model is filter.",
+       "  revisit vehicle update shuttle-7 --apply-inflation\n"
+       "  revisit vehicle update shuttle-7 --acceptance-probability 0.9"});
+  const auto id = std::make_shared<std::string>();
+  const auto changes = std::make_shared<v1::VehicleSettings>();
+  AddId(command, id.get());
+  AddVehicleSettings(command, changes.get());
+  const Check check = [changes]() -> std::string {
+    return changes->ByteSizeLong() == 0 ? "A setting to change is required"
+                                        : "";
+  };
+  const Run run = [id, changes](const Connection& server,
+                                const Console& console) {
+    return RunVehicleUpdate(server.client, *id, *changes, console);
+  };
+  command.Runs(run, check);
+}
+
+void AddAcceptLoss(const Command& vehicle) {
+  const Command command = vehicle.AddCommand(
+      {"accept-loss", "Lets a vehicle in the state DATA_LOSS take poses again.",
+       "A client held an acknowledgement for poses that the store has not "
+       "got. Whoever calls\nthis accepts that all after DURABLE_SEQ are "
+       "gone; the client then sends them again, or\ngoes on from there. "
+       "Restore a newer backup instead if there is one.",
+       "  revisit vehicle get shuttle-7   # its state, its durable poses\n"
+       "  revisit vehicle accept-loss shuttle-7 1200"});
+  const auto id = std::make_shared<std::string>();
+  const auto durable = std::make_shared<std::uint64_t>(0);
+  AddId(command, id.get());
+  command
+      .AddWholeNumber("DURABLE_SEQ", WholeRange(), durable.get(),
+                      "The vehicle's durable poses, to show that you know them")
+      .Required();
+  command.Runs([id, durable](const Connection& server, const Console& console) {
+    return RunVehicleAcceptLoss(server.client, *id, *durable, console);
+  });
+}
+
+void AddDelete(const Command& vehicle) {
+  const Command command = vehicle.AddCommand(
+      {"delete", "Deletes vehicles with all their poses. Cannot be undone.", "",
+       "  revisit vehicle delete shuttle-7 shuttle-8"});
+  const auto ids = std::make_shared<std::vector<std::string>>();
+  command.AddTexts("ID", "TEXT", ids.get(), "").Required();
+  command.Runs([ids](const Connection& server, const Console& console) {
+    return RunVehicleDelete(server.client, *ids, console);
+  });
+}
+
 }  // namespace
+
+void AddVehicleCommand(const Command& program) {
+  const Command vehicle = program.AddCommand(
+      {"vehicle", "Creates, shows, changes and deletes vehicles.", "", ""});
+  AddCreate(vehicle);
+  AddGet(vehicle);
+  AddList(vehicle);
+  AddUpdate(vehicle);
+  AddAcceptLoss(vehicle);
+  AddDelete(vehicle);
+}
 
 void PrintVehicle(const v1::Vehicle& vehicle, const Console& console) {
   const v1::VehicleSettings& settings = vehicle.settings();
@@ -62,36 +162,22 @@ void PrintVehicle(const v1::Vehicle& vehicle, const Console& console) {
       {"uid", vehicle.uid()},
       {"state", NameOf(vehicle.state())},
       {"created", CreateTime(vehicle)},
-      {"durable poses", std::to_string(vehicle.durable_sequence())},
-      {"revision", std::to_string(vehicle.revision())},
-      {"nodes", std::to_string(vehicle.node_count())},
-      {"loop closures", std::to_string(vehicle.loop_closure_count())},
-      {"travelled", Fixed(vehicle.travelled_meters(), 1) + " m"},
-      {"state space", NameOf(settings.state_space())},
-      {"correlation model", NameOf(settings.correlation_model())},
-      {"alignment", NameOf(settings.alignment())},
-      {"likelihood form", NameOf(settings.likelihood_form())},
-      {"coordinate frame", NameOf(settings.coordinate_frame())},
-      {"node spacing", Meters(settings.node_spacing_meters())},
-      {"sequence length", Meters(settings.sequence_length_meters())},
-      {"check interval", Meters(settings.check_interval_meters())},
-      {"maximal step", Meters(settings.max_step_meters())},
-      {"gate probability", Fixed(settings.gate_probability(), 4)},
-      {"acceptance probability", Fixed(settings.acceptance_probability(), 4)},
-      {"place tolerance", Text(settings.place_tolerance())},
-      {"shape tolerance", Text(settings.shape_tolerance())},
-      {"shape correlation", Meters(settings.shape_correlation_meters())},
-      {"road spacing", Meters(settings.road_spacing_meters())},
-      {"candidate separation", Meters(settings.candidate_separation_meters())},
-      {"maximal candidates", std::to_string(settings.max_candidates())},
-      {"maximal inflation", Fixed(settings.max_inflation(), 2)}};
+      {"durable poses", absl::StrCat(vehicle.durable_sequence())},
+      {"revision", absl::StrCat(vehicle.revision())},
+      {"nodes", absl::StrCat(vehicle.node_count())},
+      {"loop closures", absl::StrCat(vehicle.loop_closure_count())},
+      {"travelled", absl::StrCat(Fixed(vehicle.travelled_meters(), 1), " m")}};
+  for (auto& setting : DescribeSettings(settings)) {
+    fields.push_back(std::move(setting));
+  }
   if (vehicle.has_consistency()) AddConsistency(vehicle.consistency(), &fields);
   if (settings.has_geodetic_origin()) {
     const v1::GeodeticPosition& origin = settings.geodetic_origin();
-    fields.emplace_back("geodetic origin",
-                        Fixed(origin.latitude_degrees(), 8) + " deg, " +
-                            Fixed(origin.longitude_degrees(), 8) + " deg, " +
-                            Fixed(origin.height_meters(), 3) + " m");
+    fields.emplace_back(
+        "geodetic origin",
+        absl::StrCat(Fixed(origin.latitude_degrees(), 8), " deg, ",
+                     Fixed(origin.longitude_degrees(), 8), " deg, ",
+                     Fixed(origin.height_meters(), 3), " m"));
   }
   PrintFields(fields, console.out);
 }
@@ -125,7 +211,8 @@ absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
   request.mutable_vehicle()->set_name(VehicleName(id));
   *request.mutable_vehicle()->mutable_settings() = changes;
   for (const auto* field : changed) {
-    request.mutable_update_mask()->add_paths("settings." + field->name());
+    request.mutable_update_mask()->add_paths(
+        absl::StrCat("settings.", field->name()));
   }
   const auto response = client.UpdateVehicle(request);
   if (!response.ok()) return response.status();
@@ -168,9 +255,9 @@ absl::Status RunVehicleList(const Client& client, const Console& console) {
                {"CREATED", Align::kLeft}});
   for (const v1::Vehicle& vehicle : all.vehicles()) {
     table.AddRow({vehicle.name(), NameOf(vehicle.state()),
-                  std::to_string(vehicle.durable_sequence()),
-                  std::to_string(vehicle.revision()),
-                  std::to_string(vehicle.loop_closure_count()),
+                  absl::StrCat(vehicle.durable_sequence()),
+                  absl::StrCat(vehicle.revision()),
+                  absl::StrCat(vehicle.loop_closure_count()),
                   NameOf(vehicle.settings().state_space()),
                   NameOf(vehicle.settings().correlation_model()),
                   CreateTime(vehicle)});

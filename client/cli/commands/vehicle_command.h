@@ -8,31 +8,37 @@
 
 #include "absl/status/status.h"
 #include "client/cli/console.h"
+#include "client/cli/flags.h"
 #include "client/revisit/client.h"
 
 namespace revisit::client {
 
+// Adds `vehicle` with all its commands.
+void AddVehicleCommand(const Command& program);
+
+// Every command prints the vehicle that results.
 absl::Status RunVehicleCreate(const Client& client, const std::string& id,
                               const v1::VehicleSettings& settings,
                               const Console& console);
 absl::Status RunVehicleGet(const Client& client, const std::string& id,
                            const Console& console);
-// All pages. As JSON: {"vehicles": [...]}.
+// Lists the vehicles of all pages. As JSON: {"vehicles": [...]}.
 absl::Status RunVehicleList(const Client& client, const Console& console);
-// Changes the settings that are set, and no others. REQUIRES: one is.
+// Changes the settings that are set, and no others. REQUIRES: at least one is.
 absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
                               const v1::VehicleSettings& changes,
                               const Console& console);
-// Ends the state DATA_LOSS. `durable_sequence` has to be the vehicle's.
+// Ends the state DATA_LOSS. The server refuses a `durable_sequence` that is not
+// the vehicle's.
 absl::Status RunVehicleAcceptLoss(const Client& client, const std::string& id,
                                   std::uint64_t durable_sequence,
                                   const Console& console);
-// Stops at the first that cannot be deleted.
+// Stops at the first vehicle that cannot be deleted.
 absl::Status RunVehicleDelete(const Client& client,
                               const std::vector<std::string>& ids,
                               const Console& console);
 
-// A vehicle and its settings for people.
+// Prints a vehicle and its settings for people.
 void PrintVehicle(const v1::Vehicle& vehicle, const Console& console);
 
 }  // namespace revisit::client

@@ -1,5 +1,7 @@
 #include "client/cli/commands/verify_command.h"
 
+#include <memory>
+
 #include "client/cli/names.h"
 
 namespace revisit::client {
@@ -22,7 +24,45 @@ void Print(const char* done, const std::string& name, const Response& response,
   }
 }
 
+using RunVerified = absl::Status (*)(const Client&, const VerifiedPair&,
+                                     const Console&);
+
+void AddVerified(const Command& program, const CommandHelp& help,
+                 RunVerified run) {
+  const Command command = program.AddCommand(help);
+  const auto pair = std::make_shared<VerifiedPair>();
+  command.AddText("VEHICLE", "TEXT", &pair->vehicle, "Id, or name").Required();
+  command
+      .AddWholeNumber("QUERY_SEQ", kSequences, &pair->query_sequence,
+                      "Sequence of the later pose")
+      .Required();
+  command
+      .AddWholeNumber("MATCHED_SEQ", kSequences, &pair->matched_sequence,
+                      "Sequence of the earlier pose")
+      .Required();
+  command.Runs([pair, run](const Connection& server, const Console& console) {
+    return run(server.client, *pair, console);
+  });
+}
+
 }  // namespace
+
+void AddConfirmCommand(const Command& program) {
+  AddVerified(program,
+              {"confirm", "Tells that two poses were found to be one place.",
+               "Adds a loop closure. Again: the existing one.",
+               "  revisit confirm shuttle-7 2068 1072"},
+              &RunConfirm);
+}
+
+void AddRejectCommand(const Command& program) {
+  AddVerified(
+      program,
+      {"reject", "Tells that two poses were found not to be one place.",
+       "The candidate is not offered again. Again: the existing rejection.",
+       "  revisit reject shuttle-7 2068 1155"},
+      &RunReject);
+}
 
 absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
                         const Console& console) {

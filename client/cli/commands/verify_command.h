@@ -7,9 +7,13 @@
 
 #include "absl/status/status.h"
 #include "client/cli/console.h"
+#include "client/cli/flags.h"
 #include "client/revisit/client.h"
 
 namespace revisit::client {
+
+void AddConfirmCommand(const Command& program);
+void AddRejectCommand(const Command& program);
 
 // Two poses of a candidate that somebody has looked at.
 struct VerifiedPair {
@@ -19,10 +23,12 @@ struct VerifiedPair {
   std::uint64_t matched_sequence = 0;
 };
 
-// They are one place: adds a loop closure. Prints it; as JSON, the response.
+// Adds a loop closure, since the two poses are one place. Prints its name and
+// the revision; as JSON, the response.
 absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
                         const Console& console);
-// They are not: rejects the candidate. Prints likewise.
+// Rejects the candidate, since the two poses are not one place. Prints
+// likewise.
 absl::Status RunReject(const Client& client, const VerifiedPair& pair,
                        const Console& console);
 

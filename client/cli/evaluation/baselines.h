@@ -1,4 +1,4 @@
-// What candidates would be without aligning anything: methods to compare with.
+// Methods to compare with, which find candidates without aligning anything.
 #ifndef REVISIT_CLIENT_CLI_EVALUATION_BASELINES_H_
 #define REVISIT_CLIENT_CLI_EVALUATION_BASELINES_H_
 
@@ -16,8 +16,8 @@ struct NearestPosition {
   double radius_meters = 15.0;
   // The recent path that is no history.
   std::int64_t excluded_nodes = 75;
-  // As VehicleSettings: least distance along the path between candidates, and
-  // how many there are at most.
+  // As in VehicleSettings: least distance along the path between candidates,
+  // and most candidates of one answer.
   double separation_meters = 10.0;
   std::size_t max_candidates = 5;
 };

@@ -21,8 +21,8 @@
 
 namespace revisit::client {
 
-// How sure one candidate was, and whether it was rightly so. The higher the
-// score, the surer.
+// How sure a method was of one candidate (the higher the score, the surer), and
+// whether the candidate was correct.
 struct Scored {
   double score = 0.0;
   bool correct = false;
@@ -41,8 +41,8 @@ std::vector<CurvePoint> PrecisionRecallCurve(std::vector<Scored> scored,
 
 inline constexpr std::size_t kReliabilityBins = 10;
 
-// Probabilities in [low, high); the last bin has 1 too. Means are 0 where there
-// are none.
+// Probabilities in [low, high); the last bin has 1 too. Means of an empty bin
+// are 0.
 struct ReliabilityBin {
   double low = 0.0;
   double high = 0.0;
@@ -55,7 +55,7 @@ struct ReliabilityBin {
 std::array<ReliabilityBin, kReliabilityBins> Reliability(
     const std::vector<Scored>& stated);
 
-// Nothing if nothing was stated. REQUIRES: scores in [0, 1].
+// Absent if nothing was stated. REQUIRES: scores in [0, 1].
 std::optional<double> ExpectedCalibrationError(
     const std::vector<Scored>& stated);
 

@@ -2,6 +2,8 @@
 
 #include <cmath>
 
+#include "client/formats/angles.h"
+
 namespace revisit::client {
 namespace {
 
@@ -66,8 +68,8 @@ absl::StatusOr<std::vector<ClaimedUncertainty>> ClaimUncertainty(
       distance += length;
       carried = Carry(carried, dx, dy);
       if (!from_file) {
-        const double turn = std::remainder(to.heading - from.heading,
-                                           2.0 * 3.14159265358979323846);
+        const double turn =
+            std::remainder(to.heading - from.heading, 2.0 * kPi);
         carried =
             Sum(carried, StepNoise(length, from.heading + 0.5 * turn, options));
       }

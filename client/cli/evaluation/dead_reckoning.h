@@ -19,6 +19,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "client/formats/angles.h"
 #include "client/formats/drive_file.h"
 
 namespace revisit::client {
@@ -38,7 +39,7 @@ struct UncertaintyOptions {
   double along = 0.1;
   double across = 0.05;
   double up = 0.05;
-  double heading = 0.1 * 3.14159265358979323846 / 180.0;
+  double heading = 0.1 * kPi / 180.0;
   // Standard deviations at the start: metres and radians.
   double start_position = 0.1;
   double start_heading = 0.01;

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "client/cli/drive_poses.h"
 #include "client/cli/evaluation/baselines.h"
 #include "client/cli/names.h"
@@ -20,7 +21,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 constexpr std::size_t kBatchPoses = 64;
-// How often a drive is streamed before a connection that breaks is given up.
+// Attempts at streaming a drive whose connection breaks.
 constexpr int kAttempts = 3;
 
 absl::StatusOr<Verdict> ToVerdict(v1::Verdict verdict) {
@@ -39,8 +40,9 @@ absl::StatusOr<Verdict> ToVerdict(v1::Verdict verdict) {
       return Verdict::kIllConditioned;
     default:
       return absl::InternalError(
-          "the server gave a candidate no verdict that this program knows: " +
-          std::to_string(static_cast<int>(verdict)));
+          absl::StrCat("the server gave a candidate no verdict that this "
+                       "program knows: ",
+                       static_cast<int>(verdict)));
   }
 }
 
@@ -65,8 +67,9 @@ absl::StatusOr<CheckAnswer> MakeAnswer(const v1::CandidateSet& set) {
     if (given.has_probability()) {
       const double probability = given.probability();
       if (!(probability >= 0.0 && probability <= 1.0)) {
-        return absl::InternalError("the server stated a probability of " +
-                                   std::to_string(probability));
+        return absl::InternalError(
+            absl::StrCat("the server stated a probability of ",
+                         std::to_string(probability)));
       }
       candidate.probability = probability;
       candidate.confidence = probability;
@@ -106,12 +109,13 @@ class Evaluator {
         run_(run),
         progress_(console, run.label, drive.samples.size(), "poses") {}
 
-  // Why the stream was interrupted last; OK if it never was.
+  // The last error that interrupted the stream; OK if none did.
   const absl::Status& broken() const { return broken_; }
 
-  void TellOfAnotherAttempt() {
-    progress_.Note("the connection broke (" + std::string(broken_.message()) +
-                   "); the drive is streamed again from its start");
+  void ReportAnotherAttempt() {
+    progress_.Note(
+        absl::StrCat("the connection broke (", broken_.message(),
+                     "); the drive is streamed again from its start"));
   }
 
   absl::StatusOr<DriveResult> Run(const v1::Vehicle& vehicle) {
@@ -149,7 +153,7 @@ class Evaluator {
   }
 
  private:
-  // Poses from `begin` on over which one check at most falls due.
+  // The end of a stretch from `begin` on in which at most one check falls due.
   std::size_t EndOfStretch(std::size_t begin) const {
     const double most = run_.settings.check_interval_meters();
     double travelled = 0.0;
@@ -174,15 +178,15 @@ class Evaluator {
     options.candidate_options.set_exhaustive(run_.exhaustive);
     options.acked_sequence = begin;
     options.give_up_after = std::chrono::seconds(30);
-    // Written by callbacks, read when they are over.
+    // The first answer that made no sense. Written by callbacks, read when they
+    // are over.
     absl::Status understood;
     PoseStreamCallbacks callbacks;
     callbacks.ack = [&](const v1::Ack& ack) {
       progress_.Update(ack.durable_sequence());
       for (const v1::Jump& jump : ack.jumps()) {
         ++result_.tally.jumps;
-        progress_.Note("jump of " + Fixed(jump.distance_meters(), 1) +
-                       " m before sequence " + std::to_string(jump.sequence()));
+        progress_.Note(JumpText(jump));
       }
     };
     callbacks.candidates = [&](const v1::CandidateSet& set) {
@@ -206,31 +210,21 @@ class Evaluator {
     const auto durable = stream.WaitUntilOpened();
     if (!durable.ok()) return durable.status();
     if (*durable != begin) {
-      return LocalError(absl::FailedPreconditionError(
-          vehicle_ + " has " + std::to_string(*durable) + " poses where " +
-          std::to_string(begin) +
-          " were sent; an evaluation needs a new vehicle of its own"));
+      return LocalError(absl::FailedPreconditionError(absl::StrCat(
+          vehicle_, " has ", *durable, " poses where ", begin,
+          " were sent; an evaluation needs a new vehicle of its own")));
     }
-    // Until here nothing was sent, so that no answer can have been lost.
+    // Reconnects before this lost no answers, since nothing had been sent.
     const int reconnects = stream.reconnects();
-    for (std::size_t next = begin; next < end;) {
-      v1::PoseBatch batch;
-      const std::size_t batch_end = std::min(end, next + kBatchPoses);
-      for (; next < batch_end; ++next) {
-        *batch.add_poses() =
-            MakePose(drive_, uncertainty_, run_.settings.state_space(), next);
-      }
-      // Why it failed is what Finish() says as well.
-      if (!stream.Append(std::move(batch)).ok()) break;
-    }
+    AppendPoses(drive_, uncertainty_, run_.settings.state_space(), {begin, end},
+                kBatchPoses, &stream);
     if (absl::Status status = stream.Finish(); !status.ok()) return status;
     if (stream.reconnects() > reconnects) {
-      const std::string message =
-          "the connection broke while " + drive_.name + " was streamed (" +
-          std::string(broken_.message()) +
-          "); answers of checks may be lost, so the figures would not be "
-          "comparable";
-      return absl::UnavailableError(message.c_str());
+      return absl::UnavailableError(
+          absl::StrCat("the connection broke while ", drive_.name,
+                       " was streamed (", broken_.message(),
+                       "); answers of checks may be lost, so the figures would "
+                       "not be comparable"));
     }
     return understood;
   }
@@ -258,7 +252,7 @@ class Evaluator {
     return nullptr;
   }
 
-  // What a verifier would tell the service of the checks since the last call.
+  // Plays the verifier for the checks since the last call.
   absl::Status Verify() {
     for (const v1::CandidateSet& set : std::exchange(unverified_, {})) {
       const v1::Candidate* candidate = FirstOf(set);
@@ -270,7 +264,7 @@ class Evaluator {
           return absl::InternalError("a candidate names a pose never sent");
         }
       }
-      absl::Status told;
+      absl::Status sent;
       if (IsRight(first)) {
         ++result_.tally.confirmed;
         v1::AddLoopClosureRequest request;
@@ -278,7 +272,7 @@ class Evaluator {
         v1::LoopClosure* closure = request.mutable_loop_closure();
         closure->set_query_sequence(first.query().sequence());
         closure->set_matched_sequence(first.matched().sequence());
-        told = client_.AddLoopClosure(request).status();
+        sent = client_.AddLoopClosure(request).status();
       } else {
         ++result_.tally.rejected;
         v1::RejectCandidateRequest request;
@@ -286,9 +280,9 @@ class Evaluator {
         v1::RejectedCandidate* rejected = request.mutable_rejected_candidate();
         rejected->set_query_sequence(first.query().sequence());
         rejected->set_matched_sequence(first.matched().sequence());
-        told = client_.RejectCandidate(request).status();
+        sent = client_.RejectCandidate(request).status();
       }
-      if (!told.ok()) return told;
+      if (!sent.ok()) return sent;
     }
     return absl::OkStatus();
   }
@@ -305,9 +299,9 @@ class Evaluator {
                 node.sequence() > drive_.samples.size() ||
                 node.covariance().form() != v1::COVARIANCE_FORM_PLANAR_6 ||
                 node.covariance().values_size() != 6) {
-              return absl::InternalError("the export's node " +
-                                         std::to_string(node.index()) +
-                                         " is not what was expected");
+              return absl::InternalError(
+                  absl::StrCat("the export's node ", node.index(),
+                               " is not what was expected"));
             }
             const auto& covariance = node.covariance().values();
             result_.nodes.push_back(
@@ -382,7 +376,7 @@ absl::StatusOr<DriveResult> EvaluateDrive(
     if (result.ok() || evaluator.broken().ok() || attempt == kAttempts) {
       return result;
     }
-    evaluator.TellOfAnotherAttempt();
+    evaluator.ReportAnotherAttempt();
     v1::DeleteVehicleRequest forget;
     forget.set_name(answer->vehicle().name());
     if (absl::Status status = client.DeleteVehicle(forget).status();

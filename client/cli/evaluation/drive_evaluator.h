@@ -25,30 +25,30 @@ class Channel;
 namespace revisit::client {
 
 struct DriveRun {
-  // Of the vehicle that is made.
+  // The id and the settings of the vehicle that is made.
   std::string vehicle_id;
   v1::VehicleSettings settings;
-  // What progress is labelled with.
+  // The label of the progress.
   std::string label;
-  // Its direction is what is asked for.
+  // Its direction is the one that is asked for.
   Judging judging;
   // CandidateOptions.exhaustive.
   bool exhaustive = false;
-  // Plays the verifier: an accepted first candidate that is right is added as a
-  // loop closure, one that is wrong is rejected, before any pose beyond the
-  // next check is sent. Checks and verdicts then follow each other in one
-  // order, so that the result is the same every time.
+  // Whether to play the verifier: an accepted first candidate that is right is
+  // added as a loop closure, one that is wrong is rejected, before any pose
+  // beyond the next check is sent. Checks and verdicts then follow each other
+  // in one order, so that the result is the same every time.
   bool verify = false;
-  // Leaves out candidates of the recent path (Judging::excluded_nodes) and
-  // keeps this many of the others, for methods that do not know it.
+  // If set, candidates of the recent path (Judging::excluded_nodes) are left
+  // out and this many of the others kept, for methods that do not know it.
   std::optional<std::size_t> older_candidates;
 };
 
 // Streams the estimates of a drive with truth into a new vehicle and judges the
-// answers. `created` hears the vehicle's name as soon as it exists. A
-// connection that breaks may lose answers; the drive is then streamed again
-// from its start, to a new vehicle of the same name, so that figures are always
-// those of an unbroken stream. UNAVAILABLE if it keeps breaking.
+// answers. `created` is called as soon as the vehicle exists. A connection that
+// breaks may lose answers; the drive is then streamed again from its start, to
+// a new vehicle of the same name, so that figures are always those of an
+// unbroken stream. UNAVAILABLE if it keeps breaking.
 absl::StatusOr<DriveResult> EvaluateDrive(
     const std::shared_ptr<grpc::Channel>& channel, const Client& client,
     const Drive& drive, const std::vector<ClaimedUncertainty>& uncertainty,

@@ -3,11 +3,12 @@
 #include <algorithm>
 #include <cmath>
 
+#include "client/formats/angles.h"
+
 namespace revisit::client {
 namespace {
 
-constexpr double kHalfTurn = 3.14159265358979323846;
-constexpr double kTurn = 2.0 * kHalfTurn;
+constexpr double kTurn = 2.0 * kPi;
 
 std::optional<double> Ratio(double numerator, double denominator) {
   if (denominator <= 0.0) return std::nullopt;
@@ -142,7 +143,7 @@ std::vector<PlanarPose> TruthAtNodes(const std::vector<GraphNode>& nodes,
 
 bool SamePlace(const PlanarPose& a, const PlanarPose& b, bool opposite,
                const Judging& judging) {
-  const double turn = b.heading - a.heading - (opposite ? kHalfTurn : 0.0);
+  const double turn = b.heading - a.heading - (opposite ? kPi : 0.0);
   return std::hypot(a.x - b.x, a.y - b.y) <= judging.loop_distance_meters &&
          std::abs(std::remainder(turn, kTurn)) <= judging.loop_heading_radians;
 }

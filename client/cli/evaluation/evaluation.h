@@ -25,6 +25,7 @@
 #include <vector>
 
 #include "client/cli/evaluation/calibration.h"
+#include "client/formats/angles.h"
 #include "client/formats/drive_file.h"
 
 namespace revisit::client {
@@ -51,7 +52,7 @@ enum class Verdict {
   kIllConditioned
 };
 
-// As people write it, such as "REJECTED_BY_GATE".
+// The name of a verdict, such as "REJECTED_BY_GATE".
 std::string NameOf(Verdict verdict);
 
 struct CandidateAnswer {
@@ -61,28 +62,28 @@ struct CandidateAnswer {
   double squared_distance = 0.0;
   double threshold = 0.0;
   double p_value = 0.0;
-  // Where the method states one.
+  // Absent where the method states none.
   std::optional<double> probability;
-  // The other way than now.
+  // Whether the place was passed the other way.
   bool opposite = false;
-  // By which precision-recall curves choose, higher being surer: the
-  // probability if there is one, else the gate's p-value.
+  // The score of precision-recall curves, higher being surer: the probability
+  // if there is one, otherwise the p-value of the gate.
   double confidence = 0.0;
 };
 
-// What came back from one check.
+// The answer to one check.
 struct CheckAnswer {
   std::int64_t query = 0;
   std::vector<CandidateAnswer> candidates;
   // Why there are none.
   std::string empty_reason;
-  // None, because each is all but impossible.
+  // Whether there are none because each place is all but impossible.
   bool none_probable = false;
-  // Where the method measures it.
+  // Absent where the method does not measure it.
   std::optional<double> search_milliseconds;
 };
 
-// Equal but for the time the search took.
+// Whether two answers are equal, apart from the time that the search took.
 bool SameAnswer(const CheckAnswer& a, const CheckAnswer& b);
 
 // Which passes are sought.
@@ -91,10 +92,10 @@ enum class PassDirection { kSame, kOpposite, kEither };
 struct Judging {
   // Checks before this travelled distance do not count.
   double first_check_meters = 300.0;
-  // K.
+  // K nodes of the excluded recent path, see above.
   std::int64_t excluded_nodes = 75;
   double loop_distance_meters = 10.0;
-  double loop_heading_radians = 3.14159265358979323846 / 4.0;
+  double loop_heading_radians = kPi / 4.0;
   PassDirection direction = PassDirection::kSame;
 };
 
@@ -121,14 +122,14 @@ struct Tally {
   // the verdict.
   std::int64_t top1_correct = 0;
   std::int64_t top5_correct = 0;
-  // Accepted candidates of any rank: what somebody would have to verify; and
-  // checks with a correct one among them: the loops that would be found.
+  // Accepted candidates of any rank, which somebody would have to verify, and
+  // checks with a correct one among them, which are loops that would be found.
   std::int64_t to_verify = 0;
   std::int64_t loops_found = 0;
   // First candidates: their confidence, and their probability where stated.
   std::vector<Scored> confidences;
   std::vector<Scored> probabilities;
-  // What a verifier told the service.
+  // Candidates that the verifier confirmed and rejected.
   std::int64_t confirmed = 0;
   std::int64_t rejected = 0;
   // Jumps at which the trajectory was cut.
@@ -140,7 +141,7 @@ struct Tally {
   std::int64_t timed_poses = 0;
   double seconds = 0.0;
 
-  // Nothing where there is nothing to divide by.
+  // Absent where the divisor is 0.
   std::optional<double> precision() const;
   std::optional<double> recall() const;
   std::optional<double> f1() const;
@@ -175,8 +176,8 @@ std::vector<JudgedCheck> Judge(const std::vector<GraphNode>& nodes,
                                const std::vector<CheckAnswer>& answers,
                                const Judging& judging);
 
-// All that can be counted from checks: not poses, times, jumps, and what a
-// verifier told.
+// Counts what follows from the checks: not poses, times, jumps, and what a
+// verifier confirmed or rejected.
 Tally Count(const std::vector<JudgedCheck>& checks);
 
 }  // namespace revisit::client

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstddef>
 
+#include "absl/strings/str_cat.h"
 #include "client/cli/console.h"
 #include "client/cli/evaluation/svg.h"
 
@@ -132,7 +133,7 @@ std::string DrawReliability(
     svg += SvgCircle(X(bin.mean_stated), Y(bin.share_correct), 4.5, kBar,
                      "#ffffff", 1.5);
     svg += SvgText(X(0.5 * (bin.low + bin.high)), Y(0.0) - 9.0,
-                   std::to_string(bin.count), kInk, "middle",
+                   absl::StrCat(bin.count), kInk, "middle",
                    "stroke=\"#ffffff\" stroke-width=\"4\" "
                    "stroke-linejoin=\"round\" paint-order=\"stroke\"");
   }

@@ -16,7 +16,8 @@ namespace revisit::client {
 struct PlottedCurve {
   std::string name;
   std::vector<CurvePoint> curve;
-  // What the verdicts themselves come to, where they accepted anything.
+  // Precision and recall of the verdicts themselves, where they accepted
+  // anything.
   std::optional<double> precision;
   std::optional<double> recall;
 };

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "client/cli/console.h"
 #include "client/cli/evaluation/calibration.h"
 #include "nlohmann/json.hpp"
@@ -16,7 +17,7 @@ using Json = nlohmann::ordered_json;
 struct Row {
   std::string drive;
   Tally tally;
-  // The mean over what the row holds.
+  // The mean over the results that the row holds.
   std::optional<double> inflation;
 };
 
@@ -58,11 +59,10 @@ std::vector<Row> RowsOf(const MethodResult& method) {
   }
   std::vector<Row> rows;
   for (const auto& [drive, results] : groups) {
-    rows.push_back(
-        MakeRow(results.size() > 1
-                    ? drive + ", " + std::to_string(results.size()) + " seeds"
-                    : drive,
-                results));
+    rows.push_back(MakeRow(
+        results.size() > 1 ? absl::StrCat(drive, ", ", results.size(), " seeds")
+                           : drive,
+        results));
   }
   return rows;
 }
@@ -86,57 +86,55 @@ void PrintSummary(const Row& row, bool verified, std::ostream& out) {
   const Tally& t = row.tally;
   std::vector<std::pair<std::string, std::string>> fields = {
       {"drive", row.drive},
-      {"checks", std::to_string(t.checks)},
-      {"true loops", std::to_string(t.true_loops)},
-      {"accepted", std::to_string(t.accepted)},
-      {"right", std::to_string(t.accepted_correct)},
+      {"checks", absl::StrCat(t.checks)},
+      {"true loops", absl::StrCat(t.true_loops)},
+      {"accepted", absl::StrCat(t.accepted)},
+      {"right", absl::StrCat(t.accepted_correct)},
       {"precision", OrDash(t.precision(), 3)},
       {"recall", OrDash(t.recall(), 3)},
       {"F1", OrDash(t.f1(), 3)},
-      {"top-1", OrDash(t.top1(), 3) + ", " + std::to_string(t.top1_correct) +
-                    " of the true loops (verdict aside)"},
-      {"recall@5", OrDash(t.recall_at_5(), 3) + ", " +
-                       std::to_string(t.top5_correct) +
-                       " of the true loops (verdict aside)"},
-      {"verify/loop", OrDash(t.to_verify_per_loop(), 2) + ", " +
-                          std::to_string(t.to_verify) + " accepted for the " +
-                          std::to_string(t.loops_found) + " loops found"}};
+      {"top-1", absl::StrCat(OrDash(t.top1(), 3), ", ", t.top1_correct,
+                             " of the true loops (verdict aside)")},
+      {"recall@5",
+       absl::StrCat(OrDash(t.recall_at_5(), 3), ", ", t.top5_correct,
+                    " of the true loops (verdict aside)")},
+      {"verify/loop",
+       absl::StrCat(OrDash(t.to_verify_per_loop(), 2), ", ", t.to_verify,
+                    " accepted for the ", t.loops_found, " loops found")}};
   if (t.calibration_error().has_value()) {
     fields.push_back({"ECE", OrDash(t.calibration_error(), 3)});
   }
   if (verified) {
-    fields.push_back({"verified", std::to_string(t.confirmed) + " confirmed, " +
-                                      std::to_string(t.rejected) +
-                                      " rejected"});
+    fields.push_back({"verified", absl::StrCat(t.confirmed, " confirmed, ",
+                                               t.rejected, " rejected")});
     fields.push_back({"inflation at the end", OrDash(row.inflation, 2)});
   }
-  fields.push_back({"poses", std::to_string(t.poses) + ", " +
-                                 OrDash(t.poses_per_second(), 0) +
-                                 "/s with all checks"});
-  if (t.jumps > 0) fields.push_back({"jumps", std::to_string(t.jumps)});
   fields.push_back(
-      {"query time", "p50 " + OrDash(t.search_percentile(50.0), 2) +
-                         " ms, p99 " + OrDash(t.search_percentile(99.0), 2) +
-                         " ms"});
+      {"poses", absl::StrCat(t.poses, ", ", OrDash(t.poses_per_second(), 0),
+                             "/s with all checks")});
+  if (t.jumps > 0) fields.push_back({"jumps", absl::StrCat(t.jumps)});
+  fields.push_back(
+      {"query time",
+       absl::StrCat("p50 ", OrDash(t.search_percentile(50.0), 2), " ms, p99 ",
+                    OrDash(t.search_percentile(99.0), 2), " ms")});
   PrintFields(fields, out);
 }
 
-// How a method is called where several sequence lengths stand in one table.
+// The name of a method, with its sequence length where these differ.
 std::string NameIn(const Report& report, const MethodResult& method) {
   const bool lengths_differ = std::any_of(
       report.methods.begin(), report.methods.end(), [&](const auto& other) {
         return other.sequence_length_meters != method.sequence_length_meters;
       });
-  return method.method +
-         (lengths_differ ? ", " + Fixed(method.sequence_length_meters, 0) + " m"
-                         : "");
+  if (!lengths_differ) return method.method;
+  return absl::StrCat(method.method, ", ",
+                      Fixed(method.sequence_length_meters, 0), " m");
 }
 
-void PrintTable(const Report& report, std::ostream& out) {
+std::vector<Table::Column> ColumnsOf(const Report& report) {
   using Align = Table::Align;
-  const bool several = report.methods.size() > 1;
   std::vector<Table::Column> columns;
-  if (several) columns.push_back({"METHOD", Align::kLeft});
+  if (report.methods.size() > 1) columns.push_back({"METHOD", Align::kLeft});
   columns.push_back({"DRIVE", Align::kLeft});
   for (const char* title :
        {"CHECKS", "LOOPS", "ACCEPTED", "RIGHT", "PRECISION", "RECALL", "F1",
@@ -151,37 +149,48 @@ void PrintTable(const Report& report, std::ostream& out) {
   for (const char* title : {"POSES/s", "p50 ms", "p99 ms"}) {
     columns.push_back({title, Align::kRight});
   }
-  Table table(columns);
+  return columns;
+}
+
+// One for each of ColumnsOf().
+std::vector<std::string> CellsOf(const Report& report,
+                                 const MethodResult& method, const Row& row) {
+  const Tally& t = row.tally;
+  std::vector<std::string> cells;
+  if (report.methods.size() > 1) cells.push_back(NameIn(report, method));
+  cells.push_back(row.drive);
+  for (const std::int64_t count :
+       {t.checks, t.true_loops, t.accepted, t.accepted_correct}) {
+    cells.push_back(absl::StrCat(count));
+  }
+  for (const auto& ratio :
+       {t.precision(), t.recall(), t.f1(), t.top1(), t.recall_at_5()}) {
+    cells.push_back(OrDash(ratio, 3));
+  }
+  cells.push_back(OrDash(t.to_verify_per_loop(), 2));
+  cells.push_back(OrDash(t.calibration_error(), 3));
+  if (report.verified) {
+    cells.push_back(absl::StrCat(t.confirmed));
+    cells.push_back(absl::StrCat(t.rejected));
+    cells.push_back(OrDash(row.inflation, 2));
+  }
+  cells.push_back(OrDash(t.poses_per_second(), 0));
+  cells.push_back(OrDash(t.search_percentile(50.0), 2));
+  cells.push_back(OrDash(t.search_percentile(99.0), 2));
+  return cells;
+}
+
+void PrintTable(const Report& report, std::ostream& out) {
+  const bool several = report.methods.size() > 1;
+  Table table(ColumnsOf(report));
   for (const MethodResult& method : report.methods) {
     std::vector<Row> rows = RowsOf(method);
     const bool total = rows.size() > 1;
     if (total) rows.push_back(TotalRow(method));
     if (several && &method != &report.methods.front() && total) table.AddRule();
     for (const Row& row : rows) {
-      const Tally& t = row.tally;
       if (!several && total && &row == &rows.back()) table.AddRule();
-      std::vector<std::string> cells;
-      if (several) cells.push_back(NameIn(report, method));
-      cells.push_back(row.drive);
-      for (const std::int64_t count :
-           {t.checks, t.true_loops, t.accepted, t.accepted_correct}) {
-        cells.push_back(std::to_string(count));
-      }
-      for (const auto& ratio :
-           {t.precision(), t.recall(), t.f1(), t.top1(), t.recall_at_5()}) {
-        cells.push_back(OrDash(ratio, 3));
-      }
-      cells.push_back(OrDash(t.to_verify_per_loop(), 2));
-      cells.push_back(OrDash(t.calibration_error(), 3));
-      if (report.verified) {
-        cells.push_back(std::to_string(t.confirmed));
-        cells.push_back(std::to_string(t.rejected));
-        cells.push_back(OrDash(row.inflation, 2));
-      }
-      cells.push_back(OrDash(t.poses_per_second(), 0));
-      cells.push_back(OrDash(t.search_percentile(50.0), 2));
-      cells.push_back(OrDash(t.search_percentile(99.0), 2));
-      table.AddRow(std::move(cells));
+      table.AddRow(CellsOf(report, method, row));
     }
   }
   table.Print(out);
@@ -320,12 +329,12 @@ void PrintChecks(const DriveResult& result, std::ostream& out) {
     };
     ++number;
     if (check.answer.candidates.empty()) {
-      table.AddRow({std::to_string(number), travelled(check.answer.query), "-",
+      table.AddRow({absl::StrCat(number), travelled(check.answer.query), "-",
                     "-", "-", "-", "-", "NONE", OutcomeOf(check)});
       continue;
     }
     const CandidateAnswer& best = check.answer.candidates[0];
-    table.AddRow({std::to_string(number), travelled(check.answer.query),
+    table.AddRow({absl::StrCat(number), travelled(check.answer.query),
                   travelled(best.matched), Fixed(best.squared_distance, 2),
                   Fixed(best.threshold, 2), Fixed(best.p_value, 4),
                   OrDash(best.probability, 4), NameOf(best.verdict),

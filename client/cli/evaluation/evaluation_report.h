@@ -1,4 +1,4 @@
-// What an evaluation found, as tables and as JSON.
+// The results of an evaluation, as tables and as JSON.
 #ifndef REVISIT_CLIENT_CLI_EVALUATION_EVALUATION_REPORT_H_
 #define REVISIT_CLIENT_CLI_EVALUATION_EVALUATION_REPORT_H_
 
@@ -17,12 +17,12 @@ namespace revisit::client {
 // One method on one drive.
 struct DriveResult {
   std::string drive;
-  // Of a simulated drive.
+  // The seed of a simulated drive.
   std::optional<std::uint64_t> seed;
   std::vector<GraphNode> nodes;
   // One for each node.
   std::vector<PlanarPose> truth_at_nodes;
-  // All that came back, and what of it counts.
+  // All answers, and those of them that count.
   std::vector<CheckAnswer> answers;
   std::vector<JudgedCheck> checks;
   Tally tally;
@@ -46,18 +46,18 @@ struct Report {
   // Whether a verifier took part.
   bool verified = false;
   int repeats = 1;
-  // Stand below the tables.
+  // Printed below the tables.
   std::vector<std::string> notes;
 };
 
-// A line for each check: its first candidate.
+// Prints a line for each check: its first candidate.
 void PrintChecks(const DriveResult& result, std::ostream& out);
 
-// One row on its own as a list, several as a table: for each method its drives,
-// all seeds of a drive in one row, and the total.
+// Prints a single row as a list and several as a table: for each method its
+// drives, all seeds of a drive in one row, and the total.
 void PrintReport(const Report& report, std::ostream& out);
 
-// {"drives", "total", "methods", "repeats", "notes"}; see evaluate_command.h.
+// {"drives", "total", "methods", "repeats", "notes"}; see run_evaluation.h.
 std::string ReportJson(const Report& report, bool verbose);
 
 }  // namespace revisit::client

@@ -5,7 +5,9 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "absl/strings/str_cat.h"
 #include "client/cli/evaluation/svg.h"
+#include "client/formats/angles.h"
 
 namespace revisit::client {
 namespace {
@@ -32,7 +34,7 @@ constexpr char kHalo[] =
 constexpr char kEstimate[] = "#1f3b57";
 constexpr char kTruth[] = "#9a9a9a";
 constexpr char kEllipse[] = "#7b68b5";
-// A pair that those who cannot tell red from green can tell apart.
+// Two colours that remain distinct to those who cannot tell red from green.
 constexpr char kCorrect[] = "#0a8f6a";
 constexpr char kWrong[] = "#d1461f";
 
@@ -97,7 +99,7 @@ struct Rectangle {
   }
 };
 
-// How metres become pixels.
+// Maps metres to pixels.
 struct View {
   // Pixels.
   Rectangle frame;
@@ -138,7 +140,7 @@ class Map {
     DrawScaleBar();
     const std::vector<Detail> details = ChooseDetails();
     for (std::size_t i = 0; i < details.size(); ++i) {
-      DrawDetail(details[i], "detail" + std::to_string(i));
+      DrawDetail(details[i], absl::StrCat("detail", i));
     }
     DrawLegend();
     svg_ += "</svg>\n";
@@ -203,8 +205,8 @@ class Map {
     return EstimateAt(check.answer.query);
   }
 
-  // Where marks had to be made small: an enlarged part of the map, in a corner
-  // where there is nothing else.
+  // An enlarged part of the map, in a corner where there is nothing else. It is
+  // drawn where marks had to be made small.
   struct Detail {
     // On the map, in pixels.
     Rectangle source;
@@ -238,7 +240,7 @@ class Map {
   }
 
   // Total length of the links that lie in a window; wrong ones count for more,
-  // since one wants to see them.
+  // since they are what a reader looks for.
   double LinksShown(const Rectangle& window) const {
     double shown = 0.0;
     for (const JudgedCheck& check : contents_.checks) {
@@ -429,8 +431,7 @@ class Map {
               SvgNumber(ellipse.minor * view_.pixels_per_meter) +
               "\" transform=\"translate(" + SvgNumber(at.x) + " " +
               SvgNumber(at.y) + ") rotate(" +
-              SvgNumber(-ellipse.direction * 180.0 / 3.14159265358979323846) +
-              ")\"/>\n";
+              SvgNumber(-ellipse.direction * 180.0 / kPi) + ")\"/>\n";
     }
     svg_ += "</g>\n";
   }

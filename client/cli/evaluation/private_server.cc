@@ -30,7 +30,7 @@ absl::Status SystemError(const std::string& what) {
   return absl::UnknownError(what + ": " + std::strerror(errno));
 }
 
-// revisitd, expected in the directory of this very program.
+// The path of revisitd, which is expected in the directory of this program.
 absl::StatusOr<std::string> FindServer() {
   std::error_code error;
   const auto self = std::filesystem::read_symlink("/proc/self/exe", error);
@@ -46,7 +46,7 @@ absl::StatusOr<std::string> FindServer() {
   return path;
 }
 
-// Ends when the process has ended; whether it did in time.
+// Waits until the process has ended and returns whether it did in time.
 bool WaitForExit(pid_t pid, std::chrono::milliseconds limit) {
   const auto deadline = Clock::now() + limit;
   for (;;) {
@@ -81,7 +81,7 @@ absl::Status PrivateServer::Start() {
     }
     directory_ = pattern;
     if (absl::Status status = Launch(pattern); !status.ok()) return status;
-    // Stop() may close the other at any time.
+    // Stop() may close output_ at any time.
     output = fcntl(output_, F_DUPFD_CLOEXEC, 0);
     if (output < 0) return SystemError("dup");
   }
@@ -94,7 +94,7 @@ absl::Status PrivateServer::Launch(const std::string& directory) {
   const auto program = FindServer();
   if (!program.ok()) return program.status();
   const std::string log = directory + "/log";
-  // All that is needed after the fork is made before it.
+  // Everything that the child needs is allocated before the fork.
   std::vector<std::string> words = {*program, "--listen", "127.0.0.1:0",
                                     "--store", directory + "/store"};
   std::vector<char*> arguments;

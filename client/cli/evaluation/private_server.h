@@ -1,4 +1,4 @@
-// A revisitd of one's own, for as long as one needs it.
+// A revisitd that only this process uses.
 #ifndef REVISIT_CLIENT_CLI_EVALUATION_PRIVATE_SERVER_H_
 #define REVISIT_CLIENT_CLI_EVALUATION_PRIVATE_SERVER_H_
 
@@ -18,13 +18,13 @@ namespace revisit::client {
 class PrivateServer {
  public:
   PrivateServer() = default;
-  // As Stop().
+  // Calls Stop().
   ~PrivateServer();
 
   PrivateServer(const PrivateServer&) = delete;
   PrivateServer& operator=(const PrivateServer&) = delete;
 
-  // Returns once it takes calls. Call once.
+  // Starts the server and waits until it takes calls. REQUIRES: called once.
   absl::Status Start();
 
   // HOST:PORT.

@@ -7,13 +7,16 @@
 #include <string_view>
 #include <system_error>
 
+#include "absl/strings/str_cat.h"
+#include "client/formats/angles.h"
+
 namespace revisit::client {
 namespace {
 
-constexpr double kTurn = 2.0 * 3.14159265358979323846;
+constexpr double kTurn = 2.0 * kPi;
 constexpr double kStandstillMeters = 0.05;
 
-// FNV-1a: a number of a name that is the same everywhere.
+// FNV-1a, whose hash of a name is the same on every machine.
 std::uint64_t HashOf(const std::string& name) {
   std::uint64_t hash = 14695981039346656037u;
   for (const char c : name) {
@@ -68,7 +71,8 @@ double NormalSource::Next() {
 Drive SimulateDeadReckoning(const Drive& drive, const UncertaintyOptions& noise,
                             std::uint64_t seed) {
   NormalSource normal(seed ^ HashOf(drive.name));
-  // One statement each, since the order of draws must not be the compiler's.
+  // Each draw is a statement of its own: the compiler must not choose their
+  // order.
   const auto draw = [&normal](double sigma) { return sigma * normal.Next(); };
   Drive simulated = drive;
   // The true pose up to which dead reckoning has counted.
@@ -120,19 +124,18 @@ absl::StatusOr<std::vector<std::uint64_t>> ParseSeeds(const std::string& text) {
                                 ReadSeed(part.substr(dash + 1), &last) &&
                                 first <= last;
     if (!good) {
-      return absl::InvalidArgumentError(
-          "expected seeds such as 7, 1-5 or 1,4,8-10, got \"" + text + "\"");
+      return absl::InvalidArgumentError(absl::StrCat(
+          "expected seeds such as 7, 1-5 or 1,4,8-10, got \"", text, "\""));
     }
     if (last - first >= kMostSeeds ||
         seeds.size() + last - first >= kMostSeeds) {
-      return absl::InvalidArgumentError("expected at most " +
-                                        std::to_string(kMostSeeds) +
-                                        " seeds, got \"" + text + "\"");
+      return absl::InvalidArgumentError(absl::StrCat(
+          "expected at most ", kMostSeeds, " seeds, got \"", text, "\""));
     }
     for (std::uint64_t i = 0; i <= last - first; ++i) {
       if (!known.insert(first + i).second) {
-        return absl::InvalidArgumentError("seed " + std::to_string(first + i) +
-                                          " stands twice in \"" + text + "\"");
+        return absl::InvalidArgumentError(absl::StrCat(
+            "seed ", first + i, " stands twice in \"", text, "\""));
       }
       seeds.push_back(first + i);
     }

@@ -35,9 +35,9 @@ class NormalSource {
   std::optional<double> spare_;
 };
 
-// The drive with its estimate drawn anew; the file's covariances go. The first
-// pose is off by `start_position` and `start_heading`. Each step of the truth
-// is seen from the pose before it and gets noise along and across its
+// Draws the estimate of a drive anew and drops the file's covariances. The
+// first pose is off by `start_position` and `start_heading`. Each step of the
+// truth is seen from the pose before it and gets noise along and across its
 // direction (half-way between the two headings) and in heading. Steps shorter
 // than 5 cm count as standing still: dead reckoning adds nothing there, and the
 // motion goes into the next step that is longer.

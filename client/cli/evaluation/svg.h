@@ -12,10 +12,10 @@ inline constexpr char kInk[] = "#222222";
 inline constexpr char kFaint[] = "#6b6b6b";
 inline constexpr char kGrid[] = "#ececec";
 
-// Two digits after the point at most, and none that say nothing.
+// At most two digits after the point, without trailing zeros.
 std::string SvgNumber(double value);
 
-// Text as it may stand between tags and in attributes.
+// Escapes text for use between tags and in attributes.
 std::string SvgEscaped(const std::string& text);
 
 // Begins a document of this size with a title and a white ground.

@@ -1,0 +1,41 @@
+#include "client/cli/commands/shared_flags.h"
+
+#include "client/formats/angles.h"
+
+namespace revisit::client {
+
+void AddVehicleName(const Command& command, std::string* vehicle) {
+  command
+      .AddText("VEHICLE,--vehicle", "ID", vehicle,
+               "Id, or name such as vehicles/ID")
+      .Required();
+}
+
+void AddUncertainty(const Command& command, UncertaintyOptions* options) {
+  using Source = UncertaintyOptions::Source;
+  const Words sources = {{"model", static_cast<int>(Source::kModel)},
+                         {"file", static_cast<int>(Source::kFile)}};
+  const Command group = command.Under("Claimed uncertainty");
+  group.AddChoice(
+      "--uncertainty", sources, &options->source,
+      "Dead reckoning with the sigmas below (model, the default), or the "
+      "file's columns plus the start's uncertainty, carried along (file)");
+  group.AddNumber("--sigma-along", "M", &options->along,
+                  "Per square root of a metre, along the path");
+  group.AddNumber("--sigma-across", "M", &options->across,
+                  "The same across the path");
+  group.AddNumber("--sigma-up", "M", &options->up,
+                  "The same upwards, for spatial vehicles");
+  group.AddNumber(
+      "--sigma-heading-degrees", "DEG",
+      [options](double degrees) {
+        options->heading = degrees * kRadiansPerDegree;
+      },
+      "The same in heading (0.1)");
+  group.AddNumber("--start-sigma-position", "M", &options->start_position,
+                  "Of the first pose");
+  group.AddNumber("--start-sigma-heading", "RAD", &options->start_heading,
+                  "Of the first pose");
+}
+
+}  // namespace revisit::client

@@ -1,0 +1,20 @@
+// Flags that several commands take.
+#ifndef REVISIT_CLIENT_CLI_COMMANDS_SHARED_FLAGS_H_
+#define REVISIT_CLIENT_CLI_COMMANDS_SHARED_FLAGS_H_
+
+#include <string>
+
+#include "client/cli/evaluation/dead_reckoning.h"
+#include "client/cli/flags.h"
+
+namespace revisit::client {
+
+// The vehicle of a command: a bare word in its place, or --vehicle.
+void AddVehicleName(const Command& command, std::string* vehicle);
+
+// The uncertainty that is claimed for the poses of a drive file.
+void AddUncertainty(const Command& command, UncertaintyOptions* options);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_COMMANDS_SHARED_FLAGS_H_

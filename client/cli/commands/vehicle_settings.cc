@@ -1,0 +1,275 @@
+#include "client/cli/commands/vehicle_settings.h"
+
+#include <cstdint>
+#include <cstdlib>
+#include <map>
+#include <optional>
+
+#include "absl/strings/str_cat.h"
+#include "client/cli/console.h"
+#include "client/cli/names.h"
+#include "google/protobuf/descriptor.h"
+#include "google/protobuf/message.h"
+
+namespace revisit::client {
+namespace {
+
+using google::protobuf::Descriptor;
+using google::protobuf::EnumDescriptor;
+using google::protobuf::FieldDescriptor;
+using google::protobuf::Message;
+
+// A setting as a flag. What the flag takes follows from the type of the field.
+struct SettingFlag {
+  const char* flag;
+  // The field of VehicleSettings, and of CandidateOptions if it has one of this
+  // name: then a search may replace the setting. A dot leads into a message.
+  const char* field;
+  // Stands for the number in the help; empty if the field holds none.
+  const char* unit;
+  const char* help;
+  // The default that the help states and that evaluations set. Where a request
+  // leaves the field unset, the server's default counts, whatever stands here.
+  const char* usual;
+  // Of whole numbers; the server alone checks all others.
+  WholeRange range = {};
+};
+
+// In the order of the help.
+constexpr SettingFlag kFlags[] = {
+    {"--alignment", "alignment", "",
+     "Shared drift counted once, or the paper's sum over all pairs of nodes",
+     "relative"},
+    {"--acceptance-probability", "acceptance_probability", "P",
+     "Relative: least probability of an accepted candidate", "0.4"},
+    {"--road-spacing", "road_spacing_meters", "M",
+     "Relative: mean distance between roads not driven", "200"},
+    {"--shape-tolerance-position", "shape_tolerance.position_meters", "M",
+     "Relative: how far two passes of a road stray within a sequence", "1"},
+    {"--shape-tolerance-heading", "shape_tolerance.heading_radians", "RAD",
+     "The same for heading", "0.06"},
+    {"--shape-correlation", "shape_correlation_meters", "M",
+     "Relative: distance over which that straying is one and the same", "10"},
+    {"--correlation-model", "correlation_model", "",
+     "How errors of two poses hang together", "dead-reckoning"},
+    {"--likelihood", "likelihood_form", "", "Form of the log-similarity",
+     "gaussian"},
+    {"--sequence-length", "sequence_length_meters", "M",
+     "Travelled distance that is aligned with the history", "150"},
+    {"--gate-probability", "gate_probability", "P",
+     "Probability with which a true revisit passes the gate", "0.95"},
+    {"--tolerance-position", "place_tolerance.position_meters", "M",
+     "Standard deviation between two passes of one place", "2"},
+    {"--tolerance-heading", "place_tolerance.heading_radians", "RAD",
+     "The same for heading", "0.1"},
+    {"--candidate-separation", "candidate_separation_meters", "M",
+     "Least distance along the path between candidates", "10"},
+    {"--max-candidates",
+     "max_candidates",
+     "N",
+     "Most candidates of one answer",
+     "5",
+     {1, 100}},
+    {"--node-spacing", "node_spacing_meters", "M",
+     "Travelled distance between nodes", "2"},
+    {"--check-interval", "check_interval_meters", "M",
+     "Travelled distance between checks", "50"},
+    {"--max-step", "max_step_meters", "M",
+     "A longer step between two poses is a jump", "100"},
+    {"--apply-inflation,!--no-apply-inflation", "apply_inflation", "",
+     "Widen the claimed uncertainty as confirmed loop closures ask for",
+     "false"},
+    {"--max-inflation", "max_inflation", "FACTOR", "The most it is widened by",
+     "10"},
+    {"--state-space", "state_space", "", "Coordinates that take part",
+     "planar"},
+    {"--frame", "coordinate_frame", "", "Kind of positions that are streamed",
+     "local"},
+};
+
+// A field of the settings, or of a message in them.
+struct SettingField {
+  // Null where the field belongs to the settings themselves.
+  const FieldDescriptor* outer = nullptr;
+  const FieldDescriptor* field = nullptr;
+
+  FieldDescriptor::CppType type() const { return field->cpp_type(); }
+
+  // The message that the field belongs to.
+  Message* HolderIn(Message* settings) const {
+    return outer == nullptr
+               ? settings
+               : settings->GetReflection()->MutableMessage(settings, outer);
+  }
+};
+
+// Nothing if there is no such field.
+std::optional<SettingField> FindField(const Descriptor* settings,
+                                      const std::string& path) {
+  const std::size_t dot = path.find('.');
+  SettingField found;
+  if (dot == std::string::npos) {
+    found.field = settings->FindFieldByName(path);
+  } else {
+    found.outer = settings->FindFieldByName(path.substr(0, dot));
+    if (found.outer == nullptr) return std::nullopt;
+    found.field =
+        found.outer->message_type()->FindFieldByName(path.substr(dot + 1));
+  }
+  if (found.field == nullptr) return std::nullopt;
+  return found;
+}
+
+// A row of the table, bound to the field of one message.
+struct BoundSetting {
+  const SettingFlag* row;
+  SettingField field;
+  // The words of an enum, such as "dead-reckoning" for DEAD_RECKONING; empty
+  // for other types.
+  Words words;
+  Message* settings;
+
+  void SetNumber(double value) const {
+    Message* holder = field.HolderIn(settings);
+    holder->GetReflection()->SetDouble(holder, field.field, value);
+  }
+  void SetWholeNumber(std::int64_t value) const {
+    Message* holder = field.HolderIn(settings);
+    holder->GetReflection()->SetInt32(holder, field.field,
+                                      static_cast<std::int32_t>(value));
+  }
+  void SetBool(bool value) const {
+    Message* holder = field.HolderIn(settings);
+    holder->GetReflection()->SetBool(holder, field.field, value);
+  }
+  void SetEnum(int value) const {
+    Message* holder = field.HolderIn(settings);
+    holder->GetReflection()->SetEnumValue(holder, field.field, value);
+  }
+};
+
+// All rows whose field the message has.
+std::vector<BoundSetting> Bind(Message* settings) {
+  std::vector<BoundSetting> bound;
+  for (const SettingFlag& row : kFlags) {
+    const auto field = FindField(settings->GetDescriptor(), row.field);
+    if (!field.has_value()) continue;
+    Words words;
+    if (field->type() == FieldDescriptor::CPPTYPE_ENUM) {
+      words = WordsOf(field->field->enum_type());
+    }
+    bound.push_back({&row, *field, std::move(words), settings});
+  }
+  return bound;
+}
+
+Flag AddSettingFlag(const Command& command, const BoundSetting& setting) {
+  const SettingFlag& row = *setting.row;
+  const std::string help = absl::StrCat(row.help, " (", row.usual, ")");
+  switch (setting.field.type()) {
+    case FieldDescriptor::CPPTYPE_ENUM:
+      return command.AddChoice(
+          row.flag, setting.words,
+          [setting](int value) { setting.SetEnum(value); }, help);
+    case FieldDescriptor::CPPTYPE_BOOL:
+      return command.AddSwitch(
+          row.flag, [setting](bool value) { setting.SetBool(value); },
+          row.help);
+    case FieldDescriptor::CPPTYPE_INT32:
+      return command.AddWholeNumber(
+          row.flag, row.range,
+          [setting](std::int64_t value) { setting.SetWholeNumber(value); },
+          help);
+    default:
+      return command.AddNumber(
+          row.flag, row.unit,
+          [setting](double value) { setting.SetNumber(value); }, help);
+  }
+}
+
+void SetUsual(const BoundSetting& setting) {
+  const char* const usual = setting.row->usual;
+  switch (setting.field.type()) {
+    case FieldDescriptor::CPPTYPE_ENUM:
+      return setting.SetEnum(setting.words.at(usual));
+    case FieldDescriptor::CPPTYPE_BOOL:
+      return setting.SetBool(std::string(usual) == "true");
+    case FieldDescriptor::CPPTYPE_INT32:
+      return setting.SetWholeNumber(std::strtol(usual, nullptr, 10));
+    default:
+      return setting.SetNumber(std::strtod(usual, nullptr));
+  }
+}
+
+// Flags of a request. The service takes a tolerance whole: where a request gave
+// one part of it, the other would be 0, so each part needs the other.
+void AddRequestSettings(const Command& command, Message* settings) {
+  std::map<const FieldDescriptor*, Flag> first_parts;
+  for (const BoundSetting& setting : Bind(settings)) {
+    const Flag flag = AddSettingFlag(command, setting);
+    if (setting.field.outer == nullptr) continue;
+    const auto [first, is_first] =
+        first_parts.emplace(setting.field.outer, flag);
+    if (is_first) continue;
+    flag.Needs(first->second);
+    first->second.Needs(flag);
+  }
+}
+
+Command UnderVehicleSettings(const Command& command) {
+  return command.Under("Settings of the vehicle (and their defaults)");
+}
+
+std::string Meters(double value) { return absl::StrCat(Fixed(value, 2), " m"); }
+
+std::string Text(const v1::PlaceTolerance& tolerance) {
+  return absl::StrCat(Meters(tolerance.position_meters()), ", ",
+                      Fixed(tolerance.heading_radians(), 4), " rad");
+}
+
+}  // namespace
+
+void AddVehicleSettings(const Command& command, v1::VehicleSettings* settings) {
+  AddRequestSettings(UnderVehicleSettings(command), settings);
+}
+
+void AddSearchSettings(const Command& command, v1::CandidateOptions* options) {
+  AddRequestSettings(command.Under("Instead of the vehicle's settings"),
+                     options);
+}
+
+void AddDriveSettings(const Command& command, v1::VehicleSettings* settings) {
+  const Command group = UnderVehicleSettings(command);
+  for (BoundSetting setting : Bind(settings)) {
+    SetUsual(setting);
+    const std::string field = setting.row->field;
+    if (field == "state_space" || field == "coordinate_frame") continue;
+    if (field == "correlation_model") setting.words.erase("filter");
+    AddSettingFlag(group, setting);
+  }
+}
+
+std::vector<std::pair<std::string, std::string>> DescribeSettings(
+    const v1::VehicleSettings& settings) {
+  return {
+      {"state space", NameOf(settings.state_space())},
+      {"correlation model", NameOf(settings.correlation_model())},
+      {"alignment", NameOf(settings.alignment())},
+      {"likelihood form", NameOf(settings.likelihood_form())},
+      {"coordinate frame", NameOf(settings.coordinate_frame())},
+      {"node spacing", Meters(settings.node_spacing_meters())},
+      {"sequence length", Meters(settings.sequence_length_meters())},
+      {"check interval", Meters(settings.check_interval_meters())},
+      {"maximal step", Meters(settings.max_step_meters())},
+      {"gate probability", Fixed(settings.gate_probability(), 4)},
+      {"acceptance probability", Fixed(settings.acceptance_probability(), 4)},
+      {"place tolerance", Text(settings.place_tolerance())},
+      {"shape tolerance", Text(settings.shape_tolerance())},
+      {"shape correlation", Meters(settings.shape_correlation_meters())},
+      {"road spacing", Meters(settings.road_spacing_meters())},
+      {"candidate separation", Meters(settings.candidate_separation_meters())},
+      {"maximal candidates", absl::StrCat(settings.max_candidates())},
+      {"maximal inflation", Fixed(settings.max_inflation(), 2)}};
+}
+
+}  // namespace revisit::client

@@ -1,0 +1,35 @@
+// The settings of vehicles as flags and as text. A new setting is a row of the
+// tables in vehicle_settings.cc, and the commands follow.
+#ifndef REVISIT_CLIENT_CLI_COMMANDS_VEHICLE_SETTINGS_H_
+#define REVISIT_CLIENT_CLI_COMMANDS_VEHICLE_SETTINGS_H_
+
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "client/cli/flags.h"
+#include "revisit/v1/candidate.pb.h"
+#include "revisit/v1/vehicle.pb.h"
+
+namespace revisit::client {
+
+// Flags for all settings of a vehicle. Those that are not given leave their
+// field unset, so that the server's default counts.
+void AddVehicleSettings(const Command& command, v1::VehicleSettings* settings);
+
+// Flags for those settings that one search may replace.
+void AddSearchSettings(const Command& command, v1::CandidateOptions* options);
+
+// Flags for the settings that suit a vehicle of a drive file, which holds
+// planar local poses without error transitions. Here all settings that have a
+// flag are set, so that what is measured does not depend on the server's
+// defaults.
+void AddDriveSettings(const Command& command, v1::VehicleSettings* settings);
+
+// Names and values for people.
+std::vector<std::pair<std::string, std::string>> DescribeSettings(
+    const v1::VehicleSettings& settings);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_COMMANDS_VEHICLE_SETTINGS_H_

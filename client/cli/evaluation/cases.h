@@ -1,0 +1,30 @@
+// The drives of an evaluation, read and made ready to be streamed.
+#ifndef REVISIT_CLIENT_CLI_EVALUATION_CASES_H_
+#define REVISIT_CLIENT_CLI_EVALUATION_CASES_H_
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "client/cli/evaluation/dead_reckoning.h"
+#include "client/cli/evaluation/evaluate_options.h"
+#include "client/formats/drive_file.h"
+
+namespace revisit::client {
+
+// A drive that is streamed, as it was recorded or drawn anew.
+struct Case {
+  Drive drive;
+  // The seed of the draw; absent for a recorded drive.
+  std::optional<std::uint64_t> seed;
+  std::vector<ClaimedUncertainty> uncertainty;
+};
+
+// Reads all files, so that a mistake in the last one shows before the first is
+// streamed, and draws the estimates that are simulated.
+absl::StatusOr<std::vector<Case>> ReadCases(const EvaluateOptions& options);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_EVALUATION_CASES_H_

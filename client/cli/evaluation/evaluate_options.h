@@ -1,0 +1,75 @@
+// What an evaluation measures, and where its results go.
+#ifndef REVISIT_CLIENT_CLI_EVALUATION_EVALUATE_OPTIONS_H_
+#define REVISIT_CLIENT_CLI_EVALUATION_EVALUATE_OPTIONS_H_
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "client/cli/evaluation/dead_reckoning.h"
+#include "client/cli/evaluation/evaluation.h"
+#include "client/revisit/channel.h"
+#include "revisit/v1/vehicle.pb.h"
+
+namespace revisit::client {
+
+struct EvaluateOptions {
+  enum class Format {
+    // DriveFormat::kDrive, with truth.
+    kDrive,
+    // A receiver's solution, with a reference beside it: gnss_file.h. Vehicles
+    // are GEODETIC and claim the file's covariances as they are.
+    kRtklib,
+  };
+  // Drive files.
+  std::vector<std::string> files;
+  Format format = Format::kDrive;
+  // The truth of each file; kRtklib only.
+  std::vector<std::string> truth_files;
+  // Whether all files are one drive of one vehicle, one after the other. They
+  // must be in one frame.
+  bool one_vehicle = false;
+  // Where vehicles are made. If absent, a private server is started and
+  // stopped.
+  std::optional<ChannelOptions> server;
+  // The settings of the vehicles that are made for the drives: PLANAR, and
+  // DEAD_RECKONING or INDEPENDENT; the frame follows from the format. Every
+  // field is set.
+  v1::VehicleSettings settings;
+  UncertaintyOptions uncertainty;
+  // `excluded_nodes` follows from `exclude_meters` and the node spacing.
+  Judging judging;
+  // CandidateOptions.exhaustive.
+  bool exhaustive = false;
+  double exclude_meters = 150.0;
+  // Whether to measure the baselines beside the settings.
+  bool baselines = false;
+  // Measured one after the other in place of the settings' own, each of them
+  // also as the length of the excluded recent path.
+  std::vector<double> sequence_lengths;
+  // Each drive's estimate is drawn anew for each of these; if there are none,
+  // it is streamed as it is.
+  std::vector<std::uint64_t> seeds;
+  // Whether to tell the service which accepted candidates are right and which
+  // are wrong.
+  bool verify = false;
+  // How often everything is done, with the same answers each time. At least 1.
+  int repeats = 1;
+  // Whether to print a line for each check.
+  bool verbose = false;
+  // Where to write the map of the first drive; no map if empty.
+  std::string map;
+  // Directory for precision_recall.svg and reliability.svg, made where there is
+  // none; no plots if empty.
+  std::string plots;
+  // Whether to keep the vehicles on a server that is not private.
+  bool keep_vehicles = false;
+  // Id of the vehicle, where only one is made. If empty, ids are made of the
+  // drives' names, and unique.
+  std::string vehicle;
+};
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_EVALUATION_EVALUATE_OPTIONS_H_

@@ -1,0 +1,115 @@
+#include "client/cli/evaluation/methods.h"
+
+#include <cmath>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "client/cli/console.h"
+#include "client/formats/gnss_file.h"
+
+namespace revisit::client {
+namespace {
+
+std::vector<Method> MethodsAt(const EvaluateOptions& options,
+                              double sequence_length_meters,
+                              double exclude_meters) {
+  Method given;
+  given.name = options.settings.alignment() == v1::ALIGNMENT_COMPOSITE
+                   ? "composite"
+                   : "relative";
+  given.settings = options.settings;
+  given.settings.set_sequence_length_meters(sequence_length_meters);
+  given.judging = options.judging;
+  given.judging.excluded_nodes =
+      std::llround(exclude_meters / options.settings.node_spacing_meters());
+  given.sequence_length_meters = sequence_length_meters;
+  if (!options.baselines) return {given};
+
+  const auto composite = [&](const char* name, v1::CorrelationModel model) {
+    Method method = given;
+    method.name = name;
+    method.settings.set_alignment(v1::ALIGNMENT_COMPOSITE);
+    method.settings.set_correlation_model(model);
+    return method;
+  };
+  Method single =
+      composite("single pose", options.settings.correlation_model());
+  single.source = Method::Source::kServiceBeyondRecentPath;
+  single.settings.set_sequence_length_meters(
+      options.settings.node_spacing_meters());
+  single.settings.set_max_candidates(100);
+  Method nearest = given;
+  nearest.name = "nearest position";
+  nearest.source = Method::Source::kNearestPosition;
+  return {
+      composite("paper, independent", v1::CORRELATION_MODEL_INDEPENDENT),
+      composite("paper, dead reckoning", v1::CORRELATION_MODEL_DEAD_RECKONING),
+      single, given, nearest};
+}
+
+}  // namespace
+
+std::vector<Method> ChooseMethods(const EvaluateOptions& options,
+                                  std::size_t* main) {
+  if (options.sequence_lengths.empty()) {
+    auto methods = MethodsAt(options, options.settings.sequence_length_meters(),
+                             options.exclude_meters);
+    *main = methods.size() > 1 ? methods.size() - 2 : 0;
+    return methods;
+  }
+  std::vector<Method> all;
+  *main = 0;
+  for (const double length : options.sequence_lengths) {
+    for (Method& method : MethodsAt(options, length, length)) {
+      all.push_back(std::move(method));
+    }
+    const bool own = length == options.settings.sequence_length_meters();
+    if (own || &length == &options.sequence_lengths.front()) {
+      *main = all.size() - (options.baselines ? 2 : 1);
+    }
+  }
+  return all;
+}
+
+std::vector<std::string> NotesOn(const EvaluateOptions& options) {
+  std::vector<std::string> notes;
+  if (!options.sequence_lengths.empty()) {
+    notes.push_back(absl::StrCat(
+        "Sequence lengths: the recent path that is no history is as long as "
+        "the sequence, so that true loops differ too; checks begin at two "
+        "sequence lengths or ",
+        Fixed(options.judging.first_check_meters, 0),
+        " m, whichever is later."));
+  }
+  if (options.baselines) {
+    notes.push_back(
+        "nearest position: estimates within 15 m, all accepted. single pose: "
+        "the best log-similarity of one node. paper: the log-similarities of "
+        "all nodes of the sequence summed, without and with "
+        "cross-covariance.");
+  }
+  if (!options.seeds.empty()) {
+    notes.push_back(absl::StrCat(
+        "Simulated: estimates drawn along the true paths, ",
+        options.seeds.size(), " seeds; one row holds all seeds of a drive."));
+  }
+  if (options.uncertainty.claimed_scale != 1.0) {
+    notes.push_back(
+        absl::StrCat("Claimed standard deviations are multiplied by ",
+                     Fixed(options.uncertainty.claimed_scale, 3), "."));
+  }
+  if (options.verify) {
+    notes.push_back(
+        "Verified: accepted first candidates that are right became loop "
+        "closures, wrong ones were rejected.");
+  }
+  if (options.format == EvaluateOptions::Format::kRtklib) {
+    notes.push_back(absl::StrCat(
+        "GNSS: the truth is the reference that was recorded beside it; heading "
+        "is the direction of the velocity; epochs slower than ",
+        Fixed(kGnssStandstillMetersPerSecond, 1), " m/s are left out."));
+  }
+  return notes;
+}
+
+}  // namespace revisit::client

@@ -1,0 +1,42 @@
+// The ways of finding candidates that an evaluation compares.
+#ifndef REVISIT_CLIENT_CLI_EVALUATION_METHODS_H_
+#define REVISIT_CLIENT_CLI_EVALUATION_METHODS_H_
+
+#include <cstddef>
+#include <string>
+#include <vector>
+
+#include "client/cli/evaluation/evaluate_options.h"
+#include "client/cli/evaluation/evaluation.h"
+#include "revisit/v1/vehicle.pb.h"
+
+namespace revisit::client {
+
+// A way of finding candidates.
+struct Method {
+  enum class Source {
+    // The service's answers.
+    kService,
+    // Those candidates of the service that lie beyond the recent path.
+    kServiceBeyondRecentPath,
+    // FindNearestPositions(), on the nodes and checks of the method before it.
+    kNearestPosition,
+  };
+  std::string name;
+  Source source = Source::kService;
+  v1::VehicleSettings settings;
+  Judging judging;
+  double sequence_length_meters = 0.0;
+};
+
+// All methods in the order of the report. `main` becomes the index of the one
+// whose drives are reported one by one.
+std::vector<Method> ChooseMethods(const EvaluateOptions& options,
+                                  std::size_t* main);
+
+// What a reader of the report has to know about the methods.
+std::vector<std::string> NotesOn(const EvaluateOptions& options);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_EVALUATION_METHODS_H_

@@ -1,0 +1,191 @@
+// Commands, flags and their help. CLI11 stays behind this interface because
+// every file that includes it takes ten seconds longer to compile.
+#ifndef REVISIT_CLIENT_CLI_FLAGS_H_
+#define REVISIT_CLIENT_CLI_FLAGS_H_
+
+#include <cstdint>
+#include <functional>
+#include <limits>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "client/cli/console.h"
+#include "client/revisit/channel.h"
+#include "client/revisit/client.h"
+
+namespace CLI {
+class App;
+class Option;
+}  // namespace CLI
+
+namespace grpc {
+class Channel;
+}
+
+namespace revisit::client {
+
+// The server that the flags name. The channel connects when it is first used.
+struct Connection {
+  ChannelOptions options;
+  std::shared_ptr<grpc::Channel> channel;
+  // Calls over the channel.
+  Client client;
+};
+
+// Executes a command after all flags have been read.
+using Run = std::function<absl::Status(const Connection&, const Console&)>;
+
+// Says what is wrong with the flags of a command taken together; empty if
+// nothing is.
+using Check = std::function<std::string()>;
+
+// The words that a flag takes and the value that each one stands for.
+using Words = std::map<std::string, int>;
+
+// Both ends are allowed.
+struct WholeRange {
+  std::int64_t lowest = 0;
+  std::int64_t highest = std::numeric_limits<std::int64_t>::max();
+};
+
+// The sequences of poses, as the service counts them.
+inline constexpr WholeRange kSequences = {
+    1, std::numeric_limits<std::int64_t>::max()};
+
+// A flag that has been added to a command. Copies are the same flag.
+class Flag {
+ public:
+  explicit Flag(CLI::Option* option) : option_(option) {}
+
+  // A command line without this flag is refused.
+  Flag Required() const;
+  // Where this flag is given, `other` must be given as well.
+  Flag Needs(const Flag& other) const;
+  // The help shows the value that the variable of the flag has now.
+  Flag ShowDefault() const;
+  // The environment variable that counts where the flag is not given.
+  Flag OrEnvironment(const std::string& variable) const;
+
+ private:
+  CLI::Option* option_;
+};
+
+// What the help of a command says.
+struct CommandHelp {
+  std::string name;
+  // One line, also shown in the list of commands.
+  std::string summary;
+  // Below the flags; may be empty.
+  std::string details;
+  // Whole command lines, indented by two blanks; may be empty.
+  std::string examples;
+};
+
+// A command of a CommandLine, which must outlive it. Copies are the same
+// command.
+//
+// `name` of a flag is as it is typed, such as "--json"; without dashes it is a
+// word in its place among the others. `type` stands for the value in the help.
+// A target of a flag must live until the command has run; it is left as it is
+// where the flag is not given.
+class Command {
+ public:
+  // Adds a command below this one, such as `create` to `vehicle`; a command
+  // line then has to name one of those below.
+  Command AddCommand(const CommandHelp& help) const;
+
+  // The same command; flags added through it stand under `heading` in the help.
+  Command Under(const std::string& heading) const;
+
+  Flag AddText(const std::string& name, const std::string& type,
+               std::string* value, const std::string& help) const;
+  Flag AddTexts(const std::string& name, const std::string& type,
+                std::vector<std::string>* values,
+                const std::string& help) const;
+
+  // A flag without a value. "--x,!--no-x" makes --no-x set false.
+  Flag AddSwitch(const std::string& name, bool* value,
+                 const std::string& help) const;
+  Flag AddSwitch(const std::string& name, std::function<void(bool)> set,
+                 const std::string& help) const;
+
+  // A flag that takes one of `words`.
+  Flag AddChoice(const std::string& name, const Words& words,
+                 std::function<void(int)> set, const std::string& help) const;
+  template <typename Enum>
+  Flag AddChoice(const std::string& name, const Words& words, Enum* value,
+                 const std::string& help) const {
+    return AddChoice(
+        name, words, [value](int word) { *value = static_cast<Enum>(word); },
+        help);
+  }
+
+  // Finite numbers. The help shows the default of one that has a variable.
+  Flag AddNumber(const std::string& name, const std::string& type,
+                 double* value, const std::string& help) const;
+  Flag AddNumber(const std::string& name, const std::string& type,
+                 std::function<void(double)> set,
+                 const std::string& help) const;
+  // Positive numbers, separated by commas.
+  Flag AddPositiveNumbers(const std::string& name, const std::string& type,
+                          std::vector<double>* values,
+                          const std::string& help) const;
+
+  // Decimal digits only.
+  Flag AddWholeNumber(const std::string& name, const WholeRange& range,
+                      int* value, const std::string& help) const;
+  Flag AddWholeNumber(const std::string& name, const WholeRange& range,
+                      std::uint64_t* value, const std::string& help) const;
+  Flag AddWholeNumber(const std::string& name, const WholeRange& range,
+                      std::function<void(std::int64_t)> set,
+                      const std::string& help) const;
+
+  // Whether this flag, of the command or of one above it, was given.
+  bool Given(const std::string& name) const;
+
+  // Makes `run` what CommandLine::chosen() is when this command was chosen and
+  // `check` finds nothing wrong.
+  void Runs(Run run, Check check = nullptr) const;
+
+ private:
+  friend class CommandLine;
+  Command(CLI::App* app, Run* chosen) : app_(app), chosen_(chosen) {}
+
+  CLI::App* app_;
+  Run* chosen_;
+  std::string heading_ = "Options";
+};
+
+// The program's name, its flags and its commands.
+class CommandLine {
+ public:
+  // The program's own help has `help.details` below its examples.
+  CommandLine(const CommandHelp& help, const std::string& version);
+  ~CommandLine();
+
+  CommandLine(const CommandLine&) = delete;
+  CommandLine& operator=(const CommandLine&) = delete;
+
+  // The program's own flags are taken before and after those of a command.
+  const Command& program() const { return program_; }
+
+  // Fills the targets of the flags. If help was asked for or the usage is
+  // wrong, prints that and returns the exit code.
+  std::optional<int> Parse(int argc, char** argv);
+
+  // The chosen command. REQUIRES: Parse() returned no exit code.
+  const Run& chosen() const { return chosen_; }
+
+ private:
+  const std::unique_ptr<CLI::App> app_;
+  Run chosen_;
+  const Command program_;
+};
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_FLAGS_H_
