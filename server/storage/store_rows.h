@@ -23,9 +23,6 @@
 
 namespace revisit::server {
 
-// DATA_LOSS (STORE_CORRUPT).
-absl::Status Corrupt(const std::string& what, const ErrorMetadata& metadata);
-
 // ---- Vehicles
 
 // The id of a vehicle, not checked: to tell whether it is there, and for

@@ -11,7 +11,9 @@
 #include "absl/status/statusor.h"
 #include "google/protobuf/text_format.h"
 #include "gtest/gtest.h"
-#include "server/conversion/proto_conversion.h"
+#include "server/conversion/poses.h"
+#include "server/sessions/vehicle_config.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 

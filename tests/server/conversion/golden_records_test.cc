@@ -9,7 +9,8 @@
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "server/conversion/proto_conversion.h"
+#include "server/conversion/record_codec.h"
+#include "server/conversion/vehicle_settings.h"
 #include "tests/server/conversion/conversion_testing.h"
 #include "tests/server/error_matchers.h"
 
@@ -36,7 +37,7 @@ std::string Bytes(const std::string& hex) {
   return bytes;
 }
 
-// A vehicle whose every setting is other than its default.
+// A vehicle whose settings all differ from their defaults.
 VehicleConfig EverySetting() {
   VehicleConfig config;
   config.uid = "0f0e0d0c-0b0a-4908-8706-050403020100";
@@ -67,7 +68,7 @@ VehicleConfig EverySetting() {
   return config;
 }
 
-// A vehicle with the other value of each setting that has but two or three.
+// A vehicle whose switches and enums differ from those of EverySetting().
 VehicleConfig OtherSettings() {
   VehicleConfig config = EverySetting();
   config.frame = CoordinateFrame::kLocal;
