@@ -23,7 +23,7 @@
 #include "server/connections/admission.h"
 #include "server/connections/connection_acceptor.h"
 #include "server/connections/drain.h"
-#include "server/conversion/proto_conversion.h"
+#include "server/conversion/record_codec.h"
 #include "server/security/gatekeeper.h"
 #include "server/security/server_credentials.h"
 #include "server/security/tls_files.h"

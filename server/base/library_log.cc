@@ -21,8 +21,8 @@ void WriteGrpc(gpr_log_func_args* line) {
   log->Write(level, "grpc", {{"message", std::string(line->message)}});
 }
 
-// Protobuf is quiet below errors that end the process: a caller can make it
-// complain about the caller's own message, and is answered with an error.
+// Protobuf's complaints are of level debug unless they end the process: callers
+// can cause them by invalid messages, which are answered with errors.
 void WriteProtobuf(google::protobuf::LogLevel level, const char*, int,
                    const std::string& message) {
   const Log* const log = destination;

@@ -1,4 +1,4 @@
-// The logs of gRPC and protobuf as lines of ours.
+// Routes the logs of gRPC and protobuf into the server's log.
 #ifndef REVISIT_SERVER_BASE_LIBRARY_LOG_H_
 #define REVISIT_SERVER_BASE_LIBRARY_LOG_H_
 

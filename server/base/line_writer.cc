@@ -16,7 +16,7 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-// How often a writer that waits for its descriptor asks whether it may go on.
+// How often a writer that waits for its descriptor checks whether to go on.
 constexpr std::chrono::milliseconds kPollInterval{50};
 
 // Writes from `*written` on until `may_go_on()` says false or the descriptor
@@ -60,10 +60,10 @@ struct LineWriter::State {
       : descriptor(to), options(writer_options), gap(std::move(gap_line)) {}
 
   void Run();
-  // The next lines to write, with the line about dropped ones behind them;
+  // Waits for lines and returns them, followed by the line about dropped ones;
   // nothing once the writer stops and all is written.
   std::optional<std::string> Take();
-  // Notes how much of `batch` was written.
+  // Records how much of `batch` was written.
   void Settle(const std::string& batch, std::size_t written);
   bool MayGoOn();
 
@@ -76,14 +76,14 @@ struct LineWriter::State {
   std::string queue ABSL_GUARDED_BY(mutex);
   // Bytes that the thread has taken and not yet written.
   std::size_t in_flight ABSL_GUARDED_BY(mutex) = 0;
-  // Lines that were dropped, and are not told of in `queue` or in flight.
+  // Dropped lines that no line in `queue` or in flight reports.
   std::int64_t dropped ABSL_GUARDED_BY(mutex) = 0;
-  // Dropped lines that the line at the end of what is in flight tells of.
+  // Dropped lines that the last line in flight reports.
   std::int64_t told ABSL_GUARDED_BY(mutex) = 0;
-  // Whether the last write failed: then the next line, not the gap alone,
-  // makes the next attempt.
+  // Whether the last write failed. Then the writer tries again when the next
+  // line comes, not for the gap alone.
   bool failed ABSL_GUARDED_BY(mutex) = false;
-  // Whether the last byte that was written ended no line.
+  // Whether the last byte that was written was not a newline.
   bool torn ABSL_GUARDED_BY(mutex) = false;
   bool done ABSL_GUARDED_BY(mutex) = false;
   // Set when the writer stops.
@@ -110,7 +110,7 @@ void LineWriter::State::Settle(const std::string& batch, std::size_t written) {
   if (failed) {
     dropped += std::count(batch.begin() + static_cast<std::ptrdiff_t>(written),
                           batch.end(), '\n');
-    // The line about dropped ones was lost with what it told.
+    // The line about dropped ones was lost, and with it its count.
     if (told > 0) dropped += told - 1;
   }
   if (written > 0) torn = batch[written - 1] != '\n';
@@ -162,7 +162,7 @@ LineWriter::~LineWriter() {
 void LineWriter::Write(const std::string& line) {
   const MutexLock lock(&state_->mutex);
   const std::size_t waiting = state_->queue.size() + state_->in_flight;
-  // Behind a gap nothing is queued before the gap has been told.
+  // Nothing is queued behind a gap that has not been reported.
   const bool gap_is_open = state_->dropped > 0 && !state_->failed;
   if (gap_is_open || waiting + line.size() > state_->options.max_queued_bytes) {
     ++state_->dropped;

@@ -1,9 +1,9 @@
 // Writes lines to a descriptor that may block, without ever making the caller
 // wait for it.
 //
-// A server's standard error is often a pipe. If whoever reads it stops, a
-// write() waits for ever, and with it every thread that has something to log.
-// spdlog's own thread pool bounds the number of lines, not their bytes, and its
+// A server's standard error is often a pipe. If its reader stops, a write()
+// waits for ever, and with it every thread that has something to log. spdlog's
+// own thread pool bounds the number of lines, not their bytes, and its
 // destructor waits for a write that blocks; hence this class.
 #ifndef REVISIT_SERVER_BASE_LINE_WRITER_H_
 #define REVISIT_SERVER_BASE_LINE_WRITER_H_
@@ -23,8 +23,8 @@ namespace revisit::server {
 bool WriteWithin(int descriptor, const std::string& text,
                  std::chrono::milliseconds limit);
 
-// Thread-safe. Lines leave in the order in which they came, on a thread of its
-// own.
+// Thread-safe. A thread of its own writes the lines in the order in which they
+// came.
 class LineWriter {
  public:
   struct Options {

@@ -1,4 +1,4 @@
-// The server's log: one event a line, as text or as JSON.
+// The server's log: one line per event, as text or as JSON.
 #ifndef REVISIT_SERVER_BASE_LOGGING_H_
 #define REVISIT_SERVER_BASE_LOGGING_H_
 
@@ -21,35 +21,35 @@ struct LogField {
   std::variant<std::string, std::int64_t, double> value;
 };
 
-// Printable ASCII: everything else, and what a string literal of JSON cannot
-// hold, is escaped as JSON does; bytes that are no UTF-8 become U+FFFD. So no
-// caller can forge a line or send control sequences to a terminal.
+// The content of a string literal of JSON, in printable ASCII: all other
+// characters are escaped, and invalid UTF-8 becomes U+FFFD. So no caller can
+// forge a line or send control sequences to a terminal.
 std::string EscapeForLog(const std::string& text);
 
-// Thread-safe. Where it writes to a descriptor, no call waits for whoever reads
-// that: lines that find no room (LineWriter::Options) are dropped, and counted
-// in a line of the event log_lines_dropped in their place.
+// Thread-safe. A log that writes to a descriptor never waits for its reader:
+// lines that find no room (LineWriter::Options) are dropped, and counted in a
+// line of the event log_lines_dropped in their place.
 //
 //   text: 2026-01-31T12:00:00.000Z info call method=GetVehicle code=OK ...
 //   JSON: {"time":"2026-01-31T12:00:00.000Z","level":"info","event":"call",
 //          "method":"GetVehicle","code":"OK",...}
 //
-// In text, a value stands bare where it is made of letters, digits and ._:/@+-
-// only, and in quotes otherwise. Times are UTC.
+// In text, a value made only of letters, digits and ._:/@+- stands bare, any
+// other in quotes. Times are UTC.
 class Log {
  public:
-  // To a descriptor, which stays the caller's; SIGPIPE must be ignored. The
-  // destructor waits a moment for lines that are not yet written.
+  // Writes to a descriptor, which stays the caller's; SIGPIPE must be ignored.
+  // The destructor waits a moment for lines that are not yet written.
   Log(LogFormat format, LogLevel level, int descriptor);
-  // To a stream that must outlive this, before Write() returns.
+  // Writes to a stream, before Write() returns. The stream must outlive this.
   Log(LogFormat format, LogLevel level, std::ostream* stream);
   ~Log();
 
   Log(const Log&) = delete;
   Log& operator=(const Log&) = delete;
 
-  // `event` is a word of ours, not of a caller. Fields whose string is empty
-  // are left out.
+  // `event` is not escaped: never text of a caller. Fields whose string is
+  // empty are left out.
   void Write(LogLevel level, const char* event,
              std::initializer_list<LogField> fields) const;
 

@@ -1,4 +1,4 @@
-// Something that is done again and again.
+// Work that is repeated on a thread of its own.
 #ifndef REVISIT_SERVER_BASE_PERIODIC_H_
 #define REVISIT_SERVER_BASE_PERIODIC_H_
 
@@ -10,8 +10,8 @@
 
 namespace revisit::server {
 
-// Calls `work` every `period`, the first time after one, on a thread of its
-// own, until it is destroyed. Thread-safe.
+// Calls `work` every `period`, the first time after one period, until it is
+// destroyed. Thread-safe.
 class Periodic {
  public:
   Periodic(std::chrono::milliseconds period, std::function<void()> work);
@@ -20,7 +20,8 @@ class Periodic {
   Periodic(const Periodic&) = delete;
   Periodic& operator=(const Periodic&) = delete;
 
-  // Has `work` called as soon as its thread is free, and then a period later.
+  // Has `work` called as soon as the thread is free, and the next time a period
+  // later.
   void Hasten();
 
  private:
@@ -32,7 +33,7 @@ class Periodic {
   CondVar wake_;
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
   bool hastened_ ABSL_GUARDED_BY(mutex_) = false;
-  // Last: it uses the others.
+  // The last member, since the thread uses the others.
   std::thread thread_;
 };
 

@@ -11,17 +11,17 @@ namespace {
 
 // Fewer bytes are not worth giving back.
 constexpr std::int64_t kWorthTrimming = std::int64_t{8} << 20;
-// More bytes than this do not wait: callers who are cut off one after another
-// leave so much within a second.
+// So many bytes do not wait: callers who are cut off one after another leave
+// that much within a second.
 constexpr std::int64_t kMuchToTrim = std::int64_t{32} << 20;
-// The heap shrinks no more when it does by less than this between two looks.
+// The heap counts as shrinking if it lost this much between two looks.
 constexpr std::int64_t kStillShrinking = std::int64_t{256} << 10;
 
 struct Memory {
-  // On the heap and in mapped blocks.
+  // Bytes on the heap and in mapped blocks.
   std::int64_t in_use;
-  // Resident, but not in use: more than what could be given back, so that its
-  // growth tells something and its size does not.
+  // Bytes resident but not in use. That is more than could be given back, so
+  // that only its growth is informative.
   std::int64_t unused;
 };
 
@@ -34,7 +34,7 @@ Memory Look() {
 }  // namespace
 
 std::int64_t ResidentBytes() {
-  // Pages: of the program as a whole, then those in memory.
+  // The file holds pages: those of the whole program, then those in memory.
   std::ifstream file("/proc/self/statm");
   std::int64_t total = 0;
   std::int64_t resident = 0;

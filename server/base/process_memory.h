@@ -1,4 +1,4 @@
-// What memory this process has, may have, and can give back.
+// The memory that this process has, may have, and can give back.
 #ifndef REVISIT_SERVER_BASE_PROCESS_MEMORY_H_
 #define REVISIT_SERVER_BASE_PROCESS_MEMORY_H_
 
@@ -9,22 +9,21 @@ namespace revisit::server {
 // Resident bytes of this process; 0 if the system does not say.
 std::int64_t ResidentBytes();
 
-// Three quarters of what the machine or the control group lets the process
-// have.
+// Three quarters of the memory that the machine or the control group grants the
+// process.
 std::int64_t DefaultMemoryLimit();
 
-// Gives back to the system what the C library keeps of memory that was freed,
-// where that is worth the time: some milliseconds per 100 MB.
-// Thread-compatible.
+// Returns freed memory that the C library keeps to the system, if that is worth
+// the time: some milliseconds per 100 MB. Thread-compatible.
 class Trimmer {
  public:
-  // Trims after unloaded vehicles, and after many calls or streams at once. A
-  // crowd may be leaving still when trimming is first worthwhile, and what the
-  // last of it frees may not be worth it alone; so a trim is followed by others
-  // until the heap shrinks no more.
+  // Trims after vehicles were unloaded, and after many calls or streams ended
+  // at once. A crowd may still be leaving when trimming is first worthwhile,
+  // and the memory that the last of it frees may not be worth a trim alone; so
+  // a trim is followed by others until the heap shrinks no more.
   void TrimIfWorthwhile();
 
-  // Trims where so much lies unused that it should not wait for the next
+  // Trims if so much is unused that it should not wait for the next
   // TrimIfWorthwhile().
   void TrimIfMuch();
 

@@ -3,6 +3,7 @@
 #include <cstddef>
 
 #include "absl/strings/cord.h"
+#include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "google/protobuf/message_lite.h"
 #include "google/rpc/error_details.pb.h"
@@ -80,14 +81,14 @@ absl::Status InvalidFields(const std::string& reason,
     added->set_description(description);
   }
   const FieldViolation& first = violations.front();
-  std::string message = first.field + ": " + first.description;
+  std::string message = absl::StrCat(first.field, ": ", first.description);
   if (violations.size() > 1) {
-    message = Shortened(message, kMaxMessageBytes - 50) + " (and " +
-              std::to_string(violations.size() - 1) + " more)";
+    message = absl::StrCat(Shortened(message, kMaxMessageBytes - 50), " (and ",
+                           violations.size() - 1, " more)");
   }
   absl::Status status =
       Error(absl::StatusCode::kInvalidArgument, reason, message,
-            {{"violations", std::to_string(violations.size())}});
+            {{"violations", absl::StrCat(violations.size())}});
   SetPayload(kBadRequestUrl, bad_request, &status);
   return status;
 }
@@ -109,7 +110,11 @@ absl::Status QuotaExceeded(absl::StatusCode code, const std::string& reason,
 
 absl::Status VehicleNotFound(const std::string& id) {
   return Error(absl::StatusCode::kNotFound, "VEHICLE_NOT_FOUND",
-               "no such vehicle: '" + id + "'");
+               absl::StrCat("no such vehicle: '", id, "'"));
+}
+
+absl::Status Corrupt(const std::string& what, const ErrorMetadata& metadata) {
+  return Error(absl::StatusCode::kDataLoss, "STORE_CORRUPT", what, metadata);
 }
 
 std::string ReasonOf(const absl::Status& status) {

@@ -20,13 +20,12 @@ inline constexpr char kBadRequestUrl[] =
     "type.googleapis.com/google.rpc.BadRequest";
 inline constexpr char kRetryInfoUrl[] =
     "type.googleapis.com/google.rpc.RetryInfo";
-
 inline constexpr char kQuotaFailureUrl[] =
     "type.googleapis.com/google.rpc.QuotaFailure";
 
 struct FieldViolation {
   std::string field;        // Such as "poses[3].covariance.values[0]".
-  std::string description;  // What was got and what is allowed.
+  std::string description;  // The value that was got, and the allowed ones.
 };
 
 using ErrorMetadata = std::vector<std::pair<std::string, std::string>>;
@@ -39,25 +38,29 @@ absl::Status Error(absl::StatusCode code, const std::string& reason,
                    const std::string& message,
                    const ErrorMetadata& metadata = {});
 
-// INVALID_ARGUMENT with BadRequest; the message tells the first violation and
-// how many more there are. BadRequest holds as many as a trailer does; metadata
-// `violations` counts all. REQUIRES: at least one violation.
+// INVALID_ARGUMENT with BadRequest; the message has the first violation and
+// says how many more there are. BadRequest holds as many as fit a trailer;
+// metadata `violations` counts all. REQUIRES: at least one violation.
 absl::Status InvalidFields(const std::string& reason,
                            const std::vector<FieldViolation>& violations);
 
-// The same as Error(), with a QuotaFailure of one violation, described by the
-// message, and this RetryInfo.
+// As Error(), with this RetryInfo and a QuotaFailure of one violation, which
+// the message describes.
 absl::Status QuotaExceeded(absl::StatusCode code, const std::string& reason,
                            const std::string& subject,
                            const std::string& message,
                            std::chrono::milliseconds retry_delay,
                            const ErrorMetadata& metadata = {});
 
-// NOT_FOUND (VEHICLE_NOT_FOUND). The same words whether there is none or it is
-// not the caller's to know of.
+// NOT_FOUND (VEHICLE_NOT_FOUND). The words do not give away whether there is no
+// such vehicle or the caller may not know of it.
 absl::Status VehicleNotFound(const std::string& id);
 
-// Reason of a status made here; empty if it has none.
+// DATA_LOSS (STORE_CORRUPT).
+absl::Status Corrupt(const std::string& what,
+                     const ErrorMetadata& metadata = {});
+
+// The reason of a status that was made here; empty for others.
 std::string ReasonOf(const absl::Status& status);
 
 }  // namespace revisit::server

@@ -1,4 +1,4 @@
-// The one place where a status becomes gRPC's.
+// The one place where a status becomes a status of gRPC.
 #ifndef REVISIT_SERVER_BASE_STATUS_GRPC_H_
 #define REVISIT_SERVER_BASE_STATUS_GRPC_H_
 
@@ -7,10 +7,10 @@
 
 namespace revisit::server {
 
-// Same code and message; the payloads become the details of a
-// google.rpc.Status. A status that brings no ErrorInfo is given one whose
-// reason follows from the code: INTERNAL where nothing better can be said.
-// UNKNOWN becomes INTERNAL.
+// Keeps code and message; the payloads become the details of a
+// google.rpc.Status. A status without ErrorInfo gets one whose reason follows
+// from the code, INTERNAL if nothing more specific is known. UNKNOWN becomes
+// INTERNAL.
 grpc::Status ToGrpcStatus(const absl::Status& status);
 
 }  // namespace revisit::server

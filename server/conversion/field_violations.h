@@ -11,13 +11,17 @@
 
 namespace revisit::server {
 
-// Where a field is, such as poses[3].covariance.values[2]. A chain on the
-// stack: text is made only for a field that is wrong, so naming the fields of a
-// good request costs nothing. A path must not outlive the one it was made from,
-// nor its name.
+// Reasons of violations.
+inline constexpr char kInvalidField[] = "INVALID_FIELD";
+inline constexpr char kNotFinite[] = "NOT_FINITE";
+
+// Where a field is, such as poses[3].covariance.values[2]. A path is a chain on
+// the stack, and its text is made only for a field that is wrong, so that
+// naming the fields of a valid request costs nothing. A path must not outlive
+// its name or the path that it was made from.
 class FieldPath {
  public:
-  // Below the request itself.
+  // The request itself.
   constexpr FieldPath() = default;
 
   constexpr FieldPath Field(const char* name) const {
@@ -33,7 +37,7 @@ class FieldPath {
  private:
   static constexpr std::size_t kNoIndex = static_cast<std::size_t>(-1);
 
-  // The request itself is no part of a path, so that what lies directly below
+  // The request itself is no part of a path: the name of a field directly below
   // it stands alone.
   constexpr const FieldPath* Parent() const {
     return name_ == nullptr ? nullptr : this;
@@ -64,7 +68,13 @@ class Violations {
   std::vector<FieldViolation> violations_;
 };
 
-// What a caller sent, fit for a message: in quotes, and in printable ASCII.
+// Return whether the value is allowed, and add a violation otherwise.
+bool CheckFinite(double value, const FieldPath& path, Violations* violations);
+bool CheckRange(double value, double lowest, double highest,
+                const FieldPath& path, Violations* violations);
+
+// Text that a caller sent, as messages show it: in quotes, and in printable
+// ASCII.
 std::string Quoted(const std::string& text);
 
 // A single violation as a status.

@@ -8,9 +8,11 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "server/base/sequences.h"
 #include "server/conversion/field_violations.h"
-#include "server/conversion/proto_conversion.h"
+#include "server/conversion/names.h"
 
 namespace revisit::server {
 namespace {
@@ -18,7 +20,7 @@ namespace {
 constexpr char kVersion = '1';
 constexpr std::size_t kSealBytes = 8;
 
-// Tells a token for another list, or a mistyped one, from a good one.
+// Makes a token for another list, or a mistyped one, differ from a valid one.
 std::string Seal(const std::string& list, const std::string& key) {
   const std::string sealed = list + '\n' + key;
   std::uint64_t hash = XXH3_64bits(sealed.data(), sealed.size());
@@ -30,7 +32,7 @@ std::string Seal(const std::string& list, const std::string& key) {
   return bytes;
 }
 
-// What a token holds, if it is sealed to the list.
+// The key in a token, if the token is sealed to the list.
 std::optional<std::string> Open(const std::string& list,
                                 const std::string& token) {
   std::string plain;
@@ -61,7 +63,7 @@ std::string MakePageToken(const std::string& list, const std::string& key) {
 }
 
 std::string MakePageToken(const std::string& list, std::uint64_t sequence) {
-  return MakePageToken(list, std::to_string(sequence));
+  return MakePageToken(list, absl::StrCat(sequence));
 }
 
 absl::StatusOr<std::string> ParsePageToken(const std::string& list,
@@ -81,9 +83,9 @@ absl::StatusOr<std::uint64_t> ParseSequenceToken(const std::string& list,
                                 &sequence)) {
     return NotIssued();
   }
-  // Another way to write the number is not ours either.
+  // A number that is written in another way was not issued either.
   if (sequence < 1 || sequence > kMaxSequence ||
-      std::to_string(sequence) != *key) {
+      absl::StrCat(sequence) != *key) {
     return NotIssued();
   }
   return sequence;
@@ -91,10 +93,10 @@ absl::StatusOr<std::uint64_t> ParseSequenceToken(const std::string& list,
 
 absl::StatusOr<int> PageSize(int asked, int usual, int most) {
   if (asked < 0) {
-    return InvalidField("INVALID_FIELD", FieldPath().Field("page_size"),
-                        "got " + std::to_string(asked) +
-                            "; allowed is 0, which means " +
-                            std::to_string(usual) + ", or more");
+    return InvalidField(
+        kInvalidField, FieldPath().Field("page_size"),
+        absl::StrCat("got ", asked, "; allowed is 0, which means ", usual,
+                     ", or more"));
   }
   return asked == 0 ? usual : std::min(asked, most);
 }

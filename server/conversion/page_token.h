@@ -1,10 +1,10 @@
 // Page tokens: where the next page starts, sealed to the list they were issued
 // for.
 //
-// The seal tells mistakes. It is no secret, so that a token is good at any
-// server and after any restart; one that a caller makes, or changes, is worth
-// no more than a page that the caller may have anyway, or is refused: nothing
-// is believed of it but that it has the form of a key.
+// The seal finds mistakes. It is no secret, so that a token is valid at any
+// server and after any restart. A token that a caller makes or changes either
+// is refused or leads to a page that the caller may have anyway: nothing is
+// trusted but that the key in it has the form of a key.
 #ifndef REVISIT_SERVER_CONVERSION_PAGE_TOKEN_H_
 #define REVISIT_SERVER_CONVERSION_PAGE_TOKEN_H_
 
@@ -29,7 +29,8 @@ std::string MakePageToken(const std::string& list, std::uint64_t sequence);
 absl::StatusOr<std::uint64_t> ParseSequenceToken(const std::string& list,
                                                  const std::string& token);
 
-// What a page size that was asked for comes to. INVALID_ARGUMENT if negative.
+// The page size to use for the one that was asked for: 0 means `usual`, more
+// than `most` means `most`. INVALID_ARGUMENT if negative.
 absl::StatusOr<int> PageSize(int asked, int usual, int most);
 
 }  // namespace revisit::server

@@ -1,5 +1,6 @@
 // The handlers of revisit.v1.PoseGraphService. Each decodes, calls a session,
-// and encodes; none blocks a thread of gRPC's.
+// and encodes; none blocks a thread of gRPC. Handlers of some size are in files
+// of their own.
 #ifndef REVISIT_SERVER_SERVICE_POSE_GRAPH_SERVICE_H_
 #define REVISIT_SERVER_SERVICE_POSE_GRAPH_SERVICE_H_
 
@@ -9,9 +10,9 @@
 
 namespace revisit::server {
 
-// Calls with one message get it as bytes: so that one that is no protobuf is
-// answered as other mistakes of callers are, and nothing is parsed of callers
-// who are not let in.
+// Calls with one message get it as bytes, for two reasons: a message that is no
+// protobuf is answered as other mistakes of callers are, and no message of a
+// caller who is not admitted is parsed.
 namespace service_internal {
 
 using Service = v1::PoseGraphService;
@@ -108,9 +109,9 @@ class PoseGraphService final : public service_internal::AllMethods {
 
  private:
   // Runs the handler of a unary call. `handle` is given the call, the request
-  // and the response, which live as long as the call, and either returns an
-  // error, which ends it, or OK, and then sees to it that the call is finished,
-  // once, from whatever thread.
+  // and the response, which live as long as the call. It either returns an
+  // error, which ends the call, or returns OK and has the call finished later,
+  // once, from any thread.
   template <typename Request, typename Response, typename Handle>
   grpc::ServerUnaryReactor* Unary(grpc::CallbackServerContext* context,
                                   const char* method,

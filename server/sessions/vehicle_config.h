@@ -18,6 +18,15 @@ struct GeodeticOrigin {
   double height_meters = 0.0;
 };
 
+inline bool operator==(const GeodeticOrigin& a, const GeodeticOrigin& b) {
+  return a.latitude_degrees == b.latitude_degrees &&
+         a.longitude_degrees == b.longitude_degrees &&
+         a.height_meters == b.height_meters;
+}
+inline bool operator!=(const GeodeticOrigin& a, const GeodeticOrigin& b) {
+  return !(a == b);
+}
+
 struct VehicleConfig {
   // See vehicle_uid.h. Never changes.
   std::string uid;

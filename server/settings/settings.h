@@ -1,4 +1,4 @@
-// What the server is told on start: by flags, by the environment, by a file.
+// The settings of the server: given by flags, by the environment, by a file.
 // Flags win over the environment, the environment over the file, the file over
 // defaults.
 #ifndef REVISIT_SERVER_SETTINGS_SETTINGS_H_
@@ -16,17 +16,18 @@
 
 namespace revisit::server {
 
-// What to do at start where the write-ahead log is damaged.
+// How the server starts if the write-ahead log is damaged.
 enum class DamagedLog {
-  // Do not start.
+  // It does not start.
   kRefuse,
-  // Go on without what can no longer be read: an operator's decision.
+  // It goes on without the part that can no longer be read: an operator's
+  // decision.
   kDrop,
 };
 
-// To add one: a field here, a line in AddOptions() in the .cc, where it is
-// read. The flag --node-budget is the key `node-budget` of the file and the
-// variable REVISIT_NODE_BUDGET of the environment.
+// To add a setting: a field here, and a line in option_table.cc. The flag
+// --node-budget is the key `node-budget` of the file and the variable
+// REVISIT_NODE_BUDGET of the environment.
 struct ServerSettings {
   // HOST:PORT, or unix:PATH. Port 0 takes a free one.
   std::string listen = "127.0.0.1:50051";
@@ -37,64 +38,66 @@ struct ServerSettings {
   // left; they are taken again from a quarter more on. 0 never refuses them.
   // Range [0, 2^50].
   std::int64_t min_free_bytes = std::int64_t{128} << 20;
-  // The largest store that is checked for damage of its structure before it is
-  // served; larger ones are not. Range [0, 2^50].
+  // Stores up to this size are checked for damage of their structure before
+  // they are served. Range [0, 2^50].
   std::int64_t max_checked_bytes = std::int64_t{256} << 20;
   DamagedLog damaged_log = DamagedLog::kRefuse;
   // If not empty, the address listened on is written here once calls are taken.
   std::string port_file;
 
-  // Threads for the vehicles' short work, such as acknowledging poses, and for
-  // what takes long: searches, loading, reading the store. 0 takes as many as
-  // the machine has processors, of the second at least 2. Range [0, 1024].
+  // Threads for the vehicles' short work, such as acknowledging poses, and
+  // threads for long work: searches, loading, reading the store. 0 means as
+  // many as the machine has processors, but at least 2 for long work. Range [0,
+  // 1024].
   int worker_threads = 0;
   int search_threads = 0;
-  // A vehicle nobody has asked for this long is unloaded. Range [0.01, 1e6].
+  // A vehicle that had no call for this long is unloaded. Range [0.01, 1e6].
   double idle_unload_minutes = 10.0;
   // Above this many mebibytes of nodes and edges, vehicles that no call or
-  // stream holds are unloaded sooner, the longest unused first; 0 takes what it
-  // takes. Range [0, 2^30].
+  // stream holds are unloaded sooner, the longest unused first; 0 sets no
+  // limit. Range [0, 2^30].
   std::int64_t memory_budget_mebibytes = 0;
   // How long calls may go on after SIGTERM before they are cut. Range [0,
   // 86400].
   double drain_timeout_seconds = 10.0;
 
-  // Acknowledgements may take this long for the sake of larger commits, while
-  // many come; 0: never. Range [0, 1000].
+  // While many poses come, acknowledgements may be delayed this long for the
+  // sake of larger commits; 0 never delays them. Range [0, 1000].
   double ack_latency_target_ms = 2.0;
 
   Limits limits;
 
-  // PEM files of the listener's certificate, with those that issued it, and its
-  // key. Empty: plaintext.
+  // PEM files of the listener's certificate, followed by those that issued it,
+  // and of its key. Empty: plaintext.
   std::string tls_cert;
   std::string tls_key;
-  // PEM file of who may issue clients' certificates. Empty: not asked for.
+  // PEM file of the authorities that may issue clients' certificates. Empty:
+  // clients are asked for none.
   std::string tls_client_ca;
   ClientCertificates tls_client_certs = ClientCertificates::kRequire;
-  // Key set (RFC 7517) of who may sign bearer tokens, and what has to stand in
-  // them. Empty: no tokens.
+  // Key set (RFC 7517) of the signers of bearer tokens, and the issuer and
+  // audience that tokens must name. Empty: tokens are not accepted.
   std::string token_keys;
   std::string token_issuer;
   std::string token_audience;
   // Range [0, 300].
   int token_leeway_seconds = 10;
-  // Who may do what; see security/policy.h. Needed with token_keys or
-  // tls_client_ca, and empty without.
+  // File that says who may do what; see security/policy.h. Needed with
+  // token_keys or tls_client_ca, and empty without.
   std::string policy;
-  // How often the files of this group are looked at, and streams are asked
-  // whether their callers may go on. Range [0.05, 60].
+  // How often the files of this group are checked for changes, and the callers
+  // of streams for their permission to go on. Range [0.05, 60].
   double security_check_seconds = 10.0;
   bool serve_health = true;
   bool serve_reflection = true;
-  // Lets RiskOfListening() be taken.
+  // Accepts the RiskOfListening().
   bool insecure_allow_remote = false;
 
   LogFormat log_format = LogFormat::kText;
   LogLevel log_level = LogLevel::kInfo;
 };
 
-// What revisitd can do with a store besides serving it.
+// A task on a store besides serving it.
 struct StoreTask {
   enum class Kind { kBackup, kVerify, kCompact };
   Kind kind;
@@ -102,30 +105,26 @@ struct StoreTask {
   std::string destination;
 };
 
-// What whoever reaches the address could do; empty if it can only be reached
-// from this machine, or is encrypted and asks who calls.
+// The harm that anybody who reaches the address could do; empty if it can only
+// be reached from this machine, or is encrypted and identifies callers.
 std::string RiskOfListening(const ServerSettings& settings);
 
 struct ParsedSettings {
   ServerSettings settings;
-  // If set, this is to be done instead of serving.
+  // If set, the task to do instead of serving.
   std::optional<StoreTask> task;
-  // If set, this is what was asked for instead of a server: help, version or
-  // the settings themselves.
+  // If set, the text to print instead of serving: help, version or the settings
+  // themselves.
   std::optional<std::string> print;
 };
 
 // `arguments` without the program's name; `environment` as NAME=VALUE. Reads
-// the file that --config or REVISIT_CONFIG names:
+// the file that --config or REVISIT_CONFIG names (settings_file.h).
 //
-//   # A comment has a line of its own.
-//   listen = "127.0.0.1:50051"
-//   worker-threads = 4
-//
-// INVALID_ARGUMENT with a message for people that names the key and where it
-// stands, for an unknown key, a value that is malformed or out of range, a
-// key that stands twice, settings that do not go together, and a listener at
-// risk without insecure-allow-remote.
+// INVALID_ARGUMENT, with a message for people that names the key and its place,
+// for an unknown key, a value that is malformed or out of range, a key that
+// stands twice, settings that do not go together, and a listener at risk
+// without insecure-allow-remote.
 absl::StatusOr<ParsedSettings> ParseSettings(
     const std::vector<std::string>& arguments,
     const std::vector<std::string>& environment);
@@ -133,7 +132,8 @@ absl::StatusOr<ParsedSettings> ParseSettings(
 // The process's own environment, as NAME=VALUE.
 std::vector<std::string> ProcessEnvironment();
 
-// All settings in the form of the file. ParseSettings() makes the same of it.
+// All settings in the form of the file, which ParseSettings() reads back as the
+// same settings.
 std::string PrintSettings(const ServerSettings& settings);
 
 }  // namespace revisit::server

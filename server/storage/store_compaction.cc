@@ -33,7 +33,7 @@ std::int64_t BytesOf(const std::string& path) {
   return static_cast<std::int64_t>(std::filesystem::file_size(path, error));
 }
 
-std::string Quoted(const std::string& text) {
+std::string SqlLiteral(const std::string& text) {
   std::string quoted = "'";
   for (const char c : text) {
     quoted += c;
@@ -54,7 +54,7 @@ absl::Status Vacuum(const std::string& path, const std::string& copy,
   if (!status.ok()) return status;
   status = SetShrinking(**source);
   if (!status.ok()) return status;
-  status = (*source)->Execute(("VACUUM INTO " + Quoted(copy)).c_str());
+  status = (*source)->Execute(("VACUUM INTO " + SqlLiteral(copy)).c_str());
   if (!status.ok()) return status;
   const absl::StatusOr<std::unique_ptr<SqliteDatabase>> made =
       SqliteDatabase::Open(copy, SqliteDatabase::Mode::kReadWrite, "");

@@ -269,10 +269,6 @@ absl::Status ReviseBatchRow(SqliteDatabase& database, VehicleKey key,
 
 }  // namespace
 
-absl::Status Corrupt(const std::string& what, const ErrorMetadata& metadata) {
-  return Error(StatusCode::kDataLoss, "STORE_CORRUPT", what, metadata);
-}
-
 absl::StatusOr<std::string> VehicleId(SqliteDatabase& database,
                                       VehicleKey key) {
   SqliteStatement row =

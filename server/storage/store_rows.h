@@ -22,9 +22,6 @@
 
 namespace revisit::server {
 
-// A status DATA_LOSS (STORE_CORRUPT).
-absl::Status Corrupt(const std::string& what, const ErrorMetadata& metadata);
-
 // ---- Vehicles
 
 // The id of a vehicle, without a check of its row: to see whether the vehicle

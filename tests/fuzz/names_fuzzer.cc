@@ -4,9 +4,10 @@
 #include <string>
 
 #include "server/base/logging.h"
+#include "server/base/sequences.h"
 #include "server/conversion/field_violations.h"
+#include "server/conversion/names.h"
 #include "server/conversion/page_token.h"
-#include "server/conversion/proto_conversion.h"
 #include "tests/fuzz/fuzzing.h"
 #include "tests/fuzz/vehicles.h"
 

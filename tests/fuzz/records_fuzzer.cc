@@ -4,7 +4,9 @@
 
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "revisit/v1/vehicle.pb.h"
-#include "server/conversion/proto_conversion.h"
+#include "server/conversion/answers.h"
+#include "server/conversion/record_codec.h"
+#include "server/conversion/vehicle_settings.h"
 #include "tests/fuzz/fuzzing.h"
 #include "tests/fuzz/vehicles.h"
 

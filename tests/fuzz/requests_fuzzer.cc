@@ -6,8 +6,12 @@
 
 #include "google/protobuf/util/field_mask_util.h"
 #include "revisit/v1/pose_graph_service.pb.h"
+#include "server/conversion/names.h"
 #include "server/conversion/page_token.h"
-#include "server/conversion/proto_conversion.h"
+#include "server/conversion/pose_pairs.h"
+#include "server/conversion/poses.h"
+#include "server/conversion/record_codec.h"
+#include "server/conversion/vehicle_settings.h"
 #include "tests/fuzz/fuzzing.h"
 #include "tests/fuzz/vehicles.h"
 

@@ -55,7 +55,7 @@ TEST(EscapeForLogTest, ReplacesWhatIsNoUtf8) {
   // a code point beyond the last, and bytes that never occur.
   EXPECT_EQ(EscapeForLog("\x80"), "\\ufffd");
   EXPECT_EQ(EscapeForLog("\xc3"), "\\ufffd");
-  EXPECT_EQ(EscapeForLog("\xe2\x80x"), "\\ufffd\\ufffdx");
+  EXPECT_EQ(EscapeForLog("\xe2\x80x"), "\\ufffdx");
   EXPECT_EQ(EscapeForLog("\xc0\xaf"), "\\ufffd\\ufffd");
   EXPECT_EQ(EscapeForLog("\xed\xa0\x80"), "\\ufffd\\ufffd\\ufffd");
   EXPECT_EQ(EscapeForLog("\xf4\x90\x80\x80"), "\\ufffd\\ufffd\\ufffd\\ufffd");
@@ -115,7 +115,8 @@ TEST(LogTest, LevelsBelowTheOneAskedForAreLeftOut) {
   EXPECT_EQ(Written(LogFormat::kText, LogLevel::kOff, "x"), "");
 }
 
-// How many lines a line of the log says were dropped; 0 of any other.
+// The number of dropped lines that a line of the log reports; 0 if it reports
+// none.
 std::int64_t Dropped(LogFormat format, const std::string& line) {
   if (line.find("log_lines_dropped") == std::string::npos) return 0;
   if (format == LogFormat::kJson) {
@@ -140,7 +141,7 @@ TEST(LogTest, NobodyWaitsForAPipeThatNobodyReads) {
         log.Write(LogLevel::kInfo, "call",
                   {{"number", i}, {"value", std::string(100, 'a')}});
       }
-      // Read again, it tells of all that it left out.
+      // Once the pipe is read again, the log reports all dropped lines.
       std::FILE* const reader = fdopen(ends[0], "r");
       std::int64_t seen = 0;
       std::int64_t told = 0;

@@ -4,7 +4,7 @@
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "server/conversion/proto_conversion.h"
+#include "server/base/sequences.h"
 #include "tests/server/error_matchers.h"
 
 namespace revisit::server {

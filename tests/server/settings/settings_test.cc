@@ -28,7 +28,7 @@ class SettingsTest : public ::testing::Test {
     return path;
   }
 
-  // Settings that must be good.
+  // Parses settings that must be valid.
   static ServerSettings Parse(const Words& arguments,
                               const Words& environment = {}) {
     const auto parsed = ParseSettings(arguments, environment);
@@ -36,7 +36,7 @@ class SettingsTest : public ::testing::Test {
     return parsed.ok() ? parsed->settings : ServerSettings();
   }
 
-  // The message for settings that must be refused.
+  // Parses settings that must be refused; returns the message.
   static std::string Refusal(const Words& arguments,
                              const Words& environment = {}) {
     const auto parsed = ParseSettings(arguments, environment);
@@ -71,9 +71,9 @@ TEST_F(SettingsTest, FlagsWinOverEnvironmentOverFileOverDefaults) {
   EXPECT_EQ(settings.store, "of the environment");
   EXPECT_EQ(settings.log_level, LogLevel::kDebug);
   EXPECT_EQ(settings.limits.max_batch_poses, 4096);
-  // Also where the same flag is given with an equals sign.
+  // The same holds for a flag that is given with an equals sign.
   EXPECT_EQ(Parse({"--listen=127.0.0.2:1"}, environment).listen, "127.0.0.2:1");
-  // And the flag for the file over the variable for it.
+  // The flag that names the file wins over the variable that does.
   EXPECT_EQ(Parse({"--config", file}, {"REVISIT_CONFIG=/no/such/file"}).listen,
             "127.0.0.3:1");
 }
@@ -85,7 +85,7 @@ TEST_F(SettingsTest, UnknownKeysAreRefusedByName) {
   const std::string file = WriteFile("listen = a:1\nno-such-key = 1\n");
   EXPECT_THAT(Refusal({"--config", file}),
               AllOf(HasSubstr(file + ":2"), HasSubstr("\"no-such-key\"")));
-  // What asks for something else than a server is no setting.
+  // Arguments that ask for something else than a server are no settings.
   for (const std::string key : {"config", "print-config", "help", "version"}) {
     const std::string asking = WriteFile(key + " = 1\n");
     EXPECT_THAT(Refusal({"--config", asking}), HasSubstr("\"" + key + "\""));

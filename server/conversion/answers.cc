@@ -1,0 +1,219 @@
+#include "server/conversion/answers.h"
+
+#include <algorithm>
+#include <string>
+
+#include "server/conversion/covariances.h"
+#include "server/conversion/enums.h"
+#include "server/conversion/names.h"
+#include "server/conversion/record_codec.h"
+#include "server/conversion/timestamps.h"
+#include "server/conversion/vehicle_settings.h"
+
+namespace revisit::server {
+namespace {
+
+constexpr EnumRow<v1::Direction, core::Direction> kDirections[] = {
+    {v1::DIRECTION_SAME, core::Direction::kSame},
+    {v1::DIRECTION_OPPOSITE, core::Direction::kOpposite}};
+constexpr EnumRow<v1::Verdict, core::Verdict> kVerdicts[] = {
+    {v1::VERDICT_ACCEPTED, core::Verdict::kAccepted},
+    {v1::VERDICT_REJECTED_BY_GATE, core::Verdict::kRejectedByGate},
+    {v1::VERDICT_REJECTED_BY_SHAPE, core::Verdict::kRejectedByShape},
+    {v1::VERDICT_AMBIGUOUS, core::Verdict::kAmbiguous},
+    {v1::VERDICT_UNINFORMATIVE, core::Verdict::kUninformative},
+    {v1::VERDICT_ILL_CONDITIONED, core::Verdict::kIllConditioned}};
+constexpr EnumRow<v1::GateVerdict, core::GateVerdict> kGateVerdicts[] = {
+    {v1::GATE_VERDICT_ACCEPTED, core::GateVerdict::kAccepted},
+    {v1::GATE_VERDICT_REJECTED, core::GateVerdict::kRejected},
+    {v1::GATE_VERDICT_ILL_CONDITIONED, core::GateVerdict::kIllConditioned}};
+constexpr EnumRow<v1::EmptyReason, core::EmptyReason> kEmptyReasons[] = {
+    {v1::EMPTY_REASON_UNSPECIFIED, core::EmptyReason::kNotEmpty},
+    {v1::EMPTY_REASON_PATH_TOO_SHORT, core::EmptyReason::kPathTooShort},
+    {v1::EMPTY_REASON_NO_HISTORY, core::EmptyReason::kNoHistory},
+    {v1::EMPTY_REASON_ALL_SUPPRESSED, core::EmptyReason::kAllSuppressed},
+    {v1::EMPTY_REASON_NO_ALIGNMENT, core::EmptyReason::kNoAlignment},
+    {v1::EMPTY_REASON_NO_PROBABLE_PLACE, core::EmptyReason::kNoProbablePlace},
+    {v1::EMPTY_REASON_LIMIT_EXCEEDED, core::EmptyReason::kTooMuchWork}};
+
+// ---- Vehicles
+
+void EncodeConfig(const VehicleConfig& config, v1::Vehicle* vehicle) {
+  EncodeSettings(config, vehicle->mutable_settings());
+  vehicle->set_state(config.data_loss ? v1::VEHICLE_STATE_DATA_LOSS
+                                      : v1::VEHICLE_STATE_ACTIVE);
+  EncodeTime(config.create_time_ns, vehicle->mutable_create_time());
+  vehicle->set_uid(config.uid);
+}
+
+void EncodeConsistency(const core::Consistency& consistency, bool applied,
+                       v1::Consistency* message) {
+  message->set_confirmed_count(consistency.confirmed);
+  message->set_rejected_count(consistency.rejected);
+  if (consistency.mean_normalized_innovation_squared) {
+    message->set_mean_normalized_innovation_squared(
+        *consistency.mean_normalized_innovation_squared);
+  }
+  message->set_degrees_of_freedom(consistency.degrees_of_freedom);
+  message->set_inflation(consistency.inflation);
+  message->set_applied(applied);
+}
+
+// ---- Candidates
+
+// Encodes the gate at the end (Gate) or that of the whole path (PathGate).
+template <typename Message>
+void EncodeGate(const core::GateResult& result, Message* gate) {
+  gate->set_squared_mahalanobis_distance(result.squared_mahalanobis);
+  // An integer field in Gate, where the degrees are whole.
+  gate->set_degrees_of_freedom(
+      static_cast<decltype(gate->degrees_of_freedom())>(
+          result.degrees_of_freedom));
+  gate->set_threshold(result.threshold);
+  gate->set_p_value(result.p_value);
+  gate->set_verdict(ToProto(kGateVerdicts, result.verdict));
+}
+
+void EncodeEvidence(const core::RelativeEvidence& evidence,
+                    v1::Candidate* candidate) {
+  candidate->set_probability(evidence.probability);
+  if (evidence.odds_to_runner_up) {
+    candidate->set_odds_to_runner_up(*evidence.odds_to_runner_up);
+  }
+  EncodeGate(evidence.path_gate, candidate->mutable_path_gate());
+  candidate->mutable_path_gate()->set_end_squared_mahalanobis_distance(
+      evidence.squared_end_difference);
+  v1::ShapeEvidence* shape = candidate->mutable_shape();
+  shape->set_overlap_meters(evidence.overlap_meters);
+  shape->set_log_likelihood_ratio(evidence.log_likelihood_ratio);
+}
+
+void EncodeDifference(const core::Candidate& candidate, core::StateSpace space,
+                      v1::PoseDifference* message) {
+  const core::Pose& difference = candidate.difference.difference;
+  message->set_x_meters(difference.x);
+  message->set_y_meters(difference.y);
+  if (space == core::StateSpace::kSpatial) {
+    message->set_z_meters(difference.z);
+  }
+  message->set_heading_radians(difference.heading);
+  EncodeCovariance(candidate.difference.covariance, space,
+                   message->mutable_covariance());
+}
+
+void EncodeCandidate(const VehicleView& view, const core::Candidate& candidate,
+                     double inflation, v1::Candidate* message) {
+  const core::StateSpace space = view.config.engine.state_space;
+  message->set_rank(candidate.rank);
+  message->set_score(candidate.score);
+  EncodeNode(view.engine.graph(), candidate.matched, space, false,
+             message->mutable_matched());
+  EncodeGate(candidate.difference.gate, message->mutable_gate());
+  message->mutable_gate()->set_inflation(inflation);
+  message->set_verdict(ToProto(kVerdicts, candidate.verdict));
+  message->set_direction(ToProto(kDirections, candidate.direction));
+  if (candidate.relative) EncodeEvidence(*candidate.relative, message);
+  EncodeDifference(candidate, space, message->mutable_difference());
+}
+
+void EncodeAlignedPath(const core::Candidate& candidate,
+                       v1::Candidate* message) {
+  for (const auto& [query_index, matched_index] : candidate.path) {
+    v1::AlignedPair* pair = message->add_aligned_path();
+    pair->set_query_index(query_index);
+    pair->set_matched_index(matched_index);
+  }
+}
+
+}  // namespace
+
+void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle) {
+  vehicle->set_name(VehicleName(view.id));
+  if (view.config_is_known) EncodeConfig(view.config, vehicle);
+  if (!view.damage.ok()) vehicle->set_state(v1::VEHICLE_STATE_DAMAGED);
+  vehicle->set_durable_sequence(view.durable_sequence);
+  vehicle->set_revision(view.revision);
+  vehicle->set_node_count(view.engine.graph().size());
+  vehicle->set_loop_closure_count(view.loop_closure_count);
+  vehicle->set_travelled_meters(view.engine.travelled_meters());
+  if (!view.config_is_known) return;
+  EncodeConsistency(view.engine.consistency(),
+                    view.config.engine.apply_inflation,
+                    vehicle->mutable_consistency());
+}
+
+void EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle) {
+  const absl::StatusOr<VehicleConfig> config =
+      ProtoRecordCodec().DecodeVehicle(record);
+  std::string name = VehicleName(record.id);
+  // A damaged id may hold bytes that no message can.
+  std::replace_if(
+      name.begin(), name.end(), [](char c) { return c < ' ' || c > '~'; }, '?');
+  vehicle->set_name(name);
+  if (config.ok()) EncodeConfig(*config, vehicle);
+  if (!config.ok() || !record.damage.ok()) {
+    vehicle->set_state(v1::VEHICLE_STATE_DAMAGED);
+    return;
+  }
+  vehicle->set_revision(record.revision);
+  vehicle->set_durable_sequence(record.durable_sequence);
+  vehicle->set_loop_closure_count(record.loop_closure_count);
+}
+
+void EncodeAck(const Acknowledgement& acknowledgement, v1::Ack* ack) {
+  ack->set_durable_sequence(acknowledgement.durable_sequence);
+  ack->set_revision(acknowledgement.revision);
+  ack->clear_jumps();
+  for (const core::Jump& jump : acknowledgement.jumps) {
+    v1::Jump* added = ack->add_jumps();
+    added->set_sequence(jump.sequence);
+    added->set_distance_meters(jump.distance_meters);
+  }
+}
+
+void EncodeNode(const core::PoseGraph& graph, core::NodeIndex index,
+                core::StateSpace space, bool with_covariance, v1::Node* node) {
+  const core::Node from = graph.node(index);
+  node->set_index(index);
+  node->set_sequence(from.sequence);
+  node->set_fraction(from.fraction);
+  if (from.stamp_ns) EncodeTime(*from.stamp_ns, node->mutable_stamp());
+  node->set_travelled_meters(from.travelled_meters);
+  v1::StatePose* pose = node->mutable_pose();
+  pose->set_x_meters(from.pose.x);
+  pose->set_y_meters(from.pose.y);
+  if (space == core::StateSpace::kSpatial) pose->set_z_meters(from.pose.z);
+  pose->set_heading_radians(from.pose.heading);
+  if (with_covariance) {
+    EncodeCovariance(from.covariance, space, node->mutable_covariance());
+  }
+}
+
+void EncodeCandidateSet(const VehicleView& view, const core::CandidateSet& set,
+                        bool include_aligned_path,
+                        std::chrono::nanoseconds search_duration,
+                        v1::CandidateSet* message) {
+  if (set.query) {
+    EncodeNode(view.engine.graph(), *set.query, view.config.engine.state_space,
+               false, message->mutable_query());
+  }
+  message->set_revision(view.revision);
+  for (const core::Candidate& candidate : set.candidates) {
+    v1::Candidate* added = message->add_candidates();
+    *added->mutable_query() = message->query();
+    EncodeCandidate(view, candidate, set.inflation, added);
+    if (include_aligned_path) EncodeAlignedPath(candidate, added);
+  }
+  message->set_empty_reason(ToProto(kEmptyReasons, set.empty_reason));
+  message->set_nodes_considered(set.nodes_considered);
+  message->set_nodes_pruned(set.nodes_pruned);
+  if (set.new_place_probability) {
+    message->set_new_place_probability(*set.new_place_probability);
+  }
+  message->mutable_search_duration()->set_seconds(search_duration.count() /
+                                                  kNanosPerSecond);
+  message->mutable_search_duration()->set_nanos(
+      static_cast<std::int32_t>(search_duration.count() % kNanosPerSecond));
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,33 @@
+// Answers: vehicles, acknowledgements, nodes and candidates.
+#ifndef REVISIT_SERVER_CONVERSION_ANSWERS_H_
+#define REVISIT_SERVER_CONVERSION_ANSWERS_H_
+
+#include <chrono>
+
+#include "core/engine.h"
+#include "revisit/v1/candidate.pb.h"
+#include "revisit/v1/pose_graph_service.pb.h"
+#include "revisit/v1/vehicle.pb.h"
+#include "server/sessions/vehicle_session.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle);
+// The same as far as the store knows a vehicle that is not in memory.
+void EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle);
+
+void EncodeAck(const Acknowledgement& acknowledgement, v1::Ack* ack);
+
+void EncodeNode(const core::PoseGraph& graph, core::NodeIndex index,
+                core::StateSpace space, bool with_covariance, v1::Node* node);
+
+// REQUIRES: the set was found in this view.
+void EncodeCandidateSet(const VehicleView& view, const core::CandidateSet& set,
+                        bool include_aligned_path,
+                        std::chrono::nanoseconds search_duration,
+                        v1::CandidateSet* message);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_CONVERSION_ANSWERS_H_

@@ -1,0 +1,34 @@
+// Covariances and error transitions of poses, in the layouts of messages.
+#ifndef REVISIT_SERVER_CONVERSION_COVARIANCES_H_
+#define REVISIT_SERVER_CONVERSION_COVARIANCES_H_
+
+#include "core/geometry/pose.h"
+#include "core/settings.h"
+#include "google/protobuf/repeated_field.h"
+#include "revisit/v1/geometry.pb.h"
+#include "server/conversion/field_violations.h"
+
+namespace revisit::server {
+
+// The covariance reduced to the state. Checks layout, size, finiteness and, for
+// ROS_36, symmetry; not whether it is positive definite.
+void DecodeCovariance(const v1::Covariance& message, core::StateSpace space,
+                      const FieldPath& path, core::Covariance* covariance,
+                      Violations* violations);
+
+// PLANAR_6 or SPATIAL_10, by the state space.
+void EncodeCovariance(const core::Covariance& covariance,
+                      core::StateSpace space, v1::Covariance* message);
+
+// Where the entry of this row and column of a transition, row-major over the
+// state, lies in core::ErrorTransition::values.
+std::size_t TransitionIndex(core::StateSpace space, int row, int column);
+
+// Row-major over the state.
+void EncodeTransition(const core::ErrorTransition& transition,
+                      core::StateSpace space,
+                      google::protobuf::RepeatedField<double>* values);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_CONVERSION_COVARIANCES_H_

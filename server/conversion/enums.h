@@ -1,0 +1,46 @@
+// Tables that say what the values of an enum of messages mean in the server's
+// own types.
+#ifndef REVISIT_SERVER_CONVERSION_ENUMS_H_
+#define REVISIT_SERVER_CONVERSION_ENUMS_H_
+
+#include <cstddef>
+
+#include "absl/strings/str_cat.h"
+#include "server/conversion/field_violations.h"
+
+namespace revisit::server {
+
+// The first row of a table is the default.
+template <typename Proto, typename Own>
+struct EnumRow {
+  Proto proto;
+  Own own;
+};
+
+template <typename Proto, typename Own, std::size_t N>
+Proto ToProto(const EnumRow<Proto, Own> (&rows)[N], Own value) {
+  for (const auto& row : rows) {
+    if (row.own == value) return row.proto;
+  }
+  return rows[0].proto;
+}
+
+// Leaves the value alone if the field is unspecified.
+template <typename Proto, typename Own, std::size_t N>
+void DecodeEnum(const EnumRow<Proto, Own> (&rows)[N], int field,
+                const FieldPath& path, Own* value, Violations* violations) {
+  if (field == 0) return;
+  for (const auto& row : rows) {
+    if (static_cast<int>(row.proto) == field) {
+      *value = row.own;
+      return;
+    }
+  }
+  violations->Add(
+      kInvalidField, path,
+      absl::StrCat("got ", field, ", which is no value of this enum"));
+}
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_CONVERSION_ENUMS_H_

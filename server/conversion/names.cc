@@ -1,0 +1,90 @@
+#include "server/conversion/names.h"
+
+#include <algorithm>
+
+#include "absl/strings/str_cat.h"
+#include "server/sessions/vehicle_uid.h"
+
+namespace revisit::server {
+namespace {
+
+constexpr char kInvalidName[] = "INVALID_RESOURCE_NAME";
+constexpr char kVehicles[] = "vehicles/";
+
+const char* CollectionOf(PairKind kind) {
+  return kind == PairKind::kLoopClosure ? "/loopClosures/"
+                                        : "/rejectedCandidates/";
+}
+
+}  // namespace
+
+std::string VehicleName(const std::string& vehicle_id) {
+  return kVehicles + vehicle_id;
+}
+
+std::string PosePairResourceName(PairKind kind, const std::string& vehicle_id,
+                                 const std::string& id) {
+  return absl::StrCat(VehicleName(vehicle_id), CollectionOf(kind), id);
+}
+
+absl::Status CheckId(const std::string& id, const FieldPath& path) {
+  const auto alphanumeric = [](char c) {
+    return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9');
+  };
+  const bool matches = !id.empty() && id.size() <= 63 &&
+                       alphanumeric(id.front()) && alphanumeric(id.back()) &&
+                       std::all_of(id.begin(), id.end(), [&](char c) {
+                         return alphanumeric(c) || c == '-';
+                       });
+  if (matches) return absl::OkStatus();
+  return InvalidField(
+      kInvalidName, path,
+      absl::StrCat("got ", Quoted(id),
+                   "; an id is 1 to 63 lower-case letters, digits and "
+                   "hyphens, with no hyphen at either end"));
+}
+
+absl::Status CheckUid(const std::string& uid, const FieldPath& path) {
+  if (uid.empty() || IsUuid(uid)) return absl::OkStatus();
+  return InvalidField(
+      kInvalidField, path,
+      absl::StrCat("got ", Quoted(uid),
+                   "; a uid is 8-4-4-4-12 hexadecimal digits in lower case, as "
+                   "Vehicle.uid has it"));
+}
+
+absl::StatusOr<std::string> ParseVehicleName(const std::string& name,
+                                             const FieldPath& path) {
+  const std::string collection = kVehicles;
+  if (name.compare(0, collection.size(), collection) != 0) {
+    return InvalidField(
+        kInvalidName, path,
+        absl::StrCat("got ", Quoted(name), "; the form is vehicles/{vehicle}"));
+  }
+  const std::string id = name.substr(collection.size());
+  if (absl::Status status = CheckId(id, path); !status.ok()) return status;
+  return id;
+}
+
+absl::StatusOr<PosePairName> ParsePosePairName(PairKind kind,
+                                               const std::string& name,
+                                               const FieldPath& path) {
+  const std::string collection = CollectionOf(kind);
+  const std::size_t at = name.find(collection);
+  if (at == std::string::npos) {
+    return InvalidField(
+        kInvalidName, path,
+        absl::StrCat("got ", Quoted(name), "; the form is vehicles/{vehicle}",
+                     collection, "{", WordsOf(kind).field, "}"));
+  }
+  absl::StatusOr<std::string> vehicle =
+      ParseVehicleName(name.substr(0, at), path);
+  if (!vehicle.ok()) return vehicle.status();
+  PosePairName parsed{*vehicle, name.substr(at + collection.size())};
+  if (absl::Status status = CheckId(parsed.id, path); !status.ok()) {
+    return status;
+  }
+  return parsed;
+}
+
+}  // namespace revisit::server

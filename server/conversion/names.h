@@ -1,0 +1,45 @@
+// Names of resources and the ids in them.
+#ifndef REVISIT_SERVER_CONVERSION_NAMES_H_
+#define REVISIT_SERVER_CONVERSION_NAMES_H_
+
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "server/conversion/field_violations.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+// `vehicles/{vehicle}`.
+std::string VehicleName(const std::string& vehicle_id);
+
+// `vehicles/{vehicle}/loopClosures/{loop_closure}` or
+// `vehicles/{vehicle}/rejectedCandidates/{rejected_candidate}`.
+std::string PosePairResourceName(PairKind kind, const std::string& vehicle_id,
+                                 const std::string& id);
+
+// INVALID_ARGUMENT (INVALID_RESOURCE_NAME) unless the id matches the pattern of
+// ids.
+absl::Status CheckId(const std::string& id, const FieldPath& path);
+
+// The id in `vehicles/{vehicle}`.
+absl::StatusOr<std::string> ParseVehicleName(const std::string& name,
+                                             const FieldPath& path);
+
+// INVALID_ARGUMENT (INVALID_FIELD) unless the uid of a vehicle is empty or has
+// the form of one.
+absl::Status CheckUid(const std::string& uid, const FieldPath& path);
+
+// The ids in the name of a pair of poses.
+struct PosePairName {
+  std::string vehicle_id;
+  std::string id;
+};
+absl::StatusOr<PosePairName> ParsePosePairName(PairKind kind,
+                                               const std::string& name,
+                                               const FieldPath& path);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_CONVERSION_NAMES_H_

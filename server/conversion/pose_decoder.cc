@@ -1,0 +1,265 @@
+#include "server/conversion/pose_decoder.h"
+
+#include <cmath>
+#include <cstddef>
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "core/base/number_text.h"
+#include "server/base/sequences.h"
+#include "server/conversion/covariances.h"
+#include "server/conversion/timestamps.h"
+
+namespace revisit::server {
+namespace {
+
+constexpr char kQuaternionInvalid[] = "QUATERNION_INVALID";
+constexpr double kMaxNormError = 1e-3;
+
+GeodeticOrigin ToOrigin(const v1::GeodeticPosition& position) {
+  return {position.latitude_degrees(), position.longitude_degrees(),
+          position.height_meters()};
+}
+
+const char* ReasonOf(core::DefectKind kind) {
+  switch (kind) {
+    case core::DefectKind::kNotFinite:
+      return kNotFinite;
+    case core::DefectKind::kOutOfRange:
+      return kInvalidField;
+    case core::DefectKind::kNotSymmetric:
+      return "COVARIANCE_NOT_SYMMETRIC";
+    case core::DefectKind::kNotPositiveDefinite:
+      return "COVARIANCE_NOT_POSITIVE_DEFINITE";
+  }
+  return kInvalidField;
+}
+
+}  // namespace
+
+PoseDecoder::PoseDecoder(const VehicleConfig& config, PoseSource source,
+                         Violations* violations)
+    : config_(config),
+      source_(source),
+      violations_(violations),
+      space_(config.engine.state_space) {
+  if (config.frame == CoordinateFrame::kGeodetic && config.origin) {
+    frame_.emplace(*config.origin);
+  }
+}
+
+std::optional<GeodeticOrigin> PoseDecoder::origin() const {
+  if (!frame_) return std::nullopt;
+  return frame_->origin();
+}
+
+core::PoseSample PoseDecoder::Decode(const v1::Pose& pose,
+                                     const FieldPath& path) {
+  const std::size_t violations_before = violations_->count();
+  core::PoseSample sample;
+  sample.sequence = pose.sequence();
+  if (pose.sequence() < 1 || pose.sequence() > kMaxSequence) {
+    Refuse(path.Field("sequence"),
+           absl::StrCat("got ", pose.sequence(), "; allowed is [1, ",
+                        kMaxSequence, "]"));
+  }
+  if (pose.has_stamp() &&
+      CheckTimestamp(pose.stamp(), path.Field("stamp"), violations_)) {
+    sample.stamp_ns = ToNanoseconds(pose.stamp());
+  }
+  DecodePosition(pose, path, &sample.pose);
+  const std::optional<Forward> forward = DecodeOrientation(pose, path);
+  if (pose.has_covariance()) {
+    DecodeCovariance(pose.covariance(), space_, path.Field("covariance"),
+                     &sample.covariance, violations_);
+  } else {
+    Refuse(path.Field("covariance"), "required");
+  }
+  DecodeTransition(pose, path, &sample);
+  if (violations_->count() != violations_before) return sample;
+
+  if (pose.has_geodetic()) {
+    ToLocalFrame(pose, *forward, path, &sample);
+  } else {
+    sample.pose.heading = forward->heading;
+  }
+  if (violations_->count() != violations_before) return sample;
+  if (const auto defect = core::FindDefect(sample, space_)) {
+    AddDefect(*defect, path);
+  }
+  return sample;
+}
+
+void PoseDecoder::Refuse(const FieldPath& path,
+                         const std::string& description) {
+  violations_->Add(kInvalidField, path, description);
+}
+
+void PoseDecoder::DecodePosition(const v1::Pose& pose, const FieldPath& path,
+                                 core::Pose* position) {
+  const bool geodetic_vehicle = config_.frame == CoordinateFrame::kGeodetic;
+  switch (pose.position_case()) {
+    case v1::Pose::kLocal:
+      if (geodetic_vehicle && source_ == PoseSource::kAppend) {
+        Refuse(path.Field("local"),
+               "got a local position; this vehicle's coordinate frame is "
+               "GEODETIC");
+        return;
+      }
+      DecodeLocal(pose.local(), path.Field("local"), position);
+      return;
+    case v1::Pose::kGeodetic:
+      if (!geodetic_vehicle) {
+        Refuse(path.Field("geodetic"),
+               "got a geodetic position; this vehicle's coordinate frame is "
+               "LOCAL");
+        return;
+      }
+      CheckGeodetic(ToOrigin(pose.geodetic()), path.Field("geodetic"),
+                    violations_);
+      return;
+    case v1::Pose::POSITION_NOT_SET:
+      Refuse(path.Field("position"),
+             absl::StrCat("required; this vehicle takes ",
+                          geodetic_vehicle ? "`geodetic`" : "`local`"));
+      return;
+  }
+}
+
+void PoseDecoder::DecodeLocal(const v1::LocalPosition& local,
+                              const FieldPath& path, core::Pose* position) {
+  const double limit = core::kMaxCoordinateMeters;
+  CheckRange(local.x_meters(), -limit, limit, path.Field("x_meters"),
+             violations_);
+  CheckRange(local.y_meters(), -limit, limit, path.Field("y_meters"),
+             violations_);
+  CheckRange(local.z_meters(), -limit, limit, path.Field("z_meters"),
+             violations_);
+  position->x = local.x_meters();
+  position->y = local.y_meters();
+  position->z = local.z_meters();
+}
+
+std::optional<PoseDecoder::Forward> PoseDecoder::DecodeOrientation(
+    const v1::Pose& pose, const FieldPath& path) {
+  switch (pose.orientation_case()) {
+    case v1::Pose::kHeadingRadians: {
+      const double heading = pose.heading_radians();
+      if (!CheckRange(heading, -core::kMaxHeadingRadians,
+                      core::kMaxHeadingRadians, path.Field("heading_radians"),
+                      violations_)) {
+        return std::nullopt;
+      }
+      if (!pose.has_geodetic()) return Forward{heading, {}};
+      return Forward{heading, {std::cos(heading), std::sin(heading), 0.0}};
+    }
+    case v1::Pose::kQuaternion:
+      return DecodeQuaternion(pose.quaternion(), path.Field("quaternion"));
+    case v1::Pose::ORIENTATION_NOT_SET:
+      Refuse(path.Field("orientation"),
+             "required: `heading_radians` or `quaternion`");
+      return std::nullopt;
+  }
+  return std::nullopt;
+}
+
+std::optional<PoseDecoder::Forward> PoseDecoder::DecodeQuaternion(
+    const v1::Quaternion& quaternion, const FieldPath& path) {
+  double x = quaternion.x();
+  double y = quaternion.y();
+  double z = quaternion.z();
+  double w = quaternion.w();
+  bool finite = CheckFinite(x, path.Field("x"), violations_);
+  finite &= CheckFinite(y, path.Field("y"), violations_);
+  finite &= CheckFinite(z, path.Field("z"), violations_);
+  finite &= CheckFinite(w, path.Field("w"), violations_);
+  if (!finite) return std::nullopt;
+  const double norm = std::hypot(std::hypot(x, y), std::hypot(z, w));
+  if (!(std::abs(norm - 1.0) <= kMaxNormError)) {
+    violations_->Add(kQuaternionInvalid, path,
+                     absl::StrCat("its norm is ", core::NumberText(norm),
+                                  "; allowed is 1 to within 0.001"));
+    return std::nullopt;
+  }
+  x /= norm;
+  y /= norm;
+  z /= norm;
+  w /= norm;
+  Forward forward;
+  forward.axis = {1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z),
+                  2.0 * (x * z - w * y)};
+  if (std::hypot(forward.axis[0], forward.axis[1]) <= kMinHorizontal) {
+    violations_->Add(
+        kQuaternionInvalid, path,
+        "the forward axis points straight up or down and has no heading");
+    return std::nullopt;
+  }
+  forward.heading = std::atan2(forward.axis[1], forward.axis[0]);
+  return forward;
+}
+
+void PoseDecoder::DecodeTransition(const v1::Pose& pose, const FieldPath& path,
+                                   core::PoseSample* sample) {
+  const int given = pose.error_transition_size();
+  const FieldPath field = path.Field("error_transition");
+  if (config_.engine.search.correlation_model !=
+      core::CorrelationModel::kFilter) {
+    if (given != 0) {
+      Refuse(field,
+             absl::StrCat(
+                 "got ", given,
+                 " numbers; this vehicle's correlation model is not FILTER"));
+    }
+    return;
+  }
+  const int size = core::DegreesOfFreedom(space_);
+  const bool optional =
+      pose.sequence() == 1 || source_ == PoseSource::kRevision;
+  if (given == 0 && optional) return;
+  if (given != size * size) {
+    Refuse(field,
+           absl::StrCat("got ", given,
+                        " numbers; this vehicle's correlation model is FILTER "
+                        "and needs ",
+                        size * size));
+    return;
+  }
+  core::ErrorTransition transition;
+  bool finite = true;
+  for (int i = 0; i < given; ++i) {
+    const double value = pose.error_transition(i);
+    finite &= CheckFinite(
+        value, path.At("error_transition", static_cast<std::size_t>(i)),
+        violations_);
+    transition.values[TransitionIndex(space_, i / size, i % size)] = value;
+  }
+  if (finite) sample->transition = transition;
+}
+
+void PoseDecoder::ToLocalFrame(const v1::Pose& pose, const Forward& forward,
+                               const FieldPath& path,
+                               core::PoseSample* sample) {
+  const GeodeticOrigin position = ToOrigin(pose.geodetic());
+  if (!frame_) frame_.emplace(position);
+  if (!frame_->ToLocal(position, forward.axis, space_, sample)) {
+    Refuse(path.Field("orientation"),
+           "so far from the vehicle's origin, the forward axis is vertical in "
+           "the local frame and has no heading");
+  }
+}
+
+void PoseDecoder::AddDefect(const core::Defect& defect, const FieldPath& path) {
+  const FieldPath part = path.Field(defect.part.c_str());
+  violations_->Add(ReasonOf(defect.kind),
+                   defect.part == "covariance" ? part.Field("values") : part,
+                   defect.description);
+}
+
+void CheckFollows(std::uint64_t before, std::uint64_t sequence,
+                  const FieldPath& path, Violations* violations) {
+  if (const auto gap = FindSequenceGap(before, sequence)) {
+    violations->Add(kInvalidField, path.Field("sequence"), *gap);
+  }
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,89 @@
+#include "server/conversion/pose_pairs.h"
+
+#include "absl/strings/str_cat.h"
+#include "server/conversion/field_violations.h"
+#include "server/conversion/names.h"
+#include "server/conversion/timestamps.h"
+
+namespace revisit::server {
+namespace {
+
+// LoopClosure and RejectedCandidate have the same fields.
+template <typename Message>
+void CheckSequences(const Message& pair, const FieldPath& path,
+                    Violations* violations) {
+  if (pair.query_sequence() == 0) {
+    violations->Add(kInvalidField, path.Field("query_sequence"),
+                    "required: sequences start at 1");
+  }
+  if (pair.matched_sequence() == 0) {
+    violations->Add(kInvalidField, path.Field("matched_sequence"),
+                    "required: sequences start at 1");
+  } else if (pair.query_sequence() != 0 &&
+             pair.matched_sequence() >= pair.query_sequence()) {
+    violations->Add(kInvalidField, path.Field("matched_sequence"),
+                    absl::StrCat("got ", pair.matched_sequence(),
+                                 "; allowed is less than query_sequence, ",
+                                 pair.query_sequence()));
+  }
+}
+
+template <typename Message>
+absl::StatusOr<PosePairRecord> DecodePair(PairKind kind, const Message* pair,
+                                          const std::string& id) {
+  const char* const field = WordsOf(kind).field;
+  const FieldPath request;
+  const FieldPath path = request.Field(field);
+  Violations violations;
+  if (pair == nullptr) {
+    violations.Add(kInvalidField, path, "required");
+  } else {
+    CheckSequences(*pair, path, &violations);
+  }
+  if (violations.count() > 0) return violations.ToStatus();
+  PosePairRecord record;
+  record.id = !id.empty() ? id
+                          : absl::StrCat(pair->query_sequence(), "-",
+                                         pair->matched_sequence());
+  const std::string id_field = absl::StrCat(field, "_id");
+  if (absl::Status status = CheckId(record.id, request.Field(id_field.c_str()));
+      !status.ok()) {
+    return status;
+  }
+  record.query_sequence = pair->query_sequence();
+  record.matched_sequence = pair->matched_sequence();
+  return record;
+}
+
+template <typename Message>
+void EncodePair(PairKind kind, const std::string& vehicle_id,
+                const PosePairRecord& record, Message* message) {
+  message->set_name(PosePairResourceName(kind, vehicle_id, record.id));
+  message->set_query_sequence(record.query_sequence);
+  message->set_matched_sequence(record.matched_sequence);
+  EncodeTime(record.create_time_ns, message->mutable_create_time());
+}
+
+}  // namespace
+
+absl::StatusOr<PosePairRecord> DecodePosePair(const v1::LoopClosure* pair,
+                                              const std::string& id) {
+  return DecodePair(PairKind::kLoopClosure, pair, id);
+}
+
+absl::StatusOr<PosePairRecord> DecodePosePair(const v1::RejectedCandidate* pair,
+                                              const std::string& id) {
+  return DecodePair(PairKind::kRejectedCandidate, pair, id);
+}
+
+void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,
+                    v1::LoopClosure* message) {
+  EncodePair(PairKind::kLoopClosure, vehicle_id, record, message);
+}
+
+void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,
+                    v1::RejectedCandidate* message) {
+  EncodePair(PairKind::kRejectedCandidate, vehicle_id, record, message);
+}
+
+}  // namespace revisit::server

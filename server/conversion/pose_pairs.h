@@ -1,0 +1,28 @@
+// Loop closures and rejected candidates: pairs of poses that were verified.
+#ifndef REVISIT_SERVER_CONVERSION_POSE_PAIRS_H_
+#define REVISIT_SERVER_CONVERSION_POSE_PAIRS_H_
+
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "revisit/v1/loop_closure.pb.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+// The record that a request for a new pair asks for, without creation time.
+// `pair` is null if it was left out; an id that was left out is made from the
+// sequences.
+absl::StatusOr<PosePairRecord> DecodePosePair(const v1::LoopClosure* pair,
+                                              const std::string& id);
+absl::StatusOr<PosePairRecord> DecodePosePair(const v1::RejectedCandidate* pair,
+                                              const std::string& id);
+
+void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,
+                    v1::LoopClosure* message);
+void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,
+                    v1::RejectedCandidate* message);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_CONVERSION_POSE_PAIRS_H_

@@ -1,0 +1,65 @@
+#include "server/conversion/poses.h"
+
+#include "absl/strings/str_cat.h"
+#include "server/conversion/pose_decoder.h"
+#include "server/conversion/record_codec.h"
+
+namespace revisit::server {
+
+absl::StatusOr<DecodedBatch> DecodeBatch(const Poses& poses, int max_poses,
+                                         const VehicleConfig& config,
+                                         const FieldPath& path) {
+  if (poses.empty() || poses.size() > max_poses) {
+    return InvalidField(
+        "BATCH_SIZE", path.Field("poses"),
+        absl::StrCat("got ", poses.size(), " poses; allowed is [1, ", max_poses,
+                     "]"));
+  }
+  Violations violations;
+  PoseDecoder decoder(config, PoseSource::kAppend, &violations);
+  DecodedBatch batch;
+  batch.samples.reserve(static_cast<std::size_t>(poses.size()));
+  for (int i = 0; i < poses.size(); ++i) {
+    const FieldPath pose = path.At("poses", static_cast<std::size_t>(i));
+    batch.samples.push_back(decoder.Decode(poses[i], pose));
+    if (i > 0) {
+      CheckFollows(poses[i - 1].sequence(), poses[i].sequence(), pose,
+                   &violations);
+    }
+  }
+  if (violations.count() > 0) return violations.ToStatus();
+  EncodeBatch(poses, &batch);
+  batch.origin = decoder.origin();
+  return batch;
+}
+
+void DropUnknownFields(Poses* poses) {
+  // Each message is asked first, since dropping visits every field by
+  // reflection.
+  const auto is_clean = [](bool has, const google::protobuf::Message& message) {
+    return !has || message.GetReflection()->GetUnknownFields(message).empty();
+  };
+  for (v1::Pose& pose : *poses) {
+    if (is_clean(true, pose) && is_clean(pose.has_stamp(), pose.stamp()) &&
+        is_clean(pose.has_local(), pose.local()) &&
+        is_clean(pose.has_geodetic(), pose.geodetic()) &&
+        is_clean(pose.has_quaternion(), pose.quaternion()) &&
+        is_clean(pose.has_covariance(), pose.covariance())) {
+      continue;
+    }
+    pose.DiscardUnknownFields();
+  }
+}
+
+absl::Status CheckRevisedPoses(const Poses& poses, std::size_t first_number,
+                               const VehicleConfig& config) {
+  Violations violations;
+  PoseDecoder decoder(config, PoseSource::kRevision, &violations);
+  std::size_t number = first_number;
+  for (const v1::Pose& pose : poses) {
+    decoder.Decode(pose, FieldPath().At("poses", number++));
+  }
+  return violations.ToStatus();
+}
+
+}  // namespace revisit::server

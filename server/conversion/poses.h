@@ -1,0 +1,35 @@
+// Batches of poses as callers send them.
+#ifndef REVISIT_SERVER_CONVERSION_POSES_H_
+#define REVISIT_SERVER_CONVERSION_POSES_H_
+
+#include <cstddef>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "google/protobuf/repeated_field.h"
+#include "revisit/v1/geometry.pb.h"
+#include "server/conversion/field_violations.h"
+#include "server/sessions/vehicle_config.h"
+#include "server/sessions/vehicle_session.h"
+
+namespace revisit::server {
+
+using Poses = google::protobuf::RepeatedPtrField<v1::Pose>;
+
+// A batch as AppendPoses takes it. The field `poses` lies below `path`.
+absl::StatusOr<DecodedBatch> DecodeBatch(const Poses& poses, int max_poses,
+                                         const VehicleConfig& config,
+                                         const FieldPath& path);
+
+// Drops fields that this version does not know, so that they take no memory
+// while the poses wait and no room in a draft. None reaches a record.
+void DropUnknownFields(Poses* poses);
+
+// Whether poses may replace stored ones. Paths number them over the whole call,
+// these from `first_number` on.
+absl::Status CheckRevisedPoses(const Poses& poses, std::size_t first_number,
+                               const VehicleConfig& config);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_CONVERSION_POSES_H_

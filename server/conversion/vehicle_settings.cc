@@ -1,0 +1,157 @@
+#include "server/conversion/vehicle_settings.h"
+
+#include <set>
+#include <string>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "server/base/status.h"
+#include "server/conversion/settings_table.h"
+
+namespace revisit::server {
+namespace {
+
+using google::protobuf::FieldDescriptor;
+
+constexpr EnumRow<v1::Direction, core::SearchDirection> kSearchDirections[] = {
+    {v1::DIRECTION_SAME, core::SearchDirection::kSame},
+    {v1::DIRECTION_OPPOSITE, core::SearchDirection::kOpposite},
+    {v1::DIRECTION_EITHER, core::SearchDirection::kEither}};
+
+// The fields of VehicleSettings that the mask names as paths below `vehicle`.
+absl::StatusOr<std::vector<const FieldDescriptor*>> MaskedSettings(
+    const google::protobuf::FieldMask& mask) {
+  const std::string prefix = "settings.";
+  const auto* descriptor = v1::VehicleSettings::descriptor();
+  const FieldPath path = FieldPath().Field("update_mask");
+  std::set<const FieldDescriptor*> fields;
+  Violations violations;
+  if (mask.paths().empty()) {
+    violations.Add(kInvalidField, path,
+                   "required: name the settings that change, such as "
+                   "\"settings.max_candidates\"");
+  }
+  for (int i = 0; i < mask.paths_size(); ++i) {
+    const std::string& name = mask.paths(i);
+    if (name == "settings") {
+      for (int f = 0; f < descriptor->field_count(); ++f) {
+        fields.insert(descriptor->field(f));
+      }
+      continue;
+    }
+    const auto* field =
+        name.compare(0, prefix.size(), prefix) == 0
+            ? descriptor->FindFieldByName(name.substr(prefix.size()))
+            : nullptr;
+    if (field == nullptr) {
+      violations.Add(
+          kInvalidField, path.At("paths", static_cast<std::size_t>(i)),
+          absl::StrCat("got ", Quoted(name),
+                       "; allowed are \"settings\" and \"settings.\" with the "
+                       "name of a setting, which changes as a whole"));
+      continue;
+    }
+    fields.insert(field);
+  }
+  if (violations.count() > 0) return violations.ToStatus();
+  return std::vector<const FieldDescriptor*>(fields.begin(), fields.end());
+}
+
+absl::Status SettingFixed(const char* setting,
+                          const char* change = "cannot change") {
+  const std::string field = absl::StrCat("settings.", setting);
+  return Error(absl::StatusCode::kFailedPrecondition, "SETTING_FIXED",
+               absl::StrCat(field, " ", change, ": the vehicle has poses"),
+               {{"field", field}});
+}
+
+// Refuses changes of what poses that are there depend on.
+absl::Status CheckFixedSettings(const VehicleConfig& current,
+                                const VehicleConfig& updated) {
+  const auto filter = [](const VehicleConfig& config) {
+    return config.engine.search.correlation_model ==
+           core::CorrelationModel::kFilter;
+  };
+  if (updated.engine.state_space != current.engine.state_space) {
+    return SettingFixed("state_space");
+  }
+  if (filter(updated) != filter(current)) {
+    return SettingFixed("correlation_model",
+                        filter(updated) ? "cannot become FILTER"
+                                        : "cannot be other than FILTER");
+  }
+  if (updated.frame != current.frame) return SettingFixed("coordinate_frame");
+  if (updated.origin != current.origin) return SettingFixed("geodetic_origin");
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::StatusOr<VehicleConfig> DecodeSettings(
+    const v1::VehicleSettings& settings, const FieldPath& path) {
+  return ReadSettings(settings, path);
+}
+
+void EncodeSettings(const VehicleConfig& config,
+                    v1::VehicleSettings* settings) {
+  WriteSettings(config, settings);
+}
+
+absl::StatusOr<VehicleConfig> UpdateSettings(
+    const VehicleConfig& current, bool has_poses,
+    const v1::VehicleSettings& settings,
+    const google::protobuf::FieldMask& update_mask) {
+  const auto fields = MaskedSettings(update_mask);
+  if (!fields.ok()) return fields.status();
+  v1::VehicleSettings merged;
+  EncodeSettings(current, &merged);
+  v1::VehicleSettings given = settings;
+  // A setting that is named but not given becomes unset, which decodes to its
+  // default.
+  v1::VehicleSettings::GetReflection()->SwapFields(&merged, &given, *fields);
+  absl::StatusOr<VehicleConfig> updated =
+      DecodeSettings(merged, FieldPath().Field("vehicle").Field("settings"));
+  if (!updated.ok()) return updated.status();
+  updated->create_time_ns = current.create_time_ns;
+  updated->data_loss = current.data_loss;
+  updated->uid = current.uid;
+  if (!has_poses) return updated;
+
+  // By default the origin is that of the first pose, which is there already.
+  if (!updated->origin) updated->origin = current.origin;
+  if (absl::Status status = CheckFixedSettings(current, *updated);
+      !status.ok()) {
+    return status;
+  }
+  return updated;
+}
+
+bool SameSettings(const VehicleConfig& existing,
+                  const VehicleConfig& requested) {
+  v1::VehicleSettings a;
+  v1::VehicleSettings b;
+  EncodeSettings(existing, &a);
+  EncodeSettings(requested, &b);
+  if (!requested.origin) a.clear_geodetic_origin();
+  return a.SerializeAsString() == b.SerializeAsString();
+}
+
+absl::StatusOr<core::SearchOptions> DecodeCandidateOptions(
+    const v1::CandidateOptions& options, const VehicleConfig& config,
+    const FieldPath& path) {
+  Violations violations;
+  VehicleConfig changed = config;
+  SettingsReader reader(options, path, &violations);
+  VisitSettings(&changed, &reader);
+  core::SearchOptions search = changed.engine.search;
+  search.exhaustive = options.exhaustive();
+  search.tell_paths = options.include_aligned_path();
+  DecodeEnum(kSearchDirections, options.direction(), path.Field("direction"),
+             &search.direction, &violations);
+  AddProblems(core::FindProblems(search, config.engine), options, path,
+              &violations);
+  if (violations.count() > 0) return violations.ToStatus();
+  return search;
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,20 @@
+// The handler of FindCandidates.
+#ifndef REVISIT_SERVER_SERVICE_FIND_CANDIDATES_H_
+#define REVISIT_SERVER_SERVICE_FIND_CANDIDATES_H_
+
+#include "absl/status/status.h"
+#include "revisit/v1/pose_graph_service.pb.h"
+#include "server/service/unary_call.h"
+
+namespace revisit::server {
+
+// Finishes the call, unless it returns an error. Request and response live as
+// long as the call.
+absl::Status FindCandidates(const ServiceContext& context,
+                            const UnaryCallPtr& call,
+                            const v1::FindCandidatesRequest& request,
+                            v1::FindCandidatesResponse* response);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SERVICE_FIND_CANDIDATES_H_

@@ -1,0 +1,120 @@
+#include "server/service/list_poses.h"
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "google/protobuf/util/field_mask_util.h"
+#include "server/conversion/field_violations.h"
+#include "server/conversion/page_token.h"
+#include "server/conversion/record_codec.h"
+#include "server/sessions/vehicle_session.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+namespace {
+
+using google::protobuf::util::FieldMaskUtil;
+
+// Clients read messages of 4 MiB unless configured otherwise; a page stays well
+// below.
+constexpr std::size_t kMaxPageBytes = std::size_t{2} << 20;
+
+// The sequence of the first pose of the page.
+absl::StatusOr<std::uint64_t> FirstSequence(const v1::ListPosesRequest& request,
+                                            const std::string& list) {
+  const absl::StatusOr<std::uint64_t> last =
+      ParseSequenceToken(list, request.page_token());
+  if (!last.ok()) return last.status();
+  if (*last > 0) return *last + 1;
+  return request.first_sequence() == 0 ? 1 : request.first_sequence();
+}
+
+absl::Status CheckReadMask(const google::protobuf::FieldMask& mask) {
+  Violations violations;
+  const FieldPath path = kRequest.Field("read_mask");
+  for (int i = 0; i < mask.paths_size(); ++i) {
+    if (!FieldMaskUtil::IsValidPath<v1::Pose>(mask.paths(i))) {
+      violations.Add(kInvalidField,
+                     path.At("paths", static_cast<std::size_t>(i)),
+                     absl::StrCat("got ", Quoted(mask.paths(i)),
+                                  ", which is no field of Pose"));
+    }
+  }
+  return violations.ToStatus();
+}
+
+// Fills a page with the poses from `first` on. Where they are damaged, a page
+// ends before the damage, and the next one begins with it: DATA_LOSS.
+absl::Status ReadPoses(Storage* storage, const VehicleView& view,
+                       std::uint64_t first, int page_size,
+                       const google::protobuf::FieldMask& mask,
+                       const std::string& list,
+                       v1::ListPosesResponse* response) {
+  if (first > view.durable_sequence) return view.damage;
+  const std::uint64_t last = std::min(
+      view.durable_sequence, first + static_cast<std::uint64_t>(page_size) - 1);
+  std::uint64_t last_taken = 0;
+  std::size_t bytes = 0;
+  absl::Status parsed;
+  const absl::Status read = storage->ReadBatches(
+      view.key, first, last, BatchVersion::kCurrent,
+      [&](const BatchRecord& batch) {
+        parsed = VisitPoses(batch, [&](v1::Pose* pose) {
+          if (pose->sequence() < first) return true;
+          if (pose->sequence() > last || bytes > kMaxPageBytes) return false;
+          last_taken = pose->sequence();
+          if (mask.paths_size() > 0) FieldMaskUtil::TrimMessage(mask, pose);
+          bytes += pose->ByteSizeLong();
+          response->add_poses()->Swap(pose);
+          return true;
+        });
+        return parsed.ok() && bytes <= kMaxPageBytes;
+      });
+  const absl::Status& failure = read.ok() ? parsed : read;
+  if (!failure.ok() && !(absl::IsDataLoss(failure) && last_taken > 0)) {
+    return failure;
+  }
+  if (last_taken < view.durable_sequence || !view.damage.ok()) {
+    response->set_next_page_token(MakePageToken(list, last_taken));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::Status ListPoses(const ServiceContext& context, const UnaryCallPtr& call,
+                       const v1::ListPosesRequest& request,
+                       v1::ListPosesResponse* response) {
+  const auto session = SessionOf(context, request.parent(),
+                                 kRequest.Field("parent"), call.get());
+  if (!session.ok()) return session.status();
+  const std::string list = absl::StrCat("ListPoses ", request.parent());
+  const absl::StatusOr<int> page_size =
+      PageSize(request.page_size(), 1000, 10000);
+  if (!page_size.ok()) return page_size.status();
+  const absl::StatusOr<std::uint64_t> first = FirstSequence(request, list);
+  if (!first.ok()) return first.status();
+  if (absl::Status status = CheckReadMask(request.read_mask()); !status.ok()) {
+    return status;
+  }
+  const std::weak_ptr<VehicleSession> loaded = *session;
+  (*session)->ReadStored(FinishWith<VehicleView>(
+      call, [=, storage = context.storage,
+             request = &request](const VehicleView& view) {
+        const absl::Status status =
+            ReadPoses(storage, view, *first, *page_size, request->read_mask(),
+                      list, response);
+        const auto still_there = loaded.lock();
+        if (absl::IsDataLoss(status) && still_there != nullptr) {
+          still_there->LoadAnew();
+        }
+        return status;
+      }));
+  return absl::OkStatus();
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,100 @@
+#include "server/service/list_vehicles.h"
+
+#include <algorithm>
+#include <memory>
+#include <string>
+
+#include "server/conversion/answers.h"
+#include "server/conversion/names.h"
+#include "server/conversion/page_token.h"
+#include "server/sessions/executor.h"
+#include "server/sessions/fleet.h"
+#include "server/sessions/vehicle_session.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+namespace {
+
+// Fills a page with the vehicles that the caller may read, as they are stored.
+// The others leave no trace, neither in the page's length nor in its token.
+absl::Status ListStored(Storage* storage, const Caller& caller,
+                        const std::string& list, const std::string& after,
+                        int page_size, v1::ListVehiclesResponse* response) {
+  std::string last;
+  for (const std::string& prefix : caller.PrefixesOf(Verb::kRead)) {
+    std::string place = after;
+    for (bool past = false; !past;) {
+      // One more shows whether there is another page. Reading few at a time
+      // would be slow where the caller may read few of many.
+      const int wanted =
+          std::max(page_size - response->vehicles_size() + 1, 100);
+      const auto records = storage->ListVehicles(place, prefix, wanted);
+      if (!records.ok()) return records.status();
+      past = static_cast<int>(records->size()) < wanted;
+      for (const VehicleRecord& record : *records) {
+        if (!caller.May(Verb::kRead, record.id)) continue;
+        if (response->vehicles_size() == page_size) {
+          response->set_next_page_token(MakePageToken(list, last));
+          return absl::OkStatus();
+        }
+        EncodeVehicle(record, response->add_vehicles());
+        last = record.id;
+      }
+      if (!past) place = records->back().id;
+    }
+  }
+  return absl::OkStatus();
+}
+
+// Replaces the stored state of vehicles that are in memory by their present
+// one, each when its session comes to it, then finishes the call.
+void FillFromMemory(Fleet* fleet, const UnaryCallPtr& call,
+                    v1::ListVehiclesResponse* response) {
+  // The last to let go of it finishes the call.
+  const std::shared_ptr<void> finish(
+      nullptr, [call](void*) { call->End(absl::OkStatus()); });
+  for (v1::Vehicle& vehicle : *response->mutable_vehicles()) {
+    const std::string id = vehicle.name().substr(VehicleName("").size());
+    const auto session = fleet->SessionIfLoaded(id);
+    if (session == nullptr) continue;
+    session->Read([finish, session = std::weak_ptr<VehicleSession>(session),
+                   &vehicle](const absl::StatusOr<VehicleView>& view) {
+      // The vehicle may have been deleted or unloaded meanwhile: then its
+      // stored state stands.
+      if (!view.ok()) return;
+      if (vehicle.state() == v1::VEHICLE_STATE_DAMAGED && view->damage.ok()) {
+        if (const auto loaded = session.lock()) loaded->LoadAnew();
+        return;
+      }
+      vehicle.Clear();
+      EncodeVehicle(*view, &vehicle);
+    });
+  }
+}
+
+}  // namespace
+
+absl::Status ListVehicles(const ServiceContext& context,
+                          const UnaryCallPtr& call,
+                          const v1::ListVehiclesRequest& request,
+                          v1::ListVehiclesResponse* response) {
+  const std::string list = "ListVehicles";
+  const absl::StatusOr<int> page_size =
+      PageSize(request.page_size(), 100, 1000);
+  if (!page_size.ok()) return page_size.status();
+  const absl::StatusOr<std::string> after =
+      ParsePageToken(list, request.page_token());
+  if (!after.ok()) return after.status();
+  context.executor->Post([=, storage = context.storage, fleet = context.fleet] {
+    const absl::Status status =
+        ListStored(storage, call->caller(), list, *after, *page_size, response);
+    if (status.ok()) {
+      FillFromMemory(fleet, call, response);
+    } else {
+      call->End(status);
+    }
+  });
+  return absl::OkStatus();
+}
+
+}  // namespace revisit::server

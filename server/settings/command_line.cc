@@ -1,0 +1,117 @@
+#include "server/settings/command_line.h"
+
+#include <CLI/CLI.hpp>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+
+namespace revisit::server {
+namespace {
+
+constexpr char kFooter[] =
+    R"(Every setting is also a variable of the environment (--worker-threads is
+REVISIT_WORKER_THREADS) and a key of the file that --config or REVISIT_CONFIG
+names, with lines such as
+  # Comments have lines of their own; strings may stand in double quotes.
+  worker-threads = 4
+Flags win over the environment, the environment over the file.
+
+Once calls are taken, "listening on ADDRESS" is printed to standard output; logs
+go to standard error. SIGTERM or SIGINT drains: new calls are refused, streams
+get their last acknowledgements, then the store is closed. SIGHUP has the files
+of keys, certificates and policy looked at now.
+
+Exit codes:
+  0   stopped as told
+  64  wrong usage or settings, or files of keys, certificates or policy that
+      are no good
+  65  the store is damaged: see "revisitd verify", and restore a backup
+  69  cannot listen at the address, or write the port file
+  73  the store is in use by another server, or is no store of this version
+  74  the store cannot be read or written, or a flush failed
+
+Examples:
+  revisitd
+  revisitd --listen 0.0.0.0:50051 --store /var/lib/revisit \
+    --tls-cert server.crt --tls-key server.key --policy policy.json \
+    --token-keys keys.json --token-issuer https://login.example \
+    --token-audience revisit
+  revisitd --worker-threads 2 --print-config > revisitd.conf
+  revisitd backup --store /var/lib/revisit --to /backup/monday.sqlite
+  revisitd verify --store /backup/monday.sqlite
+  revisitd compact --store /var/lib/revisit
+)";
+
+}  // namespace
+
+struct CommandLine::Parser {
+  explicit Parser(CommandLine* owner) {
+    app.name("revisitd");
+    app.get_formatter()->column_width(kNameColumns);
+    app.footer(kFooter);
+    app.set_version_flag("--version", "revisitd " REVISIT_VERSION);
+    app.add_option("--config", owner->config_, "File of settings")
+        ->type_name("FILE");
+    app.add_flag("--print-config", owner->print_config_,
+                 Wrapped("Print all settings in the form of the file, and "
+                         "stop"));
+    backup = app.add_subcommand("backup", "Copy the store and check the copy");
+    backup->add_option("--to", destination, "File to make")
+        ->type_name("FILE")
+        ->required();
+    verify = app.add_subcommand("verify",
+                                "Read the whole store and say what is wrong");
+    compact =
+        app.add_subcommand("compact", "Make the file of a stopped store small");
+    for (CLI::App* subcommand : {backup, verify, compact}) {
+      subcommand->fallthrough();
+      subcommand->footer("--store and --config are those of revisitd itself.");
+    }
+    // The help lists groups in the order in which they were added.
+    table.emplace(&app, &owner->settings_);
+  }
+
+  CLI::App app{
+      "Keeps one pose graph a vehicle and answers where the vehicle has\n"
+      "probably been before."};
+  std::optional<OptionTable> table;
+  CLI::App* backup = nullptr;
+  CLI::App* verify = nullptr;
+  CLI::App* compact = nullptr;
+  std::string destination;
+};
+
+CommandLine::CommandLine(const ServerSettings& settings)
+    : settings_(settings), parser_(std::make_unique<Parser>(this)) {}
+
+CommandLine::~CommandLine() = default;
+
+OptionTable& CommandLine::table() { return *parser_->table; }
+
+absl::Status CommandLine::Parse(const std::vector<std::string>& arguments) {
+  // CLI11 takes them from the back.
+  std::vector<std::string> reversed(arguments.rbegin(), arguments.rend());
+  CLI::App& app = parser_->app;
+  try {
+    app.parse(std::move(reversed));
+  } catch (const CLI::CallForHelp&) {
+    print_ = app.help();
+  } catch (const CLI::CallForVersion& version) {
+    print_ = absl::StrCat(version.what(), "\n");
+  } catch (const CLI::Error& error) {
+    return absl::InvalidArgumentError(error.what());
+  }
+  return absl::OkStatus();
+}
+
+std::optional<StoreTask> CommandLine::Task() const {
+  for (const auto& [subcommand, kind] :
+       {std::pair(parser_->backup, StoreTask::Kind::kBackup),
+        std::pair(parser_->verify, StoreTask::Kind::kVerify),
+        std::pair(parser_->compact, StoreTask::Kind::kCompact)}) {
+    if (subcommand->parsed()) return StoreTask{kind, parser_->destination};
+  }
+  return std::nullopt;
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,299 @@
+#include "server/conversion/answers.h"
+
+#include <chrono>
+#include <cmath>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/geometry/heading.h"
+#include "gmock/gmock.h"
+#include "google/protobuf/util/message_differencer.h"
+#include "gtest/gtest.h"
+#include "server/conversion/record_codec.h"
+#include "server/sessions/vehicle_uid.h"
+#include "tests/server/conversion/conversion_testing.h"
+#include "tests/server/error_matchers.h"
+
+namespace revisit::server {
+namespace {
+
+using ::testing::ElementsAre;
+
+// Two laps of a square of 60 m a side.
+core::Engine TwoLaps(core::EngineSettings settings) {
+  settings.search.sequence_length_meters = 40;
+  // A composite alignment aligns the whole sequence, and the gate at its end
+  // decides.
+  settings.search.alignment = core::AlignmentKind::kComposite;
+  core::Engine engine(settings);
+  std::vector<core::PoseSample> samples;
+  core::Pose pose;
+  for (std::uint64_t i = 0; i <= 480; ++i) {
+    core::PoseSample sample;
+    sample.sequence = i + 1;
+    sample.stamp_ns = static_cast<std::int64_t>(i) * 100000000;
+    pose.heading = core::kPi / 2.0 * static_cast<double>(i / 60 % 4);
+    pose.z = 0.5;
+    sample.pose = pose;
+    for (int d = 0; d < 4; ++d) sample.covariance(d, d) = d == 3 ? 1e-4 : 0.04;
+    samples.push_back(sample);
+    pose.x += std::cos(pose.heading);
+    pose.y += std::sin(pose.heading);
+  }
+  engine.Append(samples, 7);
+  return engine;
+}
+
+v1::CandidateSet Answer(const VehicleConfig& config, bool with_path) {
+  const std::string id = "square";
+  const core::Engine engine = TwoLaps(config.engine);
+  const VehicleView view{id, config, engine, 1, 481, 7, 0};
+  const auto found =
+      engine.FindCandidates(engine.settings().search, [] { return false; });
+  EXPECT_THAT(found, IsOk());
+  v1::CandidateSet message;
+  EncodeCandidateSet(view, *found, with_path,
+                     std::chrono::nanoseconds(1000000002), &message);
+  return message;
+}
+
+TEST(AnswerTest, CandidateSaysWhereAndHowSure) {
+  const v1::CandidateSet set = Answer(Planar(), true);
+  EXPECT_EQ(set.revision(), 7u);
+  EXPECT_EQ(set.search_duration().seconds(), 1);
+  EXPECT_EQ(set.search_duration().nanos(), 2);
+  EXPECT_EQ(set.empty_reason(), v1::EMPTY_REASON_UNSPECIFIED);
+  ASSERT_GT(set.candidates_size(), 0);
+  const v1::Candidate& best = set.candidates(0);
+  EXPECT_EQ(best.rank(), 1);
+  EXPECT_EQ(best.query().DebugString(), set.query().DebugString());
+  EXPECT_EQ(set.query().sequence(), 481u);
+  EXPECT_EQ(set.query().stamp().seconds(), 48);
+  EXPECT_NEAR(set.query().travelled_meters(), 480.0, 1e-9);
+  // The best match lies one lap before.
+  EXPECT_NEAR(best.matched().travelled_meters(), 240.0, 2.0);
+  EXPECT_EQ(best.gate().verdict(), v1::GATE_VERDICT_ACCEPTED);
+  EXPECT_EQ(best.gate().degrees_of_freedom(), 3);
+  EXPECT_EQ(best.gate().inflation(), 1.0);
+  EXPECT_EQ(best.direction(), v1::DIRECTION_SAME);
+  // Fields that a composite alignment does not know are absent.
+  EXPECT_FALSE(best.has_probability());
+  EXPECT_FALSE(best.has_odds_to_runner_up());
+  EXPECT_FALSE(best.has_path_gate());
+  EXPECT_FALSE(best.has_shape());
+  EXPECT_FALSE(set.has_new_place_probability());
+  EXPECT_EQ(best.difference().covariance().form(),
+            v1::COVARIANCE_FORM_PLANAR_6);
+  EXPECT_EQ(best.difference().covariance().values_size(), 6);
+  EXPECT_NEAR(best.difference().x_meters(),
+              best.query().pose().x_meters() - best.matched().pose().x_meters(),
+              1e-12);
+  EXPECT_EQ(best.query().pose().z_meters(), 0.0);
+  EXPECT_EQ(best.difference().z_meters(), 0.0);
+  EXPECT_FALSE(best.query().has_covariance());
+  ASSERT_EQ(best.aligned_path_size(), 20);
+  EXPECT_EQ(best.aligned_path(19).query_index(), set.query().index());
+  EXPECT_EQ(best.aligned_path(19).matched_index(), best.matched().index());
+}
+
+// An answer with this one candidate.
+v1::CandidateSet Encoded(const core::Candidate& candidate,
+                         const core::CandidateSet& set) {
+  const std::string id = "square";
+  const VehicleConfig config = Planar();
+  const core::Engine engine = TwoLaps(config.engine);
+  core::CandidateSet whole = set;
+  whole.query = 240;
+  whole.candidates = {candidate};
+  v1::CandidateSet message;
+  EncodeCandidateSet({id, config, engine, 1, 481, 7, 0}, whole, false, {},
+                     &message);
+  return message;
+}
+
+TEST(AnswerTest, CandidateSaysAllThatARelativeAlignmentKnows) {
+  core::Candidate candidate;
+  candidate.rank = 1;
+  candidate.score = 2.5;
+  candidate.matched = 120;
+  candidate.direction = core::Direction::kOpposite;
+  candidate.verdict = core::Verdict::kAccepted;
+  candidate.relative.emplace();
+  candidate.relative->probability = 0.9;
+  candidate.relative->odds_to_runner_up = 18.0;
+  candidate.relative->path_gate = {12.5, 9.6, 18.3, 0.25,
+                                   core::GateVerdict::kAccepted};
+  candidate.relative->squared_end_difference = 3.5;
+  candidate.relative->overlap_meters = 64.0;
+  candidate.relative->log_likelihood_ratio = 31.0;
+  core::CandidateSet set;
+  set.new_place_probability = 0.05;
+  set.inflation = 1.75;
+  const v1::CandidateSet message = Encoded(candidate, set);
+  EXPECT_TRUE(message.has_new_place_probability());
+  EXPECT_EQ(message.new_place_probability(), 0.05);
+  ASSERT_EQ(message.candidates_size(), 1);
+  const v1::Candidate& only = message.candidates(0);
+  EXPECT_EQ(only.verdict(), v1::VERDICT_ACCEPTED);
+  EXPECT_EQ(only.direction(), v1::DIRECTION_OPPOSITE);
+  EXPECT_EQ(only.probability(), 0.9);
+  EXPECT_EQ(only.odds_to_runner_up(), 18.0);
+  EXPECT_EQ(only.gate().inflation(), 1.75);
+  EXPECT_TRUE(google::protobuf::util::MessageDifferencer::Equals(
+      only.path_gate(), FromText<v1::PathGate>(R"pb(
+        squared_mahalanobis_distance: 12.5
+        degrees_of_freedom: 9.6
+        threshold: 18.3
+        p_value: 0.25
+        verdict: GATE_VERDICT_ACCEPTED
+        end_squared_mahalanobis_distance: 3.5
+      )pb")))
+      << only.path_gate().DebugString();
+  EXPECT_TRUE(google::protobuf::util::MessageDifferencer::Equals(
+      only.shape(), FromText<v1::ShapeEvidence>(
+                        "overlap_meters: 64 log_likelihood_ratio: 31")))
+      << only.shape().DebugString();
+}
+
+TEST(AnswerTest, ProbabilityOfZeroIsThereAndOddsWithoutRunnerUpAreNot) {
+  core::Candidate candidate;
+  candidate.matched = 120;
+  candidate.relative.emplace();
+  core::CandidateSet set;
+  set.new_place_probability = 0.0;
+  const v1::CandidateSet message = Encoded(candidate, set);
+  EXPECT_TRUE(message.has_new_place_probability());
+  EXPECT_TRUE(message.candidates(0).has_probability());
+  EXPECT_FALSE(message.candidates(0).has_odds_to_runner_up());
+  EXPECT_TRUE(message.candidates(0).has_shape());
+}
+
+TEST(AnswerTest, EveryVerdictHasItsName) {
+  const std::vector<std::pair<core::Verdict, v1::Verdict>> verdicts = {
+      {core::Verdict::kAccepted, v1::VERDICT_ACCEPTED},
+      {core::Verdict::kRejectedByGate, v1::VERDICT_REJECTED_BY_GATE},
+      {core::Verdict::kRejectedByShape, v1::VERDICT_REJECTED_BY_SHAPE},
+      {core::Verdict::kAmbiguous, v1::VERDICT_AMBIGUOUS},
+      {core::Verdict::kUninformative, v1::VERDICT_UNINFORMATIVE},
+      {core::Verdict::kIllConditioned, v1::VERDICT_ILL_CONDITIONED}};
+  for (const auto& [verdict, name] : verdicts) {
+    core::Candidate candidate;
+    candidate.matched = 120;
+    candidate.verdict = verdict;
+    EXPECT_EQ(Encoded(candidate, {}).candidates(0).verdict(), name);
+  }
+}
+
+TEST(AnswerTest, SpatialVehicleAnswersWithHeight) {
+  const v1::CandidateSet set = Answer(Spatial(), false);
+  ASSERT_GT(set.candidates_size(), 0);
+  const v1::Candidate& best = set.candidates(0);
+  EXPECT_EQ(best.gate().degrees_of_freedom(), 4);
+  EXPECT_EQ(best.query().pose().z_meters(), 0.5);
+  EXPECT_EQ(best.difference().covariance().form(),
+            v1::COVARIANCE_FORM_SPATIAL_10);
+  EXPECT_EQ(best.difference().covariance().values_size(), 10);
+  EXPECT_EQ(best.aligned_path_size(), 0);
+}
+
+TEST(AnswerTest, VehicleWithoutNodesHasNoQuery) {
+  const std::string id = "empty";
+  const VehicleConfig config;
+  const core::Engine engine(config.engine);
+  const VehicleView view{id, config, engine, 1, 0, 1, 0};
+  const auto found =
+      engine.FindCandidates(config.engine.search, [] { return false; });
+  ASSERT_THAT(found, IsOk());
+  v1::CandidateSet set;
+  EncodeCandidateSet(view, *found, false, {}, &set);
+  EXPECT_FALSE(set.has_query());
+  EXPECT_EQ(set.empty_reason(), v1::EMPTY_REASON_PATH_TOO_SHORT);
+}
+
+TEST(AnswerTest, ExportedNodeHasItsCovarianceInTheFormOfTheVehicle) {
+  const core::Engine engine = TwoLaps(Planar().engine);
+  v1::Node node;
+  EncodeNode(engine.graph(), 3, core::StateSpace::kPlanar, true, &node);
+  const core::Covariance& covariance = engine.graph().node(3).covariance;
+  EXPECT_EQ(node.covariance().form(), v1::COVARIANCE_FORM_PLANAR_6);
+  EXPECT_THAT(
+      node.covariance().values(),
+      ElementsAre(covariance(0, 0), covariance(0, 1), covariance(0, 3),
+                  covariance(1, 1), covariance(1, 3), covariance(3, 3)));
+}
+
+TEST(AnswerTest, VehicleIsToldTheSameFromMemoryAndFromTheStore) {
+  VehicleConfig config;
+  config.create_time_ns = -1;
+  config.uid = NewVehicleUid();
+  const std::string id = "a";
+  const core::Engine engine(config.engine);
+  v1::Vehicle loaded;
+  EncodeVehicle(VehicleView{id, config, engine, 1, 5, 9, 2}, &loaded);
+  VehicleRecord record;
+  record.id = id;
+  record.payload = ProtoRecordCodec().EncodeVehicle(config);
+  record.durable_sequence = 5;
+  record.revision = 9;
+  record.loop_closure_count = 2;
+  v1::Vehicle stored;
+  EncodeVehicle(record, &stored);
+  // Consistency is known only of vehicles in memory.
+  EXPECT_FALSE(stored.has_consistency());
+  EXPECT_TRUE(loaded.has_consistency());
+  loaded.clear_consistency();
+  EXPECT_EQ(loaded.DebugString(), stored.DebugString());
+  EXPECT_EQ(loaded.name(), "vehicles/a");
+  EXPECT_EQ(loaded.create_time().seconds(), -1);
+  EXPECT_EQ(loaded.create_time().nanos(), 999999999);
+}
+
+TEST(AnswerTest, DamagedVehicleTellsWhatIsSound) {
+  VehicleRecord record = RecordOf("");
+  record.damage = absl::DataLossError("damaged");
+  record.durable_sequence = 5;
+  v1::Vehicle vehicle;
+  EncodeVehicle(record, &vehicle);
+  EXPECT_EQ(vehicle.DebugString(), FromText<v1::Vehicle>(R"pb(
+                                     name: "vehicles/truck"
+                                     state: VEHICLE_STATE_DAMAGED
+                                   )pb")
+                                       .DebugString());
+  record.payload = ProtoRecordCodec().EncodeVehicle(Planar());
+  EncodeVehicle(record, &vehicle);
+  EXPECT_EQ(vehicle.state(), v1::VEHICLE_STATE_DAMAGED);
+  EXPECT_TRUE(vehicle.has_settings());
+  record.id =
+      "tr\xff"
+      "ck";
+  EncodeVehicle(record, &vehicle);
+  EXPECT_EQ(vehicle.name(), "vehicles/tr?ck");
+  // The sequence that a damaged row claims is not reliable.
+  EXPECT_EQ(vehicle.durable_sequence(), 0u);
+}
+
+TEST(AnswerTest, VehicleSaysHowConsistentItIs) {
+  VehicleConfig config = Planar();
+  config.engine.apply_inflation = true;
+  const std::string id = "a";
+  core::Engine engine = TwoLaps(config.engine);
+  const auto consistency = [&] {
+    v1::Vehicle vehicle;
+    EncodeVehicle(VehicleView{id, config, engine, 1, 481, 9, 0}, &vehicle);
+    return vehicle.consistency();
+  };
+  const v1::Consistency before = consistency();
+  EXPECT_EQ(before.confirmed_count(), 0);
+  EXPECT_EQ(before.rejected_count(), 0);
+  EXPECT_FALSE(before.has_mean_normalized_innovation_squared());
+  EXPECT_EQ(before.degrees_of_freedom(), 3);
+  EXPECT_GT(before.inflation(), 1.0);
+  EXPECT_EQ(before.inflation(), engine.consistency().inflation);
+  EXPECT_TRUE(before.applied());
+  engine.AddRejection(400, 100, 8);
+  EXPECT_EQ(consistency().rejected_count(), 1);
+}
+
+}  // namespace
+}  // namespace revisit::server
