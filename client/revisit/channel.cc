@@ -91,7 +91,7 @@ absl::Status Problem(const std::string& what) {
   return absl::InvalidArgumentError(what.c_str());
 }
 
-// Finds faults of the files that gRPC would only report as an unreachable server.
+// Finds faults of the files that gRPC would only report as "unreachable".
 absl::Status CheckTls(const ChannelOptions& options,
                       const grpc::SslCredentialsOptions& tls) {
   if (FirstCertificate(tls.pem_root_certs) == nullptr) {
