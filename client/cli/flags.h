@@ -74,7 +74,7 @@ class Flag {
   CLI::Option* option_;
 };
 
-// What the help of a command says.
+// The help of a command.
 struct CommandHelp {
   std::string name;
   // One line, also shown in the list of commands.

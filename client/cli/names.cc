@@ -7,7 +7,7 @@ namespace {
 
 using google::protobuf::EnumDescriptor;
 
-// What the values of an enum begin with, such as "STATE_SPACE_" for StateSpace.
+// The prefix of the values of an enum, such as "STATE_SPACE_" for StateSpace.
 std::string PrefixOf(const EnumDescriptor& type) {
   std::string prefix;
   for (const char c : type.name()) {

@@ -91,7 +91,7 @@ absl::Status Problem(const std::string& what) {
   return absl::InvalidArgumentError(what.c_str());
 }
 
-// What gRPC would only tell as a server that cannot be reached.
+// Finds faults of the files that gRPC would only report as "unreachable".
 absl::Status CheckTls(const ChannelOptions& options,
                       const grpc::SslCredentialsOptions& tls) {
   if (FirstCertificate(tls.pem_root_certs) == nullptr) {
@@ -133,7 +133,7 @@ absl::StatusOr<std::shared_ptr<grpc::ChannelCredentials>> TlsCredentials(
   return grpc::SslCredentials(tls);
 }
 
-// Of a plaintext channel with a token, which only ever talks to this machine.
+// For a plaintext channel with a token, which must not leave this machine.
 std::shared_ptr<grpc::ChannelCredentials> LocalCredentials(
     const std::string& address) {
   return grpc::experimental::LocalCredentials(

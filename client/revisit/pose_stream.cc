@@ -122,7 +122,7 @@ struct PoseStream::Rep {
   bool read_closed ABSL_GUARDED_BY(mutex) = false;
   bool in_callback ABSL_GUARDED_BY(mutex) = false;
   bool done ABSL_GUARDED_BY(mutex) = false;
-  // Of the pending poses, from the front.
+  // How many of the pending poses were sent, from the front.
   std::size_t sent ABSL_GUARDED_BY(mutex) = 0;
   int batch_poses ABSL_GUARDED_BY(mutex) = 1;
   Clock::time_point quiet_since ABSL_GUARDED_BY(mutex);

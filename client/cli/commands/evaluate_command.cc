@@ -125,7 +125,7 @@ void AddJudging(const Command& command, EvaluateOptions* options) {
       "One place: true headings this near (45)");
 }
 
-// What --format does not go with; empty if nothing.
+// Names a flag that does not go with --format; empty if there is none.
 std::string CheckFormat(const Command& command,
                         const EvaluateOptions& options) {
   if (options.format != EvaluateOptions::Format::kRtklib) {

@@ -127,7 +127,7 @@ PoseStreamCallbacks MakeCallbacks(Tally* tally, Progress* progress,
   return callbacks;
 }
 
-// What is reported of a stream that has ended well.
+// The report on a stream that has ended well.
 struct Summary {
   std::string vehicle;
   std::string vehicle_uid;

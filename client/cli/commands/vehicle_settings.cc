@@ -31,7 +31,7 @@ struct SettingFlag {
   // The default that the help states and that evaluations set. Where a request
   // leaves the field unset, the server's default counts, whatever stands here.
   const char* usual;
-  // Of whole numbers; the server alone checks all others.
+  // The range of a whole number; only the server checks all other values.
   WholeRange range = {};
 };
 

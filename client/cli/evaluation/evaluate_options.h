@@ -1,4 +1,4 @@
-// What an evaluation measures, and where its results go.
+// The measurements of an evaluation, and where its results go.
 #ifndef REVISIT_CLIENT_CLI_EVALUATION_EVALUATE_OPTIONS_H_
 #define REVISIT_CLIENT_CLI_EVALUATION_EVALUATE_OPTIONS_H_
 

@@ -34,7 +34,7 @@ struct Method {
 std::vector<Method> ChooseMethods(const EvaluateOptions& options,
                                   std::size_t* main);
 
-// What a reader of the report has to know about the methods.
+// Remarks on the methods for the readers of the report.
 std::vector<std::string> NotesOn(const EvaluateOptions& options);
 
 }  // namespace revisit::client
