@@ -40,8 +40,8 @@ struct RelativeModel {
   double road_spacing_meters = 200.0;
   bool same_direction = true;
   bool opposite_direction = false;
-  // The loop closure that has shown the drift. kDeadReckoning only; both nodes at
-  // or before the query.
+  // The loop closure that has shown the drift. kDeadReckoning only; both nodes
+  // at or before the query.
   std::optional<ConfirmedLoop> last_confirmed;
   // Ranges whose nodes may not be ends. May overlap.
   std::vector<NodeRange> not_sought;

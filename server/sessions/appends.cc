@@ -12,12 +12,6 @@ namespace {
 using absl::StatusCode;
 using absl::StrCat;
 
-bool SamePosition(const GeodeticOrigin& a, const GeodeticOrigin& b) {
-  return a.latitude_degrees == b.latitude_degrees &&
-         a.longitude_degrees == b.longitude_degrees &&
-         a.height_meters == b.height_meters;
-}
-
 absl::Status CheckConsecutive(const DecodedBatch& batch) {
   if (batch.samples.empty()) {
     return InvalidFields("BATCH_SIZE", {{"poses", "got 0, at least 1"}});
@@ -170,7 +164,7 @@ absl::Status Appends::TakeOrigin(const DecodedBatch& batch) {
     origin = batch.origin;
     return absl::OkStatus();
   }
-  if (!SamePosition(*origin, *batch.origin)) {
+  if (!(*origin == *batch.origin)) {
     return Error(StatusCode::kInternal, "INTERNAL",
                  StrCat("vehicle '", vehicle_->id,
                         "': a batch was decoded with another geodetic origin"));

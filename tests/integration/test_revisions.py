@@ -198,8 +198,10 @@ def test_revision_leaves_no_file_behind(tmp_path):
         call = stub.RevisePoses.future(messages())
         wait_until(lambda: "/.revision-" in open_files(server.pid),
                    "the draft")
-        assert sorted(path.name for path in
-                      (tmp_path / "store").iterdir()) == files
+        # It is unlinked a moment after it is opened.
+        wait_until(lambda: sorted(path.name for path in
+                                  (tmp_path / "store").iterdir()) == files,
+                   "store without the draft's name")
         call.cancel()
         arrived.set()
         wait_until(lambda: "/.revision-" not in open_files(server.pid),
