@@ -154,8 +154,10 @@ def test_revisions_that_never_end_leave_room_for_those_of_others(tmp_path):
         calls = [stub.RevisePoses.future(messages()) for _ in range(3)]
         for _ in calls:
             assert started.acquire(timeout=20)
-        # What was sent may still be on its way.
-        failure = wait_until(lambda: _failure(lambda: revise("car")), "refusal")
+        # Sooner, another revision could take the room of one of them.
+        wait_until(lambda: open_files(server.pid).count("/.revision-") == 3,
+                   "three drafts")
+        failure = _failure(lambda: revise("car"))
         assert (failure.code, failure.reason) == (
             grpc.StatusCode.RESOURCE_EXHAUSTED, "QUEUE_FULL")
         assert failure.quota_subjects == ["vehicles/car"]
