@@ -125,10 +125,20 @@ bool WritePortFile(const std::string& path, const std::string& address) {
 // Members are destroyed from the last to the first. The fleet waits for its
 // work, which needs executor, codec and storage.
 struct RevisitServer::State {
+  // The steps of a start, in this order. Those that may fail return whether
+  // they did not, and otherwise set `*error`.
+  bool LoadIdentities(StartError* error);
+  bool OpenStore(StartError* error);
+  void StartFleet();
+  void StartService();
+  bool Listen(StartError* error);
+  bool Announce(StartError* error);
+
   ServerSettings settings;
   const Log* log = nullptr;
   std::optional<LibraryLogRoute> library_log;
   ProtoRecordCodec codec;
+  std::string store_file;
   std::unique_ptr<Storage> storage;
   std::unique_ptr<Executor> executor;
   std::unique_ptr<Executor> read_executor;
@@ -290,6 +300,162 @@ RevisitServer::RevisitServer(std::unique_ptr<State> state)
 
 RevisitServer::~RevisitServer() { Shutdown(); }
 
+// These come first because they are settings: a wrong one leaves no trace.
+bool RevisitServer::State::LoadIdentities(StartError* error) {
+  auto loaded_tls = LoadTlsFiles(settings, log);
+  auto loaded_gatekeeper = MakeGatekeeper(
+      settings, loaded_tls.ok() ? loaded_tls->get() : nullptr, log);
+  for (const absl::Status& status :
+       {loaded_gatekeeper.status(), loaded_tls.status()}) {
+    if (status.ok()) continue;
+    *error = {kExitUsage, std::string(status.message())};
+    return false;
+  }
+  tls_files = *std::move(loaded_tls);
+  gatekeeper = *std::move(loaded_gatekeeper);
+  if (tls_files != nullptr) {
+    tls_timer = std::make_unique<Periodic>(
+        Milliseconds(settings.security_check_seconds),
+        [files = tls_files.get()] {
+          files->Look(std::chrono::system_clock::now());
+        });
+  }
+  return true;
+}
+
+bool RevisitServer::State::OpenStore(StartError* error) {
+  const SqliteOptions options = StorageOptions(settings, log, [this] {
+    has_failed = true;
+    if (on_failure) on_failure();
+  });
+  const absl::StatusOr<std::string> file = StoreFileToServe(settings.store);
+  absl::StatusOr<std::unique_ptr<Storage>> opened =
+      file.ok() ? OpenSqliteStorage(*file, options) : file.status();
+  if (!opened.ok()) {
+    *error = {ExitCodeOf(opened.status()),
+              std::string(opened.status().message())};
+    return false;
+  }
+  store_file = *file;
+  storage = *std::move(opened);
+  return true;
+}
+
+void RevisitServer::State::StartFleet() {
+  const int processors =
+      static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+  executor = std::make_unique<Executor>(
+      "vehicles",
+      settings.worker_threads > 0 ? settings.worker_threads : processors);
+  // With one thread alone, the loading of every vehicle would wait for each
+  // long read.
+  read_executor = std::make_unique<Executor>("reads", std::max(2, processors));
+  const int search_threads = settings.search_threads > 0
+                                 ? settings.search_threads
+                                 : std::max(2, processors);
+  search_executor = std::make_unique<Executor>("searches", search_threads);
+  Fleet::Options options;
+  options.idle_unload = Milliseconds(settings.idle_unload_minutes * 60.0);
+  if (settings.memory_budget_mebibytes > 0) {
+    options.memory_budget_bytes = settings.memory_budget_mebibytes << 20;
+  }
+  options.session.max_pending_appends = settings.limits.max_pending_appends;
+  fleet = std::make_unique<Fleet>(
+      storage.get(), &codec,
+      Lanes(executor.get(), read_executor.get(), search_executor.get()),
+      options);
+  Limits limits = settings.limits;
+  if (limits.max_memory_bytes == 0) {
+    limits.max_memory_bytes = DefaultMemoryLimit();
+  }
+  admission = std::make_unique<Admission>(
+      limits, std::min(search_threads, processors), ResidentBytes);
+  unload_timer = MakeUnloadTimer(fleet.get(), admission.get(), options);
+}
+
+void RevisitServer::State::StartService() {
+  ServiceContext context;
+  context.storage = storage.get();
+  context.executor = read_executor.get();
+  context.fleet = fleet.get();
+  context.drain = &drain;
+  context.gatekeeper = gatekeeper.get();
+  context.log = log;
+  context.admission = admission.get();
+  context.snapshots = &snapshots;
+  context.scratch_directory =
+      std::filesystem::absolute(store_file).parent_path().string();
+  context.min_free_bytes = settings.min_free_bytes;
+  meters = std::make_unique<ConnectionMeters>(MetersOf(settings.limits));
+  context.meters = meters.get();
+  context.limits = settings.limits;
+  // One stream alone must not exceed the batches that its vehicle may have
+  // waiting.
+  context.limits.max_batches_in_flight =
+      std::min(settings.limits.max_batches_in_flight,
+               settings.limits.max_pending_appends);
+  service = std::make_unique<PoseGraphService>(context);
+}
+
+bool RevisitServer::State::Listen(StartError* error) {
+  grpc::EnableDefaultHealthCheckService(settings.serve_health);
+  grpc::ServerBuilder builder;
+  Configure(settings.limits, &builder);
+  auto listening =
+      ConnectionAcceptor::Listen(AcceptorOptions(settings), log, meters.get());
+  if (!listening.ok()) {
+    *error = {absl::IsInvalidArgument(listening.status()) ? kExitUsage
+                                                          : kExitCannotListen,
+              std::string(listening.status().message())};
+    return false;
+  }
+  acceptor = *std::move(listening);
+  credentials = ListenerCredentials(settings, tls_files.get());
+  acceptor->Register(credentials, &builder);
+  builder.RegisterService(service.get());
+  if (settings.serve_reflection) {
+    reflection = MakeReflectionServices(ServedNames(settings));
+  }
+  for (const auto& reflecting : reflection) {
+    builder.RegisterService(reflecting.get());
+  }
+  grpc_server = builder.BuildAndStart();
+  if (grpc_server == nullptr) {
+    *error = {kExitCannotListen, "cannot start a server at " + settings.listen};
+    return false;
+  }
+  if (auto* health = grpc_server->GetHealthCheckService()) {
+    health->SetServingStatus(true);
+    health->SetServingStatus(v1::PoseGraphService::service_full_name(), true);
+    health->SetServingStatus(kWriteHealth, true);
+    write_health_timer = MakeWriteHealthTimer(storage.get(), health, log);
+    // A server may start on a full disk.
+    write_health_timer->Hasten();
+  }
+  acceptor->Start();
+  return true;
+}
+
+bool RevisitServer::State::Announce(StartError* error) {
+  const std::string& address = acceptor->address();
+  if (!settings.port_file.empty() &&
+      !WritePortFile(settings.port_file, address)) {
+    *error = {kExitCannotListen, "cannot write " + settings.port_file};
+    acceptor->Stop();
+    grpc_server->Shutdown();
+    return false;
+  }
+  if (const std::string risk = RiskOfListening(settings); !risk.empty()) {
+    log->Write(LogLevel::kWarning, "listening_insecurely",
+               {{"address", address}, {"message", risk}});
+  }
+  log->Write(LogLevel::kInfo, "serving",
+             {{"address", address},
+              {"store", store_file},
+              {"version", REVISIT_VERSION}});
+  return true;
+}
+
 std::unique_ptr<RevisitServer> RevisitServer::Start(
     const ServerSettings& settings, const Log* log,
     std::function<void()> on_failure, StartError* error) {
@@ -297,149 +463,13 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->settings = settings;
   state->log = log;
   state->library_log.emplace(log);
-
-  // These come first because they are settings: a wrong one leaves no trace.
-  auto tls_files = LoadTlsFiles(settings, log);
-  auto gatekeeper = MakeGatekeeper(
-      settings, tls_files.ok() ? tls_files->get() : nullptr, log);
-  for (const absl::Status& status : {gatekeeper.status(), tls_files.status()}) {
-    if (status.ok()) continue;
-    *error = {kExitUsage, std::string(status.message())};
-    return nullptr;
-  }
-  state->tls_files = *std::move(tls_files);
-  state->gatekeeper = *std::move(gatekeeper);
-  if (state->tls_files != nullptr) {
-    state->tls_timer = std::make_unique<Periodic>(
-        Milliseconds(settings.security_check_seconds),
-        [files = state->tls_files.get()] {
-          files->Look(std::chrono::system_clock::now());
-        });
-  }
-
   state->on_failure = std::move(on_failure);
-  SqliteOptions storage_options =
-      StorageOptions(settings, log, [state = state.get()] {
-        state->has_failed = true;
-        if (state->on_failure) state->on_failure();
-      });
-  const absl::StatusOr<std::string> file = StoreFileToServe(settings.store);
-  absl::StatusOr<std::unique_ptr<Storage>> storage =
-      file.ok() ? OpenSqliteStorage(*file, storage_options) : file.status();
-  if (!storage.ok()) {
-    *error = {ExitCodeOf(storage.status()),
-              std::string(storage.status().message())};
+  if (!state->LoadIdentities(error) || !state->OpenStore(error)) {
     return nullptr;
   }
-  state->storage = *std::move(storage);
-
-  const int processors =
-      static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
-  state->executor = std::make_unique<Executor>(
-      "vehicles",
-      settings.worker_threads > 0 ? settings.worker_threads : processors);
-  // With one thread alone, the loading of every vehicle would wait for each
-  // long read.
-  state->read_executor =
-      std::make_unique<Executor>("reads", std::max(2, processors));
-  const int search_threads = settings.search_threads > 0
-                                 ? settings.search_threads
-                                 : std::max(2, processors);
-  state->search_executor =
-      std::make_unique<Executor>("searches", search_threads);
-  Fleet::Options options;
-  options.idle_unload = Milliseconds(settings.idle_unload_minutes * 60.0);
-  if (settings.memory_budget_mebibytes > 0) {
-    options.memory_budget_bytes = settings.memory_budget_mebibytes << 20;
-  }
-  options.session.max_pending_appends = settings.limits.max_pending_appends;
-  state->fleet = std::make_unique<Fleet>(
-      state->storage.get(), &state->codec,
-      Lanes(state->executor.get(), state->read_executor.get(),
-            state->search_executor.get()),
-      options);
-  Limits limits = settings.limits;
-  if (limits.max_memory_bytes == 0) {
-    limits.max_memory_bytes = DefaultMemoryLimit();
-  }
-  state->admission = std::make_unique<Admission>(
-      limits, std::min(search_threads, processors), ResidentBytes);
-  state->unload_timer =
-      MakeUnloadTimer(state->fleet.get(), state->admission.get(), options);
-
-  ServiceContext context;
-  context.storage = state->storage.get();
-  context.executor = state->read_executor.get();
-  context.fleet = state->fleet.get();
-  context.drain = &state->drain;
-  context.gatekeeper = state->gatekeeper.get();
-  context.log = log;
-  context.admission = state->admission.get();
-  context.snapshots = &state->snapshots;
-  context.scratch_directory =
-      std::filesystem::absolute(*file).parent_path().string();
-  context.min_free_bytes = settings.min_free_bytes;
-  state->meters = std::make_unique<ConnectionMeters>(MetersOf(limits));
-  context.meters = state->meters.get();
-  context.limits = settings.limits;
-  // One stream alone must not exceed the batches that its vehicle may have
-  // waiting.
-  context.limits.max_batches_in_flight =
-      std::min(settings.limits.max_batches_in_flight,
-               settings.limits.max_pending_appends);
-  state->service = std::make_unique<PoseGraphService>(context);
-
-  grpc::EnableDefaultHealthCheckService(settings.serve_health);
-  grpc::ServerBuilder builder;
-  Configure(settings.limits, &builder);
-  auto acceptor = ConnectionAcceptor::Listen(AcceptorOptions(settings), log,
-                                             state->meters.get());
-  if (!acceptor.ok()) {
-    *error = {absl::IsInvalidArgument(acceptor.status()) ? kExitUsage
-                                                         : kExitCannotListen,
-              std::string(acceptor.status().message())};
-    return nullptr;
-  }
-  state->acceptor = *std::move(acceptor);
-  state->credentials = ListenerCredentials(settings, state->tls_files.get());
-  state->acceptor->Register(state->credentials, &builder);
-  builder.RegisterService(state->service.get());
-  if (settings.serve_reflection) {
-    state->reflection = MakeReflectionServices(ServedNames(settings));
-  }
-  for (const auto& service : state->reflection) {
-    builder.RegisterService(service.get());
-  }
-  state->grpc_server = builder.BuildAndStart();
-  if (state->grpc_server == nullptr) {
-    *error = {kExitCannotListen, "cannot start a server at " + settings.listen};
-    return nullptr;
-  }
-  const std::string& address = state->acceptor->address();
-  if (auto* health = state->grpc_server->GetHealthCheckService()) {
-    health->SetServingStatus(true);
-    health->SetServingStatus(v1::PoseGraphService::service_full_name(), true);
-    health->SetServingStatus(kWriteHealth, true);
-    state->write_health_timer =
-        MakeWriteHealthTimer(state->storage.get(), health, log);
-    // A server may start on a full disk.
-    state->write_health_timer->Hasten();
-  }
-  state->acceptor->Start();
-  if (!settings.port_file.empty() &&
-      !WritePortFile(settings.port_file, address)) {
-    *error = {kExitCannotListen, "cannot write " + settings.port_file};
-    state->acceptor->Stop();
-    state->grpc_server->Shutdown();
-    return nullptr;
-  }
-  if (const std::string risk = RiskOfListening(settings); !risk.empty()) {
-    log->Write(LogLevel::kWarning, "listening_insecurely",
-               {{"address", address}, {"message", risk}});
-  }
-  log->Write(
-      LogLevel::kInfo, "serving",
-      {{"address", address}, {"store", *file}, {"version", REVISIT_VERSION}});
+  state->StartFleet();
+  state->StartService();
+  if (!state->Listen(error) || !state->Announce(error)) return nullptr;
   return std::unique_ptr<RevisitServer>(new RevisitServer(std::move(state)));
 }
 
