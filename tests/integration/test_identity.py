@@ -690,7 +690,7 @@ def test_log_tells_who_called_and_keeps_no_token(token_server, identities):
     create(As(token_server.stub(), token), "acme-logged-1")
     bad = token[:-6] + "AAAAAA"
     failure_of(lambda: ask(As(token_server.stub(), bad)))
-    # The last line of these calls.
+    token_server.logged("vehicle=acme-logged-1")
     token_server.logged("CREDENTIALS_INVALID")
     log = token_server.log()
     assert re.search("vehicle=acme-logged-1 tenant=acme caller=token:acme ",
