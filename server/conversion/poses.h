@@ -9,8 +9,8 @@
 #include "google/protobuf/repeated_field.h"
 #include "revisit/v1/geometry.pb.h"
 #include "server/conversion/field_violations.h"
+#include "server/sessions/record_codec.h"
 #include "server/sessions/vehicle_config.h"
-#include "server/sessions/vehicle_session.h"
 
 namespace revisit::server {
 

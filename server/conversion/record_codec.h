@@ -13,7 +13,7 @@
 #include "absl/status/statusor.h"
 #include "google/protobuf/repeated_field.h"
 #include "revisit/v1/geometry.pb.h"
-#include "server/sessions/vehicle_session.h"
+#include "server/sessions/record_codec.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {

@@ -15,7 +15,7 @@
 #include "core/base/mutex.h"
 #include "core/graph/pose_graph.h"
 #include "server/connections/admission.h"
-#include "server/sessions/vehicle_session.h"
+#include "server/sessions/vehicle_view.h"
 
 namespace revisit::server {
 

@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "server/sessions/record_codec.h"
 #include "server/sessions/vehicle_config.h"
-#include "server/sessions/vehicle_session.h"
 #include "tests/fuzz/fuzzing.h"
 
 namespace revisit::fuzz {

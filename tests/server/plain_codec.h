@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "server/sessions/vehicle_session.h"
+#include "server/sessions/record_codec.h"
 
 namespace revisit::server {
 
