@@ -21,8 +21,8 @@ absl::StatusOr<DecodedBatch> DecodeBatch(const Poses& poses, int max_poses,
                                          const VehicleConfig& config,
                                          const FieldPath& path);
 
-// Drops fields that this version does not know, so that they take no memory
-// while the poses wait and no room in a draft. None reaches a record.
+// Drops fields that this version does not know, so that they take no room in
+// the draft of a revision. None reaches a record in any case.
 void DropUnknownFields(Poses* poses);
 
 // Whether poses may replace stored ones. Paths number them over the whole call,

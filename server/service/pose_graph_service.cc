@@ -73,7 +73,7 @@ void CreateOrFind(
 // call.
 class UnaryAppend final : public AppendSink {
  public:
-  UnaryAppend(UnaryCallPtr call, v1::AppendPosesRequest* request,
+  UnaryAppend(UnaryCallPtr call, const v1::AppendPosesRequest* request,
               v1::AppendPosesResponse* response, int max_poses)
       : call_(std::move(call)),
         request_(request),
@@ -88,7 +88,6 @@ class UnaryAppend final : public AppendSink {
         !meant.ok()) {
       return meant;
     }
-    DropUnknownFields(request_->mutable_poses());
     return DecodeBatch(request_->poses(), max_poses_, config, kRequest);
   }
 
@@ -99,7 +98,7 @@ class UnaryAppend final : public AppendSink {
 
  private:
   const UnaryCallPtr call_;
-  v1::AppendPosesRequest* const request_;
+  const v1::AppendPosesRequest* const request_;
   v1::AppendPosesResponse* const response_;
   const int max_poses_;
 };

@@ -144,10 +144,9 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
         : stream_(std::move(stream)), bytes_(bytes), room_(std::move(room)) {}
 
     absl::StatusOr<DecodedBatch> Decode(const VehicleConfig& config) override {
-      auto* const poses = stream_->request_->mutable_batch()->mutable_poses();
-      DropUnknownFields(poses);
-      return DecodeBatch(*poses, stream_->context_.limits.max_batch_poses,
-                         config, FieldPath().Field("batch"));
+      return DecodeBatch(stream_->request_->batch().poses(),
+                         stream_->context_.limits.max_batch_poses, config,
+                         FieldPath().Field("batch"));
     }
 
     void OnStaged(const absl::Status& status) override {
