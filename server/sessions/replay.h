@@ -17,6 +17,23 @@
 
 namespace revisit::server {
 
+// A graph in the making.
+struct Replay {
+  VehicleConfig config;
+  std::uint64_t revision;
+  // A load goes only as far as what is stored is sound.
+  bool is_load;
+  std::function<void(const absl::Status&)> then;
+  std::unique_ptr<core::Engine> engine;
+  std::vector<core::Jump> jumps;
+  std::uint64_t next_sequence = 1;
+  // Stand for revisions until the last step: batches have each their own,
+  // which do not grow with the sequence once some are revised.
+  std::uint64_t steps = 0;
+  // The highest revision of the batches so far.
+  std::uint64_t highest_revision = 0;
+};
+
 // Belongs to the strand, but for GiveUp(). Works in slices of time, so that
 // other vehicles get their turn; reads see the old graph until it is done.
 class Replayer {
@@ -39,23 +56,6 @@ class Replayer {
   void GiveUp() { gives_up_ = true; }
 
  private:
-  // A graph in the making.
-  struct Replay {
-    VehicleConfig config;
-    std::uint64_t revision;
-    // A load goes only as far as what is stored is sound.
-    bool is_load;
-    std::function<void(const absl::Status&)> then;
-    std::unique_ptr<core::Engine> engine;
-    std::vector<core::Jump> jumps;
-    std::uint64_t next_sequence = 1;
-    // Stand for revisions until the last step: batches have each their own,
-    // which do not grow with the sequence once some are revised.
-    std::uint64_t steps = 0;
-    // The highest revision of the batches so far.
-    std::uint64_t highest_revision = 0;
-  };
-
   absl::Status StartLoad();
   absl::StatusOr<VehicleConfig> StoredConfig(const VehicleRecord& record) const;
   absl::Status LoadPairs(PairKind kind);

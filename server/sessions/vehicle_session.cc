@@ -86,7 +86,7 @@ void VehicleSession::Append(std::shared_ptr<AppendSink> sink) {
 }
 
 void VehicleSession::CheckAcknowledged(std::uint64_t acked_sequence,
-                                       std::string vehicle_uid,
+                                       const std::string& vehicle_uid,
                                        ViewCallback callback) {
   State* const state = state_.get();
   const auto check = [=](const ViewCallback& answer) {

@@ -80,8 +80,8 @@ class VehicleSession {
   // it is more than is durable, answers DATA_LOSS (DURABLE_SEQUENCE_REGRESSED)
   // and, given a uid, puts the vehicle into data loss: a claim without one may
   // be about an earlier vehicle of this name.
-  void CheckAcknowledged(std::uint64_t acked_sequence, std::string vehicle_uid,
-                         ViewCallback callback);
+  void CheckAcknowledged(std::uint64_t acked_sequence,
+                         const std::string& vehicle_uid, ViewCallback callback);
 
   // Replaces the config by what `change` makes of the current one; the graph is
   // rebuilt where nodes move. `change` may refuse, and must where a vehicle
