@@ -93,15 +93,17 @@ void VehicleSession::CheckAcknowledged(std::uint64_t acked_sequence,
     state->changes.CheckAcknowledged(acked_sequence, vehicle_uid, answer);
   };
   // Most often there is nothing to change, and nothing to wait for.
-  state->queue.Submit({Turn::kRead, [=](const absl::Status& status) {
-                         if (!status.ok()) {
-                           callback(status);
-                         } else if (state->changes.IsOfLostPoses(acked_sequence,
-                                                                 vehicle_uid,
-                                                                 callback)) {
-                           state->SubmitAlone(callback, check);
-                         }
-                       }});
+  state->queue.Submit(
+      {Turn::kRead,
+       [state, acked_sequence, vehicle_uid, check,
+        callback = std::move(callback)](const absl::Status& status) {
+         if (!status.ok()) {
+           callback(status);
+         } else if (state->changes.IsOfLostPoses(acked_sequence, vehicle_uid,
+                                                 callback)) {
+           state->SubmitAlone(callback, check);
+         }
+       }});
 }
 
 void VehicleSession::Update(ConfigChange change, ViewCallback callback) {
