@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "server/base/sequences.h"
 
 namespace revisit::server {
 namespace {
@@ -22,13 +23,10 @@ absl::Status CheckConsecutive(const DecodedBatch& batch) {
                          {{"poses[0].sequence", "got 0, at least 1"}});
   }
   for (std::size_t i = 0; i < batch.samples.size(); ++i) {
-    if (batch.samples[i].sequence != first + i) {
-      return InvalidFields(
-          "INVALID_FIELD",
-          {{StrCat("poses[", i, "].sequence"),
-            StrCat("got ", batch.samples[i].sequence,
-                   ", in a batch it must be the one before plus 1, ",
-                   first + i)}});
+    const auto gap = FindSequenceGap(first + i - 1, batch.samples[i].sequence);
+    if (gap) {
+      return InvalidFields("INVALID_FIELD",
+                           {{StrCat("poses[", i, "].sequence"), *gap}});
     }
   }
   return absl::OkStatus();

@@ -32,7 +32,8 @@ struct VehicleConfig {
   std::string uid;
   core::EngineSettings engine;
   CoordinateFrame frame = CoordinateFrame::kLocal;
-  // Of a geodetic vehicle: given on creation, or set by its first pose.
+  // The origin of a geodetic vehicle: given on creation, or set by its first
+  // pose.
   std::optional<GeodeticOrigin> origin;
   std::int64_t create_time_ns = 0;  // Since the Unix epoch.
   // Writes are refused until an operator accepts the loss.

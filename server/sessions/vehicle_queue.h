@@ -38,7 +38,8 @@ struct Operation {
 // Belongs to the strand, but for what is said to be called from any thread.
 class VehicleQueue {
  public:
-  // What the store shows, or may at any moment, and memory does not yet.
+  // The part of the vehicle that the store shows, or may show at any moment,
+  // before memory does.
   enum class StoreLead {
     kNone,
     // Revised poses.

@@ -146,8 +146,8 @@ absl::Status VehicleState::OutOfStep() const {
 }
 
 absl::Status VehicleState::Corrupt(const std::string& cause) const {
-  return Error(StatusCode::kDataLoss, "STORE_CORRUPT",
-               StrCat("vehicle '", id, "': ", cause), {{"vehicle", id}});
+  return server::Corrupt(StrCat("vehicle '", id, "': ", cause),
+                         {{"vehicle", id}});
 }
 
 absl::Status VehicleState::Regressed(const std::string& cause,

@@ -1,5 +1,5 @@
-// What tells a vehicle from every other one, also from earlier and later ones
-// of its name: a UUID in its text form (RFC 9562).
+// The uid tells a vehicle from every other one, also from earlier and later
+// ones of its name: a UUID in its text form (RFC 9562).
 #ifndef REVISIT_SERVER_SESSIONS_VEHICLE_UID_H_
 #define REVISIT_SERVER_SESSIONS_VEHICLE_UID_H_
 
@@ -13,9 +13,9 @@ namespace revisit::server {
 // Random, of version 4.
 std::string NewVehicleUid();
 
-// Of a vehicle that was stored before there were uids: made from what is
-// stored, so that it is always the same and nothing has to be rewritten.
-// Version 8.
+// The uid of a vehicle that was stored before there were uids. It is made from
+// the stored record, so that it is always the same and nothing has to be
+// rewritten. Version 8.
 std::string DerivedVehicleUid(VehicleKey key, const std::string& id,
                               std::int64_t create_time_ns);
 

@@ -16,8 +16,8 @@ struct NearestPosition {
   double radius_meters = 15.0;
   // The recent path that is no history.
   std::int64_t excluded_nodes = 75;
-  // As in VehicleSettings: least distance along the path between candidates,
-  // and most candidates of one answer.
+  // Least distance along the path between candidates, and most candidates of
+  // one answer: VehicleSettings has the same two.
   double separation_meters = 10.0;
   std::size_t max_candidates = 5;
 };
