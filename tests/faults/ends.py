@@ -12,8 +12,8 @@ import time
 from devices import fill, small_disk
 from drive_client import VEHICLE, Drive, create
 from kills import SETTINGS, preloaded
-from revisit_server import BIN, Server, clean_environment, wait_until
-from restarts import free_port
+from revisit_server import (BIN, Server, clean_environment, free_port,
+                            wait_until)
 from stubs import api
 from wire import append, as_bytes, get, list_poses
 

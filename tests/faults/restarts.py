@@ -3,7 +3,6 @@
 import asyncio
 import os
 import signal
-import socket
 import sqlite3
 import time
 
@@ -11,7 +10,7 @@ import grpc
 
 from devices import GONE
 from drive_client import VEHICLE, Drive, create
-from revisit_server import Server, run as run_program
+from revisit_server import Server, free_port, run as run_program
 from stubs import PoseGraphServiceStub, api
 from wire import append, as_bytes, decode_failure, get, list_poses
 
@@ -159,12 +158,6 @@ async def error_of(call):
     return grpc.aio.AioRpcError(
         await call.code(), await call.initial_metadata(), trailing,
         await call.details())
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def rolling_restart(run):

