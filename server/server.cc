@@ -41,8 +41,11 @@ namespace {
 // Poses that a row of the store may gather from small batches of one vehicle:
 // as many as one usual batch holds.
 constexpr std::size_t kRowPoses = 64;
-// Time for connections to be closed in an orderly way.
+// Time for connections to be closed in an orderly way. Where calls were ended
+// it is longer: a connection that the server cuts before its caller has read
+// how a call ended takes that answer with it.
 constexpr std::chrono::milliseconds kGoodbyeTime{100};
+constexpr std::chrono::milliseconds kGoodbyeTimeAfterCalls{2000};
 // Calls of a connection that may have ended and wait to be cleared away, 20 MB
 // at most. Calls that ended well also take a moment to be cleared away.
 constexpr std::int64_t kCallsToClear = 1000;
@@ -495,16 +498,22 @@ void RevisitServer::Shutdown() {
   if (auto* health = state_->grpc_server->GetHealthCheckService()) {
     health->SetServingStatus(false);
   }
+  const auto deadline =
+      start + Milliseconds(state_->settings.drain_timeout_seconds);
   state_->drain.Start();
-  state_->drain.WaitForCalls(
-      start + Milliseconds(state_->settings.drain_timeout_seconds));
+  state_->drain.WaitForCalls(deadline);
   state_->acceptor->Stop();
   // Calls that are cut still wait for loading that they have begun.
   state_->fleet->GiveUpReplays();
   // Cuts the calls that are left, and the connections that do not answer to
   // being closed.
-  state_->grpc_server->Shutdown(std::chrono::system_clock::now() +
-                                kGoodbyeTime);
+  auto goodbye = kGoodbyeTime;
+  if (state_->drain.HasEndedCalls()) {
+    const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(
+        deadline - std::chrono::steady_clock::now());
+    goodbye = std::max(goodbye, std::min(left, kGoodbyeTimeAfterCalls));
+  }
+  state_->grpc_server->Shutdown(std::chrono::system_clock::now() + goodbye);
   state_->grpc_server->Wait();
   state_->grpc_server.reset();
   // Its thread may hold the last reference to a stream, and with it a session.

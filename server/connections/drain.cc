@@ -9,6 +9,7 @@ namespace revisit::server {
 bool Drain::Enter() {
   const MutexLock lock(&mutex_);
   ++calls_;
+  has_ended_calls_ = has_ended_calls_ || started_;
   return !started_;
 }
 
@@ -42,6 +43,7 @@ void Drain::Start() {
   {
     const MutexLock lock(&mutex_);
     started_ = true;
+    has_ended_calls_ = has_ended_calls_ || calls_ != 0;
     watchers.swap(watchers_);
   }
   for (const auto& [id, wind_down] : watchers) wind_down();
@@ -51,6 +53,11 @@ void Drain::WaitForCalls(std::chrono::steady_clock::time_point deadline) {
   const MutexLock lock(&mutex_);
   while (calls_ != 0 && !idle_.WaitUntil(&mutex_, deadline)) {
   }
+}
+
+bool Drain::HasEndedCalls() const {
+  const MutexLock lock(&mutex_);
+  return has_ended_calls_;
 }
 
 absl::Status Drain::Refusal() {

@@ -34,15 +34,19 @@ class Drain {
   void Start();
   // Waits until no call is left, or until the deadline.
   void WaitForCalls(std::chrono::steady_clock::time_point deadline);
+  // Whether calls were at work when draining started, or began since then:
+  // their callers may not have read yet how they ended.
+  bool HasEndedCalls() const;
 
   // The status of a call that is cut short: UNAVAILABLE (SERVER_DRAINING).
   static absl::Status Refusal();
 
  private:
-  Mutex mutex_;
+  mutable Mutex mutex_;
   CondVar idle_;
   std::int64_t calls_ ABSL_GUARDED_BY(mutex_) = 0;
   bool started_ ABSL_GUARDED_BY(mutex_) = false;
+  bool has_ended_calls_ ABSL_GUARDED_BY(mutex_) = false;
   WatchId next_id_ ABSL_GUARDED_BY(mutex_) = 0;
   std::map<WatchId, std::function<void()>> watchers_ ABSL_GUARDED_BY(mutex_);
 };

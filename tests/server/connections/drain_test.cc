@@ -47,6 +47,24 @@ TEST(DrainTest, RefusesCallsOnceStarted) {
                       "the server is shutting down; reconnect"));
 }
 
+TEST(DrainTest, KnowsWhetherACallerMayHaveToReadHowACallEnded) {
+  Drain idle;
+  EXPECT_TRUE(idle.Enter());
+  idle.Leave();
+  idle.Start();
+  EXPECT_FALSE(idle.HasEndedCalls());
+  EXPECT_FALSE(idle.Enter());
+  EXPECT_TRUE(idle.HasEndedCalls());
+
+  Drain busy;
+  EXPECT_TRUE(busy.Enter());
+  EXPECT_FALSE(busy.HasEndedCalls());
+  busy.Start();
+  busy.Leave();
+  busy.Start();
+  EXPECT_TRUE(busy.HasEndedCalls());
+}
+
 TEST(DrainTest, WaitsForTheLastCall) {
   Drain drain;
   drain.Enter();
