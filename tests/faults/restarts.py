@@ -160,6 +160,19 @@ async def error_of(call):
         await call.details())
 
 
+class Lateness:
+    """How late the client itself comes to what it has to do."""
+
+    def __init__(self):
+        self.seconds = 0.0
+
+    async def watch(self):
+        while True:
+            due = time.monotonic() + 0.01
+            await asyncio.sleep(0.01)
+            self.seconds += time.monotonic() - due
+
+
 def rolling_restart(run):
     rounds = run.rounds(short=2, long=20)
     store = run.new("rolling") / "s"
@@ -184,6 +197,8 @@ async def restart(run, store, rounds):
     stop = asyncio.Event()
     tasks = [asyncio.create_task(vehicle.live(stubs[n % CHANNELS], stop))
              for n, vehicle in enumerate(vehicles)]
+    lateness = Lateness()
+    tasks.append(asyncio.create_task(lateness.watch()))
     slowest_back = slowest_end = 0.0
     ends = []
     loop = asyncio.get_running_loop()
@@ -196,9 +211,12 @@ async def restart(run, store, rounds):
                         task.result()
                 await asyncio.sleep(0.01)
             if number > 0:
+                back = max(vehicle.opened_at[number]
+                           for vehicle in vehicles) - started
+                # What 300 streams in one busy process take for themselves is
+                # none of the server's.
                 slowest_back = max(slowest_back,
-                                   max(vehicle.opened_at[number]
-                                       for vehicle in vehicles) - started)
+                                   back - (lateness.seconds - late_before))
             if number == rounds:
                 break
             await asyncio.sleep(0.5)
@@ -212,6 +230,7 @@ async def restart(run, store, rounds):
             server = await loop.run_in_executor(
                 None, lambda: Server(store, listen=f"127.0.0.1:{port}"))
             started = time.monotonic()
+            late_before = lateness.seconds
             # The first of each: some try the server again that is ending.
             while not all(len(vehicle.ends) > before
                           for vehicle, before in zip(vehicles, ends_before)):
@@ -219,6 +238,7 @@ async def restart(run, store, rounds):
             ends += [vehicle.ends[before]
                      for vehicle, before in zip(vehicles, ends_before)]
         stop.set()
+        tasks.pop().cancel()
         await asyncio.wait_for(asyncio.gather(*tasks), 30)
         for channel in channels:
             await channel.close()
