@@ -4,6 +4,7 @@
 #include <sstream>
 #include <string>
 
+#include "client/formats/angles.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 
@@ -11,8 +12,6 @@ namespace revisit::client {
 namespace {
 
 using ::testing::HasSubstr;
-
-constexpr double kPi = 3.14159265358979323846;
 
 constexpr char kPosHeader[] =
     "% program   : made up\n"

@@ -17,7 +17,7 @@ using std::chrono::milliseconds;
 using ::testing::ElementsAre;
 using ::testing::Pair;
 
-ClientOptions Options() {
+ClientOptions WithFourAttempts() {
   ClientOptions options;
   options.max_attempts = 4;
   options.backoff.initial = milliseconds(1);
@@ -28,16 +28,16 @@ ClientOptions Options() {
 class ClientTest : public ::testing::Test {
  protected:
   FakeServer server_;
-  Client client_{MakeInsecureChannel(server_.address()), Options()};
+  Client client_{MakeInsecureChannel(server_.address()), WithFourAttempts()};
 };
 
-grpc::Status Unavailable() {
+grpc::Status StoreUnavailable() {
   return MakeStatus(grpc::StatusCode::UNAVAILABLE, "down",
                     {"STORE_UNAVAILABLE"});
 }
 
 TEST_F(ClientTest, RetriesReadsThatAreUnavailable) {
-  server_.FailUnaryCalls({Unavailable(), Unavailable()});
+  server_.FailUnaryCalls({StoreUnavailable(), StoreUnavailable()});
   v1::GetVehicleRequest request;
   request.set_name("vehicles/a");
   const auto response = client_.GetVehicle(request);
@@ -47,7 +47,7 @@ TEST_F(ClientTest, RetriesReadsThatAreUnavailable) {
 }
 
 TEST_F(ClientTest, GivesUpAfterTheLastAttempt) {
-  server_.FailUnaryCalls(std::vector<grpc::Status>(10, Unavailable()));
+  server_.FailUnaryCalls(std::vector<grpc::Status>(10, StoreUnavailable()));
   const auto response = client_.GetVehicle({});
   EXPECT_EQ(response.status().code(), absl::StatusCode::kUnavailable);
   EXPECT_EQ(DetailsOf(response.status()).reason, "STORE_UNAVAILABLE");
@@ -55,14 +55,14 @@ TEST_F(ClientTest, GivesUpAfterTheLastAttempt) {
 }
 
 TEST_F(ClientTest, NeverRepeatsADeletion) {
-  server_.FailUnaryCalls({Unavailable()});
+  server_.FailUnaryCalls({StoreUnavailable()});
   EXPECT_EQ(client_.DeleteVehicle({}).status().code(),
             absl::StatusCode::kUnavailable);
   EXPECT_EQ(server_.unary_calls(), 1);
 }
 
 TEST_F(ClientTest, RetriesARejectionSinceTheServerKeepsOne) {
-  server_.FailUnaryCalls({Unavailable()});
+  server_.FailUnaryCalls({StoreUnavailable()});
   v1::RejectCandidateRequest request;
   request.set_parent("vehicles/a");
   request.mutable_rejected_candidate()->set_query_sequence(9);
@@ -76,14 +76,14 @@ TEST_F(ClientTest, RetriesARejectionSinceTheServerKeepsOne) {
 TEST_F(ClientTest, ListsRejectionsAndNeverRepeatsTheirDeletion) {
   v1::ListRejectedCandidatesRequest list;
   list.set_parent("vehicles/a");
-  server_.FailUnaryCalls({Unavailable()});
+  server_.FailUnaryCalls({StoreUnavailable()});
   const auto page = client_.ListRejectedCandidates(list);
   ASSERT_TRUE(page.ok()) << page.status();
   EXPECT_EQ(page->rejected_candidates(0).name(),
             "vehicles/a/rejectedCandidates/first");
   EXPECT_EQ(page->next_page_token(), "second page");
   EXPECT_EQ(server_.unary_calls(), 2);
-  server_.FailUnaryCalls({Unavailable()});
+  server_.FailUnaryCalls({StoreUnavailable()});
   EXPECT_EQ(client_.DeleteRejectedCandidate({}).status().code(),
             absl::StatusCode::kUnavailable);
   EXPECT_EQ(server_.unary_calls(), 3);
@@ -124,7 +124,7 @@ TEST_F(ClientTest, WaitsAsLongAsTheServerAsks) {
 }
 
 TEST_F(ClientTest, DoesNotWaitPastItsDeadline) {
-  ClientOptions options = Options();
+  ClientOptions options = WithFourAttempts();
   options.deadline = milliseconds(2'000);
   const Client client(MakeInsecureChannel(server_.address()), options);
   server_.FailUnaryCalls({MakeStatus(grpc::StatusCode::UNAVAILABLE, "draining",
@@ -180,7 +180,7 @@ TEST_F(ClientTest, VisitsTheExportAndStopsWhereTheVisitorSays) {
 }
 
 TEST_F(ClientTest, DoesNotRepeatAnExportOfWhichAPartHasCome) {
-  server_.FailUnaryCalls({Unavailable()});
+  server_.FailUnaryCalls({StoreUnavailable()});
   int parts = 0;
   const absl::Status status =
       client_.ExportPoseGraph({}, [&](const v1::ExportPoseGraphResponse&) {

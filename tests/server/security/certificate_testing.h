@@ -9,15 +9,18 @@
 
 namespace revisit::server {
 
+inline std::chrono::system_clock::time_point Now() {
+  return std::chrono::system_clock::now();
+}
+
 struct CertificateRequest {
   std::string common_name = "localhost";
   // As OpenSSL writes them: "URI:spiffe://a/b,DNS:c". Empty: none.
   std::string alternative_names;
   bool is_authority = false;
-  std::chrono::system_clock::time_point from =
-      std::chrono::system_clock::now() - std::chrono::hours(1);
+  std::chrono::system_clock::time_point from = Now() - std::chrono::hours(1);
   std::chrono::system_clock::time_point until =
-      std::chrono::system_clock::now() + std::chrono::hours(24 * 365);
+      Now() + std::chrono::hours(24 * 365);
   int rsa_bits = 0;  // 0: a key on P-256.
 };
 

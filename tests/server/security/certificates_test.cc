@@ -15,8 +15,6 @@ using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::Not;
 
-CertificateTime Now() { return std::chrono::system_clock::now(); }
-
 CertificateRequest Authority() {
   CertificateRequest request;
   request.common_name = "Test CA";

@@ -22,8 +22,6 @@ using std::chrono::milliseconds;
 using ::testing::_;
 using ::testing::HasSubstr;
 
-Gatekeeper::Time Now() { return std::chrono::system_clock::now(); }
-
 std::string PolicyFor(const std::string& subject) {
   return R"({"version": 1,
     "tenants": [{"name": "acme", "vehicle_prefix": "acme-"}],

@@ -44,7 +44,7 @@ struct Moment {
   std::uint64_t poses = 0;
 };
 
-Content ReadFile(const std::string& path) {
+Content ReadIfThere(const std::string& path) {
   std::ifstream in(path, std::ios::binary);
   if (!in) return std::nullopt;
   std::stringstream all;
@@ -69,7 +69,7 @@ class StoreAbsenceTest : public ::testing::Test {
   static Moment Now(const std::string& path, std::uint64_t poses) {
     Moment moment;
     for (std::size_t i = 0; i < kFiles; ++i) {
-      moment.files[i] = ReadFile(path + kSuffixes[i]);
+      moment.files[i] = ReadIfThere(path + kSuffixes[i]);
     }
     moment.poses = poses;
     return moment;
@@ -191,7 +191,7 @@ TEST_F(StoreAbsenceTest, IsToldOrServedRightInEveryCombination) {
           CheckStore(Path(), StoreUse::kIdle);
       const bool is_sound = checked.ok() && checked->problems.empty();
       for (std::size_t i = 0; i < kFiles; ++i) {
-        ASSERT_TRUE(ReadFile(Path() + kSuffixes[i]) == files[i]);
+        ASSERT_TRUE(ReadIfThere(Path() + kSuffixes[i]) == files[i]);
       }
       const absl::StatusOr<std::unique_ptr<Storage>> storage =
           OpenSqliteStorage(Path());
@@ -205,7 +205,7 @@ TEST_F(StoreAbsenceTest, IsToldOrServedRightInEveryCombination) {
         // As it was, for whoever repairs it.
         for (std::size_t i = 0; i < 3; ++i) {
           if (files[i]) {
-            ASSERT_TRUE(ReadFile(Path() + kSuffixes[i]) == files[i]);
+            ASSERT_TRUE(ReadIfThere(Path() + kSuffixes[i]) == files[i]);
           }
         }
         continue;
@@ -252,7 +252,7 @@ TEST_F(StoreAbsenceTest, SaysWhichFileIsMissingAndWhatIsThere) {
     SqliteOptions drop;
     drop.drop_damaged_log = true;
     EXPECT_THAT(OpenSqliteStorage(Path(), drop), told);
-    EXPECT_TRUE(ReadFile(Path() + "-wal") == now.files[1]);
+    EXPECT_TRUE(ReadIfThere(Path() + "-wal") == now.files[1]);
   }
 }
 

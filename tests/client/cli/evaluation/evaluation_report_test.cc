@@ -10,10 +10,10 @@
 namespace revisit::client {
 namespace {
 
+using nlohmann::json;
 using ::testing::HasSubstr;
 using ::testing::MatchesRegex;
 using ::testing::Not;
-using Json = nlohmann::json;
 
 // Two checks, both true loops: one accepted and right, stated at 0.9; one
 // wrong, rejected, stated at 0.2.
@@ -137,26 +137,26 @@ TEST(EvaluationReportTest, ShowsWhatTheVerifierSaidAndTheMeanInflation) {
 }
 
 TEST(EvaluationReportTest, JsonHoldsTheSettingsAndAllMethods) {
-  const Json json = Json::parse(ReportJson(TwoMethods(), false));
-  EXPECT_EQ(json["drives"].size(), 2u);
-  EXPECT_EQ(json["drives"][0]["drive"], "one");
-  EXPECT_TRUE(json["drives"][0]["seed"].is_null());
-  EXPECT_TRUE(json["drives"][0]["inflation"].is_null());
-  EXPECT_FALSE(json["drives"][0].contains("check_list"));
-  EXPECT_EQ(json["total"]["checks"], 4);
-  EXPECT_EQ(json["total"]["recall"], 0.5);
-  EXPECT_NEAR(json["total"]["expected_calibration_error"], 0.15, 1e-15);
-  EXPECT_EQ(json["repeats"], 1);
-  EXPECT_EQ(json["notes"], Json::array({"a note"}));
-  ASSERT_EQ(json["methods"].size(), 2u);
-  const Json& method = json["methods"][1];
+  const json parsed = json::parse(ReportJson(TwoMethods(), false));
+  EXPECT_EQ(parsed["drives"].size(), 2u);
+  EXPECT_EQ(parsed["drives"][0]["drive"], "one");
+  EXPECT_TRUE(parsed["drives"][0]["seed"].is_null());
+  EXPECT_TRUE(parsed["drives"][0]["inflation"].is_null());
+  EXPECT_FALSE(parsed["drives"][0].contains("check_list"));
+  EXPECT_EQ(parsed["total"]["checks"], 4);
+  EXPECT_EQ(parsed["total"]["recall"], 0.5);
+  EXPECT_NEAR(parsed["total"]["expected_calibration_error"], 0.15, 1e-15);
+  EXPECT_EQ(parsed["repeats"], 1);
+  EXPECT_EQ(parsed["notes"], json::array({"a note"}));
+  ASSERT_EQ(parsed["methods"].size(), 2u);
+  const json& method = parsed["methods"][1];
   EXPECT_EQ(method["method"], "relative");
   EXPECT_EQ(method["sequence_length_meters"], 150.0);
   // Both right ones at 0.9, then the wrong ones.
   ASSERT_EQ(method["precision_recall"].size(), 2u);
   EXPECT_EQ(
       method["precision_recall"][0],
-      Json::parse(R"({"threshold": 0.9, "precision": 1.0, "recall": 0.5})"));
+      json::parse(R"({"threshold": 0.9, "precision": 1.0, "recall": 0.5})"));
   ASSERT_EQ(method["reliability"].size(), 10u);
   EXPECT_EQ(method["reliability"][2]["count"], 2);
   EXPECT_EQ(method["reliability"][9]["share_correct"], 1.0);
@@ -168,18 +168,18 @@ TEST(EvaluationReportTest, JsonHasNoReliabilityWhereNothingIsStated) {
   for (DriveResult& drive : report.methods[0].drives) {
     drive.tally.probabilities.clear();
   }
-  const Json json = Json::parse(ReportJson(report, false));
-  EXPECT_TRUE(json["methods"][0]["reliability"].is_null());
+  const json parsed = json::parse(ReportJson(report, false));
+  EXPECT_TRUE(parsed["methods"][0]["reliability"].is_null());
   EXPECT_TRUE(
-      json["methods"][0]["total"]["expected_calibration_error"].is_null());
+      parsed["methods"][0]["total"]["expected_calibration_error"].is_null());
 }
 
 TEST(EvaluationReportTest, VerboseJsonListsChecks) {
-  const Json json = Json::parse(ReportJson(TwoMethods(), true));
-  const Json& check = json["drives"][0]["check_list"][1];
+  const json parsed = json::parse(ReportJson(TwoMethods(), true));
+  const json& check = parsed["drives"][0]["check_list"][1];
   EXPECT_EQ(check["node"], 2);
   EXPECT_EQ(check["true_loop"], true);
-  const Json& candidate = check["candidates"][0];
+  const json& candidate = check["candidates"][0];
   EXPECT_EQ(candidate["verdict"], "REJECTED_BY_SHAPE");
   EXPECT_EQ(candidate["probability"], 0.2);
   EXPECT_EQ(candidate["direction"], "SAME");

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "client/cli/evaluation/map_svg.h"
+#include "client/formats/angles.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 
@@ -12,8 +13,6 @@ namespace {
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::Not;
-
-constexpr double kPi = 3.14159265358979323846;
 
 // Nodes 10 m apart: 0 to 9 along x, then 10 to 19 along x again from the start,
 // 5 m aside, then 20 to 29 back the way they came.

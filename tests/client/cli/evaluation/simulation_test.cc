@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "client/formats/angles.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 
@@ -10,8 +11,6 @@ namespace {
 
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
-
-constexpr double kPi = 3.14159265358979323846;
 
 // A bend of steps of 2 m.
 Drive Bend() {
