@@ -246,6 +246,11 @@ void EncodeBatch(const google::protobuf::RepeatedPtrField<v1::Pose>& poses,
   for (const v1::Pose& pose : poses) {
     CopyPose(pose, &stored);
     AddPose(stored, batch);
+    if (batch->fingerprints.size() == 1) {
+      // Most poses of a batch have as many bytes as its first.
+      batch->payload.reserve(batch->payload.size() *
+                             static_cast<std::size_t>(poses.size()));
+    }
   }
   // The payload may wait long before it is written.
   batch->payload.shrink_to_fit();
