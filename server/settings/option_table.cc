@@ -183,10 +183,10 @@ void AddServing(Group add, ServerSettings& s) {
            "File to which the address is written once calls are taken");
   add.Number("worker-threads", &s.worker_threads, 0, 1024,
              "Threads for acknowledging poses and other short work; 0 means "
-             "one a processor");
+             "one per processor");
   add.Number("search-threads", &s.search_threads, 0, 1024,
              "Threads for searches, which never hold up other work; 0 means "
-             "one a processor, but at least 2");
+             "one per processor, but at least 2");
   add.Number("idle-unload-minutes", &s.idle_unload_minutes, 0.01, 1e6,
              "Minutes after which a vehicle that nobody asked for is "
              "unloaded");
@@ -298,7 +298,7 @@ void AddWork(Group add, Limits& l) {
              1000000,
              "FindCandidates calls of one vehicle that may wait or run");
   add.Number("max-search-rate-per-caller", &l.max_search_rate_per_caller, 0,
-             1e6, "FindCandidates calls a second of one caller; 0: no limit");
+             1e6, "FindCandidates calls per second of one caller; 0: no limit");
   add.Number("max-search-steps", &l.max_search_steps, 1000, 1e12,
              "Nodes of the sequence times nodes of the history that one "
              "search may compare, counted twice where it looks in both "

@@ -405,7 +405,7 @@ def test_defaults_in_the_comments_of_the_api_are_those_of_the_server(revisit):
     stated = documented_defaults()
     fields = api.VehicleSettings.DESCRIPTOR.fields_by_name
     # Its default is the first position.
-    assert stated.keys() == fields.keys() - {"geodetic_origin"}
+    assert stated.keys() == set(fields.keys()) - {"geodetic_origin"}
     wrong = {field: words for field, words in stated.items()
              if not is_said(settings[fields[field].json_name], words)}
     assert wrong == {}
