@@ -99,7 +99,7 @@ class Engine {
       NodeIndex query, const SearchOptions& options,
       const ShouldStop& should_stop) const;
 
-  // The same at the newest node; kPathTooShort if there is none.
+  // Candidates at the newest node; kPathTooShort if the graph is empty.
   absl::StatusOr<CandidateSet> FindCandidates(
       const SearchOptions& options, const ShouldStop& should_stop) const;
 

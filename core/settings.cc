@@ -8,73 +8,45 @@
 namespace revisit::core {
 namespace {
 
-void CheckRange(const char* field, double value, double lowest, double highest,
-                std::vector<SettingProblem>* problems) {
-  if (value >= lowest && value <= highest) return;
-  problems->push_back({field, "got " + NumberText(value) + "; allowed is [" +
-                                  NumberText(lowest) + ", " +
-                                  NumberText(highest) + "]"});
-}
-
-void CheckProbability(const char* field, double value,
-                      std::vector<SettingProblem>* problems) {
-  if (value > 0.0 && value < 1.0) return;
-  problems->push_back(
-      {field, "got " + NumberText(value) + "; allowed is above 0 and below 1"});
-}
-
-constexpr double kLeastSpacingMeters = 0.01;
 constexpr double kLongestStepMeters = 1e6;
 
-// A spacing that is itself refused sets no bound on the step.
-double LongestStep(double node_spacing_meters) {
-  if (!(node_spacing_meters >= kLeastSpacingMeters)) return kLongestStepMeters;
-  return std::min(kLongestStepMeters,
-                  static_cast<double>(kMaxNodesPerStep) * node_spacing_meters);
+void Check(const NumberSetting& number, std::vector<SettingProblem>* problems) {
+  // Written so that not-a-number is out of range.
+  const bool is_within =
+      number.takes_ends
+          ? number.value >= number.lowest && number.value <= number.highest
+          : number.value > number.lowest && number.value < number.highest;
+  if (is_within) return;
+  const std::string lowest = NumberText(number.lowest);
+  const std::string highest = NumberText(number.highest);
+  problems->push_back(
+      {number.field,
+       "got " + NumberText(number.value) + "; allowed is " +
+           (number.takes_ends ? "[" + lowest + ", " + highest + "]"
+                              : "above " + lowest + " and below " + highest)});
 }
 
 void CheckSearch(const SearchOptions& options, double node_spacing_meters,
                  std::vector<SettingProblem>* problems) {
   // With a spacing that is itself refused, no length would be allowed.
   if (node_spacing_meters > 0.0 && std::isfinite(node_spacing_meters)) {
-    CheckRange("sequence_length_meters", options.sequence_length_meters,
-               node_spacing_meters,
-               static_cast<double>(kMaxSequenceNodes) * node_spacing_meters,
-               problems);
+    Check({"sequence_length_meters", options.sequence_length_meters,
+           node_spacing_meters,
+           static_cast<double>(kMaxSequenceNodes) * node_spacing_meters},
+          problems);
   }
-  CheckProbability("gate_probability", options.gate_probability, problems);
-  CheckRange("place_tolerance.position_meters",
-             options.place_tolerance.position_meters, 0.0, 1000.0, problems);
-  CheckRange("place_tolerance.heading_radians",
-             options.place_tolerance.heading_radians, 0.0, 3.0, problems);
-  CheckRange("candidate_separation_meters", options.candidate_separation_meters,
-             0.0, 1e6, problems);
-  CheckRange("max_candidates", options.max_candidates, 1, kMaxCandidates,
-             problems);
-  CheckRange("shape.tolerance.position_meters",
-             options.shape.tolerance.position_meters, 0.01, 1000.0, problems);
-  CheckRange("shape.tolerance.heading_radians",
-             options.shape.tolerance.heading_radians, 0.001, 3.0, problems);
-  CheckRange("shape.correlation_meters", options.shape.correlation_meters, 0.01,
-             1e6, problems);
-  CheckRange("road_spacing_meters", options.road_spacing_meters, 1.0, 1e6,
-             problems);
-  CheckProbability("acceptance_probability", options.acceptance_probability,
-                   problems);
+  for (const NumberSetting& number : NumbersOf(options)) {
+    Check(number, problems);
+  }
 }
 
 }  // namespace
 
 std::vector<SettingProblem> FindProblems(const EngineSettings& settings) {
   std::vector<SettingProblem> problems;
-  CheckRange("node_spacing_meters", settings.node_spacing_meters,
-             kLeastSpacingMeters, 1000.0, &problems);
-  CheckRange("check_interval_meters", settings.check_interval_meters,
-             std::max(kLeastSpacingMeters, settings.node_spacing_meters), 1e5,
-             &problems);
-  CheckRange("max_step_meters", settings.max_step_meters, 0.01,
-             LongestStep(settings.node_spacing_meters), &problems);
-  CheckRange("max_inflation", settings.max_inflation, 1.0, 100.0, &problems);
+  for (const NumberSetting& number : NumbersOf(settings)) {
+    Check(number, &problems);
+  }
   CheckSearch(settings.search, settings.node_spacing_meters, &problems);
   return problems;
 }
@@ -91,6 +63,12 @@ std::vector<SettingProblem> FindProblems(const SearchOptions& options,
          "is FILTER"});
   }
   return problems;
+}
+
+double LongestStep(double node_spacing_meters) {
+  if (!(node_spacing_meters >= kLeastSpacingMeters)) return kLongestStepMeters;
+  return std::min(kLongestStepMeters,
+                  static_cast<double>(kMaxNodesPerStep) * node_spacing_meters);
 }
 
 double DefaultMaxStep(double node_spacing_meters) {

@@ -1,7 +1,9 @@
-// How a vehicle's trajectory is kept and searched.
+// How a vehicle's trajectory is kept and searched: the settings, their defaults
+// and their ranges. How one is added: docs/how-it-works.md.
 #ifndef REVISIT_CORE_SETTINGS_H_
 #define REVISIT_CORE_SETTINGS_H_
 
+#include <algorithm>
 #include <cstdint>
 #include <limits>
 #include <string>
@@ -29,23 +31,22 @@ struct SearchOptions {
   // For kComposite only.
   LikelihoodForm likelihood_form = LikelihoodForm::kGaussian;
   SearchDirection direction = SearchDirection::kSame;
-  // Travelled distance that is aligned with the history: rounded to a number of
-  // nodes, [1, kMaxSequenceNodes].
+  // Travelled distance that is aligned with the history; it is rounded to a
+  // number of nodes.
   double sequence_length_meters = 150.0;
-  // Probability with which the gate accepts a true revisit, in (0, 1).
+  // Probability with which the gate accepts a true revisit.
   double gate_probability = 0.95;
-  // Position [0, 1000] m, heading [0, 3] rad.
   PlaceTolerance place_tolerance;
   // Least distance of candidates from each other and from the query, along the
-  // path: [0, 1e6] m.
+  // path.
   double candidate_separation_meters = 10.0;
-  // [1, kMaxCandidates].
+  // Most candidates that a search finds.
   int max_candidates = 5;
   // Whether candidates have their paths. Each is walked once more for it.
   bool tell_paths = true;
-  // Nodes of the sequence times nodes of the history, for each direction, that
-  // the search may compare. Where it would have to compare more, it finds
-  // nothing (EmptyReason::kTooMuchWork).
+  // Nodes of the sequence times nodes of the history times directions (2 for
+  // kEither) that the search may compare. A search that would have to compare
+  // more finds nothing (EmptyReason::kTooMuchWork).
   std::int64_t max_comparisons = std::numeric_limits<std::int64_t>::max();
 
   // The options below are for kRelative only.
@@ -53,41 +54,87 @@ struct SearchOptions {
   // Whether to find also candidates that are too improbable to be accepted,
   // which takes a look at the whole history.
   bool exhaustive = false;
-  // Mean distance between roads not driven, [1, 1e6] m.
+  // Mean distance between roads that the vehicle has not driven.
   double road_spacing_meters = 200.0;
-  // Least posterior probability of a place that is accepted, in (0, 1).
+  // Least posterior probability of a place that is accepted.
   double acceptance_probability = 0.4;
 };
 
 struct EngineSettings {
   StateSpace state_space = StateSpace::kPlanar;
-  // [0.01, 1000] m.
+  // Travelled distance between two nodes.
   double node_spacing_meters = 2.0;
-  // At least the node spacing, at most 1e5 m.
+  // Travelled distance between two checks.
   double check_interval_meters = 50.0;
-  // A longer step is a jump: [0.01, 1e6] m, and at most kMaxNodesPerStep node
-  // spacings, so that a single pose cannot add nodes without bound.
+  // Longest step between two poses; a longer one is a jump.
   double max_step_meters = 100.0;
   // Whether searches multiply the claimed standard deviations by
-  // Consistency::inflation, and the most that this may be: [1, 100].
+  // Consistency::inflation, and the most that this may be.
   bool apply_inflation = false;
   double max_inflation = 10.0;
   SearchOptions search;
 };
 
+inline constexpr double kLeastSpacingMeters = 0.01;
 inline constexpr int kMaxCandidates = 100;
 inline constexpr std::int64_t kMaxSequenceNodes = 1000;
 inline constexpr std::int64_t kMaxNodesPerStep = 1000;
 
+// A number among the settings, and its range.
+struct NumberSetting {
+  // Name of the field here, such as "place_tolerance.position_meters".
+  const char* field;
+  double value;
+  double lowest;
+  double highest;
+  // Whether the number may be lowest or highest itself.
+  bool takes_ends = true;
+};
+
+// The longest max_step_meters that is allowed with this spacing: a single pose
+// must not add nodes without bound. A spacing that is itself refused sets no
+// bound.
+double LongestStep(double node_spacing_meters);
+
+// All numbers among the settings with their ranges, in the order in which
+// problems are reported; but see FindProblems() for sequence_length_meters.
+inline std::vector<NumberSetting> NumbersOf(const EngineSettings& s) {
+  return {{"node_spacing_meters", s.node_spacing_meters, kLeastSpacingMeters,
+           1000.0},
+          {"check_interval_meters", s.check_interval_meters,
+           std::max(kLeastSpacingMeters, s.node_spacing_meters), 1e5},
+          {"max_step_meters", s.max_step_meters, 0.01,
+           LongestStep(s.node_spacing_meters)},
+          {"max_inflation", s.max_inflation, 1.0, 100.0}};
+}
+inline std::vector<NumberSetting> NumbersOf(const SearchOptions& o) {
+  const PlaceTolerance& shape = o.shape.tolerance;
+  return {
+      {"gate_probability", o.gate_probability, 0.0, 1.0, false},
+      {"place_tolerance.position_meters", o.place_tolerance.position_meters,
+       0.0, 1000.0},
+      {"place_tolerance.heading_radians", o.place_tolerance.heading_radians,
+       0.0, 3.0},
+      {"candidate_separation_meters", o.candidate_separation_meters, 0.0, 1e6},
+      {"max_candidates", static_cast<double>(o.max_candidates), 1.0,
+       kMaxCandidates},
+      {"shape.tolerance.position_meters", shape.position_meters, 0.01, 1000.0},
+      {"shape.tolerance.heading_radians", shape.heading_radians, 0.001, 3.0},
+      {"shape.correlation_meters", o.shape.correlation_meters, 0.01, 1e6},
+      {"road_spacing_meters", o.road_spacing_meters, 1.0, 1e6},
+      {"acceptance_probability", o.acceptance_probability, 0.0, 1.0, false}};
+}
+
 // A setting that is out of range.
 struct SettingProblem {
-  // Name of the field here, such as "place_tolerance.position_meters".
+  // NumberSetting::field, or the name of another field.
   std::string field;
   // The value that was given and those that are allowed.
   std::string description;
 };
 
-// All problems of the settings; none if they are valid.
+// All problems of the settings; none if they are valid. A sequence has 1 to
+// kMaxSequenceNodes nodes.
 std::vector<SettingProblem> FindProblems(const EngineSettings& settings);
 // All problems of the options of one search of a vehicle with these settings.
 std::vector<SettingProblem> FindProblems(const SearchOptions& options,

@@ -303,7 +303,7 @@ RevisitServer::RevisitServer(std::unique_ptr<State> state)
 
 RevisitServer::~RevisitServer() { Shutdown(); }
 
-// These come first because they are settings: a wrong one leaves no trace.
+// Comes first, since these files are settings: a wrong one leaves no trace.
 bool RevisitServer::State::LoadIdentities(StartError* error) {
   auto loaded_tls = LoadTlsFiles(settings, log);
   auto loaded_gatekeeper = MakeGatekeeper(
@@ -516,7 +516,8 @@ void RevisitServer::Shutdown() {
   state_->grpc_server->Shutdown(std::chrono::system_clock::now() + goodbye);
   state_->grpc_server->Wait();
   state_->grpc_server.reset();
-  // Its thread may hold the last reference to a stream, and with it a session.
+  // The gatekeeper's thread may hold the last reference to a stream, and with
+  // it a session.
   state_->gatekeeper.reset();
   state_->unload_timer.reset();
   state_->fleet.reset();

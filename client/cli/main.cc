@@ -62,9 +62,9 @@ void AddGlobalFlags(const Command& program, GlobalFlags* flags) {
       "Speak TLS; who may have issued the server's certificate (PEM)");
   const Flag certificate =
       program.AddText("--tls-cert", "FILE", &channel.tls_certificate_file,
-                      "Own certificate (PEM)");
+                      "Certificate of this client (PEM)");
   const Flag key = program.AddText("--tls-key", "FILE", &channel.tls_key_file,
-                                   "Its private key (PEM)");
+                                   "Private key of --tls-cert (PEM)");
   certificate.Needs(key).Needs(authorities);
   key.Needs(certificate);
   program.AddText("--token-file", "FILE", &channel.token_file,

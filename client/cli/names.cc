@@ -56,6 +56,8 @@ std::string Explain(v1::EmptyReason reason) {
       return "the sequence aligns with no path of the history";
     case v1::EMPTY_REASON_NO_PROBABLE_PLACE:
       return "no place of the history is probable";
+    case v1::EMPTY_REASON_LIMIT_EXCEEDED:
+      return "the search would compare more than the server allows";
     default:
       return "the server gave no reason";
   }

@@ -166,7 +166,7 @@ absl::StatusOr<std::shared_ptr<grpc::Channel>> MakeChannel(
     credentials = LocalCredentials(options.address);
   }
   if (!options.token_file.empty()) {
-    // So that a mistake shows at once.
+    // Read once here, so that a mistake shows at once.
     if (const auto token = ReadToken(options.token_file); !token.ok()) {
       return token.status();
     }

@@ -113,9 +113,9 @@ class PoseStream {
   PoseStream(const PoseStream&) = delete;
   PoseStream& operator=(const PoseStream&) = delete;
 
-  // Waits for the first connection. The highest durable sequence then: go on
-  // behind it. Poses up to it may be appended again; the server then compares
-  // them with what it has.
+  // Waits for the first connection. Returns the highest durable sequence at
+  // that moment: go on behind it. Poses up to it may be appended again; the
+  // server then compares them with what it has.
   absl::StatusOr<std::uint64_t> WaitUntilOpened();
 
   // Takes poses whose sequences follow each other and the last one taken. Waits
@@ -125,7 +125,8 @@ class PoseStream {
   // after Finish(); the final status if the stream has ended.
   absl::Status Append(v1::PoseBatch batch);
 
-  // The same without waiting: takes all or, with RESOURCE_EXHAUSTED, nothing.
+  // As Append(), but does not wait: takes all poses or, with
+  // RESOURCE_EXHAUSTED, none.
   absl::Status TryAppend(const v1::PoseBatch& batch);
 
   // Takes no more poses and waits until all are durable and the server has

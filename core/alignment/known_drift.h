@@ -48,7 +48,7 @@ class KnownDrift {
                                         const ConfirmedLoop& loop,
                                         NodeIndex query);
 
-  // The same in the form that the kernel takes.
+  // The known drift in the form that the kernel takes.
   KnownDriftTerms Terms() const;
 
   // Subtracts K y from the difference of the query and node j, and K X^T from

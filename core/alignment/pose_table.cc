@@ -7,7 +7,8 @@ namespace revisit::core {
 PoseTable::PoseTable(const PoseGraph& graph, NodeIndex size)
     : graph_(graph),
       size_(size),
-      // Not set to 0: most of it may never be looked at.
+      // The entries are left uninitialized, because most of them may never be
+      // looked at.
       poses_(new double[4 * static_cast<std::size_t>(size)]),
       filled_(BlocksOf(size)) {
   // Kernels read node 0 where they have no walker.

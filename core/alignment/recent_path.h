@@ -44,7 +44,8 @@ class RecentPath {
   // For each step, kMostEntries each: by how much a path of so many steps
   // shrinks the covariance of its end, in the axes of the local frame.
   const double* certainties() const { return certainties_.data(); }
-  // The same for the longest path, in the local frame: none shrinks it more.
+  // By how much the longest path shrinks that covariance, in the axes of the
+  // local frame: no path shrinks it more.
   StateMatrix<D> MostCertainty() const {
     return ToFrame(filter_.EndCertainty(size() - 1));
   }

@@ -63,7 +63,7 @@ void SearchBounds<D>::BoundEnds(const DifferenceBlock& differences,
                         recent_.weight() * recent_.most_log_likelihood_ratio();
   for (double& bound : *most) {
     bound += beside;
-    // Written so that what is not a number is nothing known.
+    // Written so that a bound which is not a number becomes kNothingKnown.
     bound = bound <= kNothingKnown ? bound : kNothingKnown;
   }
 }

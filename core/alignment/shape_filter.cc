@@ -99,11 +99,7 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
 
   const Pose end = graph.pose(query);
   const StateMatrix<D> from_end = TurnAbout<D>(-end.heading);
-  // Covariances of the drift now, between drift_0 and the drift now, and of
-  // drift_0.
-  StateMatrix<D> covariance = end_prior;
-  StateMatrix<D> end_cross = end_prior;
-  StateMatrix<D> end_covariance = end_prior;
+  Errors errors{end_prior, end_prior, end_prior};
   steps_.resize(static_cast<std::size_t>(steps));
   steps_[0].path.setZero();
   steps_[0].end_certainty.setZero();
@@ -113,35 +109,39 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
     const StateVector<D>& after = steps_[static_cast<std::size_t>(t - 1)].path;
     step.step_x = step.path(0) - after(0);
     step.step_y = step.path(1) - after(1);
-    StateMatrix<D> f = StateMatrix<D>::Identity();
-    f(0, D - 1) = -step.step_y;
-    f(1, D - 1) = step.step_x;
-    const StateMatrix<D> turn = TurnAbout<D>(step.path(D - 1));
-    const StateMatrix<D> predicted = Symmetric<D>(
-        f * covariance * f.transpose() + turn * noise * turn.transpose());
-    end_cross = (end_cross * f.transpose()).eval();
-    const StateMatrix<D> straying =
-        tolerance + turn * jitter * turn.transpose();
-    step.information = Inverse<D>(predicted + straying);
-    step.gain = predicted * step.information;
-    step.end_gain = end_cross * step.information;
-    // Joseph's form, which rounding cannot make indefinite.
-    const StateMatrix<D> kept = StateMatrix<D>::Identity() - step.gain;
-    covariance = Symmetric<D>(kept * predicted * kept.transpose() +
-                              step.gain * straying * step.gain.transpose());
-    end_covariance =
-        Symmetric<D>(end_covariance - step.end_gain * end_cross.transpose());
-    end_cross = (end_cross * kept.transpose()).eval();
-
+    errors.Advance(noise, tolerance, jitter, &step);
     const StateMatrix<D> gathered =
-        Inverse<D>(end_covariance) - end_prior_information;
+        Inverse<D>(errors.end) - end_prior_information;
     step.end_certainty =
         end_prior - Inverse<D>(end_prior_information + weight * gathered);
     step.surprise = -std::log(shares[static_cast<std::size_t>(t)]);
   }
   // Cov(at_end) is the sum of K S K^T over the steps, which bounds sum K nu by
   // Cauchy and Schwarz.
-  end_shift_ = end_prior - end_covariance;
+  end_shift_ = end_prior - errors.end;
+}
+
+template <int D>
+void ShapeFilter<D>::Errors::Advance(const StateMatrix<D>& noise,
+                                     const StateMatrix<D>& tolerance,
+                                     const StateMatrix<D>& jitter, Step* step) {
+  StateMatrix<D> f = StateMatrix<D>::Identity();
+  f(0, D - 1) = -step->step_y;
+  f(1, D - 1) = step->step_x;
+  const StateMatrix<D> turn = TurnAbout<D>(step->path(D - 1));
+  const StateMatrix<D> predicted =
+      Symmetric<D>(f * now * f.transpose() + turn * noise * turn.transpose());
+  cross = (cross * f.transpose()).eval();
+  const StateMatrix<D> straying = tolerance + turn * jitter * turn.transpose();
+  step->information = Inverse<D>(predicted + straying);
+  step->gain = predicted * step->information;
+  step->end_gain = cross * step->information;
+  // Joseph's form, which rounding cannot make indefinite.
+  const StateMatrix<D> kept = StateMatrix<D>::Identity() - step->gain;
+  now = Symmetric<D>(kept * predicted * kept.transpose() +
+                     step->gain * straying * step->gain.transpose());
+  end = Symmetric<D>(end - step->end_gain * cross.transpose());
+  cross = (cross * kept.transpose()).eval();
 }
 
 template <int D>

@@ -148,6 +148,22 @@ class ShapeFilter {
     StateMatrix<D> end_certainty;
   };
 
+  // Covariances of the filter's errors.
+  struct Errors {
+    // Carries the covariances over a step, and sets its gains and information.
+    // `noise` is that of both passes, `jitter` that of both nodes; the path and
+    // the way to it are set already.
+    void Advance(const StateMatrix<D>& noise, const StateMatrix<D>& tolerance,
+                 const StateMatrix<D>& jitter, Step* step);
+
+    // Covariance of the drift now.
+    StateMatrix<D> now;
+    // Covariance between drift_0 and the drift now.
+    StateMatrix<D> cross;
+    // Covariance of drift_0.
+    StateMatrix<D> end;
+  };
+
   std::vector<Step> steps_;
   StateMatrix<D> end_shift_ = StateMatrix<D>::Zero();
 };

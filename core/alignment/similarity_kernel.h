@@ -101,8 +101,8 @@ struct DifferenceChange {
   const double* certainty = nullptr;
   double cosine = 1.0;
   double sine = 0.0;
-  // Share of the covariance that has to be left; otherwise the difference stays
-  // as it is.
+  // Least share of the covariance that has to be left; where less would be
+  // left, the difference stays as it is.
   double least_left = 0.0;
   alignas(64) std::array<std::int64_t, NodeBlock::kSize> row;
   std::array<BlockColumn, 4> shift;
@@ -122,7 +122,7 @@ struct ChangeBound {
   double shift[kMostEntries] = {};
   // No more than this is subtracted from a covariance.
   double certainty[kMostEntries] = {};
-  // As in DifferenceChange.
+  // DifferenceChange::least_left.
   double least_left = 0.0;
 };
 

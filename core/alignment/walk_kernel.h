@@ -35,7 +35,8 @@ class Walkers {
     // Log-likelihood ratio so far, and sum of squared innovations.
     kRatio = kAtEnd + 4,
     kSquared,
-    // The same, at_end, and the number of steps, where the ratio was greatest.
+    // Ratio, squares, at_end and number of steps at the step at which the ratio
+    // was greatest.
     kBestRatio,
     kBestSquared,
     kBestAtEnd,

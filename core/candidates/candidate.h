@@ -42,7 +42,9 @@ struct RelativeEvidence {
 struct Candidate {
   // 1 for the best.
   int rank = 0;
-  // Log-likelihood of the alignment less a constant.
+  // Composite: log-likelihood of the best alignment that ends at the matched
+  // node, less a constant. Relative: log-odds of the matched node against all
+  // places not seen before.
   double score = 0.0;
   NodeIndex matched = 0;
   Direction direction = Direction::kSame;
@@ -77,7 +79,8 @@ enum class EmptyReason {
 struct CandidateSet {
   // The node that was asked about; nothing if the graph is empty.
   std::optional<NodeIndex> query;
-  // Best first.
+  // Best score first; of equal scores, the same direction first, and of one
+  // direction the lower node.
   std::vector<Candidate> candidates;
   EmptyReason empty_reason = EmptyReason::kNotEmpty;
   // Nodes of the history that were compared with the query, and nodes that were

@@ -44,7 +44,7 @@ struct Consistency {
 inline constexpr double kInflationPrior = 0.693;
 
 struct ConsistencyOptions {
-  // Its direction and inflation are ignored.
+  // The model of differences; its direction and inflation are ignored.
   SimilarityModel similarity;
   double gate_probability = 0.95;
   // Whether searches apply the inflation, so that their gate was wider by it.

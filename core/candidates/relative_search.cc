@@ -31,7 +31,7 @@ class RelativeSearch {
   RelativeSearch(const SearchTask& task, bool prune)
       : task_(task),
         options_(task.options),
-        // So little that no end with less can be accepted.
+        // Small enough that no end which is left out could be accepted.
         pruned_share_(prune ? std::min(kPrunedShare,
                                        1e-3 * options_.acceptance_probability)
                             : 0.0),
@@ -88,7 +88,8 @@ class RelativeSearch {
     return model;
   }
 
-  // Best first; of equal scores, the same direction first.
+  // Best score first; of equal scores, the same direction first. Claim() gives
+  // nodes that several places could claim to the first of them.
   std::vector<RankedPlace> Rank() const {
     std::vector<RankedPlace> places;
     for (const Direction direction : Directions(options_.direction)) {

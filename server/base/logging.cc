@@ -129,11 +129,6 @@ class LineWriterSink final : public spdlog::sinks::base_sink<std::mutex> {
 
 }  // namespace
 
-std::string EscapeForLog(const std::string& text) {
-  const std::string literal = Literal(text);
-  return literal.substr(1, literal.size() - 2);
-}
-
 struct Log::Sink {
   explicit Sink(spdlog::sink_ptr sink) : logger("revisitd", std::move(sink)) {}
   // Mutable, since Log::Write() is const: logging changes nothing that a caller

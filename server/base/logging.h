@@ -21,11 +21,6 @@ struct LogField {
   std::variant<std::string, std::int64_t, double> value;
 };
 
-// The content of a string literal of JSON, in printable ASCII: all other
-// characters are escaped, and invalid UTF-8 becomes U+FFFD. So no caller can
-// forge a line or send control sequences to a terminal.
-std::string EscapeForLog(const std::string& text);
-
 // Thread-safe. A log that writes to a descriptor never waits for its reader:
 // lines that find no room (LineWriter::Options) are dropped, and counted in a
 // line of the event log_lines_dropped in their place.
@@ -34,8 +29,11 @@ std::string EscapeForLog(const std::string& text);
 //   JSON: {"time":"2026-01-31T12:00:00.000Z","level":"info","event":"call",
 //          "method":"GetVehicle","code":"OK",...}
 //
-// In text, a value made only of letters, digits and ._:/@+- stands bare, any
-// other in quotes. Times are UTC.
+// In text, a value made only of letters, digits and ._:/@+- stands bare. Any
+// other, and in JSON every text, is a string literal of JSON in printable
+// ASCII: all other characters are escaped, and invalid UTF-8 becomes U+FFFD. So
+// no caller can forge a line or send control sequences to a terminal. Times are
+// UTC.
 class Log {
  public:
   // Writes to a descriptor, which stays the caller's; SIGPIPE must be ignored.

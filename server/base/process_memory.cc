@@ -9,10 +9,10 @@
 namespace revisit::server {
 namespace {
 
-// Fewer bytes are not worth giving back.
+// Least unused bytes that are worth giving back.
 constexpr std::int64_t kWorthTrimming = std::int64_t{8} << 20;
-// So many bytes do not wait: callers who are cut off one after another leave
-// that much within a second.
+// Unused bytes that are given back at once: callers who are cut off one after
+// another leave that much within a second.
 constexpr std::int64_t kMuchToTrim = std::int64_t{32} << 20;
 // The heap counts as shrinking if it lost this much between two looks.
 constexpr std::int64_t kStillShrinking = std::int64_t{256} << 10;

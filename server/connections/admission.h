@@ -1,6 +1,7 @@
-// Decides whether there is room for one more call, stream, search or batch.
-// Work without room is refused at once, before it costs anything, with a time
-// to come again: so that under overload the server goes on doing as much as it
+// Decides whether there is room for one more call, stream, search or batch of a
+// caller or vehicle; what bounds connections: connection_acceptor.h. Work
+// without room is refused at once, before it costs anything, with a time to
+// come again: so that under overload the server goes on doing as much as it
 // can.
 #ifndef REVISIT_SERVER_CONNECTIONS_ADMISSION_H_
 #define REVISIT_SERVER_CONNECTIONS_ADMISSION_H_

@@ -5,6 +5,29 @@
 // ends the service of a process that looks healthy. So the server accepts by
 // itself, sheds connections beyond its bounds by closing them at once, and can
 // therefore serve the next caller as soon as there is room.
+//
+// Who cuts whom, in this folder:
+//   ConnectionAcceptor  resets a new connection that is one too many, and at
+//                       its looks shuts down those that the table names. It
+//                       logs these, and those that metered reads have ended.
+//   ConnectionTable     judges and does not cut: too many connections, in all
+//                       or from one address; bounds that a meter has passed;
+//                       too many calls held; too many connections without a
+//                       call that was let in.
+//   ConnectionMeter     counts the bytes of one connection against its
+//                       progress, which the calls report (service/call.h).
+//   metered_reads.h     feeds the meters, and ends a connection at its next
+//                       read once its meter has passed a bound: at once,
+//                       because much may come before the next look.
+//   TransportCalls      counts the calls that gRPC holds for a connection.
+//   Admission           refuses calls, searches and batches and cuts nothing:
+//                       it knows callers and vehicles, not connections.
+//   Drain               ends calls, and only when the server stops.
+//   gRPC                closes connections that do not open as gRPC does, have
+//                       no calls or do not answer its pings, by the times in
+//                       limits.h. The memory that all connections hold is
+//                       bounded by its quota (max-transport-bytes); nothing
+//                       counts what one connection holds but for its calls.
 #ifndef REVISIT_SERVER_CONNECTIONS_CONNECTION_ACCEPTOR_H_
 #define REVISIT_SERVER_CONNECTIONS_CONNECTION_ACCEPTOR_H_
 

@@ -71,7 +71,7 @@ const char* ConnectionTable::Add(int descriptor, const std::string& host,
     }
   }
   const std::optional<std::uint64_t> cookie = cookie_(descriptor);
-  // Gone already.
+  // The connection was closed in the meantime.
   if (!cookie) return nullptr;
   Connection connection{host, *cookie, nullptr, ""};
   connection.number = ++last_number_;
@@ -182,8 +182,8 @@ void ConnectionTable::Remove(int descriptor) {
   if (found == connections_.end()) return;
   const Connection& connection = found->second;
   if (connection.meter != nullptr && !connection.was_told) {
-    // It was closed for this bound; its descriptor may belong to another
-    // connection already.
+    // The connection was closed for this bound; its descriptor may belong to
+    // another connection already.
     if (const char* bound = BoundPassed(connection)) {
       untold_.push_back({-1, connection.host, bound});
     }

@@ -14,7 +14,7 @@
 namespace revisit::server {
 
 void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle);
-// The same as far as the store knows a vehicle that is not in memory.
+// Encodes what the store knows of a vehicle that is not in memory.
 void EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle);
 
 void EncodeAck(const Acknowledgement& acknowledgement, v1::Ack* ack);

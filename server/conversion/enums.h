@@ -10,7 +10,8 @@
 
 namespace revisit::server {
 
-// The first row of a table is the default.
+// One value of an enum. ToProto() answers the first row of a table for a value
+// that has none.
 template <typename Proto, typename Own>
 struct EnumRow {
   Proto proto;

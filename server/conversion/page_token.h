@@ -24,7 +24,8 @@ std::string MakePageToken(const std::string& list, const std::string& key);
 // (INVALID_PAGE_TOKEN) if the token was not made for this list.
 absl::StatusOr<std::string> ParsePageToken(const std::string& list,
                                            const std::string& token);
-// The same where keys are sequences of poses; 0 for an empty token.
+// Tokens of lists whose keys are sequences of poses; an empty token is read as
+// 0.
 std::string MakePageToken(const std::string& list, std::uint64_t sequence);
 absl::StatusOr<std::uint64_t> ParseSequenceToken(const std::string& list,
                                                  const std::string& token);

@@ -141,7 +141,8 @@ absl::StatusOr<DecodedBatch> DecodeStored(const stored::PoseBatch& stored,
 
 // ---- Revisions
 
-// Puts the estimate of `revised` into `stored`.
+// Puts the estimate of `revised` into `stored`; all else of the stored pose
+// stays.
 void Replace(const v1::Pose& revised, const VehicleConfig& config,
              stored::Pose* stored) {
   if (revised.error_transition_size() > 0) {

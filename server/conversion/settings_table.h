@@ -1,10 +1,8 @@
 // The table of a vehicle's settings, and how it is read from and written to
 // messages by the names of their fields.
 //
-// To add a setting: a line in VisitSettings(), a field of the same name in
-// revisit.v1.VehicleSettings and in revisit.stored.VehicleSettings
-// (stored_records.proto), and in revisit.v1.CandidateOptions if a single search
-// may change it.
+// To add a setting: a line in VisitSettings() that names its field, which is
+// the same in all messages; how the rest is done: docs/how-it-works.md.
 #ifndef REVISIT_SERVER_CONVERSION_SETTINGS_TABLE_H_
 #define REVISIT_SERVER_CONVERSION_SETTINGS_TABLE_H_
 
@@ -77,8 +75,9 @@ void VisitSettings(Config* config, Visitor* visitor) {
                   &search->shape.correlation_meters);
 }
 
-// Replaces the settings that a message gives. Settings that the message has no
-// field for, as CandidateOptions has not for all, stay as they are.
+// Replaces the settings that a message gives. Settings for which the message
+// has no field stay as they are: CandidateOptions lacks those that a search
+// cannot override.
 class SettingsReader {
  public:
   // The arguments must outlive this.
@@ -96,7 +95,7 @@ class SettingsReader {
   void Number(const char* name, double* value);
   void Count(const char* name, int* value);
   void Switch(const char* name, bool* value);
-  // Both numbers of a tolerance that is given are.
+  // A tolerance that is given replaces both numbers.
   void Tolerance(const char* name, core::PlaceTolerance* value);
   void Origin(const char* name, VehicleConfig* config);
 

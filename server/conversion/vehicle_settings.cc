@@ -65,7 +65,7 @@ absl::Status SettingFixed(const char* setting,
                {{"field", field}});
 }
 
-// Refuses changes of what poses that are there depend on.
+// Refuses changes that would give the stored poses another meaning.
 absl::Status CheckFixedSettings(const VehicleConfig& current,
                                 const VehicleConfig& updated) {
   const auto filter = [](const VehicleConfig& config) {

@@ -21,7 +21,7 @@ constexpr MethodRule kRules[] = {
     {"ListVehicles", Verb::kRead},
     {"RejectCandidate", Verb::kWrite},
     {"RevisePoses", Verb::kWrite, false, true},
-    // Also requires kRead if candidates are asked for.
+    // StreamPoses also requires kRead where candidates are asked for.
     {"StreamPoses", Verb::kWrite, false, true},
     {"UpdateVehicle", Verb::kWrite},
 };

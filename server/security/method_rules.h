@@ -11,7 +11,9 @@ namespace revisit::server {
 
 struct MethodRule {
   const char* method;
-  // Nullopt if every known caller may call it.
+  // Nullopt if every known caller may call it. Such a method takes no room
+  // among the calls at a time, so that an operator gets an answer from a server
+  // that is full.
   std::optional<Verb> verb;
   // Whether the method names a vehicle that does not exist yet, so that "not
   // found" would make no sense.
@@ -20,8 +22,10 @@ struct MethodRule {
   bool streams = false;
 };
 
-// The rule of a method. Null for a method without one, which then requires
-// kAdmin.
+// The rule of a method; null for a method without one. Such a method requires
+// kAdmin, counts as a call that neither streams nor creates, and takes no room:
+// no limit of calls at a time holds for it. So every method of the service
+// needs a rule (method_rules_test.cc compares the two lists).
 const MethodRule* FindMethodRule(const std::string& method);
 
 }  // namespace revisit::server

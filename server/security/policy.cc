@@ -8,6 +8,7 @@
 #include <set>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "server/base/status.h"
 #include "server/security/strict_json.h"
 
@@ -67,7 +68,7 @@ absl::StatusOr<std::vector<std::pair<std::string, std::string>>> Texts(
   }
   std::vector<std::pair<std::string, std::string>> texts;
   for (const Json& element : *found) {
-    const std::string at = path + "[" + std::to_string(texts.size()) + "]";
+    const std::string at = absl::StrCat(path, "[", texts.size(), "]");
     if (!element.is_string()) return Problem(at, "not a text");
     texts.emplace_back(element.get<std::string>(), at);
   }
@@ -81,7 +82,7 @@ absl::StatusOr<Tenants> ReadTenants(const Json& list) {
   if (!list.is_array()) return Problem("tenants", "not an array");
   Tenants tenants;
   for (std::size_t i = 0; i < list.size(); ++i) {
-    const std::string where = "tenants[" + std::to_string(i) + "]";
+    const std::string where = absl::StrCat("tenants[", i, "]");
     if (absl::Status status =
             CheckObject(list[i], where, {"name", "vehicle_prefix"});
         !status.ok()) {
@@ -207,6 +208,100 @@ absl::Status NotGranted(const std::string& what) {
 
 }  // namespace
 
+// Reads the grants of a policy. `where` is their place in the file.
+class Policy::Reader {
+ public:
+  static absl::StatusOr<Rule> ReadGrant(const Json& entry,
+                                        const std::string& where,
+                                        const Tenants& tenants) {
+    if (absl::Status status =
+            CheckObject(entry, where,
+                        {"token_subject", "token_claim", "certificate_uri",
+                         "certificate_dns", "tenant", "vehicles", "verbs"});
+        !status.ok()) {
+      return status;
+    }
+    Rule rule;
+    if (absl::Status status = ReadNames(entry, where, &rule); !status.ok()) {
+      return status;
+    }
+    const auto tenant = Text(entry, "tenant", where);
+    if (!tenant.ok()) return tenant.status();
+    rule.tenant = *tenant;
+    if (*tenant != kAllTenants) {
+      const auto found = tenants.find(*tenant);
+      if (found == tenants.end()) {
+        return Problem(
+            absl::StrCat(where, ".tenant"),
+            absl::StrCat("got \"", *tenant, "\", which is not among tenants"));
+      }
+      rule.grant.vehicle_prefix = found->second;
+    }
+    const bool has_match = rule.name_pattern.find('*') != std::string::npos;
+    auto patterns = ReadPatterns(entry, has_match, where);
+    if (!patterns.ok()) return patterns.status();
+    rule.grant.vehicle_patterns = *std::move(patterns);
+    const auto verbs = ReadVerbs(entry, where);
+    if (!verbs.ok()) return verbs.status();
+    rule.grant.verbs = *verbs;
+    return rule;
+  }
+
+ private:
+  // Reads who the grant is for.
+  static absl::Status ReadNames(const Json& entry, const std::string& where,
+                                Rule* rule) {
+    constexpr std::pair<const char*, Who> kNames[] = {
+        {"token_subject", Who::kTokenSubject},
+        {"token_claim", Who::kTokenClaim},
+        {"certificate_uri", Who::kCertificateUri},
+        {"certificate_dns", Who::kCertificateDns}};
+    int named = 0;
+    for (const auto& [key, who] : kNames) {
+      if (!entry.contains(key)) continue;
+      ++named;
+      rule->who = who;
+      const absl::Status status =
+          who == Who::kTokenClaim
+              ? ReadClaim(entry[key], absl::StrCat(where, ".", key), rule)
+              : ReadNamePattern(entry, key, where, rule);
+      if (!status.ok()) return status;
+    }
+    if (named == 1) return absl::OkStatus();
+    return Problem(where, absl::StrCat("names who it is for ", named,
+                                       " times; exactly one of token_subject, "
+                                       "token_claim, certificate_uri and "
+                                       "certificate_dns is needed"));
+  }
+
+  static absl::Status ReadClaim(const Json& claim, const std::string& where,
+                                Rule* rule) {
+    if (absl::Status status = CheckObject(claim, where, {"name", "value"});
+        !status.ok()) {
+      return status;
+    }
+    const auto name = Text(claim, "name", where);
+    if (!name.ok()) return name.status();
+    rule->claim = *name;
+    return ReadNamePattern(claim, "value", where, rule);
+  }
+
+  static absl::Status ReadNamePattern(const Json& object, const char* key,
+                                      const std::string& where, Rule* rule) {
+    const auto pattern = Text(object, key, where);
+    if (!pattern.ok()) return pattern.status();
+    if (pattern->empty() ||
+        std::count(pattern->begin(), pattern->end(), '*') > 1) {
+      return Problem(
+          absl::StrCat(where, ".", key),
+          absl::StrCat("got \"", *pattern,
+                       "\"; allowed is a text with at most one `*`"));
+    }
+    rule->name_pattern = *pattern;
+    return absl::OkStatus();
+  }
+};
+
 absl::StatusOr<Policy> Policy::Parse(const std::string& text) {
   Json root;
   if (absl::Status status = ParseStrictJson(text, &root); !status.ok()) {
@@ -231,78 +326,12 @@ absl::StatusOr<Policy> Policy::Parse(const std::string& text) {
   const Json& list = root["grants"];
   if (!list.is_array()) return Problem("grants", "not an array");
 
-  constexpr std::pair<const char*, Who> kNames[] = {
-      {"token_subject", Who::kTokenSubject},
-      {"token_claim", Who::kTokenClaim},
-      {"certificate_uri", Who::kCertificateUri},
-      {"certificate_dns", Who::kCertificateDns}};
   Policy policy;
   for (std::size_t i = 0; i < list.size(); ++i) {
-    const std::string where = "grants[" + std::to_string(i) + "]";
-    const Json& entry = list[i];
-    if (absl::Status status =
-            CheckObject(entry, where,
-                        {"token_subject", "token_claim", "certificate_uri",
-                         "certificate_dns", "tenant", "vehicles", "verbs"});
-        !status.ok()) {
-      return status;
-    }
-    Rule rule;
-    int named = 0;
-    for (const auto& [key, who] : kNames) {
-      if (!entry.contains(key)) continue;
-      ++named;
-      rule.who = who;
-      std::string path = where;
-      const Json* holder = &entry;
-      const char* member = key;
-      if (who == Who::kTokenClaim) {
-        path += std::string(".") + key;
-        holder = &entry[key];
-        member = "value";
-        if (absl::Status status = CheckObject(*holder, path, {"name", "value"});
-            !status.ok()) {
-          return status;
-        }
-        const auto claim = Text(*holder, "name", path);
-        if (!claim.ok()) return claim.status();
-        rule.claim = *claim;
-      }
-      const auto pattern = Text(*holder, member, path);
-      if (!pattern.ok()) return pattern.status();
-      if (pattern->empty() ||
-          std::count(pattern->begin(), pattern->end(), '*') > 1) {
-        return Problem(
-            path + "." + member,
-            "got \"" + *pattern + "\"; allowed is a text with at most one `*`");
-      }
-      rule.name_pattern = *pattern;
-    }
-    if (named != 1) {
-      return Problem(where,
-                     "names who it is for " + std::to_string(named) +
-                         " times; exactly one of token_subject, token_claim, "
-                         "certificate_uri and certificate_dns is needed");
-    }
-    const auto tenant = Text(entry, "tenant", where);
-    if (!tenant.ok()) return tenant.status();
-    rule.tenant = *tenant;
-    if (*tenant != kAllTenants) {
-      const auto found = tenants->find(*tenant);
-      if (found == tenants->end()) {
-        return Problem(where + ".tenant",
-                       "got \"" + *tenant + "\", which is not among tenants");
-      }
-      rule.grant.vehicle_prefix = found->second;
-    }
-    const bool has_match = rule.name_pattern.find('*') != std::string::npos;
-    auto patterns = ReadPatterns(entry, has_match, where);
-    if (!patterns.ok()) return patterns.status();
-    rule.grant.vehicle_patterns = *std::move(patterns);
-    const auto verbs = ReadVerbs(entry, where);
-    if (!verbs.ok()) return verbs.status();
-    rule.grant.verbs = *verbs;
-    policy.rules_.push_back(std::move(rule));
+    absl::StatusOr<Rule> rule =
+        Reader::ReadGrant(list[i], absl::StrCat("grants[", i, "]"), *tenants);
+    if (!rule.ok()) return rule.status();
+    policy.rules_.push_back(*std::move(rule));
   }
   return policy;
 }

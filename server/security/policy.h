@@ -79,11 +79,12 @@ class Policy {
     std::string claim;  // Name of the claim, for kTokenClaim.
     std::string name_pattern;
     std::string tenant;
-    // As written, with {match} not yet replaced.
+    // The grant as the file has it, with {match} not yet replaced.
     Grant grant;
   };
+  class Reader;
 
-  // Those names of the identity that the rule compares.
+  // The names of the identity with which the rule compares its pattern.
   static std::vector<std::string> NamesFor(const Rule& rule,
                                            const Identity& identity);
 

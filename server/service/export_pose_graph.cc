@@ -118,7 +118,8 @@ class Export final : public grpc::ServerWriteReactor<grpc::ByteBuffer>,
 
   void Continue() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     if (slow_) {
-      // Also if it was cut in the end: that was not the caller's doing.
+      // Named as the reason even if the call was cut in the end, since that was
+      // not the caller's doing.
       End(SlowConsumer());
       return;
     }

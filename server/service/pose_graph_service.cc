@@ -81,7 +81,7 @@ class UnaryAppend final : public AppendSink {
         max_poses_(max_poses) {}
 
   absl::StatusOr<DecodedBatch> Decode(const VehicleConfig& config) override {
-    // It may have waited long.
+    // The batch may have waited past its caller's deadline.
     if (call_->given_up()) return call_->GivenUpStatus();
     const std::string id = request_->vehicle().substr(VehicleName("").size());
     if (absl::Status meant = CheckMeant(id, config, request_->vehicle_uid());

@@ -439,7 +439,8 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   }
 
   absl::Status FinalStatus() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    // Also if it was cut in the end: that was not the caller's doing.
+    // Named as the reason even if the call was cut in the end, since that was
+    // not the caller's doing.
     if (slow_) return *failure_;
     if (call_.given_up()) return call_.GivenUpStatus();
     if (failure_) return *failure_;

@@ -80,7 +80,7 @@ class UnaryCall : public grpc::ServerUnaryReactor,
   std::shared_ptr<UnaryCall> self_;
 };
 
-// The same with its messages.
+// A unary call with its messages.
 template <typename Request, typename Response>
 class TypedCall final : public UnaryCall {
  public:

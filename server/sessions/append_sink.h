@@ -43,8 +43,8 @@ class AppendSink {
 
   // Whether the checks that the batch makes fall due are run.
   virtual bool wants_candidates() const { return false; }
-  // How they are run for a vehicle of this config. INVALID_ARGUMENT if the
-  // options do not fit it.
+  // Search options of these checks, for a vehicle of this config.
+  // INVALID_ARGUMENT if the options that the client sent do not fit it.
   virtual absl::StatusOr<core::SearchOptions> CheckOptions(
       const VehicleConfig& config) const {
     return config.engine.search;

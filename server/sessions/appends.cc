@@ -15,12 +15,13 @@ using absl::StrCat;
 
 absl::Status CheckConsecutive(const DecodedBatch& batch) {
   if (batch.samples.empty()) {
-    return InvalidFields("BATCH_SIZE", {{"poses", "got 0, at least 1"}});
+    return InvalidFields("BATCH_SIZE",
+                         {{"poses", "got 0; allowed is at least 1"}});
   }
   const std::uint64_t first = batch.samples.front().sequence;
   if (first == 0) {
-    return InvalidFields("INVALID_FIELD",
-                         {{"poses[0].sequence", "got 0, at least 1"}});
+    return InvalidFields("INVALID_FIELD", {{"poses[0].sequence",
+                                            "got 0; allowed is at least 1"}});
   }
   for (std::size_t i = 0; i < batch.samples.size(); ++i) {
     const auto gap = FindSequenceGap(first + i - 1, batch.samples[i].sequence);

@@ -64,9 +64,9 @@ Changes::Then Changes::AnswerWithView(const ViewCallback& callback) {
   };
 }
 
-bool Changes::IsOfLostPoses(std::uint64_t acked_sequence,
-                            const std::string& vehicle_uid,
-                            const ViewCallback& callback) const {
+bool Changes::AnswerUnlessLost(std::uint64_t acked_sequence,
+                               const std::string& vehicle_uid,
+                               const ViewCallback& callback) const {
   const absl::Status meant =
       vehicle_->config_is_known
           ? CheckMeant(vehicle_->id, vehicle_->config, vehicle_uid)
@@ -76,17 +76,17 @@ bool Changes::IsOfLostPoses(std::uint64_t acked_sequence,
   } else if (!vehicle_->damage.ok()) {
     callback(vehicle_->damage);
   } else if (acked_sequence > vehicle_->durable_sequence) {
-    return true;
+    return false;
   } else {
     callback(vehicle_->View());
   }
-  return false;
+  return true;
 }
 
 void Changes::CheckAcknowledged(std::uint64_t acked_sequence,
                                 const std::string& vehicle_uid,
                                 const ViewCallback& callback) {
-  if (!IsOfLostPoses(acked_sequence, vehicle_uid, callback)) return;
+  if (AnswerUnlessLost(acked_sequence, vehicle_uid, callback)) return;
   const ErrorMetadata acked = {{"acked_sequence", StrCat(acked_sequence)}};
   const absl::Status loss = vehicle_->DataLoss(acked);
   if (vehicle_->config.data_loss) {
@@ -97,8 +97,8 @@ void Changes::CheckAcknowledged(std::uint64_t acked_sequence,
     callback(vehicle_->Regressed(
         StrCat("the client holds an acknowledgement for sequence ",
                acked_sequence, ", but only ", vehicle_->durable_sequence,
-               " poses are stored; without the uid of the vehicle that it is "
-               "of (vehicle_uid) this ends this stream alone"),
+               " poses are stored; no vehicle_uid was sent, so only this "
+               "stream ends"),
         acked));
     return;
   }
@@ -241,15 +241,18 @@ void Changes::WriteRevision(const RevisionPlanner& make_plan,
 
 void Changes::AddPosePair(PairKind kind, PosePairRecord pair,
                           const PairCallback& callback) {
-  absl::Status allowed = vehicle_->Writable();
   const PosePairs& pairs = vehicle_->Pairs(kind);
-  if (allowed.ok()) allowed = CheckNewPair(kind, pair);
+  const auto found = pairs.find(pair.id);
+  const PosePairRecord* const present =
+      found == pairs.end() ? nullptr : &found->second;
+  absl::Status allowed = vehicle_->Writable();
+  if (allowed.ok()) allowed = CheckNewPair(kind, pair, present);
   if (!allowed.ok()) {
     callback(allowed);
     return;
   }
-  if (const auto there = pairs.find(pair.id); there != pairs.end()) {
-    callback(std::make_pair(there->second, vehicle_->revision));
+  if (present != nullptr) {
+    callback(std::make_pair(*present, vehicle_->revision));
     return;
   }
   const bool is_last = PlaceInOrder(&pair);
@@ -282,8 +285,8 @@ void Changes::AddPosePair(PairKind kind, PosePairRecord pair,
       });
 }
 
-absl::Status Changes::CheckNewPair(PairKind kind,
-                                   const PosePairRecord& pair) const {
+absl::Status Changes::CheckNewPair(PairKind kind, const PosePairRecord& pair,
+                                   const PosePairRecord* present) const {
   for (const std::uint64_t sequence :
        {pair.query_sequence, pair.matched_sequence}) {
     if (sequence < 1 || sequence > vehicle_->durable_sequence) {
@@ -291,21 +294,18 @@ absl::Status Changes::CheckNewPair(PairKind kind,
     }
   }
   const PairWords words = WordsOf(kind);
-  const PosePairs& pairs = vehicle_->Pairs(kind);
-  const auto found = pairs.find(pair.id);
-  if (found != pairs.end()) {
-    const PosePairRecord& there = found->second;
-    if (there.query_sequence == pair.query_sequence &&
-        there.matched_sequence == pair.matched_sequence) {
+  if (present != nullptr) {
+    if (present->query_sequence == pair.query_sequence &&
+        present->matched_sequence == pair.matched_sequence) {
       return absl::OkStatus();
     }
     return Error(
         StatusCode::kAlreadyExists, words.exists,
         StrCat(words.noun, " '", pair.id, "' names sequences ",
-               there.query_sequence, " and ", there.matched_sequence, ", got ",
-               pair.query_sequence, " and ", pair.matched_sequence));
+               present->query_sequence, " and ", present->matched_sequence,
+               ", got ", pair.query_sequence, " and ", pair.matched_sequence));
   }
-  if (pairs.size() >= max_pose_pairs_) {
+  if (vehicle_->Pairs(kind).size() >= max_pose_pairs_) {
     const std::string limit = StrCat(max_pose_pairs_);
     return Error(StatusCode::kFailedPrecondition, "POSE_PAIR_LIMIT",
                  StrCat("vehicle '", vehicle_->id, "' has ", limit, " ",

@@ -55,11 +55,12 @@ class Changes {
         replayer_(replayer),
         max_pose_pairs_(max_pose_pairs) {}
 
-  // Whether a claim is for more than is stored. Answers it if not. Changes
-  // nothing, and may be called at any time.
-  bool IsOfLostPoses(std::uint64_t acked_sequence,
-                     const std::string& vehicle_uid,
-                     const ViewCallback& callback) const;
+  // Calls `callback` with the answer to a client that claims this
+  // acknowledgement, unless poses that it claims are lost: then only returns
+  // false. Changes nothing, and may be called at any time.
+  bool AnswerUnlessLost(std::uint64_t acked_sequence,
+                        const std::string& vehicle_uid,
+                        const ViewCallback& callback) const;
   void CheckAcknowledged(std::uint64_t acked_sequence,
                          const std::string& vehicle_uid,
                          const ViewCallback& callback);
@@ -89,8 +90,10 @@ class Changes {
   Then AnswerWithView(const ViewCallback& callback);
   void WriteRevision(const RevisionPlanner& make_plan,
                      const RevisionCallback& callback);
-  // OK if the pair may be added.
-  absl::Status CheckNewPair(PairKind kind, const PosePairRecord& pair) const;
+  // OK if the pair may be added, or if `present`, the pair that has its id, is
+  // the same; `present` is null if no pair has the id.
+  absl::Status CheckNewPair(PairKind kind, const PosePairRecord& pair,
+                            const PosePairRecord* present) const;
   // Gives the pair its place in the order of creation times. Returns whether it
   // is the last.
   bool PlaceInOrder(PosePairRecord* pair) const;

@@ -56,7 +56,7 @@ void Executor::Work() {
     tasks_.pop_front();
     lock.Unlock();
     task();
-    // What the task holds goes before the lock is taken again.
+    // Destroys what the task holds before the lock is taken again.
     task = nullptr;
     lock.Lock();
   }

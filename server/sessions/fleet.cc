@@ -37,7 +37,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
 
   std::shared_ptr<VehicleSession> Session(const std::string& id)
       ABSL_LOCKS_EXCLUDED(mutex) {
-    // Goes after the lock.
+    // Destroyed after the lock is released.
     std::shared_ptr<VehicleSession> replaced;
     std::shared_ptr<VehicleSession> session;
     {
@@ -90,7 +90,8 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
                        callback](const absl::StatusOr<VehicleView>& view) {
       const bool is_missing = absl::IsNotFound(view.status());
       if (is_missing && again) {
-        // It was asked for, and not found, just before it was created.
+        // This session was loaded, and found no vehicle, just before the
+        // vehicle was created.
         self->LoadCreated(id, config, key, false, callback);
       } else if (view.ok() || is_missing) {
         // Missing the second time, it has been deleted since.
@@ -122,7 +123,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   }
 
   Residency UnloadIdle(std::chrono::steady_clock::time_point now) {
-    // Go after the lock: a graph takes a while to take down.
+    // Destroyed after the lock is released: a graph takes a while to take down.
     Dropped dropped;
     const MutexLock guard(&mutex);
     std::vector<Entries::iterator> unused_entries;

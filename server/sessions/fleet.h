@@ -50,7 +50,8 @@ class Fleet {
   // work or the stream that needs it, and ask again after it is gone().
   std::shared_ptr<VehicleSession> Session(const std::string& id);
 
-  // The same if it is in memory, else null. Does not keep it there.
+  // The session of a vehicle if it is in memory, else null. Does not keep it
+  // there.
   std::shared_ptr<VehicleSession> SessionIfLoaded(const std::string& id) const;
 
   // Creates a vehicle, of revision 1, and answers with it. ALREADY_EXISTS
@@ -69,7 +70,7 @@ class Fleet {
   // Vehicles in memory.
   std::size_t loaded() const;
 
-  // What they take there, as VehicleSession::Residency has it.
+  // Vehicles in memory, with the sums of their VehicleSession::Residency.
   struct Residency {
     std::int64_t vehicles = 0;
     std::int64_t nodes = 0;
@@ -77,8 +78,9 @@ class Fleet {
   };
   Residency residency() const;
 
-  // Unloads what has been idle since before `now` less Options::idle_unload,
-  // then what is above the budget. Answers what went. The server calls it on a
+  // Unloads the vehicles that have been idle since before `now` less
+  // Options::idle_unload, then as many others as exceed the memory budget.
+  // Returns the residency of those that were unloaded. The server calls it on a
   // timer.
   Residency UnloadIdle(std::chrono::steady_clock::time_point now);
 

@@ -238,7 +238,8 @@ void Replayer::GoNoFurther(const absl::Status& cause) {
   vehicle_->durable_sequence = sound;
 }
 
-// Pairs name poses that are there. A load leaves out others.
+// Checks that each pair names stored poses. A load drops pairs that do not; a
+// rebuild fails with DATA_LOSS.
 absl::Status Replayer::CheckPairs() {
   for (const PairKind kind : kPairKinds) {
     PosePairs& pairs = vehicle_->Pairs(kind);

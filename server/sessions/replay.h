@@ -1,4 +1,5 @@
-// Makes a vehicle's graph from what is stored.
+// Makes a vehicle's graph from what is stored: when the vehicle is loaded, and
+// anew after a change that moves nodes.
 #ifndef REVISIT_SERVER_SESSIONS_REPLAY_H_
 #define REVISIT_SERVER_SESSIONS_REPLAY_H_
 
@@ -27,8 +28,10 @@ struct Replay {
   std::unique_ptr<core::Engine> engine;
   std::vector<core::Jump> jumps;
   std::uint64_t next_sequence = 1;
-  // Stand for revisions until the last step: batches have each their own,
-  // which do not grow with the sequence once some are revised.
+  // Number of changes made to the engine so far, which serves as its revision
+  // during the replay: an engine's revisions have to grow, and those that are
+  // stored with the batches need not grow with the sequence once some batches
+  // were revised.
   std::uint64_t steps = 0;
   // The highest revision of the batches so far.
   std::uint64_t highest_revision = 0;

@@ -1,4 +1,4 @@
-// What a vehicle is, apart from its poses, in the server's own types.
+// A vehicle apart from its poses, in the server's own types.
 #ifndef REVISIT_SERVER_SESSIONS_VEHICLE_CONFIG_H_
 #define REVISIT_SERVER_SESSIONS_VEHICLE_CONFIG_H_
 

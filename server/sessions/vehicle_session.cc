@@ -99,8 +99,8 @@ void VehicleSession::CheckAcknowledged(std::uint64_t acked_sequence,
         callback = std::move(callback)](const absl::Status& status) {
          if (!status.ok()) {
            callback(status);
-         } else if (state->changes.IsOfLostPoses(acked_sequence, vehicle_uid,
-                                                 callback)) {
+         } else if (!state->changes.AnswerUnlessLost(acked_sequence,
+                                                     vehicle_uid, callback)) {
            state->SubmitAlone(callback, check);
          }
        }});

@@ -19,6 +19,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <memory>
 #include <string>
 #include <utility>
@@ -38,9 +39,10 @@ class VehicleSession {
  public:
   struct Limits {
     // Appends that may wait or be in flight; more are RESOURCE_EXHAUSTED
-    // (QUEUE_FULL).
-    int max_pending_appends = 256;
-    // Pairs of poses of each kind; every search looks at all of them.
+    // (QUEUE_FULL). The server sets its own limit of this name (limits.h).
+    int max_pending_appends = std::numeric_limits<int>::max();
+    // Pairs of poses of each kind; more are FAILED_PRECONDITION
+    // (POSE_PAIR_LIMIT), because every search looks at all of them.
     std::size_t max_pose_pairs = 100'000;
   };
 

@@ -52,7 +52,8 @@ struct VehicleState {
   absl::Status damage;
   bool config_is_known = true;
 
-  // The same with the appends that are in flight.
+  // Config, sequence and revision that the vehicle will have once all appends
+  // that are in flight are durable and applied.
   struct Staged {
     VehicleConfig config;
     std::uint64_t sequence = 0;

@@ -30,8 +30,8 @@ std::string ToUuid(Bytes bytes, unsigned version) {
 
 std::string NewVehicleUid() {
   Bytes bytes;
-  // So few bytes cannot fail once the system has its entropy, and it blocks
-  // until then.
+  // Reading so few bytes cannot fail once the system has its entropy, and the
+  // call blocks until then.
   if (getentropy(bytes.data(), bytes.size()) != 0) std::abort();
   return ToUuid(bytes, 4);
 }

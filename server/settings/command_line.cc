@@ -72,7 +72,7 @@ struct CommandLine::Parser {
   }
 
   CLI::App app{
-      "Keeps one pose graph a vehicle and answers where the vehicle has\n"
+      "Keeps one pose graph per vehicle and answers where the vehicle has\n"
       "probably been before."};
   std::optional<OptionTable> table;
   CLI::App* backup = nullptr;

@@ -1,5 +1,10 @@
-// Every bound that the server sets to its callers, in one place. Limits that
-// can be off are off at 0, as their flags say.
+// The bounds to its callers that the server's options set. Limits that can be
+// off are off at 0, as their flags say.
+//
+// Bounds that no option sets stand with the code that keeps them: what follows
+// from an option (kCallsToClear, kUnadmittedCalls in server.cc, kShares in
+// connection_meter.cc), and the pairs of poses that a vehicle may have
+// (VehicleSession::Limits).
 #ifndef REVISIT_SERVER_SETTINGS_LIMITS_H_
 #define REVISIT_SERVER_SETTINGS_LIMITS_H_
 
@@ -25,9 +30,9 @@ struct Limits {
   // comes. Range [1, 86400] and [1, 3600].
   double keepalive_seconds = 60.0;
   double keepalive_timeout_seconds = 20.0;
-  // Calls at a time on one connection. Twice as many may be in memory: a
-  // connection that begins and resets calls faster than they can be cleared
-  // away is closed. Range [1, 1e6].
+  // Calls at a time on one connection. Another 1,000 may have been reset and
+  // not yet been cleared away: a connection that holds more in memory, because
+  // it begins and resets calls faster than that, is closed. Range [1, 1e6].
   int max_concurrent_streams = 1000;
   // Bytes of the headers of one call. A call with more ends its connection, so
   // that a proxy in front must allow less. Range [8192, 2^24].
@@ -38,7 +43,7 @@ struct Limits {
   // limit has to exceed the bytes that the calls at a time may have begun to
   // send; off at 0. Range [0, 2^40].
   std::int64_t max_idle_bytes = 64 << 20;
-  // The same for a connection none of whose calls was admitted; all such
+  // max_idle_bytes of a connection none of whose calls was admitted; all such
   // connections together may have brought four times as much. Off at 0. Range
   // [0, 2^40].
   std::int64_t max_unadmitted_bytes = 16 << 20;
@@ -108,8 +113,9 @@ struct Limits {
   int max_searches_per_vehicle = 16;
   // Searches per second and caller; off at 0. Range [0, 1e6].
   double max_search_rate_per_caller = 0.0;
-  // Nodes of the sequence times nodes of the history, per search. Range [1000,
-  // 1e12].
+  // Nodes of the sequence times nodes of the history times directions (2 for
+  // EITHER), per search: core's SearchOptions::max_comparisons, and `limit` of
+  // LIMIT_EXCEEDED. Range [1000, 1e12].
   std::int64_t max_search_steps = 300'000'000;
 
   // ---- Memory

@@ -165,87 +165,98 @@ class Group {
 
 void AddServing(Group add, ServerSettings& s) {
   add.Text("listen", &s.listen, "HOST:PORT",
-           "Where to take calls; port 0 takes a free one");
+           "Address at which calls are taken; port 0 takes a free one");
   add.Text(
       "store", &s.store, "PATH",
       "Directory of the store, created if missing; or the store's file, if "
       "that is what the path names");
   add.Number("min-free-bytes", &s.min_free_bytes, 0, std::int64_t{1} << 50,
-             "Refuse writes while the store's file system has less left; 0 "
-             "never does");
+             "Bytes that the store's file system must have left for writes to "
+             "be taken; 0 never refuses them");
   add.Number("max-checked-bytes", &s.max_checked_bytes, 0,
              std::int64_t{1} << 50,
-             "Check the structure of a store up to this size before it is "
-             "served");
+             "Bytes of the largest store whose structure is checked before it "
+             "is served");
   add.Choice("damaged-log", DamagedLogs(), &s.damaged_log,
-             "At start, if the log is damaged");
+             "What a start does if the write-ahead log is damaged");
   add.Text("port-file", &s.port_file, "FILE",
-           "Write the address listened on here once calls are taken");
+           "File to which the address is written once calls are taken");
   add.Number("worker-threads", &s.worker_threads, 0, 1024,
              "Threads for acknowledging poses and other short work; 0 means "
-             "one a processor");
+             "one per processor");
   add.Number("search-threads", &s.search_threads, 0, 1024,
-             "Threads for searches, loading and reading the store, which "
-             "never hold up the others; 0 means one a processor");
+             "Threads for searches, which never hold up other work; 0 means "
+             "one per processor, but at least 2");
   add.Number("idle-unload-minutes", &s.idle_unload_minutes, 0.01, 1e6,
-             "Unload a vehicle that nobody has asked for this long");
+             "Minutes after which a vehicle that nobody asked for is "
+             "unloaded");
   add.Number("memory-budget-mebibytes", &s.memory_budget_mebibytes, 0, 1 << 30,
-             "Unload unused vehicles sooner above this much memory of nodes "
-             "and edges; 0 means as much as it takes");
+             "Mebibytes of nodes and edges above which unused vehicles are "
+             "unloaded sooner; 0: no limit");
   add.Number("drain-timeout-seconds", &s.drain_timeout_seconds, 0, 86400,
-             "How long calls may go on after SIGTERM");
+             "Seconds that calls may go on after SIGTERM");
 
   add.Number("ack-latency-target-ms", &s.ack_latency_target_ms, 0, 1000,
-             "While many poses come, gather them into larger commits as long "
-             "as acknowledgements take no longer than this; 0 never waits");
+             "Milliseconds that an acknowledgement may take while poses are "
+             "gathered into larger commits because many come; 0 never waits");
 }
 
 void AddConnections(Group add, Limits& l) {
   add.Number("max-connections", &l.max_connections, 0, 1000000,
-             "Most at a time; 0 means three quarters of the descriptors that "
-             "the process may open, beyond which none are taken anyway");
+             "Connections at a time; 0 means three quarters of the "
+             "descriptors that the process may open, beyond which none are "
+             "taken anyway");
   add.Number("max-connections-per-address", &l.max_connections_per_address, 0,
-             1000000, "Most from one address; 0 means as many as from all");
+             1000000,
+             "Connections at a time from one address; 0 means as many as from "
+             "all");
   add.Number("handshake-timeout-seconds", &l.handshake_timeout_seconds, 0.1,
-             3600, "Close one that has not opened as gRPC does by then");
+             3600,
+             "Seconds after which a connection that has not opened as gRPC "
+             "does is closed");
   add.Number("connection-idle-seconds", &l.connection_idle_seconds, 1, 1e6,
-             "Close one that had no call for this long");
+             "Seconds without a call after which a connection is closed");
   add.Number("keepalive-seconds", &l.keepalive_seconds, 1, 86400,
-             "Ping one that is silent this long");
+             "Seconds of silence after which a connection is pinged");
   add.Number("keepalive-timeout-seconds", &l.keepalive_timeout_seconds, 1, 3600,
-             "Close it if the ping is not answered by then");
+             "Seconds after which a connection that does not answer its ping "
+             "is closed");
   add.Number("max-concurrent-streams", &l.max_concurrent_streams, 1, 1000000,
-             "Calls at a time on one connection; one that resets calls faster "
-             "than they are cleared away is closed at twice as many");
+             "Calls at a time on one connection; a connection that resets "
+             "calls faster than they are cleared away is closed once it holds "
+             "1,000 more");
   add.Number("max-metadata-bytes", &l.max_metadata_bytes, 8192, 1 << 24,
-             "Headers of one call; a call with more ends its connection, so a "
-             "proxy in front must allow less");
+             "Bytes of the headers of one call; a call with more ends its "
+             "connection, so a proxy in front must allow less");
   add.Number("max-idle-bytes", &l.max_idle_bytes, 0, std::int64_t{1} << 40,
-             "Close one that has brought so much more than its calls and "
-             "messages may; 0: no limit");
+             "Bytes that a connection may bring beyond what its calls and "
+             "their messages may; then it is closed; 0: no limit");
   add.Number("max-unadmitted-bytes", &l.max_unadmitted_bytes, 0,
              std::int64_t{1} << 40,
-             "The same of one that has not had a call let in; all of them "
-             "together may bring four times as much; 0: no limit");
+             "max-idle-bytes of a connection that has not had a call let in; "
+             "all such connections together may bring four times as much; 0: "
+             "no limit");
   add.Number("max-unadmitted-connections", &l.max_unadmitted_connections, 0,
              1000000,
-             "Connections without a call that was let in; of more, the oldest "
-             "are closed; 0: no limit");
+             "Connections that have not had a call let in; if there are more, "
+             "the oldest are closed; 0: no limit");
   add.Number("max-transport-bytes", &l.max_transport_bytes, 1 << 24,
-             std::int64_t{1} << 40, "What all connections together may buffer");
+             std::int64_t{1} << 40,
+             "Bytes that all connections together may buffer");
 }
 
 void AddMessages(Group add, Limits& l) {
   add.Number("max-message-bytes", &l.max_message_bytes, 1024, 1 << 30,
-             "Largest message read");
+             "Bytes of the largest message that is read");
   add.Number("max-batch-poses", &l.max_batch_poses, 1, 1000000,
              "Most poses in a batch");
   add.Number("max-revision-bytes", &l.max_revision_bytes, 1024,
              std::int64_t{1} << 36,
-             "Most bytes one RevisePoses call may bring, and those of one "
-             "vehicle at a time");
+             "Bytes that one RevisePoses call may bring, and all such calls "
+             "about one vehicle at a time");
   add.Number("max-draft-bytes", &l.max_draft_bytes, 1024, std::int64_t{1} << 40,
-             "What all of them at a time may bring; one alone may bring more");
+             "Bytes that all RevisePoses calls at a time may bring; one alone "
+             "may bring more");
 }
 
 void AddWork(Group add, Limits& l) {
@@ -258,18 +269,19 @@ void AddWork(Group add, Limits& l) {
   add.Number("max-batches-in-flight", &l.max_batches_in_flight, 1, 10000,
              "Batches of one stream that may wait for their acknowledgement");
   add.Number("max-bytes-in-flight", &l.max_bytes_in_flight, 1024, 1 << 30,
-             "Memory that they may take; one alone may take more");
+             "Bytes of memory that the batches of one stream may take which "
+             "wait for their acknowledgement; one alone may take more");
   add.Number("max-unread-bytes", &l.max_unread_bytes, 4096,
              std::int64_t{1} << 36,
-             "Candidates of one stream that may wait for the client to read "
-             "them; a stream with more is ended");
+             "Bytes of one stream's candidates that may wait for the client "
+             "to read them; a stream with more is ended");
   add.Number("slow-consumer-seconds", &l.slow_consumer_seconds, 0.1, 3600,
-             "What such a client has left to read why, and how long one may "
-             "take nothing of an export");
+             "Seconds that a client over max-unread-bytes has left to read "
+             "its error, and that a client may read nothing of an export");
   add.Number("max-export-bytes", &l.max_export_bytes, 1024,
              std::int64_t{1} << 40,
-             "Memory of the graphs that are being exported; one alone may take "
-             "more");
+             "Bytes of memory of all graphs that are being exported; one alone "
+             "may take more");
   add.Number("max-pending-appends", &l.max_pending_appends, 1, 1000000,
              "Batches of one vehicle that may wait, over all its streams");
   add.Number("max-queued-bytes-per-vehicle", &l.max_queued_bytes_per_vehicle,
@@ -284,57 +296,56 @@ void AddWork(Group add, Limits& l) {
              "FindCandidates calls that may wait or run");
   add.Number("max-searches-per-vehicle", &l.max_searches_per_vehicle, 1,
              1000000,
-             "FindCandidates calls of one vehicle that may wait or "
-             "run");
+             "FindCandidates calls of one vehicle that may wait or run");
   add.Number("max-search-rate-per-caller", &l.max_search_rate_per_caller, 0,
-             1e6,
-             "FindCandidates calls a second of one caller; 0: no "
-             "limit");
+             1e6, "FindCandidates calls per second of one caller; 0: no limit");
   add.Number("max-search-steps", &l.max_search_steps, 1000, 1e12,
              "Nodes of the sequence times nodes of the history that one "
-             "search may compare");
+             "search may compare, counted twice where it looks in both "
+             "directions");
   add.Number("max-memory-bytes", &l.max_memory_bytes, 0, std::int64_t{1} << 50,
-             "Resident memory from which on new work is refused; 0 means "
-             "three quarters of what there is");
+             "Bytes of resident memory from which on new work is refused; 0 "
+             "means three quarters of the machine's or the control group's");
 }
 
 void AddSecurity(Group add, ServerSettings& s) {
   add.Text("tls-cert", &s.tls_cert, "FILE",
-           "Serve TLS with this certificate (PEM), followed by those that "
-           "issued it; replaced files are taken up");
-  add.Text("tls-key", &s.tls_key, "FILE", "Its private key (PEM)");
+           "Certificate of the server (PEM), followed by those that issued "
+           "it; the listener then speaks TLS. Replaced files are taken up");
+  add.Text("tls-key", &s.tls_key, "FILE", "Private key of tls-cert (PEM)");
   add.Text("tls-client-ca", &s.tls_client_ca, "FILE",
-           "Ask clients for certificates issued by these (PEM)");
+           "Certificates of the authorities that issue those of clients "
+           "(PEM); clients are then asked for theirs");
   add.Choice("tls-client-certs", ClientCertificateChoices(),
-             &s.tls_client_certs, "Whether clients need one");
+             &s.tls_client_certs, "Whether clients need a certificate");
   add.Text("token-keys", &s.token_keys, "FILE",
-           "Take bearer tokens (JWT) signed by these keys (a JSON Web Key "
-           "Set): RS256, ES256, EdDSA");
+           "Keys of those who sign bearer tokens (a JSON Web Key Set: RS256, "
+           "ES256, EdDSA); such tokens (JWT) are then taken");
   add.Text("token-issuer", &s.token_issuer, "TEXT",
-           "What their \"iss\" has to be");
+           "Issuer (\"iss\") that tokens must name");
   add.Text("token-audience", &s.token_audience, "TEXT",
-           "What their \"aud\" has to be or contain");
+           "Audience (\"aud\") that tokens must name, alone or among others");
   add.Number("token-leeway-seconds", &s.token_leeway_seconds, 0, 300,
-             "How far the issuer's clock may be off");
+             "Seconds that the clock of the tokens' issuer may be off");
   add.Text("policy", &s.policy, "FILE",
            "Who may do what with which vehicles (JSON)");
   add.Number("security-check-seconds", &s.security_check_seconds, 0.05, 60,
-             "How often to look at these files, and whether the callers of "
-             "streams may go on");
+             "Seconds between two looks at the files of this group, and at "
+             "whether the callers of streams may go on");
   add.Choice("serve-health", Switch(), &s.serve_health,
              "The standard health service, open to all");
   add.Choice("serve-reflection", Switch(), &s.serve_reflection,
              "Reflection of the API, open to all");
   add.Choice("insecure-allow-remote", Switch(), &s.insecure_allow_remote,
-             "Listen on other than the loopback without TLS or without asking "
-             "who calls");
+             "Whether to listen on other than the loopback without TLS or "
+             "without asking who calls");
 }
 
 void AddLogging(Group add, ServerSettings& s) {
   add.Choice("log-format", LogFormats(), &s.log_format,
-             "One line an event, as text or as JSON");
+             "Form of the log's lines, one per event");
   add.Choice("log-level", LogLevels(), &s.log_level,
-             "Least severe events that are logged");
+             "Level of the least severe events that are logged");
 }
 
 }  // namespace

@@ -18,16 +18,16 @@ namespace revisit::server {
 
 // How the server starts if the write-ahead log is damaged.
 enum class DamagedLog {
-  // It does not start.
+  // The server does not start.
   kRefuse,
-  // It goes on without the part that can no longer be read: an operator's
-  // decision.
+  // The server goes on without the part that can no longer be read: an
+  // operator's decision.
   kDrop,
 };
 
-// To add a setting: a field here, and a line in option_table.cc. The flag
-// --node-budget is the key `node-budget` of the file and the variable
-// REVISIT_NODE_BUDGET of the environment.
+// How one is added: docs/how-it-works.md. The flag --port-file is the key
+// `port-file` of the file and the variable REVISIT_PORT_FILE of the
+// environment.
 struct ServerSettings {
   // HOST:PORT, or unix:PATH. Port 0 takes a free one.
   std::string listen = "127.0.0.1:50051";
@@ -45,11 +45,12 @@ struct ServerSettings {
   // If not empty, the address listened on is written here once calls are taken.
   std::string port_file;
 
-  // Threads for the vehicles' short work, such as acknowledging poses, and
-  // threads for long work: searches, loading, reading the store. 0 means as
-  // many as the machine has processors, but at least 2 for long work. Range [0,
-  // 1024].
+  // Threads for the vehicles' short work, such as acknowledging poses; 0 means
+  // as many as the machine has processors. Range [0, 1024].
   int worker_threads = 0;
+  // Threads for searches; 0 means as many as the machine has processors, but at
+  // least 2. Loading and long reads of the store have threads of their own,
+  // whose number is not a setting. Range [0, 1024].
   int search_threads = 0;
   // A vehicle that had no call for this long is unloaded. Range [0.01, 1e6].
   double idle_unload_minutes = 10.0;
@@ -82,8 +83,8 @@ struct ServerSettings {
   std::string token_audience;
   // Range [0, 300].
   int token_leeway_seconds = 10;
-  // File that says who may do what; see security/policy.h. Needed with
-  // token_keys or tls_client_ca, and empty without.
+  // File that says who may do what (security/policy.h). Needed with token_keys
+  // or tls_client_ca, and empty without.
   std::string policy;
   // How often the files of this group are checked for changes, and the callers
   // of streams for their permission to go on. Range [0.05, 60].

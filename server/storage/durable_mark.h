@@ -1,6 +1,6 @@
 // Keeps which commit is known to have been flushed last.
 //
-// It is a small file beside the store, written after each commit and not
+// The mark is a small file beside the store, written after each commit and not
 // flushed itself: so it never says more than is true, costs one write to the
 // page cache, and is exact after the server was killed. After a power failure
 // it may say less. It distinguishes a log that was cut short, even at a

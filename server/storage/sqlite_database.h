@@ -34,7 +34,7 @@ class SqliteStatement {
   SqliteStatement& BindText(int parameter, const std::string& text);
   SqliteStatement& BindBlob(int parameter, const std::string& bytes);
 
-  // Goes to the next row; false if there is none.
+  // Moves to the next row; false if there is none.
   absl::StatusOr<bool> Step();
   // Runs a statement without rows, or whose rows do not matter.
   absl::Status Run();

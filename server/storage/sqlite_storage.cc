@@ -285,7 +285,8 @@ class SqliteStorage : public Storage {
       for (std::size_t i = 0; i < group->size(); ++i) {
         for (const Done& done : (*group)[i].done) done(results[i]);
       }
-      // What the callbacks hold goes before others are taken on.
+      // Destroys the callbacks, and what they hold, before the next group is
+      // taken.
       group->clear();
     }
   }
@@ -612,7 +613,8 @@ class SqliteStorage : public Storage {
   std::unique_ptr<SqliteDatabase> writer_;
   // State of the last commit.
   StoreState state_;
-  // At first all, because the server before may have left some.
+  // Starts with the purge, because the server before may have left rows of
+  // deleted vehicles.
   Chores chores_ = Chores::kPurge;
   Clock::time_point chores_due_;
   // Whether pages were given back since the log was copied last.

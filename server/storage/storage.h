@@ -35,7 +35,9 @@
 
 namespace revisit::server {
 
-// Version of the tables and of their contents.
+// Version of the tables and of how payloads are written. A field that is added
+// to a payload needs no new version: older servers ignore it, newer ones take
+// its absence for its default.
 inline constexpr int kStoreFormat = 3;
 
 // Key of a vehicle's rows; never used again after the vehicle is deleted.

@@ -34,6 +34,7 @@ absl::Status FlushFile(const std::string& path);
 // failure. `directory` is absolute. Not every file system can flush a
 // directory; only a device that fails is an error.
 absl::Status FlushDirectories(const std::string& directory);
+
 // Writes a file anew with its own contents, in place, and flushes it. After a
 // failed flush the system may show contents that never reached the device, and
 // call them flushed: this makes it true. Others may read the file meanwhile.
@@ -49,7 +50,7 @@ absl::Status MakeDirectory(const std::string& path);
 // own files beside it the same rights. The status says why that failed.
 absl::Status MakePrivateFile(const std::string& path);
 
-// Those files of a store beside its database that exist.
+// The files of a store beside its database, as far as they exist.
 std::vector<std::string> FilesBeside(const std::string& store_path);
 
 // Sets room aside in the file `<store>.reserve`, so that a store can still be

@@ -40,8 +40,8 @@ struct PairStatements {
             "?3") {}
 };
 
-// They live as long as the program, because connections cache statements by
-// address.
+// The statements of pairs of this kind. They live as long as the program,
+// because connections cache statements by address.
 const PairStatements& StatementsOf(PairKind kind) {
   static const auto& closures = *new PairStatements("loop_closures");
   static const auto& rejections = *new PairStatements("rejected_candidates");

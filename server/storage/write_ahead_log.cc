@@ -8,6 +8,7 @@
 #include <memory>
 #include <optional>
 
+#include "absl/strings/str_cat.h"
 #include "server/base/status.h"
 
 namespace revisit::server {
@@ -232,6 +233,102 @@ void VisitRows(const unsigned char* page, std::size_t size,
   }
 }
 
+using LogHeader = std::array<unsigned char, kLogHeaderBytes>;
+
+// Whether the log's checksums were summed over big-endian words.
+bool IsBigEndian(const LogHeader& header) {
+  return (BigEndian(header.data()) & 1) != 0;
+}
+
+// Reads the header of a log into the report. Returns its checksum, with which
+// those of the frames begin.
+Checksum ReadHeader(const LogHeader& header, LogReport* report) {
+  const std::uint32_t magic = BigEndian(header.data());
+  Checksum checksum;
+  checksum.Add(header.data(), kFrameHeaderBytes, IsBigEndian(header));
+  report->page_bytes = BigEndian(header.data() + 8);
+  // SQLite's page sizes are powers of two from 512 to 65536.
+  const bool page_size_is_sane =
+      report->page_bytes >= 512 && report->page_bytes <= 65536 &&
+      (report->page_bytes & (report->page_bytes - 1)) == 0;
+  report->has_header = (magic & ~1u) == kMagic && page_size_is_sane &&
+                       BigEndian(header.data() + 4) == kFormat &&
+                       checksum == Checksum::Stored(header.data() + 24);
+  if (report->has_header) {
+    report->end = {BigEndian(header.data() + 16), BigEndian(header.data() + 20),
+                   0};
+  }
+  return checksum;
+}
+
+// Follows the frames of a log, and finds where the commits end that SQLite
+// would read, and what lies behind them.
+class FrameReader {
+ public:
+  // `header` is the checksum of the header.
+  FrameReader(const Checksum& header, bool big_endian, LogReport* report)
+      : big_endian_(big_endian), report_(report), stored_(header) {}
+
+  void Read(const Frame& frame) {
+    const std::uint32_t number = ++report_->frames_in_file;
+    const Checksum continued = frame.Computed(stored_, big_endian_);
+    const bool has_salts = frame.has_salts(report_->end);
+    const bool fits =
+        has_salts && (continued == frame.stored() ||
+                      (computed_ && frame.Computed(*computed_, big_endian_) ==
+                                        frame.stored()));
+    computed_.reset();
+    if (first_bad_ == 0 && fits) {
+      ReadSound(frame, number);
+    } else if (first_bad_ == 0) {
+      first_bad_ = number;
+      computed_ = continued;
+      report_->has_unfinished_tail |= has_salts;
+    } else if (fits) {
+      report_->has_unfinished_tail = true;
+      if (after_commit_) {
+        report_->damage = absl::StrCat(
+            "frame ", first_bad_, " fails its checksum, and frame ", number,
+            " behind it belongs to a later commit");
+      }
+    }
+    stored_ = frame.stored();
+    after_commit_ =
+        frame.is_commit() && (fits || ((has_salts || number == first_bad_) &&
+                                       !MayBeTorn(number, frame.bytes.size())));
+  }
+
+  // Call after the last frame.
+  void Finish() {
+    if (first_bad_ == 0 && report_->frames_in_file > report_->end.frames) {
+      report_->has_unfinished_tail = true;
+    }
+  }
+
+ private:
+  void ReadSound(const Frame& frame, std::uint32_t number) {
+    if (const auto found = StateInPage(frame.page(), frame.page_bytes())) {
+      state_ = found;
+    }
+    if (!frame.is_commit()) return;
+    report_->end.frames = number;
+    if (state_) report_->states.push_back(*state_);
+    state_.reset();
+  }
+
+  const bool big_endian_;
+  LogReport* const report_;
+  // Checksums of the frame before: the stored one, and the right one.
+  Checksum stored_;
+  std::optional<Checksum> computed_;
+  // Whether the frame before ended a commit, as far as that can be known.
+  bool after_commit_ = false;
+  // Number of the first frame that does not fit; 0 as long as all do.
+  std::uint32_t first_bad_ = 0;
+  // State in the commit that is being read.
+  std::optional<StoreState> state_;
+};
+
 }  // namespace
 
 absl::StatusOr<LogReport> ReadLog(const std::string& path) {
@@ -241,24 +338,13 @@ absl::StatusOr<LogReport> ReadLog(const std::string& path) {
     if (errno == ENOENT) return report;
     return Unreadable(path);
   }
-  std::array<unsigned char, kLogHeaderBytes> header;
+  LogHeader header;
   if (std::fread(header.data(), 1, header.size(), file.get()) !=
       header.size()) {
     if (std::ferror(file.get()) != 0) return Unreadable(path);
     return report;
   }
-  const std::uint32_t magic = BigEndian(header.data());
-  const bool big_endian = (magic & 1) != 0;
-  Checksum checksum;
-  checksum.Add(header.data(), kFrameHeaderBytes, big_endian);
-  report.page_bytes = BigEndian(header.data() + 8);
-  // SQLite's page sizes are powers of two from 512 to 65536.
-  const bool page_size_is_sane =
-      report.page_bytes >= 512 && report.page_bytes <= 65536 &&
-      (report.page_bytes & (report.page_bytes - 1)) == 0;
-  report.has_header = (magic & ~1u) == kMagic && page_size_is_sane &&
-                      BigEndian(header.data() + 4) == kFormat &&
-                      checksum == Checksum::Stored(header.data() + 24);
+  const Checksum checksum = ReadHeader(header, &report);
   if (!report.has_header) {
     const bool is_blank =
         std::all_of(header.begin(), header.end(),
@@ -269,60 +355,16 @@ absl::StatusOr<LogReport> ReadLog(const std::string& path) {
     }
     return report;
   }
-  report.end = {BigEndian(header.data() + 16), BigEndian(header.data() + 20),
-                0};
-
+  FrameReader reader(checksum, IsBigEndian(header), &report);
   Frame frame;
   frame.bytes.resize(kFrameHeaderBytes + report.page_bytes);
-  // Checksums of the frame before: the stored one, and the right one.
-  Checksum stored = checksum;
-  std::optional<Checksum> computed;
-  bool after_commit = false;
-  std::uint32_t first_bad = 0;
-  // State in the commit that is being read.
-  std::optional<StoreState> state;
   while (true) {
     const absl::StatusOr<bool> whole = ReadFrame(file.get(), path, &frame);
     if (!whole.ok()) return whole.status();
     if (!*whole) break;
-    const std::uint32_t number = ++report.frames_in_file;
-    const Checksum continued = frame.Computed(stored, big_endian);
-    const bool has_salts = frame.has_salts(report.end);
-    const bool fits =
-        has_salts &&
-        (continued == frame.stored() ||
-         (computed && frame.Computed(*computed, big_endian) == frame.stored()));
-    computed.reset();
-    if (first_bad == 0 && fits) {
-      if (const auto found = StateInPage(frame.page(), frame.page_bytes())) {
-        state = found;
-      }
-      if (frame.is_commit()) {
-        report.end.frames = number;
-        if (state) report.states.push_back(*state);
-        state.reset();
-      }
-    } else if (first_bad == 0) {
-      first_bad = number;
-      computed = continued;
-      report.has_unfinished_tail |= has_salts;
-    } else if (fits) {
-      report.has_unfinished_tail = true;
-      if (after_commit) {
-        report.damage = "frame " + std::to_string(first_bad) +
-                        " fails its checksum, and frame " +
-                        std::to_string(number) +
-                        " behind it belongs to a later commit";
-      }
-    }
-    stored = frame.stored();
-    after_commit =
-        frame.is_commit() && (fits || ((has_salts || number == first_bad) &&
-                                       !MayBeTorn(number, frame.bytes.size())));
+    reader.Read(frame);
   }
-  if (first_bad == 0 && report.frames_in_file > report.end.frames) {
-    report.has_unfinished_tail = true;
-  }
+  reader.Finish();
   return report;
 }
 
@@ -349,12 +391,14 @@ absl::StatusOr<std::set<std::uint32_t>> PagesIn(const std::string& path,
 std::string MissingFrom(const LogReport& log, const LogPosition& flushed) {
   if (flushed.frames == 0) return "";
   const std::string count =
-      std::to_string(flushed.frames) + " frames were flushed";
-  if (!log.has_header) return "it is missing or empty, but " + count;
+      absl::StrCat(flushed.frames, " frames were flushed");
+  if (!log.has_header) {
+    return absl::StrCat("it is missing or empty, but ", count);
+  }
   if (log.end.salt1 == flushed.salt1 && log.end.salt2 == flushed.salt2) {
     if (log.end.frames >= flushed.frames) return "";
-    return "it ends after frame " + std::to_string(log.end.frames) + ", but " +
-           count;
+    return absl::StrCat("it ends after frame ", log.end.frames, ", but ",
+                        count);
   }
   // If the log was started over since, everything was in the database by then.
   // The difference is taken modulo 2^32, as SQLite counts.

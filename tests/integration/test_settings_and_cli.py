@@ -9,7 +9,7 @@ import subprocess
 import pytest
 
 from revisit_server import BIN, Server, clean_environment, run, wait_until
-from stubs import ROOT, api
+from stubs import PROTO, ROOT, api
 from wire import BOREAS, append, get, straight
 
 USAGE = 64
@@ -369,6 +369,46 @@ def test_defaults_in_the_help_are_those_of_the_server(revisit):
     unset, stated = [json.loads(answer.stdout)["settings"]
                      for answer in answers]
     assert stated == unset
+
+
+def documented_defaults():
+    """The defaults that the comments of the API state, as its JSON has them."""
+    text = (PROTO / "revisit/v1/vehicle.proto").read_text()
+    text = text[text.index("\nmessage VehicleSettings {"):]
+    text = text[:text.index("\n}")]
+    defaults = {}
+    for comment, field in re.findall(
+            r"((?:  //.*\n)+)  (?:optional )?\S+ (\w+) = \d+;", text):
+        words = " ".join(re.sub(r"^ *//", "", line).strip()
+                         for line in comment.splitlines())
+        stated = re.search(r"[Dd]efault (.+?)(\.( |$)|, or )", words)
+        if stated:
+            defaults[field] = stated[1]
+    return defaults
+
+
+def is_said(value, words):
+    """Whether the words of a comment are this value of a setting."""
+    if isinstance(value, str):
+        return value.endswith(f"_{words}")
+    if isinstance(value, dict):
+        return words == (f"{value['positionMeters']:g} m and "
+                         f"{value['headingRadians']:g} rad")
+    if isinstance(value, bool):
+        return words == ("yes" if value else "no")
+    return words == f"{value:g}"
+
+
+def test_defaults_in_the_comments_of_the_api_are_those_of_the_server(revisit):
+    answer = revisit("vehicle", "create", "cli-defaults", "--json")
+    settings = json.loads(answer.stdout)["settings"]
+    stated = documented_defaults()
+    fields = api.VehicleSettings.DESCRIPTOR.fields_by_name
+    # Its default is the first position.
+    assert stated.keys() == set(fields.keys()) - {"geodetic_origin"}
+    wrong = {field: words for field, words in stated.items()
+             if not is_said(settings[fields[field].json_name], words)}
+    assert wrong == {}
 
 
 def test_every_setting_has_a_flag():

@@ -20,22 +20,29 @@ void AddUncertainty(const Command& command, UncertaintyOptions* options) {
       "--uncertainty", sources, &options->source,
       "Dead reckoning with the sigmas below (model, the default), or the "
       "file's columns plus the start's uncertainty, carried along (file)");
-  group.AddNumber("--sigma-along", "M", &options->along,
-                  "Per square root of a metre, along the path");
-  group.AddNumber("--sigma-across", "M", &options->across,
-                  "The same across the path");
-  group.AddNumber("--sigma-up", "M", &options->up,
-                  "The same upwards, for spatial vehicles");
+  group.AddNumber(
+      "--sigma-along", "M", &options->along,
+      "Standard deviation of odometry along the path, per square root of a "
+      "metre");
+  group.AddNumber(
+      "--sigma-across", "M", &options->across,
+      "Standard deviation of odometry across the path, per square root of "
+      "a metre");
+  group.AddNumber(
+      "--sigma-up", "M", &options->up,
+      "Standard deviation of odometry upwards, per square root of a metre; "
+      "for spatial vehicles");
   group.AddNumber(
       "--sigma-heading-degrees", "DEG",
       [options](double degrees) {
         options->heading = degrees * kRadiansPerDegree;
       },
-      "The same in heading (0.1)");
+      "Standard deviation of odometry in heading, per square root of a metre "
+      "(0.1)");
   group.AddNumber("--start-sigma-position", "M", &options->start_position,
-                  "Of the first pose");
+                  "Standard deviation of the first position");
   group.AddNumber("--start-sigma-heading", "RAD", &options->start_heading,
-                  "Of the first pose");
+                  "Standard deviation of the first heading");
 }
 
 }  // namespace revisit::client

@@ -14,11 +14,11 @@ namespace revisit::client {
 void AddShowCommand(const Command& program);
 
 // Prints a summary of the pose graph: counts, extent and how sure the newest
-// node is.
-// As JSON: {"vehicle", "nodeCount", "consecutiveEdgeCount",
-// "loopClosureEdgeCount", "minXMeters", "maxXMeters", "minYMeters",
-// "maxYMeters", "lastNode", "positionSigmaMeters", "headingSigmaRadians"};
-// fields that a graph without nodes does not have are left out.
+// node is. With --json it prints {"vehicle", "nodeCount",
+// "consecutiveEdgeCount", "loopClosureEdgeCount", "minXMeters", "maxXMeters",
+// "minYMeters", "maxYMeters", "lastNode", "positionSigmaMeters",
+// "headingSigmaRadians"}; fields that a graph without nodes does not have are
+// left out.
 absl::Status RunShow(const Client& client, const std::string& id,
                      const Console& console);
 

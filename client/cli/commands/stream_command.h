@@ -28,7 +28,8 @@ struct StreamOptions {
   DriveFormat format = DriveFormat::kDrive;
   std::string vehicle;
   UncertaintyOptions uncertainty;
-  // Whether to create the vehicle, with these settings, if there is none.
+  // Whether to create the vehicle if there is none, with `settings`. No flag
+  // sets these: `revisit stream` leaves them to the server's defaults.
   bool create = false;
   v1::VehicleSettings settings;
   int batch_poses = 64;

@@ -1,5 +1,6 @@
-// The settings of vehicles as flags and as text. A new setting is a row of the
-// tables in vehicle_settings.cc, and the commands follow.
+// The settings of vehicles as flags and as text. A new setting is a row of
+// kFlags in vehicle_settings.cc, which the commands follow, and a row of
+// DescribeSettings().
 #ifndef REVISIT_CLIENT_CLI_COMMANDS_VEHICLE_SETTINGS_H_
 #define REVISIT_CLIENT_CLI_COMMANDS_VEHICLE_SETTINGS_H_
 

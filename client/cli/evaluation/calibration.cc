@@ -14,7 +14,7 @@ std::vector<CurvePoint> PrecisionRecallCurve(std::vector<Scored> scored,
   std::int64_t correct = 0;
   for (std::size_t i = 0; i < scored.size(); ++i) {
     if (scored[i].correct) ++correct;
-    // Those that tie are chosen together.
+    // Candidates of equal score are chosen together.
     if (i + 1 < scored.size() && scored[i + 1].score == scored[i].score) {
       continue;
     }

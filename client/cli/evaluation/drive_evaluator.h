@@ -30,7 +30,7 @@ struct DriveRun {
   v1::VehicleSettings settings;
   // The label of the progress.
   std::string label;
-  // Its direction is the one that is asked for.
+  // How answers are judged. Searches ask for its direction.
   Judging judging;
   // CandidateOptions.exhaustive.
   bool exhaustive = false;

@@ -17,7 +17,7 @@ struct Method {
   enum class Source {
     // The service's answers.
     kService,
-    // Those candidates of the service that lie beyond the recent path.
+    // The service's candidates, less those that lie on the recent path.
     kServiceBeyondRecentPath,
     // FindNearestPositions(), on the nodes and checks of the method before it.
     kNearestPosition,

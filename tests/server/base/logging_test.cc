@@ -37,29 +37,36 @@ std::string Written(LogFormat format, LogLevel level,
   return stream.str();
 }
 
-TEST(EscapeForLogTest, LeavesPrintableAsciiAlone) {
-  EXPECT_EQ(EscapeForLog("a B~ {}'/:"), "a B~ {}'/:");
+// A value as a line of JSON holds it, without its quotes.
+std::string Literal(const std::string& value) {
+  const std::string line = Written(LogFormat::kJson, LogLevel::kInfo, value);
+  const std::string before = "\"value\":\"";
+  const std::size_t start = line.find(before) + before.size();
+  return line.substr(start, line.rfind('"') - start);
 }
 
-TEST(EscapeForLogTest, EscapesAllElse) {
-  EXPECT_EQ(EscapeForLog("\"\\\n\r\t"), "\\\"\\\\\\n\\r\\t");
-  EXPECT_EQ(EscapeForLog(std::string("\0\x1b\x7f", 3)),
-            "\\u0000\\u001b\\u007f");
+TEST(LogTest, PrintableAsciiIsNotEscaped) {
+  EXPECT_EQ(Literal("a B~ {}'/:"), "a B~ {}'/:");
+}
+
+TEST(LogTest, AllElseIsEscaped) {
+  EXPECT_EQ(Literal("\"\\\n\r\t"), "\\\"\\\\\\n\\r\\t");
+  EXPECT_EQ(Literal(std::string("\0\x1b\x7f", 3)), "\\u0000\\u001b\\u007f");
   // U+00E4, U+202E (right-to-left override), U+1F600.
-  EXPECT_EQ(EscapeForLog("\xc3\xa4\xe2\x80\xae\xf0\x9f\x98\x80"),
+  EXPECT_EQ(Literal("\xc3\xa4\xe2\x80\xae\xf0\x9f\x98\x80"),
             "\\u00e4\\u202e\\ud83d\\ude00");
 }
 
-TEST(EscapeForLogTest, ReplacesWhatIsNoUtf8) {
+TEST(LogTest, WhatIsNoUtf8IsReplaced) {
   // A lone continuation, a truncated sequence, an overlong slash, a surrogate,
   // a code point beyond the last, and bytes that never occur.
-  EXPECT_EQ(EscapeForLog("\x80"), "\\ufffd");
-  EXPECT_EQ(EscapeForLog("\xc3"), "\\ufffd");
-  EXPECT_EQ(EscapeForLog("\xe2\x80x"), "\\ufffdx");
-  EXPECT_EQ(EscapeForLog("\xc0\xaf"), "\\ufffd\\ufffd");
-  EXPECT_EQ(EscapeForLog("\xed\xa0\x80"), "\\ufffd\\ufffd\\ufffd");
-  EXPECT_EQ(EscapeForLog("\xf4\x90\x80\x80"), "\\ufffd\\ufffd\\ufffd\\ufffd");
-  EXPECT_EQ(EscapeForLog("\xff\xfe"), "\\ufffd\\ufffd");
+  EXPECT_EQ(Literal("\x80"), "\\ufffd");
+  EXPECT_EQ(Literal("\xc3"), "\\ufffd");
+  EXPECT_EQ(Literal("\xe2\x80x"), "\\ufffdx");
+  EXPECT_EQ(Literal("\xc0\xaf"), "\\ufffd\\ufffd");
+  EXPECT_EQ(Literal("\xed\xa0\x80"), "\\ufffd\\ufffd\\ufffd");
+  EXPECT_EQ(Literal("\xf4\x90\x80\x80"), "\\ufffd\\ufffd\\ufffd\\ufffd");
+  EXPECT_EQ(Literal("\xff\xfe"), "\\ufffd\\ufffd");
 }
 
 TEST(LogTest, JsonLineHoldsWhatWasWritten) {

@@ -1,6 +1,13 @@
-// Stores last for years. These bytes were written by servers that stored the
-// messages of the API themselves; every later server must write and read the
-// same.
+// Stores last for years: every later server must read these bytes as the same
+// vehicles and poses. The first ones were written by servers that stored the
+// messages of the API themselves.
+//
+// A server also writes them again to the bit. A new setting is the exception,
+// for the settings of a vehicle are all written, each time. Then EverySetting()
+// moves it off its default, the present rows of GoldenVehicles() are marked as
+// no longer written and get the default back, and the bytes that the new server
+// writes come beside them as new rows. A new field of poses changes no row: it
+// is not written where it was not sent. It gets a row of its own.
 #include <algorithm>
 #include <cstdint>
 #include <cstdio>
@@ -108,6 +115,8 @@ struct GoldenBatch {
 struct GoldenVehicle {
   VehicleConfig config;
   std::string hex;
+  // False for bytes that only earlier servers wrote.
+  bool is_written = true;
 };
 
 std::vector<GoldenVehicle> GoldenVehicles() {
@@ -208,9 +217,13 @@ std::vector<GoldenBatch> GoldenBatches() {
 }
 
 TEST(GoldenRecordTest, VehiclesAreWrittenAsEver) {
+  int written = 0;
   for (const GoldenVehicle& golden : GoldenVehicles()) {
+    if (!golden.is_written) continue;
+    ++written;
     EXPECT_EQ(Hex(ProtoRecordCodec().EncodeVehicle(golden.config)), golden.hex);
   }
+  EXPECT_GE(written, 2);
 }
 
 TEST(GoldenRecordTest, VehiclesAreReadAsEver) {

@@ -304,7 +304,7 @@ TEST_F(VehicleSessionTest, RefusesSequencesThatDoNotFollowEachOther) {
               IsError(StatusCode::kInvalidArgument, "BATCH_SIZE", _));
   EXPECT_THAT(AppendNow(*session_, PlainBatch(0, {1})),
               IsError(StatusCode::kInvalidArgument, "INVALID_FIELD",
-                      "poses[0].sequence: got 0, at least 1"));
+                      "poses[0].sequence: got 0; allowed is at least 1"));
   EXPECT_THAT(AppendNow(*session_, PlainBatch(1, {1, 2}) + PlainBatch(4, {4})),
               IsError(StatusCode::kInvalidArgument, "INVALID_FIELD",
                       HasSubstr("poses[2].sequence: got 4")));
