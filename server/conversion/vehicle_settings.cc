@@ -141,8 +141,12 @@ absl::StatusOr<core::SearchOptions> DecodeCandidateOptions(
     const FieldPath& path) {
   Violations violations;
   VehicleConfig changed = config;
-  SettingsReader reader(options, path, &violations);
-  VisitSettings(&changed, &reader);
+  // The reader looks fields up by name, which takes longer than all that
+  // follows; most callers override nothing.
+  if (options.ByteSizeLong() > 0) {
+    SettingsReader reader(options, path, &violations);
+    VisitSettings(&changed, &reader);
+  }
   core::SearchOptions search = changed.engine.search;
   search.exhaustive = options.exhaustive();
   search.tell_paths = options.include_aligned_path();
