@@ -410,6 +410,17 @@ INSTANTIATE_TEST_SUITE_P(
         // Without a RetryInfo.
         grpc::StatusCode::RESOURCE_EXHAUSTED, grpc::StatusCode::UNIMPLEMENTED));
 
+TEST_F(PoseStreamTest, GoesOnAfterAResetOnTheWayWhichHasNoReason) {
+  server_.FailBatches(FaultAt(
+      1, {Kind::kBefore, MakeStatus(grpc::StatusCode::INTERNAL,
+                                    "Received RST_STREAM with error code 1")}));
+  const auto stream = Open();
+  ASSERT_TRUE(stream->Append(MakeBatch(1, 500)).ok());
+  EXPECT_TRUE(stream->Finish().ok());
+  EXPECT_EQ(stream->reconnects(), 1);
+  EXPECT_TRUE(server_.Stored() == Serialized(500));
+}
+
 TEST_F(PoseStreamTest, GoesOnAfterItsTokenExpiredOnceItWasOpened) {
   const grpc::Status expired =
       MakeStatus(grpc::StatusCode::UNAUTHENTICATED, "old", {"TOKEN_EXPIRED"});
