@@ -525,8 +525,10 @@ def cold_vehicles(run):
     assert with_many.cold_bytes < with_few.cold_bytes + 8 * MIB, each
     assert with_many.opened_bytes < with_few.opened_bytes + 8 * KIB
     for kind in ("first_calls", "calls", "pages"):
-        medians = [statistics.median(getattr(of, kind)) for of in figures]
-        assert medians[1] < 3 * medians[0] + 0.005, (kind, medians)
+        # What grows with the number of vehicles is in the quickest too, and what
+        # else the machine does is least in it.
+        quickest = [min(getattr(of, kind)) for of in figures]
+        assert quickest[1] < 3 * quickest[0] + 0.005, (kind, quickest)
     # A few thousand of these vehicles, and those of the second in which nobody
     # looks.
     grown = grown_by_opening_all(store, many, budget_mebibytes=4)
