@@ -126,8 +126,8 @@ class PoseStream {
   // after Finish(); the final status if the stream has ended.
   absl::Status Append(v1::PoseBatch batch);
 
-  // As Append(), but does not wait: takes all poses or, with
-  // RESOURCE_EXHAUSTED, none.
+  // Does what Append() does, but never waits for room: it takes all poses or,
+  // with RESOURCE_EXHAUSTED, none.
   absl::Status TryAppend(const v1::PoseBatch& batch);
 
   // Takes no more poses and waits until all are durable and the server has

@@ -86,7 +86,7 @@ class Rows {
     hwy::Prefetch(next_rows_ + at);
     return hn::Load(Tag(), rows_ + at);
   }
-  // As Load(), for a row that exists only if the block is spatial; else 0.
+  // Loads a row that only spatial blocks have; for planar ones it returns 0.
   HWY_INLINE Vector LoadZ(NodeBlock::Row row, std::size_t i) const {
     return spatial_ ? Load(row, i) : hn::Zero(Tag());
   }

@@ -1,7 +1,10 @@
 // The locks of server and client: std::mutex with the annotations of clang's
 // thread safety analysis, so that code which touches a guarded member without
 // holding its mutex does not compile (-Wthread-safety, see CMakeLists.txt). Not
-// for headers that callers of the client library include.
+// for headers that callers of the client library include. It lies in core/base
+// because that is all that server and client have in common below them; core
+// itself has no threads and includes none of this
+// (tests/integration/test_layers.py).
 //
 // ABSL_GUARDED_BY names the mutex that guards a member,
 // ABSL_EXCLUSIVE_LOCKS_REQUIRED those that the caller of a function holds. The

@@ -44,8 +44,8 @@ absl::Status Error(absl::StatusCode code, const std::string& reason,
 absl::Status InvalidFields(const std::string& reason,
                            const std::vector<FieldViolation>& violations);
 
-// As Error(), with this RetryInfo and a QuotaFailure of one violation, which
-// the message describes.
+// Makes an error as Error() does and adds this RetryInfo and a QuotaFailure of
+// one violation, which the message describes.
 absl::Status QuotaExceeded(absl::StatusCode code, const std::string& reason,
                            const std::string& subject,
                            const std::string& message,

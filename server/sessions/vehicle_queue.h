@@ -21,8 +21,8 @@ enum class Turn {
   // At once, ahead of what waits; but not while the store shows a change that
   // memory does not show yet.
   kRead,
-  // As kRead, for a read of the store itself, which takes long; it also waits
-  // while poses are being revised.
+  // The operation reads the store itself, which takes long. It starts when a
+  // kRead may, but also waits while poses are being revised.
   kReadStored,
   // After what came before; other appends may be in flight.
   kAppend,

@@ -524,11 +524,12 @@ def cold_vehicles(run):
     each = (with_many.cold_bytes - with_few.cold_bytes) / (many - few)
     assert with_many.cold_bytes < with_few.cold_bytes + 8 * MIB, each
     assert with_many.opened_bytes < with_few.opened_bytes + 8 * KIB
-    for kind in ("first_calls", "calls", "pages"):
-        # What grows with the number of vehicles is in the quickest too, and what
-        # else the machine does is least in it.
-        quickest = [min(getattr(of, kind)) for of in figures]
-        assert quickest[1] < 3 * quickest[0] + 0.005, (kind, quickest)
+    # There are few pages, whose median is at the mercy of what else the machine
+    # does; what grows with the number of vehicles is in the quickest too.
+    for kind, typical in (("first_calls", statistics.median),
+                          ("calls", statistics.median), ("pages", min)):
+        times = [typical(getattr(of, kind)) for of in figures]
+        assert times[1] < 3 * times[0] + 0.005, (kind, times)
     # A few thousand of these vehicles, and those of the second in which nobody
     # looks.
     grown = grown_by_opening_all(store, many, budget_mebibytes=4)
