@@ -20,7 +20,7 @@ constexpr std::size_t kFrameHeaderBytes = 24;
 constexpr std::uint64_t kSectorBytes = 512;
 // First word of a log. Its last bit says in which byte order the checksums were
 // summed.
-constexpr std::uint32_t kMagic = 0x377f0682;
+constexpr std::uint32_t kLogMagic = 0x377f0682;
 constexpr std::uint32_t kFormat = 3007000;
 
 constexpr unsigned char kTableLeaf = 0x0d;
@@ -251,7 +251,7 @@ Checksum ReadHeader(const LogHeader& header, LogReport* report) {
   const bool page_size_is_sane =
       report->page_bytes >= 512 && report->page_bytes <= 65536 &&
       (report->page_bytes & (report->page_bytes - 1)) == 0;
-  report->has_header = (magic & ~1u) == kMagic && page_size_is_sane &&
+  report->has_header = (magic & ~1u) == kLogMagic && page_size_is_sane &&
                        BigEndian(header.data() + 4) == kFormat &&
                        checksum == Checksum::Stored(header.data() + 24);
   if (report->has_header) {
