@@ -122,8 +122,12 @@ class Caller:
     def metadata(self, request_id: Optional[str] = None) -> tuple[str, Metadata]:
         """A request id, new unless one is given, and the metadata of a call.
 
-        Unauthenticated if the token cannot be read."""
+        Unauthenticated if the token cannot be read; ValueError if the given id
+        is not 1 to 128 printable ASCII characters."""
         request_id = request_id or uuid.uuid4().hex
+        if not re.fullmatch(r"[ -~]{1,128}", request_id):
+            raise ValueError(f"the request id {request_id!r} is not 1 to 128 printable "
+                             "ASCII characters")
         metadata: Metadata = (("x-request-id", request_id),)
         if self._token_file is not None:
             try:
