@@ -12,14 +12,14 @@ import logging
 import threading
 import time
 from collections.abc import Iterator
-from typing import Any, Callable, Optional
+from typing import Any, Optional
 
 import grpc
 
 from revisit import v1
 from revisit._pending import PendingPoses
 from revisit.backoff import Backoff
-from revisit.channel import Caller
+from revisit.channel import Caller, Channels, Lease, stub_of
 from revisit.errors import (
     Aborted, Cancelled, DataLoss, Error, ResourceExhausted, Unauthenticated,
     Unavailable, VehicleReplaced, from_rpc_error, is_cut_by_server, is_reset)
@@ -70,9 +70,9 @@ class Engine:
     underscore are guarded by the lock of `changed`, which is notified of all that
     somebody may wait for."""
 
-    def __init__(self, open_call: Callable[..., Any], caller: Caller, vehicle: str,
+    def __init__(self, channels: Channels, caller: Caller, vehicle: str,
                  options: StreamOptions, callbacks: StreamCallbacks) -> None:
-        self._open_call = open_call
+        self._channels = channels
         self._caller = caller
         self._vehicle = vehicle
         self._options = options
@@ -151,18 +151,27 @@ class Engine:
     def _hold(self, connection: _Connection) -> Optional[BaseException]:
         """Holds one connection until it is over. None if the server ended it in
         answer to our half-close."""
+        try:
+            with self._channels.lease() as lease:
+                error = self._hold_on(lease, connection)
+                if isinstance(error, Error):
+                    self._channels.report(lease, error)
+                return error
+        except Error as error:
+            return error
+
+    def _hold_on(self, lease: Lease,
+                 connection: _Connection) -> Optional[BaseException]:
         with self.changed:
             if self.cancelled:
                 return Cancelled("the stream was cancelled")
             self.pending.start_over()
+        connection.request_id, metadata = self._caller.metadata()
         try:
-            connection.request_id, metadata = self._caller.metadata()
-            connection.call = self._open_call(self._requests(connection),
-                                              metadata=metadata)
-        except Error as error:
-            return error
+            connection.call = stub_of(lease.channel).StreamPoses(
+                self._requests(connection), metadata=metadata)
         except ValueError as error:
-            # gRPC refuses calls on a channel that was closed.
+            # gRPC refuses calls on a channel that was closed meanwhile.
             return Cancelled(f"the stream cannot be opened: {error}")
         self._reader = threading.Thread(
             target=self._read, args=(connection,), daemon=True,

@@ -56,8 +56,9 @@ def to_stamps(values: Optional[ArrayLike], rows: int) -> NDArray[np.datetime64]:
     1970 as floats (of which a double resolves some 200 ns today). Absent stamps
     are NaT, or NaN among seconds. Whole numbers are refused: they may be seconds
     or nanoseconds."""
+    stamps: NDArray[np.datetime64] = np.full(rows, _NO_STAMP)
     if values is None:
-        return np.full(rows, _NO_STAMP)
+        return stamps
     array = np.asarray(values)
     if array.shape != (rows,):
         raise ValueError(f"stamps have the shape {array.shape}: expected ({rows},)")
@@ -80,7 +81,8 @@ def to_stamps(values: Optional[ArrayLike], rows: int) -> NDArray[np.datetime64]:
     part = np.rint((np.where(missing, 0.0, seconds) - whole) * _NANOSECONDS)
     nanoseconds = whole.astype(np.int64) * _NANOSECONDS + part.astype(np.int64)
     nanoseconds[missing] = _NO_STAMP.astype(np.int64)
-    return nanoseconds.view("datetime64[ns]")
+    stamps = nanoseconds.astype("datetime64[ns]")
+    return stamps
 
 
 def _from_matrices(matrices: Float) -> Float:

@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import pathlib
 import re
 import ssl
+import threading
 import uuid
-from typing import Optional, Union
+from collections.abc import Iterator
+from typing import Any, Optional, Union
 
 import grpc
 
-from revisit.errors import Unauthenticated
+from revisit.errors import (
+    Cancelled, Error, Unauthenticated, Unavailable, is_cut_by_server, is_reset)
+from revisit.v1 import pose_graph_service_pb2_grpc as service
 
 PathLike = Union[str, "os.PathLike[str]"]
 Metadata = tuple[tuple[str, str], ...]
 
 _ARGUMENTS = (
-    # A connection that failed is tried again soon, so that the back-off of this
-    # package decides.
-    ("grpc.initial_reconnect_backoff_ms", 100),
-    ("grpc.min_reconnect_backoff_ms", 5_000),
-    ("grpc.max_reconnect_backoff_ms", 2_000),
     ("grpc.max_receive_message_length", 64 << 20),
-    # One process may speak to several servers that follow each other at one
-    # address; channels that share a connection would share its back-off too.
+    # Channels that share a connection would share its back-off too.
     ("grpc.use_local_subchannel_pool", 1),
 )
 
@@ -83,12 +82,8 @@ def _read(path: Optional[PathLike]) -> Optional[bytes]:
     return None if path is None else pathlib.Path(path).read_bytes()
 
 
-def make_channel(options: ChannelOptions) -> grpc.Channel:
-    """Makes a channel, which connects on first use.
-
-    OSError if a file cannot be read; ValueError if one holds something else, or
-    if certificate and key do not belong together or do not come together and
-    with authorities."""
+def _credentials(options: ChannelOptions) -> Optional[grpc.ChannelCredentials]:
+    """None for plaintext."""
     if (options.tls_certificate is None) != (options.tls_key is None):
         raise ValueError("a client certificate and its key are needed together: "
                          "tls_certificate and tls_key")
@@ -100,17 +95,96 @@ def make_channel(options: ChannelOptions) -> grpc.Channel:
         _read_token(options.token_file)
     if options.tls_authorities is not None:
         _check_tls(options)
-        credentials = grpc.ssl_channel_credentials(
+        return grpc.ssl_channel_credentials(
             _read(options.tls_authorities), _read(options.tls_key),
             _read(options.tls_certificate))
-    elif options.token_file is not None:
+    if options.token_file is not None:
         # Such a channel connects within this machine only.
-        credentials = grpc.local_channel_credentials(
+        return grpc.local_channel_credentials(
             grpc.LocalConnectionType.UDS if options.address.startswith("unix")
             else grpc.LocalConnectionType.LOCAL_TCP)
-    else:
-        return grpc.insecure_channel(options.address, options=_ARGUMENTS)
-    return grpc.secure_channel(options.address, credentials, options=_ARGUMENTS)
+    return None
+
+
+def stub_of(channel: grpc.Channel) -> Any:
+    """The service, for which the generator of gRPC writes no types."""
+    return service.PoseGraphServiceStub(channel)  # type: ignore[no-untyped-call]
+
+
+class Lease:
+    """A channel that is not closed as long as it is used. Counted by the lock of
+    the `Channels` that it comes from."""
+
+    def __init__(self, channel: grpc.Channel) -> None:
+        self.channel = channel
+        self.users = 0
+        self.is_retired = False
+
+
+class Channels:
+    """The channel to a server, which is made anew after it has failed: one whose
+    server was away comes back late, if its own back-off lets it. Thread-safe."""
+
+    def __init__(self, options: ChannelOptions) -> None:
+        """OSError if a file cannot be read; ValueError if one holds something else,
+        or if certificate and key do not belong together or do not come together
+        and with authorities. Connects on first use."""
+        self._address = options.address
+        self._made_of = _credentials(options)
+        self._lock = threading.Lock()
+        self._closed = False
+        self._leases: list[Lease] = []
+        self._newest = self._make()
+
+    def _make(self) -> Lease:
+        if self._made_of is None:
+            channel = grpc.insecure_channel(self._address, options=_ARGUMENTS)
+        else:
+            channel = grpc.secure_channel(self._address, self._made_of,
+                                          options=_ARGUMENTS)
+        lease = Lease(channel)
+        self._leases.append(lease)
+        return lease
+
+    @contextlib.contextmanager
+    def lease(self) -> Iterator[Lease]:
+        """The newest channel, for one call. Cancelled after `close()`."""
+        with self._lock:
+            if self._closed:
+                raise Cancelled("the client is closed")
+            lease = self._newest
+            lease.users += 1
+        try:
+            yield lease
+        finally:
+            with self._lock:
+                lease.users -= 1
+                self._close_if_done(lease)
+
+    def report(self, lease: Lease, error: Error) -> None:
+        """Lets later calls have a new channel if this error, which came on the
+        leased one, shows that its connection or its server has gone."""
+        if not (is_reset(error) or is_cut_by_server(error) or (
+                isinstance(error, Unavailable)
+                and error.reason in ("", "SERVER_DRAINING"))):
+            return
+        with self._lock:
+            if lease is self._newest and not self._closed:
+                lease.is_retired = True
+                self._newest = self._make()
+
+    def _close_if_done(self, lease: Lease) -> None:
+        if lease.is_retired and lease.users == 0 and lease in self._leases:
+            self._leases.remove(lease)
+            lease.channel.close()
+
+    def close(self) -> None:
+        """Ends all calls."""
+        with self._lock:
+            self._closed = True
+            leases, self._leases = self._leases, []
+        for lease in leases:
+            lease.channel.close()
 
 
 class Caller:

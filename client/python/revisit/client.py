@@ -15,13 +15,13 @@ from google.protobuf import field_mask_pb2
 from revisit import v1
 from revisit.arrays import Poses
 from revisit.backoff import Backoff, BackoffOptions
-from revisit.channel import Caller, ChannelOptions, Metadata, PathLike, make_channel
+from revisit.channel import (
+    Caller, ChannelOptions, Channels, PathLike, stub_of)
 from revisit.errors import (
     Error, ResourceExhausted, Unavailable, from_rpc_error, is_cut_by_server, is_reset)
 from revisit.pose_stream import PoseStream, PosesLike
 from revisit.stream_options import StreamCallbacks, StreamOptions
 from revisit.tables import Table, edge_table, node_table
-from revisit.v1 import pose_graph_service_pb2_grpc as service
 
 _T = TypeVar("_T")
 
@@ -102,9 +102,7 @@ class Client:
         options = ChannelOptions(address, tls_authorities, tls_certificate, tls_key,
                                  token_file)
         self._caller = Caller(token_file)
-        self._channel = make_channel(options)
-        self._stub: Any = service.PoseGraphServiceStub(
-            self._channel)  # type: ignore[no-untyped-call]
+        self._channels = Channels(options)
         self._deadline = deadline
         self._bulk_deadline = bulk_deadline
         self._max_attempts = max_attempts
@@ -116,7 +114,7 @@ class Client:
         Cancelled."""
         for stream in list(self._streams):
             stream.close()
-        self._channel.close()
+        self._channels.close()
 
     def __enter__(self) -> Client:
         return self
@@ -135,22 +133,27 @@ class Client:
         v1.GetVehicleRequest(name="vehicles/a"))` returns a
         v1.GetVehicleResponse."""
         return self._repeat(
-            lambda timeout, metadata: getattr(self._stub, method)(
-                request, timeout=timeout, metadata=metadata),
+            lambda stub, call: getattr(stub, method)(request, **call),
             method not in _NEVER_REPEATED,
             self._deadline if deadline is None else deadline, request_id)
 
-    def _repeat(self, attempt: Callable[[float, Metadata], _T], is_safe: bool,
+    def _repeat(self, attempt: Callable[[Any, dict[str, Any]], _T], is_safe: bool,
                 seconds: float, request_id: Optional[str] = None) -> _T:
+        """Runs `attempt(stub, what every call is given)` until it succeeds or must
+        not be repeated."""
         deadline = time.monotonic() + seconds
         backoff = Backoff(self._backoff)
         count = 1
         while True:
             request_id, metadata = self._caller.metadata(request_id)
-            try:
-                return attempt(max(deadline - time.monotonic(), 0.0), metadata)
-            except grpc.RpcError as raised:
-                error = from_rpc_error(raised, request_id)
+            left = max(deadline - time.monotonic(), 0.0)
+            with self._channels.lease() as lease:
+                try:
+                    return attempt(stub_of(lease.channel),
+                                   {"timeout": left, "metadata": metadata})
+                except grpc.RpcError as raised:
+                    error = from_rpc_error(raised, request_id)
+                self._channels.report(lease, error)
             if count >= self._max_attempts or not _may_repeat(error, is_safe):
                 raise error
             wait = backoff.next(error.retry_delay)
@@ -217,8 +220,8 @@ class Client:
     def stream_poses(self, vehicle: str, options: StreamOptions = StreamOptions(),
                      callbacks: StreamCallbacks = StreamCallbacks()) -> PoseStream:
         """Starts a stream of poses that survives the connection."""
-        stream = PoseStream(self._stub.StreamPoses, self._caller,
-                            vehicle_name(vehicle), options, callbacks)
+        stream = PoseStream(self._channels, self._caller, vehicle_name(vehicle),
+                            options, callbacks)
         self._streams.add(stream)
         return stream
 
@@ -258,21 +261,16 @@ class Client:
                     poses=revised[start:start + _REVISED_POSES])
 
         response: v1.RevisePosesResponse = self._repeat(
-            lambda timeout, metadata: self._stub.RevisePoses(
-                requests(), timeout=timeout, metadata=metadata),
+            lambda stub, call: stub.RevisePoses(requests(), **call),
             expected_revision != 0, self._bulk_deadline)
         return response
 
     def export_pose_graph(self, vehicle: str) -> PoseGraph:
         """The whole graph at one revision."""
         request = v1.ExportPoseGraphRequest(vehicle=vehicle_name(vehicle))
-
-        def attempt(timeout: float,
-                    metadata: Metadata) -> list[v1.ExportPoseGraphResponse]:
-            return list(self._stub.ExportPoseGraph(request, timeout=timeout,
-                                                   metadata=metadata))
-
-        parts = self._repeat(attempt, True, self._bulk_deadline)
+        parts: list[v1.ExportPoseGraphResponse] = self._repeat(
+            lambda stub, call: list(stub.ExportPoseGraph(request, **call)), True,
+            self._bulk_deadline)
         return PoseGraph(
             parts[0].vehicle if parts else v1.Vehicle(),
             node_table(node for part in parts for node in part.nodes),

@@ -30,7 +30,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable, Iterator
 from types import TracebackType
-from typing import Any, Callable, Optional, Union
+from typing import Callable, Optional, Union
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 from revisit import v1
 from revisit._engine import Engine
 from revisit.arrays import Poses
-from revisit.channel import Caller
+from revisit.channel import Caller, Channels
 from revisit.errors import Cancelled, FailedPrecondition, InvalidArgument
 from revisit.stream_options import StreamCallbacks, StreamOptions
 
@@ -56,12 +56,12 @@ class PoseStream:
     so appending is for one thread at a time. A context manager: leaving it
     finishes the stream, or cancels it if an exception leaves it."""
 
-    def __init__(self, open_call: Callable[..., Any], caller: Caller, vehicle: str,
+    def __init__(self, channels: Channels, caller: Caller, vehicle: str,
                  options: StreamOptions, callbacks: StreamCallbacks) -> None:
         self._options = options
         self._takes_candidates = (options.send_candidates
                                   and callbacks.candidates is None)
-        self._engine = Engine(open_call, caller, vehicle, options, callbacks)
+        self._engine = Engine(channels, caller, vehicle, options, callbacks)
         self._changed = self._engine.changed
         # Guarded by the lock of _changed.
         self._last_taken = 0

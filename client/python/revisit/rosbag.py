@@ -257,8 +257,9 @@ class _Courses:
 
         The variance of the course is that of the chord's ends across it, as if
         their errors were independent, over the chord's length squared."""
+        # Receivers without a height send NaN; it matters little to what is planar.
         position = (float(message.latitude), float(message.longitude),
-                    float(message.altitude))
+                    float(np.nan_to_num(message.altitude)))
         if message.status.status == _STATUS_NO_FIX or math.isnan(sum(position)):
             return None
         start, self._from = self._from, (position, covariance)
