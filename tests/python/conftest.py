@@ -2,7 +2,6 @@
 servers."""
 
 import itertools
-import os
 import pathlib
 import sys
 import threading
@@ -132,7 +131,3 @@ def straight(count, first=1, spacing=1.0):
 def as_bytes(messages):
     """Exact content: equal if and only if every number is, to the bit."""
     return [message.SerializeToString(deterministic=True) for message in messages]
-
-
-def environment(**extra):
-    return {**os.environ, **extra}

@@ -282,9 +282,10 @@ def test_lost_data_are_no_vehicle_made_anew(restarted, tmp_path):
     with revisit.Client(restarted.address) as client:
         client.create_vehicle("a")
         client.append_poses("a", straight(10))
-        restarted.stop()
-        shutil.copytree(restarted.store, tmp_path / "copy")
-        restarted.start()
+    restarted.stop()
+    shutil.copytree(restarted.store, tmp_path / "copy")
+    restarted.start()
+    with revisit.Client(restarted.address) as client:
         stream = client.stream_poses(
             "a", StreamOptions(**QUICK),
             StreamCallbacks(disconnected=wait_for_the_old_store))

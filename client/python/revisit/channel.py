@@ -59,6 +59,9 @@ def _read_token(path: PathLike) -> str:
 def _check_tls(options: ChannelOptions) -> None:
     """Finds faults of the files that gRPC would only report as "unreachable"."""
     assert options.tls_authorities is not None
+    for path in (options.tls_authorities, options.tls_certificate, options.tls_key):
+        # Unlike ssl, it names the file that cannot be read.
+        _read(path)
     try:
         context = ssl.create_default_context(
             cafile=os.fspath(options.tls_authorities))
