@@ -317,7 +317,9 @@ class Poses:
                  and len(self) else ("x", "y", "z"))
         columns.update(zip(names, self.position.T))
         columns["heading"] = self.heading
-        for name in ("quaternion", "covariance", "error_transition"):
+        if not np.isnan(self.quaternion).all():
+            columns.update(spread("quaternion", self.quaternion))
+        for name in ("covariance", "error_transition"):
             columns.update(spread(name, getattr(self, name)))
         return pandas.DataFrame(
             columns, index=pandas.Index(self.sequence, name="sequence"))
