@@ -16,7 +16,8 @@ from typing import Any, Optional, Union
 import grpc
 
 from revisit.errors import (
-    Cancelled, Error, Unauthenticated, Unavailable, is_cut_by_server, is_reset)
+    Cancelled, DeadlineExceeded, Error, Unauthenticated, Unavailable, is_cut_by_server,
+    is_reset)
 from revisit.v1 import pose_graph_service_pb2_grpc as service
 
 PathLike = Union[str, "os.PathLike[str]"]
@@ -125,8 +126,9 @@ class Lease:
 
 
 class Channels:
-    """The channel to a server, which is made anew after it has failed: one whose
-    server was away comes back late, if its own back-off lets it. Thread-safe."""
+    """The channel to a server, which is made anew after it has failed: the back-off of
+    gRPC would keep the old one from a server that is back for seconds more.
+    Thread-safe."""
 
     def __init__(self, options: ChannelOptions) -> None:
         """OSError if a file cannot be read; ValueError if one holds something else,
@@ -166,9 +168,9 @@ class Channels:
 
     def report(self, lease: Lease, error: Error) -> None:
         """Lets later calls have a new channel if this error, which came on the
-        leased one, shows that its connection or its server has gone."""
+        leased one, shows that its connection or its server may have gone."""
         if not (is_reset(error) or is_cut_by_server(error) or (
-                isinstance(error, Unavailable)
+                isinstance(error, (Unavailable, DeadlineExceeded))
                 and error.reason in ("", "SERVER_DRAINING"))):
             return
         with self._lock:

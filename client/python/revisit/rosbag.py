@@ -16,6 +16,7 @@ Needs the package rosbags, the extra `rosbag` of this one.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import os
@@ -138,24 +139,10 @@ def _open(path: PathLike) -> Any:
         # types have stayed the same.
         reader = AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
-    except AnyReaderError as error:
+    except (AnyReaderError, UnicodeError) as error:
         raise ValueError(f"{bag} cannot be read as a bag (of rosbag2, the folder with "
                          f"metadata.yaml): {error}") from error
-
-    return _Closing(reader)
-
-
-class _Closing:
-    """Closes an open reader, which its own context manager would open again."""
-
-    def __init__(self, reader: Any) -> None:
-        self._reader = reader
-
-    def __enter__(self) -> Any:
-        return self._reader
-
-    def __exit__(self, *_: object) -> None:
-        self._reader.close()
+    return contextlib.closing(reader)
 
 
 def _choose(reader: Any, path: PathLike, topic: Optional[str]) -> list[Any]:
