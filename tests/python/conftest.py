@@ -1,5 +1,5 @@
-"""What the tests of the Python package share: it as it was installed, and real
-servers."""
+"""Fixtures of the tests of the Python package, which run on real servers and on the
+package as it was installed."""
 
 import itertools
 import pathlib

@@ -161,7 +161,7 @@ def test_pandas_get_a_column_per_number(client, new_vehicle, boreas):
     checks = revisit.check_table(answers).to_pandas()
     assert checks["candidates"].sum() == len(found)
     assert (checks.loc[checks["candidates"] == 0, "empty_reason"] != "").all()
-    # What a table says is what the messages say.
+    # A table says the same as the messages.
     for number, row in found[found["rank"] == 1].iterrows():
         one = answers[row["check"]].candidates[0]
         assert row["probability"] == one.probability

@@ -1,5 +1,5 @@
-"""What the package shows its users runs as it stands: the notebook on the shipped
-drive, and the lines of its README."""
+"""The examples of the package run as they stand: the notebook on the shipped drive,
+and the lines of its README."""
 
 import json
 import re

@@ -5,6 +5,8 @@ import os
 import random
 import shutil
 import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -20,6 +22,26 @@ SEED = 20101018
 #: Waits and stall limits for servers that come to harm.
 QUICK = {"backoff": revisit.BackoffOptions(initial=0.01, max=0.2),
          "answer_timeout": 5.0}
+
+WAITING = """
+import sys, time
+import numpy as np
+import revisit
+client = revisit.Client(sys.argv[1])
+count = 100_000
+poses = revisit.Poses.local(*np.zeros((3, count)), np.tile([1.0, 0, 0, 1, 0, 1],
+                            (count, 1)), sequence=np.arange(1, count + 1))
+try:
+    with client.stream_poses(sys.argv[2], revisit.StreamOptions(
+            max_pending_poses=10)) as stream:
+        stream.wait_until_opened()
+        print("opened", flush=True)
+        time.sleep(1)
+        print("appending", flush=True)
+        stream.append(poses)
+except KeyboardInterrupt:
+    print("interrupted,", stream.acked_sequence, "acknowledged", flush=True)
+"""
 
 
 def test_poses_that_were_taken_are_stored_to_the_bit(client, new_vehicle):
@@ -85,6 +107,39 @@ def test_a_stream_goes_on_after_a_graceful_restart(restarted, in_thread):
             in_thread(stream.finish)()
         assert resumed == [50]
         assert len(client.poses("a")) == 100
+
+
+def test_calls_find_a_server_that_is_back_at_once(restarted):
+    """gRPC itself would wait for seconds."""
+    with revisit.Client(restarted.address, max_attempts=1) as client:
+        client.create_vehicle("a")
+        restarted.kill()
+        for _ in range(5):
+            with pytest.raises(revisit.Unavailable):
+                client.get_vehicle("a")
+        restarted.start()
+        begun = time.monotonic()
+        client.get_vehicle("a")
+        assert time.monotonic() - begun < 3.0
+
+
+def test_a_program_that_waits_for_room_can_be_interrupted(
+        server, new_vehicle, tmp_path):
+    program = subprocess.Popen(
+        [sys.executable, "-c", WAITING, server.address, new_vehicle()],
+        stdout=subprocess.PIPE, text=True)
+    try:
+        assert program.stdout.readline() == "opened\n"
+        os.kill(server.pid, signal.SIGSTOP)
+        program.stdout.readline()
+        time.sleep(0.5)
+        program.send_signal(signal.SIGINT)
+        rest, _ = program.communicate(timeout=LONG)
+    finally:
+        os.kill(server.pid, signal.SIGCONT)
+        program.kill()
+        program.wait()
+    assert rest == "interrupted, 0 acknowledged\n"
 
 
 def test_a_slow_server_makes_append_wait(server, client, new_vehicle, in_thread):

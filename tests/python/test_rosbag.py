@@ -192,7 +192,7 @@ def test_fixes_that_are_none_are_left_out(tmp_path):
     some[9].latitude = float("nan")
     path = write(tmp_path / "drive", [("/fix", FIX, some)])
     poses = revisit.rosbag.read_poses(path)
-    # Of 11 fixes on the move, three are none and one only begins the course.
+    # Eleven fixes are on the move: three are none, and one only begins the course.
     assert len(poses) == 11 - 3 - 1
     assert np.allclose(poses.heading, math.pi / 4, atol=2e-3)
 

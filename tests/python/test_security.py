@@ -11,7 +11,7 @@ from conftest import LONG, straight
 from identities import (
     AUDIENCE, ISSUER, Authority, TokenKey, key_set, replace)
 from revisit import StreamCallbacks, StreamOptions
-from revisit_server import Server
+from revisit_server import Server, wait_until
 
 
 class Files:
@@ -127,8 +127,7 @@ def test_a_stream_takes_the_token_that_replaced_an_expired_one(plaintext, files)
                 StreamCallbacks(disconnected=renew)) as stream:
             stream.wait_until_opened(LONG)
             stream.append(straight(10))
-            while not lost:
-                pass
+            wait_until(lambda: lost, "end of the token", LONG)
             stream.append(straight(10, first=11))
         assert client.get_vehicle("renewed").durable_sequence == 20
     assert [error.reason for error in lost] == ["TOKEN_EXPIRED"]

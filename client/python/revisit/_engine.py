@@ -57,9 +57,9 @@ class _Connection:
         self.in_callback = False
         self.batch_poses = 1
         self.quiet_since = time.monotonic()
-        #: Why this side ends it.
+        #: The reason for which this side ends it.
         self.verdict: Optional[BaseException] = None
-        #: Why the other side ended it; None for OK.
+        #: The status with which the other side ended it; None for OK.
         self.error: Optional[BaseException] = None
         #: Nothing more comes of it; what does nevertheless is ignored.
         self.over = False
@@ -92,7 +92,7 @@ class Engine:
         self.finishing = False
         self.cancelled = False
         self.ended = False
-        #: Why it ended; None if well.
+        #: The error that ended it; None if it ended well.
         self.error: Optional[BaseException] = None
         # Daemons, so that a stream that nobody ends does not keep the program.
         self._thread = threading.Thread(target=self._run, daemon=True,

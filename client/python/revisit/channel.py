@@ -193,7 +193,7 @@ class Channels:
 
 
 class Caller:
-    """What every call says of itself. Thread-safe."""
+    """The metadata by which every call says who makes it. Thread-safe."""
 
     def __init__(self, token_file: Optional[PathLike] = None) -> None:
         self._token_file = token_file

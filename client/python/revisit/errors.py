@@ -25,7 +25,7 @@ class FieldViolation:
 
     #: Path below the request, such as "poses[3].covariance".
     field: str
-    #: What was got, and what is allowed.
+    #: The value that was got, and the allowed ones.
     description: str
 
 

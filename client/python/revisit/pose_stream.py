@@ -302,12 +302,12 @@ class PoseStream:
         finally:
             self.close()
 
-    # How it stands.
+    # The state of the stream.
 
     @property
     def jumps(self) -> list[v1.Jump]:
-        """Where acknowledgements said that the trajectory is cut, the newest
-        10,000."""
+        """Jumps that acknowledgements reported, where the trajectory is cut: the
+        newest 10,000."""
         with self._changed:
             return list(self._engine.jumps)
 
