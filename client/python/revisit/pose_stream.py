@@ -21,9 +21,10 @@ other content), FailedPrecondition (a gap), InvalidArgument and NotFound.
 
 Candidates: the server sends the answer of a check once, on the stream on which
 the check's batch became durable. If the connection breaks after that and before
-the answer arrives, the answer is lost. So are those that pile up on a server whose
-client takes them too slowly: it ends the call with SLOW_CONSUMER. `reconnects` > 0 therefore means that
-answers may be missing; `Client.find_candidates()` can be asked for them.
+the answer arrives, the answer is lost. So are answers that pile up on a server
+whose client takes them too slowly: it ends the call with SLOW_CONSUMER.
+`reconnects` > 0 therefore means that answers may be missing;
+`Client.find_candidates()` can be asked for them.
 """
 
 from __future__ import annotations
