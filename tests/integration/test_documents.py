@@ -8,7 +8,7 @@ from stubs import ROOT
 
 DOCUMENTS = sorted([
     *ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"),
-    *(ROOT / "tests").rglob("*.md")])
+    *(ROOT / "client").rglob("*.md"), *(ROOT / "tests").rglob("*.md")])
 
 
 def without_code(text):
