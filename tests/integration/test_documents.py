@@ -7,7 +7,8 @@ import pytest
 from stubs import ROOT
 
 DOCUMENTS = sorted([
-    *ROOT.glob("*.md"), *ROOT.glob("client/*/*/README.md"), *(
+    *ROOT.glob("*.md"), *ROOT.glob("client/*/README.md"),
+    *ROOT.glob("client/*/*/README.md"), *(
         path for folder in ("docs", "proto", "tests")
         for path in (ROOT / folder).rglob("*.md"))])
 

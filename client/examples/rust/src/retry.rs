@@ -20,7 +20,7 @@ pub fn wait_before_retry(error: &Status, attempt: u32) -> Option<Duration> {
     }
     let lost = match error.code() {
         Code::Unavailable => true,
-        // Tonic says UNKNOWN where a connection broke.
+        // Tonic reports UNKNOWN where a connection broke.
         Code::Internal | Code::Unknown => error.get_details_error_info().is_none(),
         _ => false,
     };
