@@ -20,8 +20,11 @@ pub fn wait_before_retry(error: &Status, attempt: u32) -> Option<Duration> {
     }
     let lost = match error.code() {
         Code::Unavailable => true,
-        // Tonic reports UNKNOWN where a connection broke.
-        Code::Internal | Code::Unknown => error.get_details_error_info().is_none(),
+        // Tonic reports UNKNOWN where a connection broke, and CANCELLED where it was
+        // closed before it was made. What the server reports carries an ErrorInfo.
+        Code::Internal | Code::Unknown | Code::Cancelled => {
+            error.get_details_error_info().is_none()
+        }
         _ => false,
     };
     let longest = Duration::from_millis((100 << attempt).min(2000));
