@@ -3,7 +3,6 @@
 #include <unistd.h>
 
 #include <cerrno>
-#include <charconv>
 #include <cstdio>
 #include <cstring>
 #include <filesystem>
@@ -14,35 +13,13 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/cli/commands/shared_flags.h"
+#include "client/cli/exact_text.h"
 #include "client/cli/names.h"
 
 namespace revisit::client {
 namespace {
 
 namespace fs = std::filesystem;
-
-// The shortest text that reads as the same number.
-std::string Exact(double value) {
-  char buffer[64];
-  const auto [end, error] =
-      std::to_chars(buffer, buffer + sizeof(buffer), value);
-  return error == std::errc() ? std::string(buffer, end) : "nan";
-}
-
-std::string StampSeconds(const google::protobuf::Timestamp& stamp) {
-  // A double does not hold today's stamps to the nanosecond.
-  std::int64_t seconds = stamp.seconds();
-  std::int64_t nanos = stamp.nanos();
-  std::string sign;
-  if (seconds < 0 && nanos > 0) {
-    seconds += 1;
-    nanos = 1'000'000'000 - nanos;
-    if (seconds == 0) sign = "-";
-  }
-  const std::string digits = absl::StrCat(nanos);
-  return absl::StrCat(sign, seconds, ".", std::string(9 - digits.size(), '0'),
-                      digits);
-}
 
 void WriteNodeCsv(const v1::Node& node, std::ostream& out) {
   out << node.index() << ',' << node.sequence() << ',' << Exact(node.fraction())

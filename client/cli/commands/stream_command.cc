@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "client/cli/candidate_text.h"
 #include "client/cli/commands/shared_flags.h"
 #include "client/cli/drive_poses.h"
 #include "client/cli/names.h"
@@ -58,31 +59,6 @@ struct Tally {
   std::int64_t checks ABSL_GUARDED_BY(mutex) = 0;
 };
 
-void PrintCandidates(const v1::CandidateSet& set, const Console& console) {
-  if (console.json) {
-    console.out << ToJson(set, false) << '\n';
-    return;
-  }
-  console.out << "check at sequence " << set.query().sequence() << ", "
-              << Fixed(set.query().travelled_meters(), 1) << " m: ";
-  if (set.candidates().empty()) {
-    console.out << "no candidates, " << Explain(set.empty_reason()) << '\n';
-    return;
-  }
-  const v1::Candidate& best = set.candidates(0);
-  console.out << "sequence " << best.matched().sequence() << ", "
-              << Fixed(best.matched().travelled_meters(), 1) << " m, d2 "
-              << Fixed(best.gate().squared_mahalanobis_distance(), 2)
-              << " against " << Fixed(best.gate().threshold(), 2) << ", ";
-  if (best.has_probability()) {
-    console.out << "probability " << Fixed(best.probability(), 4) << ", ";
-  }
-  if (best.direction() == v1::DIRECTION_OPPOSITE) {
-    console.out << "opposite direction, ";
-  }
-  console.out << NameOf(best.verdict()) << '\n';
-}
-
 PoseStreamOptions MakeStreamOptions(const StreamOptions& options,
                                     const v1::Vehicle& vehicle) {
   PoseStreamOptions stream;
@@ -115,7 +91,11 @@ PoseStreamCallbacks MakeCallbacks(Tally* tally, Progress* progress,
   callbacks.candidates = [tally, &console](const v1::CandidateSet& set) {
     const MutexLock lock(&tally->mutex);
     ++tally->checks;
-    PrintCandidates(set, console);
+    if (console.json) {
+      console.out << ToJson(set, false) << '\n';
+    } else {
+      PrintCheck(set, console.out);
+    }
   };
   callbacks.disconnected = [progress](const absl::Status& status,
                                       std::chrono::nanoseconds wait) {
