@@ -102,7 +102,7 @@ absl::Status RunFind(const Client& client, v1::FindCandidatesRequest request,
          candidate.has_probability() ? Fixed(candidate.probability(), 4) : "-",
          NameOf(candidate.verdict())});
   }
-  table.Print(console.out);
+  table.Print(console.out, console.width);
   const double inflation = set.candidates(0).gate().inflation();
   if (inflation > 1.0) {
     console.out << "claimed standard deviations were multiplied by "
