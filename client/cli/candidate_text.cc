@@ -52,7 +52,7 @@ class Columns {
     }
   }
 
-  void Print(std::ostream& out) const {
+  void Print(const Console& console) const {
     Table table(titles_);
     for (int row = 0; row < set_.candidates_size(); ++row) {
       std::vector<std::string> line;
@@ -61,7 +61,7 @@ class Columns {
       }
       table.AddRow(std::move(line));
     }
-    table.Print(out);
+    table.Print(console.out, console.width);
   }
 
  private:
@@ -164,7 +164,8 @@ void PrintCheck(const v1::CandidateSet& set, std::ostream& out) {
   out << NameOf(best.verdict()) << '\n';
 }
 
-void PrintCandidates(const v1::CandidateSet& set, std::ostream& out) {
+void PrintCandidates(const v1::CandidateSet& set, const Console& console) {
+  std::ostream& out = console.out;
   PrintQuery(set, out);
   if (set.candidates().empty()) {
     out << "no candidates: " << Explain(set.empty_reason()) << '\n';
@@ -173,7 +174,7 @@ void PrintCandidates(const v1::CandidateSet& set, std::ostream& out) {
   Columns columns(set);
   AddPlaceColumns(set, &columns);
   AddJudgementColumns(&columns);
-  columns.Print(out);
+  columns.Print(console);
   const double inflation = set.candidates(0).gate().inflation();
   if (inflation > 1.0) {
     out << "claimed standard deviations were multiplied by "

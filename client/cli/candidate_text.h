@@ -5,6 +5,7 @@
 #include <ostream>
 #include <string>
 
+#include "client/cli/console.h"
 #include "revisit/v1/candidate.pb.h"
 
 namespace revisit::client {
@@ -31,7 +32,7 @@ DecidingGate DecidingGateOf(const v1::Candidate& candidate);
 void PrintCheck(const v1::CandidateSet& set, std::ostream& out);
 
 // A table of all candidates below what is known of the query.
-void PrintCandidates(const v1::CandidateSet& set, std::ostream& out);
+void PrintCandidates(const v1::CandidateSet& set, const Console& console);
 
 }  // namespace revisit::client
 

@@ -59,7 +59,7 @@ absl::Status RunFind(const Client& client, v1::FindCandidatesRequest request,
     console.out << ToJson(set, true) << '\n';
     return absl::OkStatus();
   }
-  PrintCandidates(set, console.out);
+  PrintCandidates(set, console);
   return absl::OkStatus();
 }
 

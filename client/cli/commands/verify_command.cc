@@ -48,18 +48,21 @@ void AddVerified(const Command& program, const CommandHelp& help,
 }  // namespace
 
 void AddConfirmCommand(const Command& program) {
-  AddVerified(program,
-              {"confirm", "Tells that two poses were found to be one place.",
-               "Adds a loop closure. Again: the existing one.",
-               "  revisit confirm shuttle-7 2068 1072"},
-              &RunConfirm);
+  AddVerified(
+      program,
+      {"confirm", "Tells that two poses were found to be one place.",
+       "Adds a loop closure. Again: the existing one. A mistaken one is "
+       "undone by\nrevisit closures delete.",
+       "  revisit confirm shuttle-7 2068 1072"},
+      &RunConfirm);
 }
 
 void AddRejectCommand(const Command& program) {
   AddVerified(
       program,
       {"reject", "Tells that two poses were found not to be one place.",
-       "The candidate is not offered again. Again: the existing rejection.",
+       "The candidate is not offered again. Again: the existing rejection. A "
+       "mistaken one\nis undone by revisit rejections delete.",
        "  revisit reject shuttle-7 2068 1155"},
       &RunReject);
 }

@@ -175,9 +175,9 @@ TEST_F(CommandsTest, StreamPrintsCandidatesAsJsonLines) {
   std::istringstream lines(out_.str());
   std::string line;
   ASSERT_TRUE(std::getline(lines, line));
-  EXPECT_EQ(json::parse(line)["query"]["sequence"], "100");
+  EXPECT_EQ(json::parse(line)["query"]["sequence"], 100);
   ASSERT_TRUE(std::getline(lines, line));
-  EXPECT_EQ(json::parse(line)["query"]["sequence"], "200");
+  EXPECT_EQ(json::parse(line)["query"]["sequence"], 200);
   ASSERT_TRUE(std::getline(lines, line));
   EXPECT_EQ(json::parse(line)["checks"], 2);
 }
@@ -374,9 +374,9 @@ TEST_F(CommandsTest, ConfirmAddsALoopClosureAndRejectARejection) {
   out_.str("");
   ASSERT_TRUE(RunReject(client_, pair, Json()).ok());
   const json answer = json::parse(out_.str());
-  EXPECT_EQ(answer["rejectedCandidate"]["querySequence"], "200");
-  EXPECT_EQ(answer["rejectedCandidate"]["matchedSequence"], "40");
-  EXPECT_EQ(answer["revision"], "8");
+  EXPECT_EQ(answer["rejectedCandidate"]["querySequence"], 200);
+  EXPECT_EQ(answer["rejectedCandidate"]["matchedSequence"], 40);
+  EXPECT_EQ(answer["revision"], 8);
 }
 
 TEST_F(CommandsTest, UpdateNamesTheSettingsThatAreGivenAndNoOthers) {
@@ -438,7 +438,7 @@ TEST_F(CommandsTest, ExportWritesALineForEachElement) {
   }
   ASSERT_EQ(elements.size(), 4u);
   EXPECT_EQ(elements[0]["vehicle"]["name"], "vehicles/shuttle");
-  EXPECT_EQ(elements[2]["node"]["index"], "1");
+  EXPECT_EQ(elements[2]["node"]["index"], 1);
   EXPECT_EQ(elements[3]["edge"]["kind"], "EDGE_KIND_CONSECUTIVE");
 }
 
