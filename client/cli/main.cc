@@ -11,6 +11,7 @@
 #include "client/cli/commands/find_command.h"
 #include "client/cli/commands/findings_command.h"
 #include "client/cli/commands/info_command.h"
+#include "client/cli/commands/map_command.h"
 #include "client/cli/commands/poses_command.h"
 #include "client/cli/commands/show_command.h"
 #include "client/cli/commands/stream_command.h"
@@ -88,6 +89,7 @@ void AddCommands(const Command& program) {
   AddPosesCommand(program);
   AddShowCommand(program);
   AddExportCommand(program);
+  AddMapCommand(program);
   AddEvaluateCommand(program);
   AddInfoCommand(program);
 }

@@ -64,8 +64,9 @@ void AddInputsAndOutputs(const Command& command, EvaluateOptions* options) {
                     "Stream all files into one vehicle, one after the other");
   command.AddSwitch("--verbose", &options->verbose,
                     "Print each check's best candidate");
-  command.AddText("--map", "FILE.svg", &options->map,
-                  "Draw the map of the drive (one drive only)");
+  command.AddText("--map", "FILE", &options->map,
+                  "Draw the map of the drive (one drive only): a page for a "
+                  "browser if the name ends in .html, otherwise SVG");
   command.AddText("--plots", "DIR", &options->plots,
                   "Draw precision_recall.svg and reliability.svg there");
   command

@@ -282,7 +282,7 @@ TEST_F(CommandsTest, FindPrintsStampsAndTheGateThatDecided) {
       "query: node 100, sequence 200, 2020-11-26T18:58:50.250Z "
       "(1606417130.25 s), 200.0 m travelled, at (1.00, 2.00) m\n"
       "new place: probability 0.0625\n"
-      "RANK  SEQUENCE  TIME                                TIME s  "
+      "RANK  SEQUENCE  TIME                                 TIME s  "
       "TRAVELLED m   X m   Y m  DIRECTION  GATE      D2  THRESHOLD  P-VALUE  "
       "PROBABILITY  VERDICT\n"
       "   1        40  2020-11-26T18:58:17.528Z  1606417097.528499         "

@@ -1,4 +1,4 @@
-#include "client/cli/evaluation/svg.h"
+#include "client/cli/map/svg.h"
 
 #include "client/cli/console.h"
 

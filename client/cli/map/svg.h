@@ -1,8 +1,8 @@
 // Pieces of SVG documents, and the colours that our drawings share.
 //
 // Coordinates are pixels, y downwards. `more` is further attributes, as text.
-#ifndef REVISIT_CLIENT_CLI_EVALUATION_SVG_H_
-#define REVISIT_CLIENT_CLI_EVALUATION_SVG_H_
+#ifndef REVISIT_CLIENT_CLI_MAP_SVG_H_
+#define REVISIT_CLIENT_CLI_MAP_SVG_H_
 
 #include <string>
 
@@ -11,6 +11,12 @@ namespace revisit::client {
 inline constexpr char kInk[] = "#222222";
 inline constexpr char kFaint[] = "#6b6b6b";
 inline constexpr char kGrid[] = "#ececec";
+
+inline constexpr char kMapEstimate[] = "#1f3b57";
+inline constexpr char kMapTruth[] = "#9a9a9a";
+inline constexpr char kMapEllipse[] = "#7b68b5";
+inline constexpr char kMapClosure[] = "#2f7fd6";
+inline constexpr char kMapRejection[] = "#b0306a";
 
 // At most two digits after the point, without trailing zeros.
 std::string SvgNumber(double value);
@@ -33,4 +39,4 @@ std::string SvgCircle(double x, double y, double radius, const char* fill,
 
 }  // namespace revisit::client
 
-#endif  // REVISIT_CLIENT_CLI_EVALUATION_SVG_H_
+#endif  // REVISIT_CLIENT_CLI_MAP_SVG_H_
