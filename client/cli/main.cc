@@ -13,6 +13,7 @@
 #include "client/cli/commands/info_command.h"
 #include "client/cli/commands/map_command.h"
 #include "client/cli/commands/poses_command.h"
+#include "client/cli/commands/revise_command.h"
 #include "client/cli/commands/show_command.h"
 #include "client/cli/commands/stream_command.h"
 #include "client/cli/commands/vehicle_command.h"
@@ -90,6 +91,7 @@ void AddCommands(const Command& program) {
   AddShowCommand(program);
   AddExportCommand(program);
   AddMapCommand(program);
+  AddReviseCommand(program);
   AddEvaluateCommand(program);
   AddInfoCommand(program);
 }

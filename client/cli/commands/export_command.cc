@@ -236,7 +236,8 @@ void AddExportCommand(const Command& program) {
        "  geojson    for vehicles that stream geodetic positions: the "
        "trajectory, loop closures\n"
        "             and rejected candidates in longitude and latitude\n"
-       "Numbers read back to the same bits.",
+       "Numbers read back to the same bits. revisit revise brings optimised "
+       "poses back.",
        "  revisit export shuttle-7 > graph.jsonl\n"
        "  revisit export shuttle-7 --format g2o --output shuttle-7.g2o\n"
        "  revisit export shuttle-7 --format tum --output shuttle-7.tum"});

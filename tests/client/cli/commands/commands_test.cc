@@ -364,7 +364,7 @@ TEST_F(CommandsTest, StreamPrintsTheVerdictOfTheBestCandidate) {
 
 TEST_F(CommandsTest, ConfirmAddsALoopClosureAndRejectARejection) {
   const VerifiedPair pair = {"shuttle", 200, 40};
-  ASSERT_TRUE(RunConfirm(client_, pair, Text()).ok());
+  ASSERT_TRUE(RunConfirm(client_, pair, {}, Text()).ok());
   EXPECT_EQ(out_.str(),
             "confirmed vehicles/shuttle/loopClosures/new, revision 7\n");
   out_.str("");
@@ -377,6 +377,31 @@ TEST_F(CommandsTest, ConfirmAddsALoopClosureAndRejectARejection) {
   EXPECT_EQ(answer["rejectedCandidate"]["querySequence"], 200);
   EXPECT_EQ(answer["rejectedCandidate"]["matchedSequence"], 40);
   EXPECT_EQ(answer["revision"], 8);
+}
+
+TEST_F(CommandsTest, ConfirmSendsWhatTheVerifierMeasured) {
+  VerifiedMeasurement measured;
+  measured.relative = {1.5, -0.5, 0.25};
+  measured.covariance = {1, 0, 0, 2, 0, 3};
+  measured.note = "icp";
+  measured.score = 0.0;
+  EXPECT_EQ(CheckMeasurement(measured), "");
+  ASSERT_TRUE(RunConfirm(client_, {"shuttle", 200, 40}, measured, Json()).ok());
+  const json closure = json::parse(out_.str())["loopClosure"];
+  EXPECT_EQ(closure["measurement"]["yMeters"], -0.5);
+  EXPECT_EQ(closure["measurement"]["headingRadians"], 0.25);
+  EXPECT_EQ(closure["measurement"]["covariance"]["form"],
+            "COVARIANCE_FORM_PLANAR_6");
+  EXPECT_EQ(closure["note"], "icp");
+  EXPECT_EQ(closure["score"], 0.0);
+}
+
+TEST_F(CommandsTest, MeasurementHasAsManyNumbersAsOneOfTheForms) {
+  EXPECT_EQ(CheckMeasurement({}), "");
+  EXPECT_EQ(CheckMeasurement({{1, 2}, {1, 0, 0, 1, 0, 1}, "", {}}),
+            "--relative: expected X,Y,HEADING or X,Y,Z,HEADING, got 2 numbers");
+  EXPECT_EQ(CheckMeasurement({{1, 2, 3}, {1, 1, 1}, "", {}}),
+            "--covariance: expected 6, 10 or 36 numbers, got 3");
 }
 
 TEST_F(CommandsTest, UpdateNamesTheSettingsThatAreGivenAndNoOthers) {
