@@ -223,7 +223,7 @@ COMMANDS = [("vehicle", "create"), ("vehicle", "get"), ("vehicle", "list"),
             ("find",), ("confirm",), ("reject",), ("closures", "list"),
             ("closures", "delete"), ("rejections", "list"),
             ("rejections", "delete"), ("poses", "list"), ("show",),
-            ("export",), ("evaluate",), ("info",)]
+            ("export",), ("map",), ("revise",), ("evaluate",), ("info",)]
 
 
 def test_command_line_asks_where_a_server_listens_by_default():

@@ -66,8 +66,8 @@ void AddConfirmCommand(const Command& program) {
        "calls for a second look at the closure,\nthe axes of the measurement, "
        "or the covariances.",
        "  revisit confirm shuttle-7 2068 1072\n"
-       "  revisit confirm shuttle-7 2068 1072 --relative 1.2,-0.4,0.03 \\\n"
-       "    --covariance 0.04,0,0,0.04,0,0.0004 --note icp --score 0.93"});
+       "  revisit confirm shuttle-7 2060 1063 --relative 1.2,-0.4,0.03 "
+       "--covariance 0.04,0,0,0.04,0,0.0004"});
   const auto pair = std::make_shared<VerifiedPair>();
   const auto measured = std::make_shared<VerifiedMeasurement>();
   AddPair(command, pair.get());
