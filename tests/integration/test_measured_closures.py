@@ -282,7 +282,9 @@ def test_bad_content_is_refused_and_changes_nothing(name, stub, driven):
 
 
 def test_spatial_vehicle_takes_no_planar_covariance(stub, new_vehicle):
-    vehicle = new_vehicle(state_space=api.STATE_SPACE_SPATIAL)
+    vehicle = new_vehicle(
+        state_space=api.STATE_SPACE_SPATIAL,
+        correlation_model=api.CORRELATION_MODEL_INDEPENDENT)
     spatial = [0.04, 0, 0, 0, 0.04, 0, 0, 0.04, 0, 0.0004]
     poses = [pose(n, x=float(n)) for n in range(1, 60)]
     for p in poses:
@@ -298,7 +300,9 @@ def test_spatial_vehicle_takes_no_planar_covariance(stub, new_vehicle):
     assert answer.agreement.squared_mahalanobis_distance < 1e-9
     lifted = close(stub, vehicle, 51, 1, measurement=measured(
         50.0, covariance=spatial, z_meters=3.0))
-    assert lifted.agreement.squared_mahalanobis_distance > 1.0
+    # Standard deviations of the two poses and the measurement, in z.
+    assert lifted.agreement.squared_mahalanobis_distance == pytest.approx(
+        3.0 ** 2 / (0.04 * ((1 + 5.1) + (1 + 0.1) + 1)))
 
 
 def test_pose_pair_of_the_other_kind_is_a_conflict(stub, driven):

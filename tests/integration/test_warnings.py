@@ -50,9 +50,8 @@ def geodetic_as_local(p):
 
 
 def camera_axes(p):
-    # x right, y down, z forward.
-    x, y = p.local.x_meters, p.local.y_meters
-    p.local.x_meters, p.local.y_meters, p.local.z_meters = -y, 0.0, x
+    # x right, y down, z forward, as the drive begins: along +y.
+    p.local.z_meters, p.local.y_meters = p.local.y_meters, 0.0
 
 
 def millimetres(p):
