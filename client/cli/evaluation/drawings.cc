@@ -50,7 +50,7 @@ absl::Status WriteMap(const EvaluateOptions& options,
   }
   contents.nodes = result.nodes;
   contents.truth_at_nodes = result.truth_at_nodes;
-  contents.one_frame = options.format == EvaluateOptions::Format::kRtklib;
+  contents.one_frame = options.geodetic;
   contents.checks = result.checks;
   return Write(options.map, DrawMap(contents));
 }
