@@ -17,6 +17,14 @@ namespace {
 constexpr double kMetersPerSecondPerKnot = 1852.0 / 3600.0;
 constexpr std::int64_t kNanosecondsPerDay = 86'400 * kNanosecondsPerSecond;
 
+// What sentences of one time of day have said.
+struct Epoch {
+  std::int64_t time_of_day = 0;
+  bool has_gga = false;
+  bool has_rmc = false;
+  Sample sample;
+};
+
 class NmeaReader : public SampleReader {
  public:
   explicit NmeaReader(std::unique_ptr<Lines> lines)
@@ -38,14 +46,6 @@ class NmeaReader : public SampleReader {
   }
 
  private:
-  // What sentences of one time of day have said.
-  struct Epoch {
-    std::int64_t time_of_day = 0;
-    bool has_gga = false;
-    bool has_rmc = false;
-    Sample sample;
-  };
-
   // An epoch that this sentence completes.
   absl::StatusOr<std::optional<Sample>> ReadSentence(std::string_view line) {
     if (line[0] != '$' && line[0] != '!') {

@@ -17,6 +17,9 @@ constexpr double kLongestStepMeters = 100.0;
 constexpr std::int64_t kFirstSteps = 50;
 constexpr std::int64_t kLeastSteps = 20;
 constexpr std::int64_t kDegreesLook = 500;
+// Steps of 20 m after which the given reading is taken for right: the others
+// cost as much each.
+constexpr std::int64_t kLastLookAtOthers = 200;
 
 double SecondsBetween(const Sample& a, const Sample& b) {
   if (!a.time_nanoseconds.has_value() || !b.time_nanoseconds.has_value()) {
@@ -122,7 +125,7 @@ std::optional<double> CourseStatistics::Median() const {
   while (2 * (below + by_degree_[degree]) < compared_) {
     below += by_degree_[degree++];
   }
-  return static_cast<double>(degree) + 0.5;
+  return static_cast<double>(degree);
 }
 
 void Reading::Add(const Sample& raw) {
@@ -174,6 +177,9 @@ std::string Plausibility::MendOf() const {
                                best->near.Median().value_or(0.0)) {
       best = &reading;
     }
+  }
+  if (readings_.size() == 1) {
+    return "they agreed until here: the file's axes, units or order change";
   }
   if (best == nullptr) {
     return "expected x forward, y left and z up of the vehicle, in metres and "
@@ -319,7 +325,9 @@ absl::Status Plausibility::Observe(const Sample& raw) {
   if (readings_[0].far.steps() < next_look_) return absl::OkStatus();
   next_look_ *= 2;
   if (absl::Status status = CheckSpeeds(); !status.ok()) return status;
-  return CheckReadings(false);
+  const absl::Status status = CheckReadings(false);
+  if (next_look_ > kLastLookAtOthers) readings_.resize(1);
+  return status;
 }
 
 absl::Status Plausibility::Finish() {

@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "client/cli/drive_poses.h"
 #include "client/cli/names.h"
+#include "client/formats/axes.h"
 #include "client/revisit/client.h"
 #include "grpcpp/channel.h"
 
@@ -223,7 +224,17 @@ absl::Status SampleSender::ContinueClaims() {
     default:
       return absl::OkStatus();
   }
-  claims_->ContinueFrom({pose.local().x_meters(), pose.local().y_meters(), 0.0},
+  Sample before;
+  if (pose.has_quaternion()) {
+    before.quaternion = {pose.quaternion().x(), pose.quaternion().y(),
+                         pose.quaternion().z(), pose.quaternion().w()};
+  } else {
+    before.estimate.heading = pose.heading_radians();
+  }
+  const auto converted = Convert(before, Conventions());
+  if (!converted.ok()) return converted.status();
+  claims_->ContinueFrom({pose.local().x_meters(), pose.local().y_meters(),
+                         converted->estimate.heading},
                         covariance);
   return absl::OkStatus();
 }

@@ -149,7 +149,7 @@ TEST_F(CommandsTest, StreamGoesOnWhereItStopped) {
 TEST_F(CommandsTest, StreamNoticesThatTheVehicleHasAnotherDrive) {
   WriteDrive(100);
   ASSERT_TRUE(RunStream(channel_, Stream(), Text()).ok());
-  WriteDrive(300, 0.5);
+  WriteDrive(300, 0.1);
   const absl::Status status = RunStream(channel_, Stream(), Text());
   EXPECT_EQ(status.code(), absl::StatusCode::kAlreadyExists);
   EXPECT_EQ(server_.durable_sequence(), 100u);

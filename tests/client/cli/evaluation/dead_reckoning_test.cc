@@ -175,10 +175,12 @@ TEST(DeadReckoningTest, AddsTheCarriedStartToTheFilesColumns) {
 TEST(DeadReckoningTest, RefusesAFileWithoutColumnsWhereTheyAreAskedFor) {
   UncertaintyOptions options;
   options.source = UncertaintyOptions::Source::kFile;
-  EXPECT_EQ(ClaimUncertainty(MakeDrive({{0, 0, 0}}), options).status(),
-            absl::InvalidArgumentError(
-                "made: has no covariance columns (pxx, pxy, pxt, pyy, pyt, "
-                "ptt)"));
+  EXPECT_EQ(
+      ClaimUncertainty(MakeDrive({{0, 0, 0}}), options).status(),
+      absl::InvalidArgumentError(
+          "made: has no covariance (columns pxx, pxy, pxt, pyy, pyt, ptt, or "
+          "what "
+          "the format has in their place); --uncertainty model makes one"));
 }
 
 }  // namespace
