@@ -1,4 +1,4 @@
-// Numbers and times as text that loses nothing.
+// Numbers and times as text.
 #ifndef REVISIT_CLIENT_CLI_EXACT_TEXT_H_
 #define REVISIT_CLIENT_CLI_EXACT_TEXT_H_
 

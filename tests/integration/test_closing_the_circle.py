@@ -23,7 +23,7 @@ GTSAM = "gtsam==4.3.0"
 OPTIMISE = ROOT / "tests/integration/optimise_g2o.py"
 INSTALL_SECONDS = 300
 
-# Of the measurements: as of matched scans.
+# The noise of the measurements, as of matched scans.
 SIGMA_METERS = 0.1
 SIGMA_RADIANS = math.radians(0.2)
 

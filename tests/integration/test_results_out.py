@@ -298,7 +298,7 @@ def test_poses_that_come_back_as_they_were_exported_stay_as_they_are(
         assert (new.sequence, new.stamp, new.local) == (
             old.sequence, old.stamp, old.local)
         assert new.covariance == old.covariance
-        # Of TUM, a quaternion.
+        # TUM brings a quaternion.
         heading = (2 * math.atan2(new.quaternion.z, new.quaternion.w)
                    if new.HasField("quaternion") else new.heading_radians)
         assert math.isclose(math.remainder(heading - old.heading_radians,

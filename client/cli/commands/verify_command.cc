@@ -77,7 +77,8 @@ void AddConfirmCommand(const Command& program) {
       "(and up), and radians counter-clockwise");
   const Flag covariance = command.AddNumbers(
       "--covariance", "NUMBERS", &measured->covariance,
-      "Of its errors, in the same axes: the upper triangle by rows over x, y, "
+      "Covariance of its errors, in the same axes: the upper triangle by rows "
+      "over x, y, "
       "heading (6) or x, y, z, heading (10), or the 36 of ROS");
   relative.Needs(covariance);
   covariance.Needs(relative);

@@ -25,7 +25,7 @@ struct VerifiedPair {
   std::uint64_t matched_sequence = 0;
 };
 
-// What the verifier measured. Empty where it measured nothing.
+// The verifier's measurement; empty where it measured nothing.
 struct VerifiedMeasurement {
   // The query pose as seen from the matched one: x, y, heading, or x, y, z,
   // heading, as in v1::LoopClosureMeasurement.

@@ -126,7 +126,7 @@ absl::Status WriteMap(const EvaluateOptions& options,
   }
   // Fixes and their reference are in one frame already.
   const MapContents contents =
-      JudgedMap(result, options.format == EvaluateOptions::Format::kRtklib);
+      JudgedMap(result, options.geodetic);
   const std::filesystem::path path(options.map);
   return Write(options.map, path.extension() == ".html" ? MapPage(contents)
                                                         : DrawMap(contents));

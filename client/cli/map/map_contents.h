@@ -1,4 +1,4 @@
-// What a map of one vehicle shows, whatever it is drawn with.
+// The contents of a map of one vehicle, whatever it is drawn with.
 #ifndef REVISIT_CLIENT_CLI_MAP_MAP_CONTENTS_H_
 #define REVISIT_CLIENT_CLI_MAP_MAP_CONTENTS_H_
 

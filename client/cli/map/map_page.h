@@ -1,10 +1,10 @@
-// The page of map_html.h without its data, from map_page.html.
+// The page of map_html.h without its data, from map_page.html and map_page.js.
 #ifndef REVISIT_CLIENT_CLI_MAP_MAP_PAGE_H_
 #define REVISIT_CLIENT_CLI_MAP_MAP_PAGE_H_
 
 namespace revisit::client {
 
-// What stands in the page in place of the data.
+// The text of the page that its data replace.
 inline constexpr char kMapDataMark[] = "@MAP_DATA@";
 
 extern const char kMapPage[];

@@ -33,7 +33,7 @@ struct MapView {
   // In the middle of the frame.
   MapPoint middle;
   double pixels_per_meter = 1.0;
-  // Of marks and links, relative to the legend's.
+  // The size of marks and links, relative to the legend's.
   double mark_size = 1.0;
 
   PixelPoint At(const MapPoint& meters) const;

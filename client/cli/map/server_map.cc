@@ -133,6 +133,12 @@ absl::StatusOr<v1::CandidateSet> Search(
   for (;;) {
     const auto response = client.FindCandidates(request);
     if (response.ok()) return response->candidates();
+    if (absl::IsOutOfRange(response.status())) {
+      // As the check of a stream would have been answered.
+      v1::CandidateSet set;
+      set.set_empty_reason(v1::EMPTY_REASON_LIMIT_EXCEEDED);
+      return set;
+    }
     const auto wait = DetailsOf(response.status()).retry_delay;
     if (!absl::IsResourceExhausted(response.status()) || !wait.has_value()) {
       return response.status();
@@ -229,7 +235,9 @@ absl::Status AddChecks(const Client& client, const CheckSearches& searches,
     const auto set = Search(client, request);
     if (!set.ok()) return set.status();
     MapCheck check;
-    check.node = static_cast<std::size_t>(set->query().index());
+    check.node = set->has_query()
+                     ? static_cast<std::size_t>(set->query().index())
+                     : at[i];
     check.style = StyleOf(*set);
     if (set->candidates().empty()) {
       check.empty_reason = Explain(set->empty_reason());

@@ -36,10 +36,10 @@ struct LocalPose {
   std::optional<google::protobuf::Timestamp> stamp;
   // x, y, z in metres.
   std::array<double, 3> position = {};
-  // x, y, z, w of the rotation of the body's axes (forward, left, up) into the
+  // x, y, z, w: the rotation of the body's axes (forward, left, up) into the
   // local frame; about z alone where the pose has a heading alone.
   std::array<double, 4> orientation = {0.0, 0.0, 0.0, 1.0};
-  // Of the body's forward axis, in radians.
+  // The direction of the body's forward axis, in radians.
   double heading = 0.0;
   // Rows and columns of z are 0 for a PLANAR vehicle.
   StateMatrix covariance = {};

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "client/formats/byte_source.h"
 #include "client/formats/text_lines.h"
 
 namespace revisit::client {
@@ -30,38 +31,30 @@ class OptimisedReader {
   explicit OptimisedReader(Lines* lines) : lines_(*lines) {}
 
   absl::StatusOr<std::vector<OptimisedPose>> Read(OptimisedFormat format) {
-    while (lines_.Next(&line_)) {
-      ++number_;
-      if (line_.find_first_not_of(" \t") == std::string::npos ||
-          line_[0] == '#') {
-        continue;
-      }
-      if (number_ == 1) {
-        if (absl::Status refused = RefuseCompressed(line_, lines_);
-            !refused.ok()) {
-          return refused;
-        }
-      }
+    std::string_view line;
+    while (lines_.Next(&line)) {
+      if (line.empty() || line[0] == '#') continue;
       pose_ = OptimisedPose();
-      pose_.line = number_;
+      pose_.line = lines_.number();
       bool is_pose = true;
       absl::Status status;
       switch (format) {
         case OptimisedFormat::kTum:
-          status = ReadTum(SplitAtBlanks(line_));
+          status = ReadTum(SplitAtBlanks(line));
           break;
         case OptimisedFormat::kG2o:
-          status = ReadG2o(SplitAtBlanks(line_), &is_pose);
+          status = ReadG2o(SplitAtBlanks(line), &is_pose);
           break;
         case OptimisedFormat::kCsv:
           is_pose = !columns_.empty();
-          status = is_pose ? ReadCsv(SplitAtCommas(line_))
-                           : ReadCsvHeader(SplitAtCommas(line_));
+          status = is_pose ? ReadCsv(SplitAt(',', line))
+                           : ReadCsvHeader(SplitAt(',', line));
           break;
       }
       if (!status.ok()) return status;
       if (is_pose) poses_.push_back(pose_);
     }
+    if (!lines_.status().ok()) return lines_.status();
     if (poses_.empty()) return lines_.Error("the file holds no poses");
     return std::move(poses_);
   }
@@ -257,9 +250,7 @@ class OptimisedReader {
   }
 
   Lines& lines_;
-  std::string line_;
-  std::int64_t number_ = 0;
-  // Of a CSV file, by name; empty before its header.
+  // The columns of a CSV file by name; empty before its header.
   std::map<std::string, std::size_t, std::less<>> columns_;
   std::size_t column_count_ = 0;
   OptimisedPose pose_;
@@ -270,9 +261,9 @@ class OptimisedReader {
 
 absl::StatusOr<std::vector<OptimisedPose>> ReadOptimisedFile(
     const std::string& path, OptimisedFormat format) {
-  auto input = OpenText(path);
-  if (!input.ok()) return input.status();
-  Lines lines(**input, path);
+  auto bytes = OpenBytes(path, nullptr);
+  if (!bytes.ok()) return bytes.status();
+  Lines lines(*std::move(bytes), path);
   return OptimisedReader(&lines).Read(format);
 }
 

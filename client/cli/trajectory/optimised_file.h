@@ -15,7 +15,7 @@
 namespace revisit::client {
 
 struct OptimisedPose {
-  // Where it stands in the file, from 1.
+  // Its line in the file, from 1.
   std::int64_t line = 0;
   // By one of these it is found among the stored poses.
   std::optional<std::uint64_t> sequence;

@@ -66,7 +66,8 @@ Matrix4d LeverBetween(const LocalPose& from, const LocalPose& to) {
   return lever;
 }
 
-// What the model leaves of the two covariances, in the axes of the local frame.
+// The covariance that the model leaves of the two, in the axes of the local
+// frame.
 Matrix4d StepCovariance(const LocalPose& from, const LocalPose& to,
                         v1::CorrelationModel model) {
   const Matrix4d lever = LeverBetween(from, to);

@@ -11,14 +11,14 @@
 
 namespace revisit::client {
 
-// Of a pose `to` as seen from a pose `from`, in the axes of `from`, levelled:
+// A pose `to` as seen from a pose `from`, in the axes of `from`, levelled:
 // the local frame turned about z by the heading of `from`.
 struct RelativePose {
   // x, y, z in metres.
   std::array<double, 3> position = {};
   double heading = 0.0;
-  // Of the errors of these numbers, in the same axes. Positive definite, but
-  // for z of a PLANAR vehicle.
+  // The covariance of these numbers' errors, in the same axes; positive
+  // definite, but for z of a PLANAR vehicle.
   StateMatrix covariance = {};
 };
 
@@ -44,7 +44,7 @@ struct Step {
 Step StepBetween(const LocalPose& from, const LocalPose& to,
                  const v1::VehicleSettings& settings);
 
-// Where nothing is known of a step but how far it leads.
+// A step of which nothing is known but how far it leads.
 RelativePose JumpBetween(const LocalPose& from, const LocalPose& to);
 
 // From the matched pose to the query pose, as the closure's measurement says.

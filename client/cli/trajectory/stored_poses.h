@@ -1,4 +1,4 @@
-// What a vehicle has stored, page after page.
+// Poses and findings of a vehicle, read page after page.
 #ifndef REVISIT_CLIENT_CLI_TRAJECTORY_STORED_POSES_H_
 #define REVISIT_CLIENT_CLI_TRAJECTORY_STORED_POSES_H_
 

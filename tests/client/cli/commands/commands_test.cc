@@ -61,7 +61,7 @@ class CommandsTest : public ::testing::Test {
 
   StreamOptions Stream() {
     StreamOptions options;
-    options.file = path_;
+    options.files = {path_};
     options.vehicle = "shuttle";
     return options;
   }
@@ -149,7 +149,7 @@ TEST_F(CommandsTest, StreamGoesOnWhereItStopped) {
 TEST_F(CommandsTest, StreamNoticesThatTheVehicleHasAnotherDrive) {
   WriteDrive(100);
   ASSERT_TRUE(RunStream(channel_, Stream(), Text()).ok());
-  WriteDrive(300, 0.5);
+  WriteDrive(300, 0.1);
   const absl::Status status = RunStream(channel_, Stream(), Text());
   EXPECT_EQ(status.code(), absl::StatusCode::kAlreadyExists);
   EXPECT_EQ(server_.durable_sequence(), 100u);
@@ -163,7 +163,8 @@ TEST_F(CommandsTest, StreamRefusesAVehicleThatHasMoreThanTheFile) {
   EXPECT_EQ(ExitCodeOf(status), 1);
   EXPECT_EQ(
       status.message(),
-      "vehicles/shuttle has 100 poses already, more than the 50 of " + path_);
+      "vehicles/shuttle has 100 poses already, more than the 50 of " + path_ +
+          "; --append adds these behind them");
 }
 
 TEST_F(CommandsTest, StreamPrintsCandidatesAsJsonLines) {
