@@ -100,6 +100,21 @@ def test_exported_trajectories_are_the_stored_poses(stub, driven, output_of):
         assert row["pzz"] == ""
 
 
+@pytest.mark.parametrize("words, flags", [
+    ("csv", ["--uncertainty", "file"]), ("tum", ["--format", "tum"]),
+    ("kitti", ["--format", "kitti", "--rate", "1"]),
+    ("g2o", ["--format", "g2o"])])
+def test_exported_poses_can_be_streamed_again(
+        words, flags, stub, driven, output_of, tmp_path):
+    path = tmp_path / "poses"
+    output_of("export", driven, "--format", words, "--output", path)
+    output_of("stream", path, *flags, "--vehicle", f"again-{words}", "--create")
+    again = list_poses(stub, f"vehicles/again-{words}")
+    assert ([(each.local.x_meters, each.local.y_meters) for each in again]
+            == [(each.local.x_meters, each.local.y_meters)
+                for each in list_poses(stub, f"vehicles/{driven}")])
+
+
 def test_exported_g2o_has_an_edge_for_each_step_and_each_closure(
         driven, revisit, stub):
     result = revisit("export", driven, "--format", "g2o")
