@@ -76,7 +76,7 @@ MapCheck CheckOf(const JudgedCheck& judged) {
     candidate.verdict = NameOf(answer.verdict);
     candidate.opposite = answer.opposite;
     candidate.probability = answer.probability;
-    candidate.gate = "end";
+    candidate.gate = answer.path_gate ? "path" : "end";
     candidate.squared_distance = answer.squared_distance;
     candidate.threshold = answer.threshold;
     candidate.p_value = answer.p_value;
@@ -125,8 +125,7 @@ absl::Status WriteMap(const EvaluateOptions& options,
         result.drive, ": there is nothing to draw, the pose graph is empty")));
   }
   // Fixes and their reference are in one frame already.
-  const MapContents contents =
-      JudgedMap(result, options.geodetic);
+  const MapContents contents = JudgedMap(result, options.geodetic);
   const std::filesystem::path path(options.map);
   return Write(options.map, path.extension() == ".html" ? MapPage(contents)
                                                         : DrawMap(contents));
