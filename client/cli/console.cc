@@ -1,12 +1,17 @@
 #include "client/cli/console.h"
 
+#include <sys/ioctl.h>
+
 #include <algorithm>
 #include <charconv>
+#include <cstdlib>
 #include <utility>
 
 #include "absl/strings/cord.h"
 #include "absl/strings/str_cat.h"
 #include "client/revisit/status.h"
+#include "google/protobuf/descriptor.h"
+#include "google/protobuf/message.h"
 #include "google/protobuf/util/json_util.h"
 #include "nlohmann/json.hpp"
 
@@ -14,23 +19,66 @@ namespace revisit::client {
 namespace {
 
 constexpr char kLocalUrl[] = "revisit.client/LocalError";
+constexpr char kHintUrl[] = "revisit.client/Hint";
 
 bool IsLocal(const absl::Status& status) {
   return status.GetPayload(kLocalUrl).has_value();
 }
 
-std::string Padded(const std::string& text, std::size_t width,
-                   Table::Align align) {
-  const std::string blanks(width - std::min(width, text.size()), ' ');
-  return align == Table::Align::kLeft ? text + blanks : blanks + text;
+std::string HintOf(const absl::Status& status) {
+  const auto hint = status.GetPayload(kHintUrl);
+  return hint.has_value() ? std::string(*hint) : "";
 }
 
-void PrintLine(std::string line, std::ostream& out) {
-  line.erase(line.find_last_not_of(' ') + 1);
-  out << line << '\n';
+using Json = nlohmann::ordered_json;
+
+// Makes numbers of the texts as which protobuf writes whole numbers of 64 bits.
+void MakeNumbers(const google::protobuf::Descriptor* type, Json* json);
+
+void MakeNumber(const google::protobuf::FieldDescriptor* field, Json* value) {
+  using Field = google::protobuf::FieldDescriptor;
+  if (field->cpp_type() == Field::CPPTYPE_MESSAGE) {
+    MakeNumbers(field->message_type(), value);
+  } else if (field->cpp_type() == Field::CPPTYPE_INT64) {
+    *value =
+        std::strtoll(value->get_ref<const std::string&>().c_str(), nullptr, 10);
+  } else if (field->cpp_type() == Field::CPPTYPE_UINT64) {
+    *value = std::strtoull(value->get_ref<const std::string&>().c_str(),
+                           nullptr, 10);
+  }
+}
+
+void MakeNumbers(const google::protobuf::Descriptor* type, Json* json) {
+  // The well-known types are texts, and no message here has maps.
+  if (!json->is_object()) return;
+  for (int i = 0; i < type->field_count(); ++i) {
+    const google::protobuf::FieldDescriptor* const field = type->field(i);
+    const auto found = json->find(field->json_name());
+    if (found == json->end() || found->is_null()) continue;
+    if (!field->is_repeated()) {
+      MakeNumber(field, &*found);
+      continue;
+    }
+    for (Json& element : *found) MakeNumber(field, &element);
+  }
 }
 
 }  // namespace
+
+std::size_t TerminalWidth(int descriptor) {
+  if (const char* columns = std::getenv("COLUMNS")) {
+    const long width = std::strtol(columns, nullptr, 10);
+    if (width > 0) return static_cast<std::size_t>(width);
+  }
+  winsize size = {};
+  return ioctl(descriptor, TIOCGWINSZ, &size) == 0 ? size.ws_col : 0;
+}
+
+absl::Status WithHint(const absl::Status& status, const std::string& hint) {
+  absl::Status with_hint = status;
+  with_hint.SetPayload(kHintUrl, absl::Cord(hint));
+  return with_hint;
+}
 
 absl::Status LocalError(const absl::Status& status) {
   absl::Status local = status;
@@ -45,77 +93,42 @@ int ExitCodeOf(const absl::Status& status) {
 }
 
 std::string ErrorText(const absl::Status& status) {
-  return IsLocal(status) ? std::string(status.message()) : Describe(status);
+  const std::string text =
+      IsLocal(status) ? std::string(status.message()) : Describe(status);
+  const std::string hint = HintOf(status);
+  return hint.empty() ? text : absl::StrCat(text, "\n", hint);
 }
 
 std::string ToJson(const google::protobuf::Message& message, bool pretty) {
   google::protobuf::util::JsonPrintOptions options;
-  options.add_whitespace = pretty;
   options.always_print_primitive_fields = true;
-  std::string json;
+  std::string text;
   const auto status =
-      google::protobuf::util::MessageToJsonString(message, &json, options);
+      google::protobuf::util::MessageToJsonString(message, &text, options);
   // Only messages with Any fields of unknown types cannot be printed.
   if (!status.ok()) return "null";
-  while (!json.empty() && json.back() == '\n') json.pop_back();
-  return json;
+  Json json = Json::parse(text, nullptr, /*allow_exceptions=*/false);
+  MakeNumbers(message.GetDescriptor(), &json);
+  return json.dump(pretty ? 1 : -1, ' ', false, Json::error_handler_t::replace);
 }
 
 std::string ErrorToJson(const absl::Status& status) {
   const ErrorDetails details = DetailsOf(status);
-  nlohmann::ordered_json error;
+  Json error;
   error["code"] = absl::StatusCodeToString(status.code());
   error["message"] = std::string(status.message());
   error["reason"] = details.reason;
   error["metadata"] = details.metadata;
-  error["fieldViolations"] = nlohmann::ordered_json::array();
+  error["fieldViolations"] = Json::array();
   for (const FieldViolation& violation : details.field_violations) {
     error["fieldViolations"].push_back(
         {{"field", violation.field}, {"description", violation.description}});
   }
-  nlohmann::ordered_json whole;
+  const std::string hint = HintOf(status);
+  if (!hint.empty()) error["hint"] = hint;
+  Json whole;
   whole["error"] = std::move(error);
-  return whole.dump(-1, ' ', false,
-                    nlohmann::ordered_json::error_handler_t::replace);
-}
-
-Table::Table(std::vector<Column> columns) : columns_(std::move(columns)) {}
-
-void Table::AddRow(std::vector<std::string> cells) {
-  rows_.push_back(std::move(cells));
-}
-
-void Table::AddRule() { rows_.emplace_back(); }
-
-void Table::Print(std::ostream& out) const {
-  std::vector<std::size_t> widths;
-  std::size_t across = 2 * (columns_.size() - 1);
-  for (std::size_t i = 0; i < columns_.size(); ++i) {
-    std::size_t width = columns_[i].title.size();
-    for (const auto& row : rows_) {
-      if (!row.empty()) width = std::max(width, row[i].size());
-    }
-    widths.push_back(width);
-    across += width;
-  }
-  std::string line;
-  for (std::size_t i = 0; i < columns_.size(); ++i) {
-    if (i > 0) line += "  ";
-    line += Padded(columns_[i].title, widths[i], columns_[i].align);
-  }
-  PrintLine(line, out);
-  for (const auto& row : rows_) {
-    if (row.empty()) {
-      out << std::string(across, '-') << '\n';
-      continue;
-    }
-    line.clear();
-    for (std::size_t i = 0; i < columns_.size(); ++i) {
-      if (i > 0) line += "  ";
-      line += Padded(row[i], widths[i], columns_[i].align);
-    }
-    PrintLine(line, out);
-  }
+  return whole.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
 void PrintFields(const std::vector<std::pair<std::string, std::string>>& fields,
@@ -125,7 +138,9 @@ void PrintFields(const std::vector<std::pair<std::string, std::string>>& fields,
     width = std::max(width, name.size());
   }
   for (const auto& [name, value] : fields) {
-    PrintLine(Padded(name, width + 2, Table::Align::kLeft) + value, out);
+    std::string line = name + std::string(width + 2 - name.size(), ' ') + value;
+    line.erase(line.find_last_not_of(' ') + 1);
+    out << line << '\n';
   }
 }
 
@@ -180,16 +195,21 @@ void Progress::EraseBar() {
 
 void Progress::Draw() {
   constexpr int kWidth = 30;
-  const double share = total_ == 0
-                           ? 1.0
-                           : std::min(1.0, static_cast<double>(done_) /
-                                               static_cast<double>(total_));
   const double seconds =
       std::chrono::duration<double>(Clock::now() - start_).count();
   const double rate =
       seconds > 0.0 ? static_cast<double>(done_) / seconds : 0.0;
   const std::string figures =
-      absl::StrCat(done_, "/", total_, " ", unit_, "  ", Fixed(rate, 0), "/s");
+      absl::StrCat(done_, total_ == 0 ? "" : absl::StrCat("/", total_).c_str(),
+                   " ", unit_, "  ", Fixed(rate, 0), "/s");
+  if (total_ == 0) {
+    out_ << (terminal_ ? "\r\x1b[K" : "") << label_ << ": " << figures
+         << (terminal_ ? "" : "\n") << std::flush;
+    bar_shown_ = terminal_;
+    return;
+  }
+  const double share =
+      std::min(1.0, static_cast<double>(done_) / static_cast<double>(total_));
   if (!terminal_) {
     out_ << label_ << ": " << Fixed(100.0 * share, 0) << " %  " << figures
          << '\n'

@@ -3,6 +3,7 @@
 #define REVISIT_CLIENT_CLI_CONSOLE_H_
 
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <ostream>
 #include <string>
@@ -10,6 +11,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "client/cli/table.h"
 #include "core/base/mutex.h"
 
 namespace google::protobuf {
@@ -25,7 +27,13 @@ struct Console {
   bool progress_is_terminal = false;
   // Whether results are JSON.
   bool json = false;
+  // Columns of the terminal to which `out` leads; 0 if it leads elsewhere.
+  std::size_t width = 0;
 };
+
+// Columns of the terminal on this descriptor; COLUMNS in the environment wins.
+// 0 if it is no terminal and COLUMNS says nothing.
+std::size_t TerminalWidth(int descriptor);
 
 // Exit codes of the program. An error of a server exits with 64 + its gRPC
 // code.
@@ -33,6 +41,10 @@ inline constexpr int kExitOk = 0;
 inline constexpr int kExitLocalError = 1;
 inline constexpr int kExitUsage = 64;
 inline constexpr int kExitInterrupted = 130;
+
+// Adds to an error what whoever reads it can do next: a line of its own below
+// the message, "hint" in the JSON.
+absl::Status WithHint(const absl::Status& status, const std::string& hint);
 
 // Marks a status as a fault of this machine (a file, the private server), not
 // of the server that was asked.
@@ -45,35 +57,13 @@ int ExitCodeOf(const absl::Status& status);
 std::string ErrorText(const absl::Status& status);
 
 // A message as protobuf JSON, including fields that have their default value;
-// on one line unless `pretty`.
+// on one line unless `pretty`. Whole numbers of 64 bits are numbers, as all
+// others are, not texts.
 std::string ToJson(const google::protobuf::Message& message, bool pretty);
 
 // An error as {"error": {"code", "message", "reason", "metadata",
-// "fieldViolations"}}, on one line.
+// "fieldViolations"}}, and "hint" if it has one, on one line.
 std::string ErrorToJson(const absl::Status& status);
-
-// Prints columns as wide as they need to be. Numbers are the caller's text.
-class Table {
- public:
-  enum class Align { kLeft, kRight };
-  struct Column {
-    std::string title;
-    Align align = Align::kLeft;
-  };
-
-  explicit Table(std::vector<Column> columns);
-
-  // REQUIRES: as many cells as columns.
-  void AddRow(std::vector<std::string> cells);
-  // A line across before the next row.
-  void AddRule();
-  void Print(std::ostream& out) const;
-
- private:
-  const std::vector<Column> columns_;
-  // An empty row is a rule.
-  std::vector<std::vector<std::string>> rows_;
-};
 
 // Prints "name  value" lines with the values aligned.
 void PrintFields(const std::vector<std::pair<std::string, std::string>>& fields,
@@ -86,7 +76,7 @@ std::string Fixed(double value, int digits);
 // terminal, a line every few seconds elsewhere. Thread-safe.
 class Progress {
  public:
-  // `total` units of work.
+  // `total` units of work; 0 if nobody knows how many.
   Progress(const Console& console, std::string label, std::uint64_t total,
            std::string unit);
   // Ends the line of the bar.

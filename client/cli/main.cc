@@ -9,6 +9,11 @@
 #include "client/cli/commands/evaluate_command.h"
 #include "client/cli/commands/export_command.h"
 #include "client/cli/commands/find_command.h"
+#include "client/cli/commands/findings_command.h"
+#include "client/cli/commands/info_command.h"
+#include "client/cli/commands/map_command.h"
+#include "client/cli/commands/poses_command.h"
+#include "client/cli/commands/revise_command.h"
 #include "client/cli/commands/show_command.h"
 #include "client/cli/commands/stream_command.h"
 #include "client/cli/commands/vehicle_command.h"
@@ -80,9 +85,15 @@ void AddCommands(const Command& program) {
   AddFindCommand(program);
   AddConfirmCommand(program);
   AddRejectCommand(program);
+  AddClosuresCommand(program);
+  AddRejectionsCommand(program);
+  AddPosesCommand(program);
   AddShowCommand(program);
   AddExportCommand(program);
+  AddMapCommand(program);
+  AddReviseCommand(program);
   AddEvaluateCommand(program);
+  AddInfoCommand(program);
 }
 
 absl::Status RunChosen(const Run& run, const ChannelOptions& options,
@@ -112,7 +123,7 @@ int Main(int argc, char** argv) {
     return *exit_code;
   }
   const Console console = {std::cout, std::cerr, isatty(STDERR_FILENO) == 1,
-                           flags.json};
+                           flags.json, TerminalWidth(STDOUT_FILENO)};
   absl::Status status =
       RunChosen(command_line.chosen(), flags.channel, console);
   if (std::cout.flush(); status.ok() && !std::cout) {

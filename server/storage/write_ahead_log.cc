@@ -199,7 +199,10 @@ std::optional<LoggedRow> RowOf(const std::vector<Column>& columns) {
     row.checksum = columns[4].integer();
     return row;
   }
-  if (columns.size() == 7 && are_integers(0, 0) && columns[1].is_text() &&
+  // Rows have payloads since format 4.
+  const bool may_be_pair =
+      columns.size() == 7 || (columns.size() == 8 && columns[7].is_blob());
+  if (may_be_pair && are_integers(0, 0) && columns[1].is_text() &&
       columns[1].bytes != nullptr && are_integers(2, 6)) {
     row.table = LoggedRow::Table::kPairs;
     row.vehicle_key = columns[0].integer();

@@ -167,6 +167,11 @@ int FakeServer::unary_calls() const {
   return unary_calls_;
 }
 
+std::vector<std::string> FakeServer::Deleted() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return deleted_;
+}
+
 int FakeServer::largest_batch() const {
   std::lock_guard<std::mutex> lock(mutex_);
   return largest_batch_;
@@ -179,6 +184,11 @@ grpc::Status FakeServer::NextUnaryStatus() {
   grpc::Status status = unary_statuses_.front();
   unary_statuses_.pop_front();
   return status;
+}
+
+void FakeServer::NoteDeletion(const std::string& name) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  deleted_.push_back(name);
 }
 
 grpc::Status FakeServer::CreateVehicle(grpc::ServerContext*,
@@ -225,8 +235,9 @@ grpc::Status FakeServer::ListVehicles(grpc::ServerContext*,
 }
 
 grpc::Status FakeServer::DeleteVehicle(grpc::ServerContext*,
-                                       const v1::DeleteVehicleRequest*,
+                                       const v1::DeleteVehicleRequest* request,
                                        v1::DeleteVehicleResponse*) {
+  NoteDeletion(request->name());
   return NextUnaryStatus();
 }
 
@@ -273,9 +284,67 @@ grpc::Status FakeServer::ListRejectedCandidates(
 }
 
 grpc::Status FakeServer::DeleteRejectedCandidate(
-    grpc::ServerContext*, const v1::DeleteRejectedCandidateRequest*,
+    grpc::ServerContext*, const v1::DeleteRejectedCandidateRequest* request,
     v1::DeleteRejectedCandidateResponse* response) {
+  NoteDeletion(request->name());
   response->set_revision(9);
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::ListLoopClosures(
+    grpc::ServerContext*, const v1::ListLoopClosuresRequest* request,
+    v1::ListLoopClosuresResponse* response) {
+  const auto add = [&](const std::string& id, std::uint64_t query,
+                       std::uint64_t matched) {
+    v1::LoopClosure* closure = response->add_loop_closures();
+    closure->set_name(request->parent() + "/loopClosures/" + id);
+    closure->set_query_sequence(query);
+    closure->set_matched_sequence(matched);
+  };
+  if (request->page_token().empty()) {
+    add("150-20", 150, 20);
+    response->set_next_page_token("second page");
+  } else {
+    add("160-30", 160, 30);
+    add("again", 160, 30);
+  }
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::DeleteLoopClosure(
+    grpc::ServerContext*, const v1::DeleteLoopClosureRequest* request,
+    v1::DeleteLoopClosureResponse* response) {
+  NoteDeletion(request->name());
+  response->set_revision(10);
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::ListPoses(grpc::ServerContext*,
+                                   const v1::ListPosesRequest* request,
+                                   v1::ListPosesResponse* response) {
+  {
+    std::lock_guard<std::mutex> lock(mutex_);
+    std::size_t next =
+        request->page_token().empty()
+            ? std::max<std::uint64_t>(request->first_sequence(), 1) - 1
+            : std::stoul(request->page_token());
+    while (next < stored_.size() &&
+           response->poses_size() < request->page_size()) {
+      response->add_poses()->ParseFromString(stored_[next++]);
+    }
+    if (next < stored_.size()) {
+      response->set_next_page_token(std::to_string(next));
+    }
+  }
+  return NextUnaryStatus();
+}
+
+grpc::Status FakeServer::GetServerInfo(grpc::ServerContext*,
+                                       const v1::GetServerInfoRequest*,
+                                       v1::GetServerInfoResponse* response) {
+  response->set_version("1.2.3");
+  response->set_durability(v1::DURABILITY_LOCAL);
+  response->set_max_message_bytes(4194304);
   return NextUnaryStatus();
 }
 

@@ -97,6 +97,8 @@ class FakeServer final : public v1::PoseGraphService::Service {
   // sequence less the durable one that `opened` told.
   std::vector<std::int64_t> FirstSteps() const;
   int unary_calls() const;
+  // Names that deletions asked for, in order.
+  std::vector<std::string> Deleted() const;
   int largest_batch() const;
 
   grpc::Status CreateVehicle(grpc::ServerContext*,
@@ -130,6 +132,19 @@ class FakeServer final : public v1::PoseGraphService::Service {
   grpc::Status DeleteRejectedCandidate(
       grpc::ServerContext*, const v1::DeleteRejectedCandidateRequest*,
       v1::DeleteRejectedCandidateResponse*) override;
+  // Two pages: 150-20; 160-30 and another of the same poses.
+  grpc::Status ListLoopClosures(grpc::ServerContext*,
+                                const v1::ListLoopClosuresRequest*,
+                                v1::ListLoopClosuresResponse*) override;
+  grpc::Status DeleteLoopClosure(grpc::ServerContext*,
+                                 const v1::DeleteLoopClosureRequest*,
+                                 v1::DeleteLoopClosureResponse*) override;
+  // What is stored.
+  grpc::Status ListPoses(grpc::ServerContext*, const v1::ListPosesRequest*,
+                         v1::ListPosesResponse*) override;
+  grpc::Status GetServerInfo(grpc::ServerContext*,
+                             const v1::GetServerInfoRequest*,
+                             v1::GetServerInfoResponse*) override;
   grpc::Status ExportPoseGraph(
       grpc::ServerContext*, const v1::ExportPoseGraphRequest*,
       grpc::ServerWriter<v1::ExportPoseGraphResponse>*) override;
@@ -140,6 +155,7 @@ class FakeServer final : public v1::PoseGraphService::Service {
 
  private:
   grpc::Status NextUnaryStatus();
+  void NoteDeletion(const std::string& name);
   // Stores what is new of a batch. Mutex must be held.
   grpc::Status Store(const v1::PoseBatch& batch);
 
@@ -163,6 +179,7 @@ class FakeServer final : public v1::PoseGraphService::Service {
   std::vector<std::string> open_uids_;
   std::vector<std::int64_t> first_steps_;
   int unary_calls_ = 0;
+  std::vector<std::string> deleted_;
   int largest_batch_ = 0;
 };
 

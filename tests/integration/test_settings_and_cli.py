@@ -220,8 +220,10 @@ def driven(stub, revisit):
 COMMANDS = [("vehicle", "create"), ("vehicle", "get"), ("vehicle", "list"),
             ("vehicle", "update"), ("vehicle", "accept-loss"),
             ("vehicle", "delete"), ("stream",),
-            ("find",), ("confirm",), ("reject",), ("show",),
-            ("export",), ("evaluate",)]
+            ("find",), ("confirm",), ("reject",), ("closures", "list"),
+            ("closures", "delete"), ("rejections", "list"),
+            ("rejections", "delete"), ("poses", "list"), ("show",),
+            ("export",), ("map",), ("revise",), ("evaluate",), ("info",)]
 
 
 def test_command_line_asks_where_a_server_listens_by_default():
@@ -343,7 +345,7 @@ def test_settings_are_created_and_updated(revisit):
                    "--tolerance-position", "3")
     assert half.returncode == USAGE
     assert "--tolerance-heading" in half.stderr
-    assert revisit("vehicle", "delete", "cli-settings").returncode == 0
+    assert revisit("vehicle", "delete", "cli-settings", "--yes").returncode == 0
 
 
 def setting_flags():
@@ -442,14 +444,14 @@ def test_candidates_are_confirmed_and_rejected(revisit, stub):
         "show", "--vehicle", "cli-verify").stdout
     shown = json.loads(revisit("show", "--vehicle", "cli-verify",
                                "--json").stdout)["vehicle"]["consistency"]
-    assert shown["rejectedCount"] == "1"
+    assert shown["rejectedCount"] == 1
     missing = revisit("reject", "cli-verify", 300, 20)
     assert missing.returncode == 64 + 5
     assert "POSE_NOT_FOUND" in missing.stderr
     swapped = revisit("confirm", "cli-verify", 20, 150)
     assert swapped.returncode == 64 + 3
     assert "loop_closure.matched_sequence" in swapped.stderr
-    assert revisit("vehicle", "delete", "cli-verify").returncode == 0
+    assert revisit("vehicle", "delete", "cli-verify", "--yes").returncode == 0
 
 
 def test_loss_of_data_is_accepted(revisit, tmp_path):
@@ -483,7 +485,7 @@ def test_loss_of_data_is_accepted(revisit, tmp_path):
     assert accepted.returncode == 0, accepted
     assert re.search("^state +ACTIVE$", accepted.stdout, re.MULTILINE)
     assert revisit(*stream).returncode == 0
-    assert revisit("vehicle", "delete", "cli-loss").returncode == 0
+    assert revisit("vehicle", "delete", "cli-loss", "--yes").returncode == 0
 
 
 def readme_lines():
@@ -563,7 +565,7 @@ def test_streaming_again_changes_nothing(driven, revisit):
 def test_vehicles_come_and_go(revisit):
     assert revisit("vehicle", "create", "cli-brief").returncode == 0
     assert "cli-brief" in revisit("vehicle", "list").stdout
-    assert revisit("vehicle", "delete", "cli-brief").returncode == 0
+    assert revisit("vehicle", "delete", "cli-brief", "--yes").returncode == 0
     assert "cli-brief" not in revisit("vehicle", "list").stdout
 
 

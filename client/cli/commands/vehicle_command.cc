@@ -1,5 +1,8 @@
 #include "client/cli/commands/vehicle_command.h"
 
+#include <unistd.h>
+
+#include <iostream>
 #include <memory>
 #include <vector>
 
@@ -8,6 +11,7 @@
 #include "client/cli/names.h"
 #include "google/protobuf/descriptor.h"
 #include "google/protobuf/util/time_util.h"
+#include "nlohmann/json.hpp"
 
 namespace revisit::client {
 namespace {
@@ -55,8 +59,14 @@ void AddId(const Command& command, std::string* id,
 void AddCreate(const Command& vehicle) {
   const Command command = vehicle.AddCommand(
       {"create",
-       "Creates a vehicle. Again with the same settings: the existing one.", "",
+       "Creates a vehicle. Again with the same settings: the existing one.",
+       "An id has 1 to 63 lower-case letters, digits and dashes, and neither "
+       "begins nor ends\nwith a dash; upper case and underscores are refused. "
+       "Map names of your own the same way\neverywhere: of a VIN, which has "
+       "neither, the lower-case letters make the id, so\nWVWZZZ1JZXW000001 is "
+       "wvwzzz1jzxw000001; a dash stands for an underscore.",
        "  revisit vehicle create shuttle-7\n"
+       "  revisit vehicle create wvwzzz1jzxw000001\n"
        "  revisit vehicle create drone-1 --state-space spatial "
        "--node-spacing 0.5"});
   const auto id = std::make_shared<std::string>();
@@ -131,15 +141,60 @@ void AddAcceptLoss(const Command& vehicle) {
   });
 }
 
+// OK if the id of the vehicle is the answer.
+absl::Status MakeSure(const Client& client, const std::string& name,
+                      const Ask& ask) {
+  v1::GetVehicleRequest get;
+  get.set_name(name);
+  const auto found = client.GetVehicle(get);
+  if (absl::IsNotFound(found.status())) return found.status();
+  // Whoever may delete a vehicle may not be allowed to read it.
+  const std::string content =
+      found.ok()
+          ? absl::StrCat(" with its ", found->vehicle().durable_sequence(),
+                         " poses and ", found->vehicle().loop_closure_count(),
+                         " loop closures")
+          : "";
+  const std::string id = name.substr(name.find('/') + 1);
+  const auto answer =
+      ask(absl::StrCat("Deletes ", name, content,
+                       ", which cannot be undone. Type ", id, " to go on: "));
+  if (answer == id) return absl::OkStatus();
+  return LocalError(absl::CancelledError(
+      absl::StrCat(name, " is not deleted: got \"", answer.value_or(""),
+                   "\" instead of its id")));
+}
+
+// Asks whoever sits at the terminal.
+std::optional<std::string> AskAtTerminal(const std::string& question) {
+  std::cerr << question << std::flush;
+  std::string line;
+  if (!std::getline(std::cin, line)) return std::nullopt;
+  return line;
+}
+
 void AddDelete(const Command& vehicle) {
   const Command command = vehicle.AddCommand(
-      {"delete", "Deletes vehicles with all their poses. Cannot be undone.", "",
-       "  revisit vehicle delete shuttle-7 shuttle-8"});
+      {"delete", "Deletes vehicles with all their poses. Cannot be undone.",
+       "At a terminal, the id of each vehicle has to be typed again; "
+       "elsewhere, "
+       "--yes is required.",
+       "  revisit vehicle delete shuttle-7 shuttle-8 --yes"});
   const auto ids = std::make_shared<std::vector<std::string>>();
+  const auto yes = std::make_shared<bool>(false);
   command.AddTexts("ID", "TEXT", ids.get(), "").Required();
-  command.Runs([ids](const Connection& server, const Console& console) {
-    return RunVehicleDelete(server.client, *ids, console);
-  });
+  command.AddSwitch("--yes", yes.get(), "Delete without a question");
+  const Check check = [yes]() -> std::string {
+    return *yes || (isatty(STDIN_FILENO) == 1 && isatty(STDERR_FILENO) == 1)
+               ? ""
+               : "--yes is required where nobody can be asked: a deletion "
+                 "cannot be undone";
+  };
+  const Run run = [ids, yes](const Connection& server, const Console& console) {
+    return RunVehicleDelete(server.client, *ids, *yes ? Ask() : &AskAtTerminal,
+                            console);
+  };
+  command.Runs(run, check);
 }
 
 }  // namespace
@@ -262,21 +317,32 @@ absl::Status RunVehicleList(const Client& client, const Console& console) {
                   NameOf(vehicle.settings().correlation_model()),
                   CreateTime(vehicle)});
   }
-  table.Print(console.out);
+  table.Print(console.out, console.width);
   return absl::OkStatus();
 }
 
 absl::Status RunVehicleDelete(const Client& client,
                               const std::vector<std::string>& ids,
-                              const Console& console) {
+                              const Ask& ask, const Console& console) {
+  nlohmann::ordered_json deleted = nlohmann::ordered_json::array();
   for (const std::string& id : ids) {
+    const std::string name = VehicleName(id);
+    if (ask != nullptr) {
+      if (absl::Status sure = MakeSure(client, name, ask); !sure.ok()) {
+        return sure;
+      }
+    }
     v1::DeleteVehicleRequest request;
-    request.set_name(VehicleName(id));
+    request.set_name(name);
     const auto response = client.DeleteVehicle(request);
     if (!response.ok()) return response.status();
-    if (!console.json) console.out << "deleted " << request.name() << '\n';
+    deleted.push_back(name);
+    if (!console.json) console.out << "deleted " << name << '\n';
   }
-  if (console.json) console.out << "{}\n";
+  if (console.json) {
+    console.out << nlohmann::ordered_json({{"deleted", deleted}}).dump(1)
+                << '\n';
+  }
   return absl::OkStatus();
 }
 

@@ -3,6 +3,8 @@
 #define REVISIT_CLIENT_CLI_COMMANDS_VEHICLE_COMMAND_H_
 
 #include <cstdint>
+#include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -33,10 +35,16 @@ absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
 absl::Status RunVehicleAcceptLoss(const Client& client, const std::string& id,
                                   std::uint64_t durable_sequence,
                                   const Console& console);
-// Stops at the first vehicle that cannot be deleted.
+// Answers a question: the line that was typed, or nothing at the end of input.
+using Ask =
+    std::function<std::optional<std::string>(const std::string& question)>;
+
+// Deletes each vehicle whose id is typed as the answer of `ask`; without `ask`,
+// all of them. Stops at the first one that cannot be deleted or whose id was
+// not typed. As JSON: {"deleted": ["vehicles/..."]}.
 absl::Status RunVehicleDelete(const Client& client,
                               const std::vector<std::string>& ids,
-                              const Console& console);
+                              const Ask& ask, const Console& console);
 
 // Prints a vehicle and its settings for people.
 void PrintVehicle(const v1::Vehicle& vehicle, const Console& console);

@@ -1,0 +1,272 @@
+#include "client/cli/commands/findings_command.h"
+
+#include <charconv>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "client/cli/names.h"
+#include "google/protobuf/util/time_util.h"
+#include "nlohmann/json.hpp"
+
+namespace revisit::client {
+namespace {
+
+// Loop closures and rejections differ in names only.
+struct Closures {
+  using List = v1::ListLoopClosuresResponse;
+  using ListRequest = v1::ListLoopClosuresRequest;
+  using DeleteRequest = v1::DeleteLoopClosureRequest;
+
+  static constexpr char kCommand[] = "closures";
+  static constexpr char kNoun[] = "loop closure";
+  static constexpr char kCollection[] = "/loopClosures/";
+
+  static auto Page(const Client& client, const ListRequest& request) {
+    return client.ListLoopClosures(request);
+  }
+  static const auto& Items(const List& list) { return list.loop_closures(); }
+  static auto* MutableItems(List* list) {
+    return list->mutable_loop_closures();
+  }
+  static auto Delete(const Client& client, const DeleteRequest& request) {
+    return client.DeleteLoopClosure(request);
+  }
+};
+
+struct Rejections {
+  using List = v1::ListRejectedCandidatesResponse;
+  using ListRequest = v1::ListRejectedCandidatesRequest;
+  using DeleteRequest = v1::DeleteRejectedCandidateRequest;
+
+  static constexpr char kCommand[] = "rejections";
+  static constexpr char kNoun[] = "rejection";
+  static constexpr char kCollection[] = "/rejectedCandidates/";
+
+  static auto Page(const Client& client, const ListRequest& request) {
+    return client.ListRejectedCandidates(request);
+  }
+  static const auto& Items(const List& list) {
+    return list.rejected_candidates();
+  }
+  static auto* MutableItems(List* list) {
+    return list->mutable_rejected_candidates();
+  }
+  static auto Delete(const Client& client, const DeleteRequest& request) {
+    return client.DeleteRejectedCandidate(request);
+  }
+};
+
+template <typename Kind>
+absl::StatusOr<typename Kind::List> ListAll(const Client& client,
+                                            const std::string& vehicle) {
+  typename Kind::List all;
+  typename Kind::ListRequest request;
+  request.set_parent(VehicleName(vehicle));
+  request.set_page_size(1000);
+  do {
+    auto page = Kind::Page(client, request);
+    if (!page.ok()) return page.status();
+    Kind::MutableItems(&all)->MergeFrom(Kind::Items(*page));
+    request.set_page_token(page->next_page_token());
+  } while (!request.page_token().empty());
+  return all;
+}
+
+template <typename Kind>
+absl::Status RunList(const Client& client, const std::string& vehicle,
+                     const Console& console) {
+  const auto all = ListAll<Kind>(client, vehicle);
+  if (!all.ok()) return all.status();
+  if (console.json) {
+    console.out << ToJson(*all, true) << '\n';
+    return absl::OkStatus();
+  }
+  using Align = Table::Align;
+  Table table({{"ID", Align::kLeft},
+               {"QUERY_SEQ", Align::kRight},
+               {"MATCHED_SEQ", Align::kRight},
+               {"CREATED", Align::kLeft}});
+  for (const auto& item : Kind::Items(*all)) {
+    table.AddRow(
+        {item.name().substr(item.name().rfind('/') + 1),
+         absl::StrCat(item.query_sequence()),
+         absl::StrCat(item.matched_sequence()),
+         google::protobuf::util::TimeUtil::ToString(item.create_time())});
+  }
+  table.Print(console.out, console.width);
+  return absl::OkStatus();
+}
+
+std::optional<std::uint64_t> Sequence(const std::string& text) {
+  std::int64_t value = 0;
+  const char* const end = text.data() + text.size();
+  const auto [stop, error] = std::from_chars(text.data(), end, value);
+  if (error != std::errc() || stop != end || value < kSequences.lowest) {
+    return std::nullopt;
+  }
+  return static_cast<std::uint64_t>(value);
+}
+
+// The name of the one that has these sequences.
+template <typename Kind>
+absl::StatusOr<std::string> NameOfPair(const Client& client,
+                                       const FindingReference& finding) {
+  const auto query = Sequence(finding.words[0]);
+  const auto matched = Sequence(finding.words[1]);
+  const auto all = ListAll<Kind>(client, finding.vehicle);
+  if (!all.ok()) return all.status();
+  std::vector<std::string> names;
+  for (const auto& item : Kind::Items(*all)) {
+    if (item.query_sequence() == query && item.matched_sequence() == matched) {
+      names.push_back(item.name());
+    }
+  }
+  if (names.size() == 1) return names.front();
+  const std::string pair =
+      absl::StrCat(Kind::kNoun, names.empty() ? "" : "s", " of the poses ",
+                   finding.words[0], " and ", finding.words[1]);
+  if (names.empty()) {
+    return WithHint(
+        absl::NotFoundError(
+            absl::StrCat(VehicleName(finding.vehicle), " has no ", pair)),
+        absl::StrCat("revisit ", Kind::kCommand, " list ", finding.vehicle,
+                     " shows those that it has; the later pose comes first"));
+  }
+  return WithHint(
+      absl::FailedPreconditionError(absl::StrCat(
+          VehicleName(finding.vehicle), " has ", names.size(), " ", pair)),
+      absl::StrCat("name one by its id: ", absl::StrJoin(names, ", ")));
+}
+
+template <typename Kind>
+absl::Status RunDelete(const Client& client, const FindingReference& finding,
+                       const Console& console) {
+  typename Kind::DeleteRequest request;
+  const std::string& word = finding.words.front();
+  if (finding.words.size() == 2) {
+    auto name = NameOfPair<Kind>(client, finding);
+    if (!name.ok()) return name.status();
+    request.set_name(*std::move(name));
+  } else if (word.find('/') != std::string::npos) {
+    request.set_name(word);
+  } else {
+    request.set_name(
+        absl::StrCat(VehicleName(finding.vehicle), Kind::kCollection, word));
+  }
+  const auto response = Kind::Delete(client, request);
+  if (!response.ok()) return response.status();
+  if (console.json) {
+    nlohmann::ordered_json json;
+    json["name"] = request.name();
+    json["revision"] = response->revision();
+    console.out << json.dump(1) << '\n';
+  } else {
+    console.out << "deleted " << request.name() << ", revision "
+                << response->revision() << '\n';
+  }
+  return absl::OkStatus();
+}
+
+// Finds fault with what stands behind the vehicle.
+std::string CheckWords(const FindingReference& finding) {
+  if (finding.words.size() == 1) {
+    // A name says which vehicle it belongs to.
+    const std::string& word = finding.words.front();
+    const bool other = word.find('/') != std::string::npos &&
+                       word.rfind(VehicleName(finding.vehicle) + "/", 0) != 0;
+    return other ? absl::StrCat("got \"", word, "\", which does not belong to ",
+                                VehicleName(finding.vehicle))
+                 : "";
+  }
+  for (const std::string& word : finding.words) {
+    if (finding.words.size() == 2 && Sequence(word).has_value()) continue;
+    return absl::StrCat(
+        "got \"", absl::StrJoin(finding.words, " "),
+        "\"; allowed is an id, or the sequences of the later and the earlier "
+        "pose");
+  }
+  return "";
+}
+
+struct Help {
+  CommandHelp group;
+  CommandHelp list;
+  CommandHelp remove;
+};
+
+template <typename Kind>
+void AddFindings(const Command& program, const Help& help) {
+  const Command group = program.AddCommand(help.group);
+  const Command list = group.AddCommand(help.list);
+  const auto vehicle = std::make_shared<std::string>();
+  list.AddText("VEHICLE", "TEXT", vehicle.get(), "Id, or name").Required();
+  list.Runs([vehicle](const Connection& server, const Console& console) {
+    return RunList<Kind>(server.client, *vehicle, console);
+  });
+  const Command remove = group.AddCommand(help.remove);
+  const auto finding = std::make_shared<FindingReference>();
+  remove.AddText("VEHICLE", "TEXT", &finding->vehicle, "Id, or name")
+      .Required();
+  remove
+      .AddTexts("WHICH", "TEXT", &finding->words,
+                "QUERY_SEQ and MATCHED_SEQ, its later and its earlier pose; or "
+                "its id")
+      .Required();
+  const Run run = [finding](const Connection& server, const Console& console) {
+    return RunDelete<Kind>(server.client, *finding, console);
+  };
+  remove.Runs(run, [finding] { return CheckWords(*finding); });
+}
+
+}  // namespace
+
+void AddClosuresCommand(const Command& program) {
+  AddFindings<Closures>(
+      program,
+      {{"closures", "Lists and deletes the confirmed loop closures.", "", ""},
+       {"list", "Lists a vehicle's loop closures.", "",
+        "  revisit closures list shuttle-7"},
+       {"delete", "Deletes a loop closure: undoes a mistaken confirm.", "",
+        "  revisit closures delete shuttle-7 2068 1072\n"
+        "  revisit closures delete shuttle-7 2068-1072"}});
+}
+
+void AddRejectionsCommand(const Command& program) {
+  AddFindings<Rejections>(
+      program,
+      {{"rejections", "Lists and deletes the rejected candidates.", "", ""},
+       {"list", "Lists a vehicle's rejected candidates.", "",
+        "  revisit rejections list shuttle-7"},
+       {"delete",
+        "Deletes a rejection, so that the candidate may be offered again.", "",
+        "  revisit rejections delete shuttle-7 2068 1155\n"
+        "  revisit rejections delete shuttle-7 2068-1155"}});
+}
+
+absl::Status RunClosuresList(const Client& client, const std::string& vehicle,
+                             const Console& console) {
+  return RunList<Closures>(client, vehicle, console);
+}
+
+absl::Status RunRejectionsList(const Client& client, const std::string& vehicle,
+                               const Console& console) {
+  return RunList<Rejections>(client, vehicle, console);
+}
+
+absl::Status RunClosuresDelete(const Client& client,
+                               const FindingReference& finding,
+                               const Console& console) {
+  return RunDelete<Closures>(client, finding, console);
+}
+
+absl::Status RunRejectionsDelete(const Client& client,
+                                 const FindingReference& finding,
+                                 const Console& console) {
+  return RunDelete<Rejections>(client, finding, console);
+}
+
+}  // namespace revisit::client

@@ -1,0 +1,48 @@
+#include "client/cli/commands/info_command.h"
+
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "client/cli/names.h"
+
+namespace revisit::client {
+
+void AddInfoCommand(const Command& program) {
+  const Command command = program.AddCommand(
+      {"info", "Shows the version and the limits of the server.",
+       "Callers that belong to a tenant are not told what is in memory: they "
+       "see 0.",
+       "  revisit info\n"
+       "  revisit info --server revisit.example:50051 --tls-ca ca.pem "
+       "--json"});
+  command.Runs([](const Connection& server, const Console& console) {
+    return RunInfo(server.client, server.options.address, console);
+  });
+}
+
+absl::Status RunInfo(const Client& client, const std::string& address,
+                     const Console& console) {
+  const auto info = client.GetServerInfo();
+  if (!info.ok()) return info.status();
+  if (console.json) {
+    console.out << ToJson(*info, true) << '\n';
+    return absl::OkStatus();
+  }
+  PrintFields(
+      {{"server", address},
+       {"version", info->version()},
+       {"durability", NameOf(info->durability())},
+       {"store format", absl::StrCat(info->store_format())},
+       {"poses in a batch", absl::StrCat("at most ", info->max_batch_poses())},
+       {"message", absl::StrCat("at most ", info->max_message_bytes(), " B")},
+       {"batches in flight",
+        absl::StrCat("at most ", info->max_batches_in_flight(), " per stream")},
+       {"vehicles in memory", absl::StrCat(info->resident_vehicle_count())},
+       {"nodes in memory", absl::StrCat(info->resident_node_count())},
+       {"graphs in memory", absl::StrCat(info->resident_bytes(), " B")}},
+      console.out);
+  return absl::OkStatus();
+}
+
+}  // namespace revisit::client

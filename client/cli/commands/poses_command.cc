@@ -1,0 +1,141 @@
+#include "client/cli/commands/poses_command.h"
+
+#include <algorithm>
+#include <memory>
+
+#include "absl/strings/str_cat.h"
+#include "client/cli/commands/shared_flags.h"
+#include "client/cli/names.h"
+#include "google/protobuf/util/time_util.h"
+
+namespace revisit::client {
+namespace {
+
+// Prints pages of poses as they come.
+class PosePrinter {
+ public:
+  explicit PosePrinter(const Console& console) : console_(console) {
+    if (console_.json) console_.out << "{\"poses\": [";
+  }
+
+  void Print(const v1::ListPosesResponse& page, std::uint64_t last) {
+    Table table = MakeTable(page);
+    for (const v1::Pose& pose : page.poses()) {
+      if (pose.sequence() > last) break;
+      if (console_.json) {
+        console_.out << (first_ ? "\n" : ",\n") << ToJson(pose, false);
+      } else {
+        table.AddRow(Cells(pose));
+      }
+      first_ = false;
+    }
+    if (console_.json) return;
+    if (!table.empty() || !titles_printed_) {
+      table.Print(console_.out, console_.width, !titles_printed_);
+    }
+    titles_printed_ = true;
+  }
+
+  void Finish() {
+    if (console_.json) console_.out << (first_ ? "]}\n" : "\n]}\n");
+  }
+
+ private:
+  // All pages have the columns of the first.
+  Table MakeTable(const v1::ListPosesResponse& page) {
+    using Align = Table::Align;
+    if (!titles_printed_) {
+      geodetic_ = !page.poses().empty() && page.poses(0).has_geodetic();
+    }
+    return Table({{"SEQUENCE", Align::kRight},
+                  {"STAMP", Align::kLeft, 24},
+                  {geodetic_ ? "LAT deg" : "X m", Align::kRight, 11},
+                  {geodetic_ ? "LON deg" : "Y m", Align::kRight, 11},
+                  {geodetic_ ? "HEIGHT m" : "Z m", Align::kRight, 8},
+                  {"YAW rad", Align::kRight, 8}});
+  }
+
+  static std::vector<std::string> Cells(const v1::Pose& pose) {
+    std::vector<std::string> cells = {
+        absl::StrCat(pose.sequence()),
+        pose.has_stamp()
+            ? google::protobuf::util::TimeUtil::ToString(pose.stamp())
+            : "-"};
+    if (pose.has_geodetic()) {
+      const v1::GeodeticPosition& position = pose.geodetic();
+      cells.push_back(Fixed(position.latitude_degrees(), 8));
+      cells.push_back(Fixed(position.longitude_degrees(), 8));
+      cells.push_back(Fixed(position.height_meters(), 3));
+    } else {
+      const v1::LocalPosition& position = pose.local();
+      cells.push_back(Fixed(position.x_meters(), 3));
+      cells.push_back(Fixed(position.y_meters(), 3));
+      cells.push_back(Fixed(position.z_meters(), 3));
+    }
+    cells.push_back(pose.has_quaternion() ? "quaternion"
+                                          : Fixed(pose.heading_radians(), 5));
+    return cells;
+  }
+
+  const Console& console_;
+  bool first_ = true;
+  bool titles_printed_ = false;
+  bool geodetic_ = false;
+};
+
+}  // namespace
+
+void AddPosesCommand(const Command& program) {
+  const Command poses =
+      program.AddCommand({"poses", "Lists the stored poses.", "", ""});
+  const Command list = poses.AddCommand(
+      {"list", "Lists a vehicle's poses, as they were sent or last revised.",
+       "--json prints them whole, with covariances and quaternions.",
+       "  revisit poses list shuttle-7\n"
+       "  revisit poses list shuttle-7 --from 1000 --to 1010 --json"});
+  const auto options = std::make_shared<PosesListOptions>();
+  AddVehicleName(list, &options->vehicle);
+  list.AddWholeNumber("--from", kSequences, &options->from,
+                      "Sequence of the first pose (1)");
+  list.AddWholeNumber("--to", kSequences, &options->to,
+                      "Sequence of the last pose (the newest)");
+  const Run run = [options](const Connection& server, const Console& console) {
+    return RunPosesList(server.client, *options, console);
+  };
+  list.Runs(run, [options]() -> std::string {
+    return options->from > options->to
+               ? absl::StrCat("--from: got ", options->from,
+                              "; allowed is at most --to, ", options->to)
+               : "";
+  });
+}
+
+absl::Status RunPosesList(const Client& client, const PosesListOptions& options,
+                          const Console& console) {
+  constexpr std::uint64_t kPage = 1000;
+  v1::ListPosesRequest request;
+  request.set_parent(VehicleName(options.vehicle));
+  request.set_first_sequence(options.from);
+  request.set_page_size(static_cast<std::int32_t>(
+      std::min(kPage - 1, options.to - options.from) + 1));
+  auto page = client.ListPoses(request);
+  // Before anything is printed.
+  if (!page.ok()) return page.status();
+  PosePrinter printer(console);
+  for (;;) {
+    printer.Print(*page, options.to);
+    if (!console.out.good()) {
+      return LocalError(absl::UnknownError("the output cannot be written"));
+    }
+    const bool reached = !page->poses().empty() &&
+                         page->poses().rbegin()->sequence() >= options.to;
+    if (reached || page->next_page_token().empty()) break;
+    request.set_page_token(page->next_page_token());
+    page = client.ListPoses(request);
+    if (!page.ok()) return page.status();
+  }
+  printer.Finish();
+  return absl::OkStatus();
+}
+
+}  // namespace revisit::client

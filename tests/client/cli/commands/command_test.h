@@ -1,0 +1,45 @@
+// What tests of commands need: a fake server and consoles that keep the output.
+#ifndef REVISIT_TESTS_CLIENT_CLI_COMMANDS_COMMAND_TEST_H_
+#define REVISIT_TESTS_CLIENT_CLI_COMMANDS_COMMAND_TEST_H_
+
+#include <memory>
+#include <sstream>
+
+#include "client/cli/console.h"
+#include "client/revisit/channel.h"
+#include "client/revisit/client.h"
+#include "grpcpp/channel.h"
+#include "gtest/gtest.h"
+#include "tests/client/fake_server.h"
+
+namespace revisit::client {
+
+class CommandTest : public ::testing::Test {
+ protected:
+  Console Text() { return {out_, progress_, false, false}; }
+  Console Json() { return {out_, progress_, false, true}; }
+
+  // Stores poses 1 to `count` of this vehicle, each as many metres along x as
+  // its sequence says.
+  void Append(int count) {
+    v1::PoseBatch batch;
+    for (int i = 1; i <= count; ++i) {
+      v1::Pose* pose = batch.add_poses();
+      pose->set_sequence(static_cast<std::uint64_t>(i));
+      pose->mutable_local()->set_x_meters(i);
+      pose->set_heading_radians(0.5);
+    }
+    server_.Replace("first", batch);
+  }
+
+  FakeServer server_;
+  std::shared_ptr<grpc::Channel> channel_ =
+      MakeInsecureChannel(server_.address());
+  Client client_{channel_};
+  std::ostringstream out_;
+  std::ostringstream progress_;
+};
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_TESTS_CLIENT_CLI_COMMANDS_COMMAND_TEST_H_

@@ -1,0 +1,57 @@
+#include "client/cli/commands/poses_command.h"
+
+#include "gmock/gmock.h"
+#include "nlohmann/json.hpp"
+#include "tests/client/cli/commands/command_test.h"
+
+namespace revisit::client {
+namespace {
+
+using nlohmann::json;
+using ::testing::HasSubstr;
+using ::testing::StartsWith;
+
+class PosesCommandTest : public CommandTest {};
+
+TEST_F(PosesCommandTest, AllPagesAreOneListInJson) {
+  Append(2500);
+  ASSERT_TRUE(RunPosesList(client_, {"shuttle"}, Json()).ok());
+  const json poses = json::parse(out_.str())["poses"];
+  ASSERT_EQ(poses.size(), 2500u);
+  EXPECT_EQ(poses[2499]["sequence"], 2500);
+  EXPECT_EQ(poses[2499]["local"]["xMeters"], 2500.0);
+  EXPECT_EQ(server_.unary_calls(), 3);
+}
+
+TEST_F(PosesCommandTest, RangeHasBothItsEndsAndAsksForNoMore) {
+  Append(2500);
+  ASSERT_TRUE(RunPosesList(client_, {"shuttle", 999, 2001}, Json()).ok());
+  const json poses = json::parse(out_.str())["poses"];
+  ASSERT_EQ(poses.size(), 1003u);
+  EXPECT_EQ(poses[0]["sequence"], 999);
+  EXPECT_EQ(poses[1002]["sequence"], 2001);
+  EXPECT_EQ(server_.unary_calls(), 2);
+}
+
+TEST_F(PosesCommandTest, VehicleWithoutPosesHasAnEmptyList) {
+  ASSERT_TRUE(RunPosesList(client_, {"shuttle"}, Json()).ok());
+  EXPECT_EQ(json::parse(out_.str()), json({{"poses", json::array()}}));
+}
+
+TEST_F(PosesCommandTest, TableHasItsTitlesOnce) {
+  Append(1500);
+  ASSERT_TRUE(RunPosesList(client_, {"shuttle"}, Text()).ok());
+  EXPECT_THAT(out_.str(), StartsWith("SEQUENCE  STAMP "));
+  EXPECT_EQ(out_.str().find("SEQUENCE", 1), std::string::npos);
+  EXPECT_THAT(out_.str(), HasSubstr("\n    1500  -  "));
+  EXPECT_THAT(out_.str(), HasSubstr(" 1500.000  "));
+}
+
+TEST_F(PosesCommandTest, ErrorBeforeTheFirstPosePrintsNothing) {
+  server_.FailUnaryCalls({MakeStatus(grpc::StatusCode::NOT_FOUND, "none")});
+  EXPECT_EQ(ExitCodeOf(RunPosesList(client_, {"shuttle"}, Json())), 69);
+  EXPECT_EQ(out_.str(), "");
+}
+
+}  // namespace
+}  // namespace revisit::client

@@ -1,0 +1,193 @@
+"""The whole API from the command line, as a shell sees it: what is listed, what
+is undone, what is asked before it is lost."""
+
+import json
+import os
+import pty
+import subprocess
+
+import pytest
+
+from revisit_server import BIN, clean_environment, run
+from stubs import api
+from wire import append, straight
+
+USAGE = 64
+
+
+@pytest.fixture(scope="module")
+def revisit(server):
+    """Runs `revisit` against the server; answers the finished process."""
+    def call(*arguments, **environment):
+        return run("revisit", *arguments, "--server", server.address,
+                   env=clean_environment(**environment), timeout=120)
+    return call
+
+
+@pytest.fixture
+def vehicle(revisit, stub):
+    """The id of a vehicle with 200 poses, which is deleted afterwards."""
+    assert revisit("vehicle", "create", "api-1", "--correlation-model",
+                   "independent").returncode == 0
+    append(stub, "vehicles/api-1", straight(200))
+    yield "api-1"
+    revisit("vehicle", "delete", "api-1", "--yes")
+
+
+def listed(result):
+    assert result.returncode == 0, result
+    return json.loads(result.stdout)
+
+
+def test_mistaken_confirm_is_undone(vehicle, revisit):
+    before = listed(revisit("vehicle", "get", vehicle, "--json"))
+    assert revisit("confirm", vehicle, 150, 20).returncode == 0
+    assert revisit("confirm", vehicle, 160, 30).returncode == 0
+    closures = listed(revisit("closures", "list", vehicle, "--json"))
+    assert [(closure["querySequence"], closure["matchedSequence"])
+            for closure in closures["loopClosures"]] == [(150, 20), (160, 30)]
+    by_poses = revisit("closures", "delete", vehicle, 150, 20)
+    assert by_poses.stdout == (
+        "deleted vehicles/api-1/loopClosures/150-20, revision 5\n")
+    by_id = listed(revisit("closures", "delete", vehicle, "160-30", "--json"))
+    assert by_id == {"name": "vehicles/api-1/loopClosures/160-30",
+                     "revision": 6}
+    after = listed(revisit("vehicle", "get", vehicle, "--json"))
+    assert after["loopClosureCount"] == before["loopClosureCount"] == 0
+    again = revisit("closures", "delete", vehicle, 150, 20)
+    assert again.returncode == 64 + 5
+    assert "has no loop closure of the poses 150 and 20" in again.stderr
+
+
+def test_mistaken_reject_is_undone(vehicle, revisit):
+    assert revisit("reject", vehicle, 150, 20).returncode == 0
+    table = revisit("rejections", "list", vehicle).stdout.splitlines()
+    assert table[0].split() == ["ID", "QUERY_SEQ", "MATCHED_SEQ", "CREATED"]
+    assert table[1].split()[:3] == ["150-20", "150", "20"]
+    assert revisit("rejections", "delete", vehicle, 150, 20).returncode == 0
+    assert listed(revisit("rejections", "list", vehicle, "--json"))[
+        "rejectedCandidates"] == []
+
+
+@pytest.mark.parametrize("words", [["150"], ["2", "1", "3"], ["a", "1"],
+                                   ["0", "1"],
+                                   ["vehicles/other/loopClosures/1"]],
+                         ids=str)
+def test_what_names_no_closure_deletes_none(words, vehicle, revisit):
+    assert revisit("confirm", vehicle, 150, 20).returncode == 0
+    result = revisit("closures", "delete", vehicle, *words)
+    assert result.returncode in (USAGE, 64 + 5), result
+    closures = listed(revisit("closures", "list", vehicle, "--json"))
+    assert len(closures["loopClosures"]) == 1
+
+
+def test_closures_of_all_pages_are_listed(vehicle, revisit, stub):
+    for i in range(30):
+        stub.AddLoopClosure(api.AddLoopClosureRequest(
+            parent=f"vehicles/{vehicle}", loop_closure=api.LoopClosure(
+                query_sequence=150 + i, matched_sequence=20)))
+    closures = listed(revisit("closures", "list", vehicle, "--json"))
+    assert len(closures["loopClosures"]) == 30
+
+
+def test_poses_are_listed_from_one_to_another(vehicle, revisit):
+    poses = listed(revisit("poses", "list", vehicle, "--json"))["poses"]
+    assert [pose["sequence"] for pose in poses] == list(range(1, 201))
+    assert len(poses[0]["covariance"]["values"]) == 6
+    few = listed(revisit("poses", "list", vehicle, "--from", 7, "--to", 9,
+                         "--json"))["poses"]
+    assert few == poses[6:9]
+    table = revisit("poses", "list", vehicle, "--from", 200).stdout
+    assert [line.split()[0] for line in table.splitlines()] == ["SEQUENCE",
+                                                               "200"]
+    swapped = revisit("poses", "list", vehicle, "--from", 9, "--to", 7)
+    assert swapped.returncode == USAGE
+    assert "--from: got 9; allowed is at most --to, 7" in swapped.stderr
+
+
+def test_info_is_what_the_server_says(server, revisit, stub):
+    info = stub.GetServerInfo(api.GetServerInfoRequest())
+    said = listed(revisit("info", "--json"))
+    assert said["version"] == info.version
+    assert said["maxMessageBytes"] == info.max_message_bytes
+    text = revisit("info").stdout
+    assert server.address in text
+    assert f"at most {info.max_batch_poses}" in text
+
+
+def test_deletion_needs_yes_where_nobody_can_be_asked(vehicle, revisit):
+    refused = revisit("vehicle", "delete", vehicle)
+    assert refused.returncode == USAGE
+    assert "--yes is required" in refused.stderr
+    assert revisit("vehicle", "get", vehicle).returncode == 0
+    deleted = revisit("vehicle", "delete", vehicle, "--yes", "--json")
+    assert listed(deleted) == {"deleted": [f"vehicles/{vehicle}"]}
+    assert revisit("vehicle", "get", vehicle).returncode == 64 + 5
+
+
+def at_terminal(arguments, typed, **environment):
+    """Exit code of `revisit` at a terminal of its own, and what that shows."""
+    mine, its = pty.openpty()
+    with subprocess.Popen([BIN / "revisit", *map(str, arguments)], stdin=its,
+                          stdout=its, stderr=its,
+                          env=clean_environment(**environment)) as process:
+        os.close(its)
+        os.write(mine, typed.encode())
+        shown = b""
+        try:
+            while chunk := os.read(mine, 4096):
+                shown += chunk
+        except OSError:
+            # The program has closed its end.
+            pass
+        code = process.wait(30)
+    os.close(mine)
+    return code, shown.decode()
+
+
+def test_deletion_at_a_terminal_wants_the_id(vehicle, server, revisit):
+    arguments = ["vehicle", "delete", vehicle, "--server", server.address]
+    code, shown = at_terminal(arguments, "yes\n")
+    assert code == 1
+    assert "with its 200 poses and 0 loop closures" in shown
+    assert 'is not deleted: got "yes"' in shown
+    assert revisit("vehicle", "get", vehicle).returncode == 0
+    code, shown = at_terminal(arguments, f"{vehicle}\n")
+    assert code == 0, shown
+    assert f"deleted vehicles/{vehicle}" in shown
+    assert revisit("vehicle", "get", vehicle).returncode == 64 + 5
+
+
+def test_whole_numbers_have_one_form_in_json(vehicle, revisit):
+    """All are numbers, however many bits the field of the message has."""
+    got = listed(revisit("vehicle", "get", vehicle, "--json"))
+    shown = listed(revisit("show", vehicle, "--json"))
+    assert got["durableSequence"] == 200
+    assert got["settings"]["maxCandidates"] == 5
+    assert shown["vehicle"] == got
+    assert shown["nodeCount"] == got["nodeCount"]
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 200])
+def test_tables_keep_to_the_width_of_the_terminal(width, vehicle, revisit):
+    for words in (["vehicle", "list"], ["poses", "list", vehicle],
+                  ["closures", "list", vehicle]):
+        result = revisit(*words, COLUMNS=str(width))
+        assert result.returncode == 0, result
+        assert max(map(len, result.stdout.splitlines())) <= width, words
+
+
+def test_what_goes_into_a_pipe_is_a_whole_table(vehicle, revisit):
+    lines = revisit("vehicle", "list").stdout.splitlines()
+    assert lines[0].split()[0] == "VEHICLE"
+    assert sum(line.startswith(f"vehicles/{vehicle} ") for line in lines) == 1
+
+
+def test_vin_becomes_an_id_as_the_help_says(revisit):
+    shown = " ".join(run("revisit", "vehicle", "create", "--help").stdout.split())
+    assert "WVWZZZ1JZXW000001 is wvwzzz1jzxw000001" in shown
+    assert revisit("vehicle", "create",
+                   "WVWZZZ1JZXW000001").returncode == 64 + 3
+    assert revisit("vehicle", "create", "wvwzzz1jzxw000001").returncode == 0
+    assert revisit("vehicle", "delete", "wvwzzz1jzxw000001",
+                   "--yes").returncode == 0
