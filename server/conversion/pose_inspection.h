@@ -4,6 +4,7 @@
 #ifndef REVISIT_SERVER_CONVERSION_POSE_INSPECTION_H_
 #define REVISIT_SERVER_CONVERSION_POSE_INSPECTION_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <vector>

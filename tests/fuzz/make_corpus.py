@@ -79,6 +79,12 @@ OPTIONS = api.CandidateOptions(
     max_candidates=3, gate_probability=0.5, include_aligned_path=True,
     alignment=api.ALIGNMENT_COMPOSITE, sequence_length_meters=10)
 NAME = "vehicles/shuttle-1"
+LABELLED = api.Vehicle(name=NAME, display_name="Truck 7",
+                       labels={"session.a": "1-2068"})
+MEASUREMENT = api.LoopClosureMeasurement(
+    x_meters=1.5, y_meters=-2, heading_radians=0.1,
+    covariance=api.Covariance(form=api.COVARIANCE_FORM_PLANAR_6,
+                              values=[0.04, 0, 0, 0.04, 0, 0.0004]))
 
 
 def requests():
@@ -93,6 +99,11 @@ def requests():
         vehicle=api.Vehicle(name=NAME, settings=SETTINGS),
         update_mask=field_mask_pb2.FieldMask(
             paths=["settings.max_candidates", "settings"])))
+    put("create_labels", 0, api.CreateVehicleRequest(
+        vehicle_id="a", vehicle=LABELLED))
+    put("update_labels", 1, api.UpdateVehicleRequest(
+        vehicle=LABELLED, update_mask=field_mask_pb2.FieldMask(
+            paths=["labels.session.a", "display_name"])))
     for name, (kind, poses) in POSES.items():
         put(f"append_{name}", 2, api.AppendPosesRequest(
             vehicle=NAME, poses=poses), kind)
@@ -107,6 +118,10 @@ def requests():
     put("closure", 5, api.AddLoopClosureRequest(
         parent=NAME, loop_closure_id="x", loop_closure=api.LoopClosure(
             query_sequence=9, matched_sequence=2)))
+    put("closure_measured", 5, api.AddLoopClosureRequest(
+        parent=NAME, loop_closure=api.LoopClosure(
+            query_sequence=9, matched_sequence=2, measurement=MEASUREMENT,
+            note="icp\n412", score=0.5)))
     put("reject", 6, api.RejectCandidateRequest(
         parent=NAME, rejected_candidate=api.RejectedCandidate(
             query_sequence=9, matched_sequence=2)))
@@ -123,6 +138,10 @@ def requests():
 
 
 def records():
+    # Field 1 of LoopClosureContent.
+    measurement = MEASUREMENT.SerializeToString()
+    write("records", "closure",
+          bytes([3, 0, 0x0a, len(measurement)]) + measurement)
     write("records", "vehicle", bytes([0, 0]) + api.Vehicle(
         settings=SETTINGS, state=api.VEHICLE_STATE_DATA_LOSS,
         create_time=timestamp_pb2.Timestamp(seconds=1)).SerializeToString())

@@ -14,6 +14,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/alignment/known_drift.h"
 #include "core/alignment/relative.h"
 #include "core/graph/pose_graph.h"
 #include "tests/oracle/dense_window.h"

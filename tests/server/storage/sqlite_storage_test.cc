@@ -349,7 +349,7 @@ TEST_F(SqliteStorageTest, WritesFormat4) {
   EXPECT_EQ(RunSql(Path(),
                    "SELECT key, id, format, revision, checksum, "
                    "payload FROM vehicles"),
-            "1|truck|3|7|-87707387594918857|payload\n");
+            "1|truck|4|7|6652353905742275111|payload\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA auto_vacuum"), "2\n");
   // Where store_state.h says that it stands; of the rest only the number of the
   // commit, the creation's included, and that it was the last are known.
@@ -361,18 +361,18 @@ TEST_F(SqliteStorageTest, WritesFormat4) {
       "SELECT vehicle_key, first_sequence, count, format, revision, checksum, "
       "payload FROM ";
   EXPECT_EQ(RunSql(Path(), batch + "batches"),
-            "1|1|2|3|2|1468958268839417343|alpha\n"
-            "1|3|2|3|3|-3236131221087917378|beta\n"
-            "1|5|2|3|4|5528962054912418739|gamma\n");
+            "1|1|2|4|2|-4829067349424724470|alpha\n"
+            "1|3|2|4|3|1285076461158854921|beta\n"
+            "1|5|2|4|4|-4653714669878249062|gamma\n");
   EXPECT_EQ(RunSql(Path(), batch + "revised_batches"),
-            "1|5|2|3|5|316402039987005661|GAMMA\n");
+            "1|5|2|4|5|5734659888365959222|GAMMA\n");
   const std::string pair =
       "SELECT vehicle_key, id, format, query_sequence, matched_sequence, "
       "create_time_ns, checksum, payload FROM ";
   EXPECT_EQ(RunSql(Path(), pair + "loop_closures"),
-            "1|link|4|6|1|99|4810803329536871510|measured\n");
+            "1|link|4|6|1|99|-2405007697103716199|measured\n");
   EXPECT_EQ(RunSql(Path(), pair + "rejected_candidates"),
-            "1|no|4|6|2|100|-7183881975712766587|\n");
+            "1|no|4|6|2|100|1990917711815163374|\n");
 }
 
 // Makes the store of MakeStore() what a server of format 3 left: the same, but
