@@ -15,6 +15,7 @@ namespace {
 // 1980-01-06, where GPS weeks begin.
 constexpr std::int64_t kGpsEpochSeconds = 315'964'800;
 constexpr std::int64_t kSecondsPerWeek = 604'800;
+constexpr double kMostWeeks = 10'000.0;
 
 using Columns = std::map<std::string, std::size_t, std::less<>>;
 
@@ -94,7 +95,8 @@ class RtklibReader : public SampleReader {
       const auto week = ReadNumber(date, "the GPS week", *lines_);
       if (!week.ok()) return week.status();
       const auto seconds = NanosecondsOf(time);
-      if (seconds.ok()) {
+      if (seconds.ok() && *week <= kMostWeeks && *seconds >= 0 &&
+          *seconds <= kSecondsPerWeek * kNanosecondsPerSecond) {
         return (kGpsEpochSeconds +
                 kSecondsPerWeek * static_cast<std::int64_t>(*week)) *
                    kNanosecondsPerSecond +
