@@ -220,6 +220,11 @@ void AddStreamCommand(const Command& program) {
       options->files.pop_back();
     }
     if (options->vehicle.empty()) return "--vehicle is required";
+    std::error_code error;
+    if (options->files.back() == options->vehicle &&
+        !std::filesystem::exists(options->vehicle, error)) {
+      return absl::StrCat("--vehicle: ", options->vehicle, " is named twice");
+    }
     const auto pipes =
         std::count(options->files.begin(), options->files.end(), "-");
     return pipes > 1 ? "FILE: the standard input can be read once only" : "";
