@@ -274,7 +274,8 @@ absl::Status Plausibility::CheckReadings(bool complete) {
   const Reading& given = readings_[0];
   if (absl::Status status = CheckYaw(complete); !status.ok()) return status;
   if (given.near.IsSteep() && given.IsWrong(complete)) {
-    return Suspicious("z changes more than x and y: it is no height", MendOf());
+    return Suspicious("z often changes more than x and y: it is no height",
+                      MendOf());
   }
   if (given.IsWrong(complete)) {
     return Suspicious(absl::StrCat("heading and direction of travel are ",

@@ -33,9 +33,7 @@ Format Recognize(std::string_view line) {
   if (IsRosCsv(line)) return Format::kRos;
   if (line[0] == '%') return Format::kRtklib;
   if (line[0] == '<') return Format::kGpx;
-  if (line[0] == '$' && line.size() > 6 && line[6] == ',') {
-    return Format::kNmea;
-  }
+  if (line[0] == '$') return Format::kNmea;
   for (const char* start : {"VERTEX", "EDGE", "PARAMS_", "FIX "}) {
     if (BeginsWith(line, start)) return Format::kG2o;
   }

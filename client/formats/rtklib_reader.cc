@@ -136,14 +136,15 @@ class RtklibReader : public SampleReader {
     sample.has_heading = false;
     sample.geodetic = {get("latitude(deg)"), get("longitude(deg)"),
                        get("height(m)")};
-    if (has_deviations_) {
+    // Deviations of 0 state nothing.
+    if (has_deviations_ && get("sde(m)") > 0.0 && get("sdn(m)") > 0.0) {
       sample.position_covariance = {SignedSquare(get("sde(m)")),
                                     SignedSquare(get("sdne(m)")),
                                     SignedSquare(get("sdn(m)"))};
     }
     if (has_velocity_) {
       sample.velocity = {get("ve(m/s)"), get("vn(m/s)"), std::nullopt};
-      if (has_velocity_deviations_) {
+      if (has_velocity_deviations_ && get("sdve") > 0.0 && get("sdvn") > 0.0) {
         sample.velocity->covariance = {SignedSquare(get("sdve")),
                                        SignedSquare(get("sdvne")),
                                        SignedSquare(get("sdvn"))};
