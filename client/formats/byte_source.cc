@@ -37,17 +37,14 @@ class Memory : public ByteSource {
 
 class Descriptor : public ByteSource {
  public:
-  Descriptor(int fd, std::string path, std::function<void()> before_wait)
+  Descriptor(int fd, std::string path, BeforeWait before_wait)
       : fd_(fd), path_(std::move(path)), before_wait_(std::move(before_wait)) {}
   ~Descriptor() override {
     if (fd_ != STDIN_FILENO) close(fd_);
   }
 
   absl::StatusOr<std::size_t> Read(char* buffer, std::size_t size) override {
-    if (before_wait_ != nullptr) {
-      pollfd one = {fd_, POLLIN, 0};
-      if (poll(&one, 1, 0) == 0) before_wait_();
-    }
+    if (before_wait_ != nullptr) Wait();
     for (;;) {
       const ssize_t count = read(fd_, buffer, size);
       if (count >= 0) return static_cast<std::size_t>(count);
@@ -60,9 +57,19 @@ class Descriptor : public ByteSource {
   }
 
  private:
+  void Wait() const {
+    pollfd one = {fd_, POLLIN, 0};
+    int milliseconds = 0;
+    while (poll(&one, 1, milliseconds) == 0) {
+      const auto again = before_wait_();
+      if (!again.has_value()) return;
+      milliseconds = static_cast<int>(again->count());
+    }
+  }
+
   const int fd_;
   const std::string path_;
-  const std::function<void()> before_wait_;
+  const BeforeWait before_wait_;
 };
 
 // Reads compressed bytes in pieces for a decompressor.
@@ -243,7 +250,7 @@ class Detecting : public ByteSource {
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<ByteSource>> OpenBytes(
-    const std::string& path, std::function<void()> before_wait) {
+    const std::string& path, const BeforeWait& before_wait) {
   int fd = STDIN_FILENO;
   if (path != "-") {
     fd = open(path.c_str(), O_RDONLY | O_CLOEXEC);
@@ -255,7 +262,7 @@ absl::StatusOr<std::unique_ptr<ByteSource>> OpenBytes(
       return absl::NotFoundError(message);
     }
   }
-  auto source = std::make_unique<Descriptor>(fd, path, std::move(before_wait));
+  auto source = std::make_unique<Descriptor>(fd, path, before_wait);
   struct stat status = {};
   if (fstat(fd, &status) == 0 && S_ISDIR(status.st_mode)) {
     return absl::InvalidArgumentError(path +

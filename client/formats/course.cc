@@ -99,9 +99,7 @@ class CourseReader : public SampleReader {
     }
     if (before.has_value() && before->time_nanoseconds.has_value() &&
         sample.time_nanoseconds.has_value()) {
-      const double seconds = static_cast<double>(*sample.time_nanoseconds -
-                                                 *before->time_nanoseconds) *
-                             1e-9;
+      const double seconds = SecondsOf(sample) - SecondsOf(*before);
       if (Distance(*before, sample) < kStandstillMetersPerSecond * seconds) {
         return;
       }

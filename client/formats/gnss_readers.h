@@ -13,8 +13,9 @@ namespace revisit::client {
 // A solution file of RTKLIB (.pos): comment lines begin with '%', the last of
 // them names the columns, such as "% GPST latitude(deg) longitude(deg)
 // height(m) Q ns sdn(m) sde(m) sdu(m) sdne(m) ... vn(m/s) ve(m/s) ... sdvn sdve
-// ... sdvne". Standard deviations and velocities may be missing. Mixed columns
-// such as sdne are signed square roots of covariances. Times are a date and a
+// ... sdvne". Standard deviations and velocities may be missing, and
+// deviations of 0 state nothing. Mixed columns such as sdne are signed square
+// roots of covariances. Times are a date and a
 // time of day, or GPS week and seconds of the week; GPS time is counted as if
 // it were UTC: since 1970-01-01 00:00 of the GPS calendar.
 std::unique_ptr<SampleReader> ReadRtklib(std::unique_ptr<Lines> lines);

@@ -25,7 +25,8 @@ double SecondsBetween(const Sample& a, const Sample& b) {
   if (!a.time_nanoseconds.has_value() || !b.time_nanoseconds.has_value()) {
     return 0.0;
   }
-  return static_cast<double>(*b.time_nanoseconds - *a.time_nanoseconds) * 1e-9;
+  // They may lie centuries apart, more than their type counts.
+  return SecondsOf(b) - SecondsOf(a);
 }
 
 std::vector<Reading> MakeReadings(const Conventions& given) {
@@ -152,9 +153,11 @@ bool Reading::IsWrong(bool complete) const {
 
 bool Reading::Fits() const {
   if (!possible || near.steps() < kLeastSteps || IsLeaning()) return false;
-  return !near.IsSteep() && !far.IsSteep() &&
-         std::min(near.Median().value_or(180.0),
-                  far.Median().value_or(180.0)) <= kLargestMedianDegrees;
+  if (near.IsSteep() || far.IsSteep()) return false;
+  // Positions alone have no heading that could disagree.
+  const double at_near = near.Median().value_or(0.0);
+  return std::min(at_near, far.Median().value_or(at_near)) <=
+         kLargestMedianDegrees;
 }
 
 Plausibility::Plausibility(const Conventions& conventions,
@@ -271,7 +274,8 @@ absl::Status Plausibility::CheckReadings(bool complete) {
   const Reading& given = readings_[0];
   if (absl::Status status = CheckYaw(complete); !status.ok()) return status;
   if (given.near.IsSteep() && given.IsWrong(complete)) {
-    return Suspicious("z changes more than x and y: it is no height", MendOf());
+    return Suspicious("z often changes more than x and y: it is no height",
+                      MendOf());
   }
   if (given.IsWrong(complete)) {
     return Suspicious(absl::StrCat("heading and direction of travel are ",

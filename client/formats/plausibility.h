@@ -29,8 +29,9 @@ class CourseStatistics {
   void Add(const Sample& sample);
 
   std::int64_t steps() const { return steps_; }
-  // Whether more than half of the steps rise or fall more than they go forward.
-  bool IsSteep() const { return 2 * steep_ > steps_; }
+  // Whether more than a quarter of the steps rise or fall more than they go
+  // forward.
+  bool IsSteep() const { return 4 * steep_ > steps_; }
   // In degrees; absent without a heading to compare.
   std::optional<double> Median() const;
   // Whether more than half of the steps took longer than any vehicle's.

@@ -33,9 +33,7 @@ Format Recognize(std::string_view line) {
   if (IsRosCsv(line)) return Format::kRos;
   if (line[0] == '%') return Format::kRtklib;
   if (line[0] == '<') return Format::kGpx;
-  if (line[0] == '$' && line.size() > 6 && line[6] == ',') {
-    return Format::kNmea;
-  }
+  if (line[0] == '$') return Format::kNmea;
   for (const char* start : {"VERTEX", "EDGE", "PARAMS_", "FIX "}) {
     if (BeginsWith(line, start)) return Format::kG2o;
   }
@@ -190,8 +188,11 @@ absl::Status CheckOptions(Format format, const ReaderOptions& options) {
   if (options.rate_hz.has_value() && !options.times_file.empty()) {
     return absl::InvalidArgumentError("--rate and --times exclude each other");
   }
-  if (options.rate_hz.has_value() && !(*options.rate_hz > 0.0)) {
-    return absl::InvalidArgumentError("--rate: expected a positive number");
+  if (options.rate_hz.has_value() &&
+      !(*options.rate_hz >= 1e-3 && *options.rate_hz <= 1e6)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--rate: expected poses per second in [0.001, 1e6], got ",
+                     *options.rate_hz));
   }
   if (!options.columns.empty() && format != Format::kDrive) {
     return absl::InvalidArgumentError(

@@ -10,7 +10,6 @@
 #ifndef REVISIT_CLIENT_FORMATS_READER_H_
 #define REVISIT_CLIENT_FORMATS_READER_H_
 
-#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -87,8 +86,7 @@ struct ReaderOptions {
   bool accept_suspicious = false;
   // Where kLocal counts from; the first position of the file if absent.
   std::optional<GeodeticPosition> origin;
-  // Called before each wait for a pipe.
-  std::function<void()> before_wait;
+  BeforeWait before_wait;
 };
 
 // Opens a file, or the standard input for "-", also compressed ones.

@@ -15,6 +15,7 @@ namespace {
 // 1980-01-06, where GPS weeks begin.
 constexpr std::int64_t kGpsEpochSeconds = 315'964'800;
 constexpr std::int64_t kSecondsPerWeek = 604'800;
+constexpr double kMostWeeks = 10'000.0;
 
 using Columns = std::map<std::string, std::size_t, std::less<>>;
 
@@ -94,7 +95,8 @@ class RtklibReader : public SampleReader {
       const auto week = ReadNumber(date, "the GPS week", *lines_);
       if (!week.ok()) return week.status();
       const auto seconds = NanosecondsOf(time);
-      if (seconds.ok()) {
+      if (seconds.ok() && *week <= kMostWeeks && *seconds >= 0 &&
+          *seconds <= kSecondsPerWeek * kNanosecondsPerSecond) {
         return (kGpsEpochSeconds +
                 kSecondsPerWeek * static_cast<std::int64_t>(*week)) *
                    kNanosecondsPerSecond +
@@ -134,14 +136,15 @@ class RtklibReader : public SampleReader {
     sample.has_heading = false;
     sample.geodetic = {get("latitude(deg)"), get("longitude(deg)"),
                        get("height(m)")};
-    if (has_deviations_) {
+    // Deviations of 0 state nothing.
+    if (has_deviations_ && get("sde(m)") > 0.0 && get("sdn(m)") > 0.0) {
       sample.position_covariance = {SignedSquare(get("sde(m)")),
                                     SignedSquare(get("sdne(m)")),
                                     SignedSquare(get("sdn(m)"))};
     }
     if (has_velocity_) {
       sample.velocity = {get("ve(m/s)"), get("vn(m/s)"), std::nullopt};
-      if (has_velocity_deviations_) {
+      if (has_velocity_deviations_ && get("sdve") > 0.0 && get("sdvn") > 0.0) {
         sample.velocity->covariance = {SignedSquare(get("sdve")),
                                        SignedSquare(get("sdvne")),
                                        SignedSquare(get("sdvn"))};

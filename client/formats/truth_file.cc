@@ -64,9 +64,11 @@ absl::StatusOr<Sample> ReadPose(const Columns& columns,
   sample.estimate.heading =
       (90.0 - number("Heading (deg)")) * kRadiansPerDegree;
   if (!error.ok()) return error;
-  if (!(week >= 0.0 && week <= kMostWeeks)) {
-    return lines.Error("expected a GPS week from 0 to 10000, got " +
-                       Quoted(field("GPS Week")));
+  if (!(week >= 0.0 && week <= kMostWeeks) || *seconds < 0 ||
+      *seconds > kSecondsPerWeek * kNanosecondsPerSecond) {
+    return lines.Error(
+        "expected a GPS week from 0 to 10000 and seconds of a week, got " +
+        Quoted(field("GPS Week")) + " and " + Quoted(field("GPS TOW (s)")));
   }
   sample.time_nanoseconds =
       (kGpsEpochSeconds + kSecondsPerWeek * static_cast<std::int64_t>(week)) *
@@ -86,10 +88,12 @@ PlanarPose Interpolate(const std::vector<TruthPose>& truth, std::int64_t time) {
                                       });
   const TruthPose& a = after[-1];
   const TruthPose& b = after == truth.end() ? a : after[0];
-  const auto span =
-      static_cast<double>(*b.time_nanoseconds - *a.time_nanoseconds);
-  const double part =
-      span > 0.0 ? static_cast<double>(time - *a.time_nanoseconds) / span : 0.0;
+  // The two may lie centuries apart, more than their type counts.
+  const auto begin = static_cast<long double>(*a.time_nanoseconds);
+  const long double span =
+      static_cast<long double>(*b.time_nanoseconds) - begin;
+  const auto part = static_cast<double>(
+      span > 0.0L ? (static_cast<long double>(time) - begin) / span : 0.0L);
   const double turn =
       std::remainder(b.pose.heading - a.pose.heading, 2.0 * kPi);
   return {a.pose.x + part * (b.pose.x - a.pose.x),

@@ -160,6 +160,21 @@ def test_pose_of_a_pipe_is_durable_within_a_second(server, stub):
     assert "durable sequence  5" in out
 
 
+def test_wrong_recording_through_a_pipe_sends_nothing(
+        boreas, server, stub, tmp_path):
+    file = write(tmp_path / "wrong.txt", tum(boreas, camera=True))
+    with open(file, encoding="utf-8") as piped, subprocess.Popen(
+            ["cat"], stdin=piped, stdout=subprocess.PIPE) as cat:
+        refused = subprocess.run(
+            [BIN / "revisit", "stream", "-", "--vehicle", "wrong-pipe",
+             "--create", "--server", server.address], stdin=cat.stdout,
+            capture_output=True, text=True, env=clean_environment(),
+            timeout=60, check=False)
+    assert refused.returncode == LOCAL_FAULT
+    assert "--axes camera" in refused.stderr
+    assert not is_there(stub, "wrong-pipe")
+
+
 def test_error_in_a_pipe_says_what_is_durable(server, stub):
     with subprocess.Popen(
             [BIN / "revisit", "stream", "-", "--vehicle", "broken-pipe",

@@ -15,6 +15,9 @@ namespace {
 
 // Poses that are looked at before the first is sent.
 constexpr std::size_t kMostHeld = 4096;
+// How long they wait for others: what a program writes into a pipe at once
+// comes within this time.
+constexpr std::chrono::milliseconds kLongestHeld{300};
 
 std::string FilesText(const StreamOptions& options) {
   return options.files.size() == 1
@@ -59,16 +62,18 @@ void SampleSender::BeginFile(const std::string& file) {
   if (claims_.has_value()) claims_->SetName(file);
 }
 
-absl::Status SampleSender::FinishAfter(const absl::Status& error) {
-  if (!opened_ || stream_ == nullptr || !status_.ok()) return LocalError(error);
-  LetGo();
-  if (absl::Status finished = stream_->Finish(); !finished.ok()) {
-    return finished;
-  }
+absl::Status SampleSender::WithDurable(const absl::Status& error) const {
   return LocalError(
       absl::Status(error.code(),
                    absl::StrCat(error.message(), "; ", vehicle_.name(), " has ",
                                 stream_->acked_sequence(), " durable poses")));
+}
+
+absl::Status SampleSender::FinishAfter(const absl::Status& error) {
+  if (!opened_ || stream_ == nullptr || !status_.ok()) return LocalError(error);
+  LetGo();
+  const absl::Status finished = stream_->Finish();
+  return finished.ok() ? WithDurable(error) : finished;
 }
 
 absl::Status SampleSender::Take(const Sample& sample) {
@@ -78,6 +83,7 @@ absl::Status SampleSender::Take(const Sample& sample) {
     Send(sample);
     return status_;
   }
+  if (held_.empty()) held_since_ = std::chrono::steady_clock::now();
   held_.push_back(sample);
   if (held_.size() >= kMostHeld) LetGo();
   return status_;
@@ -94,18 +100,32 @@ void SampleSender::LetGo() {
   Flush();
 }
 
+std::optional<std::chrono::milliseconds> SampleSender::BeforeWait() {
+  if (!opened_) {
+    const auto held = std::chrono::steady_clock::now() - held_since_;
+    if (held_.empty()) return std::nullopt;
+    if (held < kLongestHeld) {
+      return std::chrono::ceil<std::chrono::milliseconds>(kLongestHeld - held);
+    }
+  }
+  LetGo();
+  return std::nullopt;
+}
+
 absl::Status SampleSender::Finish() {
   LetGo();
   if (status_.ok() && !options_.append && already_durable_ > taken_) {
-    status_ = LocalError(absl::FailedPreconditionError(absl::StrCat(
+    (void)stream_->Finish();
+    return LocalError(absl::FailedPreconditionError(absl::StrCat(
         vehicle_.name(), " has ", already_durable_,
         " poses already, more than the ", taken_, " of ", FilesText(options_),
         "; --append adds these behind them")));
   }
   if (stream_ == nullptr) return status_;
-  // What ended the stream is its own last status.
   const absl::Status finished = stream_->Finish();
-  return status_.ok() ? finished : status_;
+  if (status_.ok()) return finished;
+  // The stream itself is sound where this machine is at fault.
+  return finished.ok() && sent_ > 0 ? WithDurable(status_) : status_;
 }
 
 absl::StatusOr<v1::Vehicle> SampleSender::GetOrCreate(const Sample& first) {

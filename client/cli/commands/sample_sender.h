@@ -2,6 +2,7 @@
 #ifndef REVISIT_CLIENT_CLI_COMMANDS_SAMPLE_SENDER_H_
 #define REVISIT_CLIENT_CLI_COMMANDS_SAMPLE_SENDER_H_
 
+#include <chrono>
 #include <cstdint>
 #include <deque>
 #include <memory>
@@ -32,16 +33,19 @@ class SampleSender {
   // Takes the next sample. Returns why the stream has ended, if it has.
   absl::Status Take(const Sample& sample);
 
-  // Lets go what is held back and sends what has been gathered: called before
-  // each wait for more.
+  // Lets go what is held back and sends what has been gathered.
   void LetGo();
+
+  // Does so before a wait for more, unless samples that are held back have come
+  // only just now: then it is to be called again after what it returns.
+  std::optional<std::chrono::milliseconds> BeforeWait();
 
   // Waits until all is durable. FAILED_PRECONDITION if the vehicle has more
   // poses than were taken.
   absl::Status Finish();
 
   // Waits until what was taken before an error of a file is durable, if any of
-  // it has been sent, and adds to the error what that is.
+  // it has been sent, and adds to the error how much that is.
   absl::Status FinishAfter(const absl::Status& error);
 
   // The vehicle as it was before the first pose was sent. REQUIRES: Finish()
@@ -53,6 +57,8 @@ class SampleSender {
 
  private:
   absl::Status Open();
+  // Adds to a fault of this machine what is durable.
+  absl::Status WithDurable(const absl::Status& error) const;
   absl::StatusOr<v1::Vehicle> GetOrCreate(const Sample& first);
   absl::Status CheckThatSamplesFit(const Sample& first) const;
   void ChooseUncertainty(const Sample& first);
@@ -69,6 +75,7 @@ class SampleSender {
   // Why nothing more is sent.
   absl::Status status_;
   std::deque<Sample> held_;
+  std::chrono::steady_clock::time_point held_since_;
   bool opened_ = false;
   v1::Vehicle vehicle_;
   std::optional<UncertaintyClaims> claims_;

@@ -1,6 +1,8 @@
 #include "client/cli/commands/stream_command.h"
 
 #include <algorithm>
+#include <filesystem>
+#include <system_error>
 #include <utility>
 #include <vector>
 
@@ -113,6 +115,47 @@ void PrintText(const Summary& summary, std::ostream& out) {
   PrintFields(fields, out);
 }
 
+// Adds the flags that say what becomes of the poses.
+void AddVehicleFlags(const Command& command, StreamOptions* options) {
+  const Words models = {
+      {"dead-reckoning", v1::CORRELATION_MODEL_DEAD_RECKONING},
+      {"independent", v1::CORRELATION_MODEL_INDEPENDENT},
+      {"filter", v1::CORRELATION_MODEL_FILTER}};
+  command.AddSwitch("--create", &options->create,
+                    "Create the vehicle if there is none, with the server's "
+                    "default settings");
+  command.AddChoice(
+      "--correlation-model", models,
+      [options](int model) {
+        options->settings.set_correlation_model(
+            static_cast<v1::CorrelationModel>(model));
+      },
+      "Of the vehicle that --create makes (dead-reckoning; independent for "
+      "fixes)");
+  command.AddSwitch("--append", &options->append,
+                    "Give the first pose the sequence behind the durable ones "
+                    "and compare nothing: another recording of the vehicle");
+  command.AddSwitch("--candidates", &options->candidates,
+                    "Print the candidates of every check that falls due");
+}
+
+// Adds the flags of sending, and of what is known from an earlier life.
+void AddResuming(const Command& command, StreamOptions* options) {
+  command
+      .AddWholeNumber("--batch", {1, 1'000'000}, &options->batch_poses,
+                      "Most poses of one message")
+      .ShowDefault();
+  command.AddWholeNumber("--acked-sequence", WholeRange(),
+                         &options->acked_sequence,
+                         "Highest sequence known to be durable; if the server "
+                         "has less, it answers DATA_LOSS");
+  command.AddText(
+      "--vehicle-uid", "UID", &options->vehicle_uid,
+      "Uid of the vehicle that is meant; another of its name is refused, and "
+      "with it --acked-sequence proves a loss to the server, which then "
+      "refuses writes until accept-loss");
+}
+
 }  // namespace
 
 void AddStreamCommand(const Command& program) {
@@ -135,10 +178,6 @@ void AddStreamCommand(const Command& program) {
        "  revisit stream tuesday.pos --vehicle shuttle-7 --append\n"
        "  ros2 topic echo --csv /odom | revisit stream - --vehicle shuttle-7\n"
        "  revisit stream drive.csv --vehicle shuttle-7 --candidates --json"});
-  const Words models = {
-      {"dead-reckoning", v1::CORRELATION_MODEL_DEAD_RECKONING},
-      {"independent", v1::CORRELATION_MODEL_INDEPENDENT},
-      {"filter", v1::CORRELATION_MODEL_FILTER}};
   const auto options = std::make_shared<StreamOptions>();
   const auto give_up_seconds = std::make_shared<double>(60.0);
   command
@@ -148,35 +187,8 @@ void AddStreamCommand(const Command& program) {
   command.AddText("--vehicle", "ID", &options->vehicle,
                   "Id, or name such as vehicles/ID; without it, the last word "
                   "after FILE");
-  command.AddSwitch("--create", &options->create,
-                    "Create the vehicle if there is none, with the server's "
-                    "default settings");
-  command.AddChoice(
-      "--correlation-model", models,
-      [options](int model) {
-        options->settings.set_correlation_model(
-            static_cast<v1::CorrelationModel>(model));
-      },
-      "Of the vehicle that --create makes (dead-reckoning; independent for "
-      "fixes)");
-  command.AddSwitch("--append", &options->append,
-                    "Give the first pose the sequence behind the durable ones "
-                    "and compare nothing: another recording of the vehicle");
-  command.AddSwitch("--candidates", &options->candidates,
-                    "Print the candidates of every check that falls due");
-  command
-      .AddWholeNumber("--batch", {1, 1'000'000}, &options->batch_poses,
-                      "Most poses of one message")
-      .ShowDefault();
-  command.AddWholeNumber("--acked-sequence", WholeRange(),
-                         &options->acked_sequence,
-                         "Highest sequence known to be durable; if the server "
-                         "has less, it answers DATA_LOSS");
-  command.AddText(
-      "--vehicle-uid", "UID", &options->vehicle_uid,
-      "Uid of the vehicle that is meant; another of its name is refused, and "
-      "with it --acked-sequence proves a loss to the server, which then "
-      "refuses writes until accept-loss");
+  AddVehicleFlags(command, options.get());
+  AddResuming(command, options.get());
   command.AddNumber("--give-up-after", "S", give_up_seconds.get(),
                     "Seconds without progress; 0 tries for ever");
   AddReaderFlags(command, &options->reader);
@@ -188,6 +200,11 @@ void AddStreamCommand(const Command& program) {
       options->files.pop_back();
     }
     if (options->vehicle.empty()) return "--vehicle is required";
+    std::error_code error;
+    if (options->files.back() == options->vehicle &&
+        !std::filesystem::exists(options->vehicle, error)) {
+      return absl::StrCat("--vehicle: ", options->vehicle, " is named twice");
+    }
     const auto pipes =
         std::count(options->files.begin(), options->files.end(), "-");
     return pipes > 1 ? "FILE: the standard input can be read once only" : "";
@@ -212,11 +229,13 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
       MakeCallbacks(&tally, &progress, console);
   SampleSender sender(channel, options, callbacks, console);
   ReaderOptions reader_options = options.reader;
-  reader_options.before_wait = [&sender] { sender.LetGo(); };
+  reader_options.before_wait = [&sender] { return sender.BeforeWait(); };
   const auto start = Clock::now();
   for (const std::string& file : options.files) {
-    // A file that is not there shows before the first one is sent.
-    if (file == "-") continue;
+    // A file that is not there shows before the first one is sent. Those that
+    // are there may be pipes, which can be opened once only.
+    std::error_code error;
+    if (file == "-" || std::filesystem::exists(file, error)) continue;
     const auto bytes = OpenBytes(file, nullptr);
     if (!bytes.ok()) return LocalError(bytes.status());
   }
@@ -228,9 +247,7 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
       const auto sample = (*reader)->Next();
       if (!sample.ok()) return sender.FinishAfter(sample.status());
       if (!sample->has_value()) break;
-      if (absl::Status taken = sender.Take(**sample); !taken.ok()) {
-        return taken;
-      }
+      if (!sender.Take(**sample).ok()) return sender.Finish();
     }
   }
   if (sender.taken() == 0) {

@@ -90,7 +90,8 @@ void Settle(const std::vector<Drive>& drives, EvaluateOptions* options) {
   if (!options->uncertainty_given) {
     options->uncertainty.source = UncertaintyOptions::Source::kFixes;
   }
-  if (!options->correlation_given) {
+  if (!options->correlation_given &&
+      options->uncertainty.source == UncertaintyOptions::Source::kFixes) {
     options->settings.set_correlation_model(v1::CORRELATION_MODEL_INDEPENDENT);
   }
 }
@@ -102,6 +103,10 @@ absl::StatusOr<std::vector<Case>> ReadCases(EvaluateOptions* options) {
   if (!read.ok()) return LocalError(read.status());
   std::vector<Drive> drives = *std::move(read);
   Settle(drives, options);
+  if (options->geodetic && !options->seeds.empty()) {
+    return LocalError(absl::InvalidArgumentError(
+        "--simulate goes with local positions; --frame local makes them"));
+  }
   if (options->one_vehicle) drives = {Join(std::move(drives))};
   std::vector<Case> cases;
   for (Drive& drive : drives) {

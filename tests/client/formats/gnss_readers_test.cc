@@ -57,8 +57,8 @@ TEST(RtklibReaderTest, ReadsSignedSquareRoots) {
 
 TEST(RtklibReaderTest, ReadsWeeksAndFilesWithoutVelocities) {
   const auto fixes = ReadText(
-      "%  UTC latitude(deg) longitude(deg) height(m) Q ns\n"
-      "2270 194670.200 35.1 136.9 39.6 5 20\n",
+      "%  UTC latitude(deg) longitude(deg) height(m) Q sdn(m) sde(m) sdne(m)\n"
+      "2270 194670.200 35.1 136.9 39.6 5 0 0 0\n",
       Raw());
   ASSERT_TRUE(fixes.ok()) << fixes.status();
   EXPECT_EQ((*fixes)[0].time_nanoseconds, kPosTime);

@@ -129,6 +129,20 @@ TEST(PlausibilityTest, CameraAxesAreRefusedAndMended) {
               HasSubstr("they agree with --axes flu"));
 }
 
+TEST(PlausibilityTest, PositionsOfACameraAreRefusedToo) {
+  std::string text = "t,x,y,z\n";
+  for (int i = 0; i < 600; ++i) {
+    const Point p = DriveAt(i);
+    text += Line("%.1f,%.6f,%.6f,%.6f\n", 0.1 * i, -p.y, -p.z, p.x, 0, 0, 0, 0);
+  }
+  ReaderOptions options;
+  options.columns = "t=t,x=x,y=y,z=z";
+  EXPECT_THAT(Refusal(text, options),
+              HasSubstr("they agree with --axes camera"));
+  options.conventions.axes = Axes::kCamera;
+  EXPECT_TRUE(ReadText(text, options).ok());
+}
+
 TEST(PlausibilityTest, NorthEastDownIsConverted) {
   ReaderOptions options;
   options.conventions.axes = Axes::kNorthEastDown;
