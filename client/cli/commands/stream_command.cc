@@ -6,6 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/cli/commands/shared_flags.h"
+#include "client/cli/commands/stream_end.h"
 #include "client/cli/drive_poses.h"
 #include "client/cli/names.h"
 #include "client/revisit/pose_stream.h"
@@ -183,7 +184,8 @@ void AddStreamCommand(const Command& program) {
   const Command command = program.AddCommand(
       {"stream", "Streams the poses of a file into a vehicle.",
        "Pose i of the file gets sequence i. A broken connection is made again. "
-       "Stopped and run\nagain, it goes on where the server's durable poses "
+       "Stopped, by\nCtrl-C too, and run again, it goes on where the server's "
+       "durable poses "
        "end, after the server has compared\nthe last of them with the file's. "
        "Truth in the file is not sent.",
        "  revisit stream drive.csv --vehicle shuttle-7\n"
@@ -250,6 +252,8 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
   PoseStream stream(channel, vehicle->name(),
                     MakeStreamOptions(options, *vehicle),
                     MakeCallbacks(&tally, &progress, console));
+  std::optional<StreamInterrupt> interrupt;
+  interrupt.emplace(&stream, vehicle->name(), console);
   const auto durable = stream.WaitUntilOpened();
   if (!durable.ok()) return durable.status();
   if (*durable > poses) {
@@ -264,9 +268,10 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
               static_cast<std::size_t>(std::max(options.batch_poses, 1)),
               &stream);
   const absl::Status finished = stream.Finish();
+  interrupt.reset();
   const double seconds =
       std::chrono::duration<double>(Clock::now() - start).count();
-  if (!finished.ok()) return finished;
+  if (!finished.ok()) return WithDurable(finished, vehicle->name(), stream);
 
   Summary summary;
   summary.vehicle = vehicle->name();
