@@ -111,10 +111,10 @@ std::optional<std::uint64_t> Sequence(const std::string& text) {
   return static_cast<std::uint64_t>(value);
 }
 
-// The name of the one that has these sequences.
+// The names of those that have these sequences.
 template <typename Kind>
-absl::StatusOr<std::string> NameOfPair(const Client& client,
-                                       const FindingReference& finding) {
+absl::StatusOr<std::vector<std::string>> NamesOfPair(
+    const Client& client, const FindingReference& finding) {
   const auto query = Sequence(finding.words[0]);
   const auto matched = Sequence(finding.words[1]);
   const auto all = ListAll<Kind>(client, finding.vehicle);
@@ -125,6 +125,16 @@ absl::StatusOr<std::string> NameOfPair(const Client& client,
       names.push_back(item.name());
     }
   }
+  return names;
+}
+
+// The name of the only one that has these sequences.
+template <typename Kind>
+absl::StatusOr<std::string> NameOfPair(const Client& client,
+                                       const FindingReference& finding) {
+  const auto found = NamesOfPair<Kind>(client, finding);
+  if (!found.ok()) return found.status();
+  const std::vector<std::string>& names = *found;
   if (names.size() == 1) return names.front();
   const std::string pair =
       absl::StrCat(Kind::kNoun, names.empty() ? "" : "s", " of the poses ",
@@ -169,6 +179,18 @@ absl::Status RunDelete(const Client& client, const FindingReference& finding,
                 << response->revision() << '\n';
   }
   return absl::OkStatus();
+}
+
+template <typename Kind>
+absl::Status CheckNone(const Client& client, const FindingReference& pair) {
+  const auto names = NamesOfPair<Kind>(client, pair);
+  if (!names.ok() || names->empty()) return absl::OkStatus();
+  return WithHint(
+      absl::FailedPreconditionError(
+          absl::StrCat("the poses ", pair.words[0], " and ", pair.words[1],
+                       " are a ", Kind::kNoun, " already: ", names->front())),
+      absl::StrCat("undo that first: revisit ", Kind::kCommand, " delete ",
+                   pair.vehicle, " ", absl::StrJoin(pair.words, " ")));
 }
 
 // Finds fault with what stands behind the vehicle.
@@ -267,6 +289,16 @@ absl::Status RunRejectionsDelete(const Client& client,
                                  const FindingReference& finding,
                                  const Console& console) {
   return RunDelete<Rejections>(client, finding, console);
+}
+
+absl::Status CheckNotRejected(const Client& client,
+                              const FindingReference& pair) {
+  return CheckNone<Rejections>(client, pair);
+}
+
+absl::Status CheckNotConfirmed(const Client& client,
+                               const FindingReference& pair) {
+  return CheckNone<Closures>(client, pair);
 }
 
 }  // namespace revisit::client

@@ -41,6 +41,14 @@ absl::Status RunRejectionsDelete(const Client& client,
                                  const FindingReference& finding,
                                  const Console& console);
 
+// FAILED_PRECONDITION, which names the other finding and how to undo it, if the
+// poses of a loop closure to be added are rejected, or those of a rejection to
+// be added are a loop closure. OK where the caller may not list them.
+absl::Status CheckNotRejected(const Client& client,
+                              const FindingReference& pair);
+absl::Status CheckNotConfirmed(const Client& client,
+                               const FindingReference& pair);
+
 }  // namespace revisit::client
 
 #endif  // REVISIT_CLIENT_CLI_COMMANDS_FINDINGS_COMMAND_H_

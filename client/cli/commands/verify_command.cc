@@ -2,6 +2,8 @@
 
 #include <memory>
 
+#include "absl/strings/str_cat.h"
+#include "client/cli/commands/findings_command.h"
 #include "client/cli/names.h"
 
 namespace revisit::client {
@@ -11,6 +13,12 @@ template <typename Message>
 void Fill(const VerifiedPair& pair, Message* message) {
   message->set_query_sequence(pair.query_sequence);
   message->set_matched_sequence(pair.matched_sequence);
+}
+
+FindingReference Reference(const VerifiedPair& pair) {
+  return {
+      pair.vehicle,
+      {absl::StrCat(pair.query_sequence), absl::StrCat(pair.matched_sequence)}};
 }
 
 template <typename Response>
@@ -69,6 +77,10 @@ void AddRejectCommand(const Command& program) {
 
 absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
                         const Console& console) {
+  if (absl::Status status = CheckNotRejected(client, Reference(pair));
+      !status.ok()) {
+    return status;
+  }
   v1::AddLoopClosureRequest request;
   request.set_parent(VehicleName(pair.vehicle));
   Fill(pair, request.mutable_loop_closure());
@@ -80,6 +92,10 @@ absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
 
 absl::Status RunReject(const Client& client, const VerifiedPair& pair,
                        const Console& console) {
+  if (absl::Status status = CheckNotConfirmed(client, Reference(pair));
+      !status.ok()) {
+    return status;
+  }
   v1::RejectCandidateRequest request;
   request.set_parent(VehicleName(pair.vehicle));
   Fill(pair, request.mutable_rejected_candidate());

@@ -24,11 +24,12 @@ struct VerifiedPair {
 };
 
 // Adds a loop closure, since the two poses are one place. Prints its name and
-// the revision; as JSON, the response.
+// the revision; as JSON, the response. FAILED_PRECONDITION if they are
+// rejected.
 absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
                         const Console& console);
-// Rejects the candidate, since the two poses are not one place. Prints
-// likewise.
+// Rejects the candidate, since the two poses are not one place. Prints and
+// fails likewise.
 absl::Status RunReject(const Client& client, const VerifiedPair& pair,
                        const Console& console);
 

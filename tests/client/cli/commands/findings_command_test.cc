@@ -72,5 +72,22 @@ TEST_F(FindingsCommandTest, PosesOfTwoClosuresDeleteNeither) {
   EXPECT_THAT(server_.Deleted(), IsEmpty());
 }
 
+TEST_F(FindingsCommandTest, PosesOfALoopClosureAreNotRejected) {
+  EXPECT_TRUE(CheckNotConfirmed(client_, {"shuttle", {"150", "21"}}).ok());
+  EXPECT_TRUE(CheckNotRejected(client_, {"shuttle", {"150", "20"}}).ok());
+  const absl::Status status =
+      CheckNotConfirmed(client_, {"shuttle", {"150", "20"}});
+  EXPECT_EQ(ErrorText(status),
+            "FAILED_PRECONDITION: the poses 150 and 20 are a loop closure "
+            "already: vehicles/shuttle/loopClosures/150-20\nundo that first: "
+            "revisit closures delete shuttle 150 20");
+}
+
+TEST_F(FindingsCommandTest, WhoMayNotListFindingsMayAddThem) {
+  server_.FailUnaryCalls(
+      {MakeStatus(grpc::StatusCode::PERMISSION_DENIED, "no")});
+  EXPECT_TRUE(CheckNotConfirmed(client_, {"shuttle", {"150", "20"}}).ok());
+}
+
 }  // namespace
 }  // namespace revisit::client
