@@ -1,0 +1,130 @@
+"""Completion of command lines, asked of the shells themselves."""
+
+import os
+import pty
+import shutil
+import subprocess
+import time
+
+import pytest
+
+from revisit_server import BIN, clean_environment, run
+
+# What is typed, and what has to be offered, all of it or among others.
+CASES = [
+    ("revisit v", {"vehicle"}, True),
+    ("revisit vehicle cr", {"create"}, True),
+    ("revisit vehicle ", {"create", "get", "list", "update", "accept-loss",
+                          "delete"}, True),
+    ("revisit find --dir", {"--direction"}, True),
+    ("revisit find x --direction ", {"either", "opposite", "same"}, True),
+    ("revisit --server a find x --direction o", {"opposite"}, True),
+    ("revisit completion ", {"bash", "fish", "zsh"}, True),
+    ("revisit help cl", {"closures"}, True),
+    ("revisit find x --serv", {"--server"}, True),
+    ("revisit ", {"vehicle", "stream", "info", "help"}, False),
+    ("revisit stream driv", {"drive.csv"}, True),
+    ("revisit find x --vehicle ", set(), True),
+]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with one file, where `revisit` is this build's."""
+    (tmp_path / "drive.csv").touch()
+    return tmp_path
+
+
+def in_shell(shell, script, folder):
+    if shutil.which(shell) is None:
+        pytest.skip(f"there is no {shell} here")
+    result = subprocess.run(
+        [shell, *(["--norc"] if shell == "bash" else ["--no-config"]), "-c",
+         script], cwd=folder, capture_output=True, text=True, timeout=60,
+        env=clean_environment(PATH=f"{BIN}:{os.environ['PATH']}",
+                              HOME=str(folder)), check=False)
+    assert (result.returncode, result.stderr) == (0, ""), result
+    return result.stdout
+
+
+def check(offered, expected, whole):
+    offered = set(offered)
+    assert offered == expected if whole else expected <= offered
+
+
+@pytest.mark.parametrize("line, expected, whole", CASES)
+def test_bash_completes(line, expected, whole, folder):
+    # As bash cuts a line into words, the last one at the cursor.
+    words = line.split(" ")
+    quoted = " ".join(f"'{word}'" for word in words)
+    shown = in_shell("bash", f"""
+        source <(revisit completion bash)
+        COMP_WORDS=({quoted}) COMP_CWORD={len(words) - 1}
+        _revisit
+        printf '%s\\n' "${{COMPREPLY[@]}}" """, folder)
+    check(shown.split(), expected, whole)
+
+
+def test_bash_completes_behind_an_equals_sign(folder):
+    shown = in_shell("bash", """
+        source <(revisit completion bash)
+        COMP_WORDS=(revisit find --direction = o) COMP_CWORD=4
+        _revisit
+        echo "${COMPREPLY[@]}" """, folder)
+    assert shown == "opposite\n"
+
+
+@pytest.mark.parametrize("line, expected, whole", CASES)
+def test_fish_completes(line, expected, whole, folder):
+    shown = in_shell("fish", f"""
+        revisit completion fish | source
+        complete -C '{line}' | cut -f1""", folder)
+    check(shown.split(), expected, whole)
+
+
+def test_zsh_completes(folder):
+    if shutil.which("zsh") is None:
+        pytest.skip("there is no zsh here")
+    child, terminal = pty.fork()
+    if child == 0:
+        os.chdir(folder)
+        os.execvpe("zsh", ["zsh", "-f", "-i"], clean_environment(
+            PATH=f"{BIN}:{os.environ['PATH']}", HOME=str(folder),
+            TERM="dumb"))
+
+    def shown_until(words, seconds=30):
+        shown = ""
+        deadline = time.monotonic() + seconds
+        while not all(word in shown for word in words):
+            assert time.monotonic() < deadline, shown
+            shown += os.read(terminal, 4096).decode(errors="replace")
+        return shown
+
+    try:
+        os.write(terminal, b"autoload -Uz compinit; compinit -u -D; "
+                 b"source <(revisit completion zsh); echo rea''dy\n")
+        shown_until(["ready"])
+        for line, words in [
+                (b"revisit vehicle \t\t", ["accept-loss", "update"]),
+                (b"revisit find x --direction \t\t", ["either", "opposite"]),
+                (b"revisit find --direction=o\t", ["--direction=opposite"]),
+                (b"revisit stream driv\t", ["drive.csv"])]:
+            os.write(terminal, line)
+            shown_until(words)
+            # Away with the line.
+            os.write(terminal, b"\x15\n")
+        os.write(terminal, b"exit\n")
+    finally:
+        os.close(terminal)
+        os.waitpid(child, 0)
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_shell_takes_its_script(shell, tmp_path):
+    if shutil.which(shell) is None:
+        pytest.skip(f"there is no {shell} here")
+    script = tmp_path / "script"
+    script.write_text(run("revisit", "completion", shell).stdout)
+    checked = subprocess.run([shell, "-n", script], capture_output=True,
+                             text=True, check=False)
+    assert (checked.returncode, checked.stderr) == (0, "")
