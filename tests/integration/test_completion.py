@@ -82,13 +82,22 @@ def test_fish_completes(line, expected, whole, folder):
     check(shown.split(), expected, whole)
 
 
-def test_zsh_completes(folder):
-    if shutil.which("zsh") is None:
-        pytest.skip("there is no zsh here")
+# How a shell that nobody has set up begins, and what makes it complete.
+INTERACTIVE = {
+    "bash": (["--norc", "-i"], ""),
+    "zsh": (["-f", "-i"], "autoload -Uz compinit; compinit -u -D; "),
+}
+
+
+@pytest.mark.parametrize("shell", INTERACTIVE)
+def test_line_is_completed_at_the_prompt(shell, folder):
+    if shutil.which(shell) is None:
+        pytest.skip(f"there is no {shell} here")
+    flags, setup = INTERACTIVE[shell]
     child, terminal = pty.fork()
     if child == 0:
         os.chdir(folder)
-        os.execvpe("zsh", ["zsh", "-f", "-i"], clean_environment(
+        os.execvpe(shell, [shell, *flags], clean_environment(
             PATH=f"{BIN}:{os.environ['PATH']}", HOME=str(folder),
             TERM="dumb"))
 
@@ -101,13 +110,13 @@ def test_zsh_completes(folder):
         return shown
 
     try:
-        os.write(terminal, b"autoload -Uz compinit; compinit -u -D; "
-                 b"source <(revisit completion zsh); echo rea''dy\n")
+        os.write(terminal, f"{setup}source <(revisit completion {shell}); "
+                 "echo rea''dy\n".encode())
         shown_until(["ready"])
         for line, words in [
                 (b"revisit vehicle \t\t", ["accept-loss", "update"]),
                 (b"revisit find x --direction \t\t", ["either", "opposite"]),
-                (b"revisit find --direction=o\t", ["--direction=opposite"]),
+                (b"revisit find --direction=o\t", ["direction=opposite"]),
                 (b"revisit stream driv\t", ["drive.csv"])]:
             os.write(terminal, line)
             shown_until(words)
