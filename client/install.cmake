@@ -1,5 +1,5 @@
-# What cmake --install puts where: programs, protos, manual pages, completion, and
-# the client library with a CMake package, for find_package(revisit) and
+# Rules of cmake --install for programs, protos, manual pages, completion, and the
+# client library with a CMake package, for find_package(revisit) and
 # revisit::client.
 
 include(CMakePackageConfigHelpers)

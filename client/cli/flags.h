@@ -96,7 +96,7 @@ struct CommandHelp {
   bool hidden = false;
 };
 
-// What a command line asks for.
+// The outcome of a command line.
 struct ParsedLine {
   // The help of this command, if it has a value.
   std::optional<CommandUsage> help;
@@ -176,7 +176,7 @@ class Command {
 
  private:
   friend class CommandLine;
-  // What the commands of one CommandLine share.
+  // All commands of one CommandLine share this.
   struct Shared {
     ParsedLine chosen;
     std::map<const CLI::App*, CommandHelp> helps;

@@ -126,7 +126,7 @@ void ReportError(const absl::Status& status, const GlobalFlags& flags) {
     std::cerr << ErrorToJson(status) << '\n';
     return;
   }
-  // What is wrong with the usage needs no name of the program.
+  // A wrong usage needs no name of the program.
   std::cerr << (ExitCodeOf(status) == kExitUsage ? "" : "revisit: ")
             << ErrorText(status) << '\n';
   const std::string hint = ConnectionHint(status, flags.channel);

@@ -10,7 +10,8 @@ import pytest
 
 from revisit_server import BIN, clean_environment, run
 
-# What is typed, and what has to be offered, all of it or among others.
+# Lines that are typed, and the words that have to be offered: these and no
+# others, or among others.
 CASES = [
     ("revisit v", {"vehicle"}, True),
     ("revisit vehicle cr", {"create"}, True),

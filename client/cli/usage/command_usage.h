@@ -1,5 +1,5 @@
-// What the help, the manual pages and the completion of shells are made of: the
-// commands and their flags as plain data.
+// The commands and their flags as plain data, of which the help, the manual
+// pages and the completion of shells are made.
 #ifndef REVISIT_CLIENT_CLI_USAGE_COMMAND_USAGE_H_
 #define REVISIT_CLIENT_CLI_USAGE_COMMAND_USAGE_H_
 

@@ -10,7 +10,7 @@
 namespace revisit::client {
 namespace {
 
-// Of what may stand for a value or a word.
+// The things that may stand for a value or a word.
 enum class Kind { kNothing, kWords, kFile, kDirectory };
 
 Kind KindOf(const FlagUsage& flag) {
@@ -105,8 +105,8 @@ std::string ValueBranches(const std::vector<const CommandUsage*>& commands,
   return branches;
 }
 
-// What words a command takes in their places: commands and choices, and whether
-// names of files.
+// The words that a command takes in their places: commands and choices, and
+// whether it takes names of files.
 struct PlainWords {
   std::vector<std::string> words;
   bool files = false;

@@ -23,7 +23,7 @@ std::string FlagHelp(const FlagUsage& flag);
 // lines that are much longer read badly.
 std::size_t HelpWidth(std::size_t terminal_width);
 
-// The whole help, at most `width` columns across, and no less than 40.
+// The whole help, at most `width` columns across; less than 40 counts as 40.
 std::string HelpText(const CommandUsage& command, std::size_t width);
 
 }  // namespace revisit::client

@@ -8,7 +8,7 @@
 namespace revisit::client {
 
 std::size_t EditDistance(const std::string& a, const std::string& b) {
-  // Of the first i letters of `a` and the first j of `b`.
+  // distance[i][j] is that of the first i letters of `a` and j of `b`.
   std::vector<std::vector<std::size_t>> distance(
       a.size() + 1, std::vector<std::size_t>(b.size() + 1));
   for (std::size_t i = 0; i <= a.size(); ++i) {

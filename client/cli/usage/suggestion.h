@@ -1,4 +1,4 @@
-// What somebody may have meant who mistyped a word.
+// Guesses the word that somebody meant who mistyped one.
 #ifndef REVISIT_CLIENT_CLI_USAGE_SUGGESTION_H_
 #define REVISIT_CLIENT_CLI_USAGE_SUGGESTION_H_
 

@@ -36,7 +36,7 @@ TextBlock Element(const std::string& line, std::size_t indent,
 std::vector<TextBlock> ParseText(const std::string& text) {
   std::vector<TextBlock> blocks;
   bool gap = false;
-  // Of the list's element that may go on; 0 outside of lists.
+  // The column of the list's element that may go on; 0 outside of lists.
   std::size_t text_column = 0;
   for (const std::string& line : Lines(text)) {
     const std::size_t indent = line.find_first_not_of(' ');

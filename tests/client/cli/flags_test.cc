@@ -28,7 +28,7 @@ class FlagsTest : public ::testing::Test {
     line_.program().AddCommand({"tea", "Brews tea.", "", ""});
   }
 
-  // What is wrong with the usage of these words.
+  // The problem with the usage of these words.
   std::string Wrong(std::vector<const char*> words) {
     words.insert(words.begin(), "bar");
     const auto parsed =
