@@ -19,10 +19,15 @@ namespace revisit::client {
 namespace {
 
 constexpr char kLocalUrl[] = "revisit.client/LocalError";
+constexpr char kUsageUrl[] = "revisit.client/UsageError";
 constexpr char kHintUrl[] = "revisit.client/Hint";
 
 bool IsLocal(const absl::Status& status) {
   return status.GetPayload(kLocalUrl).has_value();
+}
+
+bool IsUsage(const absl::Status& status) {
+  return status.GetPayload(kUsageUrl).has_value();
 }
 
 std::string HintOf(const absl::Status& status) {
@@ -80,6 +85,13 @@ absl::Status WithHint(const absl::Status& status, const std::string& hint) {
   return with_hint;
 }
 
+absl::Status UsageError(const std::string& problem, const std::string& hint) {
+  absl::Status error =
+      WithHint(absl::InvalidArgumentError(absl::StrCat(problem)), hint);
+  error.SetPayload(kUsageUrl, absl::Cord());
+  return error;
+}
+
 absl::Status LocalError(const absl::Status& status) {
   absl::Status local = status;
   local.SetPayload(kLocalUrl, absl::Cord());
@@ -88,13 +100,15 @@ absl::Status LocalError(const absl::Status& status) {
 
 int ExitCodeOf(const absl::Status& status) {
   if (status.ok()) return kExitOk;
+  if (IsUsage(status)) return kExitUsage;
   if (IsLocal(status)) return kExitLocalError;
   return kExitUsage + static_cast<int>(status.code());
 }
 
 std::string ErrorText(const absl::Status& status) {
-  const std::string text =
-      IsLocal(status) ? std::string(status.message()) : Describe(status);
+  const std::string text = IsLocal(status) || IsUsage(status)
+                               ? std::string(status.message())
+                               : Describe(status);
   const std::string hint = HintOf(status);
   return hint.empty() ? text : absl::StrCat(text, "\n", hint);
 }
@@ -117,7 +131,7 @@ std::string ErrorToJson(const absl::Status& status) {
   Json error;
   error["code"] = absl::StatusCodeToString(status.code());
   error["message"] = std::string(status.message());
-  error["reason"] = details.reason;
+  error["reason"] = IsUsage(status) ? "USAGE" : details.reason;
   error["metadata"] = details.metadata;
   error["fieldViolations"] = Json::array();
   for (const FieldViolation& violation : details.field_violations) {

@@ -46,6 +46,9 @@ inline constexpr int kExitInterrupted = 130;
 // the message, "hint" in the JSON.
 absl::Status WithHint(const absl::Status& status, const std::string& hint);
 
+// A wrong usage of the command line, in words of its own.
+absl::Status UsageError(const std::string& problem, const std::string& hint);
+
 // Marks a status as a fault of this machine (a file, the private server), not
 // of the server that was asked.
 absl::Status LocalError(const absl::Status& status);

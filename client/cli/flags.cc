@@ -1,11 +1,15 @@
 #include "client/cli/flags.h"
 
+#include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <utility>
 
 #include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
+#include "client/cli/usage/suggestion.h"
 
 namespace revisit::client {
 namespace {
@@ -43,27 +47,136 @@ CLI::Validator FiniteNumber(bool positive = false) {
           ""};
 }
 
-// Where a command is missing, CLI11 says so even if another word stands in its
-// place.
-std::string UsageMessage(const CLI::App* app, const CLI::Error& error) {
-  const CLI::App* chosen = app;
-  while (!chosen->get_subcommands().empty()) {
-    chosen = chosen->get_subcommands().front();
+// The command that the words lead to so far.
+const CLI::App* ChosenOf(const CLI::App* app) {
+  while (!app->get_subcommands().empty()) app = app->get_subcommands().front();
+  return app;
+}
+
+std::string PathOf(const CLI::App* app) {
+  const CLI::App* const above = app->get_parent();
+  return above == nullptr ? app->get_name()
+                          : absl::StrCat(PathOf(above), " ", app->get_name());
+}
+
+std::vector<std::string> NamesOf(const CLI::Option* option) {
+  std::vector<std::string> names;
+  for (const std::string& name : option->get_snames()) {
+    names.push_back("-" + name);
   }
-  std::string text = error.what();
+  for (const std::string& name : option->get_lnames()) {
+    names.push_back("--" + name);
+  }
+  return names;
+}
+
+// Says of a flag that there is not which one may be meant; empty if none of the
+// words is a flag.
+std::string MistypedFlag(const std::vector<std::string>& words,
+                         const CLI::App* chosen) {
+  const auto is_flag = [](const std::string& word) {
+    return word.size() > 1 && word.front() == '-';
+  };
+  const auto found = std::find_if(words.begin(), words.end(), is_flag);
+  if (found == words.end()) return "";
+  std::vector<std::string> known;
+  for (const CLI::App* app = chosen; app != nullptr; app = app->get_parent()) {
+    for (const CLI::Option* option : app->get_options()) {
+      const std::vector<std::string> names = NamesOf(option);
+      known.insert(known.end(), names.begin(), names.end());
+    }
+  }
+  const std::string flag = found->substr(0, found->find('='));
+  const std::string meant = Suggestion(flag, known);
+  return absl::StrCat("got \"", flag, "\", which is no flag of ",
+                      PathOf(chosen),
+                      meant.empty() ? "" : "; did you mean " + meant + "?");
+}
+
+// A word where a command is expected, or nothing there.
+std::string MistypedCommand(
+    const std::vector<std::string>& words,
+    const std::vector<const CLI::App*>& commands,
+    const std::map<const CLI::App*, CommandHelp>& helps) {
+  std::vector<std::string> known;
+  for (const CLI::App* command : commands) {
+    if (!helps.at(command).hidden) known.push_back(command->get_name());
+  }
+  if (words.empty()) {
+    return absl::StrCat("a command is missing; allowed is ",
+                        absl::StrJoin(known, ", "));
+  }
+  return MistypedWord(words.front(), known);
+}
+
+// CLI11 says that something is missing even if another word stands in its
+// place.
+std::string UsageMessage(const CLI::App* app, const CLI::Error& error,
+                         const std::map<const CLI::App*, CommandHelp>& helps) {
+  const CLI::App* const chosen = ChosenOf(app);
+  const std::vector<std::string> words = app->remaining(/*recurse=*/true);
+  if (std::string flag = MistypedFlag(words, chosen); !flag.empty()) {
+    return flag;
+  }
   const auto commands =
       chosen->get_subcommands([](const CLI::App*) { return true; });
   if (error.get_name() == "RequiredError" && !commands.empty()) {
-    const std::vector<std::string> words = app->remaining(true);
-    text = words.empty() ? "a command is missing"
-                         : absl::StrCat("got \"", words.front(), "\"");
-    for (const CLI::App* command : commands) {
-      absl::StrAppend(&text,
-                      command == commands.front() ? "; allowed is " : ", ",
-                      command->get_name());
-    }
+    return MistypedCommand(words, commands, helps);
   }
-  return text + "\nRun with --help for more information.\n";
+  if (error.get_exit_code() == static_cast<int>(CLI::ExitCodes::ExtrasError) &&
+      !words.empty()) {
+    return absl::StrCat("got \"", words.front(), "\", which ", PathOf(chosen),
+                        " has no place for");
+  }
+  return error.what();
+}
+
+FlagUsage UsageOf(const CLI::Option* option) {
+  FlagUsage usage;
+  usage.names = NamesOf(option);
+  if (option->get_positional()) usage.word = option->get_name(true);
+  if (option->get_items_expected_max() > 0) {
+    usage.value = option->get_type_name();
+  }
+  if (usage.value.find('|') != std::string::npos) {
+    usage.choices = absl::StrSplit(usage.value, '|');
+  }
+  usage.help = option->get_description();
+  usage.default_value = option->get_default_str();
+  usage.environment = option->get_envname();
+  usage.heading = option->get_group();
+  usage.required = option->get_required();
+  usage.repeated =
+      option->get_items_expected_max() > 1 && option->get_delimiter() == '\0';
+  return usage;
+}
+
+CommandUsage UsageOf(const CLI::App* app,
+                     const std::map<const CLI::App*, CommandHelp>& helps) {
+  const CommandHelp& help = helps.at(app);
+  CommandUsage usage;
+  usage.path = PathOf(app);
+  usage.name = help.name;
+  usage.summary = help.summary;
+  usage.details = help.details;
+  usage.examples = help.examples;
+  usage.notes = help.notes;
+  usage.hidden = help.hidden;
+  for (const CLI::Option* option : app->get_options()) {
+    usage.flags.push_back(UsageOf(option));
+  }
+  for (const CLI::App* command :
+       app->get_subcommands([](const CLI::App*) { return true; })) {
+    usage.commands.push_back(UsageOf(command, helps));
+  }
+  return usage;
+}
+
+// Throws what CLI11 throws itself.
+void Apply(const Check& check) {
+  if (check == nullptr) return;
+  const std::string problem = check();
+  if (!problem.empty()) throw CLI::ValidationError(problem);
 }
 
 }  // namespace
@@ -91,13 +204,8 @@ Flag Flag::OrEnvironment(const std::string& variable) const {
 Command Command::AddCommand(const CommandHelp& help) const {
   app_->require_subcommand(1);
   CLI::App* const app = app_->add_subcommand(help.name, help.summary);
-  std::string footer = help.details;
-  if (!help.examples.empty()) {
-    absl::StrAppend(&footer, footer.empty() ? "" : "\n\n", "Examples:\n",
-                    help.examples);
-  }
-  app->footer(footer);
-  return {app, chosen_};
+  shared_->helps[app] = help;
+  return {app, shared_};
 }
 
 Command Command::Under(const std::string& heading) const {
@@ -228,37 +336,50 @@ bool Command::Given(const std::string& name) const {
 }
 
 void Command::Runs(Run run, Check check) const {
-  app_->callback(
-      [chosen = chosen_, run = std::move(run), check = std::move(check)] {
-        if (check != nullptr) {
-          const std::string problem = check();
-          if (!problem.empty()) throw CLI::ValidationError(problem);
-        }
-        *chosen = run;
-      });
+  app_->callback([chosen = &shared_->chosen, run = std::move(run),
+                  check = std::move(check)] {
+    Apply(check);
+    chosen->run = run;
+  });
 }
 
-CommandLine::CommandLine(const CommandHelp& help, const std::string& version)
+void Command::RunsAlone(RunAlone run, Check check) const {
+  app_->callback([chosen = &shared_->chosen, run = std::move(run),
+                  check = std::move(check)] {
+    Apply(check);
+    chosen->run_alone = run;
+  });
+}
+
+CommandLine::CommandLine(const CommandHelp& help)
     : app_(std::make_unique<CLI::App>(help.summary, help.name)),
-      program_(app_.get(), &chosen_) {
-  app_->footer(
-      absl::StrCat("Examples:\n", help.examples, "\n\n", help.details));
-  app_->set_version_flag("--version", version);
+      program_(app_.get(), &shared_) {
+  shared_.helps[app_.get()] = help;
+  app_->set_help_flag("-h,--help", "Print the help of the command");
+  app_->set_version_flag("--version", "", "Print the version");
   // All commands inherit what follows.
   app_->fallthrough();
-  app_->failure_message(UsageMessage);
 }
 
 CommandLine::~CommandLine() = default;
 
-std::optional<int> CommandLine::Parse(int argc, char** argv) {
+CommandUsage CommandLine::Usage() const {
+  return UsageOf(app_.get(), shared_.helps);
+}
+
+absl::StatusOr<ParsedLine> CommandLine::Parse(int argc,
+                                              const char* const* argv) {
   try {
     app_->parse(argc, argv);
+  } catch (const CLI::CallForHelp&) {
+    shared_.chosen.help = UsageOf(ChosenOf(app_.get()), shared_.helps);
+  } catch (const CLI::CallForVersion&) {
+    shared_.chosen.version = true;
   } catch (const CLI::ParseError& error) {
-    // Help and version are "errors" that exit with 0.
-    return app_->exit(error) == 0 ? kExitOk : kExitUsage;
+    return UsageError(UsageMessage(app_.get(), error, shared_.helps),
+                      PathOf(ChosenOf(app_.get())) + " --help tells more");
   }
-  return std::nullopt;
+  return shared_.chosen;
 }
 
 }  // namespace revisit::client

@@ -13,7 +13,9 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "client/cli/console.h"
+#include "client/cli/usage/command_usage.h"
 #include "client/revisit/channel.h"
 #include "client/revisit/client.h"
 
@@ -38,6 +40,9 @@ struct Connection {
 
 // Executes a command after all flags have been read.
 using Run = std::function<absl::Status(const Connection&, const Console&)>;
+
+// The same for a command that asks no server.
+using RunAlone = std::function<absl::Status(const Console&)>;
 
 // Says what is wrong with the flags of a command taken together; empty if
 // nothing is.
@@ -79,10 +84,27 @@ struct CommandHelp {
   std::string name;
   // One line, also shown in the list of commands.
   std::string summary;
-  // Below the flags; may be empty.
+  // Above the flags; may be empty. Paragraphs, and lists whose lines begin with
+  // blanks (usage/text_blocks.h); where lines end does not matter to the
+  // former.
   std::string details;
   // Whole command lines, indented by two blanks; may be empty.
   std::string examples;
+  // At the end, as the details; may be empty.
+  std::string notes = "";
+  // Whether lists of commands leave it out.
+  bool hidden = false;
+};
+
+// The outcome of a command line.
+struct ParsedLine {
+  // The help of this command, if it has a value.
+  std::optional<CommandUsage> help;
+  // The version of the program.
+  bool version = false;
+  // The chosen command; one of the two, unless something is asked for above.
+  Run run;
+  RunAlone run_alone;
 };
 
 // A command of a CommandLine, which must outlive it. Copies are the same
@@ -150,24 +172,30 @@ class Command {
   // Whether this flag, of the command or of one above it, was given.
   bool Given(const std::string& name) const;
 
-  // Makes `run` what CommandLine::chosen() is when this command was chosen and
-  // `check` finds nothing wrong.
+  // Makes `run` what is to be run when this command was chosen and `check`
+  // finds nothing wrong.
   void Runs(Run run, Check check = nullptr) const;
+  void RunsAlone(RunAlone run, Check check = nullptr) const;
 
  private:
   friend class CommandLine;
-  Command(CLI::App* app, Run* chosen) : app_(app), chosen_(chosen) {}
+  // All commands of one CommandLine share this.
+  struct Shared {
+    ParsedLine chosen;
+    std::map<const CLI::App*, CommandHelp> helps;
+  };
+
+  Command(CLI::App* app, Shared* shared) : app_(app), shared_(shared) {}
 
   CLI::App* app_;
-  Run* chosen_;
+  Shared* shared_;
   std::string heading_ = "Options";
 };
 
 // The program's name, its flags and its commands.
 class CommandLine {
  public:
-  // The program's own help has `help.details` below its examples.
-  CommandLine(const CommandHelp& help, const std::string& version);
+  explicit CommandLine(const CommandHelp& help);
   ~CommandLine();
 
   CommandLine(const CommandLine&) = delete;
@@ -176,16 +204,16 @@ class CommandLine {
   // The program's own flags are taken before and after those of a command.
   const Command& program() const { return program_; }
 
-  // Fills the targets of the flags. If help was asked for or the usage is
-  // wrong, prints that and returns the exit code.
-  std::optional<int> Parse(int argc, char** argv);
+  // Everything that was added.
+  CommandUsage Usage() const;
 
-  // The chosen command. REQUIRES: Parse() returned no exit code.
-  const Run& chosen() const { return chosen_; }
+  // Fills the targets of the flags. A UsageError (console.h) if the usage is
+  // wrong. Call it once.
+  absl::StatusOr<ParsedLine> Parse(int argc, const char* const* argv);
 
  private:
   const std::unique_ptr<CLI::App> app_;
-  Run chosen_;
+  Command::Shared shared_;
   const Command program_;
 };
 

@@ -1,42 +1,77 @@
 #include "client/cli/interrupt_guard.h"
 
-#include <pthread.h>
+#include <fcntl.h>
 #include <unistd.h>
 
+#include <atomic>
+#include <cerrno>
 #include <utility>
 
 #include "client/cli/console.h"
 
 namespace revisit::client {
+namespace {
+
+constexpr char kInterrupted = 'i';
+constexpr char kOver = 'o';
+
+// Where the guard's pipe is written to.
+std::atomic<int> interrupts{-1};
+
+void Send(int descriptor, char byte) {
+  while (write(descriptor, &byte, 1) < 0 && errno == EINTR) {
+  }
+}
+
+// Whichever thread the signal comes to.
+void OnSignal(int) {
+  const int error = errno;
+  Send(interrupts, kInterrupted);
+  errno = error;
+}
+
+}  // namespace
 
 InterruptGuard::InterruptGuard(std::function<void()> clean_up)
     : clean_up_(std::move(clean_up)) {
-  sigemptyset(&signals_);
-  for (const int signal : {SIGINT, SIGTERM, SIGHUP}) {
-    sigaddset(&signals_, signal);
-  }
-  pthread_sigmask(SIG_BLOCK, &signals_, &previous_mask_);
+  // Without a pipe, signals keep their meaning.
+  if (pipe2(pipe_, O_CLOEXEC) != 0) return;
+  interrupts = pipe_[1];
+  thread_ = std::thread([this] { Wait(); });
+  struct sigaction act = {};
+  act.sa_handler = &OnSignal;
+  act.sa_flags = SA_RESTART;
+  for (const int signal : {SIGINT, SIGTERM, SIGHUP}) Replace(signal, act);
   struct sigaction ignore = {};
   ignore.sa_handler = SIG_IGN;
-  sigaction(SIGPIPE, &ignore, &previous_pipe_action_);
-  thread_ = std::thread([this] { Wait(); });
+  Replace(SIGPIPE, ignore);
 }
 
 InterruptGuard::~InterruptGuard() {
-  stopping_ = true;
-  // The signal is blocked, and taken by sigwait().
-  // NOLINTNEXTLINE(bugprone-bad-signal-to-kill-thread)
-  pthread_kill(thread_.native_handle(), SIGTERM);
+  if (!thread_.joinable()) return;
+  for (const Replaced& replaced : replaced_) {
+    sigaction(replaced.signal, &replaced.action, nullptr);
+  }
+  Send(pipe_[1], kOver);
   thread_.join();
-  sigaction(SIGPIPE, &previous_pipe_action_, nullptr);
-  pthread_sigmask(SIG_SETMASK, &previous_mask_, nullptr);
+  interrupts = -1;
+  close(pipe_[0]);
+  close(pipe_[1]);
+}
+
+void InterruptGuard::Replace(int signal, const struct sigaction& action) {
+  struct sigaction before = {};
+  sigaction(signal, nullptr, &before);
+  if (before.sa_handler == SIG_IGN) return;
+  sigaction(signal, &action, nullptr);
+  replaced_.push_back({signal, before});
 }
 
 void InterruptGuard::Wait() {
-  int signal = 0;
-  while (sigwait(&signals_, &signal) != 0) {
+  char byte = kOver;
+  while (read(pipe_[0], &byte, 1) < 0 && errno == EINTR) {
   }
-  if (stopping_) return;
+  if (byte == kOver) return;
   clean_up_();
   _exit(kExitInterrupted);
 }

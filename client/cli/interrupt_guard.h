@@ -2,17 +2,17 @@
 #ifndef REVISIT_CLIENT_CLI_INTERRUPT_GUARD_H_
 #define REVISIT_CLIENT_CLI_INTERRUPT_GUARD_H_
 
-#include <atomic>
 #include <csignal>
 #include <functional>
 #include <thread>
+#include <vector>
 
 namespace revisit::client {
 
 // While a guard lives, SIGINT, SIGTERM and SIGHUP run `clean_up` on a thread of
-// its own and then end the process with code 130. Threads that were started
-// before it can still take the signals themselves, so make it before any are
-// started. A process has at most one guard at a time.
+// its own and then end the process with code 130. A signal that was ignored
+// before stays ignored. The destructor does not return once a signal has come:
+// the process ends meanwhile. A process has at most one guard at a time.
 class InterruptGuard {
  public:
   explicit InterruptGuard(std::function<void()> clean_up);
@@ -22,13 +22,18 @@ class InterruptGuard {
   InterruptGuard& operator=(const InterruptGuard&) = delete;
 
  private:
+  struct Replaced {
+    int signal;
+    struct sigaction action;
+  };
+
+  void Replace(int signal, const struct sigaction& action);
   void Wait();
 
   const std::function<void()> clean_up_;
-  sigset_t signals_;
-  sigset_t previous_mask_;
-  struct sigaction previous_pipe_action_;
-  std::atomic<bool> stopping_{false};
+  // The ends for reading and for writing.
+  int pipe_[2] = {-1, -1};
+  std::vector<Replaced> replaced_;
   std::thread thread_;
 };
 

@@ -2,14 +2,15 @@
 
 #include <unistd.h>
 
+#include <algorithm>
 #include <iostream>
-#include <optional>
 #include <string>
 
 #include "client/cli/commands/evaluate_command.h"
 #include "client/cli/commands/export_command.h"
 #include "client/cli/commands/find_command.h"
 #include "client/cli/commands/findings_command.h"
+#include "client/cli/commands/help_command.h"
 #include "client/cli/commands/info_command.h"
 #include "client/cli/commands/map_command.h"
 #include "client/cli/commands/poses_command.h"
@@ -21,8 +22,10 @@
 #include "client/cli/connection_hint.h"
 #include "client/cli/console.h"
 #include "client/cli/flags.h"
+#include "client/cli/usage/help_text.h"
 #include "client/revisit/channel.h"
 #include "client/revisit/client.h"
+#include "core/base/build_info.h"
 #include "grpcpp/channel.h"
 
 namespace revisit::client {
@@ -37,7 +40,7 @@ constexpr char kExamples[] =
     "  revisit find shuttle-7\n"
     "  revisit evaluate drive.csv --verbose --map map.svg";
 
-constexpr char kDetails[] =
+constexpr char kNotes[] =
     "Exit codes:\n"
     "  0       done\n"
     "  1       a file, or something else on this machine, is at fault\n"
@@ -57,29 +60,36 @@ void AddGlobalFlags(const Command& program, GlobalFlags* flags) {
   ChannelOptions& channel = flags->channel;
   // A server listens here by default.
   channel.address = "127.0.0.1:50051";
-  program
-      .AddText("--server", "ADDR", &channel.address,
-               "Address of the server (env REVISIT_SERVER)")
+  program.AddText("--server", "ADDR", &channel.address, "Address of the server")
       .OrEnvironment("REVISIT_SERVER")
       .ShowDefault();
-  const Flag authorities = program.AddText(
-      "--tls-ca", "FILE", &channel.tls_authorities_file,
-      "Speak TLS; who may have issued the server's certificate (PEM)");
+  const Flag authorities =
+      program
+          .AddText(
+              "--tls-ca", "FILE", &channel.tls_authorities_file,
+              "Speak TLS; who may have issued the server's certificate (PEM)")
+          .OrEnvironment("REVISIT_TLS_CA");
   const Flag certificate =
-      program.AddText("--tls-cert", "FILE", &channel.tls_certificate_file,
-                      "Certificate of this client (PEM)");
-  const Flag key = program.AddText("--tls-key", "FILE", &channel.tls_key_file,
-                                   "Private key of --tls-cert (PEM)");
+      program
+          .AddText("--tls-cert", "FILE", &channel.tls_certificate_file,
+                   "Certificate of this client (PEM)")
+          .OrEnvironment("REVISIT_TLS_CERT");
+  const Flag key = program
+                       .AddText("--tls-key", "FILE", &channel.tls_key_file,
+                                "Private key of --tls-cert (PEM)")
+                       .OrEnvironment("REVISIT_TLS_KEY");
   certificate.Needs(key).Needs(authorities);
   key.Needs(certificate);
-  program.AddText("--token-file", "FILE", &channel.token_file,
-                  "Bearer token; read again for each call");
+  program
+      .AddText("--token-file", "FILE", &channel.token_file,
+               "Bearer token; read again for each call")
+      .OrEnvironment("REVISIT_TOKEN_FILE");
   program.AddSwitch("--json", &flags->json,
                     "Print JSON; messages of the service as protobuf JSON");
 }
 
 // In the order of the help.
-void AddCommands(const Command& program) {
+void AddCommands(const Command& program, const UsageSource& usage) {
   AddVehicleCommand(program);
   AddStreamCommand(program);
   AddFindCommand(program);
@@ -94,13 +104,25 @@ void AddCommands(const Command& program) {
   AddReviseCommand(program);
   AddEvaluateCommand(program);
   AddInfoCommand(program);
+  AddCompletionCommand(program, usage);
+  AddHelpCommand(program, usage);
+  AddManPagesCommand(program, usage, {kBuildDate, "revisit " REVISIT_VERSION});
 }
 
-absl::Status RunChosen(const Run& run, const ChannelOptions& options,
+absl::Status RunChosen(const ParsedLine& line, const ChannelOptions& options,
                        const Console& console) {
+  if (line.version) {
+    console.out << "revisit " << kVersionText << '\n';
+    return absl::OkStatus();
+  }
+  if (line.help.has_value()) {
+    console.out << HelpText(*line.help, HelpWidth(console.width));
+    return absl::OkStatus();
+  }
+  if (line.run_alone != nullptr) return line.run_alone(console);
   const auto channel = MakeChannel(options);
   if (!channel.ok()) return LocalError(channel.status());
-  return run({options, *channel, Client(*channel)}, console);
+  return line.run({options, *channel, Client(*channel)}, console);
 }
 
 void ReportError(const absl::Status& status, const GlobalFlags& flags) {
@@ -108,24 +130,34 @@ void ReportError(const absl::Status& status, const GlobalFlags& flags) {
     std::cerr << ErrorToJson(status) << '\n';
     return;
   }
-  std::cerr << "revisit: " << ErrorText(status) << '\n';
+  // A wrong usage needs no name of the program.
+  std::cerr << (ExitCodeOf(status) == kExitUsage ? "" : "revisit: ")
+            << ErrorText(status) << '\n';
   const std::string hint = ConnectionHint(status, flags.channel);
   if (!hint.empty()) std::cerr << hint << '\n';
 }
 
-int Main(int argc, char** argv) {
+// Also where the command line cannot be parsed.
+bool AsksForJson(int argc, const char* const* argv) {
+  const std::string json = "--json";
+  return std::find(argv, argv + argc, json) != argv + argc;
+}
+
+int Main(int argc, const char* const* argv) {
   GlobalFlags flags;
-  CommandLine command_line({"revisit", kSummary, kDetails, kExamples},
-                           "revisit " REVISIT_VERSION);
+  CommandLine command_line({"revisit", kSummary, "", kExamples, kNotes});
   AddGlobalFlags(command_line.program(), &flags);
-  AddCommands(command_line.program());
-  if (const std::optional<int> exit_code = command_line.Parse(argc, argv)) {
-    return *exit_code;
+  AddCommands(command_line.program(),
+              [&command_line] { return command_line.Usage(); });
+  const auto line = command_line.Parse(argc, argv);
+  if (!line.ok()) {
+    flags.json = AsksForJson(argc, argv);
+    ReportError(line.status(), flags);
+    return ExitCodeOf(line.status());
   }
   const Console console = {std::cout, std::cerr, isatty(STDERR_FILENO) == 1,
                            flags.json, TerminalWidth(STDOUT_FILENO)};
-  absl::Status status =
-      RunChosen(command_line.chosen(), flags.channel, console);
+  absl::Status status = RunChosen(*line, flags.channel, console);
   if (std::cout.flush(); status.ok() && !std::cout) {
     status = LocalError(absl::UnknownError("the output cannot be written"));
   }

@@ -24,6 +24,12 @@ grpc::ChannelArguments Arguments() {
   arguments.SetInt(GRPC_ARG_MIN_RECONNECT_BACKOFF_MS, 5'000);
   arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 2'000);
   arguments.SetMaxReceiveMessageSize(64 << 20);
+  // Bytes that the peer leaves unread or unacknowledged for so long break the
+  // connection (TCP_USER_TIMEOUT): gRPC ends no call, cancelled or not, while
+  // its bytes wait to be written. That is set only where there is a keepalive;
+  // its own pings come so rarely as not to matter to the server.
+  arguments.SetInt(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 15'000);
+  arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, 24 * 3'600'000);
   // One process may speak to several servers that follow each other at one
   // address; channels that share a connection would share its back-off too.
   arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);

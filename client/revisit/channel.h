@@ -31,9 +31,9 @@ struct ChannelOptions {
 };
 
 // Makes a channel, which connects on first use. It tries again soon after a
-// connection failed, so that the library's own back-off decides, and takes
-// answers of up to 64 MiB. A channel made elsewhere serves as well if it does
-// the same.
+// connection failed, so that the library's own back-off decides, breaks a
+// connection that takes no bytes for 15 s, and takes answers of up to 64 MiB. A
+// channel made elsewhere serves as well if it does the same.
 //
 // In plaintext a token is sent to this machine only: calls to other addresses
 // fail. INVALID_ARGUMENT if a file cannot be read or holds something else, or

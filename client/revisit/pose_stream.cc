@@ -82,6 +82,14 @@ struct PoseStream::Rep {
   bool CanWrite() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
     return opened && !writing && !write_failed && !half_closed;
   }
+  // How long an answer that is due may take: well below the time after which
+  // the stream gives up, so that there are other connections to try in it.
+  std::chrono::milliseconds AnswerTimeout() const {
+    constexpr std::chrono::milliseconds kLeast{1'000};
+    if (!options.give_up_after.has_value()) return options.answer_timeout;
+    return std::min(options.answer_timeout,
+                    std::max(*options.give_up_after / 4, kLeast));
+  }
   // Whether the connection is to be ended from our side.
   bool MustEnd() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
     return cancelled || !own_verdict.ok();
@@ -347,12 +355,12 @@ absl::Status PoseStream::Rep::RunConnection() {
       lock.Lock();
     } else if (!AnswerIsDue() || in_callback) {
       changed.Wait(&mutex);
-    } else if (const auto deadline = quiet_since + options.answer_timeout;
+    } else if (const auto deadline = quiet_since + AnswerTimeout();
                Clock::now() < deadline) {
       changed.WaitUntil(&mutex, deadline);
     } else {
-      own_verdict = absl::UnavailableError(absl::StrCat(
-          "no answer for ", options.answer_timeout.count(), " ms"));
+      own_verdict = absl::UnavailableError(
+          absl::StrCat("no answer for ", AnswerTimeout().count(), " ms"));
     }
   }
   const bool must_end = MustEnd();
@@ -482,6 +490,22 @@ absl::Status PoseStream::Finish() {
   rep_->changed.NotifyAll();
   while (!rep_->final_status.has_value()) rep_->changed.Wait(&rep_->mutex);
   return *rep_->final_status;
+}
+
+absl::Status PoseStream::FinishWithin(std::chrono::milliseconds limit) {
+  const auto deadline = Clock::now() + limit;
+  const MutexLock lock(&rep_->mutex);
+  rep_->finishing = true;
+  rep_->changed.NotifyAll();
+  while (!rep_->final_status.has_value() && Clock::now() < deadline) {
+    rep_->changed.WaitUntil(&rep_->mutex, deadline);
+  }
+  if (rep_->final_status.has_value()) return *rep_->final_status;
+  rep_->cancelled = true;
+  rep_->changed.NotifyAll();
+  return absl::CancelledError(
+      absl::StrCat("the stream was cancelled: not all was answered within ",
+                   limit.count(), " ms"));
 }
 
 void PoseStream::Cancel() {

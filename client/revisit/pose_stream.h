@@ -74,7 +74,8 @@ struct PoseStreamOptions {
   v1::CandidateOptions candidate_options;
   BackoffOptions backoff;
   // A connection on which an answer is due and none has come for so long is
-  // given up for a new one. Time spent in callbacks does not count.
+  // given up for a new one. Time spent in callbacks does not count. Never more
+  // than a quarter of give_up_after, but a second at least.
   std::chrono::milliseconds answer_timeout{60'000};
   // How long to reconnect without progress before the stream ends with the last
   // status. Progress means that something became durable or was answered, or
@@ -133,6 +134,11 @@ class PoseStream {
   // Takes no more poses and waits until all are durable and the server has
   // answered all checks. OK, or why the stream ended. May be called again.
   absl::Status Finish();
+
+  // Does what Finish() does, but waits no longer than this, and then cancels
+  // the stream. Another thread may be appending: it is told that the stream is
+  // finished.
+  absl::Status FinishWithin(std::chrono::milliseconds limit);
 
   // Ends the stream with CANCELLED unless it has ended. Does not wait.
   void Cancel();

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/build_info.h"
 
 namespace revisit::server {
 namespace {
@@ -49,7 +50,7 @@ struct CommandLine::Parser {
     app.name("revisitd");
     app.get_formatter()->column_width(kNameColumns);
     app.footer(kFooter);
-    app.set_version_flag("--version", "revisitd " REVISIT_VERSION);
+    app.set_version_flag("--version", absl::StrCat("revisitd ", kVersionText));
     app.add_option("--config", owner->config_, "File of settings")
         ->type_name("FILE");
     app.add_flag("--print-config", owner->print_config_,

@@ -21,7 +21,10 @@ constexpr char kEnvironmentPrefix[] = "REVISIT_";
 // Whether a variable with our prefix is no setting of the server, but one of
 // the command line's or the tests'.
 bool BelongsToOthers(const std::string& name) {
-  return name == "REVISIT_SERVER" || name == "REVISIT_BIN" ||
+  // REVISIT_TLS_CERT and REVISIT_TLS_KEY mean the same to both programs: what
+  // they show of themselves.
+  return name == "REVISIT_SERVER" || name == "REVISIT_TLS_CA" ||
+         name == "REVISIT_TOKEN_FILE" || name == "REVISIT_BIN" ||
          name.rfind("REVISIT_TEST_", 0) == 0;
 }
 

@@ -139,7 +139,7 @@ class FakeServer final : public v1::PoseGraphService::Service {
   grpc::Status DeleteLoopClosure(grpc::ServerContext*,
                                  const v1::DeleteLoopClosureRequest*,
                                  v1::DeleteLoopClosureResponse*) override;
-  // What is stored.
+  // Pages of what is stored.
   grpc::Status ListPoses(grpc::ServerContext*, const v1::ListPosesRequest*,
                          v1::ListPosesResponse*) override;
   grpc::Status GetServerInfo(grpc::ServerContext*,

@@ -107,7 +107,8 @@ def test_help_and_version_are_printed_and_nothing_started(tmp_path):
     for key in print_config():
         assert f"--{key}" in shown.stdout
     version = run("revisitd", "--version", cwd=tmp_path)
-    assert re.fullmatch(r"revisitd \d+\.\d+\.\d+\n", version.stdout)
+    assert re.fullmatch(r"revisitd \d+\.\d+\.\d+ \(.*built [\d-]+\)\n",
+                        version.stdout)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -631,7 +632,8 @@ def test_number_that_is_not_allowed_is_told_with_what_is(arguments, words):
     (["bogus"], 'got "bogus"; allowed is vehicle, stream, '),
     (["vehicle"], "a command is missing; allowed is create, get, "),
     (["vehicle", "bogus"], 'got "bogus"; allowed is create, get, '),
-    (["--json", "vehicle", "bogus", "more"], 'got "bogus"; allowed is create'),
+    (["--server", "x", "vehicle", "bogus", "more"],
+     'got "bogus"; allowed is create'),
 ], ids=str)
 def test_command_that_there_is_not_is_told_with_those_there_are(
         arguments, words):

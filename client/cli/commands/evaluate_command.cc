@@ -28,7 +28,7 @@ constexpr char kDetails[] =
     "  recall      accepted and right / true loops\n"
     "  top-1       right in first place / true loops, verdict aside\n"
     "  recall@5    right among the first five / true loops, verdict aside\n"
-    "  verify/loop accepted candidates of any rank / loops found by them\n"
+    "  verify/loop  accepted candidates of any rank / loops found by them\n"
     "  ECE         expected calibration error of the stated probabilities";
 
 constexpr char kExamples[] =

@@ -111,10 +111,10 @@ std::optional<std::uint64_t> Sequence(const std::string& text) {
   return static_cast<std::uint64_t>(value);
 }
 
-// The name of the one that has these sequences.
+// The names of those that have these sequences.
 template <typename Kind>
-absl::StatusOr<std::string> NameOfPair(const Client& client,
-                                       const FindingReference& finding) {
+absl::StatusOr<std::vector<std::string>> NamesOfPair(
+    const Client& client, const FindingReference& finding) {
   const auto query = Sequence(finding.words[0]);
   const auto matched = Sequence(finding.words[1]);
   const auto all = ListAll<Kind>(client, finding.vehicle);
@@ -125,6 +125,16 @@ absl::StatusOr<std::string> NameOfPair(const Client& client,
       names.push_back(item.name());
     }
   }
+  return names;
+}
+
+// The name of the only one that has these sequences.
+template <typename Kind>
+absl::StatusOr<std::string> NameOfPair(const Client& client,
+                                       const FindingReference& finding) {
+  const auto found = NamesOfPair<Kind>(client, finding);
+  if (!found.ok()) return found.status();
+  const std::vector<std::string>& names = *found;
   if (names.size() == 1) return names.front();
   const std::string pair =
       absl::StrCat(Kind::kNoun, names.empty() ? "" : "s", " of the poses ",

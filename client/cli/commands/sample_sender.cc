@@ -62,7 +62,13 @@ void SampleSender::BeginFile(const std::string& file) {
   if (claims_.has_value()) claims_->SetName(file);
 }
 
-absl::Status SampleSender::WithDurable(const absl::Status& error) const {
+absl::Status SampleSender::FinishStream() {
+  const absl::Status finished = stream_->Finish();
+  interrupt_.reset();
+  return WithDurable(finished, vehicle_.name(), *stream_, options_.append);
+}
+
+absl::Status SampleSender::WithDurableCount(const absl::Status& error) const {
   return LocalError(
       absl::Status(error.code(),
                    absl::StrCat(error.message(), "; ", vehicle_.name(), " has ",
@@ -72,8 +78,8 @@ absl::Status SampleSender::WithDurable(const absl::Status& error) const {
 absl::Status SampleSender::FinishAfter(const absl::Status& error) {
   if (!opened_ || stream_ == nullptr || !status_.ok()) return LocalError(error);
   LetGo();
-  const absl::Status finished = stream_->Finish();
-  return finished.ok() ? WithDurable(error) : finished;
+  const absl::Status finished = FinishStream();
+  return finished.ok() ? WithDurableCount(error) : finished;
 }
 
 absl::Status SampleSender::Take(const Sample& sample) {
@@ -115,17 +121,17 @@ std::optional<std::chrono::milliseconds> SampleSender::BeforeWait() {
 absl::Status SampleSender::Finish() {
   LetGo();
   if (status_.ok() && !options_.append && already_durable_ > taken_) {
-    (void)stream_->Finish();
+    (void)FinishStream();
     return LocalError(absl::FailedPreconditionError(absl::StrCat(
         vehicle_.name(), " has ", already_durable_,
         " poses already, more than the ", taken_, " of ", FilesText(options_),
         "; --append adds these behind them")));
   }
   if (stream_ == nullptr) return status_;
-  const absl::Status finished = stream_->Finish();
+  const absl::Status finished = FinishStream();
   if (status_.ok()) return finished;
   // The stream itself is sound where this machine is at fault.
-  return finished.ok() && sent_ > 0 ? WithDurable(status_) : status_;
+  return finished.ok() && sent_ > 0 ? WithDurableCount(status_) : status_;
 }
 
 absl::StatusOr<v1::Vehicle> SampleSender::GetOrCreate(const Sample& first) {
@@ -271,6 +277,7 @@ absl::Status SampleSender::Open() {
   stream_ = std::make_unique<PoseStream>(channel_, vehicle_.name(),
                                          MakeStreamOptions(options_, vehicle_),
                                          callbacks_);
+  interrupt_.emplace(stream_.get(), vehicle_.name(), options_.append, console_);
   const auto durable = stream_->WaitUntilOpened();
   if (!durable.ok()) return durable.status();
   already_durable_ = *durable;

@@ -11,6 +11,7 @@
 
 #include "absl/status/status.h"
 #include "client/cli/commands/stream_command.h"
+#include "client/cli/commands/stream_end.h"
 #include "client/cli/console.h"
 #include "client/cli/evaluation/dead_reckoning.h"
 #include "client/formats/sample.h"
@@ -57,8 +58,10 @@ class SampleSender {
 
  private:
   absl::Status Open();
+  // Waits until all that was sent is durable, or says why it is not.
+  absl::Status FinishStream();
   // Adds to a fault of this machine what is durable.
-  absl::Status WithDurable(const absl::Status& error) const;
+  absl::Status WithDurableCount(const absl::Status& error) const;
   absl::StatusOr<v1::Vehicle> GetOrCreate(const Sample& first);
   absl::Status CheckThatSamplesFit(const Sample& first) const;
   void ChooseUncertainty(const Sample& first);
@@ -80,6 +83,8 @@ class SampleSender {
   v1::Vehicle vehicle_;
   std::optional<UncertaintyClaims> claims_;
   std::unique_ptr<PoseStream> stream_;
+  // As long as poses are on their way.
+  std::optional<StreamInterrupt> interrupt_;
   std::uint64_t already_durable_ = 0;
   // Sequence before that of the first sample.
   std::uint64_t base_ = 0;

@@ -163,7 +163,8 @@ void AddStreamCommand(const Command& program) {
       {"stream", "Streams the poses of files or of a pipe into a vehicle.",
        "Pose i of all FILEs gets sequence i; - is the standard input, whose "
        "poses are sent as\nthey arrive. A broken connection is made again. "
-       "Stopped and run again, it goes on where\nthe server's durable poses "
+       "Stopped, by Ctrl-C too, and run again, it goes on where\nthe server's "
+       "durable poses "
        "end, after the server has compared the last of them with the\nfile's. "
        "Truth in the file is not sent.\n\n"
        "Compressed files (gzip, zstd) are read too. Receivers' fixes (rtklib, "

@@ -62,9 +62,10 @@ void AddCreate(const Command& vehicle) {
        "Creates a vehicle. Again with the same settings: the existing one.",
        "An id has 1 to 63 lower-case letters, digits and dashes, and neither "
        "begins nor ends\nwith a dash; upper case and underscores are refused. "
-       "Map names of your own the same way\neverywhere: of a VIN, which has "
-       "neither, the lower-case letters make the id, so\nWVWZZZ1JZXW000001 is "
-       "wvwzzz1jzxw000001; a dash stands for an underscore.",
+       "Map names of your own the same way\neverywhere: a VIN to lower case, "
+       "so "
+       "that WVWZZZ1JZXW000001 is wvwzzz1jzxw000001, and an\nunderscore to a "
+       "dash.",
        "  revisit vehicle create shuttle-7\n"
        "  revisit vehicle create wvwzzz1jzxw000001\n"
        "  revisit vehicle create drone-1 --state-space spatial "

@@ -4,6 +4,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/cli/names.h"
+#include "client/revisit/status.h"
 
 namespace revisit::client {
 namespace {
@@ -30,6 +31,17 @@ void Fill(const VerifiedMeasurement& measured, v1::LoopClosure* closure) {
                                      : v1::COVARIANCE_FORM_ROS_36);
   covariance->mutable_values()->Assign(measured.covariance.begin(),
                                        measured.covariance.end());
+}
+
+// Adds to a conflict how to undo the finding that is there, which this command
+// lists.
+absl::Status WithUndo(const absl::Status& status, const VerifiedPair& pair,
+                      const std::string& command) {
+  if (DetailsOf(status).reason != "POSE_PAIR_CONFLICT") return status;
+  return WithHint(status,
+                  absl::StrCat("undo that first: revisit ", command, " delete ",
+                               pair.vehicle, " ", pair.query_sequence, " ",
+                               pair.matched_sequence));
 }
 
 template <typename Response>
@@ -134,7 +146,7 @@ absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
   Fill(pair, request.mutable_loop_closure());
   Fill(measurement, request.mutable_loop_closure());
   const auto response = client.AddLoopClosure(request);
-  if (!response.ok()) return response.status();
+  if (!response.ok()) return WithUndo(response.status(), pair, "rejections");
   Print("confirmed", response->loop_closure().name(), *response, console);
   if (response->has_agreement() && !console.json) {
     const v1::MeasurementAgreement& agreement = response->agreement();
@@ -153,7 +165,7 @@ absl::Status RunReject(const Client& client, const VerifiedPair& pair,
   request.set_parent(VehicleName(pair.vehicle));
   Fill(pair, request.mutable_rejected_candidate());
   const auto response = client.RejectCandidate(request);
-  if (!response.ok()) return response.status();
+  if (!response.ok()) return WithUndo(response.status(), pair, "closures");
   Print("rejected", response->rejected_candidate().name(), *response, console);
   return absl::OkStatus();
 }

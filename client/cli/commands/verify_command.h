@@ -45,8 +45,8 @@ std::string CheckMeasurement(const VerifiedMeasurement& measurement);
 absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
                         const VerifiedMeasurement& measurement,
                         const Console& console);
-// Rejects the candidate, since the two poses are not one place. Prints
-// likewise.
+// Rejects the candidate, since the two poses are not one place. Prints and
+// fails likewise.
 absl::Status RunReject(const Client& client, const VerifiedPair& pair,
                        const Console& console);
 

@@ -180,7 +180,7 @@ std::vector<std::string> CellsOf(const Report& report,
   return cells;
 }
 
-void PrintTable(const Report& report, std::ostream& out) {
+void PrintTable(const Report& report, std::ostream& out, std::size_t width) {
   const bool several = report.methods.size() > 1;
   Table table(ColumnsOf(report));
   for (const MethodResult& method : report.methods) {
@@ -193,7 +193,7 @@ void PrintTable(const Report& report, std::ostream& out) {
       table.AddRow(CellsOf(report, method, row));
     }
   }
-  table.Print(out);
+  table.Print(out, width);
 }
 
 Json OrNull(std::optional<double> value) {
@@ -311,7 +311,8 @@ Tally TotalOf(const MethodResult& method) {
   return total;
 }
 
-void PrintChecks(const DriveResult& result, std::ostream& out) {
+void PrintChecks(const DriveResult& result, std::ostream& out,
+                 std::size_t width) {
   using Align = Table::Align;
   Table table({{"CHECK", Align::kRight},
                {"AT m", Align::kRight},
@@ -343,16 +344,16 @@ void PrintChecks(const DriveResult& result, std::ostream& out) {
                   NameOf(best.verdict), OutcomeOf(check)});
   }
   out << result.drive << ": the best candidate of each check\n";
-  table.Print(out);
+  table.Print(out, width);
   out << '\n';
 }
 
-void PrintReport(const Report& report, std::ostream& out) {
+void PrintReport(const Report& report, std::ostream& out, std::size_t width) {
   const MethodResult& main = report.methods[report.main];
   if (report.methods.size() == 1 && RowsOf(main).size() == 1) {
     PrintSummary(RowsOf(main)[0], report.verified, out);
   } else {
-    PrintTable(report, out);
+    PrintTable(report, out, width);
   }
   if (!report.notes.empty()) out << '\n';
   for (const std::string& note : report.notes) out << note << '\n';

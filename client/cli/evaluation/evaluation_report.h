@@ -50,12 +50,15 @@ struct Report {
   std::vector<std::string> notes;
 };
 
-// Prints a line for each check: its first candidate.
-void PrintChecks(const DriveResult& result, std::ostream& out);
+// Prints a line for each check: its first candidate. Both print tables of at
+// most `width` columns of the terminal, or as Table does (table.h).
+void PrintChecks(const DriveResult& result, std::ostream& out,
+                 std::size_t width = 0);
 
 // Prints a single row as a list and several as a table: for each method its
 // drives, all seeds of a drive in one row, and the total.
-void PrintReport(const Report& report, std::ostream& out);
+void PrintReport(const Report& report, std::ostream& out,
+                 std::size_t width = 0);
 
 // {"drives", "total", "methods", "repeats", "notes"}; see run_evaluation.h.
 std::string ReportJson(const Report& report, bool verbose);

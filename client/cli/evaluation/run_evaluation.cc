@@ -148,7 +148,7 @@ class Evaluation {
     const MethodResult& main = report.methods[report.main];
     if (options_.verbose && !console_.json) {
       for (const DriveResult& result : main.drives) {
-        PrintChecks(result, console_.out);
+        PrintChecks(result, console_.out, console_.width);
       }
     }
     if (!options_.map.empty()) {
@@ -162,7 +162,7 @@ class Evaluation {
     if (console_.json) {
       console_.out << ReportJson(report, options_.verbose) << '\n';
     } else {
-      PrintReport(report, console_.out);
+      PrintReport(report, console_.out, console_.width);
     }
     return absl::OkStatus();
   }

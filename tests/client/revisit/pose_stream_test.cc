@@ -542,6 +542,35 @@ TEST_F(PoseStreamTest, LeavesAConnectionOnWhichNoAnswerComes) {
   EXPECT_GE(stream->reconnects(), 1);
 }
 
+TEST_F(PoseStreamTest, LeavesASilentConnectionWellBeforeItGivesUp) {
+  server_.FailBatches(FaultAt(1, {Kind::kSilence, {}}));
+  PoseStreamOptions options = Options();
+  options.give_up_after = milliseconds(4'000);
+  options.batch_poses = 10;
+  const auto stream = Open(options);
+  ASSERT_TRUE(stream->Append(MakeBatch(1, 50)).ok());
+  const absl::Status finished = stream->Finish();
+  EXPECT_TRUE(finished.ok()) << finished;
+  EXPECT_TRUE(server_.Stored() == Serialized(50));
+}
+
+TEST_F(PoseStreamTest, FinishWithinWaitsForAllPosesOrForItsLimit) {
+  {
+    const auto stream = Open();
+    ASSERT_TRUE(stream->Append(MakeBatch(1, 100)).ok());
+    EXPECT_TRUE(stream->FinishWithin(milliseconds(30'000)).ok());
+    EXPECT_EQ(stream->acked_sequence(), 100u);
+  }
+  const auto stream = Open();
+  ASSERT_TRUE(stream->WaitUntilOpened().ok());
+  server_.HoldStreams(true);
+  ASSERT_TRUE(stream->Append(MakeBatch(101, 50)).ok());
+  EXPECT_TRUE(absl::IsCancelled(stream->FinishWithin(milliseconds(20))));
+  EXPECT_FALSE(stream->Append(MakeBatch(151, 1)).ok());
+  EXPECT_EQ(stream->acked_sequence(), 100u);
+  server_.HoldStreams(false);
+}
+
 TEST_F(PoseStreamTest, GivesUpWithTheLastStatusWhereThatWasAskedFor) {
   server_.Stop();
   PoseStreamOptions options = Options();

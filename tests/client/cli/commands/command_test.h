@@ -1,4 +1,4 @@
-// What tests of commands need: a fake server and consoles that keep the output.
+// Tests of commands have a fake server and consoles that keep the output.
 #ifndef REVISIT_TESTS_CLIENT_CLI_COMMANDS_COMMAND_TEST_H_
 #define REVISIT_TESTS_CLIENT_CLI_COMMANDS_COMMAND_TEST_H_
 

@@ -1,0 +1,56 @@
+#include "client/cli/commands/stream_end.h"
+
+#include <chrono>
+
+#include "absl/strings/str_cat.h"
+
+namespace revisit::client {
+namespace {
+
+void Interrupt(PoseStream* stream, const std::string& vehicle, bool appended,
+               const Console& console) {
+  constexpr std::chrono::seconds kPatience{2};
+  // Why it ended does not matter any more.
+  (void)stream->FinishWithin(kPatience);
+  const absl::Status status =
+      WithDurable(LocalError(absl::CancelledError("interrupted")), vehicle,
+                  *stream, appended);
+  console.out.flush();
+  // A bar may stand in the line.
+  if (console.progress_is_terminal) console.progress << '\n';
+  console.progress << (console.json ? ErrorToJson(status)
+                                    : "revisit: " + ErrorText(status))
+                   << '\n'
+                   << std::flush;
+}
+
+}  // namespace
+
+absl::Status WithDurable(const absl::Status& status, const std::string& vehicle,
+                         const PoseStream& stream, bool appended) {
+  if (status.ok()) return status;
+  const std::uint64_t durable = stream.acked_sequence();
+  const std::string uid = stream.vehicle_uid();
+  const char* const again =
+      appended ? "all its recordings in order, without --append, go on behind "
+                 "them"
+               : "the same command again goes on behind them";
+  return WithHint(
+      status,
+      durable == 0
+          ? absl::StrCat("no pose of ", vehicle,
+                         " is known to be durable; the same command again "
+                         "begins with the first")
+          : absl::StrCat("poses 1 to ", durable, " of ", vehicle,
+                         " are durable; ", again, " (with --acked-sequence ",
+                         durable, " --vehicle-uid ", uid,
+                         " it fails if they are lost)"));
+}
+
+StreamInterrupt::StreamInterrupt(PoseStream* stream, const std::string& vehicle,
+                                 bool appended, const Console& console)
+    : guard_([stream, vehicle, appended, &console] {
+        Interrupt(stream, vehicle, appended, console);
+      }) {}
+
+}  // namespace revisit::client

@@ -1,0 +1,111 @@
+#include "client/cli/flags.h"
+
+#include <vector>
+
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "nlohmann/json.hpp"
+
+namespace revisit::client {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+
+// A program with a few commands.
+class FlagsTest : public ::testing::Test {
+ protected:
+  FlagsTest() : line_({"bar", "Serves drinks.", "", "  bar coffee filter"}) {
+    line_.program().AddText("--room", "NAME", &room_, "Which room");
+    const Command coffee = line_.program().AddCommand(
+        {"coffee", "Brews coffee.", "", "  bar coffee filter"});
+    coffee
+        .AddChoice("KIND", {{"espresso", 0}, {"filter", 1}}, &kind_,
+                   "What to brew")
+        .Required();
+    coffee.AddNumber("--grind", "MM", &grind_, "How coarse");
+    coffee.RunsAlone([](const Console&) { return absl::OkStatus(); });
+    line_.program().AddCommand({"tea", "Brews tea.", "", ""});
+  }
+
+  // The problem with the usage of these words.
+  std::string Wrong(std::vector<const char*> words) {
+    words.insert(words.begin(), "bar");
+    const auto parsed =
+        line_.Parse(static_cast<int>(words.size()), words.data());
+    EXPECT_EQ(ExitCodeOf(parsed.status()), 64);
+    return std::string(parsed.status().message());
+  }
+
+  std::string room_;
+  int kind_ = 0;
+  double grind_ = 0.4;
+  CommandLine line_;
+};
+
+TEST_F(FlagsTest, CommandIsChosenWithItsFlags) {
+  const char* words[] = {"bar",     "coffee",  "filter", "--room",
+                         "terrace", "--grind", "0.8"};
+  const auto parsed = line_.Parse(7, words);
+  ASSERT_TRUE(parsed.ok());
+  EXPECT_NE(parsed->run_alone, nullptr);
+  EXPECT_EQ(parsed->run, nullptr);
+  EXPECT_EQ(room_, "terrace");
+  EXPECT_EQ(kind_, 1);
+  EXPECT_EQ(grind_, 0.8);
+}
+
+TEST_F(FlagsTest, HelpIsThatOfTheCommand) {
+  const char* words[] = {"bar", "coffee", "--help"};
+  const auto parsed = line_.Parse(3, words);
+  ASSERT_TRUE(parsed.ok());
+  ASSERT_TRUE(parsed->help.has_value());
+  EXPECT_EQ(parsed->help->path, "bar coffee");
+}
+
+TEST_F(FlagsTest, MistypedCommandIsToldWithWhatWasMeant) {
+  EXPECT_EQ(Wrong({"cofee"}),
+            "got \"cofee\"; did you mean coffee? allowed is coffee, tea");
+}
+
+TEST_F(FlagsTest, MistypedFlagIsToldWithWhatWasMeant) {
+  EXPECT_EQ(Wrong({"coffee", "filter", "--gring=0.2"}),
+            "got \"--gring\", which is no flag of bar coffee; did you mean "
+            "--grind?");
+}
+
+TEST_F(FlagsTest, FlagOfTheProgramIsMeantToo) {
+  EXPECT_THAT(Wrong({"coffee", "--rom", "x"}),
+              HasSubstr("did you mean --room?"));
+}
+
+TEST_F(FlagsTest, WordTooManyIsTold) {
+  EXPECT_EQ(Wrong({"coffee", "filter", "now"}),
+            "got \"now\", which bar coffee has no place for");
+}
+
+TEST_F(FlagsTest, UsageHasEveryFlagWithItsValue) {
+  const CommandUsage usage = line_.Usage();
+  ASSERT_EQ(usage.commands.size(), 2u);
+  const CommandUsage& coffee = *usage.Find("coffee");
+  ASSERT_EQ(coffee.flags.size(), 3u);
+  EXPECT_THAT(coffee.flags[0].names, ElementsAre("-h", "--help"));
+  EXPECT_EQ(coffee.flags[0].value, "");
+  EXPECT_EQ(coffee.flags[1].word, "KIND");
+  EXPECT_THAT(coffee.flags[1].choices, ElementsAre("espresso", "filter"));
+  EXPECT_TRUE(coffee.flags[1].required);
+  EXPECT_EQ(coffee.flags[2].value, "MM");
+  EXPECT_EQ(coffee.flags[2].default_value, "0.4");
+}
+
+TEST(UsageErrorTest, IsJsonWithItsReason) {
+  const auto error = nlohmann::json::parse(
+      ErrorToJson(UsageError("got \"x\"", "bar --help tells more")))["error"];
+  EXPECT_EQ(error["code"], "INVALID_ARGUMENT");
+  EXPECT_EQ(error["reason"], "USAGE");
+  EXPECT_EQ(error["message"], "got \"x\"");
+  EXPECT_EQ(error["hint"], "bar --help tells more");
+}
+
+}  // namespace
+}  // namespace revisit::client
