@@ -220,11 +220,29 @@ Flag Command::AddText(const std::string& name, const std::string& type,
       app_->add_option(name, *value, help)->type_name(type)->group(heading_));
 }
 
+Flag Command::AddText(const std::string& name, const std::string& type,
+                      std::optional<std::string>* value,
+                      const std::string& help) const {
+  const auto set = [value](const std::string& text) { *value = text; };
+  return Flag(app_->add_option_function<std::string>(name, set, help)
+                  ->type_name(type)
+                  ->group(heading_));
+}
+
 Flag Command::AddTexts(const std::string& name, const std::string& type,
                        std::vector<std::string>* values,
                        const std::string& help) const {
   return Flag(
       app_->add_option(name, *values, help)->type_name(type)->group(heading_));
+}
+
+Flag Command::AddRepeatedText(const std::string& name, const std::string& type,
+                              std::vector<std::string>* values,
+                              const std::string& help) const {
+  return Flag(app_->add_option(name, *values, help)
+                  ->type_name(type)
+                  ->allow_extra_args(false)
+                  ->group(heading_));
 }
 
 Flag Command::AddSwitch(const std::string& name, bool* value,

@@ -125,9 +125,18 @@ class Command {
 
   Flag AddText(const std::string& name, const std::string& type,
                std::string* value, const std::string& help) const;
+  // Sets `value` also to an empty text, if that is what is given.
+  Flag AddText(const std::string& name, const std::string& type,
+               std::optional<std::string>* value,
+               const std::string& help) const;
   Flag AddTexts(const std::string& name, const std::string& type,
                 std::vector<std::string>* values,
                 const std::string& help) const;
+
+  // A flag that may be given several times, with one value each.
+  Flag AddRepeatedText(const std::string& name, const std::string& type,
+                       std::vector<std::string>* values,
+                       const std::string& help) const;
 
   // A flag without a value. "--x,!--no-x" makes --no-x set false.
   Flag AddSwitch(const std::string& name, bool* value,

@@ -41,6 +41,10 @@ PoseStreamOptions MakeStreamOptions(const StreamOptions& options,
   return stream;
 }
 
+std::string SessionKey(const std::string& session) {
+  return absl::StrCat("session.", session);
+}
+
 bool IsFilter(const v1::Vehicle& vehicle) {
   return vehicle.settings().correlation_model() == v1::CORRELATION_MODEL_FILTER;
 }
@@ -220,6 +224,30 @@ void SampleSender::ChooseUncertainty(const Sample& first) {
   }
 }
 
+absl::Status SampleSender::CheckThatSessionIsFree() const {
+  if (options_.session.empty()) return absl::OkStatus();
+  const auto found = vehicle_.labels().find(SessionKey(options_.session));
+  // The same command again goes on with the same first pose.
+  if (found == vehicle_.labels().end() ||
+      found->second.rfind(absl::StrCat(base_ + 1, "-"), 0) == 0) {
+    return absl::OkStatus();
+  }
+  return LocalError(absl::FailedPreconditionError(absl::StrCat(
+      "poses ", found->second, " of ", vehicle_.name(), " are the session ",
+      options_.session, " already; choose another name")));
+}
+
+absl::Status SampleSender::KeepSession() {
+  if (options_.session.empty()) return absl::OkStatus();
+  const std::string key = SessionKey(options_.session);
+  v1::UpdateVehicleRequest request;
+  request.mutable_vehicle()->set_name(vehicle_.name());
+  (*request.mutable_vehicle()->mutable_labels())[key] =
+      absl::StrCat(base_ + 1, "-", base_ + taken_);
+  request.mutable_update_mask()->add_paths(absl::StrCat("labels.", key));
+  return Client(channel_).UpdateVehicle(request).status();
+}
+
 // A second recording begins as uncertain as the first one ended.
 absl::Status SampleSender::ContinueClaims() {
   if (!options_.append || already_durable_ == 0) return absl::OkStatus();
@@ -282,6 +310,9 @@ absl::Status SampleSender::Open() {
   if (!durable.ok()) return durable.status();
   already_durable_ = *durable;
   if (options_.append) base_ = *durable;
+  if (absl::Status status = CheckThatSessionIsFree(); !status.ok()) {
+    return status;
+  }
   return ContinueClaims();
 }
 

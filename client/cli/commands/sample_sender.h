@@ -45,6 +45,10 @@ class SampleSender {
   // poses than were taken.
   absl::Status Finish();
 
+  // Keeps the range of the samples' sequences as the label that the options
+  // name, if they do. REQUIRES: Finish() returned OK.
+  absl::Status KeepSession();
+
   // Waits until what was taken before an error of a file is durable, if any of
   // it has been sent, and adds to the error how much that is.
   absl::Status FinishAfter(const absl::Status& error);
@@ -66,6 +70,8 @@ class SampleSender {
   absl::Status CheckThatSamplesFit(const Sample& first) const;
   void ChooseUncertainty(const Sample& first);
   absl::Status ContinueClaims();
+  // FAILED_PRECONDITION if other poses have the session's name.
+  absl::Status CheckThatSessionIsFree() const;
   void Send(const Sample& sample);
   void Flush();
 

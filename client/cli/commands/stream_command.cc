@@ -6,6 +6,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
 #include "client/cli/candidate_text.h"
 #include "client/cli/commands/reader_flags.h"
@@ -44,6 +45,9 @@ PoseStreamCallbacks MakeCallbacks(Tally* tally, Progress* progress,
     tally->jumps += ack.jumps_size();
     for (const v1::Jump& jump : ack.jumps()) {
       progress->Note(JumpText(jump));
+    }
+    for (const v1::Warning& warning : ack.warnings()) {
+      progress->Note(absl::StrCat("warning: ", warning.message()));
     }
   };
   callbacks.candidates = [tally, &console](const v1::CandidateSet& set) {
@@ -135,8 +139,29 @@ void AddVehicleFlags(const Command& command, StreamOptions* options) {
   command.AddSwitch("--append", &options->append,
                     "Give the first pose the sequence behind the durable ones "
                     "and compare nothing: another recording of the vehicle");
+  command.AddText("--session", "NAME", &options->session,
+                  "Keep the range of these poses as the vehicle's label "
+                  "session.NAME");
   command.AddSwitch("--candidates", &options->candidates,
                     "Print the candidates of every check that falls due");
+}
+
+// A label's key is session. and the name.
+std::string CheckSession(const std::string& name) {
+  const auto is_inner = [](char c) {
+    return absl::ascii_islower(c) || absl::ascii_isdigit(c) || c == '.' ||
+           c == '_' || c == '/' || c == '-';
+  };
+  constexpr std::size_t kMostBytes = 55;
+  if (name.empty() || (name.size() <= kMostBytes &&
+                       std::all_of(name.begin(), name.end(), is_inner) &&
+                       absl::ascii_isalnum(name.back()))) {
+    return "";
+  }
+  return absl::StrCat("--session: got \"", name, "\"; allowed are 1 to ",
+                      kMostBytes,
+                      " of a-z, 0-9, '.', '_', '/' and '-', a letter or digit "
+                      "last");
 }
 
 // Adds the flags of sending, and of what is known from an earlier life.
@@ -176,7 +201,8 @@ void AddStreamCommand(const Command& program) {
        "shuttle-7 --create\n"
        "  revisit stream log.csv --columns t=time,x=east,y=north,yaw=psi "
        "--vehicle shuttle-7\n"
-       "  revisit stream tuesday.pos --vehicle shuttle-7 --append\n"
+       "  revisit stream tuesday.pos --vehicle shuttle-7 --append --session "
+       "tuesday\n"
        "  ros2 topic echo --csv /odom | revisit stream - --vehicle shuttle-7\n"
        "  revisit stream drive.csv --vehicle shuttle-7 --candidates --json"});
   const auto options = std::make_shared<StreamOptions>();
@@ -201,6 +227,10 @@ void AddStreamCommand(const Command& program) {
       options->files.pop_back();
     }
     if (options->vehicle.empty()) return "--vehicle is required";
+    if (std::string problem = CheckSession(options->session);
+        !problem.empty()) {
+      return problem;
+    }
     std::error_code error;
     if (options->files.back() == options->vehicle &&
         !std::filesystem::exists(options->vehicle, error)) {
@@ -256,6 +286,7 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
         absl::StrCat(options.files[0], ": the vehicle never moves")));
   }
   if (absl::Status finished = sender.Finish(); !finished.ok()) return finished;
+  if (absl::Status kept = sender.KeepSession(); !kept.ok()) return kept;
 
   Summary summary;
   summary.vehicle = sender.vehicle().name();

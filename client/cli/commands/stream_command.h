@@ -41,6 +41,9 @@ struct StreamOptions {
   v1::VehicleSettings settings;
   // Whether the files' poses follow the durable ones, in place of being them.
   bool append = false;
+  // Name under which the vehicle's labels keep the range of these poses; empty
+  // for none.
+  std::string session;
   int batch_poses = 64;
   // Highest sequence that the caller knows to be durable; 0 for no record.
   std::uint64_t acked_sequence = 0;

@@ -3,6 +3,7 @@
 #include <unistd.h>
 
 #include <iostream>
+#include <map>
 #include <memory>
 #include <vector>
 
@@ -67,17 +68,21 @@ void AddCreate(const Command& vehicle) {
        "that WVWZZZ1JZXW000001 is wvwzzz1jzxw000001, and an\nunderscore to a "
        "dash.",
        "  revisit vehicle create shuttle-7\n"
-       "  revisit vehicle create wvwzzz1jzxw000001\n"
+       "  revisit vehicle create wvwzzz1jzxw000001 --display-name 'Golf 3' "
+       "--label site=north\n"
        "  revisit vehicle create drone-1 --state-space spatial "
        "--node-spacing 0.5"});
   const auto id = std::make_shared<std::string>();
   const auto settings = std::make_shared<v1::VehicleSettings>();
+  const auto description = std::make_shared<VehicleDescription>();
   AddId(command, id.get(), "Lower-case letters, digits, dashes");
+  AddDescription(command, description.get());
   AddVehicleSettings(command, settings.get());
-  command.Runs(
-      [id, settings](const Connection& server, const Console& console) {
-        return RunVehicleCreate(server.client, *id, *settings, console);
-      });
+  const Run run = [=](const Connection& server, const Console& console) {
+    return RunVehicleCreate(server.client, *id, *settings, *description,
+                            console);
+  };
+  command.Runs(run, [description] { return CheckDescription(*description); });
 }
 
 void AddGet(const Command& vehicle) {
@@ -101,22 +106,27 @@ void AddList(const Command& vehicle) {
 
 void AddUpdate(const Command& vehicle) {
   const Command command = vehicle.AddCommand(
-      {"update", "Changes the settings that are given, and no others.",
+      {"update", "Changes what is given, and nothing else.",
        "Once a vehicle has poses, its state space and its frame are fixed, and "
        "so is\nwhether its correlation model is filter.",
        "  revisit vehicle update shuttle-7 --apply-inflation\n"
        "  revisit vehicle update shuttle-7 --acceptance-probability 0.9"});
   const auto id = std::make_shared<std::string>();
   const auto changes = std::make_shared<v1::VehicleSettings>();
+  const auto description = std::make_shared<VehicleDescription>();
   AddId(command, id.get());
+  AddDescription(command, description.get());
+  AddRemovedLabels(command, description.get());
   AddVehicleSettings(command, changes.get());
-  const Check check = [changes]() -> std::string {
-    return changes->ByteSizeLong() == 0 ? "A setting to change is required"
-                                        : "";
+  const Check check = [changes, description]() -> std::string {
+    if (changes->ByteSizeLong() == 0 && IsEmpty(*description)) {
+      return "A setting to change is required";
+    }
+    return CheckDescription(*description);
   };
-  const Run run = [id, changes](const Connection& server,
-                                const Console& console) {
-    return RunVehicleUpdate(server.client, *id, *changes, console);
+  const Run run = [=](const Connection& server, const Console& console) {
+    return RunVehicleUpdate(server.client, *id, *changes, *description,
+                            console);
   };
   command.Runs(run, check);
 }
@@ -223,6 +233,15 @@ void PrintVehicle(const v1::Vehicle& vehicle, const Console& console) {
       {"nodes", absl::StrCat(vehicle.node_count())},
       {"loop closures", absl::StrCat(vehicle.loop_closure_count())},
       {"travelled", absl::StrCat(Fixed(vehicle.travelled_meters(), 1), " m")}};
+  if (!vehicle.display_name().empty()) {
+    fields.insert(fields.begin() + 1, {"display name", vehicle.display_name()});
+  }
+  // A map of protobuf has no order of its own.
+  const std::map<std::string, std::string> labels(vehicle.labels().begin(),
+                                                  vehicle.labels().end());
+  for (const auto& [key, value] : labels) {
+    fields.emplace_back(absl::StrCat("label ", key), value);
+  }
   for (auto& setting : DescribeSettings(settings)) {
     fields.push_back(std::move(setting));
   }
@@ -240,10 +259,12 @@ void PrintVehicle(const v1::Vehicle& vehicle, const Console& console) {
 
 absl::Status RunVehicleCreate(const Client& client, const std::string& id,
                               const v1::VehicleSettings& settings,
+                              const VehicleDescription& description,
                               const Console& console) {
   v1::CreateVehicleRequest request;
   request.set_vehicle_id(id);
   *request.mutable_vehicle()->mutable_settings() = settings;
+  Describe(description, request.mutable_vehicle());
   const auto response = client.CreateVehicle(request);
   if (!response.ok()) return response.status();
   return Print(response->vehicle(), console);
@@ -260,6 +281,7 @@ absl::Status RunVehicleGet(const Client& client, const std::string& id,
 
 absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
                               const v1::VehicleSettings& changes,
+                              const VehicleDescription& description,
                               const Console& console) {
   std::vector<const google::protobuf::FieldDescriptor*> changed;
   v1::VehicleSettings::GetReflection()->ListFields(changes, &changed);
@@ -270,6 +292,7 @@ absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
     request.mutable_update_mask()->add_paths(
         absl::StrCat("settings.", field->name()));
   }
+  Describe(description, &request);
   const auto response = client.UpdateVehicle(request);
   if (!response.ok()) return response.status();
   return Print(response->vehicle(), console);

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "client/cli/commands/vehicle_description.h"
 #include "client/cli/console.h"
 #include "client/cli/flags.h"
 #include "client/revisit/client.h"
@@ -21,14 +22,17 @@ void AddVehicleCommand(const Command& program);
 // Every command prints the vehicle that results.
 absl::Status RunVehicleCreate(const Client& client, const std::string& id,
                               const v1::VehicleSettings& settings,
+                              const VehicleDescription& description,
                               const Console& console);
 absl::Status RunVehicleGet(const Client& client, const std::string& id,
                            const Console& console);
 // Lists the vehicles of all pages. As JSON: {"vehicles": [...]}.
 absl::Status RunVehicleList(const Client& client, const Console& console);
-// Changes the settings that are set, and no others. REQUIRES: at least one is.
+// Changes the settings that are set, and no others, and the description.
+// REQUIRES: there is something to change.
 absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
                               const v1::VehicleSettings& changes,
+                              const VehicleDescription& description,
                               const Console& console);
 // Ends the state DATA_LOSS. The server refuses a `durable_sequence` that is not
 // the vehicle's.

@@ -77,7 +77,7 @@ class CommandsTest : public ::testing::Test {
 TEST_F(CommandsTest, CreatePrintsTheVehicleAsProtobufJson) {
   v1::VehicleSettings settings;
   settings.set_node_spacing_meters(0.5);
-  ASSERT_TRUE(RunVehicleCreate(client_, "a", settings, Json()).ok());
+  ASSERT_TRUE(RunVehicleCreate(client_, "a", settings, {}, Json()).ok());
   const json vehicle = json::parse(out_.str());
   EXPECT_EQ(vehicle["name"], "vehicles/a");
   EXPECT_EQ(vehicle["settings"]["nodeSpacingMeters"], 0.5);
@@ -161,10 +161,9 @@ TEST_F(CommandsTest, StreamRefusesAVehicleThatHasMoreThanTheFile) {
   WriteDrive(50);
   const absl::Status status = RunStream(channel_, Stream(), Text());
   EXPECT_EQ(ExitCodeOf(status), 1);
-  EXPECT_EQ(
-      status.message(),
-      "vehicles/shuttle has 100 poses already, more than the 50 of " + path_ +
-          "; --append adds these behind them");
+  EXPECT_EQ(status.message(),
+            "vehicles/shuttle has 100 poses already, more than the 50 of " +
+                path_ + "; --append adds these behind them");
 }
 
 TEST_F(CommandsTest, StreamPrintsCandidatesAsJsonLines) {
@@ -409,7 +408,7 @@ TEST_F(CommandsTest, UpdateNamesTheSettingsThatAreGivenAndNoOthers) {
   v1::VehicleSettings changes;
   changes.set_apply_inflation(false);
   changes.set_alignment(v1::ALIGNMENT_COMPOSITE);
-  ASSERT_TRUE(RunVehicleUpdate(client_, "shuttle", changes, Json()).ok());
+  ASSERT_TRUE(RunVehicleUpdate(client_, "shuttle", changes, {}, Json()).ok());
   const json vehicle = json::parse(out_.str());
   EXPECT_EQ(vehicle["name"], "vehicles/shuttle");
   EXPECT_EQ(vehicle["settings"]["alignment"], "ALIGNMENT_COMPOSITE");
