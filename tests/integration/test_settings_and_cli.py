@@ -522,7 +522,7 @@ def readme_results(run_line):
 
 
 def test_lines_of_the_readme_work_in_their_order(readme_results):
-    assert len(readme_results) == 7
+    assert len(readme_results) == 8
     for line, result in readme_results:
         assert result.returncode == 0, (line, result.stderr)
         assert result.stdout, line
