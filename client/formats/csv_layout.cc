@@ -11,7 +11,7 @@ namespace {
 
 struct Name {
   CsvKey key;
-  // As `--columns` calls it, and as a drive file does.
+  // The name that `--columns` gives it, and that of a drive file.
   const char* word;
   const char* of_drive;
 };
