@@ -77,7 +77,7 @@ void SwapPlane(PlanarPose* pose) {
   *pose = {pose->y, pose->x, kPi / 2.0 - pose->heading};
 }
 
-// What has no meaning apart from a plane that z is across.
+// Does so for everything that is planar.
 void SwapPlane(Sample* sample) {
   SwapPlane(&sample->estimate);
   if (sample->truth.has_value()) SwapPlane(&*sample->truth);

@@ -44,26 +44,26 @@ class CourseReader : public SampleReader {
         if (ready_.empty()) return std::optional<Sample>();
         break;
       }
-      Take(**std::move(sample));
+      Take(**sample);
     }
-    Sample sample = std::move(ready_.front());
+    Sample sample = ready_.front();
     ready_.pop_front();
     return sample;
   }
 
  private:
-  void Take(Sample sample) {
+  void Take(const Sample& sample) {
     if (!sample.has_heading && !sample.velocity.has_value()) {
-      TakePosition(std::move(sample));
+      TakePosition(sample);
       return;
     }
     FinishPending(nullptr);
     kept_.reset();
     last_seen_.reset();
     if (sample.has_heading) {
-      ready_.push_back(std::move(sample));
+      ready_.push_back(sample);
     } else {
-      TakeWithVelocity(std::move(sample));
+      TakeWithVelocity(sample);
     }
   }
 
@@ -80,13 +80,13 @@ class CourseReader : public SampleReader {
     sample.estimate.heading = std::atan2(north, east);
     sample.has_heading = true;
     SetCovariance(across / (speed * speed), &sample);
-    ready_.push_back(std::move(sample));
+    ready_.push_back(sample);
   }
 
-  void TakePosition(Sample sample) {
+  void TakePosition(const Sample& sample) {
     const std::optional<Sample> before = std::exchange(last_seen_, sample);
     if (!pending_.has_value()) {
-      pending_ = std::move(sample);
+      pending_ = sample;
       return;
     }
     const double distance = Distance(*pending_, sample);
@@ -94,7 +94,7 @@ class CourseReader : public SampleReader {
     if (distance > kLongestCourseMeters) {
       FinishPending(nullptr);
       kept_.reset();
-      pending_ = std::move(sample);
+      pending_ = sample;
       return;
     }
     if (before.has_value() && before->time_nanoseconds.has_value() &&
@@ -105,7 +105,7 @@ class CourseReader : public SampleReader {
       }
     }
     FinishPending(&sample);
-    pending_ = std::move(sample);
+    pending_ = sample;
   }
 
   // Hands the sample on that waits, with the direction to `next`, or to itself
@@ -133,7 +133,7 @@ class CourseReader : public SampleReader {
                     &sample);
       ready_.push_back(sample);
     }
-    kept_ = std::move(sample);
+    kept_ = sample;
   }
 
   const std::unique_ptr<SampleReader> reader_;

@@ -11,7 +11,7 @@ namespace {
 
 struct Name {
   CsvKey key;
-  // As `--columns` calls it, and as a drive file does.
+  // The name that `--columns` gives it, and that of a drive file.
   const char* word;
   const char* of_drive;
 };
@@ -58,6 +58,9 @@ std::string_view WithoutQuotes(std::string_view field) {
   }
   return field;
 }
+
+// The index of a name that several columns have: an error only if it is read.
+constexpr std::size_t kTwice = CsvLayout::kAbsent - 1;
 
 using Header = std::map<std::string, std::size_t, std::less<>>;
 
@@ -217,15 +220,19 @@ absl::StatusOr<CsvLayout> LayoutOfHeader(std::string_view line,
   layout.fields = columns.size();
   Header header;
   for (std::size_t i = 0; i < columns.size(); ++i) {
-    if (!columns[i].empty() && !header.emplace(columns[i], i).second) {
-      return lines.Error(
-          absl::StrCat("column ", Quoted(columns[i]), " stands twice"));
-    }
+    const auto [found, added] = header.emplace(columns[i], i);
+    if (!added) found->second = kTwice;
   }
   if (absl::Status status =
           FindColumns(header, *names, columns, lines, &layout);
       !status.ok()) {
     return status;
+  }
+  for (std::size_t key = 0; key < kKeys; ++key) {
+    if (layout.index[key] == kTwice) {
+      return lines.Error(
+          absl::StrCat("column ", Quoted(layout.name[key]), " stands twice"));
+    }
   }
   if (absl::Status status = CheckLayout(layout, options, columns, lines);
       !status.ok()) {

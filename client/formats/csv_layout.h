@@ -15,7 +15,7 @@
 
 namespace revisit::client {
 
-// What a column holds. Members of a group follow each other.
+// The meaning of a column. Members of a group follow each other.
 enum CsvKey : std::size_t {
   kTime,
   // Instead of kTime: whole seconds and nanoseconds, each in its column.

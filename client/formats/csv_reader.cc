@@ -137,8 +137,16 @@ bool IsDriveHeader(std::string_view line) {
 bool IsRosCsv(std::string_view line) {
   if (line.substr(0, 6) == "%time,") return true;
   const auto fields = SplitAt(',', line);
-  return fields.size() == kOdometryValues ||
-         fields.size() == kPoseWithCovarianceValues;
+  if (fields.size() != kOdometryValues &&
+      fields.size() != kPoseWithCovarianceValues) {
+    return false;
+  }
+  // Seconds and nanoseconds; a header of as many columns has names.
+  const auto is_whole = [](std::string_view field) {
+    return !field.empty() &&
+           field.find_first_not_of("-0123456789") == field.npos;
+  };
+  return is_whole(fields[0]) && is_whole(fields[1]);
 }
 
 absl::StatusOr<std::unique_ptr<SampleReader>> ReadCsv(

@@ -39,7 +39,7 @@ class GpxReader : public SampleReader {
         error_ = Error(XML_ErrorString(XML_GetErrorCode(parser_.get())));
       }
     }
-    Sample sample = std::move(points_.front());
+    Sample sample = points_.front();
     points_.pop_front();
     return sample;
   }

@@ -17,7 +17,7 @@ namespace {
 constexpr double kMetersPerSecondPerKnot = 1852.0 / 3600.0;
 constexpr std::int64_t kNanosecondsPerDay = 86'400 * kNanosecondsPerSecond;
 
-// What sentences of one time of day have said.
+// The sentences of one time of day, together.
 struct Epoch {
   std::int64_t time_of_day = 0;
   bool has_gga = false;

@@ -57,7 +57,7 @@ enum class Format {
   kRos,
 };
 
-// What positions are in the end.
+// The kind of positions that samples have in the end.
 enum class Frame {
   // Whatever the file holds.
   kOfFile,

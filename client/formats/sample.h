@@ -41,11 +41,11 @@ struct Sample {
   // Sent in place of the local position.
   std::optional<GeodeticPosition> geodetic;
   std::optional<Velocity> velocity;
-  // Of a position alone: xx, xy, yy.
+  // The covariance of a position alone: xx, xy, yy.
   std::optional<std::array<double, 3>> position_covariance;
-  // Of a heading that was taken from the course.
+  // The variance of a heading that was taken from the course.
   std::optional<double> heading_variance;
-  // xx, xy, xh, yy, yh, hh.
+  // The covariance of the planar pose: xx, xy, xh, yy, yh, hh.
   std::optional<std::array<double, 6>> covariance;
   // Row-major, of x, y, z and rotations about these fixed axes. Where it is
   // there, `covariance` is its part of x, y and heading.

@@ -38,7 +38,7 @@ class Lines {
 
   const absl::Status& status() const { return status_; }
   const std::string& path() const { return path_; }
-  // Of the line that was read last; 0 before the first.
+  // The number of the line that was read last; 0 before the first.
   std::int64_t number() const { return number_; }
 
   // INVALID_ARGUMENT with path and the number of the last line read.

@@ -54,7 +54,7 @@ TEST(G2oReaderTest, HalvesOfRotationVectorsAreRotations) {
   EXPECT_NEAR(covariance[0], 0.25, 1e-12);
   EXPECT_NEAR(covariance[7], 0.2, 1e-12);
   EXPECT_NEAR(covariance[14], 0.1, 1e-12);
-  // Of half the angle, the variance is 1 / 400.
+  // The variance of half the angle is 1 / 400.
   EXPECT_NEAR(covariance[35], 4.0 / 400.0, 1e-12);
   EXPECT_EQ((*samples)[1].z, 0.5);
 }

@@ -37,8 +37,8 @@ TEST(CsvReaderTest, ReadsEstimateAndTruth) {
 
 TEST(CsvReaderTest, FindsColumnsByNameInAnyOrderAndPassesOverOthers) {
   const auto samples = ReadText(
-      "\xef\xbb\xbfptt;est_yaw;pxx;note;t_s;pxy;est_x;pxt;est_y;pyy;pyt\r\n"
-      "6;0.1;1;\"hello\";5;2;\"7\";3;8;4;5\r\n\r\n");
+      "\xef\xbb\xbfptt;est_yaw;pxx;note;t_s;pxy;est_x;pxt;est_y;pyy;pyt;note"
+      "\r\n6;0.1;1;\"hello\";5;2;\"7\";3;8;4;5;x\r\n\r\n");
   ASSERT_TRUE(samples.ok()) << samples.status();
   ASSERT_EQ(samples->size(), 1u);
   const Sample& sample = (*samples)[0];
@@ -263,6 +263,13 @@ INSTANTIATE_TEST_SUITE_P(
                   "1: expected a rotation in numbers 1-3, 5-7 and 9-11"},
         Malformed{"LongLine", std::string(2 << 20, 'x'), "1: the "}),
     [](const auto& test) { return std::string(test.param.name); });
+
+TEST(ReaderTest, HeaderOfManyColumnsIsNoOdometry) {
+  std::string header = "time,x";
+  for (int i = 2; i < 46; ++i) header += ",c" + std::to_string(i);
+  EXPECT_THAT(MessageOf(ReadText(header + "\n")),
+              HasSubstr("; --columns t=NAME,"));
+}
 
 TEST(ReaderTest, SaysWhenAFileIsNotThere) {
   EXPECT_EQ(

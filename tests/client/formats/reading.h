@@ -25,7 +25,7 @@ inline absl::StatusOr<std::vector<Sample>> ReadText(
   }
 }
 
-// What a test makes up need not look like a vehicle.
+// The same, whether or not it looks like a vehicle.
 inline absl::StatusOr<std::vector<Sample>> ReadText(std::string text) {
   ReaderOptions options;
   options.accept_suspicious = true;
