@@ -101,8 +101,8 @@ double InflationFound(std::mt19937_64& random, double inflation, int count,
 
 // Measures the pair that was drawn last: the true offset is one within the
 // tolerance, of which the difference shows a part.
-ConfirmedLoop Measured(std::mt19937_64& random, const PoseGraph& graph,
-                       ConfirmedLoop loop) {
+ConfirmedLoop WithMeasurement(std::mt19937_64& random, const PoseGraph& graph,
+                              ConfirmedLoop loop) {
   loop.measured = RandomMeasurement(random, EstimateAt(graph, loop.query),
                                     EstimateAt(graph, loop.matched),
                                     Uniform(random, 0.5, 3.0));
@@ -123,7 +123,7 @@ TEST(ConsistencyTest, IsThePosteriorWithTheGateByQuadrature) {
     for (int k = UniformInt(random, 0, 6); k > 0; --k) {
       const ConfirmedLoop loop = pairs.Draw(random);
       confirmed.push_back(UniformInt(random, 0, 1)
-                              ? Measured(random, pairs.graph(), loop)
+                              ? WithMeasurement(random, pairs.graph(), loop)
                               : loop);
     }
     const Consistency actual =
