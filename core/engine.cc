@@ -147,12 +147,14 @@ std::optional<std::pair<NodeIndex, NodeIndex>> Engine::LoopEdge(
 
 void Engine::AddLoopClosure(std::uint64_t query_sequence,
                             std::uint64_t matched_sequence,
-                            std::uint64_t revision) {
+                            std::uint64_t revision,
+                            std::shared_ptr<const MeasuredLoop> measured) {
   assert(revision > revision_);
   if (const auto edge = LoopEdge(query_sequence, matched_sequence)) {
     graph_.AddLoopEdge(edge->first, edge->second);
-    confirmed_.push_back(
-        {query_sequence, matched_sequence, {edge->first, edge->second}});
+    confirmed_.push_back({query_sequence,
+                          matched_sequence,
+                          {edge->first, edge->second, std::move(measured)}});
     monitor_.Confirm(graph_, confirmed_.back().loop);
   }
   revision_ = revision;
@@ -173,6 +175,17 @@ void Engine::RemoveLoopClosure(std::uint64_t query_sequence,
     break;
   }
   revision_ = revision;
+}
+
+std::optional<Agreement> Engine::AgreementOf(
+    std::uint64_t query_sequence, std::uint64_t matched_sequence,
+    const std::shared_ptr<const MeasuredLoop>& measured) const {
+  const std::optional<NodeIndex> query = graph_.NodeAtOrBefore(query_sequence);
+  const std::optional<NodeIndex> matched =
+      graph_.NodeAtOrBefore(matched_sequence);
+  if (!query || !matched) return std::nullopt;
+  return core::AgreementOf(graph_, MakeSimilarityModel(settings_.search),
+                           {*query, *matched, measured});
 }
 
 void Engine::AddRejection(std::uint64_t query_sequence,
@@ -280,13 +293,17 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
 }
 
 std::optional<ConfirmedLoop> Engine::LastConfirmed(NodeIndex query) const {
-  std::optional<ConfirmedLoop> last;
-  for (const auto& [query_sequence, matched_sequence, loop] : confirmed_) {
+  const ConfirmedLoop* last = nullptr;
+  for (const Confirmed& confirmed : confirmed_) {
+    const ConfirmedLoop& loop = confirmed.loop;
     const NodeIndex later = std::max(loop.query, loop.matched);
     if (later > query) continue;
-    if (!last || later >= std::max(last->query, last->matched)) last = loop;
+    if (last == nullptr || later >= std::max(last->query, last->matched)) {
+      last = &loop;
+    }
   }
-  return last;
+  if (last == nullptr) return std::nullopt;
+  return *last;
 }
 
 SimilarityModel Engine::MakeSimilarityModel(

@@ -9,15 +9,17 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <utility>
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "core/alignment/known_drift.h"
+#include "core/alignment/confirmed_loop.h"
 #include "core/alignment/log_similarity.h"
 #include "core/alignment/scored_ends.h"
 #include "core/alignment/viterbi.h"
+#include "core/candidates/agreement.h"
 #include "core/candidates/candidate.h"
 #include "core/candidates/consistency.h"
 #include "core/geometry/pose.h"
@@ -65,16 +67,26 @@ class Engine {
   void ChangeSettings(const EngineSettings& settings, std::uint64_t revision);
 
   // Adds or removes an edge between the last nodes at or before two poses. Two
-  // poses at one node have no edge; that is not an error.
+  // poses at one node have no edge; that is not an error. `measured`: what was
+  // measured between the two, or null.
   // REQUIRES: sequences in [1, last_sequence()]; revision greater than
-  // revision().
+  // revision(); for a measurement, matched_sequence <= query_sequence, valid
+  // covariances, and poses as they were appended.
   void AddLoopClosure(std::uint64_t query_sequence,
-                      std::uint64_t matched_sequence, std::uint64_t revision);
+                      std::uint64_t matched_sequence, std::uint64_t revision,
+                      std::shared_ptr<const MeasuredLoop> measured = nullptr);
   // `occurrence` is the index of the loop closure among those of the same two
   // poses, in the order in which they were added.
   void RemoveLoopClosure(std::uint64_t query_sequence,
                          std::uint64_t matched_sequence, std::uint64_t revision,
                          std::size_t occurrence = 0);
+
+  // How well a measurement agrees with the graph, with the inflation that
+  // searches apply; nothing where that is ill-conditioned. REQUIRES: as for
+  // AddLoopClosure().
+  std::optional<Agreement> AgreementOf(
+      std::uint64_t query_sequence, std::uint64_t matched_sequence,
+      const std::shared_ptr<const MeasuredLoop>& measured) const;
 
   // Adds or removes a pair of poses that was verified not to be one place: ends
   // within kPlaceRadiusMeters of the second pose, or within the candidate

@@ -220,6 +220,11 @@ void Configure(const Limits& limits, grpc::ServerBuilder* builder) {
   builder->SetResourceQuota(quota);
   builder->AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS,
                               limits.max_concurrent_streams);
+  // Windows keep their size. A window that gRPC's estimate of the bandwidth
+  // makes smaller is below zero where a client has filled it, and this version
+  // then resets a stream that its client ends by an empty frame, which is
+  // allowed (RFC 9113, 6.9): the last poses were lost with it.
+  builder->AddChannelArgument(GRPC_ARG_HTTP2_BDP_PROBE, 0);
   // Bytes that were read are handled even if the connection is cut meanwhile.
   builder->AddChannelArgument(GRPC_ARG_TCP_MAX_READ_CHUNK_SIZE, kMaxReadBytes);
   builder->AddChannelArgument(GRPC_ARG_MAX_METADATA_SIZE,

@@ -209,16 +209,21 @@ void Progress::EraseBar() {
 
 void Progress::Draw() {
   constexpr int kWidth = 30;
-  const double share = total_ == 0
-                           ? 1.0
-                           : std::min(1.0, static_cast<double>(done_) /
-                                               static_cast<double>(total_));
   const double seconds =
       std::chrono::duration<double>(Clock::now() - start_).count();
   const double rate =
       seconds > 0.0 ? static_cast<double>(done_) / seconds : 0.0;
   const std::string figures =
-      absl::StrCat(done_, "/", total_, " ", unit_, "  ", Fixed(rate, 0), "/s");
+      absl::StrCat(done_, total_ == 0 ? "" : absl::StrCat("/", total_).c_str(),
+                   " ", unit_, "  ", Fixed(rate, 0), "/s");
+  if (total_ == 0) {
+    out_ << (terminal_ ? "\r\x1b[K" : "") << label_ << ": " << figures
+         << (terminal_ ? "" : "\n") << std::flush;
+    bar_shown_ = terminal_;
+    return;
+  }
+  const double share =
+      std::min(1.0, static_cast<double>(done_) / static_cast<double>(total_));
   if (!terminal_) {
     out_ << label_ << ": " << Fixed(100.0 * share, 0) << " %  " << figures
          << '\n'

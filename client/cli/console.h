@@ -79,7 +79,7 @@ std::string Fixed(double value, int digits);
 // terminal, a line every few seconds elsewhere. Thread-safe.
 class Progress {
  public:
-  // `total` units of work.
+  // `total` units of work; 0 if nobody knows how many.
   Progress(const Console& console, std::string label, std::uint64_t total,
            std::string unit);
   // Ends the line of the bar.

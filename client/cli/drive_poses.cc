@@ -1,25 +1,27 @@
 #include "client/cli/drive_poses.h"
 
 #include <algorithm>
-#include <cmath>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "client/cli/console.h"
+#include "client/formats/times.h"
 
 namespace revisit::client {
 
-v1::Pose MakePose(const Drive& drive,
-                  const std::vector<ClaimedUncertainty>& uncertainty,
-                  v1::StateSpace state_space, std::size_t index) {
-  const DriveSample& sample = drive.samples[index];
-  const auto& [xx, xy, xh, yy, yh, hh] = uncertainty[index].planar;
+v1::Pose MakePose(const Sample& sample, const ClaimedUncertainty& uncertainty,
+                  v1::StateSpace state_space, std::uint64_t sequence) {
+  const auto& [xx, xy, xh, yy, yh, hh] = uncertainty.planar;
   v1::Pose pose;
-  pose.set_sequence(index + 1);
-  const double seconds = std::floor(sample.time_seconds);
-  pose.mutable_stamp()->set_seconds(static_cast<std::int64_t>(seconds));
-  pose.mutable_stamp()->set_nanos(static_cast<std::int32_t>(std::min(
-      std::floor((sample.time_seconds - seconds) * 1e9 + 0.5), 999'999'999.0)));
+  pose.set_sequence(sequence);
+  if (sample.time_nanoseconds.has_value()) {
+    const std::int64_t time = *sample.time_nanoseconds;
+    const std::int64_t nanos =
+        (time % kNanosecondsPerSecond + kNanosecondsPerSecond) %
+        kNanosecondsPerSecond;
+    pose.mutable_stamp()->set_seconds((time - nanos) / kNanosecondsPerSecond);
+    pose.mutable_stamp()->set_nanos(static_cast<std::int32_t>(nanos));
+  }
   if (sample.geodetic.has_value()) {
     v1::GeodeticPosition* geodetic = pose.mutable_geodetic();
     geodetic->set_latitude_degrees(sample.geodetic->latitude_degrees);
@@ -29,7 +31,7 @@ v1::Pose MakePose(const Drive& drive,
     v1::LocalPosition* local = pose.mutable_local();
     local->set_x_meters(sample.estimate.x);
     local->set_y_meters(sample.estimate.y);
-    local->set_z_meters(sample.estimate_z);
+    local->set_z_meters(sample.z);
   }
   if (sample.quaternion.has_value()) {
     const auto& [x, y, z, w] = *sample.quaternion;
@@ -43,9 +45,10 @@ v1::Pose MakePose(const Drive& drive,
   }
   v1::Covariance* covariance = pose.mutable_covariance();
   if (state_space == v1::STATE_SPACE_SPATIAL) {
-    const double zz = uncertainty[index].z_variance;
+    const double zz = uncertainty.z_variance;
+    const auto& [xz, yz, zh] = uncertainty.z_mixed;
     covariance->set_form(v1::COVARIANCE_FORM_SPATIAL_10);
-    for (const double value : {xx, xy, 0.0, xh, yy, 0.0, yh, zz, 0.0, hh}) {
+    for (const double value : {xx, xy, xz, xh, yy, yz, yh, zz, zh, hh}) {
       covariance->add_values(value);
     }
   } else {
@@ -65,7 +68,8 @@ void AppendPoses(const Drive& drive,
     v1::PoseBatch batch;
     const std::size_t end = std::min(range.end, next + batch_poses);
     for (; next < end; ++next) {
-      *batch.add_poses() = MakePose(drive, uncertainty, state_space, next);
+      *batch.add_poses() = MakePose(drive.samples[next], uncertainty[next],
+                                    state_space, next + 1);
     }
     if (!stream->Append(std::move(batch)).ok()) return;
   }

@@ -3,6 +3,7 @@
 #define REVISIT_CLIENT_CLI_DRIVE_POSES_H_
 
 #include <cstddef>
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -14,11 +15,10 @@
 
 namespace revisit::client {
 
-// Makes the pose of sample `index`, with sequence index + 1, for a vehicle of
-// this state space. The truth of the drive is not used.
-v1::Pose MakePose(const Drive& drive,
-                  const std::vector<ClaimedUncertainty>& uncertainty,
-                  v1::StateSpace state_space, std::size_t index);
+// Makes the pose of a sample for a vehicle of this state space. Truth and error
+// transition are left out.
+v1::Pose MakePose(const Sample& sample, const ClaimedUncertainty& uncertainty,
+                  v1::StateSpace state_space, std::uint64_t sequence);
 
 // Samples from `begin` to before `end`.
 struct SampleRange {
@@ -26,8 +26,8 @@ struct SampleRange {
   std::size_t end = 0;
 };
 
-// Appends these samples in batches. Stops early if the stream has failed;
-// PoseStream::Finish() then says why.
+// Appends these samples in batches, the pose of sample i with sequence i + 1.
+// Stops early if the stream has failed; PoseStream::Finish() then says why.
 void AppendPoses(const Drive& drive,
                  const std::vector<ClaimedUncertainty>& uncertainty,
                  v1::StateSpace state_space, const SampleRange& range,

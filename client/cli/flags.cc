@@ -276,6 +276,17 @@ Flag Command::AddNumber(const std::string& name, const std::string& type,
                   ->group(heading_));
 }
 
+Flag Command::AddNumbers(const std::string& name, const std::string& type,
+                         std::vector<double>* values,
+                         const std::string& help) const {
+  return Flag(app_->add_option(name, *values, help)
+                  ->type_name(type)
+                  ->delimiter(',')
+                  ->allow_extra_args(false)
+                  ->check(FiniteNumber())
+                  ->group(heading_));
+}
+
 Flag Command::AddPositiveNumbers(const std::string& name,
                                  const std::string& type,
                                  std::vector<double>* values,

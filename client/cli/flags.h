@@ -152,7 +152,10 @@ class Command {
   Flag AddNumber(const std::string& name, const std::string& type,
                  std::function<void(double)> set,
                  const std::string& help) const;
-  // Positive numbers, separated by commas.
+  // Numbers, separated by commas.
+  Flag AddNumbers(const std::string& name, const std::string& type,
+                  std::vector<double>* values, const std::string& help) const;
+  // The same, all of them positive.
   Flag AddPositiveNumbers(const std::string& name, const std::string& type,
                           std::vector<double>* values,
                           const std::string& help) const;

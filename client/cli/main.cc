@@ -12,7 +12,9 @@
 #include "client/cli/commands/findings_command.h"
 #include "client/cli/commands/help_command.h"
 #include "client/cli/commands/info_command.h"
+#include "client/cli/commands/map_command.h"
 #include "client/cli/commands/poses_command.h"
+#include "client/cli/commands/revise_command.h"
 #include "client/cli/commands/show_command.h"
 #include "client/cli/commands/stream_command.h"
 #include "client/cli/commands/vehicle_command.h"
@@ -98,6 +100,8 @@ void AddCommands(const Command& program, const UsageSource& usage) {
   AddPosesCommand(program);
   AddShowCommand(program);
   AddExportCommand(program);
+  AddMapCommand(program);
+  AddReviseCommand(program);
   AddEvaluateCommand(program);
   AddInfoCommand(program);
   AddCompletionCommand(program, usage);

@@ -1,25 +1,104 @@
 #include "client/formats/text_lines.h"
 
-#include <cerrno>
 #include <charconv>
 #include <cmath>
-#include <cstring>
-#include <fstream>
 #include <system_error>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 
 namespace revisit::client {
+namespace {
 
-Lines::Lines(std::istream& input, std::string path)
-    : input_(input), path_(std::move(path)) {}
+constexpr std::size_t kLongestLine = 1 << 20;
+constexpr std::size_t kPeekedBytes = 1 << 16;
+constexpr std::size_t kReadBytes = 1 << 16;
+constexpr std::string_view kBlanks = " \t";
+constexpr std::string_view kByteOrderMark = "\xef\xbb\xbf";
 
-bool Lines::Next(std::string* line) {
-  if (!std::getline(input_, *line)) return false;
-  ++number_;
-  if (!line->empty() && line->back() == '\r') line->pop_back();
-  return true;
+}  // namespace
+
+Lines::Lines(std::unique_ptr<ByteSource> source, std::string path)
+    : source_(std::move(source)), path_(std::move(path)) {}
+
+bool Lines::Fill() {
+  if (ended_ || !status_.ok()) return false;
+  buffer_.erase(0, begin_);
+  begin_ = 0;
+  const std::size_t size = buffer_.size();
+  buffer_.resize(size + kReadBytes);
+  const auto count = source_->Read(buffer_.data() + size, kReadBytes);
+  buffer_.resize(size + (count.ok() ? *count : 0));
+  if (!count.ok()) status_ = count.status();
+  ended_ = count.ok() && *count == 0;
+  return count.ok() && *count > 0;
+}
+
+void Lines::SkipByteOrderMark() {
+  at_start_ = false;
+  while (buffer_.size() < kByteOrderMark.size() &&
+         buffer_ == kByteOrderMark.substr(0, buffer_.size()) && Fill()) {
+  }
+  if (std::string_view(buffer_).substr(0, kByteOrderMark.size()) ==
+      kByteOrderMark) {
+    begin_ = kByteOrderMark.size();
+  }
+}
+
+bool Lines::Next(std::string_view* line) {
+  if (at_start_) SkipByteOrderMark();
+  std::size_t searched = begin_;
+  for (;;) {
+    const std::size_t end = buffer_.find('\n', searched);
+    const bool last = end == std::string::npos;
+    if (!last || (ended_ && begin_ < buffer_.size())) {
+      *line = std::string_view(buffer_).substr(
+          begin_, (last ? buffer_.size() : end) - begin_);
+      begin_ = last ? buffer_.size() : end + 1;
+      ++number_;
+      if (!line->empty() && line->back() == '\r') line->remove_suffix(1);
+      return true;
+    }
+    const std::size_t length = buffer_.size() - begin_;
+    if (length > kLongestLine) {
+      ++number_;
+      status_ = Error("the line is longer than a mebibyte");
+    }
+    if (!status_.ok() || ended_) return false;
+    // Fill() moves what is there to the beginning.
+    searched = length;
+    if (!Fill() && !status_.ok()) return false;
+  }
+}
+
+std::string_view Lines::PeekFirstLine() {
+  if (at_start_) SkipByteOrderMark();
+  for (std::size_t from = begin_;;) {
+    const std::size_t end = buffer_.find('\n', from);
+    if (end == std::string::npos && buffer_.size() < kPeekedBytes) {
+      const std::size_t skipped = from - begin_;
+      if (Fill()) {
+        from = begin_ + skipped;
+        continue;
+      }
+      from = begin_ + skipped;
+      if (!status_.ok()) return {};
+    }
+    const std::string_view line =
+        WithoutBlanks(std::string_view(buffer_).substr(
+            from, end == std::string::npos ? end : end - from));
+    if (!line.empty() && line != "\r" && line[0] != '#') return line;
+    if (end == std::string::npos) return {};
+    from = end + 1;
+  }
+}
+
+std::string_view Lines::NextChunk() {
+  if (at_start_) SkipByteOrderMark();
+  if (begin_ == buffer_.size() && !Fill()) return {};
+  const std::string_view chunk = std::string_view(buffer_).substr(begin_);
+  begin_ = buffer_.size();
+  return chunk;
 }
 
 absl::Status Lines::Error(const std::string& message) const {
@@ -27,18 +106,17 @@ absl::Status Lines::Error(const std::string& message) const {
       absl::StrCat(path_, ":", number_, ": ", message));
 }
 
-std::vector<std::string_view> SplitAtCommas(std::string_view line) {
+std::vector<std::string_view> SplitAt(char separator, std::string_view line) {
   std::vector<std::string_view> fields;
   for (;;) {
-    const std::size_t comma = line.find(',');
-    fields.push_back(line.substr(0, comma));
-    if (comma == std::string_view::npos) return fields;
-    line.remove_prefix(comma + 1);
+    const std::size_t end = line.find(separator);
+    fields.push_back(line.substr(0, end));
+    if (end == std::string_view::npos) return fields;
+    line.remove_prefix(end + 1);
   }
 }
 
 std::vector<std::string_view> SplitAtBlanks(std::string_view line) {
-  constexpr std::string_view kBlanks = " \t";
   std::vector<std::string_view> fields;
   for (;;) {
     const std::size_t begin = line.find_first_not_of(kBlanks);
@@ -51,6 +129,12 @@ std::vector<std::string_view> SplitAtBlanks(std::string_view line) {
   }
 }
 
+std::string_view WithoutBlanks(std::string_view text) {
+  const std::size_t begin = text.find_first_not_of(kBlanks);
+  if (begin == std::string_view::npos) return {};
+  return text.substr(begin, text.find_last_not_of(kBlanks) - begin + 1);
+}
+
 std::string Quoted(std::string_view text) {
   constexpr std::size_t kLongest = 40;
   std::string quoted = "\"";
@@ -60,49 +144,32 @@ std::string Quoted(std::string_view text) {
   return quoted + (text.size() > kLongest ? "...\"" : "\"");
 }
 
-absl::StatusOr<double> ReadNumber(std::string_view field,
-                                  const std::string& name, const Lines& lines) {
+absl::StatusOr<double> ReadNumber(std::string_view field, std::string_view name,
+                                  const Lines& lines) {
   double value = 0.0;
-  const auto [end, error] =
-      std::from_chars(field.data(), field.data() + field.size(), value);
+  // A plus is a sign to people, but not to from_chars.
+  const std::size_t skipped =
+      field.size() > 1 && field[0] == '+' && field[1] != '-' ? 1 : 0;
+  const auto [end, error] = std::from_chars(field.data() + skipped,
+                                            field.data() + field.size(), value);
   if (error != std::errc() || end != field.data() + field.size() ||
       !std::isfinite(value)) {
-    return lines.Error("expected a finite number for " + name + ", got " +
-                       Quoted(field));
+    return lines.Error("expected a finite number for " + std::string(name) +
+                       ", got " + Quoted(field));
   }
   return value;
 }
 
-absl::Status RefuseCompressed(const std::string& first_line,
-                              const Lines& lines) {
-  if (first_line.size() >= 2 && first_line[0] == '\x1f' &&
-      first_line[1] == '\x8b') {
-    return lines.Error(
-        "the file is compressed; expected plain text (gunzip it)");
-  }
-  return absl::OkStatus();
-}
-
-absl::StatusOr<std::unique_ptr<std::istream>> OpenText(
-    const std::string& path) {
-  errno = 0;
-  auto input = std::make_unique<std::ifstream>(path, std::ios::binary);
-  if (!*input) {
-    const int error = errno;
-    const std::string message = path + ": " + std::strerror(error);
-    if (error == EACCES) return absl::PermissionDeniedError(message);
-    return absl::NotFoundError(message);
-  }
-  if (input->peek(); input->bad()) {
-    return absl::InvalidArgumentError(path + ": cannot be read as a file");
-  }
-  return std::unique_ptr<std::istream>(std::move(input));
-}
-
 std::string StemOf(const std::string& path) {
+  if (path == "-") return "input";
   const std::size_t slash = path.rfind('/');
-  const std::string file =
-      slash == std::string::npos ? path : path.substr(slash + 1);
+  std::string file = slash == std::string::npos ? path : path.substr(slash + 1);
+  for (const std::string_view ending : {".gz", ".zst"}) {
+    if (file.size() > ending.size() &&
+        std::string_view(file).substr(file.size() - ending.size()) == ending) {
+      file.resize(file.size() - ending.size());
+    }
+  }
   const std::size_t dot = file.rfind('.');
   return dot == std::string::npos || dot == 0 ? file : file.substr(0, dot);
 }

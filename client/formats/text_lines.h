@@ -3,7 +3,8 @@
 #ifndef REVISIT_CLIENT_FORMATS_TEXT_LINES_H_
 #define REVISIT_CLIENT_FORMATS_TEXT_LINES_H_
 
-#include <istream>
+#include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <string>
 #include <string_view>
@@ -11,46 +12,67 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "client/formats/byte_source.h"
 
 namespace revisit::client {
 
-// The lines of a stream, counted. `path` is for messages.
+// The lines of a text, counted, without a byte order mark at its beginning.
+// Lines of more than a mebibyte are an error.
 class Lines {
  public:
-  Lines(std::istream& input, std::string path);
+  // `path` is for messages.
+  Lines(std::unique_ptr<ByteSource> source, std::string path);
 
-  // The next line, without its end; false at the end of the stream.
-  bool Next(std::string* line);
+  // Reads the next line, without its end, valid until the next call. False at
+  // the end of the text or after an error; status() tells them apart.
+  bool Next(std::string_view* line);
+
+  // The first line that is neither blank nor begins with '#', without consuming
+  // anything; empty if there is none within the first 64 KiB.
+  // REQUIRES: nothing was consumed yet.
+  std::string_view PeekFirstLine();
+
+  // Bytes as they are, at least one, for parsers that know no lines; empty at
+  // the end or after an error. Valid until the next call.
+  std::string_view NextChunk();
+
+  const absl::Status& status() const { return status_; }
+  const std::string& path() const { return path_; }
+  // Of the line that was read last; 0 before the first.
+  std::int64_t number() const { return number_; }
 
   // INVALID_ARGUMENT with path and the number of the last line read.
   absl::Status Error(const std::string& message) const;
 
  private:
-  std::istream& input_;
+  // Reads more behind what is there; false at the end or after an error.
+  bool Fill();
+  void SkipByteOrderMark();
+
+  const std::unique_ptr<ByteSource> source_;
   const std::string path_;
-  int number_ = 0;
+  std::string buffer_;
+  std::size_t begin_ = 0;
+  std::int64_t number_ = 0;
+  bool at_start_ = true;
+  bool ended_ = false;
+  absl::Status status_;
 };
 
-std::vector<std::string_view> SplitAtCommas(std::string_view line);
+std::vector<std::string_view> SplitAt(char separator, std::string_view line);
 // Splits at blanks and tabs, any number of them.
 std::vector<std::string_view> SplitAtBlanks(std::string_view line);
+std::string_view WithoutBlanks(std::string_view text);
 
 // Quotes text of a file so that it fits into a message.
 std::string Quoted(std::string_view text);
 
 // Reads a finite number; `name` says in messages what it is.
-absl::StatusOr<double> ReadNumber(std::string_view field,
-                                  const std::string& name, const Lines& lines);
+absl::StatusOr<double> ReadNumber(std::string_view field, std::string_view name,
+                                  const Lines& lines);
 
-// An error if the first line of a file shows that it is compressed.
-absl::Status RefuseCompressed(const std::string& first_line,
-                              const Lines& lines);
-
-// NOT_FOUND or PERMISSION_DENIED if a file cannot be opened, INVALID_ARGUMENT
-// if it is no file.
-absl::StatusOr<std::unique_ptr<std::istream>> OpenText(const std::string& path);
-
-// Name of a file without directory and ending.
+// Name of a file without directory and ending, also without that of a
+// compressed file; "input" for "-".
 std::string StemOf(const std::string& path);
 
 }  // namespace revisit::client

@@ -13,7 +13,7 @@
 namespace revisit::client {
 namespace {
 
-using Clock = std::chrono::system_clock;
+using SystemClock = std::chrono::system_clock;
 using Stub = v1::PoseGraphService::StubInterface;
 
 enum class Retry { kSafe, kNever };
@@ -30,7 +30,7 @@ struct Client::Rep {
   template <typename Attempt>
   absl::Status Run(Retry retry, std::chrono::milliseconds limit,
                    const Attempt& attempt) {
-    const auto deadline = Clock::now() + limit;
+    const auto deadline = SystemClock::now() + limit;
     const int attempts =
         retry == Retry::kSafe ? std::max(options.max_attempts, 1) : 1;
     Backoff backoff(options.backoff, BackoffSeed());
@@ -45,7 +45,7 @@ struct Client::Rep {
           absl::IsUnavailable(status) || IsCutByServer(status);
       if (!is_passing || !repeatable || count >= attempts) return status;
       const auto wait = backoff.Next(DetailsOf(status).retry_delay);
-      if (Clock::now() + wait >= deadline) return status;
+      if (SystemClock::now() + wait >= deadline) return status;
       std::this_thread::sleep_for(wait);
     }
   }

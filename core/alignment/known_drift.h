@@ -8,11 +8,15 @@
 //
 // and given y it has the mean K y and the covariance Gamma_qj - K X^T, with
 // K = X (Gamma_cm + R_c)^-1: the update of a Kalman filter.
+//
+// Where the closure was measured, y is the innovation and R_c the measurement's
+// covariance, and the matched pose is carried to the query (confirmed_loop.h).
 #ifndef REVISIT_CORE_ALIGNMENT_KNOWN_DRIFT_H_
 #define REVISIT_CORE_ALIGNMENT_KNOWN_DRIFT_H_
 
 #include <optional>
 
+#include "core/alignment/confirmed_loop.h"
 #include "core/alignment/log_similarity.h"
 #include "core/alignment/similarity_kernel.h"
 #include "core/geometry/pose.h"
@@ -20,17 +24,18 @@
 
 namespace revisit::core {
 
-// R_c: a verifier confirms that two poses are at one place, which is some 10 m
-// wide (two standard deviations), but not how they lie to each other.
+// R_c where nothing was measured: a verifier confirms that two poses are at one
+// place, which is some 10 m wide (two standard deviations), but not how they
+// lie to each other.
 inline constexpr PlaceTolerance kConfirmedTolerance{5.0, 0.15};
 
-struct ConfirmedLoop {
-  NodeIndex query = 0;
-  NodeIndex matched = 0;
+// A pose of the closure, between this node and the next.
+template <int D>
+struct LoopEnd {
+  NodeIndex index = 0;
+  Pose pose;
+  StateMatrix<D> covariance;
 };
-
-// The direction in which a loop was closed, judged by the headings.
-Direction DirectionOf(const PoseGraph& graph, const ConfirmedLoop& loop);
 
 // The drift between one query node and any other node.
 template <int D>
@@ -40,7 +45,9 @@ class KnownDrift {
   // from one node of the closure over the other to the query, such as after an
   // optimiser has revised them: there
   //   S_later - Psi S_earlier Psi^T + R_c
-  // is not positive definite, and the formulas above do not hold.
+  // is not positive definite, and the formulas above do not hold. Where that is
+  // so for the covariance of a measurement only, the closure counts as if
+  // nothing had been measured.
   // REQUIRES: kDeadReckoning, where S is O(1). The errors of other models have
   // (nearly) decorrelated from the closure's by the time it could be used.
   static std::optional<KnownDrift> Make(const PoseGraph& graph,
@@ -57,18 +64,42 @@ class KnownDrift {
              StateMatrix<D>* covariance) const;
 
  private:
-  KnownDrift(const PoseGraph& graph, const ConfirmedLoop& loop,
+  // A closure as the formulas have it.
+  struct Closure {
+    LoopEnd<D> query;
+    LoopEnd<D> matched;
+    // y.
+    StateVector<D> difference;
+    // R_c, or nothing for kConfirmedTolerance.
+    std::optional<StateMatrix<D>> measurement;
+
+    void AddTolerance(StateMatrix<D>* covariance) const;
+  };
+
+  static Closure Measured(const ConfirmedLoop& loop);
+  static Closure Unmeasured(const PoseGraph& graph, SimilarityModel model,
+                            const ConfirmedLoop& loop);
+  static bool GrowsForward(const Closure& closure, const LoopEnd<D>& a,
+                           const LoopEnd<D>& b);
+  static std::optional<KnownDrift> Make(const PoseGraph& graph,
+                                        const SimilarityModel& model,
+                                        const Closure& closure,
+                                        NodeIndex query);
+
+  KnownDrift(const PoseGraph& graph, const Closure& closure,
              double variance_scale)
-      : graph_(&graph), loop_(loop), variance_scale_(variance_scale) {}
+      : graph_(&graph), closure_(closure), variance_scale_(variance_scale) {}
+
+  // S_i,end.
+  StateMatrix<D> CrossWith(NodeIndex i, const LoopEnd<D>& end) const;
 
   const PoseGraph* graph_;
-  ConfirmedLoop loop_;
+  Closure closure_;
   double variance_scale_;
   // S_qc - S_qm
   StateMatrix<D> query_part_;
   // (Gamma_cm + R_c)^-1
   StateMatrix<D> information_;
-  StateVector<D> loop_difference_;
 };
 
 }  // namespace revisit::core

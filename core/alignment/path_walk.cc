@@ -4,7 +4,7 @@
 #include <array>
 #include <cmath>
 
-#include "core/alignment/known_drift.h"
+#include "core/alignment/confirmed_loop.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
 

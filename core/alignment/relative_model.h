@@ -7,7 +7,7 @@
 #include <optional>
 #include <vector>
 
-#include "core/alignment/known_drift.h"
+#include "core/alignment/confirmed_loop.h"
 #include "core/alignment/log_similarity.h"
 #include "core/alignment/scored_ends.h"
 #include "core/alignment/shape_filter.h"

@@ -38,6 +38,25 @@ double LogPassProbability(const StateMatrix<D>& a, const StateMatrix<D>& b,
   return passes > 0.0 ? std::log(passes) : 0.0;
 }
 
+// What a closure shows of the errors: the difference of its nodes, or the
+// innovation of its measurement.
+template <int D>
+struct Shown {
+  StateVector<D> difference;
+  StateMatrix<D> gamma;
+  // The measurement's covariance, or nothing for the tolerance.
+  std::optional<StateMatrix<D>> measurement;
+
+  // With standard deviations f times as claimed.
+  std::optional<QuadraticForm> Under(SimilarityModel model, double f) const {
+    model.inflation = f;
+    return Evaluate<D>(measurement
+                           ? StateMatrix<D>((f * f) * gamma + *measurement)
+                           : ToleratedCovariance<D>(model, gamma),
+                       difference);
+  }
+};
+
 }  // namespace
 
 bool operator==(const ConsistencyOptions& a, const ConsistencyOptions& b) {
@@ -87,7 +106,14 @@ void ConsistencyMonitor::Confirm(const PoseGraph& graph,
   const Pose matched = graph.pose(loop.matched);
   model.direction = DirectionOf(graph, loop);
   const StateVector<D> d = ToVector<D>(PassDifference(model, query, matched));
-  const std::optional<QuadraticForm> claimed = Evaluate<D>(covariance(1.0), d);
+  Shown<D> shown{d, gamma, std::nullopt};
+  if (loop.measured) {
+    const Innovation<D> innovation =
+        InnovationOf<D>(graph, model.correlation, loop);
+    shown = {innovation.difference, innovation.gamma,
+             MeasurementCovariance<D>(*loop.measured)};
+  }
+  const std::optional<QuadraticForm> claimed = shown.Under(model, 1.0);
   if (!claimed) return;
   const StateMatrix<D> gated =
       covariance(options_.applied ? consistency_.inflation : 1.0);
@@ -96,14 +122,14 @@ void ConsistencyMonitor::Confirm(const PoseGraph& graph,
   const bool cut_off = in_force->squared_mahalanobis <= threshold_;
   std::array<double, kGridSize> log_likelihood;
   for (std::size_t i = 0; i < kGridSize; ++i) {
-    const StateMatrix<D> spread =
-        covariance(std::exp(LogFactor(i, options_.max_inflation)));
-    const std::optional<QuadraticForm> terms = Evaluate<D>(spread, d);
+    const double f = std::exp(LogFactor(i, options_.max_inflation));
+    const std::optional<QuadraticForm> terms = shown.Under(model, f);
     if (!terms) return;
     log_likelihood[i] =
         -0.5 * (terms->squared_mahalanobis + terms->log_determinant);
     if (cut_off) {
-      log_likelihood[i] -= LogPassProbability<D>(spread, gated, threshold_);
+      log_likelihood[i] -=
+          LogPassProbability<D>(covariance(f), gated, threshold_);
     }
   }
 

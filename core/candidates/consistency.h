@@ -11,6 +11,10 @@
 //
 //   ln N(d; 0, f^2 Gamma + R) - ln P(gate passes | f).
 //
+// Where the closure was measured, the density is that of the innovation instead
+// (confirmed_loop.h), with the measurement's covariance in the place of R; how
+// the poses truly lie to each other says nothing about f, so P stays.
+//
 // P concerns a weighted sum of chi-squares and uses Satterthwaite's
 // approximation ("An approximate distribution of estimates of variance
 // components", Biometrics Bulletin 2 (1946)).
@@ -21,7 +25,7 @@
 #include <optional>
 #include <vector>
 
-#include "core/alignment/known_drift.h"
+#include "core/alignment/confirmed_loop.h"
 #include "core/alignment/log_similarity.h"
 #include "core/graph/pose_graph.h"
 
@@ -31,7 +35,8 @@ struct Consistency {
   // Loop closures whose difference has a well-conditioned covariance.
   std::int64_t confirmed = 0;
   std::int64_t rejected = 0;
-  // Mean of d^T (Gamma + R)^-1 d over the confirmed ones, as claimed.
+  // Mean of d^T (Gamma + R)^-1 d over the confirmed ones, as claimed; of the
+  // innovation where there was a measurement.
   std::optional<double> mean_normalized_innovation_squared;
   int degrees_of_freedom = 3;
   // The estimate of f; before the first confirmed pair, that of the prior.

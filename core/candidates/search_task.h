@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "core/alignment/known_drift.h"
+#include "core/alignment/confirmed_loop.h"
 #include "core/alignment/log_similarity.h"
 #include "core/alignment/scored_ends.h"
 #include "core/alignment/viterbi.h"

@@ -8,6 +8,7 @@
 #include "server/conversion/names.h"
 #include "server/conversion/record_codec.h"
 #include "server/conversion/timestamps.h"
+#include "server/conversion/vehicle_labels.h"
 #include "server/conversion/vehicle_settings.h"
 
 namespace revisit::server {
@@ -44,6 +45,7 @@ void EncodeConfig(const VehicleConfig& config, v1::Vehicle* vehicle) {
                                       : v1::VEHICLE_STATE_ACTIVE);
   EncodeTime(config.create_time_ns, vehicle->mutable_create_time());
   vehicle->set_uid(config.uid);
+  EncodeLabels(config, vehicle);
 }
 
 void EncodeConsistency(const core::Consistency& consistency, bool applied,
@@ -164,6 +166,7 @@ void EncodeAck(const Acknowledgement& acknowledgement, v1::Ack* ack) {
   ack->set_durable_sequence(acknowledgement.durable_sequence);
   ack->set_revision(acknowledgement.revision);
   ack->clear_jumps();
+  ack->clear_warnings();
   for (const core::Jump& jump : acknowledgement.jumps) {
     v1::Jump* added = ack->add_jumps();
     added->set_sequence(jump.sequence);

@@ -113,6 +113,31 @@ void DecodeCovariance(const v1::Covariance& message, core::StateSpace space,
   }
 }
 
+const char* ReasonOf(core::DefectKind kind) {
+  switch (kind) {
+    case core::DefectKind::kNotFinite:
+      return kNotFinite;
+    case core::DefectKind::kOutOfRange:
+      return kInvalidField;
+    case core::DefectKind::kNotSymmetric:
+      return "COVARIANCE_NOT_SYMMETRIC";
+    case core::DefectKind::kNotPositiveDefinite:
+      return "COVARIANCE_NOT_POSITIVE_DEFINITE";
+  }
+  return kInvalidField;
+}
+
+void CheckPositiveDefinite(const core::Covariance& covariance,
+                           core::StateSpace space, const FieldPath& path,
+                           Violations* violations) {
+  core::PoseSample sample;
+  sample.covariance = covariance;
+  if (const auto defect = core::FindDefect(sample, space)) {
+    violations->Add(ReasonOf(defect->kind), path.Field("values"),
+                    defect->description);
+  }
+}
+
 void EncodeCovariance(const core::Covariance& covariance,
                       core::StateSpace space, v1::Covariance* message) {
   if (space == core::StateSpace::kSpatial) {

@@ -1,4 +1,4 @@
-// Covariances and error transitions of poses, in the layouts of messages.
+// Covariances and error transitions, in the layouts of messages.
 #ifndef REVISIT_SERVER_CONVERSION_COVARIANCES_H_
 #define REVISIT_SERVER_CONVERSION_COVARIANCES_H_
 
@@ -15,6 +15,15 @@ namespace revisit::server {
 void DecodeCovariance(const v1::Covariance& message, core::StateSpace space,
                       const FieldPath& path, core::Covariance* covariance,
                       Violations* violations);
+
+// The reason of a violation.
+const char* ReasonOf(core::DefectKind kind);
+
+// Adds a violation unless the covariance is positive definite, with standard
+// deviations within bounds.
+void CheckPositiveDefinite(const core::Covariance& covariance,
+                           core::StateSpace space, const FieldPath& path,
+                           Violations* violations);
 
 // PLANAR_6 or SPATIAL_10, by the state space.
 void EncodeCovariance(const core::Covariance& covariance,

@@ -50,6 +50,35 @@ bool CheckRange(double value, double lowest, double highest,
   return false;
 }
 
+bool CheckText(const std::string& text, std::size_t most_bytes, TextLines lines,
+               const FieldPath& path, Violations* violations) {
+  if (text.size() > most_bytes) {
+    violations->Add(
+        kInvalidField, path,
+        absl::StrCat("got ", text.size(), " bytes; allowed are ", most_bytes));
+    return false;
+  }
+  for (std::size_t i = 0; i < text.size(); ++i) {
+    const auto byte = static_cast<unsigned char>(text[i]);
+    const bool is_break = byte == '\n' || byte == '\t';
+    // U+0080 to U+009F are control characters too.
+    const bool is_control = byte < 0x20 || byte == 0x7f ||
+                            (byte == 0xc2 && i + 1 < text.size() &&
+                             static_cast<unsigned char>(text[i + 1]) < 0xa0);
+    if (!is_control || (is_break && lines == TextLines::kMany)) continue;
+    violations->Add(
+        kInvalidField, path,
+        absl::StrCat("got ", Quoted(text.substr(0, 64)),
+                     text.size() > 64 ? " and more" : "",
+                     ", with a control character at byte ", i,
+                     lines == TextLines::kMany
+                         ? "; of these, only line feeds and tabs are allowed"
+                         : "; none is allowed"));
+    return false;
+  }
+  return true;
+}
+
 std::string Quoted(const std::string& text) {
   return absl::StrCat(
       "\"", absl::CEscape(absl::string_view(text.data(), text.size())), "\"");

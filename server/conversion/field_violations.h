@@ -73,6 +73,14 @@ bool CheckFinite(double value, const FieldPath& path, Violations* violations);
 bool CheckRange(double value, double lowest, double highest,
                 const FieldPath& path, Violations* violations);
 
+// How many lines a text may have.
+enum class TextLines { kOne, kMany };
+// Whether the text is short enough and has no control character; in many lines,
+// line feeds and tabs are allowed. REQUIRES: valid UTF-8, as parsed messages
+// have it.
+bool CheckText(const std::string& text, std::size_t most_bytes, TextLines lines,
+               const FieldPath& path, Violations* violations);
+
 // Text that a caller sent, as messages show it: in quotes, and in printable
 // ASCII.
 std::string Quoted(const std::string& text);

@@ -11,9 +11,8 @@ namespace {
 constexpr char kInvalidName[] = "INVALID_RESOURCE_NAME";
 constexpr char kVehicles[] = "vehicles/";
 
-const char* CollectionOf(PairKind kind) {
-  return kind == PairKind::kLoopClosure ? "/loopClosures/"
-                                        : "/rejectedCandidates/";
+std::string CollectionOf(PairKind kind) {
+  return absl::StrCat("/", WordsOf(kind).collection, "/");
 }
 
 }  // namespace

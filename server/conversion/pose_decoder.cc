@@ -21,20 +21,6 @@ GeodeticOrigin ToOrigin(const v1::GeodeticPosition& position) {
           position.height_meters()};
 }
 
-const char* ReasonOf(core::DefectKind kind) {
-  switch (kind) {
-    case core::DefectKind::kNotFinite:
-      return kNotFinite;
-    case core::DefectKind::kOutOfRange:
-      return kInvalidField;
-    case core::DefectKind::kNotSymmetric:
-      return "COVARIANCE_NOT_SYMMETRIC";
-    case core::DefectKind::kNotPositiveDefinite:
-      return "COVARIANCE_NOT_POSITIVE_DEFINITE";
-  }
-  return kInvalidField;
-}
-
 }  // namespace
 
 PoseDecoder::PoseDecoder(const VehicleConfig& config, PoseSource source,

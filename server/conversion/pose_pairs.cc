@@ -2,13 +2,14 @@
 
 #include "absl/strings/str_cat.h"
 #include "server/conversion/field_violations.h"
+#include "server/conversion/loop_closure_content.h"
 #include "server/conversion/names.h"
 #include "server/conversion/timestamps.h"
 
 namespace revisit::server {
 namespace {
 
-// LoopClosure and RejectedCandidate have the same fields.
+// LoopClosure and RejectedCandidate have these fields in common.
 template <typename Message>
 void CheckSequences(const Message& pair, const FieldPath& path,
                     Violations* violations) {
@@ -28,6 +29,16 @@ void CheckSequences(const Message& pair, const FieldPath& path,
   }
 }
 
+// What the store keeps of a pair beside its poses.
+std::string PayloadOf(const v1::LoopClosure& pair, const FieldPath& path,
+                      Violations* violations) {
+  return EncodeContent(pair, path, violations);
+}
+std::string PayloadOf(const v1::RejectedCandidate&, const FieldPath&,
+                      Violations*) {
+  return "";
+}
+
 template <typename Message>
 absl::StatusOr<PosePairRecord> DecodePair(PairKind kind, const Message* pair,
                                           const std::string& id) {
@@ -35,13 +46,14 @@ absl::StatusOr<PosePairRecord> DecodePair(PairKind kind, const Message* pair,
   const FieldPath request;
   const FieldPath path = request.Field(field);
   Violations violations;
+  PosePairRecord record;
   if (pair == nullptr) {
     violations.Add(kInvalidField, path, "required");
   } else {
     CheckSequences(*pair, path, &violations);
+    record.payload = PayloadOf(*pair, path, &violations);
   }
   if (violations.count() > 0) return violations.ToStatus();
-  PosePairRecord record;
   record.id = !id.empty() ? id
                           : absl::StrCat(pair->query_sequence(), "-",
                                          pair->matched_sequence());
@@ -79,6 +91,8 @@ absl::StatusOr<PosePairRecord> DecodePosePair(const v1::RejectedCandidate* pair,
 void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,
                     v1::LoopClosure* message) {
   EncodePair(PairKind::kLoopClosure, vehicle_id, record, message);
+  // A payload that does not decode was found when the vehicle was loaded.
+  static_cast<void>(DecodeContent(record.payload, message));
 }
 
 void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,

@@ -10,9 +10,10 @@
 
 namespace revisit::server {
 
-// The record that a request for a new pair asks for, without creation time.
-// `pair` is null if it was left out; an id that was left out is made from the
-// sequences.
+// The record that a request for a new pair asks for, without creation time;
+// what depends on the vehicle's state space (RecordCodec::DecodeMeasurement())
+// is not checked. `pair` is null if it was left out; an id that was left out is
+// made from the sequences.
 absl::StatusOr<PosePairRecord> DecodePosePair(const v1::LoopClosure* pair,
                                               const std::string& id);
 absl::StatusOr<PosePairRecord> DecodePosePair(const v1::RejectedCandidate* pair,

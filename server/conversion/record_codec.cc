@@ -10,6 +10,7 @@
 #include "server/base/status.h"
 #include "server/conversion/covariances.h"
 #include "server/conversion/field_violations.h"
+#include "server/conversion/loop_closure_content.h"
 #include "server/conversion/pose_decoder.h"
 #include "server/conversion/settings_table.h"
 #include "server/conversion/stored_records.pb.h"
@@ -181,6 +182,12 @@ std::string ProtoRecordCodec::EncodeVehicle(const VehicleConfig& config) const {
                                      : stored::VEHICLE_STATE_ACTIVE);
   EncodeTime(config.create_time_ns, vehicle.mutable_create_time());
   vehicle.set_uid(config.uid);
+  vehicle.set_display_name(config.display_name);
+  for (const auto& [key, value] : config.labels) {
+    stored::Label* const label = vehicle.add_labels();
+    label->set_key(key);
+    label->set_value(value);
+  }
   return vehicle.SerializeAsString();
 }
 
@@ -207,7 +214,17 @@ absl::StatusOr<VehicleConfig> ProtoRecordCodec::DecodeVehicle(
       vehicle.uid().empty()
           ? DerivedVehicleUid(record.key, record.id, config->create_time_ns)
           : vehicle.uid();
+  config->display_name = vehicle.display_name();
+  for (const stored::Label& label : vehicle.labels()) {
+    config->labels.emplace(label.key(), label.value());
+  }
   return config;
+}
+
+absl::StatusOr<std::optional<core::LoopMeasurement>>
+ProtoRecordCodec::DecodeMeasurement(const std::string& payload,
+                                    core::StateSpace space) const {
+  return server::DecodeMeasurement(payload, space);
 }
 
 // ---- Batches

@@ -19,8 +19,9 @@
 namespace revisit::server {
 
 // A vehicle's payload is a serialized revisit.stored.Vehicle, a batch's a
-// serialized revisit.stored.PoseBatch. The fingerprint of a pose is the XXH3-64
-// of its serialized revisit.stored.Pose.
+// serialized revisit.stored.PoseBatch, a loop closure's a serialized
+// revisit.stored.LoopClosureContent (loop_closure_content.h). The fingerprint
+// of a pose is the XXH3-64 of its serialized revisit.stored.Pose.
 class ProtoRecordCodec : public RecordCodec {
  public:
   std::string EncodeVehicle(const VehicleConfig& config) const override;
@@ -28,6 +29,8 @@ class ProtoRecordCodec : public RecordCodec {
       const VehicleRecord& record) const override;
   absl::StatusOr<DecodedBatch> DecodeBatch(
       const std::string& payload, const VehicleConfig& config) const override;
+  absl::StatusOr<std::optional<core::LoopMeasurement>> DecodeMeasurement(
+      const std::string& payload, core::StateSpace space) const override;
   absl::StatusOr<std::string> SliceBatch(const std::string& payload,
                                          std::size_t first,
                                          std::size_t count) const override;

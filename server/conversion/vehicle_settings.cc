@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "server/base/status.h"
 #include "server/conversion/settings_table.h"
+#include "server/conversion/vehicle_labels.h"
 
 namespace revisit::server {
 namespace {
@@ -18,9 +19,10 @@ constexpr EnumRow<v1::Direction, core::SearchDirection> kSearchDirections[] = {
     {v1::DIRECTION_OPPOSITE, core::SearchDirection::kOpposite},
     {v1::DIRECTION_EITHER, core::SearchDirection::kEither}};
 
-// The fields of VehicleSettings that the mask names as paths below `vehicle`.
+// The fields of VehicleSettings that the mask names as paths below `vehicle`;
+// all else that it names goes to `labels`.
 absl::StatusOr<std::vector<const FieldDescriptor*>> MaskedSettings(
-    const google::protobuf::FieldMask& mask) {
+    const google::protobuf::FieldMask& mask, LabelsMask* labels) {
   const std::string prefix = "settings.";
   const auto* descriptor = v1::VehicleSettings::descriptor();
   const FieldPath path = FieldPath().Field("update_mask");
@@ -28,8 +30,8 @@ absl::StatusOr<std::vector<const FieldDescriptor*>> MaskedSettings(
   Violations violations;
   if (mask.paths().empty()) {
     violations.Add(kInvalidField, path,
-                   "required: name the settings that change, such as "
-                   "\"settings.max_candidates\"");
+                   "required: name what changes, such as "
+                   "\"settings.max_candidates\" or \"display_name\"");
   }
   for (int i = 0; i < mask.paths_size(); ++i) {
     const std::string& name = mask.paths(i);
@@ -39,6 +41,7 @@ absl::StatusOr<std::vector<const FieldDescriptor*>> MaskedSettings(
       }
       continue;
     }
+    if (labels->Take(name)) continue;
     const auto* field =
         name.compare(0, prefix.size(), prefix) == 0
             ? descriptor->FindFieldByName(name.substr(prefix.size()))
@@ -48,7 +51,9 @@ absl::StatusOr<std::vector<const FieldDescriptor*>> MaskedSettings(
           kInvalidField, path.At("paths", static_cast<std::size_t>(i)),
           absl::StrCat("got ", Quoted(name),
                        "; allowed are \"settings\" and \"settings.\" with the "
-                       "name of a setting, which changes as a whole"));
+                       "name of a setting, which changes as a whole, "
+                       "\"display_name\", \"labels\" and \"labels.\" with a "
+                       "key"));
       continue;
     }
     fields.insert(field);
@@ -97,24 +102,32 @@ void EncodeSettings(const VehicleConfig& config,
   WriteSettings(config, settings);
 }
 
-absl::StatusOr<VehicleConfig> UpdateSettings(
-    const VehicleConfig& current, bool has_poses,
-    const v1::VehicleSettings& settings,
+absl::StatusOr<VehicleConfig> UpdateConfig(
+    const VehicleConfig& current, bool has_poses, const v1::Vehicle& vehicle,
     const google::protobuf::FieldMask& update_mask) {
-  const auto fields = MaskedSettings(update_mask);
+  LabelsMask labels;
+  const auto fields = MaskedSettings(update_mask, &labels);
   if (!fields.ok()) return fields.status();
   v1::VehicleSettings merged;
   EncodeSettings(current, &merged);
-  v1::VehicleSettings given = settings;
+  v1::VehicleSettings given = vehicle.settings();
   // A setting that is named but not given becomes unset, which decodes to its
   // default.
   v1::VehicleSettings::GetReflection()->SwapFields(&merged, &given, *fields);
+  const FieldPath request;
+  const FieldPath path = request.Field("vehicle");
   absl::StatusOr<VehicleConfig> updated =
-      DecodeSettings(merged, FieldPath().Field("vehicle").Field("settings"));
+      DecodeSettings(merged, path.Field("settings"));
   if (!updated.ok()) return updated.status();
   updated->create_time_ns = current.create_time_ns;
   updated->data_loss = current.data_loss;
   updated->uid = current.uid;
+  updated->display_name = current.display_name;
+  updated->labels = current.labels;
+  if (absl::Status status = UpdateLabels(vehicle, labels, path, &*updated);
+      !status.ok()) {
+    return status;
+  }
   if (!has_poses) return updated;
 
   // By default the origin is that of the first pose, which is there already.

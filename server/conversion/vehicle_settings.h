@@ -13,17 +13,17 @@
 
 namespace revisit::server {
 
-// Fields left out take their defaults. State, uid and creation time are left
-// alone.
+// Fields left out take their defaults. State, uid, creation time and labels are
+// left alone.
 absl::StatusOr<VehicleConfig> DecodeSettings(
     const v1::VehicleSettings& settings, const FieldPath& path);
 void EncodeSettings(const VehicleConfig& config, v1::VehicleSettings* settings);
 
-// The config with the settings named by the mask replaced. FAILED_PRECONDITION
-// (SETTING_FIXED) for those that cannot change once there are poses.
-absl::StatusOr<VehicleConfig> UpdateSettings(
-    const VehicleConfig& current, bool has_poses,
-    const v1::VehicleSettings& settings,
+// The config with the settings, the display name and the labels replaced that
+// the mask names. FAILED_PRECONDITION (SETTING_FIXED) for settings that cannot
+// change once there are poses.
+absl::StatusOr<VehicleConfig> UpdateConfig(
+    const VehicleConfig& current, bool has_poses, const v1::Vehicle& vehicle,
     const google::protobuf::FieldMask& update_mask);
 
 // Whether a vehicle was created, or could have been, with these settings: an

@@ -26,10 +26,6 @@ const unsigned char* Bytes(const std::string& text) {
   return reinterpret_cast<const unsigned char*>(text.data());
 }
 
-absl::Status Problem(const std::string& where, const std::string& what) {
-  return absl::InvalidArgumentError((where + ": " + what).c_str());
-}
-
 // The text of a member; empty if there is no such member. Members that are not
 // strings are found by the check of all members.
 std::string Text(const Json& key, const char* member) {
@@ -68,26 +64,28 @@ openssl::Key FromParams(const char* type, OSSL_PARAM_BLD* builder) {
 absl::StatusOr<openssl::Key> RsaKey(const Json& key, const std::string& where) {
   const auto n = Binary(key, "n");
   const auto e = Binary(key, "e");
-  if (!n || !e) return Problem(where, "\"n\" or \"e\" is missing or malformed");
+  if (!n || !e)
+    return ProblemAt(where, "\"n\" or \"e\" is missing or malformed");
   const openssl::BigNumber modulus = Number(*n);
   const openssl::BigNumber exponent = Number(*e);
   const int bits = BN_num_bits(modulus.get());
   if (bits < kMinRsaBits || bits > kMaxRsaBits) {
-    return Problem(where, "an RSA key of " + std::to_string(bits) +
-                              " bits; allowed is " +
-                              std::to_string(kMinRsaBits) + " to " +
-                              std::to_string(kMaxRsaBits));
+    return ProblemAt(where, "an RSA key of " + std::to_string(bits) +
+                                " bits; allowed is " +
+                                std::to_string(kMinRsaBits) + " to " +
+                                std::to_string(kMaxRsaBits));
   }
   const int exponent_bits = BN_num_bits(exponent.get());
   if (BN_is_odd(modulus.get()) == 0 || BN_is_odd(exponent.get()) == 0 ||
       exponent_bits < 2 || exponent_bits > kMaxExponentBits) {
-    return Problem(where, "\"n\" and \"e\" are no RSA key");
+    return ProblemAt(where, "\"n\" and \"e\" are no RSA key");
   }
   const openssl::ParamsBuilder builder(OSSL_PARAM_BLD_new());
   OSSL_PARAM_BLD_push_BN(builder.get(), OSSL_PKEY_PARAM_RSA_N, modulus.get());
   OSSL_PARAM_BLD_push_BN(builder.get(), OSSL_PKEY_PARAM_RSA_E, exponent.get());
   openssl::Key made = FromParams("RSA", builder.get());
-  if (made == nullptr) return Problem(where, "\"n\" and \"e\" are no RSA key");
+  if (made == nullptr)
+    return ProblemAt(where, "\"n\" and \"e\" are no RSA key");
   return made;
 }
 
@@ -96,7 +94,7 @@ absl::StatusOr<openssl::Key> EcKey(const Json& key, const std::string& where) {
   const auto y = Binary(key, "y");
   if (!x || !y || x->size() != kCoordinateBytes ||
       y->size() != kCoordinateBytes) {
-    return Problem(where, "\"x\" or \"y\" is missing or not of 32 bytes");
+    return ProblemAt(where, "\"x\" or \"y\" is missing or not of 32 bytes");
   }
   const std::string point = '\x04' + *x + *y;
   const openssl::ParamsBuilder builder(OSSL_PARAM_BLD_new());
@@ -106,7 +104,7 @@ absl::StatusOr<openssl::Key> EcKey(const Json& key, const std::string& where) {
                                    point.data(), point.size());
   openssl::Key made = FromParams("EC", builder.get());
   if (made == nullptr)
-    return Problem(where, "\"x\", \"y\" is no point of P-256");
+    return ProblemAt(where, "\"x\", \"y\" is no point of P-256");
   return made;
 }
 
@@ -114,11 +112,11 @@ absl::StatusOr<openssl::Key> Ed25519Key(const Json& key,
                                         const std::string& where) {
   const auto x = Binary(key, "x");
   if (!x || x->size() != kCoordinateBytes) {
-    return Problem(where, "\"x\" is missing or not of 32 bytes");
+    return ProblemAt(where, "\"x\" is missing or not of 32 bytes");
   }
   openssl::Key made(EVP_PKEY_new_raw_public_key(EVP_PKEY_ED25519, nullptr,
                                                 Bytes(*x), x->size()));
-  if (made == nullptr) return Problem(where, "\"x\" is no key of Ed25519");
+  if (made == nullptr) return ProblemAt(where, "\"x\" is no key of Ed25519");
   return made;
 }
 
@@ -188,22 +186,23 @@ absl::StatusOr<JwkSet> JwkSet::Parse(const std::string& text) {
   std::size_t number = 0;
   for (const Json& key : set["keys"]) {
     const std::string where = "keys[" + std::to_string(number++) + "]";
-    if (!key.is_object()) return Problem(where, "not an object");
+    if (!key.is_object()) return ProblemAt(where, "not an object");
     if (key.contains("d") || key.contains("k")) {
-      return Problem(where,
-                     "a private or symmetric key; the server needs public keys "
-                     "only, and nobody else's secrets");
+      return ProblemAt(
+          where,
+          "a private or symmetric key; the server needs public keys "
+          "only, and nobody else's secrets");
     }
     const Kind* const kind = KindOf(key);
     if (kind == nullptr) continue;
     const std::string id = Text(key, "kid");
-    if (id.empty()) return Problem(where, "\"kid\" is missing");
+    if (id.empty()) return ProblemAt(where, "\"kid\" is missing");
     absl::StatusOr<openssl::Key> made = kind->make(key, where);
     if (!made.ok()) return made.status();
     const auto shared =
         std::make_shared<const PublicKey>(PublicKey{kind, *std::move(made)});
     if (!result.keys_.emplace(id, shared).second) {
-      return Problem(where, "a second key of this \"kid\"");
+      return ProblemAt(where, "a second key of this \"kid\"");
     }
   }
   if (result.keys_.empty()) {

@@ -31,16 +31,12 @@ bool IsOfIdCharacters(const std::string& text) {
   return std::all_of(text.begin(), text.end(), IsIdCharacter);
 }
 
-absl::Status Problem(const std::string& where, const std::string& what) {
-  return absl::InvalidArgumentError((where + ": " + what).c_str());
-}
-
 absl::Status CheckObject(const Json& value, const std::string& where,
                          std::initializer_list<const char*> keys) {
-  if (!value.is_object()) return Problem(where, "not an object");
+  if (!value.is_object()) return ProblemAt(where, "not an object");
   for (const auto& [key, member] : value.items()) {
     const bool known = std::find(keys.begin(), keys.end(), key) != keys.end();
-    if (!known) return Problem(where, "unknown key \"" + key + "\"");
+    if (!known) return ProblemAt(where, "unknown key \"" + key + "\"");
   }
   return absl::OkStatus();
 }
@@ -49,9 +45,9 @@ absl::StatusOr<std::string> Text(const Json& object, const char* key,
                                  const std::string& where) {
   const auto found = object.find(key);
   if (found == object.end()) {
-    return Problem(where, std::string("\"") + key + "\" is missing");
+    return ProblemAt(where, std::string("\"") + key + "\" is missing");
   }
-  if (!found->is_string()) return Problem(where + "." + key, "not a text");
+  if (!found->is_string()) return ProblemAt(where + "." + key, "not a text");
   return found->get<std::string>();
 }
 
@@ -61,15 +57,15 @@ absl::StatusOr<std::vector<std::pair<std::string, std::string>>> Texts(
   const std::string path = where + "." + key;
   const auto found = object.find(key);
   if (found == object.end()) {
-    return Problem(where, std::string("\"") + key + "\" is missing");
+    return ProblemAt(where, std::string("\"") + key + "\" is missing");
   }
   if (!found->is_array() || found->empty()) {
-    return Problem(path, "not an array of one text or more");
+    return ProblemAt(path, "not an array of one text or more");
   }
   std::vector<std::pair<std::string, std::string>> texts;
   for (const Json& element : *found) {
     const std::string at = absl::StrCat(path, "[", texts.size(), "]");
-    if (!element.is_string()) return Problem(at, "not a text");
+    if (!element.is_string()) return ProblemAt(at, "not a text");
     texts.emplace_back(element.get<std::string>(), at);
   }
   return texts;
@@ -79,7 +75,7 @@ absl::StatusOr<std::vector<std::pair<std::string, std::string>>> Texts(
 using Tenants = std::map<std::string, std::string>;
 
 absl::StatusOr<Tenants> ReadTenants(const Json& list) {
-  if (!list.is_array()) return Problem("tenants", "not an array");
+  if (!list.is_array()) return ProblemAt("tenants", "not an array");
   Tenants tenants;
   for (std::size_t i = 0; i < list.size(); ++i) {
     const std::string where = absl::StrCat("tenants[", i, "]");
@@ -93,28 +89,28 @@ absl::StatusOr<Tenants> ReadTenants(const Json& list) {
     const auto prefix = Text(list[i], "vehicle_prefix", where);
     if (!prefix.ok()) return prefix.status();
     if (name->empty() || name->size() > 63 || !IsOfIdCharacters(*name)) {
-      return Problem(where + ".name",
-                     "got \"" + *name +
-                         "\"; allowed are 1 to 63 lower-case letters, digits "
-                         "and hyphens");
+      return ProblemAt(where + ".name",
+                       "got \"" + *name +
+                           "\"; allowed are 1 to 63 lower-case letters, digits "
+                           "and hyphens");
     }
     if (prefix->size() > 62 || !IsOfIdCharacters(*prefix) ||
         prefix->rfind('-', 0) == 0) {
-      return Problem(
+      return ProblemAt(
           where + ".vehicle_prefix",
           "got \"" + *prefix + "\", which no vehicle's id starts with");
     }
     for (const auto& [other, other_prefix] : tenants) {
       const std::size_t common = std::min(prefix->size(), other_prefix.size());
       if (prefix->compare(0, common, other_prefix, 0, common) == 0) {
-        return Problem(where + ".vehicle_prefix",
-                       "got \"" + *prefix + "\", and that of " + other +
-                           " is \"" + other_prefix +
-                           "\": vehicles would belong to both");
+        return ProblemAt(where + ".vehicle_prefix",
+                         "got \"" + *prefix + "\", and that of " + other +
+                             " is \"" + other_prefix +
+                             "\": vehicles would belong to both");
       }
     }
     if (!tenants.emplace(*name, *prefix).second) {
-      return Problem(where + ".name", "\"" + *name + "\" stands twice");
+      return ProblemAt(where + ".name", "\"" + *name + "\" stands twice");
     }
   }
   return tenants;
@@ -131,8 +127,8 @@ absl::StatusOr<std::uint8_t> ReadVerbs(const Json& object,
       if (text == VerbName(verb)) bit = static_cast<std::uint8_t>(verb);
     }
     if (bit == 0) {
-      return Problem(at,
-                     "got \"" + text + "\"; allowed is read, write and admin");
+      return ProblemAt(
+          at, "got \"" + text + "\"; allowed is read, write and admin");
     }
     verbs = static_cast<std::uint8_t>(verbs | bit);
   }
@@ -149,18 +145,18 @@ absl::StatusOr<std::vector<std::string>> ReadPatterns(
     const std::size_t match = rest.find(kMatch);
     if (match != std::string::npos) {
       if (!has_match) {
-        return Problem(at,
-                       "{match} stands for nothing: who the grant is for "
-                       "is named without a `*`");
+        return ProblemAt(at,
+                         "{match} stands for nothing: who the grant is for "
+                         "is named without a `*`");
       }
       rest.erase(match, kMatchBytes);
     }
     rest.erase(std::remove(rest.begin(), rest.end(), '*'), rest.end());
     if (text.empty() || text.size() > kMaxPatternBytes ||
         !IsOfIdCharacters(rest)) {
-      return Problem(at, "got \"" + text +
-                             "\"; a pattern is made of lower-case letters, "
-                             "digits, hyphens, `*` and at most one {match}");
+      return ProblemAt(at, "got \"" + text +
+                               "\"; a pattern is made of lower-case letters, "
+                               "digits, hyphens, `*` and at most one {match}");
     }
     patterns.push_back(text);
   }
@@ -231,7 +227,7 @@ class Policy::Reader {
     if (*tenant != kAllTenants) {
       const auto found = tenants.find(*tenant);
       if (found == tenants.end()) {
-        return Problem(
+        return ProblemAt(
             absl::StrCat(where, ".tenant"),
             absl::StrCat("got \"", *tenant, "\", which is not among tenants"));
       }
@@ -268,10 +264,11 @@ class Policy::Reader {
       if (!status.ok()) return status;
     }
     if (named == 1) return absl::OkStatus();
-    return Problem(where, absl::StrCat("names who it is for ", named,
-                                       " times; exactly one of token_subject, "
-                                       "token_claim, certificate_uri and "
-                                       "certificate_dns is needed"));
+    return ProblemAt(where,
+                     absl::StrCat("names who it is for ", named,
+                                  " times; exactly one of token_subject, "
+                                  "token_claim, certificate_uri and "
+                                  "certificate_dns is needed"));
   }
 
   static absl::Status ReadClaim(const Json& claim, const std::string& where,
@@ -292,7 +289,7 @@ class Policy::Reader {
     if (!pattern.ok()) return pattern.status();
     if (pattern->empty() ||
         std::count(pattern->begin(), pattern->end(), '*') > 1) {
-      return Problem(
+      return ProblemAt(
           absl::StrCat(where, ".", key),
           absl::StrCat("got \"", *pattern,
                        "\"; allowed is a text with at most one `*`"));
@@ -314,17 +311,17 @@ absl::StatusOr<Policy> Policy::Parse(const std::string& text) {
   }
   for (const char* key : {"version", "tenants", "grants"}) {
     if (!root.contains(key)) {
-      return Problem("policy", std::string("\"") + key + "\" is missing");
+      return ProblemAt("policy", std::string("\"") + key + "\" is missing");
     }
   }
   if (root["version"] != 1) {
-    return Problem("version", "got " + root["version"].dump() +
-                                  "; this server knows version 1");
+    return ProblemAt("version", "got " + root["version"].dump() +
+                                    "; this server knows version 1");
   }
   const auto tenants = ReadTenants(root["tenants"]);
   if (!tenants.ok()) return tenants.status();
   const Json& list = root["grants"];
-  if (!list.is_array()) return Problem("grants", "not an array");
+  if (!list.is_array()) return ProblemAt("grants", "not an array");
 
   Policy policy;
   for (std::size_t i = 0; i < list.size(); ++i) {

@@ -28,10 +28,13 @@ grpc_ssl_certificate_config_reload_status Fetch(
   const TlsMaterial& material = *current.material;
   const grpc_ssl_pem_key_cert_pair pair = {material.private_key.c_str(),
                                            material.certificate_chain.c_str()};
-  *config = grpc_ssl_server_certificate_config_create(
-      material.client_authorities.empty() ? nullptr
-                                          : material.client_authorities.c_str(),
-      &pair, 1);
+  // gRPC ends the process if there are no authorities, also where no client is
+  // asked for a certificate. Nothing is then compared with those that it gets.
+  const std::string& authorities = material.client_authorities.empty()
+                                       ? material.certificate_chain
+                                       : material.client_authorities;
+  *config =
+      grpc_ssl_server_certificate_config_create(authorities.c_str(), &pair, 1);
   if (*config == nullptr) return GRPC_SSL_CERTIFICATE_CONFIG_RELOAD_FAIL;
   listener->version = current.version;
   return GRPC_SSL_CERTIFICATE_CONFIG_RELOAD_NEW;

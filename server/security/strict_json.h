@@ -6,6 +6,7 @@
 #include <string>
 
 #include "absl/status/status.h"
+#include "absl/strings/str_cat.h"
 
 namespace revisit::server {
 
@@ -13,6 +14,12 @@ namespace revisit::server {
 // object, or is nested deeper than 16. The message says where, and repeats
 // parts of the text: do not pass it on if the text is a secret.
 absl::Status ParseStrictJson(const std::string& text, nlohmann::json* value);
+
+// INVALID_ARGUMENT that says where in a document something is wrong.
+inline absl::Status ProblemAt(const std::string& where,
+                              const std::string& what) {
+  return absl::InvalidArgumentError(absl::StrCat(where, ": ", what));
+}
 
 }  // namespace revisit::server
 

@@ -24,8 +24,6 @@
 namespace revisit::server {
 namespace {
 
-using Response = v1::ExportPoseGraphResponse;
-
 // Nodes per message, which makes about 100 KiB.
 constexpr core::NodeIndex kNodesAMessage = 512;
 constexpr core::NodeIndex kEdgesAMessage = 4096;
@@ -232,7 +230,7 @@ class Export final : public grpc::ServerWriteReactor<grpc::ByteBuffer>,
   core::NodeIndex next_consecutive_ ABSL_GUARDED_BY(mutex_) = 1;
   std::size_t next_loop_ ABSL_GUARDED_BY(mutex_) = 0;
   // The message that is written next; the first holds the vehicle.
-  Response message_ ABSL_GUARDED_BY(mutex_);
+  v1::ExportPoseGraphResponse message_ ABSL_GUARDED_BY(mutex_);
   // Belongs to gRPC while `writing_`.
   grpc::ByteBuffer bytes_ ABSL_GUARDED_BY(mutex_);
   bool writing_ ABSL_GUARDED_BY(mutex_) = false;

@@ -1,6 +1,7 @@
 #include "server/service/list_vehicles.h"
 
 #include <algorithm>
+#include <cstddef>
 #include <memory>
 #include <string>
 
@@ -15,12 +16,17 @@
 namespace revisit::server {
 namespace {
 
+// A page ends where it is longer than this, so that clients with the usual
+// limit of 4 MiB can read it.
+constexpr std::size_t kMostPageBytes = std::size_t{1} << 20;
+
 // Fills a page with the vehicles that the caller may read, as they are stored.
 // The others leave no trace, neither in the page's length nor in its token.
 absl::Status ListStored(Storage* storage, const Caller& caller,
                         const std::string& list, const std::string& after,
                         int page_size, v1::ListVehiclesResponse* response) {
   std::string last;
+  std::size_t bytes = 0;
   for (const std::string& prefix : caller.PrefixesOf(Verb::kRead)) {
     std::string place = after;
     for (bool past = false; !past;) {
@@ -33,11 +39,13 @@ absl::Status ListStored(Storage* storage, const Caller& caller,
       past = static_cast<int>(records->size()) < wanted;
       for (const VehicleRecord& record : *records) {
         if (!caller.May(Verb::kRead, record.id)) continue;
-        if (response->vehicles_size() == page_size) {
+        if (response->vehicles_size() == page_size || bytes > kMostPageBytes) {
           response->set_next_page_token(MakePageToken(list, last));
           return absl::OkStatus();
         }
-        EncodeVehicle(record, response->add_vehicles());
+        v1::Vehicle* const vehicle = response->add_vehicles();
+        EncodeVehicle(record, vehicle);
+        bytes += vehicle->ByteSizeLong();
         last = record.id;
       }
       if (!past) place = records->back().id;

@@ -8,11 +8,12 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
-#include "google/protobuf/util/field_mask_util.h"
 #include "server/base/status.h"
 #include "server/conversion/answers.h"
 #include "server/conversion/names.h"
+#include "server/conversion/pose_inspection.h"
 #include "server/conversion/poses.h"
+#include "server/conversion/vehicle_labels.h"
 #include "server/conversion/vehicle_settings.h"
 #include "server/service/export_pose_graph.h"
 #include "server/service/find_candidates.h"
@@ -30,8 +31,6 @@
 
 namespace revisit::server {
 namespace {
-
-using google::protobuf::util::FieldMaskUtil;
 
 // The part of a vehicle that a caller gets who changed the vehicle but may not
 // read it: which one it is. The caller's own settings are added to that.
@@ -88,11 +87,19 @@ class UnaryAppend final : public AppendSink {
         !meant.ok()) {
       return meant;
     }
-    return DecodeBatch(request_->poses(), max_poses_, config, kRequest);
+    absl::StatusOr<DecodedBatch> batch =
+        DecodeBatch(request_->poses(), max_poses_, config, kRequest);
+    if (batch.ok() && batch->samples.front().sequence == 1) {
+      PoseInspector(config.frame).Look(batch->samples, &warnings_);
+    }
+    return batch;
   }
 
   void OnDurable(const absl::StatusOr<Acknowledgement>& result) override {
-    if (result.ok()) EncodeAck(*result, response_->mutable_ack());
+    if (result.ok()) {
+      EncodeAck(*result, response_->mutable_ack());
+      response_->mutable_ack()->mutable_warnings()->Swap(&warnings_);
+    }
     call_->End(result.status());
   }
 
@@ -101,6 +108,7 @@ class UnaryAppend final : public AppendSink {
   const v1::AppendPosesRequest* const request_;
   v1::AppendPosesResponse* const response_;
   const int max_poses_;
+  PoseInspector::Warnings warnings_;
 };
 
 }  // namespace
@@ -135,10 +143,16 @@ grpc::ServerUnaryReactor* PoseGraphService::CreateVehicle(
         if (absl::Status status = call->ChooseVehicle(id); !status.ok()) {
           return status;
         }
-        absl::StatusOr<VehicleConfig> config =
-            DecodeSettings(request->vehicle().settings(),
-                           kRequest.Field("vehicle").Field("settings"));
+        const FieldPath field = kRequest.Field("vehicle");
+        absl::StatusOr<VehicleConfig> config = DecodeSettings(
+            request->vehicle().settings(), field.Field("settings"));
         if (!config.ok()) return config.status();
+        const LabelsMask all = {true, true, {}};
+        if (absl::Status status =
+                UpdateLabels(request->vehicle(), all, field, &*config);
+            !status.ok()) {
+          return status;
+        }
         config->create_time_ns = NowNanoseconds();
         config->uid = NewVehicleUid();
         const VehicleConfig requested = *config;
@@ -211,16 +225,15 @@ grpc::ServerUnaryReactor* PoseGraphService::UpdateVehicle(
         (*session)->Update(
             [=](const VehicleView& view) -> absl::StatusOr<VehicleConfig> {
               if (call->given_up()) return call->GivenUpStatus();
-              return UpdateSettings(view.config, view.durable_sequence > 0,
-                                    request->vehicle().settings(),
-                                    request->update_mask());
+              return UpdateConfig(view.config, view.durable_sequence > 0,
+                                  request->vehicle(), request->update_mask());
             },
             FinishWith<VehicleView>(call, [=](const VehicleView& view) {
               v1::Vehicle* const answer = response->mutable_vehicle();
               EncodeVehicle(view, answer);
               if (MayRead(*call, view.id)) return absl::OkStatus();
               const v1::Vehicle whole = *answer;
-              FieldMaskUtil::TrimMessage(request->update_mask(), answer);
+              TrimToMask(request->update_mask(), answer);
               // An origin that was left out may be that of the first pose.
               if (!request->vehicle().settings().has_geodetic_origin()) {
                 answer->mutable_settings()->clear_geodetic_origin();

@@ -1,17 +1,19 @@
 // The handlers of calls about pairs of poses: the same for loop closures and
-// rejected candidates, whose messages have the same fields. Each finishes the
-// call, unless it returns an error.
+// rejected candidates. Each finishes the call, unless it returns an error.
 #ifndef REVISIT_SERVER_SERVICE_POSE_PAIR_CALLS_H_
 #define REVISIT_SERVER_SERVICE_POSE_PAIR_CALLS_H_
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <utility>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
+#include "core/candidates/agreement.h"
 #include "google/protobuf/repeated_field.h"
+#include "revisit/v1/pose_graph_service.pb.h"
 #include "server/conversion/names.h"
 #include "server/conversion/page_token.h"
 #include "server/conversion/pose_pairs.h"
@@ -21,6 +23,19 @@
 #include "server/storage/storage.h"
 
 namespace revisit::server {
+
+// How well a measurement agrees with the graph; only loop closures have one.
+inline void EncodeAgreement(const std::optional<core::Agreement>& agreement,
+                            v1::AddLoopClosureResponse* response) {
+  if (!agreement) return;
+  v1::MeasurementAgreement* const message = response->mutable_agreement();
+  message->set_squared_mahalanobis_distance(agreement->squared_mahalanobis);
+  message->set_degrees_of_freedom(agreement->degrees_of_freedom);
+  message->set_p_value(agreement->p_value);
+  message->set_inflation(agreement->inflation);
+}
+inline void EncodeAgreement(const std::optional<core::Agreement>&,
+                            v1::RejectCandidateResponse*) {}
 
 // Adds a pair of poses to the vehicle that `parent` names. `pair` is null if it
 // was left out; `added` is the field of the response for the stored pair.
@@ -38,13 +53,13 @@ absl::Status AddPair(const ServiceContext& context, const UnaryCallPtr& call,
   absl::StatusOr<PosePairRecord> record = DecodePosePair(pair, id);
   if (!record.ok()) return record.status();
   record->create_time_ns = NowNanoseconds();
-  using Stored = std::pair<PosePairRecord, std::uint64_t>;
   context.fleet->Session(*vehicle)->AddPosePair(
       kind, *std::move(record),
-      FinishWith<Stored>(
-          call, [=, id_of_vehicle = *vehicle](const auto& stored) {
-            EncodePosePair(id_of_vehicle, stored.first, (response->*added)());
-            response->set_revision(stored.second);
+      FinishWith<AddedPair>(
+          call, [=, id_of_vehicle = *vehicle](const AddedPair& stored) {
+            EncodePosePair(id_of_vehicle, stored.pair, (response->*added)());
+            response->set_revision(stored.revision);
+            EncodeAgreement(stored.agreement, response);
             return absl::OkStatus();
           }));
   return absl::OkStatus();

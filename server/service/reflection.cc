@@ -8,6 +8,8 @@
 #include <cstdint>
 #include <functional>
 #include <list>
+#include <memory>
+#include <mutex>
 #include <unordered_map>
 #include <unordered_set>
 #include <utility>
@@ -43,8 +45,7 @@ void ClearJsonNames(protobuf::DescriptorProto* message) {
 // All descriptors. Immutable, so that threads may share it.
 class Catalog {
  public:
-  explicit Catalog(std::vector<std::string> services)
-      : services_(std::move(services)) {
+  Catalog() {
     protobuf::FileDescriptorSet set;
     set.ParseFromArray(kRevisitServedDescriptors,
                        static_cast<int>(kRevisitServedDescriptorsSize));
@@ -59,14 +60,12 @@ class Catalog {
     }
   }
 
-  const std::vector<std::string>& services() const { return services_; }
   const protobuf::DescriptorPool& pool() const { return pool_; }
   const std::string& Serialized(const std::string& name) const {
     return serialized_.at(name);
   }
 
  private:
-  const std::vector<std::string> services_;
   protobuf::DescriptorPool pool_;
   std::unordered_map<std::string, std::string> serialized_;
 };
@@ -94,11 +93,27 @@ class OpenStreams {
   std::list<grpc::CallbackServerContext*> open_ ABSL_GUARDED_BY(mutex_);
 };
 
-struct Shared {
+// What all streams have in common. Thread-safe.
+class Shared {
+ public:
   explicit Shared(std::vector<std::string> services)
-      : catalog(std::move(services)) {}
-  const Catalog catalog;
-  OpenStreams streams;
+      : services_(std::move(services)) {}
+
+  // Full names of the services.
+  const std::vector<std::string>& services() const { return services_; }
+  // Made when it is first asked for, because that takes milliseconds and
+  // megabytes, and many a server is never asked.
+  const Catalog& catalog() {
+    std::call_once(made_, [this] { catalog_ = std::make_unique<Catalog>(); });
+    return *catalog_;
+  }
+  OpenStreams& streams() { return streams_; }
+
+ private:
+  const std::vector<std::string> services_;
+  std::once_flag made_;
+  std::unique_ptr<const Catalog> catalog_;
+  OpenStreams streams_;
 };
 
 // Answers one request after another, each before the next is read. The messages
@@ -108,7 +123,7 @@ class Stream final : public grpc::ServerBidiReactor<Request, Response> {
  public:
   Stream(grpc::CallbackServerContext* context, std::shared_ptr<Shared> shared)
       : context_(context), shared_(std::move(shared)) {
-    shared_->streams.Enter(context_);
+    shared_->streams().Enter(context_);
     this->StartRead(&request_);
   }
 
@@ -133,25 +148,26 @@ class Stream final : public grpc::ServerBidiReactor<Request, Response> {
   }
 
   void OnDone() override {
-    shared_->streams.Leave(context_);
+    shared_->streams().Leave(context_);
     delete this;
   }
 
  private:
+  const protobuf::DescriptorPool& pool() { return shared_->catalog().pool(); }
+
   void Answer() {
-    const protobuf::DescriptorPool& pool = shared_->catalog.pool();
     switch (request_.message_request_case()) {
       case Request::kFileByFilename:
-        return AnswerFile(pool.FindFileByName(request_.file_by_filename()));
+        return AnswerFile(pool().FindFileByName(request_.file_by_filename()));
       case Request::kFileContainingSymbol:
         return AnswerFile(
-            pool.FindFileContainingSymbol(request_.file_containing_symbol()));
+            pool().FindFileContainingSymbol(request_.file_containing_symbol()));
       case Request::kFileContainingExtension:
         return AnswerExtension();
       case Request::kAllExtensionNumbersOfType:
         return AnswerExtensionNumbers();
       case Request::kListServices:
-        for (const std::string& name : shared_->catalog.services()) {
+        for (const std::string& name : shared_->services()) {
           response_.mutable_list_services_response()->add_service()->set_name(
               name);
         }
@@ -185,7 +201,7 @@ class Stream final : public grpc::ServerBidiReactor<Request, Response> {
         continue;
       }
       answer->add_file_descriptor_proto(
-          shared_->catalog.Serialized(one->name()));
+          shared_->catalog().Serialized(one->name()));
       for (int i = 0; i < one->dependency_count(); ++i) {
         waiting.push_back(one->dependency(i));
       }
@@ -194,27 +210,25 @@ class Stream final : public grpc::ServerBidiReactor<Request, Response> {
 
   void AnswerExtension() {
     const auto& asked = request_.file_containing_extension();
-    const protobuf::DescriptorPool& pool = shared_->catalog.pool();
     const protobuf::Descriptor* const type =
-        pool.FindMessageTypeByName(asked.containing_type());
+        pool().FindMessageTypeByName(asked.containing_type());
     const protobuf::FieldDescriptor* const extension =
         type == nullptr
             ? nullptr
-            : pool.FindExtensionByNumber(type, asked.extension_number());
+            : pool().FindExtensionByNumber(type, asked.extension_number());
     AnswerFile(extension == nullptr ? nullptr : extension->file());
   }
 
   void AnswerExtensionNumbers() {
     const std::string& name = request_.all_extension_numbers_of_type();
-    const protobuf::DescriptorPool& pool = shared_->catalog.pool();
-    const protobuf::Descriptor* const type = pool.FindMessageTypeByName(name);
+    const protobuf::Descriptor* const type = pool().FindMessageTypeByName(name);
     if (type == nullptr) {
       return AnswerError(grpc::StatusCode::NOT_FOUND, "there is none here");
     }
     auto* const answer = response_.mutable_all_extension_numbers_response();
     answer->set_base_type_name(name);
     std::vector<const protobuf::FieldDescriptor*> extensions;
-    pool.FindAllExtensions(type, &extensions);
+    pool().FindAllExtensions(type, &extensions);
     for (const auto* extension : extensions) {
       answer->add_extension_number(extension->number());
     }

@@ -26,8 +26,6 @@
 namespace revisit::server {
 namespace {
 
-using Request = v1::RevisePosesRequest;
-
 // A revision reserves room on the disk in steps of this many bytes.
 constexpr std::int64_t kDraftStep = std::int64_t{1} << 20;
 
@@ -113,7 +111,7 @@ absl::StatusOr<RevisionPlan> Plan(Storage* storage, const VehicleView& view,
 // so that a call takes the memory of one message; then hands the draft to the
 // session as a whole. Held by a shared_ptr for the reasons given in
 // stream_poses.cc.
-class Revision final : public grpc::ServerReadReactor<Request>,
+class Revision final : public grpc::ServerReadReactor<v1::RevisePosesRequest>,
                        public std::enable_shared_from_this<Revision> {
  public:
   Revision(grpc::CallbackServerContext* call, const ServiceContext& context,
@@ -288,7 +286,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
 
   void OnDrafted(const absl::Status& status) ABSL_LOCKS_EXCLUDED(mutex_) {
     // The memory of the message is freed before the next one comes.
-    Request().Swap(&request_);
+    v1::RevisePosesRequest().Swap(&request_);
     room_.reset();
     const MutexLock lock(&mutex_);
     if (finished_) return;
@@ -366,7 +364,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
   std::shared_ptr<Revision> self_;
 
   // Belong to gRPC while a message is read, to the session until it is drafted.
-  Request request_;
+  v1::RevisePosesRequest request_;
   // Room for the message that is being drafted.
   Permit room_;
   std::uint64_t expected_revision_ = 0;
@@ -388,7 +386,7 @@ class Revision final : public grpc::ServerReadReactor<Request>,
 
 }  // namespace
 
-grpc::ServerReadReactor<Request>* StartRevision(
+grpc::ServerReadReactor<v1::RevisePosesRequest>* StartRevision(
     grpc::CallbackServerContext* call, const ServiceContext& context,
     v1::RevisePosesResponse* response) {
   const auto revision = std::make_shared<Revision>(call, context, response);

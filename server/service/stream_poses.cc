@@ -7,6 +7,7 @@
 #include <optional>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -19,6 +20,7 @@
 #include "server/conversion/answers.h"
 #include "server/conversion/field_violations.h"
 #include "server/conversion/names.h"
+#include "server/conversion/pose_inspection.h"
 #include "server/conversion/poses.h"
 #include "server/conversion/vehicle_settings.h"
 #include "server/service/call.h"
@@ -144,9 +146,12 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
         : stream_(std::move(stream)), bytes_(bytes), room_(std::move(room)) {}
 
     absl::StatusOr<DecodedBatch> Decode(const VehicleConfig& config) override {
-      return DecodeBatch(stream_->request_->batch().poses(),
-                         stream_->context_.limits.max_batch_poses, config,
-                         FieldPath().Field("batch"));
+      absl::StatusOr<DecodedBatch> batch =
+          DecodeBatch(stream_->request_->batch().poses(),
+                      stream_->context_.limits.max_batch_poses, config,
+                      FieldPath().Field("batch"));
+      if (batch.ok()) stream_->Inspect(batch->samples, config, &warnings_);
+      return batch;
     }
 
     void OnStaged(const absl::Status& status) override {
@@ -156,7 +161,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     void OnDurable(const absl::StatusOr<Acknowledgement>& result) override {
       // Whoever has the acknowledgement may send as much again.
       room_.reset();
-      stream_->OnDurable(result, bytes_);
+      stream_->OnDurable(result, bytes_, &warnings_);
       work_start_ = std::chrono::steady_clock::now();
     }
 
@@ -182,11 +187,13 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     const std::shared_ptr<PoseStream> stream_;
     const std::size_t bytes_;
     Permit room_;
+    PoseInspector::Warnings warnings_;
     // When the session got to the search that it runs now.
     std::chrono::steady_clock::time_point work_start_;
   };
 
-  // An answer to be written: `other`, or an acknowledgement if that is null.
+  // An answer to be written: `other`, or an acknowledgement without warnings if
+  // that is null.
   struct Answer {
     Acknowledgement ack;
     std::unique_ptr<Response> other;
@@ -311,6 +318,18 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
         std::make_shared<Batch>(shared_from_this(), bytes, *std::move(room)));
   }
 
+  // Called while `handling_`.
+  void Inspect(const std::vector<core::PoseSample>& samples,
+               const VehicleConfig& config, PoseInspector::Warnings* warnings) {
+    if (inspection_is_over_) return;
+    if (inspector_ == nullptr) {
+      inspector_ = std::make_unique<PoseInspector>(config.frame);
+    }
+    inspector_->Look(samples, warnings);
+    inspection_is_over_ = inspector_->done();
+    if (inspection_is_over_) inspector_.reset();
+  }
+
   void OnStaged(const absl::Status& status) {
     const MutexLock lock(&mutex_);
     handling_ = false;
@@ -319,12 +338,19 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   }
 
   void OnDurable(const absl::StatusOr<Acknowledgement>& acknowledgement,
-                 std::size_t bytes) {
+                 std::size_t bytes, PoseInspector::Warnings* warnings) {
     const MutexLock lock(&mutex_);
     --in_flight_;
     bytes_in_flight_ -= bytes;
     SetFailure(acknowledgement.status());
-    if (acknowledgement.ok()) queue_.push_back({*acknowledgement, nullptr});
+    if (acknowledgement.ok() && warnings->empty()) {
+      queue_.push_back({*acknowledgement, nullptr});
+    } else if (acknowledgement.ok()) {
+      auto response = std::make_unique<Response>();
+      EncodeAck(*acknowledgement, response->mutable_ack());
+      response->mutable_ack()->mutable_warnings()->Swap(warnings);
+      queue_.push_back({{}, std::move(response)});
+    }
     Advance();
   }
 
@@ -529,6 +555,9 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   const std::unique_ptr<char[]> request_block_;
   google::protobuf::Arena arena_;
   Request* request_;
+  // Belong to the session while `handling_`.
+  std::unique_ptr<PoseInspector> inspector_;
+  bool inspection_is_over_ = false;
   // Belongs to gRPC while `writing_`.
   Response response_;
 

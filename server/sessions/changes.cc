@@ -243,41 +243,80 @@ void Changes::AddPosePair(PairKind kind, PosePairRecord pair,
                           const PairCallback& callback) {
   const PosePairs& pairs = vehicle_->Pairs(kind);
   const auto found = pairs.find(pair.id);
-  const PosePairRecord* const present =
-      found == pairs.end() ? nullptr : &found->second;
   absl::Status allowed = vehicle_->Writable();
-  if (allowed.ok()) allowed = CheckNewPair(kind, pair, present);
+  if (allowed.ok()) {
+    allowed = CheckNewPair(kind, pair,
+                           found == pairs.end() ? nullptr : &found->second);
+  }
+  const auto measured = std::make_shared<MeasuredLoops>();
+  if (allowed.ok()) {
+    allowed =
+        measured->Add(*vehicle_, vehicle_->config.engine.state_space, pair);
+  }
   if (!allowed.ok()) {
     callback(allowed);
     return;
   }
-  if (present != nullptr) {
-    callback(std::make_pair(*present, vehicle_->revision));
+  if (measured->empty()) {
+    StorePair(kind, std::move(pair), nullptr, callback);
+    return;
+  }
+  queue_->Hold();
+  queue_->PostLong([this, kind, pair = std::move(pair), measured, callback] {
+    const absl::Status read = measured->ReadPoses(*vehicle_);
+    queue_->Release([&] {
+      if (read.ok()) {
+        StorePair(kind, pair, measured->Find(pair), callback);
+        return;
+      }
+      // Damage that was not known: the vehicle has to be loaded anew.
+      if (absl::IsDataLoss(read)) vehicle_->Leave(vehicle_->OutOfStep());
+      callback(read);
+    });
+  });
+}
+
+void Changes::StorePair(
+    PairKind kind, PosePairRecord pair,
+    const std::shared_ptr<const core::MeasuredLoop>& measured,
+    const PairCallback& callback) {
+  AddedPair added;
+  if (measured) {
+    added.agreement = vehicle_->engine->AgreementOf(
+        pair.query_sequence, pair.matched_sequence, measured);
+  }
+  const auto present = vehicle_->Pairs(kind).find(pair.id);
+  if (present != vehicle_->Pairs(kind).end()) {
+    added.pair = present->second;
+    added.revision = vehicle_->revision;
+    callback(added);
     return;
   }
   const bool is_last = PlaceInOrder(&pair);
-  const std::uint64_t next = vehicle_->revision + 1;
+  added.pair = pair;
+  added.revision = vehicle_->revision + 1;
   Write(
       [&](Storage::Done done) {
-        vehicle_->storage->AddPosePair(vehicle_->key, kind, pair, next,
-                                       std::move(done));
+        vehicle_->storage->AddPosePair(vehicle_->key, kind, pair,
+                                       added.revision, std::move(done));
       },
-      [this, kind, pair, next, is_last, callback](const absl::Status& status) {
+      [this, kind, added, is_last, measured,
+       callback](const absl::Status& status) {
         if (!status.ok()) {
           callback(status);
           return;
         }
-        vehicle_->Pairs(kind).emplace(pair.id, pair);
+        vehicle_->Pairs(kind).emplace(added.pair.id, added.pair);
         if (is_last) {
-          TakeOnLastPair(kind, pair, next);
-          callback(std::make_pair(pair, next));
+          TakeOnLastPair(kind, added.pair, added.revision, measured);
+          callback(added);
           return;
         }
         queue_->set_store_lead(VehicleQueue::StoreLead::kVehicle);
-        replayer_->Rebuild(vehicle_->config, next,
-                           [pair, next, callback](const absl::Status& rebuilt) {
+        replayer_->Rebuild(vehicle_->config, added.revision,
+                           [added, callback](const absl::Status& rebuilt) {
                              if (rebuilt.ok()) {
-                               callback(std::make_pair(pair, next));
+                               callback(added);
                              } else {
                                callback(rebuilt);
                              }
@@ -297,7 +336,11 @@ absl::Status Changes::CheckNewPair(PairKind kind, const PosePairRecord& pair,
   if (present != nullptr) {
     if (present->query_sequence == pair.query_sequence &&
         present->matched_sequence == pair.matched_sequence) {
-      return absl::OkStatus();
+      if (present->payload == pair.payload) return absl::OkStatus();
+      return Error(StatusCode::kAlreadyExists, words.exists,
+                   StrCat(words.noun, " '", pair.id,
+                          "' has another measurement, note or score; to "
+                          "replace it, delete it first"));
     }
     return Error(
         StatusCode::kAlreadyExists, words.exists,
@@ -312,7 +355,30 @@ absl::Status Changes::CheckNewPair(PairKind kind, const PosePairRecord& pair,
                         words.noun, "s, which is the limit; delete some first"),
                  {{"limit", limit}});
   }
-  return absl::OkStatus();
+  return CheckConflict(kind, pair);
+}
+
+absl::Status Changes::CheckConflict(PairKind kind,
+                                    const PosePairRecord& pair) const {
+  const PairKind other = kind == PairKind::kLoopClosure
+                             ? PairKind::kRejectedCandidate
+                             : PairKind::kLoopClosure;
+  const PosePairs& others = vehicle_->Pairs(other);
+  const auto found =
+      std::find_if(others.begin(), others.end(), [&](const auto& entry) {
+        return entry.second.query_sequence == pair.query_sequence &&
+               entry.second.matched_sequence == pair.matched_sequence;
+      });
+  if (found == others.end()) return absl::OkStatus();
+  const PairWords words = WordsOf(other);
+  const std::string name = StrCat("vehicles/", vehicle_->id, "/",
+                                  words.collection, "/", found->first);
+  return Error(
+      StatusCode::kFailedPrecondition, "POSE_PAIR_CONFLICT",
+      StrCat("sequences ", pair.query_sequence, " and ", pair.matched_sequence,
+             " are the ", words.noun, " '", found->first, "' and cannot be a ",
+             WordsOf(kind).noun, " too; delete that first if it was a mistake"),
+      {{"name", name}});
 }
 
 bool Changes::PlaceInOrder(PosePairRecord* pair) const {
@@ -323,10 +389,11 @@ bool Changes::PlaceInOrder(PosePairRecord* pair) const {
   return true;
 }
 
-void Changes::TakeOnLastPair(PairKind kind, const PosePairRecord& pair,
-                             std::uint64_t revision) {
+void Changes::TakeOnLastPair(
+    PairKind kind, const PosePairRecord& pair, std::uint64_t revision,
+    const std::shared_ptr<const core::MeasuredLoop>& measured) {
   vehicle_->latest_pair_ns = pair.create_time_ns;
-  AddPair(vehicle_->engine.get(), kind, pair, revision);
+  AddPair(vehicle_->engine.get(), kind, pair, revision, measured);
   vehicle_->NoteResidency();
   vehicle_->Adopt(vehicle_->config, revision);
 }

@@ -6,12 +6,14 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <string>
 #include <utility>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "core/candidates/agreement.h"
 #include "server/sessions/replay.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
@@ -41,9 +43,14 @@ using RevisionPlanner =
 // The revision, and how many poses were revised.
 using RevisionCallback =
     std::function<void(absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>)>;
-// The pair as stored, and the revision.
-using PairCallback = std::function<void(
-    absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>>)>;
+// A pair as it is stored, the revision, and how well what was measured agreed
+// with the graph before it was added, where that is defined.
+struct AddedPair {
+  PosePairRecord pair;
+  std::uint64_t revision = 0;
+  std::optional<core::Agreement> agreement;
+};
+using PairCallback = std::function<void(absl::StatusOr<AddedPair>)>;
 
 // Contracts of the methods: see those of VehicleSession. Belongs to the strand.
 class Changes {
@@ -94,11 +101,18 @@ class Changes {
   // the same; `present` is null if no pair has the id.
   absl::Status CheckNewPair(PairKind kind, const PosePairRecord& pair,
                             const PosePairRecord* present) const;
+  // OK unless the two poses are a pair of the other kind.
+  absl::Status CheckConflict(PairKind kind, const PosePairRecord& pair) const;
+  // Adds a pair that may be added, or answers the one that is there already.
+  void StorePair(PairKind kind, PosePairRecord pair,
+                 const std::shared_ptr<const core::MeasuredLoop>& measured,
+                 const PairCallback& callback);
   // Gives the pair its place in the order of creation times. Returns whether it
   // is the last.
   bool PlaceInOrder(PosePairRecord* pair) const;
-  void TakeOnLastPair(PairKind kind, const PosePairRecord& pair,
-                      std::uint64_t revision);
+  void TakeOnLastPair(
+      PairKind kind, const PosePairRecord& pair, std::uint64_t revision,
+      const std::shared_ptr<const core::MeasuredLoop>& measured);
   // Takes a pair, which is still among Pairs(), out of the graph.
   void TakeBack(PairKind kind, const PosePairRecord& pair,
                 std::uint64_t revision);

@@ -1,4 +1,5 @@
-// How a vehicle and its batches become bytes in the store, and come back.
+// How a vehicle, its batches and its loop closures become bytes in the store,
+// and come back.
 #ifndef REVISIT_SERVER_SESSIONS_RECORD_CODEC_H_
 #define REVISIT_SERVER_SESSIONS_RECORD_CODEC_H_
 
@@ -9,6 +10,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "core/alignment/confirmed_loop.h"
 #include "core/geometry/pose.h"
 #include "server/sessions/vehicle_config.h"
 #include "server/storage/storage.h"
@@ -39,6 +41,12 @@ class RecordCodec {
   // DATA_LOSS if the payload is not that of a batch.
   virtual absl::StatusOr<DecodedBatch> DecodeBatch(
       const std::string& payload, const VehicleConfig& config) const = 0;
+  // What a stored loop closure's payload says was measured, or nothing.
+  // INVALID_ARGUMENT if that is no measurement for a vehicle of this state
+  // space; DATA_LOSS if the payload is not that of a loop closure.
+  virtual absl::StatusOr<std::optional<core::LoopMeasurement>>
+  DecodeMeasurement(const std::string& payload,
+                    core::StateSpace space) const = 0;
   // A part of a stored batch: the poses from index `first` on, `count` of them,
   // encoded as a batch of their own.
   virtual absl::StatusOr<std::string> SliceBatch(const std::string& payload,

@@ -20,10 +20,11 @@ constexpr int kPairsPerRead = 1000;
 }  // namespace
 
 void AddPair(core::Engine* engine, PairKind kind, const PosePairRecord& pair,
-             std::uint64_t revision) {
+             std::uint64_t revision,
+             std::shared_ptr<const core::MeasuredLoop> measured) {
   if (kind == PairKind::kLoopClosure) {
-    engine->AddLoopClosure(pair.query_sequence, pair.matched_sequence,
-                           revision);
+    engine->AddLoopClosure(pair.query_sequence, pair.matched_sequence, revision,
+                           std::move(measured));
   } else {
     engine->AddRejection(pair.query_sequence, pair.matched_sequence, revision);
   }
@@ -51,7 +52,8 @@ absl::Status Replayer::StartLoad() {
   }
   vehicle_->durable_sequence = record->durable_sequence;
   for (const PairKind kind : kPairKinds) {
-    if (absl::Status read = LoadPairs(kind); !read.ok()) return read;
+    const absl::Status read = LoadPairs(kind, config->engine.state_space);
+    if (!read.ok()) return read;
   }
   Start(*std::move(config), record->revision, /*is_load=*/true,
         [this](const absl::Status& status) {
@@ -106,7 +108,7 @@ absl::Status Replayer::Damaged(const absl::Status& cause) const {
                {{"vehicle", vehicle_->id}, {"durable_sequence", durable}});
 }
 
-absl::Status Replayer::LoadPairs(PairKind kind) {
+absl::Status Replayer::LoadPairs(PairKind kind, core::StateSpace space) {
   std::string after;
   while (true) {
     const absl::StatusOr<std::vector<PosePairRecord>> page =
@@ -120,10 +122,15 @@ absl::Status Replayer::LoadPairs(PairKind kind) {
     if (page->empty()) return absl::OkStatus();
     after = page->back().id;
     for (const PosePairRecord& pair : *page) {
-      if (pair.damage.ok()) {
+      absl::Status sound = pair.damage;
+      if (sound.ok() && !MeasuredLoops().Add(*vehicle_, space, pair).ok()) {
+        sound = vehicle_->Corrupt(StrCat("stored ", WordsOf(kind).noun, " '",
+                                         pair.id, "' does not decode"));
+      }
+      if (sound.ok()) {
         vehicle_->Pairs(kind).emplace(pair.id, pair);
       } else {
-        NoteDamage(pair.damage);
+        NoteDamage(sound);
       }
     }
   }
@@ -147,6 +154,11 @@ void Replayer::Start(VehicleConfig config, std::uint64_t revision, bool is_load,
   replay_->is_load = is_load;
   replay_->then = std::move(then);
   replay_->engine = std::make_unique<core::Engine>(replay_->config.engine);
+  for (const auto& [id, closure] : vehicle_->loop_closures) {
+    // Was found to decode when it was loaded or added.
+    static_cast<void>(replay_->measured.Add(
+        *vehicle_, replay_->config.engine.state_space, closure));
+  }
   Post();
 }
 
@@ -191,6 +203,7 @@ absl::StatusOr<bool> Replayer::ReplayBatches() {
           decoding = decoded.status();
           return false;
         }
+        replay_->measured.Take(decoded->samples);
         const core::AppendResult applied =
             replay_->engine->Append(decoded->samples, ++replay_->steps);
         replay_->jumps.insert(replay_->jumps.end(), applied.jumps.begin(),
@@ -214,7 +227,9 @@ absl::Status Replayer::FinishGraph() {
   if (absl::Status status = CheckPairs(); !status.ok()) return status;
   vehicle_->FindLatestPair();
   for (const auto& [kind, pair] : vehicle_->PairsAsAdded()) {
-    AddPair(replay_->engine.get(), kind, *pair, ++replay_->steps);
+    AddPair(replay_->engine.get(), kind, *pair, ++replay_->steps,
+            kind == PairKind::kLoopClosure ? replay_->measured.Find(*pair)
+                                           : nullptr);
   }
   if (replay_->steps >= replay_->revision) {
     const absl::Status status =

@@ -13,6 +13,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/engine.h"
+#include "server/sessions/measured_loops.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
 
@@ -35,6 +36,7 @@ struct Replay {
   std::uint64_t steps = 0;
   // The highest revision of the batches so far.
   std::uint64_t highest_revision = 0;
+  MeasuredLoops measured;
 };
 
 // Belongs to the strand, but for GiveUp(). Works in slices of time, so that
@@ -61,7 +63,7 @@ class Replayer {
  private:
   absl::Status StartLoad();
   absl::StatusOr<VehicleConfig> StoredConfig(const VehicleRecord& record) const;
-  absl::Status LoadPairs(PairKind kind);
+  absl::Status LoadPairs(PairKind kind, core::StateSpace space);
   void TakeUnknown(const VehicleRecord& record, const absl::Status& cause);
   void Start(VehicleConfig config, std::uint64_t revision, bool is_load,
              std::function<void(const absl::Status&)> then);
@@ -82,9 +84,10 @@ class Replayer {
   std::atomic<bool> gives_up_{false};
 };
 
-// Adds a pair to a graph.
+// Adds a pair to a graph; of a loop closure, with what was measured, or null.
 void AddPair(core::Engine* engine, PairKind kind, const PosePairRecord& pair,
-             std::uint64_t revision);
+             std::uint64_t revision,
+             std::shared_ptr<const core::MeasuredLoop> measured);
 
 }  // namespace revisit::server
 

@@ -3,6 +3,7 @@
 #define REVISIT_SERVER_SESSIONS_VEHICLE_CONFIG_H_
 
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <string>
 
@@ -38,6 +39,9 @@ struct VehicleConfig {
   std::int64_t create_time_ns = 0;  // Since the Unix epoch.
   // Writes are refused until an operator accepts the loss.
   bool data_loss = false;
+  // For people, and for the callers' programs: nothing depends on these.
+  std::string display_name;
+  std::map<std::string, std::string> labels;
 };
 
 }  // namespace revisit::server

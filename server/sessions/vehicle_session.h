@@ -102,13 +102,15 @@ class VehicleSession {
   void Revise(RevisionPlanner plan, RevisionCallback callback);
 
   // Adds a pair of poses that a verifier judged; answers the stored pair and
-  // the revision. The same id and sequences again: the existing pair. The order
+  // the revision. The same id and content again: the existing pair. The order
   // of pairs is that of their creation times: one not later than all others' is
   // moved behind them. Where that is further than kMostClockError, the clock
   // was wrong before, and the pair goes where its time says. Errors:
   // ALREADY_EXISTS (WordsOf(kind).exists), NOT_FOUND (POSE_NOT_FOUND) if a
-  // sequence is not durable, FAILED_PRECONDITION (POSE_PAIR_LIMIT).
-  // REQUIRES: 1 <= matched_sequence < query_sequence.
+  // sequence is not durable, FAILED_PRECONDITION (POSE_PAIR_LIMIT), or
+  // (POSE_PAIR_CONFLICT) if the two poses are a pair of the other kind, those
+  // of RecordCodec::DecodeMeasurement(). REQUIRES: 1 <= matched_sequence <
+  // query_sequence.
   void AddPosePair(PairKind kind, PosePairRecord pair, PairCallback callback);
   // Answers the revision. NOT_FOUND (WordsOf(kind).not_found) if there is none.
   void DeletePosePair(

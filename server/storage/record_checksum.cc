@@ -73,14 +73,15 @@ std::int64_t ChecksumOfBatch(std::int64_t format, VehicleKey key,
 
 std::int64_t ChecksumOfPosePair(std::int64_t format, VehicleKey key,
                                 PairKind kind, const PosePairRecord& row) {
-  return Hasher(kind == PairKind::kLoopClosure ? 'L' : 'N')
-      .Add(key)
+  Hasher hasher(kind == PairKind::kLoopClosure ? 'L' : 'N');
+  hasher.Add(key)
       .Add(row.id)
       .Add(format)
       .Add(row.query_sequence)
       .Add(row.matched_sequence)
-      .Add(row.create_time_ns)
-      .Digest();
+      .Add(row.create_time_ns);
+  if (format >= kPayloadsOfPairsSince) hasher.Add(row.payload);
+  return hasher.Digest();
 }
 
 }  // namespace revisit::server

@@ -18,6 +18,8 @@ namespace revisit::server {
 std::int64_t ChecksumOfVehicle(std::int64_t format, const VehicleRecord& row);
 std::int64_t ChecksumOfBatch(std::int64_t format, VehicleKey key,
                              BatchVersion version, const BatchRecord& row);
+// Payloads count since the format that brought them.
+inline constexpr std::int64_t kPayloadsOfPairsSince = 4;
 std::int64_t ChecksumOfPosePair(std::int64_t format, VehicleKey key,
                                 PairKind kind, const PosePairRecord& row);
 

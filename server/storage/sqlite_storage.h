@@ -33,16 +33,17 @@
 //                        committed together, as sent; never rewritten
 //   revised_batches      a row per batch whose poses were revised: its current
 //                        version
-//   loop_closures        a row per loop closure
-//   rejected_candidates  a row per rejected candidate; since format 2
+//   loop_closures        a row per loop closure; payloads since format 4
+//   rejected_candidates  a row per rejected candidate; since format 2, payloads
+//                        since format 4
 //   deleted_vehicles     keys whose batches are still to be removed, a few at
 //                        a time
 //   store                one row: which store this is, and the number of its
 //                        last commit; since format 3
 // Every row has a format version and a checksum (record_checksum.h), checked
 // whenever it is read. The version is that of the store when the row was
-// written: opening an older store adds the tables that it lacks, in one
-// transaction, and rewrites no row.
+// written: opening an older store adds the tables and columns that it lacks, in
+// one transaction, and rewrites no row.
 #ifndef REVISIT_SERVER_STORAGE_SQLITE_STORAGE_H_
 #define REVISIT_SERVER_STORAGE_SQLITE_STORAGE_H_
 

@@ -38,7 +38,7 @@ namespace revisit::server {
 // Version of the tables and of how payloads are written. A field that is added
 // to a payload needs no new version: older servers ignore it, newer ones take
 // its absence for its default.
-inline constexpr int kStoreFormat = 3;
+inline constexpr int kStoreFormat = 4;
 
 // Key of a vehicle's rows; never used again after the vehicle is deleted.
 using VehicleKey = std::int64_t;
@@ -89,6 +89,8 @@ struct PosePairRecord {
   std::uint64_t query_sequence = 0;
   std::uint64_t matched_sequence = 0;
   std::int64_t create_time_ns = 0;  // Since the Unix epoch.
+  // What else the verifier reported; empty if nothing.
+  std::string payload = std::string();
   // DATA_LOSS if the row is damaged: then only the id is set.
   absl::Status damage = absl::OkStatus();
 };
@@ -97,16 +99,18 @@ struct PosePairRecord {
 struct PairWords {
   const char* noun;
   const char* field;
+  // In resource names.
+  const char* collection;
   const char* exists;
   const char* not_found;
 };
 
 constexpr PairWords WordsOf(PairKind kind) {
   return kind == PairKind::kLoopClosure
-             ? PairWords{"loop closure", "loop_closure", "LOOP_CLOSURE_EXISTS",
-                         "LOOP_CLOSURE_NOT_FOUND"}
+             ? PairWords{"loop closure", "loop_closure", "loopClosures",
+                         "LOOP_CLOSURE_EXISTS", "LOOP_CLOSURE_NOT_FOUND"}
              : PairWords{"rejected candidate", "rejected_candidate",
-                         "REJECTED_CANDIDATE_EXISTS",
+                         "rejectedCandidates", "REJECTED_CANDIDATE_EXISTS",
                          "REJECTED_CANDIDATE_NOT_FOUND"};
 }
 

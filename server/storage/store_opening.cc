@@ -105,6 +105,13 @@ CREATE TABLE store (
 );
 )sql";
 
+// The columns that format 4 has beyond format 3. Rows that were there before
+// stay as they are, and read as if they had the default.
+constexpr char kSchemaSince4[] = R"sql(
+ALTER TABLE loop_closures ADD COLUMN payload BLOB NOT NULL DEFAULT x'';
+ALTER TABLE rejected_candidates ADD COLUMN payload BLOB NOT NULL DEFAULT x'';
+)sql";
+
 // Lets pages of deleted rows be given back to the file system. Works only for a
 // file without tables.
 constexpr char kVacuum[] = "PRAGMA auto_vacuum = INCREMENTAL";
@@ -154,13 +161,19 @@ absl::Status CheckFormat(SqliteDatabase& database, const std::string& path,
   // which rolls back.
   std::string sql = "BEGIN IMMEDIATE;";
   if (format->version < 2) sql += kSchemaSince2;
-  sql += kSchemaSince3;
+  if (format->version < 3) sql += kSchemaSince3;
+  sql += kSchemaSince4;
   sql += "PRAGMA user_version = " + std::to_string(kStoreFormat);
   absl::Status status = database.Execute(sql.c_str());
   if (!status.ok()) return status;
-  StoreState first = FirstState(run);
-  first.is_closed = false;
-  status = WriteState(database, first);
+  StoreState state = FirstState(run);
+  if (format->version >= 3) {
+    const absl::StatusOr<StoreState> stored = ReadState(database);
+    if (!stored.ok()) return stored.status();
+    state = NextState(*stored, run, /*is_closed=*/false);
+  }
+  state.is_closed = false;
+  status = WriteState(database, state);
   if (!status.ok()) return status;
   return database.Execute("COMMIT");
 }
@@ -173,7 +186,8 @@ absl::Status CheckSchema(SqliteDatabase& database, const std::string& path) {
       SqliteDatabase::Open(":memory:", SqliteDatabase::Mode::kReadWrite, "");
   if (!expected.ok()) return expected.status();
   const absl::Status made = (*expected)->Execute(
-      (std::string(kSchema) + kSchemaSince2 + kSchemaSince3).c_str());
+      (std::string(kSchema) + kSchemaSince2 + kSchemaSince3 + kSchemaSince4)
+          .c_str());
   if (!made.ok()) return made;
   static constexpr char kTables[] =
       "SELECT name, sql FROM sqlite_schema WHERE type = 'table'";
@@ -545,6 +559,7 @@ absl::Status MakeStore(const std::string& store, const std::string& vfs,
     status = (*database)->Execute(
         ("PRAGMA page_size = " + std::to_string(kPageBytes) + ";" + kVacuum +
          "; BEGIN IMMEDIATE;" + kSchema + kSchemaSince2 + kSchemaSince3 +
+         kSchemaSince4 +
          "PRAGMA application_id = " + std::to_string(kApplicationId) +
          "; PRAGMA user_version = " + std::to_string(kStoreFormat))
             .c_str());

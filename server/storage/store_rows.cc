@@ -26,7 +26,8 @@ struct PairStatements {
         find("SELECT 1 FROM " + table + " WHERE vehicle_key = ?1 AND id = ?2"),
         insert("INSERT INTO " + table +
                " (vehicle_key, id, format, query_sequence, matched_sequence, "
-               "create_time_ns, checksum) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)"),
+               "create_time_ns, checksum, payload) VALUES (?1, ?2, ?3, ?4, ?5, "
+               "?6, ?7, ?8)"),
         remove("DELETE FROM " + table + " WHERE vehicle_key = ?1 AND id = ?2"),
         remove_all("DELETE FROM " + table + " WHERE vehicle_key = ?1"),
         remove_after("DELETE FROM " + table +
@@ -34,7 +35,7 @@ struct PairStatements {
                      "matched_sequence) > ?2"),
         list(
             "SELECT id, format, query_sequence, matched_sequence, "
-            "create_time_ns, checksum FROM " +
+            "create_time_ns, checksum, payload FROM " +
             table +
             " WHERE vehicle_key = ?1 AND id > ?2 ORDER BY id LIMIT "
             "?3") {}
@@ -510,6 +511,7 @@ absl::Status InsertPosePair(SqliteDatabase& database, VehicleKey key,
       .Bind(5, Signed(pair.matched_sequence))
       .Bind(6, pair.create_time_ns)
       .Bind(7, ChecksumOfPosePair(kStoreFormat, key, kind, pair))
+      .BindBlob(8, pair.payload)
       .Run();
 }
 
@@ -549,6 +551,8 @@ absl::StatusOr<std::vector<PosePairRecord>> FindPosePairs(
     pair.query_sequence = Unsigned(row.Integer(2));
     pair.matched_sequence = Unsigned(row.Integer(3));
     pair.create_time_ns = row.Integer(4);
+    // Older rows have none, and their checksums do not cover it.
+    if (format >= kPayloadsOfPairsSince) pair.payload = row.Bytes(6);
     const PairWords words = WordsOf(kind);
     pair.damage = CheckRow(
         format, row.Integer(5), ChecksumOfPosePair(format, key, kind, pair),

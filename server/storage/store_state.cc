@@ -10,8 +10,8 @@
 namespace revisit::server {
 namespace {
 
-constexpr char kMagic[] = "RVSTATE3";
-constexpr std::size_t kMagicBytes = 8;
+constexpr char kStateMagic[] = "RVSTATE3";
+constexpr std::size_t kStateMagicBytes = 8;
 constexpr std::size_t kChecksumAt = kStateBytes - 8;
 
 void Put(std::uint64_t value, unsigned char* at) {
@@ -62,8 +62,8 @@ StoreState NextState(const StoreState& state, std::uint64_t run,
 std::string Encoded(const StoreState& state) {
   std::array<unsigned char, kStateBytes> bytes;
   unsigned char* at = bytes.data();
-  std::memcpy(at, kMagic, kMagicBytes);
-  at += kMagicBytes;
+  std::memcpy(at, kStateMagic, kStateMagicBytes);
+  at += kStateMagicBytes;
   std::memcpy(at, state.id.data(), state.id.size());
   at += state.id.size();
   for (const std::uint64_t value : {state.commit, state.run, state.previous_run,
@@ -76,12 +76,12 @@ std::string Encoded(const StoreState& state) {
 }
 
 std::optional<StoreState> DecodeState(const unsigned char* bytes) {
-  if (std::memcmp(bytes, kMagic, kMagicBytes) != 0 ||
+  if (std::memcmp(bytes, kStateMagic, kStateMagicBytes) != 0 ||
       Get(bytes + kChecksumAt) != XXH3_64bits(bytes, kChecksumAt)) {
     return std::nullopt;
   }
   StoreState state;
-  const unsigned char* at = bytes + kMagicBytes;
+  const unsigned char* at = bytes + kStateMagicBytes;
   std::memcpy(state.id.data(), at, state.id.size());
   at += state.id.size();
   state.commit = Get(at);

@@ -20,7 +20,7 @@ constexpr std::size_t kFrameHeaderBytes = 24;
 constexpr std::uint64_t kSectorBytes = 512;
 // First word of a log. Its last bit says in which byte order the checksums were
 // summed.
-constexpr std::uint32_t kMagic = 0x377f0682;
+constexpr std::uint32_t kLogMagic = 0x377f0682;
 constexpr std::uint32_t kFormat = 3007000;
 
 constexpr unsigned char kTableLeaf = 0x0d;
@@ -199,7 +199,10 @@ std::optional<LoggedRow> RowOf(const std::vector<Column>& columns) {
     row.checksum = columns[4].integer();
     return row;
   }
-  if (columns.size() == 7 && are_integers(0, 0) && columns[1].is_text() &&
+  // Rows have payloads since format 4.
+  const bool may_be_pair =
+      columns.size() == 7 || (columns.size() == 8 && columns[7].is_blob());
+  if (may_be_pair && are_integers(0, 0) && columns[1].is_text() &&
       columns[1].bytes != nullptr && are_integers(2, 6)) {
     row.table = LoggedRow::Table::kPairs;
     row.vehicle_key = columns[0].integer();
@@ -251,7 +254,7 @@ Checksum ReadHeader(const LogHeader& header, LogReport* report) {
   const bool page_size_is_sane =
       report->page_bytes >= 512 && report->page_bytes <= 65536 &&
       (report->page_bytes & (report->page_bytes - 1)) == 0;
-  report->has_header = (magic & ~1u) == kMagic && page_size_is_sane &&
+  report->has_header = (magic & ~1u) == kLogMagic && page_size_is_sane &&
                        BigEndian(header.data() + 4) == kFormat &&
                        checksum == Checksum::Stored(header.data() + 24);
   if (report->has_header) {

@@ -4,9 +4,11 @@
 
 #include <Eigen/Core>
 #include <cmath>
+#include <memory>
 #include <random>
 #include <vector>
 
+#include "core/alignment/confirmed_loop.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
 #include "core/graph/pose_graph.h"
@@ -61,6 +63,30 @@ inline PoseGraph RandomGraph(std::mt19937_64& random, NodeIndex size,
     if (a != b) graph.AddLoopEdge(a, b);
   }
   return graph;
+}
+
+// A measurement between two poses: as they are estimated, up to `noise` metres
+// and a twentieth of that in radians, with a covariance that is as large.
+inline std::shared_ptr<const MeasuredLoop> RandomMeasurement(
+    std::mt19937_64& random, const PoseEstimate& query,
+    const PoseEstimate& matched, double noise) {
+  MeasuredLoop loop;
+  loop.query = query;
+  loop.matched = matched;
+  loop.measurement.covariance = RandomCovariance(random, noise);
+  const double c = std::cos(matched.pose.heading);
+  const double s = std::sin(matched.pose.heading);
+  const Pose apart = Difference(query.pose, matched.pose);
+  loop.measurement.relative = {
+      c * apart.x + s * apart.y + Normal(random, noise),
+      c * apart.y - s * apart.x + Normal(random, noise),
+      apart.z + Normal(random, noise),
+      apart.heading + Normal(random, noise / 20.0)};
+  return std::make_shared<const MeasuredLoop>(loop);
+}
+
+inline PoseEstimate EstimateAt(const PoseGraph& graph, NodeIndex i) {
+  return {graph.pose(i), graph.covariance(i)};
 }
 
 }  // namespace revisit::core

@@ -37,9 +37,10 @@ class Base:
                 for vehicle, part in zip(VEHICLES, parts):
                     append(stub, vehicle, part)
             for vehicle in VEHICLES:
-                for kind in PAIR_KINDS:
+                for k, kind in enumerate(PAIR_KINDS):
                     for n in range(5):
-                        kind.add(stub, vehicle, 300 + n, 10 + n, f"pair-{n}")
+                        kind.add(stub, vehicle, 300 + n, 10 + 5 * k + n,
+                                 f"pair-{n}")
             self.state = {vehicle: state_of(stub, vehicle)
                           for vehicle in VEHICLES}
             if killed:

@@ -85,6 +85,7 @@ def failure_result(error):
         "REJECTED_CANDIDATE_NOT_FOUND": lambda: ("no pair",),
         "LOOP_CLOSURE_EXISTS": lambda: ("exists",),
         "REJECTED_CANDIDATE_EXISTS": lambda: ("exists",),
+        "POSE_PAIR_CONFLICT": lambda: ("conflict",),
         "SEQUENCE_GAP": lambda: ("gap", int(metadata["expected_sequence"])),
         "SEQUENCE_CONTENT_MISMATCH": lambda: ("mismatch",),
         "DURABLE_SEQUENCE_REGRESSED":

@@ -220,6 +220,7 @@ def make_format_1(path):
     """Only the tables are those of such a store; its rows are a test of the
     storage."""
     database = sqlite3.connect(path)
+    database.execute("ALTER TABLE loop_closures DROP COLUMN payload")
     database.execute("DROP TABLE rejected_candidates")
     # Its files did not say of which store and commit they are.
     database.execute("DROP TABLE store")

@@ -257,6 +257,9 @@ class Vehicle:
             return
         query = self.rng.randint(11, len(self.content.poses))
         matched = self.rng.randint(1, query - 10)
+        if any(pair[:2] == (query, matched)
+               for pair in self.content.pairs[1 - number].values()):
+            return  # It would be a conflict.
 
         def learn(content, response):
             stored, revision = response

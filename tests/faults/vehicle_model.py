@@ -268,17 +268,22 @@ def _add(vehicle, result, kind, name, query, matched):
     pairs = getattr(vehicle, field)
     missing = query > len(vehicle.current)
     same_name = [pair for pair in pairs if pair[0] == name]
+    others = getattr(vehicle, _field(
+        "rejection" if kind == "closure" else "closure"))
+    conflicts = any(pair[1:] == (query, matched) for pair in others)
     told = "pair" if result is None else result[0]
     if told == "no pose":
         return _if(missing, vehicle)
     if missing:
         return []
+    if told == "conflict":
+        return _if(conflicts and not same_name, vehicle)
     there = (name, query, matched) in pairs
     if told == "exists":
         return _if(same_name and not there, vehicle)
     if there:
         return _if(result in (None, ("pair", vehicle.revision)), vehicle)
-    if same_name:
+    if same_name or conflicts:
         return []
     return _changed(vehicle, None if result is None else result[1],
                     **{field: pairs | {(name, query, matched)}})

@@ -2,6 +2,7 @@
 """Writes the seeds of the fuzz targets into tests/fuzz/corpus. Run with
 build/python/bin/python; what fuzzing found is kept beside them."""
 
+import gzip
 import math
 import pathlib
 import sys
@@ -78,6 +79,12 @@ OPTIONS = api.CandidateOptions(
     max_candidates=3, gate_probability=0.5, include_aligned_path=True,
     alignment=api.ALIGNMENT_COMPOSITE, sequence_length_meters=10)
 NAME = "vehicles/shuttle-1"
+LABELLED = api.Vehicle(name=NAME, display_name="Truck 7",
+                       labels={"session.a": "1-2068"})
+MEASUREMENT = api.LoopClosureMeasurement(
+    x_meters=1.5, y_meters=-2, heading_radians=0.1,
+    covariance=api.Covariance(form=api.COVARIANCE_FORM_PLANAR_6,
+                              values=[0.04, 0, 0, 0.04, 0, 0.0004]))
 
 
 def requests():
@@ -92,6 +99,11 @@ def requests():
         vehicle=api.Vehicle(name=NAME, settings=SETTINGS),
         update_mask=field_mask_pb2.FieldMask(
             paths=["settings.max_candidates", "settings"])))
+    put("create_labels", 0, api.CreateVehicleRequest(
+        vehicle_id="a", vehicle=LABELLED))
+    put("update_labels", 1, api.UpdateVehicleRequest(
+        vehicle=LABELLED, update_mask=field_mask_pb2.FieldMask(
+            paths=["labels.session.a", "display_name"])))
     for name, (kind, poses) in POSES.items():
         put(f"append_{name}", 2, api.AppendPosesRequest(
             vehicle=NAME, poses=poses), kind)
@@ -106,6 +118,10 @@ def requests():
     put("closure", 5, api.AddLoopClosureRequest(
         parent=NAME, loop_closure_id="x", loop_closure=api.LoopClosure(
             query_sequence=9, matched_sequence=2)))
+    put("closure_measured", 5, api.AddLoopClosureRequest(
+        parent=NAME, loop_closure=api.LoopClosure(
+            query_sequence=9, matched_sequence=2, measurement=MEASUREMENT,
+            note="icp\n412", score=0.5)))
     put("reject", 6, api.RejectCandidateRequest(
         parent=NAME, rejected_candidate=api.RejectedCandidate(
             query_sequence=9, matched_sequence=2)))
@@ -122,6 +138,10 @@ def requests():
 
 
 def records():
+    # Field 1 of LoopClosureContent.
+    measurement = MEASUREMENT.SerializeToString()
+    write("records", "closure",
+          bytes([3, 0, 0x0a, len(measurement)]) + measurement)
     write("records", "vehicle", bytes([0, 0]) + api.Vehicle(
         settings=SETTINGS, state=api.VEHICLE_STATE_DATA_LOSS,
         create_time=timestamp_pb2.Timestamp(seconds=1)).SerializeToString())
@@ -149,12 +169,45 @@ def settings():
     write("settings", "bad", b"REVISIT_X\0--max-calls=1e3\0a = b\na\n= \"\n")
 
 
+def sentence(body):
+    checksum = 0
+    for one in body.encode():
+        checksum ^= one
+    return f"${body}*{checksum:02X}\r\n"
+
+
 def files():
-    write("files", "drive", b"\0frame,t_s,est_x,est_y,est_yaw,gt_x,gt_y,gt_yaw,"
-          b"pxx,pxy,pxt,pyy,pyt,ptt\n0,0.5,1,2,0.1,1,2,0.1,1,0,0,1,0,1\n"
-          b"1,1.5,2,2,0.1,2,2,0.1,1,0,0,1,0,1e-3\n")
-    write("files", "drive_short", b"\0t_s,est_x,est_y,est_yaw\r\n1,2,3,nan\r\n")
-    write("files", "tum", b"\1# t x y z q\n1.5 1 2 3 0 0 0 1\n2 1 2 3 0 0 .6 .8\n")
+    # The format (client/formats/reader.h) and how it is read.
+    drive, tum, kitti, g2o, rtklib, gpx, nmea, ros, reference = range(1, 10)
+    by_content = 0
+
+    def put(name, kind, text, how=0):
+        data = text if isinstance(text, bytes) else text.encode()
+        write("files", name, bytes([kind, how]) + data)
+
+    put("drive", drive, "frame,t_s,est_x,est_y,est_yaw,gt_x,gt_y,gt_yaw,pxx,"
+        "pxy,pxt,pyy,pyt,ptt\n0,0.5,1,2,0.1,1,2,0.1,1,0,0,1,0,1\n"
+        "1,1.5,2,2,0.1,2,2,0.1,1,0,0,1,0,1e-3\n")
+    put("drive_short", drive, "t_s,est_x,est_y,est_yaw\r\n1,2,3,nan\r\n")
+    put("drive_twice", drive, "t_s,est_x,est_y,est_yaw,t_s\n1,2,3,4,5\n")
+    put("drive_transitions", drive, "\ufefft_s;est_x;est_y;est_yaw;fxx;fxy;fxt;"
+        "fyx;fyy;fyt;ftx;fty;ftt\n2021-08-05T13:34:46.5+02:00;1;2;0;1;0;0;0;1;"
+        "0;0;0;1\n1628184886518266789;1;2;0;1;0;0;0;1;0;0;0;1\n", how=34)
+    put("positions", drive, "t_s,lat,lon,height\n" + "".join(
+        f"{i},35.2,{136.9 + i * 1e-4},40\n" for i in range(20)))
+    straight_drive = "t_s,est_x,est_y,est_yaw\n" + "".join(
+        f"{i},{i * 2},0,{90 * (i % 2)}\n" for i in range(120))
+    put("suspicious", drive, straight_drive)
+    tum_text = "# t x y z q\n1.5 1 2 3 0 0 0 1\n2 1 2 3 0 0 .6 .8\n"
+    put("tum", tum, tum_text)
+    put("tum_camera", by_content, tum_text.split("\n", 1)[1], how=1)
+    put("kitti", kitti, "1 0 0 0 0 1 0 0 0 0 1 0\n"
+        "0 -1 0 1.5e+00 1 0 0 2.5e+00 0 0 1 0.5\n", how=49)
+    put("g2o", g2o, "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 2 0 1.57\nFIX 0\n"
+        "EDGE_SE2 0 1 2 0 1.57 4 0 0 25 0 100\n")
+    put("g2o_spatial", g2o, "VERTEX_SE3:QUAT 5 0 0 0 0 0 0 1\n"
+        "VERTEX_SE3:QUAT 7 1 0 0.5 0 0 0 1\nEDGE_SE3:QUAT 5 7 1 0 0.5 0 0 0 1 "
+        "4 0 0 0 0 0 5 0 0 0 0 10 0 0 0 100 0 0 100 0 400\n")
     header = ("%  GPST                  latitude(deg) longitude(deg)  height(m)"
               "   Q  ns   sdn(m)   sde(m)   sdu(m)  sdne(m)  sdeu(m)  sdun(m)"
               " age(s)  ratio    vn(m/s)    ve(m/s)    vu(m/s)      sdvn     "
@@ -162,12 +215,36 @@ def files():
     row = ("2019/05/11 02:19:0{}.000   35.17{}  136.96   50.1   2   9   1.0"
            "   1.0   2.0   0.1   0.0   0.0   0.0    0.0   {}    2.0    0.0"
            "   0.1   0.1   0.1   0.0   0.0   0.0\n")
-    write("files", "rtklib", b"\2" + (header + row.format(0, 1, 1.0)
-                                      + row.format(1, 2, -3.5)
-                                      + row.format(2, 3, 0.0)).encode())
-    write("files", "reference", b"\3GPS TOW (s),GPS Week,Latitude (deg),"
-          b"Longitude (deg),Ellipsoid Height (m),Heading (deg)\n"
-          b"529158.0,2051,35.17,136.96,50.0,359.9\n")
+    put("rtklib", rtklib, header + row.format(0, 1, 1.0)
+        + row.format(1, 2, -3.5) + row.format(2, 3, 0.0))
+    put("rtklib_weeks", rtklib, "%  GPST latitude(deg) longitude(deg) height(m)"
+        "\n2270 194670.200 35.1 136.9 39.6\n2270 194671.2 35.1001 136.9 39.6\n"
+        "2270 194672.2 35.1002 136.9 39.6\n")
+    put("gpx", gpx, '<?xml version="1.0"?><gpx><trk><trkseg>'
+        '<trkpt lat="48.1" lon="11.5"><ele>545.4</ele>'
+        "<time>2021-08-05T13:34:46Z</time></trkpt>"
+        '<trkpt lat="48.1002" lon="11.5"/></trkseg></trk></gpx>')
+    put("gpx_entity", gpx, '<!DOCTYPE gpx [<!ENTITY a "b">]><gpx>&a;</gpx>')
+    put("nmea", nmea, sentence("GPGGA,235959.50,4807.038,N,01131.000,E,1,08,"
+                               "0.9,545.4,M,46.9,M,,")
+        + sentence("GPRMC,235959.50,A,4807.038,N,01131.000,E,010.0,090.0,"
+                   "230394,003.1,W")
+        + sentence("GPRMC,000000.50,A,4807.038,N,01131.100,E,010.0,090.0,"
+                   "240394,003.1,W"))
+    values = ",".join(str(i % 7) for i in range(78))
+    put("ros", ros, f"1628184886,518266789,odom,base,1,2,3,0,0,0.6,0.8,{values}"
+        "\n")
+    names = (["%time", "field.header.stamp"]
+             + [f"field.pose.pose.position.{axis}" for axis in "xyz"]
+             + [f"field.pose.pose.orientation.{axis}" for axis in "xyzw"]
+             + [f"field.pose.covariance{i}" for i in range(36)])
+    put("rostopic", by_content, ",".join(names) + "\n5,0,1,2,3,0,0,0,1,"
+        + ",".join("1" for _ in range(36)) + "\n")
+    put("gzip", by_content, gzip.compress(straight_drive.encode(), mtime=0), 32)
+    put("zstd", by_content, bytes.fromhex("28b52ffd") + b"\x04\x00")
+    put("reference", reference, "GPS TOW (s),GPS Week,Latitude (deg),"
+        "Longitude (deg),Ellipsoid Height (m),Heading (deg)\n"
+        "529158.0,2051,35.17,136.96,50.0,359.9\n")
 
 
 requests()

@@ -5,6 +5,7 @@
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "revisit/v1/vehicle.pb.h"
 #include "server/conversion/answers.h"
+#include "server/conversion/pose_pairs.h"
 #include "server/conversion/record_codec.h"
 #include "server/conversion/vehicle_settings.h"
 #include "tests/fuzz/fuzzing.h"
@@ -25,7 +26,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
                                       std::size_t size) {
   namespace server = revisit::server;
   revisit::fuzz::Input input(data, size);
-  const int record = input.Choice(3);
+  const int record = input.Choice(4);
   const int kind = input.Choice(revisit::fuzz::kVehicleKinds);
   const server::VehicleConfig config = revisit::fuzz::VehicleOfKind(kind);
   const std::string payload = input.Rest();
@@ -45,6 +46,16 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
     }
     revisit::v1::Vehicle vehicle;
     server::EncodeVehicle(listed, &vehicle);
+    return 0;
+  }
+  if (record == 3) {
+    // The session answers DATA_LOSS, whatever this says.
+    revisit::fuzz::RequireGoodError(
+        codec.DecodeMeasurement(payload, config.engine.state_space).status());
+    revisit::v1::LoopClosure closure;
+    server::PosePairRecord pair;
+    pair.payload = payload;
+    server::EncodePosePair("v", pair, &closure);
     return 0;
   }
   const auto decoded = codec.DecodeBatch(payload, config);

@@ -11,6 +11,7 @@
 #include "server/conversion/pose_pairs.h"
 #include "server/conversion/poses.h"
 #include "server/conversion/record_codec.h"
+#include "server/conversion/vehicle_labels.h"
 #include "server/conversion/vehicle_settings.h"
 #include "tests/fuzz/fuzzing.h"
 #include "tests/fuzz/vehicles.h"
@@ -88,10 +89,22 @@ void CheckName(const std::string& name) {
 }
 
 template <typename Pair>
-void CheckPair(const Pair* pair, const std::string& id) {
+void CheckPair(const Pair* pair, const std::string& id,
+               const VehicleConfig& config) {
   const auto record = server::DecodePosePair(pair, id);
   RequireGoodError(record.status());
   if (!record.ok()) return;
+  Pair answer;
+  server::EncodePosePair("v", *record, &answer);
+  const core::StateSpace space = config.engine.state_space;
+  const auto measurement =
+      server::ProtoRecordCodec().DecodeMeasurement(record->payload, space);
+  RequireGoodError(measurement.status());
+  if (measurement.ok() && *measurement) {
+    core::PoseSample sample;
+    sample.covariance = (*measurement)->covariance;
+    Require(!core::FindDefect(sample, space), "a measurement is valid");
+  }
   Require(record->matched_sequence < record->query_sequence &&
               record->matched_sequence > 0,
           "a pair is of a pose and an earlier one");
@@ -140,15 +153,21 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
       if (const auto m = Parse<v1::CreateVehicleRequest>(input)) {
         RequireGoodError(server::CheckId(m->vehicle_id(), kRequest));
         CheckConfig(server::DecodeSettings(m->vehicle().settings(), kRequest));
+        VehicleConfig named = config;
+        RequireGoodError(server::UpdateLabels(m->vehicle(), {true, true, {}},
+                                              kRequest, &named));
+        CheckConfig(named);
       }
       break;
     case 1:
       if (const auto m = Parse<v1::UpdateVehicleRequest>(input)) {
         CheckName(m->vehicle().name());
         for (const bool has_poses : {false, true}) {
-          CheckConfig(server::UpdateSettings(
-              config, has_poses, m->vehicle().settings(), m->update_mask()));
+          CheckConfig(server::UpdateConfig(config, has_poses, m->vehicle(),
+                                           m->update_mask()));
         }
+        v1::Vehicle answer = m->vehicle();
+        server::TrimToMask(m->update_mask(), &answer);
       }
       break;
     case 2:
@@ -174,14 +193,14 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
       if (const auto m = Parse<v1::AddLoopClosureRequest>(input)) {
         CheckName(m->parent());
         CheckPair(m->has_loop_closure() ? &m->loop_closure() : nullptr,
-                  m->loop_closure_id());
+                  m->loop_closure_id(), config);
       }
       break;
     case 6:
       if (const auto m = Parse<v1::RejectCandidateRequest>(input)) {
         CheckPair(
             m->has_rejected_candidate() ? &m->rejected_candidate() : nullptr,
-            m->rejected_candidate_id());
+            m->rejected_candidate_id(), config);
       }
       break;
     case 7:

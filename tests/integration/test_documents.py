@@ -7,8 +7,9 @@ import pytest
 from stubs import ROOT
 
 DOCUMENTS = sorted([
-    *ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"),
-    *(ROOT / "tests").rglob("*.md")])
+    *ROOT.glob("*.md"), *(
+        path for folder in ("client", "docs", "proto", "tests")
+        for path in (ROOT / folder).rglob("*.md"))])
 
 
 def without_code(text):

@@ -81,8 +81,8 @@ def test_everything_else_survives_kill_9_too(tmp_path):
         append(stub, VEHICLE, straight(100))
         # Out of the order of their names, the kinds in turns.
         for name, query in (("z", 90), ("removed", 80), ("kept", 95)):
-            for kind in PAIR_KINDS:
-                kind.add(stub, VEHICLE, query, 10, name)
+            for n, kind in enumerate(PAIR_KINDS):
+                kind.add(stub, VEHICLE, query, 10 + n, name)
         for kind in PAIR_KINDS:
             kind.delete(stub, f"{VEHICLE}/{kind.collection}/removed")
         stub.RevisePoses(iter([api.RevisePosesRequest(
@@ -360,12 +360,12 @@ def test_store_of_a_newer_format_is_refused_and_left_alone(tmp_path):
         pass
     path = database_of(store)
     database = sqlite3.connect(path)
-    database.execute("PRAGMA user_version = 4")
+    database.execute("PRAGMA user_version = 5")
     database.close()
     content = path.read_bytes()
     result = run("revisitd", "--listen", "127.0.0.1:0", "--store", store)
     assert result.returncode in (73, 74)
-    assert "has format 4" in result.stderr
+    assert "has format 5" in result.stderr
     assert "use a newer server" in result.stderr
     assert path.read_bytes() == content
 
@@ -380,6 +380,7 @@ def test_store_of_format_1_is_brought_up_to_date(tmp_path):
         before = state_of(server.stub())
     path = database_of(store)
     database = sqlite3.connect(path)
+    database.execute("ALTER TABLE loop_closures DROP COLUMN payload")
     database.execute("DROP TABLE rejected_candidates")
     database.execute("DROP TABLE store")
     database.execute("PRAGMA user_version = 1")
@@ -390,11 +391,40 @@ def test_store_of_format_1_is_brought_up_to_date(tmp_path):
     with Server(store) as server:
         stub = server.stub()
         assert state_of(stub) == before
-        assert stub.GetServerInfo(api.GetServerInfoRequest()).store_format == 3
+        assert stub.GetServerInfo(api.GetServerInfoRequest()).store_format == 4
         REJECTED_CANDIDATES.add(stub, VEHICLE, 9, 2)
         server.kill()
     with Server(store) as server:
         pairs, _ = REJECTED_CANDIDATES.page(server.stub(), VEHICLE)
+        assert [pair.query_sequence for pair in pairs] == [9]
+
+
+@pytest.mark.parametrize("killed", [False, True], ids=["drained", "killed"])
+def test_store_of_format_3_is_brought_up_to_date(killed, tmp_path):
+    # Only the tables are those of such a server; its rows are a test of the
+    # storage.
+    store = tmp_path / "store"
+    with Server(store) as server:
+        create(server.stub())
+        append(server.stub(), VEHICLE, straight(10))
+        before = state_of(server.stub())
+    database = sqlite3.connect(database_of(store))
+    for kind in PAIR_KINDS:
+        database.execute(
+            f"ALTER TABLE {kind.field}s DROP COLUMN payload")
+    database.execute("PRAGMA user_version = 3")
+    database.close()
+    with Server(store) as server:
+        # Killed before it has written anything else, too.
+        if killed:
+            server.kill()
+    with Server(store) as server:
+        stub = server.stub()
+        assert state_of(stub) == before
+        LOOP_CLOSURES.add(stub, VEHICLE, 9, 2)
+        server.kill()
+    with Server(store) as server:
+        pairs, _ = LOOP_CLOSURES.page(server.stub(), VEHICLE)
         assert [pair.query_sequence for pair in pairs] == [9]
 
 

@@ -218,8 +218,7 @@ def test_gnss_drives_of_one_vehicle_have_one_frame(tmp_path):
             path = tmp_path / f"{year}.{kind}"
             path.write_text("\n".join(lines) + "\n")
             names.append(path)
-    report = report_of(names[0], names[2], "--format", "rtklib",
-                       "--one-vehicle", "--truth", names[1], names[3],
+    report = report_of(names[0], names[2], "--one-vehicle", "--truth", names[1], names[3],
                        "--map", tmp_path / "map.svg")
     (drive,) = report["drives"]
     assert drive["drive"] == "2023+2024"
@@ -234,10 +233,7 @@ def test_gnss_drives_of_one_vehicle_have_one_frame(tmp_path):
     (["--simulate", "4-2"], "expected seeds such as 7, 1-5 or 1,4,8-10"),
     (["--simulate", "1", "--uncertainty", "file"],
      "goes with --uncertainty model only"),
-    (["--truth", "x.csv"], "goes with --format rtklib only"),
-    (["--format", "rtklib"], "expected one for each FILE of --format rtklib"),
-    (["--format", "rtklib", "--truth", "x.csv", "--uncertainty", "file"],
-     "goes with --format drive only"),
+    (["--truth", "x.csv", "y.csv"], "expected one for each FILE"),
     (["--map", "m.svg", "--simulate", "1-2"], "takes one drive only"),
     (["--vehicle", "v", "--baselines"], "takes one vehicle only"),
     (["--vehicle", "v", "--repeat", "2"], "takes one vehicle only"),

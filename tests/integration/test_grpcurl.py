@@ -143,6 +143,33 @@ def test_descriptor_resolves(symbol, run_line):
     assert symbol in result.stdout
 
 
+@pytest.mark.parametrize("symbol, comment", [
+    (SERVICE, "// Keeps one pose graph per vehicle"),
+    (SERVICE, "  // Finds loop-closure candidates at one pose of the vehicle."),
+    ("revisit.v1.PoseBatch", "// Poses with consecutive sequences."),
+    ("revisit.v1.PoseBatch", "  // One to GetServerInfoResponse.max_batch_"),
+    ("revisit.v1.Pose", "  // Position of the vehicle. Required, and of"),
+    ("revisit.v1.Verdict", "  // The candidate is within the gates, and at"),
+    ("google.rpc.RetryInfo", "// Describes when the clients can retry"),
+    ("grpc.health.v1.Health.Watch", "// Performs a watch for the serving"),
+])
+def test_describe_shows_the_comments_of_the_protos(symbol, comment, run_line):
+    result = run_line(f"grpcurl -plaintext {README_ADDRESS} describe {symbol}")
+    assert comment in result.stdout, result
+
+
+def test_both_versions_of_reflection_answer_the_same(server):
+    # ServerReflectionRequest{file_containing_symbol}
+    request = b"\x22" + bytes([len(SERVICE)]) + SERVICE.encode()
+    answers = {version: list(server.channel().stream_stream(
+        f"/grpc.reflection.{version}.ServerReflection/ServerReflectionInfo",
+        request_serializer=bytes, response_deserializer=bytes)(iter([request])))
+        for version in ("v1", "v1alpha")}
+    assert len(answers["v1"]) == 1
+    assert b"Keeps one pose graph per vehicle" in answers["v1"][0]
+    assert answers["v1"] == answers["v1alpha"]
+
+
 def test_symbol_that_is_not_there_is_not_found(run_line):
     result = run_line(
         f"grpcurl -plaintext {README_ADDRESS} describe revisit.v1.Nothing")

@@ -343,6 +343,38 @@ def test_pings_without_end_are_told_to_calm_down(server, neighbour):
     neighbour.seconds_served()
 
 
+def test_windows_keep_their_size_however_fast_the_client_sends(server):
+    """gRPC would give a fast client larger windows and take them back later. A
+    stream that had filled its window then ended with PROTOCOL_ERROR when its
+    client was done."""
+    name = api.GetVehicleRequest(name="a" * 8000).SerializeToString()
+    windows, answered = [], 0
+    with RawConnection(server.port, acknowledge=False) as connection:
+        end = time.monotonic() + 2
+        while time.monotonic() < end:
+            stream = 2 * answered + 1
+            connection.request(call_headers(path=GET_VEHICLE), message(name),
+                               stream=stream)
+            for received in connection.frames():
+                assert received is not None, server.log()
+                if received.type in (SETTINGS, PING) and \
+                        "ACK" not in received.flags:
+                    if received.type == SETTINGS:
+                        windows += [value for key, value
+                                    in received.settings.items() if key == 4]
+                        connection.send(frame(SETTINGS, flags=ACK))
+                    else:
+                        connection.send(frame(PING, received.opaque_data, ACK))
+                elif received.stream_id == stream and \
+                        "END_STREAM" in received.flags:
+                    break
+            answered += 1
+    print(f"{answered} calls, windows {windows}")
+    assert answered > 10
+    # Where nothing is said it is 65,535 (RFC 9113, 6.5.2).
+    assert set(windows) <= {65535}
+
+
 def test_header_bomb_takes_its_own_connection_and_no_other(server, neighbour):
     channel = server.channel(("grpc.use_local_subchannel_pool", 1))
     info = channel.unary_unary(

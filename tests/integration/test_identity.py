@@ -225,6 +225,17 @@ def test_handshake_fails_without_the_right_certificate(tls_server, identities):
         tls_server.logged(reason)
 
 
+def test_tls_that_asks_for_no_certificate_takes_tokens(identities, tmp_path):
+    with Server(tmp_path / "store", *identities.tls_flags,
+                *identities.token_flags) as server:
+        with secure_stub(server, identities.authority.pem) as stub:
+            acme = As(stub, identities.key.token("acme"))
+            assert create(acme, "acme-1") == "vehicles/acme-1"
+        with secure_stub(server, identities.authority.pem) as stub:
+            failure = failure_of(lambda: ask(stub))
+            assert failure.reason == "CREDENTIALS_MISSING"
+
+
 def test_plaintext_gets_nothing_from_a_tls_listener(tls_server):
     with grpc.insecure_channel(tls_server.address) as channel:
         with pytest.raises(grpc.RpcError) as raised:

@@ -140,8 +140,8 @@ def test_vehicles_are_listed_by_name_page_by_page(tmp_path):
 
 def test_deleted_vehicle_is_gone_with_all_it_had(stub, driven):
     vehicle = driven()
-    for kind in PAIR_KINDS:
-        kind.add(stub, vehicle, 90, 10, "a")
+    for n, kind in enumerate(PAIR_KINDS):
+        kind.add(stub, vehicle, 90 + n, 10, "a")
     stub.DeleteVehicle(api.DeleteVehicleRequest(name=vehicle))
     for call in (lambda: get(stub, vehicle),
                  lambda: list_poses(stub, vehicle),
@@ -291,9 +291,9 @@ def test_pairs_are_listed_page_by_page(kind, stub, driven):
 
 def test_page_token_is_good_for_its_own_kind_only(stub, driven):
     vehicle = driven()
-    for kind in PAIR_KINDS:
+    for n, kind in enumerate(PAIR_KINDS):
         for query in (90, 91):
-            kind.add(stub, vehicle, query, 1)
+            kind.add(stub, vehicle, query, 1 + n)
     _, token = LOOP_CLOSURES.page(stub, vehicle, page_size=1)
     failure = failure_of(lambda: REJECTED_CANDIDATES.page(
         stub, vehicle, page_token=token))

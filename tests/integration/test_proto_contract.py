@@ -7,19 +7,33 @@ that is meant to break:
         -o proto/baseline.binpb
 """
 
+import os
 import pathlib
+import re
 import shutil
 import subprocess
 import sys
 
 import pytest
+from google.protobuf import descriptor_pb2
 
 from stubs import PROTO, generate
 
 BUF = pathlib.Path(sys.executable).with_name("buf")
 BASELINE = PROTO / "baseline.binpb"
+README = PROTO / "README.md"
 # What buf answers when it has found something, rather than failed.
 FINDINGS = 100
+# Names that depend on the language, and so are not left to its generator.
+NAMES = {
+    "csharp_namespace": "Revisit.V1",
+    "go_package": "revisit/v1;revisitv1",
+    "java_multiple_files": True,
+    "java_package": "revisit.v1",
+    "objc_class_prefix": "RVS",
+    "php_namespace": "Revisit\\V1",
+    "ruby_package": "Revisit::V1",
+}
 
 
 def buf(*arguments):
@@ -85,3 +99,53 @@ def test_code_is_generated_for(language, suffix, tmp_path):
 def test_python_stubs_are_generated(tmp_path):
     generate(tmp_path)
     assert (tmp_path / "revisit/v1/pose_graph_service_pb2_grpc.py").exists()
+
+
+def test_every_proto_has_the_names_of_every_language(tmp_path):
+    image = tmp_path / "image.binpb"
+    assert buf("build", PROTO, "--exclude-imports", "-o",
+               image).returncode == 0
+    files = descriptor_pb2.FileDescriptorSet.FromString(
+        image.read_bytes()).file
+    assert len(files) == len(list(PROTO.rglob("*.proto")))
+    for file in files:
+        words = pathlib.Path(file.name).stem.split("_")
+        expected = {**NAMES, "java_outer_classname":
+                    "".join(map(str.capitalize, words)) + "Proto"}
+        assert {field.name: value
+                for field, value in file.options.ListFields()} == expected
+
+
+@pytest.fixture
+def beside_proto(tmp_path):
+    """Runs a program in a folder that holds nothing but `proto`."""
+    (tmp_path / "proto").symlink_to(PROTO)
+
+    def run(*arguments):
+        return subprocess.run(
+            arguments, cwd=tmp_path, capture_output=True, text=True, timeout=60,
+            env={**os.environ, "PATH": f"{BUF.parent}:{os.environ['PATH']}"},
+            check=False)
+    return run
+
+
+def test_commands_of_the_readme_generate(beside_proto, tmp_path):
+    lines = re.search(r"<!-- protoc -->\n```sh\n(.*?)```", README.read_text(),
+                      re.DOTALL).group(1)
+    result = beside_proto("bash", "-euc", lines)
+    assert (result.returncode, result.stderr) == (0, "")
+    for made in ("python/revisit/v1/pose_graph_service_pb2_grpc.py",
+                 "python/revisit/v1/error_reason_pb2.pyi",
+                 "cpp/revisit/v1/pose_graph_service.grpc.pb.cc",
+                 "ruby/revisit/v1/pose_graph_service_services_pb.rb",
+                 "csharp/V1/PoseGraphService.cs"):
+        assert (tmp_path / "gen" / made).exists()
+
+
+def test_buf_replaces_names_as_the_readme_says(beside_proto, tmp_path):
+    (tmp_path / "buf.gen.yaml").write_text(re.search(
+        r"```yaml\n(.*?)```", README.read_text(), re.DOTALL).group(1))
+    result = beside_proto("buf", "generate")
+    assert (result.returncode, result.stderr) == (0, "")
+    pose = tmp_path / "gen/java/your/organisation/revisit/v1/Pose.java"
+    assert "package your.organisation.revisit.v1;" in pose.read_text()

@@ -42,13 +42,14 @@ class ErrorChain {
                         d_);
   }
 
-  // Mean and covariance of (e_q - e_j), given that (e_c - e_m) + r is y with r
-  // of covariance `tolerance`; all errors multiplied by `inflation`.
+  // Mean and covariance of (e_q - e_j), given that (e_c - lever e_m) + r is y
+  // with r of covariance `tolerance`; all errors multiplied by `inflation`.
   std::pair<WideVector, WideMatrix> Condition(std::int64_t q, std::int64_t j,
                                               std::int64_t c, std::int64_t m,
                                               const WideVector& y,
                                               const WideMatrix& tolerance,
-                                              double inflation) const {
+                                              double inflation,
+                                              const WideMatrix& lever) const {
     const std::int64_t nodes[] = {q, j, c, m};
     WideMatrix four(4 * d_, 4 * d_);
     for (int a = 0; a < 4; ++a) {
@@ -61,7 +62,7 @@ class ErrorChain {
     const WideMatrix one = WideMatrix::Identity(d_, d_);
     const WideMatrix none = WideMatrix::Zero(d_, d_);
     WideMatrix both(2 * d_, 4 * d_);
-    both << one, -one, none, none, none, none, one, -one;
+    both << one, -one, none, none, none, none, one, -lever;
     WideMatrix joint = both * four * both.transpose();
     joint.bottomRightCorner(d_, d_) += tolerance;
     const WideMatrix mixed = joint.topRightCorner(d_, d_);

@@ -66,10 +66,28 @@ inline double InflationByQuadrature(
                             WideStateOf(graph.node(loop.matched).pose, d);
     difference(d - 1) = NearestTo(0.0L, difference(d - 1));
     const bool passed = difference.dot(gate.solve(difference)) <= threshold;
+    WideVector shown = difference;
+    WideMatrix shown_gamma = gamma;
+    WideMatrix shown_tolerance = tolerance;
+    if (loop.measured) {
+      const WideClosure closure = WideMeasured(*loop.measured, d);
+      const WideMatrix mixed = WideCross(graph, options.similarity.correlation,
+                                         loop.query, loop.matched, d) *
+                               closure.lever.transpose();
+      shown = closure.y;
+      shown_gamma =
+          WideCovarianceOf(graph.node(loop.query).covariance, d) +
+          closure.lever *
+              WideCovarianceOf(graph.node(loop.matched).covariance, d) *
+              closure.lever.transpose() -
+          mixed - mixed.transpose();
+      shown_tolerance = closure.tolerance;
+    }
     for (int v = 0; v < values; ++v) {
       const auto at = static_cast<std::size_t>(v);
       const WideMatrix spread = std::exp(2.0L * log_f[at]) * gamma + tolerance;
-      const auto form = EvaluateWide(spread, difference);
+      const auto form = EvaluateWide(
+          std::exp(2.0L * log_f[at]) * shown_gamma + shown_tolerance, shown);
       log_density[at] -= 0.5L * (form->squared + form->log_determinant);
       if (!passed) continue;
       // In the axes in which the gate is a ball.

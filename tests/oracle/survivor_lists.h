@@ -14,6 +14,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/alignment/known_drift.h"
 #include "core/alignment/relative.h"
 #include "core/graph/pose_graph.h"
 #include "tests/oracle/dense_window.h"
@@ -255,8 +256,9 @@ class SurvivorLists {
 
   // Whether errors can have been carried from the one node of a closure over
   // the other to the query, with nothing but noise added.
-  bool ForwardFilter(const core::ConfirmedLoop& loop) const {
-    const auto grows = [this](core::NodeIndex a, core::NodeIndex b) {
+  bool ForwardFilter(const core::ConfirmedLoop& loop,
+                     const WideMatrix& tolerance) const {
+    const auto grows = [&](core::NodeIndex a, core::NodeIndex b) {
       const core::Node& earlier = graph_.node(std::min(a, b));
       const core::Node& later = graph_.node(std::max(a, b));
       const WideMatrix f =
@@ -265,12 +267,34 @@ class SurvivorLists {
       const WideMatrix added =
           WideCovarianceOf(later.covariance, d_) -
           f * WideCovarianceOf(earlier.covariance, d_) * f.transpose() +
-          WideDiagonal(core::kConfirmedTolerance.position_meters,
-                       core::kConfirmedTolerance.heading_radians, d_);
+          tolerance;
       return EvaluateWide(added, WideVector::Zero(d_)).has_value();
     };
     return grows(loop.matched, loop.query) &&
            grows(std::max(loop.matched, loop.query), query_);
+  }
+
+  // Nothing where the covariances are not those of a forward filter.
+  std::optional<WideClosure> ClosureOf(const core::ConfirmedLoop& loop) const {
+    const core::Pose& c = graph_.node(loop.query).pose;
+    const core::Pose& m = graph_.node(loop.matched).pose;
+    if (loop.measured) {
+      const WideClosure measured = WideMeasured(*loop.measured, d_);
+      if (ForwardFilter(loop, measured.tolerance)) return measured;
+    }
+    WideClosure closure;
+    closure.y = WideStateOf(c, d_) - WideStateOf(m, d_);
+    closure.lever = WideMatrix::Identity(d_, d_);
+    closure.tolerance =
+        WideDiagonal(core::kConfirmedTolerance.position_meters,
+                     core::kConfirmedTolerance.heading_radians, d_);
+    if (!ForwardFilter(loop, closure.tolerance)) return std::nullopt;
+    Wide& turned = closure.y(d_ - 1);
+    turned = NearestTo(0.0L, turned);
+    if (std::abs(turned) > 0.5L * kWidePi) {
+      turned = NearestTo(0.0L, turned + kWidePi);
+    }
+    return closure;
   }
 
   // Difference of the query and node j, and its covariance with the tolerance,
@@ -299,19 +323,21 @@ class SurvivorLists {
         gamma(query_, j) + WideDiagonal(similarity.tolerance.position_meters,
                                         similarity.tolerance.heading_radians,
                                         d_);
-    if (model_.last_confirmed && ForwardFilter(*model_.last_confirmed)) {
+    const std::optional<WideClosure> closure =
+        model_.last_confirmed ? ClosureOf(*model_.last_confirmed)
+                              : std::nullopt;
+    if (closure) {
       const core::NodeIndex c = model_.last_confirmed->query;
       const core::NodeIndex m = model_.last_confirmed->matched;
-      const WideMatrix x =
-          cross(query_, c) - cross(query_, m) - cross(j, c) + cross(j, m);
-      const WideMatrix known =
-          gamma(c, m) + WideDiagonal(core::kConfirmedTolerance.position_meters,
-                                     core::kConfirmedTolerance.heading_radians,
-                                     d_);
-      const bool turned =
-          std::abs(difference(c, m, false)(d_ - 1)) > 0.5L * kWidePi;
+      const WideMatrix& lever = closure->lever;
+      const WideMatrix back = lever.transpose();
+      const WideMatrix x = cross(query_, c) - cross(query_, m) * back -
+                           cross(j, c) + cross(j, m) * back;
+      const WideMatrix known = cross(c, c) + lever * cross(m, m) * back -
+                               cross(c, m) * back - lever * cross(m, c) +
+                               closure->tolerance;
       const WideMatrix gain = x * known.inverse();
-      WideVector known_d = d - gain * difference(c, m, turned);
+      WideVector known_d = d - gain * closure->y;
       known_d(d_ - 1) = NearestTo(0.0L, known_d(d_ - 1));
       const WideMatrix known_covariance = covariance - gain * x.transpose();
       if (EvaluateWide(known_covariance, known_d)) {

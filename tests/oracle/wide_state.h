@@ -10,6 +10,7 @@
 #include <cmath>
 #include <optional>
 
+#include "core/alignment/confirmed_loop.h"
 #include "core/geometry/pose.h"
 #include "core/graph/correlation.h"
 #include "core/graph/pose_graph.h"
@@ -130,6 +131,32 @@ inline WideMatrix WideGamma(const core::PoseGraph& graph,
   return WideCovarianceOf(graph.node(i).covariance, dimensions) +
          WideCovarianceOf(graph.node(j).covariance, dimensions) - cross -
          cross.transpose();
+}
+
+// What a closure shows: y = e_c - lever e_m, up to the tolerance.
+struct WideClosure {
+  WideVector y;
+  WideMatrix lever;
+  WideMatrix tolerance;
+};
+
+// The closure of a measurement: the query pose less where the measurement puts
+// it from the matched one, whose heading error swings it.
+inline WideClosure WideMeasured(const core::MeasuredLoop& loop,
+                                int dimensions) {
+  const core::Pose& from = loop.matched.pose;
+  const WideMatrix turn = WideTurn(from.heading, dimensions);
+  const WideVector step =
+      turn * WideStateOf(loop.measurement.relative, dimensions);
+  WideClosure closure;
+  closure.y = WideStateOf(loop.query.pose, dimensions) -
+              WideStateOf(from, dimensions) - step;
+  closure.y(dimensions - 1) = NearestTo(0.0L, closure.y(dimensions - 1));
+  closure.lever = WideLever(step(0), step(1), dimensions);
+  closure.tolerance =
+      turn * WideCovarianceOf(loop.measurement.covariance, dimensions) *
+      turn.transpose();
+  return closure;
 }
 
 struct WideQuadraticForm {

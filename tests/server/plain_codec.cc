@@ -115,6 +115,24 @@ absl::StatusOr<DecodedBatch> PlainCodec::DecodeBatch(
   return batch;
 }
 
+absl::StatusOr<std::optional<core::LoopMeasurement>>
+PlainCodec::DecodeMeasurement(const std::string& payload,
+                              core::StateSpace /*space*/) const {
+  std::istringstream stream(payload);
+  core::LoopMeasurement measurement;
+  double deviation = 0.0;
+  if (!ReadDouble(stream, &measurement.relative.x) ||
+      !ReadDouble(stream, &measurement.relative.y) ||
+      !ReadDouble(stream, &measurement.relative.heading) ||
+      !ReadDouble(stream, &deviation)) {
+    return Damaged();
+  }
+  for (int i = 0; i < 4; ++i) {
+    measurement.covariance(i, i) = deviation * deviation;
+  }
+  return std::optional<core::LoopMeasurement>(measurement);
+}
+
 absl::StatusOr<std::string> PlainCodec::SliceBatch(const std::string& payload,
                                                    std::size_t first,
                                                    std::size_t count) const {

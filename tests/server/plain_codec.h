@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -23,6 +24,10 @@ class PlainCodec : public RecordCodec {
       const VehicleRecord& record) const override;
   absl::StatusOr<DecodedBatch> DecodeBatch(
       const std::string& payload, const VehicleConfig& config) const override;
+  // The payload of a measured loop closure is a line: x, y, heading, and their
+  // common standard deviation.
+  absl::StatusOr<std::optional<core::LoopMeasurement>> DecodeMeasurement(
+      const std::string& payload, core::StateSpace space) const override;
   absl::StatusOr<std::string> SliceBatch(const std::string& payload,
                                          std::size_t first,
                                          std::size_t count) const override;

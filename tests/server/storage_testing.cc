@@ -138,6 +138,7 @@ std::string ToText(const PosePairRecord& record) {
   std::ostringstream text;
   text << record.id << ": " << record.query_sequence << " at "
        << record.matched_sequence << ", " << record.create_time_ns << " ns";
+  if (!record.payload.empty()) text << ", '" << record.payload << "'";
   return text.str();
 }
 

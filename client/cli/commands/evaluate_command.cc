@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "client/cli/commands/reader_flags.h"
 #include "client/cli/commands/shared_flags.h"
 #include "client/cli/commands/vehicle_settings.h"
 #include "client/cli/evaluation/evaluate_options.h"
@@ -37,7 +38,7 @@ constexpr char kExamples[] =
     "  revisit evaluate drives/*.csv --simulate 1-5 --claimed-scale 0.5 "
     "--verify --apply-inflation\n"
     "  revisit evaluate drive.csv --verbose --map map.svg\n"
-    "  revisit evaluate day1.pos day2.pos --format rtklib --one-vehicle "
+    "  revisit evaluate day1.pos day2.pos --one-vehicle "
     "--truth ref1.csv ref2.csv";
 
 // The options, and flags that FinishOptions() turns into options.
@@ -47,25 +48,19 @@ struct EvaluateFlags {
 };
 
 void AddInputsAndOutputs(const Command& command, EvaluateOptions* options) {
-  using Format = EvaluateOptions::Format;
-  const Words formats = {{"drive", static_cast<int>(Format::kDrive)},
-                         {"rtklib", static_cast<int>(Format::kRtklib)}};
   command.AddTexts("FILE", "TEXT", &options->files, "Drive files with truth")
       .Required();
-  command.AddChoice(
-      "--format", formats, &options->format,
-      "Comma-separated columns by name (drive, the default), or an RTKLIB "
-      "solution with velocities (rtklib), taken as independent fixes with the "
-      "covariances it states");
   command.AddTexts("--truth", "FILE", &options->truth_files,
-                   "rtklib: the reference trajectory of each FILE, "
-                   "comma-separated columns by name");
+                   "The truth of each FILE, where it is not in the file: any "
+                   "format that is read, or a receiver's reference with "
+                   "columns such as \"GPS TOW (s)\"");
   command.AddSwitch("--one-vehicle", &options->one_vehicle,
                     "Stream all files into one vehicle, one after the other");
   command.AddSwitch("--verbose", &options->verbose,
                     "Print each check's best candidate");
-  command.AddText("--map", "FILE.svg", &options->map,
-                  "Draw the map of the drive (one drive only)");
+  command.AddText("--map", "FILE", &options->map,
+                  "Draw the map of the drive (one drive only): a page for a "
+                  "browser if the name ends in .html, otherwise SVG");
   command.AddText("--plots", "DIR", &options->plots,
                   "Draw precision_recall.svg and reliability.svg there");
   command
@@ -125,23 +120,12 @@ void AddJudging(const Command& command, EvaluateOptions* options) {
       "One place: true headings this near (45)");
 }
 
-// Names a flag that does not go with --format; empty if there is none.
-std::string CheckFormat(const Command& command,
-                        const EvaluateOptions& options) {
-  if (options.format != EvaluateOptions::Format::kRtklib) {
-    return options.truth_files.empty()
-               ? ""
-               : "--truth: goes with --format rtklib only";
-  }
-  if (!options.seeds.empty())
-    return "--simulate: goes with --format drive only";
-  if (command.Given("--uncertainty")) {
-    return "--uncertainty: goes with --format drive only";
-  }
-  if (options.truth_files.size() != options.files.size()) {
-    return "--truth: expected one for each FILE of --format rtklib";
-  }
-  return "";
+// Names what is wrong with the truth; empty if nothing is.
+std::string CheckTruth(const EvaluateOptions& options) {
+  return options.truth_files.empty() ||
+                 options.truth_files.size() == options.files.size()
+             ? ""
+             : "--truth: expected one for each FILE";
 }
 
 std::string CheckNumberOfDrives(const EvaluateOptions& options) {
@@ -171,14 +155,11 @@ std::string FinishOptions(const Command& command, EvaluateFlags* flags) {
       return "--simulate: goes with --uncertainty model only";
     }
   }
-  std::string problem = CheckFormat(command, options);
+  std::string problem = CheckTruth(options);
   if (problem.empty()) problem = CheckNumberOfDrives(options);
   if (!problem.empty()) return problem;
-  // Receivers' fixes have independent errors.
-  if (options.format == EvaluateOptions::Format::kRtklib &&
-      !command.Given("--correlation-model")) {
-    options.settings.set_correlation_model(v1::CORRELATION_MODEL_INDEPENDENT);
-  }
+  options.uncertainty_given = command.Given("--uncertainty");
+  options.correlation_given = command.Given("--correlation-model");
   if (!(options.settings.node_spacing_meters() > 0.0)) {
     return "--node-spacing: must be positive";
   }
@@ -198,6 +179,7 @@ void AddEvaluateCommand(const Command& program) {
   const auto flags = std::make_shared<EvaluateFlags>();
   EvaluateOptions* const options = &flags->options;
   AddInputsAndOutputs(command, options);
+  AddReaderFlags(command, &options->reader);
   AddMeasurements(command, flags.get());
   AddJudging(command, options);
   AddDriveSettings(command, &options->settings);

@@ -1,48 +1,22 @@
 #include "client/cli/commands/export_command.h"
 
-#include <unistd.h>
-
-#include <cerrno>
-#include <charconv>
-#include <cstdio>
-#include <cstring>
-#include <filesystem>
-#include <fstream>
+#include <functional>
 #include <memory>
-#include <system_error>
-#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "client/cli/commands/shared_flags.h"
+#include "client/cli/exact_text.h"
+#include "client/cli/map/map_geojson.h"
+#include "client/cli/map/server_map.h"
 #include "client/cli/names.h"
+#include "client/cli/output_file.h"
+#include "client/cli/trajectory/g2o_text.h"
+#include "client/cli/trajectory/local_pose.h"
+#include "client/cli/trajectory/stored_poses.h"
+#include "client/cli/trajectory/trajectory_text.h"
 
 namespace revisit::client {
 namespace {
-
-namespace fs = std::filesystem;
-
-// The shortest text that reads as the same number.
-std::string Exact(double value) {
-  char buffer[64];
-  const auto [end, error] =
-      std::to_chars(buffer, buffer + sizeof(buffer), value);
-  return error == std::errc() ? std::string(buffer, end) : "nan";
-}
-
-std::string StampSeconds(const google::protobuf::Timestamp& stamp) {
-  // A double does not hold today's stamps to the nanosecond.
-  std::int64_t seconds = stamp.seconds();
-  std::int64_t nanos = stamp.nanos();
-  std::string sign;
-  if (seconds < 0 && nanos > 0) {
-    seconds += 1;
-    nanos = 1'000'000'000 - nanos;
-    if (seconds == 0) sign = "-";
-  }
-  const std::string digits = absl::StrCat(nanos);
-  return absl::StrCat(sign, seconds, ".", std::string(9 - digits.size(), '0'),
-                      digits);
-}
 
 void WriteNodeCsv(const v1::Node& node, std::ostream& out) {
   out << node.index() << ',' << node.sequence() << ',' << Exact(node.fraction())
@@ -101,91 +75,181 @@ void WritePart(const v1::ExportPoseGraphResponse& part, ExportFormat format,
             << '\n';
       }
       return;
+    default:
+      return;
   }
 }
 
-// A file that gets its name when it is whole: a file of this name stays as it
-// is until then. A pipe or a device is written to as the parts come.
-class OutputFile {
- public:
-  explicit OutputFile(std::string path) : path_(std::move(path)) {}
+absl::Status ExportGraph(const Client& client, const std::string& vehicle,
+                         ExportFormat format, std::ostream& out) {
+  v1::ExportPoseGraphRequest request;
+  request.set_vehicle(vehicle);
+  WriteHeader(format, out);
+  return client.ExportPoseGraph(request,
+                                [&](const v1::ExportPoseGraphResponse& part) {
+                                  WritePart(part, format, out);
+                                  return CheckOutput(out);
+                                });
+}
 
-  ~OutputFile() {
-    if (!aside_.empty()) std::remove(aside_.c_str());
+// Calls `write` for each pose, in the vehicle's local frame. Notes a change of
+// the vehicle meanwhile: its pages are not of one moment.
+absl::Status ExportPoses(
+    const Client& client, const v1::Vehicle& vehicle, const Console& console,
+    const std::function<absl::Status(const LocalPose&)>& write) {
+  const LocalFrame frame(vehicle.settings());
+  Progress progress(console, vehicle.name(), vehicle.durable_sequence(),
+                    "poses");
+  const absl::Status read =
+      VisitPoses(client, vehicle.name(), [&](const v1::Pose& pose) {
+        progress.Update(pose.sequence());
+        return write(frame.Localize(pose));
+      });
+  if (!read.ok()) return read;
+  const auto after = ReadVehicle(client, vehicle.name());
+  if (!after.ok()) return after.status();
+  if (after->revision() != vehicle.revision()) {
+    progress.Note(absl::StrCat(
+        "changed meanwhile, from revision ", vehicle.revision(), " to ",
+        after->revision(), ": some poses may be from before, some from after"));
   }
+  return absl::OkStatus();
+}
 
-  OutputFile(const OutputFile&) = delete;
-  OutputFile& operator=(const OutputFile&) = delete;
+absl::Status ExportTum(const Client& client, const v1::Vehicle& vehicle,
+                       const Console& console, std::ostream& out) {
+  return ExportPoses(client, vehicle, console, [&](const LocalPose& pose) {
+    if (!pose.stamp.has_value()) {
+      return LocalError(absl::FailedPreconditionError(absl::StrCat(
+          vehicle.name(), ": pose ", pose.sequence,
+          " has no stamp, and a line of TUM begins with one; --format g2o, "
+          "kitti and csv need none")));
+    }
+    WriteTumLine(pose, out);
+    return CheckOutput(out);
+  });
+}
 
-  std::ostream& stream() { return stream_; }
-
-  absl::Status Open() {
-    std::error_code error;
-    const fs::file_status before = fs::status(path_, error);
-    // A name in /dev may lead to a file that somebody holds open.
-    if (path_.rfind("/dev/", 0) == 0 ||
-        (fs::exists(before) && !fs::is_regular_file(before))) {
-      stream_.open(path_, std::ios::binary);
-      return stream_ ? absl::OkStatus() : Error();
-    }
-    if (fs::exists(before)) {
-      // A file that may not be written to is not replaced either.
-      if (access(path_.c_str(), W_OK) != 0) return Error();
-      // A link goes on leading to it.
-      path_ = fs::canonical(path_, error).string();
-    }
-    aside_ = absl::StrCat(path_, ".", getpid(), ".part");
-    stream_.open(aside_, std::ios::binary | std::ios::trunc);
-    if (!stream_) return Error();
-    if (fs::exists(before)) {
-      fs::permissions(aside_, before.permissions(), error);
-    }
-    return absl::OkStatus();
+absl::Status ExportG2o(const Client& client, const v1::Vehicle& vehicle,
+                       const Console& console, std::ostream& out) {
+  // Closures first: their poses are then among those that are read.
+  const auto closures = ReadLoopClosures(client, vehicle.name());
+  if (!closures.ok()) return closures.status();
+  G2oWriter writer(vehicle.settings(), *closures, &out);
+  const absl::Status poses =
+      ExportPoses(client, vehicle, console, [&](const LocalPose& pose) {
+        writer.Add(pose);
+        return CheckOutput(out);
+      });
+  if (!poses.ok()) return poses;
+  writer.AddClosures();
+  const G2oWriter::Counts& counts = writer.counts();
+  console.progress << vehicle.name() << ": revision " << vehicle.revision()
+                   << ", poses: " << counts.poses << ", jumps: " << counts.jumps
+                   << ", loop closures: " << counts.closures
+                   << ", without a measurement: " << counts.unmeasured_closures
+                   << '\n';
+  if (counts.raised > 0) {
+    console.progress
+        << vehicle.name() << ": the covariances of " << counts.raised
+        << " poses grow by less than 1 mm or 0.1 mrad from the pose before; "
+           "their edges have that much\n";
   }
+  return CheckOutput(out);
+}
 
-  absl::Status Finish() {
-    stream_.close();
-    if (!stream_) return Error();
-    if (!aside_.empty() && std::rename(aside_.c_str(), path_.c_str()) != 0) {
-      return Error();
+absl::Status ExportGeoJson(const Client& client, const std::string& vehicle,
+                           const Console& console, std::ostream& out) {
+  const auto map = ReadServerMap(client, vehicle, console);
+  if (!map.ok()) return map.status();
+  if (absl::Status fits = CheckGeodetic(map->vehicle); !fits.ok()) return fits;
+  WriteGeoJson(*map, out);
+  return CheckOutput(out);
+}
+
+absl::Status Export(const Client& client, const ExportOptions& options,
+                    const Console& console, std::ostream& out) {
+  const std::string name = VehicleName(options.vehicle);
+  switch (options.format) {
+    case ExportFormat::kJsonLines:
+    case ExportFormat::kNodesCsv:
+    case ExportFormat::kEdgesCsv:
+      return ExportGraph(client, name, options.format, out);
+    default:
+      break;
+  }
+  if (options.format == ExportFormat::kGeoJson) {
+    return ExportGeoJson(client, name, console, out);
+  }
+  const auto vehicle = ReadVehicle(client, name);
+  if (!vehicle.ok()) return vehicle.status();
+  if (options.format == ExportFormat::kTum) {
+    return ExportTum(client, *vehicle, console, out);
+  }
+  if (options.format == ExportFormat::kG2o) {
+    return ExportG2o(client, *vehicle, console, out);
+  }
+  const bool csv = options.format == ExportFormat::kCsv;
+  const bool spatial =
+      vehicle->settings().state_space() == v1::STATE_SPACE_SPATIAL;
+  if (csv) WriteCsvHeader(out);
+  return ExportPoses(client, *vehicle, console, [&](const LocalPose& pose) {
+    if (csv) {
+      WriteCsvLine(pose, spatial, out);
+    } else {
+      WriteKittiLine(pose, out);
     }
-    aside_.clear();
-    return absl::OkStatus();
-  }
-
- private:
-  absl::Status Error() const {
-    return LocalError(
-        absl::UnknownError(absl::StrCat(path_, ": ", std::strerror(errno))));
-  }
-
-  std::string path_;
-  // The unfinished file, to be removed; empty if there is none.
-  std::string aside_;
-  std::ofstream stream_;
-};
+    return CheckOutput(out);
+  });
+}
 
 }  // namespace
 
 void AddExportCommand(const Command& program) {
   const Command command = program.AddCommand(
-      {"export", "Writes out a vehicle's pose graph.",
-       "Formats:\n"
+      {"export", "Writes out a vehicle's poses or its pose graph.",
+       "The poses, as they were sent or last revised, in the local frame (that "
+       "of a geodetic\n"
+       "vehicle is East-North-Up at its origin):\n"
+       "  tum        t x y z qx qy qz qw, for evo and other viewers\n"
+       "  kitti      twelve numbers, the body's axes being forward, left, up; "
+       "no times\n"
+       "  csv        with a header line: "
+       "sequence,t_s,est_x,est_y,est_z,est_yaw,"
+       "qx,qy,qz,qw\n"
+       "             and the covariance's upper triangle\n"
+       "  g2o        for optimisers: VERTEX_SE2 or, for spatial vehicles, "
+       "VERTEX_SE3:QUAT, whose\n"
+       "             ids are sequences; an edge from each pose to the next "
+       "with "
+       "the uncertainty\n"
+       "             that the step adds; an edge for each loop closure, as "
+       "measured\n"
+       "The graph of nodes, spaced evenly, on which searches are made:\n"
        "  jsonl      a JSON object a line: {\"vehicle\": ...}, then {\"node\": "
        "...} for each node,\n"
        "             then {\"edge\": ...} for each edge; protobuf JSON\n"
-       "  nodes-csv  comma-separated with a header line: index,sequence,"
-       "fraction,t_s,\n"
-       "             travelled_m,x_m,y_m,z_m,heading_rad and the covariance's "
-       "upper triangle\n"
+       "  nodes-csv  with a header line: index,sequence,fraction,t_s,"
+       "travelled_m,x_m,y_m,z_m,\n"
+       "             heading_rad and the covariance's upper triangle\n"
        "  edges-csv  the same: from_index,to_index,kind\n"
-       "Numbers read back to the same bits.",
+       "  geojson    for vehicles that stream geodetic positions: the "
+       "trajectory, loop closures\n"
+       "             and rejected candidates in longitude and latitude\n"
+       "Numbers read back to the same bits. revisit revise brings optimised "
+       "poses back.",
        "  revisit export shuttle-7 > graph.jsonl\n"
-       "  revisit export shuttle-7 --format nodes-csv --output nodes.csv"});
+       "  revisit export shuttle-7 --format g2o --output shuttle-7.g2o\n"
+       "  revisit export shuttle-7 --format tum --output shuttle-7.tum"});
   const Words formats = {
       {"jsonl", static_cast<int>(ExportFormat::kJsonLines)},
       {"nodes-csv", static_cast<int>(ExportFormat::kNodesCsv)},
-      {"edges-csv", static_cast<int>(ExportFormat::kEdgesCsv)}};
+      {"edges-csv", static_cast<int>(ExportFormat::kEdgesCsv)},
+      {"tum", static_cast<int>(ExportFormat::kTum)},
+      {"kitti", static_cast<int>(ExportFormat::kKitti)},
+      {"csv", static_cast<int>(ExportFormat::kCsv)},
+      {"g2o", static_cast<int>(ExportFormat::kG2o)},
+      {"geojson", static_cast<int>(ExportFormat::kGeoJson)}};
   const auto options = std::make_shared<ExportOptions>();
   AddVehicleName(command, &options->vehicle);
   command.AddChoice("--format", formats, &options->format,
@@ -206,26 +270,9 @@ void AddExportCommand(const Command& program) {
 
 absl::Status RunExport(const Client& client, const ExportOptions& options,
                        const Console& console) {
-  v1::ExportPoseGraphRequest request;
-  request.set_vehicle(VehicleName(options.vehicle));
-  OutputFile file(options.output);
-  const bool to_file = !options.output.empty();
-  if (to_file) {
-    if (absl::Status opened = file.Open(); !opened.ok()) return opened;
-  }
-  std::ostream& out = to_file ? file.stream() : console.out;
-  WriteHeader(options.format, out);
-  const absl::Status status = client.ExportPoseGraph(
-      request, [&](const v1::ExportPoseGraphResponse& part) {
-        WritePart(part, options.format, out);
-        if (!out.good()) {
-          return LocalError(absl::UnknownError("the output cannot be written"));
-        }
-        return absl::OkStatus();
-      });
-  if (!status.ok()) return status;
-  out.flush();
-  return to_file ? file.Finish() : absl::OkStatus();
+  return WriteTo(options.output, console.out, [&](std::ostream& out) {
+    return Export(client, options, console, out);
+  });
 }
 
 }  // namespace revisit::client

@@ -27,6 +27,14 @@ enum class ExportFormat {
   // A header line, then one line per edge: from_index,to_index,kind with kind
   // consecutive or loop_closure.
   kEdgesCsv,
+  // All poses, each in the vehicle's local frame: see trajectory_text.h and
+  // g2o_text.h.
+  kTum,
+  kKitti,
+  kCsv,
+  kG2o,
+  // See map_geojson.h.
+  kGeoJson,
 };
 
 struct ExportOptions {

@@ -3,7 +3,7 @@
 #include <cstdint>
 #include <memory>
 
-#include "absl/strings/str_cat.h"
+#include "client/cli/candidate_text.h"
 #include "client/cli/commands/shared_flags.h"
 #include "client/cli/commands/vehicle_settings.h"
 #include "client/cli/names.h"
@@ -59,55 +59,7 @@ absl::Status RunFind(const Client& client, v1::FindCandidatesRequest request,
     console.out << ToJson(set, true) << '\n';
     return absl::OkStatus();
   }
-  if (set.has_query()) {
-    const v1::Node& query = set.query();
-    console.out << "query: node " << query.index() << ", sequence "
-                << query.sequence() << ", "
-                << Fixed(query.travelled_meters(), 1) << " m travelled, at ("
-                << Fixed(query.pose().x_meters(), 2) << ", "
-                << Fixed(query.pose().y_meters(), 2) << ") m\n";
-  }
-  if (set.has_new_place_probability()) {
-    console.out << "new place: probability "
-                << Fixed(set.new_place_probability(), 4) << '\n';
-  }
-  if (set.candidates().empty()) {
-    console.out << "no candidates: " << Explain(set.empty_reason()) << '\n';
-    return absl::OkStatus();
-  }
-  using Align = Table::Align;
-  Table table({{"RANK", Align::kRight},
-               {"SEQUENCE", Align::kRight},
-               {"TRAVELLED m", Align::kRight},
-               {"X m", Align::kRight},
-               {"Y m", Align::kRight},
-               {"DIRECTION", Align::kLeft},
-               {"SCORE", Align::kRight},
-               {"D2", Align::kRight},
-               {"THRESHOLD", Align::kRight},
-               {"P-VALUE", Align::kRight},
-               {"PROBABILITY", Align::kRight},
-               {"VERDICT", Align::kLeft}});
-  for (const v1::Candidate& candidate : set.candidates()) {
-    const v1::Node& matched = candidate.matched();
-    const v1::Gate& gate = candidate.gate();
-    table.AddRow(
-        {absl::StrCat(candidate.rank()), absl::StrCat(matched.sequence()),
-         Fixed(matched.travelled_meters(), 1),
-         Fixed(matched.pose().x_meters(), 2),
-         Fixed(matched.pose().y_meters(), 2), NameOf(candidate.direction()),
-         Fixed(candidate.score(), 2),
-         Fixed(gate.squared_mahalanobis_distance(), 3),
-         Fixed(gate.threshold(), 3), Fixed(gate.p_value(), 4),
-         candidate.has_probability() ? Fixed(candidate.probability(), 4) : "-",
-         NameOf(candidate.verdict())});
-  }
-  table.Print(console.out, console.width);
-  const double inflation = set.candidates(0).gate().inflation();
-  if (inflation > 1.0) {
-    console.out << "claimed standard deviations were multiplied by "
-                << Fixed(inflation, 2) << '\n';
-  }
+  PrintCandidates(set, console);
   return absl::OkStatus();
 }
 

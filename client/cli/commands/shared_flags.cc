@@ -14,12 +14,14 @@ void AddVehicleName(const Command& command, std::string* vehicle) {
 void AddUncertainty(const Command& command, UncertaintyOptions* options) {
   using Source = UncertaintyOptions::Source;
   const Words sources = {{"model", static_cast<int>(Source::kModel)},
-                         {"file", static_cast<int>(Source::kFile)}};
+                         {"file", static_cast<int>(Source::kFile)},
+                         {"fixes", static_cast<int>(Source::kFixes)}};
   const Command group = command.Under("Claimed uncertainty");
   group.AddChoice(
       "--uncertainty", sources, &options->source,
-      "Dead reckoning with the sigmas below (model, the default), or the "
-      "file's columns plus the start's uncertainty, carried along (file)");
+      "Dead reckoning with the sigmas below (model, the default), the file's "
+      "covariances plus the start's uncertainty, carried along (file), or the "
+      "file's as they are (fixes, the default for receivers)");
   group.AddNumber(
       "--sigma-along", "M", &options->along,
       "Standard deviation of odometry along the path, per square root of a "
@@ -39,6 +41,9 @@ void AddUncertainty(const Command& command, UncertaintyOptions* options) {
       },
       "Standard deviation of odometry in heading, per square root of a metre "
       "(0.1)");
+  group.AddNumber("--fix-sigma", "M", &options->fix_position,
+                  "Standard deviation of a receiver's fixes, east and north, "
+                  "where the file states none");
   group.AddNumber("--start-sigma-position", "M", &options->start_position,
                   "Standard deviation of the first position");
   group.AddNumber("--start-sigma-heading", "RAD", &options->start_heading,

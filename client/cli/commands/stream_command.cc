@@ -1,14 +1,19 @@
 #include "client/cli/commands/stream_command.h"
 
 #include <algorithm>
+#include <filesystem>
+#include <system_error>
 #include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "client/cli/candidate_text.h"
+#include "client/cli/commands/reader_flags.h"
+#include "client/cli/commands/sample_sender.h"
 #include "client/cli/commands/shared_flags.h"
-#include "client/cli/commands/stream_end.h"
 #include "client/cli/drive_poses.h"
 #include "client/cli/names.h"
+#include "client/formats/text_lines.h"
 #include "client/revisit/pose_stream.h"
 #include "client/revisit/status.h"
 #include "core/base/mutex.h"
@@ -20,37 +25,6 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-absl::StatusOr<v1::Vehicle> GetOrCreate(const Client& client,
-                                        const StreamOptions& options) {
-  v1::GetVehicleRequest get;
-  get.set_name(VehicleName(options.vehicle));
-  const auto found = client.GetVehicle(get);
-  if (found.ok()) return found->vehicle();
-  if (!options.create || !absl::IsNotFound(found.status())) {
-    return found.status();
-  }
-  v1::CreateVehicleRequest create;
-  create.set_vehicle_id(get.name().substr(get.name().find('/') + 1));
-  *create.mutable_vehicle()->mutable_settings() = options.settings;
-  const auto created = client.CreateVehicle(create);
-  if (!created.ok()) return created.status();
-  return created->vehicle();
-}
-
-// Files hold local positions and no error transitions.
-absl::Status CheckThatFilesFit(const v1::Vehicle& vehicle) {
-  if (vehicle.settings().coordinate_frame() == v1::COORDINATE_FRAME_GEODETIC) {
-    return LocalError(absl::FailedPreconditionError(absl::StrCat(
-        vehicle.name(), " takes geodetic positions; files hold local ones")));
-  }
-  if (vehicle.settings().correlation_model() == v1::CORRELATION_MODEL_FILTER) {
-    return LocalError(absl::FailedPreconditionError(absl::StrCat(
-        vehicle.name(),
-        " needs an error transition with every pose; files hold none")));
-  }
-  return absl::OkStatus();
-}
-
 // Counts over the answers of a stream.
 struct Tally {
   Mutex mutex;
@@ -58,47 +32,6 @@ struct Tally {
   std::int64_t jumps ABSL_GUARDED_BY(mutex) = 0;
   std::int64_t checks ABSL_GUARDED_BY(mutex) = 0;
 };
-
-void PrintCandidates(const v1::CandidateSet& set, const Console& console) {
-  if (console.json) {
-    console.out << ToJson(set, false) << '\n';
-    return;
-  }
-  console.out << "check at sequence " << set.query().sequence() << ", "
-              << Fixed(set.query().travelled_meters(), 1) << " m: ";
-  if (set.candidates().empty()) {
-    console.out << "no candidates, " << Explain(set.empty_reason()) << '\n';
-    return;
-  }
-  const v1::Candidate& best = set.candidates(0);
-  console.out << "sequence " << best.matched().sequence() << ", "
-              << Fixed(best.matched().travelled_meters(), 1) << " m, d2 "
-              << Fixed(best.gate().squared_mahalanobis_distance(), 2)
-              << " against " << Fixed(best.gate().threshold(), 2) << ", ";
-  if (best.has_probability()) {
-    console.out << "probability " << Fixed(best.probability(), 4) << ", ";
-  }
-  if (best.direction() == v1::DIRECTION_OPPOSITE) {
-    console.out << "opposite direction, ";
-  }
-  console.out << NameOf(best.verdict()) << '\n';
-}
-
-PoseStreamOptions MakeStreamOptions(const StreamOptions& options,
-                                    const v1::Vehicle& vehicle) {
-  PoseStreamOptions stream;
-  stream.batch_poses = options.batch_poses;
-  stream.acked_sequence = options.acked_sequence;
-  stream.vehicle_uid = options.vehicle_uid;
-  // A sequence that is claimed without a uid may be that of an earlier vehicle
-  // of this name: the present one must not answer for it.
-  if (options.vehicle_uid.empty() && options.acked_sequence == 0) {
-    stream.vehicle_uid = vehicle.uid();
-  }
-  stream.send_candidates = options.candidates;
-  stream.give_up_after = options.give_up_after;
-  return stream;
-}
 
 // All of `tally`, `progress` and `console` must outlive the stream.
 PoseStreamCallbacks MakeCallbacks(Tally* tally, Progress* progress,
@@ -116,7 +49,11 @@ PoseStreamCallbacks MakeCallbacks(Tally* tally, Progress* progress,
   callbacks.candidates = [tally, &console](const v1::CandidateSet& set) {
     const MutexLock lock(&tally->mutex);
     ++tally->checks;
-    PrintCandidates(set, console);
+    if (console.json) {
+      console.out << ToJson(set, false) << '\n';
+    } else {
+      PrintCheck(set, console.out);
+    }
   };
   callbacks.disconnected = [progress](const absl::Status& status,
                                       std::chrono::nanoseconds wait) {
@@ -178,36 +115,35 @@ void PrintText(const Summary& summary, std::ostream& out) {
   PrintFields(fields, out);
 }
 
-}  // namespace
-
-void AddStreamCommand(const Command& program) {
-  const Command command = program.AddCommand(
-      {"stream", "Streams the poses of a file into a vehicle.",
-       "Pose i of the file gets sequence i. A broken connection is made again. "
-       "Stopped, by\nCtrl-C too, and run again, it goes on where the server's "
-       "durable poses "
-       "end, after the server has compared\nthe last of them with the file's. "
-       "Truth in the file is not sent.",
-       "  revisit stream drive.csv --vehicle shuttle-7\n"
-       "  revisit stream poses.txt --format tum --vehicle shuttle-7 --create\n"
-       "  revisit stream drive.csv --vehicle shuttle-7 --candidates --json"});
-  const Words formats = {{"drive", static_cast<int>(DriveFormat::kDrive)},
-                         {"tum", static_cast<int>(DriveFormat::kTum)}};
-  const auto options = std::make_shared<StreamOptions>();
-  const auto give_up_seconds = std::make_shared<double>(60.0);
-  command.AddText("FILE", "TEXT", &options->file, "Drive file").Required();
-  AddVehicleName(command, &options->vehicle);
-  command.AddChoice("--format", formats, &options->format,
-                    "Comma-separated columns by name (drive, the default), or "
-                    "t x y z qx qy qz qw (tum)");
+// Adds the flags that say what becomes of the poses.
+void AddVehicleFlags(const Command& command, StreamOptions* options) {
+  const Words models = {
+      {"dead-reckoning", v1::CORRELATION_MODEL_DEAD_RECKONING},
+      {"independent", v1::CORRELATION_MODEL_INDEPENDENT},
+      {"filter", v1::CORRELATION_MODEL_FILTER}};
   command.AddSwitch("--create", &options->create,
                     "Create the vehicle if there is none, with the server's "
                     "default settings");
+  command.AddChoice(
+      "--correlation-model", models,
+      [options](int model) {
+        options->settings.set_correlation_model(
+            static_cast<v1::CorrelationModel>(model));
+      },
+      "Of the vehicle that --create makes (dead-reckoning; independent for "
+      "fixes)");
+  command.AddSwitch("--append", &options->append,
+                    "Give the first pose the sequence behind the durable ones "
+                    "and compare nothing: another recording of the vehicle");
   command.AddSwitch("--candidates", &options->candidates,
                     "Print the candidates of every check that falls due");
+}
+
+// Adds the flags of sending, and of what is known from an earlier life.
+void AddResuming(const Command& command, StreamOptions* options) {
   command
       .AddWholeNumber("--batch", {1, 1'000'000}, &options->batch_poses,
-                      "Poses of one message")
+                      "Most poses of one message")
       .ShowDefault();
   command.AddWholeNumber("--acked-sequence", WholeRange(),
                          &options->acked_sequence,
@@ -218,71 +154,118 @@ void AddStreamCommand(const Command& program) {
       "Uid of the vehicle that is meant; another of its name is refused, and "
       "with it --acked-sequence proves a loss to the server, which then "
       "refuses writes until accept-loss");
+}
+
+}  // namespace
+
+void AddStreamCommand(const Command& program) {
+  const Command command = program.AddCommand(
+      {"stream", "Streams the poses of files or of a pipe into a vehicle.",
+       "Pose i of all FILEs gets sequence i; - is the standard input, whose "
+       "poses are sent as\nthey arrive. A broken connection is made again. "
+       "Stopped and run again, it goes on where\nthe server's durable poses "
+       "end, after the server has compared the last of them with the\nfile's. "
+       "Truth in the file is not sent.\n\n"
+       "Compressed files (gzip, zstd) are read too. Receivers' fixes (rtklib, "
+       "gpx, nmea) become\ngeodetic poses that face where they move; where "
+       "they do not move, they are left out. What\nlooks like wrong axes, "
+       "units or orders is refused; the message says which flag mends it.",
+       "  revisit stream drive.csv --vehicle shuttle-7\n"
+       "  revisit stream poses.txt --axes camera --times times.txt --vehicle "
+       "shuttle-7 --create\n"
+       "  revisit stream log.csv --columns t=time,x=east,y=north,yaw=psi "
+       "--vehicle shuttle-7\n"
+       "  revisit stream tuesday.pos --vehicle shuttle-7 --append\n"
+       "  ros2 topic echo --csv /odom | revisit stream - --vehicle shuttle-7\n"
+       "  revisit stream drive.csv --vehicle shuttle-7 --candidates --json"});
+  const auto options = std::make_shared<StreamOptions>();
+  const auto give_up_seconds = std::make_shared<double>(60.0);
+  command
+      .AddTexts("FILE", "TEXT", &options->files,
+                "Recordings, one after the other; - for the standard input")
+      .Required();
+  command.AddText("--vehicle", "ID", &options->vehicle,
+                  "Id, or name such as vehicles/ID; without it, the last word "
+                  "after FILE");
+  AddVehicleFlags(command, options.get());
+  AddResuming(command, options.get());
   command.AddNumber("--give-up-after", "S", give_up_seconds.get(),
                     "Seconds without progress; 0 tries for ever");
+  AddReaderFlags(command, &options->reader);
   AddUncertainty(command, &options->uncertainty);
-  command.Runs([options, give_up_seconds](const Connection& server,
-                                          const Console& console) {
+  const Check check = [command, options]() -> std::string {
+    options->uncertainty_given = command.Given("--uncertainty");
+    if (options->vehicle.empty() && options->files.size() > 1) {
+      options->vehicle = options->files.back();
+      options->files.pop_back();
+    }
+    if (options->vehicle.empty()) return "--vehicle is required";
+    std::error_code error;
+    if (options->files.back() == options->vehicle &&
+        !std::filesystem::exists(options->vehicle, error)) {
+      return absl::StrCat("--vehicle: ", options->vehicle, " is named twice");
+    }
+    const auto pipes =
+        std::count(options->files.begin(), options->files.end(), "-");
+    return pipes > 1 ? "FILE: the standard input can be read once only" : "";
+  };
+  const Run run = [options, give_up_seconds](const Connection& server,
+                                             const Console& console) {
     if (*give_up_seconds > 0.0) {
       options->give_up_after =
           std::chrono::duration_cast<std::chrono::milliseconds>(
               std::chrono::duration<double>(*give_up_seconds));
     }
     return RunStream(server.channel, *options, console);
-  });
+  };
+  command.Runs(run, check);
 }
 
 absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
                        const StreamOptions& options, const Console& console) {
-  const auto drive = ReadDriveFile(options.file, options.format);
-  if (!drive.ok()) return LocalError(drive.status());
-  const auto uncertainty = ClaimUncertainty(*drive, options.uncertainty);
-  if (!uncertainty.ok()) return LocalError(uncertainty.status());
-  const std::size_t poses = drive->samples.size();
-  const auto vehicle = GetOrCreate(Client(channel), options);
-  if (!vehicle.ok()) return vehicle.status();
-  if (absl::Status fits = CheckThatFilesFit(*vehicle); !fits.ok()) return fits;
-
-  Progress progress(console, drive->name, poses, "poses");
+  Progress progress(console, StemOf(options.files[0]), 0, "poses");
   Tally tally;
-  {
-    const MutexLock lock(&tally.mutex);
-    tally.revision = vehicle->revision();
-  }
-  PoseStream stream(channel, vehicle->name(),
-                    MakeStreamOptions(options, *vehicle),
-                    MakeCallbacks(&tally, &progress, console));
-  std::optional<StreamInterrupt> interrupt;
-  interrupt.emplace(&stream, vehicle->name(), console);
-  const auto durable = stream.WaitUntilOpened();
-  if (!durable.ok()) return durable.status();
-  if (*durable > poses) {
-    return LocalError(absl::FailedPreconditionError(absl::StrCat(
-        vehicle->name(), " has ", *durable, " poses already, more than the ",
-        poses, " of ", options.file)));
-  }
+  const PoseStreamCallbacks callbacks =
+      MakeCallbacks(&tally, &progress, console);
+  SampleSender sender(channel, options, callbacks, console);
+  ReaderOptions reader_options = options.reader;
+  reader_options.before_wait = [&sender] { return sender.BeforeWait(); };
   const auto start = Clock::now();
-  // The last durable pose is sent again, for the server to compare it.
-  AppendPoses(*drive, *uncertainty, vehicle->settings().state_space(),
-              {*durable == 0 ? 0 : *durable - 1, poses},
-              static_cast<std::size_t>(std::max(options.batch_poses, 1)),
-              &stream);
-  const absl::Status finished = stream.Finish();
-  interrupt.reset();
-  const double seconds =
-      std::chrono::duration<double>(Clock::now() - start).count();
-  if (!finished.ok()) return WithDurable(finished, vehicle->name(), stream);
+  for (const std::string& file : options.files) {
+    // A file that is not there shows before the first one is sent. Those that
+    // are there may be pipes, which can be opened once only.
+    std::error_code error;
+    if (file == "-" || std::filesystem::exists(file, error)) continue;
+    const auto bytes = OpenBytes(file, nullptr);
+    if (!bytes.ok()) return LocalError(bytes.status());
+  }
+  for (const std::string& file : options.files) {
+    sender.BeginFile(file);
+    const auto reader = OpenSamples(file, reader_options);
+    if (!reader.ok()) return sender.FinishAfter(reader.status());
+    for (;;) {
+      const auto sample = (*reader)->Next();
+      if (!sample.ok()) return sender.FinishAfter(sample.status());
+      if (!sample->has_value()) break;
+      if (!sender.Take(**sample).ok()) return sender.Finish();
+    }
+  }
+  if (sender.taken() == 0) {
+    return LocalError(absl::InvalidArgumentError(
+        absl::StrCat(options.files[0], ": the vehicle never moves")));
+  }
+  if (absl::Status finished = sender.Finish(); !finished.ok()) return finished;
 
   Summary summary;
-  summary.vehicle = vehicle->name();
-  summary.vehicle_uid = stream.vehicle_uid();
-  summary.poses = poses;
-  summary.already_durable = *durable;
-  summary.durable = stream.acked_sequence();
-  summary.reconnects = stream.reconnects();
-  summary.seconds = seconds;
+  summary.vehicle = sender.vehicle().name();
+  summary.vehicle_uid = sender.stream().vehicle_uid();
+  summary.poses = sender.taken();
+  summary.already_durable = sender.already_durable();
+  summary.durable = sender.stream().acked_sequence();
+  summary.reconnects = sender.stream().reconnects();
+  summary.seconds = std::chrono::duration<double>(Clock::now() - start).count();
   const MutexLock lock(&tally.mutex);
-  summary.revision = tally.revision;
+  summary.revision = std::max(tally.revision, sender.vehicle().revision());
   summary.jumps = tally.jumps;
   if (options.candidates) summary.checks = tally.checks;
   if (console.json) {

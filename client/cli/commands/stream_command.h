@@ -7,12 +7,13 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "client/cli/console.h"
 #include "client/cli/evaluation/dead_reckoning.h"
 #include "client/cli/flags.h"
-#include "client/formats/drive_file.h"
+#include "client/formats/reader.h"
 #include "client/revisit/client.h"
 
 namespace grpc {
@@ -24,14 +25,22 @@ namespace revisit::client {
 void AddStreamCommand(const Command& program);
 
 struct StreamOptions {
-  std::string file;
-  DriveFormat format = DriveFormat::kDrive;
+  // "-" is the standard input.
+  std::vector<std::string> files;
+  ReaderOptions reader;
   std::string vehicle;
+  // `uncertainty.source` counts only where it was given: fixes, and what goes
+  // to a vehicle with error transitions, are otherwise claimed as the file
+  // states them.
   UncertaintyOptions uncertainty;
-  // Whether to create the vehicle if there is none, with `settings`. No flag
-  // sets these: `revisit stream` leaves them to the server's defaults.
+  bool uncertainty_given = false;
+  // Whether to create the vehicle if there is none, with `settings`, the frame
+  // of the files, and INDEPENDENT errors for fixes unless `settings` has a
+  // correlation model.
   bool create = false;
   v1::VehicleSettings settings;
+  // Whether the files' poses follow the durable ones, in place of being them.
+  bool append = false;
   int batch_poses = 64;
   // Highest sequence that the caller knows to be durable; 0 for no record.
   std::uint64_t acked_sequence = 0;
@@ -43,9 +52,15 @@ struct StreamOptions {
   std::optional<std::chrono::milliseconds> give_up_after;
 };
 
-// Streams the estimates of a drive file: pose i of the file gets sequence i.
-// Goes on where the vehicle's durable poses end, after the server has compared
-// the last of these with the file's. Any truth in the file is not read.
+// Streams the estimates of recordings as they are read: pose i of all files
+// together gets sequence i, and so does pose i of a pipe. Goes on where the
+// vehicle's durable poses end, after the server has compared the last of these
+// with the files'; with `append`, the first pose gets the next sequence and
+// nothing is compared. Any truth in the files is not sent.
+//
+// The first few thousand samples, or what a pipe brings at once, are held back
+// until they have been looked at: what is suspicious then creates no vehicle
+// and sends nothing.
 absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
                        const StreamOptions& options, const Console& console);
 

@@ -21,6 +21,24 @@ FindingReference Reference(const VerifiedPair& pair) {
       {absl::StrCat(pair.query_sequence), absl::StrCat(pair.matched_sequence)}};
 }
 
+void Fill(const VerifiedMeasurement& measured, v1::LoopClosure* closure) {
+  if (!measured.note.empty()) closure->set_note(measured.note);
+  if (measured.score) closure->set_score(*measured.score);
+  if (measured.relative.empty()) return;
+  v1::LoopClosureMeasurement* const m = closure->mutable_measurement();
+  m->set_x_meters(measured.relative[0]);
+  m->set_y_meters(measured.relative[1]);
+  if (measured.relative.size() == 4) m->set_z_meters(measured.relative[2]);
+  m->set_heading_radians(measured.relative.back());
+  v1::Covariance* const covariance = m->mutable_covariance();
+  const std::size_t count = measured.covariance.size();
+  covariance->set_form(count == 6    ? v1::COVARIANCE_FORM_PLANAR_6
+                       : count == 10 ? v1::COVARIANCE_FORM_SPATIAL_10
+                                     : v1::COVARIANCE_FORM_ROS_36);
+  covariance->mutable_values()->Assign(measured.covariance.begin(),
+                                       measured.covariance.end());
+}
+
 template <typename Response>
 void Print(const char* done, const std::string& name, const Response& response,
            const Console& console) {
@@ -32,13 +50,7 @@ void Print(const char* done, const std::string& name, const Response& response,
   }
 }
 
-using RunVerified = absl::Status (*)(const Client&, const VerifiedPair&,
-                                     const Console&);
-
-void AddVerified(const Command& program, const CommandHelp& help,
-                 RunVerified run) {
-  const Command command = program.AddCommand(help);
-  const auto pair = std::make_shared<VerifiedPair>();
+void AddPair(const Command& command, VerifiedPair* pair) {
   command.AddText("VEHICLE", "TEXT", &pair->vehicle, "Id, or name").Required();
   command
       .AddWholeNumber("QUERY_SEQ", kSequences, &pair->query_sequence,
@@ -48,34 +60,81 @@ void AddVerified(const Command& program, const CommandHelp& help,
       .AddWholeNumber("MATCHED_SEQ", kSequences, &pair->matched_sequence,
                       "Sequence of the earlier pose")
       .Required();
-  command.Runs([pair, run](const Connection& server, const Console& console) {
-    return run(server.client, *pair, console);
-  });
 }
 
 }  // namespace
 
 void AddConfirmCommand(const Command& program) {
-  AddVerified(
-      program,
+  const Command command = program.AddCommand(
       {"confirm", "Tells that two poses were found to be one place.",
-       "Adds a loop closure. Again: the existing one. A mistaken one is "
-       "undone by\nrevisit closures delete.",
-       "  revisit confirm shuttle-7 2068 1072"},
-      &RunConfirm);
+       "Adds a loop closure. Again: the existing one. A mistaken one is undone "
+       "by\nrevisit closures delete. With what the verifier measured, the "
+       "answer says how well\nthat agrees with the graph: a small p-value "
+       "calls for a second look at the closure,\nthe axes of the measurement, "
+       "or the covariances.",
+       "  revisit confirm shuttle-7 2068 1072\n"
+       "  revisit confirm shuttle-7 2060 1063 --relative 1.2,-0.4,0.03 "
+       "--covariance 0.04,0,0,0.04,0,0.0004"});
+  const auto pair = std::make_shared<VerifiedPair>();
+  const auto measured = std::make_shared<VerifiedMeasurement>();
+  AddPair(command, pair.get());
+  const Flag relative = command.AddNumbers(
+      "--relative", "X,Y[,Z],HEADING", &measured->relative,
+      "The later pose as seen from the earlier one: metres ahead, to the left "
+      "(and up), and radians counter-clockwise");
+  const Flag covariance = command.AddNumbers(
+      "--covariance", "NUMBERS", &measured->covariance,
+      "Covariance of its errors, in the same axes: the upper triangle by rows "
+      "over x, y, "
+      "heading (6) or x, y, z, heading (10), or the 36 of ROS");
+  relative.Needs(covariance);
+  covariance.Needs(relative);
+  command.AddText("--note", "TEXT", &measured->note,
+                  "For people: what found it, for example");
+  command.AddNumber(
+      "--score", "NUMBER",
+      [measured](double score) { measured->score = score; },
+      "How sure the verifier is, on a scale of its own");
+  const Check check = [measured] { return CheckMeasurement(*measured); };
+  command.Runs(
+      [pair, measured](const Connection& server, const Console& console) {
+        return RunConfirm(server.client, *pair, *measured, console);
+      },
+      check);
 }
 
 void AddRejectCommand(const Command& program) {
-  AddVerified(
-      program,
+  const Command command = program.AddCommand(
       {"reject", "Tells that two poses were found not to be one place.",
        "The candidate is not offered again. Again: the existing rejection. A "
        "mistaken one\nis undone by revisit rejections delete.",
-       "  revisit reject shuttle-7 2068 1155"},
-      &RunReject);
+       "  revisit reject shuttle-7 2068 1155"});
+  const auto pair = std::make_shared<VerifiedPair>();
+  AddPair(command, pair.get());
+  command.Runs([pair](const Connection& server, const Console& console) {
+    return RunReject(server.client, *pair, console);
+  });
+}
+
+std::string CheckMeasurement(const VerifiedMeasurement& measurement) {
+  const std::size_t numbers = measurement.relative.size();
+  const std::size_t variances = measurement.covariance.size();
+  if (numbers == 0 && variances == 0) return "";
+  if (numbers != 3 && numbers != 4) {
+    return absl::StrCat(
+        "--relative: expected X,Y,HEADING or X,Y,Z,HEADING, "
+        "got ",
+        numbers, " numbers");
+  }
+  if (variances != 6 && variances != 10 && variances != 36) {
+    return absl::StrCat("--covariance: expected 6, 10 or 36 numbers, got ",
+                        variances);
+  }
+  return "";
 }
 
 absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
+                        const VerifiedMeasurement& measurement,
                         const Console& console) {
   if (absl::Status status = CheckNotRejected(client, Reference(pair));
       !status.ok()) {
@@ -84,9 +143,18 @@ absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
   v1::AddLoopClosureRequest request;
   request.set_parent(VehicleName(pair.vehicle));
   Fill(pair, request.mutable_loop_closure());
+  Fill(measurement, request.mutable_loop_closure());
   const auto response = client.AddLoopClosure(request);
   if (!response.ok()) return response.status();
   Print("confirmed", response->loop_closure().name(), *response, console);
+  if (response->has_agreement() && !console.json) {
+    const v1::MeasurementAgreement& agreement = response->agreement();
+    console.out << "agreement with the graph: d2 "
+                << Fixed(agreement.squared_mahalanobis_distance(), 2) << " of "
+                << agreement.degrees_of_freedom()
+                << " degrees of freedom, p-value "
+                << Fixed(agreement.p_value(), 4) << '\n';
+  }
   return absl::OkStatus();
 }
 

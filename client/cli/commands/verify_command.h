@@ -3,7 +3,9 @@
 #define REVISIT_CLIENT_CLI_COMMANDS_VERIFY_COMMAND_H_
 
 #include <cstdint>
+#include <optional>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "client/cli/console.h"
@@ -23,10 +25,26 @@ struct VerifiedPair {
   std::uint64_t matched_sequence = 0;
 };
 
+// The verifier's measurement; empty where it measured nothing.
+struct VerifiedMeasurement {
+  // The query pose as seen from the matched one: x, y, heading, or x, y, z,
+  // heading, as in v1::LoopClosureMeasurement.
+  std::vector<double> relative;
+  // 6, 10 or 36 numbers, as the forms of v1::Covariance have.
+  std::vector<double> covariance;
+  std::string note;
+  std::optional<double> score;
+};
+
+// Says what is wrong with the measurement's numbers; empty if nothing is.
+std::string CheckMeasurement(const VerifiedMeasurement& measurement);
+
 // Adds a loop closure, since the two poses are one place. Prints its name and
-// the revision; as JSON, the response. FAILED_PRECONDITION if they are
-// rejected.
+// the revision, and how well a measurement agrees with the graph; as JSON, the
+// response. FAILED_PRECONDITION if they are rejected.
+// REQUIRES: CheckMeasurement().
 absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
+                        const VerifiedMeasurement& measurement,
                         const Console& console);
 // Rejects the candidate, since the two poses are not one place. Prints and
 // fails likewise.

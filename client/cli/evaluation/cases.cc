@@ -1,61 +1,69 @@
 #include "client/cli/evaluation/cases.h"
 
 #include <cstddef>
-#include <istream>
 #include <string>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "client/cli/console.h"
 #include "client/cli/evaluation/simulation.h"
-#include "client/formats/gnss_file.h"
-#include "client/formats/text_lines.h"
+#include "client/formats/truth_file.h"
 
 namespace revisit::client {
 namespace {
 
-// Opens a file for `read`; errors are faults of this machine.
-template <typename Read>
-auto ReadFile(const std::string& path, const Read& read)
-    -> decltype(read(std::declval<std::istream&>(), path)) {
-  const auto input = OpenText(path);
-  if (!input.ok()) return LocalError(input.status());
-  auto value = read(**input, path);
-  if (!value.ok()) return LocalError(value.status());
-  return value;
+// The first position of a file, where local coordinates of fixes begin; nothing
+// if positions are local already.
+absl::StatusOr<std::optional<GeodeticPosition>> OriginOf(
+    const std::string& file, const ReaderOptions& options) {
+  ReaderOptions first = options;
+  first.keep_without_heading = true;
+  const auto reader = OpenSamples(file, first);
+  if (!reader.ok()) return reader.status();
+  const auto sample = (*reader)->Next();
+  if (!sample.ok()) return sample.status();
+  return (*sample)->geodetic;
 }
 
-absl::StatusOr<std::vector<Drive>> ReadGnssDrives(
-    const EvaluateOptions& options) {
+absl::StatusOr<Drive> ReadOne(const EvaluateOptions& options, std::size_t i,
+                              const std::optional<GeodeticPosition>& origin) {
+  ReaderOptions reader = options.reader;
+  reader.origin = origin;
+  auto drive = ReadDriveFile(options.files[i], reader);
+  if (!drive.ok()) return drive;
+  if (!options.truth_files.empty()) {
+    const auto truth = ReadTruth(options.truth_files[i], origin);
+    if (!truth.ok()) return truth.status();
+    if (absl::Status status = AddTruth(*truth, &*drive); !status.ok()) {
+      return status;
+    }
+  }
+  if (drive->truth.empty()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(options.files[i],
+                     ": expected the truth, which an evaluation needs: the "
+                     "columns gt_x, gt_y, gt_yaw, or --truth FILE"));
+  }
+  return drive;
+}
+
+absl::StatusOr<std::vector<Drive>> ReadDrives(const EvaluateOptions& options) {
   std::vector<Drive> drives;
   std::optional<GeodeticPosition> origin;
   for (std::size_t i = 0; i < options.files.size(); ++i) {
-    const auto fixes = ReadFile(options.files[i], ReadRtklib);
-    if (!fixes.ok()) return fixes.status();
-    const auto reference = ReadFile(options.truth_files[i], ReadReference);
-    if (!reference.ok()) return reference.status();
     if (!origin.has_value() || !options.one_vehicle) {
-      origin = fixes->front().position;
+      const auto first = OriginOf(options.files[i], options.reader);
+      if (!first.ok()) return first.status();
+      origin = *first;
     }
-    auto drive =
-        MakeGnssDrive(StemOf(options.files[i]), *fixes, *reference, *origin);
-    if (!drive.ok()) return LocalError(drive.status());
-    drives.push_back(*std::move(drive));
-  }
-  return drives;
-}
-
-absl::StatusOr<std::vector<Drive>> ReadDriveFiles(
-    const EvaluateOptions& options) {
-  std::vector<Drive> drives;
-  for (const std::string& file : options.files) {
-    auto drive = ReadDriveFile(file, DriveFormat::kDrive);
-    if (!drive.ok()) return LocalError(drive.status());
-    if (drive->truth.empty()) {
-      return LocalError(absl::InvalidArgumentError(
-          absl::StrCat(file,
-                       ":1: expected the columns gt_x, gt_y, gt_yaw, which an "
-                       "evaluation needs")));
+    auto drive = ReadOne(options, i, origin);
+    if (!drive.ok()) return drive.status();
+    const auto& samples = drive->samples;
+    if (!drives.empty() && samples.front().geodetic.has_value() !=
+                               drives.front().samples[0].geodetic.has_value()) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          options.files[i],
+          ": expected the same kind of positions as in the first file"));
     }
     drives.push_back(*std::move(drive));
   }
@@ -75,28 +83,44 @@ Drive Join(std::vector<Drive> drives) {
   return all;
 }
 
+void Settle(const std::vector<Drive>& drives, EvaluateOptions* options) {
+  options->geodetic = drives[0].samples[0].geodetic.has_value();
+  if (!options->geodetic) return;
+  options->settings.set_coordinate_frame(v1::COORDINATE_FRAME_GEODETIC);
+  if (!options->uncertainty_given) {
+    options->uncertainty.source = UncertaintyOptions::Source::kFixes;
+  }
+  if (!options->correlation_given &&
+      options->uncertainty.source == UncertaintyOptions::Source::kFixes) {
+    options->settings.set_correlation_model(v1::CORRELATION_MODEL_INDEPENDENT);
+  }
+}
+
 }  // namespace
 
-absl::StatusOr<std::vector<Case>> ReadCases(const EvaluateOptions& options) {
-  auto read = options.format == EvaluateOptions::Format::kRtklib
-                  ? ReadGnssDrives(options)
-                  : ReadDriveFiles(options);
-  if (!read.ok()) return read.status();
+absl::StatusOr<std::vector<Case>> ReadCases(EvaluateOptions* options) {
+  auto read = ReadDrives(*options);
+  if (!read.ok()) return LocalError(read.status());
   std::vector<Drive> drives = *std::move(read);
-  if (options.one_vehicle) drives = {Join(std::move(drives))};
+  Settle(drives, options);
+  if (options->geodetic && !options->seeds.empty()) {
+    return LocalError(absl::InvalidArgumentError(
+        "--simulate goes with local positions; --frame local makes them"));
+  }
+  if (options->one_vehicle) drives = {Join(std::move(drives))};
   std::vector<Case> cases;
   for (Drive& drive : drives) {
-    if (options.seeds.empty()) {
+    if (options->seeds.empty()) {
       cases.push_back({std::move(drive), std::nullopt, {}});
       continue;
     }
-    for (const std::uint64_t seed : options.seeds) {
+    for (const std::uint64_t seed : options->seeds) {
       cases.push_back(
-          {SimulateDeadReckoning(drive, options.uncertainty, seed), seed, {}});
+          {SimulateDeadReckoning(drive, options->uncertainty, seed), seed, {}});
     }
   }
   for (Case& one : cases) {
-    auto uncertainty = ClaimUncertainty(one.drive, options.uncertainty);
+    auto uncertainty = ClaimUncertainty(one.drive, options->uncertainty);
     if (!uncertainty.ok()) return LocalError(uncertainty.status());
     one.uncertainty = *std::move(uncertainty);
   }

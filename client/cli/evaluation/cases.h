@@ -22,8 +22,10 @@ struct Case {
 };
 
 // Reads all files, so that a mistake in the last one shows before the first is
-// streamed, and draws the estimates that are simulated.
-absl::StatusOr<std::vector<Case>> ReadCases(const EvaluateOptions& options);
+// streamed, and draws the estimates that are simulated. Settles what follows
+// from the files: `geodetic`, and with it frame, correlation model and source
+// of the uncertainty.
+absl::StatusOr<std::vector<Case>> ReadCases(EvaluateOptions* options);
 
 }  // namespace revisit::client
 

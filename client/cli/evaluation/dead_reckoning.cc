@@ -1,7 +1,9 @@
 #include "client/cli/evaluation/dead_reckoning.h"
 
 #include <cmath>
+#include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "client/formats/angles.h"
 
 namespace revisit::client {
@@ -44,53 +46,102 @@ Symmetric StepNoise(double length, double direction,
 
 }  // namespace
 
+UncertaintyClaims::UncertaintyClaims(const UncertaintyOptions& options,
+                                     std::string name)
+    : options_(options), name_(std::move(name)) {
+  const double position = options.start_position * options.start_position;
+  carried_ = {position, 0.0, 0.0,
+              position, 0.0, options.start_heading * options.start_heading};
+}
+
+void UncertaintyClaims::ContinueFrom(const PlanarPose& pose,
+                                     const std::array<double, 6>& covariance) {
+  previous_ = pose;
+  carried_ = covariance;
+  // Scaled once more when it is claimed.
+  const double scale = options_.claimed_scale * options_.claimed_scale;
+  for (double& entry : carried_) entry /= scale;
+}
+
+absl::Status UncertaintyClaims::FromFile(const Sample& sample,
+                                         ClaimedUncertainty* claim) const {
+  const auto place = [&] {
+    return sample.line > 0 ? absl::StrCat(name_, ":", sample.line) : name_;
+  };
+  const bool fixes = options_.source == UncertaintyOptions::Source::kFixes;
+  std::array<double, 6> covariance;
+  if (sample.covariance.has_value()) {
+    covariance = *sample.covariance;
+  } else if (fixes && sample.heading_variance.has_value()) {
+    const double variance = options_.fix_position * options_.fix_position;
+    covariance = {variance, 0.0, 0.0, variance, 0.0, *sample.heading_variance};
+  } else {
+    return absl::InvalidArgumentError(absl::StrCat(
+        place(),
+        ": has no covariance (columns pxx, pxy, pxt, pyy, pyt, ptt, or what "
+        "the format has in their place); --uncertainty model makes one"));
+  }
+  const auto& [xx, xy, xh, yy, yh, hh] = covariance;
+  if (fixes && !(xx > 0.0 && yy > 0.0 && hh > 0.0)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        place(), ": expected positive variances of a fix, got ", xx, ", ", yy,
+        " and ", hh,
+        "; --uncertainty file adds those of the start, --uncertainty model "
+        "makes all"));
+  }
+  claim->planar = fixes ? covariance : Sum(carried_, covariance);
+  if (sample.covariance_36.has_value()) {
+    const auto& c = *sample.covariance_36;
+    const double zz = c[14];
+    if (zz > 0.0) claim->z_variance = zz + (fixes ? 0.0 : claim->z_variance);
+    if (zz > 0.0) claim->z_mixed = {c[2], c[8], c[17]};
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<ClaimedUncertainty> UncertaintyClaims::Next(
+    const Sample& sample) {
+  const bool from_file = options_.source != UncertaintyOptions::Source::kModel;
+  if (previous_.has_value()) {
+    const PlanarPose& from = *previous_;
+    const PlanarPose& to = sample.estimate;
+    const double dx = to.x - from.x;
+    const double dy = to.y - from.y;
+    const double length = std::hypot(dx, dy);
+    distance_ += length;
+    carried_ = Carry(carried_, dx, dy);
+    if (!from_file) {
+      const double turn = std::remainder(to.heading - from.heading, 2.0 * kPi);
+      carried_ =
+          Sum(carried_, StepNoise(length, from.heading + 0.5 * turn, options_));
+    }
+  }
+  previous_ = sample.estimate;
+  ClaimedUncertainty claim;
+  claim.planar = carried_;
+  claim.z_variance = options_.start_position * options_.start_position +
+                     options_.up * options_.up * distance_;
+  if (from_file) {
+    if (absl::Status status = FromFile(sample, &claim); !status.ok()) {
+      return status;
+    }
+  }
+  const double scale = options_.claimed_scale * options_.claimed_scale;
+  for (double& entry : claim.planar) entry *= scale;
+  for (double& entry : claim.z_mixed) entry *= scale;
+  claim.z_variance *= scale;
+  return claim;
+}
+
 absl::StatusOr<std::vector<ClaimedUncertainty>> ClaimUncertainty(
     const Drive& drive, const UncertaintyOptions& options) {
-  using Source = UncertaintyOptions::Source;
-  const bool from_file = options.source != Source::kModel;
-  const double scale = options.claimed_scale * options.claimed_scale;
-  const double position_variance =
-      options.start_position * options.start_position;
-  Symmetric carried = {
-      position_variance, 0.0, 0.0,
-      position_variance, 0.0, options.start_heading * options.start_heading};
-  double distance = 0.0;
+  UncertaintyClaims source(options, drive.name);
   std::vector<ClaimedUncertainty> claims;
   claims.reserve(drive.samples.size());
-  const DriveSample* previous = nullptr;
-  for (const DriveSample& sample : drive.samples) {
-    if (previous != nullptr) {
-      const PlanarPose& from = previous->estimate;
-      const PlanarPose& to = sample.estimate;
-      const double dx = to.x - from.x;
-      const double dy = to.y - from.y;
-      const double length = std::hypot(dx, dy);
-      distance += length;
-      carried = Carry(carried, dx, dy);
-      if (!from_file) {
-        const double turn =
-            std::remainder(to.heading - from.heading, 2.0 * kPi);
-        carried =
-            Sum(carried, StepNoise(length, from.heading + 0.5 * turn, options));
-      }
-    }
-    ClaimedUncertainty claim;
-    claim.planar = carried;
-    if (from_file) {
-      if (!sample.covariance.has_value()) {
-        return absl::InvalidArgumentError(
-            drive.name +
-            ": has no covariance columns (pxx, pxy, pxt, pyy, pyt, ptt)");
-      }
-      claim.planar = options.source == Source::kFixes
-                         ? *sample.covariance
-                         : Sum(carried, *sample.covariance);
-    }
-    claim.z_variance = position_variance + options.up * options.up * distance;
-    for (double& entry : claim.planar) entry *= scale;
-    claim.z_variance *= scale;
-    claims.push_back(claim);
-    previous = &sample;
+  for (const Sample& sample : drive.samples) {
+    const auto claim = source.Next(sample);
+    if (!claim.ok()) return claim.status();
+    claims.push_back(*claim);
   }
   return claims;
 }

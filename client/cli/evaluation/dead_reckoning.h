@@ -16,6 +16,8 @@
 #define REVISIT_CLIENT_CLI_EVALUATION_DEAD_RECKONING_H_
 
 #include <array>
+#include <optional>
+#include <string>
 #include <vector>
 
 #include "absl/status/statusor.h"
@@ -31,7 +33,9 @@ struct UncertaintyOptions {
     // The file's columns. Since files start with certainty, which the server
     // refuses, the start's covariance is added, carried along by F as above.
     kFile,
-    // The file's columns as they are: each pose is a fix of its own.
+    // The file's covariances as they are: each pose is a fix of its own, or the
+    // file has error transitions. Positions without a covariance have
+    // `fix_position`.
     kFixes,
   };
   Source source = Source::kModel;
@@ -43,6 +47,8 @@ struct UncertaintyOptions {
   // Standard deviations at the start: metres and radians.
   double start_position = 0.1;
   double start_heading = 0.01;
+  // Standard deviation of each coordinate of a fix whose file states none.
+  double fix_position = 5.0;
   // Every standard deviation is claimed this many times as large as the above
   // says: 0.5 is a filter that is overconfident by two. Positive.
   double claimed_scale = 1.0;
@@ -51,12 +57,39 @@ struct UncertaintyOptions {
 struct ClaimedUncertainty {
   // xx, xy, xh, yy, yh, hh.
   std::array<double, 6> planar{};
-  // Variance of height, independent of the rest.
   double z_variance = 0.0;
+  // xz, yz and zh; 0 unless the file has them.
+  std::array<double, 3> z_mixed{};
 };
 
-// One for each sample. INVALID_ARGUMENT if the source is the file and it has no
-// such columns.
+// Claims the uncertainty of one sample after the other.
+class UncertaintyClaims {
+ public:
+  // `name` is the recording's, for messages.
+  UncertaintyClaims(const UncertaintyOptions& options, std::string name);
+
+  // Begins with this pose and its covariance in place of the start's.
+  void ContinueFrom(const PlanarPose& pose,
+                    const std::array<double, 6>& covariance);
+
+  // Samples come from this recording from now on.
+  void SetName(const std::string& name) { name_ = name; }
+
+  // INVALID_ARGUMENT if the source is the file and the sample has no
+  // covariance, or none that a fix can have.
+  absl::StatusOr<ClaimedUncertainty> Next(const Sample& sample);
+
+ private:
+  absl::Status FromFile(const Sample& sample, ClaimedUncertainty* claim) const;
+
+  const UncertaintyOptions options_;
+  std::string name_;
+  std::array<double, 6> carried_;
+  double distance_ = 0.0;
+  std::optional<PlanarPose> previous_;
+};
+
+// One for each sample, with the errors of UncertaintyClaims::Next().
 absl::StatusOr<std::vector<ClaimedUncertainty>> ClaimUncertainty(
     const Drive& drive, const UncertaintyOptions& options);
 

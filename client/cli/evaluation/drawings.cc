@@ -1,8 +1,8 @@
 #include "client/cli/evaluation/drawings.h"
 
+#include <cmath>
 #include <cstddef>
 #include <filesystem>
-#include <fstream>
 #include <string>
 #include <system_error>
 #include <utility>
@@ -12,30 +12,82 @@
 #include "client/cli/console.h"
 #include "client/cli/evaluation/calibration.h"
 #include "client/cli/evaluation/evaluation_plots.h"
-#include "client/cli/evaluation/map_svg.h"
+#include "client/cli/map/map_contents.h"
+#include "client/cli/map/map_html.h"
+#include "client/cli/map/map_svg.h"
+#include "client/cli/output_file.h"
 
 namespace revisit::client {
 namespace {
 
 absl::Status Write(const std::string& path, const std::string& text) {
-  std::ofstream file(path, std::ios::binary | std::ios::trunc);
-  file << text;
-  file.close();
-  if (!file) {
-    return LocalError(
-        absl::UnknownError(absl::StrCat(path, ": cannot be written")));
+  OutputFile file(path);
+  if (absl::Status opened = file.Open(); !opened.ok()) return opened;
+  file.stream() << text;
+  return file.Finish();
+}
+
+// The truth in the frame of the estimate.
+std::vector<MapPoint> MoveTruth(const DriveResult& result, bool one_frame) {
+  const PlanarPose& from = result.truth_at_nodes[0];
+  const PlanarPose& to = result.nodes[0].estimate;
+  const double turn = to.heading - from.heading;
+  const double c = std::cos(turn);
+  const double s = std::sin(turn);
+  std::vector<MapPoint> moved;
+  for (const PlanarPose& pose : result.truth_at_nodes) {
+    if (one_frame) {
+      moved.push_back({pose.x, pose.y});
+      continue;
+    }
+    const double dx = pose.x - from.x;
+    const double dy = pose.y - from.y;
+    moved.push_back({to.x + c * dx - s * dy, to.y + s * dx + c * dy});
   }
-  return absl::OkStatus();
+  return moved;
+}
+
+// Indices of JudgedStyles().
+enum JudgedStyle : std::size_t { kRight, kWrong, kNoLoop, kMissed };
+
+std::vector<MapStyle> JudgedStyles() {
+  // Two colours that remain distinct to those who cannot tell red from green.
+  constexpr char kRightColor[] = "#0a8f6a";
+  constexpr char kWrongColor[] = "#d1461f";
+  return {{"candidate accepted, right", kRightColor, true, false, 1.0},
+          {"candidate accepted, wrong", kWrongColor, true, true, 3.0},
+          {"none accepted, no loop there", "#ffffff", false, false, 0.0},
+          {"none accepted, loop missed", "#f5b800", false, false, 0.0}};
+}
+
+std::size_t StyleOf(const JudgedCheck& check) {
+  if (check.accepted()) return check.top_correct() ? kRight : kWrong;
+  return check.true_loop ? kMissed : kNoLoop;
+}
+
+MapCheck CheckOf(const JudgedCheck& judged) {
+  MapCheck check;
+  check.node = static_cast<std::size_t>(judged.answer.query);
+  check.style = StyleOf(judged);
+  check.empty_reason = judged.answer.empty_reason;
+  for (const CandidateAnswer& answer : judged.answer.candidates) {
+    MapCandidate candidate;
+    candidate.node = static_cast<std::size_t>(answer.matched);
+    candidate.verdict = NameOf(answer.verdict);
+    candidate.opposite = answer.opposite;
+    candidate.probability = answer.probability;
+    candidate.gate = answer.path_gate ? "path" : "end";
+    candidate.squared_distance = answer.squared_distance;
+    candidate.threshold = answer.threshold;
+    candidate.p_value = answer.p_value;
+    check.candidates.push_back(std::move(candidate));
+  }
+  return check;
 }
 
 }  // namespace
 
-absl::Status WriteMap(const EvaluateOptions& options,
-                      const DriveResult& result) {
-  if (result.nodes.empty()) {
-    return LocalError(absl::FailedPreconditionError(absl::StrCat(
-        result.drive, ": there is nothing to draw, the pose graph is empty")));
-  }
+MapContents JudgedMap(const DriveResult& result, bool one_frame) {
   const Tally& t = result.tally;
   MapContents contents;
   contents.title = absl::StrCat("Loop-closure candidates: ", result.drive);
@@ -48,11 +100,35 @@ absl::Status WriteMap(const EvaluateOptions& options,
                     Fixed(*t.precision(), 2), ", recall ",
                     Fixed(*t.recall(), 2), ")");
   }
-  contents.nodes = result.nodes;
-  contents.truth_at_nodes = result.truth_at_nodes;
-  contents.one_frame = options.format == EvaluateOptions::Format::kRtklib;
-  contents.checks = result.checks;
-  return Write(options.map, DrawMap(contents));
+  for (const GraphNode& node : result.nodes) {
+    MapNode shown;
+    shown.sequence = node.sequence;
+    shown.travelled_meters = node.travelled_meters;
+    shown.at = {node.estimate.x, node.estimate.y};
+    shown.xx = node.xx;
+    shown.xy = node.xy;
+    shown.yy = node.yy;
+    contents.nodes.push_back(std::move(shown));
+  }
+  contents.truth = MoveTruth(result, one_frame);
+  contents.styles = JudgedStyles();
+  for (const JudgedCheck& check : result.checks) {
+    contents.checks.push_back(CheckOf(check));
+  }
+  return contents;
+}
+
+absl::Status WriteMap(const EvaluateOptions& options,
+                      const DriveResult& result) {
+  if (result.nodes.empty()) {
+    return LocalError(absl::FailedPreconditionError(absl::StrCat(
+        result.drive, ": there is nothing to draw, the pose graph is empty")));
+  }
+  // Fixes and their reference are in one frame already.
+  const MapContents contents = JudgedMap(result, options.geodetic);
+  const std::filesystem::path path(options.map);
+  return Write(options.map, path.extension() == ".html" ? MapPage(contents)
+                                                        : DrawMap(contents));
 }
 
 absl::Status WritePlots(const EvaluateOptions& options, const Report& report) {

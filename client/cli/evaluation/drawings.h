@@ -1,12 +1,18 @@
-// The SVG files of an evaluation.
+// The drawings of an evaluation.
 #ifndef REVISIT_CLIENT_CLI_EVALUATION_DRAWINGS_H_
 #define REVISIT_CLIENT_CLI_EVALUATION_DRAWINGS_H_
 
 #include "absl/status/status.h"
 #include "client/cli/evaluation/evaluate_options.h"
 #include "client/cli/evaluation/evaluation_report.h"
+#include "client/cli/map/map_contents.h"
 
 namespace revisit::client {
+
+// A drive with its truth, checks by whether they are right. The truth is moved
+// so that it begins at the estimate's first pose, unless the two are in one
+// frame. REQUIRES: at least one node.
+MapContents JudgedMap(const DriveResult& result, bool one_frame);
 
 // Writes `options.map`.
 absl::Status WriteMap(const EvaluateOptions& options,

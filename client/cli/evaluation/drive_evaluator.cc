@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "client/cli/candidate_text.h"
 #include "client/cli/drive_poses.h"
 #include "client/cli/evaluation/baselines.h"
 #include "client/cli/names.h"
@@ -59,9 +60,11 @@ absl::StatusOr<CheckAnswer> MakeAnswer(const v1::CandidateSet& set) {
     CandidateAnswer candidate;
     candidate.matched = given.matched().index();
     candidate.verdict = *verdict;
-    candidate.squared_distance = given.gate().squared_mahalanobis_distance();
-    candidate.threshold = given.gate().threshold();
-    candidate.p_value = given.gate().p_value();
+    const DecidingGate gate = DecidingGateOf(given);
+    candidate.path_gate = gate.whole_path;
+    candidate.squared_distance = gate.squared_distance;
+    candidate.threshold = gate.threshold;
+    candidate.p_value = gate.p_value;
     candidate.opposite = given.direction() == v1::DIRECTION_OPPOSITE;
     candidate.confidence = candidate.p_value;
     if (given.has_probability()) {

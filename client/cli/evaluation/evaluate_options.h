@@ -9,24 +9,25 @@
 
 #include "client/cli/evaluation/dead_reckoning.h"
 #include "client/cli/evaluation/evaluation.h"
+#include "client/formats/reader.h"
 #include "client/revisit/channel.h"
 #include "revisit/v1/vehicle.pb.h"
 
 namespace revisit::client {
 
 struct EvaluateOptions {
-  enum class Format {
-    // DriveFormat::kDrive, with truth.
-    kDrive,
-    // A receiver's solution, with a reference beside it: gnss_file.h. Vehicles
-    // are GEODETIC and claim the file's covariances as they are.
-    kRtklib,
-  };
-  // Drive files.
+  // Drive files, and how to read them.
   std::vector<std::string> files;
-  Format format = Format::kDrive;
-  // The truth of each file; kRtklib only.
+  ReaderOptions reader;
+  // The truth of each file, in any format that is read or as
+  // truth_file.h; if there are none, the files have it.
   std::vector<std::string> truth_files;
+  // Whether the files hold fixes of a receiver: found out when they are read.
+  // Vehicles are then GEODETIC, their errors INDEPENDENT and claimed as the
+  // file states them, unless flags say otherwise.
+  bool geodetic = false;
+  bool uncertainty_given = false;
+  bool correlation_given = false;
   // Whether all files are one drive of one vehicle, one after the other. They
   // must be in one frame.
   bool one_vehicle = false;
@@ -34,7 +35,7 @@ struct EvaluateOptions {
   // stopped.
   std::optional<ChannelOptions> server;
   // The settings of the vehicles that are made for the drives: PLANAR, and
-  // DEAD_RECKONING or INDEPENDENT; the frame follows from the format. Every
+  // DEAD_RECKONING or INDEPENDENT; the frame follows from the files. Every
   // field is set.
   v1::VehicleSettings settings;
   UncertaintyOptions uncertainty;

@@ -17,6 +17,7 @@ std::optional<double> Ratio(double numerator, double denominator) {
 
 bool SameCandidate(const CandidateAnswer& a, const CandidateAnswer& b) {
   return a.matched == b.matched && a.verdict == b.verdict &&
+         a.path_gate == b.path_gate &&
          a.squared_distance == b.squared_distance &&
          a.threshold == b.threshold && a.p_value == b.p_value &&
          a.probability == b.probability && a.opposite == b.opposite &&

@@ -58,7 +58,9 @@ std::string NameOf(Verdict verdict);
 struct CandidateAnswer {
   std::int64_t matched = 0;
   Verdict verdict = Verdict::kRejectedByGate;
-  // The gate at the end of the path.
+  // The gate that the verdict rests on: that of the whole path, otherwise that
+  // of its end.
+  bool path_gate = false;
   double squared_distance = 0.0;
   double threshold = 0.0;
   double p_value = 0.0;

@@ -6,7 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/cli/console.h"
-#include "client/cli/evaluation/svg.h"
+#include "client/cli/map/svg.h"
 
 namespace revisit::client {
 namespace {

@@ -247,6 +247,7 @@ Json ChecksJson(const DriveResult& result) {
       item["matched_node"] = candidate.matched;
       item["matched_travelled_meters"] = travelled(candidate.matched);
       item["direction"] = candidate.opposite ? "OPPOSITE" : "SAME";
+      item["gate"] = candidate.path_gate ? "path" : "end";
       item["squared_mahalanobis_distance"] = candidate.squared_distance;
       item["threshold"] = candidate.threshold;
       item["p_value"] = candidate.p_value;
@@ -316,6 +317,7 @@ void PrintChecks(const DriveResult& result, std::ostream& out,
   Table table({{"CHECK", Align::kRight},
                {"AT m", Align::kRight},
                {"CANDIDATE m", Align::kRight},
+               {"GATE", Align::kLeft},
                {"D2", Align::kRight},
                {"THRESHOLD", Align::kRight},
                {"P-VALUE", Align::kRight},
@@ -331,15 +333,15 @@ void PrintChecks(const DriveResult& result, std::ostream& out,
     ++number;
     if (check.answer.candidates.empty()) {
       table.AddRow({absl::StrCat(number), travelled(check.answer.query), "-",
-                    "-", "-", "-", "-", "NONE", OutcomeOf(check)});
+                    "-", "-", "-", "-", "-", "NONE", OutcomeOf(check)});
       continue;
     }
     const CandidateAnswer& best = check.answer.candidates[0];
     table.AddRow({absl::StrCat(number), travelled(check.answer.query),
-                  travelled(best.matched), Fixed(best.squared_distance, 2),
-                  Fixed(best.threshold, 2), Fixed(best.p_value, 4),
-                  OrDash(best.probability, 4), NameOf(best.verdict),
-                  OutcomeOf(check)});
+                  travelled(best.matched), best.path_gate ? "path" : "end",
+                  Fixed(best.squared_distance, 2), Fixed(best.threshold, 2),
+                  Fixed(best.p_value, 4), OrDash(best.probability, 4),
+                  NameOf(best.verdict), OutcomeOf(check)});
   }
   out << result.drive << ": the best candidate of each check\n";
   table.Print(out, width);

@@ -5,7 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/cli/console.h"
-#include "client/formats/gnss_file.h"
+#include "client/formats/course.h"
 
 namespace revisit::client {
 namespace {
@@ -103,11 +103,11 @@ std::vector<std::string> NotesOn(const EvaluateOptions& options) {
         "Verified: accepted first candidates that are right became loop "
         "closures, wrong ones were rejected.");
   }
-  if (options.format == EvaluateOptions::Format::kRtklib) {
+  if (options.geodetic) {
     notes.push_back(absl::StrCat(
         "GNSS: the truth is the reference that was recorded beside it; heading "
-        "is the direction of the velocity; epochs slower than ",
-        Fixed(kGnssStandstillMetersPerSecond, 1), " m/s are left out."));
+        "is the direction of travel; epochs slower than ",
+        Fixed(kStandstillMetersPerSecond, 1), " m/s are left out."));
   }
   return notes;
 }

@@ -275,11 +275,7 @@ class Evaluation {
 
 absl::Status RunEvaluate(const EvaluateOptions& given, const Console& console) {
   EvaluateOptions options = given;
-  if (options.format == EvaluateOptions::Format::kRtklib) {
-    options.settings.set_coordinate_frame(v1::COORDINATE_FRAME_GEODETIC);
-    options.uncertainty.source = UncertaintyOptions::Source::kFixes;
-  }
-  auto cases = ReadCases(options);
+  auto cases = ReadCases(&options);
   if (!cases.ok()) return cases.status();
   Undoing undoing;
   const InterruptGuard guard([&undoing] { (void)undoing.Undo(); });

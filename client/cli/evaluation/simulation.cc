@@ -97,11 +97,12 @@ Drive SimulateDeadReckoning(const Drive& drive, const UncertaintyOptions& noise,
       estimate = Compound(estimate, step);
       counted = drive.truth[i];
     }
-    DriveSample& sample = simulated.samples[i];
+    Sample& sample = simulated.samples[i];
     sample.estimate = estimate;
-    sample.estimate_z = 0.0;
+    sample.z = 0.0;
     sample.quaternion.reset();
     sample.covariance.reset();
+    sample.covariance_36.reset();
     sample.geodetic.reset();
   }
   return simulated;

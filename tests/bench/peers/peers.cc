@@ -347,7 +347,7 @@ int Run(const std::vector<std::string>& files,
   std::vector<Total> totals;
   NodeIndex nodes_of_all = 0;
   for (const std::string& file : files) {
-    const auto drive = client::ReadDriveFile(file, client::DriveFormat::kDrive);
+    const auto drive = client::ReadDriveFile(file, client::ReaderOptions());
     if (!drive.ok() || drive->truth.empty()) {
       std::fprintf(stderr, "%s: %s\n", file.c_str(),
                    drive.ok() ? "no truth"

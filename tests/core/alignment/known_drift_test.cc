@@ -47,6 +47,27 @@ std::pair<Drive, oracle::ErrorChain> RandomDrive(std::mt19937_64& random,
   return {drive, chain};
 }
 
+// Applied to a difference of zero and to Gamma itself.
+template <int D>
+void ExpectKnown(const oracle::WideVector& mean,
+                 const oracle::WideMatrix& covariance,
+                 const oracle::WideMatrix& gamma,
+                 const StateVector<D>& difference,
+                 const StateMatrix<D>& known) {
+  for (int r = 0; r < D; ++r) {
+    oracle::Wide expected = -mean(r);
+    if (r == D - 1) expected = oracle::NearestTo(0.0L, expected);
+    EXPECT_NEAR(difference(r), static_cast<double>(expected),
+                1e-9 * std::max(1.0, static_cast<double>(mean.norm())));
+    for (int k = 0; k < D; ++k) {
+      const double unit =
+          std::sqrt(static_cast<double>(gamma(r, r) * gamma(k, k)));
+      EXPECT_NEAR(known(r, k) / unit,
+                  static_cast<double>(covariance(r, k)) / unit, 1e-9);
+    }
+  }
+}
+
 template <int D>
 void ExpectConditionedChain(std::mt19937_64& random) {
   const int nodes = UniformInt(random, 4, 40);
@@ -72,31 +93,62 @@ void ExpectConditionedChain(std::mt19937_64& random) {
   if (std::abs(y(D - 1)) > 0.5L * oracle::kWidePi) {
     y(D - 1) = oracle::NearestTo(0.0L, y(D - 1) + oracle::kWidePi);
   }
-  const auto [mean, covariance] = chain.Condition(
-      q, j, c, m, y, oracle::WideDiagonal(5.0, 0.15, D), model.inflation);
+  const auto [mean, covariance] =
+      chain.Condition(q, j, c, m, y, oracle::WideDiagonal(5.0, 0.15, D),
+                      model.inflation, oracle::WideMatrix::Identity(D, D));
 
-  // Applied to a difference of zero and to Gamma itself.
   const oracle::WideMatrix gamma = static_cast<oracle::Wide>(model.inflation) *
                                    model.inflation *
                                    (chain.Cross(q, q) + chain.Cross(j, j) -
                                     chain.Cross(q, j) - chain.Cross(j, q));
   StateVector<D> difference = StateVector<D>::Zero();
   StateMatrix<D> known = gamma.cast<double>();
-  const auto known_drift = KnownDrift<D>::Make(drive.graph, model, {c, m}, q);
+  const auto known_drift =
+      KnownDrift<D>::Make(drive.graph, model, {c, m, nullptr}, q);
   ASSERT_TRUE(known_drift);
   known_drift->Apply(j, &difference, &known);
-  for (int r = 0; r < D; ++r) {
-    oracle::Wide expected = -mean(r);
-    if (r == D - 1) expected = oracle::NearestTo(0.0L, expected);
-    EXPECT_NEAR(difference(r), static_cast<double>(expected),
-                1e-9 * std::max(1.0, static_cast<double>(mean.norm())));
-    for (int k = 0; k < D; ++k) {
-      const double unit =
-          std::sqrt(static_cast<double>(gamma(r, r) * gamma(k, k)));
-      EXPECT_NEAR(known(r, k) / unit,
-                  static_cast<double>(covariance(r, k)) / unit, 1e-9);
-    }
+  ExpectKnown<D>(mean, covariance, gamma, difference, known);
+}
+
+// A node at every third pose, closures and measurements between any poses.
+template <int D>
+void ExpectConditionedByMeasurement(std::mt19937_64& random) {
+  const int poses = UniformInt(random, 30, 60);
+  auto [drive, chain] = RandomDrive<D>(random, poses);
+  PoseGraph graph;
+  for (NodeIndex i = 0; i < poses; i += 3) {
+    graph.AddNode(drive.graph.node(i), i == 0, std::nullopt);
   }
+  const int c = UniformInt(random, 3, poses - 1);
+  const int m = UniformInt(random, 0, c / 3 * 3 - 1);
+  const NodeIndex query =
+      UniformInt(random, c / 3, static_cast<int>(graph.size()) - 1);
+  const NodeIndex j = UniformInt(random, 0, static_cast<int>(graph.size()) - 1);
+  if (query == j) return;
+  SCOPED_TRACE(::testing::Message()
+               << "q " << 3 * query << " j " << 3 * j << " c " << c << " m "
+               << m << " of " << poses);
+  SimilarityModel model;
+  model.state_space = D == 3 ? StateSpace::kPlanar : StateSpace::kSpatial;
+  model.inflation = UniformInt(random, 0, 1) ? Uniform(random, 1.0, 3.0) : 1.0;
+  const auto measured = RandomMeasurement(random, EstimateAt(drive.graph, c),
+                                          EstimateAt(drive.graph, m), 0.3);
+
+  const oracle::WideClosure closure = oracle::WideMeasured(*measured, D);
+  const auto [mean, covariance] =
+      chain.Condition(3 * query, 3 * j, c, m, closure.y, closure.tolerance,
+                      model.inflation, closure.lever);
+  const oracle::WideMatrix gamma =
+      static_cast<oracle::Wide>(model.inflation) * model.inflation *
+      (chain.Cross(3 * query, 3 * query) + chain.Cross(3 * j, 3 * j) -
+       chain.Cross(3 * query, 3 * j) - chain.Cross(3 * j, 3 * query));
+  StateVector<D> difference = StateVector<D>::Zero();
+  StateMatrix<D> known = gamma.template cast<double>();
+  const auto known_drift =
+      KnownDrift<D>::Make(graph, model, {c / 3, m / 3, measured}, query);
+  ASSERT_TRUE(known_drift);
+  known_drift->Apply(j, &difference, &known);
+  ExpectKnown<D>(mean, covariance, gamma, difference, known);
 }
 
 TEST(KnownDriftTest, ConditionsTheJointErrorOfTheChainInThePlane) {
@@ -107,6 +159,20 @@ TEST(KnownDriftTest, ConditionsTheJointErrorOfTheChainInThePlane) {
 TEST(KnownDriftTest, ConditionsTheJointErrorOfTheChainInSpace) {
   std::mt19937_64 random = SeededRandom();
   for (int trial = 0; trial < 200; ++trial) ExpectConditionedChain<4>(random);
+}
+
+TEST(KnownDriftTest, ConditionsOnWhatWasMeasuredBetweenPosesInThePlane) {
+  std::mt19937_64 random = SeededRandom();
+  for (int trial = 0; trial < 300; ++trial) {
+    ExpectConditionedByMeasurement<3>(random);
+  }
+}
+
+TEST(KnownDriftTest, ConditionsOnWhatWasMeasuredBetweenPosesInSpace) {
+  std::mt19937_64 random = SeededRandom();
+  for (int trial = 0; trial < 200; ++trial) {
+    ExpectConditionedByMeasurement<4>(random);
+  }
 }
 
 TEST(KnownDriftTest, WhatAClosureHasShownHoldsForTheNodesNextToIt) {
@@ -124,7 +190,7 @@ TEST(KnownDriftTest, WhatAClosureHasShownHoldsForTheNodesNextToIt) {
     graph.AddNode(node, i == 0, std::nullopt);
   }
   const SimilarityModel model;
-  const auto known = KnownDrift<3>::Make(graph, model, {150, 50}, 155);
+  const auto known = KnownDrift<3>::Make(graph, model, {150, 50, nullptr}, 155);
   ASSERT_TRUE(known);
   StateVector<3> difference =
       ToVector<3>(Difference(graph.node(155).pose, graph.node(55).pose));
@@ -150,10 +216,34 @@ TEST(KnownDriftTest, SaysNothingWhereCovariancesHaveShrunk) {
     graph.AddNode(node, i == 0, std::nullopt);
   }
   const SimilarityModel model;
-  EXPECT_TRUE(KnownDrift<3>::Make(graph, model, {8, 6}, 10));
-  EXPECT_TRUE(KnownDrift<3>::Make(graph, model, {3, 1}, 4));
-  EXPECT_FALSE(KnownDrift<3>::Make(graph, model, {8, 2}, 10));
-  EXPECT_FALSE(KnownDrift<3>::Make(graph, model, {3, 1}, 10));
+  EXPECT_TRUE(KnownDrift<3>::Make(graph, model, {8, 6, nullptr}, 10));
+  EXPECT_TRUE(KnownDrift<3>::Make(graph, model, {3, 1, nullptr}, 4));
+  EXPECT_FALSE(KnownDrift<3>::Make(graph, model, {8, 2, nullptr}, 10));
+  EXPECT_FALSE(KnownDrift<3>::Make(graph, model, {3, 1, nullptr}, 10));
+}
+
+TEST(KnownDriftTest, AClosureCountsAsUnmeasuredWhereCovariancesShrinkByMore) {
+  // By 4 m^2, less than the tolerance of a place and more than a measurement's.
+  PoseGraph graph;
+  for (int i = 0; i < 12; ++i) {
+    Node node;
+    node.pose.x = 2.0 * i;
+    for (int k : {0, 1, 3}) {
+      node.covariance(k, k) = (i < 5 ? 9.0 : 5.0) * (k == 3 ? 1e-9 : 1.0);
+    }
+    graph.AddNode(node, i == 0, std::nullopt);
+  }
+  std::mt19937_64 random = SeededRandom();
+  const SimilarityModel model;
+  const auto measured = RandomMeasurement(random, EstimateAt(graph, 8),
+                                          EstimateAt(graph, 2), 0.2);
+  const auto with = KnownDrift<3>::Make(graph, model, {8, 2, measured}, 10);
+  const auto without = KnownDrift<3>::Make(graph, model, {8, 2, nullptr}, 10);
+  ASSERT_TRUE(with && without);
+  EXPECT_EQ(with->Terms().information[0][0],
+            without->Terms().information[0][0]);
+  EXPECT_EQ(with->Terms().loop_difference[0],
+            without->Terms().loop_difference[0]);
 }
 
 }  // namespace

@@ -128,13 +128,17 @@ void ExpectDifferencesOfPairs(std::mt19937_64& random, ValuesSeen* seen) {
         UniformInt(random, 0, static_cast<int>(last)));
   };
   const NodeIndex query = size - 1 - any(std::min<NodeIndex>(size - 3, 2));
-  const ConfirmedLoop loop{any(query), any(query)};
+  ConfirmedLoop loop{any(query), any(query), nullptr};
   if (loop.query == loop.matched) return;
   const PoseGraph graph =
       RandomDrive<D>(random, size, {query, loop.query, loop.matched});
   SCOPED_TRACE(::testing::Message()
                << "query " << query << " of " << size << ", closure "
                << loop.query << "-" << loop.matched);
+  if (loop.matched < loop.query && UniformInt(random, 0, 1)) {
+    loop.measured = RandomMeasurement(random, EstimateAt(graph, loop.query),
+                                      EstimateAt(graph, loop.matched), 0.5);
+  }
   SimilarityModel model;
   model.state_space = D == 3 ? StateSpace::kPlanar : StateSpace::kSpatial;
   model.correlation = UniformInt(random, 0, 3) == 0

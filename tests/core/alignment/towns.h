@@ -221,7 +221,12 @@ inline Town RandomTown(std::mt19937_64& random, int scale = 1) {
         town.graph.AddLoopEdge(i, nearest);
         if (model.similarity.correlation == CorrelationModel::kDeadReckoning &&
             i <= town.query && UniformInt(random, 0, 1)) {
-          model.last_confirmed = ConfirmedLoop{i, nearest};
+          model.last_confirmed = ConfirmedLoop{i, nearest, nullptr};
+          if (UniformInt(random, 0, 1)) {
+            model.last_confirmed->measured = RandomMeasurement(
+                random, EstimateAt(town.graph, i),
+                EstimateAt(town.graph, nearest), Uniform(random, 0.1, 1.0));
+          }
         }
       }
     }

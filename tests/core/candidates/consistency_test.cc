@@ -61,7 +61,7 @@ class Pairs {
     query.pose.heading = WrapHeading(query.pose.heading + d(D - 1));
     graph_.AddNode(matched, true, std::nullopt);
     graph_.AddNode(query, true, std::nullopt);
-    return {graph_.size() - 1, graph_.size() - 2};
+    return {graph_.size() - 1, graph_.size() - 2, nullptr};
   }
 
   const SimilarityModel model_;
@@ -99,6 +99,16 @@ double InflationFound(std::mt19937_64& random, double inflation, int count,
   return found;
 }
 
+// Measures the pair that was drawn last: the true offset is one within the
+// tolerance, of which the difference shows a part.
+ConfirmedLoop Measured(std::mt19937_64& random, const PoseGraph& graph,
+                       ConfirmedLoop loop) {
+  loop.measured = RandomMeasurement(random, EstimateAt(graph, loop.query),
+                                    EstimateAt(graph, loop.matched),
+                                    Uniform(random, 0.5, 3.0));
+  return loop;
+}
+
 TEST(ConsistencyTest, IsThePosteriorWithTheGateByQuadrature) {
   std::mt19937_64 random = SeededRandom();
   std::vector<double> ratios;
@@ -111,7 +121,10 @@ TEST(ConsistencyTest, IsThePosteriorWithTheGateByQuadrature) {
                 Uniform(random, 1.0, 20.0));
     std::vector<ConfirmedLoop> confirmed;
     for (int k = UniformInt(random, 0, 6); k > 0; --k) {
-      confirmed.push_back(pairs.Draw(random));
+      const ConfirmedLoop loop = pairs.Draw(random);
+      confirmed.push_back(UniformInt(random, 0, 1)
+                              ? Measured(random, pairs.graph(), loop)
+                              : loop);
     }
     const Consistency actual =
         EstimateConsistency(pairs.graph(), options, confirmed);

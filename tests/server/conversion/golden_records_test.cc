@@ -16,6 +16,7 @@
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "server/conversion/pose_pairs.h"
 #include "server/conversion/record_codec.h"
 #include "server/conversion/vehicle_settings.h"
 #include "tests/server/conversion/conversion_testing.h"
@@ -91,6 +92,12 @@ VehicleConfig OtherSettings() {
   return config;
 }
 
+VehicleConfig Labelled(VehicleConfig config) {
+  config.display_name = "Truck 7";
+  config.labels = {{"session.a", "1-2068"}, {"fleet", "north"}};
+  return config;
+}
+
 v1::Pose Stamped(v1::Pose pose, std::int64_t seconds, std::int32_t nanos) {
   pose.mutable_stamp()->set_seconds(seconds);
   pose.mutable_stamp()->set_nanos(nanos);
@@ -120,23 +127,33 @@ struct GoldenVehicle {
 };
 
 std::vector<GoldenVehicle> GoldenVehicles() {
-  return {{EverySetting(),
-           "12a90108021002180220022a1b090000000000c040c0110000000000e8624019"
-           "0000000000001c40310000000000000840390000000000c05840410000000000"
-           "00284049000000000000494051000000000000e03f5a0911000000000000d03f"
-           "6100000000000000006811700279000000000000e83f81010000000000005440"
-           "8a011209000000000000e03f11b81e85eb51b89e3f9101000000000000394098"
-           "0101a10100000000000010401802221108adfaa7b3fbffffffff0110ebf9fba1"
-           "035a2430663065306430632d306230612d343930382d383730362d3035303430"
-           "33303230313030"},
-          {OtherSettings(),
-           "128c010801100318012001310000000000000840390000000000c05840410000"
-           "00000000284049000000000000494051000000000000e03f5a09110000000000"
-           "00d03f6100000000000000006811700179000000000000e83f81010000000000"
-           "0054408a011209000000000000e03f11b81e85eb51b89e3f9101000000000000"
-           "3940980100a1010000000000001040180122080880e2cfaa0610015a24306630"
-           "65306430632d306230612d343930382d383730362d3035303430333032303130"
-           "30"}};
+  return {
+      {EverySetting(),
+       "12a90108021002180220022a1b090000000000c040c0110000000000e8624019"
+       "0000000000001c40310000000000000840390000000000c05840410000000000"
+       "00284049000000000000494051000000000000e03f5a0911000000000000d03f"
+       "6100000000000000006811700279000000000000e83f81010000000000005440"
+       "8a011209000000000000e03f11b81e85eb51b89e3f9101000000000000394098"
+       "0101a10100000000000010401802221108adfaa7b3fbffffffff0110ebf9fba1"
+       "035a2430663065306430632d306230612d343930382d383730362d3035303430"
+       "33303230313030"},
+      {OtherSettings(),
+       "128c010801100318012001310000000000000840390000000000c05840410000"
+       "00000000284049000000000000494051000000000000e03f5a09110000000000"
+       "00d03f6100000000000000006811700179000000000000e83f81010000000000"
+       "0054408a011209000000000000e03f11b81e85eb51b89e3f9101000000000000"
+       "3940980100a1010000000000001040180122080880e2cfaa0610015a24306630"
+       "65306430632d306230612d343930382d383730362d3035303430333032303130"
+       "30"},
+      {Labelled(OtherSettings()),
+       "128c010801100318012001310000000000000840390000000000c05840410000"
+       "00000000284049000000000000494051000000000000e03f5a09110000000000"
+       "00d03f6100000000000000006811700179000000000000e83f81010000000000"
+       "0054408a011209000000000000e03f11b81e85eb51b89e3f9101000000000000"
+       "3940980100a1010000000000001040180122080880e2cfaa0610015a24306630"
+       "65306430632d306230612d343930382d383730362d3035303430333032303130"
+       "306207547275636b20376a0e0a05666c65657412056e6f7274686a130a0973657373"
+       "696f6e2e611206312d32303638"}};
 }
 
 std::vector<GoldenBatch> GoldenBatches() {
@@ -235,6 +252,8 @@ TEST(GoldenRecordTest, VehiclesAreReadAsEver) {
     EXPECT_EQ(config->uid, golden.config.uid);
     EXPECT_EQ(config->create_time_ns, golden.config.create_time_ns);
     EXPECT_EQ(config->data_loss, golden.config.data_loss);
+    EXPECT_EQ(config->display_name, golden.config.display_name);
+    EXPECT_EQ(config->labels, golden.config.labels);
   }
 }
 
@@ -274,6 +293,38 @@ TEST(GoldenRecordTest, BatchesAreReadAsEver) {
     ASSERT_THAT(slice, IsOk()) << golden.name;
     EXPECT_EQ(Hex(*slice), golden.hex) << golden.name;
   }
+}
+
+TEST(GoldenRecordTest, LoopClosuresAreWrittenAndReadAsEver) {
+  const auto closure = FromText<v1::LoopClosure>(R"pb(
+    query_sequence: 9
+    matched_sequence: 3
+    measurement {
+      x_meters: 1.5
+      y_meters: -2
+      z_meters: 0.25
+      heading_radians: 3
+      covariance {
+        form: COVARIANCE_FORM_PLANAR_6
+        values: [ 4, 0.1, 0.2, 5, 0.3, 0.06 ]
+      }
+    }
+    note: "icp\n412"
+    score: -0.5
+  )pb");
+  const auto record = DecodePosePair(&closure, "");
+  ASSERT_THAT(record.status(), IsOk());
+  EXPECT_EQ(
+      Hex(record->payload),
+      "0a5a09000000000000f83f1100000000000000c019000000000000d03f2100000000"
+      "000008402a340801123000000000000010409a9999999999b93f9a9999999999c93f"
+      "0000000000001440333333333333d33fb81e85eb51b8ae3f12076963700a34313219"
+      "000000000000e0bf");
+  v1::LoopClosure answer;
+  EncodePosePair("v", *record, &answer);
+  answer.clear_name();
+  answer.clear_create_time();
+  EXPECT_EQ(answer.SerializeAsString(), closure.SerializeAsString());
 }
 
 }  // namespace

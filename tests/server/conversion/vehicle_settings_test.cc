@@ -152,11 +152,12 @@ absl::StatusOr<VehicleConfig> Update(const VehicleConfig& current,
                                      const std::vector<std::string>& paths) {
   google::protobuf::FieldMask mask;
   for (const std::string& path : paths) mask.add_paths(path);
-  return UpdateSettings(current, has_poses,
-                        FromText<v1::VehicleSettings>(settings), mask);
+  v1::Vehicle vehicle;
+  *vehicle.mutable_settings() = FromText<v1::VehicleSettings>(settings);
+  return UpdateConfig(current, has_poses, vehicle, mask);
 }
 
-TEST(UpdateSettingsTest, ChangesOnlyWhatIsNamed) {
+TEST(UpdateConfigTest, ChangesOnlyWhatIsNamed) {
   VehicleConfig current;
   current.engine.node_spacing_meters = 3;
   current.create_time_ns = 5;
@@ -169,7 +170,7 @@ TEST(UpdateSettingsTest, ChangesOnlyWhatIsNamed) {
   EXPECT_EQ(updated->create_time_ns, 5);
 }
 
-TEST(UpdateSettingsTest, NamedButLeftOutGoesBackToItsDefault) {
+TEST(UpdateConfigTest, NamedButLeftOutGoesBackToItsDefault) {
   VehicleConfig current;
   current.engine.search.max_candidates = 9;
   current.engine.search.place_tolerance.position_meters = 7;
@@ -184,7 +185,7 @@ TEST(UpdateSettingsTest, NamedButLeftOutGoesBackToItsDefault) {
   EXPECT_EQ(all->engine.max_step_meters, 100);
 }
 
-TEST(UpdateSettingsTest, KnowsEverySettingByItsName) {
+TEST(UpdateConfigTest, KnowsEverySettingByItsName) {
   VehicleConfig current;
   current.engine.search.shape.tolerance = {0.5, 0.03};
   const auto updated = Update(
@@ -215,7 +216,7 @@ TEST(UpdateSettingsTest, KnowsEverySettingByItsName) {
   EXPECT_EQ(back->engine.max_inflation, 3);
 }
 
-TEST(UpdateSettingsTest, RefusesPathsThatAreNoSettings) {
+TEST(UpdateConfigTest, RefusesPathsThatAreNoSettings) {
   for (const std::string path :
        {"", "*", "name", "max_candidates", "settings.", "settings.nothing",
         "settings.place_tolerance.position_meters"}) {
@@ -230,7 +231,7 @@ TEST(UpdateSettingsTest, RefusesPathsThatAreNoSettings) {
                       StartsWith("update_mask: required")));
 }
 
-TEST(UpdateSettingsTest, KeepsWhatIsFixedOnceThereArePoses) {
+TEST(UpdateConfigTest, KeepsWhatIsFixedOnceThereArePoses) {
   const VehicleConfig current = Geodetic({});
   const std::vector<std::pair<std::string, std::string>> cases = {
       {"state_space", "state_space: STATE_SPACE_SPATIAL"},
@@ -257,7 +258,7 @@ TEST(UpdateSettingsTest, KeepsWhatIsFixedOnceThereArePoses) {
       IsOk());
 }
 
-TEST(UpdateSettingsTest, OriginOfTheFirstPoseIsTheDefaultOneOnceItIsThere) {
+TEST(UpdateConfigTest, OriginOfTheFirstPoseIsTheDefaultOneOnceItIsThere) {
   VehicleConfig current = Geodetic({});
   current.origin = GeodeticOrigin{10, 20, 30};
   const auto updated =

@@ -456,7 +456,7 @@ class Driver {
         AddPairNow(*fleet_->Session(id_), PairKind::kLoopClosure,
                    {closure, acknowledged_, acknowledged_ / 2, 0});
     ASSERT_THAT(added, IsOk());
-    EXPECT_EQ(added->second, ++revision_);
+    EXPECT_EQ(added->revision, ++revision_);
     if (number % 2 == 0) return;
     const auto deleted =
         DeletePairNow(*fleet_->Session(id_), PairKind::kLoopClosure, closure);

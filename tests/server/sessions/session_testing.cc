@@ -94,9 +94,9 @@ absl::StatusOr<std::pair<std::uint64_t, std::int64_t>> ReviseNow(
   return answer.Get();
 }
 
-absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>> AddPairNow(
-    VehicleSession& session, PairKind kind, const PosePairRecord& pair) {
-  const Answer<absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>>> answer;
+absl::StatusOr<AddedPair> AddPairNow(VehicleSession& session, PairKind kind,
+                                     const PosePairRecord& pair) {
+  const Answer<absl::StatusOr<AddedPair>> answer;
   session.AddPosePair(kind, pair, answer.Setter());
   return answer.Get();
 }

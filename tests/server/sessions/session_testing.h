@@ -55,8 +55,8 @@ absl::StatusOr<std::pair<std::uint64_t, std::int64_t>> ReviseNow(
     VehicleSession& session,
     const std::function<absl::StatusOr<RevisionPlan>(const VehicleView&)>&
         plan);
-absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>> AddPairNow(
-    VehicleSession& session, PairKind kind, const PosePairRecord& pair);
+absl::StatusOr<AddedPair> AddPairNow(VehicleSession& session, PairKind kind,
+                                     const PosePairRecord& pair);
 absl::StatusOr<std::uint64_t> DeletePairNow(VehicleSession& session,
                                             PairKind kind,
                                             const std::string& id);

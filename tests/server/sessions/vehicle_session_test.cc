@@ -397,7 +397,7 @@ TEST_F(VehicleSessionTest, ChangeWaitsForAppendsAndHoldsUpThoseBehind) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
   storage_.Hold();
   const Appended before = Append(*session_, StraightBatch(10, 1));
-  const Answer<absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>>> closed;
+  const Answer<absl::StatusOr<AddedPair>> closed;
   session_->AddPosePair(kClosure, {"a", 10, 1, 0}, closed.Setter());
   const Appended behind = Append(*session_, StraightBatch(11, 1));
   storage_.Await(1);
@@ -411,7 +411,7 @@ TEST_F(VehicleSessionTest, ChangeWaitsForAppendsAndHoldsUpThoseBehind) {
   EXPECT_EQ(storage_.held(), 1u);
   EXPECT_FALSE(behind.staged.IsSet());
   storage_.ReleaseAll();
-  EXPECT_EQ(closed.Get()->second, 4u);
+  EXPECT_EQ(closed.Get()->revision, 4u);
   EXPECT_EQ(behind.durable.Get()->revision, 5u);
 }
 
@@ -512,7 +512,7 @@ TEST_F(VehicleSessionTest, NothingGetsBetweenAnAcknowledgementAndItsChecks) {
     };
     session_->Append(append);
   }
-  const Answer<absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>>> pair;
+  const Answer<absl::StatusOr<AddedPair>> pair;
   session_->AddPosePair(PairKind::kLoopClosure, {"a", 60, 1, 1}, pair.Setter());
   storage_.ReleaseAll();
   for (const Answer<bool>& answer : answers) answer.Get();
@@ -805,22 +805,125 @@ TEST_F(VehicleSessionTest, AddsPairOfEachKindOnce) {
   for (const PairKind kind : {kClosure, kRejection}) {
     const PairWords words = WordsOf(kind);
     SCOPED_TRACE(words.noun);
-    const auto added = AddPairNow(*session_, kind, {"a", 9, 2, 77});
+    const std::uint64_t query = kind == kClosure ? 9 : 8;
+    const auto added = AddPairNow(*session_, kind, {"a", query, 2, 77});
     ASSERT_THAT(added, IsOk());
-    EXPECT_EQ(added->second, ++revision);
-    const auto again = AddPairNow(*session_, kind, {"a", 9, 2, 99});
+    EXPECT_EQ(added->revision, ++revision);
+    const auto again = AddPairNow(*session_, kind, {"a", query, 2, 99});
     ASSERT_THAT(again, IsOk());
-    EXPECT_EQ(again->second, revision);
-    EXPECT_EQ(ToText(again->first), ToText(added->first));
+    EXPECT_EQ(again->revision, revision);
+    EXPECT_EQ(ToText(again->pair), ToText(added->pair));
     EXPECT_THAT(AddPairNow(*session_, kind, {"a", 9, 3, 0}),
                 IsError(StatusCode::kAlreadyExists, words.exists,
-                        std::string(words.noun) +
-                            " 'a' names sequences 9 and 2, got 9 and 3"));
+                        std::string(words.noun) + " 'a' names sequences " +
+                            std::to_string(query) + " and 2, got 9 and 3"));
   }
   const Snapshot snapshot = *ReadNow(*session_);
   EXPECT_EQ(snapshot.loop_closure_count, 1);
   EXPECT_EQ(snapshot.consistency.rejected, 1);
   EXPECT_THAT(snapshot.graph, HasSubstr("1 - 8"));
+}
+
+TEST_F(VehicleSessionTest, RefusesPairThatIsOneOfTheOtherKind) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kClosure, {"same", 9, 2, 0}), IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kRejection, {"other", 9, 3, 0}), IsOk());
+  const absl::Status rejected =
+      AddPairNow(*session_, kRejection, {"a", 9, 2, 0}).status();
+  EXPECT_THAT(rejected,
+              IsError(StatusCode::kFailedPrecondition, "POSE_PAIR_CONFLICT",
+                      HasSubstr("are the loop closure 'same'")));
+  EXPECT_EQ(MetadataOf(rejected, "name"), "vehicles/truck/loopClosures/same");
+  const absl::Status closed =
+      AddPairNow(*session_, kClosure, {"a", 9, 3, 0}).status();
+  EXPECT_THAT(closed,
+              IsError(StatusCode::kFailedPrecondition, "POSE_PAIR_CONFLICT",
+                      HasSubstr("are the rejected candidate 'other'")));
+  EXPECT_EQ(MetadataOf(closed, "name"),
+            "vehicles/truck/rejectedCandidates/other");
+  EXPECT_EQ(ReadNow(*session_)->loop_closure_count, 1);
+  // Undone, it is free. The same pair twice under other names never conflicts.
+  ASSERT_THAT(DeletePairNow(*session_, kClosure, "same"), IsOk());
+  EXPECT_THAT(AddPairNow(*session_, kRejection, {"a", 9, 2, 0}), IsOk());
+  EXPECT_THAT(AddPairNow(*session_, kRejection, {"b", 9, 2, 0}), IsOk());
+}
+
+TEST_F(VehicleSessionTest, PairOfBothKindsFromAnOlderServerStaysAsItIs) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  const VehicleKey key = memory_.GetVehicle("truck")->key;
+  BlockingWrites write(&memory_);
+  ASSERT_THAT(write.AddPair(key, kClosure, {"a", 9, 2, 1}, 3), IsOk());
+  ASSERT_THAT(write.AddPair(key, kRejection, {"a", 9, 2, 2}, 4), IsOk());
+  Reload();
+  EXPECT_EQ(ReadNow(*session_)->loop_closure_count, 1);
+  EXPECT_EQ(ReadNow(*session_)->consistency.rejected, 1);
+  EXPECT_THAT(AddPairNow(*session_, kClosure, {"a", 9, 2, 0}), IsOk());
+  EXPECT_THAT(AddPairNow(*session_, kRejection, {"a", 9, 2, 0}), IsOk());
+}
+
+TEST_F(VehicleSessionTest,
+       MeasuredClosureIsComparedWholeAndAgreesWithTheGraph) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  // 7 m apart, as they are estimated; and 2 m more than that.
+  PosePairRecord right{"a", 9, 2, 0, "7 0 0 0.5"};
+  const auto added = AddPairNow(*session_, kClosure, right);
+  ASSERT_THAT(added, IsOk());
+  ASSERT_TRUE(added->agreement);
+  EXPECT_NEAR(added->agreement->squared_mahalanobis, 0.0, 1e-9);
+  EXPECT_NEAR(added->agreement->p_value, 1.0, 1e-6);
+  const auto again = AddPairNow(*session_, kClosure, right);
+  ASSERT_THAT(again, IsOk());
+  EXPECT_EQ(again->revision, added->revision);
+  EXPECT_TRUE(again->agreement);
+  for (const char* const other : {"7 0 0 0.25", ""}) {
+    EXPECT_THAT(AddPairNow(*session_, kClosure, {"a", 9, 2, 0, other}),
+                IsError(StatusCode::kAlreadyExists, "LOOP_CLOSURE_EXISTS",
+                        HasSubstr("another measurement")));
+  }
+  const auto off = AddPairNow(*session_, kClosure, {"b", 8, 1, 0, "9 0 0 0.5"});
+  ASSERT_THAT(off, IsOk());
+  EXPECT_NEAR(off->agreement->squared_mahalanobis, 4.0 / 0.25, 0.1);
+  EXPECT_FALSE(AddPairNow(*session_, kClosure, {"c", 7, 1, 0, ""})->agreement);
+}
+
+TEST_F(VehicleSessionTest, MeasurementsComeOutTheSameWheneverTheGraphIsMade) {
+  ASSERT_THAT(AppendNow(*session_, SquareBatch(1, 200)), IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kClosure, {"a", 90, 10, 1, "0 1 0 0.2"}),
+              IsOk());
+  ASSERT_THAT(AddPairNow(*session_, kClosure, {"b", 171, 10, 2, "1 2 0.1 1"}),
+              IsOk());
+  const core::Consistency before = ReadNow(*session_)->consistency;
+  const auto expect_same = [&] {
+    const core::Consistency after = ReadNow(*session_)->consistency;
+    EXPECT_EQ(after.mean_normalized_innovation_squared,
+              before.mean_normalized_innovation_squared);
+    EXPECT_EQ(after.inflation, before.inflation);
+  };
+  Reload();
+  expect_same();
+  // A change that makes the graph anew, there and back.
+  for (const double spacing : {2.0, TestConfig().engine.node_spacing_meters}) {
+    ASSERT_THAT(UpdateNow(*session_,
+                          [&](const VehicleView& view) {
+                            VehicleConfig config = view.config;
+                            config.engine.node_spacing_meters = spacing;
+                            return config;
+                          }),
+                IsOk());
+  }
+  expect_same();
+}
+
+TEST_F(VehicleSessionTest, MeasurementThatDoesNotDecodeIsDamage) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  ASSERT_THAT(BlockingWrites(&memory_).AddPair(
+                  memory_.GetVehicle("truck")->key, kClosure,
+                  {"a", 9, 2, 1, "no measurement"}, 3),
+              IsOk());
+  Reload();
+  EXPECT_THAT(AppendNow(*session_, StraightBatch(10, 1)),
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                      HasSubstr("loop closure 'a' does not decode")));
 }
 
 TEST_F(VehicleSessionTest, RefusesPairWithPoseThatIsNotThere) {
@@ -875,17 +978,17 @@ TEST_F(VehicleSessionTest, RejectionChangesNoGraph) {
 TEST_F(VehicleSessionTest, CreationTimesTellTheOrderEvenIfTheClockGoesBack) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
   EXPECT_EQ(
-      AddPairNow(*session_, kClosure, {"c", 9, 2, 500})->first.create_time_ns,
+      AddPairNow(*session_, kClosure, {"c", 9, 2, 500})->pair.create_time_ns,
       500);
   EXPECT_EQ(
-      AddPairNow(*session_, kRejection, {"b", 9, 3, 500})->first.create_time_ns,
+      AddPairNow(*session_, kRejection, {"b", 9, 3, 500})->pair.create_time_ns,
       501);
   Reload();
   EXPECT_EQ(
-      AddPairNow(*session_, kClosure, {"a", 9, 1, 7})->first.create_time_ns,
+      AddPairNow(*session_, kClosure, {"a", 9, 1, 7})->pair.create_time_ns,
       502);
   EXPECT_EQ(
-      AddPairNow(*session_, kRejection, {"a", 8, 1, 503})->first.create_time_ns,
+      AddPairNow(*session_, kRejection, {"a", 8, 1, 503})->pair.create_time_ns,
       503);
   const VehicleKey key = memory_.GetVehicle("truck")->key;
   EXPECT_THAT(ToTexts(*memory_.ListPosePairs(key, kClosure, "", 9)),
@@ -897,8 +1000,7 @@ TEST_F(VehicleSessionTest, CreationTimesTellTheOrderEvenIfTheClockGoesBack) {
 TEST_F(VehicleSessionTest, NeverShowsRejectionThatIsNotDurable) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
   storage_.Hold();
-  const Answer<absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>>>
-      rejected;
+  const Answer<absl::StatusOr<AddedPair>> rejected;
   session_->AddPosePair(kRejection, {"a", 9, 2, 0}, rejected.Setter());
   storage_.Await(1);
   EXPECT_EQ(ReadNow(*session_)->consistency.rejected, 0);
@@ -907,7 +1009,7 @@ TEST_F(VehicleSessionTest, NeverShowsRejectionThatIsNotDurable) {
               IsError(StatusCode::kUnavailable, "STORE_UNAVAILABLE", _));
   EXPECT_EQ(ReadNow(*session_)->consistency.rejected, 0);
   storage_.ReleaseAll();
-  EXPECT_EQ(AddPairNow(*session_, kRejection, {"a", 9, 2, 0})->second, 3u);
+  EXPECT_EQ(AddPairNow(*session_, kRejection, {"a", 9, 2, 0})->revision, 3u);
   EXPECT_EQ(ReadNow(*session_)->consistency.rejected, 1);
 }
 
@@ -917,8 +1019,7 @@ TEST_F(VehicleSessionTest, LoadsAnewIfTheStoreHasOneRejectionMore) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
   const VehicleKey key = memory_.GetVehicle("truck")->key;
   storage_.Hold();
-  const Answer<absl::StatusOr<std::pair<PosePairRecord, std::uint64_t>>>
-      rejected;
+  const Answer<absl::StatusOr<AddedPair>> rejected;
   session_->AddPosePair(kRejection, {"a", 9, 2, 0}, rejected.Setter());
   storage_.Await(1);
   storage_.FailOne(DeviceFailure());
@@ -1060,7 +1161,7 @@ TEST_F(VehicleSessionTest, WrongClockDoesNotLast) {
   const auto time_of = [&](PairKind kind, const PosePairRecord& pair) {
     const auto added = AddPairNow(*session_, kind, pair);
     EXPECT_THAT(added, IsOk());
-    return added->first.create_time_ns;
+    return added->pair.create_time_ns;
   };
   EXPECT_EQ(time_of(kClosure, {"a", 100, 20, 10}), 10);
   EXPECT_EQ(time_of(kClosure, {"b", 120, 40, kWrong}), kWrong);
@@ -1089,18 +1190,19 @@ TEST_F(VehicleSessionTest, TakesAsManyPairsAsItMay) {
   Reload();
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
   for (const PairKind kind : {kClosure, kRejection}) {
-    ASSERT_THAT(AddPairNow(*session_, kind, {"a", 9, 1, 0}), IsOk());
-    ASSERT_THAT(AddPairNow(*session_, kind, {"b", 9, 2, 0}), IsOk());
+    const std::uint64_t query = kind == kClosure ? 9 : 8;
+    ASSERT_THAT(AddPairNow(*session_, kind, {"a", query, 1, 0}), IsOk());
+    ASSERT_THAT(AddPairNow(*session_, kind, {"b", query, 2, 0}), IsOk());
     const absl::Status full =
-        AddPairNow(*session_, kind, {"c", 9, 3, 0}).status();
+        AddPairNow(*session_, kind, {"c", query, 3, 0}).status();
     EXPECT_THAT(full,
                 IsError(StatusCode::kFailedPrecondition, "POSE_PAIR_LIMIT",
                         HasSubstr("has 2 " + std::string(WordsOf(kind).noun))));
     EXPECT_EQ(MetadataOf(full, "limit"), "2");
     // Those that are there are answered again.
-    EXPECT_THAT(AddPairNow(*session_, kind, {"b", 9, 2, 0}), IsOk());
+    EXPECT_THAT(AddPairNow(*session_, kind, {"b", query, 2, 0}), IsOk());
     ASSERT_THAT(DeletePairNow(*session_, kind, "a"), IsOk());
-    EXPECT_THAT(AddPairNow(*session_, kind, {"c", 9, 3, 0}), IsOk());
+    EXPECT_THAT(AddPairNow(*session_, kind, {"c", query, 3, 0}), IsOk());
   }
 }
 

@@ -142,9 +142,9 @@ class SqliteStorageTest : public ::testing::Test {
     EXPECT_THAT(write.Append(key, {3, 2, 3, "beta"}), IsOk());
     EXPECT_THAT(write.Append(key, {5, 2, 4, "gamma"}), IsOk());
     EXPECT_THAT(write.Revise(key, {{5, 2, 0, "GAMMA"}}, 5), IsOk());
-    EXPECT_THAT(
-        write.AddPair(key, PairKind::kLoopClosure, {"link", 6, 1, 99}, 6),
-        IsOk());
+    EXPECT_THAT(write.AddPair(key, PairKind::kLoopClosure,
+                              {"link", 6, 1, 99, "measured"}, 6),
+                IsOk());
     EXPECT_THAT(
         write.AddPair(key, PairKind::kRejectedCandidate, {"no", 6, 2, 100}, 7),
         IsOk());
@@ -186,11 +186,11 @@ TEST_F(SqliteStorageTest, SaysWhichDirectoryIsMissing) {
 
 TEST_F(SqliteStorageTest, RefusesNewerFormat) {
   MakeStore();
-  RunSql(Path(), "PRAGMA user_version = 4");
+  RunSql(Path(), "PRAGMA user_version = 5");
   EXPECT_THAT(OpenSqliteStorage(Path()),
               IsError(StatusCode::kFailedPrecondition, "",
-                      AllOf(HasSubstr("has format 4"),
-                            HasSubstr("this server reads formats 1 to 3"),
+                      AllOf(HasSubstr("has format 5"),
+                            HasSubstr("this server reads formats 1 to 4"),
                             HasSubstr("use a newer server"))));
 }
 
@@ -200,7 +200,7 @@ TEST_F(SqliteStorageTest, RefusesFormatThatNeverWas) {
   EXPECT_THAT(OpenSqliteStorage(Path()),
               IsError(StatusCode::kFailedPrecondition, "",
                       AllOf(HasSubstr("has format 0"),
-                            HasSubstr("this server reads formats 1 to 3"))));
+                            HasSubstr("this server reads formats 1 to 4"))));
 }
 
 // What a server of format 1 left: that of MakeStore(), without rejections. Rows
@@ -287,10 +287,10 @@ TEST_F(SqliteStorageTest, StoreOfFormat1OpensAndGainsWhatItLacks) {
         IsOk());
     EXPECT_THAT(write.Append(1, {7, 1, 8, "delta"}), IsOk());
   }
-  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "3\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "4\n");
   // Rows that nobody changed are as they were.
   EXPECT_EQ(RunSql(Path(), "SELECT format, count(*) FROM batches GROUP BY 1"),
-            "1|3\n3|1\n");
+            "1|3\n4|1\n");
   EXPECT_EQ(RunSql(Path(), "SELECT format, checksum FROM loop_closures"),
             "1|3065229329497340342\n");
   const std::unique_ptr<Storage> storage = MustOpen(Path());
@@ -331,13 +331,13 @@ TEST_F(SqliteStorageTest, RefusesFileThatIsNoDatabase) {
                       HasSubstr("is not a store of revisit")));
 }
 
-TEST_F(SqliteStorageTest, WritesFormat3) {
+TEST_F(SqliteStorageTest, WritesFormat4) {
   // Golden: a change here is a new format. The checksums were printed by this
   // program once; record_checksum.h says what they are made of.
   const VehicleKey key = MakeStore();
   EXPECT_EQ(key, 1);
   EXPECT_EQ(RunSql(Path(), "PRAGMA application_id; PRAGMA user_version"),
-            "1381389140\n3\n");
+            "1381389140\n4\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA journal_mode"), "wal\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA page_size"), "8192\n");
   EXPECT_EQ(RunSql(Path(),
@@ -349,7 +349,7 @@ TEST_F(SqliteStorageTest, WritesFormat3) {
   EXPECT_EQ(RunSql(Path(),
                    "SELECT key, id, format, revision, checksum, "
                    "payload FROM vehicles"),
-            "1|truck|3|7|-87707387594918857|payload\n");
+            "1|truck|4|7|6652353905742275111|payload\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA auto_vacuum"), "2\n");
   // Where store_state.h says that it stands; of the rest only the number of the
   // commit, the creation's included, and that it was the last are known.
@@ -361,18 +361,81 @@ TEST_F(SqliteStorageTest, WritesFormat3) {
       "SELECT vehicle_key, first_sequence, count, format, revision, checksum, "
       "payload FROM ";
   EXPECT_EQ(RunSql(Path(), batch + "batches"),
-            "1|1|2|3|2|1468958268839417343|alpha\n"
-            "1|3|2|3|3|-3236131221087917378|beta\n"
-            "1|5|2|3|4|5528962054912418739|gamma\n");
+            "1|1|2|4|2|-4829067349424724470|alpha\n"
+            "1|3|2|4|3|1285076461158854921|beta\n"
+            "1|5|2|4|4|-4653714669878249062|gamma\n");
   EXPECT_EQ(RunSql(Path(), batch + "revised_batches"),
-            "1|5|2|3|5|316402039987005661|GAMMA\n");
+            "1|5|2|4|5|5734659888365959222|GAMMA\n");
   const std::string pair =
       "SELECT vehicle_key, id, format, query_sequence, matched_sequence, "
-      "create_time_ns, checksum FROM ";
+      "create_time_ns, checksum, payload FROM ";
   EXPECT_EQ(RunSql(Path(), pair + "loop_closures"),
-            "1|link|3|6|1|99|4810803329536871510\n");
+            "1|link|4|6|1|99|-2405007697103716199|measured\n");
   EXPECT_EQ(RunSql(Path(), pair + "rejected_candidates"),
-            "1|no|3|6|2|100|-7183881975712766587\n");
+            "1|no|4|6|2|100|1990917711815163374|\n");
+}
+
+// Makes the store of MakeStore() what a server of format 3 left: the same, but
+// for payloads of pairs. The checksums are those that such a server wrote.
+constexpr char kToFormat3[] = R"sql(
+ALTER TABLE loop_closures DROP COLUMN payload;
+ALTER TABLE rejected_candidates DROP COLUMN payload;
+UPDATE vehicles SET format = 3, checksum = -87707387594918857;
+UPDATE batches SET format = 3, checksum = 1468958268839417343
+  WHERE first_sequence = 1;
+UPDATE batches SET format = 3, checksum = -3236131221087917378
+  WHERE first_sequence = 3;
+UPDATE batches SET format = 3, checksum = 5528962054912418739
+  WHERE first_sequence = 5;
+UPDATE revised_batches SET format = 3, checksum = 316402039987005661;
+UPDATE loop_closures SET format = 3, checksum = 4810803329536871510;
+UPDATE rejected_candidates SET format = 3, checksum = -7183881975712766587;
+PRAGMA user_version = 3;
+)sql";
+
+TEST_F(SqliteStorageTest, StoreOfFormat3OpensAndGainsPayloadsOfPairs) {
+  MakeStore();
+  RunSql(Path(), kToFormat3);
+  {
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    BlockingWrites write(storage.get());
+    EXPECT_EQ(ToText(*storage->GetVehicle("truck")),
+              "truck 1: 1 closures, 1 rejected, to 6, revision 7, 'payload'");
+    EXPECT_THAT(
+        ToTexts(*ReadAll(*storage, 1, 1, 6)),
+        ElementsAre("1+2, revision 2, 'alpha'", "3+2, revision 3, 'beta'",
+                    "5+2, revision 5, 'GAMMA'"));
+    EXPECT_THAT(
+        ToTexts(*storage->ListPosePairs(1, PairKind::kLoopClosure, "", 10)),
+        ElementsAre("link: 6 at 1, 99 ns"));
+    EXPECT_THAT(ToTexts(*storage->ListPosePairs(1, PairKind::kRejectedCandidate,
+                                                "", 10)),
+                ElementsAre("no: 6 at 2, 100 ns"));
+    EXPECT_THAT(write.AddPair(1, PairKind::kLoopClosure,
+                              {"new", 5, 1, 101, "measured"}, 8),
+                IsOk());
+  }
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "4\n");
+  // Rows that nobody changed are as they were.
+  EXPECT_EQ(RunSql(Path(),
+                   "SELECT id, format, checksum FROM loop_closures "
+                   "WHERE id = 'link'"),
+            "link|3|4810803329536871510\n");
+  EXPECT_THAT(
+      ToTexts(
+          *MustOpen(Path())->ListPosePairs(1, PairKind::kLoopClosure, "", 10)),
+      ElementsAre("link: 6 at 1, 99 ns", "new: 5 at 1, 101 ns, 'measured'"));
+}
+
+TEST_F(SqliteStorageTest, PayloadOfAnOlderPairIsNone) {
+  // Its checksum says nothing about it.
+  MakeStore();
+  RunSql(Path(), kToFormat3);
+  MustOpen(Path());
+  RunSql(Path(), "UPDATE loop_closures SET payload = 'made up'");
+  EXPECT_THAT(ToTexts(*MustOpen(Path())->ListPosePairs(
+                  1, PairKind::kLoopClosure, "", 10)),
+              ElementsAre("link: 6 at 1, 99 ns"));
 }
 
 TEST_F(SqliteStorageTest, NamesBatchWhosePayloadIsDamaged) {
@@ -526,7 +589,7 @@ TEST_F(SqliteStorageTest, FindsDamageOfPairs) {
         std::pair(PairKind::kRejectedCandidate, "rejected_candidates")}) {
     for (const char* damage :
          {"query_sequence = 5", "matched_sequence = 3", "create_time_ns = 98",
-          "id = 'lint'", "format = 1"}) {
+          "id = 'lint'", "format = 1", "payload = 'x'"}) {
       const std::string sql = "UPDATE " + std::string(table) + " SET " + damage;
       SCOPED_TRACE(sql);
       RemoveStore();

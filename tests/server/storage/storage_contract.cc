@@ -267,9 +267,9 @@ TEST_P(StorageContract, KeepsKindsOfPairsApart) {
   ASSERT_THAT(
       write().AddPair(key, PairKind::kRejectedCandidate, {"a", 8, 3, 2}, 3),
       IsOk());
-  ASSERT_THAT(
-      write().AddPair(key, PairKind::kRejectedCandidate, {"b", 7, 3, 3}, 4),
-      IsOk());
+  ASSERT_THAT(write().AddPair(key, PairKind::kRejectedCandidate,
+                              {"b", 7, 3, 3, "why"}, 4),
+              IsOk());
   EXPECT_EQ(ToText(*storage().GetVehicle("truck")),
             "truck " + std::to_string(key) +
                 ": 1 closures, 2 rejected, to 0, revision 4, 'payload'");
@@ -278,7 +278,7 @@ TEST_P(StorageContract, KeepsKindsOfPairsApart) {
               IsEmpty());
   EXPECT_THAT(ToTexts(*storage().ListPosePairs(
                   key, PairKind::kRejectedCandidate, "", 10)),
-              ElementsAre("a: 8 at 3, 2 ns", "b: 7 at 3, 3 ns"));
+              ElementsAre("a: 8 at 3, 2 ns", "b: 7 at 3, 3 ns, 'why'"));
 }
 
 TEST_P(StorageContract, GivesUpWhatComesAfterASequence) {

@@ -61,7 +61,7 @@ class CommandsTest : public ::testing::Test {
 
   StreamOptions Stream() {
     StreamOptions options;
-    options.file = path_;
+    options.files = {path_};
     options.vehicle = "shuttle";
     return options;
   }
@@ -149,7 +149,7 @@ TEST_F(CommandsTest, StreamGoesOnWhereItStopped) {
 TEST_F(CommandsTest, StreamNoticesThatTheVehicleHasAnotherDrive) {
   WriteDrive(100);
   ASSERT_TRUE(RunStream(channel_, Stream(), Text()).ok());
-  WriteDrive(300, 0.5);
+  WriteDrive(300, 0.1);
   const absl::Status status = RunStream(channel_, Stream(), Text());
   EXPECT_EQ(status.code(), absl::StatusCode::kAlreadyExists);
   EXPECT_EQ(server_.durable_sequence(), 100u);
@@ -163,7 +163,8 @@ TEST_F(CommandsTest, StreamRefusesAVehicleThatHasMoreThanTheFile) {
   EXPECT_EQ(ExitCodeOf(status), 1);
   EXPECT_EQ(
       status.message(),
-      "vehicles/shuttle has 100 poses already, more than the 50 of " + path_);
+      "vehicles/shuttle has 100 poses already, more than the 50 of " + path_ +
+          "; --append adds these behind them");
 }
 
 TEST_F(CommandsTest, StreamPrintsCandidatesAsJsonLines) {
@@ -208,7 +209,8 @@ TEST_F(CommandsTest, FindSaysWhyThereIsNothing) {
             "sequence\n");
 }
 
-// Two candidates as a relative search answers them.
+// Two candidates as a relative search answers them. The end poses of the first
+// fail their gate, and its path passes.
 v1::CandidateSet RelativeSet() {
   v1::CandidateSet set;
   EXPECT_TRUE(google::protobuf::TextFormat::ParseFromString(
@@ -216,6 +218,7 @@ v1::CandidateSet RelativeSet() {
         query {
           index: 100
           sequence: 200
+          stamp { seconds: 1606417130 nanos: 250000000 }
           travelled_meters: 200
           pose { x_meters: 1 y_meters: 2 }
         }
@@ -224,15 +227,22 @@ v1::CandidateSet RelativeSet() {
           score: 6.25
           matched {
             sequence: 40
+            stamp { seconds: 1606417097 nanos: 528499000 }
             travelled_meters: 39.5
             pose { x_meters: 1.5 y_meters: 2.5 }
           }
           gate {
-            squared_mahalanobis_distance: 1.5
+            squared_mahalanobis_distance: 14.5
             threshold: 7.815
-            p_value: 0.68
-            verdict: GATE_VERDICT_ACCEPTED
+            p_value: 0.0023
+            verdict: GATE_VERDICT_REJECTED
             inflation: 1.75
+          }
+          path_gate {
+            squared_mahalanobis_distance: 17.25
+            threshold: 21.5
+            p_value: 0.17
+            verdict: GATE_VERDICT_ACCEPTED
           }
           verdict: VERDICT_ACCEPTED
           direction: DIRECTION_OPPOSITE
@@ -243,11 +253,19 @@ v1::CandidateSet RelativeSet() {
           score: -1
           matched {
             sequence: 90
+            stamp { seconds: 12 }
             travelled_meters: 89.5
             pose {}
           }
-          gate { verdict: GATE_VERDICT_ACCEPTED inflation: 1.75 }
-          verdict: VERDICT_REJECTED_BY_SHAPE
+          gate {
+            squared_mahalanobis_distance: 9.5
+            threshold: 7.815
+            p_value: 0.02
+            verdict: GATE_VERDICT_REJECTED
+            inflation: 1.75
+          }
+          path_gate { verdict: GATE_VERDICT_ACCEPTED }
+          verdict: VERDICT_REJECTED_BY_GATE
           direction: DIRECTION_SAME
           probability: 0.0
         }
@@ -257,20 +275,46 @@ v1::CandidateSet RelativeSet() {
   return set;
 }
 
-TEST_F(CommandsTest, FindPrintsVerdictDirectionAndProbability) {
+TEST_F(CommandsTest, FindPrintsStampsAndTheGateThatDecided) {
   server_.set_candidates(RelativeSet());
   ASSERT_TRUE(RunFind(client_, {}, Text()).ok());
   EXPECT_EQ(
       out_.str(),
-      "query: node 100, sequence 200, 200.0 m travelled, at (1.00, 2.00) m\n"
+      "query: node 100, sequence 200, 2020-11-26T18:58:50.250Z "
+      "(1606417130.25 s), 200.0 m travelled, at (1.00, 2.00) m\n"
       "new place: probability 0.0625\n"
-      "RANK  SEQUENCE  TRAVELLED m   X m   Y m  DIRECTION  SCORE     D2  "
-      "THRESHOLD  P-VALUE  PROBABILITY  VERDICT\n"
-      "   1        40         39.5  1.50  2.50  OPPOSITE    6.25  1.500      "
-      "7.815   0.6800       0.9375  ACCEPTED\n"
-      "   2        90         89.5  0.00  0.00  SAME       -1.00  0.000      "
-      "0.000   0.0000       0.0000  REJECTED_BY_SHAPE\n"
+      "RANK  SEQUENCE  TIME                                 TIME s  "
+      "TRAVELLED m   X m   Y m  DIRECTION  GATE      D2  THRESHOLD  P-VALUE  "
+      "PROBABILITY  VERDICT\n"
+      "   1        40  2020-11-26T18:58:17.528Z  1606417097.528499         "
+      "39.5  1.50  2.50  OPPOSITE   path  17.250     21.500   0.1700       "
+      "0.9375  ACCEPTED\n"
+      "   2        90  1970-01-01T00:00:12Z                     12         "
+      "89.5  0.00  0.00  SAME       end    9.500      7.815   0.0200       "
+      "0.0000  REJECTED_BY_GATE\n"
       "claimed standard deviations were multiplied by 1.75\n");
+}
+
+TEST_F(CommandsTest, FindHasNoColumnsOfTimesWherePosesHaveNone) {
+  v1::CandidateSet set = RelativeSet();
+  for (v1::Candidate& candidate : *set.mutable_candidates()) {
+    candidate.mutable_matched()->clear_stamp();
+  }
+  server_.set_candidates(set);
+  ASSERT_TRUE(RunFind(client_, {}, Text()).ok());
+  EXPECT_THAT(out_.str(), Not(HasSubstr("TIME")));
+}
+
+TEST_F(CommandsTest, FindShowsNoNumbersOfAGateThatCouldNotDecide) {
+  v1::CandidateSet set = RelativeSet();
+  set.mutable_candidates()->RemoveLast();
+  set.mutable_candidates(0)->set_verdict(v1::VERDICT_ILL_CONDITIONED);
+  set.mutable_candidates(0)->mutable_gate()->set_verdict(
+      v1::GATE_VERDICT_ILL_CONDITIONED);
+  server_.set_candidates(set);
+  ASSERT_TRUE(RunFind(client_, {}, Text()).ok());
+  EXPECT_THAT(out_.str(),
+              ContainsRegex("end +- +7.815 +- +0.9375  ILL_CONDITIONED\n"));
 }
 
 TEST_F(CommandsTest, FindLeavesOutWhatACompositeAlignmentDoesNotKnow) {
@@ -278,12 +322,14 @@ TEST_F(CommandsTest, FindLeavesOutWhatACompositeAlignmentDoesNotKnow) {
   set.clear_new_place_probability();
   set.mutable_candidates()->RemoveLast();
   set.mutable_candidates(0)->clear_probability();
+  set.mutable_candidates(0)->clear_path_gate();
   set.mutable_candidates(0)->mutable_gate()->set_inflation(1.0);
   server_.set_candidates(set);
   ASSERT_TRUE(RunFind(client_, {}, Text()).ok());
   EXPECT_THAT(out_.str(), Not(HasSubstr("new place")));
   EXPECT_THAT(out_.str(), Not(HasSubstr("multiplied")));
-  EXPECT_THAT(out_.str(), HasSubstr("0.6800            -  ACCEPTED\n"));
+  EXPECT_THAT(out_.str(),
+              ContainsRegex("end +14.500 +7.815 +0.0023 +-  ACCEPTED\n"));
   out_.str("");
   ASSERT_TRUE(RunFind(client_, {}, Json()).ok());
   const json answer = json::parse(out_.str());
@@ -299,7 +345,7 @@ TEST_F(CommandsTest, FindKeepsAProbabilityOfZeroInTheJson) {
   const json answer = json::parse(out_.str());
   EXPECT_EQ(answer["newPlaceProbability"], 0.0625);
   EXPECT_EQ(answer["candidates"][1]["probability"], 0.0);
-  EXPECT_EQ(answer["candidates"][1]["verdict"], "VERDICT_REJECTED_BY_SHAPE");
+  EXPECT_EQ(answer["candidates"][1]["verdict"], "VERDICT_REJECTED_BY_GATE");
 }
 
 TEST_F(CommandsTest, StreamPrintsTheVerdictOfTheBestCandidate) {
@@ -310,14 +356,16 @@ TEST_F(CommandsTest, StreamPrintsTheVerdictOfTheBestCandidate) {
   options.candidates = true;
   ASSERT_TRUE(RunStream(channel_, options, Text()).ok());
   EXPECT_THAT(out_.str(),
-              HasSubstr("check at sequence 100, 200.0 m: sequence 40, 39.5 m, "
-                        "d2 1.50 against 7.82, probability 0.9375, opposite "
-                        "direction, ACCEPTED\n"));
+              HasSubstr("check at sequence 100, 200.0 m, "
+                        "2020-11-26T18:58:50.250Z (1606417130.25 s): sequence "
+                        "40, 39.5 m, 2020-11-26T18:58:17.528Z "
+                        "(1606417097.528499 s), path d2 17.25 within 21.50, "
+                        "probability 0.9375, opposite direction, ACCEPTED\n"));
 }
 
 TEST_F(CommandsTest, ConfirmAddsALoopClosureAndRejectARejection) {
   const VerifiedPair pair = {"shuttle", 200, 40};
-  ASSERT_TRUE(RunConfirm(client_, pair, Text()).ok());
+  ASSERT_TRUE(RunConfirm(client_, pair, {}, Text()).ok());
   EXPECT_EQ(out_.str(),
             "confirmed vehicles/shuttle/loopClosures/new, revision 7\n");
   out_.str("");
@@ -330,6 +378,31 @@ TEST_F(CommandsTest, ConfirmAddsALoopClosureAndRejectARejection) {
   EXPECT_EQ(answer["rejectedCandidate"]["querySequence"], 200);
   EXPECT_EQ(answer["rejectedCandidate"]["matchedSequence"], 40);
   EXPECT_EQ(answer["revision"], 8);
+}
+
+TEST_F(CommandsTest, ConfirmSendsWhatTheVerifierMeasured) {
+  VerifiedMeasurement measured;
+  measured.relative = {1.5, -0.5, 0.25};
+  measured.covariance = {1, 0, 0, 2, 0, 3};
+  measured.note = "icp";
+  measured.score = 0.0;
+  EXPECT_EQ(CheckMeasurement(measured), "");
+  ASSERT_TRUE(RunConfirm(client_, {"shuttle", 200, 40}, measured, Json()).ok());
+  const json closure = json::parse(out_.str())["loopClosure"];
+  EXPECT_EQ(closure["measurement"]["yMeters"], -0.5);
+  EXPECT_EQ(closure["measurement"]["headingRadians"], 0.25);
+  EXPECT_EQ(closure["measurement"]["covariance"]["form"],
+            "COVARIANCE_FORM_PLANAR_6");
+  EXPECT_EQ(closure["note"], "icp");
+  EXPECT_EQ(closure["score"], 0.0);
+}
+
+TEST_F(CommandsTest, MeasurementHasAsManyNumbersAsOneOfTheForms) {
+  EXPECT_EQ(CheckMeasurement({}), "");
+  EXPECT_EQ(CheckMeasurement({{1, 2}, {1, 0, 0, 1, 0, 1}, "", {}}),
+            "--relative: expected X,Y,HEADING or X,Y,Z,HEADING, got 2 numbers");
+  EXPECT_EQ(CheckMeasurement({{1, 2, 3}, {1, 1, 1}, "", {}}),
+            "--covariance: expected 6, 10 or 36 numbers, got 3");
 }
 
 TEST_F(CommandsTest, UpdateNamesTheSettingsThatAreGivenAndNoOthers) {

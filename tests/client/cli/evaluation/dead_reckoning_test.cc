@@ -13,7 +13,7 @@ Drive MakeDrive(const std::vector<PlanarPose>& poses) {
   Drive drive;
   drive.name = "made";
   for (const PlanarPose& pose : poses) {
-    DriveSample sample;
+    Sample sample;
     sample.estimate = pose;
     drive.samples.push_back(sample);
   }
@@ -73,7 +73,7 @@ TEST(DeadReckoningTest, ScalesEveryClaimedStandardDeviation) {
 TEST(DeadReckoningTest, TakesFixesAsTheyAre) {
   Drive drive = MakeDrive({{0, 0, 0}, {10, 0, 0}});
   const std::array<double, 6> claimed = {4.0, 1.0, 0.0, 9.0, 0.0, 0.01};
-  for (DriveSample& sample : drive.samples) sample.covariance = claimed;
+  for (Sample& sample : drive.samples) sample.covariance = claimed;
   UncertaintyOptions options;
   options.source = UncertaintyOptions::Source::kFixes;
   const auto claims = ClaimUncertainty(drive, options);
@@ -175,10 +175,12 @@ TEST(DeadReckoningTest, AddsTheCarriedStartToTheFilesColumns) {
 TEST(DeadReckoningTest, RefusesAFileWithoutColumnsWhereTheyAreAskedFor) {
   UncertaintyOptions options;
   options.source = UncertaintyOptions::Source::kFile;
-  EXPECT_EQ(ClaimUncertainty(MakeDrive({{0, 0, 0}}), options).status(),
-            absl::InvalidArgumentError(
-                "made: has no covariance columns (pxx, pxy, pxt, pyy, pyt, "
-                "ptt)"));
+  EXPECT_EQ(
+      ClaimUncertainty(MakeDrive({{0, 0, 0}}), options).status(),
+      absl::InvalidArgumentError(
+          "made: has no covariance (columns pxx, pxy, pxt, pyy, pyt, ptt, or "
+          "what "
+          "the format has in their place); --uncertainty model makes one"));
 }
 
 }  // namespace

@@ -181,6 +181,7 @@ TEST(EvaluationReportTest, VerboseJsonListsChecks) {
   EXPECT_EQ(check["true_loop"], true);
   const json& candidate = check["candidates"][0];
   EXPECT_EQ(candidate["verdict"], "REJECTED_BY_SHAPE");
+  EXPECT_EQ(candidate["gate"], "end");
   EXPECT_EQ(candidate["probability"], 0.2);
   EXPECT_EQ(candidate["direction"], "SAME");
   EXPECT_EQ(candidate["correct"], false);

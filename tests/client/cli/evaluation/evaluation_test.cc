@@ -2,7 +2,8 @@
 
 #include <cmath>
 
-#include "client/cli/evaluation/map_svg.h"
+#include "client/cli/evaluation/drawings.h"
+#include "client/cli/map/map_svg.h"
 #include "client/formats/angles.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
@@ -288,18 +289,17 @@ TEST(MapSvgTest, DrawsLinksAndCirclesByOutcome) {
     course.nodes[i].xx = 9.0;
     course.nodes[i].yy = 4.0;
   }
-  MapContents contents;
-  contents.title = "a < b & c";
-  contents.nodes = course.nodes;
-  contents.truth_at_nodes = course.truth;
-  contents.checks =
-      Judge(course.nodes, course.truth,
-            {Answer(15, {{5, Verdict::kAccepted}}),
-             Answer(16, {{6, Verdict::kRejectedByGate}}),
-             Answer(17, {{1, Verdict::kAccepted}}), Answer(26, {})},
-            EightExcluded());
-  const std::string svg = DrawMap(contents);
-  EXPECT_THAT(svg, HasSubstr("<title>a &lt; b &amp; c</title>"));
+  DriveResult result;
+  result.drive = "a < b & c";
+  result.nodes = course.nodes;
+  result.truth_at_nodes = course.truth;
+  result.checks = Judge(course.nodes, course.truth,
+                        {Answer(15, {{5, Verdict::kAccepted}}),
+                         Answer(16, {{6, Verdict::kRejectedByGate}}),
+                         Answer(17, {{1, Verdict::kAccepted}}), Answer(26, {})},
+                        EightExcluded());
+  const std::string svg = DrawMap(JudgedMap(result, false));
+  EXPECT_THAT(svg, HasSubstr(": a &lt; b &amp; c</title>"));
   // Four checks and the legend.
   EXPECT_EQ(Occurrences(svg, "<ellipse"), 5);
   // One wrong link and the legend's.
@@ -313,7 +313,7 @@ TEST(MapSvgTest, DrawsLinksAndCirclesByOutcome) {
 TEST(MapSvgTest, EnlargesACrowdedPartInAFreeCorner) {
   // 4 km along a diagonal and back beside it: two corners stay free, of which
   // one is for the scale bar.
-  MapContents contents;
+  DriveResult result;
   for (int i = 0; i < 4000; ++i) {
     const double along = i < 2000 ? i : 3999 - i;
     GraphNode node;
@@ -321,8 +321,8 @@ TEST(MapSvgTest, EnlargesACrowdedPartInAFreeCorner) {
     node.travelled_meters = 2.0 * i;
     node.estimate = {1.4 * along, 1.4 * along + (i < 2000 ? 0.0 : 40.0),
                      i < 2000 ? kPi / 4.0 : -3.0 * kPi / 4.0};
-    contents.nodes.push_back(node);
-    contents.truth_at_nodes.push_back(node.estimate);
+    result.nodes.push_back(node);
+    result.truth_at_nodes.push_back(node.estimate);
   }
   std::vector<CheckAnswer> answers;
   for (int i = 150; i < 4000; i += 25) {
@@ -331,19 +331,19 @@ TEST(MapSvgTest, EnlargesACrowdedPartInAFreeCorner) {
                            : std::vector<std::pair<std::int64_t, Verdict>>{
                                  {3999 - i, Verdict::kAccepted}}));
   }
-  contents.checks =
-      Judge(contents.nodes, contents.truth_at_nodes, answers, EightExcluded());
-  const std::string svg = DrawMap(contents);
+  result.checks =
+      Judge(result.nodes, result.truth_at_nodes, answers, EightExcluded());
+  const std::string svg = DrawMap(JudgedMap(result, false));
   EXPECT_EQ(Occurrences(svg, "enlarged 3 times"), 1);
   EXPECT_EQ(Occurrences(svg, "<clipPath"), 2);
 }
 
 TEST(MapSvgTest, DrawsASingleNode) {
-  MapContents contents;
-  contents.nodes.resize(1);
-  contents.nodes[0].sequence = 1;
-  contents.truth_at_nodes.resize(1);
-  EXPECT_THAT(DrawMap(contents), Not(HasSubstr("nan")));
+  DriveResult result;
+  result.nodes.resize(1);
+  result.nodes[0].sequence = 1;
+  result.truth_at_nodes.resize(1);
+  EXPECT_THAT(DrawMap(JudgedMap(result, false)), Not(HasSubstr("nan")));
 }
 
 }  // namespace

@@ -18,8 +18,8 @@ Drive Bend() {
   drive.name = "bend";
   PlanarPose pose = {5.0, -3.0, 0.4};
   for (int i = 0; i < 60; ++i) {
-    DriveSample sample;
-    sample.time_seconds = i;
+    Sample sample;
+    sample.time_nanoseconds = i;
     // What is to go.
     sample.estimate = {1e3, 1e3, 1.0};
     sample.covariance = {1.0, 0.0, 0.0, 1.0, 0.0, 1.0};
@@ -92,7 +92,8 @@ TEST(SimulationTest, FollowsTheTruthWithoutNoise) {
         std::remainder(estimate.heading - drive.truth[i].heading, 2.0 * kPi),
         0.0, 1e-9)
         << i;
-    EXPECT_EQ(simulated.samples[i].time_seconds, static_cast<double>(i));
+    EXPECT_EQ(simulated.samples[i].time_nanoseconds,
+              static_cast<std::int64_t>(i));
     EXPECT_FALSE(simulated.samples[i].covariance.has_value());
   }
 }

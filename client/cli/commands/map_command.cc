@@ -1,0 +1,118 @@
+#include "client/cli/commands/map_command.h"
+
+#include <memory>
+
+#include "absl/strings/str_cat.h"
+#include "client/cli/commands/shared_flags.h"
+#include "client/cli/map/map_geojson.h"
+#include "client/cli/map/map_html.h"
+#include "client/cli/map/map_svg.h"
+#include "client/cli/names.h"
+#include "client/cli/output_file.h"
+
+namespace revisit::client {
+
+void AddMapCommand(const Command& program) {
+  const Command command = program.AddCommand(
+      {"map", "Draws a vehicle's trajectory with its loop-closure candidates.",
+       "Shows what the server knows: the trajectory, the 95 % uncertainty at "
+       "each check, the\n"
+       "candidates by verdict, and what was confirmed and rejected. Candidates "
+       "are asked for\n"
+       "along the whole path, as a stream's checks would have been, with the "
+       "closures and\n"
+       "rejections that there are now.",
+       "  revisit map shuttle-7 --output shuttle-7.html\n"
+       "  revisit map shuttle-7 --svg --direction either > shuttle-7.svg\n"
+       "  revisit map shuttle-7 --geojson --check-interval 200 --output "
+       "shuttle-7.geojson"});
+  const auto options = std::make_shared<MapOptions>();
+  AddVehicleName(command, &options->vehicle);
+  const auto add_format = [&](const char* name, MapFormat format,
+                              const char* help) {
+    command.AddSwitch(
+        name, [options, format](bool) { options->format = format; }, help);
+  };
+  add_format("--html", MapFormat::kHtml,
+             "One page for a browser, with all that it needs (the default): it "
+             "moves, zooms, and shows numbers where it is clicked");
+  add_format("--svg", MapFormat::kSvg, "A drawing");
+  add_format("--geojson", MapFormat::kGeoJson,
+             "Longitude and latitude (RFC 7946); for vehicles that stream "
+             "geodetic positions");
+  command.AddText("--output", "FILE", &options->output,
+                  "File to write instead of standard output");
+  command.AddNumber(
+      "--check-interval", "M",
+      [options](double meters) { options->searches.interval_meters = meters; },
+      "Travelled distance between two searches (the vehicle's own)");
+  command.AddNumber("--searches-per-second", "N", &options->searches.per_second,
+                    "At most so many, for the sake of others");
+  command.AddChoice(
+      "--direction", WordsOf(v1::Direction_descriptor()),
+      [options](int direction) {
+        options->searches.options.set_direction(
+            static_cast<v1::Direction>(direction));
+      },
+      "Which way the place was passed before, against the way it is passed now "
+      "(same)");
+  const Check check = [command, options]() -> std::string {
+    if (command.Given("--html") + command.Given("--svg") +
+            command.Given("--geojson") >
+        1) {
+      return "--html, --svg, --geojson: one of them only";
+    }
+    if (options->searches.interval_meters.value_or(1.0) <= 0.0) {
+      return "--check-interval: must be positive";
+    }
+    if (options->searches.per_second <= 0.0) {
+      return "--searches-per-second: must be positive";
+    }
+    return "";
+  };
+  command.Runs(
+      [options](const Connection& server, const Console& console) {
+        return RunMap(server.client, *options, console);
+      },
+      check);
+}
+
+absl::Status RunMap(const Client& client, const MapOptions& options,
+                    const Console& console) {
+  auto map = ReadServerMap(client, VehicleName(options.vehicle), console);
+  if (!map.ok()) return map.status();
+  if (options.format == MapFormat::kGeoJson) {
+    if (absl::Status fits = CheckGeodetic(map->vehicle); !fits.ok()) {
+      return fits;
+    }
+  }
+  if (absl::Status added = AddChecks(client, options.searches, console, &*map);
+      !added.ok()) {
+    return added;
+  }
+  const absl::Status written =
+      WriteTo(options.output, console.out, [&](std::ostream& out) {
+        switch (options.format) {
+          case MapFormat::kHtml:
+            out << MapPage(map->contents);
+            break;
+          case MapFormat::kSvg:
+            out << DrawMap(map->contents);
+            break;
+          case MapFormat::kGeoJson:
+            WriteGeoJson(*map, out);
+            break;
+        }
+        return CheckOutput(out);
+      });
+  if (!written.ok()) return written;
+  std::string report = absl::StrCat(map->vehicle.name(), ": ",
+                                    map->contents.checks.size(), " searches");
+  for (const MapStyle& style : map->contents.styles) {
+    absl::StrAppend(&report, ", ", style.label);
+  }
+  console.progress << report << '\n';
+  return absl::OkStatus();
+}
+
+}  // namespace revisit::client

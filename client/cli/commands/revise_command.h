@@ -1,0 +1,34 @@
+// revisit revise
+#ifndef REVISIT_CLIENT_CLI_COMMANDS_REVISE_COMMAND_H_
+#define REVISIT_CLIENT_CLI_COMMANDS_REVISE_COMMAND_H_
+
+#include <cstdint>
+#include <string>
+
+#include "absl/status/status.h"
+#include "client/cli/console.h"
+#include "client/cli/flags.h"
+#include "client/cli/trajectory/optimised_file.h"
+#include "client/revisit/client.h"
+
+namespace revisit::client {
+
+void AddReviseCommand(const Command& program);
+
+struct ReviseOptions {
+  std::string vehicle;
+  std::string file;
+  OptimisedFormat format = OptimisedFormat::kTum;
+  // The revision that the optimiser started from; 0 for the present one.
+  std::uint64_t expected_revision = 0;
+  // Whether poses may be missing from the file.
+  bool partial = false;
+};
+
+// Replaces the estimates of all poses that the file names, or of none.
+absl::Status RunRevise(const Client& client, const ReviseOptions& options,
+                       const Console& console);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_CLI_COMMANDS_REVISE_COMMAND_H_

@@ -1,0 +1,323 @@
+#include "client/cli/commands/sample_sender.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "client/cli/drive_poses.h"
+#include "client/cli/names.h"
+#include "client/formats/axes.h"
+#include "client/revisit/client.h"
+#include "grpcpp/channel.h"
+
+namespace revisit::client {
+namespace {
+
+// Poses that are looked at before the first is sent.
+constexpr std::size_t kMostHeld = 4096;
+// How long they wait for others: what a program writes into a pipe at once
+// comes within this time.
+constexpr std::chrono::milliseconds kLongestHeld{300};
+
+std::string FilesText(const StreamOptions& options) {
+  return options.files.size() == 1
+             ? options.files[0]
+             : absl::StrCat("the ", options.files.size(), " files");
+}
+
+PoseStreamOptions MakeStreamOptions(const StreamOptions& options,
+                                    const v1::Vehicle& vehicle) {
+  PoseStreamOptions stream;
+  stream.batch_poses = options.batch_poses;
+  stream.acked_sequence = options.acked_sequence;
+  stream.vehicle_uid = options.vehicle_uid;
+  // A sequence that is claimed without a uid may be that of an earlier vehicle
+  // of this name: the present one must not answer for it.
+  if (options.vehicle_uid.empty() && options.acked_sequence == 0) {
+    stream.vehicle_uid = vehicle.uid();
+  }
+  stream.send_candidates = options.candidates;
+  stream.give_up_after = options.give_up_after;
+  return stream;
+}
+
+bool IsFilter(const v1::Vehicle& vehicle) {
+  return vehicle.settings().correlation_model() == v1::CORRELATION_MODEL_FILTER;
+}
+
+}  // namespace
+
+SampleSender::SampleSender(const std::shared_ptr<grpc::Channel>& channel,
+                           const StreamOptions& options,
+                           const PoseStreamCallbacks& callbacks,
+                           const Console& console)
+    : channel_(channel),
+      options_(options),
+      callbacks_(callbacks),
+      console_(console) {}
+
+void SampleSender::BeginFile(const std::string& file) {
+  LetGo();
+  file_ = file;
+  if (claims_.has_value()) claims_->SetName(file);
+}
+
+absl::Status SampleSender::WithDurable(const absl::Status& error) const {
+  return LocalError(
+      absl::Status(error.code(),
+                   absl::StrCat(error.message(), "; ", vehicle_.name(), " has ",
+                                stream_->acked_sequence(), " durable poses")));
+}
+
+absl::Status SampleSender::FinishStream() {
+  const absl::Status finished = stream_->Finish();
+  interrupt_.reset();
+  // Nothing is known of a stream that was never opened.
+  if (stream_->acked_sequence() == 0) return finished;
+  return client::WithDurable(finished, vehicle_.name(), *stream_);
+}
+
+absl::Status SampleSender::FinishAfter(const absl::Status& error) {
+  if (!opened_ || stream_ == nullptr || !status_.ok()) return LocalError(error);
+  LetGo();
+  const absl::Status finished = FinishStream();
+  return finished.ok() ? WithDurable(error) : finished;
+}
+
+absl::Status SampleSender::Take(const Sample& sample) {
+  if (!status_.ok()) return status_;
+  ++taken_;
+  if (opened_) {
+    Send(sample);
+    return status_;
+  }
+  if (held_.empty()) held_since_ = std::chrono::steady_clock::now();
+  held_.push_back(sample);
+  if (held_.size() >= kMostHeld) LetGo();
+  return status_;
+}
+
+void SampleSender::LetGo() {
+  if (!status_.ok()) return;
+  if (!opened_) {
+    if (held_.empty()) return;
+    status_ = Open();
+    opened_ = true;
+  }
+  for (; !held_.empty(); held_.pop_front()) Send(held_.front());
+  Flush();
+}
+
+std::optional<std::chrono::milliseconds> SampleSender::BeforeWait() {
+  if (!opened_) {
+    const auto held = std::chrono::steady_clock::now() - held_since_;
+    if (held_.empty()) return std::nullopt;
+    if (held < kLongestHeld) {
+      return std::chrono::ceil<std::chrono::milliseconds>(kLongestHeld - held);
+    }
+  }
+  LetGo();
+  return std::nullopt;
+}
+
+absl::Status SampleSender::Finish() {
+  LetGo();
+  if (status_.ok() && !options_.append && already_durable_ > taken_) {
+    (void)FinishStream();
+    return LocalError(absl::FailedPreconditionError(absl::StrCat(
+        vehicle_.name(), " has ", already_durable_,
+        " poses already, more than the ", taken_, " of ", FilesText(options_),
+        "; --append adds these behind them")));
+  }
+  if (stream_ == nullptr) return status_;
+  const absl::Status finished = FinishStream();
+  if (status_.ok() || !finished.ok()) return finished;
+  // The stream itself is sound where this machine is at fault.
+  return sent_ > 0 ? WithDurable(status_) : status_;
+}
+
+absl::StatusOr<v1::Vehicle> SampleSender::GetOrCreate(const Sample& first) {
+  const Client client(channel_);
+  v1::GetVehicleRequest get;
+  get.set_name(VehicleName(options_.vehicle));
+  const auto found = client.GetVehicle(get);
+  if (found.ok()) return found->vehicle();
+  if (!options_.create || !absl::IsNotFound(found.status())) {
+    return found.status();
+  }
+  v1::CreateVehicleRequest create;
+  create.set_vehicle_id(get.name().substr(get.name().find('/') + 1));
+  v1::VehicleSettings* settings = create.mutable_vehicle()->mutable_settings();
+  *settings = options_.settings;
+  if (first.geodetic.has_value()) {
+    settings->set_coordinate_frame(v1::COORDINATE_FRAME_GEODETIC);
+  }
+  const bool fixes =
+      options_.uncertainty_given
+          ? options_.uncertainty.source == UncertaintyOptions::Source::kFixes
+          : first.heading_variance.has_value();
+  if (fixes &&
+      settings->correlation_model() == v1::CORRELATION_MODEL_UNSPECIFIED) {
+    settings->set_correlation_model(v1::CORRELATION_MODEL_INDEPENDENT);
+  }
+  const auto created = client.CreateVehicle(create);
+  if (!created.ok()) return created.status();
+  return created->vehicle();
+}
+
+absl::Status SampleSender::CheckThatSamplesFit(const Sample& first) const {
+  const v1::VehicleSettings& settings = vehicle_.settings();
+  const bool geodetic =
+      settings.coordinate_frame() == v1::COORDINATE_FRAME_GEODETIC;
+  const auto unfit = [&](const std::string& why) {
+    return LocalError(
+        absl::FailedPreconditionError(absl::StrCat(vehicle_.name(), " ", why)));
+  };
+  if (geodetic && !first.geodetic.has_value()) {
+    return unfit(absl::StrCat(
+        "takes geodetic positions; ", file_,
+        " holds local ones; --frame geodetic takes x as longitude and y as "
+        "latitude in degrees"));
+  }
+  if (!geodetic && first.geodetic.has_value()) {
+    return unfit(absl::StrCat(
+        "takes local positions; ", file_,
+        " holds latitude and longitude; --frame local makes them metres east "
+        "and north of the first one"));
+  }
+  if (IsFilter(vehicle_) &&
+      (!first.error_transition.has_value() ||
+       settings.state_space() == v1::STATE_SPACE_SPATIAL)) {
+    return unfit(absl::StrCat(
+        "needs an error transition with every pose; ", file_,
+        settings.state_space() == v1::STATE_SPACE_SPATIAL
+            ? " cannot have those of a spatial vehicle"
+            : " has none (columns fxx, fxy, fxt, fyx, fyy, fyt, ftx, fty, "
+              "ftt)"));
+  }
+  if (options_.append && options_.reader.frame == Frame::kLocal &&
+      vehicle_.durable_sequence() > 0) {
+    return unfit(
+        "has poses already: --frame local with --append would count from "
+        "another first position");
+  }
+  return absl::OkStatus();
+}
+
+void SampleSender::ChooseUncertainty(const Sample& first) {
+  UncertaintyOptions uncertainty = options_.uncertainty;
+  if (!options_.uncertainty_given &&
+      (first.heading_variance.has_value() || IsFilter(vehicle_))) {
+    uncertainty.source = UncertaintyOptions::Source::kFixes;
+  }
+  claims_.emplace(uncertainty, file_);
+  if (uncertainty.source == UncertaintyOptions::Source::kFixes &&
+      vehicle_.settings().correlation_model() ==
+          v1::CORRELATION_MODEL_DEAD_RECKONING) {
+    console_.progress << vehicle_.name()
+                      << " takes errors as those of dead reckoning, and fixes "
+                         "have independent ones: revisit vehicle update "
+                      << vehicle_.name().substr(vehicle_.name().find('/') + 1)
+                      << " --correlation-model independent\n";
+  }
+}
+
+// A second recording begins as uncertain as the first one ended.
+absl::Status SampleSender::ContinueClaims() {
+  if (!options_.append || already_durable_ == 0) return absl::OkStatus();
+  v1::ListPosesRequest request;
+  request.set_parent(vehicle_.name());
+  request.set_first_sequence(already_durable_);
+  request.set_page_size(1);
+  const auto last = Client(channel_).ListPoses(request);
+  if (!last.ok()) return last.status();
+  if (last->poses_size() != 1 || !last->poses(0).has_local()) {
+    return absl::OkStatus();
+  }
+  const v1::Pose& pose = last->poses(0);
+  const auto& values = pose.covariance().values();
+  std::array<double, 6> covariance;
+  switch (pose.covariance().form()) {
+    case v1::COVARIANCE_FORM_PLANAR_6:
+      std::copy(values.begin(), values.end(), covariance.begin());
+      break;
+    case v1::COVARIANCE_FORM_SPATIAL_10:
+      covariance = {values[0], values[1], values[3],
+                    values[4], values[6], values[9]};
+      break;
+    case v1::COVARIANCE_FORM_ROS_36:
+      covariance = {values[0], values[1],  values[5],
+                    values[7], values[11], values[35]};
+      break;
+    default:
+      return absl::OkStatus();
+  }
+  Sample before;
+  if (pose.has_quaternion()) {
+    before.quaternion = {pose.quaternion().x(), pose.quaternion().y(),
+                         pose.quaternion().z(), pose.quaternion().w()};
+  } else {
+    before.estimate.heading = pose.heading_radians();
+  }
+  const auto converted = Convert(before, Conventions());
+  if (!converted.ok()) return converted.status();
+  claims_->ContinueFrom({pose.local().x_meters(), pose.local().y_meters(),
+                         converted->estimate.heading},
+                        covariance);
+  return absl::OkStatus();
+}
+
+absl::Status SampleSender::Open() {
+  const Sample& first = held_.front();
+  auto vehicle = GetOrCreate(first);
+  if (!vehicle.ok()) return vehicle.status();
+  vehicle_ = *std::move(vehicle);
+  if (absl::Status status = CheckThatSamplesFit(first); !status.ok()) {
+    return status;
+  }
+  ChooseUncertainty(first);
+  stream_ = std::make_unique<PoseStream>(channel_, vehicle_.name(),
+                                         MakeStreamOptions(options_, vehicle_),
+                                         callbacks_);
+  interrupt_.emplace(stream_.get(), vehicle_.name(), console_);
+  const auto durable = stream_->WaitUntilOpened();
+  if (!durable.ok()) return durable.status();
+  already_durable_ = *durable;
+  if (options_.append) base_ = *durable;
+  return ContinueClaims();
+}
+
+void SampleSender::Send(const Sample& sample) {
+  if (!status_.ok()) return;
+  const std::uint64_t sequence = base_ + ++sent_;
+  const auto claim = claims_->Next(sample);
+  if (!claim.ok()) {
+    status_ = LocalError(claim.status());
+    return;
+  }
+  // The last durable pose is sent again, for the server to compare it.
+  if (!options_.append && sequence < already_durable_) return;
+  v1::Pose* pose = batch_.add_poses();
+  *pose = MakePose(sample, *claim, vehicle_.settings().state_space(), sequence);
+  if (IsFilter(vehicle_) && sequence > 1) {
+    if (!sample.error_transition.has_value()) {
+      status_ = LocalError(absl::InvalidArgumentError(absl::StrCat(
+          file_, ":", sample.line,
+          ": expected an error transition, as the vehicle needs with every "
+          "pose")));
+      return;
+    }
+    for (const double entry : *sample.error_transition) {
+      pose->add_error_transition(entry);
+    }
+  }
+  if (batch_.poses_size() >= options_.batch_poses) Flush();
+}
+
+void SampleSender::Flush() {
+  if (!status_.ok() || batch_.poses_size() == 0) return;
+  status_ = stream_->Append(std::move(batch_));
+  batch_.Clear();
+}
+
+}  // namespace revisit::client

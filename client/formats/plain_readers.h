@@ -1,0 +1,26 @@
+// Lines of numbers: TUM and KITTI; and what all readers of lines share.
+#ifndef REVISIT_CLIENT_FORMATS_PLAIN_READERS_H_
+#define REVISIT_CLIENT_FORMATS_PLAIN_READERS_H_
+
+#include <memory>
+#include <optional>
+
+#include "absl/status/statusor.h"
+#include "client/formats/reader.h"
+#include "client/formats/text_lines.h"
+
+namespace revisit::client {
+
+std::unique_ptr<SampleReader> ReadTum(std::unique_ptr<Lines> lines,
+                                      const ReaderOptions& options);
+std::unique_ptr<SampleReader> ReadKitti(std::unique_ptr<Lines> lines);
+
+// The end of the samples where the lines ended: nothing, or why.
+absl::StatusOr<std::optional<Sample>> EndOf(const Lines& lines);
+
+// An error if the position or the quaternion cannot be one.
+absl::Status CheckPose(const Sample& sample, const Lines& lines);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_FORMATS_PLAIN_READERS_H_

@@ -1,0 +1,221 @@
+#include "client/formats/truth_file.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <string_view>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "client/formats/angles.h"
+#include "client/formats/plain_readers.h"
+#include "client/formats/text_lines.h"
+#include "client/formats/times.h"
+
+namespace revisit::client {
+namespace {
+
+// 1980-01-06, where GPS weeks begin.
+constexpr std::int64_t kGpsEpochSeconds = 315'964'800;
+constexpr std::int64_t kSecondsPerWeek = 604'800;
+constexpr double kMostWeeks = 10'000.0;
+
+using Columns = std::map<std::string, std::size_t, std::less<>>;
+
+absl::StatusOr<Columns> ReadHeader(std::string_view line, const Lines& lines) {
+  Columns columns;
+  for (const std::string_view name : SplitAt(',', line)) {
+    const std::size_t index = columns.size();
+    if (!columns.emplace(WithoutBlanks(name), index).second) {
+      return lines.Error("column " + Quoted(name) + " stands twice");
+    }
+  }
+  for (const char* name :
+       {"GPS TOW (s)", "GPS Week", "Latitude (deg)", "Longitude (deg)",
+        "Ellipsoid Height (m)", "Heading (deg)"}) {
+    if (columns.count(name) == 0) {
+      return lines.Error(std::string("expected a column \"") + name + "\"");
+    }
+  }
+  return columns;
+}
+
+// One line, with its geodetic position; x and y are not set.
+absl::StatusOr<Sample> ReadPose(const Columns& columns,
+                                const std::vector<std::string_view>& fields,
+                                const Lines& lines) {
+  absl::Status error;
+  const auto field = [&](const char* name) {
+    return WithoutBlanks(fields[columns.find(name)->second]);
+  };
+  const auto number = [&](const char* name) {
+    const auto value = ReadNumber(field(name), name, lines);
+    if (value.ok()) return *value;
+    error.Update(value.status());
+    return 0.0;
+  };
+  const double week = number("GPS Week");
+  const auto seconds =
+      ReadTime(field("GPS TOW (s)"), TimeUnit::kSeconds, lines);
+  if (!seconds.ok()) return seconds.status();
+  Sample sample;
+  sample.geodetic = {number("Latitude (deg)"), number("Longitude (deg)"),
+                     number("Ellipsoid Height (m)")};
+  sample.estimate.heading =
+      (90.0 - number("Heading (deg)")) * kRadiansPerDegree;
+  if (!error.ok()) return error;
+  if (!(week >= 0.0 && week <= kMostWeeks) || *seconds < 0 ||
+      *seconds > kSecondsPerWeek * kNanosecondsPerSecond) {
+    return lines.Error(
+        "expected a GPS week from 0 to 10000 and seconds of a week, got " +
+        Quoted(field("GPS Week")) + " and " + Quoted(field("GPS TOW (s)")));
+  }
+  sample.time_nanoseconds =
+      (kGpsEpochSeconds + kSecondsPerWeek * static_cast<std::int64_t>(week)) *
+          kNanosecondsPerSecond +
+      *seconds;
+  if (absl::Status status = CheckPose(sample, lines); !status.ok()) {
+    return status;
+  }
+  return sample;
+}
+
+// The truth at a time among its own.
+PlanarPose Interpolate(const std::vector<TruthPose>& truth, std::int64_t time) {
+  const auto after = std::upper_bound(truth.begin(), truth.end(), time,
+                                      [](std::int64_t t, const TruthPose& p) {
+                                        return t < p.time_nanoseconds;
+                                      });
+  const TruthPose& a = after[-1];
+  const TruthPose& b = after == truth.end() ? a : after[0];
+  // The two may lie centuries apart, more than their type counts.
+  const auto begin = static_cast<long double>(*a.time_nanoseconds);
+  const long double span =
+      static_cast<long double>(*b.time_nanoseconds) - begin;
+  const auto part = static_cast<double>(
+      span > 0.0L ? (static_cast<long double>(time) - begin) / span : 0.0L);
+  const double turn =
+      std::remainder(b.pose.heading - a.pose.heading, 2.0 * kPi);
+  return {a.pose.x + part * (b.pose.x - a.pose.x),
+          a.pose.y + part * (b.pose.y - a.pose.y),
+          std::remainder(a.pose.heading + part * turn, 2.0 * kPi)};
+}
+
+std::string SecondsText(std::int64_t nanoseconds) {
+  return std::to_string(static_cast<double>(nanoseconds) * 1e-9);
+}
+
+absl::Status TimesMustGrow(const std::string& name) {
+  return absl::InvalidArgumentError(name + ": expected times that grow");
+}
+
+absl::Status AddByIndex(const std::vector<TruthPose>& truth, Drive* drive) {
+  if (truth.size() != drive->samples.size()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        drive->name, ": expected a true pose for each of the ",
+        drive->samples.size(), " without times, got ", truth.size()));
+  }
+  drive->truth.clear();
+  for (const TruthPose& one : truth) drive->truth.push_back(one.pose);
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::StatusOr<std::vector<TruthPose>> ReadReference(
+    std::unique_ptr<ByteSource> source, const std::string& path,
+    const std::optional<GeodeticPosition>& origin) {
+  Lines lines(std::move(source), path);
+  std::string_view line;
+  if (!lines.Next(&line)) {
+    return lines.status().ok() ? lines.Error("expected a header line")
+                               : lines.status();
+  }
+  const auto columns = ReadHeader(line, lines);
+  if (!columns.ok()) return columns.status();
+  std::vector<TruthPose> truth;
+  std::optional<GeodeticPosition> from = origin;
+  while (lines.Next(&line)) {
+    const auto fields = SplitAt(',', line);
+    if (fields.size() != columns->size()) {
+      return lines.Error(absl::StrCat("expected ", columns->size(),
+                                      " fields as in the header, got ",
+                                      fields.size()));
+    }
+    const auto sample = ReadPose(*columns, fields, lines);
+    if (!sample.ok()) return sample.status();
+    if (!truth.empty() &&
+        *sample->time_nanoseconds <= *truth.back().time_nanoseconds) {
+      return lines.Error("expected times that grow");
+    }
+    if (!from.has_value()) from = sample->geodetic;
+    const auto local = EastNorthUp(*from, *sample->geodetic);
+    truth.push_back({sample->time_nanoseconds,
+                     {local[0], local[1], sample->estimate.heading}});
+  }
+  if (!lines.status().ok()) return lines.status();
+  if (truth.empty()) {
+    return lines.Error("expected at least one pose after this line");
+  }
+  return truth;
+}
+
+absl::StatusOr<std::vector<TruthPose>> ReadTruth(
+    const std::string& path, const std::optional<GeodeticPosition>& origin) {
+  auto source = OpenBytes(path, nullptr);
+  if (!source.ok()) return source.status();
+  Lines lines(*std::move(source), path);
+  const bool reference =
+      lines.PeekFirstLine().find("GPS TOW (s)") != std::string_view::npos;
+  if (!lines.status().ok()) return lines.status();
+  if (reference) {
+    auto again = OpenBytes(path, nullptr);
+    if (!again.ok()) return again.status();
+    return ReadReference(*std::move(again), path, origin);
+  }
+  ReaderOptions options;
+  options.origin = origin;
+  const auto drive = ReadDriveFile(path, options);
+  if (!drive.ok()) return drive.status();
+  std::vector<TruthPose> truth;
+  for (const Sample& sample : drive->samples) {
+    truth.push_back({sample.time_nanoseconds, sample.estimate});
+  }
+  return truth;
+}
+
+absl::Status AddTruth(const std::vector<TruthPose>& truth, Drive* drive) {
+  const bool timed = drive->samples[0].time_nanoseconds.has_value();
+  if (truth.empty() || truth[0].time_nanoseconds.has_value() != timed) {
+    return absl::InvalidArgumentError(
+        drive->name +
+        ": expected times in both the file and its truth, or in neither");
+  }
+  if (!timed) return AddByIndex(truth, drive);
+  for (std::size_t i = 1; i < truth.size(); ++i) {
+    if (!(truth[i].time_nanoseconds > truth[i - 1].time_nanoseconds)) {
+      return TimesMustGrow(drive->name + ", truth");
+    }
+  }
+  const std::int64_t first = *truth.front().time_nanoseconds;
+  const std::int64_t last = *truth.back().time_nanoseconds;
+  std::vector<PlanarPose> poses;
+  std::optional<std::int64_t> previous;
+  for (const Sample& sample : drive->samples) {
+    if (!(sample.time_nanoseconds > previous)) {
+      return TimesMustGrow(drive->name);
+    }
+    previous = sample.time_nanoseconds;
+    if (*previous < first || *previous > last) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(drive->name, ": an epoch at ", SecondsText(*previous),
+                       " s lies outside the reference's times, ",
+                       SecondsText(first), " to ", SecondsText(last), " s"));
+    }
+    poses.push_back(Interpolate(truth, *previous));
+  }
+  drive->truth = std::move(poses);
+  return absl::OkStatus();
+}
+
+}  // namespace revisit::client

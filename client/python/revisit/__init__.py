@@ -1,0 +1,58 @@
+"""Client of revisit, which tells a vehicle where it has probably been before.
+
+    with revisit.Client("127.0.0.1:50051") as client:
+        client.create_vehicle("shuttle-7")
+        options = revisit.StreamOptions(send_candidates=True)
+        with client.stream_poses("shuttle-7", options) as stream:
+            stream.append(revisit.Poses.local(x, y, heading, covariance))
+            stream.finish()
+            found = revisit.candidate_table(stream.take_candidates())
+
+`revisit.v1` has the messages of the API.
+"""
+
+from revisit import v1
+from revisit._version import __version__
+from revisit.arrays import Poses
+from revisit.backoff import BackoffOptions
+from revisit.client import Client, PoseGraph
+from revisit.errors import (
+    Aborted,
+    AlreadyExists,
+    Cancelled,
+    DataLoss,
+    DeadlineExceeded,
+    Error,
+    FailedPrecondition,
+    FieldViolation,
+    Internal,
+    InvalidArgument,
+    NotFound,
+    OutOfRange,
+    PermissionDenied,
+    QuotaViolation,
+    ResourceExhausted,
+    Unauthenticated,
+    Unavailable,
+    Unimplemented,
+    VehicleReplaced,
+)
+from revisit.pose_stream import PoseStream
+from revisit.stream_options import StreamCallbacks, StreamOptions
+from revisit.tables import (
+    Table,
+    candidate_table,
+    check_table,
+    edge_table,
+    node_table,
+)
+
+__all__ = [
+    "Aborted", "AlreadyExists", "BackoffOptions", "Cancelled", "Client", "DataLoss",
+    "DeadlineExceeded", "Error", "FailedPrecondition", "FieldViolation", "Internal",
+    "InvalidArgument", "NotFound", "OutOfRange", "PermissionDenied", "PoseGraph",
+    "PoseStream", "Poses", "QuotaViolation", "ResourceExhausted", "StreamCallbacks",
+    "StreamOptions", "Table", "Unauthenticated", "Unavailable", "Unimplemented",
+    "VehicleReplaced", "__version__", "candidate_table", "check_table", "edge_table",
+    "node_table", "v1",
+]

@@ -1,0 +1,325 @@
+"""Poses as numpy arrays, there and back without the loss of a bit."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any, Optional, Union
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from revisit import v1
+
+if TYPE_CHECKING:
+    import pandas
+
+Float = NDArray[np.float64]
+Index = Union[slice, NDArray[Any], list[int]]
+
+#: How many numbers the forms of a covariance have.
+_SIZES = {v1.COVARIANCE_FORM_PLANAR_6: 6, v1.COVARIANCE_FORM_SPATIAL_10: 10,
+          v1.COVARIANCE_FORM_ROS_36: 36}
+_FORMS = {size: form for form, size in _SIZES.items()}
+#: Matrices by their order: as they are sent.
+_MATRIX_FORMS = {3: v1.COVARIANCE_FORM_PLANAR_6, 4: v1.COVARIANCE_FORM_SPATIAL_10,
+                 6: v1.COVARIANCE_FORM_ROS_36}
+#: The server's bound of asymmetry, relative to a matrix's largest entry.
+_SYMMETRY = 1e-9
+
+_NANOSECONDS = 1_000_000_000
+_NO_STAMP = np.datetime64("NaT", "ns")
+
+
+def _vector(values: ArrayLike, name: str, rows: Optional[int] = None) -> Float:
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.ndim != 1 or (rows is not None and len(array) != rows):
+        expected = "(N,)" if rows is None else f"({rows},)"
+        raise ValueError(f"{name} has the shape {array.shape}: expected {expected}")
+    return array
+
+
+def _table(values: Optional[ArrayLike], name: str, rows: int,
+           widths: tuple[int, ...]) -> Float:
+    """A two-dimensional array with one of the widths; empty rows for None."""
+    if values is None:
+        return np.full((rows, 0 if 0 in widths else widths[0]), np.nan)
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.ndim != 2 or array.shape[0] != rows or array.shape[1] not in widths:
+        expected = " or ".join(f"({rows}, {width})" for width in widths if width)
+        raise ValueError(f"{name} has the shape {array.shape}: expected {expected}")
+    return array
+
+
+def to_stamps(values: Optional[ArrayLike], rows: int) -> NDArray[np.datetime64]:
+    """Stamps in nanoseconds from datetime64 of any unit, or from seconds since
+    1970 as floats (of which a double resolves some 200 ns today). Absent stamps
+    are NaT, or NaN among seconds. Whole numbers are refused: they may be seconds
+    or nanoseconds."""
+    stamps: NDArray[np.datetime64] = np.full(rows, _NO_STAMP)
+    if values is None:
+        return stamps
+    array = np.asarray(values)
+    if array.shape != (rows,):
+        raise ValueError(f"stamps have the shape {array.shape}: expected ({rows},)")
+    if array.dtype.kind == "M":
+        stamps = array.astype("datetime64[ns]")
+        if not np.array_equal(stamps.astype(array.dtype), array, equal_nan=True):
+            raise ValueError("stamps lie outside of the years 1678 to 2261, or are "
+                             "finer than nanoseconds")
+        return stamps
+    if array.dtype.kind != "f":
+        raise TypeError(f"stamps are {array.dtype}: give datetime64, or seconds since "
+                        "1970 as floats; whole nanoseconds become datetime64 by "
+                        "astype('datetime64[ns]')")
+    seconds = array.astype(np.float64)
+    missing = np.isnan(seconds)
+    whole = np.floor(np.where(missing, 0.0, seconds))
+    if np.any(np.abs(whole) >= 2**63 / _NANOSECONDS):
+        raise ValueError("stamps lie outside of the years 1678 to 2261: they are "
+                         "seconds since 1970")
+    part = np.rint((np.where(missing, 0.0, seconds) - whole) * _NANOSECONDS)
+    nanoseconds = whole.astype(np.int64) * _NANOSECONDS + part.astype(np.int64)
+    nanoseconds[missing] = _NO_STAMP.astype(np.int64)
+    stamps = nanoseconds.astype("datetime64[ns]")
+    return stamps
+
+
+def _from_matrices(matrices: Float) -> Float:
+    """The numbers that are sent of symmetric matrices (N, d, d)."""
+    order = matrices.shape[1]
+    if order == 6:
+        return matrices.reshape(len(matrices), 36)
+    largest = np.max(np.abs(matrices), axis=(1, 2), initial=0.0)
+    skew = np.max(np.abs(matrices - matrices.transpose(0, 2, 1)), axis=(1, 2),
+                  initial=0.0)
+    wrong = np.flatnonzero(skew > _SYMMETRY * largest)
+    if wrong.size:
+        raise ValueError(f"covariance[{wrong[0]}] is not symmetric: entries across the "
+                         f"diagonal differ by {skew[wrong[0]]:g}")
+    rows, columns = np.triu_indices(order)
+    return np.ascontiguousarray(matrices[:, rows, columns])
+
+
+def to_covariances(values: ArrayLike, rows: int) -> tuple[Float, int]:
+    """Covariances as rows of numbers, and their form.
+
+    Takes (N, 6): xx, xy, xh, yy, yh, hh; (N, 10) and (N, 36) as the forms
+    SPATIAL_10 and ROS_36 of the API; and matrices (N, 3, 3) over (x, y, heading),
+    (N, 4, 4) over (x, y, z, heading), (N, 6, 6) as in ROS."""
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.ndim == 3 and array.shape in ((rows, d, d) for d in _MATRIX_FORMS):
+        return _from_matrices(array), _MATRIX_FORMS[array.shape[1]]
+    if array.ndim == 2 and array.shape[0] == rows and array.shape[1] in _FORMS:
+        return array, _FORMS[array.shape[1]]
+    raise ValueError(
+        f"covariance has the shape {array.shape}: expected ({rows}, 6), ({rows}, 10), "
+        f"({rows}, 36), ({rows}, 3, 3), ({rows}, 4, 4) or ({rows}, 6, 6)")
+
+
+def _to_sequences(values: Optional[ArrayLike], rows: int) -> NDArray[np.uint64]:
+    if values is None:
+        return np.zeros(rows, dtype=np.uint64)
+    array = np.asarray(values)
+    if array.shape != (rows,) or (array.dtype.kind not in "ui" and rows > 0):
+        raise ValueError(f"sequence is {array.dtype} of the shape {array.shape}: "
+                         f"expected whole numbers of the shape ({rows},)")
+    if rows > 0 and (array.min() < 1 or array.max() >= 2**63):
+        raise ValueError(f"sequences lie in [1, 2^63 - 1], not {array.min()} to "
+                         f"{array.max()}")
+    return array.astype(np.uint64)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Poses:
+    """Poses of one vehicle as arrays, a row each. Metres and radians; frames as in
+    geometry.proto. Made by `local()`, `geodetic()` or `from_messages()`."""
+
+    #: Place in the vehicle's stream, from 1; 0 where a stream is to number them.
+    sequence: NDArray[np.uint64]
+    #: datetime64[ns], NaT where absent.
+    stamp: NDArray[np.datetime64]
+    #: (N, 3): x, y, z; or latitude and longitude in degrees, height in metres.
+    position: Float
+    #: Whether the position is geodetic.
+    is_geodetic: NDArray[np.bool_]
+    #: Counter-clockwise from +x (from east); NaN where there is a quaternion.
+    heading: Float
+    #: (N, 4): x, y, z, w; NaN where there is a heading.
+    quaternion: Float
+    #: (N, K): the numbers of the form, then NaN if another row's form has more.
+    covariance: Float
+    #: v1.CovarianceForm.
+    covariance_form: NDArray[np.int32]
+    #: (N, 9) or (N, 16), NaN where absent; (N, 0) if no pose has any.
+    error_transition: Float
+
+    @classmethod
+    def local(cls, x: ArrayLike, y: ArrayLike, heading: Optional[ArrayLike],
+              covariance: ArrayLike, *, z: Optional[ArrayLike] = None,
+              stamps: Optional[ArrayLike] = None,
+              sequence: Optional[ArrayLike] = None,
+              quaternion: Optional[ArrayLike] = None,
+              error_transition: Optional[ArrayLike] = None) -> Poses:
+        """Poses in the vehicle's local frame. Covariances as `to_covariances()`,
+        stamps as `to_stamps()` describes. Orientation is the heading or, if that
+        is None, the quaternion (N, 4): x, y, z, w. Without `sequence`, a stream
+        numbers the poses behind the last one that the vehicle has.
+
+        ValueError or TypeError if shapes or kinds do not fit; values are for the
+        server to judge."""
+        xs = _vector(x, "x")
+        rows = len(xs)
+        position = np.column_stack([
+            xs, _vector(y, "y", rows),
+            np.zeros(rows) if z is None else _vector(z, "z", rows)])
+        return cls._make(position, False, heading, covariance, stamps, sequence,
+                         quaternion, error_transition)
+
+    @classmethod
+    def geodetic(cls, latitude: ArrayLike, longitude: ArrayLike,
+                 heading: Optional[ArrayLike], covariance: ArrayLike, *,
+                 height: Optional[ArrayLike] = None,
+                 stamps: Optional[ArrayLike] = None,
+                 sequence: Optional[ArrayLike] = None,
+                 quaternion: Optional[ArrayLike] = None,
+                 error_transition: Optional[ArrayLike] = None) -> Poses:
+        """Poses on the WGS84 ellipsoid, in degrees and metres, for a vehicle whose
+        coordinate frame is GEODETIC; covariances in East-North-Up. Otherwise as
+        `local()`."""
+        latitudes = _vector(latitude, "latitude")
+        rows = len(latitudes)
+        position = np.column_stack([
+            latitudes, _vector(longitude, "longitude", rows),
+            np.zeros(rows) if height is None else _vector(height, "height", rows)])
+        return cls._make(position, True, heading, covariance, stamps, sequence,
+                         quaternion, error_transition)
+
+    @classmethod
+    def _make(cls, position: Float, is_geodetic: bool, heading: Optional[ArrayLike],
+              covariance: ArrayLike, stamps: Optional[ArrayLike],
+              sequence: Optional[ArrayLike], quaternion: Optional[ArrayLike],
+              error_transition: Optional[ArrayLike]) -> Poses:
+        rows = len(position)
+        if (heading is None) == (quaternion is None):
+            raise ValueError("orientation is either a heading or a quaternion")
+        numbers, form = to_covariances(covariance, rows)
+        return cls(
+            sequence=_to_sequences(sequence, rows), stamp=to_stamps(stamps, rows),
+            position=position, is_geodetic=np.full(rows, is_geodetic),
+            heading=(np.full(rows, np.nan) if heading is None
+                     else _vector(heading, "heading", rows)),
+            quaternion=_table(quaternion, "quaternion", rows, (4,)),
+            covariance=numbers, covariance_form=np.full(rows, form, np.int32),
+            error_transition=_table(error_transition, "error_transition", rows,
+                                    (0, 9, 16)))
+
+    @classmethod
+    def from_messages(cls, messages: Iterable[v1.Pose]) -> Poses:
+        """Poses as the API has them; every number stays as it is."""
+        poses = list(messages)
+        rows = len(poses)
+        width = max((len(pose.covariance.values) for pose in poses), default=6)
+        transition = max((len(pose.error_transition) for pose in poses), default=0)
+        made = cls(
+            sequence=np.array([pose.sequence for pose in poses], np.uint64),
+            stamp=np.full(rows, _NO_STAMP), position=np.full((rows, 3), np.nan),
+            is_geodetic=np.zeros(rows, np.bool_), heading=np.full(rows, np.nan),
+            quaternion=np.full((rows, 4), np.nan),
+            covariance=np.full((rows, width), np.nan),
+            covariance_form=np.zeros(rows, np.int32),
+            error_transition=np.full((rows, transition), np.nan))
+        for row, pose in enumerate(poses):
+            made._set(row, pose)
+        return made
+
+    def _set(self, row: int, pose: v1.Pose) -> None:
+        if pose.HasField("stamp"):
+            self.stamp[row] = np.datetime64(
+                pose.stamp.seconds * _NANOSECONDS + pose.stamp.nanos, "ns")
+        if pose.HasField("geodetic"):
+            self.is_geodetic[row] = True
+            self.position[row] = (pose.geodetic.latitude_degrees,
+                                  pose.geodetic.longitude_degrees,
+                                  pose.geodetic.height_meters)
+        elif pose.HasField("local"):
+            self.position[row] = (pose.local.x_meters, pose.local.y_meters,
+                                  pose.local.z_meters)
+        if pose.HasField("quaternion"):
+            turn = pose.quaternion
+            self.quaternion[row] = (turn.x, turn.y, turn.z, turn.w)
+        elif pose.HasField("heading_radians"):
+            self.heading[row] = pose.heading_radians
+        self.covariance_form[row] = pose.covariance.form
+        self.covariance[row, :len(pose.covariance.values)] = pose.covariance.values
+        self.error_transition[row, :len(pose.error_transition)] = (
+            pose.error_transition)
+
+    def __len__(self) -> int:
+        return len(self.sequence)
+
+    def __getitem__(self, index: Index) -> Poses:
+        """Some of the rows: a slice, a mask or a list of row numbers. As in numpy,
+        a slice shares its numbers with these poses."""
+        return Poses(**{field.name: getattr(self, field.name)[index]
+                        for field in dataclasses.fields(self)})
+
+    def numbered(self, first_sequence: int) -> Poses:
+        """The same poses with consecutive sequences from this one on."""
+        return dataclasses.replace(self, sequence=np.arange(
+            first_sequence, first_sequence + len(self), dtype=np.uint64))
+
+    def to_messages(self) -> Iterator[v1.Pose]:
+        """The poses as the API has them, one after the other."""
+        sequences = self.sequence.tolist()
+        stamps = self.stamp.astype(np.int64).tolist()
+        absent = np.isnat(self.stamp).tolist()
+        positions = self.position.tolist()
+        geodetic = self.is_geodetic.tolist()
+        headings = self.heading.tolist()
+        turned = (~np.all(np.isnan(self.quaternion), axis=1)).tolist()
+        forms = self.covariance_form.tolist()
+        carried = (~np.all(np.isnan(self.error_transition), axis=1)).tolist()
+        for row, sequence in enumerate(sequences):
+            pose = v1.Pose(sequence=sequence)
+            first, second, third = positions[row]
+            if geodetic[row]:
+                pose.geodetic.latitude_degrees = first
+                pose.geodetic.longitude_degrees = second
+                pose.geodetic.height_meters = third
+            else:
+                pose.local.x_meters = first
+                pose.local.y_meters = second
+                pose.local.z_meters = third
+            if not absent[row]:
+                pose.stamp.seconds, pose.stamp.nanos = divmod(stamps[row],
+                                                              _NANOSECONDS)
+            if turned[row]:
+                turn = pose.quaternion
+                turn.x, turn.y, turn.z, turn.w = self.quaternion[row].tolist()
+            else:
+                pose.heading_radians = headings[row]
+            pose.covariance.form = forms[row]
+            size = _SIZES.get(forms[row], self.covariance.shape[1])
+            pose.covariance.values.extend(self.covariance[row, :size].tolist())
+            if carried[row]:
+                pose.error_transition.extend(self.error_transition[row].tolist())
+            yield pose
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A table with a row per pose, indexed by sequence. Needs pandas."""
+        import pandas
+
+        from revisit.tables import spread
+
+        columns: dict[str, NDArray[Any]] = {"stamp": self.stamp}
+        names = (("latitude", "longitude", "height") if self.is_geodetic.all()
+                 and len(self) else ("x", "y", "z"))
+        columns.update(zip(names, self.position.T))
+        columns["heading"] = self.heading
+        if not np.isnan(self.quaternion).all():
+            columns.update(spread("quaternion", self.quaternion))
+        for name in ("covariance", "error_transition"):
+            columns.update(spread(name, getattr(self, name)))
+        return pandas.DataFrame(
+            columns, index=pandas.Index(self.sequence, name="sequence"))

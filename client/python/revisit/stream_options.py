@@ -1,0 +1,80 @@
+"""How a stream of poses behaves, and who hears of what."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Callable, Optional
+
+from revisit import v1
+from revisit.backoff import BackoffOptions
+from revisit.errors import Error
+
+
+@dataclasses.dataclass(frozen=True)
+class StreamOptions:
+    """Options of a `PoseStream`. Times are in seconds."""
+
+    #: Whether the server answers with candidates at every check, and how.
+    send_candidates: bool = False
+    candidate_options: Optional[v1.CandidateOptions] = None
+    #: Highest sequence that this client knows to be durable from an earlier
+    #: life; 0 if it keeps no such record. The stream ends with DataLoss if the
+    #: server has less.
+    acked_sequence: int = 0
+    #: `PoseStream.vehicle_uid` of that earlier life; the stream ends with
+    #: VehicleReplaced if the vehicle is another by now. Empty: whichever vehicle
+    #: has the name when the stream is first opened.
+    vehicle_uid: str = ""
+    #: Most poses in a message; fewer where the server says so. At least 1.
+    batch_poses: int = 64
+    #: Unacknowledged poses that are held. At least 1.
+    max_pending_poses: int = 65_536
+    #: Serialised bytes of the poses that are held. A single pose that needs more
+    #: is refused.
+    max_pending_bytes: int = 32 << 20
+    #: Answers of checks that wait to be taken, if there is no callback for them.
+    #: While there is no room, nothing more is read from the server.
+    max_waiting_candidates: int = 10_000
+    backoff: BackoffOptions = BackoffOptions()
+    #: A connection on which an answer is due and none has come for so long is
+    #: given up for a new one: gRPC may miss the end of a server. Time spent in
+    #: callbacks, or waiting for room for candidates, does not count.
+    answer_timeout: float = 60.0
+    #: How long to reconnect without progress before the stream ends with the
+    #: last error. Progress means that something became durable or was answered,
+    #: or that a connection was opened and nothing waits. None: for ever.
+    give_up_after: Optional[float] = None
+
+    def __post_init__(self) -> None:
+        for name in ("batch_poses", "max_pending_poses", "max_pending_bytes",
+                     "max_waiting_candidates"):
+            value = getattr(self, name)
+            if value < 1:
+                raise ValueError(f"{name} is {value}: it is at least 1")
+        if self.acked_sequence < 0:
+            raise ValueError(f"acked_sequence is {self.acked_sequence}: it is at "
+                             "least 0")
+        if not self.answer_timeout > 0.0:
+            raise ValueError(f"answer_timeout is {self.answer_timeout} s: it is "
+                             "positive")
+
+
+@dataclasses.dataclass(frozen=True)
+class StreamCallbacks:
+    """Called one at a time, in the order of the server's messages, on a thread of
+    this package, without locks held.
+
+    While one runs no further answers are read, so a slow one slows the server
+    down. They may use the properties of the stream and `cancel()`, nothing that
+    waits. An exception from one ends the stream and is raised by its methods."""
+
+    ack: Optional[Callable[[v1.Ack], object]] = None
+    #: Takes the answers of checks, which then are not kept for
+    #: `PoseStream.candidates()`.
+    candidates: Optional[Callable[[v1.CandidateSet], object]] = None
+    #: The connection was lost, and will be made again after so many seconds. May
+    #: run beside the others.
+    disconnected: Optional[Callable[[Error, float], object]] = None
+    #: The stream goes on behind this durable sequence. Not called for the first
+    #: connection.
+    resumed: Optional[Callable[[int], object]] = None

@@ -1,0 +1,230 @@
+"""Answers of the service as columns of numpy arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, Callable, Optional
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit import v1
+
+if TYPE_CHECKING:
+    import pandas
+
+Array = NDArray[Any]
+
+_AXES = {6: ("x", "y", "h"), 10: ("x", "y", "z", "h")}
+_NO_STAMP = np.datetime64("NaT", "ns")
+
+
+class Table(Mapping[str, Array]):
+    """Columns of equal length by name. A column may have rows of several numbers,
+    such as covariances."""
+
+    def __init__(self, columns: Mapping[str, Array]) -> None:
+        self._columns = dict(columns)
+        #: Number of rows.
+        self.rows = len(next(iter(self._columns.values())))
+
+    def __getitem__(self, name: str) -> Array:
+        return self._columns[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    def __len__(self) -> int:
+        """Number of columns."""
+        return len(self._columns)
+
+    def __repr__(self) -> str:
+        return f"<Table of {self.rows} rows: {', '.join(self)}>"
+
+    def where(self, mask: Array) -> Table:
+        """The rows for which the mask is true, or that a list of numbers names."""
+        return Table({name: column[mask] for name, column in self._columns.items()})
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The same as a DataFrame; rows of several numbers become columns of their
+        own, covariances as `covariance_xx`, `covariance_xy` and so on. Needs
+        pandas."""
+        import pandas
+
+        columns: dict[str, Array] = {}
+        for name, column in self._columns.items():
+            columns.update(spread(name, column))
+        return pandas.DataFrame(columns)
+
+
+def spread(name: str, column: Array) -> dict[str, Array]:
+    """A column of one number per row for each number of a wider one."""
+    if column.ndim == 1:
+        return {name: column}
+    width = column.shape[1]
+    if "covariance" in name and width in _AXES:
+        axes = _AXES[width]
+        ends = [first + second for row, first in enumerate(axes)
+                for second in axes[row:]]
+    elif name == "quaternion":
+        ends = ["x", "y", "z", "w"]
+    else:
+        ends = [str(index) for index in range(width)]
+    return {f"{name}_{end}": column[:, index] for index, end in enumerate(ends)}
+
+
+def _name_of(enum: Any, value: int, prefix: str) -> str:
+    """The name of a value without what all names of the enum begin with, as the
+    number if it is newer than this package."""
+    try:
+        return str(enum.Name(value)).removeprefix(prefix)
+    except ValueError:
+        return str(value)
+
+
+def _numbers(rows: list[Any], value: Callable[[Any], float],
+             kind: Any = np.float64) -> Array:
+    return np.array([value(row) for row in rows], dtype=kind)
+
+
+def _optional(rows: list[Any], field: str) -> Array:
+    """A number per row, NaN where it is absent."""
+    return _numbers(rows, lambda row: (getattr(row, field) if row.HasField(field)
+                                       else np.nan))
+
+
+def _names(rows: list[Any], value: Callable[[Any], int], enum: Any,
+           prefix: str) -> Array:
+    return np.array([_name_of(enum, value(row), prefix) for row in rows], dtype=np.str_)
+
+
+def _covariances(rows: list[v1.Covariance]) -> Array:
+    """(N, 6) or (N, 10) by the state space, NaN where absent."""
+    width = max((len(row.values) for row in rows), default=0) or 6
+    made = np.full((len(rows), width), np.nan)
+    for index, row in enumerate(rows):
+        made[index, :len(row.values)] = row.values
+    return made
+
+
+def _node_columns(nodes: list[v1.Node], prefix: str = "") -> dict[str, Array]:
+    stamps = np.full(len(nodes), _NO_STAMP)
+    for row, node in enumerate(nodes):
+        if node.HasField("stamp"):
+            stamps[row] = np.datetime64(
+                node.stamp.seconds * 1_000_000_000 + node.stamp.nanos, "ns")
+    columns = {
+        "index": _numbers(nodes, lambda node: node.index, np.int64),
+        "sequence": _numbers(nodes, lambda node: node.sequence, np.uint64),
+        "fraction": _numbers(nodes, lambda node: node.fraction),
+        "stamp": stamps,
+        "travelled": _numbers(nodes, lambda node: node.travelled_meters),
+        "x": _numbers(nodes, lambda node: node.pose.x_meters),
+        "y": _numbers(nodes, lambda node: node.pose.y_meters),
+        "z": _numbers(nodes, lambda node: node.pose.z_meters),
+        "heading": _numbers(nodes, lambda node: node.pose.heading_radians),
+    }
+    return {prefix + name: column for name, column in columns.items()}
+
+
+def node_table(nodes: Iterable[v1.Node]) -> Table:
+    """A row per node: `index`, `sequence`, `fraction`, `stamp` (NaT where absent),
+    `travelled`, `x`, `y`, `z`, `heading` in metres and radians, and `covariance`
+    (N, 6) or (N, 10)."""
+    rows = list(nodes)
+    columns = _node_columns(rows)
+    columns["covariance"] = _covariances([row.covariance for row in rows])
+    return Table(columns)
+
+
+def edge_table(edges: Iterable[v1.Edge]) -> Table:
+    """A row per edge: `from_index`, `to_index`, `kind` ("CONSECUTIVE" or
+    "LOOP_CLOSURE")."""
+    rows = list(edges)
+    return Table({
+        "from_index": _numbers(rows, lambda row: row.from_index, np.int64),
+        "to_index": _numbers(rows, lambda row: row.to_index, np.int64),
+        "kind": _names(rows, lambda row: row.kind, v1.EdgeKind, "EDGE_KIND_")})
+
+
+def check_table(answers: Iterable[v1.CandidateSet]) -> Table:
+    """A row per check: the query node as `query_index`, `query_x` and so on,
+    `revision`, `candidates` (how many), `empty_reason` ("" if there are any),
+    `new_place_probability` (NaN where absent), `nodes_considered`, `nodes_pruned`,
+    `search_seconds`."""
+    rows = list(answers)
+    columns = _node_columns([row.query for row in rows], "query_")
+    columns.update({
+        "revision": _numbers(rows, lambda row: row.revision, np.uint64),
+        "candidates": _numbers(rows, lambda row: len(row.candidates), np.int64),
+        "empty_reason": np.array(
+            ["" if row.empty_reason == 0 else
+             _name_of(v1.EmptyReason, row.empty_reason, "EMPTY_REASON_")
+             for row in rows], dtype=np.str_),
+        "new_place_probability": _optional(rows, "new_place_probability"),
+        "nodes_considered": _numbers(rows, lambda row: row.nodes_considered, np.int64),
+        "nodes_pruned": _numbers(rows, lambda row: row.nodes_pruned, np.int64),
+        "search_seconds": _numbers(
+            rows, lambda row: (row.search_duration.seconds
+                               + row.search_duration.nanos * 1e-9))})
+    return Table(columns)
+
+
+def _gate_columns(gates: list[Optional[Any]], prefix: str) -> dict[str, Array]:
+    def number(field: str) -> Array:
+        return _numbers(gates, lambda gate: (np.nan if gate is None
+                                             else getattr(gate, field)))
+
+    columns = {
+        "squared_distance": number("squared_mahalanobis_distance"),
+        "degrees_of_freedom": number("degrees_of_freedom"),
+        "threshold": number("threshold"), "p_value": number("p_value"),
+        "verdict": _names(gates, lambda gate: gate.verdict if gate is not None else 0,
+                          v1.GateVerdict, "GATE_VERDICT_")}
+    return {prefix + name: column for name, column in columns.items()}
+
+
+def candidate_table(answers: Iterable[v1.CandidateSet]) -> Table:
+    """A row per candidate, in the order of the answers and their ranks.
+
+    `check` is the number of the answer, from 0. `rank`, `score`, `probability` and
+    `odds_to_runner_up` (NaN where absent), `verdict` ("ACCEPTED",
+    "REJECTED_BY_SHAPE", ...) and `direction` ("SAME", "OPPOSITE") as in
+    candidate.proto. `query_...` and `matched_...` are the nodes: `index`,
+    `sequence`, `fraction`, `stamp`, `travelled`, `x`, `y`, `z`, `heading`.
+    `difference_x`, `_y`, `_z`, `_heading`, `_covariance` say where a verifier
+    should search. `gate_...` and `path_gate_...`: `squared_distance`,
+    `degrees_of_freedom`, `threshold`, `p_value`, `verdict`; then `overlap` and
+    `log_likelihood_ratio` of the shape (NaN or "UNSPECIFIED" where absent). Metres
+    and radians."""
+    checks, rows = [], []
+    for number, answer in enumerate(answers):
+        checks += [number] * len(answer.candidates)
+        rows += list(answer.candidates)
+    columns: dict[str, Array] = {
+        "check": np.array(checks, dtype=np.int64),
+        "rank": _numbers(rows, lambda row: row.rank, np.int64),
+        "score": _numbers(rows, lambda row: row.score),
+        "verdict": _names(rows, lambda row: row.verdict, v1.Verdict, "VERDICT_"),
+        "direction": _names(rows, lambda row: row.direction, v1.Direction,
+                            "DIRECTION_"),
+        "probability": _optional(rows, "probability"),
+        "odds_to_runner_up": _optional(rows, "odds_to_runner_up")}
+    columns.update(_node_columns([row.query for row in rows], "query_"))
+    columns.update(_node_columns([row.matched for row in rows], "matched_"))
+    for name, field in (("x", "x_meters"), ("y", "y_meters"), ("z", "z_meters"),
+                        ("heading", "heading_radians")):
+        columns[f"difference_{name}"] = np.array(
+            [getattr(row.difference, field) for row in rows], dtype=np.float64)
+    columns["difference_covariance"] = _covariances(
+        [row.difference.covariance for row in rows])
+    columns.update(_gate_columns([row.gate for row in rows], "gate_"))
+    columns.update(_gate_columns(
+        [row.path_gate if row.HasField("path_gate") else None for row in rows],
+        "path_gate_"))
+    for name, field in (("overlap", "overlap_meters"),
+                        ("log_likelihood_ratio", "log_likelihood_ratio")):
+        columns[name] = np.array(
+            [getattr(row.shape, field) if row.HasField("shape") else np.nan
+             for row in rows], dtype=np.float64)
+    return Table(columns)

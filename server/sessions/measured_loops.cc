@@ -1,0 +1,65 @@
+#include "server/sessions/measured_loops.h"
+
+#include <optional>
+
+#include "absl/status/statusor.h"
+
+namespace revisit::server {
+
+absl::Status MeasuredLoops::Add(const VehicleState& vehicle,
+                                core::StateSpace space,
+                                const PosePairRecord& closure) {
+  if (closure.payload.empty()) return absl::OkStatus();
+  const absl::StatusOr<std::optional<core::LoopMeasurement>> measurement =
+      vehicle.codec->DecodeMeasurement(closure.payload, space);
+  if (!measurement.ok()) return measurement.status();
+  if (!*measurement) return absl::OkStatus();
+  measurements_.emplace(closure.id, **measurement);
+  poses_.try_emplace(closure.query_sequence);
+  poses_.try_emplace(closure.matched_sequence);
+  return absl::OkStatus();
+}
+
+void MeasuredLoops::Take(const std::vector<core::PoseSample>& samples) {
+  if (samples.empty()) return;
+  const std::uint64_t first = samples.front().sequence;
+  for (auto wanted = poses_.lower_bound(first);
+       wanted != poses_.end() && wanted->first <= samples.back().sequence;
+       ++wanted) {
+    const core::PoseSample& sample = samples[wanted->first - first];
+    wanted->second = std::make_unique<core::PoseEstimate>(
+        core::PoseEstimate{sample.pose, sample.covariance});
+  }
+}
+
+absl::Status MeasuredLoops::ReadPoses(const VehicleState& vehicle) {
+  for (const auto& [sequence, pose] : poses_) {
+    if (pose) continue;
+    absl::Status decoding;
+    const absl::Status reading = vehicle.storage->ReadBatches(
+        vehicle.key, sequence, sequence, BatchVersion::kCurrent,
+        [&](const BatchRecord& batch) {
+          const absl::StatusOr<DecodedBatch> decoded =
+              vehicle.DecodeStored(batch, vehicle.config);
+          if (decoded.ok()) Take(decoded->samples);
+          decoding = decoded.status();
+          return false;
+        });
+    if (!reading.ok()) return reading;
+    if (!decoding.ok()) return decoding;
+  }
+  return absl::OkStatus();
+}
+
+std::shared_ptr<const core::MeasuredLoop> MeasuredLoops::Find(
+    const PosePairRecord& closure) const {
+  const auto measurement = measurements_.find(closure.id);
+  if (measurement == measurements_.end()) return nullptr;
+  const auto query = poses_.find(closure.query_sequence);
+  const auto matched = poses_.find(closure.matched_sequence);
+  if (query->second == nullptr || matched->second == nullptr) return nullptr;
+  return std::make_shared<const core::MeasuredLoop>(core::MeasuredLoop{
+      measurement->second, *query->second, *matched->second});
+}
+
+}  // namespace revisit::server

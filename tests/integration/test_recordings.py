@@ -1,0 +1,293 @@
+"""revisit stream on recordings of other tools: axes and units that are wrong,
+pipes, several files, receivers' fixes."""
+
+import csv
+import gzip
+import json
+import math
+import subprocess
+import time
+
+import grpc
+import pytest
+
+from revisit_server import BIN, clean_environment, run, wait_until
+from stubs import ROOT, api
+from wire import BOREAS
+
+LOCAL_FAULT = 1
+USAGE = 64
+
+
+@pytest.fixture(name="stream", scope="module")
+def fixture_stream(server):
+    def call(*arguments, timeout=120):
+        return run("revisit", "stream", *arguments, "--server", server.address,
+                   timeout=timeout)
+    return call
+
+
+@pytest.fixture(name="boreas", scope="module")
+def fixture_boreas():
+    """Estimates of the shipped drive: t, x, y, yaw."""
+    with open(BOREAS, encoding="utf-8") as file:
+        return [tuple(float(row[name])
+                      for name in ("t_s", "est_x", "est_y", "est_yaw"))
+                for row in csv.DictReader(file)]
+
+
+def vehicle(stub, name):
+    return stub.GetVehicle(
+        api.GetVehicleRequest(name=f"vehicles/{name}")).vehicle
+
+
+def is_there(stub, name):
+    try:
+        return bool(vehicle(stub, name))
+    except grpc.RpcError as error:
+        assert error.code() == grpc.StatusCode.NOT_FOUND
+        return False
+
+
+def write(path, rows, header=None, separator=" "):
+    lines = [] if header is None else [header]
+    lines += [separator.join(row if isinstance(row, str) else f"{value:.9f}"
+                             for value in row) for row in rows]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def tum(poses, camera=False, w_first=False):
+    """The poses as TUM; a camera's axes are x right, y down, z forward."""
+    for t, x, y, yaw in poses:
+        s, c = math.sin(yaw / 2), math.cos(yaw / 2)
+        position, q = (x, y, 0.0), (0.0, 0.0, s, c)
+        if camera:
+            position, q = (-y, 0.0, x), (0.0, -s, 0.0, c)
+        yield (t, *position, *((q[3], *q[:3]) if w_first else q))
+
+
+def candidates(result):
+    """Of each check: the query, and what matched with which verdict."""
+    assert result.returncode == 0, result.stderr
+    sets = [json.loads(line) for line in result.stdout.splitlines()[:-1]]
+    return [(one["query"]["sequence"],
+             [(candidate["matched"]["sequence"], candidate["verdict"])
+              for candidate in one.get("candidates", [])]) for one in sets]
+
+
+def degrees(poses):
+    return ((t, x, y, math.degrees(yaw)) for t, x, y, yaw in poses)
+
+
+PLAIN = "t_s,est_x,est_y,est_yaw"
+
+
+@pytest.mark.parametrize("name, right, wrong, flag", [
+    ("camera", lambda path, poses: write(path, tum(poses)),
+     lambda path, poses: write(path, tum(poses, camera=True)),
+     ["--axes", "camera"]),
+    ("w-first", lambda path, poses: write(path, tum(poses)),
+     lambda path, poses: write(path, tum(poses, w_first=True)),
+     ["--quaternion", "wxyz"]),
+    ("degrees", lambda path, poses: write(path, poses, PLAIN, ","),
+     lambda path, poses: write(path, degrees(poses), PLAIN, ","),
+     ["--angles", "degrees"]),
+])
+def test_wrong_convention_is_refused_and_its_flag_gives_the_same_candidates(
+        name, right, wrong, flag, boreas, stub, stream, tmp_path):
+    wrong_file = wrong(tmp_path / "wrong.txt", boreas)
+    refused = stream(wrong_file, "--vehicle", f"{name}-bad", "--create")
+    assert refused.returncode == LOCAL_FAULT
+    assert refused.stderr.startswith(f"revisit: {wrong_file}:")
+    assert " ".join(flag) in refused.stderr
+    assert not is_there(stub, f"{name}-bad")
+
+    mended = stream(wrong_file, *flag, "--vehicle", f"{name}-mended",
+                    "--create", "--candidates", "--json")
+    plain = stream(right(tmp_path / "right.txt", boreas), "--vehicle",
+                   f"{name}-right", "--create", "--candidates", "--json")
+    assert candidates(mended) == candidates(plain)
+    assert sum(1 for _, found in candidates(plain)
+               if found and found[0][1] == "VERDICT_ACCEPTED") > 50
+
+
+def test_longitude_and_latitude_are_refused_and_taken_as_such(
+        boreas, stub, stream, tmp_path):
+    file = write(tmp_path / "lonlat.csv",
+                 ((t, -79.46 + x / 80300.0, 43.79 + y / 111100.0, yaw)
+                  for t, x, y, yaw in boreas[:500]), PLAIN, ",")
+    refused = stream(file, "--vehicle", "lonlat-bad", "--create")
+    assert refused.returncode == LOCAL_FAULT
+    assert "--frame geodetic" in refused.stderr
+    assert not is_there(stub, "lonlat-bad")
+    taken = stream(file, "--frame", "geodetic", "--vehicle", "lonlat",
+                   "--create")
+    assert taken.returncode == 0, taken.stderr
+    settings = vehicle(stub, "lonlat").settings
+    assert settings.coordinate_frame == api.COORDINATE_FRAME_GEODETIC
+    assert settings.geodetic_origin.latitude_degrees == pytest.approx(
+        43.79 + boreas[0][2] / 111100.0)
+
+
+def test_suspicious_file_is_taken_when_accepted(boreas, stub, stream, tmp_path):
+    file = write(tmp_path / "back.csv", [*boreas[:50], *boreas[:10]], PLAIN,
+                 ",")
+    refused = stream(file, "--vehicle", "back", "--create")
+    assert f"{file}:52: the time runs back by" in refused.stderr
+    assert stream(file, "--vehicle", "back", "--create",
+                  "--accept-suspicious").returncode == 0
+    assert vehicle(stub, "back").durable_sequence == 60
+
+
+def test_pose_of_a_pipe_is_durable_within_a_second(server, stub):
+    with subprocess.Popen(
+            [BIN / "revisit", "stream", "-", "--vehicle", "pipe", "--create",
+             "--server", server.address], stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE, text=True,
+            env=clean_environment()) as process:
+        process.stdin.write(PLAIN + "\n")
+        for i in range(1, 6):
+            process.stdin.write(f"{i},{i},0,0\n")
+            process.stdin.flush()
+            written = time.monotonic()
+            wait_until(lambda i=i: is_there(stub, "pipe") and vehicle(
+                stub, "pipe").durable_sequence == i, f"pose {i}", 10)
+            # The first one also starts the program and makes the vehicle.
+            assert i == 1 or time.monotonic() - written < 1.0
+        out, _ = process.communicate()
+    assert process.returncode == 0
+    assert "durable sequence  5" in out
+
+
+def test_wrong_recording_through_a_pipe_sends_nothing(
+        boreas, server, stub, tmp_path):
+    file = write(tmp_path / "wrong.txt", tum(boreas, camera=True))
+    with open(file, encoding="utf-8") as piped, subprocess.Popen(
+            ["cat"], stdin=piped, stdout=subprocess.PIPE) as cat:
+        refused = subprocess.run(
+            [BIN / "revisit", "stream", "-", "--vehicle", "wrong-pipe",
+             "--create", "--server", server.address], stdin=cat.stdout,
+            capture_output=True, text=True, env=clean_environment(),
+            timeout=60, check=False)
+    assert refused.returncode == LOCAL_FAULT
+    assert "--axes camera" in refused.stderr
+    assert not is_there(stub, "wrong-pipe")
+
+
+def test_error_in_a_pipe_says_what_is_durable(server, stub):
+    with subprocess.Popen(
+            [BIN / "revisit", "stream", "-", "--vehicle", "broken-pipe",
+             "--create", "--server", server.address], stdin=subprocess.PIPE,
+            stderr=subprocess.PIPE, text=True,
+            env=clean_environment()) as process:
+        process.stdin.write(PLAIN + "\n1,1,0,0\n2,2,0,0\n")
+        process.stdin.flush()
+        wait_until(lambda: is_there(stub, "broken-pipe") and vehicle(
+            stub, "broken-pipe").durable_sequence == 2, "two poses")
+        _, words = process.communicate("3,3,0,0\n4,x,0,0\n")
+    assert process.returncode == LOCAL_FAULT
+    assert words == (
+        'revisit: -:5: expected a finite number for est_x, got "x"; '
+        "vehicles/broken-pipe has 3 durable poses\n")
+
+
+def test_second_recording_continues_the_vehicle(boreas, stub, stream, tmp_path):
+    first = write(tmp_path / "1.csv", boreas[:100], PLAIN, ",")
+    second = tmp_path / "2.csv.gz"
+    second.write_bytes(gzip.compress(
+        write(tmp_path / "2.csv", boreas[100:150], PLAIN, ",").read_bytes()))
+    both = stream(first, second, "--vehicle", "both", "--create")
+    assert both.returncode == 0, both.stderr
+    assert vehicle(stub, "both").durable_sequence == 150
+    # Once more: compared, and nothing to add.
+    again = stream(first, second, "both", "--json")
+    assert json.loads(again.stdout)["alreadyDurable"] == 150
+
+    assert stream(first, "--vehicle", "appended", "--create").returncode == 0
+    refused = stream(second, "--vehicle", "appended")
+    assert refused.returncode == LOCAL_FAULT
+    assert "--append adds these behind them" in refused.stderr
+    added = stream(second, "--vehicle", "appended", "--append")
+    assert added.returncode == 0, added.stderr
+
+    def poses(name):
+        return [(pose.sequence, pose.local.x_meters, pose.stamp.seconds,
+                 [round(value, 9) for value in pose.covariance.values])
+                for pose in stub.ListPoses(api.ListPosesRequest(
+                    parent=f"vehicles/{name}")).poses]
+    assert poses("appended") == poses("both")
+
+
+def test_missing_second_file_shows_before_the_first_is_sent(
+        boreas, stub, stream, tmp_path):
+    first = write(tmp_path / "1.csv", boreas[:10], PLAIN, ",")
+    refused = stream(first, tmp_path / "2.csv", "--vehicle", "one-of-two",
+                     "--create")
+    assert refused.returncode == LOCAL_FAULT
+    assert "2.csv: No such file or directory" in refused.stderr
+    assert not is_there(stub, "one-of-two")
+
+
+def test_fixes_of_a_receiver_make_a_geodetic_vehicle(stub, stream):
+    pos = ROOT / "tests/data/formats/nagoya_spp.pos"
+    taken = stream(pos, "--vehicle", "nagoya", "--create")
+    assert taken.returncode == 0, taken.stderr
+    made = vehicle(stub, "nagoya")
+    assert made.settings.coordinate_frame == api.COORDINATE_FRAME_GEODETIC
+    assert (made.settings.correlation_model
+            == api.CORRELATION_MODEL_INDEPENDENT)
+    pose = stub.ListPoses(api.ListPosesRequest(
+        parent="vehicles/nagoya", page_size=1)).poses[0]
+    # About as large as RTKLIB says of itself.
+    assert 1.0 < pose.covariance.values[0] < 100.0
+    assert pose.geodetic.latitude_degrees == pytest.approx(35.165, abs=1e-2)
+    # The same metres east and north.
+    local = stream(pos, "--vehicle", "nagoya-local", "--create", "--frame",
+                   "local")
+    assert local.returncode == 0, local.stderr
+    refused = stream(pos, "--vehicle", "nagoya-local")
+    assert refused.returncode == LOCAL_FAULT
+    assert "--frame local" in refused.stderr
+
+
+def test_error_transitions_go_to_a_vehicle_with_a_filter(
+        stub, stream, tmp_path):
+    header = (PLAIN + ",pxx,pxy,pxt,pyy,pyt,ptt,fxx,fxy,fxt,fyx,fyy,fyt,ftx,"
+              "fty,ftt")
+    rows = [(i, 2.0 * i, 0, 0, 1, 0, 0, 1, 0, 0.01, 1, 0, 0, 0, 1, 2, 0, 0, 1)
+            for i in range(30)]
+    file = write(tmp_path / "filter.csv", rows, header, ",")
+    taken = stream(file, "--vehicle", "filter", "--create",
+                   "--correlation-model", "filter")
+    assert taken.returncode == 0, taken.stderr
+    poses = stub.ListPoses(api.ListPosesRequest(parent="vehicles/filter")).poses
+    assert list(poses[5].error_transition) == list(rows[5][10:])
+    assert list(poses[5].covariance.values) == list(rows[5][4:10])
+    plain = write(tmp_path / "plain.csv", [row[:4] for row in rows], PLAIN, ",")
+    refused = stream(plain, "--vehicle", "filter")
+    assert refused.returncode == LOCAL_FAULT
+    assert "(columns fxx, fxy," in refused.stderr
+
+
+def test_evaluate_takes_the_truth_from_another_file(boreas, tmp_path):
+    estimate = write(tmp_path / "estimate.txt", tum(boreas))
+    with open(BOREAS, encoding="utf-8") as file:
+        truth = write(tmp_path / "truth.txt", tum(
+            tuple(float(row[name]) for name in ("t_s", "gt_x", "gt_y",
+                                                "gt_yaw"))
+            for row in csv.DictReader(file)))
+    of_tum = run("revisit", "evaluate", estimate, "--truth", truth, "--json",
+                 timeout=120, env=clean_environment())
+    of_csv = run("revisit", "evaluate", BOREAS, "--json", timeout=120,
+                 env=clean_environment())
+    assert of_tum.returncode == 0, of_tum.stderr
+    for key in ("checks", "true_loops", "accepted", "accepted_correct"):
+        assert (json.loads(of_tum.stdout)["total"][key]
+                == json.loads(of_csv.stdout)["total"][key])
+
+
+def test_stream_without_a_vehicle_is_wrong_usage(stream):
+    refused = stream(BOREAS)
+    assert refused.returncode == USAGE
+    assert "--vehicle is required" in refused.stderr

@@ -1,0 +1,78 @@
+"""The examples of the package run as they stand: the notebook on the shipped drive,
+and the lines of its README."""
+
+import json
+import re
+
+import nbclient
+import nbformat
+import numpy as np
+import pytest
+
+import revisit
+from conftest import BOREAS, ROOT
+
+PACKAGE = ROOT / "client/python"
+NOTEBOOK = PACKAGE / "examples/boreas.ipynb"
+
+
+def outputs_of(cells, kind):
+    return [output["data"][kind] for cell in cells for output in cell.get("outputs", [])
+            if kind in output.get("data", {})]
+
+
+def test_the_notebook_is_stored_without_outputs():
+    cells = json.loads(NOTEBOOK.read_text())["cells"]
+    assert len(cells) > 5
+    for cell in cells:
+        assert not cell.get("outputs") and not cell.get("execution_count")
+
+
+def test_the_notebook_runs_on_a_server(server, client, monkeypatch):
+    monkeypatch.setenv("REVISIT_ADDRESS", server.address)
+    monkeypatch.setenv("REVISIT_DRIVE", str(BOREAS))
+    monkeypatch.setenv("MPLBACKEND", "module://matplotlib_inline.backend_inline")
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()
+    pictures = outputs_of(notebook.cells, "image/png")
+    assert len(pictures) == 2
+    executed = ROOT / "build/python-client/boreas.ipynb"
+    if executed.parent.is_dir():
+        nbformat.write(notebook, executed)
+    vehicles = [one.name for one in client.list_vehicles()]
+    [vehicle] = [name for name in vehicles if name.startswith("vehicles/boreas")]
+    assert client.get_vehicle(vehicle).durable_sequence == 2076
+    text = "".join(output.get("text", "") for cell in notebook.cells
+                   for output in cell.get("outputs", []))
+    right, accepted = map(int, re.search(
+        r"(\d+) of (\d+) accepted candidates", text).groups())
+    assert accepted > 140 and right > 0.95 * accepted
+
+
+def blocks(path):
+    return re.findall(r"^```python\n(.*?)^```", path.read_text(),
+                      re.DOTALL | re.MULTILINE)
+
+
+@pytest.mark.parametrize("document", ["client/python/README.md", "docs/integrate.md"])
+def test_the_lines_of_documents_run(document, server, client, boreas, tmp_path,
+                                    monkeypatch):
+    poses, columns = boreas
+    found = blocks(ROOT / document)
+    assert found
+    monkeypatch.chdir(tmp_path)
+    for number, block in enumerate(found):
+        vehicle = f"readme-{ROOT.joinpath(document).stem.lower()}-{number}"
+        block = block.replace("127.0.0.1:50051", server.address).replace(
+            "shuttle-7", vehicle)
+        names = {
+            "revisit": revisit, "client": client, "np": np, "x": columns["est_x"],
+            "y": columns["est_y"], "heading": columns["est_yaw"],
+            "covariance": poses.covariance, "stamps": columns["t_s"], "poses": poses}
+        if "create_vehicle" not in block:
+            client.create_vehicle(vehicle)
+        if "rosbag" in block:
+            from test_rosbag import odometry_bag
+            odometry_bag(tmp_path / "drive")
+        exec(compile(block, f"{document}:{number}", "exec"), names)
+        assert client.get_vehicle(vehicle).durable_sequence > 0

@@ -1,0 +1,148 @@
+"""A stream holds no more than it is allowed to, waits for a server that is slow, and
+leaves a connection on which nothing comes any more."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+import revisit
+from conftest import LONG, straight
+from revisit import BackoffOptions, StreamCallbacks, StreamOptions
+from revisit_server import wait_until
+
+WAITING = """
+import sys, time
+import numpy as np
+import revisit
+client = revisit.Client(sys.argv[1])
+count = 100_000
+poses = revisit.Poses.local(*np.zeros((3, count)), np.tile([1.0, 0, 0, 1, 0, 1],
+                            (count, 1)), sequence=np.arange(1, count + 1))
+try:
+    with client.stream_poses(sys.argv[2], revisit.StreamOptions(
+            max_pending_poses=10)) as stream:
+        stream.wait_until_opened()
+        print("opened", flush=True)
+        time.sleep(1)
+        print("appending", flush=True)
+        stream.append(poses)
+except KeyboardInterrupt:
+    print("interrupted,", stream.acked_sequence, "acknowledged", flush=True)
+"""
+
+
+def test_a_program_that_waits_for_room_can_be_interrupted(
+        server, new_vehicle, tmp_path):
+    program = subprocess.Popen(
+        [sys.executable, "-c", WAITING, server.address, new_vehicle()],
+        stdout=subprocess.PIPE, text=True)
+    try:
+        assert program.stdout.readline() == "opened\n"
+        os.kill(server.pid, signal.SIGSTOP)
+        program.stdout.readline()
+        time.sleep(0.5)
+        program.send_signal(signal.SIGINT)
+        rest, _ = program.communicate(timeout=LONG)
+    finally:
+        os.kill(server.pid, signal.SIGCONT)
+        program.kill()
+        program.wait()
+    assert rest == "interrupted, 0 acknowledged\n"
+
+
+def test_a_slow_server_makes_append_wait(server, client, new_vehicle, in_thread):
+    vehicle = new_vehicle()
+    options = StreamOptions(max_pending_poses=100, batch_poses=10, answer_timeout=LONG)
+    with client.stream_poses(vehicle, options) as stream:
+        stream.wait_until_opened(LONG)
+        os.kill(server.pid, signal.SIGSTOP)
+        try:
+            appended = threading.Event()
+
+            def append():
+                stream.append(straight(1000))
+                appended.set()
+
+            done = in_thread(append)
+            wait_until(lambda: stream.pending_poses == 100, "full stream")
+            assert not appended.wait(0.5)
+            assert stream.pending_poses == 100
+        finally:
+            os.kill(server.pid, signal.SIGCONT)
+        done()
+        stream.finish()
+        assert stream.reconnects == 0
+    assert len(client.poses(vehicle)) == 1000
+
+
+def test_try_append_takes_all_poses_or_none(server, client, new_vehicle):
+    vehicle = new_vehicle()
+    with client.stream_poses(vehicle, StreamOptions(max_pending_poses=10)) as stream:
+        stream.wait_until_opened(LONG)
+        os.kill(server.pid, signal.SIGSTOP)
+        try:
+            assert stream.try_append(straight(6))
+            assert not stream.try_append(straight(6, first=7))
+            assert stream.try_append(straight(4, first=7))
+            assert not stream.try_append(straight(1, first=11))
+        finally:
+            os.kill(server.pid, signal.SIGCONT)
+        stream.append(straight(10, first=11))
+    assert len(client.poses(vehicle)) == 20
+
+
+def test_bytes_bound_what_is_held_as_poses_do(server, client, new_vehicle, in_thread):
+    vehicle = new_vehicle()
+    with client.stream_poses(vehicle, StreamOptions(max_pending_bytes=5000)) as stream:
+        stream.wait_until_opened(LONG)
+        os.kill(server.pid, signal.SIGSTOP)
+        try:
+            done = in_thread(stream.append, straight(500))
+            wait_until(lambda: stream.pending_bytes > 4500, "full stream")
+            time.sleep(0.2)
+            assert stream.pending_bytes <= 5000
+        finally:
+            os.kill(server.pid, signal.SIGCONT)
+        done()
+    assert len(client.poses(vehicle)) == 500
+    with client.stream_poses(vehicle, StreamOptions(max_pending_bytes=10)) as stream:
+        with pytest.raises(revisit.InvalidArgument, match="sequence 501 takes"):
+            stream.append(straight(1, first=501))
+
+
+def test_a_server_that_stands_still_is_left_for_a_new_connection(
+        server, client, new_vehicle):
+    vehicle = new_vehicle()
+    lost = []
+    options = StreamOptions(answer_timeout=0.3,
+                            backoff=BackoffOptions(initial=0.01, max=0.2))
+    callbacks = StreamCallbacks(disconnected=lambda error, wait: lost.append(error))
+    with client.stream_poses(vehicle, options, callbacks) as stream:
+        stream.wait_until_opened(LONG)
+        os.kill(server.pid, signal.SIGSTOP)
+        try:
+            stream.append(straight(10))
+            wait_until(lambda: stream.reconnects >= 2, "new connection")
+        finally:
+            os.kill(server.pid, signal.SIGCONT)
+        stream.finish()
+    assert isinstance(lost[0], revisit.Unavailable)
+    assert lost[0].message == "no answer for 0.3 s"
+    assert lost[0].request_id
+    assert len(client.poses(vehicle)) == 10
+
+
+def test_an_idle_stream_is_not_taken_for_a_stall(client, new_vehicle):
+    with client.stream_poses(
+            new_vehicle(), StreamOptions(answer_timeout=0.2)) as stream:
+        stream.append(straight(10))
+        wait_until(lambda: stream.acked_sequence == 10, "acknowledgement")
+        time.sleep(0.7)
+        stream.append(straight(10, first=11))
+        stream.finish()
+        assert stream.reconnects == 0

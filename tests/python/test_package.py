@@ -1,0 +1,145 @@
+"""The package is what its users get: built from a checkout or a source distribution,
+with types, without leaving anything in the tree."""
+
+import ast
+import os
+import re
+import subprocess
+import sys
+import tarfile
+import zipfile
+
+import pytest
+
+import revisit
+from conftest import ROOT
+
+PACKAGE = ROOT / "client/python"
+WELL_TYPED = '''
+import numpy as np
+from numpy.typing import NDArray
+import revisit
+from revisit import v1
+
+def drive(client: revisit.Client, x: NDArray[np.float64]) -> float:
+    poses = revisit.Poses.local(x, x, x, np.ones((len(x), 6)), stamps=x)
+    with client.stream_poses("a", revisit.StreamOptions(send_candidates=True)) as s:
+        for answer in s.run([poses]):
+            best: v1.Candidate = answer.candidates[0]
+            return best.probability
+    try:
+        return float(client.poses("a").position[0, 0])
+    except revisit.InvalidArgument as error:
+        return float(len(error.field_violations[0].field))
+'''
+BADLY_TYPED = '''
+import revisit
+
+def drive(client: revisit.Client) -> None:
+    client.get_vehicle(7)
+    client.get_vehicle("a").nothing
+    revisit.StreamOptions(batch_poses="many")
+    revisit.Poses.local()
+'''
+
+
+def run(*arguments, **fields):
+    return subprocess.run(arguments, capture_output=True, text=True, check=False,
+                          **fields)
+
+
+def mypy(*arguments, **fields):
+    return run(sys.executable, "-m", "mypy", "--config-file",
+               PACKAGE / "pyproject.toml", "--cache-dir",
+               ROOT / "build/python-client/mypy", *arguments, **fields)
+
+
+@pytest.fixture(scope="module")
+def distributions(tmp_path_factory):
+    """A source distribution of the checkout, and a wheel that was built from its
+    contents alone."""
+    directory = tmp_path_factory.mktemp("dist")
+    build = [sys.executable, "-c", "import sys; from hatchling.build import *; "
+             "print(globals()['build_' + sys.argv[1]](sys.argv[2]))"]
+    made = run(*build, "sdist", directory, cwd=PACKAGE)
+    assert made.returncode == 0, made.stderr
+    source = directory / made.stdout.split()[-1]
+    with tarfile.open(source) as archive:
+        archive.extractall(directory, filter="data")
+    unpacked = directory / source.name[:-len(".tar.gz")]
+    made = run(*build, "wheel", directory, cwd=unpacked)
+    assert made.returncode == 0, made.stderr
+    return source, directory / made.stdout.split()[-1]
+
+
+def test_a_wheel_is_built_from_a_source_distribution(distributions, tmp_path):
+    source, wheel = distributions
+    with tarfile.open(source) as archive:
+        names = {name.split("/", 1)[1] for name in archive.getnames()}
+    assert {"proto/revisit/v1/geometry.proto", "LICENSE", "README.md",
+            "revisit/py.typed", "hatch_build.py"} <= names
+    assert not [name for name in names if name.endswith("_pb2.py")]
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+        archive.extractall(tmp_path)
+    assert {"revisit/py.typed", "revisit/LICENSE", "revisit/v1/__init__.py",
+            "revisit/v1/geometry_pb2.py", "revisit/v1/geometry_pb2.pyi",
+            "revisit/v1/pose_graph_service_pb2_grpc.py"} <= names
+    used = run(sys.executable, "-c", "import revisit; print(revisit.__file__, "
+               "revisit.v1.Pose(sequence=7).sequence)",
+               env={**os.environ, "PYTHONPATH": str(tmp_path)}, cwd=tmp_path)
+    assert used.stdout.split() == [str(tmp_path / "revisit/__init__.py"), "7"]
+
+
+def test_nothing_is_left_in_the_tree(distributions):
+    """Neither by the builds here nor by the install that the tests run on."""
+    ignored = run("git", "status", "--short", "--ignored", "--untracked-files=all",
+                  "--", "client/python", "tests/python", cwd=ROOT)
+    if ignored.returncode != 0:
+        pytest.skip("not a checkout of git")
+    # Whatever is untracked was not made by git add yet; generated code never is.
+    assert [line for line in ignored.stdout.splitlines()
+            if re.search(r"_pb2|egg-info|/dist/|/build/|\.whl|\.tar\.gz", line)] == []
+
+
+def test_an_editable_install_is_refused_with_the_reason():
+    made = run(sys.executable, "-c", "from hatchling.build import build_editable; "
+               "import tempfile; build_editable(tempfile.mkdtemp())", cwd=PACKAGE)
+    assert made.returncode != 0
+    assert "install without --editable" in made.stderr
+
+
+def test_the_version_is_the_projects():
+    [version] = re.findall(r"project\(revisit VERSION (\S+)",
+                           (ROOT / "CMakeLists.txt").read_text())
+    assert revisit.__version__ == version
+
+
+def test_v1_has_every_message_and_enum_of_the_protos():
+    for proto in (ROOT / "proto/revisit/v1").glob("*.proto"):
+        for name in re.findall(r"^(?:message|enum) (\w+)", proto.read_text(),
+                               re.MULTILINE):
+            assert hasattr(revisit.v1, name), name
+
+
+def test_the_package_is_typed_strictly():
+    checked = mypy("-p", "revisit")
+    assert checked.returncode == 0, checked.stdout
+
+
+def test_its_users_are_checked_by_its_types(tmp_path):
+    (tmp_path / "good.py").write_text(WELL_TYPED)
+    (tmp_path / "bad.py").write_text(BADLY_TYPED)
+    checked = mypy("good.py", cwd=tmp_path)
+    assert checked.returncode == 0, checked.stdout
+    checked = mypy("bad.py", cwd=tmp_path)
+    assert re.findall(r"bad.py:\d+: error: .*\[([\w-]+)\]", checked.stdout) == [
+        "arg-type", "attr-defined", "arg-type", "call-arg"]
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")),
+                         ids=lambda path: path.name)
+def test_sources_are_of_the_oldest_python_that_is_promised(path):
+    [oldest] = re.findall(r'requires-python = ">=3\.(\d+)"',
+                          (PACKAGE / "pyproject.toml").read_text())
+    ast.parse(path.read_text(), feature_version=(3, int(oldest)))

@@ -1,0 +1,138 @@
+#include "server/conversion/loop_closure_content.h"
+
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "gmock/gmock.h"
+#include "google/protobuf/util/message_differencer.h"
+#include "gtest/gtest.h"
+#include "server/conversion/pose_pairs.h"
+#include "tests/server/conversion/conversion_testing.h"
+#include "tests/server/error_matchers.h"
+
+namespace revisit::server {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::IsEmpty;
+
+constexpr char kMeasured[] = R"pb(
+  query_sequence: 9
+  matched_sequence: 3
+  measurement {
+    x_meters: 1.5
+    y_meters: -2
+    z_meters: 0.25
+    heading_radians: 3
+    covariance {
+      form: COVARIANCE_FORM_PLANAR_6
+      values: [ 4, 0.1, 0.2, 5, 0.3, 0.06 ]
+    }
+  }
+  note: "icp\n412"
+  score: -0.5
+)pb";
+
+std::string PayloadOf(const v1::LoopClosure& closure) {
+  const auto record = DecodePosePair(&closure, "");
+  EXPECT_THAT(record.status(), IsOk());
+  return record.ok() ? record->payload : "";
+}
+
+std::vector<std::string> WrongFields(const v1::LoopClosure& closure) {
+  return FieldsOf(DecodePosePair(&closure, "").status());
+}
+
+TEST(LoopClosureContentTest, IsAnsweredAsItWasSent) {
+  const auto closure = FromText<v1::LoopClosure>(kMeasured);
+  PosePairRecord record{"a", 9, 3, 0, PayloadOf(closure)};
+  v1::LoopClosure answer;
+  EncodePosePair("v", record, &answer);
+  answer.clear_name();
+  answer.clear_create_time();
+  EXPECT_TRUE(
+      google::protobuf::util::MessageDifferencer::Equals(answer, closure))
+      << answer.DebugString();
+}
+
+TEST(LoopClosureContentTest, OfPosesAloneIsEmpty) {
+  v1::LoopClosure closure;
+  closure.set_query_sequence(9);
+  closure.set_matched_sequence(3);
+  EXPECT_EQ(PayloadOf(closure), "");
+  // A score of 0 is a score.
+  closure.set_score(0.0);
+  EXPECT_NE(PayloadOf(closure), "");
+}
+
+TEST(LoopClosureContentTest, MeasurementIsThatOfCore) {
+  const auto measurement =
+      DecodeMeasurement(PayloadOf(FromText<v1::LoopClosure>(kMeasured)),
+                        core::StateSpace::kPlanar);
+  ASSERT_THAT(measurement.status(), IsOk());
+  ASSERT_TRUE(measurement->has_value());
+  const core::LoopMeasurement& m = **measurement;
+  EXPECT_EQ(m.relative.x, 1.5);
+  EXPECT_EQ(m.relative.y, -2.0);
+  EXPECT_EQ(m.relative.z, 0.25);
+  EXPECT_EQ(m.relative.heading, 3.0);
+  EXPECT_EQ(m.covariance(0, 1), 0.1);
+  EXPECT_EQ(m.covariance(1, 3), 0.3);
+  EXPECT_EQ(m.covariance(3, 3), 0.06);
+  EXPECT_EQ(*DecodeMeasurement("", core::StateSpace::kPlanar), std::nullopt);
+}
+
+TEST(LoopClosureContentTest, CovarianceHasToFitTheStateSpace) {
+  const std::string planar = PayloadOf(FromText<v1::LoopClosure>(kMeasured));
+  EXPECT_THAT(
+      FieldsOf(DecodeMeasurement(planar, core::StateSpace::kSpatial).status()),
+      ElementsAre("loop_closure.measurement.covariance.form"));
+  auto closure = FromText<v1::LoopClosure>(kMeasured);
+  closure.mutable_measurement()->mutable_covariance()->set_values(0, -4.0);
+  EXPECT_THAT(
+      DecodeMeasurement(PayloadOf(closure), core::StateSpace::kPlanar).status(),
+      IsError(absl::StatusCode::kInvalidArgument,
+              "COVARIANCE_NOT_POSITIVE_DEFINITE",
+              ::testing::HasSubstr("the variance of x is -4")));
+}
+
+TEST(LoopClosureContentTest, TextAndNumbersAreBounded) {
+  auto closure = FromText<v1::LoopClosure>(kMeasured);
+  closure.set_note(std::string(kMaxNoteBytes, 'a'));
+  closure.mutable_measurement()->set_x_meters(-kMaxMeasuredMeters);
+  closure.mutable_measurement()->set_heading_radians(1e6);
+  EXPECT_THAT(WrongFields(closure), IsEmpty());
+  closure.set_note(std::string(kMaxNoteBytes + 1, 'a'));
+  closure.set_score(std::numeric_limits<double>::infinity());
+  closure.mutable_measurement()->set_x_meters(-kMaxMeasuredMeters - 1.0);
+  closure.mutable_measurement()->set_heading_radians(1.1e6);
+  closure.mutable_measurement()->clear_covariance();
+  EXPECT_THAT(WrongFields(closure),
+              ElementsAre("loop_closure.measurement.x_meters",
+                          "loop_closure.measurement.heading_radians",
+                          "loop_closure.measurement.covariance",
+                          "loop_closure.note", "loop_closure.score"));
+}
+
+TEST(LoopClosureContentTest, ControlCharactersAreRefusedWhereverTheyStand) {
+  auto closure = FromText<v1::LoopClosure>(kMeasured);
+  for (const char* const good : {"a\tb\nc", "caf\xc3\xa9", "\xc2\xa0"}) {
+    closure.set_note(good);
+    EXPECT_THAT(WrongFields(closure), IsEmpty()) << good;
+  }
+  for (const char* const bad :
+       {"\x1b[0m", "a\rb", "\x7f", "\xc2\x80", "a\xc2\x9f"}) {
+    closure.set_note(bad);
+    EXPECT_THAT(WrongFields(closure), ElementsAre("loop_closure.note"));
+  }
+}
+
+TEST(LoopClosureContentTest, PayloadOfAnotherKindIsDataLoss) {
+  EXPECT_THAT(
+      DecodeMeasurement("\xff", core::StateSpace::kPlanar).status(),
+      IsError(absl::StatusCode::kDataLoss, "STORE_CORRUPT", ::testing::_));
+}
+
+}  // namespace
+}  // namespace revisit::server
