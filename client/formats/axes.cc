@@ -1,8 +1,8 @@
 #include "client/formats/axes.h"
 
+#include <Eigen/Geometry>
 #include <cmath>
 
-#include "Eigen/Geometry"
 #include "client/formats/angles.h"
 
 namespace revisit::client {

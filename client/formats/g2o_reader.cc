@@ -1,5 +1,7 @@
 #include "client/formats/g2o_reader.h"
 
+#include <Eigen/Cholesky>
+#include <Eigen/Geometry>
 #include <array>
 #include <cmath>
 #include <cstdint>
@@ -8,8 +10,6 @@
 #include <utility>
 #include <vector>
 
-#include "Eigen/Cholesky"
-#include "Eigen/Geometry"
 #include "absl/strings/str_cat.h"
 #include "client/formats/plain_readers.h"
 

@@ -12,11 +12,6 @@
 namespace revisit::client {
 namespace {
 
-// 1980-01-06, where GPS weeks begin.
-constexpr std::int64_t kGpsEpochSeconds = 315'964'800;
-constexpr std::int64_t kSecondsPerWeek = 604'800;
-constexpr double kMostWeeks = 10'000.0;
-
 using Columns = std::map<std::string, std::size_t, std::less<>>;
 
 double SignedSquare(double value) { return value * std::abs(value); }
@@ -95,12 +90,8 @@ class RtklibReader : public SampleReader {
       const auto week = ReadNumber(date, "the GPS week", *lines_);
       if (!week.ok()) return week.status();
       const auto seconds = NanosecondsOf(time);
-      if (seconds.ok() && *week <= kMostWeeks && *seconds >= 0 &&
-          *seconds <= kSecondsPerWeek * kNanosecondsPerSecond) {
-        return (kGpsEpochSeconds +
-                kSecondsPerWeek * static_cast<std::int64_t>(*week)) *
-                   kNanosecondsPerSecond +
-               *seconds;
+      if (seconds.ok()) {
+        if (const auto stamp = TimeOfGpsWeek(*week, *seconds)) return *stamp;
       }
     }
     return lines_->Error(

@@ -161,4 +161,20 @@ absl::StatusOr<std::int64_t> ReadTime(std::string_view field, TimeUnit unit,
   return std::llround(nanoseconds);
 }
 
+std::optional<std::int64_t> TimeOfGpsWeek(double week,
+                                          std::int64_t nanoseconds_of_week) {
+  // 1980-01-06, where GPS weeks begin.
+  constexpr std::int64_t kGpsEpochSeconds = 315'964'800;
+  constexpr std::int64_t kSecondsPerWeek = 604'800;
+  constexpr double kMostWeeks = 10'000.0;
+  if (!(week >= 0.0 && week <= kMostWeeks) || nanoseconds_of_week < 0 ||
+      nanoseconds_of_week > kSecondsPerWeek * kNanosecondsPerSecond) {
+    return std::nullopt;
+  }
+  return (kGpsEpochSeconds +
+          kSecondsPerWeek * static_cast<std::int64_t>(week)) *
+             kNanosecondsPerSecond +
+         nanoseconds_of_week;
+}
+
 }  // namespace revisit::client

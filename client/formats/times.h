@@ -4,6 +4,7 @@
 #define REVISIT_CLIENT_FORMATS_TIMES_H_
 
 #include <cstdint>
+#include <optional>
 #include <string_view>
 
 #include "absl/status/statusor.h"
@@ -33,6 +34,11 @@ absl::StatusOr<std::int64_t> ReadTime(std::string_view field, TimeUnit unit,
 // INVALID_ARGUMENT without a place if there is no such date or time.
 absl::StatusOr<std::int64_t> TimeOfDate(int year, int month, int day,
                                         std::string_view time_of_day);
+
+// The time of a week of GPS, counted as if it were UTC; nothing if there is no
+// such week or it has no such time.
+std::optional<std::int64_t> TimeOfGpsWeek(double week,
+                                          std::int64_t nanoseconds_of_week);
 
 // Seconds as decimal digits, exact to a nanosecond; INVALID_ARGUMENT without a
 // place if it is no number within 9.2e9.

@@ -15,11 +15,6 @@
 namespace revisit::client {
 namespace {
 
-// 1980-01-06, where GPS weeks begin.
-constexpr std::int64_t kGpsEpochSeconds = 315'964'800;
-constexpr std::int64_t kSecondsPerWeek = 604'800;
-constexpr double kMostWeeks = 10'000.0;
-
 using Columns = std::map<std::string, std::size_t, std::less<>>;
 
 absl::StatusOr<Columns> ReadHeader(std::string_view line, const Lines& lines) {
@@ -64,16 +59,13 @@ absl::StatusOr<Sample> ReadPose(const Columns& columns,
   sample.estimate.heading =
       (90.0 - number("Heading (deg)")) * kRadiansPerDegree;
   if (!error.ok()) return error;
-  if (!(week >= 0.0 && week <= kMostWeeks) || *seconds < 0 ||
-      *seconds > kSecondsPerWeek * kNanosecondsPerSecond) {
+  const std::optional<std::int64_t> stamp = TimeOfGpsWeek(week, *seconds);
+  if (!stamp.has_value()) {
     return lines.Error(
         "expected a GPS week from 0 to 10000 and seconds of a week, got " +
         Quoted(field("GPS Week")) + " and " + Quoted(field("GPS TOW (s)")));
   }
-  sample.time_nanoseconds =
-      (kGpsEpochSeconds + kSecondsPerWeek * static_cast<std::int64_t>(week)) *
-          kNanosecondsPerSecond +
-      *seconds;
+  sample.time_nanoseconds = *stamp;
   if (absl::Status status = CheckPose(sample, lines); !status.ok()) {
     return status;
   }

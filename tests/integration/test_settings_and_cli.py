@@ -548,6 +548,8 @@ def test_readme_confirms_and_rejects_what_it_found(readme_results):
 def test_examples_of_the_help_work_after_the_readme(
         command, readme_results, run_line):
     shown = run("revisit", *command.split(), "--help").stdout
+    # A long line goes on behind a backslash.
+    shown = shown.replace("\\\n", "")
     examples = re.findall(r"^  (revisit .*)", shown.split("Examples:\n")[1],
                           re.MULTILINE)
     assert readme_results and examples

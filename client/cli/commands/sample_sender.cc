@@ -69,6 +69,8 @@ void SampleSender::BeginFile(const std::string& file) {
 absl::Status SampleSender::FinishStream() {
   const absl::Status finished = stream_->Finish();
   interrupt_.reset();
+  // Nothing is known of a stream that was never opened.
+  if (stream_->acked_sequence() == 0) return finished;
   return WithDurable(finished, vehicle_.name(), *stream_, options_.append);
 }
 
@@ -133,9 +135,9 @@ absl::Status SampleSender::Finish() {
   }
   if (stream_ == nullptr) return status_;
   const absl::Status finished = FinishStream();
-  if (status_.ok()) return finished;
+  if (status_.ok() || !finished.ok()) return finished;
   // The stream itself is sound where this machine is at fault.
-  return finished.ok() && sent_ > 0 ? WithDurableCount(status_) : status_;
+  return sent_ > 0 ? WithDurableCount(status_) : status_;
 }
 
 absl::StatusOr<v1::Vehicle> SampleSender::GetOrCreate(const Sample& first) {

@@ -12,11 +12,11 @@ namespace revisit::client {
 namespace {
 
 // Sizes in pixels. Both axes go from 0 to 1.
-constexpr double kLeft = 72.0;
-constexpr double kTop = 78.0;
+constexpr double kPlotLeft = 72.0;
+constexpr double kPlotTop = 78.0;
 constexpr double kSide = 520.0;
 constexpr double kBelow = 62.0;
-constexpr double kRight = 32.0;
+constexpr double kPlotRight = 32.0;
 constexpr double kLegendRow = 26.0;
 
 // Colours that stay apart for those who do not see all of them (Okabe and Ito),
@@ -30,16 +30,16 @@ constexpr Style kStyles[] = {{"#0072b2", ""},    {"#d55e00", "9 4"},
                              {"#e69f00", "5 3"}, {"#56b4e9", "12 3"},
                              {"#222222", "1 4"}, {"#8c6d31", "6 2 1 2"}};
 
-double X(double value) { return kLeft + kSide * value; }
-double Y(double value) { return kTop + kSide * (1.0 - value); }
+double X(double value) { return kPlotLeft + kSide * value; }
+double Y(double value) { return kPlotTop + kSide * (1.0 - value); }
 
-std::string Axes(const std::string& title, const std::string& subtitle,
-                 double height, const std::string& x_label,
-                 const std::string& y_label) {
-  std::string svg = SvgBegin(kLeft + kSide + kRight, height, title);
-  svg += SvgText(kLeft, 36.0, title, kInk, "start",
+std::string PlotFrame(const std::string& title, const std::string& subtitle,
+                      double height, const std::string& x_label,
+                      const std::string& y_label) {
+  std::string svg = SvgBegin(kPlotLeft + kSide + kPlotRight, height, title);
+  svg += SvgText(kPlotLeft, 36.0, title, kInk, "start",
                  "font-size=\"21\" font-weight=\"bold\"");
-  svg += SvgText(kLeft, 58.0, subtitle, kFaint, "start", "");
+  svg += SvgText(kPlotLeft, 58.0, subtitle, kFaint, "start", "");
   for (int i = 0; i <= 10; i += 2) {
     const double value = 0.1 * i;
     svg += SvgLine(X(value), Y(0.0), X(value), Y(1.0), kGrid, 1.0, "");
@@ -72,10 +72,10 @@ std::string Dashes(const Style& style) {
 std::string DrawPrecisionRecall(const std::string& subtitle,
                                 const std::vector<PlottedCurve>& curves) {
   const double rows = static_cast<double>(curves.size()) + 1.0;
-  std::string svg = Axes("Precision and recall", subtitle,
-                         kTop + kSide + kBelow + rows * kLegendRow + 10.0,
-                         "recall: right, of the true loops",
-                         "precision: right, of those chosen");
+  std::string svg = PlotFrame(
+      "Precision and recall", subtitle,
+      kPlotTop + kSide + kBelow + rows * kLegendRow + 10.0,
+      "recall: right, of the true loops", "precision: right, of those chosen");
   for (std::size_t i = 0; i < curves.size(); ++i) {
     const Style& style = kStyles[i % std::size(kStyles)];
     if (!curves[i].curve.empty()) {
@@ -95,16 +95,18 @@ std::string DrawPrecisionRecall(const std::string& subtitle,
     }
   }
   svg += Border();
-  double y = kTop + kSide + kBelow + 12.0;
+  double y = kPlotTop + kSide + kBelow + 12.0;
   for (std::size_t i = 0; i < curves.size(); ++i) {
     const Style& style = kStyles[i % std::size(kStyles)];
-    svg += SvgLine(kLeft, y, kLeft + 40.0, y, style.color, 2.0, Dashes(style));
-    svg += SvgText(kLeft + 52.0, y + 4.5, curves[i].name, kInk, "start", "");
+    svg += SvgLine(kPlotLeft, y, kPlotLeft + 40.0, y, style.color, 2.0,
+                   Dashes(style));
+    svg +=
+        SvgText(kPlotLeft + 52.0, y + 4.5, curves[i].name, kInk, "start", "");
     y += kLegendRow;
   }
-  svg += SvgCircle(kLeft + 20.0, y, 5.0, kFaint, "#ffffff", 1.5);
-  svg += SvgText(kLeft + 52.0, y + 4.5, "where the method's own verdicts stand",
-                 kFaint, "start", "");
+  svg += SvgCircle(kPlotLeft + 20.0, y, 5.0, kFaint, "#ffffff", 1.5);
+  svg += SvgText(kPlotLeft + 52.0, y + 4.5,
+                 "where the method's own verdicts stand", kFaint, "start", "");
   return svg + "</svg>\n";
 }
 
@@ -113,10 +115,11 @@ std::string DrawReliability(
     const std::array<ReliabilityBin, kReliabilityBins>& bins,
     std::optional<double> expected_calibration_error) {
   constexpr char kBar[] = "#0072b2";
-  std::string svg = Axes("Reliability of stated probabilities", subtitle,
-                         kTop + kSide + kBelow + 2.0 * kLegendRow + 10.0,
-                         "probability stated for the first candidate",
-                         "share of these candidates that are right");
+  std::string svg =
+      PlotFrame("Reliability of stated probabilities", subtitle,
+                kPlotTop + kSide + kBelow + 2.0 * kLegendRow + 10.0,
+                "probability stated for the first candidate",
+                "share of these candidates that are right");
   for (const ReliabilityBin& bin : bins) {
     if (bin.count == 0) continue;
     const double top = Y(bin.share_correct);
@@ -138,8 +141,8 @@ std::string DrawReliability(
                    "stroke-linejoin=\"round\" paint-order=\"stroke\"");
   }
   svg += Border();
-  const double y = kTop + kSide + kBelow + 12.0;
-  svg += SvgText(kLeft, y + 4.5,
+  const double y = kPlotTop + kSide + kBelow + 12.0;
+  svg += SvgText(kPlotLeft, y + 4.5,
                  expected_calibration_error.has_value()
                      ? "Expected calibration error " +
                            Fixed(*expected_calibration_error, 3) +
@@ -147,7 +150,7 @@ std::string DrawReliability(
                      : "No probability was stated.",
                  kInk, "start", "");
   svg +=
-      SvgText(kLeft, y + kLegendRow + 4.5,
+      SvgText(kPlotLeft, y + kLegendRow + 4.5,
               "Bars: share right. Dots: at the bin's mean statement. Dashed: "
               "as it should be.",
               kFaint, "start", "");

@@ -8,7 +8,7 @@ namespace {
 
 constexpr std::size_t kIndent = 2;
 
-std::vector<std::string> Lines(const std::string& text) {
+std::vector<std::string> LinesOf(const std::string& text) {
   std::vector<std::string> lines;
   std::istringstream stream(text);
   for (std::string line; std::getline(stream, line);) lines.push_back(line);
@@ -38,7 +38,7 @@ std::vector<TextBlock> ParseText(const std::string& text) {
   bool gap = false;
   // The column of the list's element that may go on; 0 outside of lists.
   std::size_t text_column = 0;
-  for (const std::string& line : Lines(text)) {
+  for (const std::string& line : LinesOf(text)) {
     const std::size_t indent = line.find_first_not_of(' ');
     if (indent == std::string::npos) {
       gap = true;
@@ -109,7 +109,7 @@ std::string LaidOutExamples(const std::string& examples, std::size_t width) {
   constexpr char kGoesOn[] = " \\";
   constexpr std::size_t kDeeper = 3 * kIndent;
   std::string laid_out;
-  for (const std::string& line : Lines(examples)) {
+  for (const std::string& line : LinesOf(examples)) {
     if (line.size() <= width) {
       laid_out += line + '\n';
       continue;
