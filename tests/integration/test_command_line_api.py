@@ -4,6 +4,7 @@ is undone, what is asked before it is lost."""
 import json
 import os
 import pty
+import re
 import subprocess
 
 import pytest
@@ -37,6 +38,27 @@ def vehicle(revisit, stub):
 def listed(result):
     assert result.returncode == 0, result
     return json.loads(result.stdout)
+
+
+def test_names_and_labels_are_given_changed_and_removed(revisit):
+    create = ["vehicle", "create", "named", "--display-name", "Golf 3",
+              "--label", "site=north", "--label", "note=a=b"]
+    assert revisit(*create).returncode == 0
+    shown = revisit("vehicle", "get", "named").stdout
+    for line in (r"display name +Golf 3", r"label note +a=b",
+                 r"label site +north"):
+        assert re.search(f"^{line}$", shown, re.MULTILINE), shown
+    changed = listed(revisit(
+        "vehicle", "update", "named", "--display-name", "", "--label",
+        "site=south", "--remove-label", "note", "--json"))
+    assert changed.get("displayName", "") == ""
+    assert changed["labels"] == {"site": "south"}
+    wrong = revisit("vehicle", "update", "named", "--label", "site")
+    assert wrong.returncode == USAGE
+    assert 'got "site"; expected KEY=VALUE' in wrong.stderr
+    refused = revisit("vehicle", "update", "named", "--label", "Site=x")
+    assert refused.returncode == 64 + 3
+    assert revisit("vehicle", "delete", "named", "--yes").returncode == 0
 
 
 def test_mistaken_confirm_is_undone(vehicle, revisit):

@@ -219,6 +219,34 @@ def test_second_recording_continues_the_vehicle(boreas, stub, stream, tmp_path):
     assert poses("appended") == poses("both")
 
 
+def test_sessions_keep_the_range_of_each_recording(
+        boreas, stub, stream, tmp_path):
+    first = write(tmp_path / "monday.txt", tum(boreas[:300]))
+    second = write(tmp_path / "tuesday.txt", tum(boreas[300:500]))
+    command = ["--vehicle", "sessions", "--append", "--create"]
+    assert stream(first, *command, "--session", "monday").returncode == 0
+    assert stream(second, *command, "--session", "tuesday").returncode == 0
+    assert dict(vehicle(stub, "sessions").labels) == {
+        "session.monday": "1-300", "session.tuesday": "301-500"}
+    # A name is taken once, before anything is sent.
+    taken = stream(second, *command, "--session", "monday")
+    assert taken.returncode == LOCAL_FAULT
+    assert "poses 1-300 of vehicles/sessions are the session monday" in \
+        taken.stderr
+    assert vehicle(stub, "sessions").durable_sequence == 500
+    wrong = stream(second, *command, "--session", "Monday")
+    assert wrong.returncode == USAGE
+    assert 'got "Monday"' in wrong.stderr
+
+
+def test_warnings_of_the_server_are_shown(boreas, stream, tmp_path):
+    turned = [(t, x, y, yaw + math.pi / 2) for t, x, y, yaw in boreas[:600]]
+    result = stream(write(tmp_path / "turned.txt", tum(turned)), "--vehicle",
+                    "warned", "--create", "--accept-suspicious")
+    assert result.returncode == 0, result.stderr
+    assert "warning: " in result.stderr
+
+
 def test_missing_second_file_shows_before_the_first_is_sent(
         boreas, stub, stream, tmp_path):
     first = write(tmp_path / "1.csv", boreas[:10], PLAIN, ",")
