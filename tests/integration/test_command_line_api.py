@@ -95,8 +95,7 @@ def test_one_pair_is_not_both_confirmed_and_rejected(vehicle, revisit):
     assert revisit("confirm", vehicle, 150, 20).returncode == 0
     conflict = revisit("reject", vehicle, 150, 20)
     assert conflict.returncode == 64 + 9
-    assert ("the poses 150 and 20 are a loop closure already: "
-            "vehicles/api-1/loopClosures/150-20") in conflict.stderr
+    assert "150 and 20 are the loop closure '150-20'" in conflict.stderr
     undo = conflict.stderr.splitlines()[-1]
     assert undo == ("undo that first: revisit closures delete api-1 150 20")
     assert revisit(*undo.split(" revisit ")[1].split()).returncode == 0
