@@ -92,6 +92,11 @@ def valid_pose(vehicle_id, sequence, rng):
     return pose
 
 
+def is_map(field):
+    return field.message_type is not None and \
+        field.message_type.GetOptions().map_entry
+
+
 class World:
     """What the fuzzer has learnt of the server from its answers."""
 
@@ -118,6 +123,8 @@ class World:
     def learn(self, vehicle_id, message):
         """From the fields of an answer, wherever they are in it."""
         for field, value in message.ListFields():
+            if is_map(field):
+                continue
             if field.type == Field.TYPE_MESSAGE:
                 values = value if field.is_repeated else [value]
                 for each in list(values)[:3]:
@@ -234,6 +241,11 @@ class Maker:
                     and field.message_type.full_name == "revisit.v1.Pose":
                 target.extend(self.poses())
                 return
+            if is_map(field):
+                key, value = field.message_type.fields
+                for _ in range(self.rng.choice([0, 1, 1, 2, 5])):
+                    target[self.scalar(key)] = self.scalar(value)
+                return
             for _ in range(self.rng.choice([0, 1, 1, 2, 5])):
                 if field.type == Field.TYPE_MESSAGE:
                     target.append(self.fill(
@@ -288,6 +300,8 @@ class Maker:
             return vehicle
         if field.name == "vehicle_id":
             return self.vehicle_id
+        if owner == "LabelsEntry":
+            return rng.choice(["site", "session.a", "north", "Site", ""])
         if field.name.endswith("_id"):
             return rng.choice(PAIR_IDS)
         if field.name.endswith("_token") and self.world.tokens:
@@ -306,6 +320,7 @@ class Maker:
             inside = rng.choice(api.VehicleSettings.DESCRIPTOR.fields).name
             message.paths.extend(rng.choice(
                 [["settings"], [f"settings.{inside}"], ["sequence"],
+                 ["labels"], ["display_name", "labels.site"],
                  ["local", "covariance"], [rng.choice(TEXTS)], []]))
         elif name in ("Timestamp", "Duration"):
             message.seconds = rng.randrange(2**31)
@@ -348,8 +363,8 @@ class Maker:
         rng = self.rng
         while True:
             inner = [value for field, value in message.ListFields()
-                     if field.type == Field.TYPE_MESSAGE and len(
-                         value if field.is_repeated else [value]) > 0]
+                     if field.type == Field.TYPE_MESSAGE and not is_map(field)
+                     and len(value if field.is_repeated else [value]) > 0]
             if not inner or self.chance(0.3):
                 break
             chosen = rng.choice(inner)
@@ -361,6 +376,12 @@ class Maker:
         field = rng.choice(fields)
         if self.chance(0.25):
             message.ClearField(field.name)
+        elif is_map(field):
+            key, value = field.message_type.fields
+            for _ in range(rng.choice([1, 2, 40, 200])):
+                getattr(message, field.name)[
+                    self.edge(key) + str(rng.randrange(1000))] = \
+                        self.edge(value)
         elif field.is_repeated:
             target = getattr(message, field.name)
             if field.type == Field.TYPE_MESSAGE:
