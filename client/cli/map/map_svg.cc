@@ -349,7 +349,8 @@ class Drawing {
                   double top) {
     constexpr double kColumn = 380.0;
     for (std::size_t i = 0; i < entries.size(); ++i) {
-      const PixelPoint at = {kLeft + kColumn * static_cast<double>(i / rows),
+      const std::size_t column = i / rows;
+      const PixelPoint at = {kLeft + kColumn * static_cast<double>(column),
                              top + kLegendRow * static_cast<double>(i % rows)};
       entries[i].draw(at);
       Text(at.x + kSample + 10.0, at.y + 4.5, entries[i].label, kInk, "start",
