@@ -3,8 +3,6 @@
 #include <zlib.h>
 #include <zstd.h>
 
-#include <cstdio>
-#include <fstream>
 #include <string>
 
 #include "client/formats/reader.h"
@@ -18,13 +16,21 @@ namespace {
 using ::testing::HasSubstr;
 
 std::string Gzip(const std::string& text) {
-  const std::string path = ::testing::TempDir() + "byte_source_test.gz";
-  const gzFile file = gzopen(path.c_str(), "wb");
-  gzwrite(file, text.data(), static_cast<unsigned>(text.size()));
-  gzclose(file);
-  std::ifstream input(path, std::ios::binary);
-  std::string bytes((std::istreambuf_iterator<char>(input)), {});
-  std::remove(path.c_str());
+  // As zlib.h says: 16 more asks for a gzip header.
+  constexpr int kGzipWindowBits = MAX_WBITS + 16;
+  constexpr int kMemoryLevel = 8;
+  z_stream stream = {};
+  deflateInit2(&stream, Z_DEFAULT_COMPRESSION, Z_DEFLATED, kGzipWindowBits,
+               kMemoryLevel, Z_DEFAULT_STRATEGY);
+  std::string input = text;
+  std::string bytes(deflateBound(&stream, input.size()), '\0');
+  stream.next_in = reinterpret_cast<Bytef*>(input.data());
+  stream.avail_in = static_cast<uInt>(input.size());
+  stream.next_out = reinterpret_cast<Bytef*>(bytes.data());
+  stream.avail_out = static_cast<uInt>(bytes.size());
+  EXPECT_EQ(deflate(&stream, Z_FINISH), Z_STREAM_END);
+  bytes.resize(stream.total_out);
+  deflateEnd(&stream);
   return bytes;
 }
 
