@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/cli/console.h"
+#include "client/cli/trajectory/local_pose.h"
 #include "client/formats/times.h"
 
 namespace revisit::client {
@@ -34,12 +35,7 @@ v1::Pose MakePose(const Sample& sample, const ClaimedUncertainty& uncertainty,
     local->set_z_meters(sample.z);
   }
   if (sample.quaternion.has_value()) {
-    const auto& [x, y, z, w] = *sample.quaternion;
-    v1::Quaternion* quaternion = pose.mutable_quaternion();
-    quaternion->set_x(x);
-    quaternion->set_y(y);
-    quaternion->set_z(z);
-    quaternion->set_w(w);
+    SetQuaternion(*sample.quaternion, &pose);
   } else {
     pose.set_heading_radians(sample.estimate.heading);
   }

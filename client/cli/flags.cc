@@ -297,23 +297,24 @@ Flag Command::AddNumber(const std::string& name, const std::string& type,
 Flag Command::AddNumbers(const std::string& name, const std::string& type,
                          std::vector<double>* values,
                          const std::string& help) const {
-  return Flag(app_->add_option(name, *values, help)
-                  ->type_name(type)
-                  ->delimiter(',')
-                  ->allow_extra_args(false)
-                  ->check(FiniteNumber())
-                  ->group(heading_));
+  return AddNumbers(name, type, values, help, /*positive=*/false);
 }
 
 Flag Command::AddPositiveNumbers(const std::string& name,
                                  const std::string& type,
                                  std::vector<double>* values,
                                  const std::string& help) const {
+  return AddNumbers(name, type, values, help, /*positive=*/true);
+}
+
+Flag Command::AddNumbers(const std::string& name, const std::string& type,
+                         std::vector<double>* values, const std::string& help,
+                         bool positive) const {
   return Flag(app_->add_option(name, *values, help)
                   ->type_name(type)
                   ->delimiter(',')
                   ->allow_extra_args(false)
-                  ->check(FiniteNumber(/*positive=*/true))
+                  ->check(FiniteNumber(positive))
                   ->group(heading_));
 }
 

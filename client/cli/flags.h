@@ -194,6 +194,10 @@ class Command {
     std::map<const CLI::App*, CommandHelp> helps;
   };
 
+  Flag AddNumbers(const std::string& name, const std::string& type,
+                  std::vector<double>* values, const std::string& help,
+                  bool positive) const;
+
   Command(CLI::App* app, Shared* shared) : app_(app), shared_(shared) {}
 
   CLI::App* app_;

@@ -38,7 +38,7 @@ double LogPassProbability(const StateMatrix<D>& a, const StateMatrix<D>& b,
   return passes > 0.0 ? std::log(passes) : 0.0;
 }
 
-// What a closure shows of the errors: the difference of its nodes, or the
+// The error that a closure shows: the difference of its nodes, or the
 // innovation of its measurement.
 template <int D>
 struct Shown {

@@ -133,7 +133,7 @@ inline WideMatrix WideGamma(const core::PoseGraph& graph,
          cross.transpose();
 }
 
-// What a closure shows: y = e_c - lever e_m, up to the tolerance.
+// The error that a closure shows: y = e_c - lever e_m, up to the tolerance.
 struct WideClosure {
   WideVector y;
   WideMatrix lever;

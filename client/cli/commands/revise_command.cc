@@ -136,15 +136,11 @@ v1::Pose Revised(const v1::Pose& stored, const OptimisedPose& optimised,
   pose.mutable_local()->set_y_meters(optimised.y);
   pose.mutable_local()->set_z_meters(optimised.z.value_or(local.position[2]));
   if (optimised.quaternion || stored.has_quaternion()) {
-    const auto [x, y, z, w] =
+    SetQuaternion(
         optimised.quaternion
             ? *optimised.quaternion
-            : Turned(local.orientation, optimised.heading - local.heading);
-    v1::Quaternion* quaternion = pose.mutable_quaternion();
-    quaternion->set_x(x);
-    quaternion->set_y(y);
-    quaternion->set_z(z);
-    quaternion->set_w(w);
+            : Turned(local.orientation, optimised.heading - local.heading),
+        &pose);
   } else {
     pose.set_heading_radians(optimised.heading);
   }

@@ -6,7 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "client/cli/drive_poses.h"
 #include "client/cli/names.h"
-#include "client/formats/axes.h"
+#include "client/cli/trajectory/local_pose.h"
 #include "client/revisit/client.h"
 #include "grpcpp/channel.h"
 
@@ -262,36 +262,11 @@ absl::Status SampleSender::ContinueClaims() {
   if (last->poses_size() != 1 || !last->poses(0).has_local()) {
     return absl::OkStatus();
   }
-  const v1::Pose& pose = last->poses(0);
-  const auto& values = pose.covariance().values();
-  std::array<double, 6> covariance;
-  switch (pose.covariance().form()) {
-    case v1::COVARIANCE_FORM_PLANAR_6:
-      std::copy(values.begin(), values.end(), covariance.begin());
-      break;
-    case v1::COVARIANCE_FORM_SPATIAL_10:
-      covariance = {values[0], values[1], values[3],
-                    values[4], values[6], values[9]};
-      break;
-    case v1::COVARIANCE_FORM_ROS_36:
-      covariance = {values[0], values[1],  values[5],
-                    values[7], values[11], values[35]};
-      break;
-    default:
-      return absl::OkStatus();
-  }
-  Sample before;
-  if (pose.has_quaternion()) {
-    before.quaternion = {pose.quaternion().x(), pose.quaternion().y(),
-                         pose.quaternion().z(), pose.quaternion().w()};
-  } else {
-    before.estimate.heading = pose.heading_radians();
-  }
-  const auto converted = Convert(before, Conventions());
-  if (!converted.ok()) return converted.status();
-  claims_->ContinueFrom({pose.local().x_meters(), pose.local().y_meters(),
-                         converted->estimate.heading},
-                        covariance);
+  const LocalPose pose =
+      LocalFrame(vehicle_.settings()).Localize(last->poses(0));
+  const StateMatrix& c = pose.covariance;
+  claims_->ContinueFrom({pose.position[0], pose.position[1], pose.heading},
+                        {c[0], c[1], c[3], c[5], c[7], c[15]});
   return absl::OkStatus();
 }
 

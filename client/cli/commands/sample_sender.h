@@ -20,7 +20,8 @@
 
 namespace revisit::client {
 
-// Not thread-safe. The server is first asked when samples are let go.
+// Sends nothing, and asks the server nothing, before samples are let go. Not
+// thread-safe.
 class SampleSender {
  public:
   // All arguments must outlive it. `callbacks` are those of the stream.
@@ -89,7 +90,7 @@ class SampleSender {
   v1::Vehicle vehicle_;
   std::optional<UncertaintyClaims> claims_;
   std::unique_ptr<PoseStream> stream_;
-  // As long as poses are on their way.
+  // Handles Ctrl-C from the opening of the stream to its end.
   std::optional<StreamInterrupt> interrupt_;
   std::uint64_t already_durable_ = 0;
   // Sequence before that of the first sample.

@@ -1,5 +1,5 @@
-// What people call a vehicle, and labels: flags of `vehicle create` and
-// `vehicle update`.
+// The display name and the labels of a vehicle, as flags of `vehicle create`
+// and `vehicle update`.
 #ifndef REVISIT_CLIENT_CLI_COMMANDS_VEHICLE_DESCRIPTION_H_
 #define REVISIT_CLIENT_CLI_COMMANDS_VEHICLE_DESCRIPTION_H_
 

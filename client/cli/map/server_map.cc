@@ -134,7 +134,7 @@ absl::StatusOr<v1::CandidateSet> Search(
     const auto response = client.FindCandidates(request);
     if (response.ok()) return response->candidates();
     if (absl::IsOutOfRange(response.status())) {
-      // As the check of a stream would have been answered.
+      // A stream answers a check that is too large in the same way.
       v1::CandidateSet set;
       set.set_empty_reason(v1::EMPTY_REASON_LIMIT_EXCEEDED);
       return set;

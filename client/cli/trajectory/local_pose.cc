@@ -91,6 +91,14 @@ void SetErrorTransition(const StateMatrix& matrix, bool spatial,
   }
 }
 
+void SetQuaternion(const std::array<double, 4>& orientation, v1::Pose* pose) {
+  v1::Quaternion* const quaternion = pose->mutable_quaternion();
+  quaternion->set_x(orientation[0]);
+  quaternion->set_y(orientation[1]);
+  quaternion->set_z(orientation[2]);
+  quaternion->set_w(orientation[3]);
+}
+
 std::array<double, 4> Turned(const std::array<double, 4>& orientation,
                              double radians) {
   const auto& [x, y, z, w] = orientation;

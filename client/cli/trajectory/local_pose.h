@@ -27,6 +27,9 @@ v1::Covariance ToCovariance(const StateMatrix& matrix, bool spatial);
 void SetErrorTransition(const StateMatrix& matrix, bool spatial,
                         v1::Pose* pose);
 
+// Sets Pose.quaternion to x, y, z, w.
+void SetQuaternion(const std::array<double, 4>& orientation, v1::Pose* pose);
+
 // An orientation (x, y, z, w) turned by this angle about the local z axis.
 std::array<double, 4> Turned(const std::array<double, 4>& orientation,
                              double radians);

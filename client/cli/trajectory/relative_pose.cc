@@ -132,7 +132,8 @@ RelativePose JumpBetween(const LocalPose& from, const LocalPose& to) {
 
 RelativePose ClosureBetween(const v1::LoopClosure& closure,
                             const LocalPose& matched, const LocalPose& query) {
-  // As core/alignment/known_drift.h has it.
+  // The search takes closures without a measurement to be so uncertain too
+  // (kConfirmedTolerance of core/alignment/known_drift.h).
   constexpr double kSigmaMeters = 5.0;
   constexpr double kSigmaRadians = 0.15;
   RelativePose relative;

@@ -9,8 +9,8 @@
 namespace revisit::client {
 
 struct FlagUsage {
-  // As they are typed, such as "-h" and "--help". Empty for a flag that is only
-  // a word in its place.
+  // Its spellings on a command line, such as "-h" and "--help". Empty for a
+  // flag that is only a word in its place.
   std::vector<std::string> names;
   // Stands for a word in its place, such as "FILE"; empty if there is no place
   // for it.
