@@ -25,9 +25,9 @@ METHODS = ["paper, independent", "paper, dead reckoning", "single pose",
 DRIVE_KEYS = {
     "drive", "checks", "true_loops", "accepted", "accepted_correct",
     "top1_correct", "top5_correct", "precision", "recall", "f1", "top1",
-    "recall_at_5", "candidates_to_verify", "loops_found",
-    "candidates_per_loop_found", "expected_calibration_error", "confirmed",
-    "rejected", "jumps", "query_ms_p50", "query_ms_p99", "poses",
+    "recall_at_5", "sure_correct", "sure_recall", "candidates_to_verify",
+    "loops_found", "candidates_per_loop_found", "positive_calibration_error",
+    "expected_calibration_error", "confirmed", "rejected", "jumps", "query_ms_p50", "query_ms_p99", "poses",
     "poses_per_second"}
 
 
@@ -96,11 +96,15 @@ def test_baselines_stand_beside_the_settings(tmp_path):
     stated = relative["reliability"]
     assert len(stated) == 10
     assert 0 < sum(bin["count"] for bin in stated) <= report["total"]["checks"]
-    assert 0.0 <= report["total"]["expected_calibration_error"] <= 1.0
+    assert 0.0 <= report["total"]["expected_calibration_error"] \
+        <= report["total"]["positive_calibration_error"] <= 1.0
+    assert 0.0 < report["total"]["sure_recall"] <= report["total"]["top1"]
     for method in report["methods"]:
         if method is not relative:
             assert method["reliability"] is None
-            assert method["total"]["expected_calibration_error"] is None
+            for key in ("expected_calibration_error",
+                        "positive_calibration_error", "sure_recall"):
+                assert method["total"][key] is None
     nearest = report["methods"][-1]["total"]
     assert nearest["query_ms_p50"] is None
     assert nearest["accepted"] > 0
@@ -227,6 +231,18 @@ def test_gnss_drives_of_one_vehicle_have_one_frame(tmp_path):
     assert 14 <= drive["true_loops"] <= 17
     assert drive["top1_correct"] >= 12
     texts_of(tmp_path / "map.svg")
+
+
+def test_checks_of_a_new_route_do_not_count_where_only_revisits_do(tmp_path):
+    drive = write_drive(tmp_path / "drive.csv", 2)
+    every = report_of(drive, "--verbose")
+    revisits = report_of(drive, "--only-revisited", "--verbose")
+    loops = [check["true_loop"] for check in every["drives"][0]["check_list"]]
+    first = loops.index(True)
+    assert first > 0
+    assert revisits["total"]["checks"] == len(loops) - first
+    assert revisits["total"]["true_loops"] == every["total"]["true_loops"]
+    assert revisits["drives"][0]["check_list"][0]["true_loop"]
 
 
 @pytest.mark.parametrize("flags, words", [

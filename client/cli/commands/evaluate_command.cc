@@ -28,8 +28,12 @@ constexpr char kDetails[] =
     "  recall      accepted and right / true loops\n"
     "  top-1       right in first place / true loops, verdict aside\n"
     "  recall@5    right among the first five / true loops, verdict aside\n"
+    "  recall p>=0.9  right in first place and stated at 0.9 or more / true "
+    "loops\n"
     "  verify/loop  accepted candidates of any rank / loops found by them\n"
-    "  ECE         expected calibration error of the stated probabilities";
+    "  ECE p>=0.1  expected calibration error of the probabilities that are "
+    "stated at 0.1 or more\n"
+    "  ECE         that of all, which is small where most checks are no loops";
 
 constexpr char kExamples[] =
     "  revisit evaluate kitti_05.csv\n"
@@ -108,6 +112,9 @@ void AddJudging(const Command& command, EvaluateOptions* options) {
   group.AddNumber("--first-check", "M", &judging->first_check_meters,
                   "Earlier checks do not count; before two sequence lengths "
                   "there are none");
+  group.AddSwitch("--only-revisited", &judging->only_revisited,
+                  "Checks before the first true loop do not count, so that "
+                  "figures are about a route that has been driven once");
   group.AddNumber("--exclude", "M", &options->exclude_meters,
                   "Recent path that is no history");
   group.AddNumber("--loop-distance", "M", &judging->loop_distance_meters,

@@ -4,6 +4,24 @@
 #include <cmath>
 
 namespace revisit::client {
+namespace {
+
+// The calibration error over the bins from this one on.
+std::optional<double> ErrorFrom(std::size_t first,
+                                const std::vector<Scored>& stated) {
+  const auto bins = Reliability(stated);
+  double sum = 0.0;
+  std::int64_t count = 0;
+  for (std::size_t i = first; i < bins.size(); ++i) {
+    sum += static_cast<double>(bins[i].count) *
+           std::abs(bins[i].mean_stated - bins[i].share_correct);
+    count += bins[i].count;
+  }
+  if (count == 0) return std::nullopt;
+  return sum / static_cast<double>(count);
+}
+
+}  // namespace
 
 std::vector<CurvePoint> PrecisionRecallCurve(std::vector<Scored> scored,
                                              std::int64_t true_loops) {
@@ -51,13 +69,12 @@ std::array<ReliabilityBin, kReliabilityBins> Reliability(
 
 std::optional<double> ExpectedCalibrationError(
     const std::vector<Scored>& stated) {
-  if (stated.empty()) return std::nullopt;
-  double sum = 0.0;
-  for (const ReliabilityBin& bin : Reliability(stated)) {
-    sum += static_cast<double>(bin.count) *
-           std::abs(bin.mean_stated - bin.share_correct);
-  }
-  return sum / static_cast<double>(stated.size());
+  return ErrorFrom(0, stated);
+}
+
+std::optional<double> PositiveCalibrationError(
+    const std::vector<Scored>& stated) {
+  return ErrorFrom(1, stated);
 }
 
 }  // namespace revisit::client

@@ -10,6 +10,10 @@
 // counts:
 //
 //   ECE = sum over bins of n_b / n |mean stated_b - share correct_b|
+//
+// Most checks of a drive are no loops and stated near 0, which is easy and
+// makes this error small. The same sum without the first bin, n being the count
+// of the other nine, is therefore what statements are judged by.
 #ifndef REVISIT_CLIENT_CLI_EVALUATION_CALIBRATION_H_
 #define REVISIT_CLIENT_CLI_EVALUATION_CALIBRATION_H_
 
@@ -57,6 +61,11 @@ std::array<ReliabilityBin, kReliabilityBins> Reliability(
 
 // Absent if nothing was stated. REQUIRES: scores in [0, 1].
 std::optional<double> ExpectedCalibrationError(
+    const std::vector<Scored>& stated);
+
+// The same over what is stated at 0.1 or more. Absent if nothing is. REQUIRES:
+// scores in [0, 1].
+std::optional<double> PositiveCalibrationError(
     const std::vector<Scored>& stated);
 
 }  // namespace revisit::client

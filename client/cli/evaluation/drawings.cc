@@ -165,7 +165,8 @@ absl::Status WritePlots(const EvaluateOptions& options, const Report& report) {
   }
   return Write(directory + "reliability.svg",
                DrawReliability(subtitle, Reliability(main.probabilities),
-                               main.calibration_error()));
+                               main.calibration_error(),
+                               main.positive_calibration_error()));
 }
 
 }  // namespace revisit::client

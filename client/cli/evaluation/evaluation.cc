@@ -79,6 +79,16 @@ std::optional<double> Tally::calibration_error() const {
   return ExpectedCalibrationError(probabilities);
 }
 
+std::optional<double> Tally::positive_calibration_error() const {
+  return PositiveCalibrationError(probabilities);
+}
+
+std::optional<double> Tally::sure_recall() const {
+  if (probabilities.empty()) return std::nullopt;
+  return Ratio(static_cast<double>(sure_correct),
+               static_cast<double>(true_loops));
+}
+
 std::optional<double> Tally::to_verify_per_loop() const {
   return Ratio(static_cast<double>(to_verify),
                static_cast<double>(loops_found));
@@ -105,6 +115,7 @@ void Tally::Add(const Tally& other) {
   accepted_correct += other.accepted_correct;
   top1_correct += other.top1_correct;
   top5_correct += other.top5_correct;
+  sure_correct += other.sure_correct;
   to_verify += other.to_verify;
   loops_found += other.loops_found;
   const auto append = [](auto* to, const auto& from) {
@@ -180,6 +191,7 @@ std::vector<JudgedCheck> Judge(const std::vector<GraphNode>& nodes,
                     candidate.opposite, judging));
     }
     check.answer = answer;
+    if (judging.only_revisited && checks.empty() && !check.true_loop) continue;
     checks.push_back(std::move(check));
   }
   return checks;
@@ -213,6 +225,9 @@ Tally Count(const std::vector<JudgedCheck>& checks) {
       if (first.probability.has_value()) {
         tally.probabilities.push_back(
             {*first.probability, check.top_correct()});
+        if (*first.probability >= kSure && check.top_correct()) {
+          ++tally.sure_correct;
+        }
       }
     } else if (check.answer.none_probable) {
       // The best that was left out.

@@ -16,6 +16,8 @@
 //   f1        = 2 accepted and correct / (accepted + true loops)
 //   top1      = first candidate correct / true loops, verdict aside
 //   recall@5  = one of the first five correct / true loops, verdict aside
+//   sure recall = first candidate correct and stated at 0.9 or more / true
+//                 loops, verdict aside
 #ifndef REVISIT_CLIENT_CLI_EVALUATION_EVALUATION_H_
 #define REVISIT_CLIENT_CLI_EVALUATION_EVALUATION_H_
 
@@ -99,6 +101,9 @@ struct Judging {
   double loop_distance_meters = 10.0;
   double loop_heading_radians = kPi / 4.0;
   PassDirection direction = PassDirection::kSame;
+  // Whether checks before the first true loop do not count, so that figures are
+  // about a route that has been driven once.
+  bool only_revisited = false;
 };
 
 struct JudgedCheck {
@@ -114,6 +119,10 @@ struct JudgedCheck {
   bool top_correct() const { return !correct.empty() && correct[0]; }
 };
 
+// The stated probability from which on a candidate is so sure that a user may
+// take it without a second look.
+inline constexpr double kSure = 0.9;
+
 struct Tally {
   std::int64_t checks = 0;
   std::int64_t true_loops = 0;
@@ -124,6 +133,8 @@ struct Tally {
   // the verdict.
   std::int64_t top1_correct = 0;
   std::int64_t top5_correct = 0;
+  // Checks with a correct candidate first that is stated at kSure or more.
+  std::int64_t sure_correct = 0;
   // Accepted candidates of any rank, which somebody would have to verify, and
   // checks with a correct one among them, which are loops that would be found.
   std::int64_t to_verify = 0;
@@ -150,7 +161,11 @@ struct Tally {
   std::optional<double> top1() const;
   std::optional<double> recall_at_5() const;
   std::optional<double> to_verify_per_loop() const;
+  // Absent also where no probability is stated.
+  std::optional<double> sure_recall() const;
   std::optional<double> calibration_error() const;
+  // Over what is stated at 0.1 or more.
+  std::optional<double> positive_calibration_error() const;
   std::optional<double> poses_per_second() const;
   // The nearest-rank percentile, in [0, 100].
   std::optional<double> search_percentile(double percent) const;

@@ -113,7 +113,8 @@ std::string DrawPrecisionRecall(const std::string& subtitle,
 std::string DrawReliability(
     const std::string& subtitle,
     const std::array<ReliabilityBin, kReliabilityBins>& bins,
-    std::optional<double> expected_calibration_error) {
+    std::optional<double> expected_calibration_error,
+    std::optional<double> positive_error) {
   constexpr char kBar[] = "#0072b2";
   std::string svg =
       PlotFrame("Reliability of stated probabilities", subtitle,
@@ -141,14 +142,17 @@ std::string DrawReliability(
                    "stroke-linejoin=\"round\" paint-order=\"stroke\"");
   }
   svg += Border();
+  std::string error = "No probability was stated.";
+  if (expected_calibration_error.has_value()) {
+    error =
+        "Expected calibration error " + Fixed(*expected_calibration_error, 3);
+    if (positive_error.has_value()) {
+      error += ", where stated at 0.1 or more " + Fixed(*positive_error, 3);
+    }
+    error += ". Numbers: candidates of each bin.";
+  }
   const double y = kPlotTop + kSide + kBelow + 12.0;
-  svg += SvgText(kPlotLeft, y + 4.5,
-                 expected_calibration_error.has_value()
-                     ? "Expected calibration error " +
-                           Fixed(*expected_calibration_error, 3) +
-                           ". Numbers: candidates of each bin."
-                     : "No probability was stated.",
-                 kInk, "start", "");
+  svg += SvgText(kPlotLeft, y + 4.5, error, kInk, "start", "");
   svg +=
       SvgText(kPlotLeft, y + kLegendRow + 4.5,
               "Bars: share right. Dots: at the bin's mean statement. Dashed: "

@@ -29,10 +29,12 @@ std::string DrawPrecisionRecall(const std::string& subtitle,
 
 // An SVG document: the share that was correct against the stated probability,
 // a bar for each bin with its count; perfect statements lie on the diagonal.
+// `positive_error` is that of what is stated at 0.1 or more (calibration.h).
 std::string DrawReliability(
     const std::string& subtitle,
     const std::array<ReliabilityBin, kReliabilityBins>& bins,
-    std::optional<double> expected_calibration_error);
+    std::optional<double> expected_calibration_error,
+    std::optional<double> positive_error);
 
 }  // namespace revisit::client
 

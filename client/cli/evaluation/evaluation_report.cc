@@ -98,10 +98,15 @@ void PrintSummary(const Row& row, bool verified, std::ostream& out) {
       {"recall@5",
        absl::StrCat(OrDash(t.recall_at_5(), 3), ", ", t.top5_correct,
                     " of the true loops (verdict aside)")},
+      {"recall p>=0.9",
+       absl::StrCat(OrDash(t.sure_recall(), 3), ", ", t.sure_correct,
+                    " of the true loops right and stated at ", Fixed(kSure, 1),
+                    " or more")},
       {"verify/loop",
        absl::StrCat(OrDash(t.to_verify_per_loop(), 2), ", ", t.to_verify,
                     " accepted for the ", t.loops_found, " loops found")}};
   if (t.calibration_error().has_value()) {
+    fields.push_back({"ECE p>=0.1", OrDash(t.positive_calibration_error(), 3)});
     fields.push_back({"ECE", OrDash(t.calibration_error(), 3)});
   }
   if (verified) {
@@ -138,7 +143,8 @@ std::vector<Table::Column> ColumnsOf(const Report& report) {
   columns.push_back({"DRIVE", Align::kLeft});
   for (const char* title :
        {"CHECKS", "LOOPS", "ACCEPTED", "RIGHT", "PRECISION", "RECALL", "F1",
-        "TOP-1", "RECALL@5", "VERIFY/LOOP", "ECE"}) {
+        "TOP-1", "RECALL@5", "RECALL p>=0.9", "VERIFY/LOOP", "ECE p>=0.1",
+        "ECE"}) {
     columns.push_back({title, Align::kRight});
   }
   if (report.verified) {
@@ -163,11 +169,12 @@ std::vector<std::string> CellsOf(const Report& report,
        {t.checks, t.true_loops, t.accepted, t.accepted_correct}) {
     cells.push_back(absl::StrCat(count));
   }
-  for (const auto& ratio :
-       {t.precision(), t.recall(), t.f1(), t.top1(), t.recall_at_5()}) {
+  for (const auto& ratio : {t.precision(), t.recall(), t.f1(), t.top1(),
+                            t.recall_at_5(), t.sure_recall()}) {
     cells.push_back(OrDash(ratio, 3));
   }
   cells.push_back(OrDash(t.to_verify_per_loop(), 2));
+  cells.push_back(OrDash(t.positive_calibration_error(), 3));
   cells.push_back(OrDash(t.calibration_error(), 3));
   if (report.verified) {
     cells.push_back(absl::StrCat(t.confirmed));
@@ -214,9 +221,12 @@ Json TallyJson(const std::string& drive, const Tally& t) {
   json["f1"] = OrNull(t.f1());
   json["top1"] = OrNull(t.top1());
   json["recall_at_5"] = OrNull(t.recall_at_5());
+  json["sure_correct"] = t.sure_correct;
+  json["sure_recall"] = OrNull(t.sure_recall());
   json["candidates_to_verify"] = t.to_verify;
   json["loops_found"] = t.loops_found;
   json["candidates_per_loop_found"] = OrNull(t.to_verify_per_loop());
+  json["positive_calibration_error"] = OrNull(t.positive_calibration_error());
   json["expected_calibration_error"] = OrNull(t.calibration_error());
   json["confirmed"] = t.confirmed;
   json["rejected"] = t.rejected;

@@ -14,10 +14,12 @@ namespace revisit::client {
 // With --json it prints {"drives": [...], "total": {...}, "methods": [...],
 // "repeats", "notes"}. Each drive and total has drive, checks, true_loops,
 // accepted, accepted_correct, top1_correct, top5_correct, precision, recall,
-// f1, top1, recall_at_5, candidates_to_verify, loops_found,
-// candidates_per_loop_found, expected_calibration_error, confirmed, rejected,
-// jumps, query_ms_p50, query_ms_p99, poses, poses_per_second; null where there
-// is nothing to divide by. Drives have seed and inflation too, null where there
+// f1, top1, recall_at_5, sure_correct, sure_recall (right and stated at 0.9 or
+// more), candidates_to_verify, loops_found, candidates_per_loop_found,
+// positive_calibration_error (of what is stated at 0.1 or more),
+// expected_calibration_error, confirmed, rejected, jumps, query_ms_p50,
+// query_ms_p99, poses, poses_per_second; null where there is nothing to divide
+// by. Drives have seed and inflation too, null where there
 // is none, and with `verbose` check_list. `drives` and `total` are those of the
 // settings; each of `methods` has method, sequence_length_meters, drives,
 // total, precision_recall (a list of threshold, precision, recall) and

@@ -58,6 +58,20 @@ TEST(CalibrationTest, WeighsBinsByTheirCounts) {
       0.16, 1e-15);
 }
 
+TEST(CalibrationTest, ErrorOfWhatIsStatedAtATenthIsNotDilutedByZeros) {
+  // As above, beside 95 that are rightly stated at 0.
+  std::vector<Scored> stated = {
+      {0.9, true}, {0.9, true}, {0.9, false}, {0.9, true}, {0.2, false}};
+  stated.resize(100, {0.0, false});
+  EXPECT_NEAR(*ExpectedCalibrationError(stated), 0.008, 1e-15);
+  EXPECT_NEAR(*PositiveCalibrationError(stated), 0.16, 1e-15);
+  // One at 0.1 counts, one below does not.
+  EXPECT_NEAR(*PositiveCalibrationError({{0.1, false}, {0.09, true}}), 0.1,
+              1e-15);
+  EXPECT_FALSE(PositiveCalibrationError({{0.09, true}}).has_value());
+  EXPECT_FALSE(PositiveCalibrationError({}).has_value());
+}
+
 TEST(CalibrationTest, FindsNothingWrongWithHonestStatements) {
   std::vector<Scored> stated;
   for (int i = 0; i < 10; ++i) stated.push_back({0.9, i < 9});

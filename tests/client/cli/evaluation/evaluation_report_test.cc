@@ -72,10 +72,12 @@ TEST(EvaluationReportTest, TableHasARowForEachMethodAndDriveAndTheTotals) {
   EXPECT_THAT(lines[0],
               MatchesRegex("METHOD +DRIVE +CHECKS +LOOPS +ACCEPTED +RIGHT "
                            "+PRECISION +RECALL +F1 +TOP-1 +RECALL@5 "
-                           "+VERIFY/LOOP +ECE +POSES/s +p50 ms +p99 ms"));
+                           "+RECALL p>=0.9 +VERIFY/LOOP +ECE p>=0.1 +ECE "
+                           "+POSES/s +p50 ms +p99 ms"));
   EXPECT_THAT(lines[1],
               MatchesRegex("paper +one +2 +2 +1 +1 +1.000 +0.500 +0.667 +0.500 "
-                           "+0.500 +1.00 +0.150 +100 +1.00 +2.00"));
+                           "+0.500 +0.500 +1.00 +0.150 +0.150 +100 +1.00 "
+                           "+2.00"));
   EXPECT_THAT(lines[3],
               MatchesRegex("paper +total +4 +4 +2 +2 +1.000 +0.500 .* 100 .*"));
   EXPECT_THAT(lines[4], MatchesRegex("-+"));
@@ -93,7 +95,10 @@ TEST(EvaluationReportTest, OneRowIsAList) {
        {"precision +1.000", "recall +0.500",
         "top-1 +0.500, 1 of the true loops .verdict aside.",
         "recall@5 +0.500, 1 of the true loops .verdict aside.",
-        "verify/loop +1.00, 1 accepted for the 1 loops found", "ECE +0.150"}) {
+        "recall p>=0.9 +0.500, 1 of the true loops right and stated at 0.9 or "
+        "more",
+        "verify/loop +1.00, 1 accepted for the 1 loops found",
+        "ECE p>=0.1 +0.150", "ECE +0.150"}) {
     EXPECT_THAT(lines, ::testing::Contains(MatchesRegex(line)));
   }
 }
@@ -146,6 +151,9 @@ TEST(EvaluationReportTest, JsonHoldsTheSettingsAndAllMethods) {
   EXPECT_EQ(parsed["total"]["checks"], 4);
   EXPECT_EQ(parsed["total"]["recall"], 0.5);
   EXPECT_NEAR(parsed["total"]["expected_calibration_error"], 0.15, 1e-15);
+  EXPECT_NEAR(parsed["total"]["positive_calibration_error"], 0.15, 1e-15);
+  EXPECT_EQ(parsed["total"]["sure_correct"], 2);
+  EXPECT_EQ(parsed["total"]["sure_recall"], 0.5);
   EXPECT_EQ(parsed["repeats"], 1);
   EXPECT_EQ(parsed["notes"], json::array({"a note"}));
   ASSERT_EQ(parsed["methods"].size(), 2u);
@@ -213,15 +221,17 @@ TEST(EvaluationPlotsTest, DrawsEachCurveWithItsName) {
 
 TEST(EvaluationPlotsTest, DrawsABarWithItsCountForEachBinThatHolds) {
   const std::vector<Scored> stated = {
-      {0.95, true}, {0.95, true}, {0.95, false}, {0.15, false}};
+      {0.95, true}, {0.95, true}, {0.95, false}, {0.15, false}, {0.0, false}};
   const std::string svg = DrawReliability("one drive", Reliability(stated),
-                                          ExpectedCalibrationError(stated));
+                                          ExpectedCalibrationError(stated),
+                                          PositiveCalibrationError(stated));
   EXPECT_THAT(svg, HasSubstr(">3</text>"));
-  EXPECT_THAT(svg, HasSubstr("Expected calibration error 0.250."));
+  EXPECT_THAT(svg, HasSubstr("Expected calibration error 0.200, where stated "
+                             "at 0.1 or more 0.250."));
   // At 0.95 two of three.
   EXPECT_THAT(svg, HasSubstr("<circle cx=\"566\" cy=\"251.33\""));
   EXPECT_THAT(svg, Not(HasSubstr("nan")));
-  EXPECT_THAT(DrawReliability("", Reliability({}), std::nullopt),
+  EXPECT_THAT(DrawReliability("", Reliability({}), std::nullopt, std::nullopt),
               HasSubstr("No probability was stated."));
 }
 

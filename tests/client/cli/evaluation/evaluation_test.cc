@@ -199,6 +199,55 @@ TEST(EvaluationTest, CollectsWhatFirstCandidatesState) {
   EXPECT_NEAR(*both.calibration_error(), 0.2, 1e-15);
 }
 
+TEST(EvaluationTest, SureRecallCountsWhatIsRightAndStatedAtNineTenths) {
+  const Course course = TwoLapsAndBack();
+  std::vector<CheckAnswer> answers = {
+      Answer(15, {{5, Verdict::kAccepted}}),
+      // Rejected, but sure and right: the verdict does not matter.
+      Answer(16, {{6, Verdict::kAmbiguous}}),
+      // Sure and wrong; right, but not sure.
+      Answer(17, {{1, Verdict::kAccepted}}),
+      Answer(18, {{8, Verdict::kAccepted}})};
+  const double stated[] = {0.9, 0.95, 0.99, 0.89};
+  for (std::size_t i = 0; i < answers.size(); ++i) {
+    answers[i].candidates[0].probability = stated[i];
+  }
+  Tally tally =
+      Count(Judge(course.nodes, course.truth, answers, EightExcluded()));
+  EXPECT_EQ(tally.true_loops, 4);
+  EXPECT_EQ(tally.sure_correct, 2);
+  EXPECT_EQ(*tally.sure_recall(), 0.5);
+  tally.Add(Tally(tally));
+  EXPECT_EQ(tally.sure_correct, 4);
+  EXPECT_EQ(*tally.sure_recall(), 0.5);
+  // Where nothing is stated, nothing can be sure.
+  for (CheckAnswer& answer : answers) answer.candidates[0].probability.reset();
+  EXPECT_FALSE(
+      Count(Judge(course.nodes, course.truth, answers, EightExcluded()))
+          .sure_recall()
+          .has_value());
+}
+
+TEST(EvaluationTest, ChecksCanCountFromTheFirstTrueLoopOn) {
+  const Course course = TwoLapsAndBack();
+  const std::vector<CheckAnswer> answers = {
+      Answer(8, {{0, Verdict::kAccepted}}), Answer(15, {}), Answer(25, {}),
+      Answer(16, {{6, Verdict::kAccepted}})};
+  Judging judging = EightExcluded();
+  const auto all = Judge(course.nodes, course.truth, answers, judging);
+  ASSERT_EQ(all.size(), 4u);
+  EXPECT_FALSE(all[0].true_loop);
+  EXPECT_TRUE(all[1].true_loop);
+  // Those behind it count whether they are loops or not.
+  EXPECT_FALSE(all[2].true_loop);
+  judging.only_revisited = true;
+  const auto later = Judge(course.nodes, course.truth, answers, judging);
+  ASSERT_EQ(later.size(), 3u);
+  EXPECT_EQ(later[0].answer.query, 15);
+  EXPECT_EQ(Count(later).accepted, 1);
+  EXPECT_TRUE(Judge(course.nodes, course.truth, {answers[0]}, judging).empty());
+}
+
 TEST(EvaluationTest, JudgesOppositePassesWhereTheyAreSought) {
   const Course course = TwoLapsAndBack();
   // Node 25 goes back over nodes 4 and 14.
@@ -251,6 +300,8 @@ TEST(EvaluationTest, HasNoRatioWhereThereIsNothingToDivideBy) {
   EXPECT_FALSE(nothing.top1().has_value());
   EXPECT_FALSE(nothing.recall_at_5().has_value());
   EXPECT_FALSE(nothing.calibration_error().has_value());
+  EXPECT_FALSE(nothing.positive_calibration_error().has_value());
+  EXPECT_FALSE(nothing.sure_recall().has_value());
   EXPECT_FALSE(nothing.to_verify_per_loop().has_value());
   EXPECT_FALSE(nothing.poses_per_second().has_value());
   EXPECT_FALSE(nothing.search_percentile(50.0).has_value());
