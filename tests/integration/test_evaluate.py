@@ -142,6 +142,26 @@ def test_sequence_lengths_exclude_as_much_as_they_are_long(tmp_path):
     assert any("sequence" in note for note in report["notes"])
 
 
+def test_claimed_scales_are_each_what_the_scale_alone_is(tmp_path):
+    drives = [write_drive(tmp_path / f"{name}.csv", 2) for name in "ab"]
+    flags = (*drives, "--simulate", "3-4")
+    report = report_of(*flags, "--claimed-scales", "0.25,1,4")
+    assert [method["claimed_scale"] for method in report["methods"]] \
+        == [0.25, 1.0, 4.0]
+    for method in report["methods"]:
+        alone = report_of(*flags, "--claimed-scale",
+                          str(method["claimed_scale"]))
+        assert without_times(method["total"]) == without_times(alone["total"])
+        assert alone["methods"][0]["claimed_scale"] is None
+        assert len(method["drives"]) == 4
+    # The honest scale is the one that counts.
+    assert report["total"] == report["methods"][1]["total"]
+    table = evaluate(*flags, "--claimed-scales", "0.25,1,4")
+    assert table.returncode == 0, table.stderr
+    assert re.findall(r"^relative, claimed x (\S+) +total ", table.stdout,
+                      re.MULTILINE) == ["0.25", "1", "4"]
+
+
 def test_simulated_drives_are_the_same_again_and_differ_by_seed(tmp_path):
     drive = write_drive(tmp_path / "drive.csv", 2)
     first = report_of(drive, "--simulate", "3,5-6", "--verbose")
@@ -254,6 +274,12 @@ def test_checks_of_a_new_route_do_not_count_where_only_revisits_do(tmp_path):
     (["--vehicle", "v", "--baselines"], "takes one vehicle only"),
     (["--vehicle", "v", "--repeat", "2"], "takes one vehicle only"),
     (["--claimed-scale", "0"], "must be positive"),
+    (["--claimed-scales", "1,0"], "--claimed-scales"),
+    (["--claimed-scales", "1,2", "--claimed-scale", "2"],
+     "stands in place of --claimed-scale"),
+    (["--claimed-scales", "1,2", "--sequence-lengths", "100,150"],
+     "does not go with --sequence-lengths"),
+    (["--vehicle", "v", "--claimed-scales", "1,2"], "takes one vehicle only"),
     (["--repeat", "0"], "--repeat"),
     (["--sequence-lengths", "100,0"], "--sequence-lengths"),
     (["--alignment", "best"], "--alignment"),

@@ -41,6 +41,7 @@ constexpr char kExamples[] =
     "  revisit evaluate drives/*.csv --sequence-lengths 100,150,200,300,400\n"
     "  revisit evaluate drives/*.csv --simulate 1-5 --claimed-scale 0.5 "
     "--verify --apply-inflation\n"
+    "  revisit evaluate drives/*.csv --claimed-scales 0.25,0.5,1,2,4\n"
     "  revisit evaluate drive.csv --verbose --map map.svg\n"
     "  revisit evaluate day1.pos day2.pos --one-vehicle "
     "--truth ref1.csv ref2.csv";
@@ -141,9 +142,28 @@ std::string CheckNumberOfDrives(const EvaluateOptions& options) {
   if (!options.map.empty() && !one_drive) return "--map: takes one drive only";
   const bool one_vehicle = one_drive && !options.baselines &&
                            options.repeats <= 1 &&
-                           options.sequence_lengths.size() <= 1;
+                           options.sequence_lengths.size() <= 1 &&
+                           options.claimed_scales.size() <= 1;
   if (!options.vehicle.empty() && !one_vehicle) {
     return "--vehicle: goes with what takes one vehicle only";
+  }
+  return "";
+}
+
+// Names what is wrong with the claimed scales; empty if nothing is.
+std::string CheckScales(const Command& command,
+                        const EvaluateOptions& options) {
+  if (!(options.uncertainty.claimed_scale > 0.0)) {
+    return "--claimed-scale: must be positive";
+  }
+  if (options.claimed_scales.empty()) return "";
+  if (command.Given("--claimed-scale")) {
+    return "--claimed-scales: stands in place of --claimed-scale; give one of "
+           "the two";
+  }
+  if (!options.sequence_lengths.empty()) {
+    return "--claimed-scales: does not go with --sequence-lengths; sweep one "
+           "of the two at a time";
   }
   return "";
 }
@@ -170,10 +190,7 @@ std::string FinishOptions(const Command& command, EvaluateFlags* flags) {
   if (!(options.settings.node_spacing_meters() > 0.0)) {
     return "--node-spacing: must be positive";
   }
-  if (!(options.uncertainty.claimed_scale > 0.0)) {
-    return "--claimed-scale: must be positive";
-  }
-  return "";
+  return CheckScales(command, options);
 }
 
 }  // namespace
@@ -191,10 +208,14 @@ void AddEvaluateCommand(const Command& program) {
   AddJudging(command, options);
   AddDriveSettings(command, &options->settings);
   AddUncertainty(command, &options->uncertainty);
-  command.Under("Claimed uncertainty")
-      .AddNumber("--claimed-scale", "FACTOR",
-                 &options->uncertainty.claimed_scale,
-                 "Claim every standard deviation this many times as large");
+  const Command claims = command.Under("Claimed uncertainty");
+  claims.AddNumber("--claimed-scale", "FACTOR",
+                   &options->uncertainty.claimed_scale,
+                   "Claim every standard deviation this many times as large");
+  claims.AddPositiveNumbers("--claimed-scales", "FACTOR,...",
+                            &options->claimed_scales,
+                            "Each of these instead of --claimed-scale, with a "
+                            "row for each that holds all drives");
   const Check check = [command, flags] {
     return FinishOptions(command, flags.get());
   };

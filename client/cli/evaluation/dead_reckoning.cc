@@ -44,6 +44,13 @@ Symmetric StepNoise(double length, double direction,
           options.heading * options.heading * length};
 }
 
+void Scale(double factor, ClaimedUncertainty* claim) {
+  const double squared = factor * factor;
+  for (double& entry : claim->planar) entry *= squared;
+  for (double& entry : claim->z_mixed) entry *= squared;
+  claim->z_variance *= squared;
+}
+
 }  // namespace
 
 UncertaintyClaims::UncertaintyClaims(const UncertaintyOptions& options,
@@ -126,11 +133,12 @@ absl::StatusOr<ClaimedUncertainty> UncertaintyClaims::Next(
       return status;
     }
   }
-  const double scale = options_.claimed_scale * options_.claimed_scale;
-  for (double& entry : claim.planar) entry *= scale;
-  for (double& entry : claim.z_mixed) entry *= scale;
-  claim.z_variance *= scale;
+  Scale(options_.claimed_scale, &claim);
   return claim;
+}
+
+void ScaleClaims(double factor, std::vector<ClaimedUncertainty>* claims) {
+  for (ClaimedUncertainty& claim : *claims) Scale(factor, &claim);
 }
 
 absl::StatusOr<std::vector<ClaimedUncertainty>> ClaimUncertainty(

@@ -89,6 +89,9 @@ class UncertaintyClaims {
   std::optional<PlanarPose> previous_;
 };
 
+// Multiplies the standard deviations by this factor.
+void ScaleClaims(double factor, std::vector<ClaimedUncertainty>* claims);
+
 // One for each sample, with the errors of UncertaintyClaims::Next().
 absl::StatusOr<std::vector<ClaimedUncertainty>> ClaimUncertainty(
     const Drive& drive, const UncertaintyOptions& options);

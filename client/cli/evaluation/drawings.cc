@@ -147,11 +147,7 @@ absl::Status WritePlots(const EvaluateOptions& options, const Report& report) {
   for (const MethodResult& method : report.methods) {
     const Tally total = TotalOf(method);
     PlottedCurve curve;
-    curve.name = method.method;
-    if (!options.sequence_lengths.empty()) {
-      absl::StrAppend(&curve.name, ", ",
-                      Fixed(method.sequence_length_meters, 0), " m");
-    }
+    curve.name = NameAmong(report.methods, method);
     curve.curve = PrecisionRecallCurve(total.confidences, total.true_loops);
     curve.precision = total.precision();
     curve.recall = total.recall();

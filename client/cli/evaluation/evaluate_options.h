@@ -49,6 +49,9 @@ struct EvaluateOptions {
   // Measured one after the other in place of the settings' own, each of them
   // also as the length of the excluded recent path.
   std::vector<double> sequence_lengths;
+  // Measured one after the other in place of `uncertainty.claimed_scale`, which
+  // is then 1. Not together with `sequence_lengths`.
+  std::vector<double> claimed_scales;
   // Each drive's estimate is drawn anew for each of these; if there are none,
   // it is streamed as it is.
   std::vector<std::uint64_t> seeds;

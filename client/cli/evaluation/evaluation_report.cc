@@ -125,17 +125,6 @@ void PrintSummary(const Row& row, bool verified, std::ostream& out) {
   PrintFields(fields, out);
 }
 
-// The name of a method, with its sequence length where these differ.
-std::string NameIn(const Report& report, const MethodResult& method) {
-  const bool lengths_differ = std::any_of(
-      report.methods.begin(), report.methods.end(), [&](const auto& other) {
-        return other.sequence_length_meters != method.sequence_length_meters;
-      });
-  if (!lengths_differ) return method.method;
-  return absl::StrCat(method.method, ", ",
-                      Fixed(method.sequence_length_meters, 0), " m");
-}
-
 std::vector<Table::Column> ColumnsOf(const Report& report) {
   using Align = Table::Align;
   std::vector<Table::Column> columns;
@@ -163,7 +152,8 @@ std::vector<std::string> CellsOf(const Report& report,
                                  const MethodResult& method, const Row& row) {
   const Tally& t = row.tally;
   std::vector<std::string> cells;
-  if (report.methods.size() > 1) cells.push_back(NameIn(report, method));
+  if (report.methods.size() > 1)
+    cells.push_back(NameAmong(report.methods, method));
   cells.push_back(row.drive);
   for (const std::int64_t count :
        {t.checks, t.true_loops, t.accepted, t.accepted_correct}) {
@@ -192,8 +182,12 @@ void PrintTable(const Report& report, std::ostream& out, std::size_t width) {
   Table table(ColumnsOf(report));
   for (const MethodResult& method : report.methods) {
     std::vector<Row> rows = RowsOf(method);
-    const bool total = rows.size() > 1;
-    if (total) rows.push_back(TotalRow(method));
+    const bool total = rows.size() > 1 && !method.claimed_scale.has_value();
+    if (method.claimed_scale.has_value()) {
+      if (rows.size() > 1) rows = {TotalRow(method)};
+    } else if (total) {
+      rows.push_back(TotalRow(method));
+    }
     if (several && &method != &report.methods.front() && total) table.AddRule();
     for (const Row& row : rows) {
       if (!several && total && &row == &rows.back()) table.AddRule();
@@ -289,6 +283,7 @@ Json MethodJson(const MethodResult& method) {
   Json json;
   json["method"] = method.method;
   json["sequence_length_meters"] = method.sequence_length_meters;
+  json["claimed_scale"] = OrNull(method.claimed_scale);
   json["drives"] = DrivesJson(method, false);
   json["total"] = TallyJson("total", total);
   json["precision_recall"] = Json::array();
@@ -314,6 +309,20 @@ Json MethodJson(const MethodResult& method) {
 }
 
 }  // namespace
+
+std::string NameAmong(const std::vector<MethodResult>& methods,
+                      const MethodResult& method) {
+  std::string name = method.method;
+  if (std::any_of(methods.begin(), methods.end(), [&](const auto& other) {
+        return other.sequence_length_meters != method.sequence_length_meters;
+      })) {
+    absl::StrAppend(&name, ", ", Fixed(method.sequence_length_meters, 0), " m");
+  }
+  if (method.claimed_scale.has_value()) {
+    absl::StrAppend(&name, ", claimed x ", *method.claimed_scale);
+  }
+  return name;
+}
 
 Tally TotalOf(const MethodResult& method) {
   Tally total;

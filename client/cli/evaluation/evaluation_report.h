@@ -34,7 +34,14 @@ struct MethodResult {
   std::string method;
   double sequence_length_meters = 0.0;
   std::vector<DriveResult> drives;
+  // Where claims are swept: the factor of the claimed standard deviations.
+  std::optional<double> claimed_scale = std::nullopt;
 };
+
+// The method's name, with its sequence length if the methods differ in theirs,
+// and its claimed scale if it has one.
+std::string NameAmong(const std::vector<MethodResult>& methods,
+                      const MethodResult& method);
 
 Tally TotalOf(const MethodResult& method);
 
@@ -56,7 +63,8 @@ void PrintChecks(const DriveResult& result, std::ostream& out,
                  std::size_t width = 0);
 
 // Prints a single row as a list and several as a table: for each method its
-// drives, all seeds of a drive in one row, and the total.
+// drives, all seeds of a drive in one row, and the total; for each claimed
+// scale the total alone.
 void PrintReport(const Report& report, std::ostream& out,
                  std::size_t width = 0);
 

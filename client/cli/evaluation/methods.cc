@@ -47,6 +47,23 @@ std::vector<Method> MethodsAt(const EvaluateOptions& options,
       single, given, nearest};
 }
 
+// The methods once for each claimed scale. `main` becomes the index of the one
+// that it named at the honest scale or, if there is none, at the first.
+std::vector<Method> AtEachScale(const std::vector<Method>& methods,
+                                const std::vector<double>& scales,
+                                std::size_t* main) {
+  std::vector<Method> all;
+  const std::size_t of_scale = *main;
+  for (const double scale : scales) {
+    if (scale == 1.0) *main = all.size() + of_scale;
+    for (Method method : methods) {
+      method.claimed_scale = scale;
+      all.push_back(std::move(method));
+    }
+  }
+  return all;
+}
+
 }  // namespace
 
 std::vector<Method> ChooseMethods(const EvaluateOptions& options,
@@ -55,7 +72,8 @@ std::vector<Method> ChooseMethods(const EvaluateOptions& options,
     auto methods = MethodsAt(options, options.settings.sequence_length_meters(),
                              options.exclude_meters);
     *main = methods.size() > 1 ? methods.size() - 2 : 0;
-    return methods;
+    if (options.claimed_scales.empty()) return methods;
+    return AtEachScale(methods, options.claimed_scales, main);
   }
   std::vector<Method> all;
   *main = 0;
@@ -80,6 +98,11 @@ std::vector<std::string> NotesOn(const EvaluateOptions& options) {
         "sequence lengths or ",
         Fixed(options.judging.first_check_meters, 0),
         " m, whichever is later."));
+  }
+  if (!options.claimed_scales.empty()) {
+    notes.push_back(
+        "Claimed scales: every standard deviation is claimed this many times "
+        "as large, with the same settings; one row holds all drives.");
   }
   if (options.baselines) {
     notes.push_back(

@@ -3,6 +3,7 @@
 #define REVISIT_CLIENT_CLI_EVALUATION_METHODS_H_
 
 #include <cstddef>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -27,6 +28,9 @@ struct Method {
   v1::VehicleSettings settings;
   Judging judging;
   double sequence_length_meters = 0.0;
+  // Standard deviations are claimed this many times as large as those of the
+  // case; absent where claims are not swept.
+  std::optional<double> claimed_scale;
 };
 
 // All methods in the order of the report. `main` becomes the index of the one

@@ -174,6 +174,7 @@ class Evaluation {
       MethodResult result;
       result.method = method.name;
       result.sequence_length_meters = method.sequence_length_meters;
+      result.claimed_scale = method.claimed_scale;
       for (std::size_t i = 0; i < cases_.size(); ++i) {
         if (method.source == Method::Source::kNearestPosition) {
           result.drives.push_back(
@@ -202,6 +203,11 @@ class Evaluation {
       absl::StrAppend(&run.label, ", ", method.name, " at ",
                       Fixed(method.sequence_length_meters, 0), " m");
     }
+    std::vector<ClaimedUncertainty> uncertainty = one.uncertainty;
+    if (method.claimed_scale.has_value()) {
+      absl::StrAppend(&run.label, ", claimed x ", *method.claimed_scale);
+      ScaleClaims(*method.claimed_scale, &uncertainty);
+    }
     run.judging = method.judging;
     run.exhaustive = options_.exhaustive;
     run.verify = options_.verify;
@@ -216,8 +222,8 @@ class Evaluation {
         undoing_->AddVehicle(vehicle.name());
       }
     };
-    auto result = EvaluateDrive(channel_, client_, one.drive, one.uncertainty,
-                                run, created, console_);
+    auto result = EvaluateDrive(channel_, client_, one.drive, uncertainty, run,
+                                created, console_);
     if (!result.ok()) return result.status();
     if (absl::Status deleted = undoing_->DeleteVehicles(); !deleted.ok()) {
       return deleted;

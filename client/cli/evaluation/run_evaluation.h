@@ -21,10 +21,10 @@ namespace revisit::client {
 // query_ms_p99, poses, poses_per_second; null where there is nothing to divide
 // by. Drives have seed and inflation too, null where there
 // is none, and with `verbose` check_list. `drives` and `total` are those of the
-// settings; each of `methods` has method, sequence_length_meters, drives,
-// total, precision_recall (a list of threshold, precision, recall) and
-// reliability (null, or a list of low, high, count, mean_stated,
-// share_correct).
+// settings; each of `methods` has method, sequence_length_meters,
+// claimed_scale (null unless claims are swept), drives, total, precision_recall
+// (a list of threshold, precision, recall) and reliability (null, or a list of
+// low, high, count, mean_stated, share_correct).
 //
 // ABORTED, as a fault of this machine, if a repeat answers otherwise.
 absl::Status RunEvaluate(const EvaluateOptions& options,

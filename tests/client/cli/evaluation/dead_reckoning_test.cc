@@ -183,5 +183,27 @@ TEST(DeadReckoningTest, RefusesAFileWithoutColumnsWhereTheyAreAskedFor) {
           "the format has in their place); --uncertainty model makes one"));
 }
 
+TEST(DeadReckoningTest, ScaledClaimsAreThoseOfTheScale) {
+  Drive drive;
+  for (int i = 0; i < 3; ++i) {
+    drive.samples.emplace_back();
+    drive.samples.back().estimate = {10.0 * i, 2.0 * i * i, 0.1 * i};
+  }
+  UncertaintyOptions options;
+  auto claims = ClaimUncertainty(drive, options);
+  ASSERT_TRUE(claims.ok());
+  ScaleClaims(0.25, &*claims);
+  options.claimed_scale = 0.25;
+  const auto expected = ClaimUncertainty(drive, options);
+  ASSERT_TRUE(expected.ok());
+  ASSERT_EQ(claims->size(), expected->size());
+  for (std::size_t i = 0; i < claims->size(); ++i) {
+    EXPECT_EQ((*claims)[i].planar, (*expected)[i].planar);
+    EXPECT_EQ((*claims)[i].z_variance, (*expected)[i].z_variance);
+  }
+  // A standard deviation of 0.1 m becomes one of 0.025 m.
+  EXPECT_NEAR((*claims)[0].planar[0], 0.000625, 1e-15);
+}
+
 }  // namespace
 }  // namespace revisit::client

@@ -124,6 +124,24 @@ TEST(EvaluationReportTest, SequenceLengthsAreNamedWhereTheyDiffer) {
   EXPECT_THAT(lines[5], MatchesRegex("relative, 150 m +one .*"));
 }
 
+TEST(EvaluationReportTest, EachClaimedScaleHasOneRowOfAllDrives) {
+  Report report = TwoMethods();
+  report.methods[0].method = "relative";
+  report.methods[0].claimed_scale = 0.25;
+  report.methods[1].claimed_scale = 1.0;
+  const auto lines = Lines(report);
+  // Heading, two rows, a blank line and the note.
+  ASSERT_EQ(lines.size(), 5u);
+  EXPECT_THAT(lines[1], MatchesRegex("relative, claimed x 0.25 +total +4 .*"));
+  EXPECT_THAT(lines[2], MatchesRegex("relative, claimed x 1 +total +4 .*"));
+  const json parsed = json::parse(ReportJson(report, false));
+  EXPECT_EQ(parsed["methods"][0]["claimed_scale"], 0.25);
+  EXPECT_EQ(parsed["methods"][0]["drives"].size(), 2u);
+  EXPECT_TRUE(json::parse(ReportJson(TwoMethods(),
+                                     false))["methods"][0]["claimed_scale"]
+                  .is_null());
+}
+
 TEST(EvaluationReportTest, ShowsWhatTheVerifierSaidAndTheMeanInflation) {
   Report report = TwoMethods();
   report.methods.erase(report.methods.begin());
