@@ -185,6 +185,38 @@ def test_simulated_drives_are_the_same_again_and_differ_by_seed(tmp_path):
     assert largest[0] > largest[1]
 
 
+def test_gyro_bias_makes_estimates_miss_where_they_were_right(tmp_path):
+    drive = write_drive(tmp_path / "drive.csv", 3)
+    plain = report_of(drive)
+    # A sample each second: 2 degrees between two of them, so that a lap does
+    # not close any more.
+    biased = report_of(drive, "--gyro-bias", "2")
+    assert biased["total"]["checks"] == plain["total"]["checks"]
+    assert biased["total"]["true_loops"] == plain["total"]["true_loops"]
+    assert biased["total"]["top1_correct"] < plain["total"]["top1_correct"]
+    assert any(note.startswith("Gyro bias: estimates turn by 2.0000 degrees")
+               for note in biased["notes"])
+    assert without_times(report_of(drive, "--gyro-bias", "0")["total"]) \
+        == without_times(plain["total"])
+
+
+def test_fixes_are_drawn_along_the_truth_with_a_seed(tmp_path):
+    drive = write_drive(tmp_path / "drive.csv", 3, step_meters=5.0)
+    report = report_of(drive, "--fix-noise", "1,60")
+    assert [one["seed"] for one in report["drives"]] == [1]
+    # A fix for each second of the drive.
+    assert report["drives"][0]["poses"] == 360
+    assert report["total"]["true_loops"] > 10
+    assert report["total"]["recall"] > 0.5
+    assert any("correlated over 60 s" in note for note in report["notes"])
+    again = report_of(drive, "--fix-noise", "1,60", "--simulate", "1-2")
+    assert [one["seed"] for one in again["drives"]] == [1, 2]
+    assert without_times(again["drives"][0]) \
+        == without_times(report["drives"][0])
+    alone = report_of(drive, "--fix-noise", "1")
+    assert any("in x and y, independent," in note for note in alone["notes"])
+
+
 def test_verifier_confirms_what_is_right_and_rejects_what_is_wrong(tmp_path):
     drive = write_drive(tmp_path / "drive.csv", 3)
     report = report_of(drive, "--verify", "--alignment", "composite",
@@ -275,6 +307,13 @@ def test_checks_of_a_new_route_do_not_count_where_only_revisits_do(tmp_path):
     (["--vehicle", "v", "--repeat", "2"], "takes one vehicle only"),
     (["--claimed-scale", "0"], "must be positive"),
     (["--claimed-scales", "1,0"], "--claimed-scales"),
+    (["--gyro-bias", "1", "--uncertainty", "file"],
+     "goes with --uncertainty model only"),
+    (["--fix-noise", "0"], "--fix-noise"),
+    (["--fix-noise", "1,2,3"], "expected metres, or metres and seconds"),
+    (["--fix-noise", "1", "--gyro-bias", "1"], "does not go with --gyro-bias"),
+    (["--fix-noise", "1", "--uncertainty", "model"],
+     "does not go with --uncertainty"),
     (["--claimed-scales", "1,2", "--claimed-scale", "2"],
      "stands in place of --claimed-scale"),
     (["--claimed-scales", "1,2", "--sequence-lengths", "100,150"],

@@ -3,6 +3,7 @@
 #include <memory>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "client/cli/commands/reader_flags.h"
@@ -42,6 +43,8 @@ constexpr char kExamples[] =
     "  revisit evaluate drives/*.csv --simulate 1-5 --claimed-scale 0.5 "
     "--verify --apply-inflation\n"
     "  revisit evaluate drives/*.csv --claimed-scales 0.25,0.5,1,2,4\n"
+    "  revisit evaluate drives/*.csv --gyro-bias 0.01\n"
+    "  revisit evaluate drives/*.csv --fix-noise 3,60 --simulate 1-5\n"
     "  revisit evaluate drive.csv --verbose --map map.svg\n"
     "  revisit evaluate day1.pos day2.pos --one-vehicle "
     "--truth ref1.csv ref2.csv";
@@ -50,6 +53,8 @@ constexpr char kExamples[] =
 struct EvaluateFlags {
   EvaluateOptions options;
   std::string simulated_seeds;
+  // Metres and, if there is a second number, seconds.
+  std::vector<double> fix_noise;
 };
 
 void AddInputsAndOutputs(const Command& command, EvaluateOptions* options) {
@@ -102,6 +107,17 @@ void AddMeasurements(const Command& command, EvaluateFlags* flags) {
   group.AddText("--simulate", "SEEDS", &flags->simulated_seeds,
                 "Draw each drive's estimate anew from the noise below along "
                 "its truth, once for each seed, such as 1-5");
+  group.AddNumber(
+      "--gyro-bias", "DEG_PER_S",
+      [options](double degrees) {
+        options->gyro_bias = degrees * kRadiansPerDegree;
+      },
+      "Add this error to the rate of each estimate's heading");
+  group.AddPositiveNumbers(
+      "--fix-noise", "M[,S]", &flags->fix_noise,
+      "Instead of estimates, fixes drawn each second along the truth: standard "
+      "deviation in x and y, and the seconds over which errors are correlated; "
+      "claimed as independent. --simulate has the seeds (1)");
   group.AddSwitch("--verify", &options->verify,
                   "Play the verifier: tell the service which accepted first "
                   "candidates are right and which are wrong");
@@ -150,6 +166,30 @@ std::string CheckNumberOfDrives(const EvaluateOptions& options) {
   return "";
 }
 
+// Names what is wrong with the errors that are added or drawn; empty if nothing
+// is.
+std::string CheckErrorModels(const Command& command,
+                             const EvaluateFlags& flags) {
+  const EvaluateOptions& options = flags.options;
+  if (options.gyro_bias != 0.0 &&
+      options.uncertainty.source != UncertaintyOptions::Source::kModel) {
+    return "--gyro-bias: goes with --uncertainty model only";
+  }
+  if (flags.fix_noise.empty()) return "";
+  if (flags.fix_noise.size() > 2) {
+    return "--fix-noise: expected metres, or metres and seconds, such as 3,60";
+  }
+  if (options.gyro_bias != 0.0) {
+    return "--fix-noise: does not go with --gyro-bias, since fixes take their "
+           "heading from the truth";
+  }
+  if (command.Given("--uncertainty")) {
+    return "--fix-noise: does not go with --uncertainty, since fixes bring "
+           "their own";
+  }
+  return "";
+}
+
 // Names what is wrong with the claimed scales; empty if nothing is.
 std::string CheckScales(const Command& command,
                         const EvaluateOptions& options) {
@@ -182,9 +222,17 @@ std::string FinishOptions(const Command& command, EvaluateFlags* flags) {
       return "--simulate: goes with --uncertainty model only";
     }
   }
-  std::string problem = CheckTruth(options);
+  std::string problem = CheckErrorModels(command, *flags);
+  if (problem.empty()) problem = CheckTruth(options);
   if (problem.empty()) problem = CheckNumberOfDrives(options);
   if (!problem.empty()) return problem;
+  if (!flags->fix_noise.empty()) {
+    options.fix_noise.emplace();
+    options.fix_noise->meters = flags->fix_noise[0];
+    if (flags->fix_noise.size() > 1) {
+      options.fix_noise->correlation_seconds = flags->fix_noise[1];
+    }
+  }
   options.uncertainty_given = command.Given("--uncertainty");
   options.correlation_given = command.Given("--correlation-model");
   if (!(options.settings.node_spacing_meters() > 0.0)) {

@@ -85,14 +85,36 @@ Drive Join(std::vector<Drive> drives) {
 
 void Settle(const std::vector<Drive>& drives, EvaluateOptions* options) {
   options->geodetic = drives[0].samples[0].geodetic.has_value();
-  if (!options->geodetic) return;
-  options->settings.set_coordinate_frame(v1::COORDINATE_FRAME_GEODETIC);
+  if (options->geodetic) {
+    options->settings.set_coordinate_frame(v1::COORDINATE_FRAME_GEODETIC);
+  } else if (!options->fix_noise.has_value()) {
+    return;
+  }
   if (!options->uncertainty_given) {
     options->uncertainty.source = UncertaintyOptions::Source::kFixes;
   }
   if (!options->correlation_given &&
       options->uncertainty.source == UncertaintyOptions::Source::kFixes) {
     options->settings.set_correlation_model(v1::CORRELATION_MODEL_INDEPENDENT);
+  }
+}
+
+// Adds a drive as it is, or as it is drawn with each seed.
+void AddCases(const EvaluateOptions& options, Drive drive,
+              std::vector<Case>* cases) {
+  std::vector<std::uint64_t> seeds = options.seeds;
+  if (seeds.empty() && options.fix_noise.has_value()) seeds = {1};
+  if (seeds.empty()) {
+    cases->push_back({std::move(drive), std::nullopt, {}});
+    return;
+  }
+  for (const std::uint64_t seed : seeds) {
+    cases->push_back(
+        {options.fix_noise.has_value()
+             ? SimulateFixes(drive, *options.fix_noise, seed)
+             : SimulateDeadReckoning(drive, options.uncertainty, seed),
+         seed,
+         {}});
   }
 }
 
@@ -103,23 +125,21 @@ absl::StatusOr<std::vector<Case>> ReadCases(EvaluateOptions* options) {
   if (!read.ok()) return LocalError(read.status());
   std::vector<Drive> drives = *std::move(read);
   Settle(drives, options);
-  if (options->geodetic && !options->seeds.empty()) {
-    return LocalError(absl::InvalidArgumentError(
-        "--simulate goes with local positions; --frame local makes them"));
+  if (options->geodetic) {
+    const char* const flag = !options->seeds.empty()          ? "--simulate"
+                             : options->gyro_bias != 0.0      ? "--gyro-bias"
+                             : options->fix_noise.has_value() ? "--fix-noise"
+                                                              : nullptr;
+    if (flag != nullptr) {
+      return LocalError(absl::InvalidArgumentError(absl::StrCat(
+          flag, " goes with local positions; --frame local makes them")));
+    }
   }
   if (options->one_vehicle) drives = {Join(std::move(drives))};
   std::vector<Case> cases;
-  for (Drive& drive : drives) {
-    if (options->seeds.empty()) {
-      cases.push_back({std::move(drive), std::nullopt, {}});
-      continue;
-    }
-    for (const std::uint64_t seed : options->seeds) {
-      cases.push_back(
-          {SimulateDeadReckoning(drive, options->uncertainty, seed), seed, {}});
-    }
-  }
+  for (Drive& drive : drives) AddCases(*options, std::move(drive), &cases);
   for (Case& one : cases) {
+    if (options->gyro_bias != 0.0) AddGyroBias(options->gyro_bias, &one.drive);
     auto uncertainty = ClaimUncertainty(one.drive, options->uncertainty);
     if (!uncertainty.ok()) return LocalError(uncertainty.status());
     one.uncertainty = *std::move(uncertainty);

@@ -125,7 +125,8 @@ absl::Status WriteMap(const EvaluateOptions& options,
         result.drive, ": there is nothing to draw, the pose graph is empty")));
   }
   // Fixes and their reference are in one frame already.
-  const MapContents contents = JudgedMap(result, options.geodetic);
+  const MapContents contents =
+      JudgedMap(result, options.geodetic || options.fix_noise.has_value());
   const std::filesystem::path path(options.map);
   return Write(options.map, path.extension() == ".html" ? MapPage(contents)
                                                         : DrawMap(contents));

@@ -9,6 +9,7 @@
 
 #include "client/cli/evaluation/dead_reckoning.h"
 #include "client/cli/evaluation/evaluation.h"
+#include "client/cli/evaluation/simulation.h"
 #include "client/formats/reader.h"
 #include "client/revisit/channel.h"
 #include "revisit/v1/vehicle.pb.h"
@@ -55,6 +56,13 @@ struct EvaluateOptions {
   // Each drive's estimate is drawn anew for each of these; if there are none,
   // it is streamed as it is.
   std::vector<std::uint64_t> seeds;
+  // Error of the rate of each estimate's heading, radians per second, added to
+  // what was recorded or drawn.
+  double gyro_bias = 0.0;
+  // If set, estimates are fixes drawn along the truth with these errors, once
+  // for each of `seeds` or with seed 1; claimed as the fixes state them and,
+  // unless flags say otherwise, INDEPENDENT.
+  std::optional<FixNoise> fix_noise;
   // Whether to tell the service which accepted candidates are right and which
   // are wrong.
   bool verify = false;

@@ -1,10 +1,12 @@
 #include "client/cli/evaluation/methods.h"
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "client/cli/console.h"
+#include "client/formats/angles.h"
 #include "client/formats/course.h"
 
 namespace revisit::client {
@@ -111,10 +113,29 @@ std::vector<std::string> NotesOn(const EvaluateOptions& options) {
         "all nodes of the sequence summed, without and with "
         "cross-covariance.");
   }
-  if (!options.seeds.empty()) {
+  if (options.fix_noise.has_value()) {
+    const FixNoise& noise = *options.fix_noise;
+    notes.push_back(absl::StrCat(
+        "Fixes: drawn each second along the true paths with errors of ",
+        Fixed(noise.meters, 1), " m in x and y, ",
+        noise.correlation_seconds > 0.0
+            ? absl::StrCat("correlated over ",
+                           Fixed(noise.correlation_seconds, 0), " s")
+            : "independent",
+        ", and of ", Fixed(noise.heading, 2),
+        " rad in heading; claimed as independent; ",
+        std::max<std::size_t>(options.seeds.size(), 1), " seeds."));
+  } else if (!options.seeds.empty()) {
     notes.push_back(absl::StrCat(
         "Simulated: estimates drawn along the true paths, ",
         options.seeds.size(), " seeds; one row holds all seeds of a drive."));
+  }
+  if (options.gyro_bias != 0.0) {
+    notes.push_back(
+        absl::StrCat("Gyro bias: estimates turn by ",
+                     Fixed(options.gyro_bias / kRadiansPerDegree, 4),
+                     " degrees a second more than they did; this is claimed "
+                     "nowhere."));
   }
   if (options.uncertainty.claimed_scale != 1.0) {
     notes.push_back(

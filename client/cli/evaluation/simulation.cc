@@ -6,6 +6,7 @@
 #include <set>
 #include <string_view>
 #include <system_error>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "client/formats/angles.h"
@@ -42,6 +43,28 @@ PlanarPose Compound(const PlanarPose& pose, const PlanarPose& step) {
   const double s = std::sin(pose.heading);
   return {pose.x + c * step.x - s * step.y, pose.y + s * step.x + c * step.y,
           std::remainder(pose.heading + step.heading, kTurn)};
+}
+
+// The time from one sample to the next.
+double SecondsBetween(const Sample& a, const Sample& b) {
+  constexpr double kLongest = 2.0;
+  constexpr double kUsual = 0.1;
+  if (!a.time_nanoseconds.has_value() || !b.time_nanoseconds.has_value()) {
+    return kUsual;
+  }
+  const double seconds =
+      1e-9 * static_cast<double>(*b.time_nanoseconds - *a.time_nanoseconds);
+  return seconds >= 0.0 && seconds <= kLongest ? seconds : kUsual;
+}
+
+// Makes a sample one of a planar estimate without a covariance.
+void SetEstimate(const PlanarPose& estimate, Sample* sample) {
+  sample->estimate = estimate;
+  sample->z = 0.0;
+  sample->quaternion.reset();
+  sample->covariance.reset();
+  sample->covariance_36.reset();
+  sample->geodetic.reset();
 }
 
 bool ReadSeed(std::string_view text, std::uint64_t* seed) {
@@ -97,15 +120,76 @@ Drive SimulateDeadReckoning(const Drive& drive, const UncertaintyOptions& noise,
       estimate = Compound(estimate, step);
       counted = drive.truth[i];
     }
-    Sample& sample = simulated.samples[i];
-    sample.estimate = estimate;
-    sample.z = 0.0;
-    sample.quaternion.reset();
-    sample.covariance.reset();
-    sample.covariance_36.reset();
-    sample.geodetic.reset();
+    SetEstimate(estimate, &simulated.samples[i]);
   }
   return simulated;
+}
+
+void AddGyroBias(double radians_per_second, Drive* drive) {
+  PlanarPose recorded;
+  PlanarPose biased;
+  for (std::size_t i = 0; i < drive->samples.size(); ++i) {
+    Sample& sample = drive->samples[i];
+    if (i == 0) {
+      recorded = biased = sample.estimate;
+    } else {
+      const double turn =
+          radians_per_second * SecondsBetween(drive->samples[i - 1], sample);
+      PlanarPose step = Between(recorded, sample.estimate);
+      recorded = sample.estimate;
+      const double c = std::cos(0.5 * turn);
+      const double s = std::sin(0.5 * turn);
+      step = {c * step.x - s * step.y, s * step.x + c * step.y,
+              step.heading + turn};
+      biased = Compound(biased, step);
+    }
+    SetEstimate(biased, &sample);
+  }
+}
+
+Drive SimulateFixes(const Drive& drive, const FixNoise& noise,
+                    std::uint64_t seed) {
+  constexpr double kPeriod = 1.0;
+  // Sums of times in decimal places.
+  constexpr double kRounding = 1e-6;
+  constexpr double kLeastMotion = 0.5;
+  NormalSource normal(seed ^ HashOf(drive.name));
+  const double position = noise.meters * noise.meters;
+  Drive fixes;
+  fixes.name = drive.name;
+  double error_x = 0.0;
+  double error_y = 0.0;
+  double seconds = 0.0;
+  for (std::size_t i = 0; i < drive.samples.size(); ++i) {
+    const PlanarPose& truth = drive.truth[i];
+    double kept = 0.0;
+    if (i > 0) {
+      seconds += SecondsBetween(drive.samples[i - 1], drive.samples[i]);
+      const PlanarPose& last = fixes.truth.back();
+      if (seconds < kPeriod - kRounding ||
+          std::hypot(truth.x - last.x, truth.y - last.y) < kLeastMotion) {
+        continue;
+      }
+      if (noise.correlation_seconds > 0.0) {
+        kept = std::exp(-seconds / noise.correlation_seconds);
+      }
+    }
+    const double fresh = noise.meters * std::sqrt(1.0 - kept * kept);
+    // Each draw is a statement of its own, as above.
+    error_x = kept * error_x + fresh * normal.Next();
+    error_y = kept * error_y + fresh * normal.Next();
+    const double turn = noise.heading * normal.Next();
+    seconds = 0.0;
+    Sample sample = drive.samples[i];
+    SetEstimate({truth.x + error_x, truth.y + error_y,
+                 std::remainder(truth.heading + turn, kTurn)},
+                &sample);
+    sample.covariance = {position, 0.0, 0.0,
+                         position, 0.0, noise.heading * noise.heading};
+    fixes.samples.push_back(std::move(sample));
+    fixes.truth.push_back(truth);
+  }
+  return fixes;
 }
 
 absl::StatusOr<std::vector<std::uint64_t>> ParseSeeds(const std::string& text) {

@@ -113,6 +113,140 @@ TEST(SimulationTest, StandsStillWithTheVehicleAndLosesNoMotion) {
   EXPECT_NEAR(simulated.samples[99].estimate.x, 1.98, 1e-12);
 }
 
+// Along x at 10 m/s, ten poses a second.
+Drive Straight(int poses) {
+  Drive drive;
+  drive.name = "straight";
+  for (int i = 0; i < poses; ++i) {
+    Sample sample;
+    sample.time_nanoseconds = 100'000'000 * static_cast<std::int64_t>(i);
+    sample.estimate = {1.0 * i, 0.0, 0.0};
+    sample.covariance = {1.0, 0.0, 0.0, 1.0, 0.0, 1.0};
+    drive.samples.push_back(sample);
+    drive.truth.push_back(sample.estimate);
+  }
+  return drive;
+}
+
+TEST(SimulationTest, BiasOfAGyroBendsAStraightIntoAnArc) {
+  Drive drive = Straight(101);
+  AddGyroBias(0.02, &drive);
+  // 10 s: 0.2 rad of a circle of 500 m of radius.
+  const PlanarPose& end = drive.samples.back().estimate;
+  EXPECT_NEAR(end.heading, 0.2, 1e-12);
+  EXPECT_NEAR(end.x, 500.0 * std::sin(0.2), 1e-4);
+  EXPECT_NEAR(end.y, 500.0 * (1.0 - std::cos(0.2)), 1e-4);
+  EXPECT_EQ(drive.truth.back().x, 100.0);
+  EXPECT_FALSE(drive.samples.back().covariance.has_value());
+}
+
+TEST(SimulationTest, BiasTurnsByTimeAndTakesATenthOfASecondWhereThereIsNone) {
+  constexpr std::int64_t kSecond = 1'000'000'000;
+  Drive drive;
+  drive.name = "stops";
+  // From 2 s at rest, over one gap that counts and others that do not.
+  const std::optional<std::int64_t> times[] = {
+      0, 2 * kSecond, 5 * kSecond, std::nullopt, 6 * kSecond, 5 * kSecond};
+  const double headings[] = {0.0, 0.2, 0.21, 0.22, 0.23, 0.24};
+  for (const auto& time : times) {
+    drive.samples.emplace_back();
+    drive.samples.back().time_nanoseconds = time;
+    drive.samples.back().estimate = {7.0, 8.0, 1.0};
+  }
+  AddGyroBias(0.1, &drive);
+  for (std::size_t i = 0; i < drive.samples.size(); ++i) {
+    const PlanarPose& estimate = drive.samples[i].estimate;
+    EXPECT_EQ(estimate.x, 7.0) << i;
+    EXPECT_EQ(estimate.y, 8.0) << i;
+    EXPECT_NEAR(estimate.heading, 1.0 + headings[i], 1e-12) << i;
+  }
+}
+
+TEST(SimulationTest, NoBiasLeavesAnEstimateAsItIs) {
+  Drive drive = Bend();
+  for (std::size_t i = 0; i < drive.samples.size(); ++i) {
+    drive.samples[i].estimate = drive.truth[i];
+  }
+  AddGyroBias(0.0, &drive);
+  for (std::size_t i = 0; i < drive.samples.size(); ++i) {
+    EXPECT_NEAR(drive.samples[i].estimate.x, drive.truth[i].x, 1e-9);
+    EXPECT_NEAR(drive.samples[i].estimate.y, drive.truth[i].y, 1e-9);
+  }
+}
+
+TEST(SimulationTest, FixesComeEachSecondAndClaimTheirDeviations) {
+  const Drive fixes = SimulateFixes(Straight(101), {3.0, 60.0, 0.05}, 1);
+  ASSERT_EQ(fixes.samples.size(), 11u);
+  ASSERT_EQ(fixes.truth.size(), 11u);
+  EXPECT_EQ(fixes.name, "straight");
+  for (std::size_t i = 0; i < fixes.samples.size(); ++i) {
+    EXPECT_EQ(fixes.truth[i].x, 10.0 * static_cast<double>(i));
+    EXPECT_EQ(fixes.samples[i].time_nanoseconds,
+              static_cast<std::int64_t>(i) * 1'000'000'000);
+    EXPECT_THAT(*fixes.samples[i].covariance,
+                ElementsAre(9.0, 0.0, 0.0, 9.0, 0.0, 0.05 * 0.05));
+  }
+}
+
+TEST(SimulationTest, VehicleThatStandsGetsNoFixes) {
+  Drive drive = Straight(101);
+  // It stands from 2 s to 8 s.
+  for (std::size_t i = 20; i <= 80; ++i) drive.truth[i].x = 20.0;
+  for (std::size_t i = 81; i <= 100; ++i) drive.truth[i].x -= 60.0;
+  const Drive fixes = SimulateFixes(drive, {3.0, 0.0, 0.05}, 1);
+  std::vector<double> at;
+  for (const PlanarPose& truth : fixes.truth) at.push_back(truth.x);
+  EXPECT_THAT(at, ElementsAre(0.0, 10.0, 20.0, 21.0, 31.0));
+}
+
+TEST(SimulationTest, ErrorsOfFixesHaveTheirDeviationAndCorrelation) {
+  constexpr int kSeconds = 40'000;
+  Drive drive = Straight(10);
+  drive.samples.resize(kSeconds);
+  drive.truth.resize(kSeconds);
+  for (int i = 0; i < kSeconds; ++i) {
+    const auto at = static_cast<std::size_t>(i);
+    drive.samples[at].time_nanoseconds = std::int64_t{1'000'000'000} * i;
+    drive.truth[at] = {10.0 * i, 0.0, 0.3};
+  }
+  for (const double correlation : {0.0, 5.0}) {
+    const Drive fixes = SimulateFixes(drive, {3.0, correlation, 0.05}, 4);
+    ASSERT_EQ(fixes.samples.size(), drive.samples.size());
+    double squares = 0.0;
+    double products = 0.0;
+    double headings = 0.0;
+    for (std::size_t i = 1; i < fixes.samples.size(); ++i) {
+      const double before =
+          fixes.samples[i - 1].estimate.x - fixes.truth[i - 1].x;
+      const double error = fixes.samples[i].estimate.x - fixes.truth[i].x;
+      const double turn =
+          fixes.samples[i].estimate.heading - fixes.truth[i].heading;
+      squares += error * error;
+      products += error * before;
+      headings += turn * turn;
+    }
+    // Neighbours within 10 s tell the same, so some 4000 values are free.
+    EXPECT_NEAR(std::sqrt(squares / kSeconds), 3.0, 0.2) << correlation;
+    EXPECT_NEAR(products / squares,
+                correlation > 0.0 ? std::exp(-1.0 / correlation) : 0.0, 0.03)
+        << correlation;
+    EXPECT_NEAR(std::sqrt(headings / kSeconds), 0.05, 0.002) << correlation;
+  }
+}
+
+TEST(SimulationTest, FixesDifferBySeedAndName) {
+  const FixNoise noise = {3.0, 60.0, 0.05};
+  const Drive drive = Straight(101);
+  Drive renamed = drive;
+  renamed.name = "another";
+  const auto end = [&](const Drive& d, std::uint64_t seed) {
+    return SimulateFixes(d, noise, seed).samples.back().estimate.x;
+  };
+  EXPECT_EQ(end(drive, 1), end(drive, 1));
+  EXPECT_NE(end(drive, 1), end(drive, 2));
+  EXPECT_NE(end(drive, 1), end(renamed, 1));
+}
+
 TEST(SimulationTest, SameSeedAndNameGiveTheSameDrive) {
   const Drive drive = Bend();
   Drive renamed = drive;
