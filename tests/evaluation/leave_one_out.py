@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""Leave-one-drive-out: what the relative alignment's settings are worth on
-drives that had no say in choosing them.
+"""Leave-one-out: what the relative alignment's settings are worth on drives
+that had no say in choosing them.
 
 Runs the real `revisit evaluate --json` once for each point of a small grid
 over --road-spacing, --shape-correlation and --acceptance-probability. Then, for
@@ -9,7 +9,12 @@ counts what that point does on the drive that was left out. The sum over the
 drives is the held-out total. Where points tie, the one nearer to the defaults
 wins.
 
-    leave_one_out.py [--revisit PROGRAM] [--road-spacing M,M,...]
+With `--by data-set`, all drives of the data set of a drive are left out with
+it: settings that are chosen on one city are judged in another. The data set is
+the drive's name up to the first underscore.
+
+    leave_one_out.py [--revisit PROGRAM] [--by drive|data-set]
+                     [--road-spacing M,M,...]
                      [--shape-correlation M,M,...]
                      [--acceptance-probability P,P,...] [--json]
                      DRIVE.csv DRIVE.csv ... [-- FLAGS OF revisit evaluate]
@@ -52,18 +57,26 @@ def f1(counts):
                  counts["accepted"] + counts["true_loops"])
 
 
-def hold_out(results):
+def data_set(drive):
+    return drive.split("_", 1)[0]
+
+
+GROUPS = {"drive": lambda drive: drive, "data-set": data_set}
+
+
+def hold_out(results, group=GROUPS["drive"]):
     """For each drive: (drive, point chosen by the others, counts on the drive).
 
     `results` has for each point of the grid, the preferred first, the counts of
-    each drive: {point: {drive: counts}}.
+    each drive: {point: {drive: counts}}. The others are the drives of which
+    `group` answers otherwise.
     """
     drives = list(next(iter(results.values())))
     held_out = []
     for drive in drives:
         def others_f1(point):
             score = f1(total(counts for name, counts in results[point].items()
-                             if name != drive))
+                             if group(name) != group(drive)))
             return -1.0 if score is None else score
         # max() keeps the first of those that tie.
         chosen = max(results, key=others_f1)
@@ -119,6 +132,8 @@ def main():
     parser.add_argument("--revisit", default=ROOT / "build/release/bin/revisit")
     for name, (values, _) in SETTINGS.items():
         parser.add_argument(f"--{name}", type=numbers, default=values)
+    parser.add_argument("--by", choices=GROUPS, default="drive",
+                        help="what is left out together")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("drives", nargs="+", metavar="DRIVE.csv")
     arguments = sys.argv[1:]
@@ -129,6 +144,9 @@ def main():
     options = parser.parse_args(arguments)
     if len(options.drives) < 2:
         parser.error("expected two drives at least")
+    group = GROUPS[options.by]
+    if len({group(pathlib.Path(drive).stem) for drive in options.drives}) < 2:
+        parser.error(f"--by {options.by}: expected drives of two at least")
 
     values = [getattr(options, name.replace("-", "_")) for name in SETTINGS]
     points = grid(values, [default for _, default in SETTINGS.values()])
@@ -137,7 +155,7 @@ def main():
         print(f"{number} of {len(points)}: {point}", file=sys.stderr)
         results[point] = evaluate(options.revisit, options.drives, point, flags)
 
-    held_out = hold_out(results)
+    held_out = hold_out(results, group)
     held_out_total = total(counts for _, _, counts in held_out)
     totals = {point: total(drives.values())
               for point, drives in results.items()}

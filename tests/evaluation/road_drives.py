@@ -342,7 +342,7 @@ def drive(network, length, seed, radius=math.inf):
 
 
 def dead_reckon(truth, seed, noise_scale=1.0, gyro_bias=0.0):
-    """What an odometer estimates along the truth.
+    """The poses that an odometer estimates along the truth.
 
     `gyro_bias` is the error of the heading's rate, radians per second.
     """

@@ -377,6 +377,32 @@ def test_grid_begins_at_the_defaults_and_ties_stay_there():
             in leave_one_out.hold_out(nothing)} == {(2, 5)}
 
 
+def test_data_sets_are_judged_by_what_the_other_data_sets_chose():
+    results = {
+        "near": {"kitti_00": counts(4, 4, 4), "kitti_02": counts(4, 4, 4),
+                 "mulran_DCC_01": counts(4, 4, 1)},
+        "far": {"kitti_00": counts(4, 4, 2), "kitti_02": counts(4, 4, 2),
+                "mulran_DCC_01": counts(4, 4, 3)},
+    }
+    # The other drive of its data set would tell kitti_00 to take "near".
+    by_drive = leave_one_out.hold_out(results)
+    assert [point for _, point, _ in by_drive] == ["near", "near", "near"]
+    by_set = leave_one_out.hold_out(results, leave_one_out.data_set)
+    assert [(drive, point) for drive, point, _ in by_set] == [
+        ("kitti_00", "far"), ("kitti_02", "far"), ("mulran_DCC_01", "near")]
+    assert leave_one_out.total(
+        one for _, _, one in by_set)["accepted_correct"] == 2 + 2 + 1
+
+
+def test_one_data_set_alone_has_no_others_to_choose(tmp_path):
+    drives = [write_drive(tmp_path / f"city_{name}.csv", 1) for name in "ab"]
+    result = run(sys.executable, ROOT / "tests/evaluation/leave_one_out.py",
+                 "--by", "data-set", *drives, timeout=60,
+                 env=clean_environment())
+    assert result.returncode == 2
+    assert "--by data-set: expected drives of two at least" in result.stderr
+
+
 def test_leave_one_out_runs_the_real_evaluation(tmp_path):
     drives = [write_drive(tmp_path / f"{name}.csv", 1.5) for name in "ab"]
     result = run(sys.executable, ROOT / "tests/evaluation/leave_one_out.py",

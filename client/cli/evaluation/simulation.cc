@@ -150,7 +150,7 @@ void AddGyroBias(double radians_per_second, Drive* drive) {
 Drive SimulateFixes(const Drive& drive, const FixNoise& noise,
                     std::uint64_t seed) {
   constexpr double kPeriod = 1.0;
-  // Sums of times in decimal places.
+  // Seconds are sums of decimal fractions, which doubles do not hold exactly.
   constexpr double kRounding = 1e-6;
   constexpr double kLeastMotion = 0.5;
   NormalSource normal(seed ^ HashOf(drive.name));

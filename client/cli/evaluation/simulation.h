@@ -67,7 +67,7 @@ struct FixNoise {
   double heading = 0.05;
 };
 
-// What a receiver with these errors would have stated along the truth: each fix
+// The fixes that a receiver with these errors would state along the truth: each
 // with its standard deviations as its covariance, as if it were independent of
 // the others, which is what receivers claim. There is a fix each second, like
 // most receivers' and since the noise of more would count as travelled
