@@ -6,7 +6,6 @@
 #include <set>
 #include <string_view>
 #include <system_error>
-#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "client/formats/angles.h"
@@ -186,7 +185,7 @@ Drive SimulateFixes(const Drive& drive, const FixNoise& noise,
                 &sample);
     sample.covariance = {position, 0.0, 0.0,
                          position, 0.0, noise.heading * noise.heading};
-    fixes.samples.push_back(std::move(sample));
+    fixes.samples.push_back(sample);
     fixes.truth.push_back(truth);
   }
   return fixes;
