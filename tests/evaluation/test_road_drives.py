@@ -12,7 +12,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).parent))
 import road_drives  # pylint: disable=wrong-import-position
 from road_drives import Network, Pose, Road
 
-# Two blocks of 200 m side by side, and a dead end:
+# The roads are two blocks of 200 m side by side, and a dead end:
 #
 #   4---5---6
 #   |   |   |
@@ -102,7 +102,7 @@ def test_a_drive_is_as_long_as_asked_and_begins_at_the_origin():
 
 
 def test_a_vehicle_keeps_to_the_right_of_the_road():
-    # Along the x-axis, for 300 m, without the wander.
+    # The road is the x-axis, and draws of 0 leave no wander.
     class Still:
         @staticmethod
         def random():

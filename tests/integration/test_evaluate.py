@@ -188,8 +188,8 @@ def test_simulated_drives_are_the_same_again_and_differ_by_seed(tmp_path):
 def test_gyro_bias_makes_estimates_miss_where_they_were_right(tmp_path):
     drive = write_drive(tmp_path / "drive.csv", 3)
     plain = report_of(drive)
-    # A sample each second: 2 degrees between two of them, so that a lap does
-    # not close any more.
+    # Samples are a second apart, so that each turns by 2 degrees too many and
+    # a lap does not close any more.
     biased = report_of(drive, "--gyro-bias", "2")
     assert biased["total"]["checks"] == plain["total"]["checks"]
     assert biased["total"]["true_loops"] == plain["total"]["true_loops"]
@@ -204,7 +204,7 @@ def test_fixes_are_drawn_along_the_truth_with_a_seed(tmp_path):
     drive = write_drive(tmp_path / "drive.csv", 3, step_meters=5.0)
     report = report_of(drive, "--fix-noise", "1,60")
     assert [one["seed"] for one in report["drives"]] == [1]
-    # A fix for each second of the drive.
+    # Samples are a second apart, so that each brings a fix.
     assert report["drives"][0]["poses"] == 360
     assert report["total"]["true_loops"] > 10
     assert report["total"]["recall"] > 0.5
@@ -283,6 +283,12 @@ def test_gnss_drives_of_one_vehicle_have_one_frame(tmp_path):
     assert 14 <= drive["true_loops"] <= 17
     assert drive["top1_correct"] >= 12
     texts_of(tmp_path / "map.svg")
+    # Errors are drawn and added in metres.
+    for flag, value in (("--simulate", "1"), ("--gyro-bias", "1"),
+                        ("--fix-noise", "1")):
+        result = evaluate(names[0], "--truth", names[1], flag, value)
+        assert result.returncode == 1
+        assert f"{flag} goes with local positions" in result.stderr
 
 
 def test_checks_of_a_new_route_do_not_count_where_only_revisits_do(tmp_path):

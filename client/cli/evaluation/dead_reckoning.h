@@ -89,7 +89,7 @@ class UncertaintyClaims {
   std::optional<PlanarPose> previous_;
 };
 
-// Multiplies the standard deviations by this factor.
+// Multiplies the standard deviations by this factor. REQUIRES: it is positive.
 void ScaleClaims(double factor, std::vector<ClaimedUncertainty>* claims);
 
 // One for each sample, with the errors of UncertaintyClaims::Next().

@@ -119,8 +119,7 @@ struct JudgedCheck {
   bool top_correct() const { return !correct.empty() && correct[0]; }
 };
 
-// The stated probability from which on a candidate is so sure that a user may
-// take it without a second look.
+// The stated probability from which on a candidate counts as sure.
 inline constexpr double kSure = 0.9;
 
 struct Tally {

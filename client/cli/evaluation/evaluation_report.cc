@@ -152,8 +152,9 @@ std::vector<std::string> CellsOf(const Report& report,
                                  const MethodResult& method, const Row& row) {
   const Tally& t = row.tally;
   std::vector<std::string> cells;
-  if (report.methods.size() > 1)
+  if (report.methods.size() > 1) {
     cells.push_back(NameAmong(report.methods, method));
+  }
   cells.push_back(row.drive);
   for (const std::int64_t count :
        {t.checks, t.true_loops, t.accepted, t.accepted_correct}) {

@@ -59,7 +59,7 @@ TEST(CalibrationTest, WeighsBinsByTheirCounts) {
 }
 
 TEST(CalibrationTest, ErrorOfWhatIsStatedAtATenthIsNotDilutedByZeros) {
-  // As above, beside 95 that are rightly stated at 0.
+  // The five of the test above stand beside 95 that are rightly stated at 0.
   std::vector<Scored> stated = {
       {0.9, true}, {0.9, true}, {0.9, false}, {0.9, true}, {0.2, false}};
   stated.resize(100, {0.0, false});

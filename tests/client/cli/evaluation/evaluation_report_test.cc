@@ -130,7 +130,7 @@ TEST(EvaluationReportTest, EachClaimedScaleHasOneRowOfAllDrives) {
   report.methods[0].claimed_scale = 0.25;
   report.methods[1].claimed_scale = 1.0;
   const auto lines = Lines(report);
-  // Heading, two rows, a blank line and the note.
+  // The lines are the heading, two rows, a blank one and the note.
   ASSERT_EQ(lines.size(), 5u);
   EXPECT_THAT(lines[1], MatchesRegex("relative, claimed x 0.25 +total +4 .*"));
   EXPECT_THAT(lines[2], MatchesRegex("relative, claimed x 1 +total +4 .*"));

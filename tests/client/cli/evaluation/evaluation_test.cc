@@ -203,9 +203,10 @@ TEST(EvaluationTest, SureRecallCountsWhatIsRightAndStatedAtNineTenths) {
   const Course course = TwoLapsAndBack();
   std::vector<CheckAnswer> answers = {
       Answer(15, {{5, Verdict::kAccepted}}),
-      // Rejected, but sure and right: the verdict does not matter.
+      // This one is turned down, which does not matter, since it is sure and
+      // right.
       Answer(16, {{6, Verdict::kAmbiguous}}),
-      // Sure and wrong; right, but not sure.
+      // The third is sure and wrong, the fourth is right and not sure.
       Answer(17, {{1, Verdict::kAccepted}}),
       Answer(18, {{8, Verdict::kAccepted}})};
   const double stated[] = {0.9, 0.95, 0.99, 0.89};

@@ -113,7 +113,7 @@ TEST(SimulationTest, StandsStillWithTheVehicleAndLosesNoMotion) {
   EXPECT_NEAR(simulated.samples[99].estimate.x, 1.98, 1e-12);
 }
 
-// Along x at 10 m/s, ten poses a second.
+// This drive goes along x at 10 m/s, with ten poses a second.
 Drive Straight(int poses) {
   Drive drive;
   drive.name = "straight";
@@ -131,7 +131,7 @@ Drive Straight(int poses) {
 TEST(SimulationTest, BiasOfAGyroBendsAStraightIntoAnArc) {
   Drive drive = Straight(101);
   AddGyroBias(0.02, &drive);
-  // 10 s: 0.2 rad of a circle of 500 m of radius.
+  // In 10 s the estimate turns by 0.2 rad, on a circle of 500 m of radius.
   const PlanarPose& end = drive.samples.back().estimate;
   EXPECT_NEAR(end.heading, 0.2, 1e-12);
   EXPECT_NEAR(end.x, 500.0 * std::sin(0.2), 1e-4);
@@ -144,7 +144,8 @@ TEST(SimulationTest, BiasTurnsByTimeAndTakesATenthOfASecondWhereThereIsNone) {
   constexpr std::int64_t kSecond = 1'000'000'000;
   Drive drive;
   drive.name = "stops";
-  // From 2 s at rest, over one gap that counts and others that do not.
+  // The first gap is 2 s long and counts; the others are too long, have no
+  // time, or go back, so that each takes 0.1 s.
   const std::optional<std::int64_t> times[] = {
       0, 2 * kSecond, 5 * kSecond, std::nullopt, 6 * kSecond, 5 * kSecond};
   const double headings[] = {0.0, 0.2, 0.21, 0.22, 0.23, 0.24};
