@@ -256,8 +256,9 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
       options.candidate_separation_meters) {
     return empty(EmptyReason::kAllSuppressed);
   }
+  const std::int64_t aligned = AlignedNodes(query, steps, options);
   set.comparisons =
-      steps * history_size *
+      aligned * history_size *
       static_cast<std::int64_t>(Directions(options.direction).size());
   if (set.comparisons > options.max_comparisons) {
     return empty(EmptyReason::kTooMuchWork);
@@ -271,7 +272,7 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
       settings_.node_spacing_meters,
       MakeSimilarityModel(options),
       query,
-      steps,
+      aligned,
       history_size,
       NotSought(query, options.candidate_separation_meters),
       LastConfirmed(query),
@@ -290,6 +291,13 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
                                       : EmptyReason::kNoAlignment);
   }
   return set;
+}
+
+std::int64_t Engine::AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,
+                                  const SearchOptions& options) const {
+  if (options.alignment == AlignmentKind::kComposite) return sequence_nodes;
+  return std::min(kOverlapSequences * sequence_nodes,
+                  query - graph_.SegmentStart(query) + 1);
 }
 
 std::optional<ConfirmedLoop> Engine::LastConfirmed(NodeIndex query) const {

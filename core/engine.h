@@ -124,6 +124,10 @@ class Engine {
   void ExtendIndexes();
   // Estimates the consistency anew from all confirmed loops.
   void RebuildMonitor();
+  // Nodes of the path that a search aligns with the history. REQUIRES: the
+  // query's segment has as many nodes as the sequence up to the query.
+  std::int64_t AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,
+                            const SearchOptions& options) const;
   // The last confirmed loop whose nodes both lie at or before the query.
   std::optional<ConfirmedLoop> LastConfirmed(NodeIndex query) const;
   SimilarityModel MakeSimilarityModel(const SearchOptions& options) const;

@@ -230,7 +230,7 @@ std::optional<RelativeAlignment> AlignRelative(
     const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
     std::int64_t steps, NodeIndex history_size, const ShouldStop& should_stop) {
   assert(1 <= steps && steps <= query + 1);
-  assert(history_size <= query - steps + 1);
+  assert(history_size <= query);
   if (model.similarity.state_space == StateSpace::kPlanar) {
     return AlignRelativeIn<3>(graph, model, query, steps, history_size,
                               should_stop);

@@ -97,8 +97,8 @@ class RelativeAlignment {
 // Aligns the `steps` nodes that end at `query` with the history [0,
 // history_size). Time O(steps * history_size) at most, less where shapes differ
 // early, and less still where ends are pruned. Returns nothing if told to stop.
-// REQUIRES: as for Align(); the recent path lies in one segment; the graph
-// outlives the answer.
+// REQUIRES: 1 <= steps <= query + 1; history_size <= query; the recent path lies
+// in one segment, and may begin in the history; the graph outlives the answer.
 std::optional<RelativeAlignment> AlignRelative(
     const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
     std::int64_t steps, NodeIndex history_size, const ShouldStop& should_stop);

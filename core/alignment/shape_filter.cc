@@ -11,16 +11,38 @@ namespace {
 // Least standard deviation of drift_0, whose covariance must be invertible.
 constexpr double kLeastEndDrift = 1e-4;
 
-// Inverse of a positive definite matrix, column by column: to solve for all at
-// once, Eigen takes the slower way that suits large matrices.
+// Inverse of a positive definite matrix, by Cholesky's factor L: L^-T L^-1.
+// Written out, since Eigen solves for each column of so small a matrix in a
+// call of its own, which takes most of the time that a filter takes.
 template <int D>
 StateMatrix<D> Inverse(const StateMatrix<D>& m) {
-  const Eigen::LLT<StateMatrix<D>> factors(m);
-  StateMatrix<D> inverse;
-  for (int c = 0; c < D; ++c) {
-    inverse.col(c) = factors.solve(StateVector<D>::Unit(c));
+  // L^-1, whose diagonal holds the inverse of L's.
+  double factor[D][D] = {};
+  double inverse[D][D] = {};
+  for (int r = 0; r < D; ++r) {
+    for (int c = 0; c <= r; ++c) {
+      double left = m(r, c);
+      for (int k = 0; k < c; ++k) left -= factor[r][k] * factor[c][k];
+      factor[r][c] = c < r ? left * inverse[c][c] : std::sqrt(left);
+      if (c == r) inverse[r][r] = 1.0 / factor[r][r];
+    }
   }
-  return inverse;
+  for (int c = 0; c < D; ++c) {
+    for (int r = c + 1; r < D; ++r) {
+      double sum = 0.0;
+      for (int k = c; k < r; ++k) sum += factor[r][k] * inverse[k][c];
+      inverse[r][c] = -sum * inverse[r][r];
+    }
+  }
+  StateMatrix<D> product;
+  for (int r = 0; r < D; ++r) {
+    for (int c = 0; c <= r; ++c) {
+      double sum = 0.0;
+      for (int k = r; k < D; ++k) sum += inverse[k][r] * inverse[k][c];
+      product(r, c) = product(c, r) = sum;
+    }
+  }
+  return product;
 }
 
 template <int D>

@@ -30,7 +30,8 @@ struct SearchTask {
   SimilarityModel similarity;
 
   // The `steps` nodes that end at `query` are sought in the history [0,
-  // history_size), but not as ends in `not_sought`.
+  // history_size), but not as ends in `not_sought`. The history may hold the
+  // first of these nodes too.
   NodeIndex query;
   std::int64_t steps;
   NodeIndex history_size;

@@ -113,7 +113,7 @@ struct Limits {
   int max_searches_per_vehicle = 16;
   // Searches per second and caller; off at 0. Range [0, 1e6].
   double max_search_rate_per_caller = 0.0;
-  // Nodes of the sequence times nodes of the history times directions (2 for
+  // Nodes of the aligned path times nodes of the history times directions (2 for
   // EITHER), per search: core's SearchOptions::max_comparisons, and `limit` of
   // LIMIT_EXCEEDED. Range [1000, 1e12].
   std::int64_t max_search_steps = 300'000'000;

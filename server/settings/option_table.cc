@@ -300,7 +300,7 @@ void AddWork(Group add, Limits& l) {
   add.Number("max-search-rate-per-caller", &l.max_search_rate_per_caller, 0,
              1e6, "FindCandidates calls per second of one caller; 0: no limit");
   add.Number("max-search-steps", &l.max_search_steps, 1000, 1e12,
-             "Nodes of the sequence times nodes of the history that one "
+             "Nodes of the aligned path times nodes of the history that one "
              "search may compare, counted twice where it looks in both "
              "directions");
   add.Number("max-memory-bytes", &l.max_memory_bytes, 0, std::int64_t{1} << 50,

@@ -17,7 +17,8 @@ namespace revisit::core {
 namespace {
 
 constexpr std::size_t kMatched = 150;
-// Far enough for a search whose path begins behind the closure's surroundings.
+// Far enough for a search whose aligned path, of two sequences, begins behind the
+// closure's surroundings.
 constexpr std::size_t kLaterMatched = 370;
 
 // Two laps of a ring, of which the second lies 3 m to the left around the
@@ -88,6 +89,7 @@ Found FindAfter(const TwoLaps& laps, const std::vector<PoseSample>& samples,
   engine.AddLoopClosure(laps.query + 1, kMatched + 1, 2, measured);
   SearchOptions options = engine.settings().search;
   options.exhaustive = true;
+  options.sequence_length_meters = 75.0;
   const auto set = engine.FindCandidates(options, nullptr);
   for (const Candidate& candidate : set->candidates) {
     const Node node = engine.graph().node(candidate.matched);

@@ -103,12 +103,45 @@ TEST(EngineRelativeTest, ASecondLapIsAccepted) {
   EXPECT_EQ(best.relative->path_gate.verdict, GateVerdict::kAccepted);
   EXPECT_GT(best.relative->probability, 0.95);
   EXPECT_GT(best.relative->log_likelihood_ratio, 20.0);
-  EXPECT_EQ(best.relative->overlap_meters, 148.0);
-  ASSERT_EQ(best.path.size(), 75u);
+  EXPECT_EQ(best.relative->overlap_meters, 298.0);
+  ASSERT_EQ(best.path.size(), 150u);
   EXPECT_EQ(best.path.back(), std::make_pair(*set.query, best.matched));
-  EXPECT_EQ(best.path.front().first, *set.query - 74);
+  EXPECT_EQ(best.path.front().first, *set.query - 149);
   EXPECT_LT(*set.new_place_probability, 0.05);
   EXPECT_EQ(set.inflation, 1.0);
+}
+
+TEST(EngineRelativeTest,
+     ACornerFartherBackThanOneSequenceTellsThePlaceAlongAStraight) {
+  // Twice 60 m to a bend of 20 m radius and a straight beyond it, the second
+  // time up to 240 m, with an estimate that is 25 m too far along the straight.
+  const auto drive = [](double straight, double too_far,
+                        std::vector<Pose>* poses) {
+    for (double s = -60.0; s < 0.0; s += 1.0) poses->push_back({s, too_far});
+    for (double angle = 0.0; angle < 0.5 * kPi; angle += 0.05) {
+      poses->push_back({20.0 * std::sin(angle),
+                        20.0 * (1.0 - std::cos(angle)) + too_far, 0.0, angle});
+    }
+    for (double s = 20.0; s <= straight; s += 1.0) {
+      poses->push_back({20.0, s + too_far, 0.0, 0.5 * kPi});
+    }
+  };
+  std::vector<Pose> poses;
+  drive(500.0, 0.0, &poses);
+  const std::size_t second = poses.size();
+  drive(240.0, 25.0, &poses);
+  std::vector<PoseSample> samples = WithDeviations(poses, 1.0, 1e-4);
+  for (std::size_t i = second; i < samples.size(); ++i) {
+    for (int k : {0, 1}) samples[i].covariance(k, k) = 30.0 * 30.0;
+  }
+  const Engine engine = Driven(samples);
+  const CandidateSet set = Find(engine);
+  ASSERT_FALSE(set.candidates.empty());
+  const Candidate& best = set.candidates[0];
+  EXPECT_EQ(best.verdict, Verdict::kAccepted);
+  EXPECT_GT(best.relative->overlap_meters, 250.0);
+  EXPECT_NEAR(engine.graph().node(best.matched).pose.y, 240.0, 4.0);
+  EXPECT_GT(best.relative->probability, 0.8);
 }
 
 TEST(EngineRelativeTest, AnEndFarOutsideItsUncertaintyIsRejectedByTheGate) {

@@ -54,10 +54,10 @@ TEST(EngineTest, RecognisesTheSecondLap) {
   EXPECT_EQ(best.rank, 1);
   EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kAccepted);
   EXPECT_NEAR(engine.graph().node(best.matched).travelled_meters, 500.0, 2.0);
-  ASSERT_EQ(best.path.size(), 75u);
+  ASSERT_EQ(best.path.size(), 150u);
   EXPECT_EQ(best.path.back().first, *set->query);
   EXPECT_EQ(best.path.back().second, best.matched);
-  EXPECT_EQ(best.path.front().first, *set->query - 74);
+  EXPECT_EQ(best.path.front().first, *set->query - 149);
   for (std::size_t i = 1; i < set->candidates.size(); ++i) {
     EXPECT_LE(set->candidates[i].score, set->candidates[i - 1].score);
     EXPECT_EQ(set->candidates[i].rank, static_cast<int>(i) + 1);
@@ -194,7 +194,7 @@ TEST(EngineTest, OptionsOverrideTheVehicles) {
   options.gate_probability = 0.5;
   const auto set = engine.FindCandidates(options, nullptr);
   ASSERT_EQ(set->candidates.size(), 2u);
-  EXPECT_EQ(set->candidates[0].path.size(), 30u);
+  EXPECT_EQ(set->candidates[0].path.size(), 60u);
   EXPECT_NEAR(set->candidates[0].difference.gate.threshold, 2.36597, 1e-5);
 }
 
