@@ -295,7 +295,10 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
 
 std::int64_t Engine::AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,
                                   const SearchOptions& options) const {
-  if (options.alignment == AlignmentKind::kComposite) return sequence_nodes;
+  if (options.alignment == AlignmentKind::kComposite ||
+      options.correlation_model == CorrelationModel::kIndependent) {
+    return sequence_nodes;
+  }
   return std::min(kOverlapSequences * sequence_nodes,
                   query - graph_.SegmentStart(query) + 1);
 }

@@ -32,8 +32,9 @@ struct SearchOptions {
   LikelihoodForm likelihood_form = LikelihoodForm::kGaussian;
   SearchDirection direction = SearchDirection::kSame;
   // Travelled distance before the query that is no history; it is rounded to a
-  // number of nodes. kComposite aligns these nodes with the history, kRelative
-  // up to kOverlapSequences times as many.
+  // number of nodes. These nodes are aligned with the history, and with
+  // kRelative up to kOverlapSequences times as many unless errors are
+  // kIndependent.
   double sequence_length_meters = 150.0;
   // Probability with which the gate accepts a true revisit.
   double gate_probability = 0.95;
@@ -45,9 +46,9 @@ struct SearchOptions {
   int max_candidates = 5;
   // Whether candidates have their paths. Each is walked once more for it.
   bool tell_paths = true;
-  // Nodes of the aligned path times nodes of the history times directions (2 for
-  // kEither) that the search may compare. A search that would have to compare
-  // more finds nothing (EmptyReason::kTooMuchWork).
+  // Nodes of the aligned path times nodes of the history times directions (2
+  // for kEither) that the search may compare. A search that would have to
+  // compare more finds nothing (EmptyReason::kTooMuchWork).
   std::int64_t max_comparisons = std::numeric_limits<std::int64_t>::max();
 
   // The options below are for kRelative only.
@@ -79,7 +80,9 @@ struct EngineSettings {
 // A relative alignment takes what agrees of so many sequences back from the
 // query. The farther two paths run together, the surer it is that they are on
 // one road and where along it: the last corner may lie farther back than one
-// sequence. On the roads that were tried, more than two add nothing.
+// sequence. On the roads that were tried, more than two add nothing. Where
+// errors are independent of each other, the end's own fix tells the place, and
+// what lies far back only adds its noise.
 inline constexpr std::int64_t kOverlapSequences = 2;
 
 inline constexpr double kLeastSpacingMeters = 0.01;

@@ -194,7 +194,7 @@ TEST(EngineTest, OptionsOverrideTheVehicles) {
   options.gate_probability = 0.5;
   const auto set = engine.FindCandidates(options, nullptr);
   ASSERT_EQ(set->candidates.size(), 2u);
-  EXPECT_EQ(set->candidates[0].path.size(), 60u);
+  EXPECT_EQ(set->candidates[0].path.size(), 30u);
   EXPECT_NEAR(set->candidates[0].difference.gate.threshold, 2.36597, 1e-5);
 }
 

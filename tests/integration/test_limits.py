@@ -305,7 +305,7 @@ def test_rate_of_searches_is_bounded(tmp_path):
 
 
 def test_search_larger_than_allowed_says_what_was_got_and_allowed(tmp_path):
-    with Server(tmp_path / "store", "--max-search-steps=10000") as server:
+    with Server(tmp_path / "store", "--max-search-steps=20000") as server:
         stub = server.stub()
         vehicle = create(stub, node_spacing_meters=1.0,
                          sequence_length_meters=50.0,
@@ -327,7 +327,7 @@ def test_search_larger_than_allowed_says_what_was_got_and_allowed(tmp_path):
         failure = failure_of(lambda: stub.FindCandidates(search(vehicle)))
         assert failure.code == grpc.StatusCode.OUT_OF_RANGE
         assert failure.reason == "LIMIT_EXCEEDED"
-        assert int(failure.metadata["limit"]) == 10000
+        assert int(failure.metadata["limit"]) == 20000
         assert int(failure.metadata["got"]) > 10000
         # What it proposes helps.
         stub.FindCandidates(search(vehicle, sequence_length_meters=20.0))
