@@ -27,8 +27,8 @@ DRIVE_KEYS = {
     "top1_correct", "top5_correct", "precision", "recall", "f1", "top1",
     "recall_at_5", "sure_correct", "sure_recall", "candidates_to_verify",
     "loops_found", "candidates_per_loop_found", "positive_calibration_error",
-    "expected_calibration_error", "confirmed", "rejected", "jumps", "query_ms_p50", "query_ms_p99", "poses",
-    "poses_per_second"}
+    "expected_calibration_error", "confirmed", "rejected", "jumps",
+    "query_ms_p50", "query_ms_p99", "poses", "poses_per_second"}
 
 
 def evaluate(*arguments):

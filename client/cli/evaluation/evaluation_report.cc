@@ -183,12 +183,12 @@ void PrintTable(const Report& report, std::ostream& out, std::size_t width) {
   Table table(ColumnsOf(report));
   for (const MethodResult& method : report.methods) {
     std::vector<Row> rows = RowsOf(method);
-    const bool total = rows.size() > 1 && !method.claimed_scale.has_value();
-    if (method.claimed_scale.has_value()) {
-      if (rows.size() > 1) rows = {TotalRow(method)};
-    } else if (total) {
+    if (rows.size() > 1) {
+      // A sweep is read by its totals.
+      if (method.claimed_scale.has_value()) rows.clear();
       rows.push_back(TotalRow(method));
     }
+    const bool total = rows.size() > 1;
     if (several && &method != &report.methods.front() && total) table.AddRule();
     for (const Row& row : rows) {
       if (!several && total && &row == &rows.back()) table.AddRule();

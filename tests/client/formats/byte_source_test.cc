@@ -16,7 +16,7 @@ namespace {
 using ::testing::HasSubstr;
 
 std::string Gzip(const std::string& text) {
-  // As zlib.h says: 16 more asks for a gzip header.
+  // 16 more than the window asks zlib for a gzip header (zlib.h, deflateInit2).
   constexpr int kGzipWindowBits = MAX_WBITS + 16;
   constexpr int kMemoryLevel = 8;
   z_stream stream = {};

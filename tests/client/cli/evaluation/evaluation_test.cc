@@ -239,7 +239,7 @@ TEST(EvaluationTest, ChecksCanCountFromTheFirstTrueLoopOn) {
   ASSERT_EQ(all.size(), 4u);
   EXPECT_FALSE(all[0].true_loop);
   EXPECT_TRUE(all[1].true_loop);
-  // Those behind it count whether they are loops or not.
+  // Checks after the first true loop count whether they are loops or not.
   EXPECT_FALSE(all[2].true_loop);
   judging.only_revisited = true;
   const auto later = Judge(course.nodes, course.truth, answers, judging);
