@@ -56,16 +56,27 @@ v1::Pose MakePose(const Sample& sample, const ClaimedUncertainty& uncertainty,
   return pose;
 }
 
+void AddErrorTransition(const Sample& sample, v1::Pose* pose) {
+  for (const double entry : *sample.error_transition) {
+    pose->add_error_transition(entry);
+  }
+}
+
 void AppendPoses(const Drive& drive,
                  const std::vector<ClaimedUncertainty>& uncertainty,
-                 v1::StateSpace state_space, const SampleRange& range,
+                 const v1::VehicleSettings& settings, const SampleRange& range,
                  std::size_t batch_poses, PoseStream* stream) {
+  const bool filter =
+      settings.correlation_model() == v1::CORRELATION_MODEL_FILTER;
   for (std::size_t next = range.begin; next < range.end;) {
     v1::PoseBatch batch;
     const std::size_t end = std::min(range.end, next + batch_poses);
     for (; next < end; ++next) {
-      *batch.add_poses() = MakePose(drive.samples[next], uncertainty[next],
-                                    state_space, next + 1);
+      const Sample& sample = drive.samples[next];
+      v1::Pose* pose = batch.add_poses();
+      *pose =
+          MakePose(sample, uncertainty[next], settings.state_space(), next + 1);
+      if (filter && next > 0) AddErrorTransition(sample, pose);
     }
     if (!stream->Append(std::move(batch)).ok()) return;
   }

@@ -20,17 +20,23 @@ namespace revisit::client {
 v1::Pose MakePose(const Sample& sample, const ClaimedUncertainty& uncertainty,
                   v1::StateSpace state_space, std::uint64_t sequence);
 
+// Adds the error transition of a planar sample.
+// REQUIRES: the sample has one.
+void AddErrorTransition(const Sample& sample, v1::Pose* pose);
+
 // Samples from `begin` to before `end`.
 struct SampleRange {
   std::size_t begin = 0;
   std::size_t end = 0;
 };
 
-// Appends these samples in batches, the pose of sample i with sequence i + 1.
-// Stops early if the stream has failed; PoseStream::Finish() then says why.
+// Appends these samples to a vehicle of these settings in batches, the pose of
+// sample i with sequence i + 1, and with error transitions if its correlation
+// model is FILTER. Stops early if the stream has failed; PoseStream::Finish()
+// then says why.
 void AppendPoses(const Drive& drive,
                  const std::vector<ClaimedUncertainty>& uncertainty,
-                 v1::StateSpace state_space, const SampleRange& range,
+                 const v1::VehicleSettings& settings, const SampleRange& range,
                  std::size_t batch_poses, PoseStream* stream);
 
 // Reports a jump to people.

@@ -101,7 +101,10 @@ void TurnAxes(Axes axes, Sample* sample) {
   const Eigen::Vector3d position =
       turn.frame *
       Eigen::Vector3d(sample->estimate.x, sample->estimate.y, sample->z);
-  if (axes == Axes::kNorthEastDown) SwapPlane(sample);
+  if (axes == Axes::kNorthEastDown) {
+    SwapPlane(sample);
+    if (sample->truth_z.has_value()) sample->truth_z = -*sample->truth_z;
+  }
   sample->estimate.x = position.x();
   sample->estimate.y = position.y();
   sample->z = position.z();

@@ -34,6 +34,7 @@ constexpr Name kNames[] = {
     {kTruth, "gt_x", "gt_x"},
     {CsvKey(kTruth + 1), "gt_y", "gt_y"},
     {CsvKey(kTruth + 2), "gt_yaw", "gt_yaw"},
+    {kTruthZ, "gt_z", "gt_z"},
     {kCovariance, "pxx", "pxx"},
     {CsvKey(kCovariance + 1), "pxy", "pxy"},
     {CsvKey(kCovariance + 2), "pxt", "pxt"},

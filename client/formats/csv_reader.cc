@@ -109,6 +109,7 @@ class CsvReader : public SampleReader {
     if (const auto truth = Group<3>(kTruth)) {
       sample.truth = {(*truth)[0], (*truth)[1], (*truth)[2]};
     }
+    if (layout_.Has(kTruthZ)) sample.truth_z = Number(kTruthZ);
     sample.covariance = Group<6>(kCovariance);
     sample.covariance_36 = Group<36>(kCovariance36);
     if (sample.covariance_36.has_value()) {

@@ -11,6 +11,7 @@
 //   lat lon height    lat lon height      degrees and metres, instead of x, y
 //   ve vn             ve vn               velocity to the east and north, m/s
 //   gt_x gt_y gt_yaw  the same            the truth
+//   gt_z              the same            its height, metres
 //   pxx pxy pxt pyy pyt ptt  the same     covariance of (x, y, yaw)
 //   cov               -                   36 columns, this name and 0 to 35:
 //                                         covariance as in ROS

@@ -59,6 +59,7 @@ class RtklibReader : public SampleReader {
       }
     }
     has_deviations_ = Has({"sdn(m)", "sde(m)", "sdne(m)"});
+    has_height_deviations_ = Has({"sdu(m)", "sdeu(m)", "sdun(m)"});
     has_velocity_ = Has({"vn(m/s)", "ve(m/s)"});
     has_velocity_deviations_ = Has({"sdvn", "sdve", "sdvne"});
     return absl::OkStatus();
@@ -133,6 +134,11 @@ class RtklibReader : public SampleReader {
                                     SignedSquare(get("sdne(m)")),
                                     SignedSquare(get("sdn(m)"))};
     }
+    if (has_height_deviations_ && get("sdu(m)") > 0.0) {
+      sample.height_covariance = {SignedSquare(get("sdeu(m)")),
+                                  SignedSquare(get("sdun(m)")),
+                                  SignedSquare(get("sdu(m)"))};
+    }
     if (has_velocity_) {
       sample.velocity = {get("ve(m/s)"), get("vn(m/s)"), std::nullopt};
       if (has_velocity_deviations_ && get("sdve") > 0.0 && get("sdvn") > 0.0) {
@@ -151,6 +157,7 @@ class RtklibReader : public SampleReader {
   const std::unique_ptr<Lines> lines_;
   Columns columns_;
   bool has_deviations_ = false;
+  bool has_height_deviations_ = false;
   bool has_velocity_ = false;
   bool has_velocity_deviations_ = false;
   std::vector<std::string_view> fields_;

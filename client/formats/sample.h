@@ -43,6 +43,8 @@ struct Sample {
   std::optional<Velocity> velocity;
   // The covariance of a position alone: xx, xy, yy.
   std::optional<std::array<double, 3>> position_covariance;
+  // What the covariance of a position has of height: xz, yz, zz.
+  std::optional<std::array<double, 3>> height_covariance;
   // The variance of a heading that was taken from the course.
   std::optional<double> heading_variance;
   // The covariance of the planar pose: xx, xy, xh, yy, yh, hh.
@@ -53,6 +55,8 @@ struct Sample {
   // v1::Pose.error_transition of a planar vehicle.
   std::optional<std::array<double, 9>> error_transition;
   std::optional<PlanarPose> truth;
+  // The height of the truth.
+  std::optional<double> truth_z;
   // The line of the file where it ends; 0 if it was not read from a line.
   std::int64_t line = 0;
 };

@@ -10,6 +10,7 @@ import xml.etree.ElementTree
 
 import pytest
 
+from made_drives import write_drive, write_filtered_drive, write_gnss_laps
 from revisit_server import BIN, Server, clean_environment, run
 from stubs import ROOT
 from wire import BOREAS
@@ -45,21 +46,6 @@ def report_of(*arguments):
 def without_times(part):
     return {key: value for key, value in part.items()
             if key not in ("query_ms_p50", "query_ms_p99", "poses_per_second")}
-
-
-def write_drive(path, laps, step_meters=2.0, lap_meters=600.0):
-    """A square driven again and again; the estimate is the truth."""
-    side = lap_meters / 4.0
-    rows = ["t_s,gt_x,gt_y,gt_yaw,est_x,est_y,est_yaw"]
-    for number in range(int(laps * lap_meters / step_meters)):
-        corner, along = divmod(number * step_meters % lap_meters, side)
-        heading = corner * math.pi / 2.0
-        x = (along, side, side - along, 0.0)[int(corner)]
-        y = (0.0, along, side, side - along)[int(corner)]
-        pose = f"{x:.3f},{y:.3f},{math.remainder(heading, math.tau):.6f}"
-        rows.append(f"{number},{pose},{pose}")
-    path.write_text("\n".join(rows) + "\n")
-    return path
 
 
 def texts_of(path):
@@ -243,41 +229,11 @@ def test_repeats_change_nothing_but_times(tmp_path):
 
 
 def test_gnss_drives_of_one_vehicle_have_one_frame(tmp_path):
-    """Two laps of a block: one recorded, one recorded a year later."""
-    header = ("%  GPST latitude(deg) longitude(deg) height(m) Q ns sdn(m) "
-              "sde(m) sdu(m) sdne(m) sdeu(m) sdun(m) age(s) ratio vn(m/s) "
-              "ve(m/s) vu(m/s) sdvn sdve sdvu sdvne sdveu sdvun")
-    side, speed = 200.0, 8.0
-    names = []
-    for year, week in ((2023, 2270), (2024, 2322)):
-        fixes, reference = [header], [
-            "GPS TOW (s),GPS Week,Latitude (deg),Longitude (deg),"
-            "Ellipsoid Height (m),Heading (deg)"]
-        day = "2023/07/11" if year == 2023 else "2024/07/09"
-        for second in range(int(4 * side / speed)):
-            corner, along = divmod(second * speed, side)
-            east = (along, side, side - along, 0.0)[int(corner)]
-            north = (0.0, along, side, side - along)[int(corner)]
-            heading = corner * math.pi / 2.0
-            latitude = 35.0 + north / 110941.0
-            longitude = 137.0 + east / 91288.0
-            ve, vn = speed * math.cos(heading), speed * math.sin(heading)
-            fixes.append(
-                f"{day} 00:{second // 60:02}:{second % 60:02}.000 "
-                f"{latitude:.9f} {longitude:.9f} 50.0 5 9 2.0 2.0 4.0 0.1 0.1 "
-                f"0.1 0.0 0.0 {vn:.5f} {ve:.5f} 0.0 0.1 0.1 0.2 0.01 0.01 0.01")
-            # Tuesday.
-            reference.append(
-                f"{2 * 86400 + second}, {week}, {latitude:.9f}, "
-                f"{longitude:.9f}, 50.0, {90.0 - math.degrees(heading):.3f}")
-        for kind, lines in (("pos", fixes), ("csv", reference)):
-            path = tmp_path / f"{year}.{kind}"
-            path.write_text("\n".join(lines) + "\n")
-            names.append(path)
-    report = report_of(names[0], names[2], "--one-vehicle", "--truth", names[1], names[3],
-                       "--map", tmp_path / "map.svg")
+    names = write_gnss_laps(tmp_path)
+    report = report_of(names[0], names[2], "--one-vehicle", "--truth",
+                       names[1], names[3], "--map", tmp_path / "map.svg")
     (drive,) = report["drives"]
-    assert drive["drive"] == "2023+2024"
+    assert drive["drive"] == "spp_2023+spp_2024"
     assert drive["poses"] == 200
     # The second lap, 800 m, is a revisit throughout; checks every 50 m.
     assert 14 <= drive["true_loops"] <= 17
@@ -289,6 +245,77 @@ def test_gnss_drives_of_one_vehicle_have_one_frame(tmp_path):
         result = evaluate(names[0], "--truth", names[1], flag, value)
         assert result.returncode == 1
         assert f"{flag} goes with local positions" in result.stderr
+
+
+def test_floors_of_a_car_park_are_places_of_their_own_in_space(tmp_path):
+    drive = write_drive(tmp_path / "park.csv", 3, climb_meters=15.0)
+    planar = report_of(drive)["total"]
+    spatial = report_of(drive, "--state-space", "spatial")["total"]
+    # In the plane each lap is where the one before was, and is judged so.
+    assert planar["true_loops"] == spatial["true_loops"] > 15
+    assert planar["accepted_correct"] > 15
+    assert spatial["accepted"] == 0
+    # On one level the two agree.
+    level = write_drive(tmp_path / "level.csv", 3, climb_meters=0.0)
+    flat = report_of(level, "--state-space", "spatial")["total"]
+    assert flat["accepted_correct"] == planar["accepted_correct"]
+
+
+def test_simulated_heights_leave_the_plane_as_it_was(tmp_path):
+    flags = ("--simulate", "3", "--verbose")
+    level = report_of(write_drive(tmp_path / "drive.csv", 2), *flags)
+    (tmp_path / "hill").mkdir()
+    hill = report_of(write_drive(tmp_path / "hill/drive.csv", 2,
+                                 climb_meters=3.0), *flags)
+    assert [check["candidates"] for check in level["drives"][0]["check_list"]] \
+        == [check["candidates"] for check in hill["drives"][0]["check_list"]]
+    spatial = report_of(tmp_path / "hill/drive.csv", *flags, "--state-space",
+                        "spatial")
+    assert spatial["total"]["true_loops"] == hill["total"]["true_loops"]
+    assert spatial["drives"][0]["check_list"] \
+        != hill["drives"][0]["check_list"]
+
+
+@pytest.mark.parametrize("alignment", ["relative", "composite"])
+def test_filter_without_fixes_is_dead_reckoning(alignment, tmp_path):
+    drive = write_filtered_drive(tmp_path / "filtered.csv", 2)
+
+    def candidates(*flags):
+        report = report_of(drive, "--alignment", alignment, "--exhaustive",
+                           "--verbose", *flags)
+        return [candidate for check in report["drives"][0]["check_list"]
+                for candidate in check["candidates"]]
+    filtered = candidates("--correlation-model", "filter")
+    reckoned = candidates("--correlation-model", "dead-reckoning",
+                          "--uncertainty", "fixes")
+    independent = candidates("--correlation-model", "independent",
+                             "--uncertainty", "fixes")
+    assert len(filtered) == len(reckoned) > 50
+    for one, other in zip(filtered, reckoned):
+        for key in ("matched_node", "verdict", "gate", "correct"):
+            assert one[key] == other[key]
+        for key in ("squared_mahalanobis_distance", "probability"):
+            assert (one[key] is None) == (other[key] is None)
+            assert math.isclose(one[key] or 0.0, other[key] or 0.0,
+                                rel_tol=1e-6, abs_tol=1e-9)
+    assert filtered != independent
+
+
+def test_filter_needs_an_error_transition_with_every_pose(tmp_path):
+    drive = write_filtered_drive(tmp_path / "poses.csv", 1,
+                                 with_transitions=False)
+    result = evaluate(drive, "--correlation-model", "filter")
+    assert result.returncode == 1
+    assert "poses: expected an error transition with every pose" \
+        in result.stderr
+    drive = write_filtered_drive(tmp_path / "filtered.csv", 1)
+    for flags, words in [
+            (("--simulate", "1"), "that are drawn anew have none"),
+            (("--fix-noise", "1"), "that are drawn anew have none"),
+            (("--state-space", "spatial"), "goes with --state-space planar")]:
+        result = evaluate(drive, "--correlation-model", "filter", *flags)
+        assert result.returncode == 1
+        assert words in result.stderr
 
 
 def test_checks_of_a_new_route_do_not_count_where_only_revisits_do(tmp_path):
@@ -318,6 +345,8 @@ def test_checks_of_a_new_route_do_not_count_where_only_revisits_do(tmp_path):
     (["--fix-noise", "0"], "--fix-noise"),
     (["--fix-noise", "1,2,3"], "expected metres, or metres and seconds"),
     (["--fix-noise", "1", "--gyro-bias", "1"], "does not go with --gyro-bias"),
+    (["--fix-noise", "1", "--state-space", "spatial"],
+     "fixes are drawn in the plane"),
     (["--fix-noise", "1", "--uncertainty", "model"],
      "does not go with --uncertainty"),
     (["--claimed-scales", "1,2", "--claimed-scale", "2"],

@@ -23,8 +23,9 @@ constexpr char kDetails[] =
     "started and stopped.\n\n"
     "A check is a true loop if a node before the excluded recent path lies "
     "within the loop\ndistance and loop heading of the current true pose; "
-    "a candidate is right by the same\ntest. Precision and recall count "
-    "the first candidate of a check, if its verdict is ACCEPTED:\n"
+    "a candidate is right by the same\ntest, in the plane also for vehicles "
+    "of --state-space spatial. Precision and recall count\nthe first candidate "
+    "of a check, if its verdict is ACCEPTED:\n"
     "  precision   accepted and right / accepted\n"
     "  recall      accepted and right / true loops\n"
     "  top-1       right in first place / true loops, verdict aside\n"
@@ -46,6 +47,8 @@ constexpr char kExamples[] =
     "  revisit evaluate drives/*.csv --gyro-bias 0.01\n"
     "  revisit evaluate drives/*.csv --fix-noise 3,60 --simulate 1-5\n"
     "  revisit evaluate drive.csv --verbose --map map.svg\n"
+    "  revisit evaluate hills.csv --simulate 1-5 --state-space spatial\n"
+    "  revisit evaluate filtered.csv --correlation-model filter\n"
     "  revisit evaluate day1.pos day2.pos --one-vehicle "
     "--truth ref1.csv ref2.csv";
 
@@ -106,7 +109,8 @@ void AddMeasurements(const Command& command, EvaluateFlags* flags) {
                   "Which way the vehicle may have passed before (same)");
   group.AddText("--simulate", "SEEDS", &flags->simulated_seeds,
                 "Draw each drive's estimate anew from the noise below along "
-                "its truth, once for each seed, such as 1-5");
+                "its truth (height: column gt_z), once for each seed, such as "
+                "1-5");
   group.AddNumber(
       "--gyro-bias", "DEG_PER_S",
       [options](double degrees) {
@@ -182,6 +186,10 @@ std::string CheckErrorModels(const Command& command,
   if (options.gyro_bias != 0.0) {
     return "--fix-noise: does not go with --gyro-bias, since fixes take their "
            "heading from the truth";
+  }
+  if (options.settings.state_space() == v1::STATE_SPACE_SPATIAL) {
+    return "--fix-noise: does not go with --state-space spatial, since fixes "
+           "are drawn in the plane";
   }
   if (command.Given("--uncertainty")) {
     return "--fix-noise: does not go with --uncertainty, since fixes bring "

@@ -313,9 +313,7 @@ void SampleSender::Send(const Sample& sample) {
           "pose")));
       return;
     }
-    for (const double entry : *sample.error_transition) {
-      pose->add_error_transition(entry);
-    }
+    AddErrorTransition(sample, pose);
   }
   if (batch_.poses_size() >= options_.batch_poses) Flush();
 }

@@ -21,7 +21,7 @@ void AddUncertainty(const Command& command, UncertaintyOptions* options) {
       "--uncertainty", sources, &options->source,
       "Dead reckoning with the sigmas below (model, the default), the file's "
       "covariances plus the start's uncertainty, carried along (file), or the "
-      "file's as they are (fixes, the default for receivers)");
+      "file's as they are (fixes, the default for receivers and filters)");
   group.AddNumber(
       "--sigma-along", "M", &options->along,
       "Standard deviation of odometry along the path, per square root of a "

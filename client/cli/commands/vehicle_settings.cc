@@ -243,11 +243,9 @@ void AddSearchSettings(const Command& command, v1::CandidateOptions* options) {
 
 void AddDriveSettings(const Command& command, v1::VehicleSettings* settings) {
   const Command group = UnderVehicleSettings(command);
-  for (BoundSetting setting : Bind(settings)) {
+  for (const BoundSetting& setting : Bind(settings)) {
     SetUsual(setting);
-    const std::string field = setting.row->field;
-    if (field == "state_space" || field == "coordinate_frame") continue;
-    if (field == "correlation_model") setting.words.erase("filter");
+    if (setting.row->field == std::string("coordinate_frame")) continue;
     AddSettingFlag(group, setting);
   }
 }

@@ -21,10 +21,9 @@ void AddVehicleSettings(const Command& command, v1::VehicleSettings* settings);
 // Flags for those settings that one search may replace.
 void AddSearchSettings(const Command& command, v1::CandidateOptions* options);
 
-// Flags for the settings that suit a vehicle of a drive file, which holds
-// planar local poses without error transitions. Here all settings that have a
-// flag are set, so that what is measured does not depend on the server's
-// defaults.
+// Flags for the settings of a vehicle of a drive file, whose frame is that of
+// the file. Here all settings that have a flag are set, so that what is
+// measured does not depend on the server's defaults.
 void AddDriveSettings(const Command& command, v1::VehicleSettings* settings);
 
 // Names and values for people.

@@ -83,11 +83,36 @@ Drive Join(std::vector<Drive> drives) {
   return all;
 }
 
+bool IsFilter(const EvaluateOptions& options) {
+  return options.settings.correlation_model() == v1::CORRELATION_MODEL_FILTER;
+}
+
+// An error unless each sample behind the first has an error transition for a
+// vehicle of FILTER, and the vehicle is planar, as those of files are.
+absl::Status CheckTransitions(const EvaluateOptions& options,
+                              const Drive& drive) {
+  if (!IsFilter(options)) return absl::OkStatus();
+  if (options.settings.state_space() == v1::STATE_SPACE_SPATIAL) {
+    return absl::InvalidArgumentError(
+        "--correlation-model filter: goes with --state-space planar, since "
+        "files have the error transitions of planar vehicles");
+  }
+  for (std::size_t i = 1; i < drive.samples.size(); ++i) {
+    if (drive.samples[i].error_transition.has_value()) continue;
+    return absl::InvalidArgumentError(absl::StrCat(
+        drive.name,
+        ": expected an error transition with every pose, as --correlation-model"
+        " filter needs (columns fxx, fxy, fxt, fyx, fyy, fyt, ftx, fty, ftt); "
+        "estimates that are drawn anew have none"));
+  }
+  return absl::OkStatus();
+}
+
 void Settle(const std::vector<Drive>& drives, EvaluateOptions* options) {
   options->geodetic = drives[0].samples[0].geodetic.has_value();
   if (options->geodetic) {
     options->settings.set_coordinate_frame(v1::COORDINATE_FRAME_GEODETIC);
-  } else if (!options->fix_noise.has_value()) {
+  } else if (!options->fix_noise.has_value() && !IsFilter(*options)) {
     return;
   }
   if (!options->uncertainty_given) {
@@ -140,6 +165,8 @@ absl::StatusOr<std::vector<Case>> ReadCases(EvaluateOptions* options) {
   for (Drive& drive : drives) AddCases(*options, std::move(drive), &cases);
   for (Case& one : cases) {
     if (options->gyro_bias != 0.0) AddGyroBias(options->gyro_bias, &one.drive);
+    const absl::Status transitions = CheckTransitions(*options, one.drive);
+    if (!transitions.ok()) return LocalError(transitions);
     auto uncertainty = ClaimUncertainty(one.drive, options->uncertainty);
     if (!uncertainty.ok()) return LocalError(uncertainty.status());
     one.uncertainty = *std::move(uncertainty);

@@ -82,6 +82,7 @@ absl::Status UncertaintyClaims::FromFile(const Sample& sample,
   } else if (fixes && sample.heading_variance.has_value()) {
     const double variance = options_.fix_position * options_.fix_position;
     covariance = {variance, 0.0, 0.0, variance, 0.0, *sample.heading_variance};
+    claim->z_variance = variance;
   } else {
     return absl::InvalidArgumentError(absl::StrCat(
         place(),
@@ -102,6 +103,11 @@ absl::Status UncertaintyClaims::FromFile(const Sample& sample,
     const double zz = c[14];
     if (zz > 0.0) claim->z_variance = zz + (fixes ? 0.0 : claim->z_variance);
     if (zz > 0.0) claim->z_mixed = {c[2], c[8], c[17]};
+  }
+  if (fixes && sample.height_covariance.has_value()) {
+    const auto& [xz, yz, zz] = *sample.height_covariance;
+    claim->z_variance = zz;
+    claim->z_mixed = {xz, yz, 0.0};
   }
   return absl::OkStatus();
 }

@@ -219,8 +219,8 @@ class Evaluator {
     }
     // Reconnects before this lost no answers, since nothing had been sent.
     const int reconnects = stream.reconnects();
-    AppendPoses(drive_, uncertainty_, run_.settings.state_space(), {begin, end},
-                kBatchPoses, &stream);
+    AppendPoses(drive_, uncertainty_, run_.settings, {begin, end}, kBatchPoses,
+                &stream);
     if (absl::Status status = stream.Finish(); !status.ok()) return status;
     if (stream.reconnects() > reconnects) {
       return absl::UnavailableError(
@@ -293,6 +293,9 @@ class Evaluator {
   absl::Status FetchNodes() {
     v1::ExportPoseGraphRequest request;
     request.set_vehicle(vehicle_);
+    const bool spatial = run_.settings.state_space() == v1::STATE_SPACE_SPATIAL;
+    const auto form =
+        spatial ? v1::COVARIANCE_FORM_SPATIAL_10 : v1::COVARIANCE_FORM_PLANAR_6;
     return client_.ExportPoseGraph(
         request, [&](const v1::ExportPoseGraphResponse& part) {
           for (const v1::Node& node : part.nodes()) {
@@ -300,8 +303,8 @@ class Evaluator {
                     static_cast<std::int64_t>(result_.nodes.size()) ||
                 node.sequence() < 1 ||
                 node.sequence() > drive_.samples.size() ||
-                node.covariance().form() != v1::COVARIANCE_FORM_PLANAR_6 ||
-                node.covariance().values_size() != 6) {
+                node.covariance().form() != form ||
+                node.covariance().values_size() != (spatial ? 10 : 6)) {
               return absl::InternalError(
                   absl::StrCat("the export's node ", node.index(),
                                " is not what was expected"));
@@ -311,7 +314,7 @@ class Evaluator {
                 {node.sequence(), node.fraction(), node.travelled_meters(),
                  PlanarPose{node.pose().x_meters(), node.pose().y_meters(),
                             node.pose().heading_radians()},
-                 covariance[0], covariance[1], covariance[3]});
+                 covariance[0], covariance[1], covariance[spatial ? 4 : 3]});
           }
           return absl::OkStatus();
         });

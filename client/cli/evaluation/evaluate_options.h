@@ -25,7 +25,8 @@ struct EvaluateOptions {
   std::vector<std::string> truth_files;
   // Whether the files hold fixes of a receiver: found out when they are read.
   // Vehicles are then GEODETIC, their errors INDEPENDENT and claimed as the
-  // file states them, unless flags say otherwise.
+  // file states them, unless flags say otherwise. FILTER claims as the file
+  // states too.
   bool geodetic = false;
   bool uncertainty_given = false;
   bool correlation_given = false;
@@ -35,9 +36,8 @@ struct EvaluateOptions {
   // Where vehicles are made. If absent, a private server is started and
   // stopped.
   std::optional<ChannelOptions> server;
-  // The settings of the vehicles that are made for the drives: PLANAR, and
-  // DEAD_RECKONING or INDEPENDENT; the frame follows from the files. Every
-  // field is set.
+  // The settings of the vehicles that are made for the drives; the frame
+  // follows from the files. Every field is set.
   v1::VehicleSettings settings;
   UncertaintyOptions uncertainty;
   // `excluded_nodes` follows from `exclude_meters` and the node spacing.

@@ -56,13 +56,14 @@ double SecondsBetween(const Sample& a, const Sample& b) {
   return seconds >= 0.0 && seconds <= kLongest ? seconds : kUsual;
 }
 
-// Makes a sample one of a planar estimate without a covariance.
+// Makes a sample one of an estimate that states neither covariance nor error
+// transition. Its height stays.
 void SetEstimate(const PlanarPose& estimate, Sample* sample) {
   sample->estimate = estimate;
-  sample->z = 0.0;
   sample->quaternion.reset();
   sample->covariance.reset();
   sample->covariance_36.reset();
+  sample->error_transition.reset();
   sample->geodetic.reset();
 }
 
@@ -96,10 +97,14 @@ Drive SimulateDeadReckoning(const Drive& drive, const UncertaintyOptions& noise,
   // Each draw is a statement of its own: the compiler must not choose their
   // order.
   const auto draw = [&normal](double sigma) { return sigma * normal.Next(); };
+  // Heights have draws of their own, so that those of the plane are the same
+  // with and without them.
+  NormalSource normal_up(~seed ^ HashOf(drive.name));
   Drive simulated = drive;
   // The true pose up to which dead reckoning has counted.
   PlanarPose counted = drive.truth[0];
   PlanarPose estimate = counted;
+  double z_error = noise.start_position * normal_up.Next();
   estimate.x += draw(noise.start_position);
   estimate.y += draw(noise.start_position);
   estimate.heading += draw(noise.start_heading);
@@ -118,8 +123,11 @@ Drive SimulateDeadReckoning(const Drive& drive, const UncertaintyOptions& noise,
       step.heading += turn;
       estimate = Compound(estimate, step);
       counted = drive.truth[i];
+      z_error += noise.up * root * normal_up.Next();
     }
-    SetEstimate(estimate, &simulated.samples[i]);
+    Sample& sample = simulated.samples[i];
+    SetEstimate(estimate, &sample);
+    sample.z = sample.truth_z.value_or(0.0) + z_error;
   }
   return simulated;
 }
@@ -180,6 +188,7 @@ Drive SimulateFixes(const Drive& drive, const FixNoise& noise,
     const double turn = noise.heading * normal.Next();
     seconds = 0.0;
     Sample sample = drive.samples[i];
+    sample.z = 0.0;
     SetEstimate({truth.x + error_x, truth.y + error_y,
                  std::remainder(truth.heading + turn, kTurn)},
                 &sample);

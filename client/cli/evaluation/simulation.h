@@ -39,9 +39,10 @@ class NormalSource {
 // Draws the estimate of a drive anew and drops the file's covariances. The
 // first pose is off by `start_position` and `start_heading`. Each step of the
 // truth is seen from the pose before it and gets noise along and across its
-// direction (half-way between the two headings) and in heading. Steps shorter
-// than 5 cm count as standing still: dead reckoning adds nothing there, and the
-// motion goes into the next step that is longer.
+// direction (half-way between the two headings), in heading and in height; a
+// truth without heights lies in a plane. Steps shorter than 5 cm count as
+// standing still: dead reckoning adds nothing there, and the motion goes into
+// the next step that is longer.
 //
 // Drives of different names get different noise under one seed. Estimates are
 // in the frame of the truth. REQUIRES: a drive with truth.
@@ -52,8 +53,8 @@ Drive SimulateDeadReckoning(const Drive& drive, const UncertaintyOptions& noise,
 // estimate, by putting its own steps together anew: each is turned by the bias
 // times the seconds that it took, half of that within the step. Steps without
 // times, against time, or of more than 2 s count as 0.1 s, as a recording at
-// 10 Hz has it. The first pose stays; the file's covariances and rotations,
-// which the new estimate does not have, are dropped.
+// 10 Hz has it. The first pose stays; the file's covariances, rotations and
+// error transitions, which the new estimate does not have, are dropped.
 void AddGyroBias(double radians_per_second, Drive* drive);
 
 // The errors of a GNSS receiver: in x and y a Gauss-Markov process each.

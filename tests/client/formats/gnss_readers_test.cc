@@ -48,6 +48,10 @@ TEST(RtklibReaderTest, ReadsSignedSquareRoots) {
   EXPECT_EQ(fix.geodetic->height_meters, 39.6452);
   EXPECT_THAT(*fix.position_covariance,
               ::testing::ElementsAre(16.0, -2.25, 9.0));
+  ASSERT_TRUE(fix.height_covariance.has_value());
+  EXPECT_THAT(
+      *fix.height_covariance,
+      ::testing::Pointwise(::testing::DoubleEq(), {2.56, -1.44, 68.89}));
   EXPECT_EQ(fix.velocity->east, 4.0);
   EXPECT_EQ(fix.velocity->north, 3.0);
   EXPECT_NEAR((*fix.velocity->covariance)[0], 0.04, 1e-15);

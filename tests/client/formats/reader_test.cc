@@ -83,6 +83,19 @@ TEST(CsvReaderTest, ReadsTransitionsAndCovariancesOfThirtySixNumbers) {
   EXPECT_EQ((*samples)[0].covariance, planar);
 }
 
+TEST(CsvReaderTest, ReadsTheHeightOfTheTruthWhereThereIsOne) {
+  const std::string header = "t_s,est_x,est_y,est_z,est_yaw,gt_x,gt_y,gt_yaw";
+  const auto samples =
+      ReadText(header + ",gt_z\n1,2,3,4,0.5,5,6,0.7,8\n", ReaderOptions());
+  ASSERT_TRUE(samples.ok()) << samples.status();
+  EXPECT_EQ((*samples)[0].z, 4.0);
+  EXPECT_EQ((*samples)[0].truth->heading, 0.7);
+  EXPECT_EQ((*samples)[0].truth_z, 8.0);
+  const auto planar = ReadText(header + "\n1,2,3,4,0.5,5,6,0.7\n");
+  ASSERT_TRUE(planar.ok()) << planar.status();
+  EXPECT_FALSE((*planar)[0].truth_z.has_value());
+}
+
 TEST(CsvReaderTest, ReadsTimesToTheNanosecondInEveryUnit) {
   const auto time = [](const std::string& text) {
     ReaderOptions options;

@@ -55,6 +55,23 @@ TEST(DeadReckoningTest, GrowsAsWorkedOutByHandOnAStraightPath) {
   EXPECT_NEAR((*claims)[2].z_variance, 0.04 * 20.0, 1e-12);
 }
 
+TEST(DeadReckoningTest, ClaimsTheHeightOfAFixAsItsFileStatesIt) {
+  UncertaintyOptions options;
+  options.source = UncertaintyOptions::Source::kFixes;
+  options.claimed_scale = 2.0;
+  Drive drive = MakeDrive({{0, 0, 0}, {10, 0, 0}});
+  for (Sample& sample : drive.samples) sample.heading_variance = 0.01;
+  drive.samples[0].covariance = {4.0, 0.0, 0.0, 4.0, 0.0, 0.01};
+  drive.samples[0].height_covariance = {1.0, -2.0, 9.0};
+  const auto claims = ClaimUncertainty(drive, options);
+  ASSERT_TRUE(claims.ok()) << claims.status();
+  EXPECT_EQ((*claims)[0].z_variance, 36.0);
+  EXPECT_THAT((*claims)[0].z_mixed, ::testing::ElementsAre(4.0, -8.0, 0.0));
+  // The second states nothing of its position.
+  EXPECT_EQ((*claims)[1].z_variance, 100.0);
+  EXPECT_THAT((*claims)[1].z_mixed, ::testing::ElementsAre(0.0, 0.0, 0.0));
+}
+
 TEST(DeadReckoningTest, ScalesEveryClaimedStandardDeviation) {
   UncertaintyOptions options;
   const Drive drive = MakeDrive({{0, 0, 0}, {10, 0, 0.3}, {15, 9, 1}});

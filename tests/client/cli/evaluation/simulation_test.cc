@@ -35,7 +35,7 @@ Drive Bend() {
 
 UncertaintyOptions NoNoise() {
   UncertaintyOptions noise;
-  noise.along = noise.across = noise.heading = 0.0;
+  noise.along = noise.across = noise.heading = noise.up = 0.0;
   noise.start_position = noise.start_heading = 0.0;
   return noise;
 }
@@ -96,6 +96,32 @@ TEST(SimulationTest, FollowsTheTruthWithoutNoise) {
               static_cast<std::int64_t>(i));
     EXPECT_FALSE(simulated.samples[i].covariance.has_value());
   }
+}
+
+TEST(SimulationTest, DrawsHeightsAboutTheTruthAndLeavesThePlaneAsItWas) {
+  const Drive flat = Bend();
+  Drive hill = flat;
+  for (std::size_t i = 0; i < hill.samples.size(); ++i) {
+    hill.samples[i].truth_z = 0.1 * static_cast<double>(i);
+  }
+  EXPECT_NEAR(SimulateDeadReckoning(hill, NoNoise(), 3).samples[59].z, 5.9,
+              1e-12);
+  const UncertaintyOptions noise;
+  double squares = 0.0;
+  constexpr int kSeeds = 500;
+  for (std::uint64_t seed = 1; seed <= kSeeds; ++seed) {
+    const Drive drawn = SimulateDeadReckoning(hill, noise, seed);
+    const Drive on_plane = SimulateDeadReckoning(flat, noise, seed);
+    const double error = drawn.samples[59].z - 5.9;
+    squares += error * error;
+    EXPECT_EQ(drawn.samples[59].estimate.x, on_plane.samples[59].estimate.x);
+    EXPECT_NEAR(on_plane.samples[59].z, error, 1e-12);
+  }
+  // 118 m of 0.05 m per square root of a metre, and 0.1 m at the start; five
+  // standard deviations of the estimate.
+  const double variance = 0.05 * 0.05 * 118.0 + 0.01;
+  EXPECT_NEAR(squares / kSeeds, variance,
+              5.0 * variance * std::sqrt(2.0 / kSeeds));
 }
 
 TEST(SimulationTest, StandsStillWithTheVehicleAndLosesNoMotion) {
