@@ -26,10 +26,9 @@ import argparse
 import itertools
 import json
 import pathlib
-import subprocess
 import sys
 
-ROOT = pathlib.Path(__file__).resolve().parents[2]
+from reports import REVISIT, report_of
 
 # Flag, values that are tried, default of the service.
 SETTINGS = {
@@ -92,15 +91,10 @@ def grid(values, defaults):
 
 
 def evaluate(program, drives, point, flags):
-    command = [program, "evaluate", *drives, "--json", *flags]
-    for name, value in zip(SETTINGS, point):
-        command += [f"--{name}", repr(value)]
-    done = subprocess.run(command, stdout=subprocess.PIPE,
-                          stderr=subprocess.PIPE, text=True, check=False)
-    if done.returncode != 0:
-        sys.exit(f"{' '.join(map(str, command))}:\n{done.stderr}")
+    settings = [word for name, value in zip(SETTINGS, point)
+                for word in (f"--{name}", repr(value))]
     counts = {}
-    for drive in json.loads(done.stdout)["drives"]:
+    for drive in report_of(program, *drives, *flags, *settings)["drives"]:
         # Seeds of a simulated drive are left out together.
         before = counts.get(drive["drive"])
         counts[drive["drive"]] = total([drive] + ([before] if before else []))
@@ -129,7 +123,7 @@ def numbers(argument):
 def main():
     parser = argparse.ArgumentParser(
         description=__doc__.split("\n\n", maxsplit=1)[0])
-    parser.add_argument("--revisit", default=ROOT / "build/release/bin/revisit")
+    parser.add_argument("--revisit", default=REVISIT)
     for name, (values, _) in SETTINGS.items():
         parser.add_argument(f"--{name}", type=numbers, default=values)
     parser.add_argument("--by", choices=GROUPS, default="drive",

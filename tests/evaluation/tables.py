@@ -1,0 +1,222 @@
+#!/usr/bin/env python3
+"""Tables of RESULTS.md that take more than one command, in Markdown.
+
+    tables.py [--revisit PROGRAM] [--nagoya DIR] [--drives DIR] [--kitti DIR]
+              [TABLE ...]
+
+  height      drives with heights, by planar and by spatial vehicles
+  filter      a filter's poses under each of the three models of correlation
+  lengths     Nagoya with sequences of 100 to 400 m
+  situations  straight roads, symmetric corners and what helps (situations.py)
+
+Without names, all of them are printed. They need, besides the shipped drive:
+
+  --nagoya  spp_2023.pos, spp_2024.pos, reference_2023.csv, reference_2024.csv
+  --drives  kitti_00.csv
+  --kitti   00.txt, the true poses of KITTI's odometry benchmark (12 numbers a
+            line), and 00_sptam.txt, the estimate of S-PTAM in the same format
+
+(or the same with .gz). Needs Python 3.8 or newer and, for `filter`, numpy.
+"""
+
+import argparse
+import csv
+import math
+import pathlib
+import sys
+import tempfile
+
+import filtered_drive
+import situations
+from reports import REVISIT, ROOT, decimals, markdown, report_of
+
+BOREAS = ROOT / "tests/data/boreas"
+LENGTHS = (100, 150, 200, 300, 400)
+ALIGNMENTS = {"relative": "relative", "paper's": "composite"}
+MODELS = ("filter", "dead-reckoning", "independent")
+# Receivers' fixes as they come, and one each two minutes, as where buildings or
+# tunnels hide the sky: what is then believed of each is what it states.
+FIXES = {"each second": (filtered_drive.FIX_SCALE, 0.0),
+         "each 120 s": (1.0, 120.0)}
+FILTER_SEEDS = range(1, 6)
+
+
+def figures(total):
+    """Cells of TITLES for the counts of a report."""
+    return [f"{total['true_loops']} / {total['checks']}", total["accepted"],
+            total["accepted_correct"], decimals(total["precision"]),
+            decimals(total["recall"]), decimals(total["f1"]),
+            decimals(total["sure_recall"]),
+            decimals(total["positive_calibration_error"])]
+
+
+TITLES = ["true loops / checks", "accepted", "right", "precision", "recall",
+          "F1", "p ≥ 0.9", "ECE ≥ 0.1"]
+
+
+def find(folder, name):
+    """The file of this name, compressed or not."""
+    for path in (folder / name, folder / f"{name}.gz"):
+        if path.exists():
+            return path
+    sys.exit(f"{folder / name}: not found")
+
+
+def nagoya(options):
+    """Solutions and references, each in order."""
+    return [[find(options.nagoya, f"{kind}_{year}.{ending}")
+             for year in (2023, 2024)]
+            for kind, ending in (("spp", "pos"), ("reference", "csv"))]
+
+
+def nagoya_flags(options):
+    solutions, references = nagoya(options)
+    return [*solutions, "--one-vehicle", "--truth", *references]
+
+
+def add_column(drive, out, name, values):
+    """The drive file with one more column."""
+    lines = drive.read_text().splitlines()
+    if len(lines) != len(values) + 1:
+        raise ValueError(f"{drive} has {len(lines) - 1} poses, "
+                         f"and there are {len(values)} heights")
+    column = [name, *(f"{value:.3f}" for value in values)]
+    out.write_text("".join(f"{line},{value}\n"
+                           for line, value in zip(lines, column)))
+    return out
+
+
+def boreas_heights():
+    for day in ("boreas-2021-08-05-13-34", "boreas-2021-09-02-11-42"):
+        with open(BOREAS / day / "lidar_poses_1hz.csv",
+                  encoding="ascii") as file:
+            for row in csv.DictReader(file):
+                yield float(row["altitude"])
+
+
+def read_kitti(path):
+    """Poses (x, y, z, yaw) with x forward, y left and z up at the first one; the
+    file has x right, y down and z forward."""
+    for line in path.read_text().split("\n"):
+        if line:
+            m = [float(word) for word in line.split()]
+            yield m[11], -m[3], -m[7], math.atan2(-m[2], m[10])
+
+
+def write_estimates(drive, poses, out):
+    """A drive file with the truth of another one and these estimates."""
+    with open(drive, encoding="ascii") as file:
+        rows = list(csv.DictReader(file))
+    if len(rows) != len(poses):
+        raise ValueError(f"{drive} has {len(rows)} poses, "
+                         f"and there are {len(poses)} estimates")
+    truth = ("t_s", "gt_x", "gt_y", "gt_yaw")
+    lines = [",".join([*truth, "est_x,est_y,est_z,est_yaw"])]
+    lines += [",".join([*(row[name] for name in truth),
+                        *(f"{number:.6f}" for number in pose)])
+              for row, pose in zip(rows, poses)]
+    out.write_text("\n".join(lines) + "\n")
+    return out
+
+
+def drives_with_height(options, folder):
+    """(what a drive is, the arguments of `revisit evaluate` for it)."""
+    boreas = add_column(BOREAS / "boreas_glen_shields.csv",
+                        folder / "boreas.csv", "gt_z", list(boreas_heights()))
+    yield "shipped drive, 5 seeds", [boreas, "--simulate", "1-5"]
+    kitti = options.drives / "kitti_00.csv"
+    heights = [z for _, _, z, _ in read_kitti(options.kitti / "00.txt")]
+    yield "kitti_00, 40 seeds", [
+        add_column(kitti, folder / "kitti_00.csv", "gt_z", heights),
+        "--simulate", "1-40"]
+    yield "kitti_00, S-PTAM", [write_estimates(
+        kitti, list(read_kitti(options.kitti / "00_sptam.txt")),
+        folder / "sptam.csv")]
+    yield "Nagoya", nagoya_flags(options)
+
+
+def height(options, folder):
+    rows = []
+    for drive, arguments in drives_with_height(options, folder):
+        for alignment, word in ALIGNMENTS.items():
+            for space in ("planar", "spatial"):
+                report = report_of(options.revisit, *arguments, "--alignment",
+                                   word, "--state-space", space)
+                rows.append([drive, alignment, space.upper(),
+                             *figures(report["total"])])
+    return markdown(["drive", "alignment", "state", *TITLES], rows)
+
+
+def filtered_poses(options, folder):
+    rows = []
+    for fixes, (scale, seconds) in FIXES.items():
+        drives = []
+        for seed in FILTER_SEEDS:
+            drives.append(folder / f"filtered_{seconds:g}_{seed}.csv")
+            filtered_drive.write_drive(drives[-1], filtered_drive.filtered(
+                *nagoya(options), seed, scale, seconds))
+        for alignment, word in ALIGNMENTS.items():
+            for model in MODELS:
+                report = report_of(
+                    options.revisit, *drives, "--alignment", word,
+                    "--correlation-model", model, "--uncertainty", "fixes")
+                rows.append([fixes, alignment,
+                             model.upper().replace("-", "_"),
+                             *figures(report["total"])])
+    return markdown(["fixes", "alignment", "claimed", *TITLES], rows)
+
+
+def lengths(options, _):
+    rows = {length: [f"{length}"] for length in LENGTHS}
+    for number, word in enumerate(ALIGNMENTS.values()):
+        report = report_of(
+            options.revisit, *nagoya_flags(options), "--alignment", word,
+            "--sequence-lengths", ",".join(map(str, LENGTHS)))
+        for method in report["methods"]:
+            cells = figures(method["total"])
+            # What is true does not depend on the alignment.
+            row = rows[round(method["sequence_length_meters"])]
+            row += cells[:1] if number == 0 else []
+            row += [f"{cells[3]} / {cells[4]}", cells[5]]
+            row += cells[6:] if word == "relative" else []
+    return markdown(
+        ["sequence, m", TITLES[0], "relative: precision / recall",
+         *TITLES[5:], "paper: precision / recall", "F1"], rows.values())
+
+
+def all_situations(options, _):
+    return situations.table(options.revisit, "1-40")
+
+
+# Each with the folders that it needs.
+TABLES = {"height": (height, ("nagoya", "drives", "kitti")),
+          "filter": (filtered_poses, ("nagoya",)),
+          "lengths": (lengths, ("nagoya",)),
+          "situations": (all_situations, ())}
+
+
+def main():
+    parser = argparse.ArgumentParser(
+        description=__doc__.split("\n\n", maxsplit=1)[0])
+    parser.add_argument("--revisit", default=REVISIT)
+    for folder in ("nagoya", "drives", "kitti"):
+        parser.add_argument(f"--{folder}", type=pathlib.Path, metavar="DIR")
+    parser.add_argument("tables", nargs="*", metavar="TABLE",
+                        help=", ".join(TABLES))
+    options = parser.parse_args()
+    chosen = options.tables or list(TABLES)
+    for name in chosen:
+        if name not in TABLES:
+            parser.error(f"expected tables among {', '.join(TABLES)}, "
+                         f"got {name}")
+        for folder in TABLES[name][1]:
+            if getattr(options, folder) is None:
+                parser.error(f"{name}: needs --{folder} DIR")
+    for name in chosen:
+        with tempfile.TemporaryDirectory() as folder:
+            print(f"{name}:\n\n{TABLES[name][0](options, pathlib.Path(folder))}"
+                  "\n", flush=True)
+
+
+if __name__ == "__main__":
+    main()
