@@ -12,11 +12,12 @@
 Without names, all of them are printed. They need, besides the shipped drive:
 
   --nagoya  spp_2023.pos, spp_2024.pos, reference_2023.csv, reference_2024.csv
-  --drives  kitti_00.csv
-  --kitti   00.txt, the true poses of KITTI's odometry benchmark (12 numbers a
-            line), and 00_sptam.txt, the estimate of S-PTAM in the same format
+            (or the same with .gz)
+  --drives  the drive of each file in --kitti, such as kitti_00.csv
+  --kitti   true poses of KITTI's odometry benchmark, such as 00.txt, and what
+            estimators made of them, such as 00_sptam.txt: 12 numbers a line
 
-(or the same with .gz). Needs Python 3.8 or newer and, for `filter`, numpy.
+Needs Python 3.8 or newer and numpy.
 """
 
 import argparse
@@ -124,14 +125,18 @@ def drives_with_height(options, folder):
     boreas = add_column(BOREAS / "boreas_glen_shields.csv",
                         folder / "boreas.csv", "gt_z", list(boreas_heights()))
     yield "shipped drive, 5 seeds", [boreas, "--simulate", "1-5"]
-    kitti = options.drives / "kitti_00.csv"
-    heights = [z for _, _, z, _ in read_kitti(options.kitti / "00.txt")]
-    yield "kitti_00, 40 seeds", [
-        add_column(kitti, folder / "kitti_00.csv", "gt_z", heights),
-        "--simulate", "1-40"]
-    yield "kitti_00, S-PTAM", [write_estimates(
-        kitti, list(read_kitti(options.kitti / "00_sptam.txt")),
-        folder / "sptam.csv")]
+    for path in sorted(options.kitti.glob("[0-9][0-9]*.txt")):
+        number, _, estimator = path.stem.partition("_")
+        drive = find(options.drives, f"kitti_{number}.csv")
+        poses = list(read_kitti(path))
+        if estimator:
+            yield f"{drive.stem}, {estimator}", [write_estimates(
+                drive, poses, folder / f"{path.stem}.csv")]
+        else:
+            heights = [z for _, _, z, _ in poses]
+            yield f"{drive.stem}, 40 seeds", [
+                add_column(drive, folder / drive.name, "gt_z", heights),
+                "--simulate", "1-40"]
     yield "Nagoya", nagoya_flags(options)
 
 

@@ -1,0 +1,88 @@
+"""What the tables of RESULTS.md are made of."""
+
+import argparse
+import csv
+import math
+import pathlib
+import sys
+
+import pytest
+
+sys.path.insert(0, str(pathlib.Path(__file__).parent))
+import reports  # pylint: disable=wrong-import-position
+import tables  # pylint: disable=wrong-import-position
+
+DRIVE = ("t_s,gt_x,gt_y,gt_yaw,est_x,est_y,est_yaw\n"
+         "0,0,0,0,0,0,0\n"
+         "1,2,0.5,0.25,2.1,0.4,0.2\n")
+
+
+def kitti_line(forward, left, up, yaw):
+    """A pose as KITTI has it: x right, y down, z forward."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    return " ".join(map(str, (c, 0, -s, -left, 0, 1, 0, -up, s, 0, c, forward)))
+
+
+@pytest.fixture(name="folders")
+def fixture_folders(tmp_path):
+    for name in ("drives", "kitti", "nagoya", "out"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "drives/kitti_42.csv").write_text(DRIVE)
+    (tmp_path / "kitti/42.txt").write_text(
+        kitti_line(0, 0, 0, 0) + "\n" + kitti_line(2.0, 0.5, 0.75, 0.25) + "\n")
+    (tmp_path / "kitti/42_vo.txt").write_text(
+        kitti_line(0, 0, 0, 0) + "\n" + kitti_line(1.9, 0.6, 0.7, 0.3) + "\n")
+    for name in ("spp_2023.pos", "spp_2024.pos.gz", "reference_2023.csv",
+                 "reference_2024.csv"):
+        (tmp_path / "nagoya" / name).touch()
+    return argparse.Namespace(
+        drives=tmp_path / "drives", kitti=tmp_path / "kitti",
+        nagoya=tmp_path / "nagoya", out=tmp_path / "out")
+
+
+def rows_of(path):
+    with open(path, encoding="ascii") as file:
+        return list(csv.DictReader(file))
+
+
+def test_drives_get_the_heights_that_were_published_beside_them(folders):
+    drives = dict(tables.drives_with_height(folders, folders.out))
+    assert list(drives) == ["shipped drive, 5 seeds", "kitti_42, 40 seeds",
+                            "kitti_42, vo", "Nagoya"]
+    published = rows_of(drives["kitti_42, 40 seeds"][0])
+    assert [float(row["gt_z"]) for row in published] == [0.0, 0.75]
+    assert published[1]["est_x"] == "2.1"
+    estimated = rows_of(drives["kitti_42, vo"][0])[1]
+    assert float(estimated["gt_x"]) == 2.0
+    assert [float(estimated[f"est_{name}"]) for name in ("x", "y", "z", "yaw")] \
+        == pytest.approx([1.9, 0.6, 0.7, 0.3])
+    solutions = drives["Nagoya"][:2]
+    assert [path.name for path in solutions] \
+        == ["spp_2023.pos", "spp_2024.pos.gz"]
+
+
+def test_shipped_drive_has_the_heights_of_its_source(folders):
+    shipped = rows_of(next(tables.drives_with_height(folders, folders.out))[1][0])
+    heights = [float(row["gt_z"]) for row in shipped]
+    assert len(heights) == 2076
+    assert 148.0 < min(heights) < max(heights) < 160.0
+    # The second day begins 3.8 m from where the first one ended.
+    assert abs(heights[1079] - heights[1078]) < 0.5
+
+
+def test_heights_of_another_drive_are_refused(folders):
+    drive = folders.drives / "kitti_42.csv"
+    with pytest.raises(ValueError, match="has 2 poses, and there are 3 heights"):
+        tables.add_column(drive, folders.out / "z.csv", "gt_z", [1, 2, 3])
+
+
+def test_figures_that_are_not_there_are_dashes():
+    counts = {"true_loops": 3, "checks": 9, "accepted": 4,
+              "accepted_correct": 2, "precision": 0.5, "recall": 2 / 3,
+              "f1": 4 / 7, "sure_recall": None,
+              "positive_calibration_error": None}
+    cells = tables.figures(counts)
+    assert cells == ["3 / 9", 4, 2, "0.500", "0.667", "0.571", "-", "-"]
+    assert reports.markdown(["a", "b"], [[1, "x"]]) \
+        == "| a | b |\n|---|---|\n| 1 | x |"
+    assert len(cells) == len(tables.TITLES)
