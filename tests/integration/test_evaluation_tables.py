@@ -13,6 +13,9 @@ from stubs import ROOT
 sys.path.insert(0, str(ROOT / "tests/evaluation"))
 import situations  # pylint: disable=wrong-import-position
 
+# For the time they take; what they run is tested in test_evaluate.py.
+pytestmark = pytest.mark.release_build
+
 SEEDS = 12
 
 
