@@ -24,11 +24,15 @@ ResamplerOptions MakeResamplerOptions(const EngineSettings& settings) {
   return options;
 }
 
+Correlation CorrelationOf(const SearchOptions& options) {
+  return {options.correlation_model, options.fix_correlation_meters};
+}
+
 // The model with the claimed covariances, not inflated.
 SimilarityModel ClaimedModel(StateSpace space, const SearchOptions& options) {
   SimilarityModel model;
   model.state_space = space;
-  model.correlation = options.correlation_model;
+  model.correlation = CorrelationOf(options);
   model.form = options.likelihood_form;
   model.tolerance = options.place_tolerance;
   return model;
@@ -63,7 +67,7 @@ Engine::Engine(const EngineSettings& settings)
 MotionHistory Engine::MakeMotionHistory() const {
   const SearchOptions& search = settings_.search;
   return MotionHistory(
-      settings_.state_space, search.correlation_model,
+      settings_.state_space, CorrelationOf(search),
       StretchNodes(search.shape, settings_.node_spacing_meters,
                    SequenceNodes(search.sequence_length_meters,
                                  settings_.node_spacing_meters)));

@@ -28,6 +28,8 @@ enum class SearchDirection { kSame, kOpposite, kEither };
 struct SearchOptions {
   AlignmentKind alignment = AlignmentKind::kRelative;
   CorrelationModel correlation_model = CorrelationModel::kDeadReckoning;
+  // Distance over which the errors of kCorrelatedFixes decorrelate.
+  double fix_correlation_meters = Correlation::kUsualMeters;
   // For kComposite only.
   LikelihoodForm likelihood_form = LikelihoodForm::kGaussian;
   SearchDirection direction = SearchDirection::kSame;
@@ -120,6 +122,7 @@ inline std::vector<NumberSetting> NumbersOf(const EngineSettings& s) {
 inline std::vector<NumberSetting> NumbersOf(const SearchOptions& o) {
   const PlaceTolerance& shape = o.shape.tolerance;
   return {
+      {"fix_correlation_meters", o.fix_correlation_meters, 1.0, 1e6},
       {"gate_probability", o.gate_probability, 0.0, 1.0, false},
       {"place_tolerance.position_meters", o.place_tolerance.position_meters,
        0.0, 1000.0},

@@ -43,7 +43,8 @@ StateMatrix<D> MeasurementCovariance(const MeasuredLoop& loop) {
 }
 
 template <int D>
-Innovation<D> InnovationOf(const PoseGraph& graph, CorrelationModel model,
+Innovation<D> InnovationOf(const PoseGraph& graph,
+                           const Correlation& correlation,
                            const ConfirmedLoop& loop) {
   assert(loop.measured != nullptr && loop.matched <= loop.query);
   const MeasuredLoop& measured = *loop.measured;
@@ -51,7 +52,7 @@ Innovation<D> InnovationOf(const PoseGraph& graph, CorrelationModel model,
   Innovation<D> innovation;
   innovation.difference =
       ToVector<D>(Difference(measured.query.pose, carried.pose));
-  switch (model) {
+  switch (correlation.model) {
     case CorrelationModel::kDeadReckoning:
       innovation.gamma = DeadReckoningDifferenceCovariance<D>(
           carried.pose, measured.query.pose, ToMatrix<D>(carried.covariance),
@@ -61,13 +62,21 @@ Innovation<D> InnovationOf(const PoseGraph& graph, CorrelationModel model,
       innovation.gamma = ToMatrix<D>(measured.query.covariance) +
                          ToMatrix<D>(carried.covariance);
       return innovation;
+    case CorrelationModel::kCorrelatedFixes:
+      innovation.gamma =
+          UncorrelatedShare(measured.query.covariance, carried.covariance,
+                            graph.MetersApart(loop.query, loop.matched),
+                            correlation) *
+          (ToMatrix<D>(measured.query.covariance) +
+           ToMatrix<D>(carried.covariance));
+      return innovation;
     case CorrelationModel::kFilter:
       break;
   }
   const StateMatrix<D> lever =
       DeadReckoningTransition<D>(measured.matched.pose, carried.pose);
   const StateMatrix<D> cross =
-      CrossCovariance<D>(graph, model, loop.query, loop.matched) *
+      CrossCovariance<D>(graph, correlation, loop.query, loop.matched) *
       lever.transpose();
   innovation.gamma =
       ToMatrix<D>(graph.covariance(loop.query)) +
@@ -80,9 +89,9 @@ template PoseEstimate CarriedToQuery<3>(const MeasuredLoop&);
 template PoseEstimate CarriedToQuery<4>(const MeasuredLoop&);
 template StateMatrix<3> MeasurementCovariance<3>(const MeasuredLoop&);
 template StateMatrix<4> MeasurementCovariance<4>(const MeasuredLoop&);
-template Innovation<3> InnovationOf<3>(const PoseGraph&, CorrelationModel,
+template Innovation<3> InnovationOf<3>(const PoseGraph&, const Correlation&,
                                        const ConfirmedLoop&);
-template Innovation<4> InnovationOf<4>(const PoseGraph&, CorrelationModel,
+template Innovation<4> InnovationOf<4>(const PoseGraph&, const Correlation&,
                                        const ConfirmedLoop&);
 
 }  // namespace revisit::core

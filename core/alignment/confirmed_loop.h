@@ -82,7 +82,8 @@ struct Innovation {
 // kFilter. REQUIRES: the loop was measured; the matched node is not after the
 // query's.
 template <int D>
-Innovation<D> InnovationOf(const PoseGraph& graph, CorrelationModel model,
+Innovation<D> InnovationOf(const PoseGraph& graph,
+                           const Correlation& correlation,
                            const ConfirmedLoop& loop);
 
 }  // namespace revisit::core

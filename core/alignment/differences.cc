@@ -12,7 +12,7 @@ Differences<D>::Differences(const PoseGraph& graph,
                             const std::optional<ConfirmedLoop>& last_confirmed,
                             NodeIndex query)
     : graph_(graph), query_(query), model_(model), next_(query) {
-  if (model_.correlation == CorrelationModel::kFilter) {
+  if (model_.correlation.model == CorrelationModel::kFilter) {
     psi_ = StateMatrix<D>::Identity();
     return;
   }
@@ -28,11 +28,14 @@ Differences<D>::Differences(const PoseGraph& graph,
 template <int D>
 void Differences<D>::Find(std::size_t k, std::size_t count, std::size_t next,
                           DifferenceBlock* differences) {
-  if (model_.correlation == CorrelationModel::kFilter) {
+  if (model_.correlation.model == CorrelationModel::kFilter) {
     FindFiltered(k, count, differences);
   } else {
+    alignas(64) BlockShares shares;
+    const bool shared =
+        FindUncorrelatedShares(graph_, model_.correlation, query_, k, &shares);
     FindDifferences(kernel_query_, graph_.block(k), graph_.block(next),
-                    differences);
+                    shared ? &shares : nullptr, differences);
     if (known_drift_) {
       TakeKnownDrift(*known_drift_, model_.state_space, graph_.block(k),
                      static_cast<NodeIndex>(k * NodeBlock::kSize), differences);

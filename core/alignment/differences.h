@@ -39,7 +39,7 @@ class Differences {
   const PoseGraph& graph_;
   const NodeIndex query_;
   const SimilarityModel model_;
-  // For kDeadReckoning and kIndependent.
+  // For all but kFilter.
   KernelQuery kernel_query_;
   std::optional<KnownDriftTerms> known_drift_;
   // For kFilter: Psi(query, next_).

@@ -85,7 +85,7 @@ std::optional<KnownDrift<D>> KnownDrift<D>::Make(const PoseGraph& graph,
                                                  const SimilarityModel& model,
                                                  const ConfirmedLoop& loop,
                                                  NodeIndex query) {
-  assert(model.correlation == CorrelationModel::kDeadReckoning);
+  assert(model.correlation.model == CorrelationModel::kDeadReckoning);
   if (loop.measured) {
     if (auto known = Make(graph, model, Measured(loop), query)) return known;
   }

@@ -113,7 +113,7 @@ double LogSimilarity(const PoseGraph& graph, const SimilarityModel& model,
 
 KernelQuery MakeKernelQuery(const PoseGraph& graph,
                             const SimilarityModel& model, NodeIndex query) {
-  assert(model.correlation != CorrelationModel::kFilter);
+  assert(model.correlation.model != CorrelationModel::kFilter);
   const Node node = graph.node(query);
   const double position = model.tolerance.position_meters;
   const double heading = model.tolerance.heading_radians;
@@ -122,7 +122,7 @@ KernelQuery MakeKernelQuery(const PoseGraph& graph,
   kernel_query.covariance = node.covariance;
   kernel_query.state_space = model.state_space;
   kernel_query.dead_reckoning =
-      model.correlation == CorrelationModel::kDeadReckoning;
+      model.correlation.model == CorrelationModel::kDeadReckoning;
   kernel_query.opposite = model.direction == Direction::kOpposite;
   kernel_query.variance_scale = model.inflation * model.inflation;
   kernel_query.position_variance = position * position;
@@ -137,7 +137,7 @@ void LogSimilarityColumn(const PoseGraph& graph, const SimilarityModel& model,
   assert(count <= query);
   column->resize(static_cast<std::size_t>(count));
   double* const out = column->data();
-  if (model.correlation != CorrelationModel::kFilter) {
+  if (model.correlation.model != CorrelationModel::kFilter) {
     VisitBlockSimilarities(
         graph, model, query, count,
         [out, count](NodeIndex first, const BlockSimilarity& part) {

@@ -49,7 +49,7 @@ void AddTolerance(const PlaceTolerance& tolerance, StateMatrix<D>* gamma) {
 
 struct SimilarityModel {
   StateSpace state_space = StateSpace::kPlanar;
-  CorrelationModel correlation = CorrelationModel::kDeadReckoning;
+  Correlation correlation;
   LikelihoodForm form = LikelihoodForm::kGaussian;
   PlaceTolerance tolerance;
   Direction direction = Direction::kSame;
@@ -92,8 +92,8 @@ double LogSimilarity(const PoseGraph& graph, const SimilarityModel& model,
                      NodeIndex i, NodeIndex j);
 
 // lambda(query, i) for all i in [0, count): a column of the trellis. O(count)
-// in every correlation model. For kDeadReckoning and kIndependent the kernel
-// computes it (similarity_kernel.h). REQUIRES: count <= query.
+// in every correlation model. For all but kFilter the kernel computes it
+// (similarity_kernel.h). REQUIRES: count <= query.
 void LogSimilarityColumn(const PoseGraph& graph, const SimilarityModel& model,
                          NodeIndex query, NodeIndex count,
                          std::vector<double>* column);
@@ -112,10 +112,14 @@ void VisitBlockSimilarities(const PoseGraph& graph,
   const KernelQuery kernel_query = MakeKernelQuery(graph, model, query);
   const std::size_t blocks = BlocksOf(count);
   BlockSimilarity part;
+  alignas(64) BlockShares shares;
   for (std::size_t k = 0; k < blocks; ++k) {
+    const bool shared =
+        FindUncorrelatedShares(graph, model.correlation, query, k, &shares);
     // After the last block comes the first, with the next query.
     EvaluateBlock(kernel_query, graph.block(k),
-                  graph.block(k + 1 < blocks ? k + 1 : 0), &part);
+                  graph.block(k + 1 < blocks ? k + 1 : 0),
+                  shared ? &shares : nullptr, &part);
     visit(static_cast<NodeIndex>(k * NodeBlock::kSize), part);
   }
 }

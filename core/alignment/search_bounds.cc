@@ -109,13 +109,13 @@ template <int D>
 auto SearchBounds<D>::FindRegions() const -> std::optional<Regions> {
   const SimilarityModel& similarity = model_.similarity;
   const bool dead_reckoning =
-      similarity.correlation == CorrelationModel::kDeadReckoning;
+      similarity.correlation.model == CorrelationModel::kDeadReckoning;
   if (model_.least_log_share == kImpossible || model_.block_bounds == nullptr) {
     return std::nullopt;
   }
   // A loop closure's drift moves the ends elsewhere, and the errors of filters
   // may be correlated in any way.
-  if (similarity.correlation == CorrelationModel::kFilter ||
+  if (similarity.correlation.model == CorrelationModel::kFilter ||
       (dead_reckoning && model_.last_confirmed)) {
     return std::nullopt;
   }
@@ -157,7 +157,7 @@ void SearchBounds<D>::SetRegions(double position_variance,
                                  Regions* regions) const {
   const SimilarityModel& similarity = model_.similarity;
   const bool dead_reckoning =
-      similarity.correlation == CorrelationModel::kDeadReckoning;
+      similarity.correlation.model == CorrelationModel::kDeadReckoning;
   const double claimed = similarity.inflation * similarity.inflation;
   const Covariance covariance = graph_.covariance(query_);
   const StateMatrix<D>& shift = recent_.filter().EndShift();

@@ -81,14 +81,14 @@ NodeIndex StretchNodes(const ShapeModel& model, double spacing_meters,
 template <int D>
 ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
                             const MotionHistory* history, NodeIndex query,
-                            std::int64_t steps, CorrelationModel correlation,
+                            std::int64_t steps, const Correlation& correlation,
                             const ShapeModel& model,
                             const PlaceTolerance& place_tolerance,
                             double spacing_meters, double inflation) {
   assert(1 <= steps && steps <= query + 1);
   const double claimed = inflation * inflation;
   const MotionStatistics<D> motion =
-      history != nullptr && history->model() == correlation
+      history != nullptr && history->correlation() == correlation
           ? history->Measure<D>(graph, query)
           : MeasureMotion<D>(graph, correlation, query);
   // Both passes drift: twice the noise of one.

@@ -95,9 +95,10 @@ class ShapeFilter {
   // correlation model. `history` is the graph's or null; statistics that it
   // does not have are measured. REQUIRES: the path lies within one segment.
   ShapeFilter(const PoseGraph& graph, const MotionHistory* history,
-              NodeIndex query, std::int64_t steps, CorrelationModel correlation,
-              const ShapeModel& model, const PlaceTolerance& place_tolerance,
-              double spacing_meters, double inflation);
+              NodeIndex query, std::int64_t steps,
+              const Correlation& correlation, const ShapeModel& model,
+              const PlaceTolerance& place_tolerance, double spacing_meters,
+              double inflation);
 
   // Nodes of the path.
   std::int64_t size() const { return static_cast<std::int64_t>(steps_.size()); }

@@ -102,11 +102,15 @@ HWY_INLINE std::size_t EntriesOf(const NodeBlock& block) {
   return block.groups() * NodeBlock::kGroupSize;
 }
 
+// What is known of two errors together: that the later one carries the earlier
+// one on; nothing; or that they share a part, node by node.
+enum class Errors { kDeadReckoning, kIndependent, kShared };
+
 // The differences of the nodes from i on, and their covariances: Gamma,
 // inflated, plus R.
-template <int D, bool kDeadReckoning>
+template <int D, Errors kErrors>
 HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
-                              std::size_t i) {
+                              const BlockShares* shares, std::size_t i) {
   const Tag tag;
   constexpr int h = D - 1;
   const auto set = [tag](double value) HWY_ATTR { return hn::Set(tag, value); };
@@ -114,6 +118,7 @@ HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
                         HWY_ATTR { return rows.Load(row, i); };
   const auto load_z = [&rows, i](NodeBlock::Row row)
                           HWY_ATTR { return rows.LoadZ(row, i); };
+  constexpr bool kDeadReckoning = kErrors == Errors::kDeadReckoning;
   const Vector scale = set(query.variance_scale);
   const Vector position_variance = set(query.position_variance);
   State<D> state;
@@ -129,6 +134,9 @@ HWY_INLINE State<D> FindState(const KernelQuery& query, const Rows& rows,
   // An entry of Gamma without the lever arm.
   const auto base = [&](int r, int c, Vector node) HWY_ATTR {
     const Vector mine = set(query.covariance(r, c));
+    if constexpr (kErrors == Errors::kShared) {
+      return hn::Mul(hn::Load(tag, shares->data() + i), hn::Add(mine, node));
+    }
     return kDeadReckoning ? hn::Sub(mine, node) : hn::Add(mine, node);
   };
   const Vector node_xh = load(NodeBlock::kXH);
@@ -262,9 +270,9 @@ HWY_INLINE Terms Evaluate(const State<D>& state) {
   return terms;
 }
 
-template <int D, bool kDeadReckoning>
+template <int D, Errors kErrors>
 HWY_INLINE void EvaluateAll(const KernelQuery& query, const NodeBlock& block,
-                            const NodeBlock& next,
+                            const NodeBlock& next, const BlockShares* shares,
                             BlockSimilarity* similarity) {
   const Tag tag;
   const Vector minus_half = hn::Set(tag, -0.5);
@@ -274,7 +282,7 @@ HWY_INLINE void EvaluateAll(const KernelQuery& query, const NodeBlock& block,
   const std::size_t entries = EntriesOf(block);
   for (std::size_t i = 0; i < entries; i += hn::Lanes(tag)) {
     const Terms terms =
-        Evaluate<D>(FindState<D, kDeadReckoning>(query, rows, i));
+        Evaluate<D>(FindState<D, kErrors>(query, rows, shares, i));
     const Vector value = hn::Sub(hn::Mul(minus_half, terms.log_determinant),
                                  hn::Mul(exponent, terms.squared));
     hn::Store(hn::IfThenElse(terms.possible, value, impossible), tag,
@@ -288,18 +296,29 @@ HWY_INLINE void EvaluateAll(const KernelQuery& query, const NodeBlock& block,
   }
 }
 
-void EvaluateBlock(const KernelQuery& query, const NodeBlock& block,
-                   const NodeBlock& next, BlockSimilarity* similarity) {
-  if (query.state_space == StateSpace::kPlanar) {
-    if (query.dead_reckoning) {
-      EvaluateAll<3, true>(query, block, next, similarity);
-    } else {
-      EvaluateAll<3, false>(query, block, next, similarity);
-    }
-  } else if (query.dead_reckoning) {
-    EvaluateAll<4, true>(query, block, next, similarity);
+template <int D>
+HWY_INLINE void EvaluateBlockIn(const KernelQuery& query,
+                                const NodeBlock& block, const NodeBlock& next,
+                                const BlockShares* shares,
+                                BlockSimilarity* similarity) {
+  if (query.dead_reckoning) {
+    EvaluateAll<D, Errors::kDeadReckoning>(query, block, next, shares,
+                                           similarity);
+  } else if (shares == nullptr) {
+    EvaluateAll<D, Errors::kIndependent>(query, block, next, shares,
+                                         similarity);
   } else {
-    EvaluateAll<4, false>(query, block, next, similarity);
+    EvaluateAll<D, Errors::kShared>(query, block, next, shares, similarity);
+  }
+}
+
+void EvaluateBlock(const KernelQuery& query, const NodeBlock& block,
+                   const NodeBlock& next, const BlockShares* shares,
+                   BlockSimilarity* similarity) {
+  if (query.state_space == StateSpace::kPlanar) {
+    EvaluateBlockIn<3>(query, block, next, shares, similarity);
+  } else {
+    EvaluateBlockIn<4>(query, block, next, shares, similarity);
   }
 }
 
@@ -337,28 +356,39 @@ HWY_INLINE void StoreState(const State<D>& state, std::size_t i,
   }
 }
 
-template <int D, bool kDeadReckoning>
+template <int D, Errors kErrors>
 HWY_INLINE void FindAll(const KernelQuery& query, const NodeBlock& block,
-                        const NodeBlock& next, DifferenceBlock* differences) {
+                        const NodeBlock& next, const BlockShares* shares,
+                        DifferenceBlock* differences) {
   const Rows rows(block, next);
   const std::size_t entries = EntriesOf(block);
   for (std::size_t i = 0; i < entries; i += hn::Lanes(Tag())) {
-    StoreState<D>(FindState<D, kDeadReckoning>(query, rows, i), i, differences);
+    StoreState<D>(FindState<D, kErrors>(query, rows, shares, i), i,
+                  differences);
+  }
+}
+
+template <int D>
+HWY_INLINE void FindDifferencesIn(const KernelQuery& query,
+                                  const NodeBlock& block, const NodeBlock& next,
+                                  const BlockShares* shares,
+                                  DifferenceBlock* differences) {
+  if (query.dead_reckoning) {
+    FindAll<D, Errors::kDeadReckoning>(query, block, next, shares, differences);
+  } else if (shares == nullptr) {
+    FindAll<D, Errors::kIndependent>(query, block, next, shares, differences);
+  } else {
+    FindAll<D, Errors::kShared>(query, block, next, shares, differences);
   }
 }
 
 void FindDifferences(const KernelQuery& query, const NodeBlock& block,
-                     const NodeBlock& next, DifferenceBlock* differences) {
+                     const NodeBlock& next, const BlockShares* shares,
+                     DifferenceBlock* differences) {
   if (query.state_space == StateSpace::kPlanar) {
-    if (query.dead_reckoning) {
-      FindAll<3, true>(query, block, next, differences);
-    } else {
-      FindAll<3, false>(query, block, next, differences);
-    }
-  } else if (query.dead_reckoning) {
-    FindAll<4, true>(query, block, next, differences);
+    FindDifferencesIn<3>(query, block, next, shares, differences);
   } else {
-    FindAll<4, false>(query, block, next, differences);
+    FindDifferencesIn<4>(query, block, next, shares, differences);
   }
 }
 
@@ -659,13 +689,16 @@ HWY_EXPORT(BoundChanged);
 HWY_EXPORT(HoldsNear);
 
 void EvaluateBlock(const KernelQuery& query, const NodeBlock& block,
-                   const NodeBlock& next, BlockSimilarity* similarity) {
-  HWY_DYNAMIC_DISPATCH(EvaluateBlock)(query, block, next, similarity);
+                   const NodeBlock& next, const BlockShares* shares,
+                   BlockSimilarity* similarity) {
+  HWY_DYNAMIC_DISPATCH(EvaluateBlock)(query, block, next, shares, similarity);
 }
 
 void FindDifferences(const KernelQuery& query, const NodeBlock& block,
-                     const NodeBlock& next, DifferenceBlock* differences) {
-  HWY_DYNAMIC_DISPATCH(FindDifferences)(query, block, next, differences);
+                     const NodeBlock& next, const BlockShares* shares,
+                     DifferenceBlock* differences) {
+  HWY_DYNAMIC_DISPATCH(FindDifferences)
+  (query, block, next, shares, differences);
 }
 
 void TakeKnownDrift(const KnownDriftTerms& terms, StateSpace state_space,

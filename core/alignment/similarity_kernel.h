@@ -14,6 +14,7 @@
 #include <cstdint>
 
 #include "core/geometry/pose.h"
+#include "core/graph/correlation.h"
 #include "core/graph/pose_graph.h"
 
 namespace revisit::core {
@@ -24,7 +25,8 @@ struct KernelQuery {
   Pose pose;
   Covariance covariance;
   StateSpace state_space = StateSpace::kPlanar;
-  // Whether errors are those of dead reckoning; else they are independent.
+  // Whether errors are those of dead reckoning; else they are independent, but
+  // for the shares that come with a block.
   bool dead_reckoning = true;
   // Whether headings of the block are turned by pi.
   bool opposite = false;
@@ -46,9 +48,11 @@ struct alignas(64) BlockSimilarity {
 // Finds the similarity with all nodes of the block, kImpossible where
 // ill-conditioned. For dead reckoning, the query is the later node of each
 // pair. `next` is the block that will be asked for next, which is fetched on
-// the way, or the same block.
+// the way, or the same block. `shares`, if not null, multiply Gamma node by
+// node: aligned, and for errors that are not those of dead reckoning.
 void EvaluateBlock(const KernelQuery& query, const NodeBlock& block,
-                   const NodeBlock& next, BlockSimilarity* similarity);
+                   const NodeBlock& next, const BlockShares* shares,
+                   BlockSimilarity* similarity);
 
 using BlockColumn = std::array<double, NodeBlock::kSize>;
 
@@ -64,7 +68,8 @@ struct alignas(64) DifferenceBlock {
 
 // Finds the differences that EvaluateBlock() evaluates.
 void FindDifferences(const KernelQuery& query, const NodeBlock& block,
-                     const NodeBlock& next, DifferenceBlock* differences);
+                     const NodeBlock& next, const BlockShares* shares,
+                     DifferenceBlock* differences);
 
 // The inputs of KnownDrift::Apply(), in the order of the state.
 struct KnownDriftTerms {

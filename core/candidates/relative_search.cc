@@ -73,7 +73,8 @@ class RelativeSearch {
     model.road_spacing_meters = options_.road_spacing_meters;
     model.same_direction = options_.direction != SearchDirection::kOpposite;
     model.opposite_direction = options_.direction != SearchDirection::kSame;
-    if (model.similarity.correlation == CorrelationModel::kDeadReckoning) {
+    if (model.similarity.correlation.model ==
+        CorrelationModel::kDeadReckoning) {
       model.last_confirmed = task_.last_confirmed;
     }
     model.not_sought = task_.not_sought;

@@ -9,11 +9,12 @@ namespace revisit::core {
 namespace {
 
 template <int D>
-void AddBlock(const PoseGraph& graph, CorrelationModel model, NodeIndex begin,
-              NodeIndex end, std::vector<MotionSums<D>>* sums) {
+void AddBlock(const PoseGraph& graph, const Correlation& correlation,
+              NodeIndex begin, NodeIndex end,
+              std::vector<MotionSums<D>>* sums) {
   MotionSums<D> sum;
   if (!sums->empty()) sum = sums->back();
-  AddMotion<D>(graph, model, begin, end, &sum);
+  AddMotion<D>(graph, correlation, begin, end, &sum);
   // Doubling would leave too much memory unused.
   if (sums->size() == sums->capacity()) {
     sums->reserve(sums->size() + sums->size() / 8 + 1);
@@ -23,9 +24,9 @@ void AddBlock(const PoseGraph& graph, CorrelationModel model, NodeIndex begin,
 
 }  // namespace
 
-MotionHistory::MotionHistory(StateSpace space, CorrelationModel model,
+MotionHistory::MotionHistory(StateSpace space, const Correlation& correlation,
                              NodeIndex stretch_nodes)
-    : model_(model), stretch_nodes_(stretch_nodes) {
+    : correlation_(correlation), stretch_nodes_(stretch_nodes) {
   assert(stretch_nodes >= 1);
   if (space == StateSpace::kSpatial) sums_.emplace<Sums<4>>();
 }
@@ -34,8 +35,9 @@ void MotionHistory::Extend(const PoseGraph& graph) {
   NodeIndex begin = runs_.empty() ? 0 : runs_.back().end;
   for (; begin + kBlockNodes <= graph.size(); begin += kBlockNodes) {
     const NodeIndex end = begin + kBlockNodes;
-    std::visit([&](auto& sums) { AddBlock(graph, model_, begin, end, &sums); },
-               sums_);
+    std::visit(
+        [&](auto& sums) { AddBlock(graph, correlation_, begin, end, &sums); },
+        sums_);
 
     Run run{end, {}};
     run.turns.reserve(static_cast<std::size_t>(kBlockNodes));
@@ -70,8 +72,8 @@ MotionStatistics<D> MotionHistory::Measure(const PoseGraph& graph,
                                           static_cast<NodeIndex>(kept.size()));
   MotionSums<D> sums;
   if (blocks > 0) sums = kept[static_cast<std::size_t>(blocks - 1)];
-  AddMotion<D>(graph, model_, blocks * kBlockNodes, last + 1, &sums);
-  return MeanMotion<D>(model_, sums);
+  AddMotion<D>(graph, correlation_, blocks * kBlockNodes, last + 1, &sums);
+  return MeanMotion<D>(correlation_, sums);
 }
 
 std::vector<double> MotionHistory::Shares(const PoseGraph& graph,

@@ -32,10 +32,10 @@ namespace revisit::core {
 class MotionHistory {
  public:
   // REQUIRES: stretch_nodes >= 1.
-  MotionHistory(StateSpace space, CorrelationModel model,
+  MotionHistory(StateSpace space, const Correlation& correlation,
                 NodeIndex stretch_nodes);
 
-  CorrelationModel model() const { return model_; }
+  const Correlation& correlation() const { return correlation_; }
   NodeIndex stretch_nodes() const { return stretch_nodes_; }
 
   // Adds the nodes that the graph has grown by. Amortised O(log n) per node.
@@ -72,7 +72,7 @@ class MotionHistory {
   }
   void MergeLastTwo();
 
-  CorrelationModel model_;
+  Correlation correlation_;
   NodeIndex stretch_nodes_;
   // Entry k sums over the first k + 1 blocks.
   template <int D>

@@ -28,11 +28,24 @@ StateMatrix<D> WithoutNegativePart(const StateMatrix<D>& m) {
          solver.eigenvectors().transpose();
 }
 
+// What a fix wanders off by in one step, and beside it the variance of its
+// heading.
+template <int D>
+StateMatrix<D> WanderingOf(const StateMatrix<D>& difference,
+                           double heading_variance) {
+  StateMatrix<D> wandering = difference;
+  wandering.row(D - 1).setZero();
+  wandering.col(D - 1).setZero();
+  wandering(D - 1, D - 1) = heading_variance;
+  return wandering;
+}
+
 }  // namespace
 
 template <int D>
-void AddMotion(const PoseGraph& graph, CorrelationModel model, NodeIndex first,
-               NodeIndex end, MotionSums<D>* sums) {
+void AddMotion(const PoseGraph& graph, const Correlation& correlation,
+               NodeIndex first, NodeIndex end, MotionSums<D>* sums) {
+  const CorrelationModel model = correlation.model;
   assert(0 <= first && end <= graph.size());
   if (first >= end) return;
   // Segments are long, so their starts are looked up only once each.
@@ -48,6 +61,13 @@ void AddMotion(const PoseGraph& graph, CorrelationModel model, NodeIndex first,
     const StateMatrix<D> covariance = ToMatrix<D>(graph.covariance(i));
     if (model == CorrelationModel::kIndependent) {
       sums->sum += InVehicleAxes<D>(covariance, later.heading);
+      continue;
+    }
+    if (model == CorrelationModel::kCorrelatedFixes) {
+      sums->sum += InVehicleAxes<D>(
+          WanderingOf<D>(DifferenceCovariance<D>(graph, correlation, i - 1, i),
+                         covariance(D - 1, D - 1)),
+          later.heading);
       continue;
     }
     const StateMatrix<D> before = ToMatrix<D>(graph.covariance(i - 1));
@@ -67,24 +87,38 @@ void AddMotion(const PoseGraph& graph, CorrelationModel model, NodeIndex first,
 }
 
 template <int D>
-MotionStatistics<D> MeanMotion(CorrelationModel model,
+MotionStatistics<D> MeanMotion(const Correlation& correlation,
                                const MotionSums<D>& sums) {
   MotionStatistics<D> statistics;
   statistics.steps = sums.steps;
   if (sums.steps == 0) return statistics;
-  (model == CorrelationModel::kIndependent ? statistics.jitter
-                                           : statistics.drift) =
+  const StateMatrix<D> mean =
       WithoutNegativePart<D>(sums.sum / static_cast<double>(sums.steps));
+  switch (correlation.model) {
+    case CorrelationModel::kIndependent:
+      statistics.jitter = mean;
+      break;
+    case CorrelationModel::kCorrelatedFixes:
+      statistics.drift = mean;
+      statistics.drift(D - 1, D - 1) = 0.0;
+      statistics.jitter(D - 1, D - 1) = mean(D - 1, D - 1);
+      break;
+    case CorrelationModel::kDeadReckoning:
+    case CorrelationModel::kFilter:
+      statistics.drift = mean;
+      break;
+  }
   return statistics;
 }
 
 template <int D>
 MotionStatistics<D> MeasureMotion(const PoseGraph& graph,
-                                  CorrelationModel model, NodeIndex last) {
+                                  const Correlation& correlation,
+                                  NodeIndex last) {
   assert(last < graph.size());
   MotionSums<D> sums;
-  AddMotion<D>(graph, model, 0, last + 1, &sums);
-  return MeanMotion<D>(model, sums);
+  AddMotion<D>(graph, correlation, 0, last + 1, &sums);
+  return MeanMotion<D>(correlation, sums);
 }
 
 std::vector<double> ShareOfStretches(const PoseGraph& graph, NodeIndex last,
@@ -149,17 +183,17 @@ std::size_t StretchCounter::BoundsUpTo(double turn) const {
       std::upper_bound(bounds_.begin(), bounds_.end(), turn) - bounds_.begin());
 }
 
-template void AddMotion<3>(const PoseGraph&, CorrelationModel, NodeIndex,
+template void AddMotion<3>(const PoseGraph&, const Correlation&, NodeIndex,
                            NodeIndex, MotionSums<3>*);
-template void AddMotion<4>(const PoseGraph&, CorrelationModel, NodeIndex,
+template void AddMotion<4>(const PoseGraph&, const Correlation&, NodeIndex,
                            NodeIndex, MotionSums<4>*);
-template MotionStatistics<3> MeanMotion<3>(CorrelationModel,
+template MotionStatistics<3> MeanMotion<3>(const Correlation&,
                                            const MotionSums<3>&);
-template MotionStatistics<4> MeanMotion<4>(CorrelationModel,
+template MotionStatistics<4> MeanMotion<4>(const Correlation&,
                                            const MotionSums<4>&);
 template MotionStatistics<3> MeasureMotion<3>(const PoseGraph&,
-                                              CorrelationModel, NodeIndex);
+                                              const Correlation&, NodeIndex);
 template MotionStatistics<4> MeasureMotion<4>(const PoseGraph&,
-                                              CorrelationModel, NodeIndex);
+                                              const Correlation&, NodeIndex);
 
 }  // namespace revisit::core

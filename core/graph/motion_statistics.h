@@ -25,10 +25,13 @@ struct MotionStatistics {
   //
   //   S_i + F S_(i-1) F^T - Psi S_(i-1) F^T - F S_(i-1) Psi^T.
   //
-  // Zero for kIndependent, whose errors do not accumulate.
+  // Zero for kIndependent, whose errors do not accumulate. For
+  // kCorrelatedFixes, the covariance of the difference of the two nodes'
+  // positions, by which fixes wander off: no earlier heading swings them.
   StateMatrix<D> drift = StateMatrix<D>::Zero();
   // Covariance of the error of each node that is independent of the others':
-  // S_i for kIndependent, else zero.
+  // S_i for kIndependent, that of the heading for kCorrelatedFixes, since a
+  // heading that is off for a while must not bend the road; else zero.
   StateMatrix<D> jitter = StateMatrix<D>::Zero();
 };
 
@@ -37,24 +40,25 @@ struct MotionStatistics {
 // indefinite loses its negative part. O(last).
 template <int D>
 MotionStatistics<D> MeasureMotion(const PoseGraph& graph,
-                                  CorrelationModel model, NodeIndex last);
+                                  const Correlation& correlation,
+                                  NodeIndex last);
 
 // The sums that MotionStatistics are the means of.
 template <int D>
 struct MotionSums {
   std::int64_t steps = 0;
-  // Sum of jitter for kIndependent, of drift for the other models.
+  // Sum of drift and jitter, of which no entry has both.
   StateMatrix<D> sum = StateMatrix<D>::Zero();
 };
 
 // Adds the steps that lead to nodes [first, end), in order: a sum that is built
 // by several calls equals that of a single call to the last bit.
 template <int D>
-void AddMotion(const PoseGraph& graph, CorrelationModel model, NodeIndex first,
-               NodeIndex end, MotionSums<D>* sums);
+void AddMotion(const PoseGraph& graph, const Correlation& correlation,
+               NodeIndex first, NodeIndex end, MotionSums<D>* sums);
 
 template <int D>
-MotionStatistics<D> MeanMotion(CorrelationModel model,
+MotionStatistics<D> MeanMotion(const Correlation& correlation,
                                const MotionSums<D>& sums);
 
 // How common turns are on the vehicle's own roads: for each given turn (rad),

@@ -28,7 +28,9 @@ inline constexpr EnumRow<v1::CorrelationModel, core::CorrelationModel>
          core::CorrelationModel::kDeadReckoning},
         {v1::CORRELATION_MODEL_INDEPENDENT,
          core::CorrelationModel::kIndependent},
-        {v1::CORRELATION_MODEL_FILTER, core::CorrelationModel::kFilter}};
+        {v1::CORRELATION_MODEL_FILTER, core::CorrelationModel::kFilter},
+        {v1::CORRELATION_MODEL_CORRELATED_FIXES,
+         core::CorrelationModel::kCorrelatedFixes}};
 inline constexpr EnumRow<v1::LikelihoodForm, core::LikelihoodForm>
     kLikelihoodForms[] = {
         {v1::LIKELIHOOD_FORM_GAUSSIAN, core::LikelihoodForm::kGaussian},
@@ -60,6 +62,7 @@ void VisitSettings(Config* config, Visitor* visitor) {
   auto* search = &engine->search;
   visitor->Enum("correlation_model", kCorrelationModels,
                 &search->correlation_model);
+  visitor->Number("fix_correlation_meters", &search->fix_correlation_meters);
   visitor->Enum("likelihood_form", kLikelihoodForms, &search->likelihood_form);
   visitor->Number("sequence_length_meters", &search->sequence_length_meters);
   visitor->Number("gate_probability", &search->gate_probability);

@@ -82,6 +82,8 @@ TEST(SettingsTest, RelativeAlignmentHasRangesOfItsOwn) {
   const Range ranges[] = {
       {"road_spacing_meters", &SearchOptions::road_spacing_meters, 1.0, 1e6,
        "got -1; allowed is [1, 1000000]"},
+      {"fix_correlation_meters", &SearchOptions::fix_correlation_meters, 1.0,
+       1e6, "got -1; allowed is [1, 1000000]"},
       {"acceptance_probability", &SearchOptions::acceptance_probability, 1e-300,
        std::nextafter(1.0, 0.0), "got -1; allowed is above 0 and below 1"},
   };

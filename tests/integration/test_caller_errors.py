@@ -816,6 +816,10 @@ BAD_SETTINGS = [
     BadSetting("shape_correlation_meters", {"shape_correlation_meters": 1.1e6}),
     BadSetting("shape_correlation_meters", {"shape_correlation_meters": NAN},
                "NOT_FINITE"),
+    BadSetting("fix_correlation_meters", {"fix_correlation_meters": 0.5}),
+    BadSetting("fix_correlation_meters", {"fix_correlation_meters": 1.1e6}),
+    BadSetting("fix_correlation_meters", {"fix_correlation_meters": NAN},
+               "NOT_FINITE"),
     BadSetting("max_inflation", {"max_inflation": 0.5}),
     BadSetting("max_inflation", {"max_inflation": 101.0}),
     BadSetting("max_inflation", {"max_inflation": INF}, "NOT_FINITE"),
@@ -909,7 +913,7 @@ def test_update_refuses_the_mask(paths, stub, filled, unchanged):
     ("node_spacing_meters", 0.1),
     ("alignment", 9), ("acceptance_probability", 1.0),
     ("road_spacing_meters", 0.0), ("shape_correlation_meters", -1.0),
-    ("max_inflation", 0.0),
+    ("max_inflation", 0.0), ("fix_correlation_meters", 0.0),
 ])
 def test_update_refuses_the_setting(field, value, stub, filled, unchanged):
     vehicle = unchanged(filled({}))

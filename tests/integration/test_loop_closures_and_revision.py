@@ -63,11 +63,11 @@ def test_created_vehicle_shows_every_setting(stub, new_vehicle):
         shape_tolerance=api.PlaceTolerance(position_meters=1.0,
                                            heading_radians=0.06),
         shape_correlation_meters=10.0, apply_inflation=False,
-        max_inflation=10.0)
+        max_inflation=10.0, fix_correlation_meters=300.0)
     # There, not only equal to nothing.
     for field in ("acceptance_probability", "road_spacing_meters",
                   "shape_correlation_meters", "apply_inflation",
-                  "max_inflation"):
+                  "max_inflation", "fix_correlation_meters"):
         assert settings.HasField(field)
 
 
@@ -77,7 +77,9 @@ OTHER_SETTINGS = {
     "shape_tolerance": api.PlaceTolerance(position_meters=0.5,
                                           heading_radians=0.03),
     "shape_correlation_meters": 25.0, "apply_inflation": True,
-    "max_inflation": 4.0}
+    "max_inflation": 4.0,
+    "correlation_model": api.CORRELATION_MODEL_CORRELATED_FIXES,
+    "fix_correlation_meters": 75.0}
 
 
 def test_settings_of_the_search_are_kept_as_they_were_given(stub, new_vehicle):

@@ -42,7 +42,7 @@ inline WideMatrix NearestSemidefinite(const WideMatrix& m) {
 // Cov(e_i - F e_(i-1)) where Cov(e_i, e_(i-1)) = Psi S_(i-1), averaged in the
 // axes of the vehicle.
 inline MotionByLoops MeasureByLoops(const core::PoseGraph& graph,
-                                    core::CorrelationModel model,
+                                    const core::Correlation& correlation,
                                     core::NodeIndex last, int dimensions) {
   MotionByLoops result;
   result.drift = result.jitter = WideMatrix::Zero(dimensions, dimensions);
@@ -51,7 +51,19 @@ inline MotionByLoops MeasureByLoops(const core::PoseGraph& graph,
     ++result.steps;
     const WideMatrix turn = WideTurn(graph.node(i).pose.heading, dimensions);
     const WideMatrix s = WideCovarianceOf(graph.node(i).covariance, dimensions);
-    if (model == core::CorrelationModel::kIndependent) {
+    if (correlation.model == core::CorrelationModel::kCorrelatedFixes) {
+      const int heading = dimensions - 1;
+      WideMatrix wandering =
+          WideGamma(graph, correlation, i - 1, i, dimensions);
+      wandering.row(heading).setZero();
+      wandering.col(heading).setZero();
+      result.drift += turn.transpose() * wandering * turn;
+      result.jitter(heading, heading) += s(heading, heading);
+      result.largest_term =
+          std::max(result.largest_term, s.cwiseAbs().maxCoeff());
+      continue;
+    }
+    if (correlation.model == core::CorrelationModel::kIndependent) {
       result.jitter += turn.transpose() * s * turn;
       result.largest_term =
           std::max(result.largest_term, s.cwiseAbs().maxCoeff());
@@ -62,7 +74,7 @@ inline MotionByLoops MeasureByLoops(const core::PoseGraph& graph,
     const WideMatrix f = StepTransition(
         graph, core::CorrelationModel::kDeadReckoning, i, dimensions);
     const WideMatrix cross =
-        StepTransition(graph, model, i, dimensions) * before;
+        StepTransition(graph, correlation, i, dimensions) * before;
     const WideMatrix added = s + f * before * f.transpose() -
                              cross * f.transpose() - f * cross.transpose();
     result.drift += turn.transpose() * added * turn;

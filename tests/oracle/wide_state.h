@@ -93,9 +93,9 @@ inline WideMatrix WideDiagonal(Wide position, Wide heading, int dimensions) {
 
 // What one step from node i - 1 makes of the error there, in the model.
 inline WideMatrix StepTransition(const core::PoseGraph& graph,
-                                 core::CorrelationModel model,
+                                 const core::Correlation& correlation,
                                  core::NodeIndex i, int dimensions) {
-  switch (model) {
+  switch (correlation.model) {
     case core::CorrelationModel::kDeadReckoning: {
       const core::Pose& a = graph.node(i - 1).pose;
       const core::Pose& b = graph.node(i).pose;
@@ -105,29 +105,54 @@ inline WideMatrix StepTransition(const core::PoseGraph& graph,
     case core::CorrelationModel::kIndependent:
       return WideMatrix::Zero(dimensions, dimensions);
     case core::CorrelationModel::kFilter:
+    case core::CorrelationModel::kCorrelatedFixes:
       break;
   }
   return WideTransitionOf(graph.transition(i), dimensions);
 }
 
+// What two fixes of these covariances share of the mean of the two.
+inline Wide WideShared(const WideMatrix& a, const WideMatrix& b, Wide meters,
+                       const core::Correlation& correlation) {
+  const auto ratio_of_means = [](Wide x, Wide y) {
+    return std::sqrt(x * y) / (0.5L * (x + y));
+  };
+  const auto last = a.rows() - 1;
+  const Wide of_position = ratio_of_means(a.topLeftCorner(2, 2).trace(),
+                                          b.topLeftCorner(2, 2).trace());
+  return std::min(of_position, ratio_of_means(a(last, last), b(last, last))) *
+         std::exp(-meters / correlation.meters);
+}
+
 // Cov(e_i, e_j): carried from the earlier node to the later step by step.
 inline WideMatrix WideCross(const core::PoseGraph& graph,
-                            core::CorrelationModel model, core::NodeIndex i,
-                            core::NodeIndex j, int dimensions) {
+                            const core::Correlation& correlation,
+                            core::NodeIndex i, core::NodeIndex j,
+                            int dimensions) {
+  if (correlation.model == core::CorrelationModel::kCorrelatedFixes) {
+    const WideMatrix a = WideCovarianceOf(graph.node(i).covariance, dimensions);
+    const WideMatrix b = WideCovarianceOf(graph.node(j).covariance, dimensions);
+    const Wide meters =
+        std::abs(static_cast<Wide>(graph.node(i).travelled_meters) -
+                 graph.node(j).travelled_meters);
+    return 0.5L * WideShared(a, b, meters, correlation) * (a + b);
+  }
   const core::NodeIndex earlier = std::min(i, j);
   WideMatrix carried =
       WideCovarianceOf(graph.node(earlier).covariance, dimensions);
   for (core::NodeIndex k = earlier + 1; k <= std::max(i, j); ++k) {
-    carried = (StepTransition(graph, model, k, dimensions) * carried).eval();
+    carried =
+        (StepTransition(graph, correlation, k, dimensions) * carried).eval();
   }
   if (i == earlier) carried.transposeInPlace();
   return carried;
 }
 
 inline WideMatrix WideGamma(const core::PoseGraph& graph,
-                            core::CorrelationModel model, core::NodeIndex i,
-                            core::NodeIndex j, int dimensions) {
-  const WideMatrix cross = WideCross(graph, model, i, j, dimensions);
+                            const core::Correlation& correlation,
+                            core::NodeIndex i, core::NodeIndex j,
+                            int dimensions) {
+  const WideMatrix cross = WideCross(graph, correlation, i, j, dimensions);
   return WideCovarianceOf(graph.node(i).covariance, dimensions) +
          WideCovarianceOf(graph.node(j).covariance, dimensions) - cross -
          cross.transpose();

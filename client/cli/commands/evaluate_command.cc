@@ -121,7 +121,8 @@ void AddMeasurements(const Command& command, EvaluateFlags* flags) {
       "--fix-noise", "M[,S]", &flags->fix_noise,
       "Instead of estimates, fixes drawn each second along the truth: standard "
       "deviation in x and y, and the seconds over which errors are correlated; "
-      "claimed as independent. --simulate has the seeds (1)");
+      "claimed as independent unless --correlation-model says otherwise. "
+      "--simulate has the seeds (1)");
   group.AddSwitch("--verify", &options->verify,
                   "Play the verifier: tell the service which accepted first "
                   "candidates are right and which are wrong");

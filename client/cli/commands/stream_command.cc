@@ -124,7 +124,8 @@ void AddVehicleFlags(const Command& command, StreamOptions* options) {
   const Words models = {
       {"dead-reckoning", v1::CORRELATION_MODEL_DEAD_RECKONING},
       {"independent", v1::CORRELATION_MODEL_INDEPENDENT},
-      {"filter", v1::CORRELATION_MODEL_FILTER}};
+      {"filter", v1::CORRELATION_MODEL_FILTER},
+      {"correlated-fixes", v1::CORRELATION_MODEL_CORRELATED_FIXES}};
   command.AddSwitch("--create", &options->create,
                     "Create the vehicle if there is none, with the server's "
                     "default settings");

@@ -53,6 +53,8 @@ constexpr SettingFlag kFlags[] = {
      "Relative: distance over which two passes stray alike", "10"},
     {"--correlation-model", "correlation_model", "",
      "How the errors of two poses are correlated", "dead-reckoning"},
+    {"--fix-correlation", "fix_correlation_meters", "M",
+     "Correlated fixes: distance over which their errors decorrelate", "300"},
     {"--likelihood", "likelihood_form", "", "Form of the log-similarity",
      "gaussian"},
     {"--sequence-length", "sequence_length_meters", "M",
@@ -255,6 +257,7 @@ std::vector<std::pair<std::string, std::string>> DescribeSettings(
   return {
       {"state space", NameOf(settings.state_space())},
       {"correlation model", NameOf(settings.correlation_model())},
+      {"fix correlation", Meters(settings.fix_correlation_meters())},
       {"alignment", NameOf(settings.alignment())},
       {"likelihood form", NameOf(settings.likelihood_form())},
       {"coordinate frame", NameOf(settings.coordinate_frame())},

@@ -6,6 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/cli/console.h"
+#include "client/cli/names.h"
 #include "client/formats/angles.h"
 #include "client/formats/course.h"
 
@@ -122,8 +123,8 @@ std::vector<std::string> NotesOn(const EvaluateOptions& options) {
             ? absl::StrCat("correlated over ",
                            Fixed(noise.correlation_seconds, 0), " s")
             : "independent",
-        ", and of ", Fixed(noise.heading, 2),
-        " rad in heading; claimed as independent; ",
+        ", and of ", Fixed(noise.heading, 2), " rad in heading; claimed as ",
+        NameOf(options.settings.correlation_model()), "; ",
         std::max<std::size_t>(options.seeds.size(), 1), " seeds."));
   } else if (!options.seeds.empty()) {
     notes.push_back(absl::StrCat(

@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <cmath>
 
 #include "client/formats/angles.h"
@@ -66,15 +67,41 @@ Matrix4d LeverBetween(const LocalPose& from, const LocalPose& to) {
   return lever;
 }
 
+double Distance(const LocalPose& from, const LocalPose& to) {
+  return (ToVector(to.position) - ToVector(from.position)).norm();
+}
+
+// The ratio of the geometric to the arithmetic mean.
+double RatioOfMeans(double a, double b) {
+  return 2.0 * std::sqrt(a * b) / (a + b);
+}
+
+// The share of two fixes' covariances that is left in their difference, as the
+// searches have it (core/graph/correlation.h).
+double UncorrelatedShare(const Matrix4d& a, const Matrix4d& b, double meters,
+                         const v1::VehicleSettings& settings) {
+  const auto position = [](const Matrix4d& m) {
+    return m.topLeftCorner<2, 2>().trace();
+  };
+  const double alike = std::min(RatioOfMeans(position(a), position(b)),
+                                RatioOfMeans(a(3, 3), b(3, 3)));
+  return 1.0 - alike * std::exp(-meters / settings.fix_correlation_meters());
+}
+
 // The covariance that the model leaves of the two, in the axes of the local
 // frame.
 Matrix4d StepCovariance(const LocalPose& from, const LocalPose& to,
-                        v1::CorrelationModel model) {
+                        const v1::VehicleSettings& settings) {
+  const v1::CorrelationModel model = settings.correlation_model();
   const Matrix4d lever = LeverBetween(from, to);
   const Matrix4d earlier = ToMatrix(from.covariance);
   const Matrix4d carried = lever * earlier * lever.transpose();
   const Matrix4d later = ToMatrix(to.covariance);
   if (model == v1::CORRELATION_MODEL_INDEPENDENT) return later + carried;
+  if (model == v1::CORRELATION_MODEL_CORRELATED_FIXES) {
+    return UncorrelatedShare(earlier, later, Distance(from, to), settings) *
+           (later + carried);
+  }
   if (model == v1::CORRELATION_MODEL_FILTER && to.error_transition) {
     const Matrix4d common =
         lever * earlier * ToMatrix(*to.error_transition).transpose();
@@ -114,7 +141,7 @@ Step StepBetween(const LocalPose& from, const LocalPose& to,
                  const v1::VehicleSettings& settings) {
   Step step;
   step.relative = Between(from, to);
-  Matrix4d covariance = StepCovariance(from, to, settings.correlation_model());
+  Matrix4d covariance = StepCovariance(from, to, settings);
   step.raised =
       Raise(settings.state_space() == v1::STATE_SPACE_SPATIAL, &covariance);
   const Matrix4d turn = StateTurnBy(-from.heading);

@@ -13,9 +13,9 @@
 namespace revisit::core {
 namespace {
 
-constexpr CorrelationModel kEveryModel[] = {CorrelationModel::kDeadReckoning,
-                                            CorrelationModel::kIndependent,
-                                            CorrelationModel::kFilter};
+constexpr CorrelationModel kEveryModel[] = {
+    CorrelationModel::kDeadReckoning, CorrelationModel::kIndependent,
+    CorrelationModel::kFilter, CorrelationModel::kCorrelatedFixes};
 
 // Holds innovation and agreement against their definitions, in long numbers.
 template <int D>
@@ -34,11 +34,18 @@ void ExpectInnovation(std::mt19937_64& random, CorrelationModel correlation,
   const oracle::WideMatrix back = closure.lever.transpose();
   const oracle::WideMatrix mixed =
       oracle::WideCross(graph, correlation, query, matched, D) * back;
-  const oracle::WideMatrix gamma =
-      oracle::WideCovarianceOf(graph.covariance(query), D) +
+  const oracle::WideMatrix of_query =
+      oracle::WideCovarianceOf(graph.covariance(query), D);
+  const oracle::WideMatrix carried =
       closure.lever * oracle::WideCovarianceOf(graph.covariance(matched), D) *
-          back -
-      mixed - mixed.transpose();
+      back;
+  oracle::WideMatrix gamma = of_query + carried - mixed - mixed.transpose();
+  if (correlation == CorrelationModel::kCorrelatedFixes) {
+    gamma = (1.0L - oracle::WideShared(of_query, carried,
+                                       graph.MetersApart(query, matched),
+                                       correlation)) *
+            (of_query + carried);
+  }
   const Innovation<D> innovation = InnovationOf<D>(graph, correlation, loop);
   const double unit = static_cast<double>(gamma.norm());
   for (int r = 0; r < D; ++r) {

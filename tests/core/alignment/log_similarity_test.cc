@@ -9,6 +9,7 @@
 #include "tests/core/graphs.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/oracle/long_double_density.h"
+#include "tests/oracle/wide_state.h"
 #include "tests/random.h"
 
 namespace revisit::core {
@@ -20,14 +21,23 @@ void ExpectMatchesLongDouble(const PoseGraph& graph,
                              NodeIndex j) {
   const NodeIndex earlier = std::min(i, j);
   const NodeIndex later = std::max(i, j);
+  const bool fixes = model.correlation == CorrelationModel::kCorrelatedFixes;
   const StateMatrix<D> psi =
-      PropagatedError<D>(graph, model.correlation, earlier, later);
+      fixes
+          ? StateMatrix<D>::Zero()
+          : PropagatedError<D>(graph, model.correlation.model, earlier, later);
+  const long double share =
+      fixes ? 1.0L - oracle::WideShared(
+                         oracle::WideCovarianceOf(graph.covariance(earlier), D),
+                         oracle::WideCovarianceOf(graph.covariance(later), D),
+                         graph.MetersApart(i, j), model.correlation)
+            : 1.0L;
   oracle::Matrix gamma(D, std::vector<long double>(D));
   const StateMatrix<D> a = ToMatrix<D>(graph.node(earlier).covariance);
   const StateMatrix<D> b = ToMatrix<D>(graph.node(later).covariance);
   for (int r = 0; r < D; ++r) {
     for (int c = 0; c < D; ++c) {
-      long double sum = static_cast<long double>(a(r, c)) + b(r, c);
+      long double sum = share * (static_cast<long double>(a(r, c)) + b(r, c));
       for (int k = 0; k < D; ++k) {
         sum -= static_cast<long double>(a(r, k)) * psi(c, k) +
                static_cast<long double>(a(c, k)) * psi(r, k);
@@ -61,7 +71,7 @@ TEST(LogSimilarityTest, AgreesWithTheDensityInLongDouble) {
     for (StateSpace space : {StateSpace::kPlanar, StateSpace::kSpatial}) {
       for (CorrelationModel correlation :
            {CorrelationModel::kDeadReckoning, CorrelationModel::kIndependent,
-            CorrelationModel::kFilter}) {
+            CorrelationModel::kFilter, CorrelationModel::kCorrelatedFixes}) {
         for (LikelihoodForm form :
              {LikelihoodForm::kGaussian, LikelihoodForm::kAsPrinted}) {
           SimilarityModel model{space, correlation, form, {}};
@@ -79,7 +89,7 @@ TEST(LogSimilarityTest, AgreesWithTheDensityInLongDouble) {
   }
   // Unrelated covariances make dead-reckoned differences indefinite now and
   // then.
-  EXPECT_GT(possible, 300 * 12 / 2);
+  EXPECT_GT(possible, 300 * 16 / 2);
 }
 
 TEST(LogSimilarityTest, IsSymmetricInItsNodes) {
@@ -87,7 +97,7 @@ TEST(LogSimilarityTest, IsSymmetricInItsNodes) {
   const PoseGraph graph = RandomGraph(random, 20, 0.0, 0, true);
   for (CorrelationModel correlation :
        {CorrelationModel::kDeadReckoning, CorrelationModel::kIndependent,
-        CorrelationModel::kFilter}) {
+        CorrelationModel::kFilter, CorrelationModel::kCorrelatedFixes}) {
     SimilarityModel model;
     model.correlation = correlation;
     for (int trial = 0; trial < 50; ++trial) {
@@ -105,7 +115,7 @@ TEST(LogSimilarityTest, AColumnHoldsThePairs) {
   for (StateSpace space : {StateSpace::kPlanar, StateSpace::kSpatial}) {
     for (CorrelationModel correlation :
          {CorrelationModel::kDeadReckoning, CorrelationModel::kIndependent,
-          CorrelationModel::kFilter}) {
+          CorrelationModel::kFilter, CorrelationModel::kCorrelatedFixes}) {
       SimilarityModel model;
       model.state_space = space;
       model.correlation = correlation;
@@ -181,7 +191,8 @@ TEST(LogSimilarityTest, TheKernelHoldsThePairsOfEveryModelAtEveryScale) {
                                 : ExtremeGraph(random, size);
     for (StateSpace space : {StateSpace::kPlanar, StateSpace::kSpatial}) {
       for (CorrelationModel correlation :
-           {CorrelationModel::kDeadReckoning, CorrelationModel::kIndependent}) {
+           {CorrelationModel::kDeadReckoning, CorrelationModel::kIndependent,
+            CorrelationModel::kCorrelatedFixes}) {
         for (LikelihoodForm form :
              {LikelihoodForm::kGaussian, LikelihoodForm::kAsPrinted}) {
           for (Direction direction : {Direction::kSame, Direction::kOpposite}) {

@@ -120,9 +120,11 @@ TEST(AlignRelativeTest,
     Town town;
     const NodeIndex size = UniformInt(random, 4, 16);
     town.graph = RandomGraph(random, size, 0.1, UniformInt(random, 0, 4), true);
-    town.model.similarity.correlation = UniformInt(random, 0, 1)
-                                            ? CorrelationModel::kFilter
-                                            : CorrelationModel::kIndependent;
+    constexpr CorrelationModel kModels[] = {CorrelationModel::kFilter,
+                                            CorrelationModel::kIndependent,
+                                            CorrelationModel::kCorrelatedFixes};
+    town.model.similarity.correlation = {kModels[trial % 3],
+                                         Uniform(random, 1.0, 50.0)};
     town.model.opposite_direction = true;
     town.model.shape.tolerance = {3.0, 0.5};
     town.query = size - 1;

@@ -64,7 +64,7 @@ Window RandomWindow(std::mt19937_64& random, std::int64_t steps) {
   Window window;
   window.steps = steps;
   window.spacing = std::exp(Uniform(random, std::log(0.5), std::log(10.0)));
-  window.correlation = static_cast<CorrelationModel>(UniformInt(random, 0, 2));
+  window.correlation = static_cast<CorrelationModel>(UniformInt(random, 0, 3));
   window.query = steps + UniformInt(random, 0, 40);
   window.graph = RandomRoad(random, window.query + UniformInt(random, 1, 5),
                             window.spacing, Uniform(random, 0.01, 2.0));

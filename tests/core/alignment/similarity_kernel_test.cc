@@ -141,9 +141,12 @@ void ExpectDifferencesOfPairs(std::mt19937_64& random, ValuesSeen* seen) {
   }
   SimilarityModel model;
   model.state_space = D == 3 ? StateSpace::kPlanar : StateSpace::kSpatial;
-  model.correlation = UniformInt(random, 0, 3) == 0
-                          ? CorrelationModel::kIndependent
-                          : CorrelationModel::kDeadReckoning;
+  constexpr CorrelationModel kModels[] = {
+      CorrelationModel::kIndependent, CorrelationModel::kCorrelatedFixes,
+      CorrelationModel::kDeadReckoning, CorrelationModel::kDeadReckoning,
+      CorrelationModel::kDeadReckoning};
+  model.correlation = {kModels[UniformInt(random, 0, 4)],
+                       Uniform(random, 1.0, 300.0)};
   model.direction =
       UniformInt(random, 0, 1) ? Direction::kSame : Direction::kOpposite;
   model.inflation = UniformInt(random, 0, 1) ? Uniform(random, 1.0, 3.0) : 1.0;
@@ -158,10 +161,13 @@ void ExpectDifferencesOfPairs(std::mt19937_64& random, ValuesSeen* seen) {
     const auto first = static_cast<NodeIndex>(k * NodeBlock::kSize);
     const std::size_t count =
         std::min(NodeBlock::kSize, static_cast<std::size_t>(query - first));
+    alignas(64) BlockShares shares;
+    const bool shared =
+        FindUncorrelatedShares(graph, model.correlation, query, k, &shares);
     DifferenceBlock differences;
     FindDifferences(kernel_query, graph.block(k),
                     graph.block(UniformInt(random, 0, 1) ? k : 0),
-                    &differences);
+                    shared ? &shares : nullptr, &differences);
     DifferenceBlock conditioned = differences;
     if (known) {
       TakeKnownDrift(known->Terms(), model.state_space, graph.block(k), first,

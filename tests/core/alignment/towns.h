@@ -84,7 +84,7 @@ struct Town {
     }
     text << ", loops";
     for (const auto& [a, b] : graph.LoopEdges()) text << " " << a << "-" << b;
-    text << ", model " << static_cast<int>(model.similarity.correlation)
+    text << ", model " << static_cast<int>(model.similarity.correlation.model)
          << (model.similarity.state_space == StateSpace::kPlanar ? " planar"
                                                                  : " spatial");
     return text.str();
@@ -174,7 +174,7 @@ inline Town RandomTown(std::mt19937_64& random, int scale = 1) {
       const NodeIndex i = town.graph.size();
       Eigen::Matrix4d transition = Eigen::Matrix4d::Identity();
       if (i > 0) {
-        if (model.similarity.correlation == CorrelationModel::kFilter) {
+        if (model.similarity.correlation.model == CorrelationModel::kFilter) {
           transition *= 0.95;
           for (int m = 0; m < 16; ++m) transition(m) += Normal(random, 0.01);
         } else {

@@ -104,9 +104,10 @@ TEST(AlignTest, StepsThroughManyBlocksAsItWouldThroughSingleNodes) {
     SimilarityModel model;
     model.state_space =
         trial % 2 == 0 ? StateSpace::kSpatial : StateSpace::kPlanar;
-    model.correlation = trial % 3 == 0   ? CorrelationModel::kFilter
-                        : trial % 3 == 1 ? CorrelationModel::kIndependent
-                                         : CorrelationModel::kDeadReckoning;
+    constexpr CorrelationModel kModels[] = {
+        CorrelationModel::kFilter, CorrelationModel::kIndependent,
+        CorrelationModel::kDeadReckoning, CorrelationModel::kCorrelatedFixes};
+    model.correlation = {kModels[trial / 2 % 4], 20.0};
     const auto alignment = Align(graph, model, query, steps, history, nullptr);
     ASSERT_TRUE(alignment);
     const oracle::PlainViterbi expected =

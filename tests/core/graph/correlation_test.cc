@@ -162,7 +162,7 @@ TEST(CorrelationTest, TheOrderOfTheNodesDoesNotMatter) {
   const PoseGraph graph = RandomGraph(random, 8, 0.0, 0, true);
   for (CorrelationModel model :
        {CorrelationModel::kDeadReckoning, CorrelationModel::kIndependent,
-        CorrelationModel::kFilter}) {
+        CorrelationModel::kFilter, CorrelationModel::kCorrelatedFixes}) {
     EXPECT_EQ(DifferenceCovariance<4>(graph, model, 2, 6),
               DifferenceCovariance<4>(graph, model, 6, 2));
   }
@@ -193,6 +193,103 @@ TEST(CorrelationTest, DeadReckonedNodesNextToEachOtherDifferByTheStepAlone) {
   const StateMatrix<3> added = gamma - lever;
   EXPECT_LT(std::sqrt(added(0, 0)), 1.0);
   EXPECT_GT(added(0, 0), 0.0);
+}
+
+// Nodes every 2 m with covariances of one shape, of which each is a multiple.
+PoseGraph FixesOfOneShape(const StateMatrix<3>& shape,
+                          const std::vector<double>& sigmas) {
+  PoseGraph graph;
+  for (const double sigma : sigmas) {
+    Node node;
+    node.travelled_meters = 2.0 * static_cast<double>(graph.size());
+    node.covariance = ToCovariance<3>(sigma * sigma * shape);
+    graph.AddNode(node, graph.size() == 0, std::nullopt);
+  }
+  return graph;
+}
+
+TEST(CorrelationTest, CorrelatedFixesMatchADrawnGaussMarkovProcess) {
+  std::mt19937_64 random = SeededRandom();
+  const StateMatrix<3> shape = ToMatrix<3>(RandomCovariance(random, 1.0));
+  const StateMatrix<3> root = shape.llt().matrixL();
+  std::vector<double> sigmas;
+  for (int i = 0; i < 40; ++i) sigmas.push_back(Uniform(random, 0.5, 3.0));
+  const PoseGraph graph = FixesOfOneShape(shape, sigmas);
+  const Correlation correlation(CorrelationModel::kCorrelatedFixes, 60.0);
+  const double kept = std::exp(-2.0 / 60.0);
+  const NodeIndex i = 7;
+  const NodeIndex j = 31;
+  const int draws = 40000;
+  StateMatrix<3> cross = StateMatrix<3>::Zero();
+  StateMatrix<3> of_difference = StateMatrix<3>::Zero();
+  for (int draw = 0; draw < draws; ++draw) {
+    StateVector<3> white = StateVector<3>::Zero();
+    StateVector<3> at_i = white;
+    for (int k = 0; k <= j; ++k) {
+      const double fresh = k == 0 ? 1.0 : std::sqrt(1.0 - kept * kept);
+      for (int c = 0; c < 3; ++c) {
+        white(c) =
+            (k == 0 ? 0.0 : kept) * white(c) + fresh * Normal(random, 1.0);
+      }
+      if (k == i) at_i = white;
+    }
+    const StateVector<3> e_i = sigmas[7] * (root * at_i);
+    const StateVector<3> e_j = sigmas[31] * (root * white);
+    cross += e_i * e_j.transpose() / draws;
+    of_difference += (e_j - e_i) * (e_j - e_i).transpose() / draws;
+  }
+  const StateMatrix<3> gamma =
+      DifferenceCovariance<3>(graph, correlation, i, j);
+  ExpectCovarianceNear<3>(of_difference, gamma, gamma, 0.03);
+  const StateMatrix<3> units = sigmas[7] * sigmas[31] * shape;
+  // The process has no more in common than the model's mean of covariances.
+  EXPECT_GT(CrossCovariance<3>(graph, correlation, i, j)(0, 0) / units(0, 0),
+            0.3);
+  ExpectCovarianceNear<3>(cross + cross.transpose(),
+                          2.0 * CrossCovariance<3>(graph, correlation, i, j),
+                          units, 0.06);
+}
+
+TEST(CorrelationTest, CorrelatedFixesThatAreFarApartAreIndependent) {
+  std::mt19937_64 random = SeededRandom();
+  const PoseGraph graph = RandomGraph(random, 300, 0.0, 0, false);
+  const Correlation correlation(CorrelationModel::kCorrelatedFixes, 5.0);
+  EXPECT_EQ(
+      DifferenceCovariance<4>(graph, correlation, 1, 200),
+      DifferenceCovariance<4>(graph, CorrelationModel::kIndependent, 1, 200));
+  BlockShares shares;
+  EXPECT_FALSE(FindUncorrelatedShares(graph, correlation, 299, 0, &shares));
+  EXPECT_TRUE(FindUncorrelatedShares(graph, correlation, 299, 1, &shares));
+  EXPECT_FALSE(FindUncorrelatedShares(graph, CorrelationModel::kIndependent,
+                                      299, 1, &shares));
+}
+
+TEST(CorrelationTest, NeighbouringFixesShareAllOfWhatTheCovariancesAllow) {
+  // A receiver that comes out of a tunnel knows more than it did: what it has
+  // gained is left in the difference.
+  const PoseGraph graph =
+      FixesOfOneShape(StateMatrix<3>::Identity(), {1.0, 1.0, 7.0});
+  const Correlation correlation(CorrelationModel::kCorrelatedFixes, 1e6);
+  EXPECT_NEAR(DifferenceCovariance<3>(graph, correlation, 0, 1)(0, 0), 4e-6,
+              1e-9);
+  EXPECT_NEAR(DifferenceCovariance<3>(graph, correlation, 1, 2)(0, 0), 36.0,
+              1e-3);
+}
+
+TEST(CorrelationTest, FixesOfAnyTwoCovariancesHaveADefiniteDifference) {
+  std::mt19937_64 random = SeededRandom();
+  for (int trial = 0; trial < 200; ++trial) {
+    const PoseGraph graph = RandomGraph(random, 6, 0.0, 0, false);
+    const Correlation correlation(CorrelationModel::kCorrelatedFixes,
+                                  Uniform(random, 1.0, 1e4));
+    const StateMatrix<4> gamma =
+        DifferenceCovariance<4>(graph, correlation, 1, 4);
+    EXPECT_EQ(gamma.llt().info(), Eigen::Success);
+    const StateMatrix<4> less =
+        DifferenceCovariance<4>(graph, CorrelationModel::kIndependent, 1, 4) -
+        gamma;
+    EXPECT_EQ(less.llt().info(), Eigen::Success);
+  }
 }
 
 TEST(CorrelationTest, LongFilterProductsDecayToZero) {

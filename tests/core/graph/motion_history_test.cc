@@ -13,9 +13,9 @@
 namespace revisit::core {
 namespace {
 
-constexpr CorrelationModel kModels[] = {CorrelationModel::kDeadReckoning,
-                                        CorrelationModel::kIndependent,
-                                        CorrelationModel::kFilter};
+constexpr CorrelationModel kModels[] = {
+    CorrelationModel::kDeadReckoning, CorrelationModel::kIndependent,
+    CorrelationModel::kFilter, CorrelationModel::kCorrelatedFixes};
 
 // Adds the nodes of `full` that `graph` does not have yet, up to `size`.
 void GrowTo(NodeIndex size, const PoseGraph& full, PoseGraph* graph) {
@@ -82,7 +82,7 @@ NodeIndex RandomNode(std::mt19937_64& random, const PoseGraph& graph) {
 TEST(MotionHistoryTest, MeasuresToTheBitWhatAWalkOverAllNodesMeasures) {
   std::mt19937_64 random = SeededRandom();
   for (int trial = 0; trial < 300; ++trial) {
-    const CorrelationModel model = kModels[trial % 3];
+    const CorrelationModel model = kModels[trial % 4];
     const StateSpace space =
         trial % 2 == 0 ? StateSpace::kPlanar : StateSpace::kSpatial;
     const PoseGraph full =

@@ -40,7 +40,7 @@ TEST(MotionStatisticsTest, AgreesWithLoopsOverAllSteps) {
     const NodeIndex last = UniformInt(random, 0, static_cast<int>(size) - 1);
     for (CorrelationModel model :
          {CorrelationModel::kDeadReckoning, CorrelationModel::kIndependent,
-          CorrelationModel::kFilter}) {
+          CorrelationModel::kFilter, CorrelationModel::kCorrelatedFixes}) {
       ExpectStatisticsOfLoops<3>(graph, model, last);
       ExpectStatisticsOfLoops<4>(graph, model, last);
     }
@@ -84,6 +84,28 @@ TEST(MotionStatisticsTest, ErrorsThatStartAnewDoNotDrift) {
       MeasureMotion<4>(graph, CorrelationModel::kIndependent, 19);
   EXPECT_EQ(motion.drift, (StateMatrix<4>::Zero()));
   EXPECT_GT(motion.jitter.trace(), 0.0);
+}
+
+TEST(MotionStatisticsTest, CorrelatedFixesWanderOffAndTheirHeadingsDoNot) {
+  PoseGraph graph;
+  for (int i = 0; i < 10; ++i) {
+    Node node;
+    node.travelled_meters = 2.0 * i;
+    node.pose.x = 2.0 * i;
+    node.covariance(0, 0) = 9.0;
+    node.covariance(1, 1) = 4.0;
+    node.covariance(3, 3) = 0.01;
+    graph.AddNode(node, i == 0, std::nullopt);
+  }
+  const auto motion =
+      MeasureMotion<3>(graph, {CorrelationModel::kCorrelatedFixes, 50.0}, 9);
+  const double share = 1.0 - std::exp(-2.0 / 50.0);
+  EXPECT_NEAR(motion.drift(0, 0), share * 18.0, 1e-12);
+  EXPECT_NEAR(motion.drift(1, 1), share * 8.0, 1e-12);
+  EXPECT_EQ(motion.drift(2, 2), 0.0);
+  EXPECT_NEAR(motion.jitter(2, 2), 0.01, 1e-12);
+  EXPECT_EQ(motion.jitter(0, 0), 0.0);
+  EXPECT_EQ(motion.jitter(1, 1), 0.0);
 }
 
 TEST(MotionStatisticsTest, StepsOverJumpsDoNotCount) {

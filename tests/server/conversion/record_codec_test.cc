@@ -55,6 +55,7 @@ TEST(SettingsConversionTest, EverySettingSurvivesTheStore) {
     shape_correlation_meters: 25
     apply_inflation: true
     max_inflation: 4
+    fix_correlation_meters: 75
   )pb");
   auto config = DecodeSettings(settings, FieldPath());
   ASSERT_THAT(config, IsOk());

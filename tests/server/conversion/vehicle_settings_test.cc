@@ -41,6 +41,7 @@ TEST(SettingsConversionTest, LeftOutMeansDefault) {
     alignment: ALIGNMENT_RELATIVE
     apply_inflation: false
     max_inflation: 10
+    fix_correlation_meters: 300
   )pb");
   // Core defines these defaults; the integration tests check their numbers.
   const core::SearchOptions defaults;
@@ -192,13 +193,19 @@ TEST(UpdateConfigTest, KnowsEverySettingByItsName) {
       current, true,
       "alignment: ALIGNMENT_COMPOSITE acceptance_probability: 0.9 "
       "road_spacing_meters: 50 shape_correlation_meters: 20 "
-      "apply_inflation: true max_inflation: 3",
+      "apply_inflation: true max_inflation: 3 "
+      "correlation_model: CORRELATION_MODEL_CORRELATED_FIXES "
+      "fix_correlation_meters: 75",
       {"settings.alignment", "settings.acceptance_probability",
        "settings.road_spacing_meters", "settings.shape_correlation_meters",
-       "settings.apply_inflation", "settings.max_inflation"});
+       "settings.apply_inflation", "settings.max_inflation",
+       "settings.correlation_model", "settings.fix_correlation_meters"});
   ASSERT_THAT(updated, IsOk());
   const core::EngineSettings& engine = updated->engine;
   EXPECT_EQ(engine.search.alignment, core::AlignmentKind::kComposite);
+  EXPECT_EQ(engine.search.correlation_model,
+            core::CorrelationModel::kCorrelatedFixes);
+  EXPECT_EQ(engine.search.fix_correlation_meters, 75);
   EXPECT_EQ(engine.search.acceptance_probability, 0.9);
   EXPECT_EQ(engine.search.road_spacing_meters, 50);
   EXPECT_EQ(engine.search.shape.correlation_meters, 20);

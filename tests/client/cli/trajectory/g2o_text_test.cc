@@ -73,6 +73,22 @@ TEST(RelativePose, StepOfIndependentFixesHasTheNoiseOfBoth) {
   EXPECT_NEAR(step.relative.covariance[15], 0.02, 1e-12);
 }
 
+TEST(RelativePose, StepOfCorrelatedFixesHasWhatTheyDoNotShare) {
+  v1::VehicleSettings settings = G2oSettings(v1::STATE_SPACE_PLANAR);
+  settings.set_correlation_model(v1::CORRELATION_MODEL_CORRELATED_FIXES);
+  settings.set_fix_correlation_meters(50.0);
+  const LocalPose from = LevelPose(1, 0.0, 0.0, 0.0, {1.0, 1.0, 0.0, 0.01});
+  const double kept = std::exp(-2.0 / 50.0);
+  const Step alike = StepBetween(
+      from, LevelPose(2, 2.0, 0.0, 0.0, {1.0, 1.0, 0.0, 0.01}), settings);
+  EXPECT_NEAR(alike.relative.covariance[0], (1.0 - kept) * 2.0, 1e-12);
+  EXPECT_NEAR(alike.relative.covariance[15], (1.0 - kept) * 0.02, 1e-12);
+  // Of errors that are not alike, they share 2 * 1 * 3 / (1 + 9).
+  const Step better = StepBetween(
+      from, LevelPose(2, 2.0, 0.0, 0.0, {9.0, 9.0, 0.0, 0.01}), settings);
+  EXPECT_NEAR(better.relative.covariance[0], (1.0 - 0.6 * kept) * 10.0, 1e-12);
+}
+
 TEST(RelativePose, StepOfAFilterForgetsWhatItsTransitionForgets) {
   v1::VehicleSettings settings = G2oSettings(v1::STATE_SPACE_PLANAR);
   settings.set_correlation_model(v1::CORRELATION_MODEL_FILTER);
