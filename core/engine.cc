@@ -59,7 +59,8 @@ Engine::Engine(const EngineSettings& settings)
       resampler_(MakeResamplerOptions(settings)),
       motion_history_(MakeMotionHistory()),
       block_bounds_(settings.state_space),
-      monitor_(MakeConsistencyOptions(settings)) {
+      monitor_(MakeConsistencyOptions(settings)),
+      model_check_(settings.max_step_meters) {
   assert(FindProblems(settings).empty());
   ScheduleNextCheck();
 }
@@ -102,8 +103,11 @@ AppendResult Engine::Append(const std::vector<PoseSample>& samples,
                             std::uint64_t revision) {
   assert(revision > revision_);
   AppendResult result;
+  const CorrelationModel model = settings_.search.correlation_model;
+  const std::optional<FindingCode> found_before = model_check_.Judge(model);
   for (const PoseSample& sample : samples) {
     assert(sample.sequence == last_sequence_ + 1);
+    model_check_.Look(sample);
     const NodeIndex before = graph_.size();
     if (std::optional<Jump> jump = resampler_.Add(sample, &graph_)) {
       result.jumps.push_back(*jump);
@@ -119,6 +123,9 @@ AppendResult Engine::Append(const std::vector<PoseSample>& samples,
     last_sequence_ = sample.sequence;
   }
   ExtendIndexes();
+  if (model_check_.Judge(model) != found_before) {
+    result.finding = model_check_.Find(model);
+  }
   revision_ = revision;
   return result;
 }

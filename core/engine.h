@@ -22,6 +22,7 @@
 #include "core/candidates/agreement.h"
 #include "core/candidates/candidate.h"
 #include "core/candidates/consistency.h"
+#include "core/candidates/model_check.h"
 #include "core/geometry/pose.h"
 #include "core/graph/block_bounds.h"
 #include "core/graph/distance_resampler.h"
@@ -36,6 +37,9 @@ struct AppendResult {
   // Nodes at which a check is due: the first node at or after each multiple of
   // the check interval, from two sequence lengths on.
   std::vector<NodeIndex> checks_due;
+  // What the poses have come to contradict the model by, if they did not
+  // before.
+  std::optional<Finding> finding;
 };
 
 class Engine {
@@ -54,6 +58,12 @@ class Engine {
   double travelled_meters() const { return resampler_.travelled_meters(); }
   // The revision that the last change was given; 0 before the first.
   std::uint64_t revision() const { return revision_; }
+
+  // What the poses so far contradict the vehicle's correlation model by, if
+  // anything: a function of these and of the model.
+  std::optional<Finding> finding() const {
+    return model_check_.Find(settings_.search.correlation_model);
+  }
 
   // REQUIRES: samples without defect, whose sequence numbers follow
   // last_sequence(); revision greater than revision().
@@ -154,6 +164,7 @@ class Engine {
   std::vector<Confirmed> confirmed_;
   std::vector<std::pair<NodeIndex, NodeIndex>> rejected_;
   ConsistencyMonitor monitor_;
+  ModelCheck model_check_;
   // The next check is due at this many check intervals.
   std::int64_t next_check_ = 0;
 };

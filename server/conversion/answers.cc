@@ -5,6 +5,7 @@
 
 #include "server/conversion/covariances.h"
 #include "server/conversion/enums.h"
+#include "server/conversion/findings.h"
 #include "server/conversion/names.h"
 #include "server/conversion/record_codec.h"
 #include "server/conversion/timestamps.h"
@@ -142,6 +143,9 @@ void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle) {
   EncodeConsistency(view.engine.consistency(),
                     view.config.engine.apply_inflation,
                     vehicle->mutable_consistency());
+  if (const auto finding = view.engine.finding()) {
+    EncodeFinding(*finding, vehicle->add_findings());
+  }
 }
 
 void EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle) {
@@ -171,6 +175,10 @@ void EncodeAck(const Acknowledgement& acknowledgement, v1::Ack* ack) {
     v1::Jump* added = ack->add_jumps();
     added->set_sequence(jump.sequence);
     added->set_distance_meters(jump.distance_meters);
+  }
+  if (acknowledgement.finding) {
+    EncodeFindingWarning(*acknowledgement.finding,
+                         acknowledgement.durable_sequence, ack->add_warnings());
   }
 }
 

@@ -17,6 +17,7 @@ void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle);
 // Encodes what the store knows of a vehicle that is not in memory.
 void EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle);
 
+// With a warning of the finding, if there is one.
 void EncodeAck(const Acknowledgement& acknowledgement, v1::Ack* ack);
 
 void EncodeNode(const core::PoseGraph& graph, core::NodeIndex index,

@@ -98,7 +98,7 @@ class UnaryAppend final : public AppendSink {
   void OnDurable(const absl::StatusOr<Acknowledgement>& result) override {
     if (result.ok()) {
       EncodeAck(*result, response_->mutable_ack());
-      response_->mutable_ack()->mutable_warnings()->Swap(&warnings_);
+      response_->mutable_ack()->mutable_warnings()->MergeFrom(warnings_);
     }
     call_->End(result.status());
   }

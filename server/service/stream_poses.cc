@@ -343,12 +343,13 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     --in_flight_;
     bytes_in_flight_ -= bytes;
     SetFailure(acknowledgement.status());
-    if (acknowledgement.ok() && warnings->empty()) {
+    if (acknowledgement.ok() && warnings->empty() &&
+        !acknowledgement->finding) {
       queue_.push_back({*acknowledgement, nullptr});
     } else if (acknowledgement.ok()) {
       auto response = std::make_unique<Response>();
       EncodeAck(*acknowledgement, response->mutable_ack());
-      response->mutable_ack()->mutable_warnings()->Swap(warnings);
+      response->mutable_ack()->mutable_warnings()->MergeFrom(*warnings);
       queue_.push_back({{}, std::move(response)});
     }
     Advance();

@@ -4,6 +4,7 @@
 #define REVISIT_SERVER_SESSIONS_APPEND_SINK_H_
 
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -19,6 +20,8 @@ struct Acknowledgement {
   std::uint64_t durable_sequence = 0;
   std::uint64_t revision = 0;
   std::vector<core::Jump> jumps;
+  // What these poses are the first to show.
+  std::optional<core::Finding> finding = std::nullopt;
 };
 
 // The session calls, in this order and one at a time per vehicle: Decode() at

@@ -44,6 +44,8 @@ struct Appends::Pending {
   std::optional<DecodedBatch> decoded;
   // The revision that the write makes; 0 if there is nothing to write.
   std::uint64_t revision = 0;
+  // What the poses are the first to show, once applied.
+  std::optional<core::Finding> finding;
   // Set once it is known what to answer; answered in order.
   std::optional<absl::Status> result;
 };
@@ -273,7 +275,7 @@ void Appends::Land(const PendingPtr& append) {
     append->sink->OnOver();
     return;
   }
-  std::vector<core::NodeIndex> due = Apply(*append);
+  std::vector<core::NodeIndex> due = Apply(append.get());
   Answer(*append, absl::OkStatus());
   if (due.empty() || !append->sink->wants_candidates()) {
     append->sink->OnOver();
@@ -300,17 +302,18 @@ absl::Status Appends::ResultOf(const Pending& append) {
 }
 
 // Applies what is durable. Returns the nodes at which a check fell due.
-std::vector<core::NodeIndex> Appends::Apply(const Pending& append) {
-  const std::vector<core::PoseSample>& samples = append.decoded->samples;
+std::vector<core::NodeIndex> Appends::Apply(Pending* append) {
+  const std::vector<core::PoseSample>& samples = append->decoded->samples;
   core::AppendResult applied =
-      vehicle_->engine->Append(samples, append.revision);
+      vehicle_->engine->Append(samples, append->revision);
+  append->finding = applied.finding;
   vehicle_->jumps.insert(vehicle_->jumps.end(), applied.jumps.begin(),
                          applied.jumps.end());
   vehicle_->NoteResidency();
   vehicle_->durable_sequence = samples.back().sequence;
-  vehicle_->revision = append.revision;
+  vehicle_->revision = append->revision;
   if (!vehicle_->config.origin) {
-    vehicle_->config.origin = append.decoded->origin;
+    vehicle_->config.origin = append->decoded->origin;
   }
   return std::move(applied.checks_due);
 }
@@ -347,7 +350,8 @@ void Appends::Answer(const Pending& append, const absl::Status& status) {
   }
   append.sink->OnDurable(Acknowledgement{
       vehicle_->durable_sequence, vehicle_->revision,
-      vehicle_->JumpsAt(append.first_sequence, append.last_sequence)});
+      vehicle_->JumpsAt(append.first_sequence, append.last_sequence),
+      append.finding});
 }
 
 }  // namespace revisit::server

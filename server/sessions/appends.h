@@ -67,7 +67,7 @@ class Appends {
   void AnswerInOrder();
   void Land(const PendingPtr& append);
   absl::Status ResultOf(const Pending& append);
-  std::vector<core::NodeIndex> Apply(const Pending& append);
+  std::vector<core::NodeIndex> Apply(Pending* append);
   void RunChecks(const PendingPtr& append, std::vector<core::NodeIndex> due);
   void Answer(const Pending& append, const absl::Status& status);
 

@@ -246,6 +246,9 @@ void PrintVehicle(const v1::Vehicle& vehicle, const Console& console) {
     fields.push_back(std::move(setting));
   }
   if (vehicle.has_consistency()) AddConsistency(vehicle.consistency(), &fields);
+  for (const v1::Finding& finding : vehicle.findings()) {
+    fields.emplace_back("finding", finding.message());
+  }
   if (settings.has_geodetic_origin()) {
     const v1::GeodeticPosition& origin = settings.geodetic_origin();
     fields.emplace_back(

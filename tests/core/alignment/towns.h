@@ -108,8 +108,9 @@ inline Town RandomTown(std::mt19937_64& random, int scale = 1) {
   RelativeModel& model = town.model;
   model.similarity.state_space =
       UniformInt(random, 0, 1) ? StateSpace::kPlanar : StateSpace::kSpatial;
-  model.similarity.correlation =
-      static_cast<CorrelationModel>(UniformInt(random, 0, 2));
+  model.similarity.correlation = {
+      static_cast<CorrelationModel>(UniformInt(random, 0, 3)),
+      std::exp(Uniform(random, std::log(5.0), std::log(300.0)))};
   model.similarity.tolerance = {Uniform(random, 0.5, 4.0),
                                 Uniform(random, 0.05, 0.4)};
   model.similarity.inflation =

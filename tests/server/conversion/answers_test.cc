@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <cmath>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -10,6 +11,7 @@
 #include "gmock/gmock.h"
 #include "google/protobuf/util/message_differencer.h"
 #include "gtest/gtest.h"
+#include "server/conversion/findings.h"
 #include "server/conversion/record_codec.h"
 #include "server/sessions/vehicle_uid.h"
 #include "tests/server/conversion/conversion_testing.h"
@@ -18,7 +20,9 @@
 namespace revisit::server {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::ElementsAre;
+using ::testing::HasSubstr;
 
 // Two laps of a square of 60 m a side.
 core::Engine TwoLaps(core::EngineSettings settings) {
@@ -293,6 +297,60 @@ TEST(AnswerTest, VehicleSaysHowConsistentItIs) {
   EXPECT_TRUE(before.applied());
   engine.AddRejection(400, 100, 8);
   EXPECT_EQ(consistency().rejected_count(), 1);
+}
+
+core::Finding FindingOf(core::FindingCode code, double growing,
+                        std::optional<double> smoother) {
+  core::Finding finding;
+  finding.code = code;
+  finding.growing = growing;
+  finding.smoother = smoother;
+  return finding;
+}
+
+std::string MessageOf(const core::Finding& finding) {
+  v1::Finding message;
+  EncodeFinding(finding, &message);
+  return message.message();
+}
+
+TEST(AnswerTest, FindingNamesWhatWasSeenAndTheSettingThatMendsIt) {
+  using core::FindingCode;
+  EXPECT_THAT(
+      MessageOf(FindingOf(FindingCode::kCovariancesDoNotGrow, 0.126, 1.2)),
+      AllOf(HasSubstr("over 13 of 100 stretches"),
+            HasSubstr("set correlation_model to INDEPENDENT")));
+  for (const std::optional<double> smoother :
+       {std::optional<double>(7.0), std::optional<double>()}) {
+    EXPECT_THAT(
+        MessageOf(FindingOf(FindingCode::kCovariancesDoNotGrow, 0.0, smoother)),
+        AllOf(HasSubstr("over 0 of 100 stretches"),
+              HasSubstr("set correlation_model to CORRELATED_FIXES"),
+              HasSubstr("covariances that add up")));
+  }
+  EXPECT_THAT(MessageOf(FindingOf(FindingCode::kCovariancesGrow, 1.0, 7.0)),
+              AllOf(HasSubstr("over 100 of 100 stretches"),
+                    HasSubstr("set correlation_model to DEAD_RECKONING")));
+  EXPECT_THAT(MessageOf(FindingOf(FindingCode::kErrorsCorrelated, 0.0, 6.54)),
+              AllOf(HasSubstr("6.5 times less"),
+                    HasSubstr("set correlation_model to CORRELATED_FIXES")));
+}
+
+TEST(AnswerTest, AcknowledgementWarnsOfAFinding) {
+  Acknowledgement acknowledgement;
+  acknowledgement.durable_sequence = 640;
+  v1::Ack ack;
+  EncodeAck(acknowledgement, &ack);
+  EXPECT_EQ(ack.warnings_size(), 0);
+  acknowledgement.finding =
+      FindingOf(core::FindingCode::kErrorsCorrelated, 0.0, 6.5);
+  EncodeAck(acknowledgement, &ack);
+  ASSERT_EQ(ack.warnings_size(), 1);
+  EXPECT_EQ(ack.warnings(0).reason(), v1::WARNING_REASON_FINDING);
+  EXPECT_EQ(ack.warnings(0).message(), MessageOf(*acknowledgement.finding));
+  EXPECT_EQ(ack.warnings(0).metadata().at("finding"),
+            "FINDING_CODE_ERRORS_CORRELATED");
+  EXPECT_EQ(ack.warnings(0).metadata().at("sequence"), "640");
 }
 
 }  // namespace

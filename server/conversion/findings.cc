@@ -1,0 +1,84 @@
+#include "server/conversion/findings.h"
+
+#include <cmath>
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "server/conversion/enums.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StrCat;
+
+constexpr EnumRow<v1::FindingCode, core::FindingCode> kCodes[] = {
+    {v1::FINDING_CODE_COVARIANCES_DO_NOT_GROW,
+     core::FindingCode::kCovariancesDoNotGrow},
+    {v1::FINDING_CODE_COVARIANCES_GROW, core::FindingCode::kCovariancesGrow},
+    {v1::FINDING_CODE_ERRORS_CORRELATED, core::FindingCode::kErrorsCorrelated}};
+
+// As smooth as the poses of odometry or of a filter; less of it, and their
+// errors are about independent.
+constexpr double kSmooth = 3.0;
+
+// Digits beyond these are chance.
+std::string Rough(double value) {
+  return value < 10.0 ? StrCat(std::round(10.0 * value) / 10.0)
+                      : StrCat(std::round(value));
+}
+
+std::string GrowText(const core::Finding& finding) {
+  return StrCat("grow over ", std::round(100.0 * finding.growing),
+                " of 100 stretches of the path");
+}
+
+std::string DoNotGrowText(const core::Finding& finding) {
+  const std::string seen = StrCat("the covariances ", GrowText(finding),
+                                  ", and those of DEAD_RECKONING over all");
+  if (finding.smoother && *finding.smoother < kSmooth) {
+    return StrCat(seen,
+                  "; the poses stray as fixes do that do not depend on each "
+                  "other, so set correlation_model to INDEPENDENT");
+  }
+  return StrCat(seen,
+                "; if the poses are fixes, set correlation_model to "
+                "CORRELATED_FIXES; if they are odometry, send covariances that "
+                "add up along the path");
+}
+
+std::string TextOf(const core::Finding& finding) {
+  switch (finding.code) {
+    case core::FindingCode::kCovariancesDoNotGrow:
+      return DoNotGrowText(finding);
+    case core::FindingCode::kCovariancesGrow:
+      return StrCat("the covariances ", GrowText(finding),
+                    ", as those of reckoning do and not those of fixes; set "
+                    "correlation_model to DEAD_RECKONING");
+    case core::FindingCode::kErrorsCorrelated:
+      break;
+  }
+  return StrCat(
+      "the errors are correlated: the poses stray from a smooth path ",
+      Rough(finding.smoother.value_or(1.0)),
+      " times less than independent errors of the claimed covariances would; "
+      "set correlation_model to CORRELATED_FIXES, or claim what the poses "
+      "stray by");
+}
+
+}  // namespace
+
+void EncodeFinding(const core::Finding& finding, v1::Finding* message) {
+  message->set_code(ToProto(kCodes, finding.code));
+  message->set_message(TextOf(finding));
+}
+
+void EncodeFindingWarning(const core::Finding& finding, std::uint64_t sequence,
+                          v1::Warning* warning) {
+  warning->set_reason(v1::WARNING_REASON_FINDING);
+  warning->set_message(TextOf(finding));
+  auto& metadata = *warning->mutable_metadata();
+  metadata["finding"] = v1::FindingCode_Name(ToProto(kCodes, finding.code));
+  metadata["sequence"] = StrCat(sequence);
+}
+
+}  // namespace revisit::server

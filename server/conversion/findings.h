@@ -1,0 +1,21 @@
+// What a vehicle's poses contradict its settings by, for the API.
+#ifndef REVISIT_SERVER_CONVERSION_FINDINGS_H_
+#define REVISIT_SERVER_CONVERSION_FINDINGS_H_
+
+#include <cstdint>
+
+#include "core/candidates/model_check.h"
+#include "revisit/v1/pose_graph_service.pb.h"
+#include "revisit/v1/vehicle.pb.h"
+
+namespace revisit::server {
+
+void EncodeFinding(const core::Finding& finding, v1::Finding* message);
+
+// `sequence`: the last of the poses that show it.
+void EncodeFindingWarning(const core::Finding& finding, std::uint64_t sequence,
+                          v1::Warning* warning);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_CONVERSION_FINDINGS_H_

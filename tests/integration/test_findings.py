@@ -1,0 +1,128 @@
+"""What about a vehicle's poses contradicts its settings: in the vehicle, with the
+acknowledgement that is the first to show it, and on the command line."""
+
+import math
+
+import numpy
+import pytest
+
+from revisit_server import Server, run
+from stubs import api
+from wire import PoseStream, append, batches, get, pose
+
+SIGMA = 5.0
+HEADING = 0.05
+
+
+def road(meters, spacing):
+    """Points every `spacing` metres of a winding road: x, y, heading."""
+    x, y, heading = 0.0, 0.0, 0.3
+    for n in range(round(meters / spacing)):
+        yield x, y, heading
+        heading += 0.02 * spacing * math.sin(n * spacing / 70)
+        x += spacing * math.cos(heading)
+        y += spacing * math.sin(heading)
+
+
+def fixes(seed, kept, meters=2000.0, spacing=8.0):
+    """Fixes whose errors keep so much of themselves from one to the next."""
+    rng = numpy.random.default_rng(seed)
+    error = rng.normal(0.0, SIGMA, 2)
+    poses = []
+    for n, (x, y, heading) in enumerate(road(meters, spacing), 1):
+        fresh = SIGMA * math.sqrt(1.0 - kept * kept)
+        error = kept * error + rng.normal(0.0, fresh, 2)
+        poses.append(pose(n, x + error[0], y + error[1],
+                          heading + rng.normal(0.0, HEADING),
+                          [SIGMA ** 2, 0, 0, SIGMA ** 2, 0, HEADING ** 2]))
+    return poses
+
+
+def reckoning(meters=2000.0, spacing=2.0):
+    """Dead reckoning without errors, whose covariances grow as they should."""
+    covariance = numpy.diag([0.01, 0.01, 1e-5])
+    poses = []
+    before = None
+    for n, (x, y, heading) in enumerate(road(meters, spacing), 1):
+        if before is not None:
+            lever = numpy.array([[1, 0, before[1] - y], [0, 1, x - before[0]],
+                                 [0, 0, 1.0]])
+            covariance = lever @ covariance @ lever.T + spacing * numpy.diag(
+                [0.01, 0.0025, 3e-6])
+        before = (x, y)
+        poses.append(pose(n, x, y, heading,
+                          list(covariance[numpy.triu_indices(3)])))
+    return poses
+
+
+def codes_of(vehicle):
+    return [api.FindingCode.Name(f.code).removeprefix("FINDING_CODE_")
+            for f in vehicle.findings]
+
+
+MODELS = {name: getattr(api, f"CORRELATION_MODEL_{name}")
+          for name in ("DEAD_RECKONING", "INDEPENDENT", "CORRELATED_FIXES")}
+# What poses show under each of the models, and the setting that is named.
+SHOWN = {
+    "independent fixes": (
+        lambda seed: fixes(seed, 0.0),
+        {"DEAD_RECKONING": ("COVARIANCES_DO_NOT_GROW", "INDEPENDENT")}),
+    "correlated fixes": (
+        lambda seed: fixes(seed, 0.97),
+        {"DEAD_RECKONING": ("COVARIANCES_DO_NOT_GROW", "CORRELATED_FIXES"),
+         "INDEPENDENT": ("ERRORS_CORRELATED", "CORRELATED_FIXES")}),
+    "reckoning": (
+        lambda seed: reckoning(),
+        {"INDEPENDENT": ("COVARIANCES_GROW", "DEAD_RECKONING"),
+         "CORRELATED_FIXES": ("COVARIANCES_GROW", "DEAD_RECKONING")}),
+}
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("poses", SHOWN)
+def test_poses_that_contradict_the_model_are_told_once(
+        poses, model, stub, new_vehicle, seed):
+    make, shown = SHOWN[poses]
+    vehicle = new_vehicle(correlation_model=MODELS[model])
+    with PoseStream(stub, vehicle) as stream:
+        stream.receive_kind("opened")
+        for batch in batches(make(seed)):
+            stream.send(batch)
+        stream.half_close()
+        warnings = [w for _, ack in stream.receive_all() for w in ack.warnings
+                    if w.reason == api.WARNING_REASON_FINDING]
+    found = get(stub, vehicle)
+    if model not in shown:
+        assert not warnings
+        assert not found.findings
+        return
+    code, setting = shown[model]
+    assert codes_of(found) == [code]
+    assert f"correlation_model to {setting}" in found.findings[0].message
+    assert len(warnings) == 1
+    assert warnings[0].metadata["finding"] == f"FINDING_CODE_{code}"
+    assert 0 < int(warnings[0].metadata["sequence"]) <= found.durable_sequence
+    assert setting in warnings[0].message
+    # Mended by the setting that it names.
+    mended = stub.UpdateVehicle(api.UpdateVehicleRequest(
+        vehicle=api.Vehicle(name=vehicle, settings=api.VehicleSettings(
+            correlation_model=MODELS[setting])),
+        update_mask={"paths": ["settings.correlation_model"]})).vehicle
+    assert not mended.findings
+
+
+def test_findings_are_the_same_after_a_restart_and_shown(tmp_path, seed):
+    with Server(tmp_path / "store") as server:
+        stub = server.stub()
+        stub.CreateVehicle(api.CreateVehicleRequest(
+            vehicle_id="gnss", vehicle=api.Vehicle()))
+        told = [w for batch in batches(fixes(seed, 0.97))
+                for w in append(stub, "vehicles/gnss", list(batch)).warnings]
+        assert [w.reason for w in told] == [api.WARNING_REASON_FINDING]
+        before = get(stub, "vehicles/gnss")
+        assert codes_of(before) == ["COVARIANCES_DO_NOT_GROW"]
+    with Server(tmp_path / "store") as server:
+        assert get(server.stub(), "vehicles/gnss") == before
+        shown = run("revisit", "--server", server.address, "show", "gnss")
+        assert shown.returncode == 0, shown.stderr
+        assert before.findings[0].message in shown.stdout
