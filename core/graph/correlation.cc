@@ -41,8 +41,8 @@ bool FindUncorrelatedShares(const PoseGraph& graph,
       std::min(graph.size(), first + static_cast<NodeIndex>(NodeBlock::kSize));
   // No node of the block is nearer than its two ends, but where the query is
   // among them.
-  if (query >= end &&
-      !(graph.MetersApart(end - 1, query) / correlation.meters < kDecayedAway)) {
+  if (query >= end && !(graph.MetersApart(end - 1, query) / correlation.meters <
+                        kDecayedAway)) {
     return false;
   }
   const Covariance of_query = graph.covariance(query);
