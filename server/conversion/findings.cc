@@ -17,11 +17,11 @@ constexpr EnumRow<v1::FindingCode, core::FindingCode> kCodes[] = {
     {v1::FINDING_CODE_COVARIANCES_GROW, core::FindingCode::kCovariancesGrow},
     {v1::FINDING_CODE_ERRORS_CORRELATED, core::FindingCode::kErrorsCorrelated}};
 
-// As smooth as the poses of odometry or of a filter; less of it, and their
-// errors are about independent.
+// Poses that are so many times smoother than independent errors make them, or
+// more, have errors that depend on each other.
 constexpr double kSmooth = 3.0;
 
-// Digits beyond these are chance.
+// Further digits would be those of chance.
 std::string Rough(double value) {
   return value < 10.0 ? StrCat(std::round(10.0 * value) / 10.0)
                       : StrCat(std::round(value));
