@@ -5,7 +5,9 @@
 #include <cmath>
 
 #include "absl/status/status.h"
+#include "core/belief/begins_with_belief.h"
 #include "core/candidates/composite_search.h"
+#include "core/candidates/mark_search.h"
 #include "core/candidates/posterior.h"
 #include "core/candidates/ranking.h"
 #include "core/candidates/relative_search.h"
@@ -13,6 +15,15 @@
 
 namespace revisit::core {
 namespace {
+
+// Marks lie so close that a place found at one still tells the drift at the
+// next.
+constexpr double kMarksPerSequence = 3.0;
+
+// Marks whose evidence is kept for later searches before those that the search
+// at hand does not need are forgotten. A search needs at most a sixth of it.
+constexpr std::size_t kMostMarksKept =
+    6 * static_cast<std::size_t>(kMostScaleMarks + kDriftMarks);
 
 ResamplerOptions MakeResamplerOptions(const EngineSettings& settings) {
   ResamplerOptions options;
@@ -42,7 +53,8 @@ ConsistencyOptions MakeConsistencyOptions(const EngineSettings& settings) {
   ConsistencyOptions options;
   options.similarity = ClaimedModel(settings.state_space, settings.search);
   options.gate_probability = settings.search.gate_probability;
-  options.applied = settings.apply_inflation;
+  options.applied =
+      settings.apply_inflation && !BeginsWithBelief(settings.search, settings);
   options.max_inflation = settings.max_inflation;
   return options;
 }
@@ -140,6 +152,7 @@ void Engine::ChangeSettings(const EngineSettings& settings,
   const bool monitored_alike =
       MakeConsistencyOptions(settings) == MakeConsistencyOptions(settings_);
   settings_ = settings;
+  ++settings_version_;
   revision_ = revision;
   if (!monitored_alike) RebuildMonitor();
   motion_history_ = MakeMotionHistory();
@@ -234,18 +247,19 @@ void Engine::RebuildMonitor() {
 }
 
 absl::StatusOr<CandidateSet> Engine::FindCandidates(
-    const SearchOptions& options, const ShouldStop& should_stop) const {
+    const SearchOptions& options, const ShouldStop& should_stop,
+    MarkMemory* memory) const {
   if (graph_.size() == 0) {
     CandidateSet empty;
     empty.empty_reason = EmptyReason::kPathTooShort;
     return empty;
   }
-  return FindCandidates(graph_.size() - 1, options, should_stop);
+  return FindCandidates(graph_.size() - 1, options, should_stop, memory);
 }
 
 absl::StatusOr<CandidateSet> Engine::FindCandidates(
     NodeIndex query, const SearchOptions& options,
-    const ShouldStop& should_stop) const {
+    const ShouldStop& should_stop, MarkMemory* memory) const {
   assert(query >= 0 && query < graph_.size());
   assert(FindProblems(options, settings_).empty());
   CandidateSet set;
@@ -275,6 +289,12 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
     return empty(EmptyReason::kTooMuchWork);
   }
 
+  std::optional<DriveBelief> belief;
+  if (BeginsWithBelief(options, settings_)) {
+    absl::StatusOr<DriveBelief> found = BeliefAt(query, memory, should_stop);
+    if (!found.ok()) return found.status();
+    belief = *std::move(found);
+  }
   const SearchTask task = {
       graph_,
       motion_history_,
@@ -287,9 +307,10 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
       history_size,
       NotSought(query, options.candidate_separation_meters),
       LastConfirmed(query),
+      std::move(belief),
       should_stop};
   set.nodes_considered = history_size;
-  set.inflation = task.similarity.inflation;
+  if (task.belief) set.scale = task.belief->Scale();
   const absl::Status status = options.alignment == AlignmentKind::kComposite
                                   ? SearchComposite(task, &set)
                                   : SearchRelative(task, &set);
@@ -302,6 +323,88 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
                                       : EmptyReason::kNoAlignment);
   }
   return set;
+}
+
+absl::StatusOr<DriveBelief> Engine::BeliefAt(
+    NodeIndex query, MarkMemory* memory, const ShouldStop& should_stop) const {
+  MarkMemory none;
+  if (memory == nullptr) memory = &none;
+  memory->Enter(settings_version_);
+  const MarkLine line{graph_, std::max(settings_.node_spacing_meters,
+                                       settings_.search.sequence_length_meters /
+                                           kMarksPerSequence)};
+  const auto evidence =
+      [&](std::int64_t mark) -> absl::StatusOr<const MarkEvidence*> {
+    if (const MarkEvidence* known = memory->Find(mark)) return known;
+    absl::StatusOr<MarkEvidence> found =
+        EvidenceAt(line.NodeOf(mark), should_stop);
+    if (!found.ok()) return found.status();
+    return &memory->Keep(mark, *found);
+  };
+  DriveBelief belief;
+  const std::int64_t last = line.LastBefore(query);
+  const ScaleMarks scales(last);
+  const std::int64_t first_of_drift =
+      std::max<std::int64_t>(1, last - kDriftMarks + 1);
+  for (const std::int64_t mark : scales.marks) {
+    const auto found = evidence(mark);
+    if (!found.ok()) return found.status();
+    belief.LearnScale(**found, scales.stride);
+  }
+  for (std::int64_t mark = first_of_drift; mark <= last; ++mark) {
+    const auto found = evidence(mark);
+    if (!found.ok()) return found.status();
+    if (!ShowsDrift(**found, query)) continue;
+    belief.LearnDrift(
+        graph_, **found,
+        2.0 * static_cast<double>(kDriftMarks) * line.spacing_meters);
+  }
+  memory->Tidy(kMostMarksKept, [&](std::int64_t mark) {
+    return mark >= first_of_drift || mark % scales.stride == 0;
+  });
+  return belief;
+}
+
+// What a verifier has judged counts for more: a closure shows the drift better
+// than earlier marks do, and a place that was rejected shows none.
+bool Engine::ShowsDrift(const MarkEvidence& mark, NodeIndex query) const {
+  if (!mark.matched) return false;
+  if (const auto closure = LastConfirmed(query)) {
+    if (mark.node <= std::max(closure->query, closure->matched)) return false;
+  }
+  const std::vector<NodeRange> not_sought =
+      NotSought(mark.node, settings_.search.candidate_separation_meters);
+  return std::none_of(
+      not_sought.begin(), not_sought.end(), [&mark](const NodeRange& nodes) {
+        return nodes.first <= *mark.matched && *mark.matched < nodes.last;
+      });
+}
+
+absl::StatusOr<MarkEvidence> Engine::EvidenceAt(
+    NodeIndex node, const ShouldStop& should_stop) const {
+  const SearchOptions& options = settings_.search;
+  const std::int64_t steps = SequenceNodes(options.sequence_length_meters,
+                                           settings_.node_spacing_meters);
+  const NodeIndex history_size = node - steps + 1;
+  if (node - graph_.SegmentStart(node) + 1 < steps || history_size <= 0) {
+    MarkEvidence nothing;
+    nothing.node = node;
+    return nothing;
+  }
+  return SearchMark(
+      {graph_,
+       motion_history_,
+       block_bounds_,
+       options,
+       settings_.node_spacing_meters,
+       ClaimedModel(settings_.state_space, options),
+       node,
+       AlignedNodes(node, steps, options),
+       history_size,
+       {NodesNearer(graph_, node, options.candidate_separation_meters)},
+       std::nullopt,
+       std::nullopt,
+       should_stop});
 }
 
 std::int64_t Engine::AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,
@@ -331,7 +434,7 @@ std::optional<ConfirmedLoop> Engine::LastConfirmed(NodeIndex query) const {
 SimilarityModel Engine::MakeSimilarityModel(
     const SearchOptions& options) const {
   SimilarityModel model = ClaimedModel(settings_.state_space, options);
-  if (settings_.apply_inflation) {
+  if (settings_.apply_inflation && !BeginsWithBelief(options, settings_)) {
     model.inflation = monitor_.consistency().inflation;
   }
   return model;

@@ -19,6 +19,8 @@
 #include "core/alignment/log_similarity.h"
 #include "core/alignment/scored_ends.h"
 #include "core/alignment/viterbi.h"
+#include "core/belief/drive_belief.h"
+#include "core/belief/mark.h"
 #include "core/candidates/agreement.h"
 #include "core/candidates/candidate.h"
 #include "core/candidates/consistency.h"
@@ -119,11 +121,12 @@ class Engine {
   // REQUIRES: query in the graph; FindProblems(options, settings()) is empty.
   absl::StatusOr<CandidateSet> FindCandidates(
       NodeIndex query, const SearchOptions& options,
-      const ShouldStop& should_stop) const;
+      const ShouldStop& should_stop, MarkMemory* memory = nullptr) const;
 
   // Candidates at the newest node; kPathTooShort if the graph is empty.
   absl::StatusOr<CandidateSet> FindCandidates(
-      const SearchOptions& options, const ShouldStop& should_stop) const;
+      const SearchOptions& options, const ShouldStop& should_stop,
+      MarkMemory* memory = nullptr) const;
 
  private:
   std::optional<std::pair<NodeIndex, NodeIndex>> LoopEdge(
@@ -141,6 +144,15 @@ class Engine {
   // The last confirmed loop whose nodes both lie at or before the query.
   std::optional<ConfirmedLoop> LastConfirmed(NodeIndex query) const;
   SimilarityModel MakeSimilarityModel(const SearchOptions& options) const;
+  // What the drive has shown before the query. Searches the marks that the
+  // memory does not know. Returns CANCELLED if told to stop.
+  absl::StatusOr<DriveBelief> BeliefAt(NodeIndex query, MarkMemory* memory,
+                                       const ShouldStop& should_stop) const;
+  // Whether a mark shows the drift at the query.
+  bool ShowsDrift(const MarkEvidence& mark, NodeIndex query) const;
+  // The evidence of a mark at this node.
+  absl::StatusOr<MarkEvidence> EvidenceAt(NodeIndex node,
+                                          const ShouldStop& should_stop) const;
   // Nodes that may not be candidates at the query: those near it, and those
   // rejected there.
   std::vector<NodeRange> NotSought(NodeIndex query,
@@ -154,6 +166,8 @@ class Engine {
   BlockBounds block_bounds_;
   std::uint64_t last_sequence_ = 0;
   std::uint64_t revision_ = 0;
+  // Counts the changes of settings, under which marks show something else.
+  std::uint64_t settings_version_ = 1;
   struct Confirmed {
     std::uint64_t query_sequence;
     std::uint64_t matched_sequence;

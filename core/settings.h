@@ -60,8 +60,12 @@ struct SearchOptions {
   bool exhaustive = false;
   // Mean distance between roads that the vehicle has not driven.
   double road_spacing_meters = 200.0;
-  // Least posterior probability of a place that is accepted.
-  double acceptance_probability = 0.4;
+  // Least posterior probability of a stretch of road that is accepted.
+  double acceptance_probability = 0.5;
+  // Whether the search begins with what the drive has shown before
+  // (drive_belief.h). kDeadReckoning only, and where that is the vehicle's
+  // model too; others begin with the claims as they are.
+  bool use_belief = true;
 };
 
 struct EngineSettings {

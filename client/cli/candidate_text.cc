@@ -24,6 +24,32 @@ std::string PlaceOf(const v1::Node& node) {
                       Fixed(node.travelled_meters(), 1), " m", TimeOf(node));
 }
 
+// "-12.0 to +8.0", in metres along the path from the matched node.
+std::string Text(const v1::PlaceInterval& interval) {
+  const double before = interval.meters_before();
+  const double after = interval.meters_after();
+  return absl::StrCat(before > 0.0 ? "-" : "", Fixed(before, 1), " to ",
+                      after > 0.0 ? "+" : "", Fixed(after, 1));
+}
+
+// By what the search multiplied the claims.
+void PrintScale(const v1::CandidateSet& set, std::ostream& out) {
+  if (set.has_scale_estimate()) {
+    const v1::ScaleEstimate& estimate = set.scale_estimate();
+    out << "the drive has shown standard deviations of "
+        << Fixed(estimate.scale(), 2) << " times the claimed ones ("
+        << Fixed(estimate.low(), 2) << " to " << Fixed(estimate.high(), 2)
+        << ")\n";
+    return;
+  }
+  if (set.candidates().empty()) return;
+  const double inflation = set.candidates(0).gate().inflation();
+  if (inflation > 1.0) {
+    out << "claimed standard deviations were multiplied by "
+        << Fixed(inflation, 2) << '\n';
+  }
+}
+
 void PrintQuery(const v1::CandidateSet& set, std::ostream& out) {
   if (set.has_query()) {
     const v1::Node& query = set.query();
@@ -122,6 +148,9 @@ void AddJudgementColumns(Columns* columns) {
   columns->Add("PROBABILITY", Align::kRight, [](const C& c) {
     return c.has_probability() ? Fixed(c.probability(), 4) : "-";
   });
+  columns->Add("ALONG m", Align::kRight, [](const C& c) {
+    return c.has_place_interval() ? Text(c.place_interval()) : "-";
+  });
   columns->Add("VERDICT", Align::kLeft,
                [](const C& c) { return NameOf(c.verdict()); });
 }
@@ -158,6 +187,9 @@ void PrintCheck(const v1::CandidateSet& set, std::ostream& out) {
   if (best.has_probability()) {
     out << "probability " << Fixed(best.probability(), 4) << ", ";
   }
+  if (best.has_place_interval()) {
+    out << Text(best.place_interval()) << " m along the path, ";
+  }
   if (best.direction() == v1::DIRECTION_OPPOSITE) {
     out << "opposite direction, ";
   }
@@ -169,17 +201,14 @@ void PrintCandidates(const v1::CandidateSet& set, const Console& console) {
   PrintQuery(set, out);
   if (set.candidates().empty()) {
     out << "no candidates: " << Explain(set.empty_reason()) << '\n';
+    PrintScale(set, out);
     return;
   }
   Columns columns(set);
   AddPlaceColumns(set, &columns);
   AddJudgementColumns(&columns);
   columns.Print(console);
-  const double inflation = set.candidates(0).gate().inflation();
-  if (inflation > 1.0) {
-    out << "claimed standard deviations were multiplied by "
-        << Fixed(inflation, 2) << '\n';
-  }
+  PrintScale(set, out);
 }
 
 }  // namespace revisit::client

@@ -49,13 +49,13 @@ Direction DirectionBeyond(const PoseGraph& graph, NodeIndex near, NodeIndex far,
 template <int D>
 PathWalk<D>::PathWalk(const PoseGraph& graph, const RecentPath<D>& recent,
                       NodeIndex history_size, Direction direction,
-                      PoseTable* table)
+                      bool over_loops, PoseTable* table)
     : graph_(graph),
       recent_(recent),
       size_(history_size),
       direction_(direction),
       table_(*table),
-      has_loops_(graph.has_loop_edges()) {
+      has_loops_(over_loops && graph.has_loop_edges()) {
   best_.change.certainty = recent.certainties();
   best_.change.cosine = std::cos(recent.heading());
   best_.change.sine = std::sin(recent.heading());

@@ -62,9 +62,11 @@ struct WalkStart {
 template <int D>
 class PathWalk {
  public:
-  // The history is [0, history_size). All must outlive this.
+  // The history is [0, history_size). `over_loops`: whether paths are walked
+  // over confirmed loop closures. All must outlive this.
   PathWalk(const PoseGraph& graph, const RecentPath<D>& recent,
-           NodeIndex history_size, Direction direction, PoseTable* table);
+           NodeIndex history_size, Direction direction, bool over_loops,
+           PoseTable* table);
 
   // The best paths of these ends, which rise and are of the block that begins
   // at node `first`. Valid until the next walk; entries of other nodes say that

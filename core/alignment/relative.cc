@@ -6,7 +6,7 @@
 #include <cstddef>
 #include <memory>
 
-#include "core/alignment/differences.h"
+#include "core/alignment/anchors.h"
 #include "core/alignment/pose_table.h"
 #include "core/alignment/recent_path.h"
 #include "core/alignment/search_bounds.h"
@@ -16,14 +16,6 @@ namespace revisit::core {
 namespace {
 
 using BlockNodes = std::bitset<NodeBlock::kSize>;
-
-// How the end poses are compared in one direction: as the Gaussian it is.
-SimilarityModel AnchorModel(const RelativeModel& model, Direction direction) {
-  SimilarityModel anchor = model.similarity;
-  anchor.direction = direction;
-  anchor.form = LikelihoodForm::kGaussian;
-  return anchor;
-}
 
 // The search of one direction, block by block.
 template <int D>
@@ -40,9 +32,9 @@ class DirectionSearch {
         size_(history_size),
         direction_(direction),
         constant_(LogNewPlaceTerm(model)),
-        finder_(graph, AnchorModel(model, direction), model.last_confirmed,
-                query),
-        walk_(graph, recent, history_size, direction, table) {}
+        anchors_(graph, model, query, direction),
+        walk_(graph, recent, history_size, direction, model.over_loops, table) {
+  }
 
   Direction direction() const { return direction_; }
 
@@ -54,24 +46,22 @@ class DirectionSearch {
     first_ = static_cast<NodeIndex>(k * NodeBlock::kSize);
     count_ =
         std::min(NodeBlock::kSize, static_cast<std::size_t>(size_ - first_));
-    finder_.Find(k, count_, next, &differences_);
-    EvaluateDifferences(model_.similarity.state_space, differences_,
-                        &similarity_);
-    StrikeOutNotSought();
+    anchors_.Find(k, count_, next);
+    FindSought();
     const double least = model_.least_log_share + *greatest;
     BlockNodes considered;
     const BlockNodes useful = FindUseful(least, &considered);
     if (useful.none()) return considered;
     const BestPaths& paths = WalkBack(useful, least);
-    EvaluateChanged(model_.similarity.state_space, differences_, paths.change,
-                    &similarity_);
+    anchors_.Change(paths.change);
     Collect(useful, least, paths, greatest);
     return considered;
   }
 
   // Hands over what was found, except for what has lower log-odds.
   void HandOver(double least, ScoredEnds* ends,
-                std::vector<ShapeMatch>* matches) {
+                std::vector<ShapeMatch>* matches,
+                std::vector<double>* odds_by_scale) {
     const auto older = [](const Found& a, const Found& b) {
       return a.end.node < b.end.node;
     };
@@ -86,6 +76,9 @@ class DirectionSearch {
       if (!(found.end.score >= least)) continue;
       ends->push_back(found.end);
       matches->push_back(found.match);
+      const auto scales = by_scale_.begin() + found.first_scale;
+      odds_by_scale->insert(odds_by_scale->end(), scales,
+                            scales + (model_.tell_scales ? Scales() : 0));
     }
   }
 
@@ -93,25 +86,33 @@ class DirectionSearch {
   struct Found {
     ScoredEnd end;
     ShapeMatch match;
+    // Where its log-odds under each scale begin.
+    std::ptrdiff_t first_scale = 0;
   };
 
-  void StrikeOutNotSought() {
+  std::ptrdiff_t Scales() const {
+    return std::max<std::ptrdiff_t>(
+        1, static_cast<std::ptrdiff_t>(model_.scales.size()));
+  }
+
+  void FindSought() {
+    sought_.set();
     for (const NodeRange& nodes : model_.not_sought) {
       const NodeIndex last =
           std::min(nodes.last - first_, static_cast<NodeIndex>(count_));
       for (NodeIndex i = std::max<NodeIndex>(nodes.first - first_, 0); i < last;
            ++i) {
-        similarity_.log_similarity[static_cast<std::size_t>(i)] = kImpossible;
+        sought_.reset(static_cast<std::size_t>(i));
       }
     }
   }
 
   // The ends that may come to the least log-odds.
   BlockNodes FindUseful(double least, BlockNodes* considered) {
-    bounds_.BoundEnds(differences_, similarity_, &most_);
+    anchors_.Bound(bounds_, &most_);
     BlockNodes useful;
     for (std::size_t i = 0; i < count_; ++i) {
-      if (similarity_.log_similarity[i] == kImpossible) {
+      if (!sought_[i] || !anchors_.IsPossible(i)) {
         considered->set(i);
       } else if (!(most_[i] < least)) {
         useful.set(i);
@@ -138,15 +139,22 @@ class DirectionSearch {
   void Collect(const BlockNodes& useful, double least, const BestPaths& paths,
                double* greatest) {
     for (std::size_t i = count_; i-- > 0;) {
-      const double score = similarity_.log_similarity[i] +
-                           recent_.weight() * paths.log_likelihood_ratios[i] +
-                           constant_;
-      if (!useful[i] || !(score >= least)) continue;
+      if (!useful[i]) continue;
+      const auto anchor = anchors_.At(i);
+      const double beside =
+          recent_.weight() * paths.log_likelihood_ratios[i] + constant_;
+      const double score = anchor.log_similarity + beside;
+      if (!(score >= least)) continue;
       *greatest = std::max(*greatest, score);
       found_.push_back(
           {{first_ + static_cast<NodeIndex>(i), score},
            {paths.log_likelihood_ratios[i], paths.squared_innovations[i],
-            similarity_.squared_mahalanobis[i], paths.change.row[i]}});
+            anchor.squared_mahalanobis, anchor.scale, paths.change.row[i]},
+           static_cast<std::ptrdiff_t>(by_scale_.size())});
+      if (!model_.tell_scales) continue;
+      anchors_.AppendScales(i, &by_scale_);
+      std::for_each(by_scale_.end() - Scales(), by_scale_.end(),
+                    [beside](double& odds) { odds += beside; });
     }
   }
 
@@ -156,18 +164,19 @@ class DirectionSearch {
   const NodeIndex size_;
   const Direction direction_;
   const double constant_;
-  Differences<D> finder_;
+  Anchors<D> anchors_;
   PathWalk<D> walk_;
   // The block at hand: nodes [first_, first_ + count_).
   NodeIndex first_ = 0;
   std::size_t count_ = 0;
-  DifferenceBlock differences_;
-  BlockSimilarity similarity_;
+  // Its nodes that may be ends.
+  BlockNodes sought_;
   // The most that the log-odds of each end can come to.
   BlockColumn most_;
   std::vector<WalkStart> starts_;
   // In the order in which they were found.
   std::vector<Found> found_;
+  std::vector<double> by_scale_;
 };
 
 }  // namespace
@@ -205,12 +214,14 @@ std::optional<RelativeAlignment> AlignRelativeIn(
     RelativeAlignment::Found& found =
         alignment.found_[IndexOf(search.direction())];
     search.HandOver(model.least_log_share + greatest, &found.ends,
-                    &found.matches);
+                    &found.matches, &found.odds_by_scale);
   }
-  alignment.trace_ = [&graph, recent, history_size](Direction direction,
-                                                    NodeIndex j) {
+  alignment.trace_ = [&graph, recent, history_size,
+                      over_loops = model.over_loops](Direction direction,
+                                                     NodeIndex j) {
     PoseTable poses(graph, history_size);
-    return PathWalk<D>(graph, *recent, history_size, direction, &poses)
+    return PathWalk<D>(graph, *recent, history_size, direction, over_loops,
+                       &poses)
         .Trace(j);
   };
   return alignment;

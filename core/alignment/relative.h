@@ -24,6 +24,8 @@
 //   (known_drift.h).
 // - rho is the density of nodes on roads not driven (LogNewPlaceTerm()).
 //
+// Where scales or drifts are uncertain, N is their mixture (anchors.h).
+//
 // Ends do not depend on each other, so only those that can matter need be
 // looked at: see RelativeModel::least_log_share and search_bounds.h.
 #ifndef REVISIT_CORE_ALIGNMENT_RELATIVE_H_
@@ -52,6 +54,9 @@ struct ShapeMatch {
   // (d + a)^T (Gamma + R - A)^-1 (d + a): for the end's difference as estimated
   // from the whole path.
   double squared_end_difference = 0.0;
+  // The scale, times SimilarityModel::inflation, that Gamma has there: that of
+  // the most probable part of the mixture.
+  double scale = 1.0;
   // Steps of the recent path that it covers; 0 for the end alone.
   std::int64_t steps = 0;
 };
@@ -65,6 +70,12 @@ class RelativeAlignment {
   }
   // REQUIRES: j is among the ends.
   const ShapeMatch& match(Direction direction, NodeIndex j) const;
+
+  // With RelativeModel::tell_scales: the log-odds of each end under each scale
+  // alone, in the order of the ends.
+  const std::vector<double>& odds_by_scale(Direction direction) const {
+    return found_[IndexOf(direction)].odds_by_scale;
+  }
 
   // The best path back from j, the end first, which is walked once more for it.
   // REQUIRES: j is among the ends; the graph is as it was.
@@ -87,6 +98,7 @@ class RelativeAlignment {
   struct Found {
     ScoredEnds ends;
     std::vector<ShapeMatch> matches;
+    std::vector<double> odds_by_scale;
   };
 
   std::array<Found, 2> found_;
@@ -97,8 +109,9 @@ class RelativeAlignment {
 // Aligns the `steps` nodes that end at `query` with the history [0,
 // history_size). Time O(steps * history_size) at most, less where shapes differ
 // early, and less still where ends are pruned. Returns nothing if told to stop.
-// REQUIRES: 1 <= steps <= query + 1; history_size <= query; the recent path lies
-// in one segment, and may begin in the history; the graph outlives the answer.
+// REQUIRES: 1 <= steps <= query + 1; history_size <= query; the recent path
+// lies in one segment, and may begin in the history; the graph outlives the
+// answer.
 std::optional<RelativeAlignment> AlignRelative(
     const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
     std::int64_t steps, NodeIndex history_size, const ShouldStop& should_stop);

@@ -31,10 +31,32 @@ inline constexpr double kSquaredInnovationLimit = 16.0;
 // Paths of one end that are walked on side by side.
 inline constexpr std::size_t kMostPaths = 4;
 
+// A scale that the true standard deviations may have to those of `similarity`,
+// and how probable that is.
+struct WeighedScale {
+  double scale = 1.0;
+  double log_weight = 0.0;
+};
+
+// A place that the vehicle has probably passed before, and so a drift that is
+// probable. Ends outside `reach` are compared as if it were not known: between
+// passes far from the two nodes the drift is another.
+struct WeighedDrift {
+  ConfirmedLoop loop;
+  NodeRange reach;
+  double log_weight = 0.0;
+};
+
 struct RelativeModel {
   // How the two end poses are compared (the anchor). Direction and form are
   // ignored.
   SimilarityModel similarity;
+  // The anchor is a mixture: of these scales, none being 1 alone, and of the
+  // drift as claimed, with the weight that these drifts leave, and as each of
+  // them shows it. kDeadReckoning only. Weights of scales sum to 1, those of
+  // drifts to less than 1.
+  std::vector<WeighedScale> scales;
+  std::vector<WeighedDrift> drifts;
   ShapeModel shape;
   double spacing_meters = 2.0;
   double road_spacing_meters = 200.0;
@@ -43,6 +65,10 @@ struct RelativeModel {
   // The loop closure that has shown the drift. kDeadReckoning only; both nodes
   // at or before the query.
   std::optional<ConfirmedLoop> last_confirmed;
+  // Whether paths are walked over confirmed loop closures.
+  bool over_loops = true;
+  // Whether ends tell their odds under each scale (RelativeAlignment).
+  bool tell_scales = false;
   // Ranges whose nodes may not be ends. May overlap.
   std::vector<NodeRange> not_sought;
   // Ends are left out whose odds are below this share (given as its logarithm)

@@ -78,13 +78,41 @@ std::vector<std::size_t> SearchBounds<D>::BlocksToSearch() const {
     return blocks;
   }
   for (std::size_t k = all; k-- > regions->last;) blocks.push_back(k);
-  model_.block_bounds->VisitNear(
-      regions->of_blocks, regions->first, regions->last, [&](std::size_t k) {
-        if (HoldsNear(regions->of_nodes, graph_.block(k))) blocks.push_back(k);
-      });
+  AddNear(*regions, &blocks);
   for (std::size_t k = regions->first; k-- > 0;) blocks.push_back(k);
   SortByDistance(&blocks);
   return blocks;
+}
+
+// Adds the blocks that lie near under any scale, and those that a drift reaches
+// into, where ends may lie elsewhere.
+template <int D>
+void SearchBounds<D>::AddNear(const Regions& regions,
+                              std::vector<std::size_t>* blocks) const {
+  const auto begin = static_cast<std::ptrdiff_t>(blocks->size());
+  for (const Region& region : regions.of_scales) {
+    model_.block_bounds->VisitNear(
+        region.of_blocks, regions.first, regions.last, [&](std::size_t k) {
+          if (HoldsNear(region.of_nodes, graph_.block(k))) {
+            blocks->push_back(k);
+          }
+        });
+  }
+  for (const WeighedDrift& drift : model_.drifts) {
+    const auto block_of = [](NodeIndex i) {
+      return static_cast<std::size_t>(std::max<NodeIndex>(i, 0)) /
+             NodeBlock::kSize;
+    };
+    const std::size_t last =
+        std::min(regions.last, block_of(drift.reach.last - 1) + 1);
+    for (std::size_t k = std::max(regions.first, block_of(drift.reach.first));
+         k < last; ++k) {
+      blocks->push_back(k);
+    }
+  }
+  std::sort(blocks->begin() + begin, blocks->end());
+  blocks->erase(std::unique(blocks->begin() + begin, blocks->end()),
+                blocks->end());
 }
 
 // Sorts by the distance of the query from one node of each block.
@@ -130,7 +158,12 @@ auto SearchBounds<D>::FindRegions() const -> std::optional<Regions> {
         model_.block_bounds->FirstGrowing(graph_, query_, regions.last);
   }
   if (regions.first == regions.last) return std::nullopt;
-  SetRegions(tolerance(0, 0), *log_determinant, &regions);
+  const auto add = [&](const WeighedScale& scale) {
+    regions.of_scales.push_back(
+        RegionOf(scale, tolerance(0, 0), *log_determinant));
+  };
+  if (model_.scales.empty()) add({});
+  for (const WeighedScale& scale : model_.scales) add(scale);
   return regions;
 }
 
@@ -150,15 +183,17 @@ auto SearchBounds<D>::FindRegions() const -> std::optional<Regions> {
 //             - least log-odds) (V + l / w).
 //
 // For a whole block V is bounded in any direction; for a single node it is
-// known.
+// known. In a mixture, some scale must come to the least log-odds divided by
+// the number of scales.
 template <int D>
-void SearchBounds<D>::SetRegions(double position_variance,
-                                 double log_determinant,
-                                 Regions* regions) const {
+auto SearchBounds<D>::RegionOf(const WeighedScale& scale,
+                               double position_variance,
+                               double log_determinant) const -> Region {
   const SimilarityModel& similarity = model_.similarity;
   const bool dead_reckoning =
       similarity.correlation.model == CorrelationModel::kDeadReckoning;
-  const double claimed = similarity.inflation * similarity.inflation;
+  const double inflation = similarity.inflation * scale.scale;
+  const double claimed = inflation * inflation;
   const Covariance covariance = graph_.covariance(query_);
   const StateMatrix<D>& shift = recent_.filter().EndShift();
   const Pose query = graph_.pose(query_);
@@ -167,7 +202,8 @@ void SearchBounds<D>::SetRegions(double position_variance,
       position_variance +
       VariancesInAnyDirection(shift(0, 0), shift(0, 1), shift(1, 1)).most /
           recent_.weight();
-  BlockBounds::Region& of_blocks = regions->of_blocks;
+  Region region;
+  BlockBounds::Region& of_blocks = region.of_blocks;
   of_blocks.x = query.x;
   of_blocks.y = query.y;
   of_blocks.variance =
@@ -178,9 +214,12 @@ void SearchBounds<D>::SetRegions(double position_variance,
   of_blocks.squared_per_variance =
       2.0 * (constant_ - 0.5 * log_determinant +
              recent_.weight() * recent_.most_log_likelihood_ratio() +
-             kBoundSlack - model_.least_log_share);
+             kBoundSlack + scale.log_weight +
+             std::log(static_cast<double>(
+                 std::max<std::size_t>(1, model_.scales.size()))) -
+             model_.least_log_share);
   (dead_reckoning ? of_blocks.least_taken : of_blocks.most_added) = claimed;
-  NodeRegion& of_nodes = regions->of_nodes;
+  NodeRegion& of_nodes = region.of_nodes;
   of_nodes.x = query.x;
   of_nodes.y = query.y;
   of_nodes.squared_per_variance = of_blocks.squared_per_variance;
@@ -189,6 +228,7 @@ void SearchBounds<D>::SetRegions(double position_variance,
   of_nodes.xy = claimed * covariance(0, 1);
   of_nodes.yy = claimed * covariance(1, 1);
   of_nodes.node_scale = dead_reckoning ? -claimed : claimed;
+  return region;
 }
 
 // The least ln|R - A|. Where R - A is not positive definite, a path takes no

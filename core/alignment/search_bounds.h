@@ -39,17 +39,23 @@ class SearchBounds {
                  const BlockSimilarity& similarity, BlockColumn* most) const;
 
  private:
-  // Blocks [first, last) may be ruled out by where they and their nodes lie.
-  struct Regions {
-    std::size_t first = 0;
-    std::size_t last = 0;
+  // Where ends of one scale may lie.
+  struct Region {
     BlockBounds::Region of_blocks;
     NodeRegion of_nodes;
   };
+  // Blocks [first, last) may be ruled out by where they and their nodes lie:
+  // outside the regions of all scales.
+  struct Regions {
+    std::size_t first = 0;
+    std::size_t last = 0;
+    std::vector<Region> of_scales;
+  };
 
   std::optional<Regions> FindRegions() const;
-  void SetRegions(double position_variance, double log_determinant,
-                  Regions* regions) const;
+  Region RegionOf(const WeighedScale& scale, double position_variance,
+                  double log_determinant) const;
+  void AddNear(const Regions& regions, std::vector<std::size_t>* blocks) const;
   std::optional<double> LeastLogDeterminant(
       const StateMatrix<D>& tolerance) const;
   std::size_t BlocksWithBounds() const;

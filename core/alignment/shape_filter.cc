@@ -50,19 +50,93 @@ StateMatrix<D> Symmetric(const StateMatrix<D>& m) {
   return 0.5 * (m + m.transpose());
 }
 
-// How far the path turns around each of its nodes, from the end backward: over
-// `stretch_nodes` steps, which are centred where the path allows.
-std::vector<double> Turns(const PoseGraph& graph, NodeIndex query,
-                          std::int64_t steps, NodeIndex stretch_nodes) {
+// Adds the noise of the steps of two passes, from node to node.
+template <int D>
+void AddStepNoise(const PlaceTolerance& per_root_meter, double spacing_meters,
+                  StateMatrix<D>* noise) {
+  const double root = std::sqrt(spacing_meters);
+  AddTolerance<D>({per_root_meter.position_meters * root,
+                   per_root_meter.heading_radians * root},
+                  noise);
+}
+
+// The noise with the standard deviations that are larger reduced to these.
+template <int D>
+StateMatrix<D> AtMost(const PlaceTolerance& per_root_meter,
+                      double spacing_meters, const StateMatrix<D>& noise) {
+  StateMatrix<D> most = StateMatrix<D>::Zero();
+  AddStepNoise<D>(per_root_meter, spacing_meters, &most);
+  const StateVector<D> kept = (most.diagonal().cwiseQuotient(noise.diagonal()))
+                                  .cwiseMin(1.0)
+                                  .cwiseSqrt();
+  return kept.asDiagonal() * noise * kept.asDiagonal();
+}
+
+// Nodes [first, last] of a stretch.
+struct Stretch {
+  NodeIndex first = 0;
+  NodeIndex last = 0;
+};
+
+double Turn(const PoseGraph& graph, const Stretch& stretch) {
+  return Difference(graph.pose(stretch.last), graph.pose(stretch.first))
+      .heading;
+}
+
+// The stretch around each node of the path, from the end backward: of
+// `stretch_nodes` steps, and centred where the path allows.
+std::vector<Stretch> Stretches(NodeIndex query, std::int64_t steps,
+                               NodeIndex stretch_nodes) {
   const NodeIndex first = query - steps + 1;
-  std::vector<double> turns;
+  std::vector<Stretch> stretches;
   for (std::int64_t t = 0; t < steps; ++t) {
     const NodeIndex start = std::max(
         first, std::min(query, query - t + stretch_nodes / 2) - stretch_nodes);
-    const NodeIndex end = std::min(query, start + stretch_nodes);
-    turns.push_back(Difference(graph.pose(end), graph.pose(start)).heading);
+    stretches.push_back({start, std::min(query, start + stretch_nodes)});
   }
-  return turns;
+  return stretches;
+}
+
+// The pairs of turns up to the query.
+TurnPairs PairsUpTo(const PoseGraph& graph, const MotionHistory* history,
+                    NodeIndex query, NodeIndex stretch_nodes) {
+  if (history != nullptr && history->stretch_nodes() == stretch_nodes &&
+      history->turn_bins().size() > query) {
+    return TurnPairs(history->turn_bins(), query);
+  }
+  TurnBins bins(stretch_nodes);
+  bins.Extend(graph);
+  return TurnPairs(bins, query);
+}
+
+// For each step, -ln of the probability that another road turns as the path
+// does around it, given how that road turns right after; where headings jitter,
+// not given that, since bins are too narrow for such turns.
+std::vector<double> Surprises(const PoseGraph& graph,
+                              const MotionHistory* history, NodeIndex query,
+                              std::int64_t steps, NodeIndex stretch_nodes,
+                              double tolerance_radians, bool jitter) {
+  const std::vector<Stretch> stretches = Stretches(query, steps, stretch_nodes);
+  std::vector<double> turns;
+  turns.reserve(stretches.size());
+  for (const Stretch& stretch : stretches) {
+    turns.push_back(Turn(graph, stretch));
+  }
+  std::vector<double> shares =
+      history != nullptr && history->stretch_nodes() == stretch_nodes
+          ? history->Shares(graph, query, turns, tolerance_radians)
+          : ShareOfStretches(graph, query, stretch_nodes, turns,
+                             tolerance_radians);
+  if (!jitter) {
+    const TurnPairs pairs = PairsUpTo(graph, history, query, stretch_nodes);
+    for (std::size_t t = 0; t < shares.size(); ++t) {
+      const Stretch after{stretches[t].last, stretches[t].last + stretch_nodes};
+      if (after.last > query) continue;
+      shares[t] = pairs.Share(turns[t], Turn(graph, after), shares[t]);
+    }
+  }
+  for (double& share : shares) share = -std::log(share);
+  return shares;
 }
 
 }  // namespace
@@ -86,30 +160,26 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
                             const PlaceTolerance& place_tolerance,
                             double spacing_meters, double inflation) {
   assert(1 <= steps && steps <= query + 1);
-  const double claimed = inflation * inflation;
   const MotionStatistics<D> motion =
       history != nullptr && history->correlation() == correlation
           ? history->Measure<D>(graph, query)
           : MeasureMotion<D>(graph, correlation, query);
   // Both passes drift: twice the noise of one.
-  StateMatrix<D> noise = 2.0 * claimed * motion.drift;
-  AddTolerance<D>({kLeastStepNoiseMeters * std::sqrt(spacing_meters),
-                   kLeastStepNoiseRadians * std::sqrt(spacing_meters)},
-                  &noise);
+  const double claimed = 2.0 * inflation * inflation;
+  StateMatrix<D> noise = claimed * motion.drift;
+  const StateMatrix<D> jitter = claimed * motion.jitter;
+  AddStepNoise<D>(kLeastStepNoise, spacing_meters, &noise);
+  if (correlation.model == CorrelationModel::kDeadReckoning) {
+    noise = AtMost<D>(kMostStepNoise, spacing_meters, noise);
+  }
   StateMatrix<D> tolerance = StateMatrix<D>::Zero();
   AddTolerance<D>(model.tolerance, &tolerance);
-  const StateMatrix<D> jitter = 2.0 * claimed * motion.jitter;
 
   const double weight = ShapeWeight(model, spacing_meters);
-  const NodeIndex stretch_nodes = StretchNodes(model, spacing_meters, steps);
-  const double turn_tolerance =
-      std::sqrt(2.0 * (tolerance(D - 1, D - 1) + jitter(D - 1, D - 1)));
-  const std::vector<double> turns = Turns(graph, query, steps, stretch_nodes);
-  const std::vector<double> shares =
-      history != nullptr && history->stretch_nodes() == stretch_nodes
-          ? history->Shares(graph, query, turns, turn_tolerance)
-          : ShareOfStretches(graph, query, stretch_nodes, turns,
-                             turn_tolerance);
+  const std::vector<double> surprises = Surprises(
+      graph, history, query, steps, StretchNodes(model, spacing_meters, steps),
+      std::sqrt(2.0 * (tolerance(D - 1, D - 1) + jitter(D - 1, D - 1))),
+      jitter(D - 1, D - 1) > 0.0);
 
   StateMatrix<D> end_prior = jitter;
   AddTolerance<D>(
@@ -136,7 +206,7 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
         Inverse<D>(errors.end) - end_prior_information;
     step.end_certainty =
         end_prior - Inverse<D>(end_prior_information + weight * gathered);
-    step.surprise = -std::log(shares[static_cast<std::size_t>(t)]);
+    step.surprise = surprises[static_cast<std::size_t>(t)];
   }
   // Cov(at_end) is the sum of K S K^T over the steps, which bounds sum K nu by
   // Cauchy and Schwarz.

@@ -23,10 +23,12 @@
 // p does by chance, about as often as the vehicle's own roads do. For each
 // step, the log-likelihood ratio of the same road against another is
 //
-//   -ln(share of own stretches that turn as p does around t) - 1/2 nu^T S^-1 nu
+//   -ln P(turn of p around t | turn of p right after it) - 1/2 nu^T S^-1 nu
 //
-// with nu the innovation and S its covariance. A straight gains next to nothing
-// and a corner much; a mismatch costs the same on both.
+// with nu the innovation, S its covariance, and P counted over the vehicle's
+// own stretches (turn_pairs.h); where headings jitter, whatever the turn after.
+// A straight gains next to nothing and a corner much, unless corners follow
+// each other everywhere, as in a grid; a mismatch costs the same on all.
 //
 // Neighbouring nodes stray together. Sums over steps are therefore weighted by
 // w = node spacing / correlation distance, and so is the information that the
@@ -48,6 +50,7 @@
 #include "core/graph/correlation.h"
 #include "core/graph/motion_history.h"
 #include "core/graph/pose_graph.h"
+#include "core/graph/turn_pairs.h"
 
 namespace revisit::core {
 
@@ -56,14 +59,18 @@ struct ShapeModel {
   // [0.01, 1000] m, heading [0.001, 3] rad.
   PlaceTolerance tolerance{1.0, 0.06};
   // Distance over which nodes stray together, [0.01, 1e6] m.
-  double correlation_meters = 10.0;
+  double correlation_meters = 20.0;
 };
 
 // Least noise of odometry, whatever the covariances claim: the covariances of
 // an optimiser, or constant ones, say nothing about a single step. Standard
-// deviations per square root of a metre.
-inline constexpr double kLeastStepNoiseMeters = 0.02;
-inline constexpr double kLeastStepNoiseRadians = 0.0005;
+// deviations of both passes together, per square root of a metre.
+inline constexpr PlaceTolerance kLeastStepNoise{0.02, 0.0005};
+
+// The most of it for kDeadReckoning, whose covariances have a margin for how
+// the drift of a whole drive adds up: step by step, odometers of road vehicles
+// are better than that.
+inline constexpr PlaceTolerance kMostStepNoise{0.053, 0.0013};
 
 // Steps of the stretches whose turns are compared: they are as long as the
 // correlation distance, but no longer than a path of `steps` nodes, so that

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "core/alignment/log_similarity.h"
+#include "core/belief/scale_estimate.h"
 #include "core/candidates/gate.h"
 #include "core/graph/pose_graph.h"
 
@@ -26,10 +27,14 @@ enum class Verdict {
 
 // The evidence for a candidate that only a relative alignment has.
 struct RelativeEvidence {
-  // Posterior probability of this place, and its ratio to that of the best
-  // other place, if there is one.
+  // Posterior probability of this stretch of road (kStretchRadiusMeters), and
+  // its ratio to that of the best other place, if there is one.
   double probability = 0.0;
   std::optional<double> odds_to_runner_up;
+  // How far along the path, before and after the matched node, the place may
+  // lie: with kIntervalShare of that probability it is between.
+  double meters_before = 0.0;
+  double meters_after = 0.0;
   GateResult path_gate;
   // ShapeMatch::squared_end_difference.
   double squared_end_difference = 0.0;
@@ -50,6 +55,9 @@ struct Candidate {
   Direction direction = Direction::kSame;
   Verdict verdict = Verdict::kIllConditioned;
   GatedDifference difference;
+  // The factor by which the claimed standard deviations were multiplied for the
+  // difference and its gate.
+  double inflation = 1.0;
   // For relative alignments only.
   std::optional<RelativeEvidence> relative;
   // The alignment, oldest first: (node of the recent path, node of the
@@ -92,8 +100,8 @@ struct CandidateSet {
   // For relative alignments only: posterior probability that the query is at no
   // place of the history.
   std::optional<double> new_place_probability;
-  // The factor by which the claimed standard deviations were multiplied.
-  double inflation = 1.0;
+  // The scale that the drive has shown, where that was used.
+  std::optional<ScaleEstimate> scale;
 };
 
 // Sorts candidates, best first, and keeps at most `count`. Equal scores keep

@@ -17,6 +17,7 @@ Candidate MakeCandidate(const SearchTask& task, const SimilarityModel& model,
   candidate.score = end.score;
   candidate.matched = end.matched;
   candidate.direction = model.direction;
+  candidate.inflation = model.inflation;
   candidate.difference =
       DecideAt(task.graph, model, gate, task.query, end.matched);
   candidate.verdict = GateAlone(candidate.difference.gate.verdict);

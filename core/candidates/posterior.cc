@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstddef>
 #include <utility>
+#include <vector>
 
 namespace revisit::core {
 namespace {
@@ -14,8 +15,23 @@ constexpr double kNegligible = 38.0;
 
 }  // namespace
 
-Posterior::Posterior(const PoseGraph& graph, std::array<ScoredEnds, 2> log_odds)
-    : graph_(graph), log_odds_(std::move(log_odds)) {
+double StretchRadiusMeters(CorrelationModel model) {
+  switch (model) {
+    case CorrelationModel::kIndependent:
+    case CorrelationModel::kCorrelatedFixes:
+      return kPlaceRadiusMeters;
+    case CorrelationModel::kDeadReckoning:
+    case CorrelationModel::kFilter:
+      break;
+  }
+  return kStretchRadiusMeters;
+}
+
+Posterior::Posterior(const PoseGraph& graph, double stretch_radius_meters,
+                     std::array<ScoredEnds, 2> log_odds)
+    : graph_(graph),
+      radius_(stretch_radius_meters),
+      log_odds_(std::move(log_odds)) {
   double greatest = 0.0;
   for (const ScoredEnds& ends : log_odds_) {
     for (const ScoredEnd& end : ends) greatest = std::max(greatest, end.score);
@@ -34,19 +50,34 @@ Posterior::Posterior(const PoseGraph& graph, std::array<ScoredEnds, 2> log_odds)
   log_total_ = greatest + std::log(sum);
 }
 
-double Posterior::Claim(Direction direction, NodeIndex j) {
+auto Posterior::Claim(Direction direction, NodeIndex j) -> Stretch {
   ScoredEnds& ends = log_odds_[IndexOf(direction)];
   const EndsAround around = FindEndsAround(ends, j, [&](NodeIndex i) {
-    return graph_.MetersApart(i, j) <= kPlaceRadiusMeters;
+    return graph_.MetersApart(i, j) <= radius_;
   });
-  double sum = 0.0;
-  const auto claim = [&](std::size_t k) {
-    sum += Probability(std::exchange(ends[k].score, kImpossible));
-  };
-  // From the place itself outward.
-  for (std::size_t k = around.later; k > around.first; --k) claim(k - 1);
-  for (std::size_t k = around.later; k < around.last; ++k) claim(k);
-  return std::min(sum, 1.0);
+  Stretch stretch{0.0, j, j};
+  std::vector<double> claimed;
+  for (std::size_t k = around.first; k < around.last; ++k) {
+    claimed.push_back(Probability(std::exchange(ends[k].score, kImpossible)));
+    stretch.probability += claimed.back();
+  }
+  const double cut_off = 0.5 * (1.0 - kIntervalShare) * stretch.probability;
+  std::size_t first = 0;
+  for (double left = 0.0; first + 1 < claimed.size(); ++first) {
+    left += claimed[first];
+    if (left > cut_off) break;
+  }
+  std::size_t last = claimed.size();
+  for (double left = 0.0; last > first + 1; --last) {
+    left += claimed[last - 1];
+    if (left > cut_off) break;
+  }
+  if (!claimed.empty()) {
+    stretch.first = std::min(j, ends[around.first + first].node);
+    stretch.last = std::max(j, ends[around.first + last - 1].node);
+  }
+  stretch.probability = std::min(stretch.probability, 1.0);
+  return stretch;
 }
 
 double Posterior::Probability(double log_odds) const {

@@ -17,10 +17,6 @@
 namespace revisit::core {
 namespace {
 
-// Share of all odds, a new place's 1 among them, that a search may leave out,
-// all ends together.
-constexpr double kPrunedShare = 1e-6;
-
 // Places of each direction that are weighed against each other, or as many as
 // are answered if these are more.
 constexpr int kMostRivals = 16;
@@ -35,7 +31,7 @@ class RelativeSearch {
         pruned_share_(prune ? std::min(kPrunedShare,
                                        1e-3 * options_.acceptance_probability)
                             : 0.0),
-        model_(MakeModel(prune)) {}
+        model_(ModelOf(task, pruned_share_)) {}
 
   absl::Status Run(CandidateSet* set) {
     alignment_ = AlignRelative(task_.graph, model_, task_.query, task_.steps,
@@ -65,30 +61,6 @@ class RelativeSearch {
   }
 
  private:
-  RelativeModel MakeModel(bool prune) const {
-    RelativeModel model;
-    model.similarity = task_.similarity;
-    model.shape = options_.shape;
-    model.spacing_meters = task_.node_spacing_meters;
-    model.road_spacing_meters = options_.road_spacing_meters;
-    model.same_direction = options_.direction != SearchDirection::kOpposite;
-    model.opposite_direction = options_.direction != SearchDirection::kSame;
-    if (model.similarity.correlation.model ==
-        CorrelationModel::kDeadReckoning) {
-      model.last_confirmed = task_.last_confirmed;
-    }
-    model.not_sought = task_.not_sought;
-    model.motion_history = &task_.motion_history;
-    if (prune) {
-      const double ends =
-          (model.same_direction && model.opposite_direction ? 2.0 : 1.0) *
-          static_cast<double>(task_.history_size);
-      model.least_log_share = std::log(pruned_share_ / ends);
-      model.block_bounds = &task_.block_bounds;
-    }
-    return model;
-  }
-
   // Best score first; of equal scores, the same direction first. Claim() gives
   // nodes that several places could claim to the first of them.
   std::vector<RankedPlace> Rank() const {
@@ -113,10 +85,16 @@ class RelativeSearch {
   // Lets each place claim its nodes, the best place first. Returns the
   // probability of a new place.
   double Claim(std::vector<RankedPlace>* places) const {
-    Posterior posterior(task_.graph, {alignment_->ends(Direction::kSame),
-                                      alignment_->ends(Direction::kOpposite)});
+    Posterior posterior(
+        task_.graph, StretchRadiusMeters(model_.similarity.correlation.model),
+        {alignment_->ends(Direction::kSame),
+         alignment_->ends(Direction::kOpposite)});
     for (RankedPlace& place : *places) {
-      place.claimed = posterior.Claim(place.direction, place.end.matched);
+      const Posterior::Stretch stretch =
+          posterior.Claim(place.direction, place.end.matched);
+      place.claimed = stretch.probability;
+      place.first = stretch.first;
+      place.last = stretch.last;
     }
     return posterior.new_place();
   }
@@ -139,10 +117,13 @@ class RelativeSearch {
     const RankedPlace& place = rivals.places()[i];
     SimilarityModel similarity = model_.similarity;
     similarity.direction = place.direction;
+    similarity.inflation *=
+        alignment_->match(place.direction, place.end.matched).scale;
     Candidate candidate;
     candidate.score = place.end.score;
     candidate.matched = place.end.matched;
     candidate.direction = place.direction;
+    candidate.inflation = similarity.inflation;
     candidate.difference =
         DecideAt(task_.graph, similarity, gate, task_.query, place.end.matched);
     const double runner_up = rivals.RunnerUp(i);
@@ -174,6 +155,10 @@ class RelativeSearch {
     evidence.overlap_meters =
         static_cast<double>(match.steps) * model_.spacing_meters;
     evidence.log_likelihood_ratio = match.log_likelihood_ratio;
+    evidence.meters_before =
+        task_.graph.MetersApart(place.first, place.end.matched);
+    evidence.meters_after =
+        task_.graph.MetersApart(place.last, place.end.matched);
     return evidence;
   }
 
@@ -196,6 +181,34 @@ class RelativeSearch {
 };
 
 }  // namespace
+
+RelativeModel ModelOf(const SearchTask& task, double pruned_share) {
+  const SearchOptions& options = task.options;
+  RelativeModel model;
+  model.similarity = task.similarity;
+  model.shape = options.shape;
+  model.spacing_meters = task.node_spacing_meters;
+  model.road_spacing_meters = options.road_spacing_meters;
+  model.same_direction = options.direction != SearchDirection::kOpposite;
+  model.opposite_direction = options.direction != SearchDirection::kSame;
+  if (model.similarity.correlation.model == CorrelationModel::kDeadReckoning) {
+    model.last_confirmed = task.last_confirmed;
+  }
+  if (task.belief) {
+    model.scales = task.belief->Scales();
+    model.drifts = task.belief->drifts();
+  }
+  model.not_sought = task.not_sought;
+  model.motion_history = &task.motion_history;
+  if (pruned_share > 0.0) {
+    const double ends =
+        (model.same_direction && model.opposite_direction ? 2.0 : 1.0) *
+        static_cast<double>(task.history_size);
+    model.least_log_share = std::log(pruned_share / ends);
+    model.block_bounds = &task.block_bounds;
+  }
+  return model;
+}
 
 absl::Status SearchRelative(const SearchTask& task, CandidateSet* set) {
   if (!task.options.exhaustive) {

@@ -4,10 +4,19 @@
 #define REVISIT_CORE_CANDIDATES_RELATIVE_SEARCH_H_
 
 #include "absl/status/status.h"
+#include "core/alignment/relative_model.h"
 #include "core/candidates/candidate.h"
 #include "core/candidates/search_task.h"
 
 namespace revisit::core {
+
+// Share of all odds, a new place's 1 among them, that a search may leave out,
+// all ends together.
+inline constexpr double kPrunedShare = 1e-6;
+
+// The model of a task. Ends are pruned that have at most `pruned_share` of all
+// odds together; none if it is 0.
+RelativeModel ModelOf(const SearchTask& task, double pruned_share);
 
 // Fills in the candidates and the probability of a new place; leaves that out
 // where no covariance is well-conditioned. Unless the search is exhaustive,

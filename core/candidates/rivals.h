@@ -24,8 +24,11 @@ struct RankedPlace {
   RankedEnd end;
   // ShapeMatch::log_likelihood_ratio.
   double log_likelihood_ratio = 0.0;
-  // Probability of the nodes that it has claimed for itself.
+  // Probability of the nodes that it has claimed for itself, and those between
+  // which the place lies (Posterior::Stretch).
   double claimed = 0.0;
+  NodeIndex first = 0;
+  NodeIndex last = 0;
 };
 
 // Places less probable than this are not asked whether they are passes of

@@ -11,6 +11,7 @@
 #include "core/alignment/log_similarity.h"
 #include "core/alignment/scored_ends.h"
 #include "core/alignment/viterbi.h"
+#include "core/belief/drive_belief.h"
 #include "core/graph/block_bounds.h"
 #include "core/graph/motion_history.h"
 #include "core/graph/pose_graph.h"
@@ -38,6 +39,8 @@ struct SearchTask {
   std::vector<NodeRange> not_sought;
   // The last loop closure whose nodes both lie at or before the query.
   std::optional<ConfirmedLoop> last_confirmed;
+  // What the drive has shown before the query; nothing where that is not used.
+  std::optional<DriveBelief> belief;
 
   const ShouldStop& should_stop;
 };

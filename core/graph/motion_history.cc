@@ -26,12 +26,13 @@ void AddBlock(const PoseGraph& graph, const Correlation& correlation,
 
 MotionHistory::MotionHistory(StateSpace space, const Correlation& correlation,
                              NodeIndex stretch_nodes)
-    : correlation_(correlation), stretch_nodes_(stretch_nodes) {
+    : correlation_(correlation), turn_bins_(stretch_nodes) {
   assert(stretch_nodes >= 1);
   if (space == StateSpace::kSpatial) sums_.emplace<Sums<4>>();
 }
 
 void MotionHistory::Extend(const PoseGraph& graph) {
+  turn_bins_.Extend(graph);
   NodeIndex begin = runs_.empty() ? 0 : runs_.back().end;
   for (; begin + kBlockNodes <= graph.size(); begin += kBlockNodes) {
     const NodeIndex end = begin + kBlockNodes;
@@ -41,7 +42,7 @@ void MotionHistory::Extend(const PoseGraph& graph) {
 
     Run run{end, {}};
     run.turns.reserve(static_cast<std::size_t>(kBlockNodes));
-    VisitStretches(graph, stretch_nodes_, begin, end,
+    VisitStretches(graph, stretch_nodes(), begin, end,
                    [&](double turn) { run.turns.push_back(turn); });
     std::sort(run.turns.begin(), run.turns.end());
     run.turns.shrink_to_fit();
@@ -83,7 +84,7 @@ std::vector<double> MotionHistory::Shares(const PoseGraph& graph,
   assert(last < graph.size());
   StretchCounter counter(turns, tolerance_radians);
   const auto add = [&](NodeIndex first, NodeIndex end, std::int64_t times) {
-    VisitStretches(graph, stretch_nodes_, first, end,
+    VisitStretches(graph, stretch_nodes(), first, end,
                    [&](double turn) { counter.Add(turn, times); });
   };
   const NodeIndex end = last + 1;
@@ -104,7 +105,7 @@ std::vector<double> MotionHistory::Shares(const PoseGraph& graph,
 }
 
 std::size_t MotionHistory::bytes() const {
-  std::size_t bytes = runs_.capacity() * sizeof(Run);
+  std::size_t bytes = runs_.capacity() * sizeof(Run) + turn_bins_.bytes();
   for (const Run& run : runs_) bytes += run.turns.capacity() * sizeof(double);
   std::visit(
       [&bytes](const auto& sums) {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <string>
 
+#include "core/belief/begins_with_belief.h"
 #include "server/conversion/covariances.h"
 #include "server/conversion/enums.h"
 #include "server/conversion/findings.h"
@@ -49,6 +50,13 @@ void EncodeConfig(const VehicleConfig& config, v1::Vehicle* vehicle) {
   EncodeLabels(config, vehicle);
 }
 
+// Whether searches with the vehicle's own options multiply the claims by the
+// inflation: those that begin with a belief do not.
+bool AppliesInflation(const core::EngineSettings& settings) {
+  return settings.apply_inflation &&
+         !core::BeginsWithBelief(settings.search, settings);
+}
+
 void EncodeConsistency(const core::Consistency& consistency, bool applied,
                        v1::Consistency* message) {
   message->set_confirmed_count(consistency.confirmed);
@@ -89,6 +97,9 @@ void EncodeEvidence(const core::RelativeEvidence& evidence,
   v1::ShapeEvidence* shape = candidate->mutable_shape();
   shape->set_overlap_meters(evidence.overlap_meters);
   shape->set_log_likelihood_ratio(evidence.log_likelihood_ratio);
+  v1::PlaceInterval* interval = candidate->mutable_place_interval();
+  interval->set_meters_before(evidence.meters_before);
+  interval->set_meters_after(evidence.meters_after);
 }
 
 void EncodeDifference(const core::Candidate& candidate, core::StateSpace space,
@@ -105,14 +116,14 @@ void EncodeDifference(const core::Candidate& candidate, core::StateSpace space,
 }
 
 void EncodeCandidate(const VehicleView& view, const core::Candidate& candidate,
-                     double inflation, v1::Candidate* message) {
+                     v1::Candidate* message) {
   const core::StateSpace space = view.config.engine.state_space;
   message->set_rank(candidate.rank);
   message->set_score(candidate.score);
   EncodeNode(view.engine.graph(), candidate.matched, space, false,
              message->mutable_matched());
   EncodeGate(candidate.difference.gate, message->mutable_gate());
-  message->mutable_gate()->set_inflation(inflation);
+  message->mutable_gate()->set_inflation(candidate.inflation);
   message->set_verdict(ToProto(kVerdicts, candidate.verdict));
   message->set_direction(ToProto(kDirections, candidate.direction));
   if (candidate.relative) EncodeEvidence(*candidate.relative, message);
@@ -141,7 +152,7 @@ void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle) {
   vehicle->set_travelled_meters(view.engine.travelled_meters());
   if (!view.config_is_known) return;
   EncodeConsistency(view.engine.consistency(),
-                    view.config.engine.apply_inflation,
+                    AppliesInflation(view.config.engine),
                     vehicle->mutable_consistency());
   if (const auto finding = view.engine.finding()) {
     EncodeFinding(*finding, vehicle->add_findings());
@@ -212,7 +223,7 @@ void EncodeCandidateSet(const VehicleView& view, const core::CandidateSet& set,
   for (const core::Candidate& candidate : set.candidates) {
     v1::Candidate* added = message->add_candidates();
     *added->mutable_query() = message->query();
-    EncodeCandidate(view, candidate, set.inflation, added);
+    EncodeCandidate(view, candidate, added);
     if (include_aligned_path) EncodeAlignedPath(candidate, added);
   }
   message->set_empty_reason(ToProto(kEmptyReasons, set.empty_reason));
@@ -220,6 +231,12 @@ void EncodeCandidateSet(const VehicleView& view, const core::CandidateSet& set,
   message->set_nodes_pruned(set.nodes_pruned);
   if (set.new_place_probability) {
     message->set_new_place_probability(*set.new_place_probability);
+  }
+  if (set.scale) {
+    v1::ScaleEstimate* estimate = message->mutable_scale_estimate();
+    estimate->set_scale(set.scale->scale);
+    estimate->set_low(set.scale->low);
+    estimate->set_high(set.scale->high);
   }
   message->mutable_search_duration()->set_seconds(search_duration.count() /
                                                   kNanosPerSecond);

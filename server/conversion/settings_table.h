@@ -72,6 +72,7 @@ void VisitSettings(Config* config, Visitor* visitor) {
   visitor->Count("max_candidates", &search->max_candidates);
   visitor->Enum("alignment", kAlignments, &search->alignment);
   visitor->Number("acceptance_probability", &search->acceptance_probability);
+  visitor->Switch("use_belief", &search->use_belief);
   visitor->Number("road_spacing_meters", &search->road_spacing_meters);
   visitor->Tolerance("shape_tolerance", &search->shape.tolerance);
   visitor->Number("shape_correlation_meters",

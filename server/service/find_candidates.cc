@@ -54,8 +54,8 @@ absl::Status Find(const UnaryCall& call, const Limits& limits,
   const auto stop = [&call] { return call.given_up(); };
   const auto start = std::chrono::steady_clock::now();
   const absl::StatusOr<core::CandidateSet> found =
-      *query ? view.engine.FindCandidates(**query, *options, stop)
-             : view.engine.FindCandidates(*options, stop);
+      *query ? view.engine.FindCandidates(**query, *options, stop, view.marks)
+             : view.engine.FindCandidates(*options, stop, view.marks);
   const auto duration = std::chrono::steady_clock::now() - start;
   call.SearchTook(duration);
   if (absl::IsCancelled(found.status())) return call.GivenUpStatus();

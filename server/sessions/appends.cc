@@ -327,10 +327,11 @@ void Appends::RunChecks(const PendingPtr& append,
         sink->CheckOptions(vehicle_->config);
     const auto should_stop = [sink] { return sink->ShouldStop(); };
     for (const core::NodeIndex node : due) {
-      sink->OnCandidates(vehicle_->View(),
-                         options.ok() ? vehicle_->engine->FindCandidates(
-                                            node, *options, should_stop)
-                                      : options.status());
+      sink->OnCandidates(
+          vehicle_->View(),
+          options.ok() ? vehicle_->engine->FindCandidates(
+                             node, *options, should_stop, vehicle_->marks.get())
+                       : options.status());
     }
     sink->OnOver();
     checking_ = false;

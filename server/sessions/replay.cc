@@ -69,7 +69,7 @@ absl::Status Replayer::StartLoad() {
 void Replayer::TakeUnknown(const VehicleRecord& record,
                            const absl::Status& cause) {
   vehicle_->config_is_known = false;
-  vehicle_->engine = std::make_unique<core::Engine>(vehicle_->config.engine);
+  vehicle_->Take(std::make_unique<core::Engine>(vehicle_->config.engine));
   vehicle_->Adopt(vehicle_->config, record.revision);
   vehicle_->damage = Damaged(record.damage.ok() ? cause : record.damage);
   queue_->Release([] {});
@@ -182,7 +182,7 @@ void Replayer::Finish(const absl::Status& status) {
   replay_.reset();
   queue_->set_store_lead(VehicleQueue::StoreLead::kNone);
   if (status.ok()) {
-    vehicle_->engine = std::move(done.engine);
+    vehicle_->Take(std::move(done.engine));
     vehicle_->jumps = std::move(done.jumps);
     vehicle_->Adopt(done.config, done.revision);
   }

@@ -27,7 +27,13 @@ VehicleView VehicleState::View() const {
                      &loop_closures,
                      &rejections,
                      damage,
-                     config_is_known};
+                     config_is_known,
+                     marks.get()};
+}
+
+void VehicleState::Take(std::unique_ptr<core::Engine> another) {
+  engine = std::move(another);
+  marks = std::make_unique<core::MarkMemory>();
 }
 
 void VehicleState::Adopt(const VehicleConfig& new_config,

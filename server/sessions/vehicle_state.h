@@ -14,6 +14,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "core/belief/mark.h"
 #include "core/engine.h"
 #include "server/base/status.h"
 #include "server/sessions/record_codec.h"
@@ -40,6 +41,8 @@ struct VehicleState {
   VehicleConfig config;
   // Null until loaded.
   std::unique_ptr<core::Engine> engine;
+  // What searches of this engine have learned from its drive.
+  std::unique_ptr<core::MarkMemory> marks;
   // The jumps of the graph, by sequence.
   std::vector<core::Jump> jumps;
   std::uint64_t durable_sequence = 0;
@@ -73,6 +76,9 @@ struct VehicleState {
   std::atomic<std::int64_t> resident_bytes{0};
 
   VehicleView View() const;
+
+  // Replaces the engine.
+  void Take(std::unique_ptr<core::Engine> another);
 
   // Takes on a config and a revision that are durable. REQUIRES: no append is
   // in flight.

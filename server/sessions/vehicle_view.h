@@ -9,6 +9,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "core/belief/mark.h"
 #include "core/engine.h"
 #include "server/sessions/vehicle_config.h"
 #include "server/storage/storage.h"
@@ -35,6 +36,9 @@ struct VehicleView {
   // False where the stored settings are damaged too: the config is then a
   // default one and there are no poses.
   bool config_is_known = true;
+  // What searches have learned from the drive, or null. For one callback at a
+  // time.
+  core::MarkMemory* marks = nullptr;
 
   const PosePairs& pairs(PairKind kind) const {
     return kind == PairKind::kLoopClosure ? *loop_closures

@@ -114,14 +114,20 @@ Extremes DrawExtremes(std::mt19937_64& random) {
 
 void ExpectSane(const absl::StatusOr<CandidateSet>& set) {
   ASSERT_TRUE(set.ok());
-  EXPECT_TRUE(std::isfinite(set->inflation));
-  EXPECT_GE(set->inflation, 1.0);
+  if (set->scale) {
+    EXPECT_GT(set->scale->low, 0.0);
+    EXPECT_LE(set->scale->low, set->scale->scale);
+    EXPECT_LE(set->scale->scale, set->scale->high);
+    EXPECT_TRUE(std::isfinite(set->scale->high));
+  }
   if (set->new_place_probability) {
     EXPECT_GE(*set->new_place_probability, 0.0);
     EXPECT_LE(*set->new_place_probability, 1.0);
   }
   for (const Candidate& candidate : set->candidates) {
     EXPECT_TRUE(std::isfinite(candidate.score));
+    EXPECT_TRUE(std::isfinite(candidate.inflation));
+    EXPECT_GT(candidate.inflation, 0.0);
     EXPECT_FALSE(std::isnan(candidate.difference.gate.p_value));
     EXPECT_FALSE(candidate.path.empty());
     if (!candidate.relative) continue;

@@ -17,8 +17,8 @@ namespace revisit::core {
 namespace {
 
 constexpr std::size_t kMatched = 150;
-// Far enough for a search whose aligned path, of two sequences, begins behind the
-// closure's surroundings.
+// Far enough for a search whose aligned path, of two sequences, begins behind
+// the closure's surroundings.
 constexpr std::size_t kLaterMatched = 370;
 
 // Two laps of a ring, of which the second lies 3 m to the left around the
@@ -90,6 +90,8 @@ Found FindAfter(const TwoLaps& laps, const std::vector<PoseSample>& samples,
   SearchOptions options = engine.settings().search;
   options.exhaustive = true;
   options.sequence_length_meters = 75.0;
+  // The closure is all that is known of the drift.
+  options.use_belief = false;
   const auto set = engine.FindCandidates(options, nullptr);
   for (const Candidate& candidate : set->candidates) {
     const Node node = engine.graph().node(candidate.matched);
@@ -199,6 +201,7 @@ TEST(EngineMeasuredTest, AgreementCountsTheVehiclesInflation) {
   const std::vector<PoseSample> samples = oracle::WithCovariances(
       oracle::DrawEstimate(laps.truth, noise, random), noise);
   EngineSettings settings;
+  settings.search.use_belief = false;
   Engine engine(settings);
   engine.Append(samples, 1);
   const auto measured = Measured(laps, samples, {5.0, 5.0, 0.0, 0.3});

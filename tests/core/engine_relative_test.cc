@@ -108,7 +108,11 @@ TEST(EngineRelativeTest, ASecondLapIsAccepted) {
   EXPECT_EQ(best.path.back(), std::make_pair(*set.query, best.matched));
   EXPECT_EQ(best.path.front().first, *set.query - 149);
   EXPECT_LT(*set.new_place_probability, 0.05);
-  EXPECT_EQ(set.inflation, 1.0);
+  // The interval holds the place, which is known to a few metres.
+  EXPECT_LE(best.relative->meters_before + best.relative->meters_after, 20.0);
+  ASSERT_TRUE(set.scale);
+  EXPECT_LE(set.scale->low, set.scale->scale);
+  EXPECT_LE(set.scale->scale, set.scale->high);
 }
 
 TEST(EngineRelativeTest,
@@ -149,9 +153,10 @@ TEST(EngineRelativeTest, AnEndFarOutsideItsUncertaintyIsRejectedByTheGate) {
   std::vector<Pose> poses = Ring(1600.0);
   for (std::size_t i = 1200; i < poses.size(); ++i) poses[i].y += 60.0;
   const Engine engine = Driven(poses);
-  // So improbable that only an exhaustive search finds it.
-  EXPECT_EQ(Find(engine).empty_reason, EmptyReason::kNoProbablePlace);
   SearchOptions options;
+  options.use_belief = false;
+  // So improbable that only an exhaustive search finds it.
+  EXPECT_EQ(Find(engine, options).empty_reason, EmptyReason::kNoProbablePlace);
   options.exhaustive = true;
   const CandidateSet set = Find(engine, options);
   ASSERT_FALSE(set.candidates.empty());
@@ -242,20 +247,27 @@ std::vector<PoseSample> AlongAgain(double radians) {
 TEST(EngineRelativeTest, AShapeThatStraysTooFarIsRejectedByShape) {
   EngineSettings settings = IndependentSettings();
   settings.search.shape.tolerance.heading_radians = 0.02;
-  settings.search.gate_probability = 0.9;
+  settings.search.shape.correlation_meters = 10.0;
+  settings.search.gate_probability = 0.5;
   const CandidateSet within = Find(Driven(AlongAgain(0.02), settings));
   ASSERT_FALSE(within.candidates.empty());
   EXPECT_EQ(within.candidates[0].verdict, Verdict::kAccepted);
-  // A road as rare as this is still recognised, but not as the same one.
-  const CandidateSet beyond = Find(Driven(AlongAgain(0.049), settings));
-  ASSERT_FALSE(beyond.candidates.empty());
-  const Candidate& best = beyond.candidates[0];
-  EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kAccepted);
-  EXPECT_GT(best.relative->log_likelihood_ratio, 0.0);
-  EXPECT_GT(best.relative->path_gate.squared_mahalanobis,
-            best.relative->path_gate.threshold);
-  EXPECT_EQ(best.relative->path_gate.verdict, GateVerdict::kRejected);
-  EXPECT_EQ(best.verdict, Verdict::kRejectedByShape);
+  // Straying farther, the road is still recognised, but not as the same one,
+  // until it is not recognised at all.
+  int recognised = 0;
+  for (const double radians : {0.036, 0.037, 0.038, 0.039, 0.04, 0.041}) {
+    const CandidateSet beyond = Find(Driven(AlongAgain(radians), settings));
+    ASSERT_FALSE(beyond.candidates.empty());
+    const Candidate& best = beyond.candidates[0];
+    EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kAccepted);
+    if (best.relative->path_gate.verdict != GateVerdict::kRejected) continue;
+    ++recognised;
+    EXPECT_GT(best.relative->log_likelihood_ratio, 0.0);
+    EXPECT_GT(best.relative->path_gate.squared_mahalanobis,
+              best.relative->path_gate.threshold);
+    EXPECT_EQ(best.verdict, Verdict::kRejectedByShape);
+  }
+  EXPECT_GE(recognised, 2);
 }
 
 TEST(EngineRelativeTest, AnEndAtTheEdgeOfTheGateNeedsAShapeThatSpeaksForIt) {
@@ -629,6 +641,7 @@ TEST(EngineRelativeTest, InflationIsAppliedOnlyWhenTheVehicleSaysSo) {
   std::vector<Pose> poses = Ring(1900.0);
   for (std::size_t i = 1200; i < poses.size(); ++i) poses[i].y += 20.0;
   EngineSettings settings;
+  settings.search.use_belief = false;
   for (const bool apply : {false, true}) {
     settings.apply_inflation = apply;
     Engine engine = Driven(poses, settings);
@@ -641,7 +654,9 @@ TEST(EngineRelativeTest, InflationIsAppliedOnlyWhenTheVehicleSaysSo) {
     EXPECT_GT(engine.consistency().inflation, 1.5);
     EXPECT_LE(engine.consistency().inflation, 10.0 + 1e-9);
     const CandidateSet set = Find(engine);
-    EXPECT_EQ(set.inflation, apply ? engine.consistency().inflation : 1.0);
+    ASSERT_FALSE(set.candidates.empty());
+    EXPECT_EQ(set.candidates[0].inflation,
+              apply ? engine.consistency().inflation : 1.0);
   }
 }
 

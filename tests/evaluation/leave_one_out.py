@@ -33,8 +33,8 @@ from reports import REVISIT, report_of
 # Flag, values that are tried, default of the service.
 SETTINGS = {
     "road-spacing": ((100.0, 200.0, 400.0), 200.0),
-    "shape-correlation": ((5.0, 10.0, 20.0), 10.0),
-    "acceptance-probability": ((0.3, 0.4, 0.5), 0.4),
+    "shape-correlation": ((10.0, 20.0, 40.0), 20.0),
+    "acceptance-probability": ((0.4, 0.5, 0.6), 0.5),
 }
 
 COUNTS = ("checks", "true_loops", "accepted", "accepted_correct",

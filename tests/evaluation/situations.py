@@ -26,6 +26,7 @@ import argparse
 import collections
 import math
 import pathlib
+import statistics
 import tempfile
 
 from reports import REVISIT, decimals, markdown, report_of
@@ -150,7 +151,7 @@ def evaluate(program, files, seeds, *flags):
 
 Outcome = collections.namedtuple(
     "Outcome", "checks accepted_right accepted_wrong not_accepted none first "
-               "among_five stated sure_wrong")
+               "among_five stated sure_wrong interval")
 
 
 def outcome(checks):
@@ -158,8 +159,9 @@ def outcome(checks):
 
     `not_accepted` counts them by verdict; `first` and `among_five` are how often
     a right one is first, or among the first five, whatever the verdict; `stated`
-    is the mean of the first one's probability, and `sure_wrong` how often it is
-    wrong and stated at 0.9 or more.
+    is the mean of the first one's probability, `sure_wrong` how often it is
+    wrong and stated at 0.9 or more, and `interval` the median of the metres of
+    road on which its place is said to lie.
     """
     firsts = [check["candidates"][0] for check in checks
               if check["candidates"]]
@@ -179,12 +181,16 @@ def outcome(checks):
                        for check in checks),
         stated=sum(stated) / len(stated) if stated else None,
         sure_wrong=sum((first["probability"] or 0.0) >= 0.9
-                       and not first["correct"] for first in firsts))
+                       and not first["correct"] for first in firsts),
+        interval=statistics.median(
+            first["meters_before"] + first["meters_after"]
+            for first in firsts) if stated else None)
 
 
 HEADER = ["situation", "alignment", "accepted, right", "accepted, wrong",
           "not accepted", "right first", "right among five",
-          "mean p of the first", "wrong at p ≥ 0.9"]
+          "mean p of the first", "wrong at p ≥ 0.9",
+          "metres of its interval, median"]
 
 
 def row(name, alignment, one):
@@ -194,7 +200,8 @@ def row(name, alignment, one):
     return [name, alignment, one.accepted_right, one.accepted_wrong,
             ", ".join(others) or "-", one.first, one.among_five,
             decimals(one.stated, 2),
-            "-" if one.stated is None else one.sure_wrong]
+            "-" if one.stated is None else one.sure_wrong,
+            decimals(one.interval, 0)]
 
 
 def table(program, seeds):

@@ -76,21 +76,24 @@ def test_symmetric_corners_look_alike_from_both_streets():
 
 def check(*candidates):
     return {"candidates": [
-        {"correct": correct, "verdict": verdict, "probability": probability}
-        for correct, verdict, probability in candidates]}
+        {"correct": correct, "verdict": verdict, "probability": probability,
+         "meters_before": 2.0, "meters_after": meters}
+        for correct, verdict, probability, meters in candidates]}
 
 
 def test_outcomes_count_what_comes_first():
     one = situations.outcome([
-        check((True, "ACCEPTED", 0.95), (False, "ACCEPTED", 0.5)),
-        check((False, "ACCEPTED", 0.9), (True, "REJECTED_BY_SHAPE", 0.1)),
-        check((True, "AMBIGUOUS", 0.35)), check()])
+        check((True, "ACCEPTED", 0.95, 4.0), (False, "ACCEPTED", 0.5, 0.0)),
+        check((False, "ACCEPTED", 0.9, 30.0),
+              (True, "REJECTED_BY_SHAPE", 0.1, 0.0)),
+        check((True, "AMBIGUOUS", 0.35, 6.0)), check()])
     assert one == situations.Outcome(
         checks=4, accepted_right=1, accepted_wrong=1,
         not_accepted={"AMBIGUOUS": 1}, none=1, first=2, among_five=3,
-        stated=pytest.approx((0.95 + 0.9 + 0.35) / 3), sure_wrong=1)
+        stated=pytest.approx((0.95 + 0.9 + 0.35) / 3), sure_wrong=1,
+        interval=8.0)
     row = situations.row("a place", "relative", one)
     assert row == ["a place", "relative", 1, 1, "AMBIGUOUS 1, no candidate 1",
-                   2, 3, "0.73", 1]
-    paper = situations.outcome([check((True, "ACCEPTED", None))])
-    assert situations.row("a place", "paper's", paper)[-2:] == ["-", "-"]
+                   2, 3, "0.73", 1, "8"]
+    paper = situations.outcome([check((True, "ACCEPTED", None, 0.0))])
+    assert situations.row("a place", "paper's", paper)[-3:] == ["-"] * 3

@@ -77,7 +77,8 @@ SETTINGS = api.VehicleSettings(
                                          longitude_degrees=2))
 OPTIONS = api.CandidateOptions(
     max_candidates=3, gate_probability=0.5, include_aligned_path=True,
-    alignment=api.ALIGNMENT_COMPOSITE, sequence_length_meters=10)
+    alignment=api.ALIGNMENT_COMPOSITE, sequence_length_meters=10,
+    use_belief=False)
 NAME = "vehicles/shuttle-1"
 LABELLED = api.Vehicle(name=NAME, display_name="Truck 7",
                        labels={"session.a": "1-2068"})

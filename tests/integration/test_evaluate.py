@@ -27,7 +27,8 @@ DRIVE_KEYS = {
     "drive", "checks", "true_loops", "accepted", "accepted_correct",
     "top1_correct", "top5_correct", "precision", "recall", "f1", "top1",
     "recall_at_5", "sure_correct", "sure_recall", "candidates_to_verify",
-    "loops_found", "candidates_per_loop_found", "positive_calibration_error",
+    "loops_found", "candidates_per_loop_found", "looks",
+    "looks_per_loop_found", "positive_calibration_error",
     "expected_calibration_error", "confirmed", "rejected", "jumps",
     "query_ms_p50", "query_ms_p99", "poses", "poses_per_second"}
 
@@ -216,8 +217,10 @@ def test_verifier_confirms_what_is_right_and_rejects_what_is_wrong(tmp_path):
     assert report["repeats"] == 2
     assert any(note.startswith("Repeated: 2 times, all answers the same")
                for note in report["notes"])
-    table = evaluate(drive, drive, "--verify", "--apply-inflation")
+    table = evaluate(drive, drive, "--verify", "--no-use-belief",
+                     "--apply-inflation")
     assert table.returncode == 0, table.stderr
+    assert "No belief: every search begins with" in table.stdout
     assert re.search(r"CONFIRMED +REJECTED +INFLATION", table.stdout)
 
 
@@ -250,7 +253,10 @@ def test_gnss_drives_of_one_vehicle_have_one_frame(tmp_path):
 def test_floors_of_a_car_park_are_places_of_their_own_in_space(tmp_path):
     drive = write_drive(tmp_path / "park.csv", 3, climb_meters=15.0)
     planar = report_of(drive)["total"]
-    spatial = report_of(drive, "--state-space", "spatial")["total"]
+    # A belief would rather take the first laps for errors of height of more than
+    # was claimed.
+    spatial = report_of(drive, "--state-space", "spatial",
+                        "--no-use-belief")["total"]
     # In the plane each lap is where the one before was, and is judged so.
     assert planar["true_loops"] == spatial["true_loops"] > 15
     assert planar["accepted_correct"] > 15
@@ -282,22 +288,28 @@ def test_filter_without_fixes_is_dead_reckoning(alignment, tmp_path):
 
     def candidates(*flags):
         report = report_of(drive, "--alignment", alignment, "--exhaustive",
-                           "--verbose", *flags)
+                           "--verbose", "--no-use-belief", *flags)
+        # Of places that are out of the question, a filter may have others.
         return [candidate for check in report["drives"][0]["check_list"]
-                for candidate in check["candidates"]]
+                for candidate in check["candidates"]
+                if candidate["probability"] is None
+                or candidate["probability"] > 1e-6]
     filtered = candidates("--correlation-model", "filter")
     reckoned = candidates("--correlation-model", "dead-reckoning",
                           "--uncertainty", "fixes")
     independent = candidates("--correlation-model", "independent",
                              "--uncertainty", "fixes")
-    assert len(filtered) == len(reckoned) > 50
+    assert len(filtered) == len(reckoned) > 10
     for one, other in zip(filtered, reckoned):
         for key in ("matched_node", "verdict", "gate", "correct"):
             assert one[key] == other[key]
-        for key in ("squared_mahalanobis_distance", "probability"):
+        # A filter's shapes are compared by its own claims, reckoned ones by the
+        # noise of odometers: places are alike, numbers nearly.
+        for key, tolerance in (("squared_mahalanobis_distance", 1e-6),
+                               ("probability", 1e-3)):
             assert (one[key] is None) == (other[key] is None)
             assert math.isclose(one[key] or 0.0, other[key] or 0.0,
-                                rel_tol=1e-6, abs_tol=1e-9)
+                                rel_tol=1e-6, abs_tol=tolerance)
     assert filtered != independent
 
 

@@ -149,7 +149,7 @@ def test_descriptor_resolves(symbol, run_line):
     ("revisit.v1.PoseBatch", "// Poses with consecutive sequences."),
     ("revisit.v1.PoseBatch", "  // One to GetServerInfoResponse.max_batch_"),
     ("revisit.v1.Pose", "  // Position of the vehicle. Required, and of"),
-    ("revisit.v1.Verdict", "  // The candidate is within the gates, and at"),
+    ("revisit.v1.Verdict", "  // The candidate is within the gates, and its"),
     ("google.rpc.RetryInfo", "// Describes when the clients can retry"),
     ("grpc.health.v1.Health.Watch", "// Performs a watch for the serving"),
 ])

@@ -58,16 +58,18 @@ def test_created_vehicle_shows_every_setting(stub, new_vehicle):
         place_tolerance=api.PlaceTolerance(position_meters=2.0,
                                            heading_radians=0.1),
         candidate_separation_meters=10.0, max_candidates=5,
-        alignment=api.ALIGNMENT_RELATIVE, acceptance_probability=0.4,
+        alignment=api.ALIGNMENT_RELATIVE, acceptance_probability=0.5,
         road_spacing_meters=200.0,
         shape_tolerance=api.PlaceTolerance(position_meters=1.0,
                                            heading_radians=0.06),
-        shape_correlation_meters=10.0, apply_inflation=False,
-        max_inflation=10.0, fix_correlation_meters=300.0)
+        shape_correlation_meters=20.0, apply_inflation=False,
+        max_inflation=10.0, use_belief=True,
+        fix_correlation_meters=300.0)
     # There, not only equal to nothing.
     for field in ("acceptance_probability", "road_spacing_meters",
                   "shape_correlation_meters", "apply_inflation",
-                  "max_inflation", "fix_correlation_meters"):
+                  "max_inflation", "use_belief",
+                  "fix_correlation_meters"):
         assert settings.HasField(field)
 
 
@@ -77,7 +79,7 @@ OTHER_SETTINGS = {
     "shape_tolerance": api.PlaceTolerance(position_meters=0.5,
                                           heading_radians=0.03),
     "shape_correlation_meters": 25.0, "apply_inflation": True,
-    "max_inflation": 4.0,
+    "max_inflation": 4.0, "use_belief": False,
     "correlation_model": api.CORRELATION_MODEL_CORRELATED_FIXES,
     "fix_correlation_meters": 75.0}
 
@@ -361,12 +363,13 @@ def test_candidates_say_what_their_alignment_knows(
     for candidate in answer.candidates:
         assert candidate.verdict != api.VERDICT_UNSPECIFIED
         assert candidate.direction == api.DIRECTION_SAME
-        assert candidate.gate.inflation == 1.0
-        for field in ("probability", "path_gate", "shape"):
+        assert relative or candidate.gate.inflation == 1.0
+        for field in ("probability", "path_gate", "shape", "place_interval"):
             assert candidate.HasField(field) == relative, field
         # Two passes of one place may each be almost certain.
         assert 0.0 <= candidate.probability \
             <= 1.0 - answer.new_place_probability + 1e-9
+    assert answer.HasField("scale_estimate") == relative
     if relative:
         assert 0.0 <= answer.new_place_probability <= 1.0
         best = answer.candidates[0]

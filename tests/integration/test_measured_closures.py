@@ -152,7 +152,7 @@ def test_agreement_is_the_test_of_the_innovation(query, matched, stub, driven):
 
 
 def test_agreement_takes_the_inflation_that_searches_apply(stub, driven):
-    vehicle = driven(apply_inflation=True)
+    vehicle = driven(apply_inflation=True, use_belief=False)
     before = get(stub, vehicle).consistency.inflation
     assert before > 1.0
     relative = (200.0, 10.0, 0.2)

@@ -327,18 +327,20 @@ def test_settings_are_created_and_updated(revisit):
                     "--alignment", "composite", "--road-spacing", "80",
                     "--shape-tolerance-position", "2",
                     "--shape-tolerance-heading", "0.1", "--apply-inflation",
-                    "--max-inflation", "4")
+                    "--max-inflation", "4", "--no-use-belief")
     assert made["alignment"] == "ALIGNMENT_COMPOSITE"
     assert made["roadSpacingMeters"] == 80
     assert made["shapeTolerance"] == {"positionMeters": 2,
                                       "headingRadians": 0.1}
     assert made["applyInflation"] is True
     assert made["maxInflation"] == 4
+    assert made["useBelief"] is False
     changed = settings("vehicle", "update", "cli-settings",
                        "--alignment", "relative", "--no-apply-inflation",
-                       "--acceptance-probability", "0.9")
+                       "--acceptance-probability", "0.9", "--use-belief")
     assert changed == {**made, "alignment": "ALIGNMENT_RELATIVE",
-                       "applyInflation": False, "acceptanceProbability": 0.9}
+                       "applyInflation": False, "acceptanceProbability": 0.9,
+                       "useBelief": True}
     nothing = revisit("vehicle", "update", "cli-settings")
     assert nothing.returncode == USAGE
     assert nothing.stderr.startswith("A setting to change is required\n")
@@ -364,9 +366,11 @@ def test_defaults_in_the_help_are_those_of_the_server(revisit):
     flags = setting_flags()
     # A switch states none.
     assert flags.pop("--apply-inflation") is None
+    assert flags.pop("--use-belief") is None
     given = [word for flag in flags.items() for word in flag]
     answers = [revisit("vehicle", "create", name, *words, "--json")
-               for name, words in [("cli-unset", ["--no-apply-inflation"]),
+               for name, words in [("cli-unset", ["--no-apply-inflation",
+                                                  "--use-belief"]),
                                    ("cli-stated", given)]]
     assert [answer.stderr for answer in answers] == ["", ""]
     unset, stated = [json.loads(answer.stdout)["settings"]

@@ -23,6 +23,7 @@ namespace revisit::oracle {
 
 struct DenseWindowModel {
   int dimensions = 3;
+  core::CorrelationModel correlation = core::CorrelationModel::kDeadReckoning;
   WideMatrix drift;
   WideMatrix jitter;
   core::ShapeModel shape;
@@ -43,10 +44,21 @@ class DenseWindow {
     const Wide claimed = static_cast<Wide>(model.inflation) * model.inflation;
     const Wide root = std::sqrt(static_cast<Wide>(model.spacing_meters));
     // Two passes each.
-    const WideMatrix step_noise =
+    WideMatrix step_noise =
         2.0L * claimed * model.drift +
-        WideDiagonal(core::kLeastStepNoiseMeters * root,
-                     core::kLeastStepNoiseRadians * root, d_);
+        WideDiagonal(core::kLeastStepNoise.position_meters * root,
+                     core::kLeastStepNoise.heading_radians * root, d_);
+    if (model.correlation == core::CorrelationModel::kDeadReckoning) {
+      for (int k = 0; k < d_; ++k) {
+        const Wide most =
+            root * (k + 1 < d_ ? core::kMostStepNoise.position_meters
+                               : core::kMostStepNoise.heading_radians);
+        const Wide deviation = std::sqrt(step_noise(k, k));
+        if (deviation <= most) continue;
+        step_noise.row(k) *= most / deviation;
+        step_noise.col(k) *= most / deviation;
+      }
+    }
     const WideMatrix jitter = 2.0L * claimed * model.jitter;
     const WideMatrix tolerance =
         WideDiagonal(model.shape.tolerance.position_meters,
@@ -102,12 +114,19 @@ class DenseWindow {
       core::NodeIndex newest = std::min(query, query - t + stretch / 2);
       const core::NodeIndex oldest = std::max(first, newest - stretch);
       newest = std::min(query, oldest + stretch);
-      const Wide turned =
-          NearestTo(0.0L, static_cast<Wide>(graph.node(newest).pose.heading) -
-                              graph.node(oldest).pose.heading);
-      surprise_.push_back(-std::log(
-          ShareByLoops(graph, query, stretch, static_cast<double>(turned),
-                       static_cast<double>(turn_tolerance))));
+      const auto turn = [&graph](core::NodeIndex a, core::NodeIndex b) {
+        return static_cast<double>(
+            NearestTo(0.0L, static_cast<Wide>(graph.node(b).pose.heading) -
+                                graph.node(a).pose.heading));
+      };
+      const double turned = turn(oldest, newest);
+      Wide share = ShareByLoops(graph, query, stretch, turned,
+                                static_cast<double>(turn_tolerance));
+      if (newest + stretch <= query && !(jitter(d_ - 1, d_ - 1) > 0.0L)) {
+        share = PairShareByLoops(graph, query, stretch, turned,
+                                 turn(newest, newest + stretch), share);
+      }
+      surprise_.push_back(-std::log(share));
     }
   }
 
@@ -117,7 +136,8 @@ class DenseWindow {
   const WideVector& path(std::int64_t t) const {
     return path_[static_cast<std::size_t>(t)];
   }
-  // -ln of the share of own stretches that turn as the path does around t.
+  // -ln of the share of own stretches that turn as the path does around t, of
+  // those before one that turns as the path does right after.
   Wide surprise(std::int64_t t) const {
     return surprise_[static_cast<std::size_t>(t)];
   }

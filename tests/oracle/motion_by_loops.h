@@ -110,6 +110,39 @@ inline Wide ShareByLoops(const core::PoseGraph& graph, core::NodeIndex last,
   return static_cast<Wide>(alike) / static_cast<Wide>(all);
 }
 
+// The bin of the turn from node a to node b: the nearest of 128 directions.
+inline long BinOfTurn(double turn) {
+  return std::lround(turn * 128.0 / (2.0 * static_cast<double>(kWidePi)));
+}
+
+// Share of the pairs of stretches whose later one turns about by `later`, whose
+// earlier one turns about by `turn`: to the neighbouring bin. As many pairs are
+// added as hold one by the share of all stretches, which is at most thousand.
+inline Wide PairShareByLoops(const core::PoseGraph& graph, core::NodeIndex last,
+                             core::NodeIndex stretch_nodes, double turn,
+                             double later, Wide share) {
+  const auto alike = [](double a, double b) {
+    const long apart = std::labs(BinOfTurn(a) - BinOfTurn(b)) % 128;
+    return std::min(apart, 128 - apart) <= 1;
+  };
+  const auto turned = [&graph](core::NodeIndex a, core::NodeIndex b) {
+    return core::WrapHeading(graph.node(b).pose.heading -
+                             graph.node(a).pose.heading);
+  };
+  std::int64_t with_later = 0;
+  std::int64_t both = 0;
+  for (core::NodeIndex a = 0; a + 2 * stretch_nodes <= last; ++a) {
+    const core::NodeIndex b = a + stretch_nodes;
+    const core::NodeIndex c = b + stretch_nodes;
+    if (graph.SegmentStart(a) != graph.SegmentStart(c)) continue;
+    if (!alike(turned(b, c), later)) continue;
+    ++with_later;
+    if (alike(turned(a, b), turn)) ++both;
+  }
+  return (1.0L + static_cast<Wide>(both)) /
+         (1.0L / std::max(1e-3L, share) + static_cast<Wide>(with_later));
+}
+
 }  // namespace revisit::oracle
 
 #endif  // REVISIT_TESTS_ORACLE_MOTION_BY_LOOPS_H_

@@ -47,6 +47,7 @@ struct ListedMatch {
   Wide log_likelihood_ratio = 0.0L;
   Wide squared_innovations = 0.0L;
   Wide squared_end_difference = 0.0L;
+  Wide scale = 1.0L;
   std::vector<PathEntry> entries;
 };
 
@@ -89,13 +90,10 @@ class SurvivorLists {
                                       core::NodeIndex query, int dimensions) {
     const MotionByLoops motion =
         MeasureByLoops(graph, model.similarity.correlation, query, dimensions);
-    return {dimensions,
-            motion.drift,
-            motion.jitter,
-            model.shape,
-            model.similarity.tolerance,
-            model.spacing_meters,
-            model.similarity.inflation};
+    return {dimensions,           model.similarity.correlation.model,
+            motion.drift,         motion.jitter,
+            model.shape,          model.similarity.tolerance,
+            model.spacing_meters, model.similarity.inflation};
   }
 
   // The vehicle's frame in the local frame; turned by pi where it is met the
@@ -298,11 +296,13 @@ class SurvivorLists {
   }
 
   // Difference of the query and node j, and its covariance with the tolerance,
-  // given what the last closure tells.
-  std::pair<WideVector, WideMatrix> Anchor(core::NodeIndex j, int way) const {
+  // under one scale, given what a closure tells.
+  std::pair<WideVector, WideMatrix> Anchor(
+      core::NodeIndex j, int way, double scale,
+      const std::optional<core::ConfirmedLoop>& loop) const {
     const core::SimilarityModel& similarity = model_.similarity;
-    const Wide claimed =
-        static_cast<Wide>(similarity.inflation) * similarity.inflation;
+    const Wide deviations = static_cast<Wide>(similarity.inflation) * scale;
+    const Wide claimed = deviations * deviations;
     const auto difference = [&](core::NodeIndex a, core::NodeIndex b,
                                 bool turned) {
       WideVector d = WideStateOf(graph_.node(a).pose, d_) -
@@ -324,11 +324,10 @@ class SurvivorLists {
                                         similarity.tolerance.heading_radians,
                                         d_);
     const std::optional<WideClosure> closure =
-        model_.last_confirmed ? ClosureOf(*model_.last_confirmed)
-                              : std::nullopt;
+        loop ? ClosureOf(*loop) : std::nullopt;
     if (closure) {
-      const core::NodeIndex c = model_.last_confirmed->query;
-      const core::NodeIndex m = model_.last_confirmed->matched;
+      const core::NodeIndex c = loop->query;
+      const core::NodeIndex m = loop->matched;
       const WideMatrix& lever = closure->lever;
       const WideMatrix back = lever.transpose();
       const WideMatrix x = cross(query_, c) - cross(query_, m) * back -
@@ -347,10 +346,47 @@ class SurvivorLists {
     return {d, covariance};
   }
 
-  ListedMatch Match(core::NodeIndex j, int way, const ListedPath& path) const {
-    const auto [d, covariance] = Anchor(j, way);
-    ListedMatch match;
-    if (!EvaluateWide(covariance, d)) return match;
+  // An anchor that a node may have, and its weight.
+  struct WeighedAnchor {
+    double scale = 1.0;
+    Wide log_weight = 0.0L;
+    std::optional<core::ConfirmedLoop> loop;
+  };
+
+  // All scales, with each of the drifts that reach into the node's block of 128
+  // and with the one as claimed.
+  std::vector<WeighedAnchor> AnchorsOf(core::NodeIndex j) const {
+    std::vector<WeighedAnchor> anchors;
+    std::vector<core::WeighedScale> scales = model_.scales;
+    if (scales.empty()) scales.emplace_back();
+    for (const core::WeighedScale& scale : scales) {
+      Wide left = 1.0L;
+      for (const core::WeighedDrift& drift : model_.drifts) {
+        bool reaches = false;
+        for (core::NodeIndex i = j / 128 * 128; i < j / 128 * 128 + 128; ++i) {
+          reaches |= drift.reach.first <= i && i < drift.reach.last;
+        }
+        if (!reaches) continue;
+        left -= std::exp(static_cast<Wide>(drift.log_weight));
+        anchors.push_back(
+            {scale.scale,
+             static_cast<Wide>(scale.log_weight) + drift.log_weight,
+             drift.loop});
+      }
+      anchors.push_back({scale.scale, scale.log_weight + std::log(left),
+                         model_.last_confirmed});
+    }
+    return anchors;
+  }
+
+  // The end's difference once the path is known, under one anchor.
+  std::optional<WideQuadraticForm> Smoothed(core::NodeIndex j, int way,
+                                            const ListedPath& path,
+                                            const WeighedAnchor& anchor) const {
+    const auto [d, covariance] = Anchor(j, way, anchor.scale, anchor.loop);
+    const std::optional<WideQuadraticForm> claimed =
+        EvaluateWide(covariance, d);
+    if (!claimed) return std::nullopt;
     const int length = static_cast<int>(path.entries.size()) - 1;
     const WideMatrix to_local = WideTurn(graph_.node(query_).pose.heading, d_);
     const WideMatrix smoothed = covariance - to_local *
@@ -362,19 +398,35 @@ class SurvivorLists {
       form = EvaluateWide(smoothed,
                           d + to_local * window_.EndMean(path.mismatches));
     }
-    if (!form) form = EvaluateWide(covariance, d);
-    match.possible = true;
+    return form ? form : claimed;
+  }
+
+  ListedMatch Match(core::NodeIndex j, int way, const ListedPath& path) const {
+    ListedMatch match;
+    Wide density_of_end = 0.0L;
+    Wide greatest = 0.0L;
+    for (const WeighedAnchor& anchor : AnchorsOf(j)) {
+      const auto form = Smoothed(j, way, path, anchor);
+      if (!form) continue;
+      match.possible = true;
+      const Wide part = std::exp(
+          anchor.log_weight - 0.5L * (form->squared + form->log_determinant));
+      density_of_end += part;
+      if (!(part > greatest)) continue;
+      greatest = part;
+      match.squared_end_difference = form->squared;
+      match.scale = anchor.scale;
+    }
+    if (!match.possible) return match;
     // Nodes on roads not driven, per square metre (SPATIAL: cubic) and radian.
     const Wide roads = 2.0L / model_.road_spacing_meters;
     Wide density = roads / model_.spacing_meters * 2.0L / (2.0L * kWidePi);
     if (d_ == 4) density /= core::kRoadHeightRange;
     match.log_likelihood_ratio = path.log_likelihood_ratio;
     match.squared_innovations = path.squared_innovations;
-    match.squared_end_difference = form->squared;
-    match.score = -0.5L * (form->squared + form->log_determinant +
-                           d_ * std::log(2.0L * kWidePi)) +
-                  window_.weight() * match.log_likelihood_ratio -
-                  std::log(density);
+    match.score =
+        std::log(density_of_end) - 0.5L * d_ * std::log(2.0L * kWidePi) +
+        window_.weight() * match.log_likelihood_ratio - std::log(density);
     match.entries = path.entries;
     return match;
   }

@@ -161,10 +161,15 @@ def test_pandas_get_a_column_per_number(client, new_vehicle, boreas):
     checks = revisit.check_table(answers).to_pandas()
     assert checks["candidates"].sum() == len(found)
     assert (checks.loc[checks["candidates"] == 0, "empty_reason"] != "").all()
+    for number, row in checks[checks["candidates"] > 0].iterrows():
+        estimate = answers[number].scale_estimate
+        assert (row["scale_low"], row["scale_estimate"], row["scale_high"]) \
+            == (estimate.low, estimate.scale, estimate.high)
     # A table says the same as the messages.
     for number, row in found[found["rank"] == 1].iterrows():
         one = answers[row["check"]].candidates[0]
         assert row["probability"] == one.probability
+        assert row["meters_after"] == one.place_interval.meters_after
         assert row["verdict"] == v1.Verdict.Name(one.verdict)[len("VERDICT_"):]
         assert row["matched_sequence"] == one.matched.sequence
         assert row["difference_covariance_xy"] == one.difference.covariance.values[1]
@@ -186,6 +191,7 @@ def test_answers_without_probability_are_tables_too(client, new_vehicle, boreas)
     table = revisit.candidate_table([client.find_candidates(vehicle)])
     assert table.rows > 0
     assert np.isnan(table["probability"]).all()
+    assert np.isnan(table["meters_before"]).all()
     assert set(table["path_gate_verdict"]) == {"UNSPECIFIED"}
     best = table.where(table["rank"] == 1)
     assert best.rows == 1 and best["score"][0] == table["score"].max()

@@ -33,6 +33,8 @@ constexpr char kDetails[] =
     "  recall p>=0.9  right in first place and stated at 0.9 or more / true "
     "loops\n"
     "  verify/loop  accepted candidates of any rank / loops found by them\n"
+    "  looks/loop  looks at them, each of 20 m of the interval in which the "
+    "place may lie / these loops\n"
     "  ECE p>=0.1  expected calibration error of the probabilities that are "
     "stated at 0.1 or more\n"
     "  ECE         that of all, which is small where most checks are no loops";
@@ -42,7 +44,7 @@ constexpr char kExamples[] =
     "  revisit evaluate drives/*.csv --baselines --plots plots\n"
     "  revisit evaluate drives/*.csv --sequence-lengths 100,150,200,300,400\n"
     "  revisit evaluate drives/*.csv --simulate 1-5 --claimed-scale 0.5 "
-    "--verify --apply-inflation\n"
+    "--no-use-belief\n"
     "  revisit evaluate drives/*.csv --claimed-scales 0.25,0.5,1,2,4\n"
     "  revisit evaluate drives/*.csv --gyro-bias 0.01\n"
     "  revisit evaluate drives/*.csv --fix-noise 3,60 --simulate 1-5\n"

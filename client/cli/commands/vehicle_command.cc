@@ -109,7 +109,7 @@ void AddUpdate(const Command& vehicle) {
       {"update", "Changes what is given, and nothing else.",
        "Once a vehicle has poses, its state space and its frame are fixed, and "
        "so is\nwhether its correlation model is filter.",
-       "  revisit vehicle update shuttle-7 --apply-inflation\n"
+       "  revisit vehicle update shuttle-7 --no-use-belief --apply-inflation\n"
        "  revisit vehicle update shuttle-7 --acceptance-probability 0.9"});
   const auto id = std::make_shared<std::string>();
   const auto changes = std::make_shared<v1::VehicleSettings>();

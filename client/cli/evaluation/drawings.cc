@@ -76,6 +76,8 @@ MapCheck CheckOf(const JudgedCheck& judged) {
     candidate.verdict = NameOf(answer.verdict);
     candidate.opposite = answer.opposite;
     candidate.probability = answer.probability;
+    candidate.meters_before = answer.meters_before;
+    candidate.meters_after = answer.meters_after;
     candidate.gate = answer.path_gate ? "path" : "end";
     candidate.squared_distance = answer.squared_distance;
     candidate.threshold = answer.threshold;

@@ -77,6 +77,8 @@ absl::StatusOr<CheckAnswer> MakeAnswer(const v1::CandidateSet& set) {
       candidate.probability = probability;
       candidate.confidence = probability;
     }
+    candidate.meters_before = given.place_interval().meters_before();
+    candidate.meters_after = given.place_interval().meters_after();
     answer.candidates.push_back(candidate);
   }
   if (set.candidates().empty()) {

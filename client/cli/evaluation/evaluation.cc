@@ -20,7 +20,8 @@ bool SameCandidate(const CandidateAnswer& a, const CandidateAnswer& b) {
          a.path_gate == b.path_gate &&
          a.squared_distance == b.squared_distance &&
          a.threshold == b.threshold && a.p_value == b.p_value &&
-         a.probability == b.probability && a.opposite == b.opposite &&
+         a.probability == b.probability && a.meters_before == b.meters_before &&
+         a.meters_after == b.meters_after && a.opposite == b.opposite &&
          a.confidence == b.confidence;
 }
 
@@ -42,6 +43,12 @@ std::string NameOf(Verdict verdict) {
       return "ILL_CONDITIONED";
   }
   return "";
+}
+
+std::int64_t LooksAt(const CandidateAnswer& candidate) {
+  const double meters = candidate.meters_before + candidate.meters_after;
+  return std::max<std::int64_t>(
+      1, std::llround(std::ceil(meters / (2.0 * kLookMeters))));
 }
 
 bool SameAnswer(const CheckAnswer& a, const CheckAnswer& b) {
@@ -94,6 +101,10 @@ std::optional<double> Tally::to_verify_per_loop() const {
                static_cast<double>(loops_found));
 }
 
+std::optional<double> Tally::looks_per_loop() const {
+  return Ratio(static_cast<double>(looks), static_cast<double>(loops_found));
+}
+
 std::optional<double> Tally::poses_per_second() const {
   return Ratio(static_cast<double>(timed_poses), seconds);
 }
@@ -118,6 +129,7 @@ void Tally::Add(const Tally& other) {
   sure_correct += other.sure_correct;
   to_verify += other.to_verify;
   loops_found += other.loops_found;
+  looks += other.looks;
   const auto append = [](auto* to, const auto& from) {
     to->insert(to->end(), from.begin(), from.end());
   };
@@ -216,6 +228,7 @@ Tally Count(const std::vector<JudgedCheck>& checks) {
     for (std::size_t i = 0; i < check.correct.size(); ++i) {
       if (check.answer.candidates[i].verdict != Verdict::kAccepted) continue;
       ++tally.to_verify;
+      tally.looks += LooksAt(check.answer.candidates[i]);
       found = found || check.correct[i];
     }
     if (found) ++tally.loops_found;

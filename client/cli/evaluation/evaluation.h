@@ -18,6 +18,8 @@
 //   recall@5  = one of the first five correct / true loops, verdict aside
 //   sure recall = first candidate correct and stated at 0.9 or more / true
 //                 loops, verdict aside
+//   looks per loop = looks that a verifier takes at accepted candidates of any
+//                    rank / checks with a correct one among these
 #ifndef REVISIT_CLIENT_CLI_EVALUATION_EVALUATION_H_
 #define REVISIT_CLIENT_CLI_EVALUATION_EVALUATION_H_
 
@@ -68,12 +70,23 @@ struct CandidateAnswer {
   double p_value = 0.0;
   // Absent where the method states none.
   std::optional<double> probability;
+  // How far along the path, before and after the matched node, the place may
+  // lie; 0 where the method does not say.
+  double meters_before = 0.0;
+  double meters_after = 0.0;
   // Whether the place was passed the other way.
   bool opposite = false;
   // The score of precision-recall curves, higher being surer: the probability
   // if there is one, otherwise the p-value of the gate.
   double confidence = 0.0;
 };
+
+// A verifier finds what lies this near along the path to where it looks.
+inline constexpr double kLookMeters = 10.0;
+
+// Looks that a verifier takes, one behind the other, to have seen all of the
+// interval in which the place may lie: at least 1.
+std::int64_t LooksAt(const CandidateAnswer& candidate);
 
 // The answer to one check.
 struct CheckAnswer {
@@ -138,6 +151,8 @@ struct Tally {
   // checks with a correct one among them, which are loops that would be found.
   std::int64_t to_verify = 0;
   std::int64_t loops_found = 0;
+  // Looks that these candidates take: LooksAt().
+  std::int64_t looks = 0;
   // First candidates: their confidence, and their probability where stated.
   std::vector<Scored> confidences;
   std::vector<Scored> probabilities;
@@ -160,6 +175,7 @@ struct Tally {
   std::optional<double> top1() const;
   std::optional<double> recall_at_5() const;
   std::optional<double> to_verify_per_loop() const;
+  std::optional<double> looks_per_loop() const;
   // Absent also where no probability is stated.
   std::optional<double> sure_recall() const;
   std::optional<double> calibration_error() const;

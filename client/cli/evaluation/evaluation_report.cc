@@ -104,7 +104,11 @@ void PrintSummary(const Row& row, bool verified, std::ostream& out) {
                     " or more")},
       {"verify/loop",
        absl::StrCat(OrDash(t.to_verify_per_loop(), 2), ", ", t.to_verify,
-                    " accepted for the ", t.loops_found, " loops found")}};
+                    " accepted for the ", t.loops_found, " loops found")},
+      {"looks/loop",
+       absl::StrCat(OrDash(t.looks_per_loop(), 2), ", ", t.looks, " looks of ",
+                    Fixed(2.0 * kLookMeters, 0), " m for the ", t.loops_found,
+                    " loops found")}};
   if (t.calibration_error().has_value()) {
     fields.push_back({"ECE p>=0.1", OrDash(t.positive_calibration_error(), 3)});
     fields.push_back({"ECE", OrDash(t.calibration_error(), 3)});
@@ -132,8 +136,8 @@ std::vector<Table::Column> ColumnsOf(const Report& report) {
   columns.push_back({"DRIVE", Align::kLeft});
   for (const char* title :
        {"CHECKS", "LOOPS", "ACCEPTED", "RIGHT", "PRECISION", "RECALL", "F1",
-        "TOP-1", "RECALL@5", "RECALL p>=0.9", "VERIFY/LOOP", "ECE p>=0.1",
-        "ECE"}) {
+        "TOP-1", "RECALL@5", "RECALL p>=0.9", "VERIFY/LOOP", "LOOKS/LOOP",
+        "ECE p>=0.1", "ECE"}) {
     columns.push_back({title, Align::kRight});
   }
   if (report.verified) {
@@ -165,6 +169,7 @@ std::vector<std::string> CellsOf(const Report& report,
     cells.push_back(OrDash(ratio, 3));
   }
   cells.push_back(OrDash(t.to_verify_per_loop(), 2));
+  cells.push_back(OrDash(t.looks_per_loop(), 2));
   cells.push_back(OrDash(t.positive_calibration_error(), 3));
   cells.push_back(OrDash(t.calibration_error(), 3));
   if (report.verified) {
@@ -221,6 +226,8 @@ Json TallyJson(const std::string& drive, const Tally& t) {
   json["candidates_to_verify"] = t.to_verify;
   json["loops_found"] = t.loops_found;
   json["candidates_per_loop_found"] = OrNull(t.to_verify_per_loop());
+  json["looks"] = t.looks;
+  json["looks_per_loop_found"] = OrNull(t.looks_per_loop());
   json["positive_calibration_error"] = OrNull(t.positive_calibration_error());
   json["expected_calibration_error"] = OrNull(t.calibration_error());
   json["confirmed"] = t.confirmed;
@@ -257,6 +264,8 @@ Json ChecksJson(const DriveResult& result) {
       item["threshold"] = candidate.threshold;
       item["p_value"] = candidate.p_value;
       item["probability"] = OrNull(candidate.probability);
+      item["meters_before"] = candidate.meters_before;
+      item["meters_after"] = candidate.meters_after;
       item["verdict"] = NameOf(candidate.verdict);
       item["correct"] = static_cast<bool>(check.correct[i]);
       entry["candidates"].push_back(std::move(item));

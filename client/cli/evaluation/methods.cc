@@ -143,6 +143,10 @@ std::vector<std::string> NotesOn(const EvaluateOptions& options) {
         absl::StrCat("Claimed standard deviations are multiplied by ",
                      Fixed(options.uncertainty.claimed_scale, 3), "."));
   }
+  if (!options.settings.use_belief()) {
+    notes.push_back(
+        "No belief: every search begins with the covariances as claimed.");
+  }
   if (options.verify) {
     notes.push_back(
         "Verified: accepted first candidates that are right became loop "

@@ -50,7 +50,11 @@ struct MapCandidate {
   std::size_t node = 0;
   std::string verdict;
   bool opposite = false;
+  // That of the stretch of road, on which the place lies from so far before the
+  // node to so far after it.
   std::optional<double> probability;
+  double meters_before = 0.0;
+  double meters_after = 0.0;
   // The gate that decided: "end" or "path".
   std::string gate;
   double squared_distance = 0.0;

@@ -131,6 +131,8 @@ class GeoJson {
                        {"direction", candidate.opposite ? "OPPOSITE" : "SAME"}};
     if (candidate.probability) {
       properties["probability"] = *candidate.probability;
+      properties["meters_before"] = candidate.meters_before;
+      properties["meters_after"] = candidate.meters_after;
     }
     properties["gate"] = candidate.gate;
     properties["squared_mahalanobis_distance"] = candidate.squared_distance;

@@ -68,7 +68,11 @@ Json CheckJson(const MapContents& contents, const MapCheck& check) {
         {"opposite", candidate.opposite},   {"gate", candidate.gate},
         {"d2", candidate.squared_distance}, {"threshold", candidate.threshold},
         {"p_value", candidate.p_value}};
-    if (candidate.probability) shown["probability"] = *candidate.probability;
+    if (candidate.probability) {
+      shown["probability"] = *candidate.probability;
+      shown["before"] = candidate.meters_before;
+      shown["after"] = candidate.meters_after;
+    }
     json["candidates"].push_back(std::move(shown));
   }
   return json;

@@ -228,6 +228,8 @@ const columns = [
   ["", (c, i) => i + 1],
   ["verdict", (c) => c.verdict, "word"],
   ["probability", (c) => (c.probability === undefined ? "-" : c.probability.toFixed(4))],
+  ["along m", (c) => (c.probability === undefined ? "-"
+    : `${(-c.before).toFixed(0)} to ${c.after.toFixed(0)}`)],
   ["sequence", (c) => nodes.sequence[c.node]],
   ["travelled m", (c) => nodes.travelled[c.node].toFixed(1)],
   ["direction", (c) => (c.opposite ? "opposite" : "same"), "word"],

@@ -106,6 +106,8 @@ MapCandidate CandidateOf(const v1::Candidate& candidate) {
   shown.verdict = NameOf(candidate.verdict());
   shown.opposite = candidate.direction() == v1::DIRECTION_OPPOSITE;
   if (candidate.has_probability()) shown.probability = candidate.probability();
+  shown.meters_before = candidate.place_interval().meters_before();
+  shown.meters_after = candidate.place_interval().meters_after();
   shown.gate = gate.name();
   shown.squared_distance = gate.squared_distance;
   shown.threshold = gate.threshold;

@@ -93,6 +93,12 @@ def _optional(rows: list[Any], field: str) -> Array:
                                        else np.nan))
 
 
+def _part(rows: list[Any], part: str, field: str) -> Array:
+    """A number per row, out of a message in it; NaN where that is absent."""
+    return _numbers(rows, lambda row: (getattr(getattr(row, part), field)
+                                       if row.HasField(part) else np.nan))
+
+
 def _names(rows: list[Any], value: Callable[[Any], int], enum: Any,
            prefix: str) -> Array:
     return np.array([_name_of(enum, value(row), prefix) for row in rows], dtype=np.str_)
@@ -150,8 +156,8 @@ def edge_table(edges: Iterable[v1.Edge]) -> Table:
 def check_table(answers: Iterable[v1.CandidateSet]) -> Table:
     """A row per check: the query node as `query_index`, `query_x` and so on,
     `revision`, `candidates` (how many), `empty_reason` ("" if there are any),
-    `new_place_probability` (NaN where absent), `nodes_considered`, `nodes_pruned`,
-    `search_seconds`."""
+    `new_place_probability` and `scale_estimate`, `scale_low`, `scale_high` (NaN where
+    absent), `nodes_considered`, `nodes_pruned`, `search_seconds`."""
     rows = list(answers)
     columns = _node_columns([row.query for row in rows], "query_")
     columns.update({
@@ -162,6 +168,9 @@ def check_table(answers: Iterable[v1.CandidateSet]) -> Table:
              _name_of(v1.EmptyReason, row.empty_reason, "EMPTY_REASON_")
              for row in rows], dtype=np.str_),
         "new_place_probability": _optional(rows, "new_place_probability"),
+        "scale_estimate": _part(rows, "scale_estimate", "scale"),
+        "scale_low": _part(rows, "scale_estimate", "low"),
+        "scale_high": _part(rows, "scale_estimate", "high"),
         "nodes_considered": _numbers(rows, lambda row: row.nodes_considered, np.int64),
         "nodes_pruned": _numbers(rows, lambda row: row.nodes_pruned, np.int64),
         "search_seconds": _numbers(
@@ -187,10 +196,10 @@ def _gate_columns(gates: list[Optional[Any]], prefix: str) -> dict[str, Array]:
 def candidate_table(answers: Iterable[v1.CandidateSet]) -> Table:
     """A row per candidate, in the order of the answers and their ranks.
 
-    `check` is the number of the answer, from 0. `rank`, `score`, `probability` and
-    `odds_to_runner_up` (NaN where absent), `verdict` ("ACCEPTED",
-    "REJECTED_BY_SHAPE", ...) and `direction` ("SAME", "OPPOSITE") as in
-    candidate.proto. `query_...` and `matched_...` are the nodes: `index`,
+    `check` is the number of the answer, from 0. `rank`, `score`, `probability`,
+    `odds_to_runner_up`, `meters_before` and `meters_after` of the place interval (NaN
+    where absent), `verdict` ("ACCEPTED", "REJECTED_BY_SHAPE", ...) and `direction`
+    ("SAME", "OPPOSITE") as in candidate.proto. `query_...` and `matched_...` are the nodes: `index`,
     `sequence`, `fraction`, `stamp`, `travelled`, `x`, `y`, `z`, `heading`.
     `difference_x`, `_y`, `_z`, `_heading`, `_covariance` say where a verifier
     should search. `gate_...` and `path_gate_...`: `squared_distance`,
@@ -209,7 +218,9 @@ def candidate_table(answers: Iterable[v1.CandidateSet]) -> Table:
         "direction": _names(rows, lambda row: row.direction, v1.Direction,
                             "DIRECTION_"),
         "probability": _optional(rows, "probability"),
-        "odds_to_runner_up": _optional(rows, "odds_to_runner_up")}
+        "odds_to_runner_up": _optional(rows, "odds_to_runner_up"),
+        "meters_before": _part(rows, "place_interval", "meters_before"),
+        "meters_after": _part(rows, "place_interval", "meters_after")}
     columns.update(_node_columns([row.query for row in rows], "query_"))
     columns.update(_node_columns([row.matched for row in rows], "matched_"))
     for name, field in (("x", "x_meters"), ("y", "y_meters"), ("z", "z_meters"),
@@ -224,7 +235,5 @@ def candidate_table(answers: Iterable[v1.CandidateSet]) -> Table:
         "path_gate_"))
     for name, field in (("overlap", "overlap_meters"),
                         ("log_likelihood_ratio", "log_likelihood_ratio")):
-        columns[name] = np.array(
-            [getattr(row.shape, field) if row.HasField("shape") else np.nan
-             for row in rows], dtype=np.float64)
+        columns[name] = _part(rows, "shape", field)
     return Table(columns)

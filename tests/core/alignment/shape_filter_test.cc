@@ -92,8 +92,8 @@ void ExpectFilterIsTheDenseGaussian(std::mt19937_64& random,
       oracle::MeasureByLoops(window.graph, window.correlation, window.query, D);
   const oracle::DenseWindow dense(
       window.graph, window.query, window.steps,
-      {D, motion.drift, motion.jitter, window.shape, window.place,
-       window.spacing, window.inflation});
+      {D, window.correlation, motion.drift, motion.jitter, window.shape,
+       window.place, window.spacing, window.inflation});
   MotionHistory history(D == 3 ? StateSpace::kPlanar : StateSpace::kSpatial,
                         window.correlation,
                         StretchNodes(window.shape, window.spacing, 1000));
@@ -189,8 +189,8 @@ TEST(ShapeFilterTest,
       oracle::MeasureByLoops(window.graph, window.correlation, window.query, 3);
   const oracle::DenseWindow dense(
       window.graph, window.query, window.steps,
-      {3, motion.drift, motion.jitter, window.shape, window.place,
-       window.spacing, window.inflation});
+      {3, window.correlation, motion.drift, motion.jitter, window.shape,
+       window.place, window.spacing, window.inflation});
   const ShapeFilter<3> filter(window.graph, nullptr, window.query, window.steps,
                               window.correlation, window.shape, window.place,
                               window.spacing, window.inflation);

@@ -91,6 +91,28 @@ struct Town {
   }
 };
 
+// Gives the model uncertain scales and drifts, or either, or none.
+inline void BelieveAnything(std::mt19937_64& random, Town* town) {
+  const int scales = UniformInt(random, 0, 1) ? UniformInt(random, 1, 4) : 0;
+  for (int k = 0; k < scales; ++k) {
+    town->model.scales.push_back(
+        {std::exp(Uniform(random, -2.0, 2.0)),
+         std::log(Uniform(random, 0.0, 2.0) / scales)});
+  }
+  const int drifts = UniformInt(random, 0, 1) ? UniformInt(random, 1, 2) : 0;
+  const auto last = static_cast<int>(town->query);
+  for (int k = 0; k < drifts && last > 0; ++k) {
+    WeighedDrift drift;
+    drift.loop.query = UniformInt(random, 1, last);
+    drift.loop.matched =
+        UniformInt(random, 0, static_cast<int>(drift.loop.query) - 1);
+    drift.reach.first = UniformInt(random, 0, last);
+    drift.reach.last = drift.reach.first + UniformInt(random, 1, last);
+    drift.log_weight = std::log(Uniform(random, 0.0, 1.0) / drifts);
+    town->model.drifts.push_back(drift);
+  }
+}
+
 // Passes of a road, either way, each in a frame of its own, with odometers that
 // differ, and with true and false loop closures. The last pass is the recent
 // path. The number of nodes is some 50 times the scale.
@@ -220,7 +242,8 @@ inline Town RandomTown(std::mt19937_64& random, int scale = 1) {
         }
         if (std::abs(of_b.Along(nearest) - of_a.Along(i)) > spacing) continue;
         town.graph.AddLoopEdge(i, nearest);
-        if (model.similarity.correlation == CorrelationModel::kDeadReckoning &&
+        if (model.similarity.correlation.model ==
+                CorrelationModel::kDeadReckoning &&
             i <= town.query && UniformInt(random, 0, 1)) {
           model.last_confirmed = ConfirmedLoop{i, nearest, nullptr};
           if (UniformInt(random, 0, 1)) {
@@ -240,6 +263,9 @@ inline Town RandomTown(std::mt19937_64& random, int scale = 1) {
     const NodeIndex a = any();
     const NodeIndex b = any();
     if (a != b) town.graph.AddLoopEdge(a, b);
+  }
+  if (model.similarity.correlation.model == CorrelationModel::kDeadReckoning) {
+    BelieveAnything(random, &town);
   }
   return town;
 }

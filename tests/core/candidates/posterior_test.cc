@@ -56,13 +56,38 @@ long double ClaimLiterally(const PoseGraph& graph, const LogOdds& log_odds,
       all += odds;
       if (way == direction &&
           std::abs(graph.node(i).travelled_meters -
-                   graph.node(j).travelled_meters) <= kPlaceRadiusMeters &&
+                   graph.node(j).travelled_meters) <= kStretchRadiusMeters &&
           taken->insert({way, i}).second) {
         here += odds;
       }
     }
   }
   return here / all;
+}
+
+// The interval holds j and enough of what was claimed, and without its
+// outermost nodes it would cut off more than it may on their side.
+void ExpectInterval(const PoseGraph& graph, const std::vector<double>& log_odds,
+                    std::size_t way, NodeIndex j,
+                    const Posterior::Stretch& stretch,
+                    const std::set<std::pair<std::size_t, NodeIndex>>& taken) {
+  EXPECT_LE(stretch.first, j);
+  EXPECT_GE(stretch.last, j);
+  long double all = 0.0L;
+  long double before = 0.0L;
+  long double after = 0.0L;
+  for (std::size_t k = 0; k < log_odds.size(); ++k) {
+    const auto i = static_cast<NodeIndex>(k);
+    if (graph.MetersApart(i, j) > kStretchRadiusMeters) continue;
+    if (taken.count({way, i}) > 0) continue;
+    const long double odds = std::exp(static_cast<long double>(log_odds[k]));
+    all += odds;
+    if (i < stretch.first) before += odds;
+    if (i > stretch.last) after += odds;
+  }
+  const long double cut_off = 0.5L * (1.0L - kIntervalShare) * all;
+  EXPECT_LE(before, cut_off * (1.0L + 1e-9L));
+  EXPECT_LE(after, cut_off * (1.0L + 1e-9L));
 }
 
 TEST(PosteriorTest, IsOddsOverAllOdds) {
@@ -82,7 +107,7 @@ TEST(PosteriorTest, IsOddsOverAllOdds) {
         all += std::exp(static_cast<long double>(log_odds[way].back()));
       }
     }
-    Posterior posterior(graph,
+    Posterior posterior(graph, kStretchRadiusMeters,
                         trial % 2 == 0 ? Possible(log_odds) : All(log_odds));
     const auto near = [](double actual, long double expected) {
       EXPECT_NEAR(actual, static_cast<double>(expected),
@@ -95,10 +120,13 @@ TEST(PosteriorTest, IsOddsOverAllOdds) {
       const auto way = static_cast<std::size_t>(UniformInt(random, 0, 1));
       if (log_odds[way].empty()) continue;
       const NodeIndex j = UniformInt(random, 0, static_cast<int>(size) - 1);
-      const double claimed = posterior.Claim(
+      const auto before = taken;
+      const Posterior::Stretch claimed = posterior.Claim(
           way == 0 ? Direction::kSame : Direction::kOpposite, j);
-      near(claimed, ClaimLiterally(graph, log_odds, way, j, &taken));
-      sum += claimed;
+      near(claimed.probability,
+           ClaimLiterally(graph, log_odds, way, j, &taken));
+      ExpectInterval(graph, log_odds[way], way, j, claimed, before);
+      sum += claimed.probability;
     }
     EXPECT_LE(sum, 1.0 + 1e-12);
     near(posterior.new_place(), 1.0L / all);
@@ -107,18 +135,20 @@ TEST(PosteriorTest, IsOddsOverAllOdds) {
 
 TEST(PosteriorTest, SurvivesOddsBeyondDoubleRange) {
   const PoseGraph graph = EvenGraph(3, 100.0);
-  Posterior posterior(graph, Possible({{{5000.0, 4999.0, kImpossible}, {}}}));
+  Posterior posterior(graph, kStretchRadiusMeters,
+                      Possible({{{5000.0, 4999.0, kImpossible}, {}}}));
   EXPECT_EQ(posterior.new_place(), 0.0);
-  EXPECT_NEAR(posterior.Claim(Direction::kSame, 0),
+  EXPECT_NEAR(posterior.Claim(Direction::kSame, 0).probability,
               1.0 / (1.0 + std::exp(-1.0)), 1e-12);
-  EXPECT_EQ(posterior.Claim(Direction::kSame, 2), 0.0);
+  EXPECT_EQ(posterior.Claim(Direction::kSame, 2).probability, 0.0);
 }
 
 TEST(PosteriorTest, WithoutAnyPossiblePlaceItIsNew) {
   const PoseGraph graph = EvenGraph(2, 2.0);
-  Posterior posterior(graph, All({{{kImpossible, kImpossible}, {}}}));
+  Posterior posterior(graph, kStretchRadiusMeters,
+                      All({{{kImpossible, kImpossible}, {}}}));
   EXPECT_EQ(posterior.new_place(), 1.0);
-  EXPECT_EQ(posterior.Claim(Direction::kSame, 0), 0.0);
+  EXPECT_EQ(posterior.Claim(Direction::kSame, 0).probability, 0.0);
 }
 
 }  // namespace

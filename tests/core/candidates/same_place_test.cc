@@ -66,7 +66,7 @@ TEST(SamePlaceTest, IsTheLogisticOfTheOdds) {
       const double odds = static_cast<double>(
           std::exp(-0.5L * (form->squared + form->log_determinant +
                             3.0L * std::log(2.0L * oracle::kWidePi)) -
-                   std::log(density) + 0.2L * ratio));
+                   std::log(density) + 0.1L * ratio));
       EXPECT_NEAR(SamePlaceProbability(graph, model, 50, 150, ratio),
                   odds / (1.0 + odds), 1e-9);
     }

@@ -86,6 +86,8 @@ TEST(AnswerTest, CandidateSaysWhereAndHowSure) {
   EXPECT_FALSE(best.has_odds_to_runner_up());
   EXPECT_FALSE(best.has_path_gate());
   EXPECT_FALSE(best.has_shape());
+  EXPECT_FALSE(best.has_place_interval());
+  EXPECT_FALSE(set.has_scale_estimate());
   EXPECT_FALSE(set.has_new_place_probability());
   EXPECT_EQ(best.difference().covariance().form(),
             v1::COVARIANCE_FORM_PLANAR_6);
@@ -124,7 +126,10 @@ TEST(AnswerTest, CandidateSaysAllThatARelativeAlignmentKnows) {
   candidate.direction = core::Direction::kOpposite;
   candidate.verdict = core::Verdict::kAccepted;
   candidate.relative.emplace();
+  candidate.inflation = 1.75;
   candidate.relative->probability = 0.9;
+  candidate.relative->meters_before = 12.0;
+  candidate.relative->meters_after = 0.0;
   candidate.relative->odds_to_runner_up = 18.0;
   candidate.relative->path_gate = {12.5, 9.6, 18.3, 0.25,
                                    core::GateVerdict::kAccepted};
@@ -133,7 +138,7 @@ TEST(AnswerTest, CandidateSaysAllThatARelativeAlignmentKnows) {
   candidate.relative->log_likelihood_ratio = 31.0;
   core::CandidateSet set;
   set.new_place_probability = 0.05;
-  set.inflation = 1.75;
+  set.scale = core::ScaleEstimate{1.5, 0.75, 3.0};
   const v1::CandidateSet message = Encoded(candidate, set);
   EXPECT_TRUE(message.has_new_place_probability());
   EXPECT_EQ(message.new_place_probability(), 0.05);
@@ -158,6 +163,13 @@ TEST(AnswerTest, CandidateSaysAllThatARelativeAlignmentKnows) {
       only.shape(), FromText<v1::ShapeEvidence>(
                         "overlap_meters: 64 log_likelihood_ratio: 31")))
       << only.shape().DebugString();
+  EXPECT_TRUE(only.has_place_interval());
+  EXPECT_EQ(only.place_interval().meters_before(), 12.0);
+  EXPECT_EQ(only.place_interval().meters_after(), 0.0);
+  EXPECT_TRUE(google::protobuf::util::MessageDifferencer::Equals(
+      message.scale_estimate(),
+      FromText<v1::ScaleEstimate>("scale: 1.5 low: 0.75 high: 3")))
+      << message.scale_estimate().DebugString();
 }
 
 TEST(AnswerTest, ProbabilityOfZeroIsThereAndOddsWithoutRunnerUpAreNot) {
@@ -280,6 +292,7 @@ TEST(AnswerTest, DamagedVehicleTellsWhatIsSound) {
 TEST(AnswerTest, VehicleSaysHowConsistentItIs) {
   VehicleConfig config = Planar();
   config.engine.apply_inflation = true;
+  config.engine.search.use_belief = false;
   const std::string id = "a";
   core::Engine engine = TwoLaps(config.engine);
   const auto consistency = [&] {
@@ -295,6 +308,11 @@ TEST(AnswerTest, VehicleSaysHowConsistentItIs) {
   EXPECT_GT(before.inflation(), 1.0);
   EXPECT_EQ(before.inflation(), engine.consistency().inflation);
   EXPECT_TRUE(before.applied());
+  // A belief has the scale of the claims from elsewhere.
+  config.engine.search.use_belief = true;
+  EXPECT_FALSE(consistency().applied());
+  config.engine.search.correlation_model = core::CorrelationModel::kIndependent;
+  EXPECT_TRUE(consistency().applied());
   engine.AddRejection(400, 100, 8);
   EXPECT_EQ(consistency().rejected_count(), 1);
 }

@@ -55,6 +55,7 @@ TEST(SettingsConversionTest, EverySettingSurvivesTheStore) {
     shape_correlation_meters: 25
     apply_inflation: true
     max_inflation: 4
+    use_belief: false
     fix_correlation_meters: 75
   )pb");
   auto config = DecodeSettings(settings, FieldPath());
@@ -101,6 +102,7 @@ TEST(SettingsConversionTest, RecordOfTheFirstReleaseTakesTodaysDefaults) {
   EXPECT_EQ(config->engine.search.alignment, core::AlignmentKind::kRelative);
   EXPECT_EQ(config->engine.max_inflation, 10);
   EXPECT_FALSE(config->engine.apply_inflation);
+  EXPECT_TRUE(config->engine.search.use_belief);
 }
 
 TEST(SettingsConversionTest, VehicleStoredBeforeThereWereUidsHasAlwaysTheSame) {

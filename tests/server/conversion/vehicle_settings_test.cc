@@ -41,6 +41,7 @@ TEST(SettingsConversionTest, LeftOutMeansDefault) {
     alignment: ALIGNMENT_RELATIVE
     apply_inflation: false
     max_inflation: 10
+    use_belief: true
     fix_correlation_meters: 300
   )pb");
   // Core defines these defaults; the integration tests check their numbers.
@@ -189,17 +190,18 @@ TEST(UpdateConfigTest, NamedButLeftOutGoesBackToItsDefault) {
 TEST(UpdateConfigTest, KnowsEverySettingByItsName) {
   VehicleConfig current;
   current.engine.search.shape.tolerance = {0.5, 0.03};
-  const auto updated = Update(
-      current, true,
-      "alignment: ALIGNMENT_COMPOSITE acceptance_probability: 0.9 "
-      "road_spacing_meters: 50 shape_correlation_meters: 20 "
-      "apply_inflation: true max_inflation: 3 "
-      "correlation_model: CORRELATION_MODEL_CORRELATED_FIXES "
-      "fix_correlation_meters: 75",
-      {"settings.alignment", "settings.acceptance_probability",
-       "settings.road_spacing_meters", "settings.shape_correlation_meters",
-       "settings.apply_inflation", "settings.max_inflation",
-       "settings.correlation_model", "settings.fix_correlation_meters"});
+  const auto updated =
+      Update(current, true,
+             "alignment: ALIGNMENT_COMPOSITE acceptance_probability: 0.9 "
+             "road_spacing_meters: 50 shape_correlation_meters: 20 "
+             "apply_inflation: true max_inflation: 3 use_belief: false "
+             "correlation_model: CORRELATION_MODEL_CORRELATED_FIXES "
+             "fix_correlation_meters: 75",
+             {"settings.alignment", "settings.acceptance_probability",
+              "settings.road_spacing_meters",
+              "settings.shape_correlation_meters", "settings.apply_inflation",
+              "settings.max_inflation", "settings.correlation_model",
+              "settings.fix_correlation_meters", "settings.use_belief"});
   ASSERT_THAT(updated, IsOk());
   const core::EngineSettings& engine = updated->engine;
   EXPECT_EQ(engine.search.alignment, core::AlignmentKind::kComposite);
@@ -212,12 +214,14 @@ TEST(UpdateConfigTest, KnowsEverySettingByItsName) {
   EXPECT_EQ(engine.search.shape.tolerance.position_meters, 0.5);
   EXPECT_TRUE(engine.apply_inflation);
   EXPECT_EQ(engine.max_inflation, 3);
+  EXPECT_FALSE(engine.search.use_belief);
   const auto back = Update(*updated, true, "",
                            {"settings.alignment", "settings.apply_inflation",
-                            "settings.shape_tolerance"});
+                            "settings.shape_tolerance", "settings.use_belief"});
   ASSERT_THAT(back, IsOk());
   EXPECT_EQ(back->engine.search.alignment, core::AlignmentKind::kRelative);
   EXPECT_FALSE(back->engine.apply_inflation);
+  EXPECT_TRUE(back->engine.search.use_belief);
   EXPECT_EQ(back->engine.search.shape.tolerance.position_meters,
             core::ShapeModel().tolerance.position_meters);
   EXPECT_EQ(back->engine.max_inflation, 3);
@@ -304,6 +308,17 @@ TEST(CandidateOptionsTest, ChangeWhatTheyNameAndLeaveTheRestToTheVehicle) {
   EXPECT_EQ(search->likelihood_form, core::LikelihoodForm::kAsPrinted);
   EXPECT_EQ(search->gate_probability, 0.9);
   EXPECT_EQ(search->correlation_model, core::CorrelationModel::kIndependent);
+}
+
+TEST(CandidateOptionsTest, SayWhetherTheSearchBeginsWithABelief) {
+  VehicleConfig config;
+  const auto own = DecodeCandidateOptions({}, config, FieldPath());
+  ASSERT_THAT(own, IsOk());
+  EXPECT_TRUE(own->use_belief);
+  const auto none = DecodeCandidateOptions(
+      FromText<v1::CandidateOptions>("use_belief: false"), config, FieldPath());
+  ASSERT_THAT(none, IsOk());
+  EXPECT_FALSE(none->use_belief);
 }
 
 TEST(CandidateOptionsTest, TakeTheAlignmentFromTheVehicleUnlessTold) {

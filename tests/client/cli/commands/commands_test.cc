@@ -246,6 +246,7 @@ v1::CandidateSet RelativeSet() {
           verdict: VERDICT_ACCEPTED
           direction: DIRECTION_OPPOSITE
           probability: 0.9375
+          place_interval { meters_before: 12 meters_after: 8.25 }
         }
         candidates {
           rank: 2
@@ -284,14 +285,33 @@ TEST_F(CommandsTest, FindPrintsStampsAndTheGateThatDecided) {
       "new place: probability 0.0625\n"
       "RANK  SEQUENCE  TIME                                 TIME s  "
       "TRAVELLED m   X m   Y m  DIRECTION  GATE      D2  THRESHOLD  P-VALUE  "
-      "PROBABILITY  VERDICT\n"
+      "PROBABILITY        ALONG m  VERDICT\n"
       "   1        40  2020-11-26T18:58:17.528Z  1606417097.528499         "
       "39.5  1.50  2.50  OPPOSITE   path  17.250     21.500   0.1700       "
-      "0.9375  ACCEPTED\n"
+      "0.9375  -12.0 to +8.2  ACCEPTED\n"
       "   2        90  1970-01-01T00:00:12Z                     12         "
       "89.5  0.00  0.00  SAME       end    9.500      7.815   0.0200       "
-      "0.0000  REJECTED_BY_GATE\n"
+      "0.0000              -  REJECTED_BY_GATE\n"
       "claimed standard deviations were multiplied by 1.75\n");
+}
+
+TEST_F(CommandsTest, FindSaysWhatTheDriveHasShownOfItsClaims) {
+  v1::CandidateSet set = RelativeSet();
+  set.mutable_scale_estimate()->set_scale(1.5);
+  set.mutable_scale_estimate()->set_low(0.75);
+  set.mutable_scale_estimate()->set_high(3.0);
+  const std::string shown =
+      "the drive has shown standard deviations of 1.50 times the claimed ones "
+      "(0.75 to 3.00)\n";
+  server_.set_candidates(set);
+  ASSERT_TRUE(RunFind(client_, {}, Text()).ok());
+  EXPECT_THAT(out_.str(), HasSubstr(shown));
+  EXPECT_THAT(out_.str(), Not(HasSubstr("multiplied")));
+  out_.str("");
+  set.clear_candidates();
+  server_.set_candidates(set);
+  ASSERT_TRUE(RunFind(client_, {}, Text()).ok());
+  EXPECT_THAT(out_.str(), HasSubstr(shown));
 }
 
 TEST_F(CommandsTest, FindHasNoColumnsOfTimesWherePosesHaveNone) {
@@ -313,7 +333,7 @@ TEST_F(CommandsTest, FindShowsNoNumbersOfAGateThatCouldNotDecide) {
   server_.set_candidates(set);
   ASSERT_TRUE(RunFind(client_, {}, Text()).ok());
   EXPECT_THAT(out_.str(),
-              ContainsRegex("end +- +7.815 +- +0.9375  ILL_CONDITIONED\n"));
+              ContainsRegex("end +- +7.815 +- +0.9375 .*ILL_CONDITIONED\n"));
 }
 
 TEST_F(CommandsTest, FindLeavesOutWhatACompositeAlignmentDoesNotKnow) {
@@ -321,6 +341,7 @@ TEST_F(CommandsTest, FindLeavesOutWhatACompositeAlignmentDoesNotKnow) {
   set.clear_new_place_probability();
   set.mutable_candidates()->RemoveLast();
   set.mutable_candidates(0)->clear_probability();
+  set.mutable_candidates(0)->clear_place_interval();
   set.mutable_candidates(0)->clear_path_gate();
   set.mutable_candidates(0)->mutable_gate()->set_inflation(1.0);
   server_.set_candidates(set);
@@ -328,13 +349,15 @@ TEST_F(CommandsTest, FindLeavesOutWhatACompositeAlignmentDoesNotKnow) {
   EXPECT_THAT(out_.str(), Not(HasSubstr("new place")));
   EXPECT_THAT(out_.str(), Not(HasSubstr("multiplied")));
   EXPECT_THAT(out_.str(),
-              ContainsRegex("end +14.500 +7.815 +0.0023 +-  ACCEPTED\n"));
+              ContainsRegex("end +14.500 +7.815 +0.0023 +- +-  ACCEPTED\n"));
   out_.str("");
   ASSERT_TRUE(RunFind(client_, {}, Json()).ok());
   const json answer = json::parse(out_.str());
   EXPECT_FALSE(answer.contains("newPlaceProbability"));
   EXPECT_FALSE(answer["candidates"][0].contains("probability"));
   EXPECT_FALSE(answer["candidates"][0].contains("pathGate"));
+  EXPECT_FALSE(answer["candidates"][0].contains("placeInterval"));
+  EXPECT_FALSE(answer.contains("scaleEstimate"));
   EXPECT_EQ(answer["candidates"][0]["direction"], "DIRECTION_OPPOSITE");
 }
 
@@ -359,7 +382,8 @@ TEST_F(CommandsTest, StreamPrintsTheVerdictOfTheBestCandidate) {
                         "2020-11-26T18:58:50.250Z (1606417130.25 s): sequence "
                         "40, 39.5 m, 2020-11-26T18:58:17.528Z "
                         "(1606417097.528499 s), path d2 17.25 within 21.50, "
-                        "probability 0.9375, opposite direction, ACCEPTED\n"));
+                        "probability 0.9375, -12.0 to +8.2 m along the path, "
+                        "opposite direction, ACCEPTED\n"));
 }
 
 TEST_F(CommandsTest, ConfirmAddsALoopClosureAndRejectARejection) {

@@ -36,6 +36,8 @@ DriveResult MadeDrive(const std::string& name,
     candidate.verdict = i == 1 ? Verdict::kAccepted : Verdict::kRejectedByShape;
     candidate.probability = i == 1 ? 0.9 : 0.2;
     candidate.confidence = *candidate.probability;
+    candidate.meters_before = 20.0;
+    candidate.meters_after = 4.0;
     check.answer.candidates.push_back(candidate);
     check.correct.push_back(i == 1);
     result.checks.push_back(check);
@@ -72,12 +74,13 @@ TEST(EvaluationReportTest, TableHasARowForEachMethodAndDriveAndTheTotals) {
   EXPECT_THAT(lines[0],
               MatchesRegex("METHOD +DRIVE +CHECKS +LOOPS +ACCEPTED +RIGHT "
                            "+PRECISION +RECALL +F1 +TOP-1 +RECALL@5 "
-                           "+RECALL p>=0.9 +VERIFY/LOOP +ECE p>=0.1 +ECE "
+                           "+RECALL p>=0.9 +VERIFY/LOOP +LOOKS/LOOP "
+                           "+ECE p>=0.1 +ECE "
                            "+POSES/s +p50 ms +p99 ms"));
   EXPECT_THAT(lines[1],
               MatchesRegex("paper +one +2 +2 +1 +1 +1.000 +0.500 +0.667 +0.500 "
-                           "+0.500 +0.500 +1.00 +0.150 +0.150 +100 +1.00 "
-                           "+2.00"));
+                           "+0.500 +0.500 +1.00 +2.00 +0.150 +0.150 +100 "
+                           "+1.00 +2.00"));
   EXPECT_THAT(lines[3],
               MatchesRegex("paper +total +4 +4 +2 +2 +1.000 +0.500 .* 100 .*"));
   EXPECT_THAT(lines[4], MatchesRegex("-+"));
@@ -98,6 +101,7 @@ TEST(EvaluationReportTest, OneRowIsAList) {
         "recall p>=0.9 +0.500, 1 of the true loops right and stated at 0.9 or "
         "more",
         "verify/loop +1.00, 1 accepted for the 1 loops found",
+        "looks/loop +2.00, 2 looks of 20 m for the 1 loops found",
         "ECE p>=0.1 +0.150", "ECE +0.150"}) {
     EXPECT_THAT(lines, ::testing::Contains(MatchesRegex(line)));
   }
@@ -172,6 +176,8 @@ TEST(EvaluationReportTest, JsonHoldsTheSettingsAndAllMethods) {
   EXPECT_NEAR(parsed["total"]["positive_calibration_error"], 0.15, 1e-15);
   EXPECT_EQ(parsed["total"]["sure_correct"], 2);
   EXPECT_EQ(parsed["total"]["sure_recall"], 0.5);
+  EXPECT_EQ(parsed["total"]["looks"], 4);
+  EXPECT_EQ(parsed["total"]["looks_per_loop_found"], 2.0);
   EXPECT_EQ(parsed["repeats"], 1);
   EXPECT_EQ(parsed["notes"], json::array({"a note"}));
   ASSERT_EQ(parsed["methods"].size(), 2u);

@@ -174,6 +174,35 @@ TEST(EvaluationTest, CountsFirstCandidatesAgainstTrueLoopsWhateverTheVerdict) {
   EXPECT_EQ(*tally.recall_at_5(), 0.5);
 }
 
+TEST(EvaluationTest, VerifierLooksAtAllOfTheIntervalInWhichThePlaceMayLie) {
+  CandidateAnswer candidate;
+  EXPECT_EQ(LooksAt(candidate), 1);
+  candidate.meters_before = 16.0;
+  candidate.meters_after = 4.0;
+  EXPECT_EQ(LooksAt(candidate), 1);
+  candidate.meters_after = 4.5;
+  EXPECT_EQ(LooksAt(candidate), 2);
+  candidate.meters_before = candidate.meters_after = 40.0;
+  EXPECT_EQ(LooksAt(candidate), 4);
+
+  const Course course = TwoLapsAndBack();
+  std::vector<CheckAnswer> answers = {
+      // The first two are accepted, and looked at four times and once.
+      Answer(15, {{1, Verdict::kAccepted},
+                  {5, Verdict::kAccepted},
+                  {4, Verdict::kRejectedByShape}}),
+      Answer(16, {{1, Verdict::kAccepted}})};
+  answers[0].candidates[0].meters_before = 40.0;
+  answers[0].candidates[0].meters_after = 40.0;
+  Tally tally =
+      Count(Judge(course.nodes, course.truth, answers, EightExcluded()));
+  EXPECT_EQ(tally.looks, 6);
+  EXPECT_EQ(tally.loops_found, 1);
+  EXPECT_EQ(*tally.looks_per_loop(), 6.0);
+  tally.Add(Tally(tally));
+  EXPECT_EQ(*tally.looks_per_loop(), 6.0);
+}
+
 TEST(EvaluationTest, CollectsWhatFirstCandidatesState) {
   const Course course = TwoLapsAndBack();
   std::vector<CheckAnswer> answers = {
@@ -277,6 +306,9 @@ TEST(EvaluationTest, AnswersAreTheSameButForTheirTime) {
   other.candidates[0].probability = 0.5;
   EXPECT_FALSE(SameAnswer(answer, other));
   other = answer;
+  other.candidates[0].meters_after = 0.5;
+  EXPECT_FALSE(SameAnswer(answer, other));
+  other = answer;
   other.candidates[0].p_value = 1e-300;
   EXPECT_FALSE(SameAnswer(answer, other));
   other = answer;
@@ -298,6 +330,7 @@ TEST(EvaluationTest, HasNoRatioWhereThereIsNothingToDivideBy) {
   EXPECT_FALSE(nothing.precision().has_value());
   EXPECT_FALSE(nothing.recall().has_value());
   EXPECT_FALSE(nothing.f1().has_value());
+  EXPECT_FALSE(nothing.looks_per_loop().has_value());
   EXPECT_FALSE(nothing.top1().has_value());
   EXPECT_FALSE(nothing.recall_at_5().has_value());
   EXPECT_FALSE(nothing.calibration_error().has_value());

@@ -38,7 +38,7 @@ MapContents SmallMap() {
   MapCheck accepted;
   accepted.node = 90;
   accepted.candidates.push_back(
-      {20, "ACCEPTED", true, 0.9375, "path", 17.25, 21.5, 0.17});
+      {20, "ACCEPTED", true, 0.9375, 2.0, 6.5, "path", 17.25, 21.5, 0.17});
   MapCheck none;
   none.node = 40;
   none.style = 1;
@@ -94,6 +94,8 @@ TEST(MapHtml, PageHoldsItsDataAndAsksNobodyForMore) {
   EXPECT_FALSE(data["nodes"].contains("time"));
   EXPECT_EQ(data["truth"], nullptr);
   EXPECT_EQ(data["checks"][1]["candidates"][0]["probability"], 0.9375);
+  EXPECT_EQ(data["checks"][1]["candidates"][0]["before"], 2.0);
+  EXPECT_EQ(data["checks"][1]["candidates"][0]["after"], 6.5);
   EXPECT_EQ(data["checks"][0]["empty_reason"],
             "no place of the history is probable");
   EXPECT_EQ(data["closures"][0]["name"], "vehicles/a/loopClosures/x");

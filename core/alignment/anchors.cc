@@ -1,0 +1,142 @@
+#include "core/alignment/anchors.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace revisit::core {
+
+bool Reaches(const WeighedDrift& drift, NodeIndex first) {
+  return drift.reach.first < first + static_cast<NodeIndex>(NodeBlock::kSize) &&
+         first < drift.reach.last;
+}
+
+template <int D>
+Anchors<D>::Anchors(const PoseGraph& graph, const RelativeModel& model,
+                    NodeIndex query, Direction direction)
+    : model_(model) {
+  SimilarityModel similarity = model.similarity;
+  similarity.direction = direction;
+  similarity.form = LikelihoodForm::kGaussian;
+  if (model.scales.empty()) AddParts(graph, similarity, {}, query);
+  for (const WeighedScale& scale : model.scales) {
+    AddParts(graph, similarity, scale, query);
+  }
+}
+
+template <int D>
+void Anchors<D>::AddParts(const PoseGraph& graph,
+                          const SimilarityModel& similarity,
+                          const WeighedScale& scale, NodeIndex query) {
+  SimilarityModel scaled = similarity;
+  scaled.inflation *= scale.scale;
+  const auto add = [&](const std::optional<ConfirmedLoop>& loop,
+                       const WeighedDrift* drift) {
+    Part& part = parts_.emplace_back(graph, scaled, loop, query);
+    part.scale = scale.scale;
+    part.log_scale_weight = scale.log_weight;
+    part.drift = drift;
+  };
+  add(model_.last_confirmed, nullptr);
+  for (const WeighedDrift& drift : model_.drifts) add(drift.loop, &drift);
+}
+
+// Gives each part its weight in the block that begins at node `first`.
+template <int D>
+void Anchors<D>::Weigh(NodeIndex first) {
+  double left = 1.0;
+  for (const WeighedDrift& drift : model_.drifts) {
+    if (Reaches(drift, first)) left -= std::exp(drift.log_weight);
+  }
+  for (Part& part : parts_) {
+    part.counts = part.drift == nullptr || Reaches(*part.drift, first);
+    part.log_weight =
+        part.log_scale_weight +
+        (part.drift == nullptr ? std::log(left) : part.drift->log_weight);
+  }
+}
+
+template <int D>
+void Anchors<D>::Find(std::size_t k, std::size_t count, std::size_t next) {
+  Weigh(static_cast<NodeIndex>(k * NodeBlock::kSize));
+  for (Part& part : parts_) {
+    if (!part.counts) continue;
+    part.finder.Find(k, count, next, &part.differences);
+    EvaluateDifferences(model_.similarity.state_space, part.differences,
+                        &part.similarity);
+  }
+}
+
+template <int D>
+bool Anchors<D>::IsPossible(std::size_t i) const {
+  return std::any_of(parts_.begin(), parts_.end(), [i](const Part& part) {
+    return part.counts && part.similarity.log_similarity[i] != kImpossible;
+  });
+}
+
+// A mixture is at most as many times its greatest part as it has parts.
+template <int D>
+void Anchors<D>::Bound(const SearchBounds<D>& bounds, BlockColumn* most) {
+  most->fill(kImpossible);
+  double counting = 0.0;
+  BlockColumn of_part;
+  for (const Part& part : parts_) {
+    if (!part.counts) continue;
+    counting += 1.0;
+    bounds.BoundEnds(part.differences, part.similarity, &of_part);
+    for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
+      if (part.similarity.log_similarity[i] == kImpossible) continue;
+      (*most)[i] = std::max((*most)[i], of_part[i] + part.log_weight);
+    }
+  }
+  const double parts = std::log(counting);
+  for (double& bound : *most) bound += parts;
+}
+
+template <int D>
+void Anchors<D>::Change(const DifferenceChange& change) {
+  for (Part& part : parts_) {
+    if (!part.counts) continue;
+    EvaluateChanged(model_.similarity.state_space, part.differences, change,
+                    &part.similarity);
+  }
+}
+
+template <int D>
+auto Anchors<D>::At(std::size_t i) const -> Mixture {
+  Mixture mixture;
+  for (const Part& part : parts_) {
+    if (!part.counts) continue;
+    const double weighed = part.similarity.log_similarity[i] + part.log_weight;
+    if (!(weighed > mixture.log_similarity)) continue;
+    mixture = {weighed, part.similarity.squared_mahalanobis[i], part.scale};
+  }
+  double sum = 0.0;
+  for (const Part& part : parts_) {
+    if (!part.counts) continue;
+    sum += std::exp(part.similarity.log_similarity[i] + part.log_weight -
+                    mixture.log_similarity);
+  }
+  mixture.log_similarity += std::log(sum);
+  return mixture;
+}
+
+template <int D>
+void Anchors<D>::AppendScales(std::size_t i,
+                              std::vector<double>* log_similarities) const {
+  // Parts of one scale follow each other, the drift as claimed first.
+  for (const Part& part : parts_) {
+    if (part.drift == nullptr) log_similarities->push_back(kImpossible);
+    if (!part.counts) continue;
+    double& mixed = log_similarities->back();
+    const double weighed = part.similarity.log_similarity[i] + part.log_weight -
+                           part.log_scale_weight;
+    const double greater = std::max(mixed, weighed);
+    if (greater == kImpossible) continue;
+    mixed = greater + std::log1p(std::exp(std::min(mixed, weighed) - greater));
+  }
+}
+
+template class Anchors<3>;
+template class Anchors<4>;
+
+}  // namespace revisit::core

@@ -1,0 +1,93 @@
+// How well the end poses agree (the anchor of relative.h), block by block:
+// under each scale of the claims and each drift that a model holds possible,
+// and under their mixture.
+//
+// The density of the difference of the query and node j is
+//
+//   sum over scales k, drifts h of  v_k w_h N(d_j - mean_h; 0, Gamma_kh + R),
+//
+// where h = 0 is the drift as claimed. A drift that node j lies out of the
+// reach of counts as the drift as claimed there.
+#ifndef REVISIT_CORE_ALIGNMENT_ANCHORS_H_
+#define REVISIT_CORE_ALIGNMENT_ANCHORS_H_
+
+#include <cstddef>
+#include <optional>
+#include <vector>
+
+#include "core/alignment/differences.h"
+#include "core/alignment/log_similarity.h"
+#include "core/alignment/relative_model.h"
+#include "core/alignment/search_bounds.h"
+#include "core/alignment/similarity_kernel.h"
+#include "core/graph/pose_graph.h"
+
+namespace revisit::core {
+
+template <int D>
+class Anchors {
+ public:
+  // The graph and the model must outlive this.
+  Anchors(const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
+          Direction direction);
+
+  // Compares the query with the first `count` nodes of block k; what else is
+  // told concerns these. `next` is the block that will be asked for after it.
+  // REQUIRES: for kFilter, k falls from call to call.
+  void Find(std::size_t k, std::size_t count, std::size_t next);
+
+  // Whether the covariance of node i of the block is well-conditioned.
+  bool IsPossible(std::size_t i) const;
+
+  // For each node, the most that its log-odds can come to: SearchBounds.
+  // Undefined for nodes that are not possible.
+  void Bound(const SearchBounds<D>& bounds, BlockColumn* most);
+
+  // Changes the differences by what paths have shown.
+  void Change(const DifferenceChange& change);
+
+  // The mixture at a node, and the part of it that is most probable there.
+  struct Mixture {
+    double log_similarity = kImpossible;
+    double squared_mahalanobis = 0.0;
+    double scale = 1.0;
+  };
+  // REQUIRES: i is possible.
+  Mixture At(std::size_t i) const;
+
+  // The log-similarity under each scale alone, kImpossible where it is
+  // ill-conditioned. REQUIRES: the model has no drifts.
+  void AppendScales(std::size_t i, std::vector<double>* log_similarities) const;
+
+ private:
+  struct Part {
+    Part(const PoseGraph& graph, const SimilarityModel& model,
+         const std::optional<ConfirmedLoop>& loop, NodeIndex query)
+        : finder(graph, model, loop, query) {}
+
+    Differences<D> finder;
+    double scale = 1.0;
+    double log_scale_weight = 0.0;
+    // Nothing for the drift as claimed.
+    const WeighedDrift* drift = nullptr;
+    // In the block at hand. A part that does not count there has no weight.
+    bool counts = true;
+    double log_weight = 0.0;
+    DifferenceBlock differences;
+    BlockSimilarity similarity;
+  };
+
+  void AddParts(const PoseGraph& graph, const SimilarityModel& similarity,
+                const WeighedScale& scale, NodeIndex query);
+  void Weigh(NodeIndex first);
+
+  const RelativeModel& model_;
+  std::vector<Part> parts_;
+};
+
+// Whether a drift reaches into the block that begins at node `first`.
+bool Reaches(const WeighedDrift& drift, NodeIndex first);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_ALIGNMENT_ANCHORS_H_

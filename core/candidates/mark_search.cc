@@ -1,0 +1,89 @@
+#include "core/candidates/mark_search.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <optional>
+#include <vector>
+
+#include "core/alignment/relative.h"
+#include "core/belief/drive_belief.h"
+#include "core/candidates/relative_search.h"
+
+namespace revisit::core {
+namespace {
+
+// As kPrunedShare, for evidence that counts for a tenth of an observation.
+constexpr double kPrunedMarkShare = 1e-3;
+
+// The odds of ends, summed for each scale.
+class OddsByScale {
+ public:
+  OddsByScale() { log_sums_.fill(kImpossible); }
+
+  void Add(const double* log_odds) {
+    for (std::size_t k = 0; k < kScales; ++k) {
+      log_sums_[k] = LogAdd(log_sums_[k], log_odds[k]);
+    }
+  }
+  // ln(e^a + e^b).
+  static double LogAdd(double a, double b) {
+    const double greater = std::max(a, b);
+    if (greater == kImpossible) return greater;
+    return greater + std::log1p(std::exp(std::min(a, b) - greater));
+  }
+  double operator[](std::size_t k) const { return log_sums_[k]; }
+
+ private:
+  ByScale log_sums_;
+};
+
+}  // namespace
+
+absl::StatusOr<MarkEvidence> SearchMark(const SearchTask& task) {
+  RelativeModel model = ModelOf(task, kPrunedMarkShare);
+  model.last_confirmed.reset();
+  model.over_loops = false;
+  model.scales = DriveBelief().AllScales();
+  model.tell_scales = true;
+  const std::optional<RelativeAlignment> alignment =
+      AlignRelative(task.graph, model, task.query, task.steps,
+                    task.history_size, task.should_stop);
+  if (!alignment) return StoppedError();
+  MarkEvidence evidence;
+  evidence.node = task.query;
+  double best = kImpossible;
+  Direction best_direction = Direction::kSame;
+  OddsByScale all;
+  for (const Direction direction : Directions(task.options.direction)) {
+    const ScoredEnds& ends = alignment->ends(direction);
+    const std::vector<double>& odds = alignment->odds_by_scale(direction);
+    for (std::size_t i = 0; i < ends.size(); ++i) {
+      all.Add(&odds[i * kScales]);
+      if (!(ends[i].score > best)) continue;
+      best = ends[i].score;
+      best_direction = direction;
+      evidence.matched = ends[i].node;
+    }
+  }
+  OddsByScale near;
+  if (evidence.matched) {
+    const ScoredEnds& ends = alignment->ends(best_direction);
+    const std::vector<double>& odds = alignment->odds_by_scale(best_direction);
+    const EndsAround around =
+        FindEndsAround(ends, *evidence.matched, [&](NodeIndex i) {
+          return task.graph.MetersApart(i, *evidence.matched) <=
+                 kMatchRadiusMeters;
+        });
+    for (std::size_t i = around.first; i < around.last; ++i) {
+      near.Add(&odds[i * kScales]);
+    }
+  }
+  for (std::size_t k = 0; k < kScales; ++k) {
+    evidence.log_evidence[k] = OddsByScale::LogAdd(0.0, all[k]);
+    evidence.log_matched_odds[k] = near[k];
+  }
+  return evidence;
+}
+
+}  // namespace revisit::core
