@@ -43,7 +43,7 @@ struct Sample {
   std::optional<Velocity> velocity;
   // The covariance of a position alone: xx, xy, yy.
   std::optional<std::array<double, 3>> position_covariance;
-  // What the covariance of a position has of height: xz, yz, zz.
+  // The entries of a position's covariance that concern height: xz, yz, zz.
   std::optional<std::array<double, 3>> height_covariance;
   // The variance of a heading that was taken from the course.
   std::optional<double> heading_variance;

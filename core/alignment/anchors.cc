@@ -1,6 +1,7 @@
 #include "core/alignment/anchors.h"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 
 namespace revisit::core {
@@ -123,16 +124,9 @@ auto Anchors<D>::At(std::size_t i) const -> Mixture {
 template <int D>
 void Anchors<D>::AppendScales(std::size_t i,
                               std::vector<double>* log_similarities) const {
-  // Parts of one scale follow each other, the drift as claimed first.
+  assert(model_.drifts.empty());
   for (const Part& part : parts_) {
-    if (part.drift == nullptr) log_similarities->push_back(kImpossible);
-    if (!part.counts) continue;
-    double& mixed = log_similarities->back();
-    const double weighed = part.similarity.log_similarity[i] + part.log_weight -
-                           part.log_scale_weight;
-    const double greater = std::max(mixed, weighed);
-    if (greater == kImpossible) continue;
-    mixed = greater + std::log1p(std::exp(std::min(mixed, weighed) - greater));
+    log_similarities->push_back(part.similarity.log_similarity[i]);
   }
 }
 

@@ -102,8 +102,8 @@ HWY_INLINE std::size_t EntriesOf(const NodeBlock& block) {
   return block.groups() * NodeBlock::kGroupSize;
 }
 
-// What is known of two errors together: that the later one carries the earlier
-// one on; nothing; or that they share a part, node by node.
+// How two errors depend on each other: the later one carries the earlier one
+// on; not at all; or they share a part, node by node.
 enum class Errors { kDeadReckoning, kIndependent, kShared };
 
 // The differences of the nodes from i on, and their covariances: Gamma,

@@ -93,8 +93,9 @@ void DriveBelief::LearnDrift(const PoseGraph& graph, const MarkEvidence& mark,
                LogSum(Sum(log_density_, mark.log_evidence)));
   if (!(probability >= kLeastDriftProbability)) return;
   const double shown = std::min(probability, kMostDriftProbability);
-  for (WeighedDrift& earlier : drifts_)
+  for (WeighedDrift& earlier : drifts_) {
     earlier.log_weight += std::log1p(-shown);
+  }
   WeighedDrift drift;
   drift.loop = {mark.node, *mark.matched, nullptr};
   drift.log_weight = std::log(shown);

@@ -1,5 +1,5 @@
-// What a drive has shown so far of its claimed covariances and of its drift:
-// the belief with which a search begins.
+// The belief with which a search begins: a drive has shown the scale of its
+// errors to the claimed ones, and its drift, as far as it passed places again.
 //
 // Two things are learned from the marks of the drive (mark.h), without a
 // verifier:

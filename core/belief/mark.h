@@ -1,6 +1,6 @@
-// What one mark of a drive has shown of the claimed covariances and of the
-// drift. Marks lie at even distances along the path. Each is searched by itself
-// with nothing known but the poses up to it, so its evidence never changes.
+// Marks lie at even distances along the path of a drive, and each has evidence
+// of the claimed covariances and of the drift. It is searched by itself with
+// nothing known but the poses up to it, so its evidence never changes.
 #ifndef REVISIT_CORE_BELIEF_MARK_H_
 #define REVISIT_CORE_BELIEF_MARK_H_
 

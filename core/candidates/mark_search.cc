@@ -13,7 +13,8 @@
 namespace revisit::core {
 namespace {
 
-// As kPrunedShare, for evidence that counts for a tenth of an observation.
+// Ends that have at most this share of all odds together are pruned: evidence
+// that counts for a tenth of an observation needs no more (kPrunedShare).
 constexpr double kPrunedMarkShare = 1e-3;
 
 // The odds of ends, summed for each scale.

@@ -11,7 +11,8 @@ namespace {
 // The ratio of standard deviations at which P(|z| < kSmooth ratio) is this
 // share.
 double RatioOf(double smooth_share) {
-  // As if the next triple were not smooth: not all can be.
+  // The share is kept below 1, as if one more triple had not been smooth: the
+  // quantile of 1 is infinite.
   const double below =
       std::min(smooth_share, 1.0 - 1.0 / (ModelCheck::kLastTriples + 1.0));
   return std::max(

@@ -90,8 +90,9 @@ class ModelCheck {
   // Looks at the next pose of the vehicle.
   void Look(const PoseSample& sample);
 
-  // What contradicts this model. Of two findings, the one from which the other
-  // follows: errors that are carried on are correlated too.
+  // The finding by which the poses contradict this model, if any. Of two, it is
+  // the one from which the other follows: errors that are carried on are
+  // correlated too.
   std::optional<FindingCode> Judge(CorrelationModel model) const;
   // The same with what was seen.
   std::optional<Finding> Find(CorrelationModel model) const;

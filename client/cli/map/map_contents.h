@@ -50,8 +50,8 @@ struct MapCandidate {
   std::size_t node = 0;
   std::string verdict;
   bool opposite = false;
-  // That of the stretch of road, on which the place lies from so far before the
-  // node to so far after it.
+  // Candidate.probability, and Candidate.place_interval: how far before and
+  // after the node the place may lie.
   std::optional<double> probability;
   double meters_before = 0.0;
   double meters_after = 0.0;
