@@ -201,9 +201,11 @@ Judged DriveAndCheck(AlignmentKind alignment, std::mt19937_64& random) {
                 a.heading + node.fraction * step.heading};
   };
   const double lap = engine.travelled_meters() / 3.0;
+  MarkMemory marks;
   for (NodeIndex query : appended.checks_due) {
     if (graph.node(query).travelled_meters < lap + 40.0) continue;
-    const auto set = engine.FindCandidates(query, settings.search, nullptr);
+    const auto set =
+        engine.FindCandidates(query, settings.search, nullptr, &marks);
     if (!set.ok() || set->candidates.empty()) {
       ADD_FAILURE() << "no candidate at node " << query;
       continue;

@@ -61,14 +61,19 @@ def test_revision_that_begins_with_an_empty_message_is_refused(stub, driven):
 
 def test_revision_that_is_given_up_after_an_empty_message_leaves_no_trace(
         stub, driven):
+    sent, given_up = threading.Event(), threading.Event()
+
     def messages():
         yield message(driven, moved(1, 10))
         yield message()
-        call.cancel()
+        sent.set()
+        given_up.wait(20)
 
     before = get(stub, driven)
-    sending = messages()
-    call = stub.RevisePoses.future(sending)
+    call = stub.RevisePoses.future(messages())
+    assert sent.wait(20)
+    call.cancel()
+    given_up.set()
     with pytest.raises(grpc.FutureCancelledError):
         call.result()
     assert get(stub, driven) == before
