@@ -154,6 +154,7 @@ TEST(EngineExtremesTest, AnswersWhateverIsValid) {
     Engine engine(extremes.settings);
     engine.Append(extremes.samples, 1);
     std::uint64_t revision = 1;
+    MarkMemory marks;
     const auto any = [&] {
       return static_cast<std::uint64_t>(
           UniformInt(random, 1, static_cast<int>(extremes.samples.size())));
@@ -163,7 +164,7 @@ TEST(EngineExtremesTest, AnswersWhateverIsValid) {
            {AlignmentKind::kRelative, AlignmentKind::kComposite}) {
         SearchOptions options = extremes.settings.search;
         options.alignment = alignment;
-        const auto set = engine.FindCandidates(options, nullptr);
+        const auto set = engine.FindCandidates(options, nullptr, &marks);
         ExpectSane(set);
         with_candidates += set.ok() && !set->candidates.empty();
       }

@@ -103,10 +103,15 @@ def test_wrong_convention_is_refused_and_its_flag_gives_the_same_candidates(
     assert " ".join(flag) in refused.stderr
     assert not is_there(stub, f"{name}-bad")
 
+    # Searches without a belief tell as much of axes and units, in less time.
+    for kind in ("mended", "right"):
+        stub.CreateVehicle(api.CreateVehicleRequest(
+            vehicle_id=f"{name}-{kind}", vehicle=api.Vehicle(
+                settings=api.VehicleSettings(use_belief=False))))
     mended = stream(wrong_file, *flag, "--vehicle", f"{name}-mended",
-                    "--create", "--candidates", "--json")
+                    "--candidates", "--json")
     plain = stream(right(tmp_path / "right.txt", boreas), "--vehicle",
-                   f"{name}-right", "--create", "--candidates", "--json")
+                   f"{name}-right", "--candidates", "--json")
     assert candidates(mended) == candidates(plain)
     assert sum(1 for _, found in candidates(plain)
                if found and found[0][1] == "VERDICT_ACCEPTED") > 50
