@@ -27,8 +27,9 @@ DRIVE_KEYS = {
     "drive", "checks", "true_loops", "accepted", "accepted_correct",
     "top1_correct", "top5_correct", "precision", "recall", "f1", "top1",
     "recall_at_5", "sure_correct", "sure_recall", "candidates_to_verify",
-    "loops_found", "candidates_per_loop_found", "looks",
-    "looks_per_loop_found", "positive_calibration_error",
+    "loops_found", "candidates_per_loop_found", "looks", "loops_seen",
+    "looks_per_loop_seen", "accepted_holding", "interval_precision",
+    "interval_recall", "positive_calibration_error",
     "expected_calibration_error", "confirmed", "rejected", "jumps",
     "query_ms_p50", "query_ms_p99", "poses", "poses_per_second"}
 

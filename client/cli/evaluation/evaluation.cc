@@ -8,6 +8,9 @@
 namespace revisit::client {
 namespace {
 
+// Travelled distances are sums of many steps.
+constexpr double kRounding = 1e-6;
+
 constexpr double kTurn = 2.0 * kPi;
 
 std::optional<double> Ratio(double numerator, double denominator) {
@@ -102,7 +105,17 @@ std::optional<double> Tally::to_verify_per_loop() const {
 }
 
 std::optional<double> Tally::looks_per_loop() const {
-  return Ratio(static_cast<double>(looks), static_cast<double>(loops_found));
+  return Ratio(static_cast<double>(looks), static_cast<double>(loops_seen));
+}
+
+std::optional<double> Tally::interval_precision() const {
+  return Ratio(static_cast<double>(accepted_holding),
+               static_cast<double>(accepted));
+}
+
+std::optional<double> Tally::interval_recall() const {
+  return Ratio(static_cast<double>(accepted_holding),
+               static_cast<double>(true_loops));
 }
 
 std::optional<double> Tally::poses_per_second() const {
@@ -124,12 +137,14 @@ void Tally::Add(const Tally& other) {
   true_loops += other.true_loops;
   accepted += other.accepted;
   accepted_correct += other.accepted_correct;
+  accepted_holding += other.accepted_holding;
   top1_correct += other.top1_correct;
   top5_correct += other.top5_correct;
   sure_correct += other.sure_correct;
   to_verify += other.to_verify;
   loops_found += other.loops_found;
   looks += other.looks;
+  loops_seen += other.loops_seen;
   const auto append = [](auto* to, const auto& from) {
     to->insert(to->end(), from.begin(), from.end());
   };
@@ -172,12 +187,36 @@ bool SamePlace(const PlanarPose& a, const PlanarPose& b, bool opposite,
          std::abs(std::remainder(turn, kTurn)) <= judging.loop_heading_radians;
 }
 
+namespace {
+
+// Whether is_place(node) for any node between which the place may lie.
+template <typename IsPlace>
+bool AnyInInterval(const std::vector<GraphNode>& nodes,
+                   const CandidateAnswer& candidate, const IsPlace& is_place) {
+  const auto travelled = [&nodes](std::int64_t node) {
+    return nodes[static_cast<std::size_t>(node)].travelled_meters;
+  };
+  const double at = travelled(candidate.matched);
+  const double least = at - candidate.meters_before - kRounding;
+  const double most = at + candidate.meters_after + kRounding;
+  for (std::int64_t i = candidate.matched; i >= 0 && travelled(i) >= least;
+       --i) {
+    if (is_place(i)) return true;
+  }
+  const auto end = static_cast<std::int64_t>(nodes.size());
+  for (std::int64_t i = candidate.matched; i < end && travelled(i) <= most;
+       ++i) {
+    if (is_place(i)) return true;
+  }
+  return false;
+}
+
+}  // namespace
+
 std::vector<JudgedCheck> Judge(const std::vector<GraphNode>& nodes,
                                const std::vector<PlanarPose>& truth_at_nodes,
                                const std::vector<CheckAnswer>& answers,
                                const Judging& judging) {
-  // Travelled distances are sums of many steps.
-  constexpr double kRounding = 1e-6;
   std::vector<JudgedCheck> checks;
   for (const CheckAnswer& answer : answers) {
     const auto query = static_cast<std::size_t>(answer.query);
@@ -196,11 +235,13 @@ std::vector<JudgedCheck> Judge(const std::vector<GraphNode>& nodes,
                          SamePlace(here, there, true, judging));
     }
     for (const CandidateAnswer& candidate : answer.candidates) {
-      check.correct.push_back(
-          candidate.matched <= last &&
-          SamePlace(here,
-                    truth_at_nodes[static_cast<std::size_t>(candidate.matched)],
-                    candidate.opposite, judging));
+      const auto is_place = [&](std::int64_t node) {
+        return node <= last &&
+               SamePlace(here, truth_at_nodes[static_cast<std::size_t>(node)],
+                         candidate.opposite, judging);
+      };
+      check.correct.push_back(is_place(candidate.matched));
+      check.holds.push_back(AnyInInterval(nodes, candidate, is_place));
     }
     check.answer = answer;
     if (judging.only_revisited && checks.empty() && !check.true_loop) continue;
@@ -224,14 +265,18 @@ Tally Count(const std::vector<JudgedCheck>& checks) {
     if (std::find(check.correct.begin(), end, true) != end) {
       ++tally.top5_correct;
     }
+    if (check.accepted() && check.holds[0]) ++tally.accepted_holding;
     bool found = false;
+    bool seen = false;
     for (std::size_t i = 0; i < check.correct.size(); ++i) {
       if (check.answer.candidates[i].verdict != Verdict::kAccepted) continue;
       ++tally.to_verify;
       tally.looks += LooksAt(check.answer.candidates[i]);
       found = found || check.correct[i];
+      seen = seen || check.holds[i];
     }
     if (found) ++tally.loops_found;
+    if (seen) ++tally.loops_seen;
     if (!check.correct.empty()) {
       const CandidateAnswer& first = check.answer.candidates[0];
       tally.confidences.push_back({first.confidence, check.top_correct()});

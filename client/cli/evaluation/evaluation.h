@@ -18,8 +18,14 @@
 //   recall@5  = one of the first five correct / true loops, verdict aside
 //   sure recall = first candidate correct and stated at 0.9 or more / true
 //                 loops, verdict aside
+//
+// A candidate also says between which nodes the place lies. It HOLDS the place
+// if one of these nodes is the same place:
+//
+//   interval precision = accepted and holds the place / accepted
+//   interval recall    = accepted and holds the place / true loops
 //   looks per loop = looks that a verifier takes at accepted candidates of any
-//                    rank / checks with a correct one among these
+//                    rank / checks with one that holds the place among these
 #ifndef REVISIT_CLIENT_CLI_EVALUATION_EVALUATION_H_
 #define REVISIT_CLIENT_CLI_EVALUATION_EVALUATION_H_
 
@@ -122,8 +128,10 @@ struct Judging {
 struct JudgedCheck {
   CheckAnswer answer;
   bool true_loop = false;
-  // One for each candidate.
+  // One for each candidate: whether it is correct, and whether it holds the
+  // place, as all correct ones do.
   std::vector<bool> correct;
+  std::vector<bool> holds;
 
   bool accepted() const {
     return !answer.candidates.empty() &&
@@ -141,6 +149,8 @@ struct Tally {
   // Checks whose first candidate was accepted, and, of these, is correct.
   std::int64_t accepted = 0;
   std::int64_t accepted_correct = 0;
+  // Checks whose first candidate was accepted and holds the place.
+  std::int64_t accepted_holding = 0;
   // Checks with a correct candidate first, or among the first five, whatever
   // the verdict.
   std::int64_t top1_correct = 0;
@@ -151,8 +161,10 @@ struct Tally {
   // checks with a correct one among them, which are loops that would be found.
   std::int64_t to_verify = 0;
   std::int64_t loops_found = 0;
-  // Looks that these candidates take: LooksAt().
+  // Looks that these candidates take: LooksAt(), and checks with a place that
+  // is seen in one.
   std::int64_t looks = 0;
+  std::int64_t loops_seen = 0;
   // First candidates: their confidence, and their probability where stated.
   std::vector<Scored> confidences;
   std::vector<Scored> probabilities;
@@ -172,6 +184,8 @@ struct Tally {
   std::optional<double> precision() const;
   std::optional<double> recall() const;
   std::optional<double> f1() const;
+  std::optional<double> interval_precision() const;
+  std::optional<double> interval_recall() const;
   std::optional<double> top1() const;
   std::optional<double> recall_at_5() const;
   std::optional<double> to_verify_per_loop() const;

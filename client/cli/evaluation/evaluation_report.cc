@@ -93,6 +93,10 @@ void PrintSummary(const Row& row, bool verified, std::ostream& out) {
       {"precision", OrDash(t.precision(), 3)},
       {"recall", OrDash(t.recall(), 3)},
       {"F1", OrDash(t.f1(), 3)},
+      {"in interval",
+       absl::StrCat("precision ", OrDash(t.interval_precision(), 3),
+                    ", recall ", OrDash(t.interval_recall(), 3), ": ",
+                    t.accepted_holding, " whose interval holds the place")},
       {"top-1", absl::StrCat(OrDash(t.top1(), 3), ", ", t.top1_correct,
                              " of the true loops (verdict aside)")},
       {"recall@5",
@@ -105,10 +109,9 @@ void PrintSummary(const Row& row, bool verified, std::ostream& out) {
       {"verify/loop",
        absl::StrCat(OrDash(t.to_verify_per_loop(), 2), ", ", t.to_verify,
                     " accepted for the ", t.loops_found, " loops found")},
-      {"looks/loop",
-       absl::StrCat(OrDash(t.looks_per_loop(), 2), ", ", t.looks, " looks of ",
-                    Fixed(2.0 * kLookMeters, 0), " m for the ", t.loops_found,
-                    " loops found")}};
+      {"looks/loop", absl::StrCat(OrDash(t.looks_per_loop(), 2), ", ", t.looks,
+                                  " looks of ", Fixed(2.0 * kLookMeters, 0),
+                                  " m for the ", t.loops_seen, " loops seen")}};
   if (t.calibration_error().has_value()) {
     fields.push_back({"ECE p>=0.1", OrDash(t.positive_calibration_error(), 3)});
     fields.push_back({"ECE", OrDash(t.calibration_error(), 3)});
@@ -136,8 +139,8 @@ std::vector<Table::Column> ColumnsOf(const Report& report) {
   columns.push_back({"DRIVE", Align::kLeft});
   for (const char* title :
        {"CHECKS", "LOOPS", "ACCEPTED", "RIGHT", "PRECISION", "RECALL", "F1",
-        "TOP-1", "RECALL@5", "RECALL p>=0.9", "VERIFY/LOOP", "LOOKS/LOOP",
-        "ECE p>=0.1", "ECE"}) {
+        "P INTERVAL", "R INTERVAL", "TOP-1", "RECALL@5", "RECALL p>=0.9",
+        "VERIFY/LOOP", "LOOKS/LOOP", "ECE p>=0.1", "ECE"}) {
     columns.push_back({title, Align::kRight});
   }
   if (report.verified) {
@@ -164,8 +167,9 @@ std::vector<std::string> CellsOf(const Report& report,
        {t.checks, t.true_loops, t.accepted, t.accepted_correct}) {
     cells.push_back(absl::StrCat(count));
   }
-  for (const auto& ratio : {t.precision(), t.recall(), t.f1(), t.top1(),
-                            t.recall_at_5(), t.sure_recall()}) {
+  for (const auto& ratio :
+       {t.precision(), t.recall(), t.f1(), t.interval_precision(),
+        t.interval_recall(), t.top1(), t.recall_at_5(), t.sure_recall()}) {
     cells.push_back(OrDash(ratio, 3));
   }
   cells.push_back(OrDash(t.to_verify_per_loop(), 2));
@@ -219,6 +223,9 @@ Json TallyJson(const std::string& drive, const Tally& t) {
   json["precision"] = OrNull(t.precision());
   json["recall"] = OrNull(t.recall());
   json["f1"] = OrNull(t.f1());
+  json["accepted_holding"] = t.accepted_holding;
+  json["interval_precision"] = OrNull(t.interval_precision());
+  json["interval_recall"] = OrNull(t.interval_recall());
   json["top1"] = OrNull(t.top1());
   json["recall_at_5"] = OrNull(t.recall_at_5());
   json["sure_correct"] = t.sure_correct;
@@ -227,7 +234,8 @@ Json TallyJson(const std::string& drive, const Tally& t) {
   json["loops_found"] = t.loops_found;
   json["candidates_per_loop_found"] = OrNull(t.to_verify_per_loop());
   json["looks"] = t.looks;
-  json["looks_per_loop_found"] = OrNull(t.looks_per_loop());
+  json["loops_seen"] = t.loops_seen;
+  json["looks_per_loop_seen"] = OrNull(t.looks_per_loop());
   json["positive_calibration_error"] = OrNull(t.positive_calibration_error());
   json["expected_calibration_error"] = OrNull(t.calibration_error());
   json["confirmed"] = t.confirmed;

@@ -40,6 +40,7 @@ DriveResult MadeDrive(const std::string& name,
     candidate.meters_after = 4.0;
     check.answer.candidates.push_back(candidate);
     check.correct.push_back(i == 1);
+    check.holds.push_back(i == 1);
     result.checks.push_back(check);
   }
   result.tally = Count(result.checks);
@@ -73,12 +74,14 @@ TEST(EvaluationReportTest, TableHasARowForEachMethodAndDriveAndTheTotals) {
   ASSERT_EQ(lines.size(), 10u);
   EXPECT_THAT(lines[0],
               MatchesRegex("METHOD +DRIVE +CHECKS +LOOPS +ACCEPTED +RIGHT "
-                           "+PRECISION +RECALL +F1 +TOP-1 +RECALL@5 "
+                           "+PRECISION +RECALL +F1 "
+                           "+P INTERVAL +R INTERVAL +TOP-1 +RECALL@5 "
                            "+RECALL p>=0.9 +VERIFY/LOOP +LOOKS/LOOP "
                            "+ECE p>=0.1 +ECE "
                            "+POSES/s +p50 ms +p99 ms"));
   EXPECT_THAT(lines[1],
-              MatchesRegex("paper +one +2 +2 +1 +1 +1.000 +0.500 +0.667 +0.500 "
+              MatchesRegex("paper +one +2 +2 +1 +1 +1.000 +0.500 +0.667 +1.000 "
+                           "+0.500 +0.500 "
                            "+0.500 +0.500 +1.00 +2.00 +0.150 +0.150 +100 "
                            "+1.00 +2.00"));
   EXPECT_THAT(lines[3],
@@ -96,12 +99,14 @@ TEST(EvaluationReportTest, OneRowIsAList) {
   // In the words of the table, which the help explains.
   for (const char* line :
        {"precision +1.000", "recall +0.500",
+        "in interval +precision 1.000, recall 0.500: 1 whose interval holds "
+        "the place",
         "top-1 +0.500, 1 of the true loops .verdict aside.",
         "recall@5 +0.500, 1 of the true loops .verdict aside.",
         "recall p>=0.9 +0.500, 1 of the true loops right and stated at 0.9 or "
         "more",
         "verify/loop +1.00, 1 accepted for the 1 loops found",
-        "looks/loop +2.00, 2 looks of 20 m for the 1 loops found",
+        "looks/loop +2.00, 2 looks of 20 m for the 1 loops seen",
         "ECE p>=0.1 +0.150", "ECE +0.150"}) {
     EXPECT_THAT(lines, ::testing::Contains(MatchesRegex(line)));
   }
@@ -177,7 +182,7 @@ TEST(EvaluationReportTest, JsonHoldsTheSettingsAndAllMethods) {
   EXPECT_EQ(parsed["total"]["sure_correct"], 2);
   EXPECT_EQ(parsed["total"]["sure_recall"], 0.5);
   EXPECT_EQ(parsed["total"]["looks"], 4);
-  EXPECT_EQ(parsed["total"]["looks_per_loop_found"], 2.0);
+  EXPECT_EQ(parsed["total"]["looks_per_loop_seen"], 2.0);
   EXPECT_EQ(parsed["repeats"], 1);
   EXPECT_EQ(parsed["notes"], json::array({"a note"}));
   ASSERT_EQ(parsed["methods"].size(), 2u);

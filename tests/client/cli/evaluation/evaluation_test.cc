@@ -197,10 +197,38 @@ TEST(EvaluationTest, VerifierLooksAtAllOfTheIntervalInWhichThePlaceMayLie) {
   Tally tally =
       Count(Judge(course.nodes, course.truth, answers, EightExcluded()));
   EXPECT_EQ(tally.looks, 6);
+  // The first loop is seen twice.
   EXPECT_EQ(tally.loops_found, 1);
+  EXPECT_EQ(tally.loops_seen, 1);
   EXPECT_EQ(*tally.looks_per_loop(), 6.0);
   tally.Add(Tally(tally));
   EXPECT_EQ(*tally.looks_per_loop(), 6.0);
+}
+
+TEST(EvaluationTest, IntervalHoldsThePlaceIfOneOfItsNodesIsThere) {
+  const Course course = TwoLapsAndBack();
+  std::vector<CheckAnswer> answers = {Answer(15, {{1, Verdict::kAccepted}}),
+                                      Answer(15, {{1, Verdict::kAccepted}}),
+                                      Answer(15, {{8, Verdict::kAccepted}}),
+                                      Answer(25, {{3, Verdict::kAccepted}})};
+  // Node 5 is the place.
+  answers[0].candidates[0].meters_after = 20.0;
+  answers[1].candidates[0].meters_after = 45.0;
+  answers[2].candidates[0].meters_before = 35.0;
+  answers[3].candidates[0].meters_before = 40.0;
+  const auto checks =
+      Judge(course.nodes, course.truth, answers, EightExcluded());
+  EXPECT_THAT(checks[0].holds, ElementsAre(false));
+  EXPECT_THAT(checks[1].holds, ElementsAre(true));
+  EXPECT_THAT(checks[2].holds, ElementsAre(true));
+  EXPECT_THAT(checks[3].holds, ElementsAre(false));
+  const Tally tally = Count(checks);
+  EXPECT_EQ(tally.accepted_correct, 0);
+  EXPECT_EQ(tally.accepted_holding, 2);
+  EXPECT_EQ(*tally.interval_precision(), 0.5);
+  EXPECT_NEAR(*tally.interval_recall(), 2.0 / 3.0, 1e-12);
+  EXPECT_EQ(tally.loops_found, 0);
+  EXPECT_EQ(tally.loops_seen, 2);
 }
 
 TEST(EvaluationTest, CollectsWhatFirstCandidatesState) {
@@ -331,6 +359,8 @@ TEST(EvaluationTest, HasNoRatioWhereThereIsNothingToDivideBy) {
   EXPECT_FALSE(nothing.recall().has_value());
   EXPECT_FALSE(nothing.f1().has_value());
   EXPECT_FALSE(nothing.looks_per_loop().has_value());
+  EXPECT_FALSE(nothing.interval_precision().has_value());
+  EXPECT_FALSE(nothing.interval_recall().has_value());
   EXPECT_FALSE(nothing.top1().has_value());
   EXPECT_FALSE(nothing.recall_at_5().has_value());
   EXPECT_FALSE(nothing.calibration_error().has_value());
