@@ -266,6 +266,11 @@ void AddWork(Group add, Limits& l) {
              "Streaming calls at a time about one vehicle");
   add.Number("max-streams-per-caller", &l.max_streams_per_caller, 0, 1000000,
              "Streaming calls at a time of one caller; 0: no limit");
+  add.Number("max-stream-age-seconds", &l.max_stream_age_seconds, 0, 1e6,
+             "Seconds after which a StreamPoses call is ended, for its client "
+             "to open another, for which a balancer chooses a server again; "
+             "each ends up to a tenth sooner, so that not all end together; "
+             "0: no limit");
   add.Number("max-batches-in-flight", &l.max_batches_in_flight, 1, 10000,
              "Batches of one stream that may wait for their acknowledgement");
   add.Number("max-bytes-in-flight", &l.max_bytes_in_flight, 1024, 1 << 30,
