@@ -193,8 +193,12 @@ void AddServing(Group add, ServerSettings& s) {
   add.Number("memory-budget-mebibytes", &s.memory_budget_mebibytes, 0, 1 << 30,
              "Mebibytes of nodes and edges above which unused vehicles are "
              "unloaded sooner; 0: no limit");
+  add.Number("drain-notice-seconds", &s.drain_notice_seconds, 0, 86400,
+             "Seconds that the server still takes calls after SIGTERM while "
+             "its health already says NOT_SERVING, so that a balancer turns "
+             "to other servers first; a second SIGTERM ends them");
   add.Number("drain-timeout-seconds", &s.drain_timeout_seconds, 0, 86400,
-             "Seconds that calls may go on after SIGTERM");
+             "Seconds that calls may go on after SIGTERM and the notice");
 
   add.Number("ack-latency-target-ms", &s.ack_latency_target_ms, 0, 1000,
              "Milliseconds that an acknowledgement may take while poses are "
