@@ -3,11 +3,14 @@
 #include <signal.h>
 #include <unistd.h>
 
+#include <algorithm>
+#include <cerrno>
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
 #include <initializer_list>
 #include <memory>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -23,6 +26,8 @@ namespace {
 using revisit::server::Log;
 using revisit::server::LogLevel;
 using revisit::server::RevisitServer;
+
+using Clock = std::chrono::steady_clock;
 
 // How long a message may wait for a reader of the standard streams.
 constexpr std::chrono::seconds kPatience{1};
@@ -43,6 +48,22 @@ int WaitFor(const sigset_t& signals) {
   int signal_number = 0;
   sigwait(&signals, &signal_number);
   return signal_number;
+}
+
+// Waits for so long at most; 0 if no signal came.
+int WaitFor(const sigset_t& signals, Clock::duration limit) {
+  const auto deadline = Clock::now() + limit;
+  for (;;) {
+    const auto left = std::max<std::chrono::nanoseconds>(
+        deadline - Clock::now(), std::chrono::nanoseconds(0));
+    timespec timeout{};
+    timeout.tv_sec = left / std::chrono::seconds(1);
+    timeout.tv_nsec = (left % std::chrono::seconds(1)).count();
+    const int signal_number = sigtimedwait(&signals, nullptr, &timeout);
+    if (signal_number > 0) return signal_number;
+    // EINTR: something other than these signals, such as SIGCONT, came.
+    if (errno != EINTR) return 0;
+  }
 }
 
 // Call before any thread starts, so that all threads inherit the mask and only
@@ -78,15 +99,19 @@ class StopWhileStarting {
   std::thread thread_;
 };
 
-// Serves until a signal asks for the end. On SIGHUP, the files that may be
-// replaced while the server runs are read now. SIGUSR1 and SIGUSR2, by which
-// log rotation asks for files to be opened again, have nothing to do here and
-// must not end the server.
-void ServeUntilStopped(RevisitServer* server, const Log& log) {
+// Serves until a signal asks for the end, which is returned, or for so long;
+// then 0 is. On SIGHUP, the files that may be replaced while the server runs
+// are read now. SIGUSR1 and SIGUSR2, by which log rotation asks for files to be
+// opened again, have nothing to do here and must not end the server.
+int ServeUntilStopped(RevisitServer* server, const Log& log,
+                      std::optional<Clock::duration> limit) {
   const sigset_t signals =
       SetOf({SIGINT, SIGTERM, SIGHUP, SIGUSR1, SIGUSR2, FailureSignal()});
+  const auto start = Clock::now();
   for (;;) {
-    switch (WaitFor(signals)) {
+    const int signal = limit ? WaitFor(signals, start + *limit - Clock::now())
+                             : WaitFor(signals);
+    switch (signal) {
       case SIGHUP:
         log.Write(LogLevel::kInfo, "looking_at_files", {});
         server->LookAtFiles();
@@ -95,9 +120,20 @@ void ServeUntilStopped(RevisitServer* server, const Log& log) {
       case SIGUSR2:
         break;
       default:
-        return;
+        return signal;
     }
   }
+}
+
+// Serves until the server is to be shut down. It is told that some time before,
+// if the settings say so and the server can still do its work.
+void Serve(RevisitServer* server, const Log& log, double notice_seconds) {
+  const int signal = ServeUntilStopped(server, log, std::nullopt);
+  if (signal == FailureSignal() || notice_seconds <= 0.0) return;
+  server->GiveNotice();
+  ServeUntilStopped(server, log,
+                    std::chrono::duration_cast<Clock::duration>(
+                        std::chrono::duration<double>(notice_seconds)));
 }
 
 void Complain(const std::string& message) {
@@ -139,7 +175,7 @@ int main(int argc, char** argv) {
   }
   revisit::server::WriteWithin(
       STDOUT_FILENO, "listening on " + server->address() + "\n", kPatience);
-  ServeUntilStopped(server.get(), log);
+  Serve(server.get(), log, parsed->settings.drain_notice_seconds);
   server->Shutdown();
   return server->exit_code();
 }

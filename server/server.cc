@@ -137,6 +137,9 @@ struct RevisitServer::State {
   bool Listen(StartError* error);
   bool Announce(StartError* error);
 
+  // Health says NOT_SERVING from now on.
+  void EndHealth();
+
   ServerSettings settings;
   const Log* log = nullptr;
   std::optional<LibraryLogRoute> library_log;
@@ -494,15 +497,25 @@ void RevisitServer::LookAtFiles() {
   if (state_->tls_timer != nullptr) state_->tls_timer->Hasten();
 }
 
+void RevisitServer::State::EndHealth() {
+  // Stopped first: it would overwrite the health that is set here.
+  write_health_timer.reset();
+  if (auto* health = grpc_server->GetHealthCheckService()) {
+    health->SetServingStatus(false);
+  }
+}
+
+void RevisitServer::GiveNotice() {
+  state_->log->Write(LogLevel::kInfo, "notice_of_drain",
+                     {{"seconds", state_->settings.drain_notice_seconds}});
+  state_->EndHealth();
+}
+
 void RevisitServer::Shutdown() {
   if (state_->grpc_server == nullptr) return;
   const auto start = std::chrono::steady_clock::now();
   state_->log->Write(LogLevel::kInfo, "draining", {});
-  // Stopped first: it would overwrite the health that is set here.
-  state_->write_health_timer.reset();
-  if (auto* health = state_->grpc_server->GetHealthCheckService()) {
-    health->SetServingStatus(false);
-  }
+  state_->EndHealth();
   const auto deadline =
       start + Milliseconds(state_->settings.drain_timeout_seconds);
   state_->drain.Start();

@@ -41,6 +41,10 @@ class RevisitServer {
   // than within ServerSettings::security_check_seconds. Returns at once.
   void LookAtFiles();
 
+  // Has health say NOT_SERVING from now on, while everything else goes on, so
+  // that balancers send new calls elsewhere before Shutdown().
+  void GiveNotice();
+
   // Drains: health says NOT_SERVING, new calls are refused, streams send
   // their last acknowledgements and end with UNAVAILABLE (SERVER_DRAINING).
   // Calls that outlast ServerSettings::drain_timeout_seconds are cut. Then the

@@ -41,8 +41,7 @@ struct Client::Rep {
         context.set_deadline(deadline);
         return attempt(&context, &repeatable);
       }();
-      const bool is_passing =
-          absl::IsUnavailable(status) || IsCutByServer(status);
+      const bool is_passing = absl::IsUnavailable(status) || IsCut(status);
       if (!is_passing || !repeatable || count >= attempts) return status;
       const auto wait = backoff.Next(DetailsOf(status).retry_delay);
       if (SystemClock::now() + wait >= deadline) return status;

@@ -5,10 +5,11 @@
 // DetailsOf() (status.h) reads reason and field violations from them. Nothing
 // here throws or ends the process.
 //
-// Retries: a call that answers UNAVAILABLE is made again if doing it twice is
-// the same as doing it once (each call says so), after an exponential back-off
-// with jitter, no sooner than the server's RetryInfo asks for, and only while
-// the wait ends before the deadline. Nothing else is.
+// Retries: a call that answers UNAVAILABLE, or was cut on its way (IsCut() in
+// status.h), is made again if doing it twice is the same as doing it once (each
+// call says so), after an exponential back-off with jitter, no sooner than the
+// server's RetryInfo asks for, and only while the wait ends before the
+// deadline. Nothing else is.
 #ifndef REVISIT_CLIENT_REVISIT_CLIENT_H_
 #define REVISIT_CLIENT_REVISIT_CLIENT_H_
 

@@ -25,11 +25,8 @@ bool WorthAnotherConnection(const absl::Status& status, bool was_opened) {
       DetailsOf(status).reason == "TOKEN_EXPIRED") {
     return true;
   }
-  // gRPC or a proxy reset the stream (RST_STREAM): what the server says of its
-  // own errors has a reason.
-  if (absl::IsInternal(status) && DetailsOf(status).reason.empty()) return true;
   return absl::IsUnavailable(status) || absl::IsAborted(status) ||
-         IsCutByServer(status) ||
+         IsCut(status) ||
          (absl::IsResourceExhausted(status) &&
           DetailsOf(status).retry_delay.has_value());
 }

@@ -15,9 +15,9 @@
 // room, TryAppend() says RESOURCE_EXHAUSTED.
 //
 // Reconnecting: after UNAVAILABLE, ABORTED, RESOURCE_EXHAUSTED with a
-// RetryInfo, INTERNAL without a reason (gRPC or a proxy reset the stream), an
-// end that was not asked for, or silence longer than answer_timeout, with
-// exponential back-off that starts over after progress.
+// RetryInfo, a cut on the way (IsCut() in status.h), an end that was not asked
+// for, or silence longer than answer_timeout, with exponential back-off that
+// starts over after progress.
 // An expired token is no end either once the stream was opened: the next
 // connection reads it anew (channel.h). Any other status ends the stream, among
 // them DATA_LOSS (the server has less than was acknowledged), ALREADY_EXISTS (a

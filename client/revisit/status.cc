@@ -61,8 +61,9 @@ ErrorDetails DetailsOf(const absl::Status& status) {
   return details;
 }
 
-bool IsCutByServer(const absl::Status& status) {
-  return absl::IsCancelled(status) && DetailsOf(status).reason.empty();
+bool IsCut(const absl::Status& status) {
+  return (absl::IsCancelled(status) || absl::IsInternal(status)) &&
+         DetailsOf(status).reason.empty();
 }
 
 std::string Describe(const absl::Status& status) {

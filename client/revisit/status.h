@@ -36,10 +36,13 @@ struct ErrorDetails {
 // type URLs ("type.googleapis.com/google.rpc.ErrorInfo" and so on).
 ErrorDetails DetailsOf(const absl::Status& status);
 
-// Whether a call that nobody here cancelled was cut by a server that shuts
-// down: gRPC answers CANCELLED, without a reason, to calls that come in the
-// moment between the last refusal and the end of the connection.
-bool IsCutByServer(const absl::Status& status);
+// Whether a call that nobody here cancelled was cut on its way, so that nobody
+// said how it ended; what the server says itself has a reason. gRPC answers
+// CANCELLED to calls that come in the moment between the last refusal of a
+// server that shuts down and the end of its connection, and INTERNAL to calls
+// that gRPC or a proxy reset (RST_STREAM), as Envoy does to a stream when the
+// server behind it dies.
+bool IsCut(const absl::Status& status);
 
 // Describes a status to people: the message, the reason, and a line for each
 // field violation that the message does not contain.

@@ -108,6 +108,12 @@ absl::Status QuotaExceeded(absl::StatusCode code, const std::string& reason,
   return status;
 }
 
+absl::Status WithRetryDelay(std::chrono::milliseconds delay,
+                            absl::Status status) {
+  SetRetryInfo(delay.count(), &status);
+  return status;
+}
+
 absl::Status VehicleNotFound(const std::string& id) {
   return Error(absl::StatusCode::kNotFound, "VEHICLE_NOT_FOUND",
                absl::StrCat("no such vehicle: '", id, "'"));

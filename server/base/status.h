@@ -52,6 +52,10 @@ absl::Status QuotaExceeded(absl::StatusCode code, const std::string& reason,
                            std::chrono::milliseconds retry_delay,
                            const ErrorMetadata& metadata = {});
 
+// The status with this RetryInfo in place of its own.
+absl::Status WithRetryDelay(std::chrono::milliseconds delay,
+                            absl::Status status);
+
 // NOT_FOUND (VEHICLE_NOT_FOUND). The words do not give away whether there is no
 // such vehicle or the caller may not know of it.
 absl::Status VehicleNotFound(const std::string& id);

@@ -5,6 +5,7 @@
 #include <deque>
 #include <memory>
 #include <optional>
+#include <random>
 #include <string>
 #include <utility>
 #include <vector>
@@ -47,6 +48,25 @@ google::protobuf::ArenaOptions RequestArenaOptions(char* first_block) {
   return options;
 }
 
+// How long the client of a stream that has its age is to wait: there is nothing
+// to wait for, since such streams end one by one.
+constexpr std::chrono::milliseconds kOldAgeDelay{100};
+
+// The age at which one stream ends.
+std::chrono::milliseconds DrawnAge(double limit_seconds) {
+  thread_local std::minstd_rand random(std::random_device{}());
+  std::uniform_real_distribution<double> share(0.9, 1.0);
+  return std::chrono::milliseconds(
+      static_cast<std::int64_t>(limit_seconds * 1000.0 * share(random)));
+}
+
+absl::Status OldAge() {
+  return WithRetryDelay(
+      kOldAgeDelay, Error(absl::StatusCode::kUnavailable, "STREAM_AGE",
+                          "the stream is as old as this server lets one get; "
+                          "reconnect and resume"));
+}
+
 // Messages go: read, staged (decoded and taken on by the session), durable (its
 // acknowledgement is queued), checked (its candidates are queued), written.
 //
@@ -60,9 +80,9 @@ google::protobuf::ArenaOptions RequestArenaOptions(char* first_block) {
 // cut off at max_unread_bytes: candidates, unlike acknowledgements, are not
 // bounded by the batches in flight.
 //
-// Ending: whatever ends the stream (half-close, failure, drain), batches that
-// the session has taken run to their end and their answers are written first.
-// Only a stream whose caller is gone skips that.
+// Ending: whatever ends the stream (half-close, failure, age, drain), batches
+// that the session has taken run to their end and their answers are written
+// first. Only a stream whose caller is gone skips that.
 //
 // Lifetime: gRPC may destroy its side as soon as OnDone() has run, and sessions
 // call back from their own threads at any time. So the stream is held by a
@@ -93,6 +113,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     });
     const MutexLock lock(&mutex_);
     SetFailure(call_.admission());
+    if (!failure_) LimitAge();
     Advance();
   }
 
@@ -427,6 +448,25 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     Advance();
   }
 
+  void LimitAge() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    const double limit = context_.limits.max_stream_age_seconds;
+    if (limit <= 0.0) return;
+    age_ = std::make_unique<grpc::Alarm>();
+    age_->Set(std::chrono::system_clock::now() + DrawnAge(limit),
+              [weak = weak_from_this()](bool ok) {
+                const auto stream = weak.lock();
+                if (ok && stream != nullptr) stream->OnAge();
+              });
+  }
+
+  // Ends a stream that has its age after the last acknowledgement of batches
+  // that the session has taken. One whose client has sent all ends anyway.
+  void OnAge() {
+    const MutexLock lock(&mutex_);
+    if (!half_closed_) SetFailure(OldAge());
+    Advance();
+  }
+
   // Ends the stream of a caller who has lost the right to it, after the last
   // acknowledgement of batches that the session has taken.
   void Recheck() {
@@ -570,6 +610,8 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   // Whether the client was found not to read its candidates.
   bool slow_ ABSL_GUARDED_BY(mutex_) = false;
   grpc::Alarm cut_ ABSL_GUARDED_BY(mutex_);
+  // Null if streams may get any age.
+  std::unique_ptr<grpc::Alarm> age_ ABSL_GUARDED_BY(mutex_);
   bool reading_ ABSL_GUARDED_BY(mutex_) = false;
   bool handling_ ABSL_GUARDED_BY(mutex_) = false;
   bool writing_ ABSL_GUARDED_BY(mutex_) = false;

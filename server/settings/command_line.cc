@@ -18,9 +18,10 @@ names, with lines such as
 Flags win over the environment, the environment over the file.
 
 Once calls are taken, "listening on ADDRESS" is printed to standard output; logs
-go to standard error. SIGTERM or SIGINT drains: new calls are refused, streams
-get their last acknowledgements, then the store is closed. SIGHUP has the files
-of keys, certificates and policy looked at now.
+go to standard error. SIGTERM or SIGINT drains: health says NOT_SERVING; once
+the notice, if there is one, is over, new calls are refused, streams get their
+last acknowledgements, then the store is closed. SIGHUP has the files of keys,
+certificates and policy looked at now.
 
 Exit codes:
   0   stopped as told

@@ -75,6 +75,13 @@ struct Limits {
   int max_streams = 10000;
   int max_streams_per_vehicle = 32;
   int max_streams_per_caller = 0;
+  // StreamPoses calls that are older end (STREAM_AGE) once what they brought is
+  // acknowledged; their clients open others, for which a balancer chooses a
+  // server again. Each ends up to a tenth sooner, so that those that began
+  // together do not end together. The other streaming calls come to an end by
+  // themselves, and could not go on where they were cut. Off at 0. Range [0,
+  // 1e6].
+  double max_stream_age_seconds = 0.0;
   // Batches of one stream that may wait for their acknowledgement to be sent,
   // and the memory that they may take, which a single one may exceed. Range [1,
   // 10000] and [1024, 2^30].
@@ -113,9 +120,9 @@ struct Limits {
   int max_searches_per_vehicle = 16;
   // Searches per second and caller; off at 0. Range [0, 1e6].
   double max_search_rate_per_caller = 0.0;
-  // Nodes of the aligned path times nodes of the history times directions (2 for
-  // EITHER), per search: core's SearchOptions::max_comparisons, and `limit` of
-  // LIMIT_EXCEEDED. Range [1000, 1e12].
+  // Nodes of the aligned path times nodes of the history times directions (2
+  // for EITHER), per search: core's SearchOptions::max_comparisons, and `limit`
+  // of LIMIT_EXCEEDED. Range [1000, 1e12].
   std::int64_t max_search_steps = 300'000'000;
 
   // ---- Memory

@@ -193,8 +193,12 @@ void AddServing(Group add, ServerSettings& s) {
   add.Number("memory-budget-mebibytes", &s.memory_budget_mebibytes, 0, 1 << 30,
              "Mebibytes of nodes and edges above which unused vehicles are "
              "unloaded sooner; 0: no limit");
+  add.Number("drain-notice-seconds", &s.drain_notice_seconds, 0, 86400,
+             "Seconds that the server still takes calls after SIGTERM while "
+             "its health already says NOT_SERVING, so that a balancer turns "
+             "to other servers first; a second SIGTERM ends them");
   add.Number("drain-timeout-seconds", &s.drain_timeout_seconds, 0, 86400,
-             "Seconds that calls may go on after SIGTERM");
+             "Seconds that calls may go on after SIGTERM and the notice");
 
   add.Number("ack-latency-target-ms", &s.ack_latency_target_ms, 0, 1000,
              "Milliseconds that an acknowledgement may take while poses are "
@@ -266,6 +270,11 @@ void AddWork(Group add, Limits& l) {
              "Streaming calls at a time about one vehicle");
   add.Number("max-streams-per-caller", &l.max_streams_per_caller, 0, 1000000,
              "Streaming calls at a time of one caller; 0: no limit");
+  add.Number("max-stream-age-seconds", &l.max_stream_age_seconds, 0, 1e6,
+             "Seconds after which a StreamPoses call is ended, for its client "
+             "to open another, for which a balancer chooses a server again; "
+             "each ends up to a tenth sooner, so that not all end together; "
+             "0: no limit");
   add.Number("max-batches-in-flight", &l.max_batches_in_flight, 1, 10000,
              "Batches of one stream that may wait for their acknowledgement");
   add.Number("max-bytes-in-flight", &l.max_bytes_in_flight, 1024, 1 << 30,

@@ -58,8 +58,12 @@ struct ServerSettings {
   // stream holds are unloaded sooner, the longest unused first; 0 sets no
   // limit. Range [0, 2^30].
   std::int64_t memory_budget_mebibytes = 0;
-  // How long calls may go on after SIGTERM before they are cut. Range [0,
-  // 86400].
+  // How long calls are still taken after SIGTERM while health already says
+  // NOT_SERVING. A balancer in front needs that to turn to other servers before
+  // this one refuses calls; a server that stands alone would only be back
+  // later, so there is none by default. Range [0, 86400].
+  double drain_notice_seconds = 0.0;
+  // How long calls may go on after that before they are cut. Range [0, 86400].
   double drain_timeout_seconds = 10.0;
 
   // While many poses come, acknowledgements may be delayed this long for the

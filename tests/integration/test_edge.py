@@ -16,11 +16,12 @@ import grpc
 import pytest
 
 import attacks
+import killed_server
 from identities import Authority, TokenKey, bearer, key_set, replace
 from raw_http2 import RawConnection
 from revisit_server import STOP_SECONDS, Server, free_port, wait_until
 from stubs import ROOT, PoseGraphServiceStub, api
-from wire import straight
+from wire import PoseStream, straight
 
 CONFIGURATION = ROOT / "deploy/edge/envoy.yaml"
 # What is promised: of one connection, and of all.
@@ -61,18 +62,20 @@ class Edge:
             "grants": [{"token_subject": "acme", "tenant": "acme",
                         "vehicles": ["*"],
                         "verbs": ["read", "write", "admin"]}]}))
-        self.server = Server(
-            directory / "store", "--token-keys", keys,
-            "--token-issuer", "https://login.example",
+        self.flags = [
+            "--token-keys", keys, "--token-issuer", "https://login.example",
             "--token-audience", "revisit", "--policy", policy,
-            "--log-level=warning")
+            "--log-level=warning"]
+        self.directory = directory
+        self.server_port = free_port()
+        self.start_server()
         self.port = free_port()
         text = CONFIGURATION.read_text()
         for old, new in (("/etc/revisit", directory),
                          ("address: 0.0.0.0, port_value: 50051",
                           f"address: 127.0.0.1, port_value: {self.port}"),
                          ("port_value: 50052",
-                          f"port_value: {self.server.port}")):
+                          f"port_value: {self.server_port}")):
             assert old in text
             text = text.replace(old, str(new))
         with open(directory / "envoy.log", "wb") as log:
@@ -86,6 +89,10 @@ class Edge:
             cadata=self.authority.pem.decode())
         self.tls.set_alpn_protocols(["h2"])
         self.wait_until_listening()
+
+    def start_server(self):
+        self.server = Server(self.directory / "store", *self.flags,
+                             listen=f"127.0.0.1:{self.server_port}")
 
     def wait_until_listening(self):
         def listens():
@@ -148,6 +155,37 @@ def test_callers_are_served_through_it_and_strangers_answered_by_it(edge):
                                    metadata=metadata, timeout=20)
             assert raised.value.code() == grpc.StatusCode.UNAUTHENTICATED
     assert "UNAUTHENTICATED" not in edge.server.log()
+
+
+def test_streams_go_on_when_the_server_dies_behind_it(edge, tmp_path):
+    token = edge.key.token("acme")
+    metadata = bearer(token)
+    flags = ["--create", "--server", f"127.0.0.1:{edge.port}",
+             "--tls-ca", replace(tmp_path / "ca.pem", edge.authority.pem),
+             "--token-file", replace(tmp_path / "token", token)]
+    drive = killed_server.write_drive(tmp_path / "drive.csv")
+    with edge.channel() as channel:
+        stub = PoseGraphServiceStub(channel)
+        stub.CreateVehicle(api.CreateVehicleRequest(vehicle_id="acme-idle"),
+                           metadata=metadata, timeout=20)
+        with PoseStream(stub, "vehicles/acme-idle", metadata=metadata) as idle:
+            idle.receive_kind("opened")
+            summary = killed_server.stream_through_a_kill(
+                drive, "acme-1", flags,
+                lambda: stub.GetVehicle(
+                    api.GetVehicleRequest(name="vehicles/acme-1"),
+                    metadata=metadata, timeout=20).vehicle.durable_sequence,
+                edge.server.kill, edge.start_server)
+            # How Envoy tells of it.
+            with pytest.raises(grpc.RpcError) as raised:
+                idle.receive()
+            killed_server.check_is_reset(raised.value)
+    edge.server.close()
+    # Nobody asks the next one's callers who they are.
+    with Server(tmp_path / "store") as server:
+        killed_server.check_all_is_stored_once(
+            summary, server.stub(), "vehicles/acme-1")
+    edge.start_server()
 
 
 @pytest.mark.release_build

@@ -22,7 +22,7 @@ from revisit.backoff import Backoff
 from revisit.channel import Caller, Channels, Lease, stub_of
 from revisit.errors import (
     Aborted, Cancelled, DataLoss, Error, ResourceExhausted, Unauthenticated,
-    Unavailable, VehicleReplaced, from_rpc_error, is_cut_by_server, is_reset)
+    Unavailable, VehicleReplaced, from_rpc_error, is_cut)
 from revisit.stream_options import StreamCallbacks, StreamOptions
 
 _log = logging.getLogger("revisit")
@@ -40,7 +40,7 @@ def _worth_another_connection(error: BaseException, was_opened: bool) -> bool:
     if isinstance(error, ResourceExhausted):
         return error.retry_delay is not None
     return isinstance(error, (Unavailable, Aborted)) or (
-        isinstance(error, Error) and (is_cut_by_server(error) or is_reset(error)))
+        isinstance(error, Error) and is_cut(error))
 
 
 class _Connection:

@@ -16,8 +16,7 @@ from typing import Any, Optional, Union
 import grpc
 
 from revisit.errors import (
-    Cancelled, DeadlineExceeded, Error, Unauthenticated, Unavailable, is_cut_by_server,
-    is_reset)
+    Cancelled, DeadlineExceeded, Error, Unauthenticated, Unavailable, is_cut)
 from revisit.v1 import pose_graph_service_pb2_grpc as service
 
 PathLike = Union[str, "os.PathLike[str]"]
@@ -169,7 +168,7 @@ class Channels:
     def report(self, lease: Lease, error: Error) -> None:
         """Lets later calls have a new channel if this error, which came on the
         leased one, shows that its connection or its server may have gone."""
-        if not (is_reset(error) or is_cut_by_server(error) or (
+        if not (is_cut(error) or (
                 isinstance(error, (Unavailable, DeadlineExceeded))
                 and error.reason in ("", "SERVER_DRAINING"))):
             return

@@ -18,7 +18,7 @@ from revisit.backoff import Backoff, BackoffOptions
 from revisit.channel import (
     Caller, ChannelOptions, Channels, PathLike, stub_of)
 from revisit.errors import (
-    Error, ResourceExhausted, Unavailable, from_rpc_error, is_cut_by_server, is_reset)
+    Error, ResourceExhausted, Unavailable, from_rpc_error, is_cut)
 from revisit.pose_stream import PoseStream, PosesLike
 from revisit.stream_options import StreamCallbacks, StreamOptions
 from revisit.tables import Table, edge_table, node_table
@@ -62,8 +62,7 @@ def _may_repeat(error: Error, is_safe: bool) -> bool:
     if isinstance(error, ResourceExhausted):
         # The server says that it did nothing, and when to send the same again.
         return error.retry_delay is not None
-    return is_safe and (isinstance(error, Unavailable) or is_cut_by_server(error)
-                        or is_reset(error))
+    return is_safe and (isinstance(error, Unavailable) or is_cut(error))
 
 
 class Client:

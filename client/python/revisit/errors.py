@@ -232,14 +232,11 @@ def from_rpc_error(error: Any, request_id: str = "") -> Error:
     return made(error.details() or "", code=code, **found)
 
 
-def is_cut_by_server(error: Error) -> bool:
-    """Whether a call that nobody here cancelled was cut by a server that shuts
-    down: gRPC answers CANCELLED, without a reason, to calls that come in the
-    moment between the last refusal and the end of the connection."""
-    return isinstance(error, Cancelled) and not error.reason
-
-
-def is_reset(error: Error) -> bool:
-    """Whether gRPC or a proxy reset the stream: what the server says of its own
-    defects has a reason."""
-    return isinstance(error, Internal) and not error.reason
+def is_cut(error: Error) -> bool:
+    """Whether a call that nobody here cancelled was cut on its way, so that nobody
+    said how it ended; what the server says itself has a reason. gRPC answers
+    CANCELLED to calls that come in the moment between the last refusal of a server
+    that shuts down and the end of its connection, and INTERNAL to calls that gRPC or
+    a proxy reset (RST_STREAM), as Envoy does to a stream when the server behind it
+    dies."""
+    return isinstance(error, (Cancelled, Internal)) and not error.reason

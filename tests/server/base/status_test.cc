@@ -1,5 +1,6 @@
 #include "server/base/status.h"
 
+#include <chrono>
 #include <string>
 #include <vector>
 
@@ -75,6 +76,16 @@ TEST(StatusTest, SaysWhenToRetryOnlyWhereThatHelps) {
         StatusCode::kInternal, StatusCode::kAborted}) {
     EXPECT_FALSE(Error(code, "X", "no").GetPayload(kRetryInfoUrl).has_value());
   }
+}
+
+TEST(StatusTest, TakesAnotherRetryDelay) {
+  const auto details = DetailsOf(ToGrpcStatus(
+      WithRetryDelay(std::chrono::milliseconds(2250),
+                     Error(StatusCode::kUnavailable, "STREAM_AGE", "later"))));
+  EXPECT_THAT(TypesOf(details), ElementsAre(kErrorInfoUrl, kRetryInfoUrl));
+  const auto retry = DetailOf<google::rpc::RetryInfo>(details);
+  EXPECT_EQ(retry.retry_delay().seconds(), 2);
+  EXPECT_EQ(retry.retry_delay().nanos(), 250000000);
 }
 
 TEST(StatusTest, ListsViolatedFields) {

@@ -200,6 +200,10 @@ TEST_F(SettingsTest, PrintedSettingsReadBackAsTheSame) {
                            "3",
                            "--drain-timeout-seconds",
                            "0.1",
+                           "--drain-notice-seconds",
+                           "2.5",
+                           "--max-stream-age-seconds",
+                           "3600",
                            "--max-revision-bytes",
                            "68719476736",
                            "--log-format",
@@ -212,6 +216,8 @@ TEST_F(SettingsTest, PrintedSettingsReadBackAsTheSame) {
   EXPECT_EQ(again.store, arguments[3]);
   EXPECT_EQ(again.worker_threads, 3);
   EXPECT_EQ(again.drain_timeout_seconds, 0.1);
+  EXPECT_EQ(again.drain_notice_seconds, 2.5);
+  EXPECT_EQ(again.limits.max_stream_age_seconds, 3600.0);
   EXPECT_EQ(again.limits.max_revision_bytes, std::int64_t{1} << 36);
   EXPECT_EQ(again.log_format, LogFormat::kJson);
   EXPECT_EQ(again.log_level, LogLevel::kOff);
