@@ -355,9 +355,7 @@ absl::StatusOr<DriveBelief> Engine::BeliefAt(
     const auto found = evidence(mark);
     if (!found.ok()) return found.status();
     if (!ShowsDrift(**found, query)) continue;
-    belief.LearnDrift(
-        graph_, **found,
-        2.0 * static_cast<double>(kDriftMarks) * line.spacing_meters);
+    belief.LearnDrift(graph_, **found, kDriftReach * line.spacing_meters);
   }
   memory->Tidy(kMostMarksKept, [&](std::int64_t mark) {
     return mark >= first_of_drift || mark % scales.stride == 0;

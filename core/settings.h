@@ -61,7 +61,7 @@ struct SearchOptions {
   // Mean distance between roads that the vehicle has not driven.
   double road_spacing_meters = 200.0;
   // Least posterior probability of a stretch of road that is accepted.
-  double acceptance_probability = 0.5;
+  double acceptance_probability = 0.45;
   // Whether the search begins with what the drive has shown before
   // (drive_belief.h). kDeadReckoning only, and where that is the vehicle's
   // model too; others begin with the claims as they are.

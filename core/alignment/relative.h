@@ -6,14 +6,16 @@
 // path, is weighed once by its own covariance (the anchor). For history
 // node j,
 //
-//   score(j) = ln N(d_j + a; 0, Gamma_j + R - A) + w LLR(q) - ln rho,
+//   score(j) = ln N(d_j + a; 0, Gamma_j + R - A) + w LLR(q) - c - ln rho,
 //
 // the log-odds of "the end is at node j" against "at no node of the history".
 // - q is the path of history back from j with the greatest LLR (path_walk.h),
 //   of any length up to the recent path's: the vehicle may have joined the old
 //   road only just now.
 // - LLR is the accumulated log-likelihood ratio of the shape, less a cost for
-//   each slip; w discounts it for what neighbouring nodes share.
+//   each slip; w discounts it for what neighbouring nodes share. c is the cost
+//   of a place at which roads join, which LLR has back where q covers all of
+//   the recent path (kJoinCost).
 // - a is how far the end poses stray by themselves, as the smoother has it
 //   after q, and A is by how much that is more certain than R says. Both are 0
 //   where q is the end alone. This is the joint density of the whole window,

@@ -40,7 +40,7 @@ SearchBounds<D>::SearchBounds(const PoseGraph& graph,
       recent_(recent),
       query_(query),
       size_(history_size),
-      constant_(LogNewPlaceTerm(model)) {
+      constant_(LogNewPlaceTerm(model) - recent.filter().join_cost()) {
   PackLower<D>(
       recent.ToFrame((2.0 / recent.weight()) * recent.filter().EndShift()),
       change_bound_.shift);

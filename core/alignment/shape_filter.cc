@@ -208,6 +208,7 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
         end_prior - Inverse<D>(end_prior_information + weight * gathered);
     step.surprise = surprises[static_cast<std::size_t>(t)];
   }
+  steps_.back().surprise += join_cost() / weight;
   // Cov(at_end) is the sum of K S K^T over the steps, which bounds sum K nu by
   // Cauchy and Schwarz.
   end_shift_ = end_prior - errors.end;

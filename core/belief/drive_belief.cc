@@ -8,8 +8,8 @@
 namespace revisit::core {
 namespace {
 
-// Scales less probable than this (e^-9) are left out.
-constexpr double kLeastLogWeight = -9.0;
+// Scales less probable than this (e^-5) are left out.
+constexpr double kLeastLogWeight = -5.0;
 
 // A place is never taken to be surer than this: verifiers refuse some that look
 // surer.

@@ -38,7 +38,10 @@ inline constexpr double kScaleShare = 0.1;
 inline constexpr std::int64_t kMostScaleMarks = 32;
 // Marks whose places are remembered: over a longer way, the drift becomes
 // another.
-inline constexpr std::int64_t kDriftMarks = 8;
+inline constexpr std::int64_t kDriftMarks = 24;
+// How far the drift that a mark has shown reaches along the path from its place
+// either way, in spacings of marks.
+inline constexpr double kDriftReach = 40.0;
 // Least probability of a place that shows the drift.
 inline constexpr double kLeastDriftProbability = 0.9;
 // Most drifts that are held possible at a time, beside the one as claimed.

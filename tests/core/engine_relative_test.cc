@@ -283,7 +283,9 @@ TEST(EngineRelativeTest, AnEndAtTheEdgeOfTheGateNeedsAShapeThatSpeaksForIt) {
   const Candidate& best = set.candidates[0];
   EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kAccepted);
   EXPECT_EQ(best.relative->path_gate.verdict, GateVerdict::kAccepted);
-  EXPECT_EQ(best.verdict, Verdict::kRejectedByShape);
+  // Had the two ends coincided, a road that is joined just there would still be
+  // improbable.
+  EXPECT_EQ(best.verdict, Verdict::kUninformative);
 }
 
 TEST(EngineRelativeTest, NothingIsInventedWhereAllIsIllConditioned) {

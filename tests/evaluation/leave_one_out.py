@@ -34,7 +34,7 @@ from reports import REVISIT, report_of
 SETTINGS = {
     "road-spacing": ((100.0, 200.0, 400.0), 200.0),
     "shape-correlation": ((10.0, 20.0, 40.0), 20.0),
-    "acceptance-probability": ((0.4, 0.5, 0.6), 0.5),
+    "acceptance-probability": ((0.35, 0.45, 0.55), 0.45),
 }
 
 COUNTS = ("checks", "true_loops", "accepted", "accepted_correct",

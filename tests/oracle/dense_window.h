@@ -128,6 +128,7 @@ class DenseWindow {
       }
       surprise_.push_back(-std::log(share));
     }
+    surprise_.back() += join_cost() / weight_;
   }
 
   int dimensions() const { return d_; }
@@ -141,6 +142,8 @@ class DenseWindow {
   Wide surprise(std::int64_t t) const {
     return surprise_[static_cast<std::size_t>(t)];
   }
+  // What a path costs, which the last step has in return.
+  Wide join_cost() const { return path_.size() > 1 ? core::kJoinCost : 0.0; }
   const WideMatrix& end_prior() const { return end_prior_; }
 
   // Of e_1 .. e_L, stacked.

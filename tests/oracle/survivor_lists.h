@@ -10,6 +10,7 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -403,30 +404,34 @@ class SurvivorLists {
 
   ListedMatch Match(core::NodeIndex j, int way, const ListedPath& path) const {
     ListedMatch match;
-    Wide density_of_end = 0.0L;
-    Wide greatest = 0.0L;
+    // Logarithms, since those of far ends are too small for a number.
+    std::vector<Wide> parts;
+    Wide greatest = -std::numeric_limits<Wide>::infinity();
     for (const WeighedAnchor& anchor : AnchorsOf(j)) {
       const auto form = Smoothed(j, way, path, anchor);
       if (!form) continue;
       match.possible = true;
-      const Wide part = std::exp(
-          anchor.log_weight - 0.5L * (form->squared + form->log_determinant));
-      density_of_end += part;
+      const Wide part =
+          anchor.log_weight - 0.5L * (form->squared + form->log_determinant);
+      parts.push_back(part);
       if (!(part > greatest)) continue;
       greatest = part;
       match.squared_end_difference = form->squared;
       match.scale = anchor.scale;
     }
     if (!match.possible) return match;
+    Wide times_greatest = 0.0L;
+    for (const Wide part : parts) times_greatest += std::exp(part - greatest);
     // Nodes on roads not driven, per square metre (SPATIAL: cubic) and radian.
     const Wide roads = 2.0L / model_.road_spacing_meters;
     Wide density = roads / model_.spacing_meters * 2.0L / (2.0L * kWidePi);
     if (d_ == 4) density /= core::kRoadHeightRange;
     match.log_likelihood_ratio = path.log_likelihood_ratio;
     match.squared_innovations = path.squared_innovations;
-    match.score =
-        std::log(density_of_end) - 0.5L * d_ * std::log(2.0L * kWidePi) +
-        window_.weight() * match.log_likelihood_ratio - std::log(density);
+    match.score = greatest + std::log(times_greatest) -
+                  0.5L * d_ * std::log(2.0L * kWidePi) +
+                  window_.weight() * match.log_likelihood_ratio -
+                  window_.join_cost() - std::log(density);
     match.entries = path.entries;
     return match;
   }

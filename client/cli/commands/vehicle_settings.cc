@@ -41,7 +41,7 @@ constexpr SettingFlag kFlags[] = {
      "Shared drift counted once, or the paper's sum over all pairs of nodes",
      "relative"},
     {"--acceptance-probability", "acceptance_probability", "P",
-     "Relative: least probability of an accepted candidate", "0.5"},
+     "Relative: least probability of an accepted candidate", "0.45"},
     {"--road-spacing", "road_spacing_meters", "M",
      "Relative: mean distance between roads not driven", "200"},
     {"--shape-tolerance-position", "shape_tolerance.position_meters", "M",
