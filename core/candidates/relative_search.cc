@@ -17,9 +17,14 @@
 namespace revisit::core {
 namespace {
 
-// Places of each direction that are weighed against each other, or as many as
-// are answered if these are more.
-constexpr int kMostRivals = 16;
+// Places of each direction that are ranked at first, or as many as are answered
+// if these are more. Four times as many are while those that are left out would
+// still have this share of the probability: passes of a road that was driven
+// often.
+constexpr int kRankedFirst = 16;
+constexpr double kMostLeftOut = 0.01;
+// Most places that are ranked.
+constexpr int kMostRanked = 4096;
 
 class RelativeSearch {
  public:
@@ -39,11 +44,18 @@ class RelativeSearch {
     if (!alignment_) return StoppedError();
     set->nodes_considered = alignment_->considered();
     set->nodes_pruned = task_.history_size - alignment_->considered();
-    std::vector<RankedPlace> places = Rank();
+    int most = std::max(options_.max_candidates, kRankedFirst);
+    std::vector<RankedPlace> places = Rank(most);
     // There are no odds where no covariance is well-conditioned.
     if (places.empty() && set->nodes_pruned == 0) return absl::OkStatus();
-    const double new_place = Claim(&places);
-    const Rivals rivals(task_.graph, model_, std::move(places));
+    double new_place = Claim(&places);
+    while (LeftOut(places, new_place) > kMostLeftOut && most < kMostRanked) {
+      most *= 4;
+      places = Rank(most);
+      new_place = Claim(&places);
+    }
+    const Rivals rivals(task_.graph, model_, std::move(places),
+                        static_cast<std::size_t>(options_.max_candidates));
     set->new_place_probability = new_place;
     set->candidates = Judge(rivals, new_place);
     return absl::OkStatus();
@@ -63,13 +75,12 @@ class RelativeSearch {
  private:
   // Best score first; of equal scores, the same direction first. Claim() gives
   // nodes that several places could claim to the first of them.
-  std::vector<RankedPlace> Rank() const {
+  std::vector<RankedPlace> Rank(int most_of_direction) const {
     std::vector<RankedPlace> places;
     for (const Direction direction : Directions(options_.direction)) {
       for (const RankedEnd& end :
            RankEnds(task_.graph, alignment_->ends(direction),
-                    options_.candidate_separation_meters,
-                    std::max(options_.max_candidates, kMostRivals))) {
+                    options_.candidate_separation_meters, most_of_direction)) {
         places.push_back(
             {direction, end,
              alignment_->match(direction, end.matched).log_likelihood_ratio});
@@ -97,6 +108,14 @@ class RelativeSearch {
       place.last = stretch.last;
     }
     return posterior.new_place();
+  }
+
+  // The probability of the places that were not ranked.
+  static double LeftOut(const std::vector<RankedPlace>& places,
+                        double new_place) {
+    double left = 1.0 - new_place;
+    for (const RankedPlace& place : places) left -= place.claimed;
+    return left;
   }
 
   // The best places as candidates. The others have counted as rivals.

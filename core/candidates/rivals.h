@@ -31,42 +31,53 @@ struct RankedPlace {
   NodeIndex last = 0;
 };
 
-// Places less probable than this are not asked whether they are passes of
-// another.
-inline constexpr double kLeastRivalProbability = 1e-3;
+// Places that claim less than this share of what the greatest claims are not
+// asked whether they are passes of another.
+inline constexpr double kLeastRivalShare = 1e-3;
+// Places that are weighed against each other, at least, and at most so many
+// more that are unlike them.
+inline constexpr std::size_t kWeighed = 16;
 
 class Rivals {
  public:
-  // The places, best first. Computed here once: O(places^2).
+  // The places, best first, of which the first `answered` will be asked about,
+  // or kWeighed if these are more. A road that was driven hundreds of times has
+  // as many: all of them count, while only those that are weighed cost time,
+  // O(places) each.
   Rivals(const PoseGraph& graph, const RelativeModel& model,
-         std::vector<RankedPlace> places);
+         std::vector<RankedPlace> places, std::size_t answered = 0);
 
   const std::vector<RankedPlace>& places() const { return places_; }
 
   // Probability of place i, together with all other passes of it. What others
   // have claimed counts only for the best end of a stretch: a place within two
   // kPlaceRadiusMeters of a better one has what it claimed itself.
-  double Probability(std::size_t i) const { return probabilities_[i]; }
+  // REQUIRES: i is weighed.
+  double Probability(std::size_t i) const { return weighed_[i].probability; }
 
   // Probability of the best place other than i: without what it owes to i, and
-  // as far as it is not the same place. 0 if there is none.
+  // as far as it is not the same place. 0 if there is none. REQUIRES: i is
+  // weighed.
   double RunnerUp(std::size_t i) const;
 
  private:
-  void FindSamePlaces(const PoseGraph& graph, const RelativeModel& model);
-  void Pool(const PoseGraph& graph);
+  // A place that is weighed against all.
+  struct Weighed {
+    std::size_t place = 0;
+    // For each place, the probability that it is another pass of this one.
+    std::vector<double> same;
+    double probability = 0.0;
+  };
 
-  // Probability that places i and j are passes of one place.
-  double& Same(std::size_t i, std::size_t j) {
-    return same_[i * places_.size() + j];
-  }
-  double Same(std::size_t i, std::size_t j) const {
-    return same_[i * places_.size() + j];
-  }
+  void Weigh(const PoseGraph& graph, const RelativeModel& model,
+             std::size_t place);
+  bool IsLikeAny(std::size_t place) const;
+  double Pooled(const PoseGraph& graph, const Weighed& weighed) const;
 
   std::vector<RankedPlace> places_;
-  std::vector<double> same_;
-  std::vector<double> probabilities_;
+  double least_claimed_ = 0.0;
+  // The first places, then others.
+  std::vector<Weighed> weighed_;
 };
 
 }  // namespace revisit::core

@@ -89,6 +89,26 @@ TEST(EngineRelativeTest, PathsAreToldOnlyIfAskedFor) {
   }
 }
 
+TEST(EngineRelativeTest, ARoadIsAsProbableHoweverOftenItWasDriven) {
+  const std::vector<Pose> lap = Ring(RingMeters(Driven(Ring(1600.0))));
+  for (EngineSettings settings : {EngineSettings(), IndependentSettings()}) {
+    std::vector<double> probabilities;
+    for (const int times : {1, 16, 64}) {
+      std::vector<Pose> poses;
+      for (int k = 0; k < times; ++k) {
+        poses.insert(poses.end(), lap.begin(), lap.end());
+      }
+      poses.insert(poses.end(), lap.begin(), lap.begin() + 600);
+      const CandidateSet set = Find(Driven(poses, settings));
+      ASSERT_FALSE(set.candidates.empty());
+      EXPECT_EQ(set.candidates[0].verdict, Verdict::kAccepted);
+      probabilities.push_back(set.candidates[0].relative->probability);
+    }
+    EXPECT_NEAR(probabilities[1], probabilities[0], 0.02);
+    EXPECT_NEAR(probabilities[2], probabilities[0], 0.02);
+  }
+}
+
 TEST(EngineRelativeTest, ASecondLapIsAccepted) {
   const Engine engine = Driven(Ring(1600.0));
   const CandidateSet set = Find(engine);

@@ -87,13 +87,34 @@ TEST(RivalsTest, PassesInOppositeDirectionsAreTwoPlaces) {
   EXPECT_EQ(rivals.RunnerUp(1), 0.5);
 }
 
+TEST(RivalsTest, AllPassesOfARoadSpeakForEachOtherHoweverManyThereAre) {
+  // A road that was driven 200 times, and another once.
+  PoseGraph graph;
+  std::vector<RankedPlace> places;
+  for (int i = 0; i < 201 * 20; ++i) {
+    Node node;
+    node.travelled_meters = 2.0 * i;
+    node.pose = {2.0 * (i % 20), i / 20 == 200 ? 500.0 : 0.0, 0.0, 0.0};
+    for (int k : {0, 1, 3}) node.covariance(k, k) = 1e-4;
+    graph.AddNode(node, i % 20 == 0, std::nullopt);
+  }
+  for (int pass = 0; pass < 201; ++pass) {
+    places.push_back(Claiming(pass * 20 + 10, pass == 200 ? 0.1 : 0.004));
+  }
+  const Rivals rivals = RivalsOf(graph, places);
+  EXPECT_NEAR(rivals.Probability(0), 0.8, 0.01);
+  EXPECT_NEAR(rivals.Probability(15), 0.8, 0.01);
+  // Though none of the first is that one.
+  EXPECT_NEAR(rivals.RunnerUp(0), 0.1, 1e-3);
+}
+
 TEST(RivalsTest, WhatIsImprobableIsNotAskedAbout) {
   PoseGraph graph = ThreeRoads();
   graph.AddLoopEdge(50, 150);
   const Rivals rivals =
-      RivalsOf(graph, {Claiming(50, 0.5), Claiming(150, 0.0009)});
+      RivalsOf(graph, {Claiming(50, 0.5), Claiming(150, 0.0004)});
   EXPECT_EQ(rivals.Probability(0), 0.5);
-  EXPECT_NEAR(rivals.Probability(1), 0.5009, 1e-9);
+  EXPECT_NEAR(rivals.Probability(1), 0.5004, 1e-9);
 }
 
 }  // namespace
