@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "absl/strings/str_format.h"
+#include "client/cli/evaluation/dead_reckoning.h"
 #include "client/formats/drive_file.h"
 #include "core/alignment/relative.h"
 #include "core/engine.h"
@@ -45,23 +46,23 @@ struct Tail {
   }
 };
 
-// Shapes hardly depend on what is claimed, but covariances have to grow.
+// With the covariances that `revisit evaluate` claims.
 std::vector<PoseSample> SamplesOf(const Drive& drive) {
+  const auto claims = revisit::client::ClaimUncertainty(drive, {});
   std::vector<PoseSample> samples;
-  double travelled = 0.0;
   for (std::size_t i = 0; i < drive.samples.size(); ++i) {
     const PlanarPose& pose = drive.samples[i].estimate;
-    if (i > 0) {
-      const PlanarPose& before = drive.samples[i - 1].estimate;
-      travelled += std::hypot(pose.x - before.x, pose.y - before.y);
-    }
+    const std::array<double, 6>& claim = (*claims)[i].planar;
     PoseSample sample;
     sample.sequence = i + 1;
     sample.pose = {pose.x, pose.y, 0.0, pose.heading};
-    for (const int k : {0, 1, 2}) {
-      sample.covariance(k, k) = 0.01 + 0.01 * travelled;
-    }
-    sample.covariance(3, 3) = 1e-4 + 3e-6 * travelled;
+    sample.covariance(0, 0) = claim[0];
+    sample.covariance(0, 1) = claim[1];
+    sample.covariance(0, 3) = claim[2];
+    sample.covariance(1, 1) = claim[3];
+    sample.covariance(1, 3) = claim[4];
+    sample.covariance(3, 3) = claim[5];
+    sample.covariance(2, 2) = 1.0;
     samples.push_back(sample);
   }
   return samples;
