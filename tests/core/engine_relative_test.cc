@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iostream>
 #include <vector>
 
 #include "core/engine.h"
@@ -104,6 +105,8 @@ TEST(EngineRelativeTest, ARoadIsAsProbableHoweverOftenItWasDriven) {
       EXPECT_EQ(set.candidates[0].verdict, Verdict::kAccepted);
       probabilities.push_back(set.candidates[0].relative->probability);
     }
+    std::cout << "after 1, 16 and 64 rounds " << probabilities[0] << " "
+              << probabilities[1] << " " << probabilities[2] << "\n";
     EXPECT_NEAR(probabilities[1], probabilities[0], 0.02);
     EXPECT_NEAR(probabilities[2], probabilities[0], 0.02);
   }
