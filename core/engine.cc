@@ -9,9 +9,9 @@
 #include "core/candidates/composite_search.h"
 #include "core/candidates/mark_search.h"
 #include "core/candidates/posterior.h"
-#include "core/candidates/ranking.h"
 #include "core/candidates/relative_search.h"
 #include "core/candidates/search_task.h"
+#include "core/graph/node_range.h"
 
 namespace revisit::core {
 namespace {

@@ -7,6 +7,7 @@
 #include <cstddef>
 #include <vector>
 
+#include "core/graph/node_range.h"
 #include "core/graph/pose_graph.h"
 
 namespace revisit::core {
@@ -22,12 +23,6 @@ using ScoredEnds = std::vector<ScoredEnd>;
 
 // An end for each i with scores[i] != kImpossible.
 ScoredEnds PossibleEnds(const std::vector<double>& scores);
-
-// Nodes [first, last).
-struct NodeRange {
-  NodeIndex first = 0;
-  NodeIndex last = 0;
-};
 
 // Makes the ends at these nodes impossible. O(log n + ends struck out).
 void StrikeOut(const NodeRange& nodes, ScoredEnds* ends);

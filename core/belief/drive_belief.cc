@@ -3,7 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/candidates/ranking.h"
+#include "core/belief/log_odds.h"
+#include "core/graph/node_range.h"
 
 namespace revisit::core {
 namespace {
@@ -22,24 +23,12 @@ constexpr double kScaleTail = 0.05;
 // there.
 constexpr double kMarkTolerance = 1e-9;
 
-double LogSum(const ByScale& terms) {
-  const double greatest = *std::max_element(terms.begin(), terms.end());
-  double sum = 0.0;
-  for (const double term : terms) sum += std::exp(term - greatest);
-  return greatest + std::log(sum);
-}
-
 ByScale Sum(ByScale a, const ByScale& b) {
   for (std::size_t k = 0; k < kScales; ++k) a[k] += b[k];
   return a;
 }
 
 }  // namespace
-
-const MarkEvidence& MarkMemory::Keep(std::int64_t mark,
-                                     const MarkEvidence& evidence) {
-  return marks_.insert_or_assign(mark, evidence).first->second;
-}
 
 std::int64_t MarkLine::LastBefore(NodeIndex node) const {
   return static_cast<std::int64_t>(
@@ -51,17 +40,9 @@ std::int64_t MarkLine::LastBefore(NodeIndex node) const {
 NodeIndex MarkLine::NodeOf(std::int64_t mark) const {
   const double at =
       (static_cast<double>(mark) - kMarkTolerance) * spacing_meters;
-  NodeIndex first = 0;
-  NodeIndex last = graph.size() - 1;
-  while (first < last) {
-    const NodeIndex middle = first + (last - first) / 2;
-    if (graph.node(middle).travelled_meters >= at) {
-      last = middle;
-    } else {
-      first = middle + 1;
-    }
-  }
-  return first;
+  return FirstWith(0, graph.size() - 1, [&](NodeIndex i) {
+    return graph.node(i).travelled_meters >= at;
+  });
 }
 
 ScaleMarks::ScaleMarks(std::int64_t last) {

@@ -59,7 +59,9 @@ class MarkMemory {
     return found == marks_.end() ? nullptr : &found->second;
   }
   // The evidence stays where it is until it is forgotten.
-  const MarkEvidence& Keep(std::int64_t mark, const MarkEvidence& evidence);
+  const MarkEvidence& Keep(std::int64_t mark, const MarkEvidence& evidence) {
+    return marks_.insert_or_assign(mark, evidence).first->second;
+  }
 
   // Forgets marks of which needed(mark) is false, once there are more than
   // `most`.

@@ -1,13 +1,13 @@
 #include "core/candidates/mark_search.h"
 
 #include <algorithm>
-#include <cmath>
 #include <cstddef>
 #include <optional>
 #include <vector>
 
 #include "core/alignment/relative.h"
 #include "core/belief/drive_belief.h"
+#include "core/belief/log_odds.h"
 #include "core/candidates/relative_search.h"
 
 namespace revisit::core {
@@ -26,12 +26,6 @@ class OddsByScale {
     for (std::size_t k = 0; k < kScales; ++k) {
       log_sums_[k] = LogAdd(log_sums_[k], log_odds[k]);
     }
-  }
-  // ln(e^a + e^b).
-  static double LogAdd(double a, double b) {
-    const double greater = std::max(a, b);
-    if (greater == kImpossible) return greater;
-    return greater + std::log1p(std::exp(std::min(a, b) - greater));
   }
   double operator[](std::size_t k) const { return log_sums_[k]; }
 
@@ -81,7 +75,7 @@ absl::StatusOr<MarkEvidence> SearchMark(const SearchTask& task) {
     }
   }
   for (std::size_t k = 0; k < kScales; ++k) {
-    evidence.log_evidence[k] = OddsByScale::LogAdd(0.0, all[k]);
+    evidence.log_evidence[k] = LogAdd(0.0, all[k]);
     evidence.log_matched_odds[k] = near[k];
   }
   return evidence;

@@ -4,31 +4,10 @@
 #include <cstddef>
 
 #include "core/alignment/log_similarity.h"
+#include "core/graph/node_range.h"
 
 namespace revisit::core {
 namespace {
-
-// Travelled distance grows with the index, so the nodes near the centre are a
-// range.
-bool IsNearer(const PoseGraph& graph, NodeIndex centre,
-              double separation_meters, NodeIndex i) {
-  return i == centre || graph.MetersApart(i, centre) < separation_meters;
-}
-
-// The first of [first, last) with a property that all after it have too; last
-// if none has it.
-template <typename Property>
-NodeIndex FirstWith(NodeIndex first, NodeIndex last, const Property& has) {
-  while (first < last) {
-    const NodeIndex middle = first + (last - first) / 2;
-    if (has(middle)) {
-      last = middle;
-    } else {
-      first = middle + 1;
-    }
-  }
-  return first;
-}
 
 // The best of the ends that are not struck out. Keeps the best of each group,
 // so that it is found again quickly after some are.
@@ -76,16 +55,6 @@ class BestEnds {
 };
 
 }  // namespace
-
-NodeRange NodesNearer(const PoseGraph& graph, NodeIndex centre,
-                      double separation_meters) {
-  const auto near = [&](NodeIndex i) {
-    return IsNearer(graph, centre, separation_meters, i);
-  };
-  return {FirstWith(0, centre, near),
-          FirstWith(centre + 1, graph.size(),
-                    [&](NodeIndex i) { return !near(i); })};
-}
 
 std::vector<RankedEnd> RankEnds(const PoseGraph& graph, const ScoredEnds& ends,
                                 double separation_meters, int max_candidates) {

@@ -14,11 +14,6 @@ struct RankedEnd {
   double score = 0.0;
 };
 
-// The centre and the nodes nearer to it than `separation_meters` along the path
-// (in travelled distance). O(log n).
-NodeRange NodesNearer(const PoseGraph& graph, NodeIndex centre,
-                      double separation_meters);
-
 // Takes the best end, leaves out the ends near it, and repeats until
 // `max_candidates` are found or no end is left. Best first; of equal scores,
 // the lower index; kImpossible ends are never taken. O(n), plus for each
