@@ -79,7 +79,8 @@ inline constexpr PlaceTolerance kMostStepNoise{0.053, 0.0013};
 
 // Cost of the place at which two roads join, nats: a prior of e^-1.5 for each
 // stretch at which they may. Without it, the mean of e^(w ratio) over nodes of
-// other roads is 10 to 40, where that of an honest ratio is 1.
+// other roads is above 20, where that of an honest ratio is 1
+// (tests/evaluation/RESULTS.md).
 inline constexpr double kJoinCost = 1.5;
 
 // Steps of the stretches whose turns are compared: they are as long as the

@@ -23,7 +23,7 @@ namespace {
 // often.
 constexpr int kRankedFirst = 16;
 constexpr double kMostLeftOut = 0.01;
-// Most places that are ranked.
+// Once so many are ranked, no more are.
 constexpr int kMostRanked = 4096;
 
 class RelativeSearch {
