@@ -31,7 +31,7 @@ class DirectionSearch {
         bounds_(bounds),
         size_(history_size),
         direction_(direction),
-        constant_(LogNewPlaceTerm(model) - recent.filter().join_cost()),
+        constant_(bounds.constant()),
         anchors_(graph, model, query, direction),
         walk_(graph, recent, history_size, direction, model.over_loops, table) {
   }

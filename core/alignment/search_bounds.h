@@ -25,6 +25,9 @@ class SearchBounds {
                const RecentPath<D>& recent, NodeIndex query,
                NodeIndex history_size);
 
+  // The part of the log-odds that is the same for all ends.
+  double constant() const { return constant_; }
+
   // Blocks of the history that may hold an end with the least log-odds. They
   // fall from the last to the first, except where blocks could be ruled out:
   // there the nearest come first, which are likely to have the greatest odds.

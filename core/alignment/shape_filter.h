@@ -121,8 +121,9 @@ class ShapeFilter {
   // Nodes of the path.
   std::int64_t size() const { return static_cast<std::int64_t>(steps_.size()); }
 
-  // What every path costs, nats. One that covers all steps has it back with the
-  // last; a path of one node covers all there is.
+  // The cost that every path is charged with, nats. A path that covers all
+  // steps has it back with the last; where the recent path is a single node,
+  // there is none, since that node is all there is to cover.
   double join_cost() const { return steps_.size() > 1 ? kJoinCost : 0.0; }
 
   // Carries the drift from step t - 1 to step t, at which the other path is at

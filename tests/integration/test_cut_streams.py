@@ -7,7 +7,7 @@ import grpc
 import pytest
 
 import killed_server
-from cutting_proxy import CuttingProxy
+from resetting_proxy import ResettingProxy
 from revisit_server import Server, free_port
 from stubs import PoseGraphServiceStub, api
 from wire import PoseStream, get
@@ -23,7 +23,7 @@ def test_stream_goes_on_after_a_proxy_has_reset_it(tmp_path):
                 Server(tmp_path / "store", listen=f"127.0.0.1:{port}"))
 
         server = start()
-        proxy = stack.enter_context(CuttingProxy(port))
+        proxy = stack.enter_context(ResettingProxy(port))
         summary = killed_server.stream_through_a_kill(
             drive, "cut", ["--create", "--server", proxy.address],
             lambda stub=server.stub(): get(stub, "vehicles/cut").durable_sequence,
@@ -36,7 +36,7 @@ def test_stream_goes_on_after_a_proxy_has_reset_it(tmp_path):
 
 def test_a_reset_is_internal_without_details(tmp_path):
     with Server(tmp_path / "store") as server, \
-            CuttingProxy(server.port) as proxy, \
+            ResettingProxy(server.port) as proxy, \
             grpc.insecure_channel(proxy.address) as channel:
         server.stub().CreateVehicle(
             api.CreateVehicleRequest(vehicle_id="cut"))

@@ -142,7 +142,8 @@ class DenseWindow {
   Wide surprise(std::int64_t t) const {
     return surprise_[static_cast<std::size_t>(t)];
   }
-  // What a path costs, which the last step has in return.
+  // The cost that every path is charged with, and that the surprise of the last
+  // step gives back.
   Wide join_cost() const { return path_.size() > 1 ? core::kJoinCost : 0.0; }
   const WideMatrix& end_prior() const { return end_prior_; }
 

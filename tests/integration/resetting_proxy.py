@@ -25,7 +25,7 @@ def read_exactly(connection, count):
     return data
 
 
-class CuttingProxy:
+class ResettingProxy:
     """Each connection to it has one of its own to the server at `port`."""
 
     def __init__(self, port):
