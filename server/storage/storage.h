@@ -9,6 +9,13 @@
 // Payloads are bytes that the storage does not interpret; it guards each with a
 // format version and a checksum, and answers DATA_LOSS for one that fails.
 //
+// One server writes a vehicle at a time: its owner. Where several servers share
+// a storage, a vehicle is theirs in turn: TakeVehicle() makes a server the
+// owner, with an epoch that every write of it is compared with in the store, so
+// a server that no longer is the owner writes nothing, whatever it believes:
+// ABORTED (EPOCH_FENCED). Whoever opened the storage alone owns all vehicles,
+// always.
+//
 // Damage affects its own vehicle only. A damaged record of a vehicle or of a
 // pair of poses is returned with `damage` set, beside all others, so that it
 // can be reported, given up (DropDamaged()) or deleted.
@@ -17,8 +24,11 @@
 // each call: UNAVAILABLE (STORE_UNAVAILABLE) where the device or the file
 // system fails, DATA_LOSS (STORE_CORRUPT) for damage, NOT_FOUND
 // (VEHICLE_NOT_FOUND) for a key without a vehicle. A write that was answered
-// with UNAVAILABLE is not visible, but may be after a crash right then; a later
-// write is never acknowledged on top of one whose fate is unknown.
+// with UNAVAILABLE is not visible, but may be after a crash right then, or once
+// a connection that broke is found to have been heard; a later write is never
+// acknowledged on top of one whose fate is unknown. TakeVehicle() settles it:
+// what it answers with is what was written, and nothing of before can come
+// after it.
 //
 // Thread-safe.
 #ifndef REVISIT_SERVER_STORAGE_STORAGE_H_
@@ -164,7 +174,31 @@ class Storage {
                            std::string payload, std::uint64_t revision,
                            Done done) = 0;
 
+  // Makes this server the owner of the vehicle, and reads it as it is from then
+  // on. REQUIRED before any write of the vehicle but its creation, and after
+  // one that was answered with UNAVAILABLE or ABORTED. UNAVAILABLE (NOT_OWNER;
+  // metadata `owner`: the address of the server that has it, `epoch`) where
+  // another server lives that has it; that one is asked to hand it over.
   // NOT_FOUND (VEHICLE_NOT_FOUND) if there is no such vehicle.
+  virtual absl::StatusOr<VehicleRecord> TakeVehicle(const std::string& id) {
+    return GetVehicle(id);
+  }
+  // Ends the ownership of a vehicle, if this server has it: others may take it.
+  // Best effort: the vehicle is free at the latest when this server ends.
+  // REQUIRES: no write of it is under way.
+  virtual void ReleaseVehicle(VehicleKey /*key*/) {}
+  // OK if nobody but this server can have written the vehicle since it was
+  // taken, so that what is in memory is what is stored. ABORTED (EPOCH_FENCED)
+  // if it has to be taken anew; UNAVAILABLE (LEASE_STALE) where that is not
+  // known now. Reads nothing, so it may be asked for every answer.
+  virtual absl::Status CheckOwned(VehicleKey /*key*/) const {
+    return absl::OkStatus();
+  }
+  // Ids of vehicles that this server owns and others have asked for.
+  virtual std::vector<std::string> WantedVehicles() { return {}; }
+
+  // NOT_FOUND (VEHICLE_NOT_FOUND) if there is no such vehicle. Needs no owner,
+  // as all reads.
   virtual absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) = 0;
   // The vehicles whose ids start with `prefix` and come after `after_id`,
   // ordered by id. Others are not read, so their damage does not matter.
