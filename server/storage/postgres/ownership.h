@@ -50,6 +50,9 @@ struct Claim {
   std::string vehicle_id;
   // Highest sequence that was stored under the claim or before it.
   mutable std::atomic<std::uint64_t> durable_sequence{0};
+  // Set when the server forgets the claim: what was submitted under it is
+  // refused, although the database may still know it.
+  mutable std::atomic<bool> has_ended{false};
 };
 
 struct OwnershipOptions {
@@ -86,7 +89,7 @@ class Ownership {
                                   const std::string& id);
   // The claim on a vehicle; null if there is none.
   std::shared_ptr<const Claim> Find(VehicleKey key) const;
-  // Forgets this claim, unless there is a later one.
+  // Ends this claim here, not in the database.
   void Forget(VehicleKey key, const Claim* claim);
   // Ends a claim in the database, unless there is a later one. Forget it first.
   static absl::Status Release(PostgresConnection& connection, VehicleKey key,
