@@ -124,6 +124,12 @@ constexpr PairWords WordsOf(PairKind kind) {
                          "REJECTED_CANDIDATE_NOT_FOUND"};
 }
 
+// A vehicle that another server asks for.
+struct WantedVehicle {
+  VehicleKey key = 0;
+  std::string id;
+};
+
 // A batch keeps the poses that were first sent, even if they were revised.
 enum class BatchVersion { kAsSent, kCurrent };
 
@@ -194,8 +200,9 @@ class Storage {
   virtual absl::Status CheckOwned(VehicleKey /*key*/) const {
     return absl::OkStatus();
   }
-  // Ids of vehicles that this server owns and others have asked for.
-  virtual std::vector<std::string> WantedVehicles() { return {}; }
+  // Vehicles that this server has owned for a while and others have asked for:
+  // hand them over with ReleaseVehicle().
+  virtual std::vector<WantedVehicle> WantedVehicles() { return {}; }
 
   // NOT_FOUND (VEHICLE_NOT_FOUND) if there is no such vehicle. Needs no owner,
   // as all reads.
