@@ -76,9 +76,8 @@ void VehicleQueue::Start(const Operation& operation) {
 }
 
 bool VehicleQueue::MayAppendHere() const {
-  const bool needs_no_store =
-      !vehicle_->gone_status && !vehicle_->in_doubt &&
-      vehicle_->storage->CheckOwned(vehicle_->key).ok();
+  const bool needs_no_store = !vehicle_->gone_status && !vehicle_->in_doubt &&
+                              vehicle_->storage->CheckOwned(vehicle_->key).ok();
   return waiting_.empty() && needs_no_store && MayStart(Turn::kAppend);
 }
 
@@ -123,7 +122,8 @@ bool VehicleQueue::MustWait(Turn turn) const {
 absl::Status VehicleQueue::CheckMemory(Turn turn) {
   const absl::Status owned = vehicle_->storage->CheckOwned(vehicle_->key);
   // Nobody else may have had the vehicle, as where a server took longer to
-  // reach the store than its ownership lasted: then memory is as good as before.
+  // reach the store than its ownership lasted: then memory is as good as
+  // before.
   const bool must_take = absl::IsAborted(owned);
   if (!owned.ok() && !must_take) return owned;
   if (must_take) vehicle_->in_doubt = true;
