@@ -32,8 +32,8 @@
 #include "server/service/reflection.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/fleet.h"
-#include "server/storage/sqlite_storage.h"
-#include "server/storage/store_files.h"
+#include "server/storage/sqlite/sqlite_storage.h"
+#include "server/storage/sqlite/store_files.h"
 
 namespace revisit::server {
 namespace {
