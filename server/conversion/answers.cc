@@ -227,7 +227,6 @@ void EncodeStorageUsers(const std::vector<StorageUser>& users,
   for (const StorageUser& user : users) {
     v1::StoreServer* const server = response->add_servers();
     server->set_address(user.address);
-    server->set_is_draining(user.is_draining);
     server->set_owned_vehicle_count(user.owned_vehicles);
   }
 }

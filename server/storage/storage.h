@@ -146,7 +146,6 @@ struct StorageInfo {
 // A server that shares a storage with others.
 struct StorageUser {
   std::string address;
-  bool is_draining = false;
   std::int64_t owned_vehicles = 0;
 };
 
