@@ -42,9 +42,10 @@ void Replayer::Load() {
 
 absl::Status Replayer::StartLoad() {
   const absl::StatusOr<VehicleRecord> record =
-      vehicle_->storage->GetVehicle(vehicle_->id);
+      vehicle_->storage->TakeVehicle(vehicle_->id);
   if (!record.ok()) return record.status();
   vehicle_->key = record->key;
+  vehicle_->epoch = record->epoch;
   absl::StatusOr<VehicleConfig> config = StoredConfig(*record);
   if (!config.ok()) {
     TakeUnknown(*record, config.status());

@@ -63,6 +63,9 @@ struct VehicleRecord {
   std::uint64_t durable_sequence = 0;
   std::int64_t loop_closure_count = 0;
   std::int64_t rejected_candidate_count = 0;
+  // How often the vehicle was taken (TakeVehicle()); 0 where one server has the
+  // storage alone, and in answers of other calls.
+  std::int64_t epoch = 0;
   // DATA_LOSS if the row or the last batch is damaged. If the row is, only key
   // and id are set, and the payload is empty. If the last batch is, the highest
   // sequence is the one its row claims, and the revision does not count it.
@@ -139,6 +142,18 @@ constexpr PairWords WordsOf(PairKind kind) {
                          "REJECTED_CANDIDATE_NOT_FOUND"};
 }
 
+// A server that shares a storage with others.
+struct StorageUser {
+  std::string address;
+  std::int64_t owned_vehicles = 0;
+};
+
+// A vehicle that another server asks for.
+struct WantedVehicle {
+  VehicleKey key = 0;
+  std::string id;
+};
+
 // A batch keeps the poses that were first sent, even if they were revised.
 enum class BatchVersion { kAsSent, kCurrent };
 
@@ -209,8 +224,9 @@ class Storage {
   virtual absl::Status CheckOwned(VehicleKey /*key*/) const {
     return absl::OkStatus();
   }
-  // Ids of vehicles that this server owns and others have asked for.
-  virtual std::vector<std::string> WantedVehicles() { return {}; }
+  // Vehicles that this server has owned for a while and others have asked for:
+  // hand them over with ReleaseVehicle().
+  virtual std::vector<WantedVehicle> WantedVehicles() { return {}; }
 
   // NOT_FOUND (VEHICLE_NOT_FOUND) if there is no such vehicle. Needs no owner,
   // as all reads.
@@ -232,9 +248,16 @@ class Storage {
       VehicleKey key, PairKind kind, const std::string& after_id,
       int limit) = 0;
 
-  // Whether the next write is likely to find room, or would be refused with
-  // RESOURCE_EXHAUSTED (STORAGE_FULL).
-  virtual bool HasRoom() { return true; }
+  // OK if the next write is likely to be taken; otherwise what it would be
+  // refused with, such as RESOURCE_EXHAUSTED (STORAGE_FULL). Reads nothing that
+  // would make the caller wait.
+  virtual absl::Status CheckWritable() { return absl::OkStatus(); }
+
+  // The servers that share the storage and live, this one among them, by
+  // address; none where one server has it alone.
+  virtual absl::StatusOr<std::vector<StorageUser>> ListUsers() {
+    return std::vector<StorageUser>();
+  }
 
   // As the store says now: that of a database can change while it is used.
   virtual Durability GetDurability() const { return {}; }

@@ -47,6 +47,8 @@ namespace revisit::server {
 struct Claim {
   Uuid owner{};
   std::int64_t epoch = 0;
+  // When it was made, on the clock of OwnershipOptions.
+  std::chrono::nanoseconds since{0};
   std::string vehicle_id;
   // Highest sequence that was stored under the claim or before it.
   mutable std::atomic<std::uint64_t> durable_sequence{0};
@@ -62,6 +64,9 @@ struct OwnershipOptions {
   // least three beats, so that one that is late does no harm.
   std::chrono::milliseconds lease{10'000};
   std::chrono::milliseconds beat_period{2'000};
+  // A vehicle stays for so long at least, so that two callers who come to
+  // different servers do not have it go to and fro.
+  std::chrono::milliseconds least_stay{10'000};
   // A clock that goes on while the machine sleeps; CLOCK_BOOTTIME if empty.
   std::function<std::chrono::nanoseconds()> now;
   // Called with what an operator should know; may be empty.
@@ -97,7 +102,10 @@ class Ownership {
   // Implements Storage::CheckOwned().
   absl::Status Check(VehicleKey key) const;
   // Implements Storage::WantedVehicles(), as of the last beat.
-  std::vector<std::string> Wanted() const;
+  std::vector<WantedVehicle> Wanted() const;
+  // Implements Storage::ListUsers().
+  static absl::StatusOr<std::vector<StorageUser>> ListUsers(
+      PostgresConnection& connection);
 
   // As of the last beat.
   Durability durability() const;

@@ -249,7 +249,10 @@ class SqliteStorage : public Storage {
     return pairs;
   }
 
-  bool HasRoom() override { return space_.HasRoom(); }
+  absl::Status CheckWritable() override {
+    return space_.HasRoom() ? absl::OkStatus()
+                            : StorageFull("the disk of the store is full");
+  }
 
   CommitCounts Counts() const override { return {commits_, writes_}; }
 

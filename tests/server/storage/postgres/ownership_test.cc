@@ -32,12 +32,15 @@ using ::testing::_;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Pair;
 
 const auto kFenced = IsError(StatusCode::kAborted, "EPOCH_FENCED", _);
 const auto kNotOwner = IsError(StatusCode::kUnavailable, "NOT_OWNER", _);
 const auto kLeaseStale = IsError(StatusCode::kUnavailable, "LEASE_STALE", _);
 const auto kUnavailable =
     IsError(StatusCode::kUnavailable, "STORE_UNAVAILABLE", _);
+
+constexpr milliseconds kLeastStay{3'000};
 
 // A clock that a test sets, for all servers of it.
 class TestClock {
@@ -88,6 +91,7 @@ class OwnershipTest : public ::testing::Test {
     options.ownership.address = address;
     options.ownership.beat_period =
         beats ? milliseconds(20) : milliseconds(3'600'000);
+    options.ownership.least_stay = kLeastStay;
     options.ownership.now = clock_.Reader();
     auto storage = OpenPostgresStorage(conninfo_, options);
     EXPECT_THAT(storage, IsOk());
@@ -97,6 +101,11 @@ class OwnershipTest : public ::testing::Test {
   // As if others had missed the beats of the server for its lease.
   void Bury(const std::string& address) const {
     Sql("UPDATE servers SET state = 'dead' WHERE address = '" + address + "'");
+  }
+
+  std::int64_t BeatsOf(const std::string& address) const {
+    return std::stoll(
+        Sql("SELECT beat FROM servers WHERE address = '" + address + "'"));
   }
 
   // Waits until a backend of the database waits for that.
@@ -205,7 +214,7 @@ TEST_F(OwnershipTest, NoKindOfWritePassesTheFence) {
   }
 }
 
-TEST_F(OwnershipTest, VehicleOfALivingServerIsHandedOverWhenAskedFor) {
+TEST_F(OwnershipTest, VehicleOfALivingServerIsHandedOverAfterAWhileIfAskedFor) {
   const auto a = Open("host-a:1");
   const auto b = Open("host-b:2");
   const VehicleKey key = *BlockingWrites(a.get()).Create("truck");
@@ -216,9 +225,13 @@ TEST_F(OwnershipTest, VehicleOfALivingServerIsHandedOverWhenAskedFor) {
   EXPECT_EQ(MetadataOf(refused, "owner"), "host-a:1");
   EXPECT_EQ(MetadataOf(refused, "epoch"), "1");
   EXPECT_THAT(b->CheckOwned(key), kFenced);
-  EXPECT_TRUE(Eventually([&] {
-    return a->WantedVehicles() == std::vector<std::string>{"truck"};
-  }));
+  const std::int64_t beats = BeatsOf("host-a:1");
+  EXPECT_TRUE(Eventually([&] { return BeatsOf("host-a:1") > beats + 1; }));
+  EXPECT_THAT(a->WantedVehicles(), IsEmpty());
+  clock_.Advance(kLeastStay);
+  EXPECT_TRUE(Eventually([&] { return a->WantedVehicles().size() == 1; }));
+  EXPECT_EQ(a->WantedVehicles().front().id, "truck");
+  EXPECT_EQ(a->WantedVehicles().front().key, key);
   ASSERT_THAT(BlockingWrites(a.get()).Append(key, One(1)), IsOk());
   a->ReleaseVehicle(key);
   EXPECT_THAT(a->CheckOwned(key), kFenced);
@@ -228,6 +241,25 @@ TEST_F(OwnershipTest, VehicleOfALivingServerIsHandedOverWhenAskedFor) {
   EXPECT_THAT(BlockingWrites(a.get()).Append(key, One(3)), kFenced);
   EXPECT_THAT(a->WantedVehicles(), IsEmpty());
   EXPECT_EQ(Sql("SELECT count(*) FROM handovers"), "0\n");
+}
+
+TEST_F(OwnershipTest, LivingServersAreListedWithTheVehiclesThatTheyOwn) {
+  const auto a = Open("host-a:1");
+  const auto b = Open("host-b:2");
+  const auto c = Open("host-c:3");
+  ASSERT_THAT(BlockingWrites(a.get()).Create("truck"), IsOk());
+  ASSERT_THAT(BlockingWrites(a.get()).Create("van"), IsOk());
+  ASSERT_THAT(BlockingWrites(b.get()).Create("bus"), IsOk());
+  Bury("host-b:2");
+  const auto users = c->ListUsers();
+  ASSERT_THAT(users, IsOk());
+  std::map<std::string, std::int64_t> owned;
+  for (const StorageUser& user : *users) {
+    owned[user.address] += user.owned_vehicles;
+  }
+  // The buried one joins again, without the vehicles that it had.
+  owned.erase("host-b:2");
+  EXPECT_THAT(owned, ElementsAre(Pair("host-a:1", 2), Pair("host-c:3", 0)));
 }
 
 TEST_F(OwnershipTest, TakingAVehicleThatIsNotThereIsNotFound) {
