@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <random>
 #include <string>
 #include <vector>
@@ -85,7 +86,9 @@ class StoreCopyTest : public ::testing::Test {
              std::string(static_cast<std::size_t>(UniformInt(random, 0, 300)),
                          static_cast<char>(UniformInt(random, 0, 255)))});
         next += batches.back().count;
-        EXPECT_THAT(write.Append(key, batches.back()), IsOk());
+        storage->AppendBatch(
+            key, batches.back(), std::nullopt,
+            [](const absl::Status& status) { EXPECT_THAT(status, IsOk()); });
       }
       for (std::uint64_t i = 0; i < 20; ++i) {
         BatchRecord revised = batches[i * 19];
