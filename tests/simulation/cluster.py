@@ -78,6 +78,7 @@ class Oracle:
         self.set_back = {}
         self.told = {}
         self.heads = None
+        self._failed_over = -math.inf
         self.refusals = collections.Counter()
         self.owned_at = collections.defaultdict(list)
         self.loads = []
@@ -113,6 +114,9 @@ class Oracle:
     def acknowledged(self, vehicle, sequence):
         self.acked[vehicle] = max(self.acked[vehicle], sequence)
         self._touched.add(vehicle)
+        # It was on its way when the primary died.
+        if self._kernel.now - self._failed_over < 0.1:
+            self._note_set_back(vehicle)
 
     def regressed(self, vehicle):
         """A client was told that acknowledged poses are gone."""
@@ -135,10 +139,15 @@ class Oracle:
         self._touched.add(key)
 
     def failed_over(self):
-        """Notes which vehicles the standby has set back."""
-        for vehicle, acked in self.acked.items():
-            if self.heads.heads[vehicle].durable < acked:
-                self.set_back[vehicle] = acked - self.heads.heads[vehicle].durable
+        """Notes which vehicles an asynchronous standby has set back."""
+        self._failed_over = self._kernel.now
+        for vehicle in self.acked:
+            self._note_set_back(vehicle)
+
+    def _note_set_back(self, vehicle):
+        lost = self.acked[vehicle] - self.heads.heads[vehicle].durable
+        if lost > 0 and self._setup.standby_lag is not None:
+            self.set_back[vehicle] = lost
 
     def _check(self):
         while self._touched:

@@ -17,9 +17,11 @@ def fail_over(setup, outage, after=_AFTER):
     loads = len(cell.oracle.loads)
     at = cell.kernel.now
     cell.fail_over(outage)
+    # Acknowledgements that were on their way arrive.
+    cell.run(0.1)
     set_back = sum(cell.oracle.set_back.values())
     vehicles_set_back = len(cell.oracle.set_back)
-    cell.run(outage + after)
+    cell.run(outage + after - 0.1)
     gaps = cell.gaps()
     return {
         "gap p50": cluster.quantile(gaps, 0.5),
