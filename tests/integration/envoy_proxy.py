@@ -66,6 +66,10 @@ class Envoy:
     def pid(self):
         return self._process.pid
 
+    @property
+    def address(self):
+        return f"127.0.0.1:{self.port}"
+
     def log(self):
         return self._log_path.read_text()
 
