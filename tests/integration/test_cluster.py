@@ -6,9 +6,7 @@ does not find the vehicle."""
 
 import base64
 import collections
-import contextlib
-import http.client
-import importlib.util
+import importlib
 import json
 import os
 import pathlib
@@ -16,18 +14,18 @@ import random
 import re
 import shutil
 import signal
-import socket
 import subprocess
+import sys
 import time
 import uuid
 
 import grpc
 import pytest
 
-from envoy_proxy import Envoy, replaced, skip_without_envoy
+from envoy_proxy import ENVOY, replaced, skip_without_envoy
 from identities import Authority, TokenKey, bearer, key_set, replace
 from killed_server import check_is_reset
-from revisit_server import Server, free_port, wait_until
+from revisit_server import Server, wait_until
 from stubs import PROTO, ROOT, PoseGraphServiceStub, api
 from wire import PoseStream, append, decode_failure, straight
 
@@ -36,14 +34,13 @@ EDGE = ROOT / "deploy/edge/envoy.yaml"
 GRPCURL = pathlib.Path(os.environ.get("REVISIT_TEST_GRPCURL",
                                       ROOT / "build/tools/grpcurl"))
 SERVICE = "revisit.v1.PoseGraphService"
-# How often Envoy asks for health, and how often a server must have failed.
-PROBE_SECONDS, PROBES = 1, 2
+# How often Envoy asks for health.
+PROBE_SECONDS = 1
 NOTICE_SECONDS = 5
 
-_spec = importlib.util.spec_from_file_location(
-    "update_routing", CLUSTER / "update_routing.py")
-update_routing = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(update_routing)
+sys.path.insert(0, str(CLUSTER))
+private_cluster = importlib.import_module("private_cluster")
+update_routing = importlib.import_module("update_routing")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -54,8 +51,8 @@ def envoy():
 class Cluster:
     """Envoy, and servers that only Envoy may call."""
 
-    def __init__(self, directory, servers=3, listed=3, before=""):
-        """Of the servers, the first `listed` are known to Envoy. `before` is a
+    def __init__(self, directory, listed=3, before=""):
+        """Of three servers, the first `listed` are known to Envoy. `before` is a
         filter of Envoy that comes before all others."""
         self.directory = directory
         self.authority = Authority()
@@ -86,39 +83,22 @@ class Cluster:
                      "vehicles": ["*"], "verbs": verbs}]})),
             "--drain-notice-seconds", NOTICE_SECONDS]
         self.servers = []
-        self.envoy = None
+        self._processes = private_cluster.Processes(directory)
         try:
-            for number in range(servers):
+            for number in range(3):
                 self.servers.append(
                     Server(directory / f"store{number}", *flags))
-            self.list_servers(self.servers[:listed])
-            self._start_envoy(before)
+            self.envoy = private_cluster.Envoy(
+                self._processes, ENVOY, self.addresses()[:listed], before)
         except BaseException:
             self.close()
             raise
 
-    def _start_envoy(self, before):
-        port = free_port()
-        first = "          - name: envoy.filters.http.grpc_field_extraction\n"
-        self.envoy = Envoy(self.directory, replaced(
-            (CLUSTER / "envoy.yaml").read_text(), {
-                "/etc/revisit": self.directory,
-                "/run/revisit": self.directory,
-                "address: 0.0.0.0, port_value: 50051":
-                    f"address: 127.0.0.1, port_value: {port}",
-                first: before + first}), port)
-
-    def list_servers(self, servers):
-        head, line, _ = re.split(
-            r"(    - endpoint: .*\n)",
-            (CLUSTER / "servers.yaml").read_text(), maxsplit=1)
-        replace(self.directory / "servers.yaml", head + "".join(
-            replaced(line, {"10.0.0.11": "127.0.0.1",
-                            "50051": server.port}) for server in servers))
+    def addresses(self):
+        return [server.address for server in self.servers]
 
     def close(self):
-        if self.envoy is not None:
-            self.envoy.close()
+        self._processes.stop()
         for server in self.servers:
             if server.is_running():
                 server.kill()
@@ -137,21 +117,8 @@ class Cluster:
             self.authority.pem, read("envoy.key"), read("envoy.pem")), options=[
                 ("grpc.ssl_target_name_override", "revisitd")])
 
-    def healthy(self):
-        """How many servers Envoy takes for healthy."""
-        connection = http.client.HTTPConnection("envoy")
-        connection.sock = socket.socket(socket.AF_UNIX)
-        connection.sock.connect(str(self.directory / "envoy.sock"))
-        with contextlib.closing(connection):
-            connection.request("GET", "/clusters?format=json")
-            status = json.load(connection.getresponse())
-        return sum(
-            host["health_status"] == {"eds_health_status": "HEALTHY"}
-            for cluster in status["cluster_statuses"]
-            for host in cluster.get("host_statuses", ()))
-
     def wait_until_healthy(self, servers):
-        wait_until(lambda: self.healthy() == servers,
+        wait_until(lambda: self.envoy.healthy() == servers,
                    f"{servers} healthy servers")
 
     def number_of(self, request_ids):
@@ -189,7 +156,7 @@ def run_cluster(directory, **arguments):
     running = Cluster(directory, **arguments)
     try:
         yield running
-        assert running.envoy.is_running(), running.envoy.log()
+        assert running.envoy.process.is_running(), running.envoy.process.log()
     finally:
         running.close()
 
@@ -516,7 +483,7 @@ def test_server_that_is_added_takes_vehicles_and_moves_no_others(tmp_path):
         with small.channel() as channel:
             two = small.where(vehicles, channel)
             assert set(two.values()) == {0, 1}
-            small.list_servers(small.servers)
+            small.envoy.list_servers(small.addresses())
             wait_until(lambda: 2 in small.where(vehicles, channel).values(),
                        "calls at the new server")
             three = small.where(vehicles, channel)
@@ -526,7 +493,7 @@ def test_server_that_is_added_takes_vehicles_and_moves_no_others(tmp_path):
             # Ports, and with them the tables, are others each time.
             assert len(moved - set(of_server(three, 2))) <= 1
             # One that is off the list stays until it stops.
-            small.list_servers(small.servers[1:])
+            small.envoy.list_servers(small.addresses()[1:])
             assert small.where(vehicles, channel) == three
             small.servers[0].kill()
             small.wait_until_healthy(2)
