@@ -32,8 +32,8 @@
 #include "server/service/reflection.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/fleet.h"
-#include "server/storage/sqlite_storage.h"
-#include "server/storage/store_files.h"
+#include "server/storage/sqlite/sqlite_storage.h"
+#include "server/storage/sqlite/store_files.h"
 
 namespace revisit::server {
 namespace {
@@ -53,10 +53,14 @@ constexpr std::int64_t kCallsToClear = 1000;
 // connections together that have not had a call let in: 30 MB, and as much
 // again may come between two looks.
 constexpr std::int64_t kUnadmittedCalls = 1500;
-// Name in the health service for writes alone: reads go on while the store has
-// no room for writes.
+// Name in the health service for writes alone: reads go on while the store
+// takes no writes.
 constexpr char kWriteHealth[] = "revisit.v1.PoseGraphService/write";
 constexpr std::chrono::milliseconds kWriteHealthPeriod{1000};
+// How often vehicles are looked for that other servers ask for. A caller who
+// comes to the wrong server waits that long for its vehicle.
+constexpr std::chrono::milliseconds kHandOverPeriod{500};
+
 // How often memory is measured if no call does so.
 constexpr std::chrono::milliseconds kMemoryPeriod{500};
 
@@ -98,19 +102,22 @@ std::unique_ptr<Periodic> MakeUnloadTimer(Fleet* fleet, Admission* admission,
       });
 }
 
-// Sets the health of writes by whether the store has room for them.
+// Sets the health of writes by whether the store takes them.
 std::unique_ptr<Periodic> MakeWriteHealthTimer(
     Storage* storage, grpc::HealthCheckServiceInterface* health,
     const Log* log) {
   return std::make_unique<Periodic>(
-      kWriteHealthPeriod, [=, had_room = true]() mutable {
-        const bool has_room = storage->HasRoom();
-        if (has_room == had_room) return;
-        had_room = has_room;
-        health->SetServingStatus(kWriteHealth, has_room);
-        log->Write(has_room ? LogLevel::kInfo : LogLevel::kWarning,
-                   has_room ? "writes_taken_again" : "writes_refused",
-                   {{"reason", std::string("STORAGE_FULL")}});
+      kWriteHealthPeriod, [=, taken_before = true]() mutable {
+        const absl::Status status = storage->CheckWritable();
+        if (status.ok() == taken_before) return;
+        taken_before = status.ok();
+        health->SetServingStatus(kWriteHealth, status.ok());
+        if (status.ok()) {
+          log->Write(LogLevel::kInfo, "writes_taken_again", {});
+        } else {
+          log->Write(LogLevel::kWarning, "writes_refused",
+                     {{"reason", ReasonOf(status)}});
+        }
       });
 }
 
@@ -154,6 +161,7 @@ struct RevisitServer::State {
   std::unique_ptr<Admission> admission;
   GraphSnapshots snapshots;
   std::unique_ptr<Periodic> unload_timer;
+  std::unique_ptr<Periodic> hand_over_timer;
   Drain drain;
   // Null if the listener speaks plaintext.
   std::unique_ptr<TlsFiles> tls_files;
@@ -382,6 +390,8 @@ void RevisitServer::State::StartFleet() {
   admission = std::make_unique<Admission>(
       limits, std::min(search_threads, processors), ResidentBytes);
   unload_timer = MakeUnloadTimer(fleet.get(), admission.get(), options);
+  hand_over_timer = std::make_unique<Periodic>(
+      kHandOverPeriod, [fleet = fleet.get()] { fleet->HandOverWanted(); });
 }
 
 void RevisitServer::State::StartService() {
@@ -538,6 +548,7 @@ void RevisitServer::Shutdown() {
   // it a session.
   state_->gatekeeper.reset();
   state_->unload_timer.reset();
+  state_->hand_over_timer.reset();
   state_->fleet.reset();
   state_->executor.reset();
   state_->read_executor.reset();

@@ -6,11 +6,11 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "server/storage/store_backup.h"
-#include "server/storage/store_check.h"
-#include "server/storage/store_compaction.h"
-#include "server/storage/store_files.h"
-#include "server/storage/store_lock.h"
+#include "server/storage/sqlite/store_backup.h"
+#include "server/storage/sqlite/store_check.h"
+#include "server/storage/sqlite/store_compaction.h"
+#include "server/storage/sqlite/store_files.h"
+#include "server/storage/sqlite/store_lock.h"
 
 namespace revisit::server {
 namespace {

@@ -4,6 +4,7 @@
 #include <thread>
 #include <utility>
 
+#include "client/revisit/owner_route.h"
 #include "client/revisit/status.h"
 #include "client/revisit/status_from_grpc.h"
 #include "grpcpp/client_context.h"
@@ -31,17 +32,20 @@ struct Client::Rep {
   absl::Status Run(Retry retry, std::chrono::milliseconds limit,
                    const Attempt& attempt) {
     const auto deadline = SystemClock::now() + limit;
-    const int attempts =
-        retry == Retry::kSafe ? std::max(options.max_attempts, 1) : 1;
+    const int attempts = std::max(options.max_attempts, 1);
     Backoff backoff(options.backoff, BackoffSeed());
+    absl::Status status;
     for (int count = 1;; ++count) {
       bool repeatable = true;
-      const absl::Status status = [&] {
+      status = [&] {
         grpc::ClientContext context;
         context.set_deadline(deadline);
+        RouteToOwner(status, &context);
         return attempt(&context, &repeatable);
       }();
-      const bool is_passing = absl::IsUnavailable(status) || IsCut(status);
+      const bool is_passing = WasElsewhere(status) ||
+                              (retry == Retry::kSafe &&
+                               (absl::IsUnavailable(status) || IsCut(status)));
       if (!is_passing || !repeatable || count >= attempts) return status;
       const auto wait = backoff.Next(DetailsOf(status).retry_delay);
       if (SystemClock::now() + wait >= deadline) return status;
@@ -181,7 +185,9 @@ absl::StatusOr<v1::RevisePosesResponse> Client::RevisePoses(
   v1::RevisePosesResponse response;
   const absl::Status status = rep_->Run(
       Retry::kNever, rep_->options.bulk_deadline,
-      [&](grpc::ClientContext* context, bool*) {
+      [&](grpc::ClientContext* context, bool* repeatable) {
+        // What `next` has given is gone.
+        *repeatable = false;
         const auto writer = rep_->stub->RevisePoses(context, &response);
         v1::RevisePosesRequest request;
         while (next(&request) && writer->Write(request)) {

@@ -9,7 +9,10 @@
 // status.h), is made again if doing it twice is the same as doing it once (each
 // call says so), after an exponential back-off with jitter, no sooner than the
 // server's RetryInfo asks for, and only while the wait ends before the
-// deadline. Nothing else is.
+// deadline. A call that answers NOT_OWNER or EPOCH_FENCED changed nothing,
+// since its vehicle is another server's: every call but RevisePoses is then
+// made again, with the owner's address for a proxy that routes by it. Nothing
+// else is.
 #ifndef REVISIT_CLIENT_REVISIT_CLIENT_H_
 #define REVISIT_CLIENT_REVISIT_CLIENT_H_
 

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "client/revisit/owner_route.h"
 #include "client/revisit/status.h"
 #include "client/revisit/status_from_grpc.h"
 #include "core/base/mutex.h"
@@ -52,9 +53,9 @@ struct PoseStream::Rep {
         vehicle_uid(stream_options.vehicle_uid) {}
 
   void Run();
-  // Holds one connection until it is over. OK if the server ended it in answer
-  // to our half-close.
-  absl::Status RunConnection();
+  // Holds one connection until it is over. `last` is how the one before ended.
+  // OK if the server ended it in answer to our half-close.
+  absl::Status RunConnection(const absl::Status& last);
 
   bool HasRoom(std::size_t poses, std::size_t bytes) const
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
@@ -316,8 +317,9 @@ void PoseStream::Rep::FillBatch(v1::StreamPosesRequest* request) {
       std::max(last_sent_sequence, pending[sent - 1].pose.sequence());
 }
 
-absl::Status PoseStream::Rep::RunConnection() {
+absl::Status PoseStream::Rep::RunConnection(const absl::Status& last) {
   Connection connection(this);
+  RouteToOwner(last, connection.context());
   MutexLock lock(&mutex);
   if (cancelled) return absl::CancelledError("the stream was cancelled");
   opened = progressed = half_closed = read_closed = in_callback = done = false;
@@ -378,12 +380,13 @@ absl::Status PoseStream::Rep::RunConnection() {
 void PoseStream::Rep::Run() {
   Backoff backoff(options.backoff, BackoffSeed());
   Clock::time_point last_progress = Clock::now();
+  absl::Status status;
   for (;;) {
-    absl::Status status = RunConnection();
+    status = RunConnection(status);
     MutexLock lock(&mutex);
     if (status.ok() || cancelled ||
         !WorthAnotherConnection(status, first_durable_sequence.has_value())) {
-      final_status = std::move(status);
+      final_status = status;
       changed.NotifyAll();
       return;
     }
@@ -394,7 +397,7 @@ void PoseStream::Rep::Run() {
     const auto wait = backoff.Next(DetailsOf(status).retry_delay);
     if (options.give_up_after.has_value() &&
         Clock::now() + wait - last_progress > *options.give_up_after) {
-      final_status = std::move(status);
+      final_status = status;
       changed.NotifyAll();
       return;
     }

@@ -14,7 +14,8 @@
 // unacknowledged poses, and one message on its way each way. Append() waits for
 // room, TryAppend() says RESOURCE_EXHAUSTED.
 //
-// Reconnecting: after UNAVAILABLE, ABORTED, RESOURCE_EXHAUSTED with a
+// Reconnecting: after UNAVAILABLE (NOT_OWNER among them: the next connection
+// names the owner to the proxy), ABORTED, RESOURCE_EXHAUSTED with a
 // RetryInfo, a cut on the way (IsCut() in status.h), an end that was not asked
 // for, or silence longer than answer_timeout, with exponential back-off that
 // starts over after progress.

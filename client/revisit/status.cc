@@ -66,6 +66,11 @@ bool IsCut(const absl::Status& status) {
          DetailsOf(status).reason.empty();
 }
 
+bool WasElsewhere(const absl::Status& status) {
+  const std::string reason = DetailsOf(status).reason;
+  return reason == "NOT_OWNER" || reason == "EPOCH_FENCED";
+}
+
 std::string Describe(const absl::Status& status) {
   if (status.ok()) return "OK";
   const ErrorDetails details = DetailsOf(status);

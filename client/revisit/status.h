@@ -44,6 +44,11 @@ ErrorDetails DetailsOf(const absl::Status& status);
 // server behind it dies.
 bool IsCut(const absl::Status& status);
 
+// Whether the server says that it has changed nothing because the vehicle is,
+// or was meanwhile, another server's (NOT_OWNER, EPOCH_FENCED): then also a
+// call that must not be done twice may be made again.
+bool WasElsewhere(const absl::Status& status);
+
 // Describes a status to people: the message, the reason, and a line for each
 // field violation that the message does not contain.
 std::string Describe(const absl::Status& status);

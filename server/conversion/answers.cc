@@ -38,6 +38,11 @@ constexpr EnumRow<v1::EmptyReason, core::EmptyReason> kEmptyReasons[] = {
     {v1::EMPTY_REASON_NO_ALIGNMENT, core::EmptyReason::kNoAlignment},
     {v1::EMPTY_REASON_NO_PROBABLE_PLACE, core::EmptyReason::kNoProbablePlace},
     {v1::EMPTY_REASON_LIMIT_EXCEEDED, core::EmptyReason::kTooMuchWork}};
+constexpr EnumRow<v1::Durability, Durability> kDurabilities[] = {
+    {v1::DURABILITY_LOCAL, Durability::kLocal},
+    {v1::DURABILITY_DATABASE, Durability::kDatabase},
+    {v1::DURABILITY_REPLICATED, Durability::kReplicated},
+    {v1::DURABILITY_DEFERRED, Durability::kDeferred}};
 
 // ---- Vehicles
 
@@ -208,6 +213,21 @@ void EncodeNode(const core::PoseGraph& graph, core::NodeIndex index,
   pose->set_heading_radians(from.pose.heading);
   if (with_covariance) {
     EncodeCovariance(from.covariance, space, node->mutable_covariance());
+  }
+}
+
+void EncodeStorageInfo(const StorageInfo& info,
+                       v1::GetServerInfoResponse* response) {
+  response->set_durability(ToProto(kDurabilities, info.durability));
+  response->set_durability_settings(info.durability_settings);
+}
+
+void EncodeStorageUsers(const std::vector<StorageUser>& users,
+                        v1::GetServerInfoResponse* response) {
+  for (const StorageUser& user : users) {
+    v1::StoreServer* const server = response->add_servers();
+    server->set_address(user.address);
+    server->set_owned_vehicle_count(user.owned_vehicles);
   }
 }
 

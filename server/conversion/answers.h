@@ -3,6 +3,7 @@
 #define REVISIT_SERVER_CONVERSION_ANSWERS_H_
 
 #include <chrono>
+#include <vector>
 
 #include "core/engine.h"
 #include "revisit/v1/candidate.pb.h"
@@ -22,6 +23,11 @@ void EncodeAck(const Acknowledgement& acknowledgement, v1::Ack* ack);
 
 void EncodeNode(const core::PoseGraph& graph, core::NodeIndex index,
                 core::StateSpace space, bool with_covariance, v1::Node* node);
+
+void EncodeStorageInfo(const StorageInfo& info,
+                       v1::GetServerInfoResponse* response);
+void EncodeStorageUsers(const std::vector<StorageUser>& users,
+                        v1::GetServerInfoResponse* response);
 
 // REQUIRES: the set was found in this view.
 void EncodeCandidateSet(const VehicleView& view, const core::CandidateSet& set,

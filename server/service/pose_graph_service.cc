@@ -445,20 +445,29 @@ grpc::ServerUnaryReactor* PoseGraphService::GetServerInfo(
       [=](const UnaryCallPtr& call, const v1::GetServerInfoRequest*,
           v1::GetServerInfoResponse* response) {
         response->set_version(REVISIT_VERSION);
-        response->set_durability(v1::DURABILITY_LOCAL);
+        EncodeStorageInfo(context_.storage->Info(), response);
         response->set_store_format(kStoreFormat);
         response->set_max_batch_poses(context_.limits.max_batch_poses);
         response->set_max_message_bytes(context_.limits.max_message_bytes);
         response->set_max_batches_in_flight(
             context_.limits.max_batches_in_flight);
-        // A tenant does not learn how much others have on the server.
-        if (!call->caller().grants || call->caller().tenant == "*") {
-          const Fleet::Residency residency = context_.fleet->residency();
-          response->set_resident_vehicle_count(residency.vehicles);
-          response->set_resident_node_count(residency.nodes);
-          response->set_resident_bytes(residency.bytes);
+        // A tenant does not learn how much others have on the servers.
+        if (call->caller().grants && call->caller().tenant != "*") {
+          call->End(absl::OkStatus());
+          return absl::OkStatus();
         }
-        call->End(absl::OkStatus());
+        const Fleet::Residency residency = context_.fleet->residency();
+        response->set_resident_vehicle_count(residency.vehicles);
+        response->set_resident_node_count(residency.nodes);
+        response->set_resident_bytes(residency.bytes);
+        // Asks the store, and may wait for it.
+        context_.executor->Post([call, response, storage = context_.storage] {
+          // What the server knows itself is told also where the store is away.
+          if (const auto users = storage->ListUsers(); users.ok()) {
+            EncodeStorageUsers(*users, response);
+          }
+          call->End(absl::OkStatus());
+        });
         return absl::OkStatus();
       });
 }

@@ -297,7 +297,7 @@ absl::Status Appends::ResultOf(const Pending& append) {
   // The store expected another batch than this session does.
   const bool out_of_step = written.code() == StatusCode::kFailedPrecondition;
   failure_ = out_of_step ? vehicle_->OutOfStep() : written;
-  vehicle_->in_doubt = true;
+  vehicle_->NoteFailedWrite(written);
   return *failure_;
 }
 

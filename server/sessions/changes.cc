@@ -28,7 +28,7 @@ void Changes::Write(const std::function<void(Storage::Done)>& write,
   queue_->Hold();
   write(queue_->OnStrand(
       [this, then = std::move(then)](const absl::Status& status) {
-        if (!status.ok()) vehicle_->in_doubt = true;
+        if (!status.ok()) vehicle_->NoteFailedWrite(status);
         queue_->Release([&] { then(status); });
       }));
 }

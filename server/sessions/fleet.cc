@@ -210,6 +210,19 @@ Fleet::~Fleet() {
   while (countdown->left != 0) countdown->zero.Wait(&countdown->mutex);
 }
 
+void Fleet::HandOverWanted() {
+  for (const WantedVehicle& wanted : state_->storage->WantedVehicles()) {
+    const MutexLock guard(&state_->mutex);
+    const auto found = state_->entries.find(wanted.id);
+    // Under the lock, so that nobody loads the vehicle in between.
+    if (found == state_->entries.end() || found->second.session->gone()) {
+      state_->storage->ReleaseVehicle(wanted.key);
+    } else {
+      found->second.session->HandOver();
+    }
+  }
+}
+
 void Fleet::GiveUpReplays() {
   const MutexLock lock(&state_->mutex);
   state_->gives_up_replays = true;

@@ -63,6 +63,11 @@ class Fleet {
   void Delete(const std::string& id,
               std::function<void(absl::Status)> callback);
 
+  // Hands vehicles over that other servers ask for (Storage::WantedVehicles()),
+  // each once its calls that came before are finished. The server calls it on a
+  // timer.
+  void HandOverWanted();
+
   // Has vehicles that are being loaded, now or later, give up where that takes
   // long (VehicleSession::GiveUpReplay()): the server ends.
   void GiveUpReplays();

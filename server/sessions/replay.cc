@@ -42,7 +42,7 @@ void Replayer::Load() {
 
 absl::Status Replayer::StartLoad() {
   const absl::StatusOr<VehicleRecord> record =
-      vehicle_->storage->GetVehicle(vehicle_->id);
+      vehicle_->storage->TakeVehicle(vehicle_->id);
   if (!record.ok()) return record.status();
   vehicle_->key = record->key;
   absl::StatusOr<VehicleConfig> config = StoredConfig(*record);

@@ -36,7 +36,7 @@ void VehicleQueue::SubmitSearch(Operation operation) {
 void VehicleQueue::Add(Operation operation) {
   const bool is_known = vehicle_->engine != nullptr || vehicle_->gone_status;
   if (IsRead(operation.turn) && is_known && !MustWait(operation.turn)) {
-    operation.run(vehicle_->gone_status.value_or(absl::OkStatus()));
+    Start(operation);
     return;
   }
   PushBack(std::move(operation));
@@ -65,15 +65,19 @@ void VehicleQueue::Pump() {
       SubmitLong(std::move(operation));
       continue;
     }
-    absl::Status status = vehicle_->gone_status.value_or(absl::OkStatus());
-    if (status.ok() && !IsRead(operation.turn)) status = ClearDoubt();
-    operation.run(status);
+    Start(operation);
   }
   pumping_ = false;
 }
 
+void VehicleQueue::Start(const Operation& operation) {
+  operation.run(vehicle_->gone_status ? *vehicle_->gone_status
+                                      : CheckMemory(operation.turn));
+}
+
 bool VehicleQueue::MayAppendHere() const {
-  const bool needs_no_store = !vehicle_->gone_status && !vehicle_->in_doubt;
+  const bool needs_no_store = !vehicle_->gone_status && !vehicle_->in_doubt &&
+                              vehicle_->storage->CheckOwned(vehicle_->key).ok();
   return waiting_.empty() && needs_no_store && MayStart(Turn::kAppend);
 }
 
@@ -113,8 +117,19 @@ bool VehicleQueue::MustWait(Turn turn) const {
   return false;
 }
 
-absl::Status VehicleQueue::ClearDoubt() {
-  if (!vehicle_->in_doubt || !appends_->idle()) return absl::OkStatus();
+// Nothing else runs on the strand between this and the operation, so an answer
+// from memory is as of the moment of the check.
+absl::Status VehicleQueue::CheckMemory(Turn turn) {
+  const absl::Status owned = vehicle_->storage->CheckOwned(vehicle_->key);
+  // Nobody else may have had the vehicle, as where a server took longer to
+  // reach the store than its ownership lasted: then memory is as good as
+  // before.
+  const bool must_take = absl::IsAborted(owned);
+  if (!owned.ok() && !must_take) return owned;
+  if (must_take) vehicle_->in_doubt = true;
+  const bool must_check = must_take || !IsRead(turn);
+  if (!vehicle_->in_doubt || !must_check) return absl::OkStatus();
+  if (!appends_->idle()) return owned;
   return vehicle_->CheckAgainstStore();
 }
 

@@ -124,10 +124,13 @@ class VehicleQueue {
   }
 
   void Add(Operation operation);
+  // Starts an operation, or answers it.
+  void Start(const Operation& operation);
   bool MayStart(Turn turn) const;
   // Whether a read could show what a later one does not.
   bool MustWait(Turn turn) const;
-  absl::Status ClearDoubt();
+  // Whether memory shows what everybody would see: OK, or the answer instead.
+  absl::Status CheckMemory(Turn turn);
 
   VehicleState* const vehicle_;
   const Appends* const appends_;

@@ -169,6 +169,15 @@ void VehicleSession::LoadAnew() {
 
 void VehicleSession::GiveUpReplay() { state_->replayer.GiveUp(); }
 
+void VehicleSession::HandOver() {
+  VehicleState* const vehicle = &state_->vehicle;
+  state_->queue.Submit({Turn::kAlone, [vehicle](const absl::Status&) {
+                          if (vehicle->gone_status) return;
+                          vehicle->Leave(vehicle->HandedOver());
+                          vehicle->storage->ReleaseVehicle(vehicle->key);
+                        }});
+}
+
 void VehicleSession::Close(std::function<void()> callback) {
   GiveUpReplay();
   VehicleState* const vehicle = &state_->vehicle;

@@ -128,6 +128,10 @@ class VehicleSession {
   // UNAVAILABLE (SERVER_DRAINING), where that takes long. Close() does so too.
   void GiveUpReplay();
 
+  // Ends the session so that another server may have the vehicle: earlier calls
+  // are finished; later calls answer ABORTED (EPOCH_FENCED).
+  void HandOver();
+
   // Ends the session: earlier calls are finished, but for those that
   // GiveUpReplay() ends; later calls answer UNAVAILABLE (SERVER_DRAINING). When
   // `callback` runs, the session uses neither storage nor codec any more.

@@ -101,10 +101,16 @@ void VehicleState::Leave(const absl::Status& status) {
   is_gone.store(true);
 }
 
+void VehicleState::NoteFailedWrite(const absl::Status& status) {
+  in_doubt = true;
+  if (absl::IsAborted(status) && !gone_status) Leave(status);
+}
+
 absl::Status VehicleState::CheckAgainstStore() {
-  const absl::StatusOr<VehicleRecord> record = storage->GetVehicle(id);
+  const absl::StatusOr<VehicleRecord> record = storage->TakeVehicle(id);
   if (!record.ok()) {
     if (absl::IsNotFound(record.status())) Leave(VehicleNotFound(id));
+    if (ReasonOf(record.status()) == "NOT_OWNER") Leave(record.status());
     return record.status();
   }
   if (record->key != key || record->durable_sequence != durable_sequence ||
@@ -142,6 +148,13 @@ absl::StatusOr<DecodedBatch> VehicleState::DecodeStored(
 absl::Status VehicleState::Writable() const {
   if (!damage.ok()) return damage;
   return config.data_loss ? DataLoss({}) : absl::OkStatus();
+}
+
+absl::Status VehicleState::HandedOver() const {
+  return Error(StatusCode::kAborted, "EPOCH_FENCED",
+               StrCat("vehicle '", id,
+                      "' is handed over to another server; nothing was "
+                      "changed, try again"));
 }
 
 absl::Status VehicleState::OutOfStep() const {

@@ -64,8 +64,7 @@ struct VehicleState {
   };
   Staged staged;
 
-  // A write failed, so that store and memory may differ: see
-  // CheckAgainstStore().
+  // Store and memory may differ: see CheckAgainstStore().
   bool in_doubt = false;
 
   // The answer to every call from now on, once there is one.
@@ -103,8 +102,12 @@ struct VehicleState {
   // From now on every call is answered with `status`.
   void Leave(const absl::Status& status);
 
-  // After a failed write: OK if store and memory agree. Where they do not, the
-  // vehicle leaves. Reads the store.
+  // Call after every write that failed: store and memory may differ, and where
+  // another server has had the vehicle, it leaves.
+  void NoteFailedWrite(const absl::Status& status);
+  // After a failed write, or where the vehicle has to be taken anew: takes it,
+  // and is OK if store and memory agree. Where they do not, or another server
+  // has it, the vehicle leaves. Reads the store.
   absl::Status CheckAgainstStore();
 
   // Decodes a stored batch. DATA_LOSS if it is not what its row says.
@@ -114,7 +117,8 @@ struct VehicleState {
   // OK if the vehicle takes writes.
   absl::Status Writable() const;
 
-  // Errors about this vehicle.
+  // Errors about this vehicle. The first is ABORTED (EPOCH_FENCED).
+  absl::Status HandedOver() const;
   absl::Status OutOfStep() const;
   absl::Status Corrupt(const std::string& cause) const;
   absl::Status Regressed(const std::string& cause,

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "server/base/status.h"
+#include "server/storage/record_check.h"
 
 namespace revisit::server {
 namespace {
@@ -23,11 +24,6 @@ constexpr char kSetUp[] =
     "CREATE TABLE poses (sequence INTEGER PRIMARY KEY, pose BLOB NOT NULL);"
     "CREATE TABLE batches (first_sequence INTEGER PRIMARY KEY, "
     "count INTEGER NOT NULL, payload BLOB NOT NULL)";
-
-// The sequence as SQLite's signed integer: sequences are below 2^63.
-std::int64_t Signed(std::uint64_t sequence) {
-  return static_cast<std::int64_t>(sequence);
-}
 
 absl::Status Failure(const char* what, const std::string& path) {
   const int cause = errno;

@@ -124,6 +124,37 @@ constexpr PairWords WordsOf(PairKind kind) {
                          "REJECTED_CANDIDATE_NOT_FOUND"};
 }
 
+// The failures that an acknowledged write outlives.
+enum class Durability {
+  // Those of this machine but its device's.
+  kLocal,
+  // All of this machine, and of the database's machine but its device's.
+  kDatabase,
+  // Also the loss of the database's device: a standby has flushed the write
+  // too.
+  kReplicated,
+  // The end of processes only: the database flushes later than it answers.
+  kDeferred,
+};
+
+struct StorageInfo {
+  Durability durability = Durability::kLocal;
+  // The settings that it comes from, for people; may be empty.
+  std::string durability_settings;
+};
+
+// A server that shares a storage with others.
+struct StorageUser {
+  std::string address;
+  std::int64_t owned_vehicles = 0;
+};
+
+// A vehicle that another server asks for.
+struct WantedVehicle {
+  VehicleKey key = 0;
+  std::string id;
+};
+
 // A batch keeps the poses that were first sent, even if they were revised.
 enum class BatchVersion { kAsSent, kCurrent };
 
@@ -194,8 +225,9 @@ class Storage {
   virtual absl::Status CheckOwned(VehicleKey /*key*/) const {
     return absl::OkStatus();
   }
-  // Ids of vehicles that this server owns and others have asked for.
-  virtual std::vector<std::string> WantedVehicles() { return {}; }
+  // Vehicles that this server has owned for a while and others have asked for:
+  // hand them over with ReleaseVehicle().
+  virtual std::vector<WantedVehicle> WantedVehicles() { return {}; }
 
   // NOT_FOUND (VEHICLE_NOT_FOUND) if there is no such vehicle. Needs no owner,
   // as all reads.
@@ -217,9 +249,18 @@ class Storage {
       VehicleKey key, PairKind kind, const std::string& after_id,
       int limit) = 0;
 
-  // Whether the next write is likely to find room, or would be refused with
-  // RESOURCE_EXHAUSTED (STORAGE_FULL).
-  virtual bool HasRoom() { return true; }
+  // OK if the next write is likely to be taken; otherwise what it would be
+  // refused with, such as RESOURCE_EXHAUSTED (STORAGE_FULL). Reads nothing that
+  // would make the caller wait.
+  virtual absl::Status CheckWritable() { return absl::OkStatus(); }
+
+  virtual StorageInfo Info() const { return {}; }
+
+  // The servers that share the storage and live, this one among them, by
+  // address; none where one server has it alone.
+  virtual absl::StatusOr<std::vector<StorageUser>> ListUsers() {
+    return std::vector<StorageUser>();
+  }
 
   // Zeros if the implementation does not count.
   virtual CommitCounts Counts() const { return {}; }

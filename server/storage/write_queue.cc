@@ -40,7 +40,8 @@ void WriteQueue::Enqueue(PendingWrite write) {
 
 // Makes an append part of a row that waits, if it follows and fits.
 bool WriteQueue::Join(PendingWrite* row, PendingWrite* append) const {
-  if (append->batch.first_sequence !=
+  if (append->claim != row->claim ||
+      append->batch.first_sequence !=
           row->batch.first_sequence + row->batch.count ||
       row->batch.count + append->batch.count > options_.max_joined_poses ||
       row->bytes + append->bytes > options_.max_joined_bytes) {

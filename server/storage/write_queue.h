@@ -7,13 +7,13 @@
 #include <cstddef>
 #include <deque>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <unordered_map>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "core/base/mutex.h"
-#include "server/storage/sqlite_database.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {
@@ -35,6 +35,9 @@ struct WriteGroupOptions {
   std::chrono::microseconds latency_target{0};
 };
 
+// One ownership of a vehicle, from when it was taken until it ends.
+struct Claim;
+
 // One row of `batches`, or something else.
 struct PendingWrite {
   // How much room a write needs: kLittle is taken even when the disk is short.
@@ -44,8 +47,11 @@ struct PendingWrite {
   // For a row: one append, or several of a vehicle that follow each other.
   VehicleKey key = 0;
   BatchRecord batch;
+  // The ownership of the vehicle under which it was submitted; null where a
+  // storage has but one owner.
+  std::shared_ptr<const Claim> claim;
   // For something else: may be called again after it was rolled back.
-  std::function<absl::Status(SqliteDatabase&)> apply;
+  std::function<absl::Status()> apply;
   // One callback per joined append, or a single one.
   std::vector<Storage::Done> done;
   Need need = Need::kRoom;

@@ -167,6 +167,11 @@ int FakeServer::unary_calls() const {
   return unary_calls_;
 }
 
+std::vector<std::string> FakeServer::Routes() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return routes_;
+}
+
 std::vector<std::string> FakeServer::Deleted() const {
   std::lock_guard<std::mutex> lock(mutex_);
   return deleted_;
@@ -186,6 +191,14 @@ grpc::Status FakeServer::NextUnaryStatus() {
   return status;
 }
 
+void FakeServer::NoteRoute(const grpc::ServerContext& context) {
+  const auto& headers = context.client_metadata();
+  const auto route = headers.find("x-revisit-owner");
+  routes_.push_back(route == headers.end() ? ""
+                                           : std::string(route->second.data(),
+                                                         route->second.size()));
+}
+
 void FakeServer::NoteDeletion(const std::string& name) {
   std::lock_guard<std::mutex> lock(mutex_);
   deleted_.push_back(name);
@@ -199,9 +212,13 @@ grpc::Status FakeServer::CreateVehicle(grpc::ServerContext*,
   return NextUnaryStatus();
 }
 
-grpc::Status FakeServer::GetVehicle(grpc::ServerContext*,
+grpc::Status FakeServer::GetVehicle(grpc::ServerContext* context,
                                     const v1::GetVehicleRequest* request,
                                     v1::GetVehicleResponse* response) {
+  {
+    std::lock_guard<std::mutex> lock(mutex_);
+    NoteRoute(*context);
+  }
   v1::Vehicle* vehicle = response->mutable_vehicle();
   vehicle->set_name(request->name());
   vehicle->mutable_settings()->set_state_space(v1::STATE_SPACE_PLANAR);
@@ -234,9 +251,13 @@ grpc::Status FakeServer::ListVehicles(grpc::ServerContext*,
   return NextUnaryStatus();
 }
 
-grpc::Status FakeServer::DeleteVehicle(grpc::ServerContext*,
+grpc::Status FakeServer::DeleteVehicle(grpc::ServerContext* context,
                                        const v1::DeleteVehicleRequest* request,
                                        v1::DeleteVehicleResponse*) {
+  {
+    std::lock_guard<std::mutex> lock(mutex_);
+    NoteRoute(*context);
+  }
   NoteDeletion(request->name());
   return NextUnaryStatus();
 }
@@ -408,6 +429,7 @@ grpc::Status FakeServer::StreamPoses(
     }
     return grpc::Status::CANCELLED;
   };
+  NoteRoute(*context);
   opens_.push_back(open.acked_sequence());
   open_uids_.push_back(open.vehicle_uid());
   if (open_faults_) {

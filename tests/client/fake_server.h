@@ -97,6 +97,9 @@ class FakeServer final : public v1::PoseGraphService::Service {
   // sequence less the durable one that `opened` told.
   std::vector<std::int64_t> FirstSteps() const;
   int unary_calls() const;
+  // The header x-revisit-owner of each GetVehicle and DeleteVehicle, and of
+  // each open, in order; "" where there was none.
+  std::vector<std::string> Routes() const;
   // Names that deletions asked for, in order.
   std::vector<std::string> Deleted() const;
   int largest_batch() const;
@@ -155,6 +158,8 @@ class FakeServer final : public v1::PoseGraphService::Service {
 
  private:
   grpc::Status NextUnaryStatus();
+  // Mutex must be held.
+  void NoteRoute(const grpc::ServerContext& context);
   void NoteDeletion(const std::string& name);
   // Stores what is new of a batch. Mutex must be held.
   grpc::Status Store(const v1::PoseBatch& batch);
@@ -179,6 +184,7 @@ class FakeServer final : public v1::PoseGraphService::Service {
   std::vector<std::string> open_uids_;
   std::vector<std::int64_t> first_steps_;
   int unary_calls_ = 0;
+  std::vector<std::string> routes_;
   std::vector<std::string> deleted_;
   int largest_batch_ = 0;
 };

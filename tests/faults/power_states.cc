@@ -36,8 +36,8 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "crash_states.h"
-#include "server/storage/sqlite_storage.h"
-#include "server/storage/store_check.h"
+#include "server/storage/sqlite/sqlite_storage.h"
+#include "server/storage/sqlite/store_check.h"
 
 namespace revisit::faults {
 namespace {

@@ -14,16 +14,18 @@ from revisit.v1 import pose_graph_service_pb2_grpc as service
 class Fault(Exception):
     """A status that the service ends a call with."""
 
-    def __init__(self, code, message="as the test says", reason="", retry=None):
+    def __init__(self, code, message="as the test says", reason="", retry=None,
+                 metadata=(("limit", "7"),)):
         super().__init__(message)
         self.code, self.message, self.reason, self.retry = (code, message, reason,
                                                             retry)
+        self.metadata = dict(metadata)
 
     def end(self, context):
         details = []
         if self.reason:
             details.append(error_details_pb2.ErrorInfo(
-                reason=self.reason, domain="revisit", metadata={"limit": "7"}))
+                reason=self.reason, domain="revisit", metadata=self.metadata))
         if self.retry is not None:
             details.append(error_details_pb2.RetryInfo(
                 retry_delay=duration_pb2.Duration(

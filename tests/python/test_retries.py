@@ -68,6 +68,35 @@ def test_a_deletion_is_repeated_only_if_the_server_did_nothing():
     assert fake.calls == 2
 
 
+NOT_OWNER = Fault(Code.UNAVAILABLE, reason="NOT_OWNER",
+                  metadata={"owner": "10.0.0.2:50051"})
+FENCED = Fault(Code.ABORTED, reason="EPOCH_FENCED")
+# The address in base64, as Envoy's stateful sessions read it.
+ROUTE = "MTAuMC4wLjI6NTAwNTE="
+
+
+def routes(fake):
+    return [call.get("x-revisit-owner", "") for call in fake.metadata]
+
+
+def test_a_call_goes_to_the_owner_of_its_vehicle_also_if_it_may_be_made_once_only():
+    fake = FakeService(NOT_OWNER, FENCED)
+    with serving(fake) as address, revisit.Client(address, backoff=QUICK) as client:
+        client.delete_vehicle("a")
+        client.get_vehicle("a")
+    assert routes(fake) == ["", ROUTE, "", ""]
+
+
+def test_a_stream_goes_to_the_owner_of_its_vehicle_with_every_pose():
+    fake = FakeService(NOT_OWNER, FENCED)
+    with serving(fake) as address, revisit.Client(address) as client:
+        with client.stream_poses("a", StreamOptions(backoff=QUICK)) as stream:
+            stream.append(straight(200))
+            stream.finish()
+    assert routes(fake) == ["", ROUTE, ""]
+    assert len(fake.stored) == 200
+
+
 def test_a_revision_is_repeated_only_with_the_revision_it_started_from():
     fake = FakeService(PASSING[0])
     with serving(fake) as address, revisit.Client(address, backoff=QUICK) as client:

@@ -127,6 +127,20 @@ class HeldStorage : public Storage {
     });
   }
 
+  absl::StatusOr<VehicleRecord> TakeVehicle(const std::string& id) override {
+    const absl::Status status = ReadStatus();
+    if (!status.ok()) return status;
+    return storage_->TakeVehicle(id);
+  }
+  void ReleaseVehicle(VehicleKey key) override {
+    storage_->ReleaseVehicle(key);
+  }
+  absl::Status CheckOwned(VehicleKey key) const override {
+    return storage_->CheckOwned(key);
+  }
+  std::vector<WantedVehicle> WantedVehicles() override {
+    return storage_->WantedVehicles();
+  }
   absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override {
     const absl::Status status = ReadStatus();
     if (!status.ok()) return status;

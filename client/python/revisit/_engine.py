@@ -19,7 +19,8 @@ import grpc
 from revisit import v1
 from revisit._pending import PendingPoses
 from revisit.backoff import Backoff
-from revisit.channel import Caller, Channels, Lease, stub_of
+from revisit.channel import (
+    Caller, Channels, Lease, Metadata, owner_route, stub_of)
 from revisit.errors import (
     Aborted, Cancelled, DataLoss, Error, ResourceExhausted, Unauthenticated,
     Unavailable, VehicleReplaced, from_rpc_error, is_cut)
@@ -46,7 +47,9 @@ def _worth_another_connection(error: BaseException, was_opened: bool) -> bool:
 class _Connection:
     """One call. Guarded by the engine's lock once it has begun."""
 
-    def __init__(self) -> None:
+    def __init__(self, route: Metadata) -> None:
+        #: Metadata of this connection only.
+        self.route = route
         self.call: Any = None
         self.request_id = ""
         self.opened = False
@@ -112,8 +115,9 @@ class Engine:
     def _run(self) -> None:
         backoff = Backoff(self._options.backoff)
         last_progress = time.monotonic()
+        error: Optional[BaseException] = None
         while True:
-            connection = _Connection()
+            connection = _Connection(owner_route(error))
             error = self._hold(connection)
             with self.changed:
                 if error is None or self.cancelled or not _worth_another_connection(
@@ -169,7 +173,7 @@ class Engine:
         connection.request_id, metadata = self._caller.metadata()
         try:
             connection.call = stub_of(lease.channel).StreamPoses(
-                self._requests(connection), metadata=metadata)
+                self._requests(connection), metadata=metadata + connection.route)
         except ValueError as error:
             # gRPC refuses calls on a channel that was closed meanwhile.
             return Cancelled(f"the stream cannot be opened: {error}")

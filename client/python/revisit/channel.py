@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import dataclasses
 import os
@@ -215,3 +216,17 @@ class Caller:
                                       request_id=request_id) from error
             metadata += (("authorization", "Bearer " + token),)
         return request_id, metadata
+
+
+def owner_route(last: Optional[BaseException]) -> Metadata:
+    """For the attempt after one that ended with this error: where that said which
+    server owns the vehicle, the header by which Envoy's stateful sessions
+    (envoy.http.stateful_session.header) send the call there. The next attempt only:
+    the owner may change at any time, and without the header a proxy chooses by the
+    vehicle's id."""
+    if not isinstance(last, Error) or last.reason != "NOT_OWNER":
+        return ()
+    owner = last.metadata.get("owner", "")
+    if not owner:
+        return ()
+    return (("x-revisit-owner", base64.b64encode(owner.encode()).decode()),)

@@ -16,9 +16,9 @@ from revisit import v1
 from revisit.arrays import Poses
 from revisit.backoff import Backoff, BackoffOptions
 from revisit.channel import (
-    Caller, ChannelOptions, Channels, PathLike, stub_of)
+    Caller, ChannelOptions, Channels, PathLike, owner_route, stub_of)
 from revisit.errors import (
-    Error, ResourceExhausted, Unavailable, from_rpc_error, is_cut)
+    Error, ResourceExhausted, Unavailable, from_rpc_error, is_cut, was_elsewhere)
 from revisit.pose_stream import PoseStream, PosesLike
 from revisit.stream_options import StreamCallbacks, StreamOptions
 from revisit.tables import Table, edge_table, node_table
@@ -62,7 +62,8 @@ def _may_repeat(error: Error, is_safe: bool) -> bool:
     if isinstance(error, ResourceExhausted):
         # The server says that it did nothing, and when to send the same again.
         return error.retry_delay is not None
-    return is_safe and (isinstance(error, Unavailable) or is_cut(error))
+    return was_elsewhere(error) or (
+        is_safe and (isinstance(error, Unavailable) or is_cut(error)))
 
 
 class Client:
@@ -143,8 +144,10 @@ class Client:
         deadline = time.monotonic() + seconds
         backoff = Backoff(self._backoff)
         count = 1
+        error: Optional[Error] = None
         while True:
             request_id, metadata = self._caller.metadata(request_id)
+            metadata += owner_route(error)
             left = max(deadline - time.monotonic(), 0.0)
             with self._channels.lease() as lease:
                 try:

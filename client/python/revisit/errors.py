@@ -240,3 +240,10 @@ def is_cut(error: Error) -> bool:
     a proxy reset (RST_STREAM), as Envoy does to a stream when the server behind it
     dies."""
     return isinstance(error, (Cancelled, Internal)) and not error.reason
+
+
+def was_elsewhere(error: Error) -> bool:
+    """Whether the server says that it has changed nothing because the vehicle is, or
+    was meanwhile, another server's: then also a call that must not be done twice may
+    be made again."""
+    return error.reason in ("NOT_OWNER", "EPOCH_FENCED")

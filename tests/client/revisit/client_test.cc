@@ -91,6 +91,32 @@ TEST_F(ClientTest, ListsRejectionsAndNeverRepeatsTheirDeletion) {
   EXPECT_EQ(client_.DeleteRejectedCandidate({})->revision(), 9u);
 }
 
+grpc::Status NotOwner() {
+  return MakeStatus(grpc::StatusCode::UNAVAILABLE, "elsewhere",
+                    {"NOT_OWNER", {{"owner", "10.0.0.2:50051"}}});
+}
+
+// The address in base64; see owner_route.h.
+constexpr char kOwnersRoute[] = "MTAuMC4wLjI6NTAwNTE=";
+
+TEST_F(ClientTest, AsksTheOwnerOfAVehicleNextAndNamesItOnlyOnce) {
+  server_.FailUnaryCalls({NotOwner(), StoreUnavailable()});
+  EXPECT_TRUE(client_.GetVehicle({}).ok());
+  EXPECT_TRUE(client_.GetVehicle({}).ok());
+  EXPECT_THAT(server_.Routes(), ElementsAre("", kOwnersRoute, "", ""));
+}
+
+TEST_F(ClientTest, RepeatsADeletionOfAVehicleThatIsElsewhere) {
+  server_.FailUnaryCalls({NotOwner(), MakeStatus(grpc::StatusCode::ABORTED,
+                                                 "moved", {"EPOCH_FENCED"})});
+  EXPECT_TRUE(client_.DeleteVehicle({}).ok());
+  EXPECT_THAT(server_.Routes(), ElementsAre("", kOwnersRoute, ""));
+  // A status behind such an answer is judged by itself.
+  server_.FailUnaryCalls({NotOwner(), StoreUnavailable()});
+  EXPECT_EQ(client_.DeleteVehicle({}).status().code(),
+            absl::StatusCode::kUnavailable);
+}
+
 TEST_F(ClientTest, RetriesNoOtherCode) {
   for (const auto code :
        {grpc::StatusCode::ABORTED, grpc::StatusCode::NOT_FOUND,

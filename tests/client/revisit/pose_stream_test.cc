@@ -110,6 +110,22 @@ TEST_F(PoseStreamTest, TellsWhereToGoOnAndGoesOnThere) {
   EXPECT_TRUE(server_.Stored() == Serialized(150));
 }
 
+TEST_F(PoseStreamTest, GoesToTheOwnerOfItsVehicleWithEveryPose) {
+  server_.FailOpens(
+      FaultAt(0, {Kind::kBefore,
+                  MakeStatus(grpc::StatusCode::UNAVAILABLE, "elsewhere",
+                             {"NOT_OWNER", {{"owner", "10.0.0.2:50051"}}})}));
+  server_.FailBatches(FaultAt(
+      1, {Kind::kBefore,
+          MakeStatus(grpc::StatusCode::ABORTED, "moved", {"EPOCH_FENCED"})}));
+  const auto stream = Open();
+  ASSERT_TRUE(stream->Append(MakeBatch(1, 1000)).ok());
+  EXPECT_TRUE(stream->Finish().ok());
+  EXPECT_TRUE(server_.Stored() == Serialized(1000));
+  EXPECT_THAT(server_.Routes(),
+              ::testing::ElementsAre("", "MTAuMC4wLjI6NTAwNTE=", ""));
+}
+
 TEST_F(PoseStreamTest, SendsNoLargerBatchesThanItMay) {
   server_.set_max_batch_poses(7);
   const auto stream = Open();

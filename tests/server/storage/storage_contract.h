@@ -32,6 +32,11 @@ inline void PrintTo(const StoreFactory& factory, std::ostream* stream) {
   *stream << factory.name;
 }
 
+// Names a test after its storage.
+inline std::string NameOf(const ::testing::TestParamInfo<StoreFactory>& info) {
+  return info.param.name;
+}
+
 class StorageContract : public ::testing::TestWithParam<StoreFactory> {
  protected:
   StorageContract() : store_(GetParam().make()) {}

@@ -1,0 +1,177 @@
+#include "server/storage/record_check.h"
+
+#include <algorithm>
+#include <limits>
+#include <utility>
+
+#include "server/base/status.h"
+#include "server/storage/record_checksum.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StatusCode;
+
+std::string Range(const BatchRecord& batch) {
+  return std::to_string(batch.first_sequence) + " to " +
+         std::to_string(batch.first_sequence + batch.count - 1);
+}
+
+absl::Status CheckRow(std::int64_t format, std::int64_t stored_checksum,
+                      std::int64_t computed_checksum, const std::string& what,
+                      const ErrorMetadata& metadata) {
+  if (stored_checksum != computed_checksum) {
+    return Corrupt(what + " fails its checksum", metadata);
+  }
+  if (format < 1 || format > kStoreFormat) {
+    return Corrupt(what + " has format " + std::to_string(format) +
+                       "; known are 1 to " + std::to_string(kStoreFormat),
+                   metadata);
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+std::string Printable(std::string text) {
+  for (char& c : text) {
+    if (c < ' ' || c > '~') c = '?';
+  }
+  return text;
+}
+
+absl::Status UnknownVehicle(const std::string& which) {
+  return Error(StatusCode::kNotFound, "VEHICLE_NOT_FOUND",
+               "no such vehicle: " + which);
+}
+
+absl::Status UnknownVehicle(VehicleKey key) {
+  return UnknownVehicle("key " + std::to_string(key));
+}
+
+absl::Status VehicleExists(const std::string& id) {
+  return Error(StatusCode::kAlreadyExists, "VEHICLE_EXISTS",
+               "vehicle '" + id + "' exists already");
+}
+
+absl::Status SequenceGap(const std::string& vehicle_id, std::uint64_t expected,
+                         std::uint64_t first_sequence) {
+  return Error(StatusCode::kFailedPrecondition, "SEQUENCE_GAP",
+               "vehicle '" + vehicle_id + "': got a batch from sequence " +
+                   std::to_string(first_sequence) + ", expected " +
+                   std::to_string(expected),
+               {{"expected_sequence", std::to_string(expected)}});
+}
+
+absl::Status NoSuchBatch(const BatchRecord& batch) {
+  return Error(StatusCode::kFailedPrecondition, "INTERNAL",
+               "no batch with sequences " + Range(batch) +
+                   " is stored that could be revised");
+}
+
+absl::Status NoBatchEndsAt(std::uint64_t sequence) {
+  return Error(StatusCode::kFailedPrecondition, "INTERNAL",
+               "no batch ends at sequence " + std::to_string(sequence));
+}
+
+absl::Status PairExists(PairKind kind, const std::string& id) {
+  const PairWords words = WordsOf(kind);
+  return Error(StatusCode::kAlreadyExists, words.exists,
+               std::string(words.noun) + " '" + id + "' exists already");
+}
+
+absl::Status NoSuchPair(PairKind kind, const std::string& id) {
+  const PairWords words = WordsOf(kind);
+  return Error(StatusCode::kNotFound, words.not_found,
+               "no such " + std::string(words.noun) + ": '" + id + "'");
+}
+
+void CheckVehicleRow(std::int64_t format, std::int64_t checksum,
+                     VehicleRecord* record) {
+  record->damage =
+      CheckRow(format, checksum, ChecksumOfVehicle(format, *record),
+               "stored vehicle '" + Printable(record->id) + "'",
+               {{"vehicle", Printable(record->id)}});
+  if (!record->damage.ok()) {
+    record->payload.clear();
+    record->revision = 0;
+  }
+}
+
+absl::StatusOr<BatchRecord> CheckedBatch(StoredBatch row, VehicleKey key,
+                                         const std::string& vehicle_id,
+                                         BatchVersion version) {
+  BatchRecord batch;
+  batch.first_sequence = Unsigned(row.first_sequence);
+  batch.count = static_cast<std::uint32_t>(row.count);
+  batch.revision = Unsigned(row.revision);
+  batch.payload = std::move(row.payload);
+  const std::int64_t checksum =
+      ChecksumOfBatch(row.format, key, version, batch);
+  const absl::Status status =
+      CheckRow(row.format, row.checksum, checksum,
+               std::string("stored batch of vehicle '") + vehicle_id +
+                   "', sequences " + Range(batch) +
+                   (version == BatchVersion::kCurrent ? ", revised," : ""),
+               {{"vehicle", vehicle_id},
+                {"first_sequence", std::to_string(batch.first_sequence)}});
+  if (!status.ok()) return status;
+  if (row.count < 1 || row.count != batch.count) {
+    return Corrupt("stored batch of vehicle '" + vehicle_id + "' has " +
+                       std::to_string(row.count) + " poses",
+                   {{"vehicle", vehicle_id}});
+  }
+  return batch;
+}
+
+std::uint64_t ClaimedEnd(std::int64_t first_sequence, std::int64_t count) {
+  return Unsigned(first_sequence) +
+         Unsigned(std::clamp(count, std::int64_t{1}, kMostClaimedPoses)) - 1;
+}
+
+void CheckPosePairRow(std::int64_t format, std::int64_t checksum,
+                      VehicleKey key, PairKind kind,
+                      const std::string& vehicle_id, PosePairRecord* pair) {
+  const PairWords words = WordsOf(kind);
+  pair->damage =
+      CheckRow(format, checksum, ChecksumOfPosePair(format, key, kind, *pair),
+               "stored " + std::string(words.noun) + " '" +
+                   Printable(pair->id) + "' of vehicle '" + vehicle_id + "'",
+               {{"vehicle", vehicle_id}, {words.field, Printable(pair->id)}});
+}
+
+absl::StatusOr<BatchRecord> BatchWalk::Next(
+    StoredBatch as_sent, std::optional<StoredBatch> revised) {
+  absl::StatusOr<BatchRecord> batch = CheckedBatch(
+      std::move(as_sent), key_, vehicle_id_, BatchVersion::kAsSent);
+  // The batch as sent must be sound as well, because resent poses are compared
+  // with it.
+  if (batch.ok() && revised) {
+    batch = CheckedBatch(*std::move(revised), key_, vehicle_id_,
+                         BatchVersion::kCurrent);
+  }
+  if (!batch.ok()) return batch;
+  const std::uint64_t end = batch->first_sequence + batch->count;
+  // The first may begin before the range, all others follow each other.
+  const bool fits =
+      (expected_ == first_sequence_ ? batch->first_sequence <= expected_
+                                    : batch->first_sequence == expected_) &&
+      end > expected_;
+  if (!fits) return Missing();
+  expected_ = end;
+  return batch;
+}
+
+absl::Status BatchWalk::Missing() const {
+  return Corrupt(
+      "vehicle '" + vehicle_id_ + "': sequence " + std::to_string(expected_) +
+          " is not in the store",
+      {{"vehicle", vehicle_id_}, {"sequence", std::to_string(expected_)}});
+}
+
+std::int64_t Signed(std::uint64_t value) {
+  return static_cast<std::int64_t>(
+      std::min<std::uint64_t>(value, std::numeric_limits<std::int64_t>::max()));
+}
+
+}  // namespace revisit::server

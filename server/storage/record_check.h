@@ -1,0 +1,108 @@
+// The checks that every storage makes of the rows it has read, and the errors
+// that all storages answer with, so that they differ in nothing but where the
+// rows are.
+#ifndef REVISIT_SERVER_STORAGE_RECORD_CHECK_H_
+#define REVISIT_SERVER_STORAGE_RECORD_CHECK_H_
+
+#include <cstdint>
+#include <optional>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+// Makes text from a store that may be damaged fit for a message: characters
+// other than printable ASCII become question marks. Valid ids have none.
+std::string Printable(std::string text);
+
+// ---- Errors
+
+// NOT_FOUND (VEHICLE_NOT_FOUND); `which` is such as "key 7".
+absl::Status UnknownVehicle(const std::string& which);
+absl::Status UnknownVehicle(VehicleKey key);
+// ALREADY_EXISTS (VEHICLE_EXISTS).
+absl::Status VehicleExists(const std::string& id);
+// FAILED_PRECONDITION (SEQUENCE_GAP).
+absl::Status SequenceGap(const std::string& vehicle_id, std::uint64_t expected,
+                         std::uint64_t first_sequence);
+// FAILED_PRECONDITION, for a revision of a batch that is not stored.
+absl::Status NoSuchBatch(const BatchRecord& batch);
+// FAILED_PRECONDITION, for DropDamaged().
+absl::Status NoBatchEndsAt(std::uint64_t sequence);
+// ALREADY_EXISTS (WordsOf(kind).exists).
+absl::Status PairExists(PairKind kind, const std::string& id);
+// NOT_FOUND (WordsOf(kind).not_found).
+absl::Status NoSuchPair(PairKind kind, const std::string& id);
+
+// ---- Rows as they were read. A row is sound if its checksum matches and its
+// format is known here.
+
+// Sets `damage`, and clears the members that a damaged row does not give.
+void CheckVehicleRow(std::int64_t format, std::int64_t checksum,
+                     VehicleRecord* record);
+
+struct StoredBatch {
+  std::int64_t first_sequence = 0;
+  std::int64_t count = 0;
+  std::int64_t format = 0;
+  std::int64_t revision = 0;
+  std::int64_t checksum = 0;
+  std::string payload;
+};
+// DATA_LOSS (STORE_CORRUPT) unless the row is sound.
+absl::StatusOr<BatchRecord> CheckedBatch(StoredBatch row, VehicleKey key,
+                                         const std::string& vehicle_id,
+                                         BatchVersion version);
+// The sequence at which a batch ends according to its row, damaged or not.
+std::uint64_t ClaimedEnd(std::int64_t first_sequence, std::int64_t count);
+// The most poses that the row of a damaged batch is believed to hold.
+inline constexpr std::int64_t kMostClaimedPoses = 1'000'000;
+
+// Sets `damage`.
+void CheckPosePairRow(std::int64_t format, std::int64_t checksum,
+                      VehicleKey key, PairKind kind,
+                      const std::string& vehicle_id, PosePairRecord* pair);
+
+// Follows the rows of a range of batches as Storage::ReadBatches() visits them.
+class BatchWalk {
+ public:
+  BatchWalk(VehicleKey key, std::string vehicle_id,
+            std::uint64_t first_sequence, std::uint64_t last_sequence)
+      : key_(key),
+        vehicle_id_(std::move(vehicle_id)),
+        first_sequence_(first_sequence),
+        last_sequence_(last_sequence),
+        expected_(first_sequence) {}
+
+  // Whether no row is needed any more.
+  bool IsDone() const { return expected_ > last_sequence_; }
+  // Checks the next row, with its revised version if there is one; returns the
+  // current one. DATA_LOSS (STORE_CORRUPT) if a row is damaged or is not the
+  // next one.
+  absl::StatusOr<BatchRecord> Next(StoredBatch as_sent,
+                                   std::optional<StoredBatch> revised);
+  // DATA_LOSS (STORE_CORRUPT), for rows that end too early.
+  absl::Status Missing() const;
+
+ private:
+  const VehicleKey key_;
+  const std::string vehicle_id_;
+  const std::uint64_t first_sequence_;
+  const std::uint64_t last_sequence_;
+  std::uint64_t expected_;
+};
+
+// ---- Numbers: databases know signed ones only, and sequences and revisions
+// are below 2^63.
+
+std::int64_t Signed(std::uint64_t value);
+inline std::uint64_t Unsigned(std::int64_t value) {
+  return static_cast<std::uint64_t>(value);
+}
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_STORAGE_RECORD_CHECK_H_
