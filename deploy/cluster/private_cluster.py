@@ -2,11 +2,14 @@
 the configuration beside this file. All listen on the loopback or at sockets of files,
 all files lie in one directory, and all processes are stopped in the end."""
 
+import contextlib
 import http.client
 import importlib.util
 import json
 import os
 import pathlib
+import pwd
+import random
 import re
 import shutil
 import signal
@@ -63,9 +66,12 @@ def _wait_until(condition, what):
 
 
 def _free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+    """A port below those that Linux gives to connections."""
+    while True:
+        port = random.randrange(20000, 32768)
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
 
 
 class Process:
@@ -131,7 +137,12 @@ class Processes:
         return self
 
     def __exit__(self, *_):
+        # Whoever is impatient would leave some of them.
+        kept = {number: signal.signal(number, signal.SIG_IGN) for number in (
+            signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
         self.stop()
+        for number, handler in kept.items():
+            signal.signal(number, handler)
 
 
 class Postgres:
@@ -144,7 +155,7 @@ class Postgres:
             user = next(user for user in UNPRIVILEGED if _user_exists(user))
             self._as = {"user": user, "extra_groups": []}
         self._directory = processes.directory / "postgres"
-        self._directory.mkdir()
+        self._directory.mkdir(mode=0o700)
         if self._as:
             shutil.chown(self._directory, self._as["user"])
         programs = _find_postgres()
@@ -174,7 +185,6 @@ class Postgres:
 
 
 def _user_exists(user):
-    import pwd
     try:
         pwd.getpwnam(user)
         return True
@@ -183,20 +193,21 @@ def _user_exists(user):
 
 
 class Server:
-    """One revisitd at a free port."""
+    """One revisitd."""
 
     def __init__(self, processes, name, binaries, store, *flags):
+        # The others of a shared store call it by this address.
+        self.address = f"127.0.0.1:{_free_port()}"
         port_file = processes.directory / f"{name}.address"
         self.process = processes.start(
-            name, binaries / "revisitd", "--store", store,
-            "--listen", "127.0.0.1:0", "--port-file", port_file, *flags,
-            env=_environment())
+            name, binaries / "revisitd", "--store", store, "--listen", self.address,
+            "--port-file", port_file, *flags, env=_environment())
 
-        def written():
+        def listens():
             self.process.check()
-            return port_file.exists() and port_file.read_text().strip()
+            return port_file.exists()
 
-        self.address = _wait_until(written, name)
+        _wait_until(listens, name)
 
 
 def _environment():

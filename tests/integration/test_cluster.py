@@ -103,9 +103,9 @@ class Cluster:
             if server.is_running():
                 server.kill()
 
-    def channel(self):
+    def channel(self, envoy=None):
         return grpc.secure_channel(
-            self.envoy.address,
+            (envoy or self.envoy).address,
             grpc.ssl_channel_credentials(self.authority.pem),
             options=[("grpc.use_local_subchannel_pool", 1)])
 
@@ -297,6 +297,19 @@ def test_vehicles_are_divided_among_all_servers(cluster, channel):
     counts = collections.Counter(where.values())
     assert set(counts) == {0, 1, 2}
     assert min(counts.values()) > 10
+
+
+def test_all_envoys_divide_them_alike(cluster, channel, tmp_path):
+    for suffix in ("pem", "key"):
+        for file in cluster.directory.glob(f"*.{suffix}"):
+            shutil.copy(file, tmp_path)
+    vehicles = [f"vehicle-{i}" for i in range(60)]
+    with private_cluster.Processes(tmp_path) as processes:
+        # Whatever the order in which the servers are listed.
+        other = private_cluster.Envoy(processes, ENVOY, cluster.addresses()[::-1])
+        with cluster.channel(other) as through_other:
+            assert cluster.where(vehicles, through_other) == cluster.where(
+                vehicles, channel)
 
 
 def test_calls_about_no_vehicle_are_divided_too(cluster, channel):
