@@ -1,10 +1,10 @@
 // The contract of the server's storage: records, and the promise that they are
 // kept.
 //
-// Writes are asynchronous. One writer commits them in the order in which they
-// were submitted, many at a time (group commit over all vehicles), and calls
-// `done` after the commit has returned: OK means durable. Reads block and see
-// every write whose `done` has been called.
+// Writes are asynchronous. Those of a vehicle are committed in the order in
+// which they were submitted, many at a time (group commit over all vehicles),
+// and `done` is called after the commit has returned: OK means durable. Reads
+// block and see every write whose `done` has been called.
 //
 // Payloads are bytes that the storage does not interpret; it guards each with a
 // format version and a checksum, and answers DATA_LOSS for one that fails.
@@ -63,6 +63,9 @@ struct VehicleRecord {
   std::uint64_t durable_sequence = 0;
   std::int64_t loop_closure_count = 0;
   std::int64_t rejected_candidate_count = 0;
+  // How often the vehicle was taken (TakeVehicle()); 0 where one server has the
+  // storage alone, and in answers of other calls.
+  std::int64_t epoch = 0;
   // DATA_LOSS if the row or the last batch is damaged. If the row is, only key
   // and id are set, and the payload is empty. If the last batch is, the highest
   // sequence is the one its row claims, and the revision does not count it.
@@ -86,6 +89,21 @@ struct CommitCounts {
   // Transactions that were committed, and the writes that they held.
   std::uint64_t commits = 0;
   std::uint64_t writes = 0;
+};
+
+// What an acknowledged write survives.
+struct Durability {
+  enum class Level {
+    // A crash of the process, but not the loss of power.
+    kNone,
+    // Everything but the loss of the machine that keeps the store.
+    kLocal,
+    // The loss of one machine too.
+    kReplicated,
+  };
+  Level level = Level::kLocal;
+  // The settings that decide it, for operators; empty where nothing does.
+  std::string details = std::string();
 };
 
 // A verifier's finding about two poses. Ids are unique among the pairs of one
@@ -124,25 +142,6 @@ constexpr PairWords WordsOf(PairKind kind) {
                          "REJECTED_CANDIDATE_NOT_FOUND"};
 }
 
-// The failures that an acknowledged write outlives.
-enum class Durability {
-  // Those of this machine but its device's.
-  kLocal,
-  // All of this machine, and of the database's machine but its device's.
-  kDatabase,
-  // Also the loss of the database's device: a standby has flushed the write
-  // too.
-  kReplicated,
-  // The end of processes only: the database flushes later than it answers.
-  kDeferred,
-};
-
-struct StorageInfo {
-  Durability durability = Durability::kLocal;
-  // The settings that it comes from, for people; may be empty.
-  std::string durability_settings;
-};
-
 // A server that shares a storage with others.
 struct StorageUser {
   std::string address;
@@ -160,8 +159,8 @@ enum class BatchVersion { kAsSent, kCurrent };
 
 class Storage {
  public:
-  // Called once, on the writer's thread: return soon, and do not block on the
-  // storage.
+  // Called once, on a thread that writes, which is the same for all writes of a
+  // vehicle: return soon, and do not block on the storage.
   using Done = std::function<void(absl::Status)>;
 
   // Commits what was submitted, then stops.
@@ -254,13 +253,14 @@ class Storage {
   // would make the caller wait.
   virtual absl::Status CheckWritable() { return absl::OkStatus(); }
 
-  virtual StorageInfo Info() const { return {}; }
-
   // The servers that share the storage and live, this one among them, by
   // address; none where one server has it alone.
   virtual absl::StatusOr<std::vector<StorageUser>> ListUsers() {
     return std::vector<StorageUser>();
   }
+
+  // As the store says now: that of a database can change while it is used.
+  virtual Durability GetDurability() const { return {}; }
 
   // Zeros if the implementation does not count.
   virtual CommitCounts Counts() const { return {}; }
