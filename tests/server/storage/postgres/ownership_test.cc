@@ -494,11 +494,24 @@ TEST_F(OwnershipTest,
   // It is there all the same, which taking the vehicle shows.
   EXPECT_EQ(Sql("SELECT durable_sequence FROM heads"), "1\n");
   Server()->RunAsAdmin("ALTER SYSTEM RESET synchronous_standby_names");
-  Server()->RunAsAdmin("ALTER SYSTEM RESET fsync");
   Server()->RunAsAdmin("SELECT pg_reload_conf()");
   ASSERT_TRUE(Eventually([&] { return a->TakeVehicle("truck").ok(); }));
   EXPECT_EQ(a->GetVehicle("truck")->durable_sequence, 1u);
   EXPECT_THAT(BlockingWrites(a.get()).Append(key, One(2)), IsOk());
+}
+
+TEST_F(OwnershipTest, ReportsWhatTheDatabaseSaysOfItsCommits) {
+  const auto a = Open("a");
+  EXPECT_EQ(a->GetDurability().level, Durability::Level::kNone);
+  EXPECT_THAT(a->GetDurability().details, HasSubstr("fsync=off"));
+  Server()->RunAsAdmin("ALTER SYSTEM SET fsync = on");
+  Server()->RunAsAdmin("SELECT pg_reload_conf()");
+  EXPECT_TRUE(Eventually(
+      [&] { return a->GetDurability().level == Durability::Level::kLocal; }));
+  Server()->RunAsAdmin("ALTER SYSTEM RESET fsync");
+  Server()->RunAsAdmin("SELECT pg_reload_conf()");
+  EXPECT_TRUE(Eventually(
+      [&] { return a->GetDurability().level == Durability::Level::kNone; }));
 }
 
 TEST_F(OwnershipTest, WhatIsRequiredToBeReplicatedIsNotWrittenElsewhere) {
