@@ -173,7 +173,8 @@ def start(processes):
     """A cluster, and the address of a server that is alone."""
     binaries = pathlib.Path(os.environ.get("REVISIT_BIN", ROOT / "build/release/bin"))
     cluster = private_cluster.PrivateCluster(processes, binaries, SERVERS)
-    print(f"PostgreSQL: {cluster.postgres.url} (process {cluster.postgres.process.pid})")
+    print(f"PostgreSQL: {cluster.postgres.url('revisit')} "
+          f"(process {cluster.postgres.process.pid})")
     for server in cluster.servers:
         print(f"{server.process.name}: {server.address} (process {server.process.pid})")
     print(f"Envoy: {cluster.envoy.address}, TLS (process {cluster.envoy.process.pid})")
@@ -224,6 +225,8 @@ def run(processes, vehicle_count, seconds):
         print(f"{vehicle_count * len(alone.answers)} checks: {differing} answered "
               f"otherwise than by the server that is alone ({asked} asked for again, "
               "their answers lost with the connection)")
+        verdict = cluster.run_task("verify", "revisit").splitlines()[-1]
+        print(f"revisitd verify finds the database {verdict}")
         return acked == sent and lost == 0 and differing == 0
 
 

@@ -1,11 +1,14 @@
 """deploy/cluster/demo, with fewer vehicles: a server that is killed costs no pose and
 changes no candidate, and nothing is left of the cluster in the end."""
 
+import contextlib
 import os
 import pathlib
 import re
+import shutil
 import signal
 import subprocess
+import tempfile
 
 import pytest
 
@@ -21,12 +24,29 @@ def envoy():
     skip_without_envoy()
 
 
-def start(directory, *arguments):
-    """Starts it with its temporary files in this directory."""
-    return subprocess.Popen(
+@pytest.fixture
+def directory():
+    """For temporary files; PostgreSQL may have to enter it as another user, and has
+    sockets there, whose names may not be long."""
+    made = pathlib.Path(tempfile.mkdtemp(prefix="demo-"))
+    made.chmod(0o711)
+    yield made
+    shutil.rmtree(made, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def running_demo(directory, *arguments):
+    """The demo with its temporary files in this directory."""
+    process = subprocess.Popen(
         [DEMO, *arguments], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT, text=True, start_new_session=True,
         env={**os.environ, "TMPDIR": str(directory)})
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGTERM)
+            process.communicate(timeout=60)
 
 
 def check_nothing_is_left(directory):
@@ -39,9 +59,9 @@ def check_nothing_is_left(directory):
 
 
 @pytest.mark.release_build
-def test_killed_server_costs_no_pose_and_changes_no_candidate(tmp_path):
-    process = start(tmp_path, "--vehicles", "9", "--seconds", "6")
-    output = process.communicate(timeout=600)[0]
+def test_killed_server_costs_no_pose_and_changes_no_candidate(directory):
+    with running_demo(directory, "--vehicles", "9", "--seconds", "6") as process:
+        output = process.communicate(timeout=600)[0]
     print(output)
     assert process.returncode == 0
     assert "kill -9 of revisitd-" in output
@@ -49,21 +69,21 @@ def test_killed_server_costs_no_pose_and_changes_no_candidate(tmp_path):
                          re.MULTILINE).group(1)) >= 3
     assert " 0 lost or changed" in output
     assert ": 0 answered otherwise " in output
-    check_nothing_is_left(tmp_path)
+    check_nothing_is_left(directory)
 
 
 @pytest.mark.release_build
-def test_interrupt_stops_everything(tmp_path):
-    process = start(tmp_path, "--seconds", "60")
+def test_interrupt_stops_everything(directory):
+    with running_demo(directory, "--seconds", "60") as process:
 
-    def has_begun():
-        line = process.stdout.readline()
-        assert line, process.wait()
-        return line.startswith("== ") and "through Envoy" in line
+        def has_begun():
+            line = process.stdout.readline()
+            assert line, f"it ended with {process.wait()}"
+            return line.startswith("== ") and "through Envoy" in line
 
-    wait_until(has_begun, "stream", 300)
-    # As a terminal does.
-    os.killpg(process.pid, signal.SIGINT)
-    process.communicate(timeout=60)
+        wait_until(has_begun, "stream", 300)
+        # As a terminal does.
+        os.killpg(process.pid, signal.SIGINT)
+        process.communicate(timeout=60)
     assert process.returncode == 130
-    check_nothing_is_left(tmp_path)
+    check_nothing_is_left(directory)
