@@ -172,7 +172,8 @@ def print_owners(client):
 def start(processes):
     """A cluster, and the address of a server that is alone."""
     binaries = pathlib.Path(os.environ.get("REVISIT_BIN", ROOT / "build/release/bin"))
-    cluster = private_cluster.PrivateCluster(processes, binaries, SERVERS)
+    cluster = private_cluster.PrivateCluster(processes, binaries, SERVERS,
+                                             private_cluster.find_envoy())
     print(f"PostgreSQL: {cluster.postgres.url('revisit')} "
           f"(process {cluster.postgres.process.pid})")
     for server in cluster.servers:

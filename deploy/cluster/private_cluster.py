@@ -25,21 +25,17 @@ UNPRIVILEGED = ("postgres", "nobody")
 
 
 def find_envoy():
+    """Envoy of the wheel that is installed with this Python; None without one."""
     package = importlib.util.find_spec("envoy")
-    if package is None:
-        raise FileNotFoundError("there is no Envoy: pip install -r "
-                                f"{HERE.parent / 'envoy-requirements.txt'}")
-    return pathlib.Path(package.origin).parent / "_bin/envoy"
+    return package and pathlib.Path(package.origin).parent / "_bin/envoy"
 
 
-def _find_postgres():
-    """The directory of the programs of the newest PostgreSQL that is installed."""
+def find_postgres():
+    """The directory of the programs of the newest PostgreSQL that is installed; None
+    without one."""
     found = sorted(pathlib.Path("/usr/lib/postgresql").glob("*/bin/initdb"),
                    key=lambda path: int(path.parts[-3]))
-    if not found:
-        raise FileNotFoundError("there is no PostgreSQL: "
-                                "deploy/install-dependencies cluster")
-    return found[-1].parent
+    return found[-1].parent if found else None
 
 
 def _replace(path, text):
@@ -158,7 +154,7 @@ class Postgres:
         self._directory.mkdir(mode=0o700)
         if self._as:
             shutil.chown(self._directory, self._as["user"])
-        programs = _find_postgres()
+        programs = find_postgres()
         self._run(programs / "initdb", "--username=postgres", "--auth=trust",
                   "--encoding=UTF8", "--locale=C", f"--pgdata={self._directory}/data")
         self.process = processes.start(
@@ -316,7 +312,8 @@ POLICY = {"version": 1, "tenants": [], "grants": [
 class PrivateCluster:
     """Everything together. `processes` stops it."""
 
-    def __init__(self, processes, binaries, servers):
+    def __init__(self, processes, binaries, servers, envoy):
+        """`envoy` is the program."""
         directory = processes.directory
         self._processes, self._binaries = processes, binaries
         self.authorities = directory / "servers-ca.pem"
@@ -331,7 +328,7 @@ class PrivateCluster:
                    "--tls-key", directory / "server.key",
                    "--tls-client-ca", self.authorities, "--policy", policy)
             for number in range(1, servers + 1)]
-        self.envoy = Envoy(processes, find_envoy(),
+        self.envoy = Envoy(processes, envoy,
                            [server.address for server in self.servers])
 
     def run_task(self, task, role):

@@ -5,14 +5,12 @@ import contextlib
 import os
 import pathlib
 import re
-import shutil
 import signal
 import subprocess
-import tempfile
 
 import pytest
 
-from envoy_proxy import skip_without_envoy
+from envoy_proxy import directory_of_cluster, skip_without_envoy
 from revisit_server import wait_until
 from stubs import ROOT
 
@@ -26,12 +24,8 @@ def envoy():
 
 @pytest.fixture
 def directory():
-    """For temporary files; PostgreSQL may have to enter it as another user, and has
-    sockets there, whose names may not be long."""
-    made = pathlib.Path(tempfile.mkdtemp(prefix="demo-"))
-    made.chmod(0o711)
-    yield made
-    shutil.rmtree(made, ignore_errors=True)
+    with directory_of_cluster() as made:
+        yield made
 
 
 @contextlib.contextmanager
