@@ -9,7 +9,7 @@ _EVERY = 5.0
 _RETRIES = 4
 
 
-def disagree(setup, seconds, callers_share, after=60.0):
+def disagree(setup, seconds, callers_share, after=120.0):
     """The second Envoy cannot reach one server for `seconds`. All streams of that
     server's vehicles go through the first; `callers_share` of the vehicles also have
     a verifier that calls through the second."""
@@ -69,6 +69,8 @@ def run(seeds, part):
             ("60 s, a tenth", 60.0, 0.1, header),
             ("60 s, all", 60.0, 1.0, header),
             ("300 s, all", 300.0, 1.0, header),
+            ("60 s, all, handovers paced", 60.0, 1.0,
+             parameters.Policy(paced_handovers=True)),
             ("60 s, all, no owner header", 60.0, 1.0, none),
             ("300 s, all, no owner header", 300.0, 1.0, none)):
         figures = tables.over(seeds, lambda seed, s=seconds, c=share, po=policy:

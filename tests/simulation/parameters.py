@@ -111,8 +111,9 @@ Parameters = dataclasses.make_dataclass(
 
 @dataclasses.dataclass
 class Policy:
-    """Decisions of the protocol that the scenarios compare; the defaults are those
-    that the results argue for."""
+    """Decisions of the protocol that the scenarios compare. The defaults are those that
+    the results argue for, except that handovers are not paced: only opinions.py
+    compares that."""
 
     # Writes are compared with owner, epoch and sequence. Off: to show that the
     # simulation finds what the fence prevents.
@@ -135,6 +136,9 @@ class Policy:
     # Vehicles that may wait for a load on one server before callers are sent
     # away with a RetryInfo; None: no limit.
     load_queue: typing.Optional[int] = None
+    # A server asks for no more vehicles than it can load within two beats; it refuses
+    # the callers of the others, who ask again. Off: it asks for every one.
+    paced_handovers: bool = False
     # A stream opens only while the lease runs: the sequence that it is answered with
     # is a read from memory like any other.
     lease_to_open: bool = True

@@ -80,6 +80,8 @@ class Server:
         self._last_reading = -math.inf
         self._to_claim = []
         self._claim_under_way = False
+        # Vehicles that it asked others for -> when.
+        self._asked = {}
         self._loads = collections.deque()
         self._loading = 0
         self._groups = [{} for _ in range(int(parameters.writers))]
@@ -307,6 +309,18 @@ class Server:
     def _retry(self):
         return self._kernel.random.uniform(0.0, self._p.not_owner_retry_s)
 
+    def _may_ask(self, vehicle):
+        """Whether to ask another server for the vehicle; counts it if so."""
+        if not self._policy.paced_handovers:
+            return True
+        now, while_ = self._kernel.now, 2 * self._p.beat_s
+        self._asked = {key: at for key, at in self._asked.items() if now - at < while_}
+        most = max(1, int(while_ * self._load_threads / self._load_cpu(vehicle)))
+        if vehicle in self._asked or len(self._asked) + self.loads_waiting() < most:
+            self._asked[vehicle] = now
+            return True
+        return False
+
     def _until_burial(self, owner):
         """Seconds until the owner can be buried if its beat is overdue, else 0."""
         if not self._policy.retry_after_burial or owner not in self._seen:
@@ -338,7 +352,7 @@ class Server:
                 self._leave(vehicle, Refusal(
                     "NOT_OWNER", self._until_burial(owner) + self._retry(),
                     row.address if row else None))
-                if owner is not None:
+                if owner is not None and self._may_ask(vehicle):
                     foreign.append(vehicle)
             if foreign:
                 self._execute(db.ask(self._p, self.incarnation, foreign,

@@ -243,6 +243,19 @@ def test_the_owner_header_ends_the_dispute_and_the_hold_bounds_it(seed):
     assert named["waiting"] == 0
 
 
+@pytest.mark.parametrize("seed", SEEDS)
+def test_paced_handovers_spare_streams_the_queue_of_loads(seed):
+    """Once both Envoys agree again, all vehicles of the server are asked back."""
+    at_once, paced = (
+        opinions.disagree(opinions.setup_of(
+            seed, SMALL, Policy(paced_handovers=pace)), 60.0, 1.0)
+        for pace in (False, True))
+    assert at_once["gap p99"] > 15
+    assert paced["gap p99"] < 8
+    assert paced["waiting"] == 0
+    assert paced["calls failed %"] < 10
+
+
 # -- The standby
 
 
