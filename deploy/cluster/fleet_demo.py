@@ -1,6 +1,5 @@
 """What deploy/cluster/demo does once everything is built: see its --help."""
 
-import argparse
 import contextlib
 import csv
 import os
@@ -232,10 +231,7 @@ def run(processes, vehicle_count, seconds):
 
 
 def main():
-    parser = argparse.ArgumentParser(prog="deploy/cluster/demo")
-    parser.add_argument("--vehicles", type=int, default=30)
-    parser.add_argument("--seconds", type=float, default=20.0)
-    arguments = parser.parse_args()
+    vehicle_count, seconds = map(int, sys.argv[1:])
     # The end by any of these signals stops everything too.
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda number, _: sys.exit(128 + number))
@@ -243,7 +239,7 @@ def main():
         # For PostgreSQL, which is somebody else if this is root.
         os.chmod(directory, 0o711)
         with private_cluster.Processes(pathlib.Path(directory)) as processes:
-            return 0 if run(processes, arguments.vehicles, arguments.seconds) else 1
+            return 0 if run(processes, vehicle_count, seconds) else 1
 
 
 if __name__ == "__main__":

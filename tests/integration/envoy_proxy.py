@@ -34,8 +34,8 @@ def skip_without_envoy():
 
 @contextlib.contextmanager
 def directory_of_cluster():
-    """A directory for all files of a cluster. PostgreSQL may have to enter it as another
-    user, and has sockets there, whose names may not be long."""
+    """A directory for all files of a cluster. PostgreSQL may have to enter it as
+    another user, and has sockets there, whose names may not be long."""
     directory = pathlib.Path(tempfile.mkdtemp(prefix="cluster-"))
     directory.chmod(0o711)
     try:
