@@ -123,7 +123,8 @@ class Ownership {
   void Warn(const std::string& message) const;
   bool LeaseHolds() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
-  // The thread that beats; it alone uses `connection_` and `sightings_`.
+  // The thread that beats; it alone uses `connection_`, `sightings_` and
+  // `last_look_`.
   void Run();
   absl::Status Beat();
   absl::Status Connect();
@@ -137,6 +138,8 @@ class Ownership {
 
   std::unique_ptr<PostgresConnection> connection_;
   std::map<Uuid, Sighting> sightings_;
+  // When it looked last.
+  std::chrono::steady_clock::time_point last_look_;
 
   mutable Mutex mutex_;
   CondVar wake_;

@@ -279,6 +279,26 @@ TEST_F(OwnershipTest, ServerThatEndsInOrderFreesItsVehiclesAtOnce) {
   EXPECT_EQ(taken->durable_sequence, 1u);
 }
 
+// Otherwise the first to come back would take all others for dead.
+TEST_F(OwnershipTest, NobodyIsBuriedForASilenceInWhichNobodyCouldBeat) {
+  const auto a = Open("a");
+  const auto b = Open("b");
+  const auto c = Open("c");
+  const VehicleKey key = *BlockingWrites(a.get()).Create("truck");
+  OpenTransaction away(conninfo_);
+  away.Run("LOCK TABLE servers IN ACCESS EXCLUSIVE MODE");
+  clock_.Advance(milliseconds(20'000));
+  EXPECT_THAT(a->CheckOwned(key), kLeaseStale);
+  std::this_thread::sleep_for(milliseconds(2'500));
+  away.Commit();
+  for (const char* const server : {"a", "b", "c"}) {
+    const std::int64_t beats = BeatsOf(server);
+    EXPECT_TRUE(Eventually([&] { return BeatsOf(server) > beats + 2; }));
+  }
+  EXPECT_EQ(Sql("SELECT count(*) FROM servers WHERE state = 'dead'"), "0\n");
+  EXPECT_THAT(a->CheckOwned(key), IsOk());
+}
+
 TEST_F(OwnershipTest, SilentServerIsBuriedAfterItsLeaseAndNotBefore) {
   const auto a = Open("a", /*beats=*/false);
   const auto b = Open("b");
