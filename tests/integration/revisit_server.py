@@ -63,13 +63,14 @@ def free_port():
 
 
 class Server:
-    """One revisitd on a free port of the loopback, over one store. It may open
-    as many files as `descriptors` says, if it says. Its log goes to a file
-    beside the store, or to `log_path`, or to the descriptor `stderr`."""
+    """One revisitd on a free port of the loopback, over one store, which is a
+    path or a URL. It may open as many files as `descriptors` says, if it says.
+    Its log goes to a file beside the store, or to `log_path`, or to the
+    descriptor `stderr`."""
 
     def __init__(self, store, *flags, env=None, wait=True, descriptors=None,
                  listen="127.0.0.1:0", log_path=None, stderr=None):
-        self.store = pathlib.Path(store)
+        self.store = store if "://" in str(store) else pathlib.Path(store)
         self.log_path = log_path or self.store.with_name(
             self.store.name + ".log")
         self._lines = queue.SimpleQueue()
