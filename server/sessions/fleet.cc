@@ -1,6 +1,8 @@
 #include "server/sessions/fleet.h"
 
 #include <algorithm>
+#include <atomic>
+#include <limits>
 #include <unordered_map>
 #include <utility>
 #include <vector>
@@ -13,12 +15,20 @@ namespace {
 
 constexpr std::uint64_t kCreatedRevision = 1;
 
+// Parts of a snapshot that are written in one go where the storage has at most
+// so many other writes from one call of WriteSnapshots() to the next. A part is
+// about a megabyte.
+constexpr int kPartsAtRest = 16;
+constexpr std::uint64_t kWritesAtRest = 100;
+
 }  // namespace
 
 struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   struct Entry {
     std::shared_ptr<VehicleSession> session;
     std::chrono::steady_clock::time_point last_use;
+    // Number of the call of WriteSnapshots() that chose it last.
+    std::uint64_t last_snapshot = 0;
   };
   using Entries = std::unordered_map<std::string, Entry>;
   using CreateCallback = std::function<void(absl::StatusOr<VehicleView>)>;
@@ -48,7 +58,8 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
         return entry.session;
       }
       session =
-          VehicleSession::Load(id, storage, codec, lanes, options.session);
+          VehicleSession::Load(id, storage, codec, lanes, options.session,
+                               options.snapshots);
       if (gives_up_replays) session->GiveUpReplay();
       replaced = std::exchange(entry.session, session);
     }
@@ -132,13 +143,16 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
       // Nobody but this map has it, so nobody can start anything on it now.
       const bool unused =
           entry.session.use_count() == 1 && !entry.session->busy();
-      if (!unused && !entry.session->gone()) entry.last_use = now;
-      if (entry.session->gone() ||
-          (unused && entry.last_use + options.idle_unload <= now)) {
+      if (!unused && !entry.session->gone() &&
+          !entry.session->is_writing_snapshot()) {
+        entry.last_use = now;
+      }
+      const bool is_idle = unused && entry.last_use + options.idle_unload <= now;
+      if (entry.session->gone() || (is_idle && !MustWriteSnapshot(entry))) {
         i = Drop(i, &dropped);
         continue;
       }
-      if (unused) unused_entries.push_back(i);
+      if (unused && !is_idle) unused_entries.push_back(i);
       ++i;
     }
     if (!options.memory_budget_bytes) return dropped.residency;
@@ -151,9 +165,35 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
     for (const Entries::iterator& entry : unused_entries) {
       if (above <= 0) break;
       above -= entry->second.session->residency().bytes;
-      Drop(entry, &dropped);
+      if (!MustWriteSnapshot(entry->second)) Drop(entry, &dropped);
     }
     return dropped.residency;
+  }
+
+  // Whether a snapshot is due before the vehicle can be unloaded: then it is
+  // begun.
+  static bool MustWriteSnapshot(const Entry& entry) {
+    if (!entry.session->wants_snapshot()) return false;
+    entry.session->WriteSnapshot(std::numeric_limits<int>::max());
+    return true;
+  }
+
+  // The session with a snapshot to write that waits longest, or null; null too
+  // while one is being written.
+  std::shared_ptr<VehicleSession> NextToSnapshot() ABSL_LOCKS_EXCLUDED(mutex) {
+    const MutexLock guard(&mutex);
+    ++snapshot_calls;
+    Entry* next = nullptr;
+    for (auto& [id, entry] : entries) {
+      if (entry.session->is_writing_snapshot()) return nullptr;
+      if (entry.session->gone() || !entry.session->wants_snapshot()) continue;
+      if (next == nullptr || entry.last_snapshot < next->last_snapshot) {
+        next = &entry;
+      }
+    }
+    if (next == nullptr) return nullptr;
+    next->last_snapshot = snapshot_calls;
+    return next->session;
   }
 
   Entries::iterator Drop(Entries::iterator entry, Dropped* dropped)
@@ -175,6 +215,9 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   CondVar changed;
   Entries entries ABSL_GUARDED_BY(mutex);
   bool gives_up_replays ABSL_GUARDED_BY(mutex) = false;
+  std::uint64_t snapshot_calls ABSL_GUARDED_BY(mutex) = 0;
+  // Storage::Counts() at the last call of WriteSnapshots().
+  std::atomic<std::uint64_t> writes_before{0};
   // Calls of Create() that are not answered.
   int creating ABSL_GUARDED_BY(mutex) = 0;
 };
@@ -200,8 +243,10 @@ Fleet::~Fleet() {
     std::size_t left ABSL_GUARDED_BY(mutex);
   };
   const auto countdown = std::make_shared<Countdown>(sessions.size());
+  const auto snapshot_until =
+      std::chrono::steady_clock::now() + state_->options.last_snapshots;
   for (const std::shared_ptr<VehicleSession>& session : sessions) {
-    session->Close([countdown] {
+    session->Close(snapshot_until, [countdown] {
       const MutexLock guard(&countdown->mutex);
       if (--countdown->left == 0) countdown->zero.NotifyAll();
     });
@@ -220,6 +265,15 @@ void Fleet::HandOverWanted() {
     } else {
       found->second.session->HandOver();
     }
+  }
+}
+
+void Fleet::WriteSnapshots() {
+  const std::uint64_t writes = state_->storage->Counts().writes;
+  const bool is_at_rest =
+      writes - state_->writes_before.exchange(writes) <= kWritesAtRest;
+  if (const auto session = state_->NextToSnapshot()) {
+    session->WriteSnapshot(is_at_rest ? kPartsAtRest : 1);
   }
 }
 

@@ -84,4 +84,26 @@ std::int64_t ChecksumOfPosePair(std::int64_t format, VehicleKey key,
   return hasher.Digest();
 }
 
+std::int64_t ChecksumOfSnapshot(std::int64_t format, VehicleKey key,
+                                const SnapshotRecord& row) {
+  return Hasher('S')
+      .Add(key)
+      .Add(format)
+      .Add(row.last_sequence)
+      .Add(static_cast<std::uint64_t>(row.part_count))
+      .Add(row.payload)
+      .Digest();
+}
+
+std::int64_t ChecksumOfSnapshotPart(std::int64_t format, std::int64_t snapshot,
+                                    std::uint32_t number,
+                                    const std::string& payload) {
+  return Hasher('P')
+      .Add(snapshot)
+      .Add(static_cast<std::uint64_t>(number))
+      .Add(format)
+      .Add(payload)
+      .Digest();
+}
+
 }  // namespace revisit::server

@@ -91,9 +91,35 @@ class Checker {
     report_.poses += counts.poses;
     report_.loop_closures += counts.loop_closures;
     report_.rejected_candidates += counts.rejected_candidates;
+    CheckSnapshot(key, id);
     if (status.ok()) return;
     Note("vehicle '" + Printable(id) + "': " + std::string(status.message()));
     report_.damaged_vehicles.insert(Printable(id));
+  }
+
+  void CheckSnapshot(VehicleKey key, const std::string& id) {
+    const auto snapshot = storage_->GetSnapshot(key);
+    absl::Status status = snapshot.status();
+    if (status.ok() && *snapshot) {
+      ++report_.snapshots;
+      status = storage_->ReadSnapshotParts(
+          key, 0, (*snapshot)->part_count,
+          [](const std::string&) { return true; });
+    }
+    if (status.ok()) return;
+    // The server may have removed or replaced it meanwhile.
+    if (use_ == StoreUse::kServed && !IsSame(key, snapshot)) return;
+    report_.damaged_snapshots.push_back("vehicle '" + Printable(id) + "': " +
+                                        std::string(status.message()));
+  }
+
+  // Whether the snapshot is the one that was read before.
+  bool IsSame(VehicleKey key,
+              const absl::StatusOr<std::optional<SnapshotRecord>>& before) {
+    const auto now = storage_->GetSnapshot(key);
+    if (!now.ok() || !before.ok()) return now.status() == before.status();
+    return now->has_value() == before->has_value() &&
+           (!*now || (*now)->last_sequence == (*before)->last_sequence);
   }
 
   absl::Status ReadVehicle(const std::string& id, StoreReport* counts) {
@@ -153,6 +179,11 @@ class Checker {
                    "count(*) FROM rejected_candidates WHERE vehicle_key NOT IN "
                    "(SELECT key FROM vehicles))",
                    "loop closures or rejected candidates belong to no vehicle"},
+             Query{"SELECT (SELECT count(*) FROM snapshots WHERE vehicle_key "
+                   "NOT IN (SELECT key FROM vehicles)) + (SELECT count(*) FROM "
+                   "snapshot_parts WHERE snapshot_key NOT IN (SELECT key FROM "
+                   "snapshots UNION ALL SELECT key FROM deleted_snapshots))",
+                   "snapshots or parts of snapshots belong to no vehicle"},
              Query{"SELECT count(*) FROM deleted_vehicles WHERE key IN (SELECT "
                    "key FROM vehicles)",
                    "vehicles are there although they were deleted"},
