@@ -341,6 +341,7 @@ bool Engine::LoadRest(absl::string_view bytes) {
        graph_.size() <= known * static_cast<NodeIndex>(NodeBlock::kSize))) {
     return false;
   }
+  motion_history_.EndLoading();
   ExtendIndexes();
   return true;
 }

@@ -22,6 +22,19 @@ void AddBlock(const PoseGraph& graph, const Correlation& correlation,
   sums->push_back(sum);
 }
 
+// Merges two sorted ranges into the place of `next`. Turns come in no order, so
+// that a branch would be guessed wrong half of the time: there is none.
+void Merge(const double* a, const double* a_end, const double* b,
+           const double* b_end, double* next) {
+  while (a != a_end && b != b_end) {
+    const bool takes_b = *b < *a;
+    *next++ = takes_b ? *b : *a;
+    b += takes_b ? 1 : 0;
+    a += takes_b ? 0 : 1;
+  }
+  std::copy(b, b_end, std::copy(a, a_end, next));
+}
+
 }  // namespace
 
 MotionHistory::MotionHistory(StateSpace space, const Correlation& correlation,
@@ -46,15 +59,11 @@ void MotionHistory::Extend(const PoseGraph& graph) {
                    [&](double turn) { run.turns.push_back(turn); });
     std::sort(run.turns.begin(), run.turns.end());
     run.turns.shrink_to_fit();
-    AddRun(std::move(run));
-  }
-}
-
-void MotionHistory::AddRun(Run run) {
-  runs_.push_back(std::move(run));
-  while (runs_.size() >= 2 &&
-         Length(runs_.size() - 2) == Length(runs_.size() - 1)) {
-    MergeLastTwo();
+    runs_.push_back(std::move(run));
+    while (runs_.size() >= 2 &&
+           Length(runs_.size() - 2) == Length(runs_.size() - 1)) {
+      MergeLastTwo();
+    }
   }
 }
 
@@ -62,20 +71,9 @@ void MotionHistory::MergeLastTwo() {
   Run& earlier = runs_[runs_.size() - 2];
   const Run& later = runs_.back();
   std::vector<double> merged(earlier.turns.size() + later.turns.size());
-  const double* a = earlier.turns.data();
-  const double* const a_end = a + earlier.turns.size();
-  const double* b = later.turns.data();
-  const double* const b_end = b + later.turns.size();
-  double* next = merged.data();
-  // Turns come in no order, so that a branch would be guessed wrong half of the
-  // time: there is none here.
-  while (a != a_end && b != b_end) {
-    const bool takes_b = *b < *a;
-    *next++ = takes_b ? *b : *a;
-    b += takes_b ? 1 : 0;
-    a += takes_b ? 0 : 1;
-  }
-  std::copy(b, b_end, std::copy(a, a_end, next));
+  Merge(earlier.turns.data(), earlier.turns.data() + earlier.turns.size(),
+        later.turns.data(), later.turns.data() + later.turns.size(),
+        merged.data());
   earlier = {later.end, std::move(merged)};
   runs_.pop_back();
 }
@@ -180,8 +178,44 @@ bool MotionHistory::LoadBlocks(std::size_t count, ByteReader* reader) {
     return false;
   }
   run.end = turn_bins_.size();
-  AddRun(std::move(run));
+  runs_.push_back(std::move(run));
   return true;
+}
+
+// Merging one run after the other would allocate, and touch, memory of its own
+// for each: here two buffers serve for all lengths.
+void MotionHistory::EndLoading() {
+  std::vector<Run> merged;
+  for (std::size_t first = 0; first < runs_.size();) {
+    std::size_t count = 1;
+    while (2 * count <= runs_.size() - first) count *= 2;
+    // Where run i of this length begins.
+    std::vector<std::size_t> begins = {0};
+    for (std::size_t i = first; i < first + count; ++i) {
+      begins.push_back(begins.back() + runs_[i].turns.size());
+    }
+    std::vector<double> turns;
+    turns.reserve(begins.back());
+    for (std::size_t i = first; i < first + count; ++i) {
+      turns.insert(turns.end(), runs_[i].turns.begin(), runs_[i].turns.end());
+      // Frees it.
+      runs_[i].turns = std::vector<double>();
+    }
+    std::vector<double> other(count > 1 ? turns.size() : 0);
+    for (std::size_t runs = count; runs > 1; runs /= 2) {
+      for (std::size_t i = 0; i < runs; i += 2) {
+        const double* const from = turns.data();
+        Merge(from + begins[i], from + begins[i + 1], from + begins[i + 1],
+              from + begins[i + 2], other.data() + begins[i]);
+        begins[i / 2] = begins[i];
+      }
+      begins[runs / 2] = begins[runs];
+      turns.swap(other);
+    }
+    merged.push_back({runs_[first + count - 1].end, std::move(turns)});
+    first += count;
+  }
+  runs_ = std::move(merged);
 }
 
 template MotionStatistics<3> MotionHistory::Measure<3>(const PoseGraph&,

@@ -66,9 +66,10 @@ class MotionHistory {
   void SaveBlocks(const PoseGraph& graph, std::size_t first, std::size_t end,
                   ByteWriter* writer) const;
   // Adds `count` blocks that were saved. False if these are not so many blocks:
-  // then throw this away. REQUIRES: all before them have come by this call, in
-  // the same numbers.
+  // then throw this away. Call EndLoading() before anything else. REQUIRES: all
+  // before them have come by this call, in the same numbers.
   bool LoadBlocks(std::size_t count, ByteReader* reader);
+  void EndLoading();
 
  private:
   static constexpr NodeIndex kBlockNodes = 128;
@@ -84,8 +85,6 @@ class MotionHistory {
   NodeIndex Length(std::size_t k) const {
     return runs_[k].end - (k == 0 ? 0 : runs_[k - 1].end);
   }
-  // Adds a run, and merges those of one length.
-  void AddRun(Run run);
   void MergeLastTwo();
 
   Correlation correlation_;

@@ -29,6 +29,8 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
     std::chrono::steady_clock::time_point last_use;
     // Number of the call of WriteSnapshots() that chose it last.
     std::uint64_t last_snapshot = 0;
+    // Whether the fleet has had a snapshot written since the last use.
+    bool was_written = false;
   };
   using Entries = std::unordered_map<std::string, Entry>;
   using CreateCallback = std::function<void(absl::StatusOr<VehicleView>)>;
@@ -54,6 +56,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
       const MutexLock guard(&mutex);
       Entry& entry = entries[id];
       entry.last_use = std::chrono::steady_clock::now();
+      entry.was_written = false;
       if (entry.session != nullptr && !entry.session->gone()) {
         return entry.session;
       }
@@ -143,8 +146,9 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
       // Nobody but this map has it, so nobody can start anything on it now.
       const bool unused =
           entry.session.use_count() == 1 && !entry.session->busy();
-      if (!unused && !entry.session->gone() &&
-          !entry.session->is_writing_snapshot()) {
+      // To write its snapshot is no use of a vehicle.
+      if (entry.session.use_count() > 1 ||
+          (entry.session->busy() && !entry.was_written)) {
         entry.last_use = now;
       }
       const bool is_idle = unused && entry.last_use + options.idle_unload <= now;
@@ -172,8 +176,9 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
 
   // Whether a snapshot is due before the vehicle can be unloaded: then it is
   // begun.
-  static bool MustWriteSnapshot(const Entry& entry) {
+  static bool MustWriteSnapshot(Entry& entry) {
     if (!entry.session->wants_snapshot()) return false;
+    entry.was_written = true;
     entry.session->WriteSnapshot(std::numeric_limits<int>::max());
     return true;
   }
@@ -193,6 +198,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
     }
     if (next == nullptr) return nullptr;
     next->last_snapshot = snapshot_calls;
+    next->was_written = true;
     return next->session;
   }
 

@@ -43,10 +43,10 @@ absl::StatusOr<bool> MeasuredLoops::ReadPoses(
     const absl::Status reading = vehicle.storage->ReadBatches(
         vehicle.key, sequence, sequence, BatchVersion::kCurrent,
         [&](const BatchRecord& batch) {
-          const absl::StatusOr<DecodedBatch> decoded =
-              vehicle.DecodeStored(batch, config);
-          if (decoded.ok()) Take(decoded->samples);
-          decoding = decoded.status();
+          const absl::StatusOr<std::vector<core::PoseSample>> samples =
+              vehicle.DecodeStoredSamples(batch, config);
+          if (samples.ok()) Take(*samples);
+          decoding = samples.status();
           return false;
         });
     if (!reading.ok()) return reading;

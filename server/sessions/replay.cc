@@ -231,7 +231,7 @@ bool Replayer::LoadSnapshot(std::chrono::steady_clock::time_point pause) {
     bool is_usable = true;
     const absl::Status reading = vehicle_->storage->ReadSnapshotParts(
         vehicle_->key, replay_->parts, snapshot.part_count,
-        [&](const std::string& part) {
+        [&](absl::string_view part) {
           is_usable = replay_->engine->LoadPart(part);
           if (is_usable) ++replay_->parts;
           return is_usable && is_time_left();
@@ -290,20 +290,19 @@ absl::StatusOr<bool> Replayer::ReplayBatches(
   const absl::Status reading = vehicle_->storage->ReadBatches(
       vehicle_->key, replay_->next_sequence, vehicle_->durable_sequence,
       BatchVersion::kCurrent, [&](const BatchRecord& batch) {
-        absl::StatusOr<DecodedBatch> decoded =
-            vehicle_->DecodeStored(batch, replay_->config);
-        if (!decoded.ok()) {
-          decoding = decoded.status();
+        absl::StatusOr<std::vector<core::PoseSample>> samples =
+            vehicle_->DecodeStoredSamples(batch, replay_->config);
+        if (!samples.ok()) {
+          decoding = samples.status();
           return false;
         }
-        replay_->measured.Take(decoded->samples);
+        replay_->measured.Take(*samples);
         // A snapshot may end within a row, which several batches share.
         const auto known = static_cast<std::ptrdiff_t>(
             replay_->next_sequence - batch.first_sequence);
-        decoded->samples.erase(decoded->samples.begin(),
-                               decoded->samples.begin() + known);
+        samples->erase(samples->begin(), samples->begin() + known);
         const core::AppendResult applied =
-            replay_->engine->Append(decoded->samples, ++replay_->steps);
+            replay_->engine->Append(*samples, ++replay_->steps);
         replay_->jumps.insert(replay_->jumps.end(), applied.jumps.begin(),
                               applied.jumps.end());
         replay_->highest_revision =

@@ -142,6 +142,10 @@ struct VehicleState {
   absl::StatusOr<DecodedBatch> DecodeStored(
       const BatchRecord& batch, const VehicleConfig& with_config) const;
 
+  // The same without what replays do not need.
+  absl::StatusOr<std::vector<core::PoseSample>> DecodeStoredSamples(
+      const BatchRecord& batch, const VehicleConfig& with_config) const;
+
   // OK if the vehicle takes writes.
   absl::Status Writable() const;
 
@@ -149,6 +153,7 @@ struct VehicleState {
   absl::Status HandedOver() const;
   absl::Status OutOfStep() const;
   absl::Status Corrupt(const std::string& cause) const;
+  absl::Status HoldsOthers(const BatchRecord& batch) const;
   absl::Status Regressed(const std::string& cause,
                          ErrorMetadata metadata) const;
   absl::Status DataLoss(const ErrorMetadata& metadata) const;

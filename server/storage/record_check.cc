@@ -154,7 +154,7 @@ absl::Status CheckSnapshotRow(std::int64_t format, std::int64_t checksum,
 
 absl::Status CheckSnapshotPartRow(std::int64_t format, std::int64_t checksum,
                                   std::int64_t snapshot, std::uint32_t number,
-                                  const std::string& part) {
+                                  absl::string_view part) {
   return CheckRow(format, checksum,
                   ChecksumOfSnapshotPart(format, snapshot, number, part),
                   "part " + std::to_string(number) + " of a stored snapshot",

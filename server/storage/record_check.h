@@ -74,7 +74,7 @@ absl::Status CheckSnapshotRow(std::int64_t format, std::int64_t checksum,
                               VehicleKey key, const SnapshotRecord& snapshot);
 absl::Status CheckSnapshotPartRow(std::int64_t format, std::int64_t checksum,
                                   std::int64_t snapshot, std::uint32_t number,
-                                  const std::string& part);
+                                  absl::string_view part);
 // DATA_LOSS (STORE_CORRUPT).
 absl::Status MissingSnapshotPart(std::uint32_t number);
 

@@ -29,7 +29,7 @@ class Hasher {
     return Add(static_cast<std::uint64_t>(value));
   }
 
-  Hasher& Add(const std::string& bytes) {
+  Hasher& Add(absl::string_view bytes) {
     Add(static_cast<std::uint64_t>(bytes.size()));
     XXH3_64bits_update(state_.get(), bytes.data(), bytes.size());
     return *this;
@@ -97,7 +97,7 @@ std::int64_t ChecksumOfSnapshot(std::int64_t format, VehicleKey key,
 
 std::int64_t ChecksumOfSnapshotPart(std::int64_t format, std::int64_t snapshot,
                                     std::uint32_t number,
-                                    const std::string& payload) {
+                                    absl::string_view payload) {
   return Hasher('P')
       .Add(snapshot)
       .Add(static_cast<std::uint64_t>(number))

@@ -28,7 +28,7 @@ std::int64_t ChecksumOfSnapshot(std::int64_t format, VehicleKey key,
 // `snapshot`: the key of the snapshot, which is none of a vehicle.
 std::int64_t ChecksumOfSnapshotPart(std::int64_t format, std::int64_t snapshot,
                                     std::uint32_t number,
-                                    const std::string& payload);
+                                    absl::string_view payload);
 
 }  // namespace revisit::server
 

@@ -42,6 +42,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 
 namespace revisit::server {
 
@@ -241,7 +242,7 @@ class Storage {
   // before it.
   virtual absl::Status ReadSnapshotParts(
       VehicleKey /*key*/, std::uint32_t /*first*/, std::uint32_t /*end*/,
-      const std::function<bool(const std::string&)>& /*visit*/) {
+      const std::function<bool(absl::string_view)>& /*visit*/) {
     return absl::OkStatus();
   }
 

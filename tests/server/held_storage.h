@@ -150,7 +150,7 @@ class HeldStorage : public Storage {
   }
   absl::Status ReadSnapshotParts(
       VehicleKey key, std::uint32_t first, std::uint32_t end,
-      const std::function<bool(const std::string&)>& visit) override {
+      const std::function<bool(absl::string_view)>& visit) override {
     return storage_->ReadSnapshotParts(key, first, end, visit);
   }
 

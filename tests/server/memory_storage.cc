@@ -256,7 +256,7 @@ absl::StatusOr<std::optional<SnapshotRecord>> MemoryStorage::GetSnapshot(
 
 absl::Status MemoryStorage::ReadSnapshotParts(
     VehicleKey key, std::uint32_t first, std::uint32_t end,
-    const std::function<bool(const std::string&)>& visit) {
+    const std::function<bool(absl::string_view)>& visit) {
   std::vector<std::string> parts;
   {
     const std::lock_guard<std::mutex> guard(mutex_);

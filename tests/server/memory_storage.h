@@ -48,7 +48,7 @@ class MemoryStorage : public Storage {
       VehicleKey key) override;
   absl::Status ReadSnapshotParts(
       VehicleKey key, std::uint32_t first, std::uint32_t end,
-      const std::function<bool(const std::string&)>& visit) override;
+      const std::function<bool(absl::string_view)>& visit) override;
 
   // As found by every read from now on.
   void DamageVehicle(const std::string& id);

@@ -59,8 +59,8 @@ std::string SnapshotOf(Storage& storage, VehicleKey key) {
   if (!*snapshot) return "none";
   std::string text = "to " + std::to_string((*snapshot)->last_sequence) + ":";
   const absl::Status read = storage.ReadSnapshotParts(
-      key, 0, (*snapshot)->part_count, [&](const std::string& part) {
-        text += " " + part;
+      key, 0, (*snapshot)->part_count, [&](absl::string_view part) {
+        text += " " + std::string(part);
         return true;
       });
   return read.ok() ? text + ", '" + (*snapshot)->payload + "'" : "part damaged";

@@ -254,7 +254,7 @@ class SqliteStorage : public Storage {
 
   absl::Status ReadSnapshotParts(
       VehicleKey key, std::uint32_t first, std::uint32_t end,
-      const std::function<bool(const std::string&)>& visit) override {
+      const std::function<bool(absl::string_view)>& visit) override {
     return readers_.Read([&](SqliteDatabase& database) {
       return VisitSnapshotParts(database, key, first, end, visit);
     });

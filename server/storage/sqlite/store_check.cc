@@ -104,7 +104,7 @@ class Checker {
       ++report_.snapshots;
       status = storage_->ReadSnapshotParts(
           key, 0, (*snapshot)->part_count,
-          [](const std::string&) { return true; });
+          [](absl::string_view) { return true; });
     }
     if (status.ok()) return;
     // The server may have removed or replaced it meanwhile.

@@ -665,7 +665,7 @@ absl::StatusOr<std::optional<SnapshotRecord>> FindSnapshot(
 
 absl::Status VisitSnapshotParts(
     SqliteDatabase& database, VehicleKey key, std::uint32_t first,
-    std::uint32_t end, const std::function<bool(const std::string&)>& visit) {
+    std::uint32_t end, const std::function<bool(absl::string_view)>& visit) {
   const absl::StatusOr<std::int64_t> snapshot = SnapshotKey(database, key);
   if (!snapshot.ok()) return snapshot.status();
   SqliteStatement row = database.Prepare(
@@ -675,7 +675,7 @@ absl::Status VisitSnapshotParts(
   for (std::uint32_t number = first; number < end; ++number) {
     const absl::StatusOr<bool> found = row.Step();
     if (!found.ok()) return found.status();
-    const std::string part = *found ? row.Bytes(3) : std::string();
+    const absl::string_view part = *found ? row.View(3) : "";
     const absl::Status sound =
         *found && row.Integer(0) == std::int64_t{number}
             ? CheckSnapshotPartRow(row.Integer(1), row.Integer(2), *snapshot,

@@ -107,7 +107,7 @@ absl::StatusOr<std::optional<SnapshotRecord>> FindSnapshot(
     SqliteDatabase& database, VehicleKey key);
 absl::Status VisitSnapshotParts(
     SqliteDatabase& database, VehicleKey key, std::uint32_t first,
-    std::uint32_t end, const std::function<bool(const std::string&)>& visit);
+    std::uint32_t end, const std::function<bool(absl::string_view)>& visit);
 
 }  // namespace revisit::server
 

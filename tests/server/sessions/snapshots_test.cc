@@ -125,8 +125,8 @@ class SnapshotsTest : public ::testing::Test {
     std::vector<std::string> parts;
     if (snapshot) {
       ASSERT_THAT(memory_.ReadSnapshotParts(key_, 0, snapshot->part_count,
-                                            [&](const std::string& part) {
-                                              parts.push_back(part);
+                                            [&](absl::string_view part) {
+                                              parts.emplace_back(part);
                                               return true;
                                             }),
                   IsOk());
@@ -337,6 +337,7 @@ TEST_F(SnapshotsTest, DamageBeforeTheSnapshotIsFoundOnceSomebodyMeetsIt) {
   Create();
   Append(30);
   Append(30);
+  Append(10);
   session_.reset();
   Open();
   memory_.DamagePose(kId, 35);
@@ -467,8 +468,8 @@ TEST_F(LongSnapshotsTest, DamagedOrForeignBytesAreNotUsed) {
   const SnapshotRecord sound = **memory_.GetSnapshot(key_);
   std::vector<std::string> parts;
   ASSERT_THAT(memory_.ReadSnapshotParts(key_, 0, 2,
-                                        [&](const std::string& part) {
-                                          parts.push_back(part);
+                                        [&](absl::string_view part) {
+                                          parts.emplace_back(part);
                                           return true;
                                         }),
               IsOk());

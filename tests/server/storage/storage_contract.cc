@@ -490,8 +490,8 @@ TEST_P(StorageContract, KeepsASnapshotInPartsUntilPosesAreRevised) {
   // Reading may begin at any part, and end.
   std::string read;
   EXPECT_THAT(storage().ReadSnapshotParts(key, 1, 3,
-                                          [&](const std::string& part) {
-                                            read += part;
+                                          [&](absl::string_view part) {
+                                            read += std::string(part);
                                             return false;
                                           }),
               IsOk());
