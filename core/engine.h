@@ -120,10 +120,11 @@ class Engine {
   // and no rejections. An engine that was loaded answers as the one that was
   // saved, to the last bit.
   //
-  // The bytes are parts, of kPartNodes nodes each, and a rest. Nodes, once made,
-  // stay, so whoever saves again needs only the parts that are new since then.
-  // All are for engines of the same StateKey(): that of the settings which the
-  // nodes and their indexes come from, and of the version of this form.
+  // The bytes are parts, of kPartNodes nodes each, and a rest. Nodes, once
+  // made, stay, so whoever saves again needs only the parts that are new since
+  // then. All are for engines of the same StateKey(): that of the settings
+  // which the nodes and their indexes come from, and of the version of this
+  // form.
 
   std::string StateKey() const;
   // Parts [0, whole_parts()) never change again under this key.

@@ -121,7 +121,8 @@ bool ModelCheck::Load(ByteReader* reader) {
   return reader->GetOptional(&stretch_start_) && reader->Get(&growing_) &&
          reader->GetOptional(&before_) && reader->GetOptional(&last_) &&
          reader->Get(&smooth_) &&
-         (!stretch_start_ || AreFinite(&stretch_start_->position.x, kNumbers)) &&
+         (!stretch_start_ ||
+          AreFinite(&stretch_start_->position.x, kNumbers)) &&
          IsFinite(before_) && IsFinite(last_) && growing_.IsValid() &&
          smooth_.IsValid();
 }

@@ -126,8 +126,7 @@ bool DistanceResampler::Load(const PoseGraph& graph,
   const double spacing = options_.spacing_meters;
   const Node last = graph.node(graph.size() - 1);
   const double last_mark =
-      segment_start_meters_ +
-      static_cast<double>(segment_nodes_ - 1) * spacing;
+      segment_start_meters_ + static_cast<double>(segment_nodes_ - 1) * spacing;
   // From a place far behind, or so far on that a spacing is lost in rounding,
   // the next step would add nodes without end.
   return last_sequence_ == last_sequence && last.sequence <= last_sequence &&

@@ -220,8 +220,7 @@ bool NodeBlock::Load(std::size_t nodes, ByteReader* reader) {
   std::uint8_t spatial = 0;
   if (!reader->Get(&spatial) || spatial > 1) return false;
   spatial_ = spatial == 1;
-  const std::size_t lines =
-      (nodes + kGroupSize - 1) / kGroupSize * rows();
+  const std::size_t lines = (nodes + kGroupSize - 1) / kGroupSize * rows();
   if (lines > reader->rest().size() / sizeof(Line)) return false;
   lines_.resize(lines);
   return reader->GetArray(lines_.data(), lines) &&

@@ -60,9 +60,8 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
       if (entry.session != nullptr && !entry.session->gone()) {
         return entry.session;
       }
-      session =
-          VehicleSession::Load(id, storage, codec, lanes, options.session,
-                               options.snapshots);
+      session = VehicleSession::Load(id, storage, codec, lanes, options.session,
+                                     options.snapshots);
       if (gives_up_replays) session->GiveUpReplay();
       replaced = std::exchange(entry.session, session);
     }
@@ -151,7 +150,8 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
           (entry.session->busy() && !entry.was_written)) {
         entry.last_use = now;
       }
-      const bool is_idle = unused && entry.last_use + options.idle_unload <= now;
+      const bool is_idle =
+          unused && entry.last_use + options.idle_unload <= now;
       if (entry.session->gone() || (is_idle && !MustWriteSnapshot(entry))) {
         i = Drop(i, &dropped);
         continue;
@@ -176,30 +176,40 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
 
   // Whether a snapshot is due before the vehicle can be unloaded: then it is
   // begun.
-  static bool MustWriteSnapshot(Entry& entry) {
+  bool MustWriteSnapshot(Entry& entry) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
     if (!entry.session->wants_snapshot()) return false;
-    entry.was_written = true;
-    entry.session->WriteSnapshot(std::numeric_limits<int>::max());
+    WriteSnapshot(std::numeric_limits<int>::max(), &entry);
     return true;
   }
 
-  // The session with a snapshot to write that waits longest, or null; null too
-  // while one is being written.
-  std::shared_ptr<VehicleSession> NextToSnapshot() ABSL_LOCKS_EXCLUDED(mutex) {
+  void WriteSnapshot(int most_parts, Entry* entry)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
+    entry->was_written = true;
+    ++writing_snapshots;
+    entry->session->WriteSnapshot(most_parts, [self = shared_from_this()] {
+      const MutexLock guard(&self->mutex);
+      --self->writing_snapshots;
+      // Under the lock: see Created().
+      self->changed.NotifyAll();
+    });
+  }
+
+  // Goes on with the snapshot that is due and has waited longest, unless one is
+  // being written.
+  void WriteNextSnapshot(int most_parts) ABSL_LOCKS_EXCLUDED(mutex) {
     const MutexLock guard(&mutex);
+    if (writing_snapshots > 0) return;
     ++snapshot_calls;
     Entry* next = nullptr;
     for (auto& [id, entry] : entries) {
-      if (entry.session->is_writing_snapshot()) return nullptr;
       if (entry.session->gone() || !entry.session->wants_snapshot()) continue;
       if (next == nullptr || entry.last_snapshot < next->last_snapshot) {
         next = &entry;
       }
     }
-    if (next == nullptr) return nullptr;
+    if (next == nullptr) return;
     next->last_snapshot = snapshot_calls;
-    next->was_written = true;
-    return next->session;
+    WriteSnapshot(most_parts, next);
   }
 
   Entries::iterator Drop(Entries::iterator entry, Dropped* dropped)
@@ -222,6 +232,9 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   Entries entries ABSL_GUARDED_BY(mutex);
   bool gives_up_replays ABSL_GUARDED_BY(mutex) = false;
   std::uint64_t snapshot_calls ABSL_GUARDED_BY(mutex) = 0;
+  // Calls of VehicleSession::WriteSnapshot() that are not answered: maybe by
+  // sessions that are no entries any more.
+  int writing_snapshots ABSL_GUARDED_BY(mutex) = 0;
   // Storage::Counts() at the last call of WriteSnapshots().
   std::atomic<std::uint64_t> writes_before{0};
   // Calls of Create() that are not answered.
@@ -259,6 +272,8 @@ Fleet::~Fleet() {
   }
   const MutexLock lock(&countdown->mutex);
   while (countdown->left != 0) countdown->zero.Wait(&countdown->mutex);
+  const MutexLock guard(&state_->mutex);
+  while (state_->writing_snapshots != 0) state_->changed.Wait(&state_->mutex);
 }
 
 void Fleet::HandOverWanted() {
@@ -278,9 +293,7 @@ void Fleet::WriteSnapshots() {
   const std::uint64_t writes = state_->storage->Counts().writes;
   const bool is_at_rest =
       writes - state_->writes_before.exchange(writes) <= kWritesAtRest;
-  if (const auto session = state_->NextToSnapshot()) {
-    session->WriteSnapshot(is_at_rest ? kPartsAtRest : 1);
-  }
+  state_->WriteNextSnapshot(is_at_rest ? kPartsAtRest : 1);
 }
 
 void Fleet::GiveUpReplays() {

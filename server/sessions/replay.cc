@@ -214,8 +214,7 @@ void Replayer::FindSnapshot() {
     GiveUpSnapshot(std::string(found.status().message()));
   } else if (*found && vehicle_->snapshot_policy.poses == 0) {
     DropSnapshot();
-  } else if (*found &&
-             (*found)->last_sequence > vehicle_->durable_sequence) {
+  } else if (*found && (*found)->last_sequence > vehicle_->durable_sequence) {
     GiveUpSnapshot("it has poses that are not stored");
   } else {
     replay_->snapshot = *std::move(found);
@@ -298,8 +297,8 @@ absl::StatusOr<bool> Replayer::ReplayBatches(
         }
         replay_->measured.Take(*samples);
         // A snapshot may end within a row, which several batches share.
-        const auto known = static_cast<std::ptrdiff_t>(
-            replay_->next_sequence - batch.first_sequence);
+        const auto known = static_cast<std::ptrdiff_t>(replay_->next_sequence -
+                                                       batch.first_sequence);
         samples->erase(samples->begin(), samples->begin() + known);
         const core::AppendResult applied =
             replay_->engine->Append(*samples, ++replay_->steps);

@@ -1,6 +1,7 @@
 #include "server/sessions/snapshots.h"
 
 #include <algorithm>
+#include <limits>
 #include <optional>
 #include <utility>
 
@@ -56,14 +57,24 @@ bool Snapshots::is_due() const {
          vehicle_->storage->KeepsSnapshots();
 }
 
-void Snapshots::Write(int most_parts, Clock::time_point until,
-                      std::function<void()> then) {
-  if (!is_due()) {
-    then();
-    return;
-  }
+void Snapshots::Write(int most_parts, std::function<void()> then) {
   ++writing_;
-  Step(std::make_shared<Job>(Job{most_parts, until, std::move(then)}));
+  Step(std::make_shared<Job>(Job{most_parts, std::move(then)}));
+}
+
+void Snapshots::Stop(Clock::time_point until, std::function<void()> then) {
+  ++writing_;
+  queue_->Post([this, until, then = std::move(then)] {
+    until_ = until;
+    stopped_ = then;
+    const auto job =
+        std::make_shared<Job>(Job{std::numeric_limits<int>::max(), [] {}});
+    if (is_due()) {
+      Step(job);
+    } else {
+      End(job);
+    }
+  });
 }
 
 // Waits while the store may show poses that the graph does not: from the moment
@@ -81,7 +92,7 @@ void Snapshots::Step(const JobPtr& job) {
 }
 
 void Snapshots::WriteNext(const JobPtr& job) {
-  if (!is_due() || Clock::now() >= job->until) {
+  if (!is_due() || Clock::now() >= until_) {
     End(job);
     return;
   }
@@ -113,17 +124,18 @@ void Snapshots::WritePart(const JobPtr& job) {
   const std::uint32_t number = vehicle_->kept_snapshot.parts;
   vehicle_->storage->PutSnapshotPart(
       vehicle_->key, number, vehicle_->engine->SavePart(number),
-      queue_->OnStrand([this, job, number,
-                        series = vehicle_->kept_snapshot.series](
-                           const absl::Status& status) {
-        if (!status.ok()) {
-          Fail(job);
-          return;
-        }
-        VehicleState::KeptSnapshot& kept = vehicle_->kept_snapshot;
-        if (kept.series == series) kept.parts = std::max(kept.parts, number + 1);
-        Step(job);
-      }));
+      queue_->OnStrand(
+          [this, job, number, series = vehicle_->kept_snapshot.series](
+              const absl::Status& status) {
+            if (!status.ok()) {
+              Fail(job);
+              return;
+            }
+            VehicleState::KeptSnapshot& kept = vehicle_->kept_snapshot;
+            if (kept.series == series)
+              kept.parts = std::max(kept.parts, number + 1);
+            Step(job);
+          }));
 }
 
 void Snapshots::WriteRest(const JobPtr& job) {
@@ -153,13 +165,15 @@ void Snapshots::WriteRest(const JobPtr& job) {
 void Snapshots::Fail(const JobPtr& job) {
   VehicleState::KeptSnapshot& kept = vehicle_->kept_snapshot;
   kept = {"", 0, kept.series + 1};
-  if (vehicle_->engine) vehicle_->NoteSnapshot(vehicle_->engine->last_sequence());
+  if (vehicle_->engine)
+    vehicle_->NoteSnapshot(vehicle_->engine->last_sequence());
   End(job);
 }
 
 void Snapshots::End(const JobPtr& job) {
-  --writing_;
+  const bool is_last = --writing_ == 0;
   job->then();
+  if (is_last && stopped_) std::exchange(stopped_, nullptr)();
 }
 
 }  // namespace revisit::server

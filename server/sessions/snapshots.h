@@ -45,15 +45,17 @@ class Snapshots {
   bool is_writing() const { return writing_ > 0; }
   // From any thread. If a snapshot is due: writes up to `most_parts` of the
   // parts that are not yet in the store, and, if none is missing then, the
-  // snapshot; stops early at `until`, or where the vehicle may not be written.
-  // Then calls `then`, on any thread.
-  void Write(int most_parts, Clock::time_point until,
-             std::function<void()> then);
+  // snapshot; stops early where the vehicle may not be written. Then calls
+  // `then`, on the strand.
+  void Write(int most_parts, std::function<void()> then);
+  // From any thread: writes as much of a snapshot that is due as gets into the
+  // store until then, and calls `then`, on the strand, when no write is under
+  // way any more. Write() must not be called after it.
+  void Stop(Clock::time_point until, std::function<void()> then);
 
  private:
   struct Job {
     int parts_left;
-    Clock::time_point until;
     std::function<void()> then;
   };
   using JobPtr = std::shared_ptr<Job>;
@@ -69,6 +71,9 @@ class Snapshots {
   VehicleState* const vehicle_;
   VehicleQueue* const queue_;
   std::atomic<int> writing_{0};
+  Clock::time_point until_ = Clock::time_point::max();
+  // Called once nothing is written any more.
+  std::function<void()> stopped_;
 };
 
 }  // namespace revisit::server

@@ -10,8 +10,7 @@ namespace revisit::server {
 
 struct VehicleSession::State {
   State(std::string id, Storage* storage, const RecordCodec* codec,
-        const Lanes& lanes, const Limits& limits,
-        const SnapshotPolicy& policy)
+        const Lanes& lanes, const Limits& limits, const SnapshotPolicy& policy)
       : vehicle(std::move(id), storage, codec, policy),
         queue(&vehicle, &appends, lanes),
         appends(&vehicle, &queue, limits.max_pending_appends),
@@ -43,6 +42,23 @@ struct VehicleSession::State {
                 callback(status);
               }
             }};
+  }
+
+  // Runs `end` after what was called before, and once no part of a snapshot is
+  // being written.
+  template <typename End>
+  void EndAfterSnapshots(Snapshots::Clock::time_point until, End end) {
+    queue.Submit({Turn::kAlone, [this, until, end](const absl::Status&) {
+                    const bool may_write =
+                        snapshots.is_due() && Snapshots::Clock::now() < until;
+                    if (!snapshots.is_writing() && !may_write) {
+                      end();
+                      return;
+                    }
+                    // Nothing may come in between.
+                    queue.Hold();
+                    snapshots.Stop(until, [this, end] { queue.Release(end); });
+                  }});
   }
 
   VehicleState vehicle;
@@ -170,12 +186,12 @@ void VehicleSession::LoadAnew() {
 void VehicleSession::GiveUpReplay() { state_->replayer.GiveUp(); }
 
 void VehicleSession::HandOver() {
-  VehicleState* const vehicle = &state_->vehicle;
-  state_->queue.Submit({Turn::kAlone, [vehicle](const absl::Status&) {
-                          if (vehicle->gone_status) return;
-                          vehicle->Leave(vehicle->HandedOver());
-                          vehicle->storage->ReleaseVehicle(vehicle->key);
-                        }});
+  state_->EndAfterSnapshots(Snapshots::Clock::now(),
+                            [vehicle = &state_->vehicle] {
+                              if (vehicle->gone_status) return;
+                              vehicle->Leave(vehicle->HandedOver());
+                              vehicle->storage->ReleaseVehicle(vehicle->key);
+                            });
 }
 
 bool VehicleSession::wants_snapshot() const {
@@ -186,24 +202,18 @@ bool VehicleSession::is_writing_snapshot() const {
   return state_->snapshots.is_writing();
 }
 
-void VehicleSession::WriteSnapshot(int most_parts) {
-  state_->snapshots.Write(most_parts, Snapshots::Clock::time_point::max(),
-                          [] {});
+void VehicleSession::WriteSnapshot(int most_parts, std::function<void()> then) {
+  state_->snapshots.Write(most_parts, std::move(then));
 }
 
 void VehicleSession::Close(std::chrono::steady_clock::time_point snapshot_until,
                            std::function<void()> callback) {
   GiveUpReplay();
-  state_->snapshots.Write(
-      std::numeric_limits<int>::max(), snapshot_until,
-      [state = state_.get(), callback = std::move(callback)] {
-        VehicleState* const vehicle = &state->vehicle;
-        state->queue.Submit(
-            {Turn::kAlone, [vehicle, callback](const absl::Status&) {
-               if (!vehicle->gone_status) vehicle->Leave(ShuttingDown());
-               callback();
-             }});
-      });
+  state_->EndAfterSnapshots(snapshot_until, [vehicle = &state_->vehicle,
+                                             callback = std::move(callback)] {
+    if (!vehicle->gone_status) vehicle->Leave(ShuttingDown());
+    callback();
+  });
 }
 
 bool VehicleSession::gone() const { return state_->vehicle.is_gone.load(); }

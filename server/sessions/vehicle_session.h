@@ -138,8 +138,8 @@ class VehicleSession {
   bool wants_snapshot() const;
   bool is_writing_snapshot() const;
   // If a snapshot is due, writes up to so many parts of it, and, once no part
-  // is missing, the snapshot.
-  void WriteSnapshot(int most_parts);
+  // is missing, the snapshot; then calls `then`.
+  void WriteSnapshot(int most_parts, std::function<void()> then);
 
   // Ends the session: earlier calls are finished, but for those that
   // GiveUpReplay() ends; later calls answer UNAVAILABLE (SERVER_DRAINING). A

@@ -107,7 +107,8 @@ void VehicleState::NoteResidency(const core::Engine* in_the_making) {
   }
   resident_nodes.store(nodes);
   resident_bytes.store(bytes);
-  if (engine) poses_since_snapshot = engine->last_sequence() - snapshot_sequence;
+  if (engine)
+    poses_since_snapshot = engine->last_sequence() - snapshot_sequence;
 }
 
 void VehicleState::NoteSnapshot(std::uint64_t sequence) {

@@ -155,10 +155,9 @@ absl::Status CheckSnapshotRow(std::int64_t format, std::int64_t checksum,
 absl::Status CheckSnapshotPartRow(std::int64_t format, std::int64_t checksum,
                                   std::int64_t snapshot, std::uint32_t number,
                                   absl::string_view part) {
-  return CheckRow(format, checksum,
-                  ChecksumOfSnapshotPart(format, snapshot, number, part),
-                  "part " + std::to_string(number) + " of a stored snapshot",
-                  {});
+  return CheckRow(
+      format, checksum, ChecksumOfSnapshotPart(format, snapshot, number, part),
+      "part " + std::to_string(number) + " of a stored snapshot", {});
 }
 
 absl::Status MissingSnapshotPart(std::uint32_t number) {

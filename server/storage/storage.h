@@ -216,10 +216,10 @@ class Storage {
                            std::string payload, std::uint64_t revision,
                            Done done) = 0;
 
-  // ---- A snapshot of a vehicle saves making again what its poses make. It is a
-  // cache: a storage may keep none, as this base does, or lose one at any time.
-  // ReviseBatches(), DropDamaged() and DeleteVehicle() remove it in the same
-  // step as they do what else they do, its parts included.
+  // ---- A snapshot of a vehicle saves making again what its poses make. It is
+  // a cache: a storage may keep none, as this base does, or lose one at any
+  // time. ReviseBatches(), DropDamaged() and DeleteVehicle() remove it in the
+  // same step as they do what else they do, its parts included.
 
   virtual bool KeepsSnapshots() const { return false; }
   // Keeps a part, in the place of the one of that number, if there is one. Part

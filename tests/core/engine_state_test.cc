@@ -67,8 +67,8 @@ class Drive {
       sample.stamp_ns = static_cast<std::int64_t>(sequence_) * 100'000'000 +
                         UniformInt(random_, 0, 1'000'000);
     }
-    const double radius = 400.0 + 50.0 * std::cos(3.0 * angle_) +
-                          30.0 * std::sin(7.0 * angle_);
+    const double radius =
+        400.0 + 50.0 * std::cos(3.0 * angle_) + 30.0 * std::sin(7.0 * angle_);
     sample.pose.x = radius * std::cos(angle_) + Normal(random_, 0.01);
     sample.pose.y = radius * std::sin(angle_) + Normal(random_, 0.01);
     sample.pose.heading = angle_ + 1.57 + Normal(random_, 0.001);
@@ -77,9 +77,8 @@ class Drive {
     }
     const bool grows = kind_.model == CorrelationModel::kDeadReckoning ||
                        kind_.model == CorrelationModel::kFilter;
-    const double variance =
-        grows ? 0.01 + 1e-4 * static_cast<double>(sequence_)
-              : Uniform(random_, 0.5, 2.0);
+    const double variance = grows ? 0.01 + 1e-4 * static_cast<double>(sequence_)
+                                  : Uniform(random_, 0.5, 2.0);
     for (int k : {0, 1, 2}) sample.covariance(k, k) = variance;
     sample.covariance(0, 1) = 0.2 * variance;
     sample.covariance(3, 3) = 1e-4;
@@ -201,8 +200,8 @@ TEST(EngineStateTest, ALoadedEngineGoesOnAsIfItHadNeverBeenSaved) {
       if (pair.is_closure && Uniform(random, 0.0, 1.0) < 0.5) {
         const PoseSample& q = all[query - 1];
         const PoseSample& m = all[matched - 1];
-        pair.measured = RandomMeasurement(
-            random, {q.pose, q.covariance}, {m.pose, m.covariance}, 0.5);
+        pair.measured = RandomMeasurement(random, {q.pose, q.covariance},
+                                          {m.pose, m.covariance}, 0.5);
       }
       pairs.push_back(pair);
       Add(pair, &never);
@@ -230,8 +229,8 @@ TEST(EngineStateTest, ALoadedEngineGoesOnAsIfItHadNeverBeenSaved) {
     EXPECT_EQ(loaded->graph().LoopEdges(), never.graph().LoopEdges());
     EXPECT_EQ(loaded->consistency().inflation, never.consistency().inflation);
     EXPECT_EQ(loaded->finding().has_value(), never.finding().has_value());
-    for (const NodeIndex query : {NodeIndex{300}, NodeIndex{9000},
-                                  never.graph().size() - 1}) {
+    for (const NodeIndex query :
+         {NodeIndex{300}, NodeIndex{9000}, never.graph().size() - 1}) {
       ExpectSameAnswers(*loaded, never, query);
     }
   }
@@ -330,9 +329,8 @@ TEST(EngineStateTest, FlippedBitsAreRefusedOrDoNoHarm) {
       ++usable;
       loaded->Append(more, 1);
       if (round % 10 != 0) continue;
-      EXPECT_TRUE(loaded
-                      ->FindCandidates(settings.search, [] { return false; })
-                      .ok());
+      EXPECT_TRUE(
+          loaded->FindCandidates(settings.search, [] { return false; }).ok());
     }
   }
   EXPECT_GT(usable, 0);

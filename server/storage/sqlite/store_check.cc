@@ -1,4 +1,3 @@
-#include "server/storage/record_check.h"
 #include "server/storage/sqlite/store_check.h"
 
 #include <sys/stat.h>
@@ -9,6 +8,7 @@
 #include <system_error>
 #include <utility>
 
+#include "server/storage/record_check.h"
 #include "server/storage/sqlite/sqlite_storage.h"
 #include "server/storage/sqlite/store_files.h"
 #include "server/storage/sqlite/store_lock.h"
@@ -102,15 +102,15 @@ class Checker {
     absl::Status status = snapshot.status();
     if (status.ok() && *snapshot) {
       ++report_.snapshots;
-      status = storage_->ReadSnapshotParts(
-          key, 0, (*snapshot)->part_count,
-          [](absl::string_view) { return true; });
+      status =
+          storage_->ReadSnapshotParts(key, 0, (*snapshot)->part_count,
+                                      [](absl::string_view) { return true; });
     }
     if (status.ok()) return;
     // The server may have removed or replaced it meanwhile.
     if (use_ == StoreUse::kServed && !IsSame(key, snapshot)) return;
-    report_.damaged_snapshots.push_back("vehicle '" + Printable(id) + "': " +
-                                        std::string(status.message()));
+    report_.damaged_snapshots.push_back("vehicle '" + Printable(id) +
+                                        "': " + std::string(status.message()));
   }
 
   // Whether the snapshot is the one that was read before.

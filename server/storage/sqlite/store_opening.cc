@@ -1,4 +1,3 @@
-#include "server/storage/record_check.h"
 #include "server/storage/sqlite/store_opening.h"
 
 #include <fcntl.h>
@@ -19,6 +18,7 @@
 #include <vector>
 
 #include "server/base/status.h"
+#include "server/storage/record_check.h"
 #include "server/storage/sqlite/store_check.h"
 #include "server/storage/sqlite/store_files.h"
 #include "server/storage/sqlite/store_lock.h"
@@ -211,10 +211,10 @@ absl::Status CheckSchema(SqliteDatabase& database, const std::string& path) {
   const absl::StatusOr<std::unique_ptr<SqliteDatabase>> expected =
       SqliteDatabase::Open(":memory:", SqliteDatabase::Mode::kReadWrite, "");
   if (!expected.ok()) return expected.status();
-  const absl::Status made = (*expected)->Execute(
-      (std::string(kSchema) + kSchemaSince2 + kSchemaSince3 + kSchemaSince4 +
-       kSchemaSince5)
-          .c_str());
+  const absl::Status made =
+      (*expected)->Execute((std::string(kSchema) + kSchemaSince2 +
+                            kSchemaSince3 + kSchemaSince4 + kSchemaSince5)
+                               .c_str());
   if (!made.ok()) return made;
   static constexpr char kTables[] =
       "SELECT name, sql FROM sqlite_schema WHERE type = 'table'";

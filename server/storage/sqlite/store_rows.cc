@@ -657,8 +657,8 @@ absl::StatusOr<std::optional<SnapshotRecord>> FindSnapshot(
   snapshot.last_sequence = Unsigned(row.Integer(1));
   snapshot.part_count = static_cast<std::uint32_t>(row.Integer(2));
   snapshot.payload = row.Bytes(4);
-  const absl::Status sound = CheckSnapshotRow(
-      row.Integer(0), row.Integer(3), key, snapshot);
+  const absl::Status sound =
+      CheckSnapshotRow(row.Integer(0), row.Integer(3), key, snapshot);
   if (!sound.ok()) return sound;
   return std::optional<SnapshotRecord>(std::move(snapshot));
 }
@@ -695,8 +695,7 @@ absl::StatusOr<bool> PurgeSome(SqliteDatabase& database, int batches) {
     const absl::StatusOr<bool> found = row.Step();
     if (!found.ok()) return found.status();
     if (!*found) {
-      return PurgeSnapshots(database,
-                            std::max(1, batches / kBatchesPerPart));
+      return PurgeSnapshots(database, std::max(1, batches / kBatchesPerPart));
     }
     key = row.Integer(0);
   }

@@ -307,16 +307,16 @@ TEST_F(SnapshotsTest, PairsAreAddedToAGraphFromASnapshot) {
   session_.reset();
   Open();
   ASSERT_EQ(StoredSequence(), 100u);
-  ASSERT_THAT(AddPairNow(session(), PairKind::kLoopClosure,
-                         {"plain", 90, 10, 1}),
-              IsOk());
+  ASSERT_THAT(
+      AddPairNow(session(), PairKind::kLoopClosure, {"plain", 90, 10, 1}),
+      IsOk());
   // Its poses lie before the snapshot, and come from the store.
   ASSERT_THAT(AddPairNow(session(), PairKind::kLoopClosure,
                          {"measured", 95, 15, 2, "0.1 0.2 0.01 0.1"}),
               IsOk());
-  ASSERT_THAT(AddPairNow(session(), PairKind::kRejectedCandidate,
-                         {"no", 96, 40, 3}),
-              IsOk());
+  ASSERT_THAT(
+      AddPairNow(session(), PairKind::kRejectedCandidate, {"no", 96, 40, 3}),
+      IsOk());
   const Snapshot before = Read();
   Crash();
   storage_.TakeLeastRead();
@@ -561,8 +561,8 @@ TEST(SnapshotStressTest, VehiclesThatComeAndGoAreAsReplayedWhole) {
     });
     last += count;
     const auto pick = [&](std::uint64_t from, std::uint64_t to) {
-      return static_cast<std::uint64_t>(UniformInt(
-          random, static_cast<int>(from), static_cast<int>(to)));
+      return static_cast<std::uint64_t>(
+          UniformInt(random, static_cast<int>(from), static_cast<int>(to)));
     };
     if (last > 2 && UniformInt(random, 0, 2) == 0) {
       const std::uint64_t query = pick(2, last);
@@ -611,8 +611,8 @@ TEST(SnapshotStressTest, VehiclesThatComeAndGoAreAsReplayedWhole) {
     const auto search = [](VehicleSession& session) {
       const Answer<std::string> answer;
       session.Search([&](const absl::StatusOr<VehicleView>& view) {
-        const auto set = view->engine.FindCandidates(
-            view->config.engine.search, nullptr);
+        const auto set =
+            view->engine.FindCandidates(view->config.engine.search, nullptr);
         std::string text;
         for (const core::Candidate& candidate : set->candidates) {
           text += std::to_string(candidate.matched) + " " +

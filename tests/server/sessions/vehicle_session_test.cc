@@ -1390,7 +1390,8 @@ TEST_F(VehicleSessionTest, CloseFinishesWhatWasCalledAndRefusesTheRest) {
   storage_.Hold();
   const Appended before = Append(*session_, StraightBatch(1, 1));
   const Answer<bool> closed;
-  session_->Close(std::chrono::steady_clock::now(), [=] { closed.Set(before.durable.IsSet()); });
+  session_->Close(std::chrono::steady_clock::now(),
+                  [=] { closed.Set(before.durable.IsSet()); });
   const Appended after = Append(*session_, StraightBatch(2, 1));
   storage_.ReleaseAll();
   EXPECT_TRUE(closed.Get());
