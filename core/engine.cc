@@ -330,15 +330,13 @@ bool Engine::LoadPart(absl::string_view bytes) {
 
 bool Engine::LoadRest(absl::string_view bytes) {
   ByteReader reader(bytes);
-  const auto known = static_cast<NodeIndex>(block_bounds_.size() + 1);
+  const auto parts = static_cast<std::size_t>(graph_.size() / kPartNodes);
   if (!ReadBeginning(&reader) || !graph_.LoadRest(!has_indexes(), &reader) ||
       !reader.Get(&last_sequence_) ||
       !resampler_.Load(graph_, last_sequence_, &reader) ||
       !model_check_.Load(&reader) || !reader.Get(&next_check_) ||
       next_check_ < 0 || !reader.rest().empty() ||
-      // A part holds only bounds that two blocks behind them have shown.
-      (block_bounds_.size() > 0 &&
-       graph_.size() <= known * static_cast<NodeIndex>(NodeBlock::kSize))) {
+      whole_parts() < parts) {
     return false;
   }
   motion_history_.EndLoading();

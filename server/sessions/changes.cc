@@ -461,11 +461,13 @@ void Changes::TakeBack(PairKind kind, const PosePairRecord& pair,
 
 void Changes::LoadAnew() {
   if (!vehicle_->damage.ok()) return;
+  queue_->set_store_lead(VehicleQueue::StoreLead::kVehicle);
   Write(
       [&](Storage::Done done) {
         vehicle_->storage->DropSnapshot(vehicle_->key, std::move(done));
       },
       [this](const absl::Status&) {
+        queue_->set_store_lead(VehicleQueue::StoreLead::kNone);
         if (!vehicle_->gone_status) vehicle_->Leave(vehicle_->OutOfStep());
       });
 }

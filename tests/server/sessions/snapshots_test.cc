@@ -104,6 +104,17 @@ class SnapshotsTest : public ::testing::Test {
     ASSERT_THAT(AppendNow(session(), SquareBatch(last_ + 1, count)), IsOk());
     last_ += count;
   }
+  // As time goes by.
+  void UnloadAll() {
+    const auto deadline = steady_clock::now() + std::chrono::seconds(60);
+    auto now = steady_clock::now();
+    while (fleet_->loaded() > 0) {
+      ASSERT_LT(steady_clock::now(), deadline);
+      now += minutes(11);
+      fleet_->UnloadIdle(now);
+      std::this_thread::yield();
+    }
+  }
   VehicleSession& session() { return *(session_ = fleet_->Session(kId)); }
   Snapshot Read() { return *ReadNow(session()); }
   std::string Stored() { return SnapshotOf(memory_, key_); }
@@ -219,11 +230,7 @@ TEST_F(SnapshotsTest, UnloadingWritesOneFirst) {
   Create();
   Append(60);
   session_.reset();
-  const auto deadline = steady_clock::now() + std::chrono::seconds(60);
-  while (fleet_->loaded() > 0) {
-    ASSERT_LT(steady_clock::now(), deadline);
-    fleet_->UnloadIdle(steady_clock::now() + minutes(11));
-  }
+  UnloadAll();
   EXPECT_EQ(StoredSequence(), 60u);
   ExpectAsReplayedWhole();
 }
@@ -236,11 +243,7 @@ TEST_F(SnapshotsTest, UnloadingDoesNotWaitForOneThatCannotBeWritten) {
   fleet_->UnloadIdle(steady_clock::now() + minutes(11));
   storage_.Await(1);
   storage_.FailOne(Error(StatusCode::kResourceExhausted, "STORAGE_FULL", ""));
-  const auto deadline = steady_clock::now() + std::chrono::seconds(60);
-  while (fleet_->loaded() > 0) {
-    ASSERT_LT(steady_clock::now(), deadline);
-    fleet_->UnloadIdle(steady_clock::now() + minutes(11));
-  }
+  UnloadAll();
   EXPECT_EQ(Stored(), "none");
   storage_.ReleaseAll();
   EXPECT_EQ(Read().durable_sequence, 60u);
