@@ -335,8 +335,7 @@ bool Engine::LoadRest(absl::string_view bytes) {
       !reader.Get(&last_sequence_) ||
       !resampler_.Load(graph_, last_sequence_, &reader) ||
       !model_check_.Load(&reader) || !reader.Get(&next_check_) ||
-      next_check_ < 0 || !reader.rest().empty() ||
-      whole_parts() < parts) {
+      next_check_ < 0 || !reader.rest().empty() || whole_parts() < parts) {
     return false;
   }
   motion_history_.EndLoading();

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cstdlib>
 #include <limits>
 #include <unordered_map>
 #include <utility>
@@ -15,11 +16,12 @@ namespace {
 
 constexpr std::uint64_t kCreatedRevision = 1;
 
-// Parts of a snapshot that are written in one go where the storage has at most
-// so many other writes from one call of WriteSnapshots() to the next. A part is
-// about a megabyte.
+// Parts of a snapshot that are written in one go where little else came from
+// one call of WriteSnapshots() to the next: at most so many writes, and nodes.
+// A part is about a megabyte.
 constexpr int kPartsAtRest = 16;
 constexpr std::uint64_t kWritesAtRest = 100;
+constexpr std::int64_t kNodesAtRest = 2000;
 
 }  // namespace
 
@@ -235,8 +237,9 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   // Calls of VehicleSession::WriteSnapshot() that are not answered: maybe by
   // sessions that are no entries any more.
   int writing_snapshots ABSL_GUARDED_BY(mutex) = 0;
-  // Storage::Counts() at the last call of WriteSnapshots().
+  // Storage::Counts() and residency at the last call of WriteSnapshots().
   std::atomic<std::uint64_t> writes_before{0};
+  std::atomic<std::int64_t> nodes_before{0};
   // Calls of Create() that are not answered.
   int creating ABSL_GUARDED_BY(mutex) = 0;
 };
@@ -291,8 +294,10 @@ void Fleet::HandOverWanted() {
 
 void Fleet::WriteSnapshots() {
   const std::uint64_t writes = state_->storage->Counts().writes;
+  const std::int64_t nodes = residency().nodes;
   const bool is_at_rest =
-      writes - state_->writes_before.exchange(writes) <= kWritesAtRest;
+      writes - state_->writes_before.exchange(writes) <= kWritesAtRest &&
+      std::abs(nodes - state_->nodes_before.exchange(nodes)) <= kNodesAtRest;
   state_->WriteNextSnapshot(is_at_rest ? kPartsAtRest : 1);
 }
 

@@ -240,8 +240,10 @@ TEST_F(SnapshotsTest, UnloadingDoesNotWaitForOneThatCannotBeWritten) {
   Append(60);
   session_.reset();
   storage_.Hold();
-  fleet_->UnloadIdle(steady_clock::now() + minutes(11));
-  storage_.Await(1);
+  for (int i = 1; storage_.held() == 0; ++i) {
+    fleet_->UnloadIdle(steady_clock::now() + i * minutes(11));
+    std::this_thread::yield();
+  }
   storage_.FailOne(Error(StatusCode::kResourceExhausted, "STORAGE_FULL", ""));
   UnloadAll();
   EXPECT_EQ(Stored(), "none");
@@ -399,6 +401,14 @@ class LongSnapshotsTest : public SnapshotsTest {
     for (int i = 0; i < 20; ++i) Append(1000);
     session_.reset();
   }
+
+  // Until a part, or the snapshot, is handed to the storage, which holds it.
+  void AwaitWrite() {
+    while (storage_.held() == 0) {
+      fleet_->WriteSnapshots();
+      std::this_thread::yield();
+    }
+  }
 };
 
 TEST_F(LongSnapshotsTest, PartsOnceWrittenStay) {
@@ -410,11 +420,10 @@ TEST_F(LongSnapshotsTest, PartsOnceWrittenStay) {
   EXPECT_EQ(storage_.TakeLeastRead(), WatchedStorage::kNone);
   for (int i = 0; i < 6; ++i) Append(1000);
   storage_.Hold();
-  fleet_->WriteSnapshots();
-  storage_.Await(1);
+  AwaitWrite();
   // One part is new, then comes the snapshot.
   storage_.ReleaseOne();
-  storage_.Await(1);
+  AwaitWrite();
   EXPECT_EQ(StoredSequence(), 20'000u);
   storage_.ReleaseOne();
   while (session_->is_writing_snapshot()) std::this_thread::yield();
@@ -429,10 +438,9 @@ TEST_F(LongSnapshotsTest, PartsOnceWrittenStay) {
 
 TEST_F(LongSnapshotsTest, ACrashBetweenPartsLeavesTheSnapshotBefore) {
   storage_.Hold();
-  fleet_->WriteSnapshots();
-  storage_.Await(1);
+  AwaitWrite();
   storage_.ReleaseOne();
-  storage_.Await(1);
+  AwaitWrite();
   storage_.FailOne(Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE", ""));
   storage_.ReleaseAll();
   Crash();
@@ -447,8 +455,7 @@ TEST_F(LongSnapshotsTest, ACrashBetweenPartsLeavesTheSnapshotBefore) {
 TEST_F(LongSnapshotsTest, ARevisionWhileOneIsWrittenEndsIt) {
   session_ = fleet_->Session(kId);
   storage_.Hold();
-  fleet_->WriteSnapshots();
-  storage_.Await(1);
+  AwaitWrite();
   const Answer<absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>> revised;
   session_->Revise(
       [](const VehicleView&) -> absl::StatusOr<RevisionPlan> {
