@@ -59,6 +59,13 @@ ConsistencyOptions MakeConsistencyOptions(const EngineSettings& settings) {
   return options;
 }
 
+// Changes whenever anything does that the bytes of an engine hold, or that they
+// come from: engine_state_test.cc has bytes as they were.
+constexpr std::uint64_t kStateVersion = 1;
+
+constexpr auto kPartBlocks =
+    static_cast<std::size_t>(Engine::kPartNodes) / NodeBlock::kSize;
+
 // A node that lies short of a multiple of the check interval by this fraction
 // of it counts as there: multiples of spacing and interval are rounded
 // differently.
@@ -86,10 +93,8 @@ MotionHistory Engine::MakeMotionHistory() const {
                                  settings_.node_spacing_meters)));
 }
 
-// Searches under kFilter go through all nodes in any case, and their nodes take
-// the most memory: they do without indexes.
 void Engine::ExtendIndexes() {
-  if (settings_.search.correlation_model == CorrelationModel::kFilter) return;
+  if (!has_indexes()) return;
   motion_history_.Extend(graph_);
   block_bounds_.Extend(graph_);
 }
@@ -155,8 +160,12 @@ void Engine::ChangeSettings(const EngineSettings& settings,
   ++settings_version_;
   revision_ = revision;
   if (!monitored_alike) RebuildMonitor();
-  motion_history_ = MakeMotionHistory();
-  ExtendIndexes();
+  MotionHistory history = MakeMotionHistory();
+  if (!(history.correlation() == motion_history_.correlation()) ||
+      history.stretch_nodes() != motion_history_.stretch_nodes()) {
+    motion_history_ = std::move(history);
+    ExtendIndexes();
+  }
   ScheduleNextCheck();
 }
 
@@ -244,6 +253,94 @@ void Engine::RebuildMonitor() {
   for (const Confirmed& confirmed : confirmed_) {
     monitor_.Confirm(graph_, confirmed.loop);
   }
+}
+
+std::string Engine::StateKey() const {
+  ByteWriter writer;
+  writer.Put(kStateVersion);
+  writer.Put(static_cast<std::uint32_t>(settings_.state_space));
+  writer.Put(settings_.node_spacing_meters);
+  writer.Put(settings_.max_step_meters);
+  const Correlation& correlation = motion_history_.correlation();
+  writer.Put(static_cast<std::uint32_t>(correlation.model));
+  writer.Put(correlation.meters);
+  writer.Put(motion_history_.stretch_nodes());
+  writer.Put(kPartNodes);
+  return writer.Take();
+}
+
+ByteWriter Engine::BeginState(std::uint64_t parts_before) const {
+  ByteWriter writer;
+  const std::string key = StateKey();
+  writer.PutArray(key.data(), key.size());
+  writer.Put(parts_before);
+  return writer;
+}
+
+bool Engine::ReadBeginning(ByteReader* reader) const {
+  const std::string expected = StateKey();
+  std::string key(expected.size(), '\0');
+  std::uint64_t parts_before = 0;
+  return reader->GetArray(key.data(), key.size()) && key == expected &&
+         reader->Get(&parts_before) &&
+         parts_before == static_cast<std::uint64_t>(graph_.size() / kPartNodes);
+}
+
+// Of the blocks of a part, the bounds are known too.
+std::size_t Engine::whole_parts() const {
+  const auto after = static_cast<NodeIndex>(NodeBlock::kSize) + 1;
+  return static_cast<std::size_t>(
+      std::max<NodeIndex>(0, graph_.size() - after) / kPartNodes);
+}
+
+std::string Engine::SavePart(std::size_t part) const {
+  assert(part < whole_parts());
+  const std::size_t first = part * kPartBlocks;
+  const std::size_t end = first + kPartBlocks;
+  ByteWriter writer = BeginState(part);
+  writer.Reserve(bytes() / BlocksOf(graph_.size()) * (kPartBlocks + 4));
+  graph_.SaveBlocks(first, end, &writer);
+  if (has_indexes()) {
+    motion_history_.SaveBlocks(graph_, first, end, &writer);
+    block_bounds_.SaveBlocks(first, end, &writer);
+  }
+  return writer.Take();
+}
+
+// The indexes of so few nodes are as soon made as read.
+std::string Engine::SaveRest(std::size_t parts) const {
+  assert(parts <= whole_parts());
+  ByteWriter writer = BeginState(parts);
+  graph_.SaveRest(parts * kPartBlocks, &writer);
+  writer.Put(last_sequence_);
+  resampler_.Save(&writer);
+  model_check_.Save(&writer);
+  writer.Put(next_check_);
+  return writer.Take();
+}
+
+bool Engine::LoadPart(absl::string_view bytes) {
+  ByteReader reader(bytes);
+  return ReadBeginning(&reader) &&
+         graph_.LoadBlocks(kPartBlocks, !has_indexes(), &reader) &&
+         (!has_indexes() || (motion_history_.LoadBlocks(kPartBlocks, &reader) &&
+                             block_bounds_.LoadBlocks(kPartBlocks, &reader))) &&
+         reader.rest().empty();
+}
+
+bool Engine::LoadRest(absl::string_view bytes) {
+  ByteReader reader(bytes);
+  const auto parts = static_cast<std::size_t>(graph_.size() / kPartNodes);
+  if (!ReadBeginning(&reader) || !graph_.LoadRest(!has_indexes(), &reader) ||
+      !reader.Get(&last_sequence_) ||
+      !resampler_.Load(graph_, last_sequence_, &reader) ||
+      !model_check_.Load(&reader) || !reader.Get(&next_check_) ||
+      next_check_ < 0 || !reader.rest().empty() || whole_parts() < parts) {
+    return false;
+  }
+  motion_history_.EndLoading();
+  ExtendIndexes();
+  return true;
 }
 
 absl::StatusOr<CandidateSet> Engine::FindCandidates(

@@ -20,6 +20,7 @@
 #include <variant>
 #include <vector>
 
+#include "core/base/byte_stream.h"
 #include "core/geometry/pose.h"
 #include "core/graph/correlation.h"
 #include "core/graph/motion_statistics.h"
@@ -58,6 +59,17 @@ class MotionHistory {
 
   // Memory held on the heap.
   std::size_t bytes() const;
+
+  // What is kept of blocks [first, end) of the graph as bytes: the same,
+  // whatever was added since. REQUIRES: these blocks were added; end - first is
+  // a power of two that divides `first`.
+  void SaveBlocks(const PoseGraph& graph, std::size_t first, std::size_t end,
+                  ByteWriter* writer) const;
+  // Adds `count` blocks that were saved. False if these are not so many blocks:
+  // then throw this away. Call EndLoading() before anything else. REQUIRES: all
+  // before them have come by this call, in the same numbers.
+  bool LoadBlocks(std::size_t count, ByteReader* reader);
+  void EndLoading();
 
  private:
   static constexpr NodeIndex kBlockNodes = 128;
