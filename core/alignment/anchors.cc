@@ -68,6 +68,18 @@ void Anchors<D>::Find(std::size_t k, std::size_t count, std::size_t next) {
 }
 
 template <int D>
+void Anchors<D>::FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
+                           NodeIndex first) {
+  Weigh(first);
+  for (Part& part : parts_) {
+    if (!part.counts) continue;
+    part.finder.FindAmong(nodes, indices, &part.differences);
+    EvaluateDifferences(model_.similarity.state_space, part.differences,
+                        &part.similarity);
+  }
+}
+
+template <int D>
 bool Anchors<D>::IsPossible(std::size_t i) const {
   return std::any_of(parts_.begin(), parts_.end(), [i](const Part& part) {
     return part.counts && part.similarity.log_similarity[i] != kImpossible;
@@ -76,14 +88,15 @@ bool Anchors<D>::IsPossible(std::size_t i) const {
 
 // A mixture is at most as many times its greatest part as it has parts.
 template <int D>
-void Anchors<D>::Bound(const SearchBounds<D>& bounds, BlockColumn* most) {
+void Anchors<D>::Bound(const SearchBounds<D>& bounds, BoundOf of,
+                       BlockColumn* most) {
   most->fill(kImpossible);
   double counting = 0.0;
   BlockColumn of_part;
   for (const Part& part : parts_) {
     if (!part.counts) continue;
     counting += 1.0;
-    bounds.BoundEnds(part.differences, part.similarity, &of_part);
+    bounds.BoundEnds(part.differences, part.similarity, of, &of_part);
     for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
       if (part.similarity.log_similarity[i] == kImpossible) continue;
       (*most)[i] = std::max((*most)[i], of_part[i] + part.log_weight);

@@ -36,12 +36,19 @@ class Anchors {
   // REQUIRES: for kFilter, k falls from call to call.
   void Find(std::size_t k, std::size_t count, std::size_t next);
 
+  // The same for nodes from anywhere, copied to a block of their own: those of
+  // blocks that the same drifts reach into as into the one that begins at node
+  // `first`. REQUIRES: kDeadReckoning.
+  void FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
+                 NodeIndex first);
+
   // Whether the covariance of node i of the block is well-conditioned.
   bool IsPossible(std::size_t i) const;
 
-  // For each node, the most that its log-odds can come to: SearchBounds.
+  // For each node, the most that the log-odds can come to, but for what a path
+  // gains: of this end alone, or of any near it (SearchBounds::BoundEnds()).
   // Undefined for nodes that are not possible.
-  void Bound(const SearchBounds<D>& bounds, BlockColumn* most);
+  void Bound(const SearchBounds<D>& bounds, BoundOf of, BlockColumn* most);
 
   // Changes the differences by what paths have shown.
   void Change(const DifferenceChange& change);

@@ -31,6 +31,11 @@ class Differences {
   void Find(std::size_t k, std::size_t count, std::size_t next,
             DifferenceBlock* differences);
 
+  // Those of nodes from anywhere in the graph, copied to a block of their own.
+  // REQUIRES: kDeadReckoning.
+  void FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
+                 DifferenceBlock* differences);
+
  private:
   void FindFiltered(std::size_t k, std::size_t count,
                     DifferenceBlock* differences);

@@ -17,6 +17,17 @@ constexpr double kBoundSlack = 1e-6;
 // these.
 constexpr double kCancelled = 1e-12;
 
+// Standard deviations of B: of the position twice as far as ends are apart, and
+// of the heading.
+double AroundMeters(const RelativeModel& model) {
+  return static_cast<double>(kSampleStride) * model.spacing_meters;
+}
+constexpr double kAroundRadians = 1.0;
+// 1/2 s^T B^-1 s where the road turns by as much as kMostTurnAround.
+constexpr double kAroundSlack =
+    0.5 * (0.25 + kMostTurnAround * kMostTurnAround /
+                      (kAroundRadians * kAroundRadians));
+
 }  // namespace
 
 // With s the shift of an end, Q the sum of its path's squared innovations, E
@@ -46,21 +57,34 @@ SearchBounds<D>::SearchBounds(const PoseGraph& graph,
       change_bound_.shift);
   PackLower<D>(recent.MostCertainty(), change_bound_.certainty);
   change_bound_.least_left = kLeastUncertaintyLeft;
+  around_bound_ = change_bound_;
+  StateMatrix<D> apart = StateMatrix<D>::Zero();
+  AddTolerance<D>({AroundMeters(model), kAroundRadians}, &apart);
+  double entries[kMostEntries] = {};
+  PackLower<D>(apart, entries);
+  for (std::size_t i = 0; i < kMostEntries; ++i) {
+    around_bound_.shift[i] += entries[i];
+  }
 }
 
+// The difference d_i of an end i near j is d_j + s, with s as far as the two are
+// apart. With the covariance B of neighbours, which is greater than that,
+//
+//   d_i^T G^-1 d_i >= d_j^T (G + B)^-1 d_j - s^T B^-1 s.
 template <int D>
 void SearchBounds<D>::BoundEnds(const DifferenceBlock& differences,
-                                const BlockSimilarity& similarity,
+                                const BlockSimilarity& similarity, BoundOf of,
                                 BlockColumn* most) const {
   constexpr double kNothingKnown = std::numeric_limits<double>::infinity();
   if (model_.least_log_share == kImpossible) {
     most->fill(kNothingKnown);
     return;
   }
-  BoundChanged(model_.similarity.state_space, differences, change_bound_,
-               similarity, most);
+  BoundChanged(model_.similarity.state_space, differences,
+               of == BoundOf::kEnd ? change_bound_ : around_bound_, similarity,
+               most);
   const double beside = constant_ + kBoundSlack +
-                        recent_.weight() * recent_.most_log_likelihood_ratio();
+                        (of == BoundOf::kEnd ? 0.0 : kAroundSlack);
   for (double& bound : *most) {
     bound += beside;
     // Written so that a bound which is not a number becomes kNothingKnown.
@@ -69,19 +93,29 @@ void SearchBounds<D>::BoundEnds(const DifferenceBlock& differences,
 }
 
 template <int D>
-std::vector<std::size_t> SearchBounds<D>::BlocksToSearch() const {
-  std::vector<std::size_t> blocks;
+auto SearchBounds<D>::BlocksToSearch() const -> Blocks {
+  Blocks blocks;
   const std::optional<Regions> regions = FindRegions();
   const std::size_t all = BlocksOf(size_);
   if (!regions) {
-    for (std::size_t k = all; k-- > 0;) blocks.push_back(k);
+    for (std::size_t k = all; k-- > 0;) blocks.all.push_back(k);
     return blocks;
   }
-  for (std::size_t k = all; k-- > regions->last;) blocks.push_back(k);
-  AddNear(*regions, &blocks);
-  for (std::size_t k = regions->first; k-- > 0;) blocks.push_back(k);
-  SortByDistance(&blocks);
+  for (std::size_t k = all; k-- > regions->last;) blocks.all.push_back(k);
+  AddNear(*regions, SamplesEnds() ? &blocks.growing : &blocks.all);
+  for (std::size_t k = regions->first; k-- > 0;) blocks.all.push_back(k);
+  SortByDistance(&blocks.all);
+  SortByDistance(&blocks.growing);
   return blocks;
+}
+
+// Where paths may cross loop closures, turns do not tell how far they can go.
+template <int D>
+bool SearchBounds<D>::SamplesEnds() const {
+  return model_.most_log_odds_sampled != kImpossible &&
+         model_.similarity.correlation.model ==
+             CorrelationModel::kDeadReckoning &&
+         !(model_.over_loops && graph_.has_loop_edges());
 }
 
 // Adds the blocks that lie near under any scale, and those that a drift reaches

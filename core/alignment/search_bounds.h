@@ -16,6 +16,13 @@
 
 namespace revisit::core {
 
+// Whose log-odds a bound is for: those of one end, or of all ends within half
+// of kSampleStride of it, as far as errors there are about the same.
+enum class BoundOf { kEnd, kEndsAround };
+
+// How far the road may turn between such ends, rad.
+inline constexpr double kMostTurnAround = 1.5;
+
 template <int D>
 class SearchBounds {
  public:
@@ -32,14 +39,21 @@ class SearchBounds {
   // fall from the last to the first, except where blocks could be ruled out:
   // there the nearest come first, which are likely to have the greatest odds.
   // The greater these, the fewer other ends need be walked from.
-  std::vector<std::size_t> BlocksToSearch() const;
+  struct Blocks {
+    // Whose ends are to be looked at one by one.
+    std::vector<std::size_t> all;
+    // In which errors grow as those of dead reckoning do, from node to node.
+    // None where the model does not sample ends.
+    std::vector<std::size_t> growing;
+  };
+  Blocks BlocksToSearch() const;
 
-  // For each end of a block, the most that its log-odds can come to: had it the
-  // best path there can be. Infinity where nothing is known; undefined where
-  // the similarity is impossible. `similarity` is what EvaluateDifferences()
-  // finds.
+  // For each end, the most that its log-odds can come to, but for what its path
+  // gains. Infinity where nothing is known; undefined where the similarity is
+  // impossible. `similarity` is what EvaluateDifferences() finds.
   void BoundEnds(const DifferenceBlock& differences,
-                 const BlockSimilarity& similarity, BlockColumn* most) const;
+                 const BlockSimilarity& similarity, BoundOf of,
+                 BlockColumn* most) const;
 
  private:
   // Where ends of one scale may lie.
@@ -58,6 +72,7 @@ class SearchBounds {
   std::optional<Regions> FindRegions() const;
   Region RegionOf(const WeighedScale& scale, double position_variance,
                   double log_determinant) const;
+  bool SamplesEnds() const;
   void AddNear(const Regions& regions, std::vector<std::size_t>* blocks) const;
   std::optional<double> LeastLogDeterminant(
       const StateMatrix<D>& tolerance) const;
@@ -71,6 +86,8 @@ class SearchBounds {
   const NodeIndex size_;
   const double constant_;
   ChangeBound change_bound_;
+  // The same for ends around one.
+  ChangeBound around_bound_;
 };
 
 }  // namespace revisit::core

@@ -421,15 +421,14 @@ HWY_INLINE void AddCross(const KnownDriftTerms::LoopNode& a, double sign,
 
 template <int D>
 HWY_INLINE void TakeAll(const KnownDriftTerms& terms, const NodeBlock& block,
-                        NodeIndex first, DifferenceBlock* differences) {
+                        const BlockColumn& indices,
+                        DifferenceBlock* differences) {
   const Tag tag;
   constexpr int h = D - 1;
   const Rows rows(block, block);
   const std::size_t entries = EntriesOf(block);
   for (std::size_t i = 0; i < entries; i += hn::Lanes(tag)) {
-    const Vector index = hn::Add(
-        hn::Set(tag, static_cast<double>(first + static_cast<NodeIndex>(i))),
-        hn::Iota(tag, 0.0));
+    const Vector index = hn::LoadU(tag, indices.data() + i);
     const auto earlier = [&](const KnownDriftTerms::LoopNode& a) HWY_ATTR {
       return hn::Le(index, hn::Set(tag, static_cast<double>(a.index)));
     };
@@ -495,12 +494,12 @@ HWY_INLINE void TakeAll(const KnownDriftTerms& terms, const NodeBlock& block,
 }
 
 void TakeKnownDrift(const KnownDriftTerms& terms, StateSpace state_space,
-                    const NodeBlock& block, NodeIndex first,
+                    const NodeBlock& block, const BlockColumn& indices,
                     DifferenceBlock* differences) {
   if (state_space == StateSpace::kPlanar) {
-    TakeAll<3>(terms, block, first, differences);
+    TakeAll<3>(terms, block, indices, differences);
   } else {
-    TakeAll<4>(terms, block, first, differences);
+    TakeAll<4>(terms, block, indices, differences);
   }
 }
 
@@ -702,10 +701,10 @@ void FindDifferences(const KernelQuery& query, const NodeBlock& block,
 }
 
 void TakeKnownDrift(const KnownDriftTerms& terms, StateSpace state_space,
-                    const NodeBlock& block, NodeIndex first,
+                    const NodeBlock& block, const BlockColumn& indices,
                     DifferenceBlock* differences) {
   HWY_DYNAMIC_DISPATCH(TakeKnownDrift)
-  (terms, state_space, block, first, differences);
+  (terms, state_space, block, indices, differences);
 }
 
 void EvaluateDifferences(StateSpace state_space,

@@ -225,6 +225,7 @@ RelativeModel ModelOf(const SearchTask& task, double pruned_share) {
         static_cast<double>(task.history_size);
     model.least_log_share = std::log(pruned_share / ends);
     model.block_bounds = &task.block_bounds;
+    model.most_log_odds_sampled = kMostLogOddsSampled;
   }
   return model;
 }
