@@ -86,24 +86,36 @@ bool Anchors<D>::IsPossible(std::size_t i) const {
   });
 }
 
-// A mixture is at most as many times its greatest part as it has parts.
+// The bounds of the parts are added up: e^-x is at most 1 / (1 + x + x^2 / 2).
 template <int D>
 void Anchors<D>::Bound(const SearchBounds<D>& bounds, BoundOf of,
                        BlockColumn* most) {
   most->fill(kImpossible);
-  double counting = 0.0;
-  BlockColumn of_part;
+  part_bounds_.resize(parts_.size());
+  std::size_t counting = 0;
   for (const Part& part : parts_) {
     if (!part.counts) continue;
-    counting += 1.0;
+    BlockColumn& of_part = part_bounds_[counting++];
     bounds.BoundEnds(part.differences, part.similarity, of, &of_part);
     for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
-      if (part.similarity.log_similarity[i] == kImpossible) continue;
-      (*most)[i] = std::max((*most)[i], of_part[i] + part.log_weight);
+      const bool possible = part.similarity.log_similarity[i] != kImpossible;
+      of_part[i] = possible ? of_part[i] + part.log_weight : kImpossible;
+      (*most)[i] = std::max((*most)[i], of_part[i]);
     }
   }
-  const double parts = std::log(counting);
-  for (double& bound : *most) bound += parts;
+  if (counting == 1) return;
+  BlockColumn sum;
+  sum.fill(0.0);
+  for (std::size_t part = 0; part < counting; ++part) {
+    for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
+      const double less = (*most)[i] - part_bounds_[part][i];
+      sum[i] += 1.0 / (1.0 + less + 0.5 * less * less);
+    }
+  }
+  for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
+    // Where nothing is known, nothing is added up.
+    if (std::isfinite((*most)[i])) (*most)[i] += std::log(sum[i]);
+  }
 }
 
 template <int D>

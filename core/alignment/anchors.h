@@ -90,6 +90,8 @@ class Anchors {
 
   const RelativeModel& model_;
   std::vector<Part> parts_;
+  // Scratch: the bound of each part.
+  std::vector<BlockColumn> part_bounds_;
 };
 
 // Whether a drift reaches into the block that begins at node `first`.

@@ -66,9 +66,13 @@ template <int D>
 const BestPaths& PathWalk<D>::Walk(const std::vector<WalkStart>& starts) {
   Reset();
   // No step leads further than over one node.
+  const NodeIndex reach = 2 * recent_.size();
   for (const WalkStart& start : starts) {
-    table_.Need(start.end - 2 * recent_.size(),
-                start.end + 2 * recent_.size());
+    if (direction_ == Direction::kSame) {
+      table_.Need(start.end - reach, start.end);
+    } else {
+      table_.Need(start.end, start.end + reach);
+    }
   }
   for (std::size_t begin = 0; begin < starts.size(); begin += kTogether) {
     const std::size_t count = std::min(kTogether, starts.size() - begin);

@@ -4,6 +4,7 @@
 #include <bitset>
 #include <cassert>
 #include <cstddef>
+#include <limits>
 #include <memory>
 #include <numeric>
 
@@ -18,6 +19,9 @@ namespace revisit::core {
 namespace {
 
 using BlockNodes = std::bitset<NodeBlock::kSize>;
+
+// Ends that are less probable than the best by this share (e^-7) are sampled.
+constexpr double kMostLogShareSampled = -7.0;
 
 constexpr std::size_t kSamplesOfBlock = NodeBlock::kSize / kSampleStride;
 
@@ -79,7 +83,13 @@ class DirectionSearch {
         std::min(NodeBlock::kSize, static_cast<std::size_t>(size_ - first));
     std::iota(nodes_.begin(), nodes_.end(), first);
     of_each_.fill(1.0);
-    gains_.fill(recent_.most_log_likelihood_ratio());
+    if (headings_ != nullptr) {
+      BlockRatios ratios;
+      headings_->Bound(k, direction_, &ratios);
+      std::copy(ratios.begin(), ratios.end(), gains_.begin());
+    } else {
+      gains_.fill(recent_.most_log_likelihood_ratio());
+    }
     anchors_.Find(k, count_, next);
     FindSought(k, &sought_);
     FindEnds(greatest, considered);
@@ -103,12 +113,7 @@ class DirectionSearch {
       }
       Sample(blocks.data() + first, last - first, greatest, considered);
     }
-    std::size_t last_kept = 0;
-    for (std::size_t first = 0; first < kept_.size(); first = last_kept) {
-      if (should_stop && should_stop()) return false;
-      last_kept = SearchKept(first, greatest, considered);
-    }
-    return true;
+    return SearchKept(should_stop, greatest, considered);
   }
 
   // Hands over what was found, except for what has lower log-odds.
@@ -150,8 +155,12 @@ class DirectionSearch {
     NodeIndex node = 0;
     // The most that the log-likelihood ratio of its path can come to.
     float ratio = 0.0F;
+    // The most that its log-odds can come to.
+    double most = 0.0;
     // For how many nodes it stands.
     double nodes = 1.0;
+    // DriftsInto() its block.
+    std::size_t drifts = 0;
   };
 
   std::ptrdiff_t Scales() const {
@@ -226,26 +235,86 @@ class DirectionSearch {
     FindEnds(greatest, considered);
   }
 
-  // Finds the ends that were kept, from `first` on. Returns where the next ones
-  // begin.
-  std::size_t SearchKept(std::size_t first, double* greatest,
-                         Considered* considered) {
-    const std::size_t drifts = DriftsInto(BlockOf(kept_[first].node));
+  // Finds the ends that were kept, those first that may be the best. Once the
+  // others can only be so much less probable than the best that was found, they
+  // are sampled. Returns false if told to stop.
+  bool SearchKept(const ShouldStop& should_stop, double* greatest,
+                  Considered* considered) {
+    const auto likelier = [](const Kept& a, const Kept& b) {
+      if (a.drifts != b.drifts) return a.drifts > b.drifts;
+      if (a.most != b.most) return a.most > b.most;
+      return a.node < b.node;
+    };
+    std::sort(kept_.begin(), kept_.end(), likelier);
+    std::vector<Kept> others;
+    std::size_t last = 0;
+    for (std::size_t first = 0; first < kept_.size(); first = last) {
+      if (should_stop && should_stop()) return false;
+      const double sampled = kMostLogShareSampled + *greatest;
+      if (kept_[first].most < sampled) {
+        last = first;
+        while (last < kept_.size() &&
+               kept_[last].drifts == kept_[first].drifts) {
+          others.push_back(kept_[last++]);
+        }
+        continue;
+      }
+      last = FindKept(kept_, first, greatest, considered);
+    }
+    kept_ = Sampled(std::move(others), model_.least_log_share + *greatest,
+                    considered);
+    for (std::size_t first = 0; first < kept_.size(); first = last) {
+      if (should_stop && should_stop()) return false;
+      last = FindKept(kept_, first, greatest, considered);
+    }
+    return true;
+  }
+
+  // Finds those ends of some that were kept which begin at `first` and have the
+  // same drifts, as many as can be at hand. Returns where the next ones begin.
+  std::size_t FindKept(const std::vector<Kept>& kept, std::size_t first,
+                       double* greatest, Considered* considered) {
     batch_.clear();
     std::size_t last = first;
-    for (; last < kept_.size() && batch_.size() < kNodes &&
-           DriftsInto(BlockOf(kept_[last].node)) == drifts;
+    for (; last < kept.size() && last - first < kNodes &&
+           kept[last].drifts == kept[first].drifts;
          ++last) {
-      gains_[batch_.size()] = kept_[last].ratio;
-      batch_.push_back(kept_[last].node);
+      batch_.push_back(kept[last].node);
     }
     Gather(batch_.data(), batch_.size());
     for (std::size_t i = 0; i < batch_.size(); ++i) {
-      of_each_[i] = kept_[first + i].nodes;
+      gains_[i] = kept[first + i].ratio;
+      of_each_[i] = kept[first + i].nodes;
     }
     sought_.set();
     FindEnds(greatest, considered);
     return last;
+  }
+
+  // One of every kSampleStride of these that may come to the least log-odds.
+  static std::vector<Kept> Sampled(std::vector<Kept> kept, double least,
+                                   Considered* considered) {
+    kept.erase(
+        std::remove_if(kept.begin(), kept.end(),
+                       [&](const Kept& k) { return k.most < least; }),
+        kept.end());
+    std::sort(kept.begin(), kept.end(), [](const Kept& a, const Kept& b) {
+      return a.drifts != b.drifts ? a.drifts > b.drifts : a.node < b.node;
+    });
+    std::vector<Kept> samples;
+    std::size_t last = 0;
+    for (std::size_t first = 0; first < kept.size(); first = last) {
+      double nodes = 0.0;
+      for (; last < kept.size() && last - first < kSampleStride &&
+             kept[last].drifts == kept[first].drifts;
+           ++last) {
+        considered->Add(kept[last].node);
+        nodes += kept[last].nodes;
+      }
+      samples.push_back(kept[first + (last - first) / 2]);
+      samples.back().nodes = nodes;
+    }
+    return samples;
   }
 
   // Decides about the nodes around a sample of block k, which stands at `at`
@@ -264,6 +333,13 @@ class DirectionSearch {
     };
     const double may_be = ratio_for(least);
     const double kept = ratio_for(model_.most_log_odds_sampled);
+    const std::size_t drifts = DriftsInto(k);
+    const auto keep = [&](std::size_t i, double nodes) {
+      kept_.push_back({first + static_cast<NodeIndex>(i), ratios[i],
+                       possible ? most_[at] + weight * ratios[i]
+                                : std::numeric_limits<double>::infinity(),
+                       nodes, drifts});
+    };
     // The sample stands for those that may come to less, or the first of them
     // does if it is not one of them itself.
     std::size_t stands_for = 0;
@@ -274,7 +350,7 @@ class DirectionSearch {
       if (!sought_of_block_[i]) {
         considered->Add(node);
       } else if (!possible || ratios[i] > kept) {
-        kept_.push_back({node, ratios[i], 1.0});
+        keep(i, 1.0);
       } else if (!(ratios[i] < may_be)) {
         considered->Add(node);
         ++stands_for;
@@ -288,8 +364,7 @@ class DirectionSearch {
       of_each_[at] = static_cast<double>(stands_for);
       gains_[at] = ratios[middle];
     } else {
-      kept_.push_back({first + static_cast<NodeIndex>(instead), ratios[instead],
-                       static_cast<double>(stands_for)});
+      keep(instead, static_cast<double>(stands_for));
     }
   }
 
@@ -388,7 +463,8 @@ class DirectionSearch {
   std::vector<double> by_scale_;
 };
 
-// What headings tell, where the model samples ends.
+// What headings tell, where the model samples ends. Where paths may cross loop
+// closures, they do not tell how far these can go.
 template <int D>
 std::optional<HeadingMatch> HeadingsOf(const PoseGraph& graph,
                                        const RelativeModel& model,
@@ -396,7 +472,8 @@ std::optional<HeadingMatch> HeadingsOf(const PoseGraph& graph,
                                        NodeIndex query,
                                        NodeIndex history_size) {
   if (model.most_log_odds_sampled == kImpossible ||
-      model.motion_history == nullptr) {
+      model.motion_history == nullptr ||
+      (model.over_loops && graph.has_loop_edges())) {
     return std::nullopt;
   }
   const HeadingBins& bins = model.motion_history->heading_bins();
@@ -415,12 +492,12 @@ std::optional<RelativeAlignment> AlignRelativeIn(
   const SearchBounds<D> bounds(graph, model, *recent, query, history_size);
   std::optional<HeadingMatch> headings =
       HeadingsOf<D>(graph, model, *recent, query, history_size);
-  PoseTable table(graph, history_size);
+  const auto table = std::make_shared<PoseTable>(graph, history_size);
   std::vector<DirectionSearch<D>> searches;
   searches.reserve(2);
   const auto search_in = [&](Direction direction) {
     searches.emplace_back(graph, model, *recent, bounds, query, history_size,
-                          direction, headings ? &*headings : nullptr, &table);
+                          direction, headings ? &*headings : nullptr, table.get());
   };
   if (model.same_direction) search_in(Direction::kSame);
   if (model.opposite_direction) search_in(Direction::kOpposite);
@@ -454,12 +531,11 @@ std::optional<RelativeAlignment> AlignRelativeIn(
     search.HandOver(model.least_log_share + greatest, &found.ends,
                     &found.matches, &found.odds_by_scale);
   }
-  alignment.trace_ = [&graph, recent, history_size,
+  alignment.trace_ = [&graph, recent, table, history_size,
                       over_loops = model.over_loops](Direction direction,
                                                      NodeIndex j) {
-    PoseTable poses(graph, history_size);
     return PathWalk<D>(graph, *recent, history_size, direction, over_loops,
-                       &poses)
+                       table.get())
         .Trace(j);
   };
   return alignment;

@@ -109,13 +109,11 @@ auto SearchBounds<D>::BlocksToSearch() const -> Blocks {
   return blocks;
 }
 
-// Where paths may cross loop closures, turns do not tell how far they can go.
 template <int D>
 bool SearchBounds<D>::SamplesEnds() const {
   return model_.most_log_odds_sampled != kImpossible &&
          model_.similarity.correlation.model ==
-             CorrelationModel::kDeadReckoning &&
-         !(model_.over_loops && graph_.has_loop_edges());
+             CorrelationModel::kDeadReckoning;
 }
 
 // Adds the blocks that lie near under any scale, and those that a drift reaches
