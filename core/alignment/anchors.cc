@@ -86,6 +86,23 @@ bool Anchors<D>::IsPossible(std::size_t i) const {
   });
 }
 
+// What scales and drifts there are makes no difference to that: it is asked of
+// the first.
+template <int D>
+bool Anchors<D>::AreAlike(std::size_t i, std::size_t j) const {
+  const DifferenceBlock& differences = parts_.front().differences;
+  for (int r = 0; r < D; ++r) {
+    const BlockColumn& variances =
+        differences.covariance[static_cast<std::size_t>(r * (r + 1) / 2 + r)];
+    // Written so that NaN is not alike.
+    if (!(variances[i] <= 2.0 * variances[j] &&
+          variances[j] <= 2.0 * variances[i])) {
+      return false;
+    }
+  }
+  return true;
+}
+
 // The bounds of the parts are added up: e^-x is at most 1 / (1 + x + x^2 / 2).
 template <int D>
 void Anchors<D>::Bound(const SearchBounds<D>& bounds, BoundOf of,

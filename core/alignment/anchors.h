@@ -45,6 +45,9 @@ class Anchors {
   // Whether the covariance of node i of the block is well-conditioned.
   bool IsPossible(std::size_t i) const;
 
+  // Whether no variance of either node is more than twice that of the other.
+  bool AreAlike(std::size_t i, std::size_t j) const;
+
   // For each node, the most that the log-odds can come to, but for what a path
   // gains: of this end alone, or of any near it (SearchBounds::BoundEnds()).
   // Undefined for nodes that are not possible.

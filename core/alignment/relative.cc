@@ -23,8 +23,6 @@ using BlockNodes = std::bitset<NodeBlock::kSize>;
 // Ends that are less probable than the best by this share (e^-7) are sampled.
 constexpr double kMostLogShareSampled = -7.0;
 
-constexpr std::size_t kSamplesOfBlock = NodeBlock::kSize / kSampleStride;
-
 std::size_t BlockOf(NodeIndex i) {
   return static_cast<std::size_t>(i) / NodeBlock::kSize;
 }
@@ -67,6 +65,9 @@ class DirectionSearch {
         size_(history_size),
         direction_(direction),
         constant_(bounds.constant()),
+        stride_(bounds.stride()),
+        samples_of_block_(kNodes / stride_),
+        blocks_at_a_time_(kNodes / samples_of_block_),
         headings_(headings),
         anchors_(graph, model, query, direction),
         walk_(graph, recent, history_size, direction, model.over_loops, table) {
@@ -107,7 +108,7 @@ class DirectionSearch {
     for (std::size_t first = 0; first < blocks.size(); first = last) {
       if (should_stop && should_stop()) return false;
       const std::size_t drifts = DriftsInto(blocks[first]);
-      while (last < blocks.size() && last - first < kBlocksAtATime &&
+      while (last < blocks.size() && last - first < blocks_at_a_time_ &&
              DriftsInto(blocks[last]) == drifts) {
         ++last;
       }
@@ -142,7 +143,6 @@ class DirectionSearch {
 
  private:
   static constexpr std::size_t kNodes = NodeBlock::kSize;
-  static constexpr std::size_t kBlocksAtATime = kNodes / kSamplesOfBlock;
 
   struct Found {
     ScoredEnd end;
@@ -215,10 +215,10 @@ class DirectionSearch {
     BlockRatios ratios;
     samples_.clear();
     for (std::size_t b = 0; b < count; ++b) {
-      for (std::size_t i = 0; i < kSamplesOfBlock; ++i) {
+      for (std::size_t i = 0; i < samples_of_block_; ++i) {
         samples_.push_back(static_cast<NodeIndex>(
-            blocks[b] * NodeBlock::kSize + i * kSampleStride +
-            kSampleStride / 2));
+            blocks[b] * NodeBlock::kSize + i * stride_ +
+            stride_ / 2));
       }
     }
     Gather(samples_.data(), samples_.size());
@@ -227,8 +227,8 @@ class DirectionSearch {
     for (std::size_t b = 0; b < count; ++b) {
       FindSought(blocks[b], &sought_of_block_);
       headings_->Bound(blocks[b], direction_, &ratios);
-      for (std::size_t i = 0; i < kSamplesOfBlock; ++i) {
-        SampleAround(blocks[b], i, b * kSamplesOfBlock + i, ratios, least,
+      for (std::size_t i = 0; i < samples_of_block_; ++i) {
+        SampleAround(blocks[b], i, b * samples_of_block_ + i, ratios, least,
                      considered);
       }
     }
@@ -291,7 +291,7 @@ class DirectionSearch {
     return last;
   }
 
-  // One of every kSampleStride of these that may come to the least log-odds.
+  // One of every kLeastStride of these that may come to the least log-odds.
   static std::vector<Kept> Sampled(std::vector<Kept> kept, double least,
                                    Considered* considered) {
     kept.erase(
@@ -305,7 +305,7 @@ class DirectionSearch {
     std::size_t last = 0;
     for (std::size_t first = 0; first < kept.size(); first = last) {
       double nodes = 0.0;
-      for (; last < kept.size() && last - first < kSampleStride &&
+      for (; last < kept.size() && last - first < kLeastStride &&
              kept[last].drifts == kept[first].drifts;
            ++last) {
         considered->Add(kept[last].node);
@@ -317,17 +317,24 @@ class DirectionSearch {
     return samples;
   }
 
+  // Whether the covariances of neighbouring samples of a block are about as
+  // great, and so those of what lies between.
+  bool IsEven(std::size_t sample, std::size_t at) const {
+    return (sample == 0 || anchors_.AreAlike(at - 1, at)) &&
+           (sample + 1 == samples_of_block_ || anchors_.AreAlike(at, at + 1));
+  }
+
   // Decides about the nodes around a sample of block k, which stands at `at`
   // among the nodes at hand.
   void SampleAround(std::size_t k, std::size_t sample, std::size_t at,
                     const BlockRatios& ratios, double least,
                     Considered* considered) {
     const auto first = static_cast<NodeIndex>(k * kNodes);
-    const std::size_t begin = sample * kSampleStride;
+    const std::size_t begin = sample * stride_;
     const double weight = recent_.weight();
     // Nodes of which the ratio is so much may come to the least log-odds, or
     // to more than is sampled.
-    const bool possible = anchors_.IsPossible(at);
+    const bool possible = anchors_.IsPossible(at) && IsEven(sample, at);
     const auto ratio_for = [&](double log_odds) {
       return possible ? (log_odds - most_[at]) / weight : kImpossible;
     };
@@ -343,9 +350,9 @@ class DirectionSearch {
     // The sample stands for those that may come to less, or the first of them
     // does if it is not one of them itself.
     std::size_t stands_for = 0;
-    const std::size_t middle = begin + kSampleStride / 2;
+    const std::size_t middle = begin + stride_ / 2;
     std::size_t instead = kNodes;
-    for (std::size_t i = begin; i < begin + kSampleStride; ++i) {
+    for (std::size_t i = begin; i < begin + stride_; ++i) {
       const NodeIndex node = first + static_cast<NodeIndex>(i);
       if (!sought_of_block_[i]) {
         considered->Add(node);
@@ -437,6 +444,10 @@ class DirectionSearch {
   const NodeIndex size_;
   const Direction direction_;
   const double constant_;
+  // Of how many ends one is a sample.
+  const std::size_t stride_;
+  const std::size_t samples_of_block_;
+  const std::size_t blocks_at_a_time_;
   HeadingMatch* const headings_;
   Anchors<D> anchors_;
   PathWalk<D> walk_;
@@ -507,9 +518,9 @@ std::optional<RelativeAlignment> AlignRelativeIn(
   Considered considered(history_size);
   typename SearchBounds<D>::Blocks blocks = bounds.BlocksToSearch();
   if (!headings) {
-    blocks.all.insert(blocks.all.end(), blocks.growing.begin(),
-                      blocks.growing.end());
-    blocks.growing.clear();
+    blocks.all.insert(blocks.all.end(), blocks.sampled.begin(),
+                      blocks.sampled.end());
+    blocks.sampled.clear();
   }
   for (std::size_t i = 0; i < blocks.all.size(); ++i) {
     if (should_stop && should_stop()) return std::nullopt;
@@ -519,7 +530,7 @@ std::optional<RelativeAlignment> AlignRelativeIn(
     }
   }
   for (DirectionSearch<D>& search : searches) {
-    if (!search.SampleAll(blocks.growing, should_stop, &greatest,
+    if (!search.SampleAll(blocks.sampled, should_stop, &greatest,
                           &considered)) {
       return std::nullopt;
     }

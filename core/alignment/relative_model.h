@@ -31,9 +31,6 @@ inline constexpr double kSquaredInnovationLimit = 16.0;
 // Paths of one end that are walked on side by side.
 inline constexpr std::size_t kMostPaths = 4;
 
-// Nodes of which one is looked at where ends are sampled.
-inline constexpr std::size_t kSampleStride = 16;
-
 // A scale that the true standard deviations may have to those of `similarity`,
 // and how probable that is.
 struct WeighedScale {
@@ -80,9 +77,9 @@ struct RelativeModel {
   // early: by where their block lies, by their own pose and covariance, or by a
   // path that cannot make up for these.
   double least_log_share = kImpossible;
-  // Ends whose log-odds are surely less than this are sampled: one of
-  // kSampleStride is looked at for all of them (end_samples.h). kImpossible
-  // where each is looked at. kDeadReckoning only; takes the indexes below.
+  // Ends whose log-odds are surely less than this are sampled (relative.h).
+  // kImpossible where each is looked at. kDeadReckoning only; takes the indexes
+  // below.
   double most_log_odds_sampled = kImpossible;
   // Indexes of the graph, or null. The first saves measuring the graph's motion
   // anew, the second saves looking at every node.

@@ -10,6 +10,15 @@
 namespace revisit::core {
 namespace {
 
+std::size_t StrideOf(NodeIndex history_size) {
+  std::size_t stride = kLeastStride;
+  while (stride < NodeBlock::kSize &&
+         static_cast<std::size_t>(history_size) > stride * kEnoughSamples) {
+    stride *= 2;
+  }
+  return stride;
+}
+
 // Error of a bound due to rounding, nats.
 constexpr double kBoundSlack = 1e-6;
 
@@ -17,11 +26,8 @@ constexpr double kBoundSlack = 1e-6;
 // these.
 constexpr double kCancelled = 1e-12;
 
-// Standard deviations of B: of the position twice as far as ends are apart, and
-// of the heading.
-double AroundMeters(const RelativeModel& model) {
-  return static_cast<double>(kSampleStride) * model.spacing_meters;
-}
+// Standard deviation of B in heading; in position it is twice as far as ends are
+// apart.
 constexpr double kAroundRadians = 1.0;
 // 1/2 s^T B^-1 s where the road turns by as much as kMostTurnAround.
 constexpr double kAroundSlack =
@@ -51,7 +57,8 @@ SearchBounds<D>::SearchBounds(const PoseGraph& graph,
       recent_(recent),
       query_(query),
       size_(history_size),
-      constant_(LogNewPlaceTerm(model) - recent.filter().join_cost()) {
+      constant_(LogNewPlaceTerm(model) - recent.filter().join_cost()),
+      stride_(StrideOf(history_size)) {
   PackLower<D>(
       recent.ToFrame((2.0 / recent.weight()) * recent.filter().EndShift()),
       change_bound_.shift);
@@ -59,7 +66,9 @@ SearchBounds<D>::SearchBounds(const PoseGraph& graph,
   change_bound_.least_left = kLeastUncertaintyLeft;
   around_bound_ = change_bound_;
   StateMatrix<D> apart = StateMatrix<D>::Zero();
-  AddTolerance<D>({AroundMeters(model), kAroundRadians}, &apart);
+  AddTolerance<D>({static_cast<double>(stride_) * model.spacing_meters,
+                   kAroundRadians},
+                  &apart);
   double entries[kMostEntries] = {};
   PackLower<D>(apart, entries);
   for (std::size_t i = 0; i < kMostEntries; ++i) {
@@ -94,18 +103,22 @@ void SearchBounds<D>::BoundEnds(const DifferenceBlock& differences,
 
 template <int D>
 auto SearchBounds<D>::BlocksToSearch() const -> Blocks {
-  Blocks blocks;
+  std::vector<std::size_t> order;
   const std::optional<Regions> regions = FindRegions();
   const std::size_t all = BlocksOf(size_);
-  if (!regions) {
-    for (std::size_t k = all; k-- > 0;) blocks.all.push_back(k);
-    return blocks;
+  if (regions) {
+    for (std::size_t k = all; k-- > regions->last;) order.push_back(k);
+    AddNear(*regions, &order);
+    for (std::size_t k = regions->first; k-- > 0;) order.push_back(k);
+    SortByDistance(&order);
+  } else {
+    for (std::size_t k = all; k-- > 0;) order.push_back(k);
   }
-  for (std::size_t k = all; k-- > regions->last;) blocks.all.push_back(k);
-  AddNear(*regions, SamplesEnds() ? &blocks.growing : &blocks.all);
-  for (std::size_t k = regions->first; k-- > 0;) blocks.all.push_back(k);
-  SortByDistance(&blocks.all);
-  SortByDistance(&blocks.growing);
+  Blocks blocks;
+  const std::size_t sampled = SamplesEnds() ? FullBlocksBefore() : 0;
+  for (const std::size_t k : order) {
+    (k < sampled ? blocks.sampled : blocks.all).push_back(k);
+  }
   return blocks;
 }
 
@@ -184,7 +197,8 @@ auto SearchBounds<D>::FindRegions() const -> std::optional<Regions> {
   const std::optional<double> log_determinant = LeastLogDeterminant(tolerance);
   if (!log_determinant) return std::nullopt;
   Regions regions;
-  regions.last = BlocksWithBounds();
+  regions.last =
+      std::min(model_.block_bounds->size(), FullBlocksBefore());
   if (dead_reckoning) {
     regions.first =
         model_.block_bounds->FirstGrowing(graph_, query_, regions.last);
@@ -278,14 +292,12 @@ std::optional<double> SearchBounds<D>::LeastLogDeterminant(
   return std::nullopt;
 }
 
-// Full blocks of the history with known bounds that lie well before the query.
-// Most queries lie well behind their history, but sequences may be short.
+// Full blocks of the history that lie well before the query. Most queries lie
+// well behind their history, but sequences may be short.
 template <int D>
-std::size_t SearchBounds<D>::BlocksWithBounds() const {
+std::size_t SearchBounds<D>::FullBlocksBefore() const {
   constexpr auto kBlock = static_cast<NodeIndex>(NodeBlock::kSize);
-  std::size_t blocks =
-      std::min(model_.block_bounds->size(),
-               static_cast<std::size_t>(size_) / NodeBlock::kSize);
+  std::size_t blocks = static_cast<std::size_t>(size_) / NodeBlock::kSize;
   while (blocks > 0 &&
          (static_cast<NodeIndex>(blocks) + 1) * kBlock + kBlock / 2 > query_) {
     --blocks;

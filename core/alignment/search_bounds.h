@@ -16,8 +16,13 @@
 
 namespace revisit::core {
 
-// Whose log-odds a bound is for: those of one end, or of all ends within half
-// of kSampleStride of it, as far as errors there are about the same.
+// Where ends are sampled, one of so many is looked at: of more, where the
+// history has more than kEnoughSamples of them. A block has whole strides.
+inline constexpr std::size_t kLeastStride = 16;
+inline constexpr std::size_t kEnoughSamples = 16384;
+
+// Whose log-odds a bound is for: those of one end, or of all ends within half a
+// stride of it, as far as errors there are about the same.
 enum class BoundOf { kEnd, kEndsAround };
 
 // How far the road may turn between such ends, rad.
@@ -35,6 +40,9 @@ class SearchBounds {
   // The part of the log-odds that is the same for all ends.
   double constant() const { return constant_; }
 
+  // Of how many ends one is looked at where they are sampled.
+  std::size_t stride() const { return stride_; }
+
   // Blocks of the history that may hold an end with the least log-odds. They
   // fall from the last to the first, except where blocks could be ruled out:
   // there the nearest come first, which are likely to have the greatest odds.
@@ -42,9 +50,9 @@ class SearchBounds {
   struct Blocks {
     // Whose ends are to be looked at one by one.
     std::vector<std::size_t> all;
-    // In which errors grow as those of dead reckoning do, from node to node.
-    // None where the model does not sample ends.
-    std::vector<std::size_t> growing;
+    // Whose ends may be sampled: full blocks well before the query. None where
+    // the model does not sample ends.
+    std::vector<std::size_t> sampled;
   };
   Blocks BlocksToSearch() const;
 
@@ -76,7 +84,7 @@ class SearchBounds {
   void AddNear(const Regions& regions, std::vector<std::size_t>* blocks) const;
   std::optional<double> LeastLogDeterminant(
       const StateMatrix<D>& tolerance) const;
-  std::size_t BlocksWithBounds() const;
+  std::size_t FullBlocksBefore() const;
   void SortByDistance(std::vector<std::size_t>* blocks) const;
 
   const PoseGraph& graph_;
@@ -85,6 +93,7 @@ class SearchBounds {
   const NodeIndex query_;
   const NodeIndex size_;
   const double constant_;
+  const std::size_t stride_;
   ChangeBound change_bound_;
   // The same for ends around one.
   ChangeBound around_bound_;
