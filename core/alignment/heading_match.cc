@@ -63,7 +63,7 @@ std::optional<HeadingMatch> HeadingMatch::Make(const PoseGraph& graph,
 
 // Nodes that are none of the history have any heading: no path leads there.
 void HeadingMatch::Bound(std::size_t block, Direction direction,
-                         BlockRatios* most) {
+                         BlockRatios* most) const {
   const auto first = static_cast<NodeIndex>(block * NodeBlock::kSize);
   const NodeIndex aside = reach_ + kMostSlips;
   const NodeIndex begin =
@@ -72,13 +72,14 @@ void HeadingMatch::Bound(std::size_t block, Direction direction,
       first + static_cast<NodeIndex>(NodeBlock::kSize) +
       (direction == Direction::kSame ? kMostSlips : aside);
   const std::uint8_t* bins = bins_.bins().data() + first;
+  std::vector<std::uint8_t> near;
   if (begin < 0 || end > size_) {
-    near_.assign(static_cast<std::size_t>(end - begin), 0);
+    near.assign(static_cast<std::size_t>(end - begin), 0);
     const NodeIndex from = std::max<NodeIndex>(begin, 0);
     const NodeIndex to = std::min(size_, end);
     std::copy(bins_.bins().begin() + from, bins_.bins().begin() + to,
-              near_.begin() + (from - begin));
-    bins = near_.data() + (first - begin);
+              near.begin() + (from - begin));
+    bins = near.data() + (first - begin);
   }
   BoundRatios(bins, steps_[IndexOf(direction)], least_, kMostSlips, most);
 }

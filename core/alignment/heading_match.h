@@ -45,7 +45,7 @@ class HeadingMatch {
 
   // For each node of a block, the most that the log-likelihood ratio of a path
   // from it can come to.
-  void Bound(std::size_t block, Direction direction, BlockRatios* most);
+  void Bound(std::size_t block, Direction direction, BlockRatios* most) const;
 
  private:
   HeadingMatch(const HeadingBins& bins, NodeIndex history_size)
@@ -58,8 +58,6 @@ class HeadingMatch {
   float least_ = 0.0F;
   // For paths back in time, and forward.
   std::array<std::vector<HeadingStep>, 2> steps_;
-  // Scratch: the bins of a block and of what lies as far as paths reach.
-  std::vector<std::uint8_t> near_;
 };
 
 }  // namespace revisit::core

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bitset>
 #include <cassert>
+#include <cmath>
 #include <cstddef>
 #include <limits>
 #include <memory>
@@ -22,6 +23,9 @@ using BlockNodes = std::bitset<NodeBlock::kSize>;
 
 // Ends that are less probable than the best by this share (e^-7) are sampled.
 constexpr double kMostLogShareSampled = -7.0;
+
+// Steps of log-odds in which ends are looked at.
+constexpr double kAboutAsGood = 2.0;
 
 std::size_t BlockOf(NodeIndex i) {
   return static_cast<std::size_t>(i) / NodeBlock::kSize;
@@ -57,7 +61,7 @@ class DirectionSearch {
   DirectionSearch(const PoseGraph& graph, const RelativeModel& model,
                   const RecentPath<D>& recent, const SearchBounds<D>& bounds,
                   NodeIndex query, NodeIndex history_size, Direction direction,
-                  HeadingMatch* headings, PoseTable* table)
+                  const HeadingMatch* headings, PoseTable* table)
       : graph_(graph),
         model_(model),
         recent_(recent),
@@ -240,10 +244,13 @@ class DirectionSearch {
   // are sampled. Returns false if told to stop.
   bool SearchKept(const ShouldStop& should_stop, double* greatest,
                   Considered* considered) {
+    // Those that may be about as good are as the graph has them, so that what
+    // is read for one is at hand for the next.
     const auto likelier = [](const Kept& a, const Kept& b) {
       if (a.drifts != b.drifts) return a.drifts > b.drifts;
-      if (a.most != b.most) return a.most > b.most;
-      return a.node < b.node;
+      const double coarse_a = std::floor(a.most / kAboutAsGood);
+      const double coarse_b = std::floor(b.most / kAboutAsGood);
+      return coarse_a != coarse_b ? coarse_a > coarse_b : a.node < b.node;
     };
     std::sort(kept_.begin(), kept_.end(), likelier);
     std::vector<Kept> others;
@@ -251,7 +258,8 @@ class DirectionSearch {
     for (std::size_t first = 0; first < kept_.size(); first = last) {
       if (should_stop && should_stop()) return false;
       const double sampled = kMostLogShareSampled + *greatest;
-      if (kept_[first].most < sampled) {
+      if (kAboutAsGood * (std::floor(kept_[first].most / kAboutAsGood) + 1.0) <
+          sampled) {
         last = first;
         while (last < kept_.size() &&
                kept_[last].drifts == kept_[first].drifts) {
@@ -448,7 +456,7 @@ class DirectionSearch {
   const std::size_t stride_;
   const std::size_t samples_of_block_;
   const std::size_t blocks_at_a_time_;
-  HeadingMatch* const headings_;
+  const HeadingMatch* const headings_;
   Anchors<D> anchors_;
   PathWalk<D> walk_;
   // The nodes at hand, how many each stands for, and the most that the
@@ -474,41 +482,61 @@ class DirectionSearch {
   std::vector<double> by_scale_;
 };
 
-// What headings tell, where the model samples ends. Where paths may cross loop
-// closures, they do not tell how far these can go.
+// AlignmentParts.
 template <int D>
-std::optional<HeadingMatch> HeadingsOf(const PoseGraph& graph,
-                                       const RelativeModel& model,
-                                       const RecentPath<D>& recent,
-                                       NodeIndex query,
-                                       NodeIndex history_size) {
-  if (model.most_log_odds_sampled == kImpossible ||
-      model.motion_history == nullptr ||
-      (model.over_loops && graph.has_loop_edges())) {
-    return std::nullopt;
+struct Parts {
+  Parts(const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
+        std::int64_t steps, NodeIndex history_size)
+      : recent(graph, model, query, steps),
+        poses(graph, history_size),
+        headings(HeadingsOf(graph, model, recent, query, history_size)) {}
+
+  static std::optional<HeadingMatch> HeadingsOf(const PoseGraph& graph,
+                                                const RelativeModel& model,
+                                                const RecentPath<D>& recent,
+                                                NodeIndex query,
+                                                NodeIndex history_size) {
+    if (model.motion_history == nullptr) return std::nullopt;
+    const HeadingBins& bins = model.motion_history->heading_bins();
+    if (bins.size() < history_size) return std::nullopt;
+    return HeadingMatch::Make<D>(graph, bins, recent, query, history_size);
   }
-  const HeadingBins& bins = model.motion_history->heading_bins();
-  if (bins.size() < history_size) return std::nullopt;
-  return HeadingMatch::Make<D>(graph, bins, recent, query, history_size);
-}
+
+  const RecentPath<D> recent;
+  // Filled in on the way.
+  mutable PoseTable poses;
+  // Nothing where these tell nothing.
+  const std::optional<HeadingMatch> headings;
+};
 
 }  // namespace
 
 template <int D>
 std::optional<RelativeAlignment> AlignRelativeIn(
     const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
-    std::int64_t steps, NodeIndex history_size, const ShouldStop& should_stop) {
-  const auto recent =
-      std::make_shared<const RecentPath<D>>(graph, model, query, steps);
-  const SearchBounds<D> bounds(graph, model, *recent, query, history_size);
-  std::optional<HeadingMatch> headings =
-      HeadingsOf<D>(graph, model, *recent, query, history_size);
-  const auto table = std::make_shared<PoseTable>(graph, history_size);
+    std::int64_t steps, NodeIndex history_size, const ShouldStop& should_stop,
+    AlignmentParts* shared) {
+  AlignmentParts own;
+  if (shared == nullptr) shared = &own;
+  if (shared->parts == nullptr) {
+    shared->parts = std::make_shared<const Parts<D>>(graph, model, query, steps,
+                                                     history_size);
+  }
+  const auto parts = std::static_pointer_cast<const Parts<D>>(shared->parts);
+  // Where paths may cross loop closures, headings do not tell how far these can
+  // go.
+  const HeadingMatch* const headings =
+      parts->headings && model.most_log_odds_sampled != kImpossible &&
+              !(model.over_loops && graph.has_loop_edges())
+          ? &*parts->headings
+          : nullptr;
+  const SearchBounds<D> bounds(graph, model, parts->recent, query,
+                               history_size);
   std::vector<DirectionSearch<D>> searches;
   searches.reserve(2);
   const auto search_in = [&](Direction direction) {
-    searches.emplace_back(graph, model, *recent, bounds, query, history_size,
-                          direction, headings ? &*headings : nullptr, table.get());
+    searches.emplace_back(graph, model, parts->recent, bounds, query,
+                          history_size, direction, headings, &parts->poses);
   };
   if (model.same_direction) search_in(Direction::kSame);
   if (model.opposite_direction) search_in(Direction::kOpposite);
@@ -517,7 +545,7 @@ std::optional<RelativeAlignment> AlignRelativeIn(
   double greatest = 0.0;
   Considered considered(history_size);
   typename SearchBounds<D>::Blocks blocks = bounds.BlocksToSearch();
-  if (!headings) {
+  if (headings == nullptr) {
     blocks.all.insert(blocks.all.end(), blocks.sampled.begin(),
                       blocks.sampled.end());
     blocks.sampled.clear();
@@ -542,11 +570,11 @@ std::optional<RelativeAlignment> AlignRelativeIn(
     search.HandOver(model.least_log_share + greatest, &found.ends,
                     &found.matches, &found.odds_by_scale);
   }
-  alignment.trace_ = [&graph, recent, table, history_size,
+  alignment.trace_ = [&graph, parts, history_size,
                       over_loops = model.over_loops](Direction direction,
                                                      NodeIndex j) {
-    return PathWalk<D>(graph, *recent, history_size, direction, over_loops,
-                       table.get())
+    return PathWalk<D>(graph, parts->recent, history_size, direction,
+                       over_loops, &parts->poses)
         .Trace(j);
   };
   return alignment;
@@ -564,15 +592,16 @@ const ShapeMatch& RelativeAlignment::match(Direction direction,
 
 std::optional<RelativeAlignment> AlignRelative(
     const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
-    std::int64_t steps, NodeIndex history_size, const ShouldStop& should_stop) {
+    std::int64_t steps, NodeIndex history_size, const ShouldStop& should_stop,
+    AlignmentParts* parts) {
   assert(1 <= steps && steps <= query + 1);
   assert(history_size <= query);
   if (model.similarity.state_space == StateSpace::kPlanar) {
     return AlignRelativeIn<3>(graph, model, query, steps, history_size,
-                              should_stop);
+                              should_stop, parts);
   }
   return AlignRelativeIn<4>(graph, model, query, steps, history_size,
-                            should_stop);
+                            should_stop, parts);
 }
 
 }  // namespace revisit::core

@@ -65,6 +65,11 @@ struct ShapeModel {
   PlaceTolerance tolerance{1.0, 0.06};
   // Distance over which nodes stray together, [0.01, 1e6] m.
   double correlation_meters = 20.0;
+
+  bool operator==(const ShapeModel& other) const {
+    return tolerance == other.tolerance &&
+           correlation_meters == other.correlation_meters;
+  }
 };
 
 // Least noise of odometry, whatever the covariances claim: the covariances of

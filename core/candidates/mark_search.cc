@@ -45,7 +45,7 @@ absl::StatusOr<MarkEvidence> SearchMark(const SearchTask& task) {
   model.tell_scales = true;
   const std::optional<RelativeAlignment> alignment =
       AlignRelative(task.graph, model, task.query, task.steps,
-                    task.history_size, task.should_stop);
+                    task.history_size, task.should_stop, task.parts);
   if (!alignment) return StoppedError();
   MarkEvidence evidence;
   evidence.node = task.query;
