@@ -18,6 +18,8 @@ Anchors<D>::Anchors(const PoseGraph& graph, const RelativeModel& model,
   SimilarityModel similarity = model.similarity;
   similarity.direction = direction;
   similarity.form = LikelihoodForm::kGaussian;
+  parts_.reserve(std::max<std::size_t>(1, model.scales.size()) *
+                 (1 + model.drifts.size()));
   if (model.scales.empty()) AddParts(graph, similarity, {}, query);
   for (const WeighedScale& scale : model.scales) {
     AddParts(graph, similarity, scale, query);
@@ -58,6 +60,7 @@ void Anchors<D>::Weigh(NodeIndex first) {
 
 template <int D>
 void Anchors<D>::Find(std::size_t k, std::size_t count, std::size_t next) {
+  count_ = count;
   Weigh(static_cast<NodeIndex>(k * NodeBlock::kSize));
   for (Part& part : parts_) {
     if (!part.counts) continue;
@@ -69,11 +72,12 @@ void Anchors<D>::Find(std::size_t k, std::size_t count, std::size_t next) {
 
 template <int D>
 void Anchors<D>::FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
-                           NodeIndex first) {
+                           std::size_t count, NodeIndex first) {
+  count_ = count;
   Weigh(first);
   for (Part& part : parts_) {
     if (!part.counts) continue;
-    part.finder.FindAmong(nodes, indices, &part.differences);
+    part.finder.FindAmong(nodes, indices, count, &part.differences);
     EvaluateDifferences(model_.similarity.state_space, part.differences,
                         &part.similarity);
   }
@@ -114,7 +118,7 @@ void Anchors<D>::Bound(const SearchBounds<D>& bounds, BoundOf of,
     if (!part.counts) continue;
     BlockColumn& of_part = part_bounds_[counting++];
     bounds.BoundEnds(part.differences, part.similarity, of, &of_part);
-    for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
+    for (std::size_t i = 0; i < count_; ++i) {
       const bool possible = part.similarity.log_similarity[i] != kImpossible;
       of_part[i] = possible ? of_part[i] + part.log_weight : kImpossible;
       (*most)[i] = std::max((*most)[i], of_part[i]);
@@ -124,12 +128,12 @@ void Anchors<D>::Bound(const SearchBounds<D>& bounds, BoundOf of,
   BlockColumn sum;
   sum.fill(0.0);
   for (std::size_t part = 0; part < counting; ++part) {
-    for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
+    for (std::size_t i = 0; i < count_; ++i) {
       const double less = (*most)[i] - part_bounds_[part][i];
       sum[i] += 1.0 / (1.0 + less + 0.5 * less * less);
     }
   }
-  for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
+  for (std::size_t i = 0; i < count_; ++i) {
     // Where nothing is known, nothing is added up.
     if (std::isfinite((*most)[i])) (*most)[i] += std::log(sum[i]);
   }

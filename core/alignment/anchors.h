@@ -40,7 +40,7 @@ class Anchors {
   // blocks that the same drifts reach into as into the one that begins at node
   // `first`. REQUIRES: kDeadReckoning.
   void FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
-                 NodeIndex first);
+                 std::size_t count, NodeIndex first);
 
   // Whether the covariance of node i of the block is well-conditioned.
   bool IsPossible(std::size_t i) const;
@@ -93,6 +93,8 @@ class Anchors {
 
   const RelativeModel& model_;
   std::vector<Part> parts_;
+  // Nodes that are told of.
+  std::size_t count_ = 0;
   // Scratch: the bound of each part.
   std::vector<BlockColumn> part_bounds_;
 };

@@ -30,6 +30,7 @@ Differences<D>::Differences(const PoseGraph& graph,
 template <int D>
 void Differences<D>::Find(std::size_t k, std::size_t count, std::size_t next,
                           DifferenceBlock* differences) {
+  differences->count = NodeBlock::kSize;
   if (model_.correlation.model == CorrelationModel::kFilter) {
     FindFiltered(k, count, differences);
   } else {
@@ -53,8 +54,9 @@ void Differences<D>::Find(std::size_t k, std::size_t count, std::size_t next,
 
 template <int D>
 void Differences<D>::FindAmong(const NodeBlock& nodes,
-                               const BlockColumn& indices,
+                               const BlockColumn& indices, std::size_t count,
                                DifferenceBlock* differences) {
+  differences->count = count;
   assert(model_.correlation.model == CorrelationModel::kDeadReckoning);
   FindDifferences(kernel_query_, nodes, nodes, nullptr, differences);
   if (known_drift_) {

@@ -31,10 +31,10 @@ class Differences {
   void Find(std::size_t k, std::size_t count, std::size_t next,
             DifferenceBlock* differences);
 
-  // Those of nodes from anywhere in the graph, copied to a block of their own.
+  // Those of the first `count` nodes from anywhere in the graph, copied to a block of their own.
   // REQUIRES: kDeadReckoning.
   void FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
-                 DifferenceBlock* differences);
+                 std::size_t count, DifferenceBlock* differences);
 
  private:
   void FindFiltered(std::size_t k, std::size_t count,

@@ -100,8 +100,7 @@ class DirectionSearch {
     FindEnds(greatest, considered);
   }
 
-  // Finds the ends in these blocks, the samples first. Returns false if told to
-  // stop. REQUIRES: headings, unless there are none.
+  // Finds the ends in these blocks. Returns false if told to stop. REQUIRES: headings, unless there are none.
   bool SampleAll(std::vector<std::size_t> blocks, const ShouldStop& should_stop,
                  double* greatest, Considered* considered) {
     std::stable_sort(blocks.begin(), blocks.end(),
@@ -116,7 +115,8 @@ class DirectionSearch {
              DriftsInto(blocks[last]) == drifts) {
         ++last;
       }
-      Sample(blocks.data() + first, last - first, greatest, considered);
+      Sample(blocks.data() + first, last - first,
+             model_.least_log_share + *greatest, considered);
     }
     return SearchKept(should_stop, greatest, considered);
   }
@@ -159,8 +159,10 @@ class DirectionSearch {
     NodeIndex node = 0;
     // The most that the log-likelihood ratio of its path can come to.
     float ratio = 0.0F;
-    // The most that its log-odds can come to.
+    // The most that its log-odds can come to, and in how many whole steps of
+    // kAboutAsGood.
     double most = 0.0;
+    double step = 0.0;
     // For how many nodes it stands.
     double nodes = 1.0;
     // DriftsInto() its block.
@@ -194,7 +196,7 @@ class DirectionSearch {
                      i);
     }
     of_each_.fill(1.0);
-    anchors_.FindAmong(gathered_, indices_,
+    anchors_.FindAmong(gathered_, indices_, count,
                        static_cast<NodeIndex>(BlockOf(nodes[0]) * kNodes));
   }
 
@@ -214,7 +216,7 @@ class DirectionSearch {
 
   // Samples the ends in these blocks, into which the same drifts reach, and
   // keeps for later those that are to be looked at one by one.
-  void Sample(const std::size_t* blocks, std::size_t count, double* greatest,
+  void Sample(const std::size_t* blocks, std::size_t count, double least,
               Considered* considered) {
     BlockRatios ratios;
     samples_.clear();
@@ -226,7 +228,6 @@ class DirectionSearch {
       }
     }
     Gather(samples_.data(), samples_.size());
-    const double least = model_.least_log_share + *greatest;
     anchors_.Bound(bounds_, BoundOf::kEndsAround, &most_);
     for (std::size_t b = 0; b < count; ++b) {
       FindSought(blocks[b], &sought_of_block_);
@@ -236,7 +237,6 @@ class DirectionSearch {
                      considered);
       }
     }
-    FindEnds(greatest, considered);
   }
 
   // Finds the ends that were kept, those first that may be the best. Once the
@@ -248,9 +248,7 @@ class DirectionSearch {
     // is read for one is at hand for the next.
     const auto likelier = [](const Kept& a, const Kept& b) {
       if (a.drifts != b.drifts) return a.drifts > b.drifts;
-      const double coarse_a = std::floor(a.most / kAboutAsGood);
-      const double coarse_b = std::floor(b.most / kAboutAsGood);
-      return coarse_a != coarse_b ? coarse_a > coarse_b : a.node < b.node;
+      return a.step != b.step ? a.step > b.step : a.node < b.node;
     };
     std::sort(kept_.begin(), kept_.end(), likelier);
     std::vector<Kept> others;
@@ -258,8 +256,7 @@ class DirectionSearch {
     for (std::size_t first = 0; first < kept_.size(); first = last) {
       if (should_stop && should_stop()) return false;
       const double sampled = kMostLogShareSampled + *greatest;
-      if (kAboutAsGood * (std::floor(kept_[first].most / kAboutAsGood) + 1.0) <
-          sampled) {
+      if (kAboutAsGood * (kept_[first].step + 1.0) < sampled) {
         last = first;
         while (last < kept_.size() &&
                kept_[last].drifts == kept_[first].drifts) {
@@ -350,16 +347,15 @@ class DirectionSearch {
     const double kept = ratio_for(model_.most_log_odds_sampled);
     const std::size_t drifts = DriftsInto(k);
     const auto keep = [&](std::size_t i, double nodes) {
-      kept_.push_back({first + static_cast<NodeIndex>(i), ratios[i],
-                       possible ? most_[at] + weight * ratios[i]
-                                : std::numeric_limits<double>::infinity(),
-                       nodes, drifts});
+      const double most = possible
+                              ? most_[at] + weight * ratios[i]
+                              : std::numeric_limits<double>::infinity();
+      kept_.push_back({first + static_cast<NodeIndex>(i), ratios[i], most,
+                       std::floor(most / kAboutAsGood), nodes, drifts});
     };
-    // The sample stands for those that may come to less, or the first of them
-    // does if it is not one of them itself.
-    std::size_t stands_for = 0;
-    const std::size_t middle = begin + stride_ / 2;
-    std::size_t instead = kNodes;
+    // One stands for all that cannot: the sample, unless that can itself.
+    double stands_for = 0.0;
+    std::size_t standing = kNodes;
     for (std::size_t i = begin; i < begin + stride_; ++i) {
       const NodeIndex node = first + static_cast<NodeIndex>(i);
       if (!sought_of_block_[i]) {
@@ -368,19 +364,11 @@ class DirectionSearch {
         keep(i, 1.0);
       } else if (!(ratios[i] < may_be)) {
         considered->Add(node);
-        ++stands_for;
-        if (instead == kNodes || i == middle) instead = i;
+        stands_for += 1.0;
+        if (standing == kNodes || i == begin + stride_ / 2) standing = i;
       }
     }
-    sought_.set(at);
-    of_each_[at] = 0.0;
-    if (stands_for == 0) return;
-    if (instead == middle) {
-      of_each_[at] = static_cast<double>(stands_for);
-      gains_[at] = ratios[middle];
-    } else {
-      keep(instead, static_cast<double>(stands_for));
-    }
+    if (standing != kNodes) keep(standing, stands_for);
   }
 
   // Finds the ends among the nodes at hand that are sought.
@@ -399,7 +387,6 @@ class DirectionSearch {
     BlockNodes useful;
     for (std::size_t i = 0; i < count_; ++i) {
       most_[i] += recent_.weight() * gains_[i];
-      if (of_each_[i] == 0.0) continue;
       if (!sought_[i] || !anchors_.IsPossible(i)) {
         considered->Add(nodes_[i]);
       } else if (!(most_[i] < least)) {

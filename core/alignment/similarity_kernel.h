@@ -64,6 +64,8 @@ inline constexpr std::size_t kMostEntries = 10;
 struct alignas(64) DifferenceBlock {
   std::array<BlockColumn, 4> difference;
   std::array<BlockColumn, kMostEntries> covariance;
+  // Entries from here on are of no interest.
+  std::size_t count = NodeBlock::kSize;
 };
 
 // Finds the differences that EvaluateBlock() evaluates.
