@@ -386,6 +386,7 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
     return empty(EmptyReason::kTooMuchWork);
   }
 
+  AlignmentParts parts;
   std::optional<DriveBelief> belief;
   if (BeginsWithBelief(options, settings_)) {
     absl::StatusOr<DriveBelief> found = BeliefAt(query, memory, should_stop);
@@ -405,13 +406,17 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
       NotSought(query, options.candidate_separation_meters),
       LastConfirmed(query),
       std::move(belief),
-      should_stop};
+      should_stop,
+      &parts};
   set.nodes_considered = history_size;
   if (task.belief) set.scale = task.belief->Scale();
   const absl::Status status = options.alignment == AlignmentKind::kComposite
                                   ? SearchComposite(task, &set)
                                   : SearchRelative(task, &set);
   if (!status.ok()) return status;
+  if (task.belief && memory != nullptr && AlignsAsMarks(options)) {
+    RememberIfMark(query, memory, should_stop, &parts);
+  }
   for (std::size_t i = 0; i < set.candidates.size(); ++i) {
     set.candidates[i].rank = static_cast<int>(i) + 1;
   }
@@ -427,9 +432,7 @@ absl::StatusOr<DriveBelief> Engine::BeliefAt(
   MarkMemory none;
   if (memory == nullptr) memory = &none;
   memory->Enter(settings_version_);
-  const MarkLine line{graph_, std::max(settings_.node_spacing_meters,
-                                       settings_.search.sequence_length_meters /
-                                           kMarksPerSequence)};
+  const MarkLine line = Marks();
   const auto evidence =
       [&](std::int64_t mark) -> absl::StatusOr<const MarkEvidence*> {
     if (const MarkEvidence* known = memory->Find(mark)) return known;
@@ -460,6 +463,33 @@ absl::StatusOr<DriveBelief> Engine::BeliefAt(
   return belief;
 }
 
+MarkLine Engine::Marks() const {
+  return {graph_, std::max(settings_.node_spacing_meters,
+                           settings_.search.sequence_length_meters /
+                               kMarksPerSequence)};
+}
+
+// Whether a search with these options aligns the path that a mark there does.
+bool Engine::AlignsAsMarks(const SearchOptions& options) const {
+  const SearchOptions& own = settings_.search;
+  return own.alignment == options.alignment &&
+         own.sequence_length_meters == options.sequence_length_meters &&
+         own.place_tolerance == options.place_tolerance &&
+         own.shape == options.shape;
+}
+
+// The next search will need the mark, which now takes less.
+void Engine::RememberIfMark(NodeIndex query, MarkMemory* memory,
+                            const ShouldStop& should_stop,
+                            AlignmentParts* parts) const {
+  const MarkLine line = Marks();
+  const std::int64_t mark = line.LastBefore(query) + 1;
+  if (mark < 1 || line.NodeOf(mark) != query || memory->Find(mark)) return;
+  const absl::StatusOr<MarkEvidence> found =
+      EvidenceAt(query, should_stop, parts);
+  if (found.ok()) memory->Keep(mark, *found);
+}
+
 // What a verifier has judged counts for more: a closure shows the drift better
 // than earlier marks do, and a place that was rejected shows none.
 bool Engine::ShowsDrift(const MarkEvidence& mark, NodeIndex query) const {
@@ -475,8 +505,9 @@ bool Engine::ShowsDrift(const MarkEvidence& mark, NodeIndex query) const {
       });
 }
 
-absl::StatusOr<MarkEvidence> Engine::EvidenceAt(
-    NodeIndex node, const ShouldStop& should_stop) const {
+absl::StatusOr<MarkEvidence> Engine::EvidenceAt(NodeIndex node,
+                                                const ShouldStop& should_stop,
+                                                AlignmentParts* parts) const {
   const SearchOptions& options = settings_.search;
   const std::int64_t steps = SequenceNodes(options.sequence_length_meters,
                                            settings_.node_spacing_meters);
@@ -499,7 +530,8 @@ absl::StatusOr<MarkEvidence> Engine::EvidenceAt(
        {NodesNearer(graph_, node, options.candidate_separation_meters)},
        std::nullopt,
        std::nullopt,
-       should_stop});
+       should_stop,
+       parts});
 }
 
 std::int64_t Engine::AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,

@@ -19,6 +19,7 @@
 #include "absl/strings/string_view.h"
 #include "core/alignment/confirmed_loop.h"
 #include "core/alignment/log_similarity.h"
+#include "core/alignment/relative.h"
 #include "core/alignment/scored_ends.h"
 #include "core/alignment/viterbi.h"
 #include "core/belief/drive_belief.h"
@@ -187,8 +188,16 @@ class Engine {
   // Whether a mark shows the drift at the query.
   bool ShowsDrift(const MarkEvidence& mark, NodeIndex query) const;
   // The evidence of a mark at this node.
-  absl::StatusOr<MarkEvidence> EvidenceAt(NodeIndex node,
-                                          const ShouldStop& should_stop) const;
+  absl::StatusOr<MarkEvidence> EvidenceAt(
+      NodeIndex node, const ShouldStop& should_stop,
+      AlignmentParts* parts = nullptr) const;
+  MarkLine Marks() const;
+  bool AlignsAsMarks(const SearchOptions& options) const;
+  // Searches the mark at the query, if there is one that the memory does not
+  // know. The parts are those of a search there.
+  void RememberIfMark(NodeIndex query, MarkMemory* memory,
+                      const ShouldStop& should_stop,
+                      AlignmentParts* parts) const;
   // Nodes that may not be candidates at the query: those near it, and those
   // rejected there.
   std::vector<NodeRange> NotSought(NodeIndex query,

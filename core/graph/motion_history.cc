@@ -46,6 +46,7 @@ MotionHistory::MotionHistory(StateSpace space, const Correlation& correlation,
 
 void MotionHistory::Extend(const PoseGraph& graph) {
   turn_bins_.Extend(graph);
+  heading_bins_.Extend(graph);
   NodeIndex begin = runs_.empty() ? 0 : runs_.back().end;
   for (; begin + kBlockNodes <= graph.size(); begin += kBlockNodes) {
     const NodeIndex end = begin + kBlockNodes;
@@ -119,7 +120,8 @@ std::vector<double> MotionHistory::Shares(const PoseGraph& graph,
 }
 
 std::size_t MotionHistory::bytes() const {
-  std::size_t bytes = runs_.capacity() * sizeof(Run) + turn_bins_.bytes();
+  std::size_t bytes = runs_.capacity() * sizeof(Run) + turn_bins_.bytes() +
+                      heading_bins_.bytes();
   for (const Run& run : runs_) bytes += run.turns.capacity() * sizeof(double);
   std::visit(
       [&bytes](const auto& sums) {

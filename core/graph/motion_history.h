@@ -9,7 +9,7 @@
 // query asks about are measured during the query, so answers equal those of the
 // slow functions to the last bit, whatever has been added so far.
 //
-// Takes at most 10.5 bytes per node, and about 21 while the two longest runs
+// Takes at most 12.5 bytes per node, and about 21 while the two longest runs
 // are merged.
 //
 // Thread-compatible: const calls may run at the same time.
@@ -23,6 +23,7 @@
 #include "core/base/byte_stream.h"
 #include "core/geometry/pose.h"
 #include "core/graph/correlation.h"
+#include "core/graph/heading_bins.h"
 #include "core/graph/motion_statistics.h"
 #include "core/graph/pose_graph.h"
 #include "core/graph/turn_pairs.h"
@@ -41,6 +42,7 @@ class MotionHistory {
   NodeIndex stretch_nodes() const { return turn_bins_.stretch_nodes(); }
   // Those of all nodes that were added.
   const TurnBins& turn_bins() const { return turn_bins_; }
+  const HeadingBins& heading_bins() const { return heading_bins_; }
 
   // Adds the nodes that the graph has grown by. Amortised O(log n) per node.
   void Extend(const PoseGraph& graph);
@@ -89,6 +91,7 @@ class MotionHistory {
 
   Correlation correlation_;
   TurnBins turn_bins_;
+  HeadingBins heading_bins_;
   // Entry k sums over the first k + 1 blocks.
   template <int D>
   using Sums = std::vector<MotionSums<D>>;

@@ -51,6 +51,20 @@ void NodeBlock::Add(std::size_t at, const Pose& pose,
   }
 }
 
+void NodeBlock::Copy(const NodeBlock& from, std::size_t from_at,
+                     std::size_t at) {
+  if (from.spatial_ && !spatial_) BecomeSpatial();
+  const std::size_t group = at / kGroupSize;
+  if (group == groups()) lines_.resize(lines_.size() + rows());
+  const double* const entry =
+      from.group(from_at / kGroupSize) + from_at % kGroupSize;
+  Line* const lines = lines_.data() + group * rows();
+  for (std::size_t row = 0; row < rows(); ++row) {
+    lines[row].entries[at % kGroupSize] =
+        row < from.rows() ? entry[row * kGroupSize] : 0.0;
+  }
+}
+
 void NodeBlock::BecomeSpatial() {
   const std::size_t count = groups();
   std::vector<Line> lines(count * kSpatialRows);

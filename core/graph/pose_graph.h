@@ -119,6 +119,10 @@ class NodeBlock {
   void Add(std::size_t at, const Pose& pose, const Covariance& covariance,
            std::size_t groups_at_a_time);
 
+  // Copies a node of another block. REQUIRES: at < kSize is at most the number
+  // of nodes so far.
+  void Copy(const NodeBlock& from, std::size_t from_at, std::size_t at);
+
   std::size_t bytes() const { return lines_.capacity() * sizeof(Line); }
 
   void Save(ByteWriter* writer) const;
