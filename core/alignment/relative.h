@@ -85,7 +85,8 @@ struct AlignmentParts {
 class RelativeAlignment {
  public:
   // Ends with their log-odds, sorted by node, without those whose Gamma is
-  // ill-conditioned and those for which another stands. Empty for a direction that was not sought.
+  // ill-conditioned and those for which another stands. Empty for a direction
+  // that was not sought.
   const ScoredEnds& ends(Direction direction) const {
     return found_[IndexOf(direction)].ends;
   }

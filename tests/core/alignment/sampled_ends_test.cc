@@ -140,8 +140,8 @@ TEST(SampledEndsTest, SamplesStandForTheOddsOfAllOthers) {
 NodeIndex Slipped(const std::vector<PathStep>& path) {
   NodeIndex most = 0;
   for (const PathStep& step : path) {
-    most = std::max(most,
-                    std::abs(std::abs(step.node - path[0].node) - step.t));
+    most =
+        std::max(most, std::abs(std::abs(step.node - path[0].node) - step.t));
   }
   return most;
 }
@@ -187,8 +187,8 @@ TEST(HeadingMatchTest, NoPathGainsMoreUnlessItSlipsMore) {
 TEST(HeadingMatchTest, ShortPathsTellNothing) {
   const Search search;
   const RecentPath<3> recent(Roads(), search.model, 1000, 5);
-  EXPECT_FALSE(HeadingMatch::Make<3>(
-      Roads(), search.history.heading_bins(), recent, 1000, 900));
+  EXPECT_FALSE(HeadingMatch::Make<3>(Roads(), search.history.heading_bins(),
+                                     recent, 1000, 900));
 }
 
 TEST(SampledEndsTest, VerdictsAreThoseOfExhaustiveSearches) {
