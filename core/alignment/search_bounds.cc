@@ -6,15 +6,15 @@
 #include <utility>
 
 #include "core/alignment/log_similarity.h"
+#include "core/geometry/heading.h"
 
 namespace revisit::core {
 namespace {
 
 std::size_t StrideOf(NodeIndex history_size) {
+  const auto nodes = static_cast<std::size_t>(history_size);
   std::size_t stride = kLeastStride;
-  while (
-      stride<NodeBlock::kSize&& static_cast<std::size_t>(history_size)> stride *
-      kEnoughSamples) {
+  while (stride < NodeBlock::kSize && nodes / stride > kEnoughSamples) {
     stride *= 2;
   }
   return stride;
@@ -27,13 +27,9 @@ constexpr double kBoundSlack = 1e-6;
 // these.
 constexpr double kCancelled = 1e-12;
 
-// Standard deviation of B in heading; in position it is twice as far as ends
-// are apart.
-constexpr double kAroundRadians = 1.0;
-// 1/2 s^T B^-1 s where the road turns by as much as kMostTurnAround.
-constexpr double kAroundSlack =
-    0.5 * (0.25 + kMostTurnAround * kMostTurnAround /
-                      (kAroundRadians * kAroundRadians));
+// 1/2 s^T B^-1 s at most: the standard deviation of B is twice as far as ends
+// are apart in position, and as headings can be in heading.
+constexpr double kAroundSlack = 0.5 * (0.25 + 1.0);
 
 }  // namespace
 
@@ -67,9 +63,8 @@ SearchBounds<D>::SearchBounds(const PoseGraph& graph,
   change_bound_.least_left = kLeastUncertaintyLeft;
   around_bound_ = change_bound_;
   StateMatrix<D> apart = StateMatrix<D>::Zero();
-  AddTolerance<D>(
-      {static_cast<double>(stride_) * model.spacing_meters, kAroundRadians},
-      &apart);
+  AddTolerance<D>({static_cast<double>(stride_) * model.spacing_meters, kPi},
+                  &apart);
   double entries[kMostEntries] = {};
   PackLower<D>(apart, entries);
   for (std::size_t i = 0; i < kMostEntries; ++i) {
