@@ -16,8 +16,9 @@ namespace hn = hwy::HWY_NAMESPACE;
 // the recent path.
 constexpr float kRounded = 1.5F;
 
-void BoundRatios(const std::uint8_t* bins, const std::vector<HeadingStep>& steps,
-                 float least, std::ptrdiff_t slips, BlockRatios* most) {
+void BoundRatios(const std::uint8_t* bins,
+                 const std::vector<HeadingStep>& steps, float least,
+                 std::ptrdiff_t slips, BlockRatios* most) {
   const hn::CappedTag<float, NodeBlock::kSize> tag;
   const hn::Rebind<std::int32_t, decltype(tag)> wide;
   const hn::Rebind<std::int8_t, decltype(tag)> narrow;
@@ -37,8 +38,8 @@ void BoundRatios(const std::uint8_t* bins, const std::vector<HeadingStep>& steps
       // Wraps as headings do.
       const auto mismatch = [&](std::ptrdiff_t slip) HWY_ATTR {
         return hn::BitCast(
-            narrow, hn::Sub(wanted, hn::LoadU(bytes, bins + i + step.offset +
-                                                         slip)));
+            narrow,
+            hn::Sub(wanted, hn::LoadU(bytes, bins + i + step.offset + slip)));
       };
       const auto early = mismatch(-slips);
       const auto on_time = mismatch(0);
@@ -46,15 +47,14 @@ void BoundRatios(const std::uint8_t* bins, const std::vector<HeadingStep>& steps
       const auto to_float = [&](hn::Vec<decltype(narrow)> value) HWY_ATTR {
         return hn::ConvertTo(tag, hn::PromoteTo(wide, value));
       };
-      const auto low = hn::Sub(
-          to_float(hn::Min(hn::Min(early, late), on_time)), rounded);
-      const auto high = hn::Add(
-          to_float(hn::Max(hn::Max(early, late), on_time)), rounded);
+      const auto low =
+          hn::Sub(to_float(hn::Min(hn::Min(early, late), on_time)), rounded);
+      const auto high =
+          hn::Add(to_float(hn::Max(hn::Max(early, late), on_time)), rounded);
       const auto innovation =
           hn::Sub(hn::Min(hn::Max(drift, low), high), drift);
-      squares = hn::Add(
-          squares, hn::Mul(hn::Mul(innovation, innovation),
-                           hn::Set(tag, step.information)));
+      squares = hn::Add(squares, hn::Mul(hn::Mul(innovation, innovation),
+                                         hn::Set(tag, step.information)));
       drift = hn::Add(drift, hn::Mul(hn::Set(tag, step.gain), innovation));
       const auto cost = hn::Mul(half, squares);
       best = hn::Max(best, hn::Sub(hn::Set(tag, step.most_ratio), cost));
@@ -73,8 +73,9 @@ namespace revisit::core {
 
 HWY_EXPORT(BoundRatios);
 
-void BoundRatios(const std::uint8_t* bins, const std::vector<HeadingStep>& steps,
-                 float least, std::ptrdiff_t slips, BlockRatios* most) {
+void BoundRatios(const std::uint8_t* bins,
+                 const std::vector<HeadingStep>& steps, float least,
+                 std::ptrdiff_t slips, BlockRatios* most) {
   HWY_DYNAMIC_DISPATCH(BoundRatios)(bins, steps, least, slips, most);
 }
 

@@ -30,11 +30,12 @@ struct HeadingStep {
 using BlockRatios = std::array<float, NodeBlock::kSize>;
 
 // For each of NodeBlock::kSize ends, the bins of whose nodes begin at `bins`,
-// the most that the log-likelihood ratio of a path can come to. `least`: that of
-// a path which ends before the first step. A step's node may also be any within
-// `slips` nodes. REQUIRES: there are bins at all of these offsets.
-void BoundRatios(const std::uint8_t* bins, const std::vector<HeadingStep>& steps,
-                 float least, std::ptrdiff_t slips, BlockRatios* most);
+// the most that the log-likelihood ratio of a path can come to. `least`: that
+// of a path which ends before the first step. A step's node may also be any
+// within `slips` nodes. REQUIRES: there are bins at all of these offsets.
+void BoundRatios(const std::uint8_t* bins,
+                 const std::vector<HeadingStep>& steps, float least,
+                 std::ptrdiff_t slips, BlockRatios* most);
 
 }  // namespace revisit::core
 

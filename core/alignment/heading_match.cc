@@ -28,8 +28,7 @@ std::optional<HeadingMatch> HeadingMatch::Make(const PoseGraph& graph,
   const double radians = InHeadingBins(1.0);
   const double straying = radians * radians * filter.headings().straying;
   double variance = radians * radians * filter.headings().end;
-  const double noise = radians * radians *
-                       static_cast<double>(kHeadingsApart) *
+  const double noise = radians * radians * static_cast<double>(kHeadingsApart) *
                        filter.headings().noise;
   // Sum of the surprises up to step t, and up to the step before the next.
   double ratio = 0.0;
@@ -50,8 +49,7 @@ std::optional<HeadingMatch> HeadingMatch::Make(const PoseGraph& graph,
     variance *= straying / (variance + straying);
     add_up_to(std::min(k + kHeadingsApart, recent.size()) - 1);
     step.most_ratio = static_cast<float>(ratio) + kRounding;
-    for (const Direction direction :
-         {Direction::kSame, Direction::kOpposite}) {
+    for (const Direction direction : {Direction::kSame, Direction::kOpposite}) {
       step.offset = direction == Direction::kSame ? -k : k;
       match.steps_[IndexOf(direction)].push_back(step);
     }
@@ -68,9 +66,8 @@ void HeadingMatch::Bound(std::size_t block, Direction direction,
   const NodeIndex aside = reach_ + kMostSlips;
   const NodeIndex begin =
       first - (direction == Direction::kSame ? aside : kMostSlips);
-  const NodeIndex end =
-      first + static_cast<NodeIndex>(NodeBlock::kSize) +
-      (direction == Direction::kSame ? kMostSlips : aside);
+  const NodeIndex end = first + static_cast<NodeIndex>(NodeBlock::kSize) +
+                        (direction == Direction::kSame ? kMostSlips : aside);
   const std::uint8_t* bins = bins_.bins().data() + first;
   std::vector<std::uint8_t> near;
   if (begin < 0 || end > size_) {
@@ -84,11 +81,15 @@ void HeadingMatch::Bound(std::size_t block, Direction direction,
   BoundRatios(bins, steps_[IndexOf(direction)], least_, kMostSlips, most);
 }
 
-template std::optional<HeadingMatch> HeadingMatch::Make<3>(
-    const PoseGraph&, const HeadingBins&, const RecentPath<3>&, NodeIndex,
-    NodeIndex);
-template std::optional<HeadingMatch> HeadingMatch::Make<4>(
-    const PoseGraph&, const HeadingBins&, const RecentPath<4>&, NodeIndex,
-    NodeIndex);
+template std::optional<HeadingMatch> HeadingMatch::Make<3>(const PoseGraph&,
+                                                           const HeadingBins&,
+                                                           const RecentPath<3>&,
+                                                           NodeIndex,
+                                                           NodeIndex);
+template std::optional<HeadingMatch> HeadingMatch::Make<4>(const PoseGraph&,
+                                                           const HeadingBins&,
+                                                           const RecentPath<4>&,
+                                                           NodeIndex,
+                                                           NodeIndex);
 
 }  // namespace revisit::core

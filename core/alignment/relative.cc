@@ -10,11 +10,11 @@
 #include <numeric>
 
 #include "core/alignment/anchors.h"
+#include "core/alignment/heading_match.h"
 #include "core/alignment/pose_table.h"
 #include "core/alignment/recent_path.h"
 #include "core/alignment/search_bounds.h"
 #include "core/alignment/similarity_kernel.h"
-#include "core/alignment/heading_match.h"
 
 namespace revisit::core {
 namespace {
@@ -38,7 +38,8 @@ std::size_t PlaceInBlock(NodeIndex i) {
 // that stands for them, not sought, or ill-conditioned.
 class Considered {
  public:
-  explicit Considered(NodeIndex history_size) : blocks_(BlocksOf(history_size)) {}
+  explicit Considered(NodeIndex history_size)
+      : blocks_(BlocksOf(history_size)) {}
 
   void Add(NodeIndex i) { blocks_[BlockOf(i)].set(PlaceInBlock(i)); }
   NodeIndex count() const {
@@ -100,7 +101,8 @@ class DirectionSearch {
     FindEnds(greatest, considered);
   }
 
-  // Finds the ends in these blocks. Returns false if told to stop. REQUIRES: headings, unless there are none.
+  // Finds the ends in these blocks. Returns false if told to stop. REQUIRES:
+  // headings, unless there are none.
   bool SampleAll(std::vector<std::size_t> blocks, const ShouldStop& should_stop,
                  double* greatest, Considered* considered) {
     std::stable_sort(blocks.begin(), blocks.end(),
@@ -178,10 +180,10 @@ class DirectionSearch {
   std::size_t DriftsInto(std::size_t k) const {
     std::size_t drifts = 0;
     for (std::size_t i = 0; i < model_.drifts.size(); ++i) {
-      drifts |= static_cast<std::size_t>(
-                    Reaches(model_.drifts[i],
-                            static_cast<NodeIndex>(k * NodeBlock::kSize)))
-                << i;
+      drifts |=
+          static_cast<std::size_t>(Reaches(
+              model_.drifts[i], static_cast<NodeIndex>(k * NodeBlock::kSize)))
+          << i;
     }
     return drifts;
   }
@@ -222,9 +224,8 @@ class DirectionSearch {
     samples_.clear();
     for (std::size_t b = 0; b < count; ++b) {
       for (std::size_t i = 0; i < samples_of_block_; ++i) {
-        samples_.push_back(static_cast<NodeIndex>(
-            blocks[b] * NodeBlock::kSize + i * stride_ +
-            stride_ / 2));
+        samples_.push_back(static_cast<NodeIndex>(blocks[b] * NodeBlock::kSize +
+                                                  i * stride_ + stride_ / 2));
       }
     }
     Gather(samples_.data(), samples_.size());
@@ -299,10 +300,9 @@ class DirectionSearch {
   // One of every kLeastStride of these that may come to the least log-odds.
   static std::vector<Kept> Sampled(std::vector<Kept> kept, double least,
                                    Considered* considered) {
-    kept.erase(
-        std::remove_if(kept.begin(), kept.end(),
-                       [&](const Kept& k) { return k.most < least; }),
-        kept.end());
+    kept.erase(std::remove_if(kept.begin(), kept.end(),
+                              [&](const Kept& k) { return k.most < least; }),
+               kept.end());
     std::sort(kept.begin(), kept.end(), [](const Kept& a, const Kept& b) {
       return a.drifts != b.drifts ? a.drifts > b.drifts : a.node < b.node;
     });
@@ -347,9 +347,8 @@ class DirectionSearch {
     const double kept = ratio_for(model_.most_log_odds_sampled);
     const std::size_t drifts = DriftsInto(k);
     const auto keep = [&](std::size_t i, double nodes) {
-      const double most = possible
-                              ? most_[at] + weight * ratios[i]
-                              : std::numeric_limits<double>::infinity();
+      const double most = possible ? most_[at] + weight * ratios[i]
+                                   : std::numeric_limits<double>::infinity();
       kept_.push_back({first + static_cast<NodeIndex>(i), ratios[i], most,
                        std::floor(most / kAboutAsGood), nodes, drifts});
     };

@@ -30,6 +30,18 @@
 //
 // Ends do not depend on each other, so only those that can matter need be
 // looked at: see RelativeModel::least_log_share and search_bounds.h.
+//
+// Where drift fills the town, nearly all ends can matter together, but few by
+// themselves. An end whose log-odds are surely below
+// RelativeModel::most_log_odds_sampled, or far below the best that was found,
+// may be sampled: of the ends around it, one is looked at, which stands for all
+// of them (ScoredEnd::nodes). This is an approximation. Others are found to the
+// last bit, but bounds of the log-odds take it that
+// - covariances change slowly from node to node: where those of neighbouring
+//   samples are not alike, nothing is sampled;
+// - a path is off by few slips at a time (heading_match.h).
+// The samples are chosen by the nodes' numbers, so that the same search finds
+// the same.
 #ifndef REVISIT_CORE_ALIGNMENT_RELATIVE_H_
 #define REVISIT_CORE_ALIGNMENT_RELATIVE_H_
 
@@ -73,7 +85,8 @@ struct AlignmentParts {
 class RelativeAlignment {
  public:
   // Ends with their log-odds, sorted by node, without those whose Gamma is
-  // ill-conditioned. Empty for a direction that was not sought.
+  // ill-conditioned and those for which another stands. Empty for a direction
+  // that was not sought.
   const ScoredEnds& ends(Direction direction) const {
     return found_[IndexOf(direction)].ends;
   }
@@ -93,7 +106,8 @@ class RelativeAlignment {
   }
 
   // Nodes of the history that were not pruned: walked from in either direction,
-  // excluded by not_sought, or ill-conditioned. All of them if least_log_share
+  // counted by one that stands for them, excluded by not_sought, or
+  // ill-conditioned. All of them if least_log_share
   // prunes nothing.
   NodeIndex considered() const { return considered_; }
 

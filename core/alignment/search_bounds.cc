@@ -6,14 +6,15 @@
 #include <utility>
 
 #include "core/alignment/log_similarity.h"
+#include "core/geometry/heading.h"
 
 namespace revisit::core {
 namespace {
 
 std::size_t StrideOf(NodeIndex history_size) {
+  const auto nodes = static_cast<std::size_t>(history_size);
   std::size_t stride = kLeastStride;
-  while (stride < NodeBlock::kSize &&
-         static_cast<std::size_t>(history_size) > stride * kEnoughSamples) {
+  while (stride < NodeBlock::kSize && nodes / stride > kEnoughSamples) {
     stride *= 2;
   }
   return stride;
@@ -26,13 +27,9 @@ constexpr double kBoundSlack = 1e-6;
 // these.
 constexpr double kCancelled = 1e-12;
 
-// Standard deviation of B in heading; in position it is twice as far as ends are
-// apart.
-constexpr double kAroundRadians = 1.0;
-// 1/2 s^T B^-1 s where the road turns by as much as kMostTurnAround.
-constexpr double kAroundSlack =
-    0.5 * (0.25 + kMostTurnAround * kMostTurnAround /
-                      (kAroundRadians * kAroundRadians));
+// 1/2 s^T B^-1 s at most: the standard deviation of B is twice as far as ends
+// are apart in position, and as headings can be in heading.
+constexpr double kAroundSlack = 0.5 * (0.25 + 1.0);
 
 }  // namespace
 
@@ -66,8 +63,7 @@ SearchBounds<D>::SearchBounds(const PoseGraph& graph,
   change_bound_.least_left = kLeastUncertaintyLeft;
   around_bound_ = change_bound_;
   StateMatrix<D> apart = StateMatrix<D>::Zero();
-  AddTolerance<D>({static_cast<double>(stride_) * model.spacing_meters,
-                   kAroundRadians},
+  AddTolerance<D>({static_cast<double>(stride_) * model.spacing_meters, kPi},
                   &apart);
   double entries[kMostEntries] = {};
   PackLower<D>(apart, entries);
@@ -76,8 +72,8 @@ SearchBounds<D>::SearchBounds(const PoseGraph& graph,
   }
 }
 
-// The difference d_i of an end i near j is d_j + s, with s as far as the two are
-// apart. With the covariance B of neighbours, which is greater than that,
+// The difference d_i of an end i near j is d_j + s, with s as far as the two
+// are apart. With the covariance B of neighbours, which is greater than that,
 //
 //   d_i^T G^-1 d_i >= d_j^T (G + B)^-1 d_j - s^T B^-1 s.
 template <int D>
@@ -92,8 +88,8 @@ void SearchBounds<D>::BoundEnds(const DifferenceBlock& differences,
   BoundChanged(model_.similarity.state_space, differences,
                of == BoundOf::kEnd ? change_bound_ : around_bound_, similarity,
                most);
-  const double beside = constant_ + kBoundSlack +
-                        (of == BoundOf::kEnd ? 0.0 : kAroundSlack);
+  const double beside =
+      constant_ + kBoundSlack + (of == BoundOf::kEnd ? 0.0 : kAroundSlack);
   for (double& bound : *most) {
     bound += beside;
     // Written so that a bound which is not a number becomes kNothingKnown.
@@ -197,8 +193,7 @@ auto SearchBounds<D>::FindRegions() const -> std::optional<Regions> {
   const std::optional<double> log_determinant = LeastLogDeterminant(tolerance);
   if (!log_determinant) return std::nullopt;
   Regions regions;
-  regions.last =
-      std::min(model_.block_bounds->size(), FullBlocksBefore());
+  regions.last = std::min(model_.block_bounds->size(), FullBlocksBefore());
   if (dead_reckoning) {
     regions.first =
         model_.block_bounds->FirstGrowing(graph_, query_, regions.last);

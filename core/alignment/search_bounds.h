@@ -25,9 +25,6 @@ inline constexpr std::size_t kEnoughSamples = 16384;
 // stride of it, as far as errors there are about the same.
 enum class BoundOf { kEnd, kEndsAround };
 
-// How far the road may turn between such ends, rad.
-inline constexpr double kMostTurnAround = 1.5;
-
 template <int D>
 class SearchBounds {
  public:

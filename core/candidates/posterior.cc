@@ -58,9 +58,8 @@ auto Posterior::Claim(Direction direction, NodeIndex j) -> Stretch {
   Stretch stretch{0.0, j, j};
   std::vector<double> claimed;
   for (std::size_t k = around.first; k < around.last; ++k) {
-    claimed.push_back(
-        ends[k].nodes *
-        Probability(std::exchange(ends[k].score, kImpossible)));
+    claimed.push_back(ends[k].nodes *
+                      Probability(std::exchange(ends[k].score, kImpossible)));
     stretch.probability += claimed.back();
   }
   const double cut_off = 0.5 * (1.0 - kIntervalShare) * stretch.probability;

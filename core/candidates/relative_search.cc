@@ -39,9 +39,9 @@ class RelativeSearch {
         model_(ModelOf(task, pruned_share_)) {}
 
   absl::Status Run(CandidateSet* set) {
-    alignment_ = AlignRelative(task_.graph, model_, task_.query, task_.steps,
-                               task_.history_size, task_.should_stop,
-                               task_.parts);
+    alignment_ =
+        AlignRelative(task_.graph, model_, task_.query, task_.steps,
+                      task_.history_size, task_.should_stop, task_.parts);
     if (!alignment_) return StoppedError();
     set->nodes_considered = alignment_->considered();
     set->nodes_pruned = task_.history_size - alignment_->considered();

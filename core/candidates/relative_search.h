@@ -14,7 +14,9 @@ namespace revisit::core {
 // all ends together.
 inline constexpr double kPrunedShare = 1e-6;
 
-// Ends with log-odds below this (odds of 1 in 100) are sampled.
+// Ends with log-odds below this (odds of 1 in 100) are sampled (relative.h),
+// unless the search is exhaustive: probabilities are off by a few thousandths
+// where drift fills a town (tests/core/alignment/sampled_ends_test.cc).
 inline constexpr double kMostLogOddsSampled = -4.6;
 
 // The model of a task. Ends are pruned that have at most `pruned_share` of all
@@ -23,8 +25,9 @@ RelativeModel ModelOf(const SearchTask& task, double pruned_share);
 
 // Fills in the candidates and the probability of a new place; leaves that out
 // where no covariance is well-conditioned. Unless the search is exhaustive,
-// ends are pruned that have at most 1e-6 of all odds together, as long as no
-// verdict depends on it. Returns CANCELLED if told to stop.
+// ends are sampled, and pruned that have at most 1e-6 of all odds together, as
+// long as no verdict depends on what was pruned. Returns CANCELLED if told to
+// stop.
 absl::Status SearchRelative(const SearchTask& task, CandidateSet* set);
 
 }  // namespace revisit::core

@@ -10,6 +10,7 @@
 #include "core/alignment/log_similarity.h"
 #include "core/alignment/relative.h"
 #include "core/alignment/viterbi.h"
+#include "core/belief/mark.h"
 #include "core/candidates/gate.h"
 #include "core/engine.h"
 #include "tests/bench/eigen_alignment.h"
@@ -26,6 +27,7 @@ using core::StateSpace;
 
 // Checks of a stream.
 constexpr NodeIndex kStreamedNodes = 200;
+constexpr NodeIndex kStreamedChecks = 20;
 
 SimilarityModel ModelOf(StateSpace space) {
   SimilarityModel model;
@@ -203,6 +205,40 @@ void AlignStreaming(benchmark::State& state) {
   state.SetItemsProcessed(state.iterations() * n * kSteps);
 }
 
+// The same by dead reckoning, whose drift fills the town, with a belief and a
+// check every 50 m, at each of which a mark lies.
+void AlignStreamingReckoned(benchmark::State& state) {
+  constexpr NodeIndex kNodesOfCheck = 25;
+  const NodeIndex n = state.range(0);
+  const PoseGraph& drive = Roads(n + (kStreamedChecks + 1) * kNodesOfCheck);
+  const core::EngineSettings settings;
+  core::Engine engine(settings);
+  core::MarkMemory memory;
+  NodeIndex next = 0;
+  const auto drive_on = [&](NodeIndex nodes) {
+    std::vector<core::PoseSample> samples;
+    for (const NodeIndex last = next + nodes; next < last; ++next) {
+      const core::Node node = drive.node(next);
+      core::PoseSample sample;
+      sample.sequence = node.sequence;
+      sample.pose = node.pose;
+      sample.covariance = node.covariance;
+      samples.push_back(sample);
+    }
+    return engine.Append(samples, samples.back().sequence).checks_due;
+  };
+  drive_on(n);
+  // The marks so far.
+  benchmark::DoNotOptimize(
+      engine.FindCandidates(settings.search, nullptr, &memory));
+  for (auto _ : state) {
+    for (const NodeIndex query : drive_on(kNodesOfCheck)) {
+      benchmark::DoNotOptimize(
+          engine.FindCandidates(query, settings.search, nullptr, &memory));
+    }
+  }
+}
+
 void AlignLiteral(benchmark::State& state) {
   const NodeIndex n = state.range(0);
   const std::vector<EigenNode<3>> nodes = EigenNodes<3, 3>(Roads(n + kSteps));
@@ -280,6 +316,10 @@ void RegisterAll() {
     benchmark::RegisterBenchmark("BM_Align/streaming/fixes", AlignStreaming)
         ->Arg(n)
         ->Iterations(kStreamedNodes);
+    benchmark::RegisterBenchmark("BM_Align/streaming/believed",
+                                 AlignStreamingReckoned)
+        ->Arg(n)
+        ->Iterations(kStreamedChecks);
   }
   Register("AlignLiteral", kMost, AlignLiteral);
   Register("Limit/ReadNodes", kMost, LimitReadNodes);

@@ -127,6 +127,7 @@ def align_table(figures):
                 f"{figures.counters['Align/pruned/' + errors, n][counter]:19.4%}"
                 for n in sizes))
     align_line(figures, "Align/streaming/fixes", "Align/dense/fixes")
+    align_line(figures, "Align/streaming/believed", "Align/dense/reckoned")
 
 
 def main():
