@@ -143,7 +143,7 @@ def records():
     measurement = MEASUREMENT.SerializeToString()
     write("records", "closure",
           bytes([3, 0, 0x0a, len(measurement)]) + measurement)
-    for kind in (0, 1, 4, 5):
+    for kind in (0, 5):
         write("records", f"state_{kind}", bytes([4, kind]))
         write("records", f"state_changed_{kind}",
               bytes([4, kind, 0, 2, 40, 1, 0, 0, 90, 128]))

@@ -559,13 +559,13 @@ TEST(SnapshotStressTest, VehiclesThatComeAndGoAreAsReplayedWhole) {
   open();
   create(fleet.get());
   std::uint64_t last = 0;
-  for (int step = 0; step < 60; ++step) {
+  for (int step = 0; step < 40; ++step) {
     SCOPED_TRACE(step);
     const auto both = [&](const auto& call) {
       call(*model.Session("truck"));
       call(*fleet->Session("truck"));
     };
-    const auto count = static_cast<std::uint64_t>(UniformInt(random, 1, 900));
+    const auto count = static_cast<std::uint64_t>(UniformInt(random, 1, 700));
     both([&](VehicleSession& session) {
       ASSERT_THAT(AppendNow(session, SquareBatch(last + 1, count)), IsOk());
     });
@@ -611,7 +611,7 @@ TEST(SnapshotStressTest, VehiclesThatComeAndGoAreAsReplayedWhole) {
       default:
         break;
     }
-    if (step % 6 != 5) continue;
+    if (step % 8 != 7) continue;
     const Snapshot expected = *ReadNow(*model.Session("truck"));
     const Snapshot found = *ReadNow(*fleet->Session("truck"));
     ASSERT_EQ(found.graph, expected.graph);
