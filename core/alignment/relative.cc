@@ -8,6 +8,7 @@
 #include <limits>
 #include <memory>
 #include <numeric>
+#include <utility>
 
 #include "core/alignment/anchors.h"
 #include "core/alignment/heading_match.h"
@@ -468,6 +469,17 @@ class DirectionSearch {
   std::vector<double> by_scale_;
 };
 
+// Whether a loop closure joins two nodes of the history. Others may have been
+// confirmed since, which the answer does not depend on.
+bool HasLoopIn(const PoseGraph& graph, NodeIndex history_size) {
+  if (!graph.has_loop_edges()) return false;
+  const auto edges = graph.LoopEdges();
+  return std::any_of(edges.begin(), edges.end(),
+                     [history_size](const std::pair<NodeIndex, NodeIndex>& e) {
+                       return e.second < history_size;
+                     });
+}
+
 // AlignmentParts.
 template <int D>
 struct Parts {
@@ -513,7 +525,7 @@ std::optional<RelativeAlignment> AlignRelativeIn(
   // go.
   const HeadingMatch* const headings =
       parts->headings && model.most_log_odds_sampled != kImpossible &&
-              !(model.over_loops && graph.has_loop_edges())
+              !(model.over_loops && HasLoopIn(graph, history_size))
           ? &*parts->headings
           : nullptr;
   const SearchBounds<D> bounds(graph, model, parts->recent, query,

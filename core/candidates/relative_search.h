@@ -15,8 +15,8 @@ namespace revisit::core {
 inline constexpr double kPrunedShare = 1e-6;
 
 // Ends with log-odds below this (odds of 1 in 100) are sampled (relative.h),
-// unless the search is exhaustive: probabilities are off by a few thousandths
-// where drift fills a town (tests/core/alignment/sampled_ends_test.cc).
+// unless the search is exhaustive: where drift fills a town, probabilities are
+// off by some thousandths (tests/core/alignment/sampled_ends_test.cc).
 inline constexpr double kMostLogOddsSampled = -4.6;
 
 // The model of a task. Ends are pruned that have at most `pruned_share` of all
