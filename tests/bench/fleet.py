@@ -233,10 +233,11 @@ def ask_store(store, sql):
         database.close()
 
 
-def await_snapshot(store, sequence):
+def await_snapshot(store, poses):
+    """Until so few poses have come since the last one that no other is due."""
     deadline = time.monotonic() + 120
     while ask_store(store, "SELECT coalesce(max(last_sequence), 0) "
-                    "FROM snapshots") < sequence:
+                    "FROM snapshots") <= poses - SNAPSHOT_POSES:
         assert time.monotonic() < deadline, "no snapshot was written"
         time.sleep(0.05)
 

@@ -77,9 +77,9 @@ void LoadChangedState(const revisit::core::EngineSettings& settings,
   const bool is_usable = loaded.LoadRest(state);
   Require(is_usable || changes.size() >= 4, "a state that was saved is loaded");
   if (!is_usable || loaded.last_sequence() != 120) return;
+  // No search: numbers that are wrong but in range may make one take for ever.
   loaded.Append({half, samples.end()}, 1);
-  Require(loaded.FindCandidates(settings.search, nullptr).ok(),
-          "a search that is not stopped answers");
+  Require(!loaded.SaveRest(0).empty(), "it can be saved again");
 }
 
 }  // namespace

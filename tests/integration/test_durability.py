@@ -360,12 +360,12 @@ def test_store_of_a_newer_format_is_refused_and_left_alone(tmp_path):
         pass
     path = database_of(store)
     database = sqlite3.connect(path)
-    database.execute("PRAGMA user_version = 5")
+    database.execute("PRAGMA user_version = 6")
     database.close()
     content = path.read_bytes()
     result = run("revisitd", "--listen", "127.0.0.1:0", "--store", store)
     assert result.returncode in (73, 74)
-    assert "has format 5" in result.stderr
+    assert "has format 6" in result.stderr
     assert "use a newer server" in result.stderr
     assert path.read_bytes() == content
 
@@ -411,6 +411,8 @@ def test_store_of_format_3_is_brought_up_to_date(killed, tmp_path):
         append(server.stub(), VEHICLE, straight(10))
         before = state_of(server.stub())
     database = sqlite3.connect(database_of(store))
+    for table in ("snapshots", "snapshot_parts", "deleted_snapshots"):
+        database.execute(f"DROP TABLE {table}")
     for kind in PAIR_KINDS:
         database.execute(
             f"ALTER TABLE {kind.field}s DROP COLUMN payload")
