@@ -1,10 +1,10 @@
 // The contract of the server's storage: records, and the promise that they are
 // kept.
 //
-// Writes are asynchronous. One writer commits them in the order in which they
-// were submitted, many at a time (group commit over all vehicles), and calls
-// `done` after the commit has returned: OK means durable. Reads block and see
-// every write whose `done` has been called.
+// Writes are asynchronous. Those of a vehicle are committed in the order in
+// which they were submitted, many at a time (group commit over all vehicles),
+// and `done` is called after the commit has returned: OK means durable. Reads
+// block and see every write whose `done` has been called.
 //
 // Payloads are bytes that the storage does not interpret; it guards each with a
 // format version and a checksum, and answers DATA_LOSS for one that fails.
@@ -88,6 +88,21 @@ struct CommitCounts {
   std::uint64_t writes = 0;
 };
 
+// What an acknowledged write survives.
+struct Durability {
+  enum class Level {
+    // A crash of the process, but not the loss of power.
+    kNone,
+    // Everything but the loss of the machine that keeps the store.
+    kLocal,
+    // The loss of one machine too.
+    kReplicated,
+  };
+  Level level = Level::kLocal;
+  // The settings that decide it, for operators; empty where nothing does.
+  std::string details = std::string();
+};
+
 // A verifier's finding about two poses. Ids are unique among the pairs of one
 // kind of one vehicle.
 enum class PairKind { kLoopClosure, kRejectedCandidate };
@@ -161,8 +176,8 @@ enum class BatchVersion { kAsSent, kCurrent };
 
 class Storage {
  public:
-  // Called once, on the writer's thread: return soon, and do not block on the
-  // storage.
+  // Called once, on a thread that writes, which is the same for all writes of a
+  // vehicle: return soon, and do not block on the storage.
   using Done = std::function<void(absl::Status)>;
 
   // Commits what was submitted, then stops.
@@ -262,6 +277,9 @@ class Storage {
   virtual absl::StatusOr<std::vector<StorageUser>> ListUsers() {
     return std::vector<StorageUser>();
   }
+
+  // As the store says now: that of a database can change while it is used.
+  virtual Durability GetDurability() const { return {}; }
 
   // Zeros if the implementation does not count.
   virtual CommitCounts Counts() const { return {}; }

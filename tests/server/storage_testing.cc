@@ -29,7 +29,10 @@ absl::StatusOr<VehicleKey> BlockingWrites::Create(const std::string& id,
   record.revision = revision;
   const Answer<absl::StatusOr<VehicleKey>> answer;
   storage_->CreateVehicle(record, answer.Setter());
-  return answer.Get();
+  const absl::StatusOr<VehicleKey> key = answer.Get();
+  if (!key.ok()) return key;
+  const absl::StatusOr<VehicleRecord> taken = storage_->TakeVehicle(id);
+  return taken.ok() ? key : taken.status();
 }
 
 absl::Status BlockingWrites::Update(VehicleKey key, const std::string& payload,

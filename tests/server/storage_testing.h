@@ -20,6 +20,7 @@ class BlockingWrites {
  public:
   explicit BlockingWrites(Storage* storage) : storage_(storage) {}
 
+  // The vehicle is taken too, so that it can be written.
   absl::StatusOr<VehicleKey> Create(const std::string& id,
                                     const std::string& payload = "payload",
                                     std::uint64_t revision = 1);

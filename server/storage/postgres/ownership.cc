@@ -1,0 +1,428 @@
+#include "server/storage/postgres/ownership.h"
+
+#include <pthread.h>
+#include <time.h>
+
+#include <algorithm>
+#include <utility>
+
+#include "server/base/status.h"
+#include "server/storage/record_check.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StatusCode;
+using std::chrono::milliseconds;
+using std::chrono::nanoseconds;
+
+// How long the end of the server waits for the database.
+constexpr milliseconds kGoodbye{2'000};
+
+constexpr Statement kEnter = {
+    "enter",
+    "INSERT INTO servers (incarnation, address, lease_ms, state) "
+    "VALUES (gen_random_uuid(), $1::text, $2::int8, 'live') "
+    "RETURNING incarnation"};
+// Rows of the dead are of use only to people, who ask who had a vehicle.
+constexpr Statement kForgetDead = {
+    "forget_dead",
+    "DELETE FROM servers WHERE state = 'dead' AND "
+    "started_at < now() - interval '30 days'"};
+constexpr Statement kBeat = {
+    "beat",
+    "UPDATE servers SET beat = beat + 1 WHERE incarnation = $1::uuid AND "
+    "state = 'live' RETURNING beat"};
+constexpr Statement kLeave = {
+    "leave", "UPDATE servers SET state = 'dead' WHERE incarnation = $1::uuid"};
+constexpr Statement kOthers = {
+    "others",
+    "SELECT incarnation, beat, lease_ms, address FROM servers "
+    "WHERE state = 'live' AND incarnation <> $1::uuid"};
+constexpr Statement kBury = {
+    "bury",
+    "UPDATE servers SET state = 'dead' WHERE incarnation = $1::uuid AND "
+    "beat = $2::int8 AND state = 'live' RETURNING incarnation"};
+
+// Who may claim is decided as of one moment, and the epoch shows whether that
+// still holds when the row's lock was had: a condition on the owner, evaluated
+// anew against a row that has changed meanwhile, would miss the row of a server
+// that joined after that moment.
+constexpr Statement kClaim = {
+    "claim",
+    "WITH free AS MATERIALIZED ("
+    "SELECT h.key, h.epoch FROM vehicles v JOIN heads h ON h.key = v.key "
+    "WHERE v.id = $1::text AND (h.owner IS NULL OR h.owner = $2::uuid OR "
+    "NOT EXISTS (SELECT 1 FROM servers s WHERE s.incarnation = h.owner AND "
+    "s.state = 'live')) AND EXISTS (SELECT 1 FROM servers m WHERE "
+    "m.incarnation = $2::uuid AND m.state = 'live')), "
+    "asked AS (DELETE FROM handovers o USING free WHERE o.key = free.key) "
+    "UPDATE heads h SET owner = $2::uuid, epoch = h.epoch + 1 FROM free "
+    "WHERE h.key = free.key AND h.epoch = free.epoch "
+    "RETURNING h.key, h.epoch, h.durable_sequence"};
+constexpr Statement kWhoOwns = {
+    "who_owns",
+    "SELECT v.key, h.owner, h.epoch, s.address, s.state = 'live' "
+    "FROM vehicles v LEFT JOIN heads h ON h.key = v.key "
+    "LEFT JOIN servers s ON s.incarnation = h.owner WHERE v.id = $1::text"};
+constexpr Statement kAsk = {
+    "ask",
+    "INSERT INTO handovers (key, owner, asked_by) "
+    "VALUES ($1::int8, $2::uuid, $3::uuid) ON CONFLICT (key) DO UPDATE "
+    "SET owner = excluded.owner, asked_by = excluded.asked_by "
+    "WHERE handovers.owner <> excluded.owner"};
+constexpr Statement kHandovers = {
+    "handovers",
+    "SELECT h.key, v.id, h.epoch FROM handovers o "
+    "JOIN heads h ON h.key = o.key AND h.owner = o.owner "
+    "JOIN vehicles v ON v.key = h.key WHERE o.owner = $1::uuid"};
+constexpr Statement kRelease = {
+    "release",
+    "WITH r AS (UPDATE heads SET owner = NULL WHERE key = $1::int8 AND "
+    "owner = $2::uuid AND epoch = $3::int8 RETURNING key) "
+    "DELETE FROM handovers o USING r WHERE o.key = r.key"};
+constexpr Statement kOwners = {
+    "owners",
+    "SELECT key, owner, epoch FROM heads WHERE key = ANY($1::int8[])"};
+
+nanoseconds BootTime() {
+  timespec time{};
+  clock_gettime(CLOCK_BOOTTIME, &time);
+  return std::chrono::seconds(time.tv_sec) + nanoseconds(time.tv_nsec);
+}
+
+absl::Status LeaseStale() {
+  return Error(StatusCode::kUnavailable, "LEASE_STALE",
+               "this server has not reached the database for so long that "
+               "another one may have taken its vehicles");
+}
+
+absl::Status NotOwner(const std::string& id, const std::string& address,
+                      std::int64_t epoch) {
+  return Error(StatusCode::kUnavailable, "NOT_OWNER",
+               "vehicle '" + id + "' is with the server at " + address,
+               {{"owner", address}, {"epoch", std::to_string(epoch)}});
+}
+
+}  // namespace
+
+absl::Status Fenced(const std::string& vehicle) {
+  return Error(StatusCode::kAborted, "EPOCH_FENCED",
+               "nothing was written: this server does not own " + vehicle +
+                   " any more, or has to take it anew");
+}
+
+Ownership::Ownership(const std::string& conninfo, OwnershipOptions options)
+    : connection_options_{conninfo, /*writes=*/true, &give_up_},
+      options_(std::move(options)) {}
+
+absl::StatusOr<std::unique_ptr<Ownership>> Ownership::Join(
+    const std::string& conninfo, const OwnershipOptions& options) {
+  OwnershipOptions complete = options;
+  if (!complete.now) complete.now = BootTime;
+  std::unique_ptr<Ownership> ownership(
+      new Ownership(conninfo, std::move(complete)));
+  absl::Status status = ownership->Connect();
+  if (status.ok()) status = ownership->Enter();
+  if (!status.ok()) return status;
+  ownership->connection_->Run(kForgetDead).IgnoreError();
+  ownership->thread_ = std::thread([raw = ownership.get()] { raw->Run(); });
+  pthread_setname_np(ownership->thread_.native_handle(), "store-beat");
+  return ownership;
+}
+
+Ownership::~Ownership() {
+  if (!thread_.joinable()) return;
+  Uuid me;
+  {
+    const MutexLock lock(&mutex_);
+    stopping_ = true;
+    wake_.NotifyAll();
+    const auto latest = std::chrono::steady_clock::now() + kGoodbye;
+    while (!ended_) {
+      if (wake_.WaitUntil(&mutex_, latest)) break;
+    }
+    if (!ended_) give_up_ = true;
+    me = me_;
+  }
+  thread_.join();
+  if (connection_ != nullptr && connection_->IsAlive()) {
+    connection_->Run(kLeave, Parameters().Add(me)).IgnoreError();
+  }
+}
+
+void Ownership::Warn(const std::string& message) const {
+  if (options_.warn) options_.warn(message);
+}
+
+bool Ownership::LeaseHolds() const {
+  return Now() < last_beat_ + options_.lease - options_.lease / 10;
+}
+
+void Ownership::Run() {
+  bool failed = false;
+  mutex_.Lock();
+  while (!stopping_) {
+    // One that failed is tried again soon: the lease is running out.
+    const auto next =
+        std::chrono::steady_clock::now() +
+        (failed ? options_.beat_period / 4 : options_.beat_period);
+    while (!stopping_ && !wake_.WaitUntil(&mutex_, next)) {
+    }
+    if (stopping_) break;
+    mutex_.Unlock();
+    const absl::Status status = Beat();
+    if (!status.ok() && !failed) {
+      Warn("cannot renew the lease: " + std::string(status.message()));
+    }
+    failed = !status.ok();
+    mutex_.Lock();
+  }
+  ended_ = true;
+  wake_.NotifyAll();
+  mutex_.Unlock();
+}
+
+absl::Status Ownership::Connect() {
+  auto connection = PostgresConnection::Open(connection_options_);
+  if (!connection.ok()) return connection.status();
+  connection_ = *std::move(connection);
+  // After a failover to a database that lacks the last commits, claims may be
+  // gone with them.
+  return ForgetLostClaims();
+}
+
+absl::Status Ownership::Enter() {
+  const nanoseconds sent = Now();
+  const auto rows = connection_->Run(
+      kEnter,
+      Parameters().AddText(options_.address).Add(options_.lease.count()));
+  if (!rows.ok()) return rows.status();
+  const MutexLock lock(&mutex_);
+  me_ = rows->GetUuid(0, 0);
+  last_beat_ = sent;
+  durability_ = connection_->durability();
+  return absl::OkStatus();
+}
+
+absl::Status Ownership::ForgetLostClaims() {
+  std::vector<std::int64_t> keys;
+  {
+    const MutexLock lock(&mutex_);
+    for (const auto& [key, claim] : claims_) keys.push_back(key);
+  }
+  if (keys.empty()) return absl::OkStatus();
+  const auto rows = connection_->Run(kOwners, Parameters().Add(keys));
+  if (!rows.ok()) {
+    connection_.reset();
+    return rows.status();
+  }
+  std::map<VehicleKey, std::pair<Uuid, std::int64_t>> owners;
+  for (int i = 0; i < rows->size(); ++i) {
+    owners[rows->Integer(i, 0)] = {rows->GetUuid(i, 1), rows->Integer(i, 2)};
+  }
+  const MutexLock lock(&mutex_);
+  for (const std::int64_t key : keys) {
+    const auto claim = claims_.find(key);
+    if (claim == claims_.end()) continue;
+    const auto owner = owners.find(key);
+    // One of a later epoch was made meanwhile.
+    if (owner == owners.end() || owner->second.first != claim->second->owner ||
+        owner->second.second < claim->second->epoch) {
+      claims_.erase(claim);
+    }
+  }
+  return absl::OkStatus();
+}
+
+absl::Status Ownership::Beat() {
+  if (connection_ == nullptr || !connection_->IsAlive()) {
+    connection_.reset();
+    if (absl::Status status = Connect(); !status.ok()) return status;
+  }
+  Uuid me;
+  {
+    const MutexLock lock(&mutex_);
+    me = me_;
+  }
+  const nanoseconds sent = Now();
+  const auto beat = connection_->Run(kBeat, Parameters().Add(me));
+  if (!beat.ok()) return beat.status();
+  if (beat->size() == 0) {
+    Warn(
+        "other servers have taken this one for dead, and may have taken its "
+        "vehicles: it gives up all and goes on under a new identity");
+    {
+      const MutexLock lock(&mutex_);
+      claims_.clear();
+      wanted_.clear();
+    }
+    sightings_.clear();
+    return Enter();
+  }
+  if (absl::Status status = connection_->ReadDurability(); !status.ok()) {
+    return status;
+  }
+  {
+    const MutexLock lock(&mutex_);
+    last_beat_ = sent;
+    durability_ = connection_->durability();
+  }
+  absl::Status status = BuryOthers(me);
+  if (status.ok()) status = PollHandovers(me);
+  return status;
+}
+
+absl::Status Ownership::BuryOthers(const Uuid& me) {
+  const auto rows = connection_->Run(kOthers, Parameters().Add(me));
+  if (!rows.ok()) return rows.status();
+  // Later than any beat that was seen.
+  const nanoseconds now = Now();
+  std::map<Uuid, Sighting> seen;
+  for (int i = 0; i < rows->size(); ++i) {
+    const Uuid other = rows->GetUuid(i, 0);
+    const std::int64_t beat = rows->Integer(i, 1);
+    const milliseconds lease(rows->Integer(i, 2));
+    const auto before = sightings_.find(other);
+    Sighting sighting = {beat, now};
+    if (before != sightings_.end() && before->second.beat == beat) {
+      sighting = before->second;
+    }
+    if (now - sighting.since >= lease) {
+      const auto buried =
+          connection_->Run(kBury, Parameters().Add(other).Add(beat));
+      if (!buried.ok()) return buried.status();
+      if (buried->size() > 0) {
+        Warn("the server at " + rows->Bytes(i, 3) + " (" + ToText(other) +
+             ") was silent for its lease of " + std::to_string(lease.count()) +
+             " ms: its vehicles are free");
+      }
+      continue;
+    }
+    seen[other] = sighting;
+  }
+  sightings_ = std::move(seen);
+  return absl::OkStatus();
+}
+
+absl::Status Ownership::PollHandovers(const Uuid& me) {
+  const auto rows = connection_->Run(kHandovers, Parameters().Add(me));
+  if (!rows.ok()) return rows.status();
+  std::map<VehicleKey, std::string> wanted;
+  std::vector<std::pair<VehicleKey, std::int64_t>> unused;
+  {
+    const MutexLock lock(&mutex_);
+    for (int i = 0; i < rows->size(); ++i) {
+      const VehicleKey key = rows->Integer(i, 0);
+      const std::string id = rows->Bytes(i, 1);
+      if (claims_.count(key) > 0) {
+        wanted[key] = id;
+      } else if (being_taken_.count(id) == 0) {
+        // The database says that it is of this server, which has forgotten it:
+        // a write was in doubt, or a release did not come through.
+        unused.emplace_back(key, rows->Integer(i, 2));
+      }
+    }
+    wanted_ = std::move(wanted);
+  }
+  for (const auto& [key, epoch] : unused) {
+    const absl::Status released = Release(*connection_, key, me, epoch);
+    if (!released.ok()) return released;
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<VehicleKey> Ownership::Take(PostgresConnection& connection,
+                                           const std::string& id) {
+  Uuid me;
+  {
+    const MutexLock lock(&mutex_);
+    if (!LeaseHolds()) return LeaseStale();
+    me = me_;
+    being_taken_.insert(id);
+  }
+  const auto rows = connection.Run(kClaim, Parameters().AddText(id).Add(me));
+  {
+    const MutexLock lock(&mutex_);
+    being_taken_.erase(being_taken_.find(id));
+    if (!rows.ok()) return rows.status();
+    if (me != me_) return LeaseStale();
+    if (rows->size() > 0) {
+      auto claim = std::make_shared<Claim>();
+      claim->owner = me;
+      claim->epoch = rows->Integer(0, 1);
+      claim->vehicle_id = id;
+      claim->durable_sequence = Unsigned(rows->Integer(0, 2));
+      const VehicleKey key = rows->Integer(0, 0);
+      claims_[key] = std::move(claim);
+      wanted_.erase(key);
+      return key;
+    }
+  }
+  const auto owner = connection.Run(kWhoOwns, Parameters().AddText(id));
+  if (!owner.ok()) return owner.status();
+  if (owner->size() == 0) return UnknownVehicle("'" + id + "'");
+  const VehicleKey key = owner->Integer(0, 0);
+  if (owner->IsNull(0, 2)) {
+    return Corrupt("vehicle '" + Printable(id) + "' has no row in heads",
+                   {{"vehicle", Printable(id)}});
+  }
+  const Uuid other = owner->GetUuid(0, 1);
+  if (owner->IsNull(0, 1) || other == me || owner->Integer(0, 4) == 0) {
+    // It became free just now, or this server is not alive in the database.
+    return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                 "vehicle '" + id + "' could not be claimed just now");
+  }
+  if (absl::Status status =
+          connection.Run(kAsk, Parameters().Add(key).Add(other).Add(me))
+              .status();
+      !status.ok()) {
+    return status;
+  }
+  return NotOwner(id, owner->Bytes(0, 3), owner->Integer(0, 2));
+}
+
+std::shared_ptr<const Claim> Ownership::Find(VehicleKey key) const {
+  const MutexLock lock(&mutex_);
+  const auto found = claims_.find(key);
+  return found == claims_.end() ? nullptr : found->second;
+}
+
+void Ownership::Forget(VehicleKey key, const Claim* claim) {
+  const MutexLock lock(&mutex_);
+  const auto found = claims_.find(key);
+  if (found != claims_.end() && found->second.get() == claim) {
+    claims_.erase(found);
+    wanted_.erase(key);
+  }
+}
+
+absl::Status Ownership::Release(PostgresConnection& connection, VehicleKey key,
+                                const Uuid& owner, std::int64_t epoch) {
+  return connection.Run(kRelease, Parameters().Add(key).Add(owner).Add(epoch))
+      .status();
+}
+
+absl::Status Ownership::Check(VehicleKey key) const {
+  const MutexLock lock(&mutex_);
+  if (claims_.count(key) == 0) {
+    return Fenced("the vehicle of key " + std::to_string(key));
+  }
+  return LeaseHolds() ? absl::OkStatus() : LeaseStale();
+}
+
+std::vector<std::string> Ownership::Wanted() const {
+  const MutexLock lock(&mutex_);
+  std::vector<std::string> ids;
+  for (const auto& [key, id] : wanted_) {
+    if (claims_.count(key) > 0) ids.push_back(id);
+  }
+  return ids;
+}
+
+Durability Ownership::durability() const {
+  const MutexLock lock(&mutex_);
+  return durability_;
+}
+
+}  // namespace revisit::server

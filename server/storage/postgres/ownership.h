@@ -1,0 +1,151 @@
+// Which vehicles this server owns, in a database that several servers share.
+//
+// Two mechanisms, and only the first keeps the data right:
+//
+// * Every vehicle has a row in `heads` with its owner and an epoch, which each
+//   claim raises. A write compares both in the same statement, so a server that
+//   is no longer the owner writes nothing, however late it wakes.
+// * Every start of a server has a row in `servers`, with a beat that it raises
+//   every two seconds. Whoever sees the same beat for the row's whole lease, on
+//   a clock of its own, marks the server dead, for ever: its vehicles may then
+//   be claimed. So leases decide when a vehicle may be taken, and for how long
+//   its owner may answer from memory: up to a tenth less than the lease after
+//   it sent its last beat, in case clocks do not run at the same rate. No
+//   clocks of two machines are compared. A server that finds itself dead gives
+//   up all vehicles and joins under a new identity.
+//
+// A claim is committed before the vehicle is read, so nothing of the owner
+// before can come after what was read. A write whose fate is unknown ends the
+// claim under which it was submitted; the next claim waits for the row that the
+// write may still hold.
+//
+// Thread-safe.
+#ifndef REVISIT_SERVER_STORAGE_POSTGRES_OWNERSHIP_H_
+#define REVISIT_SERVER_STORAGE_POSTGRES_OWNERSHIP_H_
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <set>
+#include <string>
+#include <thread>
+#include <unordered_map>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "core/base/mutex.h"
+#include "server/storage/postgres/connection.h"
+#include "server/storage/storage.h"
+#include "server/storage/write_queue.h"
+
+namespace revisit::server {
+
+struct Claim {
+  Uuid owner{};
+  std::int64_t epoch = 0;
+  std::string vehicle_id;
+  // Highest sequence that was stored under the claim or before it.
+  mutable std::atomic<std::uint64_t> durable_sequence{0};
+};
+
+struct OwnershipOptions {
+  // The address at which other servers' callers find this one.
+  std::string address;
+  // How long this server may be silent before others take its vehicles. At
+  // least three beats, so that one that is late does no harm.
+  std::chrono::milliseconds lease{10'000};
+  std::chrono::milliseconds beat_period{2'000};
+  // A clock that goes on while the machine sleeps; CLOCK_BOOTTIME if empty.
+  std::function<std::chrono::nanoseconds()> now;
+  // Called with what an operator should know; may be empty.
+  std::function<void(const std::string&)> warn;
+};
+
+// ABORTED (EPOCH_FENCED).
+absl::Status Fenced(const std::string& vehicle);
+
+class Ownership {
+ public:
+  // Joins the servers of the database, and beats from then on.
+  static absl::StatusOr<std::unique_ptr<Ownership>> Join(
+      const std::string& conninfo, const OwnershipOptions& options);
+  // Leaves, which frees all vehicles at once. If the database does not answer,
+  // they are free when the lease has run out.
+  ~Ownership();
+
+  Ownership(const Ownership&) = delete;
+  Ownership& operator=(const Ownership&) = delete;
+
+  // Claims a vehicle; returns its key. Errors are those of
+  // Storage::TakeVehicle().
+  absl::StatusOr<VehicleKey> Take(PostgresConnection& connection,
+                                  const std::string& id);
+  // The claim on a vehicle; null if there is none.
+  std::shared_ptr<const Claim> Find(VehicleKey key) const;
+  // Forgets this claim, unless there is a later one.
+  void Forget(VehicleKey key, const Claim* claim);
+  // Ends a claim in the database, unless there is a later one. Forget it first.
+  static absl::Status Release(PostgresConnection& connection, VehicleKey key,
+                              const Uuid& owner, std::int64_t epoch);
+  // Implements Storage::CheckOwned().
+  absl::Status Check(VehicleKey key) const;
+  // Implements Storage::WantedVehicles(), as of the last beat.
+  std::vector<std::string> Wanted() const;
+
+  // As of the last beat.
+  Durability durability() const;
+
+ private:
+  Ownership(const std::string& conninfo, OwnershipOptions options);
+
+  // What was seen of another server: its beat, and since when.
+  struct Sighting {
+    std::int64_t beat = 0;
+    std::chrono::nanoseconds since{0};
+  };
+
+  std::chrono::nanoseconds Now() const { return options_.now(); }
+  void Warn(const std::string& message) const;
+  bool LeaseHolds() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+
+  // The thread that beats; it alone uses `connection_` and `sightings_`.
+  void Run();
+  absl::Status Beat();
+  absl::Status Connect();
+  absl::Status Enter();
+  absl::Status ForgetLostClaims();
+  absl::Status BuryOthers(const Uuid& me);
+  absl::Status PollHandovers(const Uuid& me);
+
+  const PostgresConnection::Options connection_options_;
+  const OwnershipOptions options_;
+
+  std::unique_ptr<PostgresConnection> connection_;
+  std::map<Uuid, Sighting> sightings_;
+
+  mutable Mutex mutex_;
+  CondVar wake_;
+  bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
+  bool ended_ ABSL_GUARDED_BY(mutex_) = false;
+  Uuid me_ ABSL_GUARDED_BY(mutex_){};
+  // When the last beat that succeeded was sent.
+  std::chrono::nanoseconds last_beat_ ABSL_GUARDED_BY(mutex_){0};
+  std::unordered_map<VehicleKey, std::shared_ptr<const Claim>> claims_
+      ABSL_GUARDED_BY(mutex_);
+  // Vehicles that are being claimed, which may be so already in the database.
+  std::multiset<std::string> being_taken_ ABSL_GUARDED_BY(mutex_);
+  std::map<VehicleKey, std::string> wanted_ ABSL_GUARDED_BY(mutex_);
+  Durability durability_ ABSL_GUARDED_BY(mutex_);
+
+  std::atomic<bool> give_up_{false};
+  // The last member, since the thread uses the others.
+  std::thread thread_;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_STORAGE_POSTGRES_OWNERSHIP_H_

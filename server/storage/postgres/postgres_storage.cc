@@ -1,0 +1,315 @@
+#include "server/storage/postgres/postgres_storage.h"
+
+#include <algorithm>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "server/base/status.h"
+#include "server/storage/postgres/connection_pool.h"
+#include "server/storage/postgres/migrations.h"
+#include "server/storage/postgres/postgres_rows.h"
+#include "server/storage/postgres/postgres_writer.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StatusCode;
+
+// Connections that stay open while nobody reads.
+constexpr std::size_t kIdleReaders = 4;
+
+class PostgresStorage : public Storage {
+ public:
+  PostgresStorage(const std::string& conninfo, const PostgresOptions& options,
+                  std::unique_ptr<Ownership> ownership)
+      : options_(options),
+        ownership_(std::move(ownership)),
+        readers_(conninfo, kIdleReaders) {
+    PostgresWriter::Options writer;
+    static_cast<WriteGroupOptions&>(writer) = options;
+    writer.conninfo = conninfo;
+    writer.require_replicated = options.require_replicated;
+    for (int i = 0; i < std::max(1, options.writer_connections); ++i) {
+      writer.purges_first = i == 0;
+      writers_.push_back(
+          std::make_unique<PostgresWriter>(writer, ownership_.get()));
+    }
+  }
+
+  // The writes are settled before the ownership ends.
+  ~PostgresStorage() override {
+    for (const auto& writer : writers_) writer->Stop();
+    const auto latest = std::chrono::steady_clock::now() + options_.settle_time;
+    for (const auto& writer : writers_) {
+      if (!writer->AwaitEnd(latest)) writer->GiveUp();
+    }
+    writers_.clear();
+  }
+
+  void CreateVehicle(
+      VehicleRecord record,
+      std::function<void(absl::StatusOr<VehicleKey>)> done) override {
+    const std::size_t bytes = record.payload.size();
+    // Creations of one id keep their order.
+    const auto lane =
+        static_cast<VehicleKey>(std::hash<std::string>()(record.id));
+    auto key = std::make_shared<VehicleKey>(0);
+    WriterOf(lane).Submit(
+        0, bytes,
+        [record = std::move(record), key](PostgresConnection& connection,
+                                          const Fence&) {
+          const absl::StatusOr<VehicleKey> inserted =
+              InsertVehicle(connection, record);
+          if (inserted.ok()) *key = *inserted;
+          return inserted.status();
+        },
+        [key, done = std::move(done)](absl::Status status) {
+          if (!status.ok()) {
+            done(std::move(status));
+          } else {
+            done(*key);
+          }
+        });
+  }
+
+  void UpdateVehicle(VehicleKey key, std::string payload,
+                     std::uint64_t revision, Done done) override {
+    const std::size_t bytes = payload.size();
+    WriterOf(key).Submit(
+        key, bytes,
+        [payload = std::move(payload), revision](PostgresConnection& connection,
+                                                 const Fence& fence) {
+          return ChangeVehicle(connection, fence, payload, revision);
+        },
+        std::move(done));
+  }
+
+  void DeleteVehicle(VehicleKey key, Done done) override {
+    PostgresWriter& writer = WriterOf(key);
+    writer.Submit(
+        key, 0,
+        [this, &writer](PostgresConnection& connection, const Fence& fence) {
+          absl::Status status = RemoveVehicle(connection, fence);
+          if (status.ok()) {
+            ownership_->Forget(fence.key, fence.claim.get());
+            writer.PurgeSoon();
+          }
+          return status;
+        },
+        std::move(done));
+  }
+
+  void AppendBatch(VehicleKey key, BatchRecord batch,
+                   std::optional<std::string> vehicle_payload,
+                   Done done) override {
+    PostgresWriter& writer = WriterOf(key);
+    if (!vehicle_payload.has_value()) {
+      writer.Append(key, std::move(batch), std::move(done));
+      return;
+    }
+    const std::size_t bytes = batch.payload.size();
+    writer.Submit(
+        key, bytes,
+        [batch = std::move(batch), payload = *std::move(vehicle_payload)](
+            PostgresConnection& connection, const Fence& fence) {
+          return AppendWithVehicle(connection, fence, batch, payload);
+        },
+        std::move(done));
+  }
+
+  void ReviseBatches(VehicleKey key, BatchSource batches,
+                     std::uint64_t revision, Done done) override {
+    WriterOf(key).Submit(
+        key, 0,
+        [batches = std::move(batches), revision](PostgresConnection& connection,
+                                                 const Fence& fence) {
+          return ReviseBatchRows(connection, fence, batches, revision);
+        },
+        std::move(done));
+  }
+
+  void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
+                   std::uint64_t revision, Done done) override {
+    WriterOf(key).Submit(
+        key, 0,
+        [kind, pair = std::move(pair), revision](PostgresConnection& connection,
+                                                 const Fence& fence) {
+          return InsertPosePair(connection, fence, kind, pair, revision);
+        },
+        std::move(done));
+  }
+
+  void DeletePosePair(VehicleKey key, PairKind kind, std::string id,
+                      std::uint64_t revision, Done done) override {
+    WriterOf(key).Submit(
+        key, 0,
+        [kind, id = std::move(id), revision](PostgresConnection& connection,
+                                             const Fence& fence) {
+          return RemovePosePair(connection, fence, kind, id, revision);
+        },
+        std::move(done));
+  }
+
+  void DropDamaged(VehicleKey key, std::uint64_t last_sequence,
+                   std::string payload, std::uint64_t revision,
+                   Done done) override {
+    WriterOf(key).Submit(
+        key, 0,
+        [last_sequence, payload = std::move(payload), revision](
+            PostgresConnection& connection, const Fence& fence) {
+          return DropDamagedRows(connection, fence, last_sequence, payload,
+                                 revision);
+        },
+        std::move(done));
+  }
+
+  absl::StatusOr<VehicleRecord> TakeVehicle(const std::string& id) override {
+    return Read<VehicleRecord>(
+        [&](PostgresConnection& connection) { return Take(connection, id); });
+  }
+
+  void ReleaseVehicle(VehicleKey key) override {
+    const std::shared_ptr<const Claim> claim = ownership_->Find(key);
+    if (claim == nullptr) return;
+    // From now on, nothing is answered from memory.
+    ownership_->Forget(key, claim.get());
+    WriterOf(key).Submit(
+        key, 0,
+        [claim](PostgresConnection& connection, const Fence& fence) {
+          return Ownership::Release(connection, fence.key, claim->owner,
+                                    claim->epoch);
+        },
+        [](const absl::Status&) {});
+  }
+
+  absl::Status CheckOwned(VehicleKey key) const override {
+    return ownership_->Check(key);
+  }
+
+  std::vector<std::string> WantedVehicles() override {
+    return ownership_->Wanted();
+  }
+
+  absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override {
+    return Read<VehicleRecord>([&](PostgresConnection& connection) {
+      return FindVehicle(connection, id);
+    });
+  }
+
+  absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
+      const std::string& after_id, const std::string& prefix,
+      int limit) override {
+    return Read<std::vector<VehicleRecord>>(
+        [&](PostgresConnection& connection) {
+          return FindVehicles(connection, after_id, prefix, limit);
+        });
+  }
+
+  absl::Status ReadBatches(
+      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+      BatchVersion version,
+      const std::function<bool(BatchRecord)>& visit) override {
+    return readers_.Use([&](PostgresConnection& connection) {
+      return VisitBatches(connection, key, first_sequence, last_sequence,
+                          version, visit);
+    });
+  }
+
+  absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
+      VehicleKey key, PairKind kind, const std::string& after_id,
+      int limit) override {
+    return Read<std::vector<PosePairRecord>>(
+        [&](PostgresConnection& connection) {
+          return FindPosePairs(connection, key, kind, after_id, limit);
+        });
+  }
+
+  bool HasRoom() override {
+    return std::all_of(writers_.begin(), writers_.end(),
+                       [](const auto& writer) { return writer->HasRoom(); });
+  }
+
+  Durability GetDurability() const override { return ownership_->durability(); }
+
+  CommitCounts Counts() const override {
+    CommitCounts sum;
+    for (const auto& writer : writers_) {
+      const CommitCounts counts = writer->Counts();
+      sum.commits += counts.commits;
+      sum.writes += counts.writes;
+    }
+    return sum;
+  }
+
+ private:
+  // All writes of a vehicle go the same way.
+  PostgresWriter& WriterOf(VehicleKey key) {
+    return *writers_[static_cast<std::size_t>(key) % writers_.size()];
+  }
+
+  template <typename T>
+  absl::StatusOr<T> Read(
+      const std::function<absl::StatusOr<T>(PostgresConnection&)>& read) {
+    absl::StatusOr<T> result = T();
+    const absl::Status status =
+        readers_.Use([&](PostgresConnection& connection) {
+          result = read(connection);
+          return result.status();
+        });
+    if (!status.ok()) return status;
+    return result;
+  }
+
+  absl::StatusOr<VehicleRecord> Take(PostgresConnection& connection,
+                                     const std::string& id) {
+    const absl::StatusOr<VehicleKey> key = ownership_->Take(connection, id);
+    if (!key.ok()) return key.status();
+    // The claim is committed: what is read now is final.
+    absl::StatusOr<VehicleRecord> record = FindVehicle(connection, id);
+    if (record.ok() && record->key == *key) return record;
+    const std::shared_ptr<const Claim> claim = ownership_->Find(*key);
+    if (claim != nullptr) ownership_->Forget(*key, claim.get());
+    if (!record.ok()) return record.status();
+    return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                 "vehicle '" + id + "' was deleted and made anew just now");
+  }
+
+  const PostgresOptions options_;
+  // Outlives the writers.
+  const std::unique_ptr<Ownership> ownership_;
+  ConnectionPool readers_;
+  std::vector<std::unique_ptr<PostgresWriter>> writers_;
+};
+
+}  // namespace
+
+absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorage(
+    const std::string& conninfo, const PostgresOptions& options) {
+  PostgresConnection::Options first;
+  first.conninfo = conninfo;
+  auto connection = PostgresConnection::Open(first);
+  if (!connection.ok()) return connection.status();
+  if (absl::Status status = CheckSchema(**connection); !status.ok()) {
+    return status;
+  }
+  const Durability& durability = (*connection)->durability();
+  if (options.require_replicated &&
+      durability.level != Durability::Level::kReplicated) {
+    return Error(StatusCode::kFailedPrecondition, "STORE_UNAVAILABLE",
+                 "require-replicated is set, but the database does not "
+                 "replicate a write before it acknowledges it: " +
+                     durability.details);
+  }
+  if (durability.level == Durability::Level::kNone && options.ownership.warn) {
+    options.ownership.warn("the database may lose what it has acknowledged: " +
+                           durability.details);
+  }
+  connection->reset();
+  auto ownership = Ownership::Join(conninfo, options.ownership);
+  if (!ownership.ok()) return ownership.status();
+  return std::unique_ptr<Storage>(
+      new PostgresStorage(conninfo, options, *std::move(ownership)));
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,206 @@
+#include "server/storage/postgres/postgres_writer.h"
+
+#include <pthread.h>
+
+#include <unordered_map>
+#include <utility>
+
+#include "server/base/status.h"
+#include "server/storage/free_space.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StatusCode;
+
+// How long purging rests after it has failed.
+constexpr std::chrono::seconds kPurgeDelay{5};
+// How long a full disk is taken to be full if nothing is written.
+constexpr std::chrono::seconds kFullTime{5};
+
+// Whether a statement failed because of a row of one vehicle.
+bool IsFaultOfRow(const absl::Status& status) {
+  return absl::IsInternal(status) || absl::IsDataLoss(status);
+}
+
+}  // namespace
+
+PostgresWriter::PostgresWriter(const Options& options, Ownership* ownership)
+    : options_(options),
+      ownership_(ownership),
+      queue_(options),
+      thread_([this] { Run(); }) {
+  pthread_setname_np(thread_.native_handle(), "store-writer");
+}
+
+PostgresWriter::~PostgresWriter() {
+  Stop();
+  thread_.join();
+}
+
+void PostgresWriter::Stop() { queue_.Stop(); }
+
+bool PostgresWriter::AwaitEnd(std::chrono::steady_clock::time_point latest) {
+  const MutexLock lock(&mutex_);
+  while (!ended_) {
+    if (has_ended_.WaitUntil(&mutex_, latest)) return ended_;
+  }
+  return true;
+}
+
+void PostgresWriter::Append(VehicleKey key, BatchRecord batch,
+                            Storage::Done done) {
+  PendingWrite write;
+  write.bytes = batch.payload.size();
+  write.key = key;
+  write.batch = std::move(batch);
+  write.claim = ownership_->Find(key);
+  write.done.push_back(std::move(done));
+  queue_.SubmitAppend(std::move(write));
+}
+
+void PostgresWriter::Submit(VehicleKey key, std::size_t bytes, Write apply,
+                            Storage::Done done) {
+  PendingWrite write;
+  write.bytes = bytes;
+  write.key = key;
+  write.claim = ownership_->Find(key);
+  write.apply = [this, fence = Fence{key, write.claim},
+                 apply = std::move(apply)] {
+    return apply(*connection_, fence);
+  };
+  write.done.push_back(std::move(done));
+  queue_.Submit(std::move(write));
+}
+
+void PostgresWriter::PurgeSoon() { purge_due_ = Clock::now(); }
+
+bool PostgresWriter::HasRoom() const {
+  const Clock::rep full_at = full_at_;
+  return full_at == 0 ||
+         Clock::now().time_since_epoch() - Clock::duration(full_at) > kFullTime;
+}
+
+void PostgresWriter::Run() {
+  if (options_.purges_first) PurgeSoon();
+  while (auto group = queue_.Take(purge_due_, commit_time_)) {
+    if (!group->empty()) {
+      const Clock::time_point start = Clock::now();
+      Commit(*group);
+      // A moving mean follows the device, and soon forgets a single slow flush.
+      commit_time_ += (Clock::now() - start - commit_time_) / 8;
+      // Destroys the callbacks, and what they hold, before the next is taken.
+      group->clear();
+    }
+    if (purge_due_ && Clock::now() >= *purge_due_) Purge();
+  }
+  connection_.reset();
+  const MutexLock lock(&mutex_);
+  ended_ = true;
+  has_ended_.NotifyAll();
+}
+
+void PostgresWriter::Commit(const std::vector<PendingWrite>& group) {
+  std::vector<std::vector<const PendingWrite*>> rounds;
+  std::unordered_map<VehicleKey, std::size_t> rows_of;
+  for (const PendingWrite& write : group) {
+    if (!write.apply) {
+      const std::size_t round = rows_of[write.key]++;
+      if (round == rounds.size()) rounds.emplace_back();
+      rounds[round].push_back(&write);
+      continue;
+    }
+    // It may be of a vehicle whose rows wait.
+    AppendGathered(&rounds);
+    rows_of.clear();
+    absl::Status status = EnsureConnection();
+    if (status.ok()) status = write.apply();
+    if (status.ok()) ++commits_;
+    Answer(write, status);
+  }
+  AppendGathered(&rounds);
+}
+
+void PostgresWriter::AppendGathered(
+    std::vector<std::vector<const PendingWrite*>>* rounds) {
+  for (const auto& rows : *rounds) AppendRound(rows);
+  rounds->clear();
+}
+
+void PostgresWriter::AppendRound(const std::vector<const PendingWrite*>& rows) {
+  std::vector<absl::Status> results;
+  absl::Status status = EnsureConnection();
+  if (status.ok()) status = AppendRows(*connection_, rows, &results);
+  if (status.ok()) {
+    ++commits_;
+    for (std::size_t i = 0; i < rows.size(); ++i) Answer(*rows[i], results[i]);
+    return;
+  }
+  if (IsFaultOfRow(status) && rows.size() > 1) {
+    for (const PendingWrite* row : rows) AppendRound({row});
+    return;
+  }
+  for (const PendingWrite* row : rows) Answer(*row, status);
+}
+
+void PostgresWriter::Answer(const PendingWrite& write,
+                            const absl::Status& status) {
+  if (status.ok()) {
+    full_at_ = 0;
+    writes_ += write.done.size();
+  } else if (absl::IsUnavailable(status) || absl::IsAborted(status)) {
+    if (write.claim != nullptr) {
+      ownership_->Forget(write.key, write.claim.get());
+    }
+  } else if (absl::IsResourceExhausted(status)) {
+    full_at_ = Clock::now().time_since_epoch().count();
+  }
+  for (const Storage::Done& done : write.done) done(status);
+}
+
+absl::Status PostgresWriter::EnsureConnection() {
+  if (connection_ == nullptr || !connection_->IsAlive()) {
+    connection_.reset();
+    if (give_up_) {
+      return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                   "the server ends, and the database does not answer");
+    }
+    PostgresConnection::Options options;
+    options.conninfo = options_.conninfo;
+    options.writes = true;
+    options.give_up = &give_up_;
+    auto opened = PostgresConnection::Open(options);
+    if (!opened.ok()) return opened.status();
+    connection_ = *std::move(opened);
+  }
+  if (options_.require_replicated) {
+    for (const Durability& durability :
+         {connection_->durability(), ownership_->durability()}) {
+      if (durability.level == Durability::Level::kReplicated) continue;
+      return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                   "writes are refused, because the database does not "
+                   "replicate them before it acknowledges: " +
+                       durability.details);
+    }
+  }
+  return absl::OkStatus();
+}
+
+void PostgresWriter::Purge() {
+  absl::Status status = EnsureConnection();
+  bool more = false;
+  if (status.ok()) {
+    const absl::StatusOr<bool> purged = PurgeSome(*connection_);
+    status = purged.status();
+    more = purged.ok() && *purged;
+  }
+  if (!status.ok()) {
+    purge_due_ = Clock::now() + kPurgeDelay;
+  } else if (more) {
+    purge_due_ = Clock::now();
+  } else {
+    purge_due_.reset();
+  }
+}
+
+}  // namespace revisit::server
