@@ -76,26 +76,22 @@ def _run(*words):
     assert result.returncode == 0, (words, result.stdout, result.stderr)
 
 
-_template = None
-
-
-def _empty_cluster(directory):
+def _empty_cluster(directory, template):
     """As initdb makes it, which takes seconds, and so only once."""
-    global _template  # pylint: disable=global-statement
-    if _template is None:
-        _template = directory.parent.parent / "postgres-template"
-        _template.mkdir(mode=0o700)
-        _own(_template)
+    if not template.exists():
+        template.mkdir(mode=0o700)
+        _own(template)
         _run(PROGRAMS / "initdb", "--no-sync", "--auth=trust", "--locale=C",
-             "--encoding=UTF8", f"--username={USER}", "-D", _template)
-        (_template / "pg_hba.conf").write_text(
+             "--encoding=UTF8", f"--username={USER}", "-D", template)
+        (template / "pg_hba.conf").write_text(
             "host all all all trust\nhost replication all all trust\n")
-    shutil.copytree(_template, directory, dirs_exist_ok=True)
+    shutil.copytree(template, directory, dirs_exist_ok=True)
 
 
 class Postgres:
-    """One server of PostgreSQL 15 with its data in `directory` / data. `launch`
-    is what its command begins with, as for another host."""
+    """One server of PostgreSQL 15 with its data in `directory` / data, in a
+    directory of a row. `launch` is what its command begins with, as for another
+    host."""
 
     def __init__(self, directory, host="127.0.0.1", launch=(), primary=None,
                  settings=(), mount=None):
@@ -104,29 +100,30 @@ class Postgres:
         skip_without_postgres()
         self.host, self.port = host, free_port()
         self.log_path = directory / "postgres.log"
-        self._data = directory / "data"
+        self.data = directory / "data"
         self._launch = list(launch)
         self._process = None
         self._is_mounted = mount is not None
         directory.mkdir(parents=True, exist_ok=True)
         # Others than root have to get there.
-        for parent in (directory, *directory.parents[:2]):
-            parent.chmod(0o711)
-        self._data.mkdir(mode=0o700)
+        for parent in (directory, *directory.parents[:3]):
+            if parent.stat().st_mode & 0o077 == 0:
+                parent.chmod(0o711)
+        self.data.mkdir(mode=0o700)
         if mount is not None:
-            mount(self._data)
+            mount(self.data)
         _own(directory)
-        self._data.chmod(0o700)
+        self.data.chmod(0o700)
         if primary is None:
-            _empty_cluster(self._data)
-            _own(self._data)
+            _empty_cluster(self.data, directory.parents[2] / "postgres-template")
+            _own(self.data)
         else:
-            _run(PROGRAMS / "pg_basebackup", "-D", self._data, "-R", "-X",
+            _run(PROGRAMS / "pg_basebackup", "-D", self.data, "-R", "-X",
                  "stream", "-c", "fast", "-d",
                  primary.conninfo("postgres", application_name="standby"))
         lines = {**_SETTINGS, **dict(settings), "listen_addresses": f"'{host}'",
                  "port": self.port}
-        (self._data / "postgresql.conf").write_text("".join(
+        (self.data / "postgresql.conf").write_text("".join(
             f"{name} = {value}\n" for name, value in lines.items()))
         self.start()
         if primary is None:
@@ -146,6 +143,10 @@ class Postgres:
         return url_of(self.address, *(other.address for other in others),
                       **parameters)
 
+    def free_bytes(self):
+        status = os.statvfs(self.data)
+        return status.f_bavail * status.f_frsize
+
     def log(self):
         return self.log_path.read_text(errors="replace")
 
@@ -155,7 +156,7 @@ class Postgres:
         with open(self.log_path, "ab") as log:
             self._process = subprocess.Popen(
                 [*self._launch, *_as_nobody_special(), PROGRAMS / "postgres", "-D",
-                 self._data], stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+                 self.data], stdin=subprocess.DEVNULL, stdout=log, stderr=log,
                 cwd="/", env={"LC_ALL": "C", "PATH": os.defpath})
         if wait:
             self.wait_until_ready()
@@ -245,7 +246,7 @@ class Postgres:
             self.resume()
             self.stop("immediate")
         if self._is_mounted:
-            run("umount", self._data)
+            run("umount", self.data)
 
     def __enter__(self):
         return self

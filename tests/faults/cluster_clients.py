@@ -1,0 +1,385 @@
+"""Clients of a cluster: vehicles that stream and append, and others that read them.
+
+They go to the server that NOT_OWNER names, as the client library does through the
+proxy, and now and then to any other, as if two proxies were of different opinions.
+"""
+
+import collections
+import queue
+import random
+import threading
+import time
+
+import grpc
+
+from cluster_history import Ack, History, Read
+from drive_client import Drive
+from stubs import PoseGraphServiceStub, api
+from wire import decode_failure
+
+# How long a client waits for an answer before it tries elsewhere.
+ANSWER_SECONDS = 3.0
+# How often a call goes to a server chosen by chance.
+STRAY = 0.03
+_OPTIONS = [("grpc.initial_reconnect_backoff_ms", 50),
+            ("grpc.min_reconnect_backoff_ms", 500),
+            ("grpc.max_reconnect_backoff_ms", 500),
+            ("grpc.use_local_subchannel_pool", 1)]
+
+# What a client of a cluster may be answered with at any time, and tries again.
+PASSING = {
+    (grpc.StatusCode.UNAVAILABLE, None), (grpc.StatusCode.CANCELLED, ""),
+    (grpc.StatusCode.DEADLINE_EXCEEDED, None),
+    (grpc.StatusCode.ABORTED, "EPOCH_FENCED"),
+}
+# And behind a proxy: how it tells of a server that died.
+PASSING_BEHIND_PROXY = {(grpc.StatusCode.INTERNAL, "")}
+
+
+class Unexpected(Exception):
+    """An answer that no fault of the row excuses."""
+
+
+class _Lost(Exception):
+    """A writer was told that what it was acknowledged is gone."""
+
+
+def failure_of(error):
+    """(reason, metadata) of a status; empty without ErrorInfo."""
+    if "grpc-status-details-bin" not in dict(error.trailing_metadata() or ()):
+        return "", {}
+    failure = decode_failure(error)
+    return failure.reason, failure.metadata
+
+
+class Fleet:
+    """Vehicles with a writer and a reader each, which go on until `stop()`."""
+
+    def __init__(self, seed, addresses, vehicles=8, readers=None, max_batch=16,
+                 window=8, passing=(), pause_seconds=0.02, stream_share=0.7,
+                 behind_proxy=False, may_lose=False):
+        """`readers`: how many vehicles are read as well, if not all.
+        `stream_share`: of the writers' calls, how many are streams. With
+        `may_lose`, a writer ends when it is told of a loss."""
+        self.addresses = list(addresses)
+        self.may_lose = may_lose
+        self.stream_share = stream_share
+        # Whether clients go on whatever they are answered with.
+        self.accepts_all = False
+        self._readers = vehicles if readers is None else readers
+        self.passing = PASSING | set(passing) | (
+            PASSING_BEHIND_PROXY if behind_proxy else set())
+        self.max_batch, self.window = max_batch, window
+        self.pause_seconds = pause_seconds
+        # How often each status came.
+        self.outcomes = collections.Counter()
+        self.problems = []
+        self.stopped = threading.Event()
+        self.vehicles = [Vehicle(self, number, seed)
+                         for number in range(vehicles)]
+        self._threads = []
+
+    def create(self, stub, **settings):
+        for vehicle in self.vehicles:
+            created = stub.CreateVehicle(api.CreateVehicleRequest(
+                vehicle_id=vehicle.name.split("/")[1],
+                vehicle=api.Vehicle(
+                    settings=api.VehicleSettings(**settings)))).vehicle
+            vehicle.uid = created.uid
+
+    def start(self):
+        self.stopped.clear()
+        for number, vehicle in enumerate(self.vehicles):
+            for work in (vehicle.write, vehicle.read)[:1 + (
+                    number < self._readers)]:
+                thread = threading.Thread(target=self._live, daemon=True,
+                                          args=(work,))
+                thread.start()
+                self._threads.append(thread)
+
+    def _live(self, work):
+        try:
+            work()
+        except _Lost:
+            pass
+        except Exception as problem:  # pylint: disable=broad-except
+            self.problems.append(problem)
+
+    def stop(self):
+        self.stopped.set()
+        for vehicle in self.vehicles:
+            vehicle.cancel()
+        for thread in self._threads:
+            thread.join(30)
+            assert not thread.is_alive(), "a client does not end"
+        self._threads.clear()
+        self.check()
+
+    def check(self):
+        if self.problems:
+            raise self.problems[0]
+
+    def sleep(self, seconds):
+        """Of the row, which ends early if a client met with the unexpected."""
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            self.check()
+            time.sleep(min(0.05, max(0.0, until - time.monotonic())))
+
+    def acked(self):
+        return sum(vehicle.history.acked for vehicle in self.vehicles)
+
+    def wait_for_acks(self, seconds, vehicles=None):
+        """Until every vehicle, or each of these, was acknowledged something sent
+        from now on; answers how long that took."""
+        begun = time.monotonic()
+        todo = list(self.vehicles if vehicles is None else vehicles)
+        while todo:
+            self.check()
+            waited = time.monotonic() - begun
+            todo = [vehicle for vehicle in todo if not any(
+                ack.returned > begun for ack in vehicle.history.acks[-3:])]
+            assert not todo or waited < seconds, (
+                f"no acknowledgement in {waited:.1f} s of "
+                f"{[vehicle.name for vehicle in todo]}; {self.summary()}")
+            time.sleep(0.01)
+        return time.monotonic() - begun
+
+    def summary(self):
+        return ", ".join(f"{count} {name}"
+                         for name, count in self.outcomes.most_common(8))
+
+
+class Vehicle:
+    """One vehicle, its clients' memory, and the server that they believe in."""
+
+    def __init__(self, fleet, number, seed):
+        self.fleet = fleet
+        self.name = f"vehicles/fleet-{number}"
+        self.uid = ""
+        self.drive = Drive(seed * 1000 + number)
+        self.history = History()
+        self.told_of_loss = False
+        self._rng = random.Random(f"{seed} {number}")
+        self._route = self._rng.choice(fleet.addresses)
+        self._calls = set()
+        self._lock = threading.Lock()
+
+    def sent_pose(self, sequence):
+        return self.drive[sequence - 1:sequence][0].SerializeToString(
+            deterministic=True)
+
+    def cancel(self):
+        with self._lock:
+            for call in self._calls:
+                call.cancel()
+
+    # Routing.
+
+    def _choose(self, rng):
+        addresses = self.fleet.addresses
+        if self._route not in addresses or rng.random() < STRAY:
+            return rng.choice(addresses)
+        return self._route
+
+    def _note(self, error, address, rng):
+        """Learns from a failure; Unexpected if it is none that passes."""
+        code = error.code()
+        reason, metadata = failure_of(error)
+        self.fleet.outcomes[f"{code.name} {reason}".strip()] += 1
+        if reason == "DURABLE_SEQUENCE_REGRESSED" and self.fleet.may_lose:
+            self.told_of_loss = True
+            raise _Lost
+        if reason == "NOT_OWNER":
+            self._route = metadata["owner"]
+        elif reason != "EPOCH_FENCED" and address == self._route:
+            # Somebody else may have it by now, or knows who has.
+            self._route = rng.choice(self.fleet.addresses)
+        if self.fleet.accepts_all or (code, reason) in self.fleet.passing or (
+                code, None) in self.fleet.passing:
+            return
+        if self.fleet.stopped.is_set() and code == grpc.StatusCode.CANCELLED:
+            return
+        raise Unexpected(f"{self.name} at {address}: {code.name} {reason}: "
+                         f"{error.details()}")
+
+    def _wait(self, rng):
+        self.fleet.stopped.wait(rng.uniform(0.02, 0.15))
+
+    # Writing.
+
+    def write(self):
+        rng = random.Random(self._rng.random())
+        channels = _Channels()
+        while not self.fleet.stopped.is_set():
+            address = self._choose(rng)
+            try:
+                stub = channels.stub(address)
+                if rng.random() < self.fleet.stream_share:
+                    self._stream(stub, rng)
+                else:
+                    self._append(stub, rng)
+            except grpc.RpcError as error:
+                self._note(error, address, rng)
+                channels.renew_after(address, error)
+                self._wait(rng)
+        channels.close()
+
+    def _poses(self, first, rng):
+        last = first + rng.randint(1, self.fleet.max_batch) - 1
+        poses = self.drive[first - 1:last]
+        self.history.sent = max(self.history.sent, last)
+        return last, poses
+
+    def _acked(self, sequence):
+        self.history.acks.append(Ack(time.monotonic(), sequence))
+
+    def _append(self, stub, rng):
+        for _ in range(rng.randint(1, 20)):
+            if self.fleet.stopped.is_set():
+                return
+            _, poses = self._poses(self.history.acked + 1, rng)
+            ack = stub.AppendPoses(api.AppendPosesRequest(
+                vehicle=self.name, vehicle_uid=self.uid, poses=poses),
+                timeout=ANSWER_SECONDS).ack
+            self._acked(ack.durable_sequence)
+            self.fleet.outcomes["append"] += 1
+            time.sleep(rng.random() * self.fleet.pause_seconds)
+
+    def _stream(self, stub, rng):
+        """One stream of some batches, a window of which is under way. It is given
+        up when an answer is late."""
+        requests = queue.SimpleQueue()
+        call = stub.StreamPoses(iter(requests.get, None))
+        late = _Watch(call, ANSWER_SECONDS)
+        with self._lock:
+            self._calls.add(call)
+        try:
+            called = time.monotonic()
+            requests.put(api.StreamPosesRequest(open=api.StreamPosesOpen(
+                vehicle=self.name, acked_sequence=self.history.acked,
+                vehicle_uid=self.uid)))
+            opened = next(call).opened
+            late.put_off()
+            self.history.reads.append(Read(
+                called, time.monotonic(), opened.durable_sequence, "opened"))
+            self.fleet.outcomes["stream"] += 1
+            under_way = collections.deque()
+            sequence = opened.durable_sequence
+            for _ in range(rng.randint(5, 300)):
+                if self.fleet.stopped.is_set():
+                    break
+                sequence, poses = self._poses(sequence + 1, rng)
+                requests.put(api.StreamPosesRequest(
+                    batch=api.PoseBatch(poses=poses)))
+                under_way.append(sequence)
+                while len(under_way) >= self.fleet.window:
+                    self._read_ack(call, under_way, late)
+                time.sleep(rng.random() * self.fleet.pause_seconds)
+            requests.put(None)
+            while under_way:
+                self._read_ack(call, under_way, late)
+            for _ in call:
+                pass
+        except StopIteration:
+            # Ended with OK although nobody has closed it.
+            raise Unexpected(f"{self.name}: a stream ended early") from None
+        finally:
+            late.stop()
+            requests.put(None)
+            call.cancel()
+            with self._lock:
+                self._calls.discard(call)
+
+    def _read_ack(self, call, under_way, late):
+        response = next(call)
+        late.put_off()
+        if response.WhichOneof("message") == "ack":
+            self._acked(response.ack.durable_sequence)
+            under_way.popleft()
+
+    # Reading.
+
+    def read(self):
+        rng = random.Random(self._rng.random())
+        channels = _Channels()
+        while not self.fleet.stopped.is_set():
+            address = self._choose(rng)
+            called = time.monotonic()
+            floor = self.history.acked
+            stub = channels.stub(address)
+            try:
+                if rng.random() < 0.8 or floor == 0:
+                    what = "GetVehicle"
+                    sequence = stub.GetVehicle(
+                        api.GetVehicleRequest(name=self.name),
+                        timeout=ANSWER_SECONDS).vehicle.durable_sequence
+                else:
+                    what = "ListPoses"
+                    sequence = self._read_poses(stub, max(1, floor - 5))
+            except grpc.RpcError as error:
+                self._note(error, address, rng)
+                channels.renew_after(address, error)
+            else:
+                self.history.reads.append(
+                    Read(called, time.monotonic(), sequence, what))
+                self.fleet.outcomes["read"] += 1
+            self._wait(rng)
+        channels.close()
+
+    def _read_poses(self, stub, first):
+        """The highest sequence among poses that are what was sent."""
+        poses = stub.ListPoses(api.ListPosesRequest(
+            parent=self.name, first_sequence=first, page_size=1000),
+            timeout=ANSWER_SECONDS).poses
+        for sequence, pose in enumerate(poses, first):
+            if pose.SerializeToString(
+                    deterministic=True) != self.sent_pose(sequence):
+                raise Unexpected(f"{self.name}: pose {sequence} is not what was "
+                                 "sent")
+        return first + len(poses) - 1
+
+
+class _Channels:
+    """A client's channels. One whose connection may have died is made anew, for
+    gRPC keeps it from a server that is back for a while."""
+
+    def __init__(self):
+        self._channels = {}
+
+    def stub(self, address):
+        if address not in self._channels:
+            self._channels[address] = grpc.insecure_channel(
+                address, options=_OPTIONS)
+        return PoseGraphServiceStub(self._channels[address])
+
+    def renew_after(self, address, error):
+        if not failure_of(error)[0]:
+            self._channels.pop(address).close()
+
+    def close(self):
+        for channel in self._channels.values():
+            channel.close()
+
+
+class _Watch:
+    """Cancels a call whose answer is late: gRPC would wait for ever for a server
+    that is stopped."""
+
+    def __init__(self, call, seconds):
+        self._call, self._seconds = call, seconds
+        self._due = time.monotonic() + seconds
+        self._stopped = threading.Event()
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self):
+        while (left := self._due - time.monotonic()) > 0:
+            if self._stopped.wait(left):
+                return
+        self._call.cancel()
+
+    def put_off(self):
+        self._due = time.monotonic() + self._seconds
+
+    def stop(self):
+        self._stopped.set()

@@ -1,0 +1,162 @@
+"""Rows of a cluster whose servers end, stop, come and go."""
+
+import signal
+
+from cluster import LEASE_SECONDS, TAKEOVER_SECONDS, Cluster
+from cluster_history import HOLD_SECONDS
+from revisit_server import BIN, wait_until
+
+# A server that is asked to end leaves nobody waiting for its lease.
+BACK_SECONDS = 5.0
+
+
+def stops(**plan):
+    """An environment in which a server stops at a statement; see
+    statement_shim.cc."""
+    return {"LD_PRELOAD": str(BIN / "statement_shim.so"),
+            "REVISIT_TEST_STATEMENT": "append",
+            **{f"REVISIT_TEST_{name.upper()}": str(value)
+               for name, value in plan.items()}}
+
+
+def killed(run):
+    rounds = run.rounds(short=3, long=20)
+    slowest = 0.0
+    with Cluster(run) as cluster:
+        cluster.fleet.start()
+        cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for _ in range(rounds):
+            cluster.fleet.sleep(run.rng.uniform(0.2, 1.5))
+            victim = run.rng.choice(list(cluster.servers))
+            cluster.kill(victim)
+            if run.rng.random() < 0.5:
+                cluster.start(victim)
+            slowest = max(slowest, cluster.fleet.wait_for_acks(TAKEOVER_SECONDS))
+            if not cluster.servers[victim].is_running():
+                cluster.start(victim)
+        seen = cluster.judge()
+    return rounds, f"{seen}; all served again after {slowest:.1f} s at most"
+
+
+def paused(run):
+    rounds = run.rounds(short=4, long=24)
+    slowest = 0.0
+    with Cluster(run) as cluster:
+        cluster.fleet.start()
+        cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for number in range(rounds):
+            victim = run.rng.choice(list(cluster.servers))
+            cluster.pause(victim)
+            if number % 2:
+                # Others have its vehicles before it wakes.
+                slowest = max(slowest,
+                              cluster.fleet.wait_for_acks(TAKEOVER_SECONDS))
+            else:
+                cluster.fleet.sleep(run.rng.uniform(0.3, LEASE_SECONDS))
+            cluster.resume(victim)
+            cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+        seen = cluster.judge()
+    return rounds, f"{seen}; all served again after {slowest:.1f} s at most"
+
+
+def paused_at_append(run, when):
+    """The server stops at a statement that it has decided to send, its vehicles
+    are taken, and it wakes."""
+    rounds = run.rounds(short=2, long=12)
+    fenced = 0
+    with Cluster(run) as cluster:
+        cluster.fleet.start()
+        cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for _ in range(rounds):
+            victim = run.rng.choice(list(cluster.servers))
+            cluster.kill(victim)
+            cluster.start(victim, **stops(**{when: run.rng.randint(2, 60)}))
+            wait_until(lambda: cluster.is_paused(victim), "the server stops", 60)
+            cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+            cluster.resume(victim)
+            fenced += bool(cluster.servers[victim].logged(
+                "taken this one for dead"))
+            cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+        seen = cluster.judge()
+    return rounds, f"{seen}; {fenced} servers woke up dead"
+
+
+def terminated(run):
+    rounds = run.rounds(short=3, long=20)
+    slowest = longest = 0.0
+    with Cluster(run, flags=["--drain-notice-seconds", 1]) as cluster:
+        cluster.fleet.start()
+        cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for _ in range(rounds):
+            cluster.fleet.sleep(run.rng.uniform(0.2, 1.5))
+            victim = run.rng.choice(list(cluster.servers))
+            longest = max(longest, cluster.terminate(victim))
+            slowest = max(slowest, cluster.fleet.wait_for_acks(BACK_SECONDS))
+            cluster.start(victim)
+        told = cluster.fleet.outcomes["UNAVAILABLE SERVER_DRAINING"]
+        seen = cluster.judge()
+    assert told > 0
+    assert slowest < LEASE_SECONDS, slowest
+    return rounds, (f"{seen}; ended within {longest:.1f} s, all served "
+                    f"{slowest:.1f} s later at most; {told} told SERVER_DRAINING")
+
+
+def rolling_restart(run):
+    """Each server once, the next when the one before is back."""
+    streams = 300 if run.long else 60
+    slowest = 0.0
+    with Cluster(run, flags=["--drain-notice-seconds", 1], fleet={
+            "vehicles": streams, "readers": 6, "pause_seconds": 1.0}) as cluster:
+        cluster.fleet.start()
+        cluster.fleet.wait_for_acks(60)
+        for number in list(cluster.servers):
+            cluster.terminate(number, 60)
+            cluster.start(number)
+            slowest = max(slowest, cluster.fleet.wait_for_acks(60))
+        seen = cluster.judge()
+    return len(cluster.servers), (
+        f"{streams} vehicles, {seen}; all served {slowest:.1f} s after a server "
+        "is back")
+
+
+def scaled(run):
+    """2 -> 3 -> 2 servers."""
+    rounds = run.rounds(short=1, long=4)
+    most = 0
+    with Cluster(run, servers=2, flags=["--drain-notice-seconds", 1]) as cluster:
+        cluster.fleet.start()
+        cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for _ in range(rounds):
+            cluster.start(2)
+            cluster.fleet.addresses = cluster.addresses()
+            # Calls that stray there have vehicles handed over.
+            wait_until(lambda: len(cluster.vehicles_of(2)) >= 2,
+                       "vehicles at the third server", 3 * HOLD_SECONDS)
+            most = max(most, len(cluster.vehicles_of(2)))
+            leaver = run.rng.choice(list(cluster.servers))
+            cluster.terminate(leaver)
+            del cluster.servers[leaver]
+            cluster.fleet.addresses = cluster.addresses()
+            cluster.fleet.wait_for_acks(BACK_SECONDS)
+            if leaver != 2:
+                cluster.servers[leaver] = cluster.servers.pop(2)
+        seen = cluster.judge()
+    return rounds, f"{seen}; the third server had {most} vehicles"
+
+
+ROWS = [
+    ("cluster: kill -9 of a server", "1", "every acked pose, once, in order",
+     killed),
+    ("cluster: server stopped and woken", "22", "no ack, no stale read", paused),
+    ("cluster: stopped between check and commit", "22",
+     "nothing written by whoever is no longer the owner",
+     lambda run: paused_at_append(run, "stop_before")),
+    ("cluster: stopped between commit and ack", "22",
+     "sent again elsewhere: stored once",
+     lambda run: paused_at_append(run, "stop_after")),
+    ("cluster: SIGTERM of a server", "16", "last acks, others have its vehicles "
+     "at once", terminated),
+    ("cluster: rolling restart", "16", "no ack lost", rolling_restart),
+    ("cluster: scale 2 -> 3 -> 2", "23",
+     "vehicles move, each at most once in 10 s", scaled),
+]
