@@ -11,7 +11,7 @@ from cluster_clients import Fleet
 from cluster_history import Claim, Stored, hasty_moves, moves, violations
 from database_proxy import DatabaseProxy
 from postgres import Postgres, url_of
-from revisit_server import Server, clean_environment, free_port
+from revisit_server import Server, clean_environment, free_port, wait_until
 from revisit_server import run as run_program
 from stubs import PoseGraphServiceStub
 from wire import as_bytes, list_poses
@@ -76,14 +76,19 @@ class Cluster:
             for number in range(servers):
                 self.start(number)
             self.fleet = Fleet(run.seed, self.addresses(), **(fleet or {}))
-            self.fleet.create(self.stub(0))
+            self.fleet.create({server.address: server.stub()
+                               for server in self.servers.values()})
             stack.callback(self._stop_fleet)
             self._stack = stack.pop_all()
 
     def __enter__(self):
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, failure, *_):
+        if failure is not None:
+            for number, server in self.servers.items():
+                print(f"the end of the log of server {number}:",
+                      *server.log().splitlines()[-12:], sep="\n  ")
         self._stack.close()
 
     def _stop_fleet(self):
@@ -141,6 +146,13 @@ class Cluster:
             return file.read().rpartition(")")[2].split()[0] == "T"
 
     # What the database knows.
+
+    def wait_until_dead(self, number):
+        """Until the others have declared a server dead."""
+        address = self.servers[number].address
+        wait_until(lambda: not self.database.sql(
+            f"SELECT 1 FROM servers WHERE address = '{address}' AND "
+            "state = 'live'"), f"dead server at {address}", TAKEOVER_SECONDS)
 
     def owners(self):
         """The address of the server of each vehicle that has one that lives, by

@@ -46,6 +46,9 @@ class _Lost(Exception):
 
 def failure_of(error):
     """(reason, metadata) of a status; empty without ErrorInfo."""
+    if error.code() == grpc.StatusCode.CANCELLED:
+        # By this side, whatever the other one said at that moment.
+        return "", {}
     if "grpc-status-details-bin" not in dict(error.trailing_metadata() or ()):
         return "", {}
     failure = decode_failure(error)
@@ -79,13 +82,11 @@ class Fleet:
                          for number in range(vehicles)]
         self._threads = []
 
-    def create(self, stub, **settings):
-        for vehicle in self.vehicles:
-            created = stub.CreateVehicle(api.CreateVehicleRequest(
-                vehicle_id=vehicle.name.split("/")[1],
-                vehicle=api.Vehicle(
-                    settings=api.VehicleSettings(**settings)))).vehicle
-            vehicle.uid = created.uid
+    def create(self, stubs):
+        """`stubs` by address. Each server gets its share."""
+        for number, vehicle in enumerate(self.vehicles):
+            address = self.addresses[number % len(self.addresses)]
+            vehicle.create(stubs[address], address)
 
     def start(self):
         self.stopped.clear()
@@ -145,6 +146,11 @@ class Fleet:
             time.sleep(0.01)
         return time.monotonic() - begun
 
+    def longest_silence(self, since):
+        """Of any vehicle, until now."""
+        return max(vehicle.history.longest_silence(since, time.monotonic())
+                   for vehicle in self.vehicles)
+
     def summary(self):
         return ", ".join(f"{count} {name}"
                          for name, count in self.outcomes.most_common(8))
@@ -161,7 +167,7 @@ class Vehicle:
         self.history = History()
         self.told_of_loss = False
         self._rng = random.Random(f"{seed} {number}")
-        self._route = self._rng.choice(fleet.addresses)
+        self._route = None
         self._calls = set()
         self._lock = threading.Lock()
 
@@ -173,6 +179,11 @@ class Vehicle:
         with self._lock:
             for call in self._calls:
                 call.cancel()
+
+    def create(self, stub, address):
+        self._route = address
+        self.uid = stub.CreateVehicle(api.CreateVehicleRequest(
+            vehicle_id=self.name.split("/")[1])).vehicle.uid
 
     # Routing.
 

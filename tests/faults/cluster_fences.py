@@ -24,6 +24,7 @@ def without_fence(run):
             fleet.accepts_all = True
             fleet.start()
             wait_until(lambda: cluster.is_paused(0), "the server stops", 60)
+            cluster.wait_until_dead(0)
             fleet.wait_for_acks(TAKEOVER_SECONDS)
             cluster.resume(0)
             fleet.sleep(3.0)
