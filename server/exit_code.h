@@ -17,6 +17,7 @@ enum ExitCode {
 
 // The code for a store that could not be opened or read.
 inline ExitCode ExitCodeOf(const absl::Status& status) {
+  if (absl::IsInvalidArgument(status)) return kExitUsage;
   if (absl::IsDataLoss(status)) return kExitStoreDamaged;
   if (absl::IsFailedPrecondition(status)) return kExitStoreInUse;
   return kExitStoreFailed;

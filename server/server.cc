@@ -8,7 +8,6 @@
 #include <atomic>
 #include <chrono>
 #include <cstdio>
-#include <filesystem>
 #include <fstream>
 #include <optional>
 #include <string>
@@ -24,6 +23,7 @@
 #include "server/connections/connection_acceptor.h"
 #include "server/connections/drain.h"
 #include "server/conversion/record_codec.h"
+#include "server/open_store.h"
 #include "server/security/gatekeeper.h"
 #include "server/security/server_credentials.h"
 #include "server/security/tls_files.h"
@@ -32,15 +32,10 @@
 #include "server/service/reflection.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/fleet.h"
-#include "server/storage/sqlite/sqlite_storage.h"
-#include "server/storage/sqlite/store_files.h"
 
 namespace revisit::server {
 namespace {
 
-// Poses that a row of the store may gather from small batches of one vehicle:
-// as many as one usual batch holds.
-constexpr std::size_t kRowPoses = 64;
 // Time for connections to be closed in an orderly way. Where calls were ended
 // it is longer: a connection that the server cuts before its caller has read
 // how a call ended takes that answer with it.
@@ -151,7 +146,8 @@ struct RevisitServer::State {
   const Log* log = nullptr;
   std::optional<LibraryLogRoute> library_log;
   ProtoRecordCodec codec;
-  std::string store_file;
+  std::string store_name;
+  std::string scratch_directory;
   std::unique_ptr<Storage> storage;
   std::unique_ptr<Executor> executor;
   std::unique_ptr<Executor> read_executor;
@@ -258,27 +254,6 @@ void Configure(const Limits& limits, grpc::ServerBuilder* builder) {
       GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 10000);
 }
 
-SqliteOptions StorageOptions(const ServerSettings& settings, const Log* log,
-                             std::function<void()> on_failure) {
-  SqliteOptions options;
-  options.max_joined_poses = kRowPoses;
-  options.latency_target = std::chrono::microseconds(
-      static_cast<std::int64_t>(settings.ack_latency_target_ms * 1000.0));
-  options.min_free_bytes = settings.min_free_bytes;
-  options.max_checked_bytes = settings.max_checked_bytes;
-  options.drop_damaged_log = settings.damaged_log == DamagedLog::kDrop;
-  options.warn = [log](const std::string& message) {
-    log->Write(LogLevel::kWarning, "store", {{"message", message}});
-  };
-  options.on_failure =
-      [log, on_failure = std::move(on_failure)](const absl::Status& status) {
-        log->Write(LogLevel::kError, "store",
-                   {{"message", std::string(status.message())}});
-        on_failure();
-      };
-  return options;
-}
-
 // Full names of the services that reflection describes beside itself.
 std::vector<std::string> ServedNames(const ServerSettings& settings) {
   std::vector<std::string> names = {v1::PoseGraphService::service_full_name()};
@@ -343,20 +318,18 @@ bool RevisitServer::State::LoadIdentities(StartError* error) {
 }
 
 bool RevisitServer::State::OpenStore(StartError* error) {
-  const SqliteOptions options = StorageOptions(settings, log, [this] {
+  absl::StatusOr<OpenedStore> opened = OpenStoreToServe(settings, log, [this] {
     has_failed = true;
     if (on_failure) on_failure();
   });
-  const absl::StatusOr<std::string> file = StoreFileToServe(settings.store);
-  absl::StatusOr<std::unique_ptr<Storage>> opened =
-      file.ok() ? OpenSqliteStorage(*file, options) : file.status();
   if (!opened.ok()) {
     *error = {ExitCodeOf(opened.status()),
               std::string(opened.status().message())};
     return false;
   }
-  store_file = *file;
-  storage = *std::move(opened);
+  store_name = std::move(opened->name);
+  scratch_directory = std::move(opened->scratch_directory);
+  storage = std::move(opened->storage);
   return true;
 }
 
@@ -404,8 +377,7 @@ void RevisitServer::State::StartService() {
   context.log = log;
   context.admission = admission.get();
   context.snapshots = &snapshots;
-  context.scratch_directory =
-      std::filesystem::absolute(store_file).parent_path().string();
+  context.scratch_directory = scratch_directory;
   context.min_free_bytes = settings.min_free_bytes;
   meters = std::make_unique<ConnectionMeters>(MetersOf(settings.limits));
   context.meters = meters.get();
@@ -472,7 +444,7 @@ bool RevisitServer::State::Announce(StartError* error) {
   }
   log->Write(LogLevel::kInfo, "serving",
              {{"address", address},
-              {"store", store_file},
+              {"store", store_name},
               {"version", REVISIT_VERSION}});
   return true;
 }

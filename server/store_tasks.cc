@@ -6,6 +6,8 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "server/storage/postgres/migrations.h"
+#include "server/storage/postgres/postgres_check.h"
 #include "server/storage/sqlite/store_backup.h"
 #include "server/storage/sqlite/store_check.h"
 #include "server/storage/sqlite/store_compaction.h"
@@ -36,8 +38,7 @@ StoreUse UseOf(const std::string& file) {
   return StoreLock::IsHeld(file) ? StoreUse::kServed : StoreUse::kIdle;
 }
 
-ExitCode Verify(const std::string& file) {
-  const absl::StatusOr<StoreReport> report = CheckStore(file, UseOf(file));
+ExitCode PrintFindings(const absl::StatusOr<StoreReport>& report) {
   if (!report.ok()) return Fail(report.status());
   Print(*report);
   if (report->problems.empty()) {
@@ -76,20 +77,61 @@ ExitCode Compact(const std::string& file) {
   return kExitOk;
 }
 
-}  // namespace
+ExitCode Migrate(const std::string& url) {
+  const absl::StatusOr<MigrationReport> report = MigrateDatabase(url);
+  if (!report.ok()) return Fail(report.status());
+  std::printf("version before %d\nversion after %d\n", report->version_before,
+              report->version_after);
+  return kExitOk;
+}
 
-ExitCode RunStoreTask(const ServerSettings& settings, const StoreTask& task) {
+ExitCode Misplaced(const std::string& message) {
+  return Fail(absl::InvalidArgumentError(message));
+}
+
+ExitCode RunTaskOnDatabase(const ServerSettings& settings,
+                           const StoreTask& task) {
+  switch (task.kind) {
+    case StoreTask::Kind::kBackup:
+      return Misplaced(
+          "backup is for a store in a file; a database is copied with its own "
+          "tools while servers use it: pg_dump, or pg_basebackup with its log, "
+          "which loses nothing");
+    case StoreTask::Kind::kCompact:
+      return Misplaced(
+          "compact is for a store in a file; a database gives room back by "
+          "itself (autovacuum), and all of it with VACUUM FULL");
+    case StoreTask::Kind::kMigrate:
+      return Migrate(settings.store);
+    case StoreTask::Kind::kVerify:
+      break;
+  }
+  return PrintFindings(CheckDatabase(settings.store));
+}
+
+ExitCode RunTaskOnFile(const ServerSettings& settings, const StoreTask& task) {
+  if (task.kind == StoreTask::Kind::kMigrate) {
+    return Misplaced(
+        "migrate is for a store in a database, postgresql://...; a file is "
+        "brought up to date when it is opened");
+  }
   const absl::StatusOr<std::string> file = ExistingStoreFile(settings.store);
   if (!file.ok()) return Fail(file.status());
   switch (task.kind) {
     case StoreTask::Kind::kBackup:
-      return BackUp(*file, task.destination, settings.min_free_bytes);
+      return BackUp(*file, task.other, settings.min_free_bytes);
     case StoreTask::Kind::kCompact:
       return Compact(*file);
-    case StoreTask::Kind::kVerify:
-      break;
+    default:
+      return PrintFindings(CheckStore(*file, UseOf(*file)));
   }
-  return Verify(*file);
+}
+
+}  // namespace
+
+ExitCode RunStoreTask(const ServerSettings& settings, const StoreTask& task) {
+  return IsSharedStore(settings.store) ? RunTaskOnDatabase(settings, task)
+                                       : RunTaskOnFile(settings, task);
 }
 
 }  // namespace revisit::server

@@ -42,6 +42,8 @@ Examples:
   revisitd backup --store /var/lib/revisit --to /backup/monday.sqlite
   revisitd verify --store /backup/monday.sqlite
   revisitd compact --store /var/lib/revisit
+  revisitd migrate --store postgresql://db.example/revisit
+  revisitd --store postgresql://db.example/revisit --advertise-address a:50051
 )";
 
 }  // namespace
@@ -58,14 +60,16 @@ struct CommandLine::Parser {
                  Wrapped("Print all settings in the form of the file, and "
                          "stop"));
     backup = app.add_subcommand("backup", "Copy the store and check the copy");
-    backup->add_option("--to", destination, "File to make")
+    backup->add_option("--to", other, "File to make")
         ->type_name("FILE")
         ->required();
     verify = app.add_subcommand("verify",
                                 "Read the whole store and say what is wrong");
     compact =
         app.add_subcommand("compact", "Make the file of a stopped store small");
-    for (CLI::App* subcommand : {backup, verify, compact}) {
+    migrate = app.add_subcommand("migrate",
+                                 "Make or renew the tables of a shared store");
+    for (CLI::App* subcommand : {backup, verify, compact, migrate}) {
       subcommand->fallthrough();
       subcommand->footer("--store and --config are those of revisitd itself.");
     }
@@ -80,7 +84,8 @@ struct CommandLine::Parser {
   CLI::App* backup = nullptr;
   CLI::App* verify = nullptr;
   CLI::App* compact = nullptr;
-  std::string destination;
+  CLI::App* migrate = nullptr;
+  std::string other;
 };
 
 CommandLine::CommandLine(const ServerSettings& settings)
@@ -110,8 +115,9 @@ std::optional<StoreTask> CommandLine::Task() const {
   for (const auto& [subcommand, kind] :
        {std::pair(parser_->backup, StoreTask::Kind::kBackup),
         std::pair(parser_->verify, StoreTask::Kind::kVerify),
-        std::pair(parser_->compact, StoreTask::Kind::kCompact)}) {
-    if (subcommand->parsed()) return StoreTask{kind, parser_->destination};
+        std::pair(parser_->compact, StoreTask::Kind::kCompact),
+        std::pair(parser_->migrate, StoreTask::Kind::kMigrate)}) {
+    if (subcommand->parsed()) return StoreTask{kind, parser_->other};
   }
   return std::nullopt;
 }

@@ -169,7 +169,19 @@ void AddServing(Group add, ServerSettings& s) {
   add.Text(
       "store", &s.store, "PATH",
       "Directory of the store, created if missing; or the store's file, if "
-      "that is what the path names");
+      "that is what the path names; or postgresql://..., a database that "
+      "several servers share");
+  add.Text("advertise-address", &s.advertise_address, "HOST:PORT",
+           "Address by which the servers of a shared store name this one; "
+           "empty: that of listen");
+  add.Number("store-connections", &s.store_connections, 1, 16,
+             "Connections that write to a shared store");
+  add.Choice("require-replicated", Switch(), &s.require_replicated,
+             "Whether to write only where a shared store replicates a commit "
+             "before it acknowledges it");
+  add.Number("lease-seconds", &s.lease_seconds, 1, 3600,
+             "Seconds that this server may be out of touch with a shared store "
+             "before others take its vehicles");
   add.Number("min-free-bytes", &s.min_free_bytes, 0, std::int64_t{1} << 50,
              "Bytes that the store's file system must have left for writes to "
              "be taken; 0 never refuses them");

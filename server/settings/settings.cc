@@ -7,6 +7,7 @@
 #include <cctype>
 
 #include "absl/status/status.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "server/settings/command_line.h"
 #include "server/settings/settings_file.h"
@@ -135,7 +136,26 @@ absl::Status CheckSecurity(const ServerSettings& s) {
   return absl::OkStatus();
 }
 
+// A store in a file is shared with nobody.
+absl::Status CheckSharing(const ServerSettings& s) {
+  if (IsSharedStore(s.store)) return absl::OkStatus();
+  for (const auto& [key, is_set] :
+       {std::pair("require-replicated", s.require_replicated),
+        std::pair("advertise-address", !s.advertise_address.empty())}) {
+    if (!is_set) continue;
+    return absl::InvalidArgumentError(absl::StrCat(
+        key, " needs a store that servers share, postgresql://...; store is \"",
+        s.store, "\""));
+  }
+  return absl::OkStatus();
+}
+
 }  // namespace
+
+bool IsSharedStore(const std::string& store) {
+  return absl::StartsWith(store, "postgresql://") ||
+         absl::StartsWith(store, "postgres://");
+}
 
 absl::StatusOr<ParsedSettings> ParseSettings(
     const std::vector<std::string>& arguments,
@@ -171,6 +191,7 @@ absl::StatusOr<ParsedSettings> ParseSettings(
   if (!status.ok()) return status;
   if (!line.print() && !line.print_config() && !line.Task()) {
     status = CheckSecurity(line.settings());
+    if (status.ok()) status = CheckSharing(line.settings());
     if (!status.ok()) return status;
   }
   ParsedSettings parsed{line.settings(), line.Task(), std::nullopt};

@@ -32,8 +32,20 @@ struct ServerSettings {
   // HOST:PORT, or unix:PATH. Port 0 takes a free one.
   std::string listen = "127.0.0.1:50051";
   // A directory, created if missing, that holds the store; or the store's file
-  // itself, if the path is that of a file.
+  // itself, if the path is that of a file; or postgresql://..., a database that
+  // several servers share.
   std::string store = "revisit-store";
+  // The address by which the servers of a shared store name this one; empty:
+  // `listen`.
+  std::string advertise_address;
+  // Connections that write to a shared store; reads have others, as many as
+  // read at a time. Range [1, 16].
+  int store_connections = 2;
+  // Whether to write only where a shared store replicates what it acknowledges.
+  bool require_replicated = false;
+  // How long this server may be out of touch with a shared store before others
+  // take its vehicles. Range [1, 3600].
+  double lease_seconds = 10.0;
   // Writes are refused while the file system of the store has less than this
   // left; they are taken again from a quarter more on. 0 never refuses them.
   // Range [0, 2^50].
@@ -104,11 +116,14 @@ struct ServerSettings {
 
 // A task on a store besides serving it.
 struct StoreTask {
-  enum class Kind { kBackup, kVerify, kCompact };
+  enum class Kind { kBackup, kVerify, kCompact, kMigrate };
   Kind kind;
-  // File of the backup.
-  std::string destination;
+  // File of a backup.
+  std::string other;
 };
+
+// Whether a value of `store` is the URL of a database rather than a path.
+bool IsSharedStore(const std::string& store);
 
 // The harm that anybody who reaches the address could do; empty if it can only
 // be reached from this machine, or is encrypted and identifies callers.

@@ -119,10 +119,6 @@ std::string ToText(const Uuid& uuid) {
   return text;
 }
 
-bool IsPostgresUrl(const std::string& store) {
-  return StartsWith(store, "postgresql://") || StartsWith(store, "postgres://");
-}
-
 std::string WithoutSecrets(const std::string& conninfo) {
   const ConninfoOptions options(PQconninfoParse(conninfo.c_str(), nullptr),
                                 PQconninfoFree);

@@ -28,8 +28,6 @@ namespace revisit::server {
 using Uuid = std::array<char, 16>;
 std::string ToText(const Uuid& uuid);
 
-// Whether a value of --store names a database rather than a file.
-bool IsPostgresUrl(const std::string& store);
 // Host, port, database and user of the URL, without what is secret.
 std::string WithoutSecrets(const std::string& conninfo);
 

@@ -19,13 +19,113 @@ using absl::StatusCode;
 // Connections that stay open while nobody reads.
 constexpr std::size_t kIdleReaders = 4;
 
-class PostgresStorage : public Storage {
+// What is read needs no owner.
+class PostgresReads : public Storage {
+ public:
+  absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override {
+    return Read<VehicleRecord>([&](PostgresConnection& connection) {
+      return FindVehicle(connection, id);
+    });
+  }
+
+  absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
+      const std::string& after_id, const std::string& prefix,
+      int limit) override {
+    return Read<std::vector<VehicleRecord>>(
+        [&](PostgresConnection& connection) {
+          return FindVehicles(connection, after_id, prefix, limit);
+        });
+  }
+
+  absl::Status ReadBatches(
+      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+      BatchVersion version,
+      const std::function<bool(BatchRecord)>& visit) override {
+    return readers_.Use([&](PostgresConnection& connection) {
+      return VisitBatches(connection, key, first_sequence, last_sequence,
+                          version, visit);
+    });
+  }
+
+  absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
+      VehicleKey key, PairKind kind, const std::string& after_id,
+      int limit) override {
+    return Read<std::vector<PosePairRecord>>(
+        [&](PostgresConnection& connection) {
+          return FindPosePairs(connection, key, kind, after_id, limit);
+        });
+  }
+
+ protected:
+  explicit PostgresReads(const std::string& conninfo)
+      : readers_(conninfo, kIdleReaders) {}
+
+  template <typename T>
+  absl::StatusOr<T> Read(
+      const std::function<absl::StatusOr<T>(PostgresConnection&)>& read) {
+    absl::StatusOr<T> result = T();
+    const absl::Status status =
+        readers_.Use([&](PostgresConnection& connection) {
+          result = read(connection);
+          return result.status();
+        });
+    if (!status.ok()) return status;
+    return result;
+  }
+
+  ConnectionPool readers_;
+};
+
+class ReadOnlyPostgres : public PostgresReads {
+ public:
+  explicit ReadOnlyPostgres(const std::string& conninfo)
+      : PostgresReads(conninfo) {}
+
+  void CreateVehicle(
+      VehicleRecord,
+      std::function<void(absl::StatusOr<VehicleKey>)> done) override {
+    done(ReadOnly());
+  }
+  void UpdateVehicle(VehicleKey, std::string, std::uint64_t,
+                     Done done) override {
+    done(ReadOnly());
+  }
+  void DeleteVehicle(VehicleKey, Done done) override { done(ReadOnly()); }
+  void AppendBatch(VehicleKey, BatchRecord, std::optional<std::string>,
+                   Done done) override {
+    done(ReadOnly());
+  }
+  void ReviseBatches(VehicleKey, BatchSource, std::uint64_t,
+                     Done done) override {
+    done(ReadOnly());
+  }
+  void AddPosePair(VehicleKey, PairKind, PosePairRecord, std::uint64_t,
+                   Done done) override {
+    done(ReadOnly());
+  }
+  void DeletePosePair(VehicleKey, PairKind, std::string, std::uint64_t,
+                      Done done) override {
+    done(ReadOnly());
+  }
+  void DropDamaged(VehicleKey, std::uint64_t, std::string, std::uint64_t,
+                   Done done) override {
+    done(ReadOnly());
+  }
+
+ private:
+  static absl::Status ReadOnly() {
+    return Error(StatusCode::kFailedPrecondition, "INTERNAL",
+                 "this store was opened for reading");
+  }
+};
+
+class PostgresStorage : public PostgresReads {
  public:
   PostgresStorage(const std::string& conninfo, const PostgresOptions& options,
                   std::unique_ptr<Ownership> ownership)
-      : options_(options),
-        ownership_(std::move(ownership)),
-        readers_(conninfo, kIdleReaders) {
+      : PostgresReads(conninfo),
+        options_(options),
+        ownership_(std::move(ownership)) {
     PostgresWriter::Options writer;
     static_cast<WriteGroupOptions&>(writer) = options;
     writer.conninfo = conninfo;
@@ -191,40 +291,6 @@ class PostgresStorage : public Storage {
     return ownership_->Wanted();
   }
 
-  absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override {
-    return Read<VehicleRecord>([&](PostgresConnection& connection) {
-      return FindVehicle(connection, id);
-    });
-  }
-
-  absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
-      const std::string& after_id, const std::string& prefix,
-      int limit) override {
-    return Read<std::vector<VehicleRecord>>(
-        [&](PostgresConnection& connection) {
-          return FindVehicles(connection, after_id, prefix, limit);
-        });
-  }
-
-  absl::Status ReadBatches(
-      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
-      BatchVersion version,
-      const std::function<bool(BatchRecord)>& visit) override {
-    return readers_.Use([&](PostgresConnection& connection) {
-      return VisitBatches(connection, key, first_sequence, last_sequence,
-                          version, visit);
-    });
-  }
-
-  absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
-      VehicleKey key, PairKind kind, const std::string& after_id,
-      int limit) override {
-    return Read<std::vector<PosePairRecord>>(
-        [&](PostgresConnection& connection) {
-          return FindPosePairs(connection, key, kind, after_id, limit);
-        });
-  }
-
   bool HasRoom() override {
     return std::all_of(writers_.begin(), writers_.end(),
                        [](const auto& writer) { return writer->HasRoom(); });
@@ -248,19 +314,6 @@ class PostgresStorage : public Storage {
     return *writers_[static_cast<std::size_t>(key) % writers_.size()];
   }
 
-  template <typename T>
-  absl::StatusOr<T> Read(
-      const std::function<absl::StatusOr<T>(PostgresConnection&)>& read) {
-    absl::StatusOr<T> result = T();
-    const absl::Status status =
-        readers_.Use([&](PostgresConnection& connection) {
-          result = read(connection);
-          return result.status();
-        });
-    if (!status.ok()) return status;
-    return result;
-  }
-
   absl::StatusOr<VehicleRecord> Take(PostgresConnection& connection,
                                      const std::string& id) {
     const absl::StatusOr<VehicleKey> key = ownership_->Take(connection, id);
@@ -278,21 +331,28 @@ class PostgresStorage : public Storage {
   const PostgresOptions options_;
   // Outlives the writers.
   const std::unique_ptr<Ownership> ownership_;
-  ConnectionPool readers_;
   std::vector<std::unique_ptr<PostgresWriter>> writers_;
 };
+
+// A first connection, to a database whose tables are known here.
+absl::StatusOr<std::unique_ptr<PostgresConnection>> Look(
+    const std::string& conninfo) {
+  PostgresConnection::Options options;
+  options.conninfo = conninfo;
+  auto connection = PostgresConnection::Open(options);
+  if (!connection.ok()) return connection.status();
+  if (absl::Status status = CheckSchema(**connection); !status.ok()) {
+    return status;
+  }
+  return connection;
+}
 
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorage(
     const std::string& conninfo, const PostgresOptions& options) {
-  PostgresConnection::Options first;
-  first.conninfo = conninfo;
-  auto connection = PostgresConnection::Open(first);
+  auto connection = Look(conninfo);
   if (!connection.ok()) return connection.status();
-  if (absl::Status status = CheckSchema(**connection); !status.ok()) {
-    return status;
-  }
   const Durability& durability = (*connection)->durability();
   if (options.require_replicated &&
       durability.level != Durability::Level::kReplicated) {
@@ -310,6 +370,13 @@ absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorage(
   if (!ownership.ok()) return ownership.status();
   return std::unique_ptr<Storage>(
       new PostgresStorage(conninfo, options, *std::move(ownership)));
+}
+
+absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorageToRead(
+    const std::string& conninfo) {
+  const auto connection = Look(conninfo);
+  if (!connection.ok()) return connection.status();
+  return std::unique_ptr<Storage>(new ReadOnlyPostgres(conninfo));
 }
 
 }  // namespace revisit::server

@@ -52,6 +52,11 @@ struct PostgresOptions : WriteGroupOptions {
 absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorage(
     const std::string& conninfo, const PostgresOptions& options);
 
+// Opens it for reading, without joining the servers. Writes are
+// FAILED_PRECONDITION. Errors are those of OpenPostgresStorage().
+absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorageToRead(
+    const std::string& conninfo);
+
 }  // namespace revisit::server
 
 #endif  // REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_STORAGE_H_

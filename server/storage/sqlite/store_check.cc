@@ -1,4 +1,3 @@
-#include "server/storage/record_check.h"
 #include "server/storage/sqlite/store_check.h"
 
 #include <sys/stat.h>
@@ -9,6 +8,7 @@
 #include <system_error>
 #include <utility>
 
+#include "server/storage/record_check.h"
 #include "server/storage/sqlite/sqlite_storage.h"
 #include "server/storage/sqlite/store_files.h"
 #include "server/storage/sqlite/store_lock.h"
@@ -19,7 +19,6 @@ namespace revisit::server {
 namespace {
 
 constexpr std::size_t kListedNames = 20;
-constexpr int kPairsPerRead = 1000;
 
 // A text of the database's size and times, which changes when anybody writes to
 // it.
@@ -79,58 +78,15 @@ class Checker {
   }
 
   void CheckVehicle(VehicleKey key, const std::string& id) {
-    StoreReport counts;
-    const absl::Status status = ReadVehicle(id, &counts);
+    const absl::Status status = ReportVehicle(*storage_, id, &report_);
     // The server may have deleted the vehicle since it was listed.
-    if (use_ == StoreUse::kServed && absl::IsNotFound(status) &&
-        IsDeleted(key)) {
+    if (!absl::IsNotFound(status) ||
+        (use_ == StoreUse::kServed && IsDeleted(key))) {
       return;
     }
     ++report_.vehicles;
-    report_.batches += counts.batches;
-    report_.poses += counts.poses;
-    report_.loop_closures += counts.loop_closures;
-    report_.rejected_candidates += counts.rejected_candidates;
-    if (status.ok()) return;
     Note("vehicle '" + Printable(id) + "': " + std::string(status.message()));
     report_.damaged_vehicles.insert(Printable(id));
-  }
-
-  absl::Status ReadVehicle(const std::string& id, StoreReport* counts) {
-    const absl::StatusOr<VehicleRecord> record = storage_->GetVehicle(id);
-    if (!record.ok()) return record.status();
-    if (!record->damage.ok()) return record->damage;
-    for (const BatchVersion version :
-         {BatchVersion::kAsSent, BatchVersion::kCurrent}) {
-      const absl::Status read =
-          storage_->ReadBatches(record->key, 1, record->durable_sequence,
-                                version, [&](const BatchRecord& batch) {
-                                  if (version == BatchVersion::kAsSent) {
-                                    ++counts->batches;
-                                    counts->poses += batch.count;
-                                  }
-                                  return true;
-                                });
-      if (!read.ok()) return read;
-    }
-    for (const PairKind kind : kPairKinds) {
-      std::string after;
-      std::int64_t count = 0;
-      while (true) {
-        const absl::StatusOr<std::vector<PosePairRecord>> page =
-            storage_->ListPosePairs(record->key, kind, after, kPairsPerRead);
-        if (!page.ok()) return page.status();
-        if (page->empty()) break;
-        for (const PosePairRecord& pair : *page) {
-          if (!pair.damage.ok()) return pair.damage;
-        }
-        count += static_cast<std::int64_t>(page->size());
-        after = page->back().id;
-      }
-      (kind == PairKind::kLoopClosure ? counts->loop_closures
-                                      : counts->rejected_candidates) += count;
-    }
-    return absl::OkStatus();
   }
 
   void CheckNoneIsLeftOver() {

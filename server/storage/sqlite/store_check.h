@@ -10,25 +10,12 @@
 #include "absl/status/statusor.h"
 #include "server/storage/sqlite/sqlite_database.h"
 #include "server/storage/sqlite/store_opening.h"
+#include "server/storage/store_report.h"
 
 namespace revisit::server {
 
 // Whether a server may be writing to a store while it is read.
 enum class StoreUse { kIdle, kServed };
-
-struct StoreReport {
-  std::int64_t vehicles = 0;
-  std::int64_t batches = 0;
-  std::int64_t poses = 0;
-  std::int64_t revised_batches = 0;
-  std::int64_t loop_closures = 0;
-  std::int64_t rejected_candidates = 0;
-  // Problems for people to read, each in one line.
-  std::vector<std::string> problems;
-  // Ids of vehicles that cannot be read whole, or that have changes in the
-  // damaged part of a log, as far as they are known.
-  std::set<std::string> damaged_vehicles;
-};
 
 // How a process other than the server reads a store whole.
 struct StoreToRead {

@@ -1,4 +1,3 @@
-#include "server/storage/record_check.h"
 #include "server/storage/sqlite/store_opening.h"
 
 #include <fcntl.h>
@@ -19,6 +18,7 @@
 #include <vector>
 
 #include "server/base/status.h"
+#include "server/storage/record_check.h"
 #include "server/storage/sqlite/store_check.h"
 #include "server/storage/sqlite/store_files.h"
 #include "server/storage/sqlite/store_lock.h"

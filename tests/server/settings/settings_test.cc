@@ -257,7 +257,7 @@ TEST_F(SettingsTest, TasksTakeTheStoreFromTheSameSettings) {
   ASSERT_TRUE(backup.ok()) << backup.status();
   ASSERT_TRUE(backup->task.has_value());
   EXPECT_EQ(backup->task->kind, StoreTask::Kind::kBackup);
-  EXPECT_EQ(backup->task->destination, "copy.sqlite");
+  EXPECT_EQ(backup->task->other, "copy.sqlite");
   EXPECT_EQ(backup->settings.store, "here");
   const auto verify = ParseSettings({"verify"}, {"REVISIT_STORE=there"});
   ASSERT_TRUE(verify.ok()) << verify.status();
@@ -268,6 +268,29 @@ TEST_F(SettingsTest, TasksTakeTheStoreFromTheSameSettings) {
   ASSERT_TRUE(compact.ok()) << compact.status();
   ASSERT_TRUE(compact->task.has_value());
   EXPECT_EQ(compact->task->kind, StoreTask::Kind::kCompact);
+  const auto migrate =
+      ParseSettings({"migrate", "--store", "postgresql://db/revisit"}, {});
+  ASSERT_TRUE(migrate.ok()) << migrate.status();
+  ASSERT_TRUE(migrate->task.has_value());
+  EXPECT_EQ(migrate->task->kind, StoreTask::Kind::kMigrate);
+}
+
+TEST_F(SettingsTest, WhatOnlyASharedStoreCanKeepIsRefusedForAFile) {
+  const std::string database = "postgresql://db.example/revisit";
+  EXPECT_THAT(Refusal({"--require-replicated", "on"}),
+              HasSubstr("require-replicated needs a store that servers share"));
+  EXPECT_THAT(Refusal({"--advertise-address", "a:1"}),
+              HasSubstr("advertise-address needs a store that servers share"));
+  const ServerSettings shared = Parse(
+      {"--store", database, "--require-replicated", "on", "--advertise-address",
+       "a:1", "--store-connections", "4", "--lease-seconds", "2.5"});
+  EXPECT_EQ(shared.store, database);
+  EXPECT_TRUE(shared.require_replicated);
+  EXPECT_EQ(shared.advertise_address, "a:1");
+  EXPECT_EQ(shared.store_connections, 4);
+  EXPECT_EQ(shared.lease_seconds, 2.5);
+  EXPECT_THAT(Refusal({"--store-connections", "17"}), HasSubstr("[1, 16]"));
+  EXPECT_THAT(Refusal({"--lease-seconds", "0.5"}), HasSubstr("[1, 3600]"));
 }
 
 TEST_F(SettingsTest, BackupWithoutAFileToMakeIsRefused) {

@@ -1,0 +1,86 @@
+#include "server/storage/postgres/postgres_check.h"
+
+#include <memory>
+
+#include "server/storage/postgres/connection.h"
+#include "server/storage/postgres/postgres_storage.h"
+
+namespace revisit::server {
+namespace {
+
+constexpr Statement kVehicleIds = {
+    "vehicle_ids",
+    "SELECT id FROM vehicles WHERE id > $1::text ORDER BY id LIMIT 1000"};
+
+constexpr Statement kRevisedCount = {"revised_count",
+                                     "SELECT count(*) FROM revised_batches"};
+
+struct LeftOver {
+  Statement count;
+  const char* what;
+};
+
+constexpr LeftOver kLeftOvers[] = {
+    {{"batches_left_over",
+      "SELECT count(*) FROM batches b WHERE NOT EXISTS (SELECT 1 FROM vehicles "
+      "v WHERE v.key = b.vehicle_key) AND NOT EXISTS (SELECT 1 FROM "
+      "deleted_vehicles d WHERE d.key = b.vehicle_key)"},
+     "batches belong to no vehicle"},
+    {{"revisions_left_over",
+      "SELECT count(*) FROM revised_batches r WHERE NOT EXISTS (SELECT 1 FROM "
+      "batches b WHERE b.vehicle_key = r.vehicle_key AND b.first_sequence = "
+      "r.first_sequence) AND NOT EXISTS (SELECT 1 FROM deleted_vehicles d "
+      "WHERE d.key = r.vehicle_key)"},
+     "revisions belong to no batch"},
+    {{"pairs_left_over",
+      "SELECT (SELECT count(*) FROM loop_closures p WHERE NOT EXISTS (SELECT 1 "
+      "FROM vehicles v WHERE v.key = p.vehicle_key)) + (SELECT count(*) FROM "
+      "rejected_candidates p WHERE NOT EXISTS (SELECT 1 FROM vehicles v WHERE "
+      "v.key = p.vehicle_key))"},
+     "loop closures or rejected candidates belong to no vehicle"},
+    {{"heads_left_over",
+      "SELECT count(*) FROM heads h WHERE NOT EXISTS (SELECT 1 FROM vehicles v "
+      "WHERE v.key = h.key)"},
+     "heads belong to no vehicle"},
+    {{"deleted_left_over",
+      "SELECT count(*) FROM deleted_vehicles d WHERE EXISTS (SELECT 1 FROM "
+      "vehicles v WHERE v.key = d.key)"},
+     "vehicles are there although they were deleted"},
+};
+
+}  // namespace
+
+absl::StatusOr<StoreReport> CheckDatabase(const std::string& conninfo) {
+  const auto storage = OpenPostgresStorageToRead(conninfo);
+  if (!storage.ok()) return storage.status();
+  PostgresConnection::Options options;
+  options.conninfo = conninfo;
+  const auto connection = PostgresConnection::Open(options);
+  if (!connection.ok()) return connection.status();
+  StoreReport report;
+  std::string after;
+  while (true) {
+    const auto ids =
+        (*connection)->Run(kVehicleIds, Parameters().AddText(after));
+    if (!ids.ok()) return ids.status();
+    if (ids->size() == 0) break;
+    for (int i = 0; i < ids->size(); ++i) {
+      after = ids->Bytes(i, 0);
+      // One that is not found was deleted since it was listed.
+      ReportVehicle(**storage, after, &report).IgnoreError();
+    }
+  }
+  for (const LeftOver& left_over : kLeftOvers) {
+    const auto count = (*connection)->Run(left_over.count);
+    if (!count.ok()) return count.status();
+    if (count->Integer(0, 0) == 0) continue;
+    report.problems.push_back(std::to_string(count->Integer(0, 0)) + " " +
+                              left_over.what);
+  }
+  const auto revised = (*connection)->Run(kRevisedCount);
+  if (!revised.ok()) return revised.status();
+  report.revised_batches = revised->Integer(0, 0);
+  return report;
+}
+
+}  // namespace revisit::server

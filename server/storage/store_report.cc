@@ -1,0 +1,81 @@
+#include "server/storage/store_report.h"
+
+#include "absl/status/statusor.h"
+#include "server/storage/record_check.h"
+
+namespace revisit::server {
+namespace {
+
+// Pairs of poses that are read at a time.
+constexpr int kPairsPerRead = 1000;
+
+absl::Status CountVehicle(Storage& storage, const std::string& id,
+                          StoreReport* counts) {
+  const absl::StatusOr<VehicleRecord> record = storage.GetVehicle(id);
+  if (!record.ok()) return record.status();
+  if (!record->damage.ok()) return record->damage;
+  for (const BatchVersion version :
+       {BatchVersion::kAsSent, BatchVersion::kCurrent}) {
+    const absl::Status read =
+        storage.ReadBatches(record->key, 1, record->durable_sequence, version,
+                            [&](const BatchRecord& batch) {
+                              if (version == BatchVersion::kAsSent) {
+                                ++counts->batches;
+                                counts->poses += batch.count;
+                              }
+                              return true;
+                            });
+    if (!read.ok()) return read;
+  }
+  for (const PairKind kind : kPairKinds) {
+    std::int64_t& count = kind == PairKind::kLoopClosure
+                              ? counts->loop_closures
+                              : counts->rejected_candidates;
+    const absl::Status read =
+        VisitPosePairs(storage, record->key, kind, [&](const PosePairRecord&) {
+          ++count;
+          return absl::OkStatus();
+        });
+    if (!read.ok()) return read;
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::Status VisitPosePairs(
+    Storage& storage, VehicleKey key, PairKind kind,
+    const std::function<absl::Status(const PosePairRecord&)>& visit) {
+  std::string after;
+  while (true) {
+    const absl::StatusOr<std::vector<PosePairRecord>> page =
+        storage.ListPosePairs(key, kind, after, kPairsPerRead);
+    if (!page.ok()) return page.status();
+    if (page->empty()) return absl::OkStatus();
+    for (const PosePairRecord& pair : *page) {
+      if (!pair.damage.ok()) return pair.damage;
+      if (absl::Status status = visit(pair); !status.ok()) return status;
+    }
+    after = page->back().id;
+  }
+}
+
+absl::Status ReportVehicle(Storage& storage, const std::string& id,
+                           StoreReport* report) {
+  StoreReport counts;
+  absl::Status status = CountVehicle(storage, id, &counts);
+  if (absl::IsNotFound(status)) return status;
+  ++report->vehicles;
+  report->batches += counts.batches;
+  report->poses += counts.poses;
+  report->loop_closures += counts.loop_closures;
+  report->rejected_candidates += counts.rejected_candidates;
+  if (!status.ok()) {
+    report->problems.push_back("vehicle '" + Printable(id) +
+                               "': " + std::string(status.message()));
+    report->damaged_vehicles.insert(Printable(id));
+  }
+  return status;
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,44 @@
+// What was found in a store that was read whole.
+#ifndef REVISIT_SERVER_STORAGE_STORE_REPORT_H_
+#define REVISIT_SERVER_STORAGE_STORE_REPORT_H_
+
+#include <cstdint>
+#include <functional>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+struct StoreReport {
+  std::int64_t vehicles = 0;
+  std::int64_t batches = 0;
+  std::int64_t poses = 0;
+  std::int64_t revised_batches = 0;
+  std::int64_t loop_closures = 0;
+  std::int64_t rejected_candidates = 0;
+  // Problems for people to read, each in one line.
+  std::vector<std::string> problems;
+  // Ids of vehicles that cannot be read whole, or that have changes in the
+  // damaged part of a log, as far as they are known.
+  std::set<std::string> damaged_vehicles;
+};
+
+// Visits all pairs of a kind, by id, until `visit` refuses; returns its own
+// failure or that of `visit`. DATA_LOSS (STORE_CORRUPT) for a damaged pair.
+absl::Status VisitPosePairs(
+    Storage& storage, VehicleKey key, PairKind kind,
+    const std::function<absl::Status(const PosePairRecord&)>& visit);
+
+// Reads all of a vehicle, both versions of its batches, and adds what there is
+// to the report's counts, or, if it cannot be read, to its problems. A vehicle
+// that does not exist is NOT_FOUND and leaves the report alone.
+absl::Status ReportVehicle(Storage& storage, const std::string& id,
+                           StoreReport* report);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_STORAGE_STORE_REPORT_H_
