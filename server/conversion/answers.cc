@@ -38,11 +38,10 @@ constexpr EnumRow<v1::EmptyReason, core::EmptyReason> kEmptyReasons[] = {
     {v1::EMPTY_REASON_NO_ALIGNMENT, core::EmptyReason::kNoAlignment},
     {v1::EMPTY_REASON_NO_PROBABLE_PLACE, core::EmptyReason::kNoProbablePlace},
     {v1::EMPTY_REASON_LIMIT_EXCEEDED, core::EmptyReason::kTooMuchWork}};
-constexpr EnumRow<v1::Durability, Durability> kDurabilities[] = {
-    {v1::DURABILITY_LOCAL, Durability::kLocal},
-    {v1::DURABILITY_DATABASE, Durability::kDatabase},
-    {v1::DURABILITY_REPLICATED, Durability::kReplicated},
-    {v1::DURABILITY_DEFERRED, Durability::kDeferred}};
+constexpr EnumRow<v1::Durability, Durability::Level> kDurabilities[] = {
+    {v1::DURABILITY_LOCAL, Durability::Level::kLocal},
+    {v1::DURABILITY_REPLICATED, Durability::Level::kReplicated},
+    {v1::DURABILITY_DEFERRED, Durability::Level::kNone}};
 
 // ---- Vehicles
 
@@ -216,10 +215,10 @@ void EncodeNode(const core::PoseGraph& graph, core::NodeIndex index,
   }
 }
 
-void EncodeStorageInfo(const StorageInfo& info,
-                       v1::GetServerInfoResponse* response) {
-  response->set_durability(ToProto(kDurabilities, info.durability));
-  response->set_durability_settings(info.durability_settings);
+void EncodeDurability(const Durability& durability,
+                      v1::GetServerInfoResponse* response) {
+  response->set_durability(ToProto(kDurabilities, durability.level));
+  response->set_durability_settings(durability.details);
 }
 
 void EncodeStorageUsers(const std::vector<StorageUser>& users,
@@ -227,7 +226,6 @@ void EncodeStorageUsers(const std::vector<StorageUser>& users,
   for (const StorageUser& user : users) {
     v1::StoreServer* const server = response->add_servers();
     server->set_address(user.address);
-    server->set_is_draining(user.is_draining);
     server->set_owned_vehicle_count(user.owned_vehicles);
   }
 }

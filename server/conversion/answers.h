@@ -24,8 +24,8 @@ void EncodeAck(const Acknowledgement& acknowledgement, v1::Ack* ack);
 void EncodeNode(const core::PoseGraph& graph, core::NodeIndex index,
                 core::StateSpace space, bool with_covariance, v1::Node* node);
 
-void EncodeStorageInfo(const StorageInfo& info,
-                       v1::GetServerInfoResponse* response);
+void EncodeDurability(const Durability& durability,
+                      v1::GetServerInfoResponse* response);
 void EncodeStorageUsers(const std::vector<StorageUser>& users,
                         v1::GetServerInfoResponse* response);
 

@@ -445,7 +445,7 @@ grpc::ServerUnaryReactor* PoseGraphService::GetServerInfo(
       [=](const UnaryCallPtr& call, const v1::GetServerInfoRequest*,
           v1::GetServerInfoResponse* response) {
         response->set_version(REVISIT_VERSION);
-        EncodeStorageInfo(context_.storage->Info(), response);
+        EncodeDurability(context_.storage->GetDurability(), response);
         response->set_store_format(kStoreFormat);
         response->set_max_batch_poses(context_.limits.max_batch_poses);
         response->set_max_message_bytes(context_.limits.max_message_bytes);

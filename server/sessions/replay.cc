@@ -45,6 +45,7 @@ absl::Status Replayer::StartLoad() {
       vehicle_->storage->TakeVehicle(vehicle_->id);
   if (!record.ok()) return record.status();
   vehicle_->key = record->key;
+  vehicle_->epoch = record->epoch;
   absl::StatusOr<VehicleConfig> config = StoredConfig(*record);
   if (!config.ok()) {
     TakeUnknown(*record, config.status());

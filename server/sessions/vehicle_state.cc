@@ -113,7 +113,9 @@ absl::Status VehicleState::CheckAgainstStore() {
     if (ReasonOf(record.status()) == "NOT_OWNER") Leave(record.status());
     return record.status();
   }
-  if (record->key != key || record->durable_sequence != durable_sequence ||
+  // Between two epochs that follow each other nobody else has had the vehicle.
+  if (record->key != key || record->epoch > epoch + 1 ||
+      record->durable_sequence != durable_sequence ||
       record->revision != revision ||
       record->loop_closure_count !=
           static_cast<std::int64_t>(loop_closures.size()) ||
@@ -123,6 +125,7 @@ absl::Status VehicleState::CheckAgainstStore() {
     Leave(OutOfStep());
     return *gone_status;
   }
+  epoch = record->epoch;
   in_doubt = false;
   return absl::OkStatus();
 }

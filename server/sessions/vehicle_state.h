@@ -47,6 +47,8 @@ struct VehicleState {
   std::vector<core::Jump> jumps;
   std::uint64_t durable_sequence = 0;
   std::uint64_t revision = 0;
+  // See VehicleRecord.
+  std::int64_t epoch = 0;
   PosePairs loop_closures;
   PosePairs rejections;
   // Creation time of the latest pair of either kind.

@@ -63,6 +63,9 @@ struct VehicleRecord {
   std::uint64_t durable_sequence = 0;
   std::int64_t loop_closure_count = 0;
   std::int64_t rejected_candidate_count = 0;
+  // How often the vehicle was taken (TakeVehicle()); 0 where one server has the
+  // storage alone, and in answers of other calls.
+  std::int64_t epoch = 0;
   // DATA_LOSS if the row or the last batch is damaged. If the row is, only key
   // and id are set, and the payload is empty. If the last batch is, the highest
   // sequence is the one its row claims, and the revision does not count it.
@@ -139,29 +142,9 @@ constexpr PairWords WordsOf(PairKind kind) {
                          "REJECTED_CANDIDATE_NOT_FOUND"};
 }
 
-// The failures that an acknowledged write outlives.
-enum class Durability {
-  // Those of this machine but its device's.
-  kLocal,
-  // All of this machine, and of the database's machine but its device's.
-  kDatabase,
-  // Also the loss of the database's device: a standby has flushed the write
-  // too.
-  kReplicated,
-  // The end of processes only: the database flushes later than it answers.
-  kDeferred,
-};
-
-struct StorageInfo {
-  Durability durability = Durability::kLocal;
-  // The settings that it comes from, for people; may be empty.
-  std::string durability_settings;
-};
-
 // A server that shares a storage with others.
 struct StorageUser {
   std::string address;
-  bool is_draining = false;
   std::int64_t owned_vehicles = 0;
 };
 
@@ -269,8 +252,6 @@ class Storage {
   // refused with, such as RESOURCE_EXHAUSTED (STORAGE_FULL). Reads nothing that
   // would make the caller wait.
   virtual absl::Status CheckWritable() { return absl::OkStatus(); }
-
-  virtual StorageInfo Info() const { return {}; }
 
   // The servers that share the storage and live, this one among them, by
   // address; none where one server has it alone.

@@ -96,7 +96,9 @@ class OwnedStorage : public Storage {
       const std::lock_guard<std::mutex> guard(mutex_);
       epochs_[before->key] = owner.epoch;
     }
-    return storage_->GetVehicle(id);
+    auto record = storage_->GetVehicle(id);
+    if (record.ok()) record->epoch = static_cast<std::int64_t>(owner.epoch);
+    return record;
   }
   void ReleaseVehicle(VehicleKey key) override {
     owners_->Release(key, server_);

@@ -81,6 +81,11 @@ constexpr Statement kRelease = {
     "WITH r AS (UPDATE heads SET owner = NULL WHERE key = $1::int8 AND "
     "owner = $2::uuid AND epoch = $3::int8 RETURNING key) "
     "DELETE FROM handovers o USING r WHERE o.key = r.key"};
+constexpr Statement kUsers = {
+    "users",
+    "SELECT s.address, count(h.key) FROM servers s "
+    "LEFT JOIN heads h ON h.owner = s.incarnation WHERE s.state = 'live' "
+    "GROUP BY s.incarnation, s.address ORDER BY s.address"};
 constexpr Statement kOwners = {
     "owners",
     "SELECT key, owner, epoch FROM heads WHERE key = ANY($1::int8[])"};
@@ -351,6 +356,7 @@ absl::StatusOr<VehicleKey> Ownership::Take(PostgresConnection& connection,
       auto claim = std::make_shared<Claim>();
       claim->owner = me;
       claim->epoch = rows->Integer(0, 1);
+      claim->since = Now();
       claim->vehicle_id = id;
       claim->durable_sequence = Unsigned(rows->Integer(0, 2));
       const VehicleKey key = rows->Integer(0, 0);
@@ -411,13 +417,28 @@ absl::Status Ownership::Check(VehicleKey key) const {
   return LeaseHolds() ? absl::OkStatus() : LeaseStale();
 }
 
-std::vector<std::string> Ownership::Wanted() const {
+std::vector<WantedVehicle> Ownership::Wanted() const {
   const MutexLock lock(&mutex_);
-  std::vector<std::string> ids;
+  std::vector<WantedVehicle> vehicles;
   for (const auto& [key, id] : wanted_) {
-    if (claims_.count(key) > 0) ids.push_back(id);
+    const auto claim = claims_.find(key);
+    if (claim != claims_.end() &&
+        Now() - claim->second->since >= options_.lease) {
+      vehicles.push_back({key, id});
+    }
   }
-  return ids;
+  return vehicles;
+}
+
+absl::StatusOr<std::vector<StorageUser>> Ownership::ListUsers(
+    PostgresConnection& connection) {
+  const auto rows = connection.Run(kUsers);
+  if (!rows.ok()) return rows.status();
+  std::vector<StorageUser> users;
+  for (int i = 0; i < rows->size(); ++i) {
+    users.push_back({rows->Bytes(i, 0), rows->Integer(i, 1)});
+  }
+  return users;
 }
 
 Durability Ownership::durability() const {

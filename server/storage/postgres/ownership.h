@@ -47,6 +47,8 @@ namespace revisit::server {
 struct Claim {
   Uuid owner{};
   std::int64_t epoch = 0;
+  // When it was made, on the clock of OwnershipOptions.
+  std::chrono::nanoseconds since{0};
   std::string vehicle_id;
   // Highest sequence that was stored under the claim or before it.
   mutable std::atomic<std::uint64_t> durable_sequence{0};
@@ -93,8 +95,13 @@ class Ownership {
                               const Uuid& owner, std::int64_t epoch);
   // Implements Storage::CheckOwned().
   absl::Status Check(VehicleKey key) const;
-  // Implements Storage::WantedVehicles(), as of the last beat.
-  std::vector<std::string> Wanted() const;
+  // Implements Storage::WantedVehicles(), as of the last beat. A vehicle stays
+  // for a lease, so that two callers who come to different servers do not have
+  // it go to and fro.
+  std::vector<WantedVehicle> Wanted() const;
+  // Implements Storage::ListUsers().
+  static absl::StatusOr<std::vector<StorageUser>> ListUsers(
+      PostgresConnection& connection);
 
   // As of the last beat.
   Durability durability() const;

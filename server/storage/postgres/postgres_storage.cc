@@ -287,16 +287,24 @@ class PostgresStorage : public PostgresReads {
     return ownership_->Check(key);
   }
 
-  std::vector<std::string> WantedVehicles() override {
+  std::vector<WantedVehicle> WantedVehicles() override {
     return ownership_->Wanted();
   }
 
-  bool HasRoom() override {
-    return std::all_of(writers_.begin(), writers_.end(),
-                       [](const auto& writer) { return writer->HasRoom(); });
+  absl::Status CheckWritable() override {
+    for (const auto& writer : writers_) {
+      if (absl::Status status = writer->CheckWritable(); !status.ok()) {
+        return status;
+      }
+    }
+    return absl::OkStatus();
   }
 
   Durability GetDurability() const override { return ownership_->durability(); }
+
+  absl::StatusOr<std::vector<StorageUser>> ListUsers() override {
+    return Read<std::vector<StorageUser>>(Ownership::ListUsers);
+  }
 
   CommitCounts Counts() const override {
     CommitCounts sum;
@@ -320,8 +328,11 @@ class PostgresStorage : public PostgresReads {
     if (!key.ok()) return key.status();
     // The claim is committed: what is read now is final.
     absl::StatusOr<VehicleRecord> record = FindVehicle(connection, id);
-    if (record.ok() && record->key == *key) return record;
     const std::shared_ptr<const Claim> claim = ownership_->Find(*key);
+    if (record.ok() && record->key == *key && claim != nullptr) {
+      record->epoch = claim->epoch;
+      return record;
+    }
     if (claim != nullptr) ownership_->Forget(*key, claim.get());
     if (!record.ok()) return record.status();
     return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",

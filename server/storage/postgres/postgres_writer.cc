@@ -75,10 +75,13 @@ void PostgresWriter::Submit(VehicleKey key, std::size_t bytes, Write apply,
 
 void PostgresWriter::PurgeSoon() { purge_due_ = Clock::now(); }
 
-bool PostgresWriter::HasRoom() const {
+absl::Status PostgresWriter::CheckWritable() const {
   const Clock::rep full_at = full_at_;
-  return full_at == 0 ||
-         Clock::now().time_since_epoch() - Clock::duration(full_at) > kFullTime;
+  if (full_at != 0 &&
+      Clock::now().time_since_epoch() - Clock::duration(full_at) <= kFullTime) {
+    return StorageFull("the database's disk is full");
+  }
+  return CheckReplicated(ownership_->durability());
 }
 
 void PostgresWriter::Run() {
@@ -173,17 +176,20 @@ absl::Status PostgresWriter::EnsureConnection() {
     if (!opened.ok()) return opened.status();
     connection_ = *std::move(opened);
   }
-  if (options_.require_replicated) {
-    for (const Durability& durability :
-         {connection_->durability(), ownership_->durability()}) {
-      if (durability.level == Durability::Level::kReplicated) continue;
-      return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
-                   "writes are refused, because the database does not "
-                   "replicate them before it acknowledges: " +
-                       durability.details);
-    }
+  absl::Status status = CheckReplicated(connection_->durability());
+  return status.ok() ? CheckReplicated(ownership_->durability()) : status;
+}
+
+absl::Status PostgresWriter::CheckReplicated(
+    const Durability& durability) const {
+  if (!options_.require_replicated ||
+      durability.level == Durability::Level::kReplicated) {
+    return absl::OkStatus();
   }
-  return absl::OkStatus();
+  return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+               "writes are refused, because the database does not replicate "
+               "them before it acknowledges: " +
+                   durability.details);
 }
 
 void PostgresWriter::Purge() {

@@ -66,7 +66,8 @@ class PostgresWriter {
   // do. Called by writes.
   void PurgeSoon();
 
-  bool HasRoom() const;
+  // Implements Storage::CheckWritable().
+  absl::Status CheckWritable() const;
   CommitCounts Counts() const { return {commits_, writes_}; }
 
  private:
@@ -79,6 +80,8 @@ class PostgresWriter {
   void AppendRound(const std::vector<const PendingWrite*>& rows);
   void Answer(const PendingWrite& write, const absl::Status& status);
   absl::Status EnsureConnection();
+  // OK unless writes have to be replicated, and are not.
+  absl::Status CheckReplicated(const Durability& durability) const;
   void Purge();
 
   const Options options_;
