@@ -193,11 +193,14 @@ void Replayer::Finish(const absl::Status& status) {
 
 absl::StatusOr<bool> Replayer::ReplayBatches() {
   if (replay_->next_sequence > vehicle_->durable_sequence) return true;
-  const auto pause = std::chrono::steady_clock::now() + kReplaySlice;
+  // From the first batch on: a store that answers late would leave no time for
+  // more than that one, and be asked again for each.
+  std::optional<std::chrono::steady_clock::time_point> pause;
   absl::Status decoding;
   const absl::Status reading = vehicle_->storage->ReadBatches(
       vehicle_->key, replay_->next_sequence, vehicle_->durable_sequence,
       BatchVersion::kCurrent, [&](const BatchRecord& batch) {
+        if (!pause) pause = std::chrono::steady_clock::now() + kReplaySlice;
         const absl::StatusOr<DecodedBatch> decoded =
             vehicle_->DecodeStored(batch, replay_->config);
         if (!decoded.ok()) {
@@ -212,7 +215,7 @@ absl::StatusOr<bool> Replayer::ReplayBatches() {
         replay_->highest_revision =
             std::max(replay_->highest_revision, batch.revision);
         replay_->next_sequence = batch.first_sequence + batch.count;
-        return std::chrono::steady_clock::now() < pause;
+        return std::chrono::steady_clock::now() < *pause;
       });
   const absl::Status& unread = reading.ok() ? decoding : reading;
   if (replay_->is_load && absl::IsDataLoss(unread)) {
