@@ -16,8 +16,9 @@ from revisit_server import run as run_program
 from stubs import PoseGraphServiceStub
 from wire import as_bytes, list_poses
 
-# The lease of the servers: how long they may be silent. The rows wait for it.
-# Shorter than by default, and longer than what a busy machine holds a server up.
+# The lease of the servers: how long they may be silent, and how long they keep a
+# vehicle that others ask for. Shorter than by default, since the rows wait for it,
+# and longer than what a busy machine holds a server up.
 LEASE_SECONDS = 4.0
 # Beyond the lease: until others have looked twice, have claimed, and have loaded,
 # on a machine that is busy.
@@ -84,11 +85,7 @@ class Cluster:
     def __enter__(self):
         return self
 
-    def __exit__(self, failure, *_):
-        if failure is not None:
-            for number, server in self.servers.items():
-                print(f"the end of the log of server {number}:",
-                      *server.log().splitlines()[-12:], sep="\n  ")
+    def __exit__(self, *_):
         self._stack.close()
 
     def _stop_fleet(self):
@@ -180,9 +177,10 @@ class Cluster:
 
     # The judgement.
 
-    def judge(self, may_lose=False):
+    def judge(self, lost_at=None):
         """Stops the clients and holds what they saw against what is stored;
-        answers in words what was seen."""
+        answers in words what was seen. `lost_at`: when the database lost the end
+        of what it had."""
         self.fleet.stop()
         address = next(server.address for server in self.servers.values()
                        if server.is_running())
@@ -194,8 +192,8 @@ class Cluster:
             for vehicle in self.fleet.vehicles:
                 broken += [f"{vehicle.name}: {text}" for text in [
                     *violations(vehicle.history, self._stored(stub, vehicle),
-                                vehicle.sent_pose, may_lose),
-                    *hasty_moves(claims[vehicle.name])]]
+                                vehicle.sent_pose, lost_at),
+                    *hasty_moves(claims[vehicle.name], LEASE_SECONDS)]]
                 moved += len(list(moves(claims[vehicle.name])))
         verified = run_program("revisitd", "verify", "--store",
                                self.database.url())

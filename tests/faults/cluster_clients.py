@@ -19,6 +19,8 @@ from wire import decode_failure
 
 # How long a client waits for an answer before it tries elsewhere.
 ANSWER_SECONDS = 3.0
+# How long answers that were sent may still come.
+ON_ITS_WAY_SECONDS = 0.3
 # How often a call goes to a server chosen by chance.
 STRAY = 0.03
 _OPTIONS = [("grpc.initial_reconnect_backoff_ms", 50),
@@ -60,13 +62,15 @@ class Fleet:
 
     def __init__(self, seed, addresses, vehicles=8, readers=None, max_batch=16,
                  window=8, passing=(), pause_seconds=0.02, stream_share=0.7,
-                 behind_proxy=False, may_lose=False):
+                 behind_proxy=False, may_lose=False,
+                 answer_seconds=ANSWER_SECONDS):
         """`readers`: how many vehicles are read as well, if not all.
         `stream_share`: of the writers' calls, how many are streams. With
         `may_lose`, a writer ends when it is told of a loss."""
         self.addresses = list(addresses)
         self.may_lose = may_lose
         self.stream_share = stream_share
+        self.answer_seconds = answer_seconds
         # Whether clients go on whatever they are answered with.
         self.accepts_all = False
         self._readers = vehicles if readers is None else readers
@@ -139,7 +143,8 @@ class Fleet:
             self.check()
             waited = time.monotonic() - begun
             todo = [vehicle for vehicle in todo if not any(
-                ack.returned > begun for ack in vehicle.history.acks[-3:])]
+                ack.returned > begun + ON_ITS_WAY_SECONDS
+                for ack in vehicle.history.acks[-3:])]
             assert not todo or waited < seconds, (
                 f"no acknowledgement in {waited:.1f} s of "
                 f"{[vehicle.name for vehicle in todo]}; {self.summary()}")
@@ -252,7 +257,7 @@ class Vehicle:
             _, poses = self._poses(self.history.acked + 1, rng)
             ack = stub.AppendPoses(api.AppendPosesRequest(
                 vehicle=self.name, vehicle_uid=self.uid, poses=poses),
-                timeout=ANSWER_SECONDS).ack
+                timeout=self.fleet.answer_seconds).ack
             self._acked(ack.durable_sequence)
             self.fleet.outcomes["append"] += 1
             time.sleep(rng.random() * self.fleet.pause_seconds)
@@ -262,7 +267,7 @@ class Vehicle:
         up when an answer is late."""
         requests = queue.SimpleQueue()
         call = stub.StreamPoses(iter(requests.get, None))
-        late = _Watch(call, ANSWER_SECONDS)
+        late = _Watch(call, self.fleet.answer_seconds)
         with self._lock:
             self._calls.add(call)
         try:
@@ -324,7 +329,7 @@ class Vehicle:
                     what = "GetVehicle"
                     sequence = stub.GetVehicle(
                         api.GetVehicleRequest(name=self.name),
-                        timeout=ANSWER_SECONDS).vehicle.durable_sequence
+                        timeout=self.fleet.answer_seconds).vehicle.durable_sequence
                 else:
                     what = "ListPoses"
                     sequence = self._read_poses(stub, max(1, floor - 5))
@@ -342,7 +347,7 @@ class Vehicle:
         """The highest sequence among poses that are what was sent."""
         poses = stub.ListPoses(api.ListPosesRequest(
             parent=self.name, first_sequence=first, page_size=1000),
-            timeout=ANSWER_SECONDS).poses
+            timeout=self.fleet.answer_seconds).poses
         for sequence, pose in enumerate(poses, first):
             if pose.SerializeToString(
                     deterministic=True) != self.sent_pose(sequence):

@@ -15,7 +15,7 @@ CLIENTS = "clients"
 class Hosts:
     """A network, a database on a host of its own, and a cluster on others."""
 
-    def __init__(self, run, **more):
+    def __init__(self, run):
         self.network = Network([*SERVERS, DATABASE])
         try:
             self._database = Postgres(
@@ -26,7 +26,8 @@ class Hosts:
                 self.cluster = Cluster(
                     run, database=self._database, host_of=lambda number: (
                         self.network.address(SERVERS[number]),
-                        self.network.on(SERVERS[number])), **more)
+                        self.network.on(SERVERS[number])),
+                    flags=["--insecure-allow-remote", "on"])
             except BaseException:
                 self._database.close()
                 raise

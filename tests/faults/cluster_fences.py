@@ -13,7 +13,8 @@ def without_fence(run):
     """A server stops between check and commit, as in the row that holds."""
     rounds = run.rounds(short=4, long=8)
     for number in range(1, rounds + 1):
-        with Cluster(run, fleet={"pause_seconds": 0.0}) as cluster:
+        with Cluster(run, fleet={
+                "max_batch": 60, "window": 40, "pause_seconds": 0.0}) as cluster:
             fleet = cluster.fleet
             for server in cluster.servers:
                 cluster.kill(server)

@@ -14,9 +14,6 @@ which have the database's.
 import bisect
 import dataclasses
 
-# How long a server keeps a vehicle that another one asks for.
-HOLD_SECONDS = 10.0
-
 
 @dataclasses.dataclass(frozen=True)
 class Ack:
@@ -75,14 +72,17 @@ class Stored:
     poses: list
 
 
-def violations(history, stored, sent_pose, may_lose=False):
+def violations(history, stored, sent_pose, lost_at=None):
     """The broken promises, as sentences that begin with a word for their kind:
     LOST, GAP, DOUBLE, WRONG, STALE, UNSTORED. `sent_pose(n)` is what was sent as
-    sequence n. With `may_lose`, losing the end of what was acknowledged is no
-    violation."""
-    return [*_of_rows(stored), *_of_poses(history, stored, sent_pose),
-            *([] if may_lose else _of_losses(history, stored)),
-            *_of_reads(history, None if may_lose else stored.head)]
+    sequence n. `lost_at` is when the store lost the end of what it had, if it did,
+    which is then no violation, and reads that began later are not judged."""
+    broken = [*_of_rows(stored), *_of_poses(history, stored, sent_pose)]
+    if lost_at is not None:
+        before = [read for read in history.reads if read.called < lost_at]
+        return [*broken, *_of_reads(history.acks, before, None)]
+    return [*broken, *_of_losses(history, stored),
+            *_of_reads(history.acks, history.reads, stored.head)]
 
 
 def _of_rows(stored):
@@ -115,14 +115,14 @@ def _of_losses(history, stored):
                f"acknowledged, {stored.head} are stored")
 
 
-def _of_reads(history, head):
-    known = sorted([(ack.returned, ack.sequence) for ack in history.acks] +
-                   [(read.returned, read.sequence) for read in history.reads])
+def _of_reads(acks, reads, head):
+    known = sorted([(ack.returned, ack.sequence) for ack in acks] +
+                   [(read.returned, read.sequence) for read in reads])
     times = [time for time, _ in known]
     floors = []
     for _, sequence in known:
         floors.append(max(sequence, floors[-1] if floors else 0))
-    for read in history.reads:
+    for read in reads:
         before = bisect.bisect_left(times, read.called)
         floor = floors[before - 1] if before else 0
         if read.sequence < floor:
@@ -148,8 +148,9 @@ def moves(claims):
             owner, since = claim.owner, claim.at
 
 
-def hasty_moves(claims, hold_seconds=HOLD_SECONDS):
-    """Violations of the promise to hold a vehicle."""
+def hasty_moves(claims, hold_seconds):
+    """Violations of the promise to hold a vehicle for so long, although another
+    server asks for it."""
     for at, held, lived in moves(claims):
         if lived and held < hold_seconds - 0.5:
             yield (f"MOVED at {at:.3f} from a server that lives, after "

@@ -69,6 +69,17 @@ def scratch(arguments):
         shutil.disk_usage(memory).free > 4 << 30 else None
 
 
+def keep_logs(run, target, name):
+    """Of a row that failed, if anybody wants them."""
+    if target is None:
+        return
+    kept = pathlib.Path(target) / f"{run.seed} {name}".replace("/", "-")
+    for log in run.directory.rglob("*.log"):
+        to = kept / log.relative_to(run.directory)
+        to.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(log, to)
+
+
 def run_rows(arguments, seed, where):
     """The lines of the table, as each row ends."""
     for name, number, expected, row in (
@@ -89,6 +100,7 @@ def run_rows(arguments, seed, where):
             except Exception as error:  # pylint: disable=broad-except
                 traceback.print_exc()
                 rounds, seen, verdict = "", f"{error!r}"[:200], "FAILED"
+                keep_logs(run, arguments.logs, name)
         seconds = time.monotonic() - start
         print(f"{verdict:8} {name} ({seconds:.1f} s): {seen}", flush=True)
         yield number, name, expected, seen, rounds, verdict
@@ -115,6 +127,8 @@ def main():
     parser.add_argument("--cluster", action="store_true",
                         help="the rows of several servers over one PostgreSQL, "
                         "instead of those of one server")
+    parser.add_argument("--logs", metavar="DIRECTORY",
+                        help="where the logs of rows that fail are kept")
     parser.add_argument("--seeds", type=int, default=1,
                         help="repeats all rows with so many seeds, one after "
                         "the other")

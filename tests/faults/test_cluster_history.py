@@ -42,7 +42,14 @@ def test_poses_stored_without_an_acknowledgement_are_right():
 
 def test_acknowledged_pose_that_is_not_stored_is_lost():
     assert kinds(history([(1.0, 3), (2.0, 9)]), stored(3, 5)) == ["LOST"]
-    assert not kinds(history([(1.0, 3), (2.0, 9)]), stored(3, 5), may_lose=True)
+
+
+def test_only_reads_after_a_loss_may_show_less():
+    def seen(called):
+        return history([(1.0, 3), (2.0, 9)], [(called, called + 0.1, 5)])
+
+    assert not kinds(seen(2.6), stored(3, 5), lost_at=2.5)
+    assert kinds(seen(2.4), stored(3, 5), lost_at=2.5) == ["STALE"]
 
 
 def test_missing_row_is_a_gap():
@@ -103,16 +110,16 @@ def test_vehicle_is_held_before_it_is_handed_over():
         return [Claim(1.0, "a", "", False), Claim(release, "", "a", True),
                 Claim(claim, "b", "", False)]
 
-    assert not list(hasty_moves(claims(11.0, 11.1)))
-    assert list(hasty_moves(claims(5.0, 5.1)))
+    assert not list(hasty_moves(claims(11.0, 11.1), 10.0))
+    assert list(hasty_moves(claims(5.0, 5.1), 10.0))
     # From one to the next without a release.
     assert list(hasty_moves([Claim(1.0, "a", "", False),
-                             Claim(3.0, "b", "a", True)]))
+                             Claim(3.0, "b", "a", True)], 10.0))
 
 
 def test_vehicle_of_a_dead_server_may_move_at_any_time():
     assert not list(hasty_moves([Claim(1.0, "a", "", False),
-                                 Claim(3.0, "b", "a", False)]))
+                                 Claim(3.0, "b", "a", False)], 10.0))
 
 
 def test_longest_silence_counts_both_ends():
