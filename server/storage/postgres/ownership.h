@@ -52,6 +52,9 @@ struct Claim {
   std::string vehicle_id;
   // Highest sequence that was stored under the claim or before it.
   mutable std::atomic<std::uint64_t> durable_sequence{0};
+  // Set when the server forgets the claim: what was submitted under it is
+  // refused, although the database may still know it.
+  mutable std::atomic<bool> has_ended{false};
 };
 
 struct OwnershipOptions {
@@ -61,6 +64,9 @@ struct OwnershipOptions {
   // least three beats, so that one that is late does no harm.
   std::chrono::milliseconds lease{10'000};
   std::chrono::milliseconds beat_period{2'000};
+  // A vehicle stays for so long at least, so that two callers who come to
+  // different servers do not have it go to and fro.
+  std::chrono::milliseconds least_stay{10'000};
   // A clock that goes on while the machine sleeps; CLOCK_BOOTTIME if empty.
   std::function<std::chrono::nanoseconds()> now;
   // Called with what an operator should know; may be empty.
@@ -88,16 +94,14 @@ class Ownership {
                                   const std::string& id);
   // The claim on a vehicle; null if there is none.
   std::shared_ptr<const Claim> Find(VehicleKey key) const;
-  // Forgets this claim, unless there is a later one.
+  // Ends this claim here, not in the database.
   void Forget(VehicleKey key, const Claim* claim);
   // Ends a claim in the database, unless there is a later one. Forget it first.
   static absl::Status Release(PostgresConnection& connection, VehicleKey key,
                               const Uuid& owner, std::int64_t epoch);
   // Implements Storage::CheckOwned().
   absl::Status Check(VehicleKey key) const;
-  // Implements Storage::WantedVehicles(), as of the last beat. A vehicle stays
-  // for a lease, so that two callers who come to different servers do not have
-  // it go to and fro.
+  // Implements Storage::WantedVehicles(), as of the last beat.
   std::vector<WantedVehicle> Wanted() const;
   // Implements Storage::ListUsers().
   static absl::StatusOr<std::vector<StorageUser>> ListUsers(

@@ -306,9 +306,16 @@ absl::StatusOr<std::map<VehicleKey, Head>> ReadHeads(
   return heads;
 }
 
+// Under a claim that has ended nothing is written. No vehicle has its owner and
+// epoch.
+const Claim& Compared(const Claim* claim) {
+  static const Claim& none = *new Claim;
+  return claim == nullptr || claim->has_ended ? none : *claim;
+}
+
 bool Holds(const Claim* claim, const Head& head) {
   // Behind what was stored: the database is one that lacks the last commits.
-  return claim != nullptr && claim->owner == head.owner &&
+  return claim != nullptr && !claim->has_ended && claim->owner == head.owner &&
          claim->epoch == head.epoch &&
          head.durable_sequence >= claim->durable_sequence;
 }
@@ -343,9 +350,7 @@ absl::Status WhyNotWritten(PostgresConnection& connection, const Fence& fence,
 
 Parameters FenceOf(const Fence& fence) {
   Parameters parameters;
-  // No epoch is 0 once a vehicle was claimed.
-  static const Claim& none = *new Claim;
-  const Claim& claim = fence.claim == nullptr ? none : *fence.claim;
+  const Claim& claim = Compared(fence.claim.get());
   parameters.Add(fence.key).Add(claim.owner).Add(claim.epoch);
   return parameters;
 }
@@ -623,8 +628,9 @@ absl::Status AppendRows(PostgresConnection& connection,
   std::vector<const std::string*> payloads;
   for (const PendingWrite* row : rows) {
     keys.push_back(row->key);
-    owners.push_back(row->claim == nullptr ? Uuid{} : row->claim->owner);
-    epochs.push_back(row->claim == nullptr ? 0 : row->claim->epoch);
+    const Claim& claim = Compared(row->claim.get());
+    owners.push_back(claim.owner);
+    epochs.push_back(claim.epoch);
     firsts.push_back(Signed(row->batch.first_sequence));
     counts.push_back(row->batch.count);
     revisions.push_back(Signed(row->batch.revision));

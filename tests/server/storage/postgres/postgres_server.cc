@@ -14,6 +14,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
+#include <fstream>
 #include <thread>
 
 #include "server/storage/postgres/migrations.h"
@@ -88,7 +89,6 @@ std::unique_ptr<PostgresServer> PostgresServer::Start(
   }
   std::unique_ptr<PostgresServer> server(new PostgresServer);
   server->programs_ = programs;
-  server->settings_ = settings;
   const std::string directory = server->directory_.File("");
   if (const passwd* user = OtherUser()) {
     if (chown(directory.c_str(), user->pw_uid, user->pw_gid) != 0) {
@@ -104,6 +104,14 @@ std::unique_ptr<PostgresServer> PostgresServer::Start(
   if (waitpid(initdb, &status, 0) != initdb || status != 0) {
     Die("initdb failed: see above, or try it by hand in " + programs);
   }
+  // In the file, so that ALTER SYSTEM may override them.
+  std::ofstream file(server->directory_.File("data/postgresql.conf"),
+                     std::ios::app);
+  file << "listen_addresses = ''\nunix_socket_directories = '" << directory
+       << "'\nshared_buffers = 32MB\nmax_connections = 80\n"
+       << "max_wal_size = 256MB\n";
+  for (const std::string& setting : settings) file << setting << "\n";
+  file.close();
   server->Launch();
   return server;
 }
@@ -119,17 +127,8 @@ PostgresServer* PostgresServer::Shared() {
 }
 
 void PostgresServer::Launch() {
-  std::vector<std::string> command = {programs_ + "/postgres", "-D",
-                                      directory_.File("data")};
-  std::vector<std::string> settings = {
-      "listen_addresses=", "unix_socket_directories=" + directory_.File(""),
-      "shared_buffers=32MB", "max_connections=80", "max_wal_size=256MB"};
-  settings.insert(settings.end(), settings_.begin(), settings_.end());
-  for (const std::string& setting : settings) {
-    command.emplace_back("-c");
-    command.push_back(setting);
-  }
-  pid_ = Launched(command, directory_.File("log"));
+  pid_ = Launched({programs_ + "/postgres", "-D", directory_.File("data")},
+                  directory_.File("log"));
   const auto latest =
       std::chrono::steady_clock::now() + std::chrono::seconds(60);
   while (PQping(Conninfo("postgres").c_str()) != PQPING_OK) {

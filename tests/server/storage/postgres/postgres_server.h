@@ -54,7 +54,6 @@ class PostgresServer {
 
   TemporaryDirectory directory_;
   std::string programs_;
-  std::vector<std::string> settings_;
   pid_t pid_ = -1;
   int databases_ = 0;
   bool has_template_ = false;

