@@ -19,7 +19,7 @@ from wire import as_bytes, list_poses
 # The lease of the servers: how long they may be silent, and how long they keep a
 # vehicle that others ask for. Shorter than by default, since the rows wait for it,
 # and longer than what a busy machine holds a server up.
-LEASE_SECONDS = 4.0
+LEASE_SECONDS = 3.0
 # Beyond the lease: until others have looked twice, have claimed, and have loaded,
 # on a machine that is busy.
 TAKEOVER_SECONDS = LEASE_SECONDS + 10.0

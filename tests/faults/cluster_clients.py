@@ -67,7 +67,7 @@ class Fleet:
     """Vehicles with a writer and a reader each, which go on until `stop()`."""
 
     def __init__(self, seed, addresses, vehicles=8, readers=None, max_batch=16,
-                 window=8, passing=(), pause_seconds=0.02, stream_share=0.7,
+                 window=8, passing=(), pause_seconds=0.04, stream_share=0.7,
                  proxy=None, open_channel=None, may_lose=False,
                  answer_seconds=ANSWER_SECONDS):
         """`addresses`: of the servers; `proxy`: of what stands before them, if

@@ -219,32 +219,32 @@ def cut_from_envoy(run, cut):
 
 
 ROWS = [
-    ("cluster: server cut from PostgreSQL", "26", "no ack, others take over",
+    ("network: server cut from PostgreSQL", "26", "no ack, others take over",
      lambda run: cut_from_database(
          run, lambda network, host: network.cut(host, DATABASE))),
-    ("cluster: what PostgreSQL sends is lost", "25", "the same",
+    ("network: what PostgreSQL sends is lost", "25", "the same",
      lambda run: cut_from_database(
          run, lambda network, host: network.cut_one_way(DATABASE, host))),
-    ("cluster: what a server sends to PostgreSQL is lost", "25", "the same",
+    ("network: what a server sends to PostgreSQL is lost", "25", "the same",
      lambda run: cut_from_database(
          run, lambda network, host: network.cut_one_way(host, DATABASE))),
-    ("cluster: servers cut from each other", "24", "nobody notices",
+    ("network: servers cut from each other", "24", "nobody notices",
      servers_cut_from_each_other),
-    ("cluster: server cut from its clients", "24", "others take over",
+    ("network: server cut from its clients", "24", "others take over",
      lambda run: clients_cut_from_server(
          run, lambda network, host: network.cut(host, CLIENTS))),
-    ("cluster: what a server sends to clients is lost", "25", "the same",
+    ("network: what a server sends to clients is lost", "25", "the same",
      lambda run: clients_cut_from_server(
          run, lambda network, host: network.cut_one_way(host, CLIENTS))),
-    ("cluster: kill -9 of a server behind Envoy", "1",
+    ("network: kill -9 behind Envoy", "1",
      "every acked pose, once, in order", killed_behind_envoy),
-    ("cluster: clients cut from Envoy", "24", "they resume",
+    ("network: clients cut from Envoy", "24", "they resume",
      lambda run: cut_from_envoy(
          run, lambda network: network.cut(CLIENTS, PROXY))),
-    ("cluster: what Envoy sends to clients is lost", "25", "they resume",
+    ("network: what Envoy sends to clients is lost", "25", "they resume",
      lambda run: cut_from_envoy(
          run, lambda network: network.cut_one_way(PROXY, CLIENTS))),
-    ("cluster: what clients send to Envoy is lost", "25", "they resume",
+    ("network: what clients send to Envoy is lost", "25", "they resume",
      lambda run: cut_from_envoy(
          run, lambda network: network.cut_one_way(CLIENTS, PROXY))),
 ]

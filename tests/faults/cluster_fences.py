@@ -40,6 +40,6 @@ def without_fence(run):
 
 
 ROWS = [
-    ("cluster: no fence at all", "21", "the judge finds what is broken",
+    ("servers: no fence at all", "21", "the judge finds what is broken",
      without_fence),
 ]

@@ -18,7 +18,7 @@ def stops(**plan):
 
 
 def killed(run):
-    rounds = run.rounds(short=3, long=20)
+    rounds = run.rounds(short=2, long=20)
     slowest = 0.0
     with Cluster(run) as cluster:
         cluster.fleet.start()
@@ -37,7 +37,7 @@ def killed(run):
 
 
 def paused(run):
-    rounds = run.rounds(short=4, long=24)
+    rounds = run.rounds(short=2, long=24)
     slowest = 0.0
     with Cluster(run) as cluster:
         cluster.fleet.start()
@@ -61,7 +61,7 @@ def paused(run):
 def paused_at_append(run, when):
     """The server stops at a statement that it has decided to send, its vehicles
     are taken, and it wakes."""
-    rounds = run.rounds(short=2, long=12)
+    rounds = run.rounds(short=1, long=12)
     fenced = 0
     with Cluster(run) as cluster:
         cluster.fleet.start()
@@ -82,7 +82,7 @@ def paused_at_append(run, when):
 
 
 def terminated(run):
-    rounds = run.rounds(short=3, long=20)
+    rounds = run.rounds(short=2, long=20)
     silence = longest = 0.0
     with Cluster(run, flags=["--drain-notice-seconds", 1]) as cluster:
         cluster.fleet.start()
@@ -149,18 +149,18 @@ def scaled(run):
 
 
 ROWS = [
-    ("cluster: kill -9 of a server", "1", "every acked pose, once, in order",
+    ("servers: kill -9", "1", "every acked pose, once, in order",
      killed),
-    ("cluster: server stopped and woken", "22", "no ack, no stale read", paused),
-    ("cluster: stopped between check and commit", "22",
+    ("servers: stopped and woken", "22", "no ack, no stale read", paused),
+    ("servers: stopped between check and commit", "22",
      "nothing written by whoever is no longer the owner",
      lambda run: paused_at_append(run, "stop_before")),
-    ("cluster: stopped between commit and ack", "22",
+    ("servers: stopped between commit and ack", "22",
      "sent again elsewhere: stored once",
      lambda run: paused_at_append(run, "stop_after")),
-    ("cluster: SIGTERM of a server", "16", "last acks, others have its vehicles "
+    ("servers: SIGTERM", "16", "last acks, others have its vehicles "
      "at once", terminated),
-    ("cluster: rolling restart", "16", "no ack lost", rolling_restart),
-    ("cluster: scale 2 -> 3 -> 2", "23",
+    ("servers: rolling restart", "16", "no ack lost", rolling_restart),
+    ("servers: scale 2 -> 3 -> 2", "23",
      "vehicles move, each at most once in a lease", scaled),
 ]
