@@ -472,7 +472,6 @@ TEST_F(OwnershipTest,
   const auto a = Open("a");
   const VehicleKey key = *BlockingWrites(a.get()).Create("truck");
   EXPECT_EQ(a->GetDurability().level, Durability::Level::kNone);
-  Server()->RunAsAdmin("ALTER SYSTEM SET fsync = on");
   Server()->RunAsAdmin("ALTER SYSTEM SET synchronous_standby_names = 'nobody'");
   Server()->RunAsAdmin("SELECT pg_reload_conf()");
   const Answer<absl::Status> appended;

@@ -46,6 +46,17 @@ std::string FindPrograms() {
   return found;
 }
 
+// Memory, where there is enough of it: a database per test writes many files.
+std::filesystem::path RoomyDirectory() {
+  std::error_code error;
+  const std::filesystem::path memory = "/dev/shm";
+  const std::filesystem::space_info space =
+      std::filesystem::space(memory, error);
+  return !error && space.available > std::uintmax_t{2} << 30
+             ? memory
+             : std::filesystem::temp_directory_path();
+}
+
 // The user that the server belongs to if root runs the tests.
 const passwd* OtherUser() {
   if (geteuid() != 0) return nullptr;
@@ -79,6 +90,8 @@ pid_t Launched(const std::vector<std::string>& command,
 }
 
 }  // namespace
+
+PostgresServer::PostgresServer() : directory_(RoomyDirectory()) {}
 
 std::unique_ptr<PostgresServer> PostgresServer::Start(
     const std::vector<std::string>& settings, std::string* missing) {

@@ -46,7 +46,7 @@ class PostgresServer {
   void Crash();
 
  private:
-  PostgresServer() = default;
+  PostgresServer();
 
   void Launch();
   void Stop(int signal);
