@@ -202,7 +202,7 @@ class Cluster:
         verified = run_program("revisitd", "verify", "--store",
                                self.database.url())
         if verified.returncode != 0:
-            broken.append(f"verify: {verified.stdout} {verified.stderr}")
+            broken.append(f"verify: REFUSES {verified.stdout} {verified.stderr}")
         if broken:
             raise Broken(broken)
         histories = [vehicle.history for vehicle in self.fleet.vehicles]
