@@ -57,6 +57,7 @@ class Cluster:
         directory = run.new(f"cluster{run.rng.randrange(10**9)}")
         self.servers = {}
         self.directory = directory
+        self._rng = run.rng
         self._flags = ["--lease-seconds", LEASE_SECONDS, *flags]
         self._host_of = host_of or (lambda number: ("127.0.0.1", ()))
         self._listens = {}
@@ -162,12 +163,21 @@ class Cluster:
             "SELECT v.id, s.address FROM vehicles v JOIN heads h USING (key) "
             "JOIN servers s ON s.incarnation = h.owner WHERE s.state = 'live'")}
 
-    def vehicles_of(self, number):
-        """Vehicles of the fleet that a server has."""
-        owners = self.owners()
-        address = self.servers[number].address
-        return [vehicle for vehicle in self.fleet.vehicles
-                if owners.get(vehicle.name) == address]
+    def count_of(self, number):
+        """How many vehicles a server has."""
+        return list(self.owners().values()).count(self.servers[number].address)
+
+    def any_owner(self):
+        """The number of one of the servers that have vehicles: it is of no use to
+        harm others."""
+        with_vehicles = set(self.owners().values())
+        return self._rng.choice([
+            number for number, server in sorted(self.servers.items())
+            if server.is_running() and server.address in with_vehicles])
+
+    def moves(self):
+        """How often a vehicle has gone from one server to another."""
+        return sum(len(list(moves(claims))) for claims in self.claims().values())
 
     def claims(self):
         found = {vehicle.name: [] for vehicle in self.fleet.vehicles}
@@ -187,7 +197,6 @@ class Cluster:
         of what it had."""
         self.fleet.stop()
         broken = []
-        moved = 0
         claims = self.claims()
         owners = self.owners()
         tables = self._tables()
@@ -198,7 +207,6 @@ class Cluster:
             broken += [f"{vehicle.name}: {text}" for text in [
                 *violations(vehicle.history, stored, vehicle.sent_pose, lost_at),
                 *hasty_moves(claims[vehicle.name], LEASE_SECONDS)]]
-            moved += len(list(moves(claims[vehicle.name])))
         verified = run_program("revisitd", "verify", "--store",
                                self.database.url())
         if verified.returncode != 0:
@@ -206,9 +214,10 @@ class Cluster:
         if broken:
             raise Broken(broken)
         histories = [vehicle.history for vehicle in self.fleet.vehicles]
-        return (f"{self.fleet.acked()} poses acked: lost 0, gaps 0; "
+        lost = "" if lost_at else "lost 0, "
+        return (f"{self.fleet.acked()} poses acked: {lost}gaps 0; "
                 f"{sum(len(history.reads) for history in histories)} reads, stale "
-                f"0; {moved} moves, hasty 0")
+                f"0; {self.moves()} moves, hasty 0")
 
     def _tables(self):
         """(head, rows) of each vehicle by name, without a server's help."""

@@ -30,6 +30,29 @@ def restarted(run):
     return rounds, f"{seen}; all served {slowest:.1f} s after a start at most"
 
 
+def away(run):
+    """For longer than the leases: when it is back, every server lives, although
+    none could say so meanwhile."""
+    rounds = run.rounds(short=1, long=6)
+    slowest = 0.0
+    with Cluster(run) as cluster:
+        cluster.fleet.start()
+        cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+        moved = 0
+        for number in range(rounds):
+            before = cluster.moves()
+            cluster.database.stop(("fast", "immediate", "kill")[number % 3])
+            cluster.fleet.sleep(LEASE_SECONDS + 1.0)
+            cluster.database.start()
+            slowest = max(slowest, cluster.fleet.wait_for_acks(BACK_SECONDS))
+            moved += cluster.moves() - before
+        buried = sum(server.log().count("was silent for its lease")
+                     for server in cluster.servers.values())
+        seen = cluster.judge()
+    assert buried == 0, f"{buried} servers that live were taken for dead"
+    return rounds, f"{seen}; {moved} of them then, all served {slowest:.1f} s after"
+
+
 class Pair:
     """A primary and its standby; the servers know both."""
 
@@ -310,6 +333,8 @@ def disk_full(run):
 ROWS = [
     ("database: restarts", "17", "back within 5 s, nothing lost",
      restarted),
+    ("database: away for longer than the leases", "26",
+     "back within 5 s, vehicles stay where they are", away),
     ("database: failover to a synchronous standby", "18", "nothing lost",
      failover_to_replica),
     ("database: failover to an asynchronous standby", "18",

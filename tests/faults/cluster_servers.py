@@ -25,7 +25,7 @@ def killed(run):
         cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
         for _ in range(rounds):
             cluster.fleet.sleep(run.rng.uniform(0.2, 1.5))
-            victim = run.rng.choice(list(cluster.servers))
+            victim = cluster.any_owner()
             cluster.kill(victim)
             if run.rng.random() < 0.5:
                 cluster.start(victim)
@@ -43,7 +43,7 @@ def paused(run):
         cluster.fleet.start()
         cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
         for number in range(rounds):
-            victim = run.rng.choice(list(cluster.servers))
+            victim = cluster.any_owner()
             cluster.pause(victim)
             if number % 2:
                 # Others have its vehicles before it wakes.
@@ -67,7 +67,7 @@ def paused_at_append(run, when):
         cluster.fleet.start()
         cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
         for _ in range(rounds):
-            victim = run.rng.choice(list(cluster.servers))
+            victim = cluster.any_owner()
             cluster.kill(victim)
             cluster.start(victim, **stops(**{when: run.rng.randint(2, 60)}))
             wait_until(lambda: cluster.is_paused(victim), "the server stops", 60)
@@ -89,7 +89,7 @@ def terminated(run):
         cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
         for _ in range(rounds):
             cluster.fleet.sleep(run.rng.uniform(0.2, 1.5))
-            victim = run.rng.choice(list(cluster.servers))
+            victim = cluster.any_owner()
             begun = time.monotonic()
             longest = max(longest, cluster.terminate(victim))
             cluster.fleet.wait_for_acks(BACK_SECONDS)
@@ -134,10 +134,10 @@ def scaled(run):
             cluster.start(2)
             cluster.fleet.addresses = cluster.addresses()
             # Calls that stray there have vehicles handed over.
-            wait_until(lambda: len(cluster.vehicles_of(2)) >= 2,
+            wait_until(lambda: cluster.count_of(2) >= 2,
                        "vehicles at the third server", 3 * TAKEOVER_SECONDS)
-            most = max(most, len(cluster.vehicles_of(2)))
-            leaver = run.rng.choice(list(cluster.servers))
+            most = max(most, cluster.count_of(2))
+            leaver = cluster.any_owner()
             cluster.terminate(leaver)
             del cluster.servers[leaver]
             cluster.fleet.addresses = cluster.addresses()
