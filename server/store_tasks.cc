@@ -2,17 +2,23 @@
 
 #include <cstdint>
 #include <cstdio>
+#include <memory>
 #include <string>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "server/storage/postgres/migrations.h"
 #include "server/storage/postgres/postgres_check.h"
+#include "server/storage/postgres/postgres_intake.h"
+#include "server/storage/postgres/postgres_storage.h"
+#include "server/storage/sqlite/sqlite_storage.h"
 #include "server/storage/sqlite/store_backup.h"
 #include "server/storage/sqlite/store_check.h"
 #include "server/storage/sqlite/store_compaction.h"
 #include "server/storage/sqlite/store_files.h"
+#include "server/storage/sqlite/store_intake.h"
 #include "server/storage/sqlite/store_lock.h"
+#include "server/storage/store_copy.h"
 
 namespace revisit::server {
 namespace {
@@ -85,6 +91,62 @@ ExitCode Migrate(const std::string& url) {
   return kExitOk;
 }
 
+absl::StatusOr<std::unique_ptr<Storage>> OpenSource(const std::string& store) {
+  const auto in_use = [&](const std::string& by) {
+    return absl::FailedPreconditionError(store + " is in use by " + by +
+                                         ": end that first, so that nothing "
+                                         "is written while it is copied");
+  };
+  if (IsSharedStore(store)) {
+    auto storage = OpenPostgresStorageToRead(store);
+    if (!storage.ok()) return storage;
+    const auto users = (*storage)->ListUsers();
+    if (!users.ok()) return users.status();
+    if (!users->empty()) return in_use("the server " + users->front().address);
+    return storage;
+  }
+  const absl::StatusOr<std::string> file = ExistingStoreFile(store);
+  if (!file.ok()) return file.status();
+  // Brings it to this format, and finds out whether somebody else has it.
+  absl::Status status = OpenSqliteStorage(*file).status();
+  if (!status.ok()) return status;
+  return OpenSqliteStorageToRead(*file, SqliteDatabase::Mode::kReadOnly);
+}
+
+absl::StatusOr<StoreReport> CopyInto(const std::string& store,
+                                     Storage& source) {
+  if (IsSharedStore(store)) {
+    const auto intake = FillDatabase(store);
+    if (!intake.ok()) return intake.status();
+    return CopyStore(source, intake->get());
+  }
+  const absl::StatusOr<std::string> file = StoreFileToServe(store);
+  if (!file.ok()) return file.status();
+  const auto intake = FillFile(*file);
+  if (!intake.ok()) return intake.status();
+  return CopyStore(source, intake->get());
+}
+
+absl::StatusOr<StoreReport> CheckAny(const std::string& store) {
+  if (IsSharedStore(store)) return CheckDatabase(store);
+  const absl::StatusOr<std::string> file = ExistingStoreFile(store);
+  if (!file.ok()) return file.status();
+  return CheckStore(*file, StoreUse::kIdle);
+}
+
+ExitCode Import(const std::string& destination, const std::string& from) {
+  const auto source = OpenSource(from);
+  if (!source.ok()) return Fail(source.status());
+  const absl::StatusOr<StoreReport> copied = CopyInto(destination, **source);
+  if (!copied.ok()) return Fail(copied.status());
+  const absl::StatusOr<StoreReport> found = CheckAny(destination);
+  if (found.ok() && found->problems.empty() && !HoldTheSame(*copied, *found)) {
+    return Fail(absl::DataLossError(
+        "the imported store does not hold what was copied: do not use it"));
+  }
+  return PrintFindings(found);
+}
+
 ExitCode Misplaced(const std::string& message) {
   return Fail(absl::InvalidArgumentError(message));
 }
@@ -103,6 +165,8 @@ ExitCode RunTaskOnDatabase(const ServerSettings& settings,
           "itself (autovacuum), and all of it with VACUUM FULL");
     case StoreTask::Kind::kMigrate:
       return Migrate(settings.store);
+    case StoreTask::Kind::kImport:
+      return Import(settings.store, task.other);
     case StoreTask::Kind::kVerify:
       break;
   }
@@ -114,6 +178,9 @@ ExitCode RunTaskOnFile(const ServerSettings& settings, const StoreTask& task) {
     return Misplaced(
         "migrate is for a store in a database, postgresql://...; a file is "
         "brought up to date when it is opened");
+  }
+  if (task.kind == StoreTask::Kind::kImport) {
+    return Import(settings.store, task.other);
   }
   const absl::StatusOr<std::string> file = ExistingStoreFile(settings.store);
   if (!file.ok()) return Fail(file.status());

@@ -1,5 +1,5 @@
 // The tasks that revisitd does with a store besides serving it: backup, verify,
-// compact and migrate.
+// compact, migrate and import.
 #ifndef REVISIT_SERVER_STORE_TASKS_H_
 #define REVISIT_SERVER_STORE_TASKS_H_
 

@@ -44,6 +44,8 @@ Examples:
   revisitd compact --store /var/lib/revisit
   revisitd migrate --store postgresql://db.example/revisit
   revisitd --store postgresql://db.example/revisit --advertise-address a:50051
+  revisitd import --store postgresql://db.example/revisit \
+    --from /var/lib/revisit
 )";
 
 }  // namespace
@@ -69,7 +71,12 @@ struct CommandLine::Parser {
         app.add_subcommand("compact", "Make the file of a stopped store small");
     migrate = app.add_subcommand("migrate",
                                  "Make or renew the tables of a shared store");
-    for (CLI::App* subcommand : {backup, verify, compact, migrate}) {
+    import =
+        app.add_subcommand("import", "Copy a store into one that is empty");
+    import->add_option("--from", other, "Store to copy: a path or a URL")
+        ->type_name("STORE")
+        ->required();
+    for (CLI::App* subcommand : {backup, verify, compact, migrate, import}) {
       subcommand->fallthrough();
       subcommand->footer("--store and --config are those of revisitd itself.");
     }
@@ -85,6 +92,7 @@ struct CommandLine::Parser {
   CLI::App* verify = nullptr;
   CLI::App* compact = nullptr;
   CLI::App* migrate = nullptr;
+  CLI::App* import = nullptr;
   std::string other;
 };
 
@@ -116,7 +124,8 @@ std::optional<StoreTask> CommandLine::Task() const {
        {std::pair(parser_->backup, StoreTask::Kind::kBackup),
         std::pair(parser_->verify, StoreTask::Kind::kVerify),
         std::pair(parser_->compact, StoreTask::Kind::kCompact),
-        std::pair(parser_->migrate, StoreTask::Kind::kMigrate)}) {
+        std::pair(parser_->migrate, StoreTask::Kind::kMigrate),
+        std::pair(parser_->import, StoreTask::Kind::kImport)}) {
     if (subcommand->parsed()) return StoreTask{kind, parser_->other};
   }
   return std::nullopt;

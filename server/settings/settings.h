@@ -116,9 +116,9 @@ struct ServerSettings {
 
 // A task on a store besides serving it.
 struct StoreTask {
-  enum class Kind { kBackup, kVerify, kCompact, kMigrate };
+  enum class Kind { kBackup, kVerify, kCompact, kMigrate, kImport };
   Kind kind;
-  // File of a backup.
+  // File of a backup, or the store that is imported.
   std::string other;
 };
 

@@ -43,6 +43,13 @@ absl::Status CountVehicle(Storage& storage, const std::string& id,
 
 }  // namespace
 
+bool HoldTheSame(const StoreReport& a, const StoreReport& b) {
+  return a.vehicles == b.vehicles && a.batches == b.batches &&
+         a.poses == b.poses && a.revised_batches == b.revised_batches &&
+         a.loop_closures == b.loop_closures &&
+         a.rejected_candidates == b.rejected_candidates;
+}
+
 absl::Status VisitPosePairs(
     Storage& storage, VehicleKey key, PairKind kind,
     const std::function<absl::Status(const PosePairRecord&)>& visit) {

@@ -27,6 +27,9 @@ struct StoreReport {
   std::set<std::string> damaged_vehicles;
 };
 
+// Whether both count the same.
+bool HoldTheSame(const StoreReport& a, const StoreReport& b);
+
 // Visits all pairs of a kind, by id, until `visit` refuses; returns its own
 // failure or that of `visit`. DATA_LOSS (STORE_CORRUPT) for a damaged pair.
 absl::Status VisitPosePairs(

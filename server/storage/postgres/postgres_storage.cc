@@ -56,6 +56,10 @@ class PostgresReads : public Storage {
         });
   }
 
+  absl::StatusOr<std::vector<StorageUser>> ListUsers() override {
+    return Read<std::vector<StorageUser>>(Ownership::ListUsers);
+  }
+
  protected:
   explicit PostgresReads(const std::string& conninfo)
       : readers_(conninfo, kIdleReaders) {}
@@ -301,10 +305,6 @@ class PostgresStorage : public PostgresReads {
   }
 
   Durability GetDurability() const override { return ownership_->durability(); }
-
-  absl::StatusOr<std::vector<StorageUser>> ListUsers() override {
-    return Read<std::vector<StorageUser>>(Ownership::ListUsers);
-  }
 
   CommitCounts Counts() const override {
     CommitCounts sum;

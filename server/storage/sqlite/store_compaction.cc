@@ -71,13 +71,6 @@ absl::Status TakeRightsOf(const std::string& path, const std::string& copy) {
   return absl::OkStatus();
 }
 
-bool HoldTheSame(const StoreReport& a, const StoreReport& b) {
-  return a.vehicles == b.vehicles && a.batches == b.batches &&
-         a.poses == b.poses && a.revised_batches == b.revised_batches &&
-         a.loop_closures == b.loop_closures &&
-         a.rejected_candidates == b.rejected_candidates;
-}
-
 absl::StatusOr<StoreReport> MustBeSound(const std::string& path) {
   absl::StatusOr<StoreReport> report = CheckStore(path, StoreUse::kIdle);
   if (!report.ok() || report->problems.empty()) return report;

@@ -268,6 +268,21 @@ absl::StatusOr<VehicleKey> InsertVehicle(SqliteDatabase& database,
   return record.key;
 }
 
+absl::Status ImportVehicle(SqliteDatabase& database,
+                           const VehicleRecord& record) {
+  return database
+      .Prepare(
+          "INSERT INTO vehicles (key, id, format, revision, checksum, payload) "
+          "VALUES (?1, ?2, ?3, ?4, ?5, ?6)")
+      .Bind(1, record.key)
+      .BindText(2, record.id)
+      .Bind(3, kStoreFormat)
+      .Bind(4, Signed(record.revision))
+      .Bind(5, ChecksumOfVehicle(kStoreFormat, record))
+      .BindBlob(6, record.payload)
+      .Run();
+}
+
 absl::Status ChangeVehicle(SqliteDatabase& database, VehicleKey key,
                            const std::optional<std::string>& payload,
                            std::uint64_t revision) {

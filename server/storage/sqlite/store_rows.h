@@ -37,6 +37,9 @@ absl::StatusOr<std::vector<VehicleRecord>> FindVehicles(
 
 absl::StatusOr<VehicleKey> InsertVehicle(SqliteDatabase& database,
                                          VehicleRecord record);
+// Inserts a vehicle under the key that it has.
+absl::Status ImportVehicle(SqliteDatabase& database,
+                           const VehicleRecord& record);
 // Replaces the payload, if given, and raises the revision.
 absl::Status ChangeVehicle(SqliteDatabase& database, VehicleKey key,
                            const std::optional<std::string>& payload,

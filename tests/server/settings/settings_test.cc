@@ -273,6 +273,13 @@ TEST_F(SettingsTest, TasksTakeTheStoreFromTheSameSettings) {
   ASSERT_TRUE(migrate.ok()) << migrate.status();
   ASSERT_TRUE(migrate->task.has_value());
   EXPECT_EQ(migrate->task->kind, StoreTask::Kind::kMigrate);
+  const auto import = ParseSettings(
+      {"import", "--store", "postgresql://db/revisit", "--from", "here"}, {});
+  ASSERT_TRUE(import.ok()) << import.status();
+  ASSERT_TRUE(import->task.has_value());
+  EXPECT_EQ(import->task->kind, StoreTask::Kind::kImport);
+  EXPECT_EQ(import->task->other, "here");
+  EXPECT_THAT(Refusal({"import", "--store", "here"}), HasSubstr("--from"));
 }
 
 TEST_F(SettingsTest, WhatOnlyASharedStoreCanKeepIsRefusedForAFile) {

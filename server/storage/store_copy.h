@@ -1,0 +1,39 @@
+// Copies a whole store into an empty one of any kind, with the keys of its
+// vehicles.
+#ifndef REVISIT_SERVER_STORAGE_STORE_COPY_H_
+#define REVISIT_SERVER_STORAGE_STORE_COPY_H_
+
+#include <optional>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "server/storage/storage.h"
+#include "server/storage/store_report.h"
+
+namespace revisit::server {
+
+// An empty store that takes records, all or nothing: destroyed before Commit(),
+// it leaves nothing behind.
+class StoreIntake {
+ public:
+  virtual ~StoreIntake() = default;
+
+  // Of the record only key, id, payload and revision are read.
+  virtual absl::Status AddVehicle(const VehicleRecord& vehicle) = 0;
+  // Batches come in order, after their vehicle.
+  virtual absl::Status AddBatch(VehicleKey key, const BatchRecord& as_sent,
+                                const std::optional<BatchRecord>& revised) = 0;
+  virtual absl::Status AddPosePair(VehicleKey key, PairKind kind,
+                                   const PosePairRecord& pair) = 0;
+  virtual absl::Status Commit() = 0;
+};
+
+// Copies everything and commits; returns what was copied. DATA_LOSS
+// (STORE_CORRUPT) if anything is damaged: a copy would pass for sound.
+// REQUIRES: nobody writes to the source.
+absl::StatusOr<StoreReport> CopyStore(Storage& source,
+                                      StoreIntake* destination);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_STORAGE_STORE_COPY_H_
