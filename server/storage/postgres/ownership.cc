@@ -271,6 +271,7 @@ absl::Status Ownership::Beat() {
   }
   {
     const MutexLock lock(&mutex_);
+    if (sent - last_beat_ > options_.lease / 2) in_touch_since_ = Now();
     last_beat_ = sent;
     durability_ = connection_->durability();
   }
@@ -294,7 +295,7 @@ absl::Status Ownership::BuryOthers(const Uuid& me) {
     if (before != sightings_.end() && before->second.beat == beat) {
       sighting = before->second;
     }
-    if (now - sighting.since >= lease) {
+    if (now - sighting.since >= lease && now - in_touch_since_ >= lease / 2) {
       const auto buried =
           connection_->Run(kBury, Parameters().Add(other).Add(beat));
       if (!buried.ok()) return buried.status();

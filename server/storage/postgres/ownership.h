@@ -123,7 +123,8 @@ class Ownership {
   void Warn(const std::string& message) const;
   bool LeaseHolds() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
-  // The thread that beats; it alone uses `connection_` and `sightings_`.
+  // The thread that beats; it alone uses `connection_`, `sightings_` and
+  // `in_touch_since_`.
   void Run();
   absl::Status Beat();
   absl::Status Connect();
@@ -137,6 +138,11 @@ class Ownership {
 
   std::unique_ptr<PostgresConnection> connection_;
   std::map<Uuid, Sighting> sightings_;
+  // When this server reached the database again after it had not for half a
+  // lease. The others may not have reached it either, and have half a lease
+  // from then on to show that they live: else whoever comes back first would
+  // take all others for dead.
+  std::chrono::nanoseconds in_touch_since_{0};
 
   mutable Mutex mutex_;
   CondVar wake_;
