@@ -122,9 +122,6 @@ class Cluster:
             log_path=self.directory / f"server{number}.log")
         return self.servers[number]
 
-    def stub(self, number):
-        return self.servers[number].stub()
-
     def kill(self, number):
         self.servers[number].kill()
 

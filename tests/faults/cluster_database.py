@@ -53,6 +53,37 @@ def away(run):
     return rounds, f"{seen}; {moved} of them then, all served {slowest:.1f} s after"
 
 
+def stopped(run):
+    """Every process of it, for longer than the leases: connections stay, and
+    nothing comes from them."""
+    rounds = run.rounds(short=1, long=6)
+    slowest = 0.0
+    with Cluster(run) as cluster:
+        fleet = cluster.fleet
+        fleet.start()
+        fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for _ in range(rounds):
+            cluster.database.pause()
+            fleet.sleep(LEASE_SECONDS)
+            check_silence(fleet)
+            cluster.database.resume()
+            slowest = max(slowest, fleet.wait_for_acks(BACK_SECONDS))
+        seen = cluster.judge()
+    return rounds, (f"{seen}; no ack and no read from memory after the lease, all "
+                    f"served {slowest:.1f} s after it woke")
+
+
+def check_silence(fleet):
+    """Nobody is acknowledged anything, and nothing is answered from memory."""
+    acked = fleet.acked()
+    begun = time.monotonic()
+    fleet.sleep(1.0)
+    late = [read for vehicle in fleet.vehicles for read in vehicle.history.reads
+            if read.called > begun and read.what == "GetVehicle"]
+    assert not late, late[:3]
+    assert fleet.acked() == acked
+
+
 class Pair:
     """A primary and its standby; the servers know both."""
 
@@ -182,16 +213,10 @@ def standby_gone(run):
         fleet.start()
         fleet.wait_for_acks(TAKEOVER_SECONDS)
         pair.standby.stop("fast")
-        acked = wait_for_silence(fleet)
+        wait_for_silence(fleet)
         # Longer than the lease: nothing is answered from memory either.
         fleet.sleep(LEASE_SECONDS)
-        stopped = time.monotonic()
-        fleet.sleep(1.0)
-        late = [read for vehicle in fleet.vehicles
-                for read in vehicle.history.reads
-                if read.called > stopped and read.what == "GetVehicle"]
-        assert not late, late[:3]
-        assert fleet.acked() == acked
+        check_silence(fleet)
         pair.standby.start()
         back = fleet.wait_for_acks(TAKEOVER_SECONDS)
         seen = cluster.judge()
@@ -335,6 +360,8 @@ ROWS = [
      restarted),
     ("database: away for longer than the leases", "26",
      "back within 5 s, vehicles stay where they are", away),
+    ("database: stopped for longer than the leases", "26",
+     "no ack, no stale read, back within 5 s", stopped),
     ("database: failover to a synchronous standby", "18", "nothing lost",
      failover_to_replica),
     ("database: failover to an asynchronous standby", "18",

@@ -55,20 +55,18 @@ class DatabaseProxy:
         self.executed = {}
         # Seconds that every answer takes longer.
         self.delay = 0.0
-        self._eat = {}
-        self._keeps_silent = False
-        self._refuses = False
+        self._eat = set()
         self._lock = threading.Lock()
         self._pairs = set()
         self._listener = socket.create_server((host, 0), backlog=64)
         self.address = "%s:%d" % self._listener.getsockname()
         self._run(self._accept)
 
-    def eat_answer(self, statement, silently=False):
+    def eat_answer(self, statement):
         """The next answer to this prepared statement gets lost: the connection is
-        cut instead, or, silently, nothing more comes from it."""
+        cut instead."""
         with self._lock:
-            self._eat[statement] = silently
+            self._eat.add(statement)
 
     def cut(self):
         """Ends all connections."""
@@ -77,18 +75,7 @@ class DatabaseProxy:
         for pair in pairs:
             _reset(*pair)
 
-    @contextlib.contextmanager
-    def outage(self):
-        """Cuts, and lets nobody connect."""
-        self._refuses = True
-        self.cut()
-        try:
-            yield
-        finally:
-            self._refuses = False
-
     def close(self):
-        self._refuses = True
         self._listener.close()
         self.cut()
 
@@ -106,9 +93,6 @@ class DatabaseProxy:
         with contextlib.suppress(OSError):
             while True:
                 caller = self._listener.accept()[0]
-                if self._refuses:
-                    _reset(caller)
-                    continue
                 try:
                     database = socket.create_connection(self.target, 5)
                 except OSError:
@@ -131,11 +115,15 @@ class DatabaseProxy:
             self._pairs.discard((caller, database))
         _reset(caller, database)
 
-    def take_order(self, statement):
-        """Whether its answer is to be lost, and how; the order is used up."""
+    def is_to_be_eaten(self, statement):
+        """Whether the answer to it is to get lost, which is asked once for each
+        execution."""
         with self._lock:
             self.executed[statement] = self.executed.get(statement, 0) + 1
-            return self._eat.pop(statement, None)
+            if statement not in self._eat:
+                return False
+            self._eat.remove(statement)
+            return True
 
     def note_eaten(self):
         with self._lock:
@@ -146,8 +134,7 @@ class _Connection:
     def __init__(self, proxy, caller, database):
         self._proxy = proxy
         self._caller, self._database = caller, database
-        # None, or whether to lose the answer under way silently.
-        self._order = None
+        self._eats = False
 
     def forward(self):
         _, startup = _message(self._caller, typed=False)
@@ -157,7 +144,7 @@ class _Connection:
             if kind == _BIND:
                 # The name of the portal, then that of the statement.
                 name = message[5:].split(b"\0", 2)[1].decode()
-                self._order = self._proxy.take_order(name)
+                self._eats = self._proxy.is_to_be_eaten(name)
             self._database.sendall(message)
 
     def answer(self):
@@ -168,16 +155,12 @@ class _Connection:
                 kind, message = _message(self._database)
                 data += message
                 failed = failed or kind == _ERROR
-                if kind == _READY or self._order is None:
+                if kind == _READY or not self._eats:
                     break
             if self._proxy.delay > 0.0 and kind == _READY:
                 time.sleep(self._proxy.delay)
-            if self._order is not None:
-                silently, self._order = self._order, None
+            if self._eats:
                 if not failed:
                     self._proxy.note_eaten()
-                    if silently:
-                        while _receive(self._database, 1):
-                            pass
-                    return
+                return
             self._caller.sendall(data)

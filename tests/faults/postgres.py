@@ -36,13 +36,10 @@ class Refused(Exception):
 
 
 def skip_without_postgres():
-    for program in ("postgres", "initdb", "pg_basebackup"):
+    for program in ("postgres", "initdb", "pg_basebackup", "psql"):
         if not os.access(PROGRAMS / program, os.X_OK):
             raise Skipped(f"there is no {PROGRAMS / program}: Debian's package "
                           "postgresql-15 has it")
-    if shutil.which("psql") is None:
-        raise Skipped("there is no psql: Debian's package postgresql-client has "
-                      "it")
 
 
 @functools.cache
@@ -219,10 +216,10 @@ class Postgres:
         """The rows of the last statement, as tuples of texts."""
         try:
             result = subprocess.run(
-                ["psql", "-XAtq", "-F", "\t", "-v", "ON_ERROR_STOP=1", "-d",
+                [PROGRAMS / "psql", "-XAtq", "-F", "\t", "-v", "ON_ERROR_STOP=1", "-d",
                  self.conninfo(database, connect_timeout=5), "-c", text],
                 capture_output=True, text=True, timeout=timeout, check=False,
-                env={"LC_ALL": "C", "PATH": os.environ["PATH"]})
+                env={"LC_ALL": "C", "PATH": os.defpath})
         except subprocess.TimeoutExpired as expired:
             raise Refused(f"no answer in {timeout} s: {text}") from expired
         if result.returncode != 0:
