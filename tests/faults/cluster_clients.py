@@ -8,6 +8,7 @@ proxy, which they tell that owner as the client library does.
 
 import base64
 import collections
+import contextlib
 import queue
 import random
 import threading
@@ -91,6 +92,9 @@ class Fleet:
         # How often each status came.
         self.outcomes = collections.Counter()
         self.problems = []
+        # The address of a server that writers do not go to.
+        self.not_for_writers = None
+        self._writes_held = threading.Event()
         # Until when each address is left out.
         self.left_out = {}
         self.stopped = threading.Event()
@@ -100,7 +104,7 @@ class Fleet:
 
     def create(self):
         for vehicle in self.vehicles:
-            caller = _Caller(self, vehicle, random.Random(0))
+            caller = _Caller(self, vehicle, random.Random(0), writes=True)
             vehicle.uid = caller.stub(caller.home()).CreateVehicle(
                 api.CreateVehicleRequest(vehicle_id=vehicle.name.split("/")[1])
             ).vehicle.uid
@@ -137,6 +141,17 @@ class Fleet:
     def check(self):
         if self.problems:
             raise self.problems[0]
+
+    @contextlib.contextmanager
+    def without_writes(self):
+        """No write is under way meanwhile."""
+        self._writes_held.set()
+        self.sleep(2 * ON_ITS_WAY_SECONDS)
+        yield
+        self._writes_held.clear()
+
+    def may_write(self):
+        return not self.stopped.is_set() and not self._writes_held.is_set()
 
     def sleep(self, seconds):
         """Of the row, which ends early if a client met with the unexpected."""
@@ -198,14 +213,17 @@ class Vehicle:
             for call in self._calls:
                 call.cancel()
 
-    def _caller(self):
-        return _Caller(self.fleet, self, random.Random(self._rng.random()))
+    def _caller(self, writes):
+        return _Caller(self.fleet, self, random.Random(self._rng.random()), writes)
 
     # Writing.
 
     def write(self):
-        caller = self._caller()
+        caller = self._caller(writes=True)
         while not self.fleet.stopped.is_set():
+            if not self.fleet.may_write():
+                caller.wait()
+                continue
             try:
                 if caller.rng.random() < self.fleet.stream_share:
                     self._stream(caller)
@@ -226,7 +244,7 @@ class Vehicle:
 
     def _append(self, caller):
         for _ in range(caller.rng.randint(1, 20)):
-            if self.fleet.stopped.is_set():
+            if not self.fleet.may_write():
                 return
             _, poses = self._poses(self.history.acked + 1, caller.rng)
             ack = caller.stub().AppendPoses(api.AppendPosesRequest(
@@ -260,7 +278,7 @@ class Vehicle:
             under_way = collections.deque()
             sequence = opened.durable_sequence
             for _ in range(rng.randint(5, 300)):
-                if self.fleet.stopped.is_set():
+                if not self.fleet.may_write():
                     break
                 sequence, poses = self._poses(sequence + 1, rng)
                 requests.put(api.StreamPosesRequest(
@@ -294,7 +312,7 @@ class Vehicle:
     # Reading.
 
     def read(self):
-        caller = self._caller()
+        caller = self._caller(writes=False)
         while not self.fleet.stopped.is_set():
             called = time.monotonic()
             floor = self.history.acked
@@ -335,8 +353,9 @@ class _Caller:
     have died is made anew, for gRPC keeps it from a server that is back for a
     while."""
 
-    def __init__(self, fleet, vehicle, rng):
+    def __init__(self, fleet, vehicle, rng, writes):
         self.rng = rng
+        self._writes = writes
         self._fleet, self._vehicle = fleet, vehicle
         self._channels = {}
         # Where the last call went, and the owner that the last answer named.
@@ -347,18 +366,22 @@ class _Caller:
         """Of the servers that seem well, the one that the name stands for: if one
         comes or goes, few vehicles have another one."""
         now = time.monotonic()
-        addresses = self._fleet.addresses
+        addresses = self._addresses()
         return max([address for address in addresses
                     if self._fleet.left_out.get(address, 0.0) < now] or addresses,
                    key=lambda address: zlib.crc32(
                        f"{self._vehicle.name} {address}".encode()))
 
+    def _addresses(self):
+        return [address for address in self._fleet.addresses
+                if not self._writes or address != self._fleet.not_for_writers]
+
     def stub(self, address=None):
         """For the next call."""
         if address is None and not self._fleet.is_proxied:
             address, self._owner = self._owner, None
-        if address not in self._fleet.addresses:
-            address = (self.rng.choice(self._fleet.addresses)
+        if address not in self._addresses():
+            address = (self.rng.choice(self._addresses())
                        if self.rng.random() < STRAY else self.home())
         self._address = address
         if address not in self._channels:

@@ -1,7 +1,8 @@
-"""The row in which the database does not compare who writes: the judge of the
-other rows has to find that poses are lost, doubled, or read stale."""
+"""Rows in which what keeps the promises is taken away: the judge of the other rows
+has to find that they are broken, for one that cannot fail is none."""
 
 from cluster import TAKEOVER_SECONDS, Broken, Cluster
+from cluster_cuts import DATABASE, SERVERS, Hosts
 from cluster_servers import stops
 from revisit_server import wait_until
 
@@ -52,7 +53,38 @@ def broken_without_fence(run):
     return []
 
 
+def without_lease(run):
+    """A server whose clock stands still is cut from the database, and goes on to
+    answer from memory while others write its vehicles."""
+    with Hosts(run) as (network, cluster):
+        fleet = cluster.fleet
+        victim = cluster.any_owner()
+        cluster.terminate(victim)
+        cluster.start(victim, **stops(no_boottime=1))
+        fleet.start()
+        wait_until(lambda: cluster.count_of(victim) > 0,
+                   "vehicles at the server", 2 * TAKEOVER_SECONDS)
+        # A write that is in doubt would keep it from answering.
+        with fleet.without_writes():
+            fleet.not_for_writers = cluster.servers[victim].address
+            network.cut(SERVERS[victim], DATABASE)
+        cluster.wait_until_dead(victim)
+        fleet.wait_for_acks(TAKEOVER_SECONDS)
+        # Its readers wait for the database too, now and then.
+        fleet.sleep(6.0)
+        network.heal()
+        try:
+            cluster.judge()
+        except Broken as broken:
+            stale = [text for text in broken.texts if " STALE " in text]
+            assert stale, broken
+            return 1, f"{len(stale)} stale reads found"
+    raise AssertionError("no stale read was found without leases")
+
+
 ROWS = [
     ("servers: no fence at all", "21", "the judge finds what is broken",
      without_fence),
+    ("network: no lease at all", "22", "the judge finds what is broken",
+     without_lease),
 ]

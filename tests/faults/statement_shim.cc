@@ -11,9 +11,12 @@
 //   REVISIT_TEST_WITHOUT=TEXT    this text is cut out of the statement's SQL;
 //   if
 //                                it is not in there, the process ends
+//   REVISIT_TEST_NO_BOOTTIME=1   CLOCK_BOOTTIME, by which leases run, stands
+//   still
 #include <dlfcn.h>
 #include <libpq-fe.h>
 #include <signal.h>
+#include <time.h>
 #include <unistd.h>
 
 #include <atomic>
@@ -34,6 +37,7 @@ struct Plan {
   const char* without = getenv("REVISIT_TEST_WITHOUT");
   long stop_before = Number("REVISIT_TEST_STOP_BEFORE");
   long stop_after = Number("REVISIT_TEST_STOP_AFTER");
+  bool no_boottime = Number("REVISIT_TEST_NO_BOOTTIME") != 0;
 };
 
 const Plan& ThePlan() {
@@ -58,6 +62,14 @@ Function* Next(const char* name) {
 }  // namespace
 
 extern "C" {
+
+int clock_gettime(clockid_t clock, timespec* time) noexcept {
+  if (clock == CLOCK_BOOTTIME && ThePlan().no_boottime) {
+    *time = {1, 0};
+    return 0;
+  }
+  return Next<int(clockid_t, timespec*)>("clock_gettime")(clock, time);
+}
 
 int PQsendPrepare(PGconn* connection, const char* name, const char* sql,
                   int count, const Oid* types) {
