@@ -43,10 +43,16 @@ struct Client::Rep {
         RouteToOwner(status, &context);
         return attempt(&context, &repeatable);
       }();
-      const bool is_passing = WasElsewhere(status) ||
-                              (retry == Retry::kSafe &&
-                               (absl::IsUnavailable(status) || IsCut(status)));
-      if (!is_passing || !repeatable || count >= attempts) return status;
+      if (WasElsewhere(status)) {
+        // Until the deadline: after a server has died, others say so until its
+        // lease has run out.
+        --count;
+        backoff.Reset();
+      } else if (retry == Retry::kNever ||
+                 !(absl::IsUnavailable(status) || IsCut(status))) {
+        return status;
+      }
+      if (!repeatable || count >= attempts) return status;
       const auto wait = backoff.Next(DetailsOf(status).retry_delay);
       if (SystemClock::now() + wait >= deadline) return status;
       std::this_thread::sleep_for(wait);

@@ -11,8 +11,8 @@
 // server's RetryInfo asks for, and only while the wait ends before the
 // deadline. A call that answers NOT_OWNER or EPOCH_FENCED changed nothing,
 // since its vehicle is another server's: every call but RevisePoses is then
-// made again, with the owner's address for a proxy that routes by it. Nothing
-// else is.
+// made again, as often as the deadline allows and as soon as RetryInfo says,
+// with the owner's address for a proxy that routes by it. Nothing else is.
 #ifndef REVISIT_CLIENT_REVISIT_CLIENT_H_
 #define REVISIT_CLIENT_REVISIT_CLIENT_H_
 

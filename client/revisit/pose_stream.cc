@@ -390,8 +390,9 @@ void PoseStream::Rep::Run() {
       changed.NotifyAll();
       return;
     }
+    // The server says when a vehicle that is elsewhere may be asked for again.
+    if (progressed || WasElsewhere(status)) backoff.Reset();
     if (progressed) {
-      backoff.Reset();
       last_progress = Clock::now();
     }
     const auto wait = backoff.Next(DetailsOf(status).retry_delay);

@@ -1,6 +1,5 @@
 """What deploy/cluster/demo does once everything is built: see its --help."""
 
-import argparse
 import contextlib
 import csv
 import os
@@ -172,8 +171,10 @@ def print_owners(client):
 def start(processes):
     """A cluster, and the address of a server that is alone."""
     binaries = pathlib.Path(os.environ.get("REVISIT_BIN", ROOT / "build/release/bin"))
-    cluster = private_cluster.PrivateCluster(processes, binaries, SERVERS)
-    print(f"PostgreSQL: {cluster.postgres.url} (process {cluster.postgres.process.pid})")
+    cluster = private_cluster.PrivateCluster(processes, binaries, SERVERS,
+                                             private_cluster.find_envoy())
+    print(f"PostgreSQL: {cluster.postgres.url('revisit')} "
+          f"(process {cluster.postgres.process.pid})")
     for server in cluster.servers:
         print(f"{server.process.name}: {server.address} (process {server.process.pid})")
     print(f"Envoy: {cluster.envoy.address}, TLS (process {cluster.envoy.process.pid})")
@@ -224,14 +225,13 @@ def run(processes, vehicle_count, seconds):
         print(f"{vehicle_count * len(alone.answers)} checks: {differing} answered "
               f"otherwise than by the server that is alone ({asked} asked for again, "
               "their answers lost with the connection)")
+        verdict = cluster.run_task("verify", "revisit").splitlines()[-1]
+        print(f"revisitd verify finds the database {verdict}")
         return acked == sent and lost == 0 and differing == 0
 
 
 def main():
-    parser = argparse.ArgumentParser(prog="deploy/cluster/demo")
-    parser.add_argument("--vehicles", type=int, default=30)
-    parser.add_argument("--seconds", type=float, default=20.0)
-    arguments = parser.parse_args()
+    vehicle_count, seconds = map(int, sys.argv[1:])
     # The end by any of these signals stops everything too.
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda number, _: sys.exit(128 + number))
@@ -239,7 +239,7 @@ def main():
         # For PostgreSQL, which is somebody else if this is root.
         os.chmod(directory, 0o711)
         with private_cluster.Processes(pathlib.Path(directory)) as processes:
-            return 0 if run(processes, arguments.vehicles, arguments.seconds) else 1
+            return 0 if run(processes, vehicle_count, seconds) else 1
 
 
 if __name__ == "__main__":

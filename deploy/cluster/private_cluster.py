@@ -25,21 +25,17 @@ UNPRIVILEGED = ("postgres", "nobody")
 
 
 def find_envoy():
+    """Envoy of the wheel that is installed with this Python; None without one."""
     package = importlib.util.find_spec("envoy")
-    if package is None:
-        raise FileNotFoundError("there is no Envoy: pip install -r "
-                                f"{HERE.parent / 'envoy-requirements.txt'}")
-    return pathlib.Path(package.origin).parent / "_bin/envoy"
+    return package and pathlib.Path(package.origin).parent / "_bin/envoy"
 
 
-def _find_postgres():
-    """The directory of the programs of the newest PostgreSQL that is installed."""
+def find_postgres():
+    """The directory of the programs of the newest PostgreSQL that is installed; None
+    without one."""
     found = sorted(pathlib.Path("/usr/lib/postgresql").glob("*/bin/initdb"),
                    key=lambda path: int(path.parts[-3]))
-    if not found:
-        raise FileNotFoundError("there is no PostgreSQL: "
-                                "deploy/install-dependencies cluster")
-    return found[-1].parent
+    return found[-1].parent if found else None
 
 
 def _replace(path, text):
@@ -158,8 +154,8 @@ class Postgres:
         self._directory.mkdir(mode=0o700)
         if self._as:
             shutil.chown(self._directory, self._as["user"])
-        programs = _find_postgres()
-        self._run(programs / "initdb", "--username=revisit", "--auth=trust",
+        programs = find_postgres()
+        self._run(programs / "initdb", "--username=postgres", "--auth=trust",
                   "--encoding=UTF8", "--locale=C", f"--pgdata={self._directory}/data")
         self.process = processes.start(
             "postgres", programs / "postgres", "-D",
@@ -167,13 +163,17 @@ class Postgres:
             f"unix_socket_directories={self._directory}", "-c", "lc_messages=C",
             # Ends its sessions rather than waits for them.
             stop_signal=signal.SIGINT, cwd=self._directory, **self._as)
-        self.url = f"postgresql:///postgres?host={self._directory}&user=revisit"
         _wait_until(lambda: self._answers(programs), "PostgreSQL")
+        self._run(programs / "psql", "--host", self._directory, "--username=postgres",
+                  "--no-psqlrc", "--file=-", input=(HERE / "database.sql").read_text())
 
-    def _run(self, *command):
+    def url(self, role):
+        return f"postgresql:///revisit?host={self._directory}&user={role}"
+
+    def _run(self, *command, input=""):
         result = subprocess.run(
             [*map(str, command)], capture_output=True, text=True, check=False,
-            stdin=subprocess.DEVNULL, cwd=self._directory, **self._as)
+            input=input, cwd=self._directory, **self._as)
         if result.returncode != 0:
             raise RuntimeError(f"{command[0]}: {result.stderr}{result.stdout}")
 
@@ -312,7 +312,8 @@ POLICY = {"version": 1, "tenants": [], "grants": [
 class PrivateCluster:
     """Everything together. `processes` stops it."""
 
-    def __init__(self, processes, binaries, servers):
+    def __init__(self, processes, binaries, servers, envoy):
+        """`envoy` is the program."""
         directory = processes.directory
         self._processes, self._binaries = processes, binaries
         self.authorities = directory / "servers-ca.pem"
@@ -320,17 +321,26 @@ class PrivateCluster:
         policy = directory / "policy.json"
         policy.write_text(json.dumps(POLICY))
         self.postgres = Postgres(processes)
-        subprocess.run([binaries / "revisitd", "migrate", "--store", self.postgres.url],
-                       check=True, env=_environment(), stdin=subprocess.DEVNULL,
-                       stdout=subprocess.DEVNULL)
+        self.run_task("migrate", "revisit_owner")
         self.servers = [
-            Server(processes, f"revisitd-{number}", binaries, self.postgres.url,
-                   "--tls-cert", directory / "server.pem",
+            Server(processes, f"revisitd-{number}", binaries,
+                   self.postgres.url("revisit"), "--tls-cert", directory / "server.pem",
                    "--tls-key", directory / "server.key",
                    "--tls-client-ca", self.authorities, "--policy", policy)
             for number in range(1, servers + 1)]
-        self.envoy = Envoy(processes, find_envoy(),
+        self.envoy = Envoy(processes, envoy,
                            [server.address for server in self.servers])
+
+    def run_task(self, task, role):
+        """Runs a task of revisitd on the database; its output. RuntimeError if it
+        fails."""
+        result = subprocess.run(
+            [self._binaries / "revisitd", task, "--store", self.postgres.url(role)],
+            capture_output=True, text=True, check=False, env=_environment(),
+            stdin=subprocess.DEVNULL)
+        if result.returncode != 0:
+            raise RuntimeError(f"revisitd {task}: {result.stderr}{result.stdout}")
+        return result.stdout
 
     def start_alone(self):
         """A server with a SQLite file of its own, without TLS."""

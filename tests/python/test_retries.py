@@ -87,6 +87,13 @@ def test_a_call_goes_to_the_owner_of_its_vehicle_also_if_it_may_be_made_once_onl
     assert routes(fake) == ["", ROUTE, "", ""]
 
 
+def test_a_vehicle_that_is_elsewhere_is_followed_until_the_deadline():
+    fake = FakeService(*[NOT_OWNER] * 20)
+    with serving(fake) as address, revisit.Client(address, backoff=QUICK) as client:
+        assert client.get_vehicle("a").name == "vehicles/a"
+    assert fake.calls == 21
+
+
 def test_a_stream_goes_to_the_owner_of_its_vehicle_with_every_pose():
     fake = FakeService(NOT_OWNER, FENCED)
     with serving(fake) as address, revisit.Client(address) as client:

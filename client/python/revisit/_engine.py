@@ -23,7 +23,8 @@ from revisit.channel import (
     Caller, Channels, Lease, Metadata, owner_route, stub_of)
 from revisit.errors import (
     Aborted, Cancelled, DataLoss, Error, ResourceExhausted, Unauthenticated,
-    Unavailable, VehicleReplaced, from_rpc_error, is_cut)
+    Unavailable, VehicleReplaced, from_rpc_error, is_cut,
+    was_elsewhere)
 from revisit.stream_options import StreamCallbacks, StreamOptions
 
 _log = logging.getLogger("revisit")
@@ -125,8 +126,11 @@ class Engine:
                     self._end(error)
                     return
                 assert isinstance(error, Error)
-                if connection.progressed:
+                if connection.progressed or was_elsewhere(error):
+                    # The server says when a vehicle that is elsewhere may be asked
+                    # for again.
                     backoff.reset()
+                if connection.progressed:
                     last_progress = time.monotonic()
                 wait = backoff.next(error.retry_delay)
                 limit = self._options.give_up_after

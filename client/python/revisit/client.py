@@ -81,7 +81,9 @@ class Client:
     after RESOURCE_EXHAUSTED with a RetryInfo. It waits with exponential back-off
     and jitter, no shorter than the server's RetryInfo, and only while the wait ends
     before the deadline. Never repeated otherwise: updates, deletions,
-    `accept_data_loss()`, and `revise_poses()` without an expected revision.
+    `accept_data_loss()`, and `revise_poses()` without an expected revision. After
+    NOT_OWNER and EPOCH_FENCED, which change nothing, every call is made again as
+    often as the deadline allows, and goes to the owner if a proxy routes by it.
 
     Each call sends an `x-request-id`, which names it in the server's log; errors
     have it as `request_id`.
@@ -156,6 +158,11 @@ class Client:
                 except grpc.RpcError as raised:
                     error = from_rpc_error(raised, request_id)
                 self._channels.report(lease, error)
+            if was_elsewhere(error):
+                # Until the deadline: after a server has died, others say so until its
+                # lease has run out.
+                count -= 1
+                backoff.reset()
             if count >= self._max_attempts or not _may_repeat(error, is_safe):
                 raise error
             wait = backoff.next(error.retry_delay)

@@ -19,6 +19,9 @@ using std::chrono::nanoseconds;
 // How long the end of the server waits for the database.
 constexpr milliseconds kGoodbye{2'000};
 
+// A beat may be late by this much on a machine that is busy.
+constexpr milliseconds kLeastGap{2'000};
+
 constexpr Statement kEnter = {
     "enter",
     "INSERT INTO servers (incarnation, address, lease_ms, state) "
@@ -271,7 +274,6 @@ absl::Status Ownership::Beat() {
   }
   {
     const MutexLock lock(&mutex_);
-    if (sent - last_beat_ > options_.lease / 2) in_touch_since_ = Now();
     last_beat_ = sent;
     durability_ = connection_->durability();
   }
@@ -283,6 +285,13 @@ absl::Status Ownership::Beat() {
 absl::Status Ownership::BuryOthers(const Uuid& me) {
   const auto rows = connection_->Run(kOthers, Parameters().Add(me));
   if (!rows.ok()) return rows.status();
+  const auto look = std::chrono::steady_clock::now();
+  // What kept this server from looking, such as a database that was away, may
+  // have kept the others from beating: each has its lease from now on.
+  if (look - last_look_ > std::max(2 * options_.beat_period, kLeastGap)) {
+    sightings_.clear();
+  }
+  last_look_ = look;
   // Later than any beat that was seen.
   const nanoseconds now = Now();
   std::map<Uuid, Sighting> seen;
@@ -295,7 +304,7 @@ absl::Status Ownership::BuryOthers(const Uuid& me) {
     if (before != sightings_.end() && before->second.beat == beat) {
       sighting = before->second;
     }
-    if (now - sighting.since >= lease && now - in_touch_since_ >= lease / 2) {
+    if (now - sighting.since >= lease) {
       const auto buried =
           connection_->Run(kBury, Parameters().Add(other).Add(beat));
       if (!buried.ok()) return buried.status();

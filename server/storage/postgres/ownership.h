@@ -124,7 +124,7 @@ class Ownership {
   bool LeaseHolds() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   // The thread that beats; it alone uses `connection_`, `sightings_` and
-  // `in_touch_since_`.
+  // `last_look_`.
   void Run();
   absl::Status Beat();
   absl::Status Connect();
@@ -138,11 +138,8 @@ class Ownership {
 
   std::unique_ptr<PostgresConnection> connection_;
   std::map<Uuid, Sighting> sightings_;
-  // When this server reached the database again after it had not for half a
-  // lease. The others may not have reached it either, and have half a lease
-  // from then on to show that they live: else whoever comes back first would
-  // take all others for dead.
-  std::chrono::nanoseconds in_touch_since_{0};
+  // When it looked last.
+  std::chrono::steady_clock::time_point last_look_;
 
   mutable Mutex mutex_;
   CondVar wake_;

@@ -138,20 +138,29 @@ constexpr Statement kRemoveVehicle = {
     "o AS (DELETE FROM handovers t USING h WHERE t.key = h.key) "
     "INSERT INTO deleted_vehicles (key) SELECT key FROM h RETURNING key"};
 
-// $1 keys, $2 owners, $3 epochs, $4 first sequences, $5 counts, $6 revisions,
-// $7 checksums, $8 payloads, $9 format. What was updated is passed on whole: a
-// second join with the arrays would take thrice the time. An update takes one
-// row of the source for each of its own, hence one row per vehicle.
+// Of each run: $1 key, $2 owner, $3 epoch, $4 first and $5 last sequence,
+// $6 revision, and $7 and $8 the numbers of its first and last row. Of each
+// row: $9 first sequence, $10 count, $11 revision, $12 checksum, and $13 and
+// $14 where its payload begins in $15 and how long it is. $16 is the format.
+//
+// Rows are reached by their number, because a join of them with the updated
+// heads takes thrice the time, and payloads lie in one value, because an array
+// of them is walked from its start for each. An update takes one row of its
+// source for each of its own, hence one run per vehicle.
 constexpr Statement kAppend = {
     "append",
-    "WITH h AS (UPDATE heads v SET durable_sequence = a.f + a.n - 1, "
+    "WITH h AS (UPDATE heads v SET durable_sequence = a.l, "
     "revision = greatest(v.revision, a.rev) FROM unnest($1::int8[], "
     "$2::uuid[], $3::int8[], $4::int8[], $5::int8[], $6::int8[], $7::int8[], "
-    "$8::bytea[]) AS a(k, o, e, f, n, rev, ck, p) WHERE v.key = a.k AND "
-    "v.owner = a.o AND v.epoch = a.e AND v.durable_sequence = a.f - 1 "
-    "RETURNING a.*) INSERT INTO batches (vehicle_key, first_sequence, count, "
-    "format, revision, checksum, payload) SELECT k, f, n, $9::int8, rev, ck, p "
-    "FROM h RETURNING vehicle_key"};
+    "$8::int8[]) AS a(k, o, e, f, l, rev, first_row, last_row) WHERE "
+    "v.key = a.k AND v.owner = a.o AND v.epoch = a.e AND "
+    "v.durable_sequence = a.f - 1 RETURNING a.k, a.first_row, a.last_row), "
+    "b AS (INSERT INTO batches (vehicle_key, first_sequence, count, format, "
+    "revision, checksum, payload) SELECT h.k, ($9::int8[])[i], "
+    "($10::int8[])[i], $16::int8, ($11::int8[])[i], ($12::int8[])[i], "
+    "substring($15::bytea FROM (($13::int8[])[i])::int4 FOR "
+    "(($14::int8[])[i])::int4) FROM h, "
+    "generate_series(h.first_row, h.last_row) i) SELECT k FROM h"};
 
 // $1 key, $2 first sequences, $3 counts, $4 checksums, $5 payloads, $6 format,
 // $7 revision.
@@ -396,6 +405,11 @@ Parameters Replacing(const Fence& fence, VehicleRow row,
   return parameters;
 }
 
+std::uint64_t LastSequence(const AppendRun& run) {
+  const BatchRecord& last = run.back()->batch;
+  return last.first_sequence + last.count - 1;
+}
+
 void NoteDurable(const Fence& fence, std::uint64_t sequence) {
   if (fence.claim != nullptr) fence.claim->durable_sequence = sequence;
 }
@@ -615,63 +629,91 @@ absl::Status RemoveVehicle(PostgresConnection& connection, const Fence& fence) {
   return WhyNotWritten(connection, fence, Fenced("the vehicle"));
 }
 
-absl::Status AppendRows(PostgresConnection& connection,
-                        const std::vector<const PendingWrite*>& rows,
+absl::Status AppendRuns(PostgresConnection& connection,
+                        const std::vector<AppendRun>& runs,
                         std::vector<absl::Status>* results) {
   std::vector<std::int64_t> keys;
   std::vector<Uuid> owners;
   std::vector<std::int64_t> epochs;
+  std::vector<std::int64_t> run_firsts;
+  std::vector<std::int64_t> run_lasts;
+  std::vector<std::int64_t> run_revisions;
+  std::vector<std::int64_t> first_rows;
+  std::vector<std::int64_t> last_rows;
   std::vector<std::int64_t> firsts;
   std::vector<std::int64_t> counts;
   std::vector<std::int64_t> revisions;
   std::vector<std::int64_t> checksums;
-  std::vector<const std::string*> payloads;
-  for (const PendingWrite* row : rows) {
-    keys.push_back(row->key);
-    const Claim& claim = Compared(row->claim.get());
+  std::vector<std::int64_t> starts;
+  std::vector<std::int64_t> lengths;
+  std::string payloads;
+  for (const AppendRun& run : runs) {
+    const Claim& claim = Compared(run.front()->claim.get());
+    keys.push_back(run.front()->key);
     owners.push_back(claim.owner);
     epochs.push_back(claim.epoch);
-    firsts.push_back(Signed(row->batch.first_sequence));
-    counts.push_back(row->batch.count);
-    revisions.push_back(Signed(row->batch.revision));
-    checksums.push_back(ChecksumOfBatch(kStoreFormat, row->key,
-                                        BatchVersion::kAsSent, row->batch));
-    payloads.push_back(&row->batch.payload);
+    run_firsts.push_back(Signed(run.front()->batch.first_sequence));
+    run_lasts.push_back(Signed(LastSequence(run)));
+    // SQL counts from 1.
+    first_rows.push_back(static_cast<std::int64_t>(firsts.size()) + 1);
+    std::uint64_t highest = 0;
+    for (const PendingWrite* row : run) {
+      const BatchRecord& batch = row->batch;
+      highest = std::max(highest, batch.revision);
+      firsts.push_back(Signed(batch.first_sequence));
+      counts.push_back(batch.count);
+      revisions.push_back(Signed(batch.revision));
+      checksums.push_back(ChecksumOfBatch(kStoreFormat, row->key,
+                                          BatchVersion::kAsSent, batch));
+      starts.push_back(static_cast<std::int64_t>(payloads.size()) + 1);
+      lengths.push_back(static_cast<std::int64_t>(batch.payload.size()));
+      payloads += batch.payload;
+    }
+    run_revisions.push_back(Signed(highest));
+    last_rows.push_back(static_cast<std::int64_t>(firsts.size()));
   }
   const auto answer =
       connection.Run(kAppend, Parameters()
                                   .Add(keys)
                                   .Add(owners)
                                   .Add(epochs)
+                                  .Add(run_firsts)
+                                  .Add(run_lasts)
+                                  .Add(run_revisions)
+                                  .Add(first_rows)
+                                  .Add(last_rows)
                                   .Add(firsts)
                                   .Add(counts)
                                   .Add(revisions)
                                   .Add(checksums)
-                                  .AddBytes(payloads)
+                                  .Add(starts)
+                                  .Add(lengths)
+                                  .AddText(payloads)
                                   .Add(std::int64_t{kStoreFormat}));
   if (!answer.ok()) return answer.status();
   std::set<VehicleKey> written;
-  for (int i = 0; i < answer->size(); ++i)
+  for (int i = 0; i < answer->size(); ++i) {
     written.insert(answer->Integer(i, 0));
+  }
   std::vector<std::int64_t> missing;
-  results->clear();
-  for (const PendingWrite* row : rows) {
-    results->emplace_back();
-    if (written.count(row->key) == 0) {
-      missing.push_back(row->key);
+  for (const AppendRun& run : runs) {
+    const VehicleKey key = run.front()->key;
+    if (written.count(key) == 0) {
+      missing.push_back(key);
     } else {
-      NoteDurable({row->key, row->claim},
-                  row->batch.first_sequence + row->batch.count - 1);
+      NoteDurable({key, run.front()->claim}, LastSequence(run));
     }
   }
+  results->assign(runs.size(), absl::OkStatus());
   if (missing.empty()) return absl::OkStatus();
   const auto heads = ReadHeads(connection, missing);
-  for (std::size_t i = 0; i < rows.size(); ++i) {
-    if (written.count(rows[i]->key) > 0) continue;
-    (*results)[i] =
-        heads.ok() ? WhyNotAppended(*heads, rows[i]->key, rows[i]->claim.get(),
-                                    rows[i]->batch.first_sequence)
-                   : heads.status();
+  for (std::size_t i = 0; i < runs.size(); ++i) {
+    const PendingWrite& first = *runs[i].front();
+    if (written.count(first.key) > 0) continue;
+    (*results)[i] = heads.ok()
+                        ? WhyNotAppended(*heads, first.key, first.claim.get(),
+                                         first.batch.first_sequence)
+                        : heads.status();
   }
   return absl::OkStatus();
 }

@@ -55,11 +55,14 @@ absl::Status ChangeVehicle(PostgresConnection& connection, const Fence& fence,
                            const std::string& payload, std::uint64_t revision);
 absl::Status RemoveVehicle(PostgresConnection& connection, const Fence& fence);
 
-// Appends rows, at most one per vehicle, in one statement. OK if the statement
-// was run: then `results` has the outcome of each row. Otherwise nothing was
-// written, or the connection is in doubt.
-absl::Status AppendRows(PostgresConnection& connection,
-                        const std::vector<const PendingWrite*>& rows,
+// Rows of one vehicle that follow each other, submitted under one claim.
+using AppendRun = std::vector<const PendingWrite*>;
+
+// Appends runs, at most one per vehicle, in one statement. OK if the statement
+// was run: then `results` has the outcome of each run, which is written whole
+// or not at all. Otherwise nothing was written, or the connection is in doubt.
+absl::Status AppendRuns(PostgresConnection& connection,
+                        const std::vector<AppendRun>& runs,
                         std::vector<absl::Status>* results);
 absl::Status AppendWithVehicle(PostgresConnection& connection,
                                const Fence& fence, const BatchRecord& batch,

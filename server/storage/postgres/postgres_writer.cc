@@ -23,6 +23,12 @@ bool IsFaultOfRow(const absl::Status& status) {
   return absl::IsInternal(status) || absl::IsDataLoss(status);
 }
 
+bool Follows(const PendingWrite& before, const PendingWrite& row) {
+  return row.claim == before.claim &&
+         row.batch.first_sequence ==
+             before.batch.first_sequence + before.batch.count;
+}
+
 }  // namespace
 
 PostgresWriter::PostgresWriter(const Options& options, Ownership* ownership)
@@ -104,18 +110,33 @@ void PostgresWriter::Run() {
 }
 
 void PostgresWriter::Commit(const std::vector<PendingWrite>& group) {
-  std::vector<std::vector<const PendingWrite*>> rounds;
-  std::unordered_map<VehicleKey, std::size_t> rows_of;
+  Rounds rounds;
+  // Where the next row of a vehicle may go.
+  struct Place {
+    std::size_t round;
+    std::size_t run;
+  };
+  std::unordered_map<VehicleKey, Place> places;
   for (const PendingWrite& write : group) {
     if (!write.apply) {
-      const std::size_t round = rows_of[write.key]++;
+      const auto found = places.find(write.key);
+      if (found != places.end()) {
+        AppendRun& run = rounds[found->second.round][found->second.run];
+        if (Follows(*run.back(), write)) {
+          run.push_back(&write);
+          continue;
+        }
+      }
+      const std::size_t round =
+          found == places.end() ? 0 : found->second.round + 1;
       if (round == rounds.size()) rounds.emplace_back();
-      rounds[round].push_back(&write);
+      places[write.key] = {round, rounds[round].size()};
+      rounds[round].push_back({&write});
       continue;
     }
     // It may be of a vehicle whose rows wait.
     AppendGathered(&rounds);
-    rows_of.clear();
+    places.clear();
     absl::Status status = EnsureConnection();
     if (status.ok()) status = write.apply();
     if (status.ok()) ++commits_;
@@ -124,26 +145,33 @@ void PostgresWriter::Commit(const std::vector<PendingWrite>& group) {
   AppendGathered(&rounds);
 }
 
-void PostgresWriter::AppendGathered(
-    std::vector<std::vector<const PendingWrite*>>* rounds) {
-  for (const auto& rows : *rounds) AppendRound(rows);
+void PostgresWriter::AppendGathered(Rounds* rounds) {
+  for (const std::vector<AppendRun>& runs : *rounds) AppendRound(runs);
   rounds->clear();
 }
 
-void PostgresWriter::AppendRound(const std::vector<const PendingWrite*>& rows) {
+void PostgresWriter::AppendRound(const std::vector<AppendRun>& runs) {
   std::vector<absl::Status> results;
   absl::Status status = EnsureConnection();
-  if (status.ok()) status = AppendRows(*connection_, rows, &results);
+  if (status.ok()) status = AppendRuns(*connection_, runs, &results);
+  if (!status.ok() && IsFaultOfRow(status) && runs.size() > 1) {
+    for (const AppendRun& run : runs) AppendRound({run});
+    return;
+  }
   if (status.ok()) {
     ++commits_;
-    for (std::size_t i = 0; i < rows.size(); ++i) Answer(*rows[i], results[i]);
-    return;
+  } else {
+    results.assign(runs.size(), status);
   }
-  if (IsFaultOfRow(status) && rows.size() > 1) {
-    for (const PendingWrite* row : rows) AppendRound({row});
-    return;
+  for (std::size_t i = 0; i < runs.size(); ++i) {
+    // A row after the first may follow what is stored although that one does
+    // not.
+    if (absl::IsFailedPrecondition(results[i]) && runs[i].size() > 1) {
+      for (const PendingWrite* row : runs[i]) AppendRound({{row}});
+      continue;
+    }
+    for (const PendingWrite* row : runs[i]) Answer(*row, results[i]);
   }
-  for (const PendingWrite* row : rows) Answer(*row, status);
 }
 
 void PostgresWriter::Answer(const PendingWrite& write,

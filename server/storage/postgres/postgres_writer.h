@@ -1,8 +1,8 @@
 // One of the connections that write, with its thread: every vehicle is written
 // by one of them only, so its writes keep their order.
 //
-// Rows of batches that wait together are appended in one statement, one row per
-// vehicle; anything else is a statement of its own. After a write that was
+// Rows of batches that wait together are appended in one statement; anything
+// else is a statement of its own. After a write that was
 // answered with UNAVAILABLE or ABORTED, the claim under which it was submitted
 // is forgotten, and all later writes under it are refused.
 #ifndef REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_WRITER_H_
@@ -75,9 +75,12 @@ class PostgresWriter {
 
   void Run();
   void Commit(const std::vector<PendingWrite>& group);
-  // Appends the rows that were gathered, a row per vehicle at a time.
-  void AppendGathered(std::vector<std::vector<const PendingWrite*>>* rounds);
-  void AppendRound(const std::vector<const PendingWrite*>& rows);
+  // Runs to append, by the statement in which they are: of a vehicle, one in
+  // each.
+  using Rounds = std::vector<std::vector<AppendRun>>;
+  // Appends the runs that were gathered.
+  void AppendGathered(Rounds* rounds);
+  void AppendRound(const std::vector<AppendRun>& runs);
   void Answer(const PendingWrite& write, const absl::Status& status);
   absl::Status EnsureConnection();
   // OK unless writes have to be replicated, and are not.

@@ -106,6 +106,12 @@ TEST_F(ClientTest, AsksTheOwnerOfAVehicleNextAndNamesItOnlyOnce) {
   EXPECT_THAT(server_.Routes(), ElementsAre("", kOwnersRoute, "", ""));
 }
 
+TEST_F(ClientTest, FollowsAVehicleThatIsElsewhereUntilTheDeadline) {
+  server_.FailUnaryCalls(std::vector<grpc::Status>(20, NotOwner()));
+  EXPECT_TRUE(client_.GetVehicle({}).ok());
+  EXPECT_EQ(server_.unary_calls(), 21);
+}
+
 TEST_F(ClientTest, RepeatsADeletionOfAVehicleThatIsElsewhere) {
   server_.FailUnaryCalls({NotOwner(), MakeStatus(grpc::StatusCode::ABORTED,
                                                  "moved", {"EPOCH_FENCED"})});

@@ -226,6 +226,61 @@ TEST_F(PostgresStorageTest, RowThatIsInTheWayHoldsUpItsOwnVehicleOnly) {
   }
 }
 
+TEST_F(PostgresStorageTest, RowsOfAVehicleThatWaitAreCommittedTogether) {
+  PostgresOptions options;
+  options.writer_connections = 1;
+  const auto storage = MustOpen(conninfo_, options);
+  BlockingWrites write(storage.get());
+  const VehicleKey key = *write.Create("truck");
+  const VehicleKey other = *write.Create("other");
+  const std::uint64_t before = storage->Counts().commits;
+  std::vector<Answer<absl::Status>> answers(400);
+  for (std::uint64_t i = 0; i < answers.size(); ++i) {
+    storage->AppendBatch(
+        i % 2 == 0 ? key : other,
+        {i / 2 + 1, 1, i + 2, "pose " + std::to_string(i / 2 + 1)},
+        std::nullopt, answers[i].Setter());
+  }
+  for (const auto& answer : answers) EXPECT_THAT(answer.Get(), IsOk());
+  EXPECT_LT(storage->Counts().commits - before, 100u);
+  EXPECT_EQ(Sql("SELECT count(*) FROM batches"), "400\n");
+  const auto batches = ReadAll(*storage, key, 1, 200);
+  ASSERT_THAT(batches, IsOk());
+  for (std::uint64_t i = 0; i < 200; ++i) {
+    EXPECT_EQ((*batches)[i].payload, "pose " + std::to_string(i + 1));
+  }
+}
+
+TEST_F(PostgresStorageTest, OfRowsThatWaitThoseAreWrittenThatFollow) {
+  PostgresOptions options;
+  options.writer_connections = 1;
+  const auto storage = MustOpen(conninfo_, options);
+  BlockingWrites write(storage.get());
+  const VehicleKey key = *write.Create("truck");
+  const VehicleKey other = *write.Create("other");
+  for (std::uint64_t i = 1; i <= 2; ++i) {
+    ASSERT_THAT(write.Append(key, {i, 1, i, "a"}), IsOk());
+  }
+  // Keeps the connection busy while the others come.
+  storage->ReviseBatches(
+      other,
+      [](const auto&) {
+        std::this_thread::sleep_for(std::chrono::milliseconds(200));
+        return absl::OkStatus();
+      },
+      2, [](const absl::Status&) {});
+  std::vector<Answer<absl::Status>> answers(3);
+  for (std::uint64_t i = 0; i < answers.size(); ++i) {
+    storage->AppendBatch(key, {i + 2, 1, i + 9, "b"}, std::nullopt,
+                         answers[i].Setter());
+  }
+  EXPECT_THAT(answers[0].Get(),
+              IsError(StatusCode::kFailedPrecondition, "SEQUENCE_GAP", _));
+  EXPECT_THAT(answers[1].Get(), IsOk());
+  EXPECT_THAT(answers[2].Get(), IsOk());
+  EXPECT_EQ(storage->GetVehicle("truck")->durable_sequence, 4u);
+}
+
 TEST_F(PostgresStorageTest, SmallBatchesShareARowAsLongAsItFitsAPage) {
   PostgresOptions options;
   options.max_joined_poses = 1'000'000;
@@ -302,7 +357,9 @@ TEST_F(PostgresStorageTest,
                         ->RunText(
                             "EXPLAIN EXECUTE p('{1}', "
                             "'{00000000-0000-0000-0000-000000000001}', "
-                            "'{1}', '{1}', '{1}', '{1}', '{1}', '{a}', 4)");
+                            "'{1}', '{1}', '{1}', '{1}', '{1}', '{1}', '{1}', "
+                            "'{1}', '{1}', '{1}', "
+                            "'{1}', '{1}', 'a', 4)");
   ASSERT_THAT(plan, IsOk());
   std::string text;
   for (int i = 0; i < plan->size(); ++i) text += plan->Bytes(i, 0) + "\n";

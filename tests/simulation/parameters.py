@@ -1,0 +1,146 @@
+"""All figures that the simulation is given, each with where it comes from."""
+
+import dataclasses
+import typing
+
+
+class Figure(typing.NamedTuple):
+    value: float
+    unit: str
+    source: str
+
+
+# What a figure that nobody measured is called, so that it can be searched for.
+ASSUMED = "assumed"
+_SCALE = ("measured 2026-11-22 on 2 cores that others used too, load 8 to 15, "
+          "libpq ingest of real 64-pose rows")
+_BENCH = "tests/bench/RESULTS.md, tests/bench/run "
+_PROTOCOL = "the protocol"
+
+FIGURES = {
+    # The protocol.
+    "ttl_s": Figure(10.0, "s", _PROTOCOL),
+    "beat_s": Figure(2.0, "s", _PROTOCOL),
+    "lease_margin_s": Figure(1.0, "s", _PROTOCOL),
+    "hold_s": Figure(10.0, "s", _PROTOCOL + ": shortest time between two handovers"),
+    "not_owner_retry_s": Figure(1.0, "s", _PROTOCOL + ": RetryInfo of NOT_OWNER, most"),
+    "rows_per_commit": Figure(64, "rows", _PROTOCOL),
+    "writers": Figure(4, "connections", _PROTOCOL + ": 2 to 4 per server"),
+    "connections": Figure(9, "connections", ASSUMED + " per server: 4 that write, "
+                          "beat, claims, 3 that read"),
+    "drain_notice_s": Figure(3.0, "s", _PROTOCOL),
+    # The client library.
+    "backoff_initial_s": Figure(0.1, "s", "client/revisit/backoff.h"),
+    "backoff_max_s": Figure(10.0, "s", "client/revisit/backoff.h"),
+    "backoff_multiplier": Figure(2.0, "", "client/revisit/backoff.h"),
+    "backoff_jitter": Figure(0.5, "", "client/revisit/backoff.h"),
+    "answer_timeout_s": Figure(60.0, "s", "client/revisit/pose_stream.h"),
+    # Envoy.
+    "probe_interval_s": Figure(1.0, "s", "health_checks of Envoy's configuration"),
+    "probe_timeout_s": Figure(1.0, "s", "health_checks of Envoy's configuration"),
+    "unhealthy_after": Figure(2, "probes", "health_checks of Envoy's configuration"),
+    "frozen_cut_s": Figure(4.0, "s", "measured 2026-11-22, SIGSTOP of a server behind "
+                           "Envoy 1.40, keepalive 2 s + 1 s"),
+    "hop_s": Figure(0.0005, "s", ASSUMED + ": one way within a data centre; Envoy adds "
+                    "about as much (measured 2026-11-22: unary p50 1.1 -> 2.1 ms)"),
+    # PostgreSQL.
+    "flush_s": Figure(0.0031, "s", "measured 2026-11-22, fdatasync"),
+    "row_cpu_s": Figure(13.8e-6, "s", _SCALE + ": 14.1 us with a fence at 1 pose a "
+                        "row, less one pose"),
+    "pose_cpu_s": Figure(0.34e-6, "s", _SCALE + ": 0.55 us a pose at 64 poses a row, "
+                         "less the row's share"),
+    "statement_cpu_s": Figure(100e-6, "s", ASSUMED),
+    "wal_row_1": Figure(382, "B", _SCALE + ", inline, fence"),
+    "wal_pose_64": Figure(103, "B", _SCALE + ", inline"),
+    "disk_row_1": Figure(220, "B", _SCALE + ", inline"),
+    "disk_pose_80": Figure(103, "B", _SCALE + ", inline, rows filled by bytes"),
+    "database_cores": Figure(16, "cores", ASSUMED),
+    "database_send_Bps": Figure(1.25e9, "B/s", ASSUMED + ": 10 Gbit/s"),
+    "database_wal_Bps": Figure(200e6, "B/s", ASSUMED),
+    "database_disk_B": Figure(10e12, "B", ASSUMED),
+    "database_connections": Figure(500, "connections", ASSUMED + ": PostgreSQL serves "
+                                   "more, each snapshot then costs more"),
+    "promote_s": Figure(0.24, "s", "measured 2026-11-22, pg_promote alone"),
+    # revisitd.
+    "load_node_s": Figure(1.2e-6, "s", _BENCH + "--fleet: 1194.7 ms for 1,000,000"),
+    "snapshot_node_s": Figure(0.1e-6, "s", "what snapshots of graphs are to reach: "
+                              "100 ms for 1,000,000"),
+    "snapshot_node_B": Figure(94.7, "B", _BENCH + "--fleet: graph; a snapshot is "
+                              + ASSUMED + " to be as large"),
+    "node_B": Figure(112.2, "B", _BENCH + "--fleet: as loaded"),
+    "ack_cpu_64_s": Figure(1.8e-6, "s", _BENCH + "--server: 8 vehicles, 64 a message"),
+    "ack_cpu_1_s": Figure(10.97e-6, "s", _BENCH + "--server: 8 vehicles, 1 a message"),
+    "first_search_checks": Figure(50, "checks", "docs/limits.md: a first search after "
+                                  "a load is as much as some fifty searches"),
+    "belief_factor": Figure(1.54, "", "tests/bench/RESULTS.md: a search over 10,000 "
+                            "nodes that begins with a belief, beside one that does "
+                            "not, 1.61 and 1.86 ms beside 1.05 and 1.21; 4.8 on the "
+                            "development drives"),
+    "server_cores": Figure(8, "cores", ASSUMED),
+    "server_memory_B": Figure(64e9, "B", ASSUMED),
+    # The fleet.
+    "vehicles": Figure(1_000_000, "", "the question"),
+    "servers": Figure(100, "", "the question"),
+    "pose_hz": Figure(1.0, "1/s", "the question"),
+    "hours_a_day": Figure(2.0, "h", "the question"),
+    "speed_mps": Figure(10.0, "m/s", "the question"),
+    "peak_to_mean": Figure(3.0, "", "the question"),
+    "node_m": Figure(2.0, "m", "proto/revisit/v1/vehicle.proto, default"),
+    "check_m": Figure(50.0, "m", "proto/revisit/v1/vehicle.proto, default"),
+}
+
+# Seconds of one check by nodes of history, without a belief (tests/bench/RESULTS.md,
+# tests/bench/run --core): under dead reckoning, where the claimed uncertainty and with
+# it the area that is searched grows with the drive; and with fixes, where it does not.
+CHECK_S = {
+    "reckoned": ((1e3, 0.098e-3), (1e4, 0.496e-3), (1e5, 31.6e-3), (1e6, 586e-3)),
+    "fixes": ((1e3, 0.241e-3), (1e4, 0.302e-3), (1e5, 0.631e-3), (1e6, 0.631e-3)),
+    # Streams that ask for no candidates.
+    "none": ((1e3, 1e-12), (1e6, 1e-12)),
+}
+
+# Groups of real rows of 64 poses (columns: rows a commit, connections, thousand poses
+# a second in the median, p50 of a commit in ms), one fenced statement each.
+MEASURED_INGEST = ((1, 1, 22, 2.3), (8, 4, 242, 5.0), (64, 1, 254, 9.0),
+                   (64, 4, 839, 18.0), (256, 4, 934, 67.0))
+
+Parameters = dataclasses.make_dataclass(
+    "Parameters",
+    [(name, float, figure.value) for name, figure in FIGURES.items()])
+
+
+@dataclasses.dataclass
+class Policy:
+    """Decisions of the protocol that the scenarios compare. The defaults are those that
+    the results argue for, except that handovers are not paced: only opinions.py
+    compares that."""
+
+    # Writes are compared with owner, epoch and sequence. Off: to show that the
+    # simulation finds what the fence prevents.
+    fence: bool = True
+    # A server that could not read the others' beats for a while forgets how long
+    # it has seen each, and watches for a whole TTL again before it buries.
+    watch_anew: bool = True
+    # RetryInfo says how long a client waits; its own back-off counts only where
+    # there is none. The library's rule of 2026-11 is the longer of the two.
+    retry_info_rules: bool = True
+    # Where the owner's beat is overdue, NOT_OWNER's RetryInfo ends after the moment
+    # at which the owner can be buried, instead of after 0 to 1 s: fewer calls, but an
+    # owner that only slept is found later.
+    retry_after_burial: bool = False
+    # A server that claims a vehicle anew, with the next epoch after its own and a
+    # sequence that it wrote, keeps its graph instead of loading it.
+    keep_graph: bool = True
+    # Beats wait for the synchronous standby like every other write.
+    replicated_beats: bool = True
+    # Vehicles that may wait for a load on one server before callers are sent
+    # away with a RetryInfo; None: no limit.
+    load_queue: typing.Optional[int] = None
+    # A server asks for no more vehicles than it can load within two beats; it refuses
+    # the callers of the others, who ask again. Off: it asks for every one.
+    paced_handovers: bool = False
+    # A stream opens only while the lease runs: the sequence that it is answered with
+    # is a read from memory like any other.
+    lease_to_open: bool = True
+    # Clients go to the owner that NOT_OWNER names.
+    owner_header: bool = True
