@@ -366,6 +366,10 @@ grpc::Status FakeServer::GetServerInfo(grpc::ServerContext*,
   response->set_version("1.2.3");
   response->set_durability(v1::DURABILITY_LOCAL);
   response->set_max_message_bytes(4194304);
+  response->set_durability_settings("fsync=on");
+  v1::StoreServer* const server = response->add_servers();
+  server->set_address("10.0.0.2:50051");
+  server->set_owned_vehicle_count(12);
   return NextUnaryStatus();
 }
 

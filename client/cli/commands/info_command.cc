@@ -1,5 +1,6 @@
 #include "client/cli/commands/info_command.h"
 
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -29,19 +30,28 @@ absl::Status RunInfo(const Client& client, const std::string& address,
     console.out << ToJson(*info, true) << '\n';
     return absl::OkStatus();
   }
-  PrintFields(
-      {{"server", address},
-       {"version", info->version()},
-       {"durability", NameOf(info->durability())},
-       {"store format", absl::StrCat(info->store_format())},
-       {"poses in a batch", absl::StrCat("at most ", info->max_batch_poses())},
-       {"message", absl::StrCat("at most ", info->max_message_bytes(), " B")},
-       {"batches in flight",
-        absl::StrCat("at most ", info->max_batches_in_flight(), " per stream")},
-       {"vehicles in memory", absl::StrCat(info->resident_vehicle_count())},
-       {"nodes in memory", absl::StrCat(info->resident_node_count())},
-       {"graphs in memory", absl::StrCat(info->resident_bytes(), " B")}},
-      console.out);
+  std::string durability = NameOf(info->durability());
+  if (!info->durability_settings().empty()) {
+    absl::StrAppend(&durability, " (", info->durability_settings(), ")");
+  }
+  std::vector<std::pair<std::string, std::string>> fields = {
+      {"server", address},
+      {"version", info->version()},
+      {"durability", durability},
+      {"store format", absl::StrCat(info->store_format())},
+      {"poses in a batch", absl::StrCat("at most ", info->max_batch_poses())},
+      {"message", absl::StrCat("at most ", info->max_message_bytes(), " B")},
+      {"batches in flight",
+       absl::StrCat("at most ", info->max_batches_in_flight(), " per stream")},
+      {"vehicles in memory", absl::StrCat(info->resident_vehicle_count())},
+      {"nodes in memory", absl::StrCat(info->resident_node_count())},
+      {"graphs in memory", absl::StrCat(info->resident_bytes(), " B")}};
+  for (const v1::StoreServer& server : info->servers()) {
+    fields.emplace_back("shares the store",
+                        absl::StrCat(server.address(), ", vehicles owned: ",
+                                     server.owned_vehicle_count()));
+  }
+  PrintFields(fields, console.out);
   return absl::OkStatus();
 }
 

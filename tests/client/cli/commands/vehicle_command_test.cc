@@ -66,7 +66,9 @@ TEST_F(VehicleCommandTest, InfoShowsTheServer) {
   ASSERT_TRUE(RunInfo(client_, "example:1", Text()).ok());
   EXPECT_THAT(out_.str(), HasSubstr("server              example:1\n"
                                     "version             1.2.3\n"
-                                    "durability          LOCAL\n"));
+                                    "durability          LOCAL (fsync=on)\n"));
+  EXPECT_THAT(out_.str(), HasSubstr("shares the store    10.0.0.2:50051, "
+                                    "vehicles owned: 12\n"));
   out_.str("");
   ASSERT_TRUE(RunInfo(client_, "example:1", Json()).ok());
   const json info = json::parse(out_.str());
