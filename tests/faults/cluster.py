@@ -193,14 +193,19 @@ class Cluster:
         answers in words what was seen. `lost_at`: when the database lost the end
         of what it had."""
         self.fleet.stop()
+        self._settle()
         broken = []
         claims = self.claims()
         owners = self.owners()
         tables = self._tables()
         for vehicle in self.fleet.vehicles:
             head, rows = tables[vehicle.name]
-            stored = Stored(rows, head, self._read_back(
-                vehicle, owners.get(vehicle.name)))
+            try:
+                poses = self._read_back(vehicle, owners.get(vehicle.name))
+            except grpc.RpcError as error:
+                broken.append(f"{vehicle.name}: DAMAGED {error.details()}")
+                continue
+            stored = Stored(rows, head, poses)
             broken += [f"{vehicle.name}: {text}" for text in [
                 *violations(vehicle.history, stored, vehicle.sent_pose, lost_at),
                 *hasty_moves(claims[vehicle.name], LEASE_SECONDS)]]
@@ -215,6 +220,15 @@ class Cluster:
         return (f"{self.fleet.acked()} poses acked: {lost}gaps 0; "
                 f"{sum(len(history.reads) for history in histories)} reads, stale "
                 f"0; {self.moves()} moves, hasty 0")
+
+    def _settle(self):
+        """Waits until what was sent and not acknowledged is stored, or is not going
+        to be."""
+        before = None
+        while (now := self.database.sql(
+                "SELECT sum(durable_sequence) FROM heads")) != before:
+            before = now
+            time.sleep(0.4)
 
     def _tables(self):
         """(head, rows) of each vehicle by name, without a server's help."""
@@ -239,8 +253,9 @@ class Cluster:
             while True:
                 try:
                     return as_bytes(list_poses(stub, vehicle.name))
-                except grpc.RpcError:
-                    if time.monotonic() > deadline:
+                except grpc.RpcError as error:
+                    if time.monotonic() > deadline or \
+                            error.code() == grpc.StatusCode.DATA_LOSS:
                         raise
                     time.sleep(0.5)
 

@@ -69,18 +69,22 @@ class Fleet:
 
     def __init__(self, seed, addresses, vehicles=8, readers=None, max_batch=16,
                  window=8, passing=(), pause_seconds=0.04, stream_share=0.7,
+                 list_share=0.2, stray=STRAY,
                  proxy=None, open_channel=None, may_lose=False,
                  answer_seconds=ANSWER_SECONDS):
         """`addresses`: of the servers; `proxy`: of what stands before them, if
         anything does. `open_channel(address, options)` is insecure by default.
         `readers`: how many vehicles are read as well, if not all.
-        `stream_share`: of the writers' calls, how many are streams. With
-        `may_lose`, a writer ends when it is told of a loss."""
+        `stream_share`: of the writers' calls, how many are streams;
+        `list_share`: of the readers', how many are ListPoses, which ask the
+        store; `stray`: of all, how many go to any server. With `may_lose`, a
+        writer ends when it is told of a loss."""
         self.addresses = [proxy] if proxy else list(addresses)
         self.is_proxied = proxy is not None
         self.open_channel = open_channel or grpc.insecure_channel
         self.may_lose = may_lose
-        self.stream_share = stream_share
+        self.stream_share, self.list_share = stream_share, list_share
+        self.stray = stray
         self.answer_seconds = answer_seconds
         # Whether clients go on whatever they are answered with.
         self.accepts_all = False
@@ -317,7 +321,7 @@ class Vehicle:
             called = time.monotonic()
             floor = self.history.acked
             try:
-                if caller.rng.random() < 0.8 or floor == 0:
+                if floor == 0 or caller.rng.random() >= self.fleet.list_share:
                     what = "GetVehicle"
                     sequence = caller.stub().GetVehicle(
                         api.GetVehicleRequest(name=self.name),
@@ -382,7 +386,7 @@ class _Caller:
             address, self._owner = self._owner, None
         if address not in self._addresses():
             address = (self.rng.choice(self._addresses())
-                       if self.rng.random() < STRAY else self.home())
+                       if self.rng.random() < self._fleet.stray else self.home())
         self._address = address
         if address not in self._channels:
             self._channels[address] = self._fleet.open_channel(

@@ -28,9 +28,10 @@ POLICY = {"version": 1, "tenants": [], "grants": [
 
 class Hosts:
     """A network, a database on a host of its own, and a cluster on others.
-    `cluster`: further arguments of Cluster, by the network."""
+    `behind` makes further arguments of Cluster from the network; `fleet` is one
+    of them."""
 
-    def __init__(self, run, cluster=None):
+    def __init__(self, run, behind=None, fleet=None):
         self.network = Network([*SERVERS, DATABASE, PROXY])
         try:
             self._database = Postgres(
@@ -42,8 +43,9 @@ class Hosts:
                     run, database=self._database, host_of=lambda number: (
                         self.network.address(SERVERS[number]),
                         self.network.on(SERVERS[number])),
-                    **(cluster(self.network) if cluster else {
-                        "flags": ["--insecure-allow-remote", "on"]}))
+                    **(behind(self.network) if behind else {
+                        "flags": ["--insecure-allow-remote", "on"],
+                        "fleet": fleet}))
             except BaseException:
                 self._database.close()
                 raise
