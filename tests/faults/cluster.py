@@ -56,7 +56,7 @@ class Cluster:
         Postgres, where `database` is none that is there already."""
         directory = run.new(f"cluster{run.rng.randrange(10**9)}")
         self.servers = {}
-        self.directory = directory
+        self._directory = directory
         self._rng = run.rng
         self._flags = ["--lease-seconds", LEASE_SECONDS, *flags]
         self._host_of = host_of or (lambda number: ("127.0.0.1", ()))
@@ -109,7 +109,7 @@ class Cluster:
     def addresses(self):
         return [server.address for server in self.servers.values()]
 
-    def start(self, number, wait=True, **environment):
+    def start(self, number, **environment):
         """A server, at the address that it had before if it had one."""
         host, launch = self._host_of(number)
         if number not in self._listens:
@@ -117,9 +117,9 @@ class Cluster:
         address = self._listens[number]
         self.servers[number] = Server(
             self._url, "--advertise-address", address, *self._flags,
-            listen=address, launch=launch, wait=wait,
+            listen=address, launch=launch,
             env=clean_environment(**environment),
-            log_path=self.directory / f"server{number}.log")
+            log_path=self._directory / f"server{number}.log")
         return self.servers[number]
 
     def kill(self, number):

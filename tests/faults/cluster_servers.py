@@ -62,7 +62,6 @@ def paused_at_append(run, when):
     """The server stops at a statement that it has decided to send, its vehicles
     are taken, and it wakes."""
     rounds = run.rounds(short=1, long=12)
-    fenced = 0
     with Cluster(run) as cluster:
         cluster.fleet.start()
         cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
@@ -73,12 +72,17 @@ def paused_at_append(run, when):
             wait_until(lambda: cluster.is_paused(victim), "the server stops", 60)
             cluster.wait_until_dead(victim)
             cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+            found = deaths(cluster, victim)
             cluster.resume(victim)
-            fenced += bool(cluster.servers[victim].logged(
-                "taken this one for dead"))
+            wait_until(lambda: deaths(cluster, victim) > found,
+                       "server that finds itself dead")
             cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
         seen = cluster.judge()
-    return rounds, f"{seen}; {fenced} servers woke up dead"
+    return rounds, f"{seen}; {rounds} servers woke up dead"
+
+
+def deaths(cluster, number):
+    return cluster.servers[number].log().count("taken this one for dead")
 
 
 def terminated(run):

@@ -126,7 +126,8 @@ def main():
                         "may be given several times")
     parser.add_argument("--cluster", action="store_true",
                         help="the rows of several servers over one PostgreSQL, "
-                        "instead of those of one server")
+                        "instead of those of one server: some five minutes, "
+                        "with --long some 30")
     parser.add_argument("--logs", metavar="DIRECTORY",
                         help="where the logs of rows that fail are kept")
     parser.add_argument("--seeds", type=int, default=1,
