@@ -153,8 +153,9 @@ absl::Status CheckSharing(const ServerSettings& s) {
 }  // namespace
 
 bool IsSharedStore(const std::string& store) {
-  return absl::StartsWith(store, "postgresql://") ||
-         absl::StartsWith(store, "postgres://");
+  // Without the slashes it is a URL that was mistyped, not a path.
+  return absl::StartsWith(store, "postgresql:") ||
+         absl::StartsWith(store, "postgres:");
 }
 
 absl::StatusOr<ParsedSettings> ParseSettings(

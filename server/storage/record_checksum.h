@@ -18,6 +18,10 @@ namespace revisit::server {
 std::int64_t ChecksumOfVehicle(std::int64_t format, const VehicleRecord& row);
 std::int64_t ChecksumOfBatch(std::int64_t format, VehicleKey key,
                              BatchVersion version, const BatchRecord& row);
+// The format of rows in a database that servers of two versions share: it rises
+// only if the columns of a row or its checksum change, and then one version
+// after all servers can read the new rows.
+inline constexpr std::int64_t kSharedRowFormat = 4;
 // Payloads count since the format that brought them.
 inline constexpr std::int64_t kPayloadsOfPairsSince = 4;
 std::int64_t ChecksumOfPosePair(std::int64_t format, VehicleKey key,

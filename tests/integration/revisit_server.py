@@ -63,11 +63,10 @@ def free_port():
 
 
 class Server:
-    """One revisitd on a free port of the loopback, over one store. It may open
-    as many files as `descriptors` says, if it says. Its log goes to a file
-    beside the store, or to `log_path`, which a store that is the URL of a
-    database needs, or to the descriptor `stderr`. `launch` is what its command
-    begins with."""
+    """One revisitd on a free port of the loopback, over one store, which is a
+    path or a URL. It may open as many files as `descriptors` says, if it says.
+    Its log goes to a file beside the store, or to `log_path`, or to the
+    descriptor `stderr`. `launch` is what its command begins with."""
 
     def __init__(self, store, *flags, env=None, wait=True, descriptors=None,
                  listen="127.0.0.1:0", log_path=None, stderr=None, launch=()):

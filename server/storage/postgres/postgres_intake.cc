@@ -68,13 +68,14 @@ class PostgresIntake : public StoreIntake {
     key_ = vehicle.key;
     highest_key_ = std::max(highest_key_, vehicle.key);
     return connection_
-        ->Run(kTakeVehicle, Parameters()
-                                .Add(vehicle.key)
-                                .AddText(vehicle.id)
-                                .Add(std::int64_t{kStoreFormat})
-                                .Add(Signed(vehicle.revision))
-                                .Add(ChecksumOfVehicle(kStoreFormat, vehicle))
-                                .AddText(vehicle.payload))
+        ->Run(kTakeVehicle,
+              Parameters()
+                  .Add(vehicle.key)
+                  .AddText(vehicle.id)
+                  .Add(kSharedRowFormat)
+                  .Add(Signed(vehicle.revision))
+                  .Add(ChecksumOfVehicle(kSharedRowFormat, vehicle))
+                  .AddText(vehicle.payload))
         .status();
   }
 
@@ -93,11 +94,11 @@ class PostgresIntake : public StoreIntake {
               Parameters()
                   .Add(key)
                   .AddText(pair.id)
-                  .Add(std::int64_t{kStoreFormat})
+                  .Add(kSharedRowFormat)
                   .Add(Signed(pair.query_sequence))
                   .Add(Signed(pair.matched_sequence))
                   .Add(pair.create_time_ns)
-                  .Add(ChecksumOfPosePair(kStoreFormat, key, kind, pair))
+                  .Add(ChecksumOfPosePair(kSharedRowFormat, key, kind, pair))
                   .AddText(pair.payload))
         .status();
   }
@@ -144,13 +145,14 @@ class PostgresIntake : public StoreIntake {
       firsts.push_back(Signed(batch.first_sequence));
       counts.push_back(batch.count);
       revisions.push_back(Signed(batch.revision));
-      checksums.push_back(ChecksumOfBatch(kStoreFormat, key_, version, batch));
+      checksums.push_back(
+          ChecksumOfBatch(kSharedRowFormat, key_, version, batch));
       payloads.push_back(&batch.payload);
     }
     return connection_
         ->Run(statement, Parameters()
                              .Add(key_)
-                             .Add(std::int64_t{kStoreFormat})
+                             .Add(kSharedRowFormat)
                              .Add(firsts)
                              .Add(counts)
                              .Add(revisions)

@@ -398,9 +398,9 @@ Parameters Replacing(const Fence& fence, VehicleRow row,
   row.record.payload = payload;
   row.record.revision = std::max(row.record.revision, revision);
   parameters.Add(row.checksum)
-      .Add(std::int64_t{kStoreFormat})
+      .Add(kSharedRowFormat)
       .Add(Signed(row.record.revision))
-      .Add(ChecksumOfVehicle(kStoreFormat, row.record))
+      .Add(ChecksumOfVehicle(kSharedRowFormat, row.record))
       .AddText(row.record.payload);
   return parameters;
 }
@@ -425,7 +425,7 @@ absl::Status ReviseSome(PostgresConnection& connection, VehicleKey key,
     firsts.push_back(Signed(batch.first_sequence));
     counts.push_back(batch.count);
     checksums.push_back(
-        ChecksumOfBatch(kStoreFormat, key, BatchVersion::kCurrent, batch));
+        ChecksumOfBatch(kSharedRowFormat, key, BatchVersion::kCurrent, batch));
     payloads.push_back(&batch.payload);
   }
   const auto rows = connection.Run(kRevise, Parameters()
@@ -434,7 +434,7 @@ absl::Status ReviseSome(PostgresConnection& connection, VehicleKey key,
                                                 .Add(counts)
                                                 .Add(checksums)
                                                 .AddBytes(payloads)
-                                                .Add(std::int64_t{kStoreFormat})
+                                                .Add(kSharedRowFormat)
                                                 .Add(Signed(revision)));
   if (!rows.ok()) return rows.status();
   std::set<std::int64_t> revised;
@@ -602,9 +602,9 @@ absl::StatusOr<VehicleKey> InsertVehicle(PostgresConnection& connection,
       kInsertVehicle, Parameters()
                           .Add(record.key)
                           .AddText(record.id)
-                          .Add(std::int64_t{kStoreFormat})
+                          .Add(kSharedRowFormat)
                           .Add(Signed(record.revision))
-                          .Add(ChecksumOfVehicle(kStoreFormat, record))
+                          .Add(ChecksumOfVehicle(kSharedRowFormat, record))
                           .AddText(record.payload));
   if (!rows.ok()) return rows.status();
   if (rows->size() == 0) return VehicleExists(record.id);
@@ -663,7 +663,7 @@ absl::Status AppendRuns(PostgresConnection& connection,
       firsts.push_back(Signed(batch.first_sequence));
       counts.push_back(batch.count);
       revisions.push_back(Signed(batch.revision));
-      checksums.push_back(ChecksumOfBatch(kStoreFormat, row->key,
+      checksums.push_back(ChecksumOfBatch(kSharedRowFormat, row->key,
                                           BatchVersion::kAsSent, batch));
       starts.push_back(static_cast<std::int64_t>(payloads.size()) + 1);
       lengths.push_back(static_cast<std::int64_t>(batch.payload.size()));
@@ -672,24 +672,23 @@ absl::Status AppendRuns(PostgresConnection& connection,
     run_revisions.push_back(Signed(highest));
     last_rows.push_back(static_cast<std::int64_t>(firsts.size()));
   }
-  const auto answer =
-      connection.Run(kAppend, Parameters()
-                                  .Add(keys)
-                                  .Add(owners)
-                                  .Add(epochs)
-                                  .Add(run_firsts)
-                                  .Add(run_lasts)
-                                  .Add(run_revisions)
-                                  .Add(first_rows)
-                                  .Add(last_rows)
-                                  .Add(firsts)
-                                  .Add(counts)
-                                  .Add(revisions)
-                                  .Add(checksums)
-                                  .Add(starts)
-                                  .Add(lengths)
-                                  .AddText(payloads)
-                                  .Add(std::int64_t{kStoreFormat}));
+  const auto answer = connection.Run(kAppend, Parameters()
+                                                  .Add(keys)
+                                                  .Add(owners)
+                                                  .Add(epochs)
+                                                  .Add(run_firsts)
+                                                  .Add(run_lasts)
+                                                  .Add(run_revisions)
+                                                  .Add(first_rows)
+                                                  .Add(last_rows)
+                                                  .Add(firsts)
+                                                  .Add(counts)
+                                                  .Add(revisions)
+                                                  .Add(checksums)
+                                                  .Add(starts)
+                                                  .Add(lengths)
+                                                  .AddText(payloads)
+                                                  .Add(kSharedRowFormat));
   if (!answer.ok()) return answer.status();
   std::set<VehicleKey> written;
   for (int i = 0; i < answer->size(); ++i) {
@@ -728,7 +727,7 @@ absl::Status AppendWithVehicle(PostgresConnection& connection,
   parameters.Add(Signed(batch.first_sequence))
       .Add(std::int64_t{batch.count})
       .Add(Signed(batch.revision))
-      .Add(ChecksumOfBatch(kStoreFormat, fence.key, BatchVersion::kAsSent,
+      .Add(ChecksumOfBatch(kSharedRowFormat, fence.key, BatchVersion::kAsSent,
                            batch))
       .AddText(batch.payload);
   const auto rows = connection.Run(kAppendWithVehicle, parameters);
@@ -802,11 +801,11 @@ absl::Status InsertPosePair(PostgresConnection& connection, const Fence& fence,
                             std::uint64_t revision) {
   Parameters parameters = FenceOf(fence, revision);
   parameters.AddText(pair.id)
-      .Add(std::int64_t{kStoreFormat})
+      .Add(kSharedRowFormat)
       .Add(Signed(pair.query_sequence))
       .Add(Signed(pair.matched_sequence))
       .Add(pair.create_time_ns)
-      .Add(ChecksumOfPosePair(kStoreFormat, fence.key, kind, pair))
+      .Add(ChecksumOfPosePair(kSharedRowFormat, fence.key, kind, pair))
       .AddText(pair.payload);
   const auto rows = connection.Run(StatementsOf(kind).insert, parameters);
   if (!rows.ok()) return rows.status();

@@ -296,6 +296,9 @@ TEST_F(SettingsTest, WhatOnlyASharedStoreCanKeepIsRefusedForAFile) {
   EXPECT_EQ(shared.advertise_address, "a:1");
   EXPECT_EQ(shared.store_connections, 4);
   EXPECT_EQ(shared.lease_seconds, 2.5);
+  EXPECT_TRUE(IsSharedStore("postgres://db/revisit"));
+  EXPECT_TRUE(IsSharedStore("postgresql:/db/revisit"));
+  EXPECT_FALSE(IsSharedStore("./postgresql"));
   EXPECT_THAT(Refusal({"--store-connections", "17"}), HasSubstr("[1, 16]"));
   EXPECT_THAT(Refusal({"--lease-seconds", "0.5"}), HasSubstr("[1, 3600]"));
 }
