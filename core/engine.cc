@@ -59,6 +59,13 @@ ConsistencyOptions MakeConsistencyOptions(const EngineSettings& settings) {
   return options;
 }
 
+// Changes whenever anything does that the bytes of an engine hold, or that they
+// come from: engine_state_test.cc has bytes as they were.
+constexpr std::uint64_t kStateVersion = 1;
+
+constexpr auto kPartBlocks =
+    static_cast<std::size_t>(Engine::kPartNodes) / NodeBlock::kSize;
+
 // A node that lies short of a multiple of the check interval by this fraction
 // of it counts as there: multiples of spacing and interval are rounded
 // differently.
@@ -86,10 +93,8 @@ MotionHistory Engine::MakeMotionHistory() const {
                                  settings_.node_spacing_meters)));
 }
 
-// Searches under kFilter go through all nodes in any case, and their nodes take
-// the most memory: they do without indexes.
 void Engine::ExtendIndexes() {
-  if (settings_.search.correlation_model == CorrelationModel::kFilter) return;
+  if (!has_indexes()) return;
   motion_history_.Extend(graph_);
   block_bounds_.Extend(graph_);
 }
@@ -155,8 +160,12 @@ void Engine::ChangeSettings(const EngineSettings& settings,
   ++settings_version_;
   revision_ = revision;
   if (!monitored_alike) RebuildMonitor();
-  motion_history_ = MakeMotionHistory();
-  ExtendIndexes();
+  MotionHistory history = MakeMotionHistory();
+  if (!(history.correlation() == motion_history_.correlation()) ||
+      history.stretch_nodes() != motion_history_.stretch_nodes()) {
+    motion_history_ = std::move(history);
+    ExtendIndexes();
+  }
   ScheduleNextCheck();
 }
 
@@ -246,6 +255,94 @@ void Engine::RebuildMonitor() {
   }
 }
 
+std::string Engine::StateKey() const {
+  ByteWriter writer;
+  writer.Put(kStateVersion);
+  writer.Put(static_cast<std::uint32_t>(settings_.state_space));
+  writer.Put(settings_.node_spacing_meters);
+  writer.Put(settings_.max_step_meters);
+  const Correlation& correlation = motion_history_.correlation();
+  writer.Put(static_cast<std::uint32_t>(correlation.model));
+  writer.Put(correlation.meters);
+  writer.Put(motion_history_.stretch_nodes());
+  writer.Put(kPartNodes);
+  return writer.Take();
+}
+
+ByteWriter Engine::BeginState(std::uint64_t parts_before) const {
+  ByteWriter writer;
+  const std::string key = StateKey();
+  writer.PutArray(key.data(), key.size());
+  writer.Put(parts_before);
+  return writer;
+}
+
+bool Engine::ReadBeginning(ByteReader* reader) const {
+  const std::string expected = StateKey();
+  std::string key(expected.size(), '\0');
+  std::uint64_t parts_before = 0;
+  return reader->GetArray(key.data(), key.size()) && key == expected &&
+         reader->Get(&parts_before) &&
+         parts_before == static_cast<std::uint64_t>(graph_.size() / kPartNodes);
+}
+
+// Of the blocks of a part, the bounds are known too.
+std::size_t Engine::whole_parts() const {
+  const auto after = static_cast<NodeIndex>(NodeBlock::kSize) + 1;
+  return static_cast<std::size_t>(
+      std::max<NodeIndex>(0, graph_.size() - after) / kPartNodes);
+}
+
+std::string Engine::SavePart(std::size_t part) const {
+  assert(part < whole_parts());
+  const std::size_t first = part * kPartBlocks;
+  const std::size_t end = first + kPartBlocks;
+  ByteWriter writer = BeginState(part);
+  writer.Reserve(bytes() / BlocksOf(graph_.size()) * (kPartBlocks + 4));
+  graph_.SaveBlocks(first, end, &writer);
+  if (has_indexes()) {
+    motion_history_.SaveBlocks(graph_, first, end, &writer);
+    block_bounds_.SaveBlocks(first, end, &writer);
+  }
+  return writer.Take();
+}
+
+// The indexes of so few nodes are as soon made as read.
+std::string Engine::SaveRest(std::size_t parts) const {
+  assert(parts <= whole_parts());
+  ByteWriter writer = BeginState(parts);
+  graph_.SaveRest(parts * kPartBlocks, &writer);
+  writer.Put(last_sequence_);
+  resampler_.Save(&writer);
+  model_check_.Save(&writer);
+  writer.Put(next_check_);
+  return writer.Take();
+}
+
+bool Engine::LoadPart(absl::string_view bytes) {
+  ByteReader reader(bytes);
+  return ReadBeginning(&reader) &&
+         graph_.LoadBlocks(kPartBlocks, !has_indexes(), &reader) &&
+         (!has_indexes() || (motion_history_.LoadBlocks(kPartBlocks, &reader) &&
+                             block_bounds_.LoadBlocks(kPartBlocks, &reader))) &&
+         reader.rest().empty();
+}
+
+bool Engine::LoadRest(absl::string_view bytes) {
+  ByteReader reader(bytes);
+  const auto parts = static_cast<std::size_t>(graph_.size() / kPartNodes);
+  if (!ReadBeginning(&reader) || !graph_.LoadRest(!has_indexes(), &reader) ||
+      !reader.Get(&last_sequence_) ||
+      !resampler_.Load(graph_, last_sequence_, &reader) ||
+      !model_check_.Load(&reader) || !reader.Get(&next_check_) ||
+      next_check_ < 0 || !reader.rest().empty() || whole_parts() < parts) {
+    return false;
+  }
+  motion_history_.EndLoading();
+  ExtendIndexes();
+  return true;
+}
+
 absl::StatusOr<CandidateSet> Engine::FindCandidates(
     const SearchOptions& options, const ShouldStop& should_stop,
     MarkMemory* memory) const {
@@ -289,6 +386,7 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
     return empty(EmptyReason::kTooMuchWork);
   }
 
+  AlignmentParts parts;
   std::optional<DriveBelief> belief;
   if (BeginsWithBelief(options, settings_)) {
     absl::StatusOr<DriveBelief> found = BeliefAt(query, memory, should_stop);
@@ -308,13 +406,17 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
       NotSought(query, options.candidate_separation_meters),
       LastConfirmed(query),
       std::move(belief),
-      should_stop};
+      should_stop,
+      &parts};
   set.nodes_considered = history_size;
   if (task.belief) set.scale = task.belief->Scale();
   const absl::Status status = options.alignment == AlignmentKind::kComposite
                                   ? SearchComposite(task, &set)
                                   : SearchRelative(task, &set);
   if (!status.ok()) return status;
+  if (task.belief && memory != nullptr && AlignsAsMarks(options)) {
+    RememberIfMark(query, memory, should_stop, &parts);
+  }
   for (std::size_t i = 0; i < set.candidates.size(); ++i) {
     set.candidates[i].rank = static_cast<int>(i) + 1;
   }
@@ -330,9 +432,7 @@ absl::StatusOr<DriveBelief> Engine::BeliefAt(
   MarkMemory none;
   if (memory == nullptr) memory = &none;
   memory->Enter(settings_version_);
-  const MarkLine line{graph_, std::max(settings_.node_spacing_meters,
-                                       settings_.search.sequence_length_meters /
-                                           kMarksPerSequence)};
+  const MarkLine line = Marks();
   const auto evidence =
       [&](std::int64_t mark) -> absl::StatusOr<const MarkEvidence*> {
     if (const MarkEvidence* known = memory->Find(mark)) return known;
@@ -363,6 +463,33 @@ absl::StatusOr<DriveBelief> Engine::BeliefAt(
   return belief;
 }
 
+MarkLine Engine::Marks() const {
+  return {graph_, std::max(settings_.node_spacing_meters,
+                           settings_.search.sequence_length_meters /
+                               kMarksPerSequence)};
+}
+
+// Whether a search with these options aligns the path that a mark there does.
+bool Engine::AlignsAsMarks(const SearchOptions& options) const {
+  const SearchOptions& own = settings_.search;
+  return own.alignment == options.alignment &&
+         own.sequence_length_meters == options.sequence_length_meters &&
+         own.place_tolerance == options.place_tolerance &&
+         own.shape == options.shape;
+}
+
+// The next search will need the mark, which now takes less.
+void Engine::RememberIfMark(NodeIndex query, MarkMemory* memory,
+                            const ShouldStop& should_stop,
+                            AlignmentParts* parts) const {
+  const MarkLine line = Marks();
+  const std::int64_t mark = line.LastBefore(query) + 1;
+  if (mark < 1 || line.NodeOf(mark) != query || memory->Find(mark)) return;
+  const absl::StatusOr<MarkEvidence> found =
+      EvidenceAt(query, should_stop, parts);
+  if (found.ok()) memory->Keep(mark, *found);
+}
+
 // What a verifier has judged counts for more: a closure shows the drift better
 // than earlier marks do, and a place that was rejected shows none.
 bool Engine::ShowsDrift(const MarkEvidence& mark, NodeIndex query) const {
@@ -378,8 +505,9 @@ bool Engine::ShowsDrift(const MarkEvidence& mark, NodeIndex query) const {
       });
 }
 
-absl::StatusOr<MarkEvidence> Engine::EvidenceAt(
-    NodeIndex node, const ShouldStop& should_stop) const {
+absl::StatusOr<MarkEvidence> Engine::EvidenceAt(NodeIndex node,
+                                                const ShouldStop& should_stop,
+                                                AlignmentParts* parts) const {
   const SearchOptions& options = settings_.search;
   const std::int64_t steps = SequenceNodes(options.sequence_length_meters,
                                            settings_.node_spacing_meters);
@@ -402,7 +530,8 @@ absl::StatusOr<MarkEvidence> Engine::EvidenceAt(
        {NodesNearer(graph_, node, options.candidate_separation_meters)},
        std::nullopt,
        std::nullopt,
-       should_stop});
+       should_stop,
+       parts});
 }
 
 std::int64_t Engine::AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,

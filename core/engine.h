@@ -11,12 +11,15 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <string>
 #include <utility>
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "core/alignment/confirmed_loop.h"
 #include "core/alignment/log_similarity.h"
+#include "core/alignment/relative.h"
 #include "core/alignment/scored_ends.h"
 #include "core/alignment/viterbi.h"
 #include "core/belief/drive_belief.h"
@@ -114,6 +117,32 @@ class Engine {
   // another order, may result in another inflation.
   Consistency consistency() const;
 
+  // ---- The state as bytes: all that the poses have made, but no loop closures
+  // and no rejections. An engine that was loaded answers as the one that was
+  // saved, to the last bit.
+  //
+  // The bytes are parts, of kPartNodes nodes each, and a rest. Nodes, once
+  // made, stay, so whoever saves again needs only the parts that are new since
+  // then. All are for engines of the same StateKey(): that of the settings
+  // which the nodes and their indexes come from, and of the version of this
+  // form.
+
+  std::string StateKey() const;
+  // Parts [0, whole_parts()) never change again under this key.
+  std::size_t whole_parts() const;
+  // REQUIRES: part < whole_parts().
+  std::string SavePart(std::size_t part) const;
+  // What follows the first `parts` parts. REQUIRES: parts <= whole_parts().
+  std::string SaveRest(std::size_t parts) const;
+  // Loads the next part, and, after all parts, the rest. False if the bytes are
+  // damaged so that a later call could fail, are of another key, or are not
+  // those that come next: then throw the engine away. Damage that leaves
+  // numbers in their ranges is not found: guard the bytes with a checksum.
+  // REQUIRES: an engine that was not used but for calls of LoadPart().
+  bool LoadPart(absl::string_view bytes);
+  bool LoadRest(absl::string_view bytes);
+  static constexpr NodeIndex kPartNodes = 64 * NodeBlock::kSize;
+
   // Candidates at a node, with the nodes before its sequence as the history.
   // The answer depends only on the graph up to the query, on loop closures and
   // rejections, and on the inflation that these result in. Returns CANCELLED if
@@ -132,6 +161,14 @@ class Engine {
   std::optional<std::pair<NodeIndex, NodeIndex>> LoopEdge(
       std::uint64_t query_sequence, std::uint64_t matched_sequence) const;
   void ScheduleNextCheck();
+  // Searches under kFilter go through all nodes in any case, and their nodes
+  // take the most memory: they do without indexes.
+  bool has_indexes() const {
+    return settings_.search.correlation_model != CorrelationModel::kFilter;
+  }
+  // Begins a part or the rest, and reads its beginning.
+  ByteWriter BeginState(std::uint64_t parts_before) const;
+  bool ReadBeginning(ByteReader* reader) const;
   MotionHistory MakeMotionHistory() const;
   // Adds the graph's new nodes to its indexes.
   void ExtendIndexes();
@@ -151,8 +188,16 @@ class Engine {
   // Whether a mark shows the drift at the query.
   bool ShowsDrift(const MarkEvidence& mark, NodeIndex query) const;
   // The evidence of a mark at this node.
-  absl::StatusOr<MarkEvidence> EvidenceAt(NodeIndex node,
-                                          const ShouldStop& should_stop) const;
+  absl::StatusOr<MarkEvidence> EvidenceAt(
+      NodeIndex node, const ShouldStop& should_stop,
+      AlignmentParts* parts = nullptr) const;
+  MarkLine Marks() const;
+  bool AlignsAsMarks(const SearchOptions& options) const;
+  // Searches the mark at the query, if there is one that the memory does not
+  // know. The parts are those of a search there.
+  void RememberIfMark(NodeIndex query, MarkMemory* memory,
+                      const ShouldStop& should_stop,
+                      AlignmentParts* parts) const;
   // Nodes that may not be candidates at the query: those near it, and those
   // rejected there.
   std::vector<NodeRange> NotSought(NodeIndex query,

@@ -55,6 +55,8 @@ constexpr std::chrono::milliseconds kWriteHealthPeriod{1000};
 // How often vehicles are looked for that other servers ask for. A caller who
 // comes to the wrong server waits that long for its vehicle.
 constexpr std::chrono::milliseconds kHandOverPeriod{500};
+// A busy storage writes a part of a snapshot, about a megabyte, that often.
+constexpr std::chrono::milliseconds kSnapshotPeriod{500};
 
 // How often memory is measured if no call does so.
 constexpr std::chrono::milliseconds kMemoryPeriod{500};
@@ -158,6 +160,7 @@ struct RevisitServer::State {
   GraphSnapshots snapshots;
   std::unique_ptr<Periodic> unload_timer;
   std::unique_ptr<Periodic> hand_over_timer;
+  std::unique_ptr<Periodic> snapshot_timer;
   Drain drain;
   // Null if the listener speaks plaintext.
   std::unique_ptr<TlsFiles> tls_files;
@@ -352,6 +355,10 @@ void RevisitServer::State::StartFleet() {
     options.memory_budget_bytes = settings.memory_budget_mebibytes << 20;
   }
   options.session.max_pending_appends = settings.limits.max_pending_appends;
+  options.snapshots.poses = static_cast<std::uint64_t>(settings.snapshot_poses);
+  options.snapshots.warn = [log = log](const std::string& message) {
+    log->Write(LogLevel::kWarning, "snapshot", {{"message", message}});
+  };
   fleet = std::make_unique<Fleet>(
       storage.get(), &codec,
       Lanes(executor.get(), read_executor.get(), search_executor.get()),
@@ -365,6 +372,8 @@ void RevisitServer::State::StartFleet() {
   unload_timer = MakeUnloadTimer(fleet.get(), admission.get(), options);
   hand_over_timer = std::make_unique<Periodic>(
       kHandOverPeriod, [fleet = fleet.get()] { fleet->HandOverWanted(); });
+  snapshot_timer = std::make_unique<Periodic>(
+      kSnapshotPeriod, [fleet = fleet.get()] { fleet->WriteSnapshots(); });
 }
 
 void RevisitServer::State::StartService() {
@@ -521,6 +530,7 @@ void RevisitServer::Shutdown() {
   state_->gatekeeper.reset();
   state_->unload_timer.reset();
   state_->hand_over_timer.reset();
+  state_->snapshot_timer.reset();
   state_->fleet.reset();
   state_->executor.reset();
   state_->read_executor.reset();

@@ -26,13 +26,14 @@ namespace {
 void Print(const StoreReport& report) {
   std::printf(
       "vehicles %lld\nposes %lld\nbatches %lld\nrevised batches %lld\n"
-      "loop closures %lld\nrejected candidates %lld\n",
+      "loop closures %lld\nrejected candidates %lld\nsnapshots %lld\n",
       static_cast<long long>(report.vehicles),
       static_cast<long long>(report.poses),
       static_cast<long long>(report.batches),
       static_cast<long long>(report.revised_batches),
       static_cast<long long>(report.loop_closures),
-      static_cast<long long>(report.rejected_candidates));
+      static_cast<long long>(report.rejected_candidates),
+      static_cast<long long>(report.snapshots));
 }
 
 ExitCode Fail(const absl::Status& status) {
@@ -47,7 +48,7 @@ StoreUse UseOf(const std::string& file) {
 ExitCode PrintFindings(const absl::StatusOr<StoreReport>& report) {
   if (!report.ok()) return Fail(report.status());
   Print(*report);
-  if (report->problems.empty()) {
+  if (report->problems.empty() && report->damaged_snapshots.empty()) {
     std::printf("sound\n");
     return kExitOk;
   }
@@ -56,6 +57,10 @@ ExitCode PrintFindings(const absl::StatusOr<StoreReport>& report) {
   }
   for (const std::string& vehicle : report->damaged_vehicles) {
     std::printf("damaged vehicle: %s\n", vehicle.c_str());
+  }
+  for (const std::string& snapshot : report->damaged_snapshots) {
+    std::printf("damaged snapshot, which the server makes again: %s\n",
+                snapshot.c_str());
   }
   return kExitStoreDamaged;
 }

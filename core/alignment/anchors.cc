@@ -18,6 +18,8 @@ Anchors<D>::Anchors(const PoseGraph& graph, const RelativeModel& model,
   SimilarityModel similarity = model.similarity;
   similarity.direction = direction;
   similarity.form = LikelihoodForm::kGaussian;
+  parts_.reserve(std::max<std::size_t>(1, model.scales.size()) *
+                 (1 + model.drifts.size()));
   if (model.scales.empty()) AddParts(graph, similarity, {}, query);
   for (const WeighedScale& scale : model.scales) {
     AddParts(graph, similarity, scale, query);
@@ -58,10 +60,24 @@ void Anchors<D>::Weigh(NodeIndex first) {
 
 template <int D>
 void Anchors<D>::Find(std::size_t k, std::size_t count, std::size_t next) {
+  count_ = count;
   Weigh(static_cast<NodeIndex>(k * NodeBlock::kSize));
   for (Part& part : parts_) {
     if (!part.counts) continue;
     part.finder.Find(k, count, next, &part.differences);
+    EvaluateDifferences(model_.similarity.state_space, part.differences,
+                        &part.similarity);
+  }
+}
+
+template <int D>
+void Anchors<D>::FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
+                           std::size_t count, NodeIndex first) {
+  count_ = count;
+  Weigh(first);
+  for (Part& part : parts_) {
+    if (!part.counts) continue;
+    part.finder.FindAmong(nodes, indices, count, &part.differences);
     EvaluateDifferences(model_.similarity.state_space, part.differences,
                         &part.similarity);
   }
@@ -74,23 +90,53 @@ bool Anchors<D>::IsPossible(std::size_t i) const {
   });
 }
 
-// A mixture is at most as many times its greatest part as it has parts.
+// What scales and drifts there are makes no difference to that: it is asked of
+// the first.
 template <int D>
-void Anchors<D>::Bound(const SearchBounds<D>& bounds, BlockColumn* most) {
-  most->fill(kImpossible);
-  double counting = 0.0;
-  BlockColumn of_part;
-  for (const Part& part : parts_) {
-    if (!part.counts) continue;
-    counting += 1.0;
-    bounds.BoundEnds(part.differences, part.similarity, &of_part);
-    for (std::size_t i = 0; i < NodeBlock::kSize; ++i) {
-      if (part.similarity.log_similarity[i] == kImpossible) continue;
-      (*most)[i] = std::max((*most)[i], of_part[i] + part.log_weight);
+bool Anchors<D>::AreAlike(std::size_t i, std::size_t j) const {
+  const DifferenceBlock& differences = parts_.front().differences;
+  for (int r = 0; r < D; ++r) {
+    const BlockColumn& variances =
+        differences.covariance[static_cast<std::size_t>(r * (r + 1) / 2 + r)];
+    // Written so that NaN is not alike.
+    if (!(variances[i] <= 2.0 * variances[j] &&
+          variances[j] <= 2.0 * variances[i])) {
+      return false;
     }
   }
-  const double parts = std::log(counting);
-  for (double& bound : *most) bound += parts;
+  return true;
+}
+
+// The bounds of the parts are added up: e^-x is at most 1 / (1 + x + x^2 / 2).
+template <int D>
+void Anchors<D>::Bound(const SearchBounds<D>& bounds, BoundOf of,
+                       BlockColumn* most) {
+  most->fill(kImpossible);
+  part_bounds_.resize(parts_.size());
+  std::size_t counting = 0;
+  for (const Part& part : parts_) {
+    if (!part.counts) continue;
+    BlockColumn& of_part = part_bounds_[counting++];
+    bounds.BoundEnds(part.differences, part.similarity, of, &of_part);
+    for (std::size_t i = 0; i < count_; ++i) {
+      const bool possible = part.similarity.log_similarity[i] != kImpossible;
+      of_part[i] = possible ? of_part[i] + part.log_weight : kImpossible;
+      (*most)[i] = std::max((*most)[i], of_part[i]);
+    }
+  }
+  if (counting == 1) return;
+  BlockColumn sum;
+  sum.fill(0.0);
+  for (std::size_t part = 0; part < counting; ++part) {
+    for (std::size_t i = 0; i < count_; ++i) {
+      const double less = (*most)[i] - part_bounds_[part][i];
+      sum[i] += 1.0 / (1.0 + less + 0.5 * less * less);
+    }
+  }
+  for (std::size_t i = 0; i < count_; ++i) {
+    // Where nothing is known, nothing is added up.
+    if (std::isfinite((*most)[i])) (*most)[i] += std::log(sum[i]);
+  }
 }
 
 template <int D>

@@ -36,12 +36,22 @@ class Anchors {
   // REQUIRES: for kFilter, k falls from call to call.
   void Find(std::size_t k, std::size_t count, std::size_t next);
 
+  // The same for nodes from anywhere, copied to a block of their own: those of
+  // blocks that the same drifts reach into as into the one that begins at node
+  // `first`. REQUIRES: kDeadReckoning.
+  void FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
+                 std::size_t count, NodeIndex first);
+
   // Whether the covariance of node i of the block is well-conditioned.
   bool IsPossible(std::size_t i) const;
 
-  // For each node, the most that its log-odds can come to: SearchBounds.
+  // Whether no variance of either node is more than twice that of the other.
+  bool AreAlike(std::size_t i, std::size_t j) const;
+
+  // For each node, the most that the log-odds can come to, but for what a path
+  // gains: of this end alone, or of any near it (SearchBounds::BoundEnds()).
   // Undefined for nodes that are not possible.
-  void Bound(const SearchBounds<D>& bounds, BlockColumn* most);
+  void Bound(const SearchBounds<D>& bounds, BoundOf of, BlockColumn* most);
 
   // Changes the differences by what paths have shown.
   void Change(const DifferenceChange& change);
@@ -83,6 +93,10 @@ class Anchors {
 
   const RelativeModel& model_;
   std::vector<Part> parts_;
+  // Nodes that are told of.
+  std::size_t count_ = 0;
+  // Scratch: the bound of each part.
+  std::vector<BlockColumn> part_bounds_;
 };
 
 // Whether a drift reaches into the block that begins at node `first`.

@@ -1,6 +1,8 @@
 #include "core/alignment/differences.h"
 
 #include <algorithm>
+#include <cassert>
+#include <numeric>
 
 #include "core/graph/correlation.h"
 
@@ -28,6 +30,7 @@ Differences<D>::Differences(const PoseGraph& graph,
 template <int D>
 void Differences<D>::Find(std::size_t k, std::size_t count, std::size_t next,
                           DifferenceBlock* differences) {
+  differences->count = NodeBlock::kSize;
   if (model_.correlation.model == CorrelationModel::kFilter) {
     FindFiltered(k, count, differences);
   } else {
@@ -37,12 +40,28 @@ void Differences<D>::Find(std::size_t k, std::size_t count, std::size_t next,
     FindDifferences(kernel_query_, graph_.block(k), graph_.block(next),
                     shared ? &shares : nullptr, differences);
     if (known_drift_) {
+      alignas(64) BlockColumn indices;
+      std::iota(indices.begin(), indices.end(),
+                static_cast<double>(k * NodeBlock::kSize));
       TakeKnownDrift(*known_drift_, model_.state_space, graph_.block(k),
-                     static_cast<NodeIndex>(k * NodeBlock::kSize), differences);
+                     indices, differences);
     }
   }
   for (auto& column : differences->difference) {
     std::fill(column.begin() + static_cast<int>(count), column.end(), 0.0);
+  }
+}
+
+template <int D>
+void Differences<D>::FindAmong(const NodeBlock& nodes,
+                               const BlockColumn& indices, std::size_t count,
+                               DifferenceBlock* differences) {
+  differences->count = count;
+  assert(model_.correlation.model == CorrelationModel::kDeadReckoning);
+  FindDifferences(kernel_query_, nodes, nodes, nullptr, differences);
+  if (known_drift_) {
+    TakeKnownDrift(*known_drift_, model_.state_space, nodes, indices,
+                   differences);
   }
 }
 

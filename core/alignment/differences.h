@@ -31,6 +31,11 @@ class Differences {
   void Find(std::size_t k, std::size_t count, std::size_t next,
             DifferenceBlock* differences);
 
+  // Those of the first `count` nodes from anywhere in the graph, copied to a block of their own.
+  // REQUIRES: kDeadReckoning.
+  void FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
+                 std::size_t count, DifferenceBlock* differences);
+
  private:
   void FindFiltered(std::size_t k, std::size_t count,
                     DifferenceBlock* differences);

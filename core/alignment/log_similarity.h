@@ -36,6 +36,11 @@ constexpr std::size_t IndexOf(Direction direction) {
 struct PlaceTolerance {
   double position_meters = 2.0;
   double heading_radians = 0.1;
+
+  bool operator==(const PlaceTolerance& other) const {
+    return position_meters == other.position_meters &&
+           heading_radians == other.heading_radians;
+  }
 };
 
 // Adds R to gamma.

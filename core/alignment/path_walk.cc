@@ -63,13 +63,17 @@ PathWalk<D>::PathWalk(const PoseGraph& graph, const RecentPath<D>& recent,
 }
 
 template <int D>
-const BestPaths& PathWalk<D>::Walk(NodeIndex first,
-                                   const std::vector<WalkStart>& starts) {
-  Reset(first);
-  if (starts.empty()) return best_;
+const BestPaths& PathWalk<D>::Walk(const std::vector<WalkStart>& starts) {
+  Reset();
   // No step leads further than over one node.
-  table_.Need(starts.front().end - 2 * recent_.size(),
-              starts.back().end + 2 * recent_.size());
+  const NodeIndex reach = 2 * recent_.size();
+  for (const WalkStart& start : starts) {
+    if (direction_ == Direction::kSame) {
+      table_.Need(start.end - reach, start.end);
+    } else {
+      table_.Need(start.end, start.end + reach);
+    }
+  }
   for (std::size_t begin = 0; begin < starts.size(); begin += kTogether) {
     const std::size_t count = std::min(kTogether, starts.size() - begin);
     walkers_.Begin(count);
@@ -84,7 +88,7 @@ std::vector<PathStep> PathWalk<D>::Trace(NodeIndex end) {
   tracing_ = true;
   trail_ = {{{0, end, direction_}, -1}};
   best_trail_ = 0;
-  Walk(end, {{end, kImpossible}});
+  Walk({{end, kImpossible, 0}});
   tracing_ = false;
   std::vector<PathStep> path;
   for (std::int64_t i = best_trail_; i >= 0; i = trail_[Position(i)].before) {
@@ -95,8 +99,7 @@ std::vector<PathStep> PathWalk<D>::Trace(NodeIndex end) {
 }
 
 template <int D>
-void PathWalk<D>::Reset(NodeIndex first) {
-  first_ = first;
+void PathWalk<D>::Reset() {
   best_.log_likelihood_ratios.fill(0.0);
   best_.squared_innovations.fill(0.0);
   best_.change.row.fill(0);
@@ -119,7 +122,7 @@ inline void PathWalk<D>::Seed(std::size_t i, const WalkStart& start) {
   walkers_.at(Walkers::kNode, i) = j;
   walkers_.at(Walkers::kStride, i) = Stride(direction_);
   walkers_.at(Walkers::kLast, i) = LastOf(j, direction_);
-  walkers_.at(Walkers::kEnd, i) = j - first_;
+  walkers_.at(Walkers::kEnd, i) = static_cast<std::int64_t>(start.slot);
 }
 
 template <int D>

@@ -40,8 +40,8 @@ struct PathStep {
   }
 };
 
-// The best path back from each end of a block; the end alone where no longer
-// path is better.
+// The best paths back from up to NodeBlock::kSize ends, by slot; the end alone
+// where no longer path is better.
 struct BestPaths {
   BlockColumn log_likelihood_ratios;
   // Sum over the steps of the path.
@@ -56,6 +56,8 @@ struct BestPaths {
 struct WalkStart {
   NodeIndex end = 0;
   double needed = kImpossible;
+  // Where BestPaths tells of it.
+  std::size_t slot = 0;
 };
 
 // The walks of one search in one direction.
@@ -68,10 +70,9 @@ class PathWalk {
            NodeIndex history_size, Direction direction, bool over_loops,
            PoseTable* table);
 
-  // The best paths of these ends, which rise and are of the block that begins
-  // at node `first`. Valid until the next walk; entries of other nodes say that
-  // the end is alone.
-  const BestPaths& Walk(NodeIndex first, const std::vector<WalkStart>& starts);
+  // The best paths of these ends, each with a slot of its own. Valid until the
+  // next walk; other slots say that the end is alone.
+  const BestPaths& Walk(const std::vector<WalkStart>& starts);
 
   // The steps of the best path back from `end`, the end first.
   std::vector<PathStep> Trace(NodeIndex end);
@@ -87,7 +88,7 @@ class PathWalk {
     std::int64_t before = -1;
   };
 
-  void Reset(NodeIndex first);
+  void Reset();
   void Seed(std::size_t i, const WalkStart& start);
   void WalkAll();
   void WalkOverLoops(std::int64_t t, std::size_t walkers);
@@ -116,8 +117,6 @@ class PathWalk {
   const Direction direction_;
   PoseTable& table_;
   const bool has_loops_;
-  // First node of the block at hand.
-  NodeIndex first_ = 0;
   BestPaths best_;
   Walkers walkers_;
   std::vector<Unsettled> unsettled_;

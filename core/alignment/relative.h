@@ -36,6 +36,7 @@
 #include <array>
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <vector>
 
@@ -61,6 +62,12 @@ struct ShapeMatch {
   double scale = 1.0;
   // Steps of the recent path that it covers; 0 for the end alone.
   std::int64_t steps = 0;
+};
+
+// What alignments of one query have in common, so that the second need not find
+// it anew. Starts empty.
+struct AlignmentParts {
+  std::shared_ptr<const void> parts;
 };
 
 class RelativeAlignment {
@@ -94,7 +101,7 @@ class RelativeAlignment {
   template <int D>
   friend std::optional<RelativeAlignment> AlignRelativeIn(
       const PoseGraph&, const RelativeModel&, NodeIndex, std::int64_t,
-      NodeIndex, const ShouldStop&);
+      NodeIndex, const ShouldStop&, AlignmentParts*);
 
   // The ends that were found in one direction, with a match for each.
   struct Found {
@@ -113,10 +120,13 @@ class RelativeAlignment {
 // early, and less still where ends are pruned. Returns nothing if told to stop.
 // REQUIRES: 1 <= steps <= query + 1; history_size <= query; the recent path
 // lies in one segment, and may begin in the history; the graph outlives the
-// answer.
+// answer. `parts`, if not null, are empty or come from an alignment with the
+// same graph, indexes, query, steps and history, and a model with the same
+// similarity, shape and spacings.
 std::optional<RelativeAlignment> AlignRelative(
     const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
-    std::int64_t steps, NodeIndex history_size, const ShouldStop& should_stop);
+    std::int64_t steps, NodeIndex history_size, const ShouldStop& should_stop,
+    AlignmentParts* parts = nullptr);
 
 }  // namespace revisit::core
 

@@ -77,6 +77,10 @@ struct RelativeModel {
   // early: by where their block lies, by their own pose and covariance, or by a
   // path that cannot make up for these.
   double least_log_share = kImpossible;
+  // Ends whose log-odds are surely less than this are sampled (relative.h).
+  // kImpossible where each is looked at. kDeadReckoning only; takes the indexes
+  // below.
+  double most_log_odds_sampled = kImpossible;
   // Indexes of the graph, or null. The first saves measuring the graph's motion
   // anew, the second saves looking at every node.
   const MotionHistory* motion_history = nullptr;

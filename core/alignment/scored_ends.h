@@ -15,6 +15,9 @@ namespace revisit::core {
 struct ScoredEnd {
   NodeIndex node = 0;
   double score = 0.0;
+  // Nodes around this one that have about the same score and are no ends
+  // themselves, this one among them.
+  double nodes = 1.0;
 };
 
 // Sorted by node, each node at most once. Absent nodes are impossible, as are

@@ -10,12 +10,29 @@
 namespace revisit::core {
 namespace {
 
+std::size_t StrideOf(NodeIndex history_size) {
+  std::size_t stride = kLeastStride;
+  while (stride < NodeBlock::kSize &&
+         static_cast<std::size_t>(history_size) > stride * kEnoughSamples) {
+    stride *= 2;
+  }
+  return stride;
+}
+
 // Error of a bound due to rounding, nats.
 constexpr double kBoundSlack = 1e-6;
 
 // Error of the difference of two variances due to rounding, as a share of
 // these.
 constexpr double kCancelled = 1e-12;
+
+// Standard deviation of B in heading; in position it is twice as far as ends are
+// apart.
+constexpr double kAroundRadians = 1.0;
+// 1/2 s^T B^-1 s where the road turns by as much as kMostTurnAround.
+constexpr double kAroundSlack =
+    0.5 * (0.25 + kMostTurnAround * kMostTurnAround /
+                      (kAroundRadians * kAroundRadians));
 
 }  // namespace
 
@@ -40,27 +57,43 @@ SearchBounds<D>::SearchBounds(const PoseGraph& graph,
       recent_(recent),
       query_(query),
       size_(history_size),
-      constant_(LogNewPlaceTerm(model) - recent.filter().join_cost()) {
+      constant_(LogNewPlaceTerm(model) - recent.filter().join_cost()),
+      stride_(StrideOf(history_size)) {
   PackLower<D>(
       recent.ToFrame((2.0 / recent.weight()) * recent.filter().EndShift()),
       change_bound_.shift);
   PackLower<D>(recent.MostCertainty(), change_bound_.certainty);
   change_bound_.least_left = kLeastUncertaintyLeft;
+  around_bound_ = change_bound_;
+  StateMatrix<D> apart = StateMatrix<D>::Zero();
+  AddTolerance<D>({static_cast<double>(stride_) * model.spacing_meters,
+                   kAroundRadians},
+                  &apart);
+  double entries[kMostEntries] = {};
+  PackLower<D>(apart, entries);
+  for (std::size_t i = 0; i < kMostEntries; ++i) {
+    around_bound_.shift[i] += entries[i];
+  }
 }
 
+// The difference d_i of an end i near j is d_j + s, with s as far as the two are
+// apart. With the covariance B of neighbours, which is greater than that,
+//
+//   d_i^T G^-1 d_i >= d_j^T (G + B)^-1 d_j - s^T B^-1 s.
 template <int D>
 void SearchBounds<D>::BoundEnds(const DifferenceBlock& differences,
-                                const BlockSimilarity& similarity,
+                                const BlockSimilarity& similarity, BoundOf of,
                                 BlockColumn* most) const {
   constexpr double kNothingKnown = std::numeric_limits<double>::infinity();
   if (model_.least_log_share == kImpossible) {
     most->fill(kNothingKnown);
     return;
   }
-  BoundChanged(model_.similarity.state_space, differences, change_bound_,
-               similarity, most);
+  BoundChanged(model_.similarity.state_space, differences,
+               of == BoundOf::kEnd ? change_bound_ : around_bound_, similarity,
+               most);
   const double beside = constant_ + kBoundSlack +
-                        recent_.weight() * recent_.most_log_likelihood_ratio();
+                        (of == BoundOf::kEnd ? 0.0 : kAroundSlack);
   for (double& bound : *most) {
     bound += beside;
     // Written so that a bound which is not a number becomes kNothingKnown.
@@ -69,19 +102,31 @@ void SearchBounds<D>::BoundEnds(const DifferenceBlock& differences,
 }
 
 template <int D>
-std::vector<std::size_t> SearchBounds<D>::BlocksToSearch() const {
-  std::vector<std::size_t> blocks;
+auto SearchBounds<D>::BlocksToSearch() const -> Blocks {
+  std::vector<std::size_t> order;
   const std::optional<Regions> regions = FindRegions();
   const std::size_t all = BlocksOf(size_);
-  if (!regions) {
-    for (std::size_t k = all; k-- > 0;) blocks.push_back(k);
-    return blocks;
+  if (regions) {
+    for (std::size_t k = all; k-- > regions->last;) order.push_back(k);
+    AddNear(*regions, &order);
+    for (std::size_t k = regions->first; k-- > 0;) order.push_back(k);
+    SortByDistance(&order);
+  } else {
+    for (std::size_t k = all; k-- > 0;) order.push_back(k);
   }
-  for (std::size_t k = all; k-- > regions->last;) blocks.push_back(k);
-  AddNear(*regions, &blocks);
-  for (std::size_t k = regions->first; k-- > 0;) blocks.push_back(k);
-  SortByDistance(&blocks);
+  Blocks blocks;
+  const std::size_t sampled = SamplesEnds() ? FullBlocksBefore() : 0;
+  for (const std::size_t k : order) {
+    (k < sampled ? blocks.sampled : blocks.all).push_back(k);
+  }
   return blocks;
+}
+
+template <int D>
+bool SearchBounds<D>::SamplesEnds() const {
+  return model_.most_log_odds_sampled != kImpossible &&
+         model_.similarity.correlation.model ==
+             CorrelationModel::kDeadReckoning;
 }
 
 // Adds the blocks that lie near under any scale, and those that a drift reaches
@@ -152,7 +197,8 @@ auto SearchBounds<D>::FindRegions() const -> std::optional<Regions> {
   const std::optional<double> log_determinant = LeastLogDeterminant(tolerance);
   if (!log_determinant) return std::nullopt;
   Regions regions;
-  regions.last = BlocksWithBounds();
+  regions.last =
+      std::min(model_.block_bounds->size(), FullBlocksBefore());
   if (dead_reckoning) {
     regions.first =
         model_.block_bounds->FirstGrowing(graph_, query_, regions.last);
@@ -246,14 +292,12 @@ std::optional<double> SearchBounds<D>::LeastLogDeterminant(
   return std::nullopt;
 }
 
-// Full blocks of the history with known bounds that lie well before the query.
-// Most queries lie well behind their history, but sequences may be short.
+// Full blocks of the history that lie well before the query. Most queries lie
+// well behind their history, but sequences may be short.
 template <int D>
-std::size_t SearchBounds<D>::BlocksWithBounds() const {
+std::size_t SearchBounds<D>::FullBlocksBefore() const {
   constexpr auto kBlock = static_cast<NodeIndex>(NodeBlock::kSize);
-  std::size_t blocks =
-      std::min(model_.block_bounds->size(),
-               static_cast<std::size_t>(size_) / NodeBlock::kSize);
+  std::size_t blocks = static_cast<std::size_t>(size_) / NodeBlock::kSize;
   while (blocks > 0 &&
          (static_cast<NodeIndex>(blocks) + 1) * kBlock + kBlock / 2 > query_) {
     --blocks;

@@ -16,6 +16,18 @@
 
 namespace revisit::core {
 
+// Where ends are sampled, one of so many is looked at: of more, where the
+// history has more than kEnoughSamples of them. A block has whole strides.
+inline constexpr std::size_t kLeastStride = 16;
+inline constexpr std::size_t kEnoughSamples = 16384;
+
+// Whose log-odds a bound is for: those of one end, or of all ends within half a
+// stride of it, as far as errors there are about the same.
+enum class BoundOf { kEnd, kEndsAround };
+
+// How far the road may turn between such ends, rad.
+inline constexpr double kMostTurnAround = 1.5;
+
 template <int D>
 class SearchBounds {
  public:
@@ -28,18 +40,28 @@ class SearchBounds {
   // The part of the log-odds that is the same for all ends.
   double constant() const { return constant_; }
 
+  // Of how many ends one is looked at where they are sampled.
+  std::size_t stride() const { return stride_; }
+
   // Blocks of the history that may hold an end with the least log-odds. They
   // fall from the last to the first, except where blocks could be ruled out:
   // there the nearest come first, which are likely to have the greatest odds.
   // The greater these, the fewer other ends need be walked from.
-  std::vector<std::size_t> BlocksToSearch() const;
+  struct Blocks {
+    // Whose ends are to be looked at one by one.
+    std::vector<std::size_t> all;
+    // Whose ends may be sampled: full blocks well before the query. None where
+    // the model does not sample ends.
+    std::vector<std::size_t> sampled;
+  };
+  Blocks BlocksToSearch() const;
 
-  // For each end of a block, the most that its log-odds can come to: had it the
-  // best path there can be. Infinity where nothing is known; undefined where
-  // the similarity is impossible. `similarity` is what EvaluateDifferences()
-  // finds.
+  // For each end, the most that its log-odds can come to, but for what its path
+  // gains. Infinity where nothing is known; undefined where the similarity is
+  // impossible. `similarity` is what EvaluateDifferences() finds.
   void BoundEnds(const DifferenceBlock& differences,
-                 const BlockSimilarity& similarity, BlockColumn* most) const;
+                 const BlockSimilarity& similarity, BoundOf of,
+                 BlockColumn* most) const;
 
  private:
   // Where ends of one scale may lie.
@@ -58,10 +80,11 @@ class SearchBounds {
   std::optional<Regions> FindRegions() const;
   Region RegionOf(const WeighedScale& scale, double position_variance,
                   double log_determinant) const;
+  bool SamplesEnds() const;
   void AddNear(const Regions& regions, std::vector<std::size_t>* blocks) const;
   std::optional<double> LeastLogDeterminant(
       const StateMatrix<D>& tolerance) const;
-  std::size_t BlocksWithBounds() const;
+  std::size_t FullBlocksBefore() const;
   void SortByDistance(std::vector<std::size_t>* blocks) const;
 
   const PoseGraph& graph_;
@@ -70,7 +93,10 @@ class SearchBounds {
   const NodeIndex query_;
   const NodeIndex size_;
   const double constant_;
+  const std::size_t stride_;
   ChangeBound change_bound_;
+  // The same for ends around one.
+  ChangeBound around_bound_;
 };
 
 }  // namespace revisit::core

@@ -188,6 +188,8 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
        std::max(kLeastEndDrift, place_tolerance.heading_radians)},
       &end_prior);
   const StateMatrix<D> end_prior_information = Inverse<D>(end_prior);
+  constexpr int h = D - 1;
+  headings_ = {end_prior(h, h), noise(h, h), tolerance(h, h) + jitter(h, h)};
 
   const Pose end = graph.pose(query);
   const StateMatrix<D> from_end = TurnAbout<D>(-end.heading);

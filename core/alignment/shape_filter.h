@@ -65,6 +65,11 @@ struct ShapeModel {
   PlaceTolerance tolerance{1.0, 0.06};
   // Distance over which nodes stray together, [0.01, 1e6] m.
   double correlation_meters = 20.0;
+
+  bool operator==(const ShapeModel& other) const {
+    return tolerance == other.tolerance &&
+           correlation_meters == other.correlation_meters;
+  }
 };
 
 // Least noise of odometry, whatever the covariances claim: the covariances of
@@ -151,6 +156,15 @@ class ShapeFilter {
   // of at least s^T E^-1 s in sum.
   const StateMatrix<D>& EndShift() const { return end_shift_; }
 
+  // The variances of headings by themselves: of drift_0, of the noise that the
+  // drift gathers with each step, and of what each node strays.
+  struct HeadingVariances {
+    double end = 0.0;
+    double noise = 0.0;
+    double straying = 0.0;
+  };
+  const HeadingVariances& headings() const { return headings_; }
+
   // By how much the covariance of drift_0 has shrunk after step t, in the axes
   // of the vehicle at the end.
   const StateMatrix<D>& EndCertainty(std::int64_t t) const {
@@ -190,6 +204,7 @@ class ShapeFilter {
 
   std::vector<Step> steps_;
   StateMatrix<D> end_shift_ = StateMatrix<D>::Zero();
+  HeadingVariances headings_;
 };
 
 }  // namespace revisit::core

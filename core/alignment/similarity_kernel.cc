@@ -361,7 +361,7 @@ HWY_INLINE void FindAll(const KernelQuery& query, const NodeBlock& block,
                         const NodeBlock& next, const BlockShares* shares,
                         DifferenceBlock* differences) {
   const Rows rows(block, next);
-  const std::size_t entries = EntriesOf(block);
+  const std::size_t entries = std::min(EntriesOf(block), differences->count);
   for (std::size_t i = 0; i < entries; i += hn::Lanes(Tag())) {
     StoreState<D>(FindState<D, kErrors>(query, rows, shares, i), i,
                   differences);
@@ -421,15 +421,14 @@ HWY_INLINE void AddCross(const KnownDriftTerms::LoopNode& a, double sign,
 
 template <int D>
 HWY_INLINE void TakeAll(const KnownDriftTerms& terms, const NodeBlock& block,
-                        NodeIndex first, DifferenceBlock* differences) {
+                        const BlockColumn& indices,
+                        DifferenceBlock* differences) {
   const Tag tag;
   constexpr int h = D - 1;
   const Rows rows(block, block);
-  const std::size_t entries = EntriesOf(block);
+  const std::size_t entries = std::min(EntriesOf(block), differences->count);
   for (std::size_t i = 0; i < entries; i += hn::Lanes(tag)) {
-    const Vector index = hn::Add(
-        hn::Set(tag, static_cast<double>(first + static_cast<NodeIndex>(i))),
-        hn::Iota(tag, 0.0));
+    const Vector index = hn::LoadU(tag, indices.data() + i);
     const auto earlier = [&](const KnownDriftTerms::LoopNode& a) HWY_ATTR {
       return hn::Le(index, hn::Set(tag, static_cast<double>(a.index)));
     };
@@ -495,12 +494,12 @@ HWY_INLINE void TakeAll(const KnownDriftTerms& terms, const NodeBlock& block,
 }
 
 void TakeKnownDrift(const KnownDriftTerms& terms, StateSpace state_space,
-                    const NodeBlock& block, NodeIndex first,
+                    const NodeBlock& block, const BlockColumn& indices,
                     DifferenceBlock* differences) {
   if (state_space == StateSpace::kPlanar) {
-    TakeAll<3>(terms, block, first, differences);
+    TakeAll<3>(terms, block, indices, differences);
   } else {
-    TakeAll<4>(terms, block, first, differences);
+    TakeAll<4>(terms, block, indices, differences);
   }
 }
 
@@ -514,7 +513,7 @@ template <int D>
 HWY_INLINE void EvaluateAsTheyAre(const DifferenceBlock& differences,
                                   BlockSimilarity* similarity) {
   const Tag tag;
-  for (std::size_t i = 0; i < NodeBlock::kSize; i += hn::Lanes(tag)) {
+  for (std::size_t i = 0; i < differences.count; i += hn::Lanes(tag)) {
     const Terms terms = Evaluate<D>(LoadState<D>(differences, i));
     hn::Store(hn::IfThenElse(terms.possible, LogSimilarityOf(terms),
                              hn::Set(tag, kImpossible)),
@@ -542,7 +541,7 @@ HWY_INLINE void EvaluateAllChanged(const DifferenceBlock& differences,
   const Vector cosine = hn::Set(tag, change.cosine);
   const Vector sine = hn::Set(tag, change.sine);
   const Vector kept = hn::Set(tag, 1.0 - change.least_left);
-  for (std::size_t i = 0; i < NodeBlock::kSize; i += hn::Lanes(tag)) {
+  for (std::size_t i = 0; i < differences.count; i += hn::Lanes(tag)) {
     const auto row = hn::Load(index_tag, change.row.data() + i);
     // The row's first entry: row times kMostEntries.
     const auto at = hn::Add(hn::ShiftLeft<3>(row), hn::ShiftLeft<1>(row));
@@ -605,7 +604,7 @@ HWY_INLINE void BoundAllChanged(const DifferenceBlock& differences,
   const Vector kept = hn::Set(tag, 1.0 - bound.least_left);
   const Vector if_least_is_left =
       hn::Set(tag, -0.5 * D * std::log(bound.least_left));
-  for (std::size_t i = 0; i < NodeBlock::kSize; i += hn::Lanes(tag)) {
+  for (std::size_t i = 0; i < differences.count; i += hn::Lanes(tag)) {
     // (d + s)^T G^-1 (d + s) + s^T B^-1 s is at least d^T (G + B)^-1 d.
     State<D> shifted = LoadState<D>(differences, i);
     State<D> left;
@@ -702,10 +701,10 @@ void FindDifferences(const KernelQuery& query, const NodeBlock& block,
 }
 
 void TakeKnownDrift(const KnownDriftTerms& terms, StateSpace state_space,
-                    const NodeBlock& block, NodeIndex first,
+                    const NodeBlock& block, const BlockColumn& indices,
                     DifferenceBlock* differences) {
   HWY_DYNAMIC_DISPATCH(TakeKnownDrift)
-  (terms, state_space, block, first, differences);
+  (terms, state_space, block, indices, differences);
 }
 
 void EvaluateDifferences(StateSpace state_space,

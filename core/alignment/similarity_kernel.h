@@ -64,6 +64,8 @@ inline constexpr std::size_t kMostEntries = 10;
 struct alignas(64) DifferenceBlock {
   std::array<BlockColumn, 4> difference;
   std::array<BlockColumn, kMostEntries> covariance;
+  // Entries from here on are of no interest.
+  std::size_t count = NodeBlock::kSize;
 };
 
 // Finds the differences that EvaluateBlock() evaluates.
@@ -87,10 +89,11 @@ struct KnownDriftTerms {
   double variance_scale = 1.0;
 };
 
-// KnownDrift::Apply() for the nodes of a block, which begins at node `first`.
-// Where the covariance that is left would be ill-conditioned, nothing changes.
+// KnownDrift::Apply() for the nodes of a block, whose indices in the graph are
+// `indices`. Where the covariance that is left would be ill-conditioned,
+// nothing changes.
 void TakeKnownDrift(const KnownDriftTerms& terms, StateSpace state_space,
-                    const NodeBlock& block, NodeIndex first,
+                    const NodeBlock& block, const BlockColumn& indices,
                     DifferenceBlock* differences);
 
 // Evaluates the differences as they are, with exponent 1/2. kImpossible where

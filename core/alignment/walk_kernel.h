@@ -55,8 +55,8 @@ class Walkers {
     kStride,
     // Last node of the road, walked this way.
     kLast,
-    // For the caller: the end from which the path began, and where its steps
-    // are recorded.
+    // For the caller: the slot of the end from which the path began, and where
+    // its steps are recorded.
     kEnd,
     kTrail,
     kBestTrail,

@@ -1,6 +1,7 @@
 #include "core/candidates/mark_search.h"
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <optional>
 #include <vector>
@@ -22,9 +23,10 @@ class OddsByScale {
  public:
   OddsByScale() { log_sums_.fill(kImpossible); }
 
-  void Add(const double* log_odds) {
+  void Add(const double* log_odds, double nodes) {
+    const double log_nodes = std::log(nodes);
     for (std::size_t k = 0; k < kScales; ++k) {
-      log_sums_[k] = LogAdd(log_sums_[k], log_odds[k]);
+      log_sums_[k] = LogAdd(log_sums_[k], log_odds[k] + log_nodes);
     }
   }
   double operator[](std::size_t k) const { return log_sums_[k]; }
@@ -43,7 +45,7 @@ absl::StatusOr<MarkEvidence> SearchMark(const SearchTask& task) {
   model.tell_scales = true;
   const std::optional<RelativeAlignment> alignment =
       AlignRelative(task.graph, model, task.query, task.steps,
-                    task.history_size, task.should_stop);
+                    task.history_size, task.should_stop, task.parts);
   if (!alignment) return StoppedError();
   MarkEvidence evidence;
   evidence.node = task.query;
@@ -54,7 +56,7 @@ absl::StatusOr<MarkEvidence> SearchMark(const SearchTask& task) {
     const ScoredEnds& ends = alignment->ends(direction);
     const std::vector<double>& odds = alignment->odds_by_scale(direction);
     for (std::size_t i = 0; i < ends.size(); ++i) {
-      all.Add(&odds[i * kScales]);
+      all.Add(&odds[i * kScales], ends[i].nodes);
       if (!(ends[i].score > best)) continue;
       best = ends[i].score;
       best_direction = direction;
@@ -71,7 +73,7 @@ absl::StatusOr<MarkEvidence> SearchMark(const SearchTask& task) {
                  kMatchRadiusMeters;
         });
     for (std::size_t i = around.first; i < around.last; ++i) {
-      near.Add(&odds[i * kScales]);
+      near.Add(&odds[i * kScales], ends[i].nodes);
     }
   }
   for (std::size_t k = 0; k < kScales; ++k) {

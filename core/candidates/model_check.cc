@@ -108,6 +108,30 @@ std::optional<FindingCode> ModelCheck::Judge(CorrelationModel model) const {
   return std::nullopt;
 }
 
+void ModelCheck::Save(ByteWriter* writer) const {
+  writer->PutOptional(stretch_start_);
+  writer->Put(growing_);
+  writer->PutOptional(before_);
+  writer->PutOptional(last_);
+  writer->Put(smooth_);
+}
+
+bool ModelCheck::Load(ByteReader* reader) {
+  constexpr std::size_t kNumbers = sizeof(Estimate) / sizeof(double);
+  return reader->GetOptional(&stretch_start_) && reader->Get(&growing_) &&
+         reader->GetOptional(&before_) && reader->GetOptional(&last_) &&
+         reader->Get(&smooth_) &&
+         (!stretch_start_ ||
+          AreFinite(&stretch_start_->position.x, kNumbers)) &&
+         IsFinite(before_) && IsFinite(last_) && growing_.IsValid() &&
+         smooth_.IsValid();
+}
+
+bool ModelCheck::IsFinite(const std::optional<Position>& position) {
+  return !position ||
+         AreFinite(&position->x, sizeof(Position) / sizeof(double));
+}
+
 std::optional<Finding> ModelCheck::Find(CorrelationModel model) const {
   const std::optional<FindingCode> code = Judge(model);
   if (!code) return std::nullopt;

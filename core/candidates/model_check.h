@@ -36,6 +36,7 @@
 
 #include <optional>
 
+#include "core/base/byte_stream.h"
 #include "core/geometry/pose.h"
 #include "core/graph/correlation.h"
 
@@ -97,6 +98,11 @@ class ModelCheck {
   // The same with what was seen.
   std::optional<Finding> Find(CorrelationModel model) const;
 
+  void Save(ByteWriter* writer) const;
+  // Goes on where another was when it was saved; false, and unspecified, if
+  // none can have been so.
+  bool Load(ByteReader* reader);
+
  private:
   // A position with its covariance, in the plane. Vehicles are many, so no more
   // is kept of a pose than is needed.
@@ -127,12 +133,16 @@ class ModelCheck {
     double counted() const { return counted_; }
     // REQUIRES: counted() > 0.
     double value() const { return of_ / counted_; }
+    bool IsValid() const {
+      return 0.0 <= of_ && of_ <= counted_ && counted_ <= kLastTriples + 1.0;
+    }
 
    private:
     double counted_ = 0.0;
     double of_ = 0.0;
   };
 
+  static bool IsFinite(const std::optional<Position>& position);
   static double MetersBetween(const Position& a, const Position& b);
   static double VarianceAlong(const Position& position, double x, double y);
   static double CarriedVariance(const Estimate& from, const Position& to);

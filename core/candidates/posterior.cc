@@ -44,7 +44,7 @@ Posterior::Posterior(const PoseGraph& graph, double stretch_radius_meters,
       const double term = end.score - greatest;
       if (term < largest - kNegligible) continue;
       largest = std::max(largest, term);
-      sum += std::exp(term);
+      sum += end.nodes * std::exp(term);
     }
   }
   log_total_ = greatest + std::log(sum);
@@ -58,7 +58,9 @@ auto Posterior::Claim(Direction direction, NodeIndex j) -> Stretch {
   Stretch stretch{0.0, j, j};
   std::vector<double> claimed;
   for (std::size_t k = around.first; k < around.last; ++k) {
-    claimed.push_back(Probability(std::exchange(ends[k].score, kImpossible)));
+    claimed.push_back(
+        ends[k].nodes *
+        Probability(std::exchange(ends[k].score, kImpossible)));
     stretch.probability += claimed.back();
   }
   const double cut_off = 0.5 * (1.0 - kIntervalShare) * stretch.probability;

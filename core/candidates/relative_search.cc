@@ -40,7 +40,8 @@ class RelativeSearch {
 
   absl::Status Run(CandidateSet* set) {
     alignment_ = AlignRelative(task_.graph, model_, task_.query, task_.steps,
-                               task_.history_size, task_.should_stop);
+                               task_.history_size, task_.should_stop,
+                               task_.parts);
     if (!alignment_) return StoppedError();
     set->nodes_considered = alignment_->considered();
     set->nodes_pruned = task_.history_size - alignment_->considered();
@@ -225,6 +226,7 @@ RelativeModel ModelOf(const SearchTask& task, double pruned_share) {
         static_cast<double>(task.history_size);
     model.least_log_share = std::log(pruned_share / ends);
     model.block_bounds = &task.block_bounds;
+    model.most_log_odds_sampled = kMostLogOddsSampled;
   }
   return model;
 }

@@ -14,6 +14,9 @@ namespace revisit::core {
 // all ends together.
 inline constexpr double kPrunedShare = 1e-6;
 
+// Ends with log-odds below this (odds of 1 in 100) are sampled.
+inline constexpr double kMostLogOddsSampled = -4.6;
+
 // The model of a task. Ends are pruned that have at most `pruned_share` of all
 // odds together; none if it is 0.
 RelativeModel ModelOf(const SearchTask& task, double pruned_share);

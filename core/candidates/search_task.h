@@ -9,6 +9,7 @@
 #include "absl/status/status.h"
 #include "core/alignment/confirmed_loop.h"
 #include "core/alignment/log_similarity.h"
+#include "core/alignment/relative.h"
 #include "core/alignment/scored_ends.h"
 #include "core/alignment/viterbi.h"
 #include "core/belief/drive_belief.h"
@@ -43,6 +44,8 @@ struct SearchTask {
   std::optional<DriveBelief> belief;
 
   const ShouldStop& should_stop;
+  // Those of an alignment of the same nodes with the same options, or null.
+  AlignmentParts* parts = nullptr;
 };
 
 // The directions that a search looks in: the same direction first.

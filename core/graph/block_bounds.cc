@@ -40,17 +40,43 @@ bool NoiseIsAdded(StateSpace space, const PoseGraph& graph, NodeIndex earlier,
 void BlockBounds::Extend(const PoseGraph& graph) {
   while (FirstNode(blocks_.size() + 2) < graph.size()) {
     const std::size_t k = blocks_.size();
-    const Bounds bounds = Measure(graph, k);
-    blocks_.push_back(bounds);
-    if (k % kGroup == 0) {
-      groups_.push_back(bounds);
-    } else {
-      Join(bounds, &groups_.back());
-    }
+    Add(Measure(graph, k));
     const std::uint32_t since = k == 0 ? 0 : growing_since_.back();
     growing_since_.push_back(
         Grows(graph, k) ? since : static_cast<std::uint32_t>(k + 1));
   }
+}
+
+void BlockBounds::Add(const Bounds& bounds) {
+  if (blocks_.size() % kGroup == 0) {
+    groups_.push_back(bounds);
+  } else {
+    Join(bounds, &groups_.back());
+  }
+  blocks_.push_back(bounds);
+}
+
+void BlockBounds::SaveBlocks(std::size_t first, std::size_t end,
+                             ByteWriter* writer) const {
+  writer->PutArray(blocks_.data() + first, end - first);
+  writer->PutArray(growing_since_.data() + first, end - first);
+}
+
+bool BlockBounds::LoadBlocks(std::size_t count, ByteReader* reader) {
+  for (std::size_t i = 0; i < count; ++i) {
+    Bounds bounds;
+    if (!reader->Get(&bounds) ||
+        !AreFinite(&bounds.least_x, sizeof(bounds) / sizeof(double))) {
+      return false;
+    }
+    Add(bounds);
+  }
+  for (std::size_t k = blocks_.size() - count; k < blocks_.size(); ++k) {
+    std::uint32_t since = 0;
+    if (!reader->Get(&since) || since > k + 1) return false;
+    growing_since_.push_back(since);
+  }
+  return true;
 }
 
 // Errors grow in a block if they grow from each of its nodes to the first node

@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/base/byte_stream.h"
 #include "core/geometry/pose.h"
 #include "core/graph/pose_graph.h"
 
@@ -25,6 +26,12 @@ class BlockBounds {
 
   // Bounds are known of blocks [0, size()).
   std::size_t size() const { return blocks_.size(); }
+
+  // The bounds of blocks [first, end) as bytes. REQUIRES: end <= size().
+  void SaveBlocks(std::size_t first, std::size_t end, ByteWriter* writer) const;
+  // Adds `count` blocks that were saved; false if these are none: then throw
+  // this away.
+  bool LoadBlocks(std::size_t count, ByteReader* reader);
 
   // The first k such that in blocks [k, blocks) errors grow as those of dead
   // reckoning do: for each of their nodes j and the query q,
@@ -87,6 +94,7 @@ class BlockBounds {
     double most_variance;
   };
 
+  void Add(const Bounds& bounds);
   static bool Near(const Region& region, const Bounds& bounds);
   static void Join(const Bounds& more, Bounds* bounds);
   Bounds Measure(const PoseGraph& graph, std::size_t k) const;

@@ -95,6 +95,53 @@ std::optional<Jump> DistanceResampler::Add(const PoseSample& sample,
   return std::nullopt;
 }
 
+void DistanceResampler::Save(ByteWriter* writer) const {
+  writer->PutOptional(anchor_);
+  writer->Put(last_sequence_);
+  writer->PutOptional(last_stamp_ns_);
+  writer->Put(travelled_meters_);
+  writer->Put(segment_start_meters_);
+  writer->Put(segment_nodes_);
+  for (const Eigen::Matrix4d* matrix : {&node_to_anchor_, &anchor_to_last_}) {
+    writer->PutArray(matrix->data(), 16);
+  }
+}
+
+bool DistanceResampler::Load(const PoseGraph& graph,
+                             std::uint64_t last_sequence, ByteReader* reader) {
+  if (!reader->GetOptional(&anchor_) || !reader->Get(&last_sequence_) ||
+      !reader->GetOptional(&last_stamp_ns_) ||
+      !reader->Get(&travelled_meters_) ||
+      !reader->Get(&segment_start_meters_) || !reader->Get(&segment_nodes_)) {
+    return false;
+  }
+  for (Eigen::Matrix4d* matrix : {&node_to_anchor_, &anchor_to_last_}) {
+    if (!reader->GetArray(matrix->data(), 16) ||
+        !AreFinite(matrix->data(), 16)) {
+      return false;
+    }
+  }
+  if (!anchor_) return graph.size() == 0 && last_sequence == 0;
+  if (graph.size() == 0) return false;
+  const double spacing = options_.spacing_meters;
+  const Node last = graph.node(graph.size() - 1);
+  const double last_mark =
+      segment_start_meters_ + static_cast<double>(segment_nodes_ - 1) * spacing;
+  // From a place far behind, or so far on that a spacing is lost in rounding,
+  // the next step would add nodes without end.
+  return last_sequence_ == last_sequence && last.sequence <= last_sequence &&
+         !FindDefect({last_sequence_, last_stamp_ns_, anchor_->pose,
+                      anchor_->covariance, std::nullopt},
+                     options_.state_space) &&
+         segment_nodes_ > 0 && segment_nodes_ <= graph.size() &&
+         segment_start_meters_ >= 0.0 &&
+         std::abs(last_mark - last.travelled_meters) <= 1e-3 * spacing &&
+         travelled_meters_ >= last.travelled_meters - spacing &&
+         travelled_meters_ <= last.travelled_meters + 2.0 * spacing &&
+         travelled_meters_ <=
+             static_cast<double>(graph.size() + 1) * 2.0 * spacing;
+}
+
 void DistanceResampler::SetAnchor(const PoseSample& sample) {
   anchor_ = Anchor{sample.pose, sample.covariance};
   if (options_.carry_transitions) anchor_to_last_.setIdentity();

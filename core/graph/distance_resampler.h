@@ -18,6 +18,7 @@
 #include <cstdint>
 #include <optional>
 
+#include "core/base/byte_stream.h"
 #include "core/geometry/pose.h"
 #include "core/graph/pose_graph.h"
 
@@ -52,6 +53,12 @@ class DistanceResampler {
 
   // Path length up to the last counted pose, without jumps.
   double travelled_meters() const { return travelled_meters_; }
+
+  void Save(ByteWriter* writer) const;
+  // Goes on where another was when it was saved. False, and unspecified, unless
+  // that can have made this graph up to `last_sequence`.
+  bool Load(const PoseGraph& graph, std::uint64_t last_sequence,
+            ByteReader* reader);
 
  private:
   // The part of a counted pose that the next step needs.

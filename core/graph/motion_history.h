@@ -9,7 +9,7 @@
 // query asks about are measured during the query, so answers equal those of the
 // slow functions to the last bit, whatever has been added so far.
 //
-// Takes at most 10.5 bytes per node, and about 21 while the two longest runs
+// Takes at most 12.5 bytes per node, and about 21 while the two longest runs
 // are merged.
 //
 // Thread-compatible: const calls may run at the same time.
@@ -20,8 +20,10 @@
 #include <variant>
 #include <vector>
 
+#include "core/base/byte_stream.h"
 #include "core/geometry/pose.h"
 #include "core/graph/correlation.h"
+#include "core/graph/heading_bins.h"
 #include "core/graph/motion_statistics.h"
 #include "core/graph/pose_graph.h"
 #include "core/graph/turn_pairs.h"
@@ -40,6 +42,7 @@ class MotionHistory {
   NodeIndex stretch_nodes() const { return turn_bins_.stretch_nodes(); }
   // Those of all nodes that were added.
   const TurnBins& turn_bins() const { return turn_bins_; }
+  const HeadingBins& heading_bins() const { return heading_bins_; }
 
   // Adds the nodes that the graph has grown by. Amortised O(log n) per node.
   void Extend(const PoseGraph& graph);
@@ -59,6 +62,17 @@ class MotionHistory {
   // Memory held on the heap.
   std::size_t bytes() const;
 
+  // What is kept of blocks [first, end) of the graph as bytes: the same,
+  // whatever was added since. REQUIRES: these blocks were added; end - first is
+  // a power of two that divides `first`.
+  void SaveBlocks(const PoseGraph& graph, std::size_t first, std::size_t end,
+                  ByteWriter* writer) const;
+  // Adds `count` blocks that were saved. False if these are not so many blocks:
+  // then throw this away. Call EndLoading() before anything else. REQUIRES: all
+  // before them have come by this call, in the same numbers.
+  bool LoadBlocks(std::size_t count, ByteReader* reader);
+  void EndLoading();
+
  private:
   static constexpr NodeIndex kBlockNodes = 128;
 
@@ -77,6 +91,7 @@ class MotionHistory {
 
   Correlation correlation_;
   TurnBins turn_bins_;
+  HeadingBins heading_bins_;
   // Entry k sums over the first k + 1 blocks.
   template <int D>
   using Sums = std::vector<MotionSums<D>>;

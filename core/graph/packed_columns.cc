@@ -44,4 +44,30 @@ PackedColumns::PackedColumns(const std::vector<std::uint64_t>& values,
   }
 }
 
+void PackedColumns::Save(ByteWriter* writer) const {
+  writer->PutCounted(words_.data(), words_.size());
+}
+
+bool PackedColumns::Load(std::size_t columns, std::size_t rows,
+                         ByteReader* reader) {
+  // Entries of 64 bits each, the heads, and the word behind them.
+  const std::size_t most = columns * (rows + kHeadWords) + 1;
+  words_.clear();
+  if (!reader->GetCounted(most, &words_) ||
+      words_.size() < kHeadWords * columns + 1) {
+    return false;
+  }
+  for (std::size_t c = 0; c < columns; ++c) {
+    const std::uint64_t head = words_[kHeadWords * c + 1];
+    const std::uint64_t width = head & 0xff;
+    const std::uint64_t shift = head >> 8 & 0xff;
+    const std::uint64_t last = (head >> 16) + (rows - 1) * width;
+    if (width > 64 || shift > 63 || width + shift > 64 ||
+        last / 64 + 1 >= words_.size()) {
+      return false;
+    }
+  }
+  return true;
+}
+
 }  // namespace revisit::core

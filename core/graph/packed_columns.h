@@ -2,7 +2,7 @@
 // a column share are kept once, so an entry takes only as many bits as tell the
 // column's entries apart.
 //
-// Immutable, so thread-safe.
+// Immutable once made or loaded, so thread-safe.
 #ifndef REVISIT_CORE_GRAPH_PACKED_COLUMNS_H_
 #define REVISIT_CORE_GRAPH_PACKED_COLUMNS_H_
 
@@ -10,6 +10,8 @@
 #include <cstdint>
 #include <cstring>
 #include <vector>
+
+#include "core/base/byte_stream.h"
 
 namespace revisit::core {
 
@@ -49,6 +51,11 @@ class PackedColumns {
   }
 
   std::size_t bytes() const { return words_.capacity() * sizeof(words_[0]); }
+
+  void Save(ByteWriter* writer) const;
+  // Becomes what was saved. False, and unspecified, unless these are so many
+  // columns of so many rows: then at() stays within them, whatever the entries.
+  bool Load(std::size_t columns, std::size_t rows, ByteReader* reader);
 
  private:
   static constexpr std::size_t kHeadWords = 2;

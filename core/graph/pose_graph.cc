@@ -4,6 +4,8 @@
 #include <cassert>
 #include <cmath>
 #include <iterator>
+#include <limits>
+#include <utility>
 
 namespace revisit::core {
 
@@ -46,6 +48,20 @@ void NodeBlock::Add(std::size_t at, const Pose& pose,
       const Row row = CovarianceRow(r, c);
       if (row < kPlanarRows || spatial_) entry(row) = covariance(r, c);
     }
+  }
+}
+
+void NodeBlock::Copy(const NodeBlock& from, std::size_t from_at,
+                     std::size_t at) {
+  if (from.spatial_ && !spatial_) BecomeSpatial();
+  const std::size_t group = at / kGroupSize;
+  if (group == groups()) lines_.resize(lines_.size() + rows());
+  const double* const entry =
+      from.group(from_at / kGroupSize) + from_at % kGroupSize;
+  Line* const lines = lines_.data() + group * rows();
+  for (std::size_t row = 0; row < rows(); ++row) {
+    lines[row].entries[at % kGroupSize] =
+        row < from.rows() ? entry[row * kGroupSize] : 0.0;
   }
 }
 
@@ -164,9 +180,7 @@ std::size_t PoseGraph::NodesAtATime() const {
 
 void PoseGraph::Pack() {
   std::vector<std::uint64_t> columns;
-  columns.reserve(
-      NodeBlock::kSize *
-      (kTransition + (has_transitions_ ? ErrorTransition{}.values.size() : 0)));
+  columns.reserve(NodeBlock::kSize * PackedColumnCount(has_transitions_));
   const auto add = [&columns](const auto& rows, const auto& packable) {
     for (const auto& row : rows) columns.push_back(packable(row));
   };
@@ -209,6 +223,173 @@ std::size_t PoseGraph::bytes() const {
   return full_bytes_ + last + bytes_of(blocks_) + bytes_of(packed_) +
          bytes_of(records_) + bytes_of(transitions_) +
          bytes_of(segment_starts_) + loop_neighbours_.size() * loop_end;
+}
+
+void NodeBlock::Save(ByteWriter* writer) const {
+  writer->Put(static_cast<std::uint8_t>(spatial_ ? 1 : 0));
+  writer->PutArray(lines_.data(), lines_.size());
+}
+
+bool NodeBlock::Load(std::size_t nodes, ByteReader* reader) {
+  std::uint8_t spatial = 0;
+  if (!reader->Get(&spatial) || spatial > 1) return false;
+  spatial_ = spatial == 1;
+  const std::size_t lines = (nodes + kGroupSize - 1) / kGroupSize * rows();
+  if (lines > reader->rest().size() / sizeof(Line)) return false;
+  lines_.resize(lines);
+  return reader->GetArray(lines_.data(), lines) &&
+         AreFinite(lines_.front().entries.data(), lines * kGroupSize);
+}
+
+void PoseGraph::SaveSegmentStarts(std::size_t first, std::size_t end,
+                                  ByteWriter* writer) const {
+  const auto at = [this](std::size_t block) {
+    return std::lower_bound(segment_starts_.begin(), segment_starts_.end(),
+                            static_cast<NodeIndex>(block * NodeBlock::kSize));
+  };
+  const auto from = at(first);
+  writer->PutCounted(segment_starts_.data() + (from - segment_starts_.begin()),
+                     static_cast<std::size_t>(at(end) - from));
+}
+
+bool PoseGraph::LoadSegmentStarts(NodeIndex end, ByteReader* reader) {
+  const std::size_t before = segment_starts_.size();
+  if (!reader->GetCounted(static_cast<std::size_t>(end - size_),
+                          &segment_starts_)) {
+    return false;
+  }
+  NodeIndex least = size_;
+  for (std::size_t i = before; i < segment_starts_.size(); ++i) {
+    if (segment_starts_[i] < least || segment_starts_[i] >= end) return false;
+    least = segment_starts_[i] + 1;
+  }
+  return end == 0 || (!segment_starts_.empty() && segment_starts_[0] == 0);
+}
+
+void PoseGraph::SaveBlocks(std::size_t first, std::size_t end,
+                           ByteWriter* writer) const {
+  assert(first <= end && end <= full_blocks());
+  SaveSegmentStarts(first, end, writer);
+  for (std::size_t k = first; k < end; ++k) {
+    blocks_[k].Save(writer);
+    packed_[k].Save(writer);
+  }
+}
+
+bool PoseGraph::LoadBlocks(std::size_t count, bool transitions,
+                           ByteReader* reader) {
+  const NodeIndex first = size_;
+  const std::size_t blocks = blocks_.size() + count;
+  const auto end = static_cast<NodeIndex>(blocks * NodeBlock::kSize);
+  if (!LoadSegmentStarts(end, reader)) return false;
+  has_transitions_ = transitions;
+  for (std::size_t k = 0; k < count; ++k) {
+    NodeBlock block;
+    PackedColumns packed;
+    if (!block.Load(NodeBlock::kSize, reader) ||
+        !packed.Load(PackedColumnCount(transitions), NodeBlock::kSize,
+                     reader)) {
+      return false;
+    }
+    full_bytes_ += block.bytes() + packed.bytes();
+    blocks_.push_back(std::move(block));
+    packed_.push_back(std::move(packed));
+  }
+  size_ = end;
+  return IsOrdered(first);
+}
+
+void PoseGraph::SaveRest(std::size_t first, ByteWriter* writer) const {
+  const std::size_t full = full_blocks();
+  assert(first <= full);
+  writer->Put(static_cast<std::uint64_t>(full - first));
+  SaveBlocks(first, full, writer);
+  writer->Put(static_cast<std::uint64_t>(records_.size()));
+  SaveSegmentStarts(full, full + 1, writer);
+  if (records_.empty()) return;
+  blocks_.back().Save(writer);
+  writer->PutArray(records_.data(), records_.size());
+  for (std::size_t at = 0; at < records_.size(); ++at) {
+    writer->Put(static_cast<std::uint8_t>(has_stamp_[at] ? 1 : 0));
+  }
+  writer->PutArray(transitions_.data(), transitions_.size());
+}
+
+bool PoseGraph::LoadRest(bool transitions, ByteReader* reader) {
+  std::uint64_t full = 0;
+  std::uint64_t nodes = 0;
+  if (!reader->Get(&full) || full > reader->rest().size() ||
+      !LoadBlocks(static_cast<std::size_t>(full), transitions, reader) ||
+      !reader->Get(&nodes) || nodes > NodeBlock::kSize ||
+      (nodes == 0 && size_ > 0)) {
+    return false;
+  }
+  const NodeIndex first = size_;
+  const auto count = static_cast<std::size_t>(nodes);
+  const auto end = first + static_cast<NodeIndex>(count);
+  if (!LoadSegmentStarts(end, reader)) return false;
+  has_transitions_ = transitions && end > 0;
+  if (end == 0) return true;
+  blocks_.emplace_back();
+  records_.resize(count);
+  if (!blocks_.back().Load(count, reader) ||
+      !reader->GetArray(records_.data(), count)) {
+    return false;
+  }
+  for (std::size_t at = 0; at < count; ++at) {
+    std::uint8_t has_stamp = 0;
+    if (!reader->Get(&has_stamp) || has_stamp > 1) return false;
+    has_stamp_[at] = has_stamp == 1;
+  }
+  if (transitions) {
+    transitions_.resize(count);
+    if (!reader->GetArray(transitions_.data(), count)) return false;
+  }
+  size_ = end;
+  return IsOrdered(first);
+}
+
+bool PoseGraph::IsOrdered(NodeIndex first) const {
+  std::uint64_t sequence = 0;
+  double travelled = 0.0;
+  const auto follows = [&](std::uint64_t next, double fraction, double meters) {
+    // Written so that NaN is not in order.
+    const bool ordered = next >= sequence && fraction >= 0.0 &&
+                         fraction < 1.0 && meters >= travelled &&
+                         meters <= std::numeric_limits<double>::max();
+    sequence = next;
+    travelled = meters;
+    return ordered;
+  };
+  if (first > 0) {
+    const Node before = node(first - 1);
+    sequence = before.sequence;
+    travelled = before.travelled_meters;
+  }
+  for (std::size_t k = Position(first) / NodeBlock::kSize; k < packed_.size();
+       ++k) {
+    std::array<double, NodeBlock::kSize> meters;
+    std::array<double, NodeBlock::kSize> fractions;
+    packed_[k].Visit(kTravelled, NodeBlock::kSize,
+                     [&](std::size_t row, std::uint64_t packable) {
+                       meters[row] = FromPackable(packable);
+                     });
+    packed_[k].Visit(kFraction, NodeBlock::kSize,
+                     [&](std::size_t row, std::uint64_t packable) {
+                       fractions[row] = FromPackable(packable);
+                     });
+    bool ordered = true;
+    packed_[k].Visit(kSequence, NodeBlock::kSize,
+                     [&](std::size_t row, std::uint64_t next) {
+                       ordered &= follows(next, fractions[row], meters[row]);
+                     });
+    if (!ordered) return false;
+  }
+  return std::all_of(records_.begin(), records_.end(),
+                     [&](const Record& record) {
+                       return follows(record.sequence, record.fraction,
+                                      record.travelled_meters);
+                     });
 }
 
 void PoseGraph::AddLoopEdge(NodeIndex a, NodeIndex b) {

@@ -19,6 +19,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/base/byte_stream.h"
 #include "core/geometry/pose.h"
 #include "core/graph/packed_columns.h"
 
@@ -118,7 +119,16 @@ class NodeBlock {
   void Add(std::size_t at, const Pose& pose, const Covariance& covariance,
            std::size_t groups_at_a_time);
 
+  // Copies a node of another block. REQUIRES: at < kSize is at most the number
+  // of nodes so far.
+  void Copy(const NodeBlock& from, std::size_t from_at, std::size_t at);
+
   std::size_t bytes() const { return lines_.capacity() * sizeof(Line); }
+
+  void Save(ByteWriter* writer) const;
+  // Becomes what was saved. False, and unspecified, unless these are `nodes`
+  // nodes of finite values.
+  bool Load(std::size_t nodes, ByteReader* reader);
 
  private:
   struct alignas(64) Line {
@@ -231,6 +241,21 @@ class PoseGraph {
   // Memory of nodes and edges, without the allocator's overhead. O(1).
   std::size_t bytes() const;
 
+  // ---- The nodes as bytes. Loop-closure edges are not among them.
+
+  // Blocks [0, full_blocks()) never change again.
+  std::size_t full_blocks() const { return packed_.size(); }
+  // REQUIRES: first <= end <= full_blocks().
+  void SaveBlocks(std::size_t first, std::size_t end, ByteWriter* writer) const;
+  // The nodes from block `first` on. REQUIRES: first <= full_blocks().
+  void SaveRest(std::size_t first, ByteWriter* writer) const;
+  // Adds `count` blocks that were saved, and the rest behind them. False if
+  // these are not so many blocks, or not such as a graph with, or without,
+  // transitions could have: then throw the graph away. REQUIRES: all nodes of
+  // the graph have come by LoadBlocks().
+  bool LoadBlocks(std::size_t count, bool transitions, ByteReader* reader);
+  bool LoadRest(bool transitions, ByteReader* reader);
+
  private:
   // The fields of a node that are not in its block, for nodes of the last
   // block.
@@ -266,6 +291,15 @@ class PoseGraph {
   std::size_t NodesAtATime() const;
   // Packs the records, once the last block is full.
   void Pack();
+  static std::size_t PackedColumnCount(bool transitions) {
+    return kTransition + (transitions ? ErrorTransition{}.values.size() : 0);
+  }
+  void SaveSegmentStarts(std::size_t first, std::size_t end,
+                         ByteWriter* writer) const;
+  // Adds those of nodes [size_, end).
+  bool LoadSegmentStarts(NodeIndex end, ByteReader* reader);
+  // Whether nodes from `first` on may follow those before them.
+  bool IsOrdered(NodeIndex first) const;
 
   NodeIndex size_ = 0;
   bool has_transitions_ = false;

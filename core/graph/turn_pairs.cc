@@ -38,6 +38,25 @@ void TurnBins::Extend(const PoseGraph& graph) {
   }
 }
 
+void TurnBins::SaveNodes(std::size_t first, std::size_t end,
+                         ByteWriter* writer) const {
+  writer->PutArray(bins_.data() + first, end - first);
+}
+
+bool TurnBins::LoadNodes(std::size_t count, ByteReader* reader) {
+  if (count > reader->rest().size()) return false;
+  const std::size_t before = bins_.size();
+  const std::size_t size = before + count;
+  if (size > bins_.capacity()) bins_.reserve(size + size / 8);
+  bins_.resize(size);
+  if (!reader->GetArray(bins_.data() + before, count)) return false;
+  bool valid = true;
+  for (std::size_t i = before; i < size; ++i) {
+    valid &= bins_[i] < kTurnBins || bins_[i] == kNoTurn;
+  }
+  return valid;
+}
+
 TurnPairs::TurnPairs(const TurnBins& bins, NodeIndex last)
     : counts_(kTurnBins * kTurnBins), later_(kTurnBins) {
   const std::vector<std::uint8_t>& all = bins.bins();

@@ -14,6 +14,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/base/byte_stream.h"
 #include "core/graph/pose_graph.h"
 
 namespace revisit::core {
@@ -37,6 +38,11 @@ class TurnBins {
   NodeIndex size() const { return static_cast<NodeIndex>(bins_.size()); }
   const std::vector<std::uint8_t>& bins() const { return bins_; }
   std::size_t bytes() const { return bins_.capacity(); }
+
+  // The bins of nodes [first, end) as bytes. REQUIRES: end <= size().
+  void SaveNodes(std::size_t first, std::size_t end, ByteWriter* writer) const;
+  // Adds so many nodes that were saved; false if these are none.
+  bool LoadNodes(std::size_t count, ByteReader* reader);
 
  private:
   NodeIndex stretch_nodes_;

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "google/protobuf/arena.h"
 #include "google/protobuf/io/coded_stream.h"
 #include "server/base/status.h"
 #include "server/conversion/covariances.h"
@@ -109,21 +110,23 @@ void AddPose(const stored::Pose& pose, DecodedBatch* batch) {
   batch->fingerprints.push_back(XXH3_64bits(next, size));
 }
 
+absl::Status NotABatch() {
+  return Corrupt("a stored batch is not a PoseBatch");
+}
+
 absl::StatusOr<stored::PoseBatch> ParseBatch(const std::string& payload) {
   stored::PoseBatch batch;
-  if (!batch.ParseFromString(payload)) {
-    return Corrupt("a stored batch is not a PoseBatch");
-  }
+  if (!batch.ParseFromString(payload)) return NotABatch();
   return batch;
 }
 
+// Samples and origin; not what AddPose() makes.
 absl::StatusOr<DecodedBatch> DecodeStored(const stored::PoseBatch& stored,
                                           const VehicleConfig& config) {
   Violations violations;
   PoseDecoder decoder(config, PoseSource::kStored, &violations);
   DecodedBatch batch;
   batch.samples.reserve(static_cast<std::size_t>(stored.poses_size()));
-  batch.fingerprints.reserve(static_cast<std::size_t>(stored.poses_size()));
   v1::Pose pose;
   for (int i = 0; i < stored.poses_size(); ++i) {
     const FieldPath path = FieldPath().At("poses", static_cast<std::size_t>(i));
@@ -133,11 +136,15 @@ absl::StatusOr<DecodedBatch> DecodeStored(const stored::PoseBatch& stored,
       CheckFollows(stored.poses(i - 1).sequence(), pose.sequence(), path,
                    &violations);
     }
-    AddPose(stored.poses(i), &batch);
   }
   if (violations.count() > 0) return violations.ToStatus();
   batch.origin = decoder.origin();
   return batch;
+}
+
+absl::Status DoesNotDecode(const absl::Status& cause) {
+  return Corrupt(
+      absl::StrCat("a stored batch does not decode: ", cause.message()));
 }
 
 // ---- Revisions
@@ -234,11 +241,23 @@ absl::StatusOr<DecodedBatch> ProtoRecordCodec::DecodeBatch(
   const absl::StatusOr<stored::PoseBatch> batch = ParseBatch(payload);
   if (!batch.ok()) return batch.status();
   absl::StatusOr<DecodedBatch> decoded = DecodeStored(*batch, config);
-  if (!decoded.ok()) {
-    return Corrupt(absl::StrCat("a stored batch does not decode: ",
-                                decoded.status().message()));
-  }
+  if (!decoded.ok()) return DoesNotDecode(decoded.status());
+  decoded->fingerprints.reserve(static_cast<std::size_t>(batch->poses_size()));
+  for (const stored::Pose& pose : batch->poses()) AddPose(pose, &*decoded);
   return decoded;
+}
+
+absl::StatusOr<std::vector<core::PoseSample>> ProtoRecordCodec::DecodeSamples(
+    const std::string& payload, const VehicleConfig& config) const {
+  // Four messages a pose, each allocated by itself, would take longer than all
+  // else.
+  google::protobuf::Arena arena;
+  auto* const batch =
+      google::protobuf::Arena::CreateMessage<stored::PoseBatch>(&arena);
+  if (!batch->ParseFromString(payload)) return NotABatch();
+  absl::StatusOr<DecodedBatch> decoded = DecodeStored(*batch, config);
+  if (!decoded.ok()) return DoesNotDecode(decoded.status());
+  return std::move(decoded->samples);
 }
 
 absl::StatusOr<std::string> ProtoRecordCodec::SliceBatch(

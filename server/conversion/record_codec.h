@@ -29,6 +29,8 @@ class ProtoRecordCodec : public RecordCodec {
       const VehicleRecord& record) const override;
   absl::StatusOr<DecodedBatch> DecodeBatch(
       const std::string& payload, const VehicleConfig& config) const override;
+  absl::StatusOr<std::vector<core::PoseSample>> DecodeSamples(
+      const std::string& payload, const VehicleConfig& config) const override;
   absl::StatusOr<std::optional<core::LoopMeasurement>> DecodeMeasurement(
       const std::string& payload, core::StateSpace space) const override;
   absl::StatusOr<std::string> SliceBatch(const std::string& payload,

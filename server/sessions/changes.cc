@@ -263,15 +263,18 @@ void Changes::AddPosePair(PairKind kind, PosePairRecord pair,
   }
   queue_->Hold();
   queue_->PostLong([this, kind, pair = std::move(pair), measured, callback] {
-    const absl::Status read = measured->ReadPoses(*vehicle_);
+    const absl::Status read =
+        measured
+            ->ReadPoses(*vehicle_, vehicle_->config, vehicle_->durable_sequence,
+                        [] { return true; })
+            .status();
     queue_->Release([&] {
       if (read.ok()) {
         StorePair(kind, pair, measured->Find(pair), callback);
         return;
       }
-      // Damage that was not known: the vehicle has to be loaded anew.
-      if (absl::IsDataLoss(read)) vehicle_->Leave(vehicle_->OutOfStep());
       callback(read);
+      if (absl::IsDataLoss(read)) LoadAnew();
     });
   });
 }
@@ -454,6 +457,19 @@ void Changes::TakeBack(PairKind kind, const PosePairRecord& pair,
   }
   vehicle_->engine->RemoveLoopClosure(
       pair.query_sequence, pair.matched_sequence, revision, occurrence);
+}
+
+void Changes::LoadAnew() {
+  if (!vehicle_->damage.ok()) return;
+  queue_->set_store_lead(VehicleQueue::StoreLead::kVehicle);
+  Write(
+      [&](Storage::Done done) {
+        vehicle_->storage->DropSnapshot(vehicle_->key, std::move(done));
+      },
+      [this](const absl::Status&) {
+        queue_->set_store_lead(VehicleQueue::StoreLead::kNone);
+        if (!vehicle_->gone_status) vehicle_->Leave(vehicle_->OutOfStep());
+      });
 }
 
 void Changes::Delete(const std::function<void(absl::Status)>& callback) {

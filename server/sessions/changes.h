@@ -81,6 +81,9 @@ class Changes {
       PairKind kind, const std::string& id,
       const std::function<void(absl::StatusOr<std::uint64_t>)>& callback);
   void Delete(const std::function<void(absl::Status)>& callback);
+  // The stored poses have damage that was not known: the vehicle leaves, to be
+  // loaded anew from the poses themselves, which show what is sound.
+  void LoadAnew();
 
  private:
   using Then = std::function<void(const absl::Status&)>;

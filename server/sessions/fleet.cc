@@ -1,6 +1,9 @@
 #include "server/sessions/fleet.h"
 
 #include <algorithm>
+#include <atomic>
+#include <cstdlib>
+#include <limits>
 #include <unordered_map>
 #include <utility>
 #include <vector>
@@ -13,12 +16,23 @@ namespace {
 
 constexpr std::uint64_t kCreatedRevision = 1;
 
+// Parts of a snapshot that are written in one go where little else came from
+// one call of WriteSnapshots() to the next: at most so many writes, and nodes.
+// A part is about a megabyte.
+constexpr int kPartsAtRest = 16;
+constexpr std::uint64_t kWritesAtRest = 100;
+constexpr std::int64_t kNodesAtRest = 2000;
+
 }  // namespace
 
 struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   struct Entry {
     std::shared_ptr<VehicleSession> session;
     std::chrono::steady_clock::time_point last_use;
+    // Number of the call of WriteSnapshots() that chose it last.
+    std::uint64_t last_snapshot = 0;
+    // Whether the fleet has had a snapshot written since the last use.
+    bool was_written = false;
   };
   using Entries = std::unordered_map<std::string, Entry>;
   using CreateCallback = std::function<void(absl::StatusOr<VehicleView>)>;
@@ -44,11 +58,12 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
       const MutexLock guard(&mutex);
       Entry& entry = entries[id];
       entry.last_use = std::chrono::steady_clock::now();
+      entry.was_written = false;
       if (entry.session != nullptr && !entry.session->gone()) {
         return entry.session;
       }
-      session =
-          VehicleSession::Load(id, storage, codec, lanes, options.session);
+      session = VehicleSession::Load(id, storage, codec, lanes, options.session,
+                                     options.snapshots);
       if (gives_up_replays) session->GiveUpReplay();
       replaced = std::exchange(entry.session, session);
     }
@@ -132,13 +147,18 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
       // Nobody but this map has it, so nobody can start anything on it now.
       const bool unused =
           entry.session.use_count() == 1 && !entry.session->busy();
-      if (!unused && !entry.session->gone()) entry.last_use = now;
-      if (entry.session->gone() ||
-          (unused && entry.last_use + options.idle_unload <= now)) {
+      // To write its snapshot is no use of a vehicle.
+      if (entry.session.use_count() > 1 ||
+          (entry.session->busy() && !entry.was_written)) {
+        entry.last_use = now;
+      }
+      const bool is_idle =
+          unused && entry.last_use + options.idle_unload <= now;
+      if (entry.session->gone() || (is_idle && !MustWriteSnapshot(entry))) {
         i = Drop(i, &dropped);
         continue;
       }
-      if (unused) unused_entries.push_back(i);
+      if (unused && !is_idle) unused_entries.push_back(i);
       ++i;
     }
     if (!options.memory_budget_bytes) return dropped.residency;
@@ -151,9 +171,47 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
     for (const Entries::iterator& entry : unused_entries) {
       if (above <= 0) break;
       above -= entry->second.session->residency().bytes;
-      Drop(entry, &dropped);
+      if (!MustWriteSnapshot(entry->second)) Drop(entry, &dropped);
     }
     return dropped.residency;
+  }
+
+  // Whether a snapshot is due before the vehicle can be unloaded: then it is
+  // begun.
+  bool MustWriteSnapshot(Entry& entry) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
+    if (!entry.session->wants_snapshot()) return false;
+    WriteSnapshot(std::numeric_limits<int>::max(), &entry);
+    return true;
+  }
+
+  void WriteSnapshot(int most_parts, Entry* entry)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
+    entry->was_written = true;
+    ++writing_snapshots;
+    entry->session->WriteSnapshot(most_parts, [self = shared_from_this()] {
+      const MutexLock guard(&self->mutex);
+      --self->writing_snapshots;
+      // Under the lock: see Created().
+      self->changed.NotifyAll();
+    });
+  }
+
+  // Goes on with the snapshot that is due and has waited longest, unless one is
+  // being written.
+  void WriteNextSnapshot(int most_parts) ABSL_LOCKS_EXCLUDED(mutex) {
+    const MutexLock guard(&mutex);
+    if (writing_snapshots > 0) return;
+    ++snapshot_calls;
+    Entry* next = nullptr;
+    for (auto& [id, entry] : entries) {
+      if (entry.session->gone() || !entry.session->wants_snapshot()) continue;
+      if (next == nullptr || entry.last_snapshot < next->last_snapshot) {
+        next = &entry;
+      }
+    }
+    if (next == nullptr) return;
+    next->last_snapshot = snapshot_calls;
+    WriteSnapshot(most_parts, next);
   }
 
   Entries::iterator Drop(Entries::iterator entry, Dropped* dropped)
@@ -175,6 +233,13 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   CondVar changed;
   Entries entries ABSL_GUARDED_BY(mutex);
   bool gives_up_replays ABSL_GUARDED_BY(mutex) = false;
+  std::uint64_t snapshot_calls ABSL_GUARDED_BY(mutex) = 0;
+  // Calls of VehicleSession::WriteSnapshot() that are not answered: maybe by
+  // sessions that are no entries any more.
+  int writing_snapshots ABSL_GUARDED_BY(mutex) = 0;
+  // Storage::Counts() and residency at the last call of WriteSnapshots().
+  std::atomic<std::uint64_t> writes_before{0};
+  std::atomic<std::int64_t> nodes_before{0};
   // Calls of Create() that are not answered.
   int creating ABSL_GUARDED_BY(mutex) = 0;
 };
@@ -200,14 +265,18 @@ Fleet::~Fleet() {
     std::size_t left ABSL_GUARDED_BY(mutex);
   };
   const auto countdown = std::make_shared<Countdown>(sessions.size());
+  const auto snapshot_until =
+      std::chrono::steady_clock::now() + state_->options.last_snapshots;
   for (const std::shared_ptr<VehicleSession>& session : sessions) {
-    session->Close([countdown] {
+    session->Close(snapshot_until, [countdown] {
       const MutexLock guard(&countdown->mutex);
       if (--countdown->left == 0) countdown->zero.NotifyAll();
     });
   }
   const MutexLock lock(&countdown->mutex);
   while (countdown->left != 0) countdown->zero.Wait(&countdown->mutex);
+  const MutexLock guard(&state_->mutex);
+  while (state_->writing_snapshots != 0) state_->changed.Wait(&state_->mutex);
 }
 
 void Fleet::HandOverWanted() {
@@ -221,6 +290,15 @@ void Fleet::HandOverWanted() {
       found->second.session->HandOver();
     }
   }
+}
+
+void Fleet::WriteSnapshots() {
+  const std::uint64_t writes = state_->storage->Counts().writes;
+  const std::int64_t nodes = residency().nodes;
+  const bool is_at_rest =
+      writes - state_->writes_before.exchange(writes) <= kWritesAtRest &&
+      std::abs(nodes - state_->nodes_before.exchange(nodes)) <= kNodesAtRest;
+  state_->WriteNextSnapshot(is_at_rest ? kPartsAtRest : 1);
 }
 
 void Fleet::GiveUpReplays() {

@@ -35,6 +35,9 @@ class Fleet {
     // unloaded sooner, those first that were not asked for the longest time.
     std::optional<std::int64_t> memory_budget_bytes;
     VehicleSession::Limits session;
+    SnapshotPolicy snapshots;
+    // How long the end of the fleet may be delayed to write snapshots.
+    std::chrono::milliseconds last_snapshots{500};
   };
 
   // Storage, codec and executors must outlive the fleet.
@@ -72,6 +75,11 @@ class Fleet {
   // long (VehicleSession::GiveUpReplay()): the server ends.
   void GiveUpReplays();
 
+  // Writes a part of a snapshot that is due, or some where the storage has
+  // little else to write. The server calls it on a timer, whose period so
+  // bounds what snapshots take of the storage.
+  void WriteSnapshots();
+
   // Vehicles in memory.
   std::size_t loaded() const;
 
@@ -84,7 +92,9 @@ class Fleet {
   Residency residency() const;
 
   // Unloads the vehicles that have been idle since before `now` less
-  // Options::idle_unload, then as many others as exceed the memory budget.
+  // Options::idle_unload, then as many others as exceed the memory budget. Of
+  // one whose snapshot is due, that is written first, and a later call unloads
+  // it.
   // Returns the residency of those that were unloaded. The server calls it on a
   // timer.
   Residency UnloadIdle(std::chrono::steady_clock::time_point now);

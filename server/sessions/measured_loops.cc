@@ -32,23 +32,27 @@ void MeasuredLoops::Take(const std::vector<core::PoseSample>& samples) {
   }
 }
 
-absl::Status MeasuredLoops::ReadPoses(const VehicleState& vehicle) {
+absl::StatusOr<bool> MeasuredLoops::ReadPoses(
+    const VehicleState& vehicle, const VehicleConfig& config,
+    std::uint64_t last, const std::function<bool()>& go_on) {
   for (const auto& [sequence, pose] : poses_) {
+    if (sequence > last) break;
     if (pose) continue;
+    if (!go_on()) return false;
     absl::Status decoding;
     const absl::Status reading = vehicle.storage->ReadBatches(
         vehicle.key, sequence, sequence, BatchVersion::kCurrent,
         [&](const BatchRecord& batch) {
-          const absl::StatusOr<DecodedBatch> decoded =
-              vehicle.DecodeStored(batch, vehicle.config);
-          if (decoded.ok()) Take(decoded->samples);
-          decoding = decoded.status();
+          const absl::StatusOr<std::vector<core::PoseSample>> samples =
+              vehicle.DecodeStoredSamples(batch, config);
+          if (samples.ok()) Take(*samples);
+          decoding = samples.status();
           return false;
         });
     if (!reading.ok()) return reading;
     if (!decoding.ok()) return decoding;
   }
-  return absl::OkStatus();
+  return true;
 }
 
 std::shared_ptr<const core::MeasuredLoop> MeasuredLoops::Find(

@@ -4,12 +4,14 @@
 #define REVISIT_SERVER_SESSIONS_MEASURED_LOOPS_H_
 
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <string>
 #include <vector>
 
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "core/alignment/confirmed_loop.h"
 #include "core/geometry/pose.h"
 #include "server/sessions/vehicle_state.h"
@@ -28,8 +30,12 @@ class MeasuredLoops {
 
   // Takes those of the poses that are wanted.
   void Take(const std::vector<core::PoseSample>& samples);
-  // Takes the poses that are wanted from the store.
-  absl::Status ReadPoses(const VehicleState& vehicle);
+  // Takes the poses up to `last` that are wanted from the store, until `go_on`
+  // says false. Returns whether all were taken.
+  absl::StatusOr<bool> ReadPoses(const VehicleState& vehicle,
+                                 const VehicleConfig& config,
+                                 std::uint64_t last,
+                                 const std::function<bool()>& go_on);
 
   // Null if nothing was measured of this closure, or a pose was never taken.
   std::shared_ptr<const core::MeasuredLoop> Find(

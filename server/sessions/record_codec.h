@@ -41,6 +41,9 @@ class RecordCodec {
   // DATA_LOSS if the payload is not that of a batch.
   virtual absl::StatusOr<DecodedBatch> DecodeBatch(
       const std::string& payload, const VehicleConfig& config) const = 0;
+  // The samples of DecodeBatch() alone, which is much faster.
+  virtual absl::StatusOr<std::vector<core::PoseSample>> DecodeSamples(
+      const std::string& payload, const VehicleConfig& config) const = 0;
   // What a stored loop closure's payload says was measured, or nothing.
   // INVALID_ARGUMENT if that is no measurement for a vehicle of this state
   // space; DATA_LOSS if the payload is not that of a loop closure.

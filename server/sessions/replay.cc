@@ -2,10 +2,12 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cstddef>
 #include <string>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "server/sessions/snapshots.h"
 
 namespace revisit::server {
 namespace {
@@ -56,6 +58,7 @@ absl::Status Replayer::StartLoad() {
     const absl::Status read = LoadPairs(kind, config->engine.state_space);
     if (!read.ok()) return read;
   }
+  const bool is_sound = record->damage.ok();
   Start(*std::move(config), record->revision, /*is_load=*/true,
         [this](const absl::Status& status) {
           if (!status.ok()) vehicle_->Leave(status);
@@ -63,6 +66,7 @@ absl::Status Replayer::StartLoad() {
             vehicle_->damage = Damaged(vehicle_->damage);
           }
         });
+  replay_->may_use_snapshot = is_sound;
   return absl::OkStatus();
 }
 
@@ -168,7 +172,7 @@ void Replayer::Post() {
 }
 
 void Replayer::Continue() {
-  absl::StatusOr<bool> all = ReplayBatches();
+  absl::StatusOr<bool> all = ReplaySome();
   if (all.ok() && !*all && gives_up_) all = ShuttingDown();
   if (all.ok() && !*all) {
     vehicle_->NoteResidency(replay_->engine.get());
@@ -186,38 +190,136 @@ void Replayer::Finish(const absl::Status& status) {
     vehicle_->Take(std::move(done.engine));
     vehicle_->jumps = std::move(done.jumps);
     vehicle_->Adopt(done.config, done.revision);
+    vehicle_->kept_snapshot = {vehicle_->engine->StateKey(), done.parts,
+                               vehicle_->kept_snapshot.series + 1};
+    vehicle_->snapshot_sequence =
+        done.snapshot ? done.snapshot->last_sequence : 0;
   }
   vehicle_->NoteResidency();
   queue_->Release([&] { done.then(status); });
 }
 
-absl::StatusOr<bool> Replayer::ReplayBatches() {
-  if (replay_->next_sequence > vehicle_->durable_sequence) return true;
-  // From the first batch on: a store that answers late would leave no time for
-  // more than that one, and be asked again for each.
+absl::StatusOr<bool> Replayer::ReplaySome() {
+  // Counted from the first that was read: a store that answers late would leave
+  // no time for more than that, and be asked again for each row.
   std::optional<std::chrono::steady_clock::time_point> pause;
+  const auto is_time_left = [&pause] {
+    const auto now = std::chrono::steady_clock::now();
+    if (!pause) pause = now + kReplaySlice;
+    return now < *pause;
+  };
+  if (replay_->may_use_snapshot) FindSnapshot();
+  if (replay_->snapshot && !LoadSnapshot(is_time_left)) return false;
+  return ReplayBatches(is_time_left);
+}
+
+void Replayer::FindSnapshot() {
+  replay_->may_use_snapshot = false;
+  if (!vehicle_->storage->KeepsSnapshots()) return;
+  absl::StatusOr<std::optional<SnapshotRecord>> found =
+      vehicle_->storage->GetSnapshot(vehicle_->key);
+  if (!found.ok()) {
+    GiveUpSnapshot(std::string(found.status().message()));
+  } else if (*found && vehicle_->snapshot_policy.poses == 0) {
+    DropSnapshot();
+  } else if (*found && (*found)->last_sequence > vehicle_->durable_sequence) {
+    GiveUpSnapshot("it has poses that are not stored");
+  } else {
+    replay_->snapshot = *std::move(found);
+  }
+}
+
+bool Replayer::LoadSnapshot(const std::function<bool()>& is_time_left) {
+  const SnapshotRecord& snapshot = *replay_->snapshot;
+  if (replay_->parts < snapshot.part_count) {
+    bool is_usable = true;
+    const absl::Status reading = vehicle_->storage->ReadSnapshotParts(
+        vehicle_->key, replay_->parts, snapshot.part_count,
+        [&](absl::string_view part) {
+          is_usable = replay_->engine->LoadPart(part);
+          if (is_usable) ++replay_->parts;
+          return is_usable && is_time_left();
+        });
+    if (!reading.ok() || !is_usable) {
+      GiveUpSnapshot(reading.ok()
+                         ? "its parts are of other settings or another version"
+                         : std::string(reading.message()));
+      return true;
+    }
+    if (replay_->parts < snapshot.part_count) return false;
+  }
+  if (!replay_->has_rest) {
+    if (!DecodeSnapshot(snapshot, replay_->config, &replay_->jumps,
+                        replay_->engine.get())) {
+      GiveUpSnapshot("it is of other settings or another version");
+      return true;
+    }
+    replay_->has_rest = true;
+    replay_->next_sequence = snapshot.last_sequence + 1;
+  }
+  const absl::StatusOr<bool> measured = replay_->measured.ReadPoses(
+      *vehicle_, replay_->config, snapshot.last_sequence, is_time_left);
+  if (!measured.ok()) {
+    GiveUpSnapshot(std::string(measured.status().message()));
+    return true;
+  }
+  return *measured;
+}
+
+void Replayer::GiveUpSnapshot(const std::string& cause) {
+  if (vehicle_->snapshot_policy.warn) {
+    vehicle_->snapshot_policy.warn(
+        StrCat("vehicle '", vehicle_->id,
+               "' is loaded without its snapshot: ", cause));
+  }
+  DropSnapshot();
+  replay_->snapshot.reset();
+  replay_->parts = 0;
+  replay_->has_rest = false;
+  replay_->engine = std::make_unique<core::Engine>(replay_->config.engine);
+  replay_->jumps.clear();
+  replay_->next_sequence = 1;
+  replay_->steps = 0;
+}
+
+// Waits for nobody: what is written of it later comes behind.
+void Replayer::DropSnapshot() {
+  vehicle_->storage->DropSnapshot(vehicle_->key, [](const absl::Status&) {});
+}
+
+absl::StatusOr<bool> Replayer::ReplayBatches(
+    const std::function<bool()>& is_time_left) {
+  if (replay_->next_sequence > vehicle_->durable_sequence) return true;
   absl::Status decoding;
   const absl::Status reading = vehicle_->storage->ReadBatches(
       vehicle_->key, replay_->next_sequence, vehicle_->durable_sequence,
       BatchVersion::kCurrent, [&](const BatchRecord& batch) {
-        if (!pause) pause = std::chrono::steady_clock::now() + kReplaySlice;
-        const absl::StatusOr<DecodedBatch> decoded =
-            vehicle_->DecodeStored(batch, replay_->config);
-        if (!decoded.ok()) {
-          decoding = decoded.status();
+        absl::StatusOr<std::vector<core::PoseSample>> samples =
+            vehicle_->DecodeStoredSamples(batch, replay_->config);
+        if (!samples.ok()) {
+          decoding = samples.status();
           return false;
         }
-        replay_->measured.Take(decoded->samples);
+        replay_->measured.Take(*samples);
+        // A snapshot may end within a row, which several batches share.
+        const auto known = static_cast<std::ptrdiff_t>(replay_->next_sequence -
+                                                       batch.first_sequence);
+        samples->erase(samples->begin(), samples->begin() + known);
         const core::AppendResult applied =
-            replay_->engine->Append(decoded->samples, ++replay_->steps);
+            replay_->engine->Append(*samples, ++replay_->steps);
         replay_->jumps.insert(replay_->jumps.end(), applied.jumps.begin(),
                               applied.jumps.end());
         replay_->highest_revision =
             std::max(replay_->highest_revision, batch.revision);
         replay_->next_sequence = batch.first_sequence + batch.count;
-        return std::chrono::steady_clock::now() < *pause;
+        return is_time_left();
       });
   const absl::Status& unread = reading.ok() ? decoding : reading;
+  if (replay_->is_load && absl::IsDataLoss(unread) && replay_->snapshot) {
+    // What is sound has to be known from the first pose on.
+    GiveUpSnapshot(std::string(unread.message()));
+    return false;
+  }
   if (replay_->is_load && absl::IsDataLoss(unread)) {
     GoNoFurther(unread);
   } else if (!unread.ok()) {

@@ -8,6 +8,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <string>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -28,6 +29,12 @@ struct Replay {
   std::function<void(const absl::Status&)> then;
   std::unique_ptr<core::Engine> engine;
   std::vector<core::Jump> jumps;
+  // Whether a snapshot may still be looked for.
+  bool may_use_snapshot = true;
+  // The snapshot that the graph comes from, if any, and the parts of it so far.
+  std::optional<SnapshotRecord> snapshot;
+  std::uint32_t parts = 0;
+  bool has_rest = false;
   std::uint64_t next_sequence = 1;
   // Number of changes made to the engine so far, which serves as its revision
   // during the replay: an engine's revisions have to grow, and those that are
@@ -70,8 +77,16 @@ class Replayer {
   void Post();
   void Continue();
   void Finish(const absl::Status& status);
-  // Replays batches for a slice of time. Returns whether all are replayed.
-  absl::StatusOr<bool> ReplayBatches();
+  // Goes on for a slice of time. Returns whether all are replayed.
+  absl::StatusOr<bool> ReplaySome();
+  // `is_time_left` is asked after each that was read.
+  absl::StatusOr<bool> ReplayBatches(const std::function<bool()>& is_time_left);
+  void FindSnapshot();
+  // Whether the snapshot is loaded, or was given up.
+  bool LoadSnapshot(const std::function<bool()>& is_time_left);
+  void DropSnapshot();
+  // Begins anew, with the first pose.
+  void GiveUpSnapshot(const std::string& cause);
   absl::Status FinishGraph();
   void GoNoFurther(const absl::Status& cause);
   absl::Status CheckPairs();

@@ -2,6 +2,7 @@
 
 #include "server/sessions/appends.h"
 #include "server/sessions/replay.h"
+#include "server/sessions/snapshots.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
 
@@ -9,12 +10,13 @@ namespace revisit::server {
 
 struct VehicleSession::State {
   State(std::string id, Storage* storage, const RecordCodec* codec,
-        const Lanes& lanes, const Limits& limits)
-      : vehicle(std::move(id), storage, codec),
+        const Lanes& lanes, const Limits& limits, const SnapshotPolicy& policy)
+      : vehicle(std::move(id), storage, codec, policy),
         queue(&vehicle, &appends, lanes),
         appends(&vehicle, &queue, limits.max_pending_appends),
         replayer(&vehicle, &queue),
-        changes(&vehicle, &queue, &replayer, limits.max_pose_pairs) {}
+        changes(&vehicle, &queue, &replayer, limits.max_pose_pairs),
+        snapshots(&vehicle, &queue) {}
 
   // Submits a change: `work(callback)` once it is its turn, or the callback
   // with the reason why not.
@@ -42,20 +44,36 @@ struct VehicleSession::State {
             }};
   }
 
+  // Runs `end` after what was called before, and once no part of a snapshot is
+  // being written.
+  template <typename End>
+  void EndAfterSnapshots(Snapshots::Clock::time_point until, End end) {
+    queue.Submit({Turn::kAlone, [this, until, end](const absl::Status&) {
+                    const bool may_write =
+                        snapshots.is_due() && Snapshots::Clock::now() < until;
+                    if (!snapshots.is_writing() && !may_write) {
+                      end();
+                      return;
+                    }
+                    // Nothing may come in between.
+                    queue.Hold();
+                    snapshots.Stop(until, [this, end] { queue.Release(end); });
+                  }});
+  }
+
   VehicleState vehicle;
   VehicleQueue queue;
   Appends appends;
   Replayer replayer;
   Changes changes;
+  Snapshots snapshots;
 };
 
-std::shared_ptr<VehicleSession> VehicleSession::Load(std::string id,
-                                                     Storage* storage,
-                                                     const RecordCodec* codec,
-                                                     const Lanes& lanes,
-                                                     const Limits& limits) {
-  auto state =
-      std::make_shared<State>(std::move(id), storage, codec, lanes, limits);
+std::shared_ptr<VehicleSession> VehicleSession::Load(
+    std::string id, Storage* storage, const RecordCodec* codec,
+    const Lanes& lanes, const Limits& limits, const SnapshotPolicy& snapshots) {
+  auto state = std::make_shared<State>(std::move(id), storage, codec, lanes,
+                                       limits, snapshots);
   state->queue.KeepAlive(state);
   state->queue.PostLong([state = state.get()] { state->replayer.Load(); });
   return std::shared_ptr<VehicleSession>(new VehicleSession(std::move(state)));
@@ -159,34 +177,43 @@ void VehicleSession::Delete(std::function<void(absl::Status)> callback) {
 }
 
 void VehicleSession::LoadAnew() {
-  VehicleState* const vehicle = &state_->vehicle;
-  state_->queue.Submit({Turn::kAlone, [vehicle](const absl::Status& status) {
-                          if (status.ok() && vehicle->damage.ok()) {
-                            vehicle->Leave(vehicle->OutOfStep());
-                          }
-                        }});
+  state_->queue.Submit(
+      {Turn::kAlone, [changes = &state_->changes](const absl::Status& status) {
+         if (status.ok()) changes->LoadAnew();
+       }});
 }
 
 void VehicleSession::GiveUpReplay() { state_->replayer.GiveUp(); }
 
 void VehicleSession::HandOver() {
-  VehicleState* const vehicle = &state_->vehicle;
-  state_->queue.Submit({Turn::kAlone, [vehicle](const absl::Status&) {
-                          if (vehicle->gone_status) return;
-                          vehicle->Leave(vehicle->HandedOver());
-                          vehicle->storage->ReleaseVehicle(vehicle->key);
-                        }});
+  state_->EndAfterSnapshots(Snapshots::Clock::now(),
+                            [vehicle = &state_->vehicle] {
+                              if (vehicle->gone_status) return;
+                              vehicle->Leave(vehicle->HandedOver());
+                              vehicle->storage->ReleaseVehicle(vehicle->key);
+                            });
 }
 
-void VehicleSession::Close(std::function<void()> callback) {
+bool VehicleSession::wants_snapshot() const {
+  return state_->snapshots.is_due();
+}
+
+bool VehicleSession::is_writing_snapshot() const {
+  return state_->snapshots.is_writing();
+}
+
+void VehicleSession::WriteSnapshot(int most_parts, std::function<void()> then) {
+  state_->snapshots.Write(most_parts, std::move(then));
+}
+
+void VehicleSession::Close(std::chrono::steady_clock::time_point snapshot_until,
+                           std::function<void()> callback) {
   GiveUpReplay();
-  VehicleState* const vehicle = &state_->vehicle;
-  state_->queue.Submit({Turn::kAlone, [vehicle, callback = std::move(callback)](
-                                          const absl::Status&) {
-                          if (!vehicle->gone_status)
-                            vehicle->Leave(ShuttingDown());
-                          callback();
-                        }});
+  state_->EndAfterSnapshots(snapshot_until, [vehicle = &state_->vehicle,
+                                             callback = std::move(callback)] {
+    if (!vehicle->gone_status) vehicle->Leave(ShuttingDown());
+    callback();
+  });
 }
 
 bool VehicleSession::gone() const { return state_->vehicle.is_gone.load(); }

@@ -16,6 +16,7 @@
 #ifndef REVISIT_SERVER_SESSIONS_VEHICLE_SESSION_H_
 #define REVISIT_SERVER_SESSIONS_VEHICLE_SESSION_H_
 
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
@@ -30,6 +31,7 @@
 #include "server/sessions/changes.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/record_codec.h"
+#include "server/sessions/vehicle_state.h"
 #include "server/sessions/vehicle_view.h"
 #include "server/storage/storage.h"
 
@@ -49,10 +51,10 @@ class VehicleSession {
   // Loads the vehicle on its strand, before anything else it does. If there is
   // no such vehicle all calls answer NOT_FOUND. Two sessions of one vehicle
   // must never be at work at the same time: only the fleet calls this.
-  static std::shared_ptr<VehicleSession> Load(std::string id, Storage* storage,
-                                              const RecordCodec* codec,
-                                              const Lanes& lanes,
-                                              const Limits& limits);
+  static std::shared_ptr<VehicleSession> Load(
+      std::string id, Storage* storage, const RecordCodec* codec,
+      const Lanes& lanes, const Limits& limits,
+      const SnapshotPolicy& snapshots = SnapshotPolicy());
 
   VehicleSession(const VehicleSession&) = delete;
   VehicleSession& operator=(const VehicleSession&) = delete;
@@ -132,10 +134,19 @@ class VehicleSession {
   // are finished; later calls answer ABORTED (EPOCH_FENCED).
   void HandOver();
 
+  // Whether a snapshot of the graph is due, and whether one is being written.
+  bool wants_snapshot() const;
+  bool is_writing_snapshot() const;
+  // If a snapshot is due, writes up to so many parts of it, and, once no part
+  // is missing, the snapshot; then calls `then`.
+  void WriteSnapshot(int most_parts, std::function<void()> then);
+
   // Ends the session: earlier calls are finished, but for those that
-  // GiveUpReplay() ends; later calls answer UNAVAILABLE (SERVER_DRAINING). When
+  // GiveUpReplay() ends; later calls answer UNAVAILABLE (SERVER_DRAINING). A
+  // snapshot that is due is written, as far as that gets until then. When
   // `callback` runs, the session uses neither storage nor codec any more.
-  void Close(std::function<void()> callback);
+  void Close(std::chrono::steady_clock::time_point snapshot_until,
+             std::function<void()> callback);
 
   // Whether every call will answer an error from now on: the vehicle was
   // deleted, could not be loaded, or must be loaded anew since it and the store

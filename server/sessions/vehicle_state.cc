@@ -11,6 +11,19 @@ namespace revisit::server {
 using absl::StatusCode;
 using absl::StrCat;
 
+namespace {
+
+bool AreOf(const BatchRecord& batch,
+           const std::vector<core::PoseSample>& samples) {
+  bool fits = samples.size() == batch.count;
+  for (std::size_t i = 0; fits && i < samples.size(); ++i) {
+    fits = samples[i].sequence == batch.first_sequence + i;
+  }
+  return fits;
+}
+
+}  // namespace
+
 absl::Status ShuttingDown() {
   return Error(StatusCode::kUnavailable, "SERVER_DRAINING",
                "the server is shutting down");
@@ -94,6 +107,13 @@ void VehicleState::NoteResidency(const core::Engine* in_the_making) {
   }
   resident_nodes.store(nodes);
   resident_bytes.store(bytes);
+  if (engine)
+    poses_since_snapshot = engine->last_sequence() - snapshot_sequence;
+}
+
+void VehicleState::NoteSnapshot(std::uint64_t sequence) {
+  snapshot_sequence = sequence;
+  NoteResidency();
 }
 
 void VehicleState::Leave(const absl::Status& status) {
@@ -135,17 +155,25 @@ absl::StatusOr<DecodedBatch> VehicleState::DecodeStored(
   absl::StatusOr<DecodedBatch> decoded =
       codec->DecodeBatch(batch.payload, with_config);
   if (!decoded.ok()) return decoded;
-  bool fits = decoded->samples.size() == batch.count &&
-              decoded->fingerprints.size() == batch.count;
-  for (std::size_t i = 0; fits && i < decoded->samples.size(); ++i) {
-    fits = decoded->samples[i].sequence == batch.first_sequence + i;
-  }
-  if (!fits) {
-    return Corrupt(StrCat("stored batch of ", batch.count,
-                          " poses from sequence ", batch.first_sequence,
-                          " holds others than these"));
+  if (decoded->fingerprints.size() != batch.count ||
+      !AreOf(batch, decoded->samples)) {
+    return HoldsOthers(batch);
   }
   return decoded;
+}
+
+absl::StatusOr<std::vector<core::PoseSample>> VehicleState::DecodeStoredSamples(
+    const BatchRecord& batch, const VehicleConfig& with_config) const {
+  absl::StatusOr<std::vector<core::PoseSample>> samples =
+      codec->DecodeSamples(batch.payload, with_config);
+  if (samples.ok() && !AreOf(batch, *samples)) return HoldsOthers(batch);
+  return samples;
+}
+
+absl::Status VehicleState::HoldsOthers(const BatchRecord& batch) const {
+  return Corrupt(StrCat("stored batch of ", batch.count,
+                        " poses from sequence ", batch.first_sequence,
+                        " holds others than these"));
 }
 
 absl::Status VehicleState::Writable() const {

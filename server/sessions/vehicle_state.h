@@ -6,6 +6,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -26,16 +27,27 @@ namespace revisit::server {
 // UNAVAILABLE (SERVER_DRAINING).
 absl::Status ShuttingDown();
 
+// When graphs are kept as snapshots (snapshots.h).
+struct SnapshotPolicy {
+  // A snapshot is due once so many poses have come since the last one; 0: none
+  // is written or used, and those that are there are removed.
+  std::uint64_t poses = 0;
+  // Called with what an operator should know; may be empty.
+  std::function<void(const std::string&)> warn;
+};
+
 struct VehicleState {
   VehicleState(std::string vehicle_id, Storage* vehicle_storage,
-               const RecordCodec* record_codec)
+               const RecordCodec* record_codec, SnapshotPolicy policy)
       : id(std::move(vehicle_id)),
         storage(vehicle_storage),
-        codec(record_codec) {}
+        codec(record_codec),
+        snapshot_policy(std::move(policy)) {}
 
   const std::string id;
   Storage* const storage;
   const RecordCodec* const codec;
+  const SnapshotPolicy snapshot_policy;
 
   VehicleKey key = 0;
   VehicleConfig config;
@@ -72,6 +84,19 @@ struct VehicleState {
   // The answer to every call from now on, once there is one.
   std::optional<absl::Status> gone_status;
   std::atomic<bool> is_gone{false};
+  // What the store has of this graph for snapshots.
+  struct KeptSnapshot {
+    // core::Engine::StateKey() of the parts.
+    std::string state_key;
+    std::uint32_t parts = 0;
+    // Grows whenever the parts are others, so that an answer of the storage is
+    // known to be about these.
+    std::uint64_t series = 0;
+  };
+  KeptSnapshot kept_snapshot;
+  // The pose up to which there is a snapshot, or was tried to be.
+  std::uint64_t snapshot_sequence = 0;
+  std::atomic<std::uint64_t> poses_since_snapshot{0};
   // See VehicleSession::Residency.
   std::atomic<std::int64_t> resident_nodes{0};
   std::atomic<std::int64_t> resident_bytes{0};
@@ -101,6 +126,9 @@ struct VehicleState {
   // being rebuilt, if any.
   void NoteResidency(const core::Engine* in_the_making = nullptr);
 
+  // From now on the poses since this one count for the next snapshot.
+  void NoteSnapshot(std::uint64_t sequence);
+
   // From now on every call is answered with `status`.
   void Leave(const absl::Status& status);
 
@@ -116,6 +144,10 @@ struct VehicleState {
   absl::StatusOr<DecodedBatch> DecodeStored(
       const BatchRecord& batch, const VehicleConfig& with_config) const;
 
+  // The same without what replays do not need.
+  absl::StatusOr<std::vector<core::PoseSample>> DecodeStoredSamples(
+      const BatchRecord& batch, const VehicleConfig& with_config) const;
+
   // OK if the vehicle takes writes.
   absl::Status Writable() const;
 
@@ -123,6 +155,7 @@ struct VehicleState {
   absl::Status HandedOver() const;
   absl::Status OutOfStep() const;
   absl::Status Corrupt(const std::string& cause) const;
+  absl::Status HoldsOthers(const BatchRecord& batch) const;
   absl::Status Regressed(const std::string& cause,
                          ErrorMetadata metadata) const;
   absl::Status DataLoss(const ErrorMetadata& metadata) const;

@@ -205,6 +205,9 @@ void AddServing(Group add, ServerSettings& s) {
   add.Number("memory-budget-mebibytes", &s.memory_budget_mebibytes, 0, 1 << 30,
              "Mebibytes of nodes and edges above which unused vehicles are "
              "unloaded sooner; 0: no limit");
+  add.Number("snapshot-poses", &s.snapshot_poses, 0, 1 << 30,
+             "Poses of a vehicle after which its graph is stored anew as a "
+             "snapshot, from which it is loaded faster; 0: no snapshots");
   add.Number("drain-notice-seconds", &s.drain_notice_seconds, 0, 86400,
              "Seconds that the server still takes calls after SIGTERM while "
              "its health already says NOT_SERVING, so that a balancer turns "

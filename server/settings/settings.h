@@ -70,6 +70,10 @@ struct ServerSettings {
   // stream holds are unloaded sooner, the longest unused first; 0 sets no
   // limit. Range [0, 2^30].
   std::int64_t memory_budget_mebibytes = 0;
+  // After so many poses of a vehicle, its graph is stored as a snapshot, from
+  // which it is loaded faster than from its poses; 0 stores none, and removes
+  // that of a vehicle when it is loaded. Range [0, 2^30].
+  std::int64_t snapshot_poses = 20'000;
   // How long calls are still taken after SIGTERM while health already says
   // NOT_SERVING. A balancer in front needs that to turn to other servers before
   // this one refuses calls; a server that stands alone would only be back

@@ -86,6 +86,12 @@ absl::Status NoSuchPair(PairKind kind, const std::string& id) {
                "no such " + std::string(words.noun) + ": '" + id + "'");
 }
 
+absl::Status NoSuchSnapshotPart(std::uint32_t number) {
+  return Error(StatusCode::kFailedPrecondition, "INTERNAL",
+               "part " + std::to_string(number) +
+                   " of the vehicle's snapshot is not kept");
+}
+
 void CheckVehicleRow(std::int64_t format, std::int64_t checksum,
                      VehicleRecord* record) {
   record->damage =
@@ -138,6 +144,26 @@ void CheckPosePairRow(std::int64_t format, std::int64_t checksum,
                "stored " + std::string(words.noun) + " '" +
                    Printable(pair->id) + "' of vehicle '" + vehicle_id + "'",
                {{"vehicle", vehicle_id}, {words.field, Printable(pair->id)}});
+}
+
+absl::Status CheckSnapshotRow(std::int64_t format, std::int64_t checksum,
+                              VehicleKey key, const SnapshotRecord& snapshot) {
+  return CheckRow(format, checksum, ChecksumOfSnapshot(format, key, snapshot),
+                  "stored snapshot", {});
+}
+
+absl::Status CheckSnapshotPartRow(std::int64_t format, std::int64_t checksum,
+                                  std::int64_t snapshot, std::uint32_t number,
+                                  absl::string_view part) {
+  return CheckRow(
+      format, checksum, ChecksumOfSnapshotPart(format, snapshot, number, part),
+      "part " + std::to_string(number) + " of a stored snapshot", {});
+}
+
+absl::Status MissingSnapshotPart(std::uint32_t number) {
+  return Corrupt(
+      "part " + std::to_string(number) + " of a stored snapshot is missing",
+      {});
 }
 
 absl::StatusOr<BatchRecord> BatchWalk::Next(

@@ -36,6 +36,8 @@ absl::Status NoBatchEndsAt(std::uint64_t sequence);
 absl::Status PairExists(PairKind kind, const std::string& id);
 // NOT_FOUND (WordsOf(kind).not_found).
 absl::Status NoSuchPair(PairKind kind, const std::string& id);
+// FAILED_PRECONDITION, for a part of a snapshot that is not kept.
+absl::Status NoSuchSnapshotPart(std::uint32_t number);
 
 // ---- Rows as they were read. A row is sound if its checksum matches and its
 // format is known here.
@@ -65,6 +67,16 @@ inline constexpr std::int64_t kMostClaimedPoses = 1'000'000;
 void CheckPosePairRow(std::int64_t format, std::int64_t checksum,
                       VehicleKey key, PairKind kind,
                       const std::string& vehicle_id, PosePairRecord* pair);
+
+// DATA_LOSS (STORE_CORRUPT) unless the row is sound. `snapshot` is as in
+// ChecksumOfSnapshotPart().
+absl::Status CheckSnapshotRow(std::int64_t format, std::int64_t checksum,
+                              VehicleKey key, const SnapshotRecord& snapshot);
+absl::Status CheckSnapshotPartRow(std::int64_t format, std::int64_t checksum,
+                                  std::int64_t snapshot, std::uint32_t number,
+                                  absl::string_view part);
+// DATA_LOSS (STORE_CORRUPT).
+absl::Status MissingSnapshotPart(std::uint32_t number);
 
 // Follows the rows of a range of batches as Storage::ReadBatches() visits them.
 class BatchWalk {

@@ -29,7 +29,7 @@ class Hasher {
     return Add(static_cast<std::uint64_t>(value));
   }
 
-  Hasher& Add(const std::string& bytes) {
+  Hasher& Add(absl::string_view bytes) {
     Add(static_cast<std::uint64_t>(bytes.size()));
     XXH3_64bits_update(state_.get(), bytes.data(), bytes.size());
     return *this;
@@ -82,6 +82,28 @@ std::int64_t ChecksumOfPosePair(std::int64_t format, VehicleKey key,
       .Add(row.create_time_ns);
   if (format >= kPayloadsOfPairsSince) hasher.Add(row.payload);
   return hasher.Digest();
+}
+
+std::int64_t ChecksumOfSnapshot(std::int64_t format, VehicleKey key,
+                                const SnapshotRecord& row) {
+  return Hasher('S')
+      .Add(key)
+      .Add(format)
+      .Add(row.last_sequence)
+      .Add(static_cast<std::uint64_t>(row.part_count))
+      .Add(row.payload)
+      .Digest();
+}
+
+std::int64_t ChecksumOfSnapshotPart(std::int64_t format, std::int64_t snapshot,
+                                    std::uint32_t number,
+                                    absl::string_view payload) {
+  return Hasher('P')
+      .Add(snapshot)
+      .Add(static_cast<std::uint64_t>(number))
+      .Add(format)
+      .Add(payload)
+      .Digest();
 }
 
 }  // namespace revisit::server

@@ -42,13 +42,14 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 
 namespace revisit::server {
 
 // Version of the tables and of how payloads are written. A field that is added
 // to a payload needs no new version: older servers ignore it, newer ones take
 // its absence for its default.
-inline constexpr int kStoreFormat = 4;
+inline constexpr int kStoreFormat = 5;
 
 // Key of a vehicle's rows; never used again after the vehicle is deleted.
 using VehicleKey = std::int64_t;
@@ -154,6 +155,15 @@ struct WantedVehicle {
   std::string id;
 };
 
+// What the poses of a vehicle make, as bytes that the storage does not
+// interpret: the first `part_count` of the parts that are kept, and a payload.
+struct SnapshotRecord {
+  // The last pose that it comes from.
+  std::uint64_t last_sequence = 0;
+  std::uint32_t part_count = 0;
+  std::string payload;
+};
+
 // A batch keeps the poses that were first sent, even if they were revised.
 enum class BatchVersion { kAsSent, kCurrent };
 
@@ -203,6 +213,36 @@ class Storage {
   virtual void DropDamaged(VehicleKey key, std::uint64_t last_sequence,
                            std::string payload, std::uint64_t revision,
                            Done done) = 0;
+
+  // ---- A snapshot of a vehicle saves making again what its poses make. It is
+  // a cache: a storage may keep none, as this base does, or lose one at any
+  // time. ReviseBatches(), DropDamaged() and DeleteVehicle() remove it in the
+  // same step as they do what else they do, its parts included.
+
+  virtual bool KeepsSnapshots() const { return false; }
+  // Keeps a part, in the place of the one of that number, if there is one. Part
+  // 0 begins anew: the snapshot and all parts before are removed.
+  // FAILED_PRECONDITION unless the part before it is kept. Parts are some
+  // megabytes at most.
+  virtual void PutSnapshotPart(VehicleKey key, std::uint32_t number,
+                               std::string part, Done done);
+  // Makes parts that are kept the snapshot, in the place of the one before.
+  // FAILED_PRECONDITION unless all of them are kept.
+  virtual void PutSnapshot(VehicleKey key, SnapshotRecord snapshot, Done done);
+  virtual void DropSnapshot(VehicleKey key, Done done);
+  // Nothing if there is none; DATA_LOSS (STORE_CORRUPT) if it is damaged.
+  virtual absl::StatusOr<std::optional<SnapshotRecord>> GetSnapshot(
+      VehicleKey /*key*/) {
+    return std::optional<SnapshotRecord>();
+  }
+  // Visits parts [first, end) of the snapshot in order, until `visit` returns
+  // false. DATA_LOSS (STORE_CORRUPT) if one is missing or damaged, after those
+  // before it.
+  virtual absl::Status ReadSnapshotParts(
+      VehicleKey /*key*/, std::uint32_t /*first*/, std::uint32_t /*end*/,
+      const std::function<bool(absl::string_view)>& /*visit*/) {
+    return absl::OkStatus();
+  }
 
   // Makes this server the owner of the vehicle, and reads it as it is from then
   // on. REQUIRED before any write of the vehicle but its creation, and after
@@ -265,6 +305,19 @@ class Storage {
   // Zeros if the implementation does not count.
   virtual CommitCounts Counts() const { return {}; }
 };
+
+inline void Storage::PutSnapshotPart(VehicleKey, std::uint32_t, std::string,
+                                     Done done) {
+  done(absl::UnimplementedError("no snapshots are kept"));
+}
+
+inline void Storage::PutSnapshot(VehicleKey, SnapshotRecord, Done done) {
+  done(absl::UnimplementedError("no snapshots are kept"));
+}
+
+inline void Storage::DropSnapshot(VehicleKey, Done done) {
+  done(absl::OkStatus());
+}
 
 }  // namespace revisit::server
 

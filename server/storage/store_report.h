@@ -20,11 +20,15 @@ struct StoreReport {
   std::int64_t revised_batches = 0;
   std::int64_t loop_closures = 0;
   std::int64_t rejected_candidates = 0;
+  std::int64_t snapshots = 0;
   // Problems for people to read, each in one line.
   std::vector<std::string> problems;
   // Ids of vehicles that cannot be read whole, or that have changes in the
   // damaged part of a log, as far as they are known.
   std::set<std::string> damaged_vehicles;
+  // Snapshots that are damaged, each in one line: nothing is lost with them,
+  // since they are made again.
+  std::vector<std::string> damaged_snapshots;
 };
 
 // Whether both count the same.

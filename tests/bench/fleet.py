@@ -10,6 +10,7 @@ import os
 import pathlib
 import random
 import shutil
+import sqlite3
 import statistics
 import sys
 import tempfile
@@ -30,6 +31,8 @@ SPACING = 2.0
 # Most poses of a batch.
 BATCH = 4096
 SECONDS = 1600000000
+# The default of --snapshot-poses.
+SNAPSHOT_POSES = 20000
 MODELS = (("INDEPENDENT", api.CORRELATION_MODEL_INDEPENDENT),
           ("DEAD_RECKONING", api.CORRELATION_MODEL_DEAD_RECKONING),
           ("FILTER", api.CORRELATION_MODEL_FILTER))
@@ -220,10 +223,37 @@ def settled_memory(client):
     return before
 
 
+def ask_store(store, sql):
+    """Reads the store beside the server."""
+    [file] = store.glob("*.sqlite")
+    database = sqlite3.connect(f"file:{file}?mode=ro", uri=True)
+    try:
+        return database.execute(sql).fetchone()[0]
+    finally:
+        database.close()
+
+
+def await_snapshot(store, sequence):
+    deadline = time.monotonic() + 120
+    while ask_store(store, "SELECT coalesce(max(last_sequence), 0) "
+                    "FROM snapshots") < sequence:
+        assert time.monotonic() < deadline, "no snapshot was written"
+        time.sleep(0.05)
+
+
+def stored_bytes(store, poses):
+    size = sum(path.stat().st_size for path in store.iterdir())
+    snapshot = ask_store(
+        store, "SELECT coalesce((SELECT sum(length(payload)) FROM snapshots), "
+        "0) + coalesce((SELECT sum(length(payload)) FROM snapshot_parts), 0)")
+    return f"{size / poses:.1f}", f"{snapshot / poses:.1f}"
+
+
 def measure_kinds(stores, nodes):
     """One vehicle of each kind, loaded from the store and streamed."""
     print(f"\nBytes a node, one vehicle of {nodes} nodes with stamps")
-    row("", "graph", "as streamed", "3/4 of it", "as loaded", "ms to load")
+    row("", "graph", "as streamed", "3/4 of it", "as loaded", "snapshot",
+        "ms to load", "from poses")
     for space_name, space in SPACES:
         for model_name, model in MODELS:
             store = f"{space_name}-{model_name}".lower().replace("_", "-")
@@ -239,6 +269,8 @@ def measure_kinds(stores, nodes):
                         quarter = (settled_memory(client),
                                    client.info().resident_node_count)
                 streamed = settled_memory(client)
+                if nodes >= SNAPSHOT_POSES:
+                    await_snapshot(stores.directory / store, nodes)
                 info = client.info()
                 marginal = ((streamed - quarter[0]) /
                             max(1, info.resident_node_count - quarter[1]))
@@ -250,12 +282,17 @@ def measure_kinds(stores, nodes):
                 load = seconds_of(client.touch, "v")
                 loaded = settled_memory(client) - empty
                 info = client.info()
+            snapshot = stored_bytes(stores.directory / store, nodes)[1]
+            with stores.server(store, "--snapshot-poses", 0) as server:
+                client = Client(server)
+                client.info()
+                replay = seconds_of(client.touch, "v")
             row(f"{space_name} {model_name}",
                 f"{info.resident_bytes / info.resident_node_count:.1f}",
                 f"{streamed / info.resident_node_count:.1f}",
                 f"{marginal:.1f}",
                 f"{loaded / info.resident_node_count:.1f}",
-                f"{load * 1e3:.0f}")
+                snapshot, f"{load * 1e3:.0f}", f"{replay * 1e3:.0f}")
             shutil.rmtree(stores.directory / store)
 
 
@@ -353,6 +390,13 @@ def measure_long(stores, nodes):
             f"{nodes / took:.0f}")
         grown = settled_memory(client) - empty
         row("in memory, as streamed: bytes a node", f"{grown / nodes:.1f}")
+        start = time.perf_counter()
+        if nodes >= SNAPSHOT_POSES:
+            await_snapshot(stores.directory / "long", nodes)
+            row("until its snapshot is written",
+                milliseconds(time.perf_counter() - start))
+    row("store: bytes a pose, of which the snapshot",
+        *stored_bytes(stores.directory / "long", nodes))
     start = time.perf_counter()
     with stores.server("long") as server:
         client = Client(server)
@@ -386,6 +430,21 @@ def measure_long(stores, nodes):
         then = [seconds_of(client.find, "long") for _ in range(3)]
         row("query on the long one: first, median after",
             milliseconds(first), milliseconds(statistics.median(then)))
+    took = []
+    for _ in range(3):
+        with stores.server("long") as server:
+            client = Client(server)
+            client.info()
+            took.append(seconds_of(client.touch, "long"))
+    row("loaded again, three times", *map(milliseconds, took))
+    # Without snapshots, the first load removes it.
+    took = []
+    for _ in range(3):
+        with stores.server("long", "--snapshot-poses", 0) as server:
+            client = Client(server)
+            client.info()
+            took.append(seconds_of(client.touch, "long"))
+    row("loaded from its poses, three times", *map(milliseconds, took))
     shutil.rmtree(stores.directory / "long")
 
 

@@ -220,6 +220,8 @@ def make_format_1(path):
     """Only the tables are those of such a store; its rows are a test of the
     storage."""
     database = sqlite3.connect(path)
+    for table in ("snapshots", "snapshot_parts", "deleted_snapshots"):
+        database.execute(f"DROP TABLE {table}")
     database.execute("ALTER TABLE loop_closures DROP COLUMN payload")
     database.execute("DROP TABLE rejected_candidates")
     # Its files did not say of which store and commit they are.

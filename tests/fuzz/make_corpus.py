@@ -143,6 +143,10 @@ def records():
     measurement = MEASUREMENT.SerializeToString()
     write("records", "closure",
           bytes([3, 0, 0x0a, len(measurement)]) + measurement)
+    for kind in (0, 1, 4, 5):
+        write("records", f"state_{kind}", bytes([4, kind]))
+        write("records", f"state_changed_{kind}",
+              bytes([4, kind, 0, 2, 40, 1, 0, 0, 90, 128]))
     write("records", "vehicle", bytes([0, 0]) + api.Vehicle(
         settings=SETTINGS, state=api.VEHICLE_STATE_DATA_LOSS,
         create_time=timestamp_pb2.Timestamp(seconds=1)).SerializeToString())

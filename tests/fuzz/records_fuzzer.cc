@@ -1,7 +1,12 @@
 // What lies in the store, should its checksum hold and the bytes be wrong
 // nevertheless: read, or refused as DATA_LOSS.
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
 #include <string>
+#include <vector>
 
+#include "core/engine.h"
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "revisit/v1/vehicle.pb.h"
 #include "server/conversion/answers.h"
@@ -20,13 +25,58 @@ void RequireDataLoss(const absl::Status& status) {
   Require(status.ok() || absl::IsDataLoss(status), "damage is DATA_LOSS");
 }
 
+// Loads the state of an engine with changes: three bytes say where, and one
+// which bits are flipped, or, with none, that the state ends there. It is
+// refused, or the engine goes on.
+void LoadChangedState(const revisit::core::EngineSettings& settings,
+                      const std::string& changes) {
+  using revisit::core::Engine;
+  using revisit::core::PoseSample;
+  std::vector<PoseSample> samples;
+  for (int i = 0; i < 400; ++i) {
+    PoseSample sample;
+    sample.sequence = samples.size() + 1;
+    sample.stamp_ns = i;
+    const double angle = 0.05 * i;
+    sample.pose = {40.0 * std::cos(angle), 40.0 * std::sin(angle), 0.0,
+                   std::remainder(angle + 1.57, 6.2831853)};
+    for (int k = 0; k < 4; ++k) sample.covariance(k, k) = 0.01 * (i + 1);
+    sample.transition.emplace();
+    samples.push_back(sample);
+  }
+  const auto half = samples.begin() + 300;
+  Engine saved(settings);
+  saved.Append({samples.begin(), half}, 1);
+  std::string state = saved.SaveRest(0);
+  for (std::size_t i = 0; i + 4 <= changes.size(); i += 4) {
+    std::size_t at = 0;
+    for (std::size_t k = 0; k < 3; ++k) {
+      at = at << 8 | static_cast<std::uint8_t>(changes[i + k]);
+    }
+    if (state.empty()) break;
+    at %= state.size();
+    if (changes[i + 3] == 0) {
+      state.resize(at);
+    } else {
+      state[at] = static_cast<char>(state[at] ^ changes[i + 3]);
+    }
+  }
+  Engine loaded(settings);
+  const bool is_usable = loaded.LoadRest(state);
+  Require(is_usable || changes.size() >= 4, "a state that was saved is loaded");
+  if (!is_usable || loaded.last_sequence() != 300) return;
+  loaded.Append({half, samples.end()}, 1);
+  Require(loaded.FindCandidates(settings.search, nullptr).ok(),
+          "a search that is not stopped answers");
+}
+
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
                                       std::size_t size) {
   namespace server = revisit::server;
   revisit::fuzz::Input input(data, size);
-  const int record = input.Choice(4);
+  const int record = input.Choice(5);
   const int kind = input.Choice(revisit::fuzz::kVehicleKinds);
   const server::VehicleConfig config = revisit::fuzz::VehicleOfKind(kind);
   const std::string payload = input.Rest();
@@ -46,6 +96,10 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
     }
     revisit::v1::Vehicle vehicle;
     server::EncodeVehicle(listed, &vehicle);
+    return 0;
+  }
+  if (record == 4) {
+    LoadChangedState(config.engine, payload);
     return 0;
   }
   if (record == 3) {

@@ -380,6 +380,8 @@ def test_store_of_format_1_is_brought_up_to_date(tmp_path):
         before = state_of(server.stub())
     path = database_of(store)
     database = sqlite3.connect(path)
+    for table in ("snapshots", "snapshot_parts", "deleted_snapshots"):
+        database.execute(f"DROP TABLE {table}")
     database.execute("ALTER TABLE loop_closures DROP COLUMN payload")
     database.execute("DROP TABLE rejected_candidates")
     database.execute("DROP TABLE store")
@@ -391,7 +393,7 @@ def test_store_of_format_1_is_brought_up_to_date(tmp_path):
     with Server(store) as server:
         stub = server.stub()
         assert state_of(stub) == before
-        assert stub.GetServerInfo(api.GetServerInfoRequest()).store_format == 4
+        assert stub.GetServerInfo(api.GetServerInfoRequest()).store_format == 5
         REJECTED_CANDIDATES.add(stub, VEHICLE, 9, 2)
         server.kill()
     with Server(store) as server:

@@ -127,6 +127,33 @@ class HeldStorage : public Storage {
     });
   }
 
+  bool KeepsSnapshots() const override { return storage_->KeepsSnapshots(); }
+  void PutSnapshotPart(VehicleKey key, std::uint32_t number, std::string part,
+                       Done done) override {
+    Submit(std::move(done), [=](Done then) {
+      storage_->PutSnapshotPart(key, number, part, std::move(then));
+    });
+  }
+  void PutSnapshot(VehicleKey key, SnapshotRecord snapshot,
+                   Done done) override {
+    Submit(std::move(done), [=](Done then) {
+      storage_->PutSnapshot(key, snapshot, std::move(then));
+    });
+  }
+  void DropSnapshot(VehicleKey key, Done done) override {
+    Submit(std::move(done),
+           [=](Done then) { storage_->DropSnapshot(key, std::move(then)); });
+  }
+  absl::StatusOr<std::optional<SnapshotRecord>> GetSnapshot(
+      VehicleKey key) override {
+    return storage_->GetSnapshot(key);
+  }
+  absl::Status ReadSnapshotParts(
+      VehicleKey key, std::uint32_t first, std::uint32_t end,
+      const std::function<bool(absl::string_view)>& visit) override {
+    return storage_->ReadSnapshotParts(key, first, end, visit);
+  }
+
   absl::StatusOr<VehicleRecord> TakeVehicle(const std::string& id) override {
     const absl::Status status = ReadStatus();
     if (!status.ok()) return status;

@@ -14,6 +14,10 @@ absl::Status UnknownVehicle() {
   return Error(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", "no such vehicle");
 }
 
+absl::Status NoPart() {
+  return Error(StatusCode::kFailedPrecondition, "INTERNAL", "no such part");
+}
+
 absl::Status Damage(const std::string& what) {
   return Error(StatusCode::kDataLoss, "STORE_CORRUPT", what + " is damaged");
 }
@@ -57,6 +61,7 @@ void MemoryStorage::DropDamaged(VehicleKey key, std::uint64_t last_sequence,
                                 Done done) {
   done(Change(key, revision, [&](Vehicle& vehicle) {
     if (!vehicle.record.damage.ok()) return vehicle.record.damage;
+    vehicle.DropSnapshot();
     auto& batches = vehicle.batches;
     while (!batches.empty() &&
            batches.back().as_sent.first_sequence > last_sequence) {
@@ -172,6 +177,7 @@ void MemoryStorage::AppendBatch(VehicleKey key, BatchRecord batch,
 void MemoryStorage::ReviseBatches(VehicleKey key, BatchSource batches,
                                   std::uint64_t revision, Done done) {
   done(Change(key, revision, [&](Vehicle& vehicle) {
+    vehicle.DropSnapshot();
     return batches([&](const BatchRecord& revised) {
       const auto found = std::find_if(
           vehicle.batches.begin(), vehicle.batches.end(),
@@ -210,6 +216,58 @@ void MemoryStorage::DeletePosePair(VehicleKey key, PairKind kind,
                : Error(StatusCode::kNotFound, WordsOf(kind).not_found,
                        "no such pair");
   }));
+}
+
+void MemoryStorage::PutSnapshotPart(VehicleKey key, std::uint32_t number,
+                                    std::string part, Done done) {
+  done(Change(key, 0, [&](Vehicle& vehicle) {
+    if (number == 0) vehicle.DropSnapshot();
+    auto& parts = vehicle.snapshot_parts;
+    if (number > parts.size()) return NoPart();
+    if (number == parts.size()) parts.emplace_back();
+    parts[number] = part;
+    return absl::OkStatus();
+  }));
+}
+
+void MemoryStorage::PutSnapshot(VehicleKey key, SnapshotRecord snapshot,
+                                Done done) {
+  done(Change(key, 0, [&](Vehicle& vehicle) {
+    if (snapshot.part_count > vehicle.snapshot_parts.size()) return NoPart();
+    vehicle.snapshot = snapshot;
+    return absl::OkStatus();
+  }));
+}
+
+void MemoryStorage::DropSnapshot(VehicleKey key, Done done) {
+  done(Change(key, 0, [&](Vehicle& vehicle) {
+    vehicle.DropSnapshot();
+    return absl::OkStatus();
+  }));
+}
+
+absl::StatusOr<std::optional<SnapshotRecord>> MemoryStorage::GetSnapshot(
+    VehicleKey key) {
+  const std::lock_guard<std::mutex> guard(mutex_);
+  const auto found = vehicles_.find(key);
+  if (found == vehicles_.end()) return std::optional<SnapshotRecord>();
+  return found->second.snapshot;
+}
+
+absl::Status MemoryStorage::ReadSnapshotParts(
+    VehicleKey key, std::uint32_t first, std::uint32_t end,
+    const std::function<bool(absl::string_view)>& visit) {
+  std::vector<std::string> parts;
+  {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    const auto found = vehicles_.find(key);
+    if (found != vehicles_.end()) parts = found->second.snapshot_parts;
+  }
+  for (std::uint32_t number = first; number < end; ++number) {
+    if (number >= parts.size()) return Damage("snapshot");
+    if (!visit(parts[number])) break;
+  }
+  return absl::OkStatus();
 }
 
 absl::StatusOr<VehicleRecord> MemoryStorage::GetVehicle(const std::string& id) {

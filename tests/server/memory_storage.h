@@ -39,6 +39,17 @@ class MemoryStorage : public Storage {
                    std::string payload, std::uint64_t revision,
                    Done done) override;
 
+  bool KeepsSnapshots() const override { return true; }
+  void PutSnapshotPart(VehicleKey key, std::uint32_t number, std::string part,
+                       Done done) override;
+  void PutSnapshot(VehicleKey key, SnapshotRecord snapshot, Done done) override;
+  void DropSnapshot(VehicleKey key, Done done) override;
+  absl::StatusOr<std::optional<SnapshotRecord>> GetSnapshot(
+      VehicleKey key) override;
+  absl::Status ReadSnapshotParts(
+      VehicleKey key, std::uint32_t first, std::uint32_t end,
+      const std::function<bool(absl::string_view)>& visit) override;
+
   // As found by every read from now on.
   void DamageVehicle(const std::string& id);
   // What is stored of this pose, as sent and as it is now.
@@ -69,6 +80,13 @@ class MemoryStorage : public Storage {
     std::vector<Batch> batches;
     // By kind, then by id.
     std::map<PairKind, std::map<std::string, PosePairRecord>> pairs;
+    std::vector<std::string> snapshot_parts;
+    std::optional<SnapshotRecord> snapshot;
+
+    void DropSnapshot() {
+      snapshot_parts.clear();
+      snapshot.reset();
+    }
   };
 
   absl::Status Change(VehicleKey key, std::uint64_t revision,

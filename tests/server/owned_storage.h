@@ -167,6 +167,31 @@ class OwnedStorage : public Storage {
                           std::move(done));
   }
 
+  bool KeepsSnapshots() const override { return storage_->KeepsSnapshots(); }
+  void PutSnapshotPart(VehicleKey key, std::uint32_t number, std::string part,
+                       Done done) override {
+    if (Refuses(key, done)) return;
+    storage_->PutSnapshotPart(key, number, std::move(part), std::move(done));
+  }
+  void PutSnapshot(VehicleKey key, SnapshotRecord snapshot,
+                   Done done) override {
+    if (Refuses(key, done)) return;
+    storage_->PutSnapshot(key, std::move(snapshot), std::move(done));
+  }
+  void DropSnapshot(VehicleKey key, Done done) override {
+    if (Refuses(key, done)) return;
+    storage_->DropSnapshot(key, std::move(done));
+  }
+  absl::StatusOr<std::optional<SnapshotRecord>> GetSnapshot(
+      VehicleKey key) override {
+    return storage_->GetSnapshot(key);
+  }
+  absl::Status ReadSnapshotParts(
+      VehicleKey key, std::uint32_t first, std::uint32_t end,
+      const std::function<bool(absl::string_view)>& visit) override {
+    return storage_->ReadSnapshotParts(key, first, end, visit);
+  }
+
   absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override {
     return storage_->GetVehicle(id);
   }

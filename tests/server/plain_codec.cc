@@ -115,6 +115,13 @@ absl::StatusOr<DecodedBatch> PlainCodec::DecodeBatch(
   return batch;
 }
 
+absl::StatusOr<std::vector<core::PoseSample>> PlainCodec::DecodeSamples(
+    const std::string& payload, const VehicleConfig& config) const {
+  absl::StatusOr<DecodedBatch> batch = DecodeBatch(payload, config);
+  if (!batch.ok()) return batch.status();
+  return std::move(batch->samples);
+}
+
 absl::StatusOr<std::optional<core::LoopMeasurement>>
 PlainCodec::DecodeMeasurement(const std::string& payload,
                               core::StateSpace /*space*/) const {

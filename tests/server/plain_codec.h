@@ -24,6 +24,8 @@ class PlainCodec : public RecordCodec {
       const VehicleRecord& record) const override;
   absl::StatusOr<DecodedBatch> DecodeBatch(
       const std::string& payload, const VehicleConfig& config) const override;
+  absl::StatusOr<std::vector<core::PoseSample>> DecodeSamples(
+      const std::string& payload, const VehicleConfig& config) const override;
   // The payload of a measured loop closure is a line: x, y, heading, and their
   // common standard deviation.
   absl::StatusOr<std::optional<core::LoopMeasurement>> DecodeMeasurement(

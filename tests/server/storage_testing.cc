@@ -35,6 +35,40 @@ absl::StatusOr<VehicleKey> BlockingWrites::Create(const std::string& id,
   return taken.ok() ? key : taken.status();
 }
 
+absl::Status BlockingWrites::PutSnapshotPart(VehicleKey key,
+                                             std::uint32_t number,
+                                             const std::string& part) {
+  return Blocking([&](Storage::Done done) {
+    storage_->PutSnapshotPart(key, number, part, std::move(done));
+  });
+}
+
+absl::Status BlockingWrites::PutSnapshot(VehicleKey key,
+                                         const SnapshotRecord& snapshot) {
+  return Blocking([&](Storage::Done done) {
+    storage_->PutSnapshot(key, snapshot, std::move(done));
+  });
+}
+
+absl::Status BlockingWrites::DropSnapshot(VehicleKey key) {
+  return Blocking([&](Storage::Done done) {
+    storage_->DropSnapshot(key, std::move(done));
+  });
+}
+
+std::string SnapshotOf(Storage& storage, VehicleKey key) {
+  const auto snapshot = storage.GetSnapshot(key);
+  if (!snapshot.ok()) return "damaged";
+  if (!*snapshot) return "none";
+  std::string text = "to " + std::to_string((*snapshot)->last_sequence) + ":";
+  const absl::Status read = storage.ReadSnapshotParts(
+      key, 0, (*snapshot)->part_count, [&](absl::string_view part) {
+        text += " " + std::string(part);
+        return true;
+      });
+  return read.ok() ? text + ", '" + (*snapshot)->payload + "'" : "part damaged";
+}
+
 absl::Status BlockingWrites::Update(VehicleKey key, const std::string& payload,
                                     std::uint64_t revision) {
   return Blocking([&](Storage::Done done) {

@@ -36,6 +36,10 @@ class BlockingWrites {
                        const PosePairRecord& pair, std::uint64_t revision);
   absl::Status DropDamaged(VehicleKey key, std::uint64_t last_sequence,
                            const std::string& payload, std::uint64_t revision);
+  absl::Status PutSnapshotPart(VehicleKey key, std::uint32_t number,
+                               const std::string& part);
+  absl::Status PutSnapshot(VehicleKey key, const SnapshotRecord& snapshot);
+  absl::Status DropSnapshot(VehicleKey key);
   absl::Status DeletePair(VehicleKey key, PairKind kind, const std::string& id,
                           std::uint64_t revision);
 
@@ -47,6 +51,10 @@ class BlockingWrites {
 absl::StatusOr<std::vector<BatchRecord>> ReadAll(
     Storage& storage, VehicleKey key, std::uint64_t first, std::uint64_t last,
     BatchVersion version = BatchVersion::kCurrent);
+
+// The snapshot of a vehicle with its parts, such as "to 7: one two, 'rest'";
+// "none" if there is none, or the word for what is wrong.
+std::string SnapshotOf(Storage& storage, VehicleKey key);
 
 // "id 7: 3 closures, 1 rejected, to 12, revision 5, 'payload'" and the like, to
 // compare whole records.

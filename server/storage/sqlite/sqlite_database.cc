@@ -139,13 +139,12 @@ bool SqliteStatement::IsNull(int column) const {
   return sqlite3_column_type(statement_, column) == SQLITE_NULL;
 }
 
-std::string SqliteStatement::Bytes(int column) const {
+absl::string_view SqliteStatement::View(int column) const {
   // The pointer is taken first: that may convert the value and change its size.
   const void* data = sqlite3_column_blob(statement_, column);
   const int size = sqlite3_column_bytes(statement_, column);
   if (data == nullptr || size <= 0) return "";
-  return std::string(static_cast<const char*>(data),
-                     static_cast<std::size_t>(size));
+  return {static_cast<const char*>(data), static_cast<std::size_t>(size)};
 }
 
 absl::StatusOr<std::unique_ptr<SqliteDatabase>> SqliteDatabase::Open(

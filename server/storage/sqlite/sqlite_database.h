@@ -12,6 +12,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 
 struct sqlite3;
 struct sqlite3_stmt;
@@ -41,8 +42,9 @@ class SqliteStatement {
 
   std::int64_t Integer(int column) const;
   bool IsNull(int column) const;
-  // The bytes of a text or a blob.
-  std::string Bytes(int column) const;
+  // The bytes of a text or a blob; View() until the next step.
+  std::string Bytes(int column) const { return std::string(View(column)); }
+  absl::string_view View(int column) const;
 
  private:
   sqlite3* database_;

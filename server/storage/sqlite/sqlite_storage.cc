@@ -164,6 +164,7 @@ class SqliteStorage : public Storage {
         // A revision may be large: nothing shares a transaction with it.
         options_.max_group_bytes,
         [this, key, batches = std::move(batches), revision] {
+          chores_ = Chores::kPurge;
           return ReviseBatchRows(*writer_, key, batches, revision);
         },
         std::move(done));
@@ -197,10 +198,66 @@ class SqliteStorage : public Storage {
         bytes,
         [this, key, last_sequence, payload = std::move(payload), revision] {
           next_sequences_.erase(key);
+          chores_ = Chores::kPurge;
           return DropDamagedRows(*writer_, key, last_sequence, payload,
                                  revision);
         },
         std::move(done));
+  }
+
+  bool KeepsSnapshots() const override { return true; }
+
+  void PutSnapshotPart(VehicleKey key, std::uint32_t number, std::string part,
+                       Done done) override {
+    const std::size_t bytes = part.size();
+    Submit(
+        bytes,
+        [this, key, number, part = std::move(part)] {
+          if (number == 0) chores_ = Chores::kPurge;
+          return PutSnapshotPartRow(*writer_, key, number, part);
+        },
+        std::move(done));
+  }
+
+  void PutSnapshot(VehicleKey key, SnapshotRecord snapshot,
+                   Done done) override {
+    const std::size_t bytes = snapshot.payload.size();
+    Submit(
+        bytes,
+        [this, key, snapshot = std::move(snapshot)] {
+          return PutSnapshotRow(*writer_, key, snapshot);
+        },
+        std::move(done));
+  }
+
+  void DropSnapshot(VehicleKey key, Done done) override {
+    Submit(
+        0,
+        [this, key] {
+          chores_ = Chores::kPurge;
+          return DropSnapshotRow(*writer_, key);
+        },
+        std::move(done), Need::kLittle);
+  }
+
+  absl::StatusOr<std::optional<SnapshotRecord>> GetSnapshot(
+      VehicleKey key) override {
+    absl::StatusOr<std::optional<SnapshotRecord>> snapshot =
+        std::optional<SnapshotRecord>();
+    const absl::Status status = readers_.Read([&](SqliteDatabase& database) {
+      snapshot = FindSnapshot(database, key);
+      return snapshot.status();
+    });
+    if (!status.ok()) return status;
+    return snapshot;
+  }
+
+  absl::Status ReadSnapshotParts(
+      VehicleKey key, std::uint32_t first, std::uint32_t end,
+      const std::function<bool(absl::string_view)>& visit) override {
+    return readers_.Read([&](SqliteDatabase& database) {
+      return VisitSnapshotParts(database, key, first, end, visit);
+    });
   }
 
   absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override {

@@ -36,6 +36,12 @@
 //   loop_closures        a row per loop closure; payloads since format 4
 //   rejected_candidates  a row per rejected candidate; since format 2, payloads
 //                        since format 4
+//   snapshots            a row per vehicle with a snapshot, or one in the
+//   making:
+//                        that has no payload yet; since format 5
+//   snapshot_parts       a row per part of a snapshot; since format 5
+//   deleted_snapshots    keys of snapshots whose parts are still to be removed,
+//                        a few at a time; since format 5
 //   deleted_vehicles     keys whose batches are still to be removed, a few at
 //                        a time
 //   store                one row: which store this is, and the number of its

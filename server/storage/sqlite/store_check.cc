@@ -79,14 +79,40 @@ class Checker {
 
   void CheckVehicle(VehicleKey key, const std::string& id) {
     const absl::Status status = ReportVehicle(*storage_, id, &report_);
-    // The server may have deleted the vehicle since it was listed.
-    if (!absl::IsNotFound(status) ||
-        (use_ == StoreUse::kServed && IsDeleted(key))) {
+    if (!absl::IsNotFound(status)) {
+      CheckSnapshot(key, id);
       return;
     }
+    // The server may have deleted the vehicle since it was listed.
+    if (use_ == StoreUse::kServed && IsDeleted(key)) return;
     ++report_.vehicles;
     Note("vehicle '" + Printable(id) + "': " + std::string(status.message()));
     report_.damaged_vehicles.insert(Printable(id));
+  }
+
+  void CheckSnapshot(VehicleKey key, const std::string& id) {
+    const auto snapshot = storage_->GetSnapshot(key);
+    absl::Status status = snapshot.status();
+    if (status.ok() && *snapshot) {
+      ++report_.snapshots;
+      status =
+          storage_->ReadSnapshotParts(key, 0, (*snapshot)->part_count,
+                                      [](absl::string_view) { return true; });
+    }
+    if (status.ok()) return;
+    // The server may have removed or replaced it meanwhile.
+    if (use_ == StoreUse::kServed && !IsSame(key, snapshot)) return;
+    report_.damaged_snapshots.push_back("vehicle '" + Printable(id) +
+                                        "': " + std::string(status.message()));
+  }
+
+  // Whether the snapshot is the one that was read before.
+  bool IsSame(VehicleKey key,
+              const absl::StatusOr<std::optional<SnapshotRecord>>& before) {
+    const auto now = storage_->GetSnapshot(key);
+    if (!now.ok() || !before.ok()) return now.status() == before.status();
+    return now->has_value() == before->has_value() &&
+           (!*now || (*now)->last_sequence == (*before)->last_sequence);
   }
 
   void CheckNoneIsLeftOver() {
@@ -109,6 +135,11 @@ class Checker {
                    "count(*) FROM rejected_candidates WHERE vehicle_key NOT IN "
                    "(SELECT key FROM vehicles))",
                    "loop closures or rejected candidates belong to no vehicle"},
+             Query{"SELECT (SELECT count(*) FROM snapshots WHERE vehicle_key "
+                   "NOT IN (SELECT key FROM vehicles)) + (SELECT count(*) FROM "
+                   "snapshot_parts WHERE snapshot_key NOT IN (SELECT key FROM "
+                   "snapshots UNION ALL SELECT key FROM deleted_snapshots))",
+                   "snapshots or parts of snapshots belong to no vehicle"},
              Query{"SELECT count(*) FROM deleted_vehicles WHERE key IN (SELECT "
                    "key FROM vehicles)",
                    "vehicles are there although they were deleted"},

@@ -113,6 +113,30 @@ ALTER TABLE loop_closures ADD COLUMN payload BLOB NOT NULL DEFAULT x'';
 ALTER TABLE rejected_candidates ADD COLUMN payload BLOB NOT NULL DEFAULT x'';
 )sql";
 
+// The tables that format 5 has beyond format 4.
+constexpr char kSchemaSince5[] = R"sql(
+CREATE TABLE snapshots (
+  key INTEGER PRIMARY KEY AUTOINCREMENT,
+  vehicle_key INTEGER NOT NULL UNIQUE,
+  format INTEGER NOT NULL,
+  last_sequence INTEGER NOT NULL,
+  part_count INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL
+);
+CREATE TABLE snapshot_parts (
+  snapshot_key INTEGER NOT NULL,
+  number INTEGER NOT NULL,
+  format INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL,
+  PRIMARY KEY (snapshot_key, number)
+);
+CREATE TABLE deleted_snapshots (
+  key INTEGER PRIMARY KEY
+);
+)sql";
+
 // Lets pages of deleted rows be given back to the file system. Works only for a
 // file without tables.
 constexpr char kVacuum[] = "PRAGMA auto_vacuum = INCREMENTAL";
@@ -163,7 +187,8 @@ absl::Status CheckFormat(SqliteDatabase& database, const std::string& path,
   std::string sql = "BEGIN IMMEDIATE;";
   if (format->version < 2) sql += kSchemaSince2;
   if (format->version < 3) sql += kSchemaSince3;
-  sql += kSchemaSince4;
+  if (format->version < 4) sql += kSchemaSince4;
+  sql += kSchemaSince5;
   sql += "PRAGMA user_version = " + std::to_string(kStoreFormat);
   absl::Status status = database.Execute(sql.c_str());
   if (!status.ok()) return status;
@@ -186,9 +211,10 @@ absl::Status CheckSchema(SqliteDatabase& database, const std::string& path) {
   const absl::StatusOr<std::unique_ptr<SqliteDatabase>> expected =
       SqliteDatabase::Open(":memory:", SqliteDatabase::Mode::kReadWrite, "");
   if (!expected.ok()) return expected.status();
-  const absl::Status made = (*expected)->Execute(
-      (std::string(kSchema) + kSchemaSince2 + kSchemaSince3 + kSchemaSince4)
-          .c_str());
+  const absl::Status made =
+      (*expected)->Execute((std::string(kSchema) + kSchemaSince2 +
+                            kSchemaSince3 + kSchemaSince4 + kSchemaSince5)
+                               .c_str());
   if (!made.ok()) return made;
   static constexpr char kTables[] =
       "SELECT name, sql FROM sqlite_schema WHERE type = 'table'";
@@ -560,7 +586,7 @@ absl::Status MakeStore(const std::string& store, const std::string& vfs,
     status = (*database)->Execute(
         ("PRAGMA page_size = " + std::to_string(kPageBytes) + ";" + kVacuum +
          "; BEGIN IMMEDIATE;" + kSchema + kSchemaSince2 + kSchemaSince3 +
-         kSchemaSince4 +
+         kSchemaSince4 + kSchemaSince5 +
          "PRAGMA application_id = " + std::to_string(kApplicationId) +
          "; PRAGMA user_version = " + std::to_string(kStoreFormat))
             .c_str());

@@ -169,6 +169,95 @@ absl::Status WriteBatchRow(SqliteDatabase& database, const char* sql,
       .Run();
 }
 
+// A part of a snapshot takes as much room as so many large batches.
+constexpr int kBatchesPerPart = 8;
+
+// The key of the vehicle's snapshot, or of one in the making;
+// FAILED_PRECONDITION if there is none.
+absl::StatusOr<std::int64_t> SnapshotKey(SqliteDatabase& database,
+                                         VehicleKey key) {
+  SqliteStatement row =
+      database.Prepare("SELECT key FROM snapshots WHERE vehicle_key = ?1");
+  const absl::StatusOr<bool> found = row.Bind(1, key).Step();
+  if (!found.ok()) return found.status();
+  if (!*found) return NoSuchSnapshotPart(0);
+  return row.Integer(0);
+}
+
+// Begins a snapshot; returns its key.
+absl::StatusOr<std::int64_t> InsertSnapshot(SqliteDatabase& database,
+                                            VehicleKey key) {
+  const absl::Status status =
+      database
+          .Prepare(
+              "INSERT INTO snapshots (vehicle_key, format, last_sequence, "
+              "part_count, checksum, payload) VALUES (?1, ?2, 0, 0, 0, x'')")
+          .Bind(1, key)
+          .Bind(2, kStoreFormat)
+          .Run();
+  if (!status.ok()) return status;
+  return database.LastInsertedKey();
+}
+
+// Removes the snapshot of a vehicle, if there is one, and puts its parts out of
+// reach.
+absl::Status ForgetSnapshot(SqliteDatabase& database, VehicleKey key) {
+  const absl::StatusOr<std::int64_t> found = SnapshotKey(database, key);
+  if (absl::IsFailedPrecondition(found.status())) return absl::OkStatus();
+  if (!found.ok()) return found.status();
+  const absl::Status status =
+      database.Prepare("DELETE FROM snapshots WHERE key = ?1")
+          .Bind(1, *found)
+          .Run();
+  if (!status.ok()) return status;
+  return database.Prepare("INSERT INTO deleted_snapshots (key) VALUES (?1)")
+      .Bind(1, *found)
+      .Run();
+}
+
+// How many of parts [first, end) are kept.
+absl::StatusOr<std::uint32_t> CountParts(SqliteDatabase& database,
+                                         std::int64_t snapshot,
+                                         std::uint32_t first,
+                                         std::uint32_t end) {
+  SqliteStatement row = database.Prepare(
+      "SELECT count(*) FROM snapshot_parts WHERE snapshot_key = ?1 AND number "
+      ">= ?2 AND number < ?3");
+  const absl::StatusOr<bool> counted =
+      row.Bind(1, snapshot).Bind(2, first).Bind(3, end).Step();
+  if (!counted.ok()) return counted.status();
+  return static_cast<std::uint32_t>(row.Integer(0));
+}
+
+// Removes some parts of deleted snapshots; returns whether more may be left.
+absl::StatusOr<bool> PurgeSnapshots(SqliteDatabase& database, int parts) {
+  std::int64_t key = 0;
+  {
+    SqliteStatement row =
+        database.Prepare("SELECT key FROM deleted_snapshots LIMIT 1");
+    const absl::StatusOr<bool> found = row.Step();
+    if (!found.ok()) return found.status();
+    if (!*found) return false;
+    key = row.Integer(0);
+  }
+  const absl::Status status =
+      database
+          .Prepare(
+              "DELETE FROM snapshot_parts WHERE rowid IN (SELECT rowid FROM "
+              "snapshot_parts WHERE snapshot_key = ?1 LIMIT ?2)")
+          .Bind(1, key)
+          .Bind(2, parts)
+          .Run();
+  if (!status.ok()) return status;
+  if (database.Changes() > 0) return true;
+  const absl::Status removed =
+      database.Prepare("DELETE FROM deleted_snapshots WHERE key = ?1")
+          .Bind(1, key)
+          .Run();
+  if (!removed.ok()) return removed;
+  return true;
+}
+
 // Sets the current version of a stored batch.
 absl::Status ReviseBatchRow(SqliteDatabase& database, VehicleKey key,
                             const BatchRecord& batch, std::uint64_t revision) {
@@ -312,6 +401,8 @@ absl::Status RemoveVehicle(SqliteDatabase& database, VehicleKey key) {
   if (database.Changes() == 0) {
     return UnknownVehicle(key);
   }
+  status = ForgetSnapshot(database, key);
+  if (!status.ok()) return status;
   for (const PairKind kind : kPairKinds) {
     status = database.Prepare(StatementsOf(kind).remove_all.c_str())
                  .Bind(1, key)
@@ -352,6 +443,7 @@ absl::Status ReviseBatchRows(SqliteDatabase& database, VehicleKey key,
                              const BatchSource& batches,
                              std::uint64_t revision) {
   absl::Status status = ChangeVehicle(database, key, std::nullopt, revision);
+  if (status.ok()) status = ForgetSnapshot(database, key);
   if (!status.ok()) return status;
   return batches([&](const BatchRecord& batch) {
     return ReviseBatchRow(database, key, batch, revision);
@@ -470,6 +562,7 @@ absl::Status DropDamagedRows(SqliteDatabase& database, VehicleKey key,
                              const std::string& payload,
                              std::uint64_t revision) {
   absl::Status status = ChangeVehicle(database, key, payload, revision);
+  if (status.ok()) status = ForgetSnapshot(database, key);
   if (!status.ok()) return status;
   for (const char* sql :
        {"DELETE FROM batches WHERE vehicle_key = ?1 AND first_sequence > ?2",
@@ -506,6 +599,109 @@ absl::Status DropDamagedRows(SqliteDatabase& database, VehicleKey key,
   return absl::OkStatus();
 }
 
+absl::Status PutSnapshotPartRow(SqliteDatabase& database, VehicleKey key,
+                                std::uint32_t number, const std::string& part) {
+  const absl::StatusOr<std::string> id = VehicleId(database, key);
+  if (!id.ok()) return id.status();
+  absl::StatusOr<std::int64_t> snapshot = 0;
+  if (number == 0) {
+    const absl::Status dropped = ForgetSnapshot(database, key);
+    if (!dropped.ok()) return dropped;
+    snapshot = InsertSnapshot(database, key);
+    if (!snapshot.ok()) return snapshot.status();
+  } else {
+    snapshot = SnapshotKey(database, key);
+    if (!snapshot.ok()) return snapshot.status();
+    const absl::StatusOr<std::uint32_t> before =
+        CountParts(database, *snapshot, number - 1, number);
+    if (!before.ok()) return before.status();
+    if (*before == 0) return NoSuchSnapshotPart(number - 1);
+  }
+  return database
+      .Prepare(
+          "INSERT OR REPLACE INTO snapshot_parts (snapshot_key, number, "
+          "format, checksum, payload) VALUES (?1, ?2, ?3, ?4, ?5)")
+      .Bind(1, *snapshot)
+      .Bind(2, number)
+      .Bind(3, kStoreFormat)
+      .Bind(4, ChecksumOfSnapshotPart(kStoreFormat, *snapshot, number, part))
+      .BindBlob(5, part)
+      .Run();
+}
+
+absl::Status PutSnapshotRow(SqliteDatabase& database, VehicleKey key,
+                            const SnapshotRecord& snapshot) {
+  const absl::StatusOr<std::string> id = VehicleId(database, key);
+  if (!id.ok()) return id.status();
+  absl::StatusOr<std::int64_t> found = SnapshotKey(database, key);
+  if (absl::IsFailedPrecondition(found.status()) && snapshot.part_count == 0) {
+    found = InsertSnapshot(database, key);
+  }
+  if (!found.ok()) return found.status();
+  const absl::StatusOr<std::uint32_t> kept =
+      CountParts(database, *found, 0, snapshot.part_count);
+  if (!kept.ok()) return kept.status();
+  if (*kept != snapshot.part_count) return NoSuchSnapshotPart(*kept);
+  return database
+      .Prepare(
+          "UPDATE snapshots SET format = ?2, last_sequence = ?3, part_count = "
+          "?4, checksum = ?5, payload = ?6 WHERE key = ?1")
+      .Bind(1, *found)
+      .Bind(2, kStoreFormat)
+      .Bind(3, Signed(snapshot.last_sequence))
+      .Bind(4, snapshot.part_count)
+      .Bind(5, ChecksumOfSnapshot(kStoreFormat, key, snapshot))
+      .BindBlob(6, snapshot.payload)
+      .Run();
+}
+
+absl::Status DropSnapshotRow(SqliteDatabase& database, VehicleKey key) {
+  const absl::StatusOr<std::string> id = VehicleId(database, key);
+  return id.ok() ? ForgetSnapshot(database, key) : id.status();
+}
+
+absl::StatusOr<std::optional<SnapshotRecord>> FindSnapshot(
+    SqliteDatabase& database, VehicleKey key) {
+  SqliteStatement row = database.Prepare(
+      "SELECT format, last_sequence, part_count, checksum, payload FROM "
+      "snapshots WHERE vehicle_key = ?1 AND last_sequence > 0");
+  const absl::StatusOr<bool> found = row.Bind(1, key).Step();
+  if (!found.ok()) return found.status();
+  if (!*found) return std::optional<SnapshotRecord>();
+  SnapshotRecord snapshot;
+  snapshot.last_sequence = Unsigned(row.Integer(1));
+  snapshot.part_count = static_cast<std::uint32_t>(row.Integer(2));
+  snapshot.payload = row.Bytes(4);
+  const absl::Status sound =
+      CheckSnapshotRow(row.Integer(0), row.Integer(3), key, snapshot);
+  if (!sound.ok()) return sound;
+  return std::optional<SnapshotRecord>(std::move(snapshot));
+}
+
+absl::Status VisitSnapshotParts(
+    SqliteDatabase& database, VehicleKey key, std::uint32_t first,
+    std::uint32_t end, const std::function<bool(absl::string_view)>& visit) {
+  const absl::StatusOr<std::int64_t> snapshot = SnapshotKey(database, key);
+  if (!snapshot.ok()) return snapshot.status();
+  SqliteStatement row = database.Prepare(
+      "SELECT number, format, checksum, payload FROM snapshot_parts WHERE "
+      "snapshot_key = ?1 AND number >= ?2 AND number < ?3 ORDER BY number");
+  row.Bind(1, *snapshot).Bind(2, first).Bind(3, end);
+  for (std::uint32_t number = first; number < end; ++number) {
+    const absl::StatusOr<bool> found = row.Step();
+    if (!found.ok()) return found.status();
+    const absl::string_view part = *found ? row.View(3) : "";
+    const absl::Status sound =
+        *found && row.Integer(0) == std::int64_t{number}
+            ? CheckSnapshotPartRow(row.Integer(1), row.Integer(2), *snapshot,
+                                   number, part)
+            : MissingSnapshotPart(number);
+    if (!sound.ok()) return sound;
+    if (!visit(part)) break;
+  }
+  return absl::OkStatus();
+}
+
 absl::StatusOr<bool> PurgeSome(SqliteDatabase& database, int batches) {
   VehicleKey key = 0;
   {
@@ -513,7 +709,9 @@ absl::StatusOr<bool> PurgeSome(SqliteDatabase& database, int batches) {
         database.Prepare("SELECT key FROM deleted_vehicles LIMIT 1");
     const absl::StatusOr<bool> found = row.Step();
     if (!found.ok()) return found.status();
-    if (!*found) return false;
+    if (!*found) {
+      return PurgeSnapshots(database, std::max(1, batches / kBatchesPerPart));
+    }
     key = row.Integer(0);
   }
   int removed = 0;

@@ -53,8 +53,9 @@ absl::Status DropDamagedRows(SqliteDatabase& database, VehicleKey key,
 // removed them.
 absl::Status RemoveVehicle(SqliteDatabase& database, VehicleKey key);
 
-// Removes some rows of deleted vehicles, with at most `batches` batches;
-// returns whether more may be left.
+// Removes some rows of deleted vehicles and of deleted snapshots, with at most
+// `batches` batches, or as many bytes of parts; returns whether more may be
+// left.
 absl::StatusOr<bool> PurgeSome(SqliteDatabase& database, int batches);
 
 // Gives pages that no row uses back to the file system: those beyond `kept`,
@@ -95,6 +96,21 @@ absl::Status RemovePosePair(SqliteDatabase& database, VehicleKey key,
 absl::StatusOr<std::vector<PosePairRecord>> FindPosePairs(
     SqliteDatabase& database, VehicleKey key, PairKind kind,
     const std::string& after_id, int limit);
+
+// ---- Snapshots
+
+// These implement the calls of Storage of the same names. Parts of a snapshot
+// that is removed stay, out of reach, until PurgeSome() has removed them.
+absl::Status PutSnapshotPartRow(SqliteDatabase& database, VehicleKey key,
+                                std::uint32_t number, const std::string& part);
+absl::Status PutSnapshotRow(SqliteDatabase& database, VehicleKey key,
+                            const SnapshotRecord& snapshot);
+absl::Status DropSnapshotRow(SqliteDatabase& database, VehicleKey key);
+absl::StatusOr<std::optional<SnapshotRecord>> FindSnapshot(
+    SqliteDatabase& database, VehicleKey key);
+absl::Status VisitSnapshotParts(
+    SqliteDatabase& database, VehicleKey key, std::uint32_t first,
+    std::uint32_t end, const std::function<bool(absl::string_view)>& visit);
 
 }  // namespace revisit::server
 

@@ -170,7 +170,9 @@ void ExpectDifferencesOfPairs(std::mt19937_64& random, ValuesSeen* seen) {
                     shared ? &shares : nullptr, &differences);
     DifferenceBlock conditioned = differences;
     if (known) {
-      TakeKnownDrift(known->Terms(), model.state_space, graph.block(k), first,
+      BlockColumn indices;
+      std::iota(indices.begin(), indices.end(), static_cast<double>(first));
+      TakeKnownDrift(known->Terms(), model.state_space, graph.block(k), indices,
                      &conditioned);
     }
     for (std::size_t i = 0; i < count; ++i) {

@@ -117,7 +117,8 @@ absl::Status DeleteNow(VehicleSession& session) {
 
 void CloseNow(VehicleSession& session) {
   const Answer<bool> answer;
-  session.Close([answer] { answer.Set(true); });
+  session.Close(std::chrono::steady_clock::now(),
+                [answer] { answer.Set(true); });
   answer.Get();
 }
 

@@ -1390,7 +1390,8 @@ TEST_F(VehicleSessionTest, CloseFinishesWhatWasCalledAndRefusesTheRest) {
   storage_.Hold();
   const Appended before = Append(*session_, StraightBatch(1, 1));
   const Answer<bool> closed;
-  session_->Close([=] { closed.Set(before.durable.IsSet()); });
+  session_->Close(std::chrono::steady_clock::now(),
+                  [=] { closed.Set(before.durable.IsSet()); });
   const Appended after = Append(*session_, StraightBatch(2, 1));
   storage_.ReleaseAll();
   EXPECT_TRUE(closed.Get());
@@ -1403,7 +1404,7 @@ TEST_F(VehicleSessionTest, WorkGoesOnWithoutTheSession) {
   storage_.Hold();
   const Appended appended = Append(*session_, StraightBatch(1, 1));
   const Answer<bool> closed;
-  session_->Close([=] { closed.Set(true); });
+  session_->Close(std::chrono::steady_clock::now(), [=] { closed.Set(true); });
   session_.reset();
   storage_.ReleaseAll();
   EXPECT_THAT(appended.durable.Get(), IsOk());

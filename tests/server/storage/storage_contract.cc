@@ -459,6 +459,93 @@ TEST_P(StorageContract, ReadersSeeEveryWriteThatWasAnswered) {
   reader.join();
 }
 
+TEST_P(StorageContract, KeepsASnapshotInPartsUntilPosesAreRevised) {
+  if (!storage().KeepsSnapshots()) GTEST_SKIP() << "it keeps none";
+  const VehicleKey key = *write().Create("truck");
+  const VehicleKey other = *write().Create("other");
+  for (const VehicleKey k : {key, other}) {
+    ASSERT_THAT(write().Append(k, Batch(1, 7, 2, "seven")), IsOk());
+  }
+  EXPECT_EQ(SnapshotOf(storage(), key), "none");
+  EXPECT_THAT(write().PutSnapshotPart(key, 1, "b"),
+              IsError(StatusCode::kFailedPrecondition, _, _));
+  ASSERT_THAT(write().PutSnapshotPart(key, 0, "a"), IsOk());
+  ASSERT_THAT(write().PutSnapshotPart(key, 1, "b"), IsOk());
+  EXPECT_THAT(write().PutSnapshotPart(key, 3, "d"),
+              IsError(StatusCode::kFailedPrecondition, _, _));
+  // Parts alone are none.
+  EXPECT_EQ(SnapshotOf(storage(), key), "none");
+  EXPECT_THAT(write().PutSnapshot(key, {5, 3, "x"}),
+              IsError(StatusCode::kFailedPrecondition, _, _));
+  ASSERT_THAT(write().PutSnapshot(key, {5, 2, "x"}), IsOk());
+  ASSERT_THAT(write().PutSnapshotPart(other, 0, "o"), IsOk());
+  ASSERT_THAT(write().PutSnapshot(other, {7, 1, "y"}), IsOk());
+  // A part more, and one that is written again.
+  ASSERT_THAT(write().PutSnapshotPart(key, 2, "c"), IsOk());
+  ASSERT_THAT(write().PutSnapshotPart(key, 1, "b"), IsOk());
+  store_->Reopen();
+  EXPECT_EQ(SnapshotOf(storage(), key), "to 5: a b, 'x'");
+  ASSERT_THAT(write().PutSnapshot(key, {6, 3, "z"}), IsOk());
+  EXPECT_EQ(SnapshotOf(storage(), key), "to 6: a b c, 'z'");
+  // Reading may begin at any part, and end.
+  std::string read;
+  EXPECT_THAT(storage().ReadSnapshotParts(key, 1, 3,
+                                          [&](absl::string_view part) {
+                                            read += std::string(part);
+                                            return false;
+                                          }),
+              IsOk());
+  EXPECT_EQ(read, "b");
+  // What moves no poses leaves it alone.
+  ASSERT_THAT(write().Append(key, Batch(8, 1, 3, "eight")), IsOk());
+  ASSERT_THAT(write().Update(key, "payload", 4), IsOk());
+  ASSERT_THAT(write().AddPair(key, PairKind::kLoopClosure, {"l", 7, 1, 9}, 5),
+              IsOk());
+  EXPECT_EQ(SnapshotOf(storage(), key), "to 6: a b c, 'z'");
+  // Refused, as it is not stored so: nothing changes.
+  EXPECT_FALSE(write().Revise(key, {Batch(1, 3, 0, "three")}, 6).ok());
+  EXPECT_EQ(SnapshotOf(storage(), key), "to 6: a b c, 'z'");
+  ASSERT_THAT(write().Revise(key, {Batch(1, 7, 0, "SEVEN")}, 6), IsOk());
+  EXPECT_EQ(SnapshotOf(storage(), key), "none");
+  EXPECT_THAT(write().PutSnapshotPart(key, 3, "d"),
+              IsError(StatusCode::kFailedPrecondition, _, _));
+  EXPECT_THAT(write().PutSnapshot(key, {6, 3, "z"}),
+              IsError(StatusCode::kFailedPrecondition, _, _));
+  EXPECT_EQ(SnapshotOf(storage(), other), "to 7: o, 'y'");
+}
+
+TEST_P(StorageContract, RemovesASnapshotWithWhatItComesFrom) {
+  if (!storage().KeepsSnapshots()) GTEST_SKIP() << "it keeps none";
+  const VehicleKey key = *write().Create("truck");
+  ASSERT_THAT(write().Append(key, Batch(1, 4, 2, "four")), IsOk());
+  ASSERT_THAT(write().Append(key, Batch(5, 3, 3, "three")), IsOk());
+  const auto put = [&](const std::string& part) {
+    ASSERT_THAT(write().PutSnapshotPart(key, 0, part), IsOk());
+    ASSERT_THAT(write().PutSnapshot(key, {7, 1, "x"}), IsOk());
+    ASSERT_EQ(SnapshotOf(storage(), key), "to 7: " + part + ", 'x'");
+  };
+  put("a");
+  ASSERT_THAT(write().DropDamaged(key, 4, "payload", 4), IsOk());
+  EXPECT_EQ(SnapshotOf(storage(), key), "none");
+  put("b");
+  ASSERT_THAT(write().DropSnapshot(key), IsOk());
+  EXPECT_EQ(SnapshotOf(storage(), key), "none");
+  put("c");
+  // The first part begins anew.
+  ASSERT_THAT(write().PutSnapshotPart(key, 0, "d"), IsOk());
+  EXPECT_EQ(SnapshotOf(storage(), key), "none");
+  put("e");
+  ASSERT_THAT(write().PutSnapshot(key, {3, 0, "short"}), IsOk());
+  EXPECT_EQ(SnapshotOf(storage(), key), "to 3:, 'short'");
+  ASSERT_THAT(write().Delete(key), IsOk());
+  EXPECT_EQ(SnapshotOf(storage(), key), "none");
+  for (const absl::Status& status :
+       {write().PutSnapshotPart(key, 0, "f"), write().DropSnapshot(key),
+        write().PutSnapshot(key, {3, 0, "short"})}) {
+    EXPECT_THAT(status, IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
+  }
+}
+
 TEST_P(StorageContract, DoesWhatTheModelDoes) {
   std::mt19937_64 random = SeededRandom();
   MemoryStorage model;
@@ -487,7 +574,31 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
       results = {call(write(), key.first),
                  call(BlockingWrites(&model), key.second)};
     };
-    switch (UniformInt(random, 0, 9)) {
+    const bool has_snapshots = storage().KeepsSnapshots();
+    switch (UniformInt(random, has_snapshots ? -3 : 0, 9)) {
+      case -3: {
+        const auto number =
+            static_cast<std::uint32_t>(UniformInt(random, 0, 3));
+        both([&](BlockingWrites writes, VehicleKey k) {
+          return writes.PutSnapshotPart(k, number, payload);
+        });
+        break;
+      }
+      case -2: {
+        const SnapshotRecord snapshot{
+            static_cast<std::uint64_t>(UniformInt(random, 1, 9)),
+            static_cast<std::uint32_t>(UniformInt(random, 0, 2)), payload};
+        both([&](BlockingWrites writes, VehicleKey k) {
+          return writes.PutSnapshot(k, snapshot);
+        });
+        break;
+      }
+      case -1:
+        if (UniformInt(random, 0, 4) != 0) break;
+        both([&](BlockingWrites writes, VehicleKey k) {
+          return writes.DropSnapshot(k);
+        });
+        break;
       case 0: {
         const std::string id = pick(ids);
         const auto real_key = write().Create(id, payload, revision);
@@ -578,6 +689,10 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
       for (const PairKind kind : kPairKinds) {
         ASSERT_EQ(ToTexts(*storage().ListPosePairs(real_key, kind, "", 10)),
                   ToTexts(*model.ListPosePairs(expected.key, kind, "", 10)));
+      }
+      if (storage().KeepsSnapshots()) {
+        ASSERT_EQ(SnapshotOf(storage(), real_key),
+                  SnapshotOf(model, expected.key));
       }
       if (expected.durable_sequence == 0) continue;
       const auto first = static_cast<std::uint64_t>(

@@ -173,11 +173,11 @@ TEST_F(SqliteStorageTest, SaysWhichDirectoryIsMissing) {
 
 TEST_F(SqliteStorageTest, RefusesNewerFormat) {
   MakeStore();
-  RunSql(Path(), "PRAGMA user_version = 5");
+  RunSql(Path(), "PRAGMA user_version = 6");
   EXPECT_THAT(OpenSqliteStorage(Path()),
               IsError(StatusCode::kFailedPrecondition, "",
-                      AllOf(HasSubstr("has format 5"),
-                            HasSubstr("this server reads formats 1 to 4"),
+                      AllOf(HasSubstr("has format 6"),
+                            HasSubstr("this server reads formats 1 to 5"),
                             HasSubstr("use a newer server"))));
 }
 
@@ -187,7 +187,7 @@ TEST_F(SqliteStorageTest, RefusesFormatThatNeverWas) {
   EXPECT_THAT(OpenSqliteStorage(Path()),
               IsError(StatusCode::kFailedPrecondition, "",
                       AllOf(HasSubstr("has format 0"),
-                            HasSubstr("this server reads formats 1 to 4"))));
+                            HasSubstr("this server reads formats 1 to 5"))));
 }
 
 // What a server of format 1 left: that of MakeStore(), without rejections. Rows
@@ -274,10 +274,10 @@ TEST_F(SqliteStorageTest, StoreOfFormat1OpensAndGainsWhatItLacks) {
         IsOk());
     EXPECT_THAT(write.Append(1, {7, 1, 8, "delta"}), IsOk());
   }
-  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "4\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "5\n");
   // Rows that nobody changed are as they were.
   EXPECT_EQ(RunSql(Path(), "SELECT format, count(*) FROM batches GROUP BY 1"),
-            "1|3\n4|1\n");
+            "1|3\n5|1\n");
   EXPECT_EQ(RunSql(Path(), "SELECT format, checksum FROM loop_closures"),
             "1|3065229329497340342\n");
   const std::unique_ptr<Storage> storage = MustOpen(Path());
@@ -318,25 +318,25 @@ TEST_F(SqliteStorageTest, RefusesFileThatIsNoDatabase) {
                       HasSubstr("is not a store of revisit")));
 }
 
-TEST_F(SqliteStorageTest, WritesFormat4) {
+TEST_F(SqliteStorageTest, WritesFormat5) {
   // Golden: a change here is a new format. The checksums were printed by this
   // program once; record_checksum.h says what they are made of.
   const VehicleKey key = MakeStore();
   EXPECT_EQ(key, 1);
   EXPECT_EQ(RunSql(Path(), "PRAGMA application_id; PRAGMA user_version"),
-            "1381389140\n4\n");
+            "1381389140\n5\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA journal_mode"), "wal\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA page_size"), "8192\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT name FROM sqlite_schema WHERE type = "
                    "'table' ORDER BY name"),
-            "batches\ndeleted_vehicles\nloop_closures\n"
-            "rejected_candidates\nrevised_batches\nsqlite_sequence\nstore\n"
-            "vehicles\n");
+            "batches\ndeleted_snapshots\ndeleted_vehicles\nloop_closures\n"
+            "rejected_candidates\nrevised_batches\nsnapshot_parts\nsnapshots\n"
+            "sqlite_sequence\nstore\nvehicles\n");
   EXPECT_EQ(RunSql(Path(),
                    "SELECT key, id, format, revision, checksum, "
                    "payload FROM vehicles"),
-            "1|truck|4|7|6652353905742275111|payload\n");
+            "1|truck|5|7|-849705879005082293|payload\n");
   EXPECT_EQ(RunSql(Path(), "PRAGMA auto_vacuum"), "2\n");
   // Where store_state.h says that it stands; of the rest only the number of the
   // commit, the creation's included, and that it was the last are known.
@@ -348,23 +348,131 @@ TEST_F(SqliteStorageTest, WritesFormat4) {
       "SELECT vehicle_key, first_sequence, count, format, revision, checksum, "
       "payload FROM ";
   EXPECT_EQ(RunSql(Path(), batch + "batches"),
-            "1|1|2|4|2|-4829067349424724470|alpha\n"
-            "1|3|2|4|3|1285076461158854921|beta\n"
-            "1|5|2|4|4|-4653714669878249062|gamma\n");
+            "1|1|2|5|2|5854594566563219142|alpha\n"
+            "1|3|2|5|3|-2588423461738458171|beta\n"
+            "1|5|2|5|4|-588482591432174812|gamma\n");
   EXPECT_EQ(RunSql(Path(), batch + "revised_batches"),
-            "1|5|2|4|5|5734659888365959222|GAMMA\n");
+            "1|5|2|5|5|289742499483280071|GAMMA\n");
   const std::string pair =
       "SELECT vehicle_key, id, format, query_sequence, matched_sequence, "
       "create_time_ns, checksum, payload FROM ";
   EXPECT_EQ(RunSql(Path(), pair + "loop_closures"),
-            "1|link|4|6|1|99|-2405007697103716199|measured\n");
+            "1|link|5|6|1|99|7278644712121708534|measured\n");
   EXPECT_EQ(RunSql(Path(), pair + "rejected_candidates"),
-            "1|no|4|6|2|100|1990917711815163374|\n");
+            "1|no|5|6|2|100|-6714604230668513376|\n");
+}
+
+// Makes the store of MakeStore() what a server of format 4 left: the same, but
+// for snapshots. The checksums are those that such a server wrote.
+constexpr char kToFormat4[] = R"sql(
+DROP TABLE snapshots;
+DROP TABLE snapshot_parts;
+DROP TABLE deleted_snapshots;
+UPDATE vehicles SET format = 4, checksum = 6652353905742275111;
+UPDATE batches SET format = 4, checksum = -4829067349424724470
+  WHERE first_sequence = 1;
+UPDATE batches SET format = 4, checksum = 1285076461158854921
+  WHERE first_sequence = 3;
+UPDATE batches SET format = 4, checksum = -4653714669878249062
+  WHERE first_sequence = 5;
+UPDATE revised_batches SET format = 4, checksum = 5734659888365959222;
+UPDATE loop_closures SET format = 4, checksum = -2405007697103716199;
+UPDATE rejected_candidates SET format = 4, checksum = 1990917711815163374;
+PRAGMA user_version = 4;
+)sql";
+
+TEST_F(SqliteStorageTest, StoreOfFormat4OpensAndGainsSnapshots) {
+  MakeStore();
+  RunSql(Path(), kToFormat4);
+  {
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    BlockingWrites write(storage.get());
+    EXPECT_EQ(ToText(*storage->GetVehicle("truck")),
+              "truck 1: 1 closures, 1 rejected, to 6, revision 7, 'payload'");
+    EXPECT_THAT(
+        ToTexts(*ReadAll(*storage, 1, 1, 6)),
+        ElementsAre("1+2, revision 2, 'alpha'", "3+2, revision 3, 'beta'",
+                    "5+2, revision 5, 'GAMMA'"));
+    EXPECT_EQ(SnapshotOf(*storage, 1), "none");
+    EXPECT_THAT(write.PutSnapshotPart(1, 0, "part"), IsOk());
+    EXPECT_THAT(write.PutSnapshot(1, {6, 1, "rest"}), IsOk());
+  }
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "5\n");
+  EXPECT_EQ(RunSql(Path(), "SELECT format, count(*) FROM batches GROUP BY 1"),
+            "4|3\n");
+  EXPECT_EQ(SnapshotOf(*MustOpen(Path()), 1), "to 6: part, 'rest'");
+}
+
+TEST_F(SqliteStorageTest, DamageOfASnapshotIsFoundWhereverItIs) {
+  for (const std::string& damage : std::vector<std::string>{
+           "UPDATE snapshots SET payload = 'resT'",
+           "UPDATE snapshots SET last_sequence = 5",
+           "UPDATE snapshots SET part_count = 1",
+           "UPDATE snapshots SET part_count = 3",
+           "UPDATE snapshots SET format = 4",
+           "UPDATE snapshots SET checksum = checksum + 1",
+           "UPDATE snapshot_parts SET payload = 'onE' WHERE number = 0",
+           "UPDATE snapshot_parts SET payload = '' WHERE number = 1",
+           "UPDATE snapshot_parts SET format = 4 WHERE number = 1",
+           "UPDATE snapshot_parts SET number = 2 WHERE number = 1",
+           "UPDATE snapshot_parts SET number = 7 - number",
+           "UPDATE snapshot_parts SET snapshot_key = 2",
+           "DELETE FROM snapshot_parts WHERE number = 0"}) {
+    SCOPED_TRACE(damage);
+    RemoveStore();
+    const VehicleKey key = MakeStore();
+    {
+      const std::unique_ptr<Storage> storage = MustOpen(Path());
+      BlockingWrites write(storage.get());
+      ASSERT_THAT(write.PutSnapshotPart(key, 0, "one"), IsOk());
+      ASSERT_THAT(write.PutSnapshotPart(key, 1, "two"), IsOk());
+      ASSERT_THAT(write.PutSnapshot(key, {6, 2, "rest"}), IsOk());
+      ASSERT_EQ(SnapshotOf(*storage, key), "to 6: one two, 'rest'");
+    }
+    RunSql(Path(), damage);
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    EXPECT_THAT(SnapshotOf(*storage, key), HasSubstr("damaged"));
+    // The poses are as they were.
+    EXPECT_EQ(ReadAll(*storage, key, 1, 6)->size(), 3u);
+  }
+}
+
+TEST_F(SqliteStorageTest, PartsOfRemovedSnapshotsAreRemovedInTheBackground) {
+  const VehicleKey key = MakeStore();
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  BlockingWrites write(storage.get());
+  for (int i = 0; i < 3; ++i) {
+    for (std::uint32_t number = 0; number < 20; ++number) {
+      ASSERT_THAT(write.PutSnapshotPart(key, number, std::string(20000, 'x')),
+                  IsOk());
+    }
+  }
+  ASSERT_THAT(write.PutSnapshot(key, {6, 20, "rest"}), IsOk());
+  const auto count = [&](const std::string& table) {
+    return RunSql(Path(), "SELECT count(*) FROM " + table);
+  };
+  const auto wait_for = [&](const std::string& parts) {
+    const auto deadline =
+        std::chrono::steady_clock::now() + std::chrono::seconds(60);
+    while (count("snapshot_parts") != parts ||
+           count("deleted_snapshots") != "0\n") {
+      ASSERT_LT(std::chrono::steady_clock::now(), deadline);
+      std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    }
+  };
+  wait_for("20\n");
+  EXPECT_EQ(SnapshotOf(*storage, key).substr(0, 6), "to 6: ");
+  ASSERT_THAT(write.Delete(key), IsOk());
+  wait_for("0\n");
+  EXPECT_EQ(count("snapshots"), "0\n");
 }
 
 // Makes the store of MakeStore() what a server of format 3 left: the same, but
 // for payloads of pairs. The checksums are those that such a server wrote.
 constexpr char kToFormat3[] = R"sql(
+DROP TABLE snapshots;
+DROP TABLE snapshot_parts;
+DROP TABLE deleted_snapshots;
 ALTER TABLE loop_closures DROP COLUMN payload;
 ALTER TABLE rejected_candidates DROP COLUMN payload;
 UPDATE vehicles SET format = 3, checksum = -87707387594918857;
@@ -402,7 +510,7 @@ TEST_F(SqliteStorageTest, StoreOfFormat3OpensAndGainsPayloadsOfPairs) {
                               {"new", 5, 1, 101, "measured"}, 8),
                 IsOk());
   }
-  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "4\n");
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "5\n");
   // Rows that nobody changed are as they were.
   EXPECT_EQ(RunSql(Path(),
                    "SELECT id, format, checksum FROM loop_closures "

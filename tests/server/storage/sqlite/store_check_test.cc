@@ -111,6 +111,38 @@ TEST_F(StoreCheckTest, NamesTheVehicleWithADamagedRowAndGoesOn) {
   EXPECT_THAT(storage->GetVehicle("car"), IsOk());
 }
 
+TEST_F(StoreCheckTest, DamageOfASnapshotIsNamedAndKeepsNoBackupFromBeingMade) {
+  MakeStore();
+  {
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    BlockingWrites write(storage.get());
+    for (const char* id : {"car", "truck"}) {
+      const VehicleKey key = storage->GetVehicle(id)->key;
+      ASSERT_THAT(write.PutSnapshotPart(
+                      key, 0, std::string(500, id[0] == 'c' ? 'C' : 'T')),
+                  IsOk());
+      ASSERT_THAT(write.PutSnapshot(key, {60, 1, "rest"}), IsOk());
+    }
+    // One in the making is none.
+    const VehicleKey key = *write.Create("bus");
+    ASSERT_THAT(write.PutSnapshotPart(key, 0, "part"), IsOk());
+  }
+  StoreReport report = *CheckStore(Path(), StoreUse::kIdle);
+  EXPECT_EQ(report.snapshots, 2);
+  EXPECT_THAT(report.problems, IsEmpty());
+  EXPECT_THAT(report.damaged_snapshots, IsEmpty());
+  Damage(std::string(500, 'T'), 100);
+  report = *CheckStore(Path(), StoreUse::kIdle);
+  EXPECT_THAT(report.problems, IsEmpty());
+  EXPECT_THAT(report.damaged_vehicles, IsEmpty());
+  EXPECT_THAT(report.damaged_snapshots,
+              ElementsAre(AllOf(HasSubstr("truck"), HasSubstr("checksum"))));
+  const absl::StatusOr<StoreReport> backup =
+      BackUpStore(Path(), StoreUse::kIdle, directory_.File("backup.db"));
+  ASSERT_THAT(backup, IsOk());
+  EXPECT_EQ(backup->snapshots, 2);
+}
+
 TEST_F(StoreCheckTest, StoreWhoseTablesHideRowsIsNotOpened) {
   MakeStore();
   // The first page of a table's leaves, here as everywhere, begins with its

@@ -1,0 +1,366 @@
+// Engines that were saved as bytes and loaded, beside those that never were.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/engine.h"
+#include "tests/core/graphs.h"
+#include "tests/random.h"
+
+namespace revisit::core {
+namespace {
+
+struct Kind {
+  StateSpace space;
+  CorrelationModel model;
+};
+
+const Kind kKinds[] = {
+    {StateSpace::kPlanar, CorrelationModel::kDeadReckoning},
+    {StateSpace::kPlanar, CorrelationModel::kIndependent},
+    {StateSpace::kPlanar, CorrelationModel::kCorrelatedFixes},
+    {StateSpace::kPlanar, CorrelationModel::kFilter},
+    {StateSpace::kSpatial, CorrelationModel::kDeadReckoning},
+    {StateSpace::kSpatial, CorrelationModel::kIndependent},
+    {StateSpace::kSpatial, CorrelationModel::kCorrelatedFixes},
+    {StateSpace::kSpatial, CorrelationModel::kFilter}};
+
+EngineSettings SettingsOf(const Kind& kind) {
+  EngineSettings settings;
+  settings.state_space = kind.space;
+  settings.search.correlation_model = kind.model;
+  settings.apply_inflation = true;
+  return settings;
+}
+
+// Laps of a closed road, with stops, jumps, poses of any distance and stamps
+// that are there or not.
+class Drive {
+ public:
+  Drive(const Kind& kind, std::mt19937_64* random)
+      : kind_(kind), random_(*random) {}
+
+  std::vector<PoseSample> Next(int count) {
+    std::vector<PoseSample> samples;
+    for (int i = 0; i < count; ++i) samples.push_back(NextPose());
+    return samples;
+  }
+
+ private:
+  PoseSample NextPose() {
+    const double any = Uniform(random_, 0.0, 1.0);
+    double step = Uniform(random_, 0.0, 4.0);
+    if (any < 0.05) step = 0.0;
+    if (any > 0.9995) angle_ += 1.0;
+    angle_ += step / 400.0;
+    PoseSample sample;
+    sample.sequence = ++sequence_;
+    if (Uniform(random_, 0.0, 1.0) < 0.9) {
+      sample.stamp_ns = static_cast<std::int64_t>(sequence_) * 100'000'000 +
+                        UniformInt(random_, 0, 1'000'000);
+    }
+    const double radius =
+        400.0 + 50.0 * std::cos(3.0 * angle_) + 30.0 * std::sin(7.0 * angle_);
+    sample.pose.x = radius * std::cos(angle_) + Normal(random_, 0.01);
+    sample.pose.y = radius * std::sin(angle_) + Normal(random_, 0.01);
+    sample.pose.heading = angle_ + 1.57 + Normal(random_, 0.001);
+    if (kind_.space == StateSpace::kSpatial) {
+      sample.pose.z = 5.0 * std::sin(angle_) + Normal(random_, 0.01);
+    }
+    const bool grows = kind_.model == CorrelationModel::kDeadReckoning ||
+                       kind_.model == CorrelationModel::kFilter;
+    const double variance = grows ? 0.01 + 1e-4 * static_cast<double>(sequence_)
+                                  : Uniform(random_, 0.5, 2.0);
+    for (int k : {0, 1, 2}) sample.covariance(k, k) = variance;
+    sample.covariance(0, 1) = 0.2 * variance;
+    sample.covariance(3, 3) = 1e-4;
+    if (kind_.model == CorrelationModel::kFilter && sequence_ > 1) {
+      ErrorTransition transition;
+      for (double& value : transition.values) value += Normal(random_, 1e-3);
+      sample.transition = transition;
+    }
+    return sample;
+  }
+
+  const Kind kind_;
+  std::mt19937_64& random_;
+  std::uint64_t sequence_ = 0;
+  double angle_ = 0.0;
+};
+
+std::vector<std::string> SavedParts(const Engine& engine) {
+  std::vector<std::string> parts;
+  for (std::size_t k = 0; k < engine.whole_parts(); ++k) {
+    parts.push_back(engine.SavePart(k));
+  }
+  return parts;
+}
+
+// Null if the bytes are not usable.
+std::unique_ptr<Engine> Loaded(const EngineSettings& settings,
+                               const std::vector<std::string>& parts,
+                               const std::string& rest) {
+  auto engine = std::make_unique<Engine>(settings);
+  for (const std::string& part : parts) {
+    if (!engine->LoadPart(part)) return nullptr;
+  }
+  return engine->LoadRest(rest) ? std::move(engine) : nullptr;
+}
+
+struct Pair {
+  bool is_closure;
+  std::uint64_t query;
+  std::uint64_t matched;
+  std::shared_ptr<const MeasuredLoop> measured;
+};
+
+void Add(const Pair& pair, Engine* engine) {
+  const std::uint64_t revision = engine->revision() + 1;
+  if (pair.is_closure) {
+    engine->AddLoopClosure(pair.query, pair.matched, revision, pair.measured);
+  } else {
+    engine->AddRejection(pair.query, pair.matched, revision);
+  }
+}
+
+void ExpectSameSet(const CandidateSet& a, const CandidateSet& b) {
+  ASSERT_EQ(a.candidates.size(), b.candidates.size());
+  EXPECT_EQ(a.empty_reason, b.empty_reason);
+  EXPECT_EQ(a.nodes_considered, b.nodes_considered);
+  EXPECT_EQ(a.nodes_pruned, b.nodes_pruned);
+  EXPECT_EQ(a.new_place_probability, b.new_place_probability);
+  for (std::size_t i = 0; i < a.candidates.size(); ++i) {
+    const Candidate& left = a.candidates[i];
+    const Candidate& right = b.candidates[i];
+    EXPECT_EQ(left.matched, right.matched);
+    EXPECT_EQ(left.score, right.score);
+    EXPECT_EQ(left.verdict, right.verdict);
+    EXPECT_EQ(left.inflation, right.inflation);
+    EXPECT_EQ(left.path, right.path);
+    ASSERT_EQ(left.relative.has_value(), right.relative.has_value());
+    if (left.relative) {
+      EXPECT_EQ(left.relative->probability, right.relative->probability);
+      EXPECT_EQ(left.relative->log_likelihood_ratio,
+                right.relative->log_likelihood_ratio);
+    }
+  }
+}
+
+void ExpectSameAnswers(const Engine& a, const Engine& b, NodeIndex query) {
+  const auto never = [] { return false; };
+  const auto& options = a.settings().search;
+  const auto left = a.FindCandidates(query, options, never);
+  const auto right = b.FindCandidates(query, options, never);
+  ASSERT_TRUE(left.ok() && right.ok());
+  ExpectSameSet(*left, *right);
+  SearchOptions composite = options;
+  composite.alignment = AlignmentKind::kComposite;
+  const auto left_sum = a.FindCandidates(query, composite, never);
+  const auto right_sum = b.FindCandidates(query, composite, never);
+  ASSERT_TRUE(left_sum.ok() && right_sum.ok());
+  ExpectSameSet(*left_sum, *right_sum);
+}
+
+TEST(EngineStateTest, ALoadedEngineGoesOnAsIfItHadNeverBeenSaved) {
+  std::mt19937_64 random = SeededRandom();
+  for (const Kind& kind : kKinds) {
+    SCOPED_TRACE(static_cast<int>(kind.space));
+    SCOPED_TRACE(static_cast<int>(kind.model));
+    const EngineSettings settings = SettingsOf(kind);
+    Drive drive(kind, &random);
+    Engine never(settings);
+    auto loaded = std::make_unique<Engine>(settings);
+    std::vector<std::string> parts;
+    std::vector<Pair> pairs;
+    std::vector<PoseSample> all;
+    while (never.graph().size() < 18'000) {
+      // Now and then a step of any size, most often a long way.
+      const bool is_long = Uniform(random, 0.0, 1.0) < 0.7;
+      const auto samples =
+          drive.Next(UniformInt(random, 1, is_long ? 4000 : 200));
+      all.insert(all.end(), samples.begin(), samples.end());
+      const AppendResult a = never.Append(samples, never.revision() + 1);
+      const AppendResult b = loaded->Append(samples, loaded->revision() + 1);
+      EXPECT_EQ(a.checks_due, b.checks_due);
+      ASSERT_EQ(a.jumps.size(), b.jumps.size());
+      ASSERT_EQ(a.finding.has_value(), b.finding.has_value());
+      const auto query = static_cast<std::uint64_t>(
+          UniformInt(random, 2, static_cast<int>(all.size())));
+      const auto matched = static_cast<std::uint64_t>(
+          UniformInt(random, 1, static_cast<int>(query) - 1));
+      Pair pair{Uniform(random, 0.0, 1.0) < 0.7, query, matched, nullptr};
+      if (pair.is_closure && Uniform(random, 0.0, 1.0) < 0.5) {
+        const PoseSample& q = all[query - 1];
+        const PoseSample& m = all[matched - 1];
+        pair.measured = RandomMeasurement(random, {q.pose, q.covariance},
+                                          {m.pose, m.covariance}, 0.5);
+      }
+      pairs.push_back(pair);
+      Add(pair, &never);
+      Add(pair, loaded.get());
+      if (Uniform(random, 0.0, 1.0) < 0.5) {
+        // Parts that were saved before stay as they are.
+        for (std::size_t k = parts.size(); k < loaded->whole_parts(); ++k) {
+          parts.push_back(loaded->SavePart(k));
+        }
+        const std::string rest = loaded->SaveRest(parts.size());
+        loaded = Loaded(settings, parts, rest);
+        ASSERT_NE(loaded, nullptr);
+        for (const Pair& each : pairs) Add(each, loaded.get());
+      }
+    }
+    EXPECT_EQ(parts, [&] {
+      auto now = SavedParts(never);
+      now.resize(std::min(now.size(), parts.size()));
+      return now;
+    }());
+    EXPECT_EQ(SavedParts(*loaded), SavedParts(never));
+    EXPECT_EQ(loaded->SaveRest(0), never.SaveRest(0));
+    EXPECT_EQ(loaded->last_sequence(), never.last_sequence());
+    EXPECT_EQ(loaded->travelled_meters(), never.travelled_meters());
+    EXPECT_EQ(loaded->graph().LoopEdges(), never.graph().LoopEdges());
+    EXPECT_EQ(loaded->consistency().inflation, never.consistency().inflation);
+    EXPECT_EQ(loaded->finding().has_value(), never.finding().has_value());
+    for (const NodeIndex query :
+         {NodeIndex{300}, NodeIndex{9000}, never.graph().size() - 1}) {
+      ExpectSameAnswers(*loaded, never, query);
+    }
+  }
+}
+
+TEST(EngineStateTest, AnEmptyEngineIsSavedAndLoaded) {
+  const EngineSettings settings;
+  const Engine empty(settings);
+  const auto loaded = Loaded(settings, {}, empty.SaveRest(0));
+  ASSERT_NE(loaded, nullptr);
+  EXPECT_EQ(loaded->SaveRest(0), empty.SaveRest(0));
+}
+
+TEST(EngineStateTest, BytesOfOtherSettingsOrOutOfOrderAreNotUsable) {
+  std::mt19937_64 random = SeededRandom();
+  const Kind kind = kKinds[0];
+  const EngineSettings settings = SettingsOf(kind);
+  Drive drive(kind, &random);
+  Engine engine(settings);
+  engine.Append(drive.Next(20'000), 1);
+  const std::vector<std::string> parts = SavedParts(engine);
+  ASSERT_EQ(parts.size(), 2u);
+  const std::string rest = engine.SaveRest(2);
+  ASSERT_NE(Loaded(settings, parts, rest), nullptr);
+
+  EXPECT_EQ(Loaded(settings, {}, rest), nullptr);
+  EXPECT_EQ(Loaded(settings, {parts[0]}, rest), nullptr);
+  EXPECT_EQ(Loaded(settings, {parts[1], parts[0]}, rest), nullptr);
+  EXPECT_EQ(Loaded(settings, {parts[0], parts[0]}, rest), nullptr);
+  EXPECT_EQ(Loaded(settings, {parts[0], rest}, parts[1]), nullptr);
+  EXPECT_NE(Loaded(settings, {}, engine.SaveRest(0)), nullptr);
+
+  EngineSettings other = settings;
+  other.check_interval_meters = 70.0;
+  EXPECT_NE(Loaded(other, parts, rest), nullptr);
+  for (const auto& change : std::vector<std::function<void(EngineSettings*)>>{
+           [](EngineSettings* s) { s->state_space = StateSpace::kSpatial; },
+           [](EngineSettings* s) { s->node_spacing_meters = 2.5; },
+           [](EngineSettings* s) { s->max_step_meters = 50.0; },
+           [](EngineSettings* s) { s->search.sequence_length_meters = 20.0; },
+           [](EngineSettings* s) {
+             s->search.correlation_model = CorrelationModel::kIndependent;
+           }}) {
+    other = settings;
+    change(&other);
+    EXPECT_EQ(Loaded(other, parts, rest), nullptr);
+  }
+}
+
+TEST(EngineStateTest, BytesThatWereCutAreNotUsable) {
+  std::mt19937_64 random = SeededRandom();
+  for (const Kind& kind : {kKinds[0], kKinds[7]}) {
+    const EngineSettings settings = SettingsOf(kind);
+    Drive drive(kind, &random);
+    Engine engine(settings);
+    engine.Append(drive.Next(300), 1);
+    const std::string rest = engine.SaveRest(0);
+    for (std::size_t size = 0; size < rest.size(); ++size) {
+      EXPECT_EQ(Loaded(settings, {}, rest.substr(0, size)), nullptr) << size;
+    }
+    EXPECT_EQ(Loaded(settings, {}, rest + '\0'), nullptr);
+    engine.Append(drive.Next(12'000), 2);
+    const std::string part = engine.SavePart(0);
+    for (std::size_t size = 0; size < part.size(); size += 997) {
+      Engine loaded(settings);
+      EXPECT_FALSE(loaded.LoadPart(part.substr(0, size))) << size;
+    }
+  }
+}
+
+// The storage's checksums find such damage; here it must only do no harm.
+TEST(EngineStateTest, FlippedBitsAreRefusedOrDoNoHarm) {
+  std::mt19937_64 random = SeededRandom();
+  int usable = 0;
+  for (const Kind& kind : {kKinds[0], kKinds[7]}) {
+    const EngineSettings settings = SettingsOf(kind);
+    Drive drive(kind, &random);
+    Engine engine(settings);
+    engine.Append(drive.Next(11'000), 1);
+    const std::vector<std::string> parts = SavedParts(engine);
+    ASSERT_EQ(parts.size(), 1u);
+    const std::string rest = engine.SaveRest(1);
+    const auto more = drive.Next(300);
+    for (int round = 0; round < 300; ++round) {
+      std::vector<std::string> flipped = {parts[0], rest};
+      std::string& bytes = flipped[static_cast<std::size_t>(round % 2)];
+      // Where the numbers are small there are most ways to go wrong.
+      const bool at_end = round % 4 == 1;
+      const int from = at_end ? static_cast<int>(bytes.size()) - 1000 : 0;
+      const int at =
+          UniformInt(random, from, static_cast<int>(bytes.size()) - 1);
+      bytes[static_cast<std::size_t>(at)] ^=
+          static_cast<char>(1 << UniformInt(random, 0, 7));
+      const auto loaded = Loaded(settings, {flipped[0]}, flipped[1]);
+      if (loaded == nullptr) continue;
+      ++usable;
+      loaded->Append(more, 1);
+      if (round % 10 != 0) continue;
+      EXPECT_TRUE(
+          loaded->FindCandidates(settings.search, [] { return false; }).ok());
+    }
+  }
+  EXPECT_GT(usable, 0);
+}
+
+// If this fails, and the change is meant: raise kStateVersion of engine.cc, so
+// that no server takes what an older one has saved, and set the sum anew.
+TEST(EngineStateTest, TheBytesOfThisVersionAreKnown) {
+  Engine engine((EngineSettings()));
+  std::vector<PoseSample> samples;
+  for (int i = 0; i < 9000; ++i) {
+    PoseSample sample;
+    sample.sequence = samples.size() + 1;
+    sample.stamp_ns = i;
+    sample.pose.x = 2.0 * i;
+    sample.covariance(0, 0) = 1.0;
+    sample.covariance(1, 1) = 1.0;
+    sample.covariance(3, 3) = 0.25;
+    samples.push_back(sample);
+  }
+  engine.Append(samples, 1);
+  // FNV-1a.
+  std::uint64_t sum = 0xcbf29ce484222325;
+  for (const std::string& bytes : {engine.SavePart(0), engine.SaveRest(1)}) {
+    for (const char byte : bytes) {
+      sum = (sum ^ static_cast<unsigned char>(byte)) * 0x100000001b3;
+    }
+  }
+  EXPECT_EQ(sum, 3686904992735829429u);
+}
+
+}  // namespace
+}  // namespace revisit::core
