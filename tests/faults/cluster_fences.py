@@ -8,8 +8,6 @@ from revisit_server import wait_until
 
 # Cut out of the SQL of the append.
 _FENCE = "AND v.owner = a.o AND v.epoch = a.e AND v.durable_sequence = a.f - 1 "
-
-
 # More than a read that is stale: what is stored is not what was acknowledged.
 _LOSSES = {"LOST", "GAP", "DOUBLE", "WRONG", "DAMAGED"}
 
@@ -31,7 +29,7 @@ def broken_without_fence(run):
     with Cluster(run, proxied=True, fleet={
             "max_batch": 60, "window": 40, "pause_seconds": 0.0}) as cluster:
         fleet = cluster.fleet
-        # Nor that a pose is stored once.
+        # Else the key of a row would stop some of what the fence stops.
         cluster.database.sql(
             "ALTER TABLE batches DROP CONSTRAINT batches_pkey; "
             "CREATE INDEX ON batches (vehicle_key, first_sequence)")

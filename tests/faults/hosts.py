@@ -75,12 +75,17 @@ class Network:
         self._addresses = {}
         self._cuts = set()
         self._names = []
-        self._add("hub")
-        for name in names:
-            self._add(name)
-            self._join(name)
-        self._join("clients")
-        run("ip", "netns", "exec", "hub", "sysctl", "-qw", "net.ipv4.ip_forward=1")
+        try:
+            self._add("hub")
+            for name in names:
+                self._add(name)
+                self._join(name)
+            self._join("clients")
+            run("ip", "netns", "exec", "hub", "sysctl", "-qw",
+                "net.ipv4.ip_forward=1")
+        except BaseException:
+            self.close()
+            raise
 
     def _add(self, name):
         run("ip", "netns", "add", name)

@@ -68,7 +68,9 @@ int clock_gettime(clockid_t clock, timespec* time) noexcept {
     *time = {1, 0};
     return 0;
   }
-  return Next<int(clockid_t, timespec*)>("clock_gettime")(clock, time);
+  // Asked for often.
+  static auto* const next = Next<int(clockid_t, timespec*)>("clock_gettime");
+  return next(clock, time);
 }
 
 int PQsendPrepare(PGconn* connection, const char* name, const char* sql,
