@@ -200,10 +200,17 @@ void Replayer::Finish(const absl::Status& status) {
 }
 
 absl::StatusOr<bool> Replayer::ReplaySome() {
-  const auto pause = std::chrono::steady_clock::now() + kReplaySlice;
+  // Counted from the first that was read: a store that answers late would leave
+  // no time for more than that, and be asked again for each row.
+  std::optional<std::chrono::steady_clock::time_point> pause;
+  const auto is_time_left = [&pause] {
+    const auto now = std::chrono::steady_clock::now();
+    if (!pause) pause = now + kReplaySlice;
+    return now < *pause;
+  };
   if (replay_->may_use_snapshot) FindSnapshot();
-  if (replay_->snapshot && !LoadSnapshot(pause)) return false;
-  return ReplayBatches(pause);
+  if (replay_->snapshot && !LoadSnapshot(is_time_left)) return false;
+  return ReplayBatches(is_time_left);
 }
 
 void Replayer::FindSnapshot() {
@@ -222,11 +229,8 @@ void Replayer::FindSnapshot() {
   }
 }
 
-bool Replayer::LoadSnapshot(std::chrono::steady_clock::time_point pause) {
+bool Replayer::LoadSnapshot(const std::function<bool()>& is_time_left) {
   const SnapshotRecord& snapshot = *replay_->snapshot;
-  const auto is_time_left = [pause] {
-    return std::chrono::steady_clock::now() < pause;
-  };
   if (replay_->parts < snapshot.part_count) {
     bool is_usable = true;
     const absl::Status reading = vehicle_->storage->ReadSnapshotParts(
@@ -284,7 +288,7 @@ void Replayer::DropSnapshot() {
 }
 
 absl::StatusOr<bool> Replayer::ReplayBatches(
-    std::chrono::steady_clock::time_point pause) {
+    const std::function<bool()>& is_time_left) {
   if (replay_->next_sequence > vehicle_->durable_sequence) return true;
   absl::Status decoding;
   const absl::Status reading = vehicle_->storage->ReadBatches(
@@ -308,7 +312,7 @@ absl::StatusOr<bool> Replayer::ReplayBatches(
         replay_->highest_revision =
             std::max(replay_->highest_revision, batch.revision);
         replay_->next_sequence = batch.first_sequence + batch.count;
-        return std::chrono::steady_clock::now() < pause;
+        return is_time_left();
       });
   const absl::Status& unread = reading.ok() ? decoding : reading;
   if (replay_->is_load && absl::IsDataLoss(unread) && replay_->snapshot) {

@@ -4,7 +4,6 @@
 #define REVISIT_SERVER_SESSIONS_REPLAY_H_
 
 #include <atomic>
-#include <chrono>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -80,10 +79,11 @@ class Replayer {
   void Finish(const absl::Status& status);
   // Goes on for a slice of time. Returns whether all are replayed.
   absl::StatusOr<bool> ReplaySome();
-  absl::StatusOr<bool> ReplayBatches(std::chrono::steady_clock::time_point);
+  // `is_time_left` is asked after each that was read.
+  absl::StatusOr<bool> ReplayBatches(const std::function<bool()>& is_time_left);
   void FindSnapshot();
   // Whether the snapshot is loaded, or was given up.
-  bool LoadSnapshot(std::chrono::steady_clock::time_point pause);
+  bool LoadSnapshot(const std::function<bool()>& is_time_left);
   void DropSnapshot();
   // Begins anew, with the first pose.
   void GiveUpSnapshot(const std::string& cause);

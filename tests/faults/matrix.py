@@ -17,10 +17,15 @@ import tempfile
 import time
 import traceback
 
+import cluster_cuts
+import cluster_database
+import cluster_fences
+import cluster_servers
 import crowds
 import damage
 import devices
 import ends
+import hosts
 import kills
 import linearizable
 import power
@@ -29,6 +34,8 @@ from skipped import Skipped
 
 ROWS = [*kills.ROWS, *power.ROWS, *damage.ROWS, *devices.ROWS,
         *restarts.ROWS, *ends.ROWS, *crowds.ROWS, *linearizable.ROWS]
+CLUSTER_ROWS = [*cluster_servers.ROWS, *cluster_database.ROWS,
+                *cluster_cuts.ROWS, *cluster_fences.ROWS]
 
 
 @dataclasses.dataclass
@@ -53,6 +60,52 @@ class Run:
         return path
 
 
+def scratch(arguments):
+    """Where the directories of the rows are made. The files of databases are in
+    memory where there is room: what a disk does to them is none of the rows'
+    business."""
+    memory = pathlib.Path("/dev/shm")
+    return memory if arguments.cluster and os.access(memory, os.W_OK) and \
+        shutil.disk_usage(memory).free > 4 << 30 else None
+
+
+def keep_logs(run, target, name):
+    """Of a row that failed, if anybody wants them."""
+    if target is None:
+        return
+    kept = pathlib.Path(target) / f"{run.seed} {name}".replace("/", "-")
+    for log in run.directory.rglob("*.log"):
+        to = kept / log.relative_to(run.directory)
+        to.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(log, to)
+
+
+def run_rows(arguments, seed, where):
+    """The lines of the table, as each row ends."""
+    for name, number, expected, row in (
+            CLUSTER_ROWS if arguments.cluster else ROWS):
+        if arguments.only and not any(word in name for word in arguments.only):
+            continue
+        if any(word in name for word in arguments.but):
+            continue
+        start = time.monotonic()
+        with tempfile.TemporaryDirectory(prefix="row-", dir=where) as directory:
+            run = Run(pathlib.Path(directory), random.Random(f"{seed} {name}"),
+                      seed, arguments.long, arguments.scale)
+            try:
+                rounds, seen = row(run)
+                verdict = "holds"
+            except Skipped as skipped:
+                rounds, seen, verdict = 0, str(skipped), "SKIPPED"
+            except Exception as error:  # pylint: disable=broad-except
+                traceback.print_exc()
+                rounds, seen, verdict = "", f"{error!r}"[:200], "FAILED"
+                keep_logs(run, arguments.logs, name)
+        seconds = time.monotonic() - start
+        print(f"{verdict:8} {name} ({seconds:.1f} s): {seen}", flush=True)
+        yield number, name, expected, seen, rounds, verdict
+
+
 def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -71,37 +124,32 @@ def main():
     parser.add_argument("--but", metavar="WORD", action="append", default=[],
                         help="all rows but those whose name has this in it; "
                         "may be given several times")
+    parser.add_argument("--cluster", action="store_true",
+                        help="the rows of several servers over one PostgreSQL, "
+                        "instead of those of one server: some five minutes, "
+                        "with --long some 30")
+    parser.add_argument("--logs", metavar="DIRECTORY",
+                        help="where the logs of rows that fail are kept")
+    parser.add_argument("--seeds", type=int, default=1,
+                        help="repeats all rows with so many seeds, one after "
+                        "the other")
     arguments = parser.parse_args()
+    if arguments.cluster:
+        hosts.enter()
     seed = arguments.seed
     if seed is None:
         seed = random.SystemRandom().randrange(2**32) if arguments.long \
             else 20101018
-    print(f"seed {seed}", flush=True)
-
     failures = skips = 0
     table = []
-    for name, number, expected, row in ROWS:
-        if arguments.only and not any(word in name for word in arguments.only):
-            continue
-        if any(word in name for word in arguments.but):
-            continue
-        start = time.monotonic()
-        with tempfile.TemporaryDirectory(prefix="revisit-faults-") as directory:
-            run = Run(pathlib.Path(directory), random.Random(f"{seed} {name}"),
-                      seed, arguments.long, arguments.scale)
-            try:
-                rounds, seen = row(run)
-                verdict = "holds"
-            except Skipped as skipped:
-                rounds, seen, verdict = 0, str(skipped), "SKIPPED"
-                skips += 1
-            except Exception as error:  # pylint: disable=broad-except
-                traceback.print_exc()
-                rounds, seen, verdict = "", f"{error!r}"[:200], "FAILED"
-                failures += 1
-        seconds = time.monotonic() - start
-        print(f"{verdict:8} {name} ({seconds:.1f} s): {seen}", flush=True)
-        table.append((number, name, expected, seen, rounds, verdict))
+    with tempfile.TemporaryDirectory(prefix="revisit-faults-",
+                                     dir=scratch(arguments)) as where:
+        for each in range(seed, seed + arguments.seeds):
+            print(f"seed {each}", flush=True)
+            for line in run_rows(arguments, each, where):
+                failures += line[-1] == "FAILED"
+                skips += line[-1] == "SKIPPED"
+                table.append(line)
 
     print("\n| rows | tried | expected | seen | rounds | |\n|-|-|-|-|-|-|")
     for row in table:

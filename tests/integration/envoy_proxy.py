@@ -54,14 +54,16 @@ def replaced(text, replacements):
 
 class Envoy:
     """One Envoy with a configuration of ours, which listens at `port` of the
-    loopback. Its files lie in `directory`."""
+    loopback, or of another address. Its files lie in `directory`. `launch` is
+    what its command begins with."""
 
-    def __init__(self, directory, configuration, port):
-        self.port = port
+    def __init__(self, directory, configuration, port, host="127.0.0.1",
+                 launch=()):
+        self.host, self.port = host, port
         self._log_path = directory / "envoy.log"
         with open(self._log_path, "wb") as log:
             self._process = subprocess.Popen(
-                [ENVOY, "-c", replace(directory / "envoy.yaml", configuration),
+                [*launch, ENVOY, "-c", replace(directory / "envoy.yaml", configuration),
                  "--concurrency", "2", "--disable-hot-restart",
                  "--log-level", "warning"],
                 stdin=subprocess.DEVNULL, stdout=log, stderr=log)
@@ -74,7 +76,7 @@ class Envoy:
     def _listens(self):
         assert self.is_running(), self.log()
         with contextlib.suppress(ConnectionError):
-            return socket.create_connection(("127.0.0.1", self.port))
+            return socket.create_connection((self.host, self.port))
 
     @property
     def pid(self):
@@ -82,7 +84,7 @@ class Envoy:
 
     @property
     def address(self):
-        return f"127.0.0.1:{self.port}"
+        return f"{self.host}:{self.port}"
 
     def log(self):
         return self._log_path.read_text()

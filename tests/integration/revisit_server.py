@@ -66,19 +66,20 @@ class Server:
     """One revisitd on a free port of the loopback, over one store, which is a
     path or a URL. It may open as many files as `descriptors` says, if it says.
     Its log goes to a file beside the store, or to `log_path`, or to the
-    descriptor `stderr`."""
+    descriptor `stderr`. `launch` is what its command begins with."""
 
     def __init__(self, store, *flags, env=None, wait=True, descriptors=None,
-                 listen="127.0.0.1:0", log_path=None, stderr=None):
+                 listen="127.0.0.1:0", log_path=None, stderr=None, launch=()):
         self.store = store if "://" in str(store) else pathlib.Path(store)
         self.log_path = log_path or self.store.with_name(
             self.store.name + ".log")
+        self.host = listen.rpartition(":")[0]
         self._lines = queue.SimpleQueue()
         self._channels = []
         self.port = None
         with open(self.log_path, "ab") as log:
             self.process = subprocess.Popen(
-                [BIN / "revisitd", "--listen", listen, "--store",
+                [*launch, BIN / "revisitd", "--listen", listen, "--store",
                  self.store, *map(str, flags)],
                 stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
                 stderr=log if stderr is None else stderr,
@@ -101,7 +102,8 @@ class Server:
             line = self._lines.get(timeout=deadline - time.monotonic())
             assert line is not None, (
                 f"revisitd ended with {self.process.wait()}: {self.log()}")
-            found = re.match(r"listening on 127\.0\.0\.1:(\d+)\s*$", line)
+            found = re.match(
+                rf"listening on {re.escape(self.host)}:(\d+)\s*$", line)
             if found:
                 self.port = int(found.group(1))
 
@@ -111,7 +113,7 @@ class Server:
 
     @property
     def address(self):
-        return f"127.0.0.1:{self.port}"
+        return f"{self.host}:{self.port}"
 
     def log(self):
         return self.log_path.read_text(errors="replace")

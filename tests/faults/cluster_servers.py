@@ -1,0 +1,170 @@
+"""Rows of a cluster whose servers end, stop, come and go."""
+
+import time
+
+from cluster import LEASE_SECONDS, TAKEOVER_SECONDS, Cluster
+from revisit_server import BIN, wait_until
+
+BACK_SECONDS = 5.0
+
+
+def stops(**plan):
+    """An environment in which a server stops at a statement; see
+    statement_shim.cc."""
+    return {"LD_PRELOAD": str(BIN / "statement_shim.so"),
+            "REVISIT_TEST_STATEMENT": "append",
+            **{f"REVISIT_TEST_{name.upper()}": str(value)
+               for name, value in plan.items()}}
+
+
+def killed(run):
+    rounds = run.rounds(short=2, long=20)
+    slowest = 0.0
+    with Cluster(run) as cluster:
+        cluster.fleet.start()
+        cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for _ in range(rounds):
+            cluster.fleet.sleep(run.rng.uniform(0.2, 1.5))
+            victim = cluster.any_owner()
+            cluster.kill(victim)
+            if run.rng.random() < 0.5:
+                cluster.start(victim)
+            slowest = max(slowest, cluster.fleet.wait_for_acks(TAKEOVER_SECONDS))
+            if not cluster.servers[victim].is_running():
+                cluster.start(victim)
+        seen = cluster.judge()
+    return rounds, f"{seen}; all served again after {slowest:.1f} s at most"
+
+
+def paused(run):
+    rounds = run.rounds(short=2, long=24)
+    slowest = 0.0
+    with Cluster(run) as cluster:
+        cluster.fleet.start()
+        cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for number in range(rounds):
+            victim = cluster.any_owner()
+            cluster.pause(victim)
+            if number % 2:
+                # Others have its vehicles before it wakes.
+                cluster.wait_until_dead(victim)
+                slowest = max(slowest,
+                              cluster.fleet.wait_for_acks(TAKEOVER_SECONDS))
+            else:
+                cluster.fleet.sleep(run.rng.uniform(0.3, LEASE_SECONDS))
+            cluster.resume(victim)
+            cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+        seen = cluster.judge()
+    return rounds, f"{seen}; all served again after {slowest:.1f} s at most"
+
+
+def paused_at_append(run, when):
+    """The server stops at a statement that it has decided to send, its vehicles
+    are taken, and it wakes."""
+    rounds = run.rounds(short=1, long=12)
+    with Cluster(run) as cluster:
+        cluster.fleet.start()
+        cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for _ in range(rounds):
+            victim = cluster.any_owner()
+            cluster.kill(victim)
+            cluster.start(victim, **stops(**{when: run.rng.randint(2, 60)}))
+            wait_until(lambda: cluster.is_paused(victim), "the server stops", 60)
+            cluster.wait_until_dead(victim)
+            cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+            found = deaths(cluster, victim)
+            cluster.resume(victim)
+            wait_until(lambda: deaths(cluster, victim) > found,
+                       "server that finds itself dead")
+            cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+        seen = cluster.judge()
+    return rounds, f"{seen}; {rounds} servers woke up dead"
+
+
+def deaths(cluster, number):
+    return cluster.servers[number].log().count("taken this one for dead")
+
+
+def terminated(run):
+    rounds = run.rounds(short=2, long=20)
+    silence = longest = 0.0
+    with Cluster(run, flags=["--drain-notice-seconds", 1]) as cluster:
+        cluster.fleet.start()
+        cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for _ in range(rounds):
+            cluster.fleet.sleep(run.rng.uniform(0.2, 1.5))
+            victim = cluster.any_owner()
+            begun = time.monotonic()
+            longest = max(longest, cluster.terminate(victim))
+            cluster.fleet.wait_for_acks(BACK_SECONDS)
+            silence = max(silence, cluster.fleet.longest_silence(begun))
+            cluster.start(victim)
+        told = cluster.fleet.outcomes["UNAVAILABLE SERVER_DRAINING"]
+        seen = cluster.judge()
+    assert told > 0
+    # Nobody waits for the lease of a server that was asked to end.
+    assert silence < LEASE_SECONDS, silence
+    return rounds, (f"{seen}; ended within {longest:.1f} s, longest time without "
+                    f"an ack {silence:.1f} s; {told} told SERVER_DRAINING")
+
+
+def rolling_restart(run):
+    """Each server once, the next when the one before is back."""
+    streams = 300 if run.long else 60
+    slowest = 0.0
+    with Cluster(run, flags=["--drain-notice-seconds", 1], fleet={
+            "vehicles": streams, "readers": 6, "window": 1,
+            "pause_seconds": 1.0}) as cluster:
+        cluster.fleet.start()
+        cluster.fleet.wait_for_acks(60)
+        for number in list(cluster.servers):
+            cluster.terminate(number, 60)
+            cluster.start(number)
+            slowest = max(slowest, cluster.fleet.wait_for_acks(60))
+        seen = cluster.judge()
+    return len(cluster.servers), (
+        f"{streams} vehicles, {seen}; all served {slowest:.1f} s after a server "
+        "is back")
+
+
+def scaled(run):
+    """2 -> 3 -> 2 servers."""
+    rounds = run.rounds(short=1, long=4)
+    most = 0
+    with Cluster(run, servers=2, flags=["--drain-notice-seconds", 1]) as cluster:
+        cluster.fleet.start()
+        cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
+        for _ in range(rounds):
+            cluster.start(2)
+            cluster.fleet.addresses = cluster.addresses()
+            # Calls that stray there have vehicles handed over.
+            wait_until(lambda: cluster.count_of(2) >= 2,
+                       "vehicles at the third server", 3 * TAKEOVER_SECONDS)
+            most = max(most, cluster.count_of(2))
+            leaver = cluster.any_owner()
+            cluster.terminate(leaver)
+            del cluster.servers[leaver]
+            cluster.fleet.addresses = cluster.addresses()
+            cluster.fleet.wait_for_acks(BACK_SECONDS)
+            if leaver != 2:
+                cluster.servers[leaver] = cluster.servers.pop(2)
+        seen = cluster.judge()
+    return rounds, f"{seen}; the third server had {most} vehicles"
+
+
+ROWS = [
+    ("servers: kill -9", "1", "every acked pose, once, in order",
+     killed),
+    ("servers: stopped and woken", "22", "no ack, no stale read", paused),
+    ("servers: stopped between check and commit", "22",
+     "nothing written by whoever is no longer the owner",
+     lambda run: paused_at_append(run, "stop_before")),
+    ("servers: stopped between commit and ack", "22",
+     "sent again elsewhere: stored once",
+     lambda run: paused_at_append(run, "stop_after")),
+    ("servers: SIGTERM", "16", "last acks, others have its vehicles "
+     "at once", terminated),
+    ("servers: rolling restart", "16", "no ack lost", rolling_restart),
+    ("servers: scale 2 -> 3 -> 2", "23",
+     "vehicles move, each at most once in a lease", scaled),
+]
