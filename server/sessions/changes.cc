@@ -104,7 +104,12 @@ void Changes::CheckAcknowledged(std::uint64_t acked_sequence,
   }
   VehicleConfig config = vehicle_->config;
   config.data_loss = true;
-  ChangeConfig(config, [this, callback, loss](const absl::Status&) {
+  ChangeConfig(config, [this, callback, loss](const absl::Status& written) {
+    // The vehicle is another server's, and what that one has is what counts.
+    if (absl::IsAborted(written)) {
+      callback(written);
+      return;
+    }
     // Holds in memory even if it could not be stored; the client will say so
     // again. Not before: nobody may see what a crash could take back.
     vehicle_->config.data_loss = true;

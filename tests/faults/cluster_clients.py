@@ -341,9 +341,17 @@ class Vehicle:
 
     def _read_poses(self, caller, first):
         """The highest sequence among poses that are what was sent."""
-        poses = caller.stub().ListPoses(api.ListPosesRequest(
-            parent=self.name, first_sequence=first, page_size=1000),
-            timeout=self.fleet.answer_seconds, metadata=caller.metadata()).poses
+        poses = []
+        request = api.ListPosesRequest(parent=self.name, first_sequence=first,
+                                       page_size=10000)
+        while True:
+            page = caller.stub().ListPoses(
+                request, timeout=self.fleet.answer_seconds,
+                metadata=caller.metadata())
+            poses += page.poses
+            request.page_token = page.next_page_token
+            if not page.next_page_token:
+                break
         for sequence, pose in enumerate(poses, first):
             if pose.SerializeToString(
                     deterministic=True) != self.sent_pose(sequence):

@@ -5,7 +5,7 @@ the end and against what a cluster promises:
   missing;
 * a read that began after an acknowledgement, or after another read, shows at least
   as many poses, and none shows a pose that is not stored in the end;
-* a vehicle leaves a server that lives only after it was held for a while.
+* a vehicle does not go back and forth between servers that live.
 
 Times are seconds of one monotonic clock, that of the clients, but for claims,
 which have the database's.
@@ -134,24 +134,27 @@ def _of_reads(acks, reads, head):
 
 
 def moves(claims):
-    """(at, seconds that the owner before had it, whether that one lived), for
-    each claim of another server than the one before."""
-    owner, since, left_alive = None, None, False
+    """(at, the new owner, whether the one before lived), for each claim of another
+    server than the one before."""
+    owner, left_alive = None, False
     for claim in sorted(claims, key=lambda each: each.at):
         if not claim.owner:
             left_alive = claim.previous_lived
             continue
         if claim.owner != owner:
             if owner is not None:
-                yield (claim.at, claim.at - since, claim.previous_lived
+                yield (claim.at, claim.owner, claim.previous_lived
                        if claim.previous else left_alive)
-            owner, since = claim.owner, claim.at
+            owner = claim.owner
 
 
-def hasty_moves(claims, hold_seconds):
-    """Violations of the promise to hold a vehicle for so long, although another
-    server asks for it."""
-    for at, held, lived in moves(claims):
-        if lived and held < hold_seconds - 0.5:
-            yield (f"MOVED at {at:.3f} from a server that lives, after "
-                   f"{held:.1f} s")
+def hasty_moves(claims, apart_seconds):
+    """Violations of the promise that a vehicle does not go back and forth: from a
+    server that lives it moves no sooner than so long after it came there from
+    another."""
+    came = None
+    for at, _, lived in moves(claims):
+        if lived and came is not None and at - came < apart_seconds - 0.5:
+            yield (f"MOVED at {at:.3f} from a server that lives, {at - came:.1f} s "
+                   "after it came there")
+        came = at

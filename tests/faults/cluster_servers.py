@@ -131,7 +131,9 @@ def scaled(run):
     """2 -> 3 -> 2 servers."""
     rounds = run.rounds(short=1, long=4)
     most = 0
-    with Cluster(run, servers=2, flags=["--drain-notice-seconds", 1]) as cluster:
+    # Many vehicles, for the third server's share follows from their names.
+    with Cluster(run, servers=2, flags=["--drain-notice-seconds", 1], fleet={
+            "vehicles": 24, "readers": 8, "pause_seconds": 0.2}) as cluster:
         cluster.fleet.start()
         cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
         for _ in range(rounds):

@@ -105,21 +105,21 @@ def test_claims_without_another_owner_are_no_moves():
     assert not list(moves(claims))
 
 
-def test_vehicle_is_held_before_it_is_handed_over():
-    def claims(release, claim):
-        return [Claim(1.0, "a", "", False), Claim(release, "", "a", True),
-                Claim(claim, "b", "", False)]
+def test_vehicle_does_not_go_back_and_forth():
+    def claims(back, released=True):
+        return [Claim(1.0, "a", "", False), Claim(2.0, "b", "a", True), *(
+            [Claim(back, "", "b", True), Claim(back + 0.1, "a", "", False)]
+            if released else [Claim(back, "a", "b", True)])]
 
-    assert not list(hasty_moves(claims(11.0, 11.1), 10.0))
-    assert list(hasty_moves(claims(5.0, 5.1), 10.0))
-    # From one to the next without a release.
-    assert list(hasty_moves([Claim(1.0, "a", "", False),
-                             Claim(3.0, "b", "a", True)], 10.0))
+    for released in (True, False):
+        assert not list(hasty_moves(claims(12.0, released), 10.0))
+        assert list(hasty_moves(claims(5.0, released), 10.0))
 
 
-def test_vehicle_of_a_dead_server_may_move_at_any_time():
-    assert not list(hasty_moves([Claim(1.0, "a", "", False),
-                                 Claim(3.0, "b", "a", False)], 10.0))
+def test_vehicle_may_leave_a_dead_server_at_any_time():
+    assert not list(hasty_moves([
+        Claim(1.0, "a", "", False), Claim(2.0, "b", "a", True),
+        Claim(3.0, "c", "b", False)], 10.0))
 
 
 def test_longest_silence_counts_both_ends():

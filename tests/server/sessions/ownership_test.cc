@@ -109,6 +109,22 @@ TEST_F(OwnershipTest, WriteUnderWayWhenTheVehicleIsTakenIsFencedAndUndone) {
   EXPECT_EQ(b_.Read("truck")->durable_sequence, 3u);
 }
 
+// It answered DATA_LOSS, although nothing but its memory was behind.
+TEST_F(OwnershipTest, AcknowledgementOfAnotherServerIsNotTakenForALoss) {
+  ASSERT_THAT(a_.Create("truck"), IsOk());
+  ASSERT_THAT(a_.Append("truck", 1, 2), IsOk());
+  a_.held.Hold();
+  const std::shared_ptr<VehicleSession> session = a_.fleet.Session("truck");
+  const Answer<absl::StatusOr<Snapshot>> answer;
+  session->CheckAcknowledged(4, TestConfig().uid, Taking(answer));
+  a_.held.Await(1);
+  Seize("truck", "b");
+  ASSERT_THAT(b_.Append("truck", 3, 2), IsOk());
+  a_.held.ReleaseAll();
+  EXPECT_THAT(answer.Get(), kFenced);
+  EXPECT_THAT(b_.Append("truck", 5, 1), IsOk());
+}
+
 // A vehicle that another server wrote to is loaded anew when it comes back.
 TEST_F(OwnershipTest, VehicleThatComesBackShowsWhatOthersWroteMeanwhile) {
   ASSERT_THAT(a_.Create("truck"), IsOk());
