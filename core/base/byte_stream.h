@@ -81,7 +81,11 @@ class ByteReader {
     std::uint8_t has_value = 0;
     if (!Get(&has_value) || has_value > 1) return false;
     value->reset();
-    return has_value == 0 || Get(&value->emplace());
+    if (has_value == 0) return true;
+    T read;
+    if (!Get(&read)) return false;
+    *value = read;
+    return true;
   }
 
   absl::string_view rest() const { return bytes_; }

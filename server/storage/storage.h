@@ -306,6 +306,8 @@ class Storage {
   virtual CommitCounts Counts() const { return {}; }
 };
 
+// Values, because implementations keep them.
+// NOLINTBEGIN(performance-unnecessary-value-param)
 inline void Storage::PutSnapshotPart(VehicleKey, std::uint32_t, std::string,
                                      Done done) {
   done(absl::UnimplementedError("no snapshots are kept"));
@@ -318,6 +320,7 @@ inline void Storage::PutSnapshot(VehicleKey, SnapshotRecord, Done done) {
 inline void Storage::DropSnapshot(VehicleKey, Done done) {
   done(absl::OkStatus());
 }
+// NOLINTEND(performance-unnecessary-value-param)
 
 }  // namespace revisit::server
 
