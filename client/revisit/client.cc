@@ -192,7 +192,7 @@ absl::StatusOr<v1::RevisePosesResponse> Client::RevisePoses(
   const absl::Status status = rep_->Run(
       Retry::kNever, rep_->options.bulk_deadline,
       [&](grpc::ClientContext* context, bool* repeatable) {
-        // What `next` has given is gone.
+        // `next` does not give its messages a second time.
         *repeatable = false;
         const auto writer = rep_->stub->RevisePoses(context, &response);
         v1::RevisePosesRequest request;

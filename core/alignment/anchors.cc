@@ -90,8 +90,8 @@ bool Anchors<D>::IsPossible(std::size_t i) const {
   });
 }
 
-// What scales and drifts there are makes no difference to that: it is asked of
-// the first.
+// The claimed covariances are the same in all parts, whatever their scales and
+// drifts, so the first part is asked.
 template <int D>
 bool Anchors<D>::AreAlike(std::size_t i, std::size_t j) const {
   const DifferenceBlock& differences = parts_.front().differences;

@@ -31,8 +31,8 @@ class Differences {
   void Find(std::size_t k, std::size_t count, std::size_t next,
             DifferenceBlock* differences);
 
-  // Those of the first `count` nodes from anywhere in the graph, copied to a
-  // block of their own. REQUIRES: kDeadReckoning.
+  // Finds the differences of nodes from anywhere in the graph, the first
+  // `count` of a block that they were copied to. REQUIRES: kDeadReckoning.
   void FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
                  std::size_t count, DifferenceBlock* differences);
 

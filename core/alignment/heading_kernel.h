@@ -19,7 +19,7 @@ struct HeadingStep {
   std::ptrdiff_t offset = 0;
   // Heading of the recent path's node less that of its end, rounded.
   std::uint8_t turn = 0;
-  // Of the filter: K, and the inverse of the innovation's variance.
+  // The gain K of the filter, and the inverse of its innovation's variance.
   float gain = 0.0F;
   float information = 0.0F;
   // The most that the log-likelihood ratio of a path can come to which ends

@@ -246,8 +246,8 @@ class DirectionSearch {
   // are sampled. Returns false if told to stop.
   bool SearchKept(const ShouldStop& should_stop, double* greatest,
                   Considered* considered) {
-    // Those that may be about as good are as the graph has them, so that what
-    // is read for one is at hand for the next.
+    // Ends that may be about as good keep the order of the graph, so that a
+    // block that is read for one end is at hand for the next.
     const auto likelier = [](const Kept& a, const Kept& b) {
       if (a.drifts != b.drifts) return a.drifts > b.drifts;
       return a.step != b.step ? a.step > b.step : a.node < b.node;
@@ -439,7 +439,7 @@ class DirectionSearch {
   const NodeIndex size_;
   const Direction direction_;
   const double constant_;
-  // Of how many ends one is a sample.
+  // One end in so many is a sample.
   const std::size_t stride_;
   const std::size_t samples_of_block_;
   const std::size_t blocks_at_a_time_;
@@ -452,7 +452,7 @@ class DirectionSearch {
   std::array<NodeIndex, kNodes> nodes_;
   BlockColumn of_each_;
   BlockColumn gains_;
-  // Those of them that may be ends.
+  // The nodes at hand that may be ends.
   BlockNodes sought_;
   // The most that the log-odds of each end can come to.
   BlockColumn most_;

@@ -76,8 +76,8 @@ struct ShapeMatch {
   std::int64_t steps = 0;
 };
 
-// What alignments of one query have in common, so that the second need not find
-// it anew. Starts empty.
+// Keeps the parts that all alignments of one query share, so that the second
+// alignment need not find them anew. Starts empty.
 struct AlignmentParts {
   std::shared_ptr<const void> parts;
 };

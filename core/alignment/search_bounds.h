@@ -37,7 +37,7 @@ class SearchBounds {
   // The part of the log-odds that is the same for all ends.
   double constant() const { return constant_; }
 
-  // Of how many ends one is looked at where they are sampled.
+  // Where ends are sampled, one in so many is looked at.
   std::size_t stride() const { return stride_; }
 
   // Blocks of the history that may hold an end with the least log-odds. They
