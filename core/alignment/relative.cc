@@ -469,17 +469,6 @@ class DirectionSearch {
   std::vector<double> by_scale_;
 };
 
-// Whether a loop closure joins two nodes of the history. Others may have been
-// confirmed since, which the answer does not depend on.
-bool HasLoopIn(const PoseGraph& graph, NodeIndex history_size) {
-  if (!graph.has_loop_edges()) return false;
-  const auto edges = graph.LoopEdges();
-  return std::any_of(edges.begin(), edges.end(),
-                     [history_size](const std::pair<NodeIndex, NodeIndex>& e) {
-                       return e.second < history_size;
-                     });
-}
-
 // AlignmentParts.
 template <int D>
 struct Parts {
@@ -522,10 +511,11 @@ std::optional<RelativeAlignment> AlignRelativeIn(
   }
   const auto parts = std::static_pointer_cast<const Parts<D>>(shared->parts);
   // Where paths may cross loop closures, headings do not tell how far these can
-  // go.
+  // go. Closures beyond the history may have been confirmed since, and the
+  // answer does not depend on them.
   const HeadingMatch* const headings =
       parts->headings && model.most_log_odds_sampled != kImpossible &&
-              !(model.over_loops && HasLoopIn(graph, history_size))
+              !(model.over_loops && graph.HasLoopEdgeAmong(history_size))
           ? &*parts->headings
           : nullptr;
   const SearchBounds<D> bounds(graph, model, parts->recent, query,

@@ -131,6 +131,16 @@ const std::vector<NodeIndex>& PoseGraph::LoopNeighbours(NodeIndex i) const {
   return found == loop_neighbours_.end() ? kNone : found->second;
 }
 
+bool PoseGraph::HasLoopEdgeAmong(NodeIndex count) const {
+  for (const auto& [node, neighbours] : loop_neighbours_) {
+    if (node >= count) continue;
+    for (const NodeIndex other : neighbours) {
+      if (other < count) return true;
+    }
+  }
+  return false;
+}
+
 std::vector<std::pair<NodeIndex, NodeIndex>> PoseGraph::LoopEdges() const {
   std::vector<std::pair<NodeIndex, NodeIndex>> edges;
   for (const auto& [from, neighbours] : loop_neighbours_) {
