@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstddef>
 #include <tuple>
+#include <vector>
 
 #include "core/candidates/chi_squared.h"
 #include "core/candidates/gate.h"
@@ -21,6 +22,31 @@ constexpr std::size_t kGridSize = 31;
 double LogFactor(std::size_t i, double max_inflation) {
   return std::log(max_inflation) * static_cast<double>(i) /
          static_cast<double>(kGridSize - 1);
+}
+
+// ln of the prior's density at each ln f, up to a constant.
+std::vector<double> LogPriorDensity(double max_inflation) {
+  std::vector<double> log_density(kGridSize);
+  for (std::size_t i = 0; i < kGridSize; ++i) {
+    const double deviations = LogFactor(i, max_inflation) / kInflationPrior;
+    log_density[i] = -0.5 * deviations * deviations;
+  }
+  return log_density;
+}
+
+// exp of the mean of ln f.
+double MeanInflation(const std::vector<double>& log_density,
+                     double max_inflation) {
+  const double greatest =
+      *std::max_element(log_density.begin(), log_density.end());
+  double sum = 0.0;
+  double weighted = 0.0;
+  for (std::size_t i = 0; i < kGridSize; ++i) {
+    const double density = std::exp(log_density[i] - greatest);
+    sum += density;
+    weighted += density * LogFactor(i, max_inflation);
+  }
+  return std::exp(weighted / sum);
 }
 
 // ln P(d^T b^-1 d <= threshold) for d ~ N(0, a).
@@ -75,12 +101,8 @@ ConsistencyMonitor::ConsistencyMonitor(const ConsistencyOptions& options)
                      .threshold()) {
   consistency_.degrees_of_freedom =
       DegreesOfFreedom(options.similarity.state_space);
-  for (std::size_t i = 0; i < kGridSize; ++i) {
-    const double deviations =
-        LogFactor(i, options.max_inflation) / kInflationPrior;
-    log_density_.push_back(-0.5 * deviations * deviations);
-  }
-  UpdateInflation();
+  consistency_.inflation = MeanInflation(LogPriorDensity(options.max_inflation),
+                                         options.max_inflation);
 }
 
 void ConsistencyMonitor::Confirm(const PoseGraph& graph,
@@ -137,24 +159,13 @@ void ConsistencyMonitor::Confirm(const PoseGraph& graph,
   sum_of_squares_ += claimed->squared_mahalanobis;
   consistency_.mean_normalized_innovation_squared =
       sum_of_squares_ / static_cast<double>(consistency_.confirmed);
+  if (log_density_.empty()) {
+    log_density_ = LogPriorDensity(options_.max_inflation);
+  }
   for (std::size_t i = 0; i < kGridSize; ++i) {
     log_density_[i] += log_likelihood[i];
   }
-  UpdateInflation();
-}
-
-// Sets the inflation to exp of the mean of ln f.
-void ConsistencyMonitor::UpdateInflation() {
-  const double greatest =
-      *std::max_element(log_density_.begin(), log_density_.end());
-  double sum = 0.0;
-  double weighted = 0.0;
-  for (std::size_t i = 0; i < kGridSize; ++i) {
-    const double density = std::exp(log_density_[i] - greatest);
-    sum += density;
-    weighted += density * LogFactor(i, options_.max_inflation);
-  }
-  consistency_.inflation = std::exp(weighted / sum);
+  consistency_.inflation = MeanInflation(log_density_, options_.max_inflation);
 }
 
 }  // namespace revisit::core

@@ -72,13 +72,12 @@ class ConsistencyMonitor {
  private:
   template <int D>
   void Confirm(const PoseGraph& graph, const ConfirmedLoop& loop);
-  void UpdateInflation();
 
   ConsistencyOptions options_;
   // Threshold of the gate.
   double threshold_;
   // Logarithm of the posterior density of ln f, less a constant, at even steps
-  // of ln f.
+  // of ln f. Empty before the first confirmed pair.
   std::vector<double> log_density_;
   double sum_of_squares_ = 0.0;
   Consistency consistency_;
