@@ -129,15 +129,21 @@ class Server {
   static std::vector<std::string> Command(Kind kind, const std::string& store) {
     const std::filesystem::path self = OwnPath();
     if (kind == Kind::kEmpty) return {self.string(), "--empty-server"};
-    return {(self.parent_path() / "revisitd").string(),
-            "--listen",
-            "127.0.0.1:0",
-            "--store",
-            store,
-            "--log-format",
-            "json",
-            "--idle-unload-minutes",
-            "1000"};
+    std::vector<std::string> command = {
+        (self.parent_path() / "revisitd").string(),
+        "--listen",
+        "127.0.0.1:0",
+        "--store",
+        store,
+        "--log-format",
+        "json",
+        "--idle-unload-minutes",
+        "1000"};
+    if (kind == Kind::kShared) {
+      // No other server asks.
+      command.insert(command.end(), {"--advertise-address", "127.0.0.1:1"});
+    }
+    return command;
   }
 
   const Kind kind_;
