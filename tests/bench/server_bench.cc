@@ -104,6 +104,7 @@ class Server {
 
   const std::string& address() const { return process_.address(); }
   double cpu_seconds() const { return process_.cpu_seconds(); }
+  double peak_bytes() const { return process_.peak_bytes(); }
   std::string store() const { return directory_.path() + "/revisit.sqlite"; }
 
   void AddVehicle(const std::string& id) {
@@ -210,6 +211,7 @@ json MeasureStreams(Kind kind, const Options& options, int vehicles,
   result["client_cpu_us_per_pose"] =
       1e6 * (OwnCpuSeconds() - own_cpu) / std::max(1.0, poses);
   streams.Stop();
+  result["server_peak_bytes"] = server.peak_bytes();
   server.Stop();
   if (kind != Kind::kEmpty) result["writes_a_commit"] = server.WritesACommit();
   return result;
