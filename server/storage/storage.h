@@ -216,8 +216,9 @@ class Storage {
 
   // ---- A snapshot of a vehicle saves making again what its poses make. It is
   // a cache: a storage may keep none, as this base does, or lose one at any
-  // time. ReviseBatches(), DropDamaged() and DeleteVehicle() remove it in the
-  // same step as they do what else they do, its parts included.
+  // time. It goes, its parts included, in the same step in which
+  // ReviseBatches() or DropDamaged() change or remove batches, or
+  // DeleteVehicle() the vehicle.
 
   virtual bool KeepsSnapshots() const { return false; }
   // Keeps a part, in the place of the one of that number, if there is one. Part

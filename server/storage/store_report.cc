@@ -1,6 +1,9 @@
 #include "server/storage/store_report.h"
 
+#include <optional>
+
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "server/storage/record_check.h"
 
 namespace revisit::server {
@@ -39,6 +42,15 @@ absl::Status CountVehicle(Storage& storage, const std::string& id,
     if (!read.ok()) return read;
   }
   return absl::OkStatus();
+}
+
+// Whether the snapshot is the one that was read before.
+bool IsSame(Storage& storage, VehicleKey key,
+            const absl::StatusOr<std::optional<SnapshotRecord>>& before) {
+  const auto now = storage.GetSnapshot(key);
+  if (!now.ok() || !before.ok()) return now.status() == before.status();
+  return now->has_value() == before->has_value() &&
+         (!*now || (*now)->last_sequence == (*before)->last_sequence);
 }
 
 }  // namespace
@@ -83,6 +95,20 @@ absl::Status ReportVehicle(Storage& storage, const std::string& id,
     report->damaged_vehicles.insert(Printable(id));
   }
   return status;
+}
+
+void ReportSnapshot(Storage& storage, VehicleKey key, const std::string& id,
+                    StoreReport* report) {
+  const auto snapshot = storage.GetSnapshot(key);
+  absl::Status status = snapshot.status();
+  if (status.ok() && *snapshot) {
+    ++report->snapshots;
+    status = storage.ReadSnapshotParts(key, 0, (*snapshot)->part_count,
+                                       [](absl::string_view) { return true; });
+  }
+  if (status.ok() || !IsSame(storage, key, snapshot)) return;
+  report->damaged_snapshots.push_back("vehicle '" + Printable(id) +
+                                      "': " + std::string(status.message()));
 }
 
 }  // namespace revisit::server

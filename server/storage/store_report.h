@@ -46,6 +46,11 @@ absl::Status VisitPosePairs(
 absl::Status ReportVehicle(Storage& storage, const std::string& id,
                            StoreReport* report);
 
+// Reads a vehicle's snapshot whole, and adds it to the report's counts, or to
+// its damaged ones. A server may replace or remove it meanwhile.
+void ReportSnapshot(Storage& storage, VehicleKey key, const std::string& id,
+                    StoreReport* report);
+
 }  // namespace revisit::server
 
 #endif  // REVISIT_SERVER_STORAGE_STORE_REPORT_H_

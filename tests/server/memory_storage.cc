@@ -61,10 +61,10 @@ void MemoryStorage::DropDamaged(VehicleKey key, std::uint64_t last_sequence,
                                 Done done) {
   done(Change(key, revision, [&](Vehicle& vehicle) {
     if (!vehicle.record.damage.ok()) return vehicle.record.damage;
-    vehicle.DropSnapshot();
     auto& batches = vehicle.batches;
     while (!batches.empty() &&
            batches.back().as_sent.first_sequence > last_sequence) {
+      vehicle.DropSnapshot();
       batches.pop_back();
     }
     if (Complete(vehicle).durable_sequence != last_sequence) {
@@ -177,8 +177,8 @@ void MemoryStorage::AppendBatch(VehicleKey key, BatchRecord batch,
 void MemoryStorage::ReviseBatches(VehicleKey key, BatchSource batches,
                                   std::uint64_t revision, Done done) {
   done(Change(key, revision, [&](Vehicle& vehicle) {
-    vehicle.DropSnapshot();
     return batches([&](const BatchRecord& revised) {
+      vehicle.DropSnapshot();
       const auto found = std::find_if(
           vehicle.batches.begin(), vehicle.batches.end(),
           [&](const Batch& batch) {

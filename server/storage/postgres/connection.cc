@@ -196,7 +196,7 @@ std::int64_t PostgresRows::Integer(int row, int column) const {
   return static_cast<std::int64_t>(value);
 }
 
-std::string PostgresRows::Bytes(int row, int column) const {
+absl::string_view PostgresRows::View(int row, int column) const {
   return {PQgetvalue(result_.get(), row, column),
           static_cast<std::size_t>(PQgetlength(result_.get(), row, column))};
 }

@@ -21,6 +21,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {
@@ -69,7 +70,11 @@ class PostgresRows {
   // A number of any width; a boolean as 0 or 1; NULL as 0.
   std::int64_t Integer(int row, int column) const;
   // A text or bytea; empty if NULL.
-  std::string Bytes(int row, int column) const;
+  std::string Bytes(int row, int column) const {
+    return std::string(View(row, column));
+  }
+  // As Bytes(), while these rows live.
+  absl::string_view View(int row, int column) const;
   Uuid GetUuid(int row, int column) const;
   // Such as "COMMIT".
   std::string Tag() const { return PQcmdStatus(result_.get()); }

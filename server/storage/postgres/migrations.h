@@ -6,7 +6,6 @@
 // on with ("expand"), so that servers can be replaced one by one; what they
 // alone needed is removed by a later one ("contract"). A server takes a
 // database of its own version and of the one before, and refuses others.
-// Version 1 is the first, so there is none before it yet.
 //
 // Tables of version 1:
 //   schema_version       one row
@@ -18,6 +17,11 @@
 //   batches, revised_batches, loop_closures, rejected_candidates
 //                        as in sqlite_storage.h
 //   deleted_vehicles     keys whose batches are still to be removed
+// and since version 2:
+//   snapshots, snapshot_parts, deleted_snapshots
+//                        as in sqlite_storage.h; triggers remove the snapshot
+//                        of a vehicle with the vehicle, and when a batch of it
+//                        is revised or removed
 // Rows have the format versions and checksums of record_checksum.h, except
 // those of heads: they are compared with the last batch whenever a vehicle is
 // read.
@@ -32,23 +36,27 @@
 
 namespace revisit::server {
 
-inline constexpr int kSchemaVersion = 1;
+inline constexpr int kSchemaVersion = 2;
 inline constexpr int kOldestSchemaVersion = 1;
+// The version that brought snapshots.
+inline constexpr int kSnapshotsSinceVersion = 2;
 
-// FAILED_PRECONDITION if this program does not know the tables; the message
-// says what to run.
-absl::Status CheckSchema(PostgresConnection& connection);
+// The version of the tables. FAILED_PRECONDITION if this program does not know
+// them; the message says what to run.
+absl::StatusOr<int> CheckSchema(PostgresConnection& connection);
 
 struct MigrationReport {
   int version_before = 0;  // 0: the database had no tables.
   int version_after = 0;
 };
 
-// Brings the tables to kSchemaVersion, each migration whole or not at all. Of
-// several that run at a time, one works and the others wait. The role needs the
-// right to create tables. FAILED_PRECONDITION if the tables are of a newer
-// version.
-absl::StatusOr<MigrationReport> MigrateDatabase(const std::string& conninfo);
+// Brings the tables to a version, unless they are there already, each migration
+// whole or not at all. Of several that run at a time, one works and the others
+// wait. The role needs the right to create tables. FAILED_PRECONDITION if the
+// tables are newer than this program. Versions before the last are for tests of
+// how it gets on with them.
+absl::StatusOr<MigrationReport> MigrateDatabase(
+    const std::string& conninfo, int to_version = kSchemaVersion);
 
 }  // namespace revisit::server
 

@@ -10,7 +10,7 @@ namespace {
 
 constexpr Statement kVehicleIds = {
     "vehicle_ids",
-    "SELECT id FROM vehicles WHERE id > $1::text ORDER BY id LIMIT 1000"};
+    "SELECT id, key FROM vehicles WHERE id > $1::text ORDER BY id LIMIT 1000"};
 
 constexpr Statement kRevisedCount = {"revised_count",
                                      "SELECT count(*) FROM revised_batches"};
@@ -47,6 +47,25 @@ constexpr LeftOver kLeftOvers[] = {
       "vehicles v WHERE v.key = d.key)"},
      "vehicles are there although they were deleted"},
 };
+constexpr LeftOver kLeftOverSnapshots = {
+    {"snapshots_left_over",
+     "SELECT (SELECT count(*) FROM snapshots s WHERE NOT EXISTS (SELECT 1 FROM "
+     "vehicles v WHERE v.key = s.vehicle_key)) + (SELECT count(*) FROM "
+     "snapshot_parts p WHERE NOT EXISTS (SELECT 1 FROM snapshots s WHERE s.key "
+     "= p.snapshot_key) AND NOT EXISTS (SELECT 1 FROM deleted_snapshots d "
+     "WHERE d.key = p.snapshot_key))"},
+    "snapshots or parts of snapshots belong to no vehicle"};
+
+absl::Status CountLeftOver(PostgresConnection& connection,
+                           const LeftOver& left_over, StoreReport* report) {
+  const auto count = connection.Run(left_over.count);
+  if (!count.ok()) return count.status();
+  if (count->Integer(0, 0) > 0) {
+    report->problems.push_back(std::to_string(count->Integer(0, 0)) + " " +
+                               left_over.what);
+  }
+  return absl::OkStatus();
+}
 
 }  // namespace
 
@@ -68,14 +87,17 @@ absl::StatusOr<StoreReport> CheckDatabase(const std::string& conninfo) {
       after = ids->Bytes(i, 0);
       // One that is not found was deleted since it was listed.
       ReportVehicle(**storage, after, &report).IgnoreError();
+      ReportSnapshot(**storage, ids->Integer(i, 1), after, &report);
     }
   }
   for (const LeftOver& left_over : kLeftOvers) {
-    const auto count = (*connection)->Run(left_over.count);
-    if (!count.ok()) return count.status();
-    if (count->Integer(0, 0) == 0) continue;
-    report.problems.push_back(std::to_string(count->Integer(0, 0)) + " " +
-                              left_over.what);
+    absl::Status status = CountLeftOver(**connection, left_over, &report);
+    if (!status.ok()) return status;
+  }
+  if ((*storage)->KeepsSnapshots()) {
+    absl::Status status =
+        CountLeftOver(**connection, kLeftOverSnapshots, &report);
+    if (!status.ok()) return status;
   }
   const auto revised = (*connection)->Run(kRevisedCount);
   if (!revised.ok()) return revised.status();

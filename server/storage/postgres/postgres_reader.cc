@@ -4,9 +4,9 @@
 #include <utility>
 
 #include "server/base/status.h"
-#include "server/storage/postgres/migrations.h"
 #include "server/storage/postgres/ownership.h"
 #include "server/storage/postgres/postgres_reads.h"
+#include "server/storage/postgres/postgres_snapshots.h"
 
 namespace revisit::server {
 namespace {
@@ -16,8 +16,8 @@ constexpr std::size_t kIdleReaders = 4;
 
 class ReadOnlyPostgres : public PostgresReader {
  public:
-  explicit ReadOnlyPostgres(const std::string& conninfo)
-      : PostgresReader(conninfo) {}
+  explicit ReadOnlyPostgres(PostgresDatabase database)
+      : PostgresReader(std::move(database)) {}
 
   void CreateVehicle(
       VehicleRecord,
@@ -49,6 +49,14 @@ class ReadOnlyPostgres : public PostgresReader {
                    Done done) override {
     done(ReadOnly());
   }
+  void PutSnapshotPart(VehicleKey, std::uint32_t, std::string,
+                       Done done) override {
+    done(ReadOnly());
+  }
+  void PutSnapshot(VehicleKey, SnapshotRecord, Done done) override {
+    done(ReadOnly());
+  }
+  void DropSnapshot(VehicleKey, Done done) override { done(ReadOnly()); }
 
  private:
   static absl::Status ReadOnly() {
@@ -59,20 +67,19 @@ class ReadOnlyPostgres : public PostgresReader {
 
 }  // namespace
 
-absl::StatusOr<std::unique_ptr<PostgresConnection>> LookAtDatabase(
-    const std::string& conninfo) {
+absl::StatusOr<PostgresDatabase> LookAtDatabase(const std::string& conninfo) {
   PostgresConnection::Options options;
   options.conninfo = conninfo;
-  auto connection = PostgresConnection::Open(options);
+  const auto connection = PostgresConnection::Open(options);
   if (!connection.ok()) return connection.status();
-  if (absl::Status status = CheckSchema(**connection); !status.ok()) {
-    return status;
-  }
-  return connection;
+  const absl::StatusOr<int> version = CheckSchema(**connection);
+  if (!version.ok()) return version.status();
+  return PostgresDatabase{conninfo, *version, (*connection)->durability()};
 }
 
-PostgresReader::PostgresReader(const std::string& conninfo)
-    : connections_(conninfo, kIdleReaders) {}
+PostgresReader::PostgresReader(PostgresDatabase database)
+    : database_(std::move(database)),
+      connections_(database_.conninfo, kIdleReaders) {}
 
 absl::StatusOr<VehicleRecord> PostgresReader::GetVehicle(
     const std::string& id) {
@@ -104,15 +111,32 @@ absl::StatusOr<std::vector<PosePairRecord>> PostgresReader::ListPosePairs(
   });
 }
 
+absl::StatusOr<std::optional<SnapshotRecord>> PostgresReader::GetSnapshot(
+    VehicleKey key) {
+  using Found = std::optional<SnapshotRecord>;
+  if (!database_.has_snapshots()) return Found();
+  return Read<Found>([&](PostgresConnection& connection) {
+    return FindSnapshot(connection, key);
+  });
+}
+
+absl::Status PostgresReader::ReadSnapshotParts(
+    VehicleKey key, std::uint32_t first, std::uint32_t end,
+    const std::function<bool(absl::string_view)>& visit) {
+  return connections_.Use([&](PostgresConnection& connection) {
+    return VisitSnapshotParts(connection, key, first, end, visit);
+  });
+}
+
 absl::StatusOr<std::vector<StorageUser>> PostgresReader::ListUsers() {
   return Read<std::vector<StorageUser>>(Ownership::ListUsers);
 }
 
 absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorageToRead(
     const std::string& conninfo) {
-  const auto connection = LookAtDatabase(conninfo);
-  if (!connection.ok()) return connection.status();
-  return std::unique_ptr<Storage>(new ReadOnlyPostgres(conninfo));
+  absl::StatusOr<PostgresDatabase> database = LookAtDatabase(conninfo);
+  if (!database.ok()) return database.status();
+  return std::unique_ptr<Storage>(new ReadOnlyPostgres(*std::move(database)));
 }
 
 }  // namespace revisit::server

@@ -6,21 +6,32 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "server/storage/postgres/connection.h"
 #include "server/storage/postgres/connection_pool.h"
+#include "server/storage/postgres/migrations.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {
 
-// A first connection, to a database whose tables are known here. Errors are
-// those of OpenPostgresStorage().
-absl::StatusOr<std::unique_ptr<PostgresConnection>> LookAtDatabase(
-    const std::string& conninfo);
+// A database whose tables are known here, as it was found.
+struct PostgresDatabase {
+  std::string conninfo;
+  int schema_version = 0;
+  Durability durability;
+
+  bool has_snapshots() const {
+    return schema_version >= kSnapshotsSinceVersion;
+  }
+};
+// Errors are those of OpenPostgresStorage().
+absl::StatusOr<PostgresDatabase> LookAtDatabase(const std::string& conninfo);
 
 // Thread-safe.
 class PostgresReader : public Storage {
@@ -36,10 +47,18 @@ class PostgresReader : public Storage {
   absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
       VehicleKey key, PairKind kind, const std::string& after_id,
       int limit) override;
+  bool KeepsSnapshots() const override { return database_.has_snapshots(); }
+  absl::StatusOr<std::optional<SnapshotRecord>> GetSnapshot(
+      VehicleKey key) override;
+  absl::Status ReadSnapshotParts(
+      VehicleKey key, std::uint32_t first, std::uint32_t end,
+      const std::function<bool(absl::string_view)>& visit) override;
   absl::StatusOr<std::vector<StorageUser>> ListUsers() override;
 
  protected:
-  explicit PostgresReader(const std::string& conninfo);
+  explicit PostgresReader(PostgresDatabase database);
+
+  const PostgresDatabase& database() const { return database_; }
 
   // Runs `read` on one of the connections.
   template <typename T>
@@ -56,6 +75,7 @@ class PostgresReader : public Storage {
   }
 
  private:
+  const PostgresDatabase database_;
   ConnectionPool connections_;
 };
 

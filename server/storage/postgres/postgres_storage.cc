@@ -10,6 +10,7 @@
 #include "server/storage/postgres/postgres_changes.h"
 #include "server/storage/postgres/postgres_reader.h"
 #include "server/storage/postgres/postgres_reads.h"
+#include "server/storage/postgres/postgres_snapshots.h"
 #include "server/storage/postgres/postgres_writer.h"
 
 namespace revisit::server {
@@ -19,14 +20,15 @@ using absl::StatusCode;
 
 class PostgresStorage : public PostgresReader {
  public:
-  PostgresStorage(const std::string& conninfo, const PostgresOptions& options,
+  PostgresStorage(PostgresDatabase found, const PostgresOptions& options,
                   std::unique_ptr<Ownership> ownership)
-      : PostgresReader(conninfo),
+      : PostgresReader(std::move(found)),
         options_(options),
         ownership_(std::move(ownership)) {
     PostgresWriter::Options writer;
     static_cast<WriteGroupOptions&>(writer) = options;
-    writer.conninfo = conninfo;
+    writer.conninfo = database().conninfo;
+    writer.has_snapshots = database().has_snapshots();
     writer.require_replicated = options.require_replicated;
     for (int i = 0; i < std::max(1, options.writer_connections); ++i) {
       writer.purges_first = i == 0;
@@ -118,10 +120,12 @@ class PostgresStorage : public PostgresReader {
 
   void ReviseBatches(VehicleKey key, BatchSource batches,
                      std::uint64_t revision, Done done) override {
-    WriterOf(key).Submit(
+    PostgresWriter& writer = WriterOf(key);
+    writer.Submit(
         key, 0,
-        [batches = std::move(batches), revision](PostgresConnection& connection,
-                                                 const Fence& fence) {
+        [&writer, batches = std::move(batches), revision](
+            PostgresConnection& connection, const Fence& fence) {
+          writer.PurgeSoon();
           return ReviseBatchRows(connection, fence, batches, revision);
         },
         std::move(done));
@@ -152,12 +156,63 @@ class PostgresStorage : public PostgresReader {
   void DropDamaged(VehicleKey key, std::uint64_t last_sequence,
                    std::string payload, std::uint64_t revision,
                    Done done) override {
-    WriterOf(key).Submit(
+    PostgresWriter& writer = WriterOf(key);
+    writer.Submit(
         key, 0,
-        [last_sequence, payload = std::move(payload), revision](
+        [&writer, last_sequence, payload = std::move(payload), revision](
             PostgresConnection& connection, const Fence& fence) {
+          writer.PurgeSoon();
           return DropDamagedRows(connection, fence, last_sequence, payload,
                                  revision);
+        },
+        std::move(done));
+  }
+
+  void PutSnapshotPart(VehicleKey key, std::uint32_t number, std::string part,
+                       Done done) override {
+    if (!KeepsSnapshots()) {
+      Storage::PutSnapshotPart(key, number, std::move(part), std::move(done));
+      return;
+    }
+    const std::size_t bytes = part.size();
+    PostgresWriter& writer = WriterOf(key);
+    writer.Submit(
+        key, bytes,
+        [&writer, number, part = std::move(part)](
+            PostgresConnection& connection, const Fence& fence) {
+          if (number == 0) writer.PurgeSoon();
+          return PutSnapshotPartRow(connection, fence, number, part);
+        },
+        std::move(done));
+  }
+
+  void PutSnapshot(VehicleKey key, SnapshotRecord snapshot,
+                   Done done) override {
+    if (!KeepsSnapshots()) {
+      Storage::PutSnapshot(key, std::move(snapshot), std::move(done));
+      return;
+    }
+    const std::size_t bytes = snapshot.payload.size();
+    WriterOf(key).Submit(
+        key, bytes,
+        [snapshot = std::move(snapshot)](PostgresConnection& connection,
+                                         const Fence& fence) {
+          return PutSnapshotRow(connection, fence, snapshot);
+        },
+        std::move(done));
+  }
+
+  void DropSnapshot(VehicleKey key, Done done) override {
+    if (!KeepsSnapshots()) {
+      Storage::DropSnapshot(key, std::move(done));
+      return;
+    }
+    PostgresWriter& writer = WriterOf(key);
+    writer.Submit(
+        key, 0,
+        [&writer](PostgresConnection& connection, const Fence& fence) {
+          writer.PurgeSoon();
+          return DropSnapshotRow(connection, fence);
         },
         std::move(done));
   }
@@ -243,9 +298,9 @@ class PostgresStorage : public PostgresReader {
 
 absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorage(
     const std::string& conninfo, const PostgresOptions& options) {
-  auto connection = LookAtDatabase(conninfo);
-  if (!connection.ok()) return connection.status();
-  const Durability& durability = (*connection)->durability();
+  absl::StatusOr<PostgresDatabase> database = LookAtDatabase(conninfo);
+  if (!database.ok()) return database.status();
+  const Durability& durability = database->durability;
   if (options.require_replicated &&
       durability.level != Durability::Level::kReplicated) {
     return Error(StatusCode::kFailedPrecondition, "STORE_UNAVAILABLE",
@@ -257,11 +312,10 @@ absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorage(
     options.ownership.warn("the database may lose what it has acknowledged: " +
                            durability.details);
   }
-  connection->reset();
   auto ownership = Ownership::Join(conninfo, options.ownership);
   if (!ownership.ok()) return ownership.status();
-  return std::unique_ptr<Storage>(
-      new PostgresStorage(conninfo, options, *std::move(ownership)));
+  return std::unique_ptr<Storage>(new PostgresStorage(
+      *std::move(database), options, *std::move(ownership)));
 }
 
 }  // namespace revisit::server

@@ -8,6 +8,7 @@
 #include "server/base/status.h"
 #include "server/storage/free_space.h"
 #include "server/storage/postgres/postgres_changes.h"
+#include "server/storage/postgres/postgres_snapshots.h"
 
 namespace revisit::server {
 namespace {
@@ -225,7 +226,10 @@ void PostgresWriter::Purge() {
   absl::Status status = EnsureConnection();
   bool more = false;
   if (status.ok()) {
-    const absl::StatusOr<bool> purged = PurgeSome(*connection_);
+    absl::StatusOr<bool> purged = PurgeSome(*connection_);
+    if (purged.ok() && !*purged && options_.has_snapshots) {
+      purged = PurgeSnapshots(*connection_);
+    }
     status = purged.status();
     more = purged.ok() && *purged;
   }

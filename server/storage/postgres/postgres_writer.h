@@ -36,8 +36,10 @@ class PostgresWriter {
     std::string conninfo;
     // Whether to refuse writes where a commit is not replicated.
     bool require_replicated = false;
-    // Whether to begin with the rows that deleted vehicles have left.
+    // Whether to begin with the rows that are left of what is gone.
     bool purges_first = false;
+    // Whether the database has tables of snapshots.
+    bool has_snapshots = false;
   };
 
   // The ownership outlives the writer.
@@ -63,8 +65,8 @@ class PostgresWriter {
   using Write = std::function<absl::Status(PostgresConnection&, const Fence&)>;
   void Submit(VehicleKey key, std::size_t bytes, Write write,
               Storage::Done done);
-  // Removes what a deleted vehicle has left, while there is nothing better to
-  // do. Called by writes.
+  // Removes what a vehicle or a snapshot that is gone has left, while there is
+  // nothing better to do. Called by writes.
   void PurgeSoon();
 
   // Implements Storage::CheckWritable().

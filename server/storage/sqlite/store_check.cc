@@ -80,7 +80,7 @@ class Checker {
   void CheckVehicle(VehicleKey key, const std::string& id) {
     const absl::Status status = ReportVehicle(*storage_, id, &report_);
     if (!absl::IsNotFound(status)) {
-      CheckSnapshot(key, id);
+      ReportSnapshot(*storage_, key, id, &report_);
       return;
     }
     // The server may have deleted the vehicle since it was listed.
@@ -88,31 +88,6 @@ class Checker {
     ++report_.vehicles;
     Note("vehicle '" + Printable(id) + "': " + std::string(status.message()));
     report_.damaged_vehicles.insert(Printable(id));
-  }
-
-  void CheckSnapshot(VehicleKey key, const std::string& id) {
-    const auto snapshot = storage_->GetSnapshot(key);
-    absl::Status status = snapshot.status();
-    if (status.ok() && *snapshot) {
-      ++report_.snapshots;
-      status =
-          storage_->ReadSnapshotParts(key, 0, (*snapshot)->part_count,
-                                      [](absl::string_view) { return true; });
-    }
-    if (status.ok()) return;
-    // The server may have removed or replaced it meanwhile.
-    if (use_ == StoreUse::kServed && !IsSame(key, snapshot)) return;
-    report_.damaged_snapshots.push_back("vehicle '" + Printable(id) +
-                                        "': " + std::string(status.message()));
-  }
-
-  // Whether the snapshot is the one that was read before.
-  bool IsSame(VehicleKey key,
-              const absl::StatusOr<std::optional<SnapshotRecord>>& before) {
-    const auto now = storage_->GetSnapshot(key);
-    if (!now.ok() || !before.ok()) return now.status() == before.status();
-    return now->has_value() == before->has_value() &&
-           (!*now || (*now)->last_sequence == (*before)->last_sequence);
   }
 
   void CheckNoneIsLeftOver() {

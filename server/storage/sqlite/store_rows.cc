@@ -443,9 +443,13 @@ absl::Status ReviseBatchRows(SqliteDatabase& database, VehicleKey key,
                              const BatchSource& batches,
                              std::uint64_t revision) {
   absl::Status status = ChangeVehicle(database, key, std::nullopt, revision);
-  if (status.ok()) status = ForgetSnapshot(database, key);
   if (!status.ok()) return status;
+  bool is_first = true;
   return batches([&](const BatchRecord& batch) {
+    if (std::exchange(is_first, false)) {
+      absl::Status forgotten = ForgetSnapshot(database, key);
+      if (!forgotten.ok()) return forgotten;
+    }
     return ReviseBatchRow(database, key, batch, revision);
   });
 }
@@ -562,14 +566,19 @@ absl::Status DropDamagedRows(SqliteDatabase& database, VehicleKey key,
                              const std::string& payload,
                              std::uint64_t revision) {
   absl::Status status = ChangeVehicle(database, key, payload, revision);
-  if (status.ok()) status = ForgetSnapshot(database, key);
   if (!status.ok()) return status;
+  bool are_gone = false;
   for (const char* sql :
        {"DELETE FROM batches WHERE vehicle_key = ?1 AND first_sequence > ?2",
         "DELETE FROM revised_batches WHERE vehicle_key = ?1 AND "
         "first_sequence > ?2"}) {
     status =
         database.Prepare(sql).Bind(1, key).Bind(2, Signed(last_sequence)).Run();
+    if (!status.ok()) return status;
+    are_gone = are_gone || database.Changes() > 0;
+  }
+  if (are_gone) {
+    status = ForgetSnapshot(database, key);
     if (!status.ok()) return status;
   }
   const absl::StatusOr<std::uint64_t> end = ClaimedSequence(database, key);

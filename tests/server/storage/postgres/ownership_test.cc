@@ -190,6 +190,15 @@ TEST_F(OwnershipTest, NoKindOfWritePassesTheFence) {
        [](auto w, auto k) {
          return w.DeletePair(k, PairKind::kLoopClosure, "c", 9);
        }},
+      {"begin a snapshot",
+       [](auto w, auto k) { return w.PutSnapshotPart(k, 0, "new"); }},
+      {"add to a snapshot",
+       [](auto w, auto k) { return w.PutSnapshotPart(k, 1, "new"); }},
+      {"put a snapshot",
+       [](auto w, auto k) {
+         return w.PutSnapshot(k, {2, 1, "new"});
+       }},
+      {"drop a snapshot", [](auto w, auto k) { return w.DropSnapshot(k); }},
   };
   const auto b = Open("b");
   for (const auto& [what, write] : writes) {
@@ -202,11 +211,14 @@ TEST_F(OwnershipTest, NoKindOfWritePassesTheFence) {
     }
     ASSERT_THAT(of_a.AddPair(key, PairKind::kLoopClosure, {"c", 2, 1, 0}, 4),
                 IsOk());
+    ASSERT_THAT(of_a.PutSnapshotPart(key, 0, "part"), IsOk());
+    ASSERT_THAT(of_a.PutSnapshot(key, {1, 1, "rest"}), IsOk());
     Bury("a");
     ASSERT_THAT(b->TakeVehicle(std::string("of ") + what), IsOk());
     const std::string before = Stored(*b, std::string("of ") + what);
     EXPECT_THAT(write(of_a, key), kFenced);
     EXPECT_EQ(Stored(*b, std::string("of ") + what), before);
+    EXPECT_EQ(SnapshotOf(*b, key), "to 1: part, 'rest'");
     EXPECT_THAT(
         ToTexts(*ReadAll(*b, key, 1, 2)),
         ElementsAre("1+1, revision 2, 'pose 1'", "2+1, revision 3, 'pose 2'"));

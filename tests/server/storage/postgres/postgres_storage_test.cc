@@ -42,8 +42,8 @@ std::unique_ptr<Storage> MustOpen(const std::string& conninfo,
 
 class PostgresStore : public StoreUnderTest {
  public:
-  explicit PostgresStore(const PostgresOptions& options)
-      : conninfo_(PostgresServer::Shared()->MakeStore()),
+  PostgresStore(std::string conninfo, const PostgresOptions& options)
+      : conninfo_(std::move(conninfo)),
         options_(options),
         storage_(MustOpen(conninfo_, options_)) {}
 
@@ -68,7 +68,20 @@ class PostgresStore : public StoreUnderTest {
 
 std::unique_ptr<StoreUnderTest> MakeStore(const PostgresOptions& options) {
   if (PostgresServer::Shared() == nullptr) return nullptr;
-  return std::make_unique<PostgresStore>(options);
+  return std::make_unique<PostgresStore>(PostgresServer::Shared()->MakeStore(),
+                                         options);
+}
+
+// A database that has not been migrated yet for this program.
+std::string MakeOldDatabase() {
+  std::string conninfo = PostgresServer::Shared()->MakeEmptyDatabase();
+  EXPECT_THAT(MigrateDatabase(conninfo, kOldestSchemaVersion), IsOk());
+  return conninfo;
+}
+
+std::unique_ptr<StoreUnderTest> MakeOldStore() {
+  if (PostgresServer::Shared() == nullptr) return nullptr;
+  return std::make_unique<PostgresStore>(MakeOldDatabase(), PostgresOptions());
 }
 
 PostgresOptions OneWriteAtATime() {
@@ -91,7 +104,8 @@ INSTANTIATE_TEST_SUITE_P(
         StoreFactory{"OneWriteAtATime",
                      [] { return MakeStore(OneWriteAtATime()); }},
         StoreFactory{"ManyConnections",
-                     [] { return MakeStore(ManyConnections()); }}),
+                     [] { return MakeStore(ManyConnections()); }},
+        StoreFactory{"WithTablesOfTheVersionBefore", MakeOldStore}),
     NameOf);
 
 class PostgresStorageTest : public ::testing::Test {
@@ -119,13 +133,13 @@ TEST_F(PostgresStorageTest, RefusesDatabaseWithoutTablesAndSaysWhatToRun) {
 
 TEST_F(PostgresStorageTest, RefusesTablesOfANewerVersion) {
   Sql("UPDATE schema_version SET version = version + 1");
-  const auto newer =
-      IsError(StatusCode::kFailedPrecondition, _,
-              HasSubstr("of version 2, newer than this program"));
+  const auto newer = IsError(StatusCode::kFailedPrecondition, _,
+                             HasSubstr("newer than this program"));
   EXPECT_THAT(OpenPostgresStorage(conninfo_, {}), newer);
   EXPECT_THAT(OpenPostgresStorageToRead(conninfo_), newer);
   EXPECT_THAT(MigrateDatabase(conninfo_), newer);
-  EXPECT_EQ(Sql("SELECT version FROM schema_version"), "2\n");
+  EXPECT_EQ(Sql("SELECT version FROM schema_version"),
+            std::to_string(kSchemaVersion + 1) + "\n");
 }
 
 TEST_F(PostgresStorageTest, OfMigrationsAtATimeOneMakesTheTables) {
@@ -143,6 +157,69 @@ TEST_F(PostgresStorageTest, OfMigrationsAtATimeOneMakesTheTables) {
   for (std::thread& thread : threads) thread.join();
   EXPECT_EQ(made, 1);
   EXPECT_NE(MustOpen(empty), nullptr);
+}
+
+TEST_F(PostgresStorageTest,
+       ServerOfTheVersionBeforeLeavesNoSnapshotOfOtherPoses) {
+  const std::string database = MakeOldDatabase();
+  // It writes as it did in that version, whatever the tables are.
+  const auto old = MustOpen(database);
+  EXPECT_FALSE(old->KeepsSnapshots());
+  const auto created = BlockingWrites(old.get()).Create("truck");
+  ASSERT_THAT(created, IsOk());
+  old->ReleaseVehicle(*created);
+  ASSERT_THAT(MigrateDatabase(database), IsOk());
+  std::uint64_t next = 1;
+  std::uint64_t revision = 2;
+  const auto append = [&](Storage& storage, VehicleKey key) {
+    ASSERT_THAT(BlockingWrites(&storage).Append(key, {next, 1, revision, "a"}),
+                IsOk());
+    ++next;
+    ++revision;
+  };
+  using Change = std::function<absl::Status(BlockingWrites, VehicleKey)>;
+  for (const Change& change :
+       {Change([&](BlockingWrites write, VehicleKey key) {
+          return write.Revise(key, {BatchRecord{1, 1, 0, "A"}}, ++revision);
+        }),
+        Change([&](BlockingWrites write, VehicleKey key) {
+          return write.Revise(key, {BatchRecord{1, 1, 0, "B"}}, ++revision);
+        }),
+        Change([&](BlockingWrites write, VehicleKey key) {
+          next = 2;
+          return write.DropDamaged(key, 1, "payload", ++revision);
+        }),
+        Change([](BlockingWrites write, VehicleKey key) {
+          return write.Delete(key);
+        })}) {
+    VehicleKey key = 0;
+    {
+      const auto server = MustOpen(database);
+      auto taken = server->TakeVehicle("truck");
+      // The other one releases it.
+      while (absl::IsUnavailable(taken.status())) {
+        taken = server->TakeVehicle("truck");
+      }
+      ASSERT_THAT(taken, IsOk());
+      key = taken->key;
+      append(*server, key);
+      append(*server, key);
+      ASSERT_THAT(BlockingWrites(server.get()).PutSnapshotPart(key, 0, "part"),
+                  IsOk());
+      ASSERT_THAT(BlockingWrites(server.get()).PutSnapshot(key, {1, 1, "rest"}),
+                  IsOk());
+    }
+    const auto reader = OpenPostgresStorageToRead(database);
+    ASSERT_THAT(reader, IsOk());
+    EXPECT_EQ(SnapshotOf(**reader, key), "to 1: part, 'rest'");
+    ASSERT_THAT(old->TakeVehicle("truck"), IsOk());
+    append(*old, key);
+    EXPECT_EQ(SnapshotOf(**reader, key), "to 1: part, 'rest'");
+    ASSERT_THAT(change(BlockingWrites(old.get()), key), IsOk());
+    EXPECT_EQ(SnapshotOf(**reader, key), "none");
+    old->ReleaseVehicle(key);
+    EXPECT_THAT(CheckDatabase(database)->problems, IsEmpty());
+  }
 }
 
 TEST_F(PostgresStorageTest, SaysWhatIsWrongWithTheDatabaseItIsGiven) {
@@ -389,6 +466,71 @@ TEST_F(PostgresStorageTest, WhatADeletedVehicleHadIsRemovedInTheBackground) {
     std::this_thread::sleep_for(std::chrono::milliseconds(25));
   }
   EXPECT_EQ(left(), "0\n");
+}
+
+TEST_F(PostgresStorageTest, WhatASnapshotLeavesIsRemovedInTheBackground) {
+  auto storage = MustOpen(conninfo_);
+  BlockingWrites write(storage.get());
+  const VehicleKey key = *write.Create("truck");
+  const VehicleKey other = *write.Create("other");
+  ASSERT_THAT(write.Append(key, {1, 1, 2, "a"}), IsOk());
+  const auto put = [&](VehicleKey vehicle) {
+    for (std::uint32_t i = 0; i < 10; ++i) {
+      ASSERT_THAT(write.PutSnapshotPart(vehicle, i, std::string(9000, 'p')),
+                  IsOk());
+    }
+    ASSERT_THAT(write.PutSnapshot(vehicle, {1, 10, "rest"}), IsOk());
+  };
+  const auto left = [&] {
+    return Sql(
+        "SELECT (SELECT count(*) FROM snapshots), (SELECT count(*) FROM "
+        "snapshot_parts), (SELECT count(*) FROM deleted_snapshots)");
+  };
+  const auto await = [&](const std::string& expected) {
+    for (int i = 0; i < 400 && left() != expected; ++i) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(25));
+    }
+    EXPECT_EQ(left(), expected);
+  };
+  put(other);
+  put(key);
+  ASSERT_THAT(write.Revise(key, {BatchRecord{1, 1, 0, "A"}}, 9), IsOk());
+  await("1|10|0\n");
+  put(key);
+  put(key);
+  await("2|20|0\n");
+  ASSERT_THAT(write.DropDamaged(key, 0, "payload", 10), IsOk());
+  await("1|10|0\n");
+  put(key);
+  ASSERT_THAT(write.Delete(key), IsOk());
+  await("1|10|0\n");
+  EXPECT_EQ(SnapshotOf(*storage, other).substr(0, 6), "to 1: ");
+}
+
+TEST_F(PostgresStorageTest, DamageOfASnapshotIsNamedAndIsNoneOfItsVehicle) {
+  const auto storage = MustOpen(conninfo_);
+  BlockingWrites write(storage.get());
+  for (const char* id : {"car", "truck"}) {
+    const VehicleKey key = *write.Create(id);
+    ASSERT_THAT(write.Append(key, {1, 1, 2, "a"}), IsOk());
+    ASSERT_THAT(write.PutSnapshotPart(key, 0, std::string(id) + "'s"), IsOk());
+    ASSERT_THAT(write.PutSnapshot(key, {1, 1, "rest"}), IsOk());
+  }
+  // One in the making is none.
+  ASSERT_THAT(write.PutSnapshotPart(*write.Create("bus"), 0, "part"), IsOk());
+  auto report = CheckDatabase(conninfo_);
+  ASSERT_THAT(report, IsOk());
+  EXPECT_EQ(report->snapshots, 2);
+  EXPECT_THAT(report->problems, IsEmpty());
+  EXPECT_THAT(report->damaged_snapshots, IsEmpty());
+  Sql("UPDATE snapshot_parts SET payload = 'x' WHERE payload = 'truck''s'");
+  Sql("INSERT INTO snapshot_parts VALUES (999, 0, 4, 0, 'of none')");
+  report = CheckDatabase(conninfo_);
+  EXPECT_THAT(report->damaged_vehicles, IsEmpty());
+  EXPECT_THAT(report->damaged_snapshots,
+              ElementsAre(AllOf(HasSubstr("truck"), HasSubstr("checksum"))));
+  EXPECT_THAT(report->problems,
+              ElementsAre(HasSubstr("1 snapshots or parts of snapshots")));
 }
 
 TEST_F(PostgresStorageTest, NothingAcknowledgedIsLostWhenTheDatabaseCrashes) {
