@@ -95,8 +95,9 @@ class Ownership {
                                   const std::string& id);
   // The claim on a vehicle; null if there is none.
   std::shared_ptr<const Claim> Find(VehicleKey key) const;
-  // Ends this claim here, not in the database.
-  void Forget(VehicleKey key, const Claim* claim);
+  // Ends this claim here, not in the database. It is `lost` if the database
+  // says that it is another server's.
+  void Forget(VehicleKey key, const Claim* claim, bool lost = false);
   // Ends a claim in the database, unless there is a later one. Forget it first.
   static absl::Status Release(PostgresConnection& connection, VehicleKey key,
                               const Uuid& owner, std::int64_t epoch);
@@ -110,6 +111,8 @@ class Ownership {
 
   // As of the last beat.
   Durability durability() const;
+  // Implements Storage::GetSharing().
+  SharingState GetSharing() const;
 
  private:
   Ownership(const std::string& conninfo, OwnershipOptions options);
@@ -159,6 +162,9 @@ class Ownership {
   std::map<VehicleKey, std::string> wanted_ ABSL_GUARDED_BY(mutex_);
   AskPacing asks_ ABSL_GUARDED_BY(mutex_);
   Durability durability_ ABSL_GUARDED_BY(mutex_);
+  // See SharingState.
+  std::uint64_t lost_vehicles_ ABSL_GUARDED_BY(mutex_) = 0;
+  std::uint64_t lost_leases_ ABSL_GUARDED_BY(mutex_) = 0;
 
   std::atomic<bool> give_up_{false};
   // The last member, since the thread uses the others.

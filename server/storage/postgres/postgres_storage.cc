@@ -261,8 +261,13 @@ class PostgresStorage : public PostgresReader {
       const CommitCounts counts = writer->Counts();
       sum.commits += counts.commits;
       sum.writes += counts.writes;
+      sum.commit_seconds.Add(counts.commit_seconds);
     }
     return sum;
+  }
+
+  std::optional<SharingState> GetSharing() const override {
+    return ownership_->GetSharing();
   }
 
  private:

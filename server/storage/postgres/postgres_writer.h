@@ -71,7 +71,9 @@ class PostgresWriter {
 
   // Implements Storage::CheckWritable().
   absl::Status CheckWritable() const;
-  CommitCounts Counts() const { return {commits_, writes_}; }
+  CommitCounts Counts() const {
+    return {commits_, writes_, commit_seconds_.Read()};
+  }
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -95,6 +97,7 @@ class PostgresWriter {
   std::atomic<bool> give_up_{false};
   std::atomic<std::uint64_t> commits_{0};
   std::atomic<std::uint64_t> writes_{0};
+  Histogram commit_seconds_{SecondsBounds()};
   // When a write last found the disk full, since the clock's epoch; 0 if none
   // did since one was written.
   std::atomic<Clock::rep> full_at_{0};
