@@ -2,6 +2,7 @@
 #ifndef REVISIT_SERVER_SERVER_H_
 #define REVISIT_SERVER_SERVER_H_
 
+#include <chrono>
 #include <functional>
 #include <memory>
 #include <string>
@@ -40,6 +41,10 @@ class RevisitServer {
   // Has the files that may be replaced while the server runs read now, rather
   // than within ServerSettings::security_check_seconds. Returns at once.
   void LookAtFiles();
+
+  // Whether the server still answers, within `patience` (self_check.h). Not
+  // during Shutdown(), and one call at a time.
+  bool Answers(std::chrono::milliseconds patience);
 
   // Has health say NOT_SERVING from now on, while everything else goes on, so
   // that balancers send new calls elsewhere before Shutdown().
