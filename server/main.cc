@@ -17,6 +17,7 @@
 
 #include "server/base/line_writer.h"
 #include "server/base/logging.h"
+#include "server/base/service_manager.h"
 #include "server/server.h"
 #include "server/settings/settings.h"
 #include "server/store_tasks.h"
@@ -26,6 +27,7 @@ namespace {
 using revisit::server::Log;
 using revisit::server::LogLevel;
 using revisit::server::RevisitServer;
+using revisit::server::Watchdog;
 
 using Clock = std::chrono::steady_clock;
 
@@ -160,7 +162,14 @@ int ServeUntilStopped(RevisitServer* server, const Log& log,
 // if the settings say so and the server can still do its work.
 void Serve(RevisitServer* server, const Log& log, ChangingLevel* level,
            double notice_seconds) {
+  const Watchdog watchdog(
+      [server](std::chrono::milliseconds patience) {
+        return server->Answers(patience);
+      },
+      &log);
+  revisit::server::ReportReady();
   const int signal = ServeUntilStopped(server, log, level, std::nullopt);
+  revisit::server::ReportStopping();
   if (signal == FailureSignal() || notice_seconds <= 0.0) return;
   server->GiveNotice();
   ServeUntilStopped(server, log, level,

@@ -29,6 +29,7 @@
 #include "server/security/gatekeeper.h"
 #include "server/security/server_credentials.h"
 #include "server/security/tls_files.h"
+#include "server/self_check.h"
 #include "server/service/graph_snapshots.h"
 #include "server/service/pose_graph_service.h"
 #include "server/service/reflection.h"
@@ -190,6 +191,7 @@ struct RevisitServer::State {
   // Empty if reflection is not served.
   std::vector<std::unique_ptr<grpc::Service>> reflection;
   std::unique_ptr<grpc::Server> grpc_server;
+  std::unique_ptr<SelfCheck> self_check;
   std::unique_ptr<Periodic> write_health_timer;
   std::unique_ptr<ConnectionAcceptor> acceptor;
   std::function<void()> on_failure;
@@ -581,6 +583,9 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   if (!state->Listen(error)) return nullptr;
   state->phase = State::Phase::kServing;
   if (!state->Announce(error)) return nullptr;
+  state->self_check = std::make_unique<SelfCheck>(
+      state->grpc_server->InProcessChannel(grpc::ChannelArguments()),
+      state->executor.get());
   return std::unique_ptr<RevisitServer>(new RevisitServer(std::move(state)));
 }
 
@@ -610,6 +615,10 @@ void RevisitServer::ReopenAuditLog() {
 void RevisitServer::LookAtFiles() {
   state_->gatekeeper->LookAtFiles();
   if (state_->tls_timer != nullptr) state_->tls_timer->Hasten();
+}
+
+bool RevisitServer::Answers(std::chrono::milliseconds patience) {
+  return state_->self_check->Answers(patience);
 }
 
 void RevisitServer::State::EndHealth() {
@@ -647,6 +656,8 @@ void RevisitServer::Shutdown() {
         deadline - std::chrono::steady_clock::now());
     goodbye = std::max(goodbye, std::min(left, kGoodbyeTimeAfterCalls));
   }
+  // Its channel is a connection too.
+  state_->self_check.reset();
   state_->grpc_server->Shutdown(std::chrono::system_clock::now() + goodbye);
   state_->grpc_server->Wait();
   state_->grpc_server.reset();

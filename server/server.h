@@ -2,6 +2,7 @@
 #ifndef REVISIT_SERVER_SERVER_H_
 #define REVISIT_SERVER_SERVER_H_
 
+#include <chrono>
 #include <functional>
 #include <memory>
 #include <string>
@@ -46,6 +47,10 @@ class RevisitServer {
 
   // Opens the log of changes again, for those who have renamed its file.
   void ReopenAuditLog();
+
+  // Whether the server still answers, within `patience` (self_check.h). Not
+  // during Shutdown(), and one call at a time.
+  bool Answers(std::chrono::milliseconds patience);
 
   // Has health say NOT_SERVING from now on, while everything else goes on, so
   // that balancers send new calls elsewhere before Shutdown().

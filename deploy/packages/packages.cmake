@@ -1,0 +1,90 @@
+# Debian packages of an installation (client/install.cmake):
+#   cpack --config build/release/CPackConfig.cmake
+# makes revisit, revisit-server and librevisit-dev in build/release/packages.
+
+set(packages ${CMAKE_CURRENT_LIST_DIR})
+
+# What only a package installs, to where the system looks for it.
+install(FILES ${packages}/revisitd.conf DESTINATION /etc/revisit
+        COMPONENT server EXCLUDE_FROM_ALL)
+install(FILES ${packages}/revisitd.service DESTINATION /lib/systemd/system
+        COMPONENT server EXCLUDE_FROM_ALL)
+
+set(CPACK_GENERATOR DEB)
+set(CPACK_VERBATIM_VARIABLES ON)
+set(CPACK_PACKAGE_NAME revisit)
+set(CPACK_PACKAGE_DIRECTORY ${PROJECT_BINARY_DIR}/packages)
+set(CPACK_PACKAGING_INSTALL_PREFIX /usr)
+set(CPACK_COMPONENTS_ALL client server dev)
+set(CPACK_COMPONENTS_GROUPING ONE_PER_GROUP)
+set(CPACK_DEB_COMPONENT_INSTALL ON)
+# Directories are 0755 whatever umask built them.
+set(CPACK_INSTALL_DEFAULT_DIRECTORY_PERMISSIONS
+    OWNER_READ OWNER_WRITE OWNER_EXECUTE GROUP_READ GROUP_EXECUTE
+    WORLD_READ WORLD_EXECUTE)
+# Programs, pages and changelogs as Debian has them.
+set(CPACK_PRE_BUILD_SCRIPTS ${packages}/finish.cmake)
+set(CPACK_REVISIT_SOURCE ${PROJECT_SOURCE_DIR})
+
+set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
+# Packages of a commit behind the release need a revision above it, such as
+# 1~deb12+20261123, so that they count as newer.
+set(REVISIT_PACKAGE_REVISION 1~deb12 CACHE STRING
+    "Revision of the Debian packages, behind the version of revisit")
+set(CPACK_DEBIAN_PACKAGE_VERSION ${PROJECT_VERSION})
+set(CPACK_DEBIAN_PACKAGE_RELEASE ${REVISIT_PACKAGE_REVISION})
+# Whoever publishes packages says who answers for them.
+set(REVISIT_PACKAGE_MAINTAINER "revisit maintainers <maintainers@revisit.invalid>"
+    CACHE STRING "Maintainer of the Debian packages")
+set(CPACK_DEBIAN_PACKAGE_MAINTAINER ${REVISIT_PACKAGE_MAINTAINER})
+set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
+set(CPACK_DEBIAN_PACKAGE_CONTROL_STRICT_PERMISSION ON)
+set(CPACK_DEBIAN_COMPRESSION_TYPE xz)
+
+set(about
+"revisit keeps one pose graph per vehicle, takes streams of poses with
+covariances, and answers with ranked loop-closure candidates: where a vehicle
+has probably been before, by the shape of its trajectory.")
+
+set(CPACK_DEBIAN_CLIENT_PACKAGE_NAME revisit)
+set(CPACK_DEBIAN_CLIENT_PACKAGE_SECTION science)
+set(CPACK_DEBIAN_CLIENT_PACKAGE_SUGGESTS revisit-server)
+set(CPACK_DEBIAN_CLIENT_DESCRIPTION
+"loop-closure candidates for vehicles - command line
+${about}
+.
+This package has the command line: it streams recordings, asks for candidates,
+draws maps, and evaluates drives whose truth is known. \"revisit demo\" and
+\"revisit evaluate\" start a server of their own where revisit-server is
+installed too.")
+
+set(CPACK_DEBIAN_SERVER_PACKAGE_NAME revisit-server)
+set(CPACK_DEBIAN_SERVER_PACKAGE_SECTION science)
+set(CPACK_DEBIAN_SERVER_PACKAGE_DEPENDS adduser)
+set(CPACK_DEBIAN_SERVER_PACKAGE_RECOMMENDS revisit)
+set(CPACK_DEBIAN_SERVER_PACKAGE_CONTROL_EXTRA
+    ${packages}/server/postinst ${packages}/server/prerm
+    ${packages}/server/postrm ${PROJECT_BINARY_DIR}/packages/conffiles)
+file(WRITE ${PROJECT_BINARY_DIR}/packages/conffiles
+     "/etc/revisit/revisitd.conf\n")
+set(CPACK_DEBIAN_SERVER_DESCRIPTION
+"loop-closure candidates for vehicles - server
+${about}
+.
+This package has the server and its systemd service, which listens on the
+loopback with a store in /var/lib/revisit until /etc/revisit/revisitd.conf says
+otherwise. Removing the package keeps the store; purging it deletes the store.")
+
+set(CPACK_DEBIAN_DEV_PACKAGE_NAME librevisit-dev)
+set(CPACK_DEBIAN_DEV_PACKAGE_SECTION libdevel)
+set(CPACK_DEBIAN_DEV_PACKAGE_DEPENDS
+    "libabsl-dev, libgrpc++-dev, libprotobuf-dev, libssl-dev")
+set(CPACK_DEBIAN_DEV_DESCRIPTION
+"loop-closure candidates for vehicles - client library for C++
+${about}
+.
+This package has the client library, whose streams resume where they were cut,
+its headers, a CMake package, and the protos, from which gRPC generates clients
+in other languages.")
+
+include(CPack)
