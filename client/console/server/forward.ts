@@ -1,0 +1,79 @@
+import type {DescMessage, DescMethodServerStreaming, DescMethodUnary,
+             MessageInitShape} from '@bufbuild/protobuf';
+import {ConnectError, type ConnectRouter, type HandlerContext,
+        type Transport} from '@connectrpc/connect';
+
+import {Health} from '../gen/grpc/health/v1/health_pb.js';
+import {PoseGraphService} from '../gen/revisit/v1/pose_graph_service_pb.js';
+
+// All that the page may call. Streams of poses, revisions, and what cannot be
+// undone are not among them, whatever the caller's token would allow.
+const calls = PoseGraphService.method;
+const UNARY: DescMethodUnary[] = [
+  calls.getVehicle, calls.listVehicles, calls.findCandidates,
+  calls.addLoopClosure, calls.listLoopClosures, calls.deleteLoopClosure,
+  calls.rejectCandidate, calls.listRejectedCandidates,
+  calls.deleteRejectedCandidate, calls.listPoses, calls.getServerInfo,
+  Health.method.check,
+];
+const STREAMS: DescMethodServerStreaming[] = [calls.exportPoseGraph];
+
+const PASSED_ON = ['authorization', 'x-request-id'];
+
+function passedOn(context: HandlerContext): Headers {
+  const headers = new Headers();
+  for (const name of PASSED_ON) {
+    const value = context.requestHeader.get(name);
+    if (value !== null) headers.set(name, value);
+  }
+  return headers;
+}
+
+/** The error with its code, message and details, but without the transport's
+ * own headers. */
+function withoutHeaders(error: unknown): ConnectError {
+  const received = ConnectError.from(error);
+  const answer = new ConnectError(received.rawMessage, received.code);
+  answer.details = received.details;
+  return answer;
+}
+
+async function* one<T>(message: T): AsyncIterable<T> {
+  yield message;
+}
+
+function forwardUnary<I extends DescMessage, O extends DescMessage>(
+    router: ConnectRouter, transport: Transport,
+    method: DescMethodUnary<I, O>): void {
+  router.rpc(method, async (request, context) => {
+    try {
+      const answer = await transport.unary(
+          method, context.signal, context.timeoutMs(), passedOn(context),
+          request as MessageInitShape<I>);
+      return answer.message as MessageInitShape<O>;
+    } catch (error) {
+      throw withoutHeaders(error);
+    }
+  });
+}
+
+function forwardStream<I extends DescMessage, O extends DescMessage>(
+    router: ConnectRouter, transport: Transport,
+    method: DescMethodServerStreaming<I, O>): void {
+  router.rpc(method, async function*(request, context) {
+    try {
+      const answer = await transport.stream(
+          method, context.signal, context.timeoutMs(), passedOn(context),
+          one(request as MessageInitShape<I>));
+      yield* answer.message as AsyncIterable<MessageInitShape<O>>;
+    } catch (error) {
+      throw withoutHeaders(error);
+    }
+  });
+}
+
+/** Makes the router answer each call with what the transport answers. */
+export function forward(router: ConnectRouter, transport: Transport): void {
+  for (const method of UNARY) forwardUnary(router, transport, method);
+  for (const method of STREAMS) forwardStream(router, transport, method);
+}

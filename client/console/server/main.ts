@@ -1,0 +1,83 @@
+import {readFileSync} from 'node:fs';
+import {createServer, type IncomingMessage} from 'node:http';
+import type {AddressInfo} from 'node:net';
+import {fileURLToPath} from 'node:url';
+
+import {connectNodeAdapter, createGrpcTransport} from
+    '@connectrpc/connect-node';
+
+import {forward} from './forward.js';
+import {type Options, readOptions, USAGE, UsageError} from './options.js';
+import {Pages, SECURITY_HEADERS} from './pages.js';
+
+const WRONG_USAGE = 64;
+const MAX_REQUEST_BYTES = 65536;
+
+/** Whether a request comes from the console's own page or from no browser.
+ * The Host header is looked at so that no other site can reach a console on
+ * the loopback under a name of its own (DNS rebinding). */
+function isOwn(request: IncomingMessage, hosts: Set<string>): boolean {
+  const site = request.headers['sec-fetch-site'];
+  // A link from elsewhere to a view is welcome; calls are made by POST.
+  const mayBeForeign = request.method === 'GET' || request.method === 'HEAD';
+  return hosts.has(request.headers.host ?? '') &&
+      (mayBeForeign || site === undefined || site === 'same-origin');
+}
+
+function serve(options: Options): void {
+  const transport = createGrpcTransport({
+    baseUrl: `${options.tlsCa ? 'https' : 'http'}://${options.server}`,
+    nodeOptions: options.tlsCa ? {ca: readFileSync(options.tlsCa)} : {},
+  });
+  const pages =
+      new Pages(fileURLToPath(new URL('../web', import.meta.url)));
+  const answer = connectNodeAdapter({
+    routes: router => forward(router, transport),
+    readMaxBytes: MAX_REQUEST_BYTES,
+    grpc: false,
+    grpcWeb: false,
+    fallback: (request, response) =>
+        pages.answer(request as IncomingMessage, response as never),
+  });
+  const hosts = new Set(options.hosts);
+  const server = createServer((request, response) => {
+    for (const [name, value] of Object.entries(SECURITY_HEADERS)) {
+      response.setHeader(name, value);
+    }
+    if (isOwn(request, hosts)) {
+      answer(request, response);
+    } else {
+      response.writeHead(403, {'content-type': 'text/plain'});
+      response.end('The console does not answer under this name, or not to ' +
+                   'the page that asks; --host adds a name.\n');
+    }
+  });
+  server.on('error', error => {
+    console.error(`console: cannot listen: ${error.message}`);
+    process.exit(1);
+  });
+  server.listen(options.listenPort, options.listenHost, () => {
+    const {port} = server.address() as AddressInfo;
+    const host = options.listenHost.includes(':') ?
+        `[${options.listenHost}]` : options.listenHost;
+    hosts.add(`${host}:${port}`).add(`localhost:${port}`);
+    console.log(`The console is at http://${host}:${port}, its revisitd at ` +
+                options.server);
+  });
+  for (const signal of ['SIGINT', 'SIGTERM'] as const) {
+    process.on(signal, () => process.exit(0));
+  }
+}
+
+try {
+  const options = readOptions(process.argv.slice(2), process.env);
+  if (options) {
+    serve(options);
+  } else {
+    process.stdout.write(USAGE);
+  }
+} catch (error) {
+  console.error(`console: ${(error as Error).message}`);
+  if (error instanceof UsageError) console.error(USAGE);
+  process.exit(error instanceof UsageError ? WRONG_USAGE : 1);
+}

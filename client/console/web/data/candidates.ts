@@ -1,0 +1,133 @@
+// Everything of the console that wants candidates gets them here: by
+// FindCandidates, one call for each pose that is asked about.
+import {Code, ConnectError} from '@connectrpc/connect';
+import {signal} from '@preact/signals';
+
+import {type Candidate, type CandidateSet, Verdict} from
+    '../../gen/revisit/v1/candidate_pb.js';
+import {messageOf, service} from './client.js';
+
+/** What is known of the candidates at one pose. */
+export interface Answer {
+  /** The pose that was asked about. */
+  asked: number;
+  set: CandidateSet|undefined;
+  /** Why there is no newer answer. */
+  error: string|undefined;
+  /** Something has changed since, and it will be asked again. */
+  outdated: boolean;
+}
+
+/** A candidate with the pose that was asked about. */
+export interface Found {
+  asked: number;
+  set: CandidateSet;
+  candidate: Candidate;
+}
+
+const AT_A_TIME = 2;
+const WAIT_MILLISECONDS = 1000;
+const PASSING = new Set([Code.ResourceExhausted, Code.Unavailable, Code.Aborted,
+                         Code.DeadlineExceeded, Code.Unknown]);
+
+/** Address of a candidate among those of its vehicle. */
+export function keyOf({asked, candidate}: Found): string {
+  return `${asked}-${candidate.matched!.sequence}`;
+}
+
+export function verdictName(verdict: Verdict): string {
+  return Verdict[verdict].toLowerCase().replaceAll('_', ' ');
+}
+
+export class CandidateSource {
+  /** By the pose that was asked about. */
+  readonly answers = signal<ReadonlyMap<number, Answer>>(new Map());
+  private wanted: number[] = [];
+  private readonly asking = new Map<number, number>();
+  private generation = 0;
+  private closed = false;
+  private publishing = false;
+  private readonly known = new Map<number, Answer>();
+
+  constructor(private readonly vehicle: string) {}
+
+  /** Asks about these poses, the most urgent first, and about no others any
+   * more. Poses whose answer is known are not asked about again. */
+  want(poses: readonly number[]): void {
+    this.wanted = [...poses];
+    this.proceed();
+  }
+
+  /** Asks anew about all that is wanted: after a loop closure, a rejection,
+   * new settings or revised poses the answers may be others. */
+  askAnew(): void {
+    ++this.generation;
+    for (const [pose, answer] of this.known) {
+      this.known.set(pose, {...answer, outdated: true});
+    }
+    this.publish();
+    this.proceed();
+  }
+
+  close(): void {
+    this.closed = true;
+    this.wanted = [];
+  }
+
+  private proceed(): void {
+    for (const pose of this.wanted) {
+      if (this.asking.size >= AT_A_TIME) return;
+      const answer = this.known.get(pose);
+      if (this.asking.has(pose) || (answer && !answer.outdated)) continue;
+      void this.ask(pose);
+    }
+  }
+
+  private async ask(asked: number): Promise<void> {
+    const {generation} = this;
+    this.asking.set(asked, generation);
+    let answer: Answer = {asked, set: undefined, error: undefined,
+                          outdated: false};
+    try {
+      const {candidates} = await service.findCandidates({
+        vehicle: this.vehicle,
+        sequence: BigInt(asked),
+        options: {includeAlignedPath: true},
+      });
+      answer.set = candidates;
+    } catch (error) {
+      const passing = PASSING.has(ConnectError.from(error).code);
+      answer = {...answer, set: this.known.get(asked)?.set,
+                error: messageOf(error), outdated: passing};
+      if (passing) {
+        await new Promise(done => setTimeout(done, WAIT_MILLISECONDS));
+      }
+    }
+    answer.outdated ||= generation !== this.generation;
+    this.asking.delete(asked);
+    if (this.closed) return;
+    this.known.set(asked, answer);
+    this.publish();
+    this.proceed();
+  }
+
+  /** Shows what is known, at most once a frame. */
+  private publish(): void {
+    if (this.publishing) return;
+    this.publishing = true;
+    setTimeout(() => {
+      this.publishing = false;
+      this.answers.value = new Map(this.known);
+    }, 50);
+  }
+}
+
+/** All candidates of these answers, by pose and rank. */
+export function allFound(answers: ReadonlyMap<number, Answer>): Found[] {
+  const poses = [...answers.keys()].sort((a, b) => a - b);
+  return poses.flatMap(asked => {
+    const {set} = answers.get(asked)!;
+    return (set?.candidates ?? [])
+        .map(candidate => ({asked, set: set!, candidate}));
+  });
+}

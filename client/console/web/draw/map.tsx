@@ -1,0 +1,216 @@
+import {Deck, OrthographicView, type PickingInfo} from '@deck.gl/core';
+import {LineLayer, ScatterplotLayer} from '@deck.gl/layers';
+import {effect} from '@preact/signals';
+import type {ComponentChildren} from 'preact';
+import {useEffect, useRef, useState} from 'preact/hooks';
+
+import {type View, viewOf} from '../geometry/view.js';
+import {go} from '../route.js';
+import {dark} from '../theme.js';
+import {length} from '../parts/format.js';
+import {colourOf, components, scaleBarMeters, type Scene, type Shape} from
+    './scene.js';
+
+interface DeckView {
+  target: [number, number, number];
+  zoom: number;
+}
+
+// deck.gl compares data by identity, so each array has one object for ever.
+const dataOf = new WeakMap<Float32Array, object>();
+
+function lineData(segments: Float32Array): object {
+  let data = dataOf.get(segments);
+  if (!data) {
+    data = {
+      length: segments.length / 4,
+      attributes: {
+        getSourcePosition: {value: segments, size: 2, stride: 16, offset: 0},
+        getTargetPosition: {value: segments, size: 2, stride: 16, offset: 8},
+      },
+    };
+    dataOf.set(segments, data);
+  }
+  return data;
+}
+
+function dotData(positions: Float32Array): object {
+  let data = dataOf.get(positions);
+  if (!data) {
+    data = {
+      length: positions.length / 2,
+      attributes: {getPosition: {value: positions, size: 2}},
+    };
+    dataOf.set(positions, data);
+  }
+  return data;
+}
+
+function layerOf(shape: Shape, view: View): LineLayer|ScatterplotLayer {
+  const colour = components(colourOf(shape.colour));
+  const shared = {id: shape.id, pickable: shape.link !== undefined};
+  return shape.kind === 'strokes' ?
+      new LineLayer({
+        ...shared,
+        data: lineData(shape.segmentsIn(view)) as never,
+        getColor: colour,
+        getWidth: shape.widthPixels,
+        widthUnits: 'pixels',
+        updateTriggers: {getColor: [colour.join()]},
+      }) :
+      new ScatterplotLayer({
+        ...shared,
+        data: dotData(shape.positions) as never,
+        getFillColor: colour,
+        getRadius: shape.radiusPixels,
+        radiusUnits: 'pixels',
+        updateTriggers: {getFillColor: [colour.join()],
+                         getRadius: [shape.radiusPixels]},
+      });
+}
+
+/** Owns the canvas and what is drawn in it. */
+class MapDrawing {
+  private readonly deck: Deck<OrthographicView>;
+  private scene: Scene = {shapes: [], box: undefined};
+  private view: DeckView = {target: [0, 0, 0], zoom: 0};
+  private width = 0;
+  private height = 0;
+  /** Once somebody has moved the map it stays where it is. */
+  private moved = false;
+  private fitted = '';
+
+  constructor(parent: HTMLDivElement,
+              private readonly onView: (view: View) => void) {
+    this.deck = new Deck({
+      parent,
+      views: new OrthographicView({id: 'map', flipY: false}),
+      controller: {keyboard: true, inertia: true},
+      viewState: this.view,
+      pickingRadius: 5,
+      getCursor: ({isDragging, isHovering}) =>
+          isDragging ? 'grabbing' : isHovering ? 'pointer' : 'grab',
+      onResize: ({width, height}) => {
+        this.width = width;
+        this.height = height;
+        this.fit();
+      },
+      onViewStateChange: ({viewState}) => {
+        this.moved = true;
+        this.look(viewState as unknown as DeckView);
+      },
+      onClick: info => this.follow(info),
+    });
+  }
+
+  close(): void {
+    this.deck.finalize();
+  }
+
+  show(scene: Scene): void {
+    this.scene = scene;
+    if (this.moved) {
+      this.draw();
+    } else {
+      this.fit();
+    }
+  }
+
+  /** Shows all of the scene. */
+  fitAgain(): void {
+    this.moved = false;
+    this.fitted = '';
+    this.fit();
+  }
+
+  current(): View {
+    return {
+      x: this.view.target[0],
+      y: this.view.target[1],
+      metersPerPixel: 2 ** -this.view.zoom,
+      width: this.width,
+      height: this.height,
+    };
+  }
+
+  draw(): void {
+    if (this.width === 0) return;
+    const view = this.current();
+    this.deck.setProps({
+      viewState: this.view,
+      layers: this.scene.shapes.map(shape => layerOf(shape, view)),
+    } as never);
+    this.onView(view);
+  }
+
+  private fit(): void {
+    const {box} = this.scene;
+    const fitted = JSON.stringify([box, this.width, this.height]);
+    if (this.moved || !box || this.width === 0 || fitted === this.fitted) {
+      this.draw();
+      return;
+    }
+    this.fitted = fitted;
+    const view = viewOf(box, this.width, this.height);
+    this.look({target: [view.x, view.y, 0],
+               zoom: -Math.log2(view.metersPerPixel)});
+  }
+
+  private look(view: DeckView): void {
+    this.view = view;
+    this.draw();
+  }
+
+  private follow({layer, index}: PickingInfo): void {
+    const shape = this.scene.shapes.find(({id}) => id === layer?.id);
+    if (shape?.link && index >= 0) go(shape.link(index));
+  }
+}
+
+interface Props {
+  scene: Scene;
+  /** What the map shows, for those who do not see it. */
+  label: string;
+  /** Tells others what is in view: an export draws the same. */
+  viewRef: {current: View|undefined};
+  children?: ComponentChildren;
+}
+
+/** A map that can be moved with mouse, finger and keys. */
+export function MapView({scene, label, viewRef, children}: Props) {
+  const parent = useRef<HTMLDivElement>(null);
+  const drawing = useRef<MapDrawing>();
+  const [metersPerPixel, setMetersPerPixel] = useState(1);
+  useEffect(() => {
+    const made = new MapDrawing(parent.current!, view => {
+      viewRef.current = view;
+      setMetersPerPixel(view.metersPerPixel);
+    });
+    drawing.current = made;
+    const end = effect(() => {
+      dark.value;
+      made.draw();
+    });
+    return () => {
+      end();
+      made.close();
+    };
+  }, []);
+  useEffect(() => drawing.current!.show(scene), [scene]);
+  const bar = scaleBarMeters(metersPerPixel, 120);
+  return (
+    <figure class="map" aria-label={label}>
+      <div class="canvas" ref={parent} />
+      <figcaption class="scale">
+        <span class="bar" style={{width: `${bar / metersPerPixel}px`}} />
+        {length(bar)}
+      </figcaption>
+      <div class="map-tools">
+        <button type="button" onClick={() => drawing.current!.fitAgain()}>
+          Show all
+        </button>
+      </div>
+      {children}
+    </figure>
+  );
+}

@@ -1,0 +1,198 @@
+// Files of what is in view: an SVG is written, and a PNG is that SVG drawn.
+import type {View} from '../geometry/view.js';
+import {length} from '../parts/format.js';
+import type {Curve, Series} from './curve.js';
+import {colourOf, scaleBarMeters, type Scene, type Shape} from './scene.js';
+
+/** What a file shows, from top to bottom. */
+export interface Sheet {
+  title: string;
+  map?: {scene: Scene, view: View};
+  curves?: Curve[];
+  /** Names with what they are. */
+  facts?: Array<[string, string]>;
+}
+
+const MARGIN = 16;
+const LINE = 18;
+const CURVE_HEIGHT = 160;
+const LEAST_WIDTH = 640;
+
+function escaped(text: string): string {
+  return text.replaceAll('&', '&amp;').replaceAll('<', '&lt;')
+      .replaceAll('"', '&quot;');
+}
+
+function text(x: number, y: number, content: string, style = ''): string {
+  return `<text x="${x}" y="${y}" fill="${colourOf('text')}" ${style}>` +
+      `${escaped(content)}</text>`;
+}
+
+function round(value: number): string {
+  return String(Math.round(value * 100) / 100);
+}
+
+function shapeToSvg(shape: Shape, view: View): string {
+  const colour = colourOf(shape.colour);
+  const px = (x: number) =>
+      round(view.width / 2 + (x - view.x) / view.metersPerPixel);
+  const py = (y: number) =>
+      round(view.height / 2 - (y - view.y) / view.metersPerPixel);
+  if (shape.kind === 'dots') {
+    const {positions, radiusPixels} = shape;
+    let circles = '';
+    for (let i = 0; i < positions.length; i += 2) {
+      circles += `<circle cx="${px(positions[i])}" cy="${
+          py(positions[i + 1])}" r="${radiusPixels}"/>`;
+    }
+    return `<g fill="${colour}"><title>${escaped(shape.label)}</title>` +
+        `${circles}</g>`;
+  }
+  const segments = shape.segmentsIn(view);
+  let path = '';
+  let end = '';
+  for (let i = 0; i < segments.length; i += 4) {
+    const begin = `${px(segments[i])} ${py(segments[i + 1])}`;
+    if (begin !== end) path += `M${begin}`;
+    end = `${px(segments[i + 2])} ${py(segments[i + 3])}`;
+    path += `L${end}`;
+  }
+  return `<path d="${path}" fill="none" stroke="${colour}" stroke-width="${
+      shape.widthPixels}" stroke-linejoin="round"><title>${
+      escaped(shape.label)}</title></path>`;
+}
+
+function mapToSvg({scene, view}: {scene: Scene, view: View}): string {
+  const bar = scaleBarMeters(view.metersPerPixel, 120);
+  const barPixels = bar / view.metersPerPixel;
+  const y = view.height - 12;
+  const legend = scene.shapes.map(
+      ({label, colour}, i) =>
+          `<rect x="12" y="${12 + i * LINE}" width="12" height="4" fill="${
+              colourOf(colour)}"/>` +
+          text(30, 18 + i * LINE, label));
+  return `<svg width="${view.width}" height="${view.height}">` +
+      scene.shapes.map(shape => shapeToSvg(shape, view)).join('') +
+      legend.join('') +
+      `<path d="M12 ${y}h${round(barPixels)}" stroke="${
+          colourOf('text')}" stroke-width="3"/>` +
+      text(20 + barPixels, y + 4, length(bar)) + '</svg>';
+}
+
+function seriesToSvg(series: Series, points: Array<[number, number]|null>):
+    string {
+  const colour = colourOf(series.colour);
+  if (series.as === 'points') {
+    return points.map(point => point ?
+        `<circle cx="${round(point[0])}" cy="${round(point[1])}" r="2.5" ` +
+            `fill="${colour}"/>` : '').join('');
+  }
+  const path = points.filter(point => point !== null).map(
+      (point, i) => `${i === 0 ? 'M' : 'L'}${round(point[0])} ${
+          round(point[1])}`).join('');
+  return `<path d="${path}" fill="none" stroke="${colour}" stroke-width="1.5"${
+      series.as === 'dashes' ? ' stroke-dasharray="6 4"' : ''}/>`;
+}
+
+function curveToSvg(curve: Curve, width: number): string {
+  const scaled = (value: number) =>
+      curve.logarithmic ? Math.log10(value) : value;
+  const values = curve.series.flatMap(({values: all}) => all)
+                     .filter(value => value !== null)
+                     .filter(value => !curve.logarithmic || value > 0);
+  const range = (all: number[]): [number, number] => {
+    const [least, most] = all.reduce<[number, number]>(
+        ([low, high], value) => [Math.min(low, value), Math.max(high, value)],
+        [Infinity, -Infinity]);
+    return least < most ? [least, most] : [least - 1, least + 1];
+  };
+  if (values.length === 0) return text(0, LINE, `${curve.title}: nothing yet`);
+  const [x0, x1] = range(curve.x);
+  const [y0, y1] = range(values.map(scaled));
+  const left = 64;
+  const top = 28;
+  const right = width - 8;
+  const bottom = CURVE_HEIGHT - 24;
+  const px = (x: number) => left + (x - x0) / (x1 - x0) * (right - left);
+  const py = (y: number) =>
+      bottom - (scaled(y) - y0) / (y1 - y0) * (bottom - top);
+  const number = (value: number) => String(Number(value.toPrecision(3)));
+  const unscaled = (y: number) => curve.logarithmic ? 10 ** y : y;
+  let legendX = 8 * curve.title.length + 24;
+  const legend = curve.series.map(({label, colour}) => {
+    const entry = `<rect x="${legendX}" y="8" width="10" height="4" fill="${
+        colourOf(colour)}"/>` + text(legendX + 14, 14, label);
+    legendX += 7 * label.length + 32;
+    return entry;
+  });
+  const drawn = curve.series.map(
+      series => seriesToSvg(series, series.values.map(
+          (value, i) => value === null || (curve.logarithmic && value <= 0) ?
+              null : [px(curve.x[i]), py(value)])));
+  return text(0, 14, curve.title, 'font-weight="600"') + legend.join('') +
+      `<path d="M${left} ${top}V${bottom}H${right}" fill="none" stroke="${
+          colourOf('grid')}"/>` +
+      text(0, top + 8, number(unscaled(y1))) +
+      text(0, bottom, number(unscaled(y0))) +
+      text(left, CURVE_HEIGHT - 6, number(x0)) +
+      text(right, CURVE_HEIGHT - 6, `${number(x1)} ${curve.xLabel}`,
+           'text-anchor="end"') +
+      drawn.join('');
+}
+
+export function sheetToSvg({title, map, curves = [], facts = []}: Sheet):
+    string {
+  const inner = Math.max(LEAST_WIDTH, map?.view.width ?? 0);
+  let y = MARGIN + LINE;
+  let body = text(MARGIN, y - 4, title, 'font-size="16" font-weight="600"');
+  y += 8;
+  const place = (part: string, height: number) => {
+    body += `<g transform="translate(${MARGIN} ${y})">${part}</g>`;
+    y += height + MARGIN;
+  };
+  if (map) place(mapToSvg(map), map.view.height);
+  for (const curve of curves) place(curveToSvg(curve, inner), CURVE_HEIGHT);
+  facts.forEach(([name, value]) => {
+    place(text(0, 0, name, 'font-weight="600"') + text(260, 0, value),
+          LINE - MARGIN);
+  });
+  const width = inner + 2 * MARGIN;
+  const height = y + MARGIN;
+  return `<svg xmlns="http://www.w3.org/2000/svg" width="${width}" height="${
+      height}" viewBox="0 0 ${width} ${height}" font-family="sans-serif" ` +
+      `font-size="12"><rect width="100%" height="100%" fill="${
+          colourOf('background')}"/>${body}</svg>`;
+}
+
+function save(blob: Blob, name: string): void {
+  const link = document.createElement('a');
+  link.href = URL.createObjectURL(blob);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+}
+
+export function saveSvg(sheet: Sheet, name: string): void {
+  save(new Blob([sheetToSvg(sheet)], {type: 'image/svg+xml'}), `${name}.svg`);
+}
+
+export async function savePng(sheet: Sheet, name: string): Promise<void> {
+  const url = URL.createObjectURL(
+      new Blob([sheetToSvg(sheet)], {type: 'image/svg+xml'}));
+  try {
+    const image = new Image();
+    image.src = url;
+    await image.decode();
+    const canvas = document.createElement('canvas');
+    canvas.width = 2 * image.naturalWidth;
+    canvas.height = 2 * image.naturalHeight;
+    canvas.getContext('2d')!.drawImage(image, 0, 0, canvas.width,
+                                       canvas.height);
+    const png = await new Promise<Blob|null>(
+        done => canvas.toBlob(done, 'image/png'));
+    if (!png) throw new Error('The picture is too large to be a PNG here.');
+    save(png, `${name}.png`);
+  } finally {
+    URL.revokeObjectURL(url);
+  }
+}

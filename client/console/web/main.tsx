@@ -1,0 +1,7 @@
+import 'uplot/dist/uPlot.min.css';
+
+import {render} from 'preact';
+
+import {App} from './app.js';
+
+render(<App />, document.getElementById('app')!);

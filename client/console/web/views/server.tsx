@@ -1,0 +1,145 @@
+import {signal} from '@preact/signals';
+import {useEffect, useMemo} from 'preact/hooks';
+
+import {HealthCheckResponse_ServingStatus as Serving} from
+    '../../gen/grpc/health/v1/health_pb.js';
+import {Durability, type GetServerInfoResponse} from
+    '../../gen/revisit/v1/pose_graph_service_pb.js';
+import {health, messageOf, repeat, service} from '../data/client.js';
+import {type Curve, CurveView} from '../draw/curve.js';
+import {Export} from '../parts/export.js';
+import {bytes, count, fixed, words} from '../parts/format.js';
+import {Table} from '../parts/table.js';
+
+const POLL_MILLISECONDS = 1000;
+const MOST_SAMPLES = 600;
+
+const HEALTH_NAMES: Array<[string, string]> = [
+  ['', 'Server'],
+  ['revisit.v1.PoseGraphService', 'Reads'],
+  ['revisit.v1.PoseGraphService/write', 'Writes'],
+];
+
+const DURABILITY: Record<Durability, string> = {
+  [Durability.UNSPECIFIED]: 'not said',
+  [Durability.LOCAL]:
+      'local: poses are flushed to one device, and outlive every process and ' +
+      'a loss of power, not the device',
+  [Durability.REPLICATED]:
+      'replicated: a standby has flushed them too, and they outlive the loss ' +
+      'of either device',
+  [Durability.DEFERRED]:
+      'deferred: acknowledged before they are flushed, so that a loss of ' +
+      'power takes what was acknowledged last',
+};
+
+/** What one round of questions was answered. */
+interface Sample {
+  time: Date;
+  info: GetServerInfoResponse;
+  /** How long GetServerInfo took, from this page and back. */
+  milliseconds: number;
+  health: string[];
+}
+
+async function ask(): Promise<Sample> {
+  const began = performance.now();
+  const info = await service.getServerInfo({});
+  const milliseconds = performance.now() - began;
+  const statuses = await Promise.all(HEALTH_NAMES.map(
+      ([name]) => health.check({service: name})
+                      .then(({status}) => words(Serving[status]))
+                      .catch(messageOf)));
+  return {time: new Date(), info, milliseconds, health: statuses};
+}
+
+function factsOf({info, health: statuses, milliseconds, time}: Sample):
+    Array<[string, string]> {
+  return [
+    ['Version', info.version],
+    ...HEALTH_NAMES.map(([, label], i): [string, string] => [label,
+                                                            statuses[i]]),
+    ['Durability', DURABILITY[info.durability]],
+    ...(info.durabilitySettings ?
+            [['Comes from', info.durabilitySettings] as [string, string]] :
+            []),
+    ['Format of the store', String(info.storeFormat)],
+    ['Most poses in a batch', count(info.maxBatchPoses)],
+    ['Largest message', bytes(info.maxMessageBytes)],
+    ['Batches in flight of a stream', count(info.maxBatchesInFlight)],
+    ['Vehicles in memory', count(info.residentVehicleCount)],
+    ['Nodes in memory', count(info.residentNodeCount)],
+    ['Their memory', bytes(info.residentBytes)],
+    ['Round trip from this page', `${fixed(milliseconds, 1)} ms`],
+    ['As of', time.toLocaleTimeString()],
+  ];
+}
+
+function curvesOf(samples: Sample[]): Curve[] {
+  const now = samples[samples.length - 1].time.getTime();
+  const x = samples.map(({time}) => (time.getTime() - now) / 1000);
+  const xLabel = 'seconds ago';
+  return [
+    {title: 'Round trip of GetServerInfo from this page, ms', xLabel, x,
+     series: [{label: 'ms', colour: 'path', as: 'line',
+               values: samples.map(({milliseconds}) => milliseconds)}]},
+    {title: 'Nodes in memory', xLabel, x,
+     series: [{label: 'nodes', colour: 'closure', as: 'line',
+               values: samples.map(
+                   ({info}) => Number(info.residentNodeCount))}]},
+  ];
+}
+
+export function ServerView() {
+  const {samples, error} = useMemo(() => ({
+    samples: signal<Sample[]>([]),
+    error: signal<string|undefined>(undefined),
+  }), []);
+  useEffect(() => repeat(POLL_MILLISECONDS, async () => {
+    try {
+      samples.value = [...samples.value, await ask()].slice(-MOST_SAMPLES);
+      error.value = undefined;
+    } catch (caught) {
+      error.value = messageOf(caught);
+      throw caught;
+    }
+  }), []);
+  const last = samples.value[samples.value.length - 1];
+  const facts = last && factsOf(last);
+  const curves = last && curvesOf(samples.value);
+  return (
+    <>
+      <div class="title">
+        <h1>Server</h1>
+        {last && <Export name="server"
+                         sheet={() => ({title: 'Server', facts, curves})} />}
+      </div>
+      {error.value && <p class="error" role="status">{error.value}</p>}
+      {!last && !error.value && <p>Asking the server…</p>}
+      {facts && (
+        <dl class="facts">
+          {facts.map(([name, value]) => (
+            <div key={name}><dt>{name}</dt><dd>{value}</dd></div>
+          ))}
+        </dl>
+      )}
+      {last && last.info.servers.length > 0 && (
+        <Table label="Servers that share the store" rows={last.info.servers}
+               keyOf={({address}) => address} empty="None"
+               columns={[
+                 {title: 'Server', cell: ({address}) => address},
+                 {title: 'Vehicles it owns', number: true,
+                  cell: ({ownedVehicleCount}) => count(ownedVehicleCount)},
+               ]} />
+      )}
+      {curves && curves.map(curve => (
+        <CurveView key={curve.title} curve={curve} />
+      ))}
+      <p class="hint">
+        The number of vehicles, nodes and bytes in memory is 0 for callers that
+        belong to a tenant. Everything else that the server can tell is in its
+        log.
+      </p>
+    </>
+  );
+}

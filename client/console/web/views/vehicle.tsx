@@ -1,0 +1,335 @@
+import {useEffect, useMemo, useRef, useState} from 'preact/hooks';
+
+import {Verdict} from '../../gen/revisit/v1/candidate_pb.js';
+import {FindingCode, type Vehicle, VehicleState} from
+    '../../gen/revisit/v1/vehicle_pb.js';
+import {allFound, type Answer, type Found, keyOf, verdictName} from
+    '../data/candidates.js';
+import {type Graph, nodeAt} from '../data/graph.js';
+import {type VehicleStore, vehicleStore} from '../data/vehicle.js';
+import {type Curve, CurveView} from '../draw/curve.js';
+import {MapView} from '../draw/map.js';
+import type {Scene} from '../draw/scene.js';
+import type {Box, View} from '../geometry/view.js';
+import {Export} from '../parts/export.js';
+import {count, fixed, length, probability, words} from '../parts/format.js';
+import {type Column, Table} from '../parts/table.js';
+import {query, setQuery} from '../route.js';
+import {answersUpTo, candidateShapes, decisionAbout, ellipseShape, linkTo,
+        MOST_CHECKS, pairShape, pathShapes, posesToAsk, stretchShape, VERDICTS}
+    from './drive.js';
+
+const REPLAY_SECONDS = 60;
+const FRAME_MILLISECONDS = 100;
+const MOST_CURVE_POINTS = 2000;
+
+function boxOfGraph({x, y, size}: Graph): Box|undefined {
+  if (size === 0) return undefined;
+  const box = {left: Infinity, right: -Infinity, bottom: Infinity,
+               top: -Infinity};
+  for (let i = 0; i < size; ++i) {
+    box.left = Math.min(box.left, x[i]);
+    box.right = Math.max(box.right, x[i]);
+    box.bottom = Math.min(box.bottom, y[i]);
+    box.top = Math.max(box.top, y[i]);
+  }
+  return box;
+}
+
+function columnsFor(store: VehicleStore): Array<Column<Found>> {
+  return [
+    {title: 'Pose', number: true, cell: found => (
+      <a href={linkTo(store, found)}
+         aria-label={`Pose ${found.candidate.query!.sequence} at pose ${
+             found.candidate.matched!.sequence}`}>
+        {count(found.candidate.query!.sequence)}
+      </a>)},
+    {title: 'Match', number: true,
+     cell: ({candidate}) => count(candidate.matched!.sequence)},
+    {title: 'Verdict', cell: ({candidate: {verdict}}) => (
+      <span class={`verdict ${words(Verdict[verdict]).replaceAll(' ', '-')}`}>
+        {verdictName(verdict)}
+      </span>)},
+    {title: 'Probability', number: true, cell: ({candidate}) =>
+       candidate.probability === undefined ? '–' :
+                                             probability(candidate.probability)},
+    {title: 'd²', number: true, cell: ({candidate: {gate}}) =>
+       fixed(gate!.squaredMahalanobisDistance, 2)},
+    {title: 'Gate', number: true, cell: ({candidate: {gate}}) =>
+       fixed(gate!.threshold, 2)},
+    {title: 'Rank', number: true, cell: ({candidate}) => candidate.rank},
+    {title: 'Decision', cell: ({candidate}) =>
+       decisionAbout(store, candidate)?.kind ?? ''},
+  ];
+}
+
+function curvesOf(graph: Graph, vehicle: Vehicle,
+                  answers: Map<number, Answer>): Curve[] {
+  const sets = [...answers.values()].filter(({set}) => set);
+  const x = sets.map(({asked}) => asked);
+  const best = sets.map(({set}) => set!.candidates[0]);
+  const xLabel = 'pose';
+  const step = Math.ceil(graph.size / MOST_CURVE_POINTS);
+  const nodes = Array.from({length: Math.ceil(graph.size / step)},
+                           (_, i) => i * step);
+  return [
+    {title: 'd² of the first candidate', xLabel, x, logarithmic: true,
+     series: [
+       {label: 'd²', colour: 'path', as: 'points', values: best.map(
+          first => first?.gate?.squaredMahalanobisDistance || null)},
+       {label: 'gate', colour: 'threshold', as: 'dashes',
+        values: best.map(first => first?.gate?.threshold ?? null)},
+     ]},
+    {title: 'Probability', xLabel, x, series: [
+       {label: 'first candidate', colour: 'path', as: 'points',
+        values: best.map(first => first?.probability ?? null)},
+       {label: 'a place not seen before', colour: 'uninformative',
+        as: 'line', values: sets.map(
+            ({set}) => set!.newPlaceProbability ?? null)},
+       {label: 'needed', colour: 'threshold', as: 'dashes', values: x.map(
+          () => vehicle.settings?.acceptanceProbability ?? null)},
+     ]},
+    {title: 'Learned scale of the claimed deviations', xLabel, x,
+     logarithmic: true, series: [
+       {label: 'scale', colour: 'scale', as: 'line',
+        values: sets.map(({set}) => set!.scaleEstimate?.scale ?? null)},
+       {label: 'at least', colour: 'threshold', as: 'dashes',
+        values: sets.map(({set}) => set!.scaleEstimate?.low ?? null)},
+       {label: 'at most', colour: 'threshold', as: 'dashes',
+        values: sets.map(({set}) => set!.scaleEstimate?.high ?? null)},
+     ]},
+    {title: 'Travelled, km', xLabel, x: nodes.map(i => graph.sequence[i]),
+     series: [{label: 'km', colour: 'closure', as: 'line',
+               values: nodes.map(i => graph.travelled[i] / 1000)}]},
+  ];
+}
+
+function Facts({vehicle, store}: {vehicle: Vehicle, store: VehicleStore}) {
+  const {consistency} = vehicle;
+  const facts: Array<[string, string]> = [
+    ['State', words(VehicleState[vehicle.state])],
+    ['Poses', count(vehicle.durableSequence)],
+    ['Nodes', count(vehicle.nodeCount)],
+    ['Travelled', length(vehicle.travelledMeters)],
+    ['Loop closures', count(store.closures.value.length)],
+    ['Rejected', count(store.rejections.value.length)],
+    ['Inflation', consistency ? fixed(consistency.inflation, 2) : '–'],
+    ['Revision', count(vehicle.revision)],
+  ];
+  return (
+    <>
+      <dl class="facts short">
+        {facts.map(([name, value]) => (
+          <div key={name}><dt>{name}</dt><dd>{value}</dd></div>
+        ))}
+      </dl>
+      {vehicle.findings.map(({code, message}) => (
+        <p class="error" key={code}>
+          <strong>{words(FindingCode[code])}</strong>: {message}
+        </p>
+      ))}
+    </>
+  );
+}
+
+interface SliderProps {
+  newest: number;
+  at: number;
+  live: boolean;
+}
+
+/** Where in the drive the view stands; at its end it follows the vehicle. */
+function Slider({newest, at, live}: SliderProps) {
+  const [playing, setPlaying] = useState(false);
+  useEffect(() => {
+    if (!playing) return undefined;
+    const step = newest * FRAME_MILLISECONDS / (1000 * REPLAY_SECONDS);
+    let position = live ? 1 : at;
+    const timer = setInterval(() => {
+      position += step;
+      if (position < newest) {
+        setQuery('at', String(Math.round(position)));
+      } else {
+        setQuery('at', undefined);
+        setPlaying(false);
+      }
+    }, FRAME_MILLISECONDS);
+    return () => clearInterval(timer);
+  }, [playing]);
+  const move = (event: Event) => {
+    setPlaying(false);
+    const value = Number((event.target as HTMLInputElement).value);
+    setQuery('at', value >= newest ? undefined : String(value));
+  };
+  return (
+    <div class="slider">
+      <button type="button" onClick={() => setPlaying(!playing)}>
+        {playing ? 'Stop' : 'Replay'}
+      </button>
+      <label>
+        <span>Up to pose</span>
+        <input type="range" min={1} max={Math.max(newest, 1)} value={at}
+               onInput={move} />
+      </label>
+      <output>{count(at)}{live ? ' (newest)' : ''}</output>
+      {!live && (
+        <button type="button" onClick={() => setQuery('at', undefined)}>
+          Newest
+        </button>
+      )}
+    </div>
+  );
+}
+
+function VerdictFilter({hidden, found}: {hidden: Set<string>,
+                                         found: Found[]}) {
+  const toggle = (name: string) => {
+    const changed = new Set(hidden);
+    if (!changed.delete(name)) changed.add(name);
+    setQuery('hide', [...changed].join(',') || undefined);
+  };
+  return (
+    <fieldset class="verdicts">
+      <legend>Candidates</legend>
+      {VERDICTS.map(({verdict, colour}) => {
+        const number = found.filter(
+            ({candidate}) => candidate.verdict === verdict).length;
+        return (
+          <label key={colour} class="check">
+            <input type="checkbox" checked={!hidden.has(colour)}
+                   onChange={() => toggle(colour)} />
+            <span class={`verdict ${colour}`}>{verdictName(verdict)}</span>
+            <span class="count">{number}</span>
+          </label>
+        );
+      })}
+    </fieldset>
+  );
+}
+
+export function VehicleView({id}: {id: string}) {
+  const store = vehicleStore(id);
+  const vehicle = store.vehicle.value;
+  const graph = store.graph.value;
+  const checks = store.checks.value;
+  const view = useRef<View>();
+  const newest = graph && graph.size > 0 ? graph.sequence[graph.size - 1] : 0;
+  const asked = Number(query.value.get('at') ?? NaN);
+  const live = !(asked >= 1 && asked < newest);
+  const at = live ? newest : asked;
+  const hidden = useMemo(
+      () => new Set((query.value.get('hide') ?? '').split(',').filter(Boolean)),
+      [query.value]);
+
+  useEffect(() => store.candidates.want(posesToAsk(checks, at)),
+            [store, checks, at]);
+  const allAnswers = store.candidates.answers.value;
+  const answers = useMemo(() => answersUpTo(allAnswers, at), [allAnswers, at]);
+  const found = useMemo(() => allFound(answers), [answers]);
+  const colours = new Map(VERDICTS.map(({verdict, colour}) =>
+                                           [verdict, colour]));
+  const shown = useMemo(
+      () => found.filter(({candidate: {verdict}}) =>
+                             !hidden.has(colours.get(verdict)!)),
+      [found, hidden]);
+
+  const cut = graph ? Math.max(0, nodeAt(graph, at)) : 0;
+  const paths = useMemo(() => graph && graph.size > 0 ?
+                            pathShapes(graph, cut) : [], [graph, cut]);
+  const ellipses = useMemo(
+      () => graph ? [ellipseShape(graph,
+                                  checks.filter(({pose}) => pose <= at)
+                                      .map(({node}) => node))] : [],
+      [graph, checks, at]);
+  const links = useMemo(() => graph ? [
+    stretchShape(graph, shown.filter(({candidate}) =>
+                            candidate.verdict === Verdict.ACCEPTED)),
+    ...candidateShapes(store, shown),
+  ] : [], [graph, shown]);
+  const decided = useMemo(() => graph ? [
+    pairShape(graph, {id: 'closures', label: 'Loop closure',
+                      colour: 'closure'}, store.closures.value, at),
+    pairShape(graph, {id: 'rejections', label: 'Rejected by a verifier',
+                      colour: 'rejection'}, store.rejections.value, at),
+  ] : [], [graph, store.closures.value, store.rejections.value, at]);
+  const box = useMemo(() => graph && boxOfGraph(graph), [graph]);
+  const scene: Scene = useMemo(() => ({
+    shapes: [...ellipses, ...links.slice(0, 1), ...paths.slice(0, -1),
+             ...decided, ...links.slice(1), ...paths.slice(-1)],
+    box,
+  }), [ellipses, links, paths, decided, box]);
+  const curves = useMemo(
+      () => graph && vehicle ? curvesOf(graph, vehicle, answers) : [],
+      [graph, vehicle, answers]);
+  const columns = useMemo(() => columnsFor(store), [store]);
+
+  const waiting = [...answers.values()].filter(({outdated}) => outdated).length;
+  const askable = posesToAsk(checks, at);
+  const known = askable.filter(pose => answers.get(pose)?.set).length;
+  const failed = [...answers.values()].find(({error}) => error)?.error;
+  const name = vehicle?.displayName || id;
+  return (
+    <>
+      <div class="title">
+        <h1>{name}</h1>
+        <p role="status">
+          {graph ? `Map of revision ${count(graph.revision)}, ${
+                       count(graph.size)} nodes` :
+                   'Asking the server…'}
+          {store.loading.value !== undefined && (!graph ||
+              store.loading.value > 100_000) &&
+            `, loading ${count(store.loading.value)} nodes`}
+        </p>
+        <Export name={id} sheet={() => ({
+          title: `${name}, up to pose ${count(at)}`,
+          map: view.current && {scene, view: view.current},
+          curves,
+        })} />
+      </div>
+      {store.error.value &&
+        <p class="error" role="status">{store.error.value}</p>}
+      {vehicle && <Facts vehicle={vehicle} store={store} />}
+      {graph && graph.size > 0 && (
+        <>
+          <Slider newest={newest} at={at} live={live} />
+          <div class="map-and-table">
+            <MapView scene={scene} viewRef={view}
+                     label={`Map of the path of ${name}; the table has its ` +
+                            'candidates'}>
+              <ul class="legend">
+                {scene.shapes.map(({id: key, label, colour}) => (
+                  <li key={key}>
+                    <span class={`swatch ${colour}`} />{label}
+                  </li>
+                ))}
+              </ul>
+            </MapView>
+            <div class="side">
+              <VerdictFilter hidden={hidden} found={found} />
+              <p class="hint" role="status">
+                {checks.length === 0 ?
+                  'No check has fallen due yet.' :
+                  `${count(known)} of ${count(askable.length)} checks ` +
+                      'answered' +
+                      (checks.length > MOST_CHECKS ?
+                           `, the last up to this pose` : '') +
+                      (waiting > 0 ? `, ${count(waiting)} asked anew` : '')}
+                {failed && `. ${failed}`}
+              </p>
+              <Table label="Candidates" columns={columns} rows={shown}
+                     keyOf={keyOf} empty="No candidates." />
+            </div>
+          </div>
+          <div class="curves">
+            {curves.map(curve => (
+              <CurveView key={curve.title} curve={curve} at={at}
+                         onPick={x => setQuery('at', String(Math.round(
+                             Math.min(Math.max(1, x), newest))))} />
+            ))}
+          </div>
+        </>
+      )}
+      {graph?.size === 0 && <p>The vehicle has no poses yet.</p>}
+    </>
+  );
+}
