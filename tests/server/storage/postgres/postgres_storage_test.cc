@@ -282,6 +282,39 @@ TEST_F(PostgresStorageTest, HeadThatDisagreesWithTheLastBatchIsDamage) {
   EXPECT_THAT(storage->GetVehicle("truck")->damage, IsOk());
 }
 
+TEST_F(PostgresStorageTest, VehicleWhoseHeadIsLostCanBeGivenUpOrDeleted) {
+  for (const bool is_deleted : {false, true}) {
+    const std::string id = is_deleted ? "deleted" : "given up";
+    VehicleKey key = 0;
+    {
+      const auto storage = MustOpen(conninfo_);
+      BlockingWrites write(storage.get());
+      key = *write.Create(id);
+      ASSERT_THAT(write.Append(key, {1, 2, 5, "a"}), IsOk());
+    }
+    Sql("DELETE FROM heads");
+    const auto storage = MustOpen(conninfo_);
+    BlockingWrites write(storage.get());
+    EXPECT_THAT(storage->GetVehicle(id)->damage,
+                IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                        HasSubstr("no row in heads")));
+    EXPECT_THAT(write.Delete(key),
+                IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
+    const auto taken = storage->TakeVehicle(id);
+    ASSERT_THAT(taken, IsOk());
+    EXPECT_THAT(taken->damage, IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                                       HasSubstr("its last batch ends at 2")));
+    EXPECT_EQ(taken->revision, 5u);
+    if (is_deleted) {
+      EXPECT_THAT(write.Delete(key), IsOk());
+      continue;
+    }
+    ASSERT_THAT(write.DropDamaged(key, 2, "payload", 6), IsOk());
+    EXPECT_THAT(storage->GetVehicle(id)->damage, IsOk());
+    EXPECT_THAT(write.Append(key, {3, 1, 7, "b"}), IsOk());
+  }
+}
+
 TEST_F(PostgresStorageTest, RowThatIsInTheWayHoldsUpItsOwnVehicleOnly) {
   PostgresOptions options;
   options.writer_connections = 1;
