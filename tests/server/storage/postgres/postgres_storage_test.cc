@@ -11,6 +11,7 @@
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "server/storage/postgres/connection_pool.h"
 #include "server/storage/postgres/migrations.h"
 #include "server/storage/postgres/postgres_appends.h"
 #include "server/storage/postgres/postgres_check.h"
@@ -454,7 +455,7 @@ TEST_F(PostgresStorageTest, RowsStayInTheirPagesAndHeadsAreUpdatedInPlace) {
 
 TEST_F(PostgresStorageTest,
        AppendFindsTheHeadsByTheirIndexHoweverManyThereAre) {
-  Sql("INSERT INTO heads (key) SELECT generate_series(1, 200000); "
+  Sql("INSERT INTO heads (key) SELECT generate_series(1, 1000000); "
       "ANALYZE heads");
   PostgresConnection::Options options;
   options.conninfo = conninfo_;
@@ -616,6 +617,50 @@ TEST_F(PostgresStorageTest, NothingAcknowledgedIsLostWhenTheDatabaseCrashes) {
     EXPECT_GT(acknowledged[i], 0u);
   }
   EXPECT_THAT(CheckDatabase(conninfo)->problems, IsEmpty());
+}
+
+TEST_F(PostgresStorageTest, ReadersWaitForAConnectionWhereAllAreUsed) {
+  ConnectionPool::Options options;
+  options.most = 2;
+  options.wait = std::chrono::milliseconds(200);
+  ConnectionPool pool(conninfo_, options);
+  const auto count = [&] {
+    return std::stoi(
+        Sql("SELECT count(*) FROM pg_stat_activity WHERE application_name = "
+            "'revisitd' AND datname = current_database()"));
+  };
+  const auto nothing = [](PostgresConnection&) { return absl::OkStatus(); };
+  EXPECT_THAT(pool.Use([&](PostgresConnection&) {
+    return pool.Use([&](PostgresConnection&) {
+      EXPECT_THAT(pool.Use(nothing),
+                  IsError(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                          HasSubstr("all 2 connections")));
+      EXPECT_EQ(count(), 2);
+      return absl::OkStatus();
+    });
+  }),
+              IsOk());
+  // Whoever waits comes when one is free, and more come than there are.
+  std::vector<std::thread> threads;
+  std::atomic<int> came{0};
+  for (int i = 0; i < 20; ++i) {
+    threads.emplace_back([&] {
+      EXPECT_THAT(pool.Use([&](PostgresConnection& connection) {
+        ++came;
+        return connection.RunText("SELECT pg_sleep(0.005)").status();
+      }),
+                  IsOk());
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  EXPECT_EQ(came, 20);
+  EXPECT_LE(count(), 2);
+  // A connection that cannot be opened takes nobody's turn.
+  ConnectionPool nowhere("host=/nonexistent dbname=x", options);
+  for (int i = 0; i < 3; ++i) {
+    EXPECT_THAT(nowhere.Use(nothing),
+                IsError(StatusCode::kUnavailable, _, HasSubstr("connect")));
+  }
 }
 
 TEST_F(PostgresStorageTest, OpenedForReadingItWritesNothing) {
