@@ -2,6 +2,7 @@
 #ifndef REVISIT_SERVER_STORAGE_POSTGRES_CONNECTION_POOL_H_
 #define REVISIT_SERVER_STORAGE_POSTGRES_CONNECTION_POOL_H_
 
+#include <chrono>
 #include <cstddef>
 #include <functional>
 #include <memory>
@@ -16,27 +17,42 @@
 
 namespace revisit::server {
 
-// Opens as many connections as are used at a time, and keeps some of them while
-// nobody uses them. Thread-safe.
+// Opens connections as they are needed, up to a number, and keeps some of them
+// while nobody uses them. Thread-safe.
 class ConnectionPool {
  public:
-  ConnectionPool(std::string conninfo, std::size_t max_idle)
-      : conninfo_(std::move(conninfo)), max_idle_(max_idle) {}
+  struct Options {
+    // Connections in all. A database has them for all servers together.
+    std::size_t most = 16;
+    std::size_t most_idle = 4;
+    // How long a caller waits where all are used.
+    std::chrono::milliseconds wait{10'000};
+  };
+
+  ConnectionPool(std::string conninfo, const Options& options)
+      : conninfo_(std::move(conninfo)), options_(options) {}
 
   // Runs `work` on a connection of its own, and returns what it does.
+  // UNAVAILABLE (STORE_UNAVAILABLE) where there is none for so long.
   absl::Status Use(
       const std::function<absl::Status(PostgresConnection&)>& work);
 
  private:
-  absl::StatusOr<std::unique_ptr<PostgresConnection>> Take();
-  void GiveBack(std::unique_ptr<PostgresConnection> connection);
+  using ConnectionPtr = std::unique_ptr<PostgresConnection>;
+
+  absl::StatusOr<ConnectionPtr> Take();
+  // Waits for the right to use one; null where it is to be opened.
+  absl::StatusOr<ConnectionPtr> AwaitTurn();
+  // `connection` may be null.
+  void GiveBack(ConnectionPtr connection);
 
   const std::string conninfo_;
-  const std::size_t max_idle_;
+  const Options options_;
 
   Mutex mutex_;
-  std::vector<std::unique_ptr<PostgresConnection>> idle_
-      ABSL_GUARDED_BY(mutex_);
+  CondVar is_free_;
+  std::size_t used_ ABSL_GUARDED_BY(mutex_) = 0;
+  std::vector<ConnectionPtr> idle_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace revisit::server

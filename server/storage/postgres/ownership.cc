@@ -4,6 +4,7 @@
 #include <time.h>
 
 #include <algorithm>
+#include <optional>
 #include <utility>
 
 #include "server/base/status.h"
@@ -68,6 +69,15 @@ constexpr Statement kWhoOwns = {
     "SELECT v.key, h.owner, h.epoch, s.address, s.state = 'live' "
     "FROM vehicles v LEFT JOIN heads h ON h.key = v.key "
     "LEFT JOIN servers s ON s.incarnation = h.owner WHERE v.id = $1::text"};
+// A head that was lost comes back as that of a vehicle without poses: where
+// there are some the two disagree, so the vehicle is damaged until an operator
+// accepts the loss or deletes it.
+constexpr Statement kMakeHead = {
+    "make_head",
+    "INSERT INTO heads (key, revision) SELECT v.key, greatest(v.revision, "
+    "(SELECT b.revision FROM batches b WHERE b.vehicle_key = v.key "
+    "ORDER BY b.first_sequence DESC LIMIT 1)) FROM vehicles v "
+    "WHERE v.id = $1::text ON CONFLICT (key) DO NOTHING"};
 constexpr Statement kAsk = {
     "ask",
     "INSERT INTO handovers (key, owner, asked_by) "
@@ -369,53 +379,70 @@ absl::StatusOr<VehicleKey> Ownership::Take(PostgresConnection& connection,
     const MutexLock lock(&mutex_);
     if (!LeaseHolds()) return LeaseStale();
     me = me_;
+  }
+  for (bool has_made_head = false;; has_made_head = true) {
+    const absl::StatusOr<std::optional<VehicleKey>> claimed =
+        TryToClaim(connection, id, me);
+    if (!claimed.ok()) return claimed.status();
+    if (*claimed) return **claimed;
+    const auto owner = connection.Run(kWhoOwns, Parameters().AddText(id));
+    if (!owner.ok()) return owner.status();
+    if (owner->size() == 0) return UnknownVehicle("'" + id + "'");
+    const bool has_head = !owner->IsNull(0, 2);
+    if (has_head || has_made_head) return AskFor(connection, id, me, *owner);
+    Warn("vehicle '" + Printable(id) + "' had no row in heads: it gets one");
+    absl::Status made =
+        connection.Run(kMakeHead, Parameters().AddText(id)).status();
+    if (!made.ok()) return made;
+  }
+}
+
+absl::StatusOr<std::optional<VehicleKey>> Ownership::TryToClaim(
+    PostgresConnection& connection, const std::string& id, const Uuid& me) {
+  {
+    const MutexLock lock(&mutex_);
     being_taken_.insert(id);
   }
   const auto rows = connection.Run(kClaim, Parameters().AddText(id).Add(me));
-  {
-    const MutexLock lock(&mutex_);
-    being_taken_.erase(being_taken_.find(id));
-    if (!rows.ok()) return rows.status();
-    if (me != me_) return LeaseStale();
-    if (rows->size() > 0) {
-      auto claim = std::make_shared<Claim>();
-      claim->owner = me;
-      claim->epoch = rows->Integer(0, 1);
-      claim->since = Now();
-      claim->vehicle_id = id;
-      claim->durable_sequence = Unsigned(rows->Integer(0, 2));
-      const VehicleKey key = rows->Integer(0, 0);
-      asks_.Taken(key, claim->since);
-      claims_[key] = std::move(claim);
-      wanted_.erase(key);
-      return key;
-    }
-  }
-  const auto owner = connection.Run(kWhoOwns, Parameters().AddText(id));
-  if (!owner.ok()) return owner.status();
-  if (owner->size() == 0) return UnknownVehicle("'" + id + "'");
-  const VehicleKey key = owner->Integer(0, 0);
-  if (owner->IsNull(0, 2)) {
-    return Corrupt("vehicle '" + Printable(id) + "' has no row in heads",
-                   {{"vehicle", Printable(id)}});
-  }
-  const Uuid other = owner->GetUuid(0, 1);
-  if (owner->IsNull(0, 1) || other == me || owner->Integer(0, 4) == 0) {
+  const MutexLock lock(&mutex_);
+  being_taken_.erase(being_taken_.find(id));
+  if (!rows.ok()) return rows.status();
+  if (me != me_) return LeaseStale();
+  if (rows->size() == 0) return std::optional<VehicleKey>();
+  auto claim = std::make_shared<Claim>();
+  claim->owner = me;
+  claim->epoch = rows->Integer(0, 1);
+  claim->since = Now();
+  claim->vehicle_id = id;
+  claim->durable_sequence = Unsigned(rows->Integer(0, 2));
+  const VehicleKey key = rows->Integer(0, 0);
+  asks_.Taken(key, claim->since);
+  claims_[key] = std::move(claim);
+  wanted_.erase(key);
+  return std::optional<VehicleKey>(key);
+}
+
+absl::Status Ownership::AskFor(PostgresConnection& connection,
+                               const std::string& id, const Uuid& me,
+                               const PostgresRows& owner) {
+  const Uuid other = owner.GetUuid(0, 1);
+  if (owner.IsNull(0, 1) || other == me || owner.Integer(0, 4) == 0) {
     // It became free just now, or this server is not alive in the database.
     return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
                  "vehicle '" + id + "' could not be claimed just now");
   }
+  const VehicleKey key = owner.Integer(0, 0);
   bool asks = false;
   {
     const MutexLock lock(&mutex_);
     asks = asks_.MayAsk(key, Now());
   }
   if (asks) {
-    const absl::Status status =
+    absl::Status asked =
         connection.Run(kAsk, Parameters().Add(key).Add(other).Add(me)).status();
-    if (!status.ok()) return status;
+    if (!asked.ok()) return asked;
   }
-  return NotOwner(id, owner->Bytes(0, 3), owner->Integer(0, 2));
+  return NotOwner(id, owner.Bytes(0, 3), owner.Integer(0, 2));
 }
 
 std::shared_ptr<const Claim> Ownership::Find(VehicleKey key) const {

@@ -29,6 +29,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <set>
 #include <string>
 #include <thread>
@@ -125,6 +126,14 @@ class Ownership {
 
   std::chrono::nanoseconds Now() const { return options_.now(); }
   void Warn(const std::string& message) const;
+  // The key of a vehicle that was free; nothing if it was not.
+  absl::StatusOr<std::optional<VehicleKey>> TryToClaim(
+      PostgresConnection& connection, const std::string& id, const Uuid& me);
+  // Asks for a vehicle that was not free, whose row of kWhoOwns this is;
+  // returns why it was not claimed.
+  static absl::Status AskFor(PostgresConnection& connection,
+                             const std::string& id, const Uuid& me,
+                             const PostgresRows& owner);
   bool LeaseHolds() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   // The thread that beats; it alone uses `connection_`, `sightings_`,

@@ -11,9 +11,6 @@
 namespace revisit::server {
 namespace {
 
-// Connections that stay open while nobody reads.
-constexpr std::size_t kIdleReaders = 4;
-
 class ReadOnlyPostgres : public PostgresReader {
  public:
   explicit ReadOnlyPostgres(PostgresDatabase database)
@@ -78,8 +75,7 @@ absl::StatusOr<PostgresDatabase> LookAtDatabase(const std::string& conninfo) {
 }
 
 PostgresReader::PostgresReader(PostgresDatabase database)
-    : database_(std::move(database)),
-      connections_(database_.conninfo, kIdleReaders) {}
+    : database_(std::move(database)), connections_(database_.conninfo, {}) {}
 
 absl::StatusOr<VehicleRecord> PostgresReader::GetVehicle(
     const std::string& id) {

@@ -11,6 +11,7 @@
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "server/storage/postgres/connection_pool.h"
 #include "server/storage/postgres/migrations.h"
 #include "server/storage/postgres/postgres_appends.h"
 #include "server/storage/postgres/postgres_check.h"
@@ -282,6 +283,39 @@ TEST_F(PostgresStorageTest, HeadThatDisagreesWithTheLastBatchIsDamage) {
   EXPECT_THAT(storage->GetVehicle("truck")->damage, IsOk());
 }
 
+TEST_F(PostgresStorageTest, VehicleWhoseHeadIsLostCanBeGivenUpOrDeleted) {
+  for (const bool is_deleted : {false, true}) {
+    const std::string id = is_deleted ? "deleted" : "given up";
+    VehicleKey key = 0;
+    {
+      const auto storage = MustOpen(conninfo_);
+      BlockingWrites write(storage.get());
+      key = *write.Create(id);
+      ASSERT_THAT(write.Append(key, {1, 2, 5, "a"}), IsOk());
+    }
+    Sql("DELETE FROM heads");
+    const auto storage = MustOpen(conninfo_);
+    BlockingWrites write(storage.get());
+    EXPECT_THAT(storage->GetVehicle(id)->damage,
+                IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                        HasSubstr("no row in heads")));
+    EXPECT_THAT(write.Delete(key),
+                IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
+    const auto taken = storage->TakeVehicle(id);
+    ASSERT_THAT(taken, IsOk());
+    EXPECT_THAT(taken->damage, IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                                       HasSubstr("its last batch ends at 2")));
+    EXPECT_EQ(taken->revision, 5u);
+    if (is_deleted) {
+      EXPECT_THAT(write.Delete(key), IsOk());
+      continue;
+    }
+    ASSERT_THAT(write.DropDamaged(key, 2, "payload", 6), IsOk());
+    EXPECT_THAT(storage->GetVehicle(id)->damage, IsOk());
+    EXPECT_THAT(write.Append(key, {3, 1, 7, "b"}), IsOk());
+  }
+}
+
 TEST_F(PostgresStorageTest, RowThatIsInTheWayHoldsUpItsOwnVehicleOnly) {
   PostgresOptions options;
   options.writer_connections = 1;
@@ -421,7 +455,7 @@ TEST_F(PostgresStorageTest, RowsStayInTheirPagesAndHeadsAreUpdatedInPlace) {
 
 TEST_F(PostgresStorageTest,
        AppendFindsTheHeadsByTheirIndexHoweverManyThereAre) {
-  Sql("INSERT INTO heads (key) SELECT generate_series(1, 200000); "
+  Sql("INSERT INTO heads (key) SELECT generate_series(1, 1000000); "
       "ANALYZE heads");
   PostgresConnection::Options options;
   options.conninfo = conninfo_;
@@ -583,6 +617,50 @@ TEST_F(PostgresStorageTest, NothingAcknowledgedIsLostWhenTheDatabaseCrashes) {
     EXPECT_GT(acknowledged[i], 0u);
   }
   EXPECT_THAT(CheckDatabase(conninfo)->problems, IsEmpty());
+}
+
+TEST_F(PostgresStorageTest, ReadersWaitForAConnectionWhereAllAreUsed) {
+  ConnectionPool::Options options;
+  options.most = 2;
+  options.wait = std::chrono::milliseconds(200);
+  ConnectionPool pool(conninfo_, options);
+  const auto count = [&] {
+    return std::stoi(
+        Sql("SELECT count(*) FROM pg_stat_activity WHERE application_name = "
+            "'revisitd' AND datname = current_database()"));
+  };
+  const auto nothing = [](PostgresConnection&) { return absl::OkStatus(); };
+  EXPECT_THAT(pool.Use([&](PostgresConnection&) {
+    return pool.Use([&](PostgresConnection&) {
+      EXPECT_THAT(pool.Use(nothing),
+                  IsError(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                          HasSubstr("all 2 connections")));
+      EXPECT_EQ(count(), 2);
+      return absl::OkStatus();
+    });
+  }),
+              IsOk());
+  // Whoever waits comes when one is free, and more come than there are.
+  std::vector<std::thread> threads;
+  std::atomic<int> came{0};
+  for (int i = 0; i < 20; ++i) {
+    threads.emplace_back([&] {
+      EXPECT_THAT(pool.Use([&](PostgresConnection& connection) {
+        ++came;
+        return connection.RunText("SELECT pg_sleep(0.005)").status();
+      }),
+                  IsOk());
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  EXPECT_EQ(came, 20);
+  EXPECT_LE(count(), 2);
+  // A connection that cannot be opened takes nobody's turn.
+  ConnectionPool nowhere("host=/nonexistent dbname=x", options);
+  for (int i = 0; i < 3; ++i) {
+    EXPECT_THAT(nowhere.Use(nothing),
+                IsError(StatusCode::kUnavailable, _, HasSubstr("connect")));
+  }
 }
 
 TEST_F(PostgresStorageTest, OpenedForReadingItWritesNothing) {
