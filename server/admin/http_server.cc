@@ -97,7 +97,8 @@ class Connection : public std::enable_shared_from_this<Connection> {
   void OnRead(error_code error) {
     if (!error) {
       Write(Answer(), parser_->keep_alive());
-    } else if (error == http::error::header_limit) {
+    } else if (error == http::error::header_limit ||
+               error == http::error::buffer_overflow) {
       Write({431, "the request is too long\n"}, false);
     } else if (error.category() ==
                    make_error_code(http::error::bad_method).category() &&
