@@ -19,6 +19,8 @@ export interface Curve {
   /** What x is, with its unit. */
   xLabel: string;
   x: number[];
+  /** What of x is shown; undefined for all that there is. */
+  xRange?: [number, number];
   series: Series[];
   /** Whether the values span powers of ten. */
   logarithmic?: boolean;
@@ -34,8 +36,9 @@ interface Props {
 
 const HEIGHT = 150;
 
-function optionsOf(curve: Curve, width: number, at: () => number|undefined):
-    uPlot.Options {
+function optionsOf(latest: () => Curve, width: number,
+                   at: () => number|undefined): uPlot.Options {
+  const curve = latest();
   const ink = colourOf('text');
   const axis = {
     stroke: ink,
@@ -47,7 +50,7 @@ function optionsOf(curve: Curve, width: number, at: () => number|undefined):
     width,
     height: HEIGHT,
     scales: {
-      x: {time: false},
+      x: {time: false, range: (_, low, high) => latest().xRange ?? [low, high]},
       y: curve.logarithmic ? {distr: 3} : {},
     },
     axes: [
@@ -81,6 +84,7 @@ function optionsOf(curve: Curve, width: number, at: () => number|undefined):
         plot.ctx.save();
         plot.ctx.strokeStyle = colourOf('selected');
         plot.ctx.lineWidth = devicePixelRatio;
+        plot.ctx.setLineDash([]);
         plot.ctx.beginPath();
         plot.ctx.moveTo(pixel, top);
         plot.ctx.lineTo(pixel, top + height);
@@ -105,7 +109,7 @@ export function CurveView({curve, at, onPick}: Props) {
     const make = () => {
       plot.current?.destroy();
       plot.current = new uPlot(
-          optionsOf(latest.current.curve, element.clientWidth,
+          optionsOf(() => latest.current.curve, element.clientWidth,
                     () => latest.current.at),
           dataOf(latest.current.curve), element);
       const {over} = plot.current;

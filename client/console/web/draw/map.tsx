@@ -1,7 +1,6 @@
 import {Deck, OrthographicView, type PickingInfo} from '@deck.gl/core';
 import {LineLayer, ScatterplotLayer} from '@deck.gl/layers';
 import {effect} from '@preact/signals';
-import type {ComponentChildren} from 'preact';
 import {useEffect, useRef, useState} from 'preact/hooks';
 
 import {type View, viewOf} from '../geometry/view.js';
@@ -173,11 +172,10 @@ interface Props {
   label: string;
   /** Tells others what is in view: an export draws the same. */
   viewRef: {current: View|undefined};
-  children?: ComponentChildren;
 }
 
 /** A map that can be moved with mouse, finger and keys. */
-export function MapView({scene, label, viewRef, children}: Props) {
+export function MapView({scene, label, viewRef}: Props) {
   const parent = useRef<HTMLDivElement>(null);
   const drawing = useRef<MapDrawing>();
   const [metersPerPixel, setMetersPerPixel] = useState(1);
@@ -200,17 +198,22 @@ export function MapView({scene, label, viewRef, children}: Props) {
   const bar = scaleBarMeters(metersPerPixel, 120);
   return (
     <figure class="map" aria-label={label}>
-      <div class="canvas" ref={parent} />
-      <figcaption class="scale">
-        <span class="bar" style={{width: `${bar / metersPerPixel}px`}} />
-        {length(bar)}
-      </figcaption>
+      <div class="canvas" ref={parent}>
+        <p class="scale">
+          <span class="bar" style={{width: `${bar / metersPerPixel}px`}} />
+          {length(bar)}
+        </p>
+      </div>
+      <ul class="legend">
+        {scene.shapes.map(({id, label, colour: name}) => (
+          <li key={id}><span class={`swatch ${name}`} />{label}</li>
+        ))}
+      </ul>
       <div class="map-tools">
         <button type="button" onClick={() => drawing.current!.fitAgain()}>
           Show all
         </button>
       </div>
-      {children}
     </figure>
   );
 }

@@ -107,7 +107,7 @@ function curveToSvg(curve: Curve, width: number): string {
     return least < most ? [least, most] : [least - 1, least + 1];
   };
   if (values.length === 0) return text(0, LINE, `${curve.title}: nothing yet`);
-  const [x0, x1] = range(curve.x);
+  const [x0, x1] = curve.xRange ?? range(curve.x);
   const [y0, y1] = range(values.map(scaled));
   const left = 64;
   const top = 28;

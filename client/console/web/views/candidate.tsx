@@ -30,6 +30,25 @@ interface Evidence {
   decided: boolean;
 }
 
+const MEANING: Record<Verdict, string> = {
+  [Verdict.UNSPECIFIED]: 'no verdict',
+  [Verdict.ACCEPTED]:
+      'within the gates, and probable enough for a verifier to look',
+  [Verdict.REJECTED_BY_GATE]:
+      'the difference at the end is larger than the covariances allow, by ' +
+      'itself and smoothed over the stretch',
+  [Verdict.REJECTED_BY_SHAPE]:
+      'the shapes differ, or speak for another place',
+  [Verdict.AMBIGUOUS]:
+      'another place is about as good: together they are probable enough, ' +
+      'neither is alone',
+  [Verdict.UNINFORMATIVE]:
+      'so uncertain that no difference at all would not have spoken for it ' +
+      'either',
+  [Verdict.ILL_CONDITIONED]:
+      'the covariance is not positive definite, so that nothing is decided',
+};
+
 function passedOf(verdict: GateVerdict): boolean|undefined {
   return verdict === GateVerdict.ILL_CONDITIONED ?
       undefined : verdict === GateVerdict.ACCEPTED;
@@ -47,8 +66,7 @@ function evidenceOf(candidate: Candidate, acceptance: number): Evidence[] {
         gate!.degreesOfFreedom} degrees of freedom)`,
     passed: passedOf(gate!.verdict),
     decided: verdict === Verdict.REJECTED_BY_GATE ||
-        verdict === Verdict.ILL_CONDITIONED ||
-        verdict === Verdict.UNINFORMATIVE,
+        verdict === Verdict.ILL_CONDITIONED,
   }];
   if (pathGate) {
     rows.push({
@@ -73,14 +91,16 @@ function evidenceOf(candidate: Candidate, acceptance: number): Evidence[] {
       got: probability(candidate.probability),
       allowed: `≥ ${fixed(acceptance, 2)}`,
       passed: candidate.probability >= acceptance,
-      decided: verdict === Verdict.ACCEPTED,
+      decided: verdict === Verdict.ACCEPTED ||
+          verdict === Verdict.UNINFORMATIVE,
     });
   }
   if (candidate.oddsToRunnerUp !== undefined) {
+    const odds = candidate.oddsToRunnerUp;
     rows.push({
       rule: 'Odds to the next best place',
-      got: `${candidate.oddsToRunnerUp >= 1000 ? '> 1000' :
-              fixed(candidate.oddsToRunnerUp, 1)} : 1`,
+      got: `${odds > 1000 ? '> 1000' : odds < 0.1 ? '< 0.1' :
+                                                    fixed(odds, 1)} : 1`,
       allowed: 'ambiguous within a factor of ten',
       decided: verdict === Verdict.AMBIGUOUS,
     });
@@ -123,8 +143,8 @@ function factsOf(candidate: Candidate): Array<[string, string]> {
         degrees(deviation.heading)}`],
     ['Deviations multiplied by', fixed(gate!.inflation, 2)],
     ...(placeInterval ? [[
-      'Where to look', `${length(placeInterval.metersBefore)} before to ${
-          length(placeInterval.metersAfter)} behind the match`,
+      'Where to look', `from ${length(placeInterval.metersBefore)} before to ${
+          length(placeInterval.metersAfter)} after the match`,
     ] as [string, string]] : []),
   ];
 }
@@ -405,7 +425,8 @@ export function CandidateView({id, asked, matched}: Props) {
   const evidence = candidate && evidenceOf(
       candidate, vehicle?.settings?.acceptanceProbability ?? NaN);
   const facts = candidate && factsOf(candidate);
-  const title = `Pose ${count(asked)} at pose ${count(matched)}`;
+  const title = `Pose ${count(candidate?.query?.sequence ?? asked)} at pose ${
+      count(matched)}`;
   const name = vehicle?.displayName || id;
   return (
     <>
@@ -420,6 +441,7 @@ export function CandidateView({id, asked, matched}: Props) {
                 words(Verdict[candidate.verdict]).replaceAll(' ', '-')}`}>
               {verdictName(candidate.verdict)}
             </span>
+            : {MEANING[candidate.verdict]}
           </p>
         )}
         {candidate && (
@@ -450,24 +472,17 @@ export function CandidateView({id, asked, matched}: Props) {
       {vehicle && (
         <p class="hint">
           {name} has {count(store.closures.value.length)} loop closures and{' '}
-          {count(store.rejections.value.length)} rejected candidates; its
-          errors are {fixed(vehicle.consistency?.inflation ?? 1, 2)} times what
-          it claims, as far as these show.
+          {count(store.rejections.value.length)} rejected candidates
+          {vehicle.consistency && `, from which an inflation of ${
+              fixed(vehicle.consistency.inflation, 2)} is estimated`}.
         </p>
       )}
       {candidate && (
         <div class="map-and-table">
           {overlay ? (
             <MapView scene={overlay.scene} viewRef={view}
-                     label="Both passes, laid over each other; the table has the numbers">
-              <ul class="legend">
-                {overlay.scene.shapes.map(({id: key, label, colour}) => (
-                  <li key={key}>
-                    <span class={`swatch ${colour}`} />{label}
-                  </li>
-                ))}
-              </ul>
-            </MapView>
+                     label={'Both passes, laid over each other; the table ' +
+                            'has the numbers'} />
           ) : (
             <p class="map">
               {candidate.alignedPath.length === 0 ?

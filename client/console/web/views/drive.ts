@@ -99,7 +99,8 @@ export function ellipseShape(graph: Graph, nodes: number[]): Shape {
 
 /** Links of candidates, one shape for each verdict. */
 export function candidateShapes(store: VehicleStore, found: Found[]): Shape[] {
-  return VERDICTS.flatMap(({verdict, colour}) => {
+  // Accepted ones come last, and so lie above the others.
+  return [...VERDICTS].reverse().flatMap(({verdict, colour}) => {
     const members =
         found.filter(({candidate}) => candidate.verdict === verdict);
     if (members.length === 0) return [];
@@ -115,7 +116,7 @@ export function candidateShapes(store: VehicleStore, found: Found[]): Shape[] {
 }
 
 /** The stretches of path in which a verifier would look for the places. */
-export function stretchShape(graph: Graph, found: Found[]): Shape {
+export function stretchShapes(graph: Graph, found: Found[]): Shape[] {
   const segments: number[] = [];
   for (const {candidate: {matched, placeInterval}} of found) {
     if (!placeInterval) continue;
@@ -127,15 +128,16 @@ export function stretchShape(graph: Graph, found: Found[]): Shape {
       segments.push(graph.x[i], graph.y[i], graph.x[i + 1], graph.y[i + 1]);
     }
   }
-  return strokes({id: 'stretches', label: 'Where a verifier would look',
-                  colour: 'stretch', widthPixels: 7}, segments);
+  if (segments.length === 0) return [];
+  return [strokes({id: 'stretches', label: 'Where a verifier would look',
+                  colour: 'stretch', widthPixels: 7}, segments)];
 }
 
 /** Lines between pairs of poses, as far as both are at most `upTo`. */
-export function pairShape(
+export function pairShapes(
     graph: Graph, shape: {id: string, label: string, colour: Colour},
     pairs: ReadonlyArray<{querySequence: bigint, matchedSequence: bigint}>,
-    upTo: number): Shape {
+    upTo: number): Shape[] {
   const segments: number[] = [];
   for (const {querySequence, matchedSequence} of pairs) {
     if (Number(querySequence) > upTo) continue;
@@ -144,7 +146,8 @@ export function pairShape(
     if (i < 0 || j < 0) continue;
     segments.push(graph.x[i], graph.y[i], graph.x[j], graph.y[j]);
   }
-  return strokes({...shape, widthPixels: 4}, segments);
+  return segments.length > 0 ?
+      [strokes({...shape, widthPixels: 4}, segments)] : [];
 }
 
 /** Answers to checks up to a pose, by pose. */

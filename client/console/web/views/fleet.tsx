@@ -1,4 +1,4 @@
-import {useEffect, useMemo, useRef} from 'preact/hooks';
+import {useEffect, useMemo, useRef, useState} from 'preact/hooks';
 
 import type {Pose} from '../../gen/revisit/v1/geometry_pb.js';
 import {CoordinateFrame, FindingCode} from
@@ -75,6 +75,10 @@ function isInMemory({nodeCount, durableSequence}: FleetVehicle['vehicle']):
   return nodeCount > 0n || durableSequence === 0n;
 }
 
+function isGeodetic({vehicle}: FleetVehicle): boolean {
+  return vehicle.settings?.coordinateFrame === CoordinateFrame.GEODETIC;
+}
+
 /** Geodetic vehicles, in one frame; those with local frames have none in
  * common. */
 function sceneOf(vehicles: FleetVehicle[]): {scene: Scene, elsewhere: number} {
@@ -85,9 +89,7 @@ function sceneOf(vehicles: FleetVehicle[]): {scene: Scene, elsewhere: number} {
     const last = vehicle.lastPose?.position;
     const position = last?.case === 'geodetic' ?
         last.value : settings?.geodeticOrigin;
-    if (settings?.coordinateFrame !== CoordinateFrame.GEODETIC || !position) {
-      continue;
-    }
+    if (!isGeodetic(vehicle) || !position) continue;
     placed.push({vehicle, latitude: position.latitudeDegrees,
                  longitude: position.longitudeDegrees});
   }
@@ -123,6 +125,9 @@ export function FleetView() {
       [all, filters]);
   const {scene, elsewhere} = useMemo(() => sceneOf(vehicles), [vehicles]);
   const onMap = vehicles.length - elsewhere;
+  const [visible, setVisible] = useState<FleetVehicle[]>([]);
+  useEffect(() => store.show([...visible, ...vehicles.filter(isGeodetic)].map(
+                ({vehicle}) => vehicle.name)), [visible, vehicles]);
   const field = (name: string) => (event: Event) =>
       setQuery(name, (event.target as HTMLInputElement).value || undefined);
   return (
@@ -178,8 +183,7 @@ export function FleetView() {
       )}
       <Table label="Vehicles" columns={COLUMNS} rows={vehicles}
              keyOf={({id}) => id}
-             onVisible={rows => store.show(
-                 rows.map(({vehicle}) => vehicle.name))}
+             onVisible={setVisible}
              empty={all ? (all.length > 0 ? 'No vehicle is like that.' :
                            'There is no vehicle that you may read.') : ''} />
       <p class="hint">

@@ -16,7 +16,7 @@ import {count, fixed, length, probability, words} from '../parts/format.js';
 import {type Column, Table} from '../parts/table.js';
 import {query, setQuery} from '../route.js';
 import {answersUpTo, candidateShapes, decisionAbout, ellipseShape, linkTo,
-        MOST_CHECKS, pairShape, pathShapes, posesToAsk, stretchShape, VERDICTS}
+        MOST_CHECKS, pairShapes, pathShapes, posesToAsk, stretchShapes, VERDICTS}
     from './drive.js';
 
 const REPLAY_SECONDS = 60;
@@ -53,10 +53,9 @@ function columnsFor(store: VehicleStore): Array<Column<Found>> {
     {title: 'Probability', number: true, cell: ({candidate}) =>
        candidate.probability === undefined ? '–' :
                                              probability(candidate.probability)},
-    {title: 'd²', number: true, cell: ({candidate: {gate}}) =>
-       fixed(gate!.squaredMahalanobisDistance, 2)},
-    {title: 'Gate', number: true, cell: ({candidate: {gate}}) =>
-       fixed(gate!.threshold, 2)},
+    {title: 'd² / gate', number: true, cell: ({candidate: {gate}}) =>
+       `${fixed(gate!.squaredMahalanobisDistance, 2)} / ${
+           fixed(gate!.threshold, 2)}`},
     {title: 'Rank', number: true, cell: ({candidate}) => candidate.rank},
     {title: 'Decision', cell: ({candidate}) =>
        decisionAbout(store, candidate)?.kind ?? ''},
@@ -65,22 +64,24 @@ function columnsFor(store: VehicleStore): Array<Column<Found>> {
 
 function curvesOf(graph: Graph, vehicle: Vehicle,
                   answers: Map<number, Answer>): Curve[] {
+  const newest = Number(vehicle.durableSequence);
   const sets = [...answers.values()].filter(({set}) => set);
   const x = sets.map(({asked}) => asked);
   const best = sets.map(({set}) => set!.candidates[0]);
-  const xLabel = 'pose';
+  const shared = {xLabel: 'pose',
+                  xRange: [1, newest] as [number, number]};
   const step = Math.ceil(graph.size / MOST_CURVE_POINTS);
   const nodes = Array.from({length: Math.ceil(graph.size / step)},
                            (_, i) => i * step);
   return [
-    {title: 'd² of the first candidate', xLabel, x, logarithmic: true,
+    {title: 'd² of the first candidate', ...shared, x, logarithmic: true,
      series: [
        {label: 'd²', colour: 'path', as: 'points', values: best.map(
           first => first?.gate?.squaredMahalanobisDistance || null)},
        {label: 'gate', colour: 'threshold', as: 'dashes',
         values: best.map(first => first?.gate?.threshold ?? null)},
      ]},
-    {title: 'Probability', xLabel, x, series: [
+    {title: 'Probability', ...shared, x, series: [
        {label: 'first candidate', colour: 'path', as: 'points',
         values: best.map(first => first?.probability ?? null)},
        {label: 'a place not seen before', colour: 'uninformative',
@@ -89,7 +90,7 @@ function curvesOf(graph: Graph, vehicle: Vehicle,
        {label: 'needed', colour: 'threshold', as: 'dashes', values: x.map(
           () => vehicle.settings?.acceptanceProbability ?? null)},
      ]},
-    {title: 'Learned scale of the claimed deviations', xLabel, x,
+    {title: 'Learned scale of the claimed deviations', ...shared, x,
      logarithmic: true, series: [
        {label: 'scale', colour: 'scale', as: 'line',
         values: sets.map(({set}) => set!.scaleEstimate?.scale ?? null)},
@@ -98,7 +99,7 @@ function curvesOf(graph: Graph, vehicle: Vehicle,
        {label: 'at most', colour: 'threshold', as: 'dashes',
         values: sets.map(({set}) => set!.scaleEstimate?.high ?? null)},
      ]},
-    {title: 'Travelled, km', xLabel, x: nodes.map(i => graph.sequence[i]),
+    {title: 'Travelled, km', ...shared, x: nodes.map(i => graph.sequence[i]),
      series: [{label: 'km', colour: 'closure', as: 'line',
                values: nodes.map(i => graph.travelled[i] / 1000)}]},
   ];
@@ -213,7 +214,7 @@ export function VehicleView({id}: {id: string}) {
   const graph = store.graph.value;
   const checks = store.checks.value;
   const view = useRef<View>();
-  const newest = graph && graph.size > 0 ? graph.sequence[graph.size - 1] : 0;
+  const newest = Number(vehicle?.durableSequence ?? 0);
   const asked = Number(query.value.get('at') ?? NaN);
   const live = !(asked >= 1 && asked < newest);
   const at = live ? newest : asked;
@@ -241,23 +242,25 @@ export function VehicleView({id}: {id: string}) {
                                   checks.filter(({pose}) => pose <= at)
                                       .map(({node}) => node))] : [],
       [graph, checks, at]);
-  const links = useMemo(() => graph ? [
-    stretchShape(graph, shown.filter(({candidate}) =>
-                            candidate.verdict === Verdict.ACCEPTED)),
-    ...candidateShapes(store, shown),
-  ] : [], [graph, shown]);
+  const stretches = useMemo(
+      () => graph ? stretchShapes(
+                        graph, shown.filter(({candidate}) =>
+                                   candidate.verdict === Verdict.ACCEPTED)) :
+                    [],
+      [graph, shown]);
+  const links = useMemo(() => candidateShapes(store, shown), [shown]);
   const decided = useMemo(() => graph ? [
-    pairShape(graph, {id: 'closures', label: 'Loop closure',
+    ...pairShapes(graph, {id: 'closures', label: 'Loop closure',
                       colour: 'closure'}, store.closures.value, at),
-    pairShape(graph, {id: 'rejections', label: 'Rejected by a verifier',
+    ...pairShapes(graph, {id: 'rejections', label: 'Rejected by a verifier',
                       colour: 'rejection'}, store.rejections.value, at),
   ] : [], [graph, store.closures.value, store.rejections.value, at]);
   const box = useMemo(() => graph && boxOfGraph(graph), [graph]);
   const scene: Scene = useMemo(() => ({
-    shapes: [...ellipses, ...links.slice(0, 1), ...paths.slice(0, -1),
-             ...decided, ...links.slice(1), ...paths.slice(-1)],
+    shapes: [...ellipses, ...stretches, ...paths.slice(0, -1), ...links,
+             ...decided, ...paths.slice(-1)],
     box,
-  }), [ellipses, links, paths, decided, box]);
+  }), [ellipses, stretches, links, paths, decided, box]);
   const curves = useMemo(
       () => graph && vehicle ? curvesOf(graph, vehicle, answers) : [],
       [graph, vehicle, answers]);
@@ -295,15 +298,7 @@ export function VehicleView({id}: {id: string}) {
           <div class="map-and-table">
             <MapView scene={scene} viewRef={view}
                      label={`Map of the path of ${name}; the table has its ` +
-                            'candidates'}>
-              <ul class="legend">
-                {scene.shapes.map(({id: key, label, colour}) => (
-                  <li key={key}>
-                    <span class={`swatch ${colour}`} />{label}
-                  </li>
-                ))}
-              </ul>
-            </MapView>
+                            'candidates'} />
             <div class="side">
               <VerdictFilter hidden={hidden} found={found} />
               <p class="hint" role="status">
