@@ -131,9 +131,8 @@ class Ownership {
       PostgresConnection& connection, const std::string& id, const Uuid& me);
   // Asks for a vehicle that was not free, whose row of kWhoOwns this is;
   // returns why it was not claimed.
-  static absl::Status AskFor(PostgresConnection& connection,
-                             const std::string& id, const Uuid& me,
-                             const PostgresRows& owner);
+  absl::Status AskFor(PostgresConnection& connection, const std::string& id,
+                      const Uuid& me, const PostgresRows& owner);
   bool LeaseHolds() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   // The thread that beats; it alone uses `connection_`, `sightings_`,
