@@ -8,6 +8,7 @@
 #include <boost/beast/core/flat_buffer.hpp>
 #include <boost/beast/core/tcp_stream.hpp>
 #include <boost/beast/http.hpp>
+#include <boost/system/system_error.hpp>
 #include <chrono>
 #include <cstdint>
 #include <list>
@@ -172,8 +173,12 @@ class HttpServer::State {
     if (thread_.joinable()) thread_.join();
   }
 
-  error_code Open(const tcp::endpoint& endpoint) {
+  error_code Open(const HostAndPort& address) {
     error_code error;
+    const auto endpoints = tcp::resolver(context_).resolve(
+        address.host, address.port, tcp::resolver::passive, error);
+    if (error) return error;
+    const tcp::endpoint endpoint = endpoints.begin()->endpoint();
     acceptor_.open(endpoint.protocol(), error);
     if (!error) acceptor_.set_option(tcp::acceptor::reuse_address(true), error);
     if (!error) acceptor_.bind(endpoint, error);
@@ -244,14 +249,14 @@ absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Listen(
     return absl::UnavailableError(
         absl::StrCat("cannot listen at ", address, ": ", error.message()));
   };
-  asio::io_context context;
-  error_code error;
-  const auto endpoints = tcp::resolver(context).resolve(
-      split->host, split->port, tcp::resolver::passive, error);
-  if (error || endpoints.empty()) return cannot(error);
-  auto state = std::make_unique<State>(std::move(handler));
-  error = state->Open(endpoints.begin()->endpoint());
-  if (error) return cannot(error);
+  std::unique_ptr<State> state;
+  try {
+    state = std::make_unique<State>(std::move(handler));
+  } catch (const boost::system::system_error& error) {
+    // There is no descriptor for it.
+    return cannot(error.code());
+  }
+  if (const error_code error = state->Open(*split)) return cannot(error);
   std::string chosen = TextOf(state->local_endpoint());
   state->Start();
   return std::unique_ptr<HttpServer>(

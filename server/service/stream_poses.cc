@@ -196,13 +196,14 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
         counts->Refused(poses_, result.status());
       }
       stream_->OnDurable(result, bytes_, &warnings_);
-      work_start_ = std::chrono::steady_clock::now();
     }
 
     bool wants_candidates() const override { return stream_->send_candidates_; }
 
     absl::StatusOr<core::SearchOptions> CheckOptions(
         const VehicleConfig& config) const override {
+      // The wait for a thread is over.
+      search_start_ = std::chrono::steady_clock::now();
       return stream_->SearchOptions(config);
     }
 
@@ -211,8 +212,8 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     void OnCandidates(const VehicleView& view,
                       const absl::StatusOr<core::CandidateSet>& set) override {
       stream_->OnCandidates(view, set,
-                            std::chrono::steady_clock::now() - work_start_);
-      work_start_ = std::chrono::steady_clock::now();
+                            std::chrono::steady_clock::now() - search_start_);
+      search_start_ = std::chrono::steady_clock::now();
     }
 
     void OnOver() override { stream_->OnAppendOver(); }
@@ -226,7 +227,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     Permit room_;
     PoseInspector::Warnings warnings_;
     // When the session got to the search that it runs now.
-    std::chrono::steady_clock::time_point work_start_;
+    mutable std::chrono::steady_clock::time_point search_start_;
   };
 
   // An answer to be written: `other`, or an acknowledgement without warnings if

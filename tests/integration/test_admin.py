@@ -47,6 +47,28 @@ def test_answers_probes_and_names_them_to_whoever_asks_for_something_else(
     assert "/readyz" in text
 
 
+@pytest.mark.release_build
+def test_is_alive_and_not_ready_while_it_opens_its_store(tmp_path):
+    shim = BIN / "fault_shim.so"
+    if not shim.exists():
+        pytest.skip("fault_shim.so is not built")
+    address = f"127.0.0.1:{free_port()}"
+    environment = clean_environment(
+        LD_PRELOAD=str(shim), REVISIT_TEST_SLOW_SYNC="300000")
+    with Server(tmp_path / "store", "--admin-listen", address, wait=False,
+                env=environment) as server:
+
+        def answer():
+            with contextlib.suppress(OSError):
+                return scraped.get(address, "/readyz")[:2]
+
+        assert wait_until(answer, "admin port") == (503, "starting\n")
+        assert scraped.get(address, "/livez")[0] == 200
+        assert scraped.get(address, "/metrics")[:2] == (503, "starting\n")
+        server.wait_until_listening()
+        assert scraped.get(address, "/readyz")[0] == 200
+
+
 def test_grpc_port_answers_no_probe(server):
     with socket.create_connection(("127.0.0.1", server.port), timeout=30) as bare:
         bare.sendall(b"GET /livez HTTP/1.1\r\nHost: x\r\n\r\n")

@@ -8,6 +8,7 @@ import signal
 import grpc
 import pytest
 
+from identities import AUDIENCE, ISSUER, TokenKey, bearer, key_set
 from revisit_server import Server, run, wait_until
 from stubs import api
 from wire import LOOP_CLOSURES, PoseStream, REJECTED_CANDIDATES, append, \
@@ -72,6 +73,38 @@ def test_audit_log_says_who_made_changed_and_removed_what(tmp_path):
             found[0]["parent_id"]) == ("the-first", TRACE, PARENT)
     # They are in no other log.
     assert server.log() == ""
+
+
+def test_audit_log_names_callers_and_what_they_were_refused(tmp_path):
+    audit, key = tmp_path / "audit", TokenKey("EdDSA", "ed")
+    (tmp_path / "keys.json").write_text(key_set(key))
+    (tmp_path / "policy.json").write_text(json.dumps({
+        "version": 1,
+        "tenants": [{"name": "acme", "vehicle_prefix": "acme-"}],
+        "grants": [{"token_subject": "writer", "tenant": "acme",
+                    "vehicles": ["*"], "verbs": ["read", "write"]}]}))
+    with Server(tmp_path / "store", "--audit-log", audit, "--log-format",
+                "json", "--token-keys", tmp_path / "keys.json",
+                "--token-issuer", ISSUER, "--token-audience", AUDIENCE,
+                "--policy", tmp_path / "policy.json") as server:
+        stub = server.stub()
+        writer = bearer(key.token("writer"))
+        vehicle = create(stub, "acme-1", metadata=writer)
+        for metadata, code in [(writer, "PERMISSION_DENIED"),
+                               ((), "UNAUTHENTICATED")]:
+            with pytest.raises(grpc.RpcError) as refused:
+                stub.DeleteVehicle(api.DeleteVehicleRequest(name=vehicle),
+                                   metadata=metadata)
+            assert refused.value.code().name == code
+        made, denied, unknown = wait_for_lines(audit, 3)
+    assert (made["tenant"], made["caller"], made["code"]) == (
+        "acme", "token:writer", "OK")
+    assert (denied["method"], denied["vehicle"], denied["caller"],
+            denied["code"], denied["reason"]) == (
+        "DeleteVehicle", "acme-1", "token:writer", "PERMISSION_DENIED",
+        "NOT_GRANTED")
+    assert "caller" not in unknown and "tenant" not in unknown
+    assert unknown["code"] == "UNAUTHENTICATED"
 
 
 def test_audit_log_goes_on_in_a_new_file_once_its_old_one_was_renamed(tmp_path):

@@ -28,6 +28,8 @@ ALERTS = MONITORING / "alerts.yml"
 PROMTOOL = pathlib.Path(os.environ.get("REVISIT_TEST_PROMTOOL",
                                        ROOT / "build/tools/promtool"))
 ADMIN = ("--admin-listen", "127.0.0.1:0")
+# Servers of a shared store are called by a name of theirs.
+NAMED = ("--advertise-address", "host-a:1")
 METRIC = re.compile(r"\b(?:revisit|process)_[a-z_]+\b")
 
 needs_promtool = pytest.mark.skipif(
@@ -123,7 +125,7 @@ def kinds(secured, database, tmp_path_factory):
     assert run("revisitd", "migrate", "--store",
                database.url("revisit_owner")).returncode == 0
     log = tmp_path_factory.mktemp("shared") / "shared.log"
-    with Server(database.url("revisit"), *ADMIN, log_path=log) as server:
+    with Server(database.url("revisit"), *ADMIN, *NAMED, log_path=log) as server:
         found |= scraped.scrape(server).kinds
     return found
 
@@ -382,8 +384,9 @@ def test_lost_lease_is_told(tmp_path):
             database = private_cluster.Postgres(processes)
             assert run("revisitd", "migrate", "--store",
                        database.url("revisit_owner")).returncode == 0
-            with Server(database.url("revisit"), *ADMIN, "--lease-seconds", 1,
-                        log_path=tmp_path / "log") as server:
+            with Server(database.url("revisit"), *ADMIN, *NAMED,
+                        "--lease-seconds", 1, log_path=tmp_path / "log"
+                        ) as server:
                 stub = server.stub()
                 append(stub, create(stub, "truck"), straight(3))
                 quiet = scraped.scrape(server)
