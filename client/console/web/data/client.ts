@@ -97,26 +97,30 @@ export async function allPages<Page extends {nextPageToken: string}, Item>(
 
 /**
  * Calls `work` again and again while the page is in view, waiting at least
- * `interval` milliseconds between two calls and nine times as long as the last
- * one took, so that a large fleet or graph is not asked for all the time.
- * Errors do not end it. Returns how to end it.
+ * `interval` milliseconds between two calls and four times as long as the last
+ * one took (a minute at most), so that a large fleet or graph is not asked for
+ * all the time. Errors do not end it. Returns how to end it.
  */
-export function repeat(interval: number,
-                       work: (signal: AbortSignal) => Promise<void>):
+export function repeat(interval: number, work: () => Promise<void>):
     () => void {
-  const ended = new AbortController();
+  let ended = false;
   const run = async () => {
-    while (!ended.signal.aborted) {
+    while (!ended) {
       const began = performance.now();
+      let failed = false;
       if (!document.hidden) {
-        await work(ended.signal).catch((error: unknown) => {
+        await work().catch((error: unknown) => {
+          failed = true;
           if (!(error instanceof ConnectError)) console.error(error);
         });
       }
-      const pause = Math.max(interval, 9 * (performance.now() - began));
+      const pause = failed ? interval : Math.max(
+          interval, Math.min(60_000, 4 * (performance.now() - began)));
       await new Promise(done => setTimeout(done, pause));
     }
   };
   void run();
-  return () => ended.abort();
+  return () => {
+    ended = true;
+  };
 }

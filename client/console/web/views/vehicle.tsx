@@ -182,7 +182,7 @@ function Slider({newest, at, live}: SliderProps) {
   );
 }
 
-function VerdictFilter({hidden, found}: {hidden: Set<string>,
+function Shown({hidden, found}: {hidden: Set<string>,
                                          found: Found[]}) {
   const toggle = (name: string) => {
     const changed = new Set(hidden);
@@ -191,7 +191,12 @@ function VerdictFilter({hidden, found}: {hidden: Set<string>,
   };
   return (
     <fieldset class="verdicts">
-      <legend>Candidates</legend>
+      <legend>Shown</legend>
+      <label class="check">
+        <input type="checkbox" checked={!hidden.has('ellipse')}
+               onChange={() => toggle('ellipse')} />
+        95 % ellipses
+      </label>
       {VERDICTS.map(({verdict, colour}) => {
         const number = found.filter(
             ({candidate}) => candidate.verdict === verdict).length;
@@ -238,10 +243,10 @@ export function VehicleView({id}: {id: string}) {
   const paths = useMemo(() => graph && graph.size > 0 ?
                             pathShapes(graph, cut) : [], [graph, cut]);
   const ellipses = useMemo(
-      () => graph ? [ellipseShape(graph,
+      () => graph && !hidden.has('ellipse') ? [ellipseShape(graph,
                                   checks.filter(({pose}) => pose <= at)
                                       .map(({node}) => node))] : [],
-      [graph, checks, at]);
+      [graph, checks, at, hidden]);
   const stretches = useMemo(
       () => graph ? stretchShapes(
                         graph, shown.filter(({candidate}) =>
@@ -300,7 +305,7 @@ export function VehicleView({id}: {id: string}) {
                      label={`Map of the path of ${name}; the table has its ` +
                             'candidates'} />
             <div class="side">
-              <VerdictFilter hidden={hidden} found={found} />
+              <Shown hidden={hidden} found={found} />
               <p class="hint" role="status">
                 {checks.length === 0 ?
                   'No check has fallen due yet.' :

@@ -1,0 +1,180 @@
+// The shipped drive: streamed, looked at, decided about, and interrupted.
+import assert from 'node:assert/strict';
+import {readFileSync} from 'node:fs';
+import {after, before, test} from 'node:test';
+
+import {DRIVE, fact, number, pixels, until, World} from './world.mjs';
+
+const NODES = 7949;
+const STREAM = ['--create', '--vehicle', 'boreas', '--uncertainty', 'file'];
+
+const [head, ...lines] = readFileSync(DRIVE, 'utf8').trim().split('\n');
+let world;
+let page;
+let stream;
+
+before(async () => {
+  world = await World.make();
+  stream = world.revisitd.openStream(...STREAM);
+});
+after(async () => {
+  stream?.kill();
+  await world?.close();
+});
+
+function feed(poses) {
+  stream.stdin.write(poses.map(line => line + '\n').join(''));
+}
+
+/** The first candidate in the table that is accepted and not decided about. */
+async function openAccepted() {
+  const row = page.locator('.side tbody tr', {
+    has: page.locator('.verdict.accepted'),
+  }).first();
+  await row.waitFor();
+  await row.locator('a').click();
+  await page.locator('.decision').waitFor();
+  // Keys are for the page, not for the link that is gone.
+  await page.locator('.evidence').waitFor();
+}
+
+test('a drive grows on the map while it is streamed', async () => {
+  stream.stdin.write(head + '\n');
+  feed(lines.slice(0, 700));
+  await until(() => world.revisitd.cli('vehicle', 'list').includes('boreas'),
+              'vehicle');
+  page = await world.open('/vehicles/boreas?hide=ellipse');
+  await page.locator('.map canvas').waitFor();
+  const sizes = [await until(() => number(page, 'Nodes'), 'nodes')];
+  await until(async () => await pixels(page, '--path') > 300, 'path drawn');
+  const fleet = await world.open('/');
+  await fleet.locator('tbody a', {hasText: 'boreas'}).waitFor();
+  for (const [from, to] of [[700, 1200], [1200, 2000], [2000, lines.length]]) {
+    feed(lines.slice(from, to));
+    sizes.push(await until(async () => {
+      const nodes = await number(page, 'Nodes');
+      return nodes > sizes[sizes.length - 1] && nodes;
+    }, 'growth'));
+  }
+  await fleet.locator('.state.streaming').waitFor();
+  stream.stdin.end();
+  await until(async () => await number(page, 'Nodes') === NODES, 'whole drive');
+  await page.getByText(`${NODES.toLocaleString('en')} nodes`).waitFor();
+  assert.equal(await number(page, 'Poses'), lines.length);
+  await fleet.locator('.state.idle').waitFor();
+  assert.deepEqual(fleet.complaints, []);
+  await fleet.context().close();
+});
+
+test('checks show the candidates that the server answers', async () => {
+  await openAccepted();
+  const [asked, matched] = /(\d+)-(\d+)$/.exec(page.url()).slice(1);
+  const {candidates} = world.revisitd.cli(
+      'find', 'boreas', '--sequence', asked, '--aligned-path', '--json');
+  const said = candidates.find(
+      ({matched: node}) => String(node.sequence) === matched);
+  assert.equal(said.verdict, 'VERDICT_ACCEPTED');
+  const evidence = await page.locator('.evidence').innerText();
+  const {gate} = said;
+  assert.ok(evidence.includes(gate.squaredMahalanobisDistance.toFixed(2)),
+            evidence);
+  assert.ok(evidence.includes(`≤ ${gate.threshold.toFixed(2)}`), evidence);
+  assert.match(await fact(page, 'Difference x'), new RegExp(
+      said.difference.xMeters.toFixed(2).replace('-', '-?')));
+  await until(async () => await pixels(page, '--query-path') > 100,
+              'pass laid over the other');
+});
+
+test('a candidate is confirmed with a note, by keys, and that is undone',
+     async () => {
+  await page.keyboard.press('n');
+  await page.keyboard.type('seen by hand');
+  await page.keyboard.press('Escape');
+  await page.keyboard.press('c');
+  await page.getByText('Confirmed. Later searches build on it.').waitFor();
+  const {loopClosures} =
+      world.revisitd.cli('closures', 'list', 'boreas', '--json');
+  assert.equal(loopClosures.length, 1);
+  assert.equal(loopClosures[0].note, 'seen by hand');
+  assert.match(page.url(), new RegExp(`-${loopClosures[0].matchedSequence}$`));
+  await page.getByText('boreas has 1 loop closures').waitFor();
+  await page.keyboard.press('u');
+  await page.getByText('Undone.').waitFor();
+  assert.equal(world.revisitd.cli('closures', 'list', 'boreas', '--json')
+                   .loopClosures.length, 0);
+});
+
+test('a rejected candidate is offered again once the rejection is undone',
+     async () => {
+  await page.keyboard.press('r');
+  await page.getByText('The server no longer offers this pair').waitFor();
+  assert.equal(world.revisitd.cli('rejections', 'list', 'boreas', '--json')
+                   .rejectedCandidates.length, 1);
+  await page.keyboard.press('u');
+  await page.getByText('Nobody has decided about this pair').waitFor();
+  await page.getByText('The server no longer offers this pair')
+      .waitFor({state: 'detached'});
+  assert.equal(world.revisitd.cli('rejections', 'list', 'boreas', '--json')
+                   .rejectedCandidates.length, 0);
+});
+
+test('keys lead through the queue of open candidates', async () => {
+  const first = page.url();
+  await page.keyboard.press('j');
+  await until(() => page.url() !== first, 'next candidate');
+  const second = page.url();
+  await page.locator('.evidence').waitFor();
+  await page.keyboard.press('k');
+  await until(() => page.url() === first, 'candidate before');
+  await page.keyboard.press('j');
+  await until(() => page.url() === second, 'next candidate');
+});
+
+test('what is decided elsewhere is seen here', async () => {
+  await page.getByRole('link', {name: 'boreas'}).click();
+  const [, query, match] = /^Pose (\d+) at pose (\d+)$/.exec(
+      await page.locator('.side tbody tr', {
+        has: page.locator('.verdict.accepted'),
+      }).first().locator('a').getAttribute('aria-label'));
+  world.revisitd.cli('confirm', 'boreas', query, match);
+  await until(async () => await number(page, 'Loop closures') === 1,
+              'closure');
+  await page.locator('.legend', {hasText: 'Loop closure'}).waitFor();
+  world.revisitd.cli('closures', 'delete', 'boreas', query, match);
+  await until(async () => await number(page, 'Loop closures') === 0,
+              'no closure');
+});
+
+test('the time slider shows the drive as it was', async () => {
+  await page.goto(world.console.url + '/vehicles/boreas?at=350&hide=ellipse');
+  await page.locator('.legend', {hasText: 'Later path'}).waitFor();
+  await until(async () => await pixels(page, '--path-ahead') > 300,
+              'path that is yet to come');
+  assert.ok(await pixels(page, '--path') > 100);
+  const poses = await page.locator('.side tbody td:first-child')
+                    .allInnerTexts();
+  for (const pose of poses) {
+    assert.ok(Number(pose.replaceAll(',', '')) <= 350, pose);
+  }
+  await page.getByRole('button', {name: 'Newest'}).click();
+  await page.locator('.slider', {hasText: '(newest)'}).waitFor();
+});
+
+test('a server that is killed is missed, and found when it is back',
+     async () => {
+  await world.revisitd.kill();
+  await page.getByText('No answer from revisitd since').waitFor();
+  // What was there is still shown.
+  assert.equal(await number(page, 'Nodes'), NODES);
+  await world.revisitd.start();
+  await page.getByText('No answer from revisitd since')
+      .waitFor({state: 'detached'});
+  world.revisitd.cli('vehicle', 'update', 'boreas', '--display-name',
+                     'After the crash');
+  await page.getByRole('heading', {name: 'After the crash'}).waitFor();
+  assert.equal(await number(page, 'Nodes'), NODES);
+});
+
+test('nothing of it was complained about by the browser', () => {
+  assert.deepEqual(page.complaints, []);
+});

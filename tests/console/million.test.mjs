@@ -1,0 +1,98 @@
+// A drive of 2,000 km: a million nodes.
+import assert from 'node:assert/strict';
+import {createWriteStream, readFileSync} from 'node:fs';
+import {join} from 'node:path';
+import {finished} from 'node:stream/promises';
+import {after, before, test} from 'node:test';
+
+import {fact, number, OUT, World} from './world.mjs';
+
+const POSES = 100_010;
+const SPACING_METERS = 20;
+const LEAST_FRAMES_A_SECOND = 30;
+const PANNING_MILLISECONDS = 6000;
+
+let world;
+
+/** A drive that winds along and comes back to where it was, time and again. */
+async function writeDrive(path) {
+  const file = createWriteStream(path);
+  file.write('t,x,y,yaw,pxx,pxy,pxt,pyy,pyt,ptt\n');
+  let x = 0, y = 0, heading = 0;
+  for (let i = 0; i < POSES; ++i) {
+    file.write(`${i},${x.toFixed(3)},${y.toFixed(3)},${heading.toFixed(6)},` +
+               '0.01,0,0,0.01,0,0.0001\n');
+    heading += 0.04 * Math.sin(i / 37) + 0.06 * Math.sin(i / 211) +
+        (Math.floor(i / 500) % 2 ? 0.03 : -0.027);
+    heading = Math.atan2(Math.sin(heading), Math.cos(heading));
+    x += SPACING_METERS * Math.cos(heading);
+    y += SPACING_METERS * Math.sin(heading);
+  }
+  file.end();
+  await finished(file);
+}
+
+before(async () => {
+  world = await World.make();
+  const drive = join(world.directory, 'drive.csv');
+  await writeDrive(drive);
+  world.revisitd.cli('stream', drive, '--create', '--vehicle', 'million',
+                     '--columns', 't=t,x=x,y=y,yaw=yaw', '--batch', '4096');
+});
+after(() => world?.close());
+
+/** Frames that the browser drew a second, by its own trace, while `work` ran. */
+async function framesASecond(page, work) {
+  await world.browser.startTracing(page, {
+    path: join(OUT, 'million-trace.json'),
+    categories: ['disabled-by-default-devtools.timeline.frame',
+                 'devtools.timeline.frame'],
+  });
+  await work();
+  const trace = JSON.parse((await world.browser.stopTracing()).toString());
+  const times = trace.traceEvents.filter(({name}) => name === 'DrawFrame')
+                    .map(({ts}) => ts).sort((a, b) => a - b);
+  assert.ok(times.length > 1, 'the trace has no frames');
+  return (times.length - 1) / ((times[times.length - 1] - times[0]) / 1e6);
+}
+
+test('a million nodes pan at 30 frames a second or more', async () => {
+  const page = await world.open('/vehicles/million?hide=ellipse');
+  await page.locator('.map canvas').waitFor({timeout: 240_000});
+  assert.ok(await number(page, 'Nodes') >= 1_000_000);
+  assert.equal(await fact(page, 'Poses'), POSES.toLocaleString('en'));
+  const renderer = await page.evaluate(() => {
+    const gl = document.createElement('canvas').getContext('webgl2');
+    const names = gl.getExtension('WEBGL_debug_renderer_info');
+    return gl.getParameter(names.UNMASKED_RENDERER_WEBGL);
+  });
+  const box = await page.locator('.map .canvas').boundingBox();
+  const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+  await page.mouse.move(x, y);
+  const rates = {};
+  for (const [name, zoom] of [['whole', 0], ['nearer', -1500]]) {
+    if (zoom) await page.mouse.wheel(0, zoom);
+    await page.waitForTimeout(1000);
+    await page.mouse.down();
+    rates[name] = await framesASecond(page, async () => {
+      const began = performance.now();
+      for (;;) {
+        const time = performance.now() - began;
+        if (time > PANNING_MILLISECONDS) break;
+        await page.mouse.move(x + 150 * Math.sin(time / 400),
+                              y + 100 * Math.cos(time / 300));
+      }
+    });
+    await page.mouse.up();
+  }
+  await page.screenshot({path: join(OUT, 'million.png')});
+  const load = readFileSync('/proc/loadavg', 'utf8').split(' ')[0];
+  for (const [name, rate] of Object.entries(rates)) {
+    console.log(`${name}: ${rate.toFixed(1)} frames a second, drawn by ${
+        renderer}, load ${load}`);
+  }
+  for (const [name, rate] of Object.entries(rates)) {
+    assert.ok(rate >= LEAST_FRAMES_A_SECOND, `${name}: ${rate}`);
+  }
+  assert.deepEqual(page.complaints, []);
+});

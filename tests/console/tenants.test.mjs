@@ -1,0 +1,105 @@
+// A server that asks who calls: each sees what its policy grants.
+import assert from 'node:assert/strict';
+import {writeFileSync} from 'node:fs';
+import {join} from 'node:path';
+import {after, before, test} from 'node:test';
+
+import {DRIVE, Issuer, World} from './world.mjs';
+
+const POLICY = {
+  version: 1,
+  tenants: [{name: 'acme', vehicle_prefix: 'acme-'},
+            {name: 'umbra', vehicle_prefix: 'umbra-'}],
+  grants: [
+    {token_subject: 'operator', tenant: '*', vehicles: ['*'],
+     verbs: ['read', 'write', 'admin']},
+    {token_subject: 'acme', tenant: 'acme', vehicles: ['*'],
+     verbs: ['read']},
+    {token_subject: 'umbra', tenant: 'umbra', vehicles: ['*'],
+     verbs: ['read']},
+  ],
+};
+
+const issuer = new Issuer();
+let world;
+
+before(async () => {
+  world = await World.make(directory => issuer.flags(directory, POLICY));
+  const file = join(world.directory, 'token');
+  writeFileSync(file, issuer.token('operator'));
+  const operator = (...args) =>
+      world.revisitd.cli('--token-file', file, ...args);
+  operator('stream', DRIVE, '--create', '--vehicle', 'acme-1',
+           '--uncertainty', 'file');
+  operator('vehicle', 'create', 'umbra-1');
+});
+after(() => world?.close());
+
+async function signIn(page, token) {
+  await page.locator('.sign-in summary').click();
+  await page.getByLabel('Bearer token').fill(token);
+  await page.getByRole('button', {name: 'Use'}).click();
+}
+
+function vehicles(page) {
+  return page.locator('tbody a').allInnerTexts();
+}
+
+test('without a token it says so and shows nothing', async () => {
+  const page = await world.open('/');
+  await page.getByText('revisitd asks who you are').waitFor();
+  assert.deepEqual(await vehicles(page), []);
+  await page.context().close();
+});
+
+test('a pasted token shows the vehicles of its tenant only', async () => {
+  const page = await world.open('/');
+  await signIn(page, `Bearer ${issuer.token('acme')}`);
+  await page.getByText('1 of 1 vehicles').waitFor();
+  assert.deepEqual(await vehicles(page), ['acme-1']);
+  assert.equal(await page.getByText('revisitd asks who you are').count(), 0);
+  // It stays for the tab, and leaves nothing that goes anywhere by itself.
+  await page.reload();
+  await page.getByText('1 of 1 vehicles').waitFor();
+  assert.deepEqual(await page.context().cookies(), []);
+  await page.goto(world.console.url + '/vehicles/umbra-1');
+  await page.locator('main .error', {hasText: 'not found'}).waitFor();
+  assert.equal(await page.locator('.map').count(), 0);
+  await page.context().close();
+});
+
+test('another token shows another tenant, and none nothing', async () => {
+  const page = await world.open('/');
+  await signIn(page, issuer.token('acme'));
+  await page.getByText('1 of 1 vehicles').waitFor();
+  await signIn(page, issuer.token('umbra'));
+  await page.locator('tbody a', {hasText: 'umbra-1'}).waitFor();
+  assert.deepEqual(await vehicles(page), ['umbra-1']);
+  await page.locator('.sign-in summary').click();
+  await page.getByRole('button', {name: 'Sign out'}).click();
+  await page.getByText('revisitd asks who you are').waitFor();
+  assert.deepEqual(await vehicles(page), []);
+  await page.context().close();
+});
+
+test('the header of a proxy in front is passed on', async () => {
+  const page = await world.open('/', {
+    extraHTTPHeaders: {authorization: `Bearer ${issuer.token('umbra')}`},
+  });
+  await page.getByText('1 of 1 vehicles').waitFor();
+  assert.deepEqual(await vehicles(page), ['umbra-1']);
+  await page.context().close();
+});
+
+test('who may only read is told so when he decides', async () => {
+  const page = await world.open('/');
+  await signIn(page, issuer.token('acme'));
+  await page.getByText('1 of 1 vehicles').waitFor();
+  await page.goto(world.console.url + '/vehicles/acme-1');
+  await page.locator('.side tbody a').first().click();
+  await page.locator('.evidence').waitFor();
+  await page.getByRole('button', {name: 'Confirm'}).click();
+  await page.locator('.decision', {hasText: 'permission denied'}).waitFor();
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});

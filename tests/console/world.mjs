@@ -1,0 +1,244 @@
+// A real revisitd, a real console in front of it and a real browser, as the tests
+// of the console start and stop them.
+import assert from 'node:assert/strict';
+import {spawn, spawnSync} from 'node:child_process';
+import {generateKeyPairSync, sign} from 'node:crypto';
+import {existsSync, mkdirSync, mkdtempSync, openSync, readFileSync, rmSync,
+        writeFileSync} from 'node:fs';
+import {tmpdir} from 'node:os';
+import {join} from 'node:path';
+import {setTimeout as sleep} from 'node:timers/promises';
+import {fileURLToPath} from 'node:url';
+
+import {chromium} from 'playwright-core';
+
+export const ROOT = fileURLToPath(new URL('../..', import.meta.url));
+export const BIN = process.env.REVISIT_BIN ?? join(ROOT, 'build/release/bin');
+export const DRIVE =
+    join(ROOT, 'tests/data/boreas/boreas_glen_shields.csv');
+/** What the tests leave to be looked at. */
+export const OUT = join(ROOT, 'build/console');
+
+const PATIENCE_MILLISECONDS = 30_000;
+
+// The environment without settings of the programs under test.
+const environment = Object.fromEntries(
+    Object.entries(process.env).filter(([name]) => !/^REVISIT_/.test(name)));
+
+/** Waits until `condition` returns something true, and returns that. */
+export async function until(condition, what,
+                            milliseconds = PATIENCE_MILLISECONDS) {
+  const deadline = Date.now() + milliseconds;
+  for (;;) {
+    const value = await condition();
+    if (value) return value;
+    assert.ok(Date.now() < deadline, `no ${what} within ${milliseconds} ms`);
+    await sleep(50);
+  }
+}
+
+function ended(child) {
+  return child.exitCode !== null || child.signalCode !== null;
+}
+
+async function stop(child, signal) {
+  if (ended(child)) return;
+  child.kill(signal);
+  await until(() => ended(child), 'end of a process');
+}
+
+export class Revisitd {
+  constructor(directory, flags = []) {
+    this.directory = directory;
+    this.flags = flags;
+    this.address = '127.0.0.1:0';
+  }
+
+  /** Starts it: the first time at any port, then at the same one. */
+  async start() {
+    const portFile = join(this.directory, 'address');
+    rmSync(portFile, {force: true});
+    this.log = join(this.directory, 'revisitd.log');
+    const log = openSync(this.log, 'a');
+    this.child = spawn(
+        join(BIN, 'revisitd'),
+        ['--listen', this.address, '--store', join(this.directory, 'store'),
+         '--port-file', portFile, ...this.flags],
+        {stdio: ['ignore', 'ignore', log], env: environment});
+    await until(() => {
+      assert.ok(!ended(this.child), `revisitd ended: ${
+          readFileSync(this.log, 'utf8').slice(-2000)}`);
+      return existsSync(portFile) && readFileSync(portFile, 'utf8').trim();
+    }, 'revisitd that listens');
+    this.address = readFileSync(portFile, 'utf8').trim();
+  }
+
+  /** The crash: no clean-up of any kind. */
+  kill() {
+    return stop(this.child, 'SIGKILL');
+  }
+
+  close() {
+    return stop(this.child, 'SIGTERM');
+  }
+
+  /** Runs the command line and returns what it prints, as JSON if asked. */
+  cli(...args) {
+    const run = spawnSync(join(BIN, 'revisit'),
+                          ['--server', this.address, ...args],
+                          {encoding: 'utf8', env: environment});
+    assert.equal(run.status, 0, `revisit ${args.join(' ')}: ${run.stderr}`);
+    return args.includes('--json') ? JSON.parse(run.stdout) : run.stdout;
+  }
+
+  /** Streams the lines of a recording as they are written to `stdin`. */
+  openStream(...args) {
+    return spawn(join(BIN, 'revisit'),
+                 ['--server', this.address, 'stream', '-', ...args],
+                 {stdio: ['pipe', 'ignore', 'ignore'], env: environment});
+  }
+}
+
+export class Console {
+  constructor(server) {
+    this.server = server;
+  }
+
+  async start() {
+    this.child = spawn(
+        'node',
+        [join(ROOT, 'client/console/dist/server/main.js'), '--listen',
+         '127.0.0.1:0', '--server', this.server],
+        {stdio: ['ignore', 'pipe', 'inherit'], env: environment});
+    let said = '';
+    this.child.stdout.on('data', data => said += data);
+    const found = await until(() => {
+      assert.ok(!ended(this.child), 'the console ended');
+      return /http:\/\/\S+:\d+/.exec(said);
+    }, 'console that listens');
+    this.url = found[0];
+  }
+
+  close() {
+    return stop(this.child, 'SIGTERM');
+  }
+}
+
+/** Everything, and the end of everything. */
+export class World {
+  static async make(flags = []) {
+    const world = new World();
+    world.directory = mkdtempSync(join(tmpdir(), 'revisit-console-'));
+    world.revisitd = new Revisitd(
+        world.directory,
+        typeof flags === 'function' ? flags(world.directory) : flags);
+    await world.revisitd.start();
+    world.console = new Console(world.revisitd.address);
+    await world.console.start();
+    // There may be no graphics card here: WebGL is drawn in software then.
+    world.browser = await chromium.launch({
+      executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium',
+      args: ['--use-angle=swiftshader', '--enable-unsafe-swiftshader',
+             '--ignore-gpu-blocklist',
+             // Chromium's own sandbox does not run as root.
+             ...process.getuid() === 0 ? ['--no-sandbox'] : []],
+    });
+    mkdirSync(OUT, {recursive: true});
+    return world;
+  }
+
+  async close() {
+    await this.browser?.close();
+    await this.console?.close();
+    await this.revisitd?.close();
+    rmSync(this.directory, {recursive: true, force: true});
+  }
+
+  /** A page whose errors are kept in `page.complaints`. */
+  async open(path, {context = {}, ...options} = {}) {
+    const page = await (await this.browser.newContext({
+      viewport: {width: 1440, height: 900}, ...options, ...context,
+    })).newPage();
+    page.setDefaultTimeout(PATIENCE_MILLISECONDS);
+    page.complaints = [];
+    page.on('console', message => {
+      // A failed call is shown to the user; the browser notes it besides.
+      if (message.type() === 'error' &&
+          !/Failed to load resource/.test(message.text())) {
+        page.complaints.push(message.text());
+      }
+    });
+    page.on('pageerror', error => page.complaints.push(error.stack));
+    await page.goto(this.console.url + path);
+    return page;
+  }
+}
+
+/** The number behind a name in a view's list of facts. */
+export async function fact(page, name) {
+  const value = page.locator('dl.facts > div', {
+    has: page.locator('dt', {hasText: new RegExp(`^${name}$`)}),
+  }).locator('dd');
+  return await value.count() > 0 ? (await value.textContent()).trim() : '';
+}
+
+export async function number(page, name) {
+  return Number((await fact(page, name)).replaceAll(',', ''));
+}
+
+/** How many pixels of the map have about this colour, by what is on the screen. */
+export async function pixels(page, property) {
+  const shot = await page.locator('.map .canvas').screenshot();
+  return page.evaluate(async ([base64, name]) => {
+    const wanted = getComputedStyle(document.documentElement)
+                       .getPropertyValue(name).trim();
+    const value = parseInt(wanted.slice(1), 16);
+    const colour = [value >> 16, (value >> 8) & 255, value & 255];
+    const bytes = Uint8Array.from(atob(base64), c => c.charCodeAt(0));
+    const bitmap = await createImageBitmap(new Blob([bytes]));
+    const canvas = new OffscreenCanvas(bitmap.width, bitmap.height);
+    const context = canvas.getContext('2d');
+    context.drawImage(bitmap, 0, 0);
+    const {data} = context.getImageData(0, 0, bitmap.width, bitmap.height);
+    let count = 0;
+    for (let i = 0; i < data.length; i += 4) {
+      const far = Math.abs(data[i] - colour[0]) +
+          Math.abs(data[i + 1] - colour[1]) + Math.abs(data[i + 2] - colour[2]);
+      if (far < 30) ++count;
+    }
+    return count;
+  }, [shot.toString('base64'), property]);
+}
+
+const ISSUER = 'https://login.example';
+const AUDIENCE = 'revisit';
+
+/** A key that signs tokens, and the flags of a server that believes it. */
+export class Issuer {
+  constructor() {
+    const {publicKey, privateKey} = generateKeyPairSync('ed25519');
+    this.privateKey = privateKey;
+    this.jwk = {...publicKey.export({format: 'jwk'}), kid: 'one', use: 'sig',
+                alg: 'EdDSA'};
+  }
+
+  flags(directory, policy) {
+    const keys = join(directory, 'keys.json');
+    const rules = join(directory, 'policy.json');
+    writeFileSync(keys, JSON.stringify({keys: [this.jwk]}));
+    writeFileSync(rules, JSON.stringify(policy));
+    return ['--token-keys', keys, '--token-issuer', ISSUER,
+            '--token-audience', AUDIENCE, '--policy', rules];
+  }
+
+  token(subject) {
+    const part = value =>
+        Buffer.from(JSON.stringify(value)).toString('base64url');
+    const signed = `${part({alg: 'EdDSA', kid: 'one'})}.${part({
+      iss: ISSUER, aud: AUDIENCE, sub: subject,
+      exp: Math.floor(Date.now() / 1000) + 3600,
+    })}`;
+    return `${signed}.${
+        sign(null, Buffer.from(signed), this.privateKey).toString('base64url')}`;
+  }
+}
