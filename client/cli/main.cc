@@ -6,10 +6,12 @@
 #include <iostream>
 #include <string>
 
+#include "client/cli/commands/demo_command.h"
 #include "client/cli/commands/evaluate_command.h"
 #include "client/cli/commands/export_command.h"
 #include "client/cli/commands/find_command.h"
 #include "client/cli/commands/findings_command.h"
+#include "client/cli/commands/health_command.h"
 #include "client/cli/commands/help_command.h"
 #include "client/cli/commands/info_command.h"
 #include "client/cli/commands/map_command.h"
@@ -103,7 +105,9 @@ void AddCommands(const Command& program, const UsageSource& usage) {
   AddMapCommand(program);
   AddReviseCommand(program);
   AddEvaluateCommand(program);
+  AddDemoCommand(program);
   AddInfoCommand(program);
+  AddHealthCommand(program);
   AddCompletionCommand(program, usage);
   AddHelpCommand(program, usage);
   AddManPagesCommand(program, usage, {kBuildDate, "revisit " REVISIT_VERSION});

@@ -60,7 +60,8 @@ installed too.")
 
 set(CPACK_DEBIAN_SERVER_PACKAGE_NAME revisit-server)
 set(CPACK_DEBIAN_SERVER_PACKAGE_SECTION science)
-set(CPACK_DEBIAN_SERVER_PACKAGE_DEPENDS adduser)
+# procps has the kill of the service's reload.
+set(CPACK_DEBIAN_SERVER_PACKAGE_DEPENDS "adduser, procps")
 set(CPACK_DEBIAN_SERVER_PACKAGE_RECOMMENDS revisit)
 set(CPACK_DEBIAN_SERVER_PACKAGE_CONTROL_EXTRA
     ${packages}/server/postinst ${packages}/server/prerm

@@ -248,12 +248,16 @@ void AddSearchSettings(const Command& command, v1::CandidateOptions* options) {
 }
 
 void AddDriveSettings(const Command& command, v1::VehicleSettings* settings) {
+  SetUsualSettings(settings);
   const Command group = UnderVehicleSettings(command);
   for (const BoundSetting& setting : Bind(settings)) {
-    SetUsual(setting);
     if (setting.row->field == std::string("coordinate_frame")) continue;
     AddSettingFlag(group, setting);
   }
+}
+
+void SetUsualSettings(v1::VehicleSettings* settings) {
+  for (const BoundSetting& setting : Bind(settings)) SetUsual(setting);
 }
 
 std::vector<std::pair<std::string, std::string>> DescribeSettings(

@@ -26,6 +26,9 @@ void AddSearchSettings(const Command& command, v1::CandidateOptions* options);
 // measured does not depend on the server's defaults.
 void AddDriveSettings(const Command& command, v1::VehicleSettings* settings);
 
+// Sets what AddDriveSettings() sets where no flag is given.
+void SetUsualSettings(v1::VehicleSettings* settings);
+
 // Names and values for people.
 std::vector<std::pair<std::string, std::string>> DescribeSettings(
     const v1::VehicleSettings& settings);

@@ -3,6 +3,7 @@
 #define REVISIT_CLIENT_CLI_EVALUATION_EVALUATE_OPTIONS_H_
 
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -75,8 +76,12 @@ struct EvaluateOptions {
   // Directory for precision_recall.svg and reliability.svg, made where there is
   // none; no plots if empty.
   std::string plots;
-  // Whether to keep the vehicles on a server that is not private.
+  // Whether to keep the vehicles; a private server takes them along when it
+  // stops.
   bool keep_vehicles = false;
+  // Called with the server's address after everything has been printed, before
+  // a private server is stopped; may be empty.
+  std::function<void(const std::string&)> before_undoing;
   // Id of the vehicle, where only one is made. If empty, ids are made of the
   // drives' names, and unique.
   std::string vehicle;

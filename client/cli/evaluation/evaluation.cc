@@ -11,8 +11,6 @@ namespace {
 // Travelled distances are sums of many steps.
 constexpr double kRounding = 1e-6;
 
-constexpr double kTurn = 2.0 * kPi;
-
 std::optional<double> Ratio(double numerator, double denominator) {
   if (denominator <= 0.0) return std::nullopt;
   return numerator / denominator;

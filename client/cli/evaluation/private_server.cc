@@ -41,7 +41,8 @@ absl::StatusOr<std::string> FindServer() {
   if (access(path.c_str(), X_OK) != 0) {
     return absl::NotFoundError(
         path +
-        ": there is no server to start; name a running one with --server");
+        ": there is no server to start; name a running one with --server, or "
+        "install revisit-server");
   }
   return path;
 }

@@ -217,8 +217,7 @@ class Evaluation {
     }
     const auto created = [this](const v1::Vehicle& vehicle) {
       // A private server's vehicles go too, lest they pile up.
-      if (!(options_.server.has_value() && options_.keep_vehicles) &&
-          vehicle.durable_sequence() == 0) {
+      if (!options_.keep_vehicles && vehicle.durable_sequence() == 0) {
         undoing_->AddVehicle(vehicle.name());
       }
     };
@@ -300,6 +299,9 @@ absl::Status RunEvaluate(const EvaluateOptions& given, const Console& console) {
   const absl::Status status =
       Evaluation(options, *std::move(cases), channel, client, &undoing, console)
           .Run();
+  if (status.ok() && options.before_undoing) {
+    options.before_undoing(options.server.value_or(server).address);
+  }
   const absl::Status undone = undoing.Undo();
   return status.ok() ? undone : status;
 }

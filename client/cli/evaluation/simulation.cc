@@ -13,7 +13,6 @@
 namespace revisit::client {
 namespace {
 
-constexpr double kTurn = 2.0 * kPi;
 constexpr double kStandstillMeters = 0.05;
 
 // FNV-1a, whose hash of a name is the same on every machine.

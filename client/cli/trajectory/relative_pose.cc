@@ -21,7 +21,7 @@ Matrix4d ToMatrix(const StateMatrix& array) {
   return Eigen::Map<const Matrix4>(array.data());
 }
 
-StateMatrix ToArray(const Matrix4d& m) {
+StateMatrix ToStateMatrix(const Matrix4d& m) {
   StateMatrix array;
   Eigen::Map<Matrix4>(array.data()) = m;
   return array;
@@ -145,15 +145,16 @@ Step StepBetween(const LocalPose& from, const LocalPose& to,
   step.raised =
       Raise(settings.state_space() == v1::STATE_SPACE_SPATIAL, &covariance);
   const Matrix4d turn = StateTurnBy(-from.heading);
-  step.relative.covariance = ToArray(turn * covariance * turn.transpose());
+  step.relative.covariance =
+      ToStateMatrix(turn * covariance * turn.transpose());
   return step;
 }
 
 RelativePose JumpBetween(const LocalPose& from, const LocalPose& to) {
   RelativePose jump = Between(from, to);
   const double squared = ToVector(jump.position).squaredNorm();
-  jump.covariance =
-      ToArray(Vector4d(squared, squared, squared, kPi * kPi).asDiagonal());
+  jump.covariance = ToStateMatrix(
+      Vector4d(squared, squared, squared, kPi * kPi).asDiagonal());
   return jump;
 }
 
@@ -167,7 +168,7 @@ RelativePose ClosureBetween(const v1::LoopClosure& closure,
   if (!closure.has_measurement()) {
     if (std::cos(query.heading - matched.heading) < 0.0) relative.heading = kPi;
     Vector4d sigmas(kSigmaMeters, kSigmaMeters, kSigmaMeters, kSigmaRadians);
-    relative.covariance = ToArray(sigmas.cwiseAbs2().asDiagonal());
+    relative.covariance = ToStateMatrix(sigmas.cwiseAbs2().asDiagonal());
     return relative;
   }
   const v1::LoopClosureMeasurement& measured = closure.measurement();

@@ -1,0 +1,116 @@
+#include "client/cli/commands/demo_command.h"
+
+#include <unistd.h>
+
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <system_error>
+
+#include "absl/status/statusor.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/substitute.h"
+#include "client/cli/commands/vehicle_settings.h"
+#include "client/cli/evaluation/evaluate_options.h"
+#include "client/cli/evaluation/run_evaluation.h"
+
+namespace revisit::client {
+namespace {
+
+constexpr char kVehicle[] = "boreas";
+
+constexpr char kDrive[] =
+    "The path is real: two days over the same streets of Toronto (Boreas data "
+    "set,\nCC BY 4.0). The estimate is simulated dead reckoning: seeded noise "
+    "of wheels and a\ngyroscope, with the covariance that goes with it. The "
+    "server sees the estimate only.\n\n";
+
+// The address, the vehicle, and the path of this program.
+constexpr char kHints[] =
+    "\nAsk it yourself:\n\n"
+    "  export REVISIT_SERVER=$0\n"
+    "  $2 find $1\n"
+    "  $2 map $1 --output $1.html\n"
+    "  grpcurl -plaintext $0 list\n"
+    "  grpcurl -plaintext $0 describe revisit.v1.Candidate\n"
+    "  grpcurl -plaintext -d '{\"vehicle\": \"vehicles/$1\", \"sequence\": "
+    "1500}' \\\n"
+    "    $0 revisit.v1.PoseGraphService/FindCandidates\n\n";
+
+struct DemoOptions {
+  std::string map = "demo.svg";
+  bool keep = false;
+};
+
+// The shipped drive, which lies beside the programs where they are built and
+// where they are installed.
+absl::StatusOr<std::string> FindDrive(const std::filesystem::path& program) {
+  std::error_code error;
+  const auto path = program.parent_path().parent_path() /
+                    "share/revisit/demo/boreas_glen_shields.csv";
+  if (!std::filesystem::exists(path, error)) {
+    return absl::NotFoundError(
+        absl::StrCat(path.string(),
+                     ": the drive that is installed with revisit is missing"));
+  }
+  return path.string();
+}
+
+absl::Status RunDemo(const DemoOptions& demo, const Console& console) {
+  std::error_code error;
+  const auto program = std::filesystem::read_symlink("/proc/self/exe", error);
+  if (error) {
+    return LocalError(
+        absl::UnknownError(absl::StrCat("/proc/self/exe: ", error.message())));
+  }
+  const auto drive = FindDrive(program);
+  if (!drive.ok()) return LocalError(drive.status());
+  EvaluateOptions options;
+  options.files = {*drive};
+  SetUsualSettings(&options.settings);
+  options.uncertainty.source = UncertaintyOptions::Source::kFile;
+  options.uncertainty_given = true;
+  options.verbose = true;
+  options.map = demo.map;
+  options.vehicle = kVehicle;
+  options.keep_vehicles = true;
+  options.before_undoing = [&](const std::string& address) {
+    if (console.json) return;
+    console.out << "\nThe map is in " << demo.map << ".\n"
+                << absl::Substitute(kHints, address, kVehicle, program.string())
+                << (demo.keep ? "The server stays up until Ctrl-C.\n"
+                              : "The server stops now; with --keep it stays up "
+                                "for these lines.\n")
+                << std::flush;
+    // The interrupt that ends this stops the server and ends the process.
+    while (demo.keep) pause();
+  };
+  if (!console.json) console.out << *drive << "\n" << kDrive << std::flush;
+  return RunEvaluate(options, console);
+}
+
+}  // namespace
+
+void AddDemoCommand(const Command& program) {
+  const Command command = program.AddCommand(
+      {"demo", "Finds the loops of a real drive on a server of its own.",
+       "Starts a server on a free port of 127.0.0.1 with a store of its own, "
+       "streams the drive\nthat is installed with revisit to it (15.9 km on "
+       "two days), asks every 50 m where the\nvehicle has been before, "
+       "compares "
+       "the answers with the truth as `revisit evaluate`\ndoes, and draws the "
+       "map. It takes some seconds.",
+       "  revisit demo\n"
+       "  revisit demo --map demo.html --keep"});
+  const auto options = std::make_shared<DemoOptions>();
+  command.AddText(
+      "--map", "FILE", &options->map,
+      "Where to draw the map: a page for a browser if the name ends "
+      "in .html, otherwise SVG (demo.svg)");
+  command.AddSwitch("--keep", &options->keep,
+                    "Leave the server up, with the drive in it, until Ctrl-C");
+  command.RunsAlone(
+      [options](const Console& console) { return RunDemo(*options, console); });
+}
+
+}  // namespace revisit::client

@@ -1,0 +1,69 @@
+"""revisit demo: the loops of the shipped drive, on a server of its own."""
+
+import json
+import re
+import signal
+import subprocess
+
+import pytest
+
+from revisit_server import BIN, clean_environment, run, wait_until
+
+
+def demo(directory, *flags):
+    """Runs it with its temporary files below the directory."""
+    scratch = directory / "scratch"
+    scratch.mkdir()
+    result = run("revisit", "demo", *flags, cwd=directory,
+                 env=clean_environment(TMPDIR=str(scratch)))
+    assert list(scratch.iterdir()) == []
+    return result
+
+
+def test_demo_finds_the_loops_of_the_drive_and_draws_them(tmp_path):
+    shown = demo(tmp_path)
+    assert shown.returncode == 0, shown.stderr
+    figures = dict(re.findall(r"^(checks|precision|recall) +([\d.]+)$",
+                              shown.stdout, re.MULTILINE))
+    assert figures["checks"] == "312"
+    assert float(figures["precision"]) > 0.95
+    assert float(figures["recall"]) > 0.95
+    assert "with --keep it stays up" in shown.stdout
+    assert (tmp_path / "demo.svg").read_text().startswith("<svg")
+
+
+def test_demo_draws_a_page_where_it_is_asked_to(tmp_path):
+    shown = demo(tmp_path, "--map", "page.html")
+    assert shown.returncode == 0, shown.stderr
+    assert "<html" in (tmp_path / "page.html").read_text()
+    assert not (tmp_path / "demo.svg").exists()
+
+
+def test_demo_as_json_is_the_evaluation_alone(tmp_path):
+    shown = demo(tmp_path, "--json")
+    assert json.loads(shown.stdout)["total"]["checks"] == 312
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM],
+                         ids=lambda number: number.name)
+def test_demo_keeps_its_server_until_it_is_interrupted(number, tmp_path):
+    output = tmp_path / "output"
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    with open(output, "wb") as file:
+        process = subprocess.Popen(
+            [BIN / "revisit", "demo", "--keep"], cwd=tmp_path, stdout=file,
+            stdin=subprocess.DEVNULL,
+            env=clean_environment(TMPDIR=str(scratch)))
+    try:
+        wait_until(lambda: "until Ctrl-C" in output.read_text(), "last line")
+        address = re.search(r"REVISIT_SERVER=(\S+)", output.read_text()).group(1)
+        found = run("revisit", "--server", address, "find", "boreas")
+        assert found.returncode == 0, found.stderr
+        assert "ACCEPTED" in found.stdout
+    finally:
+        process.send_signal(number)
+        assert process.wait(30) == 130
+    assert list(scratch.iterdir()) == []
+    gone = run("revisit", "--server", address, "info")
+    assert gone.returncode == 78
