@@ -192,9 +192,11 @@ class Judge {
                 fates_.begin() + std::min(last, graph_.size()), Fate::kStays);
     };
     keep(graph_.size() - needs_.newest_nodes, graph_.size());
+    const auto behind = static_cast<NodeIndex>(
+        std::ceil(kPassRadiusMeters / needs_.spacing_meters));
     for (const NodeIndex end : needs_.loop_ends) {
       keep(std::max(graph_.SegmentStart(end), end - needs_.aligned_nodes),
-           std::min(graph_.SegmentEnd(end), end + needs_.aligned_nodes + 1));
+           std::min(graph_.SegmentEnd(end), end + behind + 1));
     }
   }
 

@@ -74,7 +74,8 @@ struct RetentionNeeds {
   // Covered nodes are dropped where there are at least so many in a row.
   NodeIndex least_nodes = 150;
   // Nodes to which confirmed loop closures refer. Each stays, with as many
-  // nodes before it and behind it as a search aligns.
+  // nodes before it as a search aligns, and those within kPassRadiusMeters
+  // behind it.
   std::vector<NodeIndex> loop_ends;
 };
 

@@ -58,7 +58,9 @@ class PlainRetention {
     return std::any_of(
         needs_.loop_ends.begin(), needs_.loop_ends.end(), [&](NodeIndex end) {
           return graph_.SegmentStart(i) == graph_.SegmentStart(end) &&
-                 std::abs(i - end) <= needs_.aligned_nodes;
+                 end - i <= needs_.aligned_nodes &&
+                 static_cast<double>(i - end) <
+                     kPassRadiusMeters / needs_.spacing_meters + 1.0;
         });
   }
 

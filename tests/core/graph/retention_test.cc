@@ -125,7 +125,7 @@ TEST(RetentionTest, KeepsWhatLoopClosuresReferToWithThePathThere) {
   needs.loop_ends = {1000};
   const auto dropped = FindDroppable(laps.graph, Passes(3), needs);
   EXPECT_EQ(Text(dropped),
-            "[0, 950) [1051, " + std::to_string(FirstOfLap(7)) + ") ");
+            "[0, 950) [1006, " + std::to_string(FirstOfLap(7)) + ") ");
 }
 
 TEST(RetentionTest, KeepsThePathThatLeadsToWhatItKeeps) {
