@@ -69,6 +69,12 @@ absl::Status NoSuchBatch(const BatchRecord& batch) {
                    " is stored that could be revised");
 }
 
+absl::Status NoSuchBatches(const BatchRecord& merged) {
+  return Error(StatusCode::kFailedPrecondition, "INTERNAL",
+               "no whole batches hold the sequences " + Range(merged) +
+                   " that are to be merged");
+}
+
 absl::Status NoBatchEndsAt(std::uint64_t sequence) {
   return Error(StatusCode::kFailedPrecondition, "INTERNAL",
                "no batch ends at sequence " + std::to_string(sequence));

@@ -224,6 +224,12 @@ class Storage {
   // because it is called on the writer's thread, for which all writes wait.
   virtual void ReviseBatches(VehicleKey key, BatchSource batches,
                              std::uint64_t revision, Done done) = 0;
+  // Puts one batch in the place of all that hold its poses, which are removed
+  // with their revised versions: what was sent and what it became are gone. The
+  // record's own revision is ignored. FAILED_PRECONDITION unless whole batches
+  // hold exactly these poses. Takes as long as the batches are many.
+  virtual void MergeBatches(VehicleKey key, BatchRecord merged,
+                            std::uint64_t revision, Done done) = 0;
   // ALREADY_EXISTS (WordsOf(kind).exists) if the id is taken.
   virtual void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                            std::uint64_t revision, Done done) = 0;
@@ -241,8 +247,8 @@ class Storage {
   // ---- A snapshot of a vehicle saves making again what its poses make. It is
   // a cache: a storage may keep none, as this base does, or lose one at any
   // time. It goes, its parts included, in the same step in which
-  // ReviseBatches() or DropDamaged() change or remove batches, or
-  // DeleteVehicle() the vehicle.
+  // ReviseBatches(), MergeBatches() or DropDamaged() change or remove batches,
+  // or DeleteVehicle() the vehicle.
 
   virtual bool KeepsSnapshots() const { return false; }
   // Keeps a part, in the place of the one of that number, if there is one. Part

@@ -105,6 +105,12 @@ class HeldStorage : public Storage {
       storage_->ReviseBatches(key, batches, revision, std::move(then));
     });
   }
+  void MergeBatches(VehicleKey key, BatchRecord merged, std::uint64_t revision,
+                    Done done) override {
+    Submit(std::move(done), [=](Done then) {
+      storage_->MergeBatches(key, merged, revision, std::move(then));
+    });
+  }
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                    std::uint64_t revision, Done done) override {
     Submit(std::move(done), [=](Done then) {

@@ -196,6 +196,31 @@ void MemoryStorage::ReviseBatches(VehicleKey key, BatchSource batches,
   }));
 }
 
+void MemoryStorage::MergeBatches(VehicleKey key, BatchRecord merged,
+                                 std::uint64_t revision, Done done) {
+  done(Change(key, revision, [&](Vehicle& vehicle) {
+    vehicle.DropSnapshot();
+    std::vector<Batch>& batches = vehicle.batches;
+    const auto first =
+        std::find_if(batches.begin(), batches.end(), [&](const Batch& batch) {
+          return batch.as_sent.first_sequence == merged.first_sequence;
+        });
+    std::uint32_t count = 0;
+    auto last = first;
+    for (; last != batches.end() && count < merged.count; ++last) {
+      count += last->as_sent.count;
+    }
+    if (first == batches.end() || count != merged.count) {
+      return Error(StatusCode::kFailedPrecondition, "INTERNAL",
+                   "no such batches");
+    }
+    merged.revision = revision;
+    *first = {merged, merged, /*is_damaged=*/false};
+    batches.erase(first + 1, last);
+    return absl::OkStatus();
+  }));
+}
+
 void MemoryStorage::AddPosePair(VehicleKey key, PairKind kind,
                                 PosePairRecord pair, std::uint64_t revision,
                                 Done done) {

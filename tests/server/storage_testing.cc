@@ -114,6 +114,13 @@ absl::Status BlockingWrites::Revise(VehicleKey key,
   });
 }
 
+absl::Status BlockingWrites::Merge(VehicleKey key, const BatchRecord& merged,
+                                   std::uint64_t revision) {
+  return Blocking([&](Storage::Done done) {
+    storage_->MergeBatches(key, merged, revision, std::move(done));
+  });
+}
+
 absl::Status BlockingWrites::AddPair(VehicleKey key, PairKind kind,
                                      const PosePairRecord& pair,
                                      std::uint64_t revision) {

@@ -1,6 +1,7 @@
 #include "server/storage/postgres/postgres_changes.h"
 
 #include <cstddef>
+#include <functional>
 #include <limits>
 #include <set>
 #include <utility>
@@ -81,6 +82,29 @@ constexpr Statement kRevise = {
     "count = excluded.count, format = excluded.format, "
     "revision = excluded.revision, checksum = excluded.checksum, "
     "payload = excluded.payload RETURNING r.first_sequence"};
+
+// $1 key, $2 first sequence, $3 the one behind the last.
+constexpr Statement kHeldRange = {
+    "held_range",
+    "SELECT coalesce(min(first_sequence), 0)::int8, "
+    "coalesce(max(first_sequence + count), 0)::int8, "
+    "coalesce(sum(count), 0)::int8 FROM batches WHERE vehicle_key = $1::int8 "
+    "AND first_sequence >= $2::int8 AND first_sequence < $3::int8"};
+constexpr Statement kRemoveBatches = {
+    "remove_batches",
+    "DELETE FROM batches WHERE vehicle_key = $1::int8 AND "
+    "first_sequence >= $2::int8 AND first_sequence < $3::int8"};
+constexpr Statement kRemoveRevisions = {
+    "remove_revisions",
+    "DELETE FROM revised_batches WHERE vehicle_key = $1::int8 AND "
+    "first_sequence >= $2::int8 AND first_sequence < $3::int8"};
+// $1 key, $2 first sequence, $3 count, $4 format, $5 revision, $6 checksum, $7
+// payload.
+constexpr Statement kPutBatch = {
+    "put_batch",
+    "INSERT INTO batches (vehicle_key, first_sequence, count, format, "
+    "revision, checksum, payload) VALUES ($1::int8, $2::int8, $3::int8, "
+    "$4::int8, $5::int8, $6::int8, $7::bytea)"};
 
 // A row of `deleted_vehicles` goes in the statement after the one that removed
 // its last batches, since a statement does not see what it does itself.
@@ -192,6 +216,61 @@ absl::Status ReviseInGroups(PostgresConnection& connection, VehicleKey key,
   return status;
 }
 
+absl::Status Merge(PostgresConnection& connection, VehicleKey key,
+                   BatchRecord merged, std::uint64_t revision) {
+  merged.revision = revision;
+  const std::int64_t first = Signed(merged.first_sequence);
+  const std::int64_t end = Signed(merged.first_sequence + merged.count);
+  const auto range = [&] { return Parameters().Add(key).Add(first).Add(end); };
+  // Rows do not overlap, so these hold the range if they hold as many poses.
+  const auto held = connection.Run(kHeldRange, range());
+  if (!held.ok()) return held.status();
+  if (held->Integer(0, 0) != first || held->Integer(0, 1) != end ||
+      held->Integer(0, 2) != std::int64_t{merged.count}) {
+    return NoSuchBatches(merged);
+  }
+  for (const Statement& remove : {kRemoveBatches, kRemoveRevisions}) {
+    const auto removed = connection.Run(remove, range());
+    if (!removed.ok()) return removed.status();
+  }
+  return connection
+      .Run(kPutBatch, Parameters()
+                          .Add(key)
+                          .Add(first)
+                          .Add(std::int64_t{merged.count})
+                          .Add(kSharedRowFormat)
+                          .Add(Signed(revision))
+                          .Add(ChecksumOfBatch(kSharedRowFormat, key,
+                                               BatchVersion::kAsSent, merged))
+                          .AddText(merged.payload))
+      .status();
+}
+
+// Does a change of several statements in one step.
+absl::Status ChangeBatches(PostgresConnection& connection, const Fence& fence,
+                           std::uint64_t revision,
+                           const std::function<absl::Status()>& change) {
+  absl::Status status = connection.RunText("BEGIN").status();
+  if (!status.ok()) return status;
+  // The fence comes first: from here on nobody can claim the vehicle.
+  const auto head = connection.Run(kRaiseRevision, FenceOf(fence, revision));
+  status = head.status();
+  const bool holds = head.ok() && head->size() > 0;
+  if (holds) status = change();
+  if (holds && status.ok()) {
+    const auto committed = connection.RunText("COMMIT");
+    if (!committed.ok()) return committed.status();
+    if (committed->Tag() == "COMMIT") return absl::OkStatus();
+    return Error(absl::StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                 "the database rolled the change back");
+  }
+  // A connection that cannot roll back is not used again.
+  const bool in_doubt = connection.IsInDoubt();
+  if (!in_doubt) connection.RunText("ROLLBACK").IgnoreError();
+  if (!status.ok()) return status;
+  return WhyNotWritten(connection, fence, Fenced("the vehicle"));
+}
+
 }  // namespace
 
 absl::StatusOr<VehicleKey> InsertVehicle(PostgresConnection& connection,
@@ -234,27 +313,16 @@ absl::Status RemoveVehicle(PostgresConnection& connection, const Fence& fence) {
 absl::Status ReviseBatchRows(PostgresConnection& connection, const Fence& fence,
                              const BatchSource& batches,
                              std::uint64_t revision) {
-  absl::Status status = connection.RunText("BEGIN").status();
-  if (!status.ok()) return status;
-  // The fence comes first: from here on nobody can claim the vehicle.
-  const auto head = connection.Run(kRaiseRevision, FenceOf(fence, revision));
-  status = head.status();
-  const bool holds = head.ok() && head->size() > 0;
-  if (holds) {
-    status = ReviseInGroups(connection, fence.key, batches, revision);
-  }
-  if (holds && status.ok()) {
-    const auto committed = connection.RunText("COMMIT");
-    if (!committed.ok()) return committed.status();
-    if (committed->Tag() == "COMMIT") return absl::OkStatus();
-    return Error(absl::StatusCode::kUnavailable, "STORE_UNAVAILABLE",
-                 "the database rolled the revision back");
-  }
-  // A connection that cannot roll back is not used again.
-  const bool in_doubt = connection.IsInDoubt();
-  if (!in_doubt) connection.RunText("ROLLBACK").IgnoreError();
-  if (!status.ok()) return status;
-  return WhyNotWritten(connection, fence, Fenced("the vehicle"));
+  return ChangeBatches(connection, fence, revision, [&] {
+    return ReviseInGroups(connection, fence.key, batches, revision);
+  });
+}
+
+absl::Status MergeBatchRows(PostgresConnection& connection, const Fence& fence,
+                            const BatchRecord& merged, std::uint64_t revision) {
+  return ChangeBatches(connection, fence, revision, [&] {
+    return Merge(connection, fence.key, merged, revision);
+  });
 }
 
 absl::Status DropDamagedRows(PostgresConnection& connection, const Fence& fence,

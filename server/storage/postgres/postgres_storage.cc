@@ -131,6 +131,17 @@ class PostgresStorage : public PostgresReader {
         std::move(done));
   }
 
+  void MergeBatches(VehicleKey key, BatchRecord merged, std::uint64_t revision,
+                    Done done) override {
+    WriterOf(key).Submit(
+        key, merged.payload.size(),
+        [merged = std::move(merged), revision](PostgresConnection& connection,
+                                               const Fence& fence) {
+          return MergeBatchRows(connection, fence, merged, revision);
+        },
+        std::move(done));
+  }
+
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                    std::uint64_t revision, Done done) override {
     WriterOf(key).Submit(

@@ -170,6 +170,18 @@ class SqliteStorage : public Storage {
         std::move(done));
   }
 
+  void MergeBatches(VehicleKey key, BatchRecord merged, std::uint64_t revision,
+                    Done done) override {
+    Submit(
+        // It removes many rows: nothing shares a transaction with it.
+        options_.max_group_bytes,
+        [this, key, merged = std::move(merged), revision] {
+          chores_ = Chores::kPurge;
+          return MergeBatchRows(*writer_, key, merged, revision);
+        },
+        std::move(done));
+  }
+
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                    std::uint64_t revision, Done done) override {
     Submit(

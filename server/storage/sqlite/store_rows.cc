@@ -169,6 +169,10 @@ absl::Status WriteBatchRow(SqliteDatabase& database, const char* sql,
       .Run();
 }
 
+constexpr char kInsertBatch[] =
+    "INSERT INTO batches (vehicle_key, first_sequence, count, format, "
+    "revision, checksum, payload) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
+
 // A part of a snapshot takes as much room as so many large batches.
 constexpr int kBatchesPerPart = 8;
 
@@ -430,11 +434,8 @@ absl::Status InsertBatch(SqliteDatabase& database, VehicleKey key,
     return id.ok() ? SequenceGap(*id, *expected, batch.first_sequence)
                    : id.status();
   }
-  const absl::Status status = WriteBatchRow(
-      database,
-      "INSERT INTO batches (vehicle_key, first_sequence, count, format, "
-      "revision, checksum, payload) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
-      key, BatchVersion::kAsSent, batch);
+  const absl::Status status =
+      WriteBatchRow(database, kInsertBatch, key, BatchVersion::kAsSent, batch);
   if (status.ok()) *expected += batch.count;
   return status;
 }
@@ -452,6 +453,42 @@ absl::Status ReviseBatchRows(SqliteDatabase& database, VehicleKey key,
     }
     return ReviseBatchRow(database, key, batch, revision);
   });
+}
+
+absl::Status MergeBatchRows(SqliteDatabase& database, VehicleKey key,
+                            const BatchRecord& merged, std::uint64_t revision) {
+  absl::Status status = ChangeVehicle(database, key, std::nullopt, revision);
+  if (status.ok()) status = ForgetSnapshot(database, key);
+  if (!status.ok()) return status;
+  const std::int64_t first = Signed(merged.first_sequence);
+  const std::int64_t end = Signed(merged.first_sequence + merged.count);
+  {
+    // Rows do not overlap, so these hold the range if they hold as many poses.
+    SqliteStatement row = database.Prepare(
+        "SELECT min(first_sequence), max(first_sequence + count), sum(count) "
+        "FROM batches WHERE vehicle_key = ?1 AND first_sequence >= ?2 AND "
+        "first_sequence < ?3");
+    const absl::StatusOr<bool> found =
+        row.Bind(1, key).Bind(2, first).Bind(3, end).Step();
+    if (!found.ok()) return found.status();
+    if (row.Integer(0) != first || row.Integer(1) != end ||
+        row.Integer(2) != std::int64_t{merged.count}) {
+      return NoSuchBatches(merged);
+    }
+  }
+  for (const char* sql :
+       {"DELETE FROM batches WHERE vehicle_key = ?1 AND first_sequence >= ?2 "
+        "AND first_sequence < ?3",
+        "DELETE FROM revised_batches WHERE vehicle_key = ?1 AND "
+        "first_sequence >= ?2 AND first_sequence < ?3"}) {
+    status =
+        database.Prepare(sql).Bind(1, key).Bind(2, first).Bind(3, end).Run();
+    if (!status.ok()) return status;
+  }
+  BatchRecord batch = merged;
+  batch.revision = revision;
+  return WriteBatchRow(database, kInsertBatch, key, BatchVersion::kAsSent,
+                       batch);
 }
 
 absl::Status VisitBatches(SqliteDatabase& database, VehicleKey key,

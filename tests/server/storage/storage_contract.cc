@@ -225,6 +225,53 @@ TEST_P(StorageContract, RevisesAllOrNothing) {
   EXPECT_EQ(storage().GetVehicle("truck")->revision, 2u);
 }
 
+TEST_P(StorageContract, MergesBatchesWithTheirRevisionsIntoOne) {
+  const VehicleKey key = *write().Create("truck");
+  const VehicleKey other = *write().Create("tram");
+  for (std::uint64_t i = 0; i < 5; ++i) {
+    ASSERT_THAT(write().Append(key, Batch(2 * i + 1, 2, i + 2, "sent")),
+                IsOk());
+    ASSERT_THAT(write().Append(other, Batch(2 * i + 1, 2, i + 2, "other")),
+                IsOk());
+  }
+  ASSERT_THAT(
+      write().Revise(key, {Batch(3, 2, 0, "B"), Batch(9, 2, 0, "E")}, 7),
+      IsOk());
+  ASSERT_THAT(write().Merge(key, Batch(3, 4, 0, "merged"), 8), IsOk());
+  store_->Reopen();
+  EXPECT_EQ(storage().GetVehicle("truck")->revision, 8u);
+  EXPECT_THAT(
+      ToTexts(*ReadAll(storage(), key, 1, 10, BatchVersion::kCurrent)),
+      ElementsAre("1+2, revision 2, 'sent'", "3+4, revision 8, 'merged'",
+                  "7+2, revision 5, 'sent'", "9+2, revision 7, 'E'"));
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 4, 5, BatchVersion::kAsSent)),
+              ElementsAre("3+4, revision 8, 'merged'"));
+  // What was merged can be merged again, with all that the vehicle has.
+  ASSERT_THAT(write().Merge(key, Batch(1, 10, 0, "all"), 9), IsOk());
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 10)),
+              ElementsAre("1+10, revision 9, 'all'"));
+  EXPECT_THAT(write().Append(key, Batch(11, 1, 10, "next")), IsOk());
+  EXPECT_EQ(ReadAll(storage(), other, 1, 10)->size(), 5u);
+}
+
+TEST_P(StorageContract, MergesWholeBatchesOrNothing) {
+  const VehicleKey key = *write().Create("truck");
+  ASSERT_THAT(write().Append(key, Batch(1, 3, 2, "a")), IsOk());
+  ASSERT_THAT(write().Append(key, Batch(4, 3, 3, "b")), IsOk());
+  for (const BatchRecord& wrong :
+       {Batch(1, 2, 0, "x"), Batch(2, 2, 0, "x"), Batch(1, 4, 0, "x"),
+        Batch(2, 5, 0, "x"), Batch(4, 4, 0, "x"), Batch(7, 1, 0, "x")}) {
+    EXPECT_THAT(write().Merge(key, wrong, 4),
+                IsError(StatusCode::kFailedPrecondition, "INTERNAL", _))
+        << ToText(wrong);
+  }
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 6)),
+              ElementsAre("1+3, revision 2, 'a'", "4+3, revision 3, 'b'"));
+  EXPECT_EQ(storage().GetVehicle("truck")->revision, 3u);
+  EXPECT_THAT(write().Merge(99, Batch(1, 3, 0, "x"), 4),
+              IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
+}
+
 TEST_P(StorageContract, KeepsPairsOfPoses) {
   for (const PairKind kind : kPairKinds) {
     const PairWords words = WordsOf(kind);
@@ -527,6 +574,11 @@ TEST_P(StorageContract, RemovesASnapshotWithWhatItComesFrom) {
   put("a");
   ASSERT_THAT(write().DropDamaged(key, 4, "payload", 4), IsOk());
   EXPECT_EQ(SnapshotOf(storage(), key), "none");
+  put("m");
+  EXPECT_FALSE(write().Merge(key, Batch(1, 3, 0, "x"), 5).ok());
+  EXPECT_EQ(SnapshotOf(storage(), key), "to 7: m, 'x'");
+  ASSERT_THAT(write().Merge(key, Batch(1, 4, 0, "x"), 5), IsOk());
+  EXPECT_EQ(SnapshotOf(storage(), key), "none");
   put("b");
   ASSERT_THAT(write().DropSnapshot(key), IsOk());
   EXPECT_EQ(SnapshotOf(storage(), key), "none");
@@ -575,7 +627,7 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
                  call(BlockingWrites(&model), key.second)};
     };
     const bool has_snapshots = storage().KeepsSnapshots();
-    switch (UniformInt(random, has_snapshots ? -3 : 0, 9)) {
+    switch (UniformInt(random, has_snapshots ? -3 : 0, 10)) {
       case -3: {
         const auto number =
             static_cast<std::uint32_t>(UniformInt(random, 0, 3));
@@ -648,6 +700,15 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
         }
         both([&](BlockingWrites writes, VehicleKey k) {
           return writes.Revise(k, revised, revision);
+        });
+        break;
+      }
+      case 6: {
+        const BatchRecord merged = Batch(
+            static_cast<std::uint64_t>(UniformInt(random, 1, 8)),
+            static_cast<std::uint32_t>(UniformInt(random, 1, 6)), 0, payload);
+        both([&](BlockingWrites writes, VehicleKey k) {
+          return writes.Merge(k, merged, revision);
         });
         break;
       }
