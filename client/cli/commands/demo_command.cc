@@ -35,7 +35,9 @@ constexpr char kHints[] =
     "  grpcurl -plaintext $0 describe revisit.v1.Candidate\n"
     "  grpcurl -plaintext -d '{\"vehicle\": \"vehicles/$1\", \"sequence\": "
     "1500}' \\\n"
-    "    $0 revisit.v1.PoseGraphService/FindCandidates\n\n";
+    "    $0 revisit.v1.PoseGraphService/FindCandidates\n\n"
+    "In a browser, with the console of a source tree:\n\n"
+    "  deploy/console --server $0\n\n";
 
 struct DemoOptions {
   std::string map = "demo.svg";
