@@ -34,10 +34,13 @@
 #ifndef REVISIT_SERVER_STORAGE_STORAGE_H_
 #define REVISIT_SERVER_STORAGE_STORAGE_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -187,13 +190,26 @@ class Storage {
                              std::uint64_t revision, Done done) = 0;
   // Removes the vehicle and all that belongs to it.
   virtual void DeleteVehicle(VehicleKey key, Done done) = 0;
-  // FAILED_PRECONDITION (SEQUENCE_GAP) unless the batch follows the last one
-  // without a gap: what is stored is always a prefix. `vehicle_payload`, if
-  // given, replaces the vehicle's in the same step. REQUIRES: a count of at
-  // least 1, sequences below 2^63.
-  virtual void AppendBatch(VehicleKey key, BatchRecord batch,
-                           std::optional<std::string> vehicle_payload,
-                           Done done) = 0;
+  // Stores batches that follow each other, all in one step.
+  // FAILED_PRECONDITION (SEQUENCE_GAP) unless the first follows the last stored
+  // one without a gap: what is stored is always a prefix. `vehicle_payload`, if
+  // given, replaces the vehicle's in the same step. REQUIRES: at least one
+  // batch, counts of at least 1, sequences below 2^63.
+  virtual void AppendBatches(VehicleKey key, std::vector<BatchRecord> batches,
+                             std::optional<std::string> vehicle_payload,
+                             Done done) = 0;
+  void AppendBatch(VehicleKey key, BatchRecord batch,
+                   std::optional<std::string> vehicle_payload, Done done) {
+    std::vector<BatchRecord> one;
+    one.push_back(std::move(batch));
+    AppendBatches(key, std::move(one), std::move(vehicle_payload),
+                  std::move(done));
+  }
+  // The largest payload of a batch that costs no more, byte by byte, than
+  // smaller ones do: who has a larger batch had better divide it.
+  virtual std::size_t MostBatchBytes() const {
+    return std::numeric_limits<std::size_t>::max();
+  }
   // Sets the current version of stored batches, all in one step; the records'
   // own revisions are ignored. FAILED_PRECONDITION if one is not stored with
   // this first sequence and count. REQUIRES: the source has the batches ready,

@@ -159,16 +159,19 @@ void MemoryStorage::DeleteVehicle(VehicleKey key, Done done) {
   done(erased == 0 ? UnknownVehicle() : absl::OkStatus());
 }
 
-void MemoryStorage::AppendBatch(VehicleKey key, BatchRecord batch,
-                                std::optional<std::string> vehicle_payload,
-                                Done done) {
-  done(Change(key, batch.revision, [&](Vehicle& vehicle) {
+void MemoryStorage::AppendBatches(VehicleKey key,
+                                  std::vector<BatchRecord> batches,
+                                  std::optional<std::string> vehicle_payload,
+                                  Done done) {
+  done(Change(key, batches.back().revision, [&](Vehicle& vehicle) {
     const std::uint64_t expected = Complete(vehicle).durable_sequence + 1;
-    if (batch.first_sequence != expected) {
+    if (batches.front().first_sequence != expected) {
       return Error(StatusCode::kFailedPrecondition, "SEQUENCE_GAP", "gap",
                    {{"expected_sequence", std::to_string(expected)}});
     }
-    vehicle.batches.push_back({batch, batch});
+    for (const BatchRecord& batch : batches) {
+      vehicle.batches.push_back({batch, batch});
+    }
     if (vehicle_payload) vehicle.record.payload = *vehicle_payload;
     return absl::OkStatus();
   }));

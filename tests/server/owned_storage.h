@@ -135,12 +135,12 @@ class OwnedStorage : public Storage {
     if (Refuses(key, done)) return;
     storage_->DeleteVehicle(key, std::move(done));
   }
-  void AppendBatch(VehicleKey key, BatchRecord batch,
-                   std::optional<std::string> vehicle_payload,
-                   Done done) override {
+  void AppendBatches(VehicleKey key, std::vector<BatchRecord> batches,
+                     std::optional<std::string> vehicle_payload,
+                     Done done) override {
     if (Refuses(key, done)) return;
-    storage_->AppendBatch(key, std::move(batch), std::move(vehicle_payload),
-                          std::move(done));
+    storage_->AppendBatches(key, std::move(batches), std::move(vehicle_payload),
+                            std::move(done));
   }
   void ReviseBatches(VehicleKey key, BatchSource batches,
                      std::uint64_t revision, Done done) override {

@@ -88,6 +88,14 @@ absl::Status BlockingWrites::Append(VehicleKey key, const BatchRecord& batch) {
   });
 }
 
+absl::Status BlockingWrites::AppendAll(
+    VehicleKey key, const std::vector<BatchRecord>& batches,
+    const std::optional<std::string>& vehicle_payload) {
+  return Blocking([&](Storage::Done done) {
+    storage_->AppendBatches(key, batches, vehicle_payload, std::move(done));
+  });
+}
+
 absl::Status BlockingWrites::AppendWithVehicle(
     VehicleKey key, const BatchRecord& batch,
     const std::string& vehicle_payload) {

@@ -26,8 +26,8 @@ class ReadOnlyPostgres : public PostgresReader {
     done(ReadOnly());
   }
   void DeleteVehicle(VehicleKey, Done done) override { done(ReadOnly()); }
-  void AppendBatch(VehicleKey, BatchRecord, std::optional<std::string>,
-                   Done done) override {
+  void AppendBatches(VehicleKey, std::vector<BatchRecord>,
+                     std::optional<std::string>, Done done) override {
     done(ReadOnly());
   }
   void ReviseBatches(VehicleKey, BatchSource, std::uint64_t,

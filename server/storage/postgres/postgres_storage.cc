@@ -100,23 +100,26 @@ class PostgresStorage : public PostgresReader {
         std::move(done));
   }
 
-  void AppendBatch(VehicleKey key, BatchRecord batch,
-                   std::optional<std::string> vehicle_payload,
-                   Done done) override {
+  void AppendBatches(VehicleKey key, std::vector<BatchRecord> batches,
+                     std::optional<std::string> vehicle_payload,
+                     Done done) override {
     PostgresWriter& writer = WriterOf(key);
     if (!vehicle_payload.has_value()) {
-      writer.Append(key, std::move(batch), std::move(done));
+      writer.Append(key, std::move(batches), std::move(done));
       return;
     }
-    const std::size_t bytes = batch.payload.size();
+    std::size_t bytes = 0;
+    for (const BatchRecord& batch : batches) bytes += batch.payload.size();
     writer.Submit(
         key, bytes,
-        [batch = std::move(batch), payload = *std::move(vehicle_payload)](
+        [batches = std::move(batches), payload = *std::move(vehicle_payload)](
             PostgresConnection& connection, const Fence& fence) {
-          return AppendWithVehicle(connection, fence, batch, payload);
+          return AppendWithVehicle(connection, fence, batches, payload);
         },
         std::move(done));
   }
+
+  std::size_t MostBatchBytes() const override { return kMostInlineBytes; }
 
   void ReviseBatches(VehicleKey key, BatchSource batches,
                      std::uint64_t revision, Done done) override {

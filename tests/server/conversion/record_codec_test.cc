@@ -182,6 +182,38 @@ TEST(StoredBatchTest, FingerprintsAreTheSameOnceStored) {
                       HasSubstr("has 5 poses; asked for 3 from 3")));
 }
 
+TEST(StoredBatchTest, IsDividedIntoBatchesOfPosesUpToSomeBytes) {
+  const auto sent =
+      DecodeBatch(SomePoses().poses(), kMaxPoses, Planar(), FieldPath());
+  ASSERT_THAT(sent, IsOk());
+  const ProtoRecordCodec codec;
+  const std::string& payload = sent->payload;
+  for (const std::size_t most : {std::size_t{1}, payload.size() / 2,
+                                 payload.size() - 1, payload.size()}) {
+    const auto parts = codec.DivideBatch(payload, 5, most);
+    std::string joined;
+    std::vector<std::uint64_t> fingerprints;
+    for (const BatchPart& part : parts) {
+      EXPECT_TRUE(part.count == 1 || part.payload.size() <= most);
+      joined += part.payload;
+      const auto decoded = codec.DecodeBatch(part.payload, Planar());
+      ASSERT_THAT(decoded, IsOk());
+      EXPECT_EQ(decoded->samples.size(), part.count);
+      fingerprints.insert(fingerprints.end(), decoded->fingerprints.begin(),
+                          decoded->fingerprints.end());
+    }
+    EXPECT_EQ(joined, payload);
+    EXPECT_EQ(fingerprints, sent->fingerprints);
+    EXPECT_EQ(parts.size() == 1, most == payload.size());
+    EXPECT_EQ(parts.size() == 5, most == 1);
+  }
+  // What is none stays as it is.
+  const auto none = codec.DivideBatch("no batch", 3, 2);
+  ASSERT_THAT(none, SizeIs(1));
+  EXPECT_EQ(none[0].count, 3u);
+  EXPECT_EQ(none[0].payload, "no batch");
+}
+
 TEST(StoredBatchTest, FingerprintTellsEveryFieldApart) {
   const v1::Pose pose = PlanarPose(1, 0);
   const std::vector<std::function<void(v1::Pose*)>> changes = {

@@ -131,6 +131,41 @@ TEST_P(StorageContract, AppendsOnlyWithoutGap) {
               ElementsAre("1+3, revision 2, 'one'", "4+1, revision 3, 'two'"));
 }
 
+TEST_P(StorageContract, AppendsSeveralBatchesInOneStepOrNone) {
+  const VehicleKey key = *write().Create("truck", "old");
+  const auto gap = IsError(StatusCode::kFailedPrecondition, "SEQUENCE_GAP", _);
+  const std::vector<BatchRecord> first = {
+      Batch(1, 2, 2, "a"), Batch(3, 1, 3, "b"), Batch(4, 5, 4, "c")};
+  EXPECT_THAT(write().AppendAll(key, {first[1], first[2]}), gap);
+  EXPECT_THAT(write().AppendAll(key, {first[1], first[2]}, "new"), gap);
+  EXPECT_EQ(storage().GetVehicle("truck")->durable_sequence, 0u);
+  ASSERT_THAT(write().AppendAll(key, first, "new"), IsOk());
+  EXPECT_THAT(write().AppendAll(key, first), gap);
+  ASSERT_THAT(
+      write().AppendAll(key, {Batch(9, 1, 5, "d"), Batch(10, 3, 6, "e")}),
+      IsOk());
+  // Many at a time, some of which have to wait for others.
+  std::vector<Answer<absl::Status>> answers(50);
+  for (std::uint64_t i = 0; i < answers.size(); ++i) {
+    storage().AppendBatches(
+        key,
+        {Batch(13 + 2 * i, 1, 7 + i, "f"), Batch(14 + 2 * i, 1, 8 + i, "g")},
+        std::nullopt, answers[i].Setter());
+  }
+  for (const auto& answer : answers) EXPECT_THAT(answer.Get(), IsOk());
+  store_->Reopen();
+  EXPECT_EQ(ToText(*storage().GetVehicle("truck")),
+            "truck " + std::to_string(key) +
+                ": 0 closures, 0 rejected, to 112, revision 57, 'new'");
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 12)),
+              ElementsAre("1+2, revision 2, 'a'", "3+1, revision 3, 'b'",
+                          "4+5, revision 4, 'c'", "9+1, revision 5, 'd'",
+                          "10+3, revision 6, 'e'"));
+  EXPECT_THAT(
+      ToTexts(*ReadAll(storage(), key, 111, 112)),
+      ElementsAre("111+1, revision 56, 'f'", "112+1, revision 57, 'g'"));
+}
+
 TEST_P(StorageContract, ReplacesVehiclePayloadWithBatchOrNotAtAll) {
   const VehicleKey key = *write().Create("truck", "old");
   EXPECT_THAT(write().AppendWithVehicle(key, Batch(2, 1, 2, "x"), "new"),
@@ -661,14 +696,17 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
         if (UniformInt(random, 0, 4) == 0) {
           next += static_cast<std::uint64_t>(UniformInt(random, 0, 2));
         }
-        const BatchRecord batch =
-            Batch(next, static_cast<std::uint32_t>(UniformInt(random, 1, 3)),
-                  revision, payload);
+        std::vector<BatchRecord> batches;
+        for (int i = UniformInt(random, 1, 3); i > 0; --i) {
+          batches.push_back(
+              Batch(next, static_cast<std::uint32_t>(UniformInt(random, 1, 3)),
+                    revision, payload));
+          next += batches.back().count;
+        }
         std::optional<std::string> vehicle;
         if (UniformInt(random, 0, 3) == 0) vehicle = payload + "!";
         both([&](BlockingWrites writes, VehicleKey k) {
-          return vehicle ? writes.AppendWithVehicle(k, batch, *vehicle)
-                         : writes.Append(k, batch);
+          return writes.AppendAll(k, batches, vehicle);
         });
         break;
       }
