@@ -265,14 +265,16 @@ TEST(StoredBatchTest, KeepsWhatIsLeftOfDroppedPoses) {
                            return true;
                          }),
               IsOk());
-  EXPECT_THAT(codec.SliceBatch(record.payload, 0, 1),
-              IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+  EXPECT_THAT(
+      codec.SliceBatch(record.payload, 0, 1),
+      IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("batch")));
 
   VehicleConfig filter = Planar();
   filter.engine.search.correlation_model = core::CorrelationModel::kFilter;
   // What a filter needs is missing.
-  EXPECT_THAT(codec.DecodeBatch(record.payload, filter),
-              IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+  EXPECT_THAT(
+      codec.DecodeBatch(record.payload, filter),
+      IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("batch")));
   stretch.transition.emplace().values[3] = -17.25;
   const auto carried = codec.DecodeBatch(codec.EncodeDropped(stretch), filter);
   ASSERT_THAT(carried, IsOk());
@@ -287,15 +289,16 @@ TEST(StoredBatchTest, DroppedPosesThatCannotHaveBeenAreDataLoss) {
         core::DroppedStretch{5, 4, 1.0, std::nullopt},
         core::DroppedStretch{1, 4, -1.0, std::nullopt},
         core::DroppedStretch{1, 4, nan, std::nullopt}}) {
-    EXPECT_THAT(codec.DecodePoses(codec.EncodeDropped(wrong), Planar()),
-                IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+    EXPECT_THAT(
+        codec.DecodePoses(codec.EncodeDropped(wrong), Planar()),
+        IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("batch")));
   }
   // Beside poses, as where two rows were taken for one.
   EXPECT_THAT(
       codec.DecodePoses(SomePoses().SerializeAsString() +
                             codec.EncodeDropped({1, 4, 1.0, std::nullopt}),
                         Planar()),
-      IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+      IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("batch")));
 }
 
 // ---- Revisions
