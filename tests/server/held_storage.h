@@ -105,10 +105,10 @@ class HeldStorage : public Storage {
       storage_->ReviseBatches(key, batches, revision, std::move(then));
     });
   }
-  void MergeBatches(VehicleKey key, BatchRecord merged, std::uint64_t revision,
-                    Done done) override {
+  void ReplaceBatches(VehicleKey key, std::vector<BatchVersions> batches,
+                      std::uint64_t revision, Done done) override {
     Submit(std::move(done), [=](Done then) {
-      storage_->MergeBatches(key, merged, revision, std::move(then));
+      storage_->ReplaceBatches(key, batches, revision, std::move(then));
     });
   }
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,

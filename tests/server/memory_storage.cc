@@ -196,27 +196,35 @@ void MemoryStorage::ReviseBatches(VehicleKey key, BatchSource batches,
   }));
 }
 
-void MemoryStorage::MergeBatches(VehicleKey key, BatchRecord merged,
-                                 std::uint64_t revision, Done done) {
+void MemoryStorage::ReplaceBatches(VehicleKey key,
+                                   std::vector<BatchVersions> batches,
+                                   std::uint64_t revision, Done done) {
   done(Change(key, revision, [&](Vehicle& vehicle) {
     vehicle.DropSnapshot();
-    std::vector<Batch>& batches = vehicle.batches;
+    const std::uint64_t begin = batches.front().as_sent.first_sequence;
+    const std::uint64_t end =
+        batches.back().as_sent.first_sequence + batches.back().as_sent.count;
+    std::vector<Batch>& stored = vehicle.batches;
     const auto first =
-        std::find_if(batches.begin(), batches.end(), [&](const Batch& batch) {
-          return batch.as_sent.first_sequence == merged.first_sequence;
+        std::find_if(stored.begin(), stored.end(), [&](const Batch& batch) {
+          return batch.as_sent.first_sequence == begin;
         });
-    std::uint32_t count = 0;
+    std::uint64_t next = begin;
     auto last = first;
-    for (; last != batches.end() && count < merged.count; ++last) {
-      count += last->as_sent.count;
+    for (; last != stored.end() && next < end; ++last) {
+      next += last->as_sent.count;
     }
-    if (first == batches.end() || count != merged.count) {
+    if (first == stored.end() || next != end) {
       return Error(StatusCode::kFailedPrecondition, "INTERNAL",
                    "no such batches");
     }
-    merged.revision = revision;
-    *first = {merged, merged, /*is_damaged=*/false};
-    batches.erase(first + 1, last);
+    std::vector<Batch> replaced;
+    for (const BatchVersions& batch : batches) {
+      replaced.push_back({batch.as_sent, batch.revised.value_or(batch.as_sent),
+                          /*is_damaged=*/false});
+    }
+    const auto at = stored.erase(first, last);
+    stored.insert(at, replaced.begin(), replaced.end());
     return absl::OkStatus();
   }));
 }

@@ -147,10 +147,11 @@ class OwnedStorage : public Storage {
     if (Refuses(key, done)) return;
     storage_->ReviseBatches(key, std::move(batches), revision, std::move(done));
   }
-  void MergeBatches(VehicleKey key, BatchRecord merged, std::uint64_t revision,
-                    Done done) override {
+  void ReplaceBatches(VehicleKey key, std::vector<BatchVersions> batches,
+                      std::uint64_t revision, Done done) override {
     if (Refuses(key, done)) return;
-    storage_->MergeBatches(key, std::move(merged), revision, std::move(done));
+    storage_->ReplaceBatches(key, std::move(batches), revision,
+                             std::move(done));
   }
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                    std::uint64_t revision, Done done) override {

@@ -114,10 +114,11 @@ absl::Status BlockingWrites::Revise(VehicleKey key,
   });
 }
 
-absl::Status BlockingWrites::Merge(VehicleKey key, const BatchRecord& merged,
-                                   std::uint64_t revision) {
+absl::Status BlockingWrites::Replace(VehicleKey key,
+                                     const std::vector<BatchVersions>& batches,
+                                     std::uint64_t revision) {
   return Blocking([&](Storage::Done done) {
-    storage_->MergeBatches(key, merged, revision, std::move(done));
+    storage_->ReplaceBatches(key, batches, revision, std::move(done));
   });
 }
 

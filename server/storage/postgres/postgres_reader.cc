@@ -37,8 +37,8 @@ class ReadOnlyPostgres : public PostgresReader {
                      Done done) override {
     done(ReadOnly());
   }
-  void MergeBatches(VehicleKey, BatchRecord, std::uint64_t,
-                    Done done) override {
+  void ReplaceBatches(VehicleKey, std::vector<BatchVersions>, std::uint64_t,
+                      Done done) override {
     done(ReadOnly());
   }
   void AddPosePair(VehicleKey, PairKind, PosePairRecord, std::uint64_t,

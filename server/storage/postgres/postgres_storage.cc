@@ -127,13 +127,13 @@ class PostgresStorage : public PostgresReader {
         std::move(done));
   }
 
-  void MergeBatches(VehicleKey key, BatchRecord merged, std::uint64_t revision,
-                    Done done) override {
+  void ReplaceBatches(VehicleKey key, std::vector<BatchVersions> batches,
+                      std::uint64_t revision, Done done) override {
     WriterOf(key).Submit(
-        key, merged.payload.size(),
-        [merged = std::move(merged), revision](PostgresConnection& connection,
-                                               const Fence& fence) {
-          return MergeBatchRows(connection, fence, merged, revision);
+        key, 0,
+        [batches = std::move(batches), revision](PostgresConnection& connection,
+                                                 const Fence& fence) {
+          return ReplaceBatchRows(connection, fence, batches, revision);
         },
         std::move(done));
   }

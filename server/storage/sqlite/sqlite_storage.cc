@@ -170,14 +170,14 @@ class SqliteStorage : public Storage {
         std::move(done));
   }
 
-  void MergeBatches(VehicleKey key, BatchRecord merged, std::uint64_t revision,
-                    Done done) override {
+  void ReplaceBatches(VehicleKey key, std::vector<BatchVersions> batches,
+                      std::uint64_t revision, Done done) override {
     Submit(
         // It removes many rows: nothing shares a transaction with it.
         options_.max_group_bytes,
-        [this, key, merged = std::move(merged), revision] {
+        [this, key, batches = std::move(batches), revision] {
           chores_ = Chores::kPurge;
-          return MergeBatchRows(*writer_, key, merged, revision);
+          return ReplaceBatchRows(*writer_, key, batches, revision);
         },
         std::move(done));
   }
