@@ -61,7 +61,7 @@ ConsistencyOptions MakeConsistencyOptions(const EngineSettings& settings) {
 
 // Changes whenever anything does that the bytes of an engine hold, or that they
 // come from: engine_state_test.cc has bytes as they were.
-constexpr std::uint64_t kStateVersion = 1;
+constexpr std::uint64_t kStateVersion = 2;
 
 constexpr auto kPartBlocks =
     static_cast<std::size_t>(Engine::kPartNodes) / NodeBlock::kSize;
@@ -97,6 +97,10 @@ void Engine::ExtendIndexes() {
   if (!has_indexes()) return;
   motion_history_.Extend(graph_);
   block_bounds_.Extend(graph_);
+}
+
+ResamplerOptions Engine::resampler_options() const {
+  return MakeResamplerOptions(settings_);
 }
 
 // The next check is the first that lies after all present nodes and leaves room
@@ -147,6 +151,51 @@ AppendResult Engine::Append(const std::vector<PoseSample>& samples,
   return result;
 }
 
+void Engine::Skip(const DroppedStretch& stretch, std::uint64_t revision) {
+  assert(revision > revision_);
+  assert(stretch.first_sequence == last_sequence_ + 1 &&
+         stretch.last_sequence >= stretch.first_sequence);
+  const double before = resampler_.travelled_meters();
+  resampler_.Skip(stretch.last_sequence, stretch.travelled_meters,
+                  stretch.transition);
+  dropped_.Add(stretch, graph_.size());
+  model_check_.Skip();
+  last_sequence_ = stretch.last_sequence;
+  // Checks that fell due on the way are past.
+  const double interval = settings_.check_interval_meters;
+  if (resampler_.travelled_meters() > before) {
+    next_check_ = std::max(
+        next_check_, static_cast<std::int64_t>(
+                         std::floor(resampler_.travelled_meters() / interval)) +
+                         1);
+  }
+  revision_ = revision;
+}
+
+std::vector<NodeRange> Engine::FindDroppable() const {
+  const SearchOptions& search = settings_.search;
+  const double spacing = settings_.node_spacing_meters;
+  const NodeIndex steps = SequenceNodes(search.sequence_length_meters, spacing);
+  RetentionNeeds needs;
+  needs.state_space = settings_.state_space;
+  needs.correlation = CorrelationOf(search);
+  needs.tolerance_meters = search.place_tolerance.position_meters;
+  needs.spacing_meters = spacing;
+  needs.separation_meters = search.candidate_separation_meters;
+  needs.aligned_nodes = kOverlapSequences * steps;
+  // The marks that show the drift at the last node, and what they align.
+  needs.newest_nodes =
+      static_cast<NodeIndex>(std::ceil(static_cast<double>(kDriftMarks + 1) *
+                                       MarkSpacing() / spacing)) +
+      2 * needs.aligned_nodes;
+  needs.least_nodes = needs.aligned_nodes;
+  for (const Confirmed& confirmed : confirmed_) {
+    needs.loop_ends.push_back(confirmed.loop.query);
+    needs.loop_ends.push_back(confirmed.loop.matched);
+  }
+  return core::FindDroppable(graph_, settings_.retention, needs);
+}
+
 void Engine::ChangeSettings(const EngineSettings& settings,
                             std::uint64_t revision) {
   assert(revision > revision_);
@@ -171,6 +220,10 @@ void Engine::ChangeSettings(const EngineSettings& settings,
 
 std::optional<std::pair<NodeIndex, NodeIndex>> Engine::LoopEdge(
     std::uint64_t query_sequence, std::uint64_t matched_sequence) const {
+  if (dropped_.Contains(query_sequence) ||
+      dropped_.Contains(matched_sequence)) {
+    return std::nullopt;
+  }
   const std::optional<NodeIndex> query = graph_.NodeAtOrBefore(query_sequence);
   const std::optional<NodeIndex> matched =
       graph_.NodeAtOrBefore(matched_sequence);
@@ -313,6 +366,7 @@ std::string Engine::SaveRest(std::size_t parts) const {
   ByteWriter writer = BeginState(parts);
   graph_.SaveRest(parts * kPartBlocks, &writer);
   writer.Put(last_sequence_);
+  dropped_.Save(&writer);
   resampler_.Save(&writer);
   model_check_.Save(&writer);
   writer.Put(next_check_);
@@ -333,6 +387,7 @@ bool Engine::LoadRest(absl::string_view bytes) {
   const auto parts = static_cast<std::size_t>(graph_.size() / kPartNodes);
   if (!ReadBeginning(&reader) || !graph_.LoadRest(!has_indexes(), &reader) ||
       !reader.Get(&last_sequence_) ||
+      !dropped_.Load(graph_.size(), last_sequence_, &reader) ||
       !resampler_.Load(graph_, last_sequence_, &reader) ||
       !model_check_.Load(&reader) || !reader.Get(&next_check_) ||
       next_check_ < 0 || !reader.rest().empty() || whole_parts() < parts) {
@@ -463,11 +518,12 @@ absl::StatusOr<DriveBelief> Engine::BeliefAt(
   return belief;
 }
 
-MarkLine Engine::Marks() const {
-  return {graph_, std::max(settings_.node_spacing_meters,
-                           settings_.search.sequence_length_meters /
-                               kMarksPerSequence)};
+double Engine::MarkSpacing() const {
+  return std::max(settings_.node_spacing_meters,
+                  settings_.search.sequence_length_meters / kMarksPerSequence);
 }
+
+MarkLine Engine::Marks() const { return {graph_, MarkSpacing(), dropped_}; }
 
 // Whether a search with these options aligns the path that a mark there does.
 bool Engine::AlignsAsMarks(const SearchOptions& options) const {

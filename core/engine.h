@@ -31,7 +31,9 @@
 #include "core/geometry/pose.h"
 #include "core/graph/block_bounds.h"
 #include "core/graph/distance_resampler.h"
+#include "core/graph/dropped_stretch.h"
 #include "core/graph/motion_history.h"
+#include "core/graph/node_range.h"
 #include "core/graph/pose_graph.h"
 #include "core/settings.h"
 
@@ -56,7 +58,8 @@ class Engine {
   const PoseGraph& graph() const { return graph_; }
   // Memory of the graph and its indexes, without the allocator's overhead.
   std::size_t bytes() const {
-    return graph_.bytes() + motion_history_.bytes() + block_bounds_.bytes();
+    return graph_.bytes() + motion_history_.bytes() + block_bounds_.bytes() +
+           dropped_.bytes();
   }
   // Sequence number of the last pose appended; 0 before the first.
   std::uint64_t last_sequence() const { return last_sequence_; }
@@ -75,6 +78,22 @@ class Engine {
   AppendResult Append(const std::vector<PoseSample>& samples,
                       std::uint64_t revision);
 
+  // Goes on behind poses that were dropped: the next pose starts a segment, and
+  // that is no jump. REQUIRES: the stretch begins at last_sequence() + 1 and
+  // has a transition where the model is kFilter; revision greater than
+  // revision().
+  void Skip(const DroppedStretch& stretch, std::uint64_t revision);
+
+  // The stretches that were skipped.
+  const DroppedStretches& dropped() const { return dropped_; }
+
+  // The nodes that the vehicle's settings do not keep (retention.h). They do
+  // not depend on when it is asked. Takes some microseconds a node where passes
+  // are counted.
+  std::vector<NodeRange> FindDroppable() const;
+  // The options by which the graph's nodes are made.
+  ResamplerOptions resampler_options() const;
+
   // Replaces the settings of searches and checks, which do not move nodes.
   // REQUIRES: FindProblems(settings) is empty; the state space, the node
   // spacing, the maximal step, and whether the model is kFilter do not change;
@@ -82,8 +101,8 @@ class Engine {
   void ChangeSettings(const EngineSettings& settings, std::uint64_t revision);
 
   // Adds or removes an edge between the last nodes at or before two poses. Two
-  // poses at one node have no edge; that is not an error. `measured`: what was
-  // measured between the two, or null.
+  // poses at one node have no edge, nor have two of which one was dropped; that
+  // is not an error. `measured`: what was measured between the two, or null.
   // REQUIRES: sequences in [1, last_sequence()]; revision greater than
   // revision(); for a measurement, matched_sequence <= query_sequence, valid
   // covariances, and poses as they were appended.
@@ -106,8 +125,8 @@ class Engine {
   // Adds or removes a pair of poses that was verified not to be one place: ends
   // within kPlaceRadiusMeters of the second pose, or within the candidate
   // separation if that is more, are no candidates at nodes as near to the
-  // first. The same pair may be rejected more than once. REQUIRES: as for loop
-  // closures.
+  // first. The same pair may be rejected more than once. One of which a pose
+  // was dropped rejects nothing. REQUIRES: as for loop closures.
   void AddRejection(std::uint64_t query_sequence,
                     std::uint64_t matched_sequence, std::uint64_t revision);
   void RemoveRejection(std::uint64_t query_sequence,
@@ -191,6 +210,7 @@ class Engine {
   absl::StatusOr<MarkEvidence> EvidenceAt(
       NodeIndex node, const ShouldStop& should_stop,
       AlignmentParts* parts = nullptr) const;
+  double MarkSpacing() const;
   MarkLine Marks() const;
   bool AlignsAsMarks(const SearchOptions& options) const;
   // Searches the mark at the query, if there is one that the memory does not
@@ -209,6 +229,7 @@ class Engine {
   // Indexes of the graph, for searches with the vehicle's own options.
   MotionHistory motion_history_;
   BlockBounds block_bounds_;
+  DroppedStretches dropped_;
   std::uint64_t last_sequence_ = 0;
   std::uint64_t revision_ = 0;
   // Counts the changes of settings, under which marks show something else.

@@ -13,6 +13,7 @@
 #include "core/alignment/shape_filter.h"
 #include "core/geometry/pose.h"
 #include "core/graph/correlation.h"
+#include "core/graph/retention.h"
 
 namespace revisit::core {
 
@@ -81,6 +82,8 @@ struct EngineSettings {
   bool apply_inflation = false;
   double max_inflation = 10.0;
   SearchOptions search;
+  // What of the history is kept.
+  RetentionOptions retention;
 };
 
 // A relative alignment takes what agrees of so many sequences back from the
@@ -121,7 +124,14 @@ inline std::vector<NumberSetting> NumbersOf(const EngineSettings& s) {
            std::max(kLeastSpacingMeters, s.node_spacing_meters), 1e5},
           {"max_step_meters", s.max_step_meters, 0.01,
            LongestStep(s.node_spacing_meters)},
-          {"max_inflation", s.max_inflation, 1.0, 100.0}};
+          {"max_inflation", s.max_inflation, 1.0, 100.0},
+          {"retention.max_age",
+           static_cast<double>(
+               s.retention.max_age_ns.value_or(kLeastAgeNanoseconds)) /
+               1e9,
+           kLeastAgeNanoseconds / 1e9, kMostAgeNanoseconds / 1e9},
+          {"retention.max_passes", static_cast<double>(s.retention.max_passes),
+           0.0, kMostPasses}};
 }
 inline std::vector<NumberSetting> NumbersOf(const SearchOptions& o) {
   const PlaceTolerance& shape = o.shape.tolerance;

@@ -32,17 +32,19 @@ ByScale Sum(ByScale a, const ByScale& b) {
 
 std::int64_t MarkLine::LastBefore(NodeIndex node) const {
   return static_cast<std::int64_t>(
-             std::floor(graph.node(node).travelled_meters / spacing_meters +
-                        kMarkTolerance)) -
+             std::floor(MetersTo(node) / spacing_meters + kMarkTolerance)) -
          1;
 }
 
 NodeIndex MarkLine::NodeOf(std::int64_t mark) const {
   const double at =
       (static_cast<double>(mark) - kMarkTolerance) * spacing_meters;
-  return FirstWith(0, graph.size() - 1, [&](NodeIndex i) {
-    return graph.node(i).travelled_meters >= at;
-  });
+  return FirstWith(0, graph.size() - 1,
+                   [&](NodeIndex i) { return MetersTo(i) >= at; });
+}
+
+double MarkLine::MetersTo(NodeIndex node) const {
+  return graph.node(node).travelled_meters - dropped.MetersBefore(node);
 }
 
 ScaleMarks::ScaleMarks(std::int64_t last) {

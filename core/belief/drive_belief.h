@@ -26,6 +26,7 @@
 #include "core/alignment/relative_model.h"
 #include "core/belief/mark.h"
 #include "core/belief/scale_estimate.h"
+#include "core/graph/dropped_stretch.h"
 #include "core/graph/pose_graph.h"
 
 namespace revisit::core {
@@ -47,15 +48,20 @@ inline constexpr double kLeastDriftProbability = 0.9;
 // Most drifts that are held possible at a time, beside the one as claimed.
 inline constexpr std::size_t kMostDrifts = 2;
 
-// Marks of a drive: mark k is the first node at or after k spacings.
+// Marks of a drive: mark k is the first node at or after k spacings of the way
+// whose poses are still there.
 struct MarkLine {
   const PoseGraph& graph;
   double spacing_meters;
+  const DroppedStretches& dropped;
 
   // The last mark that lies at least a spacing before the node; negative if
   // there is none.
   std::int64_t LastBefore(NodeIndex node) const;
   NodeIndex NodeOf(std::int64_t mark) const;
+
+ private:
+  double MetersTo(NodeIndex node) const;
 };
 
 // The marks up to `last` whose evidence of the scale is asked for: all of them,

@@ -91,6 +91,13 @@ class ModelCheck {
   // Looks at the next pose of the vehicle.
   void Look(const PoseSample& sample);
 
+  // Poses are missing before the next one: nothing is judged across them.
+  void Skip() {
+    stretch_start_.reset();
+    before_.reset();
+    last_.reset();
+  }
+
   // The finding by which the poses contradict this model, if any. Of two, it is
   // the one from which the other follows: errors that are carried on are
   // correlated too.

@@ -37,6 +37,9 @@ Eigen::Matrix4d PartialTransition(const Eigen::Matrix4d& whole, double from,
   return at(to) * at(from).inverse();
 }
 
+// No path is longer: farther on, the spacing would be lost in rounding.
+double LongestPath(double spacing_meters) { return 1e12 * spacing_meters; }
+
 // Nanoseconds that std::llround() can round.
 constexpr double kMostStampSpan = 9e18;
 
@@ -59,9 +62,11 @@ std::optional<Jump> DistanceResampler::Add(const PoseSample& sample,
   }
   const double step =
       Distance(anchor_->pose, sample.pose, options_.state_space);
-  if (step > options_.max_step_meters) {
+  if (has_skipped_ || step > options_.max_step_meters) {
+    const bool is_jump = !has_skipped_;
     node_to_anchor_ = anchor_to_last_ * node_to_anchor_;
     StartSegment(sample, graph);
+    if (!is_jump) return std::nullopt;
     return Jump{sample.sequence, step};
   }
   if (step < options_.standstill_fraction * options_.spacing_meters) {
@@ -95,6 +100,21 @@ std::optional<Jump> DistanceResampler::Add(const PoseSample& sample,
   return std::nullopt;
 }
 
+void DistanceResampler::Skip(std::uint64_t last_sequence, double meters,
+                             const std::optional<ErrorTransition>& transition) {
+  assert(meters >= 0.0);
+  travelled_meters_ = std::max(travelled_meters_,
+                               std::min(travelled_meters_ + meters,
+                                        LongestPath(options_.spacing_meters)));
+  last_sequence_ = last_sequence;
+  last_stamp_ns_.reset();
+  if (!anchor_) return;
+  has_skipped_ = true;
+  if (options_.carry_transitions && transition) {
+    anchor_to_last_ = (ToMatrix<4>(*transition) * anchor_to_last_).eval();
+  }
+}
+
 void DistanceResampler::Save(ByteWriter* writer) const {
   writer->PutOptional(anchor_);
   writer->Put(last_sequence_);
@@ -102,6 +122,7 @@ void DistanceResampler::Save(ByteWriter* writer) const {
   writer->Put(travelled_meters_);
   writer->Put(segment_start_meters_);
   writer->Put(segment_nodes_);
+  writer->Put(static_cast<std::uint8_t>(has_skipped_ ? 1 : 0));
   for (const Eigen::Matrix4d* matrix : {&node_to_anchor_, &anchor_to_last_}) {
     writer->PutArray(matrix->data(), 16);
   }
@@ -109,19 +130,26 @@ void DistanceResampler::Save(ByteWriter* writer) const {
 
 bool DistanceResampler::Load(const PoseGraph& graph,
                              std::uint64_t last_sequence, ByteReader* reader) {
+  std::uint8_t has_skipped = 0;
   if (!reader->GetOptional(&anchor_) || !reader->Get(&last_sequence_) ||
       !reader->GetOptional(&last_stamp_ns_) ||
       !reader->Get(&travelled_meters_) ||
-      !reader->Get(&segment_start_meters_) || !reader->Get(&segment_nodes_)) {
+      !reader->Get(&segment_start_meters_) || !reader->Get(&segment_nodes_) ||
+      !reader->Get(&has_skipped) || has_skipped > 1) {
     return false;
   }
+  has_skipped_ = has_skipped == 1;
   for (Eigen::Matrix4d* matrix : {&node_to_anchor_, &anchor_to_last_}) {
     if (!reader->GetArray(matrix->data(), 16) ||
         !AreFinite(matrix->data(), 16)) {
       return false;
     }
   }
-  if (!anchor_) return graph.size() == 0 && last_sequence == 0;
+  if (!anchor_) {
+    return graph.size() == 0 && last_sequence_ == last_sequence &&
+           travelled_meters_ >= 0.0 &&
+           travelled_meters_ <= LongestPath(options_.spacing_meters);
+  }
   if (graph.size() == 0) return false;
   const double spacing = options_.spacing_meters;
   const Node last = graph.node(graph.size() - 1);
@@ -137,9 +165,9 @@ bool DistanceResampler::Load(const PoseGraph& graph,
          segment_start_meters_ >= 0.0 &&
          std::abs(last_mark - last.travelled_meters) <= 1e-3 * spacing &&
          travelled_meters_ >= last.travelled_meters - spacing &&
-         travelled_meters_ <= last.travelled_meters + 2.0 * spacing &&
-         travelled_meters_ <=
-             static_cast<double>(graph.size() + 1) * 2.0 * spacing;
+         (has_skipped_ ||
+          travelled_meters_ <= last.travelled_meters + 2.0 * spacing) &&
+         travelled_meters_ <= LongestPath(spacing);
 }
 
 void DistanceResampler::SetAnchor(const PoseSample& sample) {
@@ -152,6 +180,7 @@ void DistanceResampler::SetAnchor(const PoseSample& sample) {
 void DistanceResampler::StartSegment(const PoseSample& sample,
                                      PoseGraph* graph) {
   SetAnchor(sample);
+  has_skipped_ = false;
   segment_start_meters_ = travelled_meters_;
   segment_nodes_ = 0;
   AddNode(sample, 1.0, /*starts_segment=*/true, graph);

@@ -51,6 +51,14 @@ class DistanceResampler {
   // last sample's.
   std::optional<Jump> Add(const PoseSample& sample, PoseGraph* graph);
 
+  // Goes on behind poses that are not there: the next sample starts a segment,
+  // so much farther along the path, and that is no jump. `transition`: the
+  // error transition from the last sample over the poses that are missing; with
+  // carry_transitions only, and without effect before the first sample.
+  // REQUIRES: meters >= 0; the sequence of the last pose that is missing.
+  void Skip(std::uint64_t last_sequence, double meters,
+            const std::optional<ErrorTransition>& transition);
+
   // Path length up to the last counted pose, without jumps.
   double travelled_meters() const { return travelled_meters_; }
 
@@ -80,6 +88,8 @@ class DistanceResampler {
   std::optional<std::int64_t> last_stamp_ns_;
   double travelled_meters_ = 0.0;
   double segment_start_meters_ = 0.0;
+  // Whether poses are missing since the last one.
+  bool has_skipped_ = false;
   std::int64_t segment_nodes_ = 0;
   // Error transitions from the last node to the anchor and from the anchor to
   // the last pose. Used only with carry_transitions.

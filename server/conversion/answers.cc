@@ -154,6 +154,8 @@ void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle) {
   vehicle->set_node_count(view.engine.graph().size());
   vehicle->set_loop_closure_count(view.loop_closure_count);
   vehicle->set_travelled_meters(view.engine.travelled_meters());
+  vehicle->set_first_kept_sequence(view.first_kept_sequence());
+  vehicle->set_dropped_pose_count(view.engine.dropped().count());
   if (!view.config_is_known) return;
   EncodeConsistency(view.engine.consistency(),
                     AppliesInflation(view.config.engine),

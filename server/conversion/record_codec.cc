@@ -2,6 +2,8 @@
 
 #include <xxhash.h>
 
+#include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <utility>
 
@@ -20,6 +22,9 @@
 
 namespace revisit::server {
 namespace {
+
+// No vehicle travels farther.
+constexpr double kMostDroppedMeters = 1e15;
 
 // Tag of the length-delimited field `repeated Pose poses = 1` of PoseBatch.
 constexpr std::uint32_t kPosesTag = (1 << 3) | 2;
@@ -120,9 +125,41 @@ absl::StatusOr<stored::PoseBatch> ParseBatch(const std::string& payload) {
   return batch;
 }
 
+absl::StatusOr<DecodedBatch> DecodeDropped(const stored::PoseBatch& stored,
+                                           const VehicleConfig& config) {
+  const stored::DroppedPoses& given = stored.dropped();
+  core::DroppedStretch stretch;
+  stretch.first_sequence = given.first_sequence();
+  stretch.last_sequence = given.last_sequence();
+  stretch.travelled_meters = given.travelled_meters();
+  // Written so that NaN is not sound.
+  bool is_sound = stored.poses().empty() && stretch.first_sequence >= 1 &&
+                  stretch.last_sequence >= stretch.first_sequence &&
+                  stretch.travelled_meters >= 0.0 &&
+                  stretch.travelled_meters <= kMostDroppedMeters;
+  const bool is_filter =
+      config.engine.search.correlation_model == core::CorrelationModel::kFilter;
+  if (is_filter) {
+    auto& values = stretch.transition.emplace().values;
+    is_sound = is_sound &&
+               given.error_transition_size() == static_cast<int>(values.size());
+    for (std::size_t i = 0; is_sound && i < values.size(); ++i) {
+      values[i] = given.error_transition(static_cast<int>(i));
+      is_sound = std::abs(values[i]) <= core::kMaxTransitionEntry;
+    }
+  }
+  if (!is_sound) {
+    return absl::InvalidArgumentError("dropped poses that cannot have been");
+  }
+  DecodedBatch batch;
+  batch.dropped = stretch;
+  return batch;
+}
+
 // Samples and origin; not what AddPose() makes.
 absl::StatusOr<DecodedBatch> DecodeStored(const stored::PoseBatch& stored,
                                           const VehicleConfig& config) {
+  if (stored.has_dropped()) return DecodeDropped(stored, config);
   Violations violations;
   PoseDecoder decoder(config, PoseSource::kStored, &violations);
   DecodedBatch batch;
@@ -247,7 +284,7 @@ absl::StatusOr<DecodedBatch> ProtoRecordCodec::DecodeBatch(
   return decoded;
 }
 
-absl::StatusOr<std::vector<core::PoseSample>> ProtoRecordCodec::DecodeSamples(
+absl::StatusOr<DecodedPoses> ProtoRecordCodec::DecodePoses(
     const std::string& payload, const VehicleConfig& config) const {
   // Four messages a pose, each allocated by itself, would take longer than all
   // else.
@@ -257,7 +294,23 @@ absl::StatusOr<std::vector<core::PoseSample>> ProtoRecordCodec::DecodeSamples(
   if (!batch->ParseFromString(payload)) return NotABatch();
   absl::StatusOr<DecodedBatch> decoded = DecodeStored(*batch, config);
   if (!decoded.ok()) return DoesNotDecode(decoded.status());
-  return std::move(decoded->samples);
+  return DecodedPoses(*std::move(decoded));
+}
+
+std::string ProtoRecordCodec::EncodeDropped(
+    const core::DroppedStretch& stretch) const {
+  stored::PoseBatch batch;
+  stored::DroppedPoses* const dropped = batch.mutable_dropped();
+  dropped->set_first_sequence(stretch.first_sequence);
+  dropped->set_last_sequence(stretch.last_sequence);
+  dropped->set_travelled_meters(
+      std::min(stretch.travelled_meters, kMostDroppedMeters));
+  if (stretch.transition) {
+    for (const double value : stretch.transition->values) {
+      dropped->add_error_transition(value);
+    }
+  }
+  return batch.SerializeAsString();
 }
 
 absl::StatusOr<std::string> ProtoRecordCodec::SliceBatch(

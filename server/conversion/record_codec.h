@@ -31,8 +31,9 @@ class ProtoRecordCodec : public RecordCodec {
       const VehicleRecord& record) const override;
   absl::StatusOr<DecodedBatch> DecodeBatch(
       const std::string& payload, const VehicleConfig& config) const override;
-  absl::StatusOr<std::vector<core::PoseSample>> DecodeSamples(
+  absl::StatusOr<DecodedPoses> DecodePoses(
       const std::string& payload, const VehicleConfig& config) const override;
+  std::string EncodeDropped(const core::DroppedStretch& stretch) const override;
   absl::StatusOr<std::optional<core::LoopMeasurement>> DecodeMeasurement(
       const std::string& payload, core::StateSpace space) const override;
   absl::StatusOr<std::string> SliceBatch(const std::string& payload,
@@ -57,7 +58,8 @@ absl::StatusOr<std::optional<BatchRecord>> ReviseBatch(
     const RevisedPose& revised);
 
 // Calls `visit` with each pose of a stored batch, in order, until it says
-// false. `visit` may take the pose's content.
+// false; with none where they were dropped. `visit` may take the pose's
+// content.
 absl::Status VisitPoses(const BatchRecord& stored,
                         const std::function<bool(v1::Pose*)>& visit);
 

@@ -1,8 +1,11 @@
 #include "server/conversion/settings_table.h"
 
+#include <cstdint>
+#include <limits>
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "google/protobuf/duration.pb.h"
 #include "server/conversion/geodetic_frame.h"
 
 namespace revisit::server {
@@ -10,6 +13,10 @@ namespace {
 
 using google::protobuf::FieldDescriptor;
 using google::protobuf::Message;
+
+constexpr std::int64_t kNanosecondsPerSecond = 1'000'000'000;
+// Longer durations are more nanoseconds than a number holds.
+constexpr std::int64_t kMostSeconds = 9'000'000'000;
 
 // A number of a message within a setting's.
 double Part(const Message& message, const char* name) {
@@ -100,6 +107,31 @@ void SettingsReader::Origin(const char* name, VehicleConfig* config) {
   }
 }
 
+// A retention that is given replaces both parts.
+void SettingsReader::Retention(const char* name,
+                               core::RetentionOptions* value) {
+  const FieldDescriptor* const field = FindGiven(name);
+  if (field == nullptr) return;
+  const Message& given = reflection_.GetMessage(message_, field);
+  *value = {};
+  value->max_passes = given.GetReflection()->GetInt32(
+      given, given.GetDescriptor()->FindFieldByName("max_passes"));
+  const FieldDescriptor* const age =
+      given.GetDescriptor()->FindFieldByName("max_age");
+  if (!given.GetReflection()->HasField(given, age)) return;
+  google::protobuf::Duration duration;
+  duration.CopyFrom(given.GetReflection()->GetMessage(given, age));
+  // Ages that are no numbers of nanoseconds are out of range, like those that
+  // are too long.
+  const bool is_sound = duration.nanos() > -kNanosecondsPerSecond &&
+                        duration.nanos() < kNanosecondsPerSecond &&
+                        duration.seconds() > -kMostSeconds &&
+                        duration.seconds() < kMostSeconds;
+  value->max_age_ns =
+      is_sound ? duration.seconds() * kNanosecondsPerSecond + duration.nanos()
+               : std::numeric_limits<std::int64_t>::max();
+}
+
 absl::StatusOr<VehicleConfig> ReadSettings(const Message& settings,
                                            const FieldPath& path) {
   Violations violations;
@@ -180,6 +212,27 @@ void SettingsWriter::Origin(const char* name, const VehicleConfig* config) {
   SetPart("latitude_degrees", config->origin->latitude_degrees, origin);
   SetPart("longitude_degrees", config->origin->longitude_degrees, origin);
   SetPart("height_meters", config->origin->height_meters, origin);
+}
+
+void SettingsWriter::Retention(const char* name,
+                               const core::RetentionOptions* value) {
+  const FieldDescriptor* const field = Find(name);
+  if (field == nullptr) return;
+  reflection_.ClearField(message_, field);
+  // Absent where everything is kept.
+  if (*value == core::RetentionOptions()) return;
+  Message* const retention = reflection_.MutableMessage(message_, field);
+  const google::protobuf::Descriptor& parts = *retention->GetDescriptor();
+  retention->GetReflection()->SetInt32(
+      retention, parts.FindFieldByName("max_passes"), value->max_passes);
+  if (!value->max_age_ns) return;
+  google::protobuf::Duration age;
+  age.set_seconds(*value->max_age_ns / kNanosecondsPerSecond);
+  age.set_nanos(
+      static_cast<std::int32_t>(*value->max_age_ns % kNanosecondsPerSecond));
+  retention->GetReflection()
+      ->MutableMessage(retention, parts.FindFieldByName("max_age"))
+      ->CopyFrom(age);
 }
 
 void WriteSettings(const VehicleConfig& config, Message* settings) {

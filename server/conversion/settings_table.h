@@ -58,6 +58,7 @@ void VisitSettings(Config* config, Visitor* visitor) {
   visitor->Number("max_step_meters", &engine->max_step_meters);
   visitor->Switch("apply_inflation", &engine->apply_inflation);
   visitor->Number("max_inflation", &engine->max_inflation);
+  visitor->Retention("retention", &engine->retention);
 
   auto* search = &engine->search;
   visitor->Enum("correlation_model", kCorrelationModels,
@@ -102,6 +103,7 @@ class SettingsReader {
   // A tolerance that is given replaces both numbers.
   void Tolerance(const char* name, core::PlaceTolerance* value);
   void Origin(const char* name, VehicleConfig* config);
+  void Retention(const char* name, core::RetentionOptions* value);
 
  private:
   // Null if the message has no such field.
@@ -131,6 +133,7 @@ class SettingsWriter {
   void Switch(const char* name, const bool* value);
   void Tolerance(const char* name, const core::PlaceTolerance* value);
   void Origin(const char* name, const VehicleConfig* config);
+  void Retention(const char* name, const core::RetentionOptions* value);
 
  private:
   const google::protobuf::FieldDescriptor* Find(const char* name) const;

@@ -22,7 +22,11 @@ absl::StatusOr<std::optional<core::NodeIndex>> QueryNode(
   if (sequence > view.durable_sequence) {
     return PoseNotFound(view.id, sequence, view.durable_sequence);
   }
-  if (sequence > 0) return graph.NodeAtOrBefore(sequence);
+  if (sequence > 0) {
+    const absl::Status kept = CheckKept(view, sequence);
+    if (!kept.ok()) return kept;
+    return graph.NodeAtOrBefore(sequence);
+  }
   if (graph.size() == 0) return std::optional<core::NodeIndex>();
   return std::optional<core::NodeIndex>(graph.size() - 1);
 }

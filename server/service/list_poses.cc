@@ -23,14 +23,35 @@ using google::protobuf::util::FieldMaskUtil;
 // below.
 constexpr std::size_t kMaxPageBytes = std::size_t{2} << 20;
 
-// The sequence of the first pose of the page.
-absl::StatusOr<std::uint64_t> FirstSequence(const v1::ListPosesRequest& request,
-                                            const std::string& list) {
+// Where a page begins.
+struct Beginning {
+  std::uint64_t sequence = 1;
+  // Whether the caller asked for this very pose.
+  bool is_named = false;
+};
+
+absl::StatusOr<Beginning> FirstSequence(const v1::ListPosesRequest& request,
+                                        const std::string& list) {
   const absl::StatusOr<std::uint64_t> last =
       ParseSequenceToken(list, request.page_token());
   if (!last.ok()) return last.status();
-  if (*last > 0) return *last + 1;
-  return request.first_sequence() == 0 ? 1 : request.first_sequence();
+  if (*last > 0) return Beginning{*last + 1, false};
+  if (request.first_sequence() == 0) return Beginning();
+  return Beginning{request.first_sequence(), true};
+}
+
+// The last sequence of a page of `count` poses from this one on, none of which
+// was dropped.
+std::uint64_t LastOfPage(const core::DroppedStretches& dropped,
+                         std::uint64_t first, std::uint64_t count) {
+  std::uint64_t last = first + count - 1;
+  for (const auto& gap : dropped.gaps()) {
+    if (gap.first_sequence > last) break;
+    if (gap.last_sequence >= first) {
+      last += gap.last_sequence - gap.first_sequence + 1;
+    }
+  }
+  return last;
 }
 
 absl::Status CheckReadMask(const google::protobuf::FieldMask& mask) {
@@ -50,13 +71,21 @@ absl::Status CheckReadMask(const google::protobuf::FieldMask& mask) {
 // Fills a page with the poses from `first` on. Where they are damaged, a page
 // ends before the damage, and the next one begins with it: DATA_LOSS.
 absl::Status ReadPoses(Storage* storage, const VehicleView& view,
-                       std::uint64_t first, int page_size,
+                       const Beginning& beginning, int page_size,
                        const google::protobuf::FieldMask& mask,
                        const std::string& list,
                        v1::ListPosesResponse* response) {
+  if (beginning.sequence > view.durable_sequence) return view.damage;
+  if (beginning.is_named) {
+    const absl::Status kept = CheckKept(view, beginning.sequence);
+    if (!kept.ok()) return kept;
+  }
+  const core::DroppedStretches& dropped = view.engine.dropped();
+  const std::uint64_t first = dropped.KeptFrom(beginning.sequence);
   if (first > view.durable_sequence) return view.damage;
   const std::uint64_t last = std::min(
-      view.durable_sequence, first + static_cast<std::uint64_t>(page_size) - 1);
+      view.durable_sequence,
+      LastOfPage(dropped, first, static_cast<std::uint64_t>(page_size)));
   std::uint64_t last_taken = 0;
   std::size_t bytes = 0;
   absl::Status parsed;
@@ -96,7 +125,7 @@ absl::Status ListPoses(const ServiceContext& context, const UnaryCallPtr& call,
   const absl::StatusOr<int> page_size =
       PageSize(request.page_size(), 1000, 10000);
   if (!page_size.ok()) return page_size.status();
-  const absl::StatusOr<std::uint64_t> first = FirstSequence(request, list);
+  const absl::StatusOr<Beginning> first = FirstSequence(request, list);
   if (!first.ok()) return first.status();
   if (absl::Status status = CheckReadMask(request.read_mask()); !status.ok()) {
     return status;

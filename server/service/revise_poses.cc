@@ -70,6 +70,7 @@ absl::StatusOr<std::optional<BatchRecord>> Revise(const BatchRecord& batch,
 absl::StatusOr<RevisionPlan> Plan(Storage* storage, const VehicleView& view,
                                   const std::shared_ptr<RevisionDraft>& draft,
                                   std::uint64_t expected, const Call& call) {
+  RevisionPlan plan;
   bool is_done = expected != 0 && expected != view.revision;
   absl::Status failure;
   const absl::Status read = storage->ReadBatches(
@@ -78,6 +79,15 @@ absl::StatusOr<RevisionPlan> Plan(Storage* storage, const VehicleView& view,
         if (call.given_up()) {
           failure = call.GivenUpStatus();
           return false;
+        }
+        if (view.engine.dropped().Contains(batch.first_sequence)) {
+          failure = draft->ReadPoses(batch.first_sequence,
+                                     batch.first_sequence + batch.count - 1,
+                                     [&](std::uint64_t, const std::string&) {
+                                       ++plan.dropped_count;
+                                       return absl::OkStatus();
+                                     });
+          return failure.ok();
         }
         const auto revised = Revise(batch, view.config, draft.get());
         if (!revised.ok()) {
@@ -92,9 +102,8 @@ absl::StatusOr<RevisionPlan> Plan(Storage* storage, const VehicleView& view,
       });
   if (!read.ok()) return read;
   if (!failure.ok()) return failure;
-  RevisionPlan plan;
-  plan.revised_count = draft->pose_count();
-  if (is_done) {
+  plan.revised_count = draft->pose_count() - plan.dropped_count;
+  if (is_done && draft->has_batches()) {
     plan.done_by = expected + 1;
   } else if (expected != 0 && expected != view.revision) {
     return RevisionMismatch(view, expected);
@@ -160,8 +169,9 @@ class Revision final : public grpc::ServerReadReactor<v1::RevisePosesRequest>,
     if (!ok) {
       session->Revise(
           [self](const VehicleView& view) { return self->MakePlan(view); },
-          [self](const absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>&
-                     revised) { self->OnRevised(revised); });
+          [self](const absl::StatusOr<RevisionResult>& revised) {
+            self->OnRevised(revised);
+          });
       return;
     }
     // Runs off the threads of gRPC: it checks the poses and writes them to a
@@ -329,13 +339,13 @@ class Revision final : public grpc::ServerReadReactor<v1::RevisePosesRequest>,
     return Plan(context_.storage, view, draft, expected_revision_, call_);
   }
 
-  void OnRevised(
-      const absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>& revised)
+  void OnRevised(const absl::StatusOr<RevisionResult>& revised)
       ABSL_LOCKS_EXCLUDED(mutex_) {
     const MutexLock lock(&mutex_);
     if (revised.ok()) {
-      response_->set_revision(revised->first);
-      response_->set_revised_count(revised->second);
+      response_->set_revision(revised->revision);
+      response_->set_revised_count(revised->revised_count);
+      response_->set_dropped_count(revised->dropped_count);
     }
     End(revised.status());
   }

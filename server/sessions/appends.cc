@@ -173,7 +173,8 @@ absl::Status Appends::TakeOrigin(const DecodedBatch& batch) {
   return absl::OkStatus();
 }
 
-// Whether the poses of [first, last] are stored with the same content.
+// Whether the poses of [first, last] are stored with the same content. Of those
+// that were dropped it is not known any more.
 absl::Status Appends::CompareWithStored(const DecodedBatch& batch,
                                         std::uint64_t first,
                                         std::uint64_t last) const {
@@ -187,6 +188,7 @@ absl::Status Appends::CompareWithStored(const DecodedBatch& batch,
           result = stored.status();
           return false;
         }
+        if (stored->dropped) return true;
         const std::uint64_t from = std::max(first, record.first_sequence);
         const std::uint64_t to =
             std::min(last, record.first_sequence + record.count - 1);
@@ -323,6 +325,7 @@ std::vector<core::NodeIndex> Appends::Apply(Pending* append) {
   if (!vehicle_->config.origin) {
     vehicle_->config.origin = append->decoded->origin;
   }
+  retention_->Consider();
   return std::move(applied.checks_due);
 }
 

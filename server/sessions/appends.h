@@ -14,6 +14,7 @@
 #include "absl/status/statusor.h"
 #include "core/engine.h"
 #include "server/sessions/append_sink.h"
+#include "server/sessions/retention.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
 
@@ -26,8 +27,12 @@ namespace revisit::server {
 class Appends {
  public:
   // At most `max_pending` appends wait or are in flight.
-  Appends(VehicleState* vehicle, VehicleQueue* queue, int max_pending)
-      : vehicle_(vehicle), queue_(queue), max_pending_(max_pending) {}
+  Appends(VehicleState* vehicle, VehicleQueue* queue, Retention* retention,
+          int max_pending)
+      : vehicle_(vehicle),
+        queue_(queue),
+        retention_(retention),
+        max_pending_(max_pending) {}
 
   // See VehicleSession::Append(). From any thread; stages the batch before it
   // returns if nothing stands in its way, so that the caller's thread does what
@@ -73,6 +78,7 @@ class Appends {
 
   VehicleState* const vehicle_;
   VehicleQueue* const queue_;
+  Retention* const retention_;
   const int max_pending_;
   std::atomic<int> pending_{0};
 

@@ -47,8 +47,11 @@ void Changes::ChangeConfig(const VehicleConfig& config, Then then) {
   WriteConfig(config, [this, config, next = vehicle_->revision + 1,
                        then = std::move(then)](const absl::Status& status) {
     if (status.ok()) {
+      const bool keeps_others =
+          !(config.engine.retention == vehicle_->config.engine.retention);
       vehicle_->engine->ChangeSettings(config.engine, next);
       vehicle_->Adopt(config, next);
+      if (keeps_others) vehicle_->look_at_nodes = 0;
     }
     then(status);
   });
@@ -181,10 +184,16 @@ void Changes::Update(const ConfigChange& change, const ViewCallback& callback) {
     ChangeConfig(*config, answer);
     return;
   }
+  const bool keeps_others =
+      !(config->engine.retention == vehicle_->config.engine.retention);
   WriteConfig(*config, [this, config = *config, next = vehicle_->revision + 1,
-                        answer](const absl::Status& status) {
+                        keeps_others, answer](const absl::Status& status) {
     if (status.ok()) {
-      replayer_->Rebuild(config, next, answer);
+      replayer_->Rebuild(
+          config, next, [this, keeps_others, answer](const absl::Status& done) {
+            if (keeps_others) vehicle_->look_at_nodes = 0;
+            answer(done);
+          });
     } else {
       answer(status);
     }
@@ -212,18 +221,20 @@ void Changes::WriteRevision(const RevisionPlanner& make_plan,
     return;
   }
   if (plan->done_by) {
-    callback(std::make_pair(*plan->done_by, plan->revised_count));
+    callback(RevisionResult{*plan->done_by, plan->revised_count,
+                            plan->dropped_count});
     return;
   }
   if (!plan->batches) {
-    callback(std::make_pair(vehicle_->revision, std::int64_t{0}));
+    callback(RevisionResult{vehicle_->revision, 0, plan->dropped_count});
     return;
   }
   const std::uint64_t next = vehicle_->revision + 1;
-  const Then answer = [this, callback, count = plan->revised_count](
-                          const absl::Status& status) {
+  const Then answer = [this, callback, revised = plan->revised_count,
+                       dropped =
+                           plan->dropped_count](const absl::Status& status) {
     if (status.ok()) {
-      callback(std::make_pair(vehicle_->revision, count));
+      callback(RevisionResult{vehicle_->revision, revised, dropped});
     } else {
       callback(status);
     }
@@ -338,6 +349,11 @@ absl::Status Changes::CheckNewPair(PairKind kind, const PosePairRecord& pair,
        {pair.query_sequence, pair.matched_sequence}) {
     if (sequence < 1 || sequence > vehicle_->durable_sequence) {
       return PoseNotFound(vehicle_->id, sequence, vehicle_->durable_sequence);
+    }
+    // What is there already may have outlived a pose of it.
+    if (present == nullptr) {
+      const absl::Status kept = CheckKept(vehicle_->View(), sequence);
+      if (!kept.ok()) return kept;
     }
   }
   const PairWords words = WordsOf(kind);

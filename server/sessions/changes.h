@@ -31,6 +31,8 @@ struct RevisionPlan {
   // nothing changes.
   BatchSource batches;
   std::int64_t revised_count = 0;
+  // Poses that were named but were dropped.
+  std::int64_t dropped_count = 0;
   // The revision that has done the same before, if there is one: it is answered
   // again, and nothing is replaced.
   std::optional<std::uint64_t> done_by;
@@ -40,9 +42,13 @@ using ConfigChange =
     std::function<absl::StatusOr<VehicleConfig>(const VehicleView&)>;
 using RevisionPlanner =
     std::function<absl::StatusOr<RevisionPlan>(const VehicleView&)>;
-// The revision, and how many poses were revised.
-using RevisionCallback =
-    std::function<void(absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>)>;
+// The revision, and the counts of the plan.
+struct RevisionResult {
+  std::uint64_t revision = 0;
+  std::int64_t revised_count = 0;
+  std::int64_t dropped_count = 0;
+};
+using RevisionCallback = std::function<void(absl::StatusOr<RevisionResult>)>;
 // A pair as it is stored, the revision, and how well what was measured agreed
 // with the graph before it was added, where that is defined.
 struct AddedPair {

@@ -43,10 +43,10 @@ absl::StatusOr<bool> MeasuredLoops::ReadPoses(
     const absl::Status reading = vehicle.storage->ReadBatches(
         vehicle.key, sequence, sequence, BatchVersion::kCurrent,
         [&](const BatchRecord& batch) {
-          const absl::StatusOr<std::vector<core::PoseSample>> samples =
-              vehicle.DecodeStoredSamples(batch, config);
-          if (samples.ok()) Take(*samples);
-          decoding = samples.status();
+          const absl::StatusOr<DecodedPoses> poses =
+              vehicle.DecodeStoredPoses(batch, config);
+          if (poses.ok()) Take(poses->samples);
+          decoding = poses.status();
           return false;
         });
     if (!reading.ok()) return reading;

@@ -12,14 +12,20 @@
 #include "absl/status/statusor.h"
 #include "core/alignment/confirmed_loop.h"
 #include "core/geometry/pose.h"
+#include "core/graph/dropped_stretch.h"
 #include "server/sessions/vehicle_config.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {
 
-// A batch in core's types, with the bytes that are stored for it.
-struct DecodedBatch {
+// What a stored batch holds: poses, or what is left of poses that were dropped.
+struct DecodedPoses {
   std::vector<core::PoseSample> samples;
+  std::optional<core::DroppedStretch> dropped;
+};
+
+// A batch in core's types, with the bytes that are stored for it.
+struct DecodedBatch : DecodedPoses {
   // 64-bit hash of each pose's content, exact to the bit: equal hashes are
   // taken for equal poses.
   std::vector<std::uint64_t> fingerprints;
@@ -46,9 +52,12 @@ class RecordCodec {
   // DATA_LOSS if the payload is not that of a batch.
   virtual absl::StatusOr<DecodedBatch> DecodeBatch(
       const std::string& payload, const VehicleConfig& config) const = 0;
-  // The samples of DecodeBatch() alone, which is much faster.
-  virtual absl::StatusOr<std::vector<core::PoseSample>> DecodeSamples(
+  // The poses of DecodeBatch() alone, which is much faster.
+  virtual absl::StatusOr<DecodedPoses> DecodePoses(
       const std::string& payload, const VehicleConfig& config) const = 0;
+  // The payload of a batch whose poses were dropped.
+  virtual std::string EncodeDropped(
+      const core::DroppedStretch& stretch) const = 0;
   // What a stored loop closure's payload says was measured, or nothing.
   // INVALID_ARGUMENT if that is no measurement for a vehicle of this state
   // space; DATA_LOSS if the payload is not that of a loop closure.

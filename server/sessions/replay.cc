@@ -294,25 +294,8 @@ absl::StatusOr<bool> Replayer::ReplayBatches(
   const absl::Status reading = vehicle_->storage->ReadBatches(
       vehicle_->key, replay_->next_sequence, vehicle_->durable_sequence,
       BatchVersion::kCurrent, [&](const BatchRecord& batch) {
-        absl::StatusOr<std::vector<core::PoseSample>> samples =
-            vehicle_->DecodeStoredSamples(batch, replay_->config);
-        if (!samples.ok()) {
-          decoding = samples.status();
-          return false;
-        }
-        replay_->measured.Take(*samples);
-        // A snapshot may end within a row, which several batches share.
-        const auto known = static_cast<std::ptrdiff_t>(replay_->next_sequence -
-                                                       batch.first_sequence);
-        samples->erase(samples->begin(), samples->begin() + known);
-        const core::AppendResult applied =
-            replay_->engine->Append(*samples, ++replay_->steps);
-        replay_->jumps.insert(replay_->jumps.end(), applied.jumps.begin(),
-                              applied.jumps.end());
-        replay_->highest_revision =
-            std::max(replay_->highest_revision, batch.revision);
-        replay_->next_sequence = batch.first_sequence + batch.count;
-        return is_time_left();
+        decoding = ReplayBatch(batch);
+        return decoding.ok() && is_time_left();
       });
   const absl::Status& unread = reading.ok() ? decoding : reading;
   if (replay_->is_load && absl::IsDataLoss(unread) && replay_->snapshot) {
@@ -326,6 +309,33 @@ absl::StatusOr<bool> Replayer::ReplayBatches(
     return unread;
   }
   return replay_->next_sequence > vehicle_->durable_sequence;
+}
+
+absl::Status Replayer::ReplayBatch(const BatchRecord& batch) {
+  absl::StatusOr<DecodedPoses> poses =
+      vehicle_->DecodeStoredPoses(batch, replay_->config);
+  if (!poses.ok()) return poses.status();
+  const auto known = static_cast<std::ptrdiff_t>(replay_->next_sequence -
+                                                 batch.first_sequence);
+  if (poses->dropped) {
+    if (known > 0) {
+      return vehicle_->Corrupt("the snapshot ends within dropped poses");
+    }
+    replay_->engine->Skip(*poses->dropped, ++replay_->steps);
+  } else {
+    replay_->measured.Take(poses->samples);
+    // A snapshot may end within a row, which several batches share.
+    poses->samples.erase(poses->samples.begin(),
+                         poses->samples.begin() + known);
+    const core::AppendResult applied =
+        replay_->engine->Append(poses->samples, ++replay_->steps);
+    replay_->jumps.insert(replay_->jumps.end(), applied.jumps.begin(),
+                          applied.jumps.end());
+  }
+  replay_->highest_revision =
+      std::max(replay_->highest_revision, batch.revision);
+  replay_->next_sequence = batch.first_sequence + batch.count;
+  return absl::OkStatus();
 }
 
 // Adds the pairs, and gives the graph its revision.

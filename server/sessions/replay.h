@@ -66,6 +66,7 @@ class Replayer {
   // From any thread: a replay that goes on, or begins, ends with UNAVAILABLE
   // (SERVER_DRAINING) if it takes more than a slice of time.
   void GiveUp() { gives_up_ = true; }
+  bool gives_up() const { return gives_up_; }
 
  private:
   absl::Status StartLoad();
@@ -81,6 +82,8 @@ class Replayer {
   absl::StatusOr<bool> ReplaySome();
   // `is_time_left` is asked after each that was read.
   absl::StatusOr<bool> ReplayBatches(const std::function<bool()>& is_time_left);
+  // Adds a stored batch to the graph. DATA_LOSS if it is not what its row says.
+  absl::Status ReplayBatch(const BatchRecord& batch);
   void FindSnapshot();
   // Whether the snapshot is loaded, or was given up.
   bool LoadSnapshot(const std::function<bool()>& is_time_left);

@@ -2,6 +2,7 @@
 
 #include "server/sessions/appends.h"
 #include "server/sessions/replay.h"
+#include "server/sessions/retention.h"
 #include "server/sessions/snapshots.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
@@ -13,8 +14,9 @@ struct VehicleSession::State {
         const Lanes& lanes, const Limits& limits, const SnapshotPolicy& policy)
       : vehicle(std::move(id), storage, codec, policy),
         queue(&vehicle, &appends, lanes),
-        appends(&vehicle, &queue, limits.max_pending_appends),
+        appends(&vehicle, &queue, &retention, limits.max_pending_appends),
         replayer(&vehicle, &queue),
+        retention(&vehicle, &queue, &replayer),
         changes(&vehicle, &queue, &replayer, limits.max_pose_pairs),
         snapshots(&vehicle, &queue) {}
 
@@ -65,6 +67,7 @@ struct VehicleSession::State {
   VehicleQueue queue;
   Appends appends;
   Replayer replayer;
+  Retention retention;
   Changes changes;
   Snapshots snapshots;
 };
@@ -125,11 +128,18 @@ void VehicleSession::CheckAcknowledged(std::uint64_t acked_sequence,
 }
 
 void VehicleSession::Update(ConfigChange change, ViewCallback callback) {
-  state_->SubmitAlone(std::move(callback),
-                      [state = state_.get(),
-                       change = std::move(change)](const ViewCallback& answer) {
-                        state->changes.Update(change, answer);
-                      });
+  State* const state = state_.get();
+  // What the settings no longer keep goes after the answer.
+  const auto answered = [state, callback = std::move(callback)](
+                            const absl::StatusOr<VehicleView>& view) {
+    callback(view);
+    state->retention.Consider();
+  };
+  state->SubmitAlone<ViewCallback>(
+      answered,
+      [state, change = std::move(change)](const ViewCallback& answer) {
+        state->changes.Update(change, answer);
+      });
 }
 
 void VehicleSession::AcceptDataLoss(std::uint64_t durable_sequence,

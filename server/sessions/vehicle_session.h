@@ -1,7 +1,8 @@
 // One vehicle in memory: an actor with one ordered queue, which owns the
 // engine. Its parts: vehicle_queue.h (when what may start), appends.h,
-// changes.h (all other writes), replay.h (the graph from the store), and
-// vehicle_state.h, which they share.
+// changes.h (all other writes), replay.h (the graph from the store),
+// retention.h (poses that are kept no longer), and vehicle_state.h, which they
+// share.
 //
 // A vehicle that is damaged in part in the store is loaded as far as it is
 // sound. It answers reads with that, and every write but AcceptDataLoss() and
@@ -90,7 +91,8 @@ class VehicleSession {
   // Replaces the config by what `change` makes of the current one; the graph is
   // rebuilt where nodes move. `change` may refuse, and must where a vehicle
   // with poses would get another state space or frame, or change to or from the
-  // correlation model kFilter.
+  // correlation model kFilter. What new settings no longer keep is dropped
+  // after the answer (retention.h).
   void Update(ConfigChange change, ViewCallback callback);
 
   // Ends the state of data loss, or gives up what is damaged and all poses
@@ -99,7 +101,7 @@ class VehicleSession {
   void AcceptDataLoss(std::uint64_t durable_sequence, ViewCallback callback);
 
   // Revises poses: `plan` reads what is stored and says what to replace, or
-  // refuses. Answers the revision and the count of the plan; a plan without
+  // refuses. Answers the revision and the counts of the plan; a plan without
   // batches, or that was done before, changes nothing.
   void Revise(RevisionPlanner plan, RevisionCallback callback);
 

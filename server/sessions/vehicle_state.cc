@@ -13,8 +13,13 @@ using absl::StrCat;
 
 namespace {
 
-bool AreOf(const BatchRecord& batch,
-           const std::vector<core::PoseSample>& samples) {
+bool AreOf(const BatchRecord& batch, const DecodedPoses& poses) {
+  if (poses.dropped) {
+    return poses.dropped->first_sequence == batch.first_sequence &&
+           poses.dropped->last_sequence ==
+               batch.first_sequence + batch.count - 1;
+  }
+  const std::vector<core::PoseSample>& samples = poses.samples;
   bool fits = samples.size() == batch.count;
   for (std::size_t i = 0; fits && i < samples.size(); ++i) {
     fits = samples[i].sequence == batch.first_sequence + i;
@@ -22,7 +27,16 @@ bool AreOf(const BatchRecord& batch,
   return fits;
 }
 
+// Graphs that are smaller are not worth a look.
+constexpr core::NodeIndex kLeastLookedAt = 1000;
+
 }  // namespace
+
+core::NodeIndex NextLookAt(core::NodeIndex nodes) {
+  core::NodeIndex look = kLeastLookedAt;
+  while (look <= nodes) look += look / 10;
+  return look;
+}
 
 absl::Status ShuttingDown() {
   return Error(StatusCode::kUnavailable, "SERVER_DRAINING",
@@ -47,6 +61,7 @@ VehicleView VehicleState::View() const {
 void VehicleState::Take(std::unique_ptr<core::Engine> another) {
   engine = std::move(another);
   marks = std::make_unique<core::MarkMemory>();
+  look_at_nodes = NextLookAt(engine->graph().size());
 }
 
 void VehicleState::Adopt(const VehicleConfig& new_config,
@@ -160,19 +175,19 @@ absl::StatusOr<DecodedBatch> VehicleState::DecodeStored(
   absl::StatusOr<DecodedBatch> decoded =
       codec->DecodeBatch(batch.payload, with_config);
   if (!decoded.ok()) return decoded;
-  if (decoded->fingerprints.size() != batch.count ||
-      !AreOf(batch, decoded->samples)) {
+  if (decoded->fingerprints.size() != decoded->samples.size() ||
+      !AreOf(batch, *decoded)) {
     return HoldsOthers(batch);
   }
   return decoded;
 }
 
-absl::StatusOr<std::vector<core::PoseSample>> VehicleState::DecodeStoredSamples(
+absl::StatusOr<DecodedPoses> VehicleState::DecodeStoredPoses(
     const BatchRecord& batch, const VehicleConfig& with_config) const {
-  absl::StatusOr<std::vector<core::PoseSample>> samples =
-      codec->DecodeSamples(batch.payload, with_config);
-  if (samples.ok() && !AreOf(batch, *samples)) return HoldsOthers(batch);
-  return samples;
+  absl::StatusOr<DecodedPoses> poses =
+      codec->DecodePoses(batch.payload, with_config);
+  if (poses.ok() && !AreOf(batch, *poses)) return HoldsOthers(batch);
+  return poses;
 }
 
 absl::Status VehicleState::HoldsOthers(const BatchRecord& batch) const {

@@ -28,6 +28,11 @@ namespace revisit::server {
 // UNAVAILABLE (SERVER_DRAINING).
 absl::Status ShuttingDown();
 
+// The least number of nodes above this one at which a graph is looked at for
+// what to drop: a tenth more each time, and the same whenever the vehicle was
+// loaded.
+core::NodeIndex NextLookAt(core::NodeIndex nodes);
+
 // When graphs are kept as snapshots (snapshots.h).
 struct SnapshotPolicy {
   // A snapshot is due once so many poses have come since the last one; 0: none
@@ -102,13 +107,15 @@ struct VehicleState {
   // The pose up to which there is a snapshot, or was tried to be.
   std::uint64_t snapshot_sequence = 0;
   std::atomic<std::uint64_t> poses_since_snapshot{0};
+  // Nodes with which the graph is looked at for what to drop (retention.h).
+  core::NodeIndex look_at_nodes = 0;
   // See VehicleSession::Residency.
   std::atomic<std::int64_t> resident_nodes{0};
   std::atomic<std::int64_t> resident_bytes{0};
 
   VehicleView View() const;
 
-  // Replaces the engine.
+  // Replaces the engine. Retention looks at it once it has grown.
   void Take(std::unique_ptr<core::Engine> another);
 
   // Takes on a config and a revision that are durable. REQUIRES: no append is
@@ -150,7 +157,7 @@ struct VehicleState {
       const BatchRecord& batch, const VehicleConfig& with_config) const;
 
   // The same without what replays do not need.
-  absl::StatusOr<std::vector<core::PoseSample>> DecodeStoredSamples(
+  absl::StatusOr<DecodedPoses> DecodeStoredPoses(
       const BatchRecord& batch, const VehicleConfig& with_config) const;
 
   // OK if the vehicle takes writes.

@@ -20,6 +20,20 @@ absl::Status PoseNotFound(const std::string& vehicle_id, std::uint64_t sequence,
                 {"durable_sequence", StrCat(durable_sequence)}});
 }
 
+absl::Status CheckKept(const VehicleView& view, std::uint64_t sequence) {
+  const std::uint64_t next = view.engine.dropped().KeptFrom(sequence);
+  if (next == sequence) return absl::OkStatus();
+  const std::string first = StrCat(view.first_kept_sequence());
+  return Error(
+      StatusCode::kOutOfRange, "POSES_DROPPED",
+      StrCat("vehicle '", view.id, "' keeps the pose of sequence ", sequence,
+             " no longer (settings.retention): its first is ", first,
+             ", and the next after this one ", next),
+      {{"sequence", StrCat(sequence)},
+       {"first_kept_sequence", first},
+       {"next_kept_sequence", StrCat(next)}});
+}
+
 absl::Status CheckMeant(const std::string& vehicle_id,
                         const VehicleConfig& config,
                         const std::string& expected_uid) {

@@ -40,6 +40,11 @@ struct VehicleView {
   // time.
   core::MarkMemory* marks = nullptr;
 
+  // Sequence of the first pose that is kept.
+  std::uint64_t first_kept_sequence() const {
+    return engine.dropped().KeptFrom(1);
+  }
+
   const PosePairs& pairs(PairKind kind) const {
     return kind == PairKind::kLoopClosure ? *loop_closures
                                           : *rejected_candidates;
@@ -51,6 +56,10 @@ using ViewCallback = std::function<void(absl::StatusOr<VehicleView>)>;
 // NOT_FOUND (POSE_NOT_FOUND).
 absl::Status PoseNotFound(const std::string& vehicle_id, std::uint64_t sequence,
                           std::uint64_t durable_sequence);
+
+// OK if the pose of this sequence was not dropped; OUT_OF_RANGE (POSES_DROPPED)
+// with the first sequence that the vehicle keeps, and the next one.
+absl::Status CheckKept(const VehicleView& view, std::uint64_t sequence);
 
 // FAILED_PRECONDITION (VEHICLE_REPLACED) if the caller means a vehicle of
 // another uid than the one that has this id; an empty uid means any.

@@ -83,6 +83,12 @@ struct BatchRecord {
   std::string payload;
 };
 
+// A batch as it was sent, and as it was revised, if it was.
+struct BatchVersions {
+  BatchRecord as_sent;
+  std::optional<BatchRecord> revised = std::nullopt;
+};
+
 // Passes on batches, one after the other, until `take` refuses; returns its own
 // failure or that of `take`. May be called again.
 using BatchSource = std::function<absl::Status(
@@ -216,6 +222,14 @@ class Storage {
   // because it is called on the writer's thread, for which all writes wait.
   virtual void ReviseBatches(VehicleKey key, BatchSource batches,
                              std::uint64_t revision, Done done) = 0;
+  // Puts batches, each of which follows the one before, in the place of all
+  // that hold their poses, which are removed with their revised versions. The
+  // records' own revisions are stored. FAILED_PRECONDITION unless whole batches
+  // hold exactly these poses. Takes as long as these are many. REQUIRES: at
+  // least one.
+  virtual void ReplaceBatches(VehicleKey key,
+                              std::vector<BatchVersions> batches,
+                              std::uint64_t revision, Done done) = 0;
   // ALREADY_EXISTS (WordsOf(kind).exists) if the id is taken.
   virtual void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                            std::uint64_t revision, Done done) = 0;
@@ -233,8 +247,8 @@ class Storage {
   // ---- A snapshot of a vehicle saves making again what its poses make. It is
   // a cache: a storage may keep none, as this base does, or lose one at any
   // time. It goes, its parts included, in the same step in which
-  // ReviseBatches() or DropDamaged() change or remove batches, or
-  // DeleteVehicle() the vehicle.
+  // ReviseBatches(), ReplaceBatches() or DropDamaged() change or remove
+  // batches, or DeleteVehicle() the vehicle.
 
   virtual bool KeepsSnapshots() const { return false; }
   // Keeps a part, in the place of the one of that number, if there is one. Part

@@ -137,6 +137,23 @@ TEST(SettingsTest, RelativeAlignmentHasRangesOfItsOwn) {
   }
 }
 
+TEST(SettingsTest, KeepsAnyAgeOrOneInRangeAndAFewPasses) {
+  EngineSettings settings;
+  EXPECT_THAT(FindProblems(settings), IsEmpty());
+  for (const std::int64_t age : {kLeastAgeNanoseconds, kMostAgeNanoseconds}) {
+    settings.retention = {age, kMostPasses};
+    EXPECT_THAT(FindProblems(settings), IsEmpty());
+  }
+  settings.retention = {kLeastAgeNanoseconds - 1, -1};
+  EXPECT_THAT(
+      FindProblems(settings),
+      ElementsAre(Field(&SettingProblem::field, "retention.max_age"),
+                  Field(&SettingProblem::field, "retention.max_passes")));
+  settings.retention = {std::numeric_limits<std::int64_t>::max(),
+                        kMostPasses + 1};
+  EXPECT_EQ(FindProblems(settings).size(), 2u);
+}
+
 TEST(SettingsTest, AFilterSearchNeedsAFilterVehicle) {
   SearchOptions options;
   options.correlation_model = CorrelationModel::kFilter;

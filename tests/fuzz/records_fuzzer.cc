@@ -139,6 +139,17 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
   RequireDataLoss(codec.SliceBatch(payload, visited, visited + 1).status());
   if (!decoded.ok()) return 0;
   Require(decoded->samples.size() == visited, "a sample for each pose");
+  if (decoded->dropped) {
+    revisit::core::DroppedStretch stretch = *decoded->dropped;
+    Require(codec.DecodePoses(codec.EncodeDropped(stretch), config).ok(),
+            "what is left of dropped poses can be written");
+    stretch.last_sequence -= stretch.first_sequence - 1;
+    stretch.first_sequence = 1;
+    revisit::core::Engine engine(config.engine);
+    engine.Skip(stretch, 1);
+    Require(engine.dropped().count() == stretch.last_sequence,
+            "a graph goes on behind them");
+  }
   if (record == 2) revisit::fuzz::Drive(config, decoded->samples);
   return 0;
 }

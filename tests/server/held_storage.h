@@ -108,6 +108,12 @@ class HeldStorage : public Storage {
       storage_->ReviseBatches(key, batches, revision, std::move(then));
     });
   }
+  void ReplaceBatches(VehicleKey key, std::vector<BatchVersions> batches,
+                      std::uint64_t revision, Done done) override {
+    Submit(std::move(done), [=](Done then) {
+      storage_->ReplaceBatches(key, batches, revision, std::move(then));
+    });
+  }
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                    std::uint64_t revision, Done done) override {
     Submit(std::move(done), [=](Done then) {

@@ -199,6 +199,39 @@ void MemoryStorage::ReviseBatches(VehicleKey key, BatchSource batches,
   }));
 }
 
+void MemoryStorage::ReplaceBatches(VehicleKey key,
+                                   std::vector<BatchVersions> batches,
+                                   std::uint64_t revision, Done done) {
+  done(Change(key, revision, [&](Vehicle& vehicle) {
+    vehicle.DropSnapshot();
+    const std::uint64_t begin = batches.front().as_sent.first_sequence;
+    const std::uint64_t end =
+        batches.back().as_sent.first_sequence + batches.back().as_sent.count;
+    std::vector<Batch>& stored = vehicle.batches;
+    const auto first =
+        std::find_if(stored.begin(), stored.end(), [&](const Batch& batch) {
+          return batch.as_sent.first_sequence == begin;
+        });
+    std::uint64_t next = begin;
+    auto last = first;
+    for (; last != stored.end() && next < end; ++last) {
+      next += last->as_sent.count;
+    }
+    if (first == stored.end() || next != end) {
+      return Error(StatusCode::kFailedPrecondition, "INTERNAL",
+                   "no such batches");
+    }
+    std::vector<Batch> replaced;
+    for (const BatchVersions& batch : batches) {
+      replaced.push_back({batch.as_sent, batch.revised.value_or(batch.as_sent),
+                          /*is_damaged=*/false});
+    }
+    const auto at = stored.erase(first, last);
+    stored.insert(at, replaced.begin(), replaced.end());
+    return absl::OkStatus();
+  }));
+}
+
 void MemoryStorage::AddPosePair(VehicleKey key, PairKind kind,
                                 PosePairRecord pair, std::uint64_t revision,
                                 Done done) {

@@ -32,6 +32,8 @@ class MemoryStorage : public Storage {
   std::size_t MostBatchBytes() const override { return most_batch_bytes_; }
   void ReviseBatches(VehicleKey key, BatchSource batches,
                      std::uint64_t revision, Done done) override;
+  void ReplaceBatches(VehicleKey key, std::vector<BatchVersions> batches,
+                      std::uint64_t revision, Done done) override;
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                    std::uint64_t revision, Done done) override;
   void DeletePosePair(VehicleKey key, PairKind kind, std::string id,

@@ -147,6 +147,12 @@ class OwnedStorage : public Storage {
     if (Refuses(key, done)) return;
     storage_->ReviseBatches(key, std::move(batches), revision, std::move(done));
   }
+  void ReplaceBatches(VehicleKey key, std::vector<BatchVersions> batches,
+                      std::uint64_t revision, Done done) override {
+    if (Refuses(key, done)) return;
+    storage_->ReplaceBatches(key, std::move(batches), revision,
+                             std::move(done));
+  }
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                    std::uint64_t revision, Done done) override {
     if (Refuses(key, done)) return;

@@ -42,6 +42,7 @@ std::string PlainCodec::EncodeVehicle(const VehicleConfig& config) const {
        << config.engine.max_step_meters << " "
        << config.engine.search.sequence_length_meters << " " << std::dec
        << config.engine.search.max_candidates << " "
+       << config.engine.retention.max_passes << " "
        << (config.frame == CoordinateFrame::kGeodetic) << " "
        << config.data_loss << " " << config.origin.has_value();
   if (config.origin) {
@@ -64,8 +65,9 @@ absl::StatusOr<VehicleConfig> PlainCodec::DecodeVehicle(
       !ReadDouble(stream, &config.engine.check_interval_meters) ||
       !ReadDouble(stream, &config.engine.max_step_meters) ||
       !ReadDouble(stream, &config.engine.search.sequence_length_meters) ||
-      !(stream >> config.engine.search.max_candidates >> is_geodetic >>
-        config.data_loss >> has_origin)) {
+      !(stream >> config.engine.search.max_candidates >>
+        config.engine.retention.max_passes >> is_geodetic >> config.data_loss >>
+        has_origin)) {
     return Damaged();
   }
   config.frame =
@@ -86,6 +88,16 @@ absl::StatusOr<DecodedBatch> PlainCodec::DecodeBatch(
   DecodedBatch batch;
   batch.payload = payload;
   if (config.frame == CoordinateFrame::kGeodetic) batch.origin = config.origin;
+  if (payload.rfind("dropped ", 0) == 0) {
+    std::istringstream stream(payload);
+    std::string word;
+    core::DroppedStretch& dropped = batch.dropped.emplace();
+    if (!(stream >> word >> dropped.first_sequence >> dropped.last_sequence) ||
+        !ReadDouble(stream, &dropped.travelled_meters)) {
+      return Damaged();
+    }
+    return batch;
+  }
   for (const std::string& line : Lines(payload)) {
     std::istringstream stream(line);
     core::PoseSample sample;
@@ -115,11 +127,19 @@ absl::StatusOr<DecodedBatch> PlainCodec::DecodeBatch(
   return batch;
 }
 
-absl::StatusOr<std::vector<core::PoseSample>> PlainCodec::DecodeSamples(
+absl::StatusOr<DecodedPoses> PlainCodec::DecodePoses(
     const std::string& payload, const VehicleConfig& config) const {
   absl::StatusOr<DecodedBatch> batch = DecodeBatch(payload, config);
   if (!batch.ok()) return batch.status();
-  return std::move(batch->samples);
+  return DecodedPoses(*std::move(batch));
+}
+
+std::string PlainCodec::EncodeDropped(
+    const core::DroppedStretch& stretch) const {
+  std::ostringstream line;
+  line << "dropped " << stretch.first_sequence << " " << stretch.last_sequence
+       << " " << std::hexfloat << stretch.travelled_meters << "\n";
+  return line.str();
 }
 
 absl::StatusOr<std::optional<core::LoopMeasurement>>

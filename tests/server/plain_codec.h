@@ -24,8 +24,10 @@ class PlainCodec : public RecordCodec {
       const VehicleRecord& record) const override;
   absl::StatusOr<DecodedBatch> DecodeBatch(
       const std::string& payload, const VehicleConfig& config) const override;
-  absl::StatusOr<std::vector<core::PoseSample>> DecodeSamples(
+  absl::StatusOr<DecodedPoses> DecodePoses(
       const std::string& payload, const VehicleConfig& config) const override;
+  // A line: "dropped", first and last sequence, metres.
+  std::string EncodeDropped(const core::DroppedStretch& stretch) const override;
   // The payload of a measured loop closure is a line: x, y, heading, and their
   // common standard deviation.
   absl::StatusOr<std::optional<core::LoopMeasurement>> DecodeMeasurement(

@@ -122,6 +122,14 @@ absl::Status BlockingWrites::Revise(VehicleKey key,
   });
 }
 
+absl::Status BlockingWrites::Replace(VehicleKey key,
+                                     const std::vector<BatchVersions>& batches,
+                                     std::uint64_t revision) {
+  return Blocking([&](Storage::Done done) {
+    storage_->ReplaceBatches(key, batches, revision, std::move(done));
+  });
+}
+
 absl::Status BlockingWrites::AddPair(VehicleKey key, PairKind kind,
                                      const PosePairRecord& pair,
                                      std::uint64_t revision) {

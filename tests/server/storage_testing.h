@@ -36,6 +36,9 @@ class BlockingWrites {
                                  const std::string& vehicle_payload);
   absl::Status Revise(VehicleKey key, const std::vector<BatchRecord>& batches,
                       std::uint64_t revision);
+  absl::Status Replace(VehicleKey key,
+                       const std::vector<BatchVersions>& batches,
+                       std::uint64_t revision);
   absl::Status AddPair(VehicleKey key, PairKind kind,
                        const PosePairRecord& pair, std::uint64_t revision);
   absl::Status DropDamaged(VehicleKey key, std::uint64_t last_sequence,

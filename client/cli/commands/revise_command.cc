@@ -82,12 +82,20 @@ class OptimisedPoses {
     return found;
   }
 
-  // An error if one was never found.
-  absl::Status CheckThatAllWereFound(const std::string& vehicle) const {
+  // How many were never found, because the vehicle has dropped them; an error
+  // if that cannot be the reason.
+  absl::StatusOr<std::int64_t> CountDropped(const v1::Vehicle& vehicle) const {
+    const std::string& name = vehicle.name();
+    std::int64_t dropped = 0;
     for (const OptimisedPose& pose : poses_) {
       if (taken_.count(pose.line) > 0) continue;
+      if (vehicle.dropped_pose_count() > 0 &&
+          pose.sequence.value_or(1) <= vehicle.durable_sequence()) {
+        ++dropped;
+        continue;
+      }
       if (pose.sequence) {
-        return Error(pose, absl::StrCat(vehicle, " has no pose of sequence ",
+        return Error(pose, absl::StrCat(name, " has no pose of sequence ",
                                         *pose.sequence));
       }
       google::protobuf::Timestamp stamp;
@@ -95,10 +103,10 @@ class OptimisedPoses {
       stamp.set_nanos(
           static_cast<int>(*pose.stamp_nanoseconds % 1'000'000'000));
       return Error(pose,
-                   absl::StrCat(vehicle, " has no pose of the stamp ",
+                   absl::StrCat(name, " has no pose of the stamp ",
                                 StampSeconds(stamp), " s, to a microsecond"));
     }
-    return absl::OkStatus();
+    return dropped;
   }
 
  private:
@@ -249,10 +257,8 @@ absl::Status RunRevise(const Client& client, const ReviseOptions& options,
         return absl::OkStatus();
       });
   if (!matched.ok()) return matched;
-  if (absl::Status all = optimised->CheckThatAllWereFound(vehicle->name());
-      !all.ok()) {
-    return all;
-  }
+  const auto missing = optimised->CountDropped(*vehicle);
+  if (!missing.ok()) return missing.status();
   if (messages.count() < stored && !options.partial) {
     return LocalError(absl::FailedPreconditionError(absl::StrCat(
         options.file, " has ", messages.count(), " of the ", stored,
@@ -267,6 +273,10 @@ absl::Status RunRevise(const Client& client, const ReviseOptions& options,
     console.out << "revised " << revised->revised_count() << " poses of "
                 << vehicle->name() << ", revision " << revised->revision()
                 << '\n';
+    if (const std::int64_t dropped = *missing + revised->dropped_count();
+        dropped > 0) {
+      console.out << dropped << " of the file are kept no longer\n";
+    }
   }
   return absl::OkStatus();
 }

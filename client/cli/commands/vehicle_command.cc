@@ -110,7 +110,8 @@ void AddUpdate(const Command& vehicle) {
        "Once a vehicle has poses, its state space and its frame are fixed, and "
        "so is\nwhether its correlation model is filter.",
        "  revisit vehicle update shuttle-7 --no-use-belief --apply-inflation\n"
-       "  revisit vehicle update shuttle-7 --acceptance-probability 0.9"});
+       "  revisit vehicle update shuttle-7 --acceptance-probability 0.9\n"
+       "  revisit vehicle update shuttle-7 --max-passes 4 --max-age 31536000"});
   const auto id = std::make_shared<std::string>();
   const auto changes = std::make_shared<v1::VehicleSettings>();
   const auto description = std::make_shared<VehicleDescription>();
@@ -233,6 +234,12 @@ void PrintVehicle(const v1::Vehicle& vehicle, const Console& console) {
       {"nodes", absl::StrCat(vehicle.node_count())},
       {"loop closures", absl::StrCat(vehicle.loop_closure_count())},
       {"travelled", absl::StrCat(Fixed(vehicle.travelled_meters(), 1), " m")}};
+  if (vehicle.dropped_pose_count() > 0) {
+    fields.emplace_back("dropped poses",
+                        absl::StrCat(vehicle.dropped_pose_count(),
+                                     ", the first that is kept is ",
+                                     vehicle.first_kept_sequence()));
+  }
   if (!vehicle.display_name().empty()) {
     fields.insert(fields.begin() + 1, {"display name", vehicle.display_name()});
   }

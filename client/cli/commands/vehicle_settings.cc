@@ -1,5 +1,7 @@
 #include "client/cli/commands/vehicle_settings.h"
 
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <cstdlib>
 #include <map>
@@ -10,6 +12,7 @@
 #include "client/cli/names.h"
 #include "google/protobuf/descriptor.h"
 #include "google/protobuf/message.h"
+#include "google/protobuf/util/time_util.h"
 
 namespace revisit::client {
 namespace {
@@ -90,6 +93,17 @@ constexpr SettingFlag kFlags[] = {
      "false"},
     {"--max-inflation", "max_inflation", "FACTOR",
      "Most by which the claimed uncertainty is widened", "10"},
+    {"--max-passes",
+     "retention.max_passes",
+     "N",
+     "Passes of each place that are kept, 0 for all; without --max-age beside "
+     "it, poses of any age are",
+     "0",
+     {0, 20}},
+    {"--max-age", "retention.max_age", "S",
+     "Age against the newest pose beyond which poses are dropped; without "
+     "--max-passes beside it, all passes are kept",
+     "any"},
     {"--state-space", "state_space", "", "Coordinates that take part",
      "planar"},
     {"--frame", "coordinate_frame", "", "Kind of positions that are streamed",
@@ -147,6 +161,17 @@ struct BoundSetting {
     holder->GetReflection()->SetInt32(holder, field.field,
                                       static_cast<std::int32_t>(value));
   }
+  // Of a duration. The server refuses what is out of range.
+  void SetSeconds(double value) const {
+    using google::protobuf::util::TimeUtil;
+    constexpr double kMost = 1e11;
+    const double seconds = std::clamp(value, -kMost, kMost);
+    Message* holder = field.HolderIn(settings);
+    holder->GetReflection()
+        ->MutableMessage(holder, field.field)
+        ->CopyFrom(TimeUtil::MillisecondsToDuration(
+            static_cast<std::int64_t>(std::llround(1000.0 * seconds))));
+  }
   void SetBool(bool value) const {
     Message* holder = field.HolderIn(settings);
     holder->GetReflection()->SetBool(holder, field.field, value);
@@ -189,6 +214,10 @@ Flag AddSettingFlag(const Command& command, const BoundSetting& setting) {
           row.flag, row.range,
           [setting](std::int64_t value) { setting.SetWholeNumber(value); },
           help);
+    case FieldDescriptor::CPPTYPE_MESSAGE:
+      return command.AddNumber(
+          row.flag, row.unit,
+          [setting](double value) { setting.SetSeconds(value); }, help);
     default:
       return command.AddNumber(
           row.flag, row.unit,
@@ -205,6 +234,8 @@ void SetUsual(const BoundSetting& setting) {
       return setting.SetBool(std::string(usual) == "true");
     case FieldDescriptor::CPPTYPE_INT32:
       return setting.SetWholeNumber(std::strtol(usual, nullptr, 10));
+    case FieldDescriptor::CPPTYPE_MESSAGE:
+      return;
     default:
       return setting.SetNumber(std::strtod(usual, nullptr));
   }
@@ -216,7 +247,10 @@ void AddRequestSettings(const Command& command, Message* settings) {
   std::map<const FieldDescriptor*, Flag> first_parts;
   for (const BoundSetting& setting : Bind(settings)) {
     const Flag flag = AddSettingFlag(command, setting);
-    if (setting.field.outer == nullptr) continue;
+    if (setting.field.outer == nullptr ||
+        setting.field.type() != FieldDescriptor::CPPTYPE_DOUBLE) {
+      continue;
+    }
     const auto [first, is_first] =
         first_parts.emplace(setting.field.outer, flag);
     if (is_first) continue;
@@ -230,6 +264,19 @@ Command UnderVehicleSettings(const Command& command) {
 }
 
 std::string Meters(double value) { return absl::StrCat(Fixed(value, 2), " m"); }
+
+std::string Text(const v1::Retention& retention) {
+  std::string text =
+      retention.max_passes() == 0
+          ? "all passes"
+          : absl::StrCat(retention.max_passes(), " passes of each place");
+  if (retention.has_max_age()) {
+    const auto seconds = google::protobuf::util::TimeUtil::DurationToSeconds(
+        retention.max_age());
+    absl::StrAppend(&text, ", at most ", seconds, " s old");
+  }
+  return text;
+}
 
 std::string Text(const v1::PlaceTolerance& tolerance) {
   return absl::StrCat(Meters(tolerance.position_meters()), ", ",
@@ -278,7 +325,8 @@ std::vector<std::pair<std::string, std::string>> DescribeSettings(
       {"belief", settings.use_belief() ? "used" : "not used"},
       {"candidate separation", Meters(settings.candidate_separation_meters())},
       {"maximal candidates", absl::StrCat(settings.max_candidates())},
-      {"maximal inflation", Fixed(settings.max_inflation(), 2)}};
+      {"maximal inflation", Fixed(settings.max_inflation(), 2)},
+      {"kept", Text(settings.retention())}};
 }
 
 }  // namespace revisit::client

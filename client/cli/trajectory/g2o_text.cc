@@ -56,6 +56,8 @@ void G2oWriter::AddClosures() {
 }
 
 bool G2oWriter::IsJump(const LocalPose& from, const LocalPose& to) const {
+  // Poses between them were dropped.
+  if (to.sequence != from.sequence + 1) return true;
   const double dz = spatial_ ? to.position[2] - from.position[2] : 0.0;
   return std::hypot(to.position[0] - from.position[0],
                     to.position[1] - from.position[1],

@@ -1,6 +1,7 @@
 #include "server/storage/postgres/postgres_changes.h"
 
 #include <cstddef>
+#include <functional>
 #include <limits>
 #include <set>
 #include <utility>
@@ -81,6 +82,34 @@ constexpr Statement kRevise = {
     "count = excluded.count, format = excluded.format, "
     "revision = excluded.revision, checksum = excluded.checksum, "
     "payload = excluded.payload RETURNING r.first_sequence"};
+
+// $1 key, $2 first sequence, $3 the one behind the last.
+constexpr Statement kHeldRange = {
+    "held_range",
+    "SELECT coalesce(min(first_sequence), 0)::int8, "
+    "coalesce(max(first_sequence + count), 0)::int8, "
+    "coalesce(sum(count), 0)::int8 FROM batches WHERE vehicle_key = $1::int8 "
+    "AND first_sequence >= $2::int8 AND first_sequence < $3::int8"};
+constexpr Statement kRemoveBatches = {
+    "remove_batches",
+    "DELETE FROM batches WHERE vehicle_key = $1::int8 AND "
+    "first_sequence >= $2::int8 AND first_sequence < $3::int8"};
+constexpr Statement kRemoveRevisions = {
+    "remove_revisions",
+    "DELETE FROM revised_batches WHERE vehicle_key = $1::int8 AND "
+    "first_sequence >= $2::int8 AND first_sequence < $3::int8"};
+// $1 key, $2 first sequence, $3 count, $4 format, $5 revision, $6 checksum, $7
+// payload.
+constexpr Statement kPutBatch = {
+    "put_batch",
+    "INSERT INTO batches (vehicle_key, first_sequence, count, format, "
+    "revision, checksum, payload) VALUES ($1::int8, $2::int8, $3::int8, "
+    "$4::int8, $5::int8, $6::int8, $7::bytea)"};
+constexpr Statement kPutRevision = {
+    "put_revision",
+    "INSERT INTO revised_batches (vehicle_key, first_sequence, count, format, "
+    "revision, checksum, payload) VALUES ($1::int8, $2::int8, $3::int8, "
+    "$4::int8, $5::int8, $6::int8, $7::bytea)"};
 
 // A row of `deleted_vehicles` goes in the statement after the one that removed
 // its last batches, since a statement does not see what it does itself.
@@ -192,6 +221,78 @@ absl::Status ReviseInGroups(PostgresConnection& connection, VehicleKey key,
   return status;
 }
 
+absl::Status PutRow(PostgresConnection& connection, const Statement& put,
+                    VehicleKey key, BatchVersion version,
+                    const BatchRecord& batch) {
+  return connection
+      .Run(put, Parameters()
+                    .Add(key)
+                    .Add(Signed(batch.first_sequence))
+                    .Add(std::int64_t{batch.count})
+                    .Add(kSharedRowFormat)
+                    .Add(Signed(batch.revision))
+                    .Add(ChecksumOfBatch(kSharedRowFormat, key, version, batch))
+                    .AddText(batch.payload))
+      .status();
+}
+
+absl::Status Replace(PostgresConnection& connection, VehicleKey key,
+                     const std::vector<BatchVersions>& batches) {
+  const std::uint64_t first = batches.front().as_sent.first_sequence;
+  const BatchRecord& last = batches.back().as_sent;
+  const std::uint64_t end = last.first_sequence + last.count;
+  const auto range = [&] {
+    return Parameters().Add(key).Add(Signed(first)).Add(Signed(end));
+  };
+  // Rows do not overlap, so these hold the range if they hold as many poses.
+  const auto held = connection.Run(kHeldRange, range());
+  if (!held.ok()) return held.status();
+  if (held->Integer(0, 0) != Signed(first) ||
+      held->Integer(0, 1) != Signed(end) ||
+      held->Integer(0, 2) != Signed(end - first)) {
+    return NoSuchBatches(first, end - 1);
+  }
+  for (const Statement& remove : {kRemoveBatches, kRemoveRevisions}) {
+    const auto removed = connection.Run(remove, range());
+    if (!removed.ok()) return removed.status();
+  }
+  for (const BatchVersions& batch : batches) {
+    absl::Status status = PutRow(connection, kPutBatch, key,
+                                 BatchVersion::kAsSent, batch.as_sent);
+    if (status.ok() && batch.revised) {
+      status = PutRow(connection, kPutRevision, key, BatchVersion::kCurrent,
+                      *batch.revised);
+    }
+    if (!status.ok()) return status;
+  }
+  return absl::OkStatus();
+}
+
+// Does a change of several statements in one step.
+absl::Status ChangeBatches(PostgresConnection& connection, const Fence& fence,
+                           std::uint64_t revision,
+                           const std::function<absl::Status()>& change) {
+  absl::Status status = connection.RunText("BEGIN").status();
+  if (!status.ok()) return status;
+  // The fence comes first: from here on nobody can claim the vehicle.
+  const auto head = connection.Run(kRaiseRevision, FenceOf(fence, revision));
+  status = head.status();
+  const bool holds = head.ok() && head->size() > 0;
+  if (holds) status = change();
+  if (holds && status.ok()) {
+    const auto committed = connection.RunText("COMMIT");
+    if (!committed.ok()) return committed.status();
+    if (committed->Tag() == "COMMIT") return absl::OkStatus();
+    return Error(absl::StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                 "the database rolled the change back");
+  }
+  // A connection that cannot roll back is not used again.
+  const bool in_doubt = connection.IsInDoubt();
+  if (!in_doubt) connection.RunText("ROLLBACK").IgnoreError();
+  if (!status.ok()) return status;
+  return WhyNotWritten(connection, fence, Fenced("the vehicle"));
+}
+
 }  // namespace
 
 absl::StatusOr<VehicleKey> InsertVehicle(PostgresConnection& connection,
@@ -234,27 +335,17 @@ absl::Status RemoveVehicle(PostgresConnection& connection, const Fence& fence) {
 absl::Status ReviseBatchRows(PostgresConnection& connection, const Fence& fence,
                              const BatchSource& batches,
                              std::uint64_t revision) {
-  absl::Status status = connection.RunText("BEGIN").status();
-  if (!status.ok()) return status;
-  // The fence comes first: from here on nobody can claim the vehicle.
-  const auto head = connection.Run(kRaiseRevision, FenceOf(fence, revision));
-  status = head.status();
-  const bool holds = head.ok() && head->size() > 0;
-  if (holds) {
-    status = ReviseInGroups(connection, fence.key, batches, revision);
-  }
-  if (holds && status.ok()) {
-    const auto committed = connection.RunText("COMMIT");
-    if (!committed.ok()) return committed.status();
-    if (committed->Tag() == "COMMIT") return absl::OkStatus();
-    return Error(absl::StatusCode::kUnavailable, "STORE_UNAVAILABLE",
-                 "the database rolled the revision back");
-  }
-  // A connection that cannot roll back is not used again.
-  const bool in_doubt = connection.IsInDoubt();
-  if (!in_doubt) connection.RunText("ROLLBACK").IgnoreError();
-  if (!status.ok()) return status;
-  return WhyNotWritten(connection, fence, Fenced("the vehicle"));
+  return ChangeBatches(connection, fence, revision, [&] {
+    return ReviseInGroups(connection, fence.key, batches, revision);
+  });
+}
+
+absl::Status ReplaceBatchRows(PostgresConnection& connection,
+                              const Fence& fence,
+                              const std::vector<BatchVersions>& batches,
+                              std::uint64_t revision) {
+  return ChangeBatches(connection, fence, revision,
+                       [&] { return Replace(connection, fence.key, batches); });
 }
 
 absl::Status DropDamagedRows(PostgresConnection& connection, const Fence& fence,

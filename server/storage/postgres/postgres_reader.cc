@@ -34,6 +34,10 @@ class ReadOnlyPostgres : public PostgresReader {
                      Done done) override {
     done(ReadOnly());
   }
+  void ReplaceBatches(VehicleKey, std::vector<BatchVersions>, std::uint64_t,
+                      Done done) override {
+    done(ReadOnly());
+  }
   void AddPosePair(VehicleKey, PairKind, PosePairRecord, std::uint64_t,
                    Done done) override {
     done(ReadOnly());

@@ -134,6 +134,19 @@ class PostgresStorage : public PostgresReader {
         std::move(done));
   }
 
+  void ReplaceBatches(VehicleKey key, std::vector<BatchVersions> batches,
+                      std::uint64_t revision, Done done) override {
+    PostgresWriter& writer = WriterOf(key);
+    writer.Submit(
+        key, 0,
+        [&writer, batches = std::move(batches), revision](
+            PostgresConnection& connection, const Fence& fence) {
+          writer.PurgeSoon();
+          return ReplaceBatchRows(connection, fence, batches, revision);
+        },
+        std::move(done));
+  }
+
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                    std::uint64_t revision, Done done) override {
     WriterOf(key).Submit(

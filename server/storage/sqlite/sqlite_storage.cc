@@ -175,6 +175,18 @@ class SqliteStorage : public Storage {
         std::move(done));
   }
 
+  void ReplaceBatches(VehicleKey key, std::vector<BatchVersions> batches,
+                      std::uint64_t revision, Done done) override {
+    Submit(
+        // It removes many rows: nothing shares a transaction with it.
+        options_.max_group_bytes,
+        [this, key, batches = std::move(batches), revision] {
+          chores_ = Chores::kPurge;
+          return ReplaceBatchRows(*writer_, key, batches, revision);
+        },
+        std::move(done));
+  }
+
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                    std::uint64_t revision, Done done) override {
     Submit(

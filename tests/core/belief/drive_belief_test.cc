@@ -133,7 +133,8 @@ TEST(DriveBeliefTest, LaterPlacesOutweighEarlierOnesAndTheBestAreKept) {
 
 TEST(MarkLineTest, AMarkIsTheFirstNodeAtOrAfterItsDistance) {
   const PoseGraph graph = StraightRoad(600);
-  const MarkLine line{graph, 50.0};
+  const DroppedStretches none;
+  const MarkLine line{graph, 50.0, none};
   EXPECT_EQ(line.NodeOf(1), 25);
   EXPECT_EQ(line.NodeOf(4), 100);
   // At least a spacing before the node.

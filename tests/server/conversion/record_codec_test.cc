@@ -57,6 +57,10 @@ TEST(SettingsConversionTest, EverySettingSurvivesTheStore) {
     max_inflation: 4
     use_belief: false
     fix_correlation_meters: 75
+    retention {
+      max_age { seconds: 77 nanos: 5 }
+      max_passes: 3
+    }
   )pb");
   auto config = DecodeSettings(settings, FieldPath());
   ASSERT_THAT(config, IsOk());
@@ -270,6 +274,63 @@ TEST(StoredBatchTest, UnreadableRecordIsDataLoss) {
         codec.DecodeBatch(payload, Planar()),
         IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("batch")));
   }
+}
+
+// ---- Dropped poses
+
+TEST(StoredBatchTest, KeepsWhatIsLeftOfDroppedPoses) {
+  const ProtoRecordCodec codec;
+  core::DroppedStretch stretch{5, 104, 321.5, std::nullopt};
+  BatchRecord record;
+  record.payload = codec.EncodeDropped(stretch);
+  const auto plain = codec.DecodePoses(record.payload, Planar());
+  ASSERT_THAT(plain, IsOk());
+  ASSERT_TRUE(plain->dropped);
+  EXPECT_TRUE(plain->samples.empty());
+  EXPECT_EQ(plain->dropped->first_sequence, 5u);
+  EXPECT_EQ(plain->dropped->last_sequence, 104u);
+  EXPECT_EQ(plain->dropped->travelled_meters, 321.5);
+  EXPECT_FALSE(plain->dropped->transition);
+  EXPECT_THAT(VisitPoses(record,
+                         [](v1::Pose*) {
+                           ADD_FAILURE() << "there is none";
+                           return true;
+                         }),
+              IsOk());
+  EXPECT_THAT(
+      codec.SliceBatch(record.payload, 0, 1),
+      IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("batch")));
+
+  VehicleConfig filter = Planar();
+  filter.engine.search.correlation_model = core::CorrelationModel::kFilter;
+  // What a filter needs is missing.
+  EXPECT_THAT(
+      codec.DecodeBatch(record.payload, filter),
+      IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("batch")));
+  stretch.transition.emplace().values[3] = -17.25;
+  const auto carried = codec.DecodeBatch(codec.EncodeDropped(stretch), filter);
+  ASSERT_THAT(carried, IsOk());
+  EXPECT_EQ(carried->dropped->transition->values, stretch.transition->values);
+}
+
+TEST(StoredBatchTest, DroppedPosesThatCannotHaveBeenAreDataLoss) {
+  const ProtoRecordCodec codec;
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  for (const core::DroppedStretch& wrong :
+       {core::DroppedStretch{0, 4, 1.0, std::nullopt},
+        core::DroppedStretch{5, 4, 1.0, std::nullopt},
+        core::DroppedStretch{1, 4, -1.0, std::nullopt},
+        core::DroppedStretch{1, 4, nan, std::nullopt}}) {
+    EXPECT_THAT(
+        codec.DecodePoses(codec.EncodeDropped(wrong), Planar()),
+        IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("batch")));
+  }
+  // Beside poses, as where two rows were taken for one.
+  EXPECT_THAT(
+      codec.DecodePoses(SomePoses().SerializeAsString() +
+                            codec.EncodeDropped({1, 4, 1.0, std::nullopt}),
+                        Planar()),
+      IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("batch")));
 }
 
 // ---- Revisions

@@ -227,6 +227,40 @@ TEST(UpdateConfigTest, KnowsEverySettingByItsName) {
   EXPECT_EQ(back->engine.max_inflation, 3);
 }
 
+TEST(UpdateConfigTest, ReplacesWhatIsKeptAsAWhole) {
+  const auto limited = Update({}, true,
+                              "retention { max_passes: 4 "
+                              "max_age { seconds: 3600 nanos: 500 } }",
+                              {"settings.retention"});
+  ASSERT_THAT(limited, IsOk());
+  EXPECT_EQ(limited->engine.retention.max_passes, 4);
+  EXPECT_EQ(limited->engine.retention.max_age_ns, 3'600'000'000'500);
+  v1::VehicleSettings told;
+  EncodeSettings(*limited, &told);
+  EXPECT_EQ(told.retention().ShortDebugString(),
+            "max_age { seconds: 3600 nanos: 500 } max_passes: 4");
+  const auto younger =
+      Update(*limited, true, "retention { max_age { seconds: 60 } }",
+             {"settings.retention"});
+  ASSERT_THAT(younger, IsOk());
+  EXPECT_EQ(younger->engine.retention.max_passes, 0);
+  const auto all = Update(*younger, true, "", {"settings.retention"});
+  ASSERT_THAT(all, IsOk());
+  EXPECT_FALSE(all->engine.retention.max_age_ns);
+  EncodeSettings(*all, &told);
+  EXPECT_FALSE(told.has_retention());
+  EXPECT_FALSE(SameSettings(*limited, *all));
+  for (const std::string wrong :
+       {"max_age {}", "max_age { seconds: 1 nanos: -1 }", "max_passes: 21",
+        "max_age { seconds: 9000000000000000000 }", "max_passes: -1"}) {
+    EXPECT_THAT(
+        Update({}, true, "retention { " + wrong + " }", {"settings.retention"}),
+        IsError(StatusCode::kInvalidArgument, "INVALID_FIELD",
+                HasSubstr("retention.max_")))
+        << wrong;
+  }
+}
+
 TEST(UpdateConfigTest, RefusesPathsThatAreNoSettings) {
   for (const std::string path :
        {"", "*", "name", "max_candidates", "settings.", "settings.nothing",

@@ -26,6 +26,9 @@ Snapshot Take(const VehicleView& view) {
   snapshot.config_is_known = view.config_is_known;
   const core::PoseGraph& graph = view.engine.graph();
   snapshot.node_count = graph.size();
+  snapshot.first_kept = view.first_kept_sequence();
+  snapshot.dropped = view.engine.dropped().count();
+  snapshot.travelled_meters = view.engine.travelled_meters();
   std::ostringstream text;
   text << std::hexfloat;
   for (core::NodeIndex i = 0; i < graph.size(); ++i) {
@@ -40,6 +43,16 @@ Snapshot Take(const VehicleView& view) {
     text << from << " - " << to << "\n";
   }
   snapshot.graph = text.str();
+  const auto found = view.engine.FindCandidates(
+      view.config.engine.search, [] { return false; }, view.marks);
+  std::ostringstream candidates;
+  candidates << std::hexfloat;
+  if (found.ok()) {
+    for (const core::Candidate& candidate : found->candidates) {
+      candidates << candidate.matched << " " << candidate.score << "\n";
+    }
+  }
+  snapshot.candidates = candidates.str();
   return snapshot;
 }
 
@@ -85,11 +98,11 @@ absl::StatusOr<Snapshot> UpdateNow(
   return answer.Get();
 }
 
-absl::StatusOr<std::pair<std::uint64_t, std::int64_t>> ReviseNow(
+absl::StatusOr<RevisionResult> ReviseNow(
     VehicleSession& session,
     const std::function<absl::StatusOr<RevisionPlan>(const VehicleView&)>&
         plan) {
-  const Answer<absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>> answer;
+  const Answer<absl::StatusOr<RevisionResult>> answer;
   session.Revise(plan, answer.Setter());
   return answer.Get();
 }

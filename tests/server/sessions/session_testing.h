@@ -27,6 +27,12 @@ struct Snapshot {
   // Every number of every node, and the loop edges, as text.
   std::string graph;
   std::int64_t node_count = 0;
+  // The first pose that is kept, and how many were dropped.
+  std::uint64_t first_kept = 1;
+  std::uint64_t dropped = 0;
+  double travelled_meters = 0.0;
+  // Candidates at the newest node, as text.
+  std::string candidates;
   absl::Status damage;
   bool config_is_known = true;
 };
@@ -51,7 +57,7 @@ absl::StatusOr<Snapshot> UpdateNow(
     VehicleSession& session,
     const std::function<absl::StatusOr<VehicleConfig>(const VehicleView&)>&
         change);
-absl::StatusOr<std::pair<std::uint64_t, std::int64_t>> ReviseNow(
+absl::StatusOr<RevisionResult> ReviseNow(
     VehicleSession& session,
     const std::function<absl::StatusOr<RevisionPlan>(const VehicleView&)>&
         plan);

@@ -475,7 +475,7 @@ TEST_F(LongSnapshotsTest, ARevisionWhileOneIsWrittenEndsIt) {
   session_ = fleet_->Session(kId);
   storage_.Hold();
   AwaitWrite();
-  const Answer<absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>> revised;
+  const Answer<absl::StatusOr<RevisionResult>> revised;
   session_->Revise(
       [](const VehicleView&) -> absl::StatusOr<RevisionPlan> {
         RevisionPlan plan;

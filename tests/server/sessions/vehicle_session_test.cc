@@ -698,8 +698,8 @@ TEST_F(VehicleSessionTest, RevisesPosesUnderOneRevision) {
   ASSERT_THAT(AddPairNow(*session_, kClosure, {"a", 9, 1, 0}), IsOk());
   const auto revised = ReviseNow(*session_, ShiftSecondBatch);
   ASSERT_THAT(revised, IsOk());
-  EXPECT_EQ(revised->first, 6u);
-  EXPECT_EQ(revised->second, 3);
+  EXPECT_EQ(revised->revision, 6u);
+  EXPECT_EQ(revised->revised_count, 3);
   const Snapshot snapshot = *ReadNow(*session_);
   EXPECT_EQ(snapshot.revision, 6u);
   // 200 m are beyond the maximal step: now there is a jump there and one back.
@@ -720,8 +720,8 @@ TEST_F(VehicleSessionTest, PlanWithoutBatchesChangesNothing) {
   const auto revised =
       ReviseNow(*session_, [](const VehicleView&) { return RevisionPlan(); });
   ASSERT_THAT(revised, IsOk());
-  EXPECT_EQ(revised->first, 1u);
-  EXPECT_EQ(revised->second, 0);
+  EXPECT_EQ(revised->revision, 1u);
+  EXPECT_EQ(revised->revised_count, 0);
 }
 
 TEST_F(VehicleSessionTest, PlanMayRefuse) {
@@ -739,7 +739,7 @@ TEST_F(VehicleSessionTest, ShowsOldGraphUntilRevisionIsDurable) {
   }
   const Snapshot before = *ReadNow(*session_);
   storage_.Hold();
-  const Answer<absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>> revised;
+  const Answer<absl::StatusOr<RevisionResult>> revised;
   session_->Revise(ShiftSecondBatch, revised.Setter());
   storage_.Await(1);
   EXPECT_EQ(ReadNow(*session_)->graph, before.graph);
@@ -762,7 +762,7 @@ TEST_F(VehicleSessionTest, StoreIsReadAtTheRevisionOfTheView) {
   };
   EXPECT_EQ(read_stored().Get()->revision, 4u);
   storage_.Hold();
-  const Answer<absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>> revised;
+  const Answer<absl::StatusOr<RevisionResult>> revised;
   session_->Revise(ShiftSecondBatch, revised.Setter());
   storage_.Await(1);
   const auto stored = read_stored();
@@ -811,7 +811,8 @@ TEST_F(VehicleSessionTest, RevisionThatWasDoneBeforeIsAnsweredAgain) {
     return plan;
   });
   ASSERT_THAT(revised, IsOk());
-  EXPECT_EQ(*revised, std::pair(std::uint64_t{2}, std::int64_t{4}));
+  EXPECT_EQ(revised->revision, 2u);
+  EXPECT_EQ(revised->revised_count, 4);
   EXPECT_EQ(ReadNow(*session_)->revision, 2u);
 }
 
@@ -820,7 +821,7 @@ TEST_F(VehicleSessionTest, LoadsAnewIfRevisedPosesCannotBeRead) {
     ASSERT_THAT(AppendNow(*session_, StraightBatch(first, 3)), IsOk());
   }
   storage_.Hold();
-  const Answer<absl::StatusOr<std::pair<std::uint64_t, std::int64_t>>> revised;
+  const Answer<absl::StatusOr<RevisionResult>> revised;
   session_->Revise(ShiftSecondBatch, revised.Setter());
   storage_.Await(1);
   storage_.FailReads(DeviceFailure());

@@ -260,6 +260,59 @@ TEST_P(StorageContract, RevisesAllOrNothing) {
   EXPECT_EQ(storage().GetVehicle("truck")->revision, 2u);
 }
 
+TEST_P(StorageContract, ReplacesBatchesWithTheirRevisions) {
+  const VehicleKey key = *write().Create("truck");
+  const VehicleKey other = *write().Create("tram");
+  for (std::uint64_t i = 0; i < 5; ++i) {
+    ASSERT_THAT(write().Append(key, Batch(2 * i + 1, 2, i + 2, "sent")),
+                IsOk());
+    ASSERT_THAT(write().Append(other, Batch(2 * i + 1, 2, i + 2, "other")),
+                IsOk());
+  }
+  ASSERT_THAT(
+      write().Revise(key, {Batch(3, 2, 0, "B"), Batch(9, 2, 0, "E")}, 7),
+      IsOk());
+  // Two become one, and another one two.
+  ASSERT_THAT(write().Replace(key,
+                              {{Batch(3, 4, 8, "merged")},
+                               {Batch(7, 1, 5, "s"), Batch(7, 1, 6, "S")},
+                               {Batch(8, 1, 5, "ent")}},
+                              8),
+              IsOk());
+  store_->Reopen();
+  EXPECT_EQ(storage().GetVehicle("truck")->revision, 8u);
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 10, BatchVersion::kCurrent)),
+              ElementsAre("1+2, revision 2, 'sent'",
+                          "3+4, revision 8, 'merged'", "7+1, revision 6, 'S'",
+                          "8+1, revision 5, 'ent'", "9+2, revision 7, 'E'"));
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 4, 7, BatchVersion::kAsSent)),
+              ElementsAre("3+4, revision 8, 'merged'", "7+1, revision 5, 's'"));
+  // What was replaced can be replaced again, with all that the vehicle has.
+  ASSERT_THAT(write().Replace(key, {{Batch(1, 10, 9, "all")}}, 9), IsOk());
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 10)),
+              ElementsAre("1+10, revision 9, 'all'"));
+  EXPECT_THAT(write().Append(key, Batch(11, 1, 10, "next")), IsOk());
+  EXPECT_EQ(ReadAll(storage(), other, 1, 10)->size(), 5u);
+}
+
+TEST_P(StorageContract, ReplacesWholeBatchesOrNothing) {
+  const VehicleKey key = *write().Create("truck");
+  ASSERT_THAT(write().Append(key, Batch(1, 3, 2, "a")), IsOk());
+  ASSERT_THAT(write().Append(key, Batch(4, 3, 3, "b")), IsOk());
+  for (const BatchRecord& wrong :
+       {Batch(1, 2, 4, "x"), Batch(2, 2, 4, "x"), Batch(1, 4, 4, "x"),
+        Batch(2, 5, 4, "x"), Batch(4, 4, 4, "x"), Batch(7, 1, 4, "x")}) {
+    EXPECT_THAT(write().Replace(key, {{wrong}}, 4),
+                IsError(StatusCode::kFailedPrecondition, "INTERNAL", _))
+        << ToText(wrong);
+  }
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 6)),
+              ElementsAre("1+3, revision 2, 'a'", "4+3, revision 3, 'b'"));
+  EXPECT_EQ(storage().GetVehicle("truck")->revision, 3u);
+  EXPECT_THAT(write().Replace(99, {{Batch(1, 3, 4, "x")}}, 4),
+              IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
+}
+
 TEST_P(StorageContract, KeepsPairsOfPoses) {
   for (const PairKind kind : kPairKinds) {
     const PairWords words = WordsOf(kind);
@@ -562,6 +615,11 @@ TEST_P(StorageContract, RemovesASnapshotWithWhatItComesFrom) {
   put("a");
   ASSERT_THAT(write().DropDamaged(key, 4, "payload", 4), IsOk());
   EXPECT_EQ(SnapshotOf(storage(), key), "none");
+  put("m");
+  EXPECT_FALSE(write().Replace(key, {{Batch(1, 3, 5, "x")}}, 5).ok());
+  EXPECT_EQ(SnapshotOf(storage(), key), "to 7: m, 'x'");
+  ASSERT_THAT(write().Replace(key, {{Batch(1, 4, 5, "x")}}, 5), IsOk());
+  EXPECT_EQ(SnapshotOf(storage(), key), "none");
   put("b");
   ASSERT_THAT(write().DropSnapshot(key), IsOk());
   EXPECT_EQ(SnapshotOf(storage(), key), "none");
@@ -610,7 +668,7 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
                  call(BlockingWrites(&model), key.second)};
     };
     const bool has_snapshots = storage().KeepsSnapshots();
-    switch (UniformInt(random, has_snapshots ? -3 : 0, 9)) {
+    switch (UniformInt(random, has_snapshots ? -3 : 0, 10)) {
       case -3: {
         const auto number =
             static_cast<std::uint32_t>(UniformInt(random, 0, 3));
@@ -683,6 +741,23 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
         }
         both([&](BlockingWrites writes, VehicleKey k) {
           return writes.Revise(k, revised, revision);
+        });
+        break;
+      }
+      case 6: {
+        std::vector<BatchVersions> batches;
+        auto next = static_cast<std::uint64_t>(UniformInt(random, 1, 8));
+        for (int i = UniformInt(random, 1, 3); i > 0; --i) {
+          const auto count =
+              static_cast<std::uint32_t>(UniformInt(random, 1, 4));
+          batches.push_back({Batch(next, count, revision, payload)});
+          if (UniformInt(random, 0, 2) == 0) {
+            batches.back().revised = Batch(next, count, revision + 1, "new");
+          }
+          next += count;
+        }
+        both([&](BlockingWrites writes, VehicleKey k) {
+          return writes.Replace(k, batches, revision);
         });
         break;
       }

@@ -1,0 +1,100 @@
+// Which nodes of a vehicle's history are no longer wanted: those that are too
+// old, and those of places that were passed often enough.
+//
+// A node is covered if so many better passes of its place, in its direction,
+// stay as are to be kept. A pass is better if its position is known twice as
+// well, or, where both are known about alike, if it is the later one. Two nodes
+// are surely of one place if
+//
+//   |d|^2 + tr G <= r^2   and   |d|^2 <= 4 t^2 + (s / 2)^2 + tr G,
+//
+// with d the difference of their positions, G its covariance by the vehicle's
+// correlation model, t the place tolerance, s the distance between two nodes
+// that are compared, and r^2 = kPassRadiusMeters^2 + (s / 2)^2: the true
+// positions lie within r of each other in the root mean square, and no farther
+// than the tolerance and the errors explain; and their headings are surely
+// alike, in the same sense. Where the path was reckoned, G grows with the way,
+// so that places are sure again only once an optimiser has revised the poses.
+//
+// A search finds a node by the path that leads to it, so what has to stay,
+// stays together with as many nodes before it as a search aligns.
+#ifndef REVISIT_CORE_GRAPH_RETENTION_H_
+#define REVISIT_CORE_GRAPH_RETENTION_H_
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "core/geometry/pose.h"
+#include "core/graph/correlation.h"
+#include "core/graph/node_range.h"
+#include "core/graph/pose_graph.h"
+
+namespace revisit::core {
+
+// Passes of one place lie so far apart at most.
+inline constexpr double kPassRadiusMeters = 10.0;
+
+// The most passes of a place that one can ask to keep.
+inline constexpr int kMostPasses = 20;
+
+// Least and greatest age that one can ask to keep: a second, and 100 years of
+// 365 days.
+inline constexpr std::int64_t kLeastAgeNanoseconds = 1'000'000'000;
+inline constexpr std::int64_t kMostAgeNanoseconds =
+    std::int64_t{100} * 365 * 24 * 3600 * 1'000'000'000;
+
+struct RetentionOptions {
+  // A node is too old if its stamp is so much less than that of the newest
+  // node. A node without a stamp has no age.
+  std::optional<std::int64_t> max_age_ns;
+  // Passes of each place in each direction that are kept; 0: all. At most
+  // kMostPasses.
+  int max_passes = 0;
+};
+
+inline bool operator==(const RetentionOptions& a, const RetentionOptions& b) {
+  return a.max_age_ns == b.max_age_ns && a.max_passes == b.max_passes;
+}
+
+// What the nodes are needed for.
+struct RetentionNeeds {
+  StateSpace state_space = StateSpace::kPlanar;
+  Correlation correlation;
+  // t, and the distance between two nodes.
+  double tolerance_meters = 2.0;
+  double spacing_meters = 2.0;
+  // Two nodes nearer to each other along the path than this, or than 4 r, are
+  // of one pass.
+  double separation_meters = 10.0;
+  // Nodes that a search aligns with the history.
+  NodeIndex aligned_nodes = 150;
+  // The last nodes, which all stay.
+  NodeIndex newest_nodes = 1000;
+  // Covered nodes are dropped where there are at least so many in a row.
+  NodeIndex least_nodes = 150;
+  // Nodes to which confirmed loop closures refer. Each stays, with as many
+  // nodes before it as a search aligns, and those within kPassRadiusMeters
+  // behind it.
+  std::vector<NodeIndex> loop_ends;
+};
+
+// The nodes to drop: ranges in ascending order that do not touch each other,
+// none of them empty. O(n log n), with a factor that grows with max_passes.
+// REQUIRES: max_passes in [0, kMostPasses].
+std::vector<NodeRange> FindDroppable(const PoseGraph& graph,
+                                     const RetentionOptions& options,
+                                     const RetentionNeeds& needs);
+
+// Sequences of the poses that no node outside of the range comes from, first
+// and last: none if last < first. REQUIRES: a range of the graph, not empty,
+// that does not reach its end.
+struct SequenceRange {
+  std::uint64_t first = 0;
+  std::uint64_t last = 0;
+};
+SequenceRange SequencesOf(const PoseGraph& graph, const NodeRange& nodes);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_GRAPH_RETENTION_H_

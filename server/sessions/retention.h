@@ -1,0 +1,101 @@
+// Drops the poses that a vehicle's settings do not keep
+// (core/graph/retention.h): when that is due, and how they leave the store and
+// the graph.
+#ifndef REVISIT_SERVER_SESSIONS_RETENTION_H_
+#define REVISIT_SERVER_SESSIONS_RETENTION_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "core/geometry/pose.h"
+#include "core/graph/dropped_stretch.h"
+#include "core/graph/retention.h"
+#include "server/sessions/replay.h"
+#include "server/sessions/vehicle_queue.h"
+#include "server/sessions/vehicle_state.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+// Looks when the graph has grown by a tenth, and drops what is at least a tenth
+// of it: so what a vehicle has stays below 1.25 times what its settings keep,
+// and each pose is dropped, and the graph made anew, for few others.
+//
+// Whole rows of the store are dropped, and none that holds a pose to which a
+// loop closure refers; a long row that is to go in part is divided before. The
+// stretches that are dropped become one row each, a part at a time, each of
+// which leaves a sound store; then the graph is made anew by the replay of a
+// load, so it is the one that a load makes.
+//
+// Belongs to the strand. While it is at work, appends wait, and reads of memory
+// go on, but not those of the store.
+class Retention {
+ public:
+  Retention(VehicleState* vehicle, VehicleQueue* queue, Replayer* replayer)
+      : vehicle_(vehicle), queue_(queue), replayer_(replayer) {}
+
+  // Call after every append, and after the settings have changed: looks once
+  // the appends in flight have landed, if it is time.
+  void Consider();
+
+ private:
+  // The rows of one stretch, as far as they are read.
+  struct Stretch {
+    core::DroppedStretchMaker maker;
+    std::uint64_t first_sequence = 0;
+    std::uint64_t count = 0;
+    // Rows that are not yet merged with those before them.
+    std::size_t rows = 0;
+    // Whether a row among those is not dropped yet.
+    bool has_poses = false;
+  };
+  struct Work {
+    std::vector<core::SequenceRange> ranges;
+    // The poses of loop closures, sorted.
+    std::vector<std::uint64_t> referred;
+    std::size_t range = 0;
+    // The next row of the range begins here; 0 before its first row.
+    std::uint64_t next_sequence = 0;
+    // The last pose of the row before it, if that has poses.
+    std::optional<core::Pose> before;
+    std::optional<Stretch> stretch;
+    // Rows to be written in the place of others; empty if there are none.
+    std::vector<BatchVersions> rows;
+    // The revision of the last write that was made; 0: nothing was written.
+    std::uint64_t revision = 0;
+  };
+
+  void Look(const absl::Status& status);
+  void Step();
+  // Reads rows until one is to be written, or for a slice of time. Returns
+  // whether all are read.
+  absl::StatusOr<bool> ReadSome();
+  // Takes the next row of the store. Returns whether more may be taken before a
+  // write.
+  absl::StatusOr<bool> TakeRow(const BatchRecord& row);
+  bool MayDrop(const BatchRecord& row) const;
+  // Sets Work::rows to the parts of a row of which a part is to go, if that is
+  // worth it.
+  absl::Status Divide(const BatchRecord& row);
+  // Sets Work::rows to what is there of the stretch, if any of it is new.
+  // `next`: the pose behind it, if that is kept or not dropped yet.
+  void Complete(const std::optional<core::Pose>& next, bool is_end);
+  void Write();
+  void Finish();
+  // That of the next write.
+  std::uint64_t NextRevision() const;
+
+  VehicleState* const vehicle_;
+  VehicleQueue* const queue_;
+  Replayer* const replayer_;
+  bool is_waiting_ = false;
+  std::optional<Work> work_;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SESSIONS_RETENTION_H_

@@ -1,0 +1,302 @@
+"""Vehicles that keep a part of their history: what is dropped, what stays, and
+what callers hear of it."""
+
+import importlib
+import math
+import pathlib
+import shutil
+import sys
+import tempfile
+
+import grpc
+import pytest
+from google.protobuf import duration_pb2, field_mask_pb2, timestamp_pb2
+
+from revisit_server import Server, run
+from stubs import ROOT, api
+from wire import append, batches, failure_of, get, list_poses, pose
+
+sys.path.insert(0, str(ROOT / "deploy/cluster"))
+private_cluster = importlib.import_module("private_cluster")
+
+LAP_METERS = 600.0
+LAP = 300
+SETTINGS = dict(correlation_model=api.CORRELATION_MODEL_INDEPENDENT,
+                sequence_length_meters=100.0)
+# Standard deviations of 0.5 m and 0.02 rad.
+FIX = (0.25, 0.0, 0.0, 0.25, 0.0, 0.0004)
+
+
+def course(count, first=1):
+    """Poses of a course with corners, a pose every 2 m and every second."""
+    radius = LAP_METERS / math.tau
+    poses = []
+    for n in range(first, first + count):
+        angle = math.tau * (n % LAP) / LAP
+        bulge = radius * (1.0 + 0.25 * math.cos(3 * angle))
+        slope = -0.75 * radius * math.sin(3 * angle)
+        heading = math.atan2(slope * math.sin(angle) + bulge * math.cos(angle),
+                             slope * math.cos(angle) - bulge * math.sin(angle))
+        poses.append(pose(n, bulge * math.cos(angle), bulge * math.sin(angle),
+                          heading, FIX, stamp=timestamp_pb2.Timestamp(seconds=n)))
+    return poses
+
+
+def create(stub, name, **retention):
+    settings = api.VehicleSettings(**SETTINGS)
+    if retention:
+        settings.retention.CopyFrom(api.Retention(**retention))
+    return stub.CreateVehicle(api.CreateVehicleRequest(
+        vehicle_id=name, vehicle=api.Vehicle(settings=settings))).vehicle.name
+
+
+def drive(stub, vehicle, laps, first_lap=0):
+    for batch in batches(course(laps * LAP, first_lap * LAP + 1), 50):
+        append(stub, vehicle, batch)
+
+
+def settled(stub, vehicle):
+    """The vehicle once what fell due is dropped: a change comes behind it."""
+    return stub.UpdateVehicle(api.UpdateVehicleRequest(
+        vehicle=api.Vehicle(name=vehicle, display_name="settled"),
+        update_mask=field_mask_pb2.FieldMask(paths=["display_name"]))).vehicle
+
+
+def best(stub, vehicle, sequence=0):
+    found = stub.FindCandidates(api.FindCandidatesRequest(
+        vehicle=vehicle, sequence=sequence)).candidates
+    return found.candidates[0] if found.candidates else None
+
+
+def assert_finds_its_place(stub, vehicle, sequence=0):
+    """The best candidate is whole laps before the query."""
+    candidate = best(stub, vehicle, sequence)
+    assert candidate is not None
+    assert candidate.verdict == api.VERDICT_ACCEPTED
+    behind = (candidate.query.sequence - candidate.matched.sequence) % LAP
+    assert min(behind, LAP - behind) <= 3
+
+
+@pytest.fixture
+def database():
+    if private_cluster.find_postgres() is None:
+        pytest.skip("there is no PostgreSQL: tests/run installs it")
+    directory = pathlib.Path(tempfile.mkdtemp(prefix="retention-"))
+    directory.chmod(0o711)
+    try:
+        with private_cluster.Processes(directory) as processes:
+            yield private_cluster.Postgres(processes)
+    finally:
+        shutil.rmtree(directory, ignore_errors=True)
+
+
+def test_a_vehicle_that_goes_round_stays_bounded_and_finds_its_loops(tmp_path):
+    with Server(tmp_path / "store") as server:
+        stub = server.stub()
+        vehicle = create(stub, "bounded", max_passes=3)
+        whole = create(stub, "whole")
+        sizes = []
+        for first_lap in range(0, 40, 4):
+            drive(stub, vehicle, 4, first_lap)
+            drive(stub, whole, 4, first_lap)
+            sizes.append(settled(stub, vehicle).node_count)
+            assert_finds_its_place(stub, vehicle)
+        assert max(sizes[3:]) < 2400, sizes
+        assert get(stub, whole).node_count > 11_900
+        summary = get(stub, vehicle)
+        assert summary.durable_sequence == 40 * LAP
+        assert summary.dropped_pose_count > 30 * LAP
+        assert summary.travelled_meters == pytest.approx(
+            get(stub, whole).travelled_meters, rel=1e-3)
+        for sequence in range(summary.first_kept_sequence + LAP + 100, 40 * LAP, 97):
+            assert_finds_its_place(stub, vehicle, sequence)
+        kept = list_poses(stub, vehicle)
+        before = best(stub, vehicle)
+    with Server(tmp_path / "store") as server:
+        stub = server.stub()
+        loaded = get(stub, vehicle)
+        assert (loaded.node_count, loaded.first_kept_sequence,
+                loaded.dropped_pose_count, loaded.travelled_meters) == (
+                    summary.node_count, summary.first_kept_sequence,
+                    summary.dropped_pose_count, summary.travelled_meters)
+        assert list_poses(stub, vehicle) == kept
+        assert best(stub, vehicle) == before
+        drive(stub, vehicle, 1, 40)
+        assert_finds_its_place(stub, vehicle)
+    verified = run("revisitd", "verify", "--store", tmp_path / "store")
+    assert verified.stdout.endswith("sound\n"), verified.stdout
+
+
+@pytest.fixture(scope="module")
+def bounded(stub):
+    vehicle = create(stub, "asked", max_passes=2)
+    drive(stub, vehicle, 10)
+    summary = settled(stub, vehicle)
+    assert summary.dropped_pose_count > 4 * LAP
+    assert summary.first_kept_sequence > 1
+    return vehicle
+
+
+def test_lists_begin_at_the_first_pose_that_is_kept(stub, bounded):
+    summary = get(stub, bounded)
+    kept = list_poses(stub, bounded)
+    assert kept[0].sequence == summary.first_kept_sequence
+    assert len(kept) == 10 * LAP - summary.dropped_pose_count
+    assert [p.sequence for p in kept] == sorted(p.sequence for p in kept)
+    # Pages pass over what is missing.
+    pages = []
+    request = api.ListPosesRequest(parent=bounded, page_size=37)
+    while True:
+        page = stub.ListPoses(request)
+        pages.extend(page.poses)
+        if not page.next_page_token:
+            break
+        assert len(page.poses) == 37
+        request.page_token = page.next_page_token
+    assert pages == kept
+
+
+@pytest.mark.parametrize("name", ["ListPoses", "FindCandidates", "AddLoopClosure",
+                                  "RejectCandidate"])
+def test_calls_that_name_a_dropped_pose_hear_where_to_go_on(name, stub, bounded):
+    first = get(stub, bounded).first_kept_sequence
+    request = {
+        "ListPoses": api.ListPosesRequest(parent=bounded, first_sequence=2),
+        "FindCandidates": api.FindCandidatesRequest(vehicle=bounded, sequence=2),
+        "AddLoopClosure": api.AddLoopClosureRequest(
+            parent=bounded, loop_closure=api.LoopClosure(
+                query_sequence=10 * LAP, matched_sequence=2)),
+        "RejectCandidate": api.RejectCandidateRequest(
+            parent=bounded, rejected_candidate=api.RejectedCandidate(
+                query_sequence=10 * LAP, matched_sequence=2)),
+    }[name]
+    failure = failure_of(lambda: getattr(stub, name)(request))
+    assert failure.code == grpc.StatusCode.OUT_OF_RANGE
+    assert failure.reason == "POSES_DROPPED"
+    assert failure.metadata["sequence"] == "2"
+    assert failure.metadata["first_kept_sequence"] == str(first)
+    assert failure.metadata["next_kept_sequence"] == str(first)
+    listed = stub.ListPoses(api.ListPosesRequest(parent=bounded,
+                                                 first_sequence=first))
+    assert listed.poses[0].sequence == first
+
+
+def test_dropped_poses_that_come_again_are_acknowledged(stub, bounded):
+    revision = get(stub, bounded).revision
+    assert append(stub, bounded, course(200, 2)).durable_sequence == 10 * LAP
+    last = get(stub, bounded).first_kept_sequence
+    assert append(stub, bounded, course(300, last - 150)).durable_sequence == 10 * LAP
+    assert get(stub, bounded).revision == revision
+
+
+def test_a_revision_passes_over_what_is_dropped(stub, bounded):
+    first = get(stub, bounded).first_kept_sequence
+    before = get(stub, bounded).revision
+    answer = stub.RevisePoses(iter([api.RevisePosesRequest(
+        vehicle=bounded, poses=course(20, first - 8))]))
+    assert (answer.revised_count, answer.dropped_count) == (12, 8)
+    assert answer.revision > before
+    nothing = stub.RevisePoses(iter([api.RevisePosesRequest(
+        vehicle=bounded, poses=course(5, 2))]))
+    assert (nothing.revised_count, nothing.dropped_count) == (0, 5)
+    assert nothing.revision == answer.revision
+
+
+def test_an_export_has_no_edge_over_what_is_dropped(stub, bounded):
+    nodes, edges = [], []
+    for part in stub.ExportPoseGraph(api.ExportPoseGraphRequest(vehicle=bounded)):
+        nodes.extend(part.nodes)
+        edges.extend((edge.from_index, edge.to_index) for edge in part.edges)
+    cuts = [later.index for earlier, later in zip(nodes, nodes[1:])
+            if later.sequence > earlier.sequence + 2]
+    present = set(edges)
+    assert all((cut - 1, cut) not in present for cut in cuts)
+    assert len(edges) >= len(nodes) - 1 - len(cuts)
+
+
+def test_poses_grow_too_old_by_their_own_stamps(stub):
+    vehicle = create(stub, "aged", max_age=duration_pb2.Duration(seconds=6 * LAP))
+    drive(stub, vehicle, 24)
+    summary = settled(stub, vehicle)
+    kept = 24 * LAP - summary.dropped_pose_count
+    assert 6 * LAP <= kept < 1.25 * 6 * LAP + 100
+    assert summary.first_kept_sequence == 24 * LAP - kept + 1
+    assert_finds_its_place(stub, vehicle)
+
+
+def test_what_is_kept_can_be_changed_at_any_time(stub):
+    vehicle = create(stub, "changed")
+    drive(stub, vehicle, 12)
+    assert get(stub, vehicle).settings.HasField("retention") is False
+    request = api.UpdateVehicleRequest(
+        vehicle=api.Vehicle(name=vehicle, settings=api.VehicleSettings(
+            retention=api.Retention(max_passes=2))),
+        update_mask=field_mask_pb2.FieldMask(paths=["settings.retention"]))
+    assert stub.UpdateVehicle(request).vehicle.settings.retention.max_passes == 2
+    dropped = settled(stub, vehicle).dropped_pose_count
+    assert dropped > 5 * LAP
+    # Named but not given: everything is kept from now on.
+    request.vehicle.settings.ClearField("retention")
+    assert not stub.UpdateVehicle(request).vehicle.settings.HasField("retention")
+    drive(stub, vehicle, 4, 12)
+    assert settled(stub, vehicle).dropped_pose_count == dropped
+
+
+@pytest.mark.parametrize("retention,field", [
+    (dict(max_passes=-1), "max_passes"), (dict(max_passes=21), "max_passes"),
+    (dict(max_age=duration_pb2.Duration()), "max_age"),
+    (dict(max_age=duration_pb2.Duration(seconds=-5)), "max_age"),
+    (dict(max_age=duration_pb2.Duration(seconds=1, nanos=-5)), "max_age"),
+    (dict(max_age=duration_pb2.Duration(seconds=3_153_600_001)), "max_age"),
+    (dict(max_age=duration_pb2.Duration(seconds=2**62)), "max_age")])
+def test_settings_out_of_range_are_refused(retention, field, stub):
+    failure = failure_of(lambda: create(stub, "refused", **retention))
+    assert failure.code == grpc.StatusCode.INVALID_ARGUMENT
+    assert failure.fields == [f"vehicle.settings.retention.{field}"]
+
+
+def test_the_command_line_sets_and_shows_what_is_kept(server):
+    def revisit(*arguments):
+        result = run("revisit", "--server", f"127.0.0.1:{server.port}", *arguments)
+        assert result.returncode == 0, result.stderr
+        return result.stdout
+
+    shown = revisit("vehicle", "create", "by-hand", "--max-passes", "4",
+                    "--max-age", "86400")
+    assert "4 passes of each place, at most 86400 s old" in shown
+    stub = server.stub()
+    vehicle = create(stub, "exported", max_passes=2)
+    drive(stub, vehicle, 8)
+    summary = settled(stub, vehicle)
+    shown = revisit("vehicle", "get", "exported")
+    assert (f"{summary.dropped_pose_count}, the first that is kept is "
+            f"{summary.first_kept_sequence}") in shown
+    lines = revisit("export", "exported", "--format", "csv").splitlines()
+    assert len(lines) > 300
+
+
+def test_a_shared_store_drops_as_a_file_does(database, tmp_path):
+    owner = database.url("revisit_owner")
+    assert run("revisitd", "migrate", "--store", owner).returncode == 0
+    with Server(database.url("revisit"), "--advertise-address", "host-a:1",
+                log_path=tmp_path / "shared.log") as server:
+        stub = server.stub()
+        vehicle = create(stub, "shared", max_passes=3)
+        drive(stub, vehicle, 12)
+        summary = settled(stub, vehicle)
+        assert summary.dropped_pose_count > 5 * LAP
+        kept = list_poses(stub, vehicle)
+        assert_finds_its_place(stub, vehicle)
+    verified = run("revisitd", "verify", "--store", owner)
+    assert verified.stdout.endswith("sound\n"), verified.stdout
+    # And into a file, as it is.
+    file = tmp_path / "file"
+    copied = run("revisitd", "import", "--store", file, "--from", owner)
+    assert copied.returncode == 0, copied.stderr
+    with Server(file) as server:
+        stub = server.stub()
+        loaded = get(stub, vehicle)
+        assert loaded.dropped_pose_count == summary.dropped_pose_count
+        assert loaded.node_count == summary.node_count
+        assert list_poses(stub, vehicle) == kept
+        assert_finds_its_place(stub, vehicle)

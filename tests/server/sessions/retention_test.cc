@@ -1,0 +1,301 @@
+// Poses that a vehicle's settings no longer keep leave the store and the graph.
+#include "server/sessions/retention.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "server/sessions/executor.h"
+#include "server/sessions/fleet.h"
+#include "tests/server/error_matchers.h"
+#include "tests/server/held_storage.h"
+#include "tests/server/memory_storage.h"
+#include "tests/server/plain_codec.h"
+#include "tests/server/sessions/session_testing.h"
+#include "tests/server/storage_testing.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StatusCode;
+using ::testing::_;
+using ::testing::HasSubstr;
+
+constexpr auto kClosure = PairKind::kLoopClosure;
+
+// A fleet with one vehicle, which goes around and around a square of 20 m.
+class RetentionTest : public ::testing::Test {
+ protected:
+  static constexpr char kId[] = "truck";
+  static constexpr std::uint64_t kBatch = 10;
+
+  RetentionTest() : storage_(&memory_) { Open(); }
+  ~RetentionTest() override { storage_.ReleaseAll(); }
+
+  void Open(std::uint64_t snapshot_poses = 0) {
+    session_.reset();
+    fleet_.reset();
+    Fleet::Options options;
+    options.snapshots.poses = snapshot_poses;
+    fleet_ = std::make_unique<Fleet>(&storage_, &codec_, &executor_, options);
+  }
+
+  void Create(int max_passes) {
+    VehicleConfig config = TestConfig();
+    config.engine.retention.max_passes = max_passes;
+    const Answer<absl::StatusOr<Snapshot>> answer;
+    fleet_->Create(kId, config, Taking(answer));
+    ASSERT_THAT(answer.Get(), IsOk());
+    key_ = memory_.GetVehicle(kId)->key;
+  }
+  void Drive(std::uint64_t poses) {
+    for (const std::uint64_t end = last_ + poses; last_ < end;
+         last_ += kBatch) {
+      ASSERT_THAT(AppendNow(session(), SquareBatch(last_ + 1, kBatch)), IsOk());
+    }
+  }
+  // Once what fell due is done.
+  Snapshot Settled() {
+    return *UpdateNow(session(),
+                      [](const VehicleView& view) { return view.config; });
+  }
+  VehicleSession& session() { return *(session_ = fleet_->Session(kId)); }
+  std::vector<BatchRecord> Rows() { return *ReadAll(memory_, key_, 1, last_); }
+
+  // The vehicle as it is, and as another server loads it.
+  void ExpectAsLoaded() {
+    const Snapshot live = Settled();
+    Executor executor(2);
+    Fleet other(&memory_, &codec_, &executor, Fleet::Options());
+    const auto session = other.Session(kId);
+    const Snapshot loaded = *ReadNow(*session);
+    EXPECT_EQ(loaded.graph, live.graph);
+    EXPECT_EQ(loaded.candidates, live.candidates);
+    EXPECT_EQ(loaded.first_kept, live.first_kept);
+    EXPECT_EQ(loaded.dropped, live.dropped);
+    EXPECT_EQ(loaded.travelled_meters, live.travelled_meters);
+    EXPECT_EQ(loaded.revision, live.revision);
+    EXPECT_EQ(loaded.consistency.inflation, live.consistency.inflation);
+    EXPECT_EQ(loaded.consistency.confirmed, live.consistency.confirmed);
+    EXPECT_EQ(loaded.consistency.rejected, live.consistency.rejected);
+  }
+
+  MemoryStorage memory_;
+  HeldStorage storage_;
+  const PlainCodec codec_;
+  Executor executor_{2};
+  std::unique_ptr<Fleet> fleet_;
+  std::shared_ptr<VehicleSession> session_;
+  VehicleKey key_ = 0;
+  std::uint64_t last_ = 0;
+};
+
+TEST_F(RetentionTest, AVehicleThatGoesRoundStaysBounded) {
+  Create(3);
+  Drive(20'000);
+  const Snapshot settled = Settled();
+  EXPECT_LT(settled.node_count, 1400);
+  EXPECT_GT(settled.node_count, 300);
+  EXPECT_GT(settled.dropped, 18'000u);
+  EXPECT_EQ(settled.durable_sequence, 20'000u);
+  EXPECT_LT(Rows().size(), 200u);
+  // Corners are cut by a little.
+  EXPECT_NEAR(settled.travelled_meters, 20'000.0, 25.0);
+  EXPECT_NE(settled.candidates, "");
+  ExpectAsLoaded();
+}
+
+TEST_F(RetentionTest, FindsTheSamePlacesAsOneThatKeepsEverything) {
+  Create(3);
+  Drive(4000);
+  const Snapshot bounded = Settled();
+  EXPECT_GT(bounded.dropped, 2000u);
+  // Both end at the same place of the square, so a candidate is a lap earlier.
+  EXPECT_THAT(bounded.candidates, HasSubstr("0x1"));
+}
+
+TEST_F(RetentionTest, KeepsEverythingUnlessItIsAsked) {
+  Create(0);
+  Drive(3000);
+  EXPECT_EQ(Settled().dropped, 0u);
+  EXPECT_EQ(Rows().size(), 300u);
+  // Until it is asked for.
+  ASSERT_THAT(UpdateNow(session(),
+                        [](const VehicleView& view) {
+                          VehicleConfig config = view.config;
+                          config.engine.retention.max_passes = 2;
+                          return config;
+                        }),
+              IsOk());
+  EXPECT_GT(Settled().dropped, 2000u);
+  ExpectAsLoaded();
+}
+
+TEST_F(RetentionTest, WhatWasDroppedIsARowToWhichMoreIsAdded) {
+  Create(2);
+  for (int round = 0; round < 6; ++round) {
+    Drive(1000);
+    const std::uint64_t expected = Settled().dropped;
+    std::uint64_t dropped = 0;
+    std::uint64_t next = 0;
+    std::size_t rows = 0;
+    for (const BatchRecord& row : Rows()) {
+      if (row.payload.rfind("dropped", 0) != 0) continue;
+      EXPECT_NE(row.first_sequence, next) << "next to another";
+      next = row.first_sequence + row.count;
+      dropped += row.count;
+      ++rows;
+    }
+    EXPECT_LT(rows, 6u);
+    EXPECT_EQ(dropped, expected);
+  }
+  EXPECT_GT(Settled().dropped, 4000u);
+}
+
+TEST_F(RetentionTest, DividesLongRowsOfWhichAPartGoes) {
+  Create(0);
+  for (; last_ < 2400; last_ += 600) {
+    ASSERT_THAT(AppendNow(session(), SquareBatch(last_ + 1, 600)), IsOk());
+  }
+  // Revised, as they were.
+  ASSERT_THAT(
+      ReviseNow(session(),
+                [](const VehicleView&) {
+                  RevisionPlan plan;
+                  plan.batches = BatchesOf({{1, 600, 0, SquareBatch(1, 600)}});
+                  plan.revised_count = 600;
+                  return plan;
+                }),
+      IsOk());
+  ASSERT_EQ(Rows().size(), 4u);
+  ASSERT_THAT(UpdateNow(session(),
+                        [](const VehicleView& view) {
+                          VehicleConfig config = view.config;
+                          config.engine.retention.max_passes = 2;
+                          return config;
+                        }),
+              IsOk());
+  const Snapshot settled = Settled();
+  EXPECT_GT(settled.dropped, 1500u);
+  ExpectAsLoaded();
+  const auto sent = *ReadAll(memory_, key_, 1, last_, BatchVersion::kAsSent);
+  const auto now = Rows();
+  ASSERT_EQ(sent.size(), now.size());
+  std::size_t revised = 0;
+  std::size_t parts = 0;
+  for (std::size_t i = 0; i < sent.size(); ++i) {
+    if (sent[i].payload.rfind("dropped", 0) == 0) continue;
+    parts += now[i].count < 600 ? 1 : 0;
+    if (now[i].revision == sent[i].revision) continue;
+    EXPECT_EQ(now[i].revision, 6u);
+    EXPECT_LT(sent[i].revision, 6u);
+    ++revised;
+  }
+  EXPECT_GT(parts, 0u);
+  EXPECT_GT(revised, 0u);
+  // What is left of a row is compared with what comes again.
+  EXPECT_THAT(AppendNow(session(), SquareBatch(1, 2400)), IsOk());
+  EXPECT_THAT(
+      AppendNow(session(), StraightBatch(1, 600)),
+      IsError(StatusCode::kAlreadyExists, "SEQUENCE_CONTENT_MISMATCH", _));
+}
+
+TEST_F(RetentionTest, KeepsWhatLoopClosuresReferTo) {
+  Create(2);
+  Drive(900);
+  ASSERT_THAT(AddPairNow(session(), kClosure, {"a", 845, 605, 1}), IsOk());
+  ASSERT_THAT(AddPairNow(session(), kClosure, {"m", 855, 615, 2, "0 0 0 1"}),
+              IsOk());
+  ASSERT_THAT(
+      AddPairNow(session(), PairKind::kRejectedCandidate, {"r", 700, 500, 3}),
+      IsOk());
+  Drive(4000);
+  const Snapshot settled = Settled();
+  EXPECT_GT(settled.dropped, 2000u);
+  EXPECT_EQ(settled.loop_closure_count, 2);
+  EXPECT_EQ(settled.consistency.confirmed, 2);
+  EXPECT_THAT(settled.graph, HasSubstr(" - "));
+  ExpectAsLoaded();
+  // The same pair again is the one that is there; another one has no poses.
+  EXPECT_THAT(
+      AddPairNow(session(), PairKind::kRejectedCandidate, {"r", 700, 500, 3}),
+      IsOk());
+  EXPECT_THAT(AddPairNow(session(), kClosure, {"b", 4000, 1000, 4}),
+              IsError(StatusCode::kOutOfRange, "POSES_DROPPED",
+                      HasSubstr("no longer")));
+  EXPECT_THAT(DeletePairNow(session(), PairKind::kRejectedCandidate, "r"),
+              IsOk());
+  // Once it is gone, so are its poses.
+  ASSERT_THAT(DeletePairNow(session(), kClosure, "a"), IsOk());
+  ASSERT_THAT(DeletePairNow(session(), kClosure, "m"), IsOk());
+  Drive(1000);
+  ExpectAsLoaded();
+}
+
+TEST_F(RetentionTest, PosesThatWereDroppedAreAcknowledgedAgain) {
+  Create(2);
+  Drive(2000);
+  const Snapshot settled = Settled();
+  ASSERT_GT(settled.dropped, 500u);
+  EXPECT_THAT(AppendNow(session(), SquareBatch(1001, 200)), IsOk());
+  // Their content is not known any more; that of others is.
+  EXPECT_THAT(AppendNow(session(), StraightBatch(1001, 10)), IsOk());
+  EXPECT_THAT(
+      AppendNow(session(), StraightBatch(1991, 10)),
+      IsError(StatusCode::kAlreadyExists, "SEQUENCE_CONTENT_MISMATCH", _));
+}
+
+TEST_F(RetentionTest, GoesOnWithSnapshots) {
+  Open(/*snapshot_poses=*/200);
+  Create(2);
+  for (int part = 0; part < 6; ++part) {
+    Drive(700);
+    fleet_->WriteSnapshots();
+    const Snapshot live = Settled();
+    Open(200);
+    const Snapshot loaded = *ReadNow(session());
+    EXPECT_EQ(loaded.graph, live.graph);
+    EXPECT_EQ(loaded.candidates, live.candidates);
+    EXPECT_EQ(loaded.dropped, live.dropped);
+    ExpectAsLoaded();
+  }
+}
+
+TEST_F(RetentionTest, AWriteThatFailsLeavesASoundVehicle) {
+  Create(0);
+  Drive(3000);
+  storage_.Hold();
+  const Answer<absl::StatusOr<Snapshot>> updated;
+  session().Update(
+      [](const VehicleView& view) {
+        VehicleConfig config = view.config;
+        config.engine.retention.max_passes = 2;
+        return config;
+      },
+      Taking(updated));
+  storage_.Await(1);
+  storage_.ReleaseOne();
+  ASSERT_THAT(updated.Get(), IsOk());
+  // The first part gets into the store, the second does not.
+  storage_.Await(1);
+  storage_.ReleaseOne();
+  storage_.Await(1);
+  storage_.FailOne(Error(StatusCode::kResourceExhausted, "STORAGE_FULL", "no"));
+  storage_.ReleaseAll();
+  const Snapshot settled = Settled();
+  EXPECT_GT(settled.dropped, 0u);
+  EXPECT_LT(settled.dropped, 1000u);
+  ExpectAsLoaded();
+  // The rest follows when the vehicle has grown.
+  Drive(1000);
+  EXPECT_GT(Settled().dropped, 2000u);
+  ExpectAsLoaded();
+}
+
+}  // namespace
+}  // namespace revisit::server
