@@ -62,6 +62,9 @@ constexpr std::chrono::milliseconds kWriteHealthPeriod{1000};
 constexpr std::chrono::milliseconds kHandOverPeriod{500};
 // A busy storage writes a part of a snapshot, about a megabyte, that often.
 constexpr std::chrono::milliseconds kSnapshotPeriod{500};
+// A node of a snapshot takes about as many bytes as a stored pose, so up to
+// here a snapshot is hardly larger than the poses that it stands for.
+constexpr double kMostNodesPerPoseInDatabase = 1.25;
 
 // How often memory is measured if no call does so.
 constexpr std::chrono::milliseconds kMemoryPeriod{500};
@@ -456,6 +459,9 @@ void RevisitServer::State::StartFleet() {
   }
   options.session.max_pending_appends = settings.limits.max_pending_appends;
   options.snapshots.poses = static_cast<std::uint64_t>(settings.snapshot_poses);
+  if (IsSharedStore(settings.store)) {
+    options.snapshots.most_nodes_per_pose = kMostNodesPerPoseInDatabase;
+  }
   options.snapshots.warn = [log = log](const std::string& message) {
     log->Write(LogLevel::kWarning, "snapshot", {{"message", message}});
   };

@@ -39,6 +39,7 @@ class Coverage {
 
   // Whether enough passes among the kept nodes cover this one.
   bool IsCovered(NodeIndex i) {
+    if (!MayBeSure(i)) return false;
     const Pose pose = graph_.pose(i);
     const Cell centre = CellOf(pose);
     near_.clear();
@@ -68,7 +69,7 @@ class Coverage {
   }
 
   void Keep(NodeIndex i) {
-    if (i % stride_ != 0) return;
+    if (i % stride_ != 0 || !MayBeSure(i)) return;
     const Pose pose = graph_.pose(i);
     std::vector<Kept>& cell = cells_[CellOf(pose)];
     if (cell.size() < kComparedPerPass * static_cast<std::size_t>(passes_)) {
@@ -108,6 +109,20 @@ class Coverage {
   Cell CellOf(const Pose& pose) const {
     return {static_cast<std::int64_t>(std::floor(pose.x / reach_)),
             static_cast<std::int64_t>(std::floor(pose.y / reach_))};
+  }
+
+  // False where the node's own covariance is too large for any place, so that
+  // there is no use in comparing it: G is then at least as large.
+  bool MayBeSure(NodeIndex i) const {
+    const CorrelationModel model = needs_.correlation.model;
+    if (model != CorrelationModel::kIndependent &&
+        model != CorrelationModel::kFilter) {
+      return true;
+    }
+    const Covariance covariance = graph_.covariance(i);
+    const double z =
+        needs_.state_space == StateSpace::kPlanar ? 0.0 : covariance(2, 2);
+    return covariance(0, 0) + covariance(1, 1) + z <= reach_ * reach_;
   }
 
   // G. Where the model's is none, as after an optimiser has revised poses that

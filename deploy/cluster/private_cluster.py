@@ -170,12 +170,19 @@ class Postgres:
     def url(self, role):
         return f"postgresql:///revisit?host={self._directory}&user={role}"
 
+    def ask(self, sql):
+        """What psql prints, without blanks and headings."""
+        return self._run(find_postgres() / "psql", "--host", self._directory,
+                         "--username=postgres", "--no-psqlrc", "--no-align",
+                         "--tuples-only", "--file=-", "revisit", input=sql).strip()
+
     def _run(self, *command, input=""):
         result = subprocess.run(
             [*map(str, command)], capture_output=True, text=True, check=False,
             input=input, cwd=self._directory, **self._as)
         if result.returncode != 0:
             raise RuntimeError(f"{command[0]}: {result.stderr}{result.stdout}")
+        return result.stdout
 
     def _answers(self, programs):
         self.process.check()

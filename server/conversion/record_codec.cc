@@ -329,6 +329,37 @@ absl::StatusOr<std::string> ProtoRecordCodec::SliceBatch(
   return batch->SerializeAsString();
 }
 
+std::vector<BatchPart> ProtoRecordCodec::DivideBatch(
+    std::string payload, std::size_t count, std::size_t most_bytes) const {
+  std::vector<BatchPart> parts;
+  if (payload.size() > most_bytes) {
+    google::protobuf::io::CodedInputStream stream(
+        reinterpret_cast<const std::uint8_t*>(payload.data()),
+        static_cast<int>(payload.size()));
+    std::size_t begin = 0;
+    std::size_t end = 0;
+    std::size_t poses = 0;
+    const auto finish = [&] {
+      parts.push_back({poses, payload.substr(begin, end - begin)});
+      begin = end;
+      poses = 0;
+    };
+    std::uint32_t size = 0;
+    while (stream.ReadTag() == kPosesTag && stream.ReadVarint32(&size) &&
+           stream.Skip(static_cast<int>(size))) {
+      const auto next = static_cast<std::size_t>(stream.CurrentPosition());
+      if (poses > 0 && next - begin > most_bytes) finish();
+      end = next;
+      ++poses;
+    }
+    if (poses > 0) finish();
+    if (end == payload.size()) return parts;
+    parts.clear();
+  }
+  parts.push_back({count, std::move(payload)});
+  return parts;
+}
+
 void EncodeBatch(const google::protobuf::RepeatedPtrField<v1::Pose>& poses,
                  DecodedBatch* batch) {
   batch->fingerprints.reserve(static_cast<std::size_t>(poses.size()));

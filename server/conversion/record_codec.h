@@ -4,10 +4,12 @@
 #ifndef REVISIT_SERVER_CONVERSION_RECORD_CODEC_H_
 #define REVISIT_SERVER_CONVERSION_RECORD_CODEC_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -37,6 +39,8 @@ class ProtoRecordCodec : public RecordCodec {
   absl::StatusOr<std::string> SliceBatch(const std::string& payload,
                                          std::size_t first,
                                          std::size_t count) const override;
+  std::vector<BatchPart> DivideBatch(std::string payload, std::size_t count,
+                                     std::size_t most_bytes) const override;
 };
 
 // Sets payload and fingerprints of the batch.

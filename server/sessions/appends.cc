@@ -225,22 +225,30 @@ absl::Status Appends::KeepFrom(std::size_t first, DecodedBatch* batch) const {
 void Appends::Write(const PendingPtr& append) {
   VehicleState::Staged& staged = vehicle_->staged;
   DecodedBatch& batch = *append->decoded;
-  BatchRecord record;
-  record.first_sequence = batch.samples.front().sequence;
-  record.count = static_cast<std::uint32_t>(batch.samples.size());
-  record.revision = ++staged.revision;
-  record.payload = std::move(batch.payload);
+  const std::uint64_t first = batch.samples.front().sequence;
+  std::uint64_t next = first;
+  std::vector<BatchRecord> records;
+  for (BatchPart& part : vehicle_->codec->DivideBatch(
+           std::move(batch.payload), batch.samples.size(),
+           vehicle_->storage->MostBatchBytes())) {
+    BatchRecord& record = records.emplace_back();
+    record.first_sequence = next;
+    record.count = static_cast<std::uint32_t>(part.count);
+    // Each counts as a change, since each is one when the vehicle is loaded.
+    record.revision = ++staged.revision;
+    record.payload = std::move(part.payload);
+    next += part.count;
+  }
   std::optional<std::string> vehicle_payload;
-  if (staged.config.origin && !vehicle_->config.origin &&
-      record.first_sequence == 1) {
+  if (staged.config.origin && !vehicle_->config.origin && first == 1) {
     vehicle_payload = vehicle_->codec->EncodeVehicle(staged.config);
   }
-  append->revision = record.revision;
+  append->revision = staged.revision;
   staged.sequence = batch.samples.back().sequence;
   in_flight_.push_back(append);
   append->sink->OnStaged(absl::OkStatus());
-  vehicle_->storage->AppendBatch(
-      vehicle_->key, std::move(record), std::move(vehicle_payload),
+  vehicle_->storage->AppendBatches(
+      vehicle_->key, std::move(records), std::move(vehicle_payload),
       queue_->OnStrand([this, append](const absl::Status& result) {
         TakeResult(append, result);
       }));

@@ -35,6 +35,11 @@ struct DecodedBatch : DecodedPoses {
   std::optional<GeodeticOrigin> origin;
 };
 
+struct BatchPart {
+  std::size_t count = 0;
+  std::string payload;
+};
+
 // Knows the bytes in the store. Thread-safe.
 class RecordCodec {
  public:
@@ -64,6 +69,12 @@ class RecordCodec {
   virtual absl::StatusOr<std::string> SliceBatch(const std::string& payload,
                                                  std::size_t first,
                                                  std::size_t count) const = 0;
+  // Divides a batch into batches of up to so many bytes each, in order; a pose
+  // that has more is one of its own. Their payloads, joined, are the batch's.
+  // It is not divided if the payload is not that of a batch.
+  virtual std::vector<BatchPart> DivideBatch(std::string payload,
+                                             std::size_t count,
+                                             std::size_t most_bytes) const = 0;
 };
 
 }  // namespace revisit::server

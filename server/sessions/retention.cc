@@ -17,6 +17,10 @@ constexpr std::size_t kRowsPerWrite = 128;
 // sound one (kMostClaimedPoses of record_check.h).
 constexpr std::uint64_t kPosesPerRow = 1'000'000;
 
+// A row is divided to drop so many of its poses or more. Rows of poses that
+// came one by one have fewer, those of recordings several hundred.
+constexpr std::uint64_t kLeastDivided = 32;
+
 // What is dropped at a time is at least this share of the nodes.
 constexpr double kLeastShare = 0.1;
 
@@ -72,7 +76,7 @@ void Retention::Step() {
   const absl::StatusOr<bool> all = ReadSome();
   if (!all.ok() || replayer_->gives_up()) {
     Finish();
-  } else if (work_->merged) {
+  } else if (!work_->rows.empty()) {
     Write();
   } else if (*all) {
     Finish();
@@ -103,14 +107,15 @@ absl::StatusOr<bool> Retention::ReadSome() {
     if (!taking.ok()) return taking;
     if (work_->next_sequence > last) {
       // A stretch that reaches behind the range has met a dropped row there.
-      if (!work_->merged && work_->stretch) {
+      if (work_->rows.empty() && work_->stretch) {
         Complete(std::nullopt, /*is_end=*/true);
       }
       ++work_->range;
       work_->next_sequence = 0;
       work_->before.reset();
     }
-    if (work_->merged || std::chrono::steady_clock::now() >= pause) break;
+    if (!work_->rows.empty() || std::chrono::steady_clock::now() >= pause)
+      break;
   }
   return work_->range == work_->ranges.size();
 }
@@ -120,6 +125,11 @@ absl::StatusOr<bool> Retention::TakeRow(const BatchRecord& row) {
       vehicle_->DecodeStoredPoses(row, vehicle_->config);
   if (!poses.ok()) return poses.status();
   const bool is_dropped = poses->dropped.has_value();
+  if (!is_dropped) {
+    const absl::Status divided = Divide(row);
+    if (!divided.ok()) return divided;
+    if (!work_->rows.empty()) return false;
+  }
   const bool joins = is_dropped || MayDrop(row);
   const std::optional<core::Pose> first_pose =
       is_dropped ? std::nullopt
@@ -129,7 +139,7 @@ absl::StatusOr<bool> Retention::TakeRow(const BatchRecord& row) {
     if (!joins || is_full || work_->stretch->rows >= kRowsPerWrite) {
       Complete(first_pose, /*is_end=*/!joins || is_full);
       // The row is read again after the write.
-      if (work_->merged) return false;
+      if (!work_->rows.empty()) return false;
     }
   }
   if (joins) {
@@ -171,15 +181,66 @@ bool Retention::MayDrop(const BatchRecord& row) const {
   return referred == work_->referred.end() || *referred > last;
 }
 
+absl::Status Retention::Divide(const BatchRecord& row) {
+  const core::SequenceRange& range = work_->ranges[work_->range];
+  const std::uint64_t end = row.first_sequence + row.count;
+  const std::uint64_t from = std::max(row.first_sequence, range.first);
+  const std::uint64_t to = std::min(end, range.last + 1);
+  if (from >= to || to - from < kLeastDivided || to - from == row.count) {
+    return absl::OkStatus();
+  }
+  BatchVersions whole;
+  const absl::Status reading = vehicle_->storage->ReadBatches(
+      vehicle_->key, row.first_sequence, row.first_sequence,
+      BatchVersion::kAsSent, [&](BatchRecord sent) {
+        whole.as_sent = std::move(sent);
+        return false;
+      });
+  if (!reading.ok()) return reading;
+  if (whole.as_sent.revision != row.revision ||
+      whole.as_sent.payload != row.payload) {
+    whole.revised = row;
+  }
+  const auto part = [&](const BatchRecord& of, std::uint64_t first,
+                        std::uint64_t count) -> absl::StatusOr<BatchRecord> {
+    BatchRecord made;
+    made.first_sequence = first;
+    made.count = static_cast<std::uint32_t>(count);
+    made.revision = of.revision;
+    absl::StatusOr<std::string> payload = vehicle_->codec->SliceBatch(
+        of.payload, first - row.first_sequence, count);
+    if (!payload.ok()) return payload.status();
+    made.payload = *std::move(payload);
+    return made;
+  };
+  std::vector<BatchVersions> rows;
+  const std::uint64_t ends[] = {row.first_sequence, from, to, end};
+  for (int i = 0; i < 3; ++i) {
+    if (ends[i] == ends[i + 1]) continue;
+    const std::uint64_t count = ends[i + 1] - ends[i];
+    absl::StatusOr<BatchRecord> sent = part(whole.as_sent, ends[i], count);
+    if (!sent.ok()) return sent.status();
+    rows.push_back({*std::move(sent)});
+    if (!whole.revised) continue;
+    absl::StatusOr<BatchRecord> revised = part(*whole.revised, ends[i], count);
+    if (!revised.ok()) return revised.status();
+    rows.back().revised = *std::move(revised);
+  }
+  work_->rows = std::move(rows);
+  return absl::OkStatus();
+}
+
 void Retention::Complete(const std::optional<core::Pose>& next, bool is_end) {
   Stretch& stretch = *work_->stretch;
   if (stretch.has_poses) {
     core::DroppedStretchMaker maker = stretch.maker;
     if (next) maker.End(*next);
-    work_->merged.emplace();
-    work_->merged->first_sequence = stretch.first_sequence;
-    work_->merged->count = static_cast<std::uint32_t>(stretch.count);
-    work_->merged->payload = vehicle_->codec->EncodeDropped(maker.Take());
+    BatchRecord merged;
+    merged.first_sequence = stretch.first_sequence;
+    merged.count = static_cast<std::uint32_t>(stretch.count);
+    merged.revision = NextRevision();
+    merged.payload = vehicle_->codec->EncodeDropped(maker.Take());
+    work_->rows.push_back({std::move(merged)});
   }
   // What is written now is one row, to be merged with those that follow.
   stretch.rows = 1;
@@ -190,12 +251,9 @@ void Retention::Complete(const std::optional<core::Pose>& next, bool is_end) {
 // From here on the store lacks poses that the graph has.
 void Retention::Write() {
   queue_->set_store_lead(VehicleQueue::StoreLead::kPoses);
-  const std::uint64_t revision =
-      std::max(work_->revision, vehicle_->revision) + 1;
-  BatchRecord merged = *std::move(work_->merged);
-  work_->merged.reset();
-  vehicle_->storage->MergeBatches(
-      vehicle_->key, std::move(merged), revision,
+  const std::uint64_t revision = NextRevision();
+  vehicle_->storage->ReplaceBatches(
+      vehicle_->key, std::exchange(work_->rows, {}), revision,
       queue_->OnStrand([this, revision](const absl::Status& status) {
         if (!status.ok()) {
           vehicle_->NoteFailedWrite(status);
@@ -205,6 +263,10 @@ void Retention::Write() {
         work_->revision = revision;
         queue_->PostLong([this] { Step(); });
       }));
+}
+
+std::uint64_t Retention::NextRevision() const {
+  return std::max(work_->revision, vehicle_->revision) + 1;
 }
 
 void Retention::Finish() {

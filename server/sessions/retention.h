@@ -25,10 +25,11 @@ namespace revisit::server {
 // of it: so what a vehicle has stays below 1.25 times what its settings keep,
 // and each pose is dropped, and the graph made anew, for few others.
 //
-// Only whole rows of the store are dropped, and none that holds a pose to which
-// a loop closure refers. The stretches that are dropped become one row each, a
-// part at a time, each of which leaves a sound store; then the graph is made
-// anew by the replay of a load, so it is the one that a load makes.
+// Whole rows of the store are dropped, and none that holds a pose to which a
+// loop closure refers; a long row that is to go in part is divided before. The
+// stretches that are dropped become one row each, a part at a time, each of
+// which leaves a sound store; then the graph is made anew by the replay of a
+// load, so it is the one that a load makes.
 //
 // Belongs to the strand. While it is at work, appends wait, and reads of memory
 // go on, but not those of the store.
@@ -62,8 +63,8 @@ class Retention {
     // The last pose of the row before it, if that has poses.
     std::optional<core::Pose> before;
     std::optional<Stretch> stretch;
-    // A row that is complete, to be written.
-    std::optional<BatchRecord> merged;
+    // Rows to be written in the place of others; empty if there are none.
+    std::vector<BatchVersions> rows;
     // The revision of the last write that was made; 0: nothing was written.
     std::uint64_t revision = 0;
   };
@@ -77,11 +78,16 @@ class Retention {
   // write.
   absl::StatusOr<bool> TakeRow(const BatchRecord& row);
   bool MayDrop(const BatchRecord& row) const;
-  // Sets Work::merged to what is there of the stretch, if any of it is new.
+  // Sets Work::rows to the parts of a row of which a part is to go, if that is
+  // worth it.
+  absl::Status Divide(const BatchRecord& row);
+  // Sets Work::rows to what is there of the stretch, if any of it is new.
   // `next`: the pose behind it, if that is kept or not dropped yet.
   void Complete(const std::optional<core::Pose>& next, bool is_end);
   void Write();
   void Finish();
+  // That of the next write.
+  std::uint64_t NextRevision() const;
 
   VehicleState* const vehicle_;
   VehicleQueue* const queue_;

@@ -122,8 +122,13 @@ void VehicleState::NoteResidency(const core::Engine* in_the_making) {
   }
   resident_nodes.store(nodes);
   resident_bytes.store(bytes);
-  if (engine)
-    poses_since_snapshot = engine->last_sequence() - snapshot_sequence;
+  if (engine) {
+    const std::uint64_t poses = engine->last_sequence();
+    const bool is_worth_it =
+        static_cast<double>(engine->graph().size()) <=
+        snapshot_policy.most_nodes_per_pose * static_cast<double>(poses);
+    poses_since_snapshot = is_worth_it ? poses - snapshot_sequence : 0;
+  }
 }
 
 void VehicleState::NoteSnapshot(std::uint64_t sequence) {

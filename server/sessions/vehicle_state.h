@@ -7,6 +7,7 @@
 #include <atomic>
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <string>
@@ -37,6 +38,10 @@ struct SnapshotPolicy {
   // A snapshot is due once so many poses have come since the last one; 0: none
   // is written or used, and those that are there are removed.
   std::uint64_t poses = 0;
+  // None is written of a graph that has more nodes for each pose: a snapshot is
+  // as large as its nodes, and where many servers read from one store, the
+  // poses are read sooner.
+  double most_nodes_per_pose = std::numeric_limits<double>::infinity();
   // Called with what an operator should know; may be empty.
   std::function<void(const std::string&)> warn;
 };

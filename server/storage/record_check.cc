@@ -69,10 +69,10 @@ absl::Status NoSuchBatch(const BatchRecord& batch) {
                    " is stored that could be revised");
 }
 
-absl::Status NoSuchBatches(const BatchRecord& merged) {
+absl::Status NoSuchBatches(std::uint64_t first, std::uint64_t last) {
   return Error(StatusCode::kFailedPrecondition, "INTERNAL",
-               "no whole batches hold the sequences " + Range(merged) +
-                   " that are to be merged");
+               "no whole batches hold the sequences " + std::to_string(first) +
+                   " to " + std::to_string(last) + " that are to be replaced");
 }
 
 absl::Status NoBatchEndsAt(std::uint64_t sequence) {

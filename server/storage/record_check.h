@@ -31,7 +31,7 @@ absl::Status SequenceGap(const std::string& vehicle_id, std::uint64_t expected,
 // FAILED_PRECONDITION, for a revision of a batch that is not stored.
 absl::Status NoSuchBatch(const BatchRecord& batch);
 // FAILED_PRECONDITION, for DropDamaged().
-absl::Status NoSuchBatches(const BatchRecord& merged);
+absl::Status NoSuchBatches(std::uint64_t first, std::uint64_t last);
 absl::Status NoBatchEndsAt(std::uint64_t sequence);
 // ALREADY_EXISTS (WordsOf(kind).exists).
 absl::Status PairExists(PairKind kind, const std::string& id);

@@ -34,16 +34,18 @@
 #ifndef REVISIT_SERVER_STORAGE_STORAGE_H_
 #define REVISIT_SERVER_STORAGE_STORAGE_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
-#include "server/base/histogram.h"
 
 namespace revisit::server {
 
@@ -81,6 +83,12 @@ struct BatchRecord {
   std::string payload;
 };
 
+// A batch as it was sent, and as it was revised, if it was.
+struct BatchVersions {
+  BatchRecord as_sent;
+  std::optional<BatchRecord> revised = std::nullopt;
+};
+
 // Passes on batches, one after the other, until `take` refuses; returns its own
 // failure or that of `take`. May be called again.
 using BatchSource = std::function<absl::Status(
@@ -91,29 +99,6 @@ struct CommitCounts {
   // Transactions that were committed, and the writes that they held.
   std::uint64_t commits = 0;
   std::uint64_t writes = 0;
-  // Seconds that the transactions took, from the first statement to the last.
-  HistogramCounts commit_seconds = {};
-  // Seconds of that in which what was written went to the device and was
-  // flushed; nothing where the storage cannot tell.
-  HistogramCounts flush_seconds = {};
-};
-
-// The room that a storage takes and has left.
-struct StorageRoom {
-  std::int64_t bytes = 0;
-  // Bytes that others than the storage leave free.
-  std::int64_t free_bytes = 0;
-};
-
-// This server among those that share a storage.
-struct SharingState {
-  std::int64_t owned_vehicles = 0;
-  // Vehicles that were lost to others rather than handed over, and how often
-  // the server was taken for dead.
-  std::uint64_t lost_vehicles = 0;
-  std::uint64_t lost_leases = 0;
-  // Whether the server may answer from memory; see Storage::CheckOwned().
-  bool lease_holds = true;
 };
 
 // What an acknowledged write survives.
@@ -211,25 +196,40 @@ class Storage {
                              std::uint64_t revision, Done done) = 0;
   // Removes the vehicle and all that belongs to it.
   virtual void DeleteVehicle(VehicleKey key, Done done) = 0;
-  // FAILED_PRECONDITION (SEQUENCE_GAP) unless the batch follows the last one
-  // without a gap: what is stored is always a prefix. `vehicle_payload`, if
-  // given, replaces the vehicle's in the same step. REQUIRES: a count of at
-  // least 1, sequences below 2^63.
-  virtual void AppendBatch(VehicleKey key, BatchRecord batch,
-                           std::optional<std::string> vehicle_payload,
-                           Done done) = 0;
+  // Stores batches that follow each other, all in one step.
+  // FAILED_PRECONDITION (SEQUENCE_GAP) unless the first follows the last stored
+  // one without a gap: what is stored is always a prefix. `vehicle_payload`, if
+  // given, replaces the vehicle's in the same step. REQUIRES: at least one
+  // batch, counts of at least 1, sequences below 2^63.
+  virtual void AppendBatches(VehicleKey key, std::vector<BatchRecord> batches,
+                             std::optional<std::string> vehicle_payload,
+                             Done done) = 0;
+  void AppendBatch(VehicleKey key, BatchRecord batch,
+                   std::optional<std::string> vehicle_payload, Done done) {
+    std::vector<BatchRecord> one;
+    one.push_back(std::move(batch));
+    AppendBatches(key, std::move(one), std::move(vehicle_payload),
+                  std::move(done));
+  }
+  // The largest payload of a batch that costs no more, byte by byte, than
+  // smaller ones do: who has a larger batch had better divide it.
+  virtual std::size_t MostBatchBytes() const {
+    return std::numeric_limits<std::size_t>::max();
+  }
   // Sets the current version of stored batches, all in one step; the records'
   // own revisions are ignored. FAILED_PRECONDITION if one is not stored with
   // this first sequence and count. REQUIRES: the source has the batches ready,
   // because it is called on the writer's thread, for which all writes wait.
   virtual void ReviseBatches(VehicleKey key, BatchSource batches,
                              std::uint64_t revision, Done done) = 0;
-  // Puts one batch in the place of all that hold its poses, which are removed
-  // with their revised versions: what was sent and what it became are gone. The
-  // record's own revision is ignored. FAILED_PRECONDITION unless whole batches
-  // hold exactly these poses. Takes as long as the batches are many.
-  virtual void MergeBatches(VehicleKey key, BatchRecord merged,
-                            std::uint64_t revision, Done done) = 0;
+  // Puts batches, each of which follows the one before, in the place of all
+  // that hold their poses, which are removed with their revised versions. The
+  // records' own revisions are stored. FAILED_PRECONDITION unless whole batches
+  // hold exactly these poses. Takes as long as these are many. REQUIRES: at
+  // least one.
+  virtual void ReplaceBatches(VehicleKey key,
+                              std::vector<BatchVersions> batches,
+                              std::uint64_t revision, Done done) = 0;
   // ALREADY_EXISTS (WordsOf(kind).exists) if the id is taken.
   virtual void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                            std::uint64_t revision, Done done) = 0;
@@ -247,8 +247,8 @@ class Storage {
   // ---- A snapshot of a vehicle saves making again what its poses make. It is
   // a cache: a storage may keep none, as this base does, or lose one at any
   // time. It goes, its parts included, in the same step in which
-  // ReviseBatches(), MergeBatches() or DropDamaged() change or remove batches,
-  // or DeleteVehicle() the vehicle.
+  // ReviseBatches(), ReplaceBatches() or DropDamaged() change or remove
+  // batches, or DeleteVehicle() the vehicle.
 
   virtual bool KeepsSnapshots() const { return false; }
   // Keeps a part, in the place of the one of that number, if there is one. Part
@@ -335,14 +335,6 @@ class Storage {
 
   // Zeros if the implementation does not count.
   virtual CommitCounts Counts() const { return {}; }
-
-  // Nothing if the storage cannot tell without asking others.
-  virtual std::optional<StorageRoom> GetRoom() const { return std::nullopt; }
-
-  // Nothing where one server has the storage alone.
-  virtual std::optional<SharingState> GetSharing() const {
-    return std::nullopt;
-  }
 };
 
 // Values, because implementations keep them.

@@ -14,16 +14,16 @@ void WriteQueue::Submit(PendingWrite write) {
   wake_.NotifyOne();
 }
 
-void WriteQueue::SubmitAppend(PendingWrite row) {
+void WriteQueue::SubmitAppend(PendingWrite append) {
   bool wake;
   {
     const MutexLock guard(&mutex_);
     wake = queue_.empty();
-    const auto open = open_rows_.find(row.key);
-    if (open != open_rows_.end() && Join(open->second, &row)) {
+    const auto open = open_rows_.find(append.key);
+    if (open != open_rows_.end() && Join(open->second, &append)) {
       ++waiting_writes_;
     } else {
-      Enqueue(std::move(row));
+      Enqueue(std::move(append));
       open_rows_[queue_.back().key] = &queue_.back();
     }
     // A writer that is busy looks by itself.
@@ -39,19 +39,21 @@ void WriteQueue::Enqueue(PendingWrite write) {
 }
 
 // Makes an append part of a row that waits, if it follows and fits.
-bool WriteQueue::Join(PendingWrite* row, PendingWrite* append) const {
-  if (append->claim != row->claim ||
-      append->batch.first_sequence !=
-          row->batch.first_sequence + row->batch.count ||
-      row->batch.count + append->batch.count > options_.max_joined_poses ||
-      row->bytes + append->bytes > options_.max_joined_bytes) {
+bool WriteQueue::Join(PendingWrite* waiting, PendingWrite* append) const {
+  if (waiting->rows.size() > 1 || append->rows.size() > 1) return false;
+  BatchRecord& row = waiting->rows.front();
+  const BatchRecord& more = append->rows.front();
+  if (append->claim != waiting->claim ||
+      more.first_sequence != row.first_sequence + row.count ||
+      row.count + more.count > options_.max_joined_poses ||
+      waiting->bytes + append->bytes > options_.max_joined_bytes) {
     return false;
   }
-  row->batch.payload += append->batch.payload;
-  row->batch.count += append->batch.count;
-  row->batch.revision = append->batch.revision;
-  row->bytes += append->bytes;
-  row->done.push_back(std::move(append->done.front()));
+  row.payload += more.payload;
+  row.count += more.count;
+  row.revision = more.revision;
+  waiting->bytes += append->bytes;
+  waiting->done.push_back(std::move(append->done.front()));
   return true;
 }
 

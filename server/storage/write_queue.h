@@ -5,6 +5,7 @@
 
 #include <chrono>
 #include <cstddef>
+#include <cstdint>
 #include <deque>
 #include <functional>
 #include <memory>
@@ -38,15 +39,16 @@ struct WriteGroupOptions {
 // One ownership of a vehicle, from when it was taken until it ends.
 struct Claim;
 
-// One row of `batches`, or something else.
+// Rows of `batches`, or something else.
 struct PendingWrite {
   // How much room a write needs: kLittle is taken even when the disk is short.
   enum class Need { kRoom, kLittle };
 
   std::size_t bytes = 0;
-  // For a row: one append, or several of a vehicle that follow each other.
+  // For an append, or several of a vehicle that share a row: rows that follow
+  // each other.
   VehicleKey key = 0;
-  BatchRecord batch;
+  std::vector<BatchRecord> rows;
   // The ownership of the vehicle under which it was submitted; null where a
   // storage has but one owner.
   std::shared_ptr<const Claim> claim;
@@ -55,6 +57,12 @@ struct PendingWrite {
   // One callback per joined append, or a single one.
   std::vector<Storage::Done> done;
   Need need = Need::kRoom;
+
+  // REQUIRES: there are rows.
+  std::uint64_t first_sequence() const { return rows.front().first_sequence; }
+  std::uint64_t last_sequence() const {
+    return rows.back().first_sequence + rows.back().count - 1;
+  }
 };
 
 // Thread-safe. One thread takes.
@@ -65,8 +73,9 @@ class WriteQueue {
   explicit WriteQueue(const WriteGroupOptions& options) : options_(options) {}
 
   void Submit(PendingWrite write);
-  // Submits a row, or makes it part of one of its vehicle that waits.
-  void SubmitAppend(PendingWrite row);
+  // Submits rows, or, if it is but one, makes it part of one of its vehicle
+  // that waits.
+  void SubmitAppend(PendingWrite append);
 
   // Waits for writes, or until `chores_due` if given, and takes the next group,
   // oldest first; it is empty where only chores are due. Nothing once Stop()
@@ -77,7 +86,7 @@ class WriteQueue {
 
  private:
   void Enqueue(PendingWrite write) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
-  bool Join(PendingWrite* row, PendingWrite* append) const;
+  bool Join(PendingWrite* waiting, PendingWrite* append) const;
   void Gather(Clock::duration commit_time)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   std::vector<PendingWrite> TakeGroup() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
@@ -87,7 +96,7 @@ class WriteQueue {
   Mutex mutex_;
   CondVar wake_;
   std::deque<PendingWrite> queue_ ABSL_GUARDED_BY(mutex_);
-  // For each vehicle, the row in the queue that appends may still join.
+  // For each vehicle, the append in the queue that others may still join.
   std::unordered_map<VehicleKey, PendingWrite*> open_rows_
       ABSL_GUARDED_BY(mutex_);
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;

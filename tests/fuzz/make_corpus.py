@@ -150,6 +150,9 @@ def records():
     write("records", "vehicle", bytes([0, 0]) + api.Vehicle(
         settings=SETTINGS, state=api.VEHICLE_STATE_DATA_LOSS,
         create_time=timestamp_pb2.Timestamp(seconds=1)).SerializeToString())
+    # Field 2 of PoseBatch: poses 5 to 104 were dropped, over 321.5 m.
+    write("records", "dropped", bytes([1, 0]) +
+          bytes.fromhex("120d08051068190000000000187440"))
     for name, (kind, poses) in POSES.items():
         for record in (1, 2):
             write("records", f"batch_{name}_{record}", bytes([record, kind]) +

@@ -70,6 +70,26 @@ def test_a_database_without_tables_is_refused_until_it_is_migrated(
     assert "poses 3\n" in verified.stdout and verified.stdout.endswith("sound\n")
 
 
+def test_rows_of_a_large_message_stay_in_their_pages(database, owner, tmp_path):
+    assert run("revisitd", "migrate", "--store", owner).returncode == 0
+    with serve(database.url("revisit"), tmp_path) as server:
+        stub = server.stub()
+        for name, poses in (("truck", 4000), ("car", 10)):
+            stub.CreateVehicle(api.CreateVehicleRequest(vehicle_id=name))
+            append(stub, f"vehicles/{name}", straight(poses))
+        assert len(list_poses(stub, "vehicles/truck")) == 4000
+        assert get(stub, "vehicles/truck").durable_sequence == 4000
+    with serve(database.url("revisit"), tmp_path) as server:
+        assert get(server.stub(), "vehicles/truck").durable_sequence == 4000
+    rows = database.ask(
+        "SELECT count(*), sum(count), max(length(payload)) <= 7900, "
+        "pg_relation_size((SELECT reltoastrelid FROM pg_class "
+        "WHERE relname = 'batches')) FROM batches")
+    count, poses, are_small, moved_out = rows.split("|")
+    assert int(count) > 20
+    assert (poses, are_small, moved_out) == ("4010", "t", "0")
+
+
 def test_tasks_that_are_for_the_other_kind_of_store_say_what_to_do(owner, tmp_path):
     assert_refused(run("revisitd", "backup", "--store", owner, "--to",
                        tmp_path / "copy"), USAGE, "pg_basebackup")

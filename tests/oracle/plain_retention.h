@@ -89,12 +89,23 @@ class PlainRetention {
       const Pose pose = graph_.pose(i);
       int& held =
           in_cell[{std::floor(pose.x / Reach()), std::floor(pose.y / Reach())}];
-      if (i % Stride() == 0 && held < 16 * options_.max_passes) {
+      if (i % Stride() == 0 && !IsFarOff(i) &&
+          held < 16 * options_.max_passes) {
         ++held;
         kept.insert(i);
       }
     }
     return covered;
+  }
+
+  // Sure of no place under a model in which no error goes away.
+  bool IsFarOff(NodeIndex i) const {
+    const auto model = needs_.correlation.model;
+    const Covariance s = graph_.covariance(i);
+    const double z = needs_.state_space == StateSpace::kPlanar ? 0.0 : s(2, 2);
+    return (model == CorrelationModel::kIndependent ||
+            model == CorrelationModel::kFilter) &&
+           s(0, 0) + s(1, 1) + z > Reach() * Reach();
   }
 
   int Passes(NodeIndex i, const std::set<NodeIndex>& kept) const {

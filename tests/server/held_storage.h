@@ -92,12 +92,15 @@ class HeldStorage : public Storage {
     Submit(std::move(done),
            [=](Done then) { storage_->DeleteVehicle(key, std::move(then)); });
   }
-  void AppendBatch(VehicleKey key, BatchRecord batch,
-                   std::optional<std::string> vehicle_payload,
-                   Done done) override {
+  void AppendBatches(VehicleKey key, std::vector<BatchRecord> batches,
+                     std::optional<std::string> vehicle_payload,
+                     Done done) override {
     Submit(std::move(done), [=](Done then) {
-      storage_->AppendBatch(key, batch, vehicle_payload, std::move(then));
+      storage_->AppendBatches(key, batches, vehicle_payload, std::move(then));
     });
+  }
+  std::size_t MostBatchBytes() const override {
+    return storage_->MostBatchBytes();
   }
   void ReviseBatches(VehicleKey key, BatchSource batches,
                      std::uint64_t revision, Done done) override {
@@ -105,10 +108,10 @@ class HeldStorage : public Storage {
       storage_->ReviseBatches(key, batches, revision, std::move(then));
     });
   }
-  void MergeBatches(VehicleKey key, BatchRecord merged, std::uint64_t revision,
-                    Done done) override {
+  void ReplaceBatches(VehicleKey key, std::vector<BatchVersions> batches,
+                      std::uint64_t revision, Done done) override {
     Submit(std::move(done), [=](Done then) {
-      storage_->MergeBatches(key, merged, revision, std::move(then));
+      storage_->ReplaceBatches(key, batches, revision, std::move(then));
     });
   }
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,

@@ -159,16 +159,19 @@ void MemoryStorage::DeleteVehicle(VehicleKey key, Done done) {
   done(erased == 0 ? UnknownVehicle() : absl::OkStatus());
 }
 
-void MemoryStorage::AppendBatch(VehicleKey key, BatchRecord batch,
-                                std::optional<std::string> vehicle_payload,
-                                Done done) {
-  done(Change(key, batch.revision, [&](Vehicle& vehicle) {
+void MemoryStorage::AppendBatches(VehicleKey key,
+                                  std::vector<BatchRecord> batches,
+                                  std::optional<std::string> vehicle_payload,
+                                  Done done) {
+  done(Change(key, batches.back().revision, [&](Vehicle& vehicle) {
     const std::uint64_t expected = Complete(vehicle).durable_sequence + 1;
-    if (batch.first_sequence != expected) {
+    if (batches.front().first_sequence != expected) {
       return Error(StatusCode::kFailedPrecondition, "SEQUENCE_GAP", "gap",
                    {{"expected_sequence", std::to_string(expected)}});
     }
-    vehicle.batches.push_back({batch, batch});
+    for (const BatchRecord& batch : batches) {
+      vehicle.batches.push_back({batch, batch});
+    }
     if (vehicle_payload) vehicle.record.payload = *vehicle_payload;
     return absl::OkStatus();
   }));
@@ -196,27 +199,35 @@ void MemoryStorage::ReviseBatches(VehicleKey key, BatchSource batches,
   }));
 }
 
-void MemoryStorage::MergeBatches(VehicleKey key, BatchRecord merged,
-                                 std::uint64_t revision, Done done) {
+void MemoryStorage::ReplaceBatches(VehicleKey key,
+                                   std::vector<BatchVersions> batches,
+                                   std::uint64_t revision, Done done) {
   done(Change(key, revision, [&](Vehicle& vehicle) {
     vehicle.DropSnapshot();
-    std::vector<Batch>& batches = vehicle.batches;
+    const std::uint64_t begin = batches.front().as_sent.first_sequence;
+    const std::uint64_t end =
+        batches.back().as_sent.first_sequence + batches.back().as_sent.count;
+    std::vector<Batch>& stored = vehicle.batches;
     const auto first =
-        std::find_if(batches.begin(), batches.end(), [&](const Batch& batch) {
-          return batch.as_sent.first_sequence == merged.first_sequence;
+        std::find_if(stored.begin(), stored.end(), [&](const Batch& batch) {
+          return batch.as_sent.first_sequence == begin;
         });
-    std::uint32_t count = 0;
+    std::uint64_t next = begin;
     auto last = first;
-    for (; last != batches.end() && count < merged.count; ++last) {
-      count += last->as_sent.count;
+    for (; last != stored.end() && next < end; ++last) {
+      next += last->as_sent.count;
     }
-    if (first == batches.end() || count != merged.count) {
+    if (first == stored.end() || next != end) {
       return Error(StatusCode::kFailedPrecondition, "INTERNAL",
                    "no such batches");
     }
-    merged.revision = revision;
-    *first = {merged, merged, /*is_damaged=*/false};
-    batches.erase(first + 1, last);
+    std::vector<Batch> replaced;
+    for (const BatchVersions& batch : batches) {
+      replaced.push_back({batch.as_sent, batch.revised.value_or(batch.as_sent),
+                          /*is_damaged=*/false});
+    }
+    const auto at = stored.erase(first, last);
+    stored.insert(at, replaced.begin(), replaced.end());
     return absl::OkStatus();
   }));
 }

@@ -4,6 +4,7 @@
 #ifndef REVISIT_TESTS_SERVER_MEMORY_STORAGE_H_
 #define REVISIT_TESTS_SERVER_MEMORY_STORAGE_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <map>
@@ -25,13 +26,14 @@ class MemoryStorage : public Storage {
   void UpdateVehicle(VehicleKey key, std::string payload,
                      std::uint64_t revision, Done done) override;
   void DeleteVehicle(VehicleKey key, Done done) override;
-  void AppendBatch(VehicleKey key, BatchRecord batch,
-                   std::optional<std::string> vehicle_payload,
-                   Done done) override;
+  void AppendBatches(VehicleKey key, std::vector<BatchRecord> batches,
+                     std::optional<std::string> vehicle_payload,
+                     Done done) override;
+  std::size_t MostBatchBytes() const override { return most_batch_bytes_; }
   void ReviseBatches(VehicleKey key, BatchSource batches,
                      std::uint64_t revision, Done done) override;
-  void MergeBatches(VehicleKey key, BatchRecord merged, std::uint64_t revision,
-                    Done done) override;
+  void ReplaceBatches(VehicleKey key, std::vector<BatchVersions> batches,
+                      std::uint64_t revision, Done done) override;
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                    std::uint64_t revision, Done done) override;
   void DeletePosePair(VehicleKey key, PairKind kind, std::string id,
@@ -52,6 +54,8 @@ class MemoryStorage : public Storage {
       VehicleKey key, std::uint32_t first, std::uint32_t end,
       const std::function<bool(absl::string_view)>& visit) override;
 
+  // What MostBatchBytes() answers.
+  void SetMostBatchBytes(std::size_t bytes) { most_batch_bytes_ = bytes; }
   // As found by every read from now on.
   void DamageVehicle(const std::string& id);
   // What is stored of this pose, as sent and as it is now.
@@ -96,6 +100,7 @@ class MemoryStorage : public Storage {
   Vehicle& Find(const std::string& id);
   static VehicleRecord Complete(const Vehicle& vehicle);
 
+  std::size_t most_batch_bytes_ = Storage::MostBatchBytes();
   std::mutex mutex_;
   VehicleKey last_key_ = 0;
   std::map<VehicleKey, Vehicle> vehicles_;

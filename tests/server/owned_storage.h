@@ -135,22 +135,23 @@ class OwnedStorage : public Storage {
     if (Refuses(key, done)) return;
     storage_->DeleteVehicle(key, std::move(done));
   }
-  void AppendBatch(VehicleKey key, BatchRecord batch,
-                   std::optional<std::string> vehicle_payload,
-                   Done done) override {
+  void AppendBatches(VehicleKey key, std::vector<BatchRecord> batches,
+                     std::optional<std::string> vehicle_payload,
+                     Done done) override {
     if (Refuses(key, done)) return;
-    storage_->AppendBatch(key, std::move(batch), std::move(vehicle_payload),
-                          std::move(done));
+    storage_->AppendBatches(key, std::move(batches), std::move(vehicle_payload),
+                            std::move(done));
   }
   void ReviseBatches(VehicleKey key, BatchSource batches,
                      std::uint64_t revision, Done done) override {
     if (Refuses(key, done)) return;
     storage_->ReviseBatches(key, std::move(batches), revision, std::move(done));
   }
-  void MergeBatches(VehicleKey key, BatchRecord merged, std::uint64_t revision,
-                    Done done) override {
+  void ReplaceBatches(VehicleKey key, std::vector<BatchVersions> batches,
+                      std::uint64_t revision, Done done) override {
     if (Refuses(key, done)) return;
-    storage_->MergeBatches(key, std::move(merged), revision, std::move(done));
+    storage_->ReplaceBatches(key, std::move(batches), revision,
+                             std::move(done));
   }
   void AddPosePair(VehicleKey key, PairKind kind, PosePairRecord pair,
                    std::uint64_t revision, Done done) override {

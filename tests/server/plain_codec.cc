@@ -170,6 +170,22 @@ absl::StatusOr<std::string> PlainCodec::SliceBatch(const std::string& payload,
   return slice;
 }
 
+std::vector<BatchPart> PlainCodec::DivideBatch(std::string payload,
+                                               std::size_t count,
+                                               std::size_t most_bytes) const {
+  if (payload.size() <= most_bytes) return {{count, std::move(payload)}};
+  std::vector<BatchPart> parts;
+  for (const std::string& line : Lines(payload)) {
+    if (parts.empty() ||
+        parts.back().payload.size() + line.size() + 1 > most_bytes) {
+      parts.emplace_back();
+    }
+    parts.back().payload += line + "\n";
+    ++parts.back().count;
+  }
+  return parts;
+}
+
 std::string PlainBatch(std::uint64_t first_sequence,
                        const std::vector<double>& xs) {
   std::string batch;

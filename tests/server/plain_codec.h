@@ -35,6 +35,8 @@ class PlainCodec : public RecordCodec {
   absl::StatusOr<std::string> SliceBatch(const std::string& payload,
                                          std::size_t first,
                                          std::size_t count) const override;
+  std::vector<BatchPart> DivideBatch(std::string payload, std::size_t count,
+                                     std::size_t most_bytes) const override;
 };
 
 // Poses of one batch, from this sequence on, at these x; y and heading are 0.

@@ -88,6 +88,14 @@ absl::Status BlockingWrites::Append(VehicleKey key, const BatchRecord& batch) {
   });
 }
 
+absl::Status BlockingWrites::AppendAll(
+    VehicleKey key, const std::vector<BatchRecord>& batches,
+    const std::optional<std::string>& vehicle_payload) {
+  return Blocking([&](Storage::Done done) {
+    storage_->AppendBatches(key, batches, vehicle_payload, std::move(done));
+  });
+}
+
 absl::Status BlockingWrites::AppendWithVehicle(
     VehicleKey key, const BatchRecord& batch,
     const std::string& vehicle_payload) {
@@ -114,10 +122,11 @@ absl::Status BlockingWrites::Revise(VehicleKey key,
   });
 }
 
-absl::Status BlockingWrites::Merge(VehicleKey key, const BatchRecord& merged,
-                                   std::uint64_t revision) {
+absl::Status BlockingWrites::Replace(VehicleKey key,
+                                     const std::vector<BatchVersions>& batches,
+                                     std::uint64_t revision) {
   return Blocking([&](Storage::Done done) {
-    storage_->MergeBatches(key, merged, revision, std::move(done));
+    storage_->ReplaceBatches(key, batches, revision, std::move(done));
   });
 }
 

@@ -3,6 +3,7 @@
 #define REVISIT_TESTS_SERVER_STORAGE_TESTING_H_
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -28,12 +29,16 @@ class BlockingWrites {
                       std::uint64_t revision);
   absl::Status Delete(VehicleKey key);
   absl::Status Append(VehicleKey key, const BatchRecord& batch);
+  absl::Status AppendAll(
+      VehicleKey key, const std::vector<BatchRecord>& batches,
+      const std::optional<std::string>& vehicle_payload = std::nullopt);
   absl::Status AppendWithVehicle(VehicleKey key, const BatchRecord& batch,
                                  const std::string& vehicle_payload);
   absl::Status Revise(VehicleKey key, const std::vector<BatchRecord>& batches,
                       std::uint64_t revision);
-  absl::Status Merge(VehicleKey key, const BatchRecord& merged,
-                     std::uint64_t revision);
+  absl::Status Replace(VehicleKey key,
+                       const std::vector<BatchVersions>& batches,
+                       std::uint64_t revision);
   absl::Status AddPair(VehicleKey key, PairKind kind,
                        const PosePairRecord& pair, std::uint64_t revision);
   absl::Status DropDamaged(VehicleKey key, std::uint64_t last_sequence,

@@ -139,6 +139,16 @@ def test_snapshots_as_large_as_graphs_take_longer_to_read_than_rows_to_build():
     assert fast["gap p99"] < rows["gap p99"]
 
 
+def test_snapshots_shorten_the_storm_where_poses_come_more_densely_than_nodes():
+    storms = {
+        (hertz, snapshots): death.die(death.setup_of(
+            1, 10, 7, SMALL, pose_hz=hertz, snapshots=snapshots))["gap p99"]
+        for hertz in (5.0, 10.0) for snapshots in (False, True)}
+    # A pose for each node, then two.
+    assert storms[5.0, True] == pytest.approx(storms[5.0, False], rel=0.15)
+    assert storms[10.0, True] < 0.7 * storms[10.0, False]
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_limit_of_loads_that_wait_brings_nobody_back_sooner(seed):
     free = death.die(death.setup_of(seed, 10, 30, SMALL))

@@ -36,19 +36,33 @@ constexpr Statement kAppend = {
     "(($14::int8[])[i])::int4) FROM h, "
     "generate_series(h.first_row, h.last_row) i) SELECT k FROM h"};
 
-// $10 first sequence, $11 count, $12 revision, $13 checksum, $14 payload.
+// $10 first and $11 last sequence. Of each row: $12 first sequence, $13 count,
+// $14 revision, $15 checksum, $16 payload.
 constexpr Statement kAppendWithVehicle = {
     "append_with_vehicle",
-    REVISIT_FENCE(", durable_sequence = $10::int8 + $11::int8 - 1",
+    REVISIT_FENCE(", durable_sequence = $11::int8",
                   REVISIT_UNCHANGED " AND durable_sequence = $10::int8 - 1")
     ", b AS (INSERT INTO batches (vehicle_key, first_sequence, count, format, "
-    "revision, checksum, payload) SELECT key, $10::int8, $11::int8, $6::int8, "
-    "$12::int8, $13::int8, $14::bytea FROM h) " REVISIT_REPLACE_VEHICLE};
+    "revision, checksum, payload) SELECT h.key, a.f, a.n, $6::int8, a.rev, "
+    "a.ck, a.p FROM h, unnest($12::int8[], $13::int8[], $14::int8[], "
+    "$15::int8[], $16::bytea[]) AS a(f, n, rev, ck, p)) "
+    REVISIT_REPLACE_VEHICLE};
 
-std::uint64_t LastSequence(const AppendRun& run) {
-  const BatchRecord& last = run.back()->batch;
-  return last.first_sequence + last.count - 1;
-}
+// The columns of rows but their payloads.
+struct RowColumns {
+  std::vector<std::int64_t> firsts;
+  std::vector<std::int64_t> counts;
+  std::vector<std::int64_t> revisions;
+  std::vector<std::int64_t> checksums;
+
+  void Add(VehicleKey key, const BatchRecord& row) {
+    firsts.push_back(Signed(row.first_sequence));
+    counts.push_back(row.count);
+    revisions.push_back(Signed(row.revision));
+    checksums.push_back(
+        ChecksumOfBatch(kSharedRowFormat, key, BatchVersion::kAsSent, row));
+  }
+};
 
 // Why a vehicle's append wrote nothing.
 absl::Status WhyNotAppended(const std::map<VehicleKey, Head>& heads,
@@ -78,10 +92,7 @@ absl::Status AppendRuns(PostgresConnection& connection,
   std::vector<std::int64_t> run_revisions;
   std::vector<std::int64_t> first_rows;
   std::vector<std::int64_t> last_rows;
-  std::vector<std::int64_t> firsts;
-  std::vector<std::int64_t> counts;
-  std::vector<std::int64_t> revisions;
-  std::vector<std::int64_t> checksums;
+  RowColumns rows;
   std::vector<std::int64_t> starts;
   std::vector<std::int64_t> lengths;
   std::string payloads;
@@ -90,25 +101,22 @@ absl::Status AppendRuns(PostgresConnection& connection,
     keys.push_back(run.front()->key);
     owners.push_back(claim.owner);
     epochs.push_back(claim.epoch);
-    run_firsts.push_back(Signed(run.front()->batch.first_sequence));
-    run_lasts.push_back(Signed(LastSequence(run)));
+    run_firsts.push_back(Signed(run.front()->first_sequence()));
+    run_lasts.push_back(Signed(run.back()->last_sequence()));
     // SQL counts from 1.
-    first_rows.push_back(static_cast<std::int64_t>(firsts.size()) + 1);
+    first_rows.push_back(static_cast<std::int64_t>(rows.firsts.size()) + 1);
     std::uint64_t highest = 0;
-    for (const PendingWrite* row : run) {
-      const BatchRecord& batch = row->batch;
-      highest = std::max(highest, batch.revision);
-      firsts.push_back(Signed(batch.first_sequence));
-      counts.push_back(batch.count);
-      revisions.push_back(Signed(batch.revision));
-      checksums.push_back(ChecksumOfBatch(kSharedRowFormat, row->key,
-                                          BatchVersion::kAsSent, batch));
-      starts.push_back(static_cast<std::int64_t>(payloads.size()) + 1);
-      lengths.push_back(static_cast<std::int64_t>(batch.payload.size()));
-      payloads += batch.payload;
+    for (const PendingWrite* append : run) {
+      for (const BatchRecord& row : append->rows) {
+        highest = std::max(highest, row.revision);
+        rows.Add(append->key, row);
+        starts.push_back(static_cast<std::int64_t>(payloads.size()) + 1);
+        lengths.push_back(static_cast<std::int64_t>(row.payload.size()));
+        payloads += row.payload;
+      }
     }
     run_revisions.push_back(Signed(highest));
-    last_rows.push_back(static_cast<std::int64_t>(firsts.size()));
+    last_rows.push_back(static_cast<std::int64_t>(rows.firsts.size()));
   }
   const auto answer = connection.Run(kAppend, Parameters()
                                                   .Add(keys)
@@ -119,10 +127,10 @@ absl::Status AppendRuns(PostgresConnection& connection,
                                                   .Add(run_revisions)
                                                   .Add(first_rows)
                                                   .Add(last_rows)
-                                                  .Add(firsts)
-                                                  .Add(counts)
-                                                  .Add(revisions)
-                                                  .Add(checksums)
+                                                  .Add(rows.firsts)
+                                                  .Add(rows.counts)
+                                                  .Add(rows.revisions)
+                                                  .Add(rows.checksums)
                                                   .Add(starts)
                                                   .Add(lengths)
                                                   .AddText(payloads)
@@ -138,7 +146,7 @@ absl::Status AppendRuns(PostgresConnection& connection,
     if (written.count(key) == 0) {
       missing.push_back(key);
     } else {
-      NoteDurable({key, run.front()->claim}, LastSequence(run));
+      NoteDurable({key, run.front()->claim}, run.back()->last_sequence());
     }
   }
   results->assign(runs.size(), absl::OkStatus());
@@ -149,35 +157,45 @@ absl::Status AppendRuns(PostgresConnection& connection,
     if (written.count(first.key) > 0) continue;
     (*results)[i] = heads.ok()
                         ? WhyNotAppended(*heads, first.key, first.claim.get(),
-                                         first.batch.first_sequence)
+                                         first.first_sequence())
                         : heads.status();
   }
   return absl::OkStatus();
 }
 
 absl::Status AppendWithVehicle(PostgresConnection& connection,
-                               const Fence& fence, const BatchRecord& batch,
+                               const Fence& fence,
+                               const std::vector<BatchRecord>& batches,
                                const std::string& vehicle_payload) {
-  auto row = ReadVehicleRow(connection, fence.key);
-  if (!row.ok()) return row.status();
-  Parameters parameters =
-      Replacing(fence, *std::move(row), vehicle_payload, batch.revision);
-  parameters.Add(Signed(batch.first_sequence))
-      .Add(std::int64_t{batch.count})
-      .Add(Signed(batch.revision))
-      .Add(ChecksumOfBatch(kSharedRowFormat, fence.key, BatchVersion::kAsSent,
-                           batch))
-      .AddText(batch.payload);
-  const auto rows = connection.Run(kAppendWithVehicle, parameters);
-  if (!rows.ok()) return rows.status();
-  if (rows->size() > 0) {
-    NoteDurable(fence, batch.first_sequence + batch.count - 1);
+  auto vehicle = ReadVehicleRow(connection, fence.key);
+  if (!vehicle.ok()) return vehicle.status();
+  const std::uint64_t first = batches.front().first_sequence;
+  const std::uint64_t last =
+      batches.back().first_sequence + batches.back().count - 1;
+  RowColumns rows;
+  std::vector<const std::string*> payloads;
+  for (const BatchRecord& batch : batches) {
+    rows.Add(fence.key, batch);
+    payloads.push_back(&batch.payload);
+  }
+  const auto answer = connection.Run(
+      kAppendWithVehicle, Replacing(fence, *std::move(vehicle), vehicle_payload,
+                                    batches.back().revision)
+                              .Add(Signed(first))
+                              .Add(Signed(last))
+                              .Add(rows.firsts)
+                              .Add(rows.counts)
+                              .Add(rows.revisions)
+                              .Add(rows.checksums)
+                              .AddBytes(payloads));
+  if (!answer.ok()) return answer.status();
+  if (answer->size() > 0) {
+    NoteDurable(fence, last);
     return absl::OkStatus();
   }
   const auto heads = ReadHeads(connection, {fence.key});
   if (!heads.ok()) return heads.status();
-  return WhyNotAppended(*heads, fence.key, fence.claim.get(),
-                        batch.first_sequence);
+  return WhyNotAppended(*heads, fence.key, fence.claim.get(), first);
 }
 
 const char* AppendSql() { return kAppend.sql; }

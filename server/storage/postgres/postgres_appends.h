@@ -17,7 +17,7 @@
 
 namespace revisit::server {
 
-// Rows of one vehicle that follow each other, submitted under one claim.
+// Appends of one vehicle that follow each other, submitted under one claim.
 using AppendRun = std::vector<const PendingWrite*>;
 
 // Appends runs, at most one per vehicle, in one statement. OK if the statement
@@ -27,7 +27,8 @@ absl::Status AppendRuns(PostgresConnection& connection,
                         const std::vector<AppendRun>& runs,
                         std::vector<absl::Status>* results);
 absl::Status AppendWithVehicle(PostgresConnection& connection,
-                               const Fence& fence, const BatchRecord& batch,
+                               const Fence& fence,
+                               const std::vector<BatchRecord>& batches,
                                const std::string& vehicle_payload);
 
 // The statement of AppendRuns(), for tests of its plan.

@@ -105,6 +105,11 @@ constexpr Statement kPutBatch = {
     "INSERT INTO batches (vehicle_key, first_sequence, count, format, "
     "revision, checksum, payload) VALUES ($1::int8, $2::int8, $3::int8, "
     "$4::int8, $5::int8, $6::int8, $7::bytea)"};
+constexpr Statement kPutRevision = {
+    "put_revision",
+    "INSERT INTO revised_batches (vehicle_key, first_sequence, count, format, "
+    "revision, checksum, payload) VALUES ($1::int8, $2::int8, $3::int8, "
+    "$4::int8, $5::int8, $6::int8, $7::bytea)"};
 
 // A row of `deleted_vehicles` goes in the statement after the one that removed
 // its last batches, since a statement does not see what it does itself.
@@ -216,34 +221,51 @@ absl::Status ReviseInGroups(PostgresConnection& connection, VehicleKey key,
   return status;
 }
 
-absl::Status Merge(PostgresConnection& connection, VehicleKey key,
-                   BatchRecord merged, std::uint64_t revision) {
-  merged.revision = revision;
-  const std::int64_t first = Signed(merged.first_sequence);
-  const std::int64_t end = Signed(merged.first_sequence + merged.count);
-  const auto range = [&] { return Parameters().Add(key).Add(first).Add(end); };
+absl::Status PutRow(PostgresConnection& connection, const Statement& put,
+                    VehicleKey key, BatchVersion version,
+                    const BatchRecord& batch) {
+  return connection
+      .Run(put, Parameters()
+                    .Add(key)
+                    .Add(Signed(batch.first_sequence))
+                    .Add(std::int64_t{batch.count})
+                    .Add(kSharedRowFormat)
+                    .Add(Signed(batch.revision))
+                    .Add(ChecksumOfBatch(kSharedRowFormat, key, version, batch))
+                    .AddText(batch.payload))
+      .status();
+}
+
+absl::Status Replace(PostgresConnection& connection, VehicleKey key,
+                     const std::vector<BatchVersions>& batches) {
+  const std::uint64_t first = batches.front().as_sent.first_sequence;
+  const BatchRecord& last = batches.back().as_sent;
+  const std::uint64_t end = last.first_sequence + last.count;
+  const auto range = [&] {
+    return Parameters().Add(key).Add(Signed(first)).Add(Signed(end));
+  };
   // Rows do not overlap, so these hold the range if they hold as many poses.
   const auto held = connection.Run(kHeldRange, range());
   if (!held.ok()) return held.status();
-  if (held->Integer(0, 0) != first || held->Integer(0, 1) != end ||
-      held->Integer(0, 2) != std::int64_t{merged.count}) {
-    return NoSuchBatches(merged);
+  if (held->Integer(0, 0) != Signed(first) ||
+      held->Integer(0, 1) != Signed(end) ||
+      held->Integer(0, 2) != Signed(end - first)) {
+    return NoSuchBatches(first, end - 1);
   }
   for (const Statement& remove : {kRemoveBatches, kRemoveRevisions}) {
     const auto removed = connection.Run(remove, range());
     if (!removed.ok()) return removed.status();
   }
-  return connection
-      .Run(kPutBatch, Parameters()
-                          .Add(key)
-                          .Add(first)
-                          .Add(std::int64_t{merged.count})
-                          .Add(kSharedRowFormat)
-                          .Add(Signed(revision))
-                          .Add(ChecksumOfBatch(kSharedRowFormat, key,
-                                               BatchVersion::kAsSent, merged))
-                          .AddText(merged.payload))
-      .status();
+  for (const BatchVersions& batch : batches) {
+    absl::Status status = PutRow(connection, kPutBatch, key,
+                                 BatchVersion::kAsSent, batch.as_sent);
+    if (status.ok() && batch.revised) {
+      status = PutRow(connection, kPutRevision, key, BatchVersion::kCurrent,
+                      *batch.revised);
+    }
+    if (!status.ok()) return status;
+  }
+  return absl::OkStatus();
 }
 
 // Does a change of several statements in one step.
@@ -318,11 +340,12 @@ absl::Status ReviseBatchRows(PostgresConnection& connection, const Fence& fence,
   });
 }
 
-absl::Status MergeBatchRows(PostgresConnection& connection, const Fence& fence,
-                            const BatchRecord& merged, std::uint64_t revision) {
-  return ChangeBatches(connection, fence, revision, [&] {
-    return Merge(connection, fence.key, merged, revision);
-  });
+absl::Status ReplaceBatchRows(PostgresConnection& connection,
+                              const Fence& fence,
+                              const std::vector<BatchVersions>& batches,
+                              std::uint64_t revision) {
+  return ChangeBatches(connection, fence, revision,
+                       [&] { return Replace(connection, fence.key, batches); });
 }
 
 absl::Status DropDamagedRows(PostgresConnection& connection, const Fence& fence,

@@ -28,8 +28,10 @@ absl::Status RemoveVehicle(PostgresConnection& connection, const Fence& fence);
 absl::Status ReviseBatchRows(PostgresConnection& connection, const Fence& fence,
                              const BatchSource& batches,
                              std::uint64_t revision);
-absl::Status MergeBatchRows(PostgresConnection& connection, const Fence& fence,
-                            const BatchRecord& merged, std::uint64_t revision);
+absl::Status ReplaceBatchRows(PostgresConnection& connection,
+                              const Fence& fence,
+                              const std::vector<BatchVersions>& batches,
+                              std::uint64_t revision);
 absl::Status DropDamagedRows(PostgresConnection& connection, const Fence& fence,
                              std::uint64_t last_sequence,
                              const std::string& payload,

@@ -26,16 +26,16 @@ class ReadOnlyPostgres : public PostgresReader {
     done(ReadOnly());
   }
   void DeleteVehicle(VehicleKey, Done done) override { done(ReadOnly()); }
-  void AppendBatch(VehicleKey, BatchRecord, std::optional<std::string>,
-                   Done done) override {
+  void AppendBatches(VehicleKey, std::vector<BatchRecord>,
+                     std::optional<std::string>, Done done) override {
     done(ReadOnly());
   }
   void ReviseBatches(VehicleKey, BatchSource, std::uint64_t,
                      Done done) override {
     done(ReadOnly());
   }
-  void MergeBatches(VehicleKey, BatchRecord, std::uint64_t,
-                    Done done) override {
+  void ReplaceBatches(VehicleKey, std::vector<BatchVersions>, std::uint64_t,
+                      Done done) override {
     done(ReadOnly());
   }
   void AddPosePair(VehicleKey, PairKind, PosePairRecord, std::uint64_t,

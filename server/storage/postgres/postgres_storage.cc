@@ -100,23 +100,26 @@ class PostgresStorage : public PostgresReader {
         std::move(done));
   }
 
-  void AppendBatch(VehicleKey key, BatchRecord batch,
-                   std::optional<std::string> vehicle_payload,
-                   Done done) override {
+  void AppendBatches(VehicleKey key, std::vector<BatchRecord> batches,
+                     std::optional<std::string> vehicle_payload,
+                     Done done) override {
     PostgresWriter& writer = WriterOf(key);
     if (!vehicle_payload.has_value()) {
-      writer.Append(key, std::move(batch), std::move(done));
+      writer.Append(key, std::move(batches), std::move(done));
       return;
     }
-    const std::size_t bytes = batch.payload.size();
+    std::size_t bytes = 0;
+    for (const BatchRecord& batch : batches) bytes += batch.payload.size();
     writer.Submit(
         key, bytes,
-        [batch = std::move(batch), payload = *std::move(vehicle_payload)](
+        [batches = std::move(batches), payload = *std::move(vehicle_payload)](
             PostgresConnection& connection, const Fence& fence) {
-          return AppendWithVehicle(connection, fence, batch, payload);
+          return AppendWithVehicle(connection, fence, batches, payload);
         },
         std::move(done));
   }
+
+  std::size_t MostBatchBytes() const override { return kMostInlineBytes; }
 
   void ReviseBatches(VehicleKey key, BatchSource batches,
                      std::uint64_t revision, Done done) override {
@@ -131,13 +134,15 @@ class PostgresStorage : public PostgresReader {
         std::move(done));
   }
 
-  void MergeBatches(VehicleKey key, BatchRecord merged, std::uint64_t revision,
-                    Done done) override {
-    WriterOf(key).Submit(
-        key, merged.payload.size(),
-        [merged = std::move(merged), revision](PostgresConnection& connection,
-                                               const Fence& fence) {
-          return MergeBatchRows(connection, fence, merged, revision);
+  void ReplaceBatches(VehicleKey key, std::vector<BatchVersions> batches,
+                      std::uint64_t revision, Done done) override {
+    PostgresWriter& writer = WriterOf(key);
+    writer.Submit(
+        key, 0,
+        [&writer, batches = std::move(batches), revision](
+            PostgresConnection& connection, const Fence& fence) {
+          writer.PurgeSoon();
+          return ReplaceBatchRows(connection, fence, batches, revision);
         },
         std::move(done));
   }

@@ -29,7 +29,8 @@
 namespace revisit::server {
 
 // Most bytes of a payload whose row still fits a page of PostgreSQL with its
-// other columns. Larger batches are stored too, out of line.
+// other columns. Larger batches are stored too, out of line, for several times
+// the time.
 inline constexpr std::size_t kMostInlineBytes = 7900;
 
 struct PostgresOptions : WriteGroupOptions {

@@ -27,8 +27,7 @@ bool IsFaultOfRow(const absl::Status& status) {
 
 bool Follows(const PendingWrite& before, const PendingWrite& row) {
   return row.claim == before.claim &&
-         row.batch.first_sequence ==
-             before.batch.first_sequence + before.batch.count;
+         row.first_sequence() == before.last_sequence() + 1;
 }
 
 }  // namespace
@@ -56,12 +55,12 @@ bool PostgresWriter::AwaitEnd(std::chrono::steady_clock::time_point latest) {
   return true;
 }
 
-void PostgresWriter::Append(VehicleKey key, BatchRecord batch,
+void PostgresWriter::Append(VehicleKey key, std::vector<BatchRecord> batches,
                             Storage::Done done) {
   PendingWrite write;
-  write.bytes = batch.payload.size();
+  for (const BatchRecord& batch : batches) write.bytes += batch.payload.size();
   write.key = key;
-  write.batch = std::move(batch);
+  write.rows = std::move(batches);
   write.claim = ownership_->Find(key);
   write.done.push_back(std::move(done));
   queue_.SubmitAppend(std::move(write));

@@ -58,8 +58,9 @@ class PostgresWriter {
   // Answers what is left with UNAVAILABLE, although it may be written.
   void GiveUp() { give_up_ = true; }
 
-  // `batch` and `done` are those of Storage::AppendBatch().
-  void Append(VehicleKey key, BatchRecord batch, Storage::Done done);
+  // `batches` and `done` are those of Storage::AppendBatches().
+  void Append(VehicleKey key, std::vector<BatchRecord> batches,
+              Storage::Done done);
   // Runs `write` on the writer's connection, under the vehicle's claim as of
   // now. `bytes` is about what it writes.
   using Write = std::function<absl::Status(PostgresConnection&, const Fence&)>;

@@ -137,23 +137,28 @@ class SqliteStorage : public Storage {
         std::move(done), Need::kLittle);
   }
 
-  void AppendBatch(VehicleKey key, BatchRecord batch,
-                   std::optional<std::string> vehicle_payload,
-                   Done done) override {
+  void AppendBatches(VehicleKey key, std::vector<BatchRecord> batches,
+                     std::optional<std::string> vehicle_payload,
+                     Done done) override {
     PendingWrite write;
-    write.bytes = batch.payload.size();
+    for (const BatchRecord& batch : batches) {
+      write.bytes += batch.payload.size();
+    }
     write.done.push_back(std::move(done));
-    if (!vehicle_payload.has_value()) {
+    if (!vehicle_payload && batches.size() == 1) {
       write.key = key;
-      write.batch = std::move(batch);
+      write.rows = std::move(batches);
       queue_.SubmitAppend(std::move(write));
       return;
     }
-    write.apply = [this, key, batch = std::move(batch),
+    write.apply = [this, key, batches = std::move(batches),
                    payload = std::move(vehicle_payload)] {
-      const absl::Status status = Append(key, batch);
-      if (!status.ok()) return status;
-      return ChangeVehicle(*writer_, key, payload, batch.revision);
+      for (const BatchRecord& batch : batches) {
+        absl::Status status = Append(key, batch);
+        if (!status.ok()) return status;
+      }
+      if (!payload) return absl::OkStatus();
+      return ChangeVehicle(*writer_, key, payload, batches.back().revision);
     };
     queue_.Submit(std::move(write));
   }
@@ -170,14 +175,14 @@ class SqliteStorage : public Storage {
         std::move(done));
   }
 
-  void MergeBatches(VehicleKey key, BatchRecord merged, std::uint64_t revision,
-                    Done done) override {
+  void ReplaceBatches(VehicleKey key, std::vector<BatchVersions> batches,
+                      std::uint64_t revision, Done done) override {
     Submit(
         // It removes many rows: nothing shares a transaction with it.
         options_.max_group_bytes,
-        [this, key, merged = std::move(merged), revision] {
+        [this, key, batches = std::move(batches), revision] {
           chores_ = Chores::kPurge;
-          return MergeBatchRows(*writer_, key, merged, revision);
+          return ReplaceBatchRows(*writer_, key, batches, revision);
         },
         std::move(done));
   }
@@ -613,7 +618,7 @@ class SqliteStorage : public Storage {
         if (!status->ok()) return true;
         continue;
       }
-      absl::Status result = Append(write.key, write.batch);
+      absl::Status result = Append(write.key, write.rows.front());
       // SQLite gives up the whole transaction after some errors.
       if (result.code() == StatusCode::kUnavailable ||
           !writer_->InTransaction()) {
@@ -631,7 +636,7 @@ class SqliteStorage : public Storage {
   }
 
   absl::Status Apply(const PendingWrite& write) {
-    return write.apply ? write.apply() : Append(write.key, write.batch);
+    return write.apply ? write.apply() : Append(write.key, write.rows.front());
   }
 
   absl::Status Append(VehicleKey key, const BatchRecord& batch) {

@@ -173,6 +173,11 @@ constexpr char kInsertBatch[] =
     "INSERT INTO batches (vehicle_key, first_sequence, count, format, "
     "revision, checksum, payload) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
 
+constexpr char kPutRevision[] =
+    "INSERT OR REPLACE INTO revised_batches (vehicle_key, first_sequence, "
+    "count, format, revision, checksum, payload) "
+    "VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
+
 // A part of a snapshot takes as much room as so many large batches.
 constexpr int kBatchesPerPart = 8;
 
@@ -278,12 +283,8 @@ absl::Status ReviseBatchRow(SqliteDatabase& database, VehicleKey key,
   }
   BatchRecord revised = batch;
   revised.revision = revision;
-  return WriteBatchRow(
-      database,
-      "INSERT OR REPLACE INTO revised_batches (vehicle_key, first_sequence, "
-      "count, format, revision, checksum, payload) "
-      "VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
-      key, BatchVersion::kCurrent, revised);
+  return WriteBatchRow(database, kPutRevision, key, BatchVersion::kCurrent,
+                       revised);
 }
 
 }  // namespace
@@ -455,13 +456,15 @@ absl::Status ReviseBatchRows(SqliteDatabase& database, VehicleKey key,
   });
 }
 
-absl::Status MergeBatchRows(SqliteDatabase& database, VehicleKey key,
-                            const BatchRecord& merged, std::uint64_t revision) {
+absl::Status ReplaceBatchRows(SqliteDatabase& database, VehicleKey key,
+                              const std::vector<BatchVersions>& batches,
+                              std::uint64_t revision) {
   absl::Status status = ChangeVehicle(database, key, std::nullopt, revision);
   if (status.ok()) status = ForgetSnapshot(database, key);
   if (!status.ok()) return status;
-  const std::int64_t first = Signed(merged.first_sequence);
-  const std::int64_t end = Signed(merged.first_sequence + merged.count);
+  const std::uint64_t first = batches.front().as_sent.first_sequence;
+  const BatchRecord& last = batches.back().as_sent;
+  const std::uint64_t end = last.first_sequence + last.count;
   {
     // Rows do not overlap, so these hold the range if they hold as many poses.
     SqliteStatement row = database.Prepare(
@@ -469,11 +472,11 @@ absl::Status MergeBatchRows(SqliteDatabase& database, VehicleKey key,
         "FROM batches WHERE vehicle_key = ?1 AND first_sequence >= ?2 AND "
         "first_sequence < ?3");
     const absl::StatusOr<bool> found =
-        row.Bind(1, key).Bind(2, first).Bind(3, end).Step();
+        row.Bind(1, key).Bind(2, Signed(first)).Bind(3, Signed(end)).Step();
     if (!found.ok()) return found.status();
-    if (row.Integer(0) != first || row.Integer(1) != end ||
-        row.Integer(2) != std::int64_t{merged.count}) {
-      return NoSuchBatches(merged);
+    if (row.Integer(0) != Signed(first) || row.Integer(1) != Signed(end) ||
+        row.Integer(2) != Signed(end - first)) {
+      return NoSuchBatches(first, end - 1);
     }
   }
   for (const char* sql :
@@ -481,14 +484,23 @@ absl::Status MergeBatchRows(SqliteDatabase& database, VehicleKey key,
         "AND first_sequence < ?3",
         "DELETE FROM revised_batches WHERE vehicle_key = ?1 AND "
         "first_sequence >= ?2 AND first_sequence < ?3"}) {
-    status =
-        database.Prepare(sql).Bind(1, key).Bind(2, first).Bind(3, end).Run();
+    status = database.Prepare(sql)
+                 .Bind(1, key)
+                 .Bind(2, Signed(first))
+                 .Bind(3, Signed(end))
+                 .Run();
     if (!status.ok()) return status;
   }
-  BatchRecord batch = merged;
-  batch.revision = revision;
-  return WriteBatchRow(database, kInsertBatch, key, BatchVersion::kAsSent,
-                       batch);
+  for (const BatchVersions& batch : batches) {
+    status = WriteBatchRow(database, kInsertBatch, key, BatchVersion::kAsSent,
+                           batch.as_sent);
+    if (status.ok() && batch.revised) {
+      status = WriteBatchRow(database, kPutRevision, key,
+                             BatchVersion::kCurrent, *batch.revised);
+    }
+    if (!status.ok()) return status;
+  }
+  return absl::OkStatus();
 }
 
 absl::Status VisitBatches(SqliteDatabase& database, VehicleKey key,

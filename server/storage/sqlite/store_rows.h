@@ -77,8 +77,9 @@ absl::Status InsertBatch(SqliteDatabase& database, VehicleKey key,
 absl::Status ReviseBatchRows(SqliteDatabase& database, VehicleKey key,
                              const BatchSource& batches,
                              std::uint64_t revision);
-absl::Status MergeBatchRows(SqliteDatabase& database, VehicleKey key,
-                            const BatchRecord& merged, std::uint64_t revision);
+absl::Status ReplaceBatchRows(SqliteDatabase& database, VehicleKey key,
+                              const std::vector<BatchVersions>& batches,
+                              std::uint64_t revision);
 // Implements Storage::ReadBatches(); as of one moment if the connection is in a
 // transaction.
 absl::Status VisitBatches(SqliteDatabase& database, VehicleKey key,

@@ -26,6 +26,7 @@ namespace revisit::server {
 namespace {
 
 using ::testing::ElementsAreArray;
+using ::testing::HasSubstr;
 
 std::string Hex(const std::string& bytes) {
   std::string hex;
@@ -333,6 +334,31 @@ TEST(GoldenRecordTest, BatchesAreReadAsEver) {
     ASSERT_THAT(slice, IsOk()) << golden.name;
     EXPECT_EQ(Hex(*slice), golden.hex) << golden.name;
   }
+}
+
+TEST(GoldenRecordTest, DroppedPosesAreWrittenAndReadAsEver) {
+  const ProtoRecordCodec codec;
+  const core::DroppedStretch stretch{5, 104, 321.5, std::nullopt};
+  const std::string hex = "120d08051068190000000000187440";
+  EXPECT_EQ(Hex(codec.EncodeDropped(stretch)), hex);
+  const auto read = codec.DecodePoses(Bytes(hex), VehicleConfig());
+  ASSERT_THAT(read, IsOk());
+  ASSERT_TRUE(read->dropped);
+  EXPECT_EQ(read->dropped->first_sequence, 5u);
+  EXPECT_EQ(read->dropped->last_sequence, 104u);
+  EXPECT_EQ(read->dropped->travelled_meters, 321.5);
+}
+
+TEST(GoldenRecordTest, WhatAVehicleKeepsIsWrittenAndReadAsEver) {
+  const ProtoRecordCodec codec;
+  VehicleConfig config = EverySetting();
+  config.engine.retention = {77'000'000'005, 3};
+  const std::string payload = codec.EncodeVehicle(config);
+  EXPECT_THAT(Hex(payload), HasSubstr("ba01080a04084d10051003"));
+  const auto read = codec.DecodeVehicle(RecordOf(payload));
+  ASSERT_THAT(read, IsOk());
+  EXPECT_EQ(read->engine.retention.max_age_ns, 77'000'000'005);
+  EXPECT_EQ(read->engine.retention.max_passes, 3);
 }
 
 TEST(GoldenRecordTest, LoopClosuresAreWrittenAndReadAsEver) {

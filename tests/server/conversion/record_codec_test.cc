@@ -186,6 +186,38 @@ TEST(StoredBatchTest, FingerprintsAreTheSameOnceStored) {
                       HasSubstr("has 5 poses; asked for 3 from 3")));
 }
 
+TEST(StoredBatchTest, IsDividedIntoBatchesOfPosesUpToSomeBytes) {
+  const auto sent =
+      DecodeBatch(SomePoses().poses(), kMaxPoses, Planar(), FieldPath());
+  ASSERT_THAT(sent, IsOk());
+  const ProtoRecordCodec codec;
+  const std::string& payload = sent->payload;
+  for (const std::size_t most : {std::size_t{1}, payload.size() / 2,
+                                 payload.size() - 1, payload.size()}) {
+    const auto parts = codec.DivideBatch(payload, 5, most);
+    std::string joined;
+    std::vector<std::uint64_t> fingerprints;
+    for (const BatchPart& part : parts) {
+      EXPECT_TRUE(part.count == 1 || part.payload.size() <= most);
+      joined += part.payload;
+      const auto decoded = codec.DecodeBatch(part.payload, Planar());
+      ASSERT_THAT(decoded, IsOk());
+      EXPECT_EQ(decoded->samples.size(), part.count);
+      fingerprints.insert(fingerprints.end(), decoded->fingerprints.begin(),
+                          decoded->fingerprints.end());
+    }
+    EXPECT_EQ(joined, payload);
+    EXPECT_EQ(fingerprints, sent->fingerprints);
+    EXPECT_EQ(parts.size() == 1, most == payload.size());
+    EXPECT_EQ(parts.size() == 5, most == 1);
+  }
+  // What is none stays as it is.
+  const auto none = codec.DivideBatch("no batch", 3, 2);
+  ASSERT_THAT(none, SizeIs(1));
+  EXPECT_EQ(none[0].count, 3u);
+  EXPECT_EQ(none[0].payload, "no batch");
+}
+
 TEST(StoredBatchTest, FingerprintTellsEveryFieldApart) {
   const v1::Pose pose = PlanarPose(1, 0);
   const std::vector<std::function<void(v1::Pose*)>> changes = {
@@ -265,14 +297,16 @@ TEST(StoredBatchTest, KeepsWhatIsLeftOfDroppedPoses) {
                            return true;
                          }),
               IsOk());
-  EXPECT_THAT(codec.SliceBatch(record.payload, 0, 1),
-              IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+  EXPECT_THAT(
+      codec.SliceBatch(record.payload, 0, 1),
+      IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("batch")));
 
   VehicleConfig filter = Planar();
   filter.engine.search.correlation_model = core::CorrelationModel::kFilter;
   // What a filter needs is missing.
-  EXPECT_THAT(codec.DecodeBatch(record.payload, filter),
-              IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+  EXPECT_THAT(
+      codec.DecodeBatch(record.payload, filter),
+      IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("batch")));
   stretch.transition.emplace().values[3] = -17.25;
   const auto carried = codec.DecodeBatch(codec.EncodeDropped(stretch), filter);
   ASSERT_THAT(carried, IsOk());
@@ -287,15 +321,16 @@ TEST(StoredBatchTest, DroppedPosesThatCannotHaveBeenAreDataLoss) {
         core::DroppedStretch{5, 4, 1.0, std::nullopt},
         core::DroppedStretch{1, 4, -1.0, std::nullopt},
         core::DroppedStretch{1, 4, nan, std::nullopt}}) {
-    EXPECT_THAT(codec.DecodePoses(codec.EncodeDropped(wrong), Planar()),
-                IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+    EXPECT_THAT(
+        codec.DecodePoses(codec.EncodeDropped(wrong), Planar()),
+        IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("batch")));
   }
   // Beside poses, as where two rows were taken for one.
   EXPECT_THAT(
       codec.DecodePoses(SomePoses().SerializeAsString() +
                             codec.EncodeDropped({1, 4, 1.0, std::nullopt}),
                         Planar()),
-      IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+      IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("batch")));
 }
 
 // ---- Revisions

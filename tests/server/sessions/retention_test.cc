@@ -157,6 +157,54 @@ TEST_F(RetentionTest, WhatWasDroppedIsARowToWhichMoreIsAdded) {
   EXPECT_GT(Settled().dropped, 4000u);
 }
 
+TEST_F(RetentionTest, DividesLongRowsOfWhichAPartGoes) {
+  Create(0);
+  for (; last_ < 2400; last_ += 600) {
+    ASSERT_THAT(AppendNow(session(), SquareBatch(last_ + 1, 600)), IsOk());
+  }
+  // Revised, as they were.
+  ASSERT_THAT(
+      ReviseNow(session(),
+                [](const VehicleView&) {
+                  RevisionPlan plan;
+                  plan.batches = BatchesOf({{1, 600, 0, SquareBatch(1, 600)}});
+                  plan.revised_count = 600;
+                  return plan;
+                }),
+      IsOk());
+  ASSERT_EQ(Rows().size(), 4u);
+  ASSERT_THAT(UpdateNow(session(),
+                        [](const VehicleView& view) {
+                          VehicleConfig config = view.config;
+                          config.engine.retention.max_passes = 2;
+                          return config;
+                        }),
+              IsOk());
+  const Snapshot settled = Settled();
+  EXPECT_GT(settled.dropped, 1500u);
+  ExpectAsLoaded();
+  const auto sent = *ReadAll(memory_, key_, 1, last_, BatchVersion::kAsSent);
+  const auto now = Rows();
+  ASSERT_EQ(sent.size(), now.size());
+  std::size_t revised = 0;
+  std::size_t parts = 0;
+  for (std::size_t i = 0; i < sent.size(); ++i) {
+    if (sent[i].payload.rfind("dropped", 0) == 0) continue;
+    parts += now[i].count < 600 ? 1 : 0;
+    if (now[i].revision == sent[i].revision) continue;
+    EXPECT_EQ(now[i].revision, 6u);
+    EXPECT_LT(sent[i].revision, 6u);
+    ++revised;
+  }
+  EXPECT_GT(parts, 0u);
+  EXPECT_GT(revised, 0u);
+  // What is left of a row is compared with what comes again.
+  EXPECT_THAT(AppendNow(session(), SquareBatch(1, 2400)), IsOk());
+  EXPECT_THAT(
+      AppendNow(session(), StraightBatch(1, 600)),
+      IsError(StatusCode::kAlreadyExists, "SEQUENCE_CONTENT_MISMATCH", _));
+}
+
 TEST_F(RetentionTest, KeepsWhatLoopClosuresReferTo) {
   Create(2);
   Drive(900);

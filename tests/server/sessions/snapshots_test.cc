@@ -6,6 +6,7 @@
 #include <chrono>
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <memory>
 #include <mutex>
 #include <random>
@@ -79,6 +80,7 @@ class SnapshotsTest : public ::testing::Test {
     fleet_.reset();
     Fleet::Options options;
     options.snapshots.poses = poses;
+    options.snapshots.most_nodes_per_pose = most_nodes_per_pose_;
     options.snapshots.warn = [this](const std::string& message) {
       const std::lock_guard<std::mutex> guard(mutex_);
       warnings_.push_back(message);
@@ -164,6 +166,7 @@ class SnapshotsTest : public ::testing::Test {
   std::mutex mutex_;
   std::vector<std::string> warnings_;
   std::chrono::milliseconds last_snapshots_{std::chrono::minutes(1)};
+  double most_nodes_per_pose_ = std::numeric_limits<double>::infinity();
   std::unique_ptr<Fleet> fleet_;
   std::shared_ptr<VehicleSession> session_;
   VehicleKey key_ = 0;
@@ -185,6 +188,22 @@ TEST_F(SnapshotsTest, TheEndOfTheServerWritesOneIfManyPosesHaveCome) {
   EXPECT_EQ(storage_.TakeLeastRead(), WatchedStorage::kNone);
   ExpectAsReplayedWhole();
   EXPECT_THAT(TakeWarnings(), IsEmpty());
+}
+
+TEST_F(SnapshotsTest, NoneIsWrittenOfAGraphWithMoreNodesThanIsWorthIt) {
+  // The graph has about a node for each pose.
+  most_nodes_per_pose_ = 0.5;
+  Open();
+  Create();
+  Append(60);
+  session_.reset();
+  most_nodes_per_pose_ = 1.25;
+  Open();
+  EXPECT_EQ(Stored(), "none");
+  Append(1);
+  session_.reset();
+  Open();
+  EXPECT_EQ(StoredSequence(), 61u);
 }
 
 TEST_F(SnapshotsTest, OnlyPosesAfterTheSnapshotAreReplayed) {

@@ -550,6 +550,40 @@ TEST_F(VehicleSessionTest, GivesUpChecksButNotTheAppendWhenToldToStop) {
   EXPECT_EQ(ReadNow(*session_)->durable_sequence, 102u);
 }
 
+TEST_F(VehicleSessionTest, LargeBatchHasSeveralRowsAndIsOneAllTheSame) {
+  memory_.SetMostBatchBytes(100);
+  const std::string batch = SquareBatch(1, 50);
+  storage_.Hold();
+  const Appended appended = Append(*session_, batch);
+  const Appended behind = Append(*session_, SquareBatch(51, 1));
+  storage_.Await(2);
+  storage_.ReleaseAll();
+  ASSERT_THAT(appended.durable.Get(), IsOk());
+  EXPECT_EQ(appended.durable.Get()->durable_sequence, 50u);
+  ASSERT_THAT(behind.durable.Get(), IsOk());
+  const auto rows = ReadAll(memory_, memory_.GetVehicle("truck")->key, 1, 51);
+  ASSERT_THAT(rows, IsOk());
+  EXPECT_GT(rows->size(), 10u);
+  std::string joined;
+  std::uint64_t revision = 1;
+  for (const BatchRecord& row : *rows) {
+    EXPECT_LE(row.payload.size(), 100u);
+    EXPECT_EQ(row.revision, ++revision);
+    joined += row.payload;
+  }
+  EXPECT_EQ(joined, SquareBatch(1, 51));
+  const Snapshot before = *ReadNow(*session_);
+  EXPECT_EQ(before.revision, revision);
+  EXPECT_THAT(before.damage, IsOk());
+  // Sent again, it is known; and the vehicle is the same once loaded anew.
+  EXPECT_EQ(AppendNow(*session_, batch)->durable_sequence, 51u);
+  Reload();
+  const Snapshot after = *ReadNow(*session_);
+  EXPECT_THAT(after.damage, IsOk());
+  EXPECT_EQ(after.revision, before.revision);
+  EXPECT_EQ(after.graph, before.graph);
+}
+
 TEST_F(VehicleSessionTest, IsTheSameAfterReload) {
   ASSERT_THAT(AppendNow(*session_, SquareBatch(1, 33)), IsOk());
   ASSERT_THAT(AppendNow(*session_, SquareBatch(34, 60)), IsOk());

@@ -131,6 +131,41 @@ TEST_P(StorageContract, AppendsOnlyWithoutGap) {
               ElementsAre("1+3, revision 2, 'one'", "4+1, revision 3, 'two'"));
 }
 
+TEST_P(StorageContract, AppendsSeveralBatchesInOneStepOrNone) {
+  const VehicleKey key = *write().Create("truck", "old");
+  const auto gap = IsError(StatusCode::kFailedPrecondition, "SEQUENCE_GAP", _);
+  const std::vector<BatchRecord> first = {
+      Batch(1, 2, 2, "a"), Batch(3, 1, 3, "b"), Batch(4, 5, 4, "c")};
+  EXPECT_THAT(write().AppendAll(key, {first[1], first[2]}), gap);
+  EXPECT_THAT(write().AppendAll(key, {first[1], first[2]}, "new"), gap);
+  EXPECT_EQ(storage().GetVehicle("truck")->durable_sequence, 0u);
+  ASSERT_THAT(write().AppendAll(key, first, "new"), IsOk());
+  EXPECT_THAT(write().AppendAll(key, first), gap);
+  ASSERT_THAT(
+      write().AppendAll(key, {Batch(9, 1, 5, "d"), Batch(10, 3, 6, "e")}),
+      IsOk());
+  // Many at a time, some of which have to wait for others.
+  std::vector<Answer<absl::Status>> answers(50);
+  for (std::uint64_t i = 0; i < answers.size(); ++i) {
+    storage().AppendBatches(
+        key,
+        {Batch(13 + 2 * i, 1, 7 + i, "f"), Batch(14 + 2 * i, 1, 8 + i, "g")},
+        std::nullopt, answers[i].Setter());
+  }
+  for (const auto& answer : answers) EXPECT_THAT(answer.Get(), IsOk());
+  store_->Reopen();
+  EXPECT_EQ(ToText(*storage().GetVehicle("truck")),
+            "truck " + std::to_string(key) +
+                ": 0 closures, 0 rejected, to 112, revision 57, 'new'");
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 12)),
+              ElementsAre("1+2, revision 2, 'a'", "3+1, revision 3, 'b'",
+                          "4+5, revision 4, 'c'", "9+1, revision 5, 'd'",
+                          "10+3, revision 6, 'e'"));
+  EXPECT_THAT(
+      ToTexts(*ReadAll(storage(), key, 111, 112)),
+      ElementsAre("111+1, revision 56, 'f'", "112+1, revision 57, 'g'"));
+}
+
 TEST_P(StorageContract, ReplacesVehiclePayloadWithBatchOrNotAtAll) {
   const VehicleKey key = *write().Create("truck", "old");
   EXPECT_THAT(write().AppendWithVehicle(key, Batch(2, 1, 2, "x"), "new"),
@@ -225,7 +260,7 @@ TEST_P(StorageContract, RevisesAllOrNothing) {
   EXPECT_EQ(storage().GetVehicle("truck")->revision, 2u);
 }
 
-TEST_P(StorageContract, MergesBatchesWithTheirRevisionsIntoOne) {
+TEST_P(StorageContract, ReplacesBatchesWithTheirRevisions) {
   const VehicleKey key = *write().Create("truck");
   const VehicleKey other = *write().Create("tram");
   for (std::uint64_t i = 0; i < 5; ++i) {
@@ -237,38 +272,44 @@ TEST_P(StorageContract, MergesBatchesWithTheirRevisionsIntoOne) {
   ASSERT_THAT(
       write().Revise(key, {Batch(3, 2, 0, "B"), Batch(9, 2, 0, "E")}, 7),
       IsOk());
-  ASSERT_THAT(write().Merge(key, Batch(3, 4, 0, "merged"), 8), IsOk());
+  // Two become one, and another one two.
+  ASSERT_THAT(write().Replace(key,
+                              {{Batch(3, 4, 8, "merged")},
+                               {Batch(7, 1, 5, "s"), Batch(7, 1, 6, "S")},
+                               {Batch(8, 1, 5, "ent")}},
+                              8),
+              IsOk());
   store_->Reopen();
   EXPECT_EQ(storage().GetVehicle("truck")->revision, 8u);
-  EXPECT_THAT(
-      ToTexts(*ReadAll(storage(), key, 1, 10, BatchVersion::kCurrent)),
-      ElementsAre("1+2, revision 2, 'sent'", "3+4, revision 8, 'merged'",
-                  "7+2, revision 5, 'sent'", "9+2, revision 7, 'E'"));
-  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 4, 5, BatchVersion::kAsSent)),
-              ElementsAre("3+4, revision 8, 'merged'"));
-  // What was merged can be merged again, with all that the vehicle has.
-  ASSERT_THAT(write().Merge(key, Batch(1, 10, 0, "all"), 9), IsOk());
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 10, BatchVersion::kCurrent)),
+              ElementsAre("1+2, revision 2, 'sent'",
+                          "3+4, revision 8, 'merged'", "7+1, revision 6, 'S'",
+                          "8+1, revision 5, 'ent'", "9+2, revision 7, 'E'"));
+  EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 4, 7, BatchVersion::kAsSent)),
+              ElementsAre("3+4, revision 8, 'merged'", "7+1, revision 5, 's'"));
+  // What was replaced can be replaced again, with all that the vehicle has.
+  ASSERT_THAT(write().Replace(key, {{Batch(1, 10, 9, "all")}}, 9), IsOk());
   EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 10)),
               ElementsAre("1+10, revision 9, 'all'"));
   EXPECT_THAT(write().Append(key, Batch(11, 1, 10, "next")), IsOk());
   EXPECT_EQ(ReadAll(storage(), other, 1, 10)->size(), 5u);
 }
 
-TEST_P(StorageContract, MergesWholeBatchesOrNothing) {
+TEST_P(StorageContract, ReplacesWholeBatchesOrNothing) {
   const VehicleKey key = *write().Create("truck");
   ASSERT_THAT(write().Append(key, Batch(1, 3, 2, "a")), IsOk());
   ASSERT_THAT(write().Append(key, Batch(4, 3, 3, "b")), IsOk());
   for (const BatchRecord& wrong :
-       {Batch(1, 2, 0, "x"), Batch(2, 2, 0, "x"), Batch(1, 4, 0, "x"),
-        Batch(2, 5, 0, "x"), Batch(4, 4, 0, "x"), Batch(7, 1, 0, "x")}) {
-    EXPECT_THAT(write().Merge(key, wrong, 4),
+       {Batch(1, 2, 4, "x"), Batch(2, 2, 4, "x"), Batch(1, 4, 4, "x"),
+        Batch(2, 5, 4, "x"), Batch(4, 4, 4, "x"), Batch(7, 1, 4, "x")}) {
+    EXPECT_THAT(write().Replace(key, {{wrong}}, 4),
                 IsError(StatusCode::kFailedPrecondition, "INTERNAL", _))
         << ToText(wrong);
   }
   EXPECT_THAT(ToTexts(*ReadAll(storage(), key, 1, 6)),
               ElementsAre("1+3, revision 2, 'a'", "4+3, revision 3, 'b'"));
   EXPECT_EQ(storage().GetVehicle("truck")->revision, 3u);
-  EXPECT_THAT(write().Merge(99, Batch(1, 3, 0, "x"), 4),
+  EXPECT_THAT(write().Replace(99, {{Batch(1, 3, 4, "x")}}, 4),
               IsError(StatusCode::kNotFound, "VEHICLE_NOT_FOUND", _));
 }
 
@@ -575,9 +616,9 @@ TEST_P(StorageContract, RemovesASnapshotWithWhatItComesFrom) {
   ASSERT_THAT(write().DropDamaged(key, 4, "payload", 4), IsOk());
   EXPECT_EQ(SnapshotOf(storage(), key), "none");
   put("m");
-  EXPECT_FALSE(write().Merge(key, Batch(1, 3, 0, "x"), 5).ok());
+  EXPECT_FALSE(write().Replace(key, {{Batch(1, 3, 5, "x")}}, 5).ok());
   EXPECT_EQ(SnapshotOf(storage(), key), "to 7: m, 'x'");
-  ASSERT_THAT(write().Merge(key, Batch(1, 4, 0, "x"), 5), IsOk());
+  ASSERT_THAT(write().Replace(key, {{Batch(1, 4, 5, "x")}}, 5), IsOk());
   EXPECT_EQ(SnapshotOf(storage(), key), "none");
   put("b");
   ASSERT_THAT(write().DropSnapshot(key), IsOk());
@@ -704,11 +745,19 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
         break;
       }
       case 6: {
-        const BatchRecord merged = Batch(
-            static_cast<std::uint64_t>(UniformInt(random, 1, 8)),
-            static_cast<std::uint32_t>(UniformInt(random, 1, 6)), 0, payload);
+        std::vector<BatchVersions> batches;
+        auto next = static_cast<std::uint64_t>(UniformInt(random, 1, 8));
+        for (int i = UniformInt(random, 1, 3); i > 0; --i) {
+          const auto count =
+              static_cast<std::uint32_t>(UniformInt(random, 1, 4));
+          batches.push_back({Batch(next, count, revision, payload)});
+          if (UniformInt(random, 0, 2) == 0) {
+            batches.back().revised = Batch(next, count, revision + 1, "new");
+          }
+          next += count;
+        }
         both([&](BlockingWrites writes, VehicleKey k) {
-          return writes.Merge(k, merged, revision);
+          return writes.Replace(k, batches, revision);
         });
         break;
       }
@@ -722,14 +771,17 @@ TEST_P(StorageContract, DoesWhatTheModelDoes) {
         if (UniformInt(random, 0, 4) == 0) {
           next += static_cast<std::uint64_t>(UniformInt(random, 0, 2));
         }
-        const BatchRecord batch =
-            Batch(next, static_cast<std::uint32_t>(UniformInt(random, 1, 3)),
-                  revision, payload);
+        std::vector<BatchRecord> batches;
+        for (int i = UniformInt(random, 1, 3); i > 0; --i) {
+          batches.push_back(
+              Batch(next, static_cast<std::uint32_t>(UniformInt(random, 1, 3)),
+                    revision, payload));
+          next += batches.back().count;
+        }
         std::optional<std::string> vehicle;
         if (UniformInt(random, 0, 3) == 0) vehicle = payload + "!";
         both([&](BlockingWrites writes, VehicleKey k) {
-          return vehicle ? writes.AppendWithVehicle(k, batch, *vehicle)
-                         : writes.Append(k, batch);
+          return writes.AppendAll(k, batches, vehicle);
         });
         break;
       }

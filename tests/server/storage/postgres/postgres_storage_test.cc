@@ -433,6 +433,15 @@ TEST_F(PostgresStorageTest, RowsStayInTheirPagesAndHeadsAreUpdatedInPlace) {
     }
     for (const auto& answer : answers) ASSERT_THAT(answer.Get(), IsOk());
   }
+  // Who has more bytes divides them.
+  EXPECT_EQ(storage->MostBatchBytes(), kMostInlineBytes);
+  ASSERT_THAT(
+      write.AppendAll(keys[0], {{41, 1, 42, payload}, {42, 9, 43, payload}}),
+      IsOk());
+  ASSERT_THAT(
+      write.AppendAll(keys[1], {{41, 1, 42, payload}, {42, 9, 43, payload}},
+                      "vehicle"),
+      IsOk());
   ASSERT_THAT(write.Revise(keys[0], {BatchRecord{1, 1, 0, payload}}, 99),
               IsOk());
   EXPECT_EQ(Sql("SELECT pg_relation_size(reltoastrelid) FROM pg_class WHERE "
