@@ -234,8 +234,6 @@ void SetUsual(const BoundSetting& setting) {
       return setting.SetBool(std::string(usual) == "true");
     case FieldDescriptor::CPPTYPE_INT32:
       return setting.SetWholeNumber(std::strtol(usual, nullptr, 10));
-    case FieldDescriptor::CPPTYPE_MESSAGE:
-      return;
     default:
       return setting.SetNumber(std::strtod(usual, nullptr));
   }
@@ -297,8 +295,11 @@ void AddSearchSettings(const Command& command, v1::CandidateOptions* options) {
 void AddDriveSettings(const Command& command, v1::VehicleSettings* settings) {
   const Command group = UnderVehicleSettings(command);
   for (const BoundSetting& setting : Bind(settings)) {
+    const std::string field = setting.row->field;
+    // Candidates are judged by all nodes that there ever were.
+    if (field.rfind("retention.", 0) == 0) continue;
     SetUsual(setting);
-    if (setting.row->field == std::string("coordinate_frame")) continue;
+    if (field == "coordinate_frame") continue;
     AddSettingFlag(group, setting);
   }
 }
