@@ -38,9 +38,10 @@ DroppedStretch Dropped(const Engine& engine, const Poses& all,
 }
 
 // A drive without these poses.
-void Drive(const Poses& all,
-           const std::vector<std::pair<std::uint64_t, std::uint64_t>>& gaps,
-           Engine* engine) {
+void DriveWithout(
+    const Poses& all,
+    const std::vector<std::pair<std::uint64_t, std::uint64_t>>& gaps,
+    Engine* engine) {
   std::uint64_t next = 1;
   for (const auto& [first, last] : gaps) {
     if (first > next) {
@@ -91,7 +92,7 @@ TEST(EngineDroppedTest, GoesOnWithANewSegmentThatIsNoJump) {
 TEST(EngineDroppedTest, MayBeginWithWhatWasDropped) {
   const Poses all = ThreeLaps();
   Engine engine((EngineSettings()));
-  Drive(all, {{1, 700}}, &engine);
+  DriveWithout(all, {{1, 700}}, &engine);
   EXPECT_EQ(engine.graph().node(0).sequence, 701u);
   EXPECT_NEAR(engine.graph().node(0).travelled_meters, 700.0, 10.0);
   EXPECT_EQ(engine.dropped().KeptFrom(1), 701u);
@@ -101,7 +102,7 @@ TEST(EngineDroppedTest, MayBeginWithWhatWasDropped) {
 TEST(EngineDroppedTest, PairsWithADroppedPoseHaveNoEffect) {
   const Poses all = ThreeLaps();
   Engine engine((EngineSettings()));
-  Drive(all, {{300, 700}}, &engine);
+  DriveWithout(all, {{300, 700}}, &engine);
   engine.AddLoopClosure(1200, 500, engine.revision() + 1);
   engine.AddRejection(1300, 600, engine.revision() + 1);
   EXPECT_THAT(engine.graph().LoopEdges(), IsEmpty());
@@ -120,7 +121,7 @@ TEST(EngineDroppedTest, FindsAPlaceAmongThePassesThatAreLeft) {
   settings.search.correlation_model = CorrelationModel::kIndependent;
   Engine engine(settings);
   // The second lap is gone.
-  Drive(all, {{700, 1150}}, &engine);
+  DriveWithout(all, {{700, 1150}}, &engine);
   const auto found =
       engine.FindCandidates(settings.search, [] { return false; });
   ASSERT_TRUE(found.ok());
@@ -151,7 +152,7 @@ TEST(EngineDroppedTest, AFilterCarriesItsErrorsOn) {
     Engine whole(settings);
     whole.Append(all, 1);
     Engine engine(settings);
-    Drive(all, {{20, 27}, {28, 40}}, &engine);
+    DriveWithout(all, {{20, 27}, {28, 40}}, &engine);
     const NodeIndex before = *engine.graph().NodeAtOrBefore(15);
     const NodeIndex after = *engine.graph().NodeAtOrBefore(50);
     const auto expect_near = [](const auto& a, const auto& b) {
@@ -189,7 +190,7 @@ TEST(EngineDroppedTest, IsSavedAndLoadedAsItIs) {
     settings.search.correlation_model = model;
     settings.node_spacing_meters = 1.0;
     Engine engine(settings);
-    Drive(all, {{1, 300}, {4000, 5500}, {20'000, 21'000}}, &engine);
+    DriveWithout(all, {{1, 300}, {4000, 5500}, {20'000, 21'000}}, &engine);
     Engine loaded(settings);
     const std::size_t parts = engine.whole_parts();
     ASSERT_GT(parts, 1u);

@@ -149,6 +149,11 @@ absl::Status ExportG2o(const Client& client, const v1::Vehicle& vehicle,
                    << ", loop closures: " << counts.closures
                    << ", without a measurement: " << counts.unmeasured_closures
                    << '\n';
+  if (counts.gaps > 0) {
+    console.progress << vehicle.name() << ": " << counts.gaps
+                     << " steps lead over dropped poses; their edges are as "
+                        "uncertain as both ends\n";
+  }
   if (counts.raised > 0) {
     console.progress
         << vehicle.name() << ": the covariances of " << counts.raised

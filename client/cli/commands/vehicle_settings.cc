@@ -225,6 +225,11 @@ Flag AddSettingFlag(const Command& command, const BoundSetting& setting) {
   }
 }
 
+// Drives that are judged keep all that there ever was.
+bool IsRetention(const BoundSetting& setting) {
+  return std::string(setting.row->field).rfind("retention.", 0) == 0;
+}
+
 void SetUsual(const BoundSetting& setting) {
   const char* const usual = setting.row->usual;
   switch (setting.field.type()) {
@@ -234,8 +239,6 @@ void SetUsual(const BoundSetting& setting) {
       return setting.SetBool(std::string(usual) == "true");
     case FieldDescriptor::CPPTYPE_INT32:
       return setting.SetWholeNumber(std::strtol(usual, nullptr, 10));
-    case FieldDescriptor::CPPTYPE_MESSAGE:
-      return;
     default:
       return setting.SetNumber(std::strtod(usual, nullptr));
   }
@@ -298,13 +301,16 @@ void AddDriveSettings(const Command& command, v1::VehicleSettings* settings) {
   SetUsualSettings(settings);
   const Command group = UnderVehicleSettings(command);
   for (const BoundSetting& setting : Bind(settings)) {
+    if (IsRetention(setting)) continue;
     if (setting.row->field == std::string("coordinate_frame")) continue;
     AddSettingFlag(group, setting);
   }
 }
 
 void SetUsualSettings(v1::VehicleSettings* settings) {
-  for (const BoundSetting& setting : Bind(settings)) SetUsual(setting);
+  for (const BoundSetting& setting : Bind(settings)) {
+    if (!IsRetention(setting)) SetUsual(setting);
+  }
 }
 
 std::vector<std::pair<std::string, std::string>> DescribeSettings(

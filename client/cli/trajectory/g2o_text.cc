@@ -31,7 +31,13 @@ void G2oWriter::Add(const LocalPose& pose) {
   ++counts_.poses;
   WriteVertex(pose);
   if (last_) {
-    if (IsJump(*last_, pose)) {
+    if (pose.sequence != last_->sequence + 1) {
+      // The way there was dropped, and with it what the errors share.
+      v1::VehicleSettings unrelated = settings_;
+      unrelated.set_correlation_model(v1::CORRELATION_MODEL_INDEPENDENT);
+      ++counts_.gaps;
+      WriteEdge(StepBetween(*last_, pose, unrelated).relative, *last_, pose);
+    } else if (IsJump(*last_, pose)) {
       ++counts_.jumps;
       WriteEdge(JumpBetween(*last_, pose), *last_, pose);
     } else {
@@ -56,8 +62,6 @@ void G2oWriter::AddClosures() {
 }
 
 bool G2oWriter::IsJump(const LocalPose& from, const LocalPose& to) const {
-  // Poses between them were dropped.
-  if (to.sequence != from.sequence + 1) return true;
   const double dz = spatial_ ? to.position[2] - from.position[2] : 0.0;
   return std::hypot(to.position[0] - from.position[0],
                     to.position[1] - from.position[1],

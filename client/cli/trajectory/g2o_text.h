@@ -37,9 +37,10 @@ class G2oWriter {
     std::int64_t poses = 0;
     std::int64_t closures = 0;
     std::int64_t unmeasured_closures = 0;
-    // Steps longer than max_step_meters or over dropped poses, written as all
-    // but unknown.
+    // Steps longer than max_step_meters, written as all but unknown.
     std::int64_t jumps = 0;
+    // Steps over poses that were dropped, written as uncertain as both ends.
+    std::int64_t gaps = 0;
     // Steps whose covariance was raised to the least one.
     std::int64_t raised = 0;
   };

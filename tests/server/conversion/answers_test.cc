@@ -259,6 +259,7 @@ TEST(AnswerTest, VehicleIsToldTheSameFromMemoryAndFromTheStore) {
   EXPECT_FALSE(stored.has_consistency());
   EXPECT_TRUE(loaded.has_consistency());
   loaded.clear_consistency();
+  loaded.clear_first_kept_sequence();
   EXPECT_EQ(loaded.DebugString(), stored.DebugString());
   EXPECT_EQ(loaded.name(), "vehicles/a");
   EXPECT_EQ(loaded.create_time().seconds(), -1);

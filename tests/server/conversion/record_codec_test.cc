@@ -449,8 +449,10 @@ void AddUnknownFields(google::protobuf::Message* message) {
 
 TEST(RecordIndependenceTest, StoredMessagesUseNoneOfTheApi) {
   const auto* const file = stored::Vehicle::descriptor()->file();
-  ASSERT_EQ(file->dependency_count(), 1);
-  EXPECT_EQ(file->dependency(0)->name(), "google/protobuf/timestamp.proto");
+  for (int i = 0; i < file->dependency_count(); ++i) {
+    EXPECT_THAT(std::string(file->dependency(i)->name()),
+                StartsWith("google/protobuf/"));
+  }
 }
 
 TEST(RecordIndependenceTest, NewFieldsOfPosesDoNotReachTheRecord) {

@@ -202,6 +202,25 @@ TEST(G2oText, VerticesAreSequencesAndClosuresLeadFromTheMatch) {
   EXPECT_EQ(line, "EDGE_SE2 1 3 0.5 0 0 4 0 0 4 0 16");
 }
 
+TEST(G2oText, StepOverDroppedPosesIsAsUncertainAsBothEnds) {
+  for (const auto model :
+       {v1::CORRELATION_MODEL_DEAD_RECKONING, v1::CORRELATION_MODEL_FILTER,
+        v1::CORRELATION_MODEL_CORRELATED_FIXES}) {
+    v1::VehicleSettings settings = G2oSettings(v1::STATE_SPACE_PLANAR);
+    settings.set_correlation_model(model);
+    std::ostringstream out;
+    const std::vector<v1::LoopClosure> none;
+    G2oWriter writer(settings, none, &out);
+    writer.Add(LevelPose(1, 0.0, 0.0, 0.0, {0.25, 0.25, 0.0, 0.125}));
+    // A lap later, at the same place.
+    writer.Add(LevelPose(400, 0.0, 0.0, 0.0, {0.25, 0.25, 0.0, 0.125}));
+    EXPECT_EQ(writer.counts().jumps, 0);
+    EXPECT_EQ(writer.counts().gaps, 1);
+    EXPECT_THAT(out.str(),
+                ::testing::HasSubstr("EDGE_SE2 1 400 0 0 0 2 0 0 2 0 4\n"));
+  }
+}
+
 TEST(TrajectoryText, LinesHoldEveryDigit) {
   LocalPose pose = LevelPose(7, 0.1, -2.0, 0.5 * kPi, {1, 2, 3, 4});
   pose.position[2] = 1.0 / 3.0;
