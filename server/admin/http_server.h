@@ -3,6 +3,11 @@
 // All its connections are read and written without blocking, so one that is
 // slow holds up none of the others, and there are never more than
 // kMostHttpConnections: a new one takes the place of the oldest.
+//
+// The exposer of prometheus-cpp is no substitute. It serves metrics alone, and
+// its CivetWeb keeps a thread for each connection, so a few slow ones stall
+// probes and scrapes; Debian 12's (1.15) also has a heap overflow that requests
+// can reach (CVE-2025-55763).
 #ifndef REVISIT_SERVER_ADMIN_HTTP_SERVER_H_
 #define REVISIT_SERVER_ADMIN_HTTP_SERVER_H_
 

@@ -43,9 +43,9 @@ class Histogram {
       : bounds_(std::move(bounds)), counts_(bounds_.size() + 1) {}
 
   void Observe(double value) {
-    const auto bucket = static_cast<std::size_t>(std::distance(
-        bounds_.begin(),
-        std::lower_bound(bounds_.begin(), bounds_.end(), value)));
+    const auto bucket = static_cast<std::size_t>(
+        std::distance(bounds_.begin(),
+                      std::lower_bound(bounds_.begin(), bounds_.end(), value)));
     counts_[bucket].fetch_add(1, std::memory_order_relaxed);
     double sum = sum_.load(std::memory_order_relaxed);
     while (!sum_.compare_exchange_weak(sum, sum + value,

@@ -197,8 +197,9 @@ void ServiceCounters::Searched(const absl::StatusOr<core::CandidateSet>& set,
       std::begin(kOutcomes), std::end(kOutcomes),
       [&](const char* name) { return std::strcmp(name, outcome) == 0; });
   Increase(&searches_[static_cast<std::size_t>(found - std::begin(kOutcomes))]);
-  search_seconds_.Observe(duration);
+  // One that was stopped may not even have begun.
   if (!set.ok()) return;
+  search_seconds_.Observe(duration);
   search_nodes_.Observe(static_cast<double>(set->nodes_considered));
   for (const core::Candidate& candidate : set->candidates) {
     Increase(&candidates_[static_cast<std::size_t>(candidate.verdict)]);

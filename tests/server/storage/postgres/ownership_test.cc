@@ -171,6 +171,32 @@ TEST_F(OwnershipTest, OwnerThatWasTakenForDeadWritesNothing) {
   EXPECT_THAT(BlockingWrites(b.get()).Append(key, One(2)), IsOk());
 }
 
+TEST_F(OwnershipTest, CountsWhatItOwnsAndWhatOthersTook) {
+  const auto a = Open("a", /*beats=*/false);
+  const auto b = Open("b");
+  BlockingWrites write(a.get());
+  const VehicleKey taken = *write.Create("taken");
+  const VehicleKey given = *write.Create("given");
+  SharingState sharing = *a->GetSharing();
+  EXPECT_EQ(sharing.owned_vehicles, 2);
+  EXPECT_TRUE(sharing.lease_holds);
+  // What is handed over is not lost.
+  a->ReleaseVehicle(given);
+  ASSERT_TRUE(Eventually([&] { return b->TakeVehicle("given").ok(); }));
+  EXPECT_EQ(a->GetSharing()->owned_vehicles, 1);
+  EXPECT_EQ(a->GetSharing()->lost_vehicles, 0u);
+  Bury("a");
+  ASSERT_THAT(b->TakeVehicle("taken"), IsOk());
+  EXPECT_THAT(write.Append(taken, One(1)), kFenced);
+  sharing = *a->GetSharing();
+  EXPECT_EQ(sharing.owned_vehicles, 0);
+  EXPECT_EQ(sharing.lost_vehicles, 1u);
+  EXPECT_EQ(sharing.lost_leases, 0u);
+  EXPECT_EQ(b->GetSharing()->owned_vehicles, 2);
+  clock_.Advance(milliseconds(100'000));
+  EXPECT_FALSE(a->GetSharing()->lease_holds);
+}
+
 TEST_F(OwnershipTest, NoKindOfWritePassesTheFence) {
   using Write = std::function<absl::Status(BlockingWrites, VehicleKey)>;
   const std::vector<std::pair<const char*, Write>> writes = {
@@ -365,6 +391,8 @@ TEST_F(OwnershipTest, ServerThatFindsItselfDeadGivesUpAllAndGoesOnAsAnother) {
   }));
   EXPECT_NE(Sql("SELECT incarnation FROM servers WHERE state = 'live'"),
             before);
+  EXPECT_EQ(a->GetSharing()->lost_leases, 1u);
+  EXPECT_EQ(a->GetSharing()->lost_vehicles, 1u);
   EXPECT_THAT(BlockingWrites(a.get()).Append(key, One(1)), kFenced);
   ASSERT_TRUE(Eventually([&] { return a->TakeVehicle("truck").ok(); }));
   EXPECT_THAT(a->CheckOwned(key), IsOk());
