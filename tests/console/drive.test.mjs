@@ -132,10 +132,10 @@ test('keys lead through the queue of open candidates', async () => {
 
 test('what is decided elsewhere is seen here', async () => {
   await page.getByRole('link', {name: 'boreas'}).click();
-  const [, query, match] = /^Pose (\d+) at pose (\d+)$/.exec(
-      await page.locator('.side tbody tr', {
+  const [, query, match] = /^(\d+) at pose (\d+)$/.exec(
+      (await page.locator('.side tbody tr', {
         has: page.locator('.verdict.accepted'),
-      }).first().locator('a').getAttribute('aria-label'));
+      }).first().locator('a').getAttribute('aria-label')).replaceAll(',', ''));
   world.revisitd.cli('confirm', 'boreas', query, match);
   await until(async () => await number(page, 'Loop closures') === 1,
               'closure');

@@ -188,6 +188,11 @@ export async function number(page, name) {
 
 /** How many pixels of the map have about this colour, by what is on the screen. */
 export async function pixels(page, property) {
+  return (await pixelsOf(page, property)).count;
+}
+
+/** How many they are, and where the one in the middle of them is. */
+export async function pixelsOf(page, property) {
   const shot = await page.locator('.map .canvas').screenshot();
   return page.evaluate(async ([base64, name]) => {
     const wanted = getComputedStyle(document.documentElement)
@@ -200,13 +205,15 @@ export async function pixels(page, property) {
     const context = canvas.getContext('2d');
     context.drawImage(bitmap, 0, 0);
     const {data} = context.getImageData(0, 0, bitmap.width, bitmap.height);
-    let count = 0;
+    const found = [];
     for (let i = 0; i < data.length; i += 4) {
       const far = Math.abs(data[i] - colour[0]) +
           Math.abs(data[i + 1] - colour[1]) + Math.abs(data[i + 2] - colour[2]);
-      if (far < 30) ++count;
+      if (far < 30) found.push(i / 4);
     }
-    return count;
+    const middle = found[found.length >> 1] ?? 0;
+    return {count: found.length, x: middle % bitmap.width,
+            y: Math.floor(middle / bitmap.width)};
   }, [shot.toString('base64'), property]);
 }
 

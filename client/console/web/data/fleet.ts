@@ -28,6 +28,7 @@ export class FleetStore {
   private readonly seen = new Map<string, {sequence: bigint, grown: number}>();
   private readonly poses = new Map<string, {sequence: bigint, pose: Pose}>();
   private shown: string[] = [];
+  private listed: Vehicle[] = [];
   private readonly end = repeat(POLL_MILLISECONDS, () => this.refresh());
 
   close(): void {
@@ -37,27 +38,29 @@ export class FleetStore {
   /** Says whose last poses are wanted, the most urgent first. */
   show(names: string[]): void {
     this.shown = names.slice(0, MOST_POSES_ASKED);
+    void this.refreshPoses();
   }
 
   private async refresh(): Promise<void> {
     try {
-      const vehicles = await allPages(
+      this.listed = await allPages(
           pageToken => service.listVehicles({pageToken, pageSize: PAGE_SIZE}),
           page => page.vehicles);
-      this.publish(vehicles);
-      await this.refreshPoses(vehicles);
-      this.publish(vehicles);
+      this.publish();
       this.error.value = undefined;
+      await this.refreshPoses();
     } catch (error) {
       this.error.value = messageOf(error);
       throw error;
     }
   }
 
-  private async refreshPoses(vehicles: Vehicle[]): Promise<void> {
-    const byName = new Map(vehicles.map(vehicle => [vehicle.name, vehicle]));
-    for (const name of this.shown) {
-      const sequence = byName.get(name)?.durableSequence ?? 0n;
+  private async refreshPoses(): Promise<void> {
+    const {shown} = this;
+    for (const name of shown) {
+      // Somebody scrolled on, and others are wanted.
+      if (shown !== this.shown) return;
+      const sequence = this.seen.get(name)?.sequence ?? 0n;
       if (sequence === 0n || this.poses.get(name)?.sequence === sequence) {
         continue;
       }
@@ -69,11 +72,12 @@ export class FleetStore {
       }).catch(() => ({poses: []}));
       if (poses.length > 0) this.poses.set(name, {sequence, pose: poses[0]});
     }
+    if (this.vehicles.value) this.publish();
   }
 
-  private publish(vehicles: Vehicle[]): void {
+  private publish(): void {
     const now = Date.now();
-    this.vehicles.value = vehicles.map(vehicle => {
+    this.vehicles.value = this.listed.map(vehicle => {
       const {name, durableSequence: sequence} = vehicle;
       const before = this.seen.get(name);
       if (!before || before.sequence !== sequence) {

@@ -1,5 +1,5 @@
-import {Deck, OrthographicView, type PickingInfo} from '@deck.gl/core';
-import {LineLayer, ScatterplotLayer} from '@deck.gl/layers';
+import {Deck, type Layer, OrthographicView} from '@deck.gl/core';
+import {ScatterplotLayer} from '@deck.gl/layers';
 import {effect} from '@preact/signals';
 import {useEffect, useRef, useState} from 'preact/hooks';
 
@@ -7,8 +7,9 @@ import {type View, viewOf} from '../geometry/view.js';
 import {go} from '../route.js';
 import {dark} from '../theme.js';
 import {length} from '../parts/format.js';
-import {colourOf, components, scaleBarMeters, type Scene, type Shape} from
-    './scene.js';
+import {colourOf, components, linkAt, scaleBarMeters, type Scene, type Shape}
+    from './scene.js';
+import {StrokeLayer} from './stroke_layer.js';
 
 interface DeckView {
   target: [number, number, number];
@@ -17,21 +18,6 @@ interface DeckView {
 
 // deck.gl compares data by identity, so each array has one object for ever.
 const dataOf = new WeakMap<Float32Array, object>();
-
-function lineData(segments: Float32Array): object {
-  let data = dataOf.get(segments);
-  if (!data) {
-    data = {
-      length: segments.length / 4,
-      attributes: {
-        getSourcePosition: {value: segments, size: 2, stride: 16, offset: 0},
-        getTargetPosition: {value: segments, size: 2, stride: 16, offset: 8},
-      },
-    };
-    dataOf.set(segments, data);
-  }
-  return data;
-}
 
 function dotData(positions: Float32Array): object {
   let data = dataOf.get(positions);
@@ -45,20 +31,17 @@ function dotData(positions: Float32Array): object {
   return data;
 }
 
-function layerOf(shape: Shape, view: View): LineLayer|ScatterplotLayer {
+function layerOf(shape: Shape, view: View): Layer {
   const colour = components(colourOf(shape.colour));
-  const shared = {id: shape.id, pickable: shape.link !== undefined};
   return shape.kind === 'strokes' ?
-      new LineLayer({
-        ...shared,
-        data: lineData(shape.segmentsIn(view)) as never,
-        getColor: colour,
-        getWidth: shape.widthPixels,
-        widthUnits: 'pixels',
-        updateTriggers: {getColor: [colour.join()]},
+      new StrokeLayer({
+        id: shape.id,
+        segments: shape.segmentsIn(view),
+        colour: colour.map(part => part / 255) as [number, number, number],
+        widthPixels: shape.widthPixels,
       }) :
       new ScatterplotLayer({
-        ...shared,
+        id: shape.id,
         data: dotData(shape.positions) as never,
         getFillColor: colour,
         getRadius: shape.radiusPixels,
@@ -78,6 +61,8 @@ class MapDrawing {
   /** Once somebody has moved the map it stays where it is. */
   private moved = false;
   private fitted = '';
+  /** Where a click would lead. */
+  private hovered: string|undefined;
 
   constructor(parent: HTMLDivElement,
               private readonly onView: (view: View) => void) {
@@ -86,9 +71,8 @@ class MapDrawing {
       views: new OrthographicView({id: 'map', flipY: false}),
       controller: {keyboard: true, inertia: true},
       viewState: this.view,
-      pickingRadius: 5,
-      getCursor: ({isDragging, isHovering}) =>
-          isDragging ? 'grabbing' : isHovering ? 'pointer' : 'grab',
+      getCursor: ({isDragging}) =>
+          isDragging ? 'grabbing' : this.hovered ? 'pointer' : 'grab',
       onResize: ({width, height}) => {
         this.width = width;
         this.height = height;
@@ -98,7 +82,13 @@ class MapDrawing {
         this.moved = true;
         this.look(viewState as unknown as DeckView);
       },
-      onClick: info => this.follow(info),
+      onHover: ({x, y}) => {
+        this.hovered = linkAt(this.scene, this.current(), x, y);
+      },
+      onClick: ({x, y}) => {
+        const link = linkAt(this.scene, this.current(), x, y);
+        if (link) go(link);
+      },
     });
   }
 
@@ -158,11 +148,6 @@ class MapDrawing {
   private look(view: DeckView): void {
     this.view = view;
     this.draw();
-  }
-
-  private follow({layer, index}: PickingInfo): void {
-    const shape = this.scene.shapes.find(({id}) => id === layer?.id);
-    if (shape?.link && index >= 0) go(shape.link(index));
   }
 }
 

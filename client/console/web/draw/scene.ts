@@ -52,6 +52,38 @@ export function dots(shape: Omit<Dots, 'kind'|'positions'>,
   return {...shape, kind: 'dots', positions: Float32Array.from(positions)};
 }
 
+const REACH_PIXELS = 6;
+
+/** Where a click at these pixels of a map leads: the link of the nearest thing
+ * within reach, of those that are drawn last first. */
+export function linkAt(scene: Scene, view: View, px: number, py: number):
+    string|undefined {
+  const x = view.x + (px - view.width / 2) * view.metersPerPixel;
+  const y = view.y - (py - view.height / 2) * view.metersPerPixel;
+  for (const shape of [...scene.shapes].reverse()) {
+    if (!shape.link) continue;
+    const numbers = shape.kind === 'dots' ? shape.positions :
+                                            shape.segmentsIn(view);
+    const size = shape.kind === 'dots' ? 2 : 4;
+    let nearest = -1;
+    let least = REACH_PIXELS * view.metersPerPixel;
+    for (let i = 0; i < numbers.length; i += size) {
+      const [x0, y0] = [numbers[i], numbers[i + 1]];
+      const [dx, dy] = [numbers[i + size - 2] - x0, numbers[i + size - 1] - y0];
+      const square = dx * dx + dy * dy;
+      const along = square === 0 ? 0 : Math.min(1, Math.max(
+          0, ((x - x0) * dx + (y - y0) * dy) / square));
+      const distance = Math.hypot(x0 + along * dx - x, y0 + along * dy - y);
+      if (distance <= least) {
+        least = distance;
+        nearest = i / size;
+      }
+    }
+    if (nearest >= 0) return shape.link(nearest);
+  }
+  return undefined;
+}
+
 /** The colour in use: it follows the theme. */
 export function colourOf(name: Colour): string {
   return getComputedStyle(document.documentElement)

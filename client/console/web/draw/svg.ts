@@ -17,6 +17,7 @@ const MARGIN = 16;
 const LINE = 18;
 const CURVE_HEIGHT = 160;
 const LEAST_WIDTH = 640;
+const FACT_NAME_WIDTH = 320;
 
 function escaped(text: string): string {
   return text.replaceAll('&', '&amp;').replaceAll('<', '&lt;')
@@ -116,7 +117,10 @@ function curveToSvg(curve: Curve, width: number): string {
   const px = (x: number) => left + (x - x0) / (x1 - x0) * (right - left);
   const py = (y: number) =>
       bottom - (scaled(y) - y0) / (y1 - y0) * (bottom - top);
-  const number = (value: number) => String(Number(value.toPrecision(3)));
+  const number = (value: number) => String(
+      Number.isInteger(value) ? value :
+      Math.abs(value) < 1e-9 ? 0 :
+                               Number(value.toPrecision(3)));
   const unscaled = (y: number) => curve.logarithmic ? 10 ** y : y;
   let legendX = 8 * curve.title.length + 24;
   const legend = curve.series.map(({label, colour}) => {
@@ -153,7 +157,7 @@ export function sheetToSvg({title, map, curves = [], facts = []}: Sheet):
   if (map) place(mapToSvg(map), map.view.height);
   for (const curve of curves) place(curveToSvg(curve, inner), CURVE_HEIGHT);
   facts.forEach(([name, value]) => {
-    place(text(0, 0, name, 'font-weight="600"') + text(260, 0, value),
+    place(text(0, 0, name, 'font-weight="600"') + text(FACT_NAME_WIDTH, 0, value),
           LINE - MARGIN);
   });
   const width = inner + 2 * MARGIN;

@@ -40,8 +40,8 @@ function columnsFor(store: VehicleStore): Array<Column<Found>> {
   return [
     {title: 'Pose', number: true, cell: found => (
       <a href={linkTo(store, found)}
-         aria-label={`Pose ${found.candidate.query!.sequence} at pose ${
-             found.candidate.matched!.sequence}`}>
+         aria-label={`${count(found.candidate.query!.sequence)} at pose ${
+             count(found.candidate.matched!.sequence)}`}>
         {count(found.candidate.query!.sequence)}
       </a>)},
     {title: 'Match', number: true,

@@ -1,0 +1,244 @@
+// Every view: its picture, its files, its link, its accessibility, and what it
+// lets in and out.
+import assert from 'node:assert/strict';
+import {readFileSync, writeFileSync} from 'node:fs';
+import {request} from 'node:http';
+import {createRequire} from 'node:module';
+import {join} from 'node:path';
+import {after, before, test} from 'node:test';
+
+import {DRIVE, OUT, pixelsOf, until, World} from './world.mjs';
+
+const AXE = readFileSync(
+    createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8');
+const WIDTHS = [1440, 390];
+
+/** Half a minute northwards. */
+function track(latitude, longitude) {
+  const points = Array.from({length: 30}, (_, i) =>
+      `<trkpt lat="${latitude + 5e-5 * i}" lon="${longitude}"><ele>40</ele>` +
+      `<time>2026-01-01T00:00:${String(i).padStart(2, '0')}Z</time></trkpt>`);
+  return '<?xml version="1.0"?>\n<gpx version="1.1" creator="test" ' +
+      'xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>\n' +
+      points.join('\n') + '\n</trkseg></trk></gpx>\n';
+}
+
+let world;
+/** Name, address, and what is there once the view is whole. */
+let views;
+
+before(async () => {
+  world = await World.make();
+  const {revisitd} = world;
+  revisitd.cli('stream', DRIVE, '--create', '--vehicle', 'boreas',
+               '--uncertainty', 'file');
+  revisitd.cli('vehicle', 'update', 'boreas', '--display-name', 'Glen Shields',
+               '--label', 'site=toronto');
+  revisitd.cli('vehicle', 'create', 'empty');
+  for (const [id, latitude, longitude] of
+       [['van-1', 52.5163, 13.3777], ['van-2', 52.5208, 13.4094]]) {
+    const file = join(world.directory, `${id}.gpx`);
+    writeFileSync(file, track(latitude, longitude));
+    revisitd.cli('stream', file, '--create', '--vehicle', id);
+  }
+  const found = revisitd.cli('find', 'boreas', '--sequence', '1500', '--json');
+  const [{query, matched}] = found.candidates;
+  revisitd.cli('confirm', 'boreas', String(query.sequence),
+               String(matched.sequence));
+  views = [
+    ['fleet', '/', 'tbody a'],
+    ['vehicle', '/vehicles/boreas?at=1300', '.side tbody a'],
+    ['candidate',
+     `/vehicles/boreas/candidates/1520-${
+         revisitd.cli('find', 'boreas', '--sequence', '1520', '--json')
+             .candidates[0].matched.sequence}`,
+     '.curve canvas'],
+    ['server', '/server', '.facts dd'],
+  ];
+});
+after(() => world?.close());
+
+async function opened([, path, ready], options) {
+  const page = await world.open(path, options);
+  await page.locator(ready).first().waitFor();
+  return page;
+}
+
+test('no view breaks a rule of axe, light or dark, wide or narrow',
+     async () => {
+  for (const view of views) {
+    for (const width of WIDTHS) {
+      for (const colorScheme of ['light', 'dark']) {
+        const page = await opened(view, {
+          colorScheme, viewport: {width, height: 900},
+        });
+        if (view[0] === 'vehicle') await page.waitForTimeout(2500);
+        await page.screenshot({
+          path: join(OUT, `${view[0]}-${width}-${colorScheme}.png`),
+          fullPage: true,
+        });
+        // Evaluated by the debugger, which no policy of the page hinders.
+        await page.evaluate(AXE);
+        const {violations} = await page.evaluate(() => axe.run());
+        assert.deepEqual(violations.map(({id, nodes}) => [
+          view[0], width, colorScheme, id, nodes.map(({html}) => html)]), []);
+        assert.ok(await page.evaluate(
+            () => document.documentElement.scrollWidth <= innerWidth),
+            `${view[0]} is wider than ${width} pixels`);
+        assert.deepEqual(page.complaints, []);
+        await page.context().close();
+      }
+    }
+  }
+});
+
+test('every view has a link that leads to it, and a way back', async () => {
+  const page = await world.open('/');
+  await page.getByRole('link', {name: 'Glen Shields'}).click();
+  await page.locator('.side tbody a').first().click();
+  await page.locator('.evidence').waitFor();
+  const title = await page.locator('h1').textContent();
+  await page.reload();
+  await page.locator('.evidence').waitFor();
+  assert.equal(await page.locator('h1').textContent(), title);
+  await page.goBack();
+  await page.locator('.slider').waitFor();
+  await page.goBack();
+  await page.getByRole('heading', {name: 'Fleet'}).waitFor();
+  await page.context().close();
+});
+
+test('search, state and labels narrow the fleet, and the link keeps that',
+     async () => {
+  const page = await world.open('/');
+  await page.getByText('4 of 4 vehicles').waitFor();
+  await page.getByLabel('Search').fill('site=toronto');
+  await page.getByText('1 of 4 vehicles').waitFor();
+  assert.match(page.url(), /search=site%3Dtoronto/);
+  await page.reload();
+  await page.getByText('1 of 4 vehicles').waitFor();
+  await page.getByLabel('Search').fill('');
+  await page.getByLabel('State').selectOption('streaming');
+  await page.getByText('0 of 4 vehicles').waitFor();
+  await page.context().close();
+});
+
+test('vehicles with geodetic positions share a map, and a click leads on',
+     async () => {
+  const page = await world.open('/?search=van');
+  await page.locator('.map canvas').waitFor();
+  const box = await page.locator('.map .canvas').boundingBox();
+  const {x, y} = await until(async () => {
+    const dot = await pixelsOf(page, '--vehicle');
+    return dot.count > 50 && dot;
+  }, 'vehicles on the map');
+  await page.mouse.click(box.x + x, box.y + y);
+  await until(() => /vehicles\/van-\d$/.test(page.url()), 'its view');
+  await page.context().close();
+});
+
+test('every view is saved as SVG and as PNG', async () => {
+  for (const view of views) {
+    const page = await opened(view);
+    const save = async type => {
+      const [download] = await Promise.all([
+        page.waitForEvent('download'),
+        page.getByRole('button', {name: type, exact: true}).click(),
+      ]);
+      const path = join(OUT, `saved-${view[0]}.${type.toLowerCase()}`);
+      await download.saveAs(path);
+      return readFileSync(path);
+    };
+    const svg = (await save('SVG')).toString();
+    const parts = await page.evaluate(text => {
+      const parsed = new DOMParser().parseFromString(text, 'image/svg+xml');
+      return {
+        error: parsed.querySelector('parsererror')?.textContent,
+        texts: parsed.querySelectorAll('text').length,
+        shapes: parsed.querySelectorAll('path[d], circle').length,
+      };
+    }, svg);
+    assert.equal(parts.error, undefined);
+    assert.ok(parts.texts > 3, `${view[0]}: ${JSON.stringify(parts)}`);
+    if (view[0] !== 'fleet') assert.ok(parts.shapes > 1, view[0]);
+    const png = await save('PNG');
+    assert.equal(png.subarray(1, 4).toString(), 'PNG');
+    assert.ok(png.readUInt32BE(16) >= 1280, 'narrow picture');
+    assert.deepEqual(page.complaints, []);
+    await page.context().close();
+  }
+});
+
+/** Status and headers of a bare request. */
+function ask(method, path, headers = {}, body = undefined) {
+  return new Promise((resolve, reject) => {
+    const {hostname, port} = new URL(world.console.url);
+    const sent = request({hostname, port, method, path, headers}, answer => {
+      let text = '';
+      answer.on('data', data => text += data);
+      answer.on('end', () => resolve({status: answer.statusCode,
+                                      headers: answer.headers, text}));
+    });
+    sent.on('error', reject);
+    sent.end(body);
+  });
+}
+
+const CALL = '/revisit.v1.PoseGraphService/';
+const JSON_TYPE = {'content-type': 'application/json'};
+
+test('the page may load nothing from elsewhere and run nothing inline',
+     async () => {
+  const {headers, text} = await ask('GET', '/');
+  const policy = headers['content-security-policy'];
+  assert.match(policy, /default-src 'none'/);
+  assert.match(policy, /script-src 'self'(;|$)/);
+  assert.match(policy, /style-src 'self'(;|$)/);
+  assert.doesNotMatch(policy, /unsafe|https?:|\*/);
+  assert.equal(headers['set-cookie'], undefined);
+  assert.doesNotMatch(text, /<script(?![^>]*src=)|<style|style=|\son\w+=/);
+  const page = await opened(views[1]);
+  const addresses = await page.evaluate(
+      () => performance.getEntriesByType('resource').map(({name}) => name));
+  for (const address of addresses) {
+    assert.ok(address.startsWith(world.console.url + '/'), address);
+  }
+  assert.deepEqual(await page.context().cookies(), []);
+  await page.context().close();
+});
+
+test('it answers under its own names only, and calls from its own page only',
+     async () => {
+  const known = await ask('POST', CALL + 'GetServerInfo', JSON_TYPE, '{}');
+  assert.equal(known.status, 200);
+  assert.ok(JSON.parse(known.text).version);
+  const rebound = await ask('POST', CALL + 'GetServerInfo',
+                            {...JSON_TYPE, host: 'evil.example'}, '{}');
+  assert.equal(rebound.status, 403);
+  const foreign = await ask(
+      'POST', CALL + 'GetServerInfo',
+      {...JSON_TYPE, 'sec-fetch-site': 'cross-site'}, '{}');
+  assert.equal(foreign.status, 403);
+});
+
+test('it passes on what its page calls, and nothing else', async () => {
+  for (const method of ['AppendPoses', 'DeleteVehicle', 'UpdateVehicle',
+                        'RevisePoses', 'AcceptDataLoss', 'CreateVehicle']) {
+    const {status} = await ask('POST', CALL + method, JSON_TYPE, '{}');
+    assert.equal(status, 404, method);
+  }
+  for (const path of ['/../package.json', '/%2e%2e/server/main.js',
+                      '/assets/', '/vehicles/Not_A_Name']) {
+    assert.equal((await ask('GET', path)).status, 404, path);
+  }
+});
+
+test('an error of the server comes with its code and message', async () => {
+  const {status, text} = await ask('POST', CALL + 'GetVehicle', JSON_TYPE,
+                                   '{"name": "vehicles/nobody"}');
+  assert.equal(status, 404);
+  const error = JSON.parse(text);
+  assert.equal(error.code, 'not_found');
+  assert.match(error.message, /nobody/);
+  assert.equal(error.details[0].type, 'google.rpc.ErrorInfo');
+});
