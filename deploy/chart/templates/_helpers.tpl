@@ -111,12 +111,8 @@ spec:
     ports:
     - {name: grpc, containerPort: 50051}
     - {name: admin, containerPort: {{ .Values.adminPort }}}
-    # The check of a large store, and its update after an upgrade, may take long.
-    startupProbe:
-      httpGet: {path: /readyz, port: admin}
-      periodSeconds: 2
-      failureThreshold: 450
-    # Alive, whatever the disk or the database: a restart would mend neither.
+    # Alive from before the store is opened, and whatever the disk or the database: a
+    # restart would mend neither.
     livenessProbe:
       httpGet: {path: /livez, port: admin}
       periodSeconds: 10
