@@ -101,11 +101,39 @@ class StopWhileStarting {
   std::thread thread_;
 };
 
+// The level of a log, which people change while the server runs.
+class ChangingLevel {
+ public:
+  ChangingLevel(Log* log, LogLevel configured)
+      : log_(log), configured_(configured), level_(configured) {}
+
+  // Goes to the next more detailed level, and from the most detailed one back
+  // to that of the settings. Says so in the log, at whichever of the two levels
+  // shows more.
+  void Next() {
+    const LogLevel before = level_;
+    level_ = before == LogLevel::kDebug
+                 ? configured_
+                 : static_cast<LogLevel>(static_cast<int>(before) - 1);
+    log_->SetLevel(std::min(before, level_));
+    log_->Write(std::min(LogLevel::kError,
+                         std::max(LogLevel::kInfo, std::min(before, level_))),
+                "log_level", {{"name", revisit::server::NameOf(level_)}});
+    log_->SetLevel(level_);
+  }
+
+ private:
+  Log* const log_;
+  const LogLevel configured_;
+  LogLevel level_;
+};
+
 // Serves until a signal asks for the end, which is returned, or for so long;
 // then 0 is. On SIGHUP, the files that may be replaced while the server runs
-// are read now. SIGUSR1 and SIGUSR2, by which log rotation asks for files to be
-// opened again, have nothing to do here and must not end the server.
+// are read now. SIGUSR1 is that of log rotation; SIGUSR2 changes the level of
+// the log.
 int ServeUntilStopped(RevisitServer* server, const Log& log,
+                      ChangingLevel* level,
                       std::optional<Clock::duration> limit) {
   const sigset_t signals =
       SetOf({SIGINT, SIGTERM, SIGHUP, SIGUSR1, SIGUSR2, FailureSignal()});
@@ -119,7 +147,10 @@ int ServeUntilStopped(RevisitServer* server, const Log& log,
         server->LookAtFiles();
         break;
       case SIGUSR1:
+        server->ReopenAuditLog();
+        break;
       case SIGUSR2:
+        level->Next();
         break;
       default:
         return signal;
@@ -129,18 +160,19 @@ int ServeUntilStopped(RevisitServer* server, const Log& log,
 
 // Serves until the server is to be shut down. It is told that some time before,
 // if the settings say so and the server can still do its work.
-void Serve(RevisitServer* server, const Log& log, double notice_seconds) {
+void Serve(RevisitServer* server, const Log& log, ChangingLevel* level,
+           double notice_seconds) {
   const Watchdog watchdog(
       [server](std::chrono::milliseconds patience) {
         return server->Answers(patience);
       },
       &log);
   revisit::server::ReportReady();
-  const int signal = ServeUntilStopped(server, log, std::nullopt);
+  const int signal = ServeUntilStopped(server, log, level, std::nullopt);
   revisit::server::ReportStopping();
   if (signal == FailureSignal() || notice_seconds <= 0.0) return;
   server->GiveNotice();
-  ServeUntilStopped(server, log,
+  ServeUntilStopped(server, log, level,
                     std::chrono::duration_cast<Clock::duration>(
                         std::chrono::duration<double>(notice_seconds)));
 }
@@ -168,8 +200,8 @@ int main(int argc, char** argv) {
     return revisit::server::RunStoreTask(parsed->settings, *parsed->task);
   }
   BlockSignals();
-  const Log log(parsed->settings.log_format, parsed->settings.log_level,
-                STDERR_FILENO);
+  Log log(parsed->settings.log_format, parsed->settings.log_level,
+          STDERR_FILENO);
   revisit::server::StartError error{};
   std::unique_ptr<RevisitServer> server;
   {
@@ -182,9 +214,15 @@ int main(int argc, char** argv) {
     Complain(error.message);
     return error.exit_code;
   }
+  std::string addresses;
+  if (const std::string admin = server->admin_address(); !admin.empty()) {
+    addresses = "admin listening on " + admin + "\n";
+  }
   revisit::server::WriteWithin(
-      STDOUT_FILENO, "listening on " + server->address() + "\n", kPatience);
-  Serve(server.get(), log, parsed->settings.drain_notice_seconds);
+      STDOUT_FILENO, addresses + "listening on " + server->address() + "\n",
+      kPatience);
+  ChangingLevel level(&log, parsed->settings.log_level);
+  Serve(server.get(), log, &level, parsed->settings.drain_notice_seconds);
   server->Shutdown();
   return server->exit_code();
 }

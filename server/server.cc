@@ -16,6 +16,8 @@
 #include <utility>
 #include <vector>
 
+#include "server/admin/http_server.h"
+#include "server/admin/metrics_page.h"
 #include "server/base/library_log.h"
 #include "server/base/periodic.h"
 #include "server/base/process_memory.h"
@@ -33,6 +35,8 @@
 #include "server/service/reflection.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/fleet.h"
+#include "server/telemetry/audit_log.h"
+#include "server/telemetry/service_counters.h"
 
 namespace revisit::server {
 namespace {
@@ -136,6 +140,8 @@ struct RevisitServer::State {
   // The steps of a start, in this order. Those that may fail return whether
   // they did not, and otherwise set `*error`.
   bool LoadIdentities(StartError* error);
+  bool OpenAuditLog(StartError* error);
+  bool ServeAdmin(StartError* error);
   bool OpenStore(StartError* error);
   void StartFleet();
   void StartService();
@@ -145,6 +151,16 @@ struct RevisitServer::State {
   // Health says NOT_SERVING from now on.
   void EndHealth();
 
+  // What the admin port answers, on its own thread.
+  HttpResponse AnswerAdmin(const std::string& path) const;
+  HttpResponse Readiness() const;
+  // REQUIRES: the phase is kServing or kDraining.
+  MetricsSources Sources() const;
+
+  // Until it serves, members are made, and after it drains, destroyed; the
+  // admin port is served before and is gone then.
+  enum class Phase { kStarting, kServing, kDraining };
+
   ServerSettings settings;
   const Log* log = nullptr;
   std::optional<LibraryLogRoute> library_log;
@@ -152,6 +168,9 @@ struct RevisitServer::State {
   std::string store_name;
   std::string scratch_directory;
   std::unique_ptr<Storage> storage;
+  ServiceCounters counts;
+  // Null if none is kept.
+  std::unique_ptr<AuditLog> audit;
   std::unique_ptr<Executor> executor;
   std::unique_ptr<Executor> read_executor;
   std::unique_ptr<Executor> search_executor;
@@ -177,6 +196,9 @@ struct RevisitServer::State {
   std::unique_ptr<ConnectionAcceptor> acceptor;
   std::function<void()> on_failure;
   std::atomic<bool> has_failed{false};
+  std::atomic<Phase> phase{Phase::kStarting};
+  // Null if there is none. The last member, since its thread uses the others.
+  std::unique_ptr<HttpServer> admin;
 };
 
 namespace {
@@ -322,6 +344,82 @@ bool RevisitServer::State::LoadIdentities(StartError* error) {
   return true;
 }
 
+bool RevisitServer::State::OpenAuditLog(StartError* error) {
+  if (settings.audit_log.empty()) return true;
+  auto opened = AuditLog::Open(settings.audit_log, settings.log_format);
+  if (!opened.ok()) {
+    *error = {kExitUsage, std::string(opened.status().message())};
+    return false;
+  }
+  audit = *std::move(opened);
+  return true;
+}
+
+// Comes before the store is opened, which may take long: who looks on sees that
+// the process is alive.
+bool RevisitServer::State::ServeAdmin(StartError* error) {
+  if (settings.admin_listen.empty()) return true;
+  auto listening = HttpServer::Listen(
+      settings.admin_listen,
+      [this](const std::string& path) { return AnswerAdmin(path); });
+  if (!listening.ok()) {
+    *error = {absl::IsInvalidArgument(listening.status()) ? kExitUsage
+                                                          : kExitCannotListen,
+              "admin-listen: " + std::string(listening.status().message())};
+    return false;
+  }
+  admin = *std::move(listening);
+  return true;
+}
+
+HttpResponse RevisitServer::State::AnswerAdmin(const std::string& path) const {
+  if (path == "/livez") return {200, "alive\n"};
+  if (path == "/readyz") return Readiness();
+  if (path == "/metrics") {
+    if (phase == Phase::kStarting) return {503, "starting\n"};
+    return {200, RenderMetrics(Sources()), kMetricsContentType};
+  }
+  return {404, "there are /metrics, /livez and /readyz\n"};
+}
+
+HttpResponse RevisitServer::State::Readiness() const {
+  switch (phase) {
+    case Phase::kStarting:
+      return {503, "starting\n"};
+    case Phase::kDraining:
+      return {503, "draining\n"};
+    case Phase::kServing:
+      break;
+  }
+  if (const absl::Status status = storage->CheckWritable(); !status.ok()) {
+    return {503, "not writable: " + std::string(status.message()) + "\n"};
+  }
+  const std::optional<SharingState> sharing = storage->GetSharing();
+  if (sharing && !sharing->lease_holds) {
+    return {503, "not writable: the lease of the shared store has run out\n"};
+  }
+  return {200, "ready\n"};
+}
+
+MetricsSources RevisitServer::State::Sources() const {
+  MetricsSources sources;
+  sources.calls = &counts;
+  sources.admission = admission.get();
+  sources.connection_refusals = &acceptor->refusals();
+  sources.accepted_connections = [from = acceptor.get()] {
+    return from->accepted();
+  };
+  sources.fleet = fleet.get();
+  sources.storage = storage.get();
+  sources.min_free_bytes = settings.min_free_bytes;
+  sources.tls_files = tls_files.get();
+  sources.gatekeeper = gatekeeper.get();
+  sources.log = log;
+  sources.audit = audit.get();
+  sources.draining = phase == Phase::kDraining;
+  return sources;
+}
+
 bool RevisitServer::State::OpenStore(StartError* error) {
   absl::StatusOr<OpenedStore> opened = OpenStoreToServe(settings, log, [this] {
     has_failed = true;
@@ -388,6 +486,13 @@ void RevisitServer::State::StartService() {
   context.log = log;
   context.admission = admission.get();
   context.snapshots = &snapshots;
+  context.counts = &counts;
+  context.audit = audit.get();
+  if (settings.slow_call_seconds > 0.0) {
+    context.slow_call =
+        std::chrono::duration_cast<std::chrono::steady_clock::duration>(
+            std::chrono::duration<double>(settings.slow_call_seconds));
+  }
   context.scratch_directory = scratch_directory;
   context.min_free_bytes = settings.min_free_bytes;
   meters = std::make_unique<ConnectionMeters>(MetersOf(settings.limits));
@@ -455,6 +560,7 @@ bool RevisitServer::State::Announce(StartError* error) {
   }
   log->Write(LogLevel::kInfo, "serving",
              {{"address", address},
+              {"admin_address", admin ? admin->address() : std::string()},
               {"store", store_name},
               {"version", REVISIT_VERSION}});
   return true;
@@ -468,12 +574,15 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->log = log;
   state->library_log.emplace(log);
   state->on_failure = std::move(on_failure);
-  if (!state->LoadIdentities(error) || !state->OpenStore(error)) {
+  if (!state->LoadIdentities(error) || !state->OpenAuditLog(error) ||
+      !state->ServeAdmin(error) || !state->OpenStore(error)) {
     return nullptr;
   }
   state->StartFleet();
   state->StartService();
-  if (!state->Listen(error) || !state->Announce(error)) return nullptr;
+  if (!state->Listen(error)) return nullptr;
+  state->phase = State::Phase::kServing;
+  if (!state->Announce(error)) return nullptr;
   state->self_check = std::make_unique<SelfCheck>(
       state->grpc_server->InProcessChannel(grpc::ChannelArguments()),
       state->executor.get());
@@ -488,6 +597,21 @@ const std::string& RevisitServer::address() const {
   return state_->acceptor->address();
 }
 
+std::string RevisitServer::admin_address() const {
+  return state_->admin == nullptr ? std::string() : state_->admin->address();
+}
+
+void RevisitServer::ReopenAuditLog() {
+  if (state_->audit == nullptr) return;
+  const absl::Status status = state_->audit->Reopen();
+  if (status.ok()) {
+    state_->log->Write(LogLevel::kInfo, "audit_log_opened_again", {});
+  } else {
+    state_->log->Write(LogLevel::kError, "audit_log_not_opened_again",
+                       {{"message", std::string(status.message())}});
+  }
+}
+
 void RevisitServer::LookAtFiles() {
   state_->gatekeeper->LookAtFiles();
   if (state_->tls_timer != nullptr) state_->tls_timer->Hasten();
@@ -498,6 +622,7 @@ bool RevisitServer::Answers(std::chrono::milliseconds patience) {
 }
 
 void RevisitServer::State::EndHealth() {
+  phase = Phase::kDraining;
   // Stopped first: it would overwrite the health that is set here.
   write_health_timer.reset();
   if (auto* health = grpc_server->GetHealthCheckService()) {
@@ -536,6 +661,7 @@ void RevisitServer::Shutdown() {
   state_->grpc_server->Shutdown(std::chrono::system_clock::now() + goodbye);
   state_->grpc_server->Wait();
   state_->grpc_server.reset();
+  state_->admin.reset();
   // The gatekeeper's thread may hold the last reference to a stream, and with
   // it a session.
   state_->gatekeeper.reset();

@@ -38,9 +38,15 @@ class RevisitServer {
   // The address at which calls are taken, with the port that was chosen.
   const std::string& address() const;
 
+  // The address of metrics and probes; empty if there is none.
+  std::string admin_address() const;
+
   // Has the files that may be replaced while the server runs read now, rather
   // than within ServerSettings::security_check_seconds. Returns at once.
   void LookAtFiles();
+
+  // Opens the log of changes again, for those who have renamed its file.
+  void ReopenAuditLog();
 
   // Whether the server still answers, within `patience` (self_check.h). Not
   // during Shutdown(), and one call at a time.

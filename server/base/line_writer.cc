@@ -78,6 +78,8 @@ struct LineWriter::State {
   std::size_t in_flight ABSL_GUARDED_BY(mutex) = 0;
   // Dropped lines that no line in `queue` or in flight reports.
   std::int64_t dropped ABSL_GUARDED_BY(mutex) = 0;
+  // Dropped lines that were reported, besides those and `told`.
+  std::int64_t reported ABSL_GUARDED_BY(mutex) = 0;
   // Dropped lines that the last line in flight reports.
   std::int64_t told ABSL_GUARDED_BY(mutex) = 0;
   // Whether the last write failed. Then the writer tries again when the next
@@ -114,6 +116,7 @@ void LineWriter::State::Settle(const std::string& batch, std::size_t written) {
     if (told > 0) dropped += told - 1;
   }
   if (written > 0) torn = batch[written - 1] != '\n';
+  if (!failed) reported += told;
   in_flight = 0;
   told = 0;
 }
@@ -157,6 +160,11 @@ LineWriter::~LineWriter() {
   } else {
     thread_.detach();
   }
+}
+
+std::int64_t LineWriter::dropped() const {
+  const MutexLock lock(&state_->mutex);
+  return state_->reported + state_->told + state_->dropped;
 }
 
 void LineWriter::Write(const std::string& line) {

@@ -48,6 +48,9 @@ class LineWriter {
   // `line` includes its newline. Returns at once.
   void Write(const std::string& line);
 
+  // Number of lines that were dropped since the start.
+  std::int64_t dropped() const;
+
  private:
   struct State;
   const std::shared_ptr<State> state_;

@@ -108,13 +108,17 @@ std::string GapLine(LogFormat format, std::int64_t dropped) {
   return ToString(line);
 }
 
-class LineWriterSink final : public spdlog::sinks::base_sink<std::mutex> {
+}  // namespace
+
+class Log::LineSink final : public spdlog::sinks::base_sink<std::mutex> {
  public:
-  LineWriterSink(LogFormat format, int descriptor)
+  LineSink(LogFormat format, int descriptor)
       : writer_(descriptor, LineWriter::Options(),
                 [format](std::int64_t dropped) {
                   return GapLine(format, dropped);
                 }) {}
+
+  std::int64_t dropped() const { return writer_.dropped(); }
 
  private:
   void sink_it_(const spdlog::details::log_msg& message) override {
@@ -127,10 +131,15 @@ class LineWriterSink final : public spdlog::sinks::base_sink<std::mutex> {
   LineWriter writer_;
 };
 
-}  // namespace
+const char* NameOf(LogLevel level) {
+  constexpr const char* kNames[] = {"debug", "info", "warning", "error", "off"};
+  return kNames[static_cast<int>(level)];
+}
 
 struct Log::Sink {
   explicit Sink(spdlog::sink_ptr sink) : logger("revisitd", std::move(sink)) {}
+  // Null for a stream.
+  std::shared_ptr<LineSink> lines;
   // Mutable, since Log::Write() is const: logging changes nothing that a caller
   // could see.
   mutable spdlog::logger logger;
@@ -144,9 +153,12 @@ Log::Log(LogFormat format, LogLevel level, std::unique_ptr<Sink> sink)
 }
 
 Log::Log(LogFormat format, LogLevel level, int descriptor)
-    : Log(format, level,
-          std::make_unique<Sink>(
-              std::make_shared<LineWriterSink>(format, descriptor))) {}
+    : Log(format, level, [&] {
+        auto lines = std::make_shared<LineSink>(format, descriptor);
+        auto sink = std::make_unique<Sink>(lines);
+        sink->lines = std::move(lines);
+        return sink;
+      }()) {}
 
 Log::Log(LogFormat format, LogLevel level, std::ostream* stream)
     : Log(format, level,
@@ -159,6 +171,12 @@ void Log::Write(LogLevel level, const char* event,
                 std::initializer_list<LogField> fields) const {
   if (!sink_->logger.should_log(ToSpdlog(level))) return;
   sink_->logger.log(ToSpdlog(level), Render(format_, event, fields));
+}
+
+void Log::SetLevel(LogLevel level) { sink_->logger.set_level(ToSpdlog(level)); }
+
+std::int64_t Log::dropped() const {
+  return sink_->lines == nullptr ? 0 : sink_->lines->dropped();
 }
 
 }  // namespace revisit::server

@@ -15,6 +15,9 @@ namespace revisit::server {
 enum class LogFormat { kText, kJson };
 enum class LogLevel { kDebug, kInfo, kWarning, kError, kOff };
 
+// As in settings, such as "warning".
+const char* NameOf(LogLevel level);
+
 struct LogField {
   // Letters and underscores.
   const char* key;
@@ -51,8 +54,15 @@ class Log {
   void Write(LogLevel level, const char* event,
              std::initializer_list<LogField> fields) const;
 
+  // The least severe level that is written from now on.
+  void SetLevel(LogLevel level);
+
+  // Number of lines that found no room; 0 for a stream.
+  std::int64_t dropped() const;
+
  private:
   struct Sink;
+  class LineSink;
   Log(LogFormat format, LogLevel level, std::unique_ptr<Sink> sink);
 
   const LogFormat format_;

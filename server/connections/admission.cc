@@ -66,6 +66,7 @@ class Admission::Pool {
     const MutexLock lock(&mutex_);
     return taken_;
   }
+  std::int64_t most() const { return most_; }
 
   // REQUIRES: `amount` was taken for `key`.
   void GiveBack(const std::string& key, std::int64_t amount) {
@@ -126,7 +127,8 @@ Admission::~Admission() = default;
 absl::StatusOr<Permit> Admission::Call() {
   if (absl::Status status = CheckMemory(); !status.ok()) return status;
   if (calls_->Take("", 1) != Pool::Outcome::kTaken) {
-    return Overloaded("calls", "calls that wait or run", limits_.max_calls);
+    return Overloaded("max-calls", "calls", "calls that wait or run",
+                      limits_.max_calls);
   }
   return Pool::MakePermit(calls_, "", 1);
 }
@@ -137,17 +139,19 @@ absl::StatusOr<Permit> Admission::Stream(const std::string& caller) {
     case Pool::Outcome::kTaken:
       break;
     case Pool::Outcome::kAllTaken:
-      return Overloaded("streams", "streams at a time", limits_.max_streams);
+      return Overloaded("max-streams", "streams", "streams at a time",
+                        limits_.max_streams);
     case Pool::Outcome::kKeyTaken:
-      return OverQuota("STREAM_QUOTA", "caller", "streams at a time",
-                       limits_.max_streams_per_caller);
+      return OverQuota("max-streams-per-caller", "STREAM_QUOTA", "caller",
+                       "streams at a time", limits_.max_streams_per_caller);
   }
   return Pool::MakePermit(streams_, caller, 1);
 }
 
 absl::StatusOr<Permit> Admission::StreamOf(const std::string& vehicle) {
   if (vehicle_streams_->Take(vehicle, 1) != Pool::Outcome::kTaken) {
-    return OverQuota("STREAM_QUOTA", "vehicles/" + vehicle, "streams at a time",
+    return OverQuota("max-streams-per-vehicle", "STREAM_QUOTA",
+                     "vehicles/" + vehicle, "streams at a time",
                      limits_.max_streams_per_vehicle);
   }
   return Pool::MakePermit(vehicle_streams_, vehicle, 1);
@@ -158,6 +162,7 @@ absl::StatusOr<Permit> Admission::Search(const std::string& vehicle,
                                          Clock::duration remaining) {
   if (std::chrono::duration<double>(ExpectedWait()).count() * kWaitMargin >
       std::chrono::duration<double>(remaining).count()) {
+    refusals_.Count("caller-deadline");
     return QuotaExceeded(
         absl::StatusCode::kUnavailable, "OVERLOADED", "searches",
         "so many searches wait that this one would not be answered within the "
@@ -168,11 +173,11 @@ absl::StatusOr<Permit> Admission::Search(const std::string& vehicle,
     case Pool::Outcome::kTaken:
       break;
     case Pool::Outcome::kAllTaken:
-      return Overloaded("searches", "searches that wait or run",
+      return Overloaded("max-searches", "searches", "searches that wait or run",
                         limits_.max_searches);
     case Pool::Outcome::kKeyTaken:
-      return OverQuota("SEARCH_QUOTA", "vehicles/" + vehicle,
-                       "searches that wait or run",
+      return OverQuota("max-searches-per-vehicle", "SEARCH_QUOTA",
+                       "vehicles/" + vehicle, "searches that wait or run",
                        limits_.max_searches_per_vehicle);
   }
   Permit permit = Pool::MakePermit(searches_, vehicle, 1);
@@ -187,11 +192,12 @@ absl::StatusOr<Permit> Admission::Queue(const std::string& vehicle,
     case Pool::Outcome::kTaken:
       break;
     case Pool::Outcome::kAllTaken:
-      return Overloaded("queued_bytes", "bytes that wait to be durable",
+      return Overloaded("max-queued-bytes", "queued_bytes",
+                        "bytes that wait to be durable",
                         limits_.max_queued_bytes);
     case Pool::Outcome::kKeyTaken:
-      return OverQuota("QUEUE_FULL", "vehicles/" + vehicle,
-                       "bytes that wait to be durable",
+      return OverQuota("max-queued-bytes-per-vehicle", "QUEUE_FULL",
+                       "vehicles/" + vehicle, "bytes that wait to be durable",
                        limits_.max_queued_bytes_per_vehicle);
   }
   return Pool::MakePermit(queue_, vehicle, bytes);
@@ -203,12 +209,13 @@ absl::StatusOr<Permit> Admission::Draft(const std::string& vehicle,
     case Pool::Outcome::kTaken:
       break;
     case Pool::Outcome::kAllTaken:
-      return Overloaded("streams", "bytes of revisions that are being sent",
+      return Overloaded("max-draft-bytes", "streams",
+                        "bytes of revisions that are being sent",
                         limits_.max_draft_bytes);
     case Pool::Outcome::kKeyTaken:
-      return OverQuota("QUEUE_FULL", "vehicles/" + vehicle,
-                       "bytes of revisions that are being sent",
-                       limits_.max_revision_bytes);
+      return OverQuota(
+          "max-revision-bytes", "QUEUE_FULL", "vehicles/" + vehicle,
+          "bytes of revisions that are being sent", limits_.max_revision_bytes);
   }
   return Pool::MakePermit(drafts_, vehicle, bytes);
 }
@@ -220,10 +227,12 @@ absl::StatusOr<Permit> Admission::Export(const std::string& vehicle,
     case Pool::Outcome::kTaken:
       break;
     case Pool::Outcome::kAllTaken:
-      return Overloaded("streams", "bytes of graphs that are being exported",
+      return Overloaded("max-export-bytes", "streams",
+                        "bytes of graphs that are being exported",
                         limits_.max_export_bytes);
     case Pool::Outcome::kKeyTaken:
-      return OverQuota("STREAM_QUOTA", "vehicles/" + vehicle,
+      return OverQuota("max-export-bytes", "STREAM_QUOTA",
+                       "vehicles/" + vehicle,
                        "bytes of its graph that are being exported",
                        limits_.max_export_bytes / kExportsOfAllAndOfOne);
   }
@@ -241,6 +250,19 @@ bool Admission::UnderMemoryPressure() {
   return memory_bytes_ >= limits_.max_memory_bytes;
 }
 
+std::vector<Admission::Use> Admission::uses() const {
+  std::vector<Use> uses;
+  for (const auto& [limit, pool] :
+       {std::pair("max-calls", &calls_), std::pair("max-draft-bytes", &drafts_),
+        std::pair("max-export-bytes", &exports_),
+        std::pair("max-queued-bytes", &queue_),
+        std::pair("max-searches", &searches_),
+        std::pair("max-streams", &streams_)}) {
+    uses.push_back({limit, (*pool)->taken(), (*pool)->most()});
+  }
+  return uses;
+}
+
 void Admission::SearchTook(Clock::duration duration) {
   const MutexLock lock(&mutex_);
   mean_search_ = std::chrono::duration_cast<Clock::duration>(
@@ -255,6 +277,7 @@ Admission::Clock::duration Admission::ExpectedWait() {
 
 absl::Status Admission::CheckMemory() {
   if (!UnderMemoryPressure()) return absl::OkStatus();
+  refusals_.Count("max-memory-bytes");
   const std::string limit = std::to_string(limits_.max_memory_bytes);
   return QuotaExceeded(absl::StatusCode::kResourceExhausted, "MEMORY_PRESSURE",
                        "server",
@@ -290,6 +313,7 @@ absl::Status Admission::CheckRate(const std::string& caller) {
     }
     missing = 1.0 - bucket.tokens;
   }
+  refusals_.Count("max-search-rate-per-caller");
   char limit[32];
   std::snprintf(limit, sizeof(limit), "%g", rate);
   const milliseconds wait(static_cast<std::int64_t>(
@@ -308,8 +332,9 @@ milliseconds Admission::Later(milliseconds order) {
       order.count() / 2, order.count() * 3 / 2)(random_));
 }
 
-absl::Status Admission::Overloaded(const char* subject, const char* what,
-                                   std::int64_t limit) {
+absl::Status Admission::Overloaded(const char* name, const char* subject,
+                                   const char* what, std::int64_t limit) {
+  refusals_.Count(name);
   const std::string text = std::to_string(limit);
   return QuotaExceeded(
       absl::StatusCode::kUnavailable, "OVERLOADED", subject,
@@ -318,9 +343,10 @@ absl::Status Admission::Overloaded(const char* subject, const char* what,
       {{"limit", text}});
 }
 
-absl::Status Admission::OverQuota(const char* reason,
+absl::Status Admission::OverQuota(const char* name, const char* reason,
                                   const std::string& subject, const char* what,
                                   std::int64_t limit) {
+  refusals_.Count(name);
   const std::string text = std::to_string(limit);
   const bool streams = std::string(reason) == "STREAM_QUOTA";
   return QuotaExceeded(

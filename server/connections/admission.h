@@ -13,10 +13,12 @@
 #include <random>
 #include <string>
 #include <unordered_map>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/base/mutex.h"
+#include "server/connections/refusals.h"
 #include "server/settings/limits.h"
 
 namespace revisit::server {
@@ -73,6 +75,18 @@ class Admission {
   // Whether the memory limit is reached, as last measured.
   bool UnderMemoryPressure();
 
+  // How often each limit has refused.
+  const Refusals& refusals() const { return refusals_; }
+
+  // How much is taken of a limit of the server as a whole.
+  struct Use {
+    // As in kLimitNames.
+    const char* limit;
+    std::int64_t taken;
+    std::int64_t most;
+  };
+  std::vector<Use> uses() const;
+
  private:
   class Pool;
   // Number of searches that a caller may make at once, as of a moment.
@@ -88,10 +102,12 @@ class Admission {
   // A random time to come again, of this order.
   std::chrono::milliseconds Later(std::chrono::milliseconds order)
       ABSL_LOCKS_EXCLUDED(mutex_);
-  absl::Status Overloaded(const char* subject, const char* what,
-                          std::int64_t limit);
-  absl::Status OverQuota(const char* reason, const std::string& subject,
-                         const char* what, std::int64_t limit);
+  // `name`: of the limit that was reached (kLimitNames).
+  absl::Status Overloaded(const char* name, const char* subject,
+                          const char* what, std::int64_t limit);
+  absl::Status OverQuota(const char* name, const char* reason,
+                         const std::string& subject, const char* what,
+                         std::int64_t limit);
 
   const Limits limits_;
   const int search_threads_;
@@ -103,6 +119,7 @@ class Admission {
   const std::shared_ptr<Pool> queue_;
   const std::shared_ptr<Pool> drafts_;
   const std::shared_ptr<Pool> exports_;
+  Refusals refusals_;
 
   Mutex mutex_;
   std::mt19937 random_ ABSL_GUARDED_BY(mutex_);

@@ -419,12 +419,14 @@ void ConnectionAcceptor::HandOn(int listener, int connection) {
       parameters;
   parameters.listener_fd = listener;
   parameters.fd = connection;
+  ++accepted_;
   grpc_->HandleNewConnection(&parameters);
 }
 
 void ConnectionAcceptor::CutHarmful() {
   for (const ConnectionTable::Harmful& harmful : table_.TakeHarmful()) {
     ++shed_;
+    refusals_.Count(harmful.bound);
     log_->Write(
         LogLevel::kWarning, "connection_cut",
         {{"limit", std::string(harmful.bound)}, {"peer", harmful.host}});
@@ -437,6 +439,7 @@ void ConnectionAcceptor::Shed(int connection, const char* why,
                               const std::string& peer) {
   Reset(connection);
   ++shed_;
+  refusals_.Count(why);
   ++shed_unsaid_;
   const auto now = std::chrono::steady_clock::now();
   if (now - last_said_ < kLogInterval) return;
@@ -445,7 +448,7 @@ void ConnectionAcceptor::Shed(int connection, const char* why,
               {{"limit", std::string(why)},
                {"peer", peer},
                {"count", shed_unsaid_},
-               {"in_all", shed_.load()}});
+               {"in_all", shed_}});
   shed_unsaid_ = 0;
 }
 

@@ -49,6 +49,7 @@
 #include "server/base/logging.h"
 #include "server/connections/connection_meter.h"
 #include "server/connections/connection_table.h"
+#include "server/connections/refusals.h"
 #include "server/connections/transport_calls.h"
 
 namespace revisit::server {
@@ -86,9 +87,11 @@ class ConnectionAcceptor {
 
   // The address with the port that was chosen.
   const std::string& address() const { return address_; }
-  // Number of connections closed because there were too many or because they
-  // were harmful.
-  std::int64_t shed() const { return shed_.load(); }
+  // How often each limit has closed a connection, because there were too many
+  // or because it was harmful.
+  const Refusals& refusals() const { return refusals_; }
+  // Number of connections that were handed to gRPC.
+  std::int64_t accepted() const { return accepted_; }
 
  private:
   ConnectionAcceptor(const Options& options, const Log* log,
@@ -123,11 +126,13 @@ class ConnectionAcceptor {
   // A descriptor that is kept to be given up in TurnAway().
   int reserve_ = -1;
   std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> grpc_;
-  std::atomic<std::int64_t> shed_{0};
+  Refusals refusals_;
+  std::atomic<std::int64_t> accepted_{0};
 
   // Used by the thread only.
   TransportCalls transport_calls_;
   ConnectionTable table_;
+  std::int64_t shed_ = 0;
   std::int64_t shed_unsaid_ = 0;
   std::chrono::steady_clock::time_point last_said_{};
 

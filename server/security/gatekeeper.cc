@@ -15,7 +15,6 @@
 #include "server/base/status.h"
 #include "server/security/certificates.h"
 #include "server/security/policy.h"
-#include "server/security/watched_files.h"
 
 namespace revisit::server {
 namespace {
@@ -47,6 +46,7 @@ class OpenGatekeeper final : public Gatekeeper {
   }
   WatchId Watch(Time, std::function<void()>) override { return -1; }
   void Unwatch(WatchId) override {}
+  std::optional<FilesState> files() const override { return std::nullopt; }
   void LookAtFiles() override {}
 
  private:
@@ -252,6 +252,11 @@ class FileGatekeeper final : public Gatekeeper {
     watches_.erase(id);
   }
 
+  std::optional<FilesState> files() const override {
+    const MutexLock lock(&rules_mutex_);
+    return state_;
+  }
+
   void LookAtFiles() override {
     {
       const MutexLock lock(&mutex_);
@@ -304,6 +309,7 @@ class FileGatekeeper final : public Gatekeeper {
         std::move(keys), *std::move(policy), settings_.token_rules);
     const MutexLock lock(&rules_mutex_);
     rules_ = std::move(rules);
+    state_ = {std::chrono::system_clock::now(), /*refused=*/false};
     return absl::OkStatus();
   }
 
@@ -315,6 +321,8 @@ class FileGatekeeper final : public Gatekeeper {
       log_->Write(LogLevel::kError, "access_rules_refused",
                   {{"message", std::string(status.message()) +
                                    "; what was loaded before stays in use"}});
+      const MutexLock lock(&rules_mutex_);
+      state_.refused = true;
     }
   }
 
@@ -365,6 +373,7 @@ class FileGatekeeper final : public Gatekeeper {
 
   mutable Mutex rules_mutex_;
   std::shared_ptr<const Rules> rules_ ABSL_GUARDED_BY(rules_mutex_);
+  FilesState state_ ABSL_GUARDED_BY(rules_mutex_);
 
   Mutex mutex_;
   CondVar wake_;

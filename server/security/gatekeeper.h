@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -15,6 +16,7 @@
 #include "server/security/caller.h"
 #include "server/security/tls_files.h"
 #include "server/security/token.h"
+#include "server/security/watched_files.h"
 
 namespace revisit::server {
 
@@ -53,6 +55,9 @@ class Gatekeeper {
   // call comes on a thread of the gatekeeper's, also shortly after Unwatch().
   virtual WatchId Watch(Time expires, std::function<void()> recheck) = 0;
   virtual void Unwatch(WatchId id) = 0;
+
+  // The files that say who may do what; nothing if callers are not asked.
+  virtual std::optional<FilesState> files() const = 0;
 
   // Has files read and all streams rechecked soon, before the next period ends.
   // Returns at once.

@@ -35,4 +35,6 @@ const MethodRule* FindMethodRule(const std::string& method) {
   return nullptr;
 }
 
+absl::Span<const MethodRule> MethodRules() { return kRules; }
+
 }  // namespace revisit::server

@@ -5,6 +5,7 @@
 #include <optional>
 #include <string>
 
+#include "absl/types/span.h"
 #include "server/security/caller.h"
 
 namespace revisit::server {
@@ -27,6 +28,9 @@ struct MethodRule {
 // no limit of calls at a time holds for it. So every method of the service
 // needs a rule (method_rules_test.cc compares the two lists).
 const MethodRule* FindMethodRule(const std::string& method);
+
+// All rules, among which FindMethodRule() finds.
+absl::Span<const MethodRule> MethodRules();
 
 }  // namespace revisit::server
 

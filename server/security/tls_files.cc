@@ -43,6 +43,10 @@ void TlsFiles::Look(CertificateTime now) {
   if (changed || !refusal_.ok()) {
     const absl::Status refused_before = refusal_;
     refusal_ = Take(now);
+    {
+      const MutexLock lock(&mutex_);
+      state_.refused = !refusal_.ok();
+    }
     if (refusal_.ok()) {
       log_->Write(LogLevel::kInfo, "tls_files_loaded",
                   {{"serial_number", summary_.serial_number}});
@@ -58,6 +62,16 @@ void TlsFiles::Look(CertificateTime now) {
 TlsFiles::Current TlsFiles::current() const {
   const MutexLock lock(&mutex_);
   return current_;
+}
+
+FilesState TlsFiles::state() const {
+  const MutexLock lock(&mutex_);
+  return state_;
+}
+
+CertificateTime TlsFiles::expires() const {
+  const MutexLock lock(&mutex_);
+  return expires_;
 }
 
 absl::Status TlsFiles::Take(CertificateTime now) {
@@ -77,6 +91,8 @@ absl::Status TlsFiles::Take(CertificateTime now) {
   if (!summary.ok()) return summary.status();
   summary_ = *summary;
   const MutexLock lock(&mutex_);
+  state_.loaded = now;
+  expires_ = summary->expires;
   ++current_.version;
   current_.material = std::move(material);
   return absl::OkStatus();

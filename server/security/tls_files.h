@@ -49,6 +49,10 @@ class TlsFiles {
   };
   Current current() const;
 
+  FilesState state() const;
+  // When the certificate in use expires.
+  CertificateTime expires() const;
+
  private:
   TlsFiles(const TlsPaths& paths, const Log* log);
 
@@ -67,6 +71,8 @@ class TlsFiles {
 
   mutable Mutex mutex_;
   Current current_ ABSL_GUARDED_BY(mutex_);
+  FilesState state_ ABSL_GUARDED_BY(mutex_);
+  CertificateTime expires_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace revisit::server

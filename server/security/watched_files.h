@@ -2,12 +2,21 @@
 #ifndef REVISIT_SERVER_SECURITY_WATCHED_FILES_H_
 #define REVISIT_SERVER_SECURITY_WATCHED_FILES_H_
 
+#include <chrono>
 #include <string>
 #include <vector>
 
 #include "absl/status/statusor.h"
 
 namespace revisit::server {
+
+// Files whose contents are taken up as they change.
+struct FilesState {
+  // When the contents in use were taken up.
+  std::chrono::system_clock::time_point loaded;
+  // Whether there are others since then, which were refused.
+  bool refused = false;
+};
 
 // Not thread-safe.
 class WatchedFiles {

@@ -14,12 +14,14 @@
 #include "server/base/status.h"
 #include "server/base/status_grpc.h"
 #include "server/security/method_rules.h"
+#include "server/telemetry/audit_log.h"
 
 namespace revisit::server {
 namespace {
 
 constexpr char kRequestIdKey[] = "x-request-id";
 constexpr char kAuthorizationKey[] = "authorization";
+constexpr char kTraceParentKey[] = "traceparent";
 constexpr std::size_t kMaxRequestIdBytes = 128;
 
 // The remaining time of callers without a deadline, short enough to be added to
@@ -44,6 +46,14 @@ std::string RequestId(const grpc::CallbackServerContext& context) {
     if (!id.empty() && id.size() <= kMaxRequestIdBytes && printable) return id;
   }
   return NewRequestId();
+}
+
+TraceContext TraceOf(const grpc::CallbackServerContext& context) {
+  const auto& metadata = context.client_metadata();
+  // Given twice, it is malformed.
+  if (metadata.count(kTraceParentKey) != 1) return {};
+  const grpc::string_ref header = metadata.find(kTraceParentKey)->second;
+  return ParseTraceParent({header.data(), header.size()});
 }
 
 Credentials CredentialsOf(const grpc::CallbackServerContext& context) {
@@ -88,28 +98,6 @@ std::string QuotaKey(const Caller& caller,
   // An address such as ipv4:127.0.0.1:4711.
   const std::string peer = context.peer();
   return peer.substr(0, peer.rfind(':'));
-}
-
-const char* CodeName(grpc::StatusCode code) {
-  static constexpr const char* kNames[] = {"OK",
-                                           "CANCELLED",
-                                           "UNKNOWN",
-                                           "INVALID_ARGUMENT",
-                                           "DEADLINE_EXCEEDED",
-                                           "NOT_FOUND",
-                                           "ALREADY_EXISTS",
-                                           "PERMISSION_DENIED",
-                                           "RESOURCE_EXHAUSTED",
-                                           "FAILED_PRECONDITION",
-                                           "ABORTED",
-                                           "OUT_OF_RANGE",
-                                           "UNIMPLEMENTED",
-                                           "INTERNAL",
-                                           "UNAVAILABLE",
-                                           "DATA_LOSS",
-                                           "UNAUTHENTICATED"};
-  const auto index = static_cast<std::size_t>(code);
-  return index < std::size(kNames) ? kNames[index] : "UNKNOWN";
 }
 
 // Errors of the server have a higher level than those of callers, because
@@ -165,6 +153,9 @@ Call::Call(grpc::CallbackServerContext* context, const char* method,
            const ServiceContext& service)
     : method_(method),
       log_(service.log),
+      counts_(service.counts),
+      audit_(AuditLog::Covers(method) ? service.audit : nullptr),
+      slow_call_(service.slow_call),
       drain_(service.drain),
       gatekeeper_(service.gatekeeper),
       room_(service.admission),
@@ -172,7 +163,10 @@ Call::Call(grpc::CallbackServerContext* context, const char* method,
       rule_(FindMethodRule(method)),
       start_(std::chrono::steady_clock::now()),
       deadline_(context->deadline()),
-      request_id_(RequestId(*context)) {
+      request_id_(RequestId(*context)),
+      trace_(TraceOf(*context)),
+      peer_(audit_ != nullptr ? context->peer() : std::string()) {
+  counts_->Began(rule_);
   context->AddInitialMetadata(kRequestIdKey, request_id_);
   const bool in_time = drain_->Enter();
   if (gatekeeper_->asks()) credentials_ = CredentialsOf(*context);
@@ -203,6 +197,7 @@ absl::Status Call::TakeRoom() {
 
 void Call::Done() {
   if (watch_ >= 0) gatekeeper_->Unwatch(watch_);
+  counts_->Left(rule_);
   drain_->Leave();
 }
 
@@ -245,6 +240,34 @@ absl::Status Call::AdmitSearch() {
 
 void Call::SearchTook(std::chrono::steady_clock::duration duration) const {
   room_->SearchTook(duration);
+}
+
+void Call::Searched(const absl::StatusOr<core::CandidateSet>& set,
+                    std::chrono::steady_clock::duration duration) {
+  counts_->Searched(set, duration);
+  if (!slow_call_) return;
+  SearchNumbers numbers;
+  if (set.ok()) {
+    numbers.nodes_considered = set->nodes_considered;
+    numbers.nodes_pruned = set->nodes_pruned;
+    numbers.comparisons = set->comparisons;
+    numbers.candidates = static_cast<std::int64_t>(set->candidates.size());
+  }
+  numbers.outcome = OutcomeOf(set);
+  numbers.milliseconds =
+      std::chrono::duration<double, std::milli>(duration).count();
+  const bool of_stream = rule_ != nullptr && rule_->streams;
+  if (!of_stream) {
+    search_ = numbers;
+  } else if (IsSlow(duration)) {
+    LogSlow("slow_search", duration, numbers);
+  }
+}
+
+void Call::NameChanged(const std::string& id) { changed_ = id; }
+
+bool Call::IsSlow(std::chrono::steady_clock::duration duration) const {
+  return slow_call_ && duration >= *slow_call_;
 }
 
 absl::StatusOr<Permit> Call::AdmitBatch(std::size_t bytes) const {
@@ -303,19 +326,69 @@ grpc::Status Call::End(const absl::Status& status) {
   permits_.clear();
   const absl::Status named = WithRequestId(status, request_id_);
   const grpc::Status answer = ToGrpcStatus(named);
-  const std::chrono::duration<double, std::milli> duration =
-      std::chrono::steady_clock::now() - start_;
+  const auto taken = std::chrono::steady_clock::now() - start_;
+  const std::chrono::duration<double, std::milli> duration = taken;
+  const std::string reason = ReasonOf(named);
+  const char* const code = CodeName(answer.error_code());
+  counts_->Ended(rule_, answer.error_code(), reason, taken);
   log_->Write(LevelOf(answer.error_code()), "call",
               {{"request_id", request_id_},
                {"method", method_},
                {"vehicle", vehicle_},
                {"tenant", caller_->tenant},
                {"caller", caller_->identity},
-               {"code", CodeName(answer.error_code())},
-               {"reason", ReasonOf(named)},
+               {"code", code},
+               {"reason", reason},
                {"message", std::string(status.message())},
+               {"trace_id", trace_.trace_id},
+               {"parent_id", trace_.parent_id},
                {"duration_ms", duration.count()}});
+  const bool streams = rule_ != nullptr && rule_->streams;
+  if (!streams && IsSlow(taken)) LogSlow("slow_call", taken, search_);
+  if (audit_ != nullptr) {
+    audit_->Write({{"request_id", request_id_},
+                   {"method", method_},
+                   {"vehicle", vehicle_},
+                   {"id", changed_},
+                   {"tenant", caller_->tenant},
+                   {"caller", caller_->identity},
+                   {"peer", peer_},
+                   {"code", code},
+                   {"reason", reason},
+                   {"trace_id", trace_.trace_id},
+                   {"parent_id", trace_.parent_id}});
+  }
   return answer;
+}
+
+void Call::LogSlow(const char* event,
+                   std::chrono::steady_clock::duration duration,
+                   const std::optional<SearchNumbers>& search) const {
+  const double milliseconds =
+      std::chrono::duration<double, std::milli>(duration).count();
+  if (!search) {
+    log_->Write(LogLevel::kWarning, event,
+                {{"request_id", request_id_},
+                 {"method", method_},
+                 {"vehicle", vehicle_},
+                 {"trace_id", trace_.trace_id},
+                 {"parent_id", trace_.parent_id},
+                 {"duration_ms", milliseconds}});
+    return;
+  }
+  log_->Write(LogLevel::kWarning, event,
+              {{"request_id", request_id_},
+               {"method", method_},
+               {"vehicle", vehicle_},
+               {"trace_id", trace_.trace_id},
+               {"parent_id", trace_.parent_id},
+               {"duration_ms", milliseconds},
+               {"search_ms", search->milliseconds},
+               {"outcome", std::string(search->outcome)},
+               {"candidates", search->candidates},
+               {"nodes_considered", search->nodes_considered},
+               {"nodes_pruned", search->nodes_pruned},
+               {"comparisons", search->comparisons}});
 }
 
 }  // namespace revisit::server

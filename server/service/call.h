@@ -1,5 +1,5 @@
 // One call of the service: who its caller is and what they may do, whether the
-// caller still waits, and its one line in the log.
+// caller still waits, and what the logs and counts say of it.
 #ifndef REVISIT_SERVER_SERVICE_CALL_H_
 #define REVISIT_SERVER_SERVICE_CALL_H_
 
@@ -8,6 +8,7 @@
 #include <cstddef>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -22,6 +23,8 @@
 #include "server/security/caller.h"
 #include "server/security/gatekeeper.h"
 #include "server/service/service_context.h"
+#include "server/telemetry/service_counters.h"
+#include "server/telemetry/trace_context.h"
 
 namespace revisit::server {
 
@@ -34,11 +37,12 @@ absl::Status MalformedMessage();
 
 struct MethodRule;
 
-// Thread-safe, except ChooseVehicle() and AlsoNeeds().
+// Thread-safe, except ChooseVehicle(), AlsoNeeds(), NameChanged() and, for
+// unary calls, Searched().
 class Call {
  public:
-  // Takes the request id from the metadata or makes one, and sends it back. Log
-  // and drain of the service must outlive this.
+  // Takes the request id from the metadata or makes one, and sends it back.
+  // What the service refers to must outlive this.
   Call(grpc::CallbackServerContext* context, const char* method,
        const ServiceContext& service);
 
@@ -68,6 +72,13 @@ class Call {
   absl::Status AdmitSearch();
   // Notes how long the search took, without its wait.
   void SearchTook(std::chrono::steady_clock::duration duration) const;
+  // Counts a search, admitted or of a stream's check, and logs it if it was
+  // slow: that of a stream at once, another with its call.
+  void Searched(const absl::StatusOr<core::CandidateSet>& set,
+                std::chrono::steady_clock::duration duration);
+  // Names the finding that the call is about, beside its vehicle, for the log
+  // of changes.
+  void NameChanged(const std::string& id);
   // Takes room for a batch that waits to be durable. After ChooseVehicle(); on
   // any thread.
   absl::StatusOr<Permit> AdmitBatch(std::size_t bytes) const;
@@ -112,9 +123,27 @@ class Call {
   absl::Status TakeRoom();
   Verb MethodVerb() const;
   absl::Status Check(const Caller& caller, Verb verb) const;
+  bool IsSlow(std::chrono::steady_clock::duration duration) const;
+
+  // What a search had to do.
+  struct SearchNumbers {
+    std::int64_t nodes_considered = 0;
+    std::int64_t nodes_pruned = 0;
+    std::int64_t comparisons = 0;
+    std::int64_t candidates = 0;
+    const char* outcome = "";
+    double milliseconds = 0.0;
+  };
+
+  void LogSlow(const char* event, std::chrono::steady_clock::duration duration,
+               const std::optional<SearchNumbers>& search) const;
 
   const char* const method_;
   const Log* const log_;
+  ServiceCounters* const counts_;
+  // Null if changes are not logged, or this call is none.
+  const AuditLog* const audit_;
+  const std::optional<std::chrono::steady_clock::duration> slow_call_;
   Drain* const drain_;
   Gatekeeper* const gatekeeper_;
   Admission* const room_;
@@ -123,6 +152,9 @@ class Call {
   const std::chrono::steady_clock::time_point start_;
   const std::chrono::system_clock::time_point deadline_;
   std::string request_id_;
+  const TraceContext trace_;
+  // Empty unless changes are logged.
+  const std::string peer_;
   Credentials credentials_;
   std::shared_ptr<const Caller> caller_;
   absl::Status admission_;
@@ -131,6 +163,8 @@ class Call {
   std::vector<Permit> permits_;
   Gatekeeper::WatchId watch_ = -1;
   std::string vehicle_;
+  std::string changed_;
+  std::optional<SearchNumbers> search_;
   std::vector<Verb> also_needs_;
   std::atomic<bool> given_up_{false};
 };

@@ -37,12 +37,12 @@ absl::Status TooMuchWork(std::int64_t got, std::int64_t limit) {
       {{"got", absl::StrCat(got)}, {"limit", absl::StrCat(limit)}});
 }
 
-absl::Status Find(const UnaryCall& call, const Limits& limits,
+absl::Status Find(UnaryCall* call, const Limits& limits,
                   const VehicleView& view,
                   const v1::FindCandidatesRequest& request,
                   v1::FindCandidatesResponse* response) {
   // The call may have waited long behind other work.
-  if (call.given_up()) return call.GivenUpStatus();
+  if (call->given_up()) return call->GivenUpStatus();
   // Candidates in the part that is damaged would be missed without a word.
   if (!view.damage.ok()) return view.damage;
   absl::StatusOr<core::SearchOptions> options = DecodeCandidateOptions(
@@ -51,14 +51,15 @@ absl::Status Find(const UnaryCall& call, const Limits& limits,
   options->max_comparisons = limits.max_search_steps;
   const auto query = QueryNode(view, request.sequence());
   if (!query.ok()) return query.status();
-  const auto stop = [&call] { return call.given_up(); };
+  const auto stop = [call] { return call->given_up(); };
   const auto start = std::chrono::steady_clock::now();
   const absl::StatusOr<core::CandidateSet> found =
       *query ? view.engine.FindCandidates(**query, *options, stop, view.marks)
              : view.engine.FindCandidates(*options, stop, view.marks);
   const auto duration = std::chrono::steady_clock::now() - start;
-  call.SearchTook(duration);
-  if (absl::IsCancelled(found.status())) return call.GivenUpStatus();
+  call->SearchTook(duration);
+  call->Searched(found, duration);
+  if (absl::IsCancelled(found.status())) return call->GivenUpStatus();
   if (!found.ok()) return found.status();
   if (found->empty_reason == core::EmptyReason::kTooMuchWork) {
     return TooMuchWork(found->comparisons, limits.max_search_steps);
@@ -81,7 +82,7 @@ absl::Status FindCandidates(const ServiceContext& context,
   (*session)->Search(FinishWith<VehicleView>(
       call, [=, limits = context.limits,
              request = &request](const VehicleView& view) {
-        return Find(*call, limits, view, *request, response);
+        return Find(call.get(), limits, view, *request, response);
       }));
   return absl::OkStatus();
 }

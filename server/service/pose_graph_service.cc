@@ -1,5 +1,7 @@
 #include "server/service/pose_graph_service.h"
 
+#include <chrono>
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <string>
@@ -28,6 +30,7 @@
 #include "server/sessions/vehicle_session.h"
 #include "server/sessions/vehicle_uid.h"
 #include "server/storage/storage.h"
+#include "server/telemetry/service_counters.h"
 
 namespace revisit::server {
 namespace {
@@ -73,11 +76,13 @@ void CreateOrFind(
 class UnaryAppend final : public AppendSink {
  public:
   UnaryAppend(UnaryCallPtr call, const v1::AppendPosesRequest* request,
-              v1::AppendPosesResponse* response, int max_poses)
+              v1::AppendPosesResponse* response, int max_poses,
+              ServiceCounters* counts)
       : call_(std::move(call)),
         request_(request),
         response_(response),
-        max_poses_(max_poses) {}
+        max_poses_(max_poses),
+        counts_(counts) {}
 
   absl::StatusOr<DecodedBatch> Decode(const VehicleConfig& config) override {
     // The batch may have waited past its caller's deadline.
@@ -96,9 +101,14 @@ class UnaryAppend final : public AppendSink {
   }
 
   void OnDurable(const absl::StatusOr<Acknowledgement>& result) override {
+    const auto poses = static_cast<std::uint64_t>(request_->poses_size());
     if (result.ok()) {
+      counts_->Acknowledged(poses, result->accepted_poses,
+                            std::chrono::steady_clock::now() - start_);
       EncodeAck(*result, response_->mutable_ack());
       response_->mutable_ack()->mutable_warnings()->MergeFrom(warnings_);
+    } else {
+      counts_->Refused(poses, result.status());
     }
     call_->End(result.status());
   }
@@ -108,6 +118,9 @@ class UnaryAppend final : public AppendSink {
   const v1::AppendPosesRequest* const request_;
   v1::AppendPosesResponse* const response_;
   const int max_poses_;
+  ServiceCounters* const counts_;
+  const std::chrono::steady_clock::time_point start_ =
+      std::chrono::steady_clock::now();
   PoseInspector::Warnings warnings_;
 };
 
@@ -273,18 +286,20 @@ grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
           v1::AppendPosesResponse* response) {
         const auto session = SessionOf(context_, request->vehicle(),
                                        kRequest.Field("vehicle"), call.get());
-        if (!session.ok()) return session.status();
-        if (absl::Status status =
-                CheckUid(request->vehicle_uid(), kRequest.Field("vehicle_uid"));
-            !status.ok()) {
-          return status;
+        absl::Status status = session.status();
+        if (status.ok()) {
+          status =
+              CheckUid(request->vehicle_uid(), kRequest.Field("vehicle_uid"));
         }
-        if (absl::Status status = call->HoldBatch(request->ByteSizeLong());
-            !status.ok()) {
+        if (status.ok()) status = call->HoldBatch(request->ByteSizeLong());
+        if (!status.ok()) {
+          context_.counts->Refused(
+              static_cast<std::uint64_t>(request->poses_size()), status);
           return status;
         }
         (*session)->Append(std::make_shared<UnaryAppend>(
-            call, request, response, context_.limits.max_batch_poses));
+            call, request, response, context_.limits.max_batch_poses,
+            context_.counts));
         return absl::OkStatus();
       });
 }

@@ -53,10 +53,12 @@ absl::Status AddPair(const ServiceContext& context, const UnaryCallPtr& call,
   absl::StatusOr<PosePairRecord> record = DecodePosePair(pair, id);
   if (!record.ok()) return record.status();
   record->create_time_ns = NowNanoseconds();
+  call->NameChanged(record->id);
   context.fleet->Session(*vehicle)->AddPosePair(
       kind, *std::move(record),
       FinishWith<AddedPair>(
           call, [=, id_of_vehicle = *vehicle](const AddedPair& stored) {
+            call->NameChanged(stored.pair.id);
             EncodePosePair(id_of_vehicle, stored.pair, (response->*added)());
             response->set_revision(stored.revision);
             EncodeAgreement(stored.agreement, response);
@@ -113,6 +115,7 @@ absl::Status DeletePair(const ServiceContext& context, const UnaryCallPtr& call,
       !status.ok()) {
     return status;
   }
+  call->NameChanged(parsed->id);
   context.fleet->Session(parsed->vehicle_id)
       ->DeletePosePair(
           kind, parsed->id,

@@ -2,7 +2,9 @@
 #ifndef REVISIT_SERVER_SERVICE_SERVICE_CONTEXT_H_
 #define REVISIT_SERVER_SERVICE_SERVICE_CONTEXT_H_
 
+#include <chrono>
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include "server/settings/limits.h"
@@ -10,6 +12,8 @@
 namespace revisit::server {
 
 class Admission;
+class AuditLog;
+class ServiceCounters;
 class ConnectionMeters;
 class Drain;
 class Executor;
@@ -30,6 +34,11 @@ struct ServiceContext {
   const Log* log = nullptr;
   Admission* admission = nullptr;
   GraphSnapshots* snapshots = nullptr;
+  ServiceCounters* counts = nullptr;
+  // Null if none is kept.
+  const AuditLog* audit = nullptr;
+  // From which on calls are logged as slow; nothing if none is.
+  std::optional<std::chrono::steady_clock::duration> slow_call;
   // Directory of the drafts of revisions, and how much of its file system they
   // leave free.
   std::string scratch_directory;

@@ -27,6 +27,7 @@
 #include "server/service/call.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
+#include "server/telemetry/service_counters.h"
 
 namespace revisit::server {
 namespace {
@@ -162,9 +163,14 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   // One batch of this stream on its way through the session.
   class Batch final : public AppendSink {
    public:
-    // `bytes`: memory that the batch takes; `room` is held until it is durable.
-    Batch(std::shared_ptr<PoseStream> stream, std::size_t bytes, Permit room)
-        : stream_(std::move(stream)), bytes_(bytes), room_(std::move(room)) {}
+    // `poses`: their number. `bytes`: memory that the batch takes; `room` is
+    // held until it is durable.
+    Batch(std::shared_ptr<PoseStream> stream, std::uint64_t poses,
+          std::size_t bytes, Permit room)
+        : stream_(std::move(stream)),
+          poses_(poses),
+          bytes_(bytes),
+          room_(std::move(room)) {}
 
     absl::StatusOr<DecodedBatch> Decode(const VehicleConfig& config) override {
       absl::StatusOr<DecodedBatch> batch =
@@ -182,14 +188,22 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     void OnDurable(const absl::StatusOr<Acknowledgement>& result) override {
       // Whoever has the acknowledgement may send as much again.
       room_.reset();
+      ServiceCounters* const counts = stream_->context_.counts;
+      if (result.ok()) {
+        counts->Acknowledged(poses_, result->accepted_poses,
+                             std::chrono::steady_clock::now() - start_);
+      } else {
+        counts->Refused(poses_, result.status());
+      }
       stream_->OnDurable(result, bytes_, &warnings_);
-      work_start_ = std::chrono::steady_clock::now();
     }
 
     bool wants_candidates() const override { return stream_->send_candidates_; }
 
     absl::StatusOr<core::SearchOptions> CheckOptions(
         const VehicleConfig& config) const override {
+      // The wait for a thread is over.
+      search_start_ = std::chrono::steady_clock::now();
       return stream_->SearchOptions(config);
     }
 
@@ -198,19 +212,22 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     void OnCandidates(const VehicleView& view,
                       const absl::StatusOr<core::CandidateSet>& set) override {
       stream_->OnCandidates(view, set,
-                            std::chrono::steady_clock::now() - work_start_);
-      work_start_ = std::chrono::steady_clock::now();
+                            std::chrono::steady_clock::now() - search_start_);
+      search_start_ = std::chrono::steady_clock::now();
     }
 
     void OnOver() override { stream_->OnAppendOver(); }
 
    private:
     const std::shared_ptr<PoseStream> stream_;
+    const std::chrono::steady_clock::time_point start_ =
+        std::chrono::steady_clock::now();
+    const std::uint64_t poses_;
     const std::size_t bytes_;
     Permit room_;
     PoseInspector::Warnings warnings_;
     // When the session got to the search that it runs now.
-    std::chrono::steady_clock::time_point work_start_;
+    mutable std::chrono::steady_clock::time_point search_start_;
   };
 
   // An answer to be written: `other`, or an acknowledgement without warnings if
@@ -322,7 +339,10 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     // The staged batch takes about as much memory as the message.
     const auto bytes = static_cast<std::size_t>(arena_.SpaceUsed());
     absl::StatusOr<Permit> room = call_.AdmitBatch(bytes);
+    const auto poses =
+        static_cast<std::uint64_t>(request_->batch().poses_size());
     if (!room.ok()) {
+      context_.counts->Refused(poses, room.status());
       Fail(room.status());
       return;
     }
@@ -335,8 +355,8 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       bytes_in_flight_ += bytes;
       session = session_.get();
     }
-    session->Append(
-        std::make_shared<Batch>(shared_from_this(), bytes, *std::move(room)));
+    session->Append(std::make_shared<Batch>(shared_from_this(), poses, bytes,
+                                            *std::move(room)));
   }
 
   // Called while `handling_`.
@@ -379,6 +399,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   void OnCandidates(const VehicleView& view,
                     const absl::StatusOr<core::CandidateSet>& set,
                     std::chrono::nanoseconds duration) {
+    call_.Searched(set, duration);
     // Searches stop when the caller is gone, and then nobody waits for them.
     if (call_.given_up()) return;
     auto response = std::make_unique<Response>();

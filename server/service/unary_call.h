@@ -63,6 +63,11 @@ class UnaryCall : public grpc::ServerUnaryReactor,
   void SearchTook(std::chrono::steady_clock::duration duration) const {
     call_.SearchTook(duration);
   }
+  void Searched(const absl::StatusOr<core::CandidateSet>& set,
+                std::chrono::steady_clock::duration duration) {
+    call_.Searched(set, duration);
+  }
+  void NameChanged(const std::string& id) { call_.NameChanged(id); }
   absl::Status HoldBatch(std::size_t bytes) { return call_.HoldBatch(bytes); }
   bool given_up() const { return call_.given_up(); }
   absl::Status GivenUpStatus() const { return call_.GivenUpStatus(); }

@@ -22,6 +22,8 @@ struct Acknowledgement {
   std::vector<core::Jump> jumps;
   // What these poses are the first to show.
   std::optional<core::Finding> finding = std::nullopt;
+  // How many of the batch's poses are new; the others were stored before.
+  std::uint64_t accepted_poses = 0;
 };
 
 // The session calls, in this order and one at a time per vehicle: Decode() at

@@ -352,7 +352,8 @@ void Appends::Answer(const Pending& append, const absl::Status& status) {
   append.sink->OnDurable(Acknowledgement{
       vehicle_->durable_sequence, vehicle_->revision,
       vehicle_->JumpsAt(append.first_sequence, append.last_sequence),
-      append.finding});
+      append.finding,
+      append.revision == 0 ? 0 : append.decoded->samples.size()});
 }
 
 }  // namespace revisit::server

@@ -33,12 +33,15 @@ const Choices<DamagedLog>& DamagedLogs() {
 }
 
 const Choices<LogLevel>& LogLevels() {
-  static const auto* const choices =
-      new Choices<LogLevel>{{"debug", LogLevel::kDebug},
-                            {"info", LogLevel::kInfo},
-                            {"warning", LogLevel::kWarning},
-                            {"error", LogLevel::kError},
-                            {"off", LogLevel::kOff}};
+  static const auto* const choices = [] {
+    auto* const levels = new Choices<LogLevel>;
+    for (const LogLevel level :
+         {LogLevel::kDebug, LogLevel::kInfo, LogLevel::kWarning,
+          LogLevel::kError, LogLevel::kOff}) {
+      levels->emplace_back(NameOf(level), level);
+    }
+    return levels;
+  }();
   return *choices;
 }
 
@@ -191,6 +194,9 @@ void AddServing(Group add, ServerSettings& s) {
              "is served");
   add.Choice("damaged-log", DamagedLogs(), &s.damaged_log,
              "What a start does if the write-ahead log is damaged");
+  add.Text("admin-listen", &s.admin_listen, "HOST:PORT",
+           "Address of /metrics, /livez and /readyz, over plain HTTP and open "
+           "to whoever reaches it; port 0 takes a free one; empty: none");
   add.Text("port-file", &s.port_file, "FILE",
            "File to which the address is written once calls are taken");
   add.Number("worker-threads", &s.worker_threads, 0, 1024,
@@ -369,7 +375,15 @@ void AddLogging(Group add, ServerSettings& s) {
   add.Choice("log-format", LogFormats(), &s.log_format,
              "Form of the log's lines, one per event");
   add.Choice("log-level", LogLevels(), &s.log_level,
-             "Level of the least severe events that are logged");
+             "Level of the least severe events that are logged; SIGUSR2 "
+             "changes it while the server runs");
+  add.Number("slow-call-seconds", &s.slow_call_seconds, 0, 3600,
+             "Seconds from which on a call, or a search of a stream, is logged "
+             "as slow, with what the search had to do; 0: none is");
+  add.Text("audit-log", &s.audit_log, "FILE",
+           "File to which a line is appended for each call that makes, changes "
+           "or removes a vehicle, a finding about two poses, or stored poses; "
+           "SIGUSR1 opens it again");
 }
 
 }  // namespace

@@ -54,6 +54,9 @@ struct ServerSettings {
   // they are served. Range [0, 2^50].
   std::int64_t max_checked_bytes = std::int64_t{256} << 20;
   DamagedLog damaged_log = DamagedLog::kRefuse;
+  // HOST:PORT of metrics and probes over HTTP, in plaintext and for everybody
+  // who reaches it; port 0 takes a free one. Empty: none.
+  std::string admin_listen;
   // If not empty, the address listened on is written here once calls are taken.
   std::string port_file;
 
@@ -116,6 +119,11 @@ struct ServerSettings {
 
   LogFormat log_format = LogFormat::kText;
   LogLevel log_level = LogLevel::kInfo;
+  // Calls, and searches of streams, that took longer are logged with what the
+  // search had to do; 0 logs none. Range [0, 3600].
+  double slow_call_seconds = 0.0;
+  // If not empty, the file to which is appended who changed what.
+  std::string audit_log;
 };
 
 // A task on a store besides serving it.

@@ -77,6 +77,8 @@ class Server:
         self._lines = queue.SimpleQueue()
         self._channels = []
         self.port = None
+        # HOST:PORT of metrics and probes, if they are served.
+        self.admin = None
         with open(self.log_path, "ab") as log:
             self.process = subprocess.Popen(
                 [*launch, BIN / "revisitd", "--listen", listen, "--store",
@@ -102,6 +104,9 @@ class Server:
             line = self._lines.get(timeout=deadline - time.monotonic())
             assert line is not None, (
                 f"revisitd ended with {self.process.wait()}: {self.log()}")
+            admin = re.match(r"admin listening on (\S+)\s*$", line)
+            if admin:
+                self.admin = admin.group(1)
             found = re.match(
                 rf"listening on {re.escape(self.host)}:(\d+)\s*$", line)
             if found:

@@ -38,6 +38,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/base/mutex.h"
+#include "server/storage/postgres/ask_pacing.h"
 #include "server/storage/postgres/connection.h"
 #include "server/storage/storage.h"
 #include "server/storage/write_queue.h"
@@ -94,8 +95,9 @@ class Ownership {
                                   const std::string& id);
   // The claim on a vehicle; null if there is none.
   std::shared_ptr<const Claim> Find(VehicleKey key) const;
-  // Ends this claim here, not in the database.
-  void Forget(VehicleKey key, const Claim* claim);
+  // Ends this claim here, not in the database. It is `lost` if the database
+  // says that it is another server's.
+  void Forget(VehicleKey key, const Claim* claim, bool lost = false);
   // Ends a claim in the database, unless there is a later one. Forget it first.
   static absl::Status Release(PostgresConnection& connection, VehicleKey key,
                               const Uuid& owner, std::int64_t epoch);
@@ -109,6 +111,8 @@ class Ownership {
 
   // As of the last beat.
   Durability durability() const;
+  // Implements Storage::GetSharing().
+  SharingState GetSharing() const;
 
  private:
   Ownership(const std::string& conninfo, OwnershipOptions options);
@@ -123,8 +127,8 @@ class Ownership {
   void Warn(const std::string& message) const;
   bool LeaseHolds() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
-  // The thread that beats; it alone uses `connection_`, `sightings_` and
-  // `last_look_`.
+  // The thread that beats; it alone uses `connection_`, `sightings_`,
+  // `forgotten_` and `last_look_`.
   void Run();
   absl::Status Beat();
   absl::Status Connect();
@@ -138,6 +142,9 @@ class Ownership {
 
   std::unique_ptr<PostgresConnection> connection_;
   std::map<Uuid, Sighting> sightings_;
+  // Vehicles that others ask for and the database says are of this server,
+  // which has no claim on them; and since when that is known.
+  std::map<VehicleKey, std::chrono::nanoseconds> forgotten_;
   // When it looked last.
   std::chrono::steady_clock::time_point last_look_;
 
@@ -153,7 +160,11 @@ class Ownership {
   // Vehicles that are being claimed, which may be so already in the database.
   std::multiset<std::string> being_taken_ ABSL_GUARDED_BY(mutex_);
   std::map<VehicleKey, std::string> wanted_ ABSL_GUARDED_BY(mutex_);
+  AskPacing asks_ ABSL_GUARDED_BY(mutex_);
   Durability durability_ ABSL_GUARDED_BY(mutex_);
+  // See SharingState.
+  std::uint64_t lost_vehicles_ ABSL_GUARDED_BY(mutex_) = 0;
+  std::uint64_t lost_leases_ ABSL_GUARDED_BY(mutex_) = 0;
 
   std::atomic<bool> give_up_{false};
   // The last member, since the thread uses the others.

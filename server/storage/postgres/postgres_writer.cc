@@ -7,6 +7,7 @@
 
 #include "server/base/status.h"
 #include "server/storage/free_space.h"
+#include "server/storage/postgres/postgres_changes.h"
 
 namespace revisit::server {
 namespace {
@@ -96,8 +97,10 @@ void PostgresWriter::Run() {
     if (!group->empty()) {
       const Clock::time_point start = Clock::now();
       Commit(*group);
+      const Clock::duration taken = Clock::now() - start;
       // A moving mean follows the device, and soon forgets a single slow flush.
-      commit_time_ += (Clock::now() - start - commit_time_) / 8;
+      commit_time_ += (taken - commit_time_) / 8;
+      commit_seconds_.Observe(taken);
       // Destroys the callbacks, and what they hold, before the next is taken.
       group->clear();
     }
@@ -181,7 +184,8 @@ void PostgresWriter::Answer(const PendingWrite& write,
     writes_ += write.done.size();
   } else if (absl::IsUnavailable(status) || absl::IsAborted(status)) {
     if (write.claim != nullptr) {
-      ownership_->Forget(write.key, write.claim.get());
+      ownership_->Forget(write.key, write.claim.get(),
+                         /*lost=*/absl::IsAborted(status));
     }
   } else if (absl::IsResourceExhausted(status)) {
     full_at_ = Clock::now().time_since_epoch().count();

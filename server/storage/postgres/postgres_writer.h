@@ -22,7 +22,8 @@
 #include "absl/status/status.h"
 #include "server/storage/postgres/connection.h"
 #include "server/storage/postgres/ownership.h"
-#include "server/storage/postgres/postgres_rows.h"
+#include "server/storage/postgres/postgres_appends.h"
+#include "server/storage/postgres/postgres_fence.h"
 #include "server/storage/storage.h"
 #include "server/storage/write_queue.h"
 
@@ -68,7 +69,9 @@ class PostgresWriter {
 
   // Implements Storage::CheckWritable().
   absl::Status CheckWritable() const;
-  CommitCounts Counts() const { return {commits_, writes_}; }
+  CommitCounts Counts() const {
+    return {commits_, writes_, commit_seconds_.Read()};
+  }
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -92,6 +95,7 @@ class PostgresWriter {
   std::atomic<bool> give_up_{false};
   std::atomic<std::uint64_t> commits_{0};
   std::atomic<std::uint64_t> writes_{0};
+  Histogram commit_seconds_{SecondsBounds()};
   // When a write last found the disk full, since the clock's epoch; 0 if none
   // did since one was written.
   std::atomic<Clock::rep> full_at_{0};

@@ -311,7 +311,23 @@ class SqliteStorage : public Storage {
                             : StorageFull("the disk of the store is full");
   }
 
-  CommitCounts Counts() const override { return {commits_, writes_}; }
+  CommitCounts Counts() const override {
+    return {commits_, writes_, commit_seconds_.Read(), flush_seconds_.Read()};
+  }
+
+  std::optional<StorageRoom> GetRoom() const override {
+    StorageRoom room;
+    for (const std::string& file : {path_, LogOf(path_)}) {
+      std::error_code error;
+      const std::uintmax_t bytes = std::filesystem::file_size(file, error);
+      if (!error) room.bytes += static_cast<std::int64_t>(bytes);
+    }
+    const absl::StatusOr<std::int64_t> free =
+        FreeBytes(std::filesystem::path(path_).parent_path());
+    if (!free.ok()) return std::nullopt;
+    room.free_bytes = *free;
+    return room;
+  }
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -378,8 +394,10 @@ class SqliteStorage : public Storage {
     }
     const Clock::time_point start = Clock::now();
     std::vector<absl::Status> results = Commit(group, room);
+    const Clock::duration taken = Clock::now() - start;
     // A moving mean follows the device, and soon forgets a single slow flush.
-    commit_time_ += (Clock::now() - start - commit_time_) / 8;
+    commit_time_ += (taken - commit_time_) / 8;
+    if (!group.empty()) commit_seconds_.Observe(taken);
     return results;
   }
 
@@ -423,8 +441,10 @@ class SqliteStorage : public Storage {
     }
     StoreState next = NextState(state_, run_, /*is_closed=*/false);
     if (status.ok() && changed) status = WriteState(*writer_, next);
+    const Clock::time_point flush = Clock::now();
     if (status.ok()) status = writer_->Prepare("COMMIT").Run();
     if (status.ok() && changed) {
+      flush_seconds_.Observe(Clock::now() - flush);
       status = watch_.Check();
       if (!status.ok()) GiveUp(status);
     }
@@ -685,6 +705,8 @@ class SqliteStorage : public Storage {
   // Written by the writer's thread, read by others.
   std::atomic<std::uint64_t> commits_{0};
   std::atomic<std::uint64_t> writes_{0};
+  Histogram commit_seconds_{SecondsBounds()};
+  Histogram flush_seconds_{SecondsBounds()};
 
   // Keeps the log's index in shared memory while the writer is opened anew:
   // otherwise it would be made from the log, including failed transactions.

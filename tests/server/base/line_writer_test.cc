@@ -131,9 +131,11 @@ TEST(LineWriterTest, CountsWhatItDropsWhereItIsMissing) {
   // There may be several gaps, if the queue was full before the pipe was.
   std::int64_t next = 0;
   std::int64_t gaps = 0;
+  std::int64_t dropped = 0;
   while (next < kCount) {
     const std::string line = pipe.ReadLine();
     if (line.rfind("dropped ", 0) == 0) {
+      dropped += std::stoll(line.substr(8));
       next += std::stoll(line.substr(8));
       ++gaps;
     } else {
@@ -143,6 +145,7 @@ TEST(LineWriterTest, CountsWhatItDropsWhereItIsMissing) {
   }
   EXPECT_EQ(next, kCount);
   EXPECT_GT(gaps, 0);
+  EXPECT_EQ(writer.dropped(), dropped);
   writer.Write("after\n");
   EXPECT_EQ(pipe.ReadLine(), "after");
 }

@@ -45,6 +45,23 @@ std::string Literal(const std::string& value) {
   return line.substr(start, line.rfind('"') - start);
 }
 
+TEST(LogTest, LevelMayChangeWhileItIsWritten) {
+  std::ostringstream stream;
+  Log log(LogFormat::kText, LogLevel::kError, &stream);
+  const auto write = [&](const char* event) {
+    log.Write(LogLevel::kInfo, event, {});
+  };
+  write("before");
+  log.SetLevel(LogLevel::kInfo);
+  write("while");
+  log.SetLevel(LogLevel::kWarning);
+  write("after");
+  ASSERT_EQ(Lines(stream.str()).size(), 1u);
+  EXPECT_THAT(stream.str(), HasSubstr("info while"));
+  EXPECT_EQ(log.dropped(), 0);
+  EXPECT_STREQ(NameOf(LogLevel::kWarning), "warning");
+}
+
 TEST(LogTest, PrintableAsciiIsNotEscaped) {
   EXPECT_EQ(Literal("a B~ {}'/:"), "a B~ {}'/:");
 }

@@ -1,6 +1,9 @@
 #include "server/connections/admission.h"
 
 #include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <map>
 #include <random>
 #include <set>
 #include <string>
@@ -65,6 +68,50 @@ TEST(AdmissionTest, RoomIsGivenBackWhenThePermitGoes) {
                                HasSubstr("limit")));
   permits.pop_back();
   EXPECT_TRUE(admission.Call().ok());
+}
+
+TEST(AdmissionTest, CountsRefusalsByTheSettingThatIsTheLimit) {
+  const auto refusals = [](const Admission& admission) {
+    std::map<std::string, std::uint64_t> counts;
+    const auto read = admission.refusals().Read();
+    for (std::size_t i = 0; i < kLimitCount; ++i) {
+      if (read[i] != 0) counts[kLimitNames[i]] = read[i];
+    }
+    return counts;
+  };
+  Admission admission(Small(), 1, NoMemory);
+  std::vector<Permit> permits;
+  const auto take = [&](const absl::StatusOr<Permit>& permit) {
+    if (permit.ok()) permits.push_back(*permit);
+  };
+  EXPECT_TRUE(refusals(admission).empty());
+  for (int i = 0; i < 5; ++i) {
+    take(admission.Call());
+    take(admission.StreamOf("v"));
+    take(admission.Search("v", "", kEver));
+    take(admission.Queue("v", 500));
+  }
+  for (int i = 0; i < 3; ++i) take(admission.Stream("a"));
+  for (int i = 0; i < 3; ++i) take(admission.Stream("b"));
+  const std::map<std::string, std::uint64_t> expected = {
+      {"max-calls", 3},
+      {"max-queued-bytes-per-vehicle", 4},
+      {"max-searches-per-vehicle", 3},
+      // The second of b finds none left of all.
+      {"max-streams", 2},
+      {"max-streams-per-caller", 1},
+      {"max-streams-per-vehicle", 3}};
+  EXPECT_EQ(refusals(admission), expected);
+  for (const Admission::Use& use : admission.uses()) {
+    const std::string limit = use.limit;
+    EXPECT_EQ(use.taken, limit == "max-calls"          ? 2
+                         : limit == "max-queued-bytes" ? 500
+                         : limit == "max-searches"     ? 2
+                         : limit == "max-streams"      ? 3
+                                                       : 0)
+        << limit;
+    EXPECT_GE(use.most, use.taken) << limit;
+  }
 }
 
 TEST(AdmissionTest, RefusalSaysWhoseLimitItIsAndWhenToComeAgain) {

@@ -198,13 +198,19 @@ TEST_F(GatekeeperTest, ChangedFilesAreTakenAndBadOnesAreNot) {
   const auto backend = Bearer(Token(Now() + hours(1)));
   const auto other = Bearer(Token(Now() + hours(1), "other"));
   EXPECT_THAT(gatekeeper->Admit(backend, Now()), IsOk());
+  const FilesState first = *gatekeeper->files();
+  EXPECT_FALSE(first.refused);
 
   Put("policy", "{");
   AwaitRechecks(gatekeeper.get(), 2);
   EXPECT_THAT(gatekeeper->Admit(backend, Now()), IsOk());
+  EXPECT_TRUE(gatekeeper->files()->refused);
+  EXPECT_EQ(gatekeeper->files()->loaded, first.loaded);
 
   Put("policy", PolicyFor("other"));
   AwaitRechecks(gatekeeper.get(), 2);
+  EXPECT_FALSE(gatekeeper->files()->refused);
+  EXPECT_GT(gatekeeper->files()->loaded, first.loaded);
   EXPECT_THAT(gatekeeper->Admit(backend, Now()),
               IsError(StatusCode::kPermissionDenied, "NOT_GRANTED", _));
   EXPECT_THAT(gatekeeper->Admit(other, Now()), IsOk());
@@ -264,6 +270,7 @@ TEST_F(GatekeeperTest, WatchersThatLeftAreNotAsked) {
 TEST(OpenGatekeeperTest, LetsEveryoneDoEverything) {
   const auto gatekeeper = MakeOpenGatekeeper();
   EXPECT_FALSE(gatekeeper->asks());
+  EXPECT_FALSE(gatekeeper->files());
   const auto caller = gatekeeper->Admit({}, Now());
   ASSERT_THAT(caller, IsOk());
   EXPECT_TRUE((*caller)->May(Verb::kAdmin, "anything"));

@@ -171,6 +171,32 @@ TEST_F(OwnershipTest, OwnerThatWasTakenForDeadWritesNothing) {
   EXPECT_THAT(BlockingWrites(b.get()).Append(key, One(2)), IsOk());
 }
 
+TEST_F(OwnershipTest, CountsWhatItOwnsAndWhatOthersTook) {
+  const auto a = Open("a", /*beats=*/false);
+  const auto b = Open("b");
+  BlockingWrites write(a.get());
+  const VehicleKey taken = *write.Create("taken");
+  const VehicleKey given = *write.Create("given");
+  SharingState sharing = *a->GetSharing();
+  EXPECT_EQ(sharing.owned_vehicles, 2);
+  EXPECT_TRUE(sharing.lease_holds);
+  // What is handed over is not lost.
+  a->ReleaseVehicle(given);
+  ASSERT_TRUE(Eventually([&] { return b->TakeVehicle("given").ok(); }));
+  EXPECT_EQ(a->GetSharing()->owned_vehicles, 1);
+  EXPECT_EQ(a->GetSharing()->lost_vehicles, 0u);
+  Bury("a");
+  ASSERT_THAT(b->TakeVehicle("taken"), IsOk());
+  EXPECT_THAT(write.Append(taken, One(1)), kFenced);
+  sharing = *a->GetSharing();
+  EXPECT_EQ(sharing.owned_vehicles, 0);
+  EXPECT_EQ(sharing.lost_vehicles, 1u);
+  EXPECT_EQ(sharing.lost_leases, 0u);
+  EXPECT_EQ(b->GetSharing()->owned_vehicles, 2);
+  clock_.Advance(milliseconds(100'000));
+  EXPECT_FALSE(a->GetSharing()->lease_holds);
+}
+
 TEST_F(OwnershipTest, NoKindOfWritePassesTheFence) {
   using Write = std::function<absl::Status(BlockingWrites, VehicleKey)>;
   const std::vector<std::pair<const char*, Write>> writes = {
@@ -353,6 +379,8 @@ TEST_F(OwnershipTest, ServerThatFindsItselfDeadGivesUpAllAndGoesOnAsAnother) {
   }));
   EXPECT_NE(Sql("SELECT incarnation FROM servers WHERE state = 'live'"),
             before);
+  EXPECT_EQ(a->GetSharing()->lost_leases, 1u);
+  EXPECT_EQ(a->GetSharing()->lost_vehicles, 1u);
   EXPECT_THAT(BlockingWrites(a.get()).Append(key, One(1)), kFenced);
   ASSERT_TRUE(Eventually([&] { return a->TakeVehicle("truck").ok(); }));
   EXPECT_THAT(a->CheckOwned(key), IsOk());
@@ -484,7 +512,40 @@ TEST_F(OwnershipTest, VehicleThatItsOwnerHasForgottenIsFreedWhenAskedFor) {
       "wait_event_type = 'Lock' AND datname = current_database()");
   EXPECT_THAT(appended.Get(), kUnavailable);
   lock.Commit();
+  EXPECT_THAT(b->TakeVehicle("truck"), kNotOwner);
+  // It stays as long as one that is not forgotten.
+  const std::int64_t beats = BeatsOf("a");
+  EXPECT_TRUE(Eventually([&] { return BeatsOf("a") > beats + 2; }));
+  EXPECT_THAT(b->TakeVehicle("truck"), kNotOwner);
+  clock_.Advance(kLeastStay);
   EXPECT_TRUE(Eventually([&] { return b->TakeVehicle("truck").ok(); }));
+}
+
+TEST_F(OwnershipTest, ManyVehiclesAreAskedForAFewAtATime) {
+  const auto a = Open("a");
+  const auto b = Open("b");
+  const int fewest = static_cast<int>(AskPacing::kFewest);
+  BlockingWrites writes(a.get());
+  const auto id = [](int i) { return "truck-" + std::to_string(i); };
+  for (int i = 0; i < fewest + 10; ++i)
+    ASSERT_THAT(writes.Create(id(i)), IsOk());
+  for (int i = 0; i < fewest + 10; ++i) {
+    EXPECT_THAT(b->TakeVehicle(id(i)), kNotOwner);
+  }
+  EXPECT_EQ(Sql("SELECT count(*) FROM handovers"),
+            std::to_string(fewest) + "\n");
+  clock_.Advance(kLeastStay);
+  EXPECT_TRUE(Eventually(
+      [&] { return static_cast<int>(a->WantedVehicles().size()) == fewest; }));
+  // What comes makes room for the next.
+  for (const WantedVehicle& wanted : a->WantedVehicles()) {
+    a->ReleaseVehicle(wanted.key);
+    EXPECT_TRUE(Eventually([&] { return b->TakeVehicle(wanted.id).ok(); }));
+  }
+  for (int i = fewest; i < fewest + 10; ++i) {
+    EXPECT_THAT(b->TakeVehicle(id(i)), kNotOwner);
+  }
+  EXPECT_EQ(Sql("SELECT count(*) FROM handovers"), "10\n");
 }
 
 TEST_F(OwnershipTest,

@@ -3,9 +3,12 @@
 #include <unistd.h>
 
 #include <chrono>
+#include <cstdint>
 #include <filesystem>
 #include <fstream>
 #include <memory>
+#include <numeric>
+#include <optional>
 #include <sstream>
 #include <string>
 #include <thread>
@@ -1269,6 +1272,40 @@ TEST_F(FailingDeviceTest, WithLittleRoomRowsAreRefusedAndDeletionsGoOn) {
   EXPECT_EQ(storage_->GetVehicle("truck")->payload, "payload");
   EXPECT_THAT(write().Append(key_, {2, 1, 3, "two"}), IsOk());
   EXPECT_THAT(Stored(), ElementsAre("one", "two"));
+}
+
+TEST_F(FailingDeviceTest, TimesTransactionsAndTheFlushesInThem) {
+  const auto sum_of = [](const HistogramCounts& counts) {
+    return std::accumulate(counts.counts.begin(), counts.counts.end(),
+                           std::uint64_t{0});
+  };
+  const CommitCounts before = storage_->Counts();
+  device_.HoldLogFlush();
+  Answer<absl::Status> held;
+  storage_->AppendBatch(key_, {2, 1, 3, "two"}, std::nullopt, held.Setter());
+  device_.AwaitHeldLogFlush();
+  std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  device_.LetLogFlushGo();
+  EXPECT_THAT(held.Get(), IsOk());
+  // A write that was refused is no transaction that was committed.
+  EXPECT_THAT(write().Append(key_, {9, 1, 4, "nine"}),
+              IsError(StatusCode::kFailedPrecondition, "SEQUENCE_GAP", _));
+  const CommitCounts after = storage_->Counts();
+  EXPECT_EQ(after.commits - before.commits, 1u);
+  EXPECT_EQ(sum_of(after.flush_seconds) - sum_of(before.flush_seconds), 1u);
+  EXPECT_GE(after.flush_seconds.sum - before.flush_seconds.sum, 0.02);
+  EXPECT_GE(after.commit_seconds.sum - before.commit_seconds.sum,
+            after.flush_seconds.sum - before.flush_seconds.sum);
+}
+
+TEST_F(FailingDeviceTest, TellsTheRoomThatItTakesAndHas) {
+  const std::optional<StorageRoom> before = storage_->GetRoom();
+  ASSERT_TRUE(before);
+  EXPECT_GT(before->bytes, 0);
+  EXPECT_GT(before->free_bytes, 0);
+  EXPECT_THAT(write().Append(key_, {2, 1, 3, std::string(100'000, 'x')}),
+              IsOk());
+  EXPECT_GE(storage_->GetRoom()->bytes, before->bytes + 100'000);
 }
 
 TEST_F(FailingDeviceTest, FailedFlushFailsAllOfTheGroupAndKeepsNothing) {

@@ -1,0 +1,232 @@
+#include "server/telemetry/service_counters.h"
+
+#include <algorithm>
+#include <cstring>
+#include <iterator>
+
+#include "revisit/v1/error_reason.pb.h"
+#include "server/base/status.h"
+
+namespace revisit::server {
+namespace {
+
+constexpr const char* kCodes[] = {"OK",
+                                  "CANCELLED",
+                                  "UNKNOWN",
+                                  "INVALID_ARGUMENT",
+                                  "DEADLINE_EXCEEDED",
+                                  "NOT_FOUND",
+                                  "ALREADY_EXISTS",
+                                  "PERMISSION_DENIED",
+                                  "RESOURCE_EXHAUSTED",
+                                  "FAILED_PRECONDITION",
+                                  "ABORTED",
+                                  "OUT_OF_RANGE",
+                                  "UNIMPLEMENTED",
+                                  "INTERNAL",
+                                  "UNAVAILABLE",
+                                  "DATA_LOSS",
+                                  "UNAUTHENTICATED"};
+constexpr std::size_t kUnknownCode = 2;
+
+constexpr const char* kVerdicts[] = {"accepted",          "rejected_by_gate",
+                                     "rejected_by_shape", "ambiguous",
+                                     "uninformative",     "ill_conditioned"};
+
+// All results of OutcomeOf().
+constexpr const char* kOutcomes[] = {"accepted",          "rejected_by_gate",
+                                     "rejected_by_shape", "ambiguous",
+                                     "uninformative",     "ill_conditioned",
+                                     "path_too_short",    "no_history",
+                                     "all_suppressed",    "no_alignment",
+                                     "no_probable_place", "too_much_work",
+                                     "stopped",           "failed"};
+
+constexpr char kReasonPrefix[] = "ERROR_REASON_";
+
+std::size_t CodeIndex(int code) {
+  const auto index = static_cast<std::size_t>(code);
+  return index < std::size(kCodes) ? index : kUnknownCode;
+}
+
+std::size_t ReasonIndex(const std::string& reason) {
+  v1::ErrorReason value = v1::ERROR_REASON_UNSPECIFIED;
+  v1::ErrorReason_Parse(kReasonPrefix + reason, &value);
+  return static_cast<std::size_t>(value);
+}
+
+const char* EmptyName(core::EmptyReason reason) {
+  switch (reason) {
+    case core::EmptyReason::kPathTooShort:
+      return "path_too_short";
+    case core::EmptyReason::kNoHistory:
+      return "no_history";
+    case core::EmptyReason::kAllSuppressed:
+      return "all_suppressed";
+    case core::EmptyReason::kNotEmpty:
+    case core::EmptyReason::kNoAlignment:
+      return "no_alignment";
+    case core::EmptyReason::kNoProbablePlace:
+      return "no_probable_place";
+    case core::EmptyReason::kTooMuchWork:
+      return "too_much_work";
+  }
+  return "failed";
+}
+
+void Increase(std::atomic<std::uint64_t>* count, std::uint64_t amount = 1) {
+  count->fetch_add(amount, std::memory_order_relaxed);
+}
+
+ServiceCounters::Labelled WithReasons(
+    const std::vector<std::atomic<std::uint64_t>>& counts) {
+  ServiceCounters::Labelled labelled;
+  for (std::size_t i = 0; i < counts.size(); ++i) {
+    // Empty for a number that is no reason.
+    const std::string name =
+        v1::ErrorReason_Name(static_cast<v1::ErrorReason>(i));
+    if (name.empty()) continue;
+    labelled.emplace_back(name.substr(sizeof(kReasonPrefix) - 1),
+                          counts[i].load(std::memory_order_relaxed));
+  }
+  return labelled;
+}
+
+template <std::size_t size>
+ServiceCounters::Labelled WithNames(
+    const char* const (&names)[size],
+    const std::vector<std::atomic<std::uint64_t>>& counts) {
+  ServiceCounters::Labelled labelled;
+  for (std::size_t i = 0; i < size; ++i) {
+    labelled.emplace_back(names[i], counts[i].load(std::memory_order_relaxed));
+  }
+  return labelled;
+}
+
+}  // namespace
+
+struct ServiceCounters::MethodCounts {
+  MethodCounts() : ended(std::size(kCodes)) {}
+
+  std::atomic<std::int64_t> open{0};
+  std::vector<Count> ended;
+  Histogram seconds{SecondsBounds()};
+};
+
+const char* CodeName(int code) { return kCodes[CodeIndex(code)]; }
+
+const char* VerdictName(core::Verdict verdict) {
+  return kVerdicts[static_cast<std::size_t>(verdict)];
+}
+
+const char* OutcomeOf(const absl::StatusOr<core::CandidateSet>& set) {
+  if (absl::IsCancelled(set.status())) return "stopped";
+  if (!set.ok()) return "failed";
+  if (set->candidates.empty()) return EmptyName(set->empty_reason);
+  for (const core::Candidate& candidate : set->candidates) {
+    if (candidate.verdict == core::Verdict::kAccepted) return "accepted";
+  }
+  return VerdictName(set->candidates.front().verdict);
+}
+
+ServiceCounters::ServiceCounters()
+    : methods_([] {
+        std::vector<std::unique_ptr<MethodCounts>> methods;
+        for (std::size_t i = 0; i < MethodRules().size(); ++i) {
+          methods.push_back(std::make_unique<MethodCounts>());
+        }
+        return methods;
+      }()),
+      errors_(v1::ErrorReason_ARRAYSIZE),
+      poses_refused_(v1::ErrorReason_ARRAYSIZE),
+      searches_(std::size(kOutcomes)),
+      candidates_(std::size(kVerdicts)),
+      search_nodes_({100.0, 1e3, 1e4, 1e5, 1e6, 1e7}) {}
+
+ServiceCounters::~ServiceCounters() = default;
+
+ServiceCounters::MethodCounts* ServiceCounters::Of(
+    const MethodRule* rule) const {
+  if (rule == nullptr) return nullptr;
+  return methods_[static_cast<std::size_t>(rule - MethodRules().data())].get();
+}
+
+void ServiceCounters::Began(const MethodRule* rule) {
+  if (MethodCounts* method = Of(rule)) {
+    method->open.fetch_add(1, std::memory_order_relaxed);
+  }
+}
+
+void ServiceCounters::Ended(const MethodRule* rule, int code,
+                            const std::string& reason,
+                            std::chrono::steady_clock::duration duration) {
+  MethodCounts* const method = Of(rule);
+  if (method == nullptr) return;
+  const std::size_t index = CodeIndex(code);
+  Increase(&method->ended[index]);
+  if (index != 0) Increase(&errors_[ReasonIndex(reason)]);
+  if (!rule->streams) method->seconds.Observe(duration);
+}
+
+void ServiceCounters::Left(const MethodRule* rule) {
+  if (MethodCounts* method = Of(rule)) {
+    method->open.fetch_sub(1, std::memory_order_relaxed);
+  }
+}
+
+void ServiceCounters::Acknowledged(
+    std::uint64_t poses, std::uint64_t accepted,
+    std::chrono::steady_clock::duration duration) {
+  Increase(&poses_accepted_, accepted);
+  if (poses > accepted) Increase(&poses_repeated_, poses - accepted);
+  ack_seconds_.Observe(duration);
+}
+
+void ServiceCounters::Refused(std::uint64_t poses, const absl::Status& status) {
+  if (poses == 0) return;
+  std::string reason = ReasonOf(status);
+  // Errors of the store's cancelled work carry no reason of their own.
+  if (reason.empty()) reason = "INTERNAL";
+  Increase(&poses_refused_[ReasonIndex(reason)], poses);
+}
+
+void ServiceCounters::Searched(const absl::StatusOr<core::CandidateSet>& set,
+                               std::chrono::steady_clock::duration duration) {
+  const char* const outcome = OutcomeOf(set);
+  const auto found = std::find_if(
+      std::begin(kOutcomes), std::end(kOutcomes),
+      [&](const char* name) { return std::strcmp(name, outcome) == 0; });
+  Increase(&searches_[static_cast<std::size_t>(found - std::begin(kOutcomes))]);
+  search_seconds_.Observe(duration);
+  if (!set.ok()) return;
+  search_nodes_.Observe(static_cast<double>(set->nodes_considered));
+  for (const core::Candidate& candidate : set->candidates) {
+    Increase(&candidates_[static_cast<std::size_t>(candidate.verdict)]);
+  }
+}
+
+ServiceCounters::Counts ServiceCounters::Read() const {
+  Counts counts;
+  for (std::size_t i = 0; i < methods_.size(); ++i) {
+    const MethodCounts& from = *methods_[i];
+    Method method{
+        &MethodRules()[i], from.open.load(std::memory_order_relaxed), {}, {}};
+    for (const Count& count : from.ended) {
+      method.ended.push_back(count.load(std::memory_order_relaxed));
+    }
+    if (!method.rule->streams) method.seconds = from.seconds.Read();
+    counts.methods.push_back(std::move(method));
+  }
+  counts.errors = WithReasons(errors_);
+  counts.poses_refused = WithReasons(poses_refused_);
+  counts.poses_accepted = poses_accepted_.load(std::memory_order_relaxed);
+  counts.poses_repeated = poses_repeated_.load(std::memory_order_relaxed);
+  counts.ack_seconds = ack_seconds_.Read();
+  counts.searches = WithNames(kOutcomes, searches_);
+  counts.candidates = WithNames(kVerdicts, candidates_);
+  counts.search_seconds = search_seconds_.Read();
+  counts.search_nodes = search_nodes_.Read();
+  return counts;
+}
+
+}  // namespace revisit::server

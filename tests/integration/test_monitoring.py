@@ -1,0 +1,404 @@
+"""What deploy/monitoring says fits what servers say: its metrics are there, are
+documented, and its alerts are told by what a server answers when it comes to harm."""
+
+import importlib
+import json
+import os
+import pathlib
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+
+import pytest
+import scraped
+from identities import AUDIENCE, ISSUER, Authority, TokenKey, key_set
+from revisit_server import BIN, Server, clean_environment, run, wait_until
+from stubs import ROOT, api
+from wire import append, laps, straight
+
+sys.path.insert(0, str(ROOT / "deploy/cluster"))
+private_cluster = importlib.import_module("private_cluster")
+
+MONITORING = ROOT / "deploy/monitoring"
+ALERTS = MONITORING / "alerts.yml"
+PROMTOOL = pathlib.Path(os.environ.get("REVISIT_TEST_PROMTOOL",
+                                       ROOT / "build/tools/promtool"))
+ADMIN = ("--admin-listen", "127.0.0.1:0")
+# Servers of a shared store are called by a name of theirs.
+NAMED = ("--advertise-address", "host-a:1")
+METRIC = re.compile(r"\b(?:revisit|process)_[a-z_]+\b")
+
+needs_promtool = pytest.mark.skipif(
+    not os.access(PROMTOOL, os.X_OK),
+    reason="there is no promtool: tests/run takes it from Debian's package")
+
+
+def promtool(*arguments, cwd=None):
+    result = subprocess.run([PROMTOOL, *arguments], capture_output=True,
+                            text=True, check=False, cwd=cwd)
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout + result.stderr
+
+
+def dashboard_expressions():
+    dashboard = json.loads((MONITORING / "dashboard.json").read_text())
+    return [target["expr"] for panel in dashboard["panels"]
+            for target in panel.get("targets", [])]
+
+
+def alerts():
+    """(name, expression, annotations) of each rule. The file is written in one
+    way, which needs no parser of YAML; promtool reads it with one."""
+    rules = []
+    for block in ALERTS.read_text().split("      - alert: ")[1:]:
+        expression = re.search(
+            r"^        expr: (?:\|\n((?:          .*\n)+)|(.*)\n)", block,
+            re.MULTILINE)
+        annotations = {
+            name: value.strip() for name, value in re.findall(
+                r"^          (\w+): (?:>-\n)?(.*)$",
+                block.split("annotations:")[1], re.MULTILINE)}
+        rules.append((block.split()[0],
+                      expression.group(1) or expression.group(2), annotations))
+    assert len(rules) > 15
+    return rules
+
+
+def metrics_of(expression):
+    """Names in an expression, without what is added to those of histograms."""
+    without_strings = re.sub(r'"[^"]*"', '""', expression)
+    return {re.sub(r"_(bucket|count|sum)$", "", name)
+            for name in METRIC.findall(without_strings)}
+
+
+@pytest.fixture(scope="module")
+def database():
+    """A PostgreSQL of the tests' own, or None."""
+    if private_cluster.find_postgres() is None:
+        yield None
+        return
+    directory = pathlib.Path(tempfile.mkdtemp(prefix="monitored-"))
+    directory.chmod(0o711)
+    try:
+        with private_cluster.Processes(directory) as processes:
+            yield private_cluster.Postgres(processes)
+    finally:
+        shutil.rmtree(directory, ignore_errors=True)
+
+
+@pytest.fixture(scope="module")
+def secured(tmp_path_factory):
+    """A server with all that can be configured over a file."""
+    directory = tmp_path_factory.mktemp("secured")
+    key = TokenKey("EdDSA", "ed")
+    authority = Authority()
+    # Three days are left of its certificate.
+    certificate = authority.issue("localhost", ends=3 * 86400)
+    for name, content in [
+            ("keys.json", key_set(key).encode()),
+            ("policy.json", json.dumps({"version": 1, "tenants": [],
+                                        "grants": []}).encode()),
+            ("cert.pem", certificate.pem + authority.pem),
+            ("key.pem", certificate.key_pem)]:
+        (directory / name).write_bytes(content)
+    with Server(directory / "store", *ADMIN,
+                "--audit-log", directory / "audit",
+                "--tls-cert", directory / "cert.pem",
+                "--tls-key", directory / "key.pem",
+                "--token-keys", directory / "keys.json",
+                "--token-issuer", ISSUER, "--token-audience", AUDIENCE,
+                "--policy", directory / "policy.json") as server:
+        yield server
+
+
+@pytest.fixture(scope="module")
+def kinds(secured, database, tmp_path_factory):
+    """The kinds of all metrics, of a server over a file and of one over a
+    database."""
+    found = dict(scraped.scrape(secured).kinds)
+    if database is None:
+        pytest.skip("there is no PostgreSQL: tests/run installs it")
+    assert run("revisitd", "migrate", "--store",
+               database.url("revisit_owner")).returncode == 0
+    log = tmp_path_factory.mktemp("shared") / "shared.log"
+    with Server(database.url("revisit"), *ADMIN, *NAMED, log_path=log) as server:
+        found |= scraped.scrape(server).kinds
+    return found
+
+
+def test_every_metric_of_dashboard_and_alerts_is_one_of_a_server(kinds):
+    expressions = dashboard_expressions() + [rule[1] for rule in alerts()]
+    assert len(expressions) > 50
+    named = set().union(*map(metrics_of, expressions))
+    assert named - set(kinds) == set()
+    # And the dashboard shows all of them.
+    shown = set().union(*map(metrics_of, dashboard_expressions()))
+    assert set(kinds) - shown == set()
+
+
+def test_every_metric_is_documented_with_its_type_and_unit(kinds):
+    documented = {}
+    for line in (ROOT / "docs/operate.md").read_text().splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        for name in METRIC.findall(cells[0]) if len(cells) == 4 else []:
+            assert name not in documented
+            documented[name] = cells[1]
+            assert cells[2], f"{name} has no unit"
+    assert documented == kinds
+
+
+def test_names_end_with_their_units(kinds):
+    for name, kind in kinds.items():
+        assert (kind == "counter") == name.endswith("_total"), name
+        assert not re.search(r"_(ms|millis|micros|kib|mib|percent)(_|$)",
+                             name), name
+
+
+def test_every_label_that_alerts_ask_for_is_one_of_a_server(secured):
+    page = scraped.scrape(secured)
+    values = {}
+    for _, labels in page.samples:
+        for label, value in labels:
+            values.setdefault(label, set()).add(value)
+    for name, expression, _ in alerts():
+        for label, operator, pattern in re.findall(
+                r'(\w+)(=~|=)"([^"]*)"', expression):
+            if label == "job":
+                continue
+            for choice in pattern.split("|"):
+                matching = [value for value in values[label]
+                            if re.fullmatch(choice, value)]
+                assert matching, f"{name}: {label}{operator}{choice}"
+
+
+def test_every_alert_has_a_runbook_and_every_runbook_an_alert():
+    text = (ROOT / "docs/runbooks.md").read_text()
+    headings = re.findall(r"^## (.+)$", text, re.MULTILINE)
+    assert headings == [name for name, _, _ in alerts()]
+    for name, _, annotations in alerts():
+        assert annotations["runbook"] == f"docs/runbooks.md#{name.lower()}"
+        assert annotations["summary"]
+    for section in re.split(r"^## .+$", text, flags=re.MULTILINE)[1:]:
+        assert len(section.split()) > 25
+
+
+def test_every_alert_has_a_test():
+    text = (MONITORING / "alerts_test.yml").read_text()
+    assert re.findall(r"^  - name: (\w+)$", text, re.MULTILINE) == [
+        name for name, _, _ in alerts()]
+    for test in re.split(r"^  - name: ", text, flags=re.MULTILINE)[1:]:
+        # Silent first, then told.
+        assert test.count("- alertname: " + test.split()[0]) == 2
+        assert test.count("exp_alerts:") == 1
+
+
+@needs_promtool
+def test_promtool_accepts_rules_and_configuration_and_their_tests_pass():
+    assert "SUCCESS" in promtool("check", "config",
+                                 MONITORING / "prometheus.yml")
+    assert "SUCCESS" in promtool("check", "rules", ALERTS)
+    assert "SUCCESS" in promtool("test", "rules",
+                                 MONITORING / "alerts_test.yml")
+
+
+@needs_promtool
+def test_promtool_accepts_the_expressions_of_the_dashboard(tmp_path):
+    rules = [{"record": f"panel:{i}", "expr": expression
+              .replace("$__rate_interval", "5m").replace("$instance", ".*")}
+             for i, expression in enumerate(dashboard_expressions())]
+    # JSON is YAML.
+    path = tmp_path / "dashboard.yml"
+    path.write_text(json.dumps({"groups": [{"name": "all", "rules": rules}]}))
+    promtool("check", "rules", path)
+
+
+@needs_promtool
+def test_promtool_finds_no_fault_with_names_and_help(secured):
+    text = scraped.scrape(secured).text
+    result = subprocess.run([PROMTOOL, "check", "metrics"], input=text,
+                            capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+
+
+# ---- Alerts by what a real server answered
+
+def assert_told(alert, quiet, pages, directory):
+    """The alert is silent over `quiet`, scraped from a sound server, and is told
+    over `pages`, scraped from one that came to harm: each as of a minute, the
+    last one as long as it takes."""
+    expression = next(rule[1] for rule in alerts() if rule[0] == alert)
+    names = metrics_of(expression)
+    # Prometheus' own time begins at 0 in its tests, and the pages' now.
+    now = time.time()
+    lasting = 15
+    sequence = [quiet] * lasting + list(pages) + [pages[-1]] * lasting
+    series = {}
+    for minute, page in enumerate(sequence):
+        for (name, labels), value in page.samples.items():
+            if re.sub(r"_(bucket|count|sum)$", "", name) not in names:
+                continue
+            if "timestamp" in name:
+                value -= now
+            values = series.setdefault((name, labels), ["_"] * len(sequence))
+            values[minute] = repr(value)
+    assert series, names
+    tested = {
+        "rule_files": [str(ALERTS)], "evaluation_interval": "1m",
+        "tests": [{
+            "interval": "1m",
+            "input_series": [{
+                "series": name + "{" + ",".join(
+                    f'{label}="{value}"' for label, value in
+                    [*sorted(labels), ("instance", "a"), ("job", "revisit")])
+                + "}", "values": " ".join(values)}
+                for (name, labels), values in series.items()],
+            "promql_expr_test": [{
+                "expr": 'count(max_over_time(ALERTS{alertname="%s",'
+                        'alertstate="firing"}[%dm]) > 0) > bool 0'
+                        % (alert, lasting + len(pages)),
+                "eval_time": f"{minute}m",
+                "exp_samples": told} for minute, told in [
+                    (lasting - 1, []),
+                    (len(sequence) - 1, [{"labels": "{}", "value": 1}])]]}]}
+    path = directory / f"{alert}.yml"
+    path.write_text(json.dumps(tested))
+    promtool("test", "rules", path)
+
+
+def serve(directory, *flags, **environment):
+    if environment:
+        shim = BIN / "fault_shim.so"
+        if not shim.exists():
+            pytest.skip("fault_shim.so is not built")
+        environment["LD_PRELOAD"] = str(shim)
+    return Server(directory / "store", *ADMIN, *flags,
+                  env=clean_environment(**environment))
+
+
+def create(stub, name):
+    stub.CreateVehicle(api.CreateVehicleRequest(vehicle_id=name))
+    return f"vehicles/{name}"
+
+
+@needs_promtool
+@pytest.mark.release_build
+def test_full_disk_is_told(tmp_path):
+    with serve(tmp_path, REVISIT_TEST_FAIL_WRITE="500",
+               REVISIT_TEST_STICKY="1") as server:
+        stub = server.stub()
+        vehicle = create(stub, "truck")
+        quiet = scraped.scrape(server)
+        poses = iter(range(1, 100_000, 16))
+
+        def full():
+            try:
+                append(stub, vehicle, straight(16, first=next(poses)))
+            except Exception as error:
+                assert error.code().name == "RESOURCE_EXHAUSTED"
+                return True
+            return False
+
+        wait_until(full, "full disk")
+        assert_told("RevisitWritesRefused", quiet, [scraped.scrape(server)],
+                    tmp_path)
+
+
+@needs_promtool
+@pytest.mark.release_build
+def test_slow_flushes_are_told(tmp_path):
+    with serve(tmp_path, REVISIT_TEST_SLOW_SYNC="300000") as server:
+        stub = server.stub()
+        quiet = scraped.scrape(server)
+        pages = []
+        for number in range(12):
+            create(stub, f"truck-{number}")
+            pages.append(scraped.scrape(server))
+        assert_told("RevisitFlushSlow", quiet, pages, tmp_path)
+
+
+@needs_promtool
+def test_certificate_near_its_end_is_told(secured, tmp_path):
+    page = scraped.scrape(secured)
+    renewed = scraped.parse(page.text)
+    for key in renewed.samples:
+        if key[0] == "revisit_tls_certificate_expiry_timestamp_seconds":
+            renewed.samples[key] += 27 * 86400
+    assert_told("RevisitCertificateExpires", renewed, [page], tmp_path)
+
+
+@needs_promtool
+def test_search_overload_is_told(tmp_path):
+    with serve(tmp_path, "--max-searches", 1, "--search-threads",
+               1) as server:
+        stub = server.stub()
+        vehicle = create(stub, "truck")
+        poses = laps(3000)
+        for first in range(0, len(poses), 1000):
+            append(stub, vehicle, poses[first:first + 1000])
+        quiet = scraped.scrape(server)
+        over = threading.Event()
+
+        def search():
+            while not over.is_set():
+                try:
+                    stub.FindCandidates(
+                        api.FindCandidatesRequest(vehicle=vehicle))
+                except Exception as error:
+                    assert error.code().name == "UNAVAILABLE"
+
+        searchers = [threading.Thread(target=search) for _ in range(4)]
+        for thread in searchers:
+            thread.start()
+        pages = []
+        try:
+            while len(pages) < 12:
+                before = (pages or [quiet])[-1]
+                pages.append(wait_until(
+                    lambda before=before: more_refusals(server, before),
+                    "refusal"))
+        finally:
+            over.set()
+            for thread in searchers:
+                thread.join()
+        assert_told("RevisitSearchesOverloaded", quiet, pages, tmp_path)
+
+
+def more_refusals(server, before):
+    page = scraped.scrape(server)
+    name = "revisit_limit_refusals_total"
+    return page.total(name) > before.total(name) and page
+
+
+@needs_promtool
+def test_lost_lease_is_told(tmp_path):
+    if private_cluster.find_postgres() is None:
+        pytest.skip("there is no PostgreSQL: tests/run installs it")
+    directory = pathlib.Path(tempfile.mkdtemp(prefix="lease-"))
+    directory.chmod(0o711)
+    try:
+        with private_cluster.Processes(directory) as processes:
+            database = private_cluster.Postgres(processes)
+            assert run("revisitd", "migrate", "--store",
+                       database.url("revisit_owner")).returncode == 0
+            with Server(database.url("revisit"), *ADMIN, *NAMED,
+                        "--lease-seconds", 1, log_path=tmp_path / "log"
+                        ) as server:
+                stub = server.stub()
+                append(stub, create(stub, "truck"), straight(3))
+                quiet = scraped.scrape(server)
+                assert quiet.value("revisit_store_owned_vehicles") == 1
+                assert scraped.get(server.admin, "/readyz")[0] == 200
+                database.process.kill()
+                wait_until(lambda: scraped.scrape(server).value(
+                    "revisit_store_lease_held") == 0, "end of the lease")
+                assert scraped.get(server.admin, "/readyz")[0] == 503
+                assert scraped.get(server.admin, "/livez")[0] == 200
+                assert_told("RevisitLeaseLost", quiet,
+                            [scraped.scrape(server)], tmp_path)
+                server.kill()
+    finally:
+        shutil.rmtree(directory, ignore_errors=True)
