@@ -1,4 +1,4 @@
-"""The real grpcurl against the real server, with the lines of the README.
+"""The real grpcurl against the real server, with the lines of docs/try.md.
 
 Fields have the names of the protos in its JSON: the descriptors that are served
 hold no others.
@@ -16,7 +16,7 @@ from stubs import ROOT
 
 GRPCURL = pathlib.Path(os.environ.get("REVISIT_TEST_GRPCURL",
                                       ROOT / "build/tools/grpcurl"))
-README_ADDRESS = "127.0.0.1:50051"
+TRIED_ADDRESS = "127.0.0.1:50051"
 SERVICE = "revisit.v1.PoseGraphService"
 # What grpcurl adds to the code of a status to make its exit code.
 STATUS_EXIT = 64
@@ -30,10 +30,10 @@ def grpcurl():
                     "where there is Go", returncode=77)
 
 
-def readme_commands():
-    """Commands of the README between its two markers, each one string."""
+def tried_commands():
+    """Commands of docs/try.md between its two markers, each one string."""
     block = re.search(r"<!-- grpcurl -->\n```sh\n(.*?)```\n<!-- /grpcurl -->",
-                      (ROOT / "README.md").read_text(), re.DOTALL).group(1)
+                      (ROOT / "docs/try.md").read_text(), re.DOTALL).group(1)
     block = re.sub(r"^#.*\n", "", block, flags=re.MULTILINE)
     return [f"grpcurl {command}".strip()
             for command in re.split(r"^grpcurl ", block, flags=re.MULTILINE)
@@ -44,9 +44,9 @@ def readme_commands():
 def run_line(server):
     """Runs one line of a shell against the server of this test."""
     def run(line):
-        assert README_ADDRESS in line
+        assert TRIED_ADDRESS in line
         return subprocess.run(
-            ["bash", "-c", line.replace(README_ADDRESS, server.address)],
+            ["bash", "-c", line.replace(TRIED_ADDRESS, server.address)],
             env={**os.environ,
                  "PATH": f"{GRPCURL.parent}:{os.environ['PATH']}"},
             capture_output=True, text=True, timeout=60, check=False)
@@ -55,13 +55,13 @@ def run_line(server):
 
 @pytest.fixture(scope="module")
 def results(run_line):
-    """Results of the README's lines, in their order."""
-    return [(command, run_line(command)) for command in readme_commands()]
+    """Results of its lines, in their order."""
+    return [(command, run_line(command)) for command in tried_commands()]
 
 
 def results_of(results, word):
     found = [result for command, result in results if word in command]
-    assert found, f"the README has no line with {word}"
+    assert found, f"docs/try.md has no line with {word}"
     return found
 
 
@@ -116,7 +116,7 @@ def test_error_comes_with_details_that_resolve(results):
         assert words in failed.stderr, failed.stderr
 
 
-def test_every_line_of_the_readme_was_looked_at(results):
+def test_every_line_to_try_was_looked_at(results):
     assert len(results) == 7
     assert [result.returncode for _, result in results] == [
         0, 0, 0, 0, 0, 0, STATUS_EXIT + INVALID_ARGUMENT]
@@ -138,7 +138,7 @@ def test_lines_may_be_run_again(results, run_line):
     "grpc.reflection.v1.ServerReflection", "grpc.health.v1.Health.Watch",
 ])
 def test_descriptor_resolves(symbol, run_line):
-    result = run_line(f"grpcurl -plaintext {README_ADDRESS} describe {symbol}")
+    result = run_line(f"grpcurl -plaintext {TRIED_ADDRESS} describe {symbol}")
     assert result.returncode == 0, result.stderr
     assert symbol in result.stdout
 
@@ -154,7 +154,7 @@ def test_descriptor_resolves(symbol, run_line):
     ("grpc.health.v1.Health.Watch", "// Performs a watch for the serving"),
 ])
 def test_describe_shows_the_comments_of_the_protos(symbol, comment, run_line):
-    result = run_line(f"grpcurl -plaintext {README_ADDRESS} describe {symbol}")
+    result = run_line(f"grpcurl -plaintext {TRIED_ADDRESS} describe {symbol}")
     assert comment in result.stdout, result
 
 
@@ -172,13 +172,13 @@ def test_both_versions_of_reflection_answer_the_same(server):
 
 def test_symbol_that_is_not_there_is_not_found(run_line):
     result = run_line(
-        f"grpcurl -plaintext {README_ADDRESS} describe revisit.v1.Nothing")
+        f"grpcurl -plaintext {TRIED_ADDRESS} describe revisit.v1.Nothing")
     assert result.returncode != 0
     assert "not found" in result.stderr.lower()
 
 
 def test_all_methods_are_listed(run_line):
-    result = run_line(f"grpcurl -plaintext {README_ADDRESS} list {SERVICE}")
+    result = run_line(f"grpcurl -plaintext {TRIED_ADDRESS} list {SERVICE}")
     declared = re.findall(r"^  rpc (\w+)\(", (
         ROOT / "proto/revisit/v1/pose_graph_service.proto").read_text(),
         re.MULTILINE)
@@ -188,7 +188,7 @@ def test_all_methods_are_listed(run_line):
 
 def test_health_is_asked_by_hand(run_line):
     result = run_line(f"grpcurl -plaintext -d '{{\"service\": \"{SERVICE}\"}}' "
-                      f"{README_ADDRESS} grpc.health.v1.Health/Check")
+                      f"{TRIED_ADDRESS} grpc.health.v1.Health/Check")
     assert json.loads(result.stdout) == {"status": "SERVING"}
 
 
@@ -200,7 +200,7 @@ def test_stream_is_fed_by_hand(run_line):
         ' "heading_radians": 0, "covariance": {"form":'
         ' "COVARIANCE_FORM_PLANAR_6", "values":'
         " [0.01, 0, 0, 0.01, 0, 0.0001]}}]}}'"
-        f" {README_ADDRESS} {SERVICE}/StreamPoses")
+        f" {TRIED_ADDRESS} {SERVICE}/StreamPoses")
     assert result.returncode == 0, result.stderr
     assert '"opened"' in result.stdout
     assert '"ack"' in result.stdout
@@ -213,6 +213,6 @@ def test_json_nan_is_refused_by_the_server(run_line):
         ' "local": {"x_meters": "NaN"}, "heading_radians": 0,'
         ' "covariance": {"form": "COVARIANCE_FORM_PLANAR_6", "values":'
         " [0.01, 0, 0, 0.01, 0, 0.0001]}}]}'"
-        f" {README_ADDRESS} {SERVICE}/AppendPoses")
+        f" {TRIED_ADDRESS} {SERVICE}/AppendPoses")
     assert result.returncode == STATUS_EXIT + INVALID_ARGUMENT
     assert "NOT_FINITE" in result.stderr

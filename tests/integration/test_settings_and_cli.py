@@ -493,10 +493,10 @@ def test_loss_of_data_is_accepted(revisit, tmp_path):
     assert revisit("vehicle", "delete", "cli-loss", "--yes").returncode == 0
 
 
-def readme_lines():
-    """Lines of the README between its two markers, each one string."""
+def tried_lines():
+    """Lines of docs/try.md between its two markers, each one string."""
     block = re.search(r"<!-- revisit -->\n```sh\n(.*?)```\n<!-- /revisit -->",
-                      (ROOT / "README.md").read_text(), re.DOTALL).group(1)
+                      (ROOT / "docs/try.md").read_text(), re.DOTALL).group(1)
     return block.replace("\\\n", "").splitlines()
 
 
@@ -520,22 +520,22 @@ def run_line(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def readme_results(run_line):
-    """Results of the README's lines, in their order."""
-    return [(line, run_line(line)) for line in readme_lines()]
+def tried_results(run_line):
+    """Results of its lines, in their order."""
+    return [(line, run_line(line)) for line in tried_lines()]
 
 
-def test_lines_of_the_readme_work_in_their_order(readme_results):
-    assert len(readme_results) == 8
-    for line, result in readme_results:
+def test_lines_to_try_work_in_their_order(tried_results):
+    assert len(tried_results) == 8
+    for line, result in tried_results:
         assert result.returncode == 0, (line, result.stderr)
         # A map says on standard error what it asked.
         assert result.stdout or "--output" in line, line
 
 
-def test_readme_confirms_and_rejects_what_it_found(readme_results):
+def test_lines_to_try_confirm_and_reject_what_they_found(tried_results):
     results = {line.split()[1]: (line.split(), result.stdout)
-               for line, result in readme_results}
+               for line, result in tried_results}
     found = results["find"][1]
     _, _, _, query, confirmed, *_ = results["confirm"][0]
     _, _, _, same_query, rejected, *_ = results["reject"][0]
@@ -550,14 +550,14 @@ def test_readme_confirms_and_rejects_what_it_found(readme_results):
 @pytest.mark.parametrize("command", [
     "vehicle get", "vehicle list", "vehicle update", "find", "confirm",
     "reject", "show", "export"])
-def test_examples_of_the_help_work_after_the_readme(
-        command, readme_results, run_line):
+def test_examples_of_the_help_work_after_them(
+        command, tried_results, run_line):
     shown = run("revisit", *command.split(), "--help").stdout
     # A long line goes on behind a backslash.
     shown = shown.replace("\\\n", "")
     examples = re.findall(r"^  (revisit .*)", shown.split("Examples:\n")[1],
                           re.MULTILINE)
-    assert readme_results and examples
+    assert tried_results and examples
     for example in examples:
         result = run_line(example)
         assert result.returncode == 0, (example, result.stderr)

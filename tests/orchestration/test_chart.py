@@ -1,0 +1,230 @@
+"""deploy/chart: what Helm makes of it is valid, safe, and understood by revisitd."""
+
+import json
+import os
+import pathlib
+import re
+import subprocess
+
+import kubernetes_validate
+import pytest
+import yaml
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+CHART = ROOT / "deploy/chart"
+TOOLS = pathlib.Path(os.environ["REVISIT_TOOLS"])
+BIN = pathlib.Path(os.environ["REVISIT_BIN"])
+SCHEMAS = (pathlib.Path(kubernetes_validate.__file__).parent
+           / "kubernetes-json-schema")
+
+# The oldest version that the chart allows, and the newest that there are schemas of.
+KUBERNETES = ("1.25.0", "1.37.0")
+
+CLUSTER = {"store.kind": "postgresql",
+           "store.postgresql.existingSecret": "database"}
+GUARDED = {"tls.existingSecret": "certificate", "tls.clientCaSecret": "vehicles",
+           "policy.existingConfigMap": "policy",
+           "policy.tokenIssuer": "https://login.example",
+           "policy.tokenAudience": "revisit"}
+WAYS = {
+    "alone": {},
+    "alone, guarded": GUARDED,
+    "alone, other values": {
+        "settings.max-streams": "5", "settings.max-batch-poses": "100",
+        "store.sqlite.storageClassName": "fast", "image.tag": "edge",
+        "nodeSelector.disk": "ssd", "tolerations[0].operator": "Exists",
+        "imagePullSecrets[0].name": "registry", "podAnnotations.a": "b",
+        "podLabels.team": "mapping", "serviceAccount.annotations.c": "d",
+        "networkPolicy.clients[0].podSelector.matchLabels.role": "vehicle"},
+    "cluster": CLUSTER,
+    "cluster, guarded and watched": {
+        **CLUSTER, **GUARDED, "serviceMonitor.enabled": "true",
+        "serviceMonitor.labels.release": "prometheus"},
+    "without a network policy": {"networkPolicy.enabled": "false"},
+}
+
+
+def helm(*arguments):
+    return subprocess.run([TOOLS / "helm", *arguments], capture_output=True,
+                          text=True, check=False)
+
+
+def flags(values):
+    return [word for name, value in values.items()
+            for word in ("--set-string" if name.startswith("settings.") else
+                         "--set", f"{name}={value}")]
+
+
+def render(values, kubernetes=KUBERNETES[-1]):
+    made = helm("template", "fleet", CHART, "--namespace", "maps",
+                "--kube-version", kubernetes, *flags(values))
+    assert made.returncode == 0, made.stderr
+    return made.stdout
+
+
+def objects(values):
+    return {(one["kind"], one["metadata"]["name"]): one
+            for one in yaml.safe_load_all(render(values)) if one}
+
+
+def pods(values):
+    """The templates of all pods."""
+    return [one["spec"]["template"]["spec"] for one in objects(values).values()
+            if one["kind"] in ("StatefulSet", "Deployment", "Job")]
+
+
+def whole(schema, definitions):
+    """A schema with what it refers to in its place: kubeconform does not follow
+    references to other files."""
+    if isinstance(schema, list):
+        return [whole(one, definitions) for one in schema]
+    if not isinstance(schema, dict):
+        return schema
+    if "$ref" in schema:
+        name = schema["$ref"].rpartition("/")[2]
+        return whole(definitions[name], definitions)
+    return {name: whole(value, definitions) for name, value in schema.items()}
+
+
+@pytest.fixture(scope="session", params=KUBERNETES)
+def kubernetes(request, tmp_path_factory):
+    """A version of Kubernetes, and its schemas of what the chart makes."""
+    folder = SCHEMAS / f"v{request.param}-local-strict"
+    definitions = json.loads((folder / "_definitions.json").read_text())["$defs"]
+    made = tmp_path_factory.mktemp(request.param)
+    for kind in ("configmap-v1", "service-v1", "serviceaccount-v1",
+                 "statefulset-apps-v1", "deployment-apps-v1", "job-batch-v1",
+                 "networkpolicy-networking-v1",
+                 "poddisruptionbudget-policy-v1"):
+        schema = json.loads((folder / f"{kind}.json").read_text())
+        (made / f"{kind}.json").write_text(json.dumps(
+            whole(schema, definitions)))
+    return request.param, made
+
+
+@pytest.mark.parametrize("values", WAYS.values(), ids=WAYS)
+def test_linter_has_nothing_to_say(values):
+    said = helm("lint", "--strict", CHART, *flags(values))
+    assert said.returncode == 0, said.stdout
+
+
+@pytest.mark.parametrize("values", WAYS.values(), ids=WAYS)
+def test_kubernetes_knows_everything_that_is_made(values, kubernetes):
+    version, schemas = kubernetes
+    said = subprocess.run(
+        [TOOLS / "kubeconform", "-strict", "-summary", "-output", "json",
+         "-kubernetes-version", version, "-schema-location",
+         f"{schemas}/{{{{.ResourceKind}}}}{{{{.KindSuffix}}}}.json",
+         # Of Prometheus' operator, not of Kubernetes.
+         "-skip", "ServiceMonitor", "-"], input=render(values, version),
+        capture_output=True, text=True, check=False)
+    assert said.returncode == 0, said.stdout + said.stderr
+    summary = json.loads(said.stdout)["summary"]
+    assert summary["valid"] >= 5
+    assert summary["skipped"] == (1 if "serviceMonitor.enabled" in values else 0)
+
+
+def test_kubernetes_would_refuse_what_is_misspelt(kubernetes):
+    version, schemas = kubernetes
+    said = subprocess.run(
+        [TOOLS / "kubeconform", "-strict", "-kubernetes-version", version,
+         "-schema-location",
+         f"{schemas}/{{{{.ResourceKind}}}}{{{{.KindSuffix}}}}.json", "-"],
+        input=render({}, version).replace("readOnlyRootFilesystem", "readonly"),
+        capture_output=True, text=True, check=False)
+    assert said.returncode != 0
+
+
+@pytest.mark.parametrize("values", WAYS.values(), ids=WAYS)
+def test_server_takes_its_settings(values, tmp_path):
+    file = tmp_path / "revisitd.conf"
+    file.write_text(objects(values)["ConfigMap", "fleet"]["data"]["revisitd.conf"])
+    said = subprocess.run(
+        [BIN / "revisitd", "--config", file, "--print-config"],
+        capture_output=True, text=True, check=False,
+        env={"PATH": os.environ["PATH"]})
+    assert said.returncode == 0, said.stderr
+    assert 'admin-listen = "0.0.0.0:9464"' in said.stdout
+    assert "drain-notice-seconds = 15" in said.stdout
+    if "settings.max-streams" in values:
+        assert "max-streams = 5\n" in said.stdout
+
+
+@pytest.mark.parametrize("values", WAYS.values(), ids=WAYS)
+def test_pods_are_restricted_as_kubernetes_calls_it(values):
+    for pod in pods(values):
+        assert pod["securityContext"]["runAsNonRoot"]
+        assert pod["securityContext"]["runAsUser"] > 0
+        assert pod["securityContext"]["seccompProfile"] == {
+            "type": "RuntimeDefault"}
+        assert not pod["automountServiceAccountToken"]
+        for container in pod["containers"]:
+            context = container["securityContext"]
+            assert not context["allowPrivilegeEscalation"]
+            assert context["readOnlyRootFilesystem"]
+            assert context["capabilities"] == {"drop": ["ALL"]}
+
+
+def test_user_of_the_pods_is_that_of_the_image():
+    [user] = re.findall(r"^USER (\d+):\1$", (
+        ROOT / "deploy/image/Containerfile").read_text(), re.MULTILINE)
+    [pod] = pods({})
+    assert str(pod["securityContext"]["runAsUser"]) == user
+    assert str(pod["securityContext"]["fsGroup"]) == user
+
+
+def test_store_in_a_file_has_one_server_whose_node_may_be_drained():
+    made = objects({})
+    server = made["StatefulSet", "fleet"]
+    assert server["spec"]["replicas"] == 1
+    [claim] = server["spec"]["volumeClaimTemplates"]
+    assert claim["spec"]["resources"]["requests"]["storage"] == "20Gi"
+    assert not [kind for kind, _ in made if kind == "PodDisruptionBudget"]
+    # It calls nobody.
+    assert made["NetworkPolicy", "fleet"]["spec"]["policyTypes"] == [
+        "Ingress", "Egress"]
+
+
+def test_servers_of_one_database_go_one_at_a_time_and_name_themselves():
+    made = objects(CLUSTER)
+    server = made["Deployment", "fleet"]["spec"]
+    assert server["replicas"] == 3
+    assert server["strategy"]["rollingUpdate"]["maxUnavailable"] == 0
+    budget = made["PodDisruptionBudget", "fleet"]["spec"]
+    assert budget["maxUnavailable"] == 1
+    assert budget["selector"] == server["selector"]
+    [container] = server["template"]["spec"]["containers"]
+    environment = {entry["name"]: entry for entry in container["env"]}
+    assert environment["REVISIT_ADVERTISE_ADDRESS"]["value"] == "$(POD_IP):50051"
+    assert environment["REVISIT_STORE"]["valueFrom"]["secretKeyRef"] == {
+        "name": "database", "key": "url"}
+    migration = made["Job", "fleet-migrate"]
+    assert "pre-upgrade" in migration["metadata"]["annotations"]["helm.sh/hook"]
+    # Nobody sends calls to the pod that migrates.
+    labels = migration["spec"]["template"]["metadata"]["labels"]
+    assert labels["app.kubernetes.io/component"] == "migration"
+
+
+@pytest.mark.parametrize("values", [{}, CLUSTER], ids=["alone", "cluster"])
+def test_whoever_kills_a_server_waits_for_its_drain(values):
+    for pod in pods(values):
+        if pod["containers"][0]["name"] == "revisitd":
+            assert pod["terminationGracePeriodSeconds"] > 15 + 10
+
+
+@pytest.mark.parametrize(("values", "problem"), [
+    ({"store.kind": "rocksdb"}, "allowed are sqlite and postgresql"),
+    ({"store.kind": "postgresql"}, "name the secret"),
+], ids=["kind", "secret"])
+def test_what_cannot_work_is_refused(values, problem):
+    refused = helm("template", "fleet", CHART, "--kube-version", KUBERNETES[-1],
+                   *flags(values))
+    assert refused.returncode != 0
+    assert problem in refused.stderr
+
+
+def test_chart_is_of_the_version_of_the_tree():
+    [version] = re.findall(r"^project\(revisit VERSION ([\d.]+)",
+                           (ROOT / "CMakeLists.txt").read_text(), re.MULTILINE)
+    chart = yaml.safe_load((CHART / "Chart.yaml").read_text())
+    assert chart["appVersion"] == chart["version"] == version
