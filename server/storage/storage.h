@@ -46,6 +46,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "server/base/histogram.h"
 
 namespace revisit::server {
 
@@ -99,6 +100,29 @@ struct CommitCounts {
   // Transactions that were committed, and the writes that they held.
   std::uint64_t commits = 0;
   std::uint64_t writes = 0;
+  // Seconds that the transactions took, from the first statement to the last.
+  HistogramCounts commit_seconds = {};
+  // Seconds of that in which what was written went to the device and was
+  // flushed; nothing where the storage cannot tell.
+  HistogramCounts flush_seconds = {};
+};
+
+// The room that a storage takes and has left.
+struct StorageRoom {
+  std::int64_t bytes = 0;
+  // Bytes that others than the storage leave free.
+  std::int64_t free_bytes = 0;
+};
+
+// This server among those that share a storage.
+struct SharingState {
+  std::int64_t owned_vehicles = 0;
+  // Vehicles that were lost to others rather than handed over, and how often
+  // the server was taken for dead.
+  std::uint64_t lost_vehicles = 0;
+  std::uint64_t lost_leases = 0;
+  // Whether the server may answer from memory; see Storage::CheckOwned().
+  bool lease_holds = true;
 };
 
 // What an acknowledged write survives.
@@ -335,6 +359,14 @@ class Storage {
 
   // Zeros if the implementation does not count.
   virtual CommitCounts Counts() const { return {}; }
+
+  // Nothing if the storage cannot tell without asking others.
+  virtual std::optional<StorageRoom> GetRoom() const { return std::nullopt; }
+
+  // Nothing where one server has the storage alone.
+  virtual std::optional<SharingState> GetSharing() const {
+    return std::nullopt;
+  }
 };
 
 // Values, because implementations keep them.

@@ -251,6 +251,7 @@ absl::Status Ownership::ForgetLostClaims() {
         owner->second.second < claim->second->epoch) {
       claim->second->has_ended = true;
       claims_.erase(claim);
+      ++lost_vehicles_;
     }
   }
   return absl::OkStatus();
@@ -275,6 +276,8 @@ absl::Status Ownership::Beat() {
         "vehicles: it gives up all and goes on under a new identity");
     {
       const MutexLock lock(&mutex_);
+      lost_vehicles_ += claims_.size();
+      ++lost_leases_;
       claims_.clear();
       wanted_.clear();
     }
@@ -448,13 +451,14 @@ std::shared_ptr<const Claim> Ownership::Find(VehicleKey key) const {
   return found == claims_.end() ? nullptr : found->second;
 }
 
-void Ownership::Forget(VehicleKey key, const Claim* claim) {
+void Ownership::Forget(VehicleKey key, const Claim* claim, bool lost) {
   claim->has_ended = true;
   const MutexLock lock(&mutex_);
   const auto found = claims_.find(key);
   if (found != claims_.end() && found->second.get() == claim) {
     claims_.erase(found);
     wanted_.erase(key);
+    if (lost) ++lost_vehicles_;
   }
 }
 
@@ -494,6 +498,16 @@ absl::StatusOr<std::vector<StorageUser>> Ownership::ListUsers(
     users.push_back({rows->Bytes(i, 0), rows->Integer(i, 1)});
   }
   return users;
+}
+
+SharingState Ownership::GetSharing() const {
+  const MutexLock lock(&mutex_);
+  SharingState sharing;
+  sharing.owned_vehicles = static_cast<std::int64_t>(claims_.size());
+  sharing.lost_vehicles = lost_vehicles_;
+  sharing.lost_leases = lost_leases_;
+  sharing.lease_holds = LeaseHolds();
+  return sharing;
 }
 
 Durability Ownership::durability() const {
