@@ -97,7 +97,7 @@ test('a candidate is confirmed with a note, by keys, and that is undone',
   assert.equal(loopClosures.length, 1);
   assert.equal(loopClosures[0].note, 'seen by hand');
   assert.match(page.url(), new RegExp(`-${loopClosures[0].matchedSequence}$`));
-  await page.getByText('boreas has 1 loop closures').waitFor();
+  await page.getByText('Loop closures: 1.').waitFor();
   await page.keyboard.press('u');
   await page.getByText('Undone.').waitFor();
   assert.equal(world.revisitd.cli('closures', 'list', 'boreas', '--json')

@@ -4,6 +4,7 @@ import {createWriteStream, readFileSync} from 'node:fs';
 import {join} from 'node:path';
 import {finished} from 'node:stream/promises';
 import {after, before, test} from 'node:test';
+import {setTimeout as sleep} from 'node:timers/promises';
 
 import {fact, number, OUT, World} from './world.mjs';
 
@@ -56,6 +57,21 @@ async function framesASecond(page, work) {
   return (times.length - 1) / ((times[times.length - 1] - times[0]) / 1e6);
 }
 
+/** Moves the mouse 100 times a second, whether or not the page keeps up. */
+async function pan(mouse, x, y) {
+  const began = performance.now();
+  const sent = [];
+  for (let time = 0; time < PANNING_MILLISECONDS;
+       time = performance.now() - began) {
+    sent.push(mouse.send('Input.dispatchMouseEvent', {
+      type: 'mouseMoved', button: 'left', buttons: 1,
+      x: x + 150 * Math.sin(time / 400), y: y + 100 * Math.cos(time / 300),
+    }));
+    await sleep(10);
+  }
+  await Promise.all(sent);
+}
+
 test('a million nodes pan at 30 frames a second or more', async () => {
   // At an early pose no check has fallen due, and the server searches nothing
   // beside: all of the path is drawn, nearly all of it as the later one.
@@ -71,20 +87,13 @@ test('a million nodes pan at 30 frames a second or more', async () => {
   const box = await page.locator('.map .canvas').boundingBox();
   const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
   await page.mouse.move(x, y);
+  const mouse = await page.context().newCDPSession(page);
   const rates = {};
   for (const [name, zoom] of [['whole', 0], ['nearer', -1500]]) {
     if (zoom) await page.mouse.wheel(0, zoom);
     await page.waitForTimeout(1000);
     await page.mouse.down();
-    rates[name] = await framesASecond(page, async () => {
-      const began = performance.now();
-      for (;;) {
-        const time = performance.now() - began;
-        if (time > PANNING_MILLISECONDS) break;
-        await page.mouse.move(x + 150 * Math.sin(time / 400),
-                              y + 100 * Math.cos(time / 300));
-      }
-    });
+    rates[name] = await framesASecond(page, () => pan(mouse, x, y));
     await page.mouse.up();
   }
   await page.screenshot({path: join(OUT, 'million.png')});
