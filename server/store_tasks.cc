@@ -10,7 +10,7 @@
 #include "server/storage/postgres/migrations.h"
 #include "server/storage/postgres/postgres_check.h"
 #include "server/storage/postgres/postgres_intake.h"
-#include "server/storage/postgres/postgres_storage.h"
+#include "server/storage/postgres/postgres_reader.h"
 #include "server/storage/sqlite/sqlite_storage.h"
 #include "server/storage/sqlite/store_backup.h"
 #include "server/storage/sqlite/store_check.h"

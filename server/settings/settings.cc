@@ -136,9 +136,24 @@ absl::Status CheckSecurity(const ServerSettings& s) {
   return absl::OkStatus();
 }
 
+// Whether others can reach this server by the address at which it listens.
+bool NamesOneServer(const std::string& listen) {
+  const std::string::size_type colon = listen.rfind(':');
+  const std::string host = listen.substr(0, colon);
+  return listen.substr(colon + 1) != "0" && host != "0.0.0.0" && host != "[::]";
+}
+
 // A store in a file is shared with nobody.
 absl::Status CheckSharing(const ServerSettings& s) {
-  if (IsSharedStore(s.store)) return absl::OkStatus();
+  if (IsSharedStore(s.store)) {
+    if (!s.advertise_address.empty() || NamesOneServer(s.listen)) {
+      return absl::OkStatus();
+    }
+    return absl::InvalidArgumentError(
+        absl::StrCat("listen is ", s.listen,
+                     ", by which no other server can name this one: give "
+                     "advertise-address, HOST:PORT"));
+  }
   for (const auto& [key, is_set] :
        {std::pair("require-replicated", s.require_replicated),
         std::pair("advertise-address", !s.advertise_address.empty())}) {

@@ -89,6 +89,16 @@ double ChildProcess::cpu_seconds() const {
   return ticks / static_cast<double>(sysconf(_SC_CLK_TCK));
 }
 
+double ChildProcess::peak_bytes() const {
+  std::ifstream file("/proc/" + std::to_string(pid_) + "/status");
+  std::string word;
+  while (file >> word) {
+    double kilobytes = 0.0;
+    if (word == "VmHWM:" && file >> kilobytes) return 1024.0 * kilobytes;
+  }
+  return 0.0;
+}
+
 void ChildProcess::Stop() {
   if (pid_ > 0) {
     kill(pid_, SIGTERM);

@@ -26,6 +26,8 @@ class ChildProcess {
   const std::string& address() const { return address_; }
   // Of all its threads, user and system.
   double cpu_seconds() const;
+  // Most memory that it ever held (resident set).
+  double peak_bytes() const;
   // Tells it to end (SIGTERM) and waits until it has.
   void Stop();
   // What it has written to its log.

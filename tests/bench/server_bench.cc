@@ -104,6 +104,7 @@ class Server {
 
   const std::string& address() const { return process_.address(); }
   double cpu_seconds() const { return process_.cpu_seconds(); }
+  double peak_bytes() const { return process_.peak_bytes(); }
   std::string store() const { return directory_.path() + "/revisit.sqlite"; }
 
   void AddVehicle(const std::string& id) {
@@ -129,15 +130,21 @@ class Server {
   static std::vector<std::string> Command(Kind kind, const std::string& store) {
     const std::filesystem::path self = OwnPath();
     if (kind == Kind::kEmpty) return {self.string(), "--empty-server"};
-    return {(self.parent_path() / "revisitd").string(),
-            "--listen",
-            "127.0.0.1:0",
-            "--store",
-            store,
-            "--log-format",
-            "json",
-            "--idle-unload-minutes",
-            "1000"};
+    std::vector<std::string> command = {
+        (self.parent_path() / "revisitd").string(),
+        "--listen",
+        "127.0.0.1:0",
+        "--store",
+        store,
+        "--log-format",
+        "json",
+        "--idle-unload-minutes",
+        "1000"};
+    if (kind == Kind::kShared) {
+      // No other server asks.
+      command.insert(command.end(), {"--advertise-address", "127.0.0.1:1"});
+    }
+    return command;
   }
 
   const Kind kind_;
@@ -204,6 +211,7 @@ json MeasureStreams(Kind kind, const Options& options, int vehicles,
   result["client_cpu_us_per_pose"] =
       1e6 * (OwnCpuSeconds() - own_cpu) / std::max(1.0, poses);
   streams.Stop();
+  result["server_peak_bytes"] = server.peak_bytes();
   server.Stop();
   if (kind != Kind::kEmpty) result["writes_a_commit"] = server.WritesACommit();
   return result;

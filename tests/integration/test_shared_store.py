@@ -39,7 +39,8 @@ def owner(database):
 
 
 def serve(url, tmp_path, *flags):
-    return Server(url, *flags, log_path=tmp_path / "shared.log")
+    return Server(url, "--advertise-address", "host-a:1", *flags,
+                  log_path=tmp_path / "shared.log")
 
 
 def assert_refused(result, code, *words):
@@ -60,7 +61,7 @@ def test_a_database_without_tables_is_refused_until_it_is_migrated(
         0, "version before 0\nversion after 1\n"), first.stderr
     again = run("revisitd", "migrate", "--store", owner)
     assert again.stdout == "version before 1\nversion after 1\n"
-    with serve(served, tmp_path, "--advertise-address", "host-a:1") as server:
+    with serve(served, tmp_path) as server:
         stub = server.stub()
         stub.CreateVehicle(api.CreateVehicleRequest(vehicle_id="truck"))
         assert append(stub, "vehicles/truck", straight(3)).durable_sequence == 3

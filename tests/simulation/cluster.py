@@ -199,6 +199,7 @@ class Cluster:
             setup.parameters,
             database_cores=max(1, round(setup.parameters.database_cores * setup.part)),
             database_send_Bps=setup.parameters.database_send_Bps * setup.part,
+            fewest_asked=max(1, round(setup.parameters.fewest_asked * setup.part)),
             load_node_s=(setup.parameters.snapshot_node_s if setup.snapshots
                          else setup.parameters.load_node_s))
         self.oracle = oracle = Oracle(kernel, setup)

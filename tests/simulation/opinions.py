@@ -69,8 +69,8 @@ def run(seeds, part):
             ("60 s, a tenth", 60.0, 0.1, header),
             ("60 s, all", 60.0, 1.0, header),
             ("300 s, all", 300.0, 1.0, header),
-            ("60 s, all, handovers paced", 60.0, 1.0,
-             parameters.Policy(paced_handovers=True)),
+            ("60 s, all, handovers not paced", 60.0, 1.0,
+             parameters.Policy(paced_handovers=False)),
             ("60 s, all, no owner header", 60.0, 1.0, none),
             ("300 s, all, no owner header", 300.0, 1.0, none)):
         figures = tables.over(seeds, lambda seed, s=seconds, c=share, po=policy:

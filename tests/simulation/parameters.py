@@ -62,9 +62,10 @@ FIGURES = {
                                    "more, each snapshot then costs more"),
     "promote_s": Figure(0.24, "s", "measured 2026-11-22, pg_promote alone"),
     # revisitd.
-    "load_node_s": Figure(1.2e-6, "s", _BENCH + "--fleet: 1194.7 ms for 1,000,000"),
-    "snapshot_node_s": Figure(0.1e-6, "s", "what snapshots of graphs are to reach: "
-                              "100 ms for 1,000,000"),
+    "load_node_s": Figure(0.53e-6, "s", "measured 2026-11-23: CPU of a replay of "
+                          "1,000,000 nodes"),
+    "snapshot_node_s": Figure(0.12e-6, "s", "measured 2026-11-23: the same from a "
+                              "snapshot"),
     "snapshot_node_B": Figure(94.7, "B", _BENCH + "--fleet: graph; a snapshot is "
                               + ASSUMED + " to be as large"),
     "node_B": Figure(112.2, "B", _BENCH + "--fleet: as loaded"),
@@ -72,10 +73,7 @@ FIGURES = {
     "ack_cpu_1_s": Figure(10.97e-6, "s", _BENCH + "--server: 8 vehicles, 1 a message"),
     "first_search_checks": Figure(50, "checks", "docs/limits.md: a first search after "
                                   "a load is as much as some fifty searches"),
-    "belief_factor": Figure(1.54, "", "tests/bench/RESULTS.md: a search over 10,000 "
-                            "nodes that begins with a belief, beside one that does "
-                            "not, 1.61 and 1.86 ms beside 1.05 and 1.21; 4.8 on the "
-                            "development drives"),
+    "fewest_asked": Figure(64, "vehicles", "server/storage/postgres/ask_pacing.h"),
     "server_cores": Figure(8, "cores", ASSUMED),
     "server_memory_B": Figure(64e9, "B", ASSUMED),
     # The fleet.
@@ -89,11 +87,11 @@ FIGURES = {
     "check_m": Figure(50.0, "m", "proto/revisit/v1/vehicle.proto, default"),
 }
 
-# Seconds of one check by nodes of history, without a belief (tests/bench/RESULTS.md,
-# tests/bench/run --core): under dead reckoning, where the claimed uncertainty and with
-# it the area that is searched grows with the drive; and with fixes, where it does not.
+# Seconds of one check by nodes of history (tests/bench/RESULTS.md, tests/bench/run
+# --core): under dead reckoning, with a belief, where the claimed uncertainty and with it
+# the area that is searched grows with the drive; and with fixes, where it does not.
 CHECK_S = {
-    "reckoned": ((1e3, 0.098e-3), (1e4, 0.496e-3), (1e5, 31.6e-3), (1e6, 586e-3)),
+    "reckoned": ((1e3, 0.4e-3), (1e4, 1.3e-3), (1e5, 24e-3), (1e6, 104e-3)),
     "fixes": ((1e3, 0.241e-3), (1e4, 0.302e-3), (1e5, 0.631e-3), (1e6, 0.631e-3)),
     # Streams that ask for no candidates.
     "none": ((1e3, 1e-12), (1e6, 1e-12)),
@@ -112,8 +110,7 @@ Parameters = dataclasses.make_dataclass(
 @dataclasses.dataclass
 class Policy:
     """Decisions of the protocol that the scenarios compare. The defaults are those that
-    the results argue for, except that handovers are not paced: only opinions.py
-    compares that."""
+    the results argue for."""
 
     # Writes are compared with owner, epoch and sequence. Off: to show that the
     # simulation finds what the fence prevents.
@@ -136,9 +133,10 @@ class Policy:
     # Vehicles that may wait for a load on one server before callers are sent
     # away with a RetryInfo; None: no limit.
     load_queue: typing.Optional[int] = None
-    # A server asks for no more vehicles than it can load within two beats; it refuses
-    # the callers of the others, who ask again. Off: it asks for every one.
-    paced_handovers: bool = False
+    # A server asks for no more vehicles at a time than came to it within two beats, or
+    # `fewest_asked`; callers of the others are told who has them, as in any case.
+    # Off: it asks for every one.
+    paced_handovers: bool = True
     # A stream opens only while the lease runs: the sequence that it is answered with
     # is a read from memory like any other.
     lease_to_open: bool = True

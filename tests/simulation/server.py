@@ -80,8 +80,11 @@ class Server:
         self._last_reading = -math.inf
         self._to_claim = []
         self._claim_under_way = False
-        # Vehicles that it asked others for -> when.
+        # Vehicles that it asked others for and that have not come -> when.
         self._asked = {}
+        # Vehicles that came in this window, and in the one before it.
+        self._came = self._came_before = 0
+        self._window_start = -math.inf
         self._loads = collections.deque()
         self._loading = 0
         self._groups = [{} for _ in range(int(parameters.writers))]
@@ -313,13 +316,28 @@ class Server:
         """Whether to ask another server for the vehicle; counts it if so."""
         if not self._policy.paced_handovers:
             return True
-        now, while_ = self._kernel.now, 2 * self._p.beat_s
-        self._asked = {key: at for key, at in self._asked.items() if now - at < while_}
-        most = max(1, int(while_ * self._load_threads / self._load_cpu(vehicle)))
-        if vehicle in self._asked or len(self._asked) + self.loads_waiting() < most:
-            self._asked[vehicle] = now
-            return True
-        return False
+        self._move_window()
+        if vehicle not in self._asked:
+            most = max(self._p.fewest_asked, self._came_before, self._came)
+            if len(self._asked) >= most:
+                return False
+            self._asked[vehicle] = self._kernel.now
+        return True
+
+    def _came_from_another(self, vehicle):
+        self._move_window()
+        self._came += 1
+        self._asked.pop(vehicle, None)
+
+    def _move_window(self):
+        now, window = self._kernel.now, 2 * self._p.beat_s
+        if now - self._window_start < window:
+            return
+        self._came_before = self._came if now - self._window_start < 2 * window else 0
+        self._came = 0
+        self._window_start = now
+        self._asked = {vehicle: at for vehicle, at in self._asked.items()
+                       if now - at < self._p.hold_s + window}
 
     def _until_burial(self, owner):
         """Seconds until the owner can be buried if its beat is overdue, else 0."""
@@ -404,6 +422,7 @@ class Server:
     def _built(self, vehicle, seat, incarnation):
         self._loading -= 1
         if self.seats.get(vehicle) is seat and incarnation == self.incarnation:
+            self._came_from_another(vehicle)
             self._watch.loaded(vehicle)
             self._loaded(vehicle, seat)
         self._load()

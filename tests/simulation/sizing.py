@@ -8,17 +8,15 @@ import parameters
 import tables
 
 
-def check_seconds(p, nodes, model="reckoned"):
+def check_seconds(nodes, model="reckoned"):
     """One check on a history of so many nodes, between measured sizes by a power
-    law, beyond the largest by the last slope. Under dead reckoning it begins with a
-    belief."""
+    law, beyond the largest by the last slope."""
     points = parameters.CHECK_S[model]
     for (n, t), (more, longer) in zip(points, points[1:]):
         if nodes <= more:
             break
     slope = math.log(longer / t) / math.log(more / n)
-    seconds = t * (max(nodes, points[0][0]) / n) ** slope
-    return seconds * (p.belief_factor if model == "reckoned" else 1.0)
+    return t * (max(nodes, points[0][0]) / n) ** slope
 
 
 class Fleet(typing.NamedTuple):
@@ -87,7 +85,7 @@ def shares(p, fleet):
     per_server = streams / alive
     poses = streams * p.pose_hz
     nodes = (p.hours_a_day * 3600 * p.speed_mps / p.node_m * fleet.days * fleet.kept)
-    check = check_seconds(p, nodes, fleet.checks)
+    check = check_seconds(nodes, fleet.checks)
     dead = streams / fleet.servers
     survivors = fleet.servers / fleet.primaries - 1
     if fleet.snapshots:

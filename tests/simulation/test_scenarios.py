@@ -50,12 +50,11 @@ def test_the_paper_s_figures_follow_from_the_fleet():
 
 
 def test_checks_take_what_was_measured_and_lie_between_elsewhere():
-    belief = P.belief_factor
-    assert sizing.check_seconds(P, 1e4) == pytest.approx(0.496e-3 * belief)
-    assert sizing.check_seconds(P, 1e6) == pytest.approx(0.586 * belief)
-    assert 0.496e-3 < sizing.check_seconds(P, 3e4) / belief < 31.6e-3
-    assert sizing.check_seconds(P, 2e6) > 0.586 * belief
-    assert sizing.check_seconds(P, 1e5, "fixes") == pytest.approx(0.631e-3)
+    assert sizing.check_seconds(1e4) == pytest.approx(1.3e-3)
+    assert sizing.check_seconds(1e6) == pytest.approx(0.104)
+    assert 1.3e-3 < sizing.check_seconds(3e4) < 24e-3
+    assert sizing.check_seconds(2e6) > 0.104
+    assert sizing.check_seconds(1e5, "fixes") == pytest.approx(0.631e-3)
 
 
 def test_history_breaks_a_cell_before_its_rows_do():
@@ -159,7 +158,8 @@ def test_a_back_off_of_one_s_own_delays_what_retry_info_would_not(seed):
 
 def test_a_server_that_slept_for_less_than_the_ttl_need_not_load_what_it_gave_up():
     kept, anew = (
-        [death.freeze(death.setup_of(seed, 10, 7, SMALL, Policy(keep_graph=keep)), 7.0)
+        [death.freeze(death.setup_of(seed, 10, 7, SMALL, Policy(
+                keep_graph=keep, paced_handovers=False)), 7.0)
          for seed in SEEDS] for keep in (True, False))
     assert all(result["waiting"] == 0 for result in kept)
     assert sum(result["gap p50"] for result in kept) < 0.7 * sum(
@@ -250,7 +250,7 @@ def test_paced_handovers_spare_streams_the_queue_of_loads(seed):
         opinions.disagree(opinions.setup_of(
             seed, SMALL, Policy(paced_handovers=pace)), 60.0, 1.0)
         for pace in (False, True))
-    assert at_once["gap p99"] > 15
+    assert at_once["gap p99"] > 12
     assert paced["gap p99"] < 8
     assert paced["waiting"] == 0
     assert paced["calls failed %"] < 10
@@ -293,7 +293,7 @@ def test_every_figure_says_where_it_comes_from():
         assert figure.source, name
         assert any(word in figure.source for word in (
             "measured", parameters.ASSUMED, "RESULTS.md", "the protocol", "client/",
-            "proto/", "docs/", "Envoy", "question", "to reach")), name
+            "proto/", "server/", "docs/", "Envoy", "question")), name
 
 
 def test_the_command_prints_what_it_is_asked_for_and_refuses_the_rest():

@@ -122,7 +122,9 @@ absl::Status Fenced(const std::string& vehicle) {
 
 Ownership::Ownership(const std::string& conninfo, OwnershipOptions options)
     : connection_options_{conninfo, /*writes=*/true, &give_up_},
-      options_(std::move(options)) {}
+      options_(std::move(options)),
+      asks_(2 * options_.beat_period,
+            options_.least_stay + 2 * options_.beat_period) {}
 
 absl::StatusOr<std::unique_ptr<Ownership>> Ownership::Join(
     const std::string& conninfo, const OwnershipOptions& options) {
@@ -325,7 +327,9 @@ absl::Status Ownership::PollHandovers(const Uuid& me) {
   const auto rows = connection_->Run(kHandovers, Parameters().Add(me));
   if (!rows.ok()) return rows.status();
   std::map<VehicleKey, std::string> wanted;
+  std::map<VehicleKey, nanoseconds> forgotten;
   std::vector<std::pair<VehicleKey, std::int64_t>> unused;
+  const nanoseconds now = Now();
   {
     const MutexLock lock(&mutex_);
     for (int i = 0; i < rows->size(); ++i) {
@@ -334,13 +338,20 @@ absl::Status Ownership::PollHandovers(const Uuid& me) {
       if (claims_.count(key) > 0) {
         wanted[key] = id;
       } else if (being_taken_.count(id) == 0) {
-        // The database says that it is of this server, which has forgotten it:
-        // a write was in doubt, or a release did not come through.
-        unused.emplace_back(key, rows->Integer(i, 2));
+        // A write was in doubt, after which this server may take it again, or
+        // a release did not come through. When it came is not known any more.
+        const auto known = forgotten_.find(key);
+        const nanoseconds since =
+            known == forgotten_.end() ? now : known->second;
+        forgotten[key] = since;
+        if (now - since >= options_.least_stay) {
+          unused.emplace_back(key, rows->Integer(i, 2));
+        }
       }
     }
     wanted_ = std::move(wanted);
   }
+  forgotten_ = std::move(forgotten);
   for (const auto& [key, epoch] : unused) {
     const absl::Status released = Release(*connection_, key, me, epoch);
     if (!released.ok()) return released;
@@ -371,6 +382,7 @@ absl::StatusOr<VehicleKey> Ownership::Take(PostgresConnection& connection,
       claim->vehicle_id = id;
       claim->durable_sequence = Unsigned(rows->Integer(0, 2));
       const VehicleKey key = rows->Integer(0, 0);
+      asks_.Taken(key, claim->since);
       claims_[key] = std::move(claim);
       wanted_.erase(key);
       return key;
@@ -390,11 +402,15 @@ absl::StatusOr<VehicleKey> Ownership::Take(PostgresConnection& connection,
     return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
                  "vehicle '" + id + "' could not be claimed just now");
   }
-  if (absl::Status status =
-          connection.Run(kAsk, Parameters().Add(key).Add(other).Add(me))
-              .status();
-      !status.ok()) {
-    return status;
+  bool asks = false;
+  {
+    const MutexLock lock(&mutex_);
+    asks = asks_.MayAsk(key, Now());
+  }
+  if (asks) {
+    const absl::Status status =
+        connection.Run(kAsk, Parameters().Add(key).Add(other).Add(me)).status();
+    if (!status.ok()) return status;
   }
   return NotOwner(id, owner->Bytes(0, 3), owner->Integer(0, 2));
 }

@@ -38,6 +38,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/base/mutex.h"
+#include "server/storage/postgres/ask_pacing.h"
 #include "server/storage/postgres/connection.h"
 #include "server/storage/storage.h"
 #include "server/storage/write_queue.h"
@@ -123,8 +124,8 @@ class Ownership {
   void Warn(const std::string& message) const;
   bool LeaseHolds() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
-  // The thread that beats; it alone uses `connection_`, `sightings_` and
-  // `last_look_`.
+  // The thread that beats; it alone uses `connection_`, `sightings_`,
+  // `forgotten_` and `last_look_`.
   void Run();
   absl::Status Beat();
   absl::Status Connect();
@@ -138,6 +139,9 @@ class Ownership {
 
   std::unique_ptr<PostgresConnection> connection_;
   std::map<Uuid, Sighting> sightings_;
+  // Vehicles that others ask for and the database says are of this server,
+  // which has no claim on them; and since when that is known.
+  std::map<VehicleKey, std::chrono::nanoseconds> forgotten_;
   // When it looked last.
   std::chrono::steady_clock::time_point last_look_;
 
@@ -153,6 +157,7 @@ class Ownership {
   // Vehicles that are being claimed, which may be so already in the database.
   std::multiset<std::string> being_taken_ ABSL_GUARDED_BY(mutex_);
   std::map<VehicleKey, std::string> wanted_ ABSL_GUARDED_BY(mutex_);
+  AskPacing asks_ ABSL_GUARDED_BY(mutex_);
   Durability durability_ ABSL_GUARDED_BY(mutex_);
 
   std::atomic<bool> give_up_{false};

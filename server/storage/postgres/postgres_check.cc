@@ -3,7 +3,7 @@
 #include <memory>
 
 #include "server/storage/postgres/connection.h"
-#include "server/storage/postgres/postgres_storage.h"
+#include "server/storage/postgres/postgres_reader.h"
 
 namespace revisit::server {
 namespace {

@@ -6,9 +6,10 @@
 #include <vector>
 
 #include "server/base/status.h"
-#include "server/storage/postgres/connection_pool.h"
-#include "server/storage/postgres/migrations.h"
-#include "server/storage/postgres/postgres_rows.h"
+#include "server/storage/postgres/postgres_appends.h"
+#include "server/storage/postgres/postgres_changes.h"
+#include "server/storage/postgres/postgres_reader.h"
+#include "server/storage/postgres/postgres_reads.h"
 #include "server/storage/postgres/postgres_writer.h"
 
 namespace revisit::server {
@@ -16,118 +17,11 @@ namespace {
 
 using absl::StatusCode;
 
-// Connections that stay open while nobody reads.
-constexpr std::size_t kIdleReaders = 4;
-
-// What is read needs no owner.
-class PostgresReads : public Storage {
- public:
-  absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override {
-    return Read<VehicleRecord>([&](PostgresConnection& connection) {
-      return FindVehicle(connection, id);
-    });
-  }
-
-  absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
-      const std::string& after_id, const std::string& prefix,
-      int limit) override {
-    return Read<std::vector<VehicleRecord>>(
-        [&](PostgresConnection& connection) {
-          return FindVehicles(connection, after_id, prefix, limit);
-        });
-  }
-
-  absl::Status ReadBatches(
-      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
-      BatchVersion version,
-      const std::function<bool(BatchRecord)>& visit) override {
-    return readers_.Use([&](PostgresConnection& connection) {
-      return VisitBatches(connection, key, first_sequence, last_sequence,
-                          version, visit);
-    });
-  }
-
-  absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
-      VehicleKey key, PairKind kind, const std::string& after_id,
-      int limit) override {
-    return Read<std::vector<PosePairRecord>>(
-        [&](PostgresConnection& connection) {
-          return FindPosePairs(connection, key, kind, after_id, limit);
-        });
-  }
-
-  absl::StatusOr<std::vector<StorageUser>> ListUsers() override {
-    return Read<std::vector<StorageUser>>(Ownership::ListUsers);
-  }
-
- protected:
-  explicit PostgresReads(const std::string& conninfo)
-      : readers_(conninfo, kIdleReaders) {}
-
-  template <typename T>
-  absl::StatusOr<T> Read(
-      const std::function<absl::StatusOr<T>(PostgresConnection&)>& read) {
-    absl::StatusOr<T> result = T();
-    const absl::Status status =
-        readers_.Use([&](PostgresConnection& connection) {
-          result = read(connection);
-          return result.status();
-        });
-    if (!status.ok()) return status;
-    return result;
-  }
-
-  ConnectionPool readers_;
-};
-
-class ReadOnlyPostgres : public PostgresReads {
- public:
-  explicit ReadOnlyPostgres(const std::string& conninfo)
-      : PostgresReads(conninfo) {}
-
-  void CreateVehicle(
-      VehicleRecord,
-      std::function<void(absl::StatusOr<VehicleKey>)> done) override {
-    done(ReadOnly());
-  }
-  void UpdateVehicle(VehicleKey, std::string, std::uint64_t,
-                     Done done) override {
-    done(ReadOnly());
-  }
-  void DeleteVehicle(VehicleKey, Done done) override { done(ReadOnly()); }
-  void AppendBatch(VehicleKey, BatchRecord, std::optional<std::string>,
-                   Done done) override {
-    done(ReadOnly());
-  }
-  void ReviseBatches(VehicleKey, BatchSource, std::uint64_t,
-                     Done done) override {
-    done(ReadOnly());
-  }
-  void AddPosePair(VehicleKey, PairKind, PosePairRecord, std::uint64_t,
-                   Done done) override {
-    done(ReadOnly());
-  }
-  void DeletePosePair(VehicleKey, PairKind, std::string, std::uint64_t,
-                      Done done) override {
-    done(ReadOnly());
-  }
-  void DropDamaged(VehicleKey, std::uint64_t, std::string, std::uint64_t,
-                   Done done) override {
-    done(ReadOnly());
-  }
-
- private:
-  static absl::Status ReadOnly() {
-    return Error(StatusCode::kFailedPrecondition, "INTERNAL",
-                 "this store was opened for reading");
-  }
-};
-
-class PostgresStorage : public PostgresReads {
+class PostgresStorage : public PostgresReader {
  public:
   PostgresStorage(const std::string& conninfo, const PostgresOptions& options,
                   std::unique_ptr<Ownership> ownership)
-      : PostgresReads(conninfo),
+      : PostgresReader(conninfo),
         options_(options),
         ownership_(std::move(ownership)) {
     PostgresWriter::Options writer;
@@ -345,24 +239,11 @@ class PostgresStorage : public PostgresReads {
   std::vector<std::unique_ptr<PostgresWriter>> writers_;
 };
 
-// A first connection, to a database whose tables are known here.
-absl::StatusOr<std::unique_ptr<PostgresConnection>> Look(
-    const std::string& conninfo) {
-  PostgresConnection::Options options;
-  options.conninfo = conninfo;
-  auto connection = PostgresConnection::Open(options);
-  if (!connection.ok()) return connection.status();
-  if (absl::Status status = CheckSchema(**connection); !status.ok()) {
-    return status;
-  }
-  return connection;
-}
-
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorage(
     const std::string& conninfo, const PostgresOptions& options) {
-  auto connection = Look(conninfo);
+  auto connection = LookAtDatabase(conninfo);
   if (!connection.ok()) return connection.status();
   const Durability& durability = (*connection)->durability();
   if (options.require_replicated &&
@@ -381,13 +262,6 @@ absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorage(
   if (!ownership.ok()) return ownership.status();
   return std::unique_ptr<Storage>(
       new PostgresStorage(conninfo, options, *std::move(ownership)));
-}
-
-absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorageToRead(
-    const std::string& conninfo) {
-  const auto connection = Look(conninfo);
-  if (!connection.ok()) return connection.status();
-  return std::unique_ptr<Storage>(new ReadOnlyPostgres(conninfo));
 }
 
 }  // namespace revisit::server

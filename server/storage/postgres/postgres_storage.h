@@ -2,9 +2,9 @@
 //
 // Each server owns some of the vehicles (ownership.h), and writes each over one
 // of a few connections (postgres_writer.h), in single statements that write
-// nothing once it is no longer the owner (postgres_rows.h). Reads and claims
-// use connections of their own. `revisitd migrate` makes the tables
-// (migrations.h).
+// nothing once it is no longer the owner (postgres_appends.h,
+// postgres_changes.h). Reads and claims use connections of their own
+// (postgres_reader.h). `revisitd migrate` makes the tables (migrations.h).
 //
 // OK means that the database has acknowledged the commit: what that is worth
 // is up to its settings, which GetDurability() reports. Where a commit waits
@@ -51,11 +51,6 @@ struct PostgresOptions : WriteGroupOptions {
 // of another version (migrations.h), or if `require_replicated` is not met.
 absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorage(
     const std::string& conninfo, const PostgresOptions& options);
-
-// Opens it for reading, without joining the servers. Writes are
-// FAILED_PRECONDITION. Errors are those of OpenPostgresStorage().
-absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorageToRead(
-    const std::string& conninfo);
 
 }  // namespace revisit::server
 

@@ -7,6 +7,7 @@
 
 #include "server/base/status.h"
 #include "server/storage/free_space.h"
+#include "server/storage/postgres/postgres_changes.h"
 
 namespace revisit::server {
 namespace {

@@ -22,7 +22,8 @@
 #include "absl/status/status.h"
 #include "server/storage/postgres/connection.h"
 #include "server/storage/postgres/ownership.h"
-#include "server/storage/postgres/postgres_rows.h"
+#include "server/storage/postgres/postgres_appends.h"
+#include "server/storage/postgres/postgres_fence.h"
 #include "server/storage/storage.h"
 #include "server/storage/write_queue.h"
 

@@ -296,6 +296,12 @@ TEST_F(SettingsTest, WhatOnlyASharedStoreCanKeepIsRefusedForAFile) {
   EXPECT_EQ(shared.advertise_address, "a:1");
   EXPECT_EQ(shared.store_connections, 4);
   EXPECT_EQ(shared.lease_seconds, 2.5);
+  for (const char* listen : {"127.0.0.1:0", "0.0.0.0:50051", "[::]:50051"}) {
+    EXPECT_THAT(Refusal({"--store", database, "--insecure-allow-remote", "on",
+                         "--listen", listen}),
+                HasSubstr("no other server can name this one"))
+        << listen;
+  }
   EXPECT_TRUE(IsSharedStore("postgres://db/revisit"));
   EXPECT_TRUE(IsSharedStore("postgresql:/db/revisit"));
   EXPECT_FALSE(IsSharedStore("./postgresql"));

@@ -484,7 +484,40 @@ TEST_F(OwnershipTest, VehicleThatItsOwnerHasForgottenIsFreedWhenAskedFor) {
       "wait_event_type = 'Lock' AND datname = current_database()");
   EXPECT_THAT(appended.Get(), kUnavailable);
   lock.Commit();
+  EXPECT_THAT(b->TakeVehicle("truck"), kNotOwner);
+  // It stays as long as one that is not forgotten.
+  const std::int64_t beats = BeatsOf("a");
+  EXPECT_TRUE(Eventually([&] { return BeatsOf("a") > beats + 2; }));
+  EXPECT_THAT(b->TakeVehicle("truck"), kNotOwner);
+  clock_.Advance(kLeastStay);
   EXPECT_TRUE(Eventually([&] { return b->TakeVehicle("truck").ok(); }));
+}
+
+TEST_F(OwnershipTest, ManyVehiclesAreAskedForAFewAtATime) {
+  const auto a = Open("a");
+  const auto b = Open("b");
+  const int fewest = static_cast<int>(AskPacing::kFewest);
+  BlockingWrites writes(a.get());
+  const auto id = [](int i) { return "truck-" + std::to_string(i); };
+  for (int i = 0; i < fewest + 10; ++i)
+    ASSERT_THAT(writes.Create(id(i)), IsOk());
+  for (int i = 0; i < fewest + 10; ++i) {
+    EXPECT_THAT(b->TakeVehicle(id(i)), kNotOwner);
+  }
+  EXPECT_EQ(Sql("SELECT count(*) FROM handovers"),
+            std::to_string(fewest) + "\n");
+  clock_.Advance(kLeastStay);
+  EXPECT_TRUE(Eventually(
+      [&] { return static_cast<int>(a->WantedVehicles().size()) == fewest; }));
+  // What comes makes room for the next.
+  for (const WantedVehicle& wanted : a->WantedVehicles()) {
+    a->ReleaseVehicle(wanted.key);
+    EXPECT_TRUE(Eventually([&] { return b->TakeVehicle(wanted.id).ok(); }));
+  }
+  for (int i = fewest; i < fewest + 10; ++i) {
+    EXPECT_THAT(b->TakeVehicle(id(i)), kNotOwner);
+  }
+  EXPECT_EQ(Sql("SELECT count(*) FROM handovers"), "10\n");
 }
 
 TEST_F(OwnershipTest,

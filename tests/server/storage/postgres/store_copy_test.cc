@@ -11,6 +11,7 @@
 #include "gtest/gtest.h"
 #include "server/storage/postgres/postgres_check.h"
 #include "server/storage/postgres/postgres_intake.h"
+#include "server/storage/postgres/postgres_reader.h"
 #include "server/storage/postgres/postgres_storage.h"
 #include "server/storage/sqlite/sqlite_storage.h"
 #include "server/storage/sqlite/store_check.h"

@@ -1,0 +1,185 @@
+#include "server/storage/postgres/postgres_appends.h"
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <set>
+
+#include "server/storage/record_check.h"
+#include "server/storage/record_checksum.h"
+
+namespace revisit::server {
+namespace {
+
+// Of each run: $1 key, $2 owner, $3 epoch, $4 first and $5 last sequence,
+// $6 revision, and $7 and $8 the numbers of its first and last row. Of each
+// row: $9 first sequence, $10 count, $11 revision, $12 checksum, and $13 and
+// $14 where its payload begins in $15 and how long it is. $16 is the format.
+//
+// Rows are reached by their number, because a join of them with the updated
+// heads takes thrice the time, and payloads lie in one value, because an array
+// of them is walked from its start for each. An update takes one row of its
+// source for each of its own, hence one run per vehicle.
+constexpr Statement kAppend = {
+    "append",
+    "WITH h AS (UPDATE heads v SET durable_sequence = a.l, "
+    "revision = greatest(v.revision, a.rev) FROM unnest($1::int8[], "
+    "$2::uuid[], $3::int8[], $4::int8[], $5::int8[], $6::int8[], $7::int8[], "
+    "$8::int8[]) AS a(k, o, e, f, l, rev, first_row, last_row) WHERE "
+    "v.key = a.k AND v.owner = a.o AND v.epoch = a.e AND "
+    "v.durable_sequence = a.f - 1 RETURNING a.k, a.first_row, a.last_row), "
+    "b AS (INSERT INTO batches (vehicle_key, first_sequence, count, format, "
+    "revision, checksum, payload) SELECT h.k, ($9::int8[])[i], "
+    "($10::int8[])[i], $16::int8, ($11::int8[])[i], ($12::int8[])[i], "
+    "substring($15::bytea FROM (($13::int8[])[i])::int4 FOR "
+    "(($14::int8[])[i])::int4) FROM h, "
+    "generate_series(h.first_row, h.last_row) i) SELECT k FROM h"};
+
+// $10 first sequence, $11 count, $12 revision, $13 checksum, $14 payload.
+constexpr Statement kAppendWithVehicle = {
+    "append_with_vehicle",
+    REVISIT_FENCE(", durable_sequence = $10::int8 + $11::int8 - 1",
+                  REVISIT_UNCHANGED " AND durable_sequence = $10::int8 - 1")
+    ", b AS (INSERT INTO batches (vehicle_key, first_sequence, count, format, "
+    "revision, checksum, payload) SELECT key, $10::int8, $11::int8, $6::int8, "
+    "$12::int8, $13::int8, $14::bytea FROM h) " REVISIT_REPLACE_VEHICLE};
+
+std::uint64_t LastSequence(const AppendRun& run) {
+  const BatchRecord& last = run.back()->batch;
+  return last.first_sequence + last.count - 1;
+}
+
+// Why a vehicle's append wrote nothing.
+absl::Status WhyNotAppended(const std::map<VehicleKey, Head>& heads,
+                            VehicleKey key, const Claim* claim,
+                            std::uint64_t first_sequence) {
+  const auto head = heads.find(key);
+  if (head == heads.end()) return UnknownVehicle(key);
+  if (!Holds(claim, head->second) ||
+      head->second.durable_sequence + 1 == first_sequence) {
+    return Fenced(claim == nullptr ? "the vehicle of key " + std::to_string(key)
+                                   : "vehicle '" + claim->vehicle_id + "'");
+  }
+  return SequenceGap(claim->vehicle_id, head->second.durable_sequence + 1,
+                     first_sequence);
+}
+
+}  // namespace
+
+absl::Status AppendRuns(PostgresConnection& connection,
+                        const std::vector<AppendRun>& runs,
+                        std::vector<absl::Status>* results) {
+  std::vector<std::int64_t> keys;
+  std::vector<Uuid> owners;
+  std::vector<std::int64_t> epochs;
+  std::vector<std::int64_t> run_firsts;
+  std::vector<std::int64_t> run_lasts;
+  std::vector<std::int64_t> run_revisions;
+  std::vector<std::int64_t> first_rows;
+  std::vector<std::int64_t> last_rows;
+  std::vector<std::int64_t> firsts;
+  std::vector<std::int64_t> counts;
+  std::vector<std::int64_t> revisions;
+  std::vector<std::int64_t> checksums;
+  std::vector<std::int64_t> starts;
+  std::vector<std::int64_t> lengths;
+  std::string payloads;
+  for (const AppendRun& run : runs) {
+    const Claim& claim = Compared(run.front()->claim.get());
+    keys.push_back(run.front()->key);
+    owners.push_back(claim.owner);
+    epochs.push_back(claim.epoch);
+    run_firsts.push_back(Signed(run.front()->batch.first_sequence));
+    run_lasts.push_back(Signed(LastSequence(run)));
+    // SQL counts from 1.
+    first_rows.push_back(static_cast<std::int64_t>(firsts.size()) + 1);
+    std::uint64_t highest = 0;
+    for (const PendingWrite* row : run) {
+      const BatchRecord& batch = row->batch;
+      highest = std::max(highest, batch.revision);
+      firsts.push_back(Signed(batch.first_sequence));
+      counts.push_back(batch.count);
+      revisions.push_back(Signed(batch.revision));
+      checksums.push_back(ChecksumOfBatch(kSharedRowFormat, row->key,
+                                          BatchVersion::kAsSent, batch));
+      starts.push_back(static_cast<std::int64_t>(payloads.size()) + 1);
+      lengths.push_back(static_cast<std::int64_t>(batch.payload.size()));
+      payloads += batch.payload;
+    }
+    run_revisions.push_back(Signed(highest));
+    last_rows.push_back(static_cast<std::int64_t>(firsts.size()));
+  }
+  const auto answer = connection.Run(kAppend, Parameters()
+                                                  .Add(keys)
+                                                  .Add(owners)
+                                                  .Add(epochs)
+                                                  .Add(run_firsts)
+                                                  .Add(run_lasts)
+                                                  .Add(run_revisions)
+                                                  .Add(first_rows)
+                                                  .Add(last_rows)
+                                                  .Add(firsts)
+                                                  .Add(counts)
+                                                  .Add(revisions)
+                                                  .Add(checksums)
+                                                  .Add(starts)
+                                                  .Add(lengths)
+                                                  .AddText(payloads)
+                                                  .Add(kSharedRowFormat));
+  if (!answer.ok()) return answer.status();
+  std::set<VehicleKey> written;
+  for (int i = 0; i < answer->size(); ++i) {
+    written.insert(answer->Integer(i, 0));
+  }
+  std::vector<std::int64_t> missing;
+  for (const AppendRun& run : runs) {
+    const VehicleKey key = run.front()->key;
+    if (written.count(key) == 0) {
+      missing.push_back(key);
+    } else {
+      NoteDurable({key, run.front()->claim}, LastSequence(run));
+    }
+  }
+  results->assign(runs.size(), absl::OkStatus());
+  if (missing.empty()) return absl::OkStatus();
+  const auto heads = ReadHeads(connection, missing);
+  for (std::size_t i = 0; i < runs.size(); ++i) {
+    const PendingWrite& first = *runs[i].front();
+    if (written.count(first.key) > 0) continue;
+    (*results)[i] = heads.ok()
+                        ? WhyNotAppended(*heads, first.key, first.claim.get(),
+                                         first.batch.first_sequence)
+                        : heads.status();
+  }
+  return absl::OkStatus();
+}
+
+absl::Status AppendWithVehicle(PostgresConnection& connection,
+                               const Fence& fence, const BatchRecord& batch,
+                               const std::string& vehicle_payload) {
+  auto row = ReadVehicleRow(connection, fence.key);
+  if (!row.ok()) return row.status();
+  Parameters parameters =
+      Replacing(fence, *std::move(row), vehicle_payload, batch.revision);
+  parameters.Add(Signed(batch.first_sequence))
+      .Add(std::int64_t{batch.count})
+      .Add(Signed(batch.revision))
+      .Add(ChecksumOfBatch(kSharedRowFormat, fence.key, BatchVersion::kAsSent,
+                           batch))
+      .AddText(batch.payload);
+  const auto rows = connection.Run(kAppendWithVehicle, parameters);
+  if (!rows.ok()) return rows.status();
+  if (rows->size() > 0) {
+    NoteDurable(fence, batch.first_sequence + batch.count - 1);
+    return absl::OkStatus();
+  }
+  const auto heads = ReadHeads(connection, {fence.key});
+  if (!heads.ok()) return heads.status();
+  return WhyNotAppended(*heads, fence.key, fence.claim.get(),
+                        batch.first_sequence);
+}
+
+const char* AppendSql() { return kAppend.sql; }
+
+}  // namespace revisit::server

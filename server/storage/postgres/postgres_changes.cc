@@ -1,0 +1,321 @@
+#include "server/storage/postgres/postgres_changes.h"
+
+#include <cstddef>
+#include <limits>
+#include <set>
+#include <utility>
+#include <vector>
+
+#include "server/base/status.h"
+#include "server/storage/postgres/postgres_reads.h"
+#include "server/storage/record_check.h"
+#include "server/storage/record_checksum.h"
+
+namespace revisit::server {
+namespace {
+
+// Batches that one statement revises, and their bytes, which the last of them
+// may exceed.
+constexpr std::size_t kRevisedAtOnce = 64;
+constexpr std::size_t kRevisedBytesAtOnce = std::size_t{4} << 20;
+
+constexpr Statement kNextKey = {
+    "next_key",
+    "SELECT nextval(pg_get_serial_sequence('vehicles', 'key')::regclass)"};
+constexpr Statement kInsertVehicle = {
+    "insert_vehicle",
+    "WITH v AS (INSERT INTO vehicles "
+    "(key, id, format, revision, checksum, payload) VALUES ($1::int8, "
+    "$2::text, $3::int8, $4::int8, $5::int8, $6::bytea) "
+    "ON CONFLICT (id) DO NOTHING RETURNING key, revision) "
+    "INSERT INTO heads (key, revision) SELECT key, revision FROM v "
+    "RETURNING key"};
+
+constexpr Statement kChangeVehicle = {"change_vehicle",
+                                      REVISIT_FENCE("", REVISIT_UNCHANGED)
+                                          REVISIT_REPLACE_VEHICLE};
+
+// $10 last sequence, $11 and $12 ids of damaged pairs.
+constexpr Statement kDropDamaged = {
+    "drop_damaged",
+    REVISIT_FENCE(", durable_sequence = $10::int8",
+                  REVISIT_UNCHANGED
+                  " AND coalesce((SELECT first_sequence + "
+                  "least(greatest(count, 1), 1000000) - 1 FROM batches "
+                  "WHERE vehicle_key = $1::int8 AND first_sequence <= "
+                  "$10::int8 ORDER BY first_sequence DESC LIMIT 1), 0) = "
+                  "$10::int8")
+    ", b AS (DELETE FROM batches t USING h WHERE t.vehicle_key = h.key AND "
+    "t.first_sequence > $10::int8), "
+    "r AS (DELETE FROM revised_batches t USING h WHERE t.vehicle_key = h.key "
+    "AND t.first_sequence > $10::int8), "
+    "l AS (DELETE FROM loop_closures t USING h WHERE t.vehicle_key = h.key "
+    "AND (greatest(t.query_sequence, t.matched_sequence) > $10::int8 OR "
+    "t.id = ANY($11::text[]))), "
+    "n AS (DELETE FROM rejected_candidates t USING h WHERE t.vehicle_key = "
+    "h.key AND (greatest(t.query_sequence, t.matched_sequence) > $10::int8 OR "
+    "t.id = ANY($12::text[]))) " REVISIT_REPLACE_VEHICLE};
+constexpr Statement kRaiseRevision = {
+    "raise_revision", REVISIT_FENCE("", "") "SELECT key FROM h"};
+constexpr Statement kRemoveVehicle = {
+    "remove_vehicle",
+    "WITH h AS (DELETE FROM heads WHERE key = $1::int8 AND owner = $2::uuid "
+    "AND epoch = $3::int8 RETURNING key), "
+    "v AS (DELETE FROM vehicles t USING h WHERE t.key = h.key), "
+    "l AS (DELETE FROM loop_closures t USING h WHERE t.vehicle_key = h.key), "
+    "n AS (DELETE FROM rejected_candidates t USING h "
+    "WHERE t.vehicle_key = h.key), "
+    "o AS (DELETE FROM handovers t USING h WHERE t.key = h.key) "
+    "INSERT INTO deleted_vehicles (key) SELECT key FROM h RETURNING key"};
+
+// $1 key, $2 first sequences, $3 counts, $4 checksums, $5 payloads, $6 format,
+// $7 revision.
+constexpr Statement kRevise = {
+    "revise",
+    "INSERT INTO revised_batches AS r (vehicle_key, first_sequence, count, "
+    "format, revision, checksum, payload) SELECT $1::int8, a.f, a.n, $6::int8, "
+    "$7::int8, a.ck, a.p FROM unnest($2::int8[], $3::int8[], $4::int8[], "
+    "$5::bytea[]) AS a(f, n, ck, p) JOIN batches b ON b.vehicle_key = "
+    "$1::int8 AND b.first_sequence = a.f AND b.count = a.n "
+    "ON CONFLICT (vehicle_key, first_sequence) DO UPDATE SET "
+    "count = excluded.count, format = excluded.format, "
+    "revision = excluded.revision, checksum = excluded.checksum, "
+    "payload = excluded.payload RETURNING r.first_sequence"};
+
+// A row of `deleted_vehicles` goes in the statement after the one that removed
+// its last batches, since a statement does not see what it does itself.
+constexpr Statement kPurge = {
+    "purge",
+    "WITH d AS (SELECT key FROM deleted_vehicles ORDER BY key LIMIT 1 "
+    "FOR UPDATE SKIP LOCKED), "
+    "b AS (DELETE FROM batches WHERE (vehicle_key, first_sequence) IN "
+    "(SELECT t.vehicle_key, t.first_sequence FROM d JOIN batches t "
+    "ON t.vehicle_key = d.key ORDER BY t.first_sequence LIMIT 256)), "
+    "r AS (DELETE FROM revised_batches WHERE (vehicle_key, first_sequence) IN "
+    "(SELECT t.vehicle_key, t.first_sequence FROM d JOIN revised_batches t "
+    "ON t.vehicle_key = d.key ORDER BY t.first_sequence LIMIT 256)), "
+    "e AS (DELETE FROM deleted_vehicles x USING d WHERE x.key = d.key AND "
+    "NOT EXISTS (SELECT 1 FROM batches WHERE vehicle_key = d.key) AND "
+    "NOT EXISTS (SELECT 1 FROM revised_batches WHERE vehicle_key = d.key)) "
+    "SELECT key FROM d"};
+
+struct PairStatements {
+  Statement insert;
+  Statement remove;
+};
+
+#define REVISIT_INSERT_PAIR(TABLE)                                      \
+  REVISIT_FENCE("", " AND NOT EXISTS (SELECT 1 FROM " TABLE             \
+                    " WHERE vehicle_key = $1::int8 AND id = $5::text)") \
+  "INSERT INTO " TABLE                                                  \
+  " (vehicle_key, id, format, query_sequence, matched_sequence, "       \
+  "create_time_ns, checksum, payload) SELECT key, $5::text, $6::int8, " \
+  "$7::int8, $8::int8, $9::int8, $10::int8, $11::bytea FROM h "         \
+  "RETURNING vehicle_key"
+#define REVISIT_REMOVE_PAIR(TABLE)                                      \
+  REVISIT_FENCE("", " AND EXISTS (SELECT 1 FROM " TABLE                 \
+                    " WHERE vehicle_key = $1::int8 AND id = $5::text)") \
+  "DELETE FROM " TABLE                                                  \
+  " t USING h WHERE t.vehicle_key = h.key AND "                         \
+  "t.id = $5::text RETURNING t.vehicle_key"
+constexpr PairStatements kClosures = {
+    {"insert_loop_closures", REVISIT_INSERT_PAIR("loop_closures")},
+    {"remove_loop_closures", REVISIT_REMOVE_PAIR("loop_closures")}};
+constexpr PairStatements kRejections = {
+    {"insert_rejected_candidates", REVISIT_INSERT_PAIR("rejected_candidates")},
+    {"remove_rejected_candidates", REVISIT_REMOVE_PAIR("rejected_candidates")}};
+#undef REVISIT_INSERT_PAIR
+#undef REVISIT_REMOVE_PAIR
+
+const PairStatements& StatementsOf(PairKind kind) {
+  return kind == PairKind::kLoopClosure ? kClosures : kRejections;
+}
+
+absl::Status ReviseSome(PostgresConnection& connection, VehicleKey key,
+                        const std::vector<BatchRecord>& batches,
+                        std::uint64_t revision) {
+  std::vector<std::int64_t> firsts;
+  std::vector<std::int64_t> counts;
+  std::vector<std::int64_t> checksums;
+  std::vector<const std::string*> payloads;
+  for (const BatchRecord& batch : batches) {
+    firsts.push_back(Signed(batch.first_sequence));
+    counts.push_back(batch.count);
+    checksums.push_back(
+        ChecksumOfBatch(kSharedRowFormat, key, BatchVersion::kCurrent, batch));
+    payloads.push_back(&batch.payload);
+  }
+  const auto rows = connection.Run(kRevise, Parameters()
+                                                .Add(key)
+                                                .Add(firsts)
+                                                .Add(counts)
+                                                .Add(checksums)
+                                                .AddBytes(payloads)
+                                                .Add(kSharedRowFormat)
+                                                .Add(Signed(revision)));
+  if (!rows.ok()) return rows.status();
+  std::set<std::int64_t> revised;
+  for (int i = 0; i < rows->size(); ++i) revised.insert(rows->Integer(i, 0));
+  for (const BatchRecord& batch : batches) {
+    if (revised.count(Signed(batch.first_sequence)) == 0) {
+      return NoSuchBatch(batch);
+    }
+  }
+  return absl::OkStatus();
+}
+
+// Passes batches on in groups in which no first sequence occurs twice.
+absl::Status ReviseInGroups(PostgresConnection& connection, VehicleKey key,
+                            const BatchSource& source, std::uint64_t revision) {
+  std::vector<BatchRecord> group;
+  std::set<std::uint64_t> firsts;
+  std::size_t bytes = 0;
+  const auto flush = [&] {
+    const absl::Status status = ReviseSome(connection, key, group, revision);
+    group.clear();
+    firsts.clear();
+    bytes = 0;
+    return status;
+  };
+  absl::Status status = source([&](const BatchRecord& batch) {
+    if (firsts.count(batch.first_sequence) > 0 ||
+        group.size() >= kRevisedAtOnce || bytes >= kRevisedBytesAtOnce) {
+      if (absl::Status flushed = flush(); !flushed.ok()) return flushed;
+    }
+    group.push_back(batch);
+    group.back().revision = revision;
+    firsts.insert(batch.first_sequence);
+    bytes += batch.payload.size();
+    return absl::OkStatus();
+  });
+  if (status.ok() && !group.empty()) status = flush();
+  return status;
+}
+
+}  // namespace
+
+absl::StatusOr<VehicleKey> InsertVehicle(PostgresConnection& connection,
+                                         VehicleRecord record) {
+  // The checksum covers the key.
+  const auto key = connection.Run(kNextKey);
+  if (!key.ok()) return key.status();
+  record.key = key->Integer(0, 0);
+  const auto rows = connection.Run(
+      kInsertVehicle, Parameters()
+                          .Add(record.key)
+                          .AddText(record.id)
+                          .Add(kSharedRowFormat)
+                          .Add(Signed(record.revision))
+                          .Add(ChecksumOfVehicle(kSharedRowFormat, record))
+                          .AddText(record.payload));
+  if (!rows.ok()) return rows.status();
+  if (rows->size() == 0) return VehicleExists(record.id);
+  return record.key;
+}
+
+absl::Status ChangeVehicle(PostgresConnection& connection, const Fence& fence,
+                           const std::string& payload, std::uint64_t revision) {
+  auto row = ReadVehicleRow(connection, fence.key);
+  if (!row.ok()) return row.status();
+  const auto rows = connection.Run(
+      kChangeVehicle, Replacing(fence, *std::move(row), payload, revision));
+  if (!rows.ok()) return rows.status();
+  if (rows->size() > 0) return absl::OkStatus();
+  return WhyNotWritten(connection, fence, Fenced("the vehicle"));
+}
+
+absl::Status RemoveVehicle(PostgresConnection& connection, const Fence& fence) {
+  const auto rows = connection.Run(kRemoveVehicle, FenceOf(fence));
+  if (!rows.ok()) return rows.status();
+  if (rows->size() > 0) return absl::OkStatus();
+  return WhyNotWritten(connection, fence, Fenced("the vehicle"));
+}
+
+absl::Status ReviseBatchRows(PostgresConnection& connection, const Fence& fence,
+                             const BatchSource& batches,
+                             std::uint64_t revision) {
+  absl::Status status = connection.RunText("BEGIN").status();
+  if (!status.ok()) return status;
+  // The fence comes first: from here on nobody can claim the vehicle.
+  const auto head = connection.Run(kRaiseRevision, FenceOf(fence, revision));
+  status = head.status();
+  const bool holds = head.ok() && head->size() > 0;
+  if (holds) {
+    status = ReviseInGroups(connection, fence.key, batches, revision);
+  }
+  if (holds && status.ok()) {
+    const auto committed = connection.RunText("COMMIT");
+    if (!committed.ok()) return committed.status();
+    if (committed->Tag() == "COMMIT") return absl::OkStatus();
+    return Error(absl::StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                 "the database rolled the revision back");
+  }
+  // A connection that cannot roll back is not used again.
+  const bool in_doubt = connection.IsInDoubt();
+  if (!in_doubt) connection.RunText("ROLLBACK").IgnoreError();
+  if (!status.ok()) return status;
+  return WhyNotWritten(connection, fence, Fenced("the vehicle"));
+}
+
+absl::Status DropDamagedRows(PostgresConnection& connection, const Fence& fence,
+                             std::uint64_t last_sequence,
+                             const std::string& payload,
+                             std::uint64_t revision) {
+  auto row = ReadVehicleRow(connection, fence.key);
+  if (!row.ok()) return row.status();
+  Parameters parameters = Replacing(fence, *std::move(row), payload, revision);
+  parameters.Add(Signed(last_sequence));
+  for (const PairKind kind : kPairKinds) {
+    // Reads all pairs, without a limit.
+    const auto pairs = FindPosePairs(connection, fence.key, kind, "",
+                                     std::numeric_limits<int>::max());
+    if (!pairs.ok()) return pairs.status();
+    std::vector<const std::string*> damaged;
+    for (const PosePairRecord& pair : *pairs) {
+      if (!pair.damage.ok()) damaged.push_back(&pair.id);
+    }
+    parameters.AddTexts(damaged);
+  }
+  const auto rows = connection.Run(kDropDamaged, parameters);
+  if (!rows.ok()) return rows.status();
+  if (rows->size() > 0) {
+    NoteDurable(fence, last_sequence);
+    return absl::OkStatus();
+  }
+  return WhyNotWritten(connection, fence, NoBatchEndsAt(last_sequence));
+}
+
+absl::Status InsertPosePair(PostgresConnection& connection, const Fence& fence,
+                            PairKind kind, const PosePairRecord& pair,
+                            std::uint64_t revision) {
+  Parameters parameters = FenceOf(fence, revision);
+  parameters.AddText(pair.id)
+      .Add(kSharedRowFormat)
+      .Add(Signed(pair.query_sequence))
+      .Add(Signed(pair.matched_sequence))
+      .Add(pair.create_time_ns)
+      .Add(ChecksumOfPosePair(kSharedRowFormat, fence.key, kind, pair))
+      .AddText(pair.payload);
+  const auto rows = connection.Run(StatementsOf(kind).insert, parameters);
+  if (!rows.ok()) return rows.status();
+  if (rows->size() > 0) return absl::OkStatus();
+  return WhyNotWritten(connection, fence, PairExists(kind, pair.id));
+}
+
+absl::Status RemovePosePair(PostgresConnection& connection, const Fence& fence,
+                            PairKind kind, const std::string& id,
+                            std::uint64_t revision) {
+  const auto rows = connection.Run(StatementsOf(kind).remove,
+                                   FenceOf(fence, revision).AddText(id));
+  if (!rows.ok()) return rows.status();
+  if (rows->size() > 0) return absl::OkStatus();
+  return WhyNotWritten(connection, fence, NoSuchPair(kind, id));
+}
+
+absl::StatusOr<bool> PurgeSome(PostgresConnection& connection) {
+  const auto rows = connection.Run(kPurge);
+  if (!rows.ok()) return rows.status();
+  return rows->size() > 0;
+}
+
+}  // namespace revisit::server

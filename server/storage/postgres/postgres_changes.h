@@ -1,0 +1,48 @@
+// The statements that write anything but appends (postgres_appends.h). A write
+// is one statement, which commits by itself (ReviseBatchRows() excepted, which
+// may be too large), so that a server that is stopped in the middle of it holds
+// nothing. It compares owner and epoch of the vehicle's head, and writes
+// nothing where they differ: ABORTED (EPOCH_FENCED). Other errors are those of
+// the calls of Storage (storage.h) that use these functions, and of
+// connection.h.
+#ifndef REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_CHANGES_H_
+#define REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_CHANGES_H_
+
+#include <cstdint>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "server/storage/postgres/connection.h"
+#include "server/storage/postgres/postgres_fence.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+absl::StatusOr<VehicleKey> InsertVehicle(PostgresConnection& connection,
+                                         VehicleRecord record);
+absl::Status ChangeVehicle(PostgresConnection& connection, const Fence& fence,
+                           const std::string& payload, std::uint64_t revision);
+absl::Status RemoveVehicle(PostgresConnection& connection, const Fence& fence);
+
+absl::Status ReviseBatchRows(PostgresConnection& connection, const Fence& fence,
+                             const BatchSource& batches,
+                             std::uint64_t revision);
+absl::Status DropDamagedRows(PostgresConnection& connection, const Fence& fence,
+                             std::uint64_t last_sequence,
+                             const std::string& payload,
+                             std::uint64_t revision);
+
+absl::Status InsertPosePair(PostgresConnection& connection, const Fence& fence,
+                            PairKind kind, const PosePairRecord& pair,
+                            std::uint64_t revision);
+absl::Status RemovePosePair(PostgresConnection& connection, const Fence& fence,
+                            PairKind kind, const std::string& id,
+                            std::uint64_t revision);
+
+// Removes some batches of deleted vehicles; returns whether more may be left.
+absl::StatusOr<bool> PurgeSome(PostgresConnection& connection);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_CHANGES_H_

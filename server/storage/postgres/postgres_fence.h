@@ -1,0 +1,86 @@
+// What writes under a claim have in common: SQL that compares the claim with
+// the vehicle's head, the values for it, and why a statement wrote nothing.
+#ifndef REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_FENCE_H_
+#define REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_FENCE_H_
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "server/storage/postgres/connection.h"
+#include "server/storage/postgres/ownership.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+// A vehicle and the claim under which it is written; null if there was none.
+struct Fence {
+  VehicleKey key = 0;
+  std::shared_ptr<const Claim> claim;
+};
+
+// ---- SQL
+
+// What every write but an append begins with: it leaves the vehicle's key in
+// `h`, or nothing if the claim or the conditions do not hold. $1 key, $2 owner,
+// $3 epoch, $4 revision.
+#define REVISIT_FENCE(MORE_CHANGES, MORE_CONDITIONS) \
+  "WITH h AS (UPDATE heads SET revision = "          \
+  "greatest(revision, $4::int8)" MORE_CHANGES        \
+  " WHERE key = $1::int8 AND owner = $2::uuid AND "  \
+  "epoch = $3::int8" MORE_CONDITIONS " RETURNING key) "
+// The vehicle's row is as it was when its new version was made: $5 checksum.
+#define REVISIT_UNCHANGED                                         \
+  " AND EXISTS (SELECT 1 FROM vehicles WHERE key = $1::int8 AND " \
+  "checksum = $5::int8)"
+// $6 format, $7 revision, $8 checksum, $9 payload.
+#define REVISIT_REPLACE_VEHICLE                                          \
+  "UPDATE vehicles v SET format = $6::int8, revision = $7::int8, "       \
+  "checksum = $8::int8, payload = $9::bytea FROM h WHERE v.key = h.key " \
+  "RETURNING v.key"
+
+// ---- Values
+
+// The claim with which a head is compared. Nothing is written under one that
+// has ended: it becomes one that no vehicle has.
+const Claim& Compared(const Claim* claim);
+// $1 to $3, and with the revision $4.
+Parameters FenceOf(const Fence& fence);
+Parameters FenceOf(const Fence& fence, std::uint64_t revision);
+
+// The vehicle's row, and the checksum by which it is known again.
+struct VehicleRow {
+  VehicleRecord record;
+  std::int64_t checksum = 0;
+};
+// NOT_FOUND (VEHICLE_NOT_FOUND); DATA_LOSS (STORE_CORRUPT) if it is damaged.
+absl::StatusOr<VehicleRow> ReadVehicleRow(PostgresConnection& connection,
+                                          VehicleKey key);
+// $1 to $9, for a statement that replaces the vehicle's row.
+Parameters Replacing(const Fence& fence, VehicleRow row,
+                     const std::string& payload, std::uint64_t revision);
+
+// ---- After a statement
+
+// Notes up to where the vehicle is stored now.
+void NoteDurable(const Fence& fence, std::uint64_t sequence);
+
+struct Head {
+  Uuid owner;
+  std::int64_t epoch;
+  std::uint64_t durable_sequence;
+};
+absl::StatusOr<std::map<VehicleKey, Head>> ReadHeads(
+    PostgresConnection& connection, const std::vector<std::int64_t>& keys);
+bool Holds(const Claim* claim, const Head& head);
+// Why a write that is no append wrote nothing: `otherwise`, if the claim holds.
+absl::Status WhyNotWritten(PostgresConnection& connection, const Fence& fence,
+                           absl::Status otherwise);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_FENCE_H_

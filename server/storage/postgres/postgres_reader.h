@@ -1,0 +1,69 @@
+// What of a storage in PostgreSQL needs no owner: its reads, over connections
+// of their own.
+#ifndef REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_READER_H_
+#define REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_READER_H_
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "server/storage/postgres/connection.h"
+#include "server/storage/postgres/connection_pool.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+// A first connection, to a database whose tables are known here. Errors are
+// those of OpenPostgresStorage().
+absl::StatusOr<std::unique_ptr<PostgresConnection>> LookAtDatabase(
+    const std::string& conninfo);
+
+// Thread-safe.
+class PostgresReader : public Storage {
+ public:
+  absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override;
+  absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
+      const std::string& after_id, const std::string& prefix,
+      int limit) override;
+  absl::Status ReadBatches(
+      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+      BatchVersion version,
+      const std::function<bool(BatchRecord)>& visit) override;
+  absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
+      VehicleKey key, PairKind kind, const std::string& after_id,
+      int limit) override;
+  absl::StatusOr<std::vector<StorageUser>> ListUsers() override;
+
+ protected:
+  explicit PostgresReader(const std::string& conninfo);
+
+  // Runs `read` on one of the connections.
+  template <typename T>
+  absl::StatusOr<T> Read(
+      const std::function<absl::StatusOr<T>(PostgresConnection&)>& read) {
+    absl::StatusOr<T> result = T();
+    const absl::Status status =
+        connections_.Use([&](PostgresConnection& connection) {
+          result = read(connection);
+          return result.status();
+        });
+    if (!status.ok()) return status;
+    return result;
+  }
+
+ private:
+  ConnectionPool connections_;
+};
+
+// Opens the storage for reading, without joining the servers. Writes are
+// FAILED_PRECONDITION. Errors are those of OpenPostgresStorage().
+absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorageToRead(
+    const std::string& conninfo);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_READER_H_

@@ -1,0 +1,34 @@
+// The statements that read records, which needs no claim. The tables are those
+// of migrations.h; errors are those of the calls of Storage (storage.h) that
+// use these functions, and of connection.h.
+#ifndef REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_READS_H_
+#define REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_READS_H_
+
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "server/storage/postgres/connection.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+absl::StatusOr<VehicleRecord> FindVehicle(PostgresConnection& connection,
+                                          const std::string& id);
+absl::StatusOr<std::vector<VehicleRecord>> FindVehicles(
+    PostgresConnection& connection, const std::string& after_id,
+    const std::string& prefix, int limit);
+absl::Status VisitBatches(PostgresConnection& connection, VehicleKey key,
+                          std::uint64_t first_sequence,
+                          std::uint64_t last_sequence, BatchVersion version,
+                          const std::function<bool(BatchRecord)>& visit);
+absl::StatusOr<std::vector<PosePairRecord>> FindPosePairs(
+    PostgresConnection& connection, VehicleKey key, PairKind kind,
+    const std::string& after_id, int limit);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_READS_H_
