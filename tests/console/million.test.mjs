@@ -45,7 +45,7 @@ before(async () => {
 });
 after(() => world?.close());
 
-/** Frames that the browser drew a second, by its own trace, while `work` ran. */
+/** Frames a second that the browser drew, by its own trace, during `work`. */
 async function framesASecond(page, work) {
   await world.browser.startTracing(page, {
     path: join(OUT, 'million-trace.json'),
