@@ -66,6 +66,15 @@ test('a drive grows on the map while it is streamed', async () => {
   await fleet.context().close();
 });
 
+test('the page asks at as many checks as a stream has', async () => {
+  const printed = world.revisitd.text(
+      'stream', DRIVE, '--create', '--vehicle', 'streamed', '--uncertainty',
+      'file', '--candidates', '--json');
+  const {length} = printed.match(/"nodesConsidered"/g);
+  assert.ok(length > 300);
+  await page.getByText(`of ${length} checks answered`).waitFor();
+});
+
 test('checks show the candidates that the server answers', async () => {
   await openAccepted();
   const [asked, matched] = /(\d+)-(\d+)$/.exec(page.url()).slice(1);

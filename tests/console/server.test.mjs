@@ -1,4 +1,4 @@
-// The console's server by itself: how it is started, and how it reaches revisitd.
+// The console's server by itself: how it starts, and how it reaches revisitd.
 import assert from 'node:assert/strict';
 import {spawnSync} from 'node:child_process';
 import {mkdtempSync, rmSync} from 'node:fs';

@@ -82,13 +82,20 @@ export class Revisitd {
     return stop(this.child, 'SIGTERM');
   }
 
-  /** Runs the command line and returns what it prints, as JSON if asked. */
-  cli(...args) {
+  /** Runs the command line and returns what it prints. */
+  text(...args) {
     const run = spawnSync(join(BIN, 'revisit'),
                           ['--server', this.address, ...args],
-                          {encoding: 'utf8', env: environment});
+                          {encoding: 'utf8', env: environment,
+                           maxBuffer: 64 * 1024 * 1024});
     assert.equal(run.status, 0, `revisit ${args.join(' ')}: ${run.stderr}`);
-    return args.includes('--json') ? JSON.parse(run.stdout) : run.stdout;
+    return run.stdout;
+  }
+
+  /** The same, read as JSON if it was asked to print that. */
+  cli(...args) {
+    const text = this.text(...args);
+    return args.includes('--json') ? JSON.parse(text) : text;
   }
 
   /** Streams the lines of a recording as they are written to `stdin`. */
