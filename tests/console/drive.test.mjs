@@ -66,6 +66,15 @@ test('a drive grows on the map while it is streamed', async () => {
   await fleet.context().close();
 });
 
+test('the page asks at as many checks as a stream has', async () => {
+  const printed = world.revisitd.text(
+      'stream', DRIVE, '--create', '--vehicle', 'streamed', '--uncertainty',
+      'file', '--candidates', '--json');
+  const {length} = printed.match(/"nodesConsidered"/g);
+  assert.ok(length > 300);
+  await page.getByText(`of ${length} checks answered`).waitFor();
+});
+
 test('checks show the candidates that the server answers', async () => {
   await openAccepted();
   const [asked, matched] = /(\d+)-(\d+)$/.exec(page.url()).slice(1);
@@ -97,7 +106,7 @@ test('a candidate is confirmed with a note, by keys, and that is undone',
   assert.equal(loopClosures.length, 1);
   assert.equal(loopClosures[0].note, 'seen by hand');
   assert.match(page.url(), new RegExp(`-${loopClosures[0].matchedSequence}$`));
-  await page.getByText('boreas has 1 loop closures').waitFor();
+  await page.getByText('Loop closures: 1.').waitFor();
   await page.keyboard.press('u');
   await page.getByText('Undone.').waitFor();
   assert.equal(world.revisitd.cli('closures', 'list', 'boreas', '--json')

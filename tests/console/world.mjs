@@ -1,5 +1,5 @@
-// A real revisitd, a real console in front of it and a real browser, as the tests
-// of the console start and stop them.
+// A real revisitd, a real console in front of it and a real browser, as the
+// tests of the console start and stop them.
 import assert from 'node:assert/strict';
 import {spawn, spawnSync} from 'node:child_process';
 import {generateKeyPairSync, sign} from 'node:crypto';
@@ -42,7 +42,7 @@ function ended(child) {
 }
 
 async function stop(child, signal) {
-  if (ended(child)) return;
+  if (!child || ended(child)) return;
   child.kill(signal);
   await until(() => ended(child), 'end of a process');
 }
@@ -82,13 +82,20 @@ export class Revisitd {
     return stop(this.child, 'SIGTERM');
   }
 
-  /** Runs the command line and returns what it prints, as JSON if asked. */
-  cli(...args) {
+  /** Runs the command line and returns what it prints. */
+  text(...args) {
     const run = spawnSync(join(BIN, 'revisit'),
                           ['--server', this.address, ...args],
-                          {encoding: 'utf8', env: environment});
+                          {encoding: 'utf8', env: environment,
+                           maxBuffer: 64 * 1024 * 1024});
     assert.equal(run.status, 0, `revisit ${args.join(' ')}: ${run.stderr}`);
-    return args.includes('--json') ? JSON.parse(run.stdout) : run.stdout;
+    return run.stdout;
+  }
+
+  /** The same, read as JSON if it was asked to print that. */
+  cli(...args) {
+    const text = this.text(...args);
+    return args.includes('--json') ? JSON.parse(text) : text;
   }
 
   /** Streams the lines of a recording as they are written to `stdin`. */
@@ -99,16 +106,19 @@ export class Revisitd {
   }
 }
 
+/** The console in front of the server at an address, which is asked for when it
+ * is started. */
 export class Console {
-  constructor(server) {
-    this.server = server;
+  constructor(address, flags = []) {
+    this.address = address;
+    this.flags = flags;
   }
 
   async start() {
     this.child = spawn(
         'node',
         [join(ROOT, 'client/console/dist/server/main.js'), '--listen',
-         '127.0.0.1:0', '--server', this.server],
+         '127.0.0.1:0', '--server', this.address(), ...this.flags],
         {stdio: ['ignore', 'pipe', 'inherit'], env: environment});
     let said = '';
     this.child.stdout.on('data', data => said += data);
@@ -133,7 +143,7 @@ export class World {
         world.directory,
         typeof flags === 'function' ? flags(world.directory) : flags);
     await world.revisitd.start();
-    world.console = new Console(world.revisitd.address);
+    world.console = new Console(() => world.revisitd.address);
     await world.console.start();
     // There may be no graphics card here: WebGL is drawn in software then.
     world.browser = await chromium.launch({
@@ -186,7 +196,7 @@ export async function number(page, name) {
   return Number((await fact(page, name)).replaceAll(',', ''));
 }
 
-/** How many pixels of the map have about this colour, by what is on the screen. */
+/** How many pixels of the map on the screen have about this colour. */
 export async function pixels(page, property) {
   return (await pixelsOf(page, property)).count;
 }
@@ -245,7 +255,7 @@ export class Issuer {
       iss: ISSUER, aud: AUDIENCE, sub: subject,
       exp: Math.floor(Date.now() / 1000) + 3600,
     })}`;
-    return `${signed}.${
-        sign(null, Buffer.from(signed), this.privateKey).toString('base64url')}`;
+    const signature = sign(null, Buffer.from(signed), this.privateKey);
+    return `${signed}.${signature.toString('base64url')}`;
   }
 }

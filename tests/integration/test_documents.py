@@ -9,7 +9,8 @@ from stubs import ROOT
 DOCUMENTS = sorted([
     *ROOT.glob("*.md"), *(
         path for folder in ("client", "docs", "proto", "tests")
-        for path in (ROOT / folder).rglob("*.md"))])
+        for path in (ROOT / folder).rglob("*.md")
+        if "node_modules" not in path.parts)])
 
 
 def without_code(text):

@@ -1,7 +1,7 @@
 import type {DescMessage, DescMethodServerStreaming, DescMethodUnary,
              MessageInitShape} from '@bufbuild/protobuf';
 import {EmptySchema} from '@bufbuild/protobuf/wkt';
-import {ConnectError, type ConnectRouter, type HandlerContext,
+import {Code, ConnectError, type ConnectRouter, type HandlerContext,
         type Transport} from '@connectrpc/connect';
 
 import {Health} from '../gen/grpc/health/v1/health_pb.js';
@@ -31,10 +31,14 @@ function passedOn(context: HandlerContext): Headers {
 }
 
 /** The error with its code, message and details, but without the transport's
- * own headers. */
-function withoutHeaders(error: unknown): ConnectError {
+ * own headers. A connection that was reset is reported by the transport like a
+ * call that the caller gave up; the caller is told which of the two it was. */
+function answerTo(context: HandlerContext, error: unknown): ConnectError {
   const received = ConnectError.from(error);
-  const answer = new ConnectError(received.rawMessage, received.code);
+  const wasReset =
+      received.code === Code.Canceled && !context.signal.aborted;
+  const answer = new ConnectError(
+      received.rawMessage, wasReset ? Code.Unavailable : received.code);
   answer.details = received.details;
   return answer;
 }
@@ -53,7 +57,7 @@ function forwardUnary<I extends DescMessage, O extends DescMessage>(
           request as MessageInitShape<I>);
       return answer.message as MessageInitShape<O>;
     } catch (error) {
-      throw withoutHeaders(error);
+      throw answerTo(context, error);
     }
   });
 }
@@ -70,7 +74,7 @@ function forwardStream(router: ConnectRouter, transport: Transport,
           one(request as never));
       yield* answer.message;
     } catch (error) {
-      throw withoutHeaders(error);
+      throw answerTo(context, error);
     }
   });
 }

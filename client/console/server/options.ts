@@ -1,7 +1,8 @@
 import {parseArgs} from 'node:util';
 
-export const USAGE = `usage: main.js [--listen ADDRESS:PORT] [--server ADDRESS:PORT]
-               [--tls-ca FILE] [--host NAME]...
+export const USAGE = `\
+usage: main.js [--listen ADDRESS:PORT] [--server ADDRESS:PORT]
+               [--tls-ca FILE] [--host NAME]... [--insecure-allow-remote]
 
 Serves the console of revisit and passes its calls on to a revisitd.
 
@@ -12,7 +13,8 @@ Serves the console of revisit and passes its calls on to a revisitd.
   --host NAME             a name, with its port unless that is the usual one, by
                           which browsers reach the console through a proxy;
                           localhost and the address listened at always count
-  --insecure-allow-remote listen beyond the loopback, without TLS
+  --insecure-allow-remote
+                          listen beyond the loopback, without TLS
   --help                  this text
 `;
 

@@ -33,8 +33,8 @@ export function go(to: string): void {
   window.scrollTo(0, 0);
 }
 
-/** Changes one part of the address without a new entry in the history; undefined
- * removes it. */
+/** Changes one part of the address without a new entry in the history;
+ * undefined removes it. */
 export function setQuery(name: string, value: string|undefined): void {
   const changed = new URLSearchParams(query.value);
   if (value === undefined) {
@@ -57,7 +57,8 @@ document.addEventListener('click', event => {
   const link = (event.target as Element).closest?.('a');
   if (!link || event.defaultPrevented || event.button !== 0 || event.ctrlKey ||
       event.metaKey || event.shiftKey || link.origin !== location.origin ||
-      link.hasAttribute('download') || link.getAttribute('href')!.startsWith('#')) {
+      link.hasAttribute('download') ||
+      link.getAttribute('href')!.startsWith('#')) {
     return;
   }
   event.preventDefault();

@@ -39,6 +39,7 @@ function layerOf(shape: Shape, view: View): Layer {
         segments: shape.segmentsIn(view),
         colour: colour.map(part => part / 255) as [number, number, number],
         widthPixels: shape.widthPixels,
+        view,
       }) :
       new ScatterplotLayer({
         id: shape.id,
@@ -68,6 +69,8 @@ class MapDrawing {
               private readonly onView: (view: View) => void) {
     this.deck = new Deck({
       parent,
+      // The layers smooth their own edges, which costs software renderers less.
+      deviceProps: {type: 'webgl', webgl: {antialias: false}},
       views: new OrthographicView({id: 'map', flipY: false}),
       controller: {keyboard: true, inertia: true},
       viewState: this.view,

@@ -1,6 +1,7 @@
-import {Layer, type LayerProps, project32, type UpdateParameters} from
-    '@deck.gl/core';
+import {Layer, type LayerProps, type UpdateParameters} from '@deck.gl/core';
 import {Geometry, Model} from '@luma.gl/engine';
+
+import type {View} from '../geometry/view.js';
 
 export interface StrokeLayerProps extends LayerProps {
   /** Segments x0, y0, x1, y1 in metres. Another array means other segments. */
@@ -8,11 +9,15 @@ export interface StrokeLayerProps extends LayerProps {
   /** Red, green and blue in [0, 1]. */
   colour: [number, number, number];
   widthPixels: number;
+  view: View;
 }
 
 const uniformBlock = `\
 layout(std140) uniform strokeUniforms {
+  vec2 centreMeters;
+  vec2 sizePixels;
   vec3 colour;
+  float pixelsPerMeter;
   float widthPixels;
 } stroke;
 `;
@@ -21,76 +26,79 @@ const strokeUniforms = {
   name: 'stroke',
   vs: uniformBlock,
   fs: uniformBlock,
-  uniformTypes: {colour: 'vec3<f32>', widthPixels: 'f32'},
+  uniformTypes: {
+    centreMeters: 'vec2<f32>',
+    sizePixels: 'vec2<f32>',
+    colour: 'vec3<f32>',
+    pixelsPerMeter: 'f32',
+    widthPixels: 'f32',
+  },
 } as const;
 
+// Half a pixel more than the width, in which the edge fades.
 const vs = `#version 300 es
-in vec2 here;
-in vec2 there;
-in float side;
+in vec4 segment;
+in vec2 corner;
+out float fromMiddle;
 void main(void) {
-  vec4 p = project_position_to_clipspace(vec3(here, 0.), vec3(0.), vec3(0.));
-  vec4 q = project_position_to_clipspace(vec3(there, 0.), vec3(0.), vec3(0.));
-  vec2 along = (q.xy - p.xy) * project.viewportSize;
-  float size = max(length(along), 1e-6);
-  vec2 across = vec2(-along.y, along.x) / size * side * stroke.widthPixels / 2.;
-  gl_Position = p + vec4(project_pixel_size_to_clipspace(across), 0., 0.);
+  vec2 from = (segment.xy - stroke.centreMeters) * stroke.pixelsPerMeter;
+  vec2 to = (segment.zw - stroke.centreMeters) * stroke.pixelsPerMeter;
+  vec2 along = (to - from) / max(length(to - from), 1e-6);
+  fromMiddle = corner.y * (stroke.widthPixels / 2. + 0.5);
+  vec2 place = mix(from, to, corner.x) +
+      vec2(-along.y, along.x) * fromMiddle;
+  gl_Position = vec4(2. * place / stroke.sizePixels, 0., 1.);
 }
 `;
 
 const fs = `#version 300 es
 precision highp float;
+in float fromMiddle;
 out vec4 fragColor;
 void main(void) {
-  fragColor = vec4(stroke.colour, layer.opacity);
+  float covered = stroke.widthPixels / 2. + 0.5 - abs(fromMiddle);
+  fragColor = vec4(stroke.colour, clamp(covered, 0., 1.));
 }
 `;
 
-const CORNERS = 6;
+/** Which end, and which side of the line. */
+const CORNERS = [0, 1, 0, -1, 1, 1, 1, -1];
+const TRIANGLES = [0, 1, 2, 2, 1, 3];
 
-/** Two triangles for each segment. At the far end the line leads back, so that
- * the sides change. */
+/** Two triangles for each segment. */
 function geometryOf(segments: Float32Array): Geometry {
-  const vertexCount = segments.length / 4 * CORNERS;
-  const here = new Float32Array(2 * vertexCount);
-  const there = new Float32Array(2 * vertexCount);
-  const side = new Float32Array(vertexCount);
-  const corners: Array<[number, number]> =
-      [[0, 1], [0, -1], [1, 1], [1, 1], [1, -1], [0, 1]];
-  let vertex = 0;
-  for (let i = 0; i < segments.length; i += 4) {
-    for (const [end, sign] of corners) {
-      const near = i + 2 * end;
-      const far = i + 2 - 2 * end;
-      here[2 * vertex] = segments[near];
-      here[2 * vertex + 1] = segments[near + 1];
-      there[2 * vertex] = segments[far];
-      there[2 * vertex + 1] = segments[far + 1];
-      side[vertex++] = sign;
-    }
+  const count = segments.length / 4;
+  const segment = new Float32Array(16 * count);
+  const corner = new Float32Array(8 * count);
+  const indices = new Uint32Array(6 * count);
+  for (let i = 0; i < count; ++i) {
+    const ends = segments.subarray(4 * i, 4 * i + 4);
+    for (let c = 0; c < 4; ++c) segment.set(ends, 16 * i + 4 * c);
+    corner.set(CORNERS, 8 * i);
+    for (let k = 0; k < 6; ++k) indices[6 * i + k] = 4 * i + TRIANGLES[k];
   }
   return new Geometry({
     topology: 'triangle-list',
-    vertexCount,
+    vertexCount: indices.length,
+    indices,
     attributes: {
-      here: {size: 2, value: here},
-      there: {size: 2, value: there},
-      side: {size: 1, value: side},
+      segment: {size: 4, value: segment},
+      corner: {size: 2, value: corner},
     },
   });
 }
 
 /**
- * Lines of one colour and a width in pixels. deck.gl's LineLayer draws each
- * segment as an instance, which costs software renderers some microseconds
- * each; here all are drawn at once.
+ * Lines of one colour and a width in pixels, on a flat map. deck.gl's LineLayer
+ * draws each segment as an instance, which costs software renderers some
+ * microseconds each; here all are drawn at once.
  */
 export class StrokeLayer extends Layer<StrokeLayerProps> {
   static override layerName = 'StrokeLayer';
   declare state: {model?: Model};
 
   override getShaders() {
-    return super.getShaders({vs, fs, modules: [project32, strokeUniforms]});
+    return super.getShaders({vs, fs, modules: [strokeUniforms]});
   }
 
   override initializeState(): void {}
@@ -113,8 +121,14 @@ export class StrokeLayer extends Layer<StrokeLayerProps> {
   override draw(): void {
     const {model} = this.state;
     if (!model) return;
-    const {colour, widthPixels} = this.props;
-    model.shaderInputs.setProps({stroke: {colour, widthPixels}});
+    const {colour, widthPixels, view} = this.props;
+    model.shaderInputs.setProps({stroke: {
+      centreMeters: [view.x, view.y],
+      sizePixels: [view.width, view.height],
+      colour,
+      pixelsPerMeter: 1 / view.metersPerPixel,
+      widthPixels,
+    }});
     model.draw(this.context.renderPass);
   }
 }

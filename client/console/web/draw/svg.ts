@@ -157,7 +157,8 @@ export function sheetToSvg({title, map, curves = [], facts = []}: Sheet):
   if (map) place(mapToSvg(map), map.view.height);
   for (const curve of curves) place(curveToSvg(curve, inner), CURVE_HEIGHT);
   facts.forEach(([name, value]) => {
-    place(text(0, 0, name, 'font-weight="600"') + text(FACT_NAME_WIDTH, 0, value),
+    place(text(0, 0, name, 'font-weight="600"') +
+              text(FACT_NAME_WIDTH, 0, value),
           LINE - MARGIN);
   });
   const width = inner + 2 * MARGIN;

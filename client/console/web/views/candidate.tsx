@@ -471,10 +471,10 @@ export function CandidateView({id, asked, matched}: Props) {
       {found && <DecisionPanel store={store} found={found} queue={queue} />}
       {vehicle && (
         <p class="hint">
-          {name} has {count(store.closures.value.length)} loop closures and{' '}
-          {count(store.rejections.value.length)} rejected candidates
-          {vehicle.consistency && `, from which an inflation of ${
-              fixed(vehicle.consistency.inflation, 2)} is estimated`}.
+          Loop closures: {count(store.closures.value.length)}. Rejected:{' '}
+          {count(store.rejections.value.length)}. Inflation estimated of them:
+          {' '}{vehicle.consistency ?
+                    fixed(vehicle.consistency.inflation, 2) : '–'}.
         </p>
       )}
       {candidate && (

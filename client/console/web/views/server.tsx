@@ -78,12 +78,13 @@ function factsOf({info, health: statuses, milliseconds, time}: Sample):
 function curvesOf(samples: Sample[]): Curve[] {
   const now = samples[samples.length - 1].time.getTime();
   const x = samples.map(({time}) => (time.getTime() - now) / 1000);
-  const xLabel = 'seconds ago';
+  const shared = {xLabel: 's from now', x,
+                  xRange: [Math.min(-60, x[0]), 0] as [number, number]};
   return [
-    {title: 'Round trip of GetServerInfo from this page, ms', xLabel, x,
+    {title: 'Round trip of GetServerInfo from this page, ms', ...shared,
      series: [{label: 'ms', colour: 'path', as: 'line',
                values: samples.map(({milliseconds}) => milliseconds)}]},
-    {title: 'Nodes in memory', xLabel, x,
+    {title: 'Nodes in memory', ...shared,
      series: [{label: 'nodes', colour: 'closure', as: 'line',
                values: samples.map(
                    ({info}) => Number(info.residentNodeCount))}]},

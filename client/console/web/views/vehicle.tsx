@@ -16,8 +16,8 @@ import {count, fixed, length, probability, words} from '../parts/format.js';
 import {type Column, Table} from '../parts/table.js';
 import {query, setQuery} from '../route.js';
 import {answersUpTo, candidateShapes, decisionAbout, ellipseShape, linkTo,
-        MOST_CHECKS, pairShapes, pathShapes, posesToAsk, stretchShapes, VERDICTS}
-    from './drive.js';
+        MOST_CHECKS, pairShapes, pathShapes, posesToAsk, stretchShapes,
+        VERDICTS} from './drive.js';
 
 const REPLAY_SECONDS = 60;
 const FRAME_MILLISECONDS = 100;
@@ -51,8 +51,8 @@ function columnsFor(store: VehicleStore): Array<Column<Found>> {
         {verdictName(verdict)}
       </span>)},
     {title: 'Probability', number: true, cell: ({candidate}) =>
-       candidate.probability === undefined ? '–' :
-                                             probability(candidate.probability)},
+       candidate.probability === undefined ?
+           '–' : probability(candidate.probability)},
     {title: 'd² / gate', number: true, cell: ({candidate: {gate}}) =>
        `${fixed(gate!.squaredMahalanobisDistance, 2)} / ${
            fixed(gate!.threshold, 2)}`},
