@@ -32,8 +32,10 @@ class Container:
 
     def __init__(self, config, volume):
         self.user, self.group = config["User"].split(":")
-        self.environment = dict(entry.split("=", 1)
-                                for entry in config["Env"])
+        self.environment = {
+            **dict(entry.split("=", 1) for entry in config["Env"]),
+            # Nobody else reaches its loopback.
+            "REVISIT_INSECURE_ALLOW_REMOTE": "on"}
         self.volume = volume
         volume.mkdir(exist_ok=True)
         os.chown(volume, int(self.user), int(self.group))
@@ -44,10 +46,13 @@ class Container:
                  "--directory", ROOT, "--read-only", "--tmpfs=/tmp",
                  f"--bind={volume}:/var/lib/revisit", "--private-network",
                  "--resolv-conf=off", "--timezone=off", "--link-journal=no",
-                 "--as-pid2", "--user=revisit", "--no-new-privileges=yes",
-                 "--drop-capability=all", "--console=pipe", "--kill-signal=TERM",
+                 "--as-pid2", "--console=pipe",
                  *(f"--setenv={name}={value}"
                    for name, value in self.environment.items()),
+                 # --user of systemd-nspawn makes a home on the read-only disk.
+                 "/usr/bin/setpriv", f"--reuid={self.user}",
+                 f"--regid={self.group}", "--clear-groups", "--inh-caps=-all",
+                 "--bounding-set=-all", "--no-new-privs",
                  *config["Entrypoint"]],
                 stdin=subprocess.DEVNULL, stdout=log, stderr=log)
         deadline = time.monotonic() + START_SECONDS

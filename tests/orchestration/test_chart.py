@@ -20,17 +20,18 @@ SCHEMAS = (pathlib.Path(kubernetes_validate.__file__).parent
 # The oldest version that the chart allows, and the newest that there are schemas of.
 KUBERNETES = ("1.25.0", "1.37.0")
 
-CLUSTER = {"store.kind": "postgresql",
+OPEN = {"insecureAllowRemote": "true"}
+CLUSTER = {**OPEN, "store.kind": "postgresql",
            "store.postgresql.existingSecret": "database"}
 GUARDED = {"tls.existingSecret": "certificate", "tls.clientCaSecret": "vehicles",
            "policy.existingConfigMap": "policy",
            "policy.tokenIssuer": "https://login.example",
            "policy.tokenAudience": "revisit"}
 WAYS = {
-    "alone": {},
+    "alone": OPEN,
     "alone, guarded": GUARDED,
     "alone, other values": {
-        "settings.max-streams": "5", "settings.max-batch-poses": "100",
+        **OPEN, "settings.max-streams": "5", "settings.max-batch-poses": "100",
         "store.sqlite.storageClassName": "fast", "image.tag": "edge",
         "nodeSelector.disk": "ssd", "tolerations[0].operator": "Exists",
         "imagePullSecrets[0].name": "registry", "podAnnotations.a": "b",
@@ -38,9 +39,10 @@ WAYS = {
         "networkPolicy.clients[0].podSelector.matchLabels.role": "vehicle"},
     "cluster": CLUSTER,
     "cluster, guarded and watched": {
-        **CLUSTER, **GUARDED, "serviceMonitor.enabled": "true",
+        **CLUSTER, **GUARDED, "insecureAllowRemote": "false",
+        "serviceMonitor.enabled": "true",
         "serviceMonitor.labels.release": "prometheus"},
-    "without a network policy": {"networkPolicy.enabled": "false"},
+    "without a network policy": {**OPEN, "networkPolicy.enabled": "false"},
 }
 
 
@@ -130,7 +132,7 @@ def test_kubernetes_would_refuse_what_is_misspelt(kubernetes):
         [TOOLS / "kubeconform", "-strict", "-kubernetes-version", version,
          "-schema-location",
          f"{schemas}/{{{{.ResourceKind}}}}{{{{.KindSuffix}}}}.json", "-"],
-        input=render({}, version).replace("readOnlyRootFilesystem", "readonly"),
+        input=render(OPEN, version).replace("readOnlyRootFilesystem", "readonly"),
         capture_output=True, text=True, check=False)
     assert said.returncode != 0
 
@@ -168,13 +170,13 @@ def test_pods_are_restricted_as_kubernetes_calls_it(values):
 def test_user_of_the_pods_is_that_of_the_image():
     [user] = re.findall(r"^USER (\d+):\1$", (
         ROOT / "deploy/image/Containerfile").read_text(), re.MULTILINE)
-    [pod] = pods({})
+    [pod] = pods(OPEN)
     assert str(pod["securityContext"]["runAsUser"]) == user
     assert str(pod["securityContext"]["fsGroup"]) == user
 
 
 def test_store_in_a_file_has_one_server_whose_node_may_be_drained():
-    made = objects({})
+    made = objects(OPEN)
     server = made["StatefulSet", "fleet"]
     assert server["spec"]["replicas"] == 1
     [claim] = server["spec"]["volumeClaimTemplates"]
@@ -205,7 +207,7 @@ def test_servers_of_one_database_go_one_at_a_time_and_name_themselves():
     assert labels["app.kubernetes.io/component"] == "migration"
 
 
-@pytest.mark.parametrize("values", [{}, CLUSTER], ids=["alone", "cluster"])
+@pytest.mark.parametrize("values", [OPEN, CLUSTER], ids=["alone", "cluster"])
 def test_whoever_kills_a_server_waits_for_its_drain(values):
     for pod in pods(values):
         if pod["containers"][0]["name"] == "revisitd":
@@ -214,8 +216,12 @@ def test_whoever_kills_a_server_waits_for_its_drain(values):
 
 @pytest.mark.parametrize(("values", "problem"), [
     ({"store.kind": "rocksdb"}, "allowed are sqlite and postgresql"),
-    ({"store.kind": "postgresql"}, "name the secret"),
-], ids=["kind", "secret"])
+    ({**OPEN, "store.kind": "postgresql"}, "name the secret"),
+    ({}, "insecureAllowRemote"),
+    ({**GUARDED, "tls.existingSecret": ""}, "tls.existingSecret"),
+    ({"tls.existingSecret": "certificate", "policy.existingConfigMap": "policy"},
+     "tls.clientCaSecret or policy.tokenIssuer"),
+], ids=["kind", "secret", "unguarded", "no certificate", "no callers"])
 def test_what_cannot_work_is_refused(values, problem):
     refused = helm("template", "fleet", CHART, "--kube-version", KUBERNETES[-1],
                    *flags(values))

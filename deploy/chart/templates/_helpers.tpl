@@ -22,6 +22,10 @@ helm.sh/chart: {{ printf "%s-%s" .Chart.Name .Chart.Version }}
 {{- if not (has .Values.store.kind (list "sqlite" "postgresql")) -}}
 {{- fail "store.kind: allowed are sqlite and postgresql" -}}
 {{- end -}}
+{{- $guarded := and .Values.tls.existingSecret .Values.policy.existingConfigMap (or .Values.tls.clientCaSecret .Values.policy.tokenIssuer) -}}
+{{- if not (or $guarded .Values.insecureAllowRemote) -}}
+{{- fail "tls.existingSecret, policy.existingConfigMap, and tls.clientCaSecret or policy.tokenIssuer are missing; or, if nobody else can reach the servers, set insecureAllowRemote" -}}
+{{- end -}}
 {{- if eq .Values.store.kind "postgresql" -}}
 {{- if not .Values.store.postgresql.existingSecret -}}
 {{- fail "store.postgresql.existingSecret: name the secret with the database's URLs" -}}
