@@ -91,7 +91,7 @@ FIGURES = {
 # --core): under dead reckoning, with a belief, where the claimed uncertainty and with it
 # the area that is searched grows with the drive; and with fixes, where it does not.
 CHECK_S = {
-    "reckoned": ((1e3, 0.4e-3), (1e4, 1.3e-3), (1e5, 24e-3), (1e6, 104e-3)),
+    "reckoned": ((1e3, 0.49e-3), (1e4, 1.3e-3), (1e5, 24e-3), (1e6, 104e-3)),
     "fixes": ((1e3, 0.241e-3), (1e4, 0.302e-3), (1e5, 0.631e-3), (1e6, 0.631e-3)),
     # Streams that ask for no candidates.
     "none": ((1e3, 1e-12), (1e6, 1e-12)),
