@@ -82,7 +82,7 @@ struct EngineSettings {
   bool apply_inflation = false;
   double max_inflation = 10.0;
   SearchOptions search;
-  // What of the history is kept.
+  // The part of the history that is kept.
   RetentionOptions retention;
 };
 

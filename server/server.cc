@@ -154,7 +154,7 @@ struct RevisitServer::State {
   // Health says NOT_SERVING from now on.
   void EndHealth();
 
-  // What the admin port answers, on its own thread.
+  // Answers the admin port, on its own thread.
   HttpResponse AnswerAdmin(const std::string& path) const;
   HttpResponse Readiness() const;
   // REQUIRES: the phase is kServing or kDraining.

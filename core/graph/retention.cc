@@ -24,7 +24,7 @@ constexpr double kAlikeRadians = kPi / 4.0;
 
 std::size_t Place(NodeIndex i) { return static_cast<std::size_t>(i); }
 
-// Which better passes cover a node.
+// Counts the better passes that cover a node.
 class Coverage {
  public:
   Coverage(const PoseGraph& graph, const RetentionNeeds& needs, int passes)

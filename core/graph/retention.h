@@ -57,7 +57,7 @@ inline bool operator==(const RetentionOptions& a, const RetentionOptions& b) {
   return a.max_age_ns == b.max_age_ns && a.max_passes == b.max_passes;
 }
 
-// What the nodes are needed for.
+// The needs of searches, by which nodes stay.
 struct RetentionNeeds {
   StateSpace state_space = StateSpace::kPlanar;
   Correlation correlation;

@@ -4,7 +4,7 @@
 
 set(packages ${CMAKE_CURRENT_LIST_DIR})
 
-# What only a package installs, to where the system looks for it.
+# Files that only a package installs, to where the system looks for them.
 install(FILES ${packages}/revisitd.conf DESTINATION /etc/revisit
         COMPONENT server EXCLUDE_FROM_ALL)
 install(FILES ${packages}/revisitd.service DESTINATION /lib/systemd/system

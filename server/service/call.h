@@ -125,7 +125,7 @@ class Call {
   absl::Status Check(const Caller& caller, Verb verb) const;
   bool IsSlow(std::chrono::steady_clock::duration duration) const;
 
-  // What a search had to do.
+  // The work of a search.
   struct SearchNumbers {
     std::int64_t nodes_considered = 0;
     std::int64_t nodes_pruned = 0;

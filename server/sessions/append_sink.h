@@ -20,7 +20,7 @@ struct Acknowledgement {
   std::uint64_t durable_sequence = 0;
   std::uint64_t revision = 0;
   std::vector<core::Jump> jumps;
-  // What these poses are the first to show.
+  // Findings that these poses are the first to show.
   std::optional<core::Finding> finding = std::nullopt;
   // How many of the batch's poses are new; the others were stored before.
   std::uint64_t accepted_poses = 0;

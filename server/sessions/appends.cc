@@ -44,7 +44,7 @@ struct Appends::Pending {
   std::optional<DecodedBatch> decoded;
   // The revision that the write makes; 0 if there is nothing to write.
   std::uint64_t revision = 0;
-  // What the poses are the first to show, once applied.
+  // Findings that the poses are the first to show, once applied.
   std::optional<core::Finding> finding;
   // Set once it is known what to answer; answered in order.
   std::optional<absl::Status> result;

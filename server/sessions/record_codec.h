@@ -58,7 +58,7 @@ class RecordCodec {
   // The payload of a batch whose poses were dropped.
   virtual std::string EncodeDropped(
       const core::DroppedStretch& stretch) const = 0;
-  // What a stored loop closure's payload says was measured, or nothing.
+  // The measurement in a stored loop closure's payload, or nothing.
   // INVALID_ARGUMENT if that is no measurement for a vehicle of this state
   // space; DATA_LOSS if the payload is not that of a loop closure.
   virtual absl::StatusOr<std::optional<core::LoopMeasurement>>

@@ -63,7 +63,7 @@ struct VehicleState {
   VehicleConfig config;
   // Null until loaded.
   std::unique_ptr<core::Engine> engine;
-  // What searches of this engine have learned from its drive.
+  // The marks that searches of this engine have learned from its drive.
   std::unique_ptr<core::MarkMemory> marks;
   // The jumps of the graph, by sequence.
   std::vector<core::Jump> jumps;
@@ -94,7 +94,7 @@ struct VehicleState {
   // The answer to every call from now on, once there is one.
   std::optional<absl::Status> gone_status;
   std::atomic<bool> is_gone{false};
-  // What the store has of this graph for snapshots.
+  // The parts of this graph that the store has for snapshots.
   struct KeptSnapshot {
     // core::Engine::StateKey() of the parts.
     std::string state_key;

@@ -125,7 +125,7 @@ struct SharingState {
   bool lease_holds = true;
 };
 
-// What an acknowledged write survives.
+// The harm that an acknowledged write survives.
 struct Durability {
   enum class Level {
     // A crash of the process, but not the loss of power.
@@ -151,7 +151,7 @@ struct PosePairRecord {
   std::uint64_t query_sequence = 0;
   std::uint64_t matched_sequence = 0;
   std::int64_t create_time_ns = 0;  // Since the Unix epoch.
-  // What else the verifier reported; empty if nothing.
+  // The rest of the verifier's report; empty if nothing.
   std::string payload = std::string();
   // DATA_LOSS if the row is damaged: then only the id is set.
   absl::Status damage = absl::OkStatus();

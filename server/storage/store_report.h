@@ -1,4 +1,4 @@
-// What was found in a store that was read whole.
+// The findings in a store that was read whole.
 #ifndef REVISIT_SERVER_STORAGE_STORE_REPORT_H_
 #define REVISIT_SERVER_STORAGE_STORE_REPORT_H_
 

@@ -24,7 +24,7 @@ class ChildProcess {
 
   // HOST:PORT.
   const std::string& address() const { return address_; }
-  // Of all its threads, user and system.
+  // CPU time of all its threads, user and system.
   double cpu_seconds() const;
   // Most memory that it ever held (resident set).
   double peak_bytes() const;
@@ -41,7 +41,7 @@ class ChildProcess {
   int output_ = -1;
 };
 
-// Of this process, user and system.
+// CPU time of this process, user and system.
 double OwnCpuSeconds();
 
 // A directory that goes when this does.

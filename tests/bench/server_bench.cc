@@ -307,7 +307,7 @@ class Caller {
     return stub_->GetServerInfo(&context, {}, &response);
   }
 
-  // Of the last search, as the server measured it.
+  // Time of the last search, as the server measured it.
   double search_seconds() const {
     const auto& duration = found_.candidates().search_duration();
     return static_cast<double>(duration.seconds()) +

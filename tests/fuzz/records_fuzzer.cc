@@ -51,7 +51,7 @@ void LoadChangedState(const revisit::core::EngineSettings& settings,
   using revisit::core::Engine;
   static const auto& samples =
       *new std::vector<revisit::core::PoseSample>(Circles());
-  // Of each kind of vehicle.
+  // One of each kind of vehicle.
   static auto& states = *new std::map<std::string, std::string>();
   const auto half = samples.begin() + 120;
   Engine loaded(settings);

@@ -1,27 +1,21 @@
 """What deploy/monitoring says fits what servers say: its metrics are there, are
 documented, and its alerts are told by what a server answers when it comes to harm."""
 
-import importlib
 import json
 import os
 import pathlib
 import re
-import shutil
 import subprocess
-import sys
-import tempfile
 import threading
 import time
 
 import pytest
 import scraped
 from identities import AUDIENCE, ISSUER, Authority, TokenKey, key_set
+from own_postgres import own_postgres
 from revisit_server import BIN, Server, clean_environment, run, wait_until
 from stubs import ROOT, api
 from wire import append, laps, straight
-
-sys.path.insert(0, str(ROOT / "deploy/cluster"))
-private_cluster = importlib.import_module("private_cluster")
 
 MONITORING = ROOT / "deploy/monitoring"
 ALERTS = MONITORING / "alerts.yml"
@@ -78,16 +72,8 @@ def metrics_of(expression):
 @pytest.fixture(scope="module")
 def database():
     """A PostgreSQL of the tests' own, or None."""
-    if private_cluster.find_postgres() is None:
-        yield None
-        return
-    directory = pathlib.Path(tempfile.mkdtemp(prefix="monitored-"))
-    directory.chmod(0o711)
-    try:
-        with private_cluster.Processes(directory) as processes:
-            yield private_cluster.Postgres(processes)
-    finally:
-        shutil.rmtree(directory, ignore_errors=True)
+    with own_postgres() as postgres:
+        yield postgres
 
 
 @pytest.fixture(scope="module")
@@ -375,30 +361,24 @@ def more_refusals(server, before):
 
 @needs_promtool
 def test_lost_lease_is_told(tmp_path):
-    if private_cluster.find_postgres() is None:
-        pytest.skip("there is no PostgreSQL: tests/run installs it")
-    directory = pathlib.Path(tempfile.mkdtemp(prefix="lease-"))
-    directory.chmod(0o711)
-    try:
-        with private_cluster.Processes(directory) as processes:
-            database = private_cluster.Postgres(processes)
-            assert run("revisitd", "migrate", "--store",
-                       database.url("revisit_owner")).returncode == 0
-            with Server(database.url("revisit"), *ADMIN, *NAMED,
-                        "--lease-seconds", 1, log_path=tmp_path / "log"
-                        ) as server:
-                stub = server.stub()
-                append(stub, create(stub, "truck"), straight(3))
-                quiet = scraped.scrape(server)
-                assert quiet.value("revisit_store_owned_vehicles") == 1
-                assert scraped.get(server.admin, "/readyz")[0] == 200
-                database.process.kill()
-                wait_until(lambda: scraped.scrape(server).value(
-                    "revisit_store_lease_held") == 0, "end of the lease")
-                assert scraped.get(server.admin, "/readyz")[0] == 503
-                assert scraped.get(server.admin, "/livez")[0] == 200
-                assert_told("RevisitLeaseLost", quiet,
-                            [scraped.scrape(server)], tmp_path)
-                server.kill()
-    finally:
-        shutil.rmtree(directory, ignore_errors=True)
+    with own_postgres() as database:
+        if database is None:
+            pytest.skip("there is no PostgreSQL: tests/run installs it")
+        assert run("revisitd", "migrate", "--store",
+                   database.url("revisit_owner")).returncode == 0
+        with Server(database.url("revisit"), *ADMIN, *NAMED,
+                    "--lease-seconds", 1, log_path=tmp_path / "log"
+                    ) as server:
+            stub = server.stub()
+            append(stub, create(stub, "truck"), straight(3))
+            quiet = scraped.scrape(server)
+            assert quiet.value("revisit_store_owned_vehicles") == 1
+            assert scraped.get(server.admin, "/readyz")[0] == 200
+            database.process.kill()
+            wait_until(lambda: scraped.scrape(server).value(
+                "revisit_store_lease_held") == 0, "end of the lease")
+            assert scraped.get(server.admin, "/readyz")[0] == 503
+            assert scraped.get(server.admin, "/livez")[0] == 200
+            assert_told("RevisitLeaseLost", quiet,
+                        [scraped.scrape(server)], tmp_path)
+            server.kill()

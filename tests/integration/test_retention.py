@@ -1,23 +1,16 @@
 """Vehicles that keep a part of their history: what is dropped, what stays, and
 what callers hear of it."""
 
-import importlib
 import math
-import pathlib
-import shutil
-import sys
-import tempfile
 
 import grpc
 import pytest
 from google.protobuf import duration_pb2, field_mask_pb2, timestamp_pb2
 
+from own_postgres import own_postgres
 from revisit_server import Server, run
-from stubs import ROOT, api
+from stubs import api
 from wire import append, batches, failure_of, get, list_poses, pose
-
-sys.path.insert(0, str(ROOT / "deploy/cluster"))
-private_cluster = importlib.import_module("private_cluster")
 
 LAP_METERS = 600.0
 LAP = 300
@@ -79,15 +72,10 @@ def assert_finds_its_place(stub, vehicle, sequence=0):
 
 @pytest.fixture
 def database():
-    if private_cluster.find_postgres() is None:
-        pytest.skip("there is no PostgreSQL: tests/run installs it")
-    directory = pathlib.Path(tempfile.mkdtemp(prefix="retention-"))
-    directory.chmod(0o711)
-    try:
-        with private_cluster.Processes(directory) as processes:
-            yield private_cluster.Postgres(processes)
-    finally:
-        shutil.rmtree(directory, ignore_errors=True)
+    with own_postgres() as postgres:
+        if postgres is None:
+            pytest.skip("there is no PostgreSQL: tests/run installs it")
+        yield postgres
 
 
 def test_a_vehicle_that_goes_round_stays_bounded_and_finds_its_loops(tmp_path):

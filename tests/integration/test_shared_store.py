@@ -1,19 +1,11 @@
 """The tasks of revisitd with a store in PostgreSQL, and the way into it and back."""
 
-import importlib
-import pathlib
-import shutil
-import sys
-import tempfile
-
 import pytest
 
+from own_postgres import own_postgres
 from revisit_server import Server, run
-from stubs import ROOT, api
+from stubs import api
 from wire import append, get, list_poses, straight
-
-sys.path.insert(0, str(ROOT / "deploy/cluster"))
-private_cluster = importlib.import_module("private_cluster")
 
 USAGE, STORE_IN_USE = 64, 73
 
@@ -21,16 +13,10 @@ USAGE, STORE_IN_USE = 64, 73
 @pytest.fixture
 def database():
     """A PostgreSQL of a test's own, with an empty database."""
-    if private_cluster.find_postgres() is None:
-        pytest.exit("there is no PostgreSQL: tests/run installs it", returncode=77)
-    directory = pathlib.Path(tempfile.mkdtemp(prefix="shared-"))
-    # PostgreSQL may have to enter it as another user.
-    directory.chmod(0o711)
-    try:
-        with private_cluster.Processes(directory) as processes:
-            yield private_cluster.Postgres(processes)
-    finally:
-        shutil.rmtree(directory, ignore_errors=True)
+    with own_postgres() as postgres:
+        if postgres is None:
+            pytest.exit("there is no PostgreSQL: tests/run installs it", returncode=77)
+        yield postgres
 
 
 @pytest.fixture

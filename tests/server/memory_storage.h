@@ -54,7 +54,7 @@ class MemoryStorage : public Storage {
       VehicleKey key, std::uint32_t first, std::uint32_t end,
       const std::function<bool(absl::string_view)>& visit) override;
 
-  // What MostBatchBytes() answers.
+  // The answer of MostBatchBytes().
   void SetMostBatchBytes(std::size_t bytes) { most_batch_bytes_ = bytes; }
   // As found by every read from now on.
   void DamageVehicle(const std::string& id);

@@ -161,7 +161,7 @@ struct BoundSetting {
     holder->GetReflection()->SetInt32(holder, field.field,
                                       static_cast<std::int32_t>(value));
   }
-  // Of a duration. The server refuses what is out of range.
+  // Sets a duration. The server refuses what is out of range.
   void SetSeconds(double value) const {
     using google::protobuf::util::TimeUtil;
     constexpr double kMost = 1e11;

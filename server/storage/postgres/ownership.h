@@ -118,7 +118,7 @@ class Ownership {
  private:
   Ownership(const std::string& conninfo, OwnershipOptions options);
 
-  // What was seen of another server: its beat, and since when.
+  // The last sight of another server: its beat, and since when.
   struct Sighting {
     std::int64_t beat = 0;
     std::chrono::nanoseconds since{0};

@@ -12,10 +12,11 @@
 namespace revisit::server {
 namespace {
 
-// Of each run: $1 key, $2 owner, $3 epoch, $4 first and $5 last sequence,
-// $6 revision, and $7 and $8 the numbers of its first and last row. Of each
-// row: $9 first sequence, $10 count, $11 revision, $12 checksum, and $13 and
-// $14 where its payload begins in $15 and how long it is. $16 is the format.
+// Parameters, for each run: $1 key, $2 owner, $3 epoch, $4 first and $5 last
+// sequence, $6 revision, and $7 and $8 the numbers of its first and last row.
+// Of each row: $9 first sequence, $10 count, $11 revision, $12 checksum, and
+// $13 and $14 where its payload begins in $15 and how long it is. $16 is the
+// format.
 //
 // Rows are reached by their number, because a join of them with the updated
 // heads takes thrice the time, and payloads lie in one value, because an array

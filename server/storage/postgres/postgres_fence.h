@@ -1,4 +1,4 @@
-// What writes under a claim have in common: SQL that compares the claim with
+// The common part of writes under a claim: SQL that compares the claim with
 // the vehicle's head, the values for it, and why a statement wrote nothing.
 #ifndef REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_FENCE_H_
 #define REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_FENCE_H_
@@ -25,7 +25,7 @@ struct Fence {
 
 // ---- SQL
 
-// What every write but an append begins with: it leaves the vehicle's key in
+// The beginning of every write but an append: it leaves the vehicle's key in
 // `h`, or nothing if the claim or the conditions do not hold. $1 key, $2 owner,
 // $3 epoch, $4 revision.
 #define REVISIT_FENCE(MORE_CHANGES, MORE_CONDITIONS) \

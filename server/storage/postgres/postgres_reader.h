@@ -1,5 +1,5 @@
-// What of a storage in PostgreSQL needs no owner: its reads, over connections
-// of their own.
+// The part of a storage in PostgreSQL that needs no owner: its reads, over
+// connections of their own.
 #ifndef REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_READER_H_
 #define REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_READER_H_
 

@@ -1,0 +1,30 @@
+"""A PostgreSQL of a test's own, if this machine has one."""
+
+import contextlib
+import importlib
+import pathlib
+import shutil
+import sys
+import tempfile
+
+from stubs import ROOT
+
+sys.path.insert(0, str(ROOT / "deploy/cluster"))
+private_cluster = importlib.import_module("private_cluster")
+
+
+@contextlib.contextmanager
+def own_postgres():
+    """Yields a private_cluster.Postgres with an empty database, or None without
+    PostgreSQL."""
+    if private_cluster.find_postgres() is None:
+        yield None
+        return
+    directory = pathlib.Path(tempfile.mkdtemp(prefix="revisit-postgres-"))
+    # PostgreSQL may have to enter it as another user.
+    directory.chmod(0o711)
+    try:
+        with private_cluster.Processes(directory) as processes:
+            yield private_cluster.Postgres(processes)
+    finally:
+        shutil.rmtree(directory, ignore_errors=True)
