@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <memory>
 #include <utility>
 
 namespace revisit::server {
@@ -51,7 +52,7 @@ void Retention::Look(const absl::Status& status) {
   queue_->PostLong([this] {
     const core::PoseGraph& graph = vehicle_->engine->graph();
     vehicle_->look_at_nodes = NextLookAt(graph.size());
-    work_.emplace();
+    work_ = std::make_unique<Work>();
     core::NodeIndex nodes = 0;
     for (const core::NodeRange& range : vehicle_->engine->FindDroppable()) {
       const core::SequenceRange sequences = core::SequencesOf(graph, range);
@@ -74,11 +75,10 @@ void Retention::Look(const absl::Status& status) {
 
 void Retention::Step() {
   const absl::StatusOr<bool> all = ReadSome();
-  if (!all.ok() || replayer_->gives_up()) {
-    Finish();
-  } else if (!work_->rows.empty()) {
+  const bool must_end = !all.ok() || replayer_->gives_up();
+  if (!must_end && !work_->rows.empty()) {
     Write();
-  } else if (*all) {
+  } else if (must_end || *all) {
     Finish();
   } else {
     queue_->PostLong([this] { Step(); });

@@ -6,6 +6,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -93,7 +94,8 @@ class Retention {
   VehicleQueue* const queue_;
   Replayer* const replayer_;
   bool is_waiting_ = false;
-  std::optional<Work> work_;
+  // While it is at work.
+  std::unique_ptr<Work> work_;
 };
 
 }  // namespace revisit::server
