@@ -139,7 +139,7 @@ export function ServerView() {
       <p class="hint">
         The number of vehicles, nodes and bytes in memory is 0 for callers that
         belong to a tenant. Everything else that the server can tell is in its
-        log.
+        log and at its admin port.
       </p>
     </>
   );
