@@ -114,7 +114,8 @@ def test_client_that_does_not_read_its_candidates_is_cut_and_can_resume(
         vehicle = create(stub, check_interval_meters=2.0,
                          sequence_length_meters=20.0)
         poses = laps(4000)
-        with PoseStream(stub, vehicle, send_candidates=True,
+        # Searches with so many paths take minutes in an instrumented server.
+        with PoseStream(stub, vehicle, timeout=400, send_candidates=True,
                         candidate_options=api.CandidateOptions(
                             max_candidates=100, candidate_separation_meters=0,
                             include_aligned_path=True)) as stream:
