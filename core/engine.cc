@@ -339,7 +339,7 @@ bool Engine::ReadBeginning(ByteReader* reader) const {
          parts_before == static_cast<std::uint64_t>(graph_.size() / kPartNodes);
 }
 
-// Of the blocks of a part, the bounds are known too.
+// A part is whole once the bounds of its blocks are known too.
 std::size_t Engine::whole_parts() const {
   const auto after = static_cast<NodeIndex>(NodeBlock::kSize) + 1;
   return static_cast<std::size_t>(

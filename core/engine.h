@@ -151,7 +151,8 @@ class Engine {
   std::size_t whole_parts() const;
   // REQUIRES: part < whole_parts().
   std::string SavePart(std::size_t part) const;
-  // What follows the first `parts` parts. REQUIRES: parts <= whole_parts().
+  // Saves what follows the first `parts` parts. REQUIRES: parts <=
+  // whole_parts().
   std::string SaveRest(std::size_t parts) const;
   // Loads the next part, and, after all parts, the rest. False if the bytes are
   // damaged so that a later call could fail, are of another key, or are not

@@ -44,7 +44,7 @@ struct SearchTask {
   std::optional<DriveBelief> belief;
 
   const ShouldStop& should_stop;
-  // Those of an alignment of the same nodes with the same options, or null.
+  // The parts of an alignment of the same nodes with the same options, or null.
   AlignmentParts* parts = nullptr;
 };
 

@@ -62,14 +62,14 @@ std::optional<Jump> DistanceResampler::Add(const PoseSample& sample,
   }
   const double step =
       Distance(anchor_->pose, sample.pose, options_.state_space);
-  if (has_skipped_ || step > options_.max_step_meters) {
+  if (has_skipped_ || options_.IsJump(step)) {
     const bool is_jump = !has_skipped_;
     node_to_anchor_ = anchor_to_last_ * node_to_anchor_;
     StartSegment(sample, graph);
     if (!is_jump) return std::nullopt;
     return Jump{sample.sequence, step};
   }
-  if (step < options_.standstill_fraction * options_.spacing_meters) {
+  if (options_.IsStandstill(step)) {
     last_sequence_ = sample.sequence;
     last_stamp_ns_ = sample.stamp_ns;
   } else {

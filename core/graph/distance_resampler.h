@@ -32,6 +32,14 @@ struct ResamplerOptions {
   // Whether nodes get error transitions; all samples but the first must have
   // them.
   bool carry_transitions = false;
+
+  // A step from the last counted pose adds distance unless it is one of these.
+  bool IsStandstill(double step_meters) const {
+    return step_meters < standstill_fraction * spacing_meters;
+  }
+  bool IsJump(double step_meters) const {
+    return step_meters > max_step_meters;
+  }
 };
 
 struct Jump {

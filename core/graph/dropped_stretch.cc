@@ -19,15 +19,14 @@ void DroppedStretchMaker::Add(const DroppedStretch& stretch) {
   Extend(stretch.first_sequence, stretch.last_sequence, stretch.transition);
 }
 
-// As in DistanceResampler: standing still adds no distance, nor does a jump.
 void DroppedStretchMaker::StepTo(const Pose& pose) {
   if (!anchor_) {
     anchor_ = pose;
     return;
   }
   const double step = Distance(*anchor_, pose, options_.state_space);
-  if (step < options_.standstill_fraction * options_.spacing_meters) return;
-  if (step <= options_.max_step_meters) stretch_.travelled_meters += step;
+  if (options_.IsStandstill(step)) return;
+  if (!options_.IsJump(step)) stretch_.travelled_meters += step;
   anchor_ = pose;
 }
 

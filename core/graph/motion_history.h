@@ -62,7 +62,7 @@ class MotionHistory {
   // Memory held on the heap.
   std::size_t bytes() const;
 
-  // What is kept of blocks [first, end) of the graph as bytes: the same,
+  // Writes what is kept of blocks [first, end) of the graph: the same bytes,
   // whatever was added since. REQUIRES: these blocks were added; end - first is
   // a power of two that divides `first`.
   void SaveBlocks(const PoseGraph& graph, std::size_t first, std::size_t end,

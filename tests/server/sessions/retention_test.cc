@@ -53,6 +53,16 @@ class RetentionTest : public ::testing::Test {
     ASSERT_THAT(answer.Get(), IsOk());
     key_ = memory_.GetVehicle(kId)->key;
   }
+  // Changes the settings of the vehicle that is there.
+  void KeepPasses(int max_passes) {
+    ASSERT_THAT(UpdateNow(session(),
+                          [max_passes](const VehicleView& view) {
+                            VehicleConfig config = view.config;
+                            config.engine.retention.max_passes = max_passes;
+                            return config;
+                          }),
+                IsOk());
+  }
   void Drive(std::uint64_t poses) {
     for (const std::uint64_t end = last_ + poses; last_ < end;
          last_ += kBatch) {
@@ -125,13 +135,7 @@ TEST_F(RetentionTest, KeepsEverythingUnlessItIsAsked) {
   EXPECT_EQ(Settled().dropped, 0u);
   EXPECT_EQ(Rows().size(), 300u);
   // Until it is asked for.
-  ASSERT_THAT(UpdateNow(session(),
-                        [](const VehicleView& view) {
-                          VehicleConfig config = view.config;
-                          config.engine.retention.max_passes = 2;
-                          return config;
-                        }),
-              IsOk());
+  KeepPasses(2);
   EXPECT_GT(Settled().dropped, 2000u);
   ExpectAsLoaded();
 }
@@ -173,13 +177,7 @@ TEST_F(RetentionTest, DividesLongRowsOfWhichAPartGoes) {
                 }),
       IsOk());
   ASSERT_EQ(Rows().size(), 4u);
-  ASSERT_THAT(UpdateNow(session(),
-                        [](const VehicleView& view) {
-                          VehicleConfig config = view.config;
-                          config.engine.retention.max_passes = 2;
-                          return config;
-                        }),
-              IsOk());
+  KeepPasses(2);
   const Snapshot settled = Settled();
   EXPECT_GT(settled.dropped, 1500u);
   ExpectAsLoaded();

@@ -1,4 +1,4 @@
-// What the page knows of one vehicle, kept up to date while somebody looks.
+// The state of one vehicle as the page knows it, kept up to date while somebody looks.
 import {equals} from '@bufbuild/protobuf';
 import {batch, computed, signal} from '@preact/signals';
 

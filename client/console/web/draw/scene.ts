@@ -1,4 +1,4 @@
-// What a map shows, whatever draws it: the screen, or a file.
+// The contents of a map, whatever draws it: the screen, or a file.
 import type {Box, View} from '../geometry/view.js';
 
 /** Names of the custom properties in style.css that hold the colours. */

@@ -1,4 +1,4 @@
-// What the views of a vehicle share: which candidates are asked for, and how
+// Shared by the views of a vehicle: which candidates are asked for, and how
 // its path, checks and decisions are drawn.
 import {type Candidate, Verdict} from '../../gen/revisit/v1/candidate_pb.js';
 import {allFound, type Answer, type Found, keyOf} from
