@@ -178,8 +178,8 @@ def _message(row: dict[str, Any], stamp: Optional[int], place: str) -> v1.Pose:
             setattr(pose.quaternion, axis, value)
     elif row["heading"] is not None:
         pose.heading_radians = row["heading"]
-    pose.covariance.form = v1.CovarianceForm.Value(row["covariance_form"])
-    pose.covariance.values.extend(row["covariance"])
+    pose.covariance.CopyFrom(v1.Covariance(form=row["covariance_form"],
+                                           values=row["covariance"]))
     pose.error_transition.extend(row["error_transition"] or ())
     return pose
 
