@@ -38,7 +38,7 @@ class Posterior {
   // Probability that the vehicle is at no place of the history.
   double new_place() const { return Probability(0.0); }
 
-  // What a place has claimed.
+  // The evidence that a place has claimed.
   struct Stretch {
     double probability = 0.0;
     // The nodes between which the place lies with kIntervalShare of that

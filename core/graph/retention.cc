@@ -11,7 +11,7 @@
 namespace revisit::core {
 namespace {
 
-// Of nodes that lie closer along the path, not all are compared.
+// Nodes that lie closer along the path are not all compared.
 constexpr double kComparedMeters = 2.0;
 
 // Nodes of a cell with which others are compared, for each pass that is to be

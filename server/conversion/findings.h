@@ -1,4 +1,4 @@
-// What a vehicle's poses contradict its settings by, for the API.
+// Says for the API by what a vehicle's poses contradict its settings.
 #ifndef REVISIT_SERVER_CONVERSION_FINDINGS_H_
 #define REVISIT_SERVER_CONVERSION_FINDINGS_H_
 

@@ -29,7 +29,7 @@ void CheckSequences(const Message& pair, const FieldPath& path,
   }
 }
 
-// What the store keeps of a pair beside its poses.
+// The content that the store keeps of a pair beside its poses.
 std::string PayloadOf(const v1::LoopClosure& pair, const FieldPath& path,
                       Violations* violations) {
   return EncodeContent(pair, path, violations);

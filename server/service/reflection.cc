@@ -93,7 +93,7 @@ class OpenStreams {
   std::list<grpc::CallbackServerContext*> open_ ABSL_GUARDED_BY(mutex_);
 };
 
-// What all streams have in common. Thread-safe.
+// The state that all streams have in common. Thread-safe.
 class Shared {
  public:
   explicit Shared(std::vector<std::string> services)

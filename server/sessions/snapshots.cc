@@ -12,7 +12,7 @@ namespace {
 
 constexpr std::uint32_t kPayloadVersion = 1;
 
-// What comes first in a payload.
+// The mark with which a payload begins.
 std::string Heading(const VehicleConfig& config) {
   core::ByteWriter writer;
   writer.Put(kPayloadVersion);

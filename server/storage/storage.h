@@ -188,7 +188,7 @@ struct WantedVehicle {
   std::string id;
 };
 
-// What the poses of a vehicle make, as bytes that the storage does not
+// A graph that the poses of a vehicle make, as bytes that the storage does not
 // interpret: the first `part_count` of the parts that are kept, and a payload.
 struct SnapshotRecord {
   // The last pose that it comes from.

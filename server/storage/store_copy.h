@@ -18,7 +18,7 @@ class StoreIntake {
  public:
   virtual ~StoreIntake() = default;
 
-  // Of the record only key, id, payload and revision are read.
+  // Only key, id, payload and revision of the record are read.
   virtual absl::Status AddVehicle(const VehicleRecord& vehicle) = 0;
   // Batches come in order, after their vehicle.
   virtual absl::Status AddBatch(VehicleKey key, const BatchRecord& as_sent,

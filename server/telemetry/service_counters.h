@@ -1,4 +1,4 @@
-// What the calls of the API do, counted as they do it: how many, how they
+// Counts what the calls of the API do, as they do it: how many, how they
 // ended, how long they took, how many poses and searches. Labels come from
 // fixed sets, so that the number of counters does not grow with use.
 #ifndef REVISIT_SERVER_TELEMETRY_SERVICE_COUNTERS_H_

@@ -99,7 +99,7 @@ void AlignComposite(benchmark::State& state) {
 // its last loop closure is known, or those of satellite fixes.
 enum class Errors { kReckoned, kReckonedAndConfirmed, kFixes };
 
-// What the engine keeps beside a graph and what it asks for.
+// The state that the engine keeps beside a graph, and its queries.
 class Relative {
  public:
   Relative(const PoseGraph& graph, NodeIndex n, Errors errors)

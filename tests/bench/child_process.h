@@ -30,7 +30,7 @@ class ChildProcess {
   double peak_bytes() const;
   // Tells it to end (SIGTERM) and waits until it has.
   void Stop();
-  // What it has written to its log.
+  // The text of its log so far.
   std::string Log() const;
 
  private:

@@ -415,7 +415,7 @@ bool Wanted(const Options& options, const char* what) {
 int Run(const Options& options) {
   double load = 0.0;
   getloadavg(&load, 1);
-  // Of others, before we add ours.
+  // The load that others make, before we add ours.
   json result = {
       {"seconds", options.seconds}, {"load", load}, {"rounds", json::array()}};
   for (int i = 0; i < options.rounds; ++i) {

@@ -34,7 +34,7 @@ struct StatusDetails {
 grpc::Status MakeStatus(grpc::StatusCode code, const std::string& message,
                         const StatusDetails& details = {});
 
-// What becomes of the stream at one step.
+// The end of the stream at one step, if any.
 struct StreamFault {
   enum class Kind {
     kNone,
@@ -83,10 +83,10 @@ class FakeServer final : public v1::PoseGraphService::Service {
   // A check falls due at every so manieth pose; 0 for none.
   void set_check_interval(std::uint64_t poses);
   void set_max_batch_poses(int poses);
-  // What searches and checks answer, but for the query.
+  // The answer of searches and checks, but for the query.
   void set_candidates(const v1::CandidateSet& candidates);
 
-  // What is stored, serialized.
+  // The stored poses, serialized.
   std::vector<std::string> Stored() const;
   std::uint64_t durable_sequence() const;
   // acked_sequence of each open, in order.

@@ -1,4 +1,4 @@
-// What an engine's searches have learned from the drive before.
+// An engine's searches learn from the drive before.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -34,7 +34,7 @@ std::vector<PoseSample> Laps(std::mt19937_64& random, double claimed) {
   return samples;
 }
 
-// What each check found.
+// The findings of each check.
 using Answers = std::vector<std::pair<NodeIndex, CandidateSet>>;
 
 // Streams the poses in batches, and searches at each check.

@@ -27,7 +27,7 @@ Poses Part(const Poses& all, std::uint64_t first, std::uint64_t last) {
           all.begin() + static_cast<std::ptrdiff_t>(last)};
 }
 
-// What is left of the poses [first, last].
+// The stretch that is left of the poses [first, last].
 DroppedStretch Dropped(const Engine& engine, const Poses& all,
                        std::uint64_t first, std::uint64_t last) {
   DroppedStretchMaker maker(engine.resampler_options());

@@ -1,5 +1,5 @@
-// What a measured loop closure does for the searches after it, on drives by
-// dead reckoning whose noise is drawn.
+// A measured loop closure helps the searches after it, on drives by dead
+// reckoning whose noise is drawn.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -75,7 +75,7 @@ std::shared_ptr<const MeasuredLoop> Measured(
   return std::make_shared<const MeasuredLoop>(loop);
 }
 
-// What a search at the later place says of the best candidate that is right.
+// The answer of a search at the later place, as to the best right candidate.
 struct Found {
   // Log-odds against places not seen before.
   double score = 0.0;

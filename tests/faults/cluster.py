@@ -144,7 +144,7 @@ class Cluster:
         with open(f"/proc/{self.servers[number].pid}/stat") as file:
             return file.read().rpartition(")")[2].split()[0] == "T"
 
-    # What the database knows.
+    # Asked of the database.
 
     def wait_until_dead(self, number):
         """Until the others have declared a server dead."""

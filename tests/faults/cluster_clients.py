@@ -35,7 +35,7 @@ _OPTIONS = [("grpc.initial_reconnect_backoff_ms", 50),
             ("grpc.max_reconnect_backoff_ms", 500),
             ("grpc.use_local_subchannel_pool", 1)]
 
-# What a client of a cluster may be answered with at any time, and tries again.
+# Answers that a client of a cluster may get at any time, and tries again after.
 PASSING = {
     (grpc.StatusCode.UNAVAILABLE, None), (grpc.StatusCode.CANCELLED, ""),
     (grpc.StatusCode.DEADLINE_EXCEEDED, None),

@@ -95,7 +95,7 @@ class Pair:
         except BaseException:
             self.primary.close()
             raise
-        # Of both, for the setting does not follow to a standby that is promoted.
+        # Both are named, for the setting does not follow to a promoted standby.
         self.url = url_of(self.primary.address, self.standby.address,
                           connect_timeout=2)
         if replicates:

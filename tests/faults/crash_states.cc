@@ -70,12 +70,12 @@ std::vector<Event> ReadRecording(const std::string& path) {
 struct Device::Draw {
   enum class Part { kAll, kNone, kFirst, kSome };
   std::size_t block_bytes;
-  // Of blocks.
+  // Which of the blocks are there.
   Part part;
   double share;
   // Whether blocks that were not written may hold anything.
   bool has_garbage;
-  // Of entries.
+  // Which of the entries are there.
   Part entries;
 };
 

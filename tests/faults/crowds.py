@@ -73,7 +73,7 @@ def in_window(calls, most=256):
 FLUSH_SECONDS = 1.0
 DEADLINE_SECONDS = 0.4
 BATCH = 200
-# Of what is sent at a time, the tenth part.
+# The tenth part of what is sent at a time.
 QUEUE_BYTES = MIB
 QUEUE_BYTES_PER_VEHICLE = 256 * KIB
 
@@ -451,7 +451,7 @@ class FleetFigures:
     cold_bytes: int
     # What one takes that has been asked for.
     opened_bytes: float
-    # Of the first call on a vehicle, and of a search and an append after it.
+    # Seconds: the first call on a vehicle, and a search and an append after it.
     first_calls: list
     calls: list
     pages: list

@@ -14,7 +14,7 @@ from wire import (PAIR_KINDS, PoseStream, append, as_bytes, batches,
                   decode_failure, failure_of, get, list_poses)
 
 VEHICLES = [f"vehicles/truck-{n}" for n in range(3)]
-# What an exit says: damaged, or not a store of this version.
+# The meaning of an exit: damaged, or not a store of this version.
 REFUSALS = (65, 73)
 
 

@@ -18,8 +18,8 @@ from stubs import api
 from wire import append, as_bytes, decode_failure, failure_of, get, list_poses
 
 MIB = 1 << 20
-# What gRPC itself answers at the end of a server; CANCELLED where a call comes
-# just as the connections are closed.
+# Codes that gRPC itself answers with at the end of a server; CANCELLED where a call
+# comes just as the connections are closed.
 GONE = (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.CANCELLED)
 
 

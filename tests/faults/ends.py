@@ -18,7 +18,7 @@ from stubs import api
 from wire import append, as_bytes, get, list_poses
 
 DRAIN_SECONDS = 2.0
-# What the promise adds to the drain timeout.
+# Seconds that the promise adds to the drain timeout.
 END_SECONDS = 1.0
 START_SECONDS = 5.0
 

@@ -70,8 +70,8 @@ def kill_before_ack(run):
         client = Client(Drive(run.seed + number), run.rng)
         with Server(store) as server:
             create(server.stub(), **SETTINGS)
-        # Of the log only: a kill between a commit and its acknowledgement. The
-        # first flush is that of the log's header.
+        # Only flushes of the log count: a kill between a commit and its
+        # acknowledgement. The first flush is that of the log's header.
         plan = preloaded(file="-wal", kill_sync=run.rng.randint(2, 20))
         with Server(store, env=plan) as server:
             assert not client.stream(server)

@@ -104,8 +104,8 @@ class Digest {
   EVP_MD_CTX* const context_;
 };
 
-// Of the payloads of all batches, one behind the other: that of all their
-// poses, however they are batched.
+// The digest of the payloads of all batches, one behind the other, is that of
+// all their poses, however they are batched.
 absl::StatusOr<std::string> DigestOfPoses(Storage& storage,
                                           const VehicleRecord& vehicle,
                                           BatchVersion version) {

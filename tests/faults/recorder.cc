@@ -21,7 +21,7 @@
 namespace revisit::faults {
 namespace {
 
-// Of how many flushes one also records what shared memory holds.
+// One flush in so many also records what shared memory holds.
 constexpr int kSyncsPerLookAtMemory = 8;
 
 // None of the calls below may come back to the shim, hence the bare ones.

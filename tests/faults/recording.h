@@ -1,4 +1,4 @@
-// What a recording of a store's files consists of: the events that the shim
+// A recording of a store's files consists of the events that the shim
 // writes (recorder.h) and crash states are made of (crash_states.h).
 //
 // The events of all processes of a recording lie one behind the other in one

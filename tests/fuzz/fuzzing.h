@@ -1,4 +1,4 @@
-// What the fuzz targets share.
+// Shared by the fuzz targets.
 #ifndef REVISIT_TESTS_FUZZ_FUZZING_H_
 #define REVISIT_TESTS_FUZZ_FUZZING_H_
 
@@ -12,7 +12,7 @@
 
 namespace revisit::fuzz {
 
-// What must hold whatever the input is.
+// Ends the process unless a condition holds that no input may break.
 inline void Require(bool holds, const char* what) {
   if (holds) return;
   std::fprintf(stderr, "does not hold: %s\n", what);

@@ -18,7 +18,7 @@ from raw_http2 import (CONTINUATION, DATA, END_HEADERS, END_STREAM, HEADERS,
 REFLECTION = ("/grpc.reflection.v1alpha.ServerReflection/"
               "ServerReflectionInfo")
 WATCH = "/grpc.health.v1.Health/Watch"
-# Of one attack on one connection, if nobody stops it.
+# One attack on one connection lasts so long, if nobody stops it.
 SECONDS = 4
 
 

@@ -15,7 +15,7 @@ from wire import (PoseStream, append, as_bytes, batches, failure_of, laps,
                   list_poses, pose, straight)
 
 EXHAUSTED = grpc.StatusCode.RESOURCE_EXHAUSTED
-# What a client of gRPC takes in one message unless it is told otherwise.
+# Bytes that a client of gRPC takes in one message unless it is told otherwise.
 DEFAULT_BYTES = 4 << 20
 
 

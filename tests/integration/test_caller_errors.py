@@ -1059,7 +1059,7 @@ def test_there_is_no_such_pair_to_delete(kind, stub, filled, unchanged):
 @dataclasses.dataclass
 class BadRevision:
     name: str
-    # Of the vehicle's name.
+    # It takes the vehicle's name.
     requests: typing.Callable
     reason: str
     fields: list

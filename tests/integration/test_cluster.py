@@ -247,7 +247,7 @@ REQUESTS = {
     "AcceptDataLoss": '{"name": "vehicles/ID", "durable_sequence": 4}',
     "DeleteVehicle": '{"name": "vehicles/ID"}',
 }
-# What the server that has the vehicle answers.
+# Codes with which the server that has the vehicle answers.
 REASONS = {"AcceptDataLoss": "NO_DATA_LOSS"}
 
 
@@ -359,7 +359,7 @@ def test_answers_do_not_tell_addresses_of_servers(cluster, channel):
         assert str(server.port) not in str(told)
 
 
-# What calls are answered with.
+# Codes with which calls are answered.
 
 
 def answer_of(channel, method, request):

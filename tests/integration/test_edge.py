@@ -18,7 +18,7 @@ from stubs import ROOT, PoseGraphServiceStub, api
 from wire import PoseStream, straight
 
 CONFIGURATION = ROOT / "deploy/edge/envoy.yaml"
-# What is promised: of one connection, and of all.
+# Bytes as promised: of one connection, and of all.
 MB_OF_ONE, MB_OF_ALL = 64, 256
 CONNECTIONS = 40
 

@@ -290,7 +290,7 @@ def test_filter_without_fixes_is_dead_reckoning(alignment, tmp_path):
     def candidates(*flags):
         report = report_of(drive, "--alignment", alignment, "--exhaustive",
                            "--verbose", "--no-use-belief", *flags)
-        # Of places that are out of the question, a filter may have others.
+        # A filter may have other places that are out of the question.
         return [candidate for check in report["drives"][0]["check_list"]
                 for candidate in check["candidates"]
                 if candidate["probability"] is None

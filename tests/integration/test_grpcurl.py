@@ -18,7 +18,7 @@ GRPCURL = pathlib.Path(os.environ.get("REVISIT_TEST_GRPCURL",
                                       ROOT / "build/tools/grpcurl"))
 TRIED_ADDRESS = "127.0.0.1:50051"
 SERVICE = "revisit.v1.PoseGraphService"
-# What grpcurl adds to the code of a status to make its exit code.
+# The number that grpcurl adds to the code of a status to make its exit code.
 STATUS_EXIT = 64
 INVALID_ARGUMENT = 3
 

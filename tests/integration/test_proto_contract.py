@@ -22,7 +22,7 @@ from stubs import PROTO, generate
 BUF = pathlib.Path(sys.executable).with_name("buf")
 BASELINE = PROTO / "baseline.binpb"
 README = PROTO / "README.md"
-# What buf answers when it has found something, rather than failed.
+# Exit code of buf when it has found something, rather than failed.
 FINDINGS = 100
 # Names that depend on the language, and so are not left to its generator.
 NAMES = {

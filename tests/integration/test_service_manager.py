@@ -13,7 +13,7 @@ from drive_client import VEHICLE, create
 from revisit_server import Server, clean_environment, run
 from wire import append, straight
 
-# Of <linux/ptrace.h>.
+# From <linux/ptrace.h>.
 PTRACE_DETACH = 17
 PTRACE_SEIZE = 0x4206
 PTRACE_INTERRUPT = 0x4207

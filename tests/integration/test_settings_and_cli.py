@@ -474,7 +474,7 @@ def test_loss_of_data_is_accepted(revisit, tmp_path):
         f"{i},{i},0,0\n" for i in range(20)))
     stream = ["stream", drive, "--vehicle", "cli-loss", "--create"]
     assert revisit(*stream).returncode == 0
-    # Of which vehicle, nobody knows.
+    # Nobody knows which vehicle they belong to.
     lost = revisit(*stream, "--acked-sequence", 30)
     assert lost.returncode == 64 + 15, lost
     assert state() == "VEHICLE_STATE_ACTIVE"

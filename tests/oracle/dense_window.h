@@ -147,7 +147,7 @@ class DenseWindow {
   Wide join_cost() const { return path_.size() > 1 ? core::kJoinCost : 0.0; }
   const WideMatrix& end_prior() const { return end_prior_; }
 
-  // Of e_1 .. e_L, stacked.
+  // The covariance of e_1 .. e_l, stacked.
   WideMatrix Covariance(int l) const {
     return covariance_.topLeftCorner(l * d_, l * d_);
   }

@@ -17,8 +17,8 @@ struct MotionByLoops {
   std::int64_t steps = 0;
   WideMatrix drift;
   WideMatrix jitter;
-  // Of the largest term that went into a mean: what differences of such terms
-  // can be trusted to.
+  // The size of the largest term that went into a mean, which bounds how far
+  // differences of such terms can be trusted.
   Wide largest_term = 0.0L;
 };
 

@@ -29,7 +29,7 @@ struct PathEntry {
   // 0 walks back in time, 1 forward.
   int way = 0;
   bool slipped = false;
-  // Of a step over a loop closure: the node it leads to, before the step.
+  // The node that a step over a loop closure leads to, before the step.
   std::optional<core::NodeIndex> over;
 };
 
@@ -37,7 +37,7 @@ struct ListedPath {
   std::vector<PathEntry> entries;
   // e_1 .. e_t
   WideVector mismatches;
-  // Of all of the path.
+  // Sums over all of the path.
   Wide squared_innovations = 0.0L;
   Wide log_likelihood_ratio = 0.0L;
 };
@@ -113,7 +113,7 @@ class SurvivorLists {
   // The newest entry, seen from the first.
   WideVector SeenFromEnd(const std::vector<PathEntry>& entries) const {
     const PathEntry& end = entries.front();
-    // Of the local frame in which the path is now, seen from its end.
+    // The local frame in which the path is now, seen from its end.
     Rigid local = FrameOf(end.node, end.way).inverse();
     for (std::size_t k = 1; k < entries.size(); ++k) {
       if (!entries[k].over) continue;

@@ -91,7 +91,7 @@ inline WideMatrix WideDiagonal(Wide position, Wide heading, int dimensions) {
   return diagonal;
 }
 
-// What one step from node i - 1 makes of the error there, in the model.
+// The error at node i, as one step of the model makes it of that at i - 1.
 inline WideMatrix StepTransition(const core::PoseGraph& graph,
                                  const core::Correlation& correlation,
                                  core::NodeIndex i, int dimensions) {
@@ -111,7 +111,7 @@ inline WideMatrix StepTransition(const core::PoseGraph& graph,
   return WideTransitionOf(graph.transition(i), dimensions);
 }
 
-// What two fixes of these covariances share of the mean of the two.
+// The covariance that two fixes of these covariances share with their mean.
 inline Wide WideShared(const WideMatrix& a, const WideMatrix& b, Wide meters,
                        const core::Correlation& correlation) {
   const auto ratio_of_means = [](Wide x, Wide y) {

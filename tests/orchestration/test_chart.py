@@ -117,7 +117,7 @@ def test_kubernetes_knows_everything_that_is_made(values, kubernetes):
         [TOOLS / "kubeconform", "-strict", "-summary", "-output", "json",
          "-kubernetes-version", version, "-schema-location",
          f"{schemas}/{{{{.ResourceKind}}}}{{{{.KindSuffix}}}}.json",
-         # Of Prometheus' operator, not of Kubernetes.
+         # Prometheus' operator defines it, not Kubernetes.
          "-skip", "ServiceMonitor", "-"], input=render(values, version),
         capture_output=True, text=True, check=False)
     assert said.returncode == 0, said.stdout + said.stderr

@@ -115,7 +115,7 @@ class Machine:
     def close(self):
         if self._nspawn is not None and self._nspawn.poll() is None:
             if self._leader is not None:
-                # What systemd takes for an order to power off.
+                # Systemd takes it for an order to power off.
                 os.kill(int(self._leader), signal.SIGRTMIN + 4)
             try:
                 self._nspawn.wait(30)

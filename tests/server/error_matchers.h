@@ -1,4 +1,4 @@
-// What tests say about errors.
+// Matchers of errors for tests.
 #ifndef REVISIT_TESTS_SERVER_ERROR_MATCHERS_H_
 #define REVISIT_TESTS_SERVER_ERROR_MATCHERS_H_
 

@@ -58,7 +58,7 @@ class MemoryStorage : public Storage {
   void SetMostBatchBytes(std::size_t bytes) { most_batch_bytes_ = bytes; }
   // As found by every read from now on.
   void DamageVehicle(const std::string& id);
-  // What is stored of this pose, as sent and as it is now.
+  // This pose as it was sent and as it is now.
   void DamagePose(const std::string& id, std::uint64_t sequence);
   void DamagePair(const std::string& id, PairKind kind,
                   const std::string& pair_id);

@@ -1,4 +1,4 @@
-// What one of several servers sees of a storage that they share.
+// A storage that several servers share, as one of them sees it.
 #ifndef REVISIT_TESTS_SERVER_OWNED_STORAGE_H_
 #define REVISIT_TESTS_SERVER_OWNED_STORAGE_H_
 

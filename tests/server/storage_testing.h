@@ -1,4 +1,4 @@
-// What tests that read and write a storage share.
+// Shared by tests that read and write a storage.
 #ifndef REVISIT_TESTS_SERVER_STORAGE_TESTING_H_
 #define REVISIT_TESTS_SERVER_STORAGE_TESTING_H_
 
@@ -13,7 +13,7 @@
 
 namespace revisit::server {
 
-// What a revision brings.
+// The poses that a revision brings.
 BatchSource BatchesOf(std::vector<BatchRecord> batches);
 
 // The writes of a storage, waited for.

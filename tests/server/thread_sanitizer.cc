@@ -1,5 +1,5 @@
-// What thread sanitizer has to know; linked into tests in which threads share
-// statuses, and without effect in other builds.
+// Tells thread sanitizer what it has to know; linked into tests in which
+// threads share statuses, and without effect in other builds.
 
 // Statuses count their references in Abseil's library. Where that was built
 // without the sanitizer, as Debian's is, the last reference to go seems to race

@@ -18,7 +18,7 @@ import server as servers
 class Setup:
     seed: int = 1
     servers: int = 10
-    # What one server has at the peak; `part` of it is simulated, on as small a part
+    # The vehicles of one server at the peak; `part` of it is simulated, on as small a part
     # of the server's threads, of PostgreSQL's cores and of its network.
     streams_per_server: int = 2500
     part: float = 1.0

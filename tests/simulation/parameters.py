@@ -10,7 +10,7 @@ class Figure(typing.NamedTuple):
     source: str
 
 
-# What a figure that nobody measured is called, so that it can be searched for.
+# The name of a figure that nobody measured, so that it can be searched for.
 ASSUMED = "assumed"
 _SCALE = ("measured 2026-11-22 on 2 cores that others used too, load 8 to 15, "
           "libpq ingest of real 64-pose rows")

@@ -206,7 +206,7 @@ def test_a_takeover_takes_the_ttl_and_its_detection(ttl, beat):
         assert len(cell.oracle.burials) == 1
     assert ttl - beat <= min(buried)
     assert max(buried) <= ttl + 2 * beat + 0.1
-    # Of three observers the first sees the last beat after beat / 4 in the mean, and
+    # The first of three observers sees the last beat after beat / 4 in the mean, and
     # half of the time its reading after the TTL comes a moment too soon; the beat's
     # own age takes half a beat off.
     assert statistics.fmean(buried) == pytest.approx(ttl, abs=beat)

@@ -14,7 +14,7 @@ namespace {
 
 // Parameters, for each run: $1 key, $2 owner, $3 epoch, $4 first and $5 last
 // sequence, $6 revision, and $7 and $8 the numbers of its first and last row.
-// Of each row: $9 first sequence, $10 count, $11 revision, $12 checksum, and
+// Each row brings: $9 first sequence, $10 count, $11 revision, $12 checksum, and
 // $13 and $14 where its payload begins in $15 and how long it is. $16 is the
 // format.
 //

@@ -24,7 +24,7 @@ std::optional<std::size_t> AssociateNearest(
     double probability);
 
 struct JointAssociation {
-  // Of each observation, the prediction, if it has one.
+  // The prediction that each observation has, if any.
   std::vector<std::optional<std::size_t>> predictions;
   std::size_t nodes_explored = 0;
 };

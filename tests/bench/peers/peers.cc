@@ -1,5 +1,5 @@
-// What else a user could take to find loop-closure candidates among poses with
-// covariances, on the same nodes, covariances and queries as revisit's engine:
+// Compares with what else a user could take to find loop-closure candidates
+// among poses with covariances, on the same nodes, covariances and queries as revisit's engine:
 // time of a query and quality of the first candidate.
 #include <Eigen/Core>
 #include <Eigen/Eigenvalues>
@@ -30,7 +30,7 @@ using client::GraphNode;
 using core::NodeIndex;
 
 constexpr double kGateProbability = 0.95;
-// Of chi-square with two degrees of freedom.
+// Quantile of chi-square with two degrees of freedom.
 const double kPlanarQuantile = -2.0 * std::log(1.0 - kGateProbability);
 constexpr double kFixedRadius = 15.0;
 
@@ -46,7 +46,7 @@ struct Searched {
   }
 };
 
-// Of this thread's processor time, which other work on the machine does not
+// Processor time of this thread, which other work on the machine does not
 // change much.
 double ThreadMilliseconds() {
   timespec now{};
@@ -62,7 +62,7 @@ double MillisecondsOf(const Function& function) {
   return ThreadMilliseconds() - start;
 }
 
-// What peers know of a candidate.
+// A candidate as peers know it.
 CheckAnswer Only(NodeIndex query, std::optional<NodeIndex> matched) {
   CheckAnswer answer;
   answer.query = query;

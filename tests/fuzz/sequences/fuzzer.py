@@ -43,7 +43,7 @@ ROUND_SECONDS = 12
 # A call that was half-closed ends, also under sanitizers on a busy machine.
 END_SECONDS = 60
 AWAIT_SECONDS = 2
-# What the search for the sequence that did it may take.
+# Bound of the search for the sequence that did it.
 SHRINK_SECONDS = 120
 KEPT = 4000
 

@@ -21,7 +21,7 @@ namespace {
 
 using ::testing::ElementsAre;
 
-// What an unread pipe holds.
+// Bytes that an unread pipe holds.
 constexpr int kPipeBytes = 65536;
 
 class Pipe {

@@ -11,8 +11,8 @@ namespace revisit::server {
 namespace {
 
 TEST(PeriodicTest, WorksAgainAndAgainUntilItGoes) {
-  // Of the thread of `periodic`, then of this one: no atomic, so that the
-  // thread sanitizer sees a call that comes too late.
+  // It belongs to the thread of `periodic`, then to this one: no atomic, so
+  // that the thread sanitizer sees a call that comes too late.
   int calls = 0;
   const Answer<bool> third;
   {

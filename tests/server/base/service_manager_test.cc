@@ -43,7 +43,7 @@ class ServiceManagerTest : public testing::Test {
     close(socket_);
   }
 
-  // What was reported; nothing if nothing comes within the time.
+  // The report that came; nothing if nothing comes within the time.
   std::optional<std::string> Next(std::chrono::milliseconds limit) {
     pollfd readable = {socket_, POLLIN, 0};
     if (poll(&readable, 1, static_cast<int>(limit.count())) != 1) return {};

@@ -290,7 +290,7 @@ TEST(UpdateConfigTest, KeepsWhatIsFixedOnceThereArePoses) {
                 IsError(StatusCode::kFailedPrecondition, "SETTING_FIXED",
                         HasSubstr("settings." + field)));
   }
-  // Of the correlation model, only whether it is FILTER is fixed.
+  // Whether the correlation model is FILTER is all of it that is fixed.
   EXPECT_THAT(
       Update(current, true, "correlation_model: CORRELATION_MODEL_FILTER",
              {"settings.correlation_model"}),

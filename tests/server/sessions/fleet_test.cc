@@ -409,7 +409,7 @@ class Driver {
   // The last sequence that was acknowledged.
   std::uint64_t acknowledged() const { return acknowledged_; }
   std::uint64_t revision() const { return revision_; }
-  // What every check found, in their order.
+  // The answers of all checks, in their order.
   const std::string& found() const { return found_; }
 
   void Drive() {

@@ -1,4 +1,4 @@
-// What tests of sessions and the fleet share.
+// Shared by tests of sessions and the fleet.
 #ifndef REVISIT_TESTS_SERVER_SESSIONS_SESSION_TESTING_H_
 #define REVISIT_TESTS_SERVER_SESSIONS_SESSION_TESTING_H_
 
@@ -69,7 +69,7 @@ absl::StatusOr<std::uint64_t> DeletePairNow(VehicleSession& session,
 absl::Status DeleteNow(VehicleSession& session);
 void CloseNow(VehicleSession& session);
 
-// What became of an append.
+// The end that an append came to.
 struct Appended {
   Answer<absl::Status> staged;
   Answer<absl::StatusOr<Acknowledgement>> durable;

@@ -411,7 +411,7 @@ TEST_F(SnapshotsTest, ServersWithoutSnapshotsRemoveThoseThatAreThere) {
   EXPECT_EQ(Stored(), "none");
 }
 
-// Of a vehicle with whole parts.
+// The vehicle is long enough to have whole parts.
 class LongSnapshotsTest : public SnapshotsTest {
  protected:
   void SetUp() override {

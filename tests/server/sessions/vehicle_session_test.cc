@@ -33,7 +33,7 @@ using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
 constexpr PairKind kClosure = PairKind::kLoopClosure;
-// Of TestConfig().
+// The uid in TestConfig().
 constexpr char kUid[] = "uid-of-test";
 
 constexpr PairKind kRejection = PairKind::kRejectedCandidate;
@@ -1264,7 +1264,7 @@ TEST_F(VehicleSessionTest, DamagedVehicleIsReadAsFarAsItIsSound) {
     EXPECT_EQ(read->node_count, 3);
     EXPECT_EQ(read->loop_closure_count, 1);
     EXPECT_EQ(read->consistency.rejected, 0);
-    // Of the poses that are lost nobody knows what they had brought.
+    // Nobody knows which revisions the lost poses had brought.
     EXPECT_EQ(read->revision, revision + 6);
     EXPECT_THAT(AppendNow(*session_, StraightBatch(4, 1)), damaged);
     EXPECT_THAT(AppendNow(*session_, StraightBatch(1, 1)), damaged);

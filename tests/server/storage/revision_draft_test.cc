@@ -117,7 +117,7 @@ TEST_F(RevisionDraftTest, MostOfALargeDraftIsNotInMemory) {
     ASSERT_TRUE(*draft->AddPose(1 + i * 7919 % kPoses, pose));
   }
   EXPECT_EQ(draft->pose_count(), static_cast<std::int64_t>(kPoses));
-  // Of 80 MB. Resident memory would tell of a sanitizer's as well.
+  // The draft has 80 MB. Resident memory would count a sanitizer's as well.
   EXPECT_LT(sqlite3_memory_highwater(/*resetFlag=*/0) - before, 20 << 20);
 }
 

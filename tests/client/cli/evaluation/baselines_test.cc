@@ -49,7 +49,7 @@ TEST(BaselinesTest, NearestPositionsComeFirstAndKeepApart) {
 TEST(BaselinesTest, NearestPositionsLeaveOutTheRecentPathAndWhatIsFar) {
   NearestPosition options;
   options.excluded_nodes = 75;
-  // Of node 110, all within reach is younger than 75 nodes.
+  // All that node 110 has within reach is younger than 75 nodes.
   auto answers = FindNearestPositions(OutAndBack(5.0), {110, 169}, options);
   EXPECT_THAT(Matched(answers[0]), IsEmpty());
   EXPECT_EQ(answers[0].empty_reason, "no node of the history is near");

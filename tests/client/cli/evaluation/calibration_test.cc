@@ -50,8 +50,8 @@ TEST(CalibrationTest, SortsStatementsIntoTenBins) {
 }
 
 TEST(CalibrationTest, WeighsBinsByTheirCounts) {
-  // Of four stated at 0.9 three are right, off by 0.15; of one stated at 0.2
-  // none is, off by 0.2: (4 * 0.15 + 1 * 0.2) / 5.
+  // Three of four stated at 0.9 are right, off by 0.15; the one stated at 0.2
+  // is not, off by 0.2: (4 * 0.15 + 1 * 0.2) / 5.
   EXPECT_NEAR(
       *ExpectedCalibrationError(
           {{0.9, true}, {0.9, true}, {0.9, false}, {0.9, true}, {0.2, false}}),

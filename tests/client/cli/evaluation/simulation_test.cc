@@ -20,7 +20,7 @@ Drive Bend() {
   for (int i = 0; i < 60; ++i) {
     Sample sample;
     sample.time_nanoseconds = i;
-    // What is to go.
+    // The drive as simulated has neither of the two.
     sample.estimate = {1e3, 1e3, 1.0};
     sample.covariance = {1.0, 0.0, 0.0, 1.0, 0.0, 1.0};
     drive.samples.push_back(sample);
@@ -297,7 +297,7 @@ TEST(SimulationTest, DrawsTheSameDriveEverywhere) {
   EXPECT_NEAR(end.heading, 1.036316117982025, 1e-9);
 }
 
-// What is drawn against what is claimed along it: an honest filter.
+// Errors as drawn against those claimed along it: an honest filter.
 TEST(SimulationTest, ErrorsHaveTheClaimedCovariance) {
   constexpr int kDrives = 4000;
   const Drive drive = Bend();

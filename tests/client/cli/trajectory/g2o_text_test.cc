@@ -84,7 +84,7 @@ TEST(RelativePose, StepOfCorrelatedFixesHasWhatTheyDoNotShare) {
       from, LevelPose(2, 2.0, 0.0, 0.0, {1.0, 1.0, 0.0, 0.01}), settings);
   EXPECT_NEAR(alike.relative.covariance[0], (1.0 - kept) * 2.0, 1e-12);
   EXPECT_NEAR(alike.relative.covariance[15], (1.0 - kept) * 0.02, 1e-12);
-  // Of errors that are not alike, they share 2 * 1 * 3 / (1 + 9).
+  // Errors that are not alike share 2 * 1 * 3 / (1 + 9).
   const Step better = StepBetween(
       from, LevelPose(2, 2.0, 0.0, 0.0, {9.0, 9.0, 0.0, 0.01}), settings);
   EXPECT_NEAR(better.relative.covariance[0], (1.0 - 0.6 * kept) * 10.0, 1e-12);

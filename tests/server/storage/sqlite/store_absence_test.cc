@@ -35,7 +35,7 @@ using ::testing::HasSubstr;
 constexpr std::size_t kFiles = 4;
 constexpr const char* kSuffixes[kFiles] = {"", "-wal", ".mark", ".lock"};
 
-// What a file holds, if it is there.
+// The bytes of a file, if it is there.
 using Content = std::optional<std::string>;
 
 // All files of a store at one moment, and how many poses `truck` had.

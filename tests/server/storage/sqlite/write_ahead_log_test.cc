@@ -98,7 +98,7 @@ class WriteAheadLogTest : public ::testing::Test {
     return static_cast<std::uint32_t>((log_.size() - kHeader) / kFrame);
   }
 
-  // Of each frame, whether it ends a commit.
+  // Says of each frame whether it ends a commit.
   std::vector<bool> Commits() const {
     std::vector<bool> commits;
     for (std::size_t at = kHeader; at < log_.size(); at += kFrame) {
