@@ -10,12 +10,12 @@
 #include <system_error>
 
 #include "server/base/status.h"
+#include "server/storage/sqlite/freed_room.h"
 #include "server/storage/sqlite/sqlite_storage.h"
 #include "server/storage/sqlite/store_check.h"
 #include "server/storage/sqlite/store_files.h"
 #include "server/storage/sqlite/store_lock.h"
 #include "server/storage/sqlite/store_opening.h"
-#include "server/storage/sqlite/store_rows.h"
 #include "server/storage/sqlite/store_state.h"
 
 namespace revisit::server {

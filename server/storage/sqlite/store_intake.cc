@@ -7,12 +7,14 @@
 #include <utility>
 
 #include "server/base/status.h"
+#include "server/storage/sqlite/batch_rows.h"
+#include "server/storage/sqlite/pair_rows.h"
 #include "server/storage/sqlite/sqlite_database.h"
 #include "server/storage/sqlite/store_check.h"
 #include "server/storage/sqlite/store_files.h"
 #include "server/storage/sqlite/store_opening.h"
-#include "server/storage/sqlite/store_rows.h"
 #include "server/storage/sqlite/store_state.h"
+#include "server/storage/sqlite/vehicle_rows.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {

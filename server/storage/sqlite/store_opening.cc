@@ -22,7 +22,7 @@
 #include "server/storage/sqlite/store_check.h"
 #include "server/storage/sqlite/store_files.h"
 #include "server/storage/sqlite/store_lock.h"
-#include "server/storage/sqlite/store_rows.h"
+#include "server/storage/sqlite/vehicle_rows.h"
 #include "server/storage/sqlite/write_ahead_log.h"
 
 namespace revisit::server {
