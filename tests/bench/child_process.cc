@@ -60,17 +60,20 @@ ChildProcess::ChildProcess(const std::vector<std::string>& command,
   close(ends[1]);
   close(log_file);
   output_ = ends[0];
-  constexpr char kAnnouncement[] = "listening on ";
-  std::string text;
-  while (text.find('\n') == std::string::npos) {
+  // Other lines may come first.
+  const std::string announcement = "\nlistening on ";
+  std::string text = "\n";
+  std::size_t begin = std::string::npos;
+  while (begin == std::string::npos ||
+         text.find('\n', begin) == std::string::npos) {
     char buffer[256];
     const ssize_t size = read(output_, buffer, sizeof(buffer));
     if (size < 0 && errno == EINTR) continue;
-    if (size <= 0) Die(command[0] + " did not start:\n" + Log());
+    if (size <= 0) Die(command[0] + " did not start:\n" + text + Log());
     text.append(buffer, static_cast<std::size_t>(size));
+    begin = text.find(announcement);
+    if (begin != std::string::npos) begin += announcement.size();
   }
-  if (text.rfind(kAnnouncement, 0) != 0) Die(command[0] + " said: " + text);
-  const std::size_t begin = std::strlen(kAnnouncement);
   address_ = text.substr(begin, text.find('\n') - begin);
 }
 

@@ -12,9 +12,9 @@ namespace revisit::bench {
 
 class ChildProcess {
  public:
-  // Runs a program that says "listening on HOST:PORT" on its standard output,
-  // and waits for that. Its standard error goes to the file `log`. Ends this
-  // process with a message if it does not start.
+  // Runs a program that says "listening on HOST:PORT" in a line of its standard
+  // output, and waits for that. Its standard error goes to the file `log`. Ends
+  // this process with a message if it does not start.
   ChildProcess(const std::vector<std::string>& command, std::string log);
   // As Stop().
   ~ChildProcess();

@@ -18,6 +18,7 @@
 #include <thread>
 #include <vector>
 
+#include "boost/asio/ip/tcp.hpp"
 #include "nlohmann/json.hpp"
 #include "revisit/v1/pose_graph_service.grpc.pb.h"
 #include "tests/bench/child_process.h"
@@ -115,24 +116,50 @@ class Server {
 
   // After Stop(): writes that the store committed together, in the mean.
   double WritesACommit() const {
-    std::istringstream log(process_.Log());
-    std::string line;
-    while (std::getline(log, line)) {
-      const json entry = json::parse(line, nullptr, false);
-      if (!entry.is_object() || entry.value("event", "") != "stopped") continue;
-      return entry.value("writes", 0.0) /
-             std::max(1.0, entry.value("commits", 0.0));
+    const json stopped = LogLine("stopped");
+    return stopped.value("writes", 0.0) /
+           std::max(1.0, stopped.value("commits", 0.0));
+  }
+
+  // One page of /metrics. REQUIRES: this is revisitd.
+  std::string Scrape() const {
+    const std::string address =
+        LogLine("serving").value("admin_address", std::string());
+    const std::size_t colon = address.rfind(':');
+    if (colon == std::string::npos) Die("no admin_address in the log");
+    boost::asio::ip::tcp::iostream connection(address.substr(0, colon),
+                                              address.substr(colon + 1));
+    connection << "GET /metrics HTTP/1.1\r\nHost: " << address
+               << "\r\nConnection: close\r\n\r\n"
+               << std::flush;
+    std::ostringstream page;
+    page << connection.rdbuf();
+    if (page.str().find(" 200 OK") == std::string::npos) {
+      Die("/metrics: " + page.str());
     }
-    return 0.0;
+    return page.str();
   }
 
  private:
+  // The line of the log with this event, or an empty object.
+  json LogLine(const std::string& event) const {
+    std::istringstream log(process_.Log());
+    std::string line;
+    while (std::getline(log, line)) {
+      json entry = json::parse(line, nullptr, false);
+      if (entry.is_object() && entry.value("event", "") == event) return entry;
+    }
+    return json::object();
+  }
+
   static std::vector<std::string> Command(Kind kind, const std::string& store) {
     const std::filesystem::path self = OwnPath();
     if (kind == Kind::kEmpty) return {self.string(), "--empty-server"};
     std::vector<std::string> command = {
         (self.parent_path() / "revisitd").string(),
         "--listen",
+        "127.0.0.1:0",
+        "--admin-listen",
         "127.0.0.1:0",
         "--store",
         store,
@@ -215,6 +242,46 @@ json MeasureStreams(Kind kind, const Options& options, int vehicles,
   server.Stop();
   if (kind != Kind::kEmpty) result["writes_a_commit"] = server.WritesACommit();
   return result;
+}
+
+// Streams in turn beside scrapes, one a second, and without: what a pose takes
+// of the server in both kinds of slices.
+json MetricsRound(const Options& options) {
+  json round = json::array();
+  for (const int batch_poses : {64, 1}) {
+    if (options.batch_poses != 0 && options.batch_poses != batch_poses) {
+      continue;
+    }
+    Server server(Kind::kRevisit, options);
+    LoadOptions load;
+    load.batch_poses = batch_poses;
+    Streams streams(&server, 8, load);
+    SleepFor(std::min(0.5, options.seconds / 4.0));
+    json entry = {{"vehicles", 8}, {"batch_poses", batch_poses}};
+    // In an order in which what grows or slows down with time cancels out.
+    for (const bool scraped : {false, true, true, false}) {
+      const std::uint64_t before = streams.acked_poses();
+      const double cpu = server.cpu_seconds();
+      const Clock::time_point start = Clock::now();
+      const auto end = start + std::chrono::duration<double>(options.seconds);
+      std::size_t page_bytes = 0;
+      while (Clock::now() < end) {
+        if (scraped) page_bytes = server.Scrape().size();
+        SleepFor(std::min(1.0, options.seconds));
+      }
+      const std::chrono::duration<double> spent = Clock::now() - start;
+      const auto poses = static_cast<double>(streams.acked_poses() - before);
+      json slice = {
+          {"poses_per_second", poses / spent.count()},
+          {"server_cpu_us_per_pose",
+           1e6 * (server.cpu_seconds() - cpu) / std::max(1.0, poses)}};
+      if (scraped) slice["page_bytes"] = page_bytes;
+      entry[scraped ? "scraped" : "alone"].push_back(std::move(slice));
+    }
+    streams.Stop();
+    round.push_back(std::move(entry));
+  }
+  return round;
 }
 
 json MeasureLoop(const Options& options, int batch_poses, int rows_a_commit) {
@@ -421,6 +488,7 @@ int Run(const Options& options) {
   for (int i = 0; i < options.rounds; ++i) {
     json round;
     if (Wanted(options, "ingest")) round["ingest"] = IngestRound(options);
+    if (Wanted(options, "metrics")) round["metrics"] = MetricsRound(options);
     if (Wanted(options, "query")) round["query"] = QueryRound(options);
     if (Wanted(options, "stall")) round["stall"] = StallRound(options);
     result["rounds"].push_back(std::move(round));
@@ -432,7 +500,8 @@ int Run(const Options& options) {
 constexpr char kUsage[] =
     "usage: revisit_server_bench [--seconds S] [--rounds N] [--nodes N]\n"
     "           [--many-nodes N] [--directory DIR] "
-    "[--shared-store URL] [--only ingest|query|stall] [--batch-poses N]\n";
+    "[--shared-store URL] [--only ingest|metrics|query|stall]\n"
+    "           [--batch-poses N]\n";
 
 int Main(int argc, char** argv) {
   Options options;

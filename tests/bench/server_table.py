@@ -46,6 +46,28 @@ def ingest_table(rounds):
               f"{mid('revisit', 'p50_ms'):9.2f}{mid('revisit', 'p99_ms'):8.2f}")
 
 
+def metrics_table(rounds):
+    print("\n8 streams in turn beside scrapes of /metrics, one a second, and without: CPU "
+          "of the\nserver in microseconds a pose, and what scraped slices take and "
+          "carry of the others")
+    print(f"{'a batch':>8}{'alone':>9}{'scraped':>9}  {'CPU':20}{'poses':20}"
+          f"{'page':>7}")
+    for cases in zip(*(one["metrics"] for one in rounds)):
+        def mean(case, head, key):
+            return statistics.fmean(part[key] for part in case[head])
+
+        def ratio(key, cases=cases):
+            return spread([mean(case, "scraped", key) / mean(case, "alone", key)
+                           for case in cases])
+
+        cpu = "server_cpu_us_per_pose"
+        print(f"{cases[0]['batch_poses']:8}"
+              f"{median([mean(case, 'alone', cpu) for case in cases]):9.3f}"
+              f"{median([mean(case, 'scraped', cpu) for case in cases]):9.3f}"
+              f"  {ratio(cpu):20}{ratio('poses_per_second'):20}"
+              f"{cases[0]['scraped'][0]['page_bytes']:7}")
+
+
 def query_table(rounds):
     queries = [one["query"] for one in rounds]
     print(f"\nUnary calls, ms; searches on a vehicle of {queries[0]['nodes']} "
@@ -92,8 +114,8 @@ def main():
     print(f"The server over loopback: medians of {len(rounds)} rounds, "
           f"{result['seconds']:g} s each measurement; load of the machine "
           f"{result['load']:.1f}")
-    for part, table in (("ingest", ingest_table), ("query", query_table),
-                        ("stall", stall_table)):
+    for part, table in (("ingest", ingest_table), ("metrics", metrics_table),
+                        ("query", query_table), ("stall", stall_table)):
         if all(part in one for one in rounds):
             table(rounds)
 
