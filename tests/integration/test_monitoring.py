@@ -307,6 +307,37 @@ def test_slow_flushes_are_told(tmp_path):
 
 
 @needs_promtool
+@pytest.mark.release_build
+def test_slow_commits_of_a_database_are_told(tmp_path):
+    with own_postgres() as database:
+        if database is None:
+            pytest.skip("there is no PostgreSQL: tests/run installs it")
+        assert run("revisitd", "migrate", "--store",
+                   database.url("revisit_owner")).returncode == 0
+        with Server(database.url("revisit"), *ADMIN, *NAMED,
+                    "--lease-seconds", 1, log_path=tmp_path / "log") as server:
+            quiet = scraped.scrape(server)
+            # Each commit that touches the row of a server waits, as for a disk.
+            database.ask("""
+                CREATE FUNCTION wait() RETURNS trigger LANGUAGE plpgsql AS
+                'BEGIN PERFORM pg_sleep(0.3); RETURN NULL; END';
+                CREATE CONSTRAINT TRIGGER slow AFTER UPDATE ON servers
+                DEFERRABLE INITIALLY DEFERRED FOR EACH ROW
+                EXECUTE FUNCTION wait();""")
+            pages = [quiet]
+            while len(pages) < 12:
+                pages.append(wait_until(
+                    lambda: more_flushes(server, pages[-1]), "commit"))
+            assert_told("RevisitFlushSlow", quiet, pages[1:], tmp_path)
+
+
+def more_flushes(server, before):
+    page = scraped.scrape(server)
+    name = "revisit_store_flush_seconds_count"
+    return page.value(name) > before.value(name) and page
+
+
+@needs_promtool
 def test_certificate_near_its_end_is_told(secured, tmp_path):
     page = scraped.scrape(secured)
     renewed = scraped.parse(page.text)
