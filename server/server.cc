@@ -465,6 +465,16 @@ void RevisitServer::State::StartFleet() {
   options.snapshots.warn = [log = log](const std::string& message) {
     log->Write(LogLevel::kWarning, "snapshot", {{"message", message}});
   };
+  options.report_drop = [log = log](const RetentionMonitor::Drop& drop) {
+    log->Write(
+        LogLevel::kInfo, "poses_dropped",
+        {{"vehicle", drop.vehicle_id},
+         {"poses", static_cast<std::int64_t>(drop.poses)},
+         {"first_kept_sequence",
+          static_cast<std::int64_t>(drop.first_kept_sequence)},
+         {"duration_ms",
+          std::chrono::duration<double, std::milli>(drop.duration).count()}});
+  };
   fleet = std::make_unique<Fleet>(
       storage.get(), &codec,
       Lanes(executor.get(), read_executor.get(), search_executor.get()),

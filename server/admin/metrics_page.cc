@@ -336,6 +336,21 @@ void AddResidency(const Fleet& fleet, Page* page) {
       ->Add(residency.bytes);
 }
 
+void AddRetention(const Fleet& fleet, Page* page) {
+  const RetentionMonitor::Counts counts = fleet.retention();
+  page->Counter("revisit_poses_dropped_total",
+                "Poses that vehicles no longer keep.")
+      ->Add(counts.poses);
+  page->Histogram("revisit_drop_seconds",
+                  "Time in which a vehicle's appends waited while poses that "
+                  "it no longer keeps were dropped.")
+      ->Add(counts.seconds);
+  page->Gauge("revisit_trimmed_vehicles",
+              "Vehicles whose history is looked at for poses to drop, or that "
+              "are losing such poses.")
+      ->Add(counts.vehicles);
+}
+
 // ---- Identities and logs
 
 void AddSecurity(const MetricsSources& sources, Page* page) {
@@ -382,6 +397,7 @@ std::string RenderMetrics(const MetricsSources& sources) {
   AddLimits(sources, &page);
   AddStore(sources, &page);
   AddResidency(*sources.fleet, &page);
+  AddRetention(*sources.fleet, &page);
   AddSecurity(sources, &page);
   AddLogs(sources, &page);
   page.Gauge("revisit_draining",
