@@ -18,7 +18,7 @@ import pytest
 from documents import DOCUMENTS, commands, name_of
 from identities import Authority, TokenKey, key_set
 from own_postgres import own_postgres
-from revisit_server import (BIN, STOP_SECONDS, clean_environment, free_port,
+from revisit_server import (BIN, STOP_SECONDS, clean_environment, free_port, run,
                             wait_until)
 from stubs import ROOT
 from wire import BOREAS
@@ -163,6 +163,96 @@ def test_test_that_is_said_to_run_a_command_has_its_words(claim):
     assert found, f"{claim.document} has no such command any more"
 
 
+# ---- Commands and flags that are named in the text
+
+
+def flags_in(text):
+    return set(re.findall(r"(?<![\w-])--[a-z][a-z0-9_-]*[a-z0-9]", text))
+
+
+def help_of(*command):
+    result = run(*command, "--help")
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def commands_of_revisit(*words):
+    """The words of each command of the command line."""
+    found = re.search(r"^Commands:\n((?:  .*\n)+)", help_of("revisit", *words),
+                      re.MULTILINE)
+    for name in re.findall(r"^  ([a-z-]+) ", found.group(1), re.MULTILINE
+                           ) if found else []:
+        yield *words, name
+        yield from commands_of_revisit(*words, name)
+
+
+@pytest.fixture(scope="module")
+def flags_of_revisit():
+    """By the words of each command of `revisit`, its flags."""
+    common = flags_in(help_of("revisit"))
+    return {words: common | flags_in(help_of("revisit", *words))
+            for words in commands_of_revisit()}
+
+
+# By program, flags of others than ours that the text names.
+FLAGS_OF_OTHERS = {
+    "cmake": {"--install"}, "npm": {"--save-dev"}, "protoc": {"--go_opt", "--go-grpc_opt"},
+    "ros2": {"--csv"},
+}
+
+
+@pytest.fixture(scope="module")
+def known_flags(flags_of_revisit):
+    """Flags that some program has which the documents are about."""
+    known = set().union(*flags_of_revisit.values(), *FLAGS_OF_OTHERS.values())
+    known |= flags_in(help_of("revisitd"))
+    for script in [*ROOT.glob("tests/*/run"), ROOT / "tests/run",
+                   ROOT / "tests/tidy", ROOT / "deploy/console",
+                   ROOT / "deploy/demo", ROOT / "deploy/cluster/demo"]:
+        known |= flags_in(script.read_text())
+    for task in ("backup", "verify", "compact", "migrate", "import"):
+        known |= flags_in(help_of("revisitd", task))
+    # Of tests/faults/run, bench and simulation, which pass them on.
+    for script in ("faults/matrix", "simulation/simulation", "bench/fleet"):
+        known |= flags_in((ROOT / f"tests/{script}.py").read_text())
+    return known
+
+
+def code_in_the_text(path):
+    """What stands between backticks outside of blocks, on one line each."""
+    text = re.sub(r"^```.*?^```", "", path.read_text(),
+                  flags=re.DOTALL | re.MULTILINE)
+    return [" ".join(code.split()) for code in re.findall(r"`([^`]+)`", text)]
+
+
+# CHANGELOG.md also names what is no more.
+GUIDES = [path for path in DOCUMENTS
+          if path.name not in ("CHANGELOG.md", "RESULTS.md")]
+
+
+@pytest.mark.parametrize("document", GUIDES, ids=name_of)
+def test_flags_that_a_document_names_are_there(document, known_flags):
+    named = {flag for code in code_in_the_text(document)
+             for flag in flags_in(code) if f"{flag}-..." not in code}
+    assert named - known_flags == set()
+
+
+@pytest.mark.parametrize("document", GUIDES, ids=name_of)
+def test_commands_that_a_document_names_have_these_flags(
+        document, flags_of_revisit):
+    wrong = []
+    for code in code_in_the_text(document):
+        words = re.match(r"revisit( +[a-z][a-z-]*)+(?= |$)", code)
+        if not words:
+            continue
+        words = tuple(words.group().split()[1:])
+        found = [words[:count] for count in (2, 1)
+                 if words[:count] in flags_of_revisit]
+        if not found or flags_in(code) - flags_of_revisit[found[0]]:
+            wrong.append(code)
+    assert wrong == []
+
+
 # ---- Commands that are run here
 
 
@@ -231,6 +321,10 @@ class Place:
     def close(self):
         """Stops its server, which has to end well too."""
         if self._server is not None:
+            self._server.send_signal(signal.SIGTERM)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._server.wait(1)
+            # The second one ends the notice of a drain.
             self._server.send_signal(signal.SIGTERM)
             code = self._server.wait(STOP_SECONDS)
             self._server = None
