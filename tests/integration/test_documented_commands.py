@@ -196,7 +196,8 @@ def flags_of_revisit():
 
 # By program, flags of others than ours that the text names.
 FLAGS_OF_OTHERS = {
-    "cmake": {"--install"}, "npm": {"--save-dev"}, "protoc": {"--go_opt", "--go-grpc_opt"},
+    "cmake": {"--install"}, "npm": {"--save-dev"},
+    "protoc": {"--go_opt", "--go-grpc_opt"},
     "ros2": {"--csv"},
 }
 
