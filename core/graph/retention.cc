@@ -224,7 +224,8 @@ class DroppableSearch::Impl {
   }
 
  private:
-  // In this order. Each goes through all nodes, and answers how many it did.
+  // The stages follow each other in this order. Each goes through all nodes;
+  // the function of a stage returns how many it went through.
   enum class Stage { kRank, kCover, kKeepPaths, kDone };
 
   // The least stamp that is not too old.
@@ -279,8 +280,8 @@ class DroppableSearch::Impl {
     return done;
   }
 
-  // From the best on, and of those that are known about alike from the last
-  // on, so that a node is covered only by such as stay.
+  // Goes from the best on, and among those that are known about alike from the
+  // last on, so that a node is covered only by such as stay.
   NodeIndex Cover(NodeIndex most) {
     NodeIndex done = 0;
     while (done < most && !ranked_.empty()) {
@@ -301,7 +302,7 @@ class DroppableSearch::Impl {
     return done;
   }
 
-  // From the last node on, which `next_` is behind.
+  // Goes back from the last node; `next_` is behind the next one to look at.
   NodeIndex KeepPathsToWanted(NodeIndex most) {
     const NodeIndex end = std::max<NodeIndex>(0, next_ - most);
     const NodeIndex done = next_ - end;

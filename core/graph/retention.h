@@ -84,8 +84,8 @@ struct RetentionNeeds {
 bool HaveSameRules(const RetentionNeeds& a, const RetentionNeeds& b);
 
 // Looks for the nodes of a graph that are to be dropped, a part at a time: for
-// a million nodes it takes a second, and up to a minute where all are of one
-// place (max_passes * 10 comparisons for each node).
+// a million nodes it takes some seconds, and up to a minute where all lie in
+// one place and are hardly sure.
 //
 // It is about the nodes that the graph has when it begins. Nodes that are added
 // meanwhile change nothing, and nothing else about the graph may change.
@@ -106,9 +106,9 @@ class DroppableSearch {
   // Returns whether all is done.
   bool Advance(NodeIndex nodes);
 
-  // The nodes to drop, but for those that stay for these ends of loops, which
-  // may have come since it began: ranges in ascending order that do not touch
-  // each other, none of them empty. O(n), some nanoseconds for each.
+  // Returns the nodes to drop, but for those that stay for these ends of loops,
+  // which may have come since it began: ranges in ascending order that do not
+  // touch each other, none of them empty. O(n), some nanoseconds for each.
   // REQUIRES: all is done.
   std::vector<NodeRange> Droppable(const std::vector<NodeIndex>& loop_ends);
 

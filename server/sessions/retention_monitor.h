@@ -29,7 +29,7 @@ class RetentionMonitor {
     std::uint64_t poses = 0;
     // Vehicles that are looked at now, or are losing poses.
     std::int64_t vehicles = 0;
-    // Of drops, and so how many there were.
+    // How long the drops took; its count is how many there were.
     HistogramCounts seconds;
   };
 

@@ -288,8 +288,7 @@ class PostgresStorage : public PostgresReader {
   }
 
   std::optional<StorageRoom> GetRoom() const override {
-    const std::optional<std::int64_t> bytes =
-        writers_.front()->DatabaseBytes();
+    const std::optional<std::int64_t> bytes = writers_.front()->DatabaseBytes();
     if (!bytes.has_value()) return std::nullopt;
     return StorageRoom{*bytes};
   }

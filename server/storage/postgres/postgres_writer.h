@@ -41,8 +41,7 @@ class PostgresWriter {
     // Whether the database has tables of snapshots.
     bool has_snapshots = false;
     // How often to ask how large the database is, in between writes; never if
-    // zero. It looks at the size of each of its files, and takes about a
-    // millisecond for a thousand.
+    // zero. The database then looks at the size of each of its files.
     std::chrono::milliseconds size_period{0};
   };
 

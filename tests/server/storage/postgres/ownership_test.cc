@@ -616,8 +616,8 @@ TEST_F(OwnershipTest, TellsHowLongTheDatabaseTakesToCommit) {
     }
     return slow;
   };
-  EXPECT_TRUE(Eventually(
-      [&] { return !a->Counts().flush_seconds.counts.empty(); }));
+  EXPECT_TRUE(
+      Eventually([&] { return !a->Counts().flush_seconds.counts.empty(); }));
   const std::uint64_t before = slow_commits();
   // Runs with the commit, as a flush does.
   Sql("CREATE FUNCTION wait() RETURNS trigger LANGUAGE plpgsql AS "
