@@ -133,13 +133,17 @@ CLAIMS = [
 ]
 
 
+def is_about(claim, command):
+    return (command.text.startswith(claim.start)
+            or f"<!-- {command.marker} -->" == claim.start)
+
+
 def is_claimed(document, command):
-    return any(claim.document == document and (
-        command.text.startswith(claim.start)
-        or f"<!-- {command.marker} -->" == claim.start) for claim in CLAIMS)
+    return any(claim.document == document and is_about(claim, command)
+               for claim in CLAIMS)
 
 
-# By document, its commands that nobody claims. Results tell how figures came about,
+# By document, its commands that are run here. Results tell how figures came about,
 # on drives that are not shipped.
 TRIED = {name: tried for name, tried in (
     (name_of(path), [command.text for command in commands(path)
@@ -157,10 +161,9 @@ def test_documents_with_commands_are_found():
 def test_test_that_is_said_to_run_a_command_has_its_words(claim):
     text = (ROOT / claim.test).read_text()
     assert [word for word in claim.words if word not in text] == []
-    found = [command for command in commands(ROOT / claim.document)
-             if command.text.startswith(claim.start)
-             or f"<!-- {command.marker} -->" == claim.start]
-    assert found, f"{claim.document} has no such command any more"
+    assert any(is_about(claim, command)
+               for command in commands(ROOT / claim.document)), (
+        f"{claim.document} has no such command any more")
 
 
 # ---- Commands and flags that are named in the text
@@ -204,7 +207,7 @@ FLAGS_OF_OTHERS = {
 
 @pytest.fixture(scope="module")
 def known_flags(flags_of_revisit):
-    """Flags that some program has which the documents are about."""
+    """Flags of the programs and scripts that the documents are about."""
     known = set().union(*flags_of_revisit.values(), *FLAGS_OF_OTHERS.values())
     known |= flags_in(help_of("revisitd"))
     for script in [*ROOT.glob("tests/*/run"), ROOT / "tests/run",
@@ -213,7 +216,7 @@ def known_flags(flags_of_revisit):
         known |= flags_in(script.read_text())
     for task in ("backup", "verify", "compact", "migrate", "import"):
         known |= flags_in(help_of("revisitd", task))
-    # Of tests/faults/run, bench and simulation, which pass them on.
+    # Some scripts pass theirs on to these.
     for script in ("faults/matrix", "simulation/simulation", "bench/fleet"):
         known |= flags_in((ROOT / f"tests/{script}.py").read_text())
     return known
@@ -241,15 +244,17 @@ def test_flags_that_a_document_names_are_there(document, known_flags):
 @pytest.mark.parametrize("document", GUIDES, ids=name_of)
 def test_commands_that_a_document_names_have_these_flags(
         document, flags_of_revisit):
+    groups = {words[0] for words in flags_of_revisit if len(words) == 2}
     wrong = []
     for code in code_in_the_text(document):
         words = re.match(r"revisit( +[a-z][a-z-]*)+(?= |$)", code)
         if not words:
             continue
         words = tuple(words.group().split()[1:])
-        found = [words[:count] for count in (2, 1)
-                 if words[:count] in flags_of_revisit]
-        if not found or flags_in(code) - flags_of_revisit[found[0]]:
+        # What follows the command's own words are values.
+        words = words[:2] if words[0] in groups else words[:1]
+        known = flags_of_revisit.get(words)
+        if known is None or flags_in(code) - known:
             wrong.append(code)
     assert wrong == []
 
