@@ -172,7 +172,7 @@ void Engine::Skip(const DroppedStretch& stretch, std::uint64_t revision) {
   revision_ = revision;
 }
 
-std::vector<NodeRange> Engine::FindDroppable() const {
+RetentionNeeds Engine::MakeRetentionNeeds() const {
   const SearchOptions& search = settings_.search;
   const double spacing = settings_.node_spacing_meters;
   const NodeIndex steps = SequenceNodes(search.sequence_length_meters, spacing);
@@ -189,11 +189,29 @@ std::vector<NodeRange> Engine::FindDroppable() const {
                                        MarkSpacing() / spacing)) +
       2 * needs.aligned_nodes;
   needs.least_nodes = needs.aligned_nodes;
+  return needs;
+}
+
+std::unique_ptr<DroppableSearch> Engine::SearchDroppable() const {
+  RetentionNeeds needs = MakeRetentionNeeds();
+  needs.loop_ends = LoopEnds();
+  return std::make_unique<DroppableSearch>(graph_, settings_.retention,
+                                           std::move(needs));
+}
+
+bool Engine::Fits(const DroppableSearch& search) const {
+  return search.options() == settings_.retention &&
+         HaveSameRules(search.needs(), MakeRetentionNeeds());
+}
+
+std::vector<NodeIndex> Engine::LoopEnds() const {
+  std::vector<NodeIndex> ends;
+  ends.reserve(2 * confirmed_.size());
   for (const Confirmed& confirmed : confirmed_) {
-    needs.loop_ends.push_back(confirmed.loop.query);
-    needs.loop_ends.push_back(confirmed.loop.matched);
+    ends.push_back(confirmed.loop.query);
+    ends.push_back(confirmed.loop.matched);
   }
-  return core::FindDroppable(graph_, settings_.retention, needs);
+  return ends;
 }
 
 void Engine::ChangeSettings(const EngineSettings& settings,

@@ -87,10 +87,15 @@ class Engine {
   // The stretches that were skipped.
   const DroppedStretches& dropped() const { return dropped_; }
 
-  // The nodes that the vehicle's settings do not keep (retention.h). They do
-  // not depend on when it is asked. Takes some microseconds a node where passes
-  // are counted.
-  std::vector<NodeRange> FindDroppable() const;
+  // A search for the nodes that the vehicle's settings do not keep
+  // (retention.h). Poses may be appended, and loop closures added, while it
+  // goes on.
+  std::unique_ptr<DroppableSearch> SearchDroppable() const;
+  // Whether the settings are still those with which the search, of this engine,
+  // began.
+  bool Fits(const DroppableSearch& search) const;
+  // The nodes at both ends of each confirmed loop.
+  std::vector<NodeIndex> LoopEnds() const;
   // The options by which the graph's nodes are made.
   ResamplerOptions resampler_options() const;
 
@@ -190,6 +195,8 @@ class Engine {
   ByteWriter BeginState(std::uint64_t parts_before) const;
   bool ReadBeginning(ByteReader* reader) const;
   MotionHistory MakeMotionHistory() const;
+  // Without loop ends.
+  RetentionNeeds MakeRetentionNeeds() const;
   // Adds the graph's new nodes to its indexes.
   void ExtendIndexes();
   // Estimates the consistency anew from all confirmed loops.

@@ -10,10 +10,11 @@
 #include "core/base/mutex.h"
 
 namespace revisit::server {
-namespace {
 
 // Shared by the asker and by those who answer, who may come after it has gone.
-struct Questions {
+struct SelfCheck::Questions {
+  const std::chrono::steady_clock::time_point asked =
+      std::chrono::steady_clock::now();
   grpc::ClientContext context;
   grpc::ByteBuffer request;
   grpc::ByteBuffer response;
@@ -34,16 +35,38 @@ struct Questions {
     }
     return open == 0;
   }
-};
 
-}  // namespace
+  bool AreAnswered() {
+    const MutexLock lock(&mutex);
+    return open == 0;
+  }
+};
 
 SelfCheck::SelfCheck(std::shared_ptr<grpc::Channel> channel, Executor* executor)
     : channel_(std::move(channel)), executor_(executor) {}
 
+SelfCheck::~SelfCheck() {
+  if (asked_ != nullptr) asked_->context.TryCancel();
+}
+
 bool SelfCheck::Answers(std::chrono::milliseconds patience) {
-  const auto deadline = std::chrono::steady_clock::now() + patience;
-  const auto questions = std::make_shared<Questions>();
+  const std::shared_ptr<Questions> questions = Ask();
+  const bool answered = questions->WaitUntil(questions->asked + patience);
+  if (!answered) questions->context.TryCancel();
+  return answered;
+}
+
+std::chrono::milliseconds SelfCheck::Silence() {
+  if (asked_ != nullptr && !asked_->AreAnswered()) {
+    return std::chrono::duration_cast<std::chrono::milliseconds>(
+        std::chrono::steady_clock::now() - asked_->asked);
+  }
+  asked_ = Ask();
+  return std::chrono::milliseconds(0);
+}
+
+std::shared_ptr<SelfCheck::Questions> SelfCheck::Ask() {
+  auto questions = std::make_shared<Questions>();
   // An empty message asks for the health of the whole server.
   const grpc::Slice empty;
   questions->request = grpc::ByteBuffer(&empty, 1);
@@ -52,9 +75,7 @@ bool SelfCheck::Answers(std::chrono::milliseconds patience) {
       &questions->request, &questions->response,
       [questions](const grpc::Status&) { questions->AnswerOne(); });
   executor_->Post([questions] { questions->AnswerOne(); });
-  const bool answered = questions->WaitUntil(deadline);
-  if (!answered) questions->context.TryCancel();
-  return answered;
+  return questions;
 }
 
 }  // namespace revisit::server

@@ -1,4 +1,5 @@
-// Whether a server that runs still answers: what it asks itself for a watchdog.
+// Whether a server that runs still answers: what it asks itself for a watchdog
+// and for the probes of an orchestrator.
 #ifndef REVISIT_SERVER_SELF_CHECK_H_
 #define REVISIT_SERVER_SELF_CHECK_H_
 
@@ -24,9 +25,21 @@ class SelfCheck {
   // server that refuses works, and to restart it would help nobody.
   bool Answers(std::chrono::milliseconds patience);
 
+  // The same for who may not wait. Asks, unless a question of an earlier call
+  // is open, and returns for how long that one has been; zero if none is.
+  std::chrono::milliseconds Silence();
+
+  ~SelfCheck();
+
  private:
+  struct Questions;
+
+  std::shared_ptr<Questions> Ask();
+
   const std::shared_ptr<grpc::Channel> channel_;
   Executor* const executor_;
+  // What the last Silence() that asked has asked; null if none did.
+  std::shared_ptr<Questions> asked_;
 };
 
 }  // namespace revisit::server

@@ -16,6 +16,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/base/mutex.h"
 #include "server/admin/http_server.h"
 #include "server/admin/metrics_page.h"
 #include "server/base/library_log.h"
@@ -57,6 +58,9 @@ constexpr std::int64_t kUnadmittedCalls = 1500;
 // takes no writes.
 constexpr char kWriteHealth[] = "revisit.v1.PoseGraphService/write";
 constexpr std::chrono::milliseconds kWriteHealthPeriod{1000};
+// How long the server may leave its own question without an answer and count as
+// alive: its threads are busy rather than stuck.
+constexpr std::chrono::milliseconds kLivenessPatience{10'000};
 // How often vehicles are looked for that other servers ask for. A caller who
 // comes to the wrong server waits that long for its vehicle.
 constexpr std::chrono::milliseconds kHandOverPeriod{500};
@@ -151,11 +155,15 @@ struct RevisitServer::State {
   bool Listen(StartError* error);
   bool Announce(StartError* error);
 
+  void StartSelfChecks();
+  void EndSelfChecks();
+
   // Health says NOT_SERVING from now on.
   void EndHealth();
 
   // Answers the admin port, on its own thread.
   HttpResponse AnswerAdmin(const std::string& path) const;
+  HttpResponse Liveness() const;
   HttpResponse Readiness() const;
   // REQUIRES: the phase is kServing or kDraining.
   MetricsSources Sources() const;
@@ -195,6 +203,9 @@ struct RevisitServer::State {
   std::vector<std::unique_ptr<grpc::Service>> reflection;
   std::unique_ptr<grpc::Server> grpc_server;
   std::unique_ptr<SelfCheck> self_check;
+  // That of the admin port, from when the server serves until it has drained.
+  mutable Mutex liveness_mutex;
+  std::unique_ptr<SelfCheck> liveness ABSL_GUARDED_BY(liveness_mutex);
   std::unique_ptr<Periodic> write_health_timer;
   std::unique_ptr<ConnectionAcceptor> acceptor;
   std::function<void()> on_failure;
@@ -376,13 +387,26 @@ bool RevisitServer::State::ServeAdmin(StartError* error) {
 }
 
 HttpResponse RevisitServer::State::AnswerAdmin(const std::string& path) const {
-  if (path == "/livez") return {200, "alive\n"};
+  if (path == "/livez") return Liveness();
   if (path == "/readyz") return Readiness();
   if (path == "/metrics") {
     if (phase == Phase::kStarting) return {503, "starting\n"};
     return {200, RenderMetrics(Sources()), kMetricsContentType};
   }
   return {404, "there are /metrics, /livez and /readyz\n"};
+}
+
+HttpResponse RevisitServer::State::Liveness() const {
+  std::chrono::milliseconds silence{0};
+  {
+    const MutexLock lock(&liveness_mutex);
+    if (liveness != nullptr) silence = liveness->Silence();
+  }
+  if (silence < kLivenessPatience) return {200, "alive\n"};
+  log->Write(LogLevel::kWarning, "liveness_not_answered",
+             {{"waited_ms", static_cast<std::int64_t>(silence.count())}});
+  return {503, "its threads have not answered for " +
+                   std::to_string(silence.count() / 1000) + " s\n"};
 }
 
 HttpResponse RevisitServer::State::Readiness() const {
@@ -464,6 +488,16 @@ void RevisitServer::State::StartFleet() {
   }
   options.snapshots.warn = [log = log](const std::string& message) {
     log->Write(LogLevel::kWarning, "snapshot", {{"message", message}});
+  };
+  options.report_drop = [log = log](const RetentionMonitor::Drop& drop) {
+    log->Write(
+        LogLevel::kInfo, "poses_dropped",
+        {{"vehicle", drop.vehicle_id},
+         {"poses", static_cast<std::int64_t>(drop.poses)},
+         {"first_kept_sequence",
+          static_cast<std::int64_t>(drop.first_kept_sequence)},
+         {"duration_ms",
+          std::chrono::duration<double, std::milli>(drop.duration).count()}});
   };
   fleet = std::make_unique<Fleet>(
       storage.get(), &codec,
@@ -589,9 +623,7 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   if (!state->Listen(error)) return nullptr;
   state->phase = State::Phase::kServing;
   if (!state->Announce(error)) return nullptr;
-  state->self_check = std::make_unique<SelfCheck>(
-      state->grpc_server->InProcessChannel(grpc::ChannelArguments()),
-      state->executor.get());
+  state->StartSelfChecks();
   return std::unique_ptr<RevisitServer>(new RevisitServer(std::move(state)));
 }
 
@@ -625,6 +657,24 @@ void RevisitServer::LookAtFiles() {
 
 bool RevisitServer::Answers(std::chrono::milliseconds patience) {
   return state_->self_check->Answers(patience);
+}
+
+void RevisitServer::State::StartSelfChecks() {
+  const auto make = [this] {
+    return std::make_unique<SelfCheck>(
+        grpc_server->InProcessChannel(grpc::ChannelArguments()),
+        executor.get());
+  };
+  self_check = make();
+  const MutexLock lock(&liveness_mutex);
+  liveness = make();
+}
+
+// Comes before the gRPC server's end: their channels are connections too.
+void RevisitServer::State::EndSelfChecks() {
+  self_check.reset();
+  const MutexLock lock(&liveness_mutex);
+  liveness.reset();
 }
 
 void RevisitServer::State::EndHealth() {
@@ -662,8 +712,7 @@ void RevisitServer::Shutdown() {
         deadline - std::chrono::steady_clock::now());
     goodbye = std::max(goodbye, std::min(left, kGoodbyeTimeAfterCalls));
   }
-  // Its channel is a connection too.
-  state_->self_check.reset();
+  state_->EndSelfChecks();
   state_->grpc_server->Shutdown(std::chrono::system_clock::now() + goodbye);
   state_->grpc_server->Wait();
   state_->grpc_server.reset();

@@ -4,7 +4,10 @@
 #include <cassert>
 #include <cmath>
 #include <cstddef>
+#include <map>
+#include <tuple>
 #include <unordered_map>
+#include <utility>
 
 #include "core/geometry/heading.h"
 
@@ -166,108 +169,165 @@ class Coverage {
 
 enum class Fate : std::uint8_t { kStays, kWanted, kCovered, kTooOld };
 
-class Judge {
+}  // namespace
+
+bool HaveSameRules(const RetentionNeeds& a, const RetentionNeeds& b) {
+  const auto numbers = [](const RetentionNeeds& needs) {
+    return std::tie(needs.state_space, needs.tolerance_meters,
+                    needs.spacing_meters, needs.separation_meters,
+                    needs.aligned_nodes, needs.newest_nodes, needs.least_nodes);
+  };
+  return a.correlation == b.correlation && numbers(a) == numbers(b);
+}
+
+class DroppableSearch::Impl {
  public:
-  Judge(const PoseGraph& graph, const RetentionOptions& options,
-        const RetentionNeeds& needs)
+  Impl(const PoseGraph& graph, const RetentionOptions& options,
+       RetentionNeeds needs)
       : graph_(graph),
         options_(options),
-        needs_(needs),
-        fates_(Place(graph.size()), Fate::kWanted) {}
+        needs_(std::move(needs)),
+        size_(graph.size()),
+        oldest_ns_(OldestStamp()),
+        coverage_(graph_, needs_, options_.max_passes),
+        fates_(Place(size_), Fate::kWanted) {
+    Keep(size_ - needs_.newest_nodes, size_);
+    KeepLoopEnds(needs_.loop_ends);
+  }
 
-  std::vector<NodeRange> Droppable() {
-    FindTooOld();
-    KeepNewestAndLoopEnds();
-    if (options_.max_passes > 0) {
-      FindCovered();
-      KeepPathsToWanted();
+  const RetentionOptions& options() const { return options_; }
+  const RetentionNeeds& needs() const { return needs_; }
+
+  bool Advance(NodeIndex nodes) {
+    while (nodes > 0 && stage_ != Stage::kDone) {
+      switch (stage_) {
+        case Stage::kRank:
+          nodes -= Rank(nodes);
+          break;
+        case Stage::kCover:
+          nodes -= Cover(nodes);
+          break;
+        case Stage::kKeepPaths:
+          nodes -= KeepPathsToWanted(nodes);
+          break;
+        case Stage::kDone:
+          break;
+      }
     }
+    return stage_ == Stage::kDone;
+  }
+
+  std::vector<NodeRange> Droppable(const std::vector<NodeIndex>& loop_ends) {
+    assert(stage_ == Stage::kDone);
+    KeepLoopEnds(loop_ends);
     return Ranges();
   }
 
  private:
-  void FindTooOld() {
-    if (!options_.max_age_ns || graph_.size() == 0) return;
-    const std::optional<std::int64_t> newest =
-        graph_.node(graph_.size() - 1).stamp_ns;
+  // The stages follow each other in this order. Each goes through all nodes;
+  // the function of a stage returns how many it went through.
+  enum class Stage { kRank, kCover, kKeepPaths, kDone };
+
+  // The least stamp that is not too old.
+  std::optional<std::int64_t> OldestStamp() const {
+    if (!options_.max_age_ns || size_ == 0) return std::nullopt;
+    const std::optional<std::int64_t> newest = graph_.node(size_ - 1).stamp_ns;
     std::int64_t oldest = 0;
     if (!newest ||
         __builtin_sub_overflow(*newest, *options_.max_age_ns, &oldest)) {
-      return;
+      return std::nullopt;
     }
-    for (NodeIndex i = 0; i < graph_.size(); ++i) {
-      const std::optional<std::int64_t> stamp = graph_.node(i).stamp_ns;
-      if (stamp && *stamp < oldest) fates_[Place(i)] = Fate::kTooOld;
-    }
+    return oldest;
   }
 
-  void KeepNewestAndLoopEnds() {
-    const auto keep = [this](NodeIndex first, NodeIndex last) {
-      std::fill(fates_.begin() + std::max<NodeIndex>(0, first),
-                fates_.begin() + std::min(last, graph_.size()), Fate::kStays);
-    };
-    keep(graph_.size() - needs_.newest_nodes, graph_.size());
+  void Keep(NodeIndex first, NodeIndex last) {
+    std::fill(fates_.begin() + std::max<NodeIndex>(0, first),
+              fates_.begin() + std::min(last, size_), Fate::kStays);
+  }
+
+  void KeepLoopEnds(const std::vector<NodeIndex>& loop_ends) {
     const auto behind = static_cast<NodeIndex>(
         std::ceil(kPassRadiusMeters / needs_.spacing_meters));
-    for (const NodeIndex end : needs_.loop_ends) {
-      keep(std::max(graph_.SegmentStart(end), end - needs_.aligned_nodes),
+    for (const NodeIndex end : loop_ends) {
+      if (end >= size_) continue;
+      Keep(std::max(graph_.SegmentStart(end), end - needs_.aligned_nodes),
            std::min(graph_.SegmentEnd(end), end + behind + 1));
     }
   }
 
-  // From the best on, so that a node is covered only by such as stay.
-  void FindCovered() {
-    struct Ranked {
-      int quality;
-      NodeIndex node;
-    };
-    std::vector<Ranked> ranked;
+  // Finds what is too old, and how well the position of each other node is
+  // known, in steps by a factor of two.
+  NodeIndex Rank(NodeIndex most) {
+    const NodeIndex end = std::min(size_, next_ + most);
     const int dimensions = needs_.state_space == StateSpace::kPlanar ? 2 : 3;
-    for (NodeIndex i = 0; i < graph_.size(); ++i) {
-      if (fates_[Place(i)] == Fate::kTooOld) continue;
+    for (NodeIndex i = next_; i < end; ++i) {
+      Fate& fate = fates_[Place(i)];
+      if (oldest_ns_ && fate == Fate::kWanted) {
+        const std::optional<std::int64_t> stamp = graph_.node(i).stamp_ns;
+        if (stamp && *stamp < *oldest_ns_) fate = Fate::kTooOld;
+      }
+      if (options_.max_passes == 0 || fate == Fate::kTooOld) continue;
       const Covariance covariance = graph_.covariance(i);
       double spread = 0.0;
       for (int k = 0; k < dimensions; ++k) spread += covariance(k, k);
-      // Steps by a factor of two.
-      ranked.push_back({std::ilogb(std::sqrt(spread)), i});
+      ranked_[std::ilogb(std::sqrt(spread))].push_back(i);
     }
-    std::sort(ranked.begin(), ranked.end(),
-              [](const Ranked& a, const Ranked& b) {
-                return a.quality != b.quality ? a.quality < b.quality
-                                              : a.node > b.node;
-              });
-    Coverage coverage(graph_, needs_, options_.max_passes);
-    for (const Ranked& next : ranked) {
-      Fate& fate = fates_[Place(next.node)];
-      if (fate == Fate::kWanted && coverage.IsCovered(next.node)) {
-        fate = Fate::kCovered;
-      } else {
-        coverage.Keep(next.node);
-      }
+    const NodeIndex done = end - next_;
+    next_ = end;
+    if (next_ == size_) {
+      stage_ = options_.max_passes > 0 ? Stage::kCover : Stage::kDone;
     }
+    return done;
   }
 
-  void KeepPathsToWanted() {
-    NodeIndex reach = 0;
-    for (NodeIndex i = graph_.size(); i-- > 0;) {
+  // Goes from the best on, and among those that are known about alike from the
+  // last on, so that a node is covered only by such as stay.
+  NodeIndex Cover(NodeIndex most) {
+    NodeIndex done = 0;
+    while (done < most && !ranked_.empty()) {
+      std::vector<NodeIndex>& best = ranked_.begin()->second;
+      for (; done < most && !best.empty(); ++done) {
+        const NodeIndex i = best.back();
+        best.pop_back();
+        Fate& fate = fates_[Place(i)];
+        if (fate == Fate::kWanted && coverage_.IsCovered(i)) {
+          fate = Fate::kCovered;
+        } else {
+          coverage_.Keep(i);
+        }
+      }
+      if (best.empty()) ranked_.erase(ranked_.begin());
+    }
+    if (ranked_.empty()) stage_ = Stage::kKeepPaths;
+    return done;
+  }
+
+  // Goes back from the last node; `next_` is behind the next one to look at.
+  NodeIndex KeepPathsToWanted(NodeIndex most) {
+    const NodeIndex end = std::max<NodeIndex>(0, next_ - most);
+    const NodeIndex done = next_ - end;
+    while (next_ > end) {
+      const NodeIndex i = --next_;
       Fate& fate = fates_[Place(i)];
       if (fate == Fate::kWanted) {
-        reach = needs_.aligned_nodes;
-      } else if (reach > 0 && fate == Fate::kCovered) {
+        reach_ = needs_.aligned_nodes;
+      } else if (reach_ > 0 && fate == Fate::kCovered) {
         fate = Fate::kStays;
       }
-      reach =
-          graph_.SegmentStart(i) == i ? 0 : std::max<NodeIndex>(0, reach - 1);
+      reach_ =
+          graph_.SegmentStart(i) == i ? 0 : std::max<NodeIndex>(0, reach_ - 1);
     }
+    if (next_ == 0) stage_ = Stage::kDone;
+    return done;
   }
 
   std::vector<NodeRange> Ranges() const {
     std::vector<NodeRange> ranges;
     NodeIndex i = 0;
-    while (i < graph_.size()) {
+    while (i < size_) {
       NodeRange range{i, i};
       bool is_old = false;
-      for (; i < graph_.size() && IsUnwanted(i); ++i) {
+      for (; i < size_ && IsUnwanted(i); ++i) {
         is_old |= fates_[Place(i)] == Fate::kTooOld;
       }
       range.last = i;
@@ -286,18 +346,51 @@ class Judge {
   }
 
   const PoseGraph& graph_;
-  const RetentionOptions& options_;
-  const RetentionNeeds& needs_;
+  const RetentionOptions options_;
+  const RetentionNeeds needs_;
+  const NodeIndex size_;
+  const std::optional<std::int64_t> oldest_ns_;
+  Coverage coverage_;
   std::vector<Fate> fates_;
+  Stage stage_ = Stage::kRank;
+  // Where the stages that follow the path go on.
+  NodeIndex next_ = 0;
+  // Nodes that are not yet looked at, by the logarithm of their deviations; the
+  // least is known best. Each in ascending order.
+  std::map<int, std::vector<NodeIndex>> ranked_;
+  // Nodes before the next one that stay for one behind it.
+  NodeIndex reach_ = 0;
 };
 
-}  // namespace
+DroppableSearch::DroppableSearch(const PoseGraph& graph,
+                                 const RetentionOptions& options,
+                                 RetentionNeeds needs)
+    : impl_(std::make_unique<Impl>(graph, options, std::move(needs))) {
+  assert(options.max_passes >= 0 && options.max_passes <= kMostPasses);
+}
+
+DroppableSearch::~DroppableSearch() = default;
+
+const RetentionOptions& DroppableSearch::options() const {
+  return impl_->options();
+}
+
+const RetentionNeeds& DroppableSearch::needs() const { return impl_->needs(); }
+
+bool DroppableSearch::Advance(NodeIndex nodes) { return impl_->Advance(nodes); }
+
+std::vector<NodeRange> DroppableSearch::Droppable(
+    const std::vector<NodeIndex>& loop_ends) {
+  return impl_->Droppable(loop_ends);
+}
 
 std::vector<NodeRange> FindDroppable(const PoseGraph& graph,
                                      const RetentionOptions& options,
                                      const RetentionNeeds& needs) {
-  assert(options.max_passes >= 0 && options.max_passes <= kMostPasses);
-  return Judge(graph, options, needs).Droppable();
+  DroppableSearch search(graph, options, needs);
+  while (!search.Advance(graph.size() + 1)) {
+  }
+  return search.Droppable({});
 }
 
 // A node lies at or after its pose and before the next one, unless it starts a

@@ -294,18 +294,20 @@ void AddStore(const MetricsSources& sources, Page* page) {
                   "Time of transactions, from the first statement to the last.")
       ->Add(counts.commit_seconds);
   page->Histogram("revisit_store_flush_seconds",
-                  "Part of that in which a transaction is written to the log "
-                  "and flushed.")
+                  "Time until something written is durable, within a "
+                  "transaction; of a database, time of this server's beats.")
       ->Add(counts.flush_seconds);
   if (const std::optional<StorageRoom> room = storage->GetRoom()) {
     page->Gauge("revisit_store_bytes", "Bytes of the store and its log.")
         ->Add(room->bytes);
-    page->Gauge("revisit_store_free_bytes",
-                "Bytes free on the file system of the store.")
-        ->Add(room->free_bytes);
-    page->Gauge("revisit_store_min_free_bytes",
-                "Bytes free below which writes are refused.")
-        ->Add(sources.min_free_bytes);
+    if (room->free_bytes.has_value()) {
+      page->Gauge("revisit_store_free_bytes",
+                  "Bytes free on the file system of the store.")
+          ->Add(*room->free_bytes);
+      page->Gauge("revisit_store_min_free_bytes",
+                  "Bytes free below which writes are refused.")
+          ->Add(sources.min_free_bytes);
+    }
   }
   if (const std::optional<SharingState> sharing = storage->GetSharing()) {
     page->Gauge("revisit_store_owned_vehicles",
@@ -332,6 +334,21 @@ void AddResidency(const Fleet& fleet, Page* page) {
   page->Gauge("revisit_resident_bytes",
               "Bytes of nodes and edges of vehicles in memory.")
       ->Add(residency.bytes);
+}
+
+void AddRetention(const Fleet& fleet, Page* page) {
+  const RetentionMonitor::Counts counts = fleet.retention();
+  page->Counter("revisit_poses_dropped_total",
+                "Poses that vehicles no longer keep.")
+      ->Add(counts.poses);
+  page->Histogram("revisit_drop_seconds",
+                  "Time in which a vehicle's appends waited while poses that "
+                  "it no longer keeps were dropped.")
+      ->Add(counts.seconds);
+  page->Gauge("revisit_trimmed_vehicles",
+              "Vehicles whose history is looked at for poses to drop, or that "
+              "are losing such poses.")
+      ->Add(counts.vehicles);
 }
 
 // ---- Identities and logs
@@ -380,6 +397,7 @@ std::string RenderMetrics(const MetricsSources& sources) {
   AddLimits(sources, &page);
   AddStore(sources, &page);
   AddResidency(*sources.fleet, &page);
+  AddRetention(*sources.fleet, &page);
   AddSecurity(sources, &page);
   AddLogs(sources, &page);
   page.Gauge("revisit_draining",

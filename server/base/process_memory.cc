@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cstddef>
 #include <fstream>
 
 namespace revisit::server {
@@ -42,17 +43,50 @@ std::int64_t ResidentBytes() {
   return file ? resident * sysconf(_SC_PAGESIZE) : 0;
 }
 
-std::int64_t DefaultMemoryLimit() {
-  std::int64_t bytes = static_cast<std::int64_t>(sysconf(_SC_PHYS_PAGES)) *
-                       sysconf(_SC_PAGESIZE);
-  // Control groups of version 2 and 1. "max" in place of a number is no limit.
-  for (const char* path : {"/sys/fs/cgroup/memory.max",
-                           "/sys/fs/cgroup/memory/memory.limit_in_bytes"}) {
-    std::ifstream file(path);
-    std::int64_t limit = 0;
-    if (file >> limit && limit > 0) bytes = std::min(bytes, limit);
+std::optional<std::int64_t> ControlGroupLimit(const std::string& root) {
+  std::optional<std::int64_t> least;
+  // Lines such as 0::/system.slice/revisitd.service (version 2: no
+  // controllers), or 5:cpu,memory:/docker/1f3a (version 1).
+  std::ifstream groups(root + "/proc/self/cgroup");
+  for (std::string line; std::getline(groups, line);) {
+    const std::size_t first = line.find(':');
+    const std::size_t second = line.find(':', first + 1);
+    if (first == std::string::npos || second == std::string::npos) continue;
+    const std::string controllers =
+        "," + line.substr(first + 1, second - first - 1) + ",";
+    const bool is_second_version = controllers == ",,";
+    if (!is_second_version &&
+        controllers.find(",memory,") == std::string::npos) {
+      continue;
+    }
+    const std::string mount =
+        root + (is_second_version ? "/sys/fs/cgroup" : "/sys/fs/cgroup/memory");
+    const char* const name =
+        is_second_version ? "/memory.max" : "/memory.limit_in_bytes";
+    // A container may see its own group as the mount, and be told its path on
+    // the host: what is not there sets no limit.
+    std::string group = line.substr(second + 1);
+    while (true) {
+      if (group == "/") group.clear();
+      std::ifstream file(mount + group + name);
+      std::int64_t limit = 0;
+      // "max" is no limit.
+      if (file >> limit && limit > 0) {
+        least = std::min(least.value_or(limit), limit);
+      }
+      const std::size_t slash = group.rfind('/');
+      if (slash == std::string::npos) break;
+      group.erase(slash);
+    }
   }
-  return bytes / 4 * 3;
+  return least;
+}
+
+std::int64_t DefaultMemoryLimit() {
+  const std::int64_t machine =
+      static_cast<std::int64_t>(sysconf(_SC_PHYS_PAGES)) *
+      sysconf(_SC_PAGESIZE);
+  return std::min(machine, ControlGroupLimit().value_or(machine)) / 4 * 3;
 }
 
 void Trimmer::TrimIfWorthwhile() {

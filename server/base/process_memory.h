@@ -3,13 +3,20 @@
 #define REVISIT_SERVER_BASE_PROCESS_MEMORY_H_
 
 #include <cstdint>
+#include <optional>
+#include <string>
 
 namespace revisit::server {
 
 // Resident bytes of this process; 0 if the system does not say.
 std::int64_t ResidentBytes();
 
-// Three quarters of the memory that the machine or the control group grants the
+// The least memory limit, in bytes, of the control groups of this process: its
+// own and all above it, of version 2 and 1. Nothing if none has one. `root` is
+// put before the paths of the system's files, for tests.
+std::optional<std::int64_t> ControlGroupLimit(const std::string& root = "");
+
+// Three quarters of the memory that the machine or the control groups grant the
 // process.
 std::int64_t DefaultMemoryLimit();
 

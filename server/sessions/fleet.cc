@@ -47,7 +47,9 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
       : storage(fleet_storage),
         codec(fleet_codec),
         lanes(fleet_lanes),
-        options(fleet_options) {}
+        options(fleet_options),
+        retention(
+            std::make_shared<RetentionMonitor>(fleet_options.report_drop)) {}
 
   std::shared_ptr<VehicleSession> Session(const std::string& id)
       ABSL_LOCKS_EXCLUDED(mutex) {
@@ -63,7 +65,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
         return entry.session;
       }
       session = VehicleSession::Load(id, storage, codec, lanes, options.session,
-                                     options.snapshots);
+                                     options.snapshots, retention);
       if (gives_up_replays) session->GiveUpReplay();
       replaced = std::exchange(entry.session, session);
     }
@@ -228,6 +230,7 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   const RecordCodec* const codec;
   const Lanes lanes;
   const Options options;
+  const std::shared_ptr<RetentionMonitor> retention;
 
   Mutex mutex;
   CondVar changed;
@@ -368,6 +371,10 @@ std::size_t Fleet::loaded() const {
 Fleet::Residency Fleet::residency() const {
   const MutexLock guard(&state_->mutex);
   return state_->ResidencyLocked();
+}
+
+RetentionMonitor::Counts Fleet::retention() const {
+  return state_->retention->Read();
 }
 
 Fleet::Residency Fleet::UnloadIdle(std::chrono::steady_clock::time_point now) {

@@ -36,6 +36,8 @@ class Fleet {
     std::optional<std::int64_t> memory_budget_bytes;
     VehicleSession::Limits session;
     SnapshotPolicy snapshots;
+    // Called with every drop of poses; may be empty.
+    std::function<void(const RetentionMonitor::Drop&)> report_drop;
     // How long the end of the fleet may be delayed to write snapshots.
     std::chrono::milliseconds last_snapshots{500};
   };
@@ -90,6 +92,8 @@ class Fleet {
     std::int64_t bytes = 0;
   };
   Residency residency() const;
+
+  RetentionMonitor::Counts retention() const;
 
   // Unloads the vehicles that have been idle since before `now` less
   // Options::idle_unload, then as many others as exceed the memory budget. Of

@@ -8,8 +8,12 @@
 namespace revisit::server {
 namespace {
 
-// Longest that one task reads rows before the strand lets others run.
-constexpr std::chrono::milliseconds kReadSlice{20};
+// Longest that one task looks at nodes or reads rows before the strand lets
+// others run.
+constexpr std::chrono::milliseconds kSlice{20};
+
+// Nodes that are looked at from one look at the clock to the next.
+constexpr core::NodeIndex kNodesPerLook = 16;
 
 // Rows that one write merges: all other writes of the storage wait for it.
 constexpr std::size_t kRowsPerWrite = 128;
@@ -32,45 +36,120 @@ bool KeepsAll(const core::RetentionOptions& options) {
 }  // namespace
 
 void Retention::Consider() {
-  if (is_waiting_ || vehicle_->engine == nullptr ||
+  if (is_under_way_ || vehicle_->engine == nullptr ||
       KeepsAll(vehicle_->config.engine.retention) ||
       vehicle_->engine->graph().size() < vehicle_->look_at_nodes) {
     return;
   }
-  is_waiting_ = true;
+  is_under_way_ = true;
+  monitor_->Began();
+  queue_->PostLong([this] { BeginLook(); });
+}
+
+void Retention::ConsiderLoaded() {
+  const core::PoseGraph& graph = vehicle_->engine->graph();
+  const std::optional<std::int64_t> max_age =
+      vehicle_->config.engine.retention.max_age_ns;
+  const core::NodeIndex size = graph.size();
+  if (!max_age || size < kLeastLookedAt) return;
+  const auto tenth =
+      static_cast<core::NodeIndex>(kLeastShare * static_cast<double>(size));
+  const std::optional<std::int64_t> old = graph.node(tenth).stamp_ns;
+  const std::optional<std::int64_t> newest = graph.node(size - 1).stamp_ns;
+  std::int64_t age = 0;
+  if (!old || !newest || __builtin_sub_overflow(*newest, *old, &age)) return;
+  if (age > *max_age) vehicle_->look_at_nodes = 0;
+  Consider();
+}
+
+void Retention::BeginLook() {
+  if (vehicle_->gone_status) {
+    End();
+    return;
+  }
+  vehicle_->look_at_nodes = NextLookAt(vehicle_->engine->graph().size());
+  search_ = vehicle_->engine->SearchDroppable();
+  engine_series_ = vehicle_->engine_series;
+  LookSome();
+}
+
+void Retention::LookSome() {
+  if (!IsCurrent() || replayer_->gives_up()) {
+    BeginAnew();
+    return;
+  }
+  const auto pause = std::chrono::steady_clock::now() + kSlice;
+  bool is_done = false;
+  do {
+    is_done = search_->Advance(kNodesPerLook);
+  } while (!is_done && std::chrono::steady_clock::now() < pause);
+  if (!is_done) {
+    queue_->PostLong([this] { LookSome(); });
+    return;
+  }
   queue_->PushBack(
-      {Turn::kAlone, [this](const absl::Status& status) { Look(status); }});
+      {Turn::kAlone, [this](const absl::Status& status) { Drop(status); }});
   queue_->PumpLater();
 }
 
-void Retention::Look(const absl::Status& status) {
+bool Retention::IsCurrent() const {
+  return !vehicle_->gone_status && engine_series_ == vehicle_->engine_series &&
+         vehicle_->engine->Fits(*search_);
+}
+
+void Retention::BeginAnew() {
+  End();
+  if (vehicle_->gone_status || replayer_->gives_up()) return;
+  vehicle_->look_at_nodes = 0;
+  Consider();
+}
+
+void Retention::End() {
+  if (is_under_way_) monitor_->Ended();
+  is_under_way_ = false;
+  search_.reset();
+  work_.reset();
+}
+
+void Retention::Drop(const absl::Status& status) {
   if (!status.ok() || !vehicle_->Writable().ok()) {
-    is_waiting_ = false;
+    End();
+    return;
+  }
+  if (!IsCurrent()) {
+    BeginAnew();
     return;
   }
   queue_->Hold();
   queue_->PostLong([this] {
-    const core::PoseGraph& graph = vehicle_->engine->graph();
-    vehicle_->look_at_nodes = NextLookAt(graph.size());
-    work_ = std::make_unique<Work>();
-    core::NodeIndex nodes = 0;
-    for (const core::NodeRange& range : vehicle_->engine->FindDroppable()) {
-      const core::SequenceRange sequences = core::SequencesOf(graph, range);
-      if (sequences.first > sequences.last) continue;
-      work_->ranges.push_back(sequences);
-      nodes += range.last - range.first;
-    }
-    if (static_cast<double>(nodes) <
-        kLeastShare * static_cast<double>(graph.size())) {
-      work_->ranges.clear();
-    }
-    for (const auto& [id, closure] : vehicle_->loop_closures) {
-      work_->referred.push_back(closure.query_sequence);
-      work_->referred.push_back(closure.matched_sequence);
-    }
-    std::sort(work_->referred.begin(), work_->referred.end());
+    FindRanges();
     Step();
   });
+}
+
+void Retention::FindRanges() {
+  const core::Engine& engine = *vehicle_->engine;
+  const core::PoseGraph& graph = engine.graph();
+  work_ = std::make_unique<Work>();
+  work_->start = std::chrono::steady_clock::now();
+  work_->dropped_before = engine.dropped().count();
+  core::NodeIndex nodes = 0;
+  for (const core::NodeRange& range : search_->Droppable(engine.LoopEnds())) {
+    const core::SequenceRange sequences = core::SequencesOf(graph, range);
+    if (sequences.first > sequences.last) continue;
+    work_->ranges.push_back(sequences);
+    nodes += range.last - range.first;
+  }
+  search_.reset();
+  if (static_cast<double>(nodes) <
+      kLeastShare * static_cast<double>(graph.size())) {
+    work_->ranges.clear();
+  }
+  for (const auto& [id, closure] : vehicle_->loop_closures) {
+    work_->referred.push_back(closure.query_sequence);
+    work_->referred.push_back(closure.matched_sequence);
+  }
+  std::sort(work_->referred.begin(), work_->referred.end());
 }
 
 void Retention::Step() {
@@ -86,7 +165,7 @@ void Retention::Step() {
 }
 
 absl::StatusOr<bool> Retention::ReadSome() {
-  const auto pause = std::chrono::steady_clock::now() + kReadSlice;
+  const auto pause = std::chrono::steady_clock::now() + kSlice;
   while (work_->range < work_->ranges.size()) {
     const core::SequenceRange& range = work_->ranges[work_->range];
     // With the rows before and behind it, which say where it begins and ends.
@@ -270,16 +349,27 @@ std::uint64_t Retention::NextRevision() const {
 }
 
 void Retention::Finish() {
-  const std::uint64_t revision = work_->revision;
-  work_.reset();
-  is_waiting_ = false;
+  const std::unique_ptr<Work> work = std::move(work_);
+  End();
   queue_->Release([&] {
-    if (revision == 0 || vehicle_->gone_status) {
+    if (work->revision == 0 || vehicle_->gone_status) {
       queue_->set_store_lead(VehicleQueue::StoreLead::kNone);
       return;
     }
-    replayer_->Rebuild(vehicle_->config, revision, [](const absl::Status&) {});
+    replayer_->Rebuild(vehicle_->config, work->revision,
+                       [this, dropped_before = work->dropped_before,
+                        start = work->start](const absl::Status& status) {
+                         if (status.ok()) Report(dropped_before, start);
+                       });
   });
+}
+
+void Retention::Report(std::uint64_t dropped_before,
+                       std::chrono::steady_clock::time_point start) const {
+  const core::DroppedStretches& dropped = vehicle_->engine->dropped();
+  monitor_->Dropped({vehicle_->id, dropped.count() - dropped_before,
+                     dropped.KeptFrom(1),
+                     std::chrono::steady_clock::now() - start});
 }
 
 }  // namespace revisit::server

@@ -4,11 +4,13 @@
 #ifndef REVISIT_SERVER_SESSIONS_RETENTION_H_
 #define REVISIT_SERVER_SESSIONS_RETENTION_H_
 
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -16,6 +18,7 @@
 #include "core/graph/dropped_stretch.h"
 #include "core/graph/retention.h"
 #include "server/sessions/replay.h"
+#include "server/sessions/retention_monitor.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
 #include "server/storage/storage.h"
@@ -24,7 +27,10 @@ namespace revisit::server {
 
 // Looks when the graph has grown by a tenth, and drops what is at least a tenth
 // of it: so what a vehicle has stays below 1.25 times what its settings keep,
-// and each pose is dropped, and the graph made anew, for few others.
+// and each pose is dropped, and the graph made anew, for few others. It looks
+// for a slice of time, then lets others of the strand run: appends, searches
+// and changes go on meanwhile. Where the settings or the graph are others than
+// it began with, it begins anew.
 //
 // Whole rows of the store are dropped, and none that holds a pose to which a
 // loop closure refers; a long row that is to go in part is divided before. The
@@ -32,16 +38,29 @@ namespace revisit::server {
 // which leaves a sound store; then the graph is made anew by the replay of a
 // load, so it is the one that a load makes.
 //
-// Belongs to the strand. While it is at work, appends wait, and reads of memory
-// go on, but not those of the store.
+// Belongs to the strand. While poses are dropped, appends wait, and reads of
+// memory go on, but not those of the store.
 class Retention {
  public:
-  Retention(VehicleState* vehicle, VehicleQueue* queue, Replayer* replayer)
-      : vehicle_(vehicle), queue_(queue), replayer_(replayer) {}
+  Retention(VehicleState* vehicle, VehicleQueue* queue, Replayer* replayer,
+            std::shared_ptr<RetentionMonitor> monitor)
+      : vehicle_(vehicle),
+        queue_(queue),
+        replayer_(replayer),
+        monitor_(std::move(monitor)) {}
+  ~Retention() { End(); }
 
-  // Call after every append, and after the settings have changed: looks once
-  // the appends in flight have landed, if it is time.
+  Retention(const Retention&) = delete;
+  Retention& operator=(const Retention&) = delete;
+
+  // Call after every append, and after the settings have changed: looks if it
+  // is time.
   void Consider();
+  // Call after a load: looks if a tenth of the nodes is too old, which is seen
+  // at once, so that a look that was interrupted is made up for. Whether passes
+  // are too many is seen when the graph has grown: a look at each load would
+  // take longer than the load.
+  void ConsiderLoaded();
 
  private:
   // The rows of one stretch, as far as they are read.
@@ -68,9 +87,19 @@ class Retention {
     std::vector<BatchVersions> rows;
     // The revision of the last write that was made; 0: nothing was written.
     std::uint64_t revision = 0;
+    std::chrono::steady_clock::time_point start;
+    // Poses that had been dropped before.
+    std::uint64_t dropped_before = 0;
   };
 
-  void Look(const absl::Status& status);
+  void BeginLook();
+  void LookSome();
+  // Whether what is found is what would be found now.
+  bool IsCurrent() const;
+  void BeginAnew();
+  void End();
+  void Drop(const absl::Status& status);
+  void FindRanges();
   void Step();
   // Reads rows until one is to be written, or for a slice of time. Returns
   // whether all are read.
@@ -87,14 +116,22 @@ class Retention {
   void Complete(const std::optional<core::Pose>& next, bool is_end);
   void Write();
   void Finish();
+  void Report(std::uint64_t dropped_before,
+              std::chrono::steady_clock::time_point start) const;
   // That of the next write.
   std::uint64_t NextRevision() const;
 
   VehicleState* const vehicle_;
   VehicleQueue* const queue_;
   Replayer* const replayer_;
-  bool is_waiting_ = false;
-  // While it is at work.
+  const std::shared_ptr<RetentionMonitor> monitor_;
+  // From the begin of a look to the end of what follows from it.
+  bool is_under_way_ = false;
+  // While it looks.
+  std::unique_ptr<core::DroppableSearch> search_;
+  // VehicleState::engine_series of the search.
+  std::uint64_t engine_series_ = 0;
+  // While it drops.
   std::unique_ptr<Work> work_;
 };
 

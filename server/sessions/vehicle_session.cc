@@ -11,12 +11,13 @@ namespace revisit::server {
 
 struct VehicleSession::State {
   State(std::string id, Storage* storage, const RecordCodec* codec,
-        const Lanes& lanes, const Limits& limits, const SnapshotPolicy& policy)
+        const Lanes& lanes, const Limits& limits, const SnapshotPolicy& policy,
+        std::shared_ptr<RetentionMonitor> monitor)
       : vehicle(std::move(id), storage, codec, policy),
         queue(&vehicle, &appends, lanes),
         appends(&vehicle, &queue, &retention, limits.max_pending_appends),
         replayer(&vehicle, &queue),
-        retention(&vehicle, &queue, &replayer),
+        retention(&vehicle, &queue, &replayer, std::move(monitor)),
         changes(&vehicle, &queue, &replayer, limits.max_pose_pairs),
         snapshots(&vehicle, &queue) {}
 
@@ -74,11 +75,16 @@ struct VehicleSession::State {
 
 std::shared_ptr<VehicleSession> VehicleSession::Load(
     std::string id, Storage* storage, const RecordCodec* codec,
-    const Lanes& lanes, const Limits& limits, const SnapshotPolicy& snapshots) {
+    const Lanes& lanes, const Limits& limits, const SnapshotPolicy& snapshots,
+    std::shared_ptr<RetentionMonitor> retention) {
   auto state = std::make_shared<State>(std::move(id), storage, codec, lanes,
-                                       limits, snapshots);
+                                       limits, snapshots, std::move(retention));
   state->queue.KeepAlive(state);
   state->queue.PostLong([state = state.get()] { state->replayer.Load(); });
+  state->queue.Submit(
+      {Turn::kRead, [state = state.get()](const absl::Status& status) {
+         if (status.ok()) state->retention.ConsiderLoaded();
+       }});
   return std::shared_ptr<VehicleSession>(new VehicleSession(std::move(state)));
 }
 

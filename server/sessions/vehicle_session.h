@@ -32,6 +32,7 @@
 #include "server/sessions/changes.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/record_codec.h"
+#include "server/sessions/retention_monitor.h"
 #include "server/sessions/vehicle_state.h"
 #include "server/sessions/vehicle_view.h"
 #include "server/storage/storage.h"
@@ -55,7 +56,9 @@ class VehicleSession {
   static std::shared_ptr<VehicleSession> Load(
       std::string id, Storage* storage, const RecordCodec* codec,
       const Lanes& lanes, const Limits& limits,
-      const SnapshotPolicy& snapshots = SnapshotPolicy());
+      const SnapshotPolicy& snapshots = SnapshotPolicy(),
+      std::shared_ptr<RetentionMonitor> retention =
+          std::make_shared<RetentionMonitor>(nullptr));
 
   VehicleSession(const VehicleSession&) = delete;
   VehicleSession& operator=(const VehicleSession&) = delete;

@@ -27,9 +27,6 @@ bool AreOf(const BatchRecord& batch, const DecodedPoses& poses) {
   return fits;
 }
 
-// Graphs that are smaller are not worth a look.
-constexpr core::NodeIndex kLeastLookedAt = 1000;
-
 }  // namespace
 
 core::NodeIndex NextLookAt(core::NodeIndex nodes) {
@@ -60,6 +57,7 @@ VehicleView VehicleState::View() const {
 
 void VehicleState::Take(std::unique_ptr<core::Engine> another) {
   engine = std::move(another);
+  ++engine_series;
   marks = std::make_unique<core::MarkMemory>();
   look_at_nodes = NextLookAt(engine->graph().size());
 }

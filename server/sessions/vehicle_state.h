@@ -28,6 +28,9 @@ namespace revisit::server {
 // UNAVAILABLE (SERVER_DRAINING).
 absl::Status ShuttingDown();
 
+// Graphs of fewer nodes are not worth a look for what to drop.
+inline constexpr core::NodeIndex kLeastLookedAt = 1000;
+
 // The least number of nodes above this one at which a graph is looked at for
 // what to drop: a tenth more each time, and the same whenever the vehicle was
 // loaded.
@@ -63,6 +66,8 @@ struct VehicleState {
   VehicleConfig config;
   // Null until loaded.
   std::unique_ptr<core::Engine> engine;
+  // Grows whenever the engine is another.
+  std::uint64_t engine_series = 0;
   // The marks that searches of this engine have learned from its drive.
   std::unique_ptr<core::MarkMemory> marks;
   // The jumps of the graph, by sequence.

@@ -102,16 +102,18 @@ struct CommitCounts {
   std::uint64_t writes = 0;
   // Seconds that the transactions took, from the first statement to the last.
   HistogramCounts commit_seconds = {};
-  // Seconds of that in which what was written went to the device and was
-  // flushed; nothing where the storage cannot tell.
+  // Seconds until something written was on the device: of each transaction's
+  // end, or, where that cannot be told apart, of one small transaction now and
+  // then. Nothing where the storage cannot tell.
   HistogramCounts flush_seconds = {};
 };
 
 // The room that a storage takes and has left.
 struct StorageRoom {
   std::int64_t bytes = 0;
-  // Bytes that others than the storage leave free.
-  std::int64_t free_bytes = 0;
+  // Bytes that others than the storage leave free; nothing where the device is
+  // another machine's.
+  std::optional<std::int64_t> free_bytes = std::nullopt;
 };
 
 // This server among those that share a storage.
@@ -360,7 +362,8 @@ class Storage {
   // Zeros if the implementation does not count.
   virtual CommitCounts Counts() const { return {}; }
 
-  // Nothing if the storage cannot tell without asking others.
+  // Waits for nobody: that of a database may be as of a minute ago. Nothing if
+  // it is not known.
   virtual std::optional<StorageRoom> GetRoom() const { return std::nullopt; }
 
   // Nothing where one server has the storage alone.

@@ -10,6 +10,7 @@ import pytest
 
 import scraped
 from drive_client import VEHICLE, create
+from held_threads import held, threads
 from revisit_server import BIN, Server, clean_environment, free_port, run, \
     wait_until
 from stubs import api
@@ -67,6 +68,28 @@ def test_is_alive_and_not_ready_while_it_opens_its_store(tmp_path):
         assert scraped.get(address, "/metrics")[:2] == (503, "starting\n")
         server.wait_until_listening()
         assert scraped.get(address, "/readyz")[0] == 200
+
+
+def test_is_not_alive_while_the_threads_of_the_vehicles_hang(tmp_path):
+    with Server(tmp_path / "store", *ADMIN, "--worker-threads", 2) as server:
+        for _ in range(3):
+            assert scraped.get(server.admin, "/livez")[:2] == (200, "alive\n")
+        workers = threads(server.pid, "vehicles")
+        assert len(workers) == 2
+
+        def livez(status):
+            answer = scraped.get(server.admin, "/livez")
+            return answer[0] == status and answer
+
+        with held(workers):
+            # It is patient for ten seconds.
+            assert livez(200)
+            answer = wait_until(lambda: livez(503), "503")
+            assert "have not answered for 10 s" in answer[1]
+            assert scraped.get(server.admin, "/metrics")[0] == 200
+        wait_until(lambda: livez(200), "200")
+        assert server.logged("liveness_not_answered")
+        create(server.stub())
 
 
 def test_grpc_port_answers_no_probe(server):

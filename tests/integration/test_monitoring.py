@@ -1,19 +1,23 @@
 """What deploy/monitoring says fits what servers say: its metrics are there, are
 documented, and its alerts are told by what a server answers when it comes to harm."""
 
+import contextlib
 import json
 import os
 import pathlib
 import re
+import shutil
 import subprocess
 import threading
 import time
+import urllib.parse
 
 import pytest
 import scraped
 from identities import AUDIENCE, ISSUER, Authority, TokenKey, key_set
 from own_postgres import own_postgres
-from revisit_server import BIN, Server, clean_environment, run, wait_until
+from revisit_server import (BIN, Server, clean_environment, free_port, run,
+                            wait_until)
 from stubs import ROOT, api
 from wire import append, laps, straight
 
@@ -21,6 +25,8 @@ MONITORING = ROOT / "deploy/monitoring"
 ALERTS = MONITORING / "alerts.yml"
 PROMTOOL = pathlib.Path(os.environ.get("REVISIT_TEST_PROMTOOL",
                                        ROOT / "build/tools/promtool"))
+PROMETHEUS = pathlib.Path(os.environ.get("REVISIT_TEST_PROMETHEUS",
+                                         ROOT / "build/tools/prometheus"))
 ADMIN = ("--admin-listen", "127.0.0.1:0")
 # Servers of a shared store are called by a name of theirs.
 NAMED = ("--advertise-address", "host-a:1")
@@ -137,6 +143,36 @@ def test_every_metric_is_documented_with_its_type_and_unit(kinds):
     assert documented == kinds
 
 
+def test_every_panel_says_what_it_shows_of_the_chosen_servers():
+    panels = [panel for panel in json.loads(
+        (MONITORING / "dashboard.json").read_text())["panels"]
+        if panel["type"] != "row"]
+    assert len(panels) > 30
+    source = {"type": "prometheus", "uid": "${datasource}"}
+    for panel in panels:
+        title = panel["title"]
+        assert title and panel["description"].endswith("."), title
+        assert panel["fieldConfig"]["defaults"]["unit"], title
+        for part in (panel, *panel["targets"]):
+            assert part["datasource"] == source, title
+        for target in panel["targets"]:
+            expression = target["expr"]
+            assert target["legendFormat"], expression
+            selectors = re.findall(r"\b(?:up|(?:revisit|process)_[a-z_]+)(\{[^}]*\})?",
+                                   expression)
+            assert selectors, expression
+            assert all('instance=~"$instance"' in selector
+                       for selector in selectors), expression
+            # Ranges follow the width of the screen.
+            assert set(re.findall(r"\[([^]]*)\]", expression)) <= {
+                "$__rate_interval"}, expression
+            for name in re.findall(r"\b(\w+_(?:total|bucket))\{", expression):
+                assert re.search(rf"\b(rate|increase)\({name}\{{", expression), (
+                    expression)
+            if "histogram_quantile" in expression:
+                assert "by (le" in expression, expression
+
+
 def test_names_end_with_their_units(kinds):
     for name, kind in kinds.items():
         assert (kind == "counter") == name.endswith("_total"), name
@@ -208,6 +244,86 @@ def test_promtool_finds_no_fault_with_names_and_help(secured):
     result = subprocess.run([PROMTOOL, "check", "metrics"], input=text,
                             capture_output=True, text=True, check=False)
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+
+
+# ---- Prometheus itself
+
+class Prometheus:
+    """A real one with a configuration of ours, but for the addresses, and for its
+    intervals, which are a second. Its files lie in `directory`."""
+
+    def __init__(self, directory, configuration, targets):
+        text = (ROOT / configuration).read_text()
+        text, count = re.subn(r"targets: .*", f"targets: {json.dumps(targets)}", text)
+        assert count == 1
+        text = re.sub(r"_interval: .*", "_interval: 1s", text)
+        (directory / "prometheus.yml").write_text(text)
+        shutil.copy(ALERTS, directory)
+        self.address = f"127.0.0.1:{free_port()}"
+        self._log_path = directory / "prometheus.log"
+        with open(self._log_path, "wb") as log:
+            self.process = subprocess.Popen(
+                [PROMETHEUS, f"--config.file={directory / 'prometheus.yml'}",
+                 f"--storage.tsdb.path={directory / 'data'}",
+                 f"--web.listen-address={self.address}"],
+                stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+
+    def log(self):
+        return self._log_path.read_text()
+
+    def ask(self, path):
+        """What the API answers, or None while it does not."""
+        assert self.process.poll() is None, self.log()
+        with contextlib.suppress(OSError):
+            status, body, _ = scraped.get(self.address, f"/api/v1/{path}")
+            if status == 200:
+                return json.loads(body)["data"]
+
+    def close(self):
+        self.process.terminate()
+        self.process.wait(30)
+
+
+@pytest.mark.skipif(
+    not os.access(PROMETHEUS, os.X_OK),
+    reason="there is no Prometheus: tests/run takes it from Debian's package")
+@pytest.mark.parametrize("configuration, count", [
+    ("deploy/monitoring/prometheus.yml", 1), ("deploy/compose/prometheus.yml", 3)])
+def test_prometheus_scrapes_the_servers_and_evaluates_every_alert(
+        configuration, count, tmp_path):
+    with contextlib.ExitStack() as stack:
+        servers = [stack.enter_context(Server(tmp_path / f"store-{i}", *ADMIN))
+                   for i in range(count)]
+        prometheus = Prometheus(tmp_path, configuration,
+                                [server.admin for server in servers])
+        stack.callback(prometheus.close)
+
+        def up():
+            found = prometheus.ask("targets")
+            targets = found["activeTargets"] if found else []
+            return len(targets) == count and all(
+                target["health"] == "up" for target in targets) and targets
+
+        targets = wait_until(up, "scrape of every server")
+        assert {target["labels"]["job"] for target in targets} == {"revisit"}
+
+        def evaluated():
+            groups = (prometheus.ask("rules") or {"groups": []})["groups"]
+            rules = [rule for group in groups for rule in group["rules"]]
+            return rules and all(
+                rule["health"] != "unknown" for rule in rules) and rules
+
+        rules = wait_until(evaluated, "evaluation of every alert")
+        assert {rule["name"] for rule in rules} == {rule[0] for rule in alerts()}
+        assert [rule for rule in rules if rule["health"] != "ok"] == []
+        # Sound servers are told of by none.
+        assert prometheus.ask("alerts") == {"alerts": []}
+        # And each panel has an expression that it takes.
+        for expression in dashboard_expressions():
+            expression = expression.replace("$__rate_interval", "5m").replace(
+                "$instance", ".*")
+            assert prometheus.ask(
+                "query?" + urllib.parse.urlencode({"query": expression})) is not None
 
 
 # ---- Alerts by what a real server answered
@@ -304,6 +420,37 @@ def test_slow_flushes_are_told(tmp_path):
             create(stub, f"truck-{number}")
             pages.append(scraped.scrape(server))
         assert_told("RevisitFlushSlow", quiet, pages, tmp_path)
+
+
+@needs_promtool
+@pytest.mark.release_build
+def test_slow_commits_of_a_database_are_told(tmp_path):
+    with own_postgres() as database:
+        if database is None:
+            pytest.skip("there is no PostgreSQL: tests/run installs it")
+        assert run("revisitd", "migrate", "--store",
+                   database.url("revisit_owner")).returncode == 0
+        with Server(database.url("revisit"), *ADMIN, *NAMED,
+                    "--lease-seconds", 1, log_path=tmp_path / "log") as server:
+            quiet = scraped.scrape(server)
+            # Each commit that touches the row of a server waits, as for a disk.
+            database.ask("""
+                CREATE FUNCTION wait() RETURNS trigger LANGUAGE plpgsql AS
+                'BEGIN PERFORM pg_sleep(0.3); RETURN NULL; END';
+                CREATE CONSTRAINT TRIGGER slow AFTER UPDATE ON servers
+                DEFERRABLE INITIALLY DEFERRED FOR EACH ROW
+                EXECUTE FUNCTION wait();""")
+            pages = [quiet]
+            while len(pages) < 12:
+                pages.append(wait_until(
+                    lambda: more_flushes(server, pages[-1]), "commit"))
+            assert_told("RevisitFlushSlow", quiet, pages[1:], tmp_path)
+
+
+def more_flushes(server, before):
+    page = scraped.scrape(server)
+    name = "revisit_store_flush_seconds_count"
+    return page.value(name) > before.value(name) and page
 
 
 @needs_promtool

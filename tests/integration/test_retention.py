@@ -7,11 +7,13 @@ import grpc
 import pytest
 from google.protobuf import duration_pb2, field_mask_pb2, timestamp_pb2
 
+import scraped
 from own_postgres import own_postgres
-from revisit_server import Server, run
+from revisit_server import Server, run, wait_until
 from stubs import api
 from wire import append, batches, failure_of, get, list_poses, pose
 
+ADMIN = ("--admin-listen", "127.0.0.1:0")
 LAP_METERS = 600.0
 LAP = 300
 SETTINGS = dict(correlation_model=api.CORRELATION_MODEL_INDEPENDENT,
@@ -48,11 +50,22 @@ def drive(stub, vehicle, laps, first_lap=0):
         append(stub, vehicle, batch)
 
 
-def settled(stub, vehicle):
-    """The vehicle once what fell due is dropped: a change comes behind it."""
+def settled(server, vehicle):
+    """The vehicle once what fell due is dropped. What comes first is behind what
+    led to it; the change comes behind the drop."""
+    stub = server.stub()
+    get(stub, vehicle)
+    wait_until(lambda: scraped.scrape(server).value(
+        "revisit_trimmed_vehicles") == 0, "end of the look at the history")
     return stub.UpdateVehicle(api.UpdateVehicleRequest(
         vehicle=api.Vehicle(name=vehicle, display_name="settled"),
         update_mask=field_mask_pb2.FieldMask(paths=["display_name"]))).vehicle
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    with Server(tmp_path_factory.mktemp("server") / "store", *ADMIN) as running:
+        yield running
 
 
 def best(stub, vehicle, sequence=0):
@@ -79,7 +92,7 @@ def database():
 
 
 def test_a_vehicle_that_goes_round_stays_bounded_and_finds_its_loops(tmp_path):
-    with Server(tmp_path / "store") as server:
+    with Server(tmp_path / "store", *ADMIN) as server:
         stub = server.stub()
         vehicle = create(stub, "bounded", max_passes=3)
         whole = create(stub, "whole")
@@ -87,11 +100,16 @@ def test_a_vehicle_that_goes_round_stays_bounded_and_finds_its_loops(tmp_path):
         for first_lap in range(0, 40, 4):
             drive(stub, vehicle, 4, first_lap)
             drive(stub, whole, 4, first_lap)
-            sizes.append(settled(stub, vehicle).node_count)
+            sizes.append(settled(server, vehicle).node_count)
             assert_finds_its_place(stub, vehicle)
         assert max(sizes[3:]) < 2400, sizes
         assert get(stub, whole).node_count > 11_900
         summary = get(stub, vehicle)
+        assert scraped.scrape(server).value("revisit_poses_dropped_total") == (
+            summary.dropped_pose_count)
+        last = server.logged("poses_dropped")[-1]
+        assert 'vehicle=bounded' in last
+        assert f"first_kept_sequence={summary.first_kept_sequence}" in last
         assert summary.durable_sequence == 40 * LAP
         assert summary.dropped_pose_count > 30 * LAP
         assert summary.travelled_meters == pytest.approx(
@@ -116,10 +134,10 @@ def test_a_vehicle_that_goes_round_stays_bounded_and_finds_its_loops(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def bounded(stub):
+def bounded(server, stub):
     vehicle = create(stub, "asked", max_passes=2)
     drive(stub, vehicle, 10)
-    summary = settled(stub, vehicle)
+    summary = settled(server, vehicle)
     assert summary.dropped_pose_count > 4 * LAP
     assert summary.first_kept_sequence > 1
     return vehicle
@@ -202,17 +220,17 @@ def test_an_export_has_no_edge_over_what_is_dropped(stub, bounded):
     assert len(edges) >= len(nodes) - 1 - len(cuts)
 
 
-def test_poses_grow_too_old_by_their_own_stamps(stub):
+def test_poses_grow_too_old_by_their_own_stamps(server, stub):
     vehicle = create(stub, "aged", max_age=duration_pb2.Duration(seconds=6 * LAP))
     drive(stub, vehicle, 24)
-    summary = settled(stub, vehicle)
+    summary = settled(server, vehicle)
     kept = 24 * LAP - summary.dropped_pose_count
     assert 6 * LAP <= kept < 1.25 * 6 * LAP + 100
     assert summary.first_kept_sequence == 24 * LAP - kept + 1
     assert_finds_its_place(stub, vehicle)
 
 
-def test_what_is_kept_can_be_changed_at_any_time(stub):
+def test_what_is_kept_can_be_changed_at_any_time(server, stub):
     vehicle = create(stub, "changed")
     drive(stub, vehicle, 12)
     assert get(stub, vehicle).settings.HasField("retention") is False
@@ -221,13 +239,13 @@ def test_what_is_kept_can_be_changed_at_any_time(stub):
             retention=api.Retention(max_passes=2))),
         update_mask=field_mask_pb2.FieldMask(paths=["settings.retention"]))
     assert stub.UpdateVehicle(request).vehicle.settings.retention.max_passes == 2
-    dropped = settled(stub, vehicle).dropped_pose_count
+    dropped = settled(server, vehicle).dropped_pose_count
     assert dropped > 5 * LAP
     # Named but not given: everything is kept from now on.
     request.vehicle.settings.ClearField("retention")
     assert not stub.UpdateVehicle(request).vehicle.settings.HasField("retention")
     drive(stub, vehicle, 4, 12)
-    assert settled(stub, vehicle).dropped_pose_count == dropped
+    assert settled(server, vehicle).dropped_pose_count == dropped
 
 
 @pytest.mark.parametrize("retention,field", [
@@ -255,7 +273,7 @@ def test_the_command_line_sets_and_shows_what_is_kept(server):
     stub = server.stub()
     vehicle = create(stub, "exported", max_passes=2)
     drive(stub, vehicle, 8)
-    summary = settled(stub, vehicle)
+    summary = settled(server, vehicle)
     shown = revisit("vehicle", "get", "exported")
     assert (f"{summary.dropped_pose_count}, the first that is kept is "
             f"{summary.first_kept_sequence}") in shown
@@ -266,12 +284,12 @@ def test_the_command_line_sets_and_shows_what_is_kept(server):
 def test_a_shared_store_drops_as_a_file_does(database, tmp_path):
     owner = database.url("revisit_owner")
     assert run("revisitd", "migrate", "--store", owner).returncode == 0
-    with Server(database.url("revisit"), "--advertise-address", "host-a:1",
+    with Server(database.url("revisit"), *ADMIN, "--advertise-address", "host-a:1",
                 log_path=tmp_path / "shared.log") as server:
         stub = server.stub()
         vehicle = create(stub, "shared", max_passes=3)
         drive(stub, vehicle, 12)
-        summary = settled(stub, vehicle)
+        summary = settled(server, vehicle)
         assert summary.dropped_pose_count > 5 * LAP
         kept = list_poses(stub, vehicle)
         assert_finds_its_place(stub, vehicle)

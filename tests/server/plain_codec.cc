@@ -8,6 +8,8 @@
 namespace revisit::server {
 namespace {
 
+constexpr std::int64_t kSecond = 1'000'000'000;
+
 absl::Status Damaged() { return absl::DataLossError("not a plain record"); }
 
 std::string Line(std::uint64_t sequence, double x, double y, double heading) {
@@ -43,6 +45,7 @@ std::string PlainCodec::EncodeVehicle(const VehicleConfig& config) const {
        << config.engine.search.sequence_length_meters << " " << std::dec
        << config.engine.search.max_candidates << " "
        << config.engine.retention.max_passes << " "
+       << config.engine.retention.max_age_ns.value_or(0) << " "
        << (config.frame == CoordinateFrame::kGeodetic) << " "
        << config.data_loss << " " << config.origin.has_value();
   if (config.origin) {
@@ -58,6 +61,7 @@ absl::StatusOr<VehicleConfig> PlainCodec::DecodeVehicle(
   std::istringstream stream(record.payload);
   std::string word;
   VehicleConfig config;
+  std::int64_t max_age_ns = 0;
   bool is_geodetic = false;
   bool has_origin = false;
   if (!(stream >> word) || word != "vehicle" ||
@@ -66,10 +70,11 @@ absl::StatusOr<VehicleConfig> PlainCodec::DecodeVehicle(
       !ReadDouble(stream, &config.engine.max_step_meters) ||
       !ReadDouble(stream, &config.engine.search.sequence_length_meters) ||
       !(stream >> config.engine.search.max_candidates >>
-        config.engine.retention.max_passes >> is_geodetic >> config.data_loss >>
-        has_origin)) {
+        config.engine.retention.max_passes >> max_age_ns >> is_geodetic >>
+        config.data_loss >> has_origin)) {
     return Damaged();
   }
+  if (max_age_ns > 0) config.engine.retention.max_age_ns = max_age_ns;
   config.frame =
       is_geodetic ? CoordinateFrame::kGeodetic : CoordinateFrame::kLocal;
   if (has_origin) {
@@ -115,6 +120,7 @@ absl::StatusOr<DecodedBatch> PlainCodec::DecodeBatch(
       sample.pose.x -= batch.origin->longitude_degrees;
       sample.pose.y -= batch.origin->latitude_degrees;
     }
+    sample.stamp_ns = static_cast<std::int64_t>(sample.sequence) * kSecond;
     // Grows as dead reckoning's does.
     const double variance = 1e-4 * static_cast<double>(sample.sequence);
     sample.covariance(0, 0) = variance;

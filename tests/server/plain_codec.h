@@ -14,9 +14,9 @@
 namespace revisit::server {
 
 // A vehicle is a line with some of its settings, a batch a line for each pose:
-// sequence, x, y, heading. Doubles are written so that they read back exactly.
-// For a geodetic vehicle x and y count from the first pose, whose place is the
-// origin's latitude and longitude.
+// sequence, which is also its stamp in seconds, x, y, heading. Doubles are
+// written so that they read back exactly. For a geodetic vehicle x and y count
+// from the first pose, whose place is the origin's latitude and longitude.
 class PlainCodec : public RecordCodec {
  public:
   std::string EncodeVehicle(const VehicleConfig& config) const override;

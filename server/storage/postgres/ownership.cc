@@ -268,8 +268,10 @@ absl::Status Ownership::Beat() {
     me = me_;
   }
   const nanoseconds sent = Now();
+  const auto start = std::chrono::steady_clock::now();
   const auto beat = connection_->Run(kBeat, Parameters().Add(me));
   if (!beat.ok()) return beat.status();
+  beat_seconds_.Observe(std::chrono::steady_clock::now() - start);
   if (beat->size() == 0) {
     Warn(
         "other servers have taken this one for dead, and may have taken its "

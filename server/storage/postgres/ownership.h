@@ -39,6 +39,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/base/mutex.h"
+#include "server/base/histogram.h"
 #include "server/storage/postgres/ask_pacing.h"
 #include "server/storage/postgres/connection.h"
 #include "server/storage/storage.h"
@@ -114,6 +115,10 @@ class Ownership {
   Durability durability() const;
   // Implements Storage::GetSharing().
   SharingState GetSharing() const;
+  // Seconds that the database took to answer beats. Each is a transaction of
+  // one row, so that is the time in which a commit becomes as durable as the
+  // database's settings say, and the way there and back.
+  HistogramCounts BeatSeconds() const { return beat_seconds_.Read(); }
 
  private:
   Ownership(const std::string& conninfo, OwnershipOptions options);
@@ -155,6 +160,7 @@ class Ownership {
   std::map<VehicleKey, std::chrono::nanoseconds> forgotten_;
   // When it looked last.
   std::chrono::steady_clock::time_point last_look_;
+  Histogram beat_seconds_{SecondsBounds()};
 
   mutable Mutex mutex_;
   CondVar wake_;

@@ -18,6 +18,9 @@ namespace {
 
 using absl::StatusCode;
 
+// How old the size of the database may be.
+constexpr std::chrono::minutes kSizePeriod{1};
+
 class PostgresStorage : public PostgresReader {
  public:
   PostgresStorage(PostgresDatabase found, const PostgresOptions& options,
@@ -32,6 +35,7 @@ class PostgresStorage : public PostgresReader {
     writer.require_replicated = options.require_replicated;
     for (int i = 0; i < std::max(1, options.writer_connections); ++i) {
       writer.purges_first = i == 0;
+      writer.size_period = i == 0 ? kSizePeriod : std::chrono::milliseconds(0);
       writers_.push_back(
           std::make_unique<PostgresWriter>(writer, ownership_.get()));
     }
@@ -279,7 +283,14 @@ class PostgresStorage : public PostgresReader {
       sum.writes += counts.writes;
       sum.commit_seconds.Add(counts.commit_seconds);
     }
+    sum.flush_seconds = ownership_->BeatSeconds();
     return sum;
+  }
+
+  std::optional<StorageRoom> GetRoom() const override {
+    const std::optional<std::int64_t> bytes = writers_.front()->DatabaseBytes();
+    if (!bytes.has_value()) return std::nullopt;
+    return StorageRoom{*bytes};
   }
 
   std::optional<SharingState> GetSharing() const override {

@@ -2,6 +2,7 @@
 
 #include <pthread.h>
 
+#include <algorithm>
 #include <unordered_map>
 #include <utility>
 
@@ -19,6 +20,10 @@ using absl::StatusCode;
 constexpr std::chrono::seconds kPurgeDelay{5};
 // How long a full disk is taken to be full if nothing is written.
 constexpr std::chrono::seconds kFullTime{5};
+
+// The right to connect is all that it needs.
+constexpr Statement kDatabaseSize = {
+    "database_size", "SELECT pg_database_size(current_database())"};
 
 // Whether a statement failed because of a row of one vehicle.
 bool IsFaultOfRow(const absl::Status& status) {
@@ -93,7 +98,8 @@ absl::Status PostgresWriter::CheckWritable() const {
 
 void PostgresWriter::Run() {
   if (options_.purges_first) PurgeSoon();
-  while (auto group = queue_.Take(purge_due_, commit_time_)) {
+  if (options_.size_period.count() > 0) size_due_ = Clock::now();
+  while (auto group = queue_.Take(NextDue(), commit_time_)) {
     if (!group->empty()) {
       const Clock::time_point start = Clock::now();
       Commit(*group);
@@ -105,6 +111,7 @@ void PostgresWriter::Run() {
       group->clear();
     }
     if (purge_due_ && Clock::now() >= *purge_due_) Purge();
+    if (size_due_ && Clock::now() >= *size_due_) AskSize();
   }
   connection_.reset();
   const MutexLock lock(&mutex_);
@@ -193,22 +200,26 @@ void PostgresWriter::Answer(const PendingWrite& write,
   for (const Storage::Done& done : write.done) done(status);
 }
 
-absl::Status PostgresWriter::EnsureConnection() {
-  if (connection_ == nullptr || !connection_->IsAlive()) {
-    connection_.reset();
-    if (give_up_) {
-      return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
-                   "the server ends, and the database does not answer");
-    }
-    PostgresConnection::Options options;
-    options.conninfo = options_.conninfo;
-    options.writes = true;
-    options.give_up = &give_up_;
-    auto opened = PostgresConnection::Open(options);
-    if (!opened.ok()) return opened.status();
-    connection_ = *std::move(opened);
+absl::Status PostgresWriter::Connect() {
+  if (connection_ != nullptr && connection_->IsAlive()) return absl::OkStatus();
+  connection_.reset();
+  if (give_up_) {
+    return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+                 "the server ends, and the database does not answer");
   }
-  absl::Status status = CheckReplicated(connection_->durability());
+  PostgresConnection::Options options;
+  options.conninfo = options_.conninfo;
+  options.writes = true;
+  options.give_up = &give_up_;
+  auto opened = PostgresConnection::Open(options);
+  if (!opened.ok()) return opened.status();
+  connection_ = *std::move(opened);
+  return absl::OkStatus();
+}
+
+absl::Status PostgresWriter::EnsureConnection() {
+  absl::Status status = Connect();
+  if (status.ok()) status = CheckReplicated(connection_->durability());
   return status.ok() ? CheckReplicated(ownership_->durability()) : status;
 }
 
@@ -242,6 +253,27 @@ void PostgresWriter::Purge() {
   } else {
     purge_due_.reset();
   }
+}
+
+void PostgresWriter::AskSize() {
+  std::int64_t bytes = -1;
+  if (Connect().ok()) {
+    const auto rows = connection_->Run(kDatabaseSize);
+    if (rows.ok()) bytes = rows->Integer(0, 0);
+  }
+  database_bytes_ = bytes;
+  size_due_ = Clock::now() + options_.size_period;
+}
+
+std::optional<std::chrono::steady_clock::time_point> PostgresWriter::NextDue()
+    const {
+  if (!purge_due_ || !size_due_) return purge_due_ ? purge_due_ : size_due_;
+  return std::min(*purge_due_, *size_due_);
+}
+
+std::optional<std::int64_t> PostgresWriter::DatabaseBytes() const {
+  const std::int64_t bytes = database_bytes_;
+  return bytes < 0 ? std::nullopt : std::make_optional(bytes);
 }
 
 }  // namespace revisit::server

@@ -40,6 +40,9 @@ class PostgresWriter {
     bool purges_first = false;
     // Whether the database has tables of snapshots.
     bool has_snapshots = false;
+    // How often to ask how large the database is, in between writes; never if
+    // zero. The database then looks at the size of each of its files.
+    std::chrono::milliseconds size_period{0};
   };
 
   // The ownership outlives the writer.
@@ -72,9 +75,13 @@ class PostgresWriter {
 
   // Implements Storage::CheckWritable().
   absl::Status CheckWritable() const;
+  // Without the time of flushes, which a statement that commits by itself does
+  // not tell.
   CommitCounts Counts() const {
     return {commits_, writes_, commit_seconds_.Read()};
   }
+  // Bytes of the database when it was last asked; nothing if it did not answer.
+  std::optional<std::int64_t> DatabaseBytes() const;
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -88,10 +95,15 @@ class PostgresWriter {
   void AppendGathered(Rounds* rounds);
   void AppendRound(const std::vector<AppendRun>& runs);
   void Answer(const PendingWrite& write, const absl::Status& status);
+  absl::Status Connect();
+  // Connects, where that is needed, for a write.
   absl::Status EnsureConnection();
   // OK unless writes have to be replicated, and are not.
   absl::Status CheckReplicated(const Durability& durability) const;
   void Purge();
+  void AskSize();
+  // When the thread is to do more than to write.
+  std::optional<Clock::time_point> NextDue() const;
 
   const Options options_;
   Ownership* const ownership_;
@@ -102,12 +114,15 @@ class PostgresWriter {
   // When a write last found the disk full, since the clock's epoch; 0 if none
   // did since one was written.
   std::atomic<Clock::rep> full_at_{0};
+  // -1 while it is not known.
+  std::atomic<std::int64_t> database_bytes_{-1};
 
   WriteQueue queue_;
   // Used by the thread only.
   std::unique_ptr<PostgresConnection> connection_;
   Clock::duration commit_time_{0};
   std::optional<Clock::time_point> purge_due_;
+  std::optional<Clock::time_point> size_due_;
 
   Mutex mutex_;
   CondVar has_ended_;

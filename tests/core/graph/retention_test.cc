@@ -128,6 +128,17 @@ TEST(RetentionTest, KeepsWhatLoopClosuresReferToWithThePathThere) {
             "[0, 950) [1006, " + std::to_string(FirstOfLap(7)) + ") ");
 }
 
+TEST(RetentionTest, KeepsWhatLoopClosuresReferToThatCameWhileItLooked) {
+  const Laps laps = Laps().Drive(10);
+  RetentionNeeds needs = Needs();
+  DroppableSearch search(laps.graph, Passes(3), needs);
+  while (!search.Advance(100)) {
+  }
+  needs.loop_ends = {5 * kLap + 40, laps.graph.size() - 1};
+  EXPECT_EQ(Text(search.Droppable(needs.loop_ends)),
+            Text(FindDroppable(laps.graph, Passes(3), needs)));
+}
+
 TEST(RetentionTest, KeepsThePathThatLeadsToWhatItKeeps) {
   // Only one lap leaves the circle, outwards, for a quarter of it.
   Laps laps;
@@ -224,6 +235,31 @@ PoseGraph AnyGraph(std::mt19937_64& random, double spacing, bool spatial) {
   return graph;
 }
 
+// A few nodes at a time, while the vehicle drives on. The graph of the search
+// begins with the nodes of `graph`, and the last of them stays the newest.
+std::vector<NodeRange> InParts(std::mt19937_64& random, const PoseGraph& graph,
+                               const RetentionOptions& options,
+                               const RetentionNeeds& needs) {
+  PoseGraph growing;
+  const auto add = [&](Node node) {
+    const NodeIndex i = growing.size();
+    const bool starts =
+        i == 0 || (i < graph.size() && graph.SegmentStart(i) == i);
+    growing.AddNode(node, starts, std::nullopt);
+  };
+  for (NodeIndex i = 0; i < graph.size(); ++i) add(graph.node(i));
+  DroppableSearch search(growing, options, needs);
+  while (!search.Advance(UniformInt(random, 1, 100))) {
+    Node next = growing.node(growing.size() - 1);
+    ++next.sequence;
+    next.travelled_meters += needs.spacing_meters;
+    if (next.stamp_ns) *next.stamp_ns += 1'000'000'000'000;
+    add(next);
+  }
+  EXPECT_GT(growing.size(), graph.size());
+  return search.Droppable({});
+}
+
 TEST(RetentionTest, IsThatOfThePlainComparisonOfAllNodes) {
   std::mt19937_64 random = SeededRandom();
   NodeIndex dropped = 0;
@@ -253,9 +289,11 @@ TEST(RetentionTest, IsThatOfThePlainComparisonOfAllNodes) {
       options.max_age_ns =
           std::int64_t{UniformInt(random, 1, 1500)} * 1'000'000'000;
     }
+    const std::string plain =
+        Text(PlainRetention(graph, options, needs).Droppable());
     const auto found = FindDroppable(graph, options, needs);
-    EXPECT_EQ(Text(found),
-              Text(PlainRetention(graph, options, needs).Droppable()))
+    EXPECT_EQ(Text(found), plain) << "round " << round;
+    EXPECT_EQ(Text(InParts(random, graph, options, needs)), plain)
         << "round " << round;
     dropped += Count(found);
     kept += graph.size() - Count(found);

@@ -4,9 +4,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <chrono>
 #include <cstdint>
 #include <memory>
+#include <numeric>
 #include <string>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -42,6 +45,9 @@ class RetentionTest : public ::testing::Test {
     fleet_.reset();
     Fleet::Options options;
     options.snapshots.poses = snapshot_poses;
+    options.report_drop = [this](const RetentionMonitor::Drop& drop) {
+      drops_.push_back(drop);
+    };
     fleet_ = std::make_unique<Fleet>(&storage_, &codec_, &executor_, options);
   }
 
@@ -54,14 +60,19 @@ class RetentionTest : public ::testing::Test {
     key_ = memory_.GetVehicle(kId)->key;
   }
   // Changes the settings of the vehicle that is there.
-  void KeepPasses(int max_passes) {
+  void Keep(core::RetentionOptions retention) {
     ASSERT_THAT(UpdateNow(session(),
-                          [max_passes](const VehicleView& view) {
+                          [retention](const VehicleView& view) {
                             VehicleConfig config = view.config;
-                            config.engine.retention.max_passes = max_passes;
+                            config.engine.retention = retention;
                             return config;
                           }),
                 IsOk());
+  }
+  void KeepPasses(int max_passes) {
+    core::RetentionOptions retention;
+    retention.max_passes = max_passes;
+    Keep(retention);
   }
   void Drive(std::uint64_t poses) {
     for (const std::uint64_t end = last_ + poses; last_ < end;
@@ -69,8 +80,24 @@ class RetentionTest : public ::testing::Test {
       ASSERT_THAT(AppendNow(session(), SquareBatch(last_ + 1, kBatch)), IsOk());
     }
   }
+  // So long in one place that a look at it takes half a second or more.
+  void DriveLong() {
+    for (int i = 0; i < 4; ++i) {
+      ASSERT_THAT(AppendNow(session(), SquareBatch(last_ + 1, 10'000)), IsOk());
+      last_ += 10'000;
+    }
+  }
+  // Whether the history is looked at. A look begins after the answer to what
+  // led to it, and before what is asked next.
+  bool IsLookedAt() {
+    EXPECT_THAT(ReadNow(session()), IsOk());
+    return fleet_->retention().vehicles > 0;
+  }
   // Once what fell due is done.
   Snapshot Settled() {
+    while (IsLookedAt()) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
     return *UpdateNow(session(),
                       [](const VehicleView& view) { return view.config; });
   }
@@ -99,6 +126,8 @@ class RetentionTest : public ::testing::Test {
   HeldStorage storage_;
   const PlainCodec codec_;
   Executor executor_{2};
+  // Written on the vehicle's strand.
+  std::vector<RetentionMonitor::Drop> drops_;
   std::unique_ptr<Fleet> fleet_;
   std::shared_ptr<VehicleSession> session_;
   VehicleKey key_ = 0;
@@ -127,6 +156,59 @@ TEST_F(RetentionTest, FindsTheSamePlacesAsOneThatKeepsEverything) {
   EXPECT_GT(bounded.dropped, 2000u);
   // Both end at the same place of the square, so a candidate is a lap earlier.
   EXPECT_THAT(bounded.candidates, HasSubstr("0x1"));
+}
+
+TEST_F(RetentionTest, CountsAndReportsWhatItDrops) {
+  Create(3);
+  Drive(5000);
+  const Snapshot settled = Settled();
+  const RetentionMonitor::Counts counts = fleet_->retention();
+  EXPECT_EQ(counts.poses, settled.dropped);
+  ASSERT_GT(drops_.size(), 1u);
+  std::uint64_t poses = 0;
+  for (const RetentionMonitor::Drop& drop : drops_) {
+    EXPECT_EQ(drop.vehicle_id, kId);
+    EXPECT_GT(drop.poses, 0u);
+    poses += drop.poses;
+  }
+  EXPECT_EQ(poses, settled.dropped);
+  EXPECT_EQ(drops_.back().first_kept_sequence, settled.first_kept);
+  EXPECT_EQ(std::accumulate(counts.seconds.counts.begin(),
+                            counts.seconds.counts.end(), std::uint64_t{0}),
+            drops_.size());
+}
+
+TEST_F(RetentionTest, AppendsReadsAndChangesGoOnWhileItLooks) {
+  Create(0);
+  DriveLong();
+  KeepPasses(core::kMostPasses);
+  ASSERT_TRUE(IsLookedAt());
+  Drive(kBatch);
+  EXPECT_THAT(AddPairNow(session(), kClosure, {"a", 9000, 8200, 1}), IsOk());
+  EXPECT_TRUE(IsLookedAt());
+  EXPECT_EQ(fleet_->retention().poses, 0u);
+  const Snapshot settled = Settled();
+  EXPECT_GT(settled.dropped, 30'000u);
+  // The poses of the closure that came meanwhile stay.
+  EXPECT_THAT(DeletePairNow(session(), kClosure, "a"), IsOk());
+  EXPECT_THAT(AddPairNow(session(), kClosure, {"b", 9000, 8200, 2}), IsOk());
+  EXPECT_THAT(AddPairNow(session(), kClosure, {"c", 7000, 6200, 3}),
+              IsError(StatusCode::kOutOfRange, "POSES_DROPPED", _));
+  ExpectAsLoaded();
+}
+
+TEST_F(RetentionTest, SettingsThatChangeWhileItLooksAreThoseThatCount) {
+  Create(0);
+  DriveLong();
+  KeepPasses(core::kMostPasses);
+  ASSERT_TRUE(IsLookedAt());
+  KeepPasses(0);
+  EXPECT_EQ(Settled().dropped, 0u);
+  KeepPasses(core::kMostPasses);
+  ASSERT_TRUE(IsLookedAt());
+  KeepPasses(2);
+  EXPECT_GT(Settled().dropped, 39'000u);
+  EXPECT_EQ(drops_.size(), 1u);
 }
 
 TEST_F(RetentionTest, KeepsEverythingUnlessItIsAsked) {
@@ -292,6 +374,29 @@ TEST_F(RetentionTest, AWriteThatFailsLeavesASoundVehicle) {
   // The rest follows when the vehicle has grown.
   Drive(1000);
   EXPECT_GT(Settled().dropped, 2000u);
+  ExpectAsLoaded();
+}
+
+TEST_F(RetentionTest, VehicleThatIsLoadedWithPosesThatAreTooOldLosesThem) {
+  Create(0);
+  Drive(3000);
+  core::RetentionOptions hour;
+  hour.max_age_ns = std::int64_t{3600} * 1'000'000'000;
+  Keep(hour);
+  EXPECT_EQ(Settled().dropped, 0u);
+  // As if the server had ended after the settings had changed, before it
+  // looked.
+  VehicleRecord record = *memory_.GetVehicle(kId);
+  VehicleConfig config = *codec_.DecodeVehicle(record);
+  config.engine.retention.max_age_ns = std::int64_t{1500} * 1'000'000'000;
+  session_.reset();
+  fleet_.reset();
+  ASSERT_THAT(BlockingWrites(&memory_).Update(
+                  key_, codec_.EncodeVehicle(config), record.revision + 1),
+              IsOk());
+  Open();
+  // Those of stamps below 1500 s, in whole rows.
+  EXPECT_EQ(Settled().dropped, 1490u);
   ExpectAsLoaded();
 }
 

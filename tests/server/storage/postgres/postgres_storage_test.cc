@@ -672,6 +672,21 @@ TEST_F(PostgresStorageTest, ReadersWaitForAConnectionWhereAllAreUsed) {
   }
 }
 
+TEST_F(PostgresStorageTest, TellsTheSizeOfTheDatabaseAndNoFreeRoom) {
+  const auto storage = MustOpen(conninfo_);
+  const auto latest =
+      std::chrono::steady_clock::now() + std::chrono::seconds(20);
+  while (!storage->GetRoom() && std::chrono::steady_clock::now() < latest) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  }
+  ASSERT_TRUE(storage->GetRoom().has_value());
+  const auto bytes = static_cast<double>(storage->GetRoom()->bytes);
+  const double now =
+      std::stod(Sql("SELECT pg_database_size(current_database())"));
+  EXPECT_NEAR(bytes, now, 0.1 * now);
+  EXPECT_EQ(storage->GetRoom()->free_bytes, std::nullopt);
+}
+
 TEST_F(PostgresStorageTest, OpenedForReadingItWritesNothing) {
   MustOpen(conninfo_).reset();
   const std::string servers = Sql("SELECT count(*) FROM servers");

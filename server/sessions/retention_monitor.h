@@ -1,0 +1,59 @@
+// What retention (retention.h) does to the vehicles of a fleet, for operators.
+#ifndef REVISIT_SERVER_SESSIONS_RETENTION_MONITOR_H_
+#define REVISIT_SERVER_SESSIONS_RETENTION_MONITOR_H_
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <utility>
+
+#include "server/base/histogram.h"
+
+namespace revisit::server {
+
+// Thread-safe, without locks.
+class RetentionMonitor {
+ public:
+  // Poses that left one vehicle, at one time.
+  struct Drop {
+    std::string vehicle_id;
+    std::uint64_t poses = 0;
+    // The first pose that the vehicle still has.
+    std::uint64_t first_kept_sequence = 0;
+    // How long the vehicle's appends waited for it.
+    std::chrono::steady_clock::duration duration{0};
+  };
+  struct Counts {
+    std::uint64_t poses = 0;
+    // Vehicles that are looked at now, or are losing poses.
+    std::int64_t vehicles = 0;
+    // How long the drops took; its count is how many there were.
+    HistogramCounts seconds;
+  };
+
+  // `report` is called with every drop, on the vehicle's strand; may be empty.
+  explicit RetentionMonitor(std::function<void(const Drop&)> report)
+      : report_(std::move(report)) {}
+
+  void Began() { ++vehicles_; }
+  void Ended() { --vehicles_; }
+  void Dropped(const Drop& drop) {
+    poses_ += drop.poses;
+    seconds_.Observe(drop.duration);
+    if (report_) report_(drop);
+  }
+
+  Counts Read() const { return {poses_, vehicles_, seconds_.Read()}; }
+
+ private:
+  const std::function<void(const Drop&)> report_;
+  std::atomic<std::uint64_t> poses_{0};
+  std::atomic<std::int64_t> vehicles_{0};
+  Histogram seconds_{SecondsBounds()};
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SESSIONS_RETENTION_MONITOR_H_
