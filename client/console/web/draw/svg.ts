@@ -1,7 +1,7 @@
 // Files of what is in view: an SVG is written, and a PNG is that SVG drawn.
 import type {View} from '../geometry/view.js';
 import {length} from '../parts/format.js';
-import type {Curve, Series} from './curve.js';
+import {type Curve, isSingle, type Series} from './curve.js';
 import {colourOf, scaleBarMeters, type Scene, type Shape} from './scene.js';
 
 /** What a file shows, from top to bottom. */
@@ -83,7 +83,7 @@ function mapToSvg({scene, view}: {scene: Scene, view: View}): string {
 function seriesToSvg(series: Series, points: Array<[number, number]|null>):
     string {
   const colour = colourOf(series.colour);
-  if (series.as === 'points') {
+  if (series.as === 'points' || isSingle(series.values)) {
     return points.map(point => point ?
         `<circle cx="${round(point[0])}" cy="${round(point[1])}" r="2.5" ` +
             `fill="${colour}"/>` : '').join('');

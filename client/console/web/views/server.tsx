@@ -10,6 +10,7 @@ import {type Curve, CurveView} from '../draw/curve.js';
 import {Export} from '../parts/export.js';
 import {bytes, count, fixed, words} from '../parts/format.js';
 import {Table} from '../parts/table.js';
+import {metricsSheet, MetricsView, useMetrics} from './server_metrics.js';
 
 const POLL_MILLISECONDS = 1000;
 const MOST_SAMPLES = 600;
@@ -67,16 +68,19 @@ function factsOf({info, health: statuses, milliseconds, time}: Sample):
     ['Most poses in a batch', count(info.maxBatchPoses)],
     ['Largest message', bytes(info.maxMessageBytes)],
     ['Batches in flight of a stream', count(info.maxBatchesInFlight)],
-    ['Vehicles in memory', count(info.residentVehicleCount)],
-    ['Nodes in memory', count(info.residentNodeCount)],
-    ['Their memory', bytes(info.residentBytes)],
+    ...(info.overAllTenants ? [
+      ['Vehicles in memory', count(info.residentVehicleCount)],
+      ['Nodes in memory', count(info.residentNodeCount)],
+      ['Their memory', bytes(info.residentBytes)],
+    ] as Array<[string, string]> : []),
     ['Round trip from this page', `${fixed(milliseconds, 1)} ms`],
     ['As of', time.toLocaleTimeString()],
   ];
 }
 
 function curvesOf(samples: Sample[]): Curve[] {
-  const now = samples[samples.length - 1].time.getTime();
+  const {time: last, info: {overAllTenants}} = samples[samples.length - 1];
+  const now = last.getTime();
   const x = samples.map(({time}) => (time.getTime() - now) / 1000);
   const shared = {xLabel: 's from now', x,
                   xRange: [Math.min(-60, x[0]), 0] as [number, number]};
@@ -84,10 +88,12 @@ function curvesOf(samples: Sample[]): Curve[] {
     {title: 'Round trip of GetServerInfo from this page, ms', ...shared,
      series: [{label: 'ms', colour: 'path', as: 'line',
                values: samples.map(({milliseconds}) => milliseconds)}]},
-    {title: 'Nodes in memory', ...shared,
-     series: [{label: 'nodes', colour: 'closure', as: 'line',
-               values: samples.map(
-                   ({info}) => Number(info.residentNodeCount))}]},
+    ...(overAllTenants ? [{
+      title: 'Nodes in memory', ...shared,
+      series: [{label: 'nodes', colour: 'closure', as: 'line',
+                values: samples.map(
+                    ({info}) => Number(info.residentNodeCount))}],
+    } as Curve] : []),
   ];
 }
 
@@ -108,12 +114,16 @@ export function ServerView() {
   const last = samples.value[samples.value.length - 1];
   const facts = last && factsOf(last);
   const curves = last && curvesOf(samples.value);
+  const metrics = useMetrics();
   return (
     <>
       <div class="title">
         <h1>Server</h1>
-        {last && <Export name="server"
-                         sheet={() => ({title: 'Server', facts, curves})} />}
+        {last && <Export name="server" sheet={() => {
+          const more = metricsSheet(metrics);
+          return {title: 'Server', facts: [...facts!, ...more.facts],
+                  curves: [...curves!, ...more.curves]};
+        }} />}
       </div>
       {error.value && <p class="error" role="status">{error.value}</p>}
       {!last && !error.value && <p>Asking the server…</p>}
@@ -133,14 +143,18 @@ export function ServerView() {
                   cell: ({ownedVehicleCount}) => count(ownedVehicleCount)},
                ]} />
       )}
-      {curves && curves.map(curve => (
-        <CurveView key={curve.title} curve={curve} />
-      ))}
-      <p class="hint">
-        The number of vehicles, nodes and bytes in memory is 0 for callers that
-        belong to a tenant. Everything else that the server can tell is in its
-        log and at its admin port.
-      </p>
+      {curves && (
+        <div class="curves">
+          {curves.map(curve => <CurveView key={curve.title} curve={curve} />)}
+        </div>
+      )}
+      <MetricsView history={metrics} />
+      {last && !last.info.overAllTenants && (
+        <p class="hint">
+          How much is in memory, and which servers share the store, is told to
+          callers that belong to no tenant.
+        </p>
+      )}
     </>
   );
 }
