@@ -37,7 +37,7 @@ interface Props {
 const HEIGHT = 150;
 
 /** Whether there is one value, which a line would not show. */
-export function isSingle(values: ArrayLike<number|null|undefined>): boolean {
+export function isSingle(values: ArrayLike<unknown>): boolean {
   let found = 0;
   for (let i = 0; i < values.length && found < 2; ++i) {
     if (values[i] != null) ++found;

@@ -83,7 +83,7 @@ function mapToSvg({scene, view}: {scene: Scene, view: View}): string {
 function seriesToSvg(series: Series, points: Array<[number, number]|null>):
     string {
   const colour = colourOf(series.colour);
-  if (series.as === 'points' || isSingle(series.values)) {
+  if (series.as === 'points' || isSingle(points)) {
     return points.map(point => point ?
         `<circle cx="${round(point[0])}" cy="${round(point[1])}" r="2.5" ` +
             `fill="${colour}"/>` : '').join('');

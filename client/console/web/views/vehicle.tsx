@@ -36,7 +36,7 @@ function boxOfGraph({x, y, size}: Graph): Box|undefined {
   return box;
 }
 
-function columnsFor(store: VehicleStore): Array<Column<Found>> {
+function columnsFor(store: VehicleStore, at: number): Array<Column<Found>> {
   return [
     {title: 'Pose', number: true, cell: found => (
       <a href={linkTo(store, found)}
@@ -58,20 +58,21 @@ function columnsFor(store: VehicleStore): Array<Column<Found>> {
            fixed(gate!.threshold, 2)}`},
     {title: 'Rank', number: true, cell: ({candidate}) => candidate.rank},
     {title: 'Decision', cell: ({candidate}) =>
-       decisionAbout(store, candidate)?.kind ?? ''},
+       decisionAbout(store, candidate, at)?.kind ?? ''},
   ];
 }
 
-function curvesOf(graph: Graph, vehicle: Vehicle,
-                  answers: Map<number, Answer>): Curve[] {
+/** Curves up to node `cut`. */
+function curvesOf(graph: Graph, vehicle: Vehicle, answers: Map<number, Answer>,
+                  cut: number): Curve[] {
   const newest = Number(vehicle.durableSequence);
   const sets = [...answers.values()].filter(({set}) => set);
   const x = sets.map(({asked}) => asked);
   const best = sets.map(({set}) => set!.candidates[0]);
   const shared = {xLabel: 'pose',
                   xRange: [1, newest] as [number, number]};
-  const step = Math.ceil(graph.size / MOST_CURVE_POINTS);
-  const nodes = Array.from({length: Math.ceil(graph.size / step)},
+  const step = Math.ceil((cut + 1) / MOST_CURVE_POINTS);
+  const nodes = Array.from({length: Math.ceil((cut + 1) / step)},
                            (_, i) => i * step);
   return [
     {title: 'd² of the first candidate', ...shared, x, logarithmic: true,
@@ -105,9 +106,11 @@ function curvesOf(graph: Graph, vehicle: Vehicle,
   ];
 }
 
-function Facts({vehicle, store}: {vehicle: Vehicle, store: VehicleStore}) {
+type Fact = [string, string];
+
+function factsNow(vehicle: Vehicle, store: VehicleStore): Fact[] {
   const {consistency} = vehicle;
-  const facts: Array<[string, string]> = [
+  return [
     ['State', words(VehicleState[vehicle.state])],
     ['Poses', count(vehicle.durableSequence)],
     ['Nodes', count(vehicle.nodeCount)],
@@ -117,19 +120,31 @@ function Facts({vehicle, store}: {vehicle: Vehicle, store: VehicleStore}) {
     ['Inflation', consistency ? fixed(consistency.inflation, 2) : '–'],
     ['Revision', count(vehicle.revision)],
   ];
+}
+
+/** What was so at pose `at`, whose node is `cut`. State, inflation and findings
+ * are known of the newest pose only. */
+function factsThen(store: VehicleStore, graph: Graph, at: number,
+                   cut: number): Fact[] {
+  const made = (decisions: ReadonlyArray<{querySequence: bigint}>) => count(
+      decisions.filter(
+          ({querySequence}) => Number(querySequence) <= at).length);
+  return [
+    ['Poses', count(at)],
+    ['Nodes', count(cut + 1)],
+    ['Travelled', length(graph.travelled[cut])],
+    ['Loop closures', made(store.closures.value)],
+    ['Rejected', made(store.rejections.value)],
+  ];
+}
+
+function FactList({facts}: {facts: Fact[]}) {
   return (
-    <>
-      <dl class="facts short">
-        {facts.map(([name, value]) => (
-          <div key={name}><dt>{name}</dt><dd>{value}</dd></div>
-        ))}
-      </dl>
-      {vehicle.findings.map(({code, message}) => (
-        <p class="error" key={code}>
-          <strong>{words(FindingCode[code])}</strong>: {message}
-        </p>
+    <dl class="facts short">
+      {facts.map(([name, value]) => (
+        <div key={name}><dt>{name}</dt><dd>{value}</dd></div>
       ))}
-    </>
+    </dl>
   );
 }
 
@@ -250,9 +265,10 @@ export function VehicleView({id}: {id: string}) {
   const stretches = useMemo(
       () => graph ? stretchShapes(
                         graph, shown.filter(({candidate}) =>
-                                   candidate.verdict === Verdict.ACCEPTED)) :
+                                   candidate.verdict === Verdict.ACCEPTED),
+                        cut) :
                     [],
-      [graph, shown]);
+      [graph, shown, cut]);
   const links = useMemo(() => candidateShapes(store, shown), [shown]);
   const decided = useMemo(() => graph ? [
     ...pairShapes(graph, {id: 'closures', label: 'Loop closure',
@@ -267,12 +283,13 @@ export function VehicleView({id}: {id: string}) {
     box,
   }), [ellipses, stretches, links, paths, decided, box]);
   const curves = useMemo(
-      () => graph && vehicle ? curvesOf(graph, vehicle, answers) : [],
-      [graph, vehicle, answers]);
-  const columns = useMemo(() => columnsFor(store), [store]);
+      () => graph && vehicle ? curvesOf(graph, vehicle, answers, cut) : [],
+      [graph, vehicle, answers, cut]);
+  const columns = useMemo(() => columnsFor(store, at), [store, at]);
 
   const waiting = [...answers.values()].filter(({outdated}) => outdated).length;
   const askable = posesToAsk(checks, at);
+  const due = checks.filter(({pose}) => pose <= at).length;
   const known = askable.filter(pose => answers.get(pose)?.set).length;
   const failed = [...answers.values()].find(({error}) => error)?.error;
   const name = vehicle?.displayName || id;
@@ -296,7 +313,14 @@ export function VehicleView({id}: {id: string}) {
       </div>
       {store.error.value &&
         <p class="error" role="status">{store.error.value}</p>}
-      {vehicle && <Facts vehicle={vehicle} store={store} />}
+      {vehicle && (live || !graph || graph.size === 0 ?
+        <FactList facts={factsNow(vehicle, store)} /> :
+        <FactList facts={factsThen(store, graph, at, cut)} />)}
+      {live && vehicle?.findings.map(({code, message}) => (
+        <p class="error" key={code}>
+          <strong>{words(FindingCode[code])}</strong>: {message}
+        </p>
+      ))}
       {graph && graph.size > 0 && (
         <>
           <Slider newest={newest} at={at} live={live} />
@@ -311,11 +335,16 @@ export function VehicleView({id}: {id: string}) {
                   'No check has fallen due yet.' :
                   `${count(known)} of ${count(askable.length)} checks ` +
                       'answered' +
-                      (checks.length > MOST_CHECKS ?
-                           `, the last up to this pose` : '') +
                       (waiting > 0 ? `, ${count(waiting)} asked anew` : '')}
                 {failed && `. ${failed}`}
               </p>
+              {due > MOST_CHECKS && (
+                <p class="hint">
+                  {count(due)} checks fell due up to this pose: candidates are
+                  those of the last {count(MOST_CHECKS)}. The slider leads back
+                  to earlier ones.
+                </p>
+              )}
               <Table label="Candidates" columns={columns} rows={shown}
                      keyOf={keyOf} empty="No candidates." />
             </div>
