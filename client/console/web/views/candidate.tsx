@@ -6,7 +6,7 @@ import {type Found, keyOf, verdictName} from '../data/candidates.js';
 import {type VehicleStore, vehicleStore} from '../data/vehicle.js';
 import {CurveView} from '../draw/curve.js';
 import {MapView} from '../draw/map.js';
-import type {View} from '../geometry/view.js';
+import type {MapSheet} from '../draw/svg.js';
 import {Export} from '../parts/export.js';
 import {count, fixed, probability, words} from '../parts/format.js';
 import {DecisionPanel} from './candidate_decision.js';
@@ -80,7 +80,7 @@ export function CandidateView({id, asked, matched}: Props) {
   const graph = store.graph.value;
   const vehicle = store.vehicle.value;
   const checks = store.checks.value;
-  const view = useRef<View>();
+  const shown = useRef<MapSheet>();
   useEffect(() => {
     const later = posesToAsk(checks, Infinity);
     store.candidates.want([asked, ...later.filter(pose => pose !== asked)]);
@@ -117,8 +117,7 @@ export function CandidateView({id, asked, matched}: Props) {
         {candidate && (
           <Export name={`${id}-${asked}-${matched}`} sheet={() => ({
             title: `${name}: ${title}, ${verdictName(candidate.verdict)}`,
-            map: overlay && view.current &&
-                {scene: overlay.scene, view: view.current},
+            map: shown.current,
             curves: overlay && [overlay.residuals],
             facts: [...evidence!.map(({rule, got, allowed}):
                         [string, string] => [rule, `${got}  ${allowed}`]),
@@ -150,7 +149,7 @@ export function CandidateView({id, asked, matched}: Props) {
       {candidate && (
         <div class="map-and-table">
           {overlay ? (
-            <MapView scene={overlay.scene} viewRef={view}
+            <MapView scene={overlay.scene} shownRef={shown}
                      label={'Both passes, laid over each other; the table ' +
                             'has the numbers'} />
           ) : (

@@ -10,7 +10,9 @@ import {type VehicleStore, vehicleStore} from '../data/vehicle.js';
 import {type Curve, CurveView} from '../draw/curve.js';
 import {MapView} from '../draw/map.js';
 import type {Scene} from '../draw/scene.js';
-import type {Box, View} from '../geometry/view.js';
+import type {MapSheet} from '../draw/svg.js';
+import {tangentFrame} from '../geometry/frame.js';
+import type {Box} from '../geometry/view.js';
 import {Export} from '../parts/export.js';
 import {count, fixed, length, probability, words} from '../parts/format.js';
 import {type Column, Table} from '../parts/table.js';
@@ -233,7 +235,7 @@ export function VehicleView({id}: {id: string}) {
   const vehicle = store.vehicle.value;
   const graph = store.graph.value;
   const checks = store.checks.value;
-  const view = useRef<View>();
+  const sheet = useRef<MapSheet>();
   const newest = Number(vehicle?.durableSequence ?? 0);
   const asked = Number(query.value.get('at') ?? NaN);
   const live = !(asked >= 1 && asked < newest);
@@ -282,6 +284,10 @@ export function VehicleView({id}: {id: string}) {
              ...decided, ...paths.slice(-1)],
     box,
   }), [ellipses, stretches, links, paths, decided, box]);
+  const origin = vehicle?.settings?.geodeticOrigin;
+  const frame = useMemo(() => origin && tangentFrame({
+    latitude: origin.latitudeDegrees, longitude: origin.longitudeDegrees,
+  }), [origin?.latitudeDegrees, origin?.longitudeDegrees]);
   const curves = useMemo(
       () => graph && vehicle ? curvesOf(graph, vehicle, answers, cut) : [],
       [graph, vehicle, answers, cut]);
@@ -307,7 +313,7 @@ export function VehicleView({id}: {id: string}) {
         </p>
         <Export name={id} sheet={() => ({
           title: `${name}, up to pose ${count(at)}`,
-          map: view.current && {scene, view: view.current},
+          map: sheet.current,
           curves,
         })} />
       </div>
@@ -325,7 +331,7 @@ export function VehicleView({id}: {id: string}) {
         <>
           <Slider newest={newest} at={at} live={live} />
           <div class="map-and-table">
-            <MapView scene={scene} viewRef={view}
+            <MapView scene={scene} frame={frame} shownRef={sheet}
                      label={`Map of the path of ${name}; the table has its ` +
                             'candidates'} />
             <div class="side">
