@@ -7,28 +7,19 @@ import {createRequire} from 'node:module';
 import {join} from 'node:path';
 import {after, before, test} from 'node:test';
 
-import {DRIVE, OUT, pixelsOf, until, World} from './world.mjs';
+import {DRIVE, OUT, pixelsOf, track, until, World} from './world.mjs';
 
 const AXE = readFileSync(
     createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8');
 const WIDTHS = [1440, 390];
-
-/** Half a minute northwards. */
-function track(latitude, longitude) {
-  const points = Array.from({length: 30}, (_, i) =>
-      `<trkpt lat="${latitude + 5e-5 * i}" lon="${longitude}"><ele>40</ele>` +
-      `<time>2026-01-01T00:00:${String(i).padStart(2, '0')}Z</time></trkpt>`);
-  return '<?xml version="1.0"?>\n<gpx version="1.1" creator="test" ' +
-      'xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>\n' +
-      points.join('\n') + '\n</trkseg></trk></gpx>\n';
-}
 
 let world;
 /** Name, address, and what is there once the view is whole. */
 let views;
 
 before(async () => {
-  world = await World.make();
+  world = await World.make(
+      [], ({revisitd}) => ['--metrics', revisitd.metrics]);
   const {revisitd} = world;
   revisitd.cli('stream', DRIVE, '--create', '--vehicle', 'boreas',
                '--uncertainty', 'file');
@@ -38,7 +29,7 @@ before(async () => {
   for (const [id, latitude, longitude] of
        [['van-1', 52.5163, 13.3777], ['van-2', 52.5208, 13.4094]]) {
     const file = join(world.directory, `${id}.gpx`);
-    writeFileSync(file, track(latitude, longitude));
+    writeFileSync(file, track([latitude, longitude]));
     revisitd.cli('stream', file, '--create', '--vehicle', id);
   }
   const found = revisitd.cli('find', 'boreas', '--sequence', '1500', '--json');
@@ -53,7 +44,7 @@ before(async () => {
          revisitd.cli('find', 'boreas', '--sequence', '1520', '--json')
              .candidates[0].matched.sequence}`,
      '.curve canvas'],
-    ['server', '/server', '.facts dd'],
+    ['server', '/server', '.columns meter'],
   ];
 });
 after(() => world?.close());

@@ -4,8 +4,8 @@ import {useEffect, useMemo} from 'preact/hooks';
 
 import {messageOf, repeat} from '../data/client.js';
 import {consoleSettings} from '../data/console.js';
-import {Interval, NoMetrics, type Quantile, type Reading, readMetrics} from
-    '../data/metrics.js';
+import {NoMetrics, readMetrics} from '../data/metrics.js';
+import {Interval, type Quantile, type Reading} from '../data/readings.js';
 import {type Curve, CurveView} from '../draw/curve.js';
 import {age, bytes, count, duration, fixed, rate} from '../parts/format.js';
 import {Table} from '../parts/table.js';
