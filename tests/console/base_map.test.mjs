@@ -243,7 +243,7 @@ test('a map is placed in the frame in which the server has the path',
                     .trim().split('\n').filter(line => !line.startsWith('#'))
                     .map(line => line.split(' ').map(Number));
   assert.equal(poses.length, 60);
-  const frame = tangentFrame(origin);
+  const frame = tangentFrame(origin, 40);
   const [x, y] = frame.toMap(far);
   const [, px, py] = poses[30];
   assert.ok(Math.hypot(px - x, py - y) < 0.01, `${[px, py]} but ${[x, y]}`);

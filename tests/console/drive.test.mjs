@@ -154,19 +154,92 @@ test('what is decided elsewhere is seen here', async () => {
               'no closure');
 });
 
-test('the time slider shows the drive as it was', async () => {
+/** What a saved file has of the map: the labels of its shapes with how many
+ * lines each has. */
+async function savedShapes(page) {
+  const [download] = await Promise.all([
+    page.waitForEvent('download'),
+    page.getByRole('button', {name: 'SVG', exact: true}).click(),
+  ]);
+  const text = readFileSync(await download.path(), 'utf8');
+  return Object.fromEntries(
+      [...text.matchAll(/<path d="([^"]*)"[^>]*><title>([^<]*)/g)].map(
+          ([, path, title]) => [title, path.split('M').length - 1]));
+}
+
+test('the time slider shows what was known then, and nothing later',
+     async () => {
+  const {revisitd} = world;
+  // Of each kind one before the pose at which the slider will stand, one whose
+  // query is behind it, and one that is behind it as a whole.
+  const decisions = [[300, 40], [420, 60], [900, 800]];
+  for (const [query, matched] of decisions) {
+    revisitd.cli('confirm', 'boreas', String(query), String(matched));
+    revisitd.cli('reject', 'boreas', String(query + 30), String(matched + 15));
+  }
   await page.goto(world.console.url + '/vehicles/boreas?at=350&hide=ellipse');
   await page.locator('.legend', {hasText: 'Later path'}).waitFor();
   await until(async () => await pixels(page, '--path-ahead') > 300,
               'path that is yet to come');
   assert.ok(await pixels(page, '--path') > 100);
-  const poses = await page.locator('.side tbody td:first-child')
-                    .allInnerTexts();
-  for (const pose of poses) {
-    assert.ok(Number(pose.replaceAll(',', '')) <= 350, pose);
+  const answered = /^(\d+) of \1 checks answered$/;
+  await page.getByText(answered).waitFor();
+  const poses = (await page.locator('.side tbody td:first-child')
+                     .allInnerTexts()).map(
+      text => Number(text.replaceAll(',', '')));
+  assert.ok(Math.max(...poses, 0) <= 350, `${poses}`);
+  assert.equal(await number(page, 'Poses'), 350);
+  assert.equal(await number(page, 'Loop closures'), 1);
+  assert.equal(await number(page, 'Rejected'), 1);
+  assert.ok(await number(page, 'Nodes') < NODES);
+  for (const name of ['State', 'Inflation', 'Revision']) {
+    assert.equal(await fact(page, name), '', name);
   }
+  const then = await savedShapes(page);
+  assert.equal(then['Loop closure'], 1);
+  assert.equal(then['Rejected by a verifier'], 1);
+  // No curve reaches behind the line at the pose.
+  const [travelled] = await page.locator('.curve', {hasText: 'Travelled'})
+                          .locator('canvas').evaluateAll(([canvas]) => {
+    const {width, height} = canvas;
+    const {data} =
+        canvas.getContext('2d').getImageData(0, 0, width, height);
+    const style = getComputedStyle(document.documentElement);
+    const extent = property => {
+      const value = parseInt(
+          style.getPropertyValue(property).trim().slice(1), 16);
+      const wanted = [value >> 16, value >> 8 & 255, value & 255];
+      const columns = [];
+      for (let i = 0; i < data.length; i += 4) {
+        if (data[i + 3] > 200 && wanted.every(
+                (part, k) => Math.abs(part - data[i + k]) < 20)) {
+          columns.push(i / 4 % width);
+        }
+      }
+      return columns.reduce((most, column) => Math.max(most, column), 0);
+    };
+    return [{curve: extent('--closure'), line: extent('--selected')}];
+  });
+  assert.ok(travelled.curve > 0 && travelled.curve <= travelled.line + 2,
+            JSON.stringify(travelled));
+
+  await page.goto(world.console.url + '/vehicles/boreas?at=440&hide=ellipse');
+  await page.getByText(answered).waitFor();
+  await until(async () => await number(page, 'Loop closures') === 2,
+              'second closure');
+  assert.equal(await number(page, 'Rejected'), 1);
   await page.getByRole('button', {name: 'Newest'}).click();
   await page.locator('.slider', {hasText: '(newest)'}).waitFor();
+  assert.equal(await number(page, 'Loop closures'), 3);
+  assert.equal(await number(page, 'Rejected'), 3);
+  const now = await savedShapes(page);
+  assert.equal(now['Loop closure'], 3);
+  for (const [query, matched] of decisions) {
+    revisitd.cli('closures', 'delete', 'boreas', String(query),
+                 String(matched));
+    revisitd.cli('rejections', 'delete', 'boreas', String(query + 30),
+                 String(matched + 15));
+  }
 });
 
 test('a server that is killed is missed, and found when it is back',

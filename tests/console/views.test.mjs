@@ -7,7 +7,7 @@ import {createRequire} from 'node:module';
 import {join} from 'node:path';
 import {after, before, test} from 'node:test';
 
-import {DRIVE, OUT, pixelsOf, track, until, World} from './world.mjs';
+import {DRIVE, fact, OUT, pixelsOf, track, until, World} from './world.mjs';
 
 const AXE = readFileSync(
     createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8');
@@ -158,6 +158,49 @@ test('every view is saved as SVG and as PNG', async () => {
     assert.deepEqual(page.complaints, []);
     await page.context().close();
   }
+});
+
+test('the server\'s view shows what the server does', async () => {
+  const page = await opened(views[3]);
+  const row = (table, name) => page.getByRole('table', {name: table})
+      .locator('tbody tr', {hasText: name}).locator('td').allInnerTexts();
+  assert.equal(await fact(page, 'Streams open'), '0');
+  assert.equal(await fact(page, 'Takes writes'), 'yes');
+  assert.match(await fact(page, 'Size of the store'), /^[\d.]+ [KM]iB$/);
+  const stream =
+      world.revisitd.openStream('--create', '--vehicle', 'streamed',
+                                '--uncertainty', 'file');
+  try {
+    const [head, ...poses] = readFileSync(DRIVE, 'utf8').split('\n');
+    stream.stdin.write(head + '\n');
+    await until(async () => {
+      stream.stdin.write(poses.splice(0, 20).map(line => line + '\n').join(''));
+      return await fact(page, 'Streams open') === '1' &&
+          /ms$/.test((await row('Latencies', 'Acknowledgement'))[2]);
+    }, 'stream and its acknowledgements');
+    const [, p50, p99, rate, all] = await row('Latencies', 'Acknowledgement');
+    assert.ok(parseFloat(p50) <= parseFloat(p99), `${p50} ${p99}`);
+    assert.ok(parseFloat(rate) > 0 && Number(all.replaceAll(',', '')) > 0);
+    assert.match(await fact(page, 'Poses accepted'), /^[\d.]+\/s$/);
+    const [, , share] = await row('Limits in use', 'max-streams');
+    assert.ok(parseFloat(share) > 0, share);
+    // An error is counted with its code and reason.
+    await ask('POST', CALL + 'GetVehicle', JSON_TYPE,
+              '{"name": "vehicles/nobody"}');
+    await until(async () => (await row('Reason of an error',
+                                       'VEHICLE_NOT_FOUND')).length > 0,
+                'reason');
+    assert.equal((await row('Ended with', 'NOT_FOUND')).length, 3);
+    // Curves are drawn once there are two readings.
+    await page.locator('.curve', {hasText: 'Streams open'})
+        .locator('canvas').waitFor();
+    await page.screenshot({path: join(OUT, 'server-busy.png'), fullPage: true});
+  } finally {
+    stream.kill();
+  }
+  world.revisitd.cli('vehicle', 'delete', '--yes', 'streamed');
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
 });
 
 /** Status and headers of a bare request. */

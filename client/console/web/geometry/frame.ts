@@ -41,23 +41,26 @@ export function mercatorFrame(origin: Place): Frame {
   };
 }
 
-/** Metres from the centre of the earth, of a place on the ellipsoid. */
-function earthCentred({latitude, longitude}: Place): [number, number, number] {
+/** Metres from the centre of the earth, of a place so high above the
+ * ellipsoid. */
+function earthCentred({latitude, longitude}: Place, height: number):
+    [number, number, number] {
   const [sine, cosine] = [Math.sin(latitude * RADIANS),
                           Math.cos(latitude * RADIANS)];
   const normal =
       AXIS_METERS / Math.sqrt(1 - SQUARED_ECCENTRICITY * sine * sine);
   return [
-    normal * cosine * Math.cos(longitude * RADIANS),
-    normal * cosine * Math.sin(longitude * RADIANS),
-    normal * (1 - SQUARED_ECCENTRICITY) * sine,
+    (normal + height) * cosine * Math.cos(longitude * RADIANS),
+    (normal + height) * cosine * Math.sin(longitude * RADIANS),
+    (normal * (1 - SQUARED_ECCENTRICITY) + height) * sine,
   ];
 }
 
-/** The plane that touches the earth at the origin: the frame in which the
- * server has the paths of geodetic vehicles, seen from above. */
-export function tangentFrame(origin: Place): Frame {
-  const [x0, y0, z0] = earthCentred(origin);
+/** The plane that touches the earth at the origin, whose height is that of all
+ * places here: the frame in which the server has the paths of geodetic
+ * vehicles, seen from above. */
+export function tangentFrame(origin: Place, heightMeters: number): Frame {
+  const [x0, y0, z0] = earthCentred(origin, heightMeters);
   const [sinLat, cosLat] = [Math.sin(origin.latitude * RADIANS),
                             Math.cos(origin.latitude * RADIANS)];
   const [sinLon, cosLon] = [Math.sin(origin.longitude * RADIANS),
@@ -65,7 +68,7 @@ export function tangentFrame(origin: Place): Frame {
   return {
     origin,
     toMap: place => {
-      const [x, y, z] = earthCentred(place);
+      const [x, y, z] = earthCentred(place, heightMeters);
       const [dx, dy, dz] = [x - x0, y - y0, z - z0];
       return [
         -sinLon * dx + cosLon * dy,

@@ -287,7 +287,8 @@ export function VehicleView({id}: {id: string}) {
   const origin = vehicle?.settings?.geodeticOrigin;
   const frame = useMemo(() => origin && tangentFrame({
     latitude: origin.latitudeDegrees, longitude: origin.longitudeDegrees,
-  }), [origin?.latitudeDegrees, origin?.longitudeDegrees]);
+  }, origin.heightMeters), [origin?.latitudeDegrees, origin?.longitudeDegrees,
+                            origin?.heightMeters]);
   const curves = useMemo(
       () => graph && vehicle ? curvesOf(graph, vehicle, answers, cut) : [],
       [graph, vehicle, answers, cut]);
