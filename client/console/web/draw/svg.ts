@@ -1,5 +1,6 @@
 // Files of what is in view: an SVG is written, and a PNG is that SVG drawn.
 import type {View} from '../geometry/view.js';
+import type {Fact} from '../parts/facts.js';
 import {length} from '../parts/format.js';
 import {type Curve, isSingle, type Series} from './curve.js';
 import {colourOf, scaleBarMeters, type Scene, type Shape} from './scene.js';
@@ -24,8 +25,7 @@ export interface Sheet {
   title: string;
   map?: MapSheet;
   curves?: Curve[];
-  /** Names with what they are. */
-  facts?: Array<[string, string]>;
+  facts?: Fact[];
 }
 
 const MARGIN = 16;

@@ -8,6 +8,7 @@ import {CurveView} from '../draw/curve.js';
 import {MapView} from '../draw/map.js';
 import type {MapSheet} from '../draw/svg.js';
 import {Export} from '../parts/export.js';
+import {type Fact, FactList} from '../parts/facts.js';
 import {count, fixed, probability, words} from '../parts/format.js';
 import {DecisionPanel} from './candidate_decision.js';
 import {overlayOf} from './candidate_overlay.js';
@@ -120,8 +121,7 @@ export function CandidateView({id, asked, matched}: Props) {
             map: shown.current,
             curves: overlay && [overlay.residuals],
             facts: [...evidence!.map(({rule, got, allowed}):
-                        [string, string] => [rule, `${got}  ${allowed}`]),
-                    ...facts!],
+                        Fact => [rule, `${got}  ${allowed}`]), ...facts!],
           })} />
         )}
       </div>
@@ -160,11 +160,7 @@ export function CandidateView({id, asked, matched}: Props) {
           )}
           <div class="side">
             <RuleTable rows={evidence!} />
-            <dl class="facts">
-              {facts!.map(([label, value]) => (
-                <div key={label}><dt>{label}</dt><dd>{value}</dd></div>
-              ))}
-            </dl>
+            <FactList facts={facts!} />
             <Posterior store={store} found={found!} />
           </div>
         </div>

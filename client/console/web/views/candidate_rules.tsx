@@ -2,6 +2,7 @@
 import {type Candidate, Direction, GateVerdict, Verdict} from
     '../../gen/revisit/v1/candidate_pb.js';
 import {CovarianceForm} from '../../gen/revisit/v1/geometry_pb.js';
+import type {Fact} from '../parts/facts.js';
 import {count, degrees, fixed, length, probability, words} from
     '../parts/format.js';
 
@@ -109,7 +110,7 @@ function deviations({difference}: Candidate):
           heading: Math.sqrt(values[hh])};
 }
 
-export function factsOf(candidate: Candidate): Array<[string, string]> {
+export function factsOf(candidate: Candidate): Fact[] {
   const {query, matched, difference, gate, placeInterval} = candidate;
   const deviation = deviations(candidate);
   return [
@@ -129,7 +130,7 @@ export function factsOf(candidate: Candidate): Array<[string, string]> {
     ...(placeInterval ? [[
       'Where to look', `from ${length(placeInterval.metersBefore)} before to ${
           length(placeInterval.metersAfter)} after the match`,
-    ] as [string, string]] : []),
+    ] as Fact] : []),
   ];
 }
 

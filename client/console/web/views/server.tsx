@@ -8,6 +8,7 @@ import {Durability, type GetServerInfoResponse} from
 import {health, messageOf, repeat, service} from '../data/client.js';
 import {type Curve, CurveView} from '../draw/curve.js';
 import {Export} from '../parts/export.js';
+import {type Fact, FactList} from '../parts/facts.js';
 import {bytes, count, fixed, words} from '../parts/format.js';
 import {Table} from '../parts/table.js';
 import {metricsSheet, MetricsView, useMetrics} from './server_metrics.js';
@@ -55,14 +56,14 @@ async function ask(): Promise<Sample> {
 }
 
 function factsOf({info, health: statuses, milliseconds, time}: Sample):
-    Array<[string, string]> {
+    Fact[] {
   return [
     ['Version', info.version],
-    ...HEALTH_NAMES.map(([, label], i): [string, string] => [label,
+    ...HEALTH_NAMES.map(([, label], i): Fact => [label,
                                                             statuses[i]]),
     ['Durability', DURABILITY[info.durability]],
     ...(info.durabilitySettings ?
-            [['Comes from', info.durabilitySettings] as [string, string]] :
+            [['Comes from', info.durabilitySettings] as Fact] :
             []),
     ['Format of the store', String(info.storeFormat)],
     ['Most poses in a batch', count(info.maxBatchPoses)],
@@ -72,7 +73,7 @@ function factsOf({info, health: statuses, milliseconds, time}: Sample):
       ['Vehicles in memory', count(info.residentVehicleCount)],
       ['Nodes in memory', count(info.residentNodeCount)],
       ['Their memory', bytes(info.residentBytes)],
-    ] as Array<[string, string]> : []),
+    ] as Fact[] : []),
     ['Round trip from this page', `${fixed(milliseconds, 1)} ms`],
     ['As of', time.toLocaleTimeString()],
   ];
@@ -127,13 +128,7 @@ export function ServerView() {
       </div>
       {error.value && <p class="error" role="status">{error.value}</p>}
       {!last && !error.value && <p>Asking the server…</p>}
-      {facts && (
-        <dl class="facts">
-          {facts.map(([name, value]) => (
-            <div key={name}><dt>{name}</dt><dd>{value}</dd></div>
-          ))}
-        </dl>
-      )}
+      {facts && <FactList facts={facts} />}
       {last && last.info.servers.length > 0 && (
         <Table label="Servers that share the store" rows={last.info.servers}
                keyOf={({address}) => address} empty="None"

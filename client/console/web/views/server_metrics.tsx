@@ -7,6 +7,7 @@ import {consoleSettings} from '../data/console.js';
 import {NoMetrics, readMetrics} from '../data/metrics.js';
 import {Interval, type Quantile, type Reading} from '../data/readings.js';
 import {type Curve, CurveView} from '../draw/curve.js';
+import {type Fact, FactList} from '../parts/facts.js';
 import {age, bytes, count, duration, fixed, rate} from '../parts/format.js';
 import {Table} from '../parts/table.js';
 
@@ -23,8 +24,6 @@ const LATENCIES: Array<[string, string]> = [
   ['Transaction of the store', 'revisit_store_commit_seconds'],
   ['Flush of the store', 'revisit_store_flush_seconds'],
 ];
-
-type Facts = Array<[string, string]>;
 
 /** The numbers of one moment that are drawn as curves. */
 interface Point {
@@ -113,8 +112,8 @@ export function useMetrics(): History {
 }
 
 /** Those facts whose metric the server has. */
-function known(facts: Array<[string, string|undefined]>): Facts {
-  return facts.filter((fact): fact is [string, string] =>
+function known(facts: Array<[string, string|undefined]>): Fact[] {
+  return facts.filter((fact): fact is Fact =>
                           fact[1] !== undefined);
 }
 
@@ -127,7 +126,7 @@ function yesOrNo(value: number): string {
   return value > 0 ? 'yes' : 'no';
 }
 
-function loadFacts(interval: Interval): Facts {
+function loadFacts(interval: Interval): Fact[] {
   const {now} = interval;
   const open = openOf(now);
   const codes = interval.ratesBy('revisit_calls_total', 'code');
@@ -160,7 +159,7 @@ function loadFacts(interval: Interval): Facts {
   ]);
 }
 
-function storageFacts(interval: Interval): Facts {
+function storageFacts(interval: Interval): Fact[] {
   const {now} = interval;
   return known([
     ['Takes writes', told(now.value('revisit_store_writable'), yesOrNo)],
@@ -180,7 +179,7 @@ function storageFacts(interval: Interval): Facts {
   ]);
 }
 
-function securityFacts({now}: Interval): Facts {
+function securityFacts({now}: Interval): Fact[] {
   const seconds = now.time / 1000;
   const loaded = (files: string) =>
       told(now.value('revisit_security_files_loaded_timestamp_seconds',
@@ -231,7 +230,7 @@ function curvesOf(points: Point[]): Curve[] {
 
 /** What an export of the view says of the metrics. */
 export function metricsSheet({interval, points}: History):
-    {facts: Facts, curves: Curve[]} {
+    {facts: Fact[], curves: Curve[]} {
   return {
     facts: interval ? [...loadFacts(interval), ...storageFacts(interval),
                        ...securityFacts(interval)] : [],
@@ -305,16 +304,12 @@ function EndTable({interval, metric, label, title}:
   );
 }
 
-function FactList({title, facts}: {title: string, facts: Facts}) {
+function FactSection({title, facts}: {title: string, facts: Fact[]}) {
   if (facts.length === 0) return null;
   return (
     <section>
       <h2>{title}</h2>
-      <dl class="facts">
-        {facts.map(([name, value]) => (
-          <div key={name}><dt>{name}</dt><dd>{value}</dd></div>
-        ))}
-      </dl>
+      <FactList facts={facts} />
     </section>
   );
 }
@@ -345,7 +340,7 @@ export function MetricsView({history}: {history: History}) {
       {error && <p class="error" role="status">{error}</p>}
       {interval && (
         <>
-          <FactList title={`Load, over the last ${
+          <FactSection title={`Load, over the last ${
               count(interval.seconds)} s`} facts={loadFacts(interval)} />
           <h2>Latencies</h2>
           <LatencyTable interval={interval} />
@@ -362,8 +357,8 @@ export function MetricsView({history}: {history: History}) {
                         label="reason" title="Reason of an error" />
             </section>
           </div>
-          <FactList title="Storage" facts={storageFacts(interval)} />
-          <FactList title="Certificates and keys"
+          <FactSection title="Storage" facts={storageFacts(interval)} />
+          <FactSection title="Certificates and keys"
                     facts={securityFacts(interval)} />
           <div class="curves">
             {curvesOf(points).map(curve => (

@@ -14,6 +14,7 @@ import type {MapSheet} from '../draw/svg.js';
 import {tangentFrame} from '../geometry/frame.js';
 import type {Box} from '../geometry/view.js';
 import {Export} from '../parts/export.js';
+import {type Fact, FactList} from '../parts/facts.js';
 import {count, fixed, length, probability, words} from '../parts/format.js';
 import {type Column, Table} from '../parts/table.js';
 import {query, setQuery} from '../route.js';
@@ -108,8 +109,6 @@ function curvesOf(graph: Graph, vehicle: Vehicle, answers: Map<number, Answer>,
   ];
 }
 
-type Fact = [string, string];
-
 function factsNow(vehicle: Vehicle, store: VehicleStore): Fact[] {
   const {consistency} = vehicle;
   return [
@@ -138,16 +137,6 @@ function factsThen(store: VehicleStore, graph: Graph, at: number,
     ['Loop closures', made(store.closures.value)],
     ['Rejected', made(store.rejections.value)],
   ];
-}
-
-function FactList({facts}: {facts: Fact[]}) {
-  return (
-    <dl class="facts short">
-      {facts.map(([name, value]) => (
-        <div key={name}><dt>{name}</dt><dd>{value}</dd></div>
-      ))}
-    </dl>
-  );
 }
 
 interface SliderProps {
@@ -321,8 +310,8 @@ export function VehicleView({id}: {id: string}) {
       {store.error.value &&
         <p class="error" role="status">{store.error.value}</p>}
       {vehicle && (live || !graph || graph.size === 0 ?
-        <FactList facts={factsNow(vehicle, store)} /> :
-        <FactList facts={factsThen(store, graph, at, cut)} />)}
+        <FactList short facts={factsNow(vehicle, store)} /> :
+        <FactList short facts={factsThen(store, graph, at, cut)} />)}
       {live && vehicle?.findings.map(({code, message}) => (
         <p class="error" key={code}>
           <strong>{words(FindingCode[code])}</strong>: {message}
