@@ -11,6 +11,8 @@ import {dark} from '../theme.js';
 
 /** How much of a picture's brightness is left on a dark page. */
 const DARK_OPACITY = 0.55;
+/** deck.gl blends by the root of this degree of a layer's opacity. */
+const DECK_GAMMA = 2.2;
 /** Pixels of a saved picture for one of the screen. */
 const PICTURE_SCALE = 2;
 
@@ -50,7 +52,7 @@ export class Ground {
           image: bitmap,
           bounds: corners as [[number, number], [number, number],
                               [number, number], [number, number]],
-          opacity: opacityOf(archive),
+          opacity: opacityOf(archive) ** DECK_GAMMA,
           parameters: {depthWriteEnabled: false, depthCompare: 'always'},
         }));
   }

@@ -59,6 +59,12 @@ export function duration(seconds: number): string {
   return `${fixed(1000 * seconds, seconds >= 0.1 ? 0 : 2)} ms`;
 }
 
+/** A share of something that can be used up. */
+export function percent(share: number): string {
+  if (share > 0 && share < 0.0001) return '< 0.01 %';
+  return `${fixed(100 * share, share < 0.1 ? 2 : 0)} %`;
+}
+
 /** How long ago, or ahead, in the largest unit that fits. */
 export function age(seconds: number): string {
   for (const [unit, size] of [['days', 86_400], ['hours', 3600],

@@ -8,7 +8,7 @@ import {NoMetrics, readMetrics} from '../data/metrics.js';
 import {Interval, type Quantile, type Reading} from '../data/readings.js';
 import {type Curve, CurveView} from '../draw/curve.js';
 import {type Fact, FactList} from '../parts/facts.js';
-import {age, bytes, count, duration, fixed, rate} from '../parts/format.js';
+import {age, bytes, count, duration, fixed, percent, rate} from '../parts/format.js';
 import {Table} from '../parts/table.js';
 
 const POLL_MILLISECONDS = 1000;
@@ -280,7 +280,7 @@ function LimitTable({now}: {now: Reading}) {
                   <meter min={0} max={1} value={share}
                          aria-label={`Share of ${limit} in use`} />)},
              {title: 'Share', number: true, cell: ([, share]) =>
-                share === undefined ? '–' : `${fixed(100 * share, 1)} %`},
+                share === undefined ? '–' : percent(share)},
              {title: 'Refusals', number: true, cell: ([limit]) =>
                 count(refusals.get(limit) ?? 0)},
            ]} />
