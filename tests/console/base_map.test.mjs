@@ -5,8 +5,8 @@ import {join} from 'node:path';
 import {after, before, test} from 'node:test';
 
 import {picture, vectors, writeArchive} from './pmtiles.mjs';
-import {coloursAt, Console, DRIVE, load, OUT, pixelsOf, track, until, World}
-    from './world.mjs';
+import {coloursAt, Console, DRIVE, isAccessible, load, OUT, pixelsOf, track,
+        until, World} from './world.mjs';
 
 const LEVEL = 14;
 const LONGITUDE = 13.3777;
@@ -113,6 +113,23 @@ test('who made the map is named, by text and links alone', async () => {
       [['a', 'https://www.openstreetmap.org/copyright']]);
   assert.deepEqual(page.complaints, []);
   await page.context().close();
+});
+
+test('a view with a base map breaks no rule of axe', async () => {
+  for (const width of [1440, 390]) {
+    for (const colorScheme of ['light', 'dark']) {
+      const page = await openVan({colorScheme, viewport: {width, height: 900}});
+      await page.locator('.attribution').waitFor();
+      await until(async () => (await pixelsOf(page, '--path')).count > 100,
+                  'path');
+      await page.screenshot({
+        path: join(OUT, `base-map-${width}-${colorScheme}.png`),
+        fullPage: true,
+      });
+      await isAccessible(page);
+      await page.context().close();
+    }
+  }
 });
 
 test('it is hidden by a box, and the link keeps that', async () => {

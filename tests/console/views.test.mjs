@@ -3,14 +3,12 @@
 import assert from 'node:assert/strict';
 import {readFileSync, writeFileSync} from 'node:fs';
 import {request} from 'node:http';
-import {createRequire} from 'node:module';
 import {join} from 'node:path';
 import {after, before, test} from 'node:test';
 
-import {DRIVE, fact, OUT, pixelsOf, track, until, World} from './world.mjs';
+import {DRIVE, fact, isAccessible, OUT, pixelsOf, track, until, World} from
+    './world.mjs';
 
-const AXE = readFileSync(
-    createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8');
 const WIDTHS = [1440, 390];
 
 let world;
@@ -68,15 +66,7 @@ test('no view breaks a rule of axe, light or dark, wide or narrow',
           path: join(OUT, `${view[0]}-${width}-${colorScheme}.png`),
           fullPage: true,
         });
-        // Evaluated by the debugger, which no policy of the page hinders.
-        await page.evaluate(AXE);
-        const {violations} = await page.evaluate(() => axe.run());
-        assert.deepEqual(violations.map(({id, nodes}) => [
-          view[0], width, colorScheme, id, nodes.map(({html}) => html)]), []);
-        assert.ok(await page.evaluate(
-            () => document.documentElement.scrollWidth <= innerWidth),
-            `${view[0]} is wider than ${width} pixels`);
-        assert.deepEqual(page.complaints, []);
+        await isAccessible(page);
         await page.context().close();
       }
     }

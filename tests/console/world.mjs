@@ -195,6 +195,24 @@ export class World {
   }
 }
 
+const AXE = readFileSync(
+    createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8');
+
+/** Asserts that the page breaks no rule of axe, fits its width, and nothing was
+ * complained about. */
+export async function isAccessible(page) {
+  // Evaluated by the debugger, which no policy of the page hinders.
+  await page.evaluate(AXE);
+  const {violations} = await page.evaluate(() => axe.run());
+  assert.deepEqual(violations.map(({id, nodes}) => [
+    page.url(), page.viewportSize().width, id,
+    nodes.map(({html}) => html)]), []);
+  assert.ok(await page.evaluate(
+      () => document.documentElement.scrollWidth <= innerWidth),
+      `${page.url()} is wider than ${page.viewportSize().width} pixels`);
+  assert.deepEqual(page.complaints, []);
+}
+
 /** The number behind a name in a view's list of facts. */
 export async function fact(page, name) {
   const value = page.locator('dl.facts > div', {

@@ -64,21 +64,25 @@ export class Ground {
     const canvas = new OffscreenCanvas(PICTURE_SCALE * view.width,
                                        PICTURE_SCALE * view.height);
     const context = canvas.getContext('2d')!;
-    context.globalAlpha = opacityOf(archive);
     const pixels = PICTURE_SCALE / view.metersPerPixel;
     const px = (x: number) => canvas.width / 2 + (x - view.x) * pixels;
     const py = (y: number) => canvas.height / 2 - (y - view.y) * pixels;
     for (const {bitmap, corners} of this.placedIn(view, archive)) {
       const [southWest, northWest, northEast] =
           corners.map(([x, y]) => [px(x), py(y)]);
-      const {width, height} = bitmap;
-      context.setTransform(
-          (northEast[0] - northWest[0]) / width,
-          (northEast[1] - northWest[1]) / width,
-          (southWest[0] - northWest[0]) / height,
-          (southWest[1] - northWest[1]) / height, northWest[0], northWest[1]);
-      context.drawImage(bitmap, 0, 0);
+      const [across, down] = [northEast, southWest].map(
+          ([x, y]) => [x - northWest[0], y - northWest[1]]);
+      context.setTransform(across[0], across[1], down[0], down[1],
+                           ...northWest as [number, number]);
+      // Tiles overlap by a pixel, so that nothing shines through between them.
+      const [wide, high] =
+          [across, down].map(([x, y]) => 1 + 1 / Math.hypot(x, y));
+      context.drawImage(bitmap, 0, 0, wide, high);
     }
+    context.resetTransform();
+    context.globalCompositeOperation = 'destination-in';
+    context.globalAlpha = opacityOf(archive);
+    context.fillRect(0, 0, canvas.width, canvas.height);
     const blob = await canvas.convertToBlob({type: 'image/png'});
     return new Promise((resolve, reject) => {
       const reader = new FileReader();
