@@ -10,7 +10,7 @@ import {coloursAt, Console, DRIVE, isAccessible, load, OUT, pixelsOf, track,
 
 const LEVEL = 14;
 const LONGITUDE = 13.3777;
-/** What track() moves northwards from one of its points to the next. */
+/** track() moves so far northwards from one of its points to the next. */
 const STEP_DEGREES = 5e-5;
 // Neither is like a colour of the page.
 const NORTH = [120, 180, 120];

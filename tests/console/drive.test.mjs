@@ -154,8 +154,8 @@ test('what is decided elsewhere is seen here', async () => {
               'no closure');
 });
 
-/** What a saved file has of the map: the labels of its shapes with how many
- * lines each has. */
+/** Labels of the shapes of the map in a saved file, with how many lines each
+ * has. */
 async function savedShapes(page) {
   const [download] = await Promise.all([
     page.waitForEvent('download'),
@@ -246,7 +246,7 @@ test('a server that is killed is missed, and found when it is back',
      async () => {
   await world.revisitd.kill();
   await page.getByText('No answer from revisitd since').waitFor();
-  // What was there is still shown.
+  // The graph of before is still shown.
   assert.equal(await number(page, 'Nodes'), NODES);
   await world.revisitd.start();
   await page.getByText('No answer from revisitd since')

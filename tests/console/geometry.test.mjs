@@ -1,4 +1,4 @@
-// What the maps are computed with, without a browser.
+// The geometry of maps, without a browser.
 import assert from 'node:assert/strict';
 import {before, test} from 'node:test';
 

@@ -17,7 +17,7 @@ export const ROOT = fileURLToPath(new URL('../..', import.meta.url));
 export const BIN = process.env.REVISIT_BIN ?? join(ROOT, 'build/release/bin');
 export const DRIVE =
     join(ROOT, 'tests/data/boreas/boreas_glen_shields.csv');
-/** What the tests leave to be looked at. */
+/** Pictures that the tests leave to be looked at. */
 export const OUT = join(ROOT, 'build/console');
 
 const PATIENCE_MILLISECONDS = 30_000;

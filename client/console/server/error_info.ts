@@ -1,7 +1,7 @@
 import {BinaryReader} from '@bufbuild/protobuf/wire';
 import {ConnectError} from '@connectrpc/connect';
 
-/** What a google.rpc.ErrorInfo says beyond code and message. */
+/** The content of a google.rpc.ErrorInfo that is used here. */
 export interface ErrorInfo {
   reason: string;
   metadata: Map<string, string>;

@@ -28,7 +28,7 @@ function isOwn(request: IncomingMessage, hosts: Set<string>): boolean {
       (mayBeForeign || site === undefined || site === 'same-origin');
 }
 
-/** What the page has to know of the console's options. */
+/** The page asks for these to know which of its parts there are. */
 function settingsOf(options: Options): object {
   return {metrics: options.metrics !== undefined,
           baseMap: options.baseMap !== undefined};

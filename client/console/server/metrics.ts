@@ -6,7 +6,7 @@ import {Code, ConnectError, createClient, type Transport} from
 import {PoseGraphService} from '../gen/revisit/v1/pose_graph_service_pb.js';
 import {type MetricSample, parseMetrics} from './exposition.js';
 
-/** What the page is told of the server's metrics. */
+/** One reading of the server's metrics, as the page gets it. */
 export interface Scrape {
   /** Milliseconds since 1970 at which they were read. */
   time: number;

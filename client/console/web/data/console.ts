@@ -1,4 +1,4 @@
-// What the console itself was started with.
+// The page asks the console itself which of the optional parts it has.
 import {signal} from '@preact/signals';
 
 export interface ConsoleSettings {

@@ -64,7 +64,7 @@ export class Reading {
   }
 }
 
-/** What happened from one reading to a later one of the same process. */
+/** The time between a reading and a later one of the same process. */
 export class Interval {
   constructor(private readonly before: Reading, readonly now: Reading) {}
 

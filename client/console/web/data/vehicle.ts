@@ -204,7 +204,8 @@ export class VehicleStore {
           Math.abs(graph.travelled[i] - graph.travelled[j]) <= separation;
     };
     const about = (made: LoopClosure|RejectedCandidate) =>
-        Number(made.querySequence) <= upTo && near(query, Number(made.querySequence)) &&
+        Number(made.querySequence) <= upTo &&
+        near(query, Number(made.querySequence)) &&
         near(matched, Number(made.matchedSequence));
     const asDecision =
         (kind: Decision['kind'],

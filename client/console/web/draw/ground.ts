@@ -41,8 +41,8 @@ export class Ground {
   constructor(private readonly store: TileStore,
               private readonly frame: Frame) {}
 
-  /** What is to be drawn below a view with the tiles that are here; asks for
-   * those that are not. */
+  /** Draws the tiles of a view that are here, and asks for those that are
+   * not. */
   layersIn(view: View): Layer[] {
     const archive = this.store.archive.value;
     if (!archive) return [];

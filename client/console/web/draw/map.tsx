@@ -169,7 +169,7 @@ class MapDrawing {
   }
 }
 
-/** What is known of the base map in a frame. */
+/** The base map in a frame, once its head was read. */
 interface BaseMap {
   ground: Ground;
   /** Text that has to be shown with it; it may hold HTML. */

@@ -20,7 +20,7 @@ export interface GroundSheet {
   attribution: string;
 }
 
-/** What a file shows, from top to bottom. */
+/** The contents of a file, from top to bottom. */
 export interface Sheet {
   title: string;
   map?: MapSheet;

@@ -16,7 +16,8 @@ export interface Overlay {
 
 /** Both passes, the recent one moved and turned so that it lies on the earlier
  * one as well as it can, and how far the pairs are apart then. */
-export function overlayOf(graph: Graph, candidate: Candidate): Overlay|undefined {
+export function overlayOf(graph: Graph, candidate: Candidate):
+    Overlay|undefined {
   const pairs = candidate.alignedPath.map(
       ({queryIndex, matchedIndex}) => [Number(queryIndex),
                                        Number(matchedIndex)]);

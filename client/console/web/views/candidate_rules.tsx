@@ -1,4 +1,4 @@
-// What the rules looked at when they judged a candidate, and its numbers.
+// The numbers of a candidate, and those at which the rules looked.
 import {type Candidate, Direction, GateVerdict, Verdict} from
     '../../gen/revisit/v1/candidate_pb.js';
 import {CovarianceForm} from '../../gen/revisit/v1/geometry_pb.js';
@@ -40,7 +40,8 @@ function passedOf(verdict: GateVerdict): boolean|undefined {
 }
 
 /** Every number that a rule looked at, in the order of the rules. */
-export function evidenceOf(candidate: Candidate, acceptance: number): Evidence[] {
+export function evidenceOf(candidate: Candidate, acceptance: number):
+    Evidence[] {
   const {gate, pathGate, verdict, shape} = candidate;
   const rejectedByPath = pathGate?.verdict === GateVerdict.REJECTED;
   const rows: Evidence[] = [{

@@ -35,7 +35,7 @@ const DURABILITY: Record<Durability, string> = {
       'power takes what was acknowledged last',
 };
 
-/** What one round of questions was answered. */
+/** The answers to one round of questions. */
 interface Sample {
   time: Date;
   info: GetServerInfoResponse;

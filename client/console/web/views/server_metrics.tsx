@@ -8,7 +8,8 @@ import {NoMetrics, readMetrics} from '../data/metrics.js';
 import {Interval, type Quantile, type Reading} from '../data/readings.js';
 import {type Curve, CurveView} from '../draw/curve.js';
 import {type Fact, FactList} from '../parts/facts.js';
-import {age, bytes, count, duration, fixed, percent, rate} from '../parts/format.js';
+import {age, bytes, count, duration, fixed, percent, rate} from
+    '../parts/format.js';
 import {Table} from '../parts/table.js';
 
 const POLL_MILLISECONDS = 1000;
@@ -36,7 +37,7 @@ interface Point {
   latencies: Array<[number|null, number|null]>;
 }
 
-/** What is kept of the readings so far. */
+/** All that is kept of the readings so far. */
 export interface History {
   points: Point[];
   /** Since when rates are meant until now; undefined after one reading. */
@@ -228,7 +229,7 @@ function curvesOf(points: Point[]): Curve[] {
   ];
 }
 
-/** What an export of the view says of the metrics. */
+/** The part of an exported view that is about metrics. */
 export function metricsSheet({interval, points}: History):
     {facts: Fact[], curves: Curve[]} {
   return {

@@ -123,8 +123,8 @@ function factsNow(vehicle: Vehicle, store: VehicleStore): Fact[] {
   ];
 }
 
-/** What was so at pose `at`, whose node is `cut`. State, inflation and findings
- * are known of the newest pose only. */
+/** The numbers that were so at pose `at`, whose node is `cut`. State, inflation
+ * and findings are known of the newest pose only. */
 function factsThen(store: VehicleStore, graph: Graph, at: number,
                    cut: number): Fact[] {
   const made = (decisions: ReadonlyArray<{querySequence: bigint}>) => count(
