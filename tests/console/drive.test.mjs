@@ -167,6 +167,28 @@ async function savedShapes(page) {
           ([, path, title]) => [title, path.split('M').length - 1]));
 }
 
+/** How many pixels of a curve have about this colour, and the last column of
+ * them. */
+function curvePixels(page, title, property) {
+  return page.locator('.curve', {hasText: title}).locator('canvas').evaluate(
+      (canvas, name) => {
+    const {width, height} = canvas;
+    const {data} = canvas.getContext('2d').getImageData(0, 0, width, height);
+    const value = parseInt(getComputedStyle(document.documentElement)
+                               .getPropertyValue(name).trim().slice(1), 16);
+    const wanted = [value >> 16, value >> 8 & 255, value & 255];
+    let [count, last] = [0, 0];
+    for (let i = 0; i < data.length; i += 4) {
+      if (data[i + 3] > 200 && wanted.every(
+              (part, k) => Math.abs(part - data[i + k]) < 20)) {
+        ++count;
+        last = Math.max(last, i / 4 % width);
+      }
+    }
+    return {count, last};
+  }, property);
+}
+
 test('the time slider shows what was known then, and nothing later',
      async () => {
   const {revisitd} = world;
@@ -199,29 +221,9 @@ test('the time slider shows what was known then, and nothing later',
   assert.equal(then['Loop closure'], 1);
   assert.equal(then['Rejected by a verifier'], 1);
   // No curve reaches behind the line at the pose.
-  const [travelled] = await page.locator('.curve', {hasText: 'Travelled'})
-                          .locator('canvas').evaluateAll(([canvas]) => {
-    const {width, height} = canvas;
-    const {data} =
-        canvas.getContext('2d').getImageData(0, 0, width, height);
-    const style = getComputedStyle(document.documentElement);
-    const extent = property => {
-      const value = parseInt(
-          style.getPropertyValue(property).trim().slice(1), 16);
-      const wanted = [value >> 16, value >> 8 & 255, value & 255];
-      const columns = [];
-      for (let i = 0; i < data.length; i += 4) {
-        if (data[i + 3] > 200 && wanted.every(
-                (part, k) => Math.abs(part - data[i + k]) < 20)) {
-          columns.push(i / 4 % width);
-        }
-      }
-      return columns.reduce((most, column) => Math.max(most, column), 0);
-    };
-    return [{curve: extent('--closure'), line: extent('--selected')}];
-  });
-  assert.ok(travelled.curve > 0 && travelled.curve <= travelled.line + 2,
-            JSON.stringify(travelled));
+  const {last: end} = await curvePixels(page, 'Travelled', '--closure');
+  const {last: line} = await curvePixels(page, 'Travelled', '--selected');
+  assert.ok(end > 0 && end <= line + 2, `${end} behind ${line}`);
 
   await page.goto(world.console.url + '/vehicles/boreas?at=440&hide=ellipse');
   await page.getByText(answered).waitFor();
@@ -240,6 +242,33 @@ test('the time slider shows what was known then, and nothing later',
     revisitd.cli('rejections', 'delete', 'boreas', String(query + 30),
                  String(matched + 15));
   }
+});
+
+test('a curve that has one value is a dot', async () => {
+  const nodes = world.revisitd.text('export', 'boreas', '--format', 'nodes-csv')
+                    .trim().split('\n').map(row => row.split(','));
+  const [names] = nodes;
+  const first = nodes.slice(1).find(
+      row => Number(row[names.indexOf('travelled_m')]) >= 300);
+  const pose = Number(first[names.indexOf('sequence')]) + 1;
+  await page.goto(world.console.url + `/vehicles/boreas?at=${pose}`);
+  await page.getByText('1 of 1 checks answered').waitFor();
+  const {count} = await until(async () => {
+    const found = await curvePixels(page, 'Learned scale', '--scale');
+    return found.count > 0 && found;
+  }, 'dot');
+  assert.ok(count < 60, `${count} pixels`);
+  const [download] = await Promise.all([
+    page.waitForEvent('download'),
+    page.getByRole('button', {name: 'SVG', exact: true}).click(),
+  ]);
+  const text = readFileSync(await download.path(), 'utf8');
+  const scale = await page.evaluate(
+      () => getComputedStyle(document.documentElement)
+                .getPropertyValue('--scale').trim());
+  assert.match(text, new RegExp(`<circle [^>]*fill="${scale}"`));
+  await page.getByRole('button', {name: 'Newest'}).click();
+  await page.locator('.slider', {hasText: '(newest)'}).waitFor();
 });
 
 test('a server that is killed is missed, and found when it is back',

@@ -146,3 +146,15 @@ test('a million nodes pan at 30 frames a second or more', async t => {
     assert.ok(rate >= LEAST_FRAMES_A_SECOND, `${name}: ${rate}`);
   }
 });
+
+test('a view says if candidates are those of the last checks only',
+     async () => {
+  const page = await world.open('/vehicles/million?hide=ellipse&at=4000');
+  const said = page.getByText('candidates are those of the last 500');
+  await said.waitFor({timeout: 240_000});
+  const [, due] = /^([\d,]+) checks fell due/.exec(await said.innerText());
+  // 80 km with a check each 50 m, but for the first 300 m.
+  assert.ok(Math.abs(Number(due.replaceAll(',', '')) - 1594) < 5, due);
+  await page.getByText('of 500 checks answered').waitFor();
+  await page.context().close();
+});
