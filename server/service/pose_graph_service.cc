@@ -471,6 +471,7 @@ grpc::ServerUnaryReactor* PoseGraphService::GetServerInfo(
           call->End(absl::OkStatus());
           return absl::OkStatus();
         }
+        response->set_over_all_tenants(true);
         const Fleet::Residency residency = context_.fleet->residency();
         response->set_resident_vehicle_count(residency.vehicles);
         response->set_resident_node_count(residency.nodes);

@@ -154,17 +154,119 @@ test('what is decided elsewhere is seen here', async () => {
               'no closure');
 });
 
-test('the time slider shows the drive as it was', async () => {
+/** Labels of the shapes of the map in a saved file, with how many lines each
+ * has. */
+async function savedShapes(page) {
+  const [download] = await Promise.all([
+    page.waitForEvent('download'),
+    page.getByRole('button', {name: 'SVG', exact: true}).click(),
+  ]);
+  const text = readFileSync(await download.path(), 'utf8');
+  return Object.fromEntries(
+      [...text.matchAll(/<path d="([^"]*)"[^>]*><title>([^<]*)/g)].map(
+          ([, path, title]) => [title, path.split('M').length - 1]));
+}
+
+/** How many pixels of a curve have about this colour, and the last column of
+ * them. */
+function curvePixels(page, title, property) {
+  return page.locator('.curve', {hasText: title}).locator('canvas').evaluate(
+      (canvas, name) => {
+    const {width, height} = canvas;
+    const {data} = canvas.getContext('2d').getImageData(0, 0, width, height);
+    const value = parseInt(getComputedStyle(document.documentElement)
+                               .getPropertyValue(name).trim().slice(1), 16);
+    const wanted = [value >> 16, value >> 8 & 255, value & 255];
+    let [count, last] = [0, 0];
+    for (let i = 0; i < data.length; i += 4) {
+      if (data[i + 3] > 200 && wanted.every(
+              (part, k) => Math.abs(part - data[i + k]) < 20)) {
+        ++count;
+        last = Math.max(last, i / 4 % width);
+      }
+    }
+    return {count, last};
+  }, property);
+}
+
+test('the time slider shows what was known then, and nothing later',
+     async () => {
+  const {revisitd} = world;
+  // Of each kind one before the pose at which the slider will stand, one whose
+  // query is behind it, and one that is behind it as a whole.
+  const decisions = [[300, 40], [420, 60], [900, 800]];
+  for (const [query, matched] of decisions) {
+    revisitd.cli('confirm', 'boreas', String(query), String(matched));
+    revisitd.cli('reject', 'boreas', String(query + 30), String(matched + 15));
+  }
   await page.goto(world.console.url + '/vehicles/boreas?at=350&hide=ellipse');
   await page.locator('.legend', {hasText: 'Later path'}).waitFor();
   await until(async () => await pixels(page, '--path-ahead') > 300,
               'path that is yet to come');
   assert.ok(await pixels(page, '--path') > 100);
-  const poses = await page.locator('.side tbody td:first-child')
-                    .allInnerTexts();
-  for (const pose of poses) {
-    assert.ok(Number(pose.replaceAll(',', '')) <= 350, pose);
+  const answered = /^(\d+) of \1 checks answered$/;
+  await page.getByText(answered).waitFor();
+  const poses = (await page.locator('.side tbody td:first-child')
+                     .allInnerTexts()).map(
+      text => Number(text.replaceAll(',', '')));
+  assert.ok(Math.max(...poses, 0) <= 350, `${poses}`);
+  assert.equal(await number(page, 'Poses'), 350);
+  assert.equal(await number(page, 'Loop closures'), 1);
+  assert.equal(await number(page, 'Rejected'), 1);
+  assert.ok(await number(page, 'Nodes') < NODES);
+  for (const name of ['State', 'Inflation', 'Revision']) {
+    assert.equal(await fact(page, name), '', name);
   }
+  const then = await savedShapes(page);
+  assert.equal(then['Loop closure'], 1);
+  assert.equal(then['Rejected by a verifier'], 1);
+  // No curve reaches behind the line at the pose.
+  const {last: end} = await curvePixels(page, 'Travelled', '--closure');
+  const {last: line} = await curvePixels(page, 'Travelled', '--selected');
+  assert.ok(end > 0 && end <= line + 2, `${end} behind ${line}`);
+
+  await page.goto(world.console.url + '/vehicles/boreas?at=440&hide=ellipse');
+  await page.getByText(answered).waitFor();
+  await until(async () => await number(page, 'Loop closures') === 2,
+              'second closure');
+  assert.equal(await number(page, 'Rejected'), 1);
+  await page.getByRole('button', {name: 'Newest'}).click();
+  await page.locator('.slider', {hasText: '(newest)'}).waitFor();
+  assert.equal(await number(page, 'Loop closures'), 3);
+  assert.equal(await number(page, 'Rejected'), 3);
+  const now = await savedShapes(page);
+  assert.equal(now['Loop closure'], 3);
+  for (const [query, matched] of decisions) {
+    revisitd.cli('closures', 'delete', 'boreas', String(query),
+                 String(matched));
+    revisitd.cli('rejections', 'delete', 'boreas', String(query + 30),
+                 String(matched + 15));
+  }
+});
+
+test('a curve that has one value is a dot', async () => {
+  const nodes = world.revisitd.text('export', 'boreas', '--format', 'nodes-csv')
+                    .trim().split('\n').map(row => row.split(','));
+  const [names] = nodes;
+  const first = nodes.slice(1).find(
+      row => Number(row[names.indexOf('travelled_m')]) >= 300);
+  const pose = Number(first[names.indexOf('sequence')]) + 1;
+  await page.goto(world.console.url + `/vehicles/boreas?at=${pose}`);
+  await page.getByText('1 of 1 checks answered').waitFor();
+  const {count} = await until(async () => {
+    const found = await curvePixels(page, 'Learned scale', '--scale');
+    return found.count > 0 && found;
+  }, 'dot');
+  assert.ok(count < 60, `${count} pixels`);
+  const [download] = await Promise.all([
+    page.waitForEvent('download'),
+    page.getByRole('button', {name: 'SVG', exact: true}).click(),
+  ]);
+  const text = readFileSync(await download.path(), 'utf8');
+  const scale = await page.evaluate(
+      () => getComputedStyle(document.documentElement)
+                .getPropertyValue('--scale').trim());
+  assert.match(text, new RegExp(`<circle [^>]*fill="${scale}"`));
   await page.getByRole('button', {name: 'Newest'}).click();
   await page.locator('.slider', {hasText: '(newest)'}).waitFor();
 });
@@ -173,7 +275,7 @@ test('a server that is killed is missed, and found when it is back',
      async () => {
   await world.revisitd.kill();
   await page.getByText('No answer from revisitd since').waitFor();
-  // What was there is still shown.
+  // The graph of before is still shown.
   assert.equal(await number(page, 'Nodes'), NODES);
   await world.revisitd.start();
   await page.getByText('No answer from revisitd since')

@@ -1,28 +1,14 @@
-// What the maps are computed with, without a browser.
+// The geometry of maps, without a browser.
 import assert from 'node:assert/strict';
-import {createRequire} from 'node:module';
-import {join} from 'node:path';
 import {before, test} from 'node:test';
 
-import {ROOT} from './world.mjs';
-
-const WEB = join(ROOT, 'client/console/web');
-const {buildSync} =
-    createRequire(join(WEB, 'main.tsx'))('esbuild');
-
-/** The exports of a module of the page. */
-async function load(name) {
-  const {outputFiles: [{text}]} = buildSync({
-    entryPoints: [join(WEB, name)], bundle: true, write: false, format: 'esm',
-  });
-  return import(`data:text/javascript,${encodeURIComponent(text)}`);
-}
+import {load} from './world.mjs';
 
 let pyramid, path, rigid, ellipse;
 before(async () => {
   [pyramid, path, rigid, ellipse] = await Promise.all(
       ['pyramid', 'path', 'rigid', 'ellipse'].map(
-          name => load(`geometry/${name}.ts`)));
+          name => load(`web/geometry/${name}.ts`)));
 });
 
 /** A winding path of 2 m steps that is cut once. */

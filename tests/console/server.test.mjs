@@ -1,7 +1,7 @@
 // The console's server by itself: how it starts, and how it reaches revisitd.
 import assert from 'node:assert/strict';
 import {spawnSync} from 'node:child_process';
-import {mkdtempSync, rmSync} from 'node:fs';
+import {mkdtempSync, rmSync, writeFileSync} from 'node:fs';
 import {tmpdir} from 'node:os';
 import {join} from 'node:path';
 import {after, before, test} from 'node:test';
@@ -26,6 +26,10 @@ test('wrong usage is refused with 64 and says what is allowed', () => {
     [['--listen', '8080'], /not ADDRESS:PORT/],
     [['--server', 'nowhere'], /not ADDRESS:PORT/],
     [['--server', '127.0.0.1:99999'], /not ADDRESS:PORT/],
+    [['--server', '127.0.0.1:1', '--server', 'nowhere'], /not ADDRESS:PORT/],
+    [['--metrics', 'nowhere'], /--metrics is 'nowhere'/],
+    [['--metrics', 'file:///etc/passwd'], /--metrics is 'file:/],
+    [['--metrics', 'http://a:b@127.0.0.1/metrics'], /--metrics is/],
     [['--colour', 'red'], /colour/],
   ]) {
     const {status, stderr} = start(...args);
@@ -40,6 +44,87 @@ test('a certificate authority that cannot be read is named', () => {
   const {status, stderr} = start('--tls-ca', join(directory, 'missing.pem'));
   assert.equal(status, 1);
   assert.match(stderr, /missing\.pem/);
+});
+
+test('a base map that is none is named', () => {
+  const path = join(directory, 'other.pmtiles');
+  writeFileSync(path, 'PMTiles\x02 and more');
+  for (const [file, message] of [
+    [join(directory, 'missing.pmtiles'), /missing\.pmtiles/],
+    [path, /other\.pmtiles is no PMTiles archive of version 3/],
+  ]) {
+    const {status, stderr} = start('--base-map', file);
+    assert.equal(status, 1);
+    assert.match(stderr, message);
+  }
+});
+
+test('a base map is served in parts', async () => {
+  const path = join(directory, 'base map.pmtiles');
+  const content = Buffer.from('PMTiles\x03' + '0123456789'.repeat(100));
+  writeFileSync(path, content);
+  const console = new Console(() => '127.0.0.1:1', ['--base-map', path]);
+  await console.start();
+  const ask = async (headers = {}, method = 'GET') => {
+    const answer = await fetch(`${console.url}/base-map.pmtiles`,
+                               {method, headers});
+    return {status: answer.status, headers: answer.headers,
+            text: await answer.text()};
+  };
+  try {
+    const whole = await ask();
+    assert.equal(whole.status, 200);
+    assert.equal(whole.text, content.toString());
+    assert.equal(whole.headers.get('accept-ranges'), 'bytes');
+    assert.match(whole.headers.get('content-security-policy'), /'none'/);
+    const tag = whole.headers.get('etag');
+    assert.match(tag, /^"/);
+    for (const [range, from, to] of [['bytes=0-7', 0, 8],
+                                     ['bytes=8-', 8, 1008],
+                                     ['bytes=-10', 998, 1008],
+                                     ['bytes=1000-5000', 1000, 1008]]) {
+      const part = await ask({range});
+      assert.equal(part.status, 206, range);
+      assert.equal(part.text, content.subarray(from, to).toString());
+      assert.equal(part.headers.get('content-range'),
+                   `bytes ${from}-${to - 1}/1008`);
+      assert.equal(part.headers.get('etag'), tag);
+    }
+    const beyond = await ask({range: 'bytes=2000-3000'});
+    assert.equal(beyond.status, 416);
+    assert.equal(beyond.headers.get('content-range'), 'bytes */1008');
+    // Without a word on caches, fetch adds that none is to be used.
+    assert.equal((await ask({'if-none-match': tag,
+                             'cache-control': 'max-age=0'})).status, 304);
+    assert.equal((await ask({range: 'bytes=0-1', 'if-range': tag})).status,
+                 206);
+    const head = await ask({}, 'HEAD');
+    assert.equal(head.headers.get('content-length'), '1008');
+    assert.equal(head.text, '');
+    assert.equal((await ask({}, 'POST')).status, 405);
+    // Another file in its place has another tag, and parts of the one that was
+    // meant are not mixed with its.
+    writeFileSync(path, Buffer.concat([content, content]));
+    const mixed = await ask({range: 'bytes=0-1', 'if-range': tag});
+    assert.equal(mixed.status, 200);
+    assert.notEqual(mixed.headers.get('etag'), tag);
+    rmSync(path);
+    assert.equal((await ask()).status, 404);
+  } finally {
+    await console.close();
+  }
+});
+
+test('there is no base map unless one is given', async () => {
+  const console = new Console(() => '127.0.0.1:1');
+  await console.start();
+  try {
+    assert.equal((await fetch(`${console.url}/base-map.pmtiles`)).status, 404);
+    assert.deepEqual(await (await fetch(`${console.url}/console.json`)).json(),
+                     {metrics: false, baseMap: false});
+  } finally {
+    await console.close();
+  }
 });
 
 /** Code and message with which a call through the console ends. */

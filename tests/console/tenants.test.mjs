@@ -24,7 +24,8 @@ const issuer = new Issuer();
 let world;
 
 before(async () => {
-  world = await World.make(directory => issuer.flags(directory, POLICY));
+  world = await World.make(directory => issuer.flags(directory, POLICY),
+                           ({revisitd}) => ['--metrics', revisitd.metrics]);
   const file = join(world.directory, 'token');
   writeFileSync(file, issuer.token('operator'));
   const operator = (...args) =>
@@ -100,6 +101,21 @@ test('who may only read is told so when he decides', async () => {
   await page.locator('.evidence').waitFor();
   await page.getByRole('button', {name: 'Confirm'}).click();
   await page.locator('.decision', {hasText: 'permission denied'}).waitFor();
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test('metrics are for those of no tenant, and others are told so', async () => {
+  const page = await world.open('/server');
+  await signIn(page, issuer.token('operator'));
+  await page.locator('.columns meter').first().waitFor();
+  await page.locator('dt', {hasText: 'Nodes in memory'}).waitFor();
+  await signIn(page, issuer.token('acme'));
+  await page.getByText('this caller belongs to a tenant').waitFor();
+  await page.locator('dt', {hasText: 'Durability'}).waitFor();
+  assert.equal(await page.locator('.columns').count(), 0);
+  assert.equal(await page.getByText('in memory', {exact: false})
+                   .and(page.locator('dt')).count(), 0);
   assert.deepEqual(page.complaints, []);
   await page.context().close();
 });

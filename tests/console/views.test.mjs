@@ -3,32 +3,21 @@
 import assert from 'node:assert/strict';
 import {readFileSync, writeFileSync} from 'node:fs';
 import {request} from 'node:http';
-import {createRequire} from 'node:module';
 import {join} from 'node:path';
 import {after, before, test} from 'node:test';
 
-import {DRIVE, OUT, pixelsOf, until, World} from './world.mjs';
+import {DRIVE, fact, isAccessible, OUT, pixelsOf, track, until, World} from
+    './world.mjs';
 
-const AXE = readFileSync(
-    createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8');
 const WIDTHS = [1440, 390];
-
-/** Half a minute northwards. */
-function track(latitude, longitude) {
-  const points = Array.from({length: 30}, (_, i) =>
-      `<trkpt lat="${latitude + 5e-5 * i}" lon="${longitude}"><ele>40</ele>` +
-      `<time>2026-01-01T00:00:${String(i).padStart(2, '0')}Z</time></trkpt>`);
-  return '<?xml version="1.0"?>\n<gpx version="1.1" creator="test" ' +
-      'xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>\n' +
-      points.join('\n') + '\n</trkseg></trk></gpx>\n';
-}
 
 let world;
 /** Name, address, and what is there once the view is whole. */
 let views;
 
 before(async () => {
-  world = await World.make();
+  world = await World.make(
+      [], ({revisitd}) => ['--metrics', revisitd.metrics]);
   const {revisitd} = world;
   revisitd.cli('stream', DRIVE, '--create', '--vehicle', 'boreas',
                '--uncertainty', 'file');
@@ -38,7 +27,7 @@ before(async () => {
   for (const [id, latitude, longitude] of
        [['van-1', 52.5163, 13.3777], ['van-2', 52.5208, 13.4094]]) {
     const file = join(world.directory, `${id}.gpx`);
-    writeFileSync(file, track(latitude, longitude));
+    writeFileSync(file, track([latitude, longitude]));
     revisitd.cli('stream', file, '--create', '--vehicle', id);
   }
   const found = revisitd.cli('find', 'boreas', '--sequence', '1500', '--json');
@@ -53,7 +42,7 @@ before(async () => {
          revisitd.cli('find', 'boreas', '--sequence', '1520', '--json')
              .candidates[0].matched.sequence}`,
      '.curve canvas'],
-    ['server', '/server', '.facts dd'],
+    ['server', '/server', '.columns meter'],
   ];
 });
 after(() => world?.close());
@@ -77,15 +66,7 @@ test('no view breaks a rule of axe, light or dark, wide or narrow',
           path: join(OUT, `${view[0]}-${width}-${colorScheme}.png`),
           fullPage: true,
         });
-        // Evaluated by the debugger, which no policy of the page hinders.
-        await page.evaluate(AXE);
-        const {violations} = await page.evaluate(() => axe.run());
-        assert.deepEqual(violations.map(({id, nodes}) => [
-          view[0], width, colorScheme, id, nodes.map(({html}) => html)]), []);
-        assert.ok(await page.evaluate(
-            () => document.documentElement.scrollWidth <= innerWidth),
-            `${view[0]} is wider than ${width} pixels`);
-        assert.deepEqual(page.complaints, []);
+        await isAccessible(page);
         await page.context().close();
       }
     }
@@ -167,6 +148,49 @@ test('every view is saved as SVG and as PNG', async () => {
     assert.deepEqual(page.complaints, []);
     await page.context().close();
   }
+});
+
+test('the server\'s view shows what the server does', async () => {
+  const page = await opened(views[3]);
+  const row = (table, name) => page.getByRole('table', {name: table})
+      .locator('tbody tr', {hasText: name}).locator('td').allInnerTexts();
+  assert.equal(await fact(page, 'Streams open'), '0');
+  assert.equal(await fact(page, 'Takes writes'), 'yes');
+  assert.match(await fact(page, 'Size of the store'), /^[\d.]+ [KM]iB$/);
+  const stream =
+      world.revisitd.openStream('--create', '--vehicle', 'streamed',
+                                '--uncertainty', 'file');
+  try {
+    const [head, ...poses] = readFileSync(DRIVE, 'utf8').split('\n');
+    stream.stdin.write(head + '\n');
+    await until(async () => {
+      stream.stdin.write(poses.splice(0, 20).map(line => line + '\n').join(''));
+      return await fact(page, 'Streams open') === '1' &&
+          /ms$/.test((await row('Latencies', 'Acknowledgement'))[2]);
+    }, 'stream and its acknowledgements');
+    const [, p50, p99, rate, all] = await row('Latencies', 'Acknowledgement');
+    assert.ok(parseFloat(p50) <= parseFloat(p99), `${p50} ${p99}`);
+    assert.ok(parseFloat(rate) > 0 && Number(all.replaceAll(',', '')) > 0);
+    assert.match(await fact(page, 'Poses accepted'), /^[\d.]+\/s$/);
+    const [, , share] = await row('Limits in use', 'max-streams');
+    assert.match(share, /^(< )?[\d.]*[1-9] %$/);
+    // An error is counted with its code and reason.
+    await ask('POST', CALL + 'GetVehicle', JSON_TYPE,
+              '{"name": "vehicles/nobody"}');
+    await until(async () => (await row('Reason of an error',
+                                       'VEHICLE_NOT_FOUND')).length > 0,
+                'reason');
+    assert.equal((await row('Ended with', 'NOT_FOUND')).length, 3);
+    // Curves are drawn once there are two readings.
+    await page.locator('.curve', {hasText: 'Streams open'})
+        .locator('canvas').waitFor();
+    await page.screenshot({path: join(OUT, 'server-busy.png'), fullPage: true});
+  } finally {
+    stream.kill();
+  }
+  world.revisitd.cli('vehicle', 'delete', '--yes', 'streamed');
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
 });
 
 /** Status and headers of a bare request. */

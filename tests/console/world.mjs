@@ -5,6 +5,7 @@ import {spawn, spawnSync} from 'node:child_process';
 import {generateKeyPairSync, sign} from 'node:crypto';
 import {existsSync, mkdirSync, mkdtempSync, openSync, readFileSync, rmSync,
         writeFileSync} from 'node:fs';
+import {createRequire} from 'node:module';
 import {tmpdir} from 'node:os';
 import {join} from 'node:path';
 import {setTimeout as sleep} from 'node:timers/promises';
@@ -16,7 +17,7 @@ export const ROOT = fileURLToPath(new URL('../..', import.meta.url));
 export const BIN = process.env.REVISIT_BIN ?? join(ROOT, 'build/release/bin');
 export const DRIVE =
     join(ROOT, 'tests/data/boreas/boreas_glen_shields.csv');
-/** What the tests leave to be looked at. */
+/** Pictures that the tests leave to be looked at. */
 export const OUT = join(ROOT, 'build/console');
 
 const PATIENCE_MILLISECONDS = 30_000;
@@ -48,9 +49,10 @@ async function stop(child, signal) {
 }
 
 export class Revisitd {
-  constructor(directory, flags = []) {
+  constructor(directory, flags = [], store = join(directory, 'store')) {
     this.directory = directory;
     this.flags = flags;
+    this.store = store;
     this.address = '127.0.0.1:0';
   }
 
@@ -62,15 +64,21 @@ export class Revisitd {
     const log = openSync(this.log, 'a');
     this.child = spawn(
         join(BIN, 'revisitd'),
-        ['--listen', this.address, '--store', join(this.directory, 'store'),
-         '--port-file', portFile, ...this.flags],
-        {stdio: ['ignore', 'ignore', log], env: environment});
+        ['--listen', this.address, '--store', this.store, '--admin-listen',
+         '127.0.0.1:0', '--port-file', portFile, ...this.flags],
+        {stdio: ['ignore', 'pipe', log], env: environment});
+    let said = '';
+    this.child.stdout.on('data', data => said += data);
     await until(() => {
       assert.ok(!ended(this.child), `revisitd ended: ${
           readFileSync(this.log, 'utf8').slice(-2000)}`);
       return existsSync(portFile) && readFileSync(portFile, 'utf8').trim();
     }, 'revisitd that listens');
     this.address = readFileSync(portFile, 'utf8').trim();
+    const [, admin] = await until(
+        () => /admin listening on (\S+)/.exec(said), 'admin port');
+    /** Where it tells its metrics. */
+    this.metrics = `http://${admin}/metrics`;
   }
 
   /** The crash: no clean-up of any kind. */
@@ -136,14 +144,17 @@ export class Console {
 
 /** Everything, and the end of everything. */
 export class World {
-  static async make(flags = []) {
+  /** `flags` are those of revisitd, or make them of its directory;
+   * `consoleFlags` makes those of the console, once revisitd runs. */
+  static async make(flags = [], consoleFlags = () => []) {
     const world = new World();
     world.directory = mkdtempSync(join(tmpdir(), 'revisit-console-'));
     world.revisitd = new Revisitd(
         world.directory,
         typeof flags === 'function' ? flags(world.directory) : flags);
     await world.revisitd.start();
-    world.console = new Console(() => world.revisitd.address);
+    world.console = new Console(() => world.revisitd.address,
+                                consoleFlags(world));
     await world.console.start();
     // There may be no graphics card here: WebGL is drawn in software then.
     world.browser = await chromium.launch({
@@ -184,6 +195,24 @@ export class World {
   }
 }
 
+const AXE = readFileSync(
+    createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8');
+
+/** Asserts that the page breaks no rule of axe, fits its width, and nothing was
+ * complained about. */
+export async function isAccessible(page) {
+  // Evaluated by the debugger, which no policy of the page hinders.
+  await page.evaluate(AXE);
+  const {violations} = await page.evaluate(() => axe.run());
+  assert.deepEqual(violations.map(({id, nodes}) => [
+    page.url(), page.viewportSize().width, id,
+    nodes.map(({html}) => html)]), []);
+  assert.ok(await page.evaluate(
+      () => document.documentElement.scrollWidth <= innerWidth),
+      `${page.url()} is wider than ${page.viewportSize().width} pixels`);
+  assert.deepEqual(page.complaints, []);
+}
+
 /** The number behind a name in a view's list of facts. */
 export async function fact(page, name) {
   const value = page.locator('dl.facts > div', {
@@ -201,7 +230,8 @@ export async function pixels(page, property) {
   return (await pixelsOf(page, property)).count;
 }
 
-/** How many they are, and where the one in the middle of them is. */
+/** How many they are, where the one in the middle of them is, and the least and
+ * greatest of their y. */
 export async function pixelsOf(page, property) {
   const shot = await page.locator('.map .canvas').screenshot();
   return page.evaluate(async ([base64, name]) => {
@@ -222,9 +252,49 @@ export async function pixelsOf(page, property) {
       if (far < 30) found.push(i / 4);
     }
     const middle = found[found.length >> 1] ?? 0;
-    return {count: found.length, x: middle % bitmap.width,
-            y: Math.floor(middle / bitmap.width)};
+    const row = i => Math.floor(i / bitmap.width);
+    return {count: found.length, x: middle % bitmap.width, y: row(middle),
+            top: row(found[0] ?? 0), bottom: row(found.at(-1) ?? 0)};
   }, [shot.toString('base64'), property]);
+}
+
+/** Red, green and blue of these points of the map on the screen. */
+export async function coloursAt(page, points) {
+  const shot = await page.locator('.map .canvas').screenshot();
+  return page.evaluate(async ([base64, wanted]) => {
+    const bytes = Uint8Array.from(atob(base64), c => c.charCodeAt(0));
+    const bitmap = await createImageBitmap(new Blob([bytes]));
+    const canvas = new OffscreenCanvas(bitmap.width, bitmap.height);
+    const context = canvas.getContext('2d');
+    context.drawImage(bitmap, 0, 0);
+    return wanted.map(([x, y]) => [...context.getImageData(
+        Math.round(x), Math.round(y), 1, 1).data].slice(0, 3));
+  }, [shot.toString('base64'), points]);
+}
+
+/** The exports of a module of the console, and of what is named besides. */
+export async function load(path, more = '') {
+  const folder = join(ROOT, 'client/console');
+  const {buildSync} = createRequire(join(folder, 'web/main.tsx'))('esbuild');
+  const {outputFiles: [{text}]} = buildSync({
+    stdin: {contents: `export * from './${path}';${more}`, resolveDir: folder},
+    bundle: true, write: false, format: 'esm',
+  });
+  return import(`data:text/javascript,${encodeURIComponent(text)}`);
+}
+
+/** A recording as GPX: half a minute northwards from each of these latitudes and
+ * longitudes. */
+export function track(...starts) {
+  const points = starts.flatMap(([latitude, longitude], part) =>
+      Array.from({length: 30}, (_, i) => {
+        const time = new Date(Date.UTC(2026) + 1000 * (40 * part + i));
+        return `<trkpt lat="${latitude + 5e-5 * i}" lon="${longitude}">` +
+            `<ele>40</ele><time>${time.toISOString()}</time></trkpt>`;
+      }));
+  return '<?xml version="1.0"?>\n<gpx version="1.1" creator="test" ' +
+      'xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>\n' +
+      points.join('\n') + '\n</trkseg></trk></gpx>\n';
 }
 
 const ISSUER = 'https://login.example';

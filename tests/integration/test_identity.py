@@ -633,6 +633,20 @@ def test_writer_is_told_nothing_of_a_vehicle_but_what_it_wrote(called_by):
         ).vehicle == get(owner, vehicle)
 
 
+def test_how_much_is_on_the_server_is_told_to_callers_of_no_tenant(called_by):
+    owner = called_by("acme")
+    append(owner, create(owner, "acme-counted-1"), straight(20))
+    told = ask(called_by("op", groups=["operators"]))
+    assert told.over_all_tenants
+    assert told.resident_vehicle_count >= 1 and told.resident_bytes > 0
+    for subject in ("acme", "acme-few", "vehicle:13"):
+        info = ask(called_by(subject))
+        assert not info.over_all_tenants
+        assert (info.resident_vehicle_count, info.resident_node_count,
+                info.resident_bytes, len(info.servers)) == (0, 0, 0, 0)
+        assert info.version == told.version
+
+
 def test_candidates_of_a_stream_need_to_be_readable(called_by):
     vehicle = create(called_by("acme"), "acme-candidates-1")
     writer = called_by("acme-writer")

@@ -1,11 +1,12 @@
 import type {DescMessage, DescMethodServerStreaming, DescMethodUnary,
              MessageInitShape} from '@bufbuild/protobuf';
 import {EmptySchema} from '@bufbuild/protobuf/wkt';
-import {Code, ConnectError, type ConnectRouter, type HandlerContext,
-        type Transport} from '@connectrpc/connect';
+import {Code, ConnectError, type ConnectRouter, type HandlerContext} from
+    '@connectrpc/connect';
 
 import {Health} from '../gen/grpc/health/v1/health_pb.js';
 import {PoseGraphService} from '../gen/revisit/v1/pose_graph_service_pb.js';
+import {type Cluster, type Route, vehicleOf} from './cluster.js';
 
 // All that the page may call. Streams of poses, revisions, and what cannot be
 // undone are not among them, whatever the caller's token would allow.
@@ -21,8 +22,8 @@ const STREAMS: DescMethodServerStreaming[] = [calls.exportPoseGraph];
 
 const PASSED_ON = ['authorization', 'x-request-id'];
 
-function passedOn(context: HandlerContext): Headers {
-  const headers = new Headers();
+function passedOn(context: HandlerContext, {headers: added}: Route): Headers {
+  const headers = new Headers(added);
   for (const name of PASSED_ON) {
     const value = context.requestHeader.get(name);
     if (value !== null) headers.set(name, value);
@@ -48,13 +49,15 @@ async function* one<T>(message: T): AsyncIterable<T> {
 }
 
 function forwardUnary<I extends DescMessage, O extends DescMessage>(
-    router: ConnectRouter, transport: Transport,
+    router: ConnectRouter, cluster: Cluster,
     method: DescMethodUnary<I, O>): void {
   router.rpc(method, async (request, context) => {
     try {
-      const answer = await transport.unary(
-          method, context.signal, context.timeoutMs(), passedOn(context),
-          request as MessageInitShape<I>);
+      const answer = await cluster.call(
+          vehicleOf(request),
+          route => route.transport.unary(
+              method, context.signal, context.timeoutMs(),
+              passedOn(context, route), request as MessageInitShape<I>));
       return answer.message as MessageInitShape<O>;
     } catch (error) {
       throw answerTo(context, error);
@@ -64,23 +67,31 @@ function forwardUnary<I extends DescMessage, O extends DescMessage>(
 
 // Graphs have millions of nodes, so the parts of the answer are not decoded:
 // all that they hold is unknown to an empty message, which keeps it as bytes.
-function forwardStream(router: ConnectRouter, transport: Transport,
+function forwardStream(router: ConnectRouter, cluster: Cluster,
                        decoded: DescMethodServerStreaming): void {
   const method = {...decoded, output: EmptySchema};
   router.rpc(method, async function*(request, context) {
     try {
-      const answer = await transport.stream(
-          method, context.signal, context.timeoutMs(), passedOn(context),
-          one(request as never));
-      yield* answer.message;
+      // An answer that begins comes from the owner.
+      const {first, rest} = await cluster.call(vehicleOf(request),
+                                               async route => {
+        const answer = await route.transport.stream(
+            method, context.signal, context.timeoutMs(),
+            passedOn(context, route), one(request as never));
+        const messages = answer.message[Symbol.asyncIterator]();
+        return {first: await messages.next(), rest: messages};
+      });
+      for (let part = first; !part.done; part = await rest.next()) {
+        yield part.value;
+      }
     } catch (error) {
       throw answerTo(context, error);
     }
   });
 }
 
-/** Makes the router answer each call with what the transport answers. */
-export function forward(router: ConnectRouter, transport: Transport): void {
-  for (const method of UNARY) forwardUnary(router, transport, method);
-  for (const method of STREAMS) forwardStream(router, transport, method);
+/** Makes the router answer each call with what the cluster answers. */
+export function forward(router: ConnectRouter, cluster: Cluster): void {
+  for (const method of UNARY) forwardUnary(router, cluster, method);
+  for (const method of STREAMS) forwardStream(router, cluster, method);
 }

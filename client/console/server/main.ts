@@ -1,12 +1,16 @@
 import {readFileSync} from 'node:fs';
-import {createServer, type IncomingMessage} from 'node:http';
+import {createServer, type IncomingMessage, type ServerResponse} from
+    'node:http';
 import type {AddressInfo} from 'node:net';
 import {fileURLToPath} from 'node:url';
 
 import {connectNodeAdapter, createGrpcTransport} from
     '@connectrpc/connect-node';
 
+import {BASE_MAP_PATH, BaseMap} from './base_map.js';
+import {Cluster} from './cluster.js';
 import {forward} from './forward.js';
+import {Metrics} from './metrics.js';
 import {type Options, readOptions, USAGE, UsageError} from './options.js';
 import {Pages, SECURITY_HEADERS} from './pages.js';
 
@@ -24,20 +28,41 @@ function isOwn(request: IncomingMessage, hosts: Set<string>): boolean {
       (mayBeForeign || site === undefined || site === 'same-origin');
 }
 
+/** The page asks for these to know which of its parts there are. */
+function settingsOf(options: Options): object {
+  return {metrics: options.metrics !== undefined,
+          baseMap: options.baseMap !== undefined};
+}
+
 function serve(options: Options): void {
-  const transport = createGrpcTransport({
-    baseUrl: `${options.tlsCa ? 'https' : 'http'}://${options.server}`,
-    nodeOptions: options.tlsCa ? {ca: readFileSync(options.tlsCa)} : {},
-  });
+  const nodeOptions =
+      options.tlsCa ? {ca: readFileSync(options.tlsCa)} : {};
+  const cluster = new Cluster(options.servers, address => createGrpcTransport({
+    baseUrl: `${options.tlsCa ? 'https' : 'http'}://${address}`,
+    nodeOptions,
+  }));
   const pages =
       new Pages(fileURLToPath(new URL('../web', import.meta.url)));
+  const metrics = new Metrics(options.metrics, cluster.transport);
+  const baseMap = options.baseMap === undefined ?
+      undefined : new BaseMap(options.baseMap);
+  pages.add('/console.json', JSON.stringify(settingsOf(options)));
   const answer = connectNodeAdapter({
-    routes: router => forward(router, transport),
+    routes: router => forward(router, cluster),
     readMaxBytes: MAX_REQUEST_BYTES,
     grpc: false,
     grpcWeb: false,
-    fallback: (request, response) =>
-        pages.answer(request as IncomingMessage, response as never),
+    fallback: (request, answered) => {
+      const response = answered as ServerResponse;
+      const path = (request.url ?? '/').split('?')[0];
+      if (path === '/metrics.json') {
+        void metrics.answer(request as IncomingMessage, response);
+      } else if (path === BASE_MAP_PATH && baseMap) {
+        baseMap.answer(request as IncomingMessage, response);
+      } else {
+        pages.answer(request as IncomingMessage, response);
+      }
+    },
   });
   const hosts = new Set(options.hosts);
   const server = createServer((request, response) => {
@@ -62,7 +87,7 @@ function serve(options: Options): void {
         `[${options.listenHost}]` : options.listenHost;
     hosts.add(`${host}:${port}`).add(`localhost:${port}`);
     console.log(`The console is at http://${host}:${port}, its revisitd at ` +
-                options.server);
+                options.servers.join(', '));
   });
   for (const signal of ['SIGINT', 'SIGTERM'] as const) {
     process.on(signal, () => process.exit(0));

@@ -6,6 +6,7 @@ const TYPES: Record<string, string> = {
   '.css': 'text/css; charset=utf-8',
   '.html': 'text/html; charset=utf-8',
   '.js': 'text/javascript; charset=utf-8',
+  '.json': 'application/json',
   '.svg': 'image/svg+xml',
 };
 
@@ -54,6 +55,13 @@ export class Pages {
     if (!this.pages.has('/index.html')) {
       throw new Error(`${folder} has no index.html: npm run build makes it`);
     }
+  }
+
+  /** Answers at this address with a text of its own. */
+  add(address: string, text: string): void {
+    this.pages.set(address, {body: Buffer.from(text),
+                             type: TYPES[extname(address)],
+                             cache: 'no-cache'});
   }
 
   answer(request: IncomingMessage, response: ServerResponse): void {

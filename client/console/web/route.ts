@@ -23,7 +23,7 @@ function parse(path: string): Route {
 
 export const route = computed(() => parse(address.value.split('?')[0]));
 
-/** What the address says behind its question mark. */
+/** The part of the address behind its question mark. */
 export const query =
     computed(() => new URLSearchParams(address.value.split('?')[1] ?? ''));
 

@@ -7,7 +7,7 @@ import {type Candidate, type CandidateSet, Verdict} from
     '../../gen/revisit/v1/candidate_pb.js';
 import {messageOf, service} from './client.js';
 
-/** What is known of the candidates at one pose. */
+/** All that is known of the candidates at one pose. */
 export interface Answer {
   /** The pose that was asked about. */
   asked: number;

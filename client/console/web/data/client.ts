@@ -74,7 +74,7 @@ const transport = createConnectTransport({
 export const service = createClient(PoseGraphService, transport);
 export const health = createClient(Health, transport);
 
-/** What went wrong, for people: the server's messages stand alone. */
+/** Tells people what went wrong: the server's messages stand alone. */
 export function messageOf(error: unknown): string {
   const {code, rawMessage} = ConnectError.from(error);
   return `${rawMessage} (${

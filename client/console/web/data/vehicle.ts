@@ -189,8 +189,10 @@ export class VehicleStore {
   }
 
   /** The loop closure or rejection that is about the same two places, if there
-   * is one: the server takes rejections to be, within 10 m along the path. */
-  decisionAbout(query: number, matched: number): Decision|undefined {
+   * is one with both poses at most `upTo`: the server takes rejections to be,
+   * within 10 m along the path. */
+  decisionAbout(query: number, matched: number, upTo = Infinity):
+      Decision|undefined {
     const graph = this.graph.value;
     const separation = Math.max(
         10, this.vehicle.value?.settings?.candidateSeparationMeters ?? 0);
@@ -202,6 +204,7 @@ export class VehicleStore {
           Math.abs(graph.travelled[i] - graph.travelled[j]) <= separation;
     };
     const about = (made: LoopClosure|RejectedCandidate) =>
+        Number(made.querySequence) <= upTo &&
         near(query, Number(made.querySequence)) &&
         near(matched, Number(made.matchedSequence));
     const asDecision =

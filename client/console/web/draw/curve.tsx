@@ -36,6 +36,15 @@ interface Props {
 
 const HEIGHT = 150;
 
+/** Whether there is one value, which a line would not show. */
+export function isSingle(values: ArrayLike<unknown>): boolean {
+  let found = 0;
+  for (let i = 0; i < values.length && found < 2; ++i) {
+    if (values[i] != null) ++found;
+  }
+  return found === 1;
+}
+
 function optionsOf(latest: () => Curve, width: number,
                    at: () => number|undefined): uPlot.Options {
   const curve = latest();
@@ -69,8 +78,10 @@ function optionsOf(latest: () => Curve, width: number,
         width: as === 'points' ? 0 : 1.5,
         dash: as === 'dashes' ? [6, 4] : undefined,
         paths: as === 'points' ? () => null : undefined,
-        points: as === 'points' ?
-            {show: true, size: 5, fill: colourOf(colour)} : {show: false},
+        points: {
+          show: (plot, i) => as === 'points' || isSingle(plot.data[i]),
+          size: 5, fill: colourOf(colour),
+        },
         spanGaps: as !== 'points',
       })),
     ],

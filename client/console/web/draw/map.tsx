@@ -3,13 +3,18 @@ import {ScatterplotLayer} from '@deck.gl/layers';
 import {effect} from '@preact/signals';
 import {useEffect, useRef, useState} from 'preact/hooks';
 
+import {consoleSettings} from '../data/console.js';
+import type {Frame} from '../geometry/frame.js';
 import {type View, viewOf} from '../geometry/view.js';
-import {go} from '../route.js';
-import {dark} from '../theme.js';
+import {Attribution, attributionText} from '../parts/attribution.js';
 import {length} from '../parts/format.js';
+import {go, query, setQuery} from '../route.js';
+import {dark} from '../theme.js';
+import type {Ground} from './ground.js';
 import {colourOf, components, linkAt, scaleBarMeters, type Scene, type Shape}
     from './scene.js';
 import {StrokeLayer} from './stroke_layer.js';
+import type {MapSheet} from './svg.js';
 
 interface DeckView {
   target: [number, number, number];
@@ -56,6 +61,7 @@ function layerOf(shape: Shape, view: View): Layer {
 class MapDrawing {
   private readonly deck: Deck<OrthographicView>;
   private scene: Scene = {shapes: [], box: undefined};
+  private ground: Ground|undefined;
   private view: DeckView = {target: [0, 0, 0], zoom: 0};
   private width = 0;
   private height = 0;
@@ -108,6 +114,12 @@ class MapDrawing {
     }
   }
 
+  /** Draws a base map below the scene, or none. */
+  showGround(ground: Ground|undefined): void {
+    this.ground = ground;
+    this.draw();
+  }
+
   /** Shows all of the scene. */
   fitAgain(): void {
     this.moved = false;
@@ -130,7 +142,10 @@ class MapDrawing {
     const view = this.current();
     this.deck.setProps({
       viewState: this.view,
-      layers: this.scene.shapes.map(shape => layerOf(shape, view)),
+      layers: [
+        ...this.ground?.layersIn(view) ?? [],
+        ...this.scene.shapes.map(shape => layerOf(shape, view)),
+      ],
     } as never);
     this.onView(view);
   }
@@ -154,22 +169,83 @@ class MapDrawing {
   }
 }
 
+/** The base map in a frame, once its head was read. */
+interface BaseMap {
+  ground: Ground;
+  /** Text that has to be shown with it; it may hold HTML. */
+  attribution: string;
+}
+
+/** The base map in a frame, if the console has one that is not hidden; `redraw`
+ * is called when more of it is there. */
+function useBaseMap(frame: Frame|undefined, redraw: () => void):
+    {base: BaseMap|undefined, error: string|undefined} {
+  const [base, setBase] = useState<BaseMap>();
+  const [error, setError] = useState<string>();
+  useEffect(() => {
+    if (!frame) {
+      setBase(undefined);
+      return undefined;
+    }
+    let end: (() => void)|undefined;
+    let gone = false;
+    import('./ground.js').then(({Ground: Made, tileStore}) => {
+      if (gone) return;
+      const store = tileStore();
+      const ground = new Made(store, frame);
+      const ends = [
+        effect(() => {
+          const archive = store.archive.value;
+          setBase(archive && {ground, attribution: archive.attribution});
+        }),
+        effect(() => setError(store.error.value)),
+        store.arrivals.subscribe(redraw),
+      ];
+      end = () => ends.forEach(stop => stop());
+    }).catch((reason: Error) => setError(reason.message));
+    return () => {
+      gone = true;
+      end?.();
+    };
+  }, [frame]);
+  return {base, error};
+}
+
 interface Props {
   scene: Scene;
+  /** How the map lies on the earth, where that is known. */
+  frame?: Frame;
   /** What the map shows, for those who do not see it. */
   label: string;
   /** Tells others what is in view: an export draws the same. */
-  viewRef: {current: View|undefined};
+  shownRef: {current: MapSheet|undefined};
 }
 
 /** A map that can be moved with mouse, finger and keys. */
-export function MapView({scene, label, viewRef}: Props) {
+export function MapView({scene, frame, label, shownRef}: Props) {
   const parent = useRef<HTMLDivElement>(null);
   const drawing = useRef<MapDrawing>();
   const [metersPerPixel, setMetersPerPixel] = useState(1);
+  const canHaveBase = frame !== undefined && consoleSettings.value?.baseMap;
+  const isHidden = query.value.get('base') === 'off';
+  const {base, error} = useBaseMap(
+      canHaveBase && !isHidden ? frame : undefined,
+      () => drawing.current?.draw());
+  const latest = useRef({scene, base});
+  latest.current = {scene, base};
   useEffect(() => {
     const made = new MapDrawing(parent.current!, view => {
-      viewRef.current = view;
+      shownRef.current = {
+        get scene() { return latest.current.scene; },
+        view,
+        ground: async () => {
+          const below = latest.current.base;
+          const picture = await below?.ground.picture(view);
+          return below && picture !== undefined ?
+              {picture, attribution: attributionText(below.attribution)} :
+              undefined;
+        },
+      };
       setMetersPerPixel(view.metersPerPixel);
     });
     drawing.current = made;
@@ -180,9 +256,11 @@ export function MapView({scene, label, viewRef}: Props) {
     return () => {
       end();
       made.close();
+      shownRef.current = undefined;
     };
   }, []);
   useEffect(() => drawing.current!.show(scene), [scene]);
+  useEffect(() => drawing.current!.showGround(base?.ground), [base]);
   const bar = scaleBarMeters(metersPerPixel, 120);
   return (
     <figure class="map" aria-label={label}>
@@ -191,13 +269,26 @@ export function MapView({scene, label, viewRef}: Props) {
           <span class="bar" style={{width: `${bar / metersPerPixel}px`}} />
           {length(bar)}
         </p>
+        {base?.attribution && (
+          <p class="attribution"><Attribution html={base.attribution} /></p>
+        )}
       </div>
       <ul class="legend">
         {scene.shapes.map(({id, label, colour: name}) => (
           <li key={id}><span class={`swatch ${name}`} />{label}</li>
         ))}
       </ul>
+      {error && canHaveBase && !isHidden &&
+        <p class="error" role="status">The base map: {error}</p>}
       <div class="map-tools">
+        {canHaveBase && (
+          <label class="check">
+            <input type="checkbox" checked={!isHidden}
+                   onChange={event => setQuery('base',
+                       event.currentTarget.checked ? undefined : 'off')} />
+            Base map
+          </label>
+        )}
         <button type="button" onClick={() => drawing.current!.fitAgain()}>
           Show all
         </button>

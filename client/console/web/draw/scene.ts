@@ -1,5 +1,6 @@
 // The contents of a map, whatever draws it: the screen, or a file.
 import type {Box, View} from '../geometry/view.js';
+import type {GroundColour} from './tile_painter.js';
 
 /** Names of the custom properties in style.css that hold the colours. */
 export type Colour =
@@ -85,7 +86,7 @@ export function linkAt(scene: Scene, view: View, px: number, py: number):
 }
 
 /** The colour in use: it follows the theme. */
-export function colourOf(name: Colour): string {
+export function colourOf(name: Colour|GroundColour): string {
   return getComputedStyle(document.documentElement)
       .getPropertyValue(`--${name}`)
       .trim();

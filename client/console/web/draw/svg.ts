@@ -1,16 +1,31 @@
 // Files of what is in view: an SVG is written, and a PNG is that SVG drawn.
 import type {View} from '../geometry/view.js';
+import type {Fact} from '../parts/facts.js';
 import {length} from '../parts/format.js';
-import type {Curve, Series} from './curve.js';
+import {type Curve, isSingle, type Series} from './curve.js';
 import {colourOf, scaleBarMeters, type Scene, type Shape} from './scene.js';
 
-/** What a file shows, from top to bottom. */
+/** A map as it is at the moment. */
+export interface MapSheet {
+  scene: Scene;
+  view: View;
+  /** Draws the base map below it, if there is one. */
+  ground?: () => Promise<GroundSheet|undefined>;
+}
+
+/** A base map as a file shows it. */
+export interface GroundSheet {
+  /** Address of a picture of the view, with its data in it. */
+  picture: string;
+  attribution: string;
+}
+
+/** The contents of a file, from top to bottom. */
 export interface Sheet {
   title: string;
-  map?: {scene: Scene, view: View};
+  map?: MapSheet;
   curves?: Curve[];
-  /** Names with what they are. */
-  facts?: Array<[string, string]>;
+  facts?: Fact[];
 }
 
 const MARGIN = 16;
@@ -63,7 +78,15 @@ function shapeToSvg(shape: Shape, view: View): string {
       escaped(shape.label)}</title></path>`;
 }
 
-function mapToSvg({scene, view}: {scene: Scene, view: View}): string {
+function groundToSvg({picture, attribution}: GroundSheet,
+                     {width, height}: View): string {
+  return `<image href="${picture}" width="${width}" height="${height}"/>` +
+      text(width - 6, height - 6, attribution,
+           'text-anchor="end" font-size="10"');
+}
+
+function mapToSvg({scene, view}: MapSheet, ground: GroundSheet|undefined):
+    string {
   const bar = scaleBarMeters(view.metersPerPixel, 120);
   const barPixels = bar / view.metersPerPixel;
   const y = view.height - 12;
@@ -73,6 +96,7 @@ function mapToSvg({scene, view}: {scene: Scene, view: View}): string {
               colourOf(colour)}"/>` +
           text(30, 18 + i * LINE, label));
   return `<svg width="${view.width}" height="${view.height}">` +
+      (ground ? groundToSvg(ground, view) : '') +
       scene.shapes.map(shape => shapeToSvg(shape, view)).join('') +
       legend.join('') +
       `<path d="M12 ${y}h${round(barPixels)}" stroke="${
@@ -83,7 +107,7 @@ function mapToSvg({scene, view}: {scene: Scene, view: View}): string {
 function seriesToSvg(series: Series, points: Array<[number, number]|null>):
     string {
   const colour = colourOf(series.colour);
-  if (series.as === 'points') {
+  if (series.as === 'points' || isSingle(points)) {
     return points.map(point => point ?
         `<circle cx="${round(point[0])}" cy="${round(point[1])}" r="2.5" ` +
             `fill="${colour}"/>` : '').join('');
@@ -144,8 +168,9 @@ function curveToSvg(curve: Curve, width: number): string {
       drawn.join('');
 }
 
-export function sheetToSvg({title, map, curves = [], facts = []}: Sheet):
-    string {
+export async function sheetToSvg(
+    {title, map, curves = [], facts = []}: Sheet): Promise<string> {
+  const ground = await map?.ground?.();
   const inner = Math.max(LEAST_WIDTH, map?.view.width ?? 0);
   let y = MARGIN + LINE;
   let body = text(MARGIN, y - 4, title, 'font-size="16" font-weight="600"');
@@ -154,7 +179,7 @@ export function sheetToSvg({title, map, curves = [], facts = []}: Sheet):
     body += `<g transform="translate(${MARGIN} ${y})">${part}</g>`;
     y += height + MARGIN;
   };
-  if (map) place(mapToSvg(map), map.view.height);
+  if (map) place(mapToSvg(map, ground), map.view.height);
   for (const curve of curves) place(curveToSvg(curve, inner), CURVE_HEIGHT);
   facts.forEach(([name, value]) => {
     place(text(0, 0, name, 'font-weight="600"') +
@@ -177,13 +202,14 @@ function save(blob: Blob, name: string): void {
   setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }
 
-export function saveSvg(sheet: Sheet, name: string): void {
-  save(new Blob([sheetToSvg(sheet)], {type: 'image/svg+xml'}), `${name}.svg`);
+export async function saveSvg(sheet: Sheet, name: string): Promise<void> {
+  save(new Blob([await sheetToSvg(sheet)], {type: 'image/svg+xml'}),
+       `${name}.svg`);
 }
 
 export async function savePng(sheet: Sheet, name: string): Promise<void> {
   const url = URL.createObjectURL(
-      new Blob([sheetToSvg(sheet)], {type: 'image/svg+xml'}));
+      new Blob([await sheetToSvg(sheet)], {type: 'image/svg+xml'}));
   try {
     const image = new Image();
     image.src = url;

@@ -6,7 +6,8 @@ export interface Box {
   top: number;
 }
 
-/** What a map shows: its centre, and how much a pixel is. */
+/** The part of the plane that a map shows: its centre, and how much a pixel
+ * is. */
 export interface View {
   x: number;
   y: number;

@@ -7,7 +7,9 @@ export function Export({sheet, name}: {sheet: () => Sheet, name: string}) {
       <button type="button" onClick={() => void savePng(sheet(), name)}>
         PNG
       </button>
-      <button type="button" onClick={() => saveSvg(sheet(), name)}>SVG</button>
+      <button type="button" onClick={() => void saveSvg(sheet(), name)}>
+        SVG
+      </button>
     </div>
   );
 }

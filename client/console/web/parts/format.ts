@@ -51,3 +51,31 @@ export function time(stamp: Timestamp|undefined): string {
 export function words(name: string): string {
   return name.toLowerCase().replaceAll('_', ' ');
 }
+
+/** A time that something took. */
+export function duration(seconds: number): string {
+  if (seconds >= 100) return `${fixed(seconds, 0)} s`;
+  if (seconds >= 1) return `${fixed(seconds, 2)} s`;
+  return `${fixed(1000 * seconds, seconds >= 0.1 ? 0 : 2)} ms`;
+}
+
+/** A share of something that can be used up. */
+export function percent(share: number): string {
+  if (share > 0 && share < 0.0001) return '< 0.01 %';
+  return `${fixed(100 * share, share < 0.1 ? 2 : 0)} %`;
+}
+
+/** How long ago, or ahead, in the largest unit that fits. */
+export function age(seconds: number): string {
+  for (const [unit, size] of [['days', 86_400], ['hours', 3600],
+                              ['minutes', 60]] as const) {
+    if (seconds >= 2 * size) return `${count(Math.floor(seconds / size))} ${
+        unit}`;
+  }
+  return `${count(Math.round(seconds))} s`;
+}
+
+/** So many a second. */
+export function rate(perSecond: number): string {
+  return `${fixed(perSecond, perSecond < 10 ? 2 : 0)}/s`;
+}

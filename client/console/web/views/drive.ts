@@ -38,9 +38,11 @@ export function openQueue(store: VehicleStore): Found[] {
           !decisionAbout(store, candidate));
 }
 
-export function decisionAbout(store: VehicleStore, candidate: Candidate) {
+/** The decision about a candidate, if it had been made at pose `upTo`. */
+export function decisionAbout(store: VehicleStore, candidate: Candidate,
+                              upTo = Infinity) {
   return store.decisionAbout(Number(candidate.query!.sequence),
-                             Number(candidate.matched!.sequence));
+                             Number(candidate.matched!.sequence), upTo);
 }
 
 export function linkTo(store: VehicleStore, found: Found): string {
@@ -115,15 +117,17 @@ export function candidateShapes(store: VehicleStore, found: Found[]): Shape[] {
   });
 }
 
-/** The stretches of path in which a verifier would look for the places. */
-export function stretchShapes(graph: Graph, found: Found[]): Shape[] {
+/** The stretches of path in which a verifier would look for the places, as far
+ * as they lie before node `cut`. */
+export function stretchShapes(graph: Graph, found: Found[], cut: number):
+    Shape[] {
   const segments: number[] = [];
   for (const {candidate: {matched, placeInterval}} of found) {
     if (!placeInterval) continue;
     const centre = matched!.travelledMeters;
     const first = nodeAtDistance(graph, centre - placeInterval.metersBefore);
     const end = nodeAtDistance(graph, centre + placeInterval.metersAfter);
-    for (let i = first; i < Math.min(end, graph.size - 1); ++i) {
+    for (let i = first; i < Math.min(end, cut); ++i) {
       if (!graph.joined[i + 1]) continue;
       segments.push(graph.x[i], graph.y[i], graph.x[i + 1], graph.y[i + 1]);
     }
@@ -133,7 +137,8 @@ export function stretchShapes(graph: Graph, found: Found[]): Shape[] {
                   colour: 'stretch', widthPixels: 7}, segments)];
 }
 
-/** Lines between pairs of poses, as far as both are at most `upTo`. */
+/** Lines between pairs of poses, as far as both are at most `upTo`: the query is
+ * the later one. */
 export function pairShapes(
     graph: Graph, shape: {id: string, label: string, colour: Colour},
     pairs: ReadonlyArray<{querySequence: bigint, matchedSequence: bigint}>,

@@ -7,12 +7,16 @@ import {type Activity, FleetStore, type FleetVehicle} from
     '../data/fleet.js';
 import {MapView} from '../draw/map.js';
 import {type Colour, dots, type Scene} from '../draw/scene.js';
-import {mercator} from '../geometry/mercator.js';
-import {boxAround, type View} from '../geometry/view.js';
+import type {MapSheet} from '../draw/svg.js';
+import {type Frame, mercatorFrame, type Place} from '../geometry/frame.js';
+import {boxAround} from '../geometry/view.js';
 import {Export} from '../parts/export.js';
 import {count, fixed, length, time, words} from '../parts/format.js';
 import {type Column, Table} from '../parts/table.js';
 import {query, setQuery} from '../route.js';
+
+/** How far the first vehicle may be from the origin of the map's frame. */
+const FRAME_DEGREES = 0.2;
 
 const ACTIVITIES: Activity[] = ['streaming', 'idle', 'data loss', 'damaged'];
 
@@ -79,11 +83,13 @@ function isGeodetic({vehicle}: FleetVehicle): boolean {
   return vehicle.settings?.coordinateFrame === CoordinateFrame.GEODETIC;
 }
 
-/** Geodetic vehicles, in one frame; those with local frames have none in
- * common. */
-function sceneOf(vehicles: FleetVehicle[]): {scene: Scene, elsewhere: number} {
-  const placed: Array<{vehicle: FleetVehicle, latitude: number,
-                       longitude: number}> = [];
+interface PlacedVehicle extends Place {
+  vehicle: FleetVehicle;
+}
+
+/** The vehicles whose place on the earth is known. */
+function placedOf(vehicles: FleetVehicle[]): PlacedVehicle[] {
+  const placed: PlacedVehicle[] = [];
   for (const vehicle of vehicles) {
     const {settings} = vehicle.vehicle;
     const last = vehicle.lastPose?.position;
@@ -93,6 +99,23 @@ function sceneOf(vehicles: FleetVehicle[]): {scene: Scene, elsewhere: number} {
     placed.push({vehicle, latitude: position.latitudeDegrees,
                  longitude: position.longitudeDegrees});
   }
+  return placed;
+}
+
+/** The frame that was used before, as long as a metre is a metre in it. */
+function frameFor(placed: PlacedVehicle[], before: Frame|undefined):
+    Frame|undefined {
+  if (placed.length === 0) return undefined;
+  const [{latitude, longitude}] = placed;
+  const isNear = before &&
+      Math.abs(before.origin.latitude - latitude) < FRAME_DEGREES &&
+      Math.abs(before.origin.longitude - longitude) < FRAME_DEGREES;
+  return isNear ? before : mercatorFrame({latitude, longitude});
+}
+
+/** Geodetic vehicles in one frame; those with local frames have none in
+ * common. */
+function sceneOf(placed: PlacedVehicle[], frame: Frame|undefined): Scene {
   const groups: Array<[string, Colour, (v: FleetVehicle) => boolean]> = [
     ['Idle', 'vehicle', v => v.activity === 'idle'],
     ['Streaming', 'accepted', v => v.activity === 'streaming'],
@@ -102,29 +125,29 @@ function sceneOf(vehicles: FleetVehicle[]): {scene: Scene, elsewhere: number} {
   const all: number[] = [];
   const shapes = groups.map(([label, colour, belongs]) => {
     const members = placed.filter(({vehicle}) => belongs(vehicle));
-    const positions = members.flatMap(
-        ({latitude, longitude}) => mercator(latitude, longitude, placed[0]));
+    const positions = members.flatMap(place => frame!.toMap(place));
     all.push(...positions);
     return dots({id: label, label, colour, radiusPixels: 6,
                  link: i => `/vehicles/${members[i].vehicle.id}`}, positions);
   }).filter(({positions}) => positions.length > 0);
-  return {
-    scene: {shapes, box: boxAround(all)},
-    elsewhere: vehicles.length - placed.length,
-  };
+  return {shapes, box: boxAround(all)};
 }
 
 export function FleetView() {
   const store = useMemo(() => new FleetStore(), []);
   useEffect(() => () => store.close(), []);
-  const view = useRef<View>();
+  const shown = useRef<MapSheet>();
+  const frame = useRef<Frame>();
   const all = store.vehicles.value;
   const filters = query.value;
   const vehicles = useMemo(
       () => (all ?? []).filter(vehicle => matches(vehicle, filters)),
       [all, filters]);
-  const {scene, elsewhere} = useMemo(() => sceneOf(vehicles), [vehicles]);
-  const onMap = vehicles.length - elsewhere;
+  const placed = useMemo(() => placedOf(vehicles), [vehicles]);
+  frame.current = frameFor(placed, frame.current);
+  const scene = useMemo(() => sceneOf(placed, frame.current), [placed]);
+  const onMap = placed.length;
+  const elsewhere = vehicles.length - onMap;
   const [visible, setVisible] = useState<FleetVehicle[]>([]);
   useEffect(() => store.show([...visible, ...vehicles.filter(isGeodetic)].map(
                 ({vehicle}) => vehicle.name)), [visible, vehicles]);
@@ -140,8 +163,7 @@ export function FleetView() {
         </p>
         <Export name="fleet" sheet={() => ({
           title: 'Fleet',
-          map: onMap > 0 && view.current ? {scene, view: view.current} :
-                                           undefined,
+          map: shown.current,
           facts: vehicles.slice(0, 200).map(({id, vehicle, activity}) =>
               [id, `${activity}, ${count(vehicle.durableSequence)} poses, ${
                   count(vehicle.loopClosureCount)} closures`]),
@@ -170,7 +192,7 @@ export function FleetView() {
         </label>
       </form>
       {onMap > 0 && (
-        <MapView scene={scene} viewRef={view}
+        <MapView scene={scene} frame={frame.current} shownRef={shown}
                  label={`Map of ${onMap} vehicles with geodetic positions; ` +
                         'the table has the same'} />
       )}

@@ -8,8 +8,10 @@ import {Durability, type GetServerInfoResponse} from
 import {health, messageOf, repeat, service} from '../data/client.js';
 import {type Curve, CurveView} from '../draw/curve.js';
 import {Export} from '../parts/export.js';
+import {type Fact, FactList} from '../parts/facts.js';
 import {bytes, count, fixed, words} from '../parts/format.js';
 import {Table} from '../parts/table.js';
+import {metricsSheet, MetricsView, useMetrics} from './server_metrics.js';
 
 const POLL_MILLISECONDS = 1000;
 const MOST_SAMPLES = 600;
@@ -33,7 +35,7 @@ const DURABILITY: Record<Durability, string> = {
       'power takes what was acknowledged last',
 };
 
-/** What one round of questions was answered. */
+/** The answers to one round of questions. */
 interface Sample {
   time: Date;
   info: GetServerInfoResponse;
@@ -54,29 +56,32 @@ async function ask(): Promise<Sample> {
 }
 
 function factsOf({info, health: statuses, milliseconds, time}: Sample):
-    Array<[string, string]> {
+    Fact[] {
   return [
     ['Version', info.version],
-    ...HEALTH_NAMES.map(([, label], i): [string, string] => [label,
+    ...HEALTH_NAMES.map(([, label], i): Fact => [label,
                                                             statuses[i]]),
     ['Durability', DURABILITY[info.durability]],
     ...(info.durabilitySettings ?
-            [['Comes from', info.durabilitySettings] as [string, string]] :
+            [['Comes from', info.durabilitySettings] as Fact] :
             []),
     ['Format of the store', String(info.storeFormat)],
     ['Most poses in a batch', count(info.maxBatchPoses)],
     ['Largest message', bytes(info.maxMessageBytes)],
     ['Batches in flight of a stream', count(info.maxBatchesInFlight)],
-    ['Vehicles in memory', count(info.residentVehicleCount)],
-    ['Nodes in memory', count(info.residentNodeCount)],
-    ['Their memory', bytes(info.residentBytes)],
+    ...(info.overAllTenants ? [
+      ['Vehicles in memory', count(info.residentVehicleCount)],
+      ['Nodes in memory', count(info.residentNodeCount)],
+      ['Their memory', bytes(info.residentBytes)],
+    ] as Fact[] : []),
     ['Round trip from this page', `${fixed(milliseconds, 1)} ms`],
     ['As of', time.toLocaleTimeString()],
   ];
 }
 
 function curvesOf(samples: Sample[]): Curve[] {
-  const now = samples[samples.length - 1].time.getTime();
+  const {time: last, info: {overAllTenants}} = samples[samples.length - 1];
+  const now = last.getTime();
   const x = samples.map(({time}) => (time.getTime() - now) / 1000);
   const shared = {xLabel: 's from now', x,
                   xRange: [Math.min(-60, x[0]), 0] as [number, number]};
@@ -84,10 +89,12 @@ function curvesOf(samples: Sample[]): Curve[] {
     {title: 'Round trip of GetServerInfo from this page, ms', ...shared,
      series: [{label: 'ms', colour: 'path', as: 'line',
                values: samples.map(({milliseconds}) => milliseconds)}]},
-    {title: 'Nodes in memory', ...shared,
-     series: [{label: 'nodes', colour: 'closure', as: 'line',
-               values: samples.map(
-                   ({info}) => Number(info.residentNodeCount))}]},
+    ...(overAllTenants ? [{
+      title: 'Nodes in memory', ...shared,
+      series: [{label: 'nodes', colour: 'closure', as: 'line',
+                values: samples.map(
+                    ({info}) => Number(info.residentNodeCount))}],
+    } as Curve] : []),
   ];
 }
 
@@ -108,22 +115,20 @@ export function ServerView() {
   const last = samples.value[samples.value.length - 1];
   const facts = last && factsOf(last);
   const curves = last && curvesOf(samples.value);
+  const metrics = useMetrics();
   return (
     <>
       <div class="title">
         <h1>Server</h1>
-        {last && <Export name="server"
-                         sheet={() => ({title: 'Server', facts, curves})} />}
+        {last && <Export name="server" sheet={() => {
+          const more = metricsSheet(metrics);
+          return {title: 'Server', facts: [...facts!, ...more.facts],
+                  curves: [...curves!, ...more.curves]};
+        }} />}
       </div>
       {error.value && <p class="error" role="status">{error.value}</p>}
       {!last && !error.value && <p>Asking the server…</p>}
-      {facts && (
-        <dl class="facts">
-          {facts.map(([name, value]) => (
-            <div key={name}><dt>{name}</dt><dd>{value}</dd></div>
-          ))}
-        </dl>
-      )}
+      {facts && <FactList facts={facts} />}
       {last && last.info.servers.length > 0 && (
         <Table label="Servers that share the store" rows={last.info.servers}
                keyOf={({address}) => address} empty="None"
@@ -133,14 +138,18 @@ export function ServerView() {
                   cell: ({ownedVehicleCount}) => count(ownedVehicleCount)},
                ]} />
       )}
-      {curves && curves.map(curve => (
-        <CurveView key={curve.title} curve={curve} />
-      ))}
-      <p class="hint">
-        The number of vehicles, nodes and bytes in memory is 0 for callers that
-        belong to a tenant. Everything else that the server can tell is in its
-        log and at its admin port.
-      </p>
+      {curves && (
+        <div class="curves">
+          {curves.map(curve => <CurveView key={curve.title} curve={curve} />)}
+        </div>
+      )}
+      <MetricsView history={metrics} />
+      {last && !last.info.overAllTenants && (
+        <p class="hint">
+          How much is in memory, and which servers share the store, is told to
+          callers that belong to no tenant.
+        </p>
+      )}
     </>
   );
 }

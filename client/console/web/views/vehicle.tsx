@@ -10,8 +10,11 @@ import {type VehicleStore, vehicleStore} from '../data/vehicle.js';
 import {type Curve, CurveView} from '../draw/curve.js';
 import {MapView} from '../draw/map.js';
 import type {Scene} from '../draw/scene.js';
-import type {Box, View} from '../geometry/view.js';
+import type {MapSheet} from '../draw/svg.js';
+import {tangentFrame} from '../geometry/frame.js';
+import type {Box} from '../geometry/view.js';
 import {Export} from '../parts/export.js';
+import {type Fact, FactList} from '../parts/facts.js';
 import {count, fixed, length, probability, words} from '../parts/format.js';
 import {type Column, Table} from '../parts/table.js';
 import {query, setQuery} from '../route.js';
@@ -36,7 +39,7 @@ function boxOfGraph({x, y, size}: Graph): Box|undefined {
   return box;
 }
 
-function columnsFor(store: VehicleStore): Array<Column<Found>> {
+function columnsFor(store: VehicleStore, at: number): Array<Column<Found>> {
   return [
     {title: 'Pose', number: true, cell: found => (
       <a href={linkTo(store, found)}
@@ -58,20 +61,21 @@ function columnsFor(store: VehicleStore): Array<Column<Found>> {
            fixed(gate!.threshold, 2)}`},
     {title: 'Rank', number: true, cell: ({candidate}) => candidate.rank},
     {title: 'Decision', cell: ({candidate}) =>
-       decisionAbout(store, candidate)?.kind ?? ''},
+       decisionAbout(store, candidate, at)?.kind ?? ''},
   ];
 }
 
-function curvesOf(graph: Graph, vehicle: Vehicle,
-                  answers: Map<number, Answer>): Curve[] {
+/** Curves up to node `cut`. */
+function curvesOf(graph: Graph, vehicle: Vehicle, answers: Map<number, Answer>,
+                  cut: number): Curve[] {
   const newest = Number(vehicle.durableSequence);
   const sets = [...answers.values()].filter(({set}) => set);
   const x = sets.map(({asked}) => asked);
   const best = sets.map(({set}) => set!.candidates[0]);
   const shared = {xLabel: 'pose',
                   xRange: [1, newest] as [number, number]};
-  const step = Math.ceil(graph.size / MOST_CURVE_POINTS);
-  const nodes = Array.from({length: Math.ceil(graph.size / step)},
+  const step = Math.ceil((cut + 1) / MOST_CURVE_POINTS);
+  const nodes = Array.from({length: Math.ceil((cut + 1) / step)},
                            (_, i) => i * step);
   return [
     {title: 'd² of the first candidate', ...shared, x, logarithmic: true,
@@ -105,9 +109,9 @@ function curvesOf(graph: Graph, vehicle: Vehicle,
   ];
 }
 
-function Facts({vehicle, store}: {vehicle: Vehicle, store: VehicleStore}) {
+function factsNow(vehicle: Vehicle, store: VehicleStore): Fact[] {
   const {consistency} = vehicle;
-  const facts: Array<[string, string]> = [
+  return [
     ['State', words(VehicleState[vehicle.state])],
     ['Poses', count(vehicle.durableSequence)],
     ['Nodes', count(vehicle.nodeCount)],
@@ -117,20 +121,22 @@ function Facts({vehicle, store}: {vehicle: Vehicle, store: VehicleStore}) {
     ['Inflation', consistency ? fixed(consistency.inflation, 2) : '–'],
     ['Revision', count(vehicle.revision)],
   ];
-  return (
-    <>
-      <dl class="facts short">
-        {facts.map(([name, value]) => (
-          <div key={name}><dt>{name}</dt><dd>{value}</dd></div>
-        ))}
-      </dl>
-      {vehicle.findings.map(({code, message}) => (
-        <p class="error" key={code}>
-          <strong>{words(FindingCode[code])}</strong>: {message}
-        </p>
-      ))}
-    </>
-  );
+}
+
+/** The numbers that were so at pose `at`, whose node is `cut`. State, inflation
+ * and findings are known of the newest pose only. */
+function factsThen(store: VehicleStore, graph: Graph, at: number,
+                   cut: number): Fact[] {
+  const made = (decisions: ReadonlyArray<{querySequence: bigint}>) => count(
+      decisions.filter(
+          ({querySequence}) => Number(querySequence) <= at).length);
+  return [
+    ['Poses', count(at)],
+    ['Nodes', count(cut + 1)],
+    ['Travelled', length(graph.travelled[cut])],
+    ['Loop closures', made(store.closures.value)],
+    ['Rejected', made(store.rejections.value)],
+  ];
 }
 
 interface SliderProps {
@@ -218,7 +224,7 @@ export function VehicleView({id}: {id: string}) {
   const vehicle = store.vehicle.value;
   const graph = store.graph.value;
   const checks = store.checks.value;
-  const view = useRef<View>();
+  const sheet = useRef<MapSheet>();
   const newest = Number(vehicle?.durableSequence ?? 0);
   const asked = Number(query.value.get('at') ?? NaN);
   const live = !(asked >= 1 && asked < newest);
@@ -250,9 +256,10 @@ export function VehicleView({id}: {id: string}) {
   const stretches = useMemo(
       () => graph ? stretchShapes(
                         graph, shown.filter(({candidate}) =>
-                                   candidate.verdict === Verdict.ACCEPTED)) :
+                                   candidate.verdict === Verdict.ACCEPTED),
+                        cut) :
                     [],
-      [graph, shown]);
+      [graph, shown, cut]);
   const links = useMemo(() => candidateShapes(store, shown), [shown]);
   const decided = useMemo(() => graph ? [
     ...pairShapes(graph, {id: 'closures', label: 'Loop closure',
@@ -266,13 +273,19 @@ export function VehicleView({id}: {id: string}) {
              ...decided, ...paths.slice(-1)],
     box,
   }), [ellipses, stretches, links, paths, decided, box]);
+  const origin = vehicle?.settings?.geodeticOrigin;
+  const frame = useMemo(() => origin && tangentFrame({
+    latitude: origin.latitudeDegrees, longitude: origin.longitudeDegrees,
+  }, origin.heightMeters), [origin?.latitudeDegrees, origin?.longitudeDegrees,
+                            origin?.heightMeters]);
   const curves = useMemo(
-      () => graph && vehicle ? curvesOf(graph, vehicle, answers) : [],
-      [graph, vehicle, answers]);
-  const columns = useMemo(() => columnsFor(store), [store]);
+      () => graph && vehicle ? curvesOf(graph, vehicle, answers, cut) : [],
+      [graph, vehicle, answers, cut]);
+  const columns = useMemo(() => columnsFor(store, at), [store, at]);
 
   const waiting = [...answers.values()].filter(({outdated}) => outdated).length;
   const askable = posesToAsk(checks, at);
+  const due = checks.filter(({pose}) => pose <= at).length;
   const known = askable.filter(pose => answers.get(pose)?.set).length;
   const failed = [...answers.values()].find(({error}) => error)?.error;
   const name = vehicle?.displayName || id;
@@ -290,18 +303,25 @@ export function VehicleView({id}: {id: string}) {
         </p>
         <Export name={id} sheet={() => ({
           title: `${name}, up to pose ${count(at)}`,
-          map: view.current && {scene, view: view.current},
+          map: sheet.current,
           curves,
         })} />
       </div>
       {store.error.value &&
         <p class="error" role="status">{store.error.value}</p>}
-      {vehicle && <Facts vehicle={vehicle} store={store} />}
+      {vehicle && (live || !graph || graph.size === 0 ?
+        <FactList short facts={factsNow(vehicle, store)} /> :
+        <FactList short facts={factsThen(store, graph, at, cut)} />)}
+      {live && vehicle?.findings.map(({code, message}) => (
+        <p class="error" key={code}>
+          <strong>{words(FindingCode[code])}</strong>: {message}
+        </p>
+      ))}
       {graph && graph.size > 0 && (
         <>
           <Slider newest={newest} at={at} live={live} />
           <div class="map-and-table">
-            <MapView scene={scene} viewRef={view}
+            <MapView scene={scene} frame={frame} shownRef={sheet}
                      label={`Map of the path of ${name}; the table has its ` +
                             'candidates'} />
             <div class="side">
@@ -311,11 +331,16 @@ export function VehicleView({id}: {id: string}) {
                   'No check has fallen due yet.' :
                   `${count(known)} of ${count(askable.length)} checks ` +
                       'answered' +
-                      (checks.length > MOST_CHECKS ?
-                           `, the last up to this pose` : '') +
                       (waiting > 0 ? `, ${count(waiting)} asked anew` : '')}
                 {failed && `. ${failed}`}
               </p>
+              {due > MOST_CHECKS && (
+                <p class="hint">
+                  {count(due)} checks fell due up to this pose: candidates are
+                  those of the last {count(MOST_CHECKS)}. The slider leads back
+                  to earlier ones.
+                </p>
+              )}
               <Table label="Candidates" columns={columns} rows={shown}
                      keyOf={keyOf} empty="No candidates." />
             </div>

@@ -1,0 +1,100 @@
+import {Code, ConnectError, type Transport} from '@connectrpc/connect';
+
+import {errorInfoOf} from './error_info.js';
+
+/** How often one call goes to another server than the last one. */
+const MOST_HOPS = 3;
+const MOST_OWNERS = 10_000;
+/** The header by which the Envoy of a cluster sends a call to an owner. */
+const OWNER_HEADER = 'x-revisit-owner';
+
+/** Where one attempt of a call goes, and what it says besides. */
+export interface Route {
+  transport: Transport;
+  headers: Array<[string, string]>;
+}
+
+function ownerSaidBy(error: unknown): string|undefined {
+  const info = errorInfoOf(error);
+  return info?.reason === 'NOT_OWNER' ?
+      info.metadata.get('owner') || undefined : undefined;
+}
+
+/** The id of the vehicle that a request is about; undefined for none. */
+export function vehicleOf(request: object): string|undefined {
+  const {name, parent, vehicle} = request as Record<string, unknown>;
+  for (const value of [name, parent, vehicle]) {
+    const found = typeof value === 'string' &&
+        /^vehicles\/([^/]+)/.exec(value);
+    if (found) return found[1];
+  }
+  return undefined;
+}
+
+/**
+ * The servers of one store. Calls go to the first of them, until it answers
+ * NOT_OWNER: then, and from then on, those about that vehicle go to its owner.
+ * An owner is connected to only if it is one of the addresses that the console
+ * was given, whatever an answer says; to others calls go by way of the first
+ * address, with the header that leads them on where that is the cluster's
+ * Envoy.
+ */
+export class Cluster {
+  /** Address of the owner, by the vehicle's id; the eldest first. */
+  private readonly owners = new Map<string, string>();
+  private readonly transports: Map<string, Transport>;
+  /** The way to the first server. */
+  readonly transport: Transport;
+
+  /** There is an address at least. */
+  constructor(addresses: readonly string[],
+              connect: (address: string) => Transport) {
+    this.transports =
+        new Map(addresses.map(address => [address, connect(address)]));
+    this.transport = this.transports.get(addresses[0])!;
+  }
+
+  /** Makes attempts of a call, which is about this vehicle, until one of them
+   * reaches the vehicle's owner, or none will. */
+  async call<T>(vehicle: string|undefined,
+                attempt: (route: Route) => Promise<T>): Promise<T> {
+    for (let hop = 0;; ++hop) {
+      const asked = vehicle === undefined ? undefined :
+                                            this.owners.get(vehicle);
+      try {
+        return await attempt(this.routeTo(asked));
+      } catch (error) {
+        if (vehicle === undefined) throw error;
+        const owner = ownerSaidBy(error);
+        if (owner !== undefined) {
+          this.remember(vehicle, owner);
+          // Nothing was changed by a call that ended so. Whoever names the
+          // same owner again does not lead there.
+          if (owner !== asked && hop < MOST_HOPS) continue;
+        } else if (ConnectError.from(error).code === Code.Unavailable) {
+          this.owners.delete(vehicle);
+        }
+        throw error;
+      }
+    }
+  }
+
+  private routeTo(owner: string|undefined): Route {
+    const direct = owner === undefined ? undefined :
+                                         this.transports.get(owner);
+    if (direct) return {transport: direct, headers: []};
+    return {
+      transport: this.transport,
+      headers: owner === undefined ? [] :
+          [[OWNER_HEADER, Buffer.from(owner).toString('base64')]],
+    };
+  }
+
+  private remember(vehicle: string, owner: string): void {
+    this.owners.delete(vehicle);
+    this.owners.set(vehicle, owner);
+    if (this.owners.size > MOST_OWNERS) {
+      this.owners.delete(this.owners.keys().next().value!);
+    }
+  }
+}

@@ -1,0 +1,87 @@
+// How both passes of a candidate are laid over each other.
+import type {Candidate} from '../../gen/revisit/v1/candidate_pb.js';
+import type {Graph} from '../data/graph.js';
+import type {Curve} from '../draw/curve.js';
+import {dots, type Scene, strokes} from '../draw/scene.js';
+import {apply, fit} from '../geometry/rigid.js';
+import {boxAround} from '../geometry/view.js';
+
+/** Nodes that are drawn before and behind the aligned ones. */
+const CONTEXT_NODES = 25;
+
+export interface Overlay {
+  scene: Scene;
+  residuals: Curve;
+}
+
+/** Both passes, the recent one moved and turned so that it lies on the earlier
+ * one as well as it can, and how far the pairs are apart then. */
+export function overlayOf(graph: Graph, candidate: Candidate):
+    Overlay|undefined {
+  const pairs = candidate.alignedPath.map(
+      ({queryIndex, matchedIndex}) => [Number(queryIndex),
+                                       Number(matchedIndex)]);
+  if (pairs.length === 0 ||
+      pairs.some(([q, m]) => q >= graph.size || m >= graph.size)) {
+    return undefined;
+  }
+  const {x, y, heading, travelled} = graph;
+  // Metres from the matched node, in which small differences are not lost.
+  const [, end] = pairs[pairs.length - 1];
+  const at = (i: number): [number, number] => [x[i] - x[end], y[i] - y[end]];
+  const moved = fit(pairs.flatMap(([q]) => at(q)),
+                    pairs.flatMap(([, m]) => at(m)));
+  const movedAt = (i: number) => apply(moved, ...at(i));
+  const path = (indices: number[], place: (i: number) => [number, number]) => {
+    const least = Math.max(0, Math.min(...indices) - CONTEXT_NODES);
+    const most = Math.min(graph.size - 1,
+                          Math.max(...indices) + CONTEXT_NODES);
+    const segments: number[] = [];
+    for (let i = least; i < most; ++i) {
+      if (graph.joined[i + 1]) segments.push(...place(i), ...place(i + 1));
+    }
+    return segments;
+  };
+  const matchedPath = path(pairs.map(([, m]) => m), at);
+  const queryPath = path(pairs.map(([q]) => q), movedAt);
+  const [lastQuery] = pairs[pairs.length - 1];
+  const residuals = pairs.map(([q, m]) => {
+    const [px, py] = movedAt(q);
+    const [mx, my] = at(m);
+    const [cosine, sine] = [Math.cos(heading[m]), Math.sin(heading[m])];
+    return {
+      back: travelled[q] - travelled[lastQuery],
+      along: cosine * (px - mx) + sine * (py - my),
+      across: -sine * (px - mx) + cosine * (py - my),
+    };
+  }).sort((a, b) => a.back - b.back);
+  return {
+    scene: {
+      shapes: [
+        strokes({id: 'pairs', label: 'Aligned pairs', colour: 'grid',
+                 widthPixels: 1},
+                pairs.flatMap(([q, m]) => [...movedAt(q), ...at(m)])),
+        strokes({id: 'matched', label: 'Earlier pass',
+                 colour: 'matched-path', widthPixels: 3}, matchedPath),
+        strokes({id: 'query', label: 'This pass, laid over it',
+                 colour: 'query-path', widthPixels: 2}, queryPath),
+        dots({id: 'matched end', label: 'Match', colour: 'matched-path',
+              radiusPixels: 6}, at(end)),
+        dots({id: 'query end', label: 'Query', colour: 'query-path',
+              radiusPixels: 4}, movedAt(lastQuery)),
+      ],
+      box: boxAround([...matchedPath, ...queryPath]),
+    },
+    residuals: {
+      title: 'Residuals of the aligned pairs, m',
+      xLabel: 'm from the query',
+      x: residuals.map(({back}) => back),
+      series: [
+        {label: 'along the earlier pass', colour: 'path', as: 'line',
+         values: residuals.map(({along}) => along)},
+        {label: 'across it', colour: 'query-path', as: 'line',
+         values: residuals.map(({across}) => across)},
+      ],
+    },
+  };
+}
