@@ -2,8 +2,8 @@
 
 #include "absl/strings/str_cat.h"
 #include "server/conversion/field_violations.h"
-#include "server/conversion/loop_closure_content.h"
 #include "server/conversion/names.h"
+#include "server/conversion/pose_pair_content.h"
 #include "server/conversion/timestamps.h"
 
 namespace revisit::server {
@@ -29,16 +29,6 @@ void CheckSequences(const Message& pair, const FieldPath& path,
   }
 }
 
-// The content that the store keeps of a pair beside its poses.
-std::string PayloadOf(const v1::LoopClosure& pair, const FieldPath& path,
-                      Violations* violations) {
-  return EncodeContent(pair, path, violations);
-}
-std::string PayloadOf(const v1::RejectedCandidate&, const FieldPath&,
-                      Violations*) {
-  return "";
-}
-
 template <typename Message>
 absl::StatusOr<PosePairRecord> DecodePair(PairKind kind, const Message* pair,
                                           const std::string& id) {
@@ -51,7 +41,7 @@ absl::StatusOr<PosePairRecord> DecodePair(PairKind kind, const Message* pair,
     violations.Add(kInvalidField, path, "required");
   } else {
     CheckSequences(*pair, path, &violations);
-    record.payload = PayloadOf(*pair, path, &violations);
+    record.payload = EncodeContent(*pair, path, &violations);
   }
   if (violations.count() > 0) return violations.ToStatus();
   record.id = !id.empty() ? id
@@ -74,6 +64,8 @@ void EncodePair(PairKind kind, const std::string& vehicle_id,
   message->set_query_sequence(record.query_sequence);
   message->set_matched_sequence(record.matched_sequence);
   EncodeTime(record.create_time_ns, message->mutable_create_time());
+  // A payload that does not decode was found when the vehicle was loaded.
+  static_cast<void>(DecodeContent(record.payload, message));
 }
 
 }  // namespace
@@ -91,8 +83,6 @@ absl::StatusOr<PosePairRecord> DecodePosePair(const v1::RejectedCandidate* pair,
 void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,
                     v1::LoopClosure* message) {
   EncodePair(PairKind::kLoopClosure, vehicle_id, record, message);
-  // A payload that does not decode was found when the vehicle was loaded.
-  static_cast<void>(DecodeContent(record.payload, message));
 }
 
 void EncodePosePair(const std::string& vehicle_id, const PosePairRecord& record,

@@ -21,9 +21,10 @@
 namespace revisit::server {
 
 // A vehicle's payload is a serialized revisit.stored.Vehicle, a batch's a
-// serialized revisit.stored.PoseBatch, a loop closure's a serialized
-// revisit.stored.LoopClosureContent (loop_closure_content.h). The fingerprint
-// of a pose is the XXH3-64 of its serialized revisit.stored.Pose.
+// serialized revisit.stored.PoseBatch, a loop closure's and a rejected
+// candidate's a serialized revisit.stored.PosePairContent
+// (pose_pair_content.h). The fingerprint of a pose is the XXH3-64 of its
+// serialized revisit.stored.Pose.
 class ProtoRecordCodec : public RecordCodec {
  public:
   std::string EncodeVehicle(const VehicleConfig& config) const override;

@@ -362,9 +362,8 @@ absl::Status Changes::CheckNewPair(PairKind kind, const PosePairRecord& pair,
         present->matched_sequence == pair.matched_sequence) {
       if (present->payload == pair.payload) return absl::OkStatus();
       return Error(StatusCode::kAlreadyExists, words.exists,
-                   StrCat(words.noun, " '", pair.id,
-                          "' has another measurement, note or score; to "
-                          "replace it, delete it first"));
+                   StrCat(words.noun, " '", pair.id, "' has another ",
+                          words.content, "; to replace it, delete it first"));
     }
     return Error(
         StatusCode::kAlreadyExists, words.exists,

@@ -8,15 +8,15 @@ namespace revisit::server {
 
 absl::Status MeasuredLoops::Add(const VehicleState& vehicle,
                                 core::StateSpace space,
-                                const PosePairRecord& closure) {
-  if (closure.payload.empty()) return absl::OkStatus();
+                                const PosePairRecord& pair) {
+  if (pair.payload.empty()) return absl::OkStatus();
   const absl::StatusOr<std::optional<core::LoopMeasurement>> measurement =
-      vehicle.codec->DecodeMeasurement(closure.payload, space);
+      vehicle.codec->DecodeMeasurement(pair.payload, space);
   if (!measurement.ok()) return measurement.status();
   if (!*measurement) return absl::OkStatus();
-  measurements_.emplace(closure.id, **measurement);
-  poses_.try_emplace(closure.query_sequence);
-  poses_.try_emplace(closure.matched_sequence);
+  measurements_.emplace(pair.id, **measurement);
+  poses_.try_emplace(pair.query_sequence);
+  poses_.try_emplace(pair.matched_sequence);
   return absl::OkStatus();
 }
 

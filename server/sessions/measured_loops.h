@@ -22,10 +22,11 @@ namespace revisit::server {
 // Belongs to the strand.
 class MeasuredLoops {
  public:
-  // Notes what was measured of a loop closure, if anything was. Errors: those
-  // of RecordCodec::DecodeMeasurement().
+  // Notes what was measured of a loop closure, if anything was; of a rejected
+  // candidate nothing ever was. Errors: those of
+  // RecordCodec::DecodeMeasurement().
   absl::Status Add(const VehicleState& vehicle, core::StateSpace space,
-                   const PosePairRecord& closure);
+                   const PosePairRecord& pair);
   bool empty() const { return measurements_.empty(); }
 
   // Takes those of the poses that are wanted.

@@ -58,9 +58,10 @@ class RecordCodec {
   // The payload of a batch whose poses were dropped.
   virtual std::string EncodeDropped(
       const core::DroppedStretch& stretch) const = 0;
-  // The measurement in a stored loop closure's payload, or nothing.
-  // INVALID_ARGUMENT if that is no measurement for a vehicle of this state
-  // space; DATA_LOSS if the payload is not that of a loop closure.
+  // The measurement in a stored pair's payload, or nothing, as in that of every
+  // rejected candidate. INVALID_ARGUMENT if that is no measurement for a
+  // vehicle of this state space; DATA_LOSS if the payload is not that of a
+  // pair.
   virtual absl::StatusOr<std::optional<core::LoopMeasurement>>
   DecodeMeasurement(const std::string& payload,
                     core::StateSpace space) const = 0;

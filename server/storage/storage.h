@@ -165,17 +165,21 @@ struct PairWords {
   const char* field;
   // In resource names.
   const char* collection;
+  // The parts of its payload.
+  const char* content;
   const char* exists;
   const char* not_found;
 };
 
 constexpr PairWords WordsOf(PairKind kind) {
   return kind == PairKind::kLoopClosure
-             ? PairWords{"loop closure", "loop_closure", "loopClosures",
+             ? PairWords{"loop closure",        "loop_closure",
+                         "loopClosures",        "measurement, note or score",
                          "LOOP_CLOSURE_EXISTS", "LOOP_CLOSURE_NOT_FOUND"}
-             : PairWords{"rejected candidate", "rejected_candidate",
-                         "rejectedCandidates", "REJECTED_CANDIDATE_EXISTS",
-                         "REJECTED_CANDIDATE_NOT_FOUND"};
+             : PairWords{
+                   "rejected candidate",        "rejected_candidate",
+                   "rejectedCandidates",        "note",
+                   "REJECTED_CANDIDATE_EXISTS", "REJECTED_CANDIDATE_NOT_FOUND"};
 }
 
 // A server that shares a storage with others.

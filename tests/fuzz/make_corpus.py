@@ -126,6 +126,9 @@ def requests():
     put("reject", 6, api.RejectCandidateRequest(
         parent=NAME, rejected_candidate=api.RejectedCandidate(
             query_sequence=9, matched_sequence=2)))
+    put("reject_noted", 6, api.RejectCandidateRequest(
+        parent=NAME, rejected_candidate=api.RejectedCandidate(
+            query_sequence=9, matched_sequence=2, note="a bridge\n\tabove")))
     put("revise", 7, api.RevisePosesRequest(
         vehicle=NAME, expected_revision=3, poses=poses))
     put("revise_filter", 7, api.RevisePosesRequest(
@@ -139,7 +142,7 @@ def requests():
 
 
 def records():
-    # Field 1 of LoopClosureContent.
+    # Field 1 of PosePairContent.
     measurement = MEASUREMENT.SerializeToString()
     write("records", "closure",
           bytes([3, 0, 0x0a, len(measurement)]) + measurement)

@@ -122,6 +122,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
     server::PosePairRecord pair;
     pair.payload = payload;
     server::EncodePosePair("v", pair, &closure);
+    revisit::v1::RejectedCandidate rejection;
+    server::EncodePosePair("v", pair, &rejection);
     return 0;
   }
   const auto decoded = codec.DecodeBatch(payload, config);

@@ -251,14 +251,6 @@ BAD_CONTENT = {
         {"measurement": measured(covariance=(
             0.04, 0.01, *([0.0] * 5), 0.04, *([0.0] * 27), 0.0004))},
         "COVARIANCE_NOT_SYMMETRIC", ["measurement.covariance.values"]),
-    "note is too long": (
-        {"note": "a" * 1025}, "INVALID_FIELD", ["note"]),
-    "note is too long in bytes": (
-        {"note": "\u00e9" * 513}, "INVALID_FIELD", ["note"]),
-    "note has colours": (
-        {"note": "\x1b[31mred"}, "INVALID_FIELD", ["note"]),
-    "note has a C1 control character": (
-        {"note": "a\u0085b"}, "INVALID_FIELD", ["note"]),
     "score is not finite": (
         {"score": math.nan}, "NOT_FINITE", ["score"]),
     "all at once": (

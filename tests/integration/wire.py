@@ -110,18 +110,18 @@ class PairKind:
     def __str__(self):
         return self.field
 
-    def request(self, parent, query=0, matched=0, pair_id=""):
+    def request(self, parent, query=0, matched=0, pair_id="", **content):
         return getattr(api, f"{self.add_method}Request")(**{
             "parent": parent, f"{self.field}_id": pair_id,
             self.field: getattr(api, self.message)(
-                query_sequence=query, matched_sequence=matched)})
+                query_sequence=query, matched_sequence=matched, **content)})
 
     def call_add(self, stub, request):
         return getattr(stub, self.add_method)(request)
 
-    def add(self, stub, parent, *pair):
+    def add(self, stub, parent, *pair, **content):
         """(the stored pair, revision)"""
-        answer = self.call_add(stub, self.request(parent, *pair))
+        answer = self.call_add(stub, self.request(parent, *pair, **content))
         return getattr(answer, self.field), answer.revision
 
     def page(self, stub, parent, **fields):

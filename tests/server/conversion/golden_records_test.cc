@@ -393,5 +393,19 @@ TEST(GoldenRecordTest, LoopClosuresAreWrittenAndReadAsEver) {
   EXPECT_EQ(answer.SerializeAsString(), closure.SerializeAsString());
 }
 
+TEST(GoldenRecordTest, RejectedCandidatesAreWrittenAndReadAsEver) {
+  const auto rejection = FromText<v1::RejectedCandidate>(
+      R"pb(query_sequence: 9 matched_sequence: 3 note: "bridge")pb");
+  const auto record = DecodePosePair(&rejection, "");
+  ASSERT_THAT(record.status(), IsOk());
+  EXPECT_EQ(Hex(record->payload), "1206627269646765");
+  v1::RejectedCandidate answer;
+  EncodePosePair("v", *record, &answer);
+  EXPECT_EQ(answer.note(), "bridge");
+  // Records from before there were notes have no payload.
+  EncodePosePair("v", {"9-3", 9, 3, 0, ""}, &answer);
+  EXPECT_EQ(answer.note(), "");
+}
+
 }  // namespace
 }  // namespace revisit::server

@@ -949,16 +949,20 @@ TEST_F(VehicleSessionTest, MeasurementsComeOutTheSameWheneverTheGraphIsMade) {
   expect_same();
 }
 
-TEST_F(VehicleSessionTest, MeasurementThatDoesNotDecodeIsDamage) {
+TEST_F(VehicleSessionTest, PairThatDoesNotDecodeIsDamage) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
-  ASSERT_THAT(BlockingWrites(&memory_).AddPair(
-                  memory_.GetVehicle("truck")->key, kClosure,
-                  {"a", 9, 2, 1, "no measurement"}, 3),
-              IsOk());
-  Reload();
-  EXPECT_THAT(AppendNow(*session_, StraightBatch(10, 1)),
-              IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
-                      HasSubstr("loop closure 'a' does not decode")));
+  const VehicleKey key = memory_.GetVehicle("truck")->key;
+  for (const PairKind kind : {kClosure, kRejection}) {
+    ASSERT_THAT(BlockingWrites(&memory_).AddPair(
+                    key, kind, {"a", 9, 2, 1, "no measurement"}, 3),
+                IsOk());
+    Reload();
+    EXPECT_THAT(AppendNow(*session_, StraightBatch(10, 1)),
+                IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                        HasSubstr(std::string(WordsOf(kind).noun) +
+                                  " 'a' does not decode")));
+    ASSERT_THAT(BlockingWrites(&memory_).DeletePair(key, kind, "a", 4), IsOk());
+  }
 }
 
 TEST_F(VehicleSessionTest, RefusesPairWithPoseThatIsNotThere) {

@@ -1,4 +1,4 @@
-#include "server/conversion/loop_closure_content.h"
+#include "server/conversion/pose_pair_content.h"
 
 #include <limits>
 #include <string>
@@ -34,29 +34,42 @@ constexpr char kMeasured[] = R"pb(
   score: -0.5
 )pb";
 
-std::string PayloadOf(const v1::LoopClosure& closure) {
-  const auto record = DecodePosePair(&closure, "");
+constexpr char kRejected[] = R"pb(
+  query_sequence: 9
+  matched_sequence: 3
+  note: "another road:\n\ta bridge, with the crossing below"
+)pb";
+
+template <typename Pair>
+std::string PayloadOf(const Pair& pair) {
+  const auto record = DecodePosePair(&pair, "");
   EXPECT_THAT(record.status(), IsOk());
   return record.ok() ? record->payload : "";
 }
 
-std::vector<std::string> WrongFields(const v1::LoopClosure& closure) {
-  return FieldsOf(DecodePosePair(&closure, "").status());
+template <typename Pair>
+std::vector<std::string> WrongFields(const Pair& pair) {
+  return FieldsOf(DecodePosePair(&pair, "").status());
 }
 
-TEST(LoopClosureContentTest, IsAnsweredAsItWasSent) {
-  const auto closure = FromText<v1::LoopClosure>(kMeasured);
-  PosePairRecord record{"a", 9, 3, 0, PayloadOf(closure)};
-  v1::LoopClosure answer;
+template <typename Pair>
+void ExpectAnsweredAsSent(const char* text) {
+  const auto pair = FromText<Pair>(text);
+  PosePairRecord record{"a", 9, 3, 0, PayloadOf(pair)};
+  Pair answer;
   EncodePosePair("v", record, &answer);
   answer.clear_name();
   answer.clear_create_time();
-  EXPECT_TRUE(
-      google::protobuf::util::MessageDifferencer::Equals(answer, closure))
+  EXPECT_TRUE(google::protobuf::util::MessageDifferencer::Equals(answer, pair))
       << answer.DebugString();
 }
 
-TEST(LoopClosureContentTest, OfPosesAloneIsEmpty) {
+TEST(PosePairContentTest, IsAnsweredAsItWasSent) {
+  ExpectAnsweredAsSent<v1::LoopClosure>(kMeasured);
+  ExpectAnsweredAsSent<v1::RejectedCandidate>(kRejected);
+}
+
+TEST(PosePairContentTest, OfPosesAloneIsEmpty) {
   v1::LoopClosure closure;
   closure.set_query_sequence(9);
   closure.set_matched_sequence(3);
@@ -64,9 +77,29 @@ TEST(LoopClosureContentTest, OfPosesAloneIsEmpty) {
   // A score of 0 is a score.
   closure.set_score(0.0);
   EXPECT_NE(PayloadOf(closure), "");
+  auto rejection = FromText<v1::RejectedCandidate>(kRejected);
+  rejection.clear_note();
+  EXPECT_EQ(PayloadOf(rejection), "");
 }
 
-TEST(LoopClosureContentTest, MeasurementIsThatOfCore) {
+TEST(PosePairContentTest, NoteTakesTheSameBytesOnBothKinds) {
+  const auto rejection = FromText<v1::RejectedCandidate>(kRejected);
+  v1::LoopClosure closure;
+  closure.set_query_sequence(rejection.query_sequence());
+  closure.set_matched_sequence(rejection.matched_sequence());
+  closure.set_note(rejection.note());
+  EXPECT_EQ(PayloadOf(rejection), PayloadOf(closure));
+}
+
+TEST(PosePairContentTest, RejectedCandidateHasNoMeasurement) {
+  const auto measurement =
+      DecodeMeasurement(PayloadOf(FromText<v1::RejectedCandidate>(kRejected)),
+                        core::StateSpace::kPlanar);
+  ASSERT_THAT(measurement.status(), IsOk());
+  EXPECT_EQ(*measurement, std::nullopt);
+}
+
+TEST(PosePairContentTest, MeasurementIsThatOfCore) {
   const auto measurement =
       DecodeMeasurement(PayloadOf(FromText<v1::LoopClosure>(kMeasured)),
                         core::StateSpace::kPlanar);
@@ -83,7 +116,7 @@ TEST(LoopClosureContentTest, MeasurementIsThatOfCore) {
   EXPECT_EQ(*DecodeMeasurement("", core::StateSpace::kPlanar), std::nullopt);
 }
 
-TEST(LoopClosureContentTest, CovarianceHasToFitTheStateSpace) {
+TEST(PosePairContentTest, CovarianceHasToFitTheStateSpace) {
   const std::string planar = PayloadOf(FromText<v1::LoopClosure>(kMeasured));
   EXPECT_THAT(
       FieldsOf(DecodeMeasurement(planar, core::StateSpace::kSpatial).status()),
@@ -97,7 +130,7 @@ TEST(LoopClosureContentTest, CovarianceHasToFitTheStateSpace) {
               ::testing::HasSubstr("the variance of x is -4")));
 }
 
-TEST(LoopClosureContentTest, TextAndNumbersAreBounded) {
+TEST(PosePairContentTest, TextAndNumbersAreBounded) {
   auto closure = FromText<v1::LoopClosure>(kMeasured);
   closure.set_note(std::string(kMaxNoteBytes, 'a'));
   closure.mutable_measurement()->set_x_meters(-kMaxMeasuredMeters);
@@ -113,24 +146,41 @@ TEST(LoopClosureContentTest, TextAndNumbersAreBounded) {
                           "loop_closure.measurement.heading_radians",
                           "loop_closure.measurement.covariance",
                           "loop_closure.note", "loop_closure.score"));
+  auto rejection = FromText<v1::RejectedCandidate>(kRejected);
+  rejection.set_note(std::string(kMaxNoteBytes, 'a'));
+  EXPECT_THAT(WrongFields(rejection), IsEmpty());
+  rejection.set_note(std::string(kMaxNoteBytes + 1, 'a'));
+  rejection.clear_query_sequence();
+  EXPECT_THAT(WrongFields(rejection),
+              ElementsAre("rejected_candidate.query_sequence",
+                          "rejected_candidate.note"));
 }
 
-TEST(LoopClosureContentTest, ControlCharactersAreRefusedWhereverTheyStand) {
+TEST(PosePairContentTest, ControlCharactersAreRefusedWhereverTheyStand) {
   auto closure = FromText<v1::LoopClosure>(kMeasured);
+  auto rejection = FromText<v1::RejectedCandidate>(kRejected);
   for (const char* const good : {"a\tb\nc", "caf\xc3\xa9", "\xc2\xa0"}) {
     closure.set_note(good);
     EXPECT_THAT(WrongFields(closure), IsEmpty()) << good;
+    rejection.set_note(good);
+    EXPECT_THAT(WrongFields(rejection), IsEmpty()) << good;
   }
   for (const char* const bad :
        {"\x1b[0m", "a\rb", "\x7f", "\xc2\x80", "a\xc2\x9f"}) {
     closure.set_note(bad);
     EXPECT_THAT(WrongFields(closure), ElementsAre("loop_closure.note"));
+    rejection.set_note(bad);
+    EXPECT_THAT(WrongFields(rejection), ElementsAre("rejected_candidate.note"));
   }
 }
 
-TEST(LoopClosureContentTest, PayloadOfAnotherKindIsDataLoss) {
+TEST(PosePairContentTest, PayloadOfAnotherKindIsDataLoss) {
   EXPECT_THAT(
       DecodeMeasurement("\xff", core::StateSpace::kPlanar).status(),
+      IsError(absl::StatusCode::kDataLoss, "STORE_CORRUPT", ::testing::_));
+  v1::RejectedCandidate rejection;
+  EXPECT_THAT(
+      DecodeContent("\xff", &rejection),
       IsError(absl::StatusCode::kDataLoss, "STORE_CORRUPT", ::testing::_));
 }
 

@@ -1,4 +1,4 @@
-#include "server/conversion/loop_closure_content.h"
+#include "server/conversion/pose_pair_content.h"
 
 #include "server/base/status.h"
 #include "server/conversion/covariances.h"
@@ -35,10 +35,19 @@ void CheckMeasurement(const v1::LoopClosureMeasurement& measurement,
   }
 }
 
-absl::StatusOr<stored::LoopClosureContent> Parse(const std::string& payload) {
-  stored::LoopClosureContent content;
+// LoopClosure and RejectedCandidate have the note in common.
+template <typename Message>
+void EncodeNote(const Message& pair, const FieldPath& path,
+                Violations* violations, stored::PosePairContent* content) {
+  CheckText(pair.note(), kMaxNoteBytes, TextLines::kMany, path.Field("note"),
+            violations);
+  content->set_note(pair.note());
+}
+
+absl::StatusOr<stored::PosePairContent> Parse(const std::string& payload) {
+  stored::PosePairContent content;
   if (!content.ParseFromString(payload)) {
-    return Corrupt("a stored loop closure is not a LoopClosureContent");
+    return Corrupt("a stored pair of poses is not a PosePairContent");
   }
   return content;
 }
@@ -47,15 +56,13 @@ absl::StatusOr<stored::LoopClosureContent> Parse(const std::string& payload) {
 
 std::string EncodeContent(const v1::LoopClosure& closure, const FieldPath& path,
                           Violations* violations) {
-  stored::LoopClosureContent content;
+  stored::PosePairContent content;
   if (closure.has_measurement()) {
     CheckMeasurement(closure.measurement(), path.Field("measurement"),
                      violations);
     CopyMeasurement(closure.measurement(), content.mutable_measurement());
   }
-  CheckText(closure.note(), kMaxNoteBytes, TextLines::kMany, path.Field("note"),
-            violations);
-  content.set_note(closure.note());
+  EncodeNote(closure, path, violations, &content);
   if (closure.has_score()) {
     CheckFinite(closure.score(), path.Field("score"), violations);
     content.set_score(closure.score());
@@ -63,15 +70,30 @@ std::string EncodeContent(const v1::LoopClosure& closure, const FieldPath& path,
   return content.SerializeAsString();
 }
 
+std::string EncodeContent(const v1::RejectedCandidate& rejection,
+                          const FieldPath& path, Violations* violations) {
+  stored::PosePairContent content;
+  EncodeNote(rejection, path, violations, &content);
+  return content.SerializeAsString();
+}
+
 absl::Status DecodeContent(const std::string& payload,
                            v1::LoopClosure* closure) {
-  const absl::StatusOr<stored::LoopClosureContent> content = Parse(payload);
+  const absl::StatusOr<stored::PosePairContent> content = Parse(payload);
   if (!content.ok()) return content.status();
   if (content->has_measurement()) {
     CopyMeasurement(content->measurement(), closure->mutable_measurement());
   }
   closure->set_note(content->note());
   if (content->has_score()) closure->set_score(content->score());
+  return absl::OkStatus();
+}
+
+absl::Status DecodeContent(const std::string& payload,
+                           v1::RejectedCandidate* rejection) {
+  const absl::StatusOr<stored::PosePairContent> content = Parse(payload);
+  if (!content.ok()) return content.status();
+  rejection->set_note(content->note());
   return absl::OkStatus();
 }
 

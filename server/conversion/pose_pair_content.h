@@ -1,7 +1,8 @@
-// What a loop closure has beside the poses that it links: as it is sent, as it
-// is stored (revisit.stored.LoopClosureContent), and as core takes it.
-#ifndef REVISIT_SERVER_CONVERSION_LOOP_CLOSURE_CONTENT_H_
-#define REVISIT_SERVER_CONVERSION_LOOP_CLOSURE_CONTENT_H_
+// The content of a loop closure or a rejected candidate beside its two poses:
+// as it is sent, as it is stored (revisit.stored.PosePairContent), and, for
+// measurements, as core takes it.
+#ifndef REVISIT_SERVER_CONVERSION_POSE_PAIR_CONTENT_H_
+#define REVISIT_SERVER_CONVERSION_POSE_PAIR_CONTENT_H_
 
 #include <cstddef>
 #include <optional>
@@ -23,11 +24,15 @@ inline constexpr double kMaxMeasuredMeters = 10'000.0;
 // that is wrong whatever the vehicle's state space is.
 std::string EncodeContent(const v1::LoopClosure& closure, const FieldPath& path,
                           Violations* violations);
+std::string EncodeContent(const v1::RejectedCandidate& rejection,
+                          const FieldPath& path, Violations* violations);
 
 // Sets the fields of the message that the payload holds, which may be empty.
-// DATA_LOSS if the payload is not that of a loop closure.
+// DATA_LOSS if the payload is not that of a pair.
 absl::Status DecodeContent(const std::string& payload,
                            v1::LoopClosure* closure);
+absl::Status DecodeContent(const std::string& payload,
+                           v1::RejectedCandidate* rejection);
 
 // Implements RecordCodec::DecodeMeasurement().
 absl::StatusOr<std::optional<core::LoopMeasurement>> DecodeMeasurement(
@@ -35,4 +40,4 @@ absl::StatusOr<std::optional<core::LoopMeasurement>> DecodeMeasurement(
 
 }  // namespace revisit::server
 
-#endif  // REVISIT_SERVER_CONVERSION_LOOP_CLOSURE_CONTENT_H_
+#endif  // REVISIT_SERVER_CONVERSION_POSE_PAIR_CONTENT_H_
