@@ -295,11 +295,14 @@ grpc::Status FakeServer::RejectCandidate(
 grpc::Status FakeServer::ListRejectedCandidates(
     grpc::ServerContext*, const v1::ListRejectedCandidatesRequest* request,
     v1::ListRejectedCandidatesResponse* response) {
-  response->add_rejected_candidates()->set_name(
-      request->parent() + "/rejectedCandidates/" +
-      (request->page_token().empty() ? "first" : "second"));
+  v1::RejectedCandidate* rejected = response->add_rejected_candidates();
+  const std::string names = request->parent() + "/rejectedCandidates/";
   if (request->page_token().empty()) {
+    rejected->set_name(names + "first");
     response->set_next_page_token("second page");
+  } else {
+    rejected->set_name(names + "second");
+    rejected->set_note("a bridge\n\tabove");
   }
   return NextUnaryStatus();
 }

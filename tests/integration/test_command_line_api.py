@@ -82,10 +82,16 @@ def test_mistaken_confirm_is_undone(vehicle, revisit):
 
 
 def test_mistaken_reject_is_undone(vehicle, revisit):
-    assert revisit("reject", vehicle, 150, 20).returncode == 0
+    assert revisit("reject", vehicle, 150, 20, "--note",
+                   "a bridge\nabove").returncode == 0
     table = revisit("rejections", "list", vehicle).stdout.splitlines()
-    assert table[0].split() == ["ID", "QUERY_SEQ", "MATCHED_SEQ", "CREATED"]
+    assert table[0].split() == ["ID", "QUERY_SEQ", "MATCHED_SEQ", "CREATED",
+                                "NOTE"]
     assert table[1].split()[:3] == ["150-20", "150", "20"]
+    assert table[1].endswith("  a bridge above")
+    [rejected] = listed(revisit("rejections", "list", vehicle, "--json"))[
+        "rejectedCandidates"]
+    assert rejected["note"] == "a bridge\nabove"
     assert revisit("rejections", "delete", vehicle, 150, 20).returncode == 0
     assert listed(revisit("rejections", "list", vehicle, "--json"))[
         "rejectedCandidates"] == []
@@ -207,6 +213,7 @@ def test_whole_numbers_have_one_form_in_json(vehicle, revisit):
 
 @pytest.mark.parametrize("width", [40, 60, 80, 200])
 def test_tables_keep_to_the_width_of_the_terminal(width, vehicle, revisit):
+    assert revisit("confirm", vehicle, 150, 20, "--note", "seen").returncode == 0
     for words in (["vehicle", "list"], ["poses", "list", vehicle],
                   ["closures", "list", vehicle]):
         result = revisit(*words, COLUMNS=str(width))

@@ -45,7 +45,7 @@ def driven(output_of):
     output_of("confirm", "drive", "2068", "1072")
     output_of("confirm", "drive", "1990", "995", "--relative",
               "-1.5,0.25,-0.01", "--covariance", "0.04,0,0,0.04,0,0.0004")
-    output_of("reject", "drive", "2068", "1155")
+    output_of("reject", "drive", "2068", "1155", "--note", "another road")
     return "drive"
 
 
@@ -256,8 +256,8 @@ def test_page_of_a_map_holds_all_that_it_needs(driven, output_of):
     shown = [candidate for check in data["checks"]
              for candidate in check["candidates"]]
     assert {"ACCEPTED"} <= {candidate["verdict"] for candidate in shown}
-    assert [pair["name"] for pair in data["rejections"]] == [
-        "vehicles/drive/rejectedCandidates/2068-1155"]
+    assert [(pair["name"], pair["note"]) for pair in data["rejections"]] == [
+        ("vehicles/drive/rejectedCandidates/2068-1155", "another road")]
     assert "href" not in page and "src=" not in page
     assert page.count("http") == 1
 

@@ -84,11 +84,13 @@ def test_candidates_are_confirmed_and_rejected(client, new_vehicle, boreas):
     answer = client.find_candidates(vehicle, options=v1.CandidateOptions(
         max_candidates=2, exhaustive=True))
     best, other = answer.candidates
-    added = client.add_loop_closure(vehicle, best)
+    added = client.add_loop_closure(vehicle, best, note="icp")
     assert added.loop_closure.matched_sequence == best.matched.sequence
-    client.reject_candidate(vehicle, other)
+    client.reject_candidate(vehicle, other, note="a bridge above")
     [closure] = client.list_loop_closures(vehicle)
     [rejected] = client.list_rejected_candidates(vehicle)
+    assert rejected.matched_sequence == other.matched.sequence
+    assert (closure.note, rejected.note) == ("icp", "a bridge above")
     graph = client.export_pose_graph(vehicle)
     assert graph.vehicle.loop_closure_count == 1
     assert graph.edges["kind"].tolist().count("LOOP_CLOSURE") == 1
@@ -96,6 +98,21 @@ def test_candidates_are_confirmed_and_rejected(client, new_vehicle, boreas):
     client.delete_rejected_candidate(rejected.name)
     assert list(client.list_loop_closures(vehicle)) == []
     assert list(client.list_rejected_candidates(vehicle)) == []
+
+
+def test_finding_has_one_note(client, new_vehicle):
+    vehicle = new_vehicle()
+    client.append_poses(vehicle, straight(50))
+    finding = {"query_sequence": 40, "matched_sequence": 4, "note": "mine"}
+    for add, pair in (
+            (client.add_loop_closure, v1.LoopClosure(**finding)),
+            (client.reject_candidate, v1.RejectedCandidate(**finding))):
+        with pytest.raises(ValueError, match="note of its own"):
+            add(vehicle, pair, note="yours")
+    answer = client.reject_candidate(
+        vehicle, v1.RejectedCandidate(**finding))
+    assert answer.rejected_candidate.note == "mine"
+    assert list(client.list_loop_closures(vehicle)) == []
 
 
 def test_revised_poses_come_back_and_only_from_the_expected_revision(

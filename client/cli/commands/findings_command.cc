@@ -8,6 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "absl/strings/str_replace.h"
 #include "client/cli/names.h"
 #include "google/protobuf/util/time_util.h"
 #include "nlohmann/json.hpp"
@@ -89,13 +90,15 @@ absl::Status RunList(const Client& client, const std::string& vehicle,
   Table table({{"ID", Align::kLeft},
                {"QUERY_SEQ", Align::kRight},
                {"MATCHED_SEQ", Align::kRight},
-               {"CREATED", Align::kLeft}});
+               {"CREATED", Align::kLeft},
+               {"NOTE", Align::kLeft}});
   for (const auto& item : Kind::Items(*all)) {
     table.AddRow(
         {item.name().substr(item.name().rfind('/') + 1),
          absl::StrCat(item.query_sequence()),
          absl::StrCat(item.matched_sequence()),
-         google::protobuf::util::TimeUtil::ToString(item.create_time())});
+         google::protobuf::util::TimeUtil::ToString(item.create_time()),
+         absl::StrReplaceAll(item.note(), {{"\n", " "}, {"\t", " "}})});
   }
   table.Print(console.out, console.width);
   return absl::OkStatus();

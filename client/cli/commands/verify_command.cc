@@ -16,7 +16,7 @@ void Fill(const VerifiedPair& pair, Message* message) {
 }
 
 void Fill(const VerifiedMeasurement& measured, v1::LoopClosure* closure) {
-  if (!measured.note.empty()) closure->set_note(measured.note);
+  closure->set_note(measured.note);
   if (measured.score) closure->set_score(*measured.score);
   if (measured.relative.empty()) return;
   v1::LoopClosureMeasurement* const m = closure->mutable_measurement();
@@ -113,11 +113,15 @@ void AddRejectCommand(const Command& program) {
       {"reject", "Tells that two poses were found not to be one place.",
        "The candidate is not offered again. Again: the existing rejection. A "
        "mistaken one\nis undone by revisit rejections delete.",
-       "  revisit reject shuttle-7 2068 1155"});
+       "  revisit reject shuttle-7 2068 1155\n"
+       "  revisit reject shuttle-7 2060 1147 --note \"another road\""});
   const auto pair = std::make_shared<VerifiedPair>();
+  const auto note = std::make_shared<std::string>();
   AddPair(command, pair.get());
-  command.Runs([pair](const Connection& server, const Console& console) {
-    return RunReject(server.client, *pair, console);
+  command.AddText("--note", "TEXT", note.get(),
+                  "For people: why it is not one place, for example");
+  command.Runs([pair, note](const Connection& server, const Console& console) {
+    return RunReject(server.client, *pair, *note, console);
   });
 }
 
@@ -160,10 +164,11 @@ absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
 }
 
 absl::Status RunReject(const Client& client, const VerifiedPair& pair,
-                       const Console& console) {
+                       const std::string& note, const Console& console) {
   v1::RejectCandidateRequest request;
   request.set_parent(VehicleName(pair.vehicle));
   Fill(pair, request.mutable_rejected_candidate());
+  request.mutable_rejected_candidate()->set_note(note);
   const auto response = client.RejectCandidate(request);
   if (!response.ok()) return WithUndo(response.status(), pair, "closures");
   Print("rejected", response->rejected_candidate().name(), *response, console);

@@ -45,10 +45,10 @@ std::string CheckMeasurement(const VerifiedMeasurement& measurement);
 absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
                         const VerifiedMeasurement& measurement,
                         const Console& console);
-// Rejects the candidate, since the two poses are not one place. Prints and
-// fails likewise.
+// Rejects the candidate, since the two poses are not one place; the note is
+// for people and may be empty. Prints and fails likewise.
 absl::Status RunReject(const Client& client, const VerifiedPair& pair,
-                       const Console& console);
+                       const std::string& note, const Console& console);
 
 }  // namespace revisit::client
 

@@ -79,6 +79,8 @@ struct MapPair {
   std::size_t matched = 0;
   // The resource name.
   std::string name;
+  // The verifier's; empty if there is none.
+  std::string note;
 };
 
 struct MapContents {

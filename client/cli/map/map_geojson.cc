@@ -147,6 +147,7 @@ class GeoJson {
 
   void AddPair(const char* kind, const MapPair& pair) {
     Json properties = {{"kind", kind}, {"name", pair.name}};
+    if (!pair.note.empty()) properties["note"] = pair.note;
     Describe("query", pair.query, &properties);
     Describe("matched", pair.matched, &properties);
     Add("LineString",

@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <utility>
 
+#include "absl/strings/str_replace.h"
 #include "client/cli/exact_text.h"
 #include "client/cli/map/map_page.h"
 #include "client/cli/map/svg.h"
@@ -83,7 +84,8 @@ Json PairsJson(const std::vector<MapPair>& pairs) {
   for (const MapPair& pair : pairs) {
     json.push_back({{"query", pair.query},
                     {"matched", pair.matched},
-                    {"name", pair.name}});
+                    {"name", pair.name},
+                    {"note", pair.note}});
   }
   return json;
 }
@@ -118,12 +120,11 @@ Json ContentsJson(const MapContents& contents) {
 }  // namespace
 
 std::string MapPage(const MapContents& contents) {
-  std::string data = ContentsJson(contents).dump(
-      -1, ' ', false, Json::error_handler_t::replace);
-  // No name may end the script.
-  for (std::size_t at = 0; (at = data.find("</", at)) != std::string::npos;) {
-    data.insert(at + 1, 1, '\\');
-  }
+  // No name or note may end the script, or open what hides its end.
+  const std::string data =
+      absl::StrReplaceAll(ContentsJson(contents).dump(
+                              -1, ' ', false, Json::error_handler_t::replace),
+                          {{"<", "\\u003c"}});
   std::string page = kMapPage;
   const std::size_t mark = page.find(kMapDataMark);
   page.replace(mark, sizeof(kMapDataMark) - 1, data);

@@ -270,7 +270,7 @@ function choose(px, py) {
   for (const [isShown, list] of pairs) {
     if (!isShown) continue;
     for (const p of list) {
-      const made = { pair: [p.query, p.matched], name: p.name };
+      const made = { pair: [p.query, p.matched], name: p.name, note: p.note };
       consider(p.query, made);
       consider(p.matched, made);
     }
@@ -291,7 +291,8 @@ function choose(px, py) {
     draw();
   } else if (found.pair) {
     openPanel(found.name, element("div", `query: ${place(found.pair[0])}`),
-              element("div", `match: ${place(found.pair[1])}`));
+              element("div", `match: ${place(found.pair[1])}`),
+              ...found.note ? [element("div", `note: ${found.note}`, "note")] : []);
   } else {
     const { check } = found;
     openPanel(`check at ${place(check.node)}`,

@@ -53,7 +53,8 @@ std::vector<MapPair> PairsOf(const Pairs& pairs,
   std::vector<MapPair> shown;
   for (const auto& pair : pairs) {
     shown.push_back({NodeAt(nodes, pair.query_sequence()),
-                     NodeAt(nodes, pair.matched_sequence()), pair.name()});
+                     NodeAt(nodes, pair.matched_sequence()), pair.name(),
+                     pair.note()});
   }
   return shown;
 }

@@ -24,6 +24,7 @@ from revisit.stream_options import StreamCallbacks, StreamOptions
 from revisit.tables import Table, edge_table, node_table
 
 _T = TypeVar("_T")
+_Pair = TypeVar("_Pair", v1.LoopClosure, v1.RejectedCandidate)
 
 #: Calls of which two are not the same as one: between two attempts another caller
 #: may have changed the same thing.
@@ -56,6 +57,19 @@ def vehicle_name(vehicle: str) -> str:
 
 def _messages(poses: PosesLike) -> Iterable[v1.Pose]:
     return poses.to_messages() if isinstance(poses, Poses) else poses
+
+
+def _finding(pair: Union[v1.Candidate, _Pair], kind: type[_Pair],
+             note: str) -> _Pair:
+    """The message that reports a finding about a candidate, unless the caller has
+    made it."""
+    if isinstance(pair, v1.Candidate):
+        return kind(query_sequence=pair.query.sequence,
+                    matched_sequence=pair.matched.sequence, note=note)
+    if note:
+        raise ValueError(f"note: got {note!r} beside a {kind.__name__}, which has "
+                         "a note of its own")
+    return pair
 
 
 def _may_repeat(error: Error, is_safe: bool) -> bool:
@@ -299,16 +313,15 @@ class Client:
 
     def add_loop_closure(self, vehicle: str,
                          pair: Union[v1.Candidate, v1.LoopClosure], *,
-                         loop_closure_id: str = "") -> v1.AddLoopClosureResponse:
+                         loop_closure_id: str = "", note: str = ""
+                         ) -> v1.AddLoopClosureResponse:
         """Reports that a verifier found two poses to be one place: those of a
-        candidate, or a loop closure with all that was found out."""
-        if isinstance(pair, v1.Candidate):
-            pair = v1.LoopClosure(query_sequence=pair.query.sequence,
-                                  matched_sequence=pair.matched.sequence)
+        candidate, with a note for people, or a loop closure with all that was found
+        out. ValueError for a note beside a loop closure, which has its own."""
         added: v1.AddLoopClosureResponse = self.call(
             "AddLoopClosure", v1.AddLoopClosureRequest(
                 parent=vehicle_name(vehicle), loop_closure_id=loop_closure_id,
-                loop_closure=pair))
+                loop_closure=_finding(pair, v1.LoopClosure, note)))
         return added
 
     def list_loop_closures(self, vehicle: str) -> Iterator[v1.LoopClosure]:
@@ -322,18 +335,15 @@ class Client:
 
     def reject_candidate(self, vehicle: str,
                          pair: Union[v1.Candidate, v1.RejectedCandidate], *,
-                         rejected_candidate_id: str = ""
+                         rejected_candidate_id: str = "", note: str = ""
                          ) -> v1.RejectCandidateResponse:
         """Reports that a verifier found a candidate not to be a revisit: it is not
-        offered again."""
-        if isinstance(pair, v1.Candidate):
-            pair = v1.RejectedCandidate(query_sequence=pair.query.sequence,
-                                        matched_sequence=pair.matched.sequence)
+        offered again. The note is for people, as for `add_loop_closure()`."""
         rejected: v1.RejectCandidateResponse = self.call(
             "RejectCandidate", v1.RejectCandidateRequest(
                 parent=vehicle_name(vehicle),
                 rejected_candidate_id=rejected_candidate_id,
-                rejected_candidate=pair))
+                rejected_candidate=_finding(pair, v1.RejectedCandidate, note)))
         return rejected
 
     def list_rejected_candidates(self, vehicle: str

@@ -392,14 +392,15 @@ TEST_F(CommandsTest, ConfirmAddsALoopClosureAndRejectARejection) {
   EXPECT_EQ(out_.str(),
             "confirmed vehicles/shuttle/loopClosures/new, revision 7\n");
   out_.str("");
-  ASSERT_TRUE(RunReject(client_, pair, Text()).ok());
+  ASSERT_TRUE(RunReject(client_, pair, "", Text()).ok());
   EXPECT_EQ(out_.str(),
             "rejected vehicles/shuttle/rejectedCandidates/new, revision 8\n");
   out_.str("");
-  ASSERT_TRUE(RunReject(client_, pair, Json()).ok());
+  ASSERT_TRUE(RunReject(client_, pair, "a bridge", Json()).ok());
   const json answer = json::parse(out_.str());
   EXPECT_EQ(answer["rejectedCandidate"]["querySequence"], 200);
   EXPECT_EQ(answer["rejectedCandidate"]["matchedSequence"], 40);
+  EXPECT_EQ(answer["rejectedCandidate"]["note"], "a bridge");
   EXPECT_EQ(answer["revision"], 8);
 }
 

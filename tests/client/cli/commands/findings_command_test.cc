@@ -17,7 +17,7 @@ class FindingsCommandTest : public CommandTest {};
 TEST_F(FindingsCommandTest, ListsHaveAllPages) {
   ASSERT_TRUE(RunClosuresList(client_, "shuttle", Text()).ok());
   EXPECT_EQ(out_.str(),
-            "ID      QUERY_SEQ  MATCHED_SEQ  CREATED\n"
+            "ID      QUERY_SEQ  MATCHED_SEQ  CREATED               NOTE\n"
             "150-20        150           20  1970-01-01T00:00:00Z\n"
             "160-30        160           30  1970-01-01T00:00:00Z\n"
             "again         160           30  1970-01-01T00:00:00Z\n");
@@ -27,6 +27,15 @@ TEST_F(FindingsCommandTest, ListsHaveAllPages) {
   out_.str("");
   ASSERT_TRUE(RunRejectionsList(client_, "shuttle", Json()).ok());
   EXPECT_EQ(json::parse(out_.str())["rejectedCandidates"].size(), 2u);
+}
+
+TEST_F(FindingsCommandTest, NotesAreListedInOneLineAndInJsonAsTheyAre) {
+  ASSERT_TRUE(RunRejectionsList(client_, "shuttle", Text()).ok());
+  EXPECT_THAT(out_.str(), HasSubstr("1970-01-01T00:00:00Z  a bridge  above\n"));
+  out_.str("");
+  ASSERT_TRUE(RunRejectionsList(client_, "shuttle", Json()).ok());
+  const json listed = json::parse(out_.str())["rejectedCandidates"];
+  EXPECT_EQ(listed[1]["note"], "a bridge\n\tabove");
 }
 
 TEST_F(FindingsCommandTest, ClosureIsDeletedByItsPoses) {

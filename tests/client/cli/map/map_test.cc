@@ -44,8 +44,9 @@ MapContents SmallMap() {
   none.style = 1;
   none.empty_reason = "no place of the history is probable";
   contents.checks = {none, accepted};
-  contents.closures = {{90, 21, "vehicles/a/loopClosures/x"}};
-  contents.rejections = {{80, 10, "vehicles/a/rejectedCandidates/y"}};
+  contents.closures = {{90, 21, "vehicles/a/loopClosures/x", ""}};
+  contents.rejections = {
+      {80, 10, "vehicles/a/rejectedCandidates/y", "a bridge\n<!--<script>"}};
   return contents;
 }
 
@@ -99,6 +100,8 @@ TEST(MapHtml, PageHoldsItsDataAndAsksNobodyForMore) {
   EXPECT_EQ(data["checks"][0]["empty_reason"],
             "no place of the history is probable");
   EXPECT_EQ(data["closures"][0]["name"], "vehicles/a/loopClosures/x");
+  EXPECT_EQ(data["rejections"][0]["note"], "a bridge\n<!--<script>");
+  EXPECT_THAT(page, Not(HasSubstr("<!--<script>")));
   // The one address is the name of SVG, which nobody fetches.
   std::string rest = page;
   const std::string name = "http://www.w3.org/2000/svg";
@@ -146,7 +149,9 @@ TEST(MapGeoJson, HoldsLongitudeAndLatitude) {
   EXPECT_EQ(candidate["query_sequence"], 901);
   EXPECT_EQ(candidate["matched_sequence"], 201);
   EXPECT_EQ(features[6]["properties"]["kind"], "loop_closure");
+  EXPECT_FALSE(features[6]["properties"].contains("note"));
   EXPECT_EQ(features[7]["properties"]["kind"], "rejected_candidate");
+  EXPECT_EQ(features[7]["properties"]["note"], "a bridge\n<!--<script>");
 }
 
 TEST(MapView, PixelsAndMetresLeadBackToEachOther) {
