@@ -107,6 +107,7 @@ test('a candidate is confirmed with a note, by keys, and that is undone',
   assert.equal(loopClosures[0].note, 'seen by hand');
   assert.match(page.url(), new RegExp(`-${loopClosures[0].matchedSequence}$`));
   await page.getByText('Loop closures: 1.').waitFor();
+  await page.locator('.decision').getByText('seen by hand').waitFor();
   await page.keyboard.press('u');
   await page.getByText('Undone.').waitFor();
   assert.equal(world.revisitd.cli('closures', 'list', 'boreas', '--json')
@@ -115,10 +116,21 @@ test('a candidate is confirmed with a note, by keys, and that is undone',
 
 test('a rejected candidate is offered again once the rejection is undone',
      async () => {
+  await page.keyboard.press('n');
+  await page.keyboard.type('a bridge above');
+  await page.keyboard.press('Escape');
   await page.keyboard.press('r');
   await page.getByText('The server no longer offers this pair').waitFor();
-  assert.equal(world.revisitd.cli('rejections', 'list', 'boreas', '--json')
-                   .rejectedCandidates.length, 1);
+  const {rejectedCandidates} =
+      world.revisitd.cli('rejections', 'list', 'boreas', '--json');
+  assert.equal(rejectedCandidates.length, 1);
+  assert.equal(rejectedCandidates[0].note, 'a bridge above');
+  await page.locator('.decision').getByText('a bridge above').waitFor();
+  const vehicle = await world.open('/vehicles/boreas');
+  const row = vehicle.getByRole('table', {name: 'Decisions'})
+      .getByRole('row', {name: 'a bridge above'});
+  assert.match(await row.innerText(), /rejected/);
+  await vehicle.context().close();
   await page.keyboard.press('u');
   await page.getByText('Nobody has decided about this pair').waitFor();
   await page.getByText('The server no longer offers this pair')

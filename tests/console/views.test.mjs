@@ -30,10 +30,14 @@ before(async () => {
     writeFileSync(file, track([latitude, longitude]));
     revisitd.cli('stream', file, '--create', '--vehicle', id);
   }
-  const found = revisitd.cli('find', 'boreas', '--sequence', '1500', '--json');
-  const [{query, matched}] = found.candidates;
-  revisitd.cli('confirm', 'boreas', String(query.sequence),
-               String(matched.sequence));
+  const decide = (command, asked, note) => {
+    const found = revisitd.cli('find', 'boreas', '--sequence', asked, '--json');
+    const [{query, matched}] = found.candidates;
+    revisitd.cli(command, 'boreas', String(query.sequence),
+                 String(matched.sequence), '--note', note);
+  };
+  decide('confirm', '1500', 'seen by hand');
+  decide('reject', '1240', 'another road, below the bridge');
   views = [
     ['fleet', '/', 'tbody a'],
     ['vehicle', '/vehicles/boreas?at=1300', '.side tbody a'],

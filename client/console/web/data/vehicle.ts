@@ -16,13 +16,25 @@ import {checkNodes, type Graph, GraphLoader, nodeAt, poseToAsk} from
 const POLL_MILLISECONDS = 1000;
 const PAGE_SIZE = 1000;
 
-/** A decision that was made here and can be undone. */
+/** A loop closure or a rejected candidate. */
 export interface Decision {
   kind: 'confirmed'|'rejected';
-  /** Resource name of the loop closure or rejected candidate. */
+  /** The resource name. */
   name: string;
   querySequence: number;
   matchedSequence: number;
+  note: string;
+}
+
+function asDecision(kind: Decision['kind'],
+                    made: LoopClosure|RejectedCandidate): Decision {
+  return {
+    kind,
+    name: made.name,
+    querySequence: Number(made.querySequence),
+    matchedSequence: Number(made.matchedSequence),
+    note: made.note,
+  };
 }
 
 /** Whether nodes that were there before are elsewhere now. */
@@ -43,8 +55,13 @@ export class VehicleStore {
   /** Nodes that have come of an export that is under way; else undefined. */
   readonly loading = signal<number|undefined>(undefined);
   readonly error = signal<string|undefined>(undefined);
-  /** Made here, the last one at the end. */
+  /** Made here, and can be undone; the last one at the end. */
   readonly decisions = signal<Decision[]>([]);
+  /** Whoever made them: the loop closures, then the rejections. */
+  readonly allDecisions = computed(
+      () => [...this.closures.value.map(made => asDecision('confirmed', made)),
+             ...this.rejections.value.map(
+                 made => asDecision('rejected', made))]);
   readonly candidates: CandidateSource;
   /** Poses at which checks fell due, by the graph that is here. */
   readonly checks = computed(() => {
@@ -147,30 +164,24 @@ export class VehicleStore {
         note,
       },
     });
-    await this.decided('confirmed', loopClosure!);
+    await this.decided(asDecision('confirmed', loopClosure!));
   }
 
-  async reject(candidate: Candidate): Promise<void> {
+  async reject(candidate: Candidate, note: string): Promise<void> {
     const {rejectedCandidate} = await service.rejectCandidate({
       parent: this.name,
       rejectedCandidate: {
         querySequence: candidate.query!.sequence,
         matchedSequence: candidate.matched!.sequence,
+        note,
       },
     });
-    await this.decided('rejected', rejectedCandidate!);
+    await this.decided(asDecision('rejected', rejectedCandidate!));
   }
 
-  private async decided(kind: Decision['kind'],
-                        made: LoopClosure|RejectedCandidate): Promise<void> {
-    const decision: Decision = {
-      kind,
-      name: made.name,
-      querySequence: Number(made.querySequence),
-      matchedSequence: Number(made.matchedSequence),
-    };
+  private async decided(decision: Decision): Promise<void> {
     this.decisions.value = [
-      ...this.decisions.value.filter(({name}) => name !== made.name),
+      ...this.decisions.value.filter(({name}) => name !== decision.name),
       decision,
     ];
     await this.refresh();
@@ -203,20 +214,9 @@ export class VehicleStore {
       return i >= 0 && j >= 0 &&
           Math.abs(graph.travelled[i] - graph.travelled[j]) <= separation;
     };
-    const about = (made: LoopClosure|RejectedCandidate) =>
-        Number(made.querySequence) <= upTo &&
-        near(query, Number(made.querySequence)) &&
-        near(matched, Number(made.matchedSequence));
-    const asDecision =
-        (kind: Decision['kind'],
-         made: LoopClosure|RejectedCandidate|undefined) => made && {
-          kind,
-          name: made.name,
-          querySequence: Number(made.querySequence),
-          matchedSequence: Number(made.matchedSequence),
-        };
-    return asDecision('confirmed', this.closures.value.find(about)) ??
-        asDecision('rejected', this.rejections.value.find(about));
+    return this.allDecisions.value.find(
+        ({querySequence, matchedSequence}) => querySequence <= upTo &&
+            near(query, querySequence) && near(matched, matchedSequence));
   }
 }
 

@@ -40,7 +40,7 @@ export function DecisionPanel({store, found, queue}: Props) {
   };
   const reject = () => {
     if (decision) return;
-    void run(() => store.reject(candidate),
+    void run(() => store.reject(candidate, note.current?.value ?? ''),
              'Rejected. It is not offered again.');
   };
   const undo = () => {
@@ -90,11 +90,12 @@ export function DecisionPanel({store, found, queue}: Props) {
         {decision ? (
           <>This pair is <strong>{decision.kind}</strong> (poses {
               count(decision.querySequence)} and {
-              count(decision.matchedSequence)}).</>
+              count(decision.matchedSequence)}){
+              decision.note ? `: ${decision.note}` : '.'}</>
         ) : 'Nobody has decided about this pair.'}
       </p>
       <label>
-        Note, kept with a confirmation
+        Note, kept with the decision
         <input ref={note} type="text" name="note" maxLength={1024}
                disabled={decision !== undefined} />
       </label>

@@ -6,7 +6,8 @@ import {FindingCode, type Vehicle, VehicleState} from
 import {allFound, type Answer, type Found, keyOf, verdictName} from
     '../data/candidates.js';
 import {type Graph, nodeAt} from '../data/graph.js';
-import {type VehicleStore, vehicleStore} from '../data/vehicle.js';
+import {type Decision, type VehicleStore, vehicleStore} from
+    '../data/vehicle.js';
 import {type Curve, CurveView} from '../draw/curve.js';
 import {MapView} from '../draw/map.js';
 import type {Scene} from '../draw/scene.js';
@@ -64,6 +65,15 @@ function columnsFor(store: VehicleStore, at: number): Array<Column<Found>> {
        decisionAbout(store, candidate, at)?.kind ?? ''},
   ];
 }
+
+const DECISION_COLUMNS: Array<Column<Decision>> = [
+  {title: 'Pose', number: true,
+   cell: ({querySequence}) => count(querySequence)},
+  {title: 'Match', number: true,
+   cell: ({matchedSequence}) => count(matchedSequence)},
+  {title: 'Decision', cell: ({kind}) => kind},
+  {title: 'Note', cell: ({note}) => note},
+];
 
 /** Curves up to node `cut`. */
 function curvesOf(graph: Graph, vehicle: Vehicle, answers: Map<number, Answer>,
@@ -267,6 +277,11 @@ export function VehicleView({id}: {id: string}) {
     ...pairShapes(graph, {id: 'rejections', label: 'Rejected by a verifier',
                       colour: 'rejection'}, store.rejections.value, at),
   ] : [], [graph, store.closures.value, store.rejections.value, at]);
+  const decisions = useMemo(
+      () => store.allDecisions.value
+                .filter(({querySequence}) => querySequence <= at)
+                .sort((a, b) => b.querySequence - a.querySequence),
+      [store.allDecisions.value, at]);
   const box = useMemo(() => graph && boxOfGraph(graph), [graph]);
   const scene: Scene = useMemo(() => ({
     shapes: [...ellipses, ...stretches, ...paths.slice(0, -1), ...links,
@@ -343,6 +358,9 @@ export function VehicleView({id}: {id: string}) {
               )}
               <Table label="Candidates" columns={columns} rows={shown}
                      keyOf={keyOf} empty="No candidates." />
+              <Table label="Decisions" columns={DECISION_COLUMNS}
+                     rows={decisions} keyOf={({name}) => name}
+                     empty="Nobody has confirmed or rejected any." />
             </div>
           </div>
           <div class="curves">
