@@ -1,6 +1,6 @@
 // A vehicle's pose graph as the map and the curves need it: one array for each
 // number of a node, by the node's index.
-import type {ConnectError} from '@connectrpc/connect';
+import {ConnectError} from '@connectrpc/connect';
 
 import type {Pyramid} from '../geometry/pyramid.js';
 
@@ -111,7 +111,7 @@ export class GraphLoader {
         } else if (data.kind === 'graph') {
           resolve(data.graph);
         } else {
-          reject(data);
+          reject(new ConnectError(data.message, data.code));
         }
       };
       this.worker.onerror = event => reject(new Error(event.message));

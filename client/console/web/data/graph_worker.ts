@@ -89,6 +89,7 @@ async function load({vehicle, origin, headers}: GraphRequest): Promise<void> {
 
 self.onmessage = ({data}: MessageEvent<GraphRequest>) => {
   load(data).catch((error: unknown) => {
+    if (!(error instanceof ConnectError)) console.error(error);
     const {code, rawMessage: message} = ConnectError.from(error);
     post({kind: 'error', code, message});
   });
