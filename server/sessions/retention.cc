@@ -8,9 +8,11 @@
 namespace revisit::server {
 namespace {
 
-// Longest that one task looks at nodes or reads rows before the strand lets
-// others run.
-constexpr std::chrono::milliseconds kSlice{20};
+// Longest that one task looks at nodes, and that one reads rows, before the
+// strand lets others run. An append is several tasks, and waits before each; it
+// goes on while nodes are looked at, and not while rows are read.
+constexpr std::chrono::milliseconds kLookSlice{5};
+constexpr std::chrono::milliseconds kReadSlice{20};
 
 // Nodes that are looked at from one look at the clock to the next.
 constexpr core::NodeIndex kNodesPerLook = 16;
@@ -78,7 +80,7 @@ void Retention::LookSome() {
     BeginAnew();
     return;
   }
-  const auto pause = std::chrono::steady_clock::now() + kSlice;
+  const auto pause = std::chrono::steady_clock::now() + kLookSlice;
   bool is_done = false;
   do {
     is_done = search_->Advance(kNodesPerLook);
@@ -165,7 +167,7 @@ void Retention::Step() {
 }
 
 absl::StatusOr<bool> Retention::ReadSome() {
-  const auto pause = std::chrono::steady_clock::now() + kSlice;
+  const auto pause = std::chrono::steady_clock::now() + kReadSlice;
   while (work_->range < work_->ranges.size()) {
     const core::SequenceRange& range = work_->ranges[work_->range];
     // With the rows before and behind it, which say where it begins and ends.
