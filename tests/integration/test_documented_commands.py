@@ -344,8 +344,9 @@ class Place:
     def add_driven_vehicle(self):
         """A server, with shuttle-7 on it after the shipped drive."""
         self.run("revisitd --store tmp/store --listen 127.0.0.1:50051")
-        self.run(f"revisit stream {BOREAS} --uncertainty file --vehicle shuttle-7 "
-                 "--create")
+        # Its name in the tree, as a command of a document has it.
+        self.run(f"revisit stream {name_of(BOREAS)} --uncertainty file "
+                 "--vehicle shuttle-7 --create")
 
     def add_recordings(self):
         """A server, and some poses of the shipped drive in the formats of other
