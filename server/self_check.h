@@ -38,7 +38,7 @@ class SelfCheck {
 
   const std::shared_ptr<grpc::Channel> channel_;
   Executor* const executor_;
-  // What the last Silence() that asked has asked; null if none did.
+  // The questions of the last Silence() that asked; null if none did.
   std::shared_ptr<Questions> asked_;
 };
 

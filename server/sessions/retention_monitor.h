@@ -1,4 +1,4 @@
-// What retention (retention.h) does to the vehicles of a fleet, for operators.
+// Tells operators what retention (retention.h) does to the vehicles of a fleet.
 #ifndef REVISIT_SERVER_SESSIONS_RETENTION_MONITOR_H_
 #define REVISIT_SERVER_SESSIONS_RETENTION_MONITOR_H_
 

@@ -204,8 +204,8 @@ function curvePixels(page, title, property) {
 test('the time slider shows what was known then, and nothing later',
      async () => {
   const {revisitd} = world;
-  // Of each kind one before the pose at which the slider will stand, one whose
-  // query is behind it, and one that is behind it as a whole.
+  // One of each kind lies before the pose at which the slider will stand, the
+  // query of one is behind it, and one is behind it as a whole.
   const decisions = [[300, 40], [420, 60], [900, 800]];
   for (const [query, matched] of decisions) {
     revisitd.cli('confirm', 'boreas', String(query), String(matched));

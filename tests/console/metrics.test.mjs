@@ -160,7 +160,7 @@ test('rates and quantiles are those between two readings', async () => {
   assert.equal(interval.rate('others'), undefined);
   assert.deepEqual([...interval.ratesBy('calls', 'code')],
                    [['OK', 5], ['ABORTED', 1]]);
-  // Of 102 new values 40 are at most 0.1 and 100 at most 1.
+  // 40 of 102 new values are at most 0.1, and 100 at most 1.
   const half = interval.quantile('seconds', 0.5);
   assert.ok(Math.abs(half.value - (0.1 + 0.9 * 11 / 60)) < 1e-9);
   assert.equal(half.isBeyond, false);

@@ -251,7 +251,7 @@ def test_commands_that_a_document_names_have_these_flags(
         if not words:
             continue
         words = tuple(words.group().split()[1:])
-        # What follows the command's own words are values.
+        # Values follow the command's own words.
         words = words[:2] if words[0] in groups else words[:1]
         known = flags_of_revisit.get(words)
         if known is None or flags_in(code) - known:
@@ -336,7 +336,7 @@ class Place:
             self._server = None
             assert code == 0, (self.directory / "log").read_text()
 
-    # What a document takes for granted.
+    # These make what a document takes for granted.
 
     def write(self, name, *lines):
         (self.directory / name).write_text("\n".join(lines) + "\n")

@@ -177,7 +177,7 @@ class Compose:
             if isinstance(service["networks"], dict)
             and (service["networks"]["backend"] or {}).get("ipv4_address")
             else next(free) for name, service in services.items()}
-        # What the image says of itself.
+        # Variables that the image sets for those who run it.
         self.image = dict(re.findall(
             r"(REVISIT_\w+)=(\S+)", IMAGE[IMAGE.index("\nENV REVISIT_"):]))
 
