@@ -422,9 +422,9 @@ def test_slow_flushes_are_told(tmp_path):
         assert_told("RevisitFlushSlow", quiet, pages, tmp_path)
 
 
-@needs_promtool
-@pytest.mark.release_build
-def test_slow_commits_of_a_database_are_told(tmp_path):
+@pytest.fixture(name="shared")
+def server_of_a_database(tmp_path):
+    """A database, and a server that has its store there."""
     with own_postgres() as database:
         if database is None:
             pytest.skip("there is no PostgreSQL: tests/run installs it")
@@ -432,19 +432,26 @@ def test_slow_commits_of_a_database_are_told(tmp_path):
                    database.url("revisit_owner")).returncode == 0
         with Server(database.url("revisit"), *ADMIN, *NAMED,
                     "--lease-seconds", 1, log_path=tmp_path / "log") as server:
-            quiet = scraped.scrape(server)
-            # Each commit that touches the row of a server waits, as for a disk.
-            database.ask("""
-                CREATE FUNCTION wait() RETURNS trigger LANGUAGE plpgsql AS
-                'BEGIN PERFORM pg_sleep(0.3); RETURN NULL; END';
-                CREATE CONSTRAINT TRIGGER slow AFTER UPDATE ON servers
-                DEFERRABLE INITIALLY DEFERRED FOR EACH ROW
-                EXECUTE FUNCTION wait();""")
-            pages = [quiet]
-            while len(pages) < 12:
-                pages.append(wait_until(
-                    lambda: more_flushes(server, pages[-1]), "commit"))
-            assert_told("RevisitFlushSlow", quiet, pages[1:], tmp_path)
+            yield database, server
+
+
+@needs_promtool
+@pytest.mark.release_build
+def test_slow_commits_of_a_database_are_told(shared, tmp_path):
+    database, server = shared
+    quiet = scraped.scrape(server)
+    # Each commit that touches the row of a server waits, as for a disk.
+    database.ask("""
+        CREATE FUNCTION wait() RETURNS trigger LANGUAGE plpgsql AS
+        'BEGIN PERFORM pg_sleep(0.3); RETURN NULL; END';
+        CREATE CONSTRAINT TRIGGER slow AFTER UPDATE ON servers
+        DEFERRABLE INITIALLY DEFERRED FOR EACH ROW
+        EXECUTE FUNCTION wait();""")
+    pages = [quiet]
+    while len(pages) < 12:
+        pages.append(wait_until(
+            lambda: more_flushes(server, pages[-1]), "commit"))
+    assert_told("RevisitFlushSlow", quiet, pages[1:], tmp_path)
 
 
 def more_flushes(server, before):
@@ -507,25 +514,18 @@ def more_refusals(server, before):
 
 
 @needs_promtool
-def test_lost_lease_is_told(tmp_path):
-    with own_postgres() as database:
-        if database is None:
-            pytest.skip("there is no PostgreSQL: tests/run installs it")
-        assert run("revisitd", "migrate", "--store",
-                   database.url("revisit_owner")).returncode == 0
-        with Server(database.url("revisit"), *ADMIN, *NAMED,
-                    "--lease-seconds", 1, log_path=tmp_path / "log"
-                    ) as server:
-            stub = server.stub()
-            append(stub, create(stub, "truck"), straight(3))
-            quiet = scraped.scrape(server)
-            assert quiet.value("revisit_store_owned_vehicles") == 1
-            assert scraped.get(server.admin, "/readyz")[0] == 200
-            database.process.kill()
-            wait_until(lambda: scraped.scrape(server).value(
-                "revisit_store_lease_held") == 0, "end of the lease")
-            assert scraped.get(server.admin, "/readyz")[0] == 503
-            assert scraped.get(server.admin, "/livez")[0] == 200
-            assert_told("RevisitLeaseLost", quiet,
-                        [scraped.scrape(server)], tmp_path)
-            server.kill()
+def test_lost_lease_is_told(shared, tmp_path):
+    database, server = shared
+    stub = server.stub()
+    append(stub, create(stub, "truck"), straight(3))
+    quiet = scraped.scrape(server)
+    assert quiet.value("revisit_store_owned_vehicles") == 1
+    assert scraped.get(server.admin, "/readyz")[0] == 200
+    database.process.kill()
+    wait_until(lambda: scraped.scrape(server).value(
+        "revisit_store_lease_held") == 0, "end of the lease")
+    assert scraped.get(server.admin, "/readyz")[0] == 503
+    assert scraped.get(server.admin, "/livez")[0] == 200
+    assert_told("RevisitLeaseLost", quiet,
+                [scraped.scrape(server)], tmp_path)
+    server.kill()
