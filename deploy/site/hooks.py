@@ -28,6 +28,7 @@ PAGES = {
 OTHERS = {"proto/revisit/v1": "api.md"}
 
 LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
+EMPTY_HEAD = re.compile(r"<thead>\s*<tr>(\s*<th[^>]*></th>)+\s*</tr>\s*</thead>")
 FENCE = re.compile(r"^(?:```.*?^```|<!--.*?-->)", re.DOTALL | re.MULTILINE)
 
 
@@ -93,3 +94,8 @@ def on_page_markdown(markdown, page, **_):
         return markdown
     replace = _linked(_document_of(page.file.src_uri))
     return _outside_of_code(markdown, lambda text: LINK.sub(replace, text))
+
+
+def on_page_content(html, **_):
+    # Markdown has no table without a head; an empty one would be drawn as a row.
+    return EMPTY_HEAD.sub("", html)
