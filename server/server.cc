@@ -203,7 +203,8 @@ struct RevisitServer::State {
   std::vector<std::unique_ptr<grpc::Service>> reflection;
   std::unique_ptr<grpc::Server> grpc_server;
   std::unique_ptr<SelfCheck> self_check;
-  // That of the admin port, from when the server serves until it has drained.
+  // The self check of the admin port, from when the server serves until it has
+  // drained.
   mutable Mutex liveness_mutex;
   std::unique_ptr<SelfCheck> liveness ABSL_GUARDED_BY(liveness_mutex);
   std::unique_ptr<Periodic> write_health_timer;

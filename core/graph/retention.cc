@@ -384,15 +384,6 @@ std::vector<NodeRange> DroppableSearch::Droppable(
   return impl_->Droppable(loop_ends);
 }
 
-std::vector<NodeRange> FindDroppable(const PoseGraph& graph,
-                                     const RetentionOptions& options,
-                                     const RetentionNeeds& needs) {
-  DroppableSearch search(graph, options, needs);
-  while (!search.Advance(graph.size() + 1)) {
-  }
-  return search.Droppable({});
-}
-
 // A node lies at or after its pose and before the next one, unless it starts a
 // segment, which it does at its pose.
 SequenceRange SequencesOf(const PoseGraph& graph, const NodeRange& nodes) {

@@ -117,11 +117,6 @@ class DroppableSearch {
   const std::unique_ptr<Impl> impl_;
 };
 
-// The nodes to drop, at once.
-std::vector<NodeRange> FindDroppable(const PoseGraph& graph,
-                                     const RetentionOptions& options,
-                                     const RetentionNeeds& needs);
-
 // Sequences of the poses that no node outside of the range comes from, first
 // and last: none if last < first. REQUIRES: a range of the graph, not empty,
 // that does not reach its end.

@@ -1,4 +1,4 @@
-// FindDroppable() as its header says it, over all pairs of nodes: O(n^2).
+// DroppableSearch as its header says it, over all pairs of nodes: O(n^2).
 #ifndef REVISIT_TESTS_ORACLE_PLAIN_RETENTION_H_
 #define REVISIT_TESTS_ORACLE_PLAIN_RETENTION_H_
 

@@ -54,7 +54,7 @@ class SqliteWriter {
   // Makes a change of rows on the writer's thread, within a transaction; it may
   // be called again after it was rolled back. `bytes` is about what it writes.
   using Change = std::function<absl::Status(SqliteDatabase&)>;
-  // As `bytes`: nothing shares a transaction with the change.
+  // Passed as `bytes`, it keeps other writes out of the change's transaction.
   static constexpr std::size_t kAlone = std::size_t{1} << 40;
   void Submit(std::size_t bytes, Change change, Storage::Done done,
               PendingWrite::Need need = PendingWrite::Need::kRoom);

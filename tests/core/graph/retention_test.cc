@@ -15,6 +15,16 @@
 namespace revisit::core {
 namespace {
 
+// The nodes to drop, at once.
+std::vector<NodeRange> FindDroppable(const PoseGraph& graph,
+                                     const RetentionOptions& options,
+                                     const RetentionNeeds& needs) {
+  DroppableSearch search(graph, options, needs);
+  while (!search.Advance(graph.size() + 1)) {
+  }
+  return search.Droppable({});
+}
+
 constexpr NodeIndex kLap = 314;
 // The first node that stays where laps from this one on are wanted: with the
 // path to it, and but for two nodes near which the last lap ends.

@@ -392,8 +392,8 @@ TEST_F(RetentionTest, VehicleThatIsLoadedWithPosesThatAreTooOldLosesThem) {
   hour.max_age_ns = std::int64_t{3600} * 1'000'000'000;
   Keep(hour);
   EXPECT_EQ(Settled().dropped, 0u);
-  // As if the server had ended after the settings had changed, before it
-  // looked.
+  // The store is left as by a server that ended after the settings had
+  // changed, before it looked.
   VehicleRecord record = *memory_.GetVehicle(kId);
   VehicleConfig config = *codec_.DecodeVehicle(record);
   config.engine.retention.max_age_ns = std::int64_t{1500} * 1'000'000'000;
@@ -403,7 +403,7 @@ TEST_F(RetentionTest, VehicleThatIsLoadedWithPosesThatAreTooOldLosesThem) {
                   key_, codec_.EncodeVehicle(config), record.revision + 1),
               IsOk());
   Open();
-  // Those of stamps below 1500 s, in whole rows.
+  // Poses with stamps below 1500 s are dropped, in whole rows.
   EXPECT_EQ(Settled().dropped, 1490u);
   ExpectAsLoaded();
 }

@@ -66,7 +66,7 @@ const RULES: Rule[] = [
    width: 0.8},
 ];
 
-// As the vector-tile library numbers them.
+// Kinds of geometry, by the numbers that the vector-tile library gives them.
 const LINE = 2;
 const AREA = 3;
 const WIDTH_LEVEL = 14;
