@@ -142,7 +142,7 @@ def test_page_token_of_a_callers_own_making_is_worth_nothing(tmp_path):
         failure = failure_of(lambda: stub.ListVehicles(api.ListVehiclesRequest(
             page_token=sealed("ListVehicles", b"\xff' OR 1=1"))))
         assert failure.reason == "INVALID_PAGE_TOKEN"
-        assert "error" not in server.log()
+    assert "error" not in server.log()
 
 
 def test_listing_goes_on_over_a_restart(tmp_path):

@@ -3,6 +3,7 @@ server: callers are served through it, and what strangers can do costs neither
 of both more than is promised."""
 
 import json
+import signal
 import ssl
 
 import grpc
@@ -108,6 +109,9 @@ def call_as_acme(edge, channel, sequence):
 
 
 def test_callers_are_served_through_it_and_strangers_answered_by_it(edge):
+    # From here on each call has a line in the log.
+    edge.server.process.send_signal(signal.SIGUSR2)
+    edge.server.logged("log_level name=info")
     with edge.channel() as channel:
         call_as_acme(edge, channel, 1)
         stub = PoseGraphServiceStub(channel)
@@ -116,6 +120,9 @@ def test_callers_are_served_through_it_and_strangers_answered_by_it(edge):
                 stub.GetServerInfo(api.GetServerInfoRequest(),
                                    metadata=metadata, timeout=20)
             assert raised.value.code() == grpc.StatusCode.UNAUTHENTICATED
+        call_as_acme(edge, channel, 2)
+    # What came before a call is in the log before it.
+    edge.server.logged("method=AppendPoses", 2)
     assert "UNAUTHENTICATED" not in edge.server.log()
 
 

@@ -427,7 +427,7 @@ def test_calls_that_end_cost_no_connection_however_few_it_may_have(tmp_path):
                 stream = 2 * calls - 1
                 connection.request(call_headers(), stream=stream)
                 assert connection.outcome(stream) == "status 0", calls
-        assert "limit=max-concurrent-streams" not in server.log()
+    assert "limit=max-concurrent-streams" not in server.log()
 
 
 @pytest.mark.release_build
