@@ -88,6 +88,22 @@ def test_new_poses_with_the_old_revision_after_them_are_refused():
     assert any(each is revise for each in violation.window)
 
 
+@pytest.mark.parametrize("sequence, expected, told", [
+    (1, 1, ("other revision", 2)), (2, 1, ("no pose",)),
+    (2, 2, ("no pose",)), (2, 0, ("no pose",)),
+    (1, 3, ("other revision", 2)), (2, 3, ("other revision", 2))])
+def test_revision_that_cannot_be_made_has_one_answer(sequence, expected, told):
+    def revise(result):
+        return did("revise", ((sequence, 77),), expected, at=(4, 5),
+                   result=result)
+
+    before = [create(), append(1, 1, at=(2, 3), result=("ack", 1, 2))]
+    decide(*before, revise(told))
+    for another in {("other revision", 2), ("no pose",), ("revised", 3)}:
+        if another != told:
+            refused(*before, revise(another))
+
+
 def test_acknowledgement_that_is_dropped_leaves_both_outcomes():
     lost = append(1, 1, at=(2, None), result=None)
     for after in (summary(1), summary(2, 1)):

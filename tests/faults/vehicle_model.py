@@ -249,14 +249,18 @@ def _open(vehicle, result, acked, uid):
 
 def _revise(vehicle, result, revised, expected):
     kind = "revised" if result is None else result[0]
-    if kind == "other revision":
-        return _if(expected != result[1] == vehicle.revision, vehicle)
-    if expected not in (0, vehicle.revision):
-        return []
-    missing = max(sequence for sequence, _ in revised) > len(vehicle.current)
+    # Poses are looked for as they come. That the vehicle has gone on since
+    # `expected` is told once all have come, that it has not come so far at once.
+    is_ahead = expected > vehicle.revision
+    missing = not is_ahead and (
+        max(sequence for sequence, _ in revised) > len(vehicle.current))
     if kind == "no pose":
         return _if(missing, vehicle)
     if missing:
+        return []
+    if kind == "other revision":
+        return _if(expected != result[1] == vehicle.revision, vehicle)
+    if expected not in (0, vehicle.revision):
         return []
     revision = None if result is None else result[1]
     return _changed(vehicle, revision,

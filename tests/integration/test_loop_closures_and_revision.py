@@ -479,6 +479,20 @@ def test_revision_that_is_not_the_expected_one_aborts(stub, driven):
     assert as_bytes(list_poses(stub, vehicle)) == before
 
 
+@pytest.mark.parametrize("off, reason", [
+    (-1, "POSE_NOT_FOUND"), (0, "POSE_NOT_FOUND"), (1, "REVISION_MISMATCH")])
+def test_revision_of_a_pose_that_is_not_there_says_so_unless_it_is_ahead(
+        off, reason, stub, driven):
+    vehicle = driven()
+    revise(stub, vehicle, bent(1, 10))
+    expected = get(stub, vehicle).revision + off
+    before = as_bytes(list_poses(stub, vehicle))
+    failure = failure_of(lambda: revise(
+        stub, vehicle, bent(101, 2), expected_revision=expected))
+    assert failure.reason == reason
+    assert as_bytes(list_poses(stub, vehicle)) == before
+
+
 # Whoever did not get the answer could not tell it from a conflict.
 def test_revision_whose_answer_got_lost_is_answered_again(stub, driven):
     vehicle = driven()
