@@ -14,6 +14,7 @@
 #include "server/storage/sqlite/reader_pool.h"
 #include "server/storage/sqlite/snapshot_rows.h"
 #include "server/storage/sqlite/sqlite_writer.h"
+#include "server/storage/sqlite/store_examination.h"
 #include "server/storage/sqlite/store_files.h"
 #include "server/storage/sqlite/store_lock.h"
 #include "server/storage/sqlite/store_opening.h"

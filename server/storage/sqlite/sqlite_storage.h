@@ -26,7 +26,7 @@
 // back to the file system, some at a time while there is nothing better to do,
 // or no room.
 //
-// Tables (see kSchema in store_opening.cc; the file's user_version is
+// Tables (store_format.cc makes them; the file's user_version is
 // kStoreFormat):
 //   vehicles             a row per vehicle; keys are never used again
 //   batches              a row per batch, or per some small ones that were
@@ -36,9 +36,8 @@
 //   loop_closures        a row per loop closure; payloads since format 4
 //   rejected_candidates  a row per rejected candidate; since format 2, payloads
 //                        since format 4
-//   snapshots            a row per vehicle with a snapshot, or one in the
-//   making:
-//                        that has no payload yet; since format 5
+//   snapshots            a row per vehicle with a snapshot, or with one in the
+//                        making, which has no payload yet; since format 5
 //   snapshot_parts       a row per part of a snapshot; since format 5
 //   deleted_snapshots    keys of snapshots whose parts are still to be removed,
 //                        a few at a time; since format 5

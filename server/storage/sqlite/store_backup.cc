@@ -8,6 +8,7 @@
 
 #include "server/base/status.h"
 #include "server/storage/free_space.h"
+#include "server/storage/sqlite/store_examination.h"
 #include "server/storage/sqlite/store_files.h"
 #include "server/storage/sqlite/store_opening.h"
 #include "server/storage/sqlite/store_state.h"

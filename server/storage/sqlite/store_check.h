@@ -9,7 +9,7 @@
 
 #include "absl/status/statusor.h"
 #include "server/storage/sqlite/sqlite_database.h"
-#include "server/storage/sqlite/store_opening.h"
+#include "server/storage/sqlite/store_examination.h"
 #include "server/storage/store_report.h"
 
 namespace revisit::server {

@@ -13,6 +13,7 @@
 #include "server/storage/sqlite/freed_room.h"
 #include "server/storage/sqlite/sqlite_storage.h"
 #include "server/storage/sqlite/store_check.h"
+#include "server/storage/sqlite/store_examination.h"
 #include "server/storage/sqlite/store_files.h"
 #include "server/storage/sqlite/store_lock.h"
 #include "server/storage/sqlite/store_opening.h"

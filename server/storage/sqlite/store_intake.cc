@@ -11,6 +11,7 @@
 #include "server/storage/sqlite/pair_rows.h"
 #include "server/storage/sqlite/sqlite_database.h"
 #include "server/storage/sqlite/store_check.h"
+#include "server/storage/sqlite/store_examination.h"
 #include "server/storage/sqlite/store_files.h"
 #include "server/storage/sqlite/store_opening.h"
 #include "server/storage/sqlite/store_state.h"

@@ -1,6 +1,5 @@
-// The steps of opening a store, and the tables of a new one: whether the file
-// is a store, of which format, and whether it and its log are whole.
-// sqlite_storage.h says in which order and what for.
+// The steps of making and opening a store, after store_examination.h: what
+// sqlite_storage.h takes in which order.
 //
 // Errors, besides those of the device: FAILED_PRECONDITION for a file that is
 // no store, or one of a newer format; DATA_LOSS (STORE_CORRUPT) for damage. The
@@ -9,9 +8,7 @@
 #define REVISIT_SERVER_STORAGE_SQLITE_STORE_OPENING_H_
 
 #include <cstdint>
-#include <functional>
 #include <memory>
-#include <set>
 #include <string>
 
 #include "absl/status/status.h"
@@ -21,43 +18,6 @@
 #include "server/storage/sqlite/store_state.h"
 
 namespace revisit::server {
-
-// Whether the files of a store belong together, and hold all that was flushed.
-struct StoreExamination {
-  // Empty if they do; otherwise what is wrong, in one line that names the file.
-  std::string damage;
-  // Whether the store can be opened all the same, with the contents of its
-  // database and of the sound part of its log. It cannot if SQLite would
-  // combine files that do not belong together.
-  bool can_be_dropped = false;
-  // Vehicles with changes that are only in the damaged part of the log, as far
-  // as they are known.
-  std::set<std::string> vehicles;
-  // Whether the log ends in a write that was never acknowledged.
-  bool has_unfinished_tail = false;
-  // Whether the database alone is the whole store.
-  bool has_no_log = false;
-};
-
-// OK if there is a database that is not empty. DATA_LOSS (STORE_CORRUPT) if it
-// is empty, or missing beside other files of the store; NOT_FOUND if there is
-// nothing at all.
-absl::Status CheckDatabaseIsThere(const std::string& store);
-
-// Examines a store that no server has, before SQLite opens it: SQLite would
-// silently end a log at the first damage, apply one of another store, or remove
-// it beside an empty database. Writes nothing.
-absl::StatusOr<StoreExamination> ExamineStore(const std::string& store);
-
-// DATA_LOSS (STORE_CORRUPT) with the damage and the vehicles.
-absl::Status DamageOf(const StoreExamination& examination);
-
-// Examines the store for a server that has its lock: DATA_LOSS (STORE_CORRUPT)
-// if something is wrong, unless `drop_damaged_log` is set and the damage can be
-// dropped. `warn` may be empty.
-absl::Status CheckStoreFiles(
-    const std::string& store, bool drop_damaged_log,
-    const std::function<void(const std::string&)>& warn, DurableMark* mark);
 
 // Makes a new store, whole or not at all. REQUIRES: there is none. If another
 // server makes one at the same time, that one may be there afterwards.
@@ -78,12 +38,6 @@ absl::StatusOr<OpenedWriter> OpenWriter(const std::string& store,
                                         const std::string& vfs,
                                         std::uint64_t run, DurableMark* mark,
                                         bool copies_log);
-
-// The mode for reading a store to which nobody writes.
-inline SqliteDatabase::Mode ReadingMode(bool has_no_log) {
-  return has_no_log ? SqliteDatabase::Mode::kFileOnly
-                    : SqliteDatabase::Mode::kReadOnly;
-}
 
 // Opens a connection that reads, and so keeps the log and its index open.
 absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenAnchor(

@@ -1,6 +1,6 @@
 // The rows of `vehicles`: every statement that reads or writes them, with their
 // checks; and the changes that a vehicle's rows in all tables have in common.
-// sqlite_storage.h lists the tables, store_opening.cc makes them.
+// sqlite_storage.h lists the tables, store_format.cc makes them.
 //
 // All functions of this and the other files of rows run within the transaction,
 // if any, of the given connection. Rows that they return have passed their

@@ -1,0 +1,236 @@
+#include "server/storage/sqlite/store_format.h"
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <string>
+
+#include "server/base/status.h"
+#include "server/storage/record_check.h"
+#include "server/storage/sqlite/store_state.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+namespace {
+
+// "RVST", which marks an SQLite file as a store.
+constexpr std::int64_t kApplicationId = 0x52565354;
+
+// Page size of a new store. A batch of 64 poses has some 12 kB: with such
+// batches the store takes in a quarter more than with SQLite's own 4096, and
+// with 16384 the file grows by a third.
+constexpr int kPageBytes = 8192;
+
+// Payloads come last, so that the columns before them are read without them.
+// Keep in step: kStoreFormat, the list in sqlite_storage.h, record_checksum.h.
+constexpr char kTablesOf1[] = R"sql(
+CREATE TABLE vehicles (
+  key INTEGER PRIMARY KEY AUTOINCREMENT,
+  id TEXT NOT NULL UNIQUE,
+  format INTEGER NOT NULL,
+  revision INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL
+);
+CREATE TABLE batches (
+  vehicle_key INTEGER NOT NULL,
+  first_sequence INTEGER NOT NULL,
+  count INTEGER NOT NULL,
+  format INTEGER NOT NULL,
+  revision INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL,
+  PRIMARY KEY (vehicle_key, first_sequence)
+);
+CREATE TABLE revised_batches (
+  vehicle_key INTEGER NOT NULL,
+  first_sequence INTEGER NOT NULL,
+  count INTEGER NOT NULL,
+  format INTEGER NOT NULL,
+  revision INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL,
+  PRIMARY KEY (vehicle_key, first_sequence)
+);
+CREATE TABLE loop_closures (
+  vehicle_key INTEGER NOT NULL,
+  id TEXT NOT NULL,
+  format INTEGER NOT NULL,
+  query_sequence INTEGER NOT NULL,
+  matched_sequence INTEGER NOT NULL,
+  create_time_ns INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  PRIMARY KEY (vehicle_key, id)
+) WITHOUT ROWID;
+CREATE TABLE deleted_vehicles (
+  key INTEGER PRIMARY KEY
+);
+)sql";
+
+// Tables that format 2 has beyond format 1.
+constexpr char kAddedBy2[] = R"sql(
+CREATE TABLE rejected_candidates (
+  vehicle_key INTEGER NOT NULL,
+  id TEXT NOT NULL,
+  format INTEGER NOT NULL,
+  query_sequence INTEGER NOT NULL,
+  matched_sequence INTEGER NOT NULL,
+  create_time_ns INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  PRIMARY KEY (vehicle_key, id)
+) WITHOUT ROWID;
+)sql";
+
+// The table that format 3 has beyond format 2, with one row (store_state.h).
+constexpr char kAddedBy3[] = R"sql(
+CREATE TABLE store (
+  key INTEGER PRIMARY KEY,
+  state BLOB NOT NULL
+);
+)sql";
+
+// The columns that format 4 has beyond format 3. Rows that were there before
+// stay as they are, and read as if they had the default.
+constexpr char kAddedBy4[] = R"sql(
+ALTER TABLE loop_closures ADD COLUMN payload BLOB NOT NULL DEFAULT x'';
+ALTER TABLE rejected_candidates ADD COLUMN payload BLOB NOT NULL DEFAULT x'';
+)sql";
+
+// The tables that format 5 has beyond format 4.
+constexpr char kAddedBy5[] = R"sql(
+CREATE TABLE snapshots (
+  key INTEGER PRIMARY KEY AUTOINCREMENT,
+  vehicle_key INTEGER NOT NULL UNIQUE,
+  format INTEGER NOT NULL,
+  last_sequence INTEGER NOT NULL,
+  part_count INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL
+);
+CREATE TABLE snapshot_parts (
+  snapshot_key INTEGER NOT NULL,
+  number INTEGER NOT NULL,
+  format INTEGER NOT NULL,
+  checksum INTEGER NOT NULL,
+  payload BLOB NOT NULL,
+  PRIMARY KEY (snapshot_key, number)
+);
+CREATE TABLE deleted_snapshots (
+  key INTEGER PRIMARY KEY
+);
+)sql";
+
+// Lets pages of deleted rows be given back to the file system. Works only for a
+// file without tables.
+constexpr char kVacuum[] = "PRAGMA auto_vacuum = INCREMENTAL";
+
+std::string AllTables() {
+  return std::string(kTablesOf1) + kAddedBy2 + kAddedBy3 + kAddedBy4 +
+         kAddedBy5;
+}
+
+}  // namespace
+
+absl::StatusOr<FileFormat> ReadFormat(SqliteDatabase& database) {
+  const absl::StatusOr<std::int64_t> application =
+      database.QueryInteger("PRAGMA application_id");
+  if (!application.ok()) return application.status();
+  const absl::StatusOr<std::int64_t> version =
+      database.QueryInteger("PRAGMA user_version");
+  if (!version.ok()) return version.status();
+  return FileFormat{*application, *version};
+}
+
+absl::Status CheckKnownFormat(const std::string& path,
+                              const FileFormat& format) {
+  if (format.application != kApplicationId) {
+    return absl::FailedPreconditionError(path +
+                                         " is an SQLite file of another "
+                                         "program, not a store of revisit");
+  }
+  if (format.version < 1 || format.version > kStoreFormat) {
+    return absl::FailedPreconditionError(
+        "the store " + path + " has format " + std::to_string(format.version) +
+        ", this server reads formats 1 to " + std::to_string(kStoreFormat) +
+        (format.version > kStoreFormat ? ": use a newer server" : ""));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status MakeTables(SqliteDatabase& database, std::uint64_t run) {
+  absl::Status status = database.Execute(
+      ("PRAGMA page_size = " + std::to_string(kPageBytes) + ";" + kVacuum +
+       "; BEGIN IMMEDIATE;" + AllTables() +
+       "PRAGMA application_id = " + std::to_string(kApplicationId) +
+       "; PRAGMA user_version = " + std::to_string(kStoreFormat))
+          .c_str());
+  if (status.ok()) status = WriteState(database, FirstState(run));
+  if (status.ok()) status = database.Execute("COMMIT");
+  return status;
+}
+
+absl::Status BringToStoreFormat(SqliteDatabase& database,
+                                const std::string& path, std::uint64_t run) {
+  const absl::StatusOr<FileFormat> format = ReadFormat(database);
+  if (!format.ok()) return format.status();
+  const absl::Status known = CheckKnownFormat(path, *format);
+  if (!known.ok()) return known;
+  if (format->version == kStoreFormat) return absl::OkStatus();
+  // Nothing is changed before the commit: a failure closes the connection,
+  // which rolls back.
+  std::string sql = "BEGIN IMMEDIATE;";
+  if (format->version < 2) sql += kAddedBy2;
+  if (format->version < 3) sql += kAddedBy3;
+  if (format->version < 4) sql += kAddedBy4;
+  sql += kAddedBy5;
+  sql += "PRAGMA user_version = " + std::to_string(kStoreFormat);
+  absl::Status status = database.Execute(sql.c_str());
+  if (!status.ok()) return status;
+  StoreState state = FirstState(run);
+  if (format->version >= 3) {
+    const absl::StatusOr<StoreState> stored = ReadState(database);
+    if (!stored.ok()) return stored.status();
+    state = NextState(*stored, run, /*is_closed=*/false);
+  }
+  state.is_closed = false;
+  status = WriteState(database, state);
+  if (!status.ok()) return status;
+  return database.Execute("COMMIT");
+}
+
+absl::Status CheckSchema(SqliteDatabase& database, const std::string& path) {
+  const absl::StatusOr<std::unique_ptr<SqliteDatabase>> expected =
+      SqliteDatabase::Open(":memory:", SqliteDatabase::Mode::kReadWrite, "");
+  if (!expected.ok()) return expected.status();
+  const absl::Status made = (*expected)->Execute(AllTables().c_str());
+  if (!made.ok()) return made;
+  static constexpr char kTables[] =
+      "SELECT name, sql FROM sqlite_schema WHERE type = 'table'";
+  const auto read =
+      [](SqliteDatabase& from,
+         std::map<std::string, std::string>* tables) -> absl::Status {
+    SqliteStatement row = from.Prepare(kTables);
+    while (true) {
+      const absl::StatusOr<bool> found = row.Step();
+      if (!found.ok()) return found.status();
+      if (!*found) return absl::OkStatus();
+      (*tables)[row.Bytes(0)] = row.Bytes(1);
+    }
+  };
+  std::map<std::string, std::string> ours;
+  std::map<std::string, std::string> theirs;
+  absl::Status status = read(**expected, &ours);
+  if (status.ok()) status = read(database, &theirs);
+  if (!status.ok()) return status;
+  for (const auto& [name, sql] : ours) {
+    const auto found = theirs.find(name);
+    if (found == theirs.end() || found->second != sql) {
+      return Corrupt("the store " + path + " is damaged: its table " + name +
+                         " is not as it was made",
+                     {});
+    }
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace revisit::server
