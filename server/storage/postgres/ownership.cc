@@ -23,6 +23,10 @@ constexpr milliseconds kGoodbye{2'000};
 // A beat may be late by this much on a machine that is busy.
 constexpr milliseconds kLeastGap{2'000};
 
+// How often a vehicle is claimed that was another server's when it was claimed,
+// and free when its owner was looked up.
+constexpr int kMostClaims = 5;
+
 constexpr Statement kEnter = {
     "enter",
     "INSERT INTO servers (incarnation, address, lease_ms, state) "
@@ -382,7 +386,7 @@ absl::StatusOr<VehicleKey> Ownership::Take(PostgresConnection& connection,
     if (!LeaseHolds()) return LeaseStale();
     me = me_;
   }
-  for (bool has_made_head = false;; has_made_head = true) {
+  for (int attempt = 1; attempt <= kMostClaims; ++attempt) {
     const absl::StatusOr<std::optional<VehicleKey>> claimed =
         TryToClaim(connection, id, me);
     if (!claimed.ok()) return claimed.status();
@@ -390,13 +394,21 @@ absl::StatusOr<VehicleKey> Ownership::Take(PostgresConnection& connection,
     const auto owner = connection.Run(kWhoOwns, Parameters().AddText(id));
     if (!owner.ok()) return owner.status();
     if (owner->size() == 0) return UnknownVehicle("'" + id + "'");
-    const bool has_head = !owner->IsNull(0, 2);
-    if (has_head || has_made_head) return AskFor(connection, id, me, *owner);
+    const bool has_owner = !owner->IsNull(0, 1) && owner->Integer(0, 4) != 0;
+    if (has_owner && owner->GetUuid(0, 1) != me) {
+      return AskFor(connection, id, me, *owner);
+    }
+    // It has become free since, unless its head is lost.
+    if (!owner->IsNull(0, 2)) continue;
     Warn("vehicle '" + Printable(id) + "' had no row in heads: it gets one");
     absl::Status made =
         connection.Run(kMakeHead, Parameters().AddText(id)).status();
     if (!made.ok()) return made;
   }
+  // Others take it and lose it all the time, or this server is not alive in the
+  // database and does not know it yet.
+  return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
+               "vehicle '" + id + "' could not be claimed just now");
 }
 
 absl::StatusOr<std::optional<VehicleKey>> Ownership::TryToClaim(
@@ -429,11 +441,6 @@ absl::Status Ownership::AskFor(PostgresConnection& connection,
                                const PostgresRows& owner) {
   const VehicleKey key = owner.Integer(0, 0);
   const Uuid other = owner.GetUuid(0, 1);
-  if (owner.IsNull(0, 1) || other == me || owner.Integer(0, 4) == 0) {
-    // It became free just now, or this server is not alive in the database.
-    return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE",
-                 "vehicle '" + id + "' could not be claimed just now");
-  }
   bool asks = false;
   {
     const MutexLock lock(&mutex_);

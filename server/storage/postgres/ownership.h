@@ -134,8 +134,8 @@ class Ownership {
   // The key of a vehicle that was free; nothing if it was not.
   absl::StatusOr<std::optional<VehicleKey>> TryToClaim(
       PostgresConnection& connection, const std::string& id, const Uuid& me);
-  // Asks for a vehicle that was not free, whose row of kWhoOwns this is;
-  // returns why it was not claimed.
+  // Asks the living server that has it for a vehicle, whose row of kWhoOwns
+  // this is; returns NOT_OWNER.
   absl::Status AskFor(PostgresConnection& connection, const std::string& id,
                       const Uuid& me, const PostgresRows& owner);
   bool LeaseHolds() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);

@@ -281,6 +281,24 @@ TEST_F(OwnershipTest, VehicleOfALivingServerIsHandedOverAfterAWhileIfAskedFor) {
   EXPECT_EQ(Sql("SELECT count(*) FROM handovers"), "0\n");
 }
 
+TEST_F(OwnershipTest, VehicleThatIsHandedOverIsWithOneServerOrTheOther) {
+  const auto a = Open("host-a:1");
+  const auto b = Open("host-b:2");
+  const VehicleKey key = *BlockingWrites(a.get()).Create("truck");
+  Storage* from = a.get();
+  Storage* to = b.get();
+  for (int round = 0; round < 200; ++round) {
+    from->ReleaseVehicle(key);
+    absl::Status taken = to->TakeVehicle("truck").status();
+    while (!taken.ok()) {
+      // Also when it becomes free just after it was not.
+      ASSERT_THAT(taken, kNotOwner);
+      taken = to->TakeVehicle("truck").status();
+    }
+    std::swap(from, to);
+  }
+}
+
 TEST_F(OwnershipTest, LivingServersAreListedWithTheVehiclesThatTheyOwn) {
   const auto a = Open("host-a:1");
   const auto b = Open("host-b:2");
