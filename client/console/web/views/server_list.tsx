@@ -50,7 +50,8 @@ function rowsOf({servers, total}: History): Row[] {
       measures: server.silence ? undefined : server.interval,
     })),
     {name: TOTAL, title: 'All servers', address: '/server',
-     state: {name: answering === servers.length ? 'up' : 'silent',
+     state: {name: answering === servers.length ? 'up' :
+                   answering > 0 ? 'limited' : 'silent',
              text: `${count(answering)} of ${count(servers.length)}`},
      measures: total},
   ];
@@ -111,7 +112,7 @@ export function ServerList({history, chosen}:
     {history: History, chosen: string|undefined}) {
   return (
     <Table label="Servers" rows={rowsOf(history)} keyOf={({name}) => name}
-           current={chosen ?? TOTAL} empty="" columns={COLUMNS} />
+           current={chosen ?? TOTAL} pinned empty="" columns={COLUMNS} />
   );
 }
 

@@ -104,7 +104,7 @@ function FactSection({title, facts}: {title: string, facts: Fact[]}) {
   );
 }
 
-/** What one server and several together have. `beside` stands beside the calls,
+/** What one server has, or several together. `beside` stands beside the calls,
  * and `children` above the curves. */
 function Details({measures, points, facts, beside, children}: {
   measures: Measures, points: Point[], facts: Fact[],
@@ -116,13 +116,20 @@ function Details({measures, points, facts, beside, children}: {
           count(measures.seconds)} s` : 'Load'} facts={facts} />
       <h2>Latencies</h2>
       <LatencyTable measures={measures} />
-      <div class="columns">
-        {beside}
+      {beside ? (
+        <div class="columns">
+          {beside}
+          <section>
+            <h2>Calls</h2>
+            <EndTables measures={measures} />
+          </section>
+        </div>
+      ) : (
         <section>
           <h2>Calls</h2>
-          <EndTables measures={measures} />
+          <div class="columns"><EndTables measures={measures} /></div>
         </section>
-      </div>
+      )}
       {children}
       <div class="curves">
         {metricsCurves(points).map(curve => (
