@@ -3,10 +3,10 @@ import {type Measures, quantile} from '../data/readings.js';
 import {type History, openOf, type ServerHistory} from
     '../data/server_history.js';
 import type {Fact} from '../parts/facts.js';
-import {bytes, count, moment, rate} from '../parts/format.js';
+import {bytes, count, moment} from '../parts/format.js';
 import {type Column, Table} from '../parts/table.js';
 import {certificateEnd, errorRate} from './server_facts.js';
-import {quantileText} from './server_tables.js';
+import {quantileText, rateText} from './server_tables.js';
 
 /** The key of the row of totals: no server is called so. */
 const TOTAL = '';
@@ -72,10 +72,6 @@ function valueText(name: string, text: (value: number) => string):
   };
 }
 
-function rateText(value: number|undefined): string|undefined {
-  return value === undefined ? undefined : rate(value);
-}
-
 /** Nothing is said over all where it would not be a total. */
 function ofEach(text: (measures: Measures) => string|undefined):
     (measures: Measures, row: Row) => string|undefined {
@@ -136,7 +132,7 @@ export function listFacts(history: History): Fact[] {
     title,
     [state.text, ...(measures ? [
       `${count(openOf(measures).streams)} streams`,
-      `${rateText(measures.rate('revisit_calls_total')) ?? '–'} calls`,
+      `${rateText(measures.rate('revisit_calls_total'))} calls`,
       `${valueText('revisit_resident_vehicles', count)(measures) ?? '–'
       } vehicles in memory`,
     ] : [])].join(', '),

@@ -16,6 +16,10 @@ export function quantileText(found: Quantile|undefined): string {
   return (found.isBeyond ? '> ' : '') + duration(found.value);
 }
 
+export function rateText(value: number|undefined): string {
+  return value === undefined ? '–' : rate(value);
+}
+
 interface Props {
   measures: Measures;
 }
@@ -32,7 +36,7 @@ export function LatencyTable({measures}: Props) {
              {title: 'p99', number: true, cell: ([, name]) =>
                 quantileText(quantile(measures, name, 0.99))},
              {title: 'A second', number: true, cell: ([, name]) =>
-                rate(measures.rate(`${name}_count`) ?? 0)},
+                rateText(measures.rate(`${name}_count`))},
              {title: 'Since the start', number: true, cell: ([, name]) =>
                 count(measures.value(`${name}_count`) ?? 0)},
            ]} />
@@ -75,7 +79,7 @@ function EndTable({measures, metric, label, title}:
            columns={[
              {title, cell: ([name]) => name},
              {title: 'A second', number: true,
-              cell: ([name]) => rate(rates.get(name) ?? 0)},
+              cell: ([name]) => rateText(rates.get(name))},
              {title: 'Since the start', number: true,
               cell: ([, number]) => count(number)},
            ]} />
