@@ -60,7 +60,7 @@ function chosenOf({servers}: History, name: string|undefined):
   return servers.find(server => server.name === name);
 }
 
-/** GetServerInfo tells of the only server what is in memory, beside this. */
+/** The view has what is in the only server's memory from GetServerInfo. */
 function factsOfOne(name: string|undefined): (measures: Measures) => Fact[] {
   return measures => [
     ...loadFacts(measures), ...processFacts(measures),
@@ -76,6 +76,7 @@ function totalFacts(total: Measures): Fact[] {
 export function metricsSheet({history}: Metrics, name: string|undefined):
     {facts: Fact[], curves: Curve[]} {
   const chosen = chosenOf(history, name);
+  if (name !== undefined && !chosen) return {facts: [], curves: []};
   if (chosen) {
     const {interval, points} = chosen;
     return {
