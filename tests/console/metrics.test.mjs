@@ -301,6 +301,27 @@ test('totals are sums of values and rates, and percentiles those of all values',
   assert.ok(own[0] < p90 && p90 < own[1], `${own} ${p90}`);
 });
 
+test('errors and the end of a certificate are told where they are known',
+     async () => {
+  const {certificateEnd, errorRate} =
+      await load('web/views/server_facts.ts');
+  const {Interval, Reading} = await load('web/data/readings.ts');
+  const name = 'revisit_tls_certificate_expiry_timestamp_seconds';
+  const interval = (end, errors) => new Interval(...[0, 10].map(
+      seconds => new Reading({time: 1000 * seconds, samples: [
+        {name, labels: {}, value: end},
+        ...[['OK', 7], ['ABORTED', errors]].map(([code, value]) => (
+            {name: 'revisit_calls_total', labels: {code},
+             value: value * seconds})),
+      ]})));
+  assert.equal(certificateEnd(interval(10 + 90 * 86_400, 0)), 'in 90 days');
+  assert.equal(certificateEnd(interval(10 - 3 * 3600, 0)), '3 hours ago');
+  assert.equal(errorRate(interval(0, 2)), 2);
+  const none = await intervalOf([0, {}], [1000, {}]);
+  assert.equal(certificateEnd(none), undefined);
+  assert.equal(errorRate(none), undefined);
+});
+
 test('of servers with other buckets those count that all have', async () => {
   const {Total} = await load('web/data/total.ts');
   const part = buckets => intervalOf(
