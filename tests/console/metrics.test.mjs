@@ -123,8 +123,8 @@ async function withPage(answer, use) {
   }
 }
 
-test('metrics that are too long, too late, or none are told as such, and those ' +
-     'of others beside them', async () => {
+test('metrics that are too long, too late, or none are told as such, and ' +
+     'those of others beside them', async () => {
   for (const [kind, answer, message] of [
     ['long', response => {
       response.on('error', () => {});
@@ -267,8 +267,8 @@ test('totals are sums of values and rates, and percentiles those of all values',
   const {quantile} = await load('web/data/readings.ts');
   const {Total} = await load('web/data/total.ts');
   const none = {0.1: 0, 1: 0, '+Inf': 0};
-  // 300 new values in four seconds, of which one in a hundred is beyond 0.1; and
-  // 100 in two, of which a half is.
+  // 300 new values in four seconds, of which one in a hundred is beyond 0.1;
+  // and 100 in two, of which a half is.
   const fast = await intervalOf(
       [1000, {calls: {OK: 10}, buckets: none}],
       [5000, {calls: {OK: 50, ABORTED: 4}, gauges: {queued: 3, vehicles: 1},

@@ -1,6 +1,8 @@
-// The servers of a fleet side by side: one may be looked at, and one may be away.
+// The servers of a fleet side by side: one may be looked at, and one may be
+// away.
 import assert from 'node:assert/strict';
-import {mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync} from 'node:fs';
+import {mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync} from
+    'node:fs';
 import {tmpdir} from 'node:os';
 import {join} from 'node:path';
 import {after, before, test} from 'node:test';
@@ -39,7 +41,8 @@ function asOperator(server, ...args) {
 /** A stream that stays open once some poses of the drive were sent. */
 function stream(server, vehicle) {
   const child = server.openStream('--token-file', token, '--create',
-                                  '--vehicle', vehicle, '--uncertainty', 'file');
+                                  '--vehicle', vehicle,
+                                  '--uncertainty', 'file');
   child.stdin.on('error', () => {});
   child.stdin.write(
       readFileSync(DRIVE, 'utf8').split('\n').slice(0, 100).join('\n') + '\n');

@@ -63,8 +63,8 @@ export function Table<Row>(
   const below = items.length > 0 ?
       virtualizer.getTotalSize() - items[items.length - 1].end : 0;
   return (
-    <div class={pinned ? 'table pinned' : 'table'} ref={scroller} tabIndex={0} role="region"
-         aria-label={label}>
+    <div class={pinned ? 'table pinned' : 'table'} ref={scroller} tabIndex={0}
+         role="region" aria-label={label}>
       <table aria-rowcount={rows.length + 1} aria-label={label}>
         <thead>
           <tr aria-rowindex={1}>
