@@ -367,6 +367,7 @@ grpc::Status FakeServer::GetServerInfo(grpc::ServerContext*,
                                        const v1::GetServerInfoRequest*,
                                        v1::GetServerInfoResponse* response) {
   response->set_version("1.2.3");
+  response->set_over_all_tenants(true);
   response->set_durability(v1::DURABILITY_LOCAL);
   response->set_max_message_bytes(4194304);
   response->set_durability_settings("fsync=on");

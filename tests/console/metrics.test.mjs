@@ -1,4 +1,4 @@
-// The server's metrics: how they are read, what follows from them, and who is
+// The servers' metrics: how they are read, what follows from them, and who is
 // told.
 import assert from 'node:assert/strict';
 import {createServer} from 'node:http';
@@ -6,8 +6,9 @@ import {mkdtempSync, rmSync} from 'node:fs';
 import {tmpdir} from 'node:os';
 import {join} from 'node:path';
 import {after, before, test} from 'node:test';
+import {setTimeout as sleep} from 'node:timers/promises';
 
-import {Console, Issuer, load, Revisitd} from './world.mjs';
+import {Console, Issuer, load, Revisitd, until} from './world.mjs';
 
 const issuer = new Issuer();
 const POLICY = {
@@ -33,29 +34,41 @@ after(async () => {
   rmSync(directory, {recursive: true, force: true});
 });
 
-/** Status and content of what a console with these flags answers. */
-async function metricsOf(flags, subject, address = revisitd.address) {
+/** Runs `use` with a console of these flags, and a function that returns status
+ * and content of its answer to somebody. */
+async function withConsole(flags, use, address = revisitd.address) {
   const console = new Console(() => address, flags);
   await console.start();
   try {
-    const answer = await fetch(`${console.url}/metrics.json`, {
-      headers: subject ? {authorization: `Bearer ${issuer.token(subject)}`} :
-                         {},
+    return await use(async subject => {
+      const answer = await fetch(`${console.url}/metrics.json`, {
+        headers: subject ? {authorization: `Bearer ${issuer.token(subject)}`} :
+                           {},
+      });
+      return {status: answer.status, body: await answer.json()};
     });
-    return {status: answer.status, body: await answer.json()};
   } finally {
     await console.close();
   }
+}
+
+function metricsOf(flags, subject, address) {
+  return withConsole(flags, ask => ask(subject), address);
 }
 
 test('an operator is told the metrics of the whole server', async () => {
   const {status, body} =
       await metricsOf(['--metrics', revisitd.metrics], 'operator');
   assert.equal(status, 200);
-  assert.ok(Math.abs(body.time - Date.now()) < 60_000);
-  const open = body.samples.filter(({name}) => name === 'revisit_calls_open');
+  assert.equal(body.servers.length, 1);
+  const [{name: server, scrape: {time, samples}, silence}] = body.servers;
+  assert.equal(server, new URL(revisitd.metrics).host);
+  assert.equal(silence, undefined);
+  assert.ok(Math.abs(time - Date.now()) < 60_000);
+  assert.ok(time <= body.time);
+  const open = samples.filter(({name}) => name === 'revisit_calls_open');
   assert.ok(open.some(({labels}) => labels.method === 'StreamPoses'));
-  for (const {name, value} of body.samples) {
+  for (const {name, value} of samples) {
     assert.match(name, /^(revisit|process)_/);
     assert.equal(typeof value, 'number', name);
   }
@@ -67,7 +80,7 @@ test('a tenant is refused them, whatever he may do with his vehicles',
       await metricsOf(['--metrics', revisitd.metrics], 'acme');
   assert.equal(status, 403);
   assert.match(body.message, /belongs to a tenant/);
-  assert.equal(body.samples, undefined);
+  assert.equal(body.servers, undefined);
 });
 
 test('strangers are refused them', async () => {
@@ -75,7 +88,7 @@ test('strangers are refused them', async () => {
     const {status, body} =
         await metricsOf(['--metrics', revisitd.metrics], subject);
     assert.ok(status === 401 || status === 403, `${status} to ${subject}`);
-    assert.equal(body.samples, undefined);
+    assert.equal(body.servers, undefined);
   }
 });
 
@@ -91,38 +104,92 @@ test('without --metrics there are none', async () => {
   assert.match(body.message, /--metrics/);
 });
 
-test('metrics that are too long, too late, or none are an error', async () => {
-  let answer;
+test('a server that cannot say who calls is passed over', async () => {
+  const flags = ['--server', revisitd.address, '--metrics', revisitd.metrics];
+  const away = '127.0.0.1:1';
+  assert.equal((await metricsOf(flags, 'operator', away)).status, 200);
+  assert.equal((await metricsOf(flags, 'acme', away)).status, 403);
+});
+
+/** A page of metrics that is answered by `answer`, as long as `use` runs. */
+async function withPage(answer, use) {
   const fake = createServer((request, response) => answer(response));
   await new Promise(done => fake.listen(0, '127.0.0.1', done));
-  const url = `http://127.0.0.1:${fake.address().port}/metrics`;
   try {
-    for (const [kind, answering, message] of [
-      ['long', response => {
-        response.on('error', () => {});
-        response.end('revisit_x 1\n'.repeat(400_000));
-      }, /more than 4194304 bytes/],
-      ['none', response => response.end('revisit_x{le="1} 2\n'),
-       /no sample|no labels/],
-      ['elsewhere', response => {
-        response.writeHead(302, {location: revisitd.metrics});
-        response.end();
-      }, /redirect/],
-      ['absent', response => {
-        response.writeHead(404);
-        response.end();
-      }, /answers 404/],
-      ['late', () => {}, /timeout|aborted/],
-    ]) {
-      answer = answering;
-      const {status, body} = await metricsOf(['--metrics', url], 'operator');
-      assert.equal(status, 502, kind);
-      assert.match(body.message, message);
-    }
+    return await use(`http://127.0.0.1:${fake.address().port}/metrics`);
   } finally {
     fake.closeAllConnections();
     fake.close();
   }
+}
+
+test('metrics that are too long, too late, or none are told as such, and ' +
+     'those of others beside them', async () => {
+  for (const [kind, answer, message] of [
+    ['long', response => {
+      response.on('error', () => {});
+      response.end('revisit_x 1\n'.repeat(400_000));
+    }, /more than 4194304 bytes/],
+    ['none', response => response.end('revisit_x{le="1} 2\n'),
+     /no sample|no labels/],
+    ['elsewhere', response => {
+      response.writeHead(302, {location: revisitd.metrics});
+      response.end();
+    }, /redirect/],
+    ['absent', response => {
+      response.writeHead(404);
+      response.end();
+    }, /answers 404/],
+    ['late', () => {}, /timeout|aborted/],
+  ]) {
+    await withPage(answer, url => withConsole(
+        ['--metrics', `${kind}=${url}`, '--metrics', revisitd.metrics],
+        async ask => {
+      const began = Date.now();
+      const bad = await until(async () => {
+        const asked = Date.now();
+        const {status, body: {servers: [server, other]}} =
+            await ask('operator');
+        assert.equal(status, 200, kind);
+        assert.equal(server.name, kind);
+        assert.equal(server.scrape, undefined, kind);
+        assert.ok(other.scrape.samples.length > 0);
+        // Its deadline of five seconds is its own.
+        assert.ok(Date.now() - asked < 4000, `${Date.now() - asked} ms`);
+        return server.silence && server;
+      }, kind);
+      assert.match(bad.silence.message, message);
+      assert.match(bad.silence.message, new RegExp(url));
+      assert.ok(bad.silence.since >= began && bad.silence.since <= Date.now());
+    }));
+  }
+});
+
+test('a server is silent since it was first asked in vain', async () => {
+  let isWell = true;
+  const answer = response => {
+    response.writeHead(isWell ? 200 : 500);
+    response.end('revisit_x 1\n');
+  };
+  await withPage(answer, url => withConsole(['--metrics', url], async ask => {
+    const next = async () => {
+      await sleep(600);
+      return (await ask('operator')).body.servers[0];
+    };
+    const well = await next();
+    assert.equal(well.scrape.samples.length, 1);
+    isWell = false;
+    const {silence: first, scrape} = await next();
+    assert.ok(first.since > well.scrape.time);
+    assert.equal(scrape, undefined);
+    assert.deepEqual((await next()).silence, first);
+    isWell = true;
+    const again = await next();
+    assert.equal(again.silence, undefined);
+    assert.ok(again.scrape.time > first.since);
+    isWell = false;
+    assert.ok((await next()).silence.since > again.scrape.time);
+  }));
 });
 
 test('the text of metrics is read strictly', async () => {
@@ -142,18 +209,33 @@ test('the text of metrics is read strictly', async () => {
   }
 });
 
-test('rates and quantiles are those between two readings', async () => {
-  const {Interval, Reading} = await load('web/data/readings.ts');
-  const reading = (time, calls, buckets) => new Reading({time, samples: [
+/** Samples of calls by code, of a histogram by bound, and of gauges. */
+function samplesOf({calls = {}, buckets = {}, gauges = {}}) {
+  return [
     ...Object.entries(calls).map(([code, value]) => (
         {name: 'calls', labels: {code, method: 'm'}, value})),
     ...Object.entries(buckets).flatMap(([le, value]) => ['a', 'b'].map(
         method => ({name: 'seconds_bucket', labels: {le, method},
                     value: value / 2}))),
-  ]});
-  const interval = new Interval(
-      reading(1000, {OK: 5}, {0.1: 100, 1: 100, '+Inf': 100}),
-      reading(5000, {OK: 25, ABORTED: 4}, {0.1: 140, 1: 200, '+Inf': 202}));
+    ...Object.entries(gauges).map(([name, value]) => (
+        {name, labels: {}, value})),
+  ];
+}
+
+/** Those of a server from one time to another, in milliseconds. */
+async function intervalOf(...ends) {
+  const {Interval, Reading} = await load('web/data/readings.ts');
+  const [before, now] = ends.map(
+      ([time, values]) => new Reading({time, samples: samplesOf(values)}));
+  return new Interval(before, now ?? before);
+}
+
+test('rates and quantiles are those between two readings', async () => {
+  const {quantile} = await load('web/data/readings.ts');
+  const interval = await intervalOf(
+      [1000, {calls: {OK: 5}, buckets: {0.1: 100, 1: 100, '+Inf': 100}}],
+      [5000, {calls: {OK: 25, ABORTED: 4},
+              buckets: {0.1: 140, 1: 200, '+Inf': 202}}]);
   assert.equal(interval.seconds, 4);
   assert.equal(interval.rate('calls'), 6);
   assert.equal(interval.rate('calls', {code: 'OK'}), 5);
@@ -161,12 +243,145 @@ test('rates and quantiles are those between two readings', async () => {
   assert.deepEqual([...interval.ratesBy('calls', 'code')],
                    [['OK', 5], ['ABORTED', 1]]);
   // 40 of 102 new values are at most 0.1, and 100 at most 1.
-  const half = interval.quantile('seconds', 0.5);
+  const half = quantile(interval, 'seconds', 0.5);
   assert.ok(Math.abs(half.value - (0.1 + 0.9 * 11 / 60)) < 1e-9);
   assert.equal(half.isBeyond, false);
-  assert.deepEqual(interval.quantile('seconds', 0.99),
+  assert.deepEqual(quantile(interval, 'seconds', 0.99),
                    {value: 1, isBeyond: true});
-  assert.equal(interval.quantile('others', 0.5), undefined);
-  assert.equal(new Interval(interval.now, interval.now)
-                   .quantile('seconds', 0.5), undefined);
+  assert.equal(quantile(interval, 'others', 0.5), undefined);
+});
+
+test('one reading has values, and no rates yet', async () => {
+  const {quantile} = await load('web/data/readings.ts');
+  const one = await intervalOf([1000, {calls: {OK: 5}, gauges: {queued: 3},
+                                       buckets: {1: 5, '+Inf': 7}}]);
+  assert.equal(one.seconds, 0);
+  assert.equal(one.value('queued'), 3);
+  assert.equal(one.rate('calls'), undefined);
+  assert.deepEqual([...one.ratesBy('calls', 'code')], []);
+  assert.equal(quantile(one, 'seconds', 0.5), undefined);
+});
+
+test('totals are sums of values and rates, and percentiles those of all values',
+     async () => {
+  const {quantile} = await load('web/data/readings.ts');
+  const {Total} = await load('web/data/total.ts');
+  const none = {0.1: 0, 1: 0, '+Inf': 0};
+  // 300 new values in four seconds, of which one in a hundred is beyond 0.1;
+  // and 100 in two, of which a half is.
+  const fast = await intervalOf(
+      [1000, {calls: {OK: 10}, buckets: none}],
+      [5000, {calls: {OK: 50, ABORTED: 4}, gauges: {queued: 3, vehicles: 1},
+              buckets: {0.1: 297, 1: 300, '+Inf': 300}}]);
+  const slow = await intervalOf(
+      [2900, {calls: {OK: 100}, buckets: none}],
+      [4900, {calls: {OK: 104}, gauges: {vehicles: 2},
+              buckets: {0.1: 50, 1: 100, '+Inf': 100}}]);
+  const begun = await intervalOf([4800, {calls: {OK: 7},
+                                         gauges: {vehicles: 4}}]);
+  const total = new Total([fast, slow, begun]);
+  assert.equal(total.time, 5000);
+  assert.equal(total.seconds, 4);
+  assert.equal(total.value('vehicles'), 7);
+  assert.equal(total.value('queued'), 3);
+  assert.equal(total.value('others'), undefined);
+  assert.equal(total.rate('calls'), 11 + 2);
+  assert.equal(total.rate('others'), undefined);
+  assert.deepEqual([...total.by('calls', 'code')], [['OK', 161],
+                                                    ['ABORTED', 4]]);
+  assert.deepEqual([...total.ratesBy('calls', 'code')], [['OK', 12],
+                                                         ['ABORTED', 1]]);
+  // A second brings 75 and 50 values, 74.25 and 25 of them at most 0.1.
+  assert.deepEqual(total.bucketRates('seconds'),
+                   new Map([[0.1, 99.25], [1, 125], [Infinity, 125]]));
+  const p90 = quantile(total, 'seconds', 0.9).value;
+  assert.ok(Math.abs(p90 - (0.1 + 0.9 * (112.5 - 99.25) / 25.75)) < 1e-9);
+  // It is neither the sum nor the mean of the servers' own.
+  const own = [fast, slow].map(part => quantile(part, 'seconds', 0.9).value);
+  assert.ok(own[0] < p90 && p90 < own[1], `${own} ${p90}`);
+});
+
+test('errors and the end of a certificate are told where they are known',
+     async () => {
+  const {certificateEnd, errorRate} =
+      await load('web/views/server_facts.ts');
+  const {Interval, Reading} = await load('web/data/readings.ts');
+  const name = 'revisit_tls_certificate_expiry_timestamp_seconds';
+  const interval = (end, errors) => new Interval(...[0, 10].map(
+      seconds => new Reading({time: 1000 * seconds, samples: [
+        {name, labels: {}, value: end},
+        ...[['OK', 7], ['ABORTED', errors]].map(([code, value]) => (
+            {name: 'revisit_calls_total', labels: {code},
+             value: value * seconds})),
+      ]})));
+  assert.equal(certificateEnd(interval(10 + 90 * 86_400, 0)), 'in 90 days');
+  assert.equal(certificateEnd(interval(10 - 3 * 3600, 0)), '3 hours ago');
+  assert.equal(errorRate(interval(0, 2)), 2);
+  const none = await intervalOf([0, {}], [1000, {}]);
+  assert.equal(certificateEnd(none), undefined);
+  assert.equal(errorRate(none), undefined);
+});
+
+test('of servers with other buckets those count that all have', async () => {
+  const {Total} = await load('web/data/total.ts');
+  const part = buckets => intervalOf(
+      [0, {buckets: Object.fromEntries(
+          Object.keys(buckets).map(bound => [bound, 0]))}],
+      [1000, {buckets}]);
+  const total = new Total([
+    await part({0.1: 1, 0.5: 2, 1: 3, '+Inf': 4}),
+    await part({0.1: 10, 0.2: 20, 1: 30, '+Inf': 40}),
+  ]);
+  assert.deepEqual(total.bucketRates('seconds'),
+                   new Map([[0.1, 11], [1, 33], [Infinity, 44]]));
+});
+
+test('the history of servers goes on beside one that restarts, is slow or ' +
+     'silent', async () => {
+  const {historyAfter, NO_HISTORY} = await load('web/data/server_history.ts');
+  const scrape = (time, start, ended, streams) => ({time, samples: [
+    {name: 'process_start_time_seconds', labels: {}, value: start},
+    {name: 'revisit_calls_total', labels: {code: 'OK', method: 'm'},
+     value: ended},
+    {name: 'revisit_calls_open', labels: {method: 'StreamPoses'},
+     value: streams},
+    {name: 'revisit_calls_open', labels: {method: 'FindCandidates'}, value: 9},
+  ]});
+  const silence = {since: 2500, message: 'no'};
+  let history = NO_HISTORY;
+  const states = [];
+  for (const [time, a, b] of [
+    [1000, {scrape: scrape(1000, 1, 0, 2)}, {scrape: scrape(990, 1, 100, 3)}],
+    // The second is slow.
+    [2000, {scrape: scrape(2000, 1, 10, 2)}, {scrape: scrape(990, 1, 100, 3)}],
+    [3000, {scrape: scrape(3000, 1, 20, 2)}, {silence}],
+    // It was restarted, and counts from 0.
+    [4000, {scrape: scrape(4000, 1, 30, 2)}, {scrape: scrape(3990, 2, 5, 1)}],
+    [5000, {scrape: scrape(5000, 1, 40, 2)}, {scrape: scrape(4990, 2, 9, 1)}],
+  ]) {
+    history = historyAfter(history, {time, servers: [{name: 'a', ...a},
+                                                     {name: 'b', ...b}]});
+    const [, second] = history.servers;
+    states.push([second.silence !== undefined,
+                 second.interval.rate('revisit_calls_total')]);
+  }
+  assert.deepEqual(states, [[false, undefined], [false, undefined],
+                            [true, undefined], [false, undefined], [false, 4]]);
+  const drawn = points => points.map(
+      ({time, streams, calls}) => [time, streams, calls]);
+  const [first, second] = history.servers;
+  assert.deepEqual(drawn(first.points),
+                   [[1000, 2, null], [2000, 2, 10], [3000, 2, 10],
+                    [4000, 2, 10], [5000, 2, 10]]);
+  assert.deepEqual(drawn(second.points),
+                   [[990, 3, null], [3000, null, null], [3990, 1, null],
+                    [4990, 1, 4]]);
+  assert.deepEqual(drawn(history.totalPoints),
+                   [[1000, 5, null], [2000, 5, 10], [3000, 2, 10],
+                    [4000, 3, 10], [5000, 3, 14]]);
+  // Nobody answers: there is no total, and none is drawn.
+  history = historyAfter(history, {time: 6000, servers: [
+    {name: 'a', silence}, {name: 'b', silence}]});
+  assert.equal(history.total, undefined);
+  assert.equal(history.totalPoints.at(-1).streams, null);
 });

@@ -30,6 +30,17 @@ test('wrong usage is refused with 64 and says what is allowed', () => {
     [['--metrics', 'nowhere'], /--metrics is 'nowhere'/],
     [['--metrics', 'file:///etc/passwd'], /--metrics is 'file:/],
     [['--metrics', 'http://a:b@127.0.0.1/metrics'], /--metrics is/],
+    [['--metrics', 'a=b'], /--metrics is 'a=b', not an address/],
+    [['--metrics', '=http://127.0.0.1:1/metrics'], /NAME has to be/],
+    [['--metrics', 'a b=http://127.0.0.1:1/metrics'], /NAME has to be/],
+    [['--metrics', `${'n'.repeat(64)}=http://127.0.0.1:1/`], /NAME has to be/],
+    [['--metrics', 'http://127.0.0.1:1/metrics', '--metrics',
+      'a=http://127.0.0.1:1/metrics'],
+     /--metrics names http:\/\/127\.0\.0\.1:1\/metrics twice/],
+    [['--metrics', 'a=http://127.0.0.1:1/metrics', '--metrics',
+      'a=http://127.0.0.1:2/metrics'], /--metrics calls both .* 'a'/],
+    [['--metrics', 'http://127.0.0.1:1/x', '--metrics',
+      'http://127.0.0.1:1/y'], /--metrics calls both .* '127\.0\.0\.1:1'/],
     [['--colour', 'red'], /colour/],
   ]) {
     const {status, stderr} = start(...args);

@@ -54,9 +54,10 @@ export class Revisitd {
     this.flags = flags;
     this.store = store;
     this.address = '127.0.0.1:0';
+    this.admin = '127.0.0.1:0';
   }
 
-  /** Starts it: the first time at any port, then at the same one. */
+  /** Starts it: the first time at any ports, then at the same ones. */
   async start() {
     const portFile = join(this.directory, 'address');
     rmSync(portFile, {force: true});
@@ -65,7 +66,7 @@ export class Revisitd {
     this.child = spawn(
         join(BIN, 'revisitd'),
         ['--listen', this.address, '--store', this.store, '--admin-listen',
-         '127.0.0.1:0', '--port-file', portFile, ...this.flags],
+         this.admin, '--port-file', portFile, ...this.flags],
         {stdio: ['ignore', 'pipe', log], env: environment});
     let said = '';
     this.child.stdout.on('data', data => said += data);
@@ -75,10 +76,10 @@ export class Revisitd {
       return existsSync(portFile) && readFileSync(portFile, 'utf8').trim();
     }, 'revisitd that listens');
     this.address = readFileSync(portFile, 'utf8').trim();
-    const [, admin] = await until(
+    [, this.admin] = await until(
         () => /admin listening on (\S+)/.exec(said), 'admin port');
     /** Where it tells its metrics. */
-    this.metrics = `http://${admin}/metrics`;
+    this.metrics = `http://${this.admin}/metrics`;
   }
 
   /** The crash: no clean-up of any kind. */

@@ -962,6 +962,28 @@ def test_command_line_sends_its_token(token_server, identities, tmp_path):
     assert "holds no token" in result.stderr
 
 
+def test_command_line_does_not_call_memory_empty_of_which_it_is_not_told(
+        token_server, called_by, identities, tmp_path):
+    owner = called_by("acme")
+    append(owner, create(owner, "acme-cli-memory"), straight(20))
+    token = tmp_path / "token"
+
+    def told(*arguments):
+        result = run("revisit", "--server", token_server.address,
+                     "--token-file", token, "info", *arguments)
+        assert result.returncode == 0, result
+        return result.stdout
+
+    replace(token, identities.key.token("acme"))
+    assert re.findall("^.*in memory.*$", re.sub(" +", " ", told()),
+                      re.MULTILINE) == [
+        "in memory not told to a tenant's caller"]
+    assert not json.loads(told("--json")).get("overAllTenants")
+    replace(token, identities.key.token("op", groups=["operators"]))
+    assert re.search("^vehicles in memory +[1-9]", told(), re.MULTILINE)
+    assert re.search("^graphs in memory +[1-9][0-9]* B$", told(), re.MULTILINE)
+
+
 def own_address():
     """An address of this machine that is not the loopback; None if there is
     none."""

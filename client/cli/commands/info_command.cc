@@ -12,8 +12,8 @@ namespace revisit::client {
 void AddInfoCommand(const Command& program) {
   const Command command = program.AddCommand(
       {"info", "Shows the version and the limits of the server.",
-       "Callers that belong to a tenant are not told what is in memory: they "
-       "see 0.",
+       "Callers that belong to a tenant are not told what is in memory, nor "
+       "which servers share the store.",
        "  revisit info\n"
        "  revisit info --server revisit.example:50051 --tls-ca ca.pem "
        "--json"});
@@ -42,10 +42,17 @@ absl::Status RunInfo(const Client& client, const std::string& address,
       {"poses in a batch", absl::StrCat("at most ", info->max_batch_poses())},
       {"message", absl::StrCat("at most ", info->max_message_bytes(), " B")},
       {"batches in flight",
-       absl::StrCat("at most ", info->max_batches_in_flight(), " per stream")},
-      {"vehicles in memory", absl::StrCat(info->resident_vehicle_count())},
-      {"nodes in memory", absl::StrCat(info->resident_node_count())},
-      {"graphs in memory", absl::StrCat(info->resident_bytes(), " B")}};
+       absl::StrCat("at most ", info->max_batches_in_flight(), " per stream")}};
+  if (info->over_all_tenants()) {
+    fields.insert(
+        fields.end(),
+        {{"vehicles in memory", absl::StrCat(info->resident_vehicle_count())},
+         {"nodes in memory", absl::StrCat(info->resident_node_count())},
+         {"graphs in memory", absl::StrCat(info->resident_bytes(), " B")}});
+  } else {
+    // The message has 0 for these callers, as if nothing were in memory.
+    fields.emplace_back("in memory", "not told to a tenant's caller");
+  }
   for (const v1::StoreServer& server : info->servers()) {
     fields.emplace_back("shares the store",
                         absl::StrCat(server.address(), ", vehicles owned: ",

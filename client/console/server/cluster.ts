@@ -42,16 +42,16 @@ export function vehicleOf(request: object): string|undefined {
 export class Cluster {
   /** Address of the owner, by the vehicle's id; the eldest first. */
   private readonly owners = new Map<string, string>();
-  private readonly transports: Map<string, Transport>;
-  /** The way to the first server. */
-  readonly transport: Transport;
+  private readonly byAddress: Map<string, Transport>;
+  /** The ways to all servers that were given, the first one's first. */
+  readonly transports: readonly Transport[];
 
   /** There is an address at least. */
   constructor(addresses: readonly string[],
               connect: (address: string) => Transport) {
-    this.transports =
+    this.byAddress =
         new Map(addresses.map(address => [address, connect(address)]));
-    this.transport = this.transports.get(addresses[0])!;
+    this.transports = [...this.byAddress.values()];
   }
 
   /** Makes attempts of a call, which is about this vehicle, until one of them
@@ -81,10 +81,10 @@ export class Cluster {
 
   private routeTo(owner: string|undefined): Route {
     const direct = owner === undefined ? undefined :
-                                         this.transports.get(owner);
+                                         this.byAddress.get(owner);
     if (direct) return {transport: direct, headers: []};
     return {
-      transport: this.transport,
+      transport: this.transports[0],
       headers: owner === undefined ? [] :
           [[OWNER_HEADER, Buffer.from(owner).toString('base64')]],
     };

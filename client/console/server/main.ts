@@ -30,7 +30,7 @@ function isOwn(request: IncomingMessage, hosts: Set<string>): boolean {
 
 /** The page asks for these to know which of its parts there are. */
 function settingsOf(options: Options): object {
-  return {metrics: options.metrics !== undefined,
+  return {metrics: options.metrics.length > 0,
           baseMap: options.baseMap !== undefined};
 }
 
@@ -43,7 +43,7 @@ function serve(options: Options): void {
   }));
   const pages =
       new Pages(fileURLToPath(new URL('../web', import.meta.url)));
-  const metrics = new Metrics(options.metrics, cluster.transport);
+  const metrics = new Metrics(options.metrics, cluster.transports);
   const baseMap = options.baseMap === undefined ?
       undefined : new BaseMap(options.baseMap);
   pages.add('/console.json', JSON.stringify(settingsOf(options)));

@@ -1,64 +1,41 @@
 import type {IncomingMessage, ServerResponse} from 'node:http';
 
-import {Code, ConnectError, createClient, type Transport} from
+import {type Client, Code, ConnectError, createClient, type Transport} from
     '@connectrpc/connect';
 
 import {PoseGraphService} from '../gen/revisit/v1/pose_graph_service_pb.js';
-import {type MetricSample, parseMetrics} from './exposition.js';
+import {type MetricsPage, Scraper, type ServerMetrics} from './scrape.js';
 
-/** One reading of the server's metrics, as the page gets it. */
-export interface Scrape {
-  /** Milliseconds since 1970 at which they were read. */
+/** What the page gets. */
+export interface MetricsAnswer {
+  /** Milliseconds since 1970 at which it was made. */
   time: number;
-  samples: MetricSample[];
+  /** In the order of the flags. */
+  servers: ServerMetrics[];
 }
 
-const MOST_BYTES = 4 << 20;
-const DEADLINE_MILLISECONDS = 5000;
-/** Pages that ask in the meantime share one reading. */
-const FRESH_MILLISECONDS = 500;
-const SHOWN = /^(revisit|process)_/;
+const DEADLINE_MILLISECONDS = 2000;
+/** The codes of a server that does not answer. A connection that was reset is
+ * reported like a call that the caller gave up. */
+const AWAY = new Set([Code.Unavailable, Code.DeadlineExceeded, Code.Canceled]);
 
-async function readBounded(answer: Response): Promise<string> {
-  const parts: Uint8Array[] = [];
-  let bytes = 0;
-  for await (const part of answer.body as unknown as
-             AsyncIterable<Uint8Array>) {
-    bytes += part.length;
-    if (bytes > MOST_BYTES) {
-      throw new Error(`more than ${MOST_BYTES} bytes of metrics`);
-    }
-    parts.push(part);
-  }
-  return Buffer.concat(parts).toString();
-}
-
-async function scrape(url: string): Promise<Scrape> {
-  const answer = await fetch(url, {
-    redirect: 'error',
-    signal: AbortSignal.timeout(DEADLINE_MILLISECONDS),
-  });
-  if (answer.status !== 200) {
-    await answer.body?.cancel();
-    throw new Error(`${url} answers ${answer.status}`);
-  }
-  const samples = parseMetrics(await readBounded(answer));
-  return {time: Date.now(),
-          samples: samples.filter(({name}) => SHOWN.test(name))};
-}
+type Service = Client<typeof PoseGraphService>;
 
 /**
- * Answers GET /metrics.json with the metrics of revisitd, whose admin port asks
- * nobody who he is. They are of all tenants, so they go only to callers whom
- * revisitd itself takes to belong to none, by its answer to GetServerInfo.
+ * Answers GET /metrics.json with the metrics of all servers, whose admin ports
+ * ask nobody who he is. They are of all tenants, so they go only to callers
+ * whom revisitd itself takes to belong to none, by its answer to GetServerInfo.
  */
 export class Metrics {
-  private last: {begun: number, scrape: Promise<Scrape>}|undefined;
-  private readonly service;
+  private readonly scrapers: Scraper[];
+  private readonly services: Service[];
 
-  /** `url` is where revisitd tells its metrics; undefined if nobody knows. */
-  constructor(private readonly url: string|undefined, transport: Transport) {
-    this.service = createClient(PoseGraphService, transport);
+  /** The first server of those behind `transports` that answers says who a
+   * caller is: one that is away hides no others' metrics. */
+  constructor(pages: readonly MetricsPage[], transports: readonly Transport[]) {
+    this.scrapers = pages.map(page => new Scraper(page));
+    this.services = transports.map(
+        transport => createClient(PoseGraphService, transport));
   }
 
   async answer(request: IncomingMessage, response: ServerResponse):
@@ -72,18 +49,13 @@ export class Metrics {
   }
 
   private async resultFor(request: IncomingMessage):
-      Promise<[number, Scrape|{message: string}]> {
+      Promise<[number, MetricsAnswer|{message: string}]> {
     if (request.method !== 'GET') return [405, {message: 'GET it'}];
-    if (this.url === undefined) {
+    if (this.scrapers.length === 0) {
       return [404, {message: 'The console was started without --metrics.'}];
     }
-    const {authorization} = request.headers;
     try {
-      const {overAllTenants} = await this.service.getServerInfo({}, {
-        timeoutMs: DEADLINE_MILLISECONDS,
-        headers: authorization === undefined ? {} : {authorization},
-      });
-      if (!overAllTenants) {
+      if (!await this.isOverAllTenants(request.headers.authorization)) {
         return [403, {message: 'Metrics are of the whole server, and this ' +
                                'caller belongs to a tenant of it.'}];
       }
@@ -92,20 +64,27 @@ export class Metrics {
       return [code === Code.Unauthenticated ? 401 :
               code === Code.PermissionDenied ? 403 : 503, {message}];
     }
-    try {
-      return [200, await this.latest(this.url)];
-    } catch (error) {
-      const {message, cause} = error as Error;
-      const why = cause instanceof Error ? `: ${cause.message}` : '';
-      return [502, {message: `No metrics from ${this.url}: ${message}${why}`}];
-    }
+    const servers = await Promise.all(
+        this.scrapers.map(scraper => scraper.latest()));
+    return [200, {time: Date.now(), servers}];
   }
 
-  private latest(url: string): Promise<Scrape> {
-    const now = Date.now();
-    if (!this.last || now - this.last.begun > FRESH_MILLISECONDS) {
-      this.last = {begun: now, scrape: scrape(url)};
+  /** Throws what the last server said if none knows. */
+  private async isOverAllTenants(authorization: string|undefined):
+      Promise<boolean> {
+    let failure: unknown;
+    for (const service of this.services) {
+      try {
+        const {overAllTenants} = await service.getServerInfo({}, {
+          timeoutMs: DEADLINE_MILLISECONDS,
+          headers: authorization === undefined ? {} : {authorization},
+        });
+        return overAllTenants;
+      } catch (error) {
+        if (!AWAY.has(ConnectError.from(error).code)) throw error;
+        failure = error;
+      }
     }
-    return this.last.scrape;
+    throw failure;
   }
 }

@@ -1,8 +1,10 @@
 import {parseArgs} from 'node:util';
 
+import type {MetricsPage} from './scrape.js';
+
 export const USAGE = `\
 usage: main.js [--listen ADDRESS:PORT] [--server ADDRESS:PORT]...
-               [--tls-ca FILE] [--metrics URL] [--base-map FILE]
+               [--tls-ca FILE] [--metrics [NAME=]URL]... [--base-map FILE]
                [--host NAME]... [--insecure-allow-remote]
 
 Serves the console of revisit and passes its calls on to a revisitd.
@@ -13,8 +15,11 @@ Serves the console of revisit and passes its calls on to a revisitd.
                           have a vehicle instead
   --tls-ca FILE           reach it by TLS; who may have issued its certificate
                           (REVISIT_TLS_CA)
-  --metrics URL           where the revisitd tells its metrics, such as
-                          http://127.0.0.1:9464/metrics (REVISIT_METRICS)
+  --metrics [NAME=]URL    where the revisitd tells its metrics, such as
+                          http://127.0.0.1:9464/metrics (REVISIT_METRICS);
+                          given again, where the others of a cluster do. NAME
+                          is what the page calls the server instead of its
+                          host and port
   --base-map FILE         a PMTiles archive, drawn below paths whose place on
                           the earth is known (REVISIT_BASE_MAP)
   --host NAME             a name, with its port unless that is the usual one, by
@@ -24,6 +29,8 @@ Serves the console of revisit and passes its calls on to a revisitd.
                           listen beyond the loopback, without TLS
   --help                  this text
 `;
+
+const SERVER_NAME = /^[A-Za-z0-9][A-Za-z0-9._-]{0,62}$/;
 
 /** A wrong command line; the message is for people. */
 export class UsageError extends Error {}
@@ -36,7 +43,8 @@ export interface Options {
   servers: string[];
   /** Path of a PEM file; undefined for a connection without TLS. */
   tlsCa: string | undefined;
-  metrics: string | undefined;
+  /** One for each server whose metrics are shown. */
+  metrics: MetricsPage[];
   /** Path of a PMTiles archive. */
   baseMap: string | undefined;
   /** Further values of the Host header that are answered. */
@@ -52,17 +60,43 @@ function splitAddress(flag: string, value: string): [string, number] {
   return [found[1].replace(/^\[|\]$/g, ''), Number(found[2])];
 }
 
-function checkMetrics(value: string): void {
+function splitMetrics(value: string): MetricsPage {
+  // A URL has a colon, or a slash, before any sign of equality.
+  const [, given, address] = /^(?:([^:/?#=]*)=)?(.*)$/s.exec(value)!;
   let url: URL|undefined;
   try {
-    url = new URL(value);
+    url = new URL(address);
   } catch {
     // Told below.
   }
   if (!url || !/^https?:$/.test(url.protocol) || url.username || url.password) {
     throw new UsageError(`--metrics is '${value}', not an address such as ` +
-                         'http://127.0.0.1:9464/metrics');
+                         'http://127.0.0.1:9464/metrics, nor NAME=ADDRESS');
   }
+  if (given !== undefined && !SERVER_NAME.test(given)) {
+    throw new UsageError(
+        `--metrics is '${value}', whose NAME has to be of 1 to 63 letters, ` +
+        'digits, and any of . _ - but at its beginning');
+  }
+  const port = url.port || (url.protocol === 'https:' ? '443' : '80');
+  return {name: given ?? `${url.hostname}:${port}`, url: url.href};
+}
+
+function splitAllMetrics(values: string[]): MetricsPage[] {
+  const pages = values.map(splitMetrics);
+  pages.forEach(({name, url}, i) => {
+    for (const other of pages.slice(0, i)) {
+      if (other.url === url) {
+        throw new UsageError(`--metrics names ${url} twice`);
+      }
+      if (other.name === name) {
+        throw new UsageError(
+            `--metrics calls both ${other.url} and ${url} '${name}': ` +
+            'say NAME=ADDRESS to tell them apart');
+      }
+    }
+  });
+  return pages;
 }
 
 function isLoopback(host: string): boolean {
@@ -80,7 +114,7 @@ export function readOptions(args: string[], environment: NodeJS.ProcessEnv):
          'listen': {type: 'string', default: '127.0.0.1:8080'},
          'server': {type: 'string', multiple: true},
          'tls-ca': {type: 'string'},
-         'metrics': {type: 'string'},
+         'metrics': {type: 'string', multiple: true},
          'base-map': {type: 'string'},
          'host': {type: 'string', multiple: true, default: []},
          'insecure-allow-remote': {type: 'boolean', default: false},
@@ -101,15 +135,14 @@ export function readOptions(args: string[], environment: NodeJS.ProcessEnv):
   const servers =
       values.server ?? [environment.REVISIT_SERVER ?? '127.0.0.1:50051'];
   for (const server of servers) splitAddress('--server', server);
-  const metrics =
-      values.metrics ?? (environment.REVISIT_METRICS || undefined);
-  if (metrics !== undefined) checkMetrics(metrics);
+  const metrics = values.metrics ??
+      (environment.REVISIT_METRICS ? [environment.REVISIT_METRICS] : []);
   return {
     listenHost,
     listenPort,
     servers,
     tlsCa: values['tls-ca'] ?? (environment.REVISIT_TLS_CA || undefined),
-    metrics,
+    metrics: splitAllMetrics(metrics),
     baseMap: values['base-map'] ?? (environment.REVISIT_BASE_MAP || undefined),
     hosts: values.host!,
   };

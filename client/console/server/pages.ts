@@ -24,7 +24,11 @@ export const SECURITY_HEADERS: Record<string, string> = {
 };
 
 // Addresses of views, which the page itself tells apart.
-const VIEWS = /^\/(server|vehicles\/[a-z0-9-]+(\/candidates\/\d+-\d+)?)?$/;
+const VIEWS = [
+  /^\/$/,
+  /^\/server(\/[\w.:%-]+)?$/,
+  /^\/vehicles\/[a-z0-9-]+(\/candidates\/\d+-\d+)?$/,
+];
 
 interface Page {
   body: Buffer;
@@ -66,7 +70,8 @@ export class Pages {
 
   answer(request: IncomingMessage, response: ServerResponse): void {
     const path = (request.url ?? '/').split('?')[0];
-    const page = this.pages.get(VIEWS.test(path) ? '/index.html' : path);
+    const isView = VIEWS.some(view => view.test(path));
+    const page = this.pages.get(isView ? '/index.html' : path);
     if (!page) {
       response.writeHead(404, {'content-type': 'text/plain'});
       response.end('Not found\n');

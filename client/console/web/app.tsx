@@ -84,7 +84,7 @@ function View() {
   const who = token.value;
   switch (now.view) {
     case 'fleet': return <FleetView key={who} />;
-    case 'server': return <ServerView key={who} />;
+    case 'server': return <ServerView key={who} name={now.server} />;
     case 'vehicle':
       return <VehicleView key={`${now.vehicle} ${who}`} id={now.vehicle} />;
     case 'candidate':

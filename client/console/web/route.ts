@@ -2,15 +2,27 @@
 import {computed, signal} from '@preact/signals';
 
 export type Route =
-    {view: 'fleet'}|{view: 'server'}|{view: 'vehicle', vehicle: string}|
+    {view: 'fleet'}|{view: 'server', server?: string}|
+    {view: 'vehicle', vehicle: string}|
     {view: 'candidate', vehicle: string, asked: number, matched: number}|
     {view: 'none'};
 
 const address = signal(location.pathname + location.search);
 
+/** The text itself where it is no encoding of one. */
+function decoded(text: string): string {
+  try {
+    return decodeURIComponent(text);
+  } catch {
+    return text;
+  }
+}
+
 function parse(path: string): Route {
   if (path === '/') return {view: 'fleet'};
   if (path === '/server') return {view: 'server'};
+  const server = /^\/server\/([\w.:%-]+)$/.exec(path);
+  if (server) return {view: 'server', server: decoded(server[1])};
   const found =
       /^\/vehicles\/([a-z0-9-]+)(?:\/candidates\/(\d+)-(\d+))?$/.exec(path);
   if (!found) return {view: 'none'};

@@ -24,6 +24,8 @@ export interface Curve {
   series: Series[];
   /** Whether the values span powers of ten. */
   logarithmic?: boolean;
+  /** Whether lines break where there is no value. */
+  breaks?: boolean;
 }
 
 interface Props {
@@ -82,7 +84,7 @@ function optionsOf(latest: () => Curve, width: number,
           show: (plot, i) => as === 'points' || isSingle(plot.data[i]),
           size: 5, fill: colourOf(colour),
         },
-        spanGaps: as !== 'points',
+        spanGaps: as !== 'points' && !curve.breaks,
       })),
     ],
     hooks: {

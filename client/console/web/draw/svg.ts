@@ -104,17 +104,24 @@ function mapToSvg({scene, view}: MapSheet, ground: GroundSheet|undefined):
       text(20 + barPixels, y + 4, length(bar)) + '</svg>';
 }
 
-function seriesToSvg(series: Series, points: Array<[number, number]|null>):
-    string {
+function seriesToSvg(series: Series, points: Array<[number, number]|null>,
+                     breaks: boolean): string {
   const colour = colourOf(series.colour);
   if (series.as === 'points' || isSingle(points)) {
     return points.map(point => point ?
         `<circle cx="${round(point[0])}" cy="${round(point[1])}" r="2.5" ` +
             `fill="${colour}"/>` : '').join('');
   }
-  const path = points.filter(point => point !== null).map(
-      (point, i) => `${i === 0 ? 'M' : 'L'}${round(point[0])} ${
-          round(point[1])}`).join('');
+  let path = '';
+  let isBegun = false;
+  for (const point of points) {
+    if (point) {
+      path += `${isBegun ? 'L' : 'M'}${round(point[0])} ${round(point[1])}`;
+      isBegun = true;
+    } else if (breaks) {
+      isBegun = false;
+    }
+  }
   return `<path d="${path}" fill="none" stroke="${colour}" stroke-width="1.5"${
       series.as === 'dashes' ? ' stroke-dasharray="6 4"' : ''}/>`;
 }
@@ -156,7 +163,8 @@ function curveToSvg(curve: Curve, width: number): string {
   const drawn = curve.series.map(
       series => seriesToSvg(series, series.values.map(
           (value, i) => value === null || (curve.logarithmic && value <= 0) ?
-              null : [px(curve.x[i]), py(value)])));
+              null : [px(curve.x[i]), py(value)]),
+          curve.breaks ?? false));
   return text(0, 14, curve.title, 'font-weight="600"') + legend.join('') +
       `<path d="M${left} ${top}V${bottom}H${right}" fill="none" stroke="${
           colourOf('grid')}"/>` +

@@ -47,6 +47,13 @@ export function time(stamp: Timestamp|undefined): string {
                  '';
 }
 
+/** A time of today, or a day with its time, in the reader's own zone. */
+export function moment(millisecondsSince1970: number): string {
+  const date = new Date(millisecondsSince1970);
+  return date.toDateString() === new Date().toDateString() ?
+      date.toLocaleTimeString() : date.toLocaleString();
+}
+
 /** The name of a value of an enumeration, such as ACTIVE, in words. */
 export function words(name: string): string {
   return name.toLowerCase().replaceAll('_', ' ');

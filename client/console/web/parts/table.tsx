@@ -17,6 +17,8 @@ interface Props<Row> {
   keyOf: (row: Row) => string;
   /** The row that is looked at: it is marked and scrolled into view. */
   current?: string;
+  /** Whether the first column stays in view when the others are scrolled. */
+  pinned?: boolean;
   /** Shown if there are no rows. */
   empty: ComponentChildren;
   /** Told which rows are in view. */
@@ -27,7 +29,8 @@ const ROW_PIXELS = 32;
 
 /** A table of any length: only the rows in view are in the page. */
 export function Table<Row>(
-    {label, columns, rows, keyOf, current, empty, onVisible}: Props<Row>) {
+    {label, columns, rows, keyOf, current, pinned, empty, onVisible}:
+        Props<Row>) {
   const [, redraw] = useReducer((n: number) => n + 1, 0);
   const scroller = useRef<HTMLDivElement>(null);
   const kept = useRef<Virtualizer<HTMLDivElement, Element>>();
@@ -60,8 +63,8 @@ export function Table<Row>(
   const below = items.length > 0 ?
       virtualizer.getTotalSize() - items[items.length - 1].end : 0;
   return (
-    <div class="table" ref={scroller} tabIndex={0} role="region"
-         aria-label={label}>
+    <div class={pinned ? 'table pinned' : 'table'} ref={scroller} tabIndex={0}
+         role="region" aria-label={label}>
       <table aria-rowcount={rows.length + 1} aria-label={label}>
         <thead>
           <tr aria-rowindex={1}>

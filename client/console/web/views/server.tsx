@@ -55,8 +55,8 @@ async function ask(): Promise<Sample> {
   return {time: new Date(), info, milliseconds, health: statuses};
 }
 
-function factsOf({info, health: statuses, milliseconds, time}: Sample):
-    Fact[] {
+function factsOf({info, health: statuses, milliseconds, time}: Sample,
+                 tellsResident: boolean): Fact[] {
   return [
     ['Version', info.version],
     ...HEALTH_NAMES.map(([, label], i): Fact => [label,
@@ -69,7 +69,7 @@ function factsOf({info, health: statuses, milliseconds, time}: Sample):
     ['Most poses in a batch', count(info.maxBatchPoses)],
     ['Largest message', bytes(info.maxMessageBytes)],
     ['Batches in flight of a stream', count(info.maxBatchesInFlight)],
-    ...(info.overAllTenants ? [
+    ...(tellsResident ? [
       ['Vehicles in memory', count(info.residentVehicleCount)],
       ['Nodes in memory', count(info.residentNodeCount)],
       ['Their memory', bytes(info.residentBytes)],
@@ -79,9 +79,8 @@ function factsOf({info, health: statuses, milliseconds, time}: Sample):
   ];
 }
 
-function curvesOf(samples: Sample[]): Curve[] {
-  const {time: last, info: {overAllTenants}} = samples[samples.length - 1];
-  const now = last.getTime();
+function curvesOf(samples: Sample[], tellsResident: boolean): Curve[] {
+  const now = samples[samples.length - 1].time.getTime();
   const x = samples.map(({time}) => (time.getTime() - now) / 1000);
   const shared = {xLabel: 's from now', x,
                   xRange: [Math.min(-60, x[0]), 0] as [number, number]};
@@ -89,7 +88,7 @@ function curvesOf(samples: Sample[]): Curve[] {
     {title: 'Round trip of GetServerInfo from this page, ms', ...shared,
      series: [{label: 'ms', colour: 'path', as: 'line',
                values: samples.map(({milliseconds}) => milliseconds)}]},
-    ...(overAllTenants ? [{
+    ...(tellsResident ? [{
       title: 'Nodes in memory', ...shared,
       series: [{label: 'nodes', colour: 'closure', as: 'line',
                 values: samples.map(
@@ -98,7 +97,31 @@ function curvesOf(samples: Sample[]): Curve[] {
   ];
 }
 
-export function ServerView() {
+/** What the server that answers the page's calls says of itself. */
+function AnsweringServer({last, facts, curves}:
+    {last: Sample, facts: Fact[], curves: Curve[]}) {
+  return (
+    <>
+      <FactList facts={facts} />
+      {last.info.servers.length > 0 && (
+        <Table label="Servers that share the store" rows={last.info.servers}
+               keyOf={({address}) => address} empty="None"
+               columns={[
+                 {title: 'Server', cell: ({address}) => address},
+                 {title: 'Vehicles it owns', number: true,
+                  cell: ({ownedVehicleCount}) => count(ownedVehicleCount)},
+               ]} />
+      )}
+      <div class="curves">
+        {curves.map(curve => <CurveView key={curve.title} curve={curve} />)}
+      </div>
+    </>
+  );
+}
+
+/** `name` is that of the one of several servers to show; undefined for the
+ * view of all. */
+export function ServerView({name}: {name: string|undefined}) {
   const {samples, error} = useMemo(() => ({
     samples: signal<Sample[]>([]),
     error: signal<string|undefined>(undefined),
@@ -112,38 +135,47 @@ export function ServerView() {
       throw caught;
     }
   }), []);
-  const last = samples.value[samples.value.length - 1];
-  const facts = last && factsOf(last);
-  const curves = last && curvesOf(samples.value);
   const metrics = useMetrics();
+  const areSeveral = metrics.history.servers.length > 1;
+  const last = name === undefined ?
+      samples.value[samples.value.length - 1] : undefined;
+  // Each of several may answer a call: how much is in the memory of which is
+  // told by their metrics.
+  const tellsResident = last !== undefined && last.info.overAllTenants &&
+      !areSeveral;
+  const facts = last && factsOf(last, tellsResident);
+  const curves = last && curvesOf(samples.value, tellsResident);
+  const title = name !== undefined ? `Server ${name}` :
+      areSeveral ? 'Servers' : 'Server';
+  const answering = last &&
+      <AnsweringServer last={last} facts={facts!} curves={curves!} />;
   return (
     <>
+      {name !== undefined && (
+        <p class="crumbs"><a href="/server">All servers</a></p>
+      )}
       <div class="title">
-        <h1>Server</h1>
-        {last && <Export name="server" sheet={() => {
-          const more = metricsSheet(metrics);
-          return {title: 'Server', facts: [...facts!, ...more.facts],
-                  curves: [...curves!, ...more.curves]};
-        }} />}
+        <h1>{title}</h1>
+        {(last || metrics.history.total) && (
+          <Export name={title.toLowerCase().replace(/[^\w.]+/g, '-')}
+                  sheet={() => {
+            const more = metricsSheet(metrics, name);
+            return {title, facts: [...facts ?? [], ...more.facts],
+                    curves: [...curves ?? [], ...more.curves]};
+          }} />
+        )}
       </div>
       {error.value && <p class="error" role="status">{error.value}</p>}
-      {!last && !error.value && <p>Asking the server…</p>}
-      {facts && <FactList facts={facts} />}
-      {last && last.info.servers.length > 0 && (
-        <Table label="Servers that share the store" rows={last.info.servers}
-               keyOf={({address}) => address} empty="None"
-               columns={[
-                 {title: 'Server', cell: ({address}) => address},
-                 {title: 'Vehicles it owns', number: true,
-                  cell: ({ownedVehicleCount}) => count(ownedVehicleCount)},
-               ]} />
+      {!last && name === undefined && !error.value &&
+        <p>Asking the server…</p>}
+      {!areSeveral && answering}
+      <MetricsView metrics={metrics} name={name} />
+      {areSeveral && answering && (
+        <section>
+          <h2>The server that answers this page</h2>
+          {answering}
+        </section>
       )}
-      {curves && (
-        <div class="curves">
-          {curves.map(curve => <CurveView key={curve.title} curve={curve} />)}
-        </div>
-      )}
-      <MetricsView history={metrics} />
       {last && !last.info.overAllTenants && (
         <p class="hint">
           How much is in memory, and which servers share the store, is told to

@@ -67,6 +67,7 @@ TEST_F(VehicleCommandTest, InfoShowsTheServer) {
   EXPECT_THAT(out_.str(), HasSubstr("server              example:1\n"
                                     "version             1.2.3\n"
                                     "durability          LOCAL (fsync=on)\n"));
+  EXPECT_THAT(out_.str(), HasSubstr("vehicles in memory  0\n"));
   EXPECT_THAT(out_.str(), HasSubstr("shares the store    10.0.0.2:50051, "
                                     "vehicles owned: 12\n"));
   out_.str("");
