@@ -135,6 +135,32 @@ class OwnershipTest : public ::testing::Test {
   std::string conninfo_;
 };
 
+// A setting of the server that all tests share, until it is reset or this ends,
+// also by a check that fails.
+class ServerSetting {
+ public:
+  ServerSetting(PostgresServer* server, const std::string& name,
+                const std::string& value)
+      : server_(server), name_(name) {
+    Apply("SET " + name_ + " = '" + value + "'");
+  }
+  ~ServerSetting() { Reset(); }
+
+  ServerSetting(const ServerSetting&) = delete;
+  ServerSetting& operator=(const ServerSetting&) = delete;
+
+  void Reset() { Apply("RESET " + name_); }
+
+ private:
+  void Apply(const std::string& change) {
+    server_->RunAsAdmin("ALTER SYSTEM " + change);
+    server_->RunAsAdmin("SELECT pg_reload_conf()");
+  }
+
+  PostgresServer* const server_;
+  const std::string name_;
+};
+
 // SQL in a transaction of its own that stays open.
 class OpenTransaction {
  public:
@@ -583,11 +609,14 @@ TEST_F(OwnershipTest,
   const auto a = Open("a");
   const VehicleKey key = *BlockingWrites(a.get()).Create("truck");
   EXPECT_EQ(a->GetDurability().level, Durability::Level::kNone);
-  Server()->RunAsAdmin("ALTER SYSTEM SET synchronous_standby_names = 'nobody'");
-  Server()->RunAsAdmin("SELECT pg_reload_conf()");
+  ServerSetting standbys(Server(), "synchronous_standby_names", "nobody");
+  // Commits wait from when the checkpointer has seen the setting on, as the
+  // server's next beat does.
+  ASSERT_TRUE(Eventually([&] {
+    return Sql("SELECT count(*) FROM pg_stat_activity WHERE datname = "
+               "current_database() AND wait_event = 'SyncRep'") == "1\n";
+  }));
   const Answer<absl::Status> appended;
-  ASSERT_TRUE(Eventually(
-      [&] { return Sql("SHOW synchronous_standby_names") == "nobody\n"; }));
   a->AppendBatch(key, One(1), std::nullopt, appended.Setter());
   const std::string waiting =
       "SELECT count(*) FROM pg_stat_activity WHERE wait_event = 'SyncRep' "
@@ -603,8 +632,7 @@ TEST_F(OwnershipTest,
   EXPECT_THAT(a->CheckOwned(key), kFenced);
   // It is there all the same, which taking the vehicle shows.
   EXPECT_EQ(Sql("SELECT durable_sequence FROM heads"), "1\n");
-  Server()->RunAsAdmin("ALTER SYSTEM RESET synchronous_standby_names");
-  Server()->RunAsAdmin("SELECT pg_reload_conf()");
+  standbys.Reset();
   ASSERT_TRUE(Eventually([&] { return a->TakeVehicle("truck").ok(); }));
   EXPECT_EQ(a->GetVehicle("truck")->durable_sequence, 1u);
   EXPECT_THAT(BlockingWrites(a.get()).Append(key, One(2)), IsOk());
@@ -614,12 +642,10 @@ TEST_F(OwnershipTest, ReportsWhatTheDatabaseSaysOfItsCommits) {
   const auto a = Open("a");
   EXPECT_EQ(a->GetDurability().level, Durability::Level::kNone);
   EXPECT_THAT(a->GetDurability().details, HasSubstr("fsync=off"));
-  Server()->RunAsAdmin("ALTER SYSTEM SET fsync = on");
-  Server()->RunAsAdmin("SELECT pg_reload_conf()");
+  ServerSetting fsync(Server(), "fsync", "on");
   EXPECT_TRUE(Eventually(
       [&] { return a->GetDurability().level == Durability::Level::kLocal; }));
-  Server()->RunAsAdmin("ALTER SYSTEM RESET fsync");
-  Server()->RunAsAdmin("SELECT pg_reload_conf()");
+  fsync.Reset();
   EXPECT_TRUE(Eventually(
       [&] { return a->GetDurability().level == Durability::Level::kNone; }));
 }
