@@ -152,6 +152,32 @@ def test_server_takes_its_settings(values, tmp_path):
         assert "max-streams = 5\n" in said.stdout
 
 
+def test_numbers_in_a_file_of_values_reach_the_server_in_full(tmp_path):
+    """Helm reads them as floating point, and wrote 2e+09."""
+    file = tmp_path / "values.yaml"
+    file.write_text("settings: {max-memory-bytes: 2000000000, max-streams: 1000000, "
+                    "stream-poses-per-second: 0.5, metrics: true}")
+    made = helm("template", "fleet", CHART, "--kube-version", KUBERNETES[-1],
+                "--values", file, *flags(OPEN))
+    assert made.returncode == 0, made.stderr
+    for line in ('max-memory-bytes = "2000000000"', 'max-streams = "1000000"',
+                 'stream-poses-per-second = "0.5"', 'metrics = "true"'):
+        assert f"{line}\n" in made.stdout
+
+
+@pytest.mark.parametrize("release", ["fleet.north", "2nd", "9" * 53])
+def test_services_have_names_whatever_the_release_is_called(release):
+    """Kubernetes let no release in whose name began with a digit or had a dot."""
+    made = helm("template", release, CHART, "--kube-version", KUBERNETES[-1],
+                *flags(OPEN))
+    assert made.returncode == 0, made.stderr
+    names = [one["metadata"]["name"] for one in yaml.safe_load_all(made.stdout)
+             if one and one["kind"] == "Service"]
+    assert len(names) == 2
+    for name in names:
+        assert re.fullmatch("[a-z]([-a-z0-9]{0,61}[a-z0-9])?", name)
+
+
 @pytest.mark.parametrize("values", WAYS.values(), ids=WAYS)
 def test_pods_are_restricted_as_kubernetes_calls_it(values):
     for pod in pods(values):

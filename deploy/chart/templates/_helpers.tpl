@@ -1,5 +1,10 @@
+{{/* The release's name as that of a service, which has no dots and begins with a letter. */}}
 {{- define "revisit.name" -}}
-{{- printf "%s" .Release.Name | trunc 52 | trimSuffix "-" -}}
+{{- $name := .Release.Name | replace "." "-" -}}
+{{- if regexMatch "^[0-9]" $name -}}
+{{- $name = print "revisit-" $name -}}
+{{- end -}}
+{{- $name | trunc 52 | trimSuffix "-" -}}
 {{- end -}}
 
 {{- define "revisit.selector" -}}
