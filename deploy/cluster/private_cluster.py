@@ -142,9 +142,10 @@ class Processes:
 
 
 class Postgres:
-    """A database server of one's own, which only this machine's files lead to."""
+    """A database server of one's own, which only this machine's files lead to, unless
+    it is told to listen at an address for the hosts of a network."""
 
-    def __init__(self, processes):
+    def __init__(self, processes, address="", network=None):
         self._as = {}
         if os.geteuid() == 0:
             # PostgreSQL refuses to run as root.
@@ -157,9 +158,12 @@ class Postgres:
         programs = find_postgres()
         self._run(programs / "initdb", "--username=postgres", "--auth=trust",
                   "--encoding=UTF8", "--locale=C", f"--pgdata={self._directory}/data")
+        if network is not None:
+            with open(self._directory / "data/pg_hba.conf", "a") as file:
+                file.write(f"host all all {network} trust\n")
         self.process = processes.start(
             "postgres", programs / "postgres", "-D",
-            self._directory / "data", "-c", "listen_addresses=", "-c",
+            self._directory / "data", "-c", f"listen_addresses={address}", "-c",
             f"unix_socket_directories={self._directory}", "-c", "lc_messages=C",
             # Ends its sessions rather than waits for them.
             stop_signal=signal.SIGINT, cwd=self._directory, **self._as)

@@ -194,24 +194,24 @@ def test_pods_are_restricted_as_kubernetes_calls_it(values):
 
 
 def documented(command):
-    """The arguments of a command of helm in docs/operate.md after the chart."""
+    """The arguments of each such command of helm in docs/operate.md after the chart."""
     text = (ROOT / "docs/operate.md").read_text().replace("\\\n", "")
-    [arguments] = re.findall(rf"^{command} fleet deploy/chart (.*)$", text,
-                             re.MULTILINE)
-    return arguments.replace("--reuse-values", "").split()
+    return [arguments.replace("--reuse-values", "").split() for arguments in re.findall(
+        rf"^{command} fleet deploy/chart (.*)$", text, re.MULTILINE)]
 
 
 def test_documented_commands_make_one_server_and_then_several():
-    """As they are printed, but that there is no cluster to install into."""
+    """As they are printed, but into no cluster."""
     def kinds(*arguments):
         made = helm("template", "fleet", CHART, "--kube-version",
                     KUBERNETES[-1], *arguments)
         assert made.returncode == 0, made.stderr
         return {one["kind"] for one in yaml.safe_load_all(made.stdout) if one}
 
-    installed = documented("helm install")
+    [installed] = documented("helm install")
     assert "StatefulSet" in kinds(*installed)
-    upgraded = kinds(*installed, *documented("helm upgrade"))
+    several, _ = documented("helm upgrade")
+    upgraded = kinds(*installed, *several)
     assert "Deployment" in upgraded and "StatefulSet" not in upgraded
 
 
