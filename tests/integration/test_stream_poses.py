@@ -393,11 +393,19 @@ def test_connection_that_breaks_off_leaves_the_server_healthy(
 
 
 def test_stream_ends_at_its_deadline(stub, new_vehicle):
-    with PoseStream(stub, new_vehicle(), timeout=0.3) as stream:
-        stream.receive_kind("opened")
-        with pytest.raises(grpc.RpcError) as raised:
-            stream.receive()
-        assert raised.value.code() == grpc.StatusCode.DEADLINE_EXCEEDED
+    vehicle = new_vehicle()
+
+    def opened_and_ended(timeout):
+        with PoseStream(stub, vehicle, timeout=timeout) as stream:
+            opened = False
+            with pytest.raises(grpc.RpcError) as raised:
+                opened = stream.receive_kind("opened") is not None
+                stream.receive()
+            assert raised.value.code() == grpc.StatusCode.DEADLINE_EXCEEDED
+            return opened
+
+    # A busy machine may take longer to open it than the shorter ones.
+    assert any(opened_and_ended(timeout) for timeout in (0.3, 3, 30))
 
 
 def test_deleted_vehicle_ends_its_stream(stub, new_vehicle):
