@@ -54,6 +54,20 @@ def wait_until(condition, what, seconds=START_SECONDS):
         time.sleep(0.002)
 
 
+def wait_until_still(value, seconds=600.0):
+    """Waits until a value has stayed the same for several times as long as it ever
+    did before, and a second at least; answers it."""
+    begun = changed = time.monotonic()
+    last, longest = value(), 0.3
+    while (now := time.monotonic()) < changed + 4 * longest:
+        assert now < begun + seconds, f"moves after {seconds} s"
+        time.sleep(0.02)
+        if (found := value()) != last:
+            longest = max(longest, now - changed)
+            last, changed = found, time.monotonic()
+    return last
+
+
 _held_ports = []
 
 
