@@ -68,6 +68,15 @@ def wait_until_still(value, seconds=600.0):
     return last
 
 
+def open_files(pid):
+    """Names of the files that a process has open, a line each."""
+    names = []
+    for descriptor in pathlib.Path(f"/proc/{pid}/fd").iterdir():
+        with contextlib.suppress(OSError):
+            names.append(os.readlink(descriptor))
+    return "\n".join(names)
+
+
 _held_ports = []
 
 
