@@ -25,7 +25,7 @@ import pytest
 from envoy_proxy import ENVOY, replaced, skip_without_envoy
 from identities import Authority, TokenKey, bearer, key_set, replace
 from killed_server import check_is_reset
-from revisit_server import Server, wait_until
+from revisit_server import RUN_SECONDS, Server, wait_until
 from stubs import PROTO, ROOT, PoseGraphServiceStub, api
 from wire import PoseStream, append, decode_failure, straight
 
@@ -258,7 +258,8 @@ def grpcurl(cluster):
         result = subprocess.run(
             [GRPCURL, "-cacert", cluster.authorities, "-v", "-d", request,
              cluster.envoy.address, f"{SERVICE}/{method}"],
-            capture_output=True, text=True, timeout=60, check=False)
+            capture_output=True, text=True, timeout=RUN_SECONDS,
+            check=False)
         output = result.stdout + result.stderr
         found = re.search(r"^x-request-id: (\S+)$", output, re.MULTILINE)
         assert found, output

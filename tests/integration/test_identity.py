@@ -1058,7 +1058,7 @@ def test_command_line_sends_no_token_in_plaintext_to_other_machines(
         thread.start()
         port = listener.getsockname()[1]
         result = run("revisit", "--server", f"{address}:{port}",
-                     "--token-file", token, "vehicle", "list", timeout=60)
+                     "--token-file", token, "vehicle", "list")
         assert result.returncode == 64 + Code.UNAVAILABLE.value[0], result
     thread.join()
     assert b"eyJ" not in b"".join(heard)

@@ -12,7 +12,7 @@ import time
 import grpc
 import pytest
 
-from revisit_server import BIN, clean_environment, run, wait_until
+from revisit_server import BIN, RUN_SECONDS, clean_environment, run, wait_until
 from stubs import ROOT, api
 from wire import BOREAS
 
@@ -22,9 +22,8 @@ USAGE = 64
 
 @pytest.fixture(name="stream", scope="module")
 def fixture_stream(server):
-    def call(*arguments, timeout=120):
-        return run("revisit", "stream", *arguments, "--server", server.address,
-                   timeout=timeout)
+    def call(*arguments):
+        return run("revisit", "stream", *arguments, "--server", server.address)
     return call
 
 
@@ -178,7 +177,7 @@ def test_wrong_recording_through_a_pipe_sends_nothing(
             [BIN / "revisit", "stream", "-", "--vehicle", "wrong-pipe",
              "--create", "--server", server.address], stdin=cat.stdout,
             capture_output=True, text=True, env=clean_environment(),
-            timeout=60, check=False)
+            timeout=RUN_SECONDS, check=False)
     assert refused.returncode == LOCAL_FAULT
     assert "--axes camera" in refused.stderr
     assert not is_there(stub, "wrong-pipe")
@@ -316,7 +315,7 @@ def test_evaluate_takes_the_truth_from_another_file(boreas, tmp_path):
             for row in csv.DictReader(file)))
     of_tum, of_csv = (
         run("revisit", "evaluate", *drive, "--no-use-belief", "--json",
-            timeout=120, env=clean_environment())
+            env=clean_environment())
         for drive in ([estimate, "--truth", truth], [BOREAS]))
     assert of_tum.returncode == 0, of_tum.stderr
     for key in ("checks", "true_loops", "accepted", "accepted_correct"):
