@@ -259,7 +259,7 @@ class Envoy:
             lines.append(_replaced(line, {"10.0.0.11": host, "50051": port}))
         _replace(self._directory / "servers.yaml", head + "".join(lines))
 
-    def _hosts(self):
+    def hosts(self):
         """What Envoy says about each server."""
         connection = http.client.HTTPConnection("envoy")
         connection.sock = socket.socket(socket.AF_UNIX)
@@ -278,12 +278,12 @@ class Envoy:
     def healthy(self):
         """How many servers Envoy takes for healthy."""
         return sum(host["health_status"] == {"eds_health_status": "HEALTHY"}
-                   for host in self._hosts())
+                   for host in self.hosts())
 
     def calls(self):
         """By address of a server, the calls that it has now."""
         calls = {}
-        for host in self._hosts():
+        for host in self.hosts():
             place = host["address"]["socket_address"]
             active = [int(stat.get("value", 0)) for stat in host["stats"]
                       if stat["name"] == "rq_active"]

@@ -4,7 +4,6 @@ import assert from 'node:assert/strict';
 import {spawn} from 'node:child_process';
 import {chmodSync, mkdirSync, mkdtempSync, readFileSync, rmSync,
         writeFileSync} from 'node:fs';
-import {createServer} from 'node:net';
 import {tmpdir} from 'node:os';
 import {join} from 'node:path';
 import {after, before, test} from 'node:test';
@@ -107,15 +106,6 @@ test('calls are known by the vehicle in their request', async () => {
   }
 });
 
-/** A port that nobody listens at. */
-async function freePort() {
-  const probe = createServer();
-  await new Promise(done => probe.listen(0, '127.0.0.1', done));
-  const {port} = probe.address();
-  await new Promise(done => probe.close(done));
-  return port;
-}
-
 let directory;
 let postgres;
 let servers;
@@ -142,7 +132,6 @@ before(async () => {
     const files = join(directory, name);
     mkdirSync(files);
     const server = new Revisitd(files, [], url.trim());
-    server.address = `127.0.0.1:${await freePort()}`;
     servers.push(server);
     await server.start();
   }
@@ -221,6 +210,12 @@ test('a vehicle of another server is read, exported and decided about there',
     const parts = await exported(console, 'bus');
     assert.equal(parts.at(-1).data.toString(), '{}');
     assert.ok(parts.length > 1 && parts[0].data.includes('vehicles/bus'));
+    // The log is written beside the calls, in their order.
+    for (const server of servers) {
+      server.text('info');
+      await until(() => callsAt(server, 'GetServerInfo', 'OK') > 0,
+                  'last call in the log');
+    }
     // It was asked where the console knew it to be, or where it went since.
     assert.ok(callsAt(owner, 'GetVehicle', 'OK') +
               callsAt(first, 'GetVehicle', 'OK') >= 3);

@@ -105,13 +105,11 @@ function rowsWhen(page, condition, what) {
   }, what);
 }
 
-/** What the console tells the operator, and how long that took. */
+/** What the console tells the operator. */
 async function told(subject = 'operator') {
-  const began = Date.now();
   const answer = await fetch(`${world.console.url}/metrics.json`, {
     headers: {authorization: `Bearer ${issuer.token(subject)}`}});
-  return {status: answer.status, body: await answer.json(),
-          milliseconds: Date.now() - began};
+  return {status: answer.status, body: await answer.json()};
 }
 
 const allUp = rows => rows['All servers'].state === '3 of 3';
@@ -199,9 +197,10 @@ test('a server is chosen without a mouse, and has a link of its own',
   const chosen = page.getByRole('table', {name: 'Servers', exact: true})
       .locator('tr[aria-current]');
   assert.equal(await chosen.locator('td').first().innerText(), 'b');
+  await until(async () => await fact(page, 'Takes writes') === 'yes',
+              'facts of the server');
   assert.equal(await fact(page, 'Streams open'), '0');
   assert.equal(await fact(page, 'Vehicles in memory'), '2');
-  assert.equal(await fact(page, 'Takes writes'), 'yes');
   await page.locator('.columns meter').first().waitFor();
   await page.reload();
   await page.getByRole('heading', {name: 'Server b', level: 1}).waitFor();
@@ -259,20 +258,25 @@ test('a server that was killed is shown as silent since then, and up again ' +
 });
 
 test('a server that hangs holds up no other', async () => {
-  const before = (await told()).body.servers;
+  const before = await until(async () => {
+    const {body} = await told();
+    return body.servers.every(({scrape}) => scrape) && body.servers;
+  }, 'readings');
   servers.c.child.kill('SIGSTOP');
   try {
     let [last] = before;
+    let answers = 0;
     const silence = await until(async () => {
-      const {body, milliseconds} = await told();
-      const [a, , c] = body.servers;
-      assert.ok(milliseconds < 2000, `${milliseconds} ms`);
+      const [a, , c] = (await told()).body.servers;
+      ++answers;
       assert.ok(a.scrape.time >= last.scrape.time);
       last = a;
       await sleep(600);
       return c.silence;
     }, 'deadline');
     assert.match(silence.message, /timeout/);
+    // Those before the last did not wait for the end of the question to it.
+    assert.ok(answers > 2, `${answers} answers`);
     assert.ok(last.scrape.time - before[0].scrape.time > 3000);
   } finally {
     servers.c.child.kill('SIGCONT');
@@ -284,12 +288,12 @@ test('the first server being away hides no other, and nothing more is told',
      async () => {
   await servers.a.kill();
   try {
-    const {status, body} = await until(async () => {
+    const {status} = await until(async () => {
       const answer = await told();
-      return answer.body.servers?.[0].silence && answer;
+      const [first, second] = answer.body.servers ?? [];
+      return first?.silence && second.scrape && answer;
     }, 'silence');
     assert.equal(status, 200);
-    assert.ok(body.servers[1].scrape);
     assert.equal((await told('acme')).status, 403);
     assert.ok([401, 403].includes((await told('nobody')).status));
   } finally {

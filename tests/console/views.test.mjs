@@ -65,7 +65,9 @@ test('no view breaks a rule of axe, light or dark, wide or narrow',
         const page = await opened(view, {
           colorScheme, viewport: {width, height: 900},
         });
-        if (view[0] === 'vehicle') await page.waitForTimeout(2500);
+        if (view[0] === 'vehicle') {
+          await page.getByText(/^(\d+) of \1 checks answered$/).waitFor();
+        }
         await page.screenshot({
           path: join(OUT, `${view[0]}-${width}-${colorScheme}.png`),
           fullPage: true,
@@ -167,12 +169,12 @@ test('the server\'s view shows what the server does', async () => {
   try {
     const [head, ...poses] = readFileSync(DRIVE, 'utf8').split('\n');
     stream.stdin.write(head + '\n');
-    await until(async () => {
+    const [, p50, p99, rate, all] = await until(async () => {
       stream.stdin.write(poses.splice(0, 20).map(line => line + '\n').join(''));
-      return await fact(page, 'Streams open') === '1' &&
-          /ms$/.test((await row('Latencies', 'Acknowledgement'))[2]);
+      if (await fact(page, 'Streams open') !== '1') return false;
+      const found = await row('Latencies', 'Acknowledgement');
+      return /ms$/.test(found[2]) && found;
     }, 'stream and its acknowledgements');
-    const [, p50, p99, rate, all] = await row('Latencies', 'Acknowledgement');
     assert.ok(parseFloat(p50) <= parseFloat(p99), `${p50} ${p99}`);
     assert.ok(parseFloat(rate) > 0 && Number(all.replaceAll(',', '')) > 0);
     assert.match(await fact(page, 'Poses accepted'), /^[\d.]+\/s$/);

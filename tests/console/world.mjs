@@ -6,6 +6,7 @@ import {generateKeyPairSync, sign} from 'node:crypto';
 import {existsSync, mkdirSync, mkdtempSync, openSync, readFileSync, rmSync,
         writeFileSync} from 'node:fs';
 import {createRequire} from 'node:module';
+import {createServer} from 'node:net';
 import {tmpdir} from 'node:os';
 import {join} from 'node:path';
 import {setTimeout as sleep} from 'node:timers/promises';
@@ -38,6 +39,20 @@ export async function until(condition, what,
   }
 }
 
+/** A port to listen at, below those that Linux gives to connections. */
+export async function freePort() {
+  for (;;) {
+    const port = 20_000 + Math.floor(Math.random() * 12_768);
+    const probe = createServer();
+    const isFree = await new Promise(done => {
+      probe.once('error', () => done(false));
+      probe.listen(port, '127.0.0.1', () => done(true));
+    });
+    await new Promise(done => probe.close(done));
+    if (isFree) return port;
+  }
+}
+
 function ended(child) {
   return child.exitCode !== null || child.signalCode !== null;
 }
@@ -53,12 +68,13 @@ export class Revisitd {
     this.directory = directory;
     this.flags = flags;
     this.store = store;
-    this.address = '127.0.0.1:0';
-    this.admin = '127.0.0.1:0';
   }
 
-  /** Starts it: the first time at any ports, then at the same ones. */
+  /** Starts it: the first time at any ports, then at the same ones, which no
+   * connection takes meanwhile. */
   async start() {
+    this.address ??= `127.0.0.1:${await freePort()}`;
+    this.admin ??= `127.0.0.1:${await freePort()}`;
     const portFile = join(this.directory, 'address');
     rmSync(portFile, {force: true});
     this.log = join(this.directory, 'revisitd.log');
@@ -67,17 +83,12 @@ export class Revisitd {
         join(BIN, 'revisitd'),
         ['--listen', this.address, '--store', this.store, '--admin-listen',
          this.admin, '--port-file', portFile, ...this.flags],
-        {stdio: ['ignore', 'pipe', log], env: environment});
-    let said = '';
-    this.child.stdout.on('data', data => said += data);
+        {stdio: ['ignore', 'ignore', log], env: environment});
     await until(() => {
       assert.ok(!ended(this.child), `revisitd ended: ${
           readFileSync(this.log, 'utf8').slice(-2000)}`);
-      return existsSync(portFile) && readFileSync(portFile, 'utf8').trim();
+      return existsSync(portFile);
     }, 'revisitd that listens');
-    this.address = readFileSync(portFile, 'utf8').trim();
-    [, this.admin] = await until(
-        () => /admin listening on (\S+)/.exec(said), 'admin port');
     /** Where it tells its metrics. */
     this.metrics = `http://${this.admin}/metrics`;
   }

@@ -164,6 +164,12 @@ class Cluster:
         """How many vehicles a server has."""
         return list(self.owners().values()).count(self.servers[number].address)
 
+    def vehicles_of(self, number):
+        """Those of the fleet that a server has."""
+        owners = self.owners()
+        return [vehicle for vehicle in self.fleet.vehicles
+                if owners.get(vehicle.name) == self.servers[number].address]
+
     def any_owner(self):
         """The number of one of the servers that have vehicles: it is of no use to
         harm others."""

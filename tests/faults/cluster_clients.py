@@ -204,6 +204,8 @@ class Vehicle:
         self.drive = Drive(seed * 1000 + number)
         self.history = History()
         self.told_of_loss = False
+        # Whether a stream of its writer is open.
+        self.streams = False
         self._rng = random.Random(f"{seed} {number}")
         self._calls = set()
         self._lock = threading.Lock()
@@ -279,6 +281,7 @@ class Vehicle:
             self.history.reads.append(Read(
                 called, time.monotonic(), opened.durable_sequence, "opened"))
             self.fleet.outcomes["stream"] += 1
+            self.streams = True
             under_way = collections.deque()
             sequence = opened.durable_sequence
             for _ in range(rng.randint(5, 300)):
@@ -300,6 +303,7 @@ class Vehicle:
             # Ended with OK although nobody has closed it.
             raise Unexpected(f"{self.name}: a stream ended early") from None
         finally:
+            self.streams = False
             late.stop()
             requests.put(None)
             call.cancel()

@@ -12,7 +12,7 @@ from envoy_proxy import ENVOY, Envoy, replaced
 from hosts import Network
 from identities import Authority, replace
 from postgres import Postgres
-from revisit_server import free_port
+from revisit_server import free_port, wait_until
 from skipped import Skipped
 from stubs import ROOT
 
@@ -190,6 +190,9 @@ def killed_behind_envoy(run):
         fleet.wait_for_acks(TAKEOVER_SECONDS)
         for _ in range(rounds):
             victim = cluster.any_owner()
+            wait_until(lambda: any(
+                vehicle.streams for vehicle in cluster.vehicles_of(victim)),
+                "stream to the one that is killed")
             cluster.kill(victim)
             slowest = max(slowest, fleet.wait_for_acks(TAKEOVER_SECONDS))
             cluster.start(victim)

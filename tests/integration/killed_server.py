@@ -5,7 +5,7 @@ import subprocess
 
 import grpc
 
-from revisit_server import BIN, clean_environment, wait_until
+from revisit_server import BIN, RUN_SECONDS, clean_environment, wait_until
 from wire import list_poses
 
 # Enough that the kill comes long before the end.
@@ -41,7 +41,7 @@ def stream_through_a_kill(drive, vehicle, flags, durable, kill, start):
         kill()
         assert process.poll() is None, "the stream was over before the kill"
         start()
-        out, errors = process.communicate(timeout=120)
+        out, errors = process.communicate(timeout=RUN_SECONDS)
     finally:
         process.kill()
         process.wait()

@@ -15,6 +15,11 @@ END_STREAM, ACK, END_HEADERS, PADDED, PRIORITY_FLAG = 1, 1, 4, 8, 32
 
 SERVICE = "/revisit.v1.PoseGraphService"
 
+# Longer than any answer takes.
+PATIENCE_SECONDS = 30
+# So long nothing is taken by a server that waits until its answers are read.
+STALL_SECONDS = 5
+
 
 def frame(kind, payload=b"", flags=0, stream=0, length=None):
     length = len(payload) if length is None else length
@@ -51,15 +56,18 @@ def split(data, size=16384):
 class RawConnection:
     """With acknowledge=False the server's settings, its limits among them, are
     never agreed to. `source` is the address that the server takes the caller
-    for; `tls` is an ssl.SSLContext to speak by."""
+    for; `tls` is an ssl.SSLContext to speak by. The timeout of the socket is that
+    of sending."""
 
     def __init__(self, port, settings=b"", acknowledge=True,
                  source="127.0.0.1", tls=None):
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=5,
-                                               source_address=(source, 0))
+        self.socket = socket.create_connection(
+            ("127.0.0.1", port), timeout=PATIENCE_SECONDS,
+            source_address=(source, 0))
         if tls is not None:
             self.socket = tls.wrap_socket(self.socket,
                                           server_hostname="localhost")
+        self.socket.settimeout(STALL_SECONDS)
         self.decoder = hpack.Decoder()
         self.buffer = b""
         self.send(PREFACE + frame(SETTINGS, settings))
@@ -68,7 +76,7 @@ class RawConnection:
             self.send(frame(SETTINGS, flags=ACK))
 
     def send(self, data):
-        """False if the other side has gone."""
+        """False if the other side has gone, or takes nothing."""
         try:
             self.socket.sendall(data)
             return True
@@ -85,10 +93,9 @@ class RawConnection:
             [frame(DATA, piece, end if i == len(pieces) - 1 else 0, stream)
              for i, piece in enumerate(pieces)]))
 
-    def frames(self, seconds=5):
+    def frames(self, seconds=PATIENCE_SECONDS):
         """What comes, until the end of the connection or for so long nothing
         does."""
-        self.socket.settimeout(seconds)
         while True:
             while len(self.buffer) >= 9:
                 head, length = Frame.parse_frame_header(
@@ -98,18 +105,22 @@ class RawConnection:
                 head.parse_body(memoryview(self.buffer[9:9 + length]))
                 self.buffer = self.buffer[9 + length:]
                 yield head
+            sending = self.socket.gettimeout()
+            self.socket.settimeout(seconds)
             try:
                 received = self.socket.recv(65536)
             except TimeoutError:
                 return
             except ConnectionError:
                 received = b""
+            finally:
+                self.socket.settimeout(sending)
             if not received:
                 yield None
                 return
             self.buffer += received
 
-    def outcome(self, stream=1, seconds=3):
+    def outcome(self, stream=1, seconds=PATIENCE_SECONDS):
         """How it ends: "closed" (the connection), "reset N" (the stream, with
         the error's number), "status N" (of gRPC), "http N" (of HTTP)."""
         http = None
@@ -130,7 +141,7 @@ class RawConnection:
                     http = f"http {headers[':status']}"
         return http or "nothing"
 
-    def is_alive(self, seconds=5):
+    def is_alive(self, seconds=PATIENCE_SECONDS):
         """Whether a ping is answered, and nothing before it says otherwise."""
         self.send(frame(PING, b"answerme"))
         for received in self.frames(seconds):

@@ -21,6 +21,8 @@ BIN = pathlib.Path(os.environ.get("REVISIT_BIN", ROOT / "build/release/bin"))
 
 START_SECONDS = 30
 STOP_SECONDS = 30
+# A program that takes longer hangs, on however busy a machine.
+RUN_SECONDS = 240
 
 
 def clean_environment(**extra):
@@ -33,7 +35,7 @@ def clean_environment(**extra):
     return {**kept, **extra}
 
 
-def run(*arguments, env=None, timeout=START_SECONDS, cwd=None):
+def run(*arguments, env=None, timeout=RUN_SECONDS, cwd=None):
     """Runs one of our programs to its end."""
     program, *rest = arguments
     return subprocess.run(
@@ -52,14 +54,49 @@ def wait_until(condition, what, seconds=START_SECONDS):
         time.sleep(0.002)
 
 
+def wait_until_still(value, seconds=600.0):
+    """Waits until a value has stayed the same for several times as long as it ever
+    did before, and a second at least; answers it."""
+    begun = changed = time.monotonic()
+    last, longest = value(), 0.3
+    while (now := time.monotonic()) < changed + 4 * longest:
+        assert now < begun + seconds, f"moves after {seconds} s"
+        time.sleep(0.02)
+        if (found := value()) != last:
+            longest = max(longest, now - changed)
+            last, changed = found, time.monotonic()
+    return last
+
+
+def open_files(pid):
+    """Names of the files that a process has open, a line each."""
+    names = []
+    for descriptor in pathlib.Path(f"/proc/{pid}/fd").iterdir():
+        with contextlib.suppress(OSError):
+            names.append(os.readlink(descriptor))
+    return "\n".join(names)
+
+
+_held_ports = []
+
+
 def free_port():
-    """A port to listen at that no connection takes meanwhile: it is below those
-    that Linux gives to connections."""
+    """A port to listen at that nobody else takes until this process ends. It is
+    below those that Linux gives to connections, and held by a socket that does
+    not listen: that keeps other tests from it, but not a program that reuses
+    addresses, as servers do."""
     while True:
         port = random.randrange(20000, 32768)
-        with socket.socket() as probe, contextlib.suppress(OSError):
-            probe.bind(("127.0.0.1", port))
-            return port
+        holder = socket.socket()
+        try:
+            holder.bind(("127.0.0.1", port))
+        except OSError:
+            holder.close()
+            continue
+        # Not before it is bound, or it could be bound beside such a program.
+        holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        _held_ports.append(holder)
+        return port
 
 
 class Server:

@@ -4,11 +4,11 @@ import base64
 import ctypes
 import ctypes.util
 import threading
-import time
 
 import grpc
 import pytest
 
+import scraped
 from revisit_server import Server, wait_until
 from stubs import api
 from wire import (PoseStream, append, as_bytes, batches, failure_of, laps,
@@ -210,12 +210,17 @@ def test_client_that_does_not_read_its_export_is_told_and_let_go(tmp_path):
 
 
 def test_client_that_comes_back_to_its_export_learns_why_it_ended(tmp_path):
-    with Server(tmp_path / "store", "--slow-consumer-seconds=3") as server:
+    with Server(tmp_path / "store", "--slow-consumer-seconds=3",
+                "--admin-listen=127.0.0.1:0") as server:
         stub = server.stub()
         vehicle = create(stub)
         fill(stub, vehicle, 20000)
         call = stalled_export(server, vehicle)
-        time.sleep(4)
+        # The copy goes when the client is found to be slow. It has as much time
+        # again to hear of it.
+        wait_until(lambda: scraped.scrape(server).value(
+            "revisit_limit_used_ratio", limit="max-export-bytes") == 0,
+            "end of the copy")
         failure = failure_of(lambda: list(call))
         assert (failure.code, failure.reason) == (EXHAUSTED, "SLOW_CONSUMER")
         server.logged("SLOW_CONSUMER")

@@ -101,8 +101,7 @@ class Circle:
                       for row in rows(drive)]
 
     def revisit(self, *arguments):
-        result = run("revisit", *arguments, "--server", self.server.address,
-                     timeout=120)
+        result = run("revisit", *arguments, "--server", self.server.address)
         assert result.returncode == 0, result.stderr
         return result.stdout
 

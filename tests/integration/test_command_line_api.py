@@ -21,7 +21,7 @@ def revisit(server):
     """Runs `revisit` against the server; answers the finished process."""
     def call(*arguments, **environment):
         return run("revisit", *arguments, "--server", server.address,
-                   env=clean_environment(**environment), timeout=120)
+                   env=clean_environment(**environment))
     return call
 
 

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from revisit_server import BIN, clean_environment, run
+from revisit_server import BIN, RUN_SECONDS, clean_environment, run
 
 # Lines that are typed, and the words that have to be offered: these and no
 # others, or among others.
@@ -41,7 +41,7 @@ def in_shell(shell, script, folder):
         pytest.skip(f"there is no {shell} here")
     result = subprocess.run(
         [shell, *(["--norc"] if shell == "bash" else ["--no-config"]), "-c",
-         script], cwd=folder, capture_output=True, text=True, timeout=60,
+         script], cwd=folder, capture_output=True, text=True, timeout=RUN_SECONDS,
         env=clean_environment(PATH=f"{BIN}:{os.environ['PATH']}",
                               HOME=str(folder)), check=False)
     assert (result.returncode, result.stderr) == (0, ""), result
@@ -102,7 +102,7 @@ def test_line_is_completed_at_the_prompt(shell, folder):
             PATH=f"{BIN}:{os.environ['PATH']}", HOME=str(folder),
             TERM="dumb"))
 
-    def shown_until(words, seconds=30):
+    def shown_until(words, seconds=RUN_SECONDS):
         shown = ""
         deadline = time.monotonic() + seconds
         while not all(word in shown for word in words):

@@ -4,6 +4,7 @@ too much of one: only they are cut, and the server takes the next at once."""
 import contextlib
 import signal
 import socket
+import statistics
 import struct
 import subprocess
 import sys
@@ -12,7 +13,9 @@ import time
 import grpc
 import pytest
 
-from revisit_server import BIN, Server, clean_environment, wait_until
+from raw_http2 import PATIENCE_SECONDS, RawConnection
+from revisit_server import (BIN, RUN_SECONDS, Server, clean_environment,
+                            wait_until)
 from stubs import api
 
 PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
@@ -25,16 +28,17 @@ def frame_head(length, kind, flags, stream):
 SETTINGS = frame_head(0, 4, 0, 0)
 
 
-def info(stub, timeout=5, **more):
+def info(stub, timeout=PATIENCE_SECONDS, **more):
     return stub.GetServerInfo(api.GetServerInfoRequest(), timeout=timeout,
                               **more)
 
 
 def connect(server):
-    return socket.create_connection(("127.0.0.1", server.port), timeout=5)
+    return socket.create_connection(("127.0.0.1", server.port),
+                                    timeout=PATIENCE_SECONDS)
 
 
-def ended(connection, seconds):
+def ended(connection, seconds=PATIENCE_SECONDS):
     """Whether the server ends the connection within this time."""
     deadline = time.monotonic() + seconds
     while True:
@@ -66,17 +70,21 @@ def test_flood_beyond_the_descriptors_is_shed_and_service_goes_on_at_once(
     with Server(tmp_path / "store", descriptors=96) as server:
         stub = server.stub()
         info(stub)
+        times = []
         for _ in range(3):
             with flood(server, 300) as sockets:
                 # The last ones are shed for certain, and the one that was
                 # there before is served throughout.
-                assert ended(sockets[-1], 5)
+                assert ended(sockets[-1])
                 info(stub)
             start = time.monotonic()
             channel = server.channel(("grpc.use_local_subchannel_pool", 1))
-            grpc.channel_ready_future(channel).result(timeout=5)
-            assert time.monotonic() - start < 2
+            grpc.channel_ready_future(channel).result(
+                timeout=PATIENCE_SECONDS)
+            times.append(time.monotonic() - start)
             info(server.stub())
+        # On a busy machine one of them may be late.
+        assert statistics.median(times) < 2
         shed = server.logged(" connections_shed ")
         assert "limit=descriptors" in shed[0]
         # The store still has its files.
@@ -91,17 +99,17 @@ def test_caps_of_connections_hold_and_count_only_the_living(tmp_path):
                 kept = []
                 # The server hears in its own time of those that went before.
                 while len(kept) < 5:
-                    with contextlib.suppress(ConnectionResetError):
-                        one = stack.enter_context(connect(server))
-                        if not ended(one, 0.1):
+                    with contextlib.suppress(ConnectionError):
+                        one = stack.enter_context(RawConnection(server.port))
+                        if one.is_alive():
                             kept.append(one)
                 with contextlib.suppress(ConnectionResetError):
-                    assert ended(stack.enter_context(connect(server)), 5)
-                assert not ended(kept[0], 0.05)
+                    assert ended(stack.enter_context(connect(server)))
+                assert all(one.is_alive() for one in kept)
                 # Room for one comes as one goes.
                 kept[2].close()
                 wait_until(lambda: takes_one_more(server), "room")
-        info(server.stub(), timeout=20, wait_for_ready=True)
+        info(server.stub(), wait_for_ready=True)
         assert any("limit=max-connections-per-address" in line
                    for line in server.logged(" connections_shed "))
 
@@ -172,8 +180,7 @@ def test_connect_flood_does_not_hide_connections_that_do_harm(tmp_path):
                 with contextlib.suppress(ConnectionError, TimeoutError):
                     for _ in range(70):
                         harmful.sendall(piece)
-                wait_until(lambda: "limit=max-idle-bytes" in server.log(),
-                           "cut", 10)
+                server.logged("limit=max-idle-bytes")
 
 
 def test_socket_of_a_living_server_is_not_taken_from_it(tmp_path):
@@ -184,12 +191,14 @@ def test_socket_of_a_living_server_is_not_taken_from_it(tmp_path):
         wait_until(port_file.exists, "port file")
         second = subprocess.run(
             [BIN / "revisitd", "--listen", f"unix:{path}", "--store",
-             tmp_path / "other"], capture_output=True, text=True, timeout=20,
+             tmp_path / "other"], capture_output=True, text=True,
+            timeout=RUN_SECONDS,
             env=clean_environment(), check=False)
         assert second.returncode == 69, second
         assert "another program listens" in second.stderr
         with grpc.insecure_channel(f"unix:{path}") as channel:
-            grpc.channel_ready_future(channel).result(timeout=10)
+            grpc.channel_ready_future(channel).result(
+                timeout=PATIENCE_SECONDS)
 
 
 def test_socket_of_a_server_that_was_killed_is_taken_over(tmp_path):
@@ -201,7 +210,8 @@ def test_socket_of_a_server_that_was_killed_is_taken_over(tmp_path):
                     listen=f"unix:{path}") as server:
             wait_until(port_file.exists, "port file")
             with grpc.insecure_channel(f"unix:{path}") as channel:
-                grpc.channel_ready_future(channel).result(timeout=10)
+                grpc.channel_ready_future(channel).result(
+                    timeout=PATIENCE_SECONDS)
             server.kill()
         assert path.exists()
 
@@ -213,10 +223,11 @@ def test_connection_that_does_not_open_as_grpc_does_is_closed(
         opening, tmp_path):
     with Server(tmp_path / "store", "--handshake-timeout-seconds=0.5") as server:
         stub = server.stub()
-        info(stub)
+        # On a busy machine it may itself be too late at first.
+        info(stub, wait_for_ready=True)
         with connect(server) as idle:
             idle.sendall(opening)
-            assert ended(idle, 5)
+            assert ended(idle)
         info(stub)
 
 
@@ -224,6 +235,7 @@ def test_slow_opening_does_not_hold_a_place(tmp_path):
     """A byte now and then, from many at once."""
     with Server(tmp_path / "store", "--handshake-timeout-seconds=0.5") as server:
         stub = server.stub()
+        info(stub, wait_for_ready=True)
         with flood(server, 100) as sockets:
             assert len(sockets) == 100
             for byte in PREFACE:
@@ -233,7 +245,7 @@ def test_slow_opening_does_not_hold_a_place(tmp_path):
                 info(stub)
                 # The pace of these senders.
                 time.sleep(0.03)
-            assert all(ended(connection, 5) for connection in sockets)
+            assert all(ended(connection) for connection in sockets)
 
 
 def test_connection_without_a_call_is_closed_after_a_while(tmp_path):
@@ -244,7 +256,7 @@ def test_connection_without_a_call_is_closed_after_a_while(tmp_path):
             # A call's headers that never end.
             half.sendall(PREFACE + SETTINGS + frame_head(100, 1, 0, 1) +
                          b"\x82\x86\x84")
-            assert ended(half, 20)
+            assert ended(half)
         # A client that comes back does not notice.
         info(stub)
 
@@ -262,7 +274,8 @@ def test_all_kinds_of_addresses_are_listened_at(address, tmp_path):
         wait_until(port_file.exists, "port file")
         at = port_file.read_text().strip()
         with grpc.insecure_channel(at) as channel:
-            grpc.channel_ready_future(channel).result(timeout=10)
+            grpc.channel_ready_future(channel).result(
+                timeout=PATIENCE_SECONDS)
     if text.startswith("unix:"):
         assert not (tmp_path / "socket").exists()
 

@@ -7,7 +7,8 @@ import subprocess
 
 import pytest
 
-from revisit_server import BIN, clean_environment, run, wait_until
+from revisit_server import (BIN, RUN_SECONDS, STOP_SECONDS, clean_environment,
+                            run, wait_until)
 
 
 def demo(directory, *flags):
@@ -56,14 +57,15 @@ def test_demo_keeps_its_server_until_it_is_interrupted(number, tmp_path):
             stdin=subprocess.DEVNULL,
             env=clean_environment(TMPDIR=str(scratch)))
     try:
-        wait_until(lambda: "until Ctrl-C" in output.read_text(), "last line")
+        wait_until(lambda: "until Ctrl-C" in output.read_text(), "last line",
+                   RUN_SECONDS)
         address = re.search(r"REVISIT_SERVER=(\S+)", output.read_text()).group(1)
         found = run("revisit", "--server", address, "find", "boreas")
         assert found.returncode == 0, found.stderr
         assert "ACCEPTED" in found.stdout
     finally:
         process.send_signal(number)
-        assert process.wait(30) == 130
+        assert process.wait(STOP_SECONDS) == 130
     assert list(scratch.iterdir()) == []
     gone = run("revisit", "--server", address, "info")
     assert gone.returncode == 78

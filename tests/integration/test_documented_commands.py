@@ -18,8 +18,8 @@ import pytest
 from documents import DOCUMENTS, commands, name_of
 from identities import Authority, TokenKey, key_set
 from own_postgres import own_postgres
-from revisit_server import (BIN, STOP_SECONDS, clean_environment, free_port, run,
-                            wait_until)
+from revisit_server import (BIN, RUN_SECONDS, STOP_SECONDS, clean_environment,
+                            free_port, run, wait_until)
 from stubs import ROOT
 from wire import BOREAS
 
@@ -307,7 +307,7 @@ class Place:
             return
         with self.popen(command, stdout=subprocess.PIPE,
                         stderr=subprocess.STDOUT) as process:
-            output = process.communicate(timeout=60)[0]
+            output = process.communicate(timeout=RUN_SECONDS)[0]
         assert process.returncode == 0, f"{command}\n{output}"
 
     def _serve(self, command):

@@ -12,7 +12,9 @@ import grpc
 import pytest
 
 from drive_client import VEHICLE, Client, Drive, create
-from revisit_server import BIN, Server, clean_environment, run, wait_until
+from raw_http2 import RawConnection
+from revisit_server import (BIN, STOP_SECONDS, Server, clean_environment, run,
+                            wait_until)
 from stubs import PoseGraphServiceStub, api
 from wire import (LOOP_CLOSURES, PAIR_KINDS, REJECTED_CANDIDATES, PoseStream,
                   append, as_bytes, batches, decode_failure, failure_of, get,
@@ -228,27 +230,33 @@ def test_signal_drains(name, tmp_path):
         stub = server.stub()
         create(stub, **SETTINGS)
         acked = 0
-        with PoseStream(stub, VEHICLE) as stream:
-            stream.receive_kind("opened")
-            for batch in batches(straight(20000), 16):
-                stream.send(batch)
-            acked = stream.receive_kind("ack").durable_sequence
-            server.process.send_signal(name)
-            with pytest.raises(grpc.RpcError) as raised:
-                while True:
-                    acked = stream.receive_kind("ack").durable_sequence
-            failure = decode_failure(raised.value)
+
+        def without_end():
+            yield api.StreamPosesRequest(
+                open=api.StreamPosesOpen(vehicle=VEHICLE))
+            for first in itertools.count(1, 16):
+                yield api.StreamPosesRequest(batch=api.PoseBatch(
+                    poses=straight(16, first=first)))
+
+        stream = stub.StreamPoses(without_end(), timeout=60)
+        assert next(stream).WhichOneof("message") == "opened"
+        acked = next(stream).ack.durable_sequence
+        server.process.send_signal(name)
+        with pytest.raises(grpc.RpcError) as raised:
+            while True:
+                acked = next(stream).ack.durable_sequence
+        failure = decode_failure(raised.value)
         assert failure.code == grpc.StatusCode.UNAVAILABLE
         assert failure.reason == "SERVER_DRAINING"
         assert failure.retry_seconds is not None
-        assert server.process.wait(20) == 0, server.log()
-    assert 0 < acked < 20000
+        assert server.process.wait(STOP_SECONDS) == 0, server.log()
+    assert acked > 0
     with Server(store) as server:
         stub = server.stub()
         # Everything that was taken on was acknowledged before the end.
         assert get(stub, VEHICLE).durable_sequence == acked
         assert (as_bytes(list_poses(stub, VEHICLE))
-                == as_bytes(straight(20000)[:acked]))
+                == as_bytes(straight(acked)))
 
 
 def test_idle_stream_is_told_and_does_not_hold_up_the_end(tmp_path):
@@ -263,15 +271,18 @@ def test_idle_stream_is_told_and_does_not_hold_up_the_end(tmp_path):
             failure = failure_of(stream.receive)
             assert failure.reason == "SERVER_DRAINING"
         server.close_channels()
-        assert server.process.wait(20) == 0
+        assert server.process.wait(STOP_SECONDS) == 0
 
 
 def test_client_that_stays_does_not_hold_up_the_end(tmp_path):
-    with Server(tmp_path / "store", "--drain-timeout-seconds", 0.5) as server:
+    with Server(tmp_path / "store", "--drain-timeout-seconds", 600) as server, \
+            RawConnection(server.port) as deaf:
         create(server.stub())
+        assert deaf.is_alive()
         server.process.send_signal(signal.SIGTERM)
-        # The client is idle and holds on to its connection.
-        assert server.process.wait(4) == 0
+        # Both clients are idle and hold on to their connections, and one of them
+        # hears nothing of the end.
+        assert server.process.wait(STOP_SECONDS) == 0
 
 
 def test_second_server_on_the_same_store_exits_and_says_why(tmp_path):

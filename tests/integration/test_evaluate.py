@@ -35,8 +35,7 @@ DRIVE_KEYS = {
 
 
 def evaluate(*arguments):
-    return run("revisit", "evaluate", *arguments, timeout=120,
-               env=clean_environment())
+    return run("revisit", "evaluate", *arguments, env=clean_environment())
 
 
 def report_of(*arguments):
@@ -445,8 +444,7 @@ def test_data_sets_are_judged_by_what_the_other_data_sets_chose():
 def test_one_data_set_alone_has_no_others_to_choose(tmp_path):
     drives = [write_drive(tmp_path / f"city_{name}.csv", 1) for name in "ab"]
     result = run(sys.executable, ROOT / "tests/evaluation/leave_one_out.py",
-                 "--by", "data-set", *drives, timeout=60,
-                 env=clean_environment())
+                 "--by", "data-set", *drives, env=clean_environment())
     assert result.returncode == 2
     assert "--by data-set: expected drives of two at least" in result.stderr
 
@@ -457,8 +455,7 @@ def test_leave_one_out_runs_the_real_evaluation(tmp_path):
                  "--revisit", BIN / "revisit", "--json",
                  "--road-spacing", "200", "--shape-correlation", "10",
                  "--acceptance-probability", "0.3,0.5", *drives, "--",
-                 "--check-interval", "40", timeout=120,
-                 env=clean_environment())
+                 "--check-interval", "40", env=clean_environment())
     assert result.returncode == 0, result.stderr
     report = json.loads(result.stdout)
     assert [one["drive"] for one in report["held_out"]] == ["a", "b"]

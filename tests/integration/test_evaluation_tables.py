@@ -72,7 +72,7 @@ def test_symmetric_corners_are_both_offered(outcomes):
 def tables(*arguments, folder):
     return run(sys.executable, ROOT / "tests/evaluation/tables.py",
                "--revisit", BIN / "revisit", "--nagoya", folder, *arguments,
-               timeout=240, env=clean_environment())
+               env=clean_environment())
 
 
 def rows_of(text):

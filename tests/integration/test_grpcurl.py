@@ -12,6 +12,7 @@ import subprocess
 
 import pytest
 
+from revisit_server import RUN_SECONDS
 from stubs import ROOT
 
 GRPCURL = pathlib.Path(os.environ.get("REVISIT_TEST_GRPCURL",
@@ -49,7 +50,8 @@ def run_line(server):
             ["bash", "-c", line.replace(TRIED_ADDRESS, server.address)],
             env={**os.environ,
                  "PATH": f"{GRPCURL.parent}:{os.environ['PATH']}"},
-            capture_output=True, text=True, timeout=60, check=False)
+            capture_output=True, text=True, timeout=RUN_SECONDS,
+            check=False)
     return run
 
 

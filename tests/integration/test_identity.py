@@ -15,7 +15,7 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from identities import (
     AUDIENCE, ISSUER, Authority, TokenKey, bearer, key_set, replace)
-from revisit_server import Server, run, wait_until
+from revisit_server import Server, open_files, run, wait_until
 from stubs import ROOT, PoseGraphServiceStub, api
 from wire import (
     PoseStream, append, decode_failure, failure_of, get, list_poses, straight)
@@ -383,18 +383,30 @@ def refused_now(server, identities, certificate):
 
 def test_stream_ends_when_the_client_certificate_expires(
         tls_server, identities):
-    brief = identities.authority.issue("spiffe://fleet.example/acme/brief",
-                                       ends=3)
-    with secure_stub(tls_server, identities.authority.pem, brief) as stub:
+    name = "spiffe://fleet.example/acme/brief"
+    lasting = identities.authority.issue(name)
+    with secure_stub(tls_server, identities.authority.pem, lasting) as stub:
         vehicle = create(stub, "acme-brief")
-        with PoseStream(stub, vehicle) as stream:
-            stream.receive_kind("opened")
+
+    def opened_and_ended(ends):
+        brief = identities.authority.issue(name, ends=ends)
+        with secure_stub(tls_server, identities.authority.pem, brief) as stub, \
+                PoseStream(stub, vehicle) as stream:
+            try:
+                stream.receive_kind("opened")
+            except grpc.RpcError as error:
+                assert error.code() in (Code.UNAUTHENTICATED, Code.UNAVAILABLE)
+                return False
             failure = failure_of(stream.receive_all)
             assert (failure.code, failure.reason) == (
                 Code.UNAUTHENTICATED, "CERTIFICATE_EXPIRED")
-        # Also on the connection that is still there.
-        failure = failure_of(lambda: ask(stub))
-        assert failure.reason == "CERTIFICATE_EXPIRED"
+            # Also on the connection that is still there.
+            failure = failure_of(lambda: ask(stub))
+            assert failure.reason == "CERTIFICATE_EXPIRED"
+            return True
+
+    # On a busy machine the handshake may be too late for the shorter ones.
+    assert any(opened_and_ended(ends) for ends in (3, 8, 30))
 
 
 def test_client_whose_authority_is_removed_is_ended_on_its_open_connection(
@@ -727,28 +739,46 @@ def test_log_tells_who_called_and_keeps_no_token(token_server, identities):
 
 # --- Streams that outlive what let them in.
 
+def first_that_lasts(begin):
+    """What `begin(seconds)` answers the first time that credentials of so many
+    seconds did not expire within it: on a busy machine brief ones may."""
+    for seconds in (1, 5):
+        try:
+            return begin(seconds)
+        except grpc.RpcError as error:
+            assert decode_failure(error).reason == "TOKEN_EXPIRED"
+    return begin(25)
+
+
 def test_stream_ends_after_its_last_ack_when_the_token_expires(
         called_by, token_server):
     create(called_by("acme"), "acme-long-1")
     vehicle = "vehicles/acme-long-1"
-    brief = called_by("vehicle:long-1", lasts=2)
     acks = []
     sent = 0
-    with PoseStream(brief, vehicle, metadata=brief.metadata) as stream:
-        stream.receive_kind("opened")
-        started = time.monotonic()
+    with contextlib.ExitStack() as stack:
+
+        def open_stream(lasts):
+            brief = called_by("vehicle:long-1", lasts=lasts)
+            stream = stack.enter_context(
+                PoseStream(brief, vehicle, metadata=brief.metadata))
+            stream.receive_kind("opened")
+            return stream, lasts
+
+        stream, lasts = first_that_lasts(open_stream)
+        # Ends behind it, and well before the time that calls have here.
+        later, _ = open_stream(lasts + 10)
         with pytest.raises(grpc.RpcError) as raised:
             while True:
-                assert time.monotonic() - started < 30
                 stream.send(straight(5, first=sent + 1))
                 sent += 5
                 received = stream.receive()
                 assert received is not None
                 acks.append(received[1].durable_sequence)
         failure = decode_failure(raised.value)
+        assert later.call.is_active()
     assert (failure.code, failure.reason) == (
         Code.UNAUTHENTICATED, "TOKEN_EXPIRED")
-    assert time.monotonic() - started < 5
     assert acks == list(range(5, acks[-1] + 1, 5))
     # Nothing that was acknowledged is missing, and it goes on from there.
     again = called_by("vehicle:long-1")
@@ -760,29 +790,39 @@ def test_stream_ends_after_its_last_ack_when_the_token_expires(
     assert len(list_poses(again, vehicle)) == durable + 5
 
 
-def test_idle_calls_of_all_kinds_end_when_the_token_expires(called_by):
-    create(called_by("acme"), "acme-idle-1")
-    brief = called_by("vehicle:idle-1", lasts=1)
+def test_idle_calls_of_all_kinds_end_when_the_token_expires(
+        called_by, token_server):
+    vehicle = create(called_by("acme"), "acme-idle-1")
+    append(called_by("acme"), vehicle, straight(1))
     held = threading.Event()
 
     def nothing_more():
-        yield api.RevisePosesRequest(vehicle="vehicles/acme-idle-1",
-                                     poses=straight(1))
-        held.wait(30)
+        yield api.RevisePosesRequest(vehicle=vehicle, poses=straight(1))
+        held.wait(60)
 
-    try:
-        with PoseStream(brief, metadata=brief.metadata) as unopened, \
-                PoseStream(brief, "vehicles/acme-idle-1",
-                           metadata=brief.metadata) as opened:
+    with contextlib.ExitStack() as stack:
+        stack.callback(held.set)
+
+        def begin(lasts):
+            brief = called_by("vehicle:idle-1", lasts=lasts)
+            unopened, opened = (
+                stack.enter_context(
+                    PoseStream(brief, *name, metadata=brief.metadata))
+                for name in ((), (vehicle,)))
             opened.receive_kind("opened")
-            for wait in (unopened.receive_all, opened.receive_all,
-                         lambda: brief.RevisePoses(nothing_more(),
-                                                   timeout=30)):
-                failure = failure_of(wait)
-                assert (failure.code, failure.reason) == (
-                    Code.UNAUTHENTICATED, "TOKEN_EXPIRED")
-    finally:
-        held.set()
+            revision = token_server.stub().RevisePoses.future(
+                nothing_more(), metadata=brief.metadata, timeout=60)
+            # The server has its first message.
+            wait_until(lambda: revision.done() or "/.revision-" in open_files(
+                token_server.pid), "draft")
+            if revision.done():
+                revision.result()
+            return unopened.receive_all, opened.receive_all, revision.result
+
+        for wait in first_that_lasts(begin):
+            failure = failure_of(wait)
+            assert (failure.code, failure.reason) == (
+                Code.UNAUTHENTICATED, "TOKEN_EXPIRED")
 
 
 def test_stream_ends_when_policy_or_keys_change(tmp_path):
@@ -1018,7 +1058,7 @@ def test_command_line_sends_no_token_in_plaintext_to_other_machines(
         thread.start()
         port = listener.getsockname()[1]
         result = run("revisit", "--server", f"{address}:{port}",
-                     "--token-file", token, "vehicle", "list", timeout=60)
+                     "--token-file", token, "vehicle", "list")
         assert result.returncode == 64 + Code.UNAVAILABLE.value[0], result
     thread.join()
     assert b"eyJ" not in b"".join(heard)

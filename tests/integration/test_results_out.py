@@ -22,9 +22,8 @@ SVG = "{http://www.w3.org/2000/svg}"
 @pytest.fixture(scope="module")
 def revisit(server):
     """Runs `revisit` against the server; answers the finished process."""
-    def call(*arguments, timeout=120):
-        return run("revisit", *arguments, "--server", server.address,
-                   timeout=timeout)
+    def call(*arguments):
+        return run("revisit", *arguments, "--server", server.address)
     return call
 
 

@@ -1,15 +1,12 @@
 """RevisePoses as sequences of messages: what comes empty, late or too large."""
 
-import contextlib
-import os
-import pathlib
 import random
 import threading
 
 import grpc
 import pytest
 
-from revisit_server import Server, wait_until
+from revisit_server import Server, open_files, wait_until
 from stubs import api
 from wire import (append, as_bytes, batches, decode_failure, failure_of, get,
                   list_poses, pose, straight)
@@ -213,14 +210,6 @@ def test_revision_leaves_no_file_behind(tmp_path):
         arrived.set()
         wait_until(lambda: "/.revision-" not in open_files(server.pid),
                    "the end of the draft")
-
-
-def open_files(pid):
-    names = []
-    for descriptor in pathlib.Path(f"/proc/{pid}/fd").iterdir():
-        with contextlib.suppress(OSError):
-            names.append(os.readlink(descriptor))
-    return "\n".join(names)
 
 
 def test_revision_is_refused_where_it_would_fill_the_disk(tmp_path):

@@ -8,7 +8,8 @@ import subprocess
 
 import pytest
 
-from revisit_server import BIN, Server, clean_environment, run, wait_until
+from revisit_server import (BIN, RUN_SECONDS, Server, clean_environment, run,
+                            wait_until)
 from stubs import PROTO, ROOT, api
 from wire import BOREAS, append, get, straight
 
@@ -203,9 +204,8 @@ def test_every_call_has_one_line_in_the_log_that_is_json(tmp_path):
 @pytest.fixture(scope="module")
 def revisit(server):
     """Runs `revisit` against the server; answers the finished process."""
-    def call(*arguments, timeout=120):
-        return run("revisit", *arguments, "--server", server.address,
-                   timeout=timeout)
+    def call(*arguments):
+        return run("revisit", *arguments, "--server", server.address)
     return call
 
 
@@ -520,7 +520,7 @@ def run_line(tmp_path_factory):
                 ["bash", "-c", line], cwd=home, capture_output=True, text=True,
                 env=clean_environment(REVISIT_SERVER=server.address,
                                       PATH=f"{BIN}:{os.environ['PATH']}"),
-                timeout=120, check=False)
+                timeout=RUN_SECONDS, check=False)
         yield call
 
 
@@ -663,8 +663,7 @@ def test_server_that_is_not_there_is_told():
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{unused.getsockname()[1]}"
-        result = run("revisit", "vehicle", "list", "--server", address,
-                     timeout=120)
+        result = run("revisit", "vehicle", "list", "--server", address)
     assert result.returncode == 64 + 14
     assert address in result.stderr
     assert "TLS" not in result.stderr
@@ -720,7 +719,7 @@ def test_evaluate_judges_the_shipped_drive(revisit, tmp_path):
 
 @pytest.mark.release_build
 def test_evaluate_starts_a_server_of_its_own(tmp_path):
-    result = run("revisit", "evaluate", BOREAS, "--json", timeout=120,
+    result = run("revisit", "evaluate", BOREAS, "--json",
                  cwd=tmp_path, env=clean_environment(TMPDIR=str(tmp_path)))
     assert result.returncode == 0, result.stderr
     assert json.loads(result.stdout)["total"]["checks"] > 300

@@ -10,7 +10,7 @@ import time
 import grpc
 import pytest
 
-from revisit_server import BIN, Server, clean_environment
+from revisit_server import BIN, RUN_SECONDS, Server, clean_environment
 from stubs import api
 from wire import PoseStream, append, decode_failure, get, list_poses, straight
 
@@ -43,7 +43,7 @@ def stream(server, pace, output):
             process.stdin.flush()
             time.sleep(max(0.0, start + index / pace - time.monotonic()))
         process.stdin.write(line(index))
-    errors = process.communicate(timeout=120)[1]
+    errors = process.communicate(timeout=RUN_SECONDS)[1]
     assert process.returncode == 0, errors
     return json.loads(output.read_text().splitlines()[-1])
 

@@ -9,7 +9,8 @@ import time
 
 import pytest
 
-from revisit_server import BIN, Server, clean_environment, run, wait_until
+from revisit_server import (BIN, RUN_SECONDS, Server, clean_environment, run,
+                            wait_until)
 from wire import get
 
 POSES = 200_000
@@ -55,9 +56,9 @@ class Stream:
     def durable(self):
         return get(self.stub, "vehicles/ends").durable_sequence
 
-    def end(self, seconds=60):
+    def end(self):
         """Exit code, and what was printed."""
-        out, errors = self.process.communicate(timeout=seconds)
+        out, errors = self.process.communicate(timeout=RUN_SECONDS)
         return self.process.returncode, out, errors
 
 
@@ -83,7 +84,7 @@ def test_interrupted_stream_says_what_is_durable_and_goes_on(
     durable = stream.durable()
     assert 0 < told(errors) <= durable
     again = run("revisit", "stream", drive, "--vehicle", "ends", "--json",
-                "--server", server.address, timeout=120)
+                "--server", server.address)
     assert again.returncode == 0, again.stderr
     summary = json.loads(again.stdout)
     assert summary["alreadyDurable"] == durable

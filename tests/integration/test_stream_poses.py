@@ -8,7 +8,8 @@ import time
 import grpc
 import pytest
 
-from revisit_server import Server, wait_until
+import scraped
+from revisit_server import Server, wait_until, wait_until_still
 from stubs import api
 from wire import (PoseStream, append, as_bytes, batches, boreas, failure_of,
                   get, laps, list_poses, pose, straight)
@@ -308,17 +309,6 @@ class Flood:
     def stop(self):
         self._stopped.set()
 
-    def wait_until_stalled(self, still_seconds=1.5, seconds=60):
-        """Waits until nothing has moved for a while; answers what was sent."""
-        deadline = time.monotonic() + seconds
-        seen, since = self.sent_batches, time.monotonic()
-        while time.monotonic() < since + still_seconds:
-            assert time.monotonic() < deadline, f"sends after {seconds} s"
-            time.sleep(0.02)
-            if self.sent_batches != seen:
-                seen, since = self.sent_batches, time.monotonic()
-        return seen
-
 
 def test_client_that_does_not_read_is_slowed_down_in_bounded_memory(
         server, new_vehicle):
@@ -331,7 +321,7 @@ def test_client_that_does_not_read_is_slowed_down_in_bounded_memory(
     flood = Flood(vehicle, size, most)
     call = stub.StreamPoses(iter(flood), timeout=120)
     try:
-        sent = flood.wait_until_stalled()
+        sent = wait_until_still(lambda: flood.sent_batches)
         grown = server.resident_bytes() - before
         print(f"{sent} batches sent, {grown / 2**20:.1f} MiB more resident")
         assert 0 < sent < most, "the server took all of it"
@@ -393,11 +383,19 @@ def test_connection_that_breaks_off_leaves_the_server_healthy(
 
 
 def test_stream_ends_at_its_deadline(stub, new_vehicle):
-    with PoseStream(stub, new_vehicle(), timeout=0.3) as stream:
-        stream.receive_kind("opened")
-        with pytest.raises(grpc.RpcError) as raised:
-            stream.receive()
-        assert raised.value.code() == grpc.StatusCode.DEADLINE_EXCEEDED
+    vehicle = new_vehicle()
+
+    def opened_and_ended(timeout):
+        with PoseStream(stub, vehicle, timeout=timeout) as stream:
+            opened = False
+            with pytest.raises(grpc.RpcError) as raised:
+                opened = stream.receive_kind("opened") is not None
+                stream.receive()
+            assert raised.value.code() == grpc.StatusCode.DEADLINE_EXCEEDED
+            return opened
+
+    # A busy machine may take longer to open it than the shorter ones.
+    assert any(opened_and_ended(timeout) for timeout in (0.3, 3, 30))
 
 
 def test_deleted_vehicle_ends_its_stream(stub, new_vehicle):
@@ -448,7 +446,7 @@ def test_memory_does_not_grow_with_streams_that_come_and_go(
     before = server.resident_bytes()
     come_and_go(500)
     wait_until(lambda: server.resident_bytes() - before < 8 * 2**20,
-               "memory given back", seconds=10)
+               "memory given back")
 
 
 def test_pose_without_stamp_leads_to_nodes_without_stamp(stub, new_vehicle):
@@ -481,8 +479,8 @@ LEAST_SLOW_SECONDS = 0.3
 
 @pytest.fixture
 def small_server(tmp_path):
-    with Server(tmp_path / "store", "--worker-threads", 1,
-                "--search-threads", 2) as running:
+    with Server(tmp_path / "store", "--worker-threads", 1, "--search-threads", 2,
+                "--admin-listen", "127.0.0.1:0") as running:
         yield running
         assert running.is_running(), running.log()
 
@@ -527,17 +525,19 @@ def test_poses_of_others_are_acknowledged_while_vehicles_search(
     make_slow(stub, slow)
     with PoseStream(stub, other) as stream:
         stream.receive_kind("opened")
-        # As many at once as there are threads for them.
+        # Without a deadline, so that they are admitted though they will have to
+        # wait.
         searches = [stub.FindCandidates.future(search(vehicle, LONGEST_METERS))
-                    for vehicle in slow]
-        for sequence in range(11, 16):
+                    for vehicle in slow for _ in range(6)]
+        for sequence in range(11, 21):
             stream.send(laps(1, first=sequence))
             assert stream.receive_kind("ack").durable_sequence == sequence
         # And what is read without a search is answered.
-        assert get(stub, other).durable_sequence == 15
-        assert not any(one.done() for one in searches)
+        assert get(stub, other).durable_sequence == 20
+        # If each waited for a thread that searches, all of these had ended.
+        assert sum(one.done() for one in searches) <= 4
         for one in searches:
-            one.result()
+            one.cancel()
 
 
 @pytest.mark.release_build
@@ -545,6 +545,13 @@ def test_search_that_is_given_up_frees_its_thread(small_server):
     stub = small_server.stub()
     vehicle = create_fine(stub, "slow")
     seconds = make_slow(stub, [vehicle])
+
+    def searches(**outcome):
+        page = scraped.scrape(small_server)
+        return page.value("revisit_searches_total", **outcome) if outcome else \
+            page.total("revisit_searches_total")
+
+    before, stopped = searches(), searches(outcome="stopped")
     # Without a deadline, so that they are admitted though they will have to wait.
     calls = [stub.FindCandidates.future(search(vehicle, LONGEST_METERS))
              for _ in range(12)]
@@ -552,7 +559,7 @@ def test_search_that_is_given_up_frees_its_thread(small_server):
     time.sleep(seconds / 2)
     for call in calls:
         call.cancel()
-    begin = time.monotonic()
     stub.FindCandidates(search(vehicle, 10.0))
-    # Twelve that ran to their end on two threads would take that much longer.
-    assert time.monotonic() - begin < 4 * seconds
+    # Those that had begun stop, and of the others none begins.
+    wait_until(lambda: searches(outcome="stopped") > stopped, "stop")
+    assert searches() - before < 10

@@ -10,11 +10,11 @@ import time
 
 BASE = pathlib.Path(os.environ["REVISIT_BASE"])
 
-BOOT_SECONDS = 60
+BOOT_SECONDS = 120
 COMMAND_SECONDS = 120
 
 
-def wait_until(condition, what, seconds=30.0):
+def wait_until(condition, what, seconds=COMMAND_SECONDS):
     """Waits for a condition that nothing announces; answers its value."""
     deadline = time.monotonic() + seconds
     while True:
@@ -111,6 +111,10 @@ class Machine:
 
     def journal(self):
         return self.run("journalctl", "--unit", "revisitd", "--output", "cat")
+
+    def logged(self, text):
+        """Waits for a text in the journal, which is written beside the service."""
+        wait_until(lambda: text in self.journal(), f"{text!r} in the journal")
 
     def close(self):
         if self._nspawn is not None and self._nspawn.poll() is None:

@@ -97,10 +97,9 @@ def test_service_starts_once_it_is_installed_and_keeps_poses(machine):
     stream(machine)
     machine.run("systemctl", "restart", "revisitd")
     assert durable(machine) == 2076
-    assert "stopped" in machine.journal()
+    machine.logged("stopped")
     machine.run("systemctl", "reload", "revisitd")
-    wait_until(lambda: "looking_at_files" in machine.journal(),
-               "look at the files")
+    machine.logged("looking_at_files")
 
 
 def test_service_runs_without_rights_and_shuts_its_store_to_others(machine):
@@ -138,7 +137,7 @@ def test_service_that_hangs_is_restarted_with_all_that_was_acknowledged(machine)
     machine.run("kill", "-STOP", pid)
     wait_until(lambda: machine.show("NRestarts") == "1"
                and machine.show("ActiveState") == "active", "restart")
-    assert "Watchdog timeout" in machine.journal()
+    machine.logged("Watchdog timeout")
     assert durable(machine) == 2076
 
 
@@ -150,7 +149,7 @@ def test_service_with_wrong_settings_is_not_started_again_and_again(machine):
     assert machine.show("ActiveState") == "failed"
     assert machine.show("ExecMainStatus") == "64"
     assert machine.show("NRestarts") == "0"
-    assert f"{SETTINGS}:" in machine.journal()
+    machine.logged(f"{SETTINGS}:")
 
 
 def earlier(name, directory):
@@ -182,12 +181,12 @@ def test_upgrade_brings_a_store_of_the_release_before_along(machine, tmp_path):
         settings.write('log-format = "json"\n')
     mine = (machine.root / SETTINGS[1:]).read_text()
 
-    said = installed(machine).journal()
-    assert machine.show("ActiveState") == "active", said
+    installed(machine)
+    assert machine.show("ActiveState") == "active", machine.journal()
     # Its settings stay, and those of the package lie beside them.
     assert (machine.root / SETTINGS[1:]).read_text() == mine
     assert (machine.root / f"{SETTINGS[1:]}.dpkg-dist").exists()
-    assert '"event":"serving"' in said
+    machine.logged('"event":"serving"')
     # All poses are there: the drive goes on behind them, after the last of them
     # have been compared with it.
     assert durable(machine) == 2076

@@ -16,7 +16,7 @@ from revisit import BackoffOptions, StreamCallbacks, StreamOptions
 from revisit_server import wait_until
 
 WAITING = """
-import sys, time
+import sys, threading, time
 import numpy as np
 import revisit
 client = revisit.Client(sys.argv[1])
@@ -28,8 +28,14 @@ try:
             max_pending_poses=10)) as stream:
         stream.wait_until_opened()
         print("opened", flush=True)
-        time.sleep(1)
-        print("appending", flush=True)
+        sys.stdin.readline()
+
+        def tell():
+            while stream.pending_poses < 10:
+                time.sleep(0.001)
+            print("full", flush=True)
+
+        threading.Thread(target=tell, daemon=True).start()
         stream.append(poses)
 except KeyboardInterrupt:
     print("interrupted,", stream.acked_sequence, "acknowledged", flush=True)
@@ -40,12 +46,13 @@ def test_a_program_that_waits_for_room_can_be_interrupted(
         server, new_vehicle, tmp_path):
     program = subprocess.Popen(
         [sys.executable, "-c", WAITING, server.address, new_vehicle()],
-        stdout=subprocess.PIPE, text=True)
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         assert program.stdout.readline() == "opened\n"
         os.kill(server.pid, signal.SIGSTOP)
-        program.stdout.readline()
-        time.sleep(0.5)
+        program.stdin.write("\n")
+        program.stdin.flush()
+        assert program.stdout.readline() == "full\n"
         program.send_signal(signal.SIGINT)
         rest, _ = program.communicate(timeout=LONG)
     finally:
@@ -142,7 +149,9 @@ def test_an_idle_stream_is_not_taken_for_a_stall(client, new_vehicle):
             new_vehicle(), StreamOptions(answer_timeout=0.2)) as stream:
         stream.append(straight(10))
         wait_until(lambda: stream.acked_sequence == 10, "acknowledgement")
+        # A busy machine may have been late with it.
+        before = stream.reconnects
         time.sleep(0.7)
+        assert stream.reconnects == before
         stream.append(straight(10, first=11))
         stream.finish()
-        assert stream.reconnects == 0

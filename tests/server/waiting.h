@@ -2,12 +2,14 @@
 #ifndef REVISIT_TESTS_SERVER_WAITING_H_
 #define REVISIT_TESTS_SERVER_WAITING_H_
 
+#include <chrono>
 #include <condition_variable>
 #include <cstdlib>
 #include <functional>
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <thread>
 #include <utility>
 
 namespace revisit::server {
@@ -48,6 +50,18 @@ class Answer {
   };
   std::shared_ptr<State> state_ = std::make_shared<State>();
 };
+
+// Whether a condition that nothing announces comes true within a minute, which
+// is longer than anything takes that does not hang.
+inline bool Eventually(const std::function<bool()>& condition) {
+  const auto latest =
+      std::chrono::steady_clock::now() + std::chrono::minutes(1);
+  while (!condition()) {
+    if (std::chrono::steady_clock::now() > latest) return false;
+    std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  }
+  return true;
+}
 
 }  // namespace revisit::server
 

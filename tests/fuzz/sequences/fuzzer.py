@@ -302,7 +302,7 @@ class Worker:
         """An export that took nothing for twice the limit is cut where it
         stands, since no trailer would reach it; the log says why, a moment
         later."""
-        until = time.monotonic() + 5
+        until = time.monotonic() + END_SECONDS
         while call.method.server_streaming and time.monotonic() < until:
             if any("SLOW_CONSUMER" in line and call.vehicle_id in line
                    for line in self.server.log().splitlines()):

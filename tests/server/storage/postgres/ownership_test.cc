@@ -54,16 +54,6 @@ class TestClock {
   std::atomic<std::int64_t> now_{1'000'000};
 };
 
-bool Eventually(const std::function<bool()>& condition) {
-  const auto latest =
-      std::chrono::steady_clock::now() + std::chrono::seconds(20);
-  while (!condition()) {
-    if (std::chrono::steady_clock::now() > latest) return false;
-    std::this_thread::sleep_for(milliseconds(5));
-  }
-  return true;
-}
-
 BatchRecord One(std::uint64_t sequence) {
   return BatchRecord{sequence, 1, sequence + 1,
                      "pose " + std::to_string(sequence)};
