@@ -87,6 +87,12 @@ CLAIMS = [
                 'documented("helm install")',)),
             ("helm upgrade", "tests/orchestration/test_chart.py", (
                 'documented("helm upgrade")',)),
+            ("kubectl patch pvc", "tests/orchestration/test_chart_started.py", (
+                "kubectl patch pvc store-fleet-0 --patch", '"PATCH"')),
+            ("kubectl delete statefulset",
+             "tests/orchestration/test_chart_started.py", (
+                 "kubectl delete statefulset fleet --cascade=orphan",
+                 '"propagationPolicy": "Orphan"')),
             ("deploy/compose/prepare", "tests/orchestration/test_compose.py", (
                 '"deploy/compose/prepare"',)),
             ("docker compose", "tests/orchestration/test_compose_started.py", (

@@ -17,6 +17,9 @@ BIN = pathlib.Path(os.environ["REVISIT_BIN"])
 SCHEMAS = (pathlib.Path(kubernetes_validate.__file__).parent
            / "kubernetes-json-schema")
 
+# Commands in one line each.
+OPERATE = (ROOT / "docs/operate.md").read_text().replace("\\\n", "")
+
 # The oldest version that the chart allows, and the newest that there are schemas of.
 KUBERNETES = ("1.25.0", "1.37.0")
 
@@ -195,9 +198,8 @@ def test_pods_are_restricted_as_kubernetes_calls_it(values):
 
 def documented(command):
     """The arguments of each such command of helm in docs/operate.md after the chart."""
-    text = (ROOT / "docs/operate.md").read_text().replace("\\\n", "")
     return [arguments.replace("--reuse-values", "").split() for arguments in re.findall(
-        rf"^{command} fleet deploy/chart (.*)$", text, re.MULTILINE)]
+        rf"^{command} fleet deploy/chart (.*)$", OPERATE, re.MULTILINE)]
 
 
 def test_documented_commands_make_one_server_and_then_several():

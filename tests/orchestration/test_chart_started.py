@@ -18,7 +18,8 @@ import yaml
 from kubernetes_cluster import (BIN, NODE, TOOLS, Cluster, RefusedError, run,
                                 wait_until)
 from private_cluster import Processes
-from test_chart import CHART, CLUSTER, GUARDED, OPEN, ROOT, WAYS, documented, flags
+from test_chart import (CHART, CLUSTER, GUARDED, OPEN, OPERATE, ROOT, WAYS, documented,
+                        flags)
 
 if "REVISIT_CLUSTER_CGROUP" not in os.environ:
     pytest.skip("tests/orchestration/run --cluster starts a Kubernetes",
@@ -128,13 +129,13 @@ class Namespace:
         """Runs `revisit` beside the pods, through the service."""
         return run(BIN / "revisit", *arguments, "--server", f"{self.host()}:50051")
 
-    def add_volume(self, name):
+    def add_volume(self, name, storage_class=""):
         """Makes a folder of the node the volume that the single server gets."""
         folder = VOLUMES / name
         folder.mkdir(parents=True)
         self.cluster.ask("POST", "/api/v1/persistentvolumes", {
             "metadata": {"name": name}, "spec": {
-                "capacity": {"storage": "20Gi"}, "accessModes": ["ReadWriteOnce"],
+                "storageClassName": storage_class, "capacity": {"storage": "20Gi"}, "accessModes": ["ReadWriteOnce"],
                 "local": {"path": str(folder)},
                 "claimRef": {"namespace": self.name, "name": "store-fleet-0"},
                 "nodeAffinity": {"required": {"nodeSelectorTerms": [{
@@ -250,8 +251,12 @@ def poses(namespace, vehicle):
 
 
 def test_server_of_a_volume_has_its_poses_after_upgrades(maps):
-    maps.add_volume("kept")
-    maps.install({**OPEN, **SMALL}, "--wait", "--timeout", "60s")
+    maps.cluster.ask("POST", "/apis/storage.k8s.io/v1/storageclasses", {
+        "metadata": {"name": "growing"}, "allowVolumeExpansion": True,
+        "provisioner": "kubernetes.io/no-provisioner"})
+    maps.add_volume("kept", "growing")
+    values = {**OPEN, **SMALL, "store.sqlite.storageClassName": "growing"}
+    maps.install(values, "--wait", "--timeout", "60s")
     stream(maps, "shuttle-7")
     assert poses(maps, "shuttle-7") == 2076
 
@@ -260,7 +265,13 @@ def test_server_of_a_volume_has_its_poses_after_upgrades(maps):
     assert pod["spec"]["containers"][0]["image"] == "localhost/revisit:next"
     assert poses(maps, "shuttle-7") == 2076
 
-    # A larger volume, as documented.
+    # A larger volume, as documented. The kind of storage that there is here takes the
+    # claim, and does not grow.
+    [claim] = re.findall(r"^kubectl patch pvc store-fleet-0 --patch +'(.*)'$",
+                         OPERATE, re.MULTILINE)
+    maps.cluster.ask("PATCH", maps.path("persistentvolumeclaims", "store-fleet-0"),
+                     json.loads(claim), kind="application/strategic-merge-patch+json")
+    assert "kubectl delete statefulset fleet --cascade=orphan\n" in OPERATE
     maps.cluster.ask("DELETE", maps.path("statefulsets", "fleet"),
                      {"propagationPolicy": "Orphan"})
     wait_until(lambda: workload(maps) is None, "end of the StatefulSet")
@@ -273,7 +284,7 @@ def test_server_of_a_volume_has_its_poses_after_upgrades(maps):
     assert poses(maps, "shuttle-7") == 2076
 
     maps.cluster.helm("uninstall", "fleet", "--namespace", maps.name, "--wait")
-    maps.install({**OPEN, **SMALL}, "--wait", "--timeout", "60s")
+    maps.install(values, "--wait", "--timeout", "60s")
     assert poses(maps, "shuttle-7") == 2076
 
 
