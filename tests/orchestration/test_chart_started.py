@@ -135,7 +135,8 @@ class Namespace:
         folder.mkdir(parents=True)
         self.cluster.ask("POST", "/api/v1/persistentvolumes", {
             "metadata": {"name": name}, "spec": {
-                "storageClassName": storage_class, "capacity": {"storage": "20Gi"}, "accessModes": ["ReadWriteOnce"],
+                "storageClassName": storage_class,
+                "capacity": {"storage": "20Gi"}, "accessModes": ["ReadWriteOnce"],
                 "local": {"path": str(folder)},
                 "claimRef": {"namespace": self.name, "name": "store-fleet-0"},
                 "nodeAffinity": {"required": {"nodeSelectorTerms": [{
