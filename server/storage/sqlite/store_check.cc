@@ -18,8 +18,6 @@
 namespace revisit::server {
 namespace {
 
-constexpr std::size_t kListedNames = 20;
-
 // A text of the database's size and times, which changes when anybody writes to
 // it.
 std::string LooksOf(const std::string& path) {
@@ -216,18 +214,6 @@ absl::StatusOr<StoreReport> CheckStore(const std::string& path, StoreUse use) {
                                     files.vehicles.end());
   }
   return report;
-}
-
-std::string Listed(const std::set<std::string>& names) {
-  std::string text;
-  std::size_t listed = 0;
-  for (const std::string& name : names) {
-    if (listed == kListedNames) {
-      return text + " and " + std::to_string(names.size() - listed) + " more";
-    }
-    text += (listed++ == 0 ? "" : ", ") + name;
-  }
-  return text;
 }
 
 }  // namespace revisit::server

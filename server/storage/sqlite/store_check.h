@@ -3,7 +3,6 @@
 #define REVISIT_SERVER_STORAGE_SQLITE_STORE_CHECK_H_
 
 #include <cstdint>
-#include <set>
 #include <string>
 #include <vector>
 
@@ -47,9 +46,6 @@ absl::StatusOr<std::vector<std::string>> FindStructuralDamage(
 // store cannot be opened at all: as OpenSqliteStorageToRead() does, or if its
 // files do not belong together.
 absl::StatusOr<StoreReport> CheckStore(const std::string& path, StoreUse use);
-
-// "a, b and 3 more".
-std::string Listed(const std::set<std::string>& names);
 
 }  // namespace revisit::server
 

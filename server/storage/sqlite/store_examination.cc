@@ -1,6 +1,7 @@
 #include "server/storage/sqlite/store_examination.h"
 
 #include <algorithm>
+#include <cstddef>
 #include <cstdint>
 #include <filesystem>
 #include <memory>
@@ -20,6 +21,8 @@
 
 namespace revisit::server {
 namespace {
+
+constexpr std::size_t kListedNames = 20;
 
 // The content of a database without its log.
 struct FileContent {
@@ -228,6 +231,18 @@ std::string LostIn(const StoreExamination& examination) {
 }
 
 }  // namespace
+
+std::string Listed(const std::set<std::string>& names) {
+  std::string text;
+  std::size_t listed = 0;
+  for (const std::string& name : names) {
+    if (listed == kListedNames) {
+      return text + " and " + std::to_string(names.size() - listed) + " more";
+    }
+    text += (listed++ == 0 ? "" : ", ") + name;
+  }
+  return text;
+}
 
 absl::Status CheckDatabaseIsThere(const std::string& store) {
   std::error_code error;

@@ -34,6 +34,9 @@ struct StoreExamination {
   bool has_no_log = false;
 };
 
+// Names of vehicles for a message: "a, b and 3 more".
+std::string Listed(const std::set<std::string>& names);
+
 // OK if there is a database that is not empty. DATA_LOSS (STORE_CORRUPT) if it
 // is empty, or missing beside other files of the store; NOT_FOUND if there is
 // nothing at all.

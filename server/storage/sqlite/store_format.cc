@@ -6,7 +6,6 @@
 #include <string>
 
 #include "server/base/status.h"
-#include "server/storage/record_check.h"
 #include "server/storage/sqlite/store_state.h"
 #include "server/storage/storage.h"
 

@@ -14,10 +14,11 @@
 #include <vector>
 
 #include "server/base/status.h"
-#include "server/storage/record_check.h"
 #include "server/storage/sqlite/store_check.h"
+#include "server/storage/sqlite/store_examination.h"
 #include "server/storage/sqlite/store_files.h"
 #include "server/storage/sqlite/store_format.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {
