@@ -88,18 +88,25 @@ def test_new_poses_with_the_old_revision_after_them_are_refused():
     assert any(each is revise for each in violation.window)
 
 
-@pytest.mark.parametrize("sequence, expected, told", [
-    (1, 1, ("other revision", 2)), (2, 1, ("no pose",)),
-    (2, 2, ("no pose",)), (2, 0, ("no pose",)),
-    (1, 3, ("other revision", 2)), (2, 3, ("other revision", 2))])
-def test_revision_that_cannot_be_made_has_one_answer(sequence, expected, told):
+@pytest.mark.parametrize("in_loss, sequence, expected, told", [
+    (False, 1, 1, ("other revision", 2)), (False, 2, 1, ("no pose",)),
+    (False, 2, 2, ("no pose",)), (False, 2, 0, ("no pose",)),
+    (False, 1, 3, ("other revision", 2)), (False, 2, 3, ("other revision", 2)),
+    (True, 1, 0, ("loss", 1)), (True, 1, 2, ("loss", 1)),
+    (True, 2, 0, ("no pose",)), (True, 2, 3, ("no pose",)),
+    (True, 2, 4, ("other revision", 3))])
+def test_revision_that_cannot_be_made_has_one_answer(
+        in_loss, sequence, expected, told):
     def revise(result):
-        return did("revise", ((sequence, 77),), expected, at=(4, 5),
+        return did("revise", ((sequence, 77),), expected, at=(6, 7),
                    result=result)
 
     before = [create(), append(1, 1, at=(2, 3), result=("ack", 1, 2))]
+    if in_loss:
+        before.append(did("open", 9, "u", at=(4, 5), result=("loss", 1)))
     decide(*before, revise(told))
-    for another in {("other revision", 2), ("no pose",), ("revised", 3)}:
+    for another in {("other revision", 2), ("other revision", 3), ("no pose",),
+                    ("loss", 1), ("revised", 3), ("revised", 4)}:
         if another != told:
             refused(*before, revise(another))
 

@@ -118,6 +118,10 @@ def apply(vehicle, operation):
     handler = _HANDLERS[operation.kind]
     if operation.kind != "create" and vehicle is None:
         return []
+    if operation.kind == "revise":
+        refusal = _refusal_of_poses(vehicle, *operation.arguments)
+        if refusal is not None:
+            return _if(result == refusal, vehicle)
     if operation.kind in _WRITES and (
             vehicle.loss or result and result[0] == "loss"):
         refused = result is not None and result[0] == "loss" \
@@ -247,20 +251,22 @@ def _open(vehicle, result, acked, uid):
     return _changed(vehicle, None, loss=True)
 
 
+def _refusal_of_poses(vehicle, revised, expected):
+    """What a revision is told as its poses come, before anything else is looked
+    at: that the vehicle has not come so far, or does not have a pose. That it has
+    gone on since `expected`, or is in loss, is told once all have come."""
+    if expected > vehicle.revision:
+        return "other revision", vehicle.revision
+    if max(sequence for sequence, _ in revised) > len(vehicle.current):
+        return ("no pose",)
+    return None
+
+
 def _revise(vehicle, result, revised, expected):
     kind = "revised" if result is None else result[0]
-    # Poses are looked for as they come. That the vehicle has gone on since
-    # `expected` is told once all have come, that it has not come so far at once.
-    is_ahead = expected > vehicle.revision
-    missing = not is_ahead and (
-        max(sequence for sequence, _ in revised) > len(vehicle.current))
-    if kind == "no pose":
-        return _if(missing, vehicle)
-    if missing:
-        return []
     if kind == "other revision":
         return _if(expected != result[1] == vehicle.revision, vehicle)
-    if expected not in (0, vehicle.revision):
+    if kind == "no pose" or expected not in (0, vehicle.revision):
         return []
     revision = None if result is None else result[1]
     return _changed(vehicle, revision,
