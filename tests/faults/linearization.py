@@ -20,7 +20,7 @@ import dataclasses
 import typing
 
 # A history that leaves more possibilities than this is not decided.
-MOST_CONFIGURATIONS = 200_000
+MOST_CONFIGURATIONS = 20000
 
 
 @dataclasses.dataclass(eq=False)
