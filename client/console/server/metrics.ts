@@ -6,7 +6,7 @@ import {type Client, Code, ConnectError, createClient, type Transport} from
 import {PoseGraphService} from '../gen/revisit/v1/pose_graph_service_pb.js';
 import {type MetricsPage, Scraper, type ServerMetrics} from './scrape.js';
 
-/** What the page gets. */
+/** The answer to the page's question. */
 export interface MetricsAnswer {
   /** Milliseconds since 1970 at which it was made. */
   time: number;

@@ -9,14 +9,14 @@ export interface Scrape {
   samples: MetricSample[];
 }
 
-/** Where one server tells its metrics. */
+/** The page on which one server tells its metrics. */
 export interface MetricsPage {
   /** Unique among the pages of a console. */
   name: string;
   url: string;
 }
 
-/** That a server does not answer, or with something else than metrics. */
+/** A server does not answer, or answers something else than metrics. */
 export interface Silence {
   /** Milliseconds since 1970 at which it was first asked in vain. */
   since: number;

@@ -1,4 +1,5 @@
-// What is kept of the servers' metrics while the page is open.
+// The page keeps the servers' last readings, for rates, and a point of each curve a
+// second, for as long as it is open.
 import type {MetricsAnswer} from '../../server/metrics.js';
 import type {ServerMetrics, Silence} from '../../server/scrape.js';
 import {Interval, type Measures, quantile, type Quantile, Reading} from
@@ -30,7 +31,7 @@ export interface Point {
 
 export interface ServerHistory {
   name: string;
-  /** Those of the last WINDOW_MILLISECONDS, all of one process. */
+  /** Readings of the last WINDOW_MILLISECONDS, all of one process. */
   readings: Reading[];
   /** From the first to the last of them; undefined without any. While the
    * server is silent it is as it was before. */

@@ -1,4 +1,4 @@
-// Numbers of several servers together.
+// Adds up the numbers of several servers.
 import type {Labels, Measures} from './readings.js';
 
 function sum(values: Array<number|undefined>): number|undefined {

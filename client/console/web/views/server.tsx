@@ -97,7 +97,7 @@ function curvesOf(samples: Sample[], tellsResident: boolean): Curve[] {
   ];
 }
 
-/** What the server that answers the page's calls says of itself. */
+/** The server that answers the page's calls says these of itself. */
 function AnsweringServer({last, facts, curves}:
     {last: Sample, facts: Fact[], curves: Curve[]}) {
   return (

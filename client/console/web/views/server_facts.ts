@@ -4,7 +4,7 @@ import type {Measures} from '../data/readings.js';
 import type {Fact} from '../parts/facts.js';
 import {age, bytes, count, fixed, rate} from '../parts/format.js';
 
-/** Those facts whose metric the server has. */
+/** The facts whose metric the server has. */
 function known(facts: Array<[string, string|undefined]>): Fact[] {
   return facts.filter((fact): fact is Fact =>
                           fact[1] !== undefined);

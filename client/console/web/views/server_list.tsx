@@ -20,7 +20,7 @@ interface Row {
   measures: Measures|undefined;
 }
 
-/** Where the view of one server is. */
+/** The address of the view of one server. */
 function addressOf(name: string): string {
   return `/server/${encodeURIComponent(name)}`;
 }

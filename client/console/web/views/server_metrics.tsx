@@ -21,12 +21,12 @@ import {EndTables, LatencyTable, LimitTable} from './server_tables.js';
 
 const POLL_MILLISECONDS = 1000;
 
-/** What is known of the servers, or why nothing is. */
+/** The servers' metrics, or why there are none. */
 export interface Metrics {
   history: History;
   /** The console tells this caller nothing. */
   refused: NoMetrics|undefined;
-  /** What there is, is from before. */
+  /** Why the newest answer is missing: the history ends before it. */
   error: string|undefined;
 }
 
@@ -105,7 +105,7 @@ function FactSection({title, facts}: {title: string, facts: Fact[]}) {
   );
 }
 
-/** What one server has, or several together. `beside` stands beside the calls,
+/** Numbers of one server, or of several together. `beside` stands beside the calls,
  * and `children` above the curves. */
 function Details({measures, points, facts, beside, children}: {
   measures: Measures, points: Point[], facts: Fact[],
