@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cassert>
 #include <cmath>
+#include <utility>
 
 #include "absl/status/status.h"
 #include "core/belief/begins_with_belief.h"
@@ -19,6 +20,10 @@ namespace {
 // Marks lie so close that a place found at one still tells the drift at the
 // next.
 constexpr double kMarksPerSequence = 3.0;
+
+// Fewer votes than this on a stamp could be those of one mistake, however short
+// the sequence.
+constexpr NodeIndex kLeastAgreeing = 10;
 
 // Marks whose evidence is kept for later searches before those that the search
 // at hand does not need are forgotten. A search needs at most a sixth of it.
@@ -79,7 +84,8 @@ Engine::Engine(const EngineSettings& settings)
       motion_history_(MakeMotionHistory()),
       block_bounds_(settings.state_space),
       monitor_(MakeConsistencyOptions(settings)),
-      model_check_(settings.max_step_meters) {
+      model_check_(settings.max_step_meters),
+      leap_watch_(MakeLeapWatch()) {
   assert(FindProblems(settings).empty());
   ScheduleNextCheck();
 }
@@ -126,6 +132,7 @@ AppendResult Engine::Append(const std::vector<PoseSample>& samples,
   AppendResult result;
   const CorrelationModel model = settings_.search.correlation_model;
   const std::optional<FindingCode> found_before = model_check_.Judge(model);
+  const bool had_leapt = leap_watch_.leap().has_value();
   for (const PoseSample& sample : samples) {
     assert(sample.sequence == last_sequence_ + 1);
     model_check_.Look(sample);
@@ -144,11 +151,31 @@ AppendResult Engine::Append(const std::vector<PoseSample>& samples,
     last_sequence_ = sample.sequence;
   }
   ExtendIndexes();
-  if (model_check_.Judge(model) != found_before) {
-    result.finding = model_check_.Find(model);
+  leap_watch_.Extend(graph_, dropped_);
+  const bool has_new_finding = model_check_.Judge(model) != found_before;
+  const bool has_leapt = !had_leapt && leap_watch_.leap();
+  if (has_new_finding || has_leapt) {
+    for (Finding& finding : findings()) {
+      if (finding.leap ? has_leapt : has_new_finding) {
+        result.findings.push_back(finding);
+      }
+    }
   }
   revision_ = revision;
   return result;
+}
+
+std::vector<Finding> Engine::findings() const {
+  std::vector<Finding> findings;
+  if (auto found = model_check_.Find(settings_.search.correlation_model)) {
+    findings.push_back(*found);
+  }
+  if (const auto leap = leap_watch_.leap()) {
+    Finding& finding = findings.emplace_back();
+    finding.code = FindingCode::kStampsLeap;
+    finding.leap = leap;
+  }
+  return findings;
 }
 
 void Engine::Skip(const DroppedStretch& stretch, std::uint64_t revision) {
@@ -188,15 +215,30 @@ RetentionNeeds Engine::MakeRetentionNeeds() const {
       static_cast<NodeIndex>(std::ceil(static_cast<double>(kDriftMarks + 1) *
                                        MarkSpacing() / spacing)) +
       2 * needs.aligned_nodes;
+  needs.agreeing_nodes = std::max(kLeastAgreeing, steps);
   needs.least_nodes = needs.aligned_nodes;
   return needs;
 }
 
-std::unique_ptr<DroppableSearch> Engine::SearchDroppable() const {
+LeapWatch Engine::MakeLeapWatch() const {
+  return {settings_.retention.max_age_ns, MakeRetentionNeeds().newest_nodes};
+}
+
+std::optional<std::int64_t> Engine::OldestStamp(
+    std::optional<std::int64_t> latest_ns) const {
+  if (!settings_.retention.max_age_ns) return std::nullopt;
+  const RetentionNeeds needs = MakeRetentionNeeds();
+  return core::OldestStamp(
+      graph_, {*settings_.retention.max_age_ns, needs.agreeing_nodes,
+               needs.newest_nodes, latest_ns});
+}
+
+std::unique_ptr<DroppableSearch> Engine::SearchDroppable(
+    std::optional<std::int64_t> latest_ns) const {
   RetentionNeeds needs = MakeRetentionNeeds();
   needs.loop_ends = LoopEnds();
   return std::make_unique<DroppableSearch>(graph_, settings_.retention,
-                                           std::move(needs));
+                                           std::move(needs), latest_ns);
 }
 
 bool Engine::Fits(const DroppableSearch& search) const {
@@ -218,13 +260,13 @@ void Engine::ChangeSettings(const EngineSettings& settings,
                             std::uint64_t revision) {
   assert(revision > revision_);
   assert(FindProblems(settings).empty());
-  assert(settings.state_space == settings_.state_space &&
-         settings.node_spacing_meters == settings_.node_spacing_meters &&
-         settings.max_step_meters == settings_.max_step_meters);
+  assert(!MovesNodes(settings_, settings));
   const bool monitored_alike =
       MakeConsistencyOptions(settings) == MakeConsistencyOptions(settings_);
+  if (!HaveSameMarks(settings_.search, settings.search)) {
+    ++mark_settings_version_;
+  }
   settings_ = settings;
-  ++settings_version_;
   revision_ = revision;
   if (!monitored_alike) RebuildMonitor();
   MotionHistory history = MakeMotionHistory();
@@ -233,6 +275,8 @@ void Engine::ChangeSettings(const EngineSettings& settings,
     motion_history_ = std::move(history);
     ExtendIndexes();
   }
+  leap_watch_ = MakeLeapWatch();
+  leap_watch_.Extend(graph_, dropped_);
   ScheduleNextCheck();
 }
 
@@ -413,6 +457,7 @@ bool Engine::LoadRest(absl::string_view bytes) {
   }
   motion_history_.EndLoading();
   ExtendIndexes();
+  leap_watch_.Extend(graph_, dropped_);
   return true;
 }
 
@@ -439,25 +484,9 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
     return set;
   };
 
-  const std::int64_t steps = SequenceNodes(options.sequence_length_meters,
-                                           settings_.node_spacing_meters);
-  if (query - graph_.SegmentStart(query) + 1 < steps) {
-    return empty(EmptyReason::kPathTooShort);
-  }
-  // Eq. 5: the graph without the nodes of the sequence.
-  const NodeIndex history_size = query - steps + 1;
-  if (history_size == 0) return empty(EmptyReason::kNoHistory);
-  if (graph_.node(query).travelled_meters - graph_.node(0).travelled_meters <
-      options.candidate_separation_meters) {
-    return empty(EmptyReason::kAllSuppressed);
-  }
-  const std::int64_t aligned = AlignedNodes(query, steps, options);
-  set.comparisons =
-      aligned * history_size *
-      static_cast<std::int64_t>(Directions(options.direction).size());
-  if (set.comparisons > options.max_comparisons) {
-    return empty(EmptyReason::kTooMuchWork);
-  }
+  const Extent extent = ExtentOfSearch(query, options);
+  set.comparisons = extent.comparisons;
+  if (extent.empty) return empty(*extent.empty);
 
   AlignmentParts parts;
   std::optional<DriveBelief> belief;
@@ -474,14 +503,14 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
       settings_.node_spacing_meters,
       MakeSimilarityModel(options),
       query,
-      aligned,
-      history_size,
+      extent.aligned,
+      extent.history_size,
       NotSought(query, options.candidate_separation_meters),
       LastConfirmed(query),
       std::move(belief),
       should_stop,
       &parts};
-  set.nodes_considered = history_size;
+  set.nodes_considered = extent.history_size;
   if (task.belief) set.scale = task.belief->Scale();
   const absl::Status status = options.alignment == AlignmentKind::kComposite
                                   ? SearchComposite(task, &set)
@@ -500,11 +529,89 @@ absl::StatusOr<CandidateSet> Engine::FindCandidates(
   return set;
 }
 
+Engine::Extent Engine::ExtentOf(NodeIndex query,
+                                const SearchOptions& options) const {
+  Extent extent;
+  const std::int64_t steps = SequenceNodes(options.sequence_length_meters,
+                                           settings_.node_spacing_meters);
+  if (query - graph_.SegmentStart(query) + 1 < steps) {
+    extent.empty = EmptyReason::kPathTooShort;
+    return extent;
+  }
+  // Eq. 5: the graph without the nodes of the sequence.
+  extent.history_size = query - steps + 1;
+  if (extent.history_size == 0) {
+    extent.empty = EmptyReason::kNoHistory;
+    return extent;
+  }
+  extent.aligned = AlignedNodes(query, steps, options);
+  extent.comparisons =
+      extent.aligned * extent.history_size *
+      static_cast<std::int64_t>(Directions(options.direction).size());
+  return extent;
+}
+
+Engine::Extent Engine::ExtentOfSearch(NodeIndex query,
+                                      const SearchOptions& options) const {
+  Extent extent = ExtentOf(query, options);
+  if (extent.empty) return extent;
+  if (graph_.node(query).travelled_meters - graph_.node(0).travelled_meters <
+      options.candidate_separation_meters) {
+    extent = Extent();
+    extent.empty = EmptyReason::kAllSuppressed;
+  } else if (extent.comparisons > options.max_comparisons) {
+    extent.empty = EmptyReason::kTooMuchWork;
+  }
+  return extent;
+}
+
+Engine::MarksBefore Engine::FindMarksBefore(NodeIndex query) const {
+  const std::int64_t last = Marks().LastBefore(query);
+  return {ScaleMarks(last), std::max<std::int64_t>(1, last - kDriftMarks + 1),
+          last};
+}
+
+std::int64_t Engine::ComparisonsOf(NodeIndex query,
+                                   const SearchOptions& options) const {
+  const Extent extent = ExtentOfSearch(query, options);
+  return extent.empty ? 0 : extent.comparisons;
+}
+
+std::optional<Engine::MissingMark> Engine::FindMissingMark(
+    NodeIndex query, const SearchOptions& options, MarkMemory* memory) const {
+  if (!BeginsWithBelief(options, settings_)) return std::nullopt;
+  const Extent search = ExtentOfSearch(query, options);
+  if (search.empty) return std::nullopt;
+  memory->Enter(mark_settings_version_);
+  const auto missing = [&](std::int64_t mark) {
+    const Extent extent =
+        ExtentOf(Marks().NodeOf(mark), MarkOptions(settings_.search));
+    return MissingMark{mark, extent.comparisons, search.comparisons};
+  };
+  const MarksBefore marks = FindMarksBefore(query);
+  for (const std::int64_t mark : marks.of_scale.marks) {
+    if (!memory->Find(mark)) return missing(mark);
+  }
+  for (std::int64_t mark = marks.first_of_drift; mark <= marks.last; ++mark) {
+    if (!memory->Find(mark)) return missing(mark);
+  }
+  return std::nullopt;
+}
+
+absl::Status Engine::LearnMark(const MissingMark& missing,
+                               const ShouldStop& should_stop,
+                               MarkMemory* memory) const {
+  const absl::StatusOr<MarkEvidence> found =
+      EvidenceAt(Marks().NodeOf(missing.mark), should_stop);
+  if (found.ok()) memory->Keep(missing.mark, *found);
+  return found.status();
+}
+
 absl::StatusOr<DriveBelief> Engine::BeliefAt(
     NodeIndex query, MarkMemory* memory, const ShouldStop& should_stop) const {
   MarkMemory none;
   if (memory == nullptr) memory = &none;
-  memory->Enter(settings_version_);
+  memory->Enter(mark_settings_version_);
   const MarkLine line = Marks();
   const auto evidence =
       [&](std::int64_t mark) -> absl::StatusOr<const MarkEvidence*> {
@@ -515,23 +622,20 @@ absl::StatusOr<DriveBelief> Engine::BeliefAt(
     return &memory->Keep(mark, *found);
   };
   DriveBelief belief;
-  const std::int64_t last = line.LastBefore(query);
-  const ScaleMarks scales(last);
-  const std::int64_t first_of_drift =
-      std::max<std::int64_t>(1, last - kDriftMarks + 1);
-  for (const std::int64_t mark : scales.marks) {
+  const MarksBefore marks = FindMarksBefore(query);
+  for (const std::int64_t mark : marks.of_scale.marks) {
     const auto found = evidence(mark);
     if (!found.ok()) return found.status();
-    belief.LearnScale(**found, scales.stride);
+    belief.LearnScale(**found, marks.of_scale.stride);
   }
-  for (std::int64_t mark = first_of_drift; mark <= last; ++mark) {
+  for (std::int64_t mark = marks.first_of_drift; mark <= marks.last; ++mark) {
     const auto found = evidence(mark);
     if (!found.ok()) return found.status();
     if (!ShowsDrift(**found, query)) continue;
     belief.LearnDrift(graph_, **found, kDriftReach * line.spacing_meters);
   }
   memory->Tidy(kMostMarksKept, [&](std::int64_t mark) {
-    return mark >= first_of_drift || mark % scales.stride == 0;
+    return mark >= marks.first_of_drift || mark % marks.of_scale.stride == 0;
   });
   return belief;
 }
@@ -582,11 +686,9 @@ bool Engine::ShowsDrift(const MarkEvidence& mark, NodeIndex query) const {
 absl::StatusOr<MarkEvidence> Engine::EvidenceAt(NodeIndex node,
                                                 const ShouldStop& should_stop,
                                                 AlignmentParts* parts) const {
-  const SearchOptions& options = settings_.search;
-  const std::int64_t steps = SequenceNodes(options.sequence_length_meters,
-                                           settings_.node_spacing_meters);
-  const NodeIndex history_size = node - steps + 1;
-  if (node - graph_.SegmentStart(node) + 1 < steps || history_size <= 0) {
+  const SearchOptions options = MarkOptions(settings_.search);
+  const Extent extent = ExtentOf(node, options);
+  if (extent.empty) {
     MarkEvidence nothing;
     nothing.node = node;
     return nothing;
@@ -599,8 +701,8 @@ absl::StatusOr<MarkEvidence> Engine::EvidenceAt(NodeIndex node,
        settings_.node_spacing_meters,
        ClaimedModel(settings_.state_space, options),
        node,
-       AlignedNodes(node, steps, options),
-       history_size,
+       extent.aligned,
+       extent.history_size,
        {NodesNearer(graph_, node, options.candidate_separation_meters)},
        std::nullopt,
        std::nullopt,

@@ -15,6 +15,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "core/alignment/confirmed_loop.h"
@@ -35,6 +36,8 @@
 #include "core/graph/motion_history.h"
 #include "core/graph/node_range.h"
 #include "core/graph/pose_graph.h"
+#include "core/graph/retention.h"
+#include "core/graph/stamps.h"
 #include "core/settings.h"
 
 namespace revisit::core {
@@ -44,9 +47,9 @@ struct AppendResult {
   // Nodes at which a check is due: the first node at or after each multiple of
   // the check interval, from two sequence lengths on.
   std::vector<NodeIndex> checks_due;
-  // What the poses have come to contradict the model by, if they did not
+  // What the poses have come to contradict the settings by, if they did not
   // before.
-  std::optional<Finding> finding;
+  std::vector<Finding> findings;
 };
 
 class Engine {
@@ -67,11 +70,9 @@ class Engine {
   // The revision that the last change was given; 0 before the first.
   std::uint64_t revision() const { return revision_; }
 
-  // What the poses so far contradict the vehicle's correlation model by, if
-  // anything: a function of these and of the model.
-  std::optional<Finding> finding() const {
-    return model_check_.Find(settings_.search.correlation_model);
-  }
+  // What the poses so far contradict the vehicle's settings by: a function of
+  // these and of the settings. At most one of each code.
+  std::vector<Finding> findings() const;
 
   // REQUIRES: samples without defect, whose sequence numbers follow
   // last_sequence(); revision greater than revision().
@@ -89,8 +90,12 @@ class Engine {
 
   // A search for the nodes that the vehicle's settings do not keep
   // (retention.h). Poses may be appended, and loop closures added, while it
-  // goes on.
-  std::unique_ptr<DroppableSearch> SearchDroppable() const;
+  // goes on. `latest_ns`: see DroppableSearch.
+  std::unique_ptr<DroppableSearch> SearchDroppable(
+      std::optional<std::int64_t> latest_ns) const;
+  // The stamp before which nodes are too old, if any is (stamps.h).
+  std::optional<std::int64_t> OldestStamp(
+      std::optional<std::int64_t> latest_ns) const;
   // Whether the settings are still those with which the search, of this engine,
   // began.
   bool Fits(const DroppableSearch& search) const;
@@ -177,6 +182,32 @@ class Engine {
       NodeIndex query, const SearchOptions& options,
       const ShouldStop& should_stop, MarkMemory* memory = nullptr) const;
 
+  // A mark that a search begins with and that the memory does not know.
+  struct MissingMark {
+    std::int64_t mark;
+    // As CandidateSet::comparisons: of the mark, and of the search that needs
+    // it.
+    std::int64_t comparisons;
+    std::int64_t comparisons_of_search;
+  };
+  // CandidateSet::comparisons of the search, before it is made, without those
+  // of marks; 0 if there is nothing to compare, or too much. REQUIRES: as for
+  // FindCandidates().
+  std::int64_t ComparisonsOf(NodeIndex query,
+                             const SearchOptions& options) const;
+  // The first mark that is missing for this search, if any. Whoever has all of
+  // them learned first can do other work between them; FindCandidates() learns
+  // those that are still missing itself, without counting them, and answers the
+  // same. REQUIRES: as for FindCandidates().
+  std::optional<MissingMark> FindMissingMark(NodeIndex query,
+                                             const SearchOptions& options,
+                                             MarkMemory* memory) const;
+  // Returns CANCELLED if told to stop. REQUIRES: the mark is missing for a
+  // search of this graph and memory.
+  absl::Status LearnMark(const MissingMark& missing,
+                         const ShouldStop& should_stop,
+                         MarkMemory* memory) const;
+
   // Candidates at the newest node; kPathTooShort if the graph is empty.
   absl::StatusOr<CandidateSet> FindCandidates(
       const SearchOptions& options, const ShouldStop& should_stop,
@@ -197,17 +228,37 @@ class Engine {
   MotionHistory MakeMotionHistory() const;
   // Without loop ends.
   RetentionNeeds MakeRetentionNeeds() const;
+  LeapWatch MakeLeapWatch() const;
   // Adds the graph's new nodes to its indexes.
   void ExtendIndexes();
   // Estimates the consistency anew from all confirmed loops.
   void RebuildMonitor();
-  // Nodes of the path that a search aligns with the history. REQUIRES: the
-  // query's segment has as many nodes as the sequence up to the query.
+  // The nodes that are compared at a query.
+  struct Extent {
+    // Why there is nothing to compare.
+    std::optional<EmptyReason> empty;
+    // Nodes of the path that is aligned with the history.
+    std::int64_t aligned = 0;
+    NodeIndex history_size = 0;
+    std::int64_t comparisons = 0;
+  };
+  Extent ExtentOf(NodeIndex query, const SearchOptions& options) const;
+  // The same of a search, which may also be refused.
+  Extent ExtentOfSearch(NodeIndex query, const SearchOptions& options) const;
+  // REQUIRES: the query's segment has as many nodes as the sequence up to the
+  // query.
   std::int64_t AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,
                             const SearchOptions& options) const;
   // The last confirmed loop whose nodes both lie at or before the query.
   std::optional<ConfirmedLoop> LastConfirmed(NodeIndex query) const;
   SimilarityModel MakeSimilarityModel(const SearchOptions& options) const;
+  // The marks that show something at a query.
+  struct MarksBefore {
+    ScaleMarks of_scale;
+    std::int64_t first_of_drift;
+    std::int64_t last;
+  };
+  MarksBefore FindMarksBefore(NodeIndex query) const;
   // What the drive has shown before the query. Searches the marks that the
   // memory does not know. Returns CANCELLED if told to stop.
   absl::StatusOr<DriveBelief> BeliefAt(NodeIndex query, MarkMemory* memory,
@@ -240,8 +291,8 @@ class Engine {
   DroppedStretches dropped_;
   std::uint64_t last_sequence_ = 0;
   std::uint64_t revision_ = 0;
-  // Counts the changes of settings, under which marks show something else.
-  std::uint64_t settings_version_ = 1;
+  // Counts the changes of settings under which marks show something else.
+  std::uint64_t mark_settings_version_ = 1;
   struct Confirmed {
     std::uint64_t query_sequence;
     std::uint64_t matched_sequence;
@@ -253,6 +304,7 @@ class Engine {
   std::vector<std::pair<NodeIndex, NodeIndex>> rejected_;
   ConsistencyMonitor monitor_;
   ModelCheck model_check_;
+  LeapWatch leap_watch_;
   // The next check is due at this many check intervals.
   std::int64_t next_check_ = 0;
 };

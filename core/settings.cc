@@ -65,6 +65,16 @@ std::vector<SettingProblem> FindProblems(const SearchOptions& options,
   return problems;
 }
 
+bool MovesNodes(const EngineSettings& before, const EngineSettings& after) {
+  const auto carries_transitions = [](const EngineSettings& settings) {
+    return settings.search.correlation_model == CorrelationModel::kFilter;
+  };
+  return before.state_space != after.state_space ||
+         before.node_spacing_meters != after.node_spacing_meters ||
+         before.max_step_meters != after.max_step_meters ||
+         carries_transitions(before) != carries_transitions(after);
+}
+
 double LongestStep(double node_spacing_meters) {
   if (!(node_spacing_meters >= kLeastSpacingMeters)) return kLongestStepMeters;
   return std::min(kLongestStepMeters,

@@ -167,6 +167,10 @@ std::vector<SettingProblem> FindProblems(const EngineSettings& settings);
 std::vector<SettingProblem> FindProblems(const SearchOptions& options,
                                          const EngineSettings& vehicle);
 
+// Whether the same poses make another graph under the settings after than under
+// those before.
+bool MovesNodes(const EngineSettings& before, const EngineSettings& after);
+
 // The default maximal step, or the longest that is allowed with this spacing if
 // that is less.
 double DefaultMaxStep(double node_spacing_meters);

@@ -11,6 +11,7 @@
 #include "server/storage/record_check.h"
 #include "server/storage/sqlite/sqlite_storage.h"
 #include "server/storage/sqlite/store_files.h"
+#include "server/store_wait.h"
 
 namespace revisit::server {
 namespace {
@@ -53,7 +54,7 @@ absl::StatusOr<OpenedStore> OpenFile(const ServerSettings& settings,
   absl::StatusOr<std::unique_ptr<Storage>> storage =
       OpenSqliteStorage(*file, options);
   if (!storage.ok()) return storage.status();
-  return OpenedStore{*std::move(storage), *file,
+  return OpenedStore{*std::move(storage), *file, *file,
                      std::filesystem::absolute(*file).parent_path().string()};
 }
 
@@ -71,14 +72,15 @@ absl::StatusOr<OpenedStore> OpenDatabase(const ServerSettings& settings,
       static_cast<std::int64_t>(settings.lease_seconds * 1000.0));
   options.ownership.beat_period = options.ownership.lease / kBeatsPerLease;
   options.ownership.warn = WarnIn(log);
+  StoreWait wait(StoreWaitTime(settings), WarnIn(log));
   absl::StatusOr<std::unique_ptr<Storage>> storage =
-      OpenPostgresStorage(settings.store, options);
+      wait.Until([&] { return OpenPostgresStorage(settings.store, options); });
   if (!storage.ok()) return storage.status();
   std::error_code error;
   const std::filesystem::path scratch =
       std::filesystem::temp_directory_path(error);
   return OpenedStore{*std::move(storage), WithoutSecrets(settings.store),
-                     error ? "/tmp" : scratch.string()};
+                     /*file=*/"", error ? "/tmp" : scratch.string()};
 }
 
 }  // namespace

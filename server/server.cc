@@ -35,7 +35,11 @@
 #include "server/service/pose_graph_service.h"
 #include "server/service/reflection.h"
 #include "server/sessions/executor.h"
+#include "server/sessions/fair_executor.h"
 #include "server/sessions/fleet.h"
+#include "server/sessions/vehicle_census.h"
+#include "server/storage/store_note.h"
+#include "server/store_health.h"
 #include "server/telemetry/audit_log.h"
 #include "server/telemetry/service_counters.h"
 
@@ -50,14 +54,11 @@ constexpr std::chrono::milliseconds kGoodbyeTimeAfterCalls{2000};
 // Calls of a connection that may have ended and wait to be cleared away, 20 MB
 // at most. Calls that ended well also take a moment to be cleared away.
 constexpr std::int64_t kCallsToClear = 1000;
-// Calls at a time, including those that wait to be cleared away, of all
-// connections together that have not had a call let in: 30 MB, and as much
-// again may come between two looks.
-constexpr std::int64_t kUnadmittedCalls = 1500;
-// Name in the health service for writes alone: reads go on while the store
-// takes no writes.
-constexpr char kWriteHealth[] = "revisit.v1.PoseGraphService/write";
-constexpr std::chrono::milliseconds kWriteHealthPeriod{1000};
+// Bytes, by estimate, that gRPC may hold for the calls of all connections
+// together that have not had a call let in.
+constexpr std::uint64_t kUnadmittedMemory = std::uint64_t{64} << 20;
+// The part of the processors that such connections may take.
+constexpr double kUnadmittedShare = 0.05;
 // How long the server may leave its own question without an answer and count as
 // alive: its threads are busy rather than stuck.
 constexpr std::chrono::milliseconds kLivenessPatience{10'000};
@@ -70,8 +71,15 @@ constexpr std::chrono::milliseconds kSnapshotPeriod{500};
 // here a snapshot is hardly larger than the poses that it stands for.
 constexpr double kMostNodesPerPoseInDatabase = 1.25;
 
+// How often rows of vehicles are read to count them, and how long after that
+// all of a store that others change too are read again.
+constexpr std::chrono::milliseconds kCensusPeriod{1000};
+constexpr std::chrono::minutes kCensusAgain{10};
+
 // How often memory is measured if no call does so.
 constexpr std::chrono::milliseconds kMemoryPeriod{500};
+// How often freed memory is given back to the system. Much of it is at once.
+constexpr std::chrono::milliseconds kTrimPeriod{2000};
 
 std::chrono::milliseconds Milliseconds(double seconds) {
   return std::chrono::milliseconds(static_cast<std::int64_t>(seconds * 1000.0));
@@ -94,38 +102,21 @@ std::unique_ptr<Periodic> MakeUnloadTimer(Fleet* fleet, Admission* admission,
   return std::make_unique<Periodic>(
       std::min(period, kMemoryPeriod),
       [=, idle_unload = options.idle_unload, next = Clock::now() + period,
-       trimmer = Trimmer()]() mutable {
+       next_trim = Clock::now(), trimmer = Trimmer()]() mutable {
         const auto now = Clock::now();
         const bool pressed = admission->UnderMemoryPressure();
-        if (!pressed && now < next) {
-          trimmer.TrimIfMuch();
-          return;
+        const bool unloads = pressed || now >= next;
+        if (unloads) {
+          next = now + period;
+          fleet->UnloadIdle(pressed ? now + idle_unload : now);
         }
-        next = now + period;
-        fleet->UnloadIdle(pressed ? now + idle_unload : now);
         if (pressed) {
           trimmer.Trim();
-        } else {
+        } else if (unloads || now >= next_trim) {
+          next_trim = now + kTrimPeriod;
           trimmer.TrimIfWorthwhile();
-        }
-      });
-}
-
-// Sets the health of writes by whether the store takes them.
-std::unique_ptr<Periodic> MakeWriteHealthTimer(
-    Storage* storage, grpc::HealthCheckServiceInterface* health,
-    const Log* log) {
-  return std::make_unique<Periodic>(
-      kWriteHealthPeriod, [=, taken_before = true]() mutable {
-        const absl::Status status = storage->CheckWritable();
-        if (status.ok() == taken_before) return;
-        taken_before = status.ok();
-        health->SetServingStatus(kWriteHealth, status.ok());
-        if (status.ok()) {
-          log->Write(LogLevel::kInfo, "writes_taken_again", {});
         } else {
-          log->Write(LogLevel::kWarning, "writes_refused",
-                     {{"reason", ReasonOf(status)}});
+          trimmer.TrimIfMuch();
         }
       });
 }
@@ -161,6 +152,10 @@ struct RevisitServer::State {
   // Health says NOT_SERVING from now on.
   void EndHealth();
 
+  // Has the next server of this store know how this one ended, or, until then,
+  // that it runs. A store in a database has no place for that.
+  void NoteRun(const char* word) const;
+
   // Answers the admin port, on its own thread.
   HttpResponse AnswerAdmin(const std::string& path) const;
   HttpResponse Liveness() const;
@@ -177,6 +172,10 @@ struct RevisitServer::State {
   std::optional<LibraryLogRoute> library_log;
   ProtoRecordCodec codec;
   std::string store_name;
+  // See OpenedStore.
+  std::string store_file;
+  // How the server before this one ended.
+  std::optional<StoreNote> last_exit;
   std::string scratch_directory;
   std::unique_ptr<Storage> storage;
   ServiceCounters counts;
@@ -184,7 +183,8 @@ struct RevisitServer::State {
   std::unique_ptr<AuditLog> audit;
   std::unique_ptr<Executor> executor;
   std::unique_ptr<Executor> read_executor;
-  std::unique_ptr<Executor> search_executor;
+  std::unique_ptr<FairExecutor> search_executor;
+  std::shared_ptr<VehicleCensus> census;
   std::unique_ptr<Fleet> fleet;
   std::unique_ptr<ConnectionMeters> meters;
   std::unique_ptr<Admission> admission;
@@ -192,6 +192,7 @@ struct RevisitServer::State {
   std::unique_ptr<Periodic> unload_timer;
   std::unique_ptr<Periodic> hand_over_timer;
   std::unique_ptr<Periodic> snapshot_timer;
+  std::unique_ptr<Periodic> census_timer;
   Drain drain;
   // Null if the listener speaks plaintext.
   std::unique_ptr<TlsFiles> tls_files;
@@ -207,7 +208,7 @@ struct RevisitServer::State {
   // drained.
   mutable Mutex liveness_mutex;
   std::unique_ptr<SelfCheck> liveness ABSL_GUARDED_BY(liveness_mutex);
-  std::unique_ptr<Periodic> write_health_timer;
+  std::unique_ptr<Periodic> store_health_timer;
   std::unique_ptr<ConnectionAcceptor> acceptor;
   std::function<void()> on_failure;
   std::atomic<bool> has_failed{false};
@@ -250,14 +251,17 @@ std::shared_ptr<grpc::ServerCredentials> ListenerCredentials(
                                              : settings.tls_client_certs);
 }
 
-// Most bytes of one read: some 3,000 calls that are reset at once.
+// Most bytes of one read. What is read by TLS is known only after it was
+// decrypted, so that is a record, with 1,800 calls at most.
 constexpr int kMaxReadBytes = 64 << 10;
+constexpr int kMaxTlsReadBytes = 16 << 10;
 
 int WholeMilliseconds(double seconds) {
   return static_cast<int>(Milliseconds(seconds).count());
 }
 
-void Configure(const Limits& limits, grpc::ServerBuilder* builder) {
+void Configure(const Limits& limits, WireContent content,
+               grpc::ServerBuilder* builder) {
   builder->SetMaxReceiveMessageSize(static_cast<int>(limits.max_message_bytes));
   // This version of gRPC inflates a message whole before it looks at its size:
   // a thousand times what came.
@@ -275,7 +279,9 @@ void Configure(const Limits& limits, grpc::ServerBuilder* builder) {
   // allowed (RFC 9113, 6.9): the last poses were lost with it.
   builder->AddChannelArgument(GRPC_ARG_HTTP2_BDP_PROBE, 0);
   // Bytes that were read are handled even if the connection is cut meanwhile.
-  builder->AddChannelArgument(GRPC_ARG_TCP_MAX_READ_CHUNK_SIZE, kMaxReadBytes);
+  builder->AddChannelArgument(
+      GRPC_ARG_TCP_MAX_READ_CHUNK_SIZE,
+      content == WireContent::kTls ? kMaxTlsReadBytes : kMaxReadBytes);
   builder->AddChannelArgument(GRPC_ARG_MAX_METADATA_SIZE,
                               limits.max_metadata_bytes);
   // The handshake lasts until the client's settings have come.
@@ -310,7 +316,17 @@ MeterBounds MetersOf(const Limits& limits) {
       static_cast<std::uint64_t>(limits.max_unadmitted_bytes);
   bounds.credit_bytes = static_cast<std::uint64_t>(limits.max_message_bytes +
                                                    limits.max_metadata_bytes);
+  bounds.max_held_calls =
+      static_cast<std::uint64_t>(limits.max_concurrent_streams) + kCallsToClear;
+  // Those that were reset are among them.
+  bounds.max_unadmitted_calls = static_cast<std::uint64_t>(
+      std::max<std::int64_t>(limits.max_concurrent_streams, kCallsToClear));
+  bounds.max_unadmitted_memory = kUnadmittedMemory;
   return bounds;
+}
+
+WireContent ContentOf(const ServerSettings& settings) {
+  return settings.tls_cert.empty() ? WireContent::kHttp2 : WireContent::kTls;
 }
 
 ConnectionAcceptor::Options AcceptorOptions(const ServerSettings& settings) {
@@ -321,9 +337,13 @@ ConnectionAcceptor::Options AcceptorOptions(const ServerSettings& settings) {
       settings.limits.max_connections_per_address;
   options.bounds.max_unadmitted_connections =
       settings.limits.max_unadmitted_connections;
-  options.bounds.max_held_calls =
-      settings.limits.max_concurrent_streams + kCallsToClear;
-  options.bounds.max_unadmitted_calls = kUnadmittedCalls;
+  options.bounds.unadmitted_work =
+      std::chrono::duration_cast<std::chrono::nanoseconds>(
+          std::chrono::duration<double>(
+              kUnadmittedShare *
+              std::max(1U, std::thread::hardware_concurrency())));
+  options.content =
+      settings.tls_cert.empty() ? WireContent::kHttp2 : WireContent::kTls;
   options.unacknowledged_timeout =
       Milliseconds(settings.limits.keepalive_timeout_seconds);
   return options;
@@ -422,10 +442,6 @@ HttpResponse RevisitServer::State::Readiness() const {
   if (const absl::Status status = storage->CheckWritable(); !status.ok()) {
     return {503, "not writable: " + std::string(status.message()) + "\n"};
   }
-  const std::optional<SharingState> sharing = storage->GetSharing();
-  if (sharing && !sharing->lease_holds) {
-    return {503, "not writable: the lease of the shared store has run out\n"};
-  }
   return {200, "ready\n"};
 }
 
@@ -438,8 +454,11 @@ MetricsSources RevisitServer::State::Sources() const {
     return from->accepted();
   };
   sources.fleet = fleet.get();
+  sources.census = census.get();
   sources.storage = storage.get();
   sources.min_free_bytes = settings.min_free_bytes;
+  sources.store_file = store_file;
+  sources.last_exit = last_exit;
   sources.tls_files = tls_files.get();
   sources.gatekeeper = gatekeeper.get();
   sources.log = log;
@@ -459,6 +478,8 @@ bool RevisitServer::State::OpenStore(StartError* error) {
     return false;
   }
   store_name = std::move(opened->name);
+  store_file = std::move(opened->file);
+  if (!store_file.empty()) last_exit = ReadNote(ExitNoteOf(store_file));
   scratch_directory = std::move(opened->scratch_directory);
   storage = std::move(opened->storage);
   return true;
@@ -476,7 +497,7 @@ void RevisitServer::State::StartFleet() {
   const int search_threads = settings.search_threads > 0
                                  ? settings.search_threads
                                  : std::max(2, processors);
-  search_executor = std::make_unique<Executor>("searches", search_threads);
+  search_executor = std::make_unique<FairExecutor>("searches", search_threads);
   Fleet::Options options;
   options.idle_unload = Milliseconds(settings.idle_unload_minutes * 60.0);
   if (settings.memory_budget_mebibytes > 0) {
@@ -497,9 +518,17 @@ void RevisitServer::State::StartFleet() {
          {"poses", static_cast<std::int64_t>(drop.poses)},
          {"first_kept_sequence",
           static_cast<std::int64_t>(drop.first_kept_sequence)},
+         {"nodes_too_old", drop.nodes_too_old},
+         {"nodes_covered", drop.nodes_covered},
          {"duration_ms",
           std::chrono::duration<double, std::milli>(drop.duration).count()}});
   };
+  const bool has_store_alone = !IsSharedStore(settings.store);
+  census = std::make_shared<VehicleCensus>(
+      storage.get(), &codec,
+      has_store_alone ? std::nullopt
+                      : std::optional<std::chrono::milliseconds>(kCensusAgain));
+  options.census = census;
   fleet = std::make_unique<Fleet>(
       storage.get(), &codec,
       Lanes(executor.get(), read_executor.get(), search_executor.get()),
@@ -515,6 +544,9 @@ void RevisitServer::State::StartFleet() {
       kHandOverPeriod, [fleet = fleet.get()] { fleet->HandOverWanted(); });
   snapshot_timer = std::make_unique<Periodic>(
       kSnapshotPeriod, [fleet = fleet.get()] { fleet->WriteSnapshots(); });
+  census_timer = std::make_unique<Periodic>(
+      kCensusPeriod, [census = census.get()] { census->Continue(); });
+  census_timer->Hasten();
 }
 
 void RevisitServer::State::StartService() {
@@ -550,7 +582,7 @@ void RevisitServer::State::StartService() {
 bool RevisitServer::State::Listen(StartError* error) {
   grpc::EnableDefaultHealthCheckService(settings.serve_health);
   grpc::ServerBuilder builder;
-  Configure(settings.limits, &builder);
+  Configure(settings.limits, ContentOf(settings), &builder);
   auto listening =
       ConnectionAcceptor::Listen(AcceptorOptions(settings), log, meters.get());
   if (!listening.ok()) {
@@ -574,14 +606,8 @@ bool RevisitServer::State::Listen(StartError* error) {
     *error = {kExitCannotListen, "cannot start a server at " + settings.listen};
     return false;
   }
-  if (auto* health = grpc_server->GetHealthCheckService()) {
-    health->SetServingStatus(true);
-    health->SetServingStatus(v1::PoseGraphService::service_full_name(), true);
-    health->SetServingStatus(kWriteHealth, true);
-    write_health_timer = MakeWriteHealthTimer(storage.get(), health, log);
-    // A server may start on a full disk.
-    write_health_timer->Hasten();
-  }
+  store_health_timer = FollowStore(storage.get(), &drain,
+                                   grpc_server->GetHealthCheckService(), log);
   acceptor->Start();
   return true;
 }
@@ -622,6 +648,7 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->StartFleet();
   state->StartService();
   if (!state->Listen(error)) return nullptr;
+  state->NoteRun(kRunning);
   state->phase = State::Phase::kServing;
   if (!state->Announce(error)) return nullptr;
   state->StartSelfChecks();
@@ -681,9 +708,18 @@ void RevisitServer::State::EndSelfChecks() {
 void RevisitServer::State::EndHealth() {
   phase = Phase::kDraining;
   // Stopped first: it would overwrite the health that is set here.
-  write_health_timer.reset();
+  store_health_timer.reset();
   if (auto* health = grpc_server->GetHealthCheckService()) {
     health->SetServingStatus(false);
+  }
+}
+
+void RevisitServer::State::NoteRun(const char* word) const {
+  if (store_file.empty()) return;
+  if (!WriteNote(ExitNoteOf(store_file),
+                 {word, std::chrono::system_clock::now()})) {
+    log->Write(LogLevel::kWarning, "exit_note_not_written",
+               {{"file", ExitNoteOf(store_file)}});
   }
 }
 
@@ -724,12 +760,18 @@ void RevisitServer::Shutdown() {
   state_->unload_timer.reset();
   state_->hand_over_timer.reset();
   state_->snapshot_timer.reset();
+  state_->census_timer.reset();
   state_->fleet.reset();
   state_->executor.reset();
   state_->read_executor.reset();
   state_->search_executor.reset();
   const CommitCounts counts = state_->storage->Counts();
+  // The note is written while this server still has the store, since the next
+  // one writes its own.
+  const bool had_failed = state_->has_failed;
+  state_->NoteRun(had_failed ? kStoreFailed : kStopped);
   state_->storage.reset();
+  if (state_->has_failed && !had_failed) state_->NoteRun(kStoreFailed);
   const std::chrono::duration<double, std::milli> duration =
       std::chrono::steady_clock::now() - start;
   state_->log->Write(LogLevel::kInfo, "stopped",

@@ -1,5 +1,6 @@
 #include "server/store_tasks.h"
 
+#include <chrono>
 #include <cstdint>
 #include <cstdio>
 #include <memory>
@@ -19,6 +20,8 @@
 #include "server/storage/sqlite/store_intake.h"
 #include "server/storage/sqlite/store_lock.h"
 #include "server/storage/store_copy.h"
+#include "server/storage/store_note.h"
+#include "server/store_wait.h"
 
 namespace revisit::server {
 namespace {
@@ -34,6 +37,13 @@ void Print(const StoreReport& report) {
       static_cast<long long>(report.loop_closures),
       static_cast<long long>(report.rejected_candidates),
       static_cast<long long>(report.snapshots));
+}
+
+// The time begins anew for each store of a task.
+StoreWait WaitFor(const ServerSettings& settings) {
+  return StoreWait(StoreWaitTime(settings), [](const std::string& message) {
+    std::fprintf(stderr, "revisitd: %s\n", message.c_str());
+  });
 }
 
 ExitCode Fail(const absl::Status& status) {
@@ -76,6 +86,13 @@ ExitCode BackUp(const std::string& file, const std::string& destination,
   if (!report.ok()) return Fail(report.status());
   Print(*report);
   std::printf("backup %s\n", destination.c_str());
+  const std::string note = BackupNoteOf(file);
+  if (!WriteNote(note, {kBackup, std::chrono::system_clock::now()})) {
+    std::fprintf(stderr,
+                 "revisitd: cannot write %s: no metric will say that this "
+                 "backup was made\n",
+                 note.c_str());
+  }
   return kExitOk;
 }
 
@@ -88,27 +105,33 @@ ExitCode Compact(const std::string& file) {
   return kExitOk;
 }
 
-ExitCode Migrate(const std::string& url) {
-  const absl::StatusOr<MigrationReport> report = MigrateDatabase(url);
+ExitCode Migrate(const std::string& url, StoreWait wait) {
+  const absl::StatusOr<MigrationReport> report =
+      wait.Until([&] { return MigrateDatabase(url); });
   if (!report.ok()) return Fail(report.status());
   std::printf("version before %d\nversion after %d\n", report->version_before,
               report->version_after);
   return kExitOk;
 }
 
-absl::StatusOr<std::unique_ptr<Storage>> OpenSource(const std::string& store) {
+absl::StatusOr<std::unique_ptr<Storage>> OpenSource(const std::string& store,
+                                                    StoreWait wait) {
   const auto in_use = [&](const std::string& by) {
     return absl::FailedPreconditionError(store + " is in use by " + by +
                                          ": end that first, so that nothing "
                                          "is written while it is copied");
   };
   if (IsSharedStore(store)) {
-    auto storage = OpenPostgresStorageToRead(store);
-    if (!storage.ok()) return storage;
-    const auto users = (*storage)->ListUsers();
-    if (!users.ok()) return users.status();
-    if (!users->empty()) return in_use("the server " + users->front().address);
-    return storage;
+    return wait.Until([&]() -> absl::StatusOr<std::unique_ptr<Storage>> {
+      auto storage = OpenPostgresStorageToRead(store);
+      if (!storage.ok()) return storage;
+      const auto users = (*storage)->ListUsers();
+      if (!users.ok()) return users.status();
+      if (!users->empty()) {
+        return in_use("the server " + users->front().address);
+      }
+      return storage;
+    });
   }
   const absl::StatusOr<std::string> file = ExistingStoreFile(store);
   if (!file.ok()) return file.status();
@@ -118,10 +141,10 @@ absl::StatusOr<std::unique_ptr<Storage>> OpenSource(const std::string& store) {
   return OpenSqliteStorageToRead(*file, SqliteDatabase::Mode::kReadOnly);
 }
 
-absl::StatusOr<StoreReport> CopyInto(const std::string& store,
-                                     Storage& source) {
+absl::StatusOr<StoreReport> CopyInto(const std::string& store, Storage& source,
+                                     StoreWait wait) {
   if (IsSharedStore(store)) {
-    const auto intake = FillDatabase(store);
+    const auto intake = wait.Until([&] { return FillDatabase(store); });
     if (!intake.ok()) return intake.status();
     return CopyStore(source, intake->get());
   }
@@ -132,19 +155,24 @@ absl::StatusOr<StoreReport> CopyInto(const std::string& store,
   return CopyStore(source, intake->get());
 }
 
-absl::StatusOr<StoreReport> CheckAny(const std::string& store) {
-  if (IsSharedStore(store)) return CheckDatabase(store);
+absl::StatusOr<StoreReport> CheckAny(const std::string& store, StoreWait wait) {
+  if (IsSharedStore(store)) {
+    return wait.Until([&] { return CheckDatabase(store); });
+  }
   const absl::StatusOr<std::string> file = ExistingStoreFile(store);
   if (!file.ok()) return file.status();
   return CheckStore(*file, StoreUse::kIdle);
 }
 
-ExitCode Import(const std::string& destination, const std::string& from) {
-  const auto source = OpenSource(from);
+ExitCode Import(const ServerSettings& settings, const std::string& from) {
+  const std::string& destination = settings.store;
+  const auto source = OpenSource(from, WaitFor(settings));
   if (!source.ok()) return Fail(source.status());
-  const absl::StatusOr<StoreReport> copied = CopyInto(destination, **source);
+  const absl::StatusOr<StoreReport> copied =
+      CopyInto(destination, **source, WaitFor(settings));
   if (!copied.ok()) return Fail(copied.status());
-  const absl::StatusOr<StoreReport> found = CheckAny(destination);
+  const absl::StatusOr<StoreReport> found =
+      CheckAny(destination, WaitFor(settings));
   if (found.ok() && found->problems.empty() && !HoldTheSame(*copied, *found)) {
     return Fail(absl::DataLossError(
         "the imported store does not hold what was copied: do not use it"));
@@ -169,13 +197,13 @@ ExitCode RunTaskOnDatabase(const ServerSettings& settings,
           "compact is for a store in a file; a database gives room back by "
           "itself (autovacuum), and all of it with VACUUM FULL");
     case StoreTask::Kind::kMigrate:
-      return Migrate(settings.store);
+      return Migrate(settings.store, WaitFor(settings));
     case StoreTask::Kind::kImport:
-      return Import(settings.store, task.other);
+      return Import(settings, task.other);
     case StoreTask::Kind::kVerify:
       break;
   }
-  return PrintFindings(CheckDatabase(settings.store));
+  return PrintFindings(CheckAny(settings.store, WaitFor(settings)));
 }
 
 ExitCode RunTaskOnFile(const ServerSettings& settings, const StoreTask& task) {
@@ -185,7 +213,7 @@ ExitCode RunTaskOnFile(const ServerSettings& settings, const StoreTask& task) {
         "brought up to date when it is opened");
   }
   if (task.kind == StoreTask::Kind::kImport) {
-    return Import(settings.store, task.other);
+    return Import(settings, task.other);
   }
   const absl::StatusOr<std::string> file = ExistingStoreFile(settings.store);
   if (!file.ok()) return Fail(file.status());

@@ -9,6 +9,7 @@
 
 #include "absl/strings/cord.h"
 #include "absl/strings/str_cat.h"
+#include "client/revisit/printable_text.h"
 #include "client/revisit/status.h"
 #include "google/protobuf/descriptor.h"
 #include "google/protobuf/message.h"
@@ -106,11 +107,18 @@ int ExitCodeOf(const absl::Status& status) {
 }
 
 std::string ErrorText(const absl::Status& status) {
-  const std::string text = IsLocal(status) || IsUsage(status)
-                               ? std::string(status.message())
+  // A wrong usage is told on several lines, and says nothing of a server.
+  const std::string text = IsUsage(status) ? std::string(status.message())
+                           : IsLocal(status)
+                               ? Printable(std::string(status.message()))
                                : Describe(status);
   const std::string hint = HintOf(status);
   return hint.empty() ? text : absl::StrCat(text, "\n", hint);
+}
+
+std::string JsonText(const nlohmann::ordered_json& json, bool pretty) {
+  return PrintableJson(
+      json.dump(pretty ? 1 : -1, ' ', false, Json::error_handler_t::replace));
 }
 
 std::string ToJson(const google::protobuf::Message& message, bool pretty) {
@@ -123,7 +131,7 @@ std::string ToJson(const google::protobuf::Message& message, bool pretty) {
   if (!status.ok()) return "null";
   Json json = Json::parse(text, nullptr, /*allow_exceptions=*/false);
   MakeNumbers(message.GetDescriptor(), &json);
-  return json.dump(pretty ? 1 : -1, ' ', false, Json::error_handler_t::replace);
+  return JsonText(json, pretty);
 }
 
 std::string ErrorToJson(const absl::Status& status) {
@@ -142,16 +150,18 @@ std::string ErrorToJson(const absl::Status& status) {
   if (!hint.empty()) error["hint"] = hint;
   Json whole;
   whole["error"] = std::move(error);
-  return whole.dump(-1, ' ', false, Json::error_handler_t::replace);
+  return JsonText(whole, false);
 }
 
 void PrintFields(const std::vector<std::pair<std::string, std::string>>& fields,
                  std::ostream& out) {
+  std::vector<std::pair<std::string, std::string>> printable;
   std::size_t width = 0;
   for (const auto& [name, value] : fields) {
-    width = std::max(width, name.size());
+    printable.emplace_back(Printable(name), Printable(value));
+    width = std::max(width, printable.back().first.size());
   }
-  for (const auto& [name, value] : fields) {
+  for (const auto& [name, value] : printable) {
     std::string line = name + std::string(width + 2 - name.size(), ' ') + value;
     line.erase(line.find_last_not_of(' ') + 1);
     out << line << '\n';
@@ -165,10 +175,10 @@ std::string Fixed(double value, int digits) {
   return error == std::errc() ? std::string(buffer, end) : "?";
 }
 
-Progress::Progress(const Console& console, std::string label,
+Progress::Progress(const Console& console, const std::string& label,
                    std::uint64_t total, std::string unit)
     : terminal_(console.progress_is_terminal),
-      label_(std::move(label)),
+      label_(Printable(label)),
       total_(total),
       unit_(std::move(unit)),
       start_(Clock::now()),

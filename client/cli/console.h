@@ -13,6 +13,7 @@
 #include "absl/status/status.h"
 #include "client/cli/table.h"
 #include "core/base/mutex.h"
+#include "nlohmann/json_fwd.hpp"
 
 namespace google::protobuf {
 class Message;
@@ -56,8 +57,12 @@ absl::Status LocalError(const absl::Status& status);
 int ExitCodeOf(const absl::Status& status);
 
 // Describes an error to people: a fault of this machine in its own words, an
-// error of the server with its code.
+// error of the server with its code. Fit for a terminal, as Describe() is.
 std::string ErrorText(const absl::Status& status);
+
+// JSON on one line unless `pretty`. Fit for a terminal: what could steer it, or
+// shows as nothing, is escaped (printable_text.h).
+std::string JsonText(const nlohmann::ordered_json& json, bool pretty);
 
 // A message as protobuf JSON, including fields that have their default value;
 // on one line unless `pretty`. Whole numbers of 64 bits are numbers, as all
@@ -68,7 +73,7 @@ std::string ToJson(const google::protobuf::Message& message, bool pretty);
 // "fieldViolations"}}, and "hint" if it has one, on one line.
 std::string ErrorToJson(const absl::Status& status);
 
-// Prints "name  value" lines with the values aligned.
+// Prints "name  value" lines with the values aligned, each Printable().
 void PrintFields(const std::vector<std::pair<std::string, std::string>>& fields,
                  std::ostream& out);
 
@@ -79,9 +84,10 @@ std::string Fixed(double value, int digits);
 // terminal, a line every few seconds elsewhere. Thread-safe.
 class Progress {
  public:
-  // `total` units of work; 0 if nobody knows how many.
-  Progress(const Console& console, std::string label, std::uint64_t total,
-           std::string unit);
+  // `total` units of work; 0 if nobody knows how many. The label is made
+  // Printable().
+  Progress(const Console& console, const std::string& label,
+           std::uint64_t total, std::string unit);
   // Ends the line of the bar.
   ~Progress();
 
@@ -89,7 +95,8 @@ class Progress {
   Progress& operator=(const Progress&) = delete;
 
   void Update(std::uint64_t done);
-  // Prints a line without spoiling the bar.
+  // Prints a line without spoiling the bar. What others said in it has to be
+  // Printable().
   void Note(const std::string& text);
 
  private:

@@ -1,7 +1,9 @@
 #include "client/cli/exact_text.h"
 
+#include <algorithm>
 #include <charconv>
 #include <cstdint>
+#include <limits>
 #include <system_error>
 
 #include "absl/strings/str_cat.h"
@@ -21,7 +23,7 @@ std::string Exact(double value) {
 
 std::string StampSeconds(const Timestamp& stamp) {
   std::int64_t seconds = stamp.seconds();
-  std::int64_t nanos = stamp.nanos();
+  std::int64_t nanos = std::clamp(stamp.nanos(), 0, 999'999'999);
   std::string sign;
   if (seconds < 0 && nanos > 0) {
     seconds += 1;
@@ -38,11 +40,13 @@ std::string StampSeconds(const Timestamp& stamp) {
 std::string StampText(const Timestamp& stamp) {
   constexpr std::int32_t kNanosPerMilli = 1'000'000;
   Timestamp rounded = stamp;
-  rounded.set_nanos((stamp.nanos() + kNanosPerMilli / 2) / kNanosPerMilli *
-                    kNanosPerMilli);
+  rounded.set_nanos(
+      (std::clamp(stamp.nanos(), 0, 999'999'999) + kNanosPerMilli / 2) /
+      kNanosPerMilli * kNanosPerMilli);
   if (rounded.nanos() == 1'000'000'000) {
     rounded.set_nanos(0);
-    rounded.set_seconds(stamp.seconds() + 1);
+    constexpr std::int64_t kMost = std::numeric_limits<std::int64_t>::max();
+    rounded.set_seconds(std::min(stamp.seconds(), kMost - 1) + 1);
   }
   return TimeUtil::ToString(rounded);
 }

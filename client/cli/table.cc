@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "client/revisit/printable_text.h"
+
 namespace revisit::client {
 namespace {
 
@@ -24,6 +26,7 @@ void PrintLine(std::string line, std::ostream& out) {
 Table::Table(std::vector<Column> columns) : columns_(std::move(columns)) {}
 
 void Table::AddRow(std::vector<std::string> cells) {
+  for (std::string& cell : cells) cell = Printable(cell);
   rows_.push_back(std::move(cells));
 }
 

@@ -9,7 +9,9 @@
 
 namespace revisit::client {
 
-// Prints columns as wide as they need to be. Numbers are the caller's text.
+// Prints columns as wide as they need to be. Numbers are the caller's text;
+// what a terminal should not see as it is in a cell is shown as Printable()
+// does.
 class Table {
  public:
   enum class Align { kLeft, kRight };

@@ -6,8 +6,11 @@
 namespace revisit::client {
 namespace {
 
-double Seconds(std::chrono::nanoseconds duration) {
-  return std::chrono::duration<double>(duration).count();
+constexpr double kLongestSeconds = 86'400.0;
+
+// Without nanoseconds on the way, which hold 292 years only.
+double Seconds(std::chrono::duration<double> duration) {
+  return duration.count();
 }
 
 }  // namespace
@@ -36,7 +39,7 @@ std::chrono::nanoseconds Backoff::Next(
   const double asked = at_least.has_value() ? Seconds(*at_least) : 0.0;
   const double wait = asked <= own ? own : asked + (own - shortest);
   return std::chrono::duration_cast<std::chrono::nanoseconds>(
-      std::chrono::duration<double>(wait));
+      std::chrono::duration<double>(std::min(wait, kLongestSeconds)));
 }
 
 void Backoff::Reset() { wait_seconds_ = Seconds(options_.initial); }

@@ -28,7 +28,8 @@ class Backoff {
   Backoff(const BackoffOptions& options, std::uint64_t seed);
 
   // The next wait: at least `at_least`, where the server asked for it; the
-  // jitter then comes on top.
+  // jitter then comes on top. Never more than a day, so that it can be added to
+  // any time.
   std::chrono::nanoseconds Next(
       std::optional<std::chrono::nanoseconds> at_least);
 

@@ -1,6 +1,10 @@
 #include "client/revisit/status.h"
 
+#include <algorithm>
+#include <cstdint>
+
 #include "absl/strings/cord.h"
+#include "client/revisit/printable_text.h"
 #include "client/revisit/status_from_grpc.h"
 #include "google/rpc/error_details.pb.h"
 #include "google/rpc/status.pb.h"
@@ -9,6 +13,7 @@
 namespace revisit::client {
 namespace {
 
+constexpr char kDetailPrefix[] = "type.googleapis.com/google.rpc.";
 constexpr char kErrorInfoUrl[] = "type.googleapis.com/google.rpc.ErrorInfo";
 constexpr char kBadRequestUrl[] = "type.googleapis.com/google.rpc.BadRequest";
 constexpr char kRetryInfoUrl[] = "type.googleapis.com/google.rpc.RetryInfo";
@@ -23,6 +28,19 @@ std::optional<Message> Payload(const absl::Status& status, const char* url) {
   return message;
 }
 
+// Whatever numbers the message holds, also ones that no duration has.
+std::chrono::nanoseconds DelayOf(const google::protobuf::Duration& duration) {
+  constexpr std::int64_t kMostSeconds =
+      std::chrono::seconds(kLongestRetryDelay).count();
+  constexpr std::int32_t kMostNanos = 999'999'999;
+  const std::chrono::seconds seconds(
+      std::clamp<std::int64_t>(duration.seconds(), 0, kMostSeconds));
+  const std::chrono::nanoseconds nanos(
+      std::clamp(duration.nanos(), 0, kMostNanos));
+  return std::min<std::chrono::nanoseconds>(seconds + nanos,
+                                            kLongestRetryDelay);
+}
+
 }  // namespace
 
 absl::Status FromGrpc(const grpc::Status& status) {
@@ -32,6 +50,7 @@ absl::Status FromGrpc(const grpc::Status& status) {
   google::rpc::Status details;
   if (!details.ParseFromString(status.error_details())) return result;
   for (const auto& detail : details.details()) {
+    if (detail.type_url().rfind(kDetailPrefix, 0) != 0) continue;
     result.SetPayload(detail.type_url(), absl::Cord(detail.value()));
   }
   return result;
@@ -54,9 +73,7 @@ ErrorDetails DetailsOf(const absl::Status& status) {
   }
   if (const auto retry = Payload<google::rpc::RetryInfo>(status, kRetryInfoUrl);
       retry.has_value() && retry->has_retry_delay()) {
-    details.retry_delay =
-        std::chrono::seconds(retry->retry_delay().seconds()) +
-        std::chrono::nanoseconds(retry->retry_delay().nanos());
+    details.retry_delay = DelayOf(retry->retry_delay());
   }
   return details;
 }
@@ -75,10 +92,11 @@ std::string Describe(const absl::Status& status) {
   if (status.ok()) return "OK";
   const ErrorDetails details = DetailsOf(status);
   std::string text = absl::StatusCodeToString(status.code());
-  if (!details.reason.empty()) text += " (" + details.reason + ")";
-  text += ": " + std::string(status.message());
+  if (!details.reason.empty()) text += " (" + Printable(details.reason) + ")";
+  text += ": " + Printable(std::string(status.message()));
   for (const FieldViolation& violation : details.field_violations) {
-    const std::string line = violation.field + ": " + violation.description;
+    const std::string line =
+        Printable(violation.field + ": " + violation.description);
     // The server's messages tell the first violation themselves.
     if (text.find(line) == std::string::npos) text += "\n  " + line;
   }

@@ -17,6 +17,10 @@ struct FieldViolation {
   std::string description;
 };
 
+// The longest wait that is taken over from a server. One that asks for more, by
+// mistake or malice, is asked again after so long.
+inline constexpr std::chrono::minutes kLongestRetryDelay{5};
+
 // The google.rpc details of a status. Whatever a status does not carry is
 // empty.
 struct ErrorDetails {
@@ -28,7 +32,8 @@ struct ErrorDetails {
   std::map<std::string, std::string> metadata;
   // BadRequest.
   std::vector<FieldViolation> field_violations;
-  // RetryInfo: try again no sooner than this.
+  // RetryInfo: try again no sooner than this. Between 0 and kLongestRetryDelay,
+  // whatever the server asked for.
   std::optional<std::chrono::nanoseconds> retry_delay;
 };
 
@@ -50,7 +55,9 @@ bool IsCut(const absl::Status& status);
 bool WasElsewhere(const absl::Status& status);
 
 // Describes a status to people: the message, the reason, and a line for each
-// field violation that the message does not contain.
+// field violation that the message does not contain. Fit for a terminal: a
+// control character or an invisible one in what the server said is shown by its
+// number, "<U+001B>".
 std::string Describe(const absl::Status& status);
 
 }  // namespace revisit::client

@@ -11,7 +11,9 @@ class Status;
 
 namespace revisit::client {
 
-// Code, message and every detail, each as a payload under its type URL.
+// Code, message and details, each as a payload under its type URL. A detail
+// that is none of google.rpc is left out: payloads of other names are this
+// program's own, and no server may speak by them.
 absl::Status FromGrpc(const grpc::Status& status);
 
 }  // namespace revisit::client

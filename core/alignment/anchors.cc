@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cassert>
 #include <cmath>
+#include <limits>
 
 namespace revisit::core {
 
@@ -114,10 +115,11 @@ void Anchors<D>::Bound(const SearchBounds<D>& bounds, BoundOf of,
   most->fill(kImpossible);
   part_bounds_.resize(parts_.size());
   std::size_t counting = 0;
-  for (const Part& part : parts_) {
+  for (Part& part : parts_) {
     if (!part.counts) continue;
     BlockColumn& of_part = part_bounds_[counting++];
-    bounds.BoundEnds(part.differences, part.similarity, of, &of_part);
+    bounds.BoundEnds(part.differences, part.similarity, of, &of_part,
+                     &part.unshifted);
     for (std::size_t i = 0; i < count_; ++i) {
       const bool possible = part.similarity.log_similarity[i] != kImpossible;
       of_part[i] = possible ? of_part[i] + part.log_weight : kImpossible;
@@ -139,6 +141,50 @@ void Anchors<D>::Bound(const SearchBounds<D>& bounds, BoundOf of,
   }
 }
 
+// With d the difference as it is shifted, G its covariance and A what a path
+// takes from that,
+//
+//   (d + s)^T (G - A)^-1 (d + s) + s^T B^-1 s >= d^T (G + B)^-1 d.
+template <int D>
+double Anchors<D>::BoundShifted(std::size_t i, const StateVector<D>& shift,
+                                const double* further) const {
+  double most = kImpossible;
+  double counting = 0.0;
+  for (const Part& part : parts_) {
+    if (!part.counts || part.similarity.log_similarity[i] == kImpossible) {
+      continue;
+    }
+    // L^-1 d, by the factors L D L^T of G + B, row by row.
+    double lower[D][D];
+    double pivots[D];
+    double solved[D];
+    double squared = 0.0;
+    std::size_t entry = 0;
+    for (int r = 0; r < D; ++r) {
+      solved[r] = part.differences.difference[static_cast<std::size_t>(r)][i] +
+                  shift(r);
+      for (int c = 0; c <= r; ++c, ++entry) {
+        double left = part.differences.covariance[entry][i] + further[entry];
+        for (int k = 0; k < c; ++k) {
+          left -= lower[r][k] * lower[c][k] * pivots[k];
+        }
+        if (c < r) {
+          lower[r][c] = left / pivots[c];
+          solved[r] -= lower[r][c] * solved[c];
+        } else {
+          pivots[r] = left;
+        }
+      }
+      // Written so that NaN is nothing known.
+      if (!(pivots[r] > 0.0)) return std::numeric_limits<double>::infinity();
+      squared += solved[r] * solved[r] / pivots[r];
+    }
+    most = std::max(most, part.log_weight + part.unshifted[i] - 0.5 * squared);
+    counting += 1.0;
+  }
+  return counting == 1.0 ? most : most + std::log(counting);
+}
+
 template <int D>
 void Anchors<D>::Change(const DifferenceChange& change) {
   for (Part& part : parts_) {
@@ -156,6 +202,10 @@ auto Anchors<D>::At(std::size_t i) const -> Mixture {
     const double weighed = part.similarity.log_similarity[i] + part.log_weight;
     if (!(weighed > mixture.log_similarity)) continue;
     mixture = {weighed, part.similarity.squared_mahalanobis[i], part.scale};
+  }
+  // The sum is e^0 then.
+  if (parts_.size() == 1 && mixture.log_similarity != kImpossible) {
+    return mixture;
   }
   double sum = 0.0;
   for (const Part& part : parts_) {

@@ -53,6 +53,15 @@ class Anchors {
   // Undefined for nodes that are not possible.
   void Bound(const SearchBounds<D>& bounds, BoundOf of, BlockColumn* most);
 
+  // The same for node i, but for what is the same for all ends, once a path has
+  // shifted its difference by `shift`, in the axes of the local frame, and may
+  // shift it by s more, which costs it at least 1/2 s^T B^-1 s elsewhere. The
+  // entries of B are `further`, those of a lower triangle. Infinity where
+  // nothing is known. REQUIRES: Bound() came after the nodes were found,
+  // Change() not.
+  double BoundShifted(std::size_t i, const StateVector<D>& shift,
+                      const double* further) const;
+
   // Changes the differences by what paths have shown.
   void Change(const DifferenceChange& change);
 
@@ -85,6 +94,8 @@ class Anchors {
     double log_weight = 0.0;
     DifferenceBlock differences;
     BlockSimilarity similarity;
+    // BoundChanged() of it.
+    BlockColumn unshifted;
   };
 
   void AddParts(const PoseGraph& graph, const SimilarityModel& similarity,

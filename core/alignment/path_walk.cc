@@ -15,6 +15,12 @@ namespace {
 // cache.
 constexpr std::size_t kTogether = 64;
 
+// Paths are asked about after 2, 4, 8 ... steps, as long as one of so many is
+// of no use, once so many were asked about.
+constexpr std::int64_t kFirstAsked = 2;
+constexpr std::int64_t kAskedPerUseless = 8;
+constexpr std::int64_t kAskedAtLeast = 128;
+
 constexpr StateSpace SpaceOf(int dimensions) {
   return dimensions == 3 ? StateSpace::kPlanar : StateSpace::kSpatial;
 }
@@ -63,7 +69,8 @@ PathWalk<D>::PathWalk(const PoseGraph& graph, const RecentPath<D>& recent,
 }
 
 template <int D>
-const BestPaths& PathWalk<D>::Walk(const std::vector<WalkStart>& starts) {
+const BestPaths& PathWalk<D>::Walk(const std::vector<WalkStart>& starts,
+                                   const IsUseless& is_useless) {
   Reset();
   // No step leads further than over one node.
   const NodeIndex reach = 2 * recent_.size();
@@ -78,7 +85,7 @@ const BestPaths& PathWalk<D>::Walk(const std::vector<WalkStart>& starts) {
     const std::size_t count = std::min(kTogether, starts.size() - begin);
     walkers_.Begin(count);
     for (std::size_t i = 0; i < count; ++i) Seed(i, starts[begin + i]);
-    WalkAll();
+    WalkAll(is_useless);
   }
   return best_;
 }
@@ -88,7 +95,7 @@ std::vector<PathStep> PathWalk<D>::Trace(NodeIndex end) {
   tracing_ = true;
   trail_ = {{{0, end, direction_}, -1}};
   best_trail_ = 0;
-  Walk({{end, kImpossible, 0}});
+  Walk({{end, kImpossible, 0}}, nullptr);
   tracing_ = false;
   std::vector<PathStep> path;
   for (std::int64_t i = best_trail_; i >= 0; i = trail_[Position(i)].before) {
@@ -126,9 +133,14 @@ inline void PathWalk<D>::Seed(std::size_t i, const WalkStart& start) {
 }
 
 template <int D>
-void PathWalk<D>::WalkAll() {
+void PathWalk<D>::WalkAll(const IsUseless& is_useless) {
   std::vector<char> done;
+  std::int64_t asked_next = kFirstAsked;
   for (std::int64_t t = 1; t < recent_.size() && walkers_.size() > 0; ++t) {
+    if (t > asked_next) {
+      GiveUp(asked_next, is_useless);
+      asked_next *= 2;
+    }
     // Beyond loop closures first, while the others are where they were.
     const std::size_t before = walkers_.size();
     if (has_loops_) WalkOverLoops(t, before);
@@ -150,6 +162,34 @@ void PathWalk<D>::WalkAll() {
     }
   }
   for (std::size_t i = 0; i < walkers_.size(); ++i) Credit(i);
+}
+
+// Ends the paths that are of no use after step t. Where paths cross loop
+// closures, an end has several, and none is given up: without it, another would
+// count for the end.
+template <int D>
+void PathWalk<D>::GiveUp(std::int64_t t, const IsUseless& is_useless) {
+  if (!is_useless || has_loops_ ||
+      (asked_ >= kAskedAtLeast && given_up_ * kAskedPerUseless < asked_)) {
+    return;
+  }
+  PathSoFar<D> path;
+  path.steps = t;
+  for (std::size_t i = walkers_.size(); i-- > 0;) {
+    path.slot = Position(walkers_.at(Walkers::kEnd, i));
+    path.most_ratio = walkers_.at(Walkers::kRatio, i) + recent_.step(t).to_come;
+    path.best_ratio = walkers_.at(Walkers::kBestRatio, i);
+    for (int r = 0; r < D; ++r) {
+      const auto row = static_cast<std::size_t>(r);
+      path.shift(r) = walkers_.at(Walkers::kAtEnd + row, i);
+      path.best_shift(r) = walkers_.at(Walkers::kBestAtEnd + row, i);
+    }
+    ++asked_;
+    if (!is_useless(path)) continue;
+    ++given_up_;
+    Credit(i);
+    walkers_.Remove(i);
+  }
 }
 
 // Adds, for each of the first `walkers` that is at a loop closure, a walker
@@ -385,8 +425,22 @@ template <int D>
 inline double PathWalk<D>::SquaredInnovation(const WalkStep& step,
                                              std::size_t i,
                                              NodeIndex node) const {
-  const StateVector<D> seen = SeenBy(i, table_.poses() + 4 * Position(node));
+  const double* const pose = table_.poses() + 4 * Position(node);
   const double turn = walkers_.at(Walkers::kNow + D - 1, i);
+  // Kept apart from the position: side by side in memory, the two would be
+  // loaded as one vector before the stores to them are done.
+  double heading =
+      step.path[D - 1] - (pose[3] - walkers_.at(Walkers::kHeading, i)) - turn;
+  // Off by a turn or two at most.
+  while (heading > kPi) heading -= 2.0 * kPi;
+  while (heading < -kPi) heading += 2.0 * kPi;
+  // The last of the squares that are added up; headings of other roads differ
+  // so much that it is often more than enough.
+  const double of_heading = step.whitening[D - 1][D - 1] * heading;
+  if (of_heading * of_heading > kSquaredInnovationLimit) {
+    return of_heading * of_heading;
+  }
+  const StateVector<D> seen = SeenBy(i, pose);
   const double carried[2] = {-step.step_y * turn, step.step_x * turn};
   double position[D - 1];
   for (std::size_t r = 0; r < D - 1; ++r) {
@@ -394,12 +448,6 @@ inline double PathWalk<D>::SquaredInnovation(const WalkStep& step,
                   walkers_.at(Walkers::kNow + r, i);
     if (r < 2) position[r] -= carried[r];
   }
-  // Kept apart from the position: side by side in memory, the two would be
-  // loaded as one vector before the stores to them are done.
-  double heading = step.path[D - 1] - seen(D - 1) - turn;
-  // Off by a turn or two at most.
-  while (heading > kPi) heading -= 2.0 * kPi;
-  while (heading < -kPi) heading += 2.0 * kPi;
   double squared = 0.0;
   for (int r = 0; r < D; ++r) {
     double whitened = 0.0;

@@ -16,6 +16,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <vector>
 
 #include "core/alignment/log_similarity.h"
@@ -38,6 +39,20 @@ struct PathStep {
   bool operator==(const PathStep& other) const {
     return t == other.t && node == other.node && direction == other.direction;
   }
+};
+
+// A path after some steps.
+template <int D>
+struct PathSoFar {
+  std::size_t slot = 0;
+  std::int64_t steps = 0;
+  // drift_0 as the smoother has it.
+  StateVector<D> shift = StateVector<D>::Zero();
+  // The most that its log-likelihood ratio can still come to.
+  double most_ratio = 0.0;
+  // The shift and the ratio at the step at which the ratio was greatest.
+  StateVector<D> best_shift = StateVector<D>::Zero();
+  double best_ratio = 0.0;
 };
 
 // The best paths back from up to NodeBlock::kSize ends, by slot; the end alone
@@ -70,9 +85,15 @@ class PathWalk {
            NodeIndex history_size, Direction direction, bool over_loops,
            PoseTable* table);
 
+  // Whether a path is of no use, neither as it was when it was best nor however
+  // it goes on.
+  using IsUseless = std::function<bool(const PathSoFar<D>&)>;
+
   // The best paths of these ends, each with a slot of its own. Valid until the
-  // next walk; other slots say that the end is alone.
-  const BestPaths& Walk(const std::vector<WalkStart>& starts);
+  // next walk; other slots say that the end is alone. Paths that `is_useless`
+  // calls so, if it is not null, need not be walked to their end.
+  const BestPaths& Walk(const std::vector<WalkStart>& starts,
+                        const IsUseless& is_useless);
 
   // The steps of the best path back from `end`, the end first.
   std::vector<PathStep> Trace(NodeIndex end);
@@ -90,7 +111,8 @@ class PathWalk {
 
   void Reset();
   void Seed(std::size_t i, const WalkStart& start);
-  void WalkAll();
+  void WalkAll(const IsUseless& is_useless);
+  void GiveUp(std::int64_t t, const IsUseless& is_useless);
   void WalkOverLoops(std::int64_t t, std::size_t walkers);
   void WalkOver(std::int64_t t, std::size_t i, NodeIndex far);
   bool Slip(std::int64_t t, const Unsettled& unsettled);
@@ -108,6 +130,7 @@ class PathWalk {
   NodeIndex LastOf(NodeIndex i, Direction direction) const;
   Drift DriftOf(std::size_t i) const;
   StateVector<D> SeenBy(std::size_t i, const double* pose) const;
+  // More than kSquaredInnovationLimit, or exact.
   double SquaredInnovation(const WalkStep& step, std::size_t i,
                            NodeIndex node) const;
 
@@ -120,6 +143,9 @@ class PathWalk {
   BestPaths best_;
   Walkers walkers_;
   std::vector<Unsettled> unsettled_;
+  // Paths that were asked about, and those that were of no use.
+  std::int64_t asked_ = 0;
+  std::int64_t given_up_ = 0;
   // While tracing: all steps, and the last one of the best path.
   bool tracing_ = false;
   std::vector<TrailStep> trail_;

@@ -10,6 +10,7 @@ RecentPath<D>::RecentPath(const PoseGraph& graph, const RelativeModel& model,
               model.similarity.tolerance, model.spacing_meters,
               model.similarity.inflation),
       heading_(graph.pose(query).heading),
+      turn_(TurnAbout<D>(heading_)),
       weight_(ShapeWeight(model.shape, model.spacing_meters)),
       steps_(static_cast<std::size_t>(steps)),
       certainties_(steps_.size() * kMostEntries) {
@@ -29,8 +30,7 @@ RecentPath<D>::RecentPath(const PoseGraph& graph, const RelativeModel& model,
 
 template <int D>
 StateMatrix<D> RecentPath<D>::ToFrame(const StateMatrix<D>& covariance) const {
-  const StateMatrix<D> turn = TurnAbout<D>(heading_);
-  return turn * covariance * turn.transpose();
+  return turn_ * covariance * turn_.transpose();
 }
 
 template class RecentPath<3>;

@@ -49,13 +49,24 @@ class RecentPath {
   StateMatrix<D> MostCertainty() const {
     return ToFrame(filter_.EndCertainty(size() - 1));
   }
+  // B such that a path which shifts its end by s after `steps` steps has a
+  // weighted log-likelihood ratio that is less for it by 1/2 s^T B^-1 s or
+  // more; in the axes of the local frame.
+  StateMatrix<D> FurtherShift(std::int64_t steps) const {
+    return ToFrame(filter_.EndShiftAfter(steps) / weight_);
+  }
   // A covariance or shift in the axes of the vehicle at the end, in those of
   // the local frame.
   StateMatrix<D> ToFrame(const StateMatrix<D>& covariance) const;
+  StateVector<D> ShiftToFrame(const StateVector<D>& shift) const {
+    return turn_ * shift;
+  }
 
  private:
   ShapeFilter<D> filter_;
   double heading_;
+  // By the heading, about z.
+  StateMatrix<D> turn_;
   double weight_;
   std::vector<WalkStep> steps_;
   std::vector<double> certainties_;

@@ -406,7 +406,32 @@ class DirectionSearch {
       starts_.push_back(
           {nodes_[i], gains_[i] - (most_[i] - least) / recent_.weight(), i});
     }
-    return walk_.Walk(starts_);
+    return walk_.Walk(
+        starts_, model_.least_log_share == kImpossible
+                     ? typename PathWalk<D>::IsUseless()
+                     : [this, least](const PathSoFar<D>& path) {
+                         return IsUseless(path, least);
+                       });
+  }
+
+  // Whether a path comes to less than the least log-odds, as it was when it was
+  // best and however it goes on.
+  bool IsUseless(const PathSoFar<D>& path, double least) {
+    if (further_after_ != path.steps) {
+      PackLower<D>(recent_.FurtherShift(path.steps), further_);
+      further_after_ = path.steps;
+    }
+    static constexpr double kNoFurther[kMostEntries] = {};
+    const double beside = constant_ + kBoundSlack;
+    const auto falls_short = [&](const StateVector<D>& shift,
+                                 const double* further, double ratio) {
+      return anchors_.BoundShifted(path.slot, recent_.ShiftToFrame(shift),
+                                   further) +
+                 recent_.weight() * ratio + beside <
+             least;
+    };
+    return falls_short(path.shift, further_, path.most_ratio) &&
+           falls_short(path.best_shift, kNoFurther, path.best_ratio);
   }
 
   // Keeps the useful ends that have come to the least log-odds.
@@ -457,6 +482,9 @@ class DirectionSearch {
   // The most that the log-odds of each end can come to.
   BlockColumn most_;
   std::vector<WalkStart> starts_;
+  // RecentPath::FurtherShift() after so many steps.
+  std::int64_t further_after_ = -1;
+  double further_[kMostEntries] = {};
   // Copies of nodes, where these are no block of the graph.
   NodeBlock gathered_;
   alignas(64) BlockColumn indices_;

@@ -20,9 +20,6 @@ std::size_t StrideOf(NodeIndex history_size) {
   return stride;
 }
 
-// Error of a bound due to rounding, nats.
-constexpr double kBoundSlack = 1e-6;
-
 // Error of the difference of two variances due to rounding, as a share of
 // these.
 constexpr double kCancelled = 1e-12;
@@ -79,15 +76,17 @@ SearchBounds<D>::SearchBounds(const PoseGraph& graph,
 template <int D>
 void SearchBounds<D>::BoundEnds(const DifferenceBlock& differences,
                                 const BlockSimilarity& similarity, BoundOf of,
-                                BlockColumn* most) const {
+                                BlockColumn* most,
+                                BlockColumn* unshifted) const {
   constexpr double kNothingKnown = std::numeric_limits<double>::infinity();
   if (model_.least_log_share == kImpossible) {
     most->fill(kNothingKnown);
+    unshifted->fill(kNothingKnown);
     return;
   }
   BoundChanged(model_.similarity.state_space, differences,
                of == BoundOf::kEnd ? change_bound_ : around_bound_, similarity,
-               most);
+               most, of == BoundOf::kEnd ? unshifted : nullptr);
   const double beside =
       constant_ + kBoundSlack + (of == BoundOf::kEnd ? 0.0 : kAroundSlack);
   for (double& bound : *most) {

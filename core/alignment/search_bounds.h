@@ -16,6 +16,9 @@
 
 namespace revisit::core {
 
+// Error of a bound due to rounding, nats.
+inline constexpr double kBoundSlack = 1e-6;
+
 // Where ends are sampled, one of so many is looked at: of more, where the
 // history has more than kEnoughSamples of them. A block has whole strides.
 inline constexpr std::size_t kLeastStride = 16;
@@ -55,10 +58,11 @@ class SearchBounds {
 
   // For each end, the most that its log-odds can come to, but for what its path
   // gains. Infinity where nothing is known; undefined where the similarity is
-  // impossible. `similarity` is what EvaluateDifferences() finds.
+  // impossible. `similarity` is what EvaluateDifferences() finds; `unshifted`
+  // what BoundChanged() tells of it, for ends by themselves.
   void BoundEnds(const DifferenceBlock& differences,
                  const BlockSimilarity& similarity, BoundOf of,
-                 BlockColumn* most) const;
+                 BlockColumn* most, BlockColumn* unshifted) const;
 
  private:
   // Where ends of one scale may lie.

@@ -197,6 +197,7 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
   steps_.resize(static_cast<std::size_t>(steps));
   steps_[0].path.setZero();
   steps_[0].end_certainty.setZero();
+  steps_[0].end = end_prior;
   for (std::int64_t t = 1; t < steps; ++t) {
     Step& step = steps_[static_cast<std::size_t>(t)];
     step.path = from_end * ToVector<D>(Difference(graph.pose(query - t), end));
@@ -204,6 +205,7 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
     step.step_x = step.path(0) - after(0);
     step.step_y = step.path(1) - after(1);
     errors.Advance(noise, tolerance, jitter, &step);
+    step.end = errors.end;
     const StateMatrix<D> gathered =
         Inverse<D>(errors.end) - end_prior_information;
     step.end_certainty =

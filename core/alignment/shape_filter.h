@@ -155,6 +155,11 @@ class ShapeFilter {
   // E such that a path whose drift_0 is estimated as s has squared innovations
   // of at least s^T E^-1 s in sum.
   const StateMatrix<D>& EndShift() const { return end_shift_; }
+  // The same for what is added to that estimate after step t: E such that an
+  // addition of s takes squared innovations of at least s^T E^-1 s after it.
+  StateMatrix<D> EndShiftAfter(std::int64_t t) const {
+    return steps_[static_cast<std::size_t>(t)].end - steps_.back().end;
+  }
 
   // The variances of headings by themselves: of drift_0, of the noise that the
   // drift gathers with each step, and of what each node strays.
@@ -184,6 +189,8 @@ class ShapeFilter {
     StateMatrix<D> information;
     double surprise = 0.0;
     StateMatrix<D> end_certainty;
+    // Covariance of drift_0.
+    StateMatrix<D> end;
   };
 
   // Covariances of the filter's errors.

@@ -598,12 +598,13 @@ template <int D>
 HWY_INLINE void BoundAllChanged(const DifferenceBlock& differences,
                                 const ChangeBound& bound,
                                 const BlockSimilarity& similarity,
-                                BlockColumn* most) {
+                                BlockColumn* most, BlockColumn* unshifted) {
   const Tag tag;
   const Vector half = hn::Set(tag, 0.5);
   const Vector kept = hn::Set(tag, 1.0 - bound.least_left);
   const Vector if_least_is_left =
       hn::Set(tag, -0.5 * D * std::log(bound.least_left));
+  const Vector infinite = hn::Set(tag, std::numeric_limits<double>::infinity());
   for (std::size_t i = 0; i < differences.count; i += hn::Lanes(tag)) {
     // (d + s)^T G^-1 (d + s) + s^T B^-1 s is at least d^T (G + B)^-1 d.
     State<D> shifted = LoadState<D>(differences, i);
@@ -624,9 +625,13 @@ HWY_INLINE void BoundAllChanged(const DifferenceBlock& differences,
     const Vector plain = hn::Add(
         hn::Mul(half, hn::Load(tag, similarity.squared_mahalanobis.data() + i)),
         hn::Load(tag, similarity.log_similarity.data() + i));
-    const Vector constant = hn::IfThenElse(
-        of_left.possible, hn::Neg(hn::Mul(half, of_left.log_determinant)),
-        hn::Add(plain, if_least_is_left));
+    const Vector of_certain = hn::Neg(hn::Mul(half, of_left.log_determinant));
+    const Vector constant = hn::IfThenElse(of_left.possible, of_certain,
+                                           hn::Add(plain, if_least_is_left));
+    if (unshifted != nullptr) {
+      hn::StoreU(hn::IfThenElse(of_left.possible, of_certain, infinite), tag,
+                 unshifted->data() + i);
+    }
     const Vector squared =
         hn::IfThenElseZero(of_shifted.possible, of_shifted.squared);
     hn::StoreU(hn::Sub(constant, hn::Mul(half, squared)), tag,
@@ -636,11 +641,11 @@ HWY_INLINE void BoundAllChanged(const DifferenceBlock& differences,
 
 void BoundChanged(StateSpace state_space, const DifferenceBlock& differences,
                   const ChangeBound& bound, const BlockSimilarity& similarity,
-                  BlockColumn* most) {
+                  BlockColumn* most, BlockColumn* unshifted) {
   if (state_space == StateSpace::kPlanar) {
-    BoundAllChanged<3>(differences, bound, similarity, most);
+    BoundAllChanged<3>(differences, bound, similarity, most, unshifted);
   } else {
-    BoundAllChanged<4>(differences, bound, similarity, most);
+    BoundAllChanged<4>(differences, bound, similarity, most, unshifted);
   }
 }
 
@@ -723,9 +728,9 @@ void EvaluateChanged(StateSpace state_space, const DifferenceBlock& differences,
 
 void BoundChanged(StateSpace state_space, const DifferenceBlock& differences,
                   const ChangeBound& bound, const BlockSimilarity& similarity,
-                  BlockColumn* most) {
+                  BlockColumn* most, BlockColumn* unshifted) {
   HWY_DYNAMIC_DISPATCH(BoundChanged)
-  (state_space, differences, bound, similarity, most);
+  (state_space, differences, bound, similarity, most, unshifted);
 }
 
 bool HoldsNear(const NodeRegion& region, const NodeBlock& block) {

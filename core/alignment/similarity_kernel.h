@@ -136,10 +136,12 @@ struct ChangeBound {
 
 // For each node, an upper bound on the log-similarity that EvaluateChanged()
 // can find, less what the shift costs. `similarity` holds the results of
-// EvaluateDifferences(); `most` need not be aligned.
+// EvaluateDifferences(); `most` need not be aligned. `unshifted`: an upper
+// bound on -1/2 ln|G| of all covariances G that it can find, infinite where it
+// may leave a difference as it is; null or as `most`.
 void BoundChanged(StateSpace state_space, const DifferenceBlock& differences,
                   const ChangeBound& bound, const BlockSimilarity& similarity,
-                  BlockColumn* most);
+                  BlockColumn* most, BlockColumn* unshifted);
 
 // The nodes near a query: those with
 //   r^2 <= squared_per_variance (d^T C d / r^2 + variance),

@@ -246,7 +246,10 @@ void Walkers::Copy(std::size_t from, std::size_t to) {
   }
 }
 
-void Walkers::Remove(std::size_t i) { Copy(--size_, i); }
+void Walkers::Remove(std::size_t i) {
+  --size_;
+  if (i != size_) Copy(size_, i);
+}
 
 }  // namespace revisit::core
 #endif  // HWY_ONCE

@@ -43,10 +43,11 @@ inline constexpr double kMatchRadiusMeters = 20.0;
 // The evidence of marks that were searched, by number. It is worth keeping
 // between the searches of one graph: a search needs that of some tens of marks,
 // most of which the search before has needed too. Forgets it where settings
-// changed. Takes some 200 bytes a mark. Not thread-safe.
+// changed that marks depend on. Takes some 200 bytes a mark. Not thread-safe.
 class MarkMemory {
  public:
-  // Forgets all evidence that was found under other settings than these.
+  // Forgets all evidence that was found under other settings than these. Their
+  // versions are above 0.
   void Enter(std::uint64_t settings_version) {
     if (settings_version == settings_version_) return;
     marks_.clear();

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstddef>
 #include <optional>
+#include <tuple>
 #include <vector>
 
 #include "core/alignment/relative.h"
@@ -17,6 +18,15 @@ namespace {
 // Ends that have at most this share of all odds together are pruned: evidence
 // that counts for a tenth of an observation needs no more (kPrunedShare).
 constexpr double kPrunedMarkShare = 1e-3;
+
+// The options that marks depend on, where the nodes are the same.
+template <typename Options>
+auto FieldsOfMarks(Options& options) {
+  return std::tie(options.alignment, options.correlation_model,
+                  options.direction, options.sequence_length_meters,
+                  options.place_tolerance, options.candidate_separation_meters,
+                  options.shape, options.road_spacing_meters);
+}
 
 // The odds of ends, summed for each scale.
 class OddsByScale {
@@ -36,6 +46,16 @@ class OddsByScale {
 };
 
 }  // namespace
+
+SearchOptions MarkOptions(const SearchOptions& own) {
+  SearchOptions options;
+  FieldsOfMarks(options) = FieldsOfMarks(own);
+  return options;
+}
+
+bool HaveSameMarks(const SearchOptions& a, const SearchOptions& b) {
+  return FieldsOfMarks(a) == FieldsOfMarks(b);
+}
 
 absl::StatusOr<MarkEvidence> SearchMark(const SearchTask& task) {
   RelativeModel model = ModelOf(task, kPrunedMarkShare);

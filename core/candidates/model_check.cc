@@ -19,6 +19,35 @@ double RatioOf(double smooth_share) {
       1.0, std::sqrt(ChiSquaredQuantile(1.0, below)) / ModelCheck::kSmooth);
 }
 
+// The gap between two positions. Comparing its length takes no root, but where
+// the squares are so close that rounding may decide.
+class Gap {
+ public:
+  Gap(double x, double y) : x_(x), y_(y), squared_(x * x + y * y) {}
+
+  bool IsBelow(double limit) const {
+    return IsClose(limit) ? std::hypot(x_, y_) < limit
+                          : squared_ < limit * limit;
+  }
+  bool IsAbove(double limit) const {
+    return IsClose(limit) ? std::hypot(x_, y_) > limit
+                          : squared_ > limit * limit;
+  }
+
+ private:
+  // Far more than rounding makes of squares.
+  static constexpr double kTolerance = 1e-12;
+
+  bool IsClose(double limit) const {
+    const double square = limit * limit;
+    return std::abs(squared_ - square) <= kTolerance * square;
+  }
+
+  double x_;
+  double y_;
+  double squared_;
+};
+
 }  // namespace
 
 void ModelCheck::Look(const PoseSample& sample) {
@@ -48,9 +77,10 @@ double ModelCheck::CarriedVariance(const Estimate& from, const Position& to) {
 
 void ModelCheck::LookAtStretch(const Estimate& now) {
   if (stretch_start_) {
-    const double meters = MetersBetween(stretch_start_->position, now.position);
-    if (meters < kStretchMeters) return;
-    if (meters <= max_step_meters_) {
+    const Position& start = stretch_start_->position;
+    const Gap stretch(now.position.x - start.x, now.position.y - start.y);
+    if (stretch.IsBelow(kStretchMeters)) return;
+    if (!stretch.IsAbove(max_step_meters_)) {
       growing_.Add(now.position.xx + now.position.yy >
                        CarriedVariance(*stretch_start_, now.position),
                    kLastStretches);
@@ -61,10 +91,10 @@ void ModelCheck::LookAtStretch(const Estimate& now) {
 
 void ModelCheck::LookAtTriple(const Position& c) {
   if (last_) {
-    const double meters = MetersBetween(*last_, c);
-    if (meters < kStepMeters) return;
+    const Gap step(c.x - last_->x, c.y - last_->y);
+    if (step.IsBelow(kStepMeters)) return;
     // A jump: triples begin anew.
-    if (meters > max_step_meters_) last_.reset();
+    if (step.IsAbove(max_step_meters_)) last_.reset();
   }
   if (last_ && before_) {
     const Position& a = *before_;
@@ -135,7 +165,9 @@ bool ModelCheck::IsFinite(const std::optional<Position>& position) {
 std::optional<Finding> ModelCheck::Find(CorrelationModel model) const {
   const std::optional<FindingCode> code = Judge(model);
   if (!code) return std::nullopt;
-  Finding finding{*code, growing_.value(), std::nullopt};
+  Finding finding;
+  finding.code = *code;
+  finding.growing = growing_.value();
   if (smooth_.counted() >= kLeastTriples) {
     finding.smoother = RatioOf(smooth_.value());
   }

@@ -39,6 +39,7 @@
 #include "core/base/byte_stream.h"
 #include "core/geometry/pose.h"
 #include "core/graph/correlation.h"
+#include "core/graph/stamps.h"
 
 namespace revisit::core {
 
@@ -49,6 +50,9 @@ enum class FindingCode {
   kCovariancesGrow,
   // kIndependent, but most triples are smooth, and stretches do not grow.
   kErrorsCorrelated,
+  // The stamps go forward by more than the greatest age that is kept. Engine
+  // finds it, whatever the model.
+  kStampsLeap,
 };
 
 struct Finding {
@@ -59,6 +63,8 @@ struct Finding {
   // poses stray: the ratio of standard deviations that makes the share of
   // smooth triples what it is. At least 1; nothing where too few were seen.
   std::optional<double> smoother;
+  // For kStampsLeap only.
+  std::optional<StampLeap> leap;
 };
 
 class ModelCheck {

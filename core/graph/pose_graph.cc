@@ -30,25 +30,31 @@ void NodeBlock::Add(std::size_t at, const Pose& pose,
   bool spatial = HasBits(pose.z);
   for (int i = 0; i < 4; ++i) spatial = spatial || HasBits(covariance(2, i));
   if (spatial && !spatial_) BecomeSpatial();
-  const std::size_t group = at / kGroupSize;
-  if (group == groups()) {
+  const std::size_t first_line = at / kGroupSize * rows();
+  if (first_line == lines_.size()) {
     ReserveInSteps(lines_.size() + rows(), rows() * groups_at_a_time,
                    rows() * kSize / kGroupSize, &lines_);
     lines_.resize(lines_.size() + rows());
   }
-  const auto entry = [&](Row row) -> double& {
-    return lines_[group * rows() + row].entries[at % kGroupSize];
+  double* const entry = lines_[first_line].entries.data() + at % kGroupSize;
+  const auto set = [entry](Row row, double value) {
+    entry[row * kGroupSize] = value;
   };
-  entry(kX) = pose.x;
-  entry(kY) = pose.y;
-  entry(kHeading) = pose.heading;
-  if (spatial_) entry(kZ) = pose.z;
-  for (int r = 0; r < 4; ++r) {
-    for (int c = r; c < 4; ++c) {
-      const Row row = CovarianceRow(r, c);
-      if (row < kPlanarRows || spatial_) entry(row) = covariance(r, c);
-    }
-  }
+  set(kX, pose.x);
+  set(kY, pose.y);
+  set(kHeading, pose.heading);
+  set(kXX, covariance(0, 0));
+  set(kXY, covariance(0, 1));
+  set(kXH, covariance(0, 3));
+  set(kYY, covariance(1, 1));
+  set(kYH, covariance(1, 3));
+  set(kHH, covariance(3, 3));
+  if (!spatial_) return;
+  set(kZ, pose.z);
+  set(kXZ, covariance(0, 2));
+  set(kYZ, covariance(1, 2));
+  set(kZZ, covariance(2, 2));
+  set(kZH, covariance(2, 3));
 }
 
 void NodeBlock::Copy(const NodeBlock& from, std::size_t from_at,
@@ -189,10 +195,11 @@ std::size_t PoseGraph::NodesAtATime() const {
 }
 
 void PoseGraph::Pack() {
-  std::vector<std::uint64_t> columns;
-  columns.reserve(NodeBlock::kSize * PackedColumnCount(has_transitions_));
-  const auto add = [&columns](const auto& rows, const auto& packable) {
-    for (const auto& row : rows) columns.push_back(packable(row));
+  std::vector<std::uint64_t> columns(NodeBlock::kSize *
+                                     PackedColumnCount(has_transitions_));
+  std::uint64_t* next = columns.data();
+  const auto add = [&next](const auto& rows, const auto& packable) {
+    for (const auto& row : rows) *next++ = packable(row);
   };
   add(records_, [](const Record& record) { return record.sequence; });
   add(records_,
@@ -200,7 +207,7 @@ void PoseGraph::Pack() {
   add(records_,
       [](const Record& record) { return ToPackable(record.travelled_meters); });
   for (std::size_t at = 0; at < records_.size(); ++at) {
-    columns.push_back(has_stamp_[at] ? 1 : 0);
+    *next++ = has_stamp_[at] ? 1 : 0;
   }
   add(records_, [](const Record& record) {
     return static_cast<std::uint64_t>(record.stamp_ns);
@@ -212,6 +219,7 @@ void PoseGraph::Pack() {
       });
     }
   }
+  assert(next == columns.data() + columns.size());
   packed_.emplace_back(columns, NodeBlock::kSize);
   full_bytes_ += blocks_.back().bytes() + packed_.back().bytes();
   records_.clear();

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "core/geometry/heading.h"
+#include "core/graph/stamps.h"
 
 namespace revisit::core {
 namespace {
@@ -175,7 +176,8 @@ bool HaveSameRules(const RetentionNeeds& a, const RetentionNeeds& b) {
   const auto numbers = [](const RetentionNeeds& needs) {
     return std::tie(needs.state_space, needs.tolerance_meters,
                     needs.spacing_meters, needs.separation_meters,
-                    needs.aligned_nodes, needs.newest_nodes, needs.least_nodes);
+                    needs.aligned_nodes, needs.newest_nodes,
+                    needs.agreeing_nodes, needs.least_nodes);
   };
   return a.correlation == b.correlation && numbers(a) == numbers(b);
 }
@@ -183,14 +185,18 @@ bool HaveSameRules(const RetentionNeeds& a, const RetentionNeeds& b) {
 class DroppableSearch::Impl {
  public:
   Impl(const PoseGraph& graph, const RetentionOptions& options,
-       RetentionNeeds needs)
+       RetentionNeeds needs, std::optional<std::int64_t> latest_ns)
       : graph_(graph),
         options_(options),
         needs_(std::move(needs)),
         size_(graph.size()),
-        oldest_ns_(OldestStamp()),
         coverage_(graph_, needs_, options_.max_passes),
         fates_(Place(size_), Fate::kWanted) {
+    if (options_.max_age_ns) {
+      old_nodes_.emplace(graph_,
+                         AgeRules{*options_.max_age_ns, needs_.agreeing_nodes,
+                                  needs_.newest_nodes, latest_ns});
+    }
     Keep(size_ - needs_.newest_nodes, size_);
     KeepLoopEnds(needs_.loop_ends);
   }
@@ -223,22 +229,20 @@ class DroppableSearch::Impl {
     return Ranges();
   }
 
+  NodeIndex CountTooOld(const std::vector<NodeRange>& ranges) const {
+    NodeIndex count = 0;
+    for (const NodeRange& range : ranges) {
+      count += static_cast<NodeIndex>(std::count(fates_.begin() + range.first,
+                                                 fates_.begin() + range.last,
+                                                 Fate::kTooOld));
+    }
+    return count;
+  }
+
  private:
   // The stages follow each other in this order. Each goes through all nodes;
   // the function of a stage returns how many it went through.
   enum class Stage { kRank, kCover, kKeepPaths, kDone };
-
-  // The least stamp that is not too old.
-  std::optional<std::int64_t> OldestStamp() const {
-    if (!options_.max_age_ns || size_ == 0) return std::nullopt;
-    const std::optional<std::int64_t> newest = graph_.node(size_ - 1).stamp_ns;
-    std::int64_t oldest = 0;
-    if (!newest ||
-        __builtin_sub_overflow(*newest, *options_.max_age_ns, &oldest)) {
-      return std::nullopt;
-    }
-    return oldest;
-  }
 
   void Keep(NodeIndex first, NodeIndex last) {
     std::fill(fates_.begin() + std::max<NodeIndex>(0, first),
@@ -262,10 +266,8 @@ class DroppableSearch::Impl {
     const int dimensions = needs_.state_space == StateSpace::kPlanar ? 2 : 3;
     for (NodeIndex i = next_; i < end; ++i) {
       Fate& fate = fates_[Place(i)];
-      if (oldest_ns_ && fate == Fate::kWanted) {
-        const std::optional<std::int64_t> stamp = graph_.node(i).stamp_ns;
-        if (stamp && *stamp < *oldest_ns_) fate = Fate::kTooOld;
-      }
+      const bool is_too_old = old_nodes_ && old_nodes_->IsTooOld(i);
+      if (is_too_old && fate == Fate::kWanted) fate = Fate::kTooOld;
       if (options_.max_passes == 0 || fate == Fate::kTooOld) continue;
       const Covariance covariance = graph_.covariance(i);
       double spread = 0.0;
@@ -349,7 +351,8 @@ class DroppableSearch::Impl {
   const RetentionOptions options_;
   const RetentionNeeds needs_;
   const NodeIndex size_;
-  const std::optional<std::int64_t> oldest_ns_;
+  // With a greatest age only.
+  std::optional<OldNodes> old_nodes_;
   Coverage coverage_;
   std::vector<Fate> fates_;
   Stage stage_ = Stage::kRank;
@@ -364,8 +367,10 @@ class DroppableSearch::Impl {
 
 DroppableSearch::DroppableSearch(const PoseGraph& graph,
                                  const RetentionOptions& options,
-                                 RetentionNeeds needs)
-    : impl_(std::make_unique<Impl>(graph, options, std::move(needs))) {
+                                 RetentionNeeds needs,
+                                 std::optional<std::int64_t> latest_ns)
+    : impl_(
+          std::make_unique<Impl>(graph, options, std::move(needs), latest_ns)) {
   assert(options.max_passes >= 0 && options.max_passes <= kMostPasses);
 }
 
@@ -382,6 +387,11 @@ bool DroppableSearch::Advance(NodeIndex nodes) { return impl_->Advance(nodes); }
 std::vector<NodeRange> DroppableSearch::Droppable(
     const std::vector<NodeIndex>& loop_ends) {
   return impl_->Droppable(loop_ends);
+}
+
+NodeIndex DroppableSearch::CountTooOld(
+    const std::vector<NodeRange>& ranges) const {
+  return impl_->CountTooOld(ranges);
 }
 
 // A node lies at or after its pose and before the next one, unless it starts a

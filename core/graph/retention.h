@@ -16,6 +16,8 @@
 // alike, in the same sense. Where the path was reckoned, G grows with the way,
 // so that places are sure again only once an optimiser has revised the poses.
 //
+// What is too old, stamps.h says.
+//
 // A search finds a node by the path that leads to it, so what has to stay,
 // stays together with as many nodes before it as a search aligns.
 #ifndef REVISIT_CORE_GRAPH_RETENTION_H_
@@ -46,8 +48,7 @@ inline constexpr std::int64_t kMostAgeNanoseconds =
     std::int64_t{100} * 365 * 24 * 3600 * 1'000'000'000;
 
 struct RetentionOptions {
-  // A node is too old if its stamp is so much less than that of the newest
-  // node. A node without a stamp has no age.
+  // The greatest age (stamps.h). A node without a stamp has no age.
   std::optional<std::int64_t> max_age_ns;
   // Passes of each place in each direction that are kept; 0: all. At most
   // kMostPasses.
@@ -72,6 +73,8 @@ struct RetentionNeeds {
   NodeIndex aligned_nodes = 150;
   // The last nodes, which all stay.
   NodeIndex newest_nodes = 1000;
+  // Votes that have to agree on a stamp (stamps.h).
+  NodeIndex agreeing_nodes = 75;
   // Covered nodes are dropped where there are at least so many in a row.
   NodeIndex least_nodes = 150;
   // Nodes to which confirmed loop closures refer. Each stays, with as many
@@ -91,9 +94,10 @@ bool HaveSameRules(const RetentionNeeds& a, const RetentionNeeds& b);
 // meanwhile change nothing, and nothing else about the graph may change.
 class DroppableSearch {
  public:
-  // The graph outlives it. REQUIRES: max_passes in [0, kMostPasses].
+  // The graph outlives it. `latest_ns`: stamps that are later by the caller's
+  // clock have no vote. REQUIRES: max_passes in [0, kMostPasses].
   DroppableSearch(const PoseGraph& graph, const RetentionOptions& options,
-                  RetentionNeeds needs);
+                  RetentionNeeds needs, std::optional<std::int64_t> latest_ns);
   ~DroppableSearch();
 
   DroppableSearch(const DroppableSearch&) = delete;
@@ -111,6 +115,9 @@ class DroppableSearch {
   // touch each other, none of them empty. O(n), some nanoseconds for each.
   // REQUIRES: all is done.
   std::vector<NodeRange> Droppable(const std::vector<NodeIndex>& loop_ends);
+  // How many nodes of these ranges are too old; the others are covered.
+  // REQUIRES: ranges that Droppable() returned.
+  NodeIndex CountTooOld(const std::vector<NodeRange>& ranges) const;
 
  private:
   class Impl;

@@ -155,24 +155,53 @@ class Postgres:
         self._directory.mkdir(mode=0o700)
         if self._as:
             shutil.chown(self._directory, self._as["user"])
-        programs = find_postgres()
+        self._processes = processes
+        self._address = address
+        self._programs = programs = find_postgres()
         self._run(programs / "initdb", "--username=postgres", "--auth=trust",
                   "--encoding=UTF8", "--locale=C", f"--pgdata={self._directory}/data")
         if network is not None:
             with open(self._directory / "data/pg_hba.conf", "a") as file:
                 file.write(f"host all all {network} trust\n")
-        self.process = processes.start(
-            "postgres", programs / "postgres", "-D",
-            self._directory / "data", "-c", f"listen_addresses={address}", "-c",
-            f"unix_socket_directories={self._directory}", "-c", "lc_messages=C",
-            # Ends its sessions rather than waits for them.
-            stop_signal=signal.SIGINT, cwd=self._directory, **self._as)
-        _wait_until(lambda: self._answers(programs), "PostgreSQL")
+        self.start()
+        _wait_until(self._answers, "PostgreSQL")
         self._run(programs / "psql", "--host", self._directory, "--username=postgres",
                   "--no-psqlrc", "--file=-", input=(HERE / "database.sql").read_text())
 
-    def url(self, role):
-        return f"postgresql:///revisit?host={self._directory}&user={role}"
+    def start(self, *settings):
+        """Also again, after it was stopped."""
+        words = [word for setting in (
+            f"listen_addresses={self._address}",
+            f"unix_socket_directories={self.sockets}", "lc_messages=C", *settings)
+            for word in ("-c", setting)]
+        self.process = self._processes.start(
+            "postgres", self._programs / "postgres", "-D", self._directory / "data",
+            *words,
+            # Ends its sessions rather than waits for them.
+            stop_signal=signal.SIGINT, cwd=self._directory, **self._as)
+
+    def stand_by(self, *settings):
+        """Stops it and starts it as a standby that waits for a log that does not
+        come."""
+        self.process.stop()
+        self._run("touch", self._directory / "data/standby.signal")
+        self.start(*settings)
+
+    def promote(self):
+        data = self._directory / "data"
+        # pg_ctl goes by this file, which says so some time after the start.
+        _wait_until(lambda: "in archive recovery" in self._run(
+            self._programs / "pg_controldata", "-D", data), "standby")
+        self._run(self._programs / "pg_ctl", "promote", "-D", data)
+
+    @property
+    def sockets(self):
+        """The directory of its sockets."""
+        return self._directory
+
+    def url(self, role, sockets=None):
+        """For --store; by the sockets of what stands before it, if there are any."""
+        return f"postgresql:///revisit?host={sockets or self.sockets}&user={role}"
 
     def ask(self, sql):
         """What psql prints, without blanks and headings."""
@@ -188,10 +217,10 @@ class Postgres:
             raise RuntimeError(f"{command[0]}: {result.stderr}{result.stdout}")
         return result.stdout
 
-    def _answers(self, programs):
+    def _answers(self):
         self.process.check()
         return subprocess.run(
-            [programs / "pg_isready", "--quiet", "--host", self._directory],
+            [self._programs / "pg_isready", "--quiet", "--host", self._directory],
             check=False, cwd=self._directory).returncode == 0
 
 

@@ -245,6 +245,12 @@ void AddSearches(const ServiceCounters::Counts& counts, Page* page) {
       ->Add(counts.search_nodes);
 }
 
+void AddDecisions(const ServiceCounters::Counts& counts, Page* page) {
+  page->Counter("revisit_decisions_total",
+                "Changes that people have decided on and that were stored.")
+      ->Add(counts.decisions, "decision");
+}
+
 // ---- Limits
 
 void AddLimits(const MetricsSources& sources, Page* page) {
@@ -309,6 +315,13 @@ void AddStore(const MetricsSources& sources, Page* page) {
           ->Add(sources.min_free_bytes);
     }
   }
+  if (!sources.store_file.empty()) {
+    if (const auto backup = ReadNote(BackupNoteOf(sources.store_file))) {
+      page->Gauge("revisit_store_backup_timestamp_seconds",
+                  "When the last backup was made, since the Unix epoch.")
+          ->Add(SecondsOf(backup->time));
+    }
+  }
   if (const std::optional<SharingState> sharing = storage->GetSharing()) {
     page->Gauge("revisit_store_owned_vehicles",
                 "Vehicles of a shared store that this server owns.")
@@ -323,6 +336,40 @@ void AddStore(const MetricsSources& sources, Page* page) {
                 "Whether this server's lease of a shared store holds.")
         ->Add(sharing->lease_holds);
   }
+}
+
+// ---- The server before this one, of which a store in a file alone knows
+
+// Values of the label `reason`, by the word of the note.
+constexpr std::pair<const char*, const char*> kExitReasons[] = {
+    {kStopped, "stopped"},
+    {kStoreFailed, "store_failed"},
+    {kRunning, "killed"}};
+
+void AddLastExit(const MetricsSources& sources, Page* page) {
+  if (sources.store_file.empty()) return;
+  Family* const reasons = page->Gauge(
+      "revisit_last_exit",
+      "How the server of this store before this one ended, by reason.");
+  for (const auto& [word, reason] : kExitReasons) {
+    reasons->Add(sources.last_exit && sources.last_exit->word == word,
+                 {{"reason", reason}});
+  }
+  // Nobody knows when a server was killed.
+  if (!sources.last_exit || sources.last_exit->word == kRunning) return;
+  page->Gauge("revisit_last_exit_timestamp_seconds",
+              "When that server ended, since the Unix epoch.")
+      ->Add(SecondsOf(sources.last_exit->time));
+}
+
+void AddVehicles(const VehicleCensus& census, Page* page) {
+  const std::optional<VehicleCensus::Counts> counts = census.Read();
+  if (!counts) return;
+  Family* const vehicles =
+      page->Gauge("revisit_vehicles", "Vehicles of the store, by state.");
+  vehicles->Add(counts->active, {{"state", "active"}});
+  vehicles->Add(counts->data_loss, {{"state", "data_loss"}});
+  vehicles->Add(counts->damaged, {{"state", "damaged"}});
 }
 
 void AddResidency(const Fleet& fleet, Page* page) {
@@ -341,6 +388,11 @@ void AddRetention(const Fleet& fleet, Page* page) {
   page->Counter("revisit_poses_dropped_total",
                 "Poses that vehicles no longer keep.")
       ->Add(counts.poses);
+  Family* const nodes = page->Counter(
+      "revisit_nodes_dropped_total",
+      "Nodes of these poses, by the setting that no longer keeps them.");
+  nodes->Add(counts.nodes_too_old, {{"rule", "max_age"}});
+  nodes->Add(counts.nodes_covered, {{"rule", "max_passes"}});
   page->Histogram("revisit_drop_seconds",
                   "Time in which a vehicle's appends waited while poses that "
                   "it no longer keeps were dropped.")
@@ -394,8 +446,11 @@ std::string RenderMetrics(const MetricsSources& sources) {
   AddCalls(counts, &page);
   AddPoses(counts, &page);
   AddSearches(counts, &page);
+  AddDecisions(counts, &page);
   AddLimits(sources, &page);
   AddStore(sources, &page);
+  AddLastExit(sources, &page);
+  AddVehicles(*sources.census, &page);
   AddResidency(*sources.fleet, &page);
   AddRetention(*sources.fleet, &page);
   AddSecurity(sources, &page);

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <optional>
 #include <string>
 
 #include "server/base/logging.h"
@@ -12,7 +13,9 @@
 #include "server/security/gatekeeper.h"
 #include "server/security/tls_files.h"
 #include "server/sessions/fleet.h"
+#include "server/sessions/vehicle_census.h"
 #include "server/storage/storage.h"
+#include "server/storage/store_note.h"
 #include "server/telemetry/audit_log.h"
 #include "server/telemetry/service_counters.h"
 
@@ -28,9 +31,14 @@ struct MetricsSources {
   const Refusals* connection_refusals = nullptr;
   std::function<std::int64_t()> accepted_connections;
   const Fleet* fleet = nullptr;
+  const VehicleCensus* census = nullptr;
   Storage* storage = nullptr;
   // Below which the store refuses writes; see ServerSettings.
   std::int64_t min_free_bytes = 0;
+  // Empty if the store is a database.
+  std::string store_file;
+  // How the server of the store's file before this one ended, as it was noted.
+  std::optional<StoreNote> last_exit;
   const TlsFiles* tls_files = nullptr;
   const Gatekeeper* gatekeeper = nullptr;
   const Log* log = nullptr;

@@ -12,7 +12,6 @@
 #include <memory>
 #include <random>
 #include <string>
-#include <unordered_map>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -46,22 +45,44 @@ class Admission {
   Admission(const Admission&) = delete;
   Admission& operator=(const Admission&) = delete;
 
-  // Room for a unary call.
-  absl::StatusOr<Permit> Call();
+  // Room for a unary call: OVERLOADED, or QUEUE_FULL of the caller. With an
+  // empty `caller`, no caller's limit counts.
+  absl::StatusOr<Permit> Call(const std::string& caller);
+  // Room for that call at a vehicle, once it is known which one it is about:
+  // QUEUE_FULL.
+  absl::StatusOr<Permit> CallOf(const std::string& vehicle);
+  // Room for a call, beside its other permits, to make the graph of a vehicle
+  // with so many poses anew: OVERLOADED, or QUEUE_FULL of the caller.
+  absl::StatusOr<Permit> Rebuild(const std::string& caller, std::int64_t poses);
   // Room for a streaming call, as it begins: OVERLOADED, or STREAM_QUOTA of the
   // caller. With an empty `caller`, no caller's limit counts.
   absl::StatusOr<Permit> Stream(const std::string& caller);
   // Room for that stream at a vehicle, once it is known which one it is about:
   // STREAM_QUOTA.
   absl::StatusOr<Permit> StreamOf(const std::string& vehicle);
-  // Room for a search, beside the permit of its call. OVERLOADED, also if so
-  // many wait that the caller, who has `remaining` time, would not get the
-  // answer in time; SEARCH_QUOTA of the vehicle, or of the caller's rate.
+  // Room for a search, beside the permit of its call. Callers share it: when
+  // all is taken, one that has less than its share, which is as large as
+  // everybody's who has searches, gets room nevertheless. OVERLOADED if the
+  // caller has taken all by itself, or so many of its searches wait that this
+  // one would not be answered in the `remaining` time; SEARCH_QUOTA of the
+  // vehicle, of the caller's share, or of its rate.
   absl::StatusOr<Permit> Search(const std::string& vehicle,
                                 const std::string& caller,
                                 Clock::duration remaining);
-  // Notes how long an admitted search took, without its wait.
-  void SearchTook(Clock::duration duration);
+  // Notes how long a turn of an admitted search took: a search that comes waits
+  // for one of each of the caller's before it, while other callers have as much
+  // of the threads.
+  void SearchTook(const std::string& caller, Clock::duration duration);
+  // Whether the caller has not used up its budget of steps of searches: its
+  // searches may use those of one second at once, and the last one more than is
+  // left, for which the caller then waits. SEARCH_QUOTA of the caller.
+  // REQUIRES: steps_per_second > 0.
+  absl::Status CheckSteps(const std::string& caller, double steps_per_second);
+  void UseSteps(const std::string& caller, double steps_per_second,
+                std::int64_t steps);
+  // The refusal of an admitted search that has more to search first than one
+  // may: SEARCH_QUOTA of the vehicle.
+  absl::Status TooManySteps(const std::string& vehicle);
   // Room for the bytes of a batch that waits to be durable: OVERLOADED, or
   // QUEUE_FULL of the vehicle.
   absl::StatusOr<Permit> Queue(const std::string& vehicle, std::int64_t bytes);
@@ -89,16 +110,16 @@ class Admission {
 
  private:
   class Pool;
-  // Number of searches that a caller may make at once, as of a moment.
-  struct Bucket {
-    double tokens;
-    Clock::time_point time;
-  };
+  class SearchRoom;
+  // A bucket of tokens for each caller, which holds how much the caller may use
+  // at once of something that it has at a rate.
+  class Buckets;
 
   absl::Status CheckMemory();
-  // How long a search that comes now will wait, roughly.
-  Clock::duration ExpectedWait() ABSL_LOCKS_EXCLUDED(mutex_);
   absl::Status CheckRate(const std::string& caller);
+  // The refusal of a caller whose bucket has `missing` tokens too little.
+  absl::Status OverRate(const char* name, const char* what, double rate,
+                        double missing);
   // A random time to come again, of this order.
   std::chrono::milliseconds Later(std::chrono::milliseconds order)
       ABSL_LOCKS_EXCLUDED(mutex_);
@@ -110,24 +131,24 @@ class Admission {
                          std::int64_t limit);
 
   const Limits limits_;
-  const int search_threads_;
   const MemoryMeter memory_meter_;
   const std::shared_ptr<Pool> calls_;
+  const std::shared_ptr<Pool> vehicle_calls_;
+  const std::shared_ptr<Pool> rebuilds_;
   const std::shared_ptr<Pool> streams_;
   const std::shared_ptr<Pool> vehicle_streams_;
-  const std::shared_ptr<Pool> searches_;
+  const std::shared_ptr<SearchRoom> searches_;
   const std::shared_ptr<Pool> queue_;
   const std::shared_ptr<Pool> drafts_;
   const std::shared_ptr<Pool> exports_;
+  const std::unique_ptr<Buckets> search_rates_;
+  const std::unique_ptr<Buckets> step_rates_;
   Refusals refusals_;
 
   Mutex mutex_;
   std::mt19937 random_ ABSL_GUARDED_BY(mutex_);
-  std::unordered_map<std::string, Bucket> buckets_ ABSL_GUARDED_BY(mutex_);
   Clock::time_point last_measured_ ABSL_GUARDED_BY(mutex_){};
   std::int64_t memory_bytes_ ABSL_GUARDED_BY(mutex_) = 0;
-  // Mean time of the last searches, the latest weighing most.
-  Clock::duration mean_search_ ABSL_GUARDED_BY(mutex_){};
 };
 
 }  // namespace revisit::server

@@ -31,17 +31,8 @@ constexpr char kUnixPrefix[] = "unix:";
 constexpr char kAbstractPrefix[] = "unix-abstract:";
 // All connections shed within this interval share one line in the log.
 constexpr std::chrono::seconds kLogInterval{1};
-// How often connections are looked at: rarely enough that it takes next to no
-// time however many there are.
-constexpr std::chrono::milliseconds kLeastLookInterval{100};
-constexpr std::chrono::microseconds kLookIntervalPerConnection{100};
-// How often they are looked at while connections that have not had a call let
-// in bring much.
-constexpr std::chrono::milliseconds kHurriedLookInterval{2};
-constexpr std::chrono::microseconds kHurriedLookIntervalPerConnection{25};
 // Connections that are taken from one listener before anything else is done: a
-// flood must hold up neither the end of the server nor the looks at those that
-// are open.
+// flood must not hold up the end of the server.
 constexpr int kAcceptsPerRound = 64;
 // Pause before another try after the kernel lacked a resource.
 constexpr int kPauseMilliseconds = 10;
@@ -157,15 +148,6 @@ std::string PeerText(const sockaddr_storage& peer) {
   return text;
 }
 
-std::optional<std::uint64_t> SocketCookie(int descriptor) {
-  std::uint64_t cookie = 0;
-  socklen_t length = sizeof(cookie);
-  if (getsockopt(descriptor, SOL_SOCKET, SO_COOKIE, &cookie, &length) != 0) {
-    return std::nullopt;
-  }
-  return cookie;
-}
-
 // Descriptors are given out lowest first, so one from here on means that as
 // many are open.
 int DescriptorLimit() {
@@ -194,14 +176,8 @@ ConnectionAcceptor::ConnectionAcceptor(const Options& options, const Log* log,
                                        ConnectionMeters* meters)
     : options_(options),
       log_(log),
-      meters_(meters),
       address_(options.address),
-      table_(
-          options.bounds, SocketCookie, MeterReads,
-          [this](const std::string& remote) {
-            return transport_calls_.Count(remote);
-          },
-          meters) {}
+      watch_(options.bounds, options.content, log, meters, &refusals_) {}
 
 absl::StatusOr<std::unique_ptr<ConnectionAcceptor>> ConnectionAcceptor::Listen(
     const Options& options, const Log* log, ConnectionMeters* meters) {
@@ -310,6 +286,7 @@ void ConnectionAcceptor::Register(
 }
 
 void ConnectionAcceptor::Start() {
+  watch_.Start();
   thread_ = std::thread([this] { Run(); });
 }
 
@@ -318,6 +295,7 @@ void ConnectionAcceptor::Stop() {
     eventfd_write(wake_, 1);
     thread_.join();
   }
+  watch_.Stop();
   for (const int listener : listeners_) close(listener);
   listeners_.clear();
   // Another server may have put its own in this place.
@@ -335,32 +313,10 @@ void ConnectionAcceptor::Run() {
   for (const int listener : listeners_) polled.push_back({listener, POLLIN, 0});
   const std::size_t listeners = polled.size();
   polled.push_back({wake_, POLLIN, 0});
-  polled.push_back({meters_->look_event(), POLLIN, 0});
-  pollfd& end = polled[listeners];
-  pollfd& hurry = polled[listeners + 1];
-  auto last_look = std::chrono::steady_clock::now();
+  const pollfd& end = polled[listeners];
   while (true) {
-    const int ready = poll(polled.data(), polled.size(),
-                           static_cast<int>(kLeastLookInterval.count()));
+    const int ready = poll(polled.data(), polled.size(), /*timeout=*/-1);
     if (ready > 0 && end.revents != 0) return;
-    const auto now = std::chrono::steady_clock::now();
-    const auto connections = static_cast<std::int64_t>(table_.size());
-    const bool is_hurried = ready > 0 && hurry.revents != 0;
-    const auto interval =
-        is_hurried
-            ? kHurriedLookInterval +
-                  kHurriedLookIntervalPerConnection * connections
-            : std::max<std::chrono::microseconds>(
-                  kLeastLookInterval, kLookIntervalPerConnection * connections);
-    if (now - last_look >= interval) {
-      last_look = now;
-      meters_->NoteLook();
-      CutHarmful();
-    } else if (is_hurried && ready == 1) {
-      // Nobody else waits; the event stays until somebody has looked.
-      std::this_thread::sleep_for(std::min<std::chrono::steady_clock::duration>(
-          interval - (now - last_look), kLeastLookInterval));
-    }
     if (ready <= 0) continue;
     for (std::size_t i = 0; i < listeners; ++i) {
       if (polled[i].revents != 0) AcceptSome(polled[i].fd);
@@ -371,7 +327,7 @@ void ConnectionAcceptor::Run() {
 void ConnectionAcceptor::AcceptSome(int listener) {
   for (int i = 0; i < kAcceptsPerRound; ++i) {
     const int connection =
-        accept4(listener, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
+        watch_.Accept(listener, SOCK_NONBLOCK | SOCK_CLOEXEC);
     if (connection >= 0) {
       HandOn(listener, connection);
       continue;
@@ -407,8 +363,7 @@ void ConnectionAcceptor::HandOn(int listener, int connection) {
     Shed(connection, "descriptors", peer);
     return;
   }
-  if (const char* why = table_.Add(connection, peer, PeerPort(address),
-                                   std::chrono::steady_clock::now())) {
+  if (const char* why = watch_.Add(connection, peer, PeerPort(address))) {
     Shed(connection, why, peer);
     return;
   }
@@ -420,19 +375,8 @@ void ConnectionAcceptor::HandOn(int listener, int connection) {
   parameters.listener_fd = listener;
   parameters.fd = connection;
   ++accepted_;
+  const TlsBeginsHere tls(connection);
   grpc_->HandleNewConnection(&parameters);
-}
-
-void ConnectionAcceptor::CutHarmful() {
-  for (const ConnectionTable::Harmful& harmful : table_.TakeHarmful()) {
-    ++shed_;
-    refusals_.Count(harmful.bound);
-    log_->Write(
-        LogLevel::kWarning, "connection_cut",
-        {{"limit", std::string(harmful.bound)}, {"peer", harmful.host}});
-    // gRPC keeps the descriptor and notices the end.
-    if (harmful.descriptor >= 0) shutdown(harmful.descriptor, SHUT_RDWR);
-  }
 }
 
 void ConnectionAcceptor::Shed(int connection, const char* why,
@@ -454,7 +398,7 @@ void ConnectionAcceptor::Shed(int connection, const char* why,
 
 void ConnectionAcceptor::TurnAway(int listener) {
   if (reserve_ >= 0) close(reserve_);
-  const int connection = accept4(listener, nullptr, nullptr, SOCK_CLOEXEC);
+  const int connection = watch_.Accept(listener, SOCK_CLOEXEC);
   if (connection >= 0) Shed(connection, "descriptors", "");
   reserve_ = OpenReserve();
   // Something else in the process holds all descriptors: give it time.

@@ -7,18 +7,22 @@
 // therefore serve the next caller as soon as there is room.
 //
 // Who cuts whom, in this folder:
-//   ConnectionAcceptor  resets a new connection that is one too many, and at
-//                       its looks shuts down those that the table names. It
-//                       logs these, and those that metered reads have ended.
+//   ConnectionAcceptor  resets a new connection that is one too many.
+//   ConnectionWatch     looks at those that are open, on a thread of its own:
+//                       shuts down those that the table names, logs these and
+//                       those that metered reads have ended, and has those
+//                       read again that waited and may go on.
 //   ConnectionTable     judges and does not cut: too many connections, in all
 //                       or from one address; bounds that a meter has passed;
-//                       too many calls held; too many connections without a
-//                       call that was let in.
-//   ConnectionMeter     counts the bytes of one connection against its
-//                       progress, which the calls report (service/call.h).
-//   metered_reads.h     feeds the meters, and ends a connection at its next
-//                       read once its meter has passed a bound: at once,
-//                       because much may come before the next look.
+//                       too much memory held, and too many connections, of
+//                       strangers. It shares processor time among strangers.
+//   ConnectionMeter     counts the bytes, calls and headers of one connection
+//                       against its progress, which the calls report
+//                       (service/call.h), and says when it has to wait.
+//   metered_reads.h     feeds the meters, holds up a connection that has to
+//                       wait, and ends one at its next read once its meter has
+//                       passed a bound: at once, because much may come before
+//                       the next look.
 //   TransportCalls      counts the calls that gRPC holds for a connection.
 //   Admission           refuses calls, searches and batches and cuts nothing:
 //                       it knows callers and vehicles, not connections.
@@ -49,8 +53,9 @@
 #include "server/base/logging.h"
 #include "server/connections/connection_meter.h"
 #include "server/connections/connection_table.h"
+#include "server/connections/connection_watch.h"
+#include "server/connections/metered_reads.h"
 #include "server/connections/refusals.h"
-#include "server/connections/transport_calls.h"
 
 namespace revisit::server {
 
@@ -62,6 +67,7 @@ class ConnectionAcceptor {
     // HOST:PORT, [V6]:PORT, unix:PATH or unix-abstract:NAME. Port 0 takes a
     // free one, the same on all addresses of the host.
     std::string address;
+    WireContent content = WireContent::kHttp2;
     ConnectionTable::Bounds bounds;
     // A connection ends if the other side has not acknowledged bytes that were
     // sent this long ago (TCP_USER_TIMEOUT).
@@ -105,8 +111,6 @@ class ConnectionAcceptor {
   // that the thread can attend to its other work.
   void AcceptSome(int listener);
   void HandOn(int listener, int connection);
-  // Ends connections that only take memory.
-  void CutHarmful();
   void Shed(int connection, const char* why, const std::string& peer);
   // After accept() failed for want of a descriptor: frees the reserve to accept
   // one connection and close it.
@@ -114,7 +118,6 @@ class ConnectionAcceptor {
 
   const Options options_;
   const Log* const log_;
-  ConnectionMeters* const meters_;
   std::string address_;
   // File of a unix socket, removed at the end if it is still the one that was
   // made.
@@ -129,9 +132,9 @@ class ConnectionAcceptor {
   Refusals refusals_;
   std::atomic<std::int64_t> accepted_{0};
 
+  ConnectionWatch watch_;
+
   // Used by the thread only.
-  TransportCalls transport_calls_;
-  ConnectionTable table_;
   std::int64_t shed_ = 0;
   std::int64_t shed_unsaid_ = 0;
   std::chrono::steady_clock::time_point last_said_{};

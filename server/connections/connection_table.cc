@@ -12,14 +12,30 @@ namespace {
 // away.
 constexpr std::chrono::milliseconds kSweepInterval{50};
 
-// A call that is reset takes two frames on the wire: a head of 9 bytes and a
-// byte of headers, then a head and 4 bytes (RFC 9113, 4.1 and 6.4), 23 bytes
-// together. This is half of it, so that a connection is counted again by the
-// time half of the calls that it may still begin can have come.
-constexpr std::uint64_t kLeastCallBytes = 12;
-// A connection that has not had a call let in is counted again once it has
-// brought the bytes of this many calls.
-constexpr std::uint64_t kFewCalls = 20;
+// How often all connections are looked at: rarely enough that it takes next to
+// no time however many there are. In between, only those that wait are.
+constexpr std::chrono::milliseconds kLeastLookInterval{100};
+constexpr std::chrono::microseconds kLookIntervalPerConnection{100};
+
+// A stranger's connection whose calls have held all they may for so long, or
+// that is so old when strangers' calls hold too much, is cut, however little it
+// holds.
+constexpr std::chrono::seconds kFullTime{5};
+constexpr std::chrono::seconds kYoung{2};
+// A younger one is then cut if its calls hold this much.
+constexpr std::uint64_t kMuchMemory = std::uint64_t{1} << 20;
+// gRPC has acted by then on all that a connection brought.
+constexpr std::chrono::seconds kSettled{1};
+// Calls of a connection that is closed are waited for so long.
+constexpr std::chrono::seconds kLeavingTime{60};
+
+// The least that is granted at a time, and the time whose share may be saved
+// up.
+constexpr std::chrono::microseconds kLeastGrant{500};
+constexpr std::chrono::milliseconds kSavedTime{100};
+
+// In place of a bound where the other side has gone.
+constexpr char kLeft[] = "left";
 
 bool Reaches(std::size_t count, std::int64_t most) {
   return most > 0 && count >= static_cast<std::size_t>(most);
@@ -27,11 +43,11 @@ bool Reaches(std::size_t count, std::int64_t most) {
 
 }  // namespace
 
-ConnectionTable::ConnectionTable(const Bounds& bounds, Cookie cookie,
+ConnectionTable::ConnectionTable(const Bounds& bounds, Sockets sockets,
                                  Attach attach, Count count,
                                  ConnectionMeters* meters)
     : bounds_(bounds),
-      cookie_(std::move(cookie)),
+      sockets_(std::move(sockets)),
       attach_(std::move(attach)),
       count_(std::move(count)),
       meters_(meters) {}
@@ -46,7 +62,7 @@ ConnectionTable::~ConnectionTable() {
 const char* ConnectionTable::Add(int descriptor, const std::string& host,
                                  int port,
                                  std::chrono::steady_clock::time_point now) {
-  Remove(descriptor);
+  Remove(descriptor, now);
   // The next look cuts all beyond the bound; beyond twice the bound no more are
   // taken until then.
   const auto too_many_unadmitted = [this] {
@@ -57,7 +73,7 @@ const char* ConnectionTable::Add(int descriptor, const std::string& host,
       too_many_unadmitted()) {
     if (now - last_sweep_ >= kSweepInterval) {
       last_sweep_ = now;
-      SweepAll();
+      SweepAll(now);
     }
     if (Reaches(connections_.size(), bounds_.max_connections)) {
       return "max-connections";
@@ -65,16 +81,19 @@ const char* ConnectionTable::Add(int descriptor, const std::string& host,
     if (too_many_unadmitted()) return "max-unadmitted-connections";
   }
   if (Reaches(CountOf(host), bounds_.max_connections_per_address)) {
-    SweepHost(host);
+    SweepHost(host, now);
     if (Reaches(CountOf(host), bounds_.max_connections_per_address)) {
       return "max-connections-per-address";
     }
   }
-  const std::optional<std::uint64_t> cookie = cookie_(descriptor);
+  const std::optional<std::uint64_t> cookie = sockets_.cookie(descriptor);
   // The connection was closed in the meantime.
   if (!cookie) return nullptr;
-  Connection connection{host, *cookie, nullptr, ""};
+  Connection connection;
+  connection.host = host;
+  connection.cookie = *cookie;
   connection.number = ++last_number_;
+  connection.begun = connection.quiet_since = now;
   if (port != 0) {
     connection.remote = host + ":" + std::to_string(port);
     connection.meter = meters_->Open(connection.remote);
@@ -85,107 +104,214 @@ const char* ConnectionTable::Add(int descriptor, const std::string& host,
   return nullptr;
 }
 
-std::vector<ConnectionTable::Harmful> ConnectionTable::TakeHarmful() {
-  std::vector<Harmful> harmful = std::exchange(untold_, {});
+ConnectionTable::Findings ConnectionTable::Look(
+    std::chrono::steady_clock::time_point now) {
+  Findings findings;
+  const bool is_whole =
+      now - last_whole_look_ >=
+      std::max<std::chrono::microseconds>(
+          kLeastLookInterval,
+          kLookIntervalPerConnection * static_cast<std::int64_t>(size()));
+  if (is_whole) last_whole_look_ = now;
+  const bool is_crowded = meters_->unadmitted().memory >
+                          meters_->bounds().max_unadmitted_memory / 2;
   std::vector<int> closed;
-  std::vector<std::pair<int, Connection*>> unadmitted;
+  std::vector<Stranger> strangers;
   for (auto& [descriptor, connection] : connections_) {
     if (connection.meter == nullptr) continue;
-    const bool is_open = IsOpen(descriptor, connection);
-    if (!is_open) closed.push_back(descriptor);
+    if (is_whole && !IsOpen(descriptor, connection)) {
+      closed.push_back(descriptor);
+      continue;
+    }
+    ConnectionMeter::Standing standing = connection.meter->standing();
+    if (is_whole || standing.is_waiting ||
+        (is_crowded && !standing.is_admitted)) {
+      CountCalls(&connection, standing, now);
+      standing = connection.meter->standing();
+    }
     if (connection.was_told) continue;
-    if (is_open) Look(&connection);
-    if (const char* bound = BoundPassed(connection)) {
-      connection.was_told = true;
-      harmful.push_back({is_open ? descriptor : -1, connection.host, bound});
-    } else if (is_open && !connection.meter->admitted()) {
-      unadmitted.emplace_back(descriptor, &connection);
+    if (const char* bound = BoundPassed(&connection, standing, now)) {
+      Tell(descriptor, &connection, bound, &findings);
+    } else if (!standing.is_admitted) {
+      strangers.push_back({descriptor, &connection, standing});
     }
   }
-  FindTooMany(std::move(unadmitted), &harmful);
-  for (const int descriptor : closed) Remove(descriptor);
-  return harmful;
+  CountLeaving(now);
+  FindTooMuchMemory(&strangers, now, &findings);
+  FindTooManyConnections(&strangers, &findings);
+  GrantWork(&strangers, now);
+  ResumeWaiting(&findings);
+  RemoveAll(closed, now);
+  findings.harmful.insert(findings.harmful.end(), untold_.begin(),
+                          untold_.end());
+  untold_.clear();
+  return findings;
 }
 
-void ConnectionTable::Look(Connection* connection) const {
-  ConnectionMeter& meter = *connection->meter;
-  const std::uint64_t bytes = meter.received();
-  const auto calls = meter.admitted()
-                         ? static_cast<std::uint64_t>(bounds_.max_held_calls)
-                         : kFewCalls;
-  const bool may_hold_more =
-      bytes - connection->counted_bytes >= calls * kLeastCallBytes;
-  // Once a call of the connection was let in, it matters only whether it holds
-  // too many.
-  const bool may_hold_less = !meter.admitted() && connection->held > 0;
-  const bool may_be_forgiven = meter.IsHalfWay();
-  if (!may_hold_more && !may_hold_less && !may_be_forgiven) return;
-  connection->counted_bytes = bytes;
+void ConnectionTable::CountCalls(
+    Connection* connection, const ConnectionMeter::Standing& standing,
+    std::chrono::steady_clock::time_point now) const {
+  if (standing.received != connection->counted_bytes) {
+    connection->counted_bytes = standing.received;
+    connection->quiet_since = now;
+  }
+  if (!standing.wants_counts && !standing.is_half_way) return;
   const std::optional<CallCounts> counts = count_(connection->remote);
-  connection->held = counts ? counts->held : 0;
+  if (!counts) return;
+  connection->meter->LearnCalls(*counts,
+                                now - connection->quiet_since >= kSettled);
   // gRPC holds nothing for a connection without calls, and headers that have
   // not ended count as a call. But answers that belong to no call (to pings and
   // settings) may wait to be read: so a call must also have come to its end.
-  if (may_be_forgiven && counts && counts->held == 0 &&
+  if (standing.is_half_way && counts->held == 0 &&
       counts->over > connection->forgiven_calls) {
     connection->forgiven_calls = counts->over;
-    meter.Forgive();
+    connection->meter->Forgive();
   }
 }
 
-const char* ConnectionTable::BoundPassed(const Connection& connection) const {
-  if (const char* bound = connection.meter->BoundPassed()) return bound;
-  return bounds_.max_held_calls > 0 &&
-                 connection.held >
-                     static_cast<std::uint64_t>(bounds_.max_held_calls)
-             ? "max-concurrent-streams"
-             : nullptr;
+const char* ConnectionTable::BoundPassed(
+    Connection* connection, const ConnectionMeter::Standing& standing,
+    std::chrono::steady_clock::time_point now) const {
+  if (standing.passed != nullptr) return standing.passed;
+  if (!standing.is_full) {
+    connection->full_since.reset();
+    return nullptr;
+  }
+  if (!connection->full_since) connection->full_since = now;
+  return now - *connection->full_since >= kFullTime ? "max-unadmitted-calls"
+                                                    : nullptr;
 }
 
-void ConnectionTable::FindTooMany(
-    std::vector<std::pair<int, Connection*>> unadmitted,
-    std::vector<Harmful>* harmful) const {
-  const auto tell = [harmful](const std::pair<int, Connection*>& one,
-                              const char* bound) {
-    one.second->was_told = true;
-    harmful->push_back({one.first, one.second->host, bound});
+void ConnectionTable::CountLeaving(std::chrono::steady_clock::time_point now) {
+  const auto is_gone = [this, now](const Leaving& leaving) {
+    if (now >= leaving.until) return true;
+    const std::optional<CallCounts> counts = count_(leaving.remote);
+    if (!counts) return true;
+    leaving.meter->LearnCalls(*counts, /*is_settled=*/true);
+    return counts->held == 0;
   };
-  std::uint64_t calls = 0;
-  for (const auto& one : unadmitted) calls += one.second->held;
-  std::sort(unadmitted.begin(), unadmitted.end(),
-            [](const auto& a, const auto& b) {
-              return a.second->held > b.second->held;
+  leaving_.erase(std::remove_if(leaving_.begin(), leaving_.end(), is_gone),
+                 leaving_.end());
+}
+
+void ConnectionTable::Tell(int descriptor, Connection* connection,
+                           const char* bound, Findings* findings) const {
+  connection->was_told = true;
+  connection->meter->Condemn(bound);
+  findings->harmful.push_back(
+      {IsOpen(descriptor, *connection) ? descriptor : -1, connection->host,
+       bound});
+}
+
+void ConnectionTable::FindTooMuchMemory(
+    std::vector<Stranger>* strangers, std::chrono::steady_clock::time_point now,
+    Findings* findings) const {
+  const std::uint64_t most = meters_->bounds().max_unadmitted_memory;
+  if (most == 0 || meters_->unadmitted().memory <= most) return;
+  std::sort(strangers->begin(), strangers->end(),
+            [](const Stranger& a, const Stranger& b) {
+              return a.standing.memory > b.standing.memory;
             });
-  const auto most_calls =
-      static_cast<std::uint64_t>(bounds_.max_unadmitted_calls);
-  std::size_t kept = 0;
-  for (; most_calls > 0 && calls > most_calls; ++kept) {
-    calls -= unadmitted[kept].second->held;
-    tell(unadmitted[kept], "max-unadmitted-calls");
+  // The rest is that of connections which are cut already.
+  std::uint64_t memory = 0;
+  for (const Stranger& one : *strangers) memory += one.standing.memory;
+  for (Stranger& one : *strangers) {
+    if (memory <= most / 2 || one.standing.memory == 0) return;
+    if (one.standing.memory < kMuchMemory &&
+        now - one.connection->begun < kYoung) {
+      continue;
+    }
+    memory -= one.standing.memory;
+    Tell(one.descriptor, one.connection, "max-unadmitted-calls", findings);
   }
-  unadmitted.erase(unadmitted.begin(),
-                   unadmitted.begin() + static_cast<std::ptrdiff_t>(kept));
+}
+
+void ConnectionTable::FindTooManyConnections(std::vector<Stranger>* strangers,
+                                             Findings* findings) const {
+  strangers->erase(std::remove_if(strangers->begin(), strangers->end(),
+                                  [](const Stranger& one) {
+                                    return one.connection->was_told;
+                                  }),
+                   strangers->end());
   const auto most =
       static_cast<std::size_t>(bounds_.max_unadmitted_connections);
-  if (most == 0 || unadmitted.size() <= most) return;
-  std::sort(unadmitted.begin(), unadmitted.end(),
-            [](const auto& a, const auto& b) {
-              return a.second->number < b.second->number;
+  if (most == 0 || strangers->size() <= most) return;
+  std::sort(strangers->begin(), strangers->end(),
+            [](const Stranger& a, const Stranger& b) {
+              return a.connection->number < b.connection->number;
             });
-  for (std::size_t i = 0; i + most < unadmitted.size(); ++i) {
-    tell(unadmitted[i], "max-unadmitted-connections");
+  const auto young = strangers->end() - static_cast<std::ptrdiff_t>(most);
+  for (auto one = strangers->begin(); one != young; ++one) {
+    Tell(one->descriptor, one->connection, "max-unadmitted-connections",
+         findings);
+  }
+  strangers->erase(strangers->begin(), young);
+}
+
+void ConnectionTable::GrantWork(std::vector<Stranger>* strangers,
+                                std::chrono::steady_clock::time_point now) {
+  const std::chrono::nanoseconds passed =
+      std::min<std::chrono::nanoseconds>(now - last_work_, kSavedTime);
+  last_work_ = now;
+  const auto share_of = [this](std::chrono::nanoseconds time) {
+    return std::chrono::duration_cast<ConnectionMeter::Work>(
+        std::chrono::duration<double>(time) *
+        std::chrono::duration<double>(bounds_.unadmitted_work).count());
+  };
+  work_ = std::min(work_ + share_of(passed), share_of(kSavedTime));
+  strangers->erase(std::remove_if(strangers->begin(), strangers->end(),
+                                  [](const Stranger& one) {
+                                    return !one.standing.wants_work;
+                                  }),
+                   strangers->end());
+  std::sort(strangers->begin(), strangers->end(),
+            [](const Stranger& a, const Stranger& b) {
+              return a.standing.work < b.standing.work;
+            });
+  auto left = static_cast<std::int64_t>(strangers->size());
+  for (const Stranger& one : *strangers) {
+    const bool is_free = bounds_.unadmitted_work.count() == 0;
+    if (!is_free && work_.count() <= 0) return;
+    const ConnectionMeter::Work grant =
+        std::max<ConnectionMeter::Work>(work_ / left--, kLeastGrant);
+    if (!is_free) work_ -= grant;
+    one.connection->meter->Grant(grant);
   }
 }
 
-void ConnectionTable::Remove(int descriptor) {
+void ConnectionTable::ResumeWaiting(Findings* findings) {
+  for (auto& [descriptor, connection] : connections_) {
+    if (connection.meter == nullptr || connection.was_told) continue;
+    if (connection.meter->Resume()) {
+      findings->resumed.push_back(descriptor);
+    } else if (connection.meter->standing().is_waiting) {
+      if (IsOpen(descriptor, connection) && sockets_.is_left(descriptor)) {
+        connection.was_told = true;
+        connection.meter->Condemn(kLeft);
+        findings->left.push_back(descriptor);
+      } else {
+        findings->is_urgent = true;
+      }
+    }
+  }
+}
+
+void ConnectionTable::Remove(int descriptor,
+                             std::chrono::steady_clock::time_point now) {
   const auto found = connections_.find(descriptor);
   if (found == connections_.end()) return;
   const Connection& connection = found->second;
-  if (connection.meter != nullptr && !connection.was_told) {
+  if (connection.meter != nullptr) {
+    const ConnectionMeter::Standing standing = connection.meter->standing();
     // The connection was closed for this bound; its descriptor may belong to
     // another connection already.
-    if (const char* bound = BoundPassed(connection)) {
-      untold_.push_back({-1, connection.host, bound});
+    if (standing.passed != nullptr && !connection.was_told) {
+      untold_.push_back({-1, connection.host, standing.passed});
+    }
+    if (!standing.is_admitted && standing.memory > 0) {
+      leaving_.push_back(
+          {connection.remote, connection.meter, now + kLeavingTime});
     }
   }
   const auto host = by_host_.find(connection.host);
@@ -196,27 +322,33 @@ void ConnectionTable::Remove(int descriptor) {
   connections_.erase(found);
 }
 
-bool ConnectionTable::IsOpen(int descriptor,
-                             const Connection& connection) const {
-  return cookie_(descriptor) == connection.cookie;
+void ConnectionTable::RemoveAll(const std::vector<int>& closed,
+                                std::chrono::steady_clock::time_point now) {
+  for (const int descriptor : closed) Remove(descriptor, now);
 }
 
-void ConnectionTable::SweepAll() {
+bool ConnectionTable::IsOpen(int descriptor,
+                             const Connection& connection) const {
+  return sockets_.cookie(descriptor) == connection.cookie;
+}
+
+void ConnectionTable::SweepAll(std::chrono::steady_clock::time_point now) {
   std::vector<int> closed;
   for (const auto& [descriptor, connection] : connections_) {
     if (!IsOpen(descriptor, connection)) closed.push_back(descriptor);
   }
-  for (const int descriptor : closed) Remove(descriptor);
+  RemoveAll(closed, now);
 }
 
-void ConnectionTable::SweepHost(const std::string& host) {
+void ConnectionTable::SweepHost(const std::string& host,
+                                std::chrono::steady_clock::time_point now) {
   std::vector<int> closed;
   for (const int descriptor : by_host_.at(host)) {
     if (!IsOpen(descriptor, connections_.at(descriptor))) {
       closed.push_back(descriptor);
     }
   }
-  for (const int descriptor : closed) Remove(descriptor);
+  RemoveAll(closed, now);
 }
 
 std::size_t ConnectionTable::CountOf(const std::string& host) const {

@@ -13,26 +13,21 @@
 #include <string>
 #include <unordered_map>
 #include <unordered_set>
-#include <utility>
 #include <vector>
 
 #include "server/connections/connection_meter.h"
 
 namespace revisit::server {
 
-// Calls of one connection.
-struct CallCounts {
-  // Calls in memory, including those that were reset and not yet cleared away.
-  std::uint64_t held = 0;
-  // Calls that have ended and left the memory.
-  std::uint64_t over = 0;
-};
-
 // Thread-compatible.
 class ConnectionTable {
  public:
-  // Unique id (SO_COOKIE) of the socket behind a descriptor, or nullopt.
-  using Cookie = std::function<std::optional<std::uint64_t>(int)>;
+  struct Sockets {
+    // Unique id (SO_COOKIE) of the socket behind a descriptor, or nullopt.
+    std::function<std::optional<std::uint64_t>(int)> cookie;
+    // Whether the other side has closed the connection.
+    std::function<bool(int)> is_left;
+  };
 
   // Has a meter count the bytes that come on a descriptor; null detaches the
   // meter.
@@ -47,16 +42,14 @@ class ConnectionTable {
     int max_connections = 0;
     int max_connections_per_address = 0;
     int max_unadmitted_connections = 0;
-    // Calls that one connection may hold, including those that were reset; 0
-    // switches it off.
-    std::int64_t max_held_calls = 0;
-    // Calls that all connections together may hold that have not had a call let
-    // in; 0 switches it off.
-    std::int64_t max_unadmitted_calls = 0;
+    // Processor time per second for all connections together that have not had
+    // a call let in, beyond what each is granted from the beginning; 0 gives
+    // any that is asked for.
+    std::chrono::nanoseconds unadmitted_work{0};
   };
 
   // `meters` outlives this.
-  ConnectionTable(const Bounds& bounds, Cookie cookie, Attach attach,
+  ConnectionTable(const Bounds& bounds, Sockets sockets, Attach attach,
                   Count count, ConnectionMeters* meters);
   ~ConnectionTable();
 
@@ -76,12 +69,24 @@ class ConnectionTable {
     const char* bound;
   };
 
-  // Returns connections that passed a bound of their meter or hold more than
-  // max_held_calls. Among those that have not had a call let in, also the
-  // oldest beyond max_unadmitted_connections, and, while together they hold
-  // more than max_unadmitted_calls, those that hold the most. Each connection
-  // is returned once.
-  std::vector<Harmful> TakeHarmful();
+  struct Findings {
+    // Each connection is among them once.
+    std::vector<Harmful> harmful;
+    // Descriptors of connections that wait and whose other side has gone.
+    std::vector<int> left;
+    // Descriptors of connections that waited and may go on.
+    std::vector<int> resumed;
+    // Connections still wait: the next look should come soon.
+    bool is_urgent = false;
+  };
+
+  // Harmful are connections that passed a bound of their meter, or whose calls
+  // have held all that a stranger's may for kFullTime. Among those that have
+  // not had a call let in, also the oldest beyond max_unadmitted_connections,
+  // and, while their calls together hold more than they may, those whose calls
+  // hold the most. Processor time is granted to those first that have had the
+  // least.
+  Findings Look(std::chrono::steady_clock::time_point now);
 
   // Number of connections that were open when last looked at.
   std::size_t size() const { return connections_.size(); }
@@ -89,44 +94,80 @@ class ConnectionTable {
  private:
   struct Connection {
     std::string host;
-    std::uint64_t cookie;
+    std::uint64_t cookie = 0;
     // Null, with all that follows, if it is not metered.
     MeterPointer meter;
     std::string remote;
     // Number of the connection, in the order in which they came.
     std::uint64_t number = 0;
-    // At the last count: the calls it held, and the bytes that had come.
-    std::uint64_t held = 0;
+    std::chrono::steady_clock::time_point begun;
+    // Since when its calls hold all that they may.
+    std::optional<std::chrono::steady_clock::time_point> full_since;
+    // The bytes that had come when its calls were counted last, and since when
+    // no others have.
     std::uint64_t counted_bytes = 0;
+    std::chrono::steady_clock::time_point quiet_since;
     // Calls that were over when it was last forgiven.
     std::uint64_t forgiven_calls = 0;
     bool was_told = false;
   };
+  // A connection that is closed, while gRPC still holds calls of it.
+  struct Leaving {
+    std::string remote;
+    MeterPointer meter;
+    std::chrono::steady_clock::time_point until;
+  };
+  struct Stranger {
+    int descriptor;
+    Connection* connection;
+    ConnectionMeter::Standing standing;
+  };
 
-  void Remove(int descriptor);
-  void Look(Connection* connection) const;
-  const char* BoundPassed(const Connection& connection) const;
-  // Adds to `harmful` those of `unadmitted` that are beyond the bounds which
-  // they share.
-  void FindTooMany(std::vector<std::pair<int, Connection*>> unadmitted,
-                   std::vector<Harmful>* harmful) const;
+  void Remove(int descriptor, std::chrono::steady_clock::time_point now);
+  void RemoveAll(const std::vector<int>& closed,
+                 std::chrono::steady_clock::time_point now);
+  // Has the meter learn what gRPC holds for the connection.
+  void CountCalls(Connection* connection,
+                  const ConnectionMeter::Standing& standing,
+                  std::chrono::steady_clock::time_point now) const;
+  const char* BoundPassed(Connection* connection,
+                          const ConnectionMeter::Standing& standing,
+                          std::chrono::steady_clock::time_point now) const;
+  void CountLeaving(std::chrono::steady_clock::time_point now);
+  // Adds the connection to the harmful.
+  void Tell(int descriptor, Connection* connection, const char* bound,
+            Findings* findings) const;
+  void FindTooMuchMemory(std::vector<Stranger>* strangers,
+                         std::chrono::steady_clock::time_point now,
+                         Findings* findings) const;
+  void FindTooManyConnections(std::vector<Stranger>* strangers,
+                              Findings* findings) const;
+  void GrantWork(std::vector<Stranger>* strangers,
+                 std::chrono::steady_clock::time_point now);
+  void ResumeWaiting(Findings* findings);
   bool IsOpen(int descriptor, const Connection& connection) const;
-  void SweepAll();
-  void SweepHost(const std::string& host);
+  void SweepAll(std::chrono::steady_clock::time_point now);
+  void SweepHost(const std::string& host,
+                 std::chrono::steady_clock::time_point now);
   std::size_t CountOf(const std::string& host) const;
 
   const Bounds bounds_;
-  const Cookie cookie_;
+  const Sockets sockets_;
   const Attach attach_;
   const Count count_;
   ConnectionMeters* const meters_;
   std::uint64_t last_number_ = 0;
   std::unordered_map<int, Connection> connections_;
-  // Connections that were closed for a bound they passed, until TakeHarmful()
-  // returns them.
+  // Connections that were closed for a bound they passed, until Look() returns
+  // them.
   std::vector<Harmful> untold_;
+  std::vector<Leaving> leaving_;
   std::unordered_map<std::string, std::unordered_set<int>> by_host_;
   std::chrono::steady_clock::time_point last_sweep_{};
+  std::chrono::steady_clock::time_point last_whole_look_{};
+  // Processor time that may be granted, and when some was added last.
+  ConnectionMeter::Work work_{0};
+  std::chrono::steady_clock::time_point last_work_{};
 };
 
 }  // namespace revisit::server

@@ -6,11 +6,12 @@
 
 namespace revisit::server {
 
-bool Drain::Enter() {
+absl::Status Drain::Enter(bool needs_store) {
   const MutexLock lock(&mutex_);
   ++calls_;
   has_ended_calls_ = has_ended_calls_ || started_;
-  return !started_;
+  if (started_) return Refusal();
+  return needs_store ? suspension_ : absl::OkStatus();
 }
 
 void Drain::Leave() {
@@ -19,18 +20,23 @@ void Drain::Leave() {
   if (--calls_ == 0) idle_.NotifyAll();
 }
 
-Drain::WatchId Drain::Watch(std::function<void()> wind_down) {
+Drain::WatchId Drain::Watch(Watcher wind_down) {
+  WatchId id = -1;
+  End end;
   {
     const MutexLock lock(&mutex_);
-    const WatchId id = next_id_++;
-    if (!started_) {
-      watchers_.emplace(id, std::move(wind_down));
-      return id;
+    if (started_) {
+      end = {Refusal()};
+    } else {
+      id = next_id_++;
+      watchers_.emplace(id, wind_down);
+      if (suspension_.ok()) return id;
+      end = {suspension_, /*at_once=*/true};
     }
   }
   // Called without the lock: it may call Unwatch().
-  wind_down();
-  return -1;
+  wind_down(end);
+  return id;
 }
 
 void Drain::Unwatch(WatchId id) {
@@ -38,15 +44,32 @@ void Drain::Unwatch(WatchId id) {
   watchers_.erase(id);
 }
 
+void Drain::Suspend(const absl::Status& why) {
+  std::map<WatchId, Watcher> watchers;
+  {
+    const MutexLock lock(&mutex_);
+    suspension_ = why;
+    watchers = watchers_;
+  }
+  const End end = {why, /*at_once=*/true};
+  for (const auto& [id, wind_down] : watchers) wind_down(end);
+}
+
+void Drain::Resume() {
+  const MutexLock lock(&mutex_);
+  suspension_ = absl::OkStatus();
+}
+
 void Drain::Start() {
-  std::map<WatchId, std::function<void()>> watchers;
+  std::map<WatchId, Watcher> watchers;
   {
     const MutexLock lock(&mutex_);
     started_ = true;
     has_ended_calls_ = has_ended_calls_ || calls_ != 0;
     watchers.swap(watchers_);
   }
-  for (const auto& [id, wind_down] : watchers) wind_down();
+  const End end = {Refusal()};
+  for (const auto& [id, wind_down] : watchers) wind_down(end);
 }
 
 void Drain::WaitForCalls(std::chrono::steady_clock::time_point deadline) {

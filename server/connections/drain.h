@@ -1,5 +1,6 @@
-// Counts the calls that are still at work when the server ends, and notifies
-// them.
+// Counts the calls that are still at work when the server ends, and tells them
+// to end: then, and whenever the store is out of reach for so long that nothing
+// may be answered.
 //
 // gRPC's own shutdown is no substitute: it also waits for every idle client to
 // hear of it, which may take until its deadline.
@@ -20,16 +21,31 @@ namespace revisit::server {
 class Drain {
  public:
   using WatchId = std::int64_t;
+  // How a call is to end.
+  struct End {
+    absl::Status status;
+    // Whether at once: what it waits for may never come. Otherwise once what it
+    // has begun is done and answered.
+    bool at_once = false;
+  };
+  using Watcher = std::function<void(const End&)>;
 
-  // Notes that a call begins; false if it comes too late and is to be refused.
-  // Either way, call Leave() when gRPC is done with it.
-  bool Enter();
+  // Notes that a call begins. Not OK if it is to be refused with this, because
+  // it comes too late, or needs the store while that is suspended. Either way,
+  // call Leave() when gRPC is done with it.
+  absl::Status Enter(bool needs_store);
   void Leave();
 
-  // Calls `wind_down` once when draining starts, or at once if it has started.
-  // The call may come on any thread, also after Unwatch() was called.
-  WatchId Watch(std::function<void()> wind_down);
+  // Calls `wind_down` when draining starts and whenever the store is suspended,
+  // or at once if either is so. The call may come on any thread, also after
+  // Unwatch() was called.
+  WatchId Watch(Watcher wind_down);
   void Unwatch(WatchId id);
+
+  // The store is out of reach, for this reason: calls end with it at once, and
+  // others that need the store are refused with it, until Resume().
+  void Suspend(const absl::Status& why);
+  void Resume();
 
   void Start();
   // Waits until no call is left, or until the deadline.
@@ -47,8 +63,10 @@ class Drain {
   std::int64_t calls_ ABSL_GUARDED_BY(mutex_) = 0;
   bool started_ ABSL_GUARDED_BY(mutex_) = false;
   bool has_ended_calls_ ABSL_GUARDED_BY(mutex_) = false;
+  // OK unless the store is suspended.
+  absl::Status suspension_ ABSL_GUARDED_BY(mutex_);
   WatchId next_id_ ABSL_GUARDED_BY(mutex_) = 0;
-  std::map<WatchId, std::function<void()>> watchers_ ABSL_GUARDED_BY(mutex_);
+  std::map<WatchId, Watcher> watchers_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace revisit::server

@@ -12,11 +12,15 @@ namespace revisit::server {
 
 // The limits by the names of their settings, and, where no setting is the
 // limit: what a caller's deadline leaves of time, the descriptors that the
-// process may open, calls of connections that have not had one let in.
+// process may open, the policy's budget of a tenant
+// (max-search-steps-per-second), a caller's share of max-searches, and the
+// memory of calls and the pings of connections that have not had a call let in.
 inline constexpr const char* kLimitNames[] = {
     "caller-deadline",
     "descriptors",
     "max-calls",
+    "max-calls-per-caller",
+    "max-calls-per-vehicle",
     "max-concurrent-streams",
     "max-connections",
     "max-connections-per-address",
@@ -26,16 +30,22 @@ inline constexpr const char* kLimitNames[] = {
     "max-memory-bytes",
     "max-queued-bytes",
     "max-queued-bytes-per-vehicle",
+    "max-rebuilt-poses",
+    "max-rebuilt-poses-per-caller",
     "max-revision-bytes",
     "max-search-rate-per-caller",
+    "max-search-steps",
+    "max-search-steps-per-second",
     "max-searches",
     "max-searches-per-vehicle",
+    "max-searches-share",
     "max-streams",
     "max-streams-per-caller",
     "max-streams-per-vehicle",
     "max-unadmitted-bytes",
     "max-unadmitted-calls",
     "max-unadmitted-connections",
+    "max-unadmitted-pings",
 };
 inline constexpr std::size_t kLimitCount =
     sizeof(kLimitNames) / sizeof(kLimitNames[0]);

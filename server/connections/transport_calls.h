@@ -14,7 +14,7 @@
 #include <string>
 #include <unordered_map>
 
-#include "server/connections/connection_table.h"
+#include "server/connections/connection_meter.h"
 
 namespace revisit::server {
 

@@ -160,8 +160,8 @@ void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle) {
   EncodeConsistency(view.engine.consistency(),
                     AppliesInflation(view.config.engine),
                     vehicle->mutable_consistency());
-  if (const auto finding = view.engine.finding()) {
-    EncodeFinding(*finding, vehicle->add_findings());
+  for (const core::Finding& finding : view.engine.findings()) {
+    EncodeFinding(finding, vehicle->add_findings());
   }
 }
 
@@ -174,7 +174,7 @@ void EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle) {
       name.begin(), name.end(), [](char c) { return c < ' ' || c > '~'; }, '?');
   vehicle->set_name(name);
   if (config.ok()) EncodeConfig(*config, vehicle);
-  if (!config.ok() || !record.damage.ok()) {
+  if (!config.ok() || !record.damage.ok() || config->damaged) {
     vehicle->set_state(v1::VEHICLE_STATE_DAMAGED);
     return;
   }
@@ -193,9 +193,12 @@ void EncodeAck(const Acknowledgement& acknowledgement, v1::Ack* ack) {
     added->set_sequence(jump.sequence);
     added->set_distance_meters(jump.distance_meters);
   }
-  if (acknowledgement.finding) {
-    EncodeFindingWarning(*acknowledgement.finding,
-                         acknowledgement.durable_sequence, ack->add_warnings());
+  for (const core::Finding& finding : acknowledgement.findings) {
+    EncodeFindingWarning(finding, acknowledgement.durable_sequence,
+                         ack->add_warnings());
+  }
+  if (acknowledgement.stamp_ahead) {
+    EncodeStampWarning(*acknowledgement.stamp_ahead, ack->add_warnings());
   }
 }
 

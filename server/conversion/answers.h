@@ -18,7 +18,7 @@ void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle);
 // Encodes what the store knows of a vehicle that is not in memory.
 void EncodeVehicle(const VehicleRecord& record, v1::Vehicle* vehicle);
 
-// With a warning of the finding, if there is one.
+// With warnings of its findings and of a stamp that is ahead.
 void EncodeAck(const Acknowledgement& acknowledgement, v1::Ack* ack);
 
 void EncodeNode(const core::PoseGraph& graph, core::NodeIndex index,

@@ -1,7 +1,9 @@
 #include "server/conversion/field_violations.h"
 
 #include <cmath>
+#include <cstdint>
 
+#include "absl/strings/ascii.h"
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
@@ -10,6 +12,37 @@
 namespace revisit::server {
 
 using core::NumberText;
+
+namespace {
+
+// The code point at `*at` of valid UTF-8, and `*at` behind it.
+std::uint32_t NextCodePoint(const std::string& text, std::size_t* at) {
+  const auto head = static_cast<unsigned char>(text[(*at)++]);
+  std::uint32_t code_point = head < 0x80   ? head
+                             : head < 0xE0 ? head & 0x1Fu
+                             : head < 0xF0 ? head & 0x0Fu
+                                           : head & 0x07u;
+  while (*at < text.size() &&
+         (static_cast<unsigned char>(text[*at]) & 0xC0u) == 0x80u) {
+    code_point =
+        code_point << 6 | (static_cast<unsigned char>(text[(*at)++]) & 0x3Fu);
+  }
+  return code_point;
+}
+
+bool IsForbidden(std::uint32_t c, TextUse use) {
+  if (c < 0x20 || (c >= 0x7F && c < 0xA0)) {
+    return use == TextUse::kName || (c != '\n' && c != '\t');
+  }
+  if (use == TextUse::kNote) return false;
+  // U+061C, U+200E, U+200F, U+202A to U+202E and U+2066 to U+2069 are Unicode's
+  // Bidi_Control.
+  return c == 0x061C || c == 0x200B || c == 0x200E || c == 0x200F ||
+         (c >= 0x2028 && c <= 0x202E) || (c >= 0x2060 && c <= 0x206F) ||
+         c == 0xFEFF;
+}
+
+}  // namespace
 
 std::string FieldPath::ToString() const {
   if (name_ == nullptr) return "";
@@ -50,7 +83,7 @@ bool CheckRange(double value, double lowest, double highest,
   return false;
 }
 
-bool CheckText(const std::string& text, std::size_t most_bytes, TextLines lines,
+bool CheckText(const std::string& text, std::size_t most_bytes, TextUse use,
                const FieldPath& path, Violations* violations) {
   if (text.size() > most_bytes) {
     violations->Add(
@@ -58,22 +91,22 @@ bool CheckText(const std::string& text, std::size_t most_bytes, TextLines lines,
         absl::StrCat("got ", text.size(), " bytes; allowed are ", most_bytes));
     return false;
   }
-  for (std::size_t i = 0; i < text.size(); ++i) {
-    const auto byte = static_cast<unsigned char>(text[i]);
-    const bool is_break = byte == '\n' || byte == '\t';
-    // U+0080 to U+009F are control characters too.
-    const bool is_control = byte < 0x20 || byte == 0x7f ||
-                            (byte == 0xc2 && i + 1 < text.size() &&
-                             static_cast<unsigned char>(text[i + 1]) < 0xa0);
-    if (!is_control || (is_break && lines == TextLines::kMany)) continue;
+  for (std::size_t i = 0; i < text.size();) {
+    const std::size_t begin = i;
+    const std::uint32_t code_point = NextCodePoint(text, &i);
+    if (!IsForbidden(code_point, use)) continue;
     violations->Add(
         kInvalidField, path,
         absl::StrCat("got ", Quoted(text.substr(0, 64)),
-                     text.size() > 64 ? " and more" : "",
-                     ", with a control character at byte ", i,
-                     lines == TextLines::kMany
-                         ? "; of these, only line feeds and tabs are allowed"
-                         : "; none is allowed"));
+                     text.size() > 64 ? " and more" : "", ", with U+",
+                     absl::AsciiStrToUpper(
+                         absl::StrCat(absl::Hex(code_point, absl::kZeroPad4))),
+                     " at byte ", begin,
+                     use == TextUse::kNote
+                         ? "; of control characters, only line feeds and tabs "
+                           "are allowed"
+                         : "; characters that control, turn around or hide "
+                           "text are not allowed"));
     return false;
   }
   return true;

@@ -73,12 +73,21 @@ bool CheckFinite(double value, const FieldPath& path, Violations* violations);
 bool CheckRange(double value, double lowest, double highest,
                 const FieldPath& path, Violations* violations);
 
-// How many lines a text may have.
-enum class TextLines { kOne, kMany };
-// Whether the text is short enough and has no control character; in many lines,
-// line feeds and tabs are allowed. REQUIRES: valid UTF-8, as parsed messages
-// have it.
-bool CheckText(const std::string& text, std::size_t most_bytes, TextLines lines,
+// What a text is for.
+enum class TextUse {
+  // A name, or a value that is told from others: it looks like what it is.
+  // Neither control characters, nor separators of lines, nor what changes the
+  // direction of the text, nor spaces and marks without width (U+200B, U+2060
+  // to U+206F, U+FEFF). The joiners stay, which some scripts and emoji need.
+  kName,
+  // For people to read: line feeds and tabs, and what any script needs, but no
+  // other control character.
+  kNote,
+};
+// Whether the text is short enough and has no character that its use forbids.
+// Texts that are stored already are not judged again. REQUIRES: valid UTF-8, as
+// parsed messages have it.
+bool CheckText(const std::string& text, std::size_t most_bytes, TextUse use,
                const FieldPath& path, Violations* violations);
 
 // Text that a caller sent, as messages show it: in quotes, and in printable

@@ -1,6 +1,7 @@
 #include "server/conversion/findings.h"
 
 #include <cmath>
+#include <cstdint>
 #include <string>
 
 #include "absl/strings/str_cat.h"
@@ -15,11 +16,14 @@ constexpr EnumRow<v1::FindingCode, core::FindingCode> kCodes[] = {
     {v1::FINDING_CODE_COVARIANCES_DO_NOT_GROW,
      core::FindingCode::kCovariancesDoNotGrow},
     {v1::FINDING_CODE_COVARIANCES_GROW, core::FindingCode::kCovariancesGrow},
-    {v1::FINDING_CODE_ERRORS_CORRELATED, core::FindingCode::kErrorsCorrelated}};
+    {v1::FINDING_CODE_ERRORS_CORRELATED, core::FindingCode::kErrorsCorrelated},
+    {v1::FINDING_CODE_STAMPS_LEAP, core::FindingCode::kStampsLeap}};
 
 // Poses that are so many times smoother than independent errors make them, or
 // more, have errors that depend on each other.
 constexpr double kSmooth = 3.0;
+
+constexpr std::int64_t kNanosecondsPerSecond = 1'000'000'000;
 
 // Further digits would be those of chance.
 std::string Rough(double value) {
@@ -46,6 +50,25 @@ std::string DoNotGrowText(const core::Finding& finding) {
                 "add up along the path");
 }
 
+std::string ErrorsCorrelatedText(const core::Finding& finding) {
+  return StrCat(
+      "the errors are correlated: the poses stray from a smooth path ",
+      Rough(finding.smoother.value_or(1.0)),
+      " times less than independent errors of the claimed covariances would; "
+      "set correlation_model to CORRELATED_FIXES, or claim what the poses "
+      "stray by");
+}
+
+std::string SecondsText(std::int64_t nanoseconds) {
+  return StrCat(nanoseconds / kNanosecondsPerSecond);
+}
+
+std::string DurationText(std::int64_t nanoseconds) {
+  constexpr std::int64_t kDay = 24 * 3600 * kNanosecondsPerSecond;
+  return nanoseconds < kDay ? StrCat(SecondsText(nanoseconds), " s")
+                            : StrCat(nanoseconds / kDay, " days");
+}
+
 std::string TextOf(const core::Finding& finding) {
   switch (finding.code) {
     case core::FindingCode::kCovariancesDoNotGrow:
@@ -55,14 +78,18 @@ std::string TextOf(const core::Finding& finding) {
                     ", as those of reckoning do and not those of fixes; set "
                     "correlation_model to DEAD_RECKONING");
     case core::FindingCode::kErrorsCorrelated:
+      return ErrorsCorrelatedText(finding);
+    case core::FindingCode::kStampsLeap:
       break;
   }
+  const core::StampLeap leap = finding.leap.value_or(core::StampLeap());
   return StrCat(
-      "the errors are correlated: the poses stray from a smooth path ",
-      Rough(finding.smoother.value_or(1.0)),
-      " times less than independent errors of the claimed covariances would; "
-      "set correlation_model to CORRELATED_FIXES, or claim what the poses "
-      "stray by");
+      "the stamps go forward by ", DurationText(leap.nanoseconds),
+      " to sequence ", leap.sequence,
+      ", by more than retention.max_age; if that is wrong, mend the vehicle's "
+      "clock, and if it does not go back, take max_age away: once stamps after "
+      "the leap have lasted for some 14 sequence lengths, poses from before it "
+      "are too old");
 }
 
 }  // namespace
@@ -78,7 +105,23 @@ void EncodeFindingWarning(const core::Finding& finding, std::uint64_t sequence,
   warning->set_message(TextOf(finding));
   auto& metadata = *warning->mutable_metadata();
   metadata["finding"] = v1::FindingCode_Name(ToProto(kCodes, finding.code));
-  metadata["sequence"] = StrCat(sequence);
+  metadata["sequence"] =
+      StrCat(finding.leap ? finding.leap->sequence : sequence);
+  if (finding.leap) {
+    metadata["seconds"] = SecondsText(finding.leap->nanoseconds);
+  }
+}
+
+void EncodeStampWarning(const StampAhead& ahead, v1::Warning* warning) {
+  warning->set_reason(v1::WARNING_REASON_STAMPS_AHEAD);
+  warning->set_message(StrCat(
+      "the stamp of sequence ", ahead.sequence, " is ",
+      DurationText(ahead.nanoseconds),
+      " ahead of the server's clock; the clock of the vehicle or of the server "
+      "is wrong, and retention.max_age does not count such a stamp"));
+  auto& metadata = *warning->mutable_metadata();
+  metadata["sequence"] = StrCat(ahead.sequence);
+  metadata["seconds"] = SecondsText(ahead.nanoseconds);
 }
 
 }  // namespace revisit::server

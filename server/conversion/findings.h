@@ -1,4 +1,5 @@
-// Says for the API by what a vehicle's poses contradict its settings.
+// Says for the API by what a vehicle's poses contradict its settings, or the
+// server's clock.
 #ifndef REVISIT_SERVER_CONVERSION_FINDINGS_H_
 #define REVISIT_SERVER_CONVERSION_FINDINGS_H_
 
@@ -7,6 +8,7 @@
 #include "core/candidates/model_check.h"
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "revisit/v1/vehicle.pb.h"
+#include "server/sessions/append_sink.h"
 
 namespace revisit::server {
 
@@ -15,6 +17,8 @@ void EncodeFinding(const core::Finding& finding, v1::Finding* message);
 // `sequence`: the last of the poses that show it.
 void EncodeFindingWarning(const core::Finding& finding, std::uint64_t sequence,
                           v1::Warning* warning);
+
+void EncodeStampWarning(const StampAhead& ahead, v1::Warning* warning);
 
 }  // namespace revisit::server
 

@@ -39,7 +39,7 @@ void CheckMeasurement(const v1::LoopClosureMeasurement& measurement,
 template <typename Message>
 void EncodeNote(const Message& pair, const FieldPath& path,
                 Violations* violations, stored::PosePairContent* content) {
-  CheckText(pair.note(), kMaxNoteBytes, TextLines::kMany, path.Field("note"),
+  CheckText(pair.note(), kMaxNoteBytes, TextUse::kNote, path.Field("note"),
             violations);
   content->set_note(pair.note());
 }

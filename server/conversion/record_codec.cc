@@ -16,6 +16,7 @@
 #include "server/conversion/pose_decoder.h"
 #include "server/conversion/pose_pair_content.h"
 #include "server/conversion/settings_table.h"
+#include "server/conversion/stored_pose.h"
 #include "server/conversion/stored_records.pb.h"
 #include "server/conversion/timestamps.h"
 #include "server/sessions/vehicle_uid.h"
@@ -101,16 +102,21 @@ std::size_t BytesInBatch(std::size_t size) {
              CodedOutputStream::VarintSize32(static_cast<std::uint32_t>(size)));
 }
 
+// Writes what comes before the bytes of a pose.
+std::uint8_t* BeginPose(std::size_t size, std::uint8_t* next) {
+  using google::protobuf::io::CodedOutputStream;
+  next = CodedOutputStream::WriteTagToArray(kPosesTag, next);
+  return CodedOutputStream::WriteVarint32ToArray(
+      static_cast<std::uint32_t>(size), next);
+}
+
 // Appends the pose to payload and fingerprints.
 void AddPose(const stored::Pose& pose, DecodedBatch* batch) {
-  using google::protobuf::io::CodedOutputStream;
   const std::size_t size = pose.ByteSizeLong();
   const std::size_t begin = batch->payload.size();
   batch->payload.resize(begin + BytesInBatch(size));
-  auto* next = reinterpret_cast<std::uint8_t*>(&batch->payload[begin]);
-  next = CodedOutputStream::WriteTagToArray(kPosesTag, next);
-  next = CodedOutputStream::WriteVarint32ToArray(
-      static_cast<std::uint32_t>(size), next);
+  std::uint8_t* const next =
+      BeginPose(size, reinterpret_cast<std::uint8_t*>(&batch->payload[begin]));
   pose.SerializeWithCachedSizesToArray(next);
   batch->fingerprints.push_back(XXH3_64bits(next, size));
 }
@@ -224,6 +230,7 @@ std::string ProtoRecordCodec::EncodeVehicle(const VehicleConfig& config) const {
   WriteSettings(config, vehicle.mutable_settings());
   vehicle.set_state(config.data_loss ? stored::VEHICLE_STATE_DATA_LOSS
                                      : stored::VEHICLE_STATE_ACTIVE);
+  vehicle.set_damaged(config.damaged);
   EncodeTime(config.create_time_ns, vehicle.mutable_create_time());
   vehicle.set_uid(config.uid);
   vehicle.set_display_name(config.display_name);
@@ -254,6 +261,7 @@ absl::StatusOr<VehicleConfig> ProtoRecordCodec::DecodeVehicle(
   }
   config->create_time_ns = ToNanoseconds(vehicle.create_time());
   config->data_loss = vehicle.state() == stored::VEHICLE_STATE_DATA_LOSS;
+  config->damaged = vehicle.damaged();
   config->uid =
       vehicle.uid().empty()
           ? DerivedVehicleUid(record.key, record.id, config->create_time_ns)
@@ -362,19 +370,18 @@ std::vector<BatchPart> ProtoRecordCodec::DivideBatch(
 
 void EncodeBatch(const google::protobuf::RepeatedPtrField<v1::Pose>& poses,
                  DecodedBatch* batch) {
-  batch->fingerprints.reserve(static_cast<std::size_t>(poses.size()));
-  stored::Pose stored;
-  for (const v1::Pose& pose : poses) {
-    CopyPose(pose, &stored);
-    AddPose(stored, batch);
-    if (batch->fingerprints.size() == 1) {
-      // Most poses of a batch have as many bytes as its first.
-      batch->payload.reserve(batch->payload.size() *
-                             static_cast<std::size_t>(poses.size()));
-    }
+  const std::vector<StoredPose> stored(poses.begin(), poses.end());
+  std::size_t bytes = 0;
+  for (const StoredPose& pose : stored) bytes += BytesInBatch(pose.size());
+  batch->payload.resize(bytes);
+  batch->fingerprints.reserve(stored.size());
+  auto* next = reinterpret_cast<std::uint8_t*>(&batch->payload[0]);
+  for (const StoredPose& pose : stored) {
+    next = BeginPose(pose.size(), next);
+    std::uint8_t* const end = pose.Write(next);
+    batch->fingerprints.push_back(XXH3_64bits(next, pose.size()));
+    next = end;
   }
-  // The payload may wait long before it is written.
-  batch->payload.shrink_to_fit();
 }
 
 absl::StatusOr<std::optional<BatchRecord>> ReviseBatch(

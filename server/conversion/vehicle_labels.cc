@@ -32,7 +32,7 @@ void CheckLabel(const std::string& key, const std::string& value,
                                  "._/- but for the first and the last"));
     return;
   }
-  CheckText(value, kMaxLabelValueBytes, TextLines::kOne,
+  CheckText(value, kMaxLabelValueBytes, TextUse::kName,
             labels.Field(key.c_str()), violations);
 }
 
@@ -58,7 +58,7 @@ absl::Status UpdateLabels(const v1::Vehicle& vehicle, const LabelsMask& mask,
   Violations violations;
   const FieldPath labels = path.Field("labels");
   if (mask.display_name) {
-    CheckText(vehicle.display_name(), kMaxDisplayNameBytes, TextLines::kOne,
+    CheckText(vehicle.display_name(), kMaxDisplayNameBytes, TextUse::kName,
               path.Field("display_name"), &violations);
     config->display_name = vehicle.display_name();
   }

@@ -121,6 +121,7 @@ absl::StatusOr<VehicleConfig> UpdateConfig(
   if (!updated.ok()) return updated.status();
   updated->create_time_ns = current.create_time_ns;
   updated->data_loss = current.data_loss;
+  updated->damaged = current.damaged;
   updated->uid = current.uid;
   updated->display_name = current.display_name;
   updated->labels = current.labels;

@@ -39,6 +39,8 @@ struct Caller {
   // All grants are of this tenant; "*" means all of them. Empty if the server
   // does not ask who calls.
   std::string tenant;
+  // The tenant's budget of steps of searches, above 0; nothing if it has none.
+  std::optional<double> max_search_steps_per_second;
   // From this time on the credentials are invalid.
   std::chrono::system_clock::time_point expires =
       std::chrono::system_clock::time_point::max();

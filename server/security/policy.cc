@@ -71,16 +71,39 @@ absl::StatusOr<std::vector<std::pair<std::string, std::string>>> Texts(
   return texts;
 }
 
-// Prefixes by the tenants' names.
-using Tenants = std::map<std::string, std::string>;
+// A budget of more is none.
+constexpr double kMostSearchSteps = 1e15;
+
+struct Tenant {
+  std::string vehicle_prefix;
+  std::optional<double> max_search_steps_per_second;
+};
+
+// Tenants by their names.
+using Tenants = std::map<std::string, Tenant>;
+
+absl::StatusOr<std::optional<double>> ReadSearchSteps(
+    const Json& tenant, const std::string& where) {
+  constexpr char kKey[] = "max_search_steps_per_second";
+  const auto found = tenant.find(kKey);
+  if (found == tenant.end()) return std::optional<double>();
+  const double steps = found->is_number() ? found->get<double>() : 0.0;
+  if (!(steps >= 1.0 && steps <= kMostSearchSteps)) {
+    return ProblemAt(where + "." + kKey, "got " + found->dump() +
+                                             "; allowed is a number in "
+                                             "[1, 1e15]");
+  }
+  return std::optional<double>(steps);
+}
 
 absl::StatusOr<Tenants> ReadTenants(const Json& list) {
   if (!list.is_array()) return ProblemAt("tenants", "not an array");
   Tenants tenants;
   for (std::size_t i = 0; i < list.size(); ++i) {
     const std::string where = absl::StrCat("tenants[", i, "]");
-    if (absl::Status status =
-            CheckObject(list[i], where, {"name", "vehicle_prefix"});
+    if (absl::Status status = CheckObject(
+            list[i], where,
+            {"name", "vehicle_prefix", "max_search_steps_per_second"});
         !status.ok()) {
       return status;
     }
@@ -100,7 +123,10 @@ absl::StatusOr<Tenants> ReadTenants(const Json& list) {
           where + ".vehicle_prefix",
           "got \"" + *prefix + "\", which no vehicle's id starts with");
     }
-    for (const auto& [other, other_prefix] : tenants) {
+    auto search_steps = ReadSearchSteps(list[i], where);
+    if (!search_steps.ok()) return search_steps.status();
+    for (const auto& [other, known] : tenants) {
+      const std::string& other_prefix = known.vehicle_prefix;
       const std::size_t common = std::min(prefix->size(), other_prefix.size());
       if (prefix->compare(0, common, other_prefix, 0, common) == 0) {
         return ProblemAt(where + ".vehicle_prefix",
@@ -109,7 +135,7 @@ absl::StatusOr<Tenants> ReadTenants(const Json& list) {
                              "\": vehicles would belong to both");
       }
     }
-    if (!tenants.emplace(*name, *prefix).second) {
+    if (!tenants.emplace(*name, Tenant{*prefix, *search_steps}).second) {
       return ProblemAt(where + ".name", "\"" + *name + "\" stands twice");
     }
   }
@@ -231,7 +257,9 @@ class Policy::Reader {
             absl::StrCat(where, ".tenant"),
             absl::StrCat("got \"", *tenant, "\", which is not among tenants"));
       }
-      rule.grant.vehicle_prefix = found->second;
+      rule.grant.vehicle_prefix = found->second.vehicle_prefix;
+      rule.max_search_steps_per_second =
+          found->second.max_search_steps_per_second;
     }
     const bool has_match = rule.name_pattern.find('*') != std::string::npos;
     auto patterns = ReadPatterns(entry, has_match, where);
@@ -355,6 +383,7 @@ std::vector<std::string> Policy::NamesFor(const Rule& rule,
 absl::Status Policy::Apply(const Identity& identity, Caller* caller) const {
   std::set<std::string> tenants;
   std::vector<Grant> grants;
+  std::optional<double> steps;
   for (const Rule& rule : rules_) {
     for (const std::string& name : NamesFor(rule, identity)) {
       const auto matched = MatchName(rule.name_pattern, name);
@@ -363,6 +392,7 @@ absl::Status Policy::Apply(const Identity& identity, Caller* caller) const {
       grant.vehicle_patterns = Filled(rule.grant.vehicle_patterns, *matched);
       if (grant.vehicle_patterns.empty()) continue;
       tenants.insert(rule.tenant);
+      steps = rule.max_search_steps_per_second;
       grants.push_back(std::move(grant));
     }
   }
@@ -375,6 +405,7 @@ absl::Status Policy::Apply(const Identity& identity, Caller* caller) const {
         "caller; which one is meant cannot be told");
   }
   caller->tenant = *tenants.begin();
+  caller->max_search_steps_per_second = steps;
   caller->grants = std::move(grants);
   return absl::OkStatus();
 }

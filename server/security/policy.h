@@ -4,7 +4,8 @@
 //     "version": 1,
 //     "tenants": [
 //       {"name": "acme", "vehicle_prefix": "acme-"},
-//       {"name": "umbra", "vehicle_prefix": "umbra-"}
+//       {"name": "umbra", "vehicle_prefix": "umbra-",
+//        "max_search_steps_per_second": 50000000}
 //     ],
 //     "grants": [
 //       {"token_subject": "acme-backend", "tenant": "acme",
@@ -16,6 +17,10 @@
 //
 // A vehicle belongs to the tenant whose prefix its id starts with. No prefix
 // may be the start of another, so no vehicle can belong to two.
+//
+// A tenant may have a budget of what the searches of its FindCandidates calls
+// compare, in steps as --max-search-steps counts them; [1, 1e15] a second. It
+// counts on this server alone.
 //
 // A grant names who it is for by exactly one of
 //   token_subject      the token's `sub`
@@ -38,6 +43,7 @@
 #define REVISIT_SERVER_SECURITY_POLICY_H_
 
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -79,6 +85,8 @@ class Policy {
     std::string claim;  // Name of the claim, for kTokenClaim.
     std::string name_pattern;
     std::string tenant;
+    // The tenant's budget; see Caller.
+    std::optional<double> max_search_steps_per_second;
     // The grant as the file has it, with {match} not yet replaced.
     Grant grant;
   };

@@ -168,28 +168,32 @@ Call::Call(grpc::CallbackServerContext* context, const char* method,
       peer_(audit_ != nullptr ? context->peer() : std::string()) {
   counts_->Began(rule_);
   context->AddInitialMetadata(kRequestIdKey, request_id_);
-  const bool in_time = drain_->Enter();
+  const absl::Status entry = drain_->Enter(needs_store());
   if (gatekeeper_->asks()) credentials_ = CredentialsOf(*context);
   auto caller =
       gatekeeper_->Admit(credentials_, std::chrono::system_clock::now());
   if (caller.ok()) {
     caller_ = *std::move(caller);
-    if (in_time) CountMessage();
+    if (entry.ok()) CountMessage();
   } else {
     caller_ = Nobody();
     admission_ = caller.status();
   }
-  if (!in_time) admission_ = Drain::Refusal();
+  if (!entry.ok()) admission_ = entry;
   if (!admission_.ok()) return;
   quota_key_ = QuotaKey(*caller_, *context);
   admission_ = TakeRoom();
 }
 
+bool Call::needs_store() const {
+  return rule_ != nullptr && rule_->verb.has_value();
+}
+
 absl::Status Call::TakeRoom() {
   // An operator wants to know about a server that is full.
-  if (rule_ == nullptr || !rule_->verb) return absl::OkStatus();
+  if (!needs_store()) return absl::OkStatus();
   absl::StatusOr<Permit> permit =
-      rule_->streams ? room_->Stream(quota_key_) : room_->Call();
+      rule_->streams ? room_->Stream(quota_key_) : room_->Call(quota_key_);
   if (!permit.ok()) return permit.status();
   permits_.push_back(*std::move(permit));
   return absl::OkStatus();
@@ -221,8 +225,17 @@ absl::Status Call::ChooseVehicle(const std::string& id) {
   if (absl::Status status = Check(*caller_, MethodVerb()); !status.ok()) {
     return status;
   }
-  if (rule_ == nullptr || !rule_->streams) return absl::OkStatus();
-  absl::StatusOr<Permit> permit = room_->StreamOf(id);
+  if (rule_ == nullptr) return absl::OkStatus();
+  absl::StatusOr<Permit> permit =
+      rule_->streams ? room_->StreamOf(id) : room_->CallOf(id);
+  if (!permit.ok()) return permit.status();
+  permits_.push_back(*std::move(permit));
+  return absl::OkStatus();
+}
+
+absl::Status Call::AdmitRebuild(std::uint64_t poses) {
+  absl::StatusOr<Permit> permit =
+      room_->Rebuild(quota_key_, static_cast<std::int64_t>(poses));
   if (!permit.ok()) return permit.status();
   permits_.push_back(*std::move(permit));
   return absl::OkStatus();
@@ -231,15 +244,37 @@ absl::Status Call::ChooseVehicle(const std::string& id) {
 absl::Status Call::AdmitSearch() {
   const auto now = std::chrono::system_clock::now();
   const auto latest = std::min(deadline_, now + kEndless);
+  if (absl::Status status = CheckSearchSteps(); !status.ok()) return status;
   absl::StatusOr<Permit> permit =
       room_->Search(vehicle_, quota_key_, latest - now);
   if (!permit.ok()) return permit.status();
-  permits_.push_back(*std::move(permit));
+  const MutexLock lock(&search_mutex_);
+  if (!given_up_) search_permit_ = *std::move(permit);
   return absl::OkStatus();
 }
 
-void Call::SearchTook(std::chrono::steady_clock::duration duration) const {
-  room_->SearchTook(duration);
+absl::Status Call::CheckSearchSteps() const {
+  if (!caller_->max_search_steps_per_second) return absl::OkStatus();
+  return room_->CheckSteps(quota_key_, *caller_->max_search_steps_per_second);
+}
+
+void Call::SearchTook(std::chrono::steady_clock::duration duration,
+                      std::int64_t steps) const {
+  room_->SearchTook(quota_key_, duration);
+  if (!caller_->max_search_steps_per_second) return;
+  room_->UseSteps(quota_key_, *caller_->max_search_steps_per_second, steps);
+}
+
+void Call::MarkGivenUp() {
+  given_up_ = true;
+  // A search that waits is dropped when its turn comes; its room is free at
+  // once, while that of its call still bounds how many such there are.
+  const MutexLock lock(&search_mutex_);
+  search_permit_.reset();
+}
+
+absl::Status Call::TooManySteps() const {
+  return room_->TooManySteps(vehicle_);
 }
 
 void Call::Searched(const absl::StatusOr<core::CandidateSet>& set,
@@ -324,6 +359,10 @@ absl::Status Call::GivenUpStatus() const {
 
 grpc::Status Call::End(const absl::Status& status) {
   permits_.clear();
+  {
+    const MutexLock lock(&search_mutex_);
+    search_permit_.reset();
+  }
   const absl::Status named = WithRequestId(status, request_id_);
   const grpc::Status answer = ToGrpcStatus(named);
   const auto taken = std::chrono::steady_clock::now() - start_;

@@ -6,6 +6,7 @@
 #include <atomic>
 #include <chrono>
 #include <cstddef>
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -14,6 +15,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "core/base/mutex.h"
 #include "grpcpp/server_context.h"
 #include "grpcpp/support/status.h"
 #include "server/base/logging.h"
@@ -53,6 +55,9 @@ class Call {
   // caller is not let in, or there is no room for it.
   const absl::Status& admission() const { return admission_; }
 
+  // Whether it is about what is stored, rather than about the server itself.
+  bool needs_store() const;
+
   // The caller. REQUIRES: the call was admitted.
   const Caller& caller() const { return *caller_; }
 
@@ -60,18 +65,32 @@ class Call {
   // before it does anything with a vehicle, and before the work is handed to
   // other threads. VEHICLE_NOT_FOUND if the caller may not know of the vehicle,
   // whether it exists or not; PERMISSION_DENIED (NOT_GRANTED) if the caller may
-  // not use this method on it; STREAM_QUOTA if the vehicle has as many streams
-  // as it may have.
+  // not use this method on it; STREAM_QUOTA or QUEUE_FULL if the vehicle has as
+  // many streams, or as many unary calls, as it may have.
   absl::Status ChooseVehicle(const std::string& id);
 
   // Checks a further verb, for a call that does more than its method requires.
   // After ChooseVehicle().
   absl::Status AlsoNeeds(Verb verb);
 
-  // Takes room for a search until End(). After ChooseVehicle().
+  // Takes room until End() to make the vehicle's graph anew, which has so many
+  // poses. After ChooseVehicle(); while nothing else can end the call.
+  absl::Status AdmitRebuild(std::uint64_t poses);
+  // Takes room for a search until End(), or until the call is given up. After
+  // ChooseVehicle().
   absl::Status AdmitSearch();
-  // Notes how long the search took, without its wait.
-  void SearchTook(std::chrono::steady_clock::duration duration) const;
+  // OK while the tenant has not used up its budget of steps; SEARCH_QUOTA.
+  absl::Status CheckSearchSteps() const;
+  // The refusal of a search that has more to search first than one may.
+  absl::Status TooManySteps() const;
+  // Notes how long a turn of the search took, without its waits, and how many
+  // steps it was to make.
+  void SearchTook(std::chrono::steady_clock::duration duration,
+                  std::int64_t steps) const;
+  // Whose its searches are, and its stream's checks, among those who share the
+  // threads of searches.
+  std::string search_flow() const { return "calls/" + quota_key_; }
+  std::string check_flow() const { return "checks/" + quota_key_; }
   // Counts a search, admitted or of a stream's check, and logs it if it was
   // slow: that of a stream at once, another with its call.
   void Searched(const absl::StatusOr<core::CandidateSet>& set,
@@ -105,7 +124,7 @@ class Call {
 
   // Call from the reactor's OnCancel(), which also comes when the deadline
   // passes. Work that may outlive the call cannot ask the context.
-  void MarkGivenUp() { given_up_ = true; }
+  void MarkGivenUp();
   bool given_up() const { return given_up_; }
 
   // The status of a call that was given up: DEADLINE_EXCEEDED or CANCELLED.
@@ -161,6 +180,9 @@ class Call {
   // The key of the caller's limits; empty if the call has none.
   std::string quota_key_;
   std::vector<Permit> permits_;
+  Mutex search_mutex_;
+  // Held apart, since a search that waits may be given up on any thread.
+  Permit search_permit_ ABSL_GUARDED_BY(search_mutex_);
   Gatekeeper::WatchId watch_ = -1;
   std::string vehicle_;
   std::string changed_;

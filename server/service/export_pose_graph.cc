@@ -12,6 +12,7 @@
 #include "grpcpp/alarm.h"
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "server/base/status.h"
+#include "server/connections/drain.h"
 #include "server/conversion/answers.h"
 #include "server/conversion/field_violations.h"
 #include "server/conversion/names.h"
@@ -46,9 +47,14 @@ class Export final : public grpc::ServerWriteReactor<grpc::ByteBuffer>,
 
   void Start(const grpc::ByteBuffer* request) {
     self_ = shared_from_this();
+    drain_watch_ =
+        context_.drain->Watch([weak = weak_from_this()](const Drain::End& end) {
+          const auto exporter = weak.lock();
+          if (exporter != nullptr && end.at_once) exporter->Leave(end.status);
+        });
     const absl::Status status = Begin(request);
     const MutexLock lock(&mutex_);
-    if (!status.ok()) End(status);
+    if (!status.ok() && !finished_) End(status);
   }
 
   void OnWriteDone(bool ok) override {
@@ -61,6 +67,7 @@ class Export final : public grpc::ServerWriteReactor<grpc::ByteBuffer>,
   void OnCancel() override { call_.MarkGivenUp(); }
 
   void OnDone() override {
+    context_.drain->Unwatch(drain_watch_);
     call_.Done();
     // May destroy this.
     const std::shared_ptr<Export> self = std::move(self_);
@@ -103,15 +110,24 @@ class Export final : public grpc::ServerWriteReactor<grpc::ByteBuffer>,
                                              })
                   : view.status();
     const MutexLock lock(&mutex_);
+    if (finished_) return;
     if (!snapshot.ok()) {
       End(snapshot.status());
       return;
     }
+    begun_ = true;
     snapshot_ = *snapshot;
     damage_ = view->damage;
     EncodeVehicle(*view, message_.mutable_vehicle());
     WatchFor(patience_);
     Continue();
+  }
+
+  // Ends an export whose vehicle has not come yet. One that has begun needs the
+  // store no more.
+  void Leave(const absl::Status& status) {
+    const MutexLock lock(&mutex_);
+    if (!finished_ && !begun_) End(status);
   }
 
   void Continue() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
@@ -219,6 +235,7 @@ class Export final : public grpc::ServerWriteReactor<grpc::ByteBuffer>,
   const ServiceContext context_;
   const std::chrono::milliseconds patience_;
   Call call_;
+  Drain::WatchId drain_watch_ = -1;
   std::shared_ptr<Export> self_;
 
   Mutex mutex_;
@@ -236,6 +253,8 @@ class Export final : public grpc::ServerWriteReactor<grpc::ByteBuffer>,
   bool writing_ ABSL_GUARDED_BY(mutex_) = false;
   Clock::time_point write_start_ ABSL_GUARDED_BY(mutex_);
   bool slow_ ABSL_GUARDED_BY(mutex_) = false;
+  // Whether the graph was read.
+  bool begun_ ABSL_GUARDED_BY(mutex_) = false;
   bool finished_ ABSL_GUARDED_BY(mutex_) = false;
   std::unique_ptr<grpc::Alarm> alarm_ ABSL_GUARDED_BY(mutex_);
 };

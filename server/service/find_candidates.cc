@@ -1,7 +1,7 @@
 #include "server/service/find_candidates.h"
 
-#include <chrono>
 #include <cstdint>
+#include <memory>
 #include <optional>
 
 #include "absl/strings/str_cat.h"
@@ -9,6 +9,7 @@
 #include "server/base/status.h"
 #include "server/conversion/answers.h"
 #include "server/conversion/vehicle_settings.h"
+#include "server/sessions/search_turns.h"
 #include "server/sessions/vehicle_session.h"
 #include "server/settings/limits.h"
 
@@ -41,12 +42,17 @@ absl::Status TooMuchWork(std::int64_t got, std::int64_t limit) {
       {{"got", absl::StrCat(got)}, {"limit", absl::StrCat(limit)}});
 }
 
-absl::Status Find(UnaryCall* call, const Limits& limits,
-                  const VehicleView& view,
-                  const v1::FindCandidatesRequest& request,
-                  v1::FindCandidatesResponse* response) {
+// Takes a turn of the search. Returns the status to end the call with, or
+// nothing if the search needs another turn.
+std::optional<absl::Status> TakeTurn(UnaryCall* call, const Limits& limits,
+                                     const absl::StatusOr<VehicleView>& read,
+                                     const v1::FindCandidatesRequest& request,
+                                     SearchTurns* search,
+                                     v1::FindCandidatesResponse* response) {
   // The call may have waited long behind other work.
   if (call->given_up()) return call->GivenUpStatus();
+  if (!read.ok()) return read.status();
+  const VehicleView& view = *read;
   // Candidates in the part that is damaged would be missed without a word.
   if (!view.damage.ok()) return view.damage;
   absl::StatusOr<core::SearchOptions> options = DecodeCandidateOptions(
@@ -55,21 +61,29 @@ absl::Status Find(UnaryCall* call, const Limits& limits,
   options->max_comparisons = limits.max_search_steps;
   const auto query = QueryNode(view, request.sequence());
   if (!query.ok()) return query.status();
+  // It was not used up when the call came, but may be by now.
+  if (absl::Status status = call->CheckSearchSteps(); !status.ok()) {
+    return status;
+  }
   const auto stop = [call] { return call->given_up(); };
-  const auto start = std::chrono::steady_clock::now();
-  const absl::StatusOr<core::CandidateSet> found =
-      *query ? view.engine.FindCandidates(**query, *options, stop, view.marks)
-             : view.engine.FindCandidates(*options, stop, view.marks);
-  const auto duration = std::chrono::steady_clock::now() - start;
-  call->SearchTook(duration);
-  call->Searched(found, duration);
+  std::optional<absl::StatusOr<core::CandidateSet>> answer;
+  if (*query) {
+    answer = search->Take(view, **query, *options, stop);
+  } else {
+    answer = view.engine.FindCandidates(*options, stop);
+  }
+  call->SearchTook(search->last_turn(), search->last_steps());
+  if (!answer) return std::nullopt;
+  const absl::StatusOr<core::CandidateSet>& found = *answer;
+  call->Searched(found, search->all_turns());
   if (absl::IsCancelled(found.status())) return call->GivenUpStatus();
+  if (absl::IsResourceExhausted(found.status())) return call->TooManySteps();
   if (!found.ok()) return found.status();
   if (found->empty_reason == core::EmptyReason::kTooMuchWork) {
     return TooMuchWork(found->comparisons, limits.max_search_steps);
   }
   EncodeCandidateSet(view, *found, request.options().include_aligned_path(),
-                     duration, response->mutable_candidates());
+                     search->all_turns(), response->mutable_candidates());
   return absl::OkStatus();
 }
 
@@ -83,11 +97,16 @@ absl::Status FindCandidates(const ServiceContext& context,
                                  kRequest.Field("vehicle"), call.get());
   if (!session.ok()) return session.status();
   if (absl::Status status = call->AdmitSearch(); !status.ok()) return status;
-  (*session)->Search(FinishWith<VehicleView>(
-      call, [=, limits = context.limits,
-             request = &request](const VehicleView& view) {
-        return Find(call.get(), limits, view, *request, response);
-      }));
+  const auto search =
+      std::make_shared<SearchTurns>(context.limits.max_search_steps);
+  (*session)->Search(
+      call->search_flow(), [=, limits = context.limits, request = &request](
+                               const absl::StatusOr<VehicleView>& view) {
+        const std::optional<absl::Status> end = TakeTurn(
+            call.get(), limits, view, *request, search.get(), response);
+        if (end) call->End(*end);
+        return end.has_value();
+      });
   return absl::OkStatus();
 }
 

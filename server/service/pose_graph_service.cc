@@ -10,6 +10,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
+#include "core/settings.h"
 #include "server/base/status.h"
 #include "server/conversion/answers.h"
 #include "server/conversion/names.h"
@@ -238,8 +239,17 @@ grpc::ServerUnaryReactor* PoseGraphService::UpdateVehicle(
         (*session)->Update(
             [=](const VehicleView& view) -> absl::StatusOr<VehicleConfig> {
               if (call->given_up()) return call->GivenUpStatus();
-              return UpdateConfig(view.config, view.durable_sequence > 0,
-                                  request->vehicle(), request->update_mask());
+              absl::StatusOr<VehicleConfig> config =
+                  UpdateConfig(view.config, view.durable_sequence > 0,
+                               request->vehicle(), request->update_mask());
+              if (!config.ok() ||
+                  !core::MovesNodes(view.config.engine, config->engine)) {
+                return config;
+              }
+              const absl::Status room =
+                  call->AdmitRebuild(view.durable_sequence);
+              if (!room.ok()) return room;
+              return config;
             },
             FinishWith<VehicleView>(call, [=](const VehicleView& view) {
               v1::Vehicle* const answer = response->mutable_vehicle();
@@ -440,14 +450,16 @@ grpc::ServerUnaryReactor* PoseGraphService::AcceptDataLoss(
         if (!session.ok()) return session.status();
         (*session)->AcceptDataLoss(
             request->durable_sequence(),
-            FinishWith<VehicleView>(call, [=](const VehicleView& view) {
-              v1::Vehicle* const vehicle = response->mutable_vehicle();
-              EncodeVehicle(view, vehicle);
-              if (MayRead(*call, view.id)) return absl::OkStatus();
-              *vehicle = IdentityOf(*vehicle);
-              vehicle->set_state(v1::VEHICLE_STATE_ACTIVE);
-              return absl::OkStatus();
-            }));
+            FinishWith<VehicleView>(
+                call, [=, counts = context_.counts](const VehicleView& view) {
+                  counts->Decided(Decision::kDataLossAccepted);
+                  v1::Vehicle* const vehicle = response->mutable_vehicle();
+                  EncodeVehicle(view, vehicle);
+                  if (MayRead(*call, view.id)) return absl::OkStatus();
+                  *vehicle = IdentityOf(*vehicle);
+                  vehicle->set_state(v1::VEHICLE_STATE_ACTIVE);
+                  return absl::OkStatus();
+                }));
         return absl::OkStatus();
       });
 }
@@ -476,14 +488,11 @@ grpc::ServerUnaryReactor* PoseGraphService::GetServerInfo(
         response->set_resident_vehicle_count(residency.vehicles);
         response->set_resident_node_count(residency.nodes);
         response->set_resident_bytes(residency.bytes);
-        // Asks the store, and may wait for it.
-        context_.executor->Post([call, response, storage = context_.storage] {
-          // What the server knows itself is told also where the store is away.
-          if (const auto users = storage->ListUsers(); users.ok()) {
-            EncodeStorageUsers(*users, response);
-          }
-          call->End(absl::OkStatus());
-        });
+        // The server tells what it knows itself also where the store is away.
+        if (const auto users = context_.storage->ListUsers(); users.ok()) {
+          EncodeStorageUsers(*users, response);
+        }
+        call->End(absl::OkStatus());
         return absl::OkStatus();
       });
 }

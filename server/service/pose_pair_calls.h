@@ -57,7 +57,13 @@ absl::Status AddPair(const ServiceContext& context, const UnaryCallPtr& call,
   context.fleet->Session(*vehicle)->AddPosePair(
       kind, *std::move(record),
       FinishWith<AddedPair>(
-          call, [=, id_of_vehicle = *vehicle](const AddedPair& stored) {
+          call, [=, id_of_vehicle = *vehicle,
+                 counts = context.counts](const AddedPair& stored) {
+            if (stored.is_new) {
+              counts->Decided(kind == PairKind::kLoopClosure
+                                  ? Decision::kLoopClosureAdded
+                                  : Decision::kCandidateRejected);
+            }
             call->NameChanged(stored.pair.id);
             EncodePosePair(id_of_vehicle, stored.pair, (response->*added)());
             response->set_revision(stored.revision);
@@ -119,10 +125,14 @@ absl::Status DeletePair(const ServiceContext& context, const UnaryCallPtr& call,
   context.fleet->Session(parsed->vehicle_id)
       ->DeletePosePair(
           kind, parsed->id,
-          FinishWith<std::uint64_t>(call, [=](std::uint64_t revision) {
-            response->set_revision(revision);
-            return absl::OkStatus();
-          }));
+          FinishWith<std::uint64_t>(
+              call, [=, counts = context.counts](std::uint64_t revision) {
+                counts->Decided(kind == PairKind::kLoopClosure
+                                    ? Decision::kLoopClosureDeleted
+                                    : Decision::kRejectionDeleted);
+                response->set_revision(revision);
+                return absl::OkStatus();
+              }));
   return absl::OkStatus();
 }
 

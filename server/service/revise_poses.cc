@@ -135,9 +135,10 @@ class Revision final : public grpc::ServerReadReactor<v1::RevisePosesRequest>,
     call_.WatchCaller([weak = weak_from_this()] {
       if (const auto revision = weak.lock()) revision->Recheck();
     });
-    drain_watch_ = context_.drain->Watch([weak = weak_from_this()] {
-      if (const auto revision = weak.lock()) revision->WindDown();
-    });
+    drain_watch_ =
+        context_.drain->Watch([weak = weak_from_this()](const Drain::End& end) {
+          if (const auto revision = weak.lock()) revision->WindDown(end);
+        });
     const MutexLock lock(&mutex_);
     if (finished_) return;
     if (call_.admission().ok()) {
@@ -336,12 +337,23 @@ class Revision final : public grpc::ServerReadReactor<v1::RevisePosesRequest>,
     if (absl::Status status = CheckNotAhead(view); !status.ok()) return status;
     // The draft is destroyed with the plan.
     const std::shared_ptr<RevisionDraft> draft = std::move(draft_);
-    return Plan(context_.storage, view, draft, expected_revision_, call_);
+    absl::StatusOr<RevisionPlan> plan =
+        Plan(context_.storage, view, draft, expected_revision_, call_);
+    if (!plan.ok() || !plan->batches) return plan;
+    const MutexLock lock(&mutex_);
+    if (finished_) return call_.GivenUpStatus();
+    const absl::Status room = call_.AdmitRebuild(view.durable_sequence);
+    if (!room.ok()) return room;
+    return plan;
   }
 
   void OnRevised(const absl::StatusOr<RevisionResult>& revised)
       ABSL_LOCKS_EXCLUDED(mutex_) {
     const MutexLock lock(&mutex_);
+    if (revised.ok() && revised->is_new) {
+      context_.counts->Decided(Decision::kPosesRevised);
+    }
+    if (finished_) return;
     if (revised.ok()) {
       response_->set_revision(revised->revision);
       response_->set_revised_count(revised->revised_count);
@@ -350,10 +362,12 @@ class Revision final : public grpc::ServerReadReactor<v1::RevisePosesRequest>,
     End(revised.status());
   }
 
-  // Ends a call whose poses are still coming: nothing has changed yet.
-  void WindDown() {
+  // Ends a call whose poses are still coming: nothing has changed yet. Where
+  // the store is out of reach, nobody knows whether the session's revision is
+  // stored.
+  void WindDown(const Drain::End& end) {
     const MutexLock lock(&mutex_);
-    if (!finished_ && !revising_) End(Drain::Refusal());
+    if (!finished_ && (!revising_ || end.at_once)) End(end.status);
   }
 
   // Ends the call of a caller who has lost the right to it, unless the session

@@ -1,5 +1,6 @@
 #include "server/service/stream_poses.h"
 
+#include <atomic>
 #include <chrono>
 #include <cstdint>
 #include <deque>
@@ -83,7 +84,9 @@ absl::Status OldAge() {
 //
 // Ending: whatever ends the stream (half-close, failure, age, drain), batches
 // that the session has taken run to their end and their answers are written
-// first. Only a stream whose caller is gone skips that.
+// first. Only a stream whose caller is gone skips that, and one whose store is
+// out of reach: what was acknowledged by then is written, and what becomes of
+// the rest its client learns from whoever has the vehicle when it resumes.
 //
 // Lifetime: gRPC may destroy its side as soon as OnDone() has run, and sessions
 // call back from their own threads at any time. So the stream is held by a
@@ -109,9 +112,10 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     call_.WatchCaller([weak = weak_from_this()] {
       if (const auto stream = weak.lock()) stream->Recheck();
     });
-    drain_watch_ = context_.drain->Watch([weak = weak_from_this()] {
-      if (const auto stream = weak.lock()) stream->WindDown();
-    });
+    drain_watch_ =
+        context_.drain->Watch([weak = weak_from_this()](const Drain::End& end) {
+          if (const auto stream = weak.lock()) stream->WindDown(end);
+        });
     const MutexLock lock(&mutex_);
     SetFailure(call_.admission());
     if (!failure_) LimitAge();
@@ -200,20 +204,23 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
 
     bool wants_candidates() const override { return stream_->send_candidates_; }
 
+    std::string check_flow() const override {
+      return stream_->call_.check_flow();
+    }
+
     absl::StatusOr<core::SearchOptions> CheckOptions(
         const VehicleConfig& config) const override {
-      // The wait for a thread is over.
-      search_start_ = std::chrono::steady_clock::now();
       return stream_->SearchOptions(config);
     }
 
-    bool ShouldStop() const override { return stream_->call_.given_up(); }
+    bool ShouldStop() const override {
+      return stream_->call_.given_up() || stream_->is_left_;
+    }
 
     void OnCandidates(const VehicleView& view,
-                      const absl::StatusOr<core::CandidateSet>& set) override {
-      stream_->OnCandidates(view, set,
-                            std::chrono::steady_clock::now() - search_start_);
-      search_start_ = std::chrono::steady_clock::now();
+                      const absl::StatusOr<core::CandidateSet>& set,
+                      std::chrono::nanoseconds duration) override {
+      stream_->OnCandidates(view, set, duration);
     }
 
     void OnOver() override { stream_->OnAppendOver(); }
@@ -226,8 +233,6 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     const std::size_t bytes_;
     Permit room_;
     PoseInspector::Warnings warnings_;
-    // When the session got to the search that it runs now.
-    mutable std::chrono::steady_clock::time_point search_start_;
   };
 
   // An answer to be written: `other`, or an acknowledgement without warnings if
@@ -385,7 +390,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     bytes_in_flight_ -= bytes;
     SetFailure(acknowledgement.status());
     if (acknowledgement.ok() && warnings->empty() &&
-        !acknowledgement->finding) {
+        !acknowledgement->has_warnings()) {
       queue_.push_back({*acknowledgement, nullptr});
     } else if (acknowledgement.ok()) {
       auto response = std::make_unique<Response>();
@@ -461,11 +466,17 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     Advance();
   }
 
-  // Ends the stream after the last acknowledgement. The client resends batches
-  // that the session has not taken.
-  void WindDown() {
+  // Ends the stream after the last acknowledgement, or without it. The client
+  // resends batches that the session has not taken, or that it does not find
+  // stored.
+  void WindDown(const Drain::End& end) {
     const MutexLock lock(&mutex_);
-    draining_ = true;
+    if (end.at_once) {
+      SetFailure(end.status);
+      is_left_ = true;
+    } else {
+      draining_ = true;
+    }
     Advance();
   }
 
@@ -576,7 +587,8 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
 
   bool MayFinish() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     const bool answered = queue_.empty() && open_appends_ == 0 && !handling_;
-    return !writing_ && starting_ == 0 && (answered || call_.given_up());
+    return !writing_ && starting_ == 0 &&
+           (answered || call_.given_up() || (is_left_ && queue_.empty()));
   }
 
   bool MayRead() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
@@ -608,6 +620,8 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   Call call_;
   Drain::WatchId drain_watch_ = -1;
   std::shared_ptr<PoseStream> self_;
+  // Whether the stream ends without the answers to what is under way.
+  std::atomic<bool> is_left_{false};
 
   // Written by Open() only, before the session hears of the stream.
   bool send_candidates_ = false;

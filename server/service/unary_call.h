@@ -11,9 +11,11 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "core/base/mutex.h"
 #include "grpcpp/server_context.h"
 #include "grpcpp/support/byte_buffer.h"
 #include "grpcpp/support/server_callback.h"
+#include "server/connections/drain.h"
 #include "server/conversion/field_violations.h"
 #include "server/conversion/names.h"
 #include "server/service/call.h"
@@ -41,14 +43,25 @@ class UnaryCall : public grpc::ServerUnaryReactor,
  public:
   UnaryCall(grpc::CallbackServerContext* context, const char* method,
             const ServiceContext& service)
-      : call_(context, method, service) {}
+      : drain_(service.drain), call_(context, method, service) {}
 
   // Call before anything else.
-  void Start() { self_ = shared_from_this(); }
+  void Start() {
+    self_ = shared_from_this();
+    if (!call_.needs_store()) return;
+    drain_watch_ =
+        drain_->Watch([weak = weak_from_this()](const Drain::End& end) {
+          const auto call = weak.lock();
+          if (call == nullptr || !end.at_once) return;
+          call->call_.MarkGivenUp();
+          call->End(end.status);
+        });
+  }
 
   void OnCancel() override { call_.MarkGivenUp(); }
 
   void OnDone() override {
+    drain_->Unwatch(drain_watch_);
     call_.Done();
     // May destroy this.
     const std::shared_ptr<UnaryCall> self = std::move(self_);
@@ -57,30 +70,67 @@ class UnaryCall : public grpc::ServerUnaryReactor,
   const absl::Status& admission() const { return call_.admission(); }
   const Caller& caller() const { return call_.caller(); }
   absl::Status ChooseVehicle(const std::string& id) {
-    return call_.ChooseVehicle(id);
+    return UnlessEnded([&] { return call_.ChooseVehicle(id); });
   }
-  absl::Status AdmitSearch() { return call_.AdmitSearch(); }
-  void SearchTook(std::chrono::steady_clock::duration duration) const {
-    call_.SearchTook(duration);
+  absl::Status AdmitRebuild(std::uint64_t poses) {
+    return UnlessEnded([&] { return call_.AdmitRebuild(poses); });
   }
+  absl::Status AdmitSearch() {
+    return UnlessEnded([&] { return call_.AdmitSearch(); });
+  }
+  absl::Status TooManySteps() const { return call_.TooManySteps(); }
+  absl::Status CheckSearchSteps() const { return call_.CheckSearchSteps(); }
+  void SearchTook(std::chrono::steady_clock::duration duration,
+                  std::int64_t steps) const {
+    call_.SearchTook(duration, steps);
+  }
+  std::string search_flow() const { return call_.search_flow(); }
   void Searched(const absl::StatusOr<core::CandidateSet>& set,
                 std::chrono::steady_clock::duration duration) {
-    call_.Searched(set, duration);
+    const MutexLock lock(&mutex_);
+    if (!ended_) call_.Searched(set, duration);
   }
-  void NameChanged(const std::string& id) { call_.NameChanged(id); }
-  absl::Status HoldBatch(std::size_t bytes) { return call_.HoldBatch(bytes); }
+  void NameChanged(const std::string& id) {
+    const MutexLock lock(&mutex_);
+    if (!ended_) call_.NameChanged(id);
+  }
+  absl::Status HoldBatch(std::size_t bytes) {
+    return UnlessEnded([&] { return call_.HoldBatch(bytes); });
+  }
   bool given_up() const { return call_.given_up(); }
   absl::Status GivenUpStatus() const { return call_.GivenUpStatus(); }
 
-  // Call once, on any thread.
+  // Call once, on any thread. Nothing happens if the store was found out of
+  // reach meanwhile, and the call ended with that.
   void End(const absl::Status& status) {
-    if (status.ok()) WriteResponse();
-    Finish(call_.End(status));
+    grpc::Status answer;
+    {
+      const MutexLock lock(&mutex_);
+      if (ended_) return;
+      ended_ = true;
+      if (status.ok()) WriteResponse();
+      answer = call_.End(status);
+    }
+    // May destroy this.
+    Finish(answer);
   }
 
  private:
   virtual void WriteResponse() = 0;
 
+  // Does the work and returns its status, unless the call has ended: then
+  // nobody hears the status that this returns.
+  template <typename Work>
+  absl::Status UnlessEnded(const Work& work) {
+    const MutexLock lock(&mutex_);
+    return ended_ ? call_.GivenUpStatus() : work();
+  }
+
+  Drain* const drain_;
+  Drain::WatchId drain_watch_ = -1;
+  // Held while the call is used in ways that its end rules out.
+  Mutex mutex_;
+  bool ended_ ABSL_GUARDED_BY(mutex_) = false;
   Call call_;
   std::shared_ptr<UnaryCall> self_;
 };

@@ -3,8 +3,10 @@
 #ifndef REVISIT_SERVER_SESSIONS_APPEND_SINK_H_
 #define REVISIT_SERVER_SESSIONS_APPEND_SINK_H_
 
+#include <chrono>
 #include <cstdint>
 #include <optional>
+#include <string>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -16,14 +18,26 @@
 
 namespace revisit::server {
 
+// A stamp too far ahead of the server's clock (server_clock.h).
+struct StampAhead {
+  std::uint64_t sequence = 0;
+  std::int64_t nanoseconds = 0;
+};
+
 struct Acknowledgement {
   std::uint64_t durable_sequence = 0;
   std::uint64_t revision = 0;
   std::vector<core::Jump> jumps;
   // Findings that these poses are the first to show.
-  std::optional<core::Finding> finding = std::nullopt;
+  std::vector<core::Finding> findings = {};
+  // Where these poses are the first to have one.
+  std::optional<StampAhead> stamp_ahead = std::nullopt;
   // How many of the batch's poses are new; the others were stored before.
   std::uint64_t accepted_poses = 0;
+
+  bool has_warnings() const {
+    return !findings.empty() || stamp_ahead.has_value();
+  }
 };
 
 // The session calls, in this order and one at a time per vehicle: Decode() at
@@ -48,6 +62,8 @@ class AppendSink {
 
   // Whether the checks that the batch makes fall due are run.
   virtual bool wants_candidates() const { return false; }
+  // Whose checks they are, among those who share the threads of searches.
+  virtual std::string check_flow() const { return "checks"; }
   // Search options of these checks, for a vehicle of this config.
   // INVALID_ARGUMENT if the options that the client sent do not fit it.
   virtual absl::StatusOr<core::SearchOptions> CheckOptions(
@@ -56,9 +72,10 @@ class AppendSink {
   }
   // Gives up the checks; a batch that was staged is not given up.
   virtual bool ShouldStop() const { return false; }
+  // `duration` is that of the search, without its waits.
   virtual void OnCandidates(const VehicleView& /*view*/,
-                            const absl::StatusOr<core::CandidateSet>& /*set*/) {
-  }
+                            const absl::StatusOr<core::CandidateSet>& /*set*/,
+                            std::chrono::nanoseconds /*duration*/) {}
 
   // Nothing more comes of this append.
   virtual void OnOver() {}

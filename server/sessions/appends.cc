@@ -6,6 +6,8 @@
 
 #include "absl/strings/str_cat.h"
 #include "server/base/sequences.h"
+#include "server/sessions/search_turns.h"
+#include "server/sessions/server_clock.h"
 
 namespace revisit::server {
 namespace {
@@ -44,10 +46,22 @@ struct Appends::Pending {
   std::optional<DecodedBatch> decoded;
   // The revision that the write makes; 0 if there is nothing to write.
   std::uint64_t revision = 0;
-  // Findings that the poses are the first to show, once applied.
-  std::optional<core::Finding> finding;
+  // See Acknowledgement; once applied.
+  std::vector<core::Finding> findings;
+  std::optional<StampAhead> stamp_ahead;
   // Set once it is known what to answer; answered in order.
   std::optional<absl::Status> result;
+};
+
+// The checks of an append that has landed.
+struct Appends::Checks {
+  PendingPtr append;
+  std::string flow;
+  absl::StatusOr<core::SearchOptions> options;
+  std::vector<core::NodeIndex> due;
+  // The check that `search` is of.
+  std::size_t next = 0;
+  SearchTurns search;
 };
 
 void Appends::Submit(std::shared_ptr<AppendSink> sink) {
@@ -316,7 +330,8 @@ std::vector<core::NodeIndex> Appends::Apply(Pending* append) {
   const std::vector<core::PoseSample>& samples = append->decoded->samples;
   core::AppendResult applied =
       vehicle_->engine->Append(samples, append->revision);
-  append->finding = applied.finding;
+  append->findings = std::move(applied.findings);
+  append->stamp_ahead = FindAhead(samples);
   vehicle_->jumps.insert(vehicle_->jumps.end(), applied.jumps.begin(),
                          applied.jumps.end());
   vehicle_->NoteResidency();
@@ -329,28 +344,61 @@ std::vector<core::NodeIndex> Appends::Apply(Pending* append) {
   return std::move(applied.checks_due);
 }
 
+std::optional<StampAhead> Appends::FindAhead(
+    const std::vector<core::PoseSample>& samples) {
+  const std::int64_t latest_ns = LatestStamp(vehicle_->clock);
+  std::optional<StampAhead> ahead;
+  bool has_stamp = false;
+  for (const core::PoseSample& sample : samples) {
+    if (!sample.stamp_ns) continue;
+    has_stamp = true;
+    if (*sample.stamp_ns <= latest_ns || ahead) continue;
+    ahead = StampAhead{sample.sequence,
+                       *sample.stamp_ns - latest_ns + kMostAheadNanoseconds};
+  }
+  if (!has_stamp) return std::nullopt;
+  const bool was_ahead = std::exchange(was_ahead_, ahead.has_value());
+  return was_ahead ? std::nullopt : ahead;
+}
+
 void Appends::RunChecks(const PendingPtr& append,
                         std::vector<core::NodeIndex> due) {
   checking_ = true;
-  queue_->PostSearch([this, append, due = std::move(due)] {
-    AppendSink* const sink = append->sink.get();
-    const absl::StatusOr<core::SearchOptions> options =
-        sink->CheckOptions(vehicle_->config);
-    const auto should_stop = [sink] { return sink->ShouldStop(); };
-    for (const core::NodeIndex node : due) {
-      sink->OnCandidates(
-          vehicle_->View(),
-          options.ok() ? vehicle_->engine->FindCandidates(
-                             node, *options, should_stop, vehicle_->marks.get())
-                       : options.status());
-    }
-    sink->OnOver();
-    checking_ = false;
-    // In the lane of short work again.
-    queue_->Post([this] {
-      AnswerInOrder();
-      queue_->Pump();
-    });
+  auto checks = std::make_shared<Checks>();
+  checks->append = append;
+  checks->due = std::move(due);
+  checks->flow = append->sink->check_flow();
+  queue_->PostSearch(checks->flow, [this, checks] {
+    checks->options = checks->append->sink->CheckOptions(vehicle_->config);
+    CheckOn(checks);
+  });
+}
+
+void Appends::CheckOn(const ChecksPtr& checks) {
+  AppendSink* const sink = checks->append->sink.get();
+  std::optional<absl::StatusOr<core::CandidateSet>> answer;
+  if (checks->options.ok()) {
+    answer = checks->search.Take(vehicle_->View(), checks->due[checks->next],
+                                 *checks->options,
+                                 [sink] { return sink->ShouldStop(); });
+  } else {
+    answer = checks->options.status();
+  }
+  if (answer) {
+    sink->OnCandidates(vehicle_->View(), *answer, checks->search.all_turns());
+    checks->search = SearchTurns();
+    ++checks->next;
+  }
+  if (checks->next < checks->due.size()) {
+    queue_->PostSearch(checks->flow, [this, checks] { CheckOn(checks); });
+    return;
+  }
+  sink->OnOver();
+  checking_ = false;
+  // In the lane of short work again.
+  queue_->Post([this] {
+    AnswerInOrder();
+    queue_->Pump();
   });
 }
 
@@ -363,7 +411,7 @@ void Appends::Answer(const Pending& append, const absl::Status& status) {
   append.sink->OnDurable(Acknowledgement{
       vehicle_->durable_sequence, vehicle_->revision,
       vehicle_->JumpsAt(append.first_sequence, append.last_sequence),
-      append.finding,
+      append.findings, append.stamp_ahead,
       append.revision == 0 ? 0 : append.decoded->samples.size()});
 }
 

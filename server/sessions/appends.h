@@ -48,6 +48,8 @@ class Appends {
  private:
   struct Pending;
   using PendingPtr = std::shared_ptr<Pending>;
+  struct Checks;
+  using ChecksPtr = std::shared_ptr<Checks>;
 
   // Whether an append was taken on, or when it can be.
   enum class Taken {
@@ -73,7 +75,13 @@ class Appends {
   void Land(const PendingPtr& append);
   absl::Status ResultOf(const Pending& append);
   std::vector<core::NodeIndex> Apply(Pending* append);
+  // The first stamp that is too far ahead, unless those of the last batch with
+  // stamps were too.
+  std::optional<StampAhead> FindAhead(
+      const std::vector<core::PoseSample>& samples);
   void RunChecks(const PendingPtr& append, std::vector<core::NodeIndex> due);
+  // Takes a turn of a search; the next one is a task of its own.
+  void CheckOn(const ChecksPtr& checks);
   void Answer(const Pending& append, const absl::Status& status);
 
   VehicleState* const vehicle_;
@@ -89,6 +97,8 @@ class Appends {
   // The checks of an append that has landed are still to be run. Appends in
   // flight behind it land after them.
   bool checking_ = false;
+  // Whether the last batch with stamps had one too far ahead.
+  bool was_ahead_ = false;
 };
 
 }  // namespace revisit::server

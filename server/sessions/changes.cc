@@ -7,24 +7,17 @@
 namespace revisit::server {
 namespace {
 
-using absl::StatusCode;
-using absl::StrCat;
-
-bool MovesNodes(const core::EngineSettings& before,
-                const core::EngineSettings& after) {
-  const auto is_filter = [](const core::EngineSettings& settings) {
-    return settings.search.correlation_model == core::CorrelationModel::kFilter;
-  };
-  return before.state_space != after.state_space ||
-         before.node_spacing_meters != after.node_spacing_meters ||
-         before.max_step_meters != after.max_step_meters ||
-         is_filter(before) != is_filter(after);
-}
+// Above so many nodes, or loop closures, a change that looks at each of them
+// takes longer than other vehicles' short work is to wait: 10 ms or so.
+constexpr core::NodeIndex kManyNodes = 20'000;
+constexpr std::size_t kManyClosures = 500;
 
 }  // namespace
 
-void Changes::Write(const std::function<void(Storage::Done)>& write,
-                    Then then) {
+using absl::StatusCode;
+using absl::StrCat;
+
+void Changes::Write(const StorageWrite& write, Then then) {
   queue_->Hold();
   write(queue_->OnStrand(
       [this, then = std::move(then)](const absl::Status& status) {
@@ -33,18 +26,42 @@ void Changes::Write(const std::function<void(Storage::Done)>& write,
       }));
 }
 
-void Changes::WriteConfig(const VehicleConfig& config, Then then) {
+void Changes::Confirm(Then then) {
   Write(
       [&](Storage::Done done) {
-        vehicle_->storage->UpdateVehicle(
-            vehicle_->key, vehicle_->codec->EncodeVehicle(config),
-            vehicle_->revision + 1, std::move(done));
+        vehicle_->storage->ConfirmOwned(vehicle_->key, std::move(done));
       },
       std::move(then));
 }
 
+void Changes::WriteForLongWork(const StorageWrite& write,
+                               VehicleQueue::StoreLead lead, Then then) {
+  queue_->Hold();
+  write(queue_->OnStrand(
+      [this, lead, then = std::move(then)](const absl::Status& status) {
+        if (!status.ok()) {
+          vehicle_->NoteFailedWrite(status);
+          queue_->Release([&] { then(status); });
+          return;
+        }
+        queue_->set_store_lead(lead);
+        queue_->PostLong([this, then] {
+          queue_->set_store_lead(VehicleQueue::StoreLead::kNone);
+          queue_->Release([&] { then(absl::OkStatus()); });
+        });
+      }));
+}
+
+Changes::StorageWrite Changes::WriteOf(const VehicleConfig& config) const {
+  return [this, &config](Storage::Done done) {
+    vehicle_->storage->UpdateVehicle(vehicle_->key,
+                                     vehicle_->codec->EncodeVehicle(config),
+                                     vehicle_->revision + 1, std::move(done));
+  };
+}
+
 void Changes::ChangeConfig(const VehicleConfig& config, Then then) {
-  WriteConfig(config, [this, config, next = vehicle_->revision + 1,
+  const auto change = [this, config, next = vehicle_->revision + 1,
                        then = std::move(then)](const absl::Status& status) {
     if (status.ok()) {
       const bool keeps_others =
@@ -54,7 +71,14 @@ void Changes::ChangeConfig(const VehicleConfig& config, Then then) {
       if (keeps_others) vehicle_->look_at_nodes = 0;
     }
     then(status);
-  });
+  };
+  if (vehicle_->engine->graph().size() < kManyNodes &&
+      vehicle_->loop_closures.size() < kManyClosures) {
+    Write(WriteOf(config), change);
+  } else {
+    // Readers see the settings as they were until the change is done.
+    WriteForLongWork(WriteOf(config), VehicleQueue::StoreLead::kNone, change);
+  }
 }
 
 Changes::Then Changes::AnswerWithView(const ViewCallback& callback) {
@@ -116,6 +140,7 @@ void Changes::CheckAcknowledged(std::uint64_t acked_sequence,
     // Holds in memory even if it could not be stored; the client will say so
     // again. Not before: nobody may see what a crash could take back.
     vehicle_->config.data_loss = true;
+    vehicle_->Report();
     callback(loss);
   });
 }
@@ -144,10 +169,15 @@ void Changes::AcceptDataLoss(std::uint64_t durable_sequence,
   }
   VehicleConfig config = vehicle_->config;
   config.data_loss = false;
+  config.damaged = false;
+  const Then answer = [this, callback](const absl::Status& status) {
+    vehicle_->Report();
+    AnswerWithView(callback)(status);
+  };
   if (vehicle_->damage.ok()) {
-    ChangeConfig(config, AnswerWithView(callback));
+    ChangeConfig(config, answer);
   } else {
-    DropDamaged(config, AnswerWithView(callback));
+    DropDamaged(config, answer);
   }
 }
 
@@ -180,23 +210,24 @@ void Changes::Update(const ConfigChange& change, const ViewCallback& callback) {
     return;
   }
   const Then answer = AnswerWithView(callback);
-  if (!MovesNodes(vehicle_->config.engine, config->engine)) {
+  if (!core::MovesNodes(vehicle_->config.engine, config->engine)) {
     ChangeConfig(*config, answer);
     return;
   }
   const bool keeps_others =
       !(config->engine.retention == vehicle_->config.engine.retention);
-  WriteConfig(*config, [this, config = *config, next = vehicle_->revision + 1,
-                        keeps_others, answer](const absl::Status& status) {
-    if (status.ok()) {
-      replayer_->Rebuild(
-          config, next, [this, keeps_others, answer](const absl::Status& done) {
-            if (keeps_others) vehicle_->look_at_nodes = 0;
-            answer(done);
-          });
-    } else {
+  Write(WriteOf(*config), [this, config = *config,
+                           next = vehicle_->revision + 1, keeps_others,
+                           answer](const absl::Status& status) {
+    if (!status.ok()) {
       answer(status);
+      return;
     }
+    replayer_->Rebuild(config, next,
+                       [this, keeps_others, answer](const absl::Status& done) {
+                         if (keeps_others) vehicle_->look_at_nodes = 0;
+                         answer(done);
+                       });
   });
 }
 
@@ -234,7 +265,8 @@ void Changes::WriteRevision(const RevisionPlanner& make_plan,
                        dropped =
                            plan->dropped_count](const absl::Status& status) {
     if (status.ok()) {
-      callback(RevisionResult{vehicle_->revision, revised, dropped});
+      callback(RevisionResult{vehicle_->revision, revised, dropped,
+                              /*is_new=*/true});
     } else {
       callback(status);
     }
@@ -308,12 +340,19 @@ void Changes::StorePair(
   if (present != vehicle_->Pairs(kind).end()) {
     added.pair = present->second;
     added.revision = vehicle_->revision;
-    callback(added);
+    Confirm([callback, added](const absl::Status& status) {
+      if (status.ok()) {
+        callback(added);
+      } else {
+        callback(status);
+      }
+    });
     return;
   }
   const bool is_last = PlaceInOrder(&pair);
   added.pair = pair;
   added.revision = vehicle_->revision + 1;
+  added.is_new = true;
   Write(
       [&](Storage::Done done) {
         vehicle_->storage->AddPosePair(vehicle_->key, kind, pair,
@@ -431,30 +470,38 @@ void Changes::DeletePosePair(
   const auto found = vehicle_->Pairs(kind).find(id);
   if (found == vehicle_->Pairs(kind).end()) {
     const PairWords words = WordsOf(kind);
-    callback(Error(StatusCode::kNotFound, words.not_found,
-                   StrCat("vehicle '", vehicle_->id, "' has no ", words.noun,
-                          " '", id, "'")));
+    Confirm([callback,
+             missing = Error(StatusCode::kNotFound, words.not_found,
+                             StrCat("vehicle '", vehicle_->id, "' has no ",
+                                    words.noun, " '", id, "'"))](
+                const absl::Status& status) {
+      callback(status.ok() ? missing : status);
+    });
     return;
   }
   const std::uint64_t next = vehicle_->revision + 1;
-  Write(
-      [&](Storage::Done done) {
-        vehicle_->storage->DeletePosePair(vehicle_->key, kind, id, next,
-                                          std::move(done));
-      },
-      [this, kind, pair = found->second, next,
-       callback](const absl::Status& status) {
-        if (!status.ok()) {
-          callback(status);
-          return;
-        }
-        TakeBack(kind, pair, next);
-        vehicle_->NoteResidency();
-        vehicle_->Pairs(kind).erase(pair.id);
-        vehicle_->FindLatestPair();
-        vehicle_->Adopt(vehicle_->config, next);
-        callback(next);
-      });
+  const auto write = [&](Storage::Done done) {
+    vehicle_->storage->DeletePosePair(vehicle_->key, kind, id, next,
+                                      std::move(done));
+  };
+  const auto take_back = [this, kind, pair = found->second, next,
+                          callback](const absl::Status& status) {
+    if (!status.ok()) {
+      callback(status);
+      return;
+    }
+    TakeBack(kind, pair, next);
+    vehicle_->NoteResidency();
+    vehicle_->Pairs(kind).erase(pair.id);
+    vehicle_->FindLatestPair();
+    vehicle_->Adopt(vehicle_->config, next);
+    callback(next);
+  };
+  if (vehicle_->loop_closures.size() < kManyClosures) {
+    Write(write, take_back);
+  } else {
+    WriteForLongWork(write, VehicleQueue::StoreLead::kVehicle, take_back);
+  }
 }
 
 void Changes::TakeBack(PairKind kind, const PosePairRecord& pair,
@@ -500,6 +547,9 @@ void Changes::Delete(const std::function<void(absl::Status)>& callback) {
       },
       [this, callback](const absl::Status& status) {
         queue_->set_store_lead(VehicleQueue::StoreLead::kNone);
+        if (status.ok() && vehicle_->census != nullptr) {
+          vehicle_->census->Deleted(vehicle_->key);
+        }
         if (status.ok() || absl::IsNotFound(status)) {
           vehicle_->Leave(VehicleNotFound(vehicle_->id));
         }

@@ -47,6 +47,8 @@ struct RevisionResult {
   std::uint64_t revision = 0;
   std::int64_t revised_count = 0;
   std::int64_t dropped_count = 0;
+  // False where there was nothing to change.
+  bool is_new = false;
 };
 using RevisionCallback = std::function<void(absl::StatusOr<RevisionResult>)>;
 // A pair as it is stored, the revision, and how well what was measured agreed
@@ -55,6 +57,8 @@ struct AddedPair {
   PosePairRecord pair;
   std::uint64_t revision = 0;
   std::optional<core::Agreement> agreement;
+  // False where the pair was there already.
+  bool is_new = false;
 };
 using PairCallback = std::function<void(absl::StatusOr<AddedPair>)>;
 
@@ -93,12 +97,21 @@ class Changes {
 
  private:
   using Then = std::function<void(const absl::Status&)>;
+  // Hands something to the storage, before it returns.
+  using StorageWrite = std::function<void(Storage::Done)>;
 
   // Hands a write to the storage; `then` runs on the strand when it is done,
   // and nothing but reads starts before `then` returns.
-  void Write(const std::function<void(Storage::Done)>& write, Then then);
-  // Writes a config; `then` applies it.
-  void WriteConfig(const VehicleConfig& config, Then then);
+  void Write(const StorageWrite& write, Then then);
+  // The same where `then` takes long, which runs where long work does if the
+  // write went well. Until then the store shows more than memory by `lead`.
+  void WriteForLongWork(const StorageWrite& write, VehicleQueue::StoreLead lead,
+                        Then then);
+  // As Write(), but has the storage confirm what it was handed before: `then`
+  // acknowledges something that is in memory already.
+  void Confirm(Then then);
+  // The write of a config, which has to outlive it.
+  StorageWrite WriteOf(const VehicleConfig& config) const;
   // Stores and applies a config that moves no nodes.
   void ChangeConfig(const VehicleConfig& config, Then then);
   // Removes from the store what is damaged: the vehicle in memory stays.

@@ -33,14 +33,11 @@ Executor::~Executor() {
 }
 
 void Executor::Post(std::function<void()> task) {
-  bool wake;
-  {
-    const MutexLock guard(&mutex_);
-    tasks_.push_back(std::move(task));
-    // Threads at work look for the next task by themselves.
-    wake = idle_ > 0;
-  }
-  if (wake) wake_.NotifyOne();
+  const MutexLock guard(&mutex_);
+  tasks_.push_back(std::move(task));
+  // Threads at work look for the next task by themselves. Under the lock, since
+  // whoever hears of the task may destroy this.
+  if (idle_ > 0) wake_.NotifyOne();
 }
 
 void Executor::Work() {
@@ -63,35 +60,49 @@ void Executor::Work() {
 }
 
 struct Strand::State : std::enable_shared_from_this<Strand::State> {
+  // Where a task runs. Tasks that follow each other in one place may run in one
+  // turn.
+  struct Where {
+    Lane* lane = nullptr;
+    std::string flow{};
+
+    bool operator==(const Where& other) const {
+      return lane == other.lane && flow == other.flow;
+    }
+  };
   struct Task {
     std::function<void()> run;
-    Executor* lane = nullptr;
+    Where where;
   };
 
   explicit State(const Lanes& strand_lanes) : lanes(strand_lanes) {}
 
   void Post(Task task) {
-    Executor* const lane = task.lane;
+    Where where;
     {
       const MutexLock guard(&mutex);
+      const bool first = !taken;
+      if (first) where = task.where;
       tasks.push_back(std::move(task));
-      if (taken) return;
+      if (!first) return;
       taken = true;
     }
-    Schedule(lane);
+    Schedule(where);
   }
 
-  void Schedule(Executor* lane) {
-    lane->Post([self = shared_from_this(), lane] { self->RunSome(lane); });
+  void Schedule(const Where& where) {
+    where.lane->Post(where.flow, [self = shared_from_this(), where] {
+      self->RunSome(where);
+    });
   }
 
-  void RunSome(Executor* lane) {
+  void RunSome(const Where& where) {
     const auto pause = std::chrono::steady_clock::now() + kSlice;
     Task task;
     do {
       {
         const MutexLock guard(&mutex);
-        if (tasks.empty() || tasks.front().lane != lane) break;
+        if (tasks.empty() || !(tasks.front().where == where)) break;
         task = std::move(tasks.front());
         tasks.pop_front();
       }
@@ -103,16 +114,16 @@ struct Strand::State : std::enable_shared_from_this<Strand::State> {
 
   // Leaves what waits, if anything, to its lane.
   void GoOn() ABSL_LOCKS_EXCLUDED(mutex) {
-    Executor* lane;
+    Where where;
     {
       const MutexLock guard(&mutex);
       if (tasks.empty()) {
         taken = false;
         return;
       }
-      lane = tasks.front().lane;
+      where = tasks.front().where;
     }
-    Schedule(lane);
+    Schedule(where);
   }
 
   const Lanes lanes;
@@ -131,17 +142,17 @@ Strand::Strand(const Lanes& lanes) : state_(std::make_shared<State>(lanes)) {}
 void Strand::Post(std::function<void()> task) {
   // The task may end, and the strand with it, before this call does.
   const std::shared_ptr<State> state = state_;
-  state->Post({std::move(task), state->lanes.short_work});
+  state->Post({std::move(task), {state->lanes.short_work}});
 }
 
 void Strand::PostLong(std::function<void()> task) {
   const std::shared_ptr<State> state = state_;
-  state->Post({std::move(task), state->lanes.long_work});
+  state->Post({std::move(task), {state->lanes.long_work}});
 }
 
-void Strand::PostSearch(std::function<void()> task) {
+void Strand::PostSearch(std::string flow, std::function<void()> task) {
   const std::shared_ptr<State> state = state_;
-  state->Post({std::move(task), state->lanes.searches});
+  state->Post({std::move(task), {state->lanes.searches, std::move(flow)}});
 }
 
 bool Strand::Enter(State* state) {

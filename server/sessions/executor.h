@@ -11,6 +11,7 @@
 #include <deque>
 #include <functional>
 #include <memory>
+#include <string>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -19,20 +20,32 @@
 
 namespace revisit::server {
 
-// A fixed number of threads. Thread-safe.
-class Executor {
+// Where tasks run. Thread-safe.
+class Lane {
+ public:
+  virtual ~Lane() = default;
+
+  // `flow`: whose task it is, for a lane that is fair between flows.
+  virtual void Post(const std::string& flow, std::function<void()> task) = 0;
+};
+
+// A fixed number of threads; who comes first is served first. Thread-safe.
+class Executor final : public Lane {
  public:
   // `name` is for tools that list threads; up to 15 characters.
   // REQUIRES: at least one thread.
   Executor(const char* name, int threads);
   explicit Executor(int threads) : Executor("vehicles", threads) {}
   // Runs what was posted, also by tasks that run meanwhile, then joins.
-  ~Executor();
+  ~Executor() override;
 
   Executor(const Executor&) = delete;
   Executor& operator=(const Executor&) = delete;
 
   void Post(std::function<void()> task);
+  void Post(const std::string& /*flow*/, std::function<void()> task) override {
+    Post(std::move(task));
+  }
 
  private:
   void Work();
@@ -52,15 +65,14 @@ struct Lanes {
   Lanes(Executor* all) : Lanes(all, all) {}
   Lanes(Executor* for_short_work, Executor* for_all_else)
       : Lanes(for_short_work, for_all_else, for_all_else) {}
-  Lanes(Executor* for_short_work, Executor* for_long_work,
-        Executor* for_searches)
+  Lanes(Executor* for_short_work, Executor* for_long_work, Lane* for_searches)
       : short_work(for_short_work),
         long_work(for_long_work),
         searches(for_searches) {}
 
   Executor* short_work;
   Executor* long_work;
-  Executor* searches;
+  Lane* searches;
 };
 
 // Runs tasks one after the other, in the order posted, each in its lane; gives
@@ -77,7 +89,8 @@ class Strand {
 
   void Post(std::function<void()> task);
   void PostLong(std::function<void()> task);
-  void PostSearch(std::function<void()> task);
+  // `flow`: whose search it is.
+  void PostSearch(std::string flow, std::function<void()> task);
 
   // Runs the task before it returns, on the caller's thread, if nothing of the
   // strand runs or waits; else posts it. For tasks that are short and do not

@@ -65,7 +65,8 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
         return entry.session;
       }
       session = VehicleSession::Load(id, storage, codec, lanes, options.session,
-                                     options.snapshots, retention);
+                                     options.snapshots, retention,
+                                     options.clock, options.census);
       if (gives_up_replays) session->GiveUpReplay();
       replaced = std::exchange(entry.session, session);
     }
@@ -341,6 +342,7 @@ void Fleet::Create(const std::string& id, const VehicleConfig& config,
         // Off the writer's thread.
         state->lanes.short_work->Post([state, id, config, callback, key] {
           if (key.ok()) {
+            if (state->options.census) state->options.census->Created(*key);
             state->LoadCreated(id, config, *key, true, callback);
           } else {
             callback(key.status());

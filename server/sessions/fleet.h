@@ -20,6 +20,9 @@
 
 #include "absl/status/statusor.h"
 #include "server/sessions/executor.h"
+#include "server/sessions/retention_monitor.h"
+#include "server/sessions/server_clock.h"
+#include "server/sessions/vehicle_census.h"
 #include "server/sessions/vehicle_session.h"
 #include "server/storage/storage.h"
 
@@ -38,6 +41,10 @@ class Fleet {
     SnapshotPolicy snapshots;
     // Called with every drop of poses; may be empty.
     std::function<void(const RetentionMonitor::Drop&)> report_drop;
+    // Counts the vehicles; may be null.
+    std::shared_ptr<VehicleCensus> census;
+    // Against which the stamps of poses are held.
+    ServerClock clock = SystemNanoseconds;
     // How long the end of the fleet may be delayed to write snapshots.
     std::chrono::milliseconds last_snapshots{500};
   };

@@ -19,6 +19,9 @@ constexpr std::chrono::milliseconds kReplaySlice{20};
 
 constexpr int kPairsPerRead = 1000;
 
+// A write of this revision leaves that of the vehicle as it is.
+constexpr std::uint64_t kNoRevision = 0;
+
 }  // namespace
 
 void AddPair(core::Engine* engine, PairKind kind, const PosePairRecord& pair,
@@ -58,16 +61,45 @@ absl::Status Replayer::StartLoad() {
     const absl::Status read = LoadPairs(kind, config->engine.state_space);
     if (!read.ok()) return read;
   }
-  const bool is_sound = record->damage.ok();
+  const bool is_sound = record->damage.ok() && !config->damaged;
   Start(*std::move(config), record->revision, /*is_load=*/true,
         [this](const absl::Status& status) {
-          if (!status.ok()) vehicle_->Leave(status);
-          if (!vehicle_->damage.ok()) {
-            vehicle_->damage = Damaged(vehicle_->damage);
+          if (status.ok()) {
+            FinishLoad();
+          } else {
+            vehicle_->Leave(status);
           }
         });
   replay_->may_use_snapshot = is_sound;
   return absl::OkStatus();
+}
+
+void Replayer::FinishLoad() {
+  const bool is_marked = vehicle_->config.damaged;
+  if (is_marked) {
+    NoteDamage(vehicle_->Corrupt(
+        "damage was found in it before, although none is found now"));
+  }
+  if (!vehicle_->damage.ok()) {
+    vehicle_->damage = Damaged(vehicle_->damage);
+    if (!is_marked) KeepMark();
+  }
+  vehicle_->Report();
+}
+
+void Replayer::KeepMark() {
+  VehicleConfig marked = vehicle_->config;
+  marked.damaged = true;
+  queue_->Hold();
+  vehicle_->storage->UpdateVehicle(
+      vehicle_->key, vehicle_->codec->EncodeVehicle(marked), kNoRevision,
+      queue_->OnStrand([this, marked](const absl::Status& status) {
+        if (status.ok()) vehicle_->Adopt(marked, vehicle_->revision);
+        // Nothing but this mark was written, so that memory stays what it is;
+        // the next load finds the damage again.
+        if (absl::IsAborted(status)) vehicle_->NoteFailedWrite(status);
+        queue_->Release([] {});
+      }));
 }
 
 // Without its settings, a vehicle's poses cannot be read.
@@ -77,6 +109,7 @@ void Replayer::TakeUnknown(const VehicleRecord& record,
   vehicle_->Take(std::make_unique<core::Engine>(vehicle_->config.engine));
   vehicle_->Adopt(vehicle_->config, record.revision);
   vehicle_->damage = Damaged(record.damage.ok() ? cause : record.damage);
+  vehicle_->Report();
   queue_->Release([] {});
 }
 

@@ -73,6 +73,10 @@ class Replayer {
   absl::StatusOr<VehicleConfig> StoredConfig(const VehicleRecord& record) const;
   absl::Status LoadPairs(PairKind kind, core::StateSpace space);
   void TakeUnknown(const VehicleRecord& record, const absl::Status& cause);
+  void FinishLoad();
+  // Has the store keep that the vehicle is damaged, for those who ask when it
+  // is no longer in memory. Nothing but reads starts before that is done.
+  void KeepMark();
   void Start(VehicleConfig config, std::uint64_t revision, bool is_load,
              std::function<void(const absl::Status&)> then);
   void Post();

@@ -4,6 +4,9 @@
 #include <chrono>
 #include <memory>
 #include <utility>
+#include <vector>
+
+#include "server/sessions/server_clock.h"
 
 namespace revisit::server {
 namespace {
@@ -50,17 +53,17 @@ void Retention::Consider() {
 
 void Retention::ConsiderLoaded() {
   const core::PoseGraph& graph = vehicle_->engine->graph();
-  const std::optional<std::int64_t> max_age =
-      vehicle_->config.engine.retention.max_age_ns;
   const core::NodeIndex size = graph.size();
-  if (!max_age || size < kLeastLookedAt) return;
+  if (!vehicle_->config.engine.retention.max_age_ns || size < kLeastLookedAt) {
+    return;
+  }
   const auto tenth =
       static_cast<core::NodeIndex>(kLeastShare * static_cast<double>(size));
   const std::optional<std::int64_t> old = graph.node(tenth).stamp_ns;
-  const std::optional<std::int64_t> newest = graph.node(size - 1).stamp_ns;
-  std::int64_t age = 0;
-  if (!old || !newest || __builtin_sub_overflow(*newest, *old, &age)) return;
-  if (age > *max_age) vehicle_->look_at_nodes = 0;
+  const std::optional<std::int64_t> oldest =
+      vehicle_->engine->OldestStamp(LatestStamp(vehicle_->clock));
+  // One node alone may have a wrong stamp: whether it is so, the look finds.
+  if (old && oldest && *old < *oldest) vehicle_->look_at_nodes = 0;
   Consider();
 }
 
@@ -70,7 +73,7 @@ void Retention::BeginLook() {
     return;
   }
   vehicle_->look_at_nodes = NextLookAt(vehicle_->engine->graph().size());
-  search_ = vehicle_->engine->SearchDroppable();
+  search_ = vehicle_->engine->SearchDroppable(LatestStamp(vehicle_->clock));
   engine_series_ = vehicle_->engine_series;
   LookSome();
 }
@@ -136,12 +139,16 @@ void Retention::FindRanges() {
   work_->start = std::chrono::steady_clock::now();
   work_->dropped_before = engine.dropped().count();
   core::NodeIndex nodes = 0;
+  std::vector<core::NodeRange> found;
   for (const core::NodeRange& range : search_->Droppable(engine.LoopEnds())) {
     const core::SequenceRange sequences = core::SequencesOf(graph, range);
     if (sequences.first > sequences.last) continue;
     work_->ranges.push_back(sequences);
+    found.push_back(range);
     nodes += range.last - range.first;
   }
+  work_->nodes_too_old = search_->CountTooOld(found);
+  work_->nodes_covered = nodes - work_->nodes_too_old;
   search_.reset();
   if (static_cast<double>(nodes) <
       kLeastShare * static_cast<double>(graph.size())) {
@@ -351,7 +358,7 @@ std::uint64_t Retention::NextRevision() const {
 }
 
 void Retention::Finish() {
-  const std::unique_ptr<Work> work = std::move(work_);
+  const std::shared_ptr<const Work> work = std::move(work_);
   End();
   queue_->Release([&] {
     if (work->revision == 0 || vehicle_->gone_status) {
@@ -359,19 +366,18 @@ void Retention::Finish() {
       return;
     }
     replayer_->Rebuild(vehicle_->config, work->revision,
-                       [this, dropped_before = work->dropped_before,
-                        start = work->start](const absl::Status& status) {
-                         if (status.ok()) Report(dropped_before, start);
+                       [this, work](const absl::Status& status) {
+                         if (status.ok()) Report(*work);
                        });
   });
 }
 
-void Retention::Report(std::uint64_t dropped_before,
-                       std::chrono::steady_clock::time_point start) const {
+void Retention::Report(const Work& work) const {
   const core::DroppedStretches& dropped = vehicle_->engine->dropped();
-  monitor_->Dropped({vehicle_->id, dropped.count() - dropped_before,
-                     dropped.KeptFrom(1),
-                     std::chrono::steady_clock::now() - start});
+  monitor_->Dropped({vehicle_->id, dropped.count() - work.dropped_before,
+                     dropped.KeptFrom(1), work.nodes_too_old,
+                     work.nodes_covered,
+                     std::chrono::steady_clock::now() - work.start});
 }
 
 }  // namespace revisit::server

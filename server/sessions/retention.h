@@ -16,6 +16,7 @@
 #include "absl/status/status.h"
 #include "core/geometry/pose.h"
 #include "core/graph/dropped_stretch.h"
+#include "core/graph/pose_graph.h"
 #include "core/graph/retention.h"
 #include "server/sessions/replay.h"
 #include "server/sessions/retention_monitor.h"
@@ -37,6 +38,9 @@ namespace revisit::server {
 // stretches that are dropped become one row each, a part at a time, each of
 // which leaves a sound store; then the graph is made anew by the replay of a
 // load, so it is the one that a load makes.
+//
+// Stamps that are too far ahead of the server's clock do not count
+// (server_clock.h).
 //
 // Belongs to the strand. While poses are dropped, appends wait, and reads of
 // memory go on, but not those of the store.
@@ -90,6 +94,9 @@ class Retention {
     std::chrono::steady_clock::time_point start;
     // Poses that had been dropped before.
     std::uint64_t dropped_before = 0;
+    // Nodes that are to go, by the rule.
+    core::NodeIndex nodes_too_old = 0;
+    core::NodeIndex nodes_covered = 0;
   };
 
   void BeginLook();
@@ -116,8 +123,7 @@ class Retention {
   void Complete(const std::optional<core::Pose>& next, bool is_end);
   void Write();
   void Finish();
-  void Report(std::uint64_t dropped_before,
-              std::chrono::steady_clock::time_point start) const;
+  void Report(const Work& work) const;
   // That of the next write.
   std::uint64_t NextRevision() const;
 

@@ -22,11 +22,16 @@ class RetentionMonitor {
     std::uint64_t poses = 0;
     // The first pose that the vehicle still has.
     std::uint64_t first_kept_sequence = 0;
+    // Nodes that were to go, by the rule: max_age, and max_passes.
+    std::int64_t nodes_too_old = 0;
+    std::int64_t nodes_covered = 0;
     // How long the vehicle's appends waited for it.
     std::chrono::steady_clock::duration duration{0};
   };
   struct Counts {
     std::uint64_t poses = 0;
+    std::uint64_t nodes_too_old = 0;
+    std::uint64_t nodes_covered = 0;
     // Vehicles that are looked at now, or are losing poses.
     std::int64_t vehicles = 0;
     // How long the drops took; its count is how many there were.
@@ -41,15 +46,21 @@ class RetentionMonitor {
   void Ended() { --vehicles_; }
   void Dropped(const Drop& drop) {
     poses_ += drop.poses;
+    nodes_too_old_ += static_cast<std::uint64_t>(drop.nodes_too_old);
+    nodes_covered_ += static_cast<std::uint64_t>(drop.nodes_covered);
     seconds_.Observe(drop.duration);
     if (report_) report_(drop);
   }
 
-  Counts Read() const { return {poses_, vehicles_, seconds_.Read()}; }
+  Counts Read() const {
+    return {poses_, nodes_too_old_, nodes_covered_, vehicles_, seconds_.Read()};
+  }
 
  private:
   const std::function<void(const Drop&)> report_;
   std::atomic<std::uint64_t> poses_{0};
+  std::atomic<std::uint64_t> nodes_too_old_{0};
+  std::atomic<std::uint64_t> nodes_covered_{0};
   std::atomic<std::int64_t> vehicles_{0};
   Histogram seconds_{SecondsBounds()};
 };

@@ -39,6 +39,9 @@ struct VehicleConfig {
   std::int64_t create_time_ns = 0;  // Since the Unix epoch.
   // Writes are refused until an operator accepts the loss.
   bool data_loss = false;
+  // Damage was found in the stored vehicle, and no operator has accepted its
+  // loss since. A load that finds none does not end it.
+  bool damaged = false;
   // For people, and for the callers' programs: nothing depends on these.
   std::string display_name;
   std::map<std::string, std::string> labels;

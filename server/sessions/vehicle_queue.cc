@@ -6,7 +6,8 @@ namespace revisit::server {
 namespace {
 
 bool IsRead(Turn turn) {
-  return turn == Turn::kRead || turn == Turn::kReadStored;
+  return turn == Turn::kRead || turn == Turn::kSearch ||
+         turn == Turn::kReadStored;
 }
 
 }  // namespace
@@ -28,7 +29,8 @@ void VehicleQueue::SubmitLong(Operation operation) {
 }
 
 void VehicleQueue::SubmitSearch(Operation operation) {
-  PostSearch([this, operation = std::move(operation)]() mutable {
+  const std::string flow = operation.flow;
+  PostSearch(flow, [this, operation = std::move(operation)]() mutable {
     Add(std::move(operation));
   });
 }
@@ -65,6 +67,10 @@ void VehicleQueue::Pump() {
       SubmitLong(std::move(operation));
       continue;
     }
+    if (operation.turn == Turn::kSearch && !vehicle_->gone_status) {
+      SubmitSearch(std::move(operation));
+      continue;
+    }
     Start(operation);
   }
   pumping_ = false;
@@ -94,6 +100,7 @@ bool VehicleQueue::MayStart(Turn turn) const {
   if (held_) return false;
   switch (turn) {
     case Turn::kRead:
+    case Turn::kSearch:
     case Turn::kReadStored:
       return true;
     case Turn::kAppend:

@@ -5,6 +5,7 @@
 #include <deque>
 #include <functional>
 #include <memory>
+#include <string>
 #include <utility>
 
 #include "absl/status/status.h"
@@ -21,6 +22,9 @@ enum class Turn {
   // At once, ahead of what waits; but not while the store shows a change that
   // memory does not show yet.
   kRead,
+  // As kRead, for an operation that searches: it runs in the lane of searches
+  // also where it had to wait.
+  kSearch,
   // The operation reads the store itself, which takes long. It starts when a
   // kRead may, but also waits while poses are being revised.
   kReadStored,
@@ -34,6 +38,8 @@ struct Operation {
   Turn turn;
   // Called once, with OK to do it, or with the answer instead.
   std::function<void(const absl::Status&)> run;
+  // Whose search it is, of a kSearch.
+  std::string flow{};
 };
 
 // Belongs to the strand, but for what is said to be called from any thread.
@@ -64,7 +70,8 @@ class VehicleQueue {
   void SubmitSearch(Operation operation);
 
   // Runs a task on the strand, in the lane of short work, of long work, of
-  // searches. Tasks do not take turns: they are parts of operations.
+  // searches, where `flow` says whose search it is. Tasks do not take turns:
+  // they are parts of operations.
   template <typename Task>
   void Post(Task task) {
     strand_->Post(Keeping(std::move(task)));
@@ -74,8 +81,8 @@ class VehicleQueue {
     strand_->PostLong(Keeping(std::move(task)));
   }
   template <typename Task>
-  void PostSearch(Task task) {
-    strand_->PostSearch(Keeping(std::move(task)));
+  void PostSearch(const std::string& flow, Task task) {
+    strand_->PostSearch(flow, Keeping(std::move(task)));
   }
   // See Strand::RunOrPost().
   template <typename Task>

@@ -1,5 +1,7 @@
 #include "server/sessions/vehicle_session.h"
 
+#include <deque>
+
 #include "server/sessions/appends.h"
 #include "server/sessions/replay.h"
 #include "server/sessions/retention.h"
@@ -12,8 +14,10 @@ namespace revisit::server {
 struct VehicleSession::State {
   State(std::string id, Storage* storage, const RecordCodec* codec,
         const Lanes& lanes, const Limits& limits, const SnapshotPolicy& policy,
-        std::shared_ptr<RetentionMonitor> monitor)
-      : vehicle(std::move(id), storage, codec, policy),
+        std::shared_ptr<RetentionMonitor> monitor, ServerClock clock,
+        std::shared_ptr<VehicleCensus> census)
+      : vehicle(std::move(id), storage, codec, policy, std::move(clock),
+                std::move(census)),
         queue(&vehicle, &appends, lanes),
         appends(&vehicle, &queue, &retention, limits.max_pending_appends),
         replayer(&vehicle, &queue),
@@ -47,6 +51,28 @@ struct VehicleSession::State {
             }};
   }
 
+  struct SearchCall {
+    std::string flow;
+    SearchCallback callback;
+  };
+
+  void TakeSearchTurn(const SearchCall& search, const absl::Status& status) {
+    const bool is_over =
+        status.ok() ? search.callback(vehicle.View()) : search.callback(status);
+    is_searching = !is_over || !searches.empty();
+    if (!is_searching) return;
+    SearchCall next = search;
+    if (is_over) {
+      next = std::move(searches.front());
+      searches.pop_front();
+    }
+    queue.SubmitSearch({Turn::kSearch,
+                        [this, next](const absl::Status& later) {
+                          TakeSearchTurn(next, later);
+                        },
+                        next.flow});
+  }
+
   // Runs `end` after what was called before, and once no part of a snapshot is
   // being written.
   template <typename End>
@@ -71,14 +97,19 @@ struct VehicleSession::State {
   Retention retention;
   Changes changes;
   Snapshots snapshots;
+  // Whether a search is between two turns, and those that wait for its end.
+  bool is_searching = false;
+  std::deque<SearchCall> searches;
 };
 
 std::shared_ptr<VehicleSession> VehicleSession::Load(
     std::string id, Storage* storage, const RecordCodec* codec,
     const Lanes& lanes, const Limits& limits, const SnapshotPolicy& snapshots,
-    std::shared_ptr<RetentionMonitor> retention) {
+    std::shared_ptr<RetentionMonitor> retention, ServerClock clock,
+    std::shared_ptr<VehicleCensus> census) {
   auto state = std::make_shared<State>(std::move(id), storage, codec, lanes,
-                                       limits, snapshots, std::move(retention));
+                                       limits, snapshots, std::move(retention),
+                                       std::move(clock), std::move(census));
   state->queue.KeepAlive(state);
   state->queue.PostLong([state = state.get()] { state->replayer.Load(); });
   state->queue.Submit(
@@ -104,8 +135,19 @@ void VehicleSession::ReadStored(ViewCallback callback) {
       state_->Reading(Turn::kReadStored, std::move(callback)));
 }
 
-void VehicleSession::Search(ViewCallback callback) {
-  state_->queue.SubmitSearch(state_->Reading(Turn::kRead, std::move(callback)));
+void VehicleSession::Search(std::string flow, SearchCallback callback) {
+  State::SearchCall search{flow, std::move(callback)};
+  state_->queue.SubmitSearch(
+      {Turn::kSearch,
+       [state = state_.get(),
+        search = std::move(search)](const absl::Status& status) {
+         if (state->is_searching) {
+           state->searches.push_back(search);
+         } else {
+           state->TakeSearchTurn(search, status);
+         }
+       },
+       std::move(flow)});
 }
 
 void VehicleSession::Append(std::shared_ptr<AppendSink> sink) {

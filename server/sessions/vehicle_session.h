@@ -11,9 +11,9 @@
 // All public calls are thread-safe and return at once. Callbacks run on the
 // threads of the lanes, one at a time per vehicle. Exception: Append() may
 // decode and stage a batch, or refuse it, on the calling thread before it
-// returns, so hold no lock that its callbacks take. Every callback is called
-// exactly once. The session's work goes on when the last reference to it is
-// dropped; see fleet.h for what must outlive that work.
+// returns, so hold no lock that its callbacks take. Every callback but that of
+// Search() is called exactly once. The session's work goes on when the last
+// reference to it is dropped; see fleet.h for what must outlive that work.
 #ifndef REVISIT_SERVER_SESSIONS_VEHICLE_SESSION_H_
 #define REVISIT_SERVER_SESSIONS_VEHICLE_SESSION_H_
 
@@ -33,6 +33,8 @@
 #include "server/sessions/executor.h"
 #include "server/sessions/record_codec.h"
 #include "server/sessions/retention_monitor.h"
+#include "server/sessions/server_clock.h"
+#include "server/sessions/vehicle_census.h"
 #include "server/sessions/vehicle_state.h"
 #include "server/sessions/vehicle_view.h"
 #include "server/storage/storage.h"
@@ -58,7 +60,9 @@ class VehicleSession {
       const Lanes& lanes, const Limits& limits,
       const SnapshotPolicy& snapshots = SnapshotPolicy(),
       std::shared_ptr<RetentionMonitor> retention =
-          std::make_shared<RetentionMonitor>(nullptr));
+          std::make_shared<RetentionMonitor>(nullptr),
+      ServerClock clock = SystemNanoseconds,
+      std::shared_ptr<VehicleCensus> census = nullptr);
 
   VehicleSession(const VehicleSession&) = delete;
   VehicleSession& operator=(const VehicleSession&) = delete;
@@ -73,8 +77,14 @@ class VehicleSession {
   // the store may be of another revision than the view, which is from when a
   // revision is written until it is applied.
   void ReadStored(ViewCallback callback);
-  // Reads for a callback that searches.
-  void Search(ViewCallback callback);
+  // Reads for a callback that searches in turns: it is called until it returns
+  // true, which it has to for a status that is not OK. Between two turns other
+  // vehicles' searches get theirs, and the vehicle may change, be handed over
+  // or leave, but no other search of it begins. `flow` says whose search it is,
+  // among those who share the threads of searches.
+  using SearchCallback =
+      std::function<bool(const absl::StatusOr<VehicleView>&)>;
+  void Search(std::string flow, SearchCallback callback);
 
   // See AppendSink. Poses that are stored already with the same content are
   // acknowledged again. Errors: ALREADY_EXISTS (SEQUENCE_CONTENT_MISMATCH),

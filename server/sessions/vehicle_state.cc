@@ -55,6 +55,14 @@ VehicleView VehicleState::View() const {
                      marks.get()};
 }
 
+void VehicleState::Report() const {
+  if (census == nullptr) return;
+  using State = VehicleCensus::State;
+  census->Found(key, !damage.ok()       ? State::kDamaged
+                     : config.data_loss ? State::kDataLoss
+                                        : State::kActive);
+}
+
 void VehicleState::Take(std::unique_ptr<core::Engine> another) {
   engine = std::move(another);
   ++engine_series;
@@ -151,8 +159,9 @@ absl::Status VehicleState::CheckAgainstStore() {
     if (ReasonOf(record.status()) == "NOT_OWNER") Leave(record.status());
     return record.status();
   }
-  // Between two epochs that follow each other nobody else has had the vehicle.
-  if (record->key != key || record->epoch > epoch + 1 ||
+  // Where this server had the vehicle under the epoch that is known here,
+  // nobody else has had it since.
+  if (record->key != key || record->previous_epoch != epoch ||
       record->durable_sequence != durable_sequence ||
       record->revision != revision ||
       record->loop_closure_count !=

@@ -20,6 +20,8 @@
 #include "core/engine.h"
 #include "server/base/status.h"
 #include "server/sessions/record_codec.h"
+#include "server/sessions/server_clock.h"
+#include "server/sessions/vehicle_census.h"
 #include "server/sessions/vehicle_view.h"
 #include "server/storage/storage.h"
 
@@ -51,16 +53,23 @@ struct SnapshotPolicy {
 
 struct VehicleState {
   VehicleState(std::string vehicle_id, Storage* vehicle_storage,
-               const RecordCodec* record_codec, SnapshotPolicy policy)
+               const RecordCodec* record_codec, SnapshotPolicy policy,
+               ServerClock server_clock,
+               std::shared_ptr<VehicleCensus> vehicle_census)
       : id(std::move(vehicle_id)),
         storage(vehicle_storage),
         codec(record_codec),
-        snapshot_policy(std::move(policy)) {}
+        snapshot_policy(std::move(policy)),
+        clock(std::move(server_clock)),
+        census(std::move(vehicle_census)) {}
 
   const std::string id;
   Storage* const storage;
   const RecordCodec* const codec;
   const SnapshotPolicy snapshot_policy;
+  const ServerClock clock;
+  // Null if nobody counts.
+  const std::shared_ptr<VehicleCensus> census;
 
   VehicleKey key = 0;
   VehicleConfig config;
@@ -119,6 +128,9 @@ struct VehicleState {
   std::atomic<std::int64_t> resident_bytes{0};
 
   VehicleView View() const;
+
+  // Tells the census what state the vehicle has now.
+  void Report() const;
 
   // Replaces the engine. Retention looks at it once it has grown.
   void Take(std::unique_ptr<core::Engine> another);

@@ -2,7 +2,7 @@
 // off are off at 0, as their flags say.
 //
 // Bounds that no option sets stand with the code that keeps them: what follows
-// from an option (kCallsToClear, kUnadmittedCalls in server.cc, kShares in
+// from an option (kCallsToClear, kUnadmittedMemory in server.cc, kShares in
 // connection_meter.cc), and the pairs of poses that a vehicle may have
 // (VehicleSession::Limits).
 #ifndef REVISIT_SERVER_SETTINGS_LIMITS_H_
@@ -112,17 +112,28 @@ struct Limits {
 
   // ---- Other calls
 
-  // Unary calls that wait or run. Range [1, 1e6].
-  int max_calls = 1000;
-  // Searches among them (FindCandidates): in all, and per vehicle. Range [1,
-  // 1e6].
+  // Unary calls that wait or run: in all, per vehicle, and per caller; the last
+  // is off at 0. Range [1, 1e6], and [0, 1e6] per caller.
+  int max_calls = 2000;
+  int max_calls_per_vehicle = 128;
+  int max_calls_per_caller = 1000;
+  // Poses of the vehicles whose graphs are made anew at a time by calls that
+  // revise poses or change settings that move nodes: in all, and per caller,
+  // off at 0. A vehicle counts for no more than either. Range [1000, 1e12], and
+  // [0, 1e12] per caller.
+  std::int64_t max_rebuilt_poses = 16'000'000;
+  std::int64_t max_rebuilt_poses_per_caller = 4'000'000;
+  // Searches among them (FindCandidates): in all, and per vehicle. A caller
+  // that has less than an even part of all may have as many although others
+  // have taken them. Range [1, 1e6].
   int max_searches = 64;
   int max_searches_per_vehicle = 16;
   // Searches per second and caller; off at 0. Range [0, 1e6].
   double max_search_rate_per_caller = 0.0;
   // Nodes of the aligned path times nodes of the history times directions (2
   // for EITHER), per search: core's SearchOptions::max_comparisons, and `limit`
-  // of LIMIT_EXCEEDED. Range [1000, 1e12].
+  // of LIMIT_EXCEEDED. The marks that a FindCandidates call has to search first
+  // count too, but for the first of them (search_turns.h). Range [1000, 1e12].
   std::int64_t max_search_steps = 300'000'000;
 
   // ---- Memory

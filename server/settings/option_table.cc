@@ -185,6 +185,10 @@ void AddServing(Group add, ServerSettings& s) {
   add.Number("lease-seconds", &s.lease_seconds, 1, 3600,
              "Seconds that this server may be out of touch with a shared store "
              "before others take its vehicles");
+  add.Number("store-wait-seconds", &s.store_wait_seconds, 0, 86400,
+             "Seconds that a start, or a task, waits for a shared store that "
+             "cannot be reached, starts, recovers or takes no writes; 0 does "
+             "not wait");
   add.Number("min-free-bytes", &s.min_free_bytes, 0, std::int64_t{1} << 50,
              "Bytes that the store's file system must have left for writes to "
              "be taken; 0 never refuses them");
@@ -322,8 +326,22 @@ void AddWork(Group add, Limits& l) {
              "Bytes of all batches that may wait to be durable");
   add.Number("max-calls", &l.max_calls, 1, 1000000,
              "Unary calls that may wait or run");
+  add.Number("max-calls-per-vehicle", &l.max_calls_per_vehicle, 1, 1000000,
+             "Unary calls about one vehicle that may wait or run");
+  add.Number("max-calls-per-caller", &l.max_calls_per_caller, 0, 1000000,
+             "Unary calls of one caller that may wait or run; 0: no limit");
+  add.Number("max-rebuilt-poses", &l.max_rebuilt_poses, 1000, 1e12,
+             "Poses of the vehicles whose graphs calls make anew at a time, "
+             "by revised poses or settings that move nodes; one alone may "
+             "have more");
+  add.Number("max-rebuilt-poses-per-caller", &l.max_rebuilt_poses_per_caller, 0,
+             1e12,
+             "max-rebuilt-poses of one caller's calls; one alone may have "
+             "more; 0: no limit");
   add.Number("max-searches", &l.max_searches, 1, 1000000,
-             "FindCandidates calls that may wait or run");
+             "FindCandidates calls that may wait or run; a caller that has "
+             "less than an even part of them is let in although others have "
+             "taken all");
   add.Number("max-searches-per-vehicle", &l.max_searches_per_vehicle, 1,
              1000000,
              "FindCandidates calls of one vehicle that may wait or run");
@@ -332,7 +350,8 @@ void AddWork(Group add, Limits& l) {
   add.Number("max-search-steps", &l.max_search_steps, 1000, 1e12,
              "Nodes of the aligned path times nodes of the history that one "
              "search may compare, counted twice where it looks in both "
-             "directions");
+             "directions; the marks that a FindCandidates call has to search "
+             "first count too");
   add.Number("max-memory-bytes", &l.max_memory_bytes, 0, std::int64_t{1} << 50,
              "Bytes of resident memory from which on new work is refused; 0 "
              "means three quarters of the machine's or the control group's");

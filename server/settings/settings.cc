@@ -173,6 +173,11 @@ bool IsSharedStore(const std::string& store) {
          absl::StartsWith(store, "postgres:");
 }
 
+std::chrono::milliseconds StoreWaitTime(const ServerSettings& settings) {
+  return std::chrono::milliseconds(
+      static_cast<std::int64_t>(settings.store_wait_seconds * 1000.0));
+}
+
 absl::StatusOr<ParsedSettings> ParseSettings(
     const std::vector<std::string>& arguments,
     const std::vector<std::string>& environment) {

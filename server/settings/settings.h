@@ -4,6 +4,7 @@
 #ifndef REVISIT_SERVER_SETTINGS_SETTINGS_H_
 #define REVISIT_SERVER_SETTINGS_SETTINGS_H_
 
+#include <chrono>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -46,6 +47,9 @@ struct ServerSettings {
   // How long this server may be out of touch with a shared store before others
   // take its vehicles. Range [1, 3600].
   double lease_seconds = 10.0;
+  // How long a start, or a task, waits for a shared store that cannot be opened
+  // at the moment; 0 does not wait. Range [0, 86400].
+  double store_wait_seconds = 30.0;
   // Writes are refused while the file system of the store has less than this
   // left; they are taken again from a quarter more on. 0 never refuses them.
   // Range [0, 2^50].
@@ -136,6 +140,9 @@ struct StoreTask {
 
 // Whether a value of `store` is the URL of a database rather than a path.
 bool IsSharedStore(const std::string& store);
+
+// `store_wait_seconds` as a duration.
+std::chrono::milliseconds StoreWaitTime(const ServerSettings& settings);
 
 // The harm that anybody who reaches the address could do; empty if it can only
 // be reached from this machine, or is encrypted and identifies callers.

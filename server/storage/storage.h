@@ -71,6 +71,9 @@ struct VehicleRecord {
   // How often the vehicle was taken (TakeVehicle()); 0 where one server has the
   // storage alone, and in answers of other calls.
   std::int64_t epoch = 0;
+  // The epoch under which this server had the vehicle right before it took it
+  // now; 0 if it did not, and where the epoch is.
+  std::int64_t previous_epoch = 0;
   // DATA_LOSS if the row or the last batch is damaged. If the row is, only key
   // and id are set, and the payload is empty. If the last batch is, the highest
   // sequence is the one its row claims, and the revision does not count it.
@@ -185,6 +188,7 @@ constexpr PairWords WordsOf(PairKind kind) {
 // A server that shares a storage with others.
 struct StorageUser {
   std::string address;
+  // As it said last: in PostgreSQL with each beat.
   std::int64_t owned_vehicles = 0;
 };
 
@@ -325,6 +329,15 @@ class Storage {
   virtual absl::Status CheckOwned(VehicleKey /*key*/) const {
     return absl::OkStatus();
   }
+  // OK while this server may answer at all, and take vehicles: UNAVAILABLE
+  // (LEASE_STALE) once a shared store has not been reached for so long that
+  // others may have taken them. Reads nothing.
+  virtual absl::Status CheckLease() const { return absl::OkStatus(); }
+  // As CheckOwned(), but asks the store, behind the writes of the vehicle that
+  // were submitted before: OK if it holds what the last of them has left. For
+  // answers that acknowledge what was acknowledged before, since a store may
+  // have lost it meanwhile.
+  virtual void ConfirmOwned(VehicleKey key, Done done);
   // Vehicles that this server has owned for a while and others have asked for:
   // hand them over with ReleaseVehicle().
   virtual std::vector<WantedVehicle> WantedVehicles() { return {}; }
@@ -336,6 +349,11 @@ class Storage {
   // ordered by id. Others are not read, so their damage does not matter.
   virtual absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
       const std::string& after_id, const std::string& prefix, int limit) = 0;
+  // The rows of vehicles whose keys come after `after_key`, ordered by key, for
+  // those who look at all of them: nothing is read but these rows, so only key,
+  // id, payload and the damage of the row itself are set.
+  virtual absl::StatusOr<std::vector<VehicleRecord>> ListVehicleRows(
+      VehicleKey after_key, int limit) = 0;
   // Visits the batches that hold poses of [first_sequence, last_sequence], in
   // order and as of one moment, until `visit` returns false. `visit` may read
   // from the storage. DATA_LOSS if a batch is missing or damaged, after those
@@ -350,12 +368,16 @@ class Storage {
       int limit) = 0;
 
   // OK if the next write is likely to be taken; otherwise what it would be
-  // refused with, such as RESOURCE_EXHAUSTED (STORAGE_FULL). Reads nothing that
-  // would make the caller wait.
+  // refused with: RESOURCE_EXHAUSTED (STORAGE_FULL), or UNAVAILABLE
+  // (LEASE_STALE) once a shared store has not been reached for the lease. Reads
+  // nothing that would make the caller wait. Readiness, the health of writes
+  // and the metric revisit_store_writable all are this answer.
   virtual absl::Status CheckWritable() { return absl::OkStatus(); }
 
   // The servers that share the storage and live, this one among them, by
-  // address; none where one server has it alone.
+  // address; none where one server has it alone. Of a server that joined them,
+  // the answer is some seconds old at most, and waits for nobody: UNAVAILABLE
+  // (LEASE_STALE) where there is none so young.
   virtual absl::StatusOr<std::vector<StorageUser>> ListUsers() {
     return std::vector<StorageUser>();
   }
@@ -378,6 +400,10 @@ class Storage {
 
 // Values, because implementations keep them.
 // NOLINTBEGIN(performance-unnecessary-value-param)
+inline void Storage::ConfirmOwned(VehicleKey, Done done) {
+  done(absl::OkStatus());
+}
+
 inline void Storage::PutSnapshotPart(VehicleKey, std::uint32_t, std::string,
                                      Done done) {
   done(absl::UnimplementedError("no snapshots are kept"));

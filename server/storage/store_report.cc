@@ -97,8 +97,8 @@ absl::Status ReportVehicle(Storage& storage, const std::string& id,
   return status;
 }
 
-void ReportSnapshot(Storage& storage, VehicleKey key, const std::string& id,
-                    StoreReport* report) {
+absl::Status ReportSnapshot(Storage& storage, VehicleKey key,
+                            const std::string& id, StoreReport* report) {
   const auto snapshot = storage.GetSnapshot(key);
   absl::Status status = snapshot.status();
   if (status.ok() && *snapshot) {
@@ -106,9 +106,10 @@ void ReportSnapshot(Storage& storage, VehicleKey key, const std::string& id,
     status = storage.ReadSnapshotParts(key, 0, (*snapshot)->part_count,
                                        [](absl::string_view) { return true; });
   }
-  if (status.ok() || !IsSame(storage, key, snapshot)) return;
+  if (status.ok() || !IsSame(storage, key, snapshot)) return absl::OkStatus();
   report->damaged_snapshots.push_back("vehicle '" + Printable(id) +
                                       "': " + std::string(status.message()));
+  return status;
 }
 
 }  // namespace revisit::server

@@ -48,8 +48,9 @@ absl::Status ReportVehicle(Storage& storage, const std::string& id,
 
 // Reads a vehicle's snapshot whole, and adds it to the report's counts, or to
 // its damaged ones. A server may replace or remove it meanwhile.
-void ReportSnapshot(Storage& storage, VehicleKey key, const std::string& id,
-                    StoreReport* report);
+// Answers why it is damaged; OK if it is not.
+absl::Status ReportSnapshot(Storage& storage, VehicleKey key,
+                            const std::string& id, StoreReport* report);
 
 }  // namespace revisit::server
 

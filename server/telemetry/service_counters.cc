@@ -42,6 +42,11 @@ constexpr const char* kOutcomes[] = {"accepted",          "rejected_by_gate",
                                      "no_probable_place", "too_much_work",
                                      "stopped",           "failed"};
 
+// The values of the label `decision`, in the order of Decision.
+constexpr const char* kDecisions[] = {
+    "loop_closure_added", "loop_closure_deleted", "candidate_rejected",
+    "rejection_deleted",  "poses_revised",        "data_loss_accepted"};
+
 constexpr char kReasonPrefix[] = "ERROR_REASON_";
 
 std::size_t CodeIndex(int code) {
@@ -121,6 +126,7 @@ const char* VerdictName(core::Verdict verdict) {
 
 const char* OutcomeOf(const absl::StatusOr<core::CandidateSet>& set) {
   if (absl::IsCancelled(set.status())) return "stopped";
+  if (absl::IsResourceExhausted(set.status())) return "too_much_work";
   if (!set.ok()) return "failed";
   if (set->candidates.empty()) return EmptyName(set->empty_reason);
   for (const core::Candidate& candidate : set->candidates) {
@@ -141,7 +147,8 @@ ServiceCounters::ServiceCounters()
       poses_refused_(v1::ErrorReason_ARRAYSIZE),
       searches_(std::size(kOutcomes)),
       candidates_(std::size(kVerdicts)),
-      search_nodes_({100.0, 1e3, 1e4, 1e5, 1e6, 1e7}) {}
+      search_nodes_({100.0, 1e3, 1e4, 1e5, 1e6, 1e7}),
+      decisions_(std::size(kDecisions)) {}
 
 ServiceCounters::~ServiceCounters() = default;
 
@@ -206,6 +213,10 @@ void ServiceCounters::Searched(const absl::StatusOr<core::CandidateSet>& set,
   }
 }
 
+void ServiceCounters::Decided(Decision decision) {
+  Increase(&decisions_[static_cast<std::size_t>(decision)]);
+}
+
 ServiceCounters::Counts ServiceCounters::Read() const {
   Counts counts;
   for (std::size_t i = 0; i < methods_.size(); ++i) {
@@ -227,6 +238,7 @@ ServiceCounters::Counts ServiceCounters::Read() const {
   counts.candidates = WithNames(kVerdicts, candidates_);
   counts.search_seconds = search_seconds_.Read();
   counts.search_nodes = search_nodes_.Read();
+  counts.decisions = WithNames(kDecisions, decisions_);
   return counts;
 }
 

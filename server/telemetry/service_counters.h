@@ -33,6 +33,16 @@ const char* VerdictName(core::Verdict verdict);
 // its caller gave up, "failed" for any other error.
 const char* OutcomeOf(const absl::StatusOr<core::CandidateSet>& set);
 
+// A decision about a vehicle by people, or by programs for them.
+enum class Decision {
+  kLoopClosureAdded,
+  kLoopClosureDeleted,
+  kCandidateRejected,
+  kRejectionDeleted,
+  kPosesRevised,
+  kDataLossAccepted
+};
+
 // Thread-safe, without locks. Values are counted since the start.
 class ServiceCounters {
  public:
@@ -61,6 +71,9 @@ class ServiceCounters {
   void Searched(const absl::StatusOr<core::CandidateSet>& set,
                 std::chrono::steady_clock::duration duration);
 
+  // The store has changed by it: one that was repeated does not count again.
+  void Decided(Decision decision);
+
   struct Method {
     const MethodRule* rule;
     std::int64_t open;
@@ -82,6 +95,7 @@ class ServiceCounters {
     Labelled candidates;
     HistogramCounts search_seconds;
     HistogramCounts search_nodes;
+    Labelled decisions;
   };
   Counts Read() const;
 
@@ -102,6 +116,7 @@ class ServiceCounters {
   std::vector<Count> candidates_;
   Histogram search_seconds_{SecondsBounds()};
   Histogram search_nodes_;
+  std::vector<Count> decisions_;
 };
 
 }  // namespace revisit::server

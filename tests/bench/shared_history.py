@@ -4,7 +4,7 @@ while the snapshot is written. Starts a PostgreSQL of its own; prints one table;
 itself; leaves nothing behind."""
 
 import argparse
-import os
+import contextlib
 import pathlib
 import shutil
 import statistics
@@ -45,10 +45,20 @@ class Bench:
             time.sleep(0.1)
 
 
-def processor_seconds(server):
-    fields = pathlib.Path(f"/proc/{server.pid}/stat").read_text().rsplit(")", 1)[1]
-    user, system = map(int, fields.split()[11:13])
-    return (user + system) / os.sysconf("SC_CLK_TCK")
+@contextlib.contextmanager
+def own_bench(parser):
+    """Yields a Bench of its own, of which nothing is left. Ends the program whose
+    arguments these are with 77 where there is no PostgreSQL."""
+    if private_cluster.find_postgres() is None:
+        parser.exit(77, "there is no PostgreSQL: Debian's package postgresql-15\n")
+    directory = pathlib.Path(tempfile.mkdtemp(prefix="shared-store-"))
+    # PostgreSQL may have to enter it as another user.
+    directory.chmod(0o711)
+    try:
+        with private_cluster.Processes(directory) as processes:
+            yield Bench(directory, processes)
+    finally:
+        shutil.rmtree(directory, ignore_errors=True)
 
 
 def stream(bench, name, poses):
@@ -67,9 +77,9 @@ def loads(bench, name, count, *flags):
         with bench.server(*flags) as server:
             client = fleet.Client(server)
             client.info()
-            before = processor_seconds(server)
+            before = revisit_server.processor_seconds(server.pid)
             waits.append(fleet.seconds_of(client.touch, name) * 1e3)
-            work.append((processor_seconds(server) - before) * 1e3)
+            work.append((revisit_server.processor_seconds(server.pid) - before) * 1e3)
     return waits, work
 
 
@@ -144,16 +154,8 @@ def main():
     parser.add_argument("--poses", type=int, default=1_000_000)
     parser.add_argument("--repeats", type=int, default=2)
     arguments = parser.parse_args()
-    if private_cluster.find_postgres() is None:
-        parser.exit(77, "there is no PostgreSQL: Debian's package postgresql-15\n")
-    directory = pathlib.Path(tempfile.mkdtemp(prefix="shared-history-"))
-    # PostgreSQL may have to enter it as another user.
-    directory.chmod(0o711)
-    try:
-        with private_cluster.Processes(directory) as processes:
-            measure(Bench(directory, processes), arguments.poses, arguments.repeats)
-    finally:
-        shutil.rmtree(directory, ignore_errors=True)
+    with own_bench(parser) as bench:
+        measure(bench, arguments.poses, arguments.repeats)
 
 
 if __name__ == "__main__":

@@ -199,6 +199,50 @@ void FakeServer::NoteRoute(const grpc::ServerContext& context) {
                                                          route->second.size()));
 }
 
+void FakeServer::EndListsLike(ListEnd end) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  list_end_ = end;
+}
+
+void FakeServer::Say(const std::string& text) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  said_ = text;
+}
+
+std::string FakeServer::Said() const {
+  std::lock_guard<std::mutex> lock(mutex_);
+  return said_;
+}
+
+template <typename Page, typename Items>
+void FakeServer::EndPage(const std::string& token, Items* items, Page* page) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  ++pages_;
+  switch (list_end_) {
+    case ListEnd::kEnds:
+      return;
+    case ListEnd::kRepeats:
+      page->set_next_page_token(token.empty() ? "0" : token);
+      return;
+    case ListEnd::kEmptyPages:
+      items->Clear();
+      [[fallthrough]];
+    case ListEnd::kRepeatsUnderFreshTokens:
+      // Many digits, of which the pages of poses read the first.
+      page->set_next_page_token("0." + std::to_string(pages_));
+      return;
+  }
+}
+
+void FakeServer::Describe(v1::Vehicle* vehicle) const {
+  const std::string said = Said();
+  if (said.empty()) return;
+  vehicle->set_name(vehicle->name() + said);
+  vehicle->set_display_name(said);
+  (*vehicle->mutable_labels())[said] = said;
+  vehicle->add_findings()->set_message(said);
+}
+
 void FakeServer::NoteDeletion(const std::string& name) {
   std::lock_guard<std::mutex> lock(mutex_);
   deleted_.push_back(name);
@@ -209,6 +253,7 @@ grpc::Status FakeServer::CreateVehicle(grpc::ServerContext*,
                                        v1::CreateVehicleResponse* response) {
   *response->mutable_vehicle() = request->vehicle();
   response->mutable_vehicle()->set_name("vehicles/" + request->vehicle_id());
+  Describe(response->mutable_vehicle());
   return NextUnaryStatus();
 }
 
@@ -224,6 +269,7 @@ grpc::Status FakeServer::GetVehicle(grpc::ServerContext* context,
   vehicle->mutable_settings()->set_state_space(v1::STATE_SPACE_PLANAR);
   vehicle->set_state(v1::VEHICLE_STATE_ACTIVE);
   vehicle->set_durable_sequence(durable_sequence());
+  Describe(vehicle);
   return NextUnaryStatus();
 }
 
@@ -235,6 +281,7 @@ grpc::Status FakeServer::UpdateVehicle(grpc::ServerContext*,
       google::protobuf::util::FieldMaskUtil::MergeOptions(),
       response->mutable_vehicle());
   response->mutable_vehicle()->set_name(request->vehicle().name());
+  Describe(response->mutable_vehicle());
   return NextUnaryStatus();
 }
 
@@ -248,6 +295,8 @@ grpc::Status FakeServer::ListVehicles(grpc::ServerContext*,
   } else {
     response->add_vehicles()->set_name("vehicles/second");
   }
+  Describe(response->mutable_vehicles(0));
+  EndPage(request->page_token(), response->mutable_vehicles(), response);
   return NextUnaryStatus();
 }
 
@@ -277,7 +326,7 @@ grpc::Status FakeServer::AddLoopClosure(
     v1::AddLoopClosureResponse* response) {
   *response->mutable_loop_closure() = request->loop_closure();
   response->mutable_loop_closure()->set_name(request->parent() +
-                                             "/loopClosures/new");
+                                             "/loopClosures/new" + Said());
   response->set_revision(7);
   return NextUnaryStatus();
 }
@@ -286,8 +335,8 @@ grpc::Status FakeServer::RejectCandidate(
     grpc::ServerContext*, const v1::RejectCandidateRequest* request,
     v1::RejectCandidateResponse* response) {
   *response->mutable_rejected_candidate() = request->rejected_candidate();
-  response->mutable_rejected_candidate()->set_name(request->parent() +
-                                                   "/rejectedCandidates/new");
+  response->mutable_rejected_candidate()->set_name(
+      request->parent() + "/rejectedCandidates/new" + Said());
   response->set_revision(8);
   return NextUnaryStatus();
 }
@@ -302,8 +351,11 @@ grpc::Status FakeServer::ListRejectedCandidates(
     response->set_next_page_token("second page");
   } else {
     rejected->set_name(names + "second");
-    rejected->set_note("a bridge\n\tabove");
+    rejected->set_note("a bridge\n\tabove" + Said());
   }
+  rejected->set_name(rejected->name() + Said());
+  EndPage(request->page_token(), response->mutable_rejected_candidates(),
+          response);
   return NextUnaryStatus();
 }
 
@@ -321,7 +373,8 @@ grpc::Status FakeServer::ListLoopClosures(
   const auto add = [&](const std::string& id, std::uint64_t query,
                        std::uint64_t matched) {
     v1::LoopClosure* closure = response->add_loop_closures();
-    closure->set_name(request->parent() + "/loopClosures/" + id);
+    closure->set_name(request->parent() + "/loopClosures/" + id + Said());
+    closure->set_note(Said());
     closure->set_query_sequence(query);
     closure->set_matched_sequence(matched);
   };
@@ -332,6 +385,7 @@ grpc::Status FakeServer::ListLoopClosures(
     add("160-30", 160, 30);
     add("again", 160, 30);
   }
+  EndPage(request->page_token(), response->mutable_loop_closures(), response);
   return NextUnaryStatus();
 }
 
@@ -360,19 +414,20 @@ grpc::Status FakeServer::ListPoses(grpc::ServerContext*,
       response->set_next_page_token(std::to_string(next));
     }
   }
+  EndPage(request->page_token(), response->mutable_poses(), response);
   return NextUnaryStatus();
 }
 
 grpc::Status FakeServer::GetServerInfo(grpc::ServerContext*,
                                        const v1::GetServerInfoRequest*,
                                        v1::GetServerInfoResponse* response) {
-  response->set_version("1.2.3");
+  response->set_version("1.2.3" + Said());
   response->set_over_all_tenants(true);
   response->set_durability(v1::DURABILITY_LOCAL);
   response->set_max_message_bytes(4194304);
-  response->set_durability_settings("fsync=on");
+  response->set_durability_settings("fsync=on" + Said());
   v1::StoreServer* const server = response->add_servers();
-  server->set_address("10.0.0.2:50051");
+  server->set_address("10.0.0.2:50051" + Said());
   server->set_owned_vehicle_count(12);
   return NextUnaryStatus();
 }
@@ -382,6 +437,7 @@ grpc::Status FakeServer::ExportPoseGraph(
     grpc::ServerWriter<v1::ExportPoseGraphResponse>* writer) {
   v1::ExportPoseGraphResponse part;
   part.mutable_vehicle()->set_name(request->vehicle());
+  Describe(part.mutable_vehicle());
   writer->Write(part);
   part.Clear();
   for (int i = 0; i < 2; ++i) {
@@ -481,8 +537,11 @@ grpc::Status FakeServer::StreamPoses(
     const std::uint64_t after = stored_.size();
     const std::uint64_t interval = check_interval_;
     const v1::CandidateSet candidates = candidates_;
+    const std::string said = said_;
     lock.unlock();
     response.mutable_ack()->set_durable_sequence(after);
+    if (!said.empty())
+      response.mutable_ack()->add_warnings()->set_message(said);
     stream->Write(response);
     if (fault.kind == Kind::kAfterAck) return fault.status;
     if (!open.send_candidates() || interval == 0) continue;

@@ -51,6 +51,17 @@ struct StreamFault {
   grpc::Status status;
 };
 
+// How a list goes on behind its last page, for ever unless it ends.
+enum class ListEnd {
+  kEnds,
+  // The last page again, which names itself as the next one.
+  kRepeats,
+  // The last page again, each time under a token of its own.
+  kRepeatsUnderFreshTokens,
+  // Empty pages from the first on, each under a token of its own.
+  kEmptyPages,
+};
+
 class FakeServer final : public v1::PoseGraphService::Service {
  public:
   FakeServer();
@@ -83,6 +94,10 @@ class FakeServer final : public v1::PoseGraphService::Service {
   // A check falls due at every so manieth pose; 0 for none.
   void set_check_interval(std::uint64_t poses);
   void set_max_batch_poses(int poses);
+  void EndListsLike(ListEnd end);
+  // Appends this to each name, and says it wherever the server says something
+  // for people.
+  void Say(const std::string& text);
   // The answer of searches and checks, but for the query.
   void set_candidates(const v1::CandidateSet& candidates);
 
@@ -158,6 +173,12 @@ class FakeServer final : public v1::PoseGraphService::Service {
 
  private:
   grpc::Status NextUnaryStatus();
+  std::string Said() const;
+  // Ends a page of a list that was asked for with this token.
+  template <typename Page, typename Items>
+  void EndPage(const std::string& token, Items* items, Page* page);
+  // Says what Say() wants in a vehicle.
+  void Describe(v1::Vehicle* vehicle) const;
   // Mutex must be held.
   void NoteRoute(const grpc::ServerContext& context);
   void NoteDeletion(const std::string& name);
@@ -176,6 +197,9 @@ class FakeServer final : public v1::PoseGraphService::Service {
   bool check_acked_ = true;
   bool check_uid_ = true;
   std::string uid_ = "first";
+  ListEnd list_end_ = ListEnd::kEnds;
+  int pages_ = 0;
+  std::string said_;
   std::uint64_t check_interval_ = 0;
   int max_batch_poses_ = 1000;
   v1::CandidateSet candidates_;

@@ -4,6 +4,9 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
+#include <iterator>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -176,19 +179,120 @@ TEST(EngineBeliefTest, NothingIsBelievedWhereTheSettingsSaySo) {
   EXPECT_EQ(memory.size(), 0u);
 }
 
-TEST(EngineBeliefTest, MarksAreSearchedAnewWhereSettingsChange) {
+// Searches at the newest node after a change of the settings, and compares with
+// an engine that has had no others. Returns whether the marks that were known
+// before are still known.
+bool KeepsMarks(const std::vector<PoseSample>& samples,
+                const std::function<void(EngineSettings*)>& change) {
+  Engine engine((EngineSettings()));
+  engine.Append(samples, 1);
+  const NodeIndex query = engine.graph().size() - 1;
+  MarkMemory memory;
+  EXPECT_TRUE(
+      engine.FindCandidates(engine.settings().search, nullptr, &memory).ok());
+  EngineSettings settings = engine.settings();
+  change(&settings);
+  engine.ChangeSettings(settings, engine.revision() + 1);
+  // Whether or not a search begins with a belief now, one could.
+  SearchOptions believing = settings.search;
+  believing.use_belief = true;
+  const bool keeps = !engine.FindMissingMark(query, believing, &memory);
+  Engine fresh(settings);
+  fresh.Append(samples, 1);
+  MarkMemory anew;
+  ExpectEqual(*engine.FindCandidates(settings.search, nullptr, &memory),
+              *fresh.FindCandidates(settings.search, nullptr, &anew));
+  return keeps;
+}
+
+TEST(EngineBeliefTest, MarksOutliveSettingsThatTheyDoNotDependOn) {
   std::mt19937_64 random = SeededRandom();
   const std::vector<PoseSample> samples = Laps(random, 1.0);
+  const std::function<void(EngineSettings*)> changes[] = {
+      [](EngineSettings*) {},
+      [](EngineSettings* s) { s->check_interval_meters = 80.0; },
+      [](EngineSettings* s) { s->apply_inflation = true; },
+      [](EngineSettings* s) { s->max_inflation = 5.0; },
+      [](EngineSettings* s) { s->retention.max_passes = 3; },
+      [](EngineSettings* s) { s->search.gate_probability = 0.9; },
+      [](EngineSettings* s) { s->search.max_candidates = 2; },
+      [](EngineSettings* s) { s->search.acceptance_probability = 0.6; },
+      [](EngineSettings* s) { s->search.exhaustive = true; },
+      [](EngineSettings* s) { s->search.use_belief = false; },
+      [](EngineSettings* s) { s->search.fix_correlation_meters = 30.0; },
+      [](EngineSettings* s) {
+        s->search.likelihood_form = LikelihoodForm::kAsPrinted;
+      }};
+  for (std::size_t k = 0; k < std::size(changes); ++k) {
+    SCOPED_TRACE(k);
+    EXPECT_TRUE(KeepsMarks(samples, changes[k]));
+  }
+}
+
+TEST(EngineBeliefTest, MarksAreSearchedAnewWhereSettingsChangeThem) {
+  std::mt19937_64 random = SeededRandom();
+  const std::vector<PoseSample> samples = Laps(random, 1.0);
+  const std::function<void(EngineSettings*)> changes[] = {
+      [](EngineSettings* s) { s->search.direction = SearchDirection::kEither; },
+      [](EngineSettings* s) { s->search.sequence_length_meters = 120.0; },
+      [](EngineSettings* s) { s->search.place_tolerance.position_meters = 8; },
+      [](EngineSettings* s) { s->search.place_tolerance.heading_radians = 1; },
+      [](EngineSettings* s) { s->search.candidate_separation_meters = 40.0; },
+      [](EngineSettings* s) { s->search.shape.tolerance.position_meters = 2; },
+      [](EngineSettings* s) { s->search.shape.correlation_meters = 30.0; },
+      [](EngineSettings* s) { s->search.road_spacing_meters = 50.0; }};
+  for (std::size_t k = 0; k < std::size(changes); ++k) {
+    SCOPED_TRACE(k);
+    EXPECT_FALSE(KeepsMarks(samples, changes[k]));
+  }
+}
+
+TEST(EngineBeliefTest, MarksMayBeLearnedOneByOneBeforeASearch) {
+  std::mt19937_64 random = SeededRandom();
   Engine engine((EngineSettings()));
+  engine.Append(Laps(random, 1.0), 1);
+  const SearchOptions& options = engine.settings().search;
+  const NodeIndex query = engine.graph().size() - 1;
+  const CandidateSet at_once = *engine.FindCandidates(query, options, nullptr);
   MarkMemory memory;
-  Stream(samples, 100, &engine, &memory);
-  EngineSettings settings = engine.settings();
-  settings.search.place_tolerance.position_meters = 8.0;
-  engine.ChangeSettings(settings, engine.revision() + 1);
-  MarkMemory anew;
-  ExpectEqual(
-      *engine.FindCandidates(engine.settings().search, nullptr, &memory),
-      *engine.FindCandidates(engine.settings().search, nullptr, &anew));
+  std::int64_t comparisons = 0;
+  while (const auto missing = engine.FindMissingMark(query, options, &memory)) {
+    const std::size_t known = memory.size();
+    ASSERT_TRUE(engine.LearnMark(*missing, nullptr, &memory).ok());
+    ASSERT_EQ(memory.size(), known + 1);
+    EXPECT_EQ(missing->comparisons_of_search, at_once.comparisons);
+    EXPECT_LE(missing->comparisons, at_once.comparisons);
+    comparisons += missing->comparisons;
+  }
+  const std::size_t known = memory.size();
+  EXPECT_GT(known, 30u);
+  EXPECT_GT(comparisons, 10 * at_once.comparisons);
+  // Nothing is left for the search.
+  const CandidateSet later =
+      *engine.FindCandidates(query, options, nullptr, &memory);
+  ExpectEqual(later, at_once);
+  EXPECT_LE(memory.size(), known + 1);
+  EXPECT_EQ(later.comparisons, at_once.comparisons);
+  EXPECT_EQ(engine.ComparisonsOf(query, options), at_once.comparisons);
+}
+
+TEST(EngineBeliefTest, NoMarkIsMissingWhereASearchNeedsNone) {
+  std::mt19937_64 random = SeededRandom();
+  Engine engine((EngineSettings()));
+  engine.Append(Laps(random, 1.0), 1);
+  const NodeIndex query = engine.graph().size() - 1;
+  MarkMemory memory;
+  SearchOptions options = engine.settings().search;
+  ASSERT_TRUE(engine.FindMissingMark(query, options, &memory));
+  // No path, too much work, no belief.
+  EXPECT_FALSE(engine.FindMissingMark(10, options, &memory));
+  EXPECT_EQ(engine.ComparisonsOf(10, options), 0);
+  options.max_comparisons = 1000;
+  EXPECT_FALSE(engine.FindMissingMark(query, options, &memory));
+  EXPECT_EQ(engine.ComparisonsOf(query, options), 0);
+  options = engine.settings().search;
+  options.use_belief = false;
+  EXPECT_FALSE(engine.FindMissingMark(query, options, &memory));
 }
 
 TEST(EngineBeliefTest, ASearchThatIsToldToStopStopsAtItsMarksToo) {

@@ -191,7 +191,7 @@ TEST(EngineStateTest, ALoadedEngineGoesOnAsIfItHadNeverBeenSaved) {
       const AppendResult b = loaded->Append(samples, loaded->revision() + 1);
       EXPECT_EQ(a.checks_due, b.checks_due);
       ASSERT_EQ(a.jumps.size(), b.jumps.size());
-      ASSERT_EQ(a.finding.has_value(), b.finding.has_value());
+      ASSERT_EQ(a.findings.size(), b.findings.size());
       const auto query = static_cast<std::uint64_t>(
           UniformInt(random, 2, static_cast<int>(all.size())));
       const auto matched = static_cast<std::uint64_t>(
@@ -228,7 +228,7 @@ TEST(EngineStateTest, ALoadedEngineGoesOnAsIfItHadNeverBeenSaved) {
     EXPECT_EQ(loaded->travelled_meters(), never.travelled_meters());
     EXPECT_EQ(loaded->graph().LoopEdges(), never.graph().LoopEdges());
     EXPECT_EQ(loaded->consistency().inflation, never.consistency().inflation);
-    EXPECT_EQ(loaded->finding().has_value(), never.finding().has_value());
+    EXPECT_EQ(loaded->findings().size(), never.findings().size());
     for (const NodeIndex query :
          {NodeIndex{300}, NodeIndex{9000}, never.graph().size() - 1}) {
       ExpectSameAnswers(*loaded, never, query);

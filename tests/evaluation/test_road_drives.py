@@ -110,6 +110,7 @@ def test_a_vehicle_keeps_to_the_right_of_the_road():
 
     middles = ((float(x), 0.0, 1.0, 0.0) for x in range(400))
     poses = road_drives.steer(road_drives.lane(middles, Still), 300)
+    assert len(poses) > 100
     assert all(abs(pose.y + 1.75) < 1e-9 for pose in poses)
 
 

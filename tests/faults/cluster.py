@@ -153,6 +153,12 @@ class Cluster:
             f"SELECT 1 FROM servers WHERE address = '{address}' AND "
             "state = 'live'"), f"dead server at {address}", TAKEOVER_SECONDS)
 
+    def lives(self, number):
+        """Whether a server is one of those that live in the database."""
+        return bool(self.database.sql(
+            "SELECT 1 FROM servers WHERE state = 'live' AND address = "
+            f"'{self.servers[number].address}'"))
+
     def owners(self):
         """The address of the server of each vehicle that has one that lives, by
         name."""
@@ -215,10 +221,7 @@ class Cluster:
             broken += [f"{vehicle.name}: {text}" for text in [
                 *violations(vehicle.history, stored, vehicle.sent_pose, lost_at),
                 *hasty_moves(claims[vehicle.name], LEASE_SECONDS)]]
-        verified = run_program("revisitd", "verify", "--store",
-                               self.database.url())
-        if verified.returncode != 0:
-            broken.append(f"verify: REFUSES {verified.stdout} {verified.stderr}")
+        broken += self.verify()
         if broken:
             raise Broken(broken)
         histories = [vehicle.history for vehicle in self.fleet.vehicles]
@@ -226,6 +229,13 @@ class Cluster:
         return (f"{self.fleet.acked()} poses acked: {lost}gaps 0; "
                 f"{sum(len(history.reads) for history in histories)} reads, stale "
                 f"0; {self.moves()} moves, hasty 0")
+
+    def verify(self):
+        """What is wrong with the database as it is stored."""
+        verified = run_program("revisitd", "verify", "--store",
+                               self.database.url())
+        return [] if verified.returncode == 0 else [
+            f"verify: REFUSES {verified.stdout} {verified.stderr}"]
 
     def _settle(self):
         """Waits until what was sent and not acknowledged is stored, or is not going

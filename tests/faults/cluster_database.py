@@ -116,7 +116,7 @@ class Pair:
 
 
 def failover_to_replica(run):
-    rounds = run.rounds(short=1, long=6)
+    rounds = run.rounds(short=2, long=6)
     slowest = 0.0
     for number in range(rounds):
         with Pair(run, replicates=True) as pair, Cluster(
@@ -124,7 +124,15 @@ def failover_to_replica(run):
             cluster.fleet.start()
             cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
             cluster.fleet.sleep(run.rng.uniform(0.5, 2.0))
-            pair.primary.stop(("kill", "immediate")[number % 2])
+            # Where it goes first, it has what was acknowledged by then, and
+            # nothing may be acknowledged any more.
+            goes_first = number % 2 == 0
+            if goes_first:
+                pair.standby.stop("fast")
+                cluster.fleet.sleep(run.rng.uniform(0.5, 2.0))
+            pair.primary.stop(("kill", "immediate")[number // 2 % 2])
+            if goes_first:
+                pair.standby.start()
             pair.standby.promote()
             cluster.database = pair.standby
             slowest = max(slowest, cluster.fleet.wait_for_acks(TAKEOVER_SECONDS))
@@ -199,7 +207,9 @@ def accept_losses(cluster, vehicles, stored):
 def wait_for_silence(fleet):
     """Until nobody is acknowledged any more; answers how many were."""
     before = -1
+    deadline = time.monotonic() + 2 * TAKEOVER_SECONDS
     while (now := fleet.acked()) != before:
+        assert time.monotonic() < deadline, "acknowledgements go on"
         before = now
         fleet.sleep(1.0)
     return now
@@ -356,6 +366,8 @@ def disk_full(run):
                 cluster.database.start()
             back = fleet.wait_for_acks(TAKEOVER_SECONDS)
         told = fleet.outcomes["RESOURCE_EXHAUSTED STORAGE_FULL"]
+        # Where PostgreSQL ends, nobody is left to say why.
+        assert told > 0 or crashed, fleet.summary()
         assert fleet.acked() > acked
         seen = cluster.judge()
     return rounds, (f"{seen}; {told} told STORAGE_FULL, PostgreSQL "

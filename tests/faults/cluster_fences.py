@@ -7,7 +7,8 @@ from cluster_servers import stops
 from revisit_server import wait_until
 
 # Cut out of the SQL of the append.
-_FENCE = "AND v.owner = a.o AND v.epoch = a.e AND v.durable_sequence = a.f - 1 "
+_FENCE = ("AND v.owner = a.o AND v.epoch = a.e AND v.revision = a.was "
+          "AND v.durable_sequence = a.f - 1 ")
 # More than a read that is stale: what is stored is not what was acknowledged.
 _LOSSES = {"LOST", "GAP", "DOUBLE", "WRONG", "DAMAGED"}
 

@@ -606,6 +606,7 @@ def linearizable(run):
     with Server(store, *FLAGS) as server:
         judge.decide(census(server.channel(), memories))
     counts = judge.counts
+    assert counts["lives"] > 0 and counts["operations"] > 0, counts
     assert counts["decided"] >= LEAST_DECIDED * counts["operations"], counts
     return counts["lives"], (
         f"{counts['operations']} operations of {CLIENTS} clients, "

@@ -3,7 +3,8 @@
 Every row harms the server or its store in one way and holds it against the
 contract of acknowledgements: what was acknowledged is there, bit for bit; what
 is there is a prefix of what was sent; damage is told, never passed over; what
-was sent again is acknowledged again.
+was sent again is acknowledged again. RESULTS.md says what each row was seen to
+fail by.
 """
 
 import argparse
@@ -17,9 +18,12 @@ import tempfile
 import time
 import traceback
 
+import pytest
+
 import cluster_cuts
 import cluster_database
 import cluster_fences
+import cluster_losses
 import cluster_servers
 import crowds
 import damage
@@ -35,7 +39,10 @@ from skipped import Skipped
 ROWS = [*kills.ROWS, *power.ROWS, *damage.ROWS, *devices.ROWS,
         *restarts.ROWS, *ends.ROWS, *crowds.ROWS, *linearizable.ROWS]
 CLUSTER_ROWS = [*cluster_servers.ROWS, *cluster_database.ROWS,
-                *cluster_cuts.ROWS, *cluster_fences.ROWS]
+                *cluster_losses.ROWS, *cluster_cuts.ROWS, *cluster_fences.ROWS]
+
+# How a row fails. What pytest raises is no Exception.
+FAILURES = (Exception, pytest.fail.Exception)
 
 
 @dataclasses.dataclass
@@ -97,7 +104,7 @@ def run_rows(arguments, seed, where):
                 verdict = "holds"
             except Skipped as skipped:
                 rounds, seen, verdict = 0, str(skipped), "SKIPPED"
-            except Exception as error:  # pylint: disable=broad-except
+            except FAILURES as error:
                 traceback.print_exc()
                 rounds, seen, verdict = "", f"{error!r}"[:200], "FAILED"
                 keep_logs(run, arguments.logs, name)

@@ -238,6 +238,13 @@ class Postgres:
             "SELECT 1 FROM pg_stat_replication WHERE state = 'streaming' AND "
             f"sync_state = '{state}'"), f"{state} standby")
 
+    def wait_for_replay(self, standby):
+        """Until the standby has all that was committed here."""
+        position, = self.sql("SELECT pg_current_wal_lsn()")[0]
+        wait_until(lambda: standby.sql(
+            f"SELECT 1 WHERE pg_last_wal_replay_lsn() >= '{position}'"),
+            "standby that has all")
+
     def close(self):
         if self.is_running():
             self.resume()

@@ -11,6 +11,7 @@
 //         store=PATH       of the store's directory, below what was recorded
 //         backups=PATH     of a directory of backups to look at too
 //         states=N         how many
+//         from=NS, to=NS   the power is lost in this time; default: any
 //         seed=N
 //         dishonour=END    files whose flushes are not honoured
 //         drop_damaged_log=1
@@ -240,14 +241,31 @@ std::string LookAtBackups(const std::string& directory) {
   return "{" + text + "}";
 }
 
+// When the power is lost, in nanoseconds.
+struct Span {
+  std::uint64_t from;
+  // 0: the end of the recording.
+  std::uint64_t to;
+};
+
 // Where the power is lost: before the events of these numbers. Every second one
 // is right after a flush or a change of a directory, or next to it.
 std::vector<std::size_t> CrashPoints(const std::vector<Event>& events,
-                                     std::size_t count, std::uint64_t seed) {
+                                     std::size_t count, const Span& span,
+                                     std::uint64_t seed) {
   std::size_t first = 0;
   while (events[first].header.kind != EventKind::kBegin) ++first;
-  std::vector<std::size_t> turns;
-  for (std::size_t i = first; i < events.size(); ++i) {
+  while (first + 1 < events.size() &&
+         events[first + 1].header.time_ns < span.from) {
+    ++first;
+  }
+  std::size_t last = events.size();
+  while (span.to > 0 && last > first + 1 &&
+         events[last - 1].header.time_ns > span.to) {
+    --last;
+  }
+  std::vector<std::size_t> turns = {first};
+  for (std::size_t i = first; i < last; ++i) {
     const EventKind kind = events[i].header.kind;
     if (kind != EventKind::kWrite && kind != EventKind::kMapped) {
       turns.push_back(i);
@@ -260,9 +278,9 @@ std::vector<std::size_t> CrashPoints(const std::vector<Event>& events,
   std::vector<std::size_t> points;
   for (std::size_t i = 0; i < count; ++i) {
     const std::size_t point =
-        i % 2 == 0 ? between(first + 1, events.size())
+        i % 2 == 0 ? between(first + 1, last)
                    : turns[between(0, turns.size() - 1)] + between(0, 3);
-    points.push_back(std::clamp(point, first + 1, events.size()));
+    points.push_back(std::clamp(point, first + 1, last));
   }
   std::sort(points.begin(), points.end());
   return points;
@@ -275,7 +293,8 @@ int Open(const std::string& recording, const Arguments& arguments) {
   const std::string parent = Text(arguments, "directory");
   const std::string backups = Text(arguments, "backups");
   const std::vector<std::size_t> points =
-      CrashPoints(events, Number(arguments, "states"), seed);
+      CrashPoints(events, Number(arguments, "states"),
+                  {Number(arguments, "from"), Number(arguments, "to")}, seed);
   Device device(Text(arguments, "dishonour"));
   std::size_t applied = 0;
   for (std::size_t i = 0; i < points.size(); ++i) {

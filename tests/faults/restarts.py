@@ -1,12 +1,14 @@
 """Rows with a second server, and with the end of the first."""
 
 import asyncio
+import collections
 import os
 import signal
 import sqlite3
 import time
 
 import grpc
+from grpc._cython import cygrpc
 
 from devices import GONE
 from drive_client import VEHICLE, Drive, create
@@ -16,6 +18,12 @@ from wire import append, as_bytes, decode_failure, get, list_poses
 
 STREAMS = 300
 CHANNELS = 10
+# Share of the streams that the server has to tell that it ends. gRPC cuts the
+# rest: those that come just as the connections are closed.
+LEAST_TOLD = 0.9
+# Share of the streams whose end gRPC for Python may keep to itself: now and then
+# it makes up a status of its own, or none at all on a busy machine.
+MOST_DEAF = 0.02
 
 
 def second_server(run):
@@ -138,7 +146,7 @@ class Vehicle:
         while not stop.is_set():
             last = next_sequence + 4
             self.sent = max(self.sent, last)
-            await call.write(api.StreamPosesRequest(batch=api.PoseBatch(
+            await write(call, api.StreamPosesRequest(batch=api.PoseBatch(
                 poses=self.drive[next_sequence - 1:last])))
             next_sequence = last + 1
             while self.acked < last:
@@ -157,6 +165,17 @@ class Vehicle:
         if response is grpc.aio.EOF:
             raise await error_of(call)
         return response
+
+
+async def write(call, request):
+    """As call.write(), but for a call that has just ended: there that one makes up
+    a status, by which nobody learns any more what the server has said."""
+    try:
+        # pylint: disable-next=protected-access
+        await call._cython_call.send_serialized_message(
+            request.SerializeToString())
+    except cygrpc.InternalError:
+        raise await error_of(call) from None
 
 
 def is_of_the_library(error):
@@ -277,7 +296,7 @@ async def restart(run, store, rounds):
         for vehicle in vehicles:
             durable = get(stub, vehicle.name).durable_sequence
             # Drained, not cut: what was stored was acknowledged too.
-            assert durable == vehicle.acked, (durable, vehicle.acked)
+            assert durable == vehicle.acked > 0, (durable, vehicle.acked)
             assert as_bytes(list_poses(stub, vehicle.name)) == as_bytes(
                 vehicle.drive[0:durable])
             poses += durable
@@ -285,14 +304,21 @@ async def restart(run, store, rounds):
         for task in tasks:
             task.cancel()
         server.close()
-    told = ends.count("SERVER_DRAINING")
-    cut = ends.count("transport")
-    assert told >= (told + cut) * 0.9, (told, cut)
+    # Each stream has heard of each end in one of these ways.
+    heard = collections.Counter(ends)
+    assert heard.keys() <= {"SERVER_DRAINING", "transport", "library"}, heard
+    told, cut, deaf = (heard[way] for way in (
+        "SERVER_DRAINING", "transport", "library"))
+    every = STREAMS * rounds
+    assert told + cut + deaf == every, heard
+    assert told >= LEAST_TOLD * every, heard
+    assert deaf <= MOST_DEAF * every, heard
     assert slowest_end <= 20
     assert slowest_back <= 1.0, slowest_back
     return (f"{STREAMS} streams, {poses} poses: none lost, none doubled; drained "
             f"in {slowest_end:.2f} s, all back {slowest_back:.2f} s after the "
-            f"start; {told} told SERVER_DRAINING, {cut} cut by gRPC")
+            f"start; {told} told SERVER_DRAINING, {cut} cut by gRPC, {deaf} told "
+            "nothing by gRPC for Python")
 
 
 ROWS = [

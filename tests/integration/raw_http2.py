@@ -48,6 +48,14 @@ def encode(headers):
          for name, value in headers], huffman=False)
 
 
+def indexed_headers(headers):
+    """The headers as a client that keeps a table sends them: the first time, and
+    in all blocks after it on the same connection."""
+    encoder = hpack.Encoder()
+    return (encoder.encode(headers, huffman=True),
+            encoder.encode(headers, huffman=True))
+
+
 def split(data, size=16384):
     """What fits one frame each."""
     return [data[i:i + size] for i in range(0, max(len(data), 1), size)]

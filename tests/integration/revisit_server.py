@@ -68,6 +68,13 @@ def wait_until_still(value, seconds=600.0):
     return last
 
 
+def processor_seconds(pid):
+    """Processor time of a process so far."""
+    stat = pathlib.Path(f"/proc/{pid}/stat").read_text()
+    user, system = map(int, stat.rpartition(")")[2].split()[11:13])
+    return (user + system) / os.sysconf("SC_CLK_TCK")
+
+
 def open_files(pid):
     """Names of the files that a process has open, a line each."""
     names = []

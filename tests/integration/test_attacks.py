@@ -1,73 +1,67 @@
-"""Attacks of strangers on revisitd itself, which asks for tokens: what 40
-connections of each cost together. Those that gRPC 1.51 cannot be kept from
-(headers of a byte each, calls that are reset or stay) are not among them:
-SECURITY.md has their figures, and test_edge.py runs all against what stands in
-front of strangers."""
+"""Attacks of strangers on revisitd itself, which asks for tokens: what one and 40
+connections of each cost, with TLS and without, and that a caller is served beside
+them. floods.py measures more of them, more often."""
 
-import json
+import contextlib
 
 import grpc
 import pytest
 
 import attacks
-from identities import AUDIENCE, ISSUER, TokenKey, bearer, key_set, replace
+import floods
 from raw_http2 import RawConnection
 from revisit_server import Server
 from stubs import api
 
+# Bytes as promised: of one connection, and of all.
+MB_OF_ONE, MB_OF_ALL = 64, 256
 CONNECTIONS = 40
-BOUNDED = sorted(set(attacks.ATTACKS) - {
-    "headers of one byte", "resets", "calls that stay", "reflection streams"})
+SECONDS = 2.0
+# Those that bring most within a record of TLS.
+BY_TLS = ["empty headers", "headers of one byte", "indexed calls",
+          "indexed resets", "pings"]
 
 
 @pytest.fixture
-def key():
-    return TokenKey("ES256", "key")
-
-
-@pytest.fixture
-def server(key, tmp_path):
-    policy = replace(tmp_path / "policy.json", json.dumps({
-        "version": 1,
-        "tenants": [{"name": "acme", "vehicle_prefix": "acme-"}],
-        "grants": [{"token_subject": "acme", "tenant": "acme",
-                    "vehicles": ["*"], "verbs": ["read"]}]}))
-    with Server(tmp_path / "store",
-                "--token-keys", replace(tmp_path / "keys", key_set(key)),
-                "--token-issuer", ISSUER, "--token-audience", AUDIENCE,
-                "--policy", policy, "--log-level=warning") as running:
-        yield running
-        assert running.is_running(), running.log()
+def target(tmp_path):
+    with contextlib.ExitStack() as stack:
+        def make(tls):
+            running = floods.Target(tmp_path, tls)
+            stack.callback(running.server.close)
+            return running
+        yield make
 
 
 @pytest.mark.release_build
-@pytest.mark.parametrize("attack", BOUNDED)
-def test_attack_of_strangers_is_bounded_and_callers_are_served(
-        attack, server, key):
-    def ask():
-        server.stub().GetServerInfo(
-            api.GetServerInfoRequest(), timeout=20, wait_for_ready=True,
-            metadata=bearer(key.token("acme")))
+@pytest.mark.parametrize("attack, tls, connections, promised", [
+    *((attack, False, CONNECTIONS, MB_OF_ALL)
+      for attack in sorted(attacks.ATTACKS)),
+    *((attack, tls, 1, MB_OF_ONE) for attack in BY_TLS
+      for tls in (False, True)),
+    *((attack, True, CONNECTIONS, MB_OF_ALL) for attack in BY_TLS)])
+def test_flood_of_strangers_is_bounded_and_callers_are_served(
+        attack, tls, connections, promised, target):
+    running = target(tls)
+    run = floods.one_run(running, running.server, attack, connections, SECONDS,
+                         tls)
+    print(floods.line_of(run))
+    assert run["most"] < promised
+    # All but what any server of this age keeps is given back.
+    assert run["left"] < MB_OF_ONE
+    for calls in run["during"] + run["after"]:
+        assert calls[2] == 0, "calls of honest callers failed"
 
-    ask()
-    with attacks.Watcher(server.pid) as watcher:
-        attacks.run(attacks.ATTACKS[attack],
-                    lambda **more: RawConnection(server.port, **more),
-                    CONNECTIONS)
-    print(f"{attack}: {watcher.most[0] / 1e6:.0f} MB")
-    assert watcher.most[0] < 256e6
-    ask()
 
-
-def test_refused_calls_start_no_count_anew(server):
+def test_refused_calls_start_no_count_anew(target):
     """Each brings 30 MB of headers, none of their frames too much."""
+    server = target(tls=False).server
     with attacks.Watcher(server.pid) as watcher:
         with RawConnection(server.port) as connection:
             attacks.long_headers(lambda **_: connection)
-    assert watcher.most[0] < 128e6
+    assert watcher.most[0] < MB_OF_ONE * 1e6
 
 
-def test_oldest_of_strangers_makes_room_and_callers_stay(key, tmp_path):
+def test_oldest_of_strangers_makes_room_and_callers_stay(tmp_path):
     with Server(tmp_path / "store",
                 "--max-unadmitted-connections=10") as server:
         with server.channel() as channel:

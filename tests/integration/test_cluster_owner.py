@@ -2,20 +2,16 @@
 than the one that Envoy thinks of is found all the same."""
 
 import base64
-import importlib
 import re
-import sys
 
 import grpc
 import pytest
 
 from envoy_proxy import ENVOY, directory_of_cluster, skip_without_envoy
+from own_postgres import exit_without_postgres, private_cluster
 from revisit_server import BIN, run, wait_until
-from stubs import ROOT, PoseGraphServiceStub, api
+from stubs import PoseGraphServiceStub, api
 from wire import PoseStream, append, decode_failure, straight
-
-sys.path.insert(0, str(ROOT / "deploy/cluster"))
-private_cluster = importlib.import_module("private_cluster")
 
 VEHICLES = [f"vehicle-{i}" for i in range(12)]
 
@@ -23,9 +19,7 @@ VEHICLES = [f"vehicle-{i}" for i in range(12)]
 @pytest.fixture(scope="module", autouse=True)
 def needed_programs():
     skip_without_envoy()
-    if private_cluster.find_postgres() is None:
-        pytest.exit("there is no PostgreSQL: tests/run installs it",
-                    returncode=77)
+    exit_without_postgres()
 
 
 @pytest.fixture(scope="module")

@@ -180,7 +180,7 @@ def test_connect_flood_does_not_hide_connections_that_do_harm(tmp_path):
                 with contextlib.suppress(ConnectionError, TimeoutError):
                     for _ in range(70):
                         harmful.sendall(piece)
-                server.logged("limit=max-idle-bytes")
+                server.logged("limit=max-unadmitted-calls")
 
 
 def test_socket_of_a_living_server_is_not_taken_from_it(tmp_path):

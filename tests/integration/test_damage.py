@@ -6,8 +6,10 @@ import sqlite3
 import grpc
 import pytest
 
+import scraped
 from drive_client import create
-from revisit_server import Server
+from own_postgres import own_postgres
+from revisit_server import Server, run, wait_until
 from stubs import api
 from wire import (LOOP_CLOSURES, REJECTED_CANDIDATES, PoseStream, append,
                   as_bytes, batches, failure_of, get, list_poses, straight)
@@ -154,3 +156,109 @@ def test_damage_is_accepted_by_giving_up_what_comes_after_it(damaged):
     append(stub, DAMAGED, straight(5, first=sound + 1))
     assert len(list_poses(stub, DAMAGED)) == sound + 5
     stub.FindCandidates(api.FindCandidatesRequest(vehicle=DAMAGED))
+
+
+class FileStore:
+    """A store in a file, that is changed while no server has it."""
+
+    def __init__(self, directory):
+        self._directory = directory
+
+    def serve(self, *flags):
+        return Server(self._directory, *flags)
+
+    def change(self, sql):
+        database = sqlite3.connect(self._directory / "revisit.sqlite")
+        with database:
+            assert database.execute(sql).rowcount == 1
+        database.close()
+
+
+class SharedStore:
+    """A store in a database of PostgreSQL."""
+
+    def __init__(self, database, directory):
+        self._database = database
+        self._log = directory / "shared.log"
+        migrated = run("revisitd", "migrate", "--store",
+                       database.url("revisit_owner"))
+        assert migrated.returncode == 0, migrated.stderr
+
+    def serve(self, *flags):
+        return Server(self._database.url("revisit"), "--advertise-address",
+                      "host-a:1", *flags, log_path=self._log)
+
+    def change(self, sql):
+        assert self._database.ask(sql) == "UPDATE 1"
+
+
+@pytest.fixture(params=["file", "shared"])
+def store(request, tmp_path):
+    if request.param == "file":
+        yield FileStore(tmp_path / "store")
+        return
+    with own_postgres() as database:
+        if database is None:
+            pytest.skip("there is no PostgreSQL: tests/run installs it")
+        yield SharedStore(database, tmp_path)
+
+
+# It was ACTIVE again in lists once it had left memory, and the alert resolved.
+def test_damage_that_was_found_is_known_until_somebody_decides(store):
+    flags = ("--admin-listen", "127.0.0.1:0", "--idle-unload-minutes", 0.01)
+    damaged_row = row_of("batches", "AND first_sequence = 21")
+
+    def states(server):
+        vehicles = server.stub().ListVehicles(api.ListVehiclesRequest()).vehicles
+        return [api.VehicleState.Name(vehicle.state).removeprefix(
+            "VEHICLE_STATE_").lower() for vehicle in vehicles]
+
+    def counted(server, **expected):
+        """Once all vehicles are counted."""
+        wait_until(lambda: {
+            dict(labels)["state"]: count for labels, count in
+            scraped.scrape(server).series("revisit_vehicles").items()} == {
+                "active": 0, "data_loss": 0, "damaged": 0, **expected}, "count")
+
+    def unloaded(server):
+        wait_until(lambda: scraped.scrape(server).value(
+            "revisit_resident_vehicles") == 0, "unloading")
+
+    with store.serve(*flags) as server:
+        stub = server.stub()
+        for vehicle in VEHICLES:
+            create(stub, vehicle)
+            for part in batches(straight(STORED), 10):
+                append(stub, vehicle, part)
+        counted(server, active=3)
+    store.change(damaged_row)
+    with store.serve(*flags) as server:
+        # Nobody has looked yet.
+        assert states(server) == ["active"] * 3
+        assert get(server.stub(), DAMAGED).state == api.VEHICLE_STATE_DAMAGED
+        unloaded(server)
+        assert states(server) == ["active", "damaged", "active"]
+        counted(server, active=2, damaged=1)
+        revision = get(server.stub(), VEHICLES[0]).revision
+    # Somebody mends what was damaged, and the server asks all the same.
+    store.change(damaged_row.replace("checksum + 1", "checksum - 1"))
+    with store.serve(*flags) as server:
+        counted(server, active=2, damaged=1)
+        assert states(server) == ["active", "damaged", "active"]
+        stub = server.stub()
+        vehicle = get(stub, DAMAGED)
+        assert vehicle.state == api.VEHICLE_STATE_DAMAGED
+        # To note the damage was no change of the vehicle.
+        assert (vehicle.durable_sequence, vehicle.revision) == (STORED, revision)
+        assert_corrupt(failure_of(lambda: append(
+            stub, DAMAGED, straight(1, first=STORED + 1))))
+        stub.AcceptDataLoss(api.AcceptDataLossRequest(
+            name=DAMAGED, durable_sequence=STORED))
+        counted(server, active=3)
+        assert append(stub, DAMAGED, straight(1, first=STORED + 1)
+                      ).durable_sequence == STORED + 1
+        unloaded(server)
+        assert states(server) == ["active"] * 3
+        assert len(list_poses(stub, DAMAGED)) == STORED + 1
+        stub.DeleteVehicle(api.DeleteVehicleRequest(name=DAMAGED))
+        counted(server, active=2)

@@ -222,8 +222,10 @@ def known_flags(flags_of_revisit):
         known |= flags_in(script.read_text())
     for task in ("backup", "verify", "compact", "migrate", "import"):
         known |= flags_in(help_of("revisitd", task))
-    # Some scripts pass theirs on to these.
-    for script in ("faults/matrix", "simulation/simulation", "bench/fleet"):
+    # Some scripts pass theirs on to the first of these; the others are run as they are.
+    for script in ("faults/matrix", "simulation/simulation", "bench/fleet",
+                   "integration/crowding", "integration/floods",
+                   "simulation/measure"):
         known |= flags_in((ROOT / f"tests/{script}.py").read_text())
     return known
 

@@ -154,6 +154,7 @@ def test_rejected_candidate_stays_away_over_a_crash(tmp_path):
     for answer in (before, after):
         answer.ClearField("search_duration")
     assert after == before
+    assert after.candidates
     # Candidates are 10 m apart; a pose stands for a node within 2 m of it.
     assert all(abs(candidate.matched.travelled_meters
                    - best.matched.travelled_meters) > 7.0

@@ -158,9 +158,9 @@ def test_streams_go_on_when_the_server_dies_behind_it(edge, tmp_path):
 
 
 @pytest.mark.release_build
-@pytest.mark.parametrize("connections, promised", [
-    (1, MB_OF_ONE), (CONNECTIONS, MB_OF_ALL)], ids=["one", "many"])
-@pytest.mark.parametrize("attack", attacks.ATTACKS)
+@pytest.mark.parametrize("attack, connections, promised", [
+    *((attack, 1, MB_OF_ONE) for attack in attacks.ATTACKS),
+    *((attack, CONNECTIONS, MB_OF_ALL) for attack in attacks.ATTACKS)])
 def test_attack_costs_no_more_than_is_promised(
         attack, connections, promised, edge):
     with edge.channel() as channel:

@@ -353,10 +353,57 @@ def test_search_larger_than_allowed_says_what_was_got_and_allowed(tmp_path):
         assert int(failure.metadata["limit"]) == 20000
         assert int(failure.metadata["got"]) > 10000
         # What it proposes helps.
-        stub.FindCandidates(search(vehicle, sequence_length_meters=20.0))
+        asked_until_answered(stub, search(vehicle, sequence_length_meters=20.0))
         # So does asking of an earlier time.
-        stub.FindCandidates(api.FindCandidatesRequest(
+        asked_until_answered(stub, api.FindCandidatesRequest(
             vehicle=vehicle, sequence=200))
+
+
+def asked_until_answered(stub, request):
+    """The answer, and why calls before it were refused."""
+    refusals = []
+    while True:
+        try:
+            return stub.FindCandidates(request).candidates, refusals
+        except grpc.RpcError as error:
+            refusals.append(decode_failure(error))
+            assert refusals[-1].reason == "SEARCH_QUOTA"
+            assert len(refusals) < 200
+
+
+def test_marks_count_among_the_steps_of_a_search_and_are_kept(tmp_path):
+    poses = laps(4000, radius=100.0)
+    answers, refused = [], []
+    for number, steps in enumerate((300_000_000, 2_000_000, 400_000)):
+        with Server(tmp_path / f"store-{number}", ADMIN,
+                    f"--max-search-steps={steps}") as server:
+            stub = server.stub()
+            vehicle = create(stub)
+            fill(stub, vehicle, poses)
+            answer, refusals = asked_until_answered(stub, search(vehicle))
+            answer.ClearField("search_duration")
+            answers.append(answer)
+            refused.append(len(refusals))
+            for failure in refusals:
+                assert failure.code == EXHAUSTED
+                assert failure.message.startswith("vehicles/car: ")
+                assert failure.metadata["limit"] == str(steps)
+                assert 0.1 <= failure.retry_seconds <= 0.3
+            assert scraped.scrape(server).value(
+                "revisit_limit_refusals_total",
+                limit="max-search-steps") == len(refusals)
+            # Nothing is left to search first, nor where a setting changes that
+            # marks do not depend on.
+            stub.FindCandidates(search(vehicle))
+            stub.UpdateVehicle(api.UpdateVehicleRequest(
+                vehicle=api.Vehicle(name=vehicle, settings=api.VehicleSettings(
+                    max_candidates=3)),
+                update_mask={"paths": ["settings.max_candidates"]}))
+            stub.FindCandidates(search(vehicle))
+    assert answers[0].candidates
+    assert answers[1:] == answers[:1] * 2
+    assert refused[0] == 0
+    assert 2 <= refused[1] < refused[2]
 
 
 @pytest.mark.parametrize("flag, code, reason", [

@@ -3,15 +3,16 @@
 import collections
 import re
 import threading
+import time
 
 import pytest
 
 import scraped
 from identities import Authority
-from revisit_server import Server, wait_until
+from revisit_server import Server, run, wait_until
 from stubs import ROOT, api
-from wire import LOOP_CLOSURES, PoseStream, append, failure_of, get, \
-    laps, straight
+from wire import LOOP_CLOSURES, REJECTED_CANDIDATES, PoseStream, append, \
+    failure_of, get, laps, straight
 
 ADMIN = ("--admin-listen", "127.0.0.1:0")
 
@@ -196,6 +197,67 @@ def test_counts_searches_by_outcome_and_candidates_by_verdict(server):
         found.nodes_considered for found in sets)
 
 
+def test_counts_decisions_that_are_stored(server):
+    stub = server.stub()
+    vehicle = create(stub, "decided")
+    append(stub, vehicle, straight(40))
+    for _ in range(2):
+        # The second is there already.
+        LOOP_CLOSURES.add(stub, vehicle, 20, 1, "loop")
+        REJECTED_CANDIDATES.add(stub, vehicle, 30, 1, "rejection")
+    LOOP_CLOSURES.add(stub, vehicle, 25, 2, "other")
+    revision = [api.RevisePosesRequest(
+        vehicle=vehicle, poses=straight(5, first=12, spacing=1.01),
+        expected_revision=get(stub, vehicle).revision)]
+    for _ in range(2):
+        stub.RevisePoses(iter(revision))
+    loop = f"{vehicle}/loopClosures/loop"
+    LOOP_CLOSURES.delete(stub, loop)
+    failure_of(lambda: LOOP_CLOSURES.delete(stub, loop))
+    REJECTED_CANDIDATES.delete(stub, f"{vehicle}/rejectedCandidates/rejection")
+    with PoseStream(stub, vehicle, acked_sequence=99,
+                    vehicle_uid=get(stub, vehicle).uid) as stream:
+        assert failure_of(stream.receive).reason == "DURABLE_SEQUENCE_REGRESSED"
+    page = scraped.scrape(server)
+    assert page.value("revisit_vehicles", state="data_loss") == 1
+    stub.AcceptDataLoss(api.AcceptDataLossRequest(
+        name=vehicle, durable_sequence=40))
+    page = scraped.scrape(server)
+    assert page.value("revisit_vehicles", state="active") == 1
+    assert {dict(labels)["decision"]: count for labels, count
+            in page.series("revisit_decisions_total").items()} == {
+        "loop_closure_added": 2, "loop_closure_deleted": 1,
+        "candidate_rejected": 1, "rejection_deleted": 1, "poses_revised": 1,
+        "data_loss_accepted": 1}
+
+
+def test_tells_when_the_last_backup_was_made(server, tmp_path):
+    name = "revisit_store_backup_timestamp_seconds"
+    assert scraped.scrape(server).series(name) == {}
+    for copy in ("first", "second"):
+        begin = int(time.time())
+        made = run("revisitd", "backup", "--store", server.store, "--to",
+                   tmp_path / copy)
+        assert (made.returncode, made.stderr) == (0, "")
+        assert begin <= scraped.scrape(server).value(name) <= time.time()
+    # One that failed is none.
+    before = scraped.scrape(server).value(name)
+    assert run("revisitd", "backup", "--store", server.store, "--to",
+               tmp_path / "second").returncode != 0
+    assert scraped.scrape(server).value(name) == before
+
+
+def test_backup_whose_time_cannot_be_noted_is_a_backup(server, tmp_path):
+    # The note's place is taken by something that nobody can write over.
+    (server.store / "revisit.sqlite.backup").mkdir()
+    made = run("revisitd", "backup", "--store", server.store, "--to",
+               tmp_path / "copy")
+    assert made.returncode == 0
+    assert "revisit.sqlite.backup: no metric will say" in made.stderr
+    assert scraped.scrape(server).series(
+        "revisit_store_backup_timestamp_seconds") == {}
+
+
 def test_counts_what_each_limit_refuses(tmp_path):
     with Server(tmp_path / "store", *ADMIN, "--max-streams-per-vehicle", 1,
                 "--max-search-rate-per-caller", 1) as server:
@@ -223,7 +285,9 @@ def test_counts_what_each_limit_refuses(tmp_path):
             "max-search-rate-per-caller": refused}
         # A label of a limit is the name of a setting, or one of a few others.
         help_text = (ROOT / "server/settings/option_table.cc").read_text()
-        others = {"caller-deadline", "descriptors", "max-unadmitted-calls"}
+        others = {"caller-deadline", "descriptors",
+                  "max-search-steps-per-second", "max-searches-share",
+                  "max-unadmitted-calls", "max-unadmitted-pings"}
         for labels in refusals:
             limit = dict(labels)["limit"]
             assert limit in others or f'"{limit}"' in help_text, limit

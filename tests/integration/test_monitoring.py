@@ -7,6 +7,7 @@ import os
 import pathlib
 import re
 import shutil
+import sqlite3
 import subprocess
 import threading
 import time
@@ -97,6 +98,11 @@ def secured(tmp_path_factory):
             ("cert.pem", certificate.pem + authority.pem),
             ("key.pem", certificate.key_pem)]:
         (directory / name).write_bytes(content)
+    # One that ended before it, and a backup.
+    with Server(directory / "store"):
+        pass
+    assert run("revisitd", "backup", "--store", directory / "store", "--to",
+               directory / "backup.sqlite").returncode == 0
     with Server(directory / "store", *ADMIN,
                 "--audit-log", directory / "audit",
                 "--tls-cert", directory / "cert.pem",
@@ -202,7 +208,7 @@ def test_every_alert_has_a_runbook_and_every_runbook_an_alert():
     headings = re.findall(r"^## (.+)$", text, re.MULTILINE)
     assert headings == [name for name, _, _ in alerts()]
     for name, _, annotations in alerts():
-        assert annotations["runbook"] == f"docs/runbooks.md#{name.lower()}"
+        assert annotations["runbook_url"] == f"docs/runbooks.md#{name.lower()}"
         assert annotations["summary"]
     for section in re.split(r"^## .+$", text, flags=re.MULTILINE)[1:]:
         assert len(section.split()) > 25
@@ -213,9 +219,10 @@ def test_every_alert_has_a_test():
     assert re.findall(r"^  - name: (\w+)$", text, re.MULTILINE) == [
         name for name, _, _ in alerts()]
     for test in re.split(r"^  - name: ", text, flags=re.MULTILINE)[1:]:
-        # Silent first, then told.
-        assert test.count("- alertname: " + test.split()[0]) == 2
-        assert test.count("exp_alerts:") == 1
+        # Silent first, then told, of every kind of harm that it is about.
+        asked = test.split("- alertname: " + test.split()[0])[1:]
+        assert [one.count("exp_alerts:") for one in asked] == [
+            0, *[1] * (len(asked) - 1)] and len(asked) > 1
 
 
 @needs_promtool
@@ -316,8 +323,9 @@ def test_prometheus_scrapes_the_servers_and_evaluates_every_alert(
         rules = wait_until(evaluated, "evaluation of every alert")
         assert {rule["name"] for rule in rules} == {rule[0] for rule in alerts()}
         assert [rule for rule in rules if rule["health"] != "ok"] == []
-        # Sound servers are told of by none.
-        assert prometheus.ask("alerts") == {"alerts": []}
+        # Sound servers are told of by none, once the first scrape has shown them.
+        wait_until(lambda: prometheus.ask("alerts") == {"alerts": []},
+                   "end of what was pending")
         # And each panel has an expression that it takes.
         for expression in dashboard_expressions():
             expression = expression.replace("$__rate_interval", "5m").replace(
@@ -461,6 +469,87 @@ def more_flushes(server, before):
 
 
 @needs_promtool
+@pytest.mark.release_build
+def test_store_that_failed_is_told_by_the_next_server(tmp_path):
+    """The process was gone before anybody scraped it."""
+    with serve(tmp_path) as server:
+        quiet = scraped.scrape(server)
+    with serve(tmp_path, REVISIT_TEST_FAIL_SYNC="60",
+               REVISIT_TEST_STICKY="1") as server:
+        stub = server.stub()
+        vehicle = create(stub, "truck")
+
+        def failed():
+            try:
+                append(stub, vehicle, straight(1, first=next(poses)))
+            except Exception as error:
+                assert error.code().name == "UNAVAILABLE"
+                return True
+            return False
+
+        poses = iter(range(1, 1000))
+        wait_until(failed, "failed flush")
+        assert server.process.wait(30) == 74, server.log()
+    with serve(tmp_path) as server:
+        assert get_last_exit(server) == "store_failed"
+        assert_told("RevisitStoreFailed", quiet, [scraped.scrape(server)], tmp_path)
+
+
+def get_last_exit(server):
+    """The reason that the metric gives; None if it gives none."""
+    reasons = [dict(labels)["reason"] for labels, value in scraped.scrape(
+        server).series("revisit_last_exit").items() if value]
+    assert len(reasons) <= 1
+    return reasons[0] if reasons else None
+
+
+def test_each_end_of_a_server_is_told_by_the_next(tmp_path):
+    def ended():
+        """When it did, if that is known."""
+        return scraped.scrape(server).value("revisit_last_exit_timestamp_seconds")
+
+    begin = int(time.time())
+    with serve(tmp_path) as server:
+        assert (get_last_exit(server), ended()) == (None, 0)
+    with serve(tmp_path) as server:
+        assert get_last_exit(server) == "stopped"
+        assert begin <= ended() <= time.time()
+        server.kill()
+    with serve(tmp_path) as server:
+        assert (get_last_exit(server), ended()) == ("killed", 0)
+        # One that cannot have the store changes nothing.
+        assert run("revisitd", "--store", tmp_path / "store").returncode == 73
+        assert get_last_exit(server) == "killed"
+    (tmp_path / "store/revisit.sqlite.exit").write_text("something else")
+    with serve(tmp_path) as server:
+        assert (get_last_exit(server), ended()) == (None, 0)
+    with serve(tmp_path) as server:
+        assert get_last_exit(server) == "stopped"
+
+
+@needs_promtool
+def test_damaged_vehicle_is_told_while_nobody_asks_for_it(tmp_path):
+    with serve(tmp_path) as server:
+        append(server.stub(), create(server.stub(), "truck"), straight(9))
+        quiet = wait_until(lambda: counted(server, "active"), "count")
+    database = sqlite3.connect(tmp_path / "store/revisit.sqlite")
+    with database:
+        database.execute("UPDATE batches SET checksum = checksum + 1")
+    database.close()
+    with serve(tmp_path) as server:
+        server.stub().GetVehicle(api.GetVehicleRequest(name="vehicles/truck"))
+    with serve(tmp_path) as server:
+        page = wait_until(lambda: counted(server, "damaged"), "count")
+        assert page.value("revisit_resident_vehicles") == 0
+        assert_told("RevisitDataDamaged", quiet, [page], tmp_path)
+
+
+def counted(server, state):
+    page = scraped.scrape(server)
+    return page.value("revisit_vehicles", state=state) == 1 and page
+
+
+@needs_promtool
 def test_certificate_near_its_end_is_told(secured, tmp_path):
     page = scraped.scrape(secured)
     renewed = scraped.parse(page.text)
@@ -511,6 +600,30 @@ def more_refusals(server, before):
     page = scraped.scrape(server)
     name = "revisit_limit_refusals_total"
     return page.total(name) > before.total(name) and page
+
+
+# The gauge stayed 1 where /readyz said 503, since each asked the store in its own way.
+@needs_promtool
+def test_database_that_is_dead_is_told_as_refused_writes(shared, tmp_path):
+    database, server = shared
+
+    def answers():
+        """What the server says of writes, by its two ways."""
+        return (scraped.get(server.admin, "/readyz")[:2],
+                scraped.scrape(server).value("revisit_store_writable"))
+
+    quiet = scraped.scrape(server)
+    assert answers() == ((200, "ready\n"), 1)
+    database.process.stop()
+    wait_until(lambda: answers()[0][0] == 503, "end of the lease")
+    (_, why), writable = answers()
+    assert why.startswith("not writable: this server has not reached the database")
+    assert writable == 0
+    refused = scraped.scrape(server)
+    server.logged("writes_refused")
+    database.start()
+    wait_until(lambda: answers() == ((200, "ready\n"), 1), "new lease")
+    assert_told("RevisitWritesRefused", quiet, [refused], tmp_path)
 
 
 @needs_promtool

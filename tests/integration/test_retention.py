@@ -2,6 +2,7 @@
 what callers hear of it."""
 
 import math
+import time
 
 import grpc
 import pytest
@@ -11,7 +12,7 @@ import scraped
 from own_postgres import own_postgres
 from revisit_server import Server, run, wait_until
 from stubs import api
-from wire import append, batches, failure_of, get, list_poses, pose
+from wire import PoseStream, append, batches, failure_of, get, list_poses, pose
 
 ADMIN = ("--admin-listen", "127.0.0.1:0")
 LAP_METERS = 600.0
@@ -208,26 +209,192 @@ def test_a_revision_passes_over_what_is_dropped(stub, bounded):
     assert nothing.revision == answer.revision
 
 
-def test_an_export_has_no_edge_over_what_is_dropped(stub, bounded):
+def test_an_export_has_no_edge_over_what_is_dropped(server, stub):
+    vehicle = create(stub, "islands", max_passes=2)
+    drive(stub, vehicle, 2)
+    # What it refers to stays, and what lies around is dropped later.
+    stub.AddLoopClosure(api.AddLoopClosureRequest(
+        parent=vehicle, loop_closure=api.LoopClosure(
+            query_sequence=LAP + 100, matched_sequence=100)))
+    drive(stub, vehicle, 8, 2)
+    assert settled(server, vehicle).dropped_pose_count > 4 * LAP
     nodes, edges = [], []
-    for part in stub.ExportPoseGraph(api.ExportPoseGraphRequest(vehicle=bounded)):
+    for part in stub.ExportPoseGraph(api.ExportPoseGraphRequest(vehicle=vehicle)):
         nodes.extend(part.nodes)
         edges.extend((edge.from_index, edge.to_index) for edge in part.edges)
     cuts = [later.index for earlier, later in zip(nodes, nodes[1:])
             if later.sequence > earlier.sequence + 2]
+    assert cuts
     present = set(edges)
     assert all((cut - 1, cut) not in present for cut in cuts)
     assert len(edges) >= len(nodes) - 1 - len(cuts)
 
 
 def test_poses_grow_too_old_by_their_own_stamps(server, stub):
-    vehicle = create(stub, "aged", max_age=duration_pb2.Duration(seconds=6 * LAP))
-    drive(stub, vehicle, 24)
+    # The newest poses take less than a tenth of the age, so they do not count as a
+    # leap.
+    vehicle = create(stub, "aged", max_age=duration_pb2.Duration(seconds=24 * LAP))
+    drive(stub, vehicle, 40)
     summary = settled(server, vehicle)
-    kept = 24 * LAP - summary.dropped_pose_count
-    assert 6 * LAP <= kept < 1.25 * 6 * LAP + 100
-    assert summary.first_kept_sequence == 24 * LAP - kept + 1
+    kept = 40 * LAP - summary.dropped_pose_count
+    assert 24 * LAP <= kept < 1.25 * 24 * LAP + 100
+    assert summary.first_kept_sequence == 40 * LAP - kept + 1
     assert_finds_its_place(stub, vehicle)
+
+
+DAY = 24 * 3600
+YEAR = 365 * DAY
+HOUR = 3600
+START = int(time.time()) - 4 * YEAR
+
+
+def hourly(sequence):
+    """A pose each hour: 4000 poses take less than half a year."""
+    return START + sequence * HOUR
+
+
+def stamped(poses, stamp=hourly):
+    for p in poses:
+        p.stamp.FromSeconds(stamp(p.sequence))
+    return poses
+
+
+def warnings_of(acks):
+    """Those of stamps: poses hours apart, without errors, also look like degrees, and
+    smoother than their covariances."""
+    return [(api.WarningReason.Name(w.reason).removeprefix("WARNING_REASON_"), w)
+            for ack in acks for w in ack.warnings
+            if w.reason == api.WARNING_REASON_STAMPS_AHEAD
+            or w.metadata.get("finding") == "FINDING_CODE_STAMPS_LEAP"]
+
+
+def send(stub, vehicle, poses):
+    """The warnings of a stream of these."""
+    acks = []
+    with PoseStream(stub, vehicle) as stream:
+        stream.receive_kind("opened")
+        for batch in batches(poses, 50):
+            stream.send(batch)
+        stream.half_close()
+        acks = [message for _, message in stream.receive_all()]
+    return warnings_of(acks)
+
+
+def findings_of(stub, vehicle):
+    return [api.FindingCode.Name(f.code).removeprefix("FINDING_CODE_")
+            for f in get(stub, vehicle).findings
+            if f.code == api.FINDING_CODE_STAMPS_LEAP]
+
+
+def in_2100(sequence):
+    return 4_102_444_800 + sequence
+
+
+# What the vehicle's clock says, and whether the stamp is so far ahead.
+WRONG = {
+    "the last of 2100": (lambda n: in_2100(n) if n == 4000 else hourly(n), True),
+    "the first of a batch": (
+        lambda n: in_2100(n) if n == 3951 else hourly(n), True),
+    "the first of all": (lambda n: in_2100(n) if n == 1 else hourly(n), True),
+    "the last twenty of 2100": (
+        lambda n: in_2100(n) if n > 3980 else hourly(n), True),
+    "each tenth of 2100": (
+        lambda n: in_2100(n) if n % 10 == 0 else hourly(n), True),
+    "all from half of the way on of 2100": (
+        lambda n: in_2100(n) if n > 2000 else hourly(n), True),
+    "the last of two years later": (
+        lambda n: hourly(n) + (2 * YEAR if n == 4000 else 0), False),
+    "some, again and again, of two years later": (
+        lambda n: hourly(n) + (2 * YEAR if n % 200 > 180 else 0), False),
+    "months ahead for a while, again and again": (
+        lambda n: hourly(n) + (300 * DAY if n % 60 > 40 else 0), False),
+    "the last of 1970": (lambda n: 0 if n == 4000 else hourly(n), False),
+    "a day of 1970": (lambda n: n if 3000 <= n < 3024 else hourly(n), False),
+    "the last stretch of 1970": (lambda n: n if n > 3000 else hourly(n), False),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_wrong_stamps_drop_nothing(wrong, server, stub):
+    stamp, is_ahead = WRONG[wrong]
+    name = "wrong-" + wrong.replace(" ", "-").replace(",", "")
+    vehicle = create(stub, name, max_age=duration_pb2.Duration(seconds=YEAR))
+    told = send(stub, vehicle, stamped(course(4000), stamp))
+    # A look falls due.
+    request = api.UpdateVehicleRequest(
+        vehicle=api.Vehicle(name=vehicle, settings=api.VehicleSettings(
+            retention=api.Retention(
+                max_age=duration_pb2.Duration(seconds=YEAR + 1)))),
+        update_mask=field_mask_pb2.FieldMask(paths=["settings.retention"]))
+    stub.UpdateVehicle(request)
+    assert settled(server, vehicle).dropped_pose_count == 0
+    ahead = [w for reason, w in told if reason == "STAMPS_AHEAD"]
+    assert bool(ahead) == is_ahead
+    if is_ahead:
+        first = next(n for n in range(1, 4001) if stamp(n) > time.time() + 300)
+        assert ahead[0].metadata["sequence"] == str(first)
+        assert int(ahead[0].metadata["seconds"]) > 50 * YEAR
+
+
+def test_a_wrong_stamp_is_told_and_drops_nothing_after_a_restart(tmp_path):
+    """The newest of 4,000 poses is stamped in 2100."""
+    with Server(tmp_path / "store", *ADMIN) as server:
+        stub = server.stub()
+        vehicle = create(stub, "leapt", max_age=duration_pb2.Duration(seconds=YEAR))
+        assert not send(stub, vehicle, stamped(course(3999)))
+        acks = [append(stub, vehicle, stamped(course(1, 4000), in_2100))]
+        told = {reason: w for reason, w in warnings_of(acks)}
+        assert set(told) == {"STAMPS_AHEAD", "FINDING"}
+        assert told["STAMPS_AHEAD"].metadata["sequence"] == "4000"
+        assert "ahead of the server's clock" in told["STAMPS_AHEAD"].message
+        finding = told["FINDING"]
+        assert finding.metadata["finding"] == "FINDING_CODE_STAMPS_LEAP"
+        assert finding.metadata["sequence"] == "4000"
+        # The stamp of a node on the way to that pose.
+        assert YEAR < int(finding.metadata["seconds"]) < 80 * YEAR
+        assert "retention.max_age" in finding.message
+        assert findings_of(stub, vehicle) == ["STAMPS_LEAP"]
+        assert settled(server, vehicle).dropped_pose_count == 0
+        # Its optimiser cannot put another stamp in its place either.
+        stub.RevisePoses(iter([api.RevisePosesRequest(
+            vehicle=vehicle, poses=stamped(course(100, 3000), in_2100))]))
+        assert settled(server, vehicle).dropped_pose_count == 0
+    with Server(tmp_path / "store", *ADMIN) as server:
+        stub = server.stub()
+        assert settled(server, vehicle).dropped_pose_count == 0
+        assert findings_of(stub, vehicle) == ["STAMPS_LEAP"]
+        # The vehicle drives on by the right clock; the finding goes.
+        assert not warnings_of(
+            append(stub, vehicle, stamped(batch))
+            for batch in batches(course(800, 4001), 50))
+        assert settled(server, vehicle).dropped_pose_count == 0
+        assert findings_of(stub, vehicle) == []
+    # And into another store, as it is.
+    copy = tmp_path / "copy"
+    copied = run("revisitd", "import", "--store", copy, "--from", tmp_path / "store")
+    assert copied.returncode == 0, copied.stderr
+    with Server(copy, *ADMIN) as server:
+        assert settled(server, vehicle).dropped_pose_count == 0
+
+
+def test_a_clock_that_is_set_right_for_good_ages_what_was_before(server, stub):
+    vehicle = create(stub, "set-right",
+                     max_age=duration_pb2.Duration(seconds=YEAR))
+
+    def stamp(sequence):
+        return hourly(sequence) - (0 if sequence > 3000 else 30 * YEAR)
+
+    send(stub, vehicle, stamped(course(3000), stamp))
+    told = send(stub, vehicle, stamped(course(400, 3001), stamp))
+    assert [w.metadata["finding"] for _, w in told] == ["FINDING_CODE_STAMPS_LEAP"]
+    assert settled(server, vehicle).dropped_pose_count == 0
+    # It has lasted for 14 sequence lengths, and more.
+    send(stub, vehicle, stamped(course(800, 3401), stamp))
+    assert settled(server, vehicle).dropped_pose_count == pytest.approx(3000, abs=60)
+    last = server.logged("poses_dropped")[-1]
+    assert "vehicle=set-right" in last
+    assert "nodes_covered=0" in last and "nodes_too_old=0" not in last
+    assert findings_of(stub, vehicle) == []
 
 
 def test_what_is_kept_can_be_changed_at_any_time(server, stub):

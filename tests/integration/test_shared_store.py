@@ -2,7 +2,7 @@
 
 import pytest
 
-from own_postgres import own_postgres
+from own_postgres import exit_without_postgres, own_postgres
 from revisit_server import Server, run
 from stubs import api
 from wire import append, get, list_poses, straight
@@ -13,9 +13,8 @@ USAGE, STORE_IN_USE = 64, 73
 @pytest.fixture
 def database():
     """A PostgreSQL of a test's own, with an empty database."""
+    exit_without_postgres()
     with own_postgres() as postgres:
-        if postgres is None:
-            pytest.exit("there is no PostgreSQL: tests/run installs it", returncode=77)
         yield postgres
 
 
@@ -44,9 +43,9 @@ def test_a_database_without_tables_is_refused_until_it_is_migrated(
                    "permission denied")
     first = run("revisitd", "migrate", "--store", owner)
     assert (first.returncode, first.stdout) == (
-        0, "version before 0\nversion after 2\n"), first.stderr
+        0, "version before 0\nversion after 3\n"), first.stderr
     again = run("revisitd", "migrate", "--store", owner)
-    assert again.stdout == "version before 2\nversion after 2\n"
+    assert again.stdout == "version before 3\nversion after 3\n"
     with serve(served, tmp_path) as server:
         stub = server.stub()
         stub.CreateVehicle(api.CreateVehicleRequest(vehicle_id="truck"))

@@ -109,6 +109,35 @@ def test_name_and_labels_are_bounded(fields, field, stub):
     assert failure.fields == [field]
 
 
+@pytest.mark.parametrize("text, said", [
+    ("colour\x1b[31m", "U+001B at byte 6"), ("8 bits\x9b31m", "U+009B at byte 6"),
+    ("\x7f", "U+007F at byte 0"), ("\u00e9\u202egpj.exe", "U+202E at byte 2"),
+    ("isolate\u2066", "U+2066 at byte 7"), ("mark\u200e", "U+200E at byte 4"),
+    ("mark\u200f", "U+200F at byte 4"), ("mark\u061c", "U+061C at byte 4"),
+    ("shut\u200btle", "U+200B at byte 4"), ("word\u2060", "U+2060 at byte 4"),
+    ("\ufeffshuttle", "U+FEFF at byte 0"), ("line\u2028", "U+2028 at byte 4"),
+    ("\U0001f697\u2029", "U+2029 at byte 4"),
+], ids=ascii)
+def test_name_or_label_that_could_deceive_is_refused(text, said, stub):
+    for field, fields in (("vehicle.display_name", {"display_name": text}),
+                          ("vehicle.labels.a", {"labels": {"a": text}})):
+        failure = failure_of(lambda fields=fields: create(stub, "hidden", **fields))
+        assert (failure.code, failure.reason) == (INVALID, "INVALID_FIELD")
+        assert failure.fields == [field]
+        assert said in failure.message
+        assert failure.message.isascii() and failure.message.isprintable()
+    assert failure_of(lambda: get(stub, "vehicles/hidden")).reason == \
+        "VEHICLE_NOT_FOUND"
+
+
+@pytest.mark.parametrize("number, text", enumerate([
+    "\u0645\u06cc\u200c\u062e\u0648\u0627\u0647\u0645", "\u0915\u094d\u200d\u0937",
+    "\U0001f469\u200d\U0001f527\ufe0f", "soft\u00adhyphen \u00a0 \u3000"]), ids=ascii)
+def test_name_and_label_of_any_script_are_kept(number, text, stub):
+    made = create(stub, f"script-{number}", display_name=text, labels={"a": text})
+    assert (made.display_name, made.labels["a"]) == (text, text)
+
+
 def test_one_label_too_many_is_refused_and_the_others_stay(stub):
     labels = {f"key-{n}": "v" * 128 for n in range(128)}
     made = create(stub, "full", labels=labels, display_name="a" * 256)
@@ -148,7 +177,8 @@ def test_hostile_text_is_kept_as_it_is_or_refused_in_ascii(kind, stub):
             assert failure.message.isascii() and failure.message.isprintable()
             # Only for what no text for people needs.
             assert len(text) > 128 or any(
-                ord(c) < 0x20 or 0x7f <= ord(c) < 0xa0 for c in text)
+                ord(c) < 0x20 or 0x7f <= ord(c) < 0xa0 or 0x2028 <= ord(c) <= 0x202e
+                for c in text)
         else:
             assert kept(after) == text
             assert kept(get(stub, made.name)) == text

@@ -4,7 +4,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
+#include <cstdint>
 #include <map>
+#include <optional>
 #include <set>
 #include <utility>
 #include <vector>
@@ -17,8 +20,12 @@ namespace revisit::core {
 class PlainRetention {
  public:
   PlainRetention(const PoseGraph& graph, const RetentionOptions& options,
-                 const RetentionNeeds& needs)
-      : graph_(graph), options_(options), needs_(needs) {}
+                 const RetentionNeeds& needs,
+                 std::optional<std::int64_t> latest_ns = std::nullopt)
+      : graph_(graph), options_(options), needs_(needs), latest_(latest_ns) {
+    FindVotes();
+    FindAge();
+  }
 
   std::vector<NodeRange> Droppable() const {
     const std::set<NodeIndex> covered = Covered();
@@ -47,10 +54,59 @@ class PlainRetention {
 
  private:
   bool IsTooOld(NodeIndex i) const {
-    const auto newest = graph_.node(graph_.size() - 1).stamp_ns;
     const auto stamp = graph_.node(i).stamp_ns;
-    return options_.max_age_ns && newest && stamp &&
-           *newest - *stamp > *options_.max_age_ns;
+    return oldest_ && i < old_begin_ && stamp && *stamp < *oldest_;
+  }
+
+  // As stamps.h says it, for stamps that are less than centuries apart.
+  void FindAge() {
+    if (!options_.max_age_ns) return;
+    const auto last = Agreed(graph_.size());
+    const auto lasted = Agreed(graph_.size() - needs_.newest_nodes);
+    if (!last || !lasted) return;
+    const bool leapt = *last - *lasted > *options_.max_age_ns / 10;
+    oldest_ = (leapt ? *lasted : *last) - *options_.max_age_ns;
+    const auto is_young = [this](std::int64_t vote) {
+      return vote >= *oldest_;
+    };
+    for (old_begin_ = 0; old_begin_ < graph_.size(); ++old_begin_) {
+      const auto votes = LastVotes(old_begin_ + 1);
+      if (std::count_if(votes.begin(), votes.end(), is_young) >=
+          needs_.agreeing_nodes) {
+        break;
+      }
+    }
+  }
+
+  std::optional<std::int64_t> Agreed(NodeIndex count) const {
+    std::vector<std::int64_t> votes = LastVotes(count);
+    if (votes.size() < MostVotes()) return std::nullopt;
+    std::sort(votes.begin(), votes.end());
+    return votes[MostVotes() / 2];
+  }
+
+  void FindVotes() {
+    for (NodeIndex i = 0; i < graph_.size(); ++i) {
+      const Node node = graph_.node(i);
+      const bool is_first =
+          i == 0 || graph_.node(i - 1).sequence != node.sequence;
+      const bool may_be = !latest_ || node.stamp_ns <= latest_;
+      if (node.stamp_ns && is_first && may_be) votes_[i] = *node.stamp_ns;
+    }
+  }
+
+  // Among the first nodes.
+  std::vector<std::int64_t> LastVotes(NodeIndex count) const {
+    std::vector<std::int64_t> last;
+    for (auto it = votes_.lower_bound(count);
+         it != votes_.begin() && last.size() < MostVotes();) {
+      last.push_back((--it)->second);
+    }
+    return last;
+  }
+
+  std::size_t MostVotes() const {
+    return static_cast<std::size_t>(2 * needs_.agreeing_nodes - 1);
   }
 
   bool MustStay(NodeIndex i) const {
@@ -184,6 +240,10 @@ class PlainRetention {
   const PoseGraph& graph_;
   const RetentionOptions& options_;
   const RetentionNeeds& needs_;
+  const std::optional<std::int64_t> latest_;
+  std::map<NodeIndex, std::int64_t> votes_;
+  std::optional<std::int64_t> oldest_;
+  NodeIndex old_begin_ = 0;
 };
 
 }  // namespace revisit::core

@@ -44,7 +44,10 @@ WAYS = {
     "cluster, guarded and watched": {
         **CLUSTER, **GUARDED, "insecureAllowRemote": "false",
         "serviceMonitor.enabled": "true",
-        "serviceMonitor.labels.release": "prometheus"},
+        "serviceMonitor.labels.release": "prometheus",
+        "prometheusRule.enabled": "true",
+        "prometheusRule.labels.release": "prometheus",
+        "dashboard.enabled": "true"},
     "without a network policy": {**OPEN, "networkPolicy.enabled": "false"},
 }
 
@@ -120,13 +123,13 @@ def test_kubernetes_knows_everything_that_is_made(values, kubernetes):
         [TOOLS / "kubeconform", "-strict", "-summary", "-output", "json",
          "-kubernetes-version", version, "-schema-location",
          f"{schemas}/{{{{.ResourceKind}}}}{{{{.KindSuffix}}}}.json",
-         # Prometheus' operator defines it, not Kubernetes.
-         "-skip", "ServiceMonitor", "-"], input=render(values, version),
+         # Prometheus' operator defines them, not Kubernetes.
+         "-skip", "ServiceMonitor,PrometheusRule", "-"], input=render(values, version),
         capture_output=True, text=True, check=False)
     assert said.returncode == 0, said.stdout + said.stderr
     summary = json.loads(said.stdout)["summary"]
     assert summary["valid"] >= 5
-    assert summary["skipped"] == (1 if "serviceMonitor.enabled" in values else 0)
+    assert summary["skipped"] == (2 if "serviceMonitor.enabled" in values else 0)
 
 
 def test_kubernetes_would_refuse_what_is_misspelt(kubernetes):
@@ -166,6 +169,45 @@ def test_numbers_in_a_file_of_values_reach_the_server_in_full(tmp_path):
     for line in ('max-memory-bytes = "2000000000"', 'max-streams = "1000000"',
                  'stream-poses-per-second = "0.5"', 'metrics = "true"'):
         assert f"{line}\n" in made.stdout
+
+
+WATCHED = {**OPEN, "serviceMonitor.enabled": "true", "prometheusRule.enabled": "true",
+           "dashboard.enabled": "true"}
+
+
+def test_alerts_and_dashboard_are_those_of_the_tree():
+    """Nothing of them is written a second time."""
+    made = objects(WATCHED)
+    alerts = (ROOT / "deploy/monitoring/alerts.yml").read_text()
+    assert made["PrometheusRule", "fleet"]["spec"] == yaml.safe_load(alerts)
+    dashboard = made["ConfigMap", "fleet-dashboard"]
+    assert dashboard["data"] == {"revisit.json": (
+        ROOT / "deploy/monitoring/dashboard.json").read_text()}
+    assert dashboard["metadata"]["labels"]["grafana_dashboard"] == "1"
+
+
+def test_servers_are_scraped_as_the_job_that_alerts_and_dashboard_ask_for():
+    """The name of the service was the job, so the alert on a dead server was silent."""
+    made = objects(WATCHED)
+    [monitor] = [one for (kind, _), one in made.items() if kind == "ServiceMonitor"]
+    wanted = monitor["spec"]["selector"]["matchLabels"].items()
+    [service] = [one for (kind, _), one in made.items() if kind == "Service"
+                 and wanted <= one["metadata"]["labels"].items()]
+    job = service["metadata"]["labels"][monitor["spec"]["jobLabel"]]
+    for name in ("alerts.yml", "dashboard.json"):
+        asked = set(re.findall(r'job=\\?"([^"\\]*)', (
+            ROOT / "deploy/monitoring" / name).read_text()))
+        assert asked == {job}, name
+
+
+def test_runbooks_lead_to_where_they_are_published():
+    published = "https://docs.example/revisit/runbooks.html"
+    made = objects({**WATCHED, "prometheusRule.runbooks": published})
+    rules = [rule for group in made["PrometheusRule", "fleet"]["spec"]["groups"]
+             for rule in group["rules"]]
+    for rule in rules:
+        assert rule["annotations"]["runbook_url"] == (
+            f"{published}#{rule['alert'].lower()}")
 
 
 @pytest.mark.parametrize("release", ["fleet.north", "2nd", "9" * 53])

@@ -15,8 +15,8 @@ import urllib.request
 import pytest
 import yaml
 
-from kubernetes_cluster import (BIN, NODE, TOOLS, Cluster, RefusedError, run,
-                                wait_until)
+from kubernetes_cluster import (BIN, ENVIRONMENT, NODE, TOOLS, Cluster,
+                                RefusedError, run, wait_until)
 from private_cluster import Processes
 from test_chart import (CHART, CLUSTER, GUARDED, OPEN, OPERATE, ROOT, WAYS, documented,
                         flags)
@@ -32,6 +32,8 @@ SMALL = {"resources.requests.cpu": "100m", "drainNoticeSeconds": "2",
          "drainTimeoutSeconds": "3"}
 VOLUMES = pathlib.Path("/run/kubernetes/volumes")
 NUMBERS = itertools.count(1)
+PROMETHEUS = pathlib.Path(os.environ.get("REVISIT_TEST_PROMETHEUS",
+                                         ROOT / "build/tools/prometheus"))
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +43,7 @@ def cluster():
         try:
             started = Cluster(processes, pathlib.Path("/run/kubernetes"),
                               os.environ["REVISIT_CLUSTER_CGROUP"])
-            add_service_monitors(started)
+            add_kinds(started)
         except BaseException:
             for log in sorted(logs.glob("*.log")):
                 print(f"{log}:\n{log.read_text(errors='replace')[-2000:]}")
@@ -49,19 +51,19 @@ def cluster():
         yield started
 
 
-def add_service_monitors(cluster):
-    """Defines the kind as Prometheus' operator does."""
+def add_kinds(cluster):
+    """Defines kinds as Prometheus' operator does."""
     path = "/apis/apiextensions.k8s.io/v1/customresourcedefinitions"
-    cluster.ask("POST", path, yaml.safe_load(
-        (TOOLS / "kubernetes/servicemonitors.yaml").read_text()))
 
-    def is_established():
+    def is_established(kind):
         status = cluster.ask(
-            "GET", f"{path}/servicemonitors.monitoring.coreos.com")["status"]
+            "GET", f"{path}/{kind}.monitoring.coreos.com")["status"]
         return any(entry["type"] == "Established" and entry["status"] == "True"
                    for entry in status["conditions"] or ())
 
-    wait_until(is_established, "kind ServiceMonitor")
+    for file in sorted((TOOLS / "kubernetes/kinds").glob("*.yaml")):
+        cluster.ask("POST", path, yaml.safe_load(file.read_text()))
+        wait_until(lambda file=file: is_established(file.stem), file.stem)
 
 
 class Namespace:
@@ -77,7 +79,10 @@ class Namespace:
 
     def path(self, kind, name=""):
         group = {"statefulsets": "apis/apps/v1", "deployments": "apis/apps/v1",
-                 "jobs": "apis/batch/v1"}.get(kind, "api/v1")
+                 "jobs": "apis/batch/v1",
+                 "servicemonitors": "apis/monitoring.coreos.com/v1",
+                 "prometheusrules": "apis/monitoring.coreos.com/v1",
+                 }.get(kind, "api/v1")
         return f"/{group}/namespaces/{self.name}/{kind}/{name}".rstrip("/")
 
     def get(self, kind, name):
@@ -210,7 +215,8 @@ UPGRADES = {
     "labels": {"podLabels.team": "mapping", "podAnnotations.a": "b"},
     "scheduling": {"nodeSelector.disk": "ssd", "tolerations[0].operator": "Exists"},
     "guard": {**GUARDED, "insecureAllowRemote": "false"},
-    "monitoring": {"serviceMonitor.enabled": "true", "serviceMonitor.interval": "5s"},
+    "monitoring": {"serviceMonitor.enabled": "true", "serviceMonitor.interval": "5s",
+                   "prometheusRule.enabled": "true", "dashboard.enabled": "true"},
     "no policy": {"networkPolicy.enabled": "false"},
     "budget": {"podDisruptionBudget.maxUnavailable": "50%"},
     "servers": {"store.postgresql.replicas": "5"},
@@ -447,3 +453,176 @@ def test_documented_commands_start_one_server_and_then_several(maps, tmp_path):
     assert workload(maps)["kind"] == "Deployment"
     wait_until(lambda: len(maps.addresses("fleet")) == 3, "three servers")
     maps.revisit("vehicle", "create", "shuttle-10", *operator)
+
+
+# ---- A Prometheus that does as the chart's objects say
+
+# Longer than an alert waits before it is told.
+ALERT_SECONDS = 180
+
+
+def label(name):
+    """The label in which Prometheus has one of a service."""
+    return "__meta_kubernetes_service_label_" + re.sub(r"\W", "_", name)
+
+
+def scrape_config(monitor):
+    """What Prometheus' operator makes of a ServiceMonitor that has only these fields,
+    but that the addresses come from a file: Debian's Prometheus does not ask
+    Kubernetes."""
+    spec, meta = monitor["spec"], monitor["metadata"]
+    [endpoint] = spec["endpoints"]
+    assert spec.keys() == {"jobLabel", "selector", "endpoints"}
+    assert spec["selector"].keys() == {"matchLabels"}
+    assert endpoint.keys() == {"port", "path", "interval"}
+    kept = {"__meta_kubernetes_endpoint_port_name": endpoint["port"], **{
+        label(name): value
+        for name, value in spec["selector"]["matchLabels"].items()}}
+    copied = {"namespace": "__meta_kubernetes_namespace",
+              "pod": "__meta_kubernetes_pod_name",
+              "job": "__meta_kubernetes_service_name"}
+    return {
+        "job_name": f"serviceMonitor/{meta['namespace']}/{meta['name']}/0",
+        "metrics_path": endpoint["path"],
+        "scrape_interval": endpoint["interval"],
+        "scrape_timeout": endpoint["interval"],
+        "file_sd_configs": [{"files": ["endpoints.json"]}],
+        "relabel_configs": [
+            *({"action": "keep", "source_labels": [name],
+               "regex": re.escape(value)} for name, value in kept.items()),
+            *({"source_labels": [name], "target_label": made}
+              for made, name in copied.items()),
+            {"source_labels": [label(spec["jobLabel"])], "regex": "(.+)",
+             "target_label": "job"}]}
+
+
+def endpoints(namespace):
+    """Every address of every service, as Prometheus would have it from Kubernetes."""
+    found = namespace.cluster.ask("GET", namespace.path("endpoints"))["items"]
+    return [
+        {"targets": [f"{address['ip']}:{port['port']}"],
+         "labels": {
+             "__meta_kubernetes_namespace": namespace.name,
+             "__meta_kubernetes_service_name": one["metadata"]["name"],
+             "__meta_kubernetes_endpoint_port_name": port["name"],
+             "__meta_kubernetes_pod_name": address["targetRef"]["name"],
+             **{label(name): value
+                for name, value in one["metadata"].get("labels", {}).items()}}}
+        for one in found for subset in one.get("subsets", ())
+        for port in subset["ports"] for address in (
+            *subset.get("addresses", ()), *subset.get("notReadyAddresses", ()))]
+
+
+class Prometheus:
+    """A real one beside the pods, with the ServiceMonitor and the PrometheusRule that
+    the API server has of a namespace. A context manager that stops it."""
+
+    def __init__(self, namespace):
+        self._namespace = namespace
+        self._address = f"{NODE}:9090"
+
+    def _only(self, kind):
+        [found] = self._namespace.cluster.ask(
+            "GET", self._namespace.path(kind))["items"]
+        return found
+
+    def __enter__(self):
+        self._processes = Processes(ROOT / "build/kubernetes")
+        directory = pathlib.Path("/run/kubernetes/prometheus")
+        directory.mkdir()
+        (directory / "alerts.yml").write_text(yaml.safe_dump(
+            self._only("prometheusrules")["spec"]))
+        (directory / "prometheus.yml").write_text(yaml.safe_dump({
+            "global": {"evaluation_interval": "1s"}, "rule_files": ["alerts.yml"],
+            "scrape_configs": [scrape_config(self._only("servicemonitors"))]}))
+        self._endpoints = directory / "endpoints.json"
+        self._write_endpoints()
+        self._end = threading.Event()
+        self._follower = threading.Thread(target=self._follow)
+        self._follower.start()
+        self._process = self._processes.start(
+            "prometheus", PROMETHEUS, f"--config.file={directory}/prometheus.yml",
+            f"--storage.tsdb.path={directory}/data",
+            f"--web.listen-address={self._address}", env=ENVIRONMENT)
+        return self
+
+    def __exit__(self, *_):
+        self._end.set()
+        self._follower.join()
+        self._processes.stop()
+
+    def _follow(self):
+        while not self._end.wait(0.5):
+            # The API server may be busy: what is there stays until it answers.
+            with contextlib.suppress(OSError, RefusedError):
+                self._write_endpoints()
+
+    def _write_endpoints(self):
+        """At once, and with a name that Prometheus does not look for until then."""
+        made = self._endpoints.with_suffix(".new")
+        made.write_text(json.dumps(endpoints(self._namespace)))
+        made.replace(self._endpoints)
+
+    def _ask(self, path):
+        self._process.check()
+        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+        try:
+            with opener.open(f"http://{self._address}/api/v1/{path}") as answer:
+                return json.load(answer)["data"]
+        except OSError:
+            return None
+
+    def targets(self):
+        """The labels of what answers its scrapes."""
+        found = self._ask("targets") or {"activeTargets": []}
+        return [target["labels"] for target in found["activeTargets"]
+                if target["health"] == "up"]
+
+    def fires(self, alert, **labels):
+        """Whether the alert is told, with these labels; None: without that label."""
+        found = self._ask("alerts") or {"alerts": []}
+        return any(
+            one["state"] == "firing" and one["labels"]["alertname"] == alert
+            and all(one["labels"].get(name) == value
+                    for name, value in labels.items())
+            for one in found["alerts"])
+
+
+@pytest.mark.skipif(not os.access(PROMETHEUS, os.X_OK),
+                    reason="there is no Prometheus: tests/run installs it")
+def test_alerts_of_the_chart_are_told(maps):
+    maps.add_volume("watched")
+    maps.install({**OPEN, **SMALL, "serviceMonitor.enabled": "true",
+                  "serviceMonitor.interval": "1s", "prometheusRule.enabled": "true"},
+                 "--wait", "--timeout", "60s")
+    with Prometheus(maps) as prometheus:
+        def told(alert, **labels):
+            wait_until(lambda: prometheus.fires(alert, **labels), alert,
+                       ALERT_SECONDS)
+
+        [target] = wait_until(prometheus.targets, "scrape")
+        assert target["job"] == "revisit"
+        instance = target["instance"]
+        assert not any(prometheus.fires(alert) for alert in (
+            "RevisitDown", "RevisitWritesRefused", "RevisitStoreFailed"))
+
+        # The file of the store goes away under the server, and comes back.
+        store = VOLUMES / "watched/store/revisit.sqlite"
+        store.rename(f"{store}.aside")
+        store.touch()
+        with pytest.raises(AssertionError, match="UNAVAILABLE"):
+            maps.revisit("vehicle", "create", "shuttle-7")
+        wait_until(lambda: not prometheus.targets(), "end of the server")
+        pathlib.Path(f"{store}.aside").rename(store)
+        told("RevisitStoreFailed", job="revisit", instance=instance)
+
+        maps.upgrade({"settings.min-free-bytes": str(10**15)})
+        told("RevisitWritesRefused", job="revisit")
+
+        # A server that never comes: there is no such image.
+        maps.upgrade({"settings.min-free-bytes": "1000000", "image.tag": "none"})
+        told("RevisitDown", job="revisit", pod="fleet-0")
+
+        # And none at all.
+        maps.cluster.helm("uninstall", "fleet", "--namespace", maps.name)
+        told("RevisitDown", job="revisit", instance=None)

@@ -26,7 +26,9 @@ class Fault(Exception):
         if self.reason:
             details.append(error_details_pb2.ErrorInfo(
                 reason=self.reason, domain="revisit", metadata=self.metadata))
-        if self.retry is not None:
+        if isinstance(self.retry, duration_pb2.Duration):
+            details.append(error_details_pb2.RetryInfo(retry_delay=self.retry))
+        elif self.retry is not None:
             details.append(error_details_pb2.RetryInfo(
                 retry_delay=duration_pb2.Duration(
                     seconds=int(self.retry), nanos=int(self.retry % 1 * 1e9))))
@@ -47,6 +49,8 @@ class FakeService(service.PoseGraphServiceServicer):
 
     def __init__(self, *faults):
         self.faults = list(faults)
+        #: What is on the page of a token, and the token of the next one.
+        self.pages = lambda token: ([], "")
         self.metadata = []
         self.opens = []
         self.stored = []
@@ -64,6 +68,20 @@ class FakeService(service.PoseGraphServiceServicer):
         self._note(context)
         self._meet(context)
         return v1.GetVehicleResponse(vehicle=v1.Vehicle(name=request.name))
+
+    def ListVehicles(self, request, context):
+        self._note(context)
+        vehicles, token = self.pages(request.page_token)
+        return v1.ListVehiclesResponse(
+            vehicles=[v1.Vehicle(name=name) for name in vehicles],
+            next_page_token=token)
+
+    def ListPoses(self, request, context):
+        self._note(context)
+        sequences, token = self.pages(request.page_token)
+        return v1.ListPosesResponse(
+            poses=[v1.Pose(sequence=sequence) for sequence in sequences],
+            next_page_token=token)
 
     def DeleteVehicle(self, request, context):
         self._note(context)

@@ -174,6 +174,10 @@ class HeldStorage : public Storage {
   absl::Status CheckOwned(VehicleKey key) const override {
     return storage_->CheckOwned(key);
   }
+  void ConfirmOwned(VehicleKey key, Done done) override {
+    Submit(std::move(done),
+           [=](Done then) { storage_->ConfirmOwned(key, std::move(then)); });
+  }
   std::vector<WantedVehicle> WantedVehicles() override {
     return storage_->WantedVehicles();
   }
@@ -188,6 +192,12 @@ class HeldStorage : public Storage {
     const absl::Status status = ReadStatus();
     if (!status.ok()) return status;
     return storage_->ListVehicles(after_id, prefix, limit);
+  }
+  absl::StatusOr<std::vector<VehicleRecord>> ListVehicleRows(
+      VehicleKey after_key, int limit) override {
+    const absl::Status status = ReadStatus();
+    if (!status.ok()) return status;
+    return storage_->ListVehicleRows(after_key, limit);
   }
   absl::Status ReadBatches(
       VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,

@@ -314,6 +314,22 @@ absl::StatusOr<VehicleRecord> MemoryStorage::GetVehicle(const std::string& id) {
   return UnknownVehicle();
 }
 
+absl::StatusOr<std::vector<VehicleRecord>> MemoryStorage::ListVehicleRows(
+    VehicleKey after_key, int limit) {
+  const std::lock_guard<std::mutex> guard(mutex_);
+  std::vector<VehicleRecord> rows;
+  for (auto i = vehicles_.upper_bound(after_key);
+       i != vehicles_.end() && static_cast<int>(rows.size()) < limit; ++i) {
+    VehicleRecord row;
+    row.key = i->first;
+    row.id = i->second.record.id;
+    row.payload = i->second.record.payload;
+    row.damage = i->second.record.damage;
+    rows.push_back(std::move(row));
+  }
+  return rows;
+}
+
 absl::StatusOr<std::vector<VehicleRecord>> MemoryStorage::ListVehicles(
     const std::string& after_id, const std::string& prefix, int limit) {
   std::map<std::string, VehicleRecord> sorted;

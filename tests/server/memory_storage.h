@@ -67,6 +67,8 @@ class MemoryStorage : public Storage {
   absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
       const std::string& after_id, const std::string& prefix,
       int limit) override;
+  absl::StatusOr<std::vector<VehicleRecord>> ListVehicleRows(
+      VehicleKey after_key, int limit) override;
   absl::Status ReadBatches(
       VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
       BatchVersion version,

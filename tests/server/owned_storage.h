@@ -86,6 +86,7 @@ class OwnedStorage : public Storage {
   absl::StatusOr<VehicleRecord> TakeVehicle(const std::string& id) override {
     const auto before = storage_->GetVehicle(id);
     if (!before.ok()) return before;
+    const Owners::Owner previous = owners_->Get(before->key);
     const Owners::Owner owner = owners_->Take(before->key, server_);
     if (owner.server != server_) {
       return Error(absl::StatusCode::kUnavailable, "NOT_OWNER",
@@ -97,7 +98,12 @@ class OwnedStorage : public Storage {
       epochs_[before->key] = owner.epoch;
     }
     auto record = storage_->GetVehicle(id);
-    if (record.ok()) record->epoch = static_cast<std::int64_t>(owner.epoch);
+    if (record.ok()) {
+      record->epoch = static_cast<std::int64_t>(owner.epoch);
+      if (previous.server == server_) {
+        record->previous_epoch = static_cast<std::int64_t>(previous.epoch);
+      }
+    }
     return record;
   }
   void ReleaseVehicle(VehicleKey key) override {
@@ -109,6 +115,10 @@ class OwnedStorage : public Storage {
     const std::lock_guard<std::mutex> guard(mutex_);
     if (!lease_.ok()) return lease_;
     return IsMine(key) ? absl::OkStatus() : Fenced();
+  }
+  void ConfirmOwned(VehicleKey key, Done done) override {
+    if (Refuses(key, done)) return;
+    storage_->ConfirmOwned(key, std::move(done));
   }
   std::vector<WantedVehicle> WantedVehicles() override {
     std::vector<WantedVehicle> wanted;
@@ -205,6 +215,10 @@ class OwnedStorage : public Storage {
       const std::string& after_id, const std::string& prefix,
       int limit) override {
     return storage_->ListVehicles(after_id, prefix, limit);
+  }
+  absl::StatusOr<std::vector<VehicleRecord>> ListVehicleRows(
+      VehicleKey after_key, int limit) override {
+    return storage_->ListVehicleRows(after_key, limit);
   }
   absl::Status ReadBatches(
       VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,

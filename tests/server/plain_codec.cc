@@ -12,10 +12,12 @@ constexpr std::int64_t kSecond = 1'000'000'000;
 
 absl::Status Damaged() { return absl::DataLossError("not a plain record"); }
 
-std::string Line(std::uint64_t sequence, double x, double y, double heading) {
+std::string Line(std::uint64_t sequence, double x, double y, double heading,
+                 std::optional<std::int64_t> seconds = std::nullopt) {
   std::ostringstream line;
-  line << sequence << std::hexfloat << " " << x << " " << y << " " << heading
-       << "\n";
+  line << sequence << std::hexfloat << " " << x << " " << y << " " << heading;
+  if (seconds) line << " " << *seconds;
+  line << "\n";
   return line.str();
 }
 
@@ -47,7 +49,8 @@ std::string PlainCodec::EncodeVehicle(const VehicleConfig& config) const {
        << config.engine.retention.max_passes << " "
        << config.engine.retention.max_age_ns.value_or(0) << " "
        << (config.frame == CoordinateFrame::kGeodetic) << " "
-       << config.data_loss << " " << config.origin.has_value();
+       << config.data_loss << " " << config.damaged << " "
+       << config.origin.has_value();
   if (config.origin) {
     line << " " << std::hexfloat << config.origin->latitude_degrees << " "
          << config.origin->longitude_degrees;
@@ -71,7 +74,7 @@ absl::StatusOr<VehicleConfig> PlainCodec::DecodeVehicle(
       !ReadDouble(stream, &config.engine.search.sequence_length_meters) ||
       !(stream >> config.engine.search.max_candidates >>
         config.engine.retention.max_passes >> max_age_ns >> is_geodetic >>
-        config.data_loss >> has_origin)) {
+        config.data_loss >> config.damaged >> has_origin)) {
     return Damaged();
   }
   if (max_age_ns > 0) config.engine.retention.max_age_ns = max_age_ns;
@@ -120,7 +123,11 @@ absl::StatusOr<DecodedBatch> PlainCodec::DecodeBatch(
       sample.pose.x -= batch.origin->longitude_degrees;
       sample.pose.y -= batch.origin->latitude_degrees;
     }
-    sample.stamp_ns = static_cast<std::int64_t>(sample.sequence) * kSecond;
+    std::int64_t seconds = 0;
+    if (!(stream >> seconds)) {
+      seconds = static_cast<std::int64_t>(sample.sequence);
+    }
+    sample.stamp_ns = seconds * kSecond;
     // Grows as dead reckoning's does.
     const double variance = 1e-4 * static_cast<double>(sample.sequence);
     sample.covariance(0, 0) = variance;
@@ -208,6 +215,12 @@ std::string StraightBatch(std::uint64_t first_sequence, std::uint64_t count) {
 }
 
 std::string SquareBatch(std::uint64_t first_sequence, std::uint64_t count) {
+  return SquareBatch(first_sequence, count, nullptr);
+}
+
+std::string SquareBatch(
+    std::uint64_t first_sequence, std::uint64_t count,
+    const std::function<std::int64_t(std::uint64_t)>& stamp) {
   constexpr double kQuarterTurn = 1.5707963267948966;
   std::string batch;
   for (std::uint64_t i = first_sequence; i < first_sequence + count; ++i) {
@@ -216,7 +229,8 @@ std::string SquareBatch(std::uint64_t first_sequence, std::uint64_t count) {
     const double heading = kQuarterTurn * static_cast<double>(side);
     const double corners[4][2] = {{0, 0}, {20, 0}, {20, 20}, {0, 20}};
     batch += Line(i, corners[side][0] + along * std::cos(heading),
-                  corners[side][1] + along * std::sin(heading), heading);
+                  corners[side][1] + along * std::sin(heading), heading,
+                  stamp ? std::make_optional(stamp(i)) : std::nullopt);
   }
   return batch;
 }

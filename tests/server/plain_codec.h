@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -14,7 +15,8 @@
 namespace revisit::server {
 
 // A vehicle is a line with some of its settings, a batch a line for each pose:
-// sequence, which is also its stamp in seconds, x, y, heading. Doubles are
+// sequence, x, y, heading, and the stamp in seconds where that is not the
+// sequence. Doubles are
 // written so that they read back exactly. For a geodetic vehicle x and y count
 // from the first pose, whose place is the origin's latitude and longitude.
 class PlainCodec : public RecordCodec {
@@ -46,8 +48,12 @@ std::string PlainBatch(std::uint64_t first_sequence,
 // `count` poses 1 m apart, x as the sequence.
 std::string StraightBatch(std::uint64_t first_sequence, std::uint64_t count);
 
-// `count` poses, 1 m apart, around and around a square of 20 m.
+// `count` poses, 1 m apart, around and around a square of 20 m. `stamp`: from
+// the sequence of a pose, in seconds.
 std::string SquareBatch(std::uint64_t first_sequence, std::uint64_t count);
+std::string SquareBatch(
+    std::uint64_t first_sequence, std::uint64_t count,
+    const std::function<std::int64_t(std::uint64_t)>& stamp);
 
 }  // namespace revisit::server
 

@@ -56,6 +56,12 @@ absl::Status BlockingWrites::DropSnapshot(VehicleKey key) {
   });
 }
 
+absl::Status BlockingWrites::Confirm(VehicleKey key) {
+  return Blocking([&](Storage::Done done) {
+    storage_->ConfirmOwned(key, std::move(done));
+  });
+}
+
 std::string SnapshotOf(Storage& storage, VehicleKey key) {
   const auto snapshot = storage.GetSnapshot(key);
   if (!snapshot.ok()) return "damaged";

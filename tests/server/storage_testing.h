@@ -47,6 +47,7 @@ class BlockingWrites {
                                const std::string& part);
   absl::Status PutSnapshot(VehicleKey key, const SnapshotRecord& snapshot);
   absl::Status DropSnapshot(VehicleKey key);
+  absl::Status Confirm(VehicleKey key);
   absl::Status DeletePair(VehicleKey key, PairKind kind, const std::string& id,
                           std::uint64_t revision);
 

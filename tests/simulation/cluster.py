@@ -296,18 +296,19 @@ class Cluster:
         server.drain(ended)
 
     def freeze(self, server, seconds):
-        """SIGSTOP; Envoy cuts the streams once its keepalive is not answered."""
+        """SIGSTOP. Envoy pings each connection now and then, and cuts it when no
+        answer comes; each vehicle has a connection of its own."""
         server.freeze(seconds)
-        if seconds > self.parameters.frozen_cut_s:
-            self.kernel.after(self.parameters.frozen_cut_s, self._cut, server)
+        p, random = self.parameters, self.kernel.random
+        for vehicle in self.vehicles.values():
+            until_ping = random.random() * p.ping_interval_s * (
+                1.0 + p.ping_jitter * random.random())
+            if seconds > until_ping + p.ping_timeout_s:
+                self.kernel.after(until_ping + p.ping_timeout_s, vehicle.cut, server)
 
     def freeze_at_commit(self, server, seconds):
         """The same between its next decision to append and the statement."""
         server.before_commit = lambda: self.freeze(server, seconds)
-
-    def _cut(self, server):
-        for vehicle in self.vehicles.values():
-            vehicle.cut(server)
 
     def fail_over(self, outage):
         """The primary dies; the standby is primary after `outage`."""

@@ -1,5 +1,6 @@
 """Envoy: the maglev table, health checks, and the owner that a client names."""
 
+import array
 import functools
 
 
@@ -11,24 +12,20 @@ def _mix(x):
     return x ^ (x >> 31)
 
 
-# Envoy's default. The larger, the evener a dead server's vehicles are divided.
-TABLE_SIZE = 65_537
-
-
 def hash_of(vehicle):
     return _mix(vehicle)
 
 
-@functools.lru_cache(maxsize=256)
+@functools.lru_cache(maxsize=64)
 def maglev(hosts, size):
     """The table of Eisenbud et al., "Maglev", 2016, section 3.4: host by slot.
     REQUIRES: hosts is a sorted tuple of numbers, size a prime."""
     if not hosts:
-        return ()
+        return array.array("h")
     steps = [(_mix(2 * host) % size, _mix(2 * host + 1) % (size - 1) + 1)
              for host in hosts]
     nexts = [0] * len(hosts)
-    table = [-1] * size
+    table = array.array("h", [-1]) * size
     filled = 0
     while True:
         for i, (offset, skip) in enumerate(steps):
@@ -40,7 +37,7 @@ def maglev(hosts, size):
             table[slot] = hosts[i]
             filled += 1
             if filled == size:
-                return tuple(table)
+                return table
 
 
 class Envoy:
@@ -82,8 +79,8 @@ class Envoy:
             return self._reach(named)
         if not self._healthy:
             return None
-        table = maglev(self._healthy, TABLE_SIZE)
-        return self._reach(table[hash_of(vehicle) % TABLE_SIZE])
+        size = int(self._p.table_size)
+        return self._reach(maglev(self._healthy, size)[hash_of(vehicle) % size])
 
     def _reach(self, i):
         return None if i in self.cut else self._servers[i]

@@ -1,7 +1,12 @@
 """All figures that the simulation is given, each with where it comes from."""
 
 import dataclasses
+import pathlib
+import re
 import typing
+
+_ENVOY = (pathlib.Path(__file__).resolve().parents[2] /
+          "deploy/cluster/envoy.yaml").read_text()
 
 
 class Figure(typing.NamedTuple):
@@ -10,12 +15,23 @@ class Figure(typing.NamedTuple):
     source: str
 
 
+
+def _of_envoy(pattern):
+    """The number at the group of the pattern, which has to be in the configuration of
+    Envoy that is shipped, once."""
+    found = re.findall(pattern, _ENVOY)
+    if len(found) != 1:
+        raise ValueError(f"deploy/cluster/envoy.yaml has {pattern!r} {len(found)} times")
+    return float(found[0])
+
+
 # The name of a figure that nobody measured, so that it can be searched for.
 ASSUMED = "assumed"
 _SCALE = ("measured 2026-11-22 on 2 cores that others used too, load 8 to 15, "
           "libpq ingest of real 64-pose rows")
 _BENCH = "tests/bench/RESULTS.md, tests/bench/run "
 _PROTOCOL = "the protocol"
+_CLUSTER = "deploy/cluster/envoy.yaml"
 
 FIGURES = {
     # The protocol.
@@ -36,11 +52,17 @@ FIGURES = {
     "backoff_jitter": Figure(0.5, "", "client/revisit/backoff.h"),
     "answer_timeout_s": Figure(60.0, "s", "client/revisit/pose_stream.h"),
     # Envoy.
-    "probe_interval_s": Figure(1.0, "s", "health_checks of Envoy's configuration"),
-    "probe_timeout_s": Figure(1.0, "s", "health_checks of Envoy's configuration"),
-    "unhealthy_after": Figure(2, "probes", "health_checks of Envoy's configuration"),
-    "frozen_cut_s": Figure(4.0, "s", "measured 2026-11-22, SIGSTOP of a server behind "
-                           "Envoy 1.40, keepalive 2 s + 1 s"),
+    "probe_interval_s": Figure(_of_envoy(r"\n      interval: (\d+)s\n"), "s", _CLUSTER),
+    "probe_timeout_s": Figure(_of_envoy(r"\n    - timeout: (\d+)s\n"), "s", _CLUSTER),
+    "unhealthy_after": Figure(_of_envoy(r" unhealthy_threshold: (\d+)\n"), "probes",
+                              _CLUSTER),
+    "ping_interval_s": Figure(_of_envoy(
+        r"# than every 10 s.\n +connection_keepalive: {interval: (\d+)s"), "s", _CLUSTER),
+    "ping_timeout_s": Figure(_of_envoy(
+        r"# than every 10 s.\n +connection_keepalive: {interval: \d+s, timeout: (\d+)s"),
+        "s", _CLUSTER),
+    "ping_jitter": Figure(0.15, "", "Envoy's default of interval_jitter"),
+    "table_size": Figure(_of_envoy(r"table_size: (\d+)}"), "slots", _CLUSTER),
     "hop_s": Figure(0.0005, "s", ASSUMED + ": one way within a data centre; Envoy adds "
                     "about as much (measured 2026-11-22: unary p50 1.1 -> 2.1 ms)"),
     # PostgreSQL.
@@ -69,12 +91,11 @@ FIGURES = {
     "snapshot_node_B": Figure(94.7, "B", _BENCH + "--fleet: graph; a snapshot is "
                               + ASSUMED + " to be as large"),
     "node_B": Figure(112.2, "B", _BENCH + "--fleet: as loaded"),
-    "ack_cpu_64_s": Figure(1.8e-6, "s", _BENCH + "--server: 8 vehicles, 64 a message"),
-    "ack_cpu_1_s": Figure(10.97e-6, "s", _BENCH + "--server: 8 vehicles, 1 a message"),
     "first_search_checks": Figure(50, "checks", "docs/limits.md: a first search after "
                                   "a load is as much as some fifty searches"),
     "fewest_asked": Figure(64, "vehicles", "server/storage/postgres/ask_pacing.h"),
     "server_cores": Figure(8, "cores", ASSUMED),
+    "envoy_cores": Figure(8, "cores", ASSUMED + ": of all Envoys of a cell together"),
     "server_memory_B": Figure(64e9, "B", ASSUMED),
     # The fleet.
     "vehicles": Figure(1_000_000, "", "the question"),
@@ -95,6 +116,16 @@ CHECK_S = {
     "fixes": ((1e3, 0.241e-3), (1e4, 0.302e-3), (1e5, 0.631e-3), (1e6, 0.631e-3)),
     # Streams that ask for no candidates.
     "none": ((1e3, 1e-12), (1e6, 1e-12)),
+}
+
+# CPU seconds of a message by messages a second, for (part, poses a message): what is
+# done once for whatever has come costs the less a message the more come.
+# Measured 2026-11-24 by tests/simulation/measure.py, two cores with a load of 15.
+MESSAGE_S = {
+    ("revisitd", 1): ((118, 612e-6), (606, 194e-6), (1253, 138e-6)),
+    ("Envoy", 1): ((118, 454e-6), (606, 147e-6), (1253, 114e-6)),
+    ("revisitd", 64): ((120, 605e-6), (399, 399e-6)),
+    ("Envoy", 64): ((120, 396e-6), (399, 269e-6)),
 }
 
 # Groups of real rows of 64 poses (columns: rows a commit, connections, thousand poses

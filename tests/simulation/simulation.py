@@ -60,6 +60,11 @@ def parameter_table():
                       value=" ".join(f"{1e3 * t:g}" for _, t in points),
                       source="tests/bench/RESULTS.md, tests/bench/run --core; at "
                       + " ".join(f"{n:g}" for n, _ in points) + " nodes")
+    for (part, poses), points in parameters.MESSAGE_S.items():
+        table.add(name=f"message of {poses}, {part}", unit="us",
+                  value=" ".join(f"{1e6 * t:g}" for _, t in points),
+                  source="tests/simulation/measure.py, 2026-11-24; at "
+                  + " ".join(f"{n:g}" for n, _ in points) + " messages a second")
     return table
 
 

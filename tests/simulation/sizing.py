@@ -8,15 +8,24 @@ import parameters
 import tables
 
 
-def check_seconds(nodes, model="reckoned"):
-    """One check on a history of so many nodes, between measured sizes by a power
-    law, beyond the largest by the last slope."""
-    points = parameters.CHECK_S[model]
-    for (n, t), (more, longer) in zip(points, points[1:]):
-        if nodes <= more:
+def between(points, x):
+    """y at x of measured points (x, y): between two by a power law, beyond the last by
+    its slope, before the first as there."""
+    for (x0, y0), (x1, y1) in zip(points, points[1:]):
+        if x <= x1:
             break
-    slope = math.log(longer / t) / math.log(more / n)
-    return t * (max(nodes, points[0][0]) / n) ** slope
+    slope = math.log(y1 / y0) / math.log(x1 / x0)
+    return y0 * (max(x, points[0][0]) / x0) ** slope
+
+
+def check_seconds(nodes, model="reckoned"):
+    """One check on a history of so many nodes."""
+    return between(parameters.CHECK_S[model], nodes)
+
+
+def message_seconds(part, poses, rate):
+    """CPU of this part for a message of so many poses, where so many come a second."""
+    return between(parameters.MESSAGE_S[part, poses], rate)
 
 
 class Fleet(typing.NamedTuple):
@@ -67,6 +76,7 @@ def paper(p):
 # Share of each resource's capacity that may be in use at the peak.
 ALLOWED = {
     "CPU of a server, acks": 0.6,
+    "CPU of Envoy": 0.6,
     "CPU of a server, checks": 0.6,
     "memory of a server": 0.8,
     "reload after a death, of 60 s": 1.0,
@@ -102,9 +112,12 @@ def shares(p, fleet):
                                      else p.wal_pose_64)
     day_disk = (fleet.vehicles / fleet.primaries * p.hours_a_day * 3600 * p.pose_hz
                 * (p.disk_row_1 if fleet.poses_a_row == 1 else p.disk_pose_80))
-    ack = p.ack_cpu_1_s if fleet.poses_a_row == 1 else p.ack_cpu_64_s
+    messages = per_server * p.pose_hz / fleet.poses_a_row
+    ack_s, envoy_s = (message_seconds(part, fleet.poses_a_row, messages)
+                      for part in ("revisitd", "Envoy"))
     return {
-        "CPU of a server, acks": per_server * p.pose_hz * ack / p.server_cores,
+        "CPU of a server, acks": messages * ack_s / p.server_cores,
+        "CPU of Envoy": messages * alive / fleet.primaries * envoy_s / p.envoy_cores,
         "CPU of a server, checks":
             per_server * p.speed_mps / p.check_m * check / p.server_cores,
         "memory of a server": per_server * nodes * p.node_B / p.server_memory_B,
@@ -151,6 +164,7 @@ def run(seeds, part):
         ("one primary, 1 day", one),
         ("the same, 1 pose a row", one._replace(poses_a_row=1)),
         ("cells, 1 day", cells),
+        ("that, 1 pose a row", cells._replace(poses_a_row=1)),
         ("cells, 7 days", cells._replace(days=7)),
         ("cells, 30 days", cells._replace(days=30)),
         ("9 % of 30 kept", cells._replace(days=30, kept=0.091)),

@@ -57,6 +57,15 @@ def test_checks_take_what_was_measured_and_lie_between_elsewhere():
     assert sizing.check_seconds(1e5, "fixes") == pytest.approx(0.631e-3)
 
 
+def test_messages_take_what_was_measured_and_less_the_more_come():
+    for (part, poses), points in parameters.MESSAGE_S.items():
+        for rate, seconds in points:
+            assert sizing.message_seconds(part, poses, rate) == pytest.approx(seconds)
+        rates = [1.0, 300.0, 1000.0, 5000.0]
+        costs = [sizing.message_seconds(part, poses, rate) for rate in rates]
+        assert costs == sorted(costs, reverse=True)
+
+
 def test_history_breaks_a_cell_before_its_rows_do():
     cells = sizing.Fleet(1e6, 100, 10, 1)
     used = sizing.shares(P, cells._replace(days=30))
@@ -166,14 +175,14 @@ def test_a_back_off_of_one_s_own_delays_what_retry_info_would_not(seed):
     assert longer["refusals a vehicle"] < rules["refusals a vehicle"]
 
 
-def test_a_server_that_slept_for_less_than_the_ttl_need_not_load_what_it_gave_up():
+def test_a_server_that_slept_for_about_the_ttl_need_not_load_what_it_gave_up():
     kept, anew = (
         [death.freeze(death.setup_of(seed, 10, 7, SMALL, Policy(
-                keep_graph=keep, paced_handovers=False)), 7.0)
+                keep_graph=keep, paced_handovers=False)), 9.0)
          for seed in SEEDS] for keep in (True, False))
     assert all(result["waiting"] == 0 for result in kept)
-    assert sum(result["gap p50"] for result in kept) < 0.7 * sum(
-        result["gap p50"] for result in anew)
+    assert sum(result["gap most"] for result in kept) < 0.8 * sum(
+        result["gap most"] for result in anew)
 
 
 # -- Restarts
@@ -303,7 +312,7 @@ def test_every_figure_says_where_it_comes_from():
         assert figure.source, name
         assert any(word in figure.source for word in (
             "measured", parameters.ASSUMED, "RESULTS.md", "the protocol", "client/",
-            "proto/", "server/", "docs/", "Envoy", "question")), name
+            "proto/", "server/", "docs/", "deploy/", "Envoy", "question")), name
 
 
 def test_the_command_prints_what_it_is_asked_for_and_refuses_the_rest():

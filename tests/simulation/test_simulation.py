@@ -22,6 +22,7 @@ import server as servers
 
 SEEDS = (1, 2, 3)
 P = parameters.Parameters()
+TABLE_SIZE = int(P.table_size)
 
 
 def mean_wait(seed, places, arrivals, service, count=60_000):
@@ -115,7 +116,7 @@ def test_equal_seeds_give_equal_runs_and_others_do_not():
 
 
 def test_maglev_gives_every_host_about_the_same_share():
-    table = edge.maglev(tuple(range(10)), edge.TABLE_SIZE)
+    table = edge.maglev(tuple(range(10)), TABLE_SIZE)
     counts = [table.count(host) for host in range(10)]
     assert max(counts) <= min(counts) + 1
 
@@ -123,7 +124,7 @@ def test_maglev_gives_every_host_about_the_same_share():
 def test_maglev_moves_little_beside_what_has_to_move():
     # 2 -> 3 hosts with 400 vehicles moved 132 in the trial with Envoy 1.40, none of
     # them between old hosts; the paper promises few, not none.
-    size = edge.TABLE_SIZE
+    size = TABLE_SIZE
     two, three = edge.maglev((0, 1), size), edge.maglev((0, 1, 2), size)
     slots = [edge.hash_of(vehicle) % size for vehicle in range(10_000)]
     to_new = sum(three[slot] == 2 for slot in slots)
@@ -230,6 +231,22 @@ def test_a_vehicle_is_handed_over_no_sooner_than_it_was_held():
     for times in cell.oracle.owned_at.values():
         for (before, _), (after, _) in zip(times, times[1:]):
             assert after - before >= P.hold_s
+
+
+def test_envoy_cuts_the_streams_of_a_server_that_hangs_as_their_pings_go_unanswered():
+    cell = cluster.Cluster(small(1))
+    begun = cell.kernel.now
+    cuts = []
+    for vehicle in cell.vehicles.values():
+        vehicle.cut = lambda server, cut=vehicle.cut: (
+            cuts.append(cell.kernel.now - begun), cut(server))
+    cell.freeze(cell.servers[0], 20.0)
+    cell.run(60.0)
+    longest = P.ping_interval_s * (1.0 + P.ping_jitter) + P.ping_timeout_s
+    assert len(cuts) == len(cell.vehicles)
+    assert P.ping_timeout_s <= min(cuts) < max(cuts) <= longest
+    assert statistics.mean(cuts) == pytest.approx(
+        P.ping_timeout_s + 0.5 * P.ping_interval_s, rel=0.15)
 
 
 def test_a_server_that_slept_for_longer_than_its_lease_joins_anew():

@@ -14,6 +14,7 @@
 #include "client/cli/trajectory/local_pose.h"
 #include "client/cli/trajectory/stored_poses.h"
 #include "client/cli/trajectory/trajectory_text.h"
+#include "client/revisit/printable_text.h"
 
 namespace revisit::client {
 namespace {
@@ -144,19 +145,20 @@ absl::Status ExportG2o(const Client& client, const v1::Vehicle& vehicle,
   if (!poses.ok()) return poses;
   writer.AddClosures();
   const G2oWriter::Counts& counts = writer.counts();
-  console.progress << vehicle.name() << ": revision " << vehicle.revision()
+  const std::string name = Printable(vehicle.name());
+  console.progress << name << ": revision " << vehicle.revision()
                    << ", poses: " << counts.poses << ", jumps: " << counts.jumps
                    << ", loop closures: " << counts.closures
                    << ", without a measurement: " << counts.unmeasured_closures
                    << '\n';
   if (counts.gaps > 0) {
-    console.progress << vehicle.name() << ": " << counts.gaps
+    console.progress << name << ": " << counts.gaps
                      << " steps lead over dropped poses; their edges are as "
                         "uncertain as both ends\n";
   }
   if (counts.raised > 0) {
     console.progress
-        << vehicle.name() << ": the covariances of " << counts.raised
+        << name << ": the covariances of " << counts.raised
         << " poses grow by less than 1 mm or 0.1 mrad from the pose before; "
            "their edges have that much\n";
   }

@@ -10,6 +10,8 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
 #include "client/cli/names.h"
+#include "client/cli/pages.h"
+#include "client/revisit/printable_text.h"
 #include "google/protobuf/util/time_util.h"
 #include "nlohmann/json.hpp"
 
@@ -64,16 +66,21 @@ struct Rejections {
 template <typename Kind>
 absl::StatusOr<typename Kind::List> ListAll(const Client& client,
                                             const std::string& vehicle) {
-  typename Kind::List all;
-  typename Kind::ListRequest request;
+  using List = typename Kind::List;
+  using ListRequest = typename Kind::ListRequest;
+  List all;
+  ListRequest request;
   request.set_parent(VehicleName(vehicle));
   request.set_page_size(1000);
-  do {
-    auto page = Kind::Page(client, request);
-    if (!page.ok()) return page.status();
-    Kind::MutableItems(&all)->MergeFrom(Kind::Items(*page));
-    request.set_page_token(page->next_page_token());
-  } while (!request.page_token().empty());
+  const absl::Status status = VisitPages(
+      request,
+      [&](const ListRequest& asked) { return Kind::Page(client, asked); },
+      [](const List& page) -> const auto& { return Kind::Items(page); },
+      [&](const List& page) -> absl::StatusOr<bool> {
+        Kind::MutableItems(&all)->MergeFrom(Kind::Items(page));
+        return true;
+      });
+  if (!status.ok()) return status;
   return all;
 }
 
@@ -152,7 +159,8 @@ absl::StatusOr<std::string> NameOfPair(const Client& client,
   return WithHint(
       absl::FailedPreconditionError(absl::StrCat(
           VehicleName(finding.vehicle), " has ", names.size(), " ", pair)),
-      absl::StrCat("name one by its id: ", absl::StrJoin(names, ", ")));
+      absl::StrCat("name one by its id: ",
+                   Printable(absl::StrJoin(names, ", "))));
 }
 
 template <typename Kind>
@@ -176,9 +184,9 @@ absl::Status RunDelete(const Client& client, const FindingReference& finding,
     nlohmann::ordered_json json;
     json["name"] = request.name();
     json["revision"] = response->revision();
-    console.out << json.dump(1) << '\n';
+    console.out << JsonText(json, true) << '\n';
   } else {
-    console.out << "deleted " << request.name() << ", revision "
+    console.out << "deleted " << Printable(request.name()) << ", revision "
                 << response->revision() << '\n';
   }
   return absl::OkStatus();

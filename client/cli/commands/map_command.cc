@@ -9,6 +9,7 @@
 #include "client/cli/map/map_svg.h"
 #include "client/cli/names.h"
 #include "client/cli/output_file.h"
+#include "client/revisit/printable_text.h"
 
 namespace revisit::client {
 
@@ -106,7 +107,7 @@ absl::Status RunMap(const Client& client, const MapOptions& options,
         return CheckOutput(out);
       });
   if (!written.ok()) return written;
-  std::string report = absl::StrCat(map->vehicle.name(), ": ",
+  std::string report = absl::StrCat(Printable(map->vehicle.name()), ": ",
                                     map->contents.checks.size(), " searches");
   for (const MapStyle& style : map->contents.styles) {
     absl::StrAppend(&report, ", ", style.label);

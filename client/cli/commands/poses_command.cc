@@ -2,10 +2,13 @@
 
 #include <algorithm>
 #include <memory>
+#include <optional>
 
 #include "absl/strings/str_cat.h"
 #include "client/cli/commands/shared_flags.h"
 #include "client/cli/names.h"
+#include "client/cli/output_file.h"
+#include "client/cli/pages.h"
 #include "google/protobuf/util/time_util.h"
 
 namespace revisit::client {
@@ -118,23 +121,27 @@ absl::Status RunPosesList(const Client& client, const PosesListOptions& options,
   request.set_first_sequence(options.from);
   request.set_page_size(static_cast<std::int32_t>(
       std::min(kPage - 1, options.to - options.from) + 1));
-  auto page = client.ListPoses(request);
-  // Before anything is printed.
-  if (!page.ok()) return page.status();
-  PosePrinter printer(console);
-  for (;;) {
-    printer.Print(*page, options.to);
-    if (!console.out.good()) {
-      return LocalError(absl::UnknownError("the output cannot be written"));
-    }
-    const bool reached = !page->poses().empty() &&
-                         page->poses().rbegin()->sequence() >= options.to;
-    if (reached || page->next_page_token().empty()) break;
-    request.set_page_token(page->next_page_token());
-    page = client.ListPoses(request);
-    if (!page.ok()) return page.status();
-  }
-  printer.Finish();
+  // Made for the first page, so that an error before it stands alone.
+  std::optional<PosePrinter> printer;
+  const absl::Status status = VisitPages(
+      request,
+      [&](const v1::ListPosesRequest& asked) {
+        return client.ListPoses(asked);
+      },
+      [](const v1::ListPosesResponse& page) -> const auto& {
+        return page.poses();
+      },
+      [&](const v1::ListPosesResponse& page) -> absl::StatusOr<bool> {
+        if (!printer.has_value()) printer.emplace(console);
+        printer->Print(page, options.to);
+        if (absl::Status output = CheckOutput(console.out); !output.ok()) {
+          return output;
+        }
+        return page.poses().empty() ||
+               page.poses().rbegin()->sequence() < options.to;
+      });
+  if (!status.ok()) return status;
+  printer->Finish();
   return absl::OkStatus();
 }
 

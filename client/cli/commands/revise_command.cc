@@ -11,6 +11,7 @@
 #include "client/cli/names.h"
 #include "client/cli/trajectory/local_pose.h"
 #include "client/cli/trajectory/stored_poses.h"
+#include "client/revisit/printable_text.h"
 
 namespace revisit::client {
 namespace {
@@ -271,8 +272,8 @@ absl::Status RunRevise(const Client& client, const ReviseOptions& options,
     console.out << ToJson(*revised, true) << '\n';
   } else {
     console.out << "revised " << revised->revised_count() << " poses of "
-                << vehicle->name() << ", revision " << revised->revision()
-                << '\n';
+                << Printable(vehicle->name()) << ", revision "
+                << revised->revision() << '\n';
     if (const std::int64_t dropped = *missing + revised->dropped_count();
         dropped > 0) {
       console.out << dropped << " of the file are kept no longer\n";

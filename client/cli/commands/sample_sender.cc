@@ -8,6 +8,7 @@
 #include "client/cli/names.h"
 #include "client/cli/trajectory/local_pose.h"
 #include "client/revisit/client.h"
+#include "client/revisit/printable_text.h"
 #include "grpcpp/channel.h"
 
 namespace revisit::client {
@@ -218,10 +219,11 @@ void SampleSender::ChooseUncertainty(const Sample& first) {
   if (uncertainty.source == UncertaintyOptions::Source::kFixes &&
       vehicle_.settings().correlation_model() ==
           v1::CORRELATION_MODEL_DEAD_RECKONING) {
-    console_.progress << vehicle_.name()
+    const std::string name = Printable(vehicle_.name());
+    console_.progress << name
                       << " takes errors as those of dead reckoning, and fixes "
                          "have independent ones: revisit vehicle update "
-                      << vehicle_.name().substr(vehicle_.name().find('/') + 1)
+                      << name.substr(name.find('/') + 1)
                       << " --correlation-model independent\n";
   }
 }

@@ -80,7 +80,7 @@ void PrintJson(const GraphSummary& graph, std::ostream& out) {
     json["positionSigmaMeters"] = sigmas.position;
     json["headingSigmaRadians"] = sigmas.heading;
   }
-  out << json.dump(1) << '\n';
+  out << JsonText(json, true) << '\n';
 }
 
 std::string Range(double lowest, double highest) {

@@ -16,6 +16,7 @@
 #include "client/cli/names.h"
 #include "client/formats/text_lines.h"
 #include "client/revisit/pose_stream.h"
+#include "client/revisit/printable_text.h"
 #include "client/revisit/status.h"
 #include "core/base/mutex.h"
 #include "grpcpp/channel.h"
@@ -47,7 +48,7 @@ PoseStreamCallbacks MakeCallbacks(Tally* tally, Progress* progress,
       progress->Note(JumpText(jump));
     }
     for (const v1::Warning& warning : ack.warnings()) {
-      progress->Note(absl::StrCat("warning: ", warning.message()));
+      progress->Note(absl::StrCat("warning: ", Printable(warning.message())));
     }
   };
   callbacks.candidates = [tally, &console](const v1::CandidateSet& set) {
@@ -96,7 +97,7 @@ void PrintJson(const Summary& summary, std::ostream& out) {
   json["reconnects"] = summary.reconnects;
   json["seconds"] = summary.seconds;
   if (summary.checks.has_value()) json["checks"] = *summary.checks;
-  out << json.dump() << '\n';
+  out << JsonText(json, false) << '\n';
 }
 
 void PrintText(const Summary& summary, std::ostream& out) {

@@ -3,6 +3,7 @@
 #include <chrono>
 
 #include "absl/strings/str_cat.h"
+#include "client/revisit/printable_text.h"
 
 namespace revisit::client {
 namespace {
@@ -30,7 +31,8 @@ absl::Status WithDurable(const absl::Status& status, const std::string& vehicle,
                          const PoseStream& stream, bool appended) {
   if (status.ok()) return status;
   const std::uint64_t durable = stream.acked_sequence();
-  const std::string uid = stream.vehicle_uid();
+  const std::string uid = Printable(stream.vehicle_uid());
+  const std::string name = Printable(vehicle);
   const char* const again =
       appended ? "all its recordings in order, without --append, go on behind "
                  "them"
@@ -38,12 +40,12 @@ absl::Status WithDurable(const absl::Status& status, const std::string& vehicle,
   return WithHint(
       status,
       durable == 0
-          ? absl::StrCat("no pose of ", vehicle,
+          ? absl::StrCat("no pose of ", name,
                          " is known to be durable; the same command again "
                          "begins with the first")
-          : absl::StrCat("poses 1 to ", durable, " of ", vehicle,
-                         " are durable; ", again, " (with --acked-sequence ",
-                         durable, " --vehicle-uid ", uid,
+          : absl::StrCat("poses 1 to ", durable, " of ", name, " are durable; ",
+                         again, " (with --acked-sequence ", durable,
+                         " --vehicle-uid ", uid,
                          " it fails if they are lost)"));
 }
 

@@ -10,6 +10,8 @@
 #include "absl/strings/str_cat.h"
 #include "client/cli/commands/vehicle_settings.h"
 #include "client/cli/names.h"
+#include "client/cli/pages.h"
+#include "client/revisit/printable_text.h"
 #include "google/protobuf/descriptor.h"
 #include "google/protobuf/util/time_util.h"
 #include "nlohmann/json.hpp"
@@ -323,12 +325,19 @@ absl::Status RunVehicleList(const Client& client, const Console& console) {
   v1::ListVehiclesResponse all;
   v1::ListVehiclesRequest request;
   request.set_page_size(1000);
-  do {
-    const auto page = client.ListVehicles(request);
-    if (!page.ok()) return page.status();
-    all.mutable_vehicles()->MergeFrom(page->vehicles());
-    request.set_page_token(page->next_page_token());
-  } while (!request.page_token().empty());
+  const absl::Status listed = VisitPages(
+      request,
+      [&](const v1::ListVehiclesRequest& asked) {
+        return client.ListVehicles(asked);
+      },
+      [](const v1::ListVehiclesResponse& page) -> const auto& {
+        return page.vehicles();
+      },
+      [&](const v1::ListVehiclesResponse& page) -> absl::StatusOr<bool> {
+        all.mutable_vehicles()->MergeFrom(page.vehicles());
+        return true;
+      });
+  if (!listed.ok()) return listed;
   if (console.json) {
     console.out << ToJson(all, true) << '\n';
     return absl::OkStatus();
@@ -371,11 +380,10 @@ absl::Status RunVehicleDelete(const Client& client,
     const auto response = client.DeleteVehicle(request);
     if (!response.ok()) return response.status();
     deleted.push_back(name);
-    if (!console.json) console.out << "deleted " << name << '\n';
+    if (!console.json) console.out << "deleted " << Printable(name) << '\n';
   }
   if (console.json) {
-    console.out << nlohmann::ordered_json({{"deleted", deleted}}).dump(1)
-                << '\n';
+    console.out << JsonText({{"deleted", deleted}}, true) << '\n';
   }
   return absl::OkStatus();
 }

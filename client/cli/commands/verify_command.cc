@@ -4,6 +4,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/cli/names.h"
+#include "client/revisit/printable_text.h"
 #include "client/revisit/status.h"
 
 namespace revisit::client {
@@ -50,8 +51,8 @@ void Print(const char* done, const std::string& name, const Response& response,
   if (console.json) {
     console.out << ToJson(response, true) << '\n';
   } else {
-    console.out << done << " " << name << ", revision " << response.revision()
-                << '\n';
+    console.out << done << " " << Printable(name) << ", revision "
+                << response.revision() << '\n';
   }
 }
 

@@ -12,8 +12,8 @@
 #include "client/cli/evaluation/baselines.h"
 #include "client/cli/names.h"
 #include "client/revisit/pose_stream.h"
+#include "client/revisit/printable_text.h"
 #include "client/revisit/status.h"
-#include "google/protobuf/util/time_util.h"
 #include "grpcpp/channel.h"
 
 namespace revisit::client {
@@ -51,9 +51,8 @@ absl::StatusOr<CheckAnswer> MakeAnswer(const v1::CandidateSet& set) {
   CheckAnswer answer;
   answer.query = set.query().index();
   answer.search_milliseconds =
-      1e-6 * static_cast<double>(
-                 google::protobuf::util::TimeUtil::DurationToNanoseconds(
-                     set.search_duration()));
+      1e3 * static_cast<double>(set.search_duration().seconds()) +
+      1e-6 * static_cast<double>(set.search_duration().nanos());
   for (const v1::Candidate& given : set.candidates()) {
     const auto verdict = ToVerdict(given.verdict());
     if (!verdict.ok()) return verdict.status();
@@ -118,9 +117,9 @@ class Evaluator {
   const absl::Status& broken() const { return broken_; }
 
   void ReportAnotherAttempt() {
-    progress_.Note(
-        absl::StrCat("the connection broke (", broken_.message(),
-                     "); the drive is streamed again from its start"));
+    progress_.Note(absl::StrCat(
+        "the connection broke (", Printable(std::string(broken_.message())),
+        "); the drive is streamed again from its start"));
   }
 
   absl::StatusOr<DriveResult> Run(const v1::Vehicle& vehicle) {

@@ -176,10 +176,7 @@ absl::Status CheckGeodetic(const v1::Vehicle& vehicle) {
 }
 
 void WriteGeoJson(const ServerMap& map, std::ostream& out) {
-  // Display names may be any bytes.
-  out << GeoJson(map).Collection().dump(-1, ' ', false,
-                                        Json::error_handler_t::replace)
-      << '\n';
+  out << JsonText(GeoJson(map).Collection(), false) << '\n';
 }
 
 }  // namespace revisit::client

@@ -8,6 +8,7 @@
 #include "client/cli/exact_text.h"
 #include "client/cli/map/map_page.h"
 #include "client/cli/map/svg.h"
+#include "client/revisit/printable_text.h"
 #include "nlohmann/json.hpp"
 
 namespace revisit::client {
@@ -84,15 +85,15 @@ Json PairsJson(const std::vector<MapPair>& pairs) {
   for (const MapPair& pair : pairs) {
     json.push_back({{"query", pair.query},
                     {"matched", pair.matched},
-                    {"name", pair.name},
-                    {"note", pair.note}});
+                    {"name", Printable(pair.name)},
+                    {"note", PrintableLines(pair.note)}});
   }
   return json;
 }
 
 Json ContentsJson(const MapContents& contents) {
   Json json;
-  json["title"] = contents.title;
+  json["title"] = Printable(contents.title);
   json["subtitle"] = contents.subtitle;
   json["colors"] = {{"estimate", kMapEstimate},
                     {"truth", kMapTruth},

@@ -11,6 +11,7 @@
 #include "client/cli/candidate_text.h"
 #include "client/cli/names.h"
 #include "client/cli/trajectory/stored_poses.h"
+#include "client/revisit/backoff.h"
 #include "client/revisit/status.h"
 
 namespace revisit::client {
@@ -130,9 +131,14 @@ std::vector<std::size_t> CheckNodes(const std::vector<MapNode>& nodes,
   return checks;
 }
 
-// One search, again as often as the server asks to wait.
+// How long one search may be put off by the server.
+constexpr std::chrono::minutes kLongestDelay{5};
+
+// One search, again as often as the server asks to wait within that time.
 absl::StatusOr<v1::CandidateSet> Search(
     const Client& client, const v1::FindCandidatesRequest& request) {
+  const auto give_up = Clock::now() + kLongestDelay;
+  Backoff backoff(BackoffOptions(), BackoffSeed());
   for (;;) {
     const auto response = client.FindCandidates(request);
     if (response.ok()) return response->candidates();
@@ -142,11 +148,13 @@ absl::StatusOr<v1::CandidateSet> Search(
       set.set_empty_reason(v1::EMPTY_REASON_LIMIT_EXCEEDED);
       return set;
     }
-    const auto wait = DetailsOf(response.status()).retry_delay;
-    if (!absl::IsResourceExhausted(response.status()) || !wait.has_value()) {
+    const auto asked = DetailsOf(response.status()).retry_delay;
+    if (!absl::IsResourceExhausted(response.status()) || !asked.has_value()) {
       return response.status();
     }
-    std::this_thread::sleep_for(*wait);
+    const auto wait = backoff.Next(asked);
+    if (Clock::now() + wait >= give_up) return response.status();
+    std::this_thread::sleep_for(wait);
   }
 }
 

@@ -1,6 +1,7 @@
 #include "client/cli/map/svg.h"
 
 #include "client/cli/console.h"
+#include "client/revisit/printable_text.h"
 
 namespace revisit::client {
 
@@ -13,7 +14,7 @@ std::string SvgNumber(double value) {
 
 std::string SvgEscaped(const std::string& text) {
   std::string escaped;
-  for (const char c : text) {
+  for (const char c : Printable(text)) {
     switch (c) {
       case '&':
         escaped += "&amp;";

@@ -21,7 +21,8 @@ inline constexpr char kMapRejection[] = "#b0306a";
 // At most two digits after the point, without trailing zeros.
 std::string SvgNumber(double value);
 
-// Escapes text for use between tags and in attributes.
+// Escapes text for use between tags and in attributes, and makes it
+// Printable(): XML has no control characters at all.
 std::string SvgEscaped(const std::string& text);
 
 // Begins a document of this size with a title and a white ground.

@@ -46,11 +46,14 @@ StateMatrix StateCovariance(const v1::Covariance& covariance) {
   // The rows of the state among those of the form.
   constexpr int kPlanar[3] = {0, 1, 3};
   constexpr int kRos[4] = {0, 1, 2, 5};
-  const auto& values = covariance.values();
+  // A server may send fewer numbers than the form has.
+  const auto value = [&covariance](int i) {
+    return i < covariance.values_size() ? covariance.values(i) : 0.0;
+  };
   Matrix4 m = Matrix4::Zero();
   if (covariance.form() == v1::COVARIANCE_FORM_ROS_36) {
     for (int r = 0; r < 4; ++r) {
-      for (int c = 0; c < 4; ++c) m(r, c) = values[6 * kRos[r] + kRos[c]];
+      for (int c = 0; c < 4; ++c) m(r, c) = value(6 * kRos[r] + kRos[c]);
     }
     return ToArray(m);
   }
@@ -61,7 +64,7 @@ StateMatrix StateCovariance(const v1::Covariance& covariance) {
     for (int c = r; c < size; ++c, ++next) {
       const int row = planar ? kPlanar[r] : r;
       const int column = planar ? kPlanar[c] : c;
-      m(row, column) = m(column, row) = values[next];
+      m(row, column) = m(column, row) = value(next);
     }
   }
   return ToArray(m);

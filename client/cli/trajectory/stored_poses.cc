@@ -1,5 +1,7 @@
 #include "client/cli/trajectory/stored_poses.h"
 
+#include "client/cli/pages.h"
+
 namespace revisit::client {
 
 absl::Status VisitPoses(
@@ -9,15 +11,20 @@ absl::Status VisitPoses(
   v1::ListPosesRequest request;
   request.set_parent(vehicle);
   request.set_page_size(kPagePoses);
-  do {
-    const auto page = client.ListPoses(request);
-    if (!page.ok()) return page.status();
-    for (const v1::Pose& pose : page->poses()) {
-      if (absl::Status status = visit(pose); !status.ok()) return status;
-    }
-    request.set_page_token(page->next_page_token());
-  } while (!request.page_token().empty());
-  return absl::OkStatus();
+  return VisitPages(
+      request,
+      [&](const v1::ListPosesRequest& asked) {
+        return client.ListPoses(asked);
+      },
+      [](const v1::ListPosesResponse& page) -> const auto& {
+        return page.poses();
+      },
+      [&](const v1::ListPosesResponse& page) -> absl::StatusOr<bool> {
+        for (const v1::Pose& pose : page.poses()) {
+          if (absl::Status status = visit(pose); !status.ok()) return status;
+        }
+        return true;
+      });
 }
 
 absl::StatusOr<std::vector<v1::LoopClosure>> ReadLoopClosures(
@@ -27,13 +34,20 @@ absl::StatusOr<std::vector<v1::LoopClosure>> ReadLoopClosures(
   v1::ListLoopClosuresRequest request;
   request.set_parent(vehicle);
   request.set_page_size(kPageSize);
-  do {
-    const auto page = client.ListLoopClosures(request);
-    if (!page.ok()) return page.status();
-    all.insert(all.end(), page->loop_closures().begin(),
-               page->loop_closures().end());
-    request.set_page_token(page->next_page_token());
-  } while (!request.page_token().empty());
+  const absl::Status status = VisitPages(
+      request,
+      [&](const v1::ListLoopClosuresRequest& asked) {
+        return client.ListLoopClosures(asked);
+      },
+      [](const v1::ListLoopClosuresResponse& page) -> const auto& {
+        return page.loop_closures();
+      },
+      [&](const v1::ListLoopClosuresResponse& page) -> absl::StatusOr<bool> {
+        all.insert(all.end(), page.loop_closures().begin(),
+                   page.loop_closures().end());
+        return true;
+      });
+  if (!status.ok()) return status;
   return all;
 }
 
@@ -44,13 +58,21 @@ absl::StatusOr<std::vector<v1::RejectedCandidate>> ReadRejectedCandidates(
   v1::ListRejectedCandidatesRequest request;
   request.set_parent(vehicle);
   request.set_page_size(kPageSize);
-  do {
-    const auto page = client.ListRejectedCandidates(request);
-    if (!page.ok()) return page.status();
-    all.insert(all.end(), page->rejected_candidates().begin(),
-               page->rejected_candidates().end());
-    request.set_page_token(page->next_page_token());
-  } while (!request.page_token().empty());
+  const absl::Status status = VisitPages(
+      request,
+      [&](const v1::ListRejectedCandidatesRequest& asked) {
+        return client.ListRejectedCandidates(asked);
+      },
+      [](const v1::ListRejectedCandidatesResponse& page) -> const auto& {
+        return page.rejected_candidates();
+      },
+      [&](const v1::ListRejectedCandidatesResponse& page)
+          -> absl::StatusOr<bool> {
+        all.insert(all.end(), page.rejected_candidates().begin(),
+                   page.rejected_candidates().end());
+        return true;
+      });
+  if (!status.ok()) return status;
   return all;
 }
 

@@ -18,7 +18,8 @@ from revisit.backoff import Backoff, BackoffOptions
 from revisit.channel import (
     Caller, ChannelOptions, Channels, PathLike, owner_route, stub_of)
 from revisit.errors import (
-    Error, ResourceExhausted, Unavailable, from_rpc_error, is_cut, was_elsewhere)
+    Error, Internal, ResourceExhausted, Unavailable, from_rpc_error, is_cut,
+    was_elsewhere)
 from revisit.pose_stream import PoseStream, PosesLike
 from revisit.stream_options import StreamCallbacks, StreamOptions
 from revisit.tables import Table, edge_table, node_table
@@ -37,6 +38,8 @@ _REVISED_POSES = 1000
 #: Poses and pairs on a page of a list.
 _POSES_PAGE = 10_000
 _PAGE = 1000
+#: Empty pages that may follow each other. The service sends none before the last.
+_MOST_EMPTY_PAGES = 100
 
 
 @dataclasses.dataclass(frozen=True)
@@ -185,12 +188,29 @@ class Client:
             time.sleep(wait)
             count += 1
 
-    def _pages(self, method: str, request: Any, field: str) -> Iterator[Any]:
+    def _pages(self, method: str, request: Any, field: str, order: str = "name"
+               ) -> Iterator[Any]:
+        """What is on all pages of a list, which is ordered by that field. Internal if
+        it does not go on in that order, as when the server sends a page again, or
+        consists of empty pages: it might never end."""
+        last = None
+        empty_pages = 0
         while True:
             page = self.call(method, request)
-            yield from getattr(page, field)
+            items = getattr(page, field)
+            for item in items:
+                key = getattr(item, order)
+                if last is not None and key <= last:
+                    raise Internal(f"the server's list does not go on: {key} comes "
+                                   f"after {last}")
+                last = key
+                yield item
             if not page.next_page_token:
                 return
+            empty_pages = 0 if items else empty_pages + 1
+            if empty_pages > _MOST_EMPTY_PAGES:
+                raise Internal(f"the server's list does not go on: {empty_pages} empty "
+                               "pages follow each other, and each names another")
             request.page_token = page.next_page_token
 
     # Vehicles.
@@ -263,7 +283,7 @@ class Client:
         request = v1.ListPosesRequest(
             parent=vehicle_name(vehicle), page_size=_POSES_PAGE,
             first_sequence=first_sequence)
-        return self._pages("ListPoses", request, "poses")
+        return self._pages("ListPoses", request, "poses", order="sequence")
 
     def poses(self, vehicle: str, first_sequence: int = 1) -> Poses:
         """Stored poses as arrays."""

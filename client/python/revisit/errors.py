@@ -16,6 +16,12 @@ import grpc
 from google.protobuf.message import DecodeError
 from google.rpc import error_details_pb2, status_pb2
 
+from revisit._text import printable
+
+#: The longest wait, in seconds, that is taken over from a server. One that asks for
+#: more, by mistake or malice, is asked again after so long.
+LONGEST_RETRY_DELAY = 300.0
+
 _DETAILS_KEY = "grpc-status-details-bin"
 
 
@@ -56,8 +62,8 @@ class Error(Exception):
     #: Every field that is wrong.
     field_violations: tuple[FieldViolation, ...]
     quota_violations: tuple[QuotaViolation, ...]
-    #: How many seconds to wait at least before trying again; None where the
-    #: server says nothing of it.
+    #: How many seconds to wait at least before trying again, between 0 and
+    #: LONGEST_RETRY_DELAY; None where the server says nothing of it.
     retry_delay: Optional[float]
     #: Names the call in the server's log. Empty if it is not known.
     request_id: str
@@ -81,12 +87,14 @@ class Error(Exception):
             self.code = code
 
     def __str__(self) -> str:
+        """Fit for a terminal: a control character or an invisible one in what the
+        server said is shown by its number, "<U+001B>"."""
         text = self.code.name
         if self.reason:
-            text += f" ({self.reason})"
-        text += f": {self.message}"
+            text += f" ({printable(self.reason)})"
+        text += f": {printable(self.message)}"
         for violation in self.field_violations:
-            line = f"{violation.field}: {violation.description}"
+            line = printable(f"{violation.field}: {violation.description}")
             # The server's messages contain the first violation themselves.
             if line not in text:
                 text += f"\n  {line}"
@@ -224,8 +232,8 @@ def from_rpc_error(error: Any, request_id: str = "") -> Error:
                 QuotaViolation(one.subject, one.description)
                 for one in quota.violations)
         elif detail.Unpack(retry) and retry.HasField("retry_delay"):
-            found["retry_delay"] = (retry.retry_delay.seconds
-                                    + retry.retry_delay.nanos * 1e-9)
+            asked = retry.retry_delay.seconds + retry.retry_delay.nanos * 1e-9
+            found["retry_delay"] = min(max(asked, 0.0), LONGEST_RETRY_DELAY)
     code = error.code()
     made = _CLASSES_BY_REASON.get(found.get("reason", ""),
                                   _CLASSES.get(code, Error))

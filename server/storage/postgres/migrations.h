@@ -22,6 +22,9 @@
 //                        as in sqlite_storage.h; triggers remove the snapshot
 //                        of a vehicle with the vehicle, and when a batch of it
 //                        is revised or removed
+// and since version 3 in `servers`:
+//   vehicles             how many it owned at its last beat; 0 of a server of
+//                        the version before
 // Rows have the format versions and checksums of record_checksum.h, except
 // those of heads: they are compared with the last batch whenever a vehicle is
 // read.
@@ -36,10 +39,10 @@
 
 namespace revisit::server {
 
-inline constexpr int kSchemaVersion = 2;
-inline constexpr int kOldestSchemaVersion = 1;
-// The version that brought snapshots.
-inline constexpr int kSnapshotsSinceVersion = 2;
+inline constexpr int kSchemaVersion = 3;
+inline constexpr int kOldestSchemaVersion = 2;
+// The version that brought servers.vehicles.
+inline constexpr int kVehicleCountsSinceVersion = 3;
 
 // The version of the tables. FAILED_PRECONDITION if this program does not know
 // them; the message says what to run.

@@ -41,12 +41,21 @@ constexpr Statement kBeat = {
     "beat",
     "UPDATE servers SET beat = beat + 1 WHERE incarnation = $1::uuid AND "
     "state = 'live' RETURNING beat"};
+// Brings how many vehicles the server owns: to count them in `heads` is to read
+// all of them, however many servers there are.
+constexpr Statement kCountingBeat = {
+    "counting_beat",
+    "UPDATE servers SET beat = beat + 1, vehicles = $2::int8 "
+    "WHERE incarnation = $1::uuid AND state = 'live' RETURNING beat"};
 constexpr Statement kLeave = {
     "leave", "UPDATE servers SET state = 'dead' WHERE incarnation = $1::uuid"};
+// The row as JSON has the count also where its column is not there yet.
+#define REVISIT_VEHICLES_OF_SERVER \
+  "coalesce((to_jsonb(s)->>'vehicles')::int8, 0)"
 constexpr Statement kOthers = {
     "others",
-    "SELECT incarnation, beat, lease_ms, address FROM servers "
-    "WHERE state = 'live' AND incarnation <> $1::uuid"};
+    "SELECT incarnation, beat, lease_ms, address, " REVISIT_VEHICLES_OF_SERVER
+    " FROM servers s WHERE state = 'live' AND incarnation <> $1::uuid"};
 constexpr Statement kBury = {
     "bury",
     "UPDATE servers SET state = 'dead' WHERE incarnation = $1::uuid AND "
@@ -59,7 +68,8 @@ constexpr Statement kBury = {
 constexpr Statement kClaim = {
     "claim",
     "WITH free AS MATERIALIZED ("
-    "SELECT h.key, h.epoch FROM vehicles v JOIN heads h ON h.key = v.key "
+    "SELECT h.key, h.epoch, h.owner FROM vehicles v "
+    "JOIN heads h ON h.key = v.key "
     "WHERE v.id = $1::text AND (h.owner IS NULL OR h.owner = $2::uuid OR "
     "NOT EXISTS (SELECT 1 FROM servers s WHERE s.incarnation = h.owner AND "
     "s.state = 'live')) AND EXISTS (SELECT 1 FROM servers m WHERE "
@@ -67,7 +77,7 @@ constexpr Statement kClaim = {
     "asked AS (DELETE FROM handovers o USING free WHERE o.key = free.key) "
     "UPDATE heads h SET owner = $2::uuid, epoch = h.epoch + 1 FROM free "
     "WHERE h.key = free.key AND h.epoch = free.epoch "
-    "RETURNING h.key, h.epoch, h.durable_sequence"};
+    "RETURNING h.key, h.epoch, h.revision, free.owner"};
 constexpr Statement kWhoOwns = {
     "who_owns",
     "SELECT v.key, h.owner, h.epoch, s.address, s.state = 'live' "
@@ -98,14 +108,21 @@ constexpr Statement kRelease = {
     "WITH r AS (UPDATE heads SET owner = NULL WHERE key = $1::int8 AND "
     "owner = $2::uuid AND epoch = $3::int8 RETURNING key) "
     "DELETE FROM handovers o USING r WHERE o.key = r.key"};
-constexpr Statement kUsers = {
-    "users",
-    "SELECT s.address, count(h.key) FROM servers s "
-    "LEFT JOIN heads h ON h.owner = s.incarnation WHERE s.state = 'live' "
-    "GROUP BY s.incarnation, s.address ORDER BY s.address"};
-constexpr Statement kOwners = {
-    "owners",
-    "SELECT key, owner, epoch FROM heads WHERE key = ANY($1::int8[])"};
+constexpr Statement kLivingServers = {
+    "living_servers", "SELECT address, " REVISIT_VEHICLES_OF_SERVER
+                      " FROM servers s WHERE state = 'live' ORDER BY address"};
+#undef REVISIT_VEHICLES_OF_SERVER
+constexpr Statement kOwners = {"owners",
+                               "SELECT key, owner, epoch, revision FROM heads "
+                               "WHERE key = ANY($1::int8[])"};
+// Any role may ask this, unless somebody has taken the right from all. The
+// timeline is that of the log that is being written; the one in the last
+// checkpoint may be older for minutes after a promotion.
+constexpr Statement kIdentify = {
+    "identify",
+    "SELECT system_identifier::text || ', timeline ' || "
+    "substr(pg_walfile_name(pg_current_wal_lsn()), 1, 8) "
+    "FROM pg_control_system()"};
 
 nanoseconds BootTime() {
   timespec time{};
@@ -134,6 +151,17 @@ absl::Status Fenced(const std::string& vehicle) {
                    " any more, or has to take it anew");
 }
 
+absl::StatusOr<std::vector<StorageUser>> ListLivingServers(
+    PostgresConnection& connection) {
+  const auto rows = connection.Run(kLivingServers);
+  if (!rows.ok()) return rows.status();
+  std::vector<StorageUser> servers;
+  for (int i = 0; i < rows->size(); ++i) {
+    servers.push_back({rows->Bytes(i, 0), rows->Integer(i, 1)});
+  }
+  return servers;
+}
+
 Ownership::Ownership(const std::string& conninfo, OwnershipOptions options)
     : connection_options_{conninfo, /*writes=*/true, &give_up_},
       options_(std::move(options)),
@@ -148,6 +176,14 @@ absl::StatusOr<std::unique_ptr<Ownership>> Ownership::Join(
       new Ownership(conninfo, std::move(complete)));
   absl::Status status = ownership->Connect();
   if (status.ok()) status = ownership->Enter();
+  if (!status.ok()) return status;
+  Uuid me;
+  {
+    const MutexLock lock(&ownership->mutex_);
+    me = ownership->me_;
+  }
+  // Users() needs to know the others from the start.
+  status = ownership->BuryOthers(me);
   if (!status.ok()) return status;
   ownership->connection_->Run(kForgetDead).IgnoreError();
   ownership->thread_ = std::thread([raw = ownership.get()] { raw->Run(); });
@@ -187,10 +223,12 @@ void Ownership::Run() {
   bool failed = false;
   mutex_.Lock();
   while (!stopping_) {
-    // One that failed is tried again soon: the lease is running out.
+    // One that failed is tried again soon: the lease is running out. So is one
+    // that was answered so late that it does not renew the lease.
+    const bool is_urgent = failed || !LeaseHolds();
     const auto next =
         std::chrono::steady_clock::now() +
-        (failed ? options_.beat_period / 4 : options_.beat_period);
+        (is_urgent ? options_.beat_period / 4 : options_.beat_period);
     while (!stopping_ && !wake_.WaitUntil(&mutex_, next)) {
     }
     if (stopping_) break;
@@ -224,35 +262,81 @@ absl::Status Ownership::Enter() {
   if (!rows.ok()) return rows.status();
   const MutexLock lock(&mutex_);
   me_ = rows->GetUuid(0, 0);
+  selves_.insert(me_);
   last_beat_ = sent;
   durability_ = connection_->durability();
   return absl::OkStatus();
 }
 
 absl::Status Ownership::ForgetLostClaims() {
+  const absl::StatusOr<DatabaseIdentity> identity = Identify();
+  absl::Status status = identity.status();
+  if (status.ok()) {
+    const DatabaseIdentity before = std::exchange(database_, *identity);
+    if (identity->empty() || *identity != before) {
+      EndAllClaims(before, *identity);
+    } else {
+      status = EndUnknownClaims();
+    }
+  }
+  if (!status.ok()) connection_.reset();
+  return status;
+}
+
+absl::StatusOr<DatabaseIdentity> Ownership::Identify() {
+  const auto rows = connection_->Run(kIdentify);
+  if (rows.ok()) return rows->Bytes(0, 0);
+  // One that answers does not tell.
+  if (connection_->IsAlive()) return DatabaseIdentity();
+  return rows.status();
+}
+
+void Ownership::EndAllClaims(const DatabaseIdentity& before,
+                             const DatabaseIdentity& now) {
+  std::size_t ended = 0;
+  {
+    const MutexLock lock(&mutex_);
+    ended = claims_.size();
+    claims_.clear();
+    wanted_.clear();
+  }
+  if (ended == 0) return;
+  Warn(now.empty()
+           ? "the database does not tell this role which one it is "
+             "(pg_control_system, pg_walfile_name): after each connection that "
+             "was lost, all vehicles are taken anew"
+           : "the database is another one than before, which may lack what was "
+             "committed last: system " +
+                 now + ", before " + before + "; all " + std::to_string(ended) +
+                 " vehicles are taken anew");
+}
+
+absl::Status Ownership::EndUnknownClaims() {
+  // Each head is at this revision at least when the database is asked.
+  std::map<VehicleKey, std::uint64_t> revisions;
   std::vector<std::int64_t> keys;
   {
     const MutexLock lock(&mutex_);
-    for (const auto& [key, claim] : claims_) keys.push_back(key);
+    for (const auto& [key, claim] : claims_) {
+      keys.push_back(key);
+      revisions[key] = claim->revision;
+    }
   }
   if (keys.empty()) return absl::OkStatus();
   const auto rows = connection_->Run(kOwners, Parameters().Add(keys));
-  if (!rows.ok()) {
-    connection_.reset();
-    return rows.status();
-  }
-  std::map<VehicleKey, std::pair<Uuid, std::int64_t>> owners;
-  for (int i = 0; i < rows->size(); ++i) {
-    owners[rows->Integer(i, 0)] = {rows->GetUuid(i, 1), rows->Integer(i, 2)};
-  }
+  if (!rows.ok()) return rows.status();
+  std::map<VehicleKey, int> found;
+  for (int i = 0; i < rows->size(); ++i) found[rows->Integer(i, 0)] = i;
   const MutexLock lock(&mutex_);
   for (const std::int64_t key : keys) {
     const auto claim = claims_.find(key);
     if (claim == claims_.end()) continue;
-    const auto owner = owners.find(key);
+    const auto row = found.find(key);
     // One of a later epoch was made meanwhile.
-    if (owner == owners.end() || owner->second.first != claim->second->owner ||
-        owner->second.second < claim->second->epoch) {
+    if (row == found.end() ||
+        rows->GetUuid(row->second, 1) != claim->second->owner ||
+        rows->Integer(row->second, 2) < claim->second->epoch ||
+        Unsigned(rows->Integer(row->second, 3)) < revisions[key]) {
       claim->second->has_ended = true;
       claims_.erase(claim);
       ++lost_vehicles_;
@@ -273,7 +357,7 @@ absl::Status Ownership::Beat() {
   }
   const nanoseconds sent = Now();
   const auto start = std::chrono::steady_clock::now();
-  const auto beat = connection_->Run(kBeat, Parameters().Add(me));
+  const auto beat = RaiseBeat(me);
   if (!beat.ok()) return beat.status();
   beat_seconds_.Observe(std::chrono::steady_clock::now() - start);
   if (beat->size() == 0) {
@@ -303,6 +387,17 @@ absl::Status Ownership::Beat() {
   return status;
 }
 
+absl::StatusOr<PostgresRows> Ownership::RaiseBeat(const Uuid& me) {
+  Parameters parameters;
+  parameters.Add(me);
+  if (!options_.counts_vehicles) return connection_->Run(kBeat, parameters);
+  {
+    const MutexLock lock(&mutex_);
+    parameters.Add(static_cast<std::int64_t>(claims_.size()));
+  }
+  return connection_->Run(kCountingBeat, parameters);
+}
+
 absl::Status Ownership::BuryOthers(const Uuid& me) {
   const auto rows = connection_->Run(kOthers, Parameters().Add(me));
   if (!rows.ok()) return rows.status();
@@ -316,6 +411,7 @@ absl::Status Ownership::BuryOthers(const Uuid& me) {
   // Later than any beat that was seen.
   const nanoseconds now = Now();
   std::map<Uuid, Sighting> seen;
+  std::vector<StorageUser> living;
   for (int i = 0; i < rows->size(); ++i) {
     const Uuid other = rows->GetUuid(i, 0);
     const std::int64_t beat = rows->Integer(i, 1);
@@ -337,8 +433,11 @@ absl::Status Ownership::BuryOthers(const Uuid& me) {
       continue;
     }
     seen[other] = sighting;
+    living.push_back({rows->Bytes(i, 3), rows->Integer(i, 4)});
   }
   sightings_ = std::move(seen);
+  const MutexLock lock(&mutex_);
+  others_ = std::move(living);
   return absl::OkStatus();
 }
 
@@ -426,10 +525,14 @@ absl::StatusOr<std::optional<VehicleKey>> Ownership::TryToClaim(
   auto claim = std::make_shared<Claim>();
   claim->owner = me;
   claim->epoch = rows->Integer(0, 1);
+  if (selves_.count(rows->GetUuid(0, 3)) > 0) {
+    claim->previous_epoch = claim->epoch - 1;
+  }
   claim->since = Now();
   claim->vehicle_id = id;
-  claim->durable_sequence = Unsigned(rows->Integer(0, 2));
+  claim->revision = Unsigned(rows->Integer(0, 2));
   const VehicleKey key = rows->Integer(0, 0);
+  highest_key_ = std::max(highest_key_, key);
   asks_.Taken(key, claim->since);
   claims_[key] = std::move(claim);
   wanted_.erase(key);
@@ -460,6 +563,11 @@ std::shared_ptr<const Claim> Ownership::Find(VehicleKey key) const {
   return found == claims_.end() ? nullptr : found->second;
 }
 
+VehicleKey Ownership::HighestKey() const {
+  const MutexLock lock(&mutex_);
+  return highest_key_;
+}
+
 void Ownership::Forget(VehicleKey key, const Claim* claim, bool lost) {
   claim->has_ended = true;
   const MutexLock lock(&mutex_);
@@ -485,6 +593,11 @@ absl::Status Ownership::Check(VehicleKey key) const {
   return LeaseHolds() ? absl::OkStatus() : LeaseStale();
 }
 
+absl::Status Ownership::CheckLease() const {
+  const MutexLock lock(&mutex_);
+  return LeaseHolds() ? absl::OkStatus() : LeaseStale();
+}
+
 std::vector<WantedVehicle> Ownership::Wanted() const {
   const MutexLock lock(&mutex_);
   std::vector<WantedVehicle> vehicles;
@@ -498,14 +611,16 @@ std::vector<WantedVehicle> Ownership::Wanted() const {
   return vehicles;
 }
 
-absl::StatusOr<std::vector<StorageUser>> Ownership::ListUsers(
-    PostgresConnection& connection) {
-  const auto rows = connection.Run(kUsers);
-  if (!rows.ok()) return rows.status();
-  std::vector<StorageUser> users;
-  for (int i = 0; i < rows->size(); ++i) {
-    users.push_back({rows->Bytes(i, 0), rows->Integer(i, 1)});
-  }
+absl::StatusOr<std::vector<StorageUser>> Ownership::Users() const {
+  const MutexLock lock(&mutex_);
+  if (!LeaseHolds()) return LeaseStale();
+  std::vector<StorageUser> users = others_;
+  users.push_back(
+      {options_.address, static_cast<std::int64_t>(claims_.size())});
+  std::sort(users.begin(), users.end(),
+            [](const StorageUser& a, const StorageUser& b) {
+              return a.address < b.address;
+            });
   return users;
 }
 

@@ -4,7 +4,9 @@
 //
 // * Every vehicle has a row in `heads` with its owner and an epoch, which each
 //   claim raises. A write compares both in the same statement, so a server that
-//   is no longer the owner writes nothing, however late it wakes.
+//   is no longer the owner writes nothing, however late it wakes. It compares
+//   the vehicle's revision too, which every change raises, so nothing is
+//   written to a database that lacks the last of them.
 // * Every start of a server has a row in `servers`, with a beat that it raises
 //   every two seconds. Whoever sees the same beat for the row's whole lease, on
 //   a clock of its own, marks the server dead, for ever: its vehicles may then
@@ -18,6 +20,12 @@
 // before can come after what was read. A write whose fate is unknown ends the
 // claim under which it was submitted; the next claim waits for the row that the
 // write may still hold.
+//
+// A database that goes on as another one than before, as after a failover, may
+// lack what was committed last. So each new connection asks which one it is
+// (DatabaseIdentity), and if that has changed or is not told, all claims end:
+// each vehicle is taken anew, and compared with what is in memory, before it is
+// used again.
 //
 // Thread-safe.
 #ifndef REVISIT_SERVER_STORAGE_POSTGRES_OWNERSHIP_H_
@@ -50,11 +58,15 @@ namespace revisit::server {
 struct Claim {
   Uuid owner{};
   std::int64_t epoch = 0;
+  // The epoch of this server's claim before, after which nobody else had the
+  // vehicle; 0 if there was none, or somebody else had it.
+  std::int64_t previous_epoch = 0;
   // When it was made, on the clock of OwnershipOptions.
   std::chrono::nanoseconds since{0};
   std::string vehicle_id;
-  // Highest sequence that was stored under the claim or before it.
-  mutable std::atomic<std::uint64_t> durable_sequence{0};
+  // The head's revision after the last write under the claim, or when it was
+  // made.
+  mutable std::atomic<std::uint64_t> revision{0};
   // Set when the server forgets the claim: what was submitted under it is
   // refused, although the database may still know it.
   mutable std::atomic<bool> has_ended{false};
@@ -70,6 +82,8 @@ struct OwnershipOptions {
   // A vehicle stays for so long at least, so that two callers who come to
   // different servers do not have it go to and fro.
   std::chrono::milliseconds least_stay{10'000};
+  // Whether the database keeps how many vehicles each server owns.
+  bool counts_vehicles = true;
   // A clock that goes on while the machine sleeps; CLOCK_BOOTTIME if empty.
   std::function<std::chrono::nanoseconds()> now;
   // Called with what an operator should know; may be empty.
@@ -78,6 +92,16 @@ struct OwnershipOptions {
 
 // ABORTED (EPOCH_FENCED).
 absl::Status Fenced(const std::string& vehicle);
+
+// The servers of a database that live, for those who have not joined them, by
+// address.
+absl::StatusOr<std::vector<StorageUser>> ListLivingServers(
+    PostgresConnection& connection);
+
+// Which database a connection leads to: its system identifier and its timeline,
+// which a promoted standby and a restored backup have anew; empty if the role
+// may not ask.
+using DatabaseIdentity = std::string;
 
 class Ownership {
  public:
@@ -97,6 +121,8 @@ class Ownership {
                                   const std::string& id);
   // The claim on a vehicle; null if there is none.
   std::shared_ptr<const Claim> Find(VehicleKey key) const;
+  // The highest key of a vehicle that was ever claimed here.
+  VehicleKey HighestKey() const;
   // Ends this claim here, not in the database. It is `lost` if the database
   // says that it is another server's.
   void Forget(VehicleKey key, const Claim* claim, bool lost = false);
@@ -105,11 +131,12 @@ class Ownership {
                               const Uuid& owner, std::int64_t epoch);
   // Implements Storage::CheckOwned().
   absl::Status Check(VehicleKey key) const;
+  // Implements Storage::CheckLease().
+  absl::Status CheckLease() const;
   // Implements Storage::WantedVehicles(), as of the last beat.
   std::vector<WantedVehicle> Wanted() const;
   // Implements Storage::ListUsers().
-  static absl::StatusOr<std::vector<StorageUser>> ListUsers(
-      PostgresConnection& connection);
+  absl::StatusOr<std::vector<StorageUser>> Users() const;
 
   // As of the last beat.
   Durability durability() const;
@@ -140,13 +167,21 @@ class Ownership {
                       const Uuid& me, const PostgresRows& owner);
   bool LeaseHolds() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
-  // The thread that beats; it alone uses `connection_`, `sightings_`,
-  // `forgotten_` and `last_look_`.
+  // The thread that beats; it alone uses `connection_`, `database_`,
+  // `sightings_`, `forgotten_` and `last_look_`.
   void Run();
   absl::Status Beat();
+  // A row, unless others have taken this server for dead.
+  absl::StatusOr<PostgresRows> RaiseBeat(const Uuid& me);
   absl::Status Connect();
   absl::Status Enter();
+  // Ends all claims if the database is not known to be the one of before, and
+  // otherwise those that it does not know.
   absl::Status ForgetLostClaims();
+  absl::StatusOr<DatabaseIdentity> Identify();
+  void EndAllClaims(const DatabaseIdentity& before,
+                    const DatabaseIdentity& now);
+  absl::Status EndUnknownClaims();
   absl::Status BuryOthers(const Uuid& me);
   absl::Status PollHandovers(const Uuid& me);
 
@@ -154,6 +189,8 @@ class Ownership {
   const OwnershipOptions options_;
 
   std::unique_ptr<PostgresConnection> connection_;
+  // The database that the connection before led to.
+  DatabaseIdentity database_;
   std::map<Uuid, Sighting> sightings_;
   // Vehicles that others ask for and the database says are of this server,
   // which has no claim on them; and since when that is known.
@@ -167,6 +204,9 @@ class Ownership {
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
   bool ended_ ABSL_GUARDED_BY(mutex_) = false;
   Uuid me_ ABSL_GUARDED_BY(mutex_){};
+  // Identities of this process until now, this one among them.
+  std::set<Uuid> selves_ ABSL_GUARDED_BY(mutex_);
+  VehicleKey highest_key_ ABSL_GUARDED_BY(mutex_) = 0;
   // When the last beat that succeeded was sent.
   std::chrono::nanoseconds last_beat_ ABSL_GUARDED_BY(mutex_){0};
   std::unordered_map<VehicleKey, std::shared_ptr<const Claim>> claims_
@@ -176,6 +216,8 @@ class Ownership {
   std::map<VehicleKey, std::string> wanted_ ABSL_GUARDED_BY(mutex_);
   AskPacing asks_ ABSL_GUARDED_BY(mutex_);
   Durability durability_ ABSL_GUARDED_BY(mutex_);
+  // The other servers that live, as of the last beat.
+  std::vector<StorageUser> others_ ABSL_GUARDED_BY(mutex_);
   // See SharingState.
   std::uint64_t lost_vehicles_ ABSL_GUARDED_BY(mutex_) = 0;
   std::uint64_t lost_leases_ ABSL_GUARDED_BY(mutex_) = 0;

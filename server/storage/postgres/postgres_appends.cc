@@ -14,9 +14,9 @@ namespace {
 
 // Parameters, for each run: $1 key, $2 owner, $3 epoch, $4 first and $5 last
 // sequence, $6 revision, and $7 and $8 the numbers of its first and last row.
-// Each row brings: $9 first sequence, $10 count, $11 revision, $12 checksum, and
-// $13 and $14 where its payload begins in $15 and how long it is. $16 is the
-// format.
+// Each row brings: $9 first sequence, $10 count, $11 revision, $12 checksum,
+// and $13 and $14 where its payload begins in $15 and how long it is. $16 is
+// the format, $17 each run's revision of before.
 //
 // Rows are reached by their number, because a join of them with the updated
 // heads takes thrice the time, and payloads lie in one value, because an array
@@ -27,9 +27,10 @@ constexpr Statement kAppend = {
     "WITH h AS (UPDATE heads v SET durable_sequence = a.l, "
     "revision = greatest(v.revision, a.rev) FROM unnest($1::int8[], "
     "$2::uuid[], $3::int8[], $4::int8[], $5::int8[], $6::int8[], $7::int8[], "
-    "$8::int8[]) AS a(k, o, e, f, l, rev, first_row, last_row) WHERE "
-    "v.key = a.k AND v.owner = a.o AND v.epoch = a.e AND "
-    "v.durable_sequence = a.f - 1 RETURNING a.k, a.first_row, a.last_row), "
+    "$8::int8[], $17::int8[]) AS a(k, o, e, f, l, rev, first_row, last_row, "
+    "was) WHERE v.key = a.k AND v.owner = a.o AND v.epoch = a.e AND "
+    "v.revision = a.was AND v.durable_sequence = a.f - 1 "
+    "RETURNING a.k, a.first_row, a.last_row), "
     "b AS (INSERT INTO batches (vehicle_key, first_sequence, count, format, "
     "revision, checksum, payload) SELECT h.k, ($9::int8[])[i], "
     "($10::int8[])[i], $16::int8, ($11::int8[])[i], ($12::int8[])[i], "
@@ -37,16 +38,16 @@ constexpr Statement kAppend = {
     "(($14::int8[])[i])::int4) FROM h, "
     "generate_series(h.first_row, h.last_row) i) SELECT k FROM h"};
 
-// $10 first and $11 last sequence. Of each row: $12 first sequence, $13 count,
-// $14 revision, $15 checksum, $16 payload.
+// $11 first and $12 last sequence. Of each row: $13 first sequence, $14 count,
+// $15 revision, $16 checksum, $17 payload.
 constexpr Statement kAppendWithVehicle = {
     "append_with_vehicle",
-    REVISIT_FENCE(", durable_sequence = $11::int8",
-                  REVISIT_UNCHANGED " AND durable_sequence = $10::int8 - 1")
+    REVISIT_FENCE(", durable_sequence = $12::int8",
+                  REVISIT_UNCHANGED " AND durable_sequence = $11::int8 - 1")
     ", b AS (INSERT INTO batches (vehicle_key, first_sequence, count, format, "
-    "revision, checksum, payload) SELECT h.key, a.f, a.n, $6::int8, a.rev, "
-    "a.ck, a.p FROM h, unnest($12::int8[], $13::int8[], $14::int8[], "
-    "$15::int8[], $16::bytea[]) AS a(f, n, rev, ck, p)) "
+    "revision, checksum, payload) SELECT h.key, a.f, a.n, $7::int8, a.rev, "
+    "a.ck, a.p FROM h, unnest($13::int8[], $14::int8[], $15::int8[], "
+    "$16::int8[], $17::bytea[]) AS a(f, n, rev, ck, p)) "
     REVISIT_REPLACE_VEHICLE};
 
 // The columns of rows but their payloads.
@@ -67,14 +68,15 @@ struct RowColumns {
 
 // Why a vehicle's append wrote nothing.
 absl::Status WhyNotAppended(const std::map<VehicleKey, Head>& heads,
-                            VehicleKey key, const Claim* claim,
-                            std::uint64_t first_sequence) {
-  const auto head = heads.find(key);
-  if (head == heads.end()) return UnknownVehicle(key);
+                            const Fence& fence, std::uint64_t first_sequence) {
+  const auto head = heads.find(fence.key);
+  if (head == heads.end()) return GoneVehicle(fence);
+  const Claim* const claim = fence.claim.get();
   if (!Holds(claim, head->second) ||
       head->second.durable_sequence + 1 == first_sequence) {
-    return Fenced(claim == nullptr ? "the vehicle of key " + std::to_string(key)
-                                   : "vehicle '" + claim->vehicle_id + "'");
+    return Fenced(claim == nullptr
+                      ? "the vehicle of key " + std::to_string(fence.key)
+                      : "vehicle '" + claim->vehicle_id + "'");
   }
   return SequenceGap(claim->vehicle_id, head->second.durable_sequence + 1,
                      first_sequence);
@@ -91,6 +93,7 @@ absl::Status AppendRuns(PostgresConnection& connection,
   std::vector<std::int64_t> run_firsts;
   std::vector<std::int64_t> run_lasts;
   std::vector<std::int64_t> run_revisions;
+  std::vector<std::int64_t> revisions_before;
   std::vector<std::int64_t> first_rows;
   std::vector<std::int64_t> last_rows;
   RowColumns rows;
@@ -104,6 +107,7 @@ absl::Status AppendRuns(PostgresConnection& connection,
     epochs.push_back(claim.epoch);
     run_firsts.push_back(Signed(run.front()->first_sequence()));
     run_lasts.push_back(Signed(run.back()->last_sequence()));
+    revisions_before.push_back(Signed(claim.revision));
     // SQL counts from 1.
     first_rows.push_back(static_cast<std::int64_t>(rows.firsts.size()) + 1);
     std::uint64_t highest = 0;
@@ -135,19 +139,20 @@ absl::Status AppendRuns(PostgresConnection& connection,
                                                   .Add(starts)
                                                   .Add(lengths)
                                                   .AddText(payloads)
-                                                  .Add(kSharedRowFormat));
+                                                  .Add(kSharedRowFormat)
+                                                  .Add(revisions_before));
   if (!answer.ok()) return answer.status();
   std::set<VehicleKey> written;
   for (int i = 0; i < answer->size(); ++i) {
     written.insert(answer->Integer(i, 0));
   }
   std::vector<std::int64_t> missing;
-  for (const AppendRun& run : runs) {
-    const VehicleKey key = run.front()->key;
-    if (written.count(key) == 0) {
-      missing.push_back(key);
+  for (std::size_t i = 0; i < runs.size(); ++i) {
+    const PendingWrite& first = *runs[i].front();
+    if (written.count(first.key) == 0) {
+      missing.push_back(first.key);
     } else {
-      NoteDurable({key, run.front()->claim}, run.back()->last_sequence());
+      NoteWritten({first.key, first.claim}, Unsigned(run_revisions[i]));
     }
   }
   results->assign(runs.size(), absl::OkStatus());
@@ -157,7 +162,7 @@ absl::Status AppendRuns(PostgresConnection& connection,
     const PendingWrite& first = *runs[i].front();
     if (written.count(first.key) > 0) continue;
     (*results)[i] = heads.ok()
-                        ? WhyNotAppended(*heads, first.key, first.claim.get(),
+                        ? WhyNotAppended(*heads, {first.key, first.claim},
                                          first.first_sequence())
                         : heads.status();
   }
@@ -168,7 +173,7 @@ absl::Status AppendWithVehicle(PostgresConnection& connection,
                                const Fence& fence,
                                const std::vector<BatchRecord>& batches,
                                const std::string& vehicle_payload) {
-  auto vehicle = ReadVehicleRow(connection, fence.key);
+  auto vehicle = ReadVehicleRow(connection, fence);
   if (!vehicle.ok()) return vehicle.status();
   const std::uint64_t first = batches.front().first_sequence;
   const std::uint64_t last =
@@ -191,12 +196,12 @@ absl::Status AppendWithVehicle(PostgresConnection& connection,
                               .AddBytes(payloads));
   if (!answer.ok()) return answer.status();
   if (answer->size() > 0) {
-    NoteDurable(fence, last);
+    NoteWritten(fence, batches.back().revision);
     return absl::OkStatus();
   }
   const auto heads = ReadHeads(connection, {fence.key});
   if (!heads.ok()) return heads.status();
-  return WhyNotAppended(*heads, fence.key, fence.claim.get(), first);
+  return WhyNotAppended(*heads, fence, first);
 }
 
 const char* AppendSql() { return kAppend.sql; }

@@ -1,7 +1,7 @@
 // The statements that append batches. An append is one statement, which commits
 // by itself, so that a server that is stopped in the middle of it holds
-// nothing. It compares owner, epoch and sequence of the vehicle's head, and
-// writes nothing where they differ: ABORTED (EPOCH_FENCED) or
+// nothing. It compares owner, epoch, revision and sequence of the vehicle's
+// head, and writes nothing where they differ: ABORTED (EPOCH_FENCED) or
 // FAILED_PRECONDITION (SEQUENCE_GAP). Other errors are those of connection.h.
 #ifndef REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_APPENDS_H_
 #define REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_APPENDS_H_

@@ -36,32 +36,34 @@ constexpr Statement kChangeVehicle = {"change_vehicle",
                                       REVISIT_FENCE("", REVISIT_UNCHANGED)
                                           REVISIT_REPLACE_VEHICLE};
 
-// $10 last sequence, $11 and $12 ids of damaged pairs.
+// $11 last sequence, $12 and $13 ids of damaged pairs.
 constexpr Statement kDropDamaged = {
     "drop_damaged",
-    REVISIT_FENCE(", durable_sequence = $10::int8",
+    REVISIT_FENCE(", durable_sequence = $11::int8",
                   REVISIT_UNCHANGED
                   " AND coalesce((SELECT first_sequence + "
                   "least(greatest(count, 1), 1000000) - 1 FROM batches "
                   "WHERE vehicle_key = $1::int8 AND first_sequence <= "
-                  "$10::int8 ORDER BY first_sequence DESC LIMIT 1), 0) = "
-                  "$10::int8")
+                  "$11::int8 ORDER BY first_sequence DESC LIMIT 1), 0) = "
+                  "$11::int8")
     ", b AS (DELETE FROM batches t USING h WHERE t.vehicle_key = h.key AND "
-    "t.first_sequence > $10::int8), "
+    "t.first_sequence > $11::int8), "
     "r AS (DELETE FROM revised_batches t USING h WHERE t.vehicle_key = h.key "
-    "AND t.first_sequence > $10::int8), "
+    "AND t.first_sequence > $11::int8), "
     "l AS (DELETE FROM loop_closures t USING h WHERE t.vehicle_key = h.key "
-    "AND (greatest(t.query_sequence, t.matched_sequence) > $10::int8 OR "
-    "t.id = ANY($11::text[]))), "
+    "AND (greatest(t.query_sequence, t.matched_sequence) > $11::int8 OR "
+    "t.id = ANY($12::text[]))), "
     "n AS (DELETE FROM rejected_candidates t USING h WHERE t.vehicle_key = "
-    "h.key AND (greatest(t.query_sequence, t.matched_sequence) > $10::int8 OR "
-    "t.id = ANY($12::text[]))) " REVISIT_REPLACE_VEHICLE};
+    "h.key AND (greatest(t.query_sequence, t.matched_sequence) > $11::int8 OR "
+    "t.id = ANY($13::text[]))) " REVISIT_REPLACE_VEHICLE};
 constexpr Statement kRaiseRevision = {
     "raise_revision", REVISIT_FENCE("", "") "SELECT key FROM h"};
+constexpr Statement kHeadHolds = {
+    "head_holds", "SELECT key FROM heads WHERE " REVISIT_HEAD_HOLDS};
 constexpr Statement kRemoveVehicle = {
     "remove_vehicle",
-    "WITH h AS (DELETE FROM heads WHERE key = $1::int8 AND owner = $2::uuid "
-    "AND epoch = $3::int8 RETURNING key), "
+    "WITH h AS (DELETE FROM heads WHERE " REVISIT_HEAD_HOLDS
+    " RETURNING key), "
     "v AS (DELETE FROM vehicles t USING h WHERE t.key = h.key), "
     "l AS (DELETE FROM loop_closures t USING h WHERE t.vehicle_key = h.key), "
     "n AS (DELETE FROM rejected_candidates t USING h "
@@ -135,18 +137,18 @@ struct PairStatements {
 
 #define REVISIT_INSERT_PAIR(TABLE)                                      \
   REVISIT_FENCE("", " AND NOT EXISTS (SELECT 1 FROM " TABLE             \
-                    " WHERE vehicle_key = $1::int8 AND id = $5::text)") \
+                    " WHERE vehicle_key = $1::int8 AND id = $6::text)") \
   "INSERT INTO " TABLE                                                  \
   " (vehicle_key, id, format, query_sequence, matched_sequence, "       \
-  "create_time_ns, checksum, payload) SELECT key, $5::text, $6::int8, " \
-  "$7::int8, $8::int8, $9::int8, $10::int8, $11::bytea FROM h "         \
+  "create_time_ns, checksum, payload) SELECT key, $6::text, $7::int8, " \
+  "$8::int8, $9::int8, $10::int8, $11::int8, $12::bytea FROM h "        \
   "RETURNING vehicle_key"
 #define REVISIT_REMOVE_PAIR(TABLE)                                      \
   REVISIT_FENCE("", " AND EXISTS (SELECT 1 FROM " TABLE                 \
-                    " WHERE vehicle_key = $1::int8 AND id = $5::text)") \
+                    " WHERE vehicle_key = $1::int8 AND id = $6::text)") \
   "DELETE FROM " TABLE                                                  \
   " t USING h WHERE t.vehicle_key = h.key AND "                         \
-  "t.id = $5::text RETURNING t.vehicle_key"
+  "t.id = $6::text RETURNING t.vehicle_key"
 constexpr PairStatements kClosures = {
     {"insert_loop_closures", REVISIT_INSERT_PAIR("loop_closures")},
     {"remove_loop_closures", REVISIT_REMOVE_PAIR("loop_closures")}};
@@ -282,7 +284,10 @@ absl::Status ChangeBatches(PostgresConnection& connection, const Fence& fence,
   if (holds && status.ok()) {
     const auto committed = connection.RunText("COMMIT");
     if (!committed.ok()) return committed.status();
-    if (committed->Tag() == "COMMIT") return absl::OkStatus();
+    if (committed->Tag() == "COMMIT") {
+      NoteWritten(fence, revision);
+      return absl::OkStatus();
+    }
     return Error(absl::StatusCode::kUnavailable, "STORE_UNAVAILABLE",
                  "the database rolled the change back");
   }
@@ -296,11 +301,14 @@ absl::Status ChangeBatches(PostgresConnection& connection, const Fence& fence,
 }  // namespace
 
 absl::StatusOr<VehicleKey> InsertVehicle(PostgresConnection& connection,
-                                         VehicleRecord record) {
+                                         VehicleRecord record,
+                                         VehicleKey above) {
   // The checksum covers the key.
-  const auto key = connection.Run(kNextKey);
-  if (!key.ok()) return key.status();
-  record.key = key->Integer(0, 0);
+  do {
+    const auto key = connection.Run(kNextKey);
+    if (!key.ok()) return key.status();
+    record.key = key->Integer(0, 0);
+  } while (record.key <= above);
   const auto rows = connection.Run(
       kInsertVehicle, Parameters()
                           .Add(record.key)
@@ -316,12 +324,15 @@ absl::StatusOr<VehicleKey> InsertVehicle(PostgresConnection& connection,
 
 absl::Status ChangeVehicle(PostgresConnection& connection, const Fence& fence,
                            const std::string& payload, std::uint64_t revision) {
-  auto row = ReadVehicleRow(connection, fence.key);
+  auto row = ReadVehicleRow(connection, fence);
   if (!row.ok()) return row.status();
   const auto rows = connection.Run(
       kChangeVehicle, Replacing(fence, *std::move(row), payload, revision));
   if (!rows.ok()) return rows.status();
-  if (rows->size() > 0) return absl::OkStatus();
+  if (rows->size() > 0) {
+    NoteWritten(fence, revision);
+    return absl::OkStatus();
+  }
   return WhyNotWritten(connection, fence, Fenced("the vehicle"));
 }
 
@@ -352,7 +363,7 @@ absl::Status DropDamagedRows(PostgresConnection& connection, const Fence& fence,
                              std::uint64_t last_sequence,
                              const std::string& payload,
                              std::uint64_t revision) {
-  auto row = ReadVehicleRow(connection, fence.key);
+  auto row = ReadVehicleRow(connection, fence);
   if (!row.ok()) return row.status();
   Parameters parameters = Replacing(fence, *std::move(row), payload, revision);
   parameters.Add(Signed(last_sequence));
@@ -370,7 +381,7 @@ absl::Status DropDamagedRows(PostgresConnection& connection, const Fence& fence,
   const auto rows = connection.Run(kDropDamaged, parameters);
   if (!rows.ok()) return rows.status();
   if (rows->size() > 0) {
-    NoteDurable(fence, last_sequence);
+    NoteWritten(fence, revision);
     return absl::OkStatus();
   }
   return WhyNotWritten(connection, fence, NoBatchEndsAt(last_sequence));
@@ -389,7 +400,10 @@ absl::Status InsertPosePair(PostgresConnection& connection, const Fence& fence,
       .AddText(pair.payload);
   const auto rows = connection.Run(StatementsOf(kind).insert, parameters);
   if (!rows.ok()) return rows.status();
-  if (rows->size() > 0) return absl::OkStatus();
+  if (rows->size() > 0) {
+    NoteWritten(fence, revision);
+    return absl::OkStatus();
+  }
   return WhyNotWritten(connection, fence, PairExists(kind, pair.id));
 }
 
@@ -399,8 +413,18 @@ absl::Status RemovePosePair(PostgresConnection& connection, const Fence& fence,
   const auto rows = connection.Run(StatementsOf(kind).remove,
                                    FenceOf(fence, revision).AddText(id));
   if (!rows.ok()) return rows.status();
-  if (rows->size() > 0) return absl::OkStatus();
+  if (rows->size() > 0) {
+    NoteWritten(fence, revision);
+    return absl::OkStatus();
+  }
   return WhyNotWritten(connection, fence, NoSuchPair(kind, id));
+}
+
+absl::Status ConfirmHead(PostgresConnection& connection, const Fence& fence) {
+  const auto rows = connection.Run(kHeadHolds, FenceOf(fence));
+  if (!rows.ok()) return rows.status();
+  if (rows->size() > 0) return absl::OkStatus();
+  return WhyNotWritten(connection, fence, Fenced("the vehicle"));
 }
 
 absl::StatusOr<bool> PurgeSome(PostgresConnection& connection) {

@@ -1,9 +1,9 @@
 // The statements that write anything but appends (postgres_appends.h). A write
 // is one statement, which commits by itself (ReviseBatchRows() excepted, which
 // may be too large), so that a server that is stopped in the middle of it holds
-// nothing. It compares owner and epoch of the vehicle's head, and writes
-// nothing where they differ: ABORTED (EPOCH_FENCED). Other errors are those of
-// the calls of Storage (storage.h) that use these functions, and of
+// nothing. It compares owner, epoch and revision of the vehicle's head, and
+// writes nothing where they differ: ABORTED (EPOCH_FENCED). Other errors are
+// those of the calls of Storage (storage.h) that use these functions, and of
 // connection.h.
 #ifndef REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_CHANGES_H_
 #define REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_CHANGES_H_
@@ -19,8 +19,12 @@
 
 namespace revisit::server {
 
+// The key is above `above`, the highest that this server has known: a database
+// that lacks its last commits may give keys a second time, and what is still in
+// memory of the first vehicle would be written to the second.
 absl::StatusOr<VehicleKey> InsertVehicle(PostgresConnection& connection,
-                                         VehicleRecord record);
+                                         VehicleRecord record,
+                                         VehicleKey above);
 absl::Status ChangeVehicle(PostgresConnection& connection, const Fence& fence,
                            const std::string& payload, std::uint64_t revision);
 absl::Status RemoveVehicle(PostgresConnection& connection, const Fence& fence);
@@ -43,6 +47,9 @@ absl::Status InsertPosePair(PostgresConnection& connection, const Fence& fence,
 absl::Status RemovePosePair(PostgresConnection& connection, const Fence& fence,
                             PairKind kind, const std::string& id,
                             std::uint64_t revision);
+
+// Implements Storage::ConfirmOwned().
+absl::Status ConfirmHead(PostgresConnection& connection, const Fence& fence);
 
 // Removes some batches of deleted vehicles; returns whether more may be left.
 absl::StatusOr<bool> PurgeSome(PostgresConnection& connection);

@@ -46,15 +46,16 @@ constexpr LeftOver kLeftOvers[] = {
       "SELECT count(*) FROM deleted_vehicles d WHERE EXISTS (SELECT 1 FROM "
       "vehicles v WHERE v.key = d.key)"},
      "vehicles are there although they were deleted"},
+    {{"snapshots_left_over",
+      "SELECT (SELECT count(*) FROM snapshots s WHERE NOT EXISTS (SELECT 1 "
+      "FROM "
+      "vehicles v WHERE v.key = s.vehicle_key)) + (SELECT count(*) FROM "
+      "snapshot_parts p WHERE NOT EXISTS (SELECT 1 FROM snapshots s WHERE "
+      "s.key "
+      "= p.snapshot_key) AND NOT EXISTS (SELECT 1 FROM deleted_snapshots d "
+      "WHERE d.key = p.snapshot_key))"},
+     "snapshots or parts of snapshots belong to no vehicle"},
 };
-constexpr LeftOver kLeftOverSnapshots = {
-    {"snapshots_left_over",
-     "SELECT (SELECT count(*) FROM snapshots s WHERE NOT EXISTS (SELECT 1 FROM "
-     "vehicles v WHERE v.key = s.vehicle_key)) + (SELECT count(*) FROM "
-     "snapshot_parts p WHERE NOT EXISTS (SELECT 1 FROM snapshots s WHERE s.key "
-     "= p.snapshot_key) AND NOT EXISTS (SELECT 1 FROM deleted_snapshots d "
-     "WHERE d.key = p.snapshot_key))"},
-    "snapshots or parts of snapshots belong to no vehicle"};
 
 absl::Status CountLeftOver(PostgresConnection& connection,
                            const LeftOver& left_over, StoreReport* report) {
@@ -85,18 +86,17 @@ absl::StatusOr<StoreReport> CheckDatabase(const std::string& conninfo) {
     if (ids->size() == 0) break;
     for (int i = 0; i < ids->size(); ++i) {
       after = ids->Bytes(i, 0);
-      // One that is not found was deleted since it was listed.
-      ReportVehicle(**storage, after, &report).IgnoreError();
-      ReportSnapshot(**storage, ids->Integer(i, 1), after, &report);
+      // A vehicle that is not found was deleted since it was listed; one that
+      // is damaged is in the report. A database that went away says nothing of
+      // either.
+      absl::Status status = ReportVehicle(**storage, after, &report);
+      if (absl::IsUnavailable(status)) return status;
+      status = ReportSnapshot(**storage, ids->Integer(i, 1), after, &report);
+      if (absl::IsUnavailable(status)) return status;
     }
   }
   for (const LeftOver& left_over : kLeftOvers) {
     absl::Status status = CountLeftOver(**connection, left_over, &report);
-    if (!status.ok()) return status;
-  }
-  if ((*storage)->KeepsSnapshots()) {
-    absl::Status status =
-        CountLeftOver(**connection, kLeftOverSnapshots, &report);
     if (!status.ok()) return status;
   }
   const auto revised = (*connection)->Run(kRevisedCount);

@@ -15,7 +15,7 @@ constexpr Statement kVehicleRow = {
     "WHERE key = $1::int8"};
 constexpr Statement kHeadRows = {
     "head_rows",
-    "SELECT key, owner, epoch, durable_sequence FROM heads "
+    "SELECT key, owner, epoch, revision, durable_sequence FROM heads "
     "WHERE key = ANY($1::int8[])"};
 
 }  // namespace
@@ -28,7 +28,10 @@ const Claim& Compared(const Claim* claim) {
 Parameters FenceOf(const Fence& fence) {
   Parameters parameters;
   const Claim& claim = Compared(fence.claim.get());
-  parameters.Add(fence.key).Add(claim.owner).Add(claim.epoch);
+  parameters.Add(fence.key)
+      .Add(claim.owner)
+      .Add(claim.epoch)
+      .Add(Signed(claim.revision));
   return parameters;
 }
 
@@ -37,12 +40,12 @@ Parameters FenceOf(const Fence& fence, std::uint64_t revision) {
 }
 
 absl::StatusOr<VehicleRow> ReadVehicleRow(PostgresConnection& connection,
-                                          VehicleKey key) {
-  const auto rows = connection.Run(kVehicleRow, Parameters().Add(key));
+                                          const Fence& fence) {
+  const auto rows = connection.Run(kVehicleRow, Parameters().Add(fence.key));
   if (!rows.ok()) return rows.status();
-  if (rows->size() == 0) return UnknownVehicle(key);
+  if (rows->size() == 0) return GoneVehicle(fence);
   VehicleRow row;
-  row.record.key = key;
+  row.record.key = fence.key;
   row.record.id = rows->Bytes(0, 0);
   row.record.revision = Unsigned(rows->Integer(0, 2));
   row.checksum = rows->Integer(0, 3);
@@ -66,8 +69,10 @@ Parameters Replacing(const Fence& fence, VehicleRow row,
   return parameters;
 }
 
-void NoteDurable(const Fence& fence, std::uint64_t sequence) {
-  if (fence.claim != nullptr) fence.claim->durable_sequence = sequence;
+void NoteWritten(const Fence& fence, std::uint64_t revision) {
+  if (fence.claim == nullptr) return;
+  // Written by the thread that writes the vehicle alone.
+  fence.claim->revision = std::max(fence.claim->revision.load(), revision);
 }
 
 absl::StatusOr<std::map<VehicleKey, Head>> ReadHeads(
@@ -77,16 +82,21 @@ absl::StatusOr<std::map<VehicleKey, Head>> ReadHeads(
   std::map<VehicleKey, Head> heads;
   for (int i = 0; i < rows->size(); ++i) {
     heads[rows->Integer(i, 0)] = {rows->GetUuid(i, 1), rows->Integer(i, 2),
-                                  Unsigned(rows->Integer(i, 3))};
+                                  Unsigned(rows->Integer(i, 3)),
+                                  Unsigned(rows->Integer(i, 4))};
   }
   return heads;
 }
 
 bool Holds(const Claim* claim, const Head& head) {
-  // Behind what was stored: the database is one that lacks the last commits.
   return claim != nullptr && !claim->has_ended && claim->owner == head.owner &&
-         claim->epoch == head.epoch &&
-         head.durable_sequence >= claim->durable_sequence;
+         claim->epoch == head.epoch && claim->revision == head.revision;
+}
+
+absl::Status GoneVehicle(const Fence& fence) {
+  return &Compared(fence.claim.get()) == fence.claim.get()
+             ? Fenced("vehicle '" + fence.claim->vehicle_id + "'")
+             : UnknownVehicle(fence.key);
 }
 
 absl::Status WhyNotWritten(PostgresConnection& connection, const Fence& fence,
@@ -94,7 +104,7 @@ absl::Status WhyNotWritten(PostgresConnection& connection, const Fence& fence,
   const auto heads = ReadHeads(connection, {fence.key});
   if (!heads.ok()) return heads.status();
   const auto head = heads->find(fence.key);
-  if (head == heads->end()) return UnknownVehicle(fence.key);
+  if (head == heads->end()) return GoneVehicle(fence);
   if (!Holds(fence.claim.get(), head->second)) {
     return Fenced("the vehicle of key " + std::to_string(fence.key));
   }

@@ -59,6 +59,10 @@ class ReadOnlyPostgres : public PostgresReader {
   }
   void DropSnapshot(VehicleKey, Done done) override { done(ReadOnly()); }
 
+  absl::StatusOr<std::vector<StorageUser>> ListUsers() override {
+    return Read<std::vector<StorageUser>>(ListLivingServers);
+  }
+
  private:
   static absl::Status ReadOnly() {
     return Error(absl::StatusCode::kFailedPrecondition, "INTERNAL",
@@ -95,6 +99,13 @@ absl::StatusOr<std::vector<VehicleRecord>> PostgresReader::ListVehicles(
   });
 }
 
+absl::StatusOr<std::vector<VehicleRecord>> PostgresReader::ListVehicleRows(
+    VehicleKey after_key, int limit) {
+  return Read<std::vector<VehicleRecord>>([&](PostgresConnection& connection) {
+    return FindVehicleRows(connection, after_key, limit);
+  });
+}
+
 absl::Status PostgresReader::ReadBatches(
     VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
     BatchVersion version, const std::function<bool(BatchRecord)>& visit) {
@@ -114,7 +125,6 @@ absl::StatusOr<std::vector<PosePairRecord>> PostgresReader::ListPosePairs(
 absl::StatusOr<std::optional<SnapshotRecord>> PostgresReader::GetSnapshot(
     VehicleKey key) {
   using Found = std::optional<SnapshotRecord>;
-  if (!database_.has_snapshots()) return Found();
   return Read<Found>([&](PostgresConnection& connection) {
     return FindSnapshot(connection, key);
   });
@@ -126,10 +136,6 @@ absl::Status PostgresReader::ReadSnapshotParts(
   return connections_.Use([&](PostgresConnection& connection) {
     return VisitSnapshotParts(connection, key, first, end, visit);
   });
-}
-
-absl::StatusOr<std::vector<StorageUser>> PostgresReader::ListUsers() {
-  return Read<std::vector<StorageUser>>(Ownership::ListUsers);
 }
 
 absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorageToRead(

@@ -25,10 +25,6 @@ struct PostgresDatabase {
   std::string conninfo;
   int schema_version = 0;
   Durability durability;
-
-  bool has_snapshots() const {
-    return schema_version >= kSnapshotsSinceVersion;
-  }
 };
 // Errors are those of OpenPostgresStorage().
 absl::StatusOr<PostgresDatabase> LookAtDatabase(const std::string& conninfo);
@@ -40,6 +36,8 @@ class PostgresReader : public Storage {
   absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
       const std::string& after_id, const std::string& prefix,
       int limit) override;
+  absl::StatusOr<std::vector<VehicleRecord>> ListVehicleRows(
+      VehicleKey after_key, int limit) override;
   absl::Status ReadBatches(
       VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
       BatchVersion version,
@@ -47,13 +45,12 @@ class PostgresReader : public Storage {
   absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
       VehicleKey key, PairKind kind, const std::string& after_id,
       int limit) override;
-  bool KeepsSnapshots() const override { return database_.has_snapshots(); }
+  bool KeepsSnapshots() const override { return true; }
   absl::StatusOr<std::optional<SnapshotRecord>> GetSnapshot(
       VehicleKey key) override;
   absl::Status ReadSnapshotParts(
       VehicleKey key, std::uint32_t first, std::uint32_t end,
       const std::function<bool(absl::string_view)>& visit) override;
-  absl::StatusOr<std::vector<StorageUser>> ListUsers() override;
 
  protected:
   explicit PostgresReader(PostgresDatabase database);

@@ -33,6 +33,10 @@ constexpr Statement kFindVehicles = {
     "ORDER BY v.id LIMIT $4::int8"};
 #undef REVISIT_SELECT_VEHICLE
 
+constexpr Statement kVehicleRows = {
+    "vehicle_rows",
+    "SELECT key, id, format, revision, checksum, payload FROM vehicles "
+    "WHERE key > $1::int8 ORDER BY key LIMIT $2::int8"};
 constexpr Statement kVehicleId = {
     "vehicle_id", "SELECT id FROM vehicles WHERE key = $1::int8"};
 constexpr Statement kWalkStart = {
@@ -84,14 +88,20 @@ absl::Status HeadDamage(const VehicleRecord& record, const std::string& what) {
                  {{"vehicle", Printable(record.id)}});
 }
 
-// A row of kFindVehicle.
-VehicleRecord VehicleAt(const PostgresRows& rows, int row) {
+// The first columns are key, id, format, revision, checksum, payload.
+VehicleRecord VehicleRowAt(const PostgresRows& rows, int row) {
   VehicleRecord record;
   record.key = rows.Integer(row, 0);
   record.id = rows.Bytes(row, 1);
   record.revision = Unsigned(rows.Integer(row, 3));
   record.payload = rows.Bytes(row, 5);
   CheckVehicleRow(rows.Integer(row, 2), rows.Integer(row, 4), &record);
+  return record;
+}
+
+// A row of kFindVehicle.
+VehicleRecord VehicleAt(const PostgresRows& rows, int row) {
+  VehicleRecord record = VehicleRowAt(rows, row);
   record.loop_closure_count = rows.Integer(row, 8);
   record.rejected_candidate_count = rows.Integer(row, 9);
   const std::uint64_t claimed = Unsigned(rows.Integer(row, 6));
@@ -167,6 +177,19 @@ absl::StatusOr<std::vector<VehicleRecord>> FindVehicles(
   std::vector<VehicleRecord> records;
   for (int i = 0; i < rows->size(); ++i) {
     records.push_back(VehicleAt(*rows, i));
+  }
+  return records;
+}
+
+absl::StatusOr<std::vector<VehicleRecord>> FindVehicleRows(
+    PostgresConnection& connection, VehicleKey after_key, int limit) {
+  const auto rows = connection.Run(
+      kVehicleRows,
+      Parameters().Add(after_key).Add(std::int64_t{std::max(limit, 0)}));
+  if (!rows.ok()) return rows.status();
+  std::vector<VehicleRecord> records;
+  for (int i = 0; i < rows->size(); ++i) {
+    records.push_back(VehicleRowAt(*rows, i));
   }
   return records;
 }

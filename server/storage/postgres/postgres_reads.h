@@ -21,6 +21,9 @@ absl::StatusOr<VehicleRecord> FindVehicle(PostgresConnection& connection,
 absl::StatusOr<std::vector<VehicleRecord>> FindVehicles(
     PostgresConnection& connection, const std::string& after_id,
     const std::string& prefix, int limit);
+// Implements Storage::ListVehicleRows().
+absl::StatusOr<std::vector<VehicleRecord>> FindVehicleRows(
+    PostgresConnection& connection, VehicleKey after_key, int limit);
 absl::Status VisitBatches(PostgresConnection& connection, VehicleKey key,
                           std::uint64_t first_sequence,
                           std::uint64_t last_sequence, BatchVersion version,

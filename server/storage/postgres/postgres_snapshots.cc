@@ -11,14 +11,14 @@ constexpr std::int64_t kPartsAtOnce = 4;
 
 // The claim is compared under a lock of the head, which keeps another server
 // from taking the vehicle until the statement is committed, but the head is
-// left as it is. $1 key, $2 owner, $3 epoch.
-#define REVISIT_SNAPSHOT_FENCE                                         \
-  "WITH h AS (SELECT key FROM heads WHERE key = $1::int8 AND owner = " \
-  "$2::uuid AND epoch = $3::int8 FOR NO KEY UPDATE) "
-// $4 snapshot, $5 number, $6 format, $7 checksum, $8 payload.
+// left as it is.
+#define REVISIT_SNAPSHOT_FENCE                                 \
+  "WITH h AS (SELECT key FROM heads WHERE " REVISIT_HEAD_HOLDS \
+  " FOR NO KEY UPDATE) "
+// $5 snapshot, $6 number, $7 format, $8 checksum, $9 payload.
 #define REVISIT_INSERT_PART                                              \
   "INSERT INTO snapshot_parts (snapshot_key, number, format, checksum, " \
-  "payload) SELECT s.key, $5::int8, $6::int8, $7::int8, $8::bytea FROM s "
+  "payload) SELECT s.key, $6::int8, $7::int8, $8::int8, $9::bytea FROM s "
 
 constexpr Statement kNextSnapshot = {
     "next_snapshot",
@@ -30,27 +30,27 @@ constexpr Statement kPutFirstPart = {
     ", d AS (DELETE FROM snapshots t USING h WHERE t.vehicle_key = h.key "
     "RETURNING t.key), "
     "s AS (INSERT INTO snapshots (key, vehicle_key, format, last_sequence, "
-    "part_count, checksum, payload) SELECT $4::int8, h.key, $6::int8, 0, 0, 0, "
+    "part_count, checksum, payload) SELECT $5::int8, h.key, $7::int8, 0, 0, 0, "
     "'' FROM h LEFT JOIN d ON true RETURNING key) " REVISIT_INSERT_PART
     "RETURNING snapshot_key"};
 constexpr Statement kPutPart = {
     "put_snapshot_part", REVISIT_SNAPSHOT_FENCE
     ", s AS (SELECT t.key FROM h JOIN snapshots t ON t.vehicle_key = h.key "
     "JOIN snapshot_parts p ON p.snapshot_key = t.key AND "
-    "p.number = $5::int8 - 1 WHERE t.key = $4::int8) " REVISIT_INSERT_PART
+    "p.number = $6::int8 - 1 WHERE t.key = $5::int8) " REVISIT_INSERT_PART
     "ON CONFLICT (snapshot_key, number) DO UPDATE SET "
     "format = excluded.format, checksum = excluded.checksum, "
     "payload = excluded.payload RETURNING snapshot_key"};
 #undef REVISIT_INSERT_PART
 
-// $4 format, $5 last sequence, $6 number of parts, $7 checksum, $8 payload.
+// $5 format, $6 last sequence, $7 number of parts, $8 checksum, $9 payload.
 constexpr Statement kPutSnapshot = {
     "put_snapshot", REVISIT_SNAPSHOT_FENCE
     "INSERT INTO snapshots AS t (vehicle_key, format, last_sequence, "
-    "part_count, checksum, payload) SELECT h.key, $4::int8, $5::int8, "
-    "$6::int8, $7::int8, $8::bytea FROM h WHERE $6::int8 = (SELECT count(*) "
+    "part_count, checksum, payload) SELECT h.key, $5::int8, $6::int8, "
+    "$7::int8, $8::int8, $9::bytea FROM h WHERE $7::int8 = (SELECT count(*) "
     "FROM snapshots s JOIN snapshot_parts p ON p.snapshot_key = s.key "
-    "WHERE s.vehicle_key = h.key AND p.number < $6::int8) "
+    "WHERE s.vehicle_key = h.key AND p.number < $7::int8) "
     "ON CONFLICT (vehicle_key) DO UPDATE SET format = excluded.format, "
     "last_sequence = excluded.last_sequence, "
     "part_count = excluded.part_count, checksum = excluded.checksum, "

@@ -31,7 +31,6 @@ class PostgresStorage : public PostgresReader {
     PostgresWriter::Options writer;
     static_cast<WriteGroupOptions&>(writer) = options;
     writer.conninfo = database().conninfo;
-    writer.has_snapshots = database().has_snapshots();
     writer.require_replicated = options.require_replicated;
     for (int i = 0; i < std::max(1, options.writer_connections); ++i) {
       writer.purges_first = i == 0;
@@ -61,10 +60,10 @@ class PostgresStorage : public PostgresReader {
     auto key = std::make_shared<VehicleKey>(0);
     WriterOf(lane).Submit(
         0, bytes,
-        [record = std::move(record), key](PostgresConnection& connection,
-                                          const Fence&) {
+        [this, record = std::move(record), key](PostgresConnection& connection,
+                                                const Fence&) {
           const absl::StatusOr<VehicleKey> inserted =
-              InsertVehicle(connection, record);
+              InsertVehicle(connection, record, ownership_->HighestKey());
           if (inserted.ok()) *key = *inserted;
           return inserted.status();
         },
@@ -190,10 +189,6 @@ class PostgresStorage : public PostgresReader {
 
   void PutSnapshotPart(VehicleKey key, std::uint32_t number, std::string part,
                        Done done) override {
-    if (!KeepsSnapshots()) {
-      Storage::PutSnapshotPart(key, number, std::move(part), std::move(done));
-      return;
-    }
     const std::size_t bytes = part.size();
     PostgresWriter& writer = WriterOf(key);
     writer.Submit(
@@ -208,10 +203,6 @@ class PostgresStorage : public PostgresReader {
 
   void PutSnapshot(VehicleKey key, SnapshotRecord snapshot,
                    Done done) override {
-    if (!KeepsSnapshots()) {
-      Storage::PutSnapshot(key, std::move(snapshot), std::move(done));
-      return;
-    }
     const std::size_t bytes = snapshot.payload.size();
     WriterOf(key).Submit(
         key, bytes,
@@ -223,10 +214,6 @@ class PostgresStorage : public PostgresReader {
   }
 
   void DropSnapshot(VehicleKey key, Done done) override {
-    if (!KeepsSnapshots()) {
-      Storage::DropSnapshot(key, std::move(done));
-      return;
-    }
     PostgresWriter& writer = WriterOf(key);
     writer.Submit(
         key, 0,
@@ -260,11 +247,27 @@ class PostgresStorage : public PostgresReader {
     return ownership_->Check(key);
   }
 
+  absl::Status CheckLease() const override { return ownership_->CheckLease(); }
+
+  void ConfirmOwned(VehicleKey key, Done done) override {
+    WriterOf(key).Submit(
+        key, 0,
+        [](PostgresConnection& connection, const Fence& fence) {
+          return ConfirmHead(connection, fence);
+        },
+        std::move(done));
+  }
+
   std::vector<WantedVehicle> WantedVehicles() override {
     return ownership_->Wanted();
   }
 
+  absl::StatusOr<std::vector<StorageUser>> ListUsers() override {
+    return ownership_->Users();
+  }
+
   absl::Status CheckWritable() override {
+    if (absl::Status lease = CheckLease(); !lease.ok()) return lease;
     for (const auto& writer : writers_) {
       if (absl::Status status = writer->CheckWritable(); !status.ok()) {
         return status;
@@ -312,6 +315,7 @@ class PostgresStorage : public PostgresReader {
     const std::shared_ptr<const Claim> claim = ownership_->Find(*key);
     if (record.ok() && record->key == *key && claim != nullptr) {
       record->epoch = claim->epoch;
+      record->previous_epoch = claim->previous_epoch;
       return record;
     }
     if (claim != nullptr) ownership_->Forget(*key, claim.get());
@@ -344,7 +348,10 @@ absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorage(
     options.ownership.warn("the database may lose what it has acknowledged: " +
                            durability.details);
   }
-  auto ownership = Ownership::Join(conninfo, options.ownership);
+  OwnershipOptions of_ownership = options.ownership;
+  of_ownership.counts_vehicles =
+      database->schema_version >= kVehicleCountsSinceVersion;
+  auto ownership = Ownership::Join(conninfo, of_ownership);
   if (!ownership.ok()) return ownership.status();
   return std::unique_ptr<Storage>(new PostgresStorage(
       *std::move(database), options, *std::move(ownership)));

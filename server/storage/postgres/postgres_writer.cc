@@ -240,9 +240,7 @@ void PostgresWriter::Purge() {
   bool more = false;
   if (status.ok()) {
     absl::StatusOr<bool> purged = PurgeSome(*connection_);
-    if (purged.ok() && !*purged && options_.has_snapshots) {
-      purged = PurgeSnapshots(*connection_);
-    }
+    if (purged.ok() && !*purged) purged = PurgeSnapshots(*connection_);
     status = purged.status();
     more = purged.ok() && *purged;
   }

@@ -38,8 +38,6 @@ class PostgresWriter {
     bool require_replicated = false;
     // Whether to begin with the rows that are left of what is gone.
     bool purges_first = false;
-    // Whether the database has tables of snapshots.
-    bool has_snapshots = false;
     // How often to ask how large the database is, in between writes; never if
     // zero. The database then looks at the size of each of its files.
     std::chrono::milliseconds size_period{0};

@@ -236,6 +236,18 @@ class SqliteStorage : public Storage {
     return records;
   }
 
+  absl::StatusOr<std::vector<VehicleRecord>> ListVehicleRows(
+      VehicleKey after_key, int limit) override {
+    absl::StatusOr<std::vector<VehicleRecord>> records =
+        std::vector<VehicleRecord>();
+    const absl::Status status = readers_.Read([&](SqliteDatabase& database) {
+      records = FindVehicleRows(database, after_key, limit);
+      return records.status();
+    });
+    if (!status.ok()) return status;
+    return records;
+  }
+
   absl::Status ReadBatches(
       VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
       BatchVersion version,

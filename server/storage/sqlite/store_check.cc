@@ -78,7 +78,7 @@ class Checker {
   void CheckVehicle(VehicleKey key, const std::string& id) {
     const absl::Status status = ReportVehicle(*storage_, id, &report_);
     if (!absl::IsNotFound(status)) {
-      ReportSnapshot(*storage_, key, id, &report_);
+      ReportSnapshot(*storage_, key, id, &report_).IgnoreError();
       return;
     }
     // The server may have deleted the vehicle since it was listed.

@@ -114,6 +114,21 @@ absl::StatusOr<std::vector<VehicleRecord>> FindVehicles(
   }
 }
 
+absl::StatusOr<std::vector<VehicleRecord>> FindVehicleRows(
+    SqliteDatabase& database, VehicleKey after_key, int limit) {
+  std::vector<VehicleRecord> records;
+  SqliteStatement row = database.Prepare(
+      "SELECT key, id, format, revision, checksum, payload FROM vehicles "
+      "WHERE key > ?1 ORDER BY key LIMIT ?2");
+  row.Bind(1, after_key).Bind(2, std::max(limit, 0));
+  while (true) {
+    const absl::StatusOr<bool> found = row.Step();
+    if (!found.ok()) return found.status();
+    if (!*found) return records;
+    records.push_back(ReadVehicleRow(row));
+  }
+}
+
 absl::StatusOr<VehicleKey> InsertVehicle(SqliteDatabase& database,
                                          VehicleRecord record) {
   {

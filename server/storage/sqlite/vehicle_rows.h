@@ -33,6 +33,10 @@ absl::StatusOr<std::vector<VehicleRecord>> FindVehicles(
     SqliteDatabase& database, const std::string& after_id,
     const std::string& prefix, int limit);
 
+// Implements Storage::ListVehicleRows().
+absl::StatusOr<std::vector<VehicleRecord>> FindVehicleRows(
+    SqliteDatabase& database, VehicleKey after_key, int limit);
+
 absl::StatusOr<VehicleKey> InsertVehicle(SqliteDatabase& database,
                                          VehicleRecord record);
 // Inserts a vehicle under the key that it has.

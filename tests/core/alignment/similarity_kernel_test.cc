@@ -361,7 +361,8 @@ void ExpectBounded(std::mt19937_64& random, double* least_slack,
   BlockSimilarity before;
   EvaluateDifferences(kSpace, differences, &before);
   BlockColumn most;
-  BoundChanged(kSpace, differences, bound, before, &most);
+  BlockColumn unshifted;
+  BoundChanged(kSpace, differences, bound, before, &most, &unshifted);
 
   constexpr std::size_t kRows = 8;
   std::vector<double> certainties(kRows * kMostEntries);
@@ -406,6 +407,10 @@ void ExpectBounded(std::mt19937_64& random, double* least_slack,
       ASSERT_GE(slack, -1e-9 * std::max(1.0, std::abs(most[i])))
           << "entry " << i;
       *least_slack = std::min(*least_slack, slack);
+      ASSERT_GE(unshifted[i] - similarity.log_similarity[i] -
+                    0.5 * similarity.squared_mahalanobis[i],
+                -1e-9 * std::max(1.0, std::abs(unshifted[i])))
+          << "entry " << i;
     }
   }
 }

@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <optional>
+#include <random>
 #include <vector>
 
 #include "core/engine.h"
@@ -159,6 +161,47 @@ TEST(ModelCheckTest, JumpsTellNothing) {
   }
 }
 
+TEST(ModelCheckTest, StretchesAreAsLongAsTheirRootedLengthSays) {
+  std::mt19937_64 random = SeededRandom();
+  const double limit = ModelCheck::kStretchMeters;
+  ModelCheck check(100.0);
+  PoseSample start;
+  start.covariance(0, 0) = start.covariance(1, 1) = 1.0;
+  check.Look(start);
+  const double kept = 1.0 - 1.0 / ModelCheck::kLastStretches;
+  double counted = 0.0;
+  double growing = 0.0;
+  int too_short = 0;
+  for (int i = 0; i < 10'000; ++i) {
+    // Some units in the last place away from the limit, or none.
+    const double turn = Uniform(random, -kPi, kPi);
+    PoseSample sample;
+    sample.pose.x = limit * std::cos(turn);
+    sample.pose.y = limit * std::sin(turn);
+    for (int k = UniformInt(random, 0, 2); k > 0; --k) {
+      sample.pose.x = std::nextafter(sample.pose.x, 0.0);
+    }
+    // Every other stretch grows.
+    sample.covariance(0, 0) = sample.covariance(1, 1) = i % 2 == 0 ? 2.0 : 0.5;
+    check.Look(sample);
+    if (std::hypot(sample.pose.x, sample.pose.y) < limit) {
+      ++too_short;
+      continue;
+    }
+    counted = kept * counted + 1.0;
+    growing = kept * growing + (i % 2 == 0 ? 1.0 : 0.0);
+    // The next stretch begins at the origin again.
+    check.Skip();
+    check.Look(start);
+  }
+  EXPECT_GT(too_short, 1000);
+  EXPECT_LT(too_short, 9000);
+  const std::optional<Finding> finding =
+      check.Find(CorrelationModel::kDeadReckoning);
+  ASSERT_TRUE(finding);
+  EXPECT_EQ(finding->growing, growing / counted);
+}
+
 TEST(ModelCheckTest, AFindingIsGoneKilometresAfterItsCause) {
   std::mt19937_64 random = SeededRandom();
   ModelCheck check = CheckOf(Fixes(random, 3000.0, 8, 3.0, 0.0));
@@ -176,25 +219,25 @@ TEST(ModelCheckTest, TheEngineTellsAFindingOnceAndKeepsIt) {
   int told = 0;
   for (const PoseSample& sample : samples) {
     const AppendResult result = engine.Append({sample}, sample.sequence);
-    if (!result.finding) continue;
+    if (result.findings.empty()) continue;
     ++told;
-    EXPECT_EQ(result.finding->code, FindingCode::kCovariancesDoNotGrow);
+    EXPECT_EQ(result.findings[0].code, FindingCode::kCovariancesDoNotGrow);
     EXPECT_LT(engine.travelled_meters(), 2000.0);
   }
   EXPECT_EQ(told, 1);
-  ASSERT_TRUE(engine.finding());
+  ASSERT_EQ(engine.findings().size(), 1u);
 
   // A function of the poses and the model, however the poses came.
   Engine at_once(settings);
-  EXPECT_TRUE(at_once.Append(samples, 1).finding);
-  EXPECT_EQ(at_once.finding()->growing, engine.finding()->growing);
-  EXPECT_EQ(at_once.finding()->smoother, engine.finding()->smoother);
+  EXPECT_EQ(at_once.Append(samples, 1).findings.size(), 1u);
+  EXPECT_EQ(at_once.findings()[0].growing, engine.findings()[0].growing);
+  EXPECT_EQ(at_once.findings()[0].smoother, engine.findings()[0].smoother);
   settings.search.correlation_model = CorrelationModel::kIndependent;
   at_once.ChangeSettings(settings, 2);
-  EXPECT_EQ(at_once.finding()->code, FindingCode::kErrorsCorrelated);
+  EXPECT_EQ(at_once.findings()[0].code, FindingCode::kErrorsCorrelated);
   settings.search.correlation_model = CorrelationModel::kCorrelatedFixes;
   at_once.ChangeSettings(settings, 3);
-  EXPECT_FALSE(at_once.finding());
+  EXPECT_TRUE(at_once.findings().empty());
 }
 
 }  // namespace

@@ -15,6 +15,7 @@
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "tests/server/waiting.h"
 
 namespace revisit::server {
 namespace {
@@ -115,6 +116,7 @@ TEST(LineWriterTest, NeverWaitsForAReaderThatStopped) {
     LineWriter writer(pipe.writer(), options, GapText);
     // Far more than pipe and queue hold; it would wait for ever otherwise.
     for (int i = 0; i < 10'000; ++i) writer.Write("a line of the log\n");
+    EXPECT_GT(writer.dropped(), 0);
   }
   // Nor does its end.
 }
@@ -175,11 +177,29 @@ TEST(LineWriterTest, LinesOfManyThreadsStayWhole) {
   for (const std::string& line : lines) EXPECT_EQ(line, std::string(300, 'a'));
 }
 
+// Writes to a descriptor that takes nothing, which then becomes a pipe that
+// does: the lines that it did not take are counted, and those after them come.
+void ExpectLosesLinesOnly(int descriptor) {
+  constexpr std::int64_t kLost = 10'000;
+  Pipe pipe;
+  LineWriter writer(descriptor, SmallQueue(), GapText);
+  for (std::int64_t i = 0; i < kLost; ++i) {
+    writer.Write("a line of the log\n");
+  }
+  // No line is counted as long as it may still be written.
+  ASSERT_TRUE(Eventually([&] { return writer.dropped() >= kLost; }));
+  EXPECT_EQ(writer.dropped(), kLost);
+  ASSERT_GE(dup3(pipe.writer(), descriptor, O_CLOEXEC), 0);
+  writer.Write("after\n");
+  EXPECT_EQ(pipe.ReadLine(), "after");
+  EXPECT_EQ(pipe.ReadLine(), "dropped 10000");
+  EXPECT_EQ(writer.dropped(), kLost);
+}
+
 TEST(LineWriterTest, OutlivesAReaderThatWentAway) {
   Pipe pipe;
   pipe.CloseReader();
-  LineWriter writer(pipe.writer(), SmallQueue(), GapText);
-  for (int i = 0; i < 10'000; ++i) writer.Write("a line of the log\n");
+  ExpectLosesLinesOnly(pipe.writer());
 }
 
 // A device without room, such as a full disk: the lines are lost, the writer is
@@ -187,10 +207,7 @@ TEST(LineWriterTest, OutlivesAReaderThatWentAway) {
 TEST(LineWriterTest, DeviceWithoutRoomLosesLinesOnly) {
   const int full = open("/dev/full", O_WRONLY | O_CLOEXEC);
   ASSERT_GE(full, 0);
-  {
-    LineWriter writer(full, SmallQueue(), GapText);
-    for (int i = 0; i < 1'000; ++i) writer.Write("a line of the log\n");
-  }
+  ExpectLosesLinesOnly(full);
   close(full);
 }
 

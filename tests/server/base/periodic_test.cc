@@ -36,7 +36,8 @@ TEST(PeriodicTest, WorksBeforeItsTimeIfItIsHastened) {
   const Answer<bool> worked;
   Periodic periodic(std::chrono::hours(1), [&] { worked.Set(true); });
   periodic.Hasten();
-  worked.Get();
+  // The test would be ended long before the hour is over.
+  EXPECT_TRUE(worked.Get());
 }
 
 TEST(PeriodicTest, FinishesTheWorkItIsAtBeforeItGoes) {

@@ -26,6 +26,10 @@ using ::testing::HasSubstr;
 Limits Small() {
   Limits limits;
   limits.max_calls = 2;
+  limits.max_calls_per_caller = 1;
+  limits.max_calls_per_vehicle = 2;
+  limits.max_rebuilt_poses = 1000;
+  limits.max_rebuilt_poses_per_caller = 600;
   limits.max_streams = 3;
   limits.max_streams_per_caller = 2;
   limits.max_streams_per_vehicle = 2;
@@ -59,15 +63,15 @@ TEST(AdmissionTest, RoomIsGivenBackWhenThePermitGoes) {
   Admission admission(Small(), 1, NoMemory);
   std::vector<Permit> permits;
   for (int i = 0; i < 2; ++i) {
-    auto permit = admission.Call();
+    auto permit = admission.Call("");
     ASSERT_TRUE(permit.ok()) << permit.status();
     permits.push_back(*permit);
   }
-  const absl::Status refused = admission.Call().status();
+  const absl::Status refused = admission.Call("").status();
   EXPECT_THAT(refused, IsError(StatusCode::kUnavailable, "OVERLOADED",
                                HasSubstr("limit")));
   permits.pop_back();
-  EXPECT_TRUE(admission.Call().ok());
+  EXPECT_TRUE(admission.Call("").ok());
 }
 
 TEST(AdmissionTest, CountsRefusalsByTheSettingThatIsTheLimit) {
@@ -86,16 +90,25 @@ TEST(AdmissionTest, CountsRefusalsByTheSettingThatIsTheLimit) {
   };
   EXPECT_TRUE(refusals(admission).empty());
   for (int i = 0; i < 5; ++i) {
-    take(admission.Call());
+    take(admission.Call(""));
     take(admission.StreamOf("v"));
+    take(admission.CallOf("v"));
     take(admission.Search("v", "", kEver));
     take(admission.Queue("v", 500));
   }
+  EXPECT_FALSE(admission.TooManySteps("v").ok());
+  for (int i = 0; i < 3; ++i) take(admission.Rebuild("a", 300));
+  for (int i = 0; i < 3; ++i) take(admission.Rebuild("b", 300));
   for (int i = 0; i < 3; ++i) take(admission.Stream("a"));
   for (int i = 0; i < 3; ++i) take(admission.Stream("b"));
   const std::map<std::string, std::uint64_t> expected = {
       {"max-calls", 3},
+      {"max-calls-per-vehicle", 3},
       {"max-queued-bytes-per-vehicle", 4},
+      // The second and third of b.
+      {"max-rebuilt-poses", 2},
+      {"max-rebuilt-poses-per-caller", 1},
+      {"max-search-steps", 1},
       {"max-searches-per-vehicle", 3},
       // The second of b finds none left of all.
       {"max-streams", 2},
@@ -104,11 +117,12 @@ TEST(AdmissionTest, CountsRefusalsByTheSettingThatIsTheLimit) {
   EXPECT_EQ(refusals(admission), expected);
   for (const Admission::Use& use : admission.uses()) {
     const std::string limit = use.limit;
-    EXPECT_EQ(use.taken, limit == "max-calls"          ? 2
-                         : limit == "max-queued-bytes" ? 500
-                         : limit == "max-searches"     ? 2
-                         : limit == "max-streams"      ? 3
-                                                       : 0)
+    EXPECT_EQ(use.taken, limit == "max-calls"           ? 2
+                         : limit == "max-queued-bytes"  ? 500
+                         : limit == "max-rebuilt-poses" ? 900
+                         : limit == "max-searches"      ? 2
+                         : limit == "max-streams"       ? 3
+                                                        : 0)
         << limit;
     EXPECT_GE(use.most, use.taken) << limit;
   }
@@ -151,6 +165,73 @@ TEST(AdmissionTest, OneCallersStreamsLeaveRoomForAnother) {
   EXPECT_THAT(
       admission.Stream("b").status(),
       IsError(StatusCode::kUnavailable, "OVERLOADED", HasSubstr("limit")));
+}
+
+TEST(AdmissionTest, OneCallersCallsLeaveRoomForAnother) {
+  Limits limits;
+  limits.max_calls = 3;
+  limits.max_calls_per_caller = 2;
+  Admission admission(limits, 1, NoMemory);
+  std::vector<Permit> permits;
+  for (int i = 0; i < 2; ++i) permits.push_back(*admission.Call("a"));
+  const absl::Status refused = admission.Call("a").status();
+  EXPECT_THAT(refused, IsError(StatusCode::kResourceExhausted, "QUEUE_FULL",
+                               HasSubstr("limit")));
+  const auto quota =
+      DetailOf<google::rpc::QuotaFailure>(refused, kQuotaFailureUrl);
+  ASSERT_EQ(quota.violations_size(), 1);
+  EXPECT_EQ(quota.violations(0).subject(), "caller");
+  EXPECT_GT(RetrySeconds(refused), 0.0);
+  permits.push_back(*admission.Call("b"));
+  EXPECT_THAT(
+      admission.Call("c").status(),
+      IsError(StatusCode::kUnavailable, "OVERLOADED", HasSubstr("limit")));
+  // Calls that end, or are given up, leave nothing behind.
+  permits.clear();
+  for (int i = 0; i < 2; ++i) permits.push_back(*admission.Call("a"));
+  EXPECT_FALSE(admission.Call("a").ok());
+}
+
+TEST(AdmissionTest, CallsAboutOneVehicleLeaveRoomForAnother) {
+  Limits limits;
+  limits.max_calls_per_vehicle = 2;
+  Admission admission(limits, 1, NoMemory);
+  std::vector<Permit> permits;
+  for (int i = 0; i < 2; ++i) permits.push_back(*admission.CallOf("v"));
+  const absl::Status refused = admission.CallOf("v").status();
+  EXPECT_THAT(refused, IsError(StatusCode::kResourceExhausted, "QUEUE_FULL",
+                               HasSubstr("vehicles/v")));
+  EXPECT_GT(RetrySeconds(refused), 0.0);
+  EXPECT_TRUE(admission.CallOf("w").ok());
+  permits.pop_back();
+  EXPECT_TRUE(admission.CallOf("v").ok());
+}
+
+TEST(AdmissionTest, GraphsThatAreMadeAnewAreBoundedByTheirPoses) {
+  Admission admission(Small(), 1, NoMemory);
+  auto first = admission.Rebuild("a", 500);
+  ASSERT_TRUE(first.ok());
+  EXPECT_THAT(admission.Rebuild("a", 101).status(),
+              IsError(StatusCode::kResourceExhausted, "QUEUE_FULL",
+                      HasSubstr("limit")));
+  const auto little = admission.Rebuild("a", 100);
+  EXPECT_TRUE(little.ok());
+  EXPECT_THAT(
+      admission.Rebuild("b", 401).status(),
+      IsError(StatusCode::kUnavailable, "OVERLOADED", HasSubstr("limit")));
+  const auto second = admission.Rebuild("b", 400);
+  EXPECT_TRUE(second.ok());
+  first = absl::CancelledError();
+  EXPECT_TRUE(admission.Rebuild("a", 500).ok());
+}
+
+TEST(AdmissionTest, LargeVehicleIsMadeAnewWhileOthersAre) {
+  Admission admission(Small(), 1, NoMemory);
+  const auto of_another = admission.Rebuild("a", 400);
+  ASSERT_TRUE(of_another.ok());
+  const auto large = admission.Rebuild("b", 1'000'000);
+  EXPECT_TRUE(large.ok()) << large.status();
+  EXPECT_FALSE(admission.Rebuild("b", 1).ok());
 }
 
 TEST(AdmissionTest, CallersWithoutANameShareNoLimit) {
@@ -216,10 +297,98 @@ TEST(AdmissionTest, SearchesOfOneVehicleLeaveRoomForAnother) {
       IsError(StatusCode::kUnavailable, "OVERLOADED", HasSubstr("limit")));
 }
 
+TEST(AdmissionTest,
+     CallerWithinItsShareHasRoomForSearchesHoweverManyOthersHave) {
+  Limits limits;
+  limits.max_searches = 4;
+  Admission admission(limits, 1, NoMemory);
+  const auto search = [&](const std::string& caller) {
+    return admission.Search("v", caller, kEver);
+  };
+  std::vector<Permit> greedy;
+  for (int i = 0; i < 4; ++i) greedy.push_back(*search("greedy"));
+  EXPECT_THAT(
+      search("greedy").status(),
+      IsError(StatusCode::kUnavailable, "OVERLOADED", HasSubstr("limit")));
+  std::vector<Permit> others;
+  for (int i = 0; i < 2; ++i) {
+    auto permit = search("b");
+    ASSERT_TRUE(permit.ok()) << permit.status();
+    others.push_back(*permit);
+  }
+  // Two of four are what each of two callers has.
+  for (const char* const caller : {"b", "greedy"}) {
+    const absl::Status refused = search(caller).status();
+    EXPECT_THAT(refused, IsError(StatusCode::kResourceExhausted, "SEARCH_QUOTA",
+                                 HasSubstr("share")));
+    EXPECT_EQ(DetailOf<google::rpc::QuotaFailure>(refused, kQuotaFailureUrl)
+                  .violations(0)
+                  .subject(),
+              "caller");
+    EXPECT_GT(RetrySeconds(refused), 0.0);
+  }
+  // However many callers there are, one search is always within the share.
+  for (const char* const caller : {"c", "d", "e", "f"}) {
+    auto permit = search(caller);
+    ASSERT_TRUE(permit.ok()) << permit.status();
+    others.push_back(*permit);
+    EXPECT_FALSE(search(caller).ok());
+  }
+  // A caller may have more than its share where nobody else wants it.
+  others.clear();
+  greedy.pop_back();
+  greedy.push_back(*search("greedy"));
+  EXPECT_FALSE(search("greedy").ok());
+}
+
+TEST(AdmissionTest, SearchWaitsForThoseOfItsOwnCallerOnly) {
+  Admission admission(Limits{}, 1, NoMemory);
+  std::vector<Permit> permits;
+  for (int i = 0; i < 100; ++i) {
+    admission.SearchTook("slow", std::chrono::seconds(10));
+    admission.SearchTook("quick", std::chrono::milliseconds(10));
+  }
+  for (int i = 0; i < 10; ++i) {
+    permits.push_back(*admission.Search(std::to_string(i), "slow", kEver));
+  }
+  for (int i = 0; i < 5; ++i) {
+    permits.push_back(*admission.Search(std::to_string(i), "quick",
+                                        std::chrono::milliseconds(500)));
+  }
+  // Five of ten milliseconds, while another has half of the threads.
+  const auto late =
+      IsError(StatusCode::kUnavailable, "OVERLOADED", HasSubstr("deadline"));
+  EXPECT_THAT(
+      admission.Search("v", "quick", std::chrono::milliseconds(60)).status(),
+      late);
+  EXPECT_THAT(admission.Search("v", "slow", std::chrono::seconds(100)).status(),
+              late);
+}
+
+TEST(AdmissionTest, BudgetOfStepsIsEachCallersOwnAndDebtsArePaidFirst) {
+  Admission admission(Limits{}, 1, NoMemory);
+  constexpr double kRate = 1000.0;
+  EXPECT_THAT(admission.CheckSteps("a", kRate), IsOk());
+  // More than there is of one second: those of three are missing then.
+  admission.UseSteps("a", kRate, 4000);
+  const absl::Status refused = admission.CheckSteps("a", kRate);
+  EXPECT_THAT(refused, IsError(StatusCode::kResourceExhausted, "SEARCH_QUOTA",
+                               HasSubstr("steps of searches a second")));
+  EXPECT_GT(RetrySeconds(refused), 2.0);
+  EXPECT_LE(RetrySeconds(refused), 3.5);
+  EXPECT_THAT(admission.CheckSteps("b", kRate), IsOk());
+  const auto counts = admission.refusals().Read();
+  for (std::size_t i = 0; i < kLimitCount; ++i) {
+    const bool of_steps =
+        kLimitNames[i] == std::string("max-search-steps-per-second");
+    EXPECT_EQ(counts[i], of_steps ? 1u : 0u) << kLimitNames[i];
+  }
+}
+
 TEST(AdmissionTest, SearchThatWouldBeLateIsRefusedAtOnce) {
   Admission admission(Limits{}, 2, NoMemory);
   for (int i = 0; i < 100; ++i) {
-    admission.SearchTook(std::chrono::milliseconds(100));
+    admission.SearchTook("", std::chrono::milliseconds(100));
   }
   std::vector<Permit> permits;
   for (int i = 0; i < 10; ++i) {
@@ -285,7 +454,7 @@ TEST(AdmissionTest, NothingNewIsTakenWhileMemoryIsShort) {
   Admission admission(limits, 1, [&] { return used; });
   EXPECT_TRUE(admission.UnderMemoryPressure());
   for (const absl::Status& refused :
-       {admission.Call().status(), admission.Stream("").status(),
+       {admission.Call("").status(), admission.Stream("").status(),
         admission.Queue("v", 1).status()}) {
     EXPECT_THAT(refused, IsError(StatusCode::kResourceExhausted,
                                  "MEMORY_PRESSURE", HasSubstr("limit")));
@@ -301,8 +470,8 @@ TEST(AdmissionTest, RoomIsCountedAcrossThreads) {
   for (int i = 0; i < 4; ++i) {
     threads.emplace_back([&admission, i] {
       for (int k = 0; k < 10000; ++k) {
-        const auto permit =
-            admission.Search("v" + std::to_string((i + k) % 3), "", kEver);
+        const auto permit = admission.Search("v" + std::to_string((i + k) % 3),
+                                             std::to_string(k % 5), kEver);
       }
     });
   }

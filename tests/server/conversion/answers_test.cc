@@ -361,15 +361,42 @@ TEST(AnswerTest, AcknowledgementWarnsOfAFinding) {
   v1::Ack ack;
   EncodeAck(acknowledgement, &ack);
   EXPECT_EQ(ack.warnings_size(), 0);
-  acknowledgement.finding =
-      FindingOf(core::FindingCode::kErrorsCorrelated, 0.0, 6.5);
+  acknowledgement.findings = {
+      FindingOf(core::FindingCode::kErrorsCorrelated, 0.0, 6.5)};
   EncodeAck(acknowledgement, &ack);
   ASSERT_EQ(ack.warnings_size(), 1);
   EXPECT_EQ(ack.warnings(0).reason(), v1::WARNING_REASON_FINDING);
-  EXPECT_EQ(ack.warnings(0).message(), MessageOf(*acknowledgement.finding));
+  EXPECT_EQ(ack.warnings(0).message(), MessageOf(acknowledgement.findings[0]));
   EXPECT_EQ(ack.warnings(0).metadata().at("finding"),
             "FINDING_CODE_ERRORS_CORRELATED");
   EXPECT_EQ(ack.warnings(0).metadata().at("sequence"), "640");
+}
+
+TEST(AnswerTest, AcknowledgementTellsHowFarStampsAreOffAndWhere) {
+  constexpr std::int64_t kSecond = 1'000'000'000;
+  Acknowledgement acknowledgement;
+  acknowledgement.durable_sequence = 640;
+  EXPECT_FALSE(acknowledgement.has_warnings());
+  core::Finding leap = FindingOf(core::FindingCode::kStampsLeap, 0.0, 1.0);
+  leap.leap = core::StampLeap{630, 400 * 24 * 3600 * kSecond};
+  acknowledgement.findings = {leap};
+  EXPECT_TRUE(acknowledgement.has_warnings());
+  acknowledgement.stamp_ahead = StampAhead{635, 301 * kSecond};
+  v1::Ack ack;
+  EncodeAck(acknowledgement, &ack);
+  ASSERT_EQ(ack.warnings_size(), 2);
+  EXPECT_EQ(ack.warnings(0).reason(), v1::WARNING_REASON_FINDING);
+  EXPECT_THAT(ack.warnings(0).message(),
+              HasSubstr("go forward by 400 days to sequence 630"));
+  EXPECT_EQ(ack.warnings(0).metadata().at("finding"),
+            "FINDING_CODE_STAMPS_LEAP");
+  EXPECT_EQ(ack.warnings(0).metadata().at("sequence"), "630");
+  EXPECT_EQ(ack.warnings(0).metadata().at("seconds"), "34560000");
+  EXPECT_EQ(ack.warnings(1).reason(), v1::WARNING_REASON_STAMPS_AHEAD);
+  EXPECT_THAT(ack.warnings(1).message(),
+              HasSubstr("sequence 635 is 301 s ahead of the server's clock"));
+  EXPECT_EQ(ack.warnings(1).metadata().at("sequence"), "635");
+  EXPECT_EQ(ack.warnings(1).metadata().at("seconds"), "301");
 }
 
 }  // namespace

@@ -77,6 +77,55 @@ TEST(VehicleLabelsTest, AreStoredWithTheVehicle) {
   EXPECT_EQ(read->labels, config.labels);
 }
 
+TEST(VehicleLabelsTest, WhatIsRefusedTodayIsStillReadAndChangedAround) {
+  VehicleConfig config;
+  config.display_name = "\x1b[2J\u202e";
+  config.labels = {{"a", "\u200b"}, {"b", "2"}};
+  config.create_time_ns = 1;
+  const ProtoRecordCodec codec;
+  auto read = codec.DecodeVehicle(RecordOf(codec.EncodeVehicle(config)));
+  ASSERT_THAT(read, IsOk());
+  EXPECT_EQ(read->display_name, config.display_name);
+  EXPECT_EQ(read->labels, config.labels);
+  v1::Vehicle vehicle;
+  (*vehicle.mutable_labels())["b"] = "3";
+  LabelsMask mask;
+  mask.keys = {"b"};
+  ASSERT_THAT(UpdateLabels(vehicle, mask, kVehicle, &*read), IsOk());
+  EXPECT_THAT(read->labels, ElementsAre(Pair("a", "\u200b"), Pair("b", "3")));
+}
+
+TEST(VehicleLabelsTest, NamesThatControlTurnAroundOrHideTextAreRefused) {
+  for (const char* const text :
+       {"\x01", "\x1f", "\x7f", "\u0080", "\u009f", "\n", "\t", "\u061c",
+        "\u200b", "\u200e", "\u200f", "\u2028", "\u202e", "\u2060", "\u2066",
+        "\u206f", "\ufeff", "a\u202e", "\U0001f697\u200b"}) {
+    v1::Vehicle vehicle;
+    vehicle.set_display_name(text);
+    (*vehicle.mutable_labels())["a"] = text;
+    VehicleConfig config;
+    EXPECT_THAT(
+        FieldsOf(UpdateLabels(vehicle, {true, true, {}}, kVehicle, &config)),
+        ::testing::UnorderedElementsAre("display_name", "labels.a"))
+        << text;
+  }
+}
+
+TEST(VehicleLabelsTest, NamesOfAnyScriptAreTaken) {
+  for (const char* const text :
+       {"", " ", "~", "\u00a0", "\u00ad", "\u0627\u200c\u0628", "\u200d",
+        "\u2027", "\u202f", "\u205f", "\u2070", "\ufe0f", "\u3000", "\uffff",
+        "\U00010000", "\U0001f469\u200d\U0001f527", "\U000e0067",
+        "\U0010ffff"}) {
+    v1::Vehicle vehicle;
+    vehicle.set_display_name(text);
+    VehicleConfig config;
+    EXPECT_THAT(UpdateLabels(vehicle, {true, true, {}}, kVehicle, &config),
+                IsOk())
+        << text;
+  }
+}
+
 TEST(VehicleLabelsTest, AnswerIsTrimmedToTheKeysThatWereNamed) {
   v1::Vehicle vehicle;
   vehicle.set_name("vehicles/a");

@@ -15,7 +15,8 @@ constexpr char kPolicy[] = R"({
   "version": 1,
   "tenants": [
     {"name": "acme", "vehicle_prefix": "acme-"},
-    {"name": "umbra", "vehicle_prefix": "umbra-"}
+    {"name": "umbra", "vehicle_prefix": "umbra-",
+     "max_search_steps_per_second": 5e7}
   ],
   "grants": [
     {"token_subject": "acme-backend", "tenant": "acme",
@@ -149,6 +150,15 @@ TEST(PolicyTest, StarTenantHasAllVehicles) {
   EXPECT_FALSE(caller.May(Verb::kWrite, "anything"));
 }
 
+TEST(PolicyTest, BudgetOfSearchStepsIsThatOfTheTenant) {
+  EXPECT_EQ(CallerFor(Subject("vehicle:7")).max_search_steps_per_second, 5e7);
+  EXPECT_EQ(CallerFor(Subject("acme-backend")).max_search_steps_per_second,
+            std::nullopt);
+  Identity operators;
+  operators.certificate_dns_names = {"a.operators.example"};
+  EXPECT_EQ(CallerFor(operators).max_search_steps_per_second, std::nullopt);
+}
+
 TEST(PolicyTest, ProblemsAreNamedWithTheirPlace) {
   const std::string tenants =
       R"("tenants": [{"name": "a", "vehicle_prefix": "a-"}])";
@@ -196,6 +206,16 @@ TEST(PolicyTest, ProblemsAreNamedWithTheirPlace) {
       {with_tenants(R"({"name": "a", "vehicle_prefix": "a"},
                        {"name": "a", "vehicle_prefix": "b"})"),
        "tenants[1].name: \"a\" stands twice"},
+      {with_tenants(R"({"name": "a", "vehicle_prefix": "a",
+                        "max_search_steps_per_second": "1"})"),
+       "tenants[0].max_search_steps_per_second: got \"1\"; allowed is a number "
+       "in [1, 1e15]"},
+      {with_tenants(R"({"name": "a", "vehicle_prefix": "a",
+                        "max_search_steps_per_second": 0.5})"),
+       "tenants[0].max_search_steps_per_second: got 0.5"},
+      {with_tenants(R"({"name": "a", "vehicle_prefix": "a",
+                        "max_search_steps_per_second": 1e16})"),
+       "tenants[0].max_search_steps_per_second: got 1e+16"},
       {grant(R"("tenant": "a", "vehicles": ["*"], "verbs": ["read"])"),
        "grants[0]: names who it is for 0 times"},
       {grant(R"("token_subject": "s", "certificate_dns": "d", "tenant": "a",

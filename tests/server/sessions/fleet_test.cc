@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <random>
 #include <string>
 #include <thread>
@@ -422,6 +423,8 @@ class Driver {
       EXPECT_EQ(read->revision, revision_);
       if (batch % 3 == 2) AddAndDeleteClosure(batch);
     }
+    // An append is acknowledged before its check has run.
+    last_append_over_->Get();
   }
 
  private:
@@ -431,6 +434,8 @@ class Driver {
     const auto append = std::make_shared<PlainAppend>(payload);
     append->durable = durable.Setter();
     append->wants = true;
+    last_append_over_.emplace();
+    append->over = [over = *last_append_over_] { over.Set(true); };
     append->candidates = [this](const VehicleView& view,
                                 const absl::StatusOr<core::CandidateSet>& set) {
       ASSERT_THAT(set, IsOk());
@@ -469,6 +474,7 @@ class Driver {
   std::uint64_t acknowledged_ = 0;
   std::uint64_t revision_ = 1;
   std::string found_;
+  std::optional<Answer<bool>> last_append_over_;
 };
 
 // Creates, fills and deletes a vehicle again and again.

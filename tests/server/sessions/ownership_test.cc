@@ -179,6 +179,31 @@ TEST_F(OwnershipTest, WriteWhoseAnswerWasLostIsSettledByTakingTheVehicle) {
   EXPECT_EQ(a_.Read("truck")->durable_sequence, 2u);
 }
 
+// The server listed what a failover had lost, and acknowledged it again.
+TEST_F(OwnershipTest, WhatIsInMemoryIsNotAcknowledgedAgainWithoutTheStore) {
+  ASSERT_THAT(a_.Create("truck"), IsOk());
+  ASSERT_THAT(a_.Append("truck", 1, 2), IsOk());
+  const std::shared_ptr<VehicleSession> session = a_.fleet.Session("truck");
+  const PosePairRecord pair{"c", 2, 1, 7};
+  ASSERT_THAT(AddPairNow(*session, PairKind::kLoopClosure, pair), IsOk());
+  a_.held.Hold();
+  const Answer<absl::StatusOr<AddedPair>> added;
+  session->AddPosePair(PairKind::kLoopClosure, pair, added.Setter());
+  a_.held.Await(1);
+  a_.held.ReleaseAll();
+  EXPECT_THAT(added.Get(), IsOk());
+  a_.held.Hold();
+  const Answer<absl::StatusOr<AddedPair>> again;
+  session->AddPosePair(PairKind::kLoopClosure, pair, again.Setter());
+  const Answer<absl::StatusOr<std::uint64_t>> deleted;
+  session->DeletePosePair(PairKind::kLoopClosure, "d", deleted.Setter());
+  a_.held.Await(1);
+  Seize("truck", "b");
+  a_.held.ReleaseAll();
+  EXPECT_THAT(again.Get(), kFenced);
+  EXPECT_THAT(deleted.Get(), kFenced);
+}
+
 TEST_F(OwnershipTest, WantedVehicleIsHandedOverOnceItsCallsAreFinished) {
   ASSERT_THAT(a_.Create("truck"), IsOk());
   a_.held.Hold();

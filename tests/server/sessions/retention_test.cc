@@ -4,8 +4,11 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <numeric>
 #include <string>
@@ -36,7 +39,18 @@ constexpr std::uint64_t kLongDrive = 3000;
 constexpr std::uint64_t kLongDrive = 40'000;
 #endif
 
+constexpr std::int64_t kSecond = 1'000'000'000;
+constexpr std::int64_t kYear = std::int64_t{365} * 24 * 3600;
+
 constexpr auto kClosure = PairKind::kLoopClosure;
+
+bool WarnsOfStamps(const Acknowledgement& ack) {
+  return ack.stamp_ahead ||
+         std::any_of(ack.findings.begin(), ack.findings.end(),
+                     [](const core::Finding& found) {
+                       return found.code == core::FindingCode::kStampsLeap;
+                     });
+}
 
 // A fleet with one vehicle, which goes around and around a square of 20 m.
 class RetentionTest : public ::testing::Test {
@@ -55,12 +69,18 @@ class RetentionTest : public ::testing::Test {
     options.report_drop = [this](const RetentionMonitor::Drop& drop) {
       drops_.push_back(drop);
     };
+    options.clock = [this] { return now_seconds_ * kSecond; };
     fleet_ = std::make_unique<Fleet>(&storage_, &codec_, &executor_, options);
   }
 
   void Create(int max_passes) {
+    core::RetentionOptions retention;
+    retention.max_passes = max_passes;
+    Create(retention);
+  }
+  void Create(const core::RetentionOptions& retention) {
     VehicleConfig config = TestConfig();
-    config.engine.retention.max_passes = max_passes;
+    config.engine.retention = retention;
     const Answer<absl::StatusOr<Snapshot>> answer;
     fleet_->Create(kId, config, Taking(answer));
     ASSERT_THAT(answer.Get(), IsOk());
@@ -86,6 +106,21 @@ class RetentionTest : public ::testing::Test {
          last_ += kBatch) {
       ASSERT_THAT(AppendNow(session(), SquareBatch(last_ + 1, kBatch)), IsOk());
     }
+  }
+  // With stamps from the sequences, in seconds. Answers where stamps were
+  // warned of.
+  std::vector<Acknowledgement> DriveAt(
+      std::uint64_t poses,
+      const std::function<std::int64_t(std::uint64_t)>& stamp) {
+    std::vector<Acknowledgement> told;
+    for (const std::uint64_t end = last_ + poses; last_ < end;
+         last_ += kBatch) {
+      const absl::StatusOr<Acknowledgement> ack =
+          AppendNow(session(), SquareBatch(last_ + 1, kBatch, stamp));
+      EXPECT_THAT(ack, IsOk());
+      if (ack.ok() && WarnsOfStamps(*ack)) told.push_back(*ack);
+    }
+    return told;
   }
   // So long in one place that a look at it takes half a second or more.
   void DriveLong() {
@@ -133,6 +168,8 @@ class RetentionTest : public ::testing::Test {
   HeldStorage storage_;
   const PlainCodec codec_;
   Executor executor_{2};
+  // The server's clock.
+  std::atomic<std::int64_t> now_seconds_{kYear};
   // Written on the vehicle's strand.
   std::vector<RetentionMonitor::Drop> drops_;
   std::unique_ptr<Fleet> fleet_;
@@ -403,9 +440,105 @@ TEST_F(RetentionTest, VehicleThatIsLoadedWithPosesThatAreTooOldLosesThem) {
                   key_, codec_.EncodeVehicle(config), record.revision + 1),
               IsOk());
   Open();
-  // Poses with stamps below 1500 s are dropped, in whole rows.
+  // Poses with stamps below 1491 s are dropped, in whole rows: the newest stamp
+  // is that on which ten nodes agree.
   EXPECT_EQ(Settled().dropped, 1490u);
   ExpectAsLoaded();
+}
+
+core::RetentionOptions Days(std::int64_t days) {
+  core::RetentionOptions retention;
+  retention.max_age_ns = days * 24 * 3600 * kSecond;
+  return retention;
+}
+
+// Poses each hour.
+std::int64_t Hourly(std::uint64_t sequence) {
+  return static_cast<std::int64_t>(sequence) * 3600;
+}
+
+// The newest poses have wrong stamps, some decades ahead, and the server's
+// clock is right.
+TEST_F(RetentionTest, WrongStampsDropNothingAndAreTold) {
+  now_seconds_ = Hourly(4000);
+  Create(Days(365));
+  EXPECT_TRUE(DriveAt(3990, Hourly).empty());
+  const auto told = DriveAt(10, [](std::uint64_t sequence) {
+    return Hourly(sequence) + (sequence == 4000 ? 130 * kYear : 0);
+  });
+  ASSERT_EQ(told.size(), 1u);
+  ASSERT_TRUE(told[0].stamp_ahead);
+  EXPECT_EQ(told[0].stamp_ahead->sequence, 4000u);
+  EXPECT_EQ(told[0].stamp_ahead->nanoseconds / kSecond / kYear, 130);
+  ASSERT_EQ(told[0].findings.size(), 1u);
+  EXPECT_EQ(told[0].findings[0].code, core::FindingCode::kStampsLeap);
+  ASSERT_TRUE(told[0].findings[0].leap);
+  EXPECT_EQ(told[0].findings[0].leap->nanoseconds / kSecond / kYear, 130);
+  EXPECT_EQ(Settled().dropped, 0u);
+  // Nor by changed settings, after a load, or once the vehicle has grown.
+  Keep(Days(364));
+  EXPECT_EQ(Settled().dropped, 0u);
+  Open();
+  EXPECT_EQ(Settled().dropped, 0u);
+  now_seconds_ = Hourly(4800);
+  DriveAt(800, Hourly);
+  EXPECT_EQ(Settled().dropped, 0u);
+  ExpectAsLoaded();
+}
+
+// As the server's clock may be wrong, or the vehicle's may be behind it.
+TEST_F(RetentionTest, WrongStampsThatTheClockAllowsDropNothing) {
+  now_seconds_ = 200 * kYear;
+  Create(Days(100));
+  DriveAt(2000, Hourly);
+  for (int round = 0; round < 8; ++round) {
+    const std::uint64_t from = last_;
+    const auto told = DriveAt(100, [from](std::uint64_t sequence) {
+      return Hourly(sequence) + (sequence <= from + 4 ? 3 * kYear : 0);
+    });
+    ASSERT_EQ(told.size(), round == 0 ? 1u : 0u) << round;
+  }
+  const Snapshot settled = Settled();
+  EXPECT_LE(settled.dropped, 400u);
+  ExpectAsLoaded();
+}
+
+TEST_F(RetentionTest, ALeapThatLastsDropsWhatWasBeforeIt) {
+  now_seconds_ = 10 * kYear;
+  Create(Days(365));
+  DriveAt(2000, Hourly);
+  const auto leapt = [](std::uint64_t sequence) {
+    return Hourly(sequence) + 5 * kYear;
+  };
+  const auto told = DriveAt(100, leapt);
+  ASSERT_EQ(told.size(), 1u);
+  EXPECT_FALSE(told[0].stamp_ahead);
+  EXPECT_EQ(told[0].findings[0].code, core::FindingCode::kStampsLeap);
+  Keep(Days(364));
+  EXPECT_EQ(Settled().dropped, 0u);
+  DriveAt(400, leapt);
+  EXPECT_EQ(Settled().dropped, 2000u);
+  ASSERT_EQ(drops_.size(), 1u);
+  EXPECT_NEAR(static_cast<double>(drops_[0].nodes_too_old), 2000.0, 40.0);
+  EXPECT_EQ(drops_[0].nodes_covered, 0);
+  ExpectAsLoaded();
+}
+
+TEST_F(RetentionTest, StampsAheadOfTheClockDropNothingHoweverLongTheyLast) {
+  now_seconds_ = Hourly(2000);
+  Create(Days(365));
+  DriveAt(2000, Hourly);
+  const auto told = DriveAt(2000, [](std::uint64_t sequence) {
+    return Hourly(sequence) + 74 * kYear;
+  });
+  // Once, not with each batch.
+  ASSERT_EQ(told.size(), 1u);
+  EXPECT_TRUE(told[0].stamp_ahead);
+  EXPECT_EQ(Settled().dropped, 0u);
+  // Once the clock has come there, they are as good as any.
+  now_seconds_ = 80 * kYear;
+  Open();
+  EXPECT_EQ(Settled().dropped, 2000u);
 }
 
 }  // namespace

@@ -155,7 +155,8 @@ absl::StatusOr<core::SearchOptions> PlainAppend::CheckOptions(
 bool PlainAppend::ShouldStop() const { return should_stop && should_stop(); }
 
 void PlainAppend::OnCandidates(const VehicleView& view,
-                               const absl::StatusOr<core::CandidateSet>& set) {
+                               const absl::StatusOr<core::CandidateSet>& set,
+                               std::chrono::nanoseconds /*duration*/) {
   candidates(view, set);
 }
 

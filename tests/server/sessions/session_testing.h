@@ -89,7 +89,8 @@ class PlainAppend final : public AppendSink {
       const VehicleConfig& config) const override;
   bool ShouldStop() const override;
   void OnCandidates(const VehicleView& view,
-                    const absl::StatusOr<core::CandidateSet>& set) override;
+                    const absl::StatusOr<core::CandidateSet>& set,
+                    std::chrono::nanoseconds duration) override;
   void OnOver() override;
 
   std::function<void(absl::Status)> staged;

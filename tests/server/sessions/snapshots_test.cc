@@ -639,7 +639,7 @@ TEST(SnapshotStressTest, VehiclesThatComeAndGoAreAsReplayedWhole) {
     ASSERT_EQ(found.loop_closure_count, expected.loop_closure_count);
     const auto search = [](VehicleSession& session) {
       const Answer<std::string> answer;
-      session.Search([&](const absl::StatusOr<VehicleView>& view) {
+      session.Search("calls", [&](const absl::StatusOr<VehicleView>& view) {
         const auto set =
             view->engine.FindCandidates(view->config.engine.search, nullptr);
         std::string text;
@@ -648,6 +648,7 @@ TEST(SnapshotStressTest, VehiclesThatComeAndGoAreAsReplayedWhole) {
                   std::to_string(candidate.score) + "\n";
         }
         answer.Set(text);
+        return true;
       });
       return answer.Get();
     };

@@ -1,5 +1,7 @@
 #include "server/sessions/vehicle_session.h"
 
+#include <pthread.h>
+
 #include <algorithm>
 #include <memory>
 #include <mutex>
@@ -1003,6 +1005,52 @@ TEST_F(VehicleSessionTest, DeletesPairOfEachKind) {
   }
 }
 
+TEST_F(VehicleSessionTest, LooksAtManyLoopClosuresWhereLongWorkRuns) {
+  CloseNow(*session_);
+  Executor short_work("short", 1);
+  Executor long_work("long", 1);
+  session_ = VehicleSession::Load("truck", &storage_, &codec_,
+                                  Lanes(&short_work, &long_work), limits_);
+  ASSERT_THAT(AppendNow(*session_, SquareBatch(1, 99)), IsOk());
+  const auto thread_of_delete = [this](const std::string& id) {
+    const Answer<std::string> thread;
+    session_->DeletePosePair(
+        kClosure, id, [&](const absl::StatusOr<std::uint64_t>& revision) {
+          EXPECT_THAT(revision.status(), IsOk());
+          char name[16] = "";
+          pthread_getname_np(pthread_self(), name, sizeof(name));
+          thread.Set(name);
+        });
+    return thread.Get();
+  };
+  for (int i = 0; i < 600; ++i) {
+    const std::string id = "c" + std::to_string(i);
+    ASSERT_THAT(AddPairNow(*session_, kClosure, {id, 82, 2, i + 1}).status(),
+                IsOk());
+    if (i == 99) {
+      EXPECT_EQ(thread_of_delete(id), "short");
+    }
+  }
+  EXPECT_EQ(thread_of_delete("c0"), "long");
+  const Answer<std::string> thread;
+  session_->Update(
+      [](const VehicleView& view) {
+        VehicleConfig config = view.config;
+        config.engine.apply_inflation = true;
+        return config;
+      },
+      [&](const absl::StatusOr<VehicleView>& view) {
+        EXPECT_THAT(view.status(), IsOk());
+        char name[16] = "";
+        pthread_getname_np(pthread_self(), name, sizeof(name));
+        thread.Set(name);
+      });
+  EXPECT_EQ(thread.Get(), "long");
+  EXPECT_EQ(ReadNow(*session_)->loop_closure_count, 598);
+  CloseNow(*session_);
+  session_ = nullptr;
+}
+
 TEST_F(VehicleSessionTest, RejectionChangesNoGraph) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
   const std::string graph = ReadNow(*session_)->graph;
@@ -1313,6 +1361,66 @@ TEST_F(VehicleSessionTest, DamagedPairIsGivenUpAlone) {
   Reload();
   EXPECT_THAT(ReadNow(*session_)->damage, IsOk());
   EXPECT_EQ(ReadNow(*session_)->loop_closure_count, 1);
+}
+
+// It was ACTIVE again to those who asked the store, once it had left memory.
+TEST_F(VehicleSessionTest, StoreKeepsThatAVehicleIsDamagedUntilThatIsAccepted) {
+  for (std::uint64_t first = 1; first <= 7; first += 3) {
+    ASSERT_THAT(AppendNow(*session_, StraightBatch(first, 3)), IsOk());
+  }
+  const auto is_marked = [&] {
+    return codec_.DecodeVehicle(*memory_.GetVehicle("truck"))->damaged;
+  };
+  const std::uint64_t revision = memory_.GetVehicle("truck")->revision;
+  memory_.DamagePose("truck", 5);
+  EXPECT_FALSE(is_marked());
+  Reload();
+  EXPECT_FALSE(ReadNow(*session_)->damage.ok());
+  CloseNow(*session_);
+  EXPECT_TRUE(is_marked());
+  EXPECT_EQ(memory_.GetVehicle("truck")->revision, revision);
+  session_ = Load("truck");
+  ASSERT_THAT(AcceptDataLossNow(*session_, 3), IsOk());
+  EXPECT_FALSE(is_marked());
+}
+
+TEST_F(VehicleSessionTest, DamageThatIsNotFoundAgainEndsOnlyByADecision) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  VehicleConfig marked = TestConfig();
+  marked.damaged = true;
+  const VehicleKey key = memory_.GetVehicle("truck")->key;
+  ASSERT_THAT(
+      BlockingWrites(&memory_).Update(key, codec_.EncodeVehicle(marked), 0),
+      IsOk());
+  Reload();
+  const auto damaged = IsError(
+      StatusCode::kDataLoss, "STORE_CORRUPT",
+      AllOf(HasSubstr("damage was found in it before, although none is found"),
+            HasSubstr("AcceptDataLoss with durable_sequence 9")));
+  EXPECT_THAT(ReadNow(*session_)->damage, damaged);
+  EXPECT_THAT(AppendNow(*session_, StraightBatch(10, 1)), damaged);
+  ASSERT_THAT(AcceptDataLossNow(*session_, 9), IsOk());
+  EXPECT_THAT(AppendNow(*session_, StraightBatch(10, 1)), IsOk());
+  Reload();
+  EXPECT_THAT(ReadNow(*session_)->damage, IsOk());
+  EXPECT_EQ(ReadNow(*session_)->durable_sequence, 10u);
+}
+
+TEST_F(VehicleSessionTest, DamagedVehicleIsReadWhereTheMarkCannotBeWritten) {
+  ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 9)), IsOk());
+  memory_.DamagePose("truck", 5);
+  CloseNow(*session_);
+  storage_.Hold();
+  session_ = Load("truck");
+  storage_.Await(1);
+  EXPECT_FALSE(ReadNow(*session_)->damage.ok());
+  storage_.FailOne(
+      Error(StatusCode::kResourceExhausted, "STORAGE_FULL", "no room"));
+  storage_.ReleaseAll();
+  const auto damaged = IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _);
+  EXPECT_THAT(AppendNow(*session_, StraightBatch(10, 1)), damaged);
+  EXPECT_THAT(ReadNow(*session_)->damage, damaged);
+  EXPECT_FALSE(session_->gone());
 }
 
 TEST_F(VehicleSessionTest, VehicleWithoutItsSettingsCanBeDeleted) {

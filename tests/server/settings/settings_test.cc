@@ -288,14 +288,16 @@ TEST_F(SettingsTest, WhatOnlyASharedStoreCanKeepIsRefusedForAFile) {
               HasSubstr("require-replicated needs a store that servers share"));
   EXPECT_THAT(Refusal({"--advertise-address", "a:1"}),
               HasSubstr("advertise-address needs a store that servers share"));
-  const ServerSettings shared = Parse(
-      {"--store", database, "--require-replicated", "on", "--advertise-address",
-       "a:1", "--store-connections", "4", "--lease-seconds", "2.5"});
+  const ServerSettings shared =
+      Parse({"--store", database, "--require-replicated", "on",
+             "--advertise-address", "a:1", "--store-connections", "4",
+             "--lease-seconds", "2.5", "--store-wait-seconds", "0.5"});
   EXPECT_EQ(shared.store, database);
   EXPECT_TRUE(shared.require_replicated);
   EXPECT_EQ(shared.advertise_address, "a:1");
   EXPECT_EQ(shared.store_connections, 4);
   EXPECT_EQ(shared.lease_seconds, 2.5);
+  EXPECT_EQ(StoreWaitTime(shared), std::chrono::milliseconds(500));
   for (const char* listen : {"127.0.0.1:0", "0.0.0.0:50051", "[::]:50051"}) {
     EXPECT_THAT(Refusal({"--store", database, "--insecure-allow-remote", "on",
                          "--listen", listen}),
@@ -307,6 +309,7 @@ TEST_F(SettingsTest, WhatOnlyASharedStoreCanKeepIsRefusedForAFile) {
   EXPECT_FALSE(IsSharedStore("./postgresql"));
   EXPECT_THAT(Refusal({"--store-connections", "17"}), HasSubstr("[1, 16]"));
   EXPECT_THAT(Refusal({"--lease-seconds", "0.5"}), HasSubstr("[1, 3600]"));
+  EXPECT_THAT(Refusal({"--store-wait-seconds", "-1"}), HasSubstr("[0, 86400]"));
 }
 
 TEST_F(SettingsTest, BackupWithoutAFileToMakeIsRefused) {

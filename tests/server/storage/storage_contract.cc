@@ -100,6 +100,31 @@ TEST_P(StorageContract, ListsVehiclesByIdInPages) {
   EXPECT_THAT(ids("", 10, "bb"), IsEmpty());
 }
 
+TEST_P(StorageContract, ListsRowsOfVehiclesByKeyInPages) {
+  std::vector<VehicleKey> keys;
+  for (const char* id : {"c", "a", "b"}) {
+    keys.push_back(*write().Create(id, std::string("payload of ") + id));
+    ASSERT_THAT(write().Append(keys.back(), Batch(1, 1, 2, "x")), IsOk());
+  }
+  const auto rows = [&](VehicleKey after, int limit) {
+    std::string shown;
+    const auto records = storage().ListVehicleRows(after, limit);
+    EXPECT_THAT(records, IsOk());
+    for (const VehicleRecord& record : *records) {
+      EXPECT_THAT(record.damage, IsOk());
+      EXPECT_EQ(storage().GetVehicle(record.id)->key, record.key);
+      shown += record.id + ": " + record.payload + "; ";
+    }
+    return shown;
+  };
+  EXPECT_EQ(rows(0, 10), "c: payload of c; a: payload of a; b: payload of b; ");
+  EXPECT_EQ(rows(0, 2), "c: payload of c; a: payload of a; ");
+  EXPECT_EQ(rows(keys[1], 2), "b: payload of b; ");
+  EXPECT_EQ(rows(keys[2], 2), "");
+  ASSERT_THAT(write().Delete(keys[1]), IsOk());
+  EXPECT_EQ(rows(keys[0], 2), "b: payload of b; ");
+}
+
 TEST_P(StorageContract, ReplacesPayloadAndRaisesRevision) {
   const VehicleKey key = *write().Create("truck", "first", 3);
   ASSERT_THAT(write().Update(key, "second", 5), IsOk());

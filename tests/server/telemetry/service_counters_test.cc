@@ -14,6 +14,7 @@ namespace {
 
 using std::chrono::milliseconds;
 using ::testing::Contains;
+using ::testing::ElementsAre;
 using ::testing::IsEmpty;
 using ::testing::Pair;
 
@@ -126,6 +127,19 @@ TEST(ServiceCountersTest, CountsSearchesAndTheirCandidates) {
   // A search that was stopped has no say in how long searches take.
   EXPECT_NEAR(counts.search_seconds.sum, 0.03, 1e-12);
   EXPECT_DOUBLE_EQ(counts.search_nodes.sum, 5000.0);
+}
+
+TEST(ServiceCountersTest, CountsDecisionsByKind) {
+  ServiceCounters counters;
+  counters.Decided(Decision::kCandidateRejected);
+  counters.Decided(Decision::kDataLossAccepted);
+  counters.Decided(Decision::kDataLossAccepted);
+  EXPECT_THAT(
+      counters.Read().decisions,
+      ElementsAre(Pair("loop_closure_added", 0u),
+                  Pair("loop_closure_deleted", 0u),
+                  Pair("candidate_rejected", 1u), Pair("rejection_deleted", 0u),
+                  Pair("poses_revised", 0u), Pair("data_loss_accepted", 2u)));
 }
 
 TEST(ServiceCountersTest, LosesNothingThatSeveralThreadsCount) {

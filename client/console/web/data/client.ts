@@ -81,15 +81,31 @@ export function messageOf(error: unknown): string {
       Code[code].replace(/(?<=[a-z])(?=[A-Z])/g, ' ').toLowerCase()})`;
 }
 
-/** Reads all pages of a list. */
+/**
+ * Empty pages that may follow each other. The service sends none before the last
+ * one.
+ */
+const MOST_EMPTY_PAGES = 100;
+
+/**
+ * Reads all pages of a list. Fails if a page has the token of the one before it, or
+ * if too many empty ones follow each other: such a list might never end.
+ */
 export async function allPages<Page extends {nextPageToken: string}, Item>(
     list: (pageToken: string) => Promise<Page>,
     items: (page: Page) => Item[]): Promise<Item[]> {
   const all: Item[] = [];
   let pageToken = '';
+  let emptyPages = 0;
   do {
     const page = await list(pageToken);
-    for (const item of items(page)) all.push(item);
+    const onPage = items(page);
+    for (const item of onPage) all.push(item);
+    emptyPages = onPage.length === 0 ? emptyPages + 1 : 0;
+    const repeats = pageToken !== '' && page.nextPageToken === pageToken;
+    if (repeats || emptyPages > MOST_EMPTY_PAGES) {
+      throw new Error('the server\'s list does not go on');
+    }
     pageToken = page.nextPageToken;
   } while (pageToken !== '');
   return all;

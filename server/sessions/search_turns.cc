@@ -1,0 +1,48 @@
+#include "server/sessions/search_turns.h"
+
+#include "absl/status/status.h"
+#include "core/engine.h"
+#include "server/sessions/fair_executor.h"
+
+namespace revisit::server {
+
+std::optional<absl::StatusOr<core::CandidateSet>> SearchTurns::Take(
+    const VehicleView& view, core::NodeIndex query,
+    const core::SearchOptions& options, const core::ShouldStop& should_stop) {
+  const Clock::time_point start = Clock::now();
+  Clock::duration waited{};
+  const auto stop = [&] {
+    waited += FairExecutor::Yield();
+    return should_stop && should_stop();
+  };
+  last_steps_ = 0;
+  auto answer = Work(view, query, options, stop);
+  last_turn_ = Clock::now() - start - waited;
+  all_turns_ += last_turn_;
+  return answer;
+}
+
+std::optional<absl::StatusOr<core::CandidateSet>> SearchTurns::Work(
+    const VehicleView& view, core::NodeIndex query,
+    const core::SearchOptions& options, const core::ShouldStop& should_stop) {
+  const auto missing = view.engine.FindMissingMark(query, options, view.marks);
+  if (missing) {
+    const std::int64_t others = comparisons_ + missing->comparisons_of_search;
+    if (comparisons_ > 0 && missing->comparisons > most_comparisons_ - others) {
+      return absl::ResourceExhaustedError("marks are missing");
+    }
+    comparisons_ += missing->comparisons;
+    last_steps_ = missing->comparisons;
+    const absl::Status learned =
+        view.engine.LearnMark(*missing, should_stop, view.marks);
+    if (!learned.ok()) return learned;
+    return std::nullopt;
+  }
+  last_steps_ = view.engine.ComparisonsOf(query, options);
+  absl::StatusOr<core::CandidateSet> found =
+      view.engine.FindCandidates(query, options, should_stop, view.marks);
+  if (found.ok()) found->comparisons += comparisons_;
+  return found;
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,67 @@
+// One search, made in turns: each of the marks that it has to search first, and
+// the search itself. Between them other vehicles' searches get their turn, so
+// that none waits for more than a turn of each of those before it; within a
+// turn the searches of other flows do (FairExecutor::Yield()).
+#ifndef REVISIT_SERVER_SESSIONS_SEARCH_TURNS_H_
+#define REVISIT_SERVER_SESSIONS_SEARCH_TURNS_H_
+
+#include <chrono>
+#include <cstdint>
+#include <limits>
+#include <optional>
+
+#include "absl/status/statusor.h"
+#include "core/alignment/viterbi.h"
+#include "core/candidates/candidate.h"
+#include "core/graph/pose_graph.h"
+#include "core/settings.h"
+#include "server/sessions/vehicle_view.h"
+
+namespace revisit::server {
+
+class SearchTurns {
+ public:
+  using Clock = std::chrono::steady_clock;
+
+  // `most_comparisons`: of the marks and the search together. The first mark is
+  // searched in any case, so that somebody who asks again gets an answer in the
+  // end however little is allowed.
+  explicit SearchTurns(
+      std::int64_t most_comparisons = std::numeric_limits<std::int64_t>::max())
+      : most_comparisons_(most_comparisons) {}
+
+  // Takes a turn. Returns the answer, whose comparisons include those of the
+  // marks, or nothing if the search needs another turn. Poses may have come and
+  // settings may have changed since the turn before.
+  // RESOURCE_EXHAUSTED, without details, if the marks that are missing are too
+  // much for one search: those that it searched are kept, so that another one
+  // comes further. CANCELLED if told to stop. REQUIRES: as for
+  // Engine::FindCandidates().
+  std::optional<absl::StatusOr<core::CandidateSet>> Take(
+      const VehicleView& view, core::NodeIndex query,
+      const core::SearchOptions& options, const core::ShouldStop& should_stop);
+
+  // The comparisons that the last turn was about to make when it began, also if
+  // it was stopped.
+  std::int64_t last_steps() const { return last_steps_; }
+  // How long the last turn took, and all of them, without the waits within and
+  // between.
+  Clock::duration last_turn() const { return last_turn_; }
+  Clock::duration all_turns() const { return all_turns_; }
+
+ private:
+  std::optional<absl::StatusOr<core::CandidateSet>> Work(
+      const VehicleView& view, core::NodeIndex query,
+      const core::SearchOptions& options, const core::ShouldStop& should_stop);
+
+  std::int64_t most_comparisons_;
+  // Of the marks that were searched.
+  std::int64_t comparisons_ = 0;
+  std::int64_t last_steps_ = 0;
+  Clock::duration last_turn_{};
+  Clock::duration all_turns_{};
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SESSIONS_SEARCH_TURNS_H_
