@@ -38,8 +38,11 @@ FIGURES = {
     "ttl_s": Figure(10.0, "s", _PROTOCOL),
     "beat_s": Figure(2.0, "s", _PROTOCOL),
     "lease_margin_s": Figure(1.0, "s", _PROTOCOL),
+    "lease_look_s": Figure(0.5, "s", "server/store_health.cc"),
     "hold_s": Figure(10.0, "s", _PROTOCOL + ": shortest time between two handovers"),
     "not_owner_retry_s": Figure(1.0, "s", _PROTOCOL + ": RetryInfo of NOT_OWNER, most"),
+    "unavailable_retry_s": Figure(1.0, "s", "server/base/status.cc: RetryInfo of "
+                                  "UNAVAILABLE where nothing else is said"),
     "rows_per_commit": Figure(64, "rows", _PROTOCOL),
     "writers": Figure(4, "connections", _PROTOCOL + ": 2 to 4 per server"),
     "connections": Figure(9, "connections", ASSUMED + " per server: 4 that write, "
@@ -171,5 +174,8 @@ class Policy:
     # A stream opens only while the lease runs: the sequence that it is answered with
     # is a read from memory like any other.
     lease_to_open: bool = True
+    # A server whose lease has run out is not healthy, and sends away who is there.
+    # Off: it keeps its streams and gets new ones until it reaches the database again.
+    leave_without_lease: bool = True
     # Clients go to the owner that NOT_OWNER names.
     owner_header: bool = True

@@ -72,6 +72,10 @@ class Server:
         self._partitioned_until = 0.0
         self.incarnation = None
         self.lease_until = -math.inf
+        # Whether it takes calls: it has joined, and its lease held when it looked.
+        self._open = False
+        # How many processes there were.
+        self._life = 0
         self.seats = {}
         # Graphs in memory of vehicles that it no longer owns: vehicle -> (epoch,
         # sequence that is known to be stored, sequence that may be).
@@ -99,7 +103,10 @@ class Server:
     def start(self):
         self.running = True
         self.draining = False
+        self._open = False
+        self._life += 1
         self._join()
+        self._follow_lease(self._life)
 
     def kill(self):
         """kill -9: streams end at once, everything in memory is gone."""
@@ -142,9 +149,14 @@ class Server:
         return self._kernel.now < self._frozen_until
 
     @property
+    def working(self):
+        """Whether its process runs, and is not about to end."""
+        return self.running and not self.draining and not self.frozen
+
+    @property
     def serving(self):
         """What a health check is told; a frozen server answers none."""
-        return self.running and not self.draining and not self.frozen
+        return self.working and self._open
 
     def owns(self, vehicle):
         seat = self.seats.get(vehicle)
@@ -199,6 +211,7 @@ class Server:
                 self._kernel.after(0.5, self._join_again, incarnation)
                 return
             self._extend_lease(sent)
+            self._open = True
             self._kernel.after(
                 self._p.beat_s * self._kernel.random.random(), self._beat, incarnation)
 
@@ -250,6 +263,32 @@ class Server:
         self._execute(db.beat(self._p, incarnation, self._policy.replicated_beats,
                               answered))
 
+    def _follow_lease(self, life):
+        """Looks now and then whether the lease still holds. One without it gets out
+        of the way: it is not healthy, and streams and callers are sent away."""
+        if not self.running or life != self._life:
+            return
+        if self.frozen:
+            self._kernel.after(self._frozen_until - self._kernel.now,
+                               self._follow_lease, life)
+            return
+        holds = self._kernel.now < self.lease_until
+        if self._open and not holds and self._policy.leave_without_lease:
+            self._open = False
+            for seat in self.seats.values():
+                self._send_away(seat, Refusal("LEASE_STALE", self._p.unavailable_retry_s))
+        elif holds:
+            self._open = True
+        self._kernel.after(self._p.lease_look_s, self._follow_lease, life)
+
+    def _send_away(self, seat, refusal):
+        callers, seat.callers = seat.callers, []
+        for _, caller in callers:
+            caller(refusal)
+        stream, seat.stream = seat.stream, None
+        if stream is not None:
+            stream.on_end(self, refusal)
+
     def _observe(self, live):
         now = self._kernel.now
         if self._policy.watch_anew and now - self._last_reading > 2 * self._p.beat_s:
@@ -283,10 +322,13 @@ class Server:
             # It has not joined yet.
             caller(Refusal("STORE_UNAVAILABLE", self._retry()))
             return
+        if not self._open and self._policy.leave_without_lease:
+            caller(Refusal("LEASE_STALE", self._p.unavailable_retry_s))
+            return
         seat = self.seats.get(vehicle)
         if seat is not None and seat.state is State.OWNED:
             if self._policy.lease_to_open and self._kernel.now >= self.lease_until:
-                caller(Refusal("LEASE_STALE", self._retry()))
+                caller(Refusal("LEASE_STALE", self._p.unavailable_retry_s))
                 return
             if stream is not None:
                 seat.stream = stream
@@ -445,10 +487,7 @@ class Server:
         if seat.state in (State.OWNED, State.RELEASING):
             self._kept[vehicle] = (seat.epoch, seat.durable, seat.sent)
         self._watch.touched(vehicle)
-        for _, caller in seat.callers:
-            caller(refusal)
-        if seat.stream is not None:
-            seat.stream.on_end(self, refusal)
+        self._send_away(seat, refusal)
 
     def _drop_everything(self, refusal):
         self._to_claim.clear()

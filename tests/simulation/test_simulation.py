@@ -269,14 +269,14 @@ def harm_at_random(seed, policy, lag=None, seconds=100.0, **figures):
         cell.run(random_.uniform(1.0, 12.0))
         harmed = random_.choice(cell.servers)
         act = random_.randrange(8)
-        if act == 0 and harmed.serving:
+        if act == 0 and harmed.working:
             cell.kill(harmed)
             cell.kernel.after(random_.uniform(0.5, 15.0), harmed.start)
         elif act == 1:
             cell.freeze(harmed, random_.uniform(1.0, 25.0))
         elif act == 2:
             harmed.partition(random_.uniform(1.0, 25.0))
-        elif act == 3 and harmed.serving:
+        elif act == 3 and harmed.working:
             cell.restart(harmed, 1.0, lambda: None)
         elif act == 4:
             cell.fail_over(random_.uniform(0.3, 15.0))
@@ -365,7 +365,23 @@ def test_a_stream_that_opens_under_a_lease_that_has_run_out_is_refused():
 
 def test_without_that_a_stream_would_be_told_less_than_was_acknowledged():
     with pytest.raises(cluster.Violation, match="lost poses"):
-        wake_without_postgresql(parameters.Policy(lease_to_open=False))
+        wake_without_postgresql(parameters.Policy(
+            lease_to_open=False, leave_without_lease=False))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("leaves", (True, False))
+def test_vehicles_of_a_server_without_the_database_go_on_only_if_it_sends_them_away(
+        seed, leaves):
+    cell = cluster.Cluster(small(seed, policy=parameters.Policy(
+        leave_without_lease=leaves)))
+    cell.servers[0].partition(60.0)
+    # The cut goes on meanwhile.
+    cell.run(30.0)
+    assert (cell.waiting() == 0) == leaves
+    assert (cell.gaps()[-1] < 15.0) == leaves
+    cell.run(60.0)
+    assert cell.waiting() == 0
 
 
 # -- PostgreSQL's model
