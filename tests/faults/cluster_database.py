@@ -190,8 +190,8 @@ def failover_that_loses(run):
 def accept_losses(cluster, vehicles, stored):
     """Writes are refused until an operator accepts the loss, then go on."""
     owners = cluster.owners()
-    stubs = {server.address: server.stub()
-             for server in cluster.servers.values()}
+    stubs = {server.address: cluster.stub(number)
+             for number, server in cluster.servers.items()}
     for vehicle in vehicles:
         stub = stubs[owners[vehicle.name]]
         head = stored[vehicle.name]

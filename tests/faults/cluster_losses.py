@@ -144,7 +144,7 @@ def failover_that_loses_changes(run):
         with Pair(run, replicates=False) as pair, Cluster(
                 run, servers=1, database=pair.primary, url=pair.url,
                 fleet={"vehicles": 0}) as cluster:
-            stub = cluster.servers[0].stub()
+            stub = cluster.stub(0)
             for change in CHANGES:
                 for vehicle in change.vehicles() if change.prepared else ():
                     prepare(stub, vehicle)

@@ -21,6 +21,11 @@ def stops(**plan):
                for name, value in plan.items()}}
 
 
+def drain_flags(run):
+    """Clients look at once whether a server ends, Envoy every second."""
+    return [] if run.behind_envoy else ["--drain-notice-seconds", 1]
+
+
 def killed(run):
     rounds = run.rounds(short=2, long=20)
     slowest = 0.0
@@ -74,7 +79,7 @@ class ReadsAcrossAPause:
 
     def __init__(self, cluster, number):
         self._vehicles = cluster.vehicles_of(number)
-        self._stub = cluster.servers[number].stub()
+        self._stub = cluster.stub(number)
         # The connection has to be there before the server stops.
         self._stub.GetServerInfo(api.GetServerInfoRequest())
         self._asked = []
@@ -130,7 +135,7 @@ def deaths(cluster, number):
 def terminated(run):
     rounds = run.rounds(short=2, long=20)
     silence = longest = 0.0
-    with Cluster(run, flags=["--drain-notice-seconds", 1]) as cluster:
+    with Cluster(run, flags=drain_flags(run)) as cluster:
         cluster.fleet.start()
         cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
         for _ in range(rounds):
@@ -154,7 +159,7 @@ def rolling_restart(run):
     """Each server once, the next when the one before is back."""
     streams = 300 if run.long else 60
     slowest = 0.0
-    with Cluster(run, flags=["--drain-notice-seconds", 1], fleet={
+    with Cluster(run, flags=drain_flags(run), fleet={
             "vehicles": streams, "readers": 6, "window": 1,
             "pause_seconds": 1.0}) as cluster:
         cluster.fleet.start()
@@ -175,14 +180,14 @@ def scaled(run):
     most = 0
     # Many vehicles, for the third server's share follows from their names. Many
     # calls that stray, so that a vehicle that may move back at once does.
-    with Cluster(run, servers=2, flags=["--drain-notice-seconds", 1], fleet={
+    with Cluster(run, servers=2, flags=drain_flags(run), fleet={
             "vehicles": 24, "readers": 8, "pause_seconds": 0.2,
             "stray": 0.3}) as cluster:
         cluster.fleet.start()
         cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
         for _ in range(rounds):
             cluster.start(2)
-            cluster.fleet.addresses = cluster.addresses()
+            cluster.tell_of_servers()
             # Calls that stray there have vehicles handed over.
             wait_until(lambda: cluster.count_of(2) >= 2,
                        "vehicles at the third server", 3 * TAKEOVER_SECONDS)
@@ -190,7 +195,7 @@ def scaled(run):
             leaver = cluster.any_owner()
             cluster.terminate(leaver)
             del cluster.servers[leaver]
-            cluster.fleet.addresses = cluster.addresses()
+            cluster.tell_of_servers()
             cluster.fleet.wait_for_acks(BACK_SECONDS)
             if leaver != 2:
                 cluster.servers[leaver] = cluster.servers.pop(2)

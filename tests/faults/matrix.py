@@ -55,6 +55,8 @@ class Run:
     # How often, in the short and in the long profile.
     long: bool
     scale: float
+    # Whether Envoy stands before the servers of every cluster.
+    behind_envoy: bool
 
     def rounds(self, short, long):
         return max(1, round((long if self.long else short) * self.scale))
@@ -98,7 +100,8 @@ def run_rows(arguments, seed, where):
         start = time.monotonic()
         with tempfile.TemporaryDirectory(prefix="row-", dir=where) as directory:
             run = Run(pathlib.Path(directory), random.Random(f"{seed} {name}"),
-                      seed, arguments.long, arguments.scale)
+                      seed, arguments.long, arguments.scale,
+                      arguments.envoy)
             try:
                 rounds, seen = row(run)
                 verdict = "holds"
@@ -135,6 +138,10 @@ def main():
                         help="the rows of several servers over one PostgreSQL, "
                         "instead of those of one server: some five minutes, "
                         "with --long some 30")
+    parser.add_argument("--envoy", action="store_true",
+                        help="with --cluster: clients call by way of the real "
+                        "Envoy, with the\nconfiguration of deploy/cluster, in every "
+                        "row")
     parser.add_argument("--logs", metavar="DIRECTORY",
                         help="where the logs of rows that fail are kept")
     parser.add_argument("--seeds", type=int, default=1,

@@ -181,7 +181,10 @@ class Server:
         return self.process.poll() is None
 
     def channel(self, *options):
-        channel = grpc.insecure_channel(self.address, options=options)
+        return self.keep(grpc.insecure_channel(self.address, options=options))
+
+    def keep(self, channel):
+        """A channel to this server, which is closed with it."""
         self._channels.append(channel)
         return channel
 
