@@ -2,6 +2,7 @@
 PostgreSQL, the clients of some vehicles, and the judgement in the end."""
 
 import contextlib
+import os
 import signal
 import time
 
@@ -24,6 +25,15 @@ LEASE_SECONDS = 3.0
 # Beyond the lease: until others have looked twice, have claimed, and have loaded,
 # on a machine that is busy.
 TAKEOVER_SECONDS = LEASE_SECONDS + 10.0
+
+
+def back_seconds():
+    """Within which everybody is served once nothing is in the way any more. That is a
+    promise of a machine that has time for it; one with long queues at its processors,
+    of others' work, is held to the order of events alone."""
+    crowded = os.getloadavg()[0] > 2 * os.cpu_count()
+    return TAKEOVER_SECONDS if crowded else 5.0
+
 
 # Who had which vehicle when, noted by the database itself in the transaction that
 # changes it.

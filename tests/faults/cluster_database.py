@@ -5,12 +5,12 @@ import time
 import grpc
 
 import hosts
-from cluster import LEASE_SECONDS, TAKEOVER_SECONDS, Cluster
+from cluster import (LEASE_SECONDS, TAKEOVER_SECONDS, Cluster,
+                     back_seconds)
 from postgres import Postgres, url_of
 from stubs import api
 from wire import failure_of
 
-BACK_SECONDS = 5.0
 STANDBY = "standby"
 
 
@@ -24,7 +24,7 @@ def restarted(run):
         for number in range(rounds):
             begun = time.monotonic()
             cluster.database.restart(("fast", "immediate", "kill")[number % 3])
-            slowest = max(slowest, cluster.fleet.wait_for_acks(BACK_SECONDS))
+            slowest = max(slowest, cluster.fleet.wait_for_acks(back_seconds()))
             cluster.fleet.sleep(begun + 3.0 - time.monotonic())
         seen = cluster.judge()
     return rounds, f"{seen}; all served {slowest:.1f} s after a start at most"
@@ -44,7 +44,7 @@ def away(run):
             cluster.database.stop(("fast", "immediate", "kill")[number % 3])
             cluster.fleet.sleep(LEASE_SECONDS + 1.0)
             cluster.database.start()
-            slowest = max(slowest, cluster.fleet.wait_for_acks(BACK_SECONDS))
+            slowest = max(slowest, cluster.fleet.wait_for_acks(back_seconds()))
             moved += cluster.moves() - before
         buried = sum(server.log().count("was silent for its lease")
                      for server in cluster.servers.values())
@@ -67,7 +67,7 @@ def stopped(run):
             fleet.sleep(LEASE_SECONDS)
             check_silence(fleet)
             cluster.database.resume()
-            slowest = max(slowest, fleet.wait_for_acks(BACK_SECONDS))
+            slowest = max(slowest, fleet.wait_for_acks(back_seconds()))
         seen = cluster.judge()
     return rounds, (f"{seen}; no ack and no read from memory after the lease, all "
                     f"served {slowest:.1f} s after it woke")

@@ -4,12 +4,12 @@ import time
 
 import grpc
 
-from cluster import LEASE_SECONDS, TAKEOVER_SECONDS, Cluster
+from cluster import (LEASE_SECONDS, TAKEOVER_SECONDS, Cluster,
+                     back_seconds)
 from cluster_history import Read
 from revisit_server import BIN, wait_until
 from stubs import api
 
-BACK_SECONDS = 5.0
 
 
 def stops(**plan):
@@ -22,8 +22,8 @@ def stops(**plan):
 
 
 def drain_flags(run):
-    """Clients look at once whether a server ends, Envoy every second."""
-    return [] if run.behind_envoy else ["--drain-notice-seconds", 1]
+    """Envoy asks a server's health every second, and believes the second answer."""
+    return ["--drain-notice-seconds", 5 if run.behind_envoy else 1]
 
 
 def killed(run):
@@ -143,7 +143,7 @@ def terminated(run):
             victim = cluster.any_owner()
             begun = time.monotonic()
             longest = max(longest, cluster.terminate(victim))
-            cluster.fleet.wait_for_acks(BACK_SECONDS)
+            cluster.fleet.wait_for_acks(back_seconds())
             silence = max(silence, cluster.fleet.longest_silence(begun))
             cluster.start(victim)
         told = cluster.fleet.outcomes["UNAVAILABLE SERVER_DRAINING"]
@@ -196,7 +196,7 @@ def scaled(run):
             cluster.terminate(leaver)
             del cluster.servers[leaver]
             cluster.tell_of_servers()
-            cluster.fleet.wait_for_acks(BACK_SECONDS)
+            cluster.fleet.wait_for_acks(back_seconds())
             if leaver != 2:
                 cluster.servers[leaver] = cluster.servers.pop(2)
         seen = cluster.judge()
