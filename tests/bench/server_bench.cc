@@ -73,7 +73,8 @@ json Latencies(const std::vector<double>& seconds) {
           {"p99_ms", 1e3 * Quantile(seconds, 0.99)}};
 }
 
-enum class Kind { kEmpty, kRevisit, kShared };
+// kScraped serves its metrics too.
+enum class Kind { kEmpty, kRevisit, kScraped, kShared };
 
 const char* NameOf(Kind kind) {
   switch (kind) {
@@ -82,6 +83,7 @@ const char* NameOf(Kind kind) {
     case Kind::kShared:
       return "shared";
     case Kind::kRevisit:
+    case Kind::kScraped:
       break;
   }
   return "revisit";
@@ -121,7 +123,7 @@ class Server {
            std::max(1.0, stopped.value("commits", 0.0));
   }
 
-  // One page of /metrics. REQUIRES: this is revisitd.
+  // One page of /metrics. REQUIRES: this is kScraped.
   std::string Scrape() const {
     const std::string address =
         LogLine("serving").value("admin_address", std::string());
@@ -159,14 +161,17 @@ class Server {
         (self.parent_path() / "revisitd").string(),
         "--listen",
         "127.0.0.1:0",
-        "--admin-listen",
-        "127.0.0.1:0",
         "--store",
         store,
         "--log-format",
         "json",
         "--idle-unload-minutes",
         "1000"};
+    // Only here: where two commits are compared, the others may be older
+    // versions, which do not know the flag.
+    if (kind == Kind::kScraped) {
+      command.insert(command.end(), {"--admin-listen", "127.0.0.1:0"});
+    }
     if (kind == Kind::kShared) {
       // No other server asks.
       command.insert(command.end(), {"--advertise-address", "127.0.0.1:1"});
@@ -252,7 +257,7 @@ json MetricsRound(const Options& options) {
     if (options.batch_poses != 0 && options.batch_poses != batch_poses) {
       continue;
     }
-    Server server(Kind::kRevisit, options);
+    Server server(Kind::kScraped, options);
     LoadOptions load;
     load.batch_poses = batch_poses;
     Streams streams(&server, 8, load);

@@ -21,11 +21,6 @@ def stops(**plan):
                for name, value in plan.items()}}
 
 
-def drain_flags(run):
-    """Envoy asks a server's health every second, and believes the second answer."""
-    return ["--drain-notice-seconds", 5 if run.behind_envoy else 1]
-
-
 def killed(run):
     rounds = run.rounds(short=2, long=20)
     slowest = 0.0
@@ -135,7 +130,7 @@ def deaths(cluster, number):
 def terminated(run):
     rounds = run.rounds(short=2, long=20)
     silence = longest = 0.0
-    with Cluster(run, flags=drain_flags(run)) as cluster:
+    with Cluster(run, flags=["--drain-notice-seconds", 1]) as cluster:
         cluster.fleet.start()
         cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
         for _ in range(rounds):
@@ -159,7 +154,7 @@ def rolling_restart(run):
     """Each server once, the next when the one before is back."""
     streams = 300 if run.long else 60
     slowest = 0.0
-    with Cluster(run, flags=drain_flags(run), fleet={
+    with Cluster(run, flags=["--drain-notice-seconds", 1], fleet={
             "vehicles": streams, "readers": 6, "window": 1,
             "pause_seconds": 1.0}) as cluster:
         cluster.fleet.start()
@@ -180,7 +175,7 @@ def scaled(run):
     most = 0
     # Many vehicles, for the third server's share follows from their names. Many
     # calls that stray, so that a vehicle that may move back at once does.
-    with Cluster(run, servers=2, flags=drain_flags(run), fleet={
+    with Cluster(run, servers=2, flags=["--drain-notice-seconds", 1], fleet={
             "vehicles": 24, "readers": 8, "pause_seconds": 0.2,
             "stray": 0.3}) as cluster:
         cluster.fleet.start()
