@@ -174,8 +174,9 @@ class Policy:
     # A stream opens only while the lease runs: the sequence that it is answered with
     # is a read from memory like any other.
     lease_to_open: bool = True
-    # A server whose lease has run out is not healthy, and sends away who is there.
-    # Off: it keeps its streams and gets new ones until it reaches the database again.
-    leave_without_lease: bool = True
+    # A server whose lease has run out is not healthy, and sends away who is there, as
+    # the real ones do. Off: it keeps its streams and gets new ones until it reaches the
+    # database again. The tables of docs/scale.md are of before there was this.
+    leave_without_lease: bool = False
     # Clients go to the owner that NOT_OWNER names.
     owner_header: bool = True
