@@ -505,6 +505,19 @@ def test_server_that_stops_gets_no_new_calls_and_ends_its_streams(tmp_path):
                 assert decode_failure(raised.value).reason == "SERVER_DRAINING"
 
 
+def test_servers_answer_for_themselves_when_none_is_healthy(tmp_path):
+    for own in run_cluster(tmp_path, notice_seconds=600):
+        with own.channel() as channel:
+            vehicles = [f"vehicle-{i}" for i in range(30)]
+            before = own.where(vehicles, channel)
+            for server in own.servers:
+                server.process.send_signal(signal.SIGTERM)
+            own.wait_until_healthy(0)
+            # Else Envoy would answer, and say nothing of why nor of when to come again.
+            wait_until(lambda: own.where(vehicles, channel) == before,
+                       "calls at the servers to which they belong")
+
+
 def test_server_that_is_added_takes_vehicles_and_moves_no_others(tmp_path):
     vehicles = [f"vehicle-{i}" for i in range(200)]
     for small in run_cluster(tmp_path, listed=2):

@@ -73,14 +73,17 @@ class Envoy:
 
     def route(self, vehicle, owner=None):
         """The server for a new call, or None. An owner that is not healthy here
-        falls back to the hash."""
+        falls back to the hash. Where too few are healthy, all count ("panic")."""
         named = self._by_address.get(owner)
         if named in self._healthy:
             return self._reach(named)
-        if not self._healthy:
+        hosts = self._healthy
+        if 100.0 * len(hosts) < self._p.panic_percent * len(self._servers):
+            hosts = tuple(range(len(self._servers)))
+        if not hosts:
             return None
         size = int(self._p.table_size)
-        return self._reach(maglev(self._healthy, size)[hash_of(vehicle) % size])
+        return self._reach(maglev(hosts, size)[hash_of(vehicle) % size])
 
     def _reach(self, i):
         return None if i in self.cut else self._servers[i]

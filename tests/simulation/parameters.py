@@ -65,6 +65,8 @@ FIGURES = {
         r"# than every 10 s.\n +connection_keepalive: {interval: \d+s, timeout: (\d+)s"),
         "s", _CLUSTER),
     "ping_jitter": Figure(0.15, "", "Envoy's default of interval_jitter"),
+    "panic_percent": Figure(_of_envoy(r"healthy_panic_threshold: {value: (\d+)}"), "%",
+                            _CLUSTER),
     "table_size": Figure(_of_envoy(r"table_size: (\d+)}"), "slots", _CLUSTER),
     "hop_s": Figure(0.0005, "s", ASSUMED + ": one way within a data centre; Envoy adds "
                     "about as much (measured 2026-11-22: unary p50 1.1 -> 2.1 ms)"),
@@ -176,7 +178,7 @@ class Policy:
     lease_to_open: bool = True
     # A server whose lease has run out is not healthy, and sends away who is there, as
     # the real ones do. Off: it keeps its streams and gets new ones until it reaches the
-    # database again. The tables of docs/scale.md are of before there was this.
-    leave_without_lease: bool = False
+    # database again.
+    leave_without_lease: bool = True
     # Clients go to the owner that NOT_OWNER names.
     owner_header: bool = True

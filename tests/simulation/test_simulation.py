@@ -365,7 +365,8 @@ def test_a_stream_that_opens_under_a_lease_that_has_run_out_is_refused():
 
 def test_without_that_a_stream_would_be_told_less_than_was_acknowledged():
     with pytest.raises(cluster.Violation, match="lost poses"):
-        wake_without_postgresql(parameters.Policy(lease_to_open=False))
+        wake_without_postgresql(parameters.Policy(
+            lease_to_open=False, leave_without_lease=False))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
