@@ -727,6 +727,7 @@ void RevisitServer::GiveNotice() {
   state_->log->Write(LogLevel::kInfo, "notice_of_drain",
                      {{"seconds", state_->settings.drain_notice_seconds}});
   state_->EndHealth();
+  state_->storage->Leave();
 }
 
 void RevisitServer::Shutdown() {

@@ -341,6 +341,9 @@ class Storage {
   // Vehicles that this server has owned for a while and others have asked for:
   // hand them over with ReleaseVehicle().
   virtual std::vector<WantedVehicle> WantedVehicles() { return {}; }
+  // This server sends its callers to others before it ends: vehicles are wanted
+  // as soon as others ask for them, however short they were here.
+  virtual void Leave() {}
 
   // NOT_FOUND (VEHICLE_NOT_FOUND) if there is no such vehicle. Needs no owner,
   // as all reads.

@@ -130,7 +130,7 @@ def deaths(cluster, number):
 def terminated(run):
     rounds = run.rounds(short=2, long=20)
     silence = longest = 0.0
-    with Cluster(run, flags=["--drain-notice-seconds", 1]) as cluster:
+    with Cluster(run, flags=["--drain-notice-seconds", 5]) as cluster:
         cluster.fleet.start()
         cluster.fleet.wait_for_acks(TAKEOVER_SECONDS)
         for _ in range(rounds):

@@ -224,8 +224,9 @@ void Ownership::Run() {
   mutex_.Lock();
   while (!stopping_) {
     // One that failed is tried again soon: the lease is running out. So is one
-    // that was answered so late that it does not renew the lease.
-    const bool is_urgent = failed || !LeaseHolds();
+    // that was answered so late that it does not renew the lease. Callers of a
+    // server that leaves wait for what others ask for.
+    const bool is_urgent = failed || !LeaseHolds() || leaving_;
     const auto next =
         std::chrono::steady_clock::now() +
         (is_urgent ? options_.beat_period / 4 : options_.beat_period);
@@ -604,11 +605,16 @@ std::vector<WantedVehicle> Ownership::Wanted() const {
   for (const auto& [key, id] : wanted_) {
     const auto claim = claims_.find(key);
     if (claim != claims_.end() &&
-        Now() - claim->second->since >= options_.least_stay) {
+        (leaving_ || Now() - claim->second->since >= options_.least_stay)) {
       vehicles.push_back({key, id});
     }
   }
   return vehicles;
+}
+
+void Ownership::Leave() {
+  const MutexLock lock(&mutex_);
+  leaving_ = true;
 }
 
 absl::StatusOr<std::vector<StorageUser>> Ownership::Users() const {

@@ -135,6 +135,9 @@ class Ownership {
   absl::Status CheckLease() const;
   // Implements Storage::WantedVehicles(), as of the last beat.
   std::vector<WantedVehicle> Wanted() const;
+  // Implements Storage::Leave(). Looks for what others ask for four times as
+  // often from then on, with each beat.
+  void Leave();
   // Implements Storage::ListUsers().
   absl::StatusOr<std::vector<StorageUser>> Users() const;
 
@@ -203,6 +206,7 @@ class Ownership {
   CondVar wake_;
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
   bool ended_ ABSL_GUARDED_BY(mutex_) = false;
+  bool leaving_ ABSL_GUARDED_BY(mutex_) = false;
   Uuid me_ ABSL_GUARDED_BY(mutex_){};
   // Identities of this process until now, this one among them.
   std::set<Uuid> selves_ ABSL_GUARDED_BY(mutex_);

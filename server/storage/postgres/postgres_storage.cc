@@ -258,6 +258,8 @@ class PostgresStorage : public PostgresReader {
         std::move(done));
   }
 
+  void Leave() override { ownership_->Leave(); }
+
   std::vector<WantedVehicle> WantedVehicles() override {
     return ownership_->Wanted();
   }

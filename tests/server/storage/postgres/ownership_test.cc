@@ -340,6 +340,17 @@ TEST_F(OwnershipTest, VehicleOfALivingServerIsHandedOverAfterAWhileIfAskedFor) {
   EXPECT_EQ(Sql("SELECT count(*) FROM handovers"), "0\n");
 }
 
+TEST_F(OwnershipTest, ServerThatLeavesHandsOverAtOnceWhatOthersAskFor) {
+  const auto a = Open("host-a:1");
+  const auto b = Open("host-b:2");
+  const VehicleKey key = *BlockingWrites(a.get()).Create("truck");
+  EXPECT_THAT(b->TakeVehicle("truck").status(), kNotOwner);
+  a->Leave();
+  EXPECT_TRUE(Eventually([&] { return a->WantedVehicles().size() == 1; }));
+  a->ReleaseVehicle(key);
+  EXPECT_TRUE(Eventually([&] { return b->TakeVehicle("truck").ok(); }));
+}
+
 TEST_F(OwnershipTest, VehicleThatIsHandedOverIsWithOneServerOrTheOther) {
   const auto a = Open("host-a:1");
   const auto b = Open("host-b:2");

@@ -97,7 +97,7 @@ std::unique_ptr<PostgresServer> PostgresServer::Start(
     const std::vector<std::string>& settings, std::string* missing) {
   const std::string programs = FindPrograms();
   if (programs.empty()) {
-    *missing = "no /usr/lib/postgresql/*/bin/postgres (Debian: postgresql-15)";
+    *missing = "no /usr/lib/postgresql/*/bin/postgres (Debian: postgresql)";
     return nullptr;
   }
   std::unique_ptr<PostgresServer> server(new PostgresServer);
