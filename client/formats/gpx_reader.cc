@@ -68,10 +68,18 @@ class GpxReader : public SampleReader {
     This(data)->Fail(This(data)->Error("entities are not allowed in GPX"));
   }
 
+  std::int64_t LineNumber() const {
+// Debian 13's expat has it in 64 bits too, and warns of the other.
+#if XML_MAJOR_VERSION > 2 || XML_MINOR_VERSION >= 9
+    return static_cast<std::int64_t>(XML_GetCurrentLineNumber64(parser_.get()));
+#else
+    return static_cast<std::int64_t>(XML_GetCurrentLineNumber(parser_.get()));
+#endif
+  }
+
   absl::Status Error(const std::string& message) const {
     return absl::InvalidArgumentError(
-        absl::StrCat(lines_->path(), ":",
-                     XML_GetCurrentLineNumber(parser_.get()), ": ", message));
+        absl::StrCat(lines_->path(), ":", LineNumber(), ": ", message));
   }
 
   void Fail(const absl::Status& error) {
@@ -116,8 +124,7 @@ class GpxReader : public SampleReader {
     }
     point_->geodetic = {*latitude, *longitude, 0.0};
     point_->has_heading = false;
-    point_->line =
-        static_cast<std::int64_t>(XML_GetCurrentLineNumber(parser_.get()));
+    point_->line = LineNumber();
     Value(AsValue(CheckPose(*point_, *lines_)));
   }
 

@@ -50,7 +50,7 @@ def own_bench(parser):
     """Yields a Bench of its own, of which nothing is left. Ends the program whose
     arguments these are with 77 where there is no PostgreSQL."""
     if private_cluster.find_postgres() is None:
-        parser.exit(77, "there is no PostgreSQL: Debian's package postgresql-15\n")
+        parser.exit(77, "there is no PostgreSQL: Debian's package postgresql\n")
     directory = pathlib.Path(tempfile.mkdtemp(prefix="shared-store-"))
     # PostgreSQL may have to enter it as another user.
     directory.chmod(0o711)

@@ -14,9 +14,11 @@ from hosts import run
 from revisit_server import free_port, wait_until
 from skipped import Skipped
 
-# Where Debian keeps the programs of the server.
-PROGRAMS = pathlib.Path(
-    os.environ.get("REVISIT_TEST_POSTGRES", "/usr/lib/postgresql/15/bin"))
+# Where Debian keeps the programs of the newest server.
+_INSTALLED = sorted(pathlib.Path("/usr/lib/postgresql").glob("*/bin"),
+                    key=lambda path: int(path.parent.name))
+PROGRAMS = pathlib.Path(os.environ.get("REVISIT_TEST_POSTGRES") or
+                        (_INSTALLED or ["/usr/lib/postgresql"])[-1])
 USER = "revisit"
 DATABASE = "revisit"
 START_SECONDS = 30
@@ -39,7 +41,7 @@ def skip_without_postgres():
     for program in ("postgres", "initdb", "pg_basebackup", "psql"):
         if not os.access(PROGRAMS / program, os.X_OK):
             raise Skipped(f"there is no {PROGRAMS / program}: Debian's package "
-                          "postgresql-15 has it")
+                          "postgresql has it")
 
 
 @functools.cache
