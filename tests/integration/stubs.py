@@ -16,7 +16,7 @@ PROTO = ROOT / "proto"
 
 def generate(directory):
     files = sorted(str(path.relative_to(PROTO))
-                   for path in PROTO.rglob("*.proto"))
+                   for path in (PROTO / "revisit").rglob("*.proto"))
     well_known = pathlib.Path(grpc_tools.__file__).parent / "_proto"
     code = protoc.main([
         "protoc", f"-I{PROTO}", f"-I{well_known}",

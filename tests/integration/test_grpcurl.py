@@ -153,7 +153,7 @@ def test_descriptor_resolves(symbol, run_line):
     ("revisit.v1.Pose", "  // Position of the vehicle. Required, and of"),
     ("revisit.v1.Verdict", "  // The candidate is within the gates, and its"),
     ("google.rpc.RetryInfo", "// Describes when the clients can retry"),
-    ("grpc.health.v1.Health.Watch", "// Performs a watch for the serving"),
+    ("grpc.health.v1.Health.Watch", "// Says how a service is, at once and"),
 ])
 def test_describe_shows_the_comments_of_the_protos(symbol, comment, run_line):
     result = run_line(f"grpcurl -plaintext {TRIED_ADDRESS} describe {symbol}")
