@@ -62,9 +62,11 @@ class Hosts:
 
 def cut_from_database(run, cut):
     """`cut(network, host)` parts a server from the database; clients still reach it,
-    by way of Envoy. It is not healed before others serve its vehicles."""
+    by way of Envoy. It is not healed before others serve its vehicles, and then they
+    are served on until it is over."""
     rounds = run.rounds(short=1, long=8)
-    slowest = 0.0
+    lasting = run.rounds(short=10, long=60)
+    slowest = silence = 0.0
     # Clients wait for an answer as long as it takes: they do not go away by
     # themselves.
     with Hosts(run, behind_envoy=True, fleet={
@@ -78,8 +80,12 @@ def cut_from_database(run, cut):
                 vehicle.streams for vehicle in cluster.vehicles_of(victim)),
                 "stream to the one that is cut off")
             told = fleet.outcomes["UNAVAILABLE LEASE_STALE"]
+            begun = time.monotonic()
             cut(network, SERVERS[victim])
             slowest = max(slowest, fleet.wait_for_acks(AWAY_SECONDS))
+            served = time.monotonic()
+            fleet.sleep(begun + lasting - served)
+            silence = max(silence, fleet.longest_silence(served))
             # The one that is cut off has said so to those that it had.
             assert fleet.outcomes["UNAVAILABLE LEASE_STALE"] > told
             network.heal()
@@ -88,8 +94,10 @@ def cut_from_database(run, cut):
             fleet.sleep(1.0)
         seen = cluster.judge()
         stale = fleet.outcomes["UNAVAILABLE LEASE_STALE"]
-    return rounds, (f"{seen}; all served after {slowest:.1f} s at most, the cut "
-                    f"going on; {stale} told LEASE_STALE")
+    assert silence < LEASE_SECONDS, silence
+    return rounds, (f"{seen}; all served after {slowest:.1f} s at most, the cut of "
+                    f"{lasting} s going on, and then nobody waits for more than "
+                    f"{silence:.1f} s; {stale} told LEASE_STALE")
 
 
 def servers_cut_from_each_other(run):
