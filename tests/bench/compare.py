@@ -58,12 +58,11 @@ class Server:
             head = f"ingest/{case['vehicles']}/{case['batch_poses']}"
             rows[head + "/cpu_a_pose"] = (
                 case["revisit"]["server_cpu_us_per_pose"])
-        for head in ("find", "info"):
-            if "query" in one:
-                rows[f"query/{head}/p50"] = 1e3 * one["query"][head]["p50_ms"]
-        if "query" in one:
-            rows["query/find/search_p50"] = (
-                1e3 * one["query"]["find"]["search_p50_ms"])
+        for head, call in one.get("query", {}).items():
+            if head in ("find", "find_without_belief", "info"):
+                rows[f"query/{head}/p50"] = 1e3 * call["p50_ms"]
+                if "search_p50_ms" in call:
+                    rows[f"query/{head}/search_p50"] = 1e3 * call["search_p50_ms"]
         return rows
 
     def measure(self, part):

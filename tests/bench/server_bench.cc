@@ -366,10 +366,11 @@ class Caller {
   explicit Caller(const std::string& address)
       : stub_(v1::PoseGraphService::NewStub(NewChannel(address))) {}
 
-  grpc::Status Find(const std::string& vehicle) {
+  grpc::Status Find(const std::string& vehicle, bool with_belief = true) {
     grpc::ClientContext context;
     v1::FindCandidatesRequest request;
     request.set_vehicle(vehicle);
+    if (!with_belief) request.mutable_options()->set_use_belief(false);
     return stub_->FindCandidates(&context, request, &found_);
   }
 
@@ -416,20 +417,27 @@ json QueryRound(const Options& options) {
          TownPoses(options.nodes));
   Caller caller(server.address());
   std::vector<double> searches;
+  bool with_belief = true;
   const auto find = [&] {
-    const grpc::Status status = caller.Find("vehicles/asked");
+    const grpc::Status status = caller.Find("vehicles/asked", with_belief);
     searches.push_back(caller.search_seconds());
     return status;
   };
-  const auto measure = [&](const std::string& suffix) {
+  const auto measure_find = [&](const std::string& name) {
     searches.clear();
-    result["find" + suffix] = Latencies(MeasureCalls(options.seconds, find));
-    result["find" + suffix]["search_p50_ms"] = 1e3 * Quantile(searches, 0.5);
+    result[name] = Latencies(MeasureCalls(options.seconds, find));
+    result[name]["search_p50_ms"] = 1e3 * Quantile(searches, 0.5);
+  };
+  const auto measure = [&](const std::string& suffix) {
+    measure_find("find" + suffix);
     result["info" + suffix] =
         Latencies(MeasureCalls(options.seconds, [&] { return caller.Info(); }));
   };
   MeasureCalls(0.2, find);
   measure("");
+  with_belief = false;
+  measure_find("find_without_belief");
+  with_belief = true;
   Streams streams(&server, 4, OneBatchAtATime());
   measure("_loaded");
   streams.Stop();
