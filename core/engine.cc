@@ -6,13 +6,13 @@
 #include <utility>
 
 #include "absl/status/status.h"
-#include "core/belief/begins_with_belief.h"
-#include "core/candidates/composite_search.h"
-#include "core/candidates/mark_search.h"
-#include "core/candidates/posterior.h"
-#include "core/candidates/relative_search.h"
-#include "core/candidates/search_task.h"
-#include "core/graph/node_range.h"
+#include "core/drive/node_range.h"
+#include "core/search/belief/begins_with_belief.h"
+#include "core/search/candidates/composite_search.h"
+#include "core/search/candidates/mark_search.h"
+#include "core/search/candidates/posterior.h"
+#include "core/search/candidates/relative_search.h"
+#include "core/search/candidates/search_task.h"
 
 namespace revisit::core {
 namespace {

@@ -9,11 +9,11 @@
 #include <string>
 #include <vector>
 
-#include "core/alignment/log_similarity.h"
-#include "core/alignment/shape_filter.h"
+#include "core/drive/correlation.h"
+#include "core/drive/retention.h"
 #include "core/geometry/pose.h"
-#include "core/graph/correlation.h"
-#include "core/graph/retention.h"
+#include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/shape_filter.h"
 
 namespace revisit::core {
 

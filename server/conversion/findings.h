@@ -5,7 +5,7 @@
 
 #include <cstdint>
 
-#include "core/candidates/model_check.h"
+#include "core/search/candidates/model_check.h"
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "revisit/v1/vehicle.pb.h"
 #include "server/sessions/append_sink.h"

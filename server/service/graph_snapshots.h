@@ -13,7 +13,7 @@
 
 #include "absl/status/statusor.h"
 #include "core/base/mutex.h"
-#include "core/graph/pose_graph.h"
+#include "core/drive/pose_graph.h"
 #include "server/connections/admission.h"
 #include "server/sessions/vehicle_view.h"
 

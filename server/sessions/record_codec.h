@@ -10,9 +10,9 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "core/alignment/confirmed_loop.h"
+#include "core/drive/dropped_stretch.h"
 #include "core/geometry/pose.h"
-#include "core/graph/dropped_stretch.h"
+#include "core/search/alignment/confirmed_loop.h"
 #include "server/sessions/vehicle_config.h"
 #include "server/storage/storage.h"
 

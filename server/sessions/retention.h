@@ -1,5 +1,5 @@
 // Drops the poses that a vehicle's settings do not keep
-// (core/graph/retention.h): when that is due, and how they leave the store and
+// (core/drive/retention.h): when that is due, and how they leave the store and
 // the graph.
 #ifndef REVISIT_SERVER_SESSIONS_RETENTION_H_
 #define REVISIT_SERVER_SESSIONS_RETENTION_H_
@@ -14,10 +14,10 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "core/drive/dropped_stretch.h"
+#include "core/drive/pose_graph.h"
+#include "core/drive/retention.h"
 #include "core/geometry/pose.h"
-#include "core/graph/dropped_stretch.h"
-#include "core/graph/pose_graph.h"
-#include "core/graph/retention.h"
 #include "server/sessions/replay.h"
 #include "server/sessions/retention_monitor.h"
 #include "server/sessions/vehicle_queue.h"

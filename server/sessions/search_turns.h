@@ -11,9 +11,9 @@
 #include <optional>
 
 #include "absl/status/statusor.h"
-#include "core/alignment/viterbi.h"
-#include "core/candidates/candidate.h"
-#include "core/graph/pose_graph.h"
+#include "core/drive/pose_graph.h"
+#include "core/search/alignment/viterbi.h"
+#include "core/search/candidates/candidate.h"
 #include "core/settings.h"
 #include "server/sessions/vehicle_view.h"
 

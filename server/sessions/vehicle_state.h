@@ -16,8 +16,8 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "core/belief/mark.h"
 #include "core/engine.h"
+#include "core/search/belief/mark.h"
 #include "server/base/status.h"
 #include "server/sessions/record_codec.h"
 #include "server/sessions/server_clock.h"

@@ -9,8 +9,8 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "core/belief/mark.h"
 #include "core/engine.h"
+#include "core/search/belief/mark.h"
 #include "server/sessions/vehicle_config.h"
 #include "server/storage/storage.h"
 

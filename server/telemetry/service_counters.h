@@ -15,7 +15,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "core/candidates/candidate.h"
+#include "core/search/candidates/candidate.h"
 #include "server/base/histogram.h"
 #include "server/security/method_rules.h"
 

@@ -7,12 +7,12 @@
 #include <utility>
 #include <vector>
 
-#include "core/alignment/log_similarity.h"
-#include "core/alignment/relative.h"
-#include "core/alignment/viterbi.h"
-#include "core/belief/mark.h"
-#include "core/candidates/gate.h"
 #include "core/engine.h"
+#include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/relative.h"
+#include "core/search/alignment/viterbi.h"
+#include "core/search/belief/mark.h"
+#include "core/search/candidates/gate.h"
 #include "tests/bench/eigen_alignment.h"
 #include "tests/bench/machine_limits.h"
 #include "tests/bench/roads.h"

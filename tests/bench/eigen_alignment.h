@@ -10,10 +10,10 @@
 #include <limits>
 #include <vector>
 
-#include "core/alignment/log_similarity.h"
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
-#include "core/graph/pose_graph.h"
+#include "core/search/alignment/log_similarity.h"
 
 namespace revisit::bench {
 

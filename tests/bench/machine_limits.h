@@ -6,7 +6,7 @@
 #include <cstddef>
 #include <string>
 
-#include "core/graph/pose_graph.h"
+#include "core/drive/pose_graph.h"
 
 namespace revisit::bench {
 

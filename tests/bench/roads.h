@@ -12,9 +12,9 @@
 #include <random>
 #include <vector>
 
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
-#include "core/graph/pose_graph.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/random.h"
 

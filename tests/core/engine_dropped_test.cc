@@ -9,8 +9,8 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/correlation.h"
 #include "core/engine.h"
-#include "core/graph/correlation.h"
 #include "tests/core/drives.h"
 #include "tests/random.h"
 

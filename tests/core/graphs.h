@@ -8,10 +8,10 @@
 #include <random>
 #include <vector>
 
-#include "core/alignment/confirmed_loop.h"
+#include "core/drive/pose_graph.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
-#include "core/graph/pose_graph.h"
+#include "core/search/alignment/confirmed_loop.h"
 #include "tests/random.h"
 
 namespace revisit::core {

@@ -18,8 +18,8 @@
 #include "absl/strings/str_format.h"
 #include "client/cli/evaluation/dead_reckoning.h"
 #include "client/formats/drive_file.h"
-#include "core/alignment/relative.h"
 #include "core/engine.h"
+#include "core/search/alignment/relative.h"
 
 namespace {
 

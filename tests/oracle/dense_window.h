@@ -14,8 +14,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/alignment/shape_filter.h"
-#include "core/graph/pose_graph.h"
+#include "core/drive/pose_graph.h"
+#include "core/search/alignment/shape_filter.h"
 #include "tests/oracle/motion_by_loops.h"
 #include "tests/oracle/wide_state.h"
 

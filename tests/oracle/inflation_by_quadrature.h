@@ -9,8 +9,8 @@
 #include <cmath>
 #include <vector>
 
-#include "core/candidates/consistency.h"
-#include "core/graph/pose_graph.h"
+#include "core/drive/pose_graph.h"
+#include "core/search/candidates/consistency.h"
 #include "tests/oracle/wide_state.h"
 
 namespace revisit::oracle {

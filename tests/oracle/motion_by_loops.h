@@ -7,8 +7,8 @@
 #include <cmath>
 #include <cstdint>
 
-#include "core/graph/correlation.h"
-#include "core/graph/pose_graph.h"
+#include "core/drive/correlation.h"
+#include "core/drive/pose_graph.h"
 #include "tests/oracle/wide_state.h"
 
 namespace revisit::oracle {

@@ -6,8 +6,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/alignment/log_similarity.h"
-#include "core/graph/pose_graph.h"
+#include "core/drive/pose_graph.h"
+#include "core/search/alignment/log_similarity.h"
 
 namespace revisit::oracle {
 

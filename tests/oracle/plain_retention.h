@@ -12,8 +12,8 @@
 #include <utility>
 #include <vector>
 
+#include "core/drive/retention.h"
 #include "core/geometry/heading.h"
-#include "core/graph/retention.h"
 
 namespace revisit::core {
 

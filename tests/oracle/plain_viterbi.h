@@ -9,8 +9,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/alignment/log_similarity.h"
-#include "core/graph/pose_graph.h"
+#include "core/drive/pose_graph.h"
+#include "core/search/alignment/log_similarity.h"
 #include "tests/oracle/path_enumeration.h"
 
 namespace revisit::oracle {

@@ -15,9 +15,9 @@
 #include <utility>
 #include <vector>
 
-#include "core/alignment/known_drift.h"
-#include "core/alignment/relative.h"
-#include "core/graph/pose_graph.h"
+#include "core/drive/pose_graph.h"
+#include "core/search/alignment/known_drift.h"
+#include "core/search/alignment/relative.h"
 #include "tests/oracle/dense_window.h"
 #include "tests/oracle/wide_state.h"
 

@@ -10,10 +10,10 @@
 #include <cmath>
 #include <optional>
 
-#include "core/alignment/confirmed_loop.h"
+#include "core/drive/correlation.h"
+#include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
-#include "core/graph/correlation.h"
-#include "core/graph/pose_graph.h"
+#include "core/search/alignment/confirmed_loop.h"
 
 namespace revisit::oracle {
 

@@ -77,7 +77,7 @@ double RatioOfMeans(double a, double b) {
 }
 
 // The share of two fixes' covariances that is left in their difference, as the
-// searches have it (core/graph/correlation.h).
+// searches have it (core/drive/correlation.h).
 double UncorrelatedShare(const Matrix4d& a, const Matrix4d& b, double meters,
                          const v1::VehicleSettings& settings) {
   const auto position = [](const Matrix4d& m) {
@@ -161,7 +161,7 @@ RelativePose JumpBetween(const LocalPose& from, const LocalPose& to) {
 RelativePose ClosureBetween(const v1::LoopClosure& closure,
                             const LocalPose& matched, const LocalPose& query) {
   // The search takes closures without a measurement to be so uncertain too
-  // (kConfirmedTolerance of core/alignment/known_drift.h).
+  // (kConfirmedTolerance of core/search/alignment/known_drift.h).
   constexpr double kSigmaMeters = 5.0;
   constexpr double kSigmaRadians = 0.15;
   RelativePose relative;

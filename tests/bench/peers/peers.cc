@@ -1,6 +1,6 @@
 // Compares with what else a user could take to find loop-closure candidates
-// among poses with covariances, on the same nodes, covariances and queries as revisit's engine:
-// time of a query and quality of the first candidate.
+// among poses with covariances, on the same nodes, covariances and queries as
+// revisit's engine: time of a query and quality of the first candidate.
 #include <Eigen/Core>
 #include <Eigen/Eigenvalues>
 #include <algorithm>
@@ -15,10 +15,10 @@
 #include "client/cli/evaluation/dead_reckoning.h"
 #include "client/cli/evaluation/evaluation.h"
 #include "client/formats/drive_file.h"
-#include "core/alignment/log_similarity.h"
-#include "core/candidates/gate.h"
 #include "core/engine.h"
 #include "core/geometry/heading.h"
+#include "core/search/alignment/log_similarity.h"
+#include "core/search/candidates/gate.h"
 #include "tests/bench/peers/mrpt_association.h"
 
 namespace revisit::bench {

@@ -1,0 +1,236 @@
+#include "core/drive/distance_resampler.h"
+
+#include <Eigen/LU>
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+
+#include "core/geometry/heading.h"
+
+namespace revisit::core {
+namespace {
+
+Covariance Interpolate(const Covariance& a, const Covariance& b, double f) {
+  Covariance between;
+  for (std::size_t i = 0; i < between.upper.size(); ++i) {
+    between.upper[i] = (1.0 - f) * a.upper[i] + f * b.upper[i];
+  }
+  return between;
+}
+
+Pose Interpolate(const Pose& a, const Pose& b, double f) {
+  const Pose step = Difference(b, a);
+  return {a.x + f * step.x, a.y + f * step.y, a.z + f * step.z,
+          WrapHeading(a.heading + f * step.heading)};
+}
+
+// The error transition over the part from `from` to `to` of a step whose error
+// transition is `whole`. Errors are interpolated linearly along the step: at f
+// the error is ((1-f) I + f whole) e. These matrices are functions of one
+// matrix, so they commute.
+Eigen::Matrix4d PartialTransition(const Eigen::Matrix4d& whole, double from,
+                                  double to) {
+  const auto at = [&whole](double f) -> Eigen::Matrix4d {
+    return (1.0 - f) * Eigen::Matrix4d::Identity() + f * whole;
+  };
+  if (from == 0.0) return at(to);
+  return at(to) * at(from).inverse();
+}
+
+// No path is longer: farther on, the spacing would be lost in rounding.
+double LongestPath(double spacing_meters) { return 1e12 * spacing_meters; }
+
+// Nanoseconds that std::llround() can round.
+constexpr double kMostStampSpan = 9e18;
+
+}  // namespace
+
+DistanceResampler::DistanceResampler(const ResamplerOptions& options)
+    : options_(options) {
+  assert(options.spacing_meters > 0.0 && options.max_step_meters > 0.0);
+}
+
+std::optional<Jump> DistanceResampler::Add(const PoseSample& sample,
+                                           PoseGraph* graph) {
+  if (!anchor_) {
+    StartSegment(sample, graph);
+    return std::nullopt;
+  }
+  if (options_.carry_transitions && sample.transition) {
+    anchor_to_last_ =
+        (ToMatrix<4>(*sample.transition) * anchor_to_last_).eval();
+  }
+  const double step =
+      Distance(anchor_->pose, sample.pose, options_.state_space);
+  if (has_skipped_ || options_.IsJump(step)) {
+    const bool is_jump = !has_skipped_;
+    node_to_anchor_ = anchor_to_last_ * node_to_anchor_;
+    StartSegment(sample, graph);
+    if (!is_jump) return std::nullopt;
+    return Jump{sample.sequence, step};
+  }
+  if (options_.IsStandstill(step)) {
+    last_sequence_ = sample.sequence;
+    last_stamp_ns_ = sample.stamp_ns;
+  } else {
+    // Fraction of this step at which the last node lies.
+    double reached = 0.0;
+    while (true) {
+      // A product and not a running sum, so that rounding errors do not add up.
+      const double mark =
+          segment_start_meters_ +
+          static_cast<double>(segment_nodes_) * options_.spacing_meters;
+      // Rounding can put the mark slightly before the anchor.
+      const double f = std::max(0.0, (mark - travelled_meters_) / step);
+      if (f > 1.0) break;
+      if (options_.carry_transitions) {
+        node_to_anchor_ =
+            PartialTransition(anchor_to_last_, reached, f) * node_to_anchor_;
+      }
+      AddNode(sample, f, /*starts_segment=*/false, graph);
+      reached = f;
+    }
+    if (options_.carry_transitions && reached < 1.0) {
+      node_to_anchor_ =
+          PartialTransition(anchor_to_last_, reached, 1.0) * node_to_anchor_;
+    }
+    travelled_meters_ += step;
+    SetAnchor(sample);
+  }
+  return std::nullopt;
+}
+
+void DistanceResampler::Skip(std::uint64_t last_sequence, double meters,
+                             const std::optional<ErrorTransition>& transition) {
+  assert(meters >= 0.0);
+  travelled_meters_ = std::max(travelled_meters_,
+                               std::min(travelled_meters_ + meters,
+                                        LongestPath(options_.spacing_meters)));
+  last_sequence_ = last_sequence;
+  last_stamp_ns_.reset();
+  if (!anchor_) return;
+  has_skipped_ = true;
+  if (options_.carry_transitions && transition) {
+    anchor_to_last_ = (ToMatrix<4>(*transition) * anchor_to_last_).eval();
+  }
+}
+
+void DistanceResampler::Save(ByteWriter* writer) const {
+  writer->PutOptional(anchor_);
+  writer->Put(last_sequence_);
+  writer->PutOptional(last_stamp_ns_);
+  writer->Put(travelled_meters_);
+  writer->Put(segment_start_meters_);
+  writer->Put(segment_nodes_);
+  writer->Put(static_cast<std::uint8_t>(has_skipped_ ? 1 : 0));
+  for (const Eigen::Matrix4d* matrix : {&node_to_anchor_, &anchor_to_last_}) {
+    writer->PutArray(matrix->data(), 16);
+  }
+}
+
+bool DistanceResampler::Load(const PoseGraph& graph,
+                             std::uint64_t last_sequence, ByteReader* reader) {
+  std::uint8_t has_skipped = 0;
+  if (!reader->GetOptional(&anchor_) || !reader->Get(&last_sequence_) ||
+      !reader->GetOptional(&last_stamp_ns_) ||
+      !reader->Get(&travelled_meters_) ||
+      !reader->Get(&segment_start_meters_) || !reader->Get(&segment_nodes_) ||
+      !reader->Get(&has_skipped) || has_skipped > 1) {
+    return false;
+  }
+  has_skipped_ = has_skipped == 1;
+  for (Eigen::Matrix4d* matrix : {&node_to_anchor_, &anchor_to_last_}) {
+    if (!reader->GetArray(matrix->data(), 16) ||
+        !AreFinite(matrix->data(), 16)) {
+      return false;
+    }
+  }
+  if (!anchor_) {
+    return graph.size() == 0 && last_sequence_ == last_sequence &&
+           travelled_meters_ >= 0.0 &&
+           travelled_meters_ <= LongestPath(options_.spacing_meters);
+  }
+  if (graph.size() == 0) return false;
+  const double spacing = options_.spacing_meters;
+  const Node last = graph.node(graph.size() - 1);
+  const double last_mark =
+      segment_start_meters_ + static_cast<double>(segment_nodes_ - 1) * spacing;
+  // From a place far behind, or so far on that a spacing is lost in rounding,
+  // the next step would add nodes without end.
+  return last_sequence_ == last_sequence && last.sequence <= last_sequence &&
+         !FindDefect({last_sequence_, last_stamp_ns_, anchor_->pose,
+                      anchor_->covariance, std::nullopt},
+                     options_.state_space) &&
+         segment_nodes_ > 0 && segment_nodes_ <= graph.size() &&
+         segment_start_meters_ >= 0.0 &&
+         std::abs(last_mark - last.travelled_meters) <= 1e-3 * spacing &&
+         travelled_meters_ >= last.travelled_meters - spacing &&
+         (has_skipped_ ||
+          travelled_meters_ <= last.travelled_meters + 2.0 * spacing) &&
+         travelled_meters_ <= LongestPath(spacing);
+}
+
+void DistanceResampler::SetAnchor(const PoseSample& sample) {
+  anchor_ = Anchor{sample.pose, sample.covariance};
+  if (options_.carry_transitions) anchor_to_last_.setIdentity();
+  last_sequence_ = sample.sequence;
+  last_stamp_ns_ = sample.stamp_ns;
+}
+
+void DistanceResampler::StartSegment(const PoseSample& sample,
+                                     PoseGraph* graph) {
+  SetAnchor(sample);
+  has_skipped_ = false;
+  segment_start_meters_ = travelled_meters_;
+  segment_nodes_ = 0;
+  AddNode(sample, 1.0, /*starts_segment=*/true, graph);
+}
+
+// Adds the node at fraction f in (0, 1] of the step from the anchor to this
+// sample.
+void DistanceResampler::AddNode(const PoseSample& sample, double f,
+                                bool starts_segment, PoseGraph* graph) {
+  Node node;
+  node.travelled_meters =
+      segment_start_meters_ +
+      static_cast<double>(segment_nodes_) * options_.spacing_meters;
+  if (f == 1.0) {
+    node.sequence = sample.sequence;
+    node.stamp_ns = sample.stamp_ns;
+    node.pose = sample.pose;
+    node.pose.heading = WrapHeading(sample.pose.heading);
+    node.covariance = sample.covariance;
+  } else {
+    // While the vehicle stood still, only time passed: the step begins where
+    // the anchor is, but at the time of the last pose.
+    node.sequence = last_sequence_;
+    node.fraction = f;
+    if (last_stamp_ns_ && sample.stamp_ns) {
+      const double span = static_cast<double>(*sample.stamp_ns) -
+                          static_cast<double>(*last_stamp_ns_);
+      // Stamps may be centuries apart. A node whose stamp would not fit has
+      // none.
+      std::int64_t stamp_ns = 0;
+      if (std::abs(span) < kMostStampSpan &&
+          !__builtin_add_overflow(*last_stamp_ns_, std::llround(f * span),
+                                  &stamp_ns)) {
+        node.stamp_ns = stamp_ns;
+      }
+    }
+    node.pose = Interpolate(anchor_->pose, sample.pose, f);
+    node.covariance = Interpolate(anchor_->covariance, sample.covariance, f);
+  }
+  if (options_.state_space == StateSpace::kPlanar) {
+    // z is not part of the state: nothing may depend on what was given for it.
+    node.pose.z = 0.0;
+    for (int i = 0; i < 4; ++i) node.covariance(2, i) = 0.0;
+  }
+  std::optional<ErrorTransition> transition;
+  if (options_.carry_transitions)
+    transition = ToErrorTransition<4>(node_to_anchor_);
+  graph->AddNode(node, starts_segment, transition);
+  if (options_.carry_transitions) node_to_anchor_.setIdentity();
+  ++segment_nodes_;
+}
+
+}  // namespace revisit::core

@@ -1,0 +1,110 @@
+// Turns a stream of poses of any rate into nodes spaced evenly by travelled
+// distance.
+//
+// Node m of a segment lies where the path of the stream has length m * spacing,
+// measured along straight lines between poses. Between two poses the mean is
+// interpolated linearly, heading along the shorter arc, the covariance linearly
+// (a convex combination of positive definite matrices is one too), and the
+// stamp linearly.
+//
+// Standing still adds no distance: a pose that is closer to the last counted
+// pose than `standstill_fraction` of the spacing is not counted itself, so the
+// jitter of a parked estimator does not add up. A step longer than
+// `max_step_meters` is a jump: it is reported, adds no distance, and starts a
+// new segment at the pose after it.
+#ifndef REVISIT_CORE_DRIVE_DISTANCE_RESAMPLER_H_
+#define REVISIT_CORE_DRIVE_DISTANCE_RESAMPLER_H_
+
+#include <cstdint>
+#include <optional>
+
+#include "core/base/byte_stream.h"
+#include "core/drive/pose_graph.h"
+#include "core/geometry/pose.h"
+
+namespace revisit::core {
+
+struct ResamplerOptions {
+  StateSpace state_space = StateSpace::kPlanar;
+  double spacing_meters = 2.0;
+  double max_step_meters = 100.0;
+  double standstill_fraction = 0.05;
+  // Whether nodes get error transitions; all samples but the first must have
+  // them.
+  bool carry_transitions = false;
+
+  // A step from the last counted pose adds distance unless it is one of these.
+  bool IsStandstill(double step_meters) const {
+    return step_meters < standstill_fraction * spacing_meters;
+  }
+  bool IsJump(double step_meters) const {
+    return step_meters > max_step_meters;
+  }
+};
+
+struct Jump {
+  // The pose after the jump.
+  std::uint64_t sequence = 0;
+  double distance_meters = 0.0;
+};
+
+class DistanceResampler {
+ public:
+  // REQUIRES: positive spacing and maximal step.
+  explicit DistanceResampler(const ResamplerOptions& options);
+
+  // Adds to the graph the nodes that the step to this sample reaches. Returns
+  // the jump, if the step is one.
+  // REQUIRES: the sample has no defect and the sequence number that follows the
+  // last sample's.
+  std::optional<Jump> Add(const PoseSample& sample, PoseGraph* graph);
+
+  // Goes on behind poses that are not there: the next sample starts a segment,
+  // so much farther along the path, and that is no jump. `transition`: the
+  // error transition from the last sample over the poses that are missing; with
+  // carry_transitions only, and without effect before the first sample.
+  // REQUIRES: meters >= 0; the sequence of the last pose that is missing.
+  void Skip(std::uint64_t last_sequence, double meters,
+            const std::optional<ErrorTransition>& transition);
+
+  // Path length up to the last counted pose, without jumps.
+  double travelled_meters() const { return travelled_meters_; }
+
+  void Save(ByteWriter* writer) const;
+  // Goes on where another was when it was saved. False, and unspecified, unless
+  // that can have made this graph up to `last_sequence`.
+  bool Load(const PoseGraph& graph, std::uint64_t last_sequence,
+            ByteReader* reader);
+
+ private:
+  // The part of a counted pose that the next step needs.
+  struct Anchor {
+    Pose pose;
+    Covariance covariance;
+  };
+
+  void SetAnchor(const PoseSample& sample);
+  void StartSegment(const PoseSample& sample, PoseGraph* graph);
+  void AddNode(const PoseSample& sample, double fraction, bool starts_segment,
+               PoseGraph* graph);
+
+  ResamplerOptions options_;
+  // The last counted pose.
+  std::optional<Anchor> anchor_;
+  // The last pose, counted or not.
+  std::uint64_t last_sequence_ = 0;
+  std::optional<std::int64_t> last_stamp_ns_;
+  double travelled_meters_ = 0.0;
+  double segment_start_meters_ = 0.0;
+  // Whether poses are missing since the last one.
+  bool has_skipped_ = false;
+  std::int64_t segment_nodes_ = 0;
+  // Error transitions from the last node to the anchor and from the anchor to
+  // the last pose. Used only with carry_transitions.
+  Eigen::Matrix4d node_to_anchor_ = Eigen::Matrix4d::Identity();
+  Eigen::Matrix4d anchor_to_last_ = Eigen::Matrix4d::Identity();
+};
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_DRIVE_DISTANCE_RESAMPLER_H_

@@ -1,0 +1,199 @@
+#include "core/drive/motion_statistics.h"
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+#include <cstddef>
+
+#include "core/geometry/heading.h"
+
+namespace revisit::core {
+namespace {
+
+// R^T m R with R the turn by `heading` about z.
+template <int D>
+StateMatrix<D> InVehicleAxes(const StateMatrix<D>& m, double heading) {
+  const StateMatrix<D> r = TurnAbout<D>(heading);
+  return r.transpose() * m * r;
+}
+
+template <int D>
+StateMatrix<D> WithoutNegativePart(const StateMatrix<D>& m) {
+  if (!m.allFinite()) return StateMatrix<D>::Zero();
+  const StateMatrix<D> symmetric = 0.5 * (m + m.transpose());
+  const Eigen::SelfAdjointEigenSolver<StateMatrix<D>> solver(symmetric);
+  const StateVector<D> kept = solver.eigenvalues().cwiseMax(0.0);
+  return solver.eigenvectors() * kept.asDiagonal() *
+         solver.eigenvectors().transpose();
+}
+
+// What a fix wanders off by in one step, and beside it the variance of its
+// heading.
+template <int D>
+StateMatrix<D> WanderingOf(const StateMatrix<D>& difference,
+                           double heading_variance) {
+  StateMatrix<D> wandering = difference;
+  wandering.row(D - 1).setZero();
+  wandering.col(D - 1).setZero();
+  wandering(D - 1, D - 1) = heading_variance;
+  return wandering;
+}
+
+}  // namespace
+
+template <int D>
+void AddMotion(const PoseGraph& graph, const Correlation& correlation,
+               NodeIndex first, NodeIndex end, MotionSums<D>* sums) {
+  const CorrelationModel model = correlation.model;
+  assert(0 <= first && end <= graph.size());
+  if (first >= end) return;
+  // Segments are long, so their starts are looked up only once each.
+  NodeIndex next_start =
+      graph.SegmentStart(first) == first ? first : graph.SegmentEnd(first);
+  for (NodeIndex i = first; i < end; ++i) {
+    if (i == next_start) {
+      next_start = graph.SegmentEnd(i);
+      continue;
+    }
+    const Pose later = graph.pose(i);
+    ++sums->steps;
+    const StateMatrix<D> covariance = ToMatrix<D>(graph.covariance(i));
+    if (model == CorrelationModel::kIndependent) {
+      sums->sum += InVehicleAxes<D>(covariance, later.heading);
+      continue;
+    }
+    if (model == CorrelationModel::kCorrelatedFixes) {
+      sums->sum += InVehicleAxes<D>(
+          WanderingOf<D>(DifferenceCovariance<D>(graph, correlation, i - 1, i),
+                         covariance(D - 1, D - 1)),
+          later.heading);
+      continue;
+    }
+    const StateMatrix<D> before = ToMatrix<D>(graph.covariance(i - 1));
+    const StateMatrix<D> f =
+        DeadReckoningTransition<D>(graph.pose(i - 1), later);
+    const StateMatrix<D> carried = f * before;
+    StateMatrix<D> added = covariance;
+    if (model == CorrelationModel::kDeadReckoning) {
+      added -= carried * f.transpose();
+    } else {
+      const StateMatrix<D> psi = ToMatrix<D>(graph.transition(i));
+      const StateMatrix<D> mixed = carried * psi.transpose();
+      added += carried * f.transpose() - mixed - mixed.transpose();
+    }
+    sums->sum += InVehicleAxes<D>(added, later.heading);
+  }
+}
+
+template <int D>
+MotionStatistics<D> MeanMotion(const Correlation& correlation,
+                               const MotionSums<D>& sums) {
+  MotionStatistics<D> statistics;
+  statistics.steps = sums.steps;
+  if (sums.steps == 0) return statistics;
+  const StateMatrix<D> mean =
+      WithoutNegativePart<D>(sums.sum / static_cast<double>(sums.steps));
+  switch (correlation.model) {
+    case CorrelationModel::kIndependent:
+      statistics.jitter = mean;
+      break;
+    case CorrelationModel::kCorrelatedFixes:
+      statistics.drift = mean;
+      statistics.drift(D - 1, D - 1) = 0.0;
+      statistics.jitter(D - 1, D - 1) = mean(D - 1, D - 1);
+      break;
+    case CorrelationModel::kDeadReckoning:
+    case CorrelationModel::kFilter:
+      statistics.drift = mean;
+      break;
+  }
+  return statistics;
+}
+
+template <int D>
+MotionStatistics<D> MeasureMotion(const PoseGraph& graph,
+                                  const Correlation& correlation,
+                                  NodeIndex last) {
+  assert(last < graph.size());
+  MotionSums<D> sums;
+  AddMotion<D>(graph, correlation, 0, last + 1, &sums);
+  return MeanMotion<D>(correlation, sums);
+}
+
+std::vector<double> ShareOfStretches(const PoseGraph& graph, NodeIndex last,
+                                     NodeIndex stretch_nodes,
+                                     const std::vector<double>& turns,
+                                     double tolerance_radians) {
+  assert(last < graph.size() && stretch_nodes >= 1);
+  StretchCounter counter(turns, tolerance_radians);
+  VisitStretches(graph, stretch_nodes, 0, last + 1,
+                 [&](double turn) { counter.Add(turn); });
+  return counter.Shares();
+}
+
+StretchCounter::StretchCounter(const std::vector<double>& turns,
+                               double tolerance_radians)
+    : turns_(turns), tolerance_radians_(tolerance_radians) {
+  bounds_.reserve(2 * turns.size());
+  for (const double turn : turns) {
+    bounds_.push_back(turn - tolerance_radians);
+    bounds_.push_back(turn + tolerance_radians);
+  }
+  std::sort(bounds_.begin(), bounds_.end());
+  beyond_.resize(bounds_.size() + 1);
+  below_.resize(bounds_.size());
+}
+
+void StretchCounter::Add(double turn, std::int64_t times) {
+  beyond_[BoundsUpTo(turn)] += times;
+  stretches_ += times;
+}
+
+void StretchCounter::AddSorted(const std::vector<double>& stretches) {
+  auto at = stretches.begin();
+  for (std::size_t k = 0; k < bounds_.size(); ++k) {
+    at = std::lower_bound(at, stretches.end(), bounds_[k]);
+    below_[k] += at - stretches.begin();
+  }
+  stretches_ += static_cast<std::int64_t>(stretches.size());
+}
+
+std::vector<double> StretchCounter::Shares() const {
+  std::vector<std::int64_t> below = below_;
+  std::int64_t added = 0;
+  for (std::size_t k = 0; k < below.size(); ++k) {
+    added += beyond_[k];
+    below[k] += added;
+  }
+  std::vector<double> shares;
+  shares.reserve(turns_.size());
+  for (const double turn : turns_) {
+    const std::int64_t within =
+        below[BoundsUpTo(turn + tolerance_radians_) - 1] -
+        below[BoundsUpTo(turn - tolerance_radians_) - 1];
+    shares.push_back((1.0 + static_cast<double>(within)) /
+                     (1.0 + static_cast<double>(stretches_)));
+  }
+  return shares;
+}
+
+std::size_t StretchCounter::BoundsUpTo(double turn) const {
+  return static_cast<std::size_t>(
+      std::upper_bound(bounds_.begin(), bounds_.end(), turn) - bounds_.begin());
+}
+
+template void AddMotion<3>(const PoseGraph&, const Correlation&, NodeIndex,
+                           NodeIndex, MotionSums<3>*);
+template void AddMotion<4>(const PoseGraph&, const Correlation&, NodeIndex,
+                           NodeIndex, MotionSums<4>*);
+template MotionStatistics<3> MeanMotion<3>(const Correlation&,
+                                           const MotionSums<3>&);
+template MotionStatistics<4> MeanMotion<4>(const Correlation&,
+                                           const MotionSums<4>&);
+template MotionStatistics<3> MeasureMotion<3>(const PoseGraph&,
+                                              const Correlation&, NodeIndex);
+template MotionStatistics<4> MeasureMotion<4>(const PoseGraph&,
+                                              const Correlation&, NodeIndex);
+
+}  // namespace revisit::core

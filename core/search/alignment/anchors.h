@@ -1,0 +1,118 @@
+// How well the end poses agree (the anchor of relative.h), block by block:
+// under each scale of the claims and each drift that a model holds possible,
+// and under their mixture.
+//
+// The density of the difference of the query and node j is
+//
+//   sum over scales k, drifts h of  v_k w_h N(d_j - mean_h; 0, Gamma_kh + R),
+//
+// where h = 0 is the drift as claimed. A drift that node j lies out of the
+// reach of counts as the drift as claimed there.
+#ifndef REVISIT_CORE_SEARCH_ALIGNMENT_ANCHORS_H_
+#define REVISIT_CORE_SEARCH_ALIGNMENT_ANCHORS_H_
+
+#include <cstddef>
+#include <optional>
+#include <vector>
+
+#include "core/drive/pose_graph.h"
+#include "core/search/alignment/differences.h"
+#include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/relative_model.h"
+#include "core/search/alignment/search_bounds.h"
+#include "core/search/alignment/similarity_kernel.h"
+
+namespace revisit::core {
+
+template <int D>
+class Anchors {
+ public:
+  // The graph and the model must outlive this.
+  Anchors(const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
+          Direction direction);
+
+  // Compares the query with the first `count` nodes of block k; what else is
+  // told concerns these. `next` is the block that will be asked for after it.
+  // REQUIRES: for kFilter, k falls from call to call.
+  void Find(std::size_t k, std::size_t count, std::size_t next);
+
+  // The same for nodes from anywhere, copied to a block of their own: those of
+  // blocks that the same drifts reach into as into the one that begins at node
+  // `first`. REQUIRES: kDeadReckoning.
+  void FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
+                 std::size_t count, NodeIndex first);
+
+  // Whether the covariance of node i of the block is well-conditioned.
+  bool IsPossible(std::size_t i) const;
+
+  // Whether no variance of either node is more than twice that of the other.
+  bool AreAlike(std::size_t i, std::size_t j) const;
+
+  // For each node, the most that the log-odds can come to, but for what a path
+  // gains: of this end alone, or of any near it (SearchBounds::BoundEnds()).
+  // Undefined for nodes that are not possible.
+  void Bound(const SearchBounds<D>& bounds, BoundOf of, BlockColumn* most);
+
+  // The same for node i, but for what is the same for all ends, once a path has
+  // shifted its difference by `shift`, in the axes of the local frame, and may
+  // shift it by s more, which costs it at least 1/2 s^T B^-1 s elsewhere. The
+  // entries of B are `further`, those of a lower triangle. Infinity where
+  // nothing is known. REQUIRES: Bound() came after the nodes were found,
+  // Change() not.
+  double BoundShifted(std::size_t i, const StateVector<D>& shift,
+                      const double* further) const;
+
+  // Changes the differences by what paths have shown.
+  void Change(const DifferenceChange& change);
+
+  // The mixture at a node, and the part of it that is most probable there.
+  struct Mixture {
+    double log_similarity = kImpossible;
+    double squared_mahalanobis = 0.0;
+    double scale = 1.0;
+  };
+  // REQUIRES: i is possible.
+  Mixture At(std::size_t i) const;
+
+  // The log-similarity under each scale alone, kImpossible where it is
+  // ill-conditioned. REQUIRES: the model has no drifts.
+  void AppendScales(std::size_t i, std::vector<double>* log_similarities) const;
+
+ private:
+  struct Part {
+    Part(const PoseGraph& graph, const SimilarityModel& model,
+         const std::optional<ConfirmedLoop>& loop, NodeIndex query)
+        : finder(graph, model, loop, query) {}
+
+    Differences<D> finder;
+    double scale = 1.0;
+    double log_scale_weight = 0.0;
+    // Nothing for the drift as claimed.
+    const WeighedDrift* drift = nullptr;
+    // In the block at hand. A part that does not count there has no weight.
+    bool counts = true;
+    double log_weight = 0.0;
+    DifferenceBlock differences;
+    BlockSimilarity similarity;
+    // BoundChanged() of it.
+    BlockColumn unshifted;
+  };
+
+  void AddParts(const PoseGraph& graph, const SimilarityModel& similarity,
+                const WeighedScale& scale, NodeIndex query);
+  void Weigh(NodeIndex first);
+
+  const RelativeModel& model_;
+  std::vector<Part> parts_;
+  // Nodes that are told of.
+  std::size_t count_ = 0;
+  // Scratch: the bound of each part.
+  std::vector<BlockColumn> part_bounds_;
+};
+
+// Whether a drift reaches into the block that begins at node `first`.
+bool Reaches(const WeighedDrift& drift, NodeIndex first);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_SEARCH_ALIGNMENT_ANCHORS_H_

@@ -1,0 +1,91 @@
+// A confirmed loop closure, and what a verifier measured between its poses.
+//
+// The measurement u says where the true query pose q lies in the levelled axes
+// of the true matched pose m, up to an error n of covariance M:
+//
+//   q = m + R(h_m) (u - n),    R(a) the turn about z by a, heading added.
+//
+// With estimates that have the errors e, the innovation
+// y = q^ - (m^ + R(h^_m) u) is, to first order,
+//
+//   y = e_q - L e_m - R n,
+//
+// where L is the identity but for the column of heading: the error of the
+// matched pose's heading swings the query pose about it, with the lever arm
+// J R u, J the turn by a right angle. L e_m is the error of dead reckoning from
+// m by a step R u without noise. So the pose m^ + R u with the covariance
+// L S_mm L^T takes the place of the matched pose wherever errors are those of
+// dead reckoning; lever arms add up, which makes its cross-covariances right
+// too.
+#ifndef REVISIT_CORE_SEARCH_ALIGNMENT_CONFIRMED_LOOP_H_
+#define REVISIT_CORE_SEARCH_ALIGNMENT_CONFIRMED_LOOP_H_
+
+#include <memory>
+
+#include "core/drive/correlation.h"
+#include "core/drive/pose_graph.h"
+#include "core/geometry/pose.h"
+#include "core/search/alignment/log_similarity.h"
+
+namespace revisit::core {
+
+// The pose of the query in the levelled body axes of the match (x forward, y
+// left, z up), with the covariance of its error in these axes.
+struct LoopMeasurement {
+  Pose relative;
+  Covariance covariance;
+};
+
+// A pose of the stream as it is estimated, in the local frame.
+struct PoseEstimate {
+  Pose pose;
+  Covariance covariance;
+};
+
+// A measurement with the poses between which it was made: nodes lie beside
+// them, by more than a good measurement is uncertain.
+struct MeasuredLoop {
+  LoopMeasurement measurement;
+  PoseEstimate query;
+  PoseEstimate matched;
+};
+
+struct ConfirmedLoop {
+  // The last nodes at or before the two poses.
+  NodeIndex query = 0;
+  NodeIndex matched = 0;
+  // Null where nothing was measured.
+  std::shared_ptr<const MeasuredLoop> measured = nullptr;
+};
+
+// The direction in which a loop was closed, judged by the headings.
+Direction DirectionOf(const PoseGraph& graph, const ConfirmedLoop& loop);
+
+// m^ + R u, with L S_mm L^T.
+template <int D>
+PoseEstimate CarriedToQuery(const MeasuredLoop& loop);
+
+// R M R^T: the measurement's covariance in the axes of the local frame.
+template <int D>
+StateMatrix<D> MeasurementCovariance(const MeasuredLoop& loop);
+
+// y, and its claimed covariance without that of the measurement: Gamma, with
+// the lever arm.
+template <int D>
+struct Innovation {
+  StateVector<D> difference;
+  StateMatrix<D> gamma;
+};
+
+// Covariances are those of the poses, but for kFilter, whose transitions lead
+// from node to node, those of the nodes. O(1), but O(nodes between the two) for
+// kFilter. REQUIRES: the loop was measured; the matched node is not after the
+// query's.
+template <int D>
+Innovation<D> InnovationOf(const PoseGraph& graph,
+                           const Correlation& correlation,
+                           const ConfirmedLoop& loop);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_SEARCH_ALIGNMENT_CONFIRMED_LOOP_H_

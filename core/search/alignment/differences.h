@@ -1,0 +1,58 @@
+// The differences of the query and the history under any correlation model,
+// block by block: what the similarity kernel evaluates.
+#ifndef REVISIT_CORE_SEARCH_ALIGNMENT_DIFFERENCES_H_
+#define REVISIT_CORE_SEARCH_ALIGNMENT_DIFFERENCES_H_
+
+#include <cstddef>
+#include <optional>
+
+#include "core/drive/pose_graph.h"
+#include "core/geometry/pose.h"
+#include "core/search/alignment/known_drift.h"
+#include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/similarity_kernel.h"
+
+namespace revisit::core {
+
+template <int D>
+class Differences {
+ public:
+  // `last_confirmed`: the loop closure that has shown the drift, or nothing.
+  // REQUIRES: the graph outlives this and does not change; last_confirmed for
+  // kDeadReckoning only.
+  Differences(const PoseGraph& graph, const SimilarityModel& model,
+              const std::optional<ConfirmedLoop>& last_confirmed,
+              NodeIndex query);
+
+  // Finds the differences of the first `count` nodes of block k; those of the
+  // other entries are 0. `next` is the block that will be asked for after it,
+  // which is fetched on the way. REQUIRES: for kFilter, k falls from call to
+  // call.
+  void Find(std::size_t k, std::size_t count, std::size_t next,
+            DifferenceBlock* differences);
+
+  // Finds the differences of nodes from anywhere in the graph, the first
+  // `count` of a block that they were copied to. REQUIRES: kDeadReckoning.
+  void FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
+                 std::size_t count, DifferenceBlock* differences);
+
+ private:
+  void FindFiltered(std::size_t k, std::size_t count,
+                    DifferenceBlock* differences);
+  void CarryBackTo(NodeIndex j);
+
+  const PoseGraph& graph_;
+  const NodeIndex query_;
+  const SimilarityModel model_;
+  // For all but kFilter.
+  KernelQuery kernel_query_;
+  std::optional<KnownDriftTerms> known_drift_;
+  // For kFilter: Psi(query, next_).
+  StateMatrix<D> psi_;
+  NodeIndex next_;
+  bool decorrelated_ = false;
+};
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_SEARCH_ALIGNMENT_DIFFERENCES_H_

@@ -1,0 +1,65 @@
+// How much a path back from each node of the history can gain at most, as far
+// as headings tell: an upper bound, from one byte of each node.
+//
+// The squared innovations of a path sum up to e^T C^-1 e, with e its mismatches
+// up to where it ends and C their covariance. Those of some of its headings
+// alone, (e_1, ..., e_n) with the covariance that C has for these, sum up to no
+// more. By itself the heading's drift is a random walk, which each node strays
+// from, so that this sum is that of a filter of one number:
+//
+//   drift_k = drift_(k-1) + noise,  e_k = drift_k + straying.
+//
+// A heading is looked at every few steps. Those that the bins, and up
+// to kMostSlips slips either way, leave open are taken for the likeliest. So
+// the bound holds for paths without more slips than these at a time; each slip
+// costs kSlipCost.
+#ifndef REVISIT_CORE_SEARCH_ALIGNMENT_HEADING_MATCH_H_
+#define REVISIT_CORE_SEARCH_ALIGNMENT_HEADING_MATCH_H_
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "core/drive/heading_bins.h"
+#include "core/drive/pose_graph.h"
+#include "core/search/alignment/heading_kernel.h"
+#include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/recent_path.h"
+
+namespace revisit::core {
+
+inline constexpr NodeIndex kMostSlips = 2;
+
+class HeadingMatch {
+ public:
+  // Paths lie in [0, history_size). Nothing where the recent path is too short
+  // to tell. The bins must outlive this. REQUIRES: they have the history.
+  template <int D>
+  static std::optional<HeadingMatch> Make(const PoseGraph& graph,
+                                          const HeadingBins& bins,
+                                          const RecentPath<D>& recent,
+                                          NodeIndex query,
+                                          NodeIndex history_size);
+
+  // For each node of a block, the most that the log-likelihood ratio of a path
+  // from it can come to.
+  void Bound(std::size_t block, Direction direction, BlockRatios* most) const;
+
+ private:
+  HeadingMatch(const HeadingBins& bins, NodeIndex history_size)
+      : bins_(bins), size_(history_size) {}
+
+  const HeadingBins& bins_;
+  NodeIndex size_;
+  // Farthest step.
+  NodeIndex reach_ = 0;
+  float least_ = 0.0F;
+  // For paths back in time, and forward.
+  std::array<std::vector<HeadingStep>, 2> steps_;
+};
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_SEARCH_ALIGNMENT_HEADING_MATCH_H_

@@ -1,0 +1,163 @@
+#include "core/search/alignment/known_drift.h"
+
+#include <Eigen/Cholesky>
+#include <cassert>
+
+#include "core/drive/correlation.h"
+#include "core/geometry/heading.h"
+
+namespace revisit::core {
+
+namespace {
+
+template <int D>
+bool PositiveDefinite(const StateMatrix<D>& m) {
+  return Evaluate<D>(m, StateVector<D>::Zero()).has_value();
+}
+
+template <int D>
+LoopEnd<D> EndAt(const PoseGraph& graph, NodeIndex i) {
+  const Node node = graph.node(i);
+  return {i, node.pose, ToMatrix<D>(node.covariance)};
+}
+
+}  // namespace
+
+template <int D>
+void KnownDrift<D>::Closure::AddTolerance(StateMatrix<D>* covariance) const {
+  if (measurement) {
+    *covariance += *measurement;
+  } else {
+    core::AddTolerance<D>(kConfirmedTolerance, covariance);
+  }
+}
+
+template <int D>
+auto KnownDrift<D>::Measured(const ConfirmedLoop& loop) -> Closure {
+  const MeasuredLoop& measured = *loop.measured;
+  const PoseEstimate carried = CarriedToQuery<D>(measured);
+  return {
+      {loop.query, measured.query.pose, ToMatrix<D>(measured.query.covariance)},
+      {loop.matched, carried.pose, ToMatrix<D>(carried.covariance)},
+      ToVector<D>(Difference(measured.query.pose, carried.pose)),
+      MeasurementCovariance<D>(measured)};
+}
+
+template <int D>
+auto KnownDrift<D>::Unmeasured(const PoseGraph& graph, SimilarityModel model,
+                               const ConfirmedLoop& loop) -> Closure {
+  model.direction = DirectionOf(graph, loop);
+  return {EndAt<D>(graph, loop.query), EndAt<D>(graph, loop.matched),
+          ToVector<D>(PassDifference(model, graph.pose(loop.query),
+                                     graph.pose(loop.matched))),
+          std::nullopt};
+}
+
+// Whether the error at the later end can be the error at the earlier one,
+// carried on, plus new noise.
+template <int D>
+bool KnownDrift<D>::GrowsForward(const Closure& closure, const LoopEnd<D>& a,
+                                 const LoopEnd<D>& b) {
+  const LoopEnd<D>& earlier = b.index < a.index ? b : a;
+  const LoopEnd<D>& later = b.index < a.index ? a : b;
+  const StateMatrix<D> psi =
+      DeadReckoningTransition<D>(earlier.pose, later.pose);
+  StateMatrix<D> added =
+      later.covariance - psi * earlier.covariance * psi.transpose();
+  closure.AddTolerance(&added);
+  return PositiveDefinite<D>(added);
+}
+
+template <int D>
+StateMatrix<D> KnownDrift<D>::CrossWith(NodeIndex i,
+                                        const LoopEnd<D>& end) const {
+  const Pose pose = graph_->pose(i);
+  if (i > end.index) {
+    return DeadReckoningTransition<D>(end.pose, pose) * end.covariance;
+  }
+  const StateMatrix<D> carried = DeadReckoningTransition<D>(pose, end.pose) *
+                                 ToMatrix<D>(graph_->covariance(i));
+  return carried.transpose();
+}
+
+template <int D>
+std::optional<KnownDrift<D>> KnownDrift<D>::Make(const PoseGraph& graph,
+                                                 const SimilarityModel& model,
+                                                 const ConfirmedLoop& loop,
+                                                 NodeIndex query) {
+  assert(model.correlation.model == CorrelationModel::kDeadReckoning);
+  if (loop.measured) {
+    if (auto known = Make(graph, model, Measured(loop), query)) return known;
+  }
+  return Make(graph, model, Unmeasured(graph, model, loop), query);
+}
+
+template <int D>
+std::optional<KnownDrift<D>> KnownDrift<D>::Make(const PoseGraph& graph,
+                                                 const SimilarityModel& model,
+                                                 const Closure& closure,
+                                                 NodeIndex query) {
+  const LoopEnd<D>& c = closure.query;
+  const LoopEnd<D>& m = closure.matched;
+  // The pose of a closure at the query's own node may lie behind it.
+  const LoopEnd<D>& last = m.index > c.index ? m : c;
+  if (!GrowsForward(closure, m, c) ||
+      !(last.index == query ||
+        GrowsForward(closure, last, EndAt<D>(graph, query)))) {
+    return std::nullopt;
+  }
+  const bool c_is_later = c.index > m.index;
+  const LoopEnd<D>& earlier = c_is_later ? m : c;
+  const LoopEnd<D>& later = c_is_later ? c : m;
+  StateMatrix<D> covariance =
+      (model.inflation * model.inflation) *
+      DeadReckoningDifferenceCovariance<D>(
+          earlier.pose, later.pose, earlier.covariance, later.covariance);
+  closure.AddTolerance(&covariance);
+  if (!PositiveDefinite<D>(covariance)) return std::nullopt;
+  KnownDrift known(graph, closure, model.inflation * model.inflation);
+  known.query_part_ = known.CrossWith(query, c) - known.CrossWith(query, m);
+  known.information_ =
+      Eigen::LDLT<StateMatrix<D>>(covariance).solve(StateMatrix<D>::Identity());
+  return known;
+}
+
+template <int D>
+KnownDriftTerms KnownDrift<D>::Terms() const {
+  const auto rows = [](const StateMatrix<D>& m, double(&to)[4][4]) {
+    for (int r = 0; r < D; ++r) {
+      for (int c = 0; c < D; ++c) to[r][c] = m(r, c);
+    }
+  };
+  KnownDriftTerms terms;
+  const auto fill = [&](const LoopEnd<D>& end, KnownDriftTerms::LoopNode* to) {
+    to->index = end.index;
+    to->x = end.pose.x;
+    to->y = end.pose.y;
+    rows(end.covariance, to->covariance);
+  };
+  fill(closure_.query, &terms.query);
+  fill(closure_.matched, &terms.matched);
+  rows(query_part_, terms.query_part);
+  rows(information_, terms.information);
+  for (int r = 0; r < D; ++r) terms.loop_difference[r] = closure_.difference(r);
+  terms.variance_scale = variance_scale_;
+  return terms;
+}
+
+template <int D>
+void KnownDrift<D>::Apply(NodeIndex j, StateVector<D>* difference,
+                          StateMatrix<D>* covariance) const {
+  const StateMatrix<D> x =
+      variance_scale_ * (query_part_ - CrossWith(j, closure_.query) +
+                         CrossWith(j, closure_.matched));
+  const StateMatrix<D> gain = x * information_;
+  *difference -= gain * closure_.difference;
+  (*difference)(D - 1) = WrapHeading((*difference)(D - 1));
+  *covariance -= gain * x.transpose();
+}
+
+template class KnownDrift<3>;
+template class KnownDrift<4>;
+
+}  // namespace revisit::core

@@ -1,0 +1,155 @@
+#include "core/search/alignment/log_similarity.h"
+
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+
+#include "core/geometry/heading.h"
+
+namespace revisit::core {
+namespace {
+
+double Exponent(LikelihoodForm form) {
+  return form == LikelihoodForm::kAsPrinted ? 1.0 : 0.5;
+}
+
+template <int D>
+double LogSimilarity(LikelihoodForm form, const StateMatrix<D>& gamma,
+                     const StateVector<D>& d) {
+  const std::optional<QuadraticForm> terms = Evaluate<D>(gamma, d);
+  if (!terms) return kImpossible;
+  return -0.5 * terms->log_determinant -
+         Exponent(form) * terms->squared_mahalanobis;
+}
+
+template <int D>
+double PairSimilarity(const PoseGraph& graph, const SimilarityModel& model,
+                      NodeIndex i, NodeIndex j) {
+  return LogSimilarity<D>(
+      model.form,
+      ToleratedCovariance<D>(
+          model, DifferenceCovariance<D>(graph, model.correlation, i, j)),
+      ToVector<D>(PassDifference(model, graph.pose(i), graph.pose(j))));
+}
+
+template <int D>
+void FilterColumn(const PoseGraph& graph, const SimilarityModel& model,
+                  NodeIndex query, NodeIndex count, double* column) {
+  const Pose query_pose = graph.pose(query);
+  VisitDifferenceCovariances<D>(
+      graph, model.correlation, query, count,
+      [&](NodeIndex i, const StateMatrix<D>& gamma) {
+        column[i] = LogSimilarity<D>(
+            model.form, ToleratedCovariance<D>(model, gamma),
+            ToVector<D>(PassDifference(model, query_pose, graph.pose(i))));
+      });
+}
+
+}  // namespace
+
+Pose PassDifference(const SimilarityModel& model, const Pose& a,
+                    const Pose& b) {
+  Pose difference = Difference(a, b);
+  if (model.direction == Direction::kOpposite) {
+    difference.heading = WrapHeading(difference.heading + kPi);
+  }
+  return difference;
+}
+
+template <int D>
+std::optional<QuadraticForm> Evaluate(const StateMatrix<D>& gamma,
+                                      const StateVector<D>& d) {
+  // gamma = L diag(pivot) L^T, L unit lower triangular; solved = L^-1 d.
+  double lower[D][D];
+  double scaled[D][D];  // L(r,c) * pivot(c)
+  double pivot[D];
+  double inverse[D];
+  double solved[D];
+  QuadraticForm terms;
+  double determinant = 1.0;
+  for (int r = 0; r < D; ++r) {
+    double p = gamma(r, r);
+    double y = d(r);
+    for (int c = 0; c < r; ++c) {
+      double s = gamma(r, c);
+      for (int k = 0; k < c; ++k) s -= scaled[r][k] * lower[c][k];
+      scaled[r][c] = s;
+      lower[r][c] = s * inverse[c];
+      p -= lower[r][c] * s;
+      y -= lower[r][c] * solved[c];
+    }
+    // Written so that NaN fails too.
+    if (!(p > kPivotTolerance * gamma(r, r)) || !std::isfinite(p)) {
+      return std::nullopt;
+    }
+    pivot[r] = p;
+    inverse[r] = 1.0 / p;
+    solved[r] = y;
+    determinant *= p;
+    terms.squared_mahalanobis += y * y * inverse[r];
+  }
+  // Pivots of a valid graph lie within (1e-60, 1e40), so that their product is
+  // finite and takes a single logarithm. Beyond that, each takes its own.
+  if (std::isnormal(determinant)) {
+    terms.log_determinant = std::log(determinant);
+  } else {
+    for (int r = 0; r < D; ++r) terms.log_determinant += std::log(pivot[r]);
+  }
+  if (!std::isfinite(terms.squared_mahalanobis)) return std::nullopt;
+  return terms;
+}
+
+template std::optional<QuadraticForm> Evaluate<3>(const StateMatrix<3>&,
+                                                  const StateVector<3>&);
+template std::optional<QuadraticForm> Evaluate<4>(const StateMatrix<4>&,
+                                                  const StateVector<4>&);
+
+double LogSimilarity(const PoseGraph& graph, const SimilarityModel& model,
+                     NodeIndex i, NodeIndex j) {
+  return model.state_space == StateSpace::kPlanar
+             ? PairSimilarity<3>(graph, model, i, j)
+             : PairSimilarity<4>(graph, model, i, j);
+}
+
+KernelQuery MakeKernelQuery(const PoseGraph& graph,
+                            const SimilarityModel& model, NodeIndex query) {
+  assert(model.correlation.model != CorrelationModel::kFilter);
+  const Node node = graph.node(query);
+  const double position = model.tolerance.position_meters;
+  const double heading = model.tolerance.heading_radians;
+  KernelQuery kernel_query;
+  kernel_query.pose = node.pose;
+  kernel_query.covariance = node.covariance;
+  kernel_query.state_space = model.state_space;
+  kernel_query.dead_reckoning =
+      model.correlation.model == CorrelationModel::kDeadReckoning;
+  kernel_query.opposite = model.direction == Direction::kOpposite;
+  kernel_query.variance_scale = model.inflation * model.inflation;
+  kernel_query.position_variance = position * position;
+  kernel_query.heading_variance = heading * heading;
+  kernel_query.exponent = Exponent(model.form);
+  return kernel_query;
+}
+
+void LogSimilarityColumn(const PoseGraph& graph, const SimilarityModel& model,
+                         NodeIndex query, NodeIndex count,
+                         std::vector<double>* column) {
+  assert(count <= query);
+  column->resize(static_cast<std::size_t>(count));
+  double* const out = column->data();
+  if (model.correlation.model != CorrelationModel::kFilter) {
+    VisitBlockSimilarities(
+        graph, model, query, count,
+        [out, count](NodeIndex first, const BlockSimilarity& part) {
+          constexpr auto kSize = static_cast<NodeIndex>(NodeBlock::kSize);
+          std::copy_n(part.log_similarity.data(),
+                      std::min(kSize, count - first), out + first);
+        });
+  } else if (model.state_space == StateSpace::kPlanar) {
+    FilterColumn<3>(graph, model, query, count, out);
+  } else {
+    FilterColumn<4>(graph, model, query, count, out);
+  }
+}
+
+}  // namespace revisit::core

@@ -1,0 +1,134 @@
+// How well two nodes agree, under the uncertainty of their difference (paper,
+// Eq. 2):
+//
+//   lambda(i,j) = -1/2 ln|Gamma_ij + R| - c d^T (Gamma_ij + R)^-1 d,
+//
+// d = x_i - x_j with heading wrapped, R the place tolerance. c = 1/2 makes it
+// the log density of a Gaussian less a constant; the paper prints c = 1.
+#ifndef REVISIT_CORE_SEARCH_ALIGNMENT_LOG_SIMILARITY_H_
+#define REVISIT_CORE_SEARCH_ALIGNMENT_LOG_SIMILARITY_H_
+
+#include <algorithm>
+#include <cstddef>
+#include <limits>
+#include <optional>
+#include <vector>
+
+#include "core/drive/correlation.h"
+#include "core/drive/pose_graph.h"
+#include "core/geometry/pose.h"
+#include "core/search/alignment/similarity_kernel.h"
+
+namespace revisit::core {
+
+enum class LikelihoodForm { kGaussian, kAsPrinted };
+
+// The direction in which the history was driven, against the recent path.
+enum class Direction { kSame, kOpposite };
+
+// Index of a direction in arrays of two.
+constexpr std::size_t IndexOf(Direction direction) {
+  return direction == Direction::kSame ? 0 : 1;
+}
+
+// How far apart two passes of one place may truly be: standard deviations,
+// whose squares are added to the diagonal of Gamma (R).
+struct PlaceTolerance {
+  double position_meters = 2.0;
+  double heading_radians = 0.1;
+
+  bool operator==(const PlaceTolerance& other) const {
+    return position_meters == other.position_meters &&
+           heading_radians == other.heading_radians;
+  }
+};
+
+// Adds R to gamma.
+template <int D>
+void AddTolerance(const PlaceTolerance& tolerance, StateMatrix<D>* gamma) {
+  const double position = tolerance.position_meters;
+  const double heading = tolerance.heading_radians;
+  for (int i = 0; i + 1 < D; ++i) (*gamma)(i, i) += position * position;
+  (*gamma)(D - 1, D - 1) += heading * heading;
+}
+
+struct SimilarityModel {
+  StateSpace state_space = StateSpace::kPlanar;
+  Correlation correlation;
+  LikelihoodForm form = LikelihoodForm::kGaussian;
+  PlaceTolerance tolerance;
+  Direction direction = Direction::kSame;
+  // Multiplies the claimed standard deviations; at least 1.
+  double inflation = 1.0;
+};
+
+// The claimed covariance of a difference, inflated, plus R.
+template <int D>
+StateMatrix<D> ToleratedCovariance(const SimilarityModel& model,
+                                   const StateMatrix<D>& gamma) {
+  StateMatrix<D> sum = (model.inflation * model.inflation) * gamma;
+  AddTolerance<D>(model.tolerance, &sum);
+  return sum;
+}
+
+// a - b, for kOpposite with one of the headings turned by pi.
+Pose PassDifference(const SimilarityModel& model, const Pose& a, const Pose& b);
+
+// Log-similarity of the impossible: Gamma is not positive definite in double
+// precision, or no path leads to the node.
+inline constexpr double kImpossible = -std::numeric_limits<double>::infinity();
+
+// The terms of a Gaussian in d with covariance gamma.
+struct QuadraticForm {
+  double squared_mahalanobis = 0.0;  // d^T gamma^-1 d
+  double log_determinant = 0.0;      // ln|gamma|
+};
+
+// Computed by LDL^T. Nothing if a pivot is not above kPivotTolerance times its
+// diagonal entry: as far as double precision shows, gamma is not positive
+// definite then.
+template <int D>
+std::optional<QuadraticForm> Evaluate(const StateMatrix<D>& gamma,
+                                      const StateVector<D>& d);
+
+// lambda(i,j) of two nodes in any order; kImpossible if ill-conditioned. O(1),
+// but O(|i - j|) for kFilter.
+double LogSimilarity(const PoseGraph& graph, const SimilarityModel& model,
+                     NodeIndex i, NodeIndex j);
+
+// lambda(query, i) for all i in [0, count): a column of the trellis. O(count)
+// in every correlation model. For all but kFilter the kernel computes it
+// (similarity_kernel.h). REQUIRES: count <= query.
+void LogSimilarityColumn(const PoseGraph& graph, const SimilarityModel& model,
+                         NodeIndex query, NodeIndex count,
+                         std::vector<double>* column);
+
+// A query node as the kernel takes it. REQUIRES: the model is not kFilter.
+KernelQuery MakeKernelQuery(const PoseGraph& graph,
+                            const SimilarityModel& model, NodeIndex query);
+
+// Calls visit(first, part) for the nodes of [0, count) block by block. Entry k
+// of a part is the similarity of node first + k; entries from node `count` on
+// are undefined. REQUIRES: count <= query; the model is not kFilter.
+template <typename Visit>
+void VisitBlockSimilarities(const PoseGraph& graph,
+                            const SimilarityModel& model, NodeIndex query,
+                            NodeIndex count, const Visit& visit) {
+  const KernelQuery kernel_query = MakeKernelQuery(graph, model, query);
+  const std::size_t blocks = BlocksOf(count);
+  BlockSimilarity part;
+  alignas(64) BlockShares shares;
+  for (std::size_t k = 0; k < blocks; ++k) {
+    const bool shared =
+        FindUncorrelatedShares(graph, model.correlation, query, k, &shares);
+    // After the last block comes the first, with the next query.
+    EvaluateBlock(kernel_query, graph.block(k),
+                  graph.block(k + 1 < blocks ? k + 1 : 0),
+                  shared ? &shares : nullptr, &part);
+    visit(static_cast<NodeIndex>(k * NodeBlock::kSize), part);
+  }
+}
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_SEARCH_ALIGNMENT_LOG_SIMILARITY_H_

@@ -1,0 +1,39 @@
+#include "core/search/alignment/recent_path.h"
+
+namespace revisit::core {
+
+template <int D>
+RecentPath<D>::RecentPath(const PoseGraph& graph, const RelativeModel& model,
+                          NodeIndex query, std::int64_t steps)
+    : filter_(graph, model.motion_history, query, steps,
+              model.similarity.correlation, model.shape,
+              model.similarity.tolerance, model.spacing_meters,
+              model.similarity.inflation),
+      heading_(graph.pose(query).heading),
+      turn_(TurnAbout<D>(heading_)),
+      weight_(ShapeWeight(model.shape, model.spacing_meters)),
+      steps_(static_cast<std::size_t>(steps)),
+      certainties_(steps_.size() * kMostEntries) {
+  for (std::size_t t = steps_.size(); t-- > 0;) {
+    const auto number = static_cast<std::int64_t>(t);
+    WalkStep& step = steps_[t];
+    step = filter_.Kernel(number);
+    step.settled = 2.0 * kSlipCost;
+    if (t + 1 < steps_.size()) {
+      const WalkStep& next = steps_[t + 1];
+      step.to_come = next.to_come + next.surprise;
+    }
+    PackLower<D>(ToFrame(filter_.EndCertainty(number)),
+                 certainties_.data() + t * kMostEntries);
+  }
+}
+
+template <int D>
+StateMatrix<D> RecentPath<D>::ToFrame(const StateMatrix<D>& covariance) const {
+  return turn_ * covariance * turn_.transpose();
+}
+
+template class RecentPath<3>;
+template class RecentPath<4>;
+
+}  // namespace revisit::core

@@ -1,0 +1,18 @@
+#include "core/search/alignment/relative_model.h"
+
+#include <cmath>
+
+#include "core/geometry/heading.h"
+
+namespace revisit::core {
+
+double LogNewPlaceTerm(const RelativeModel& model) {
+  const int dimensions = DegreesOfFreedom(model.similarity.state_space);
+  const double density =
+      2.0 / (kPi * model.road_spacing_meters * model.spacing_meters) /
+      (model.similarity.state_space == StateSpace::kSpatial ? kRoadHeightRange
+                                                            : 1.0);
+  return -0.5 * dimensions * std::log(2.0 * kPi) - std::log(density);
+}
+
+}  // namespace revisit::core

@@ -1,0 +1,305 @@
+#include "core/search/alignment/search_bounds.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include "core/geometry/heading.h"
+#include "core/search/alignment/log_similarity.h"
+
+namespace revisit::core {
+namespace {
+
+std::size_t StrideOf(NodeIndex history_size) {
+  const auto nodes = static_cast<std::size_t>(history_size);
+  std::size_t stride = kLeastStride;
+  while (stride < NodeBlock::kSize && nodes / stride > kEnoughSamples) {
+    stride *= 2;
+  }
+  return stride;
+}
+
+// Error of the difference of two variances due to rounding, as a share of
+// these.
+constexpr double kCancelled = 1e-12;
+
+// 1/2 s^T B^-1 s at most: the standard deviation of B is twice as far as ends
+// are apart in position, and as headings can be in heading.
+constexpr double kAroundSlack = 0.5 * (0.25 + 1.0);
+
+}  // namespace
+
+// With s the shift of an end, Q the sum of its path's squared innovations, E
+// the filter's EndShift(), and L(s) the log-similarity of the end once changed,
+//
+//   log-odds <= L(s) + constant + w (surprises of its path - Q / 2).
+//
+// Since Q >= s^T E^-1 s, half of the innovations' cost pays for the shift:
+//
+//   w Q / 4 >= 1/2 s^T B^-1 s with B = (2 / w) E,
+//
+// and the maximum of L(s) - 1/2 s^T B^-1 s over s bounds what the shift can
+// gain. The other half, w Q / 4, stays with the path (Walkers::kNeeded).
+template <int D>
+SearchBounds<D>::SearchBounds(const PoseGraph& graph,
+                              const RelativeModel& model,
+                              const RecentPath<D>& recent, NodeIndex query,
+                              NodeIndex history_size)
+    : graph_(graph),
+      model_(model),
+      recent_(recent),
+      query_(query),
+      size_(history_size),
+      constant_(LogNewPlaceTerm(model) - recent.filter().join_cost()),
+      stride_(StrideOf(history_size)) {
+  PackLower<D>(
+      recent.ToFrame((2.0 / recent.weight()) * recent.filter().EndShift()),
+      change_bound_.shift);
+  PackLower<D>(recent.MostCertainty(), change_bound_.certainty);
+  change_bound_.least_left = kLeastUncertaintyLeft;
+  around_bound_ = change_bound_;
+  StateMatrix<D> apart = StateMatrix<D>::Zero();
+  AddTolerance<D>({static_cast<double>(stride_) * model.spacing_meters, kPi},
+                  &apart);
+  double entries[kMostEntries] = {};
+  PackLower<D>(apart, entries);
+  for (std::size_t i = 0; i < kMostEntries; ++i) {
+    around_bound_.shift[i] += entries[i];
+  }
+}
+
+// The difference d_i of an end i near j is d_j + s, with s as far as the two
+// are apart. With the covariance B of neighbours, which is greater than that,
+//
+//   d_i^T G^-1 d_i >= d_j^T (G + B)^-1 d_j - s^T B^-1 s.
+template <int D>
+void SearchBounds<D>::BoundEnds(const DifferenceBlock& differences,
+                                const BlockSimilarity& similarity, BoundOf of,
+                                BlockColumn* most,
+                                BlockColumn* unshifted) const {
+  constexpr double kNothingKnown = std::numeric_limits<double>::infinity();
+  if (model_.least_log_share == kImpossible) {
+    most->fill(kNothingKnown);
+    unshifted->fill(kNothingKnown);
+    return;
+  }
+  BoundChanged(model_.similarity.state_space, differences,
+               of == BoundOf::kEnd ? change_bound_ : around_bound_, similarity,
+               most, of == BoundOf::kEnd ? unshifted : nullptr);
+  const double beside =
+      constant_ + kBoundSlack + (of == BoundOf::kEnd ? 0.0 : kAroundSlack);
+  for (double& bound : *most) {
+    bound += beside;
+    // Written so that a bound which is not a number becomes kNothingKnown.
+    bound = bound <= kNothingKnown ? bound : kNothingKnown;
+  }
+}
+
+template <int D>
+auto SearchBounds<D>::BlocksToSearch() const -> Blocks {
+  std::vector<std::size_t> order;
+  const std::optional<Regions> regions = FindRegions();
+  const std::size_t all = BlocksOf(size_);
+  if (regions) {
+    for (std::size_t k = all; k-- > regions->last;) order.push_back(k);
+    AddNear(*regions, &order);
+    for (std::size_t k = regions->first; k-- > 0;) order.push_back(k);
+    SortByDistance(&order);
+  } else {
+    for (std::size_t k = all; k-- > 0;) order.push_back(k);
+  }
+  Blocks blocks;
+  const std::size_t sampled = SamplesEnds() ? FullBlocksBefore() : 0;
+  for (const std::size_t k : order) {
+    (k < sampled ? blocks.sampled : blocks.all).push_back(k);
+  }
+  return blocks;
+}
+
+template <int D>
+bool SearchBounds<D>::SamplesEnds() const {
+  return model_.most_log_odds_sampled != kImpossible &&
+         model_.similarity.correlation.model ==
+             CorrelationModel::kDeadReckoning;
+}
+
+// Adds the blocks that lie near under any scale, and those that a drift reaches
+// into, where ends may lie elsewhere.
+template <int D>
+void SearchBounds<D>::AddNear(const Regions& regions,
+                              std::vector<std::size_t>* blocks) const {
+  const auto begin = static_cast<std::ptrdiff_t>(blocks->size());
+  for (const Region& region : regions.of_scales) {
+    model_.block_bounds->VisitNear(
+        region.of_blocks, regions.first, regions.last, [&](std::size_t k) {
+          if (HoldsNear(region.of_nodes, graph_.block(k))) {
+            blocks->push_back(k);
+          }
+        });
+  }
+  for (const WeighedDrift& drift : model_.drifts) {
+    const auto block_of = [](NodeIndex i) {
+      return static_cast<std::size_t>(std::max<NodeIndex>(i, 0)) /
+             NodeBlock::kSize;
+    };
+    const std::size_t last =
+        std::min(regions.last, block_of(drift.reach.last - 1) + 1);
+    for (std::size_t k = std::max(regions.first, block_of(drift.reach.first));
+         k < last; ++k) {
+      blocks->push_back(k);
+    }
+  }
+  std::sort(blocks->begin() + begin, blocks->end());
+  blocks->erase(std::unique(blocks->begin() + begin, blocks->end()),
+                blocks->end());
+}
+
+// Sorts by the distance of the query from one node of each block.
+template <int D>
+void SearchBounds<D>::SortByDistance(std::vector<std::size_t>* blocks) const {
+  const Pose query = graph_.pose(query_);
+  std::vector<std::pair<double, std::size_t>> order;
+  order.reserve(blocks->size());
+  for (const std::size_t k : *blocks) {
+    const auto first = static_cast<NodeIndex>(k * NodeBlock::kSize);
+    constexpr auto kMiddle = static_cast<NodeIndex>(NodeBlock::kSize / 2);
+    const Pose pose = graph_.pose(std::min(first + kMiddle, size_ - 1));
+    order.emplace_back(std::hypot(pose.x - query.x, pose.y - query.y), k);
+  }
+  std::sort(order.begin(), order.end());
+  for (std::size_t i = 0; i < order.size(); ++i) {
+    (*blocks)[i] = order[i].second;
+  }
+}
+
+template <int D>
+auto SearchBounds<D>::FindRegions() const -> std::optional<Regions> {
+  const SimilarityModel& similarity = model_.similarity;
+  const bool dead_reckoning =
+      similarity.correlation.model == CorrelationModel::kDeadReckoning;
+  if (model_.least_log_share == kImpossible || model_.block_bounds == nullptr) {
+    return std::nullopt;
+  }
+  // A loop closure's drift moves the ends elsewhere, and the errors of filters
+  // may be correlated in any way.
+  if (similarity.correlation.model == CorrelationModel::kFilter ||
+      (dead_reckoning && model_.last_confirmed)) {
+    return std::nullopt;
+  }
+  StateMatrix<D> tolerance = StateMatrix<D>::Zero();
+  AddTolerance<D>(similarity.tolerance, &tolerance);
+  const std::optional<double> log_determinant = LeastLogDeterminant(tolerance);
+  if (!log_determinant) return std::nullopt;
+  Regions regions;
+  regions.last = std::min(model_.block_bounds->size(), FullBlocksBefore());
+  if (dead_reckoning) {
+    regions.first =
+        model_.block_bounds->FirstGrowing(graph_, query_, regions.last);
+  }
+  if (regions.first == regions.last) return std::nullopt;
+  const auto add = [&](const WeighedScale& scale) {
+    regions.of_scales.push_back(
+        RegionOf(scale, tolerance(0, 0), *log_determinant));
+  };
+  if (model_.scales.empty()) add({});
+  for (const WeighedScale& scale : model_.scales) add(scale);
+  return regions;
+}
+
+// With u the direction from a node to the query in x and y, r their distance,
+// G = Gamma + R, V = u^T G u, a the shift in x and y, and l the greatest
+// variance of the shift:
+//
+//   (d + a)^T G^-1 (d + a) >= (u (d + a))^2 / V >= (r - |a|)^2 / V,
+//
+// and the innovations' cost pays w |a|^2 / l for the shift. The sum of the two,
+// over all a, is at least r^2 / (V + l / w). For dead reckoning the lever arm
+// is at right angles to u, so that u^T Gamma u = u^T (S_q - S_j) u. Where Gamma
+// is positive definite, |G - A| is at least |R - A|, A the most that a path
+// takes from the covariance. So an end has the least log-odds only if
+//
+//   r^2 <= 2 (constant - 1/2 ln|R - A| + w most_log_likelihood_ratio
+//             - least log-odds) (V + l / w).
+//
+// For a whole block V is bounded in any direction; for a single node it is
+// known. In a mixture, some scale must come to the least log-odds divided by
+// the number of scales.
+template <int D>
+auto SearchBounds<D>::RegionOf(const WeighedScale& scale,
+                               double position_variance,
+                               double log_determinant) const -> Region {
+  const SimilarityModel& similarity = model_.similarity;
+  const bool dead_reckoning =
+      similarity.correlation.model == CorrelationModel::kDeadReckoning;
+  const double inflation = similarity.inflation * scale.scale;
+  const double claimed = inflation * inflation;
+  const Covariance covariance = graph_.covariance(query_);
+  const StateMatrix<D>& shift = recent_.filter().EndShift();
+  const Pose query = graph_.pose(query_);
+  // R + l / w.
+  const double of_neither =
+      position_variance +
+      VariancesInAnyDirection(shift(0, 0), shift(0, 1), shift(1, 1)).most /
+          recent_.weight();
+  Region region;
+  BlockBounds::Region& of_blocks = region.of_blocks;
+  of_blocks.x = query.x;
+  of_blocks.y = query.y;
+  of_blocks.variance =
+      claimed * VariancesInAnyDirection(covariance(0, 0), covariance(0, 1),
+                                        covariance(1, 1))
+                    .most +
+      of_neither;
+  of_blocks.squared_per_variance =
+      2.0 * (constant_ - 0.5 * log_determinant +
+             recent_.weight() * recent_.most_log_likelihood_ratio() +
+             kBoundSlack + scale.log_weight +
+             std::log(static_cast<double>(
+                 std::max<std::size_t>(1, model_.scales.size()))) -
+             model_.least_log_share);
+  (dead_reckoning ? of_blocks.least_taken : of_blocks.most_added) = claimed;
+  NodeRegion& of_nodes = region.of_nodes;
+  of_nodes.x = query.x;
+  of_nodes.y = query.y;
+  of_nodes.squared_per_variance = of_blocks.squared_per_variance;
+  of_nodes.variance = of_neither + kCancelled * of_blocks.variance;
+  of_nodes.xx = claimed * covariance(0, 0);
+  of_nodes.xy = claimed * covariance(0, 1);
+  of_nodes.yy = claimed * covariance(1, 1);
+  of_nodes.node_scale = dead_reckoning ? -claimed : claimed;
+  return region;
+}
+
+// The least ln|R - A|. Where R - A is not positive definite, a path takes no
+// more than all but kLeastUncertaintyLeft. Nothing if R is not either.
+template <int D>
+std::optional<double> SearchBounds<D>::LeastLogDeterminant(
+    const StateMatrix<D>& tolerance) const {
+  const StateVector<D> zero = StateVector<D>::Zero();
+  const StateMatrix<D> left =
+      (1.0 - kLeastUncertaintyLeft) * tolerance - recent_.MostCertainty();
+  if (const auto terms = Evaluate<D>(left, zero)) return terms->log_determinant;
+  if (const auto whole = Evaluate<D>(tolerance, zero)) {
+    return whole->log_determinant + D * std::log(kLeastUncertaintyLeft);
+  }
+  return std::nullopt;
+}
+
+// Full blocks of the history that lie well before the query. Most queries lie
+// well behind their history, but sequences may be short.
+template <int D>
+std::size_t SearchBounds<D>::FullBlocksBefore() const {
+  constexpr auto kBlock = static_cast<NodeIndex>(NodeBlock::kSize);
+  std::size_t blocks = static_cast<std::size_t>(size_) / NodeBlock::kSize;
+  while (blocks > 0 &&
+         (static_cast<NodeIndex>(blocks) + 1) * kBlock + kBlock / 2 > query_) {
+    --blocks;
+  }
+  return blocks;
+}
+
+template class SearchBounds<3>;
+template class SearchBounds<4>;
+
+}  // namespace revisit::core

@@ -1,0 +1,31 @@
+// How well the measurement of a loop closure agrees with the graph: the
+// chi-square test of its innovation.
+#ifndef REVISIT_CORE_SEARCH_CANDIDATES_AGREEMENT_H_
+#define REVISIT_CORE_SEARCH_CANDIDATES_AGREEMENT_H_
+
+#include <optional>
+
+#include "core/drive/pose_graph.h"
+#include "core/search/alignment/confirmed_loop.h"
+#include "core/search/alignment/log_similarity.h"
+
+namespace revisit::core {
+
+struct Agreement {
+  // y^T (Gamma + M)^-1 y, with Gamma inflated.
+  double squared_mahalanobis = 0.0;
+  int degrees_of_freedom = 3;
+  // Probability of at least this distance for a true closure.
+  double p_value = 0.0;
+  double inflation = 1.0;
+};
+
+// Nothing where Gamma + M is ill-conditioned. Of the model, state space,
+// correlation and inflation count. REQUIRES: as for InnovationOf().
+std::optional<Agreement> AgreementOf(const PoseGraph& graph,
+                                     const SimilarityModel& model,
+                                     const ConfirmedLoop& loop);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_SEARCH_CANDIDATES_AGREEMENT_H_

@@ -1,0 +1,113 @@
+// The answer of a search: candidates for the place of a node, with the evidence
+// for each.
+#ifndef REVISIT_CORE_SEARCH_CANDIDATES_CANDIDATE_H_
+#define REVISIT_CORE_SEARCH_CANDIDATES_CANDIDATE_H_
+
+#include <cstdint>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "core/drive/pose_graph.h"
+#include "core/search/alignment/log_similarity.h"
+#include "core/search/belief/scale_estimate.h"
+#include "core/search/candidates/gate.h"
+
+namespace revisit::core {
+
+// Why a candidate is accepted or not: verdict.h.
+enum class Verdict {
+  kAccepted,
+  kRejectedByGate,
+  kRejectedByShape,
+  kAmbiguous,
+  kUninformative,
+  kIllConditioned,
+};
+
+// The evidence for a candidate that only a relative alignment has.
+struct RelativeEvidence {
+  // Posterior probability of this stretch of road (kStretchRadiusMeters), and
+  // its ratio to that of the best other place, if there is one.
+  double probability = 0.0;
+  std::optional<double> odds_to_runner_up;
+  // How far along the path, before and after the matched node, the place may
+  // lie: with kIntervalShare of that probability it is between.
+  double meters_before = 0.0;
+  double meters_after = 0.0;
+  GateResult path_gate;
+  // ShapeMatch::squared_end_difference.
+  double squared_end_difference = 0.0;
+  // How far back the two paths run together, and the logarithm of how much
+  // likelier their shapes are on the same road than on different ones.
+  double overlap_meters = 0.0;
+  double log_likelihood_ratio = 0.0;
+};
+
+struct Candidate {
+  // 1 for the best.
+  int rank = 0;
+  // Composite: log-likelihood of the best alignment that ends at the matched
+  // node, less a constant. Relative: log-odds of the matched node against all
+  // places not seen before.
+  double score = 0.0;
+  NodeIndex matched = 0;
+  Direction direction = Direction::kSame;
+  Verdict verdict = Verdict::kIllConditioned;
+  GatedDifference difference;
+  // The factor by which the claimed standard deviations were multiplied for the
+  // difference and its gate.
+  double inflation = 1.0;
+  // For relative alignments only.
+  std::optional<RelativeEvidence> relative;
+  // The alignment, oldest first: (node of the recent path, node of the
+  // history). Empty unless SearchOptions::tell_paths is set.
+  std::vector<std::pair<NodeIndex, NodeIndex>> path;
+};
+
+enum class EmptyReason {
+  // There are candidates.
+  kNotEmpty,
+  // From the start or the last jump to the query, the path is shorter than the
+  // sequence.
+  kPathTooShort,
+  // No nodes lie before the sequence.
+  kNoHistory,
+  // Every node before the sequence is within the separation of the query.
+  kAllSuppressed,
+  // No path of the history is as long as the sequence, or Gamma is
+  // ill-conditioned along all of them.
+  kNoAlignment,
+  // No node could come to odds that matter: see nodes_pruned.
+  kNoProbablePlace,
+  // More than SearchOptions::max_comparisons.
+  kTooMuchWork,
+};
+
+struct CandidateSet {
+  // The node that was asked about; nothing if the graph is empty.
+  std::optional<NodeIndex> query;
+  // Best score first; of equal scores, the same direction first, and of one
+  // direction the lower node.
+  std::vector<Candidate> candidates;
+  EmptyReason empty_reason = EmptyReason::kNotEmpty;
+  // Nodes of the history that were compared with the query, and nodes that were
+  // not: all of the latter together have odds below 1e-6 against a new place.
+  NodeIndex nodes_considered = 0;
+  NodeIndex nodes_pruned = 0;
+  // The number that SearchOptions::max_comparisons bounds.
+  std::int64_t comparisons = 0;
+  // For relative alignments only: posterior probability that the query is at no
+  // place of the history.
+  std::optional<double> new_place_probability;
+  // The scale that the drive has shown, where that was used.
+  std::optional<ScaleEstimate> scale;
+};
+
+// Sorts candidates, best first, and keeps at most `count`. Equal scores keep
+// their order.
+void KeepBest(int count, std::vector<Candidate>* candidates);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_SEARCH_CANDIDATES_CANDIDATE_H_

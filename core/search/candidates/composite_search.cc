@@ -1,0 +1,58 @@
+#include "core/search/candidates/composite_search.h"
+
+#include <optional>
+#include <utility>
+
+#include "core/search/candidates/gate.h"
+#include "core/search/candidates/ranking.h"
+#include "core/search/candidates/verdict.h"
+
+namespace revisit::core {
+namespace {
+
+Candidate MakeCandidate(const SearchTask& task, const SimilarityModel& model,
+                        const Gate& gate, const Alignment& alignment,
+                        const RankedEnd& end) {
+  Candidate candidate;
+  candidate.score = end.score;
+  candidate.matched = end.matched;
+  candidate.direction = model.direction;
+  candidate.inflation = model.inflation;
+  candidate.difference =
+      DecideAt(task.graph, model, gate, task.query, end.matched);
+  candidate.verdict = GateAlone(candidate.difference.gate.verdict);
+  if (task.options.tell_paths) {
+    NodeIndex recent = task.query - task.steps + 1;
+    for (const NodeIndex matched : alignment.Path(end.matched)) {
+      candidate.path.emplace_back(recent++, matched);
+    }
+  }
+  return candidate;
+}
+
+}  // namespace
+
+absl::Status SearchComposite(const SearchTask& task, CandidateSet* set) {
+  const SearchOptions& options = task.options;
+  const Gate gate(task.similarity.state_space, options.gate_probability);
+  for (const Direction direction : Directions(options.direction)) {
+    SimilarityModel model = task.similarity;
+    model.direction = direction;
+    const std::optional<Alignment> alignment =
+        Align(task.graph, model, task.query, task.steps, task.history_size,
+              task.should_stop);
+    if (!alignment) return StoppedError();
+    ScoredEnds ends = PossibleEnds(alignment->scores());
+    for (const NodeRange& nodes : task.not_sought) StrikeOut(nodes, &ends);
+    for (const RankedEnd& end :
+         RankEnds(task.graph, ends, options.candidate_separation_meters,
+                  options.max_candidates)) {
+      set->candidates.push_back(
+          MakeCandidate(task, model, gate, *alignment, end));
+    }
+  }
+  KeepBest(options.max_candidates, &set->candidates);
+  return absl::OkStatus();
+}
+
+}  // namespace revisit::core

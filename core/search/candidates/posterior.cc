@@ -1,0 +1,88 @@
+#include "core/search/candidates/posterior.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <utility>
+#include <vector>
+
+namespace revisit::core {
+namespace {
+
+// A term that is smaller than a sum by this factor, as a logarithm, is less
+// than half of the sum's last bit: 54 ln 2 is 37.4.
+constexpr double kNegligible = 38.0;
+
+}  // namespace
+
+double StretchRadiusMeters(CorrelationModel model) {
+  switch (model) {
+    case CorrelationModel::kIndependent:
+    case CorrelationModel::kCorrelatedFixes:
+      return kPlaceRadiusMeters;
+    case CorrelationModel::kDeadReckoning:
+    case CorrelationModel::kFilter:
+      break;
+  }
+  return kStretchRadiusMeters;
+}
+
+Posterior::Posterior(const PoseGraph& graph, double stretch_radius_meters,
+                     std::array<ScoredEnds, 2> log_odds)
+    : graph_(graph),
+      radius_(stretch_radius_meters),
+      log_odds_(std::move(log_odds)) {
+  double greatest = 0.0;
+  for (const ScoredEnds& ends : log_odds_) {
+    for (const ScoredEnd& end : ends) greatest = std::max(greatest, end.score);
+  }
+  double sum = std::exp(-greatest);
+  // Most terms are so small that the sum stays the same double.
+  double largest = -greatest;
+  for (const ScoredEnds& ends : log_odds_) {
+    for (const ScoredEnd& end : ends) {
+      const double term = end.score - greatest;
+      if (term < largest - kNegligible) continue;
+      largest = std::max(largest, term);
+      sum += end.nodes * std::exp(term);
+    }
+  }
+  log_total_ = greatest + std::log(sum);
+}
+
+auto Posterior::Claim(Direction direction, NodeIndex j) -> Stretch {
+  ScoredEnds& ends = log_odds_[IndexOf(direction)];
+  const EndsAround around = FindEndsAround(ends, j, [&](NodeIndex i) {
+    return graph_.MetersApart(i, j) <= radius_;
+  });
+  Stretch stretch{0.0, j, j};
+  std::vector<double> claimed;
+  for (std::size_t k = around.first; k < around.last; ++k) {
+    claimed.push_back(ends[k].nodes *
+                      Probability(std::exchange(ends[k].score, kImpossible)));
+    stretch.probability += claimed.back();
+  }
+  const double cut_off = 0.5 * (1.0 - kIntervalShare) * stretch.probability;
+  std::size_t first = 0;
+  for (double left = 0.0; first + 1 < claimed.size(); ++first) {
+    left += claimed[first];
+    if (left > cut_off) break;
+  }
+  std::size_t last = claimed.size();
+  for (double left = 0.0; last > first + 1; --last) {
+    left += claimed[last - 1];
+    if (left > cut_off) break;
+  }
+  if (!claimed.empty()) {
+    stretch.first = std::min(j, ends[around.first + first].node);
+    stretch.last = std::max(j, ends[around.first + last - 1].node);
+  }
+  stretch.probability = std::min(stretch.probability, 1.0);
+  return stretch;
+}
+
+double Posterior::Probability(double log_odds) const {
+  return std::exp(log_odds - log_total_);
+}
+
+}  // namespace revisit::core

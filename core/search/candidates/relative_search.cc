@@ -1,0 +1,248 @@
+#include "core/search/candidates/relative_search.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "core/search/alignment/relative.h"
+#include "core/search/candidates/gate.h"
+#include "core/search/candidates/posterior.h"
+#include "core/search/candidates/ranking.h"
+#include "core/search/candidates/rivals.h"
+#include "core/search/candidates/verdict.h"
+
+namespace revisit::core {
+namespace {
+
+// Places of each direction that are ranked at first, or as many as are answered
+// if these are more. Four times as many are while those that are left out would
+// still have this share of the probability: passes of a road that was driven
+// often.
+constexpr int kRankedFirst = 16;
+constexpr double kMostLeftOut = 0.01;
+// Once so many are ranked, no more are.
+constexpr int kMostRanked = 4096;
+
+class RelativeSearch {
+ public:
+  // `prune`: whether improbable ends are left out.
+  RelativeSearch(const SearchTask& task, bool prune)
+      : task_(task),
+        options_(task.options),
+        // Small enough that no end which is left out could be accepted.
+        pruned_share_(prune ? std::min(kPrunedShare,
+                                       1e-3 * options_.acceptance_probability)
+                            : 0.0),
+        model_(ModelOf(task, pruned_share_)) {}
+
+  absl::Status Run(CandidateSet* set) {
+    alignment_ =
+        AlignRelative(task_.graph, model_, task_.query, task_.steps,
+                      task_.history_size, task_.should_stop, task_.parts);
+    if (!alignment_) return StoppedError();
+    set->nodes_considered = alignment_->considered();
+    set->nodes_pruned = task_.history_size - alignment_->considered();
+    int most = std::max(options_.max_candidates, kRankedFirst);
+    std::vector<RankedPlace> places = Rank(most);
+    // There are no odds where no covariance is well-conditioned.
+    if (places.empty() && set->nodes_pruned == 0) return absl::OkStatus();
+    double new_place = Claim(&places);
+    while (LeftOut(places, new_place) > kMostLeftOut && most < kMostRanked) {
+      most *= 4;
+      places = Rank(most);
+      new_place = Claim(&places);
+    }
+    const Rivals rivals(task_.graph, model_, std::move(places),
+                        static_cast<std::size_t>(options_.max_candidates));
+    set->new_place_probability = new_place;
+    set->candidates = Judge(rivals, new_place);
+    return absl::OkStatus();
+  }
+
+  // Whether any verdict might be another if nothing had been pruned: what was
+  // left out would take away at most the pruned share, or add as much.
+  bool IsUndecided(const CandidateSet& set) const {
+    return std::any_of(set.candidates.begin(), set.candidates.end(),
+                       [&](const Candidate& candidate) {
+                         return std::abs(candidate.relative->probability -
+                                         options_.acceptance_probability) <=
+                                2.0 * pruned_share_;
+                       });
+  }
+
+ private:
+  // Best score first; of equal scores, the same direction first. Claim() gives
+  // nodes that several places could claim to the first of them.
+  std::vector<RankedPlace> Rank(int most_of_direction) const {
+    std::vector<RankedPlace> places;
+    for (const Direction direction : Directions(options_.direction)) {
+      for (const RankedEnd& end :
+           RankEnds(task_.graph, alignment_->ends(direction),
+                    options_.candidate_separation_meters, most_of_direction)) {
+        places.push_back(
+            {direction, end,
+             alignment_->match(direction, end.matched).log_likelihood_ratio});
+      }
+    }
+    std::stable_sort(places.begin(), places.end(),
+                     [](const RankedPlace& a, const RankedPlace& b) {
+                       return a.end.score > b.end.score;
+                     });
+    return places;
+  }
+
+  // Lets each place claim its nodes, the best place first. Returns the
+  // probability of a new place.
+  double Claim(std::vector<RankedPlace>* places) const {
+    Posterior posterior(
+        task_.graph, StretchRadiusMeters(model_.similarity.correlation.model),
+        {alignment_->ends(Direction::kSame),
+         alignment_->ends(Direction::kOpposite)});
+    for (RankedPlace& place : *places) {
+      const Posterior::Stretch stretch =
+          posterior.Claim(place.direction, place.end.matched);
+      place.claimed = stretch.probability;
+      place.first = stretch.first;
+      place.last = stretch.last;
+    }
+    return posterior.new_place();
+  }
+
+  // The probability of the places that were not ranked.
+  static double LeftOut(const std::vector<RankedPlace>& places,
+                        double new_place) {
+    double left = 1.0 - new_place;
+    for (const RankedPlace& place : places) left -= place.claimed;
+    return left;
+  }
+
+  // The best places as candidates. The others have counted as rivals.
+  std::vector<Candidate> Judge(const Rivals& rivals, double new_place) const {
+    const std::size_t answered =
+        std::min(rivals.places().size(),
+                 static_cast<std::size_t>(options_.max_candidates));
+    const Gate gate(model_.similarity.state_space, options_.gate_probability);
+    std::vector<Candidate> candidates;
+    for (std::size_t i = 0; i < answered; ++i) {
+      candidates.push_back(MakeCandidate(gate, rivals, i, new_place));
+    }
+    return candidates;
+  }
+
+  Candidate MakeCandidate(const Gate& gate, const Rivals& rivals, std::size_t i,
+                          double new_place) const {
+    const RankedPlace& place = rivals.places()[i];
+    SimilarityModel similarity = model_.similarity;
+    similarity.direction = place.direction;
+    similarity.inflation *=
+        alignment_->match(place.direction, place.end.matched).scale;
+    Candidate candidate;
+    candidate.score = place.end.score;
+    candidate.matched = place.end.matched;
+    candidate.direction = place.direction;
+    candidate.inflation = similarity.inflation;
+    candidate.difference =
+        DecideAt(task_.graph, similarity, gate, task_.query, place.end.matched);
+    const double runner_up = rivals.RunnerUp(i);
+    RelativeEvidence evidence = EvidenceOf(gate, place);
+    evidence.probability = rivals.Probability(i);
+    if (runner_up > 0.0) {
+      evidence.odds_to_runner_up = evidence.probability / runner_up;
+    }
+    candidate.verdict =
+        Decide(candidate.difference.gate, evidence, {runner_up, new_place},
+               options_.acceptance_probability);
+    candidate.relative = evidence;
+    if (options_.tell_paths) candidate.path = PathOf(place);
+    return candidate;
+  }
+
+  // The evidence that the alignment alone has for a place.
+  RelativeEvidence EvidenceOf(const Gate& gate,
+                              const RankedPlace& place) const {
+    const ShapeMatch& match =
+        alignment_->match(place.direction, place.end.matched);
+    const double weight = ShapeWeight(model_.shape, model_.spacing_meters);
+    const int dimensions = DegreesOfFreedom(model_.similarity.state_space);
+    RelativeEvidence evidence;
+    evidence.path_gate = gate.DecidePath(
+        match.squared_end_difference + weight * match.squared_innovations,
+        dimensions * (1.0 + weight * static_cast<double>(match.steps)));
+    evidence.squared_end_difference = match.squared_end_difference;
+    evidence.overlap_meters =
+        static_cast<double>(match.steps) * model_.spacing_meters;
+    evidence.log_likelihood_ratio = match.log_likelihood_ratio;
+    evidence.meters_before =
+        task_.graph.MetersApart(place.first, place.end.matched);
+    evidence.meters_after =
+        task_.graph.MetersApart(place.last, place.end.matched);
+    return evidence;
+  }
+
+  std::vector<std::pair<NodeIndex, NodeIndex>> PathOf(
+      const RankedPlace& place) const {
+    std::vector<std::pair<NodeIndex, NodeIndex>> path;
+    for (const PathStep& step :
+         alignment_->Path(place.direction, place.end.matched)) {
+      path.emplace_back(task_.query - step.t, step.node);
+    }
+    std::reverse(path.begin(), path.end());
+    return path;
+  }
+
+  const SearchTask& task_;
+  const SearchOptions& options_;
+  const double pruned_share_;
+  const RelativeModel model_;
+  std::optional<RelativeAlignment> alignment_;
+};
+
+}  // namespace
+
+RelativeModel ModelOf(const SearchTask& task, double pruned_share) {
+  const SearchOptions& options = task.options;
+  RelativeModel model;
+  model.similarity = task.similarity;
+  model.shape = options.shape;
+  model.spacing_meters = task.node_spacing_meters;
+  model.road_spacing_meters = options.road_spacing_meters;
+  model.same_direction = options.direction != SearchDirection::kOpposite;
+  model.opposite_direction = options.direction != SearchDirection::kSame;
+  if (model.similarity.correlation.model == CorrelationModel::kDeadReckoning) {
+    model.last_confirmed = task.last_confirmed;
+  }
+  if (task.belief) {
+    model.scales = task.belief->Scales();
+    model.drifts = task.belief->drifts();
+  }
+  model.not_sought = task.not_sought;
+  model.motion_history = &task.motion_history;
+  if (pruned_share > 0.0) {
+    const double ends =
+        (model.same_direction && model.opposite_direction ? 2.0 : 1.0) *
+        static_cast<double>(task.history_size);
+    model.least_log_share = std::log(pruned_share / ends);
+    model.block_bounds = &task.block_bounds;
+    model.most_log_odds_sampled = kMostLogOddsSampled;
+  }
+  return model;
+}
+
+absl::Status SearchRelative(const SearchTask& task, CandidateSet* set) {
+  if (!task.options.exhaustive) {
+    RelativeSearch search(task, /*prune=*/true);
+    CandidateSet found = *set;
+    const absl::Status status = search.Run(&found);
+    if (!status.ok()) return status;
+    if (!search.IsUndecided(found)) {
+      *set = std::move(found);
+      return absl::OkStatus();
+    }
+  }
+  return RelativeSearch(task, /*prune=*/false).Run(set);
+}
+
+}  // namespace revisit::core

@@ -1,0 +1,84 @@
+#include "core/search/candidates/rivals.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "core/search/candidates/posterior.h"
+#include "core/search/candidates/same_place.h"
+
+namespace revisit::core {
+
+Rivals::Rivals(const PoseGraph& graph, const RelativeModel& model,
+               std::vector<RankedPlace> places, std::size_t answered)
+    : places_(std::move(places)) {
+  for (const RankedPlace& place : places_) {
+    least_claimed_ = std::max(least_claimed_, kLeastRivalShare * place.claimed);
+  }
+  const std::size_t first =
+      std::min(places_.size(), std::max(answered, kWeighed));
+  for (std::size_t i = 0; i < first; ++i) Weigh(graph, model, i);
+  for (std::size_t i = first;
+       i < places_.size() && weighed_.size() < first + kWeighed; ++i) {
+    if (places_[i].claimed >= least_claimed_ && !IsLikeAny(i)) {
+      Weigh(graph, model, i);
+    }
+  }
+}
+
+void Rivals::Weigh(const PoseGraph& graph, const RelativeModel& model,
+                   std::size_t place) {
+  const RankedPlace& a = places_[place];
+  Weighed weighed{place, std::vector<double>(places_.size()), 0.0};
+  for (std::size_t j = 0; j < places_.size(); ++j) {
+    const RankedPlace& b = places_[j];
+    if (j == place) {
+      weighed.same[j] = 1.0;
+    } else if (a.direction == b.direction && b.claimed >= least_claimed_) {
+      weighed.same[j] = SamePlaceProbability(
+          graph, model, a.end.matched, b.end.matched,
+          std::min(a.log_likelihood_ratio, b.log_likelihood_ratio));
+    }
+  }
+  weighed.probability = Pooled(graph, weighed);
+  weighed_.push_back(std::move(weighed));
+}
+
+// Whether a place that is weighed is more probably this one than not.
+bool Rivals::IsLikeAny(std::size_t place) const {
+  return std::any_of(
+      weighed_.begin(), weighed_.end(),
+      [place](const Weighed& weighed) { return weighed.same[place] > 0.5; });
+}
+
+double Rivals::Pooled(const PoseGraph& graph, const Weighed& weighed) const {
+  const RankedPlace& place = places_[weighed.place];
+  // The best end of a stretch stands for all of it.
+  const bool stands = std::none_of(
+      places_.begin(),
+      places_.begin() + static_cast<std::ptrdiff_t>(weighed.place),
+      [&](const RankedPlace& better) {
+        return better.direction == place.direction &&
+               graph.MetersApart(better.end.matched, place.end.matched) <=
+                   2.0 * kPlaceRadiusMeters;
+      });
+  double probability = place.claimed;
+  for (std::size_t j = 0; j < places_.size(); ++j) {
+    if (stands && j != weighed.place) {
+      probability += weighed.same[j] * places_[j].claimed;
+    }
+  }
+  return std::min(probability, 1.0);
+}
+
+double Rivals::RunnerUp(std::size_t i) const {
+  double runner_up = 0.0;
+  for (const Weighed& other : weighed_) {
+    const double without =
+        other.probability - other.same[i] * places_[i].claimed;
+    runner_up =
+        std::max(runner_up, (1.0 - weighed_[i].same[other.place]) * without);
+  }
+  return runner_up;
+}
+
+}  // namespace revisit::core

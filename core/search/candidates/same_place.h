@@ -1,0 +1,25 @@
+// Whether two nodes of the history are passes of one place: a vehicle that has
+// been here nine times is no less sure of where it is than one that has been
+// here once.
+#ifndef REVISIT_CORE_SEARCH_CANDIDATES_SAME_PLACE_H_
+#define REVISIT_CORE_SEARCH_CANDIDATES_SAME_PLACE_H_
+
+#include "core/drive/pose_graph.h"
+#include "core/search/alignment/relative_model.h"
+
+namespace revisit::core {
+
+// Probability that nodes i and j are passes of one place in the same direction.
+// It is 1 where a confirmed loop closure joins nodes within kPlaceRadiusMeters
+// of each, and 0 where i and j lie within twice that of each other along the
+// path, and so are a single pass. Otherwise it follows from the odds of
+// relative.h, with the difference of the two nodes as the anchor. Since both
+// run along with the same recent path, `log_likelihood_ratio`, the lesser of
+// theirs, stands for that of their shapes.
+double SamePlaceProbability(const PoseGraph& graph, const RelativeModel& model,
+                            NodeIndex i, NodeIndex j,
+                            double log_likelihood_ratio);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_SEARCH_CANDIDATES_SAME_PLACE_H_

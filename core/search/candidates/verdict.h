@@ -1,0 +1,42 @@
+// Which candidates are accepted, and why the others are not.
+#ifndef REVISIT_CORE_SEARCH_CANDIDATES_VERDICT_H_
+#define REVISIT_CORE_SEARCH_CANDIDATES_VERDICT_H_
+
+#include "core/search/candidates/candidate.h"
+#include "core/search/candidates/gate.h"
+
+namespace revisit::core {
+
+// The verdict where only the gate decides.
+Verdict GateAlone(GateVerdict gate);
+
+// Posterior probabilities of what else may be true.
+struct Alternatives {
+  // The best other place.
+  double runner_up = 0.0;
+  // No place of the history.
+  double new_place = 0.0;
+};
+
+// The verdict on a candidate of a relative alignment, the first that applies:
+//
+//   rejected by gate   the gate rejects the end's difference, both that of the
+//                      two poses and that estimated from the whole path: one
+//                      noisy end pose does not count against the path
+//   ill-conditioned    the gate has no covariance to decide by
+//   rejected by shape  the gate rejects the path
+//   accepted           the place is probable enough
+//   ambiguous          the history as a whole is probable enough, but no other
+//                      place is, nor is any more than ten times as probable
+//   uninformative      not even the same shape with coinciding ends would be
+//                      probable enough
+//   rejected by shape  all others
+//
+// `gate` is the decision on the two end poses. "Probable enough" is
+// `acceptance_probability`.
+Verdict Decide(const GateResult& gate, const RelativeEvidence& evidence,
+               const Alternatives& alternatives, double acceptance_probability);
+
+}  // namespace revisit::core
+
+#endif  // REVISIT_CORE_SEARCH_CANDIDATES_VERDICT_H_

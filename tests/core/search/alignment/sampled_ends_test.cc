@@ -1,0 +1,231 @@
+// Searches that sample improbable ends, held against those that look at each.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <cstdlib>
+#include <iostream>
+#include <optional>
+#include <vector>
+
+#include "core/drive/block_bounds.h"
+#include "core/drive/motion_history.h"
+#include "core/engine.h"
+#include "core/search/alignment/heading_match.h"
+#include "core/search/alignment/recent_path.h"
+#include "core/search/alignment/relative.h"
+#include "core/search/belief/mark.h"
+#include "tests/bench/roads.h"
+
+namespace revisit::core {
+namespace {
+
+constexpr NodeIndex kNodes = 12000;
+constexpr std::int64_t kSteps = 150;
+constexpr double kMostSampled = -4.6;
+
+const PoseGraph& Roads() { return bench::Roads(kNodes); }
+
+// A drive by dead reckoning, and a search of it.
+struct Search {
+  Search()
+      : history(StateSpace::kPlanar, CorrelationModel::kDeadReckoning,
+                StretchNodes(ShapeModel(), bench::kSpacing, kSteps)),
+        bounds(StateSpace::kPlanar) {
+    history.Extend(Roads());
+    bounds.Extend(Roads());
+    model.spacing_meters = bench::kSpacing;
+    model.same_direction = model.opposite_direction = true;
+    model.over_loops = false;
+    model.motion_history = &history;
+    model.block_bounds = &bounds;
+  }
+
+  NodeIndex HistoryAt(NodeIndex query) const { return query - kSteps + 1; }
+
+  RelativeAlignment Align(NodeIndex query, bool sampled) const {
+    RelativeModel asked = model;
+    asked.least_log_share = std::log(1e-6 / static_cast<double>(query));
+    if (sampled) asked.most_log_odds_sampled = kMostSampled;
+    return *AlignRelative(Roads(), asked, query, kSteps, HistoryAt(query),
+                          nullptr);
+  }
+
+  MotionHistory history;
+  BlockBounds bounds;
+  RelativeModel model;
+};
+
+std::vector<NodeIndex> Queries() {
+  std::vector<NodeIndex> queries;
+  for (NodeIndex query = 500; query < kNodes; query += 613) {
+    queries.push_back(query);
+  }
+  return queries;
+}
+
+// Claims as they are, and such as make drift as wide as the town.
+std::vector<std::vector<WeighedScale>> Claims() {
+  return {{},
+          {{4.0, std::log(0.3)}, {8.0, std::log(0.4)}, {16.0, std::log(0.3)}}};
+}
+
+TEST(SampledEndsTest, WhatMayBeProbableIsFoundToTheLastBit) {
+  Search search;
+  std::size_t probable = 0;
+  std::size_t of_all = 0;
+  std::size_t of_sampled = 0;
+  for (const std::vector<WeighedScale>& scales : Claims()) {
+    search.model.scales = scales;
+    for (const NodeIndex query : Queries()) {
+      const RelativeAlignment all = search.Align(query, false);
+      const RelativeAlignment sampled = search.Align(query, true);
+      double greatest = 0.0;
+      for (const Direction way : {Direction::kSame, Direction::kOpposite}) {
+        for (const ScoredEnd& end : all.ends(way)) {
+          greatest = std::max(greatest, end.score);
+        }
+      }
+      const double surely = std::max(kMostSampled, greatest - 7.0) + 1e-6;
+      for (const Direction way : {Direction::kSame, Direction::kOpposite}) {
+        const ScoredEnds& ends = sampled.ends(way);
+        of_all += all.ends(way).size();
+        of_sampled += ends.size();
+        for (const ScoredEnd& end : all.ends(way)) {
+          if (!(end.score >= surely)) continue;
+          ++probable;
+          const auto found = std::find_if(
+              ends.begin(), ends.end(),
+              [&end](const ScoredEnd& e) { return e.node == end.node; });
+          ASSERT_NE(found, ends.end()) << query << " " << end.node;
+          EXPECT_EQ(found->score, end.score);
+          EXPECT_EQ(sampled.match(way, end.node).steps,
+                    all.match(way, end.node).steps);
+        }
+      }
+    }
+  }
+  std::cout << probable << " probable ends; of " << of_all << " ends, "
+            << of_sampled << " were looked at\n";
+  EXPECT_GT(probable, 1000u);
+  EXPECT_LT(3 * of_sampled, of_all);
+}
+
+TEST(SampledEndsTest, SamplesStandForTheOddsOfAllOthers) {
+  Search search;
+  double most_apart = 0.0;
+  search.model.scales = Claims().back();
+  for (const NodeIndex query : Queries()) {
+    std::array<double, 2> odds = {};
+    for (const bool sampled : {false, true}) {
+      const RelativeAlignment alignment = search.Align(query, sampled);
+      for (const Direction way : {Direction::kSame, Direction::kOpposite}) {
+        for (const ScoredEnd& end : alignment.ends(way)) {
+          odds[sampled ? 1 : 0] += end.nodes * std::exp(end.score);
+        }
+      }
+    }
+    const double apart =
+        std::abs(1.0 / (1.0 + odds[0]) - 1.0 / (1.0 + odds[1]));
+    most_apart = std::max(most_apart, apart);
+    EXPECT_LT(apart, 0.01) << query;
+  }
+  std::cout << "probability of a new place off by at most " << most_apart
+            << "\n";
+}
+
+// How many nodes a path is off by slips, at most.
+NodeIndex Slipped(const std::vector<PathStep>& path) {
+  NodeIndex most = 0;
+  for (const PathStep& step : path) {
+    most =
+        std::max(most, std::abs(std::abs(step.node - path[0].node) - step.t));
+  }
+  return most;
+}
+
+TEST(HeadingMatchTest, NoPathGainsMoreUnlessItSlipsMore) {
+  Search search;
+  std::size_t slipped = 0;
+  std::size_t paths = 0;
+  double to_spare = 0.0;
+  for (const NodeIndex query : Queries()) {
+    const RecentPath<3> recent(Roads(), search.model, query, kSteps);
+    const NodeIndex size = search.HistoryAt(query);
+    const auto match = HeadingMatch::Make<3>(
+        Roads(), search.history.heading_bins(), recent, query, size);
+    ASSERT_TRUE(match);
+    RelativeModel exhaustive = search.model;
+    const auto all =
+        AlignRelative(Roads(), exhaustive, query, kSteps, size, nullptr);
+    for (const Direction way : {Direction::kSame, Direction::kOpposite}) {
+      BlockRatios most;
+      for (const ScoredEnd& end : all->ends(way)) {
+        const auto node = static_cast<std::size_t>(end.node);
+        if (node % NodeBlock::kSize == 0) {
+          match->Bound(node / NodeBlock::kSize, way, &most);
+        }
+        const double ratio = all->match(way, end.node).log_likelihood_ratio;
+        const double bound = most[node % NodeBlock::kSize];
+        ++paths;
+        to_spare += bound - ratio;
+        if (ratio <= bound) continue;
+        ++slipped;
+        EXPECT_GT(Slipped(all->Path(way, end.node)), kMostSlips)
+            << query << " " << end.node;
+      }
+    }
+  }
+  std::cout << paths << " paths, " << slipped << " of which slipped; "
+            << to_spare / static_cast<double>(paths) << " nats to spare\n";
+  EXPECT_GT(paths, 100000u);
+  EXPECT_LT(1000 * slipped, paths);
+}
+
+TEST(HeadingMatchTest, ShortPathsTellNothing) {
+  const Search search;
+  const RecentPath<3> recent(Roads(), search.model, 1000, 5);
+  EXPECT_FALSE(HeadingMatch::Make<3>(Roads(), search.history.heading_bins(),
+                                     recent, 1000, 900));
+}
+
+TEST(SampledEndsTest, VerdictsAreThoseOfExhaustiveSearches) {
+  EngineSettings settings;
+  Engine engine(settings);
+  MarkMemory memory;
+  SearchOptions exhaustive = settings.search;
+  exhaustive.exhaustive = true;
+  std::size_t checks = 0;
+  for (NodeIndex i = 0; i < 6000; ++i) {
+    const Node node = Roads().node(i);
+    PoseSample sample;
+    sample.sequence = static_cast<std::uint64_t>(i) + 1;
+    sample.pose = node.pose;
+    sample.covariance = node.covariance;
+    const AppendResult result = engine.Append({sample}, sample.sequence);
+    for (const NodeIndex query : result.checks_due) {
+      const auto found =
+          engine.FindCandidates(query, settings.search, nullptr, &memory);
+      const auto wanted =
+          engine.FindCandidates(query, exhaustive, nullptr, &memory);
+      ASSERT_TRUE(found.ok() && wanted.ok());
+      EXPECT_NEAR(found->new_place_probability.value_or(1.0),
+                  wanted->new_place_probability.value_or(1.0), 0.01);
+      ++checks;
+      if (found->candidates.empty()) continue;
+      const Candidate& best = found->candidates.front();
+      const Candidate& exact = wanted->candidates.front();
+      EXPECT_NEAR(best.relative->probability, exact.relative->probability,
+                  0.01);
+      if (exact.relative->probability < 0.05) continue;
+      EXPECT_EQ(best.matched, exact.matched);
+      EXPECT_EQ(best.verdict, exact.verdict);
+    }
+  }
+  EXPECT_GT(checks, 100u);
+}
+
+}  // namespace
+}  // namespace revisit::core

@@ -1,0 +1,193 @@
+#include "core/search/belief/drive_belief.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <optional>
+#include <set>
+#include <vector>
+
+namespace revisit::core {
+namespace {
+
+// A straight road with a node every two metres.
+PoseGraph StraightRoad(NodeIndex nodes) {
+  PoseGraph graph;
+  for (NodeIndex i = 0; i < nodes; ++i) {
+    Node node;
+    node.sequence = static_cast<std::uint64_t>(i) + 1;
+    node.travelled_meters = 2.0 * static_cast<double>(i);
+    node.pose.x = node.travelled_meters;
+    graph.AddNode(node, i == 0, std::nullopt);
+  }
+  return graph;
+}
+
+// A mark that speaks for one scale, and for a place.
+MarkEvidence Speaking(std::size_t scale, double nats, NodeIndex node = 500,
+                      NodeIndex matched = 100) {
+  MarkEvidence mark;
+  mark.node = node;
+  mark.matched = matched;
+  mark.log_evidence[scale] = nats;
+  mark.log_matched_odds.fill(-1.0);
+  mark.log_matched_odds[scale] = nats;
+  return mark;
+}
+
+TEST(DriveBeliefTest, BeforeTheFirstMarkTheClaimsAreTheMostProbable) {
+  const DriveBelief belief;
+  EXPECT_NEAR(belief.Scale().scale, 1.0, 0.01);
+  EXPECT_LT(belief.Scale().low, 0.5);
+  EXPECT_GT(belief.Scale().high, 2.0);
+  double sum = 0.0;
+  for (const WeighedScale& scale : belief.Scales()) {
+    sum += std::exp(scale.log_weight);
+  }
+  EXPECT_NEAR(sum, 1.0, 1e-12);
+  EXPECT_EQ(belief.AllScales().size(), kScales);
+  EXPECT_TRUE(belief.drifts().empty());
+}
+
+TEST(DriveBeliefTest, LearnsScalesAboveAndBelowTheClaims) {
+  for (const std::size_t scale : {std::size_t{2}, std::size_t{6}}) {
+    DriveBelief belief;
+    for (int mark = 0; mark < 60; ++mark) {
+      belief.LearnScale(Speaking(scale, 5.0), 1);
+    }
+    EXPECT_NEAR(std::log(belief.Scale().scale), LogScale(scale), 0.05);
+    EXPECT_LE(belief.Scale().low, std::exp(LogScale(scale)));
+    EXPECT_GE(belief.Scale().high, std::exp(LogScale(scale)));
+  }
+}
+
+TEST(DriveBeliefTest, MarksFartherApartCountForMoreUpToAWholeObservation) {
+  const auto learned = [](std::int64_t stride) {
+    DriveBelief belief;
+    belief.LearnScale(Speaking(6, 3.0), stride);
+    return belief.Scale().scale;
+  };
+  EXPECT_LT(learned(1), learned(2));
+  EXPECT_LT(learned(4), learned(10));
+  EXPECT_EQ(learned(16), learned(1024));
+}
+
+TEST(DriveBeliefTest, AMarkWithoutAnyPlaceTeachesNothing) {
+  const PoseGraph graph = StraightRoad(600);
+  DriveBelief belief;
+  MarkEvidence nothing;
+  nothing.node = 500;
+  belief.LearnScale(nothing, 1);
+  belief.LearnDrift(graph, nothing, 800.0);
+  EXPECT_EQ(belief.Scale().scale, DriveBelief().Scale().scale);
+  EXPECT_TRUE(belief.drifts().empty());
+}
+
+TEST(DriveBeliefTest, ASurePlaceShowsTheDriftWithinReach) {
+  const PoseGraph graph = StraightRoad(2000);
+  DriveBelief belief;
+  MarkEvidence mark = Speaking(4, 12.0, 1500, 700);
+  mark.log_evidence.fill(12.0);
+  mark.log_matched_odds.fill(12.0 - 1e-6);
+  belief.LearnDrift(graph, mark, 800.0);
+  ASSERT_EQ(belief.drifts().size(), 1u);
+  const WeighedDrift& drift = belief.drifts()[0];
+  EXPECT_EQ(drift.loop.query, 1500);
+  EXPECT_EQ(drift.loop.matched, 700);
+  // Less sure than the mark: nothing is certain.
+  EXPECT_NEAR(std::exp(drift.log_weight), 0.999, 1e-9);
+  EXPECT_NEAR(2.0 * static_cast<double>(drift.reach.first), 600.0, 2.0);
+  EXPECT_NEAR(2.0 * static_cast<double>(drift.reach.last), 2200.0, 2.0);
+}
+
+TEST(DriveBeliefTest, AnUnsurePlaceShowsNoDrift) {
+  const PoseGraph graph = StraightRoad(2000);
+  DriveBelief belief;
+  MarkEvidence mark = Speaking(4, 0.0, 1500, 700);
+  mark.log_evidence.fill(12.0);
+  mark.log_matched_odds.fill(11.7);
+  belief.LearnDrift(graph, mark, 800.0);
+  EXPECT_TRUE(belief.drifts().empty());
+}
+
+TEST(DriveBeliefTest, LaterPlacesOutweighEarlierOnesAndTheBestAreKept) {
+  const PoseGraph graph = StraightRoad(3000);
+  DriveBelief belief;
+  for (NodeIndex k = 0; k < 5; ++k) {
+    MarkEvidence mark = Speaking(4, 0.0, 2000 + 25 * k, 700 + 25 * k);
+    mark.log_evidence.fill(12.0);
+    mark.log_matched_odds.fill(11.95);
+    belief.LearnDrift(graph, mark, 800.0);
+  }
+  ASSERT_EQ(belief.drifts().size(), kMostDrifts);
+  EXPECT_EQ(belief.drifts().back().loop.query, 2100);
+  double sum = 0.0;
+  for (const WeighedDrift& drift : belief.drifts()) {
+    sum += std::exp(drift.log_weight);
+    EXPECT_LE(drift.log_weight, belief.drifts().back().log_weight);
+  }
+  EXPECT_LT(sum, 1.0);
+}
+
+TEST(MarkLineTest, AMarkIsTheFirstNodeAtOrAfterItsDistance) {
+  const PoseGraph graph = StraightRoad(600);
+  const DroppedStretches none;
+  const MarkLine line{graph, 50.0, none};
+  EXPECT_EQ(line.NodeOf(1), 25);
+  EXPECT_EQ(line.NodeOf(4), 100);
+  // At least a spacing before the node.
+  EXPECT_EQ(line.LastBefore(0), -1);
+  EXPECT_EQ(line.LastBefore(49), 0);
+  EXPECT_EQ(line.LastBefore(50), 1);
+  EXPECT_EQ(line.LastBefore(74), 1);
+}
+
+TEST(ScaleMarksTest, AreFewAndWereAskedForBefore) {
+  std::set<std::int64_t> asked;
+  for (std::int64_t last = -1; last < 3000; ++last) {
+    const ScaleMarks marks(last);
+    EXPECT_LE(marks.marks.size(), static_cast<std::size_t>(kMostScaleMarks));
+    if (last > 10) {
+      EXPECT_GE(2 * marks.marks.size() + 2,
+                static_cast<std::size_t>(std::min(last, kMostScaleMarks)));
+    }
+    for (const std::int64_t mark : marks.marks) {
+      EXPECT_LE(mark, last);
+      if (mark < last) {
+        EXPECT_EQ(asked.count(mark), 1u) << mark << " up to " << last;
+      }
+      asked.insert(mark);
+    }
+  }
+}
+
+TEST(MarkMemoryTest, ForgetsWhereSettingsChanged) {
+  MarkMemory memory;
+  memory.Enter(1);
+  memory.Keep(7, Speaking(3, 1.0));
+  memory.Enter(1);
+  ASSERT_NE(memory.Find(7), nullptr);
+  EXPECT_EQ(memory.Find(7)->log_evidence[3], 1.0);
+  EXPECT_EQ(memory.Find(8), nullptr);
+  memory.Enter(2);
+  EXPECT_EQ(memory.Find(7), nullptr);
+}
+
+TEST(MarkMemoryTest, ForgetsWhatIsNotNeededOnceThereIsMuch) {
+  MarkMemory memory;
+  for (std::int64_t mark = 1; mark <= 10; ++mark) {
+    memory.Keep(mark, Speaking(3, 1.0));
+  }
+  const auto even = [](std::int64_t mark) { return mark % 2 == 0; };
+  memory.Tidy(10, even);
+  EXPECT_EQ(memory.size(), 10u);
+  memory.Tidy(9, even);
+  EXPECT_EQ(memory.size(), 5u);
+  EXPECT_NE(memory.Find(4), nullptr);
+  EXPECT_EQ(memory.Find(5), nullptr);
+}
+
+}  // namespace
+}  // namespace revisit::core

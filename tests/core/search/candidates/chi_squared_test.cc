@@ -1,0 +1,47 @@
+#include "core/search/candidates/chi_squared.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+
+namespace revisit::core {
+namespace {
+
+TEST(ChiSquaredTest, AgreesWithTheTables) {
+  // Abramowitz & Stegun, table 26.8.
+  EXPECT_NEAR(ChiSquaredQuantile(1.0, 0.95), 3.84146, 5e-6);
+  EXPECT_NEAR(ChiSquaredQuantile(10.0, 0.99), 23.2093, 5e-5);
+  // With two degrees of freedom, 1 - exp(-x / 2).
+  EXPECT_NEAR(ChiSquaredBelow(2.0, 3.0), 1.0 - std::exp(-1.5), 1e-14);
+  EXPECT_NEAR(ChiSquaredAbove(2.0, 3.0), std::exp(-1.5), 1e-14);
+}
+
+TEST(ChiSquaredTest, DegreesOfFreedomNeedNotBeWhole) {
+  for (const double degrees : {0.3, 2.5, 47.4, 3003.0}) {
+    for (const double probability : {1e-6, 0.5, 0.95, 0.999999}) {
+      const double x = ChiSquaredQuantile(degrees, probability);
+      EXPECT_NEAR(ChiSquaredBelow(degrees, x), probability, 1e-9);
+      EXPECT_NEAR(ChiSquaredAbove(degrees, x), 1.0 - probability, 1e-9);
+    }
+  }
+}
+
+TEST(ChiSquaredTest, ExtremeArgumentsGiveNumbersAndNotExceptions) {
+  const double infinity = std::numeric_limits<double>::infinity();
+  const double nan = std::nan("");
+  EXPECT_EQ(ChiSquaredAbove(3.0, 1e300), 0.0);
+  EXPECT_EQ(ChiSquaredBelow(3.0, 1e300), 1.0);
+  EXPECT_EQ(ChiSquaredBelow(3.0, 0.0), 0.0);
+  for (const double odd : {-1.0, 0.0, 1e300, infinity, nan}) {
+    ChiSquaredQuantile(odd, 0.95);
+    ChiSquaredQuantile(3.0, odd);
+    ChiSquaredBelow(odd, 1.0);
+    ChiSquaredBelow(3.0, odd);
+    ChiSquaredAbove(odd, 1.0);
+    ChiSquaredAbove(3.0, odd);
+  }
+}
+
+}  // namespace
+}  // namespace revisit::core
