@@ -23,9 +23,10 @@ absl::Status CheckRow(std::int64_t format, std::int64_t stored_checksum,
   if (stored_checksum != computed_checksum) {
     return Corrupt(what + " fails its checksum", metadata);
   }
-  if (format < 1 || format > kStoreFormat) {
+  if (format < kOldestStoreFormat || format > kStoreFormat) {
     return Corrupt(what + " has format " + std::to_string(format) +
-                       "; known are 1 to " + std::to_string(kStoreFormat),
+                       "; known are " + std::to_string(kOldestStoreFormat) +
+                       " to " + std::to_string(kStoreFormat),
                    metadata);
   }
   return absl::OkStatus();

@@ -73,15 +73,15 @@ std::int64_t ChecksumOfBatch(std::int64_t format, VehicleKey key,
 
 std::int64_t ChecksumOfPosePair(std::int64_t format, VehicleKey key,
                                 PairKind kind, const PosePairRecord& row) {
-  Hasher hasher(kind == PairKind::kLoopClosure ? 'L' : 'N');
-  hasher.Add(key)
+  return Hasher(kind == PairKind::kLoopClosure ? 'L' : 'N')
+      .Add(key)
       .Add(row.id)
       .Add(format)
       .Add(row.query_sequence)
       .Add(row.matched_sequence)
-      .Add(row.create_time_ns);
-  if (format >= kPayloadsOfPairsSince) hasher.Add(row.payload);
-  return hasher.Digest();
+      .Add(row.create_time_ns)
+      .Add(row.payload)
+      .Digest();
 }
 
 std::int64_t ChecksumOfSnapshot(std::int64_t format, VehicleKey key,

@@ -22,8 +22,6 @@ std::int64_t ChecksumOfBatch(std::int64_t format, VehicleKey key,
 // only if the columns of a row or its checksum change, and then one version
 // after all servers can read the new rows.
 inline constexpr std::int64_t kSharedRowFormat = 4;
-// Payloads count since the format that brought them.
-inline constexpr std::int64_t kPayloadsOfPairsSince = 4;
 std::int64_t ChecksumOfPosePair(std::int64_t format, VehicleKey key,
                                 PairKind kind, const PosePairRecord& row);
 

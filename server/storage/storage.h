@@ -54,6 +54,8 @@ namespace revisit::server {
 // to a payload needs no new version: older servers ignore it, newer ones take
 // its absence for its default.
 inline constexpr int kStoreFormat = 5;
+// The oldest that is read, and brought to this one: that of release 0.1.0.
+inline constexpr int kOldestStoreFormat = 4;
 
 // Key of a vehicle's rows; never used again after the vehicle is deleted.
 using VehicleKey = std::int64_t;

@@ -137,7 +137,7 @@ def watermark(run):
 
 
 def without_shrinking(store):
-    """As a server of format 2 made it: the file keeps its room."""
+    """As other programs may leave it: the file keeps its room."""
     database = sqlite3.connect(store / "revisit.sqlite", isolation_level=None)
     database.execute("PRAGMA journal_mode = DELETE")
     database.execute("PRAGMA auto_vacuum = NONE")
@@ -148,7 +148,7 @@ def without_shrinking(store):
 
 def deletion(run):
     """Fills the disk with vehicles, and makes room by deleting alone: in a store
-    that shrinks, and in one of an older server."""
+    that shrinks, and in one that does not."""
     drive = Drive(run.seed)
     seen = []
     for shrinks in (True, False):

@@ -217,20 +217,14 @@ def while_made(run):
     return count, seen
 
 
-def make_format_1(path):
+def make_format_4(path):
     """Only the tables are those of such a store; its rows are a test of the
     storage."""
     database = sqlite3.connect(path)
     for table in ("snapshots", "snapshot_parts", "deleted_snapshots"):
         database.execute(f"DROP TABLE {table}")
-    database.execute("ALTER TABLE loop_closures DROP COLUMN payload")
-    database.execute("DROP TABLE rejected_candidates")
-    # Its files did not say of which store and commit they are.
-    database.execute("DROP TABLE store")
-    database.execute("PRAGMA user_version = 1")
+    database.execute("PRAGMA user_version = 4")
     database.close()
-    for suffix in (".mark", ".lock"):
-        path.with_name(path.name + suffix).unlink(missing_ok=True)
 
 
 def while_upgraded(run):
@@ -240,12 +234,7 @@ def while_upgraded(run):
     with Server(recording.store,
                 log_path=recording.directory / "server.log") as server:
         fleet.work(server, 60)
-        # A format 1 had no rejections.
-        stub = server.stub()
-        for vehicle in fleet.vehicles.values():
-            while vehicle.content is not None and vehicle.content.pairs[1]:
-                vehicle.delete_pair(stub)
-    make_format_1(recording.store / FILE)
+    make_format_4(recording.store / FILE)
     with recording.server() as server:
         fleet.work(server, 10)
     with recording.server() as server:

@@ -382,39 +382,8 @@ def test_store_of_a_newer_format_is_refused_and_left_alone(tmp_path):
     assert path.read_bytes() == content
 
 
-def test_store_of_format_1_is_brought_up_to_date(tmp_path):
-    # Only the tables are those of such a server; its rows are a test of the
-    # storage.
-    store = tmp_path / "store"
-    with Server(store) as server:
-        create(server.stub())
-        append(server.stub(), VEHICLE, straight(10))
-        before = state_of(server.stub())
-    path = database_of(store)
-    database = sqlite3.connect(path)
-    for table in ("snapshots", "snapshot_parts", "deleted_snapshots"):
-        database.execute(f"DROP TABLE {table}")
-    database.execute("ALTER TABLE loop_closures DROP COLUMN payload")
-    database.execute("DROP TABLE rejected_candidates")
-    database.execute("DROP TABLE store")
-    database.execute("PRAGMA user_version = 1")
-    database.close()
-    # Such a server left nothing in its mark and only its number in its lock.
-    path.with_name(path.name + ".mark").write_bytes(b"")
-    path.with_name(path.name + ".lock").write_text("123\n")
-    with Server(store) as server:
-        stub = server.stub()
-        assert state_of(stub) == before
-        assert stub.GetServerInfo(api.GetServerInfoRequest()).store_format == 5
-        REJECTED_CANDIDATES.add(stub, VEHICLE, 9, 2)
-        server.kill()
-    with Server(store) as server:
-        pairs, _ = REJECTED_CANDIDATES.page(server.stub(), VEHICLE)
-        assert [pair.query_sequence for pair in pairs] == [9]
-
-
 @pytest.mark.parametrize("killed", [False, True], ids=["drained", "killed"])
-def test_store_of_format_3_is_brought_up_to_date(killed, tmp_path):
+def test_store_of_format_4_is_brought_up_to_date(killed, tmp_path):
     # Only the tables are those of such a server; its rows are a test of the
     # storage.
     store = tmp_path / "store"
@@ -425,10 +394,7 @@ def test_store_of_format_3_is_brought_up_to_date(killed, tmp_path):
     database = sqlite3.connect(database_of(store))
     for table in ("snapshots", "snapshot_parts", "deleted_snapshots"):
         database.execute(f"DROP TABLE {table}")
-    for kind in PAIR_KINDS:
-        database.execute(
-            f"ALTER TABLE {kind.field}s DROP COLUMN payload")
-    database.execute("PRAGMA user_version = 3")
+    database.execute("PRAGMA user_version = 4")
     database.close()
     with Server(store) as server:
         # Killed before it has written anything else, too.
@@ -437,6 +403,7 @@ def test_store_of_format_3_is_brought_up_to_date(killed, tmp_path):
     with Server(store) as server:
         stub = server.stub()
         assert state_of(stub) == before
+        assert stub.GetServerInfo(api.GetServerInfoRequest()).store_format == 5
         LOOP_CLOSURES.add(stub, VEHICLE, 9, 2)
         server.kill()
     with Server(store) as server:

@@ -19,13 +19,6 @@
 
 namespace revisit::server {
 
-// The content of a mark; empty if the file is not whole.
-struct Mark {
-  std::optional<StoreState> state;
-  // For a store of format 1 or 2, instead: how far its log was flushed.
-  std::optional<LogPosition> position;
-};
-
 // The file `<store>.mark`. For one thread at a time.
 class DurableMark {
  public:
@@ -36,8 +29,9 @@ class DurableMark {
   DurableMark(const DurableMark&) = delete;
   DurableMark& operator=(const DurableMark&) = delete;
 
-  // Reads the mark of a store, also while another process writes it.
-  static Mark Read(const std::string& store_path);
+  // Reads the mark of a store, also while another process writes it; nothing if
+  // the file is not whole.
+  static std::optional<StoreState> Read(const std::string& store_path);
   // Notes a commit that was flushed. If the file cannot be written, the older
   // mark stays, which is still true.
   void Write(const StoreState& flushed);

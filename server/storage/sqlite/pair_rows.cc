@@ -154,7 +154,7 @@ absl::StatusOr<std::vector<PosePairRecord>> FindPosePairs(
     pair.matched_sequence = Unsigned(row.Integer(3));
     pair.create_time_ns = row.Integer(4);
     // Older rows have none, and their checksums do not cover it.
-    if (format >= kPayloadsOfPairsSince) pair.payload = row.Bytes(6);
+    pair.payload = row.Bytes(6);
     CheckPosePairRow(format, row.Integer(5), key, kind, *vehicle_id, &pair);
     pairs.push_back(std::move(pair));
   }

@@ -24,27 +24,19 @@ namespace {
 
 constexpr std::size_t kListedNames = 20;
 
-// The content of a database without its log.
-struct FileContent {
-  // Whether it could be read as a store; if not, nothing is known.
-  bool is_readable = false;
-  // Absent in formats 1 and 2.
-  std::optional<StoreState> state;
-};
-
-FileContent ReadFileAlone(const std::string& store) {
-  FileContent content;
+// The state in a database without its log; nothing if it cannot be read as a
+// store.
+std::optional<StoreState> ReadFileAlone(const std::string& store) {
   const absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
       SqliteDatabase::Open(store, SqliteDatabase::Mode::kFileOnly, "");
-  if (!database.ok()) return content;
+  if (!database.ok()) return std::nullopt;
   const absl::StatusOr<FileFormat> format = ReadFormat(**database);
-  if (!format.ok() || !CheckKnownFormat(store, *format).ok()) return content;
-  content.is_readable = format->version < 3;
-  if (content.is_readable) return content;
+  if (!format.ok() || !CheckKnownFormat(store, *format).ok()) {
+    return std::nullopt;
+  }
   const absl::StatusOr<StoreState> state = ReadState(**database);
-  content.is_readable = state.ok();
-  if (state.ok()) content.state = *state;
-  return content;
+  if (!state.ok()) return std::nullopt;
+  return *state;
 }
 
 // Compares the states that the files of a store hold.
@@ -72,7 +64,7 @@ class Comparison {
   bool log_is_used() const { return log_.end.frames > 0; }
   // The last commit that SQLite will see.
   std::optional<StoreState> end() const {
-    return log_.states.empty() ? file_.state : log_.states.back();
+    return log_.states.empty() ? file_ : log_.states.back();
   }
 
   std::string FindStranger() const {
@@ -81,11 +73,11 @@ class Comparison {
       std::optional<StoreState> state;
     };
     const std::vector<Known> all = {
-        {store_, file_.state},
+        {store_, file_},
         {LogOf(store_), log_.states.empty()
                             ? std::nullopt
                             : std::optional(log_.states.front())},
-        {store_ + ".mark", mark_.state},
+        {store_ + ".mark", mark_},
         {store_ + ".lock", lock_}};
     const Known* first = nullptr;
     for (const Known& known : all) {
@@ -101,15 +93,14 @@ class Comparison {
 
   // Whether the log, if there is one, goes on from the database's last commit.
   std::string FindGap() const {
-    if (!file_.is_readable || !log_is_used()) return "";
+    if (!file_ || !log_is_used()) return "";
     if (log_.states.empty()) {
-      if (!file_.state) return "";
       return "the log " + LogOf(store_) +
              " is of another store, or older than the database";
     }
     const StoreState& first = log_.states.front();
     const StoreState& last = log_.states.back();
-    const std::uint64_t reached = file_.state ? file_.state->commit : 0;
+    const std::uint64_t reached = file_->commit;
     const std::string but = ": the database holds commits up to " +
                             std::to_string(reached) + ", the log " +
                             std::to_string(first.commit) + " to " +
@@ -120,13 +111,12 @@ class Comparison {
     if (reached > last.commit) {
       return "the log " + LogOf(store_) + " is older than the database" + but;
     }
-    const bool fits =
-        reached + 1 == first.commit
-            ? first.previous_run == (file_.state ? file_.state->run : 0)
-            : std::any_of(log_.states.begin(), log_.states.end(),
-                          [&](const StoreState& state) {
-                            return IsSameCommit(state, *file_.state);
-                          });
+    const bool fits = reached + 1 == first.commit
+                          ? first.previous_run == file_->run
+                          : std::any_of(log_.states.begin(), log_.states.end(),
+                                        [&](const StoreState& state) {
+                                          return IsSameCommit(state, *file_);
+                                        });
     if (fits) return "";
     return "the log " + LogOf(store_) +
            " is of a copy of the store that went its own way" + but;
@@ -134,15 +124,9 @@ class Comparison {
 
   // Whether the files hold everything that was flushed.
   std::string FindMissing() const {
-    if (mark_.position) {
-      const std::string missing = MissingFrom(log_, *mark_.position);
-      if (!missing.empty()) {
-        return "the log " + LogOf(store_) + " is damaged: " + missing;
-      }
-    }
-    if (!file_.is_readable && log_.states.empty()) return "";
+    if (!file_ && log_.states.empty()) return "";
     const std::uint64_t reached = end() ? end()->commit : 0;
-    for (const std::optional<StoreState>& known : {mark_.state, lock_}) {
+    for (const std::optional<StoreState>& known : {mark_, lock_}) {
       if (!known) continue;
       if (known->commit > reached) {
         return "the log " + LogOf(store_) +
@@ -160,8 +144,8 @@ class Comparison {
     }
     // A database in use has a log, except for a moment in which the mark says
     // that none is needed.
-    if (!log_.has_header && file_.state && !file_.state->is_closed &&
-        !(mark_.state && IsSameCommit(*mark_.state, *file_.state))) {
+    if (!log_.has_header && file_ && !file_->is_closed &&
+        !(mark_ && IsSameCommit(*mark_, *file_))) {
       return "the log " + LogOf(store_) +
              " is missing or empty, but the database was in use";
     }
@@ -170,8 +154,8 @@ class Comparison {
 
   const std::string store_;
   const LogReport& log_;
-  const FileContent file_;
-  const Mark mark_;
+  const std::optional<StoreState> file_;
+  const std::optional<StoreState> mark_;
   const std::optional<StoreState> lock_;
 };
 

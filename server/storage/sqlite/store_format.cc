@@ -21,8 +21,11 @@ constexpr std::int64_t kApplicationId = 0x52565354;
 constexpr int kPageBytes = 8192;
 
 // Payloads come last, so that the columns before them are read without them.
-// Keep in step: kStoreFormat, the list in sqlite_storage.h, record_checksum.h.
-constexpr char kTablesOf1[] = R"sql(
+// Those of pairs are added as they were once, since SQLite keeps the text of
+// the statement, and CheckSchema() compares it. `store` has one row
+// (store_state.h). Keep in step: kStoreFormat, the list in sqlite_storage.h,
+// record_checksum.h.
+constexpr char kTablesOf4[] = R"sql(
 CREATE TABLE vehicles (
   key INTEGER PRIMARY KEY AUTOINCREMENT,
   id TEXT NOT NULL UNIQUE,
@@ -64,10 +67,6 @@ CREATE TABLE loop_closures (
 CREATE TABLE deleted_vehicles (
   key INTEGER PRIMARY KEY
 );
-)sql";
-
-// Tables that format 2 has beyond format 1.
-constexpr char kAddedBy2[] = R"sql(
 CREATE TABLE rejected_candidates (
   vehicle_key INTEGER NOT NULL,
   id TEXT NOT NULL,
@@ -78,19 +77,10 @@ CREATE TABLE rejected_candidates (
   checksum INTEGER NOT NULL,
   PRIMARY KEY (vehicle_key, id)
 ) WITHOUT ROWID;
-)sql";
-
-// The table that format 3 has beyond format 2, with one row (store_state.h).
-constexpr char kAddedBy3[] = R"sql(
 CREATE TABLE store (
   key INTEGER PRIMARY KEY,
   state BLOB NOT NULL
 );
-)sql";
-
-// The columns that format 4 has beyond format 3. Rows that were there before
-// stay as they are, and read as if they had the default.
-constexpr char kAddedBy4[] = R"sql(
 ALTER TABLE loop_closures ADD COLUMN payload BLOB NOT NULL DEFAULT x'';
 ALTER TABLE rejected_candidates ADD COLUMN payload BLOB NOT NULL DEFAULT x'';
 )sql";
@@ -123,10 +113,7 @@ CREATE TABLE deleted_snapshots (
 // file without tables.
 constexpr char kVacuum[] = "PRAGMA auto_vacuum = INCREMENTAL";
 
-std::string AllTables() {
-  return std::string(kTablesOf1) + kAddedBy2 + kAddedBy3 + kAddedBy4 +
-         kAddedBy5;
-}
+std::string AllTables() { return std::string(kTablesOf4) + kAddedBy5; }
 
 }  // namespace
 
@@ -147,10 +134,11 @@ absl::Status CheckKnownFormat(const std::string& path,
                                          " is an SQLite file of another "
                                          "program, not a store of revisit");
   }
-  if (format.version < 1 || format.version > kStoreFormat) {
+  if (format.version < kOldestStoreFormat || format.version > kStoreFormat) {
     return absl::FailedPreconditionError(
         "the store " + path + " has format " + std::to_string(format.version) +
-        ", this server reads formats 1 to " + std::to_string(kStoreFormat) +
+        ", this server reads formats " + std::to_string(kOldestStoreFormat) +
+        " to " + std::to_string(kStoreFormat) +
         (format.version > kStoreFormat ? ": use a newer server" : ""));
   }
   return absl::OkStatus();
@@ -178,21 +166,13 @@ absl::Status BringToStoreFormat(SqliteDatabase& database,
   // Nothing is changed before the commit: a failure closes the connection,
   // which rolls back.
   std::string sql = "BEGIN IMMEDIATE;";
-  if (format->version < 2) sql += kAddedBy2;
-  if (format->version < 3) sql += kAddedBy3;
-  if (format->version < 4) sql += kAddedBy4;
   sql += kAddedBy5;
   sql += "PRAGMA user_version = " + std::to_string(kStoreFormat);
   absl::Status status = database.Execute(sql.c_str());
   if (!status.ok()) return status;
-  StoreState state = FirstState(run);
-  if (format->version >= 3) {
-    const absl::StatusOr<StoreState> stored = ReadState(database);
-    if (!stored.ok()) return stored.status();
-    state = NextState(*stored, run, /*is_closed=*/false);
-  }
-  state.is_closed = false;
-  status = WriteState(database, state);
+  const absl::StatusOr<StoreState> stored = ReadState(database);
+  if (!stored.ok()) return stored.status();
+  status = WriteState(database, NextState(*stored, run, /*is_closed=*/false));
   if (!status.ok()) return status;
   return database.Execute("COMMIT");
 }

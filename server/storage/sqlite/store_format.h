@@ -2,8 +2,8 @@
 // sqlite_storage.h says what the tables hold.
 //
 // Errors, besides those of the device: FAILED_PRECONDITION for a file that is
-// no store, or one of a newer format; DATA_LOSS (STORE_CORRUPT) for damage. The
-// messages are for operators.
+// no store, or one of a format that is not read; DATA_LOSS (STORE_CORRUPT) for
+// damage. The messages are for operators.
 #ifndef REVISIT_SERVER_STORAGE_SQLITE_STORE_FORMAT_H_
 #define REVISIT_SERVER_STORAGE_SQLITE_STORE_FORMAT_H_
 

@@ -199,11 +199,9 @@ std::optional<LoggedRow> RowOf(const std::vector<Column>& columns) {
     row.checksum = columns[4].integer();
     return row;
   }
-  // Rows have payloads since format 4.
-  const bool may_be_pair =
-      columns.size() == 7 || (columns.size() == 8 && columns[7].is_blob());
-  if (may_be_pair && are_integers(0, 0) && columns[1].is_text() &&
-      columns[1].bytes != nullptr && are_integers(2, 6)) {
+  if (columns.size() == 8 && columns[7].is_blob() && are_integers(0, 0) &&
+      columns[1].is_text() && columns[1].bytes != nullptr &&
+      are_integers(2, 6)) {
     row.table = LoggedRow::Table::kPairs;
     row.vehicle_key = columns[0].integer();
     row.id = columns[1].text();
@@ -389,25 +387,6 @@ absl::StatusOr<std::set<std::uint32_t>> PagesIn(const std::string& path,
     pages.insert(frame.page_number());
   }
   return pages;
-}
-
-std::string MissingFrom(const LogReport& log, const LogPosition& flushed) {
-  if (flushed.frames == 0) return "";
-  const std::string count =
-      absl::StrCat(flushed.frames, " frames were flushed");
-  if (!log.has_header) {
-    return absl::StrCat("it is missing or empty, but ", count);
-  }
-  if (log.end.salt1 == flushed.salt1 && log.end.salt2 == flushed.salt2) {
-    if (log.end.frames >= flushed.frames) return "";
-    return absl::StrCat("it ends after frame ", log.end.frames, ", but ",
-                        count);
-  }
-  // If the log was started over since, everything was in the database by then.
-  // The difference is taken modulo 2^32, as SQLite counts.
-  const std::uint32_t restarts = log.end.salt1 - flushed.salt1;
-  if (restarts != 0 && restarts < std::uint32_t{1} << 31) return "";
-  return "it is older than what was flushed last";
 }
 
 absl::Status VisitRowsBehind(

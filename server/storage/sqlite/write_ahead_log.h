@@ -68,11 +68,6 @@ absl::StatusOr<LogReport> ReadLog(const std::string& path);
 absl::StatusOr<std::set<std::uint32_t>> PagesIn(const std::string& path,
                                                 const LogReport& log);
 
-// Checks that the log of a store of format 1 or 2 holds at least the frames
-// that are known to have been flushed. Empty, or a text that says what is
-// missing.
-std::string MissingFrom(const LogReport& log, const LogPosition& flushed);
-
 // A row of a table as it stands in the log, with the columns before its
 // payload.
 struct LoggedRow {

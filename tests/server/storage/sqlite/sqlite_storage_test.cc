@@ -180,128 +180,17 @@ TEST_F(SqliteStorageTest, RefusesNewerFormat) {
   EXPECT_THAT(OpenSqliteStorage(Path()),
               IsError(StatusCode::kFailedPrecondition, "",
                       AllOf(HasSubstr("has format 6"),
-                            HasSubstr("this server reads formats 1 to 5"),
+                            HasSubstr("this server reads formats 4 to 5"),
                             HasSubstr("use a newer server"))));
 }
 
-TEST_F(SqliteStorageTest, RefusesFormatThatNeverWas) {
+TEST_F(SqliteStorageTest, RefusesFormatThatWasNeverReleased) {
   MakeStore();
-  RunSql(Path(), "PRAGMA user_version = 0");
+  RunSql(Path(), "PRAGMA user_version = 3");
   EXPECT_THAT(OpenSqliteStorage(Path()),
               IsError(StatusCode::kFailedPrecondition, "",
-                      AllOf(HasSubstr("has format 0"),
-                            HasSubstr("this server reads formats 1 to 5"))));
-}
-
-// What a server of format 1 left: that of MakeStore(), without rejections. Rows
-// and checksums are those that such a server wrote.
-constexpr char kFormat1[] = R"sql(
-PRAGMA page_size = 8192;
-PRAGMA journal_mode = WAL;
-BEGIN;
-CREATE TABLE vehicles (
-  key INTEGER PRIMARY KEY AUTOINCREMENT,
-  id TEXT NOT NULL UNIQUE,
-  format INTEGER NOT NULL,
-  revision INTEGER NOT NULL,
-  checksum INTEGER NOT NULL,
-  payload BLOB NOT NULL
-);
-CREATE TABLE batches (
-  vehicle_key INTEGER NOT NULL,
-  first_sequence INTEGER NOT NULL,
-  count INTEGER NOT NULL,
-  format INTEGER NOT NULL,
-  revision INTEGER NOT NULL,
-  checksum INTEGER NOT NULL,
-  payload BLOB NOT NULL,
-  PRIMARY KEY (vehicle_key, first_sequence)
-);
-CREATE TABLE revised_batches (
-  vehicle_key INTEGER NOT NULL,
-  first_sequence INTEGER NOT NULL,
-  count INTEGER NOT NULL,
-  format INTEGER NOT NULL,
-  revision INTEGER NOT NULL,
-  checksum INTEGER NOT NULL,
-  payload BLOB NOT NULL,
-  PRIMARY KEY (vehicle_key, first_sequence)
-);
-CREATE TABLE loop_closures (
-  vehicle_key INTEGER NOT NULL,
-  id TEXT NOT NULL,
-  format INTEGER NOT NULL,
-  query_sequence INTEGER NOT NULL,
-  matched_sequence INTEGER NOT NULL,
-  create_time_ns INTEGER NOT NULL,
-  checksum INTEGER NOT NULL,
-  PRIMARY KEY (vehicle_key, id)
-) WITHOUT ROWID;
-CREATE TABLE deleted_vehicles (
-  key INTEGER PRIMARY KEY
-);
-INSERT INTO vehicles VALUES
-  (1, 'truck', 1, 6, -5840483509523788633, CAST('payload' AS BLOB));
-INSERT INTO batches VALUES
-  (1, 1, 2, 1, 2, -4057611893038564907, CAST('alpha' AS BLOB)),
-  (1, 3, 2, 1, 3, -1270682900073940529, CAST('beta' AS BLOB)),
-  (1, 5, 2, 1, 4, 4264118283999196951, CAST('gamma' AS BLOB));
-INSERT INTO revised_batches VALUES
-  (1, 5, 2, 1, 5, 1202553139063979346, CAST('GAMMA' AS BLOB));
-INSERT INTO loop_closures VALUES
-  (1, 'link', 1, 6, 1, 99, 3065229329497340342);
-PRAGMA application_id = 1381389140;
-PRAGMA user_version = 1;
-COMMIT;
-)sql";
-
-TEST_F(SqliteStorageTest, StoreOfFormat1OpensAndGainsWhatItLacks) {
-  RunSql(Path(), kFormat1);
-  {
-    const std::unique_ptr<Storage> storage = MustOpen(Path());
-    BlockingWrites write(storage.get());
-    EXPECT_EQ(ToText(*storage->GetVehicle("truck")),
-              "truck 1: 1 closures, 0 rejected, to 6, revision 6, 'payload'");
-    EXPECT_THAT(
-        ToTexts(*ReadAll(*storage, 1, 1, 6)),
-        ElementsAre("1+2, revision 2, 'alpha'", "3+2, revision 3, 'beta'",
-                    "5+2, revision 5, 'GAMMA'"));
-    EXPECT_THAT(
-        ToTexts(*storage->ListPosePairs(1, PairKind::kLoopClosure, "", 10)),
-        ElementsAre("link: 6 at 1, 99 ns"));
-    EXPECT_THAT(ToTexts(*storage->ListPosePairs(1, PairKind::kRejectedCandidate,
-                                                "", 10)),
-                ElementsAre());
-    EXPECT_THAT(
-        write.AddPair(1, PairKind::kRejectedCandidate, {"no", 6, 2, 100}, 7),
-        IsOk());
-    EXPECT_THAT(write.Append(1, {7, 1, 8, "delta"}), IsOk());
-  }
-  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "5\n");
-  // Rows that nobody changed are as they were.
-  EXPECT_EQ(RunSql(Path(), "SELECT format, count(*) FROM batches GROUP BY 1"),
-            "1|3\n5|1\n");
-  EXPECT_EQ(RunSql(Path(), "SELECT format, checksum FROM loop_closures"),
-            "1|3065229329497340342\n");
-  const std::unique_ptr<Storage> storage = MustOpen(Path());
-  EXPECT_EQ(ToText(*storage->GetVehicle("truck")),
-            "truck 1: 1 closures, 1 rejected, to 7, revision 8, 'payload'");
-  EXPECT_THAT(
-      ToTexts(*ReadAll(*storage, 1, 6, 7)),
-      ElementsAre("5+2, revision 5, 'GAMMA'", "7+1, revision 8, 'delta'"));
-}
-
-TEST_F(SqliteStorageTest,
-       StoreOfFormat1StaysAsItIsIfItCannotBeBroughtUpToDate) {
-  // The name is taken, which is as good a failure as any.
-  RunSql(Path(), kFormat1);
-  RunSql(Path(), "CREATE TABLE rejected_candidates (mine INTEGER)");
-  EXPECT_THAT(OpenSqliteStorage(Path()),
-              IsError(StatusCode::kInternal, "INTERNAL",
-                      HasSubstr("rejected_candidates already exists")));
-  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "1\n");
-  RunSql(Path(), "DROP TABLE rejected_candidates");
-  EXPECT_EQ(MustOpen(Path())->GetVehicle("truck")->durable_sequence, 6u);
+                      AllOf(HasSubstr("has format 3"),
+                            HasSubstr("this server reads formats 4 to 5"))));
 }
 
 TEST_F(SqliteStorageTest, RefusesFileOfAnotherProgramAndLeavesItAsItIs) {
@@ -406,6 +295,20 @@ TEST_F(SqliteStorageTest, StoreOfFormat4OpensAndGainsSnapshots) {
   EXPECT_EQ(SnapshotOf(*MustOpen(Path()), 1), "to 6: part, 'rest'");
 }
 
+TEST_F(SqliteStorageTest,
+       StoreOfFormat4StaysAsItIsIfItCannotBeBroughtUpToDate) {
+  MakeStore();
+  RunSql(Path(), kToFormat4);
+  // The name is taken, which is as good a failure as any.
+  RunSql(Path(), "CREATE TABLE snapshot_parts (mine INTEGER)");
+  EXPECT_THAT(OpenSqliteStorage(Path()),
+              IsError(StatusCode::kInternal, "INTERNAL",
+                      HasSubstr("snapshot_parts already exists")));
+  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "4\n");
+  RunSql(Path(), "DROP TABLE snapshot_parts");
+  EXPECT_EQ(MustOpen(Path())->GetVehicle("truck")->durable_sequence, 6u);
+}
+
 TEST_F(SqliteStorageTest, DamageOfASnapshotIsFoundWhereverItIs) {
   for (const std::string& damage : std::vector<std::string>{
            "UPDATE snapshots SET payload = 'resT'",
@@ -470,72 +373,6 @@ TEST_F(SqliteStorageTest, PartsOfRemovedSnapshotsAreRemovedInTheBackground) {
   EXPECT_EQ(count("snapshots"), "0\n");
 }
 
-// Makes the store of MakeStore() what a server of format 3 left: the same, but
-// for payloads of pairs. The checksums are those that such a server wrote.
-constexpr char kToFormat3[] = R"sql(
-DROP TABLE snapshots;
-DROP TABLE snapshot_parts;
-DROP TABLE deleted_snapshots;
-ALTER TABLE loop_closures DROP COLUMN payload;
-ALTER TABLE rejected_candidates DROP COLUMN payload;
-UPDATE vehicles SET format = 3, checksum = -87707387594918857;
-UPDATE batches SET format = 3, checksum = 1468958268839417343
-  WHERE first_sequence = 1;
-UPDATE batches SET format = 3, checksum = -3236131221087917378
-  WHERE first_sequence = 3;
-UPDATE batches SET format = 3, checksum = 5528962054912418739
-  WHERE first_sequence = 5;
-UPDATE revised_batches SET format = 3, checksum = 316402039987005661;
-UPDATE loop_closures SET format = 3, checksum = 4810803329536871510;
-UPDATE rejected_candidates SET format = 3, checksum = -7183881975712766587;
-PRAGMA user_version = 3;
-)sql";
-
-TEST_F(SqliteStorageTest, StoreOfFormat3OpensAndGainsPayloadsOfPairs) {
-  MakeStore();
-  RunSql(Path(), kToFormat3);
-  {
-    const std::unique_ptr<Storage> storage = MustOpen(Path());
-    BlockingWrites write(storage.get());
-    EXPECT_EQ(ToText(*storage->GetVehicle("truck")),
-              "truck 1: 1 closures, 1 rejected, to 6, revision 7, 'payload'");
-    EXPECT_THAT(
-        ToTexts(*ReadAll(*storage, 1, 1, 6)),
-        ElementsAre("1+2, revision 2, 'alpha'", "3+2, revision 3, 'beta'",
-                    "5+2, revision 5, 'GAMMA'"));
-    EXPECT_THAT(
-        ToTexts(*storage->ListPosePairs(1, PairKind::kLoopClosure, "", 10)),
-        ElementsAre("link: 6 at 1, 99 ns"));
-    EXPECT_THAT(ToTexts(*storage->ListPosePairs(1, PairKind::kRejectedCandidate,
-                                                "", 10)),
-                ElementsAre("no: 6 at 2, 100 ns"));
-    EXPECT_THAT(write.AddPair(1, PairKind::kLoopClosure,
-                              {"new", 5, 1, 101, "measured"}, 8),
-                IsOk());
-  }
-  EXPECT_EQ(RunSql(Path(), "PRAGMA user_version"), "5\n");
-  // Rows that nobody changed are as they were.
-  EXPECT_EQ(RunSql(Path(),
-                   "SELECT id, format, checksum FROM loop_closures "
-                   "WHERE id = 'link'"),
-            "link|3|4810803329536871510\n");
-  EXPECT_THAT(
-      ToTexts(
-          *MustOpen(Path())->ListPosePairs(1, PairKind::kLoopClosure, "", 10)),
-      ElementsAre("link: 6 at 1, 99 ns", "new: 5 at 1, 101 ns, 'measured'"));
-}
-
-TEST_F(SqliteStorageTest, PayloadOfAnOlderPairIsNone) {
-  // Its checksum says nothing about it.
-  MakeStore();
-  RunSql(Path(), kToFormat3);
-  MustOpen(Path());
-  RunSql(Path(), "UPDATE loop_closures SET payload = 'made up'");
-  EXPECT_THAT(ToTexts(*MustOpen(Path())->ListPosePairs(
-                  1, PairKind::kLoopClosure, "", 10)),
-              ElementsAre("link: 6 at 1, 99 ns"));
-}
-
 TEST_F(SqliteStorageTest, NamesBatchWhosePayloadIsDamaged) {
   const VehicleKey key = MakeStore();
   RunSql(Path(),
@@ -561,7 +398,7 @@ TEST_F(SqliteStorageTest, FindsDamageOfEveryColumn) {
       "UPDATE batches SET revision = 9 WHERE first_sequence = 3",
       "UPDATE batches SET count = 1 WHERE first_sequence = 3",
       "UPDATE batches SET count = 4294967298 WHERE first_sequence = 3",
-      "UPDATE batches SET format = 1 WHERE first_sequence = 3",
+      "UPDATE batches SET format = 4 WHERE first_sequence = 3",
       "UPDATE batches SET checksum = checksum + 1 WHERE first_sequence = 3",
       "UPDATE batches SET first_sequence = 2 WHERE first_sequence = 3",
       "UPDATE batches SET payload = (SELECT payload FROM batches WHERE "

@@ -306,7 +306,7 @@ TEST_F(StoreCheckTest, BackupGivesWayToAServerWhoseLogGrowsTooFar) {
 TEST_F(StoreCheckTest, CompactingKeepsEveryRowAndNoRoom) {
   MakeStore();
   {
-    // As a server of format 2 made it: it cannot shrink by itself.
+    // As other programs may leave it: it cannot shrink by itself.
     const auto database =
         *SqliteDatabase::Open(Path(), SqliteDatabase::Mode::kReadWrite, "");
     ASSERT_THAT(database->Execute("PRAGMA journal_mode = DELETE;"

@@ -86,7 +86,7 @@ class WriteAheadLogTest : public ::testing::Test {
   // The commit that was flushed last.
   StoreState Flushed() const {
     WriteFile(directory_.File("m.mark"), mark_);
-    return *DurableMark::Read(directory_.File("m")).state;
+    return *DurableMark::Read(directory_.File("m"));
   }
 
   // Whether a log ends before that.
@@ -235,30 +235,15 @@ TEST_F(WriteAheadLogTest, TakesTheRestOfAnOlderUseForWhatItIs) {
   EXPECT_EQ(report.end.frames, (kept - kHeader) / kFrame);
 }
 
-TEST_F(WriteAheadLogTest, KnowsALogThatHasStartedOverSince) {
-  LogReport report;
-  report.has_header = true;
-  report.end = {7, 1, 3};
-  EXPECT_EQ(MissingFrom(report, LogPosition{7, 1, 3}), "");
-  EXPECT_THAT(MissingFrom(report, LogPosition{7, 1, 4}),
-              HasSubstr("ends after frame 3, but 4 frames were flushed"));
-  EXPECT_EQ(MissingFrom(report, LogPosition{6, 99, 1000}), "");
-  EXPECT_EQ(MissingFrom(report, LogPosition{0xffffffff, 99, 1000}), "");
-  EXPECT_THAT(MissingFrom(report, LogPosition{8, 99, 1}),
-              HasSubstr("older than what was flushed"));
-  EXPECT_THAT(MissingFrom(LogReport(), LogPosition{8, 99, 1}),
-              HasSubstr("missing or empty"));
-}
-
 TEST_F(WriteAheadLogTest, MarkThatIsNotWholeSaysNothing) {
   const std::string path = directory_.File("half");
   for (std::size_t size = 0; size < mark_.size(); ++size) {
     WriteFile(path + ".mark", mark_.substr(0, size));
-    EXPECT_FALSE(DurableMark::Read(path).state.has_value());
+    EXPECT_FALSE(DurableMark::Read(path).has_value());
     std::string flipped = mark_;
     flipped[size] = static_cast<char>(flipped[size] ^ 1);
     WriteFile(path + ".mark", flipped);
-    EXPECT_FALSE(DurableMark::Read(path).state.has_value());
+    EXPECT_FALSE(DurableMark::Read(path).has_value());
   }
 }
 
@@ -268,31 +253,16 @@ TEST_F(WriteAheadLogTest, MarkKeepsWhatWasWrittenLastUntilCleared) {
   const StoreState second = NextState(first, 8, /*is_closed=*/false);
   {
     const std::unique_ptr<DurableMark> mark = *DurableMark::Open(path);
-    EXPECT_FALSE(DurableMark::Read(path).state.has_value());
+    EXPECT_FALSE(DurableMark::Read(path).has_value());
     mark->Write(first);
     mark->Write(second);
   }
   const std::unique_ptr<DurableMark> mark = *DurableMark::Open(path);
-  EXPECT_TRUE(IsSameCommit(*DurableMark::Read(path).state, second));
+  EXPECT_TRUE(IsSameCommit(*DurableMark::Read(path), second));
   EXPECT_THAT(mark->Flush(first), IsOk());
-  EXPECT_TRUE(IsSameCommit(*DurableMark::Read(path).state, first));
+  EXPECT_TRUE(IsSameCommit(*DurableMark::Read(path), first));
   EXPECT_THAT(mark->Clear(), IsOk());
-  EXPECT_FALSE(DurableMark::Read(path).state.has_value());
-}
-
-TEST_F(WriteAheadLogTest, MarkOfAnOlderFormatSaysHowManyFramesWereFlushed) {
-  // Golden: what a server of format 2 wrote for salts 4 and 5 and 6 frames.
-  const std::string path = directory_.File("old");
-  const unsigned char old[] = {'R',  'V',  'S',  'T',  'M',  'R',  'K',
-                               '1',  4,    0,    0,    0,    5,    0,
-                               0,    0,    6,    0,    0,    0,    0x9f,
-                               0xc5, 0xab, 0x56, 0x28, 0xea, 0x1b, 0xa3};
-  WriteFile(path + ".mark",
-            std::string(reinterpret_cast<const char*>(old), sizeof old));
-  const Mark mark = DurableMark::Read(path);
-  EXPECT_FALSE(mark.state.has_value());
-  ASSERT_TRUE(mark.position.has_value());
-  EXPECT_TRUE(*mark.position == (LogPosition{4, 5, 6}));
+  EXPECT_FALSE(DurableMark::Read(path).has_value());
 }
 
 TEST_F(WriteAheadLogTest, RefusesALogThatLostAcknowledgedCommits) {
