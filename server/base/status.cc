@@ -131,4 +131,19 @@ std::string ReasonOf(const absl::Status& status) {
   return info.domain() == kDomain ? info.reason() : "";
 }
 
+absl::Status Named(const absl::Status& status) {
+  if (status.ok() || !ReasonOf(status).empty()) return status;
+  switch (status.code()) {
+    case absl::StatusCode::kCancelled:
+      return Error(status.code(), "CANCELLED", "the caller gave up");
+    case absl::StatusCode::kDeadlineExceeded:
+      return Error(status.code(), "DEADLINE_EXCEEDED",
+                   "the caller's deadline passed");
+    default:
+      return Error(
+          absl::StatusCode::kInternal, "INTERNAL",
+          "a defect of the server; the request id finds it in the log");
+  }
+}
+
 }  // namespace revisit::server

@@ -67,6 +67,10 @@ absl::Status Corrupt(const std::string& what,
 // The reason of a status that was made here; empty for others.
 std::string ReasonOf(const absl::Status& status);
 
+// What a caller is told: the status itself if it was made here or is OK, else
+// that the caller ended the call, or a defect of the server (INTERNAL).
+absl::Status Named(const absl::Status& status);
+
 }  // namespace revisit::server
 
 #endif  // REVISIT_SERVER_BASE_STATUS_H_

@@ -8,9 +8,8 @@
 namespace revisit::server {
 
 // Keeps code and message; the payloads become the details of a
-// google.rpc.Status. A status without ErrorInfo gets one whose reason follows
-// from the code, INTERNAL if nothing more specific is known. UNKNOWN becomes
-// INTERNAL.
+// google.rpc.Status, its ErrorInfo first. Callers are told errors that are
+// Named().
 grpc::Status ToGrpcStatus(const absl::Status& status);
 
 }  // namespace revisit::server

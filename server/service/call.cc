@@ -115,26 +115,10 @@ LogLevel LevelOf(grpc::StatusCode code) {
   }
 }
 
-// Adds the request id to the ErrorInfo of an error, and an ErrorInfo to an
-// error without one.
+// Adds the request id to the ErrorInfo of an error.
 absl::Status WithRequestId(const absl::Status& status, const std::string& id) {
   if (status.ok()) return status;
-  absl::Status result = status;
-  if (ReasonOf(status).empty()) {
-    switch (status.code()) {
-      case absl::StatusCode::kCancelled:
-        result = Error(status.code(), "CANCELLED", "the caller gave up");
-        break;
-      case absl::StatusCode::kDeadlineExceeded:
-        result = Error(status.code(), "DEADLINE_EXCEEDED",
-                       "the caller's deadline passed");
-        break;
-      default:
-        result = Error(absl::StatusCode::kInternal, "INTERNAL",
-                       "a defect of the server; the request id finds it in the "
-                       "log");
-    }
-  }
+  absl::Status result = Named(status);
   google::rpc::ErrorInfo info;
   info.ParseFromString(std::string(*result.GetPayload(kErrorInfoUrl)));
   (*info.mutable_metadata())["request_id"] = id;

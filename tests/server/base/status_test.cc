@@ -167,23 +167,33 @@ TEST(StatusTest, KeepsEveryCode) {
   }
 }
 
-TEST(StatusTest, GivesReasonToStatusWithoutOne) {
-  const auto reason = [](const absl::Status& status) {
-    return DetailOf<google::rpc::ErrorInfo>(DetailsOf(ToGrpcStatus(status)))
-        .reason();
-  };
-  EXPECT_EQ(reason(absl::InternalError("x")), "INTERNAL");
-  EXPECT_EQ(reason(absl::UnknownError("x")), "INTERNAL");
-  EXPECT_EQ(reason(absl::CancelledError("x")), "CANCELLED");
-  EXPECT_EQ(reason(absl::DeadlineExceededError("x")), "DEADLINE_EXCEEDED");
-  EXPECT_EQ(reason(absl::DataLossError("x")), "STORE_CORRUPT");
-  EXPECT_EQ(ToGrpcStatus(absl::UnknownError("x")).error_code(),
-            grpc::StatusCode::INTERNAL);
-  EXPECT_EQ(ToGrpcStatus(absl::UnknownError("x")).error_message(), "x");
+TEST(StatusTest, ErrorWithoutAReasonIsADefectUnlessTheCallerEndedTheCall) {
+  const absl::Status cancelled = Named(absl::CancelledError("x"));
+  EXPECT_EQ(cancelled.code(), StatusCode::kCancelled);
+  EXPECT_EQ(ReasonOf(cancelled), "CANCELLED");
+  const absl::Status late = Named(absl::DeadlineExceededError("x"));
+  EXPECT_EQ(late.code(), StatusCode::kDeadlineExceeded);
+  EXPECT_EQ(ReasonOf(late), "DEADLINE_EXCEEDED");
+  for (const absl::Status& other :
+       {absl::UnknownError("x"), absl::DataLossError("x"),
+        absl::InvalidArgumentError("x"), absl::InternalError("x")}) {
+    const absl::Status defect = Named(other);
+    EXPECT_EQ(defect.code(), StatusCode::kInternal);
+    EXPECT_EQ(ReasonOf(defect), "INTERNAL");
+    // What it says may be of no business to callers.
+    EXPECT_EQ(defect.message().find('x'), std::string::npos)
+        << defect.message();
+  }
+}
+
+TEST(StatusTest, ErrorWithAReasonKeepsItsName) {
+  const absl::Status full = Error(StatusCode::kUnavailable, "QUEUE_FULL", "x");
+  EXPECT_EQ(Named(full), full);
+  EXPECT_EQ(Named(absl::OkStatus()), absl::OkStatus());
 }
 
 TEST(StatusTest, KeepsDetailsOfOthers) {
-  absl::Status status = absl::InternalError("x");
+  absl::Status status = Error(StatusCode::kInternal, "INTERNAL", "x");
   status.SetPayload("type.googleapis.com/example.Other", absl::Cord("bytes"));
   const google::rpc::Status details = DetailsOf(ToGrpcStatus(status));
   EXPECT_THAT(TypesOf(details),
@@ -192,8 +202,7 @@ TEST(StatusTest, KeepsDetailsOfOthers) {
 }
 
 TEST(StatusTest, ReasonsItGivesAreInTheProto) {
-  for (const char* reason : {"INTERNAL", "CANCELLED", "DEADLINE_EXCEEDED",
-                             "INVALID_FIELD", "STORE_CORRUPT"}) {
+  for (const char* reason : {"INTERNAL", "CANCELLED", "DEADLINE_EXCEEDED"}) {
     v1::ErrorReason value;
     EXPECT_TRUE(
         v1::ErrorReason_Parse("ERROR_REASON_" + std::string(reason), &value))
