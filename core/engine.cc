@@ -5,30 +5,19 @@
 #include <cmath>
 #include <utility>
 
-#include "absl/status/status.h"
 #include "core/drive/node_range.h"
 #include "core/search/belief/begins_with_belief.h"
-#include "core/search/candidates/composite_search.h"
+#include "core/search/belief/drive_belief.h"
 #include "core/search/candidates/mark_search.h"
 #include "core/search/candidates/posterior.h"
-#include "core/search/candidates/relative_search.h"
 #include "core/search/candidates/search_task.h"
 
 namespace revisit::core {
 namespace {
 
-// Marks lie so close that a place found at one still tells the drift at the
-// next.
-constexpr double kMarksPerSequence = 3.0;
-
 // Fewer votes than this on a stamp could be those of one mistake, however short
 // the sequence.
 constexpr NodeIndex kLeastAgreeing = 10;
-
-// Marks whose evidence is kept for later searches before those that the search
-// at hand does not need are forgotten. A search needs at most a sixth of it.
-constexpr std::size_t kMostMarksKept =
-    6 * static_cast<std::size_t>(kMostScaleMarks + kDriftMarks);
 
 ResamplerOptions MakeResamplerOptions(const EngineSettings& settings) {
   ResamplerOptions options;
@@ -38,20 +27,6 @@ ResamplerOptions MakeResamplerOptions(const EngineSettings& settings) {
   options.carry_transitions =
       settings.search.correlation_model == CorrelationModel::kFilter;
   return options;
-}
-
-Correlation CorrelationOf(const SearchOptions& options) {
-  return {options.correlation_model, options.fix_correlation_meters};
-}
-
-// The model with the claimed covariances, not inflated.
-SimilarityModel ClaimedModel(StateSpace space, const SearchOptions& options) {
-  SimilarityModel model;
-  model.state_space = space;
-  model.correlation = CorrelationOf(options);
-  model.form = options.likelihood_form;
-  model.tolerance = options.place_tolerance;
-  return model;
 }
 
 ConsistencyOptions MakeConsistencyOptions(const EngineSettings& settings) {
@@ -213,7 +188,7 @@ RetentionNeeds Engine::MakeRetentionNeeds() const {
   // The marks that show the drift at the last node, and what they align.
   needs.newest_nodes =
       static_cast<NodeIndex>(std::ceil(static_cast<double>(kDriftMarks + 1) *
-                                       MarkSpacing() / spacing)) +
+                                       MarkSpacing(settings_) / spacing)) +
       2 * needs.aligned_nodes;
   needs.agreeing_nodes = std::max(kLeastAgreeing, steps);
   needs.least_nodes = needs.aligned_nodes;
@@ -332,7 +307,7 @@ std::optional<Agreement> Engine::AgreementOf(
   const std::optional<NodeIndex> matched =
       graph_.NodeAtOrBefore(matched_sequence);
   if (!query || !matched) return std::nullopt;
-  return core::AgreementOf(graph_, MakeSimilarityModel(settings_.search),
+  return core::AgreementOf(graph_, SimilarityOf(settings_.search),
                            {*query, *matched, measured});
 }
 
@@ -461,265 +436,6 @@ bool Engine::LoadRest(absl::string_view bytes) {
   return true;
 }
 
-absl::StatusOr<CandidateSet> Engine::FindCandidates(
-    const SearchOptions& options, const ShouldStop& should_stop,
-    MarkMemory* memory) const {
-  if (graph_.size() == 0) {
-    CandidateSet empty;
-    empty.empty_reason = EmptyReason::kPathTooShort;
-    return empty;
-  }
-  return FindCandidates(graph_.size() - 1, options, should_stop, memory);
-}
-
-absl::StatusOr<CandidateSet> Engine::FindCandidates(
-    NodeIndex query, const SearchOptions& options,
-    const ShouldStop& should_stop, MarkMemory* memory) const {
-  assert(query >= 0 && query < graph_.size());
-  assert(FindProblems(options, settings_).empty());
-  CandidateSet set;
-  set.query = query;
-  const auto empty = [&set](EmptyReason reason) {
-    set.empty_reason = reason;
-    return set;
-  };
-
-  const Extent extent = ExtentOfSearch(query, options);
-  set.comparisons = extent.comparisons;
-  if (extent.empty) return empty(*extent.empty);
-
-  AlignmentParts parts;
-  std::optional<DriveBelief> belief;
-  if (BeginsWithBelief(options, settings_)) {
-    absl::StatusOr<DriveBelief> found = BeliefAt(query, memory, should_stop);
-    if (!found.ok()) return found.status();
-    belief = *std::move(found);
-  }
-  const SearchTask task = {
-      graph_,
-      motion_history_,
-      block_bounds_,
-      options,
-      settings_.node_spacing_meters,
-      MakeSimilarityModel(options),
-      query,
-      extent.aligned,
-      extent.history_size,
-      NotSought(query, options.candidate_separation_meters),
-      LastConfirmed(query),
-      std::move(belief),
-      should_stop,
-      &parts};
-  set.nodes_considered = extent.history_size;
-  if (task.belief) set.scale = task.belief->Scale();
-  const absl::Status status = options.alignment == AlignmentKind::kComposite
-                                  ? SearchComposite(task, &set)
-                                  : SearchRelative(task, &set);
-  if (!status.ok()) return status;
-  if (task.belief && memory != nullptr && AlignsAsMarks(options)) {
-    RememberIfMark(query, memory, should_stop, &parts);
-  }
-  for (std::size_t i = 0; i < set.candidates.size(); ++i) {
-    set.candidates[i].rank = static_cast<int>(i) + 1;
-  }
-  if (set.candidates.empty()) {
-    return empty(set.nodes_pruned > 0 ? EmptyReason::kNoProbablePlace
-                                      : EmptyReason::kNoAlignment);
-  }
-  return set;
-}
-
-Engine::Extent Engine::ExtentOf(NodeIndex query,
-                                const SearchOptions& options) const {
-  Extent extent;
-  const std::int64_t steps = SequenceNodes(options.sequence_length_meters,
-                                           settings_.node_spacing_meters);
-  if (query - graph_.SegmentStart(query) + 1 < steps) {
-    extent.empty = EmptyReason::kPathTooShort;
-    return extent;
-  }
-  // Eq. 5: the graph without the nodes of the sequence.
-  extent.history_size = query - steps + 1;
-  if (extent.history_size == 0) {
-    extent.empty = EmptyReason::kNoHistory;
-    return extent;
-  }
-  extent.aligned = AlignedNodes(query, steps, options);
-  extent.comparisons =
-      extent.aligned * extent.history_size *
-      static_cast<std::int64_t>(Directions(options.direction).size());
-  return extent;
-}
-
-Engine::Extent Engine::ExtentOfSearch(NodeIndex query,
-                                      const SearchOptions& options) const {
-  Extent extent = ExtentOf(query, options);
-  if (extent.empty) return extent;
-  if (graph_.node(query).travelled_meters - graph_.node(0).travelled_meters <
-      options.candidate_separation_meters) {
-    extent = Extent();
-    extent.empty = EmptyReason::kAllSuppressed;
-  } else if (extent.comparisons > options.max_comparisons) {
-    extent.empty = EmptyReason::kTooMuchWork;
-  }
-  return extent;
-}
-
-Engine::MarksBefore Engine::FindMarksBefore(NodeIndex query) const {
-  const std::int64_t last = Marks().LastBefore(query);
-  return {ScaleMarks(last), std::max<std::int64_t>(1, last - kDriftMarks + 1),
-          last};
-}
-
-std::int64_t Engine::ComparisonsOf(NodeIndex query,
-                                   const SearchOptions& options) const {
-  const Extent extent = ExtentOfSearch(query, options);
-  return extent.empty ? 0 : extent.comparisons;
-}
-
-std::optional<Engine::MissingMark> Engine::FindMissingMark(
-    NodeIndex query, const SearchOptions& options, MarkMemory* memory) const {
-  if (!BeginsWithBelief(options, settings_)) return std::nullopt;
-  const Extent search = ExtentOfSearch(query, options);
-  if (search.empty) return std::nullopt;
-  memory->Enter(mark_settings_version_);
-  const auto missing = [&](std::int64_t mark) {
-    const Extent extent =
-        ExtentOf(Marks().NodeOf(mark), MarkOptions(settings_.search));
-    return MissingMark{mark, extent.comparisons, search.comparisons};
-  };
-  const MarksBefore marks = FindMarksBefore(query);
-  for (const std::int64_t mark : marks.of_scale.marks) {
-    if (!memory->Find(mark)) return missing(mark);
-  }
-  for (std::int64_t mark = marks.first_of_drift; mark <= marks.last; ++mark) {
-    if (!memory->Find(mark)) return missing(mark);
-  }
-  return std::nullopt;
-}
-
-absl::Status Engine::LearnMark(const MissingMark& missing,
-                               const ShouldStop& should_stop,
-                               MarkMemory* memory) const {
-  const absl::StatusOr<MarkEvidence> found =
-      EvidenceAt(Marks().NodeOf(missing.mark), should_stop);
-  if (found.ok()) memory->Keep(missing.mark, *found);
-  return found.status();
-}
-
-absl::StatusOr<DriveBelief> Engine::BeliefAt(
-    NodeIndex query, MarkMemory* memory, const ShouldStop& should_stop) const {
-  MarkMemory none;
-  if (memory == nullptr) memory = &none;
-  memory->Enter(mark_settings_version_);
-  const MarkLine line = Marks();
-  const auto evidence =
-      [&](std::int64_t mark) -> absl::StatusOr<const MarkEvidence*> {
-    if (const MarkEvidence* known = memory->Find(mark)) return known;
-    absl::StatusOr<MarkEvidence> found =
-        EvidenceAt(line.NodeOf(mark), should_stop);
-    if (!found.ok()) return found.status();
-    return &memory->Keep(mark, *found);
-  };
-  DriveBelief belief;
-  const MarksBefore marks = FindMarksBefore(query);
-  for (const std::int64_t mark : marks.of_scale.marks) {
-    const auto found = evidence(mark);
-    if (!found.ok()) return found.status();
-    belief.LearnScale(**found, marks.of_scale.stride);
-  }
-  for (std::int64_t mark = marks.first_of_drift; mark <= marks.last; ++mark) {
-    const auto found = evidence(mark);
-    if (!found.ok()) return found.status();
-    if (!ShowsDrift(**found, query)) continue;
-    belief.LearnDrift(graph_, **found, kDriftReach * line.spacing_meters);
-  }
-  memory->Tidy(kMostMarksKept, [&](std::int64_t mark) {
-    return mark >= marks.first_of_drift || mark % marks.of_scale.stride == 0;
-  });
-  return belief;
-}
-
-double Engine::MarkSpacing() const {
-  return std::max(settings_.node_spacing_meters,
-                  settings_.search.sequence_length_meters / kMarksPerSequence);
-}
-
-MarkLine Engine::Marks() const { return {graph_, MarkSpacing(), dropped_}; }
-
-// Whether a search with these options aligns the path that a mark there does.
-bool Engine::AlignsAsMarks(const SearchOptions& options) const {
-  const SearchOptions& own = settings_.search;
-  return own.alignment == options.alignment &&
-         own.sequence_length_meters == options.sequence_length_meters &&
-         own.place_tolerance == options.place_tolerance &&
-         own.shape == options.shape;
-}
-
-// The next search will need the mark, which now takes less.
-void Engine::RememberIfMark(NodeIndex query, MarkMemory* memory,
-                            const ShouldStop& should_stop,
-                            AlignmentParts* parts) const {
-  const MarkLine line = Marks();
-  const std::int64_t mark = line.LastBefore(query) + 1;
-  if (mark < 1 || line.NodeOf(mark) != query || memory->Find(mark)) return;
-  const absl::StatusOr<MarkEvidence> found =
-      EvidenceAt(query, should_stop, parts);
-  if (found.ok()) memory->Keep(mark, *found);
-}
-
-// What a verifier has judged counts for more: a closure shows the drift better
-// than earlier marks do, and a place that was rejected shows none.
-bool Engine::ShowsDrift(const MarkEvidence& mark, NodeIndex query) const {
-  if (!mark.matched) return false;
-  if (const auto closure = LastConfirmed(query)) {
-    if (mark.node <= std::max(closure->query, closure->matched)) return false;
-  }
-  const std::vector<NodeRange> not_sought =
-      NotSought(mark.node, settings_.search.candidate_separation_meters);
-  return std::none_of(
-      not_sought.begin(), not_sought.end(), [&mark](const NodeRange& nodes) {
-        return nodes.first <= *mark.matched && *mark.matched < nodes.last;
-      });
-}
-
-absl::StatusOr<MarkEvidence> Engine::EvidenceAt(NodeIndex node,
-                                                const ShouldStop& should_stop,
-                                                AlignmentParts* parts) const {
-  const SearchOptions options = MarkOptions(settings_.search);
-  const Extent extent = ExtentOf(node, options);
-  if (extent.empty) {
-    MarkEvidence nothing;
-    nothing.node = node;
-    return nothing;
-  }
-  return SearchMark(
-      {graph_,
-       motion_history_,
-       block_bounds_,
-       options,
-       settings_.node_spacing_meters,
-       ClaimedModel(settings_.state_space, options),
-       node,
-       extent.aligned,
-       extent.history_size,
-       {NodesNearer(graph_, node, options.candidate_separation_meters)},
-       std::nullopt,
-       std::nullopt,
-       should_stop,
-       parts});
-}
-
-std::int64_t Engine::AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,
-                                  const SearchOptions& options) const {
-  if (options.alignment == AlignmentKind::kComposite ||
-      options.correlation_model == CorrelationModel::kIndependent) {
-    return sequence_nodes;
-  }
-  return std::min(kOverlapSequences * sequence_nodes,
-                  query - graph_.SegmentStart(query) + 1);
-}
-
 std::optional<ConfirmedLoop> Engine::LastConfirmed(NodeIndex query) const {
   const ConfirmedLoop* last = nullptr;
   for (const Confirmed& confirmed : confirmed_) {
@@ -734,8 +450,7 @@ std::optional<ConfirmedLoop> Engine::LastConfirmed(NodeIndex query) const {
   return *last;
 }
 
-SimilarityModel Engine::MakeSimilarityModel(
-    const SearchOptions& options) const {
+SimilarityModel Engine::SimilarityOf(const SearchOptions& options) const {
   SimilarityModel model = ClaimedModel(settings_.state_space, options);
   if (settings_.apply_inflation && !BeginsWithBelief(options, settings_)) {
     model.inflation = monitor_.consistency().inflation;

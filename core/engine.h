@@ -1,6 +1,6 @@
-// The whole method behind one interface: poses in, candidates out. It has no
-// input or output, no clock and no threads: everything is passed as an
-// argument.
+// What a vehicle has driven, as one graph with all that belongs to it: poses go
+// in, and a Search (search/search.h) asks it. It has no input or output, no
+// clock and no threads: everything is passed as an argument.
 //
 // Thread-compatible: const calls may run at the same time, other calls need
 // exclusive access.
@@ -15,8 +15,6 @@
 #include <utility>
 #include <vector>
 
-#include "absl/status/status.h"
-#include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "core/drive/block_bounds.h"
 #include "core/drive/distance_resampler.h"
@@ -29,13 +27,7 @@
 #include "core/geometry/pose.h"
 #include "core/search/alignment/confirmed_loop.h"
 #include "core/search/alignment/log_similarity.h"
-#include "core/search/alignment/relative.h"
-#include "core/search/alignment/scored_ends.h"
-#include "core/search/alignment/viterbi.h"
-#include "core/search/belief/drive_belief.h"
-#include "core/search/belief/mark.h"
 #include "core/search/candidates/agreement.h"
-#include "core/search/candidates/candidate.h"
 #include "core/search/candidates/consistency.h"
 #include "core/search/candidates/model_check.h"
 #include "core/settings.h"
@@ -173,45 +165,22 @@ class Engine {
   bool LoadRest(absl::string_view bytes);
   static constexpr NodeIndex kPartNodes = 64 * NodeBlock::kSize;
 
-  // Candidates at a node, with the nodes before its sequence as the history.
-  // The answer depends only on the graph up to the query, on loop closures and
-  // rejections, and on the inflation that these result in. Returns CANCELLED if
-  // told to stop.
-  // REQUIRES: query in the graph; FindProblems(options, settings()) is empty.
-  absl::StatusOr<CandidateSet> FindCandidates(
-      NodeIndex query, const SearchOptions& options,
-      const ShouldStop& should_stop, MarkMemory* memory = nullptr) const;
+  // ---- What searches ask (search/search.h).
 
-  // A mark that a search begins with and that the memory does not know.
-  struct MissingMark {
-    std::int64_t mark;
-    // As CandidateSet::comparisons: of the mark, and of the search that needs
-    // it.
-    std::int64_t comparisons;
-    std::int64_t comparisons_of_search;
-  };
-  // CandidateSet::comparisons of the search, before it is made, without those
-  // of marks; 0 if there is nothing to compare, or too much. REQUIRES: as for
-  // FindCandidates().
-  std::int64_t ComparisonsOf(NodeIndex query,
-                             const SearchOptions& options) const;
-  // The first mark that is missing for this search, if any. Whoever has all of
-  // them learned first can do other work between them; FindCandidates() learns
-  // those that are still missing itself, without counting them, and answers the
-  // same. REQUIRES: as for FindCandidates().
-  std::optional<MissingMark> FindMissingMark(NodeIndex query,
-                                             const SearchOptions& options,
-                                             MarkMemory* memory) const;
-  // Returns CANCELLED if told to stop. REQUIRES: the mark is missing for a
-  // search of this graph and memory.
-  absl::Status LearnMark(const MissingMark& missing,
-                         const ShouldStop& should_stop,
-                         MarkMemory* memory) const;
-
-  // Candidates at the newest node; kPathTooShort if the graph is empty.
-  absl::StatusOr<CandidateSet> FindCandidates(
-      const SearchOptions& options, const ShouldStop& should_stop,
-      MarkMemory* memory = nullptr) const;
+  // Indexes of the graph, for searches with the vehicle's own options.
+  const MotionHistory& motion_history() const { return motion_history_; }
+  const BlockBounds& block_bounds() const { return block_bounds_; }
+  // Counts the changes of settings under which marks show something else; above
+  // 0.
+  std::uint64_t mark_settings_version() const { return mark_settings_version_; }
+  // The last confirmed loop whose nodes both lie at or before the query.
+  std::optional<ConfirmedLoop> LastConfirmed(NodeIndex query) const;
+  // The model that the options ask for, inflated as the settings say.
+  SimilarityModel SimilarityOf(const SearchOptions& options) const;
+  // Nodes that may not be candidates at the query: those near it, and those
+  // rejected there.
+  std::vector<NodeRange> NotSought(NodeIndex query,
+                                   double separation_meters) const;
 
  private:
   std::optional<std::pair<NodeIndex, NodeIndex>> LoopEdge(
@@ -233,65 +202,14 @@ class Engine {
   void ExtendIndexes();
   // Estimates the consistency anew from all confirmed loops.
   void RebuildMonitor();
-  // The nodes that are compared at a query.
-  struct Extent {
-    // Why there is nothing to compare.
-    std::optional<EmptyReason> empty;
-    // Nodes of the path that is aligned with the history.
-    std::int64_t aligned = 0;
-    NodeIndex history_size = 0;
-    std::int64_t comparisons = 0;
-  };
-  Extent ExtentOf(NodeIndex query, const SearchOptions& options) const;
-  // The same of a search, which may also be refused.
-  Extent ExtentOfSearch(NodeIndex query, const SearchOptions& options) const;
-  // REQUIRES: the query's segment has as many nodes as the sequence up to the
-  // query.
-  std::int64_t AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,
-                            const SearchOptions& options) const;
-  // The last confirmed loop whose nodes both lie at or before the query.
-  std::optional<ConfirmedLoop> LastConfirmed(NodeIndex query) const;
-  SimilarityModel MakeSimilarityModel(const SearchOptions& options) const;
-  // The marks that show something at a query.
-  struct MarksBefore {
-    ScaleMarks of_scale;
-    std::int64_t first_of_drift;
-    std::int64_t last;
-  };
-  MarksBefore FindMarksBefore(NodeIndex query) const;
-  // What the drive has shown before the query. Searches the marks that the
-  // memory does not know. Returns CANCELLED if told to stop.
-  absl::StatusOr<DriveBelief> BeliefAt(NodeIndex query, MarkMemory* memory,
-                                       const ShouldStop& should_stop) const;
-  // Whether a mark shows the drift at the query.
-  bool ShowsDrift(const MarkEvidence& mark, NodeIndex query) const;
-  // The evidence of a mark at this node.
-  absl::StatusOr<MarkEvidence> EvidenceAt(
-      NodeIndex node, const ShouldStop& should_stop,
-      AlignmentParts* parts = nullptr) const;
-  double MarkSpacing() const;
-  MarkLine Marks() const;
-  bool AlignsAsMarks(const SearchOptions& options) const;
-  // Searches the mark at the query, if there is one that the memory does not
-  // know. The parts are those of a search there.
-  void RememberIfMark(NodeIndex query, MarkMemory* memory,
-                      const ShouldStop& should_stop,
-                      AlignmentParts* parts) const;
-  // Nodes that may not be candidates at the query: those near it, and those
-  // rejected there.
-  std::vector<NodeRange> NotSought(NodeIndex query,
-                                   double separation_meters) const;
-
   EngineSettings settings_;
   PoseGraph graph_;
   DistanceResampler resampler_;
-  // Indexes of the graph, for searches with the vehicle's own options.
   MotionHistory motion_history_;
   BlockBounds block_bounds_;
   DroppedStretches dropped_;
   std::uint64_t last_sequence_ = 0;
   std::uint64_t revision_ = 0;
-  // Counts the changes of settings under which marks show something else.
   std::uint64_t mark_settings_version_ = 1;
   struct Confirmed {
     std::uint64_t query_sequence;

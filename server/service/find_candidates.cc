@@ -70,7 +70,7 @@ std::optional<absl::Status> TakeTurn(UnaryCall* call, const Limits& limits,
   if (*query) {
     answer = search->Take(view, **query, *options, stop);
   } else {
-    answer = view.engine.FindCandidates(*options, stop);
+    answer = view.search->AtEnd(*options, stop);
   }
   call->SearchTook(search->last_turn(), search->last_steps());
   if (!answer) return std::nullopt;

@@ -94,10 +94,12 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   void AnswerCreated(const std::string& id, const VehicleConfig& config,
                      VehicleKey key, const CreateCallback& callback) {
     const core::Engine engine(config.engine);
+    core::Search search(&engine);
     const PosePairs none;
     callback(VehicleView{id, config, engine, key, /*durable_sequence=*/0,
                          kCreatedRevision, /*loop_closure_count=*/0, &none,
-                         &none, absl::OkStatus()});
+                         &none, absl::OkStatus(), /*config_is_known=*/true,
+                         &search});
     Created();
   }
 

@@ -25,7 +25,7 @@ std::optional<absl::StatusOr<core::CandidateSet>> SearchTurns::Take(
 std::optional<absl::StatusOr<core::CandidateSet>> SearchTurns::Work(
     const VehicleView& view, core::NodeIndex query,
     const core::SearchOptions& options, const core::ShouldStop& should_stop) {
-  const auto missing = view.engine.FindMissingMark(query, options, view.marks);
+  const auto missing = view.search->FindMissingMark(query, options);
   if (missing) {
     const std::int64_t others = comparisons_ + missing->comparisons_of_search;
     if (comparisons_ > 0 && missing->comparisons > most_comparisons_ - others) {
@@ -33,14 +33,13 @@ std::optional<absl::StatusOr<core::CandidateSet>> SearchTurns::Work(
     }
     comparisons_ += missing->comparisons;
     last_steps_ = missing->comparisons;
-    const absl::Status learned =
-        view.engine.LearnMark(*missing, should_stop, view.marks);
+    const absl::Status learned = view.search->LearnMark(*missing, should_stop);
     if (!learned.ok()) return learned;
     return std::nullopt;
   }
-  last_steps_ = view.engine.ComparisonsOf(query, options);
+  last_steps_ = view.search->ComparisonsAt(query, options);
   absl::StatusOr<core::CandidateSet> found =
-      view.engine.FindCandidates(query, options, should_stop, view.marks);
+      view.search->At(query, options, should_stop);
   if (found.ok()) found->comparisons += comparisons_;
   return found;
 }

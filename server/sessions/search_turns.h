@@ -36,7 +36,7 @@ class SearchTurns {
   // RESOURCE_EXHAUSTED, without details, if the marks that are missing are too
   // much for one search: those that it searched are kept, so that another one
   // comes further. CANCELLED if told to stop. REQUIRES: as for
-  // Engine::FindCandidates().
+  // core::Search::At().
   std::optional<absl::StatusOr<core::CandidateSet>> Take(
       const VehicleView& view, core::NodeIndex query,
       const core::SearchOptions& options, const core::ShouldStop& should_stop);

@@ -52,7 +52,7 @@ VehicleView VehicleState::View() const {
                      &rejections,
                      damage,
                      config_is_known,
-                     marks.get()};
+                     search.get()};
 }
 
 void VehicleState::Report() const {
@@ -66,7 +66,7 @@ void VehicleState::Report() const {
 void VehicleState::Take(std::unique_ptr<core::Engine> another) {
   engine = std::move(another);
   ++engine_series;
-  marks = std::make_unique<core::MarkMemory>();
+  search = std::make_unique<core::Search>(engine.get());
   look_at_nodes = NextLookAt(engine->graph().size());
 }
 

@@ -17,7 +17,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/engine.h"
-#include "core/search/belief/mark.h"
+#include "core/search/search.h"
 #include "server/base/status.h"
 #include "server/sessions/record_codec.h"
 #include "server/sessions/server_clock.h"
@@ -77,8 +77,8 @@ struct VehicleState {
   std::unique_ptr<core::Engine> engine;
   // Grows whenever the engine is another.
   std::uint64_t engine_series = 0;
-  // The marks that searches of this engine have learned from its drive.
-  std::unique_ptr<core::MarkMemory> marks;
+  // Asks this engine.
+  std::unique_ptr<core::Search> search;
   // The jumps of the graph, by sequence.
   std::vector<core::Jump> jumps;
   std::uint64_t durable_sequence = 0;

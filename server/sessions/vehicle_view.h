@@ -10,7 +10,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/engine.h"
-#include "core/search/belief/mark.h"
+#include "core/search/search.h"
 #include "server/sessions/vehicle_config.h"
 #include "server/storage/storage.h"
 
@@ -36,9 +36,8 @@ struct VehicleView {
   // False where the stored settings are damaged too: the config is then a
   // default one and there are no poses.
   bool config_is_known = true;
-  // What searches have learned from the drive, or null. For one callback at a
-  // time.
-  core::MarkMemory* marks = nullptr;
+  // Asks the engine, one callback at a time. Never null in a callback.
+  core::Search* search = nullptr;
 
   // Sequence of the first pose that is kept.
   std::uint64_t first_kept_sequence() const {

@@ -13,6 +13,7 @@
 #include "core/search/alignment/viterbi.h"
 #include "core/search/belief/mark.h"
 #include "core/search/candidates/gate.h"
+#include "core/search/search.h"
 #include "tests/bench/eigen_alignment.h"
 #include "tests/bench/machine_limits.h"
 #include "tests/bench/roads.h"
@@ -199,7 +200,8 @@ void AlignStreaming(benchmark::State& state) {
   for (auto _ : state) {
     engine.Append({pose_of(next)}, next + 1);
     ++next;
-    benchmark::DoNotOptimize(engine.FindCandidates(settings.search, nullptr));
+    benchmark::DoNotOptimize(
+        core::Search(&engine).AtEnd(settings.search, nullptr));
   }
   state.counters["nodes"] = static_cast<double>(engine.graph().size());
   state.SetItemsProcessed(state.iterations() * n * kSteps);
@@ -213,7 +215,7 @@ void AlignStreamingReckoned(benchmark::State& state) {
   const PoseGraph& drive = Roads(n + (kStreamedChecks + 1) * kNodesOfCheck);
   const core::EngineSettings settings;
   core::Engine engine(settings);
-  core::MarkMemory memory;
+  core::Search search(&engine);
   NodeIndex next = 0;
   const auto drive_on = [&](NodeIndex nodes) {
     std::vector<core::PoseSample> samples;
@@ -229,12 +231,10 @@ void AlignStreamingReckoned(benchmark::State& state) {
   };
   drive_on(n);
   // The marks so far.
-  benchmark::DoNotOptimize(
-      engine.FindCandidates(settings.search, nullptr, &memory));
+  benchmark::DoNotOptimize(search.AtEnd(settings.search, nullptr));
   for (auto _ : state) {
     for (const NodeIndex query : drive_on(kNodesOfCheck)) {
-      benchmark::DoNotOptimize(
-          engine.FindCandidates(query, settings.search, nullptr, &memory));
+      benchmark::DoNotOptimize(search.At(query, settings.search, nullptr));
     }
   }
 }

@@ -21,6 +21,7 @@
 
 #include "core/engine.h"
 #include "core/geometry/heading.h"
+#include "core/search/search.h"
 #include "tests/random.h"
 
 namespace revisit::core {
@@ -201,11 +202,10 @@ Judged DriveAndCheck(AlignmentKind alignment, std::mt19937_64& random) {
                 a.heading + node.fraction * step.heading};
   };
   const double lap = engine.travelled_meters() / 3.0;
-  MarkMemory marks;
+  Search search(&engine);
   for (NodeIndex query : appended.checks_due) {
     if (graph.node(query).travelled_meters < lap + 40.0) continue;
-    const auto set =
-        engine.FindCandidates(query, settings.search, nullptr, &marks);
+    const auto set = search.At(query, settings.search, nullptr);
     if (!set.ok() || set->candidates.empty()) {
       ADD_FAILURE() << "no candidate at node " << query;
       continue;

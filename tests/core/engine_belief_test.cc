@@ -12,6 +12,7 @@
 
 #include "absl/status/status.h"
 #include "core/engine.h"
+#include "core/search/search.h"
 #include "tests/core/drives.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/random.h"
@@ -42,7 +43,7 @@ using Answers = std::vector<std::pair<NodeIndex, CandidateSet>>;
 
 // Streams the poses in batches, and searches at each check.
 Answers Stream(const std::vector<PoseSample>& samples, std::size_t batch,
-               Engine* engine, MarkMemory* memory) {
+               Engine* engine, Search* search) {
   Answers answers;
   for (std::size_t first = 0; first < samples.size(); first += batch) {
     const std::size_t last = std::min(samples.size(), first + batch);
@@ -52,8 +53,7 @@ Answers Stream(const std::vector<PoseSample>& samples, std::size_t batch,
                        engine->revision() + 1);
     for (const NodeIndex node : appended.checks_due) {
       answers.emplace_back(
-          node, *engine->FindCandidates(node, engine->settings().search,
-                                        nullptr, memory));
+          node, *search->At(node, engine->settings().search, nullptr));
     }
   }
   return answers;
@@ -82,24 +82,23 @@ void ExpectEqual(const CandidateSet& a, const CandidateSet& b) {
   }
 }
 
-TEST(EngineBeliefTest, AnAnswerIsTheSameStreamedAskedLaterAndWithoutMemory) {
+TEST(EngineBeliefTest, AnAnswerIsTheSameStreamedAskedLaterAndByAnotherSearch) {
   std::mt19937_64 random = SeededRandom();
   const std::vector<PoseSample> samples = Laps(random, 2.0);
   Engine engine((EngineSettings()));
-  MarkMemory memory;
-  const Answers streamed = Stream(samples, 37, &engine, &memory);
+  Search search(&engine);
+  const Answers streamed = Stream(samples, 37, &engine, &search);
   ASSERT_GT(streamed.size(), 50u);
   const SearchOptions& options = engine.settings().search;
-  MarkMemory later;
+  Search later(&engine);
   std::size_t found = 0;
   for (std::size_t k = streamed.size(); k-- > 0;) {
     SCOPED_TRACE(streamed[k].first);
     const auto& [node, answer] = streamed[k];
-    ExpectEqual(answer,
-                *engine.FindCandidates(node, options, nullptr, &memory));
-    ExpectEqual(answer, *engine.FindCandidates(node, options, nullptr, &later));
+    ExpectEqual(answer, *search.At(node, options, nullptr));
+    ExpectEqual(answer, *later.At(node, options, nullptr));
     if (k % 10 == 0) {
-      ExpectEqual(answer, *engine.FindCandidates(node, options, nullptr));
+      ExpectEqual(answer, *Search(&engine).At(node, options, nullptr));
     }
     found += !answer.candidates.empty();
   }
@@ -110,30 +109,28 @@ TEST(EngineBeliefTest, ClosuresAndRejectionsDoNotChangeWhatMarksHaveShown) {
   std::mt19937_64 random = SeededRandom();
   const std::vector<PoseSample> samples = Laps(random, 1.0);
   Engine engine((EngineSettings()));
-  MarkMemory memory;
-  const Answers streamed = Stream(samples, 100, &engine, &memory);
-  const std::size_t marks = memory.size();
+  Search search(&engine);
+  const Answers streamed = Stream(samples, 100, &engine, &search);
+  const std::size_t marks = search.mark_count();
   const CandidateSet& last = streamed.back().second;
   ASSERT_FALSE(last.candidates.empty());
   const PoseGraph& graph = engine.graph();
   engine.AddLoopClosure(graph.node(*last.query).sequence,
                         graph.node(last.candidates[0].matched).sequence,
                         engine.revision() + 1);
-  const CandidateSet known =
-      *engine.FindCandidates(engine.settings().search, nullptr, &memory);
-  MarkMemory anew;
-  ExpectEqual(known,
-              *engine.FindCandidates(engine.settings().search, nullptr, &anew));
+  const CandidateSet known = *search.AtEnd(engine.settings().search, nullptr);
+  Search anew(&engine);
+  ExpectEqual(known, *anew.AtEnd(engine.settings().search, nullptr));
   EXPECT_EQ(known.scale->scale, last.scale->scale);
-  EXPECT_LE(memory.size(), marks + 1);
+  EXPECT_LE(search.mark_count(), marks + 1);
 }
 
 TEST(EngineBeliefTest, LearnsThatClaimsAreTooWideOrTooNarrow) {
   std::mt19937_64 random = SeededRandom();
   const auto learned = [&random](double claimed) {
     Engine engine((EngineSettings()));
-    MarkMemory memory;
-    return Stream(Laps(random, claimed), 100, &engine, &memory)
+    Search search(&engine);
+    return Stream(Laps(random, claimed), 100, &engine, &search)
         .back()
         .second.scale->scale;
   };
@@ -146,10 +143,10 @@ TEST(EngineBeliefTest, WideClaimsFindAboutAsMuchAsHonestOnes) {
   std::mt19937_64 random = SeededRandom();
   const auto accepted = [&random](double claimed) {
     Engine engine((EngineSettings()));
-    MarkMemory memory;
+    Search search(&engine);
     int count = 0;
     for (const auto& [node, set] :
-         Stream(Laps(random, claimed), 100, &engine, &memory)) {
+         Stream(Laps(random, claimed), 100, &engine, &search)) {
       count += !set.candidates.empty() &&
                set.candidates[0].verdict == Verdict::kAccepted;
     }
@@ -166,17 +163,17 @@ TEST(EngineBeliefTest, NothingIsBelievedWhereTheSettingsSaySo) {
   const std::vector<PoseSample> samples = Laps(random, 1.0);
   Engine engine((EngineSettings()));
   engine.Append(samples, 1);
-  MarkMemory memory;
+  Search search(&engine);
   SearchOptions options = engine.settings().search;
   options.use_belief = false;
-  EXPECT_FALSE(engine.FindCandidates(options, nullptr, &memory)->scale);
+  EXPECT_FALSE(search.AtEnd(options, nullptr)->scale);
   options = engine.settings().search;
   options.alignment = AlignmentKind::kComposite;
-  EXPECT_FALSE(engine.FindCandidates(options, nullptr, &memory)->scale);
+  EXPECT_FALSE(search.AtEnd(options, nullptr)->scale);
   options = engine.settings().search;
   options.correlation_model = CorrelationModel::kIndependent;
-  EXPECT_FALSE(engine.FindCandidates(options, nullptr, &memory)->scale);
-  EXPECT_EQ(memory.size(), 0u);
+  EXPECT_FALSE(search.AtEnd(options, nullptr)->scale);
+  EXPECT_EQ(search.mark_count(), 0u);
 }
 
 // Searches at the newest node after a change of the settings, and compares with
@@ -187,21 +184,20 @@ bool KeepsMarks(const std::vector<PoseSample>& samples,
   Engine engine((EngineSettings()));
   engine.Append(samples, 1);
   const NodeIndex query = engine.graph().size() - 1;
-  MarkMemory memory;
-  EXPECT_TRUE(
-      engine.FindCandidates(engine.settings().search, nullptr, &memory).ok());
+  Search search(&engine);
+  EXPECT_TRUE(search.AtEnd(engine.settings().search, nullptr).ok());
   EngineSettings settings = engine.settings();
   change(&settings);
   engine.ChangeSettings(settings, engine.revision() + 1);
   // Whether or not a search begins with a belief now, one could.
   SearchOptions believing = settings.search;
   believing.use_belief = true;
-  const bool keeps = !engine.FindMissingMark(query, believing, &memory);
+  const bool keeps = !search.FindMissingMark(query, believing);
   Engine fresh(settings);
   fresh.Append(samples, 1);
-  MarkMemory anew;
-  ExpectEqual(*engine.FindCandidates(settings.search, nullptr, &memory),
-              *fresh.FindCandidates(settings.search, nullptr, &anew));
+  Search anew(&fresh);
+  ExpectEqual(*search.AtEnd(settings.search, nullptr),
+              *anew.AtEnd(settings.search, nullptr));
   return keeps;
 }
 
@@ -253,27 +249,26 @@ TEST(EngineBeliefTest, MarksMayBeLearnedOneByOneBeforeASearch) {
   engine.Append(Laps(random, 1.0), 1);
   const SearchOptions& options = engine.settings().search;
   const NodeIndex query = engine.graph().size() - 1;
-  const CandidateSet at_once = *engine.FindCandidates(query, options, nullptr);
-  MarkMemory memory;
+  const CandidateSet at_once = *Search(&engine).At(query, options, nullptr);
+  Search search(&engine);
   std::int64_t comparisons = 0;
-  while (const auto missing = engine.FindMissingMark(query, options, &memory)) {
-    const std::size_t known = memory.size();
-    ASSERT_TRUE(engine.LearnMark(*missing, nullptr, &memory).ok());
-    ASSERT_EQ(memory.size(), known + 1);
+  while (const auto missing = search.FindMissingMark(query, options)) {
+    const std::size_t known = search.mark_count();
+    ASSERT_TRUE(search.LearnMark(*missing, nullptr).ok());
+    ASSERT_EQ(search.mark_count(), known + 1);
     EXPECT_EQ(missing->comparisons_of_search, at_once.comparisons);
     EXPECT_LE(missing->comparisons, at_once.comparisons);
     comparisons += missing->comparisons;
   }
-  const std::size_t known = memory.size();
+  const std::size_t known = search.mark_count();
   EXPECT_GT(known, 30u);
   EXPECT_GT(comparisons, 10 * at_once.comparisons);
   // Nothing is left for the search.
-  const CandidateSet later =
-      *engine.FindCandidates(query, options, nullptr, &memory);
+  const CandidateSet later = *search.At(query, options, nullptr);
   ExpectEqual(later, at_once);
-  EXPECT_LE(memory.size(), known + 1);
+  EXPECT_LE(search.mark_count(), known + 1);
   EXPECT_EQ(later.comparisons, at_once.comparisons);
-  EXPECT_EQ(engine.ComparisonsOf(query, options), at_once.comparisons);
+  EXPECT_EQ(search.ComparisonsAt(query, options), at_once.comparisons);
 }
 
 TEST(EngineBeliefTest, NoMarkIsMissingWhereASearchNeedsNone) {
@@ -281,29 +276,29 @@ TEST(EngineBeliefTest, NoMarkIsMissingWhereASearchNeedsNone) {
   Engine engine((EngineSettings()));
   engine.Append(Laps(random, 1.0), 1);
   const NodeIndex query = engine.graph().size() - 1;
-  MarkMemory memory;
+  Search search(&engine);
   SearchOptions options = engine.settings().search;
-  ASSERT_TRUE(engine.FindMissingMark(query, options, &memory));
+  ASSERT_TRUE(search.FindMissingMark(query, options));
   // No path, too much work, no belief.
-  EXPECT_FALSE(engine.FindMissingMark(10, options, &memory));
-  EXPECT_EQ(engine.ComparisonsOf(10, options), 0);
+  EXPECT_FALSE(search.FindMissingMark(10, options));
+  EXPECT_EQ(search.ComparisonsAt(10, options), 0);
   options.max_comparisons = 1000;
-  EXPECT_FALSE(engine.FindMissingMark(query, options, &memory));
-  EXPECT_EQ(engine.ComparisonsOf(query, options), 0);
+  EXPECT_FALSE(search.FindMissingMark(query, options));
+  EXPECT_EQ(search.ComparisonsAt(query, options), 0);
   options = engine.settings().search;
   options.use_belief = false;
-  EXPECT_FALSE(engine.FindMissingMark(query, options, &memory));
+  EXPECT_FALSE(search.FindMissingMark(query, options));
 }
 
 TEST(EngineBeliefTest, ASearchThatIsToldToStopStopsAtItsMarksToo) {
   std::mt19937_64 random = SeededRandom();
   Engine engine((EngineSettings()));
   engine.Append(Laps(random, 1.0), 1);
-  MarkMemory memory;
+  Search search(&engine);
   int asked = 0;
   const auto stop = [&asked] { return ++asked > 20; };
-  EXPECT_TRUE(absl::IsCancelled(
-      engine.FindCandidates(engine.settings().search, stop, &memory).status()));
+  EXPECT_TRUE(
+      absl::IsCancelled(search.AtEnd(engine.settings().search, stop).status()));
   EXPECT_LE(asked, 21);
 }
 

@@ -11,6 +11,7 @@
 
 #include "core/drive/correlation.h"
 #include "core/engine.h"
+#include "core/search/search.h"
 #include "tests/core/drives.h"
 #include "tests/random.h"
 
@@ -125,7 +126,7 @@ TEST(EngineDroppedTest, FindsAPlaceAmongThePassesThatAreLeft) {
   // The second lap is gone.
   DriveWithout(all, {{700, 1150}}, &engine);
   const auto found =
-      engine.FindCandidates(settings.search, [] { return false; });
+      Search(&engine).AtEnd(settings.search, [] { return false; });
   ASSERT_TRUE(found.ok());
   ASSERT_FALSE(found->candidates.empty());
   const Pose at = engine.graph().pose(found->candidates.front().matched);

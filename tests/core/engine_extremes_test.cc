@@ -9,6 +9,7 @@
 
 #include "core/engine.h"
 #include "core/geometry/heading.h"
+#include "core/search/search.h"
 #include "tests/random.h"
 
 namespace revisit::core {
@@ -154,7 +155,7 @@ TEST(EngineExtremesTest, AnswersWhateverIsValid) {
     Engine engine(extremes.settings);
     engine.Append(extremes.samples, 1);
     std::uint64_t revision = 1;
-    MarkMemory marks;
+    Search search(&engine);
     const auto any = [&] {
       return static_cast<std::uint64_t>(
           UniformInt(random, 1, static_cast<int>(extremes.samples.size())));
@@ -164,7 +165,7 @@ TEST(EngineExtremesTest, AnswersWhateverIsValid) {
            {AlignmentKind::kRelative, AlignmentKind::kComposite}) {
         SearchOptions options = extremes.settings.search;
         options.alignment = alignment;
-        const auto set = engine.FindCandidates(options, nullptr, &marks);
+        const auto set = search.AtEnd(options, nullptr);
         ExpectSane(set);
         with_candidates += set.ok() && !set->candidates.empty();
       }

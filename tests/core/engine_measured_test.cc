@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "core/engine.h"
+#include "core/search/search.h"
 #include "tests/core/drives.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/random.h"
@@ -92,7 +93,7 @@ Found FindAfter(const TwoLaps& laps, const std::vector<PoseSample>& samples,
   options.sequence_length_meters = 75.0;
   // The closure is all that is known of the drift.
   options.use_belief = false;
-  const auto set = engine.FindCandidates(options, nullptr);
+  const auto set = Search(&engine).AtEnd(options, nullptr);
   for (const Candidate& candidate : set->candidates) {
     const Node node = engine.graph().node(candidate.matched);
     const double off = static_cast<double>(node.sequence) - 1.0 -

@@ -9,6 +9,7 @@
 
 #include "core/engine.h"
 #include "core/geometry/heading.h"
+#include "core/search/search.h"
 #include "tests/core/drives.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/random.h"
@@ -42,7 +43,7 @@ EngineSettings IndependentSettings() {
 }
 
 CandidateSet Find(const Engine& engine, const SearchOptions& options) {
-  auto set = engine.FindCandidates(options, nullptr);
+  auto set = Search(&engine).AtEnd(options, nullptr);
   EXPECT_TRUE(set.ok());
   return *std::move(set);
 }
@@ -529,7 +530,7 @@ TEST(EngineRelativeTest, RejectedPairsAreNotOfferedUntilTheRejectionGoes) {
   // Queries farther away than the separation are not affected.
   const NodeIndex earlier = *before.query - 10;
   const auto other =
-      engine.FindCandidates(earlier, engine.settings().search, nullptr);
+      Search(&engine).At(earlier, engine.settings().search, nullptr);
   EXPECT_EQ(other->candidates[0].verdict, Verdict::kAccepted);
   EXPECT_NEAR(static_cast<double>(other->candidates[0].matched),
               static_cast<double>(best.matched - 10), 1.0);
@@ -586,7 +587,7 @@ TEST(EngineRelativeTest, APlaceAndANewOneAreTogetherNoMoreThanCertain) {
     options.direction = SearchDirection::kEither;
     options.max_candidates = 100;
     for (NodeIndex query = 700; query < engine.graph().size(); query += 90) {
-      const auto set = engine.FindCandidates(query, options, nullptr);
+      const auto set = Search(&engine).At(query, options, nullptr);
       for (const Candidate& candidate : set->candidates) {
         EXPECT_GE(candidate.relative->probability, 0.0);
         EXPECT_LE(candidate.relative->probability + *set->new_place_probability,
@@ -628,8 +629,8 @@ TEST(EngineRelativeTest, AnAnswerDoesNotDependOnNodesAfterTheQuery) {
   SearchOptions options;
   options.direction = SearchDirection::kEither;
   const NodeIndex query = then.graph().size() - 1;
-  const auto a = then.FindCandidates(query, options, nullptr);
-  const auto b = later.FindCandidates(query, options, nullptr);
+  const auto a = Search(&then).At(query, options, nullptr);
+  const auto b = Search(&later).At(query, options, nullptr);
   ExpectAlike(*a, *b, 0.0);
 }
 

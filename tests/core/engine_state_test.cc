@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "core/engine.h"
+#include "core/search/search.h"
 #include "tests/core/graphs.h"
 #include "tests/random.h"
 
@@ -157,14 +158,14 @@ void ExpectSameSet(const CandidateSet& a, const CandidateSet& b) {
 void ExpectSameAnswers(const Engine& a, const Engine& b, NodeIndex query) {
   const auto never = [] { return false; };
   const auto& options = a.settings().search;
-  const auto left = a.FindCandidates(query, options, never);
-  const auto right = b.FindCandidates(query, options, never);
+  const auto left = Search(&a).At(query, options, never);
+  const auto right = Search(&b).At(query, options, never);
   ASSERT_TRUE(left.ok() && right.ok());
   ExpectSameSet(*left, *right);
   SearchOptions composite = options;
   composite.alignment = AlignmentKind::kComposite;
-  const auto left_sum = a.FindCandidates(query, composite, never);
-  const auto right_sum = b.FindCandidates(query, composite, never);
+  const auto left_sum = Search(&a).At(query, composite, never);
+  const auto right_sum = Search(&b).At(query, composite, never);
   ASSERT_TRUE(left_sum.ok() && right_sum.ok());
   ExpectSameSet(*left_sum, *right_sum);
 }
@@ -330,7 +331,7 @@ TEST(EngineStateTest, FlippedBitsAreRefusedOrDoNoHarm) {
       loaded->Append(more, 1);
       if (round % 10 != 0) continue;
       EXPECT_TRUE(
-          loaded->FindCandidates(settings.search, [] { return false; }).ok());
+          Search(loaded.get()).AtEnd(settings.search, [] { return false; }).ok());
     }
   }
   EXPECT_GT(usable, 0);

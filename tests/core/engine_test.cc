@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "core/geometry/heading.h"
+#include "core/search/search.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/random.h"
 
@@ -43,7 +44,7 @@ Engine Driven(double meters, const EngineSettings& settings = {}) {
 
 TEST(EngineTest, RecognisesTheSecondLap) {
   const Engine engine = Driven(1700.0);
-  const auto set = engine.FindCandidates(engine.settings().search, nullptr);
+  const auto set = Search(&engine).AtEnd(engine.settings().search, nullptr);
   ASSERT_TRUE(set.ok());
   ASSERT_FALSE(set->candidates.empty());
   EXPECT_EQ(set->empty_reason, EmptyReason::kNotEmpty);
@@ -69,8 +70,8 @@ TEST(EngineTest, TheAnswerAtANodeDoesNotDependOnWhatCameAfter) {
   const Engine later = Driven(2600.0);
   const NodeIndex query = then.graph().size() - 1;
   const SearchOptions options;
-  const auto a = then.FindCandidates(query, options, nullptr);
-  const auto b = later.FindCandidates(query, options, nullptr);
+  const auto a = Search(&then).At(query, options, nullptr);
+  const auto b = Search(&later).At(query, options, nullptr);
   ASSERT_EQ(a->candidates.size(), b->candidates.size());
   for (std::size_t i = 0; i < a->candidates.size(); ++i) {
     EXPECT_EQ(a->candidates[i].score, b->candidates[i].score);
@@ -129,26 +130,26 @@ TEST(EngineTest, ChecksFollowChangedSettings) {
 TEST(EngineTest, SaysWhyAnAnswerIsEmpty) {
   const SearchOptions options;
   const Engine nothing({});
-  auto set = nothing.FindCandidates(options, nullptr);
+  auto set = Search(&nothing).AtEnd(options, nullptr);
   EXPECT_EQ(set->empty_reason, EmptyReason::kPathTooShort);
   EXPECT_EQ(set->query, std::nullopt);
 
-  EXPECT_EQ(Driven(140.0).FindCandidates(options, nullptr)->empty_reason,
-            EmptyReason::kPathTooShort);
+  const auto reason = [](double meters, const SearchOptions& asked) {
+    const Engine engine = Driven(meters);
+    return Search(&engine).AtEnd(asked, nullptr)->empty_reason;
+  };
+  EXPECT_EQ(reason(140.0, options), EmptyReason::kPathTooShort);
   // 75 nodes, 148 m: a sequence with nothing before it.
-  EXPECT_EQ(Driven(148.0).FindCandidates(options, nullptr)->empty_reason,
-            EmptyReason::kNoHistory);
+  EXPECT_EQ(reason(148.0, options), EmptyReason::kNoHistory);
 
   SearchOptions separated;
   separated.candidate_separation_meters = 500.0;
-  EXPECT_EQ(Driven(400.0).FindCandidates(separated, nullptr)->empty_reason,
-            EmptyReason::kAllSuppressed);
+  EXPECT_EQ(reason(400.0, separated), EmptyReason::kAllSuppressed);
 
   // A history of a single node has no path of 75.
   SearchOptions composite;
   composite.alignment = AlignmentKind::kComposite;
-  EXPECT_EQ(Driven(150.0).FindCandidates(composite, nullptr)->empty_reason,
-            EmptyReason::kNoAlignment);
+  EXPECT_EQ(reason(150.0, composite), EmptyReason::kNoAlignment);
 }
 
 TEST(EngineTest, ThePathStartsAnewAfterAJump) {
@@ -160,13 +161,13 @@ TEST(EngineTest, ThePathStartsAnewAfterAJump) {
   const AppendResult result = engine.Append(samples, 1);
   ASSERT_EQ(result.jumps.size(), 1u);
   EXPECT_EQ(result.jumps[0].sequence, 601u);
-  EXPECT_EQ(engine.FindCandidates({}, nullptr)->empty_reason,
+  EXPECT_EQ(Search(&engine).AtEnd({}, nullptr)->empty_reason,
             EmptyReason::kPathTooShort);
 }
 
 TEST(EngineTest, StopsWhenTold) {
   const Engine engine = Driven(1300.0);
-  const auto set = engine.FindCandidates({}, [] { return true; });
+  const auto set = Search(&engine).AtEnd({}, [] { return true; });
   EXPECT_EQ(set.status().code(), absl::StatusCode::kCancelled);
 }
 
@@ -192,7 +193,7 @@ TEST(EngineTest, OptionsOverrideTheVehicles) {
   options.sequence_length_meters = 60.0;
   options.correlation_model = CorrelationModel::kIndependent;
   options.gate_probability = 0.5;
-  const auto set = engine.FindCandidates(options, nullptr);
+  const auto set = Search(&engine).AtEnd(options, nullptr);
   ASSERT_EQ(set->candidates.size(), 2u);
   EXPECT_EQ(set->candidates[0].path.size(), 30u);
   EXPECT_NEAR(set->candidates[0].difference.gate.threshold, 2.36597, 1e-5);
@@ -206,8 +207,8 @@ TEST(EngineTest, PlanarAndSpatialAgreeOnAFlatRoad) {
   Engine spatial(settings);
   spatial.Append(samples, 1);
   const Engine planar = Driven(1700.0);
-  const auto a = spatial.FindCandidates({}, nullptr);
-  const auto b = planar.FindCandidates({}, nullptr);
+  const auto a = Search(&spatial).AtEnd({}, nullptr);
+  const auto b = Search(&planar).AtEnd({}, nullptr);
   EXPECT_EQ(a->candidates[0].matched, b->candidates[0].matched);
   EXPECT_EQ(a->candidates[0].difference.gate.degrees_of_freedom, 4);
   EXPECT_NEAR(a->candidates[0].difference.gate.squared_mahalanobis,

@@ -5,6 +5,7 @@
 #include <optional>
 
 #include "core/engine.h"
+#include "core/search/search.h"
 #include "server/base/status.h"
 #include "server/base/status_grpc.h"
 
@@ -68,7 +69,7 @@ void Drive(const server::VehicleConfig& config,
   for (const core::NodeIndex node : applied.checks_due) {
     if (++searches > 3) break;
     const auto found =
-        engine.FindCandidates(node, config.engine.search, nullptr);
+        core::Search(&engine).At(node, config.engine.search, nullptr);
     Require(found.ok(), "a search that is not stopped answers");
     for (const core::Candidate& candidate : found->candidates) {
       Require(!std::isnan(candidate.score), "a score is a number");

@@ -15,6 +15,10 @@
 namespace revisit::core {
 namespace {
 
+// Marks lie so close that a place found at one still tells the drift at the
+// next.
+constexpr double kMarksPerSequence = 3.0;
+
 // Ends that have at most this share of all odds together are pruned: evidence
 // that counts for a tenth of an observation needs no more (kPrunedShare).
 constexpr double kPrunedMarkShare = 1e-3;
@@ -46,6 +50,11 @@ class OddsByScale {
 };
 
 }  // namespace
+
+double MarkSpacing(const EngineSettings& settings) {
+  return std::max(settings.node_spacing_meters,
+                  settings.search.sequence_length_meters / kMarksPerSequence);
+}
 
 SearchOptions MarkOptions(const SearchOptions& own) {
   SearchOptions options;

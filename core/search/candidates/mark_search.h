@@ -10,6 +10,8 @@
 
 namespace revisit::core {
 
+// Meters of path between the marks of a vehicle.
+double MarkSpacing(const EngineSettings& settings);
 // The options with which the marks of a vehicle are searched that has these of
 // its own. They tell apart what marks depend on: all others are at their
 // defaults.

@@ -2,6 +2,19 @@
 
 namespace revisit::core {
 
+Correlation CorrelationOf(const SearchOptions& options) {
+  return {options.correlation_model, options.fix_correlation_meters};
+}
+
+SimilarityModel ClaimedModel(StateSpace space, const SearchOptions& options) {
+  SimilarityModel model;
+  model.state_space = space;
+  model.correlation = CorrelationOf(options);
+  model.form = options.likelihood_form;
+  model.tolerance = options.place_tolerance;
+  return model;
+}
+
 std::vector<Direction> Directions(SearchDirection direction) {
   switch (direction) {
     case SearchDirection::kSame:

@@ -21,22 +21,31 @@
 namespace revisit::core {
 
 struct SearchTask {
+  SearchTask(const PoseGraph& of_graph, const MotionHistory& of_motion,
+             const BlockBounds& of_blocks, const SearchOptions& with_options,
+             const ShouldStop& stop)
+      : graph(of_graph),
+        motion_history(of_motion),
+        block_bounds(of_blocks),
+        options(with_options),
+        should_stop(stop) {}
+
   const PoseGraph& graph;
   // Indexes of the graph.
   const MotionHistory& motion_history;
   const BlockBounds& block_bounds;
 
   const SearchOptions& options;
-  double node_spacing_meters;
+  double node_spacing_meters = 0.0;
   // The model that the options ask for, inflated. Its direction is ignored.
   SimilarityModel similarity;
 
   // The `steps` nodes that end at `query` are sought in the history [0,
   // history_size), but not as ends in `not_sought`. The history may hold the
   // first of these nodes too.
-  NodeIndex query;
-  std::int64_t steps;
-  NodeIndex history_size;
+  NodeIndex query = 0;
+  std::int64_t steps = 0;
+  NodeIndex history_size = 0;
   std::vector<NodeRange> not_sought;
   // The last loop closure whose nodes both lie at or before the query.
   std::optional<ConfirmedLoop> last_confirmed;
@@ -47,6 +56,13 @@ struct SearchTask {
   // The parts of an alignment of the same nodes with the same options, or null.
   AlignmentParts* parts = nullptr;
 };
+
+// The correlation that the options ask for.
+Correlation CorrelationOf(const SearchOptions& options);
+
+// The model that the options ask for, with the claimed covariances: not
+// inflated.
+SimilarityModel ClaimedModel(StateSpace space, const SearchOptions& options);
 
 // The directions that a search looks in: the same direction first.
 std::vector<Direction> Directions(SearchDirection direction);

@@ -19,6 +19,7 @@
 #include "core/geometry/heading.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/candidates/gate.h"
+#include "core/search/search.h"
 #include "tests/bench/peers/mrpt_association.h"
 
 namespace revisit::bench {
@@ -382,7 +383,7 @@ int Run(const std::vector<std::string>& files,
         queries.push_back(query);
         for (Method* const method : {&relative, &paper}) {
           method->milliseconds.push_back(MillisecondsOf([&] {
-            const auto found = engine.FindCandidates(
+            const auto found = core::Search(&engine).At(
                 query, method == &relative ? settings.search : composite,
                 nullptr);
             method->answers.push_back(

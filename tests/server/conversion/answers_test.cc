@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "core/geometry/heading.h"
+#include "core/search/search.h"
 #include "gmock/gmock.h"
 #include "google/protobuf/util/message_differencer.h"
 #include "gtest/gtest.h"
@@ -53,8 +54,8 @@ v1::CandidateSet Answer(const VehicleConfig& config, bool with_path) {
   const std::string id = "square";
   const core::Engine engine = TwoLaps(config.engine);
   const VehicleView view{id, config, engine, 1, 481, 7, 0};
-  const auto found =
-      engine.FindCandidates(engine.settings().search, [] { return false; });
+  const auto found = core::Search(&engine).AtEnd(engine.settings().search,
+                                                 [] { return false; });
   EXPECT_THAT(found, IsOk());
   v1::CandidateSet message;
   EncodeCandidateSet(view, *found, with_path,
@@ -219,7 +220,7 @@ TEST(AnswerTest, VehicleWithoutNodesHasNoQuery) {
   const core::Engine engine(config.engine);
   const VehicleView view{id, config, engine, 1, 0, 1, 0};
   const auto found =
-      engine.FindCandidates(config.engine.search, [] { return false; });
+      core::Search(&engine).AtEnd(config.engine.search, [] { return false; });
   ASSERT_THAT(found, IsOk());
   v1::CandidateSet set;
   EncodeCandidateSet(view, *found, false, {}, &set);

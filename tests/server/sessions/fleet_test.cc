@@ -543,8 +543,7 @@ TEST(FleetStressTest, AllKindsOfWorkAtOnceChangeNoAnswer) {
             ->LongRead([&](const absl::StatusOr<VehicleView>& view) {
               EXPECT_THAT(view.status(), IsOk());
               const core::SearchOptions& options = view->config.engine.search;
-              EXPECT_THAT(view->engine.FindCandidates(options, nullptr),
-                          IsOk());
+              EXPECT_THAT(view->search->AtEnd(options, nullptr), IsOk());
               EXPECT_EQ(view->durable_sequence % Driver::kBatchPoses, 0u);
               answer.Set(view->durable_sequence);
             });

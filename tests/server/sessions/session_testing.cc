@@ -43,8 +43,8 @@ Snapshot Take(const VehicleView& view) {
     text << from << " - " << to << "\n";
   }
   snapshot.graph = text.str();
-  const auto found = view.engine.FindCandidates(
-      view.config.engine.search, [] { return false; }, view.marks);
+  const auto found =
+      view.search->AtEnd(view.config.engine.search, [] { return false; });
   std::ostringstream candidates;
   candidates << std::hexfloat;
   if (found.ok()) {

@@ -641,7 +641,7 @@ TEST(SnapshotStressTest, VehiclesThatComeAndGoAreAsReplayedWhole) {
       const Answer<std::string> answer;
       session.Search("calls", [&](const absl::StatusOr<VehicleView>& view) {
         const auto set =
-            view->engine.FindCandidates(view->config.engine.search, nullptr);
+            view->search->AtEnd(view->config.engine.search, nullptr);
         std::string text;
         for (const core::Candidate& candidate : set->candidates) {
           text += std::to_string(candidate.matched) + " " +

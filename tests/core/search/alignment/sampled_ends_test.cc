@@ -17,6 +17,7 @@
 #include "core/search/alignment/recent_path.h"
 #include "core/search/alignment/relative.h"
 #include "core/search/belief/mark.h"
+#include "core/search/search.h"
 #include "tests/bench/roads.h"
 
 namespace revisit::core {
@@ -29,8 +30,8 @@ constexpr double kMostSampled = -4.6;
 const PoseGraph& Roads() { return bench::Roads(kNodes); }
 
 // A drive by dead reckoning, and a search of it.
-struct Search {
-  Search()
+struct TownSearch {
+  TownSearch()
       : history(StateSpace::kPlanar, CorrelationModel::kDeadReckoning,
                 StretchNodes(ShapeModel(), bench::kSpacing, kSteps)),
         bounds(StateSpace::kPlanar) {
@@ -73,7 +74,7 @@ std::vector<std::vector<WeighedScale>> Claims() {
 }
 
 TEST(SampledEndsTest, WhatMayBeProbableIsFoundToTheLastBit) {
-  Search search;
+  TownSearch search;
   std::size_t probable = 0;
   std::size_t of_all = 0;
   std::size_t of_sampled = 0;
@@ -114,7 +115,7 @@ TEST(SampledEndsTest, WhatMayBeProbableIsFoundToTheLastBit) {
 }
 
 TEST(SampledEndsTest, SamplesStandForTheOddsOfAllOthers) {
-  Search search;
+  TownSearch search;
   double most_apart = 0.0;
   search.model.scales = Claims().back();
   for (const NodeIndex query : Queries()) {
@@ -147,7 +148,7 @@ NodeIndex Slipped(const std::vector<PathStep>& path) {
 }
 
 TEST(HeadingMatchTest, NoPathGainsMoreUnlessItSlipsMore) {
-  Search search;
+  TownSearch search;
   std::size_t slipped = 0;
   std::size_t paths = 0;
   double to_spare = 0.0;
@@ -185,7 +186,7 @@ TEST(HeadingMatchTest, NoPathGainsMoreUnlessItSlipsMore) {
 }
 
 TEST(HeadingMatchTest, ShortPathsTellNothing) {
-  const Search search;
+  const TownSearch search;
   const RecentPath<3> recent(Roads(), search.model, 1000, 5);
   EXPECT_FALSE(HeadingMatch::Make<3>(Roads(), search.history.heading_bins(),
                                      recent, 1000, 900));
@@ -194,7 +195,7 @@ TEST(HeadingMatchTest, ShortPathsTellNothing) {
 TEST(SampledEndsTest, VerdictsAreThoseOfExhaustiveSearches) {
   EngineSettings settings;
   Engine engine(settings);
-  MarkMemory memory;
+  Search search(&engine);
   SearchOptions exhaustive = settings.search;
   exhaustive.exhaustive = true;
   std::size_t checks = 0;
@@ -206,10 +207,8 @@ TEST(SampledEndsTest, VerdictsAreThoseOfExhaustiveSearches) {
     sample.covariance = node.covariance;
     const AppendResult result = engine.Append({sample}, sample.sequence);
     for (const NodeIndex query : result.checks_due) {
-      const auto found =
-          engine.FindCandidates(query, settings.search, nullptr, &memory);
-      const auto wanted =
-          engine.FindCandidates(query, exhaustive, nullptr, &memory);
+      const auto found = search.At(query, settings.search, nullptr);
+      const auto wanted = search.At(query, exhaustive, nullptr);
       ASSERT_TRUE(found.ok() && wanted.ok());
       EXPECT_NEAR(found->new_place_probability.value_or(1.0),
                   wanted->new_place_probability.value_or(1.0), 0.01);

@@ -1,0 +1,271 @@
+#include "core/search/search.h"
+
+#include <algorithm>
+#include <cassert>
+#include <utility>
+#include <vector>
+
+#include "core/drive/node_range.h"
+#include "core/search/belief/begins_with_belief.h"
+#include "core/search/candidates/composite_search.h"
+#include "core/search/candidates/mark_search.h"
+#include "core/search/candidates/relative_search.h"
+
+namespace revisit::core {
+namespace {
+
+// Marks whose evidence is kept for later searches before those that the search
+// at hand does not need are forgotten. A search needs at most a sixth of it.
+constexpr std::size_t kMostMarksKept =
+    6 * static_cast<std::size_t>(kMostScaleMarks + kDriftMarks);
+
+}  // namespace
+
+absl::StatusOr<CandidateSet> Search::AtEnd(const SearchOptions& options,
+                                           const ShouldStop& should_stop) {
+  const NodeIndex size = drive_.graph().size();
+  if (size == 0) {
+    CandidateSet empty;
+    empty.empty_reason = EmptyReason::kPathTooShort;
+    return empty;
+  }
+  return At(size - 1, options, should_stop);
+}
+
+absl::StatusOr<CandidateSet> Search::At(NodeIndex query,
+                                        const SearchOptions& options,
+                                        const ShouldStop& should_stop) {
+  assert(query >= 0 && query < drive_.graph().size());
+  assert(FindProblems(options, drive_.settings()).empty());
+  CandidateSet set;
+  set.query = query;
+  const auto empty = [&set](EmptyReason reason) {
+    set.empty_reason = reason;
+    return set;
+  };
+
+  const Extent extent = ExtentOfSearch(query, options);
+  set.comparisons = extent.comparisons;
+  if (extent.empty) return empty(*extent.empty);
+
+  AlignmentParts parts;
+  SearchTask task = TaskOf(query, extent, options, should_stop);
+  task.similarity = drive_.SimilarityOf(options);
+  task.not_sought =
+      drive_.NotSought(query, options.candidate_separation_meters);
+  task.last_confirmed = drive_.LastConfirmed(query);
+  task.parts = &parts;
+  if (BeginsWithBelief(options, drive_.settings())) {
+    absl::StatusOr<DriveBelief> found = BeliefAt(query, should_stop);
+    if (!found.ok()) return found.status();
+    task.belief = *std::move(found);
+  }
+  set.nodes_considered = extent.history_size;
+  if (task.belief) set.scale = task.belief->Scale();
+  const absl::Status status = options.alignment == AlignmentKind::kComposite
+                                  ? SearchComposite(task, &set)
+                                  : SearchRelative(task, &set);
+  if (!status.ok()) return status;
+  if (task.belief && AlignsAsMarks(options)) {
+    RememberIfMark(query, should_stop, &parts);
+  }
+  for (std::size_t i = 0; i < set.candidates.size(); ++i) {
+    set.candidates[i].rank = static_cast<int>(i) + 1;
+  }
+  if (set.candidates.empty()) {
+    return empty(set.nodes_pruned > 0 ? EmptyReason::kNoProbablePlace
+                                      : EmptyReason::kNoAlignment);
+  }
+  return set;
+}
+
+Search::Extent Search::ExtentOf(NodeIndex query,
+                                const SearchOptions& options) const {
+  Extent extent;
+  const std::int64_t steps = SequenceNodes(
+      options.sequence_length_meters, drive_.settings().node_spacing_meters);
+  if (query - drive_.graph().SegmentStart(query) + 1 < steps) {
+    extent.empty = EmptyReason::kPathTooShort;
+    return extent;
+  }
+  // Eq. 5: the graph without the nodes of the sequence.
+  extent.history_size = query - steps + 1;
+  if (extent.history_size == 0) {
+    extent.empty = EmptyReason::kNoHistory;
+    return extent;
+  }
+  extent.aligned = AlignedNodes(query, steps, options);
+  extent.comparisons =
+      extent.aligned * extent.history_size *
+      static_cast<std::int64_t>(Directions(options.direction).size());
+  return extent;
+}
+
+Search::Extent Search::ExtentOfSearch(NodeIndex query,
+                                      const SearchOptions& options) const {
+  Extent extent = ExtentOf(query, options);
+  if (extent.empty) return extent;
+  if (drive_.graph().node(query).travelled_meters -
+          drive_.graph().node(0).travelled_meters <
+      options.candidate_separation_meters) {
+    extent = Extent();
+    extent.empty = EmptyReason::kAllSuppressed;
+  } else if (extent.comparisons > options.max_comparisons) {
+    extent.empty = EmptyReason::kTooMuchWork;
+  }
+  return extent;
+}
+
+Search::MarksBefore Search::FindMarksBefore(NodeIndex query) const {
+  const std::int64_t last = Marks().LastBefore(query);
+  return {ScaleMarks(last), std::max<std::int64_t>(1, last - kDriftMarks + 1),
+          last};
+}
+
+std::int64_t Search::ComparisonsAt(NodeIndex query,
+                                   const SearchOptions& options) const {
+  const Extent extent = ExtentOfSearch(query, options);
+  return extent.empty ? 0 : extent.comparisons;
+}
+
+std::optional<Search::MissingMark> Search::FindMissingMark(
+    NodeIndex query, const SearchOptions& options) {
+  if (!BeginsWithBelief(options, drive_.settings())) return std::nullopt;
+  const Extent search = ExtentOfSearch(query, options);
+  if (search.empty) return std::nullopt;
+  marks_.Enter(drive_.mark_settings_version());
+  const auto missing = [&](std::int64_t mark) {
+    const Extent extent =
+        ExtentOf(Marks().NodeOf(mark), MarkOptions(drive_.settings().search));
+    return MissingMark{mark, extent.comparisons, search.comparisons};
+  };
+  const MarksBefore marks = FindMarksBefore(query);
+  for (const std::int64_t mark : marks.of_scale.marks) {
+    if (!marks_.Find(mark)) return missing(mark);
+  }
+  for (std::int64_t mark = marks.first_of_drift; mark <= marks.last; ++mark) {
+    if (!marks_.Find(mark)) return missing(mark);
+  }
+  return std::nullopt;
+}
+
+absl::Status Search::LearnMark(const MissingMark& missing,
+                               const ShouldStop& should_stop) {
+  const absl::StatusOr<MarkEvidence> found =
+      EvidenceAt(Marks().NodeOf(missing.mark), should_stop);
+  if (found.ok()) marks_.Keep(missing.mark, *found);
+  return found.status();
+}
+
+absl::StatusOr<DriveBelief> Search::BeliefAt(NodeIndex query,
+                                             const ShouldStop& should_stop) {
+  marks_.Enter(drive_.mark_settings_version());
+  const MarkLine line = Marks();
+  const auto evidence =
+      [&](std::int64_t mark) -> absl::StatusOr<const MarkEvidence*> {
+    if (const MarkEvidence* known = marks_.Find(mark)) return known;
+    absl::StatusOr<MarkEvidence> found =
+        EvidenceAt(line.NodeOf(mark), should_stop);
+    if (!found.ok()) return found.status();
+    return &marks_.Keep(mark, *found);
+  };
+  DriveBelief belief;
+  const MarksBefore marks = FindMarksBefore(query);
+  for (const std::int64_t mark : marks.of_scale.marks) {
+    const auto found = evidence(mark);
+    if (!found.ok()) return found.status();
+    belief.LearnScale(**found, marks.of_scale.stride);
+  }
+  for (std::int64_t mark = marks.first_of_drift; mark <= marks.last; ++mark) {
+    const auto found = evidence(mark);
+    if (!found.ok()) return found.status();
+    if (!ShowsDrift(**found, query)) continue;
+    belief.LearnDrift(drive_.graph(), **found,
+                      kDriftReach * line.spacing_meters);
+  }
+  marks_.Tidy(kMostMarksKept, [&](std::int64_t mark) {
+    return mark >= marks.first_of_drift || mark % marks.of_scale.stride == 0;
+  });
+  return belief;
+}
+
+MarkLine Search::Marks() const {
+  return {drive_.graph(), MarkSpacing(drive_.settings()), drive_.dropped()};
+}
+
+// Whether a search with these options aligns the path that a mark there does.
+bool Search::AlignsAsMarks(const SearchOptions& options) const {
+  const SearchOptions& own = drive_.settings().search;
+  return own.alignment == options.alignment &&
+         own.sequence_length_meters == options.sequence_length_meters &&
+         own.place_tolerance == options.place_tolerance &&
+         own.shape == options.shape;
+}
+
+// The next search will need the mark, which now takes less.
+void Search::RememberIfMark(NodeIndex query, const ShouldStop& should_stop,
+                            AlignmentParts* parts) {
+  const MarkLine line = Marks();
+  const std::int64_t mark = line.LastBefore(query) + 1;
+  if (mark < 1 || line.NodeOf(mark) != query || marks_.Find(mark)) return;
+  const absl::StatusOr<MarkEvidence> found =
+      EvidenceAt(query, should_stop, parts);
+  if (found.ok()) marks_.Keep(mark, *found);
+}
+
+// What a verifier has judged counts for more: a closure shows the drift better
+// than earlier marks do, and a place that was rejected shows none.
+bool Search::ShowsDrift(const MarkEvidence& mark, NodeIndex query) const {
+  if (!mark.matched) return false;
+  if (const auto closure = drive_.LastConfirmed(query)) {
+    if (mark.node <= std::max(closure->query, closure->matched)) return false;
+  }
+  const std::vector<NodeRange> not_sought = drive_.NotSought(
+      mark.node, drive_.settings().search.candidate_separation_meters);
+  return std::none_of(
+      not_sought.begin(), not_sought.end(), [&mark](const NodeRange& nodes) {
+        return nodes.first <= *mark.matched && *mark.matched < nodes.last;
+      });
+}
+
+absl::StatusOr<MarkEvidence> Search::EvidenceAt(NodeIndex node,
+                                                const ShouldStop& should_stop,
+                                                AlignmentParts* parts) const {
+  const SearchOptions options = MarkOptions(drive_.settings().search);
+  const Extent extent = ExtentOf(node, options);
+  if (extent.empty) {
+    MarkEvidence nothing;
+    nothing.node = node;
+    return nothing;
+  }
+  SearchTask task = TaskOf(node, extent, options, should_stop);
+  task.similarity = ClaimedModel(drive_.settings().state_space, options);
+  task.not_sought = {
+      NodesNearer(drive_.graph(), node, options.candidate_separation_meters)};
+  task.parts = parts;
+  return SearchMark(task);
+}
+
+SearchTask Search::TaskOf(NodeIndex query, const Extent& extent,
+                          const SearchOptions& options,
+                          const ShouldStop& should_stop) const {
+  SearchTask task(drive_.graph(), drive_.motion_history(),
+                  drive_.block_bounds(), options, should_stop);
+  task.node_spacing_meters = drive_.settings().node_spacing_meters;
+  task.query = query;
+  task.steps = extent.aligned;
+  task.history_size = extent.history_size;
+  return task;
+}
+
+std::int64_t Search::AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,
+                                  const SearchOptions& options) const {
+  if (options.alignment == AlignmentKind::kComposite ||
+      options.correlation_model == CorrelationModel::kIndependent) {
+    return sequence_nodes;
+  }
+  return std::min(kOverlapSequences * sequence_nodes,
+                  query - drive_.graph().SegmentStart(query) + 1);
+}
+
+}  // namespace revisit::core
