@@ -65,7 +65,7 @@ def cut_from_database(run, cut):
     by way of Envoy. It is not healed before others serve its vehicles, and then they
     are served on until it is over."""
     rounds = run.rounds(short=1, long=8)
-    lasting = run.rounds(short=10, long=60)
+    lasting = run.rounds(short=10, long=20)
     slowest = silence = 0.0
     # Clients wait for an answer as long as it takes: they do not go away by
     # themselves.
