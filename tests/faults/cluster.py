@@ -2,6 +2,7 @@
 PostgreSQL, the clients of some vehicles, and the judgement in the end."""
 
 import contextlib
+import math
 import os
 import signal
 import time
@@ -68,6 +69,8 @@ class Cluster:
         that is there already."""
         directory = run.new(f"cluster{run.rng.randrange(10**9)}")
         self.servers = {}
+        # When, by incarnation.
+        self._asked_to_end = {}
         self._directory = directory
         self._rng = run.rng
         self.front = front
@@ -160,6 +163,10 @@ class Cluster:
     def terminate(self, number, seconds=30):
         """Its end as an operator asks for it; answers how long that took."""
         server = self.servers[number]
+        for (incarnation,) in self.database.sql(
+                "SELECT incarnation FROM servers WHERE state = 'live' AND address = "
+                f"'{server.address}'"):
+            self._asked_to_end[incarnation] = time.time()
         begun = time.monotonic()
         server.process.send_signal(signal.SIGTERM)
         assert server.process.wait(seconds) == 0, server.log()[-3000:]
@@ -226,8 +233,10 @@ class Cluster:
                 "SELECT v.id, extract(epoch FROM c.at), c.owner, c.previous, "
                 "c.previous_lived FROM faults.claims c JOIN vehicles v USING (key) "
                 "ORDER BY c.at"):
+            stayed = lived == "t" and float(at) < self._asked_to_end.get(
+                previous, math.inf)
             found[f"vehicles/{name}"].append(
-                Claim(float(at), owner, previous, lived == "t"))
+                Claim(float(at), owner, previous, stayed))
         return found
 
     # The judgement.

@@ -33,13 +33,14 @@ class Read:
 
 @dataclasses.dataclass(frozen=True)
 class Claim:
-    """The vehicle went to `owner`, or to nobody. `previous_lived`: whether the
-    owner before was alive in the database at that moment."""
+    """The vehicle went to `owner`, or to nobody. `previous_stayed`: whether the
+    owner before was alive in the database at that moment, and had not been asked to
+    end: a server that is about to end gives its vehicles to whoever asks."""
 
     at: float
     owner: str
     previous: str
-    previous_lived: bool
+    previous_stayed: bool
 
 
 @dataclasses.dataclass
@@ -134,27 +135,27 @@ def _of_reads(acks, reads, head):
 
 
 def moves(claims):
-    """(at, the new owner, whether the one before lived), for each claim of another
+    """(at, the new owner, whether the one before stayed), for each claim of another
     server than the one before."""
-    owner, left_alive = None, False
+    owner, left_by_one_that_stays = None, False
     for claim in sorted(claims, key=lambda each: each.at):
         if not claim.owner:
-            left_alive = claim.previous_lived
+            left_by_one_that_stays = claim.previous_stayed
             continue
         if claim.owner != owner:
             if owner is not None:
-                yield (claim.at, claim.owner, claim.previous_lived
-                       if claim.previous else left_alive)
+                yield (claim.at, claim.owner, claim.previous_stayed
+                       if claim.previous else left_by_one_that_stays)
             owner = claim.owner
 
 
 def hasty_moves(claims, apart_seconds):
     """Violations of the promise that a vehicle does not go back and forth: from a
-    server that lives it moves no sooner than so long after it came there from
+    server that stays it moves no sooner than so long after it came there from
     another."""
     came = None
-    for at, _, lived in moves(claims):
-        if lived and came is not None and at - came < apart_seconds - 0.5:
-            yield (f"MOVED at {at:.3f} from a server that lives, {at - came:.1f} s "
+    for at, _, stayed in moves(claims):
+        if stayed and came is not None and at - came < apart_seconds - 0.5:
+            yield (f"MOVED at {at:.3f} from a server that stays, {at - came:.1f} s "
                    "after it came there")
         came = at
