@@ -42,7 +42,7 @@ void CheckSearch(const SearchOptions& options, double node_spacing_meters,
 
 }  // namespace
 
-std::vector<SettingProblem> FindProblems(const EngineSettings& settings) {
+std::vector<SettingProblem> FindProblems(const DriveSettings& settings) {
   std::vector<SettingProblem> problems;
   for (const NumberSetting& number : NumbersOf(settings)) {
     Check(number, &problems);
@@ -52,7 +52,7 @@ std::vector<SettingProblem> FindProblems(const EngineSettings& settings) {
 }
 
 std::vector<SettingProblem> FindProblems(const SearchOptions& options,
-                                         const EngineSettings& vehicle) {
+                                         const DriveSettings& vehicle) {
   std::vector<SettingProblem> problems;
   CheckSearch(options, vehicle.node_spacing_meters, &problems);
   if (options.correlation_model == CorrelationModel::kFilter &&
@@ -65,8 +65,8 @@ std::vector<SettingProblem> FindProblems(const SearchOptions& options,
   return problems;
 }
 
-bool MovesNodes(const EngineSettings& before, const EngineSettings& after) {
-  const auto carries_transitions = [](const EngineSettings& settings) {
+bool MovesNodes(const DriveSettings& before, const DriveSettings& after) {
+  const auto carries_transitions = [](const DriveSettings& settings) {
     return settings.search.correlation_model == CorrelationModel::kFilter;
   };
   return before.state_space != after.state_space ||
@@ -82,7 +82,7 @@ double LongestStep(double node_spacing_meters) {
 }
 
 double DefaultMaxStep(double node_spacing_meters) {
-  return std::min(EngineSettings{}.max_step_meters,
+  return std::min(DriveSettings{}.max_step_meters,
                   LongestStep(node_spacing_meters));
 }
 

@@ -69,7 +69,7 @@ struct SearchOptions {
   bool use_belief = true;
 };
 
-struct EngineSettings {
+struct DriveSettings {
   StateSpace state_space = StateSpace::kPlanar;
   // Travelled distance between two nodes.
   double node_spacing_meters = 2.0;
@@ -117,7 +117,7 @@ double LongestStep(double node_spacing_meters);
 
 // All numbers among the settings with their ranges, in the order in which
 // problems are reported; but see FindProblems() for sequence_length_meters.
-inline std::vector<NumberSetting> NumbersOf(const EngineSettings& s) {
+inline std::vector<NumberSetting> NumbersOf(const DriveSettings& s) {
   return {{"node_spacing_meters", s.node_spacing_meters, kLeastSpacingMeters,
            1000.0},
           {"check_interval_meters", s.check_interval_meters,
@@ -162,14 +162,14 @@ struct SettingProblem {
 
 // All problems of the settings; none if they are valid. A sequence has 1 to
 // kMaxSequenceNodes nodes.
-std::vector<SettingProblem> FindProblems(const EngineSettings& settings);
+std::vector<SettingProblem> FindProblems(const DriveSettings& settings);
 // All problems of the options of one search of a vehicle with these settings.
 std::vector<SettingProblem> FindProblems(const SearchOptions& options,
-                                         const EngineSettings& vehicle);
+                                         const DriveSettings& vehicle);
 
 // Whether the same poses make another graph under the settings after than under
 // those before.
-bool MovesNodes(const EngineSettings& before, const EngineSettings& after);
+bool MovesNodes(const DriveSettings& before, const DriveSettings& after);
 
 // The default maximal step, or the longest that is allowed with this spacing if
 // that is less.

@@ -14,7 +14,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "core/search/alignment/scored_ends.h"
 #include "core/search/alignment/viterbi.h"
 #include "core/search/belief/drive_belief.h"
@@ -37,7 +37,7 @@ class Search {
   };
 
   // The drive must outlive the search. It may grow and change between calls.
-  explicit Search(const Engine* drive) : drive_(*drive) {}
+  explicit Search(const Drive* drive) : drive_(*drive) {}
 
   // Candidates at a node, with the nodes before its sequence as the history.
   // The answer depends only on the graph up to the query, on loop closures and
@@ -116,7 +116,7 @@ class Search {
   void RememberIfMark(NodeIndex query, const ShouldStop& should_stop,
                       AlignmentParts* parts);
 
-  const Engine& drive_;
+  const Drive& drive_;
   MarkMemory marks_;
 };
 

@@ -56,7 +56,7 @@ void EncodeConfig(const VehicleConfig& config, v1::Vehicle* vehicle) {
 
 // Whether searches with the vehicle's own options multiply the claims by the
 // inflation: those that begin with a belief do not.
-bool AppliesInflation(const core::EngineSettings& settings) {
+bool AppliesInflation(const core::DriveSettings& settings) {
   return settings.apply_inflation &&
          !core::BeginsWithBelief(settings.search, settings);
 }
@@ -121,10 +121,10 @@ void EncodeDifference(const core::Candidate& candidate, core::StateSpace space,
 
 void EncodeCandidate(const VehicleView& view, const core::Candidate& candidate,
                      v1::Candidate* message) {
-  const core::StateSpace space = view.config.engine.state_space;
+  const core::StateSpace space = view.config.drive.state_space;
   message->set_rank(candidate.rank);
   message->set_score(candidate.score);
-  EncodeNode(view.engine.graph(), candidate.matched, space, false,
+  EncodeNode(view.drive.graph(), candidate.matched, space, false,
              message->mutable_matched());
   EncodeGate(candidate.difference.gate, message->mutable_gate());
   message->mutable_gate()->set_inflation(candidate.inflation);
@@ -151,16 +151,16 @@ void EncodeVehicle(const VehicleView& view, v1::Vehicle* vehicle) {
   if (!view.damage.ok()) vehicle->set_state(v1::VEHICLE_STATE_DAMAGED);
   vehicle->set_durable_sequence(view.durable_sequence);
   vehicle->set_revision(view.revision);
-  vehicle->set_node_count(view.engine.graph().size());
+  vehicle->set_node_count(view.drive.graph().size());
   vehicle->set_loop_closure_count(view.loop_closure_count);
-  vehicle->set_travelled_meters(view.engine.travelled_meters());
+  vehicle->set_travelled_meters(view.drive.travelled_meters());
   vehicle->set_first_kept_sequence(view.first_kept_sequence());
-  vehicle->set_dropped_pose_count(view.engine.dropped().count());
+  vehicle->set_dropped_pose_count(view.drive.dropped().count());
   if (!view.config_is_known) return;
-  EncodeConsistency(view.engine.consistency(),
-                    AppliesInflation(view.config.engine),
+  EncodeConsistency(view.drive.consistency(),
+                    AppliesInflation(view.config.drive),
                     vehicle->mutable_consistency());
-  for (const core::Finding& finding : view.engine.findings()) {
+  for (const core::Finding& finding : view.drive.findings()) {
     EncodeFinding(finding, vehicle->add_findings());
   }
 }
@@ -240,7 +240,7 @@ void EncodeCandidateSet(const VehicleView& view, const core::CandidateSet& set,
                         std::chrono::nanoseconds search_duration,
                         v1::CandidateSet* message) {
   if (set.query) {
-    EncodeNode(view.engine.graph(), *set.query, view.config.engine.state_space,
+    EncodeNode(view.drive.graph(), *set.query, view.config.drive.state_space,
                false, message->mutable_query());
   }
   message->set_revision(view.revision);

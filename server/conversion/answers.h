@@ -5,7 +5,7 @@
 #include <chrono>
 #include <vector>
 
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "revisit/v1/candidate.pb.h"
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "revisit/v1/vehicle.pb.h"

@@ -28,7 +28,7 @@ PoseDecoder::PoseDecoder(const VehicleConfig& config, PoseSource source,
     : config_(config),
       source_(source),
       violations_(violations),
-      space_(config.engine.state_space) {
+      space_(config.drive.state_space) {
   if (config.frame == CoordinateFrame::kGeodetic && config.origin) {
     frame_.emplace(*config.origin);
   }
@@ -188,7 +188,7 @@ void PoseDecoder::DecodeTransition(const v1::Pose& pose, const FieldPath& path,
                                    core::PoseSample* sample) {
   const int given = pose.error_transition_size();
   const FieldPath field = path.Field("error_transition");
-  if (config_.engine.search.correlation_model !=
+  if (config_.drive.search.correlation_model !=
       core::CorrelationModel::kFilter) {
     if (given != 0) {
       Refuse(field,

@@ -7,7 +7,7 @@
 #include <optional>
 #include <string>
 
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "revisit/v1/geometry.pb.h"
 #include "server/conversion/field_violations.h"
 #include "server/conversion/geodetic_frame.h"

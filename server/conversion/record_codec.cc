@@ -144,7 +144,7 @@ absl::StatusOr<DecodedBatch> DecodeDropped(const stored::PoseBatch& stored,
                   stretch.travelled_meters >= 0.0 &&
                   stretch.travelled_meters <= kMostDroppedMeters;
   const bool is_filter =
-      config.engine.search.correlation_model == core::CorrelationModel::kFilter;
+      config.drive.search.correlation_model == core::CorrelationModel::kFilter;
   if (is_filter) {
     auto& values = stretch.transition.emplace().values;
     is_sound = is_sound &&
@@ -209,7 +209,7 @@ void Replace(const v1::Pose& revised, const VehicleConfig& config,
         PoseDecoder(config, PoseSource::kStored, &violations)
             .Decode(before, FieldPath());
     if (violations.count() == 0 && sample.transition) {
-      EncodeTransition(*sample.transition, config.engine.state_space,
+      EncodeTransition(*sample.transition, config.drive.state_space,
                        stored->mutable_error_transition());
     }
   }

@@ -138,13 +138,13 @@ absl::StatusOr<VehicleConfig> ReadSettings(const Message& settings,
   VehicleConfig config;
   SettingsReader reader(settings, path, &violations);
   VisitSettings(&config, &reader);
-  core::EngineSettings& engine = config.engine;
+  core::DriveSettings& drive = config.drive;
   const FieldDescriptor* const max_step =
       settings.GetDescriptor()->FindFieldByName("max_step_meters");
   if (!settings.GetReflection()->HasField(settings, max_step)) {
-    engine.max_step_meters = core::DefaultMaxStep(engine.node_spacing_meters);
+    drive.max_step_meters = core::DefaultMaxStep(drive.node_spacing_meters);
   }
-  AddProblems(core::FindProblems(engine), settings, path, &violations);
+  AddProblems(core::FindProblems(drive), settings, path, &violations);
   if (violations.count() > 0) return violations.ToStatus();
   return config;
 }

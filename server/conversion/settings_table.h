@@ -48,19 +48,19 @@ inline constexpr EnumRow<v1::CoordinateFrame, CoordinateFrame>
 // order.
 template <typename Config, typename Visitor>
 void VisitSettings(Config* config, Visitor* visitor) {
-  auto* engine = &config->engine;
-  visitor->Enum("state_space", kStateSpaces, &engine->state_space);
+  auto* drive = &config->drive;
+  visitor->Enum("state_space", kStateSpaces, &drive->state_space);
   visitor->Enum("coordinate_frame", kCoordinateFrames, &config->frame);
   // Behind the frame, which decides whether there may be one.
   visitor->Origin("geodetic_origin", config);
-  visitor->Number("node_spacing_meters", &engine->node_spacing_meters);
-  visitor->Number("check_interval_meters", &engine->check_interval_meters);
-  visitor->Number("max_step_meters", &engine->max_step_meters);
-  visitor->Switch("apply_inflation", &engine->apply_inflation);
-  visitor->Number("max_inflation", &engine->max_inflation);
-  visitor->Retention("retention", &engine->retention);
+  visitor->Number("node_spacing_meters", &drive->node_spacing_meters);
+  visitor->Number("check_interval_meters", &drive->check_interval_meters);
+  visitor->Number("max_step_meters", &drive->max_step_meters);
+  visitor->Switch("apply_inflation", &drive->apply_inflation);
+  visitor->Number("max_inflation", &drive->max_inflation);
+  visitor->Retention("retention", &drive->retention);
 
-  auto* search = &engine->search;
+  auto* search = &drive->search;
   visitor->Enum("correlation_model", kCorrelationModels,
                 &search->correlation_model);
   visitor->Number("fix_correlation_meters", &search->fix_correlation_meters);

@@ -74,10 +74,10 @@ absl::Status SettingFixed(const char* setting,
 absl::Status CheckFixedSettings(const VehicleConfig& current,
                                 const VehicleConfig& updated) {
   const auto filter = [](const VehicleConfig& config) {
-    return config.engine.search.correlation_model ==
+    return config.drive.search.correlation_model ==
            core::CorrelationModel::kFilter;
   };
-  if (updated.engine.state_space != current.engine.state_space) {
+  if (updated.drive.state_space != current.drive.state_space) {
     return SettingFixed("state_space");
   }
   if (filter(updated) != filter(current)) {
@@ -161,12 +161,12 @@ absl::StatusOr<core::SearchOptions> DecodeCandidateOptions(
     SettingsReader reader(options, path, &violations);
     VisitSettings(&changed, &reader);
   }
-  core::SearchOptions search = changed.engine.search;
+  core::SearchOptions search = changed.drive.search;
   search.exhaustive = options.exhaustive();
   search.tell_paths = options.include_aligned_path();
   DecodeEnum(kSearchDirections, options.direction(), path.Field("direction"),
              &search.direction, &violations);
-  AddProblems(core::FindProblems(search, config.engine), options, path,
+  AddProblems(core::FindProblems(search, config.drive), options, path,
               &violations);
   if (violations.count() > 0) return violations.ToStatus();
   return search;

@@ -5,7 +5,7 @@
 #include <optional>
 
 #include "absl/strings/str_cat.h"
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "server/base/status.h"
 #include "server/conversion/answers.h"
 #include "server/conversion/vehicle_settings.h"
@@ -19,7 +19,7 @@ namespace {
 // The node at which to ask; nothing if the vehicle has none.
 absl::StatusOr<std::optional<core::NodeIndex>> QueryNode(
     const VehicleView& view, std::uint64_t sequence) {
-  const core::PoseGraph& graph = view.engine.graph();
+  const core::PoseGraph& graph = view.drive.graph();
   if (sequence > view.durable_sequence) {
     return PoseNotFound(view.id, sequence, view.durable_sequence);
   }

@@ -1,6 +1,6 @@
 #include "server/service/graph_snapshots.h"
 
-#include "core/engine.h"
+#include "core/drive/drive.h"
 
 namespace revisit::server {
 
@@ -15,12 +15,12 @@ absl::StatusOr<std::shared_ptr<const GraphSnapshot>> GraphSnapshots::Take(
       if (auto snapshot = found->second.snapshot.lock()) return snapshot;
     }
   }
-  absl::StatusOr<Permit> room = admit(view.engine.graph().bytes());
+  absl::StatusOr<Permit> room = admit(view.drive.graph().bytes());
   if (!room.ok()) return room.status();
   auto snapshot = std::make_shared<GraphSnapshot>();
   snapshot->room = *std::move(room);
-  snapshot->graph = view.engine.graph();
-  snapshot->space = view.config.engine.state_space;
+  snapshot->graph = view.drive.graph();
+  snapshot->space = view.config.drive.state_space;
   snapshot->loop_edges = snapshot->graph.LoopEdges();
   const MutexLock lock(&mutex_);
   for (auto i = entries_.begin(); i != entries_.end();) {

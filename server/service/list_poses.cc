@@ -80,7 +80,7 @@ absl::Status ReadPoses(Storage* storage, const VehicleView& view,
     const absl::Status kept = CheckKept(view, beginning.sequence);
     if (!kept.ok()) return kept;
   }
-  const core::DroppedStretches& dropped = view.engine.dropped();
+  const core::DroppedStretches& dropped = view.drive.dropped();
   const std::uint64_t first = dropped.KeptFrom(beginning.sequence);
   if (first > view.durable_sequence) return view.damage;
   const std::uint64_t last = std::min(

@@ -243,7 +243,7 @@ grpc::ServerUnaryReactor* PoseGraphService::UpdateVehicle(
                   UpdateConfig(view.config, view.durable_sequence > 0,
                                request->vehicle(), request->update_mask());
               if (!config.ok() ||
-                  !core::MovesNodes(view.config.engine, config->engine)) {
+                  !core::MovesNodes(view.config.drive, config->drive)) {
                 return config;
               }
               const absl::Status room =

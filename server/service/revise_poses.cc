@@ -80,7 +80,7 @@ absl::StatusOr<RevisionPlan> Plan(Storage* storage, const VehicleView& view,
           failure = call.GivenUpStatus();
           return false;
         }
-        if (view.engine.dropped().Contains(batch.first_sequence)) {
+        if (view.drive.dropped().Contains(batch.first_sequence)) {
           failure = draft->ReadPoses(batch.first_sequence,
                                      batch.first_sequence + batch.count - 1,
                                      [&](std::uint64_t, const std::string&) {

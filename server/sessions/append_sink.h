@@ -11,7 +11,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "core/settings.h"
 #include "server/sessions/record_codec.h"
 #include "server/sessions/vehicle_view.h"
@@ -68,7 +68,7 @@ class AppendSink {
   // INVALID_ARGUMENT if the options that the client sent do not fit it.
   virtual absl::StatusOr<core::SearchOptions> CheckOptions(
       const VehicleConfig& config) const {
-    return config.engine.search;
+    return config.drive.search;
   }
   // Gives up the checks; a batch that was staged is not given up.
   virtual bool ShouldStop() const { return false; }

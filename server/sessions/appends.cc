@@ -329,7 +329,7 @@ absl::Status Appends::ResultOf(const Pending& append) {
 std::vector<core::NodeIndex> Appends::Apply(Pending* append) {
   const std::vector<core::PoseSample>& samples = append->decoded->samples;
   core::AppendResult applied =
-      vehicle_->engine->Append(samples, append->revision);
+      vehicle_->drive->Append(samples, append->revision);
   append->findings = std::move(applied.findings);
   append->stamp_ahead = FindAhead(samples);
   vehicle_->jumps.insert(vehicle_->jumps.end(), applied.jumps.begin(),

@@ -65,14 +65,14 @@ void Changes::ChangeConfig(const VehicleConfig& config, Then then) {
                        then = std::move(then)](const absl::Status& status) {
     if (status.ok()) {
       const bool keeps_others =
-          !(config.engine.retention == vehicle_->config.engine.retention);
-      vehicle_->engine->ChangeSettings(config.engine, next);
+          !(config.drive.retention == vehicle_->config.drive.retention);
+      vehicle_->drive->ChangeSettings(config.drive, next);
       vehicle_->Adopt(config, next);
       if (keeps_others) vehicle_->look_at_nodes = 0;
     }
     then(status);
   };
-  if (vehicle_->engine->graph().size() < kManyNodes &&
+  if (vehicle_->drive->graph().size() < kManyNodes &&
       vehicle_->loop_closures.size() < kManyClosures) {
     Write(WriteOf(config), change);
   } else {
@@ -192,7 +192,7 @@ void Changes::DropDamaged(const VehicleConfig& config, Then then) {
       [this, config, next, then = std::move(then)](const absl::Status& status) {
         if (status.ok()) {
           vehicle_->damage = absl::OkStatus();
-          vehicle_->engine->ChangeSettings(config.engine, next);
+          vehicle_->drive->ChangeSettings(config.drive, next);
           vehicle_->Adopt(config, next);
         }
         then(status);
@@ -210,12 +210,12 @@ void Changes::Update(const ConfigChange& change, const ViewCallback& callback) {
     return;
   }
   const Then answer = AnswerWithView(callback);
-  if (!core::MovesNodes(vehicle_->config.engine, config->engine)) {
+  if (!core::MovesNodes(vehicle_->config.drive, config->drive)) {
     ChangeConfig(*config, answer);
     return;
   }
   const bool keeps_others =
-      !(config->engine.retention == vehicle_->config.engine.retention);
+      !(config->drive.retention == vehicle_->config.drive.retention);
   Write(WriteOf(*config), [this, config = *config,
                            next = vehicle_->revision + 1, keeps_others,
                            answer](const absl::Status& status) {
@@ -299,7 +299,7 @@ void Changes::AddPosePair(PairKind kind, PosePairRecord pair,
   const auto measured = std::make_shared<MeasuredLoops>();
   if (allowed.ok()) {
     allowed =
-        measured->Add(*vehicle_, vehicle_->config.engine.state_space, pair);
+        measured->Add(*vehicle_, vehicle_->config.drive.state_space, pair);
   }
   if (!allowed.ok()) {
     callback(allowed);
@@ -333,7 +333,7 @@ void Changes::StorePair(
     const PairCallback& callback) {
   AddedPair added;
   if (measured) {
-    added.agreement = vehicle_->engine->AgreementOf(
+    added.agreement = vehicle_->drive->AgreementOf(
         pair.query_sequence, pair.matched_sequence, measured);
   }
   const auto present = vehicle_->Pairs(kind).find(pair.id);
@@ -455,7 +455,7 @@ void Changes::TakeOnLastPair(
     PairKind kind, const PosePairRecord& pair, std::uint64_t revision,
     const std::shared_ptr<const core::MeasuredLoop>& measured) {
   vehicle_->latest_pair_ns = pair.create_time_ns;
-  AddPair(vehicle_->engine.get(), kind, pair, revision, measured);
+  AddPair(vehicle_->drive.get(), kind, pair, revision, measured);
   vehicle_->NoteResidency();
   vehicle_->Adopt(vehicle_->config, revision);
 }
@@ -507,8 +507,8 @@ void Changes::DeletePosePair(
 void Changes::TakeBack(PairKind kind, const PosePairRecord& pair,
                        std::uint64_t revision) {
   if (kind == PairKind::kRejectedCandidate) {
-    vehicle_->engine->RemoveRejection(pair.query_sequence,
-                                      pair.matched_sequence, revision);
+    vehicle_->drive->RemoveRejection(pair.query_sequence, pair.matched_sequence,
+                                     revision);
     return;
   }
   // The same poses may be named more than once, and what the others teach
@@ -522,8 +522,8 @@ void Changes::TakeBack(PairKind kind, const PosePairRecord& pair,
       ++occurrence;
     }
   }
-  vehicle_->engine->RemoveLoopClosure(
-      pair.query_sequence, pair.matched_sequence, revision, occurrence);
+  vehicle_->drive->RemoveLoopClosure(pair.query_sequence, pair.matched_sequence,
+                                     revision, occurrence);
 }
 
 void Changes::LoadAnew() {

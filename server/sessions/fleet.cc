@@ -93,10 +93,10 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
   // done to it since: that is how it was at the moment of this call.
   void AnswerCreated(const std::string& id, const VehicleConfig& config,
                      VehicleKey key, const CreateCallback& callback) {
-    const core::Engine engine(config.engine);
-    core::Search search(&engine);
+    const core::Drive drive(config.drive);
+    core::Search search(&drive);
     const PosePairs none;
-    callback(VehicleView{id, config, engine, key, /*durable_sequence=*/0,
+    callback(VehicleView{id, config, drive, key, /*durable_sequence=*/0,
                          kCreatedRevision, /*loop_closure_count=*/0, &none,
                          &none, absl::OkStatus(), /*config_is_known=*/true,
                          &search});

@@ -24,14 +24,14 @@ constexpr std::uint64_t kNoRevision = 0;
 
 }  // namespace
 
-void AddPair(core::Engine* engine, PairKind kind, const PosePairRecord& pair,
+void AddPair(core::Drive* drive, PairKind kind, const PosePairRecord& pair,
              std::uint64_t revision,
              std::shared_ptr<const core::MeasuredLoop> measured) {
   if (kind == PairKind::kLoopClosure) {
-    engine->AddLoopClosure(pair.query_sequence, pair.matched_sequence, revision,
-                           std::move(measured));
+    drive->AddLoopClosure(pair.query_sequence, pair.matched_sequence, revision,
+                          std::move(measured));
   } else {
-    engine->AddRejection(pair.query_sequence, pair.matched_sequence, revision);
+    drive->AddRejection(pair.query_sequence, pair.matched_sequence, revision);
   }
 }
 
@@ -58,7 +58,7 @@ absl::Status Replayer::StartLoad() {
   }
   vehicle_->durable_sequence = record->durable_sequence;
   for (const PairKind kind : kPairKinds) {
-    const absl::Status read = LoadPairs(kind, config->engine.state_space);
+    const absl::Status read = LoadPairs(kind, config->drive.state_space);
     if (!read.ok()) return read;
   }
   const bool is_sound = record->damage.ok() && !config->damaged;
@@ -106,7 +106,7 @@ void Replayer::KeepMark() {
 void Replayer::TakeUnknown(const VehicleRecord& record,
                            const absl::Status& cause) {
   vehicle_->config_is_known = false;
-  vehicle_->Take(std::make_unique<core::Engine>(vehicle_->config.engine));
+  vehicle_->Take(std::make_unique<core::Drive>(vehicle_->config.drive));
   vehicle_->Adopt(vehicle_->config, record.revision);
   vehicle_->damage = Damaged(record.damage.ok() ? cause : record.damage);
   vehicle_->Report();
@@ -118,7 +118,7 @@ absl::StatusOr<VehicleConfig> Replayer::StoredConfig(
   absl::StatusOr<VehicleConfig> config = vehicle_->codec->DecodeVehicle(record);
   if (!config.ok()) return config;
   const std::vector<core::SettingProblem> problems =
-      core::FindProblems(config->engine);
+      core::FindProblems(config->drive);
   if (!problems.empty()) {
     return vehicle_->Corrupt(StrCat("stored settings: ", problems.front().field,
                                     ": ", problems.front().description));
@@ -191,11 +191,11 @@ void Replayer::Start(VehicleConfig config, std::uint64_t revision, bool is_load,
   replay_->revision = revision;
   replay_->is_load = is_load;
   replay_->then = std::move(then);
-  replay_->engine = std::make_unique<core::Engine>(replay_->config.engine);
+  replay_->drive = std::make_unique<core::Drive>(replay_->config.drive);
   for (const auto& [id, closure] : vehicle_->loop_closures) {
     // Was found to decode when it was loaded or added.
     static_cast<void>(replay_->measured.Add(
-        *vehicle_, replay_->config.engine.state_space, closure));
+        *vehicle_, replay_->config.drive.state_space, closure));
   }
   Post();
 }
@@ -208,7 +208,7 @@ void Replayer::Continue() {
   absl::StatusOr<bool> all = ReplaySome();
   if (all.ok() && !*all && gives_up_) all = ShuttingDown();
   if (all.ok() && !*all) {
-    vehicle_->NoteResidency(replay_->engine.get());
+    vehicle_->NoteResidency(replay_->drive.get());
     Post();
     return;
   }
@@ -220,10 +220,10 @@ void Replayer::Finish(const absl::Status& status) {
   replay_.reset();
   queue_->set_store_lead(VehicleQueue::StoreLead::kNone);
   if (status.ok()) {
-    vehicle_->Take(std::move(done.engine));
+    vehicle_->Take(std::move(done.drive));
     vehicle_->jumps = std::move(done.jumps);
     vehicle_->Adopt(done.config, done.revision);
-    vehicle_->kept_snapshot = {vehicle_->engine->StateKey(), done.parts,
+    vehicle_->kept_snapshot = {vehicle_->drive->StateKey(), done.parts,
                                vehicle_->kept_snapshot.series + 1};
     vehicle_->snapshot_sequence =
         done.snapshot ? done.snapshot->last_sequence : 0;
@@ -269,7 +269,7 @@ bool Replayer::LoadSnapshot(const std::function<bool()>& is_time_left) {
     const absl::Status reading = vehicle_->storage->ReadSnapshotParts(
         vehicle_->key, replay_->parts, snapshot.part_count,
         [&](absl::string_view part) {
-          is_usable = replay_->engine->LoadPart(part);
+          is_usable = replay_->drive->LoadPart(part);
           if (is_usable) ++replay_->parts;
           return is_usable && is_time_left();
         });
@@ -283,7 +283,7 @@ bool Replayer::LoadSnapshot(const std::function<bool()>& is_time_left) {
   }
   if (!replay_->has_rest) {
     if (!DecodeSnapshot(snapshot, replay_->config, &replay_->jumps,
-                        replay_->engine.get())) {
+                        replay_->drive.get())) {
       GiveUpSnapshot("it is of other settings or another version");
       return true;
     }
@@ -309,7 +309,7 @@ void Replayer::GiveUpSnapshot(const std::string& cause) {
   replay_->snapshot.reset();
   replay_->parts = 0;
   replay_->has_rest = false;
-  replay_->engine = std::make_unique<core::Engine>(replay_->config.engine);
+  replay_->drive = std::make_unique<core::Drive>(replay_->config.drive);
   replay_->jumps.clear();
   replay_->next_sequence = 1;
   replay_->steps = 0;
@@ -354,14 +354,14 @@ absl::Status Replayer::ReplayBatch(const BatchRecord& batch) {
     if (known > 0) {
       return vehicle_->Corrupt("the snapshot ends within dropped poses");
     }
-    replay_->engine->Skip(*poses->dropped, ++replay_->steps);
+    replay_->drive->Skip(*poses->dropped, ++replay_->steps);
   } else {
     replay_->measured.Take(poses->samples);
     // A snapshot may end within a row, which several batches share.
     poses->samples.erase(poses->samples.begin(),
                          poses->samples.begin() + known);
     const core::AppendResult applied =
-        replay_->engine->Append(poses->samples, ++replay_->steps);
+        replay_->drive->Append(poses->samples, ++replay_->steps);
     replay_->jumps.insert(replay_->jumps.end(), applied.jumps.begin(),
                           applied.jumps.end());
   }
@@ -376,7 +376,7 @@ absl::Status Replayer::FinishGraph() {
   if (absl::Status status = CheckPairs(); !status.ok()) return status;
   vehicle_->FindLatestPair();
   for (const auto& [kind, pair] : vehicle_->PairsAsAdded()) {
-    AddPair(replay_->engine.get(), kind, *pair, ++replay_->steps,
+    AddPair(replay_->drive.get(), kind, *pair, ++replay_->steps,
             kind == PairKind::kLoopClosure ? replay_->measured.Find(*pair)
                                            : nullptr);
   }
@@ -388,7 +388,7 @@ absl::Status Replayer::FinishGraph() {
     NoteDamage(status);
     replay_->revision = replay_->steps + 1;
   }
-  replay_->engine->ChangeSettings(replay_->config.engine, replay_->revision);
+  replay_->drive->ChangeSettings(replay_->config.drive, replay_->revision);
   return absl::OkStatus();
 }
 

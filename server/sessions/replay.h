@@ -13,7 +13,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "server/sessions/measured_loops.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
@@ -27,7 +27,7 @@ struct Replay {
   // A load goes only as far as what is stored is sound.
   bool is_load;
   std::function<void(const absl::Status&)> then;
-  std::unique_ptr<core::Engine> engine;
+  std::unique_ptr<core::Drive> drive;
   std::vector<core::Jump> jumps;
   // Whether a snapshot may still be looked for.
   bool may_use_snapshot = true;
@@ -36,8 +36,8 @@ struct Replay {
   std::uint32_t parts = 0;
   bool has_rest = false;
   std::uint64_t next_sequence = 1;
-  // Number of changes made to the engine so far, which serves as its revision
-  // during the replay: an engine's revisions have to grow, and those that are
+  // Number of changes made to the drive so far, which serves as its revision
+  // during the replay: a drive's revisions have to grow, and those that are
   // stored with the batches need not grow with the sequence once some batches
   // were revised.
   std::uint64_t steps = 0;
@@ -107,7 +107,7 @@ class Replayer {
 };
 
 // Adds a pair to a graph; of a loop closure, with what was measured, or null.
-void AddPair(core::Engine* engine, PairKind kind, const PosePairRecord& pair,
+void AddPair(core::Drive* drive, PairKind kind, const PosePairRecord& pair,
              std::uint64_t revision,
              std::shared_ptr<const core::MeasuredLoop> measured);
 

@@ -41,9 +41,9 @@ bool KeepsAll(const core::RetentionOptions& options) {
 }  // namespace
 
 void Retention::Consider() {
-  if (is_under_way_ || vehicle_->engine == nullptr ||
-      KeepsAll(vehicle_->config.engine.retention) ||
-      vehicle_->engine->graph().size() < vehicle_->look_at_nodes) {
+  if (is_under_way_ || vehicle_->drive == nullptr ||
+      KeepsAll(vehicle_->config.drive.retention) ||
+      vehicle_->drive->graph().size() < vehicle_->look_at_nodes) {
     return;
   }
   is_under_way_ = true;
@@ -52,16 +52,16 @@ void Retention::Consider() {
 }
 
 void Retention::ConsiderLoaded() {
-  const core::PoseGraph& graph = vehicle_->engine->graph();
+  const core::PoseGraph& graph = vehicle_->drive->graph();
   const core::NodeIndex size = graph.size();
-  if (!vehicle_->config.engine.retention.max_age_ns || size < kLeastLookedAt) {
+  if (!vehicle_->config.drive.retention.max_age_ns || size < kLeastLookedAt) {
     return;
   }
   const auto tenth =
       static_cast<core::NodeIndex>(kLeastShare * static_cast<double>(size));
   const std::optional<std::int64_t> old = graph.node(tenth).stamp_ns;
   const std::optional<std::int64_t> oldest =
-      vehicle_->engine->OldestStamp(LatestStamp(vehicle_->clock));
+      vehicle_->drive->OldestStamp(LatestStamp(vehicle_->clock));
   // One node alone may have a wrong stamp: whether it is so, the look finds.
   if (old && oldest && *old < *oldest) vehicle_->look_at_nodes = 0;
   Consider();
@@ -72,9 +72,9 @@ void Retention::BeginLook() {
     End();
     return;
   }
-  vehicle_->look_at_nodes = NextLookAt(vehicle_->engine->graph().size());
-  search_ = vehicle_->engine->SearchDroppable(LatestStamp(vehicle_->clock));
-  engine_series_ = vehicle_->engine_series;
+  vehicle_->look_at_nodes = NextLookAt(vehicle_->drive->graph().size());
+  search_ = vehicle_->drive->SearchDroppable(LatestStamp(vehicle_->clock));
+  drive_series_ = vehicle_->drive_series;
   LookSome();
 }
 
@@ -98,8 +98,8 @@ void Retention::LookSome() {
 }
 
 bool Retention::IsCurrent() const {
-  return !vehicle_->gone_status && engine_series_ == vehicle_->engine_series &&
-         vehicle_->engine->Fits(*search_);
+  return !vehicle_->gone_status && drive_series_ == vehicle_->drive_series &&
+         vehicle_->drive->Fits(*search_);
 }
 
 void Retention::BeginAnew() {
@@ -133,14 +133,14 @@ void Retention::Drop(const absl::Status& status) {
 }
 
 void Retention::FindRanges() {
-  const core::Engine& engine = *vehicle_->engine;
-  const core::PoseGraph& graph = engine.graph();
+  const core::Drive& drive = *vehicle_->drive;
+  const core::PoseGraph& graph = drive.graph();
   work_ = std::make_unique<Work>();
   work_->start = std::chrono::steady_clock::now();
-  work_->dropped_before = engine.dropped().count();
+  work_->dropped_before = drive.dropped().count();
   core::NodeIndex nodes = 0;
   std::vector<core::NodeRange> found;
-  for (const core::NodeRange& range : search_->Droppable(engine.LoopEnds())) {
+  for (const core::NodeRange& range : search_->Droppable(drive.LoopEnds())) {
     const core::SequenceRange sequences = core::SequencesOf(graph, range);
     if (sequences.first > sequences.last) continue;
     work_->ranges.push_back(sequences);
@@ -233,7 +233,7 @@ absl::StatusOr<bool> Retention::TakeRow(const BatchRecord& row) {
   if (joins) {
     if (!work_->stretch) {
       work_->stretch.emplace(Stretch{
-          core::DroppedStretchMaker(vehicle_->engine->resampler_options()),
+          core::DroppedStretchMaker(vehicle_->drive->resampler_options()),
           row.first_sequence});
       if (work_->before && !is_dropped) {
         work_->stretch->maker.Begin(*work_->before);
@@ -373,7 +373,7 @@ void Retention::Finish() {
 }
 
 void Retention::Report(const Work& work) const {
-  const core::DroppedStretches& dropped = vehicle_->engine->dropped();
+  const core::DroppedStretches& dropped = vehicle_->drive->dropped();
   monitor_->Dropped({vehicle_->id, dropped.count() - work.dropped_before,
                      dropped.KeptFrom(1), work.nodes_too_old,
                      work.nodes_covered,

@@ -135,8 +135,8 @@ class Retention {
   bool is_under_way_ = false;
   // While it looks.
   std::unique_ptr<core::DroppableSearch> search_;
-  // VehicleState::engine_series of the search.
-  std::uint64_t engine_series_ = 0;
+  // VehicleState::drive_series of the search.
+  std::uint64_t drive_series_ = 0;
   // While it drops.
   std::unique_ptr<Work> work_;
 };

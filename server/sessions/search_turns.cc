@@ -1,7 +1,7 @@
 #include "server/sessions/search_turns.h"
 
 #include "absl/status/status.h"
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "server/sessions/fair_executor.h"
 
 namespace revisit::server {

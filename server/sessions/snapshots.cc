@@ -26,9 +26,9 @@ std::string Heading(const VehicleConfig& config) {
 
 std::string EncodeSnapshot(const VehicleConfig& config,
                            const std::vector<core::Jump>& jumps,
-                           const core::Engine& engine, std::uint32_t parts) {
+                           const core::Drive& drive, std::uint32_t parts) {
   const std::string heading = Heading(config);
-  const std::string rest = engine.SaveRest(parts);
+  const std::string rest = drive.SaveRest(parts);
   core::ByteWriter writer;
   writer.Reserve(heading.size() + rest.size() +
                  (jumps.size() + 1) * sizeof(core::Jump));
@@ -39,7 +39,7 @@ std::string EncodeSnapshot(const VehicleConfig& config,
 }
 
 bool DecodeSnapshot(const SnapshotRecord& snapshot, const VehicleConfig& config,
-                    std::vector<core::Jump>* jumps, core::Engine* engine) {
+                    std::vector<core::Jump>* jumps, core::Drive* drive) {
   core::ByteReader reader(snapshot.payload);
   const std::string expected = Heading(config);
   std::string heading(expected.size(), '\0');
@@ -47,8 +47,8 @@ bool DecodeSnapshot(const SnapshotRecord& snapshot, const VehicleConfig& config,
   return reader.GetArray(heading.data(), heading.size()) &&
          heading == expected &&
          reader.GetCounted(snapshot.payload.size(), jumps) &&
-         engine->LoadRest(reader.rest()) &&
-         engine->last_sequence() == snapshot.last_sequence;
+         drive->LoadRest(reader.rest()) &&
+         drive->last_sequence() == snapshot.last_sequence;
 }
 
 bool Snapshots::is_due() const {
@@ -101,11 +101,11 @@ void Snapshots::WriteNext(const JobPtr& job) {
     return;
   }
   VehicleState::KeptSnapshot& kept = vehicle_->kept_snapshot;
-  const std::string key = vehicle_->engine->StateKey();
+  const std::string key = vehicle_->drive->StateKey();
   if (kept.state_key != key) {
     kept = {key, 0, kept.series + 1};
   }
-  if (kept.parts >= vehicle_->engine->whole_parts()) {
+  if (kept.parts >= vehicle_->drive->whole_parts()) {
     WriteRest(job);
   } else if (job->parts_left > 0) {
     --job->parts_left;
@@ -116,14 +116,14 @@ void Snapshots::WriteNext(const JobPtr& job) {
 }
 
 bool Snapshots::MayWrite() const {
-  return vehicle_->engine != nullptr && !vehicle_->in_doubt &&
+  return vehicle_->drive != nullptr && !vehicle_->in_doubt &&
          vehicle_->config_is_known && vehicle_->damage.ok();
 }
 
 void Snapshots::WritePart(const JobPtr& job) {
   const std::uint32_t number = vehicle_->kept_snapshot.parts;
   vehicle_->storage->PutSnapshotPart(
-      vehicle_->key, number, vehicle_->engine->SavePart(number),
+      vehicle_->key, number, vehicle_->drive->SavePart(number),
       queue_->OnStrand(
           [this, job, number, series = vehicle_->kept_snapshot.series](
               const absl::Status& status) {
@@ -141,13 +141,13 @@ void Snapshots::WritePart(const JobPtr& job) {
 void Snapshots::WriteRest(const JobPtr& job) {
   const VehicleState::KeptSnapshot& kept = vehicle_->kept_snapshot;
   SnapshotRecord snapshot;
-  snapshot.last_sequence = vehicle_->engine->last_sequence();
+  snapshot.last_sequence = vehicle_->drive->last_sequence();
   snapshot.part_count = kept.parts;
   snapshot.payload = EncodeSnapshot(vehicle_->config, vehicle_->jumps,
-                                    *vehicle_->engine, kept.parts);
+                                    *vehicle_->drive, kept.parts);
   vehicle_->storage->PutSnapshot(
       vehicle_->key, std::move(snapshot),
-      queue_->OnStrand([this, job, sequence = vehicle_->engine->last_sequence(),
+      queue_->OnStrand([this, job, sequence = vehicle_->drive->last_sequence(),
                         series = kept.series](const absl::Status& status) {
         if (!status.ok()) {
           Fail(job);
@@ -165,8 +165,7 @@ void Snapshots::WriteRest(const JobPtr& job) {
 void Snapshots::Fail(const JobPtr& job) {
   VehicleState::KeptSnapshot& kept = vehicle_->kept_snapshot;
   kept = {"", 0, kept.series + 1};
-  if (vehicle_->engine)
-    vehicle_->NoteSnapshot(vehicle_->engine->last_sequence());
+  if (vehicle_->drive) vehicle_->NoteSnapshot(vehicle_->drive->last_sequence());
   End(job);
 }
 

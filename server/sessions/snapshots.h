@@ -11,7 +11,7 @@
 #include <string>
 #include <vector>
 
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
 #include "server/storage/storage.h"
@@ -19,15 +19,15 @@
 namespace revisit::server {
 
 // ---- The payload of a SnapshotRecord: what the nodes depend on besides poses
-// and settings, the jumps, and the rest of the engine.
+// and settings, the jumps, and the rest of the drive.
 
 std::string EncodeSnapshot(const VehicleConfig& config,
                            const std::vector<core::Jump>& jumps,
-                           const core::Engine& engine, std::uint32_t parts);
-// Loads the rest of an engine that has all parts. False if the payload is
-// damaged or of another vehicle: then throw the engine away.
+                           const core::Drive& drive, std::uint32_t parts);
+// Loads the rest of a drive that has all parts. False if the payload is
+// damaged or of another vehicle: then throw the drive away.
 bool DecodeSnapshot(const SnapshotRecord& snapshot, const VehicleConfig& config,
-                    std::vector<core::Jump>* jumps, core::Engine* engine);
+                    std::vector<core::Jump>* jumps, core::Drive* drive);
 
 // Writes snapshots of one vehicle, a part at a time. Belongs to the strand, but
 // for what is said to be called from any thread.

@@ -31,7 +31,7 @@ inline bool operator!=(const GeodeticOrigin& a, const GeodeticOrigin& b) {
 struct VehicleConfig {
   // See vehicle_uid.h. Never changes.
   std::string uid;
-  core::EngineSettings engine;
+  core::DriveSettings drive;
   CoordinateFrame frame = CoordinateFrame::kLocal;
   // The origin of a geodetic vehicle: given on creation, or set by its first
   // pose.

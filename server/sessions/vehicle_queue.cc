@@ -36,7 +36,7 @@ void VehicleQueue::SubmitSearch(Operation operation) {
 }
 
 void VehicleQueue::Add(Operation operation) {
-  const bool is_known = vehicle_->engine != nullptr || vehicle_->gone_status;
+  const bool is_known = vehicle_->drive != nullptr || vehicle_->gone_status;
   if (IsRead(operation.turn) && is_known && !MustWait(operation.turn)) {
     Start(operation);
     return;

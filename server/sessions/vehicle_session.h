@@ -1,5 +1,5 @@
 // One vehicle in memory: an actor with one ordered queue, which owns the
-// engine. Its parts: vehicle_queue.h (when what may start), appends.h,
+// drive. Its parts: vehicle_queue.h (when what may start), appends.h,
 // changes.h (all other writes), replay.h (the graph from the store),
 // retention.h (poses that are kept no longer), and vehicle_state.h, which they
 // share.

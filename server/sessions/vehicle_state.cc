@@ -43,7 +43,7 @@ absl::Status ShuttingDown() {
 VehicleView VehicleState::View() const {
   return VehicleView{id,
                      config,
-                     *engine,
+                     *drive,
                      key,
                      durable_sequence,
                      revision,
@@ -63,11 +63,11 @@ void VehicleState::Report() const {
                                         : State::kActive);
 }
 
-void VehicleState::Take(std::unique_ptr<core::Engine> another) {
-  engine = std::move(another);
-  ++engine_series;
-  search = std::make_unique<core::Search>(engine.get());
-  look_at_nodes = NextLookAt(engine->graph().size());
+void VehicleState::Take(std::unique_ptr<core::Drive> another) {
+  drive = std::move(another);
+  ++drive_series;
+  search = std::make_unique<core::Search>(drive.get());
+  look_at_nodes = NextLookAt(drive->graph().size());
 }
 
 void VehicleState::Adopt(const VehicleConfig& new_config,
@@ -117,21 +117,21 @@ std::vector<core::Jump> VehicleState::JumpsAt(std::uint64_t first,
   return {begin, end};
 }
 
-void VehicleState::NoteResidency(const core::Engine* in_the_making) {
+void VehicleState::NoteResidency(const core::Drive* in_the_making) {
   std::int64_t nodes = 0;
   std::int64_t bytes = 0;
-  for (const core::Engine* const each :
-       {static_cast<const core::Engine*>(engine.get()), in_the_making}) {
+  for (const core::Drive* const each :
+       {static_cast<const core::Drive*>(drive.get()), in_the_making}) {
     if (each == nullptr) continue;
     nodes += each->graph().size();
     bytes += static_cast<std::int64_t>(each->bytes());
   }
   resident_nodes.store(nodes);
   resident_bytes.store(bytes);
-  if (engine) {
-    const std::uint64_t poses = engine->last_sequence();
+  if (drive) {
+    const std::uint64_t poses = drive->last_sequence();
     const bool is_worth_it =
-        static_cast<double>(engine->graph().size()) <=
+        static_cast<double>(drive->graph().size()) <=
         snapshot_policy.most_nodes_per_pose * static_cast<double>(poses);
     poses_since_snapshot = is_worth_it ? poses - snapshot_sequence : 0;
   }

@@ -16,7 +16,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "core/search/search.h"
 #include "server/base/status.h"
 #include "server/sessions/record_codec.h"
@@ -74,10 +74,10 @@ struct VehicleState {
   VehicleKey key = 0;
   VehicleConfig config;
   // Null until loaded.
-  std::unique_ptr<core::Engine> engine;
-  // Grows whenever the engine is another.
-  std::uint64_t engine_series = 0;
-  // Asks this engine.
+  std::unique_ptr<core::Drive> drive;
+  // Grows whenever the drive is another.
+  std::uint64_t drive_series = 0;
+  // Asks this drive.
   std::unique_ptr<core::Search> search;
   // The jumps of the graph, by sequence.
   std::vector<core::Jump> jumps;
@@ -110,7 +110,7 @@ struct VehicleState {
   std::atomic<bool> is_gone{false};
   // The parts of this graph that the store has for snapshots.
   struct KeptSnapshot {
-    // core::Engine::StateKey() of the parts.
+    // core::Drive::StateKey() of the parts.
     std::string state_key;
     std::uint32_t parts = 0;
     // Grows whenever the parts are others, so that an answer of the storage is
@@ -132,8 +132,8 @@ struct VehicleState {
   // Tells the census what state the vehicle has now.
   void Report() const;
 
-  // Replaces the engine. Retention looks at it once it has grown.
-  void Take(std::unique_ptr<core::Engine> another);
+  // Replaces the drive. Retention looks at it once it has grown.
+  void Take(std::unique_ptr<core::Drive> another);
 
   // Takes on a config and a revision that are durable. REQUIRES: no append is
   // in flight.
@@ -153,7 +153,7 @@ struct VehicleState {
 
   // Call after every change of a graph; `in_the_making` is the one that is
   // being rebuilt, if any.
-  void NoteResidency(const core::Engine* in_the_making = nullptr);
+  void NoteResidency(const core::Drive* in_the_making = nullptr);
 
   // From now on the poses since this one count for the next snapshot.
   void NoteSnapshot(std::uint64_t sequence);

@@ -21,7 +21,7 @@ absl::Status PoseNotFound(const std::string& vehicle_id, std::uint64_t sequence,
 }
 
 absl::Status CheckKept(const VehicleView& view, std::uint64_t sequence) {
-  const std::uint64_t next = view.engine.dropped().KeptFrom(sequence);
+  const std::uint64_t next = view.drive.dropped().KeptFrom(sequence);
   if (next == sequence) return absl::OkStatus();
   const std::string first = StrCat(view.first_kept_sequence());
   return Error(

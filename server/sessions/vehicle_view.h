@@ -9,7 +9,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "core/search/search.h"
 #include "server/sessions/vehicle_config.h"
 #include "server/storage/storage.h"
@@ -23,7 +23,7 @@ using PosePairs = std::map<std::string, PosePairRecord>;
 struct VehicleView {
   const std::string& id;
   const VehicleConfig& config;
-  const core::Engine& engine;
+  const core::Drive& drive;
   VehicleKey key;
   std::uint64_t durable_sequence;
   std::uint64_t revision;
@@ -36,12 +36,12 @@ struct VehicleView {
   // False where the stored settings are damaged too: the config is then a
   // default one and there are no poses.
   bool config_is_known = true;
-  // Asks the engine, one callback at a time. Never null in a callback.
+  // Asks the drive, one callback at a time. Never null in a callback.
   core::Search* search = nullptr;
 
   // Sequence of the first pose that is kept.
   std::uint64_t first_kept_sequence() const {
-    return engine.dropped().KeptFrom(1);
+    return drive.dropped().KeptFrom(1);
   }
 
   const PosePairs& pairs(PairKind kind) const {

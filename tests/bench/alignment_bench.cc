@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/relative.h"
 #include "core/search/alignment/viterbi.h"
@@ -100,7 +100,7 @@ void AlignComposite(benchmark::State& state) {
 // its last loop closure is known, or those of satellite fixes.
 enum class Errors { kReckoned, kReckonedAndConfirmed, kFixes };
 
-// The state that the engine keeps beside a graph, and its queries.
+// The state that the drive keeps beside a graph, and its queries.
 class Relative {
  public:
   Relative(const PoseGraph& graph, NodeIndex n, Errors errors)
@@ -183,27 +183,27 @@ void AlignRelative(benchmark::State& state, Errors errors, bool leave_out) {
 // check.
 void AlignStreaming(benchmark::State& state) {
   const NodeIndex n = state.range(0);
-  const PoseGraph& drive = SmoothRoads(n + kSteps + kStreamedNodes);
-  const auto pose_of = [&drive](NodeIndex i) {
-    const core::Node node = drive.node(i);
+  const PoseGraph& roads = SmoothRoads(n + kSteps + kStreamedNodes);
+  const auto pose_of = [&roads](NodeIndex i) {
+    const core::Node node = roads.node(i);
     core::PoseSample sample;
     sample.sequence = node.sequence;
     sample.pose = node.pose;
     sample.covariance = node.covariance;
     return sample;
   };
-  core::EngineSettings settings;
+  core::DriveSettings settings;
   settings.search.correlation_model = core::CorrelationModel::kIndependent;
-  core::Engine engine(settings);
+  core::Drive drive(settings);
   NodeIndex next = 0;
-  for (; next < n + kSteps; ++next) engine.Append({pose_of(next)}, next + 1);
+  for (; next < n + kSteps; ++next) drive.Append({pose_of(next)}, next + 1);
   for (auto _ : state) {
-    engine.Append({pose_of(next)}, next + 1);
+    drive.Append({pose_of(next)}, next + 1);
     ++next;
     benchmark::DoNotOptimize(
-        core::Search(&engine).AtEnd(settings.search, nullptr));
+        core::Search(&drive).AtEnd(settings.search, nullptr));
   }
-  state.counters["nodes"] = static_cast<double>(engine.graph().size());
+  state.counters["nodes"] = static_cast<double>(drive.graph().size());
   state.SetItemsProcessed(state.iterations() * n * kSteps);
 }
 
@@ -212,22 +212,22 @@ void AlignStreaming(benchmark::State& state) {
 void AlignStreamingReckoned(benchmark::State& state) {
   constexpr NodeIndex kNodesOfCheck = 25;
   const NodeIndex n = state.range(0);
-  const PoseGraph& drive = Roads(n + (kStreamedChecks + 1) * kNodesOfCheck);
-  const core::EngineSettings settings;
-  core::Engine engine(settings);
-  core::Search search(&engine);
+  const PoseGraph& roads = Roads(n + (kStreamedChecks + 1) * kNodesOfCheck);
+  const core::DriveSettings settings;
+  core::Drive drive(settings);
+  core::Search search(&drive);
   NodeIndex next = 0;
   const auto drive_on = [&](NodeIndex nodes) {
     std::vector<core::PoseSample> samples;
     for (const NodeIndex last = next + nodes; next < last; ++next) {
-      const core::Node node = drive.node(next);
+      const core::Node node = roads.node(next);
       core::PoseSample sample;
       sample.sequence = node.sequence;
       sample.pose = node.pose;
       sample.covariance = node.covariance;
       samples.push_back(sample);
     }
-    return engine.Append(samples, samples.back().sequence).checks_due;
+    return drive.Append(samples, samples.back().sequence).checks_due;
   };
   drive_on(n);
   // The marks so far.

@@ -118,7 +118,7 @@ def align_table(figures):
     print("\nThe same where ends that cannot be accepted are left out, ms "
           "(and ratio to dense),\nwith the shares of nodes that pass the gate "
           "at the end pose and that were considered;\nstreaming: a whole check "
-          "of the engine after one more node")
+          "of the drive after one more node")
     print(top)
     for errors in ERRORS:
         align_line(figures, "Align/pruned/" + errors, "Align/dense/" + errors)

@@ -19,7 +19,7 @@
 #include <string>
 #include <vector>
 
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "core/geometry/heading.h"
 #include "core/search/search.h"
 #include "tests/random.h"
@@ -53,7 +53,7 @@ struct SimulatedDrive {
 };
 
 // The truth follows the course; the estimate integrates the noisy controls.
-SimulatedDrive Drive(int laps, std::mt19937_64& random) {
+SimulatedDrive Simulate(int laps, std::mt19937_64& random) {
   SimulatedDrive run;
   Pose truth;
   Pose estimate;
@@ -180,19 +180,19 @@ struct Judged {
 // true loop.
 Judged DriveAndCheck(AlignmentKind alignment, std::mt19937_64& random) {
   Judged judged;
-  judged.run = Drive(3, random);
-  EngineSettings settings;
+  judged.run = Simulate(3, random);
+  DriveSettings settings;
   settings.node_spacing_meters = 1.0;
   settings.check_interval_meters = 5.0;
   settings.search.alignment = alignment;
   settings.search.sequence_length_meters = 30.0;
   settings.search.place_tolerance = {0.5, 0.05};
-  Engine engine(settings);
+  Drive drive(settings);
   for (const PoseSample& sample : judged.run.estimate) {
     EXPECT_FALSE(FindDefect(sample, StateSpace::kPlanar)) << sample.sequence;
   }
-  const AppendResult appended = engine.Append(judged.run.estimate, 1);
-  const PoseGraph& graph = engine.graph();
+  const AppendResult appended = drive.Append(judged.run.estimate, 1);
+  const PoseGraph& graph = drive.graph();
   const auto truth = [&](NodeIndex i) {
     const Node& node = graph.node(i);
     const Pose& a = judged.run.truth[node.sequence - 1];
@@ -201,8 +201,8 @@ Judged DriveAndCheck(AlignmentKind alignment, std::mt19937_64& random) {
     return Pose{a.x + node.fraction * step.x, a.y + node.fraction * step.y, 0.0,
                 a.heading + node.fraction * step.heading};
   };
-  const double lap = engine.travelled_meters() / 3.0;
-  Search search(&engine);
+  const double lap = drive.travelled_meters() / 3.0;
+  Search search(&drive);
   for (NodeIndex query : appended.checks_due) {
     if (graph.node(query).travelled_meters < lap + 40.0) continue;
     const auto set = search.At(query, settings.search, nullptr);
@@ -255,13 +255,13 @@ struct Tally {
 };
 
 // Draws the first drive if a file is given.
-Tally DriveMuch(int drives, AlignmentKind alignment,
+Tally DriveMuch(int runs, AlignmentKind alignment,
                 const std::optional<std::string>& drawing,
                 std::mt19937_64& random) {
   Tally tally;
-  for (int drive = 0; drive < drives; ++drive) {
+  for (int run = 0; run < runs; ++run) {
     const Judged judged = DriveAndCheck(alignment, random);
-    if (drive == 0 && drawing) {
+    if (run == 0 && drawing) {
       Draw(judged.run, judged.graph, judged.checks, *drawing);
     }
     for (const Check& check : judged.checks) {
@@ -280,7 +280,7 @@ Tally DriveMuch(int drives, AlignmentKind alignment,
   }
   tally.straight_error /= tally.straight;
   tally.corner_error /= tally.corner;
-  std::cout << drives << " drives, " << tally.count() << " checks: accepted "
+  std::cout << runs << " runs, " << tally.count() << " checks: accepted "
             << tally.accepted / tally.count() << ", within the 95 % ellipse "
             << tally.inside / tally.count()
             << "; mean offset along the ellipse " << tally.along / tally.count()
@@ -288,8 +288,8 @@ Tally DriveMuch(int drives, AlignmentKind alignment,
             << " m; mean error " << tally.straight_error << " m on "
             << tally.straight << " straight sequences, " << tally.corner_error
             << " m on " << tally.corner << " with a corner\n";
-  EXPECT_GT(tally.straight, 100 * drives);
-  EXPECT_GT(tally.corner, 80 * drives);
+  EXPECT_GT(tally.straight, 100 * runs);
+  EXPECT_GT(tally.corner, 80 * runs);
   return tally;
 }
 

@@ -13,12 +13,12 @@ using ::testing::Field;
 using ::testing::IsEmpty;
 
 TEST(SettingsTest, DefaultsAreValid) {
-  EXPECT_THAT(FindProblems(EngineSettings{}), IsEmpty());
-  EXPECT_THAT(FindProblems(SearchOptions{}, EngineSettings{}), IsEmpty());
+  EXPECT_THAT(FindProblems(DriveSettings{}), IsEmpty());
+  EXPECT_THAT(FindProblems(SearchOptions{}, DriveSettings{}), IsEmpty());
 }
 
 TEST(SettingsTest, TellsAllProblemsWithWhatIsAllowed) {
-  EngineSettings settings;
+  DriveSettings settings;
   settings.node_spacing_meters = 0.0;
   settings.max_step_meters = std::nan("");
   settings.search.gate_probability = 1.0;
@@ -34,7 +34,7 @@ TEST(SettingsTest, TellsAllProblemsWithWhatIsAllowed) {
 }
 
 TEST(SettingsTest, ASequenceHoldsFromOneToAThousandNodes) {
-  EngineSettings settings;
+  DriveSettings settings;
   settings.search.sequence_length_meters = 1.0;
   EXPECT_EQ(FindProblems(settings).size(), 1u);
   settings.search.sequence_length_meters = 2.0;
@@ -46,7 +46,7 @@ TEST(SettingsTest, ASequenceHoldsFromOneToAThousandNodes) {
 }
 
 TEST(SettingsTest, AStepHoldsAtMostAThousandNodes) {
-  EngineSettings settings;
+  DriveSettings settings;
   settings.node_spacing_meters = 0.2;
   settings.max_step_meters = 200.0;
   settings.search.sequence_length_meters = 30.0;
@@ -67,7 +67,7 @@ TEST(SettingsTest, TheDefaultStepFitsEverySpacing) {
 
 TEST(SettingsTest, RelativeAlignmentHasRangesOfItsOwn) {
   const auto problems_of = [](const auto& change) {
-    EngineSettings settings;
+    DriveSettings settings;
     change(&settings);
     return FindProblems(settings);
   };
@@ -89,7 +89,7 @@ TEST(SettingsTest, RelativeAlignmentHasRangesOfItsOwn) {
   };
   for (const Range& range : ranges) {
     for (const double valid : {range.lowest, range.highest}) {
-      EXPECT_THAT(problems_of([&](EngineSettings* settings) {
+      EXPECT_THAT(problems_of([&](DriveSettings* settings) {
                     settings->search.*range.value = valid;
                   }),
                   IsEmpty())
@@ -97,7 +97,7 @@ TEST(SettingsTest, RelativeAlignmentHasRangesOfItsOwn) {
     }
     for (const double invalid :
          {-1.0, nan, std::nextafter(range.highest, 1e9)}) {
-      const auto problems = problems_of([&](EngineSettings* settings) {
+      const auto problems = problems_of([&](DriveSettings* settings) {
         settings->search.*range.value = invalid;
       });
       ASSERT_EQ(problems.size(), 1u) << range.field;
@@ -110,7 +110,7 @@ TEST(SettingsTest, RelativeAlignmentHasRangesOfItsOwn) {
 
   const auto shape_problems = [&](const ShapeModel& shape) {
     return problems_of(
-        [&](EngineSettings* settings) { settings->search.shape = shape; });
+        [&](DriveSettings* settings) { settings->search.shape = shape; });
   };
   EXPECT_THAT(shape_problems({{0.01, 0.001}, 0.01}), IsEmpty());
   EXPECT_THAT(shape_problems({{1000.0, 3.0}, 1e6}), IsEmpty());
@@ -124,13 +124,13 @@ TEST(SettingsTest, RelativeAlignmentHasRangesOfItsOwn) {
   EXPECT_EQ(shape_problems({{nan, nan}, nan}).size(), 3u);
 
   for (const double most : {1.0, 100.0}) {
-    EXPECT_THAT(problems_of([&](EngineSettings* settings) {
+    EXPECT_THAT(problems_of([&](DriveSettings* settings) {
                   settings->max_inflation = most;
                 }),
                 IsEmpty());
   }
   for (const double most : {0.99, 100.5, nan}) {
-    EXPECT_THAT(problems_of([&](EngineSettings* settings) {
+    EXPECT_THAT(problems_of([&](DriveSettings* settings) {
                   settings->max_inflation = most;
                 }),
                 ElementsAre(Field(&SettingProblem::field, "max_inflation")));
@@ -138,7 +138,7 @@ TEST(SettingsTest, RelativeAlignmentHasRangesOfItsOwn) {
 }
 
 TEST(SettingsTest, KeepsAnyAgeOrOneInRangeAndAFewPasses) {
-  EngineSettings settings;
+  DriveSettings settings;
   EXPECT_THAT(FindProblems(settings), IsEmpty());
   for (const std::int64_t age : {kLeastAgeNanoseconds, kMostAgeNanoseconds}) {
     settings.retention = {age, kMostPasses};
@@ -157,7 +157,7 @@ TEST(SettingsTest, KeepsAnyAgeOrOneInRangeAndAFewPasses) {
 TEST(SettingsTest, AFilterSearchNeedsAFilterVehicle) {
   SearchOptions options;
   options.correlation_model = CorrelationModel::kFilter;
-  EngineSettings vehicle;
+  DriveSettings vehicle;
   EXPECT_THAT(FindProblems(options, vehicle),
               ElementsAre(Field(&SettingProblem::field, "correlation_model")));
   vehicle.search.correlation_model = CorrelationModel::kFilter;

@@ -18,7 +18,7 @@
 #include "absl/strings/str_format.h"
 #include "client/cli/evaluation/dead_reckoning.h"
 #include "client/formats/drive_file.h"
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "core/search/alignment/relative.h"
 
 namespace {
@@ -69,11 +69,11 @@ std::vector<PoseSample> SamplesOf(const Drive& drive) {
 }
 
 void AddChecks(const Drive& drive, Tail* tail) {
-  EngineSettings settings;
+  DriveSettings settings;
   settings.check_interval_meters = 50.0;
-  Engine engine(settings);
-  const AppendResult appended = engine.Append(SamplesOf(drive), 1);
-  const PoseGraph& graph = engine.graph();
+  revisit::core::Drive driven(settings);
+  const AppendResult appended = driven.Append(SamplesOf(drive), 1);
+  const PoseGraph& graph = driven.graph();
   std::vector<PlanarPose> truth;
   for (NodeIndex i = 0; i < graph.size(); ++i) {
     truth.push_back(

@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "revisit/v1/vehicle.pb.h"
 #include "server/conversion/answers.h"
@@ -43,21 +43,21 @@ std::vector<revisit::core::PoseSample> Circles() {
   return samples;
 }
 
-// Loads the state of an engine with changes: three bytes say where, and one
+// Loads the state of a drive with changes: three bytes say where, and one
 // which bits are flipped, or, with none, that the state ends there. It is
-// refused, or the engine goes on.
-void LoadChangedState(const revisit::core::EngineSettings& settings,
+// refused, or the drive goes on.
+void LoadChangedState(const revisit::core::DriveSettings& settings,
                       const std::string& changes) {
-  using revisit::core::Engine;
+  using revisit::core::Drive;
   static const auto& samples =
       *new std::vector<revisit::core::PoseSample>(Circles());
   // One of each kind of vehicle.
   static auto& states = *new std::map<std::string, std::string>();
   const auto half = samples.begin() + 120;
-  Engine loaded(settings);
+  Drive loaded(settings);
   std::string& sound = states[loaded.StateKey()];
   if (sound.empty()) {
-    Engine saved(settings);
+    Drive saved(settings);
     saved.Append({samples.begin(), half}, 1);
     sound = saved.SaveRest(0);
   }
@@ -111,13 +111,13 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
     return 0;
   }
   if (record == 4) {
-    LoadChangedState(config.engine, payload);
+    LoadChangedState(config.drive, payload);
     return 0;
   }
   if (record == 3) {
     // The session answers DATA_LOSS, whatever this says.
     revisit::fuzz::RequireGoodError(
-        codec.DecodeMeasurement(payload, config.engine.state_space).status());
+        codec.DecodeMeasurement(payload, config.drive.state_space).status());
     revisit::v1::LoopClosure closure;
     server::PosePairRecord pair;
     pair.payload = payload;
@@ -147,9 +147,9 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
             "what is left of dropped poses can be written");
     stretch.last_sequence -= stretch.first_sequence - 1;
     stretch.first_sequence = 1;
-    revisit::core::Engine engine(config.engine);
-    engine.Skip(stretch, 1);
-    Require(engine.dropped().count() == stretch.last_sequence,
+    revisit::core::Drive drive(config.drive);
+    drive.Skip(stretch, 1);
+    Require(drive.dropped().count() == stretch.last_sequence,
             "a graph goes on behind them");
   }
   if (record == 2) revisit::fuzz::Drive(config, decoded->samples);

@@ -56,7 +56,7 @@ void CheckBatch(const server::Poses& poses, const VehicleConfig& config) {
 void CheckConfig(const absl::StatusOr<VehicleConfig>& config) {
   RequireGoodError(config.status());
   if (!config.ok()) return;
-  Require(core::FindProblems(config->engine).empty(), "settings are valid");
+  Require(core::FindProblems(config->drive).empty(), "settings are valid");
   v1::VehicleSettings settings;
   server::EncodeSettings(*config, &settings);
   const auto again = server::DecodeSettings(settings, kRequest);
@@ -77,7 +77,7 @@ void CheckOptions(const v1::CandidateOptions& options,
       server::DecodeCandidateOptions(options, config, kRequest);
   RequireGoodError(decoded.status());
   if (decoded.ok()) {
-    Require(core::FindProblems(*decoded, config.engine).empty(),
+    Require(core::FindProblems(*decoded, config.drive).empty(),
             "options are valid");
   }
 }
@@ -96,7 +96,7 @@ void CheckPair(const Pair* pair, const std::string& id,
   if (!record.ok()) return;
   Pair answer;
   server::EncodePosePair("v", *record, &answer);
-  const core::StateSpace space = config.engine.state_space;
+  const core::StateSpace space = config.drive.state_space;
   const auto measurement =
       server::ProtoRecordCodec().DecodeMeasurement(record->payload, space);
   RequireGoodError(measurement.status());

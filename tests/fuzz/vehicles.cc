@@ -4,7 +4,7 @@
 #include <cstddef>
 #include <optional>
 
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "core/search/search.h"
 #include "server/base/status.h"
 #include "server/base/status_grpc.h"
@@ -22,10 +22,10 @@ constexpr double kMostNodes = 5000.0;
 server::VehicleConfig VehicleOfKind(int kind) {
   server::VehicleConfig config;
   config.create_time_ns = 1;
-  config.engine.search.sequence_length_meters = 20.0;
-  config.engine.check_interval_meters = 10.0;
+  config.drive.search.sequence_length_meters = 20.0;
+  config.drive.check_interval_meters = 10.0;
   if ((kind & 1) != 0) {
-    config.engine.state_space = core::StateSpace::kSpatial;
+    config.drive.state_space = core::StateSpace::kSpatial;
   }
   if ((kind & 2) != 0) {
     config.frame = server::CoordinateFrame::kGeodetic;
@@ -33,7 +33,7 @@ server::VehicleConfig VehicleOfKind(int kind) {
     if ((kind & 1) != 0) config.origin = {43.8, -79.5, 150.0};
   }
   if ((kind & 4) != 0) {
-    config.engine.search.correlation_model = core::CorrelationModel::kFilter;
+    config.drive.search.correlation_model = core::CorrelationModel::kFilter;
   }
   return config;
 }
@@ -49,27 +49,27 @@ void RequireGoodError(const absl::Status& status) {
 
 void Drive(const server::VehicleConfig& config,
            const std::vector<core::PoseSample>& samples) {
-  if (!core::FindProblems(config.engine).empty()) return;
+  if (!core::FindProblems(config.drive).empty()) return;
   double meters = 0.0;
   for (std::size_t i = 1; i < samples.size(); ++i) {
     const core::Pose& a = samples[i - 1].pose;
     const core::Pose& b = samples[i].pose;
     meters += std::hypot(b.x - a.x, b.y - a.y, b.z - a.z);
   }
-  if (!(meters / config.engine.node_spacing_meters <= kMostNodes)) return;
-  // A batch may go on where another ended; an engine starts at 1.
+  if (!(meters / config.drive.node_spacing_meters <= kMostNodes)) return;
+  // A batch may go on where another ended; a drive starts at 1.
   std::vector<core::PoseSample> numbered = samples;
   for (std::size_t i = 0; i < numbered.size(); ++i) {
     numbered[i].sequence = i + 1;
   }
-  core::Engine engine(config.engine);
-  const core::AppendResult applied = engine.Append(numbered, 1);
-  Require(engine.last_sequence() == numbered.size(), "all poses are appended");
+  core::Drive drive(config.drive);
+  const core::AppendResult applied = drive.Append(numbered, 1);
+  Require(drive.last_sequence() == numbered.size(), "all poses are appended");
   int searches = 0;
   for (const core::NodeIndex node : applied.checks_due) {
     if (++searches > 3) break;
     const auto found =
-        core::Search(&engine).At(node, config.engine.search, nullptr);
+        core::Search(&drive).At(node, config.drive.search, nullptr);
     Require(found.ok(), "a search that is not stopped answers");
     for (const core::Candidate& candidate : found->candidates) {
       Require(!std::isnan(candidate.score), "a score is a number");

@@ -41,13 +41,13 @@ std::vector<std::string> Lines(const std::string& payload) {
 
 std::string PlainCodec::EncodeVehicle(const VehicleConfig& config) const {
   std::ostringstream line;
-  line << "vehicle " << std::hexfloat << config.engine.node_spacing_meters
-       << " " << config.engine.check_interval_meters << " "
-       << config.engine.max_step_meters << " "
-       << config.engine.search.sequence_length_meters << " " << std::dec
-       << config.engine.search.max_candidates << " "
-       << config.engine.retention.max_passes << " "
-       << config.engine.retention.max_age_ns.value_or(0) << " "
+  line << "vehicle " << std::hexfloat << config.drive.node_spacing_meters << " "
+       << config.drive.check_interval_meters << " "
+       << config.drive.max_step_meters << " "
+       << config.drive.search.sequence_length_meters << " " << std::dec
+       << config.drive.search.max_candidates << " "
+       << config.drive.retention.max_passes << " "
+       << config.drive.retention.max_age_ns.value_or(0) << " "
        << (config.frame == CoordinateFrame::kGeodetic) << " "
        << config.data_loss << " " << config.damaged << " "
        << config.origin.has_value();
@@ -68,16 +68,16 @@ absl::StatusOr<VehicleConfig> PlainCodec::DecodeVehicle(
   bool is_geodetic = false;
   bool has_origin = false;
   if (!(stream >> word) || word != "vehicle" ||
-      !ReadDouble(stream, &config.engine.node_spacing_meters) ||
-      !ReadDouble(stream, &config.engine.check_interval_meters) ||
-      !ReadDouble(stream, &config.engine.max_step_meters) ||
-      !ReadDouble(stream, &config.engine.search.sequence_length_meters) ||
-      !(stream >> config.engine.search.max_candidates >>
-        config.engine.retention.max_passes >> max_age_ns >> is_geodetic >>
+      !ReadDouble(stream, &config.drive.node_spacing_meters) ||
+      !ReadDouble(stream, &config.drive.check_interval_meters) ||
+      !ReadDouble(stream, &config.drive.max_step_meters) ||
+      !ReadDouble(stream, &config.drive.search.sequence_length_meters) ||
+      !(stream >> config.drive.search.max_candidates >>
+        config.drive.retention.max_passes >> max_age_ns >> is_geodetic >>
         config.data_loss >> config.damaged >> has_origin)) {
     return Damaged();
   }
-  if (max_age_ns > 0) config.engine.retention.max_age_ns = max_age_ns;
+  if (max_age_ns > 0) config.drive.retention.max_age_ns = max_age_ns;
   config.frame =
       is_geodetic ? CoordinateFrame::kGeodetic : CoordinateFrame::kLocal;
   if (has_origin) {

@@ -10,7 +10,7 @@ namespace revisit::core {
 // with a belief (drive_belief.h). Scale and drift are those of dead reckoning,
 // so marks can show them only where the vehicle's own model is that.
 inline bool BeginsWithBelief(const SearchOptions& options,
-                             const EngineSettings& vehicle) {
+                             const DriveSettings& vehicle) {
   return options.use_belief && options.alignment == AlignmentKind::kRelative &&
          options.correlation_model == CorrelationModel::kDeadReckoning &&
          vehicle.search.correlation_model == CorrelationModel::kDeadReckoning;

@@ -51,7 +51,7 @@ class OddsByScale {
 
 }  // namespace
 
-double MarkSpacing(const EngineSettings& settings) {
+double MarkSpacing(const DriveSettings& settings) {
   return std::max(settings.node_spacing_meters,
                   settings.search.sequence_length_meters / kMarksPerSequence);
 }

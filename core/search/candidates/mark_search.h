@@ -11,7 +11,7 @@
 namespace revisit::core {
 
 // Meters of path between the marks of a vehicle.
-double MarkSpacing(const EngineSettings& settings);
+double MarkSpacing(const DriveSettings& settings);
 // The options with which the marks of a vehicle are searched that has these of
 // its own. They tell apart what marks depend on: all others are at their
 // defaults.

@@ -50,7 +50,7 @@ enum class FindingCode {
   kCovariancesGrow,
   // kIndependent, but most triples are smooth, and stretches do not grow.
   kErrorsCorrelated,
-  // The stamps go forward by more than the greatest age that is kept. Engine
+  // The stamps go forward by more than the greatest age that is kept. Drive
   // finds it, whatever the model.
   kStampsLeap,
 };

@@ -1,6 +1,6 @@
 // Compares with what else a user could take to find loop-closure candidates
 // among poses with covariances, on the same nodes, covariances and queries as
-// revisit's engine: time of a query and quality of the first candidate.
+// revisit's drive: time of a query and quality of the first candidate.
 #include <Eigen/Core>
 #include <Eigen/Eigenvalues>
 #include <algorithm>
@@ -15,7 +15,7 @@
 #include "client/cli/evaluation/dead_reckoning.h"
 #include "client/cli/evaluation/evaluation.h"
 #include "client/formats/drive_file.h"
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "core/geometry/heading.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/candidates/gate.h"
@@ -348,42 +348,43 @@ int Run(const std::vector<std::string>& files,
   std::vector<Total> totals;
   NodeIndex nodes_of_all = 0;
   for (const std::string& file : files) {
-    const auto drive = client::ReadDriveFile(file, client::ReaderOptions());
-    if (!drive.ok() || drive->truth.empty()) {
+    const auto recorded = client::ReadDriveFile(file, client::ReaderOptions());
+    if (!recorded.ok() || recorded->truth.empty()) {
       std::fprintf(stderr, "%s: %s\n", file.c_str(),
-                   drive.ok() ? "no truth"
-                              : std::string(drive.status().message()).c_str());
+                   recorded.ok()
+                       ? "no truth"
+                       : std::string(recorded.status().message()).c_str());
       return 1;
     }
     client::UncertaintyOptions claimed;
     claimed.source = source;
-    const auto uncertainty = client::ClaimUncertainty(*drive, claimed);
+    const auto uncertainty = client::ClaimUncertainty(*recorded, claimed);
     if (!uncertainty.ok()) {
       std::fprintf(stderr, "%s: %s\n", file.c_str(),
                    std::string(uncertainty.status().message()).c_str());
       return 1;
     }
     const client::Judging judging;
-    core::EngineSettings settings;
-    core::Engine engine(settings);
+    core::DriveSettings settings;
+    core::Drive drive(settings);
     core::SearchOptions composite = settings.search;
     composite.alignment = core::AlignmentKind::kComposite;
     Method relative{"revisit, relative (default)", {}, {}, ""};
     Method paper{"revisit, composite (the paper's)", {}, {}, ""};
     std::vector<NodeIndex> queries;
-    for (std::size_t i = 0; i < drive->samples.size(); ++i) {
-      const client::PlanarPose& estimate = drive->samples[i].estimate;
+    for (std::size_t i = 0; i < recorded->samples.size(); ++i) {
+      const client::PlanarPose& estimate = recorded->samples[i].estimate;
       core::PoseSample sample;
       sample.sequence = i + 1;
       sample.pose = {estimate.x, estimate.y, 0.0, estimate.heading};
       const auto& [xx, xy, xh, yy, yh, hh] = (*uncertainty)[i].planar;
       sample.covariance.upper = {xx, xy, 0.0, xh, yy, 0.0, yh, 0.0, 0.0, hh};
-      const core::AppendResult result = engine.Append({sample}, i + 1);
+      const core::AppendResult result = drive.Append({sample}, i + 1);
       for (const NodeIndex query : result.checks_due) {
         queries.push_back(query);
         for (Method* const method : {&relative, &paper}) {
           method->milliseconds.push_back(MillisecondsOf([&] {
-            const auto found = core::Search(&engine).At(
+            const auto found = core::Search(&drive).At(
                 query, method == &relative ? settings.search : composite,
                 nullptr);
             method->answers.push_back(
@@ -392,7 +393,7 @@ int Run(const std::vector<std::string>& files,
         }
       }
     }
-    const core::PoseGraph& graph = engine.graph();
+    const core::PoseGraph& graph = drive.graph();
     const Searched searched{graph, queries, judging.excluded_nodes};
     Method near{"nanoflann, nearest within 15 m",
                 {},
@@ -457,7 +458,7 @@ int Run(const std::vector<std::string>& files,
       to.travelled_meters = node.travelled_meters;
       to.estimate = {node.pose.x, node.pose.y, node.pose.heading};
     }
-    const auto truth = client::TruthAtNodes(judged, drive->truth);
+    const auto truth = client::TruthAtNodes(judged, recorded->truth);
     nodes_of_all += graph.size();
     methods = {relative, paper, near, gated, maha, likely, joint};
     totals.resize(methods.size());
@@ -468,7 +469,7 @@ int Run(const std::vector<std::string>& files,
         std::printf(
             "\n%s: %lld nodes, %lld checks, %lld true loops\n%-34s%9s%9s%9s"
             "%7s%7s%7s%7s\n",
-            drive->name.c_str(), static_cast<long long>(graph.size()),
+            recorded->name.c_str(), static_cast<long long>(graph.size()),
             static_cast<long long>(tally.checks),
             static_cast<long long>(tally.true_loops), "", "ms p50", "ms p99",
             "accepted", "right", "P", "R", "F1");

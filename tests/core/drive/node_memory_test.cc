@@ -12,7 +12,7 @@
 #include <random>
 #include <vector>
 
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "tests/core/graphs.h"
 #include "tests/random.h"
 
@@ -100,20 +100,20 @@ struct Cost {
 };
 
 Cost CostOf(std::mt19937_64& random, const Vehicle& vehicle, NodeIndex nodes) {
-  EngineSettings settings;
+  DriveSettings settings;
   settings.state_space = vehicle.space;
   settings.search.correlation_model = vehicle.correlation;
   const std::int64_t before = allocated_bytes;
-  const auto engine = std::make_unique<Engine>(settings);
+  const auto drive = std::make_unique<Drive>(settings);
   std::uint64_t sequence = 0;
-  while (engine->graph().size() < nodes) {
+  while (drive->graph().size() < nodes) {
     ++sequence;
-    engine->Append({RandomSample(random, vehicle, sequence)}, sequence);
+    drive->Append({RandomSample(random, vehicle, sequence)}, sequence);
   }
   Cost cost;
-  cost.nodes = engine->graph().size();
+  cost.nodes = drive->graph().size();
   cost.bytes = static_cast<double>(allocated_bytes - before);
-  cost.stated_bytes = static_cast<double>(engine->bytes());
+  cost.stated_bytes = static_cast<double>(drive->bytes());
   return cost;
 }
 

@@ -26,12 +26,12 @@ using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 
 // Two laps of a square of 60 m a side.
-core::Engine TwoLaps(core::EngineSettings settings) {
+core::Drive TwoLaps(core::DriveSettings settings) {
   settings.search.sequence_length_meters = 40;
   // A composite alignment aligns the whole sequence, and the gate at its end
   // decides.
   settings.search.alignment = core::AlignmentKind::kComposite;
-  core::Engine engine(settings);
+  core::Drive drive(settings);
   std::vector<core::PoseSample> samples;
   core::Pose pose;
   for (std::uint64_t i = 0; i <= 480; ++i) {
@@ -46,16 +46,16 @@ core::Engine TwoLaps(core::EngineSettings settings) {
     pose.x += std::cos(pose.heading);
     pose.y += std::sin(pose.heading);
   }
-  engine.Append(samples, 7);
-  return engine;
+  drive.Append(samples, 7);
+  return drive;
 }
 
 v1::CandidateSet Answer(const VehicleConfig& config, bool with_path) {
   const std::string id = "square";
-  const core::Engine engine = TwoLaps(config.engine);
-  const VehicleView view{id, config, engine, 1, 481, 7, 0};
-  const auto found = core::Search(&engine).AtEnd(engine.settings().search,
-                                                 [] { return false; });
+  const core::Drive drive = TwoLaps(config.drive);
+  const VehicleView view{id, config, drive, 1, 481, 7, 0};
+  const auto found =
+      core::Search(&drive).AtEnd(drive.settings().search, [] { return false; });
   EXPECT_THAT(found, IsOk());
   v1::CandidateSet message;
   EncodeCandidateSet(view, *found, with_path,
@@ -109,12 +109,12 @@ v1::CandidateSet Encoded(const core::Candidate& candidate,
                          const core::CandidateSet& set) {
   const std::string id = "square";
   const VehicleConfig config = Planar();
-  const core::Engine engine = TwoLaps(config.engine);
+  const core::Drive drive = TwoLaps(config.drive);
   core::CandidateSet whole = set;
   whole.query = 240;
   whole.candidates = {candidate};
   v1::CandidateSet message;
-  EncodeCandidateSet({id, config, engine, 1, 481, 7, 0}, whole, false, {},
+  EncodeCandidateSet({id, config, drive, 1, 481, 7, 0}, whole, false, {},
                      &message);
   return message;
 }
@@ -217,10 +217,10 @@ TEST(AnswerTest, SpatialVehicleAnswersWithHeight) {
 TEST(AnswerTest, VehicleWithoutNodesHasNoQuery) {
   const std::string id = "empty";
   const VehicleConfig config;
-  const core::Engine engine(config.engine);
-  const VehicleView view{id, config, engine, 1, 0, 1, 0};
+  const core::Drive drive(config.drive);
+  const VehicleView view{id, config, drive, 1, 0, 1, 0};
   const auto found =
-      core::Search(&engine).AtEnd(config.engine.search, [] { return false; });
+      core::Search(&drive).AtEnd(config.drive.search, [] { return false; });
   ASSERT_THAT(found, IsOk());
   v1::CandidateSet set;
   EncodeCandidateSet(view, *found, false, {}, &set);
@@ -229,10 +229,10 @@ TEST(AnswerTest, VehicleWithoutNodesHasNoQuery) {
 }
 
 TEST(AnswerTest, ExportedNodeHasItsCovarianceInTheFormOfTheVehicle) {
-  const core::Engine engine = TwoLaps(Planar().engine);
+  const core::Drive drive = TwoLaps(Planar().drive);
   v1::Node node;
-  EncodeNode(engine.graph(), 3, core::StateSpace::kPlanar, true, &node);
-  const core::Covariance& covariance = engine.graph().node(3).covariance;
+  EncodeNode(drive.graph(), 3, core::StateSpace::kPlanar, true, &node);
+  const core::Covariance& covariance = drive.graph().node(3).covariance;
   EXPECT_EQ(node.covariance().form(), v1::COVARIANCE_FORM_PLANAR_6);
   EXPECT_THAT(
       node.covariance().values(),
@@ -245,9 +245,9 @@ TEST(AnswerTest, VehicleIsToldTheSameFromMemoryAndFromTheStore) {
   config.create_time_ns = -1;
   config.uid = NewVehicleUid();
   const std::string id = "a";
-  const core::Engine engine(config.engine);
+  const core::Drive drive(config.drive);
   v1::Vehicle loaded;
-  EncodeVehicle(VehicleView{id, config, engine, 1, 5, 9, 2}, &loaded);
+  EncodeVehicle(VehicleView{id, config, drive, 1, 5, 9, 2}, &loaded);
   VehicleRecord record;
   record.id = id;
   record.payload = ProtoRecordCodec().EncodeVehicle(config);
@@ -293,13 +293,13 @@ TEST(AnswerTest, DamagedVehicleTellsWhatIsSound) {
 
 TEST(AnswerTest, VehicleSaysHowConsistentItIs) {
   VehicleConfig config = Planar();
-  config.engine.apply_inflation = true;
-  config.engine.search.use_belief = false;
+  config.drive.apply_inflation = true;
+  config.drive.search.use_belief = false;
   const std::string id = "a";
-  core::Engine engine = TwoLaps(config.engine);
+  core::Drive drive = TwoLaps(config.drive);
   const auto consistency = [&] {
     v1::Vehicle vehicle;
-    EncodeVehicle(VehicleView{id, config, engine, 1, 481, 9, 0}, &vehicle);
+    EncodeVehicle(VehicleView{id, config, drive, 1, 481, 9, 0}, &vehicle);
     return vehicle.consistency();
   };
   const v1::Consistency before = consistency();
@@ -308,14 +308,14 @@ TEST(AnswerTest, VehicleSaysHowConsistentItIs) {
   EXPECT_FALSE(before.has_mean_normalized_innovation_squared());
   EXPECT_EQ(before.degrees_of_freedom(), 3);
   EXPECT_GT(before.inflation(), 1.0);
-  EXPECT_EQ(before.inflation(), engine.consistency().inflation);
+  EXPECT_EQ(before.inflation(), drive.consistency().inflation);
   EXPECT_TRUE(before.applied());
   // A belief has the scale of the claims from elsewhere.
-  config.engine.search.use_belief = true;
+  config.drive.search.use_belief = true;
   EXPECT_FALSE(consistency().applied());
-  config.engine.search.correlation_model = core::CorrelationModel::kIndependent;
+  config.drive.search.correlation_model = core::CorrelationModel::kIndependent;
   EXPECT_TRUE(consistency().applied());
-  engine.AddRejection(400, 100, 8);
+  drive.AddRejection(400, 100, 8);
   EXPECT_EQ(consistency().rejected_count(), 1);
 }
 

@@ -68,12 +68,12 @@ VehicleConfig Planar() { return {}; }
 
 VehicleConfig Spatial() {
   VehicleConfig config;
-  config.engine.state_space = core::StateSpace::kSpatial;
+  config.drive.state_space = core::StateSpace::kSpatial;
   return config;
 }
 
 VehicleConfig Filter(VehicleConfig config) {
-  config.engine.search.correlation_model = core::CorrelationModel::kFilter;
+  config.drive.search.correlation_model = core::CorrelationModel::kFilter;
   return config;
 }
 

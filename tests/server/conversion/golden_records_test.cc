@@ -54,14 +54,14 @@ VehicleConfig EverySetting() {
   config.origin = GeodeticOrigin{-33.5, 151.25, 7.0};
   config.create_time_ns = -1234567890123456789;
   config.data_loss = true;
-  core::EngineSettings& engine = config.engine;
-  engine.state_space = core::StateSpace::kSpatial;
-  engine.node_spacing_meters = 3.0;
-  engine.check_interval_meters = 12.0;
-  engine.max_step_meters = 50.0;
-  engine.apply_inflation = true;
-  engine.max_inflation = 4.0;
-  core::SearchOptions& search = engine.search;
+  core::DriveSettings& drive = config.drive;
+  drive.state_space = core::StateSpace::kSpatial;
+  drive.node_spacing_meters = 3.0;
+  drive.check_interval_meters = 12.0;
+  drive.max_step_meters = 50.0;
+  drive.apply_inflation = true;
+  drive.max_inflation = 4.0;
+  core::SearchOptions& search = drive.search;
   search.correlation_model = core::CorrelationModel::kIndependent;
   search.likelihood_form = core::LikelihoodForm::kAsPrinted;
   search.sequence_length_meters = 99.0;
@@ -86,9 +86,9 @@ VehicleConfig OtherSettings() {
   config.origin.reset();
   config.create_time_ns = 1700000000000000001;
   config.data_loss = false;
-  config.engine.state_space = core::StateSpace::kPlanar;
-  config.engine.apply_inflation = false;
-  core::SearchOptions& search = config.engine.search;
+  config.drive.state_space = core::StateSpace::kPlanar;
+  config.drive.apply_inflation = false;
+  core::SearchOptions& search = config.drive.search;
   search.correlation_model = core::CorrelationModel::kFilter;
   search.likelihood_form = core::LikelihoodForm::kGaussian;
   search.alignment = core::AlignmentKind::kRelative;
@@ -99,8 +99,8 @@ VehicleConfig OtherSettings() {
 // As it is read where the record has neither beliefs nor correlated fixes.
 VehicleConfig BeforeBeliefs(VehicleConfig config) {
   const core::SearchOptions defaults;
-  config.engine.search.use_belief = defaults.use_belief;
-  config.engine.search.fix_correlation_meters = defaults.fix_correlation_meters;
+  config.drive.search.use_belief = defaults.use_belief;
+  config.drive.search.fix_correlation_meters = defaults.fix_correlation_meters;
   return config;
 }
 
@@ -352,13 +352,13 @@ TEST(GoldenRecordTest, DroppedPosesAreWrittenAndReadAsEver) {
 TEST(GoldenRecordTest, WhatAVehicleKeepsIsWrittenAndReadAsEver) {
   const ProtoRecordCodec codec;
   VehicleConfig config = EverySetting();
-  config.engine.retention = {77'000'000'005, 3};
+  config.drive.retention = {77'000'000'005, 3};
   const std::string payload = codec.EncodeVehicle(config);
   EXPECT_THAT(Hex(payload), HasSubstr("ba01080a04084d10051003"));
   const auto read = codec.DecodeVehicle(RecordOf(payload));
   ASSERT_THAT(read, IsOk());
-  EXPECT_EQ(read->engine.retention.max_age_ns, 77'000'000'005);
-  EXPECT_EQ(read->engine.retention.max_passes, 3);
+  EXPECT_EQ(read->drive.retention.max_age_ns, 77'000'000'005);
+  EXPECT_EQ(read->drive.retention.max_passes, 3);
 }
 
 TEST(GoldenRecordTest, LoopClosuresAreWrittenAndReadAsEver) {

@@ -102,11 +102,11 @@ TEST(SettingsConversionTest, RecordOfTheFirstReleaseTakesTodaysDefaults) {
   const auto config =
       ProtoRecordCodec().DecodeVehicle(RecordOf(vehicle.SerializeAsString()));
   ASSERT_THAT(config, IsOk());
-  EXPECT_EQ(config->engine.node_spacing_meters, 3);
-  EXPECT_EQ(config->engine.search.alignment, core::AlignmentKind::kRelative);
-  EXPECT_EQ(config->engine.max_inflation, 10);
-  EXPECT_FALSE(config->engine.apply_inflation);
-  EXPECT_TRUE(config->engine.search.use_belief);
+  EXPECT_EQ(config->drive.node_spacing_meters, 3);
+  EXPECT_EQ(config->drive.search.alignment, core::AlignmentKind::kRelative);
+  EXPECT_EQ(config->drive.max_inflation, 10);
+  EXPECT_FALSE(config->drive.apply_inflation);
+  EXPECT_TRUE(config->drive.search.use_belief);
 }
 
 TEST(SettingsConversionTest, VehicleStoredBeforeThereWereUidsHasAlwaysTheSame) {
@@ -302,7 +302,7 @@ TEST(StoredBatchTest, KeepsWhatIsLeftOfDroppedPoses) {
       IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("batch")));
 
   VehicleConfig filter = Planar();
-  filter.engine.search.correlation_model = core::CorrelationModel::kFilter;
+  filter.drive.search.correlation_model = core::CorrelationModel::kFilter;
   // What a filter needs is missing.
   EXPECT_THAT(
       codec.DecodeBatch(record.payload, filter),

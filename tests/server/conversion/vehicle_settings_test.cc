@@ -128,7 +128,7 @@ TEST(SettingsConversionTest, ToleranceThatIsGivenIsGivenWhole) {
       FromText<v1::VehicleSettings>("place_tolerance { position_meters: 3 }"),
       FieldPath());
   ASSERT_THAT(place, IsOk());
-  EXPECT_EQ(place->engine.search.place_tolerance.heading_radians, 0.0);
+  EXPECT_EQ(place->drive.search.place_tolerance.heading_radians, 0.0);
   const auto shape = DecodeSettings(
       FromText<v1::VehicleSettings>("shape_tolerance { position_meters: 3 }"),
       FieldPath());
@@ -161,35 +161,35 @@ absl::StatusOr<VehicleConfig> Update(const VehicleConfig& current,
 
 TEST(UpdateConfigTest, ChangesOnlyWhatIsNamed) {
   VehicleConfig current;
-  current.engine.node_spacing_meters = 3;
+  current.drive.node_spacing_meters = 3;
   current.create_time_ns = 5;
   const auto updated =
       Update(current, true, "max_candidates: 7 node_spacing_meters: 1",
              {"settings.max_candidates", "settings.max_candidates"});
   ASSERT_THAT(updated, IsOk());
-  EXPECT_EQ(updated->engine.search.max_candidates, 7);
-  EXPECT_EQ(updated->engine.node_spacing_meters, 3);
+  EXPECT_EQ(updated->drive.search.max_candidates, 7);
+  EXPECT_EQ(updated->drive.node_spacing_meters, 3);
   EXPECT_EQ(updated->create_time_ns, 5);
 }
 
 TEST(UpdateConfigTest, NamedButLeftOutGoesBackToItsDefault) {
   VehicleConfig current;
-  current.engine.search.max_candidates = 9;
-  current.engine.search.place_tolerance.position_meters = 7;
-  current.engine.max_step_meters = 12;
+  current.drive.search.max_candidates = 9;
+  current.drive.search.place_tolerance.position_meters = 7;
+  current.drive.max_step_meters = 12;
   const auto one = Update(current, true, "", {"settings.max_candidates"});
   ASSERT_THAT(one, IsOk());
-  EXPECT_EQ(one->engine.search.max_candidates, 5);
-  EXPECT_EQ(one->engine.search.place_tolerance.position_meters, 7);
+  EXPECT_EQ(one->drive.search.max_candidates, 5);
+  EXPECT_EQ(one->drive.search.place_tolerance.position_meters, 7);
   const auto all = Update(current, true, "", {"settings"});
   ASSERT_THAT(all, IsOk());
-  EXPECT_EQ(all->engine.search.place_tolerance.position_meters, 2);
-  EXPECT_EQ(all->engine.max_step_meters, 100);
+  EXPECT_EQ(all->drive.search.place_tolerance.position_meters, 2);
+  EXPECT_EQ(all->drive.max_step_meters, 100);
 }
 
 TEST(UpdateConfigTest, KnowsEverySettingByItsName) {
   VehicleConfig current;
-  current.engine.search.shape.tolerance = {0.5, 0.03};
+  current.drive.search.shape.tolerance = {0.5, 0.03};
   const auto updated =
       Update(current, true,
              "alignment: ALIGNMENT_COMPOSITE acceptance_probability: 0.9 "
@@ -203,28 +203,28 @@ TEST(UpdateConfigTest, KnowsEverySettingByItsName) {
               "settings.max_inflation", "settings.correlation_model",
               "settings.fix_correlation_meters", "settings.use_belief"});
   ASSERT_THAT(updated, IsOk());
-  const core::EngineSettings& engine = updated->engine;
-  EXPECT_EQ(engine.search.alignment, core::AlignmentKind::kComposite);
-  EXPECT_EQ(engine.search.correlation_model,
+  const core::DriveSettings& drive = updated->drive;
+  EXPECT_EQ(drive.search.alignment, core::AlignmentKind::kComposite);
+  EXPECT_EQ(drive.search.correlation_model,
             core::CorrelationModel::kCorrelatedFixes);
-  EXPECT_EQ(engine.search.fix_correlation_meters, 75);
-  EXPECT_EQ(engine.search.acceptance_probability, 0.9);
-  EXPECT_EQ(engine.search.road_spacing_meters, 50);
-  EXPECT_EQ(engine.search.shape.correlation_meters, 20);
-  EXPECT_EQ(engine.search.shape.tolerance.position_meters, 0.5);
-  EXPECT_TRUE(engine.apply_inflation);
-  EXPECT_EQ(engine.max_inflation, 3);
-  EXPECT_FALSE(engine.search.use_belief);
+  EXPECT_EQ(drive.search.fix_correlation_meters, 75);
+  EXPECT_EQ(drive.search.acceptance_probability, 0.9);
+  EXPECT_EQ(drive.search.road_spacing_meters, 50);
+  EXPECT_EQ(drive.search.shape.correlation_meters, 20);
+  EXPECT_EQ(drive.search.shape.tolerance.position_meters, 0.5);
+  EXPECT_TRUE(drive.apply_inflation);
+  EXPECT_EQ(drive.max_inflation, 3);
+  EXPECT_FALSE(drive.search.use_belief);
   const auto back = Update(*updated, true, "",
                            {"settings.alignment", "settings.apply_inflation",
                             "settings.shape_tolerance", "settings.use_belief"});
   ASSERT_THAT(back, IsOk());
-  EXPECT_EQ(back->engine.search.alignment, core::AlignmentKind::kRelative);
-  EXPECT_FALSE(back->engine.apply_inflation);
-  EXPECT_TRUE(back->engine.search.use_belief);
-  EXPECT_EQ(back->engine.search.shape.tolerance.position_meters,
+  EXPECT_EQ(back->drive.search.alignment, core::AlignmentKind::kRelative);
+  EXPECT_FALSE(back->drive.apply_inflation);
+  EXPECT_TRUE(back->drive.search.use_belief);
+  EXPECT_EQ(back->drive.search.shape.tolerance.position_meters,
             core::ShapeModel().tolerance.position_meters);
-  EXPECT_EQ(back->engine.max_inflation, 3);
+  EXPECT_EQ(back->drive.max_inflation, 3);
 }
 
 TEST(UpdateConfigTest, ReplacesWhatIsKeptAsAWhole) {
@@ -233,8 +233,8 @@ TEST(UpdateConfigTest, ReplacesWhatIsKeptAsAWhole) {
                               "max_age { seconds: 3600 nanos: 500 } }",
                               {"settings.retention"});
   ASSERT_THAT(limited, IsOk());
-  EXPECT_EQ(limited->engine.retention.max_passes, 4);
-  EXPECT_EQ(limited->engine.retention.max_age_ns, 3'600'000'000'500);
+  EXPECT_EQ(limited->drive.retention.max_passes, 4);
+  EXPECT_EQ(limited->drive.retention.max_age_ns, 3'600'000'000'500);
   v1::VehicleSettings told;
   EncodeSettings(*limited, &told);
   EXPECT_EQ(told.retention().ShortDebugString(),
@@ -243,10 +243,10 @@ TEST(UpdateConfigTest, ReplacesWhatIsKeptAsAWhole) {
       Update(*limited, true, "retention { max_age { seconds: 60 } }",
              {"settings.retention"});
   ASSERT_THAT(younger, IsOk());
-  EXPECT_EQ(younger->engine.retention.max_passes, 0);
+  EXPECT_EQ(younger->drive.retention.max_passes, 0);
   const auto all = Update(*younger, true, "", {"settings.retention"});
   ASSERT_THAT(all, IsOk());
-  EXPECT_FALSE(all->engine.retention.max_age_ns);
+  EXPECT_FALSE(all->drive.retention.max_age_ns);
   EncodeSettings(*all, &told);
   EXPECT_FALSE(told.has_retention());
   EXPECT_FALSE(SameSettings(*limited, *all));
@@ -325,14 +325,14 @@ TEST(SameSettingsTest, TellsSettingsApartButNotAnOriginThatWasLeftOpen) {
   requested.origin->height_meters = 31;
   EXPECT_FALSE(SameSettings(existing, requested));
   requested.origin = existing.origin;
-  requested.engine.search.place_tolerance.heading_radians = 0.2;
+  requested.drive.search.place_tolerance.heading_radians = 0.2;
   EXPECT_FALSE(SameSettings(existing, requested));
 }
 
 TEST(CandidateOptionsTest, ChangeWhatTheyNameAndLeaveTheRestToTheVehicle) {
   VehicleConfig config;
-  config.engine.search.gate_probability = 0.9;
-  config.engine.search.correlation_model = core::CorrelationModel::kIndependent;
+  config.drive.search.gate_probability = 0.9;
+  config.drive.search.correlation_model = core::CorrelationModel::kIndependent;
   const auto search = DecodeCandidateOptions(
       FromText<v1::CandidateOptions>(
           "max_candidates: 3 likelihood_form: LIKELIHOOD_FORM_AS_PRINTED"),
@@ -357,8 +357,8 @@ TEST(CandidateOptionsTest, SayWhetherTheSearchBeginsWithABelief) {
 
 TEST(CandidateOptionsTest, TakeTheAlignmentFromTheVehicleUnlessTold) {
   VehicleConfig config;
-  config.engine.search.alignment = core::AlignmentKind::kComposite;
-  config.engine.search.road_spacing_meters = 70;
+  config.drive.search.alignment = core::AlignmentKind::kComposite;
+  config.drive.search.road_spacing_meters = 70;
   const auto plain = DecodeCandidateOptions({}, config, FieldPath());
   ASSERT_THAT(plain, IsOk());
   EXPECT_EQ(plain->alignment, core::AlignmentKind::kComposite);

@@ -87,7 +87,7 @@ TEST_F(FleetTest, CreatesVehicleAndAnswersWithIt) {
   ASSERT_THAT(created, IsOk());
   EXPECT_EQ(created->revision, 1u);
   EXPECT_EQ(created->durable_sequence, 0u);
-  EXPECT_EQ(created->config.engine.node_spacing_meters, 1.0);
+  EXPECT_EQ(created->config.drive.node_spacing_meters, 1.0);
   EXPECT_EQ(fleet_->loaded(), 1u);
   EXPECT_EQ(AppendNow(*fleet_->Session("truck"), StraightBatch(1, 2))->revision,
             2u);
@@ -542,7 +542,7 @@ TEST(FleetStressTest, AllKindsOfWorkAtOnceChangeNoAnswer) {
         fleet->Session(kept(vehicle))
             ->LongRead([&](const absl::StatusOr<VehicleView>& view) {
               EXPECT_THAT(view.status(), IsOk());
-              const core::SearchOptions& options = view->config.engine.search;
+              const core::SearchOptions& options = view->config.drive.search;
               EXPECT_THAT(view->search->AtEnd(options, nullptr), IsOk());
               EXPECT_EQ(view->durable_sequence % Driver::kBatchPoses, 0u);
               answer.Set(view->durable_sequence);

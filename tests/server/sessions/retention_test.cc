@@ -80,7 +80,7 @@ class RetentionTest : public ::testing::Test {
   }
   void Create(const core::RetentionOptions& retention) {
     VehicleConfig config = TestConfig();
-    config.engine.retention = retention;
+    config.drive.retention = retention;
     const Answer<absl::StatusOr<Snapshot>> answer;
     fleet_->Create(kId, config, Taking(answer));
     ASSERT_THAT(answer.Get(), IsOk());
@@ -91,7 +91,7 @@ class RetentionTest : public ::testing::Test {
     ASSERT_THAT(UpdateNow(session(),
                           [retention](const VehicleView& view) {
                             VehicleConfig config = view.config;
-                            config.engine.retention = retention;
+                            config.drive.retention = retention;
                             return config;
                           }),
                 IsOk());
@@ -399,7 +399,7 @@ TEST_F(RetentionTest, AWriteThatFailsLeavesASoundVehicle) {
   session().Update(
       [](const VehicleView& view) {
         VehicleConfig config = view.config;
-        config.engine.retention.max_passes = 2;
+        config.drive.retention.max_passes = 2;
         return config;
       },
       Taking(updated));
@@ -433,7 +433,7 @@ TEST_F(RetentionTest, VehicleThatIsLoadedWithPosesThatAreTooOldLosesThem) {
   // changed, before it looked.
   VehicleRecord record = *memory_.GetVehicle(kId);
   VehicleConfig config = *codec_.DecodeVehicle(record);
-  config.engine.retention.max_age_ns = std::int64_t{1500} * 1'000'000'000;
+  config.drive.retention.max_age_ns = std::int64_t{1500} * 1'000'000'000;
   session_.reset();
   fleet_.reset();
   ASSERT_THAT(BlockingWrites(&memory_).Update(

@@ -87,8 +87,8 @@ class SearchTurnsTest : public ::testing::Test {
       }
       if (*first) std::exchange(*first, nullptr)();
       const std::optional<Found> found =
-          turns->Take(*view, view->engine.graph().size() - 1,
-                      view->config.engine.search, nullptr);
+          turns->Take(*view, view->drive.graph().size() - 1,
+                      view->config.drive.search, nullptr);
       std::this_thread::sleep_for(kLongTurn);
       Note(found ? id + " ends" : id);
       if (found) answer.Set(*found);
@@ -166,11 +166,11 @@ TEST_F(SearchTurnsTest, AnotherCallersSearchGoesFirstWithinATurn) {
   };
   Vehicle("long").Search("calls", [&](const absl::StatusOr<VehicleView>& view) {
     const auto start = SearchTurns::Clock::now();
-    core::SearchOptions options = view->config.engine.search;
+    core::SearchOptions options = view->config.drive.search;
     options.exhaustive = true;
     options.use_belief = false;
     const std::optional<Found> found = turns->Take(
-        *view, view->engine.graph().size() - 1, options, std::ref(stop));
+        *view, view->drive.graph().size() - 1, options, std::ref(stop));
     // The other search and its sleep are no part of this turn.
     EXPECT_LE(turns->last_turn() + kLongTurn,
               SearchTurns::Clock::now() - start);

@@ -9,9 +9,9 @@ namespace revisit::server {
 VehicleConfig TestConfig() {
   VehicleConfig config;
   config.uid = "uid-of-test";
-  config.engine.node_spacing_meters = 1.0;
-  config.engine.check_interval_meters = 5.0;
-  config.engine.search.sequence_length_meters = 10.0;
+  config.drive.node_spacing_meters = 1.0;
+  config.drive.check_interval_meters = 5.0;
+  config.drive.search.sequence_length_meters = 10.0;
   return config;
 }
 
@@ -20,15 +20,15 @@ Snapshot Take(const VehicleView& view) {
   snapshot.durable_sequence = view.durable_sequence;
   snapshot.revision = view.revision;
   snapshot.loop_closure_count = view.loop_closure_count;
-  snapshot.consistency = view.engine.consistency();
+  snapshot.consistency = view.drive.consistency();
   snapshot.config = view.config;
   snapshot.damage = view.damage;
   snapshot.config_is_known = view.config_is_known;
-  const core::PoseGraph& graph = view.engine.graph();
+  const core::PoseGraph& graph = view.drive.graph();
   snapshot.node_count = graph.size();
   snapshot.first_kept = view.first_kept_sequence();
-  snapshot.dropped = view.engine.dropped().count();
-  snapshot.travelled_meters = view.engine.travelled_meters();
+  snapshot.dropped = view.drive.dropped().count();
+  snapshot.travelled_meters = view.drive.travelled_meters();
   std::ostringstream text;
   text << std::hexfloat;
   for (core::NodeIndex i = 0; i < graph.size(); ++i) {
@@ -44,7 +44,7 @@ Snapshot Take(const VehicleView& view) {
   }
   snapshot.graph = text.str();
   const auto found =
-      view.search->AtEnd(view.config.engine.search, [] { return false; });
+      view.search->AtEnd(view.config.drive.search, [] { return false; });
   std::ostringstream candidates;
   candidates << std::hexfloat;
   if (found.ok()) {

@@ -314,7 +314,7 @@ TEST_F(SnapshotsTest, OneOfOtherSettingsIsNotUsed) {
   Open();
   const auto wider = [](const VehicleView& view) {
     VehicleConfig config = view.config;
-    config.engine.node_spacing_meters = 2.0;
+    config.drive.node_spacing_meters = 2.0;
     return absl::StatusOr<VehicleConfig>(config);
   };
   ASSERT_THAT(UpdateNow(session(), wider), IsOk());
@@ -609,7 +609,7 @@ TEST(SnapshotStressTest, VehiclesThatComeAndGoAreAsReplayedWhole) {
         ASSERT_THAT(UpdateNow(session,
                               [&](const VehicleView& view) {
                                 VehicleConfig config = view.config;
-                                config.engine.search.sequence_length_meters =
+                                config.drive.search.sequence_length_meters =
                                     sequence_meters;
                                 return absl::StatusOr<VehicleConfig>(config);
                               }),
@@ -641,7 +641,7 @@ TEST(SnapshotStressTest, VehiclesThatComeAndGoAreAsReplayedWhole) {
       const Answer<std::string> answer;
       session.Search("calls", [&](const absl::StatusOr<VehicleView>& view) {
         const auto set =
-            view->search->AtEnd(view->config.engine.search, nullptr);
+            view->search->AtEnd(view->config.drive.search, nullptr);
         std::string text;
         for (const core::Candidate& candidate : set->candidates) {
           text += std::to_string(candidate.matched) + " " +

@@ -619,7 +619,7 @@ TEST_F(VehicleSessionTest, RebuildsGraphWhereNodesMove) {
   ASSERT_THAT(AppendNow(*session_, StraightBatch(1, 41)), IsOk());
   const auto updated = UpdateNow(*session_, [](const VehicleView& view) {
     VehicleConfig config = view.config;
-    config.engine.node_spacing_meters = 4.0;
+    config.drive.node_spacing_meters = 4.0;
     return config;
   });
   ASSERT_THAT(updated, IsOk());
@@ -630,7 +630,7 @@ TEST_F(VehicleSessionTest, RebuildsGraphWhereNodesMove) {
   EXPECT_EQ(before.node_count, 12);
   Reload();
   EXPECT_EQ(ReadNow(*session_)->graph, before.graph);
-  EXPECT_EQ(ReadNow(*session_)->config.engine.node_spacing_meters, 4.0);
+  EXPECT_EQ(ReadNow(*session_)->config.drive.node_spacing_meters, 4.0);
 }
 
 TEST_F(VehicleSessionTest, KeepsSettingsThatMoveNoNodes) {
@@ -638,15 +638,15 @@ TEST_F(VehicleSessionTest, KeepsSettingsThatMoveNoNodes) {
   const std::string graph = ReadNow(*session_)->graph;
   const auto updated = UpdateNow(*session_, [](const VehicleView& view) {
     VehicleConfig config = view.config;
-    config.engine.search.max_candidates = 9;
+    config.drive.search.max_candidates = 9;
     return config;
   });
   ASSERT_THAT(updated, IsOk());
-  EXPECT_EQ(updated->config.engine.search.max_candidates, 9);
+  EXPECT_EQ(updated->config.drive.search.max_candidates, 9);
   EXPECT_EQ(updated->graph, graph);
   EXPECT_EQ(updated->revision, 3u);
   Reload();
-  EXPECT_EQ(ReadNow(*session_)->config.engine.search.max_candidates, 9);
+  EXPECT_EQ(ReadNow(*session_)->config.drive.search.max_candidates, 9);
   EXPECT_EQ(ReadNow(*session_)->revision, 3u);
 }
 
@@ -669,15 +669,15 @@ TEST_F(VehicleSessionTest, FailedChangeLeavesVehicleAsItWas) {
     session_->Update(
         [=](const VehicleView& view) {
           VehicleConfig config = view.config;
-          config.engine.node_spacing_meters = spacing;
-          config.engine.search.max_candidates = 9;
+          config.drive.node_spacing_meters = spacing;
+          config.drive.search.max_candidates = 9;
           return config;
         },
         Taking(updated));
     storage_.FailOne(DeviceFailure());
     EXPECT_THAT(updated.Get(),
                 IsError(StatusCode::kUnavailable, "STORE_UNAVAILABLE", _));
-    EXPECT_EQ(ReadNow(*session_)->config.engine.search.max_candidates, 5);
+    EXPECT_EQ(ReadNow(*session_)->config.drive.search.max_candidates, 5);
     EXPECT_EQ(ReadNow(*session_)->revision, 2u);
   }
   storage_.ReleaseAll();
@@ -939,11 +939,11 @@ TEST_F(VehicleSessionTest, MeasurementsComeOutTheSameWheneverTheGraphIsMade) {
   Reload();
   expect_same();
   // A change that makes the graph anew, there and back.
-  for (const double spacing : {2.0, TestConfig().engine.node_spacing_meters}) {
+  for (const double spacing : {2.0, TestConfig().drive.node_spacing_meters}) {
     ASSERT_THAT(UpdateNow(*session_,
                           [&](const VehicleView& view) {
                             VehicleConfig config = view.config;
-                            config.engine.node_spacing_meters = spacing;
+                            config.drive.node_spacing_meters = spacing;
                             return config;
                           }),
                 IsOk());
@@ -1036,7 +1036,7 @@ TEST_F(VehicleSessionTest, LooksAtManyLoopClosuresWhereLongWorkRuns) {
   session_->Update(
       [](const VehicleView& view) {
         VehicleConfig config = view.config;
-        config.engine.apply_inflation = true;
+        config.drive.apply_inflation = true;
         return config;
       },
       [&](const absl::StatusOr<VehicleView>& view) {

@@ -11,8 +11,8 @@
 #include <vector>
 
 #include "core/drive/block_bounds.h"
+#include "core/drive/drive.h"
 #include "core/drive/motion_history.h"
-#include "core/engine.h"
 #include "core/search/alignment/heading_match.h"
 #include "core/search/alignment/recent_path.h"
 #include "core/search/alignment/relative.h"
@@ -193,9 +193,9 @@ TEST(HeadingMatchTest, ShortPathsTellNothing) {
 }
 
 TEST(SampledEndsTest, VerdictsAreThoseOfExhaustiveSearches) {
-  EngineSettings settings;
-  Engine engine(settings);
-  Search search(&engine);
+  DriveSettings settings;
+  Drive drive(settings);
+  Search search(&drive);
   SearchOptions exhaustive = settings.search;
   exhaustive.exhaustive = true;
   std::size_t checks = 0;
@@ -205,7 +205,7 @@ TEST(SampledEndsTest, VerdictsAreThoseOfExhaustiveSearches) {
     sample.sequence = static_cast<std::uint64_t>(i) + 1;
     sample.pose = node.pose;
     sample.covariance = node.covariance;
-    const AppendResult result = engine.Append({sample}, sample.sequence);
+    const AppendResult result = drive.Append({sample}, sample.sequence);
     for (const NodeIndex query : result.checks_due) {
       const auto found = search.At(query, settings.search, nullptr);
       const auto wanted = search.At(query, exhaustive, nullptr);

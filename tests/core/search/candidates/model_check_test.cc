@@ -8,8 +8,8 @@
 #include <random>
 #include <vector>
 
-#include "core/engine.h"
-#include "tests/core/drives.h"
+#include "core/drive/drive.h"
+#include "tests/core/drive/drives.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/random.h"
 
@@ -210,28 +210,28 @@ TEST(ModelCheckTest, AFindingIsGoneKilometresAfterItsCause) {
   EXPECT_FALSE(check.Judge(CorrelationModel::kDeadReckoning));
 }
 
-TEST(ModelCheckTest, TheEngineTellsAFindingOnceAndKeepsIt) {
+TEST(ModelCheckTest, TheDriveTellsAFindingOnceAndKeepsIt) {
   std::mt19937_64 random = SeededRandom();
   const std::vector<PoseSample> samples = Fixes(random, 2000.0, 8, 3.0, 0.97);
-  EngineSettings settings;
+  DriveSettings settings;
   settings.search.correlation_model = CorrelationModel::kDeadReckoning;
-  Engine engine(settings);
+  Drive drive(settings);
   int told = 0;
   for (const PoseSample& sample : samples) {
-    const AppendResult result = engine.Append({sample}, sample.sequence);
+    const AppendResult result = drive.Append({sample}, sample.sequence);
     if (result.findings.empty()) continue;
     ++told;
     EXPECT_EQ(result.findings[0].code, FindingCode::kCovariancesDoNotGrow);
-    EXPECT_LT(engine.travelled_meters(), 2000.0);
+    EXPECT_LT(drive.travelled_meters(), 2000.0);
   }
   EXPECT_EQ(told, 1);
-  ASSERT_EQ(engine.findings().size(), 1u);
+  ASSERT_EQ(drive.findings().size(), 1u);
 
   // A function of the poses and the model, however the poses came.
-  Engine at_once(settings);
+  Drive at_once(settings);
   EXPECT_EQ(at_once.Append(samples, 1).findings.size(), 1u);
-  EXPECT_EQ(at_once.findings()[0].growing, engine.findings()[0].growing);
-  EXPECT_EQ(at_once.findings()[0].smoother, engine.findings()[0].smoother);
+  EXPECT_EQ(at_once.findings()[0].growing, drive.findings()[0].growing);
+  EXPECT_EQ(at_once.findings()[0].smoother, drive.findings()[0].smoother);
   settings.search.correlation_model = CorrelationModel::kIndependent;
   at_once.ChangeSettings(settings, 2);
   EXPECT_EQ(at_once.findings()[0].code, FindingCode::kErrorsCorrelated);

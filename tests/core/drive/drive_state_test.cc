@@ -1,4 +1,4 @@
-// Engines that were saved as bytes and loaded, beside those that never were.
+// Drives that were saved as bytes and loaded, beside those that never were.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -11,7 +11,7 @@
 #include <utility>
 #include <vector>
 
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "core/search/search.h"
 #include "tests/core/graphs.h"
 #include "tests/random.h"
@@ -34,8 +34,8 @@ const Kind kKinds[] = {
     {StateSpace::kSpatial, CorrelationModel::kCorrelatedFixes},
     {StateSpace::kSpatial, CorrelationModel::kFilter}};
 
-EngineSettings SettingsOf(const Kind& kind) {
-  EngineSettings settings;
+DriveSettings SettingsOf(const Kind& kind) {
+  DriveSettings settings;
   settings.state_space = kind.space;
   settings.search.correlation_model = kind.model;
   settings.apply_inflation = true;
@@ -44,9 +44,9 @@ EngineSettings SettingsOf(const Kind& kind) {
 
 // Laps of a closed road, with stops, jumps, poses of any distance and stamps
 // that are there or not.
-class Drive {
+class Driver {
  public:
-  Drive(const Kind& kind, std::mt19937_64* random)
+  Driver(const Kind& kind, std::mt19937_64* random)
       : kind_(kind), random_(*random) {}
 
   std::vector<PoseSample> Next(int count) {
@@ -97,23 +97,23 @@ class Drive {
   double angle_ = 0.0;
 };
 
-std::vector<std::string> SavedParts(const Engine& engine) {
+std::vector<std::string> SavedParts(const Drive& drive) {
   std::vector<std::string> parts;
-  for (std::size_t k = 0; k < engine.whole_parts(); ++k) {
-    parts.push_back(engine.SavePart(k));
+  for (std::size_t k = 0; k < drive.whole_parts(); ++k) {
+    parts.push_back(drive.SavePart(k));
   }
   return parts;
 }
 
 // Null if the bytes are not usable.
-std::unique_ptr<Engine> Loaded(const EngineSettings& settings,
-                               const std::vector<std::string>& parts,
-                               const std::string& rest) {
-  auto engine = std::make_unique<Engine>(settings);
+std::unique_ptr<Drive> Loaded(const DriveSettings& settings,
+                              const std::vector<std::string>& parts,
+                              const std::string& rest) {
+  auto drive = std::make_unique<Drive>(settings);
   for (const std::string& part : parts) {
-    if (!engine->LoadPart(part)) return nullptr;
+    if (!drive->LoadPart(part)) return nullptr;
   }
-  return engine->LoadRest(rest) ? std::move(engine) : nullptr;
+  return drive->LoadRest(rest) ? std::move(drive) : nullptr;
 }
 
 struct Pair {
@@ -123,12 +123,12 @@ struct Pair {
   std::shared_ptr<const MeasuredLoop> measured;
 };
 
-void Add(const Pair& pair, Engine* engine) {
-  const std::uint64_t revision = engine->revision() + 1;
+void Add(const Pair& pair, Drive* drive) {
+  const std::uint64_t revision = drive->revision() + 1;
   if (pair.is_closure) {
-    engine->AddLoopClosure(pair.query, pair.matched, revision, pair.measured);
+    drive->AddLoopClosure(pair.query, pair.matched, revision, pair.measured);
   } else {
-    engine->AddRejection(pair.query, pair.matched, revision);
+    drive->AddRejection(pair.query, pair.matched, revision);
   }
 }
 
@@ -155,7 +155,7 @@ void ExpectSameSet(const CandidateSet& a, const CandidateSet& b) {
   }
 }
 
-void ExpectSameAnswers(const Engine& a, const Engine& b, NodeIndex query) {
+void ExpectSameAnswers(const Drive& a, const Drive& b, NodeIndex query) {
   const auto never = [] { return false; };
   const auto& options = a.settings().search;
   const auto left = Search(&a).At(query, options, never);
@@ -170,15 +170,15 @@ void ExpectSameAnswers(const Engine& a, const Engine& b, NodeIndex query) {
   ExpectSameSet(*left_sum, *right_sum);
 }
 
-TEST(EngineStateTest, ALoadedEngineGoesOnAsIfItHadNeverBeenSaved) {
+TEST(DriveStateTest, ALoadedDriveGoesOnAsIfItHadNeverBeenSaved) {
   std::mt19937_64 random = SeededRandom();
   for (const Kind& kind : kKinds) {
     SCOPED_TRACE(static_cast<int>(kind.space));
     SCOPED_TRACE(static_cast<int>(kind.model));
-    const EngineSettings settings = SettingsOf(kind);
-    Drive drive(kind, &random);
-    Engine never(settings);
-    auto loaded = std::make_unique<Engine>(settings);
+    const DriveSettings settings = SettingsOf(kind);
+    Driver driver(kind, &random);
+    Drive never(settings);
+    auto loaded = std::make_unique<Drive>(settings);
     std::vector<std::string> parts;
     std::vector<Pair> pairs;
     std::vector<PoseSample> all;
@@ -186,7 +186,7 @@ TEST(EngineStateTest, ALoadedEngineGoesOnAsIfItHadNeverBeenSaved) {
       // Now and then a step of any size, most often a long way.
       const bool is_long = Uniform(random, 0.0, 1.0) < 0.7;
       const auto samples =
-          drive.Next(UniformInt(random, 1, is_long ? 4000 : 200));
+          driver.Next(UniformInt(random, 1, is_long ? 4000 : 200));
       all.insert(all.end(), samples.begin(), samples.end());
       const AppendResult a = never.Append(samples, never.revision() + 1);
       const AppendResult b = loaded->Append(samples, loaded->revision() + 1);
@@ -237,24 +237,24 @@ TEST(EngineStateTest, ALoadedEngineGoesOnAsIfItHadNeverBeenSaved) {
   }
 }
 
-TEST(EngineStateTest, AnEmptyEngineIsSavedAndLoaded) {
-  const EngineSettings settings;
-  const Engine empty(settings);
+TEST(DriveStateTest, AnEmptyDriveIsSavedAndLoaded) {
+  const DriveSettings settings;
+  const Drive empty(settings);
   const auto loaded = Loaded(settings, {}, empty.SaveRest(0));
   ASSERT_NE(loaded, nullptr);
   EXPECT_EQ(loaded->SaveRest(0), empty.SaveRest(0));
 }
 
-TEST(EngineStateTest, BytesOfOtherSettingsOrOutOfOrderAreNotUsable) {
+TEST(DriveStateTest, BytesOfOtherSettingsOrOutOfOrderAreNotUsable) {
   std::mt19937_64 random = SeededRandom();
   const Kind kind = kKinds[0];
-  const EngineSettings settings = SettingsOf(kind);
-  Drive drive(kind, &random);
-  Engine engine(settings);
-  engine.Append(drive.Next(20'000), 1);
-  const std::vector<std::string> parts = SavedParts(engine);
+  const DriveSettings settings = SettingsOf(kind);
+  Driver driver(kind, &random);
+  Drive drive(settings);
+  drive.Append(driver.Next(20'000), 1);
+  const std::vector<std::string> parts = SavedParts(drive);
   ASSERT_EQ(parts.size(), 2u);
-  const std::string rest = engine.SaveRest(2);
+  const std::string rest = drive.SaveRest(2);
   ASSERT_NE(Loaded(settings, parts, rest), nullptr);
 
   EXPECT_EQ(Loaded(settings, {}, rest), nullptr);
@@ -262,17 +262,17 @@ TEST(EngineStateTest, BytesOfOtherSettingsOrOutOfOrderAreNotUsable) {
   EXPECT_EQ(Loaded(settings, {parts[1], parts[0]}, rest), nullptr);
   EXPECT_EQ(Loaded(settings, {parts[0], parts[0]}, rest), nullptr);
   EXPECT_EQ(Loaded(settings, {parts[0], rest}, parts[1]), nullptr);
-  EXPECT_NE(Loaded(settings, {}, engine.SaveRest(0)), nullptr);
+  EXPECT_NE(Loaded(settings, {}, drive.SaveRest(0)), nullptr);
 
-  EngineSettings other = settings;
+  DriveSettings other = settings;
   other.check_interval_meters = 70.0;
   EXPECT_NE(Loaded(other, parts, rest), nullptr);
-  for (const auto& change : std::vector<std::function<void(EngineSettings*)>>{
-           [](EngineSettings* s) { s->state_space = StateSpace::kSpatial; },
-           [](EngineSettings* s) { s->node_spacing_meters = 2.5; },
-           [](EngineSettings* s) { s->max_step_meters = 50.0; },
-           [](EngineSettings* s) { s->search.sequence_length_meters = 20.0; },
-           [](EngineSettings* s) {
+  for (const auto& change : std::vector<std::function<void(DriveSettings*)>>{
+           [](DriveSettings* s) { s->state_space = StateSpace::kSpatial; },
+           [](DriveSettings* s) { s->node_spacing_meters = 2.5; },
+           [](DriveSettings* s) { s->max_step_meters = 50.0; },
+           [](DriveSettings* s) { s->search.sequence_length_meters = 20.0; },
+           [](DriveSettings* s) {
              s->search.correlation_model = CorrelationModel::kIndependent;
            }}) {
     other = settings;
@@ -281,40 +281,40 @@ TEST(EngineStateTest, BytesOfOtherSettingsOrOutOfOrderAreNotUsable) {
   }
 }
 
-TEST(EngineStateTest, BytesThatWereCutAreNotUsable) {
+TEST(DriveStateTest, BytesThatWereCutAreNotUsable) {
   std::mt19937_64 random = SeededRandom();
   for (const Kind& kind : {kKinds[0], kKinds[7]}) {
-    const EngineSettings settings = SettingsOf(kind);
-    Drive drive(kind, &random);
-    Engine engine(settings);
-    engine.Append(drive.Next(300), 1);
-    const std::string rest = engine.SaveRest(0);
+    const DriveSettings settings = SettingsOf(kind);
+    Driver driver(kind, &random);
+    Drive drive(settings);
+    drive.Append(driver.Next(300), 1);
+    const std::string rest = drive.SaveRest(0);
     for (std::size_t size = 0; size < rest.size(); ++size) {
       EXPECT_EQ(Loaded(settings, {}, rest.substr(0, size)), nullptr) << size;
     }
     EXPECT_EQ(Loaded(settings, {}, rest + '\0'), nullptr);
-    engine.Append(drive.Next(12'000), 2);
-    const std::string part = engine.SavePart(0);
+    drive.Append(driver.Next(12'000), 2);
+    const std::string part = drive.SavePart(0);
     for (std::size_t size = 0; size < part.size(); size += 997) {
-      Engine loaded(settings);
+      Drive loaded(settings);
       EXPECT_FALSE(loaded.LoadPart(part.substr(0, size))) << size;
     }
   }
 }
 
 // The storage's checksums find such damage; here it must only do no harm.
-TEST(EngineStateTest, FlippedBitsAreRefusedOrDoNoHarm) {
+TEST(DriveStateTest, FlippedBitsAreRefusedOrDoNoHarm) {
   std::mt19937_64 random = SeededRandom();
   int usable = 0;
   for (const Kind& kind : {kKinds[0], kKinds[7]}) {
-    const EngineSettings settings = SettingsOf(kind);
-    Drive drive(kind, &random);
-    Engine engine(settings);
-    engine.Append(drive.Next(11'000), 1);
-    const std::vector<std::string> parts = SavedParts(engine);
+    const DriveSettings settings = SettingsOf(kind);
+    Driver driver(kind, &random);
+    Drive drive(settings);
+    drive.Append(driver.Next(11'000), 1);
+    const std::vector<std::string> parts = SavedParts(drive);
     ASSERT_EQ(parts.size(), 1u);
-    const std::string rest = engine.SaveRest(1);
-    const auto more = drive.Next(300);
+    const std::string rest = drive.SaveRest(1);
+    const auto more = driver.Next(300);
     for (int round = 0; round < 300; ++round) {
       std::vector<std::string> flipped = {parts[0], rest};
       std::string& bytes = flipped[static_cast<std::size_t>(round % 2)];
@@ -330,17 +330,18 @@ TEST(EngineStateTest, FlippedBitsAreRefusedOrDoNoHarm) {
       ++usable;
       loaded->Append(more, 1);
       if (round % 10 != 0) continue;
-      EXPECT_TRUE(
-          Search(loaded.get()).AtEnd(settings.search, [] { return false; }).ok());
+      EXPECT_TRUE(Search(loaded.get())
+                      .AtEnd(settings.search, [] { return false; })
+                      .ok());
     }
   }
   EXPECT_GT(usable, 0);
 }
 
-// If this fails, and the change is meant: raise kStateVersion of engine.cc, so
+// If this fails, and the change is meant: raise kStateVersion of drive.cc, so
 // that no server takes what an older one has saved, and set the sum anew.
-TEST(EngineStateTest, TheBytesOfThisVersionAreKnown) {
-  Engine engine((EngineSettings()));
+TEST(DriveStateTest, TheBytesOfThisVersionAreKnown) {
+  Drive drive((DriveSettings()));
   std::vector<PoseSample> samples;
   for (int i = 0; i < 9000; ++i) {
     PoseSample sample;
@@ -352,10 +353,10 @@ TEST(EngineStateTest, TheBytesOfThisVersionAreKnown) {
     sample.covariance(3, 3) = 0.25;
     samples.push_back(sample);
   }
-  engine.Append(samples, 1);
+  drive.Append(samples, 1);
   // FNV-1a.
   std::uint64_t sum = 0xcbf29ce484222325;
-  for (const std::string& bytes : {engine.SavePart(0), engine.SaveRest(1)}) {
+  for (const std::string& bytes : {drive.SavePart(0), drive.SaveRest(1)}) {
     for (const char byte : bytes) {
       sum = (sum ^ static_cast<unsigned char>(byte)) * 0x100000001b3;
     }

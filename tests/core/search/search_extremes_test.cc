@@ -1,5 +1,5 @@
 // All inputs that pass FindDefect() and FindProblems() must be answered: the
-// engine runs in a server that serves other vehicles too.
+// search runs in a server that serves other vehicles too.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -7,7 +7,7 @@
 #include <sstream>
 #include <vector>
 
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "core/geometry/heading.h"
 #include "core/search/search.h"
 #include "tests/random.h"
@@ -21,7 +21,7 @@ double AnyOf(std::mt19937_64& random, const std::vector<double>& values) {
 }
 
 struct Extremes {
-  EngineSettings settings;
+  DriveSettings settings;
   std::vector<PoseSample> samples;
 
   std::string Text() const {
@@ -37,7 +37,7 @@ struct Extremes {
 
 Extremes DrawExtremes(std::mt19937_64& random) {
   Extremes extremes;
-  EngineSettings& settings = extremes.settings;
+  DriveSettings& settings = extremes.settings;
   settings.state_space =
       UniformInt(random, 0, 1) ? StateSpace::kPlanar : StateSpace::kSpatial;
   settings.node_spacing_meters = AnyOf(random, {0.01, 2.0, 1000.0});
@@ -141,7 +141,7 @@ void ExpectSane(const absl::StatusOr<CandidateSet>& set) {
   }
 }
 
-TEST(EngineExtremesTest, AnswersWhateverIsValid) {
+TEST(SearchExtremesTest, AnswersWhateverIsValid) {
   std::mt19937_64 random = SeededRandom();
   int with_candidates = 0;
   for (int trial = 0; trial < 400; ++trial) {
@@ -152,10 +152,10 @@ TEST(EngineExtremesTest, AnswersWhateverIsValid) {
       const auto defect = FindDefect(sample, extremes.settings.state_space);
       ASSERT_FALSE(defect) << defect->description;
     }
-    Engine engine(extremes.settings);
-    engine.Append(extremes.samples, 1);
+    Drive drive(extremes.settings);
+    drive.Append(extremes.samples, 1);
     std::uint64_t revision = 1;
-    Search search(&engine);
+    Search search(&drive);
     const auto any = [&] {
       return static_cast<std::uint64_t>(
           UniformInt(random, 1, static_cast<int>(extremes.samples.size())));
@@ -170,13 +170,13 @@ TEST(EngineExtremesTest, AnswersWhateverIsValid) {
         with_candidates += set.ok() && !set->candidates.empty();
       }
       if (k % 3 == 2) {
-        engine.AddRejection(any(), any(), ++revision);
+        drive.AddRejection(any(), any(), ++revision);
       } else {
-        engine.AddLoopClosure(any(), any(), ++revision);
+        drive.AddLoopClosure(any(), any(), ++revision);
       }
-      EXPECT_TRUE(std::isfinite(engine.consistency().inflation));
-      EXPECT_GE(engine.consistency().inflation, 1.0);
-      EXPECT_LE(engine.consistency().inflation,
+      EXPECT_TRUE(std::isfinite(drive.consistency().inflation));
+      EXPECT_GE(drive.consistency().inflation, 1.0);
+      EXPECT_LE(drive.consistency().inflation,
                 extremes.settings.max_inflation * (1.0 + 1e-12));
     }
   }

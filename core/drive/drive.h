@@ -4,8 +4,8 @@
 //
 // Thread-compatible: const calls may run at the same time, other calls need
 // exclusive access.
-#ifndef REVISIT_CORE_ENGINE_H_
-#define REVISIT_CORE_ENGINE_H_
+#ifndef REVISIT_CORE_DRIVE_DRIVE_H_
+#define REVISIT_CORE_DRIVE_DRIVE_H_
 
 #include <cstddef>
 #include <cstdint>
@@ -44,12 +44,12 @@ struct AppendResult {
   std::vector<Finding> findings;
 };
 
-class Engine {
+class Drive {
  public:
   // REQUIRES: FindProblems(settings) is empty.
-  explicit Engine(const EngineSettings& settings);
+  explicit Drive(const DriveSettings& settings);
 
-  const EngineSettings& settings() const { return settings_; }
+  const DriveSettings& settings() const { return settings_; }
   const PoseGraph& graph() const { return graph_; }
   // Memory of the graph and its indexes, without the allocator's overhead.
   std::size_t bytes() const {
@@ -88,7 +88,7 @@ class Engine {
   // The stamp before which nodes are too old, if any is (stamps.h).
   std::optional<std::int64_t> OldestStamp(
       std::optional<std::int64_t> latest_ns) const;
-  // Whether the settings are still those with which the search, of this engine,
+  // Whether the settings are still those with which the search, of this drive,
   // began.
   bool Fits(const DroppableSearch& search) const;
   // The nodes at both ends of each confirmed loop.
@@ -100,7 +100,7 @@ class Engine {
   // REQUIRES: FindProblems(settings) is empty; the state space, the node
   // spacing, the maximal step, and whether the model is kFilter do not change;
   // revision greater than revision().
-  void ChangeSettings(const EngineSettings& settings, std::uint64_t revision);
+  void ChangeSettings(const DriveSettings& settings, std::uint64_t revision);
 
   // Adds or removes an edge between the last nodes at or before two poses. Two
   // poses at one node have no edge, nor have two of which one was dropped; that
@@ -139,12 +139,12 @@ class Engine {
   Consistency consistency() const;
 
   // ---- The state as bytes: all that the poses have made, but no loop closures
-  // and no rejections. An engine that was loaded answers as the one that was
+  // and no rejections. A drive that was loaded answers as the one that was
   // saved, to the last bit.
   //
   // The bytes are parts, of kPartNodes nodes each, and a rest. Nodes, once
   // made, stay, so whoever saves again needs only the parts that are new since
-  // then. All are for engines of the same StateKey(): that of the settings
+  // then. All are for drives of the same StateKey(): that of the settings
   // which the nodes and their indexes come from, and of the version of this
   // form.
 
@@ -158,9 +158,9 @@ class Engine {
   std::string SaveRest(std::size_t parts) const;
   // Loads the next part, and, after all parts, the rest. False if the bytes are
   // damaged so that a later call could fail, are of another key, or are not
-  // those that come next: then throw the engine away. Damage that leaves
+  // those that come next: then throw the drive away. Damage that leaves
   // numbers in their ranges is not found: guard the bytes with a checksum.
-  // REQUIRES: an engine that was not used but for calls of LoadPart().
+  // REQUIRES: a drive that was not used but for calls of LoadPart().
   bool LoadPart(absl::string_view bytes);
   bool LoadRest(absl::string_view bytes);
   static constexpr NodeIndex kPartNodes = 64 * NodeBlock::kSize;
@@ -202,7 +202,7 @@ class Engine {
   void ExtendIndexes();
   // Estimates the consistency anew from all confirmed loops.
   void RebuildMonitor();
-  EngineSettings settings_;
+  DriveSettings settings_;
   PoseGraph graph_;
   DistanceResampler resampler_;
   MotionHistory motion_history_;
@@ -229,4 +229,4 @@ class Engine {
 
 }  // namespace revisit::core
 
-#endif  // REVISIT_CORE_ENGINE_H_
+#endif  // REVISIT_CORE_DRIVE_DRIVE_H_

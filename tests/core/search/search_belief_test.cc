@@ -1,4 +1,4 @@
-// An engine's searches learn from the drive before.
+// Searches learn from the drive before.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -11,9 +11,9 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "core/search/search.h"
-#include "tests/core/drives.h"
+#include "tests/core/drive/drives.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/random.h"
 
@@ -43,17 +43,17 @@ using Answers = std::vector<std::pair<NodeIndex, CandidateSet>>;
 
 // Streams the poses in batches, and searches at each check.
 Answers Stream(const std::vector<PoseSample>& samples, std::size_t batch,
-               Engine* engine, Search* search) {
+               Drive* drive, Search* search) {
   Answers answers;
   for (std::size_t first = 0; first < samples.size(); first += batch) {
     const std::size_t last = std::min(samples.size(), first + batch);
     const AppendResult appended =
-        engine->Append({samples.begin() + static_cast<std::ptrdiff_t>(first),
-                        samples.begin() + static_cast<std::ptrdiff_t>(last)},
-                       engine->revision() + 1);
+        drive->Append({samples.begin() + static_cast<std::ptrdiff_t>(first),
+                       samples.begin() + static_cast<std::ptrdiff_t>(last)},
+                      drive->revision() + 1);
     for (const NodeIndex node : appended.checks_due) {
       answers.emplace_back(
-          node, *search->At(node, engine->settings().search, nullptr));
+          node, *search->At(node, drive->settings().search, nullptr));
     }
   }
   return answers;
@@ -82,15 +82,15 @@ void ExpectEqual(const CandidateSet& a, const CandidateSet& b) {
   }
 }
 
-TEST(EngineBeliefTest, AnAnswerIsTheSameStreamedAskedLaterAndByAnotherSearch) {
+TEST(SearchBeliefTest, AnAnswerIsTheSameStreamedAskedLaterAndByAnotherSearch) {
   std::mt19937_64 random = SeededRandom();
   const std::vector<PoseSample> samples = Laps(random, 2.0);
-  Engine engine((EngineSettings()));
-  Search search(&engine);
-  const Answers streamed = Stream(samples, 37, &engine, &search);
+  Drive drive((DriveSettings()));
+  Search search(&drive);
+  const Answers streamed = Stream(samples, 37, &drive, &search);
   ASSERT_GT(streamed.size(), 50u);
-  const SearchOptions& options = engine.settings().search;
-  Search later(&engine);
+  const SearchOptions& options = drive.settings().search;
+  Search later(&drive);
   std::size_t found = 0;
   for (std::size_t k = streamed.size(); k-- > 0;) {
     SCOPED_TRACE(streamed[k].first);
@@ -98,39 +98,39 @@ TEST(EngineBeliefTest, AnAnswerIsTheSameStreamedAskedLaterAndByAnotherSearch) {
     ExpectEqual(answer, *search.At(node, options, nullptr));
     ExpectEqual(answer, *later.At(node, options, nullptr));
     if (k % 10 == 0) {
-      ExpectEqual(answer, *Search(&engine).At(node, options, nullptr));
+      ExpectEqual(answer, *Search(&drive).At(node, options, nullptr));
     }
     found += !answer.candidates.empty();
   }
   EXPECT_GT(found, 30u);
 }
 
-TEST(EngineBeliefTest, ClosuresAndRejectionsDoNotChangeWhatMarksHaveShown) {
+TEST(SearchBeliefTest, ClosuresAndRejectionsDoNotChangeWhatMarksHaveShown) {
   std::mt19937_64 random = SeededRandom();
   const std::vector<PoseSample> samples = Laps(random, 1.0);
-  Engine engine((EngineSettings()));
-  Search search(&engine);
-  const Answers streamed = Stream(samples, 100, &engine, &search);
+  Drive drive((DriveSettings()));
+  Search search(&drive);
+  const Answers streamed = Stream(samples, 100, &drive, &search);
   const std::size_t marks = search.mark_count();
   const CandidateSet& last = streamed.back().second;
   ASSERT_FALSE(last.candidates.empty());
-  const PoseGraph& graph = engine.graph();
-  engine.AddLoopClosure(graph.node(*last.query).sequence,
-                        graph.node(last.candidates[0].matched).sequence,
-                        engine.revision() + 1);
-  const CandidateSet known = *search.AtEnd(engine.settings().search, nullptr);
-  Search anew(&engine);
-  ExpectEqual(known, *anew.AtEnd(engine.settings().search, nullptr));
+  const PoseGraph& graph = drive.graph();
+  drive.AddLoopClosure(graph.node(*last.query).sequence,
+                       graph.node(last.candidates[0].matched).sequence,
+                       drive.revision() + 1);
+  const CandidateSet known = *search.AtEnd(drive.settings().search, nullptr);
+  Search anew(&drive);
+  ExpectEqual(known, *anew.AtEnd(drive.settings().search, nullptr));
   EXPECT_EQ(known.scale->scale, last.scale->scale);
   EXPECT_LE(search.mark_count(), marks + 1);
 }
 
-TEST(EngineBeliefTest, LearnsThatClaimsAreTooWideOrTooNarrow) {
+TEST(SearchBeliefTest, LearnsThatClaimsAreTooWideOrTooNarrow) {
   std::mt19937_64 random = SeededRandom();
   const auto learned = [&random](double claimed) {
-    Engine engine((EngineSettings()));
-    Search search(&engine);
-    return Stream(Laps(random, claimed), 100, &engine, &search)
+    Drive drive((DriveSettings()));
+    Search search(&drive);
+    return Stream(Laps(random, claimed), 100, &drive, &search)
         .back()
         .second.scale->scale;
   };
@@ -139,14 +139,14 @@ TEST(EngineBeliefTest, LearnsThatClaimsAreTooWideOrTooNarrow) {
   EXPECT_GT(learned(0.25), 1.5 * honest);
 }
 
-TEST(EngineBeliefTest, WideClaimsFindAboutAsMuchAsHonestOnes) {
+TEST(SearchBeliefTest, WideClaimsFindAboutAsMuchAsHonestOnes) {
   std::mt19937_64 random = SeededRandom();
   const auto accepted = [&random](double claimed) {
-    Engine engine((EngineSettings()));
-    Search search(&engine);
+    Drive drive((DriveSettings()));
+    Search search(&drive);
     int count = 0;
     for (const auto& [node, set] :
-         Stream(Laps(random, claimed), 100, &engine, &search)) {
+         Stream(Laps(random, claimed), 100, &drive, &search)) {
       count += !set.candidates.empty() &&
                set.candidates[0].verdict == Verdict::kAccepted;
     }
@@ -158,42 +158,42 @@ TEST(EngineBeliefTest, WideClaimsFindAboutAsMuchAsHonestOnes) {
   EXPECT_GE(accepted(0.25), honest * 9 / 10);
 }
 
-TEST(EngineBeliefTest, NothingIsBelievedWhereTheSettingsSaySo) {
+TEST(SearchBeliefTest, NothingIsBelievedWhereTheSettingsSaySo) {
   std::mt19937_64 random = SeededRandom();
   const std::vector<PoseSample> samples = Laps(random, 1.0);
-  Engine engine((EngineSettings()));
-  engine.Append(samples, 1);
-  Search search(&engine);
-  SearchOptions options = engine.settings().search;
+  Drive drive((DriveSettings()));
+  drive.Append(samples, 1);
+  Search search(&drive);
+  SearchOptions options = drive.settings().search;
   options.use_belief = false;
   EXPECT_FALSE(search.AtEnd(options, nullptr)->scale);
-  options = engine.settings().search;
+  options = drive.settings().search;
   options.alignment = AlignmentKind::kComposite;
   EXPECT_FALSE(search.AtEnd(options, nullptr)->scale);
-  options = engine.settings().search;
+  options = drive.settings().search;
   options.correlation_model = CorrelationModel::kIndependent;
   EXPECT_FALSE(search.AtEnd(options, nullptr)->scale);
   EXPECT_EQ(search.mark_count(), 0u);
 }
 
 // Searches at the newest node after a change of the settings, and compares with
-// an engine that has had no others. Returns whether the marks that were known
+// a drive that has had no others. Returns whether the marks that were known
 // before are still known.
 bool KeepsMarks(const std::vector<PoseSample>& samples,
-                const std::function<void(EngineSettings*)>& change) {
-  Engine engine((EngineSettings()));
-  engine.Append(samples, 1);
-  const NodeIndex query = engine.graph().size() - 1;
-  Search search(&engine);
-  EXPECT_TRUE(search.AtEnd(engine.settings().search, nullptr).ok());
-  EngineSettings settings = engine.settings();
+                const std::function<void(DriveSettings*)>& change) {
+  Drive drive((DriveSettings()));
+  drive.Append(samples, 1);
+  const NodeIndex query = drive.graph().size() - 1;
+  Search search(&drive);
+  EXPECT_TRUE(search.AtEnd(drive.settings().search, nullptr).ok());
+  DriveSettings settings = drive.settings();
   change(&settings);
-  engine.ChangeSettings(settings, engine.revision() + 1);
+  drive.ChangeSettings(settings, drive.revision() + 1);
   // Whether or not a search begins with a belief now, one could.
   SearchOptions believing = settings.search;
   believing.use_belief = true;
   const bool keeps = !search.FindMissingMark(query, believing);
-  Engine fresh(settings);
+  Drive fresh(settings);
   fresh.Append(samples, 1);
   Search anew(&fresh);
   ExpectEqual(*search.AtEnd(settings.search, nullptr),
@@ -201,22 +201,22 @@ bool KeepsMarks(const std::vector<PoseSample>& samples,
   return keeps;
 }
 
-TEST(EngineBeliefTest, MarksOutliveSettingsThatTheyDoNotDependOn) {
+TEST(SearchBeliefTest, MarksOutliveSettingsThatTheyDoNotDependOn) {
   std::mt19937_64 random = SeededRandom();
   const std::vector<PoseSample> samples = Laps(random, 1.0);
-  const std::function<void(EngineSettings*)> changes[] = {
-      [](EngineSettings*) {},
-      [](EngineSettings* s) { s->check_interval_meters = 80.0; },
-      [](EngineSettings* s) { s->apply_inflation = true; },
-      [](EngineSettings* s) { s->max_inflation = 5.0; },
-      [](EngineSettings* s) { s->retention.max_passes = 3; },
-      [](EngineSettings* s) { s->search.gate_probability = 0.9; },
-      [](EngineSettings* s) { s->search.max_candidates = 2; },
-      [](EngineSettings* s) { s->search.acceptance_probability = 0.6; },
-      [](EngineSettings* s) { s->search.exhaustive = true; },
-      [](EngineSettings* s) { s->search.use_belief = false; },
-      [](EngineSettings* s) { s->search.fix_correlation_meters = 30.0; },
-      [](EngineSettings* s) {
+  const std::function<void(DriveSettings*)> changes[] = {
+      [](DriveSettings*) {},
+      [](DriveSettings* s) { s->check_interval_meters = 80.0; },
+      [](DriveSettings* s) { s->apply_inflation = true; },
+      [](DriveSettings* s) { s->max_inflation = 5.0; },
+      [](DriveSettings* s) { s->retention.max_passes = 3; },
+      [](DriveSettings* s) { s->search.gate_probability = 0.9; },
+      [](DriveSettings* s) { s->search.max_candidates = 2; },
+      [](DriveSettings* s) { s->search.acceptance_probability = 0.6; },
+      [](DriveSettings* s) { s->search.exhaustive = true; },
+      [](DriveSettings* s) { s->search.use_belief = false; },
+      [](DriveSettings* s) { s->search.fix_correlation_meters = 30.0; },
+      [](DriveSettings* s) {
         s->search.likelihood_form = LikelihoodForm::kAsPrinted;
       }};
   for (std::size_t k = 0; k < std::size(changes); ++k) {
@@ -225,32 +225,32 @@ TEST(EngineBeliefTest, MarksOutliveSettingsThatTheyDoNotDependOn) {
   }
 }
 
-TEST(EngineBeliefTest, MarksAreSearchedAnewWhereSettingsChangeThem) {
+TEST(SearchBeliefTest, MarksAreSearchedAnewWhereSettingsChangeThem) {
   std::mt19937_64 random = SeededRandom();
   const std::vector<PoseSample> samples = Laps(random, 1.0);
-  const std::function<void(EngineSettings*)> changes[] = {
-      [](EngineSettings* s) { s->search.direction = SearchDirection::kEither; },
-      [](EngineSettings* s) { s->search.sequence_length_meters = 120.0; },
-      [](EngineSettings* s) { s->search.place_tolerance.position_meters = 8; },
-      [](EngineSettings* s) { s->search.place_tolerance.heading_radians = 1; },
-      [](EngineSettings* s) { s->search.candidate_separation_meters = 40.0; },
-      [](EngineSettings* s) { s->search.shape.tolerance.position_meters = 2; },
-      [](EngineSettings* s) { s->search.shape.correlation_meters = 30.0; },
-      [](EngineSettings* s) { s->search.road_spacing_meters = 50.0; }};
+  const std::function<void(DriveSettings*)> changes[] = {
+      [](DriveSettings* s) { s->search.direction = SearchDirection::kEither; },
+      [](DriveSettings* s) { s->search.sequence_length_meters = 120.0; },
+      [](DriveSettings* s) { s->search.place_tolerance.position_meters = 8; },
+      [](DriveSettings* s) { s->search.place_tolerance.heading_radians = 1; },
+      [](DriveSettings* s) { s->search.candidate_separation_meters = 40.0; },
+      [](DriveSettings* s) { s->search.shape.tolerance.position_meters = 2; },
+      [](DriveSettings* s) { s->search.shape.correlation_meters = 30.0; },
+      [](DriveSettings* s) { s->search.road_spacing_meters = 50.0; }};
   for (std::size_t k = 0; k < std::size(changes); ++k) {
     SCOPED_TRACE(k);
     EXPECT_FALSE(KeepsMarks(samples, changes[k]));
   }
 }
 
-TEST(EngineBeliefTest, MarksMayBeLearnedOneByOneBeforeASearch) {
+TEST(SearchBeliefTest, MarksMayBeLearnedOneByOneBeforeASearch) {
   std::mt19937_64 random = SeededRandom();
-  Engine engine((EngineSettings()));
-  engine.Append(Laps(random, 1.0), 1);
-  const SearchOptions& options = engine.settings().search;
-  const NodeIndex query = engine.graph().size() - 1;
-  const CandidateSet at_once = *Search(&engine).At(query, options, nullptr);
-  Search search(&engine);
+  Drive drive((DriveSettings()));
+  drive.Append(Laps(random, 1.0), 1);
+  const SearchOptions& options = drive.settings().search;
+  const NodeIndex query = drive.graph().size() - 1;
+  const CandidateSet at_once = *Search(&drive).At(query, options, nullptr);
+  Search search(&drive);
   std::int64_t comparisons = 0;
   while (const auto missing = search.FindMissingMark(query, options)) {
     const std::size_t known = search.mark_count();
@@ -271,13 +271,13 @@ TEST(EngineBeliefTest, MarksMayBeLearnedOneByOneBeforeASearch) {
   EXPECT_EQ(search.ComparisonsAt(query, options), at_once.comparisons);
 }
 
-TEST(EngineBeliefTest, NoMarkIsMissingWhereASearchNeedsNone) {
+TEST(SearchBeliefTest, NoMarkIsMissingWhereASearchNeedsNone) {
   std::mt19937_64 random = SeededRandom();
-  Engine engine((EngineSettings()));
-  engine.Append(Laps(random, 1.0), 1);
-  const NodeIndex query = engine.graph().size() - 1;
-  Search search(&engine);
-  SearchOptions options = engine.settings().search;
+  Drive drive((DriveSettings()));
+  drive.Append(Laps(random, 1.0), 1);
+  const NodeIndex query = drive.graph().size() - 1;
+  Search search(&drive);
+  SearchOptions options = drive.settings().search;
   ASSERT_TRUE(search.FindMissingMark(query, options));
   // No path, too much work, no belief.
   EXPECT_FALSE(search.FindMissingMark(10, options));
@@ -285,20 +285,20 @@ TEST(EngineBeliefTest, NoMarkIsMissingWhereASearchNeedsNone) {
   options.max_comparisons = 1000;
   EXPECT_FALSE(search.FindMissingMark(query, options));
   EXPECT_EQ(search.ComparisonsAt(query, options), 0);
-  options = engine.settings().search;
+  options = drive.settings().search;
   options.use_belief = false;
   EXPECT_FALSE(search.FindMissingMark(query, options));
 }
 
-TEST(EngineBeliefTest, ASearchThatIsToldToStopStopsAtItsMarksToo) {
+TEST(SearchBeliefTest, ASearchThatIsToldToStopStopsAtItsMarksToo) {
   std::mt19937_64 random = SeededRandom();
-  Engine engine((EngineSettings()));
-  engine.Append(Laps(random, 1.0), 1);
-  Search search(&engine);
+  Drive drive((DriveSettings()));
+  drive.Append(Laps(random, 1.0), 1);
+  Search search(&drive);
   int asked = 0;
   const auto stop = [&asked] { return ++asked > 20; };
   EXPECT_TRUE(
-      absl::IsCancelled(search.AtEnd(engine.settings().search, stop).status()));
+      absl::IsCancelled(search.AtEnd(drive.settings().search, stop).status()));
   EXPECT_LE(asked, 21);
 }
 

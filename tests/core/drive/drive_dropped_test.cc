@@ -1,4 +1,4 @@
-// Engines that go on behind poses that were dropped.
+// Drives that go on behind poses that were dropped.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -10,9 +10,9 @@
 #include <vector>
 
 #include "core/drive/correlation.h"
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "core/search/search.h"
-#include "tests/core/drives.h"
+#include "tests/core/drive/drives.h"
 #include "tests/random.h"
 
 namespace revisit::core {
@@ -29,9 +29,9 @@ Poses Part(const Poses& all, std::uint64_t first, std::uint64_t last) {
 }
 
 // The stretch that is left of the poses [first, last].
-DroppedStretch Dropped(const Engine& engine, const Poses& all,
+DroppedStretch Dropped(const Drive& drive, const Poses& all,
                        std::uint64_t first, std::uint64_t last) {
-  DroppedStretchMaker maker(engine.resampler_options());
+  DroppedStretchMaker maker(drive.resampler_options());
   if (first > 1) maker.Begin(all[first - 2].pose);
   for (const PoseSample& sample : Part(all, first, last)) maker.Add(sample);
   if (last < all.size()) maker.End(all[last].pose);
@@ -42,16 +42,16 @@ DroppedStretch Dropped(const Engine& engine, const Poses& all,
 void DriveWithout(
     const Poses& all,
     const std::vector<std::pair<std::uint64_t, std::uint64_t>>& gaps,
-    Engine* engine) {
+    Drive* drive) {
   std::uint64_t next = 1;
   for (const auto& [first, last] : gaps) {
     if (first > next) {
-      engine->Append(Part(all, next, first - 1), engine->revision() + 1);
+      drive->Append(Part(all, next, first - 1), drive->revision() + 1);
     }
-    engine->Skip(Dropped(*engine, all, first, last), engine->revision() + 1);
+    drive->Skip(Dropped(*drive, all, first, last), drive->revision() + 1);
     next = last + 1;
   }
-  engine->Append(Part(all, next, all.size()), engine->revision() + 1);
+  drive->Append(Part(all, next, all.size()), drive->revision() + 1);
 }
 
 // Laps of a course of 600 m with exact fixes.
@@ -65,78 +65,78 @@ Poses ThreeLaps() {
   return WithDeviations(trip.poses(), 0.5, 0.02);
 }
 
-TEST(EngineDroppedTest, GoesOnWithANewSegmentThatIsNoJump) {
+TEST(DriveDroppedTest, GoesOnWithANewSegmentThatIsNoJump) {
   const Poses all = ThreeLaps();
-  Engine whole((EngineSettings()));
+  Drive whole((DriveSettings()));
   whole.Append(all, 1);
-  Engine engine((EngineSettings()));
-  engine.Append(Part(all, 1, 400), 1);
-  engine.Skip(Dropped(engine, all, 401, 800), 2);
-  const AppendResult result = engine.Append(Part(all, 801, all.size()), 3);
+  Drive drive((DriveSettings()));
+  drive.Append(Part(all, 1, 400), 1);
+  drive.Skip(Dropped(drive, all, 401, 800), 2);
+  const AppendResult result = drive.Append(Part(all, 801, all.size()), 3);
   EXPECT_THAT(result.jumps, IsEmpty());
-  EXPECT_EQ(engine.last_sequence(), all.size());
-  EXPECT_NEAR(engine.travelled_meters(), whole.travelled_meters(), 1e-6);
-  const NodeIndex after = *engine.graph().NodeAtOrBefore(801);
-  EXPECT_EQ(engine.graph().node(after).sequence, 801u);
-  EXPECT_EQ(engine.graph().SegmentStart(after), after);
-  EXPECT_EQ(engine.graph().node(after - 1).sequence, 400u - 1u);
-  EXPECT_TRUE(engine.dropped().Contains(600));
-  EXPECT_FALSE(engine.dropped().Contains(801));
+  EXPECT_EQ(drive.last_sequence(), all.size());
+  EXPECT_NEAR(drive.travelled_meters(), whole.travelled_meters(), 1e-6);
+  const NodeIndex after = *drive.graph().NodeAtOrBefore(801);
+  EXPECT_EQ(drive.graph().node(after).sequence, 801u);
+  EXPECT_EQ(drive.graph().SegmentStart(after), after);
+  EXPECT_EQ(drive.graph().node(after - 1).sequence, 400u - 1u);
+  EXPECT_TRUE(drive.dropped().Contains(600));
+  EXPECT_FALSE(drive.dropped().Contains(801));
   // Checks fall due as often as ever.
   for (std::size_t i = 1; i < result.checks_due.size(); ++i) {
-    EXPECT_NEAR(engine.graph().MetersApart(result.checks_due[i],
-                                           result.checks_due[i - 1]),
+    EXPECT_NEAR(drive.graph().MetersApart(result.checks_due[i],
+                                          result.checks_due[i - 1]),
                 50.0, 2.0);
   }
 }
 
-TEST(EngineDroppedTest, MayBeginWithWhatWasDropped) {
+TEST(DriveDroppedTest, MayBeginWithWhatWasDropped) {
   const Poses all = ThreeLaps();
-  Engine engine((EngineSettings()));
-  DriveWithout(all, {{1, 700}}, &engine);
-  EXPECT_EQ(engine.graph().node(0).sequence, 701u);
-  EXPECT_NEAR(engine.graph().node(0).travelled_meters, 700.0, 10.0);
-  EXPECT_EQ(engine.dropped().KeptFrom(1), 701u);
-  EXPECT_EQ(engine.dropped().count(), 700u);
+  Drive drive((DriveSettings()));
+  DriveWithout(all, {{1, 700}}, &drive);
+  EXPECT_EQ(drive.graph().node(0).sequence, 701u);
+  EXPECT_NEAR(drive.graph().node(0).travelled_meters, 700.0, 10.0);
+  EXPECT_EQ(drive.dropped().KeptFrom(1), 701u);
+  EXPECT_EQ(drive.dropped().count(), 700u);
 }
 
-TEST(EngineDroppedTest, PairsWithADroppedPoseHaveNoEffect) {
+TEST(DriveDroppedTest, PairsWithADroppedPoseHaveNoEffect) {
   const Poses all = ThreeLaps();
-  EngineSettings settings;
+  DriveSettings settings;
   settings.search.correlation_model = CorrelationModel::kIndependent;
-  Engine engine(settings);
-  DriveWithout(all, {{300, 700}}, &engine);
-  engine.AddLoopClosure(1200, 500, engine.revision() + 1);
-  engine.AddRejection(1300, 600, engine.revision() + 1);
-  EXPECT_THAT(engine.graph().LoopEdges(), IsEmpty());
-  EXPECT_EQ(engine.consistency().confirmed, 0);
-  EXPECT_EQ(engine.consistency().rejected, 0);
-  engine.AddLoopClosure(1200, 100, engine.revision() + 1);
-  EXPECT_EQ(engine.consistency().confirmed, 1);
-  engine.RemoveLoopClosure(1200, 500, engine.revision() + 1);
-  engine.RemoveRejection(1300, 600, engine.revision() + 1);
-  EXPECT_EQ(engine.consistency().confirmed, 1);
+  Drive drive(settings);
+  DriveWithout(all, {{300, 700}}, &drive);
+  drive.AddLoopClosure(1200, 500, drive.revision() + 1);
+  drive.AddRejection(1300, 600, drive.revision() + 1);
+  EXPECT_THAT(drive.graph().LoopEdges(), IsEmpty());
+  EXPECT_EQ(drive.consistency().confirmed, 0);
+  EXPECT_EQ(drive.consistency().rejected, 0);
+  drive.AddLoopClosure(1200, 100, drive.revision() + 1);
+  EXPECT_EQ(drive.consistency().confirmed, 1);
+  drive.RemoveLoopClosure(1200, 500, drive.revision() + 1);
+  drive.RemoveRejection(1300, 600, drive.revision() + 1);
+  EXPECT_EQ(drive.consistency().confirmed, 1);
 }
 
-TEST(EngineDroppedTest, FindsAPlaceAmongThePassesThatAreLeft) {
+TEST(DriveDroppedTest, FindsAPlaceAmongThePassesThatAreLeft) {
   const Poses all = ThreeLaps();
-  EngineSettings settings;
+  DriveSettings settings;
   settings.search.correlation_model = CorrelationModel::kIndependent;
-  Engine engine(settings);
+  Drive drive(settings);
   // The second lap is gone.
-  DriveWithout(all, {{700, 1150}}, &engine);
+  DriveWithout(all, {{700, 1150}}, &drive);
   const auto found =
-      Search(&engine).AtEnd(settings.search, [] { return false; });
+      Search(&drive).AtEnd(settings.search, [] { return false; });
   ASSERT_TRUE(found.ok());
   ASSERT_FALSE(found->candidates.empty());
-  const Pose at = engine.graph().pose(found->candidates.front().matched);
-  const Pose query = engine.graph().pose(*found->query);
+  const Pose at = drive.graph().pose(found->candidates.front().matched);
+  const Pose query = drive.graph().pose(*found->query);
   EXPECT_LT(std::hypot(at.x - query.x, at.y - query.y), 5.0);
 }
 
 // Errors that a filter carries on are carried over what was dropped as they
 // would have been through it.
-TEST(EngineDroppedTest, AFilterCarriesItsErrorsOn) {
+TEST(DriveDroppedTest, AFilterCarriesItsErrorsOn) {
   std::mt19937_64 random = SeededRandom();
   Poses all = WithDeviations(Trip().Straight(60.0).poses(), 0.5, 0.02);
   for (PoseSample& sample : all) {
@@ -149,29 +149,29 @@ TEST(EngineDroppedTest, AFilterCarriesItsErrorsOn) {
     }
   }
   for (const StateSpace space : {StateSpace::kPlanar, StateSpace::kSpatial}) {
-    EngineSettings settings;
+    DriveSettings settings;
     settings.state_space = space;
     // A node at each pose.
     settings.node_spacing_meters = 1.0;
     settings.search.correlation_model = CorrelationModel::kFilter;
-    Engine whole(settings);
+    Drive whole(settings);
     whole.Append(all, 1);
-    Engine engine(settings);
-    DriveWithout(all, {{20, 27}, {28, 40}}, &engine);
-    const NodeIndex before = *engine.graph().NodeAtOrBefore(15);
-    const NodeIndex after = *engine.graph().NodeAtOrBefore(50);
+    Drive drive(settings);
+    DriveWithout(all, {{20, 27}, {28, 40}}, &drive);
+    const NodeIndex before = *drive.graph().NodeAtOrBefore(15);
+    const NodeIndex after = *drive.graph().NodeAtOrBefore(50);
     const auto expect_near = [](const auto& a, const auto& b) {
       EXPECT_LT((a - b).norm(), 1e-9 * (1.0 + b.norm())) << a << "\n" << b;
     };
     const NodeIndex from = *whole.graph().NodeAtOrBefore(15);
     const NodeIndex to = *whole.graph().NodeAtOrBefore(50);
     if (space == StateSpace::kPlanar) {
-      expect_near(PropagatedError<3>(engine.graph(), CorrelationModel::kFilter,
+      expect_near(PropagatedError<3>(drive.graph(), CorrelationModel::kFilter,
                                      before, after),
                   PropagatedError<3>(whole.graph(), CorrelationModel::kFilter,
                                      from, to));
     } else {
-      expect_near(PropagatedError<4>(engine.graph(), CorrelationModel::kFilter,
+      expect_near(PropagatedError<4>(drive.graph(), CorrelationModel::kFilter,
                                      before, after),
                   PropagatedError<4>(whole.graph(), CorrelationModel::kFilter,
                                      from, to));
@@ -179,7 +179,7 @@ TEST(EngineDroppedTest, AFilterCarriesItsErrorsOn) {
   }
 }
 
-TEST(EngineDroppedTest, IsSavedAndLoadedAsItIs) {
+TEST(DriveDroppedTest, IsSavedAndLoadedAsItIs) {
   std::mt19937_64 random = SeededRandom();
   for (const CorrelationModel model :
        {CorrelationModel::kDeadReckoning, CorrelationModel::kIndependent,
@@ -191,21 +191,21 @@ TEST(EngineDroppedTest, IsSavedAndLoadedAsItIs) {
         sample.transition.emplace().values[1] = Normal(random, 1e-3);
       }
     }
-    EngineSettings settings;
+    DriveSettings settings;
     settings.search.correlation_model = model;
     settings.node_spacing_meters = 1.0;
-    Engine engine(settings);
-    DriveWithout(all, {{1, 300}, {4000, 5500}, {20'000, 21'000}}, &engine);
-    Engine loaded(settings);
-    const std::size_t parts = engine.whole_parts();
+    Drive drive(settings);
+    DriveWithout(all, {{1, 300}, {4000, 5500}, {20'000, 21'000}}, &drive);
+    Drive loaded(settings);
+    const std::size_t parts = drive.whole_parts();
     ASSERT_GT(parts, 1u);
     for (std::size_t k = 0; k < parts; ++k) {
-      ASSERT_TRUE(loaded.LoadPart(engine.SavePart(k)));
+      ASSERT_TRUE(loaded.LoadPart(drive.SavePart(k)));
     }
-    ASSERT_TRUE(loaded.LoadRest(engine.SaveRest(parts)));
-    EXPECT_EQ(loaded.SaveRest(0), engine.SaveRest(0));
+    ASSERT_TRUE(loaded.LoadRest(drive.SaveRest(parts)));
+    EXPECT_EQ(loaded.SaveRest(0), drive.SaveRest(0));
     EXPECT_EQ(loaded.dropped().count(), 300u + 1501u + 1001u);
-    EXPECT_EQ(loaded.travelled_meters(), engine.travelled_meters());
+    EXPECT_EQ(loaded.travelled_meters(), drive.travelled_meters());
   }
 }
 

@@ -1,4 +1,4 @@
-#include "core/engine.h"
+#include "core/drive/drive.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -36,25 +36,25 @@ std::vector<PoseSample> Laps(double meters) {
   return oracle::WithCovariances(path, {});
 }
 
-Engine Driven(double meters, const EngineSettings& settings = {}) {
-  Engine engine(settings);
-  engine.Append(Laps(meters), 1);
-  return engine;
+Drive Driven(double meters, const DriveSettings& settings = {}) {
+  Drive drive(settings);
+  drive.Append(Laps(meters), 1);
+  return drive;
 }
 
-TEST(EngineTest, RecognisesTheSecondLap) {
-  const Engine engine = Driven(1700.0);
-  const auto set = Search(&engine).AtEnd(engine.settings().search, nullptr);
+TEST(DriveTest, RecognisesTheSecondLap) {
+  const Drive drive = Driven(1700.0);
+  const auto set = Search(&drive).AtEnd(drive.settings().search, nullptr);
   ASSERT_TRUE(set.ok());
   ASSERT_FALSE(set->candidates.empty());
   EXPECT_EQ(set->empty_reason, EmptyReason::kNotEmpty);
-  EXPECT_EQ(set->query, engine.graph().size() - 1);
+  EXPECT_EQ(set->query, drive.graph().size() - 1);
   EXPECT_EQ(set->nodes_considered + set->nodes_pruned,
-            engine.graph().size() - 75);
+            drive.graph().size() - 75);
   const Candidate& best = set->candidates[0];
   EXPECT_EQ(best.rank, 1);
   EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kAccepted);
-  EXPECT_NEAR(engine.graph().node(best.matched).travelled_meters, 500.0, 2.0);
+  EXPECT_NEAR(drive.graph().node(best.matched).travelled_meters, 500.0, 2.0);
   ASSERT_EQ(best.path.size(), 150u);
   EXPECT_EQ(best.path.back().first, *set->query);
   EXPECT_EQ(best.path.back().second, best.matched);
@@ -65,9 +65,9 @@ TEST(EngineTest, RecognisesTheSecondLap) {
   }
 }
 
-TEST(EngineTest, TheAnswerAtANodeDoesNotDependOnWhatCameAfter) {
-  const Engine then = Driven(1700.0);
-  const Engine later = Driven(2600.0);
+TEST(DriveTest, TheAnswerAtANodeDoesNotDependOnWhatCameAfter) {
+  const Drive then = Driven(1700.0);
+  const Drive later = Driven(2600.0);
   const NodeIndex query = then.graph().size() - 1;
   const SearchOptions options;
   const auto a = Search(&then).At(query, options, nullptr);
@@ -79,11 +79,11 @@ TEST(EngineTest, TheAnswerAtANodeDoesNotDependOnWhatCameAfter) {
   }
 }
 
-TEST(EngineTest, BatchesDoNotChangeTheGraph) {
+TEST(DriveTest, BatchesDoNotChangeTheGraph) {
   const std::vector<PoseSample> samples = Laps(900.0);
-  Engine whole({});
+  Drive whole({});
   const AppendResult at_once = whole.Append(samples, 1);
-  Engine pieces({});
+  Drive pieces({});
   std::mt19937_64 random = SeededRandom();
   std::vector<NodeIndex> checks;
   std::uint64_t revision = 0;
@@ -108,35 +108,35 @@ TEST(EngineTest, BatchesDoNotChangeTheGraph) {
   }
 }
 
-TEST(EngineTest, ChecksFallDueFromTwoSequenceLengthsOn) {
-  Engine engine({});
-  EXPECT_THAT(engine.Append(Laps(460.0), 1).checks_due,
+TEST(DriveTest, ChecksFallDueFromTwoSequenceLengthsOn) {
+  Drive drive({});
+  EXPECT_THAT(drive.Append(Laps(460.0), 1).checks_due,
               ElementsAre(150, 175, 200, 225));
 }
 
-TEST(EngineTest, ChecksFollowChangedSettings) {
-  Engine engine({});
+TEST(DriveTest, ChecksFollowChangedSettings) {
+  Drive drive({});
   const std::vector<PoseSample> samples = Laps(700.0);
-  engine.Append({samples.begin(), samples.begin() + 331}, 1);  // 330 m
-  EngineSettings settings;
+  drive.Append({samples.begin(), samples.begin() + 331}, 1);  // 330 m
+  DriveSettings settings;
   settings.check_interval_meters = 100.0;
-  engine.ChangeSettings(settings, 2);
+  drive.ChangeSettings(settings, 2);
   EXPECT_THAT(
-      engine.Append({samples.begin() + 331, samples.end()}, 3).checks_due,
+      drive.Append({samples.begin() + 331, samples.end()}, 3).checks_due,
       ElementsAre(200, 250, 300, 350));
-  EXPECT_EQ(engine.revision(), 3u);
+  EXPECT_EQ(drive.revision(), 3u);
 }
 
-TEST(EngineTest, SaysWhyAnAnswerIsEmpty) {
+TEST(DriveTest, SaysWhyAnAnswerIsEmpty) {
   const SearchOptions options;
-  const Engine nothing({});
+  const Drive nothing({});
   auto set = Search(&nothing).AtEnd(options, nullptr);
   EXPECT_EQ(set->empty_reason, EmptyReason::kPathTooShort);
   EXPECT_EQ(set->query, std::nullopt);
 
   const auto reason = [](double meters, const SearchOptions& asked) {
-    const Engine engine = Driven(meters);
-    return Search(&engine).AtEnd(asked, nullptr)->empty_reason;
+    const Drive drive = Driven(meters);
+    return Search(&drive).AtEnd(asked, nullptr)->empty_reason;
   };
   EXPECT_EQ(reason(140.0, options), EmptyReason::kPathTooShort);
   // 75 nodes, 148 m: a sequence with nothing before it.
@@ -152,61 +152,61 @@ TEST(EngineTest, SaysWhyAnAnswerIsEmpty) {
   EXPECT_EQ(reason(150.0, composite), EmptyReason::kNoAlignment);
 }
 
-TEST(EngineTest, ThePathStartsAnewAfterAJump) {
+TEST(DriveTest, ThePathStartsAnewAfterAJump) {
   std::vector<PoseSample> samples = Laps(700.0);
   for (std::size_t i = 600; i < samples.size(); ++i) {
     samples[i].pose.y += 5000.0;
   }
-  Engine engine({});
-  const AppendResult result = engine.Append(samples, 1);
+  Drive drive({});
+  const AppendResult result = drive.Append(samples, 1);
   ASSERT_EQ(result.jumps.size(), 1u);
   EXPECT_EQ(result.jumps[0].sequence, 601u);
-  EXPECT_EQ(Search(&engine).AtEnd({}, nullptr)->empty_reason,
+  EXPECT_EQ(Search(&drive).AtEnd({}, nullptr)->empty_reason,
             EmptyReason::kPathTooShort);
 }
 
-TEST(EngineTest, StopsWhenTold) {
-  const Engine engine = Driven(1300.0);
-  const auto set = Search(&engine).AtEnd({}, [] { return true; });
+TEST(DriveTest, StopsWhenTold) {
+  const Drive drive = Driven(1300.0);
+  const auto set = Search(&drive).AtEnd({}, [] { return true; });
   EXPECT_EQ(set.status().code(), absl::StatusCode::kCancelled);
 }
 
-TEST(EngineTest, LoopClosuresBecomeEdgesBetweenTheNodesAtOrBefore) {
-  Engine engine = Driven(1300.0);
-  engine.AddLoopClosure(1212, 10, 2);
+TEST(DriveTest, LoopClosuresBecomeEdgesBetweenTheNodesAtOrBefore) {
+  Drive drive = Driven(1300.0);
+  drive.AddLoopClosure(1212, 10, 2);
   // Poses 1212 and 10 are 1211 m and 9 m along; the nodes before them, 1210 and
   // 8.
-  EXPECT_THAT(engine.graph().LoopEdges(),
+  EXPECT_THAT(drive.graph().LoopEdges(),
               ElementsAre(std::make_pair(NodeIndex{4}, NodeIndex{605})));
-  EXPECT_EQ(engine.revision(), 2u);
-  engine.RemoveLoopClosure(1212, 10, 3);
-  EXPECT_THAT(engine.graph().LoopEdges(), IsEmpty());
-  engine.AddLoopClosure(11, 12, 4);  // Both at node 5.
-  EXPECT_THAT(engine.graph().LoopEdges(), IsEmpty());
-  EXPECT_EQ(engine.revision(), 4u);
+  EXPECT_EQ(drive.revision(), 2u);
+  drive.RemoveLoopClosure(1212, 10, 3);
+  EXPECT_THAT(drive.graph().LoopEdges(), IsEmpty());
+  drive.AddLoopClosure(11, 12, 4);  // Both at node 5.
+  EXPECT_THAT(drive.graph().LoopEdges(), IsEmpty());
+  EXPECT_EQ(drive.revision(), 4u);
 }
 
-TEST(EngineTest, OptionsOverrideTheVehicles) {
-  const Engine engine = Driven(1700.0);
+TEST(DriveTest, OptionsOverrideTheVehicles) {
+  const Drive drive = Driven(1700.0);
   SearchOptions options;
   options.max_candidates = 2;
   options.sequence_length_meters = 60.0;
   options.correlation_model = CorrelationModel::kIndependent;
   options.gate_probability = 0.5;
-  const auto set = Search(&engine).AtEnd(options, nullptr);
+  const auto set = Search(&drive).AtEnd(options, nullptr);
   ASSERT_EQ(set->candidates.size(), 2u);
   EXPECT_EQ(set->candidates[0].path.size(), 30u);
   EXPECT_NEAR(set->candidates[0].difference.gate.threshold, 2.36597, 1e-5);
 }
 
-TEST(EngineTest, PlanarAndSpatialAgreeOnAFlatRoad) {
-  EngineSettings settings;
+TEST(DriveTest, PlanarAndSpatialAgreeOnAFlatRoad) {
+  DriveSettings settings;
   settings.state_space = StateSpace::kSpatial;
   std::vector<PoseSample> samples = Laps(1700.0);
   for (PoseSample& sample : samples) sample.covariance(2, 2) = 1.0;
-  Engine spatial(settings);
+  Drive spatial(settings);
   spatial.Append(samples, 1);
-  const Engine planar = Driven(1700.0);
+  const Drive planar = Driven(1700.0);
   const auto a = Search(&spatial).AtEnd({}, nullptr);
   const auto b = Search(&planar).AtEnd({}, nullptr);
   EXPECT_EQ(a->candidates[0].matched, b->candidates[0].matched);

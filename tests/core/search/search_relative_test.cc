@@ -1,4 +1,4 @@
-// Relative alignments through the engine: the candidates and their evidence.
+// Relative alignments through a search: the candidates and their evidence.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -7,10 +7,10 @@
 #include <iostream>
 #include <vector>
 
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "core/geometry/heading.h"
 #include "core/search/search.h"
-#include "tests/core/drives.h"
+#include "tests/core/drive/drives.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/random.h"
 
@@ -24,41 +24,41 @@ oracle::Noise LittleNoise() {
   return noise;
 }
 
-Engine Driven(const std::vector<PoseSample>& samples,
-              const EngineSettings& settings = {}) {
-  Engine engine(settings);
-  engine.Append(samples, 1);
-  return engine;
+Drive Driven(const std::vector<PoseSample>& samples,
+             const DriveSettings& settings = {}) {
+  Drive drive(settings);
+  drive.Append(samples, 1);
+  return drive;
 }
 
-Engine Driven(const std::vector<Pose>& poses,
-              const EngineSettings& settings = {}) {
+Drive Driven(const std::vector<Pose>& poses,
+             const DriveSettings& settings = {}) {
   return Driven(oracle::WithCovariances(poses, LittleNoise()), settings);
 }
 
-EngineSettings IndependentSettings() {
-  EngineSettings settings;
+DriveSettings IndependentSettings() {
+  DriveSettings settings;
   settings.search.correlation_model = CorrelationModel::kIndependent;
   return settings;
 }
 
-CandidateSet Find(const Engine& engine, const SearchOptions& options) {
-  auto set = Search(&engine).AtEnd(options, nullptr);
+CandidateSet Find(const Drive& drive, const SearchOptions& options) {
+  auto set = Search(&drive).AtEnd(options, nullptr);
   EXPECT_TRUE(set.ok());
   return *std::move(set);
 }
 
-CandidateSet Find(const Engine& engine) {
-  return Find(engine, engine.settings().search);
+CandidateSet Find(const Drive& drive) {
+  return Find(drive, drive.settings().search);
 }
 
-double TravelledAt(const Engine& engine, const Candidate& candidate) {
-  return engine.graph().node(candidate.matched).travelled_meters;
+double TravelledAt(const Drive& drive, const Candidate& candidate) {
+  return drive.graph().node(candidate.matched).travelled_meters;
 }
 
 // One lap of the ring.
-double RingMeters(const Engine& engine) {
-  const PoseGraph& graph = engine.graph();
+double RingMeters(const Drive& drive) {
+  const PoseGraph& graph = drive.graph();
   NodeIndex nearest = 200;
   for (NodeIndex i = 200; i < graph.size() && i < 900; ++i) {
     if (Distance(graph.node(i).pose, graph.node(0).pose, StateSpace::kPlanar) <
@@ -70,15 +70,15 @@ double RingMeters(const Engine& engine) {
   return graph.node(nearest).travelled_meters;
 }
 
-TEST(EngineRelativeTest, PathsAreToldOnlyIfAskedFor) {
-  const Engine engine = Driven(Ring(1600.0));
+TEST(SearchRelativeTest, PathsAreToldOnlyIfAskedFor) {
+  const Drive drive = Driven(Ring(1600.0));
   for (const AlignmentKind alignment :
        {AlignmentKind::kRelative, AlignmentKind::kComposite}) {
     SearchOptions options;
     options.alignment = alignment;
-    const CandidateSet with = Find(engine, options);
+    const CandidateSet with = Find(drive, options);
     options.tell_paths = false;
-    const CandidateSet without = Find(engine, options);
+    const CandidateSet without = Find(drive, options);
     ASSERT_FALSE(with.candidates.empty());
     ASSERT_EQ(without.candidates.size(), with.candidates.size());
     for (std::size_t i = 0; i < with.candidates.size(); ++i) {
@@ -91,9 +91,9 @@ TEST(EngineRelativeTest, PathsAreToldOnlyIfAskedFor) {
   }
 }
 
-TEST(EngineRelativeTest, ARoadIsAsProbableHoweverOftenItWasDriven) {
+TEST(SearchRelativeTest, ARoadIsAsProbableHoweverOftenItWasDriven) {
   const std::vector<Pose> lap = Ring(RingMeters(Driven(Ring(1600.0))));
-  for (EngineSettings settings : {EngineSettings(), IndependentSettings()}) {
+  for (DriveSettings settings : {DriveSettings(), IndependentSettings()}) {
     std::vector<double> probabilities;
     for (const int times : {1, 16, 64}) {
       std::vector<Pose> poses;
@@ -113,12 +113,12 @@ TEST(EngineRelativeTest, ARoadIsAsProbableHoweverOftenItWasDriven) {
   }
 }
 
-TEST(EngineRelativeTest, ASecondLapIsAccepted) {
-  const Engine engine = Driven(Ring(1600.0));
-  const CandidateSet set = Find(engine);
+TEST(SearchRelativeTest, ASecondLapIsAccepted) {
+  const Drive drive = Driven(Ring(1600.0));
+  const CandidateSet set = Find(drive);
   ASSERT_FALSE(set.candidates.empty());
   const Candidate& best = set.candidates[0];
-  EXPECT_NEAR(TravelledAt(engine, best), 1600.0 - RingMeters(engine), 2.5);
+  EXPECT_NEAR(TravelledAt(drive, best), 1600.0 - RingMeters(drive), 2.5);
   EXPECT_EQ(best.rank, 1);
   EXPECT_EQ(best.verdict, Verdict::kAccepted);
   EXPECT_EQ(best.direction, Direction::kSame);
@@ -139,12 +139,12 @@ TEST(EngineRelativeTest, ASecondLapIsAccepted) {
   EXPECT_LE(set.scale->scale, set.scale->high);
 }
 
-TEST(EngineRelativeTest,
+TEST(SearchRelativeTest,
      ACornerFartherBackThanOneSequenceTellsThePlaceAlongAStraight) {
   // Twice 60 m to a bend of 20 m radius and a straight beyond it, the second
   // time up to 240 m, with an estimate that is 25 m too far along the straight.
-  const auto drive = [](double straight, double too_far,
-                        std::vector<Pose>* poses) {
+  const auto go = [](double straight, double too_far,
+                     std::vector<Pose>* poses) {
     for (double s = -60.0; s < 0.0; s += 1.0) poses->push_back({s, too_far});
     for (double angle = 0.0; angle < 0.5 * kPi; angle += 0.05) {
       poses->push_back({20.0 * std::sin(angle),
@@ -155,34 +155,34 @@ TEST(EngineRelativeTest,
     }
   };
   std::vector<Pose> poses;
-  drive(500.0, 0.0, &poses);
+  go(500.0, 0.0, &poses);
   const std::size_t second = poses.size();
-  drive(240.0, 25.0, &poses);
+  go(240.0, 25.0, &poses);
   std::vector<PoseSample> samples = WithDeviations(poses, 1.0, 1e-4);
   for (std::size_t i = second; i < samples.size(); ++i) {
     for (int k : {0, 1}) samples[i].covariance(k, k) = 30.0 * 30.0;
   }
-  const Engine engine = Driven(samples);
-  const CandidateSet set = Find(engine);
+  const Drive drive = Driven(samples);
+  const CandidateSet set = Find(drive);
   ASSERT_FALSE(set.candidates.empty());
   const Candidate& best = set.candidates[0];
   EXPECT_EQ(best.verdict, Verdict::kAccepted);
   EXPECT_GT(best.relative->overlap_meters, 250.0);
-  EXPECT_NEAR(engine.graph().node(best.matched).pose.y, 240.0, 4.0);
+  EXPECT_NEAR(drive.graph().node(best.matched).pose.y, 240.0, 4.0);
   EXPECT_GT(best.relative->probability, 0.8);
 }
 
-TEST(EngineRelativeTest, AnEndFarOutsideItsUncertaintyIsRejectedByTheGate) {
+TEST(SearchRelativeTest, AnEndFarOutsideItsUncertaintyIsRejectedByTheGate) {
   // The estimator has slipped 60 m sideways between the laps, unnoticed.
   std::vector<Pose> poses = Ring(1600.0);
   for (std::size_t i = 1200; i < poses.size(); ++i) poses[i].y += 60.0;
-  const Engine engine = Driven(poses);
+  const Drive drive = Driven(poses);
   SearchOptions options;
   options.use_belief = false;
   // So improbable that only an exhaustive search finds it.
-  EXPECT_EQ(Find(engine, options).empty_reason, EmptyReason::kNoProbablePlace);
+  EXPECT_EQ(Find(drive, options).empty_reason, EmptyReason::kNoProbablePlace);
   options.exhaustive = true;
-  const CandidateSet set = Find(engine, options);
+  const CandidateSet set = Find(drive, options);
   ASSERT_FALSE(set.candidates.empty());
   EXPECT_EQ(set.nodes_pruned, 0);
   const Candidate& best = set.candidates[0];
@@ -192,7 +192,7 @@ TEST(EngineRelativeTest, AnEndFarOutsideItsUncertaintyIsRejectedByTheGate) {
             best.difference.gate.threshold);
 }
 
-TEST(EngineRelativeTest, TwoPlacesAsGoodAreAmbiguous) {
+TEST(SearchRelativeTest, TwoPlacesAsGoodAreAmbiguous) {
   // Two equal courses 3 km from each other; then, with the vehicle lost between
   // them, the same shape a third time.
   std::vector<Pose> poses;
@@ -206,10 +206,10 @@ TEST(EngineRelativeTest, TwoPlacesAsGoodAreAmbiguous) {
   for (std::size_t i = samples.size() - 501; i < samples.size(); ++i) {
     for (int k : {0, 1}) samples[i].covariance(k, k) = 1500.0 * 1500.0;
   }
-  const Engine engine = Driven(samples);
+  const Drive drive = Driven(samples);
   SearchOptions options;
   options.acceptance_probability = 0.6;
-  const CandidateSet set = Find(engine, options);
+  const CandidateSet set = Find(drive, options);
   ASSERT_GE(set.candidates.size(), 2u);
   for (int k : {0, 1}) {
     const Candidate& candidate = set.candidates[static_cast<std::size_t>(k)];
@@ -220,20 +220,20 @@ TEST(EngineRelativeTest, TwoPlacesAsGoodAreAmbiguous) {
     EXPECT_GT(*candidate.relative->odds_to_runner_up, 0.5);
     EXPECT_LT(*candidate.relative->odds_to_runner_up, 2.0);
   }
-  EXPECT_NEAR(std::abs(engine.graph().node(set.candidates[0].matched).pose.x -
-                       engine.graph().node(set.candidates[1].matched).pose.x),
+  EXPECT_NEAR(std::abs(drive.graph().node(set.candidates[0].matched).pose.x -
+                       drive.graph().node(set.candidates[1].matched).pose.x),
               3000.0, 4.0);
 }
 
-TEST(EngineRelativeTest, TwoPassesOfOnePlaceAreBothAccepted) {
-  const Engine engine = Driven(Ring(2750.0));
+TEST(SearchRelativeTest, TwoPassesOfOnePlaceAreBothAccepted) {
+  const Drive drive = Driven(Ring(2750.0));
   SearchOptions options;
   options.acceptance_probability = 0.9;
-  const CandidateSet set = Find(engine, options);
+  const CandidateSet set = Find(drive, options);
   ASSERT_GE(set.candidates.size(), 2u);
-  EXPECT_NEAR(std::abs(TravelledAt(engine, set.candidates[0]) -
-                       TravelledAt(engine, set.candidates[1])),
-              RingMeters(engine), 4.0);
+  EXPECT_NEAR(std::abs(TravelledAt(drive, set.candidates[0]) -
+                       TravelledAt(drive, set.candidates[1])),
+              RingMeters(drive), 4.0);
   for (int k : {0, 1}) {
     const Candidate& candidate = set.candidates[static_cast<std::size_t>(k)];
     EXPECT_EQ(candidate.verdict, Verdict::kAccepted) << k;
@@ -241,12 +241,12 @@ TEST(EngineRelativeTest, TwoPassesOfOnePlaceAreBothAccepted) {
   }
 }
 
-TEST(EngineRelativeTest, AStraightRoadUnderHugeCovariancesIsUninformative) {
+TEST(SearchRelativeTest, AStraightRoadUnderHugeCovariancesIsUninformative) {
   // Any node of the straight is within the gate.
-  const Engine engine =
+  const Drive drive =
       Driven(WithDeviations(Trip().Straight(1500.0).poses(), 1000.0, 1.0),
              IndependentSettings());
-  const CandidateSet set = Find(engine);
+  const CandidateSet set = Find(drive);
   ASSERT_FALSE(set.candidates.empty());
   for (const Candidate& candidate : set.candidates) {
     EXPECT_EQ(candidate.verdict, Verdict::kUninformative);
@@ -268,8 +268,8 @@ std::vector<PoseSample> AlongAgain(double radians) {
   return WithDeviations(poses, 3.0, 0.002);
 }
 
-TEST(EngineRelativeTest, AShapeThatStraysTooFarIsRejectedByShape) {
-  EngineSettings settings = IndependentSettings();
+TEST(SearchRelativeTest, AShapeThatStraysTooFarIsRejectedByShape) {
+  DriveSettings settings = IndependentSettings();
   settings.search.shape.tolerance.heading_radians = 0.02;
   settings.search.shape.correlation_meters = 10.0;
   settings.search.gate_probability = 0.5;
@@ -294,15 +294,15 @@ TEST(EngineRelativeTest, AShapeThatStraysTooFarIsRejectedByShape) {
   EXPECT_GE(recognised, 2);
 }
 
-TEST(EngineRelativeTest, AnEndAtTheEdgeOfTheGateNeedsAShapeThatSpeaksForIt) {
+TEST(SearchRelativeTest, AnEndAtTheEdgeOfTheGateNeedsAShapeThatSpeaksForIt) {
   // A straight beside another, 2.5 standard deviations off, with nothing in the
   // shape to make up for it.
-  const Engine engine = Driven(
+  const Drive drive = Driven(
       WithDeviations(
           Trip().Straight(800.0).JumpTo({300.0, 150.0}).Straight(250.0).poses(),
           60.0 / std::sqrt(2.0), 0.03),
       IndependentSettings());
-  const CandidateSet set = Find(engine);
+  const CandidateSet set = Find(drive);
   ASSERT_FALSE(set.candidates.empty());
   const Candidate& best = set.candidates[0];
   EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kAccepted);
@@ -312,7 +312,7 @@ TEST(EngineRelativeTest, AnEndAtTheEdgeOfTheGateNeedsAShapeThatSpeaksForIt) {
   EXPECT_EQ(best.verdict, Verdict::kUninformative);
 }
 
-TEST(EngineRelativeTest, NothingIsInventedWhereAllIsIllConditioned) {
+TEST(SearchRelativeTest, NothingIsInventedWhereAllIsIllConditioned) {
   // Dead reckoning cannot become more certain: where it claims to, the
   // covariance of every difference is indefinite.
   std::vector<PoseSample> samples = oracle::WithCovariances(Ring(1600.0), {});
@@ -324,15 +324,15 @@ TEST(EngineRelativeTest, NothingIsInventedWhereAllIsIllConditioned) {
       }
     }
   }
-  Engine engine({});
-  engine.Append(samples, 1);
+  Drive drive({});
+  drive.Append(samples, 1);
   for (const AlignmentKind alignment :
        {AlignmentKind::kRelative, AlignmentKind::kComposite}) {
     for (const bool exhaustive : {false, true}) {
       SearchOptions options;
       options.alignment = alignment;
       options.exhaustive = exhaustive;
-      const CandidateSet set = Find(engine, options);
+      const CandidateSet set = Find(drive, options);
       EXPECT_EQ(set.empty_reason, EmptyReason::kNoAlignment);
       EXPECT_FALSE(set.new_place_probability.has_value());
       EXPECT_TRUE(set.candidates.empty());
@@ -353,34 +353,34 @@ std::vector<PoseSample> SureSecondLap() {
 
 // Turns the headings that the last node's depends on, and no other's.
 void TurnLastNode(double radians, std::vector<PoseSample>* samples) {
-  const Engine engine = Driven(*samples);
-  const NodeIndex last = engine.graph().size() - 1;
-  for (std::size_t i = engine.graph().node(last).sequence - 1;
+  const Drive drive = Driven(*samples);
+  const NodeIndex last = drive.graph().size() - 1;
+  for (std::size_t i = drive.graph().node(last).sequence - 1;
        i < samples->size(); ++i) {
     (*samples)[i].pose.heading += radians;
   }
-  const Engine turned = Driven(*samples);
+  const Drive turned = Driven(*samples);
   ASSERT_EQ(turned.graph().size() - 1, last);
   EXPECT_EQ(turned.graph().node(last - 1).pose.heading,
-            engine.graph().node(last - 1).pose.heading);
+            drive.graph().node(last - 1).pose.heading);
 }
 
-TEST(EngineRelativeTest, OneNoisyEndPoseDoesNotReject) {
+TEST(SearchRelativeTest, OneNoisyEndPoseDoesNotReject) {
   std::vector<PoseSample> samples = SureSecondLap();
   EXPECT_EQ(Find(Driven(samples)).candidates[0].difference.gate.verdict,
             GateVerdict::kAccepted);
   TurnLastNode(0.32, &samples);
-  const Engine engine = Driven(samples);
-  const CandidateSet set = Find(engine);
+  const Drive drive = Driven(samples);
+  const CandidateSet set = Find(drive);
   const Candidate& best = set.candidates[0];
   EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kRejected);
   EXPECT_LT(best.relative->squared_end_difference,
             best.difference.gate.threshold);
   EXPECT_EQ(best.verdict, Verdict::kAccepted);
-  EXPECT_NEAR(TravelledAt(engine, best), 1600.0 - RingMeters(engine), 2.5);
+  EXPECT_NEAR(TravelledAt(drive, best), 1600.0 - RingMeters(drive), 2.5);
 }
 
-TEST(EngineRelativeTest, OnePoseOnAnOldRoadIsNotAccepted) {
+TEST(SearchRelativeTest, OnePoseOnAnOldRoadIsNotAccepted) {
   // The recent path comes round a bend and touches an old road for one pose,
   // exactly.
   Trip trip;
@@ -396,9 +396,9 @@ TEST(EngineRelativeTest, OnePoseOnAnOldRoadIsNotAccepted) {
     pose.heading = WrapHeading(-pose.heading);
     poses.push_back(pose);
   }
-  const Engine engine =
+  const Drive drive =
       Driven(WithDeviations(poses, 60.0, 0.05), IndependentSettings());
-  const CandidateSet set = Find(engine);
+  const CandidateSet set = Find(drive);
   ASSERT_FALSE(set.candidates.empty());
   for (const Candidate& candidate : set.candidates) {
     EXPECT_NE(candidate.verdict, Verdict::kAccepted);
@@ -408,7 +408,7 @@ TEST(EngineRelativeTest, OnePoseOnAnOldRoadIsNotAccepted) {
   EXPECT_EQ(best.difference.gate.verdict, GateVerdict::kAccepted);
 }
 
-TEST(EngineRelativeTest, TheOppositeDirectionIsFoundOnlyWhenAsked) {
+TEST(SearchRelativeTest, TheOppositeDirectionIsFoundOnlyWhenAsked) {
   Trip trip;
   trip.Winding(0.0, 700.0);
   std::vector<Pose> poses = trip.poses();
@@ -420,21 +420,21 @@ TEST(EngineRelativeTest, TheOppositeDirectionIsFoundOnlyWhenAsked) {
     pose.heading = WrapHeading(pose.heading + kPi);
     poses.push_back(pose);
   }
-  const Engine engine = Driven(poses);
+  const Drive drive = Driven(poses);
   SearchOptions options;
-  for (const Candidate& candidate : Find(engine, options).candidates) {
+  for (const Candidate& candidate : Find(drive, options).candidates) {
     EXPECT_EQ(candidate.direction, Direction::kSame);
     EXPECT_NE(candidate.verdict, Verdict::kAccepted);
   }
   for (const SearchDirection direction :
        {SearchDirection::kOpposite, SearchDirection::kEither}) {
     options.direction = direction;
-    const CandidateSet set = Find(engine, options);
+    const CandidateSet set = Find(drive, options);
     ASSERT_FALSE(set.candidates.empty());
     const Candidate& best = set.candidates[0];
     EXPECT_EQ(best.direction, Direction::kOpposite);
     EXPECT_EQ(best.verdict, Verdict::kAccepted);
-    EXPECT_NEAR(TravelledAt(engine, best), 300.0, 3.0);
+    EXPECT_NEAR(TravelledAt(drive, best), 300.0, 3.0);
     EXPECT_NEAR(best.difference.difference.heading, 0.0, 0.1);
     // The history is walked forward while the recent path is walked back.
     EXPECT_LT(best.path.back().second, best.path.front().second);
@@ -442,7 +442,7 @@ TEST(EngineRelativeTest, TheOppositeDirectionIsFoundOnlyWhenAsked) {
   }
 }
 
-TEST(EngineRelativeTest, AnOldRoadJoinedSixtyMetersAgoIsFound) {
+TEST(SearchRelativeTest, AnOldRoadJoinedSixtyMetersAgoIsFound) {
   // Off the old road, and back on it from the side.
   Trip old_road;
   old_road.Winding(0.0, 600.0);
@@ -458,37 +458,36 @@ TEST(EngineRelativeTest, AnOldRoadJoinedSixtyMetersAgoIsFound) {
     poses.push_back(pose);
   }
   for (std::size_t i = 240; i <= 300; ++i) poses.push_back(old_road.poses()[i]);
-  const Engine engine =
+  const Drive drive =
       Driven(WithDeviations(poses, 15.0, 0.05), IndependentSettings());
-  const CandidateSet set = Find(engine);
+  const CandidateSet set = Find(drive);
   ASSERT_FALSE(set.candidates.empty());
   const Candidate& best = set.candidates[0];
   EXPECT_EQ(best.verdict, Verdict::kAccepted);
-  EXPECT_NEAR(TravelledAt(engine, best), 300.0, 6.0);
+  EXPECT_NEAR(TravelledAt(drive, best), 300.0, 6.0);
   EXPECT_GE(best.relative->overlap_meters, 50.0);
   EXPECT_LE(best.relative->overlap_meters, 100.0);
   EXPECT_EQ(static_cast<double>(best.path.size() - 1) * 2.0,
             best.relative->overlap_meters);
 }
 
-TEST(EngineRelativeTest, AnOverlapGoesOnOverAConfirmedLoopClosure) {
+TEST(SearchRelativeTest, AnOverlapGoesOnOverAConfirmedLoopClosure) {
   // The history saw the road in two drives that share 20 m.
   Trip road;
   road.Winding(0.0, 600.0);
   std::vector<Pose> poses;
-  const auto drive = [&](std::size_t from, std::size_t to) {
+  const auto go = [&](std::size_t from, std::size_t to) {
     for (std::size_t i = from; i <= to; ++i) poses.push_back(road.poses()[i]);
   };
-  drive(0, 320);
-  drive(300, 600);  // From 320 m back to 300 m: a jump of 20 m, taken below.
-  drive(200, 400);
-  EngineSettings settings = IndependentSettings();
+  go(0, 320);
+  go(300, 600);  // From 320 m back to 300 m: a jump of 20 m, taken below.
+  go(200, 400);
+  DriveSettings settings = IndependentSettings();
   settings.max_step_meters = 10.0;
-  Engine engine(settings);
-  ASSERT_EQ(engine.Append(WithDeviations(poses, 3.0, 0.02), 1).jumps.size(),
-            2u);
-  const auto overlap = [&engine] {
-    const CandidateSet set = Find(engine);
+  Drive drive(settings);
+  ASSERT_EQ(drive.Append(WithDeviations(poses, 3.0, 0.02), 1).jumps.size(), 2u);
+  const auto overlap = [&drive] {
+    const CandidateSet set = Find(drive);
     // The candidate on the second drive.
     for (const Candidate& candidate : set.candidates) {
       if (candidate.matched > 160) return candidate.relative->overlap_meters;
@@ -498,50 +497,49 @@ TEST(EngineRelativeTest, AnOverlapGoesOnOverAConfirmedLoopClosure) {
   EXPECT_GE(overlap(), 90.0);
   EXPECT_LE(overlap(), 110.0);
   // 310 m along the road, in either drive.
-  engine.AddLoopClosure(332, 311, 2);
+  drive.AddLoopClosure(332, 311, 2);
   EXPECT_GE(overlap(), 144.0);
 }
 
-TEST(EngineRelativeTest, RejectedPairsAreNotOfferedUntilTheRejectionGoes) {
-  Engine engine = Driven(Ring(1600.0));
-  const CandidateSet before = Find(engine);
+TEST(SearchRelativeTest, RejectedPairsAreNotOfferedUntilTheRejectionGoes) {
+  Drive drive = Driven(Ring(1600.0));
+  const CandidateSet before = Find(drive);
   const Candidate& best = before.candidates[0];
-  const auto sequence = [&engine](NodeIndex i) {
-    const Node& node = engine.graph().node(i);
+  const auto sequence = [&drive](NodeIndex i) {
+    const Node& node = drive.graph().node(i);
     return node.sequence + (node.fraction > 0.0 ? 1 : 0);
   };
   const std::uint64_t query = sequence(*before.query);
   const std::uint64_t matched = sequence(best.matched);
-  engine.AddRejection(query, matched, 2);
-  EXPECT_EQ(engine.revision(), 2u);
-  EXPECT_EQ(engine.consistency().rejected, 1);
-  const double separation =
-      engine.settings().search.candidate_separation_meters;
+  drive.AddRejection(query, matched, 2);
+  EXPECT_EQ(drive.revision(), 2u);
+  EXPECT_EQ(drive.consistency().rejected, 1);
+  const double separation = drive.settings().search.candidate_separation_meters;
   for (const AlignmentKind alignment :
        {AlignmentKind::kRelative, AlignmentKind::kComposite}) {
     SearchOptions options;
     options.alignment = alignment;
-    for (const Candidate& candidate : Find(engine, options).candidates) {
+    for (const Candidate& candidate : Find(drive, options).candidates) {
       EXPECT_GE(
-          std::abs(TravelledAt(engine, candidate) - TravelledAt(engine, best)),
+          std::abs(TravelledAt(drive, candidate) - TravelledAt(drive, best)),
           separation - 2.0);
     }
   }
   // Queries farther away than the separation are not affected.
   const NodeIndex earlier = *before.query - 10;
   const auto other =
-      Search(&engine).At(earlier, engine.settings().search, nullptr);
+      Search(&drive).At(earlier, drive.settings().search, nullptr);
   EXPECT_EQ(other->candidates[0].verdict, Verdict::kAccepted);
   EXPECT_NEAR(static_cast<double>(other->candidates[0].matched),
               static_cast<double>(best.matched - 10), 1.0);
 
   // Twice rejected, once taken back: still rejected.
-  engine.AddRejection(query, matched, 3);
-  engine.RemoveRejection(query, matched, 4);
-  EXPECT_NE(Find(engine).candidates[0].matched, best.matched);
-  engine.RemoveRejection(query, matched, 5);
-  EXPECT_EQ(engine.consistency().rejected, 0);
-  const CandidateSet after = Find(engine);
+  drive.AddRejection(query, matched, 3);
+  drive.RemoveRejection(query, matched, 4);
+  EXPECT_NE(Find(drive).candidates[0].matched, best.matched);
+  drive.RemoveRejection(query, matched, 5);
+  EXPECT_EQ(drive.consistency().rejected, 0);
+  const CandidateSet after = Find(drive);
   ASSERT_EQ(after.candidates.size(), before.candidates.size());
   for (std::size_t i = 0; i < after.candidates.size(); ++i) {
     EXPECT_EQ(after.candidates[i].matched, before.candidates[i].matched);
@@ -549,16 +547,16 @@ TEST(EngineRelativeTest, RejectedPairsAreNotOfferedUntilTheRejectionGoes) {
   }
 }
 
-TEST(EngineRelativeTest, CompositeAnswersDoNotDependOnTheRelativeSettings) {
-  const Engine engine = Driven(Ring(1600.0));
+TEST(SearchRelativeTest, CompositeAnswersDoNotDependOnTheRelativeSettings) {
+  const Drive drive = Driven(Ring(1600.0));
   SearchOptions options;
   options.alignment = AlignmentKind::kComposite;
-  const CandidateSet plain = Find(engine, options);
+  const CandidateSet plain = Find(drive, options);
   options.shape.tolerance = {7.0, 0.5};
   options.shape.correlation_meters = 3.0;
   options.road_spacing_meters = 50.0;
   options.acceptance_probability = 0.99;
-  const CandidateSet other = Find(engine, options);
+  const CandidateSet other = Find(drive, options);
   EXPECT_EQ(plain.new_place_probability, std::nullopt);
   ASSERT_EQ(plain.candidates.size(), other.candidates.size());
   ASSERT_FALSE(plain.candidates.empty());
@@ -573,7 +571,7 @@ TEST(EngineRelativeTest, CompositeAnswersDoNotDependOnTheRelativeSettings) {
   }
 }
 
-TEST(EngineRelativeTest, APlaceAndANewOneAreTogetherNoMoreThanCertain) {
+TEST(SearchRelativeTest, APlaceAndANewOneAreTogetherNoMoreThanCertain) {
   std::mt19937_64 random = SeededRandom();
   for (const double factor : {0.1, 1.0, 10.0, 100.0}) {
     std::vector<PoseSample> samples = oracle::WithCovariances(
@@ -582,12 +580,12 @@ TEST(EngineRelativeTest, APlaceAndANewOneAreTogetherNoMoreThanCertain) {
     for (PoseSample& sample : samples) {
       for (double& value : sample.covariance.upper) value *= factor;
     }
-    const Engine engine = Driven(samples);
+    const Drive drive = Driven(samples);
     SearchOptions options;
     options.direction = SearchDirection::kEither;
     options.max_candidates = 100;
-    for (NodeIndex query = 700; query < engine.graph().size(); query += 90) {
-      const auto set = Search(&engine).At(query, options, nullptr);
+    for (NodeIndex query = 700; query < drive.graph().size(); query += 90) {
+      const auto set = Search(&drive).At(query, options, nullptr);
       for (const Candidate& candidate : set->candidates) {
         EXPECT_GE(candidate.relative->probability, 0.0);
         EXPECT_LE(candidate.relative->probability + *set->new_place_probability,
@@ -619,13 +617,13 @@ void ExpectAlike(const CandidateSet& a, const CandidateSet& b,
   }
 }
 
-TEST(EngineRelativeTest, AnAnswerDoesNotDependOnNodesAfterTheQuery) {
+TEST(SearchRelativeTest, AnAnswerDoesNotDependOnNodesAfterTheQuery) {
   std::mt19937_64 random = SeededRandom();
   const std::vector<PoseSample> samples = oracle::WithCovariances(
       oracle::DrawEstimate(Ring(2400.0), LittleNoise(), random), LittleNoise());
-  const Engine then =
+  const Drive then =
       Driven(std::vector<PoseSample>(samples.begin(), samples.begin() + 1600));
-  const Engine later = Driven(samples);
+  const Drive later = Driven(samples);
   SearchOptions options;
   options.direction = SearchDirection::kEither;
   const NodeIndex query = then.graph().size() - 1;
@@ -634,7 +632,7 @@ TEST(EngineRelativeTest, AnAnswerDoesNotDependOnNodesAfterTheQuery) {
   ExpectAlike(*a, *b, 0.0);
 }
 
-TEST(EngineRelativeTest, AnAnswerDoesNotDependOnTheFrameOrTheClock) {
+TEST(SearchRelativeTest, AnAnswerDoesNotDependOnTheFrameOrTheClock) {
   std::mt19937_64 random = SeededRandom();
   const std::vector<PoseSample> here = oracle::WithCovariances(
       oracle::DrawEstimate(Ring(1600.0), LittleNoise(), random), LittleNoise());
@@ -650,10 +648,10 @@ TEST(EngineRelativeTest, AnAnswerDoesNotDependOnTheFrameOrTheClock) {
     sample.stamp_ns = 1'700'000'000'000'000'000 +
                       static_cast<std::int64_t>(sample.sequence) * 100'000'000;
   }
-  EngineSettings settings;
+  DriveSettings settings;
   settings.search.direction = SearchDirection::kEither;
-  Engine a = Driven(here, settings);
-  Engine b = Driven(there, settings);
+  Drive a = Driven(here, settings);
+  Drive b = Driven(there, settings);
   ExpectAlike(Find(a), Find(b), 1e-9);
   // With a confirmed closure too.
   const auto lap = static_cast<std::uint64_t>(RingMeters(a));
@@ -662,34 +660,34 @@ TEST(EngineRelativeTest, AnAnswerDoesNotDependOnTheFrameOrTheClock) {
   ExpectAlike(Find(a), Find(b), 1e-9);
 }
 
-TEST(EngineRelativeTest, InflationIsAppliedOnlyWhenTheVehicleSaysSo) {
+TEST(SearchRelativeTest, InflationIsAppliedOnlyWhenTheVehicleSaysSo) {
   // The laps lie 20 m apart, which the covariances call impossible.
   std::vector<Pose> poses = Ring(1900.0);
   for (std::size_t i = 1200; i < poses.size(); ++i) poses[i].y += 20.0;
-  EngineSettings settings;
+  DriveSettings settings;
   settings.search.use_belief = false;
   for (const bool apply : {false, true}) {
     settings.apply_inflation = apply;
-    Engine engine = Driven(poses, settings);
-    const auto lap = static_cast<std::uint64_t>(RingMeters(engine));
+    Drive drive = Driven(poses, settings);
+    const auto lap = static_cast<std::uint64_t>(RingMeters(drive));
     std::uint64_t revision = 1;
     for (std::uint64_t k = 0; k < 10; ++k) {
-      engine.AddLoopClosure(1400 + 20 * k, 1400 + 20 * k - lap, ++revision);
+      drive.AddLoopClosure(1400 + 20 * k, 1400 + 20 * k - lap, ++revision);
     }
-    EXPECT_EQ(engine.consistency().confirmed, 10);
-    EXPECT_GT(engine.consistency().inflation, 1.5);
-    EXPECT_LE(engine.consistency().inflation, 10.0 + 1e-9);
-    const CandidateSet set = Find(engine);
+    EXPECT_EQ(drive.consistency().confirmed, 10);
+    EXPECT_GT(drive.consistency().inflation, 1.5);
+    EXPECT_LE(drive.consistency().inflation, 10.0 + 1e-9);
+    const CandidateSet set = Find(drive);
     ASSERT_FALSE(set.candidates.empty());
     EXPECT_EQ(set.candidates[0].inflation,
-              apply ? engine.consistency().inflation : 1.0);
+              apply ? drive.consistency().inflation : 1.0);
   }
 }
 
-TEST(EngineRelativeTest, AClosureTakenBackLeavesNoTraceInTheConsistency) {
+TEST(SearchRelativeTest, AClosureTakenBackLeavesNoTraceInTheConsistency) {
   const std::vector<Pose> poses = Ring(1900.0);
-  Engine plain = Driven(poses);
-  Engine other = Driven(poses);
+  Drive plain = Driven(poses);
+  Drive other = Driven(poses);
   plain.AddLoopClosure(1400, 246, 2);
   plain.AddLoopClosure(1500, 346, 3);
   other.AddLoopClosure(1400, 246, 2);
@@ -703,7 +701,7 @@ TEST(EngineRelativeTest, AClosureTakenBackLeavesNoTraceInTheConsistency) {
   EXPECT_EQ(other.consistency().mean_normalized_innovation_squared,
             plain.consistency().mean_normalized_innovation_squared);
   // Other settings result in another estimate from the same closures.
-  EngineSettings settings;
+  DriveSettings settings;
   settings.max_inflation = 1.0;
   other.ChangeSettings(settings, 6);
   EXPECT_EQ(other.consistency().confirmed, 2);

@@ -8,9 +8,9 @@
 #include <memory>
 #include <vector>
 
-#include "core/engine.h"
+#include "core/drive/drive.h"
 #include "core/search/search.h"
-#include "tests/core/drives.h"
+#include "tests/core/drive/drives.h"
 #include "tests/oracle/dead_reckoning.h"
 #include "tests/random.h"
 
@@ -85,17 +85,17 @@ struct Found {
 
 Found FindAfter(const TwoLaps& laps, const std::vector<PoseSample>& samples,
                 const std::shared_ptr<const MeasuredLoop>& measured) {
-  Engine engine(EngineSettings{});
-  engine.Append(samples, 1);
-  engine.AddLoopClosure(laps.query + 1, kMatched + 1, 2, measured);
-  SearchOptions options = engine.settings().search;
+  Drive drive(DriveSettings{});
+  drive.Append(samples, 1);
+  drive.AddLoopClosure(laps.query + 1, kMatched + 1, 2, measured);
+  SearchOptions options = drive.settings().search;
   options.exhaustive = true;
   options.sequence_length_meters = 75.0;
   // The closure is all that is known of the drift.
   options.use_belief = false;
-  const auto set = Search(&engine).AtEnd(options, nullptr);
+  const auto set = Search(&drive).AtEnd(options, nullptr);
   for (const Candidate& candidate : set->candidates) {
-    const Node node = engine.graph().node(candidate.matched);
+    const Node node = drive.graph().node(candidate.matched);
     const double off = static_cast<double>(node.sequence) - 1.0 -
                        static_cast<double>(kLaterMatched);
     if (std::abs(off) > 10.0) continue;
@@ -105,18 +105,18 @@ Found FindAfter(const TwoLaps& laps, const std::vector<PoseSample>& samples,
   return {};
 }
 
-TEST(EngineMeasuredTest, MeasuredOffsetIsBetterThanOnePlaceAndThanNoOffset) {
+TEST(DriveMeasuredTest, MeasuredOffsetIsBetterThanOnePlaceAndThanNoOffset) {
   const TwoLaps laps;
   ASSERT_NEAR(std::hypot(laps.Relative().x, laps.Relative().y), 3.0, 0.6);
   oracle::Noise noise;
   noise.along_meters = 0.1;
   noise.heading_radians = 0.0005;
   std::mt19937_64 random = SeededRandom();
-  const int drives = 40;
+  const int runs = 40;
   Found one_place;
   Found no_offset;
   Found measured;
-  for (int drive = 0; drive < drives; ++drive) {
+  for (int run = 0; run < runs; ++run) {
     const std::vector<PoseSample> samples = oracle::WithCovariances(
         oracle::DrawEstimate(laps.truth, noise, random), noise);
     Pose relative = laps.Relative();
@@ -126,8 +126,8 @@ TEST(EngineMeasuredTest, MeasuredOffsetIsBetterThanOnePlaceAndThanNoOffset) {
     const auto add = [&](Found* sum,
                          const std::shared_ptr<const MeasuredLoop>& closure) {
       const Found found = FindAfter(laps, samples, closure);
-      sum->score += found.score / drives;
-      sum->squared_end_difference += found.squared_end_difference / drives;
+      sum->score += found.score / runs;
+      sum->squared_end_difference += found.squared_end_difference / runs;
     };
     add(&one_place, nullptr);
     add(&no_offset, Measured(laps, samples, {}));
@@ -145,24 +145,24 @@ TEST(EngineMeasuredTest, MeasuredOffsetIsBetterThanOnePlaceAndThanNoOffset) {
             no_offset.squared_end_difference - 0.1);
 }
 
-TEST(EngineMeasuredTest, AgreementOfTrueMeasurementsIsChiSquare) {
+TEST(DriveMeasuredTest, AgreementOfTrueMeasurementsIsChiSquare) {
   const TwoLaps laps;
   const oracle::Noise noise;
   std::mt19937_64 random = SeededRandom();
-  const int drives = 400;
+  const int runs = 400;
   double sum = 0.0;
   int improbable = 0;
-  for (int drive = 0; drive < drives; ++drive) {
+  for (int run = 0; run < runs; ++run) {
     const std::vector<PoseSample> samples = oracle::WithCovariances(
         oracle::DrawEstimate(laps.truth, noise, random), noise);
-    Engine engine(EngineSettings{});
-    engine.Append(samples, 1);
+    Drive drive(DriveSettings{});
+    drive.Append(samples, 1);
     Pose relative = laps.Relative();
     relative.x += Normal(random, 0.2);
     relative.y += Normal(random, 0.2);
     relative.heading += Normal(random, 0.02);
-    const auto agreement = engine.AgreementOf(
-        laps.query + 1, kMatched + 1, Measured(laps, samples, relative));
+    const auto agreement = drive.AgreementOf(laps.query + 1, kMatched + 1,
+                                             Measured(laps, samples, relative));
     ASSERT_TRUE(agreement);
     EXPECT_EQ(agreement->degrees_of_freedom, 3);
     EXPECT_EQ(agreement->inflation, 1.0);
@@ -170,50 +170,50 @@ TEST(EngineMeasuredTest, AgreementOfTrueMeasurementsIsChiSquare) {
     if (agreement->p_value < 0.05) ++improbable;
   }
   // Its mean is 3, with a standard deviation of sqrt(6 / 400).
-  EXPECT_NEAR(sum / drives, 3.0, 0.6);
+  EXPECT_NEAR(sum / runs, 3.0, 0.6);
   EXPECT_LT(improbable, 40);
   EXPECT_GT(improbable, 5);
 }
 
-TEST(EngineMeasuredTest, ClosuresOfOneNodeAgreeToo) {
+TEST(DriveMeasuredTest, ClosuresOfOneNodeAgreeToo) {
   // Poses every metre, nodes every 2 m.
   const TwoLaps laps;
   const std::vector<PoseSample> samples =
       oracle::WithCovariances(laps.truth, {});
-  Engine engine(EngineSettings{});
-  engine.Append(samples, 1);
+  Drive drive(DriveSettings{});
+  drive.Append(samples, 1);
   MeasuredLoop loop;
   loop.query = {samples[1].pose, samples[1].covariance};
   loop.matched = {samples[0].pose, samples[0].covariance};
   loop.measurement.relative.x = 1.0;
   for (int k = 0; k < 4; ++k) loop.measurement.covariance(k, k) = 0.01;
   const auto measured = std::make_shared<const MeasuredLoop>(loop);
-  const auto agreement = engine.AgreementOf(2, 1, measured);
+  const auto agreement = drive.AgreementOf(2, 1, measured);
   ASSERT_TRUE(agreement);
   EXPECT_LT(agreement->squared_mahalanobis, 1.0);
-  engine.AddLoopClosure(2, 1, 2, measured);
-  EXPECT_EQ(engine.consistency().confirmed, 0);
+  drive.AddLoopClosure(2, 1, 2, measured);
+  EXPECT_EQ(drive.consistency().confirmed, 0);
 }
 
-TEST(EngineMeasuredTest, AgreementCountsTheVehiclesInflation) {
+TEST(DriveMeasuredTest, AgreementCountsTheVehiclesInflation) {
   const TwoLaps laps;
   const oracle::Noise noise;
   std::mt19937_64 random = SeededRandom();
   const std::vector<PoseSample> samples = oracle::WithCovariances(
       oracle::DrawEstimate(laps.truth, noise, random), noise);
-  EngineSettings settings;
+  DriveSettings settings;
   settings.search.use_belief = false;
-  Engine engine(settings);
-  engine.Append(samples, 1);
+  Drive drive(settings);
+  drive.Append(samples, 1);
   const auto measured = Measured(laps, samples, {5.0, 5.0, 0.0, 0.3});
   const auto claimed =
-      engine.AgreementOf(laps.query + 1, kMatched + 1, measured);
+      drive.AgreementOf(laps.query + 1, kMatched + 1, measured);
   settings.apply_inflation = true;
-  engine.ChangeSettings(settings, 2);
+  drive.ChangeSettings(settings, 2);
   const auto inflated =
-      engine.AgreementOf(laps.query + 1, kMatched + 1, measured);
+      drive.AgreementOf(laps.query + 1, kMatched + 1, measured);
   ASSERT_TRUE(claimed && inflated);
-  EXPECT_EQ(inflated->inflation, engine.consistency().inflation);
+  EXPECT_EQ(inflated->inflation, drive.consistency().inflation);
   EXPECT_GT(inflated->inflation, 1.0);
   EXPECT_LT(inflated->squared_mahalanobis, claimed->squared_mahalanobis);
 }

@@ -1,4 +1,4 @@
-#include "core/engine.h"
+#include "core/drive/drive.h"
 
 #include <algorithm>
 #include <cassert>
@@ -19,7 +19,7 @@ namespace {
 // the sequence.
 constexpr NodeIndex kLeastAgreeing = 10;
 
-ResamplerOptions MakeResamplerOptions(const EngineSettings& settings) {
+ResamplerOptions MakeResamplerOptions(const DriveSettings& settings) {
   ResamplerOptions options;
   options.state_space = settings.state_space;
   options.spacing_meters = settings.node_spacing_meters;
@@ -29,7 +29,7 @@ ResamplerOptions MakeResamplerOptions(const EngineSettings& settings) {
   return options;
 }
 
-ConsistencyOptions MakeConsistencyOptions(const EngineSettings& settings) {
+ConsistencyOptions MakeConsistencyOptions(const DriveSettings& settings) {
   ConsistencyOptions options;
   options.similarity = ClaimedModel(settings.state_space, settings.search);
   options.gate_probability = settings.search.gate_probability;
@@ -39,12 +39,12 @@ ConsistencyOptions MakeConsistencyOptions(const EngineSettings& settings) {
   return options;
 }
 
-// Changes whenever anything does that the bytes of an engine hold, or that they
-// come from: engine_state_test.cc has bytes as they were.
+// Changes whenever anything does that the bytes of a drive hold, or that they
+// come from: drive_state_test.cc has bytes as they were.
 constexpr std::uint64_t kStateVersion = 2;
 
 constexpr auto kPartBlocks =
-    static_cast<std::size_t>(Engine::kPartNodes) / NodeBlock::kSize;
+    static_cast<std::size_t>(Drive::kPartNodes) / NodeBlock::kSize;
 
 // A node that lies short of a multiple of the check interval by this fraction
 // of it counts as there: multiples of spacing and interval are rounded
@@ -53,7 +53,7 @@ constexpr double kCheckTolerance = 1e-9;
 
 }  // namespace
 
-Engine::Engine(const EngineSettings& settings)
+Drive::Drive(const DriveSettings& settings)
     : settings_(settings),
       resampler_(MakeResamplerOptions(settings)),
       motion_history_(MakeMotionHistory()),
@@ -65,7 +65,7 @@ Engine::Engine(const EngineSettings& settings)
   ScheduleNextCheck();
 }
 
-MotionHistory Engine::MakeMotionHistory() const {
+MotionHistory Drive::MakeMotionHistory() const {
   const SearchOptions& search = settings_.search;
   return MotionHistory(
       settings_.state_space, CorrelationOf(search),
@@ -74,19 +74,19 @@ MotionHistory Engine::MakeMotionHistory() const {
                                  settings_.node_spacing_meters)));
 }
 
-void Engine::ExtendIndexes() {
+void Drive::ExtendIndexes() {
   if (!has_indexes()) return;
   motion_history_.Extend(graph_);
   block_bounds_.Extend(graph_);
 }
 
-ResamplerOptions Engine::resampler_options() const {
+ResamplerOptions Drive::resampler_options() const {
   return MakeResamplerOptions(settings_);
 }
 
 // The next check is the first that lies after all present nodes and leaves room
 // for the sequence and as much history.
-void Engine::ScheduleNextCheck() {
+void Drive::ScheduleNextCheck() {
   const double interval = settings_.check_interval_meters;
   const double first =
       std::ceil(2.0 * settings_.search.sequence_length_meters / interval -
@@ -101,8 +101,8 @@ void Engine::ScheduleNextCheck() {
   next_check_ = static_cast<std::int64_t>(std::max(first, next));
 }
 
-AppendResult Engine::Append(const std::vector<PoseSample>& samples,
-                            std::uint64_t revision) {
+AppendResult Drive::Append(const std::vector<PoseSample>& samples,
+                           std::uint64_t revision) {
   assert(revision > revision_);
   AppendResult result;
   const CorrelationModel model = settings_.search.correlation_model;
@@ -140,7 +140,7 @@ AppendResult Engine::Append(const std::vector<PoseSample>& samples,
   return result;
 }
 
-std::vector<Finding> Engine::findings() const {
+std::vector<Finding> Drive::findings() const {
   std::vector<Finding> findings;
   if (auto found = model_check_.Find(settings_.search.correlation_model)) {
     findings.push_back(*found);
@@ -153,7 +153,7 @@ std::vector<Finding> Engine::findings() const {
   return findings;
 }
 
-void Engine::Skip(const DroppedStretch& stretch, std::uint64_t revision) {
+void Drive::Skip(const DroppedStretch& stretch, std::uint64_t revision) {
   assert(revision > revision_);
   assert(stretch.first_sequence == last_sequence_ + 1 &&
          stretch.last_sequence >= stretch.first_sequence);
@@ -174,7 +174,7 @@ void Engine::Skip(const DroppedStretch& stretch, std::uint64_t revision) {
   revision_ = revision;
 }
 
-RetentionNeeds Engine::MakeRetentionNeeds() const {
+RetentionNeeds Drive::MakeRetentionNeeds() const {
   const SearchOptions& search = settings_.search;
   const double spacing = settings_.node_spacing_meters;
   const NodeIndex steps = SequenceNodes(search.sequence_length_meters, spacing);
@@ -195,11 +195,11 @@ RetentionNeeds Engine::MakeRetentionNeeds() const {
   return needs;
 }
 
-LeapWatch Engine::MakeLeapWatch() const {
+LeapWatch Drive::MakeLeapWatch() const {
   return {settings_.retention.max_age_ns, MakeRetentionNeeds().newest_nodes};
 }
 
-std::optional<std::int64_t> Engine::OldestStamp(
+std::optional<std::int64_t> Drive::OldestStamp(
     std::optional<std::int64_t> latest_ns) const {
   if (!settings_.retention.max_age_ns) return std::nullopt;
   const RetentionNeeds needs = MakeRetentionNeeds();
@@ -208,7 +208,7 @@ std::optional<std::int64_t> Engine::OldestStamp(
                needs.newest_nodes, latest_ns});
 }
 
-std::unique_ptr<DroppableSearch> Engine::SearchDroppable(
+std::unique_ptr<DroppableSearch> Drive::SearchDroppable(
     std::optional<std::int64_t> latest_ns) const {
   RetentionNeeds needs = MakeRetentionNeeds();
   needs.loop_ends = LoopEnds();
@@ -216,12 +216,12 @@ std::unique_ptr<DroppableSearch> Engine::SearchDroppable(
                                            std::move(needs), latest_ns);
 }
 
-bool Engine::Fits(const DroppableSearch& search) const {
+bool Drive::Fits(const DroppableSearch& search) const {
   return search.options() == settings_.retention &&
          HaveSameRules(search.needs(), MakeRetentionNeeds());
 }
 
-std::vector<NodeIndex> Engine::LoopEnds() const {
+std::vector<NodeIndex> Drive::LoopEnds() const {
   std::vector<NodeIndex> ends;
   ends.reserve(2 * confirmed_.size());
   for (const Confirmed& confirmed : confirmed_) {
@@ -231,8 +231,8 @@ std::vector<NodeIndex> Engine::LoopEnds() const {
   return ends;
 }
 
-void Engine::ChangeSettings(const EngineSettings& settings,
-                            std::uint64_t revision) {
+void Drive::ChangeSettings(const DriveSettings& settings,
+                           std::uint64_t revision) {
   assert(revision > revision_);
   assert(FindProblems(settings).empty());
   assert(!MovesNodes(settings_, settings));
@@ -255,7 +255,7 @@ void Engine::ChangeSettings(const EngineSettings& settings,
   ScheduleNextCheck();
 }
 
-std::optional<std::pair<NodeIndex, NodeIndex>> Engine::LoopEdge(
+std::optional<std::pair<NodeIndex, NodeIndex>> Drive::LoopEdge(
     std::uint64_t query_sequence, std::uint64_t matched_sequence) const {
   if (dropped_.Contains(query_sequence) ||
       dropped_.Contains(matched_sequence)) {
@@ -268,10 +268,10 @@ std::optional<std::pair<NodeIndex, NodeIndex>> Engine::LoopEdge(
   return std::make_pair(*query, *matched);
 }
 
-void Engine::AddLoopClosure(std::uint64_t query_sequence,
-                            std::uint64_t matched_sequence,
-                            std::uint64_t revision,
-                            std::shared_ptr<const MeasuredLoop> measured) {
+void Drive::AddLoopClosure(std::uint64_t query_sequence,
+                           std::uint64_t matched_sequence,
+                           std::uint64_t revision,
+                           std::shared_ptr<const MeasuredLoop> measured) {
   assert(revision > revision_);
   if (const auto edge = LoopEdge(query_sequence, matched_sequence)) {
     graph_.AddLoopEdge(edge->first, edge->second);
@@ -283,9 +283,9 @@ void Engine::AddLoopClosure(std::uint64_t query_sequence,
   revision_ = revision;
 }
 
-void Engine::RemoveLoopClosure(std::uint64_t query_sequence,
-                               std::uint64_t matched_sequence,
-                               std::uint64_t revision, std::size_t occurrence) {
+void Drive::RemoveLoopClosure(std::uint64_t query_sequence,
+                              std::uint64_t matched_sequence,
+                              std::uint64_t revision, std::size_t occurrence) {
   assert(revision > revision_);
   for (auto it = confirmed_.begin(); it != confirmed_.end(); ++it) {
     if (it->query_sequence != query_sequence ||
@@ -300,7 +300,7 @@ void Engine::RemoveLoopClosure(std::uint64_t query_sequence,
   revision_ = revision;
 }
 
-std::optional<Agreement> Engine::AgreementOf(
+std::optional<Agreement> Drive::AgreementOf(
     std::uint64_t query_sequence, std::uint64_t matched_sequence,
     const std::shared_ptr<const MeasuredLoop>& measured) const {
   const std::optional<NodeIndex> query = graph_.NodeAtOrBefore(query_sequence);
@@ -311,9 +311,9 @@ std::optional<Agreement> Engine::AgreementOf(
                            {*query, *matched, measured});
 }
 
-void Engine::AddRejection(std::uint64_t query_sequence,
-                          std::uint64_t matched_sequence,
-                          std::uint64_t revision) {
+void Drive::AddRejection(std::uint64_t query_sequence,
+                         std::uint64_t matched_sequence,
+                         std::uint64_t revision) {
   assert(revision > revision_);
   if (const auto pair = LoopEdge(query_sequence, matched_sequence)) {
     rejected_.push_back(*pair);
@@ -321,9 +321,9 @@ void Engine::AddRejection(std::uint64_t query_sequence,
   revision_ = revision;
 }
 
-void Engine::RemoveRejection(std::uint64_t query_sequence,
-                             std::uint64_t matched_sequence,
-                             std::uint64_t revision) {
+void Drive::RemoveRejection(std::uint64_t query_sequence,
+                            std::uint64_t matched_sequence,
+                            std::uint64_t revision) {
   assert(revision > revision_);
   if (const auto pair = LoopEdge(query_sequence, matched_sequence)) {
     const auto found = std::find(rejected_.begin(), rejected_.end(), *pair);
@@ -332,20 +332,20 @@ void Engine::RemoveRejection(std::uint64_t query_sequence,
   revision_ = revision;
 }
 
-Consistency Engine::consistency() const {
+Consistency Drive::consistency() const {
   Consistency consistency = monitor_.consistency();
   consistency.rejected = static_cast<std::int64_t>(rejected_.size());
   return consistency;
 }
 
-void Engine::RebuildMonitor() {
+void Drive::RebuildMonitor() {
   monitor_ = ConsistencyMonitor(MakeConsistencyOptions(settings_));
   for (const Confirmed& confirmed : confirmed_) {
     monitor_.Confirm(graph_, confirmed.loop);
   }
 }
 
-std::string Engine::StateKey() const {
+std::string Drive::StateKey() const {
   ByteWriter writer;
   writer.Put(kStateVersion);
   writer.Put(static_cast<std::uint32_t>(settings_.state_space));
@@ -359,7 +359,7 @@ std::string Engine::StateKey() const {
   return writer.Take();
 }
 
-ByteWriter Engine::BeginState(std::uint64_t parts_before) const {
+ByteWriter Drive::BeginState(std::uint64_t parts_before) const {
   ByteWriter writer;
   const std::string key = StateKey();
   writer.PutArray(key.data(), key.size());
@@ -367,7 +367,7 @@ ByteWriter Engine::BeginState(std::uint64_t parts_before) const {
   return writer;
 }
 
-bool Engine::ReadBeginning(ByteReader* reader) const {
+bool Drive::ReadBeginning(ByteReader* reader) const {
   const std::string expected = StateKey();
   std::string key(expected.size(), '\0');
   std::uint64_t parts_before = 0;
@@ -377,13 +377,13 @@ bool Engine::ReadBeginning(ByteReader* reader) const {
 }
 
 // A part is whole once the bounds of its blocks are known too.
-std::size_t Engine::whole_parts() const {
+std::size_t Drive::whole_parts() const {
   const auto after = static_cast<NodeIndex>(NodeBlock::kSize) + 1;
   return static_cast<std::size_t>(
       std::max<NodeIndex>(0, graph_.size() - after) / kPartNodes);
 }
 
-std::string Engine::SavePart(std::size_t part) const {
+std::string Drive::SavePart(std::size_t part) const {
   assert(part < whole_parts());
   const std::size_t first = part * kPartBlocks;
   const std::size_t end = first + kPartBlocks;
@@ -398,7 +398,7 @@ std::string Engine::SavePart(std::size_t part) const {
 }
 
 // The indexes of so few nodes are as soon made as read.
-std::string Engine::SaveRest(std::size_t parts) const {
+std::string Drive::SaveRest(std::size_t parts) const {
   assert(parts <= whole_parts());
   ByteWriter writer = BeginState(parts);
   graph_.SaveRest(parts * kPartBlocks, &writer);
@@ -410,7 +410,7 @@ std::string Engine::SaveRest(std::size_t parts) const {
   return writer.Take();
 }
 
-bool Engine::LoadPart(absl::string_view bytes) {
+bool Drive::LoadPart(absl::string_view bytes) {
   ByteReader reader(bytes);
   return ReadBeginning(&reader) &&
          graph_.LoadBlocks(kPartBlocks, !has_indexes(), &reader) &&
@@ -419,7 +419,7 @@ bool Engine::LoadPart(absl::string_view bytes) {
          reader.rest().empty();
 }
 
-bool Engine::LoadRest(absl::string_view bytes) {
+bool Drive::LoadRest(absl::string_view bytes) {
   ByteReader reader(bytes);
   const auto parts = static_cast<std::size_t>(graph_.size() / kPartNodes);
   if (!ReadBeginning(&reader) || !graph_.LoadRest(!has_indexes(), &reader) ||
@@ -436,7 +436,7 @@ bool Engine::LoadRest(absl::string_view bytes) {
   return true;
 }
 
-std::optional<ConfirmedLoop> Engine::LastConfirmed(NodeIndex query) const {
+std::optional<ConfirmedLoop> Drive::LastConfirmed(NodeIndex query) const {
   const ConfirmedLoop* last = nullptr;
   for (const Confirmed& confirmed : confirmed_) {
     const ConfirmedLoop& loop = confirmed.loop;
@@ -450,7 +450,7 @@ std::optional<ConfirmedLoop> Engine::LastConfirmed(NodeIndex query) const {
   return *last;
 }
 
-SimilarityModel Engine::SimilarityOf(const SearchOptions& options) const {
+SimilarityModel Drive::SimilarityOf(const SearchOptions& options) const {
   SimilarityModel model = ClaimedModel(settings_.state_space, options);
   if (settings_.apply_inflation && !BeginsWithBelief(options, settings_)) {
     model.inflation = monitor_.consistency().inflation;
@@ -458,8 +458,8 @@ SimilarityModel Engine::SimilarityOf(const SearchOptions& options) const {
   return model;
 }
 
-std::vector<NodeRange> Engine::NotSought(NodeIndex query,
-                                         double separation_meters) const {
+std::vector<NodeRange> Drive::NotSought(NodeIndex query,
+                                        double separation_meters) const {
   std::vector<NodeRange> nodes = {
       NodesNearer(graph_, query, separation_meters)};
   // Slightly more, so that nodes at exactly this distance are excluded too.

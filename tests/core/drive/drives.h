@@ -1,6 +1,6 @@
-// Drives for the engine's tests.
-#ifndef REVISIT_TESTS_CORE_DRIVES_H_
-#define REVISIT_TESTS_CORE_DRIVES_H_
+// Paths for the tests of drives and searches.
+#ifndef REVISIT_TESTS_CORE_DRIVE_DRIVES_H_
+#define REVISIT_TESTS_CORE_DRIVE_DRIVES_H_
 
 #include <cmath>
 #include <cstdint>
@@ -106,4 +106,4 @@ inline std::vector<Pose> Ring(double meters) {
 
 }  // namespace revisit::core
 
-#endif  // REVISIT_TESTS_CORE_DRIVES_H_
+#endif  // REVISIT_TESTS_CORE_DRIVE_DRIVES_H_
