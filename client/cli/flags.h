@@ -14,10 +14,10 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "client/cli/console.h"
 #include "client/cli/usage/command_usage.h"
 #include "client/revisit/channel.h"
 #include "client/revisit/client.h"
+#include "client/terminal/terminal.h"
 
 namespace CLI {
 class App;
@@ -39,10 +39,10 @@ struct Connection {
 };
 
 // Executes a command after all flags have been read.
-using Run = std::function<absl::Status(const Connection&, const Console&)>;
+using Run = std::function<absl::Status(const Connection&, const Terminal&)>;
 
 // The same for a command that asks no server.
-using RunAlone = std::function<absl::Status(const Console&)>;
+using RunAlone = std::function<absl::Status(const Terminal&)>;
 
 // Says what is wrong with the flags of a command taken together; empty if
 // nothing is.
@@ -220,7 +220,7 @@ class CommandLine {
   // Everything that was added.
   CommandUsage Usage() const;
 
-  // Fills the targets of the flags. A UsageError (console.h) if the usage is
+  // Fills the targets of the flags. A UsageError (terminal.h) if the usage is
   // wrong. Call it once.
   absl::StatusOr<ParsedLine> Parse(int argc, const char* const* argv);
 

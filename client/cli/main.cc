@@ -22,11 +22,11 @@
 #include "client/cli/commands/vehicle_command.h"
 #include "client/cli/commands/verify_command.h"
 #include "client/cli/connection_hint.h"
-#include "client/cli/console.h"
 #include "client/cli/flags.h"
 #include "client/cli/usage/help_text.h"
 #include "client/revisit/channel.h"
 #include "client/revisit/client.h"
+#include "client/terminal/terminal.h"
 #include "core/base/build_info.h"
 #include "grpcpp/channel.h"
 
@@ -114,19 +114,19 @@ void AddCommands(const Command& program, const UsageSource& usage) {
 }
 
 absl::Status RunChosen(const ParsedLine& line, const ChannelOptions& options,
-                       const Console& console) {
+                       const Terminal& terminal) {
   if (line.version) {
-    console.out << "revisit " << kVersionText << '\n';
+    terminal.out << "revisit " << kVersionText << '\n';
     return absl::OkStatus();
   }
   if (line.help.has_value()) {
-    console.out << HelpText(*line.help, HelpWidth(console.width));
+    terminal.out << HelpText(*line.help, HelpWidth(terminal.width));
     return absl::OkStatus();
   }
-  if (line.run_alone != nullptr) return line.run_alone(console);
+  if (line.run_alone != nullptr) return line.run_alone(terminal);
   const auto channel = MakeChannel(options);
   if (!channel.ok()) return LocalError(channel.status());
-  return line.run({options, *channel, Client(*channel)}, console);
+  return line.run({options, *channel, Client(*channel)}, terminal);
 }
 
 void ReportError(const absl::Status& status, const GlobalFlags& flags) {
@@ -159,9 +159,9 @@ int Main(int argc, const char* const* argv) {
     ReportError(line.status(), flags);
     return ExitCodeOf(line.status());
   }
-  const Console console = {std::cout, std::cerr, isatty(STDERR_FILENO) == 1,
-                           flags.json, TerminalWidth(STDOUT_FILENO)};
-  absl::Status status = RunChosen(*line, flags.channel, console);
+  const Terminal terminal = {std::cout, std::cerr, isatty(STDERR_FILENO) == 1,
+                             flags.json, TerminalWidth(STDOUT_FILENO)};
+  absl::Status status = RunChosen(*line, flags.channel, terminal);
   if (std::cout.flush(); status.ok() && !std::cout) {
     status = LocalError(absl::UnknownError("the output cannot be written"));
   }

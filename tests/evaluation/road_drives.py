@@ -60,7 +60,7 @@ WANDER_LENGTH = 100.0  # metres after which it is forgotten
 LOOK_AHEAD = 8.0
 
 # Standard deviations per square root of a metre and at the start, metres and
-# radians, as in client/cli/evaluation/dead_reckoning.h.
+# radians, as in client/trajectory/dead_reckoning.h.
 ALONG, ACROSS, HEADING = 0.1, 0.05, math.radians(0.1)
 START_POSITION, START_HEADING = 0.1, 0.01
 

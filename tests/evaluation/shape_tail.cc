@@ -16,8 +16,8 @@
 #include <vector>
 
 #include "absl/strings/str_format.h"
-#include "client/cli/evaluation/dead_reckoning.h"
 #include "client/formats/drive_file.h"
+#include "client/trajectory/dead_reckoning.h"
 #include "core/drive/drive.h"
 #include "core/search/alignment/relative.h"
 

@@ -109,6 +109,13 @@ def test_client_links_nothing_of_the_server_or_of_core():
     assert words_of_lists(r"revisit_(?:server|core)\w*", "client") == []
 
 
-@pytest.mark.parametrize("layer", ["client/revisit", "client/formats"])
-def test_library_does_not_include_the_command_line(layer):
-    assert lines_with(r'#include "client/cli/', sources(layer)) == []
+# Each of these includes of the client itself, those that stand before it and
+# revisit/ alone; the command line comes last.
+CLIENT = ["formats", "terminal", "answers", "trajectory", "map", "evaluation"]
+
+
+@pytest.mark.parametrize("layer", ["revisit", *CLIENT])
+def test_folder_of_the_client_includes_none_above_it(layer):
+    above = CLIENT[CLIENT.index(layer) + 1:] if layer in CLIENT else CLIENT
+    assert lines_with(rf'#include "client/({"|".join([*above, "cli"])})/',
+                      sources(f"client/{layer}")) == []

@@ -11,8 +11,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/substitute.h"
 #include "client/cli/commands/vehicle_settings.h"
-#include "client/cli/evaluation/evaluate_options.h"
-#include "client/cli/evaluation/run_evaluation.h"
+#include "client/evaluation/evaluate_options.h"
+#include "client/evaluation/run_evaluation.h"
 
 namespace revisit::client {
 namespace {
@@ -58,7 +58,7 @@ absl::StatusOr<std::string> FindDrive(const std::filesystem::path& program) {
   return path.string();
 }
 
-absl::Status RunDemo(const DemoOptions& demo, const Console& console) {
+absl::Status RunDemo(const DemoOptions& demo, const Terminal& terminal) {
   std::error_code error;
   const auto program = std::filesystem::read_symlink("/proc/self/exe", error);
   if (error) {
@@ -77,18 +77,20 @@ absl::Status RunDemo(const DemoOptions& demo, const Console& console) {
   options.vehicle = kVehicle;
   options.keep_vehicles = true;
   options.before_undoing = [&](const std::string& address) {
-    if (console.json) return;
-    console.out << "\nThe map is in " << demo.map << ".\n"
-                << absl::Substitute(kHints, address, kVehicle, program.string())
-                << (demo.keep ? "The server stays up until Ctrl-C.\n"
-                              : "The server stops now; with --keep it stays up "
-                                "for these lines.\n")
-                << std::flush;
+    if (terminal.json) return;
+    terminal.out << "\nThe map is in " << demo.map << ".\n"
+                 << absl::Substitute(kHints, address, kVehicle,
+                                     program.string())
+                 << (demo.keep
+                         ? "The server stays up until Ctrl-C.\n"
+                         : "The server stops now; with --keep it stays up "
+                           "for these lines.\n")
+                 << std::flush;
     // The interrupt that ends this stops the server and ends the process.
     while (demo.keep) pause();
   };
-  if (!console.json) console.out << *drive << "\n" << kDrive << std::flush;
-  return RunEvaluate(options, console);
+  if (!terminal.json) terminal.out << *drive << "\n" << kDrive << std::flush;
+  return RunEvaluate(options, terminal);
 }
 
 }  // namespace
@@ -111,8 +113,9 @@ void AddDemoCommand(const Command& program) {
       "in .html, otherwise SVG (demo.svg)");
   command.AddSwitch("--keep", &options->keep,
                     "Leave the server up, with the drive in it, until Ctrl-C");
-  command.RunsAlone(
-      [options](const Console& console) { return RunDemo(*options, console); });
+  command.RunsAlone([options](const Terminal& terminal) {
+    return RunDemo(*options, terminal);
+  });
 }
 
 }  // namespace revisit::client

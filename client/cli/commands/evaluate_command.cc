@@ -9,9 +9,9 @@
 #include "client/cli/commands/reader_flags.h"
 #include "client/cli/commands/shared_flags.h"
 #include "client/cli/commands/vehicle_settings.h"
-#include "client/cli/evaluation/evaluate_options.h"
-#include "client/cli/evaluation/run_evaluation.h"
-#include "client/cli/evaluation/simulation.h"
+#include "client/evaluation/evaluate_options.h"
+#include "client/evaluation/run_evaluation.h"
+#include "client/evaluation/simulation.h"
 #include "client/formats/angles.h"
 
 namespace revisit::client {
@@ -282,9 +282,9 @@ void AddEvaluateCommand(const Command& program) {
     return FinishOptions(command, flags.get());
   };
   const Run run = [command, flags](const Connection& server,
-                                   const Console& console) {
+                                   const Terminal& terminal) {
     if (command.Given("--server")) flags->options.server = server.options;
-    return RunEvaluate(flags->options, console);
+    return RunEvaluate(flags->options, terminal);
   };
   command.Runs(run, check);
 }

@@ -4,17 +4,17 @@
 #include <memory>
 
 #include "absl/strings/str_cat.h"
+#include "client/answers/exact_text.h"
+#include "client/answers/names.h"
 #include "client/cli/commands/shared_flags.h"
-#include "client/cli/exact_text.h"
-#include "client/cli/map/map_geojson.h"
-#include "client/cli/map/server_map.h"
-#include "client/cli/names.h"
-#include "client/cli/output_file.h"
-#include "client/cli/trajectory/g2o_text.h"
-#include "client/cli/trajectory/local_pose.h"
-#include "client/cli/trajectory/stored_poses.h"
-#include "client/cli/trajectory/trajectory_text.h"
+#include "client/map/map_geojson.h"
+#include "client/map/server_map.h"
 #include "client/revisit/printable_text.h"
+#include "client/terminal/output_file.h"
+#include "client/trajectory/g2o_text.h"
+#include "client/trajectory/local_pose.h"
+#include "client/trajectory/stored_poses.h"
+#include "client/trajectory/trajectory_text.h"
 
 namespace revisit::client {
 namespace {
@@ -96,10 +96,10 @@ absl::Status ExportGraph(const Client& client, const std::string& vehicle,
 // Calls `write` for each pose, in the vehicle's local frame. Notes a change of
 // the vehicle meanwhile: its pages are not of one moment.
 absl::Status ExportPoses(
-    const Client& client, const v1::Vehicle& vehicle, const Console& console,
+    const Client& client, const v1::Vehicle& vehicle, const Terminal& terminal,
     const std::function<absl::Status(const LocalPose&)>& write) {
   const LocalFrame frame(vehicle.settings());
-  Progress progress(console, vehicle.name(), vehicle.durable_sequence(),
+  Progress progress(terminal, vehicle.name(), vehicle.durable_sequence(),
                     "poses");
   const absl::Status read =
       VisitPoses(client, vehicle.name(), [&](const v1::Pose& pose) {
@@ -118,8 +118,8 @@ absl::Status ExportPoses(
 }
 
 absl::Status ExportTum(const Client& client, const v1::Vehicle& vehicle,
-                       const Console& console, std::ostream& out) {
-  return ExportPoses(client, vehicle, console, [&](const LocalPose& pose) {
+                       const Terminal& terminal, std::ostream& out) {
+  return ExportPoses(client, vehicle, terminal, [&](const LocalPose& pose) {
     if (!pose.stamp.has_value()) {
       return LocalError(absl::FailedPreconditionError(absl::StrCat(
           vehicle.name(), ": pose ", pose.sequence,
@@ -132,13 +132,13 @@ absl::Status ExportTum(const Client& client, const v1::Vehicle& vehicle,
 }
 
 absl::Status ExportG2o(const Client& client, const v1::Vehicle& vehicle,
-                       const Console& console, std::ostream& out) {
+                       const Terminal& terminal, std::ostream& out) {
   // Closures first: their poses are then among those that are read.
   const auto closures = ReadLoopClosures(client, vehicle.name());
   if (!closures.ok()) return closures.status();
   G2oWriter writer(vehicle.settings(), *closures, &out);
   const absl::Status poses =
-      ExportPoses(client, vehicle, console, [&](const LocalPose& pose) {
+      ExportPoses(client, vehicle, terminal, [&](const LocalPose& pose) {
         writer.Add(pose);
         return CheckOutput(out);
       });
@@ -146,18 +146,19 @@ absl::Status ExportG2o(const Client& client, const v1::Vehicle& vehicle,
   writer.AddClosures();
   const G2oWriter::Counts& counts = writer.counts();
   const std::string name = Printable(vehicle.name());
-  console.progress << name << ": revision " << vehicle.revision()
-                   << ", poses: " << counts.poses << ", jumps: " << counts.jumps
-                   << ", loop closures: " << counts.closures
-                   << ", without a measurement: " << counts.unmeasured_closures
-                   << '\n';
+  terminal.progress << name << ": revision " << vehicle.revision()
+                    << ", poses: " << counts.poses
+                    << ", jumps: " << counts.jumps
+                    << ", loop closures: " << counts.closures
+                    << ", without a measurement: " << counts.unmeasured_closures
+                    << '\n';
   if (counts.gaps > 0) {
-    console.progress << name << ": " << counts.gaps
-                     << " steps lead over dropped poses; their edges are as "
-                        "uncertain as both ends\n";
+    terminal.progress << name << ": " << counts.gaps
+                      << " steps lead over dropped poses; their edges are as "
+                         "uncertain as both ends\n";
   }
   if (counts.raised > 0) {
-    console.progress
+    terminal.progress
         << name << ": the covariances of " << counts.raised
         << " poses grow by less than 1 mm or 0.1 mrad from the pose before; "
            "their edges have that much\n";
@@ -166,8 +167,8 @@ absl::Status ExportG2o(const Client& client, const v1::Vehicle& vehicle,
 }
 
 absl::Status ExportGeoJson(const Client& client, const std::string& vehicle,
-                           const Console& console, std::ostream& out) {
-  const auto map = ReadServerMap(client, vehicle, console);
+                           const Terminal& terminal, std::ostream& out) {
+  const auto map = ReadServerMap(client, vehicle, terminal);
   if (!map.ok()) return map.status();
   if (absl::Status fits = CheckGeodetic(map->vehicle); !fits.ok()) return fits;
   WriteGeoJson(*map, out);
@@ -175,7 +176,7 @@ absl::Status ExportGeoJson(const Client& client, const std::string& vehicle,
 }
 
 absl::Status Export(const Client& client, const ExportOptions& options,
-                    const Console& console, std::ostream& out) {
+                    const Terminal& terminal, std::ostream& out) {
   const std::string name = VehicleName(options.vehicle);
   switch (options.format) {
     case ExportFormat::kJsonLines:
@@ -186,21 +187,21 @@ absl::Status Export(const Client& client, const ExportOptions& options,
       break;
   }
   if (options.format == ExportFormat::kGeoJson) {
-    return ExportGeoJson(client, name, console, out);
+    return ExportGeoJson(client, name, terminal, out);
   }
   const auto vehicle = ReadVehicle(client, name);
   if (!vehicle.ok()) return vehicle.status();
   if (options.format == ExportFormat::kTum) {
-    return ExportTum(client, *vehicle, console, out);
+    return ExportTum(client, *vehicle, terminal, out);
   }
   if (options.format == ExportFormat::kG2o) {
-    return ExportG2o(client, *vehicle, console, out);
+    return ExportG2o(client, *vehicle, terminal, out);
   }
   const bool csv = options.format == ExportFormat::kCsv;
   const bool spatial =
       vehicle->settings().state_space() == v1::STATE_SPACE_SPATIAL;
   if (csv) WriteCsvHeader(out);
-  return ExportPoses(client, *vehicle, console, [&](const LocalPose& pose) {
+  return ExportPoses(client, *vehicle, terminal, [&](const LocalPose& pose) {
     if (csv) {
       WriteCsvLine(pose, spatial, out);
     } else {
@@ -269,16 +270,17 @@ void AddExportCommand(const Command& program) {
                ? "--json: goes with --format jsonl only"
                : "";
   };
-  const Run run = [options](const Connection& server, const Console& console) {
-    return RunExport(server.client, *options, console);
+  const Run run = [options](const Connection& server,
+                            const Terminal& terminal) {
+    return RunExport(server.client, *options, terminal);
   };
   command.Runs(run, check);
 }
 
 absl::Status RunExport(const Client& client, const ExportOptions& options,
-                       const Console& console) {
-  return WriteTo(options.output, console.out, [&](std::ostream& out) {
-    return Export(client, options, console, out);
+                       const Terminal& terminal) {
+  return WriteTo(options.output, terminal.out, [&](std::ostream& out) {
+    return Export(client, options, terminal, out);
   });
 }
 

@@ -5,9 +5,9 @@
 #include <string>
 
 #include "absl/status/status.h"
-#include "client/cli/console.h"
 #include "client/cli/flags.h"
 #include "client/revisit/client.h"
+#include "client/terminal/terminal.h"
 
 namespace revisit::client {
 
@@ -40,14 +40,14 @@ enum class ExportFormat {
 struct ExportOptions {
   std::string vehicle;
   ExportFormat format = ExportFormat::kJsonLines;
-  // The export goes to the console if this is empty.
+  // The export goes to the terminal if this is empty.
   std::string output;
 };
 
 // Prints numbers so that reading them gives the same bits. An existing file is
 // replaced when the export is complete, and only then.
 absl::Status RunExport(const Client& client, const ExportOptions& options,
-                       const Console& console);
+                       const Terminal& terminal);
 
 }  // namespace revisit::client
 

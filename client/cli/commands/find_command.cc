@@ -3,10 +3,10 @@
 #include <cstdint>
 #include <memory>
 
-#include "client/cli/candidate_text.h"
+#include "client/answers/candidate_text.h"
+#include "client/answers/names.h"
 #include "client/cli/commands/shared_flags.h"
 #include "client/cli/commands/vehicle_settings.h"
-#include "client/cli/names.h"
 
 namespace revisit::client {
 
@@ -44,22 +44,22 @@ void AddFindCommand(const Command& program) {
       "Which way the place was passed before, against the way it is passed now "
       "(same)");
   AddSearchSettings(command, options);
-  command.Runs([request](const Connection& server, const Console& console) {
-    return RunFind(server.client, *request, console);
+  command.Runs([request](const Connection& server, const Terminal& terminal) {
+    return RunFind(server.client, *request, terminal);
   });
 }
 
 absl::Status RunFind(const Client& client, v1::FindCandidatesRequest request,
-                     const Console& console) {
+                     const Terminal& terminal) {
   request.set_vehicle(VehicleName(request.vehicle()));
   const auto response = client.FindCandidates(request);
   if (!response.ok()) return response.status();
   const v1::CandidateSet& set = response->candidates();
-  if (console.json) {
-    console.out << ToJson(set, true) << '\n';
+  if (terminal.json) {
+    terminal.out << ToJson(set, true) << '\n';
     return absl::OkStatus();
   }
-  PrintCandidates(set, console);
+  PrintCandidates(set, terminal);
   return absl::OkStatus();
 }
 

@@ -9,8 +9,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
-#include "client/cli/names.h"
-#include "client/cli/pages.h"
+#include "client/answers/names.h"
+#include "client/answers/pages.h"
 #include "client/revisit/printable_text.h"
 #include "google/protobuf/util/time_util.h"
 #include "nlohmann/json.hpp"
@@ -86,11 +86,11 @@ absl::StatusOr<typename Kind::List> ListAll(const Client& client,
 
 template <typename Kind>
 absl::Status RunList(const Client& client, const std::string& vehicle,
-                     const Console& console) {
+                     const Terminal& terminal) {
   const auto all = ListAll<Kind>(client, vehicle);
   if (!all.ok()) return all.status();
-  if (console.json) {
-    console.out << ToJson(*all, true) << '\n';
+  if (terminal.json) {
+    terminal.out << ToJson(*all, true) << '\n';
     return absl::OkStatus();
   }
   using Align = Table::Align;
@@ -107,7 +107,7 @@ absl::Status RunList(const Client& client, const std::string& vehicle,
          google::protobuf::util::TimeUtil::ToString(item.create_time()),
          absl::StrReplaceAll(item.note(), {{"\n", " "}, {"\t", " "}})});
   }
-  table.Print(console.out, console.width);
+  table.Print(terminal.out, terminal.width);
   return absl::OkStatus();
 }
 
@@ -165,7 +165,7 @@ absl::StatusOr<std::string> NameOfPair(const Client& client,
 
 template <typename Kind>
 absl::Status RunDelete(const Client& client, const FindingReference& finding,
-                       const Console& console) {
+                       const Terminal& terminal) {
   typename Kind::DeleteRequest request;
   const std::string& word = finding.words.front();
   if (finding.words.size() == 2) {
@@ -180,14 +180,14 @@ absl::Status RunDelete(const Client& client, const FindingReference& finding,
   }
   const auto response = Kind::Delete(client, request);
   if (!response.ok()) return response.status();
-  if (console.json) {
+  if (terminal.json) {
     nlohmann::ordered_json json;
     json["name"] = request.name();
     json["revision"] = response->revision();
-    console.out << JsonText(json, true) << '\n';
+    terminal.out << JsonText(json, true) << '\n';
   } else {
-    console.out << "deleted " << Printable(request.name()) << ", revision "
-                << response->revision() << '\n';
+    terminal.out << "deleted " << Printable(request.name()) << ", revision "
+                 << response->revision() << '\n';
   }
   return absl::OkStatus();
 }
@@ -225,8 +225,8 @@ void AddFindings(const Command& program, const Help& help) {
   const Command list = group.AddCommand(help.list);
   const auto vehicle = std::make_shared<std::string>();
   list.AddText("VEHICLE", "TEXT", vehicle.get(), "Id, or name").Required();
-  list.Runs([vehicle](const Connection& server, const Console& console) {
-    return RunList<Kind>(server.client, *vehicle, console);
+  list.Runs([vehicle](const Connection& server, const Terminal& terminal) {
+    return RunList<Kind>(server.client, *vehicle, terminal);
   });
   const Command remove = group.AddCommand(help.remove);
   const auto finding = std::make_shared<FindingReference>();
@@ -237,8 +237,9 @@ void AddFindings(const Command& program, const Help& help) {
                 "QUERY_SEQ and MATCHED_SEQ, its later and its earlier pose; or "
                 "its id")
       .Required();
-  const Run run = [finding](const Connection& server, const Console& console) {
-    return RunDelete<Kind>(server.client, *finding, console);
+  const Run run = [finding](const Connection& server,
+                            const Terminal& terminal) {
+    return RunDelete<Kind>(server.client, *finding, terminal);
   };
   remove.Runs(run, [finding] { return CheckWords(*finding); });
 }
@@ -269,25 +270,25 @@ void AddRejectionsCommand(const Command& program) {
 }
 
 absl::Status RunClosuresList(const Client& client, const std::string& vehicle,
-                             const Console& console) {
-  return RunList<Closures>(client, vehicle, console);
+                             const Terminal& terminal) {
+  return RunList<Closures>(client, vehicle, terminal);
 }
 
 absl::Status RunRejectionsList(const Client& client, const std::string& vehicle,
-                               const Console& console) {
-  return RunList<Rejections>(client, vehicle, console);
+                               const Terminal& terminal) {
+  return RunList<Rejections>(client, vehicle, terminal);
 }
 
 absl::Status RunClosuresDelete(const Client& client,
                                const FindingReference& finding,
-                               const Console& console) {
-  return RunDelete<Closures>(client, finding, console);
+                               const Terminal& terminal) {
+  return RunDelete<Closures>(client, finding, terminal);
 }
 
 absl::Status RunRejectionsDelete(const Client& client,
                                  const FindingReference& finding,
-                                 const Console& console) {
-  return RunDelete<Rejections>(client, finding, console);
+                                 const Terminal& terminal) {
+  return RunDelete<Rejections>(client, finding, terminal);
 }
 
 }  // namespace revisit::client

@@ -6,9 +6,9 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "client/cli/console.h"
 #include "client/cli/flags.h"
 #include "client/revisit/client.h"
+#include "client/terminal/terminal.h"
 
 namespace revisit::client {
 
@@ -27,19 +27,19 @@ struct FindingReference {
 // Lists those of all pages. As JSON: {"loopClosures": [...]} or
 // {"rejectedCandidates": [...]}.
 absl::Status RunClosuresList(const Client& client, const std::string& vehicle,
-                             const Console& console);
+                             const Terminal& terminal);
 absl::Status RunRejectionsList(const Client& client, const std::string& vehicle,
-                               const Console& console);
+                               const Terminal& terminal);
 
 // Deletes one. NOT_FOUND if there is none of these sequences,
 // FAILED_PRECONDITION if there are several, which only differ by their ids.
 // Prints the name and the revision; as JSON, {"name", "revision"}.
 absl::Status RunClosuresDelete(const Client& client,
                                const FindingReference& finding,
-                               const Console& console);
+                               const Terminal& terminal);
 absl::Status RunRejectionsDelete(const Client& client,
                                  const FindingReference& finding,
-                                 const Console& console);
+                                 const Terminal& terminal);
 
 }  // namespace revisit::client
 

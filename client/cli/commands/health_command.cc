@@ -32,7 +32,7 @@ struct HealthOptions {
 };
 
 absl::Status RunHealth(const Connection& server, const HealthOptions& options,
-                       const Console& console) {
+                       const Terminal& terminal) {
   grpc::ClientContext context;
   context.set_deadline(
       std::chrono::system_clock::now() +
@@ -55,10 +55,10 @@ absl::Status RunHealth(const Connection& server, const HealthOptions& options,
         server.options.address, " answers that ",
         options.service.empty() ? "it" : options.service, " is not serving"));
   }
-  if (console.json) {
-    console.out << nlohmann::json({{"status", "SERVING"}}).dump() << '\n';
+  if (terminal.json) {
+    terminal.out << nlohmann::json({{"status", "SERVING"}}).dump() << '\n';
   } else {
-    console.out << "SERVING\n";
+    terminal.out << "SERVING\n";
   }
   return absl::OkStatus();
 }
@@ -81,8 +81,8 @@ void AddHealthCommand(const Command& program) {
   command.AddNumber("--timeout", "S", &options->timeout_seconds,
                     "Seconds to wait for the answer (5)");
   command.Runs(
-      [options](const Connection& server, const Console& console) {
-        return RunHealth(server, *options, console);
+      [options](const Connection& server, const Terminal& terminal) {
+        return RunHealth(server, *options, terminal);
       },
       [options]() -> std::string {
         return options->timeout_seconds > 0.0 ? ""

@@ -59,11 +59,11 @@ void AddHelpCommand(const Command& program, const UsageSource& usage) {
                           "  revisit help vehicle create"});
   const auto words = std::make_shared<std::vector<std::string>>();
   command.AddTexts("COMMAND", "TEXT", words.get(), "The words of the command");
-  const RunAlone run = [words, usage](const Console& console) {
+  const RunAlone run = [words, usage](const Terminal& terminal) {
     std::string problem;
     const CommandUsage all = usage();
-    console.out << HelpText(*Find(all, *words, &problem),
-                            HelpWidth(console.width));
+    terminal.out << HelpText(*Find(all, *words, &problem),
+                             HelpWidth(terminal.width));
     return absl::OkStatus();
   };
   command.RunsAlone(run, [words, usage] {
@@ -85,8 +85,8 @@ void AddCompletionCommand(const Command& program, const UsageSource& usage) {
                         {"zsh", static_cast<int>(Shell::kZsh)}};
   const auto shell = std::make_shared<Shell>(Shell::kBash);
   command.AddChoice("SHELL", shells, shell.get(), "Which shell").Required();
-  command.RunsAlone([shell, usage](const Console& console) {
-    console.out << CompletionScript(*shell, usage());
+  command.RunsAlone([shell, usage](const Terminal& terminal) {
+    terminal.out << CompletionScript(*shell, usage());
     return absl::OkStatus();
   });
 }
@@ -100,7 +100,7 @@ void AddManPagesCommand(const Command& program, const UsageSource& usage,
   const auto directory = std::make_shared<std::string>();
   command.AddText("DIR", "TEXT", directory.get(), "Where to write them")
       .Required();
-  command.RunsAlone([directory, usage, foot](const Console&) {
+  command.RunsAlone([directory, usage, foot](const Terminal&) {
     return WritePages(*directory, ManPages(usage(), foot));
   });
 }

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "client/cli/names.h"
+#include "client/answers/names.h"
 
 namespace revisit::client {
 
@@ -17,17 +17,17 @@ void AddInfoCommand(const Command& program) {
        "  revisit info\n"
        "  revisit info --server revisit.example:50051 --tls-ca ca.pem "
        "--json"});
-  command.Runs([](const Connection& server, const Console& console) {
-    return RunInfo(server.client, server.options.address, console);
+  command.Runs([](const Connection& server, const Terminal& terminal) {
+    return RunInfo(server.client, server.options.address, terminal);
   });
 }
 
 absl::Status RunInfo(const Client& client, const std::string& address,
-                     const Console& console) {
+                     const Terminal& terminal) {
   const auto info = client.GetServerInfo();
   if (!info.ok()) return info.status();
-  if (console.json) {
-    console.out << ToJson(*info, true) << '\n';
+  if (terminal.json) {
+    terminal.out << ToJson(*info, true) << '\n';
     return absl::OkStatus();
   }
   std::string durability = NameOf(info->durability());
@@ -58,7 +58,7 @@ absl::Status RunInfo(const Client& client, const std::string& address,
                         absl::StrCat(server.address(), ", vehicles owned: ",
                                      server.owned_vehicle_count()));
   }
-  PrintFields(fields, console.out);
+  PrintFields(fields, terminal.out);
   return absl::OkStatus();
 }
 

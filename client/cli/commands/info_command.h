@@ -5,9 +5,9 @@
 #include <string>
 
 #include "absl/status/status.h"
-#include "client/cli/console.h"
 #include "client/cli/flags.h"
 #include "client/revisit/client.h"
+#include "client/terminal/terminal.h"
 
 namespace revisit::client {
 
@@ -16,7 +16,7 @@ void AddInfoCommand(const Command& program);
 // Prints the version and the limits of the server at `address`. As JSON, the
 // response.
 absl::Status RunInfo(const Client& client, const std::string& address,
-                     const Console& console);
+                     const Terminal& terminal);
 
 }  // namespace revisit::client
 

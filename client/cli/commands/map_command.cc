@@ -3,13 +3,13 @@
 #include <memory>
 
 #include "absl/strings/str_cat.h"
+#include "client/answers/names.h"
 #include "client/cli/commands/shared_flags.h"
-#include "client/cli/map/map_geojson.h"
-#include "client/cli/map/map_html.h"
-#include "client/cli/map/map_svg.h"
-#include "client/cli/names.h"
-#include "client/cli/output_file.h"
+#include "client/map/map_geojson.h"
+#include "client/map/map_html.h"
+#include "client/map/map_svg.h"
 #include "client/revisit/printable_text.h"
+#include "client/terminal/output_file.h"
 
 namespace revisit::client {
 
@@ -72,27 +72,27 @@ void AddMapCommand(const Command& program) {
     return "";
   };
   command.Runs(
-      [options](const Connection& server, const Console& console) {
-        return RunMap(server.client, *options, console);
+      [options](const Connection& server, const Terminal& terminal) {
+        return RunMap(server.client, *options, terminal);
       },
       check);
 }
 
 absl::Status RunMap(const Client& client, const MapOptions& options,
-                    const Console& console) {
-  auto map = ReadServerMap(client, VehicleName(options.vehicle), console);
+                    const Terminal& terminal) {
+  auto map = ReadServerMap(client, VehicleName(options.vehicle), terminal);
   if (!map.ok()) return map.status();
   if (options.format == MapFormat::kGeoJson) {
     if (absl::Status fits = CheckGeodetic(map->vehicle); !fits.ok()) {
       return fits;
     }
   }
-  if (absl::Status added = AddChecks(client, options.searches, console, &*map);
+  if (absl::Status added = AddChecks(client, options.searches, terminal, &*map);
       !added.ok()) {
     return added;
   }
   const absl::Status written =
-      WriteTo(options.output, console.out, [&](std::ostream& out) {
+      WriteTo(options.output, terminal.out, [&](std::ostream& out) {
         switch (options.format) {
           case MapFormat::kHtml:
             out << MapPage(map->contents);
@@ -112,7 +112,7 @@ absl::Status RunMap(const Client& client, const MapOptions& options,
   for (const MapStyle& style : map->contents.styles) {
     absl::StrAppend(&report, ", ", style.label);
   }
-  console.progress << report << '\n';
+  terminal.progress << report << '\n';
   return absl::OkStatus();
 }
 

@@ -5,10 +5,10 @@
 #include <string>
 
 #include "absl/status/status.h"
-#include "client/cli/console.h"
 #include "client/cli/flags.h"
-#include "client/cli/map/server_map.h"
+#include "client/map/server_map.h"
 #include "client/revisit/client.h"
+#include "client/terminal/terminal.h"
 
 namespace revisit::client {
 
@@ -20,13 +20,13 @@ struct MapOptions {
   std::string vehicle;
   MapFormat format = MapFormat::kHtml;
   CheckSearches searches;
-  // The map goes to the console if this is empty.
+  // The map goes to the terminal if this is empty.
   std::string output;
 };
 
 // An existing file is replaced when the map is complete, and only then.
 absl::Status RunMap(const Client& client, const MapOptions& options,
-                    const Console& console);
+                    const Terminal& terminal);
 
 }  // namespace revisit::client
 

@@ -5,10 +5,10 @@
 #include <optional>
 
 #include "absl/strings/str_cat.h"
+#include "client/answers/names.h"
+#include "client/answers/pages.h"
 #include "client/cli/commands/shared_flags.h"
-#include "client/cli/names.h"
-#include "client/cli/output_file.h"
-#include "client/cli/pages.h"
+#include "client/terminal/output_file.h"
 #include "google/protobuf/util/time_util.h"
 
 namespace revisit::client {
@@ -17,30 +17,30 @@ namespace {
 // Prints pages of poses as they come.
 class PosePrinter {
  public:
-  explicit PosePrinter(const Console& console) : console_(console) {
-    if (console_.json) console_.out << "{\"poses\": [";
+  explicit PosePrinter(const Terminal& terminal) : terminal_(terminal) {
+    if (terminal_.json) terminal_.out << "{\"poses\": [";
   }
 
   void Print(const v1::ListPosesResponse& page, std::uint64_t last) {
     Table table = MakeTable(page);
     for (const v1::Pose& pose : page.poses()) {
       if (pose.sequence() > last) break;
-      if (console_.json) {
-        console_.out << (first_ ? "\n" : ",\n") << ToJson(pose, false);
+      if (terminal_.json) {
+        terminal_.out << (first_ ? "\n" : ",\n") << ToJson(pose, false);
       } else {
         table.AddRow(Cells(pose));
       }
       first_ = false;
     }
-    if (console_.json) return;
+    if (terminal_.json) return;
     if (!table.empty() || !titles_printed_) {
-      table.Print(console_.out, console_.width, !titles_printed_);
+      table.Print(terminal_.out, terminal_.width, !titles_printed_);
     }
     titles_printed_ = true;
   }
 
   void Finish() {
-    if (console_.json) console_.out << (first_ ? "]}\n" : "\n]}\n");
+    if (terminal_.json) terminal_.out << (first_ ? "]}\n" : "\n]}\n");
   }
 
  private:
@@ -80,7 +80,7 @@ class PosePrinter {
     return cells;
   }
 
-  const Console& console_;
+  const Terminal& terminal_;
   bool first_ = true;
   bool titles_printed_ = false;
   bool geodetic_ = false;
@@ -102,8 +102,9 @@ void AddPosesCommand(const Command& program) {
                       "Sequence of the first pose (1)");
   list.AddWholeNumber("--to", kSequences, &options->to,
                       "Sequence of the last pose (the newest)");
-  const Run run = [options](const Connection& server, const Console& console) {
-    return RunPosesList(server.client, *options, console);
+  const Run run = [options](const Connection& server,
+                            const Terminal& terminal) {
+    return RunPosesList(server.client, *options, terminal);
   };
   list.Runs(run, [options]() -> std::string {
     return options->from > options->to
@@ -114,7 +115,7 @@ void AddPosesCommand(const Command& program) {
 }
 
 absl::Status RunPosesList(const Client& client, const PosesListOptions& options,
-                          const Console& console) {
+                          const Terminal& terminal) {
   constexpr std::uint64_t kPage = 1000;
   v1::ListPosesRequest request;
   request.set_parent(VehicleName(options.vehicle));
@@ -132,9 +133,9 @@ absl::Status RunPosesList(const Client& client, const PosesListOptions& options,
         return page.poses();
       },
       [&](const v1::ListPosesResponse& page) -> absl::StatusOr<bool> {
-        if (!printer.has_value()) printer.emplace(console);
+        if (!printer.has_value()) printer.emplace(terminal);
         printer->Print(page, options.to);
-        if (absl::Status output = CheckOutput(console.out); !output.ok()) {
+        if (absl::Status output = CheckOutput(terminal.out); !output.ok()) {
           return output;
         }
         return page.poses().empty() ||

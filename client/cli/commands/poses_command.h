@@ -7,9 +7,9 @@
 #include <string>
 
 #include "absl/status/status.h"
-#include "client/cli/console.h"
 #include "client/cli/flags.h"
 #include "client/revisit/client.h"
+#include "client/terminal/terminal.h"
 
 namespace revisit::client {
 
@@ -26,7 +26,7 @@ struct PosesListOptions {
 // Lists stored poses page by page, in memory that does not grow with them. As
 // JSON: {"poses": [...]} with one pose on each line.
 absl::Status RunPosesList(const Client& client, const PosesListOptions& options,
-                          const Console& console);
+                          const Terminal& terminal);
 
 }  // namespace revisit::client
 

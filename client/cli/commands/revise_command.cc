@@ -7,11 +7,11 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "client/cli/exact_text.h"
-#include "client/cli/names.h"
-#include "client/cli/trajectory/local_pose.h"
-#include "client/cli/trajectory/stored_poses.h"
+#include "client/answers/exact_text.h"
+#include "client/answers/names.h"
 #include "client/revisit/printable_text.h"
+#include "client/trajectory/local_pose.h"
+#include "client/trajectory/stored_poses.h"
 
 namespace revisit::client {
 namespace {
@@ -227,13 +227,13 @@ void AddReviseCommand(const Command& program) {
   command.AddSwitch("--partial", &options->partial,
                     "Let stored poses be missing from the file; they stay as "
                     "they are");
-  command.Runs([options](const Connection& server, const Console& console) {
-    return RunRevise(server.client, *options, console);
+  command.Runs([options](const Connection& server, const Terminal& terminal) {
+    return RunRevise(server.client, *options, terminal);
   });
 }
 
 absl::Status RunRevise(const Client& client, const ReviseOptions& options,
-                       const Console& console) {
+                       const Terminal& terminal) {
   const auto read = ReadOptimisedFile(options.file, options.format);
   if (!read.ok()) return LocalError(read.status());
   auto optimised = OptimisedPoses::Make(options.file, *read);
@@ -268,15 +268,15 @@ absl::Status RunRevise(const Client& client, const ReviseOptions& options,
   }
   const auto revised = messages.Send(client);
   if (!revised.ok()) return revised.status();
-  if (console.json) {
-    console.out << ToJson(*revised, true) << '\n';
+  if (terminal.json) {
+    terminal.out << ToJson(*revised, true) << '\n';
   } else {
-    console.out << "revised " << revised->revised_count() << " poses of "
-                << Printable(vehicle->name()) << ", revision "
-                << revised->revision() << '\n';
+    terminal.out << "revised " << revised->revised_count() << " poses of "
+                 << Printable(vehicle->name()) << ", revision "
+                 << revised->revision() << '\n';
     if (const std::int64_t dropped = *missing + revised->dropped_count();
         dropped > 0) {
-      console.out << dropped << " of the file are kept no longer\n";
+      terminal.out << dropped << " of the file are kept no longer\n";
     }
   }
   return absl::OkStatus();

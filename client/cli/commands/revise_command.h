@@ -6,10 +6,10 @@
 #include <string>
 
 #include "absl/status/status.h"
-#include "client/cli/console.h"
 #include "client/cli/flags.h"
-#include "client/cli/trajectory/optimised_file.h"
 #include "client/revisit/client.h"
+#include "client/terminal/terminal.h"
+#include "client/trajectory/optimised_file.h"
 
 namespace revisit::client {
 
@@ -27,7 +27,7 @@ struct ReviseOptions {
 
 // Replaces the estimates of all poses that the file names, or of none.
 absl::Status RunRevise(const Client& client, const ReviseOptions& options,
-                       const Console& console);
+                       const Terminal& terminal);
 
 }  // namespace revisit::client
 

@@ -4,11 +4,11 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "client/cli/drive_poses.h"
-#include "client/cli/names.h"
-#include "client/cli/trajectory/local_pose.h"
+#include "client/answers/names.h"
 #include "client/revisit/client.h"
 #include "client/revisit/printable_text.h"
+#include "client/trajectory/drive_poses.h"
+#include "client/trajectory/local_pose.h"
 #include "grpcpp/channel.h"
 
 namespace revisit::client {
@@ -55,11 +55,11 @@ bool IsFilter(const v1::Vehicle& vehicle) {
 SampleSender::SampleSender(const std::shared_ptr<grpc::Channel>& channel,
                            const StreamOptions& options,
                            const PoseStreamCallbacks& callbacks,
-                           const Console& console)
+                           const Terminal& terminal)
     : channel_(channel),
       options_(options),
       callbacks_(callbacks),
-      console_(console) {}
+      terminal_(terminal) {}
 
 void SampleSender::BeginFile(const std::string& file) {
   LetGo();
@@ -220,11 +220,11 @@ void SampleSender::ChooseUncertainty(const Sample& first) {
       vehicle_.settings().correlation_model() ==
           v1::CORRELATION_MODEL_DEAD_RECKONING) {
     const std::string name = Printable(vehicle_.name());
-    console_.progress << name
-                      << " takes errors as those of dead reckoning, and fixes "
-                         "have independent ones: revisit vehicle update "
-                      << name.substr(name.find('/') + 1)
-                      << " --correlation-model independent\n";
+    terminal_.progress << name
+                       << " takes errors as those of dead reckoning, and fixes "
+                          "have independent ones: revisit vehicle update "
+                       << name.substr(name.find('/') + 1)
+                       << " --correlation-model independent\n";
   }
 }
 
@@ -284,7 +284,8 @@ absl::Status SampleSender::Open() {
   stream_ = std::make_unique<PoseStream>(channel_, vehicle_.name(),
                                          MakeStreamOptions(options_, vehicle_),
                                          callbacks_);
-  interrupt_.emplace(stream_.get(), vehicle_.name(), options_.append, console_);
+  interrupt_.emplace(stream_.get(), vehicle_.name(), options_.append,
+                     terminal_);
   const auto durable = stream_->WaitUntilOpened();
   if (!durable.ok()) return durable.status();
   already_durable_ = *durable;

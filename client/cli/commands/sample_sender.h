@@ -12,10 +12,10 @@
 #include "absl/status/status.h"
 #include "client/cli/commands/stream_command.h"
 #include "client/cli/commands/stream_end.h"
-#include "client/cli/console.h"
-#include "client/cli/evaluation/dead_reckoning.h"
 #include "client/formats/sample.h"
 #include "client/revisit/pose_stream.h"
+#include "client/terminal/terminal.h"
+#include "client/trajectory/dead_reckoning.h"
 #include "revisit/v1/vehicle.pb.h"
 
 namespace revisit::client {
@@ -27,7 +27,7 @@ class SampleSender {
   // All arguments must outlive it. `callbacks` are those of the stream.
   SampleSender(const std::shared_ptr<grpc::Channel>& channel,
                const StreamOptions& options,
-               const PoseStreamCallbacks& callbacks, const Console& console);
+               const PoseStreamCallbacks& callbacks, const Terminal& terminal);
 
   // The samples that follow come from this file. Lets go those before.
   void BeginFile(const std::string& file);
@@ -79,7 +79,7 @@ class SampleSender {
   const std::shared_ptr<grpc::Channel> channel_;
   const StreamOptions& options_;
   const PoseStreamCallbacks& callbacks_;
-  const Console& console_;
+  const Terminal& terminal_;
 
   std::string file_;
   // Why nothing more is sent.

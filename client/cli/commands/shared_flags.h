@@ -4,8 +4,8 @@
 
 #include <string>
 
-#include "client/cli/evaluation/dead_reckoning.h"
 #include "client/cli/flags.h"
+#include "client/trajectory/dead_reckoning.h"
 
 namespace revisit::client {
 

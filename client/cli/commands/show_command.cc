@@ -6,9 +6,9 @@
 #include <memory>
 
 #include "absl/strings/str_cat.h"
+#include "client/answers/names.h"
 #include "client/cli/commands/shared_flags.h"
 #include "client/cli/commands/vehicle_command.h"
-#include "client/cli/names.h"
 #include "nlohmann/json.hpp"
 
 namespace revisit::client {
@@ -95,13 +95,13 @@ void AddShowCommand(const Command& program) {
                           "  revisit show shuttle-7"});
   const auto vehicle = std::make_shared<std::string>();
   AddVehicleName(command, vehicle.get());
-  command.Runs([vehicle](const Connection& server, const Console& console) {
-    return RunShow(server.client, *vehicle, console);
+  command.Runs([vehicle](const Connection& server, const Terminal& terminal) {
+    return RunShow(server.client, *vehicle, terminal);
   });
 }
 
 absl::Status RunShow(const Client& client, const std::string& id,
-                     const Console& console) {
+                     const Terminal& terminal) {
   v1::ExportPoseGraphRequest request;
   request.set_vehicle(VehicleName(id));
   GraphSummary graph;
@@ -111,11 +111,11 @@ absl::Status RunShow(const Client& client, const std::string& id,
         return absl::OkStatus();
       });
   if (!status.ok()) return status;
-  if (console.json) {
-    PrintJson(graph, console.out);
+  if (terminal.json) {
+    PrintJson(graph, terminal.out);
     return absl::OkStatus();
   }
-  PrintVehicle(graph.vehicle, console);
+  PrintVehicle(graph.vehicle, terminal);
   std::vector<std::pair<std::string, std::string>> fields = {
       {"consecutive edges", absl::StrCat(graph.consecutive_edges)},
       {"loop-closure edges", absl::StrCat(graph.loop_closure_edges)}};
@@ -134,7 +134,7 @@ absl::Status RunShow(const Client& client, const std::string& id,
         absl::StrCat(Fixed(sigmas.position, 2), " m, ",
                      Fixed(sigmas.heading, 4), " rad (1 sigma)"));
   }
-  PrintFields(fields, console.out);
+  PrintFields(fields, terminal.out);
   return absl::OkStatus();
 }
 

@@ -5,9 +5,9 @@
 #include <string>
 
 #include "absl/status/status.h"
-#include "client/cli/console.h"
 #include "client/cli/flags.h"
 #include "client/revisit/client.h"
+#include "client/terminal/terminal.h"
 
 namespace revisit::client {
 
@@ -20,7 +20,7 @@ void AddShowCommand(const Command& program);
 // "headingSigmaRadians"}; fields that a graph without nodes does not have are
 // left out.
 absl::Status RunShow(const Client& client, const std::string& id,
-                     const Console& console);
+                     const Terminal& terminal);
 
 }  // namespace revisit::client
 

@@ -8,16 +8,16 @@
 
 #include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
-#include "client/cli/candidate_text.h"
+#include "client/answers/candidate_text.h"
+#include "client/answers/names.h"
 #include "client/cli/commands/reader_flags.h"
 #include "client/cli/commands/sample_sender.h"
 #include "client/cli/commands/shared_flags.h"
-#include "client/cli/drive_poses.h"
-#include "client/cli/names.h"
 #include "client/formats/text_lines.h"
 #include "client/revisit/pose_stream.h"
 #include "client/revisit/printable_text.h"
 #include "client/revisit/status.h"
+#include "client/trajectory/drive_poses.h"
 #include "core/base/mutex.h"
 #include "grpcpp/channel.h"
 #include "nlohmann/json.hpp"
@@ -35,9 +35,9 @@ struct Tally {
   std::int64_t checks ABSL_GUARDED_BY(mutex) = 0;
 };
 
-// All of `tally`, `progress` and `console` must outlive the stream.
+// All of `tally`, `progress` and `terminal` must outlive the stream.
 PoseStreamCallbacks MakeCallbacks(Tally* tally, Progress* progress,
-                                  const Console& console) {
+                                  const Terminal& terminal) {
   PoseStreamCallbacks callbacks;
   callbacks.ack = [tally, progress](const v1::Ack& ack) {
     progress->Update(ack.durable_sequence());
@@ -51,13 +51,13 @@ PoseStreamCallbacks MakeCallbacks(Tally* tally, Progress* progress,
       progress->Note(absl::StrCat("warning: ", Printable(warning.message())));
     }
   };
-  callbacks.candidates = [tally, &console](const v1::CandidateSet& set) {
+  callbacks.candidates = [tally, &terminal](const v1::CandidateSet& set) {
     const MutexLock lock(&tally->mutex);
     ++tally->checks;
-    if (console.json) {
-      console.out << ToJson(set, false) << '\n';
+    if (terminal.json) {
+      terminal.out << ToJson(set, false) << '\n';
     } else {
-      PrintCheck(set, console.out);
+      PrintCheck(set, terminal.out);
     }
   };
   callbacks.disconnected = [progress](const absl::Status& status,
@@ -243,24 +243,24 @@ void AddStreamCommand(const Command& program) {
     return pipes > 1 ? "FILE: the standard input can be read once only" : "";
   };
   const Run run = [options, give_up_seconds](const Connection& server,
-                                             const Console& console) {
+                                             const Terminal& terminal) {
     if (*give_up_seconds > 0.0) {
       options->give_up_after =
           std::chrono::duration_cast<std::chrono::milliseconds>(
               std::chrono::duration<double>(*give_up_seconds));
     }
-    return RunStream(server.channel, *options, console);
+    return RunStream(server.channel, *options, terminal);
   };
   command.Runs(run, check);
 }
 
 absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
-                       const StreamOptions& options, const Console& console) {
-  Progress progress(console, StemOf(options.files[0]), 0, "poses");
+                       const StreamOptions& options, const Terminal& terminal) {
+  Progress progress(terminal, StemOf(options.files[0]), 0, "poses");
   Tally tally;
   const PoseStreamCallbacks callbacks =
-      MakeCallbacks(&tally, &progress, console);
-  SampleSender sender(channel, options, callbacks, console);
+      MakeCallbacks(&tally, &progress, terminal);
+  SampleSender sender(channel, options, callbacks, terminal);
   ReaderOptions reader_options = options.reader;
   reader_options.before_wait = [&sender] { return sender.BeforeWait(); };
   const auto start = Clock::now();
@@ -302,10 +302,10 @@ absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
   summary.revision = std::max(tally.revision, sender.vehicle().revision());
   summary.jumps = tally.jumps;
   if (options.candidates) summary.checks = tally.checks;
-  if (console.json) {
-    PrintJson(summary, console.out);
+  if (terminal.json) {
+    PrintJson(summary, terminal.out);
   } else {
-    PrintText(summary, console.out);
+    PrintText(summary, terminal.out);
   }
   return absl::OkStatus();
 }

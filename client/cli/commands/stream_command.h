@@ -10,11 +10,11 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "client/cli/console.h"
-#include "client/cli/evaluation/dead_reckoning.h"
 #include "client/cli/flags.h"
 #include "client/formats/reader.h"
 #include "client/revisit/client.h"
+#include "client/terminal/terminal.h"
+#include "client/trajectory/dead_reckoning.h"
 
 namespace grpc {
 class Channel;
@@ -65,7 +65,7 @@ struct StreamOptions {
 // until they have been looked at: what is suspicious then creates no vehicle
 // and sends nothing.
 absl::Status RunStream(const std::shared_ptr<grpc::Channel>& channel,
-                       const StreamOptions& options, const Console& console);
+                       const StreamOptions& options, const Terminal& terminal);
 
 }  // namespace revisit::client
 

@@ -9,20 +9,20 @@ namespace revisit::client {
 namespace {
 
 void Interrupt(PoseStream* stream, const std::string& vehicle, bool appended,
-               const Console& console) {
+               const Terminal& terminal) {
   constexpr std::chrono::seconds kPatience{2};
   // Why it ended does not matter any more.
   (void)stream->FinishWithin(kPatience);
   const absl::Status status =
       WithDurable(LocalError(absl::CancelledError("interrupted")), vehicle,
                   *stream, appended);
-  console.out.flush();
+  terminal.out.flush();
   // A bar may stand in the line.
-  if (console.progress_is_terminal) console.progress << '\n';
-  console.progress << (console.json ? ErrorToJson(status)
-                                    : "revisit: " + ErrorText(status))
-                   << '\n'
-                   << std::flush;
+  if (terminal.progress_is_terminal) terminal.progress << '\n';
+  terminal.progress << (terminal.json ? ErrorToJson(status)
+                                      : "revisit: " + ErrorText(status))
+                    << '\n'
+                    << std::flush;
 }
 
 }  // namespace
@@ -50,9 +50,9 @@ absl::Status WithDurable(const absl::Status& status, const std::string& vehicle,
 }
 
 StreamInterrupt::StreamInterrupt(PoseStream* stream, const std::string& vehicle,
-                                 bool appended, const Console& console)
-    : guard_([stream, vehicle, appended, &console] {
-        Interrupt(stream, vehicle, appended, console);
+                                 bool appended, const Terminal& terminal)
+    : guard_([stream, vehicle, appended, &terminal] {
+        Interrupt(stream, vehicle, appended, terminal);
       }) {}
 
 }  // namespace revisit::client

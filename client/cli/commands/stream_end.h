@@ -6,9 +6,9 @@
 #include <string>
 
 #include "absl/status/status.h"
-#include "client/cli/console.h"
-#include "client/cli/interrupt_guard.h"
 #include "client/revisit/pose_stream.h"
+#include "client/terminal/interrupt_guard.h"
+#include "client/terminal/terminal.h"
 
 namespace revisit::client {
 
@@ -28,7 +28,7 @@ class StreamInterrupt {
  public:
   // All must outlive this.
   StreamInterrupt(PoseStream* stream, const std::string& vehicle, bool appended,
-                  const Console& console);
+                  const Terminal& terminal);
 
  private:
   const InterruptGuard guard_;

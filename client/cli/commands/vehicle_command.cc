@@ -8,9 +8,9 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "client/answers/names.h"
+#include "client/answers/pages.h"
 #include "client/cli/commands/vehicle_settings.h"
-#include "client/cli/names.h"
-#include "client/cli/pages.h"
 #include "client/revisit/printable_text.h"
 #include "google/protobuf/descriptor.h"
 #include "google/protobuf/util/time_util.h"
@@ -45,11 +45,11 @@ void AddConsistency(const v1::Consistency& consistency, Fields* fields) {
                    consistency.applied() ? ", applied" : ", not applied"));
 }
 
-absl::Status Print(const v1::Vehicle& vehicle, const Console& console) {
-  if (console.json) {
-    console.out << ToJson(vehicle, true) << '\n';
+absl::Status Print(const v1::Vehicle& vehicle, const Terminal& terminal) {
+  if (terminal.json) {
+    terminal.out << ToJson(vehicle, true) << '\n';
   } else {
-    PrintVehicle(vehicle, console);
+    PrintVehicle(vehicle, terminal);
   }
   return absl::OkStatus();
 }
@@ -80,9 +80,9 @@ void AddCreate(const Command& vehicle) {
   AddId(command, id.get(), "Lower-case letters, digits, dashes");
   AddDescription(command, description.get());
   AddVehicleSettings(command, settings.get());
-  const Run run = [=](const Connection& server, const Console& console) {
+  const Run run = [=](const Connection& server, const Terminal& terminal) {
     return RunVehicleCreate(server.client, *id, *settings, *description,
-                            console);
+                            terminal);
   };
   command.Runs(run, [description] { return CheckDescription(*description); });
 }
@@ -93,16 +93,16 @@ void AddGet(const Command& vehicle) {
                           "  revisit vehicle get shuttle-7 --json"});
   const auto id = std::make_shared<std::string>();
   AddId(command, id.get());
-  command.Runs([id](const Connection& server, const Console& console) {
-    return RunVehicleGet(server.client, *id, console);
+  command.Runs([id](const Connection& server, const Terminal& terminal) {
+    return RunVehicleGet(server.client, *id, terminal);
   });
 }
 
 void AddList(const Command& vehicle) {
   const Command command = vehicle.AddCommand(
       {"list", "Lists all vehicles.", "", "  revisit vehicle list"});
-  command.Runs([](const Connection& server, const Console& console) {
-    return RunVehicleList(server.client, console);
+  command.Runs([](const Connection& server, const Terminal& terminal) {
+    return RunVehicleList(server.client, terminal);
   });
 }
 
@@ -127,9 +127,9 @@ void AddUpdate(const Command& vehicle) {
     }
     return CheckDescription(*description);
   };
-  const Run run = [=](const Connection& server, const Console& console) {
+  const Run run = [=](const Connection& server, const Terminal& terminal) {
     return RunVehicleUpdate(server.client, *id, *changes, *description,
-                            console);
+                            terminal);
   };
   command.Runs(run, check);
 }
@@ -150,9 +150,10 @@ void AddAcceptLoss(const Command& vehicle) {
       .AddWholeNumber("DURABLE_SEQ", WholeRange(), durable.get(),
                       "The vehicle's durable poses, to show that you know them")
       .Required();
-  command.Runs([id, durable](const Connection& server, const Console& console) {
-    return RunVehicleAcceptLoss(server.client, *id, *durable, console);
-  });
+  command.Runs(
+      [id, durable](const Connection& server, const Terminal& terminal) {
+        return RunVehicleAcceptLoss(server.client, *id, *durable, terminal);
+      });
 }
 
 // OK if the id of the vehicle is the answer.
@@ -204,9 +205,10 @@ void AddDelete(const Command& vehicle) {
                : "--yes is required where nobody can be asked: a deletion "
                  "cannot be undone";
   };
-  const Run run = [ids, yes](const Connection& server, const Console& console) {
+  const Run run = [ids, yes](const Connection& server,
+                             const Terminal& terminal) {
     return RunVehicleDelete(server.client, *ids, *yes ? Ask() : &AskAtTerminal,
-                            console);
+                            terminal);
   };
   command.Runs(run, check);
 }
@@ -224,7 +226,7 @@ void AddVehicleCommand(const Command& program) {
   AddDelete(vehicle);
 }
 
-void PrintVehicle(const v1::Vehicle& vehicle, const Console& console) {
+void PrintVehicle(const v1::Vehicle& vehicle, const Terminal& terminal) {
   const v1::VehicleSettings& settings = vehicle.settings();
   Fields fields = {
       {"name", vehicle.name()},
@@ -266,35 +268,35 @@ void PrintVehicle(const v1::Vehicle& vehicle, const Console& console) {
                      Fixed(origin.longitude_degrees(), 8), " deg, ",
                      Fixed(origin.height_meters(), 3), " m"));
   }
-  PrintFields(fields, console.out);
+  PrintFields(fields, terminal.out);
 }
 
 absl::Status RunVehicleCreate(const Client& client, const std::string& id,
                               const v1::VehicleSettings& settings,
                               const VehicleDescription& description,
-                              const Console& console) {
+                              const Terminal& terminal) {
   v1::CreateVehicleRequest request;
   request.set_vehicle_id(id);
   *request.mutable_vehicle()->mutable_settings() = settings;
   Describe(description, request.mutable_vehicle());
   const auto response = client.CreateVehicle(request);
   if (!response.ok()) return response.status();
-  return Print(response->vehicle(), console);
+  return Print(response->vehicle(), terminal);
 }
 
 absl::Status RunVehicleGet(const Client& client, const std::string& id,
-                           const Console& console) {
+                           const Terminal& terminal) {
   v1::GetVehicleRequest request;
   request.set_name(VehicleName(id));
   const auto response = client.GetVehicle(request);
   if (!response.ok()) return response.status();
-  return Print(response->vehicle(), console);
+  return Print(response->vehicle(), terminal);
 }
 
 absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
                               const v1::VehicleSettings& changes,
                               const VehicleDescription& description,
-                              const Console& console) {
+                              const Terminal& terminal) {
   std::vector<const google::protobuf::FieldDescriptor*> changed;
   v1::VehicleSettings::GetReflection()->ListFields(changes, &changed);
   v1::UpdateVehicleRequest request;
@@ -307,21 +309,21 @@ absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
   Describe(description, &request);
   const auto response = client.UpdateVehicle(request);
   if (!response.ok()) return response.status();
-  return Print(response->vehicle(), console);
+  return Print(response->vehicle(), terminal);
 }
 
 absl::Status RunVehicleAcceptLoss(const Client& client, const std::string& id,
                                   std::uint64_t durable_sequence,
-                                  const Console& console) {
+                                  const Terminal& terminal) {
   v1::AcceptDataLossRequest request;
   request.set_name(VehicleName(id));
   request.set_durable_sequence(durable_sequence);
   const auto response = client.AcceptDataLoss(request);
   if (!response.ok()) return response.status();
-  return Print(response->vehicle(), console);
+  return Print(response->vehicle(), terminal);
 }
 
-absl::Status RunVehicleList(const Client& client, const Console& console) {
+absl::Status RunVehicleList(const Client& client, const Terminal& terminal) {
   v1::ListVehiclesResponse all;
   v1::ListVehiclesRequest request;
   request.set_page_size(1000);
@@ -338,8 +340,8 @@ absl::Status RunVehicleList(const Client& client, const Console& console) {
         return true;
       });
   if (!listed.ok()) return listed;
-  if (console.json) {
-    console.out << ToJson(all, true) << '\n';
+  if (terminal.json) {
+    terminal.out << ToJson(all, true) << '\n';
     return absl::OkStatus();
   }
   using Align = Table::Align;
@@ -360,13 +362,13 @@ absl::Status RunVehicleList(const Client& client, const Console& console) {
                   NameOf(vehicle.settings().correlation_model()),
                   CreateTime(vehicle)});
   }
-  table.Print(console.out, console.width);
+  table.Print(terminal.out, terminal.width);
   return absl::OkStatus();
 }
 
 absl::Status RunVehicleDelete(const Client& client,
                               const std::vector<std::string>& ids,
-                              const Ask& ask, const Console& console) {
+                              const Ask& ask, const Terminal& terminal) {
   nlohmann::ordered_json deleted = nlohmann::ordered_json::array();
   for (const std::string& id : ids) {
     const std::string name = VehicleName(id);
@@ -380,10 +382,10 @@ absl::Status RunVehicleDelete(const Client& client,
     const auto response = client.DeleteVehicle(request);
     if (!response.ok()) return response.status();
     deleted.push_back(name);
-    if (!console.json) console.out << "deleted " << Printable(name) << '\n';
+    if (!terminal.json) terminal.out << "deleted " << Printable(name) << '\n';
   }
-  if (console.json) {
-    console.out << JsonText({{"deleted", deleted}}, true) << '\n';
+  if (terminal.json) {
+    terminal.out << JsonText({{"deleted", deleted}}, true) << '\n';
   }
   return absl::OkStatus();
 }

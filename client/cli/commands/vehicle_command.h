@@ -10,9 +10,9 @@
 
 #include "absl/status/status.h"
 #include "client/cli/commands/vehicle_description.h"
-#include "client/cli/console.h"
 #include "client/cli/flags.h"
 #include "client/revisit/client.h"
+#include "client/terminal/terminal.h"
 
 namespace revisit::client {
 
@@ -23,22 +23,22 @@ void AddVehicleCommand(const Command& program);
 absl::Status RunVehicleCreate(const Client& client, const std::string& id,
                               const v1::VehicleSettings& settings,
                               const VehicleDescription& description,
-                              const Console& console);
+                              const Terminal& terminal);
 absl::Status RunVehicleGet(const Client& client, const std::string& id,
-                           const Console& console);
+                           const Terminal& terminal);
 // Lists the vehicles of all pages. As JSON: {"vehicles": [...]}.
-absl::Status RunVehicleList(const Client& client, const Console& console);
+absl::Status RunVehicleList(const Client& client, const Terminal& terminal);
 // Changes the settings that are set, and no others, and the description.
 // REQUIRES: there is something to change.
 absl::Status RunVehicleUpdate(const Client& client, const std::string& id,
                               const v1::VehicleSettings& changes,
                               const VehicleDescription& description,
-                              const Console& console);
+                              const Terminal& terminal);
 // Ends the state DATA_LOSS. The server refuses a `durable_sequence` that is not
 // the vehicle's.
 absl::Status RunVehicleAcceptLoss(const Client& client, const std::string& id,
                                   std::uint64_t durable_sequence,
-                                  const Console& console);
+                                  const Terminal& terminal);
 // Answers a question: the line that was typed, or nothing at the end of input.
 using Ask =
     std::function<std::optional<std::string>(const std::string& question)>;
@@ -48,10 +48,10 @@ using Ask =
 // not typed. As JSON: {"deleted": ["vehicles/..."]}.
 absl::Status RunVehicleDelete(const Client& client,
                               const std::vector<std::string>& ids,
-                              const Ask& ask, const Console& console);
+                              const Ask& ask, const Terminal& terminal);
 
 // Prints a vehicle and its settings for people.
-void PrintVehicle(const v1::Vehicle& vehicle, const Console& console);
+void PrintVehicle(const v1::Vehicle& vehicle, const Terminal& terminal);
 
 }  // namespace revisit::client
 

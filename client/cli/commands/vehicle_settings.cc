@@ -8,8 +8,8 @@
 #include <optional>
 
 #include "absl/strings/str_cat.h"
-#include "client/cli/console.h"
-#include "client/cli/names.h"
+#include "client/answers/names.h"
+#include "client/terminal/terminal.h"
 #include "google/protobuf/descriptor.h"
 #include "google/protobuf/message.h"
 #include "google/protobuf/util/time_util.h"

@@ -3,7 +3,7 @@
 #include <memory>
 
 #include "absl/strings/str_cat.h"
-#include "client/cli/names.h"
+#include "client/answers/names.h"
 #include "client/revisit/printable_text.h"
 #include "client/revisit/status.h"
 
@@ -47,12 +47,12 @@ absl::Status WithUndo(const absl::Status& status, const VerifiedPair& pair,
 
 template <typename Response>
 void Print(const char* done, const std::string& name, const Response& response,
-           const Console& console) {
-  if (console.json) {
-    console.out << ToJson(response, true) << '\n';
+           const Terminal& terminal) {
+  if (terminal.json) {
+    terminal.out << ToJson(response, true) << '\n';
   } else {
-    console.out << done << " " << Printable(name) << ", revision "
-                << response.revision() << '\n';
+    terminal.out << done << " " << Printable(name) << ", revision "
+                 << response.revision() << '\n';
   }
 }
 
@@ -103,8 +103,8 @@ void AddConfirmCommand(const Command& program) {
       "How sure the verifier is, on a scale of its own");
   const Check check = [measured] { return CheckMeasurement(*measured); };
   command.Runs(
-      [pair, measured](const Connection& server, const Console& console) {
-        return RunConfirm(server.client, *pair, *measured, console);
+      [pair, measured](const Connection& server, const Terminal& terminal) {
+        return RunConfirm(server.client, *pair, *measured, terminal);
       },
       check);
 }
@@ -121,9 +121,10 @@ void AddRejectCommand(const Command& program) {
   AddPair(command, pair.get());
   command.AddText("--note", "TEXT", note.get(),
                   "For people: why it is not one place, for example");
-  command.Runs([pair, note](const Connection& server, const Console& console) {
-    return RunReject(server.client, *pair, *note, console);
-  });
+  command.Runs(
+      [pair, note](const Connection& server, const Terminal& terminal) {
+        return RunReject(server.client, *pair, *note, terminal);
+      });
 }
 
 std::string CheckMeasurement(const VerifiedMeasurement& measurement) {
@@ -145,34 +146,34 @@ std::string CheckMeasurement(const VerifiedMeasurement& measurement) {
 
 absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
                         const VerifiedMeasurement& measurement,
-                        const Console& console) {
+                        const Terminal& terminal) {
   v1::AddLoopClosureRequest request;
   request.set_parent(VehicleName(pair.vehicle));
   Fill(pair, request.mutable_loop_closure());
   Fill(measurement, request.mutable_loop_closure());
   const auto response = client.AddLoopClosure(request);
   if (!response.ok()) return WithUndo(response.status(), pair, "rejections");
-  Print("confirmed", response->loop_closure().name(), *response, console);
-  if (response->has_agreement() && !console.json) {
+  Print("confirmed", response->loop_closure().name(), *response, terminal);
+  if (response->has_agreement() && !terminal.json) {
     const v1::MeasurementAgreement& agreement = response->agreement();
-    console.out << "agreement with the graph: d2 "
-                << Fixed(agreement.squared_mahalanobis_distance(), 2) << " of "
-                << agreement.degrees_of_freedom()
-                << " degrees of freedom, p-value "
-                << Fixed(agreement.p_value(), 4) << '\n';
+    terminal.out << "agreement with the graph: d2 "
+                 << Fixed(agreement.squared_mahalanobis_distance(), 2) << " of "
+                 << agreement.degrees_of_freedom()
+                 << " degrees of freedom, p-value "
+                 << Fixed(agreement.p_value(), 4) << '\n';
   }
   return absl::OkStatus();
 }
 
 absl::Status RunReject(const Client& client, const VerifiedPair& pair,
-                       const std::string& note, const Console& console) {
+                       const std::string& note, const Terminal& terminal) {
   v1::RejectCandidateRequest request;
   request.set_parent(VehicleName(pair.vehicle));
   Fill(pair, request.mutable_rejected_candidate());
   request.mutable_rejected_candidate()->set_note(note);
   const auto response = client.RejectCandidate(request);
   if (!response.ok()) return WithUndo(response.status(), pair, "closures");
-  Print("rejected", response->rejected_candidate().name(), *response, console);
+  Print("rejected", response->rejected_candidate().name(), *response, terminal);
   return absl::OkStatus();
 }
 

@@ -8,9 +8,9 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "client/cli/console.h"
 #include "client/cli/flags.h"
 #include "client/revisit/client.h"
+#include "client/terminal/terminal.h"
 
 namespace revisit::client {
 
@@ -44,11 +44,11 @@ std::string CheckMeasurement(const VerifiedMeasurement& measurement);
 // response. REQUIRES: CheckMeasurement().
 absl::Status RunConfirm(const Client& client, const VerifiedPair& pair,
                         const VerifiedMeasurement& measurement,
-                        const Console& console);
+                        const Terminal& terminal);
 // Rejects the candidate, since the two poses are not one place; the note is
 // for people and may be empty. Prints and fails likewise.
 absl::Status RunReject(const Client& client, const VerifiedPair& pair,
-                       const std::string& note, const Console& console);
+                       const std::string& note, const Terminal& terminal);
 
 }  // namespace revisit::client
 

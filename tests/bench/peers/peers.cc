@@ -12,9 +12,9 @@
 #include <utility>
 #include <vector>
 
-#include "client/cli/evaluation/dead_reckoning.h"
-#include "client/cli/evaluation/evaluation.h"
+#include "client/evaluation/evaluation.h"
 #include "client/formats/drive_file.h"
+#include "client/trajectory/dead_reckoning.h"
 #include "core/drive/drive.h"
 #include "core/geometry/heading.h"
 #include "core/search/alignment/log_similarity.h"
@@ -73,27 +73,27 @@ CheckAnswer Only(NodeIndex query, std::optional<NodeIndex> matched) {
   }
   CandidateAnswer candidate;
   candidate.matched = *matched;
-  candidate.verdict = client::Verdict::kAccepted;
+  candidate.verdict = v1::VERDICT_ACCEPTED;
   answer.candidates.push_back(candidate);
   return answer;
 }
 
-client::Verdict VerdictOf(core::Verdict verdict) {
+v1::Verdict VerdictOf(core::Verdict verdict) {
   switch (verdict) {
     case core::Verdict::kAccepted:
-      return client::Verdict::kAccepted;
+      return v1::VERDICT_ACCEPTED;
     case core::Verdict::kRejectedByGate:
-      return client::Verdict::kRejectedByGate;
+      return v1::VERDICT_REJECTED_BY_GATE;
     case core::Verdict::kRejectedByShape:
-      return client::Verdict::kRejectedByShape;
+      return v1::VERDICT_REJECTED_BY_SHAPE;
     case core::Verdict::kAmbiguous:
-      return client::Verdict::kAmbiguous;
+      return v1::VERDICT_AMBIGUOUS;
     case core::Verdict::kUninformative:
-      return client::Verdict::kUninformative;
+      return v1::VERDICT_UNINFORMATIVE;
     case core::Verdict::kIllConditioned:
       break;
   }
-  return client::Verdict::kIllConditioned;
+  return v1::VERDICT_ILL_CONDITIONED;
 }
 
 CheckAnswer AnswerOf(const core::CandidateSet& set, NodeIndex query,

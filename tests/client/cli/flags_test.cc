@@ -24,7 +24,7 @@ class FlagsTest : public ::testing::Test {
                    "What to brew")
         .Required();
     coffee.AddNumber("--grind", "MM", &grind_, "How coarse");
-    coffee.RunsAlone([](const Console&) { return absl::OkStatus(); });
+    coffee.RunsAlone([](const Terminal&) { return absl::OkStatus(); });
     line_.program().AddCommand({"tea", "Brews tea.", "", ""});
   }
 

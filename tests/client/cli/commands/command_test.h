@@ -1,13 +1,13 @@
-// Tests of commands have a fake server and consoles that keep the output.
+// Tests of commands have a fake server and terminals that keep the output.
 #ifndef REVISIT_TESTS_CLIENT_CLI_COMMANDS_COMMAND_TEST_H_
 #define REVISIT_TESTS_CLIENT_CLI_COMMANDS_COMMAND_TEST_H_
 
 #include <memory>
 #include <sstream>
 
-#include "client/cli/console.h"
 #include "client/revisit/channel.h"
 #include "client/revisit/client.h"
+#include "client/terminal/terminal.h"
 #include "grpcpp/channel.h"
 #include "gtest/gtest.h"
 #include "tests/client/fake_server.h"
@@ -16,8 +16,8 @@ namespace revisit::client {
 
 class CommandTest : public ::testing::Test {
  protected:
-  Console Text() { return {out_, progress_, false, false}; }
-  Console Json() { return {out_, progress_, false, true}; }
+  Terminal Text() { return {out_, progress_, false, false}; }
+  Terminal Json() { return {out_, progress_, false, true}; }
 
   // Stores poses 1 to `count` of this vehicle, each as many metres along x as
   // its sequence says.

@@ -15,8 +15,8 @@
 #include "client/cli/commands/stream_command.h"
 #include "client/cli/commands/vehicle_command.h"
 #include "client/cli/commands/verify_command.h"
-#include "client/cli/console.h"
 #include "client/revisit/channel.h"
+#include "client/terminal/terminal.h"
 #include "gmock/gmock.h"
 #include "google/protobuf/text_format.h"
 #include "grpcpp/channel.h"
@@ -56,8 +56,8 @@ class CommandsTest : public ::testing::Test {
     }
   }
 
-  Console Text() { return {out_, progress_, false, false}; }
-  Console Json() { return {out_, progress_, false, true}; }
+  Terminal Text() { return {out_, progress_, false, false}; }
+  Terminal Json() { return {out_, progress_, false, true}; }
 
   StreamOptions Stream() {
     StreamOptions options;
@@ -547,7 +547,7 @@ class ExportFileTest : public CommandsTest {
   ExportOptions options_;
 };
 
-TEST_F(ExportFileTest, FileHoldsWhatTheConsoleWouldShow) {
+TEST_F(ExportFileTest, FileHoldsWhatTheTerminalWouldShow) {
   ASSERT_TRUE(RunExport(client_, options_, Text()).ok());
   EXPECT_EQ(Read(options_.output), edges_);
   EXPECT_EQ(Files(), 1);
@@ -594,7 +594,7 @@ TEST_F(ExportFileTest, PipeIsWrittenTo) {
   EXPECT_TRUE(fs::is_fifo(options_.output));
 }
 
-TEST(ConsoleTest, DrawsABarOnATerminalOnly) {
+TEST(TerminalTest, DrawsABarOnATerminalOnly) {
   std::ostringstream out;
   std::ostringstream terminal;
   {
@@ -616,7 +616,7 @@ TEST(ConsoleTest, DrawsABarOnATerminalOnly) {
   EXPECT_EQ(out.str(), "");
 }
 
-TEST(ConsoleTest, PrintsNumbersWithoutALocale) {
+TEST(TerminalTest, PrintsNumbersWithoutALocale) {
   EXPECT_EQ(Fixed(1234567.125, 2), "1234567.12");
   EXPECT_EQ(Fixed(-0.5, 0), "-0");
   EXPECT_EQ(Fixed(3.0, 3), "3.000");

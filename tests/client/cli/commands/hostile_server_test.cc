@@ -59,7 +59,7 @@ std::string Unfit(const std::string& text) {
 
 struct NamedCommand {
   std::string name;
-  std::function<absl::Status(const Console&)> run;
+  std::function<absl::Status(const Terminal&)> run;
 };
 
 class HostileServerTest : public CommandTest {
@@ -88,62 +88,65 @@ class HostileServerTest : public CommandTest {
     stream.files = {path_};
     stream.vehicle = "other";
     const auto exporting = [this](ExportFormat format) {
-      return [this, format](const Console& console) {
+      return [this, format](const Terminal& terminal) {
         ExportOptions options;
         options.vehicle = "shuttle";
         options.format = format;
-        return RunExport(client_, options, console);
+        return RunExport(client_, options, terminal);
       };
     };
     const auto drawing = [this](MapFormat format) {
-      return [this, format](const Console& console) {
+      return [this, format](const Terminal& terminal) {
         MapOptions options;
         options.vehicle = "shuttle";
         options.format = format;
-        return RunMap(client_, options, console);
+        return RunMap(client_, options, terminal);
       };
     };
     return {
         {"vehicle create",
-         [this](const Console& c) {
+         [this](const Terminal& c) {
            return RunVehicleCreate(client_, "a", {}, {}, c);
          }},
         {"vehicle get",
-         [this](const Console& c) { return RunVehicleGet(client_, "a", c); }},
+         [this](const Terminal& c) { return RunVehicleGet(client_, "a", c); }},
         {"vehicle list",
-         [this](const Console& c) { return RunVehicleList(client_, c); }},
+         [this](const Terminal& c) { return RunVehicleList(client_, c); }},
         {"vehicle update",
-         [=](const Console& c) {
+         [=](const Terminal& c) {
            return RunVehicleUpdate(client_, "a", {}, description, c);
          }},
         {"info",
-         [this](const Console& c) { return RunInfo(client_, "a:1", c); }},
-        {"show", [this](const Console& c) { return RunShow(client_, "a", c); }},
-        {"find", [=](const Console& c) { return RunFind(client_, find, c); }},
+         [this](const Terminal& c) { return RunInfo(client_, "a:1", c); }},
+        {"show",
+         [this](const Terminal& c) { return RunShow(client_, "a", c); }},
+        {"find", [=](const Terminal& c) { return RunFind(client_, find, c); }},
         {"closures list",
-         [this](const Console& c) { return RunClosuresList(client_, "a", c); }},
+         [this](const Terminal& c) {
+           return RunClosuresList(client_, "a", c);
+         }},
         {"rejections list",
-         [this](const Console& c) {
+         [this](const Terminal& c) {
            return RunRejectionsList(client_, "a", c);
          }},
         {"closures delete",
-         [this](const Console& c) {
+         [this](const Terminal& c) {
            return RunClosuresDelete(client_, {"a", {"150", "20"}}, c);
          }},
         {"closures delete, of two",
-         [this](const Console& c) {
+         [this](const Terminal& c) {
            return RunClosuresDelete(client_, {"a", {"160", "30"}}, c);
          }},
         {"confirm",
-         [this](const Console& c) {
+         [this](const Terminal& c) {
            return RunConfirm(client_, {"a", 150, 20}, {}, c);
          }},
         {"reject",
-         [this](const Console& c) {
+         [this](const Terminal& c) {
            return RunReject(client_, {"a", 150, 20}, "", c);
          }},
         {"poses list",
-         [this](const Console& c) { return RunPosesList(client_, {"a"}, c); }},
+         [this](const Terminal& c) { return RunPosesList(client_, {"a"}, c); }},
         {"export jsonl", exporting(ExportFormat::kJsonLines)},
         {"export g2o", exporting(ExportFormat::kG2o)},
         {"export tum", exporting(ExportFormat::kTum)},
@@ -153,12 +156,12 @@ class HostileServerTest : public CommandTest {
         {"map svg", drawing(MapFormat::kSvg)},
         {"map geojson", drawing(MapFormat::kGeoJson)},
         {"revise",
-         [this](const Console& c) {
+         [this](const Terminal& c) {
            return RunRevise(client_, {"a", optimised_, OptimisedFormat::kG2o},
                             c);
          }},
         {"stream",
-         [=](const Console& c) { return RunStream(channel_, stream, c); }}};
+         [=](const Terminal& c) { return RunStream(channel_, stream, c); }}};
   }
 
   std::string path_;

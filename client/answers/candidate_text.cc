@@ -1,0 +1,214 @@
+#include "client/answers/candidate_text.h"
+
+#include <algorithm>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "client/answers/exact_text.h"
+#include "client/answers/names.h"
+#include "client/terminal/terminal.h"
+
+namespace revisit::client {
+namespace {
+
+// ", 2020-11-26T18:58:17.528Z (1606417097.528 s)", empty without a stamp.
+std::string TimeOf(const v1::Node& node) {
+  if (!node.has_stamp()) return "";
+  return absl::StrCat(", ", StampText(node.stamp()), " (",
+                      StampSeconds(node.stamp()), " s)");
+}
+
+std::string PlaceOf(const v1::Node& node) {
+  return absl::StrCat("sequence ", node.sequence(), ", ",
+                      Fixed(node.travelled_meters(), 1), " m", TimeOf(node));
+}
+
+// "-12.0 to +8.0", in metres along the path from the matched node.
+std::string Text(const v1::PlaceInterval& interval) {
+  const double before = interval.meters_before();
+  const double after = interval.meters_after();
+  return absl::StrCat(before > 0.0 ? "-" : "", Fixed(before, 1), " to ",
+                      after > 0.0 ? "+" : "", Fixed(after, 1));
+}
+
+// By what the search multiplied the claims.
+void PrintScale(const v1::CandidateSet& set, std::ostream& out) {
+  if (set.has_scale_estimate()) {
+    const v1::ScaleEstimate& estimate = set.scale_estimate();
+    out << "the drive has shown standard deviations of "
+        << Fixed(estimate.scale(), 2) << " times the claimed ones ("
+        << Fixed(estimate.low(), 2) << " to " << Fixed(estimate.high(), 2)
+        << ")\n";
+    return;
+  }
+  if (set.candidates().empty()) return;
+  const double inflation = set.candidates(0).gate().inflation();
+  if (inflation > 1.0) {
+    out << "claimed standard deviations were multiplied by "
+        << Fixed(inflation, 2) << '\n';
+  }
+}
+
+void PrintQuery(const v1::CandidateSet& set, std::ostream& out) {
+  if (set.has_query()) {
+    const v1::Node& query = set.query();
+    out << "query: node " << query.index() << ", sequence " << query.sequence()
+        << TimeOf(query) << ", " << Fixed(query.travelled_meters(), 1)
+        << " m travelled, at (" << Fixed(query.pose().x_meters(), 2) << ", "
+        << Fixed(query.pose().y_meters(), 2) << ") m\n";
+  }
+  if (set.has_new_place_probability()) {
+    out << "new place: probability " << Fixed(set.new_place_probability(), 4)
+        << '\n';
+  }
+}
+
+// Each column with its cells.
+class Columns {
+ public:
+  explicit Columns(const v1::CandidateSet& set) : set_(set) {}
+
+  template <typename Cell>
+  void Add(const char* title, Table::Align align, const Cell& cell) {
+    titles_.push_back({title, align});
+    cells_.emplace_back();
+    for (const v1::Candidate& candidate : set_.candidates()) {
+      cells_.back().push_back(cell(candidate));
+    }
+  }
+
+  void Print(const Terminal& terminal) const {
+    Table table(titles_);
+    for (int row = 0; row < set_.candidates_size(); ++row) {
+      std::vector<std::string> line;
+      for (const auto& column : cells_) {
+        line.push_back(column[static_cast<std::size_t>(row)]);
+      }
+      table.AddRow(std::move(line));
+    }
+    table.Print(terminal.out, terminal.width);
+  }
+
+ private:
+  const v1::CandidateSet& set_;
+  std::vector<Table::Column> titles_;
+  std::vector<std::vector<std::string>> cells_;
+};
+
+void AddPlaceColumns(const v1::CandidateSet& set, Columns* columns) {
+  using Align = Table::Align;
+  using C = v1::Candidate;
+  columns->Add("RANK", Align::kRight,
+               [](const C& c) { return absl::StrCat(c.rank()); });
+  columns->Add("SEQUENCE", Align::kRight,
+               [](const C& c) { return absl::StrCat(c.matched().sequence()); });
+  if (std::any_of(set.candidates().begin(), set.candidates().end(),
+                  [](const C& c) { return c.matched().has_stamp(); })) {
+    const auto stamp =
+        [](std::string (*text)(const google::protobuf::Timestamp&)) {
+          return [text](const C& c) {
+            return c.matched().has_stamp() ? text(c.matched().stamp()) : "-";
+          };
+        };
+    columns->Add("TIME", Align::kLeft, stamp(&StampText));
+    columns->Add("TIME s", Align::kRight, stamp(&StampSeconds));
+  }
+  columns->Add("TRAVELLED m", Align::kRight, [](const C& c) {
+    return Fixed(c.matched().travelled_meters(), 1);
+  });
+  columns->Add("X m", Align::kRight, [](const C& c) {
+    return Fixed(c.matched().pose().x_meters(), 2);
+  });
+  columns->Add("Y m", Align::kRight, [](const C& c) {
+    return Fixed(c.matched().pose().y_meters(), 2);
+  });
+  columns->Add("DIRECTION", Align::kLeft,
+               [](const C& c) { return NameOf(c.direction()); });
+}
+
+void AddJudgementColumns(Columns* columns) {
+  using Align = Table::Align;
+  using C = v1::Candidate;
+  columns->Add("GATE", Align::kLeft,
+               [](const C& c) { return DecidingGateOf(c).name(); });
+  const auto number = [](double DecidingGate::*value, int digits) {
+    return [value, digits](const C& c) {
+      const DecidingGate gate = DecidingGateOf(c);
+      return gate.verdict == v1::GATE_VERDICT_ILL_CONDITIONED
+                 ? "-"
+                 : Fixed(gate.*value, digits);
+    };
+  };
+  columns->Add("D2", Align::kRight, number(&DecidingGate::squared_distance, 3));
+  columns->Add("THRESHOLD", Align::kRight, [](const C& c) {
+    return Fixed(DecidingGateOf(c).threshold, 3);
+  });
+  columns->Add("P-VALUE", Align::kRight, number(&DecidingGate::p_value, 4));
+  columns->Add("PROBABILITY", Align::kRight, [](const C& c) {
+    return c.has_probability() ? Fixed(c.probability(), 4) : "-";
+  });
+  columns->Add("ALONG m", Align::kRight, [](const C& c) {
+    return c.has_place_interval() ? Text(c.place_interval()) : "-";
+  });
+  columns->Add("VERDICT", Align::kLeft,
+               [](const C& c) { return NameOf(c.verdict()); });
+}
+
+}  // namespace
+
+DecidingGate DecidingGateOf(const v1::Candidate& candidate) {
+  const v1::Gate& end = candidate.gate();
+  const bool by_end = candidate.verdict() == v1::VERDICT_REJECTED_BY_GATE ||
+                      candidate.verdict() == v1::VERDICT_ILL_CONDITIONED;
+  if (by_end || !candidate.has_path_gate()) {
+    return {false, end.squared_mahalanobis_distance(), end.threshold(),
+            end.p_value(), end.verdict()};
+  }
+  const v1::PathGate& path = candidate.path_gate();
+  return {true, path.squared_mahalanobis_distance(), path.threshold(),
+          path.p_value(), path.verdict()};
+}
+
+void PrintCheck(const v1::CandidateSet& set, std::ostream& out) {
+  out << "check at " << PlaceOf(set.query()) << ": ";
+  if (set.candidates().empty()) {
+    out << "no candidates, " << Explain(set.empty_reason()) << '\n';
+    return;
+  }
+  const v1::Candidate& best = set.candidates(0);
+  const DecidingGate gate = DecidingGateOf(best);
+  out << PlaceOf(best.matched()) << ", ";
+  if (gate.verdict != v1::GATE_VERDICT_ILL_CONDITIONED) {
+    out << gate.name() << " d2 " << Fixed(gate.squared_distance, 2)
+        << (gate.verdict == v1::GATE_VERDICT_REJECTED ? " beyond " : " within ")
+        << Fixed(gate.threshold, 2) << ", ";
+  }
+  if (best.has_probability()) {
+    out << "probability " << Fixed(best.probability(), 4) << ", ";
+  }
+  if (best.has_place_interval()) {
+    out << Text(best.place_interval()) << " m along the path, ";
+  }
+  if (best.direction() == v1::DIRECTION_OPPOSITE) {
+    out << "opposite direction, ";
+  }
+  out << NameOf(best.verdict()) << '\n';
+}
+
+void PrintCandidates(const v1::CandidateSet& set, const Terminal& terminal) {
+  std::ostream& out = terminal.out;
+  PrintQuery(set, out);
+  if (set.candidates().empty()) {
+    out << "no candidates: " << Explain(set.empty_reason()) << '\n';
+    PrintScale(set, out);
+    return;
+  }
+  Columns columns(set);
+  AddPlaceColumns(set, &columns);
+  AddJudgementColumns(&columns);
+  columns.Print(terminal);
+  PrintScale(set, out);
+}
+
+}  // namespace revisit::client

@@ -1,0 +1,39 @@
+// Candidates, printed for people.
+#ifndef REVISIT_CLIENT_ANSWERS_CANDIDATE_TEXT_H_
+#define REVISIT_CLIENT_ANSWERS_CANDIDATE_TEXT_H_
+
+#include <ostream>
+#include <string>
+
+#include "client/terminal/terminal.h"
+#include "revisit/v1/candidate.pb.h"
+
+namespace revisit::client {
+
+// The chi-square gate that the verdict of a candidate rests on.
+struct DecidingGate {
+  // Whether it tests the whole aligned path, otherwise the end poses alone.
+  bool whole_path = false;
+  double squared_distance = 0.0;
+  double threshold = 0.0;
+  double p_value = 0.0;
+  v1::GateVerdict verdict = v1::GATE_VERDICT_UNSPECIFIED;
+
+  // "path" or "end".
+  std::string name() const { return whole_path ? "path" : "end"; }
+};
+
+// The gate at the end where it rejects, cannot decide, or is the only one;
+// otherwise the one on the path. So the gate of an accepted candidate is one
+// that it passes, also where the end poses alone would fail.
+DecidingGate DecidingGateOf(const v1::Candidate& candidate);
+
+// A line for one check of a stream: its first candidate.
+void PrintCheck(const v1::CandidateSet& set, std::ostream& out);
+
+// A table of all candidates below what is known of the query.
+void PrintCandidates(const v1::CandidateSet& set, const Terminal& terminal);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_ANSWERS_CANDIDATE_TEXT_H_

@@ -1,0 +1,177 @@
+#include "client/evaluation/cases.h"
+
+#include <cstddef>
+#include <string>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "client/evaluation/simulation.h"
+#include "client/formats/truth_file.h"
+#include "client/terminal/terminal.h"
+
+namespace revisit::client {
+namespace {
+
+// The first position of a file, where local coordinates of fixes begin; nothing
+// if positions are local already.
+absl::StatusOr<std::optional<GeodeticPosition>> OriginOf(
+    const std::string& file, const ReaderOptions& options) {
+  ReaderOptions first = options;
+  first.keep_without_heading = true;
+  const auto reader = OpenSamples(file, first);
+  if (!reader.ok()) return reader.status();
+  const auto sample = (*reader)->Next();
+  if (!sample.ok()) return sample.status();
+  return (*sample)->geodetic;
+}
+
+absl::StatusOr<Drive> ReadOne(const EvaluateOptions& options, std::size_t i,
+                              const std::optional<GeodeticPosition>& origin) {
+  ReaderOptions reader = options.reader;
+  reader.origin = origin;
+  auto drive = ReadDriveFile(options.files[i], reader);
+  if (!drive.ok()) return drive;
+  if (!options.truth_files.empty()) {
+    const auto truth = ReadTruth(options.truth_files[i], origin);
+    if (!truth.ok()) return truth.status();
+    if (absl::Status status = AddTruth(*truth, &*drive); !status.ok()) {
+      return status;
+    }
+  }
+  if (drive->truth.empty()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(options.files[i],
+                     ": expected the truth, which an evaluation needs: the "
+                     "columns gt_x, gt_y, gt_yaw, or --truth FILE"));
+  }
+  return drive;
+}
+
+absl::StatusOr<std::vector<Drive>> ReadDrives(const EvaluateOptions& options) {
+  std::vector<Drive> drives;
+  std::optional<GeodeticPosition> origin;
+  for (std::size_t i = 0; i < options.files.size(); ++i) {
+    if (!origin.has_value() || !options.one_vehicle) {
+      const auto first = OriginOf(options.files[i], options.reader);
+      if (!first.ok()) return first.status();
+      origin = *first;
+    }
+    auto drive = ReadOne(options, i, origin);
+    if (!drive.ok()) return drive.status();
+    const auto& samples = drive->samples;
+    if (!drives.empty() && samples.front().geodetic.has_value() !=
+                               drives.front().samples[0].geodetic.has_value()) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          options.files[i],
+          ": expected the same kind of positions as in the first file"));
+    }
+    drives.push_back(*std::move(drive));
+  }
+  return drives;
+}
+
+// One drive after the other, as one.
+Drive Join(std::vector<Drive> drives) {
+  Drive all = std::move(drives[0]);
+  for (std::size_t i = 1; i < drives.size(); ++i) {
+    absl::StrAppend(&all.name, "+", drives[i].name);
+    all.samples.insert(all.samples.end(), drives[i].samples.begin(),
+                       drives[i].samples.end());
+    all.truth.insert(all.truth.end(), drives[i].truth.begin(),
+                     drives[i].truth.end());
+  }
+  return all;
+}
+
+bool IsFilter(const EvaluateOptions& options) {
+  return options.settings.correlation_model() == v1::CORRELATION_MODEL_FILTER;
+}
+
+// An error unless each sample behind the first has an error transition for a
+// vehicle of FILTER, and the vehicle is planar, as those of files are.
+absl::Status CheckTransitions(const EvaluateOptions& options,
+                              const Drive& drive) {
+  if (!IsFilter(options)) return absl::OkStatus();
+  if (options.settings.state_space() == v1::STATE_SPACE_SPATIAL) {
+    return absl::InvalidArgumentError(
+        "--correlation-model filter: goes with --state-space planar, since "
+        "files have the error transitions of planar vehicles");
+  }
+  for (std::size_t i = 1; i < drive.samples.size(); ++i) {
+    if (drive.samples[i].error_transition.has_value()) continue;
+    return absl::InvalidArgumentError(absl::StrCat(
+        drive.name,
+        ": expected an error transition with every pose, as --correlation-model"
+        " filter needs (columns fxx, fxy, fxt, fyx, fyy, fyt, ftx, fty, ftt); "
+        "estimates that are drawn anew have none"));
+  }
+  return absl::OkStatus();
+}
+
+void Settle(const std::vector<Drive>& drives, EvaluateOptions* options) {
+  options->geodetic = drives[0].samples[0].geodetic.has_value();
+  if (options->geodetic) {
+    options->settings.set_coordinate_frame(v1::COORDINATE_FRAME_GEODETIC);
+  } else if (!options->fix_noise.has_value() && !IsFilter(*options)) {
+    return;
+  }
+  if (!options->uncertainty_given) {
+    options->uncertainty.source = UncertaintyOptions::Source::kFixes;
+  }
+  if (!options->correlation_given &&
+      options->uncertainty.source == UncertaintyOptions::Source::kFixes) {
+    options->settings.set_correlation_model(v1::CORRELATION_MODEL_INDEPENDENT);
+  }
+}
+
+// Adds a drive as it is, or as it is drawn with each seed.
+void AddCases(const EvaluateOptions& options, Drive drive,
+              std::vector<Case>* cases) {
+  std::vector<std::uint64_t> seeds = options.seeds;
+  if (seeds.empty() && options.fix_noise.has_value()) seeds = {1};
+  if (seeds.empty()) {
+    cases->push_back({std::move(drive), std::nullopt, {}});
+    return;
+  }
+  for (const std::uint64_t seed : seeds) {
+    cases->push_back(
+        {options.fix_noise.has_value()
+             ? SimulateFixes(drive, *options.fix_noise, seed)
+             : SimulateDeadReckoning(drive, options.uncertainty, seed),
+         seed,
+         {}});
+  }
+}
+
+}  // namespace
+
+absl::StatusOr<std::vector<Case>> ReadCases(EvaluateOptions* options) {
+  auto read = ReadDrives(*options);
+  if (!read.ok()) return LocalError(read.status());
+  std::vector<Drive> drives = *std::move(read);
+  Settle(drives, options);
+  if (options->geodetic) {
+    const char* const flag = !options->seeds.empty()          ? "--simulate"
+                             : options->gyro_bias != 0.0      ? "--gyro-bias"
+                             : options->fix_noise.has_value() ? "--fix-noise"
+                                                              : nullptr;
+    if (flag != nullptr) {
+      return LocalError(absl::InvalidArgumentError(absl::StrCat(
+          flag, " goes with local positions; --frame local makes them")));
+    }
+  }
+  if (options->one_vehicle) drives = {Join(std::move(drives))};
+  std::vector<Case> cases;
+  for (Drive& drive : drives) AddCases(*options, std::move(drive), &cases);
+  for (Case& one : cases) {
+    if (options->gyro_bias != 0.0) AddGyroBias(options->gyro_bias, &one.drive);
+    const absl::Status transitions = CheckTransitions(*options, one.drive);
+    if (!transitions.ok()) return LocalError(transitions);
+    auto uncertainty = ClaimUncertainty(one.drive, options->uncertainty);
+    if (!uncertainty.ok()) return LocalError(uncertainty.status());
+    one.uncertainty = *std::move(uncertainty);
+  }
+  return cases;
+}
+
+}  // namespace revisit::client

@@ -1,0 +1,414 @@
+#include "client/evaluation/evaluation_report.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "client/answers/names.h"
+#include "client/evaluation/calibration.h"
+#include "client/terminal/terminal.h"
+#include "nlohmann/json.hpp"
+
+namespace revisit::client {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+// A row of the table.
+struct Row {
+  std::string drive;
+  Tally tally;
+  // The mean over the results that the row holds.
+  std::optional<double> inflation;
+};
+
+std::optional<double> MeanInflation(const std::vector<const DriveResult*>& of) {
+  double sum = 0.0;
+  int count = 0;
+  for (const DriveResult* result : of) {
+    if (!result->inflation.has_value()) continue;
+    sum += *result->inflation;
+    ++count;
+  }
+  if (count == 0) return std::nullopt;
+  return sum / count;
+}
+
+Row MakeRow(const std::string& name,
+            const std::vector<const DriveResult*>& of) {
+  Row row;
+  row.drive = name;
+  for (const DriveResult* result : of) row.tally.Add(result->tally);
+  row.inflation = MeanInflation(of);
+  return row;
+}
+
+// A row for each drive with all its seeds, in order of first appearance.
+std::vector<Row> RowsOf(const MethodResult& method) {
+  std::vector<std::pair<std::string, std::vector<const DriveResult*>>> groups;
+  for (const DriveResult& result : method.drives) {
+    const auto group =
+        std::find_if(groups.begin(), groups.end(), [&](const auto& known) {
+          return known.first == result.drive &&
+                 known.second[0]->seed.has_value() && result.seed.has_value();
+        });
+    if (group == groups.end()) {
+      groups.push_back({result.drive, {&result}});
+    } else {
+      group->second.push_back(&result);
+    }
+  }
+  std::vector<Row> rows;
+  for (const auto& [drive, results] : groups) {
+    rows.push_back(MakeRow(
+        results.size() > 1 ? absl::StrCat(drive, ", ", results.size(), " seeds")
+                           : drive,
+        results));
+  }
+  return rows;
+}
+
+Row TotalRow(const MethodResult& method) {
+  std::vector<const DriveResult*> all;
+  for (const DriveResult& result : method.drives) all.push_back(&result);
+  return MakeRow("total", all);
+}
+
+std::string OrDash(std::optional<double> value, int digits) {
+  return value.has_value() ? Fixed(*value, digits) : "-";
+}
+
+std::string OutcomeOf(const JudgedCheck& check) {
+  if (check.top_correct()) return "right";
+  return check.true_loop ? "wrong" : "no loop";
+}
+
+void PrintSummary(const Row& row, bool verified, std::ostream& out) {
+  const Tally& t = row.tally;
+  std::vector<std::pair<std::string, std::string>> fields = {
+      {"drive", row.drive},
+      {"checks", absl::StrCat(t.checks)},
+      {"true loops", absl::StrCat(t.true_loops)},
+      {"accepted", absl::StrCat(t.accepted)},
+      {"right", absl::StrCat(t.accepted_correct)},
+      {"precision", OrDash(t.precision(), 3)},
+      {"recall", OrDash(t.recall(), 3)},
+      {"F1", OrDash(t.f1(), 3)},
+      {"in interval",
+       absl::StrCat("precision ", OrDash(t.interval_precision(), 3),
+                    ", recall ", OrDash(t.interval_recall(), 3), ": ",
+                    t.accepted_holding, " whose interval holds the place")},
+      {"top-1", absl::StrCat(OrDash(t.top1(), 3), ", ", t.top1_correct,
+                             " of the true loops (verdict aside)")},
+      {"recall@5",
+       absl::StrCat(OrDash(t.recall_at_5(), 3), ", ", t.top5_correct,
+                    " of the true loops (verdict aside)")},
+      {"recall p>=0.9",
+       absl::StrCat(OrDash(t.sure_recall(), 3), ", ", t.sure_correct,
+                    " of the true loops right and stated at ", Fixed(kSure, 1),
+                    " or more")},
+      {"verify/loop",
+       absl::StrCat(OrDash(t.to_verify_per_loop(), 2), ", ", t.to_verify,
+                    " accepted for the ", t.loops_found, " loops found")},
+      {"looks/loop", absl::StrCat(OrDash(t.looks_per_loop(), 2), ", ", t.looks,
+                                  " looks of ", Fixed(2.0 * kLookMeters, 0),
+                                  " m for the ", t.loops_seen, " loops seen")}};
+  if (t.calibration_error().has_value()) {
+    fields.push_back({"ECE p>=0.1", OrDash(t.positive_calibration_error(), 3)});
+    fields.push_back({"ECE", OrDash(t.calibration_error(), 3)});
+  }
+  if (verified) {
+    fields.push_back({"verified", absl::StrCat(t.confirmed, " confirmed, ",
+                                               t.rejected, " rejected")});
+    fields.push_back({"inflation at the end", OrDash(row.inflation, 2)});
+  }
+  fields.push_back(
+      {"poses", absl::StrCat(t.poses, ", ", OrDash(t.poses_per_second(), 0),
+                             "/s with all checks")});
+  if (t.jumps > 0) fields.push_back({"jumps", absl::StrCat(t.jumps)});
+  fields.push_back(
+      {"query time",
+       absl::StrCat("p50 ", OrDash(t.search_percentile(50.0), 2), " ms, p99 ",
+                    OrDash(t.search_percentile(99.0), 2), " ms")});
+  PrintFields(fields, out);
+}
+
+std::vector<Table::Column> ColumnsOf(const Report& report) {
+  using Align = Table::Align;
+  std::vector<Table::Column> columns;
+  if (report.methods.size() > 1) columns.push_back({"METHOD", Align::kLeft});
+  columns.push_back({"DRIVE", Align::kLeft});
+  for (const char* title :
+       {"CHECKS", "LOOPS", "ACCEPTED", "RIGHT", "PRECISION", "RECALL", "F1",
+        "P INTERVAL", "R INTERVAL", "TOP-1", "RECALL@5", "RECALL p>=0.9",
+        "VERIFY/LOOP", "LOOKS/LOOP", "ECE p>=0.1", "ECE"}) {
+    columns.push_back({title, Align::kRight});
+  }
+  if (report.verified) {
+    for (const char* title : {"CONFIRMED", "REJECTED", "INFLATION"}) {
+      columns.push_back({title, Align::kRight});
+    }
+  }
+  for (const char* title : {"POSES/s", "p50 ms", "p99 ms"}) {
+    columns.push_back({title, Align::kRight});
+  }
+  return columns;
+}
+
+// One for each of ColumnsOf().
+std::vector<std::string> CellsOf(const Report& report,
+                                 const MethodResult& method, const Row& row) {
+  const Tally& t = row.tally;
+  std::vector<std::string> cells;
+  if (report.methods.size() > 1) {
+    cells.push_back(NameAmong(report.methods, method));
+  }
+  cells.push_back(row.drive);
+  for (const std::int64_t count :
+       {t.checks, t.true_loops, t.accepted, t.accepted_correct}) {
+    cells.push_back(absl::StrCat(count));
+  }
+  for (const auto& ratio :
+       {t.precision(), t.recall(), t.f1(), t.interval_precision(),
+        t.interval_recall(), t.top1(), t.recall_at_5(), t.sure_recall()}) {
+    cells.push_back(OrDash(ratio, 3));
+  }
+  cells.push_back(OrDash(t.to_verify_per_loop(), 2));
+  cells.push_back(OrDash(t.looks_per_loop(), 2));
+  cells.push_back(OrDash(t.positive_calibration_error(), 3));
+  cells.push_back(OrDash(t.calibration_error(), 3));
+  if (report.verified) {
+    cells.push_back(absl::StrCat(t.confirmed));
+    cells.push_back(absl::StrCat(t.rejected));
+    cells.push_back(OrDash(row.inflation, 2));
+  }
+  cells.push_back(OrDash(t.poses_per_second(), 0));
+  cells.push_back(OrDash(t.search_percentile(50.0), 2));
+  cells.push_back(OrDash(t.search_percentile(99.0), 2));
+  return cells;
+}
+
+void PrintTable(const Report& report, std::ostream& out, std::size_t width) {
+  const bool several = report.methods.size() > 1;
+  Table table(ColumnsOf(report));
+  for (const MethodResult& method : report.methods) {
+    std::vector<Row> rows = RowsOf(method);
+    if (rows.size() > 1) {
+      // A sweep is read by its totals.
+      if (method.claimed_scale.has_value()) rows.clear();
+      rows.push_back(TotalRow(method));
+    }
+    const bool total = rows.size() > 1;
+    if (several && &method != &report.methods.front() && total) table.AddRule();
+    for (const Row& row : rows) {
+      if (!several && total && &row == &rows.back()) table.AddRule();
+      table.AddRow(CellsOf(report, method, row));
+    }
+  }
+  table.Print(out, width);
+}
+
+Json OrNull(std::optional<double> value) {
+  return value.has_value() ? Json(*value) : Json(nullptr);
+}
+
+Json TallyJson(const std::string& drive, const Tally& t) {
+  Json json;
+  json["drive"] = drive;
+  json["checks"] = t.checks;
+  json["true_loops"] = t.true_loops;
+  json["accepted"] = t.accepted;
+  json["accepted_correct"] = t.accepted_correct;
+  json["top1_correct"] = t.top1_correct;
+  json["top5_correct"] = t.top5_correct;
+  json["precision"] = OrNull(t.precision());
+  json["recall"] = OrNull(t.recall());
+  json["f1"] = OrNull(t.f1());
+  json["accepted_holding"] = t.accepted_holding;
+  json["interval_precision"] = OrNull(t.interval_precision());
+  json["interval_recall"] = OrNull(t.interval_recall());
+  json["top1"] = OrNull(t.top1());
+  json["recall_at_5"] = OrNull(t.recall_at_5());
+  json["sure_correct"] = t.sure_correct;
+  json["sure_recall"] = OrNull(t.sure_recall());
+  json["candidates_to_verify"] = t.to_verify;
+  json["loops_found"] = t.loops_found;
+  json["candidates_per_loop_found"] = OrNull(t.to_verify_per_loop());
+  json["looks"] = t.looks;
+  json["loops_seen"] = t.loops_seen;
+  json["looks_per_loop_seen"] = OrNull(t.looks_per_loop());
+  json["positive_calibration_error"] = OrNull(t.positive_calibration_error());
+  json["expected_calibration_error"] = OrNull(t.calibration_error());
+  json["confirmed"] = t.confirmed;
+  json["rejected"] = t.rejected;
+  json["jumps"] = t.jumps;
+  json["query_ms_p50"] = OrNull(t.search_percentile(50.0));
+  json["query_ms_p99"] = OrNull(t.search_percentile(99.0));
+  json["poses"] = t.poses;
+  json["poses_per_second"] = OrNull(t.poses_per_second());
+  return json;
+}
+
+Json ChecksJson(const DriveResult& result) {
+  Json list = Json::array();
+  for (const JudgedCheck& check : result.checks) {
+    const auto travelled = [&](std::int64_t node) {
+      return result.nodes[static_cast<std::size_t>(node)].travelled_meters;
+    };
+    Json entry;
+    entry["node"] = check.answer.query;
+    entry["travelled_meters"] = travelled(check.answer.query);
+    entry["true_loop"] = check.true_loop;
+    entry["query_ms"] = OrNull(check.answer.search_milliseconds);
+    entry["empty_reason"] = check.answer.empty_reason;
+    entry["candidates"] = Json::array();
+    for (std::size_t i = 0; i < check.answer.candidates.size(); ++i) {
+      const CandidateAnswer& candidate = check.answer.candidates[i];
+      Json item;
+      item["matched_node"] = candidate.matched;
+      item["matched_travelled_meters"] = travelled(candidate.matched);
+      item["direction"] = candidate.opposite ? "OPPOSITE" : "SAME";
+      item["gate"] = candidate.path_gate ? "path" : "end";
+      item["squared_mahalanobis_distance"] = candidate.squared_distance;
+      item["threshold"] = candidate.threshold;
+      item["p_value"] = candidate.p_value;
+      item["probability"] = OrNull(candidate.probability);
+      item["meters_before"] = candidate.meters_before;
+      item["meters_after"] = candidate.meters_after;
+      item["verdict"] = NameOf(candidate.verdict);
+      item["correct"] = static_cast<bool>(check.correct[i]);
+      entry["candidates"].push_back(std::move(item));
+    }
+    list.push_back(std::move(entry));
+  }
+  return list;
+}
+
+Json DrivesJson(const MethodResult& method, bool with_checks) {
+  Json drives = Json::array();
+  for (const DriveResult& result : method.drives) {
+    Json drive = TallyJson(result.drive, result.tally);
+    drive["seed"] =
+        result.seed.has_value() ? Json(*result.seed) : Json(nullptr);
+    drive["inflation"] = OrNull(result.inflation);
+    if (with_checks) drive["check_list"] = ChecksJson(result);
+    drives.push_back(std::move(drive));
+  }
+  return drives;
+}
+
+Json MethodJson(const MethodResult& method) {
+  const Tally total = TotalOf(method);
+  Json json;
+  json["method"] = method.method;
+  json["sequence_length_meters"] = method.sequence_length_meters;
+  json["claimed_scale"] = OrNull(method.claimed_scale);
+  json["drives"] = DrivesJson(method, false);
+  json["total"] = TallyJson("total", total);
+  json["precision_recall"] = Json::array();
+  for (const CurvePoint& point :
+       PrecisionRecallCurve(total.confidences, total.true_loops)) {
+    json["precision_recall"].push_back({{"threshold", point.threshold},
+                                        {"precision", point.precision},
+                                        {"recall", point.recall}});
+  }
+  json["reliability"] = nullptr;
+  if (total.probabilities.empty()) return json;
+  json["reliability"] = Json::array();
+  for (const ReliabilityBin& bin : Reliability(total.probabilities)) {
+    const bool any = bin.count > 0;
+    json["reliability"].push_back(
+        {{"low", bin.low},
+         {"high", bin.high},
+         {"count", bin.count},
+         {"mean_stated", any ? Json(bin.mean_stated) : Json(nullptr)},
+         {"share_correct", any ? Json(bin.share_correct) : Json(nullptr)}});
+  }
+  return json;
+}
+
+}  // namespace
+
+std::string NameAmong(const std::vector<MethodResult>& methods,
+                      const MethodResult& method) {
+  std::string name = method.method;
+  if (std::any_of(methods.begin(), methods.end(), [&](const auto& other) {
+        return other.sequence_length_meters != method.sequence_length_meters;
+      })) {
+    absl::StrAppend(&name, ", ", Fixed(method.sequence_length_meters, 0), " m");
+  }
+  if (method.claimed_scale.has_value()) {
+    absl::StrAppend(&name, ", claimed x ", *method.claimed_scale);
+  }
+  return name;
+}
+
+Tally TotalOf(const MethodResult& method) {
+  Tally total;
+  for (const DriveResult& result : method.drives) total.Add(result.tally);
+  return total;
+}
+
+void PrintChecks(const DriveResult& result, std::ostream& out,
+                 std::size_t width) {
+  using Align = Table::Align;
+  Table table({{"CHECK", Align::kRight},
+               {"AT m", Align::kRight},
+               {"CANDIDATE m", Align::kRight},
+               {"GATE", Align::kLeft},
+               {"D2", Align::kRight},
+               {"THRESHOLD", Align::kRight},
+               {"P-VALUE", Align::kRight},
+               {"PROBABILITY", Align::kRight},
+               {"VERDICT", Align::kLeft},
+               {"TRUTH", Align::kLeft}});
+  int number = 0;
+  for (const JudgedCheck& check : result.checks) {
+    const auto travelled = [&](std::int64_t node) {
+      return Fixed(
+          result.nodes[static_cast<std::size_t>(node)].travelled_meters, 1);
+    };
+    ++number;
+    if (check.answer.candidates.empty()) {
+      table.AddRow({absl::StrCat(number), travelled(check.answer.query), "-",
+                    "-", "-", "-", "-", "-", "NONE", OutcomeOf(check)});
+      continue;
+    }
+    const CandidateAnswer& best = check.answer.candidates[0];
+    table.AddRow({absl::StrCat(number), travelled(check.answer.query),
+                  travelled(best.matched), best.path_gate ? "path" : "end",
+                  Fixed(best.squared_distance, 2), Fixed(best.threshold, 2),
+                  Fixed(best.p_value, 4), OrDash(best.probability, 4),
+                  NameOf(best.verdict), OutcomeOf(check)});
+  }
+  out << result.drive << ": the best candidate of each check\n";
+  table.Print(out, width);
+  out << '\n';
+}
+
+void PrintReport(const Report& report, std::ostream& out, std::size_t width) {
+  const MethodResult& main = report.methods[report.main];
+  if (report.methods.size() == 1 && RowsOf(main).size() == 1) {
+    PrintSummary(RowsOf(main)[0], report.verified, out);
+  } else {
+    PrintTable(report, out, width);
+  }
+  if (!report.notes.empty()) out << '\n';
+  for (const std::string& note : report.notes) out << note << '\n';
+}
+
+std::string ReportJson(const Report& report, bool verbose) {
+  const MethodResult& main = report.methods[report.main];
+  Json json;
+  json["drives"] = DrivesJson(main, verbose);
+  json["total"] = TallyJson("total", TotalOf(main));
+  json["methods"] = Json::array();
+  for (const MethodResult& method : report.methods) {
+    json["methods"].push_back(MethodJson(method));
+  }
+  json["repeats"] = report.repeats;
+  json["notes"] = report.notes;
+  return json.dump(1, ' ', false, Json::error_handler_t::replace);
+}
+
+}  // namespace revisit::client

@@ -1,0 +1,90 @@
+#include "client/trajectory/drive_poses.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "client/formats/times.h"
+#include "client/terminal/terminal.h"
+#include "client/trajectory/local_pose.h"
+
+namespace revisit::client {
+
+v1::Pose MakePose(const Sample& sample, const ClaimedUncertainty& uncertainty,
+                  v1::StateSpace state_space, std::uint64_t sequence) {
+  const auto& [xx, xy, xh, yy, yh, hh] = uncertainty.planar;
+  v1::Pose pose;
+  pose.set_sequence(sequence);
+  if (sample.time_nanoseconds.has_value()) {
+    const std::int64_t time = *sample.time_nanoseconds;
+    const std::int64_t nanos =
+        (time % kNanosecondsPerSecond + kNanosecondsPerSecond) %
+        kNanosecondsPerSecond;
+    pose.mutable_stamp()->set_seconds((time - nanos) / kNanosecondsPerSecond);
+    pose.mutable_stamp()->set_nanos(static_cast<std::int32_t>(nanos));
+  }
+  if (sample.geodetic.has_value()) {
+    v1::GeodeticPosition* geodetic = pose.mutable_geodetic();
+    geodetic->set_latitude_degrees(sample.geodetic->latitude_degrees);
+    geodetic->set_longitude_degrees(sample.geodetic->longitude_degrees);
+    geodetic->set_height_meters(sample.geodetic->height_meters);
+  } else {
+    v1::LocalPosition* local = pose.mutable_local();
+    local->set_x_meters(sample.estimate.x);
+    local->set_y_meters(sample.estimate.y);
+    local->set_z_meters(sample.z);
+  }
+  if (sample.quaternion.has_value()) {
+    SetQuaternion(*sample.quaternion, &pose);
+  } else {
+    pose.set_heading_radians(sample.estimate.heading);
+  }
+  v1::Covariance* covariance = pose.mutable_covariance();
+  if (state_space == v1::STATE_SPACE_SPATIAL) {
+    const double zz = uncertainty.z_variance;
+    const auto& [xz, yz, zh] = uncertainty.z_mixed;
+    covariance->set_form(v1::COVARIANCE_FORM_SPATIAL_10);
+    for (const double value : {xx, xy, xz, xh, yy, yz, yh, zz, zh, hh}) {
+      covariance->add_values(value);
+    }
+  } else {
+    covariance->set_form(v1::COVARIANCE_FORM_PLANAR_6);
+    for (const double value : {xx, xy, xh, yy, yh, hh}) {
+      covariance->add_values(value);
+    }
+  }
+  return pose;
+}
+
+void AddErrorTransition(const Sample& sample, v1::Pose* pose) {
+  for (const double entry : *sample.error_transition) {
+    pose->add_error_transition(entry);
+  }
+}
+
+void AppendPoses(const Drive& drive,
+                 const std::vector<ClaimedUncertainty>& uncertainty,
+                 const v1::VehicleSettings& settings, const SampleRange& range,
+                 std::size_t batch_poses, PoseStream* stream) {
+  const bool filter =
+      settings.correlation_model() == v1::CORRELATION_MODEL_FILTER;
+  for (std::size_t next = range.begin; next < range.end;) {
+    v1::PoseBatch batch;
+    const std::size_t end = std::min(range.end, next + batch_poses);
+    for (; next < end; ++next) {
+      const Sample& sample = drive.samples[next];
+      v1::Pose* pose = batch.add_poses();
+      *pose =
+          MakePose(sample, uncertainty[next], settings.state_space(), next + 1);
+      if (filter && next > 0) AddErrorTransition(sample, pose);
+    }
+    if (!stream->Append(std::move(batch)).ok()) return;
+  }
+}
+
+std::string JumpText(const v1::Jump& jump) {
+  return absl::StrCat("jump of ", Fixed(jump.distance_meters(), 1),
+                      " m before sequence ", jump.sequence());
+}
+
+}  // namespace revisit::client

@@ -1,0 +1,47 @@
+// A recorded drive as messages of the service.
+#ifndef REVISIT_CLIENT_TRAJECTORY_DRIVE_POSES_H_
+#define REVISIT_CLIENT_TRAJECTORY_DRIVE_POSES_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "client/formats/drive_file.h"
+#include "client/revisit/pose_stream.h"
+#include "client/trajectory/dead_reckoning.h"
+#include "revisit/v1/geometry.pb.h"
+#include "revisit/v1/vehicle.pb.h"
+
+namespace revisit::client {
+
+// Makes the pose of a sample for a vehicle of this state space. Truth and error
+// transition are left out.
+v1::Pose MakePose(const Sample& sample, const ClaimedUncertainty& uncertainty,
+                  v1::StateSpace state_space, std::uint64_t sequence);
+
+// Adds the error transition of a planar sample.
+// REQUIRES: the sample has one.
+void AddErrorTransition(const Sample& sample, v1::Pose* pose);
+
+// Samples from `begin` to before `end`.
+struct SampleRange {
+  std::size_t begin = 0;
+  std::size_t end = 0;
+};
+
+// Appends these samples to a vehicle of these settings in batches, the pose of
+// sample i with sequence i + 1, and with error transitions if its correlation
+// model is FILTER. Stops early if the stream has failed; PoseStream::Finish()
+// then says why.
+void AppendPoses(const Drive& drive,
+                 const std::vector<ClaimedUncertainty>& uncertainty,
+                 const v1::VehicleSettings& settings, const SampleRange& range,
+                 std::size_t batch_poses, PoseStream* stream);
+
+// Reports a jump to people.
+std::string JumpText(const v1::Jump& jump);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_TRAJECTORY_DRIVE_POSES_H_

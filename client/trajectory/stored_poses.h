@@ -1,0 +1,36 @@
+// Poses and findings of a vehicle, read page after page.
+#ifndef REVISIT_CLIENT_TRAJECTORY_STORED_POSES_H_
+#define REVISIT_CLIENT_TRAJECTORY_STORED_POSES_H_
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "client/revisit/client.h"
+#include "revisit/v1/geometry.pb.h"
+#include "revisit/v1/loop_closure.pb.h"
+#include "revisit/v1/vehicle.pb.h"
+
+namespace revisit::client {
+
+// Calls `visit` for each pose, by sequence; a status but OK from it ends the
+// visits and is returned. `vehicle` is a resource name.
+absl::Status VisitPoses(
+    const Client& client, const std::string& vehicle,
+    const std::function<absl::Status(const v1::Pose&)>& visit);
+
+// All of them, by name. `vehicle` is a resource name.
+absl::StatusOr<std::vector<v1::LoopClosure>> ReadLoopClosures(
+    const Client& client, const std::string& vehicle);
+absl::StatusOr<std::vector<v1::RejectedCandidate>> ReadRejectedCandidates(
+    const Client& client, const std::string& vehicle);
+
+// The vehicle of this resource name.
+absl::StatusOr<v1::Vehicle> ReadVehicle(const Client& client,
+                                        const std::string& vehicle);
+
+}  // namespace revisit::client
+
+#endif  // REVISIT_CLIENT_TRAJECTORY_STORED_POSES_H_
