@@ -1,21 +1,21 @@
 // The bytes of a pose in the store, straight from the message in which it came.
-#ifndef REVISIT_SERVER_CONVERSION_STORED_POSE_H_
-#define REVISIT_SERVER_CONVERSION_STORED_POSE_H_
+#ifndef REVISIT_SERVER_RECORDS_STORED_POSE_H_
+#define REVISIT_SERVER_RECORDS_STORED_POSE_H_
 
 #include <cstddef>
 #include <cstdint>
 
-#include "revisit/v1/geometry.pb.h"
+#include "server/fields/pose_fields.h"
 
 namespace revisit::server {
 
-// Writes a pose of the API as a serialized revisit.stored.Pose. Copying it into
-// that message and serializing the copy gives the same bytes, and takes longer
-// than all else that is done with a pose. Only fields that are named here reach
-// the store. The pose must outlive this, and stay as it is.
+// Writes a pose as a serialized revisit.stored.Pose. Copying it into that
+// message and serializing the copy gives the same bytes, and takes longer than
+// all else that is done with a pose. Only fields that are named here reach the
+// store. The fields must outlive this, and stay as they are.
 class StoredPose {
  public:
-  explicit StoredPose(const v1::Pose& pose);
+  explicit StoredPose(const PoseFields& pose);
 
   // How many bytes the pose takes.
   std::size_t size() const { return size_; }
@@ -24,7 +24,7 @@ class StoredPose {
   std::uint8_t* Write(std::uint8_t* next) const;
 
  private:
-  const v1::Pose* pose_;
+  const PoseFields* pose_;
   // Those of the messages in it.
   std::uint32_t stamp_size_ = 0;
   std::uint32_t position_size_ = 0;
@@ -35,4 +35,4 @@ class StoredPose {
 
 }  // namespace revisit::server
 
-#endif  // REVISIT_SERVER_CONVERSION_STORED_POSE_H_
+#endif  // REVISIT_SERVER_RECORDS_STORED_POSE_H_

@@ -1,47 +1,48 @@
 // The table of a vehicle's settings, and how it is read from and written to
-// messages by the names of their fields.
+// messages, the API's and the store's, by the names of their fields.
 //
 // To add a setting: a line in VisitSettings() that names its field, which is
 // the same in all messages; how the rest is done: docs/how-it-works.md.
-#ifndef REVISIT_SERVER_CONVERSION_SETTINGS_TABLE_H_
-#define REVISIT_SERVER_CONVERSION_SETTINGS_TABLE_H_
+#ifndef REVISIT_SERVER_FIELDS_SETTINGS_TABLE_H_
+#define REVISIT_SERVER_FIELDS_SETTINGS_TABLE_H_
 
 #include <cstddef>
+#include <string>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "core/settings.h"
 #include "google/protobuf/message.h"
-#include "revisit/v1/vehicle.pb.h"
-#include "server/conversion/enums.h"
-#include "server/conversion/field_violations.h"
+#include "server/fields/field_violations.h"
 #include "server/sessions/vehicle_config.h"
 
 namespace revisit::server {
 
-// The enums of the stored settings have the same numbers.
-inline constexpr EnumRow<v1::StateSpace, core::StateSpace> kStateSpaces[] = {
-    {v1::STATE_SPACE_PLANAR, core::StateSpace::kPlanar},
-    {v1::STATE_SPACE_SPATIAL, core::StateSpace::kSpatial}};
-inline constexpr EnumRow<v1::CorrelationModel, core::CorrelationModel>
-    kCorrelationModels[] = {
-        {v1::CORRELATION_MODEL_DEAD_RECKONING,
-         core::CorrelationModel::kDeadReckoning},
-        {v1::CORRELATION_MODEL_INDEPENDENT,
-         core::CorrelationModel::kIndependent},
-        {v1::CORRELATION_MODEL_FILTER, core::CorrelationModel::kFilter},
-        {v1::CORRELATION_MODEL_CORRELATED_FIXES,
-         core::CorrelationModel::kCorrelatedFixes}};
-inline constexpr EnumRow<v1::LikelihoodForm, core::LikelihoodForm>
-    kLikelihoodForms[] = {
-        {v1::LIKELIHOOD_FORM_GAUSSIAN, core::LikelihoodForm::kGaussian},
-        {v1::LIKELIHOOD_FORM_AS_PRINTED, core::LikelihoodForm::kAsPrinted}};
-inline constexpr EnumRow<v1::Alignment, core::AlignmentKind> kAlignments[] = {
-    {v1::ALIGNMENT_RELATIVE, core::AlignmentKind::kRelative},
-    {v1::ALIGNMENT_COMPOSITE, core::AlignmentKind::kComposite}};
-inline constexpr EnumRow<v1::CoordinateFrame, CoordinateFrame>
-    kCoordinateFrames[] = {
-        {v1::COORDINATE_FRAME_LOCAL, CoordinateFrame::kLocal},
-        {v1::COORDINATE_FRAME_GEODETIC, CoordinateFrame::kGeodetic}};
+// One value of an enum: its name, which is the same in all messages.
+template <typename Own>
+struct NamedValue {
+  const char* name;
+  Own own;
+};
+inline constexpr NamedValue<core::StateSpace> kStateSpaces[] = {
+    {"STATE_SPACE_PLANAR", core::StateSpace::kPlanar},
+    {"STATE_SPACE_SPATIAL", core::StateSpace::kSpatial}};
+inline constexpr NamedValue<core::CorrelationModel> kCorrelationModels[] = {
+    {"CORRELATION_MODEL_DEAD_RECKONING",
+     core::CorrelationModel::kDeadReckoning},
+    {"CORRELATION_MODEL_INDEPENDENT", core::CorrelationModel::kIndependent},
+    {"CORRELATION_MODEL_FILTER", core::CorrelationModel::kFilter},
+    {"CORRELATION_MODEL_CORRELATED_FIXES",
+     core::CorrelationModel::kCorrelatedFixes}};
+inline constexpr NamedValue<core::LikelihoodForm> kLikelihoodForms[] = {
+    {"LIKELIHOOD_FORM_GAUSSIAN", core::LikelihoodForm::kGaussian},
+    {"LIKELIHOOD_FORM_AS_PRINTED", core::LikelihoodForm::kAsPrinted}};
+inline constexpr NamedValue<core::AlignmentKind> kAlignments[] = {
+    {"ALIGNMENT_RELATIVE", core::AlignmentKind::kRelative},
+    {"ALIGNMENT_COMPOSITE", core::AlignmentKind::kComposite}};
+inline constexpr NamedValue<CoordinateFrame> kCoordinateFrames[] = {
+    {"COORDINATE_FRAME_LOCAL", CoordinateFrame::kLocal},
+    {"COORDINATE_FRAME_GEODETIC", CoordinateFrame::kGeodetic}};
 
 // Calls the visitor with each setting: the name of its field, and a pointer to
 // its value in the config, which may be const. Violations are reported in this
@@ -89,13 +90,17 @@ class SettingsReader {
   SettingsReader(const google::protobuf::Message& message,
                  const FieldPath& path, Violations* violations);
 
-  template <typename Proto, typename Own, std::size_t N>
-  void Enum(const char* name, const EnumRow<Proto, Own> (&rows)[N],
-            Own* value) {
-    const auto* field = Find(name);
-    if (field == nullptr) return;
-    DecodeEnum(rows, reflection_.GetEnumValue(message_, field),
-               path_.Field(name), value, violations_);
+  template <typename Own, std::size_t N>
+  void Enum(const char* name, const NamedValue<Own> (&values)[N], Own* value) {
+    const std::string* const given = GivenValue(name);
+    if (given == nullptr) return;
+    for (const NamedValue<Own>& known : values) {
+      if (*given == known.name) {
+        *value = known.own;
+        return;
+      }
+    }
+    RefuseValue(name);
   }
   void Number(const char* name, double* value);
   void Count(const char* name, int* value);
@@ -110,6 +115,10 @@ class SettingsReader {
   const google::protobuf::FieldDescriptor* Find(const char* name) const;
   // Null also if the field is absent.
   const google::protobuf::FieldDescriptor* FindGiven(const char* name) const;
+  // The name of an enum's value, empty if it has none; null if the field is
+  // unspecified.
+  const std::string* GivenValue(const char* name) const;
+  void RefuseValue(const char* name);
 
   const google::protobuf::Message& message_;
   const google::protobuf::Reflection& reflection_;
@@ -123,10 +132,12 @@ class SettingsWriter {
   // The message must outlive this.
   explicit SettingsWriter(google::protobuf::Message* message);
 
-  template <typename Proto, typename Own, std::size_t N>
-  void Enum(const char* name, const EnumRow<Proto, Own> (&rows)[N],
+  template <typename Own, std::size_t N>
+  void Enum(const char* name, const NamedValue<Own> (&values)[N],
             const Own* value) {
-    SetEnum(name, ToProto(rows, *value));
+    for (const NamedValue<Own>& known : values) {
+      if (known.own == *value) SetEnum(name, known.name);
+    }
   }
   void Number(const char* name, const double* value);
   void Count(const char* name, const int* value);
@@ -137,7 +148,7 @@ class SettingsWriter {
 
  private:
   const google::protobuf::FieldDescriptor* Find(const char* name) const;
-  void SetEnum(const char* name, int number);
+  void SetEnum(const char* name, const char* value);
 
   google::protobuf::Message* const message_;
   const google::protobuf::Reflection& reflection_;
@@ -159,4 +170,4 @@ void AddProblems(const std::vector<core::SettingProblem>& problems,
 
 }  // namespace revisit::server
 
-#endif  // REVISIT_SERVER_CONVERSION_SETTINGS_TABLE_H_
+#endif  // REVISIT_SERVER_FIELDS_SETTINGS_TABLE_H_

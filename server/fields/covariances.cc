@@ -1,4 +1,4 @@
-#include "server/conversion/covariances.h"
+#include "server/fields/covariances.h"
 
 #include <array>
 #include <cstddef>
@@ -79,13 +79,13 @@ void TakeRos(const Values& values, bool spatial, const FieldPath& path,
 
 }  // namespace
 
-void DecodeCovariance(const v1::Covariance& message, core::StateSpace space,
+void DecodeCovariance(const CovarianceFields& fields, core::StateSpace space,
                       const FieldPath& path, core::Covariance* covariance,
                       Violations* violations) {
   const bool spatial = space == core::StateSpace::kSpatial;
-  const Values& values = message.values();
-  switch (message.form()) {
-    case v1::COVARIANCE_FORM_PLANAR_6:
+  const Values& values = *fields.values;
+  switch (fields.form) {
+    case CovarianceForm::kPlanar6:
       if (spatial) {
         violations->Add(kInvalidField, path.Field("form"),
                         "got PLANAR_6; this vehicle's state space is SPATIAL, "
@@ -94,23 +94,22 @@ void DecodeCovariance(const v1::Covariance& message, core::StateSpace space,
         TakePlanar(values, covariance);
       }
       return;
-    case v1::COVARIANCE_FORM_SPATIAL_10:
+    case CovarianceForm::kSpatial10:
       if (CheckValues(values, 10, "SPATIAL_10", path, violations)) {
         TakeSpatial(values, spatial, covariance);
       }
       return;
-    case v1::COVARIANCE_FORM_ROS_36:
+    case CovarianceForm::kRos36:
       if (CheckValues(values, 36, "ROS_36", path, violations)) {
         TakeRos(values, spatial, path, covariance, violations);
       }
       return;
-    default:
-      violations->Add(kInvalidField, path.Field("form"),
-                      absl::StrCat("got ", static_cast<int>(message.form()),
-                                   "; required is ",
-                                   spatial ? "SPATIAL_10 or ROS_36"
-                                           : "PLANAR_6, SPATIAL_10 or ROS_36"));
   }
+  violations->Add(
+      kInvalidField, path.Field("form"),
+      absl::StrCat(
+          "got ", static_cast<int>(fields.form), "; required is ",
+          spatial ? "SPATIAL_10 or ROS_36" : "PLANAR_6, SPATIAL_10 or ROS_36"));
 }
 
 const char* ReasonOf(core::DefectKind kind) {
@@ -135,23 +134,6 @@ void CheckPositiveDefinite(const core::Covariance& covariance,
   if (const auto defect = core::FindDefect(sample, space)) {
     violations->Add(ReasonOf(defect->kind), path.Field("values"),
                     defect->description);
-  }
-}
-
-void EncodeCovariance(const core::Covariance& covariance,
-                      core::StateSpace space, v1::Covariance* message) {
-  if (space == core::StateSpace::kSpatial) {
-    message->set_form(v1::COVARIANCE_FORM_SPATIAL_10);
-    message->mutable_values()->Add(covariance.upper.begin(),
-                                   covariance.upper.end());
-    return;
-  }
-  message->set_form(v1::COVARIANCE_FORM_PLANAR_6);
-  for (int r = 0; r < 3; ++r) {
-    for (int c = r; c < 3; ++c) {
-      message->add_values(
-          covariance(core::StateIndex<3>(r), core::StateIndex<3>(c)));
-    }
   }
 }
 

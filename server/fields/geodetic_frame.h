@@ -14,8 +14,8 @@
 //   * an error transition Psi becomes J Psi J^-1: consecutive poses are so
 //   close
 //     that their frames are taken for one.
-#ifndef REVISIT_SERVER_CONVERSION_GEODETIC_FRAME_H_
-#define REVISIT_SERVER_CONVERSION_GEODETIC_FRAME_H_
+#ifndef REVISIT_SERVER_FIELDS_GEODETIC_FRAME_H_
+#define REVISIT_SERVER_FIELDS_GEODETIC_FRAME_H_
 
 #include <GeographicLib/LocalCartesian.hpp>
 #include <array>
@@ -23,7 +23,7 @@
 
 #include "core/geometry/pose.h"
 #include "core/settings.h"
-#include "server/conversion/field_violations.h"
+#include "server/fields/field_violations.h"
 #include "server/sessions/vehicle_config.h"
 
 namespace revisit::server {
@@ -59,4 +59,4 @@ class GeodeticFrame {
 
 }  // namespace revisit::server
 
-#endif  // REVISIT_SERVER_CONVERSION_GEODETIC_FRAME_H_
+#endif  // REVISIT_SERVER_FIELDS_GEODETIC_FRAME_H_

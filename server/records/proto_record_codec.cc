@@ -1,4 +1,4 @@
-#include "server/conversion/record_codec.h"
+#include "server/records/proto_record_codec.h"
 
 #include <xxhash.h>
 
@@ -11,14 +11,13 @@
 #include "google/protobuf/arena.h"
 #include "google/protobuf/io/coded_stream.h"
 #include "server/base/status.h"
-#include "server/conversion/covariances.h"
-#include "server/conversion/field_violations.h"
-#include "server/conversion/pose_decoder.h"
-#include "server/conversion/pose_pair_content.h"
-#include "server/conversion/settings_table.h"
-#include "server/conversion/stored_pose.h"
-#include "server/conversion/stored_records.pb.h"
-#include "server/conversion/timestamps.h"
+#include "server/fields/field_violations.h"
+#include "server/fields/pose_decoder.h"
+#include "server/fields/settings_table.h"
+#include "server/fields/timestamps.h"
+#include "server/records/pair_content.h"
+#include "server/records/stored_batch.h"
+#include "server/records/stored_records.pb.h"
 #include "server/sessions/vehicle_uid.h"
 
 namespace revisit::server {
@@ -27,88 +26,7 @@ namespace {
 // No vehicle travels farther.
 constexpr double kMostDroppedMeters = 1e15;
 
-// Tag of the length-delimited field `repeated Pose poses = 1` of PoseBatch.
-constexpr std::uint32_t kPosesTag = (1 << 3) | 2;
-
-// ---- Poses of the API and of the store, each copied into the other. What is
-// not named here is not copied; what is there already is overwritten or
-// cleared, so that one message can serve for many poses.
-
-template <typename From, typename To>
-void CopyPosition(const From& from, To* to) {
-  if (from.has_local()) {
-    auto* const local = to->mutable_local();
-    local->set_x_meters(from.local().x_meters());
-    local->set_y_meters(from.local().y_meters());
-    local->set_z_meters(from.local().z_meters());
-  } else if (from.has_geodetic()) {
-    auto* const geodetic = to->mutable_geodetic();
-    geodetic->set_latitude_degrees(from.geodetic().latitude_degrees());
-    geodetic->set_longitude_degrees(from.geodetic().longitude_degrees());
-    geodetic->set_height_meters(from.geodetic().height_meters());
-  } else {
-    to->clear_position();
-  }
-}
-
-template <typename From, typename To>
-void CopyOrientation(const From& from, To* to) {
-  if (from.has_quaternion()) {
-    auto* const quaternion = to->mutable_quaternion();
-    quaternion->set_x(from.quaternion().x());
-    quaternion->set_y(from.quaternion().y());
-    quaternion->set_z(from.quaternion().z());
-    quaternion->set_w(from.quaternion().w());
-  } else if (from.has_heading_radians()) {
-    to->set_heading_radians(from.heading_radians());
-  } else {
-    to->clear_orientation();
-  }
-}
-
-template <typename From, typename To>
-void CopyCovariance(const From& from, To* to) {
-  if (!from.has_covariance()) {
-    to->clear_covariance();
-    return;
-  }
-  auto* const covariance = to->mutable_covariance();
-  using Form = decltype(covariance->form());
-  covariance->set_form(static_cast<Form>(from.covariance().form()));
-  *covariance->mutable_values() = from.covariance().values();
-}
-
-template <typename From, typename To>
-void CopyPose(const From& from, To* to) {
-  to->set_sequence(from.sequence());
-  if (from.has_stamp()) {
-    to->mutable_stamp()->set_seconds(from.stamp().seconds());
-    to->mutable_stamp()->set_nanos(from.stamp().nanos());
-  } else {
-    to->clear_stamp();
-  }
-  CopyPosition(from, to);
-  CopyOrientation(from, to);
-  CopyCovariance(from, to);
-  *to->mutable_error_transition() = from.error_transition();
-}
-
 // ---- Bytes of batches
-
-std::size_t BytesInBatch(std::size_t size) {
-  using google::protobuf::io::CodedOutputStream;
-  return 1 + size +
-         static_cast<std::size_t>(
-             CodedOutputStream::VarintSize32(static_cast<std::uint32_t>(size)));
-}
-
-// Writes what comes before the bytes of a pose.
-std::uint8_t* BeginPose(std::size_t size, std::uint8_t* next) {
-  using google::protobuf::io::CodedOutputStream;
-  next = CodedOutputStream::WriteTagToArray(kPosesTag, next);
-  return CodedOutputStream::WriteVarint32ToArray(
-      static_cast<std::uint32_t>(size), next);
-}
 
 // Appends the pose to payload and fingerprints.
 void AddPose(const stored::Pose& pose, DecodedBatch* batch) {
@@ -119,16 +37,6 @@ void AddPose(const stored::Pose& pose, DecodedBatch* batch) {
       BeginPose(size, reinterpret_cast<std::uint8_t*>(&batch->payload[begin]));
   pose.SerializeWithCachedSizesToArray(next);
   batch->fingerprints.push_back(XXH3_64bits(next, size));
-}
-
-absl::Status NotABatch() {
-  return Corrupt("a stored batch is not a PoseBatch");
-}
-
-absl::StatusOr<stored::PoseBatch> ParseBatch(const std::string& payload) {
-  stored::PoseBatch batch;
-  if (!batch.ParseFromString(payload)) return NotABatch();
-  return batch;
 }
 
 absl::StatusOr<DecodedBatch> DecodeDropped(const stored::PoseBatch& stored,
@@ -169,17 +77,8 @@ absl::StatusOr<DecodedBatch> DecodeStored(const stored::PoseBatch& stored,
   Violations violations;
   PoseDecoder decoder(config, PoseSource::kStored, &violations);
   DecodedBatch batch;
-  batch.samples.reserve(static_cast<std::size_t>(stored.poses_size()));
-  v1::Pose pose;
-  for (int i = 0; i < stored.poses_size(); ++i) {
-    const FieldPath path = FieldPath().At("poses", static_cast<std::size_t>(i));
-    CopyPose(stored.poses(i), &pose);
-    batch.samples.push_back(decoder.Decode(pose, path));
-    if (i > 0) {
-      CheckFollows(stored.poses(i - 1).sequence(), pose.sequence(), path,
-                   &violations);
-    }
-  }
+  batch.samples =
+      DecodePoses(PosesOf(stored), FieldPath(), &decoder, &violations);
   if (violations.count() > 0) return violations.ToStatus();
   batch.origin = decoder.origin();
   return batch;
@@ -188,37 +87,6 @@ absl::StatusOr<DecodedBatch> DecodeStored(const stored::PoseBatch& stored,
 absl::Status DoesNotDecode(const absl::Status& cause) {
   return Corrupt(
       absl::StrCat("a stored batch does not decode: ", cause.message()));
-}
-
-// ---- Revisions
-
-// Puts the estimate of `revised` into `stored`; all else of the stored pose
-// stays.
-void Replace(const v1::Pose& revised, const VehicleConfig& config,
-             stored::Pose* stored) {
-  if (revised.error_transition_size() > 0) {
-    *stored->mutable_error_transition() = revised.error_transition();
-  } else if (stored->error_transition_size() > 0 && stored->has_geodetic() &&
-             revised.has_local()) {
-    // The transition speaks of the axes at the geodetic position, which go
-    // away.
-    Violations violations;
-    v1::Pose before;
-    CopyPose(*stored, &before);
-    const core::PoseSample sample =
-        PoseDecoder(config, PoseSource::kStored, &violations)
-            .Decode(before, FieldPath());
-    if (violations.count() == 0 && sample.transition) {
-      EncodeTransition(*sample.transition, config.drive.state_space,
-                       stored->mutable_error_transition());
-    }
-  }
-  stored->clear_position();
-  CopyPosition(revised, stored);
-  stored->clear_orientation();
-  CopyOrientation(revised, stored);
-  stored->clear_covariance();
-  CopyCovariance(revised, stored);
 }
 
 }  // namespace
@@ -276,7 +144,7 @@ absl::StatusOr<VehicleConfig> ProtoRecordCodec::DecodeVehicle(
 absl::StatusOr<std::optional<core::LoopMeasurement>>
 ProtoRecordCodec::DecodeMeasurement(const std::string& payload,
                                     core::StateSpace space) const {
-  return server::DecodeMeasurement(payload, space);
+  return DecodePairMeasurement(payload, space);
 }
 
 // ---- Batches
@@ -366,54 +234,6 @@ std::vector<BatchPart> ProtoRecordCodec::DivideBatch(
   }
   parts.push_back({count, std::move(payload)});
   return parts;
-}
-
-void EncodeBatch(const google::protobuf::RepeatedPtrField<v1::Pose>& poses,
-                 DecodedBatch* batch) {
-  const std::vector<StoredPose> stored(poses.begin(), poses.end());
-  std::size_t bytes = 0;
-  for (const StoredPose& pose : stored) bytes += BytesInBatch(pose.size());
-  batch->payload.resize(bytes);
-  batch->fingerprints.reserve(stored.size());
-  auto* next = reinterpret_cast<std::uint8_t*>(&batch->payload[0]);
-  for (const StoredPose& pose : stored) {
-    next = BeginPose(pose.size(), next);
-    std::uint8_t* const end = pose.Write(next);
-    batch->fingerprints.push_back(XXH3_64bits(next, pose.size()));
-    next = end;
-  }
-}
-
-absl::StatusOr<std::optional<BatchRecord>> ReviseBatch(
-    const BatchRecord& stored, const VehicleConfig& config,
-    const RevisedPose& revised) {
-  absl::StatusOr<stored::PoseBatch> batch = ParseBatch(stored.payload);
-  if (!batch.ok()) return batch.status();
-  bool any = false;
-  for (stored::Pose& pose : *batch->mutable_poses()) {
-    const v1::Pose* replacement = revised(pose.sequence());
-    if (replacement == nullptr) continue;
-    any = true;
-    Replace(*replacement, config, &pose);
-  }
-  if (!any) return std::optional<BatchRecord>();
-  BatchRecord record;
-  record.first_sequence = stored.first_sequence;
-  record.count = stored.count;
-  record.payload = batch->SerializeAsString();
-  return std::optional<BatchRecord>(std::move(record));
-}
-
-absl::Status VisitPoses(const BatchRecord& stored,
-                        const std::function<bool(v1::Pose*)>& visit) {
-  const absl::StatusOr<stored::PoseBatch> batch = ParseBatch(stored.payload);
-  if (!batch.ok()) return batch.status();
-  v1::Pose pose;
-  for (const stored::Pose& from : batch->poses()) {
-    CopyPose(from, &pose);
-    if (!visit(&pose)) break;
-  }
-  return absl::OkStatus();
 }
 
 }  // namespace revisit::server

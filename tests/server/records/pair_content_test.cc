@@ -1,4 +1,4 @@
-#include "server/conversion/pose_pair_content.h"
+#include "server/records/pair_content.h"
 
 #include <limits>
 #include <string>
@@ -8,6 +8,7 @@
 #include "google/protobuf/util/message_differencer.h"
 #include "gtest/gtest.h"
 #include "server/conversion/pose_pairs.h"
+#include "server/fields/loop_measurement.h"
 #include "tests/server/conversion/conversion_testing.h"
 #include "tests/server/error_matchers.h"
 
@@ -64,12 +65,12 @@ void ExpectAnsweredAsSent(const char* text) {
       << answer.DebugString();
 }
 
-TEST(PosePairContentTest, IsAnsweredAsItWasSent) {
+TEST(PairContentTest, IsAnsweredAsItWasSent) {
   ExpectAnsweredAsSent<v1::LoopClosure>(kMeasured);
   ExpectAnsweredAsSent<v1::RejectedCandidate>(kRejected);
 }
 
-TEST(PosePairContentTest, OfPosesAloneIsEmpty) {
+TEST(PairContentTest, OfPosesAloneIsEmpty) {
   v1::LoopClosure closure;
   closure.set_query_sequence(9);
   closure.set_matched_sequence(3);
@@ -82,7 +83,7 @@ TEST(PosePairContentTest, OfPosesAloneIsEmpty) {
   EXPECT_EQ(PayloadOf(rejection), "");
 }
 
-TEST(PosePairContentTest, NoteTakesTheSameBytesOnBothKinds) {
+TEST(PairContentTest, NoteTakesTheSameBytesOnBothKinds) {
   const auto rejection = FromText<v1::RejectedCandidate>(kRejected);
   v1::LoopClosure closure;
   closure.set_query_sequence(rejection.query_sequence());
@@ -91,18 +92,18 @@ TEST(PosePairContentTest, NoteTakesTheSameBytesOnBothKinds) {
   EXPECT_EQ(PayloadOf(rejection), PayloadOf(closure));
 }
 
-TEST(PosePairContentTest, RejectedCandidateHasNoMeasurement) {
-  const auto measurement =
-      DecodeMeasurement(PayloadOf(FromText<v1::RejectedCandidate>(kRejected)),
-                        core::StateSpace::kPlanar);
+TEST(PairContentTest, RejectedCandidateHasNoMeasurement) {
+  const auto measurement = DecodePairMeasurement(
+      PayloadOf(FromText<v1::RejectedCandidate>(kRejected)),
+      core::StateSpace::kPlanar);
   ASSERT_THAT(measurement.status(), IsOk());
   EXPECT_EQ(*measurement, std::nullopt);
 }
 
-TEST(PosePairContentTest, MeasurementIsThatOfCore) {
+TEST(PairContentTest, MeasurementIsThatOfCore) {
   const auto measurement =
-      DecodeMeasurement(PayloadOf(FromText<v1::LoopClosure>(kMeasured)),
-                        core::StateSpace::kPlanar);
+      DecodePairMeasurement(PayloadOf(FromText<v1::LoopClosure>(kMeasured)),
+                            core::StateSpace::kPlanar);
   ASSERT_THAT(measurement.status(), IsOk());
   ASSERT_TRUE(measurement->has_value());
   const core::LoopMeasurement& m = **measurement;
@@ -113,24 +114,27 @@ TEST(PosePairContentTest, MeasurementIsThatOfCore) {
   EXPECT_EQ(m.covariance(0, 1), 0.1);
   EXPECT_EQ(m.covariance(1, 3), 0.3);
   EXPECT_EQ(m.covariance(3, 3), 0.06);
-  EXPECT_EQ(*DecodeMeasurement("", core::StateSpace::kPlanar), std::nullopt);
+  EXPECT_EQ(*DecodePairMeasurement("", core::StateSpace::kPlanar),
+            std::nullopt);
 }
 
-TEST(PosePairContentTest, CovarianceHasToFitTheStateSpace) {
+TEST(PairContentTest, CovarianceHasToFitTheStateSpace) {
   const std::string planar = PayloadOf(FromText<v1::LoopClosure>(kMeasured));
   EXPECT_THAT(
-      FieldsOf(DecodeMeasurement(planar, core::StateSpace::kSpatial).status()),
+      FieldsOf(
+          DecodePairMeasurement(planar, core::StateSpace::kSpatial).status()),
       ElementsAre("loop_closure.measurement.covariance.form"));
   auto closure = FromText<v1::LoopClosure>(kMeasured);
   closure.mutable_measurement()->mutable_covariance()->set_values(0, -4.0);
   EXPECT_THAT(
-      DecodeMeasurement(PayloadOf(closure), core::StateSpace::kPlanar).status(),
+      DecodePairMeasurement(PayloadOf(closure), core::StateSpace::kPlanar)
+          .status(),
       IsError(absl::StatusCode::kInvalidArgument,
               "COVARIANCE_NOT_POSITIVE_DEFINITE",
               ::testing::HasSubstr("the variance of x is -4")));
 }
 
-TEST(PosePairContentTest, TextAndNumbersAreBounded) {
+TEST(PairContentTest, TextAndNumbersAreBounded) {
   auto closure = FromText<v1::LoopClosure>(kMeasured);
   closure.set_note(std::string(kMaxNoteBytes, 'a'));
   closure.mutable_measurement()->set_x_meters(-kMaxMeasuredMeters);
@@ -156,7 +160,7 @@ TEST(PosePairContentTest, TextAndNumbersAreBounded) {
                           "rejected_candidate.note"));
 }
 
-TEST(PosePairContentTest, ControlCharactersAreRefusedWhereverTheyStand) {
+TEST(PairContentTest, ControlCharactersAreRefusedWhereverTheyStand) {
   auto closure = FromText<v1::LoopClosure>(kMeasured);
   auto rejection = FromText<v1::RejectedCandidate>(kRejected);
   for (const char* const good : {"a\tb\nc", "caf\xc3\xa9", "\xc2\xa0"}) {
@@ -174,13 +178,13 @@ TEST(PosePairContentTest, ControlCharactersAreRefusedWhereverTheyStand) {
   }
 }
 
-TEST(PosePairContentTest, PayloadOfAnotherKindIsDataLoss) {
+TEST(PairContentTest, PayloadOfAnotherKindIsDataLoss) {
   EXPECT_THAT(
-      DecodeMeasurement("\xff", core::StateSpace::kPlanar).status(),
+      DecodePairMeasurement("\xff", core::StateSpace::kPlanar).status(),
       IsError(absl::StatusCode::kDataLoss, "STORE_CORRUPT", ::testing::_));
-  v1::RejectedCandidate rejection;
   EXPECT_THAT(
-      DecodeContent("\xff", &rejection),
+      ReadPairContent("\xff",
+                      [](const PairContent&) { ADD_FAILURE() << "is none"; }),
       IsError(absl::StatusCode::kDataLoss, "STORE_CORRUPT", ::testing::_));
 }
 

@@ -1,4 +1,4 @@
-#include "server/conversion/geodetic_frame.h"
+#include "server/fields/geodetic_frame.h"
 
 #include <cmath>
 #include <cstddef>

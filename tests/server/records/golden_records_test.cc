@@ -17,8 +17,10 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "server/conversion/pose_pairs.h"
-#include "server/conversion/record_codec.h"
 #include "server/conversion/vehicle_settings.h"
+#include "server/fields/pose_fields.h"
+#include "server/records/batch_records.h"
+#include "server/records/proto_record_codec.h"
 #include "tests/server/conversion/conversion_testing.h"
 #include "tests/server/error_matchers.h"
 
@@ -320,8 +322,10 @@ TEST(GoldenRecordTest, BatchesAreReadAsEver) {
         << golden.name;
     std::vector<std::string> visited;
     ASSERT_THAT(VisitPoses(record,
-                           [&](v1::Pose* pose) {
-                             visited.push_back(pose->SerializeAsString());
+                           [&](const PoseFields& fields) {
+                             v1::Pose pose;
+                             SetPose(fields, &pose);
+                             visited.push_back(pose.SerializeAsString());
                              return true;
                            }),
                 IsOk());

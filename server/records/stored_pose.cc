@@ -1,11 +1,11 @@
-#include "server/conversion/stored_pose.h"
+#include "server/records/stored_pose.h"
 
 #include <array>
 #include <cstring>
 
 #include "google/protobuf/io/coded_stream.h"
 #include "google/protobuf/repeated_field.h"
-#include "server/conversion/stored_records.pb.h"
+#include "server/records/stored_records.pb.h"
 
 namespace revisit::server {
 namespace {
@@ -97,30 +97,21 @@ std::uint8_t* WriteDoubles(const std::array<double, count>& values,
   return next;
 }
 
-// ---- Messages whose fields 1, 2, ... are numbers
+// ---- Messages whose fields 1, 2, ... are numbers: those of PoseFields
 
 static_assert(stored::LocalPosition::kXMetersFieldNumber == 1 &&
               stored::LocalPosition::kYMetersFieldNumber == 2 &&
               stored::LocalPosition::kZMetersFieldNumber == 3);
-std::array<double, 3> NumbersOf(const v1::LocalPosition& local) {
-  return {local.x_meters(), local.y_meters(), local.z_meters()};
-}
-
 static_assert(stored::GeodeticPosition::kLatitudeDegreesFieldNumber == 1 &&
               stored::GeodeticPosition::kLongitudeDegreesFieldNumber == 2 &&
               stored::GeodeticPosition::kHeightMetersFieldNumber == 3);
-std::array<double, 3> NumbersOf(const v1::GeodeticPosition& geodetic) {
-  return {geodetic.latitude_degrees(), geodetic.longitude_degrees(),
-          geodetic.height_meters()};
-}
-
 static_assert(stored::Quaternion::kXFieldNumber == 1 &&
               stored::Quaternion::kYFieldNumber == 2 &&
               stored::Quaternion::kZFieldNumber == 3 &&
               stored::Quaternion::kWFieldNumber == 4);
-std::array<double, 4> NumbersOf(const v1::Quaternion& quaternion) {
-  return {quaternion.x(), quaternion.y(), quaternion.z(), quaternion.w()};
-}
+static_assert(AreCovarianceForms(stored::COVARIANCE_FORM_PLANAR_6,
+                                 stored::COVARIANCE_FORM_SPATIAL_10,
+                                 stored::COVARIANCE_FORM_ROS_36));
 
 // Negative numbers of 32 bits are stored as those of 64 bits.
 std::uint64_t Widened(std::int64_t value) {
@@ -129,71 +120,66 @@ std::uint64_t Widened(std::int64_t value) {
 
 }  // namespace
 
-StoredPose::StoredPose(const v1::Pose& pose) : pose_(&pose) {
-  size_ = VarintSize(pose.sequence()) + PackedSize(pose.error_transition());
-  if (pose.has_stamp()) {
+StoredPose::StoredPose(const PoseFields& pose) : pose_(&pose) {
+  size_ = VarintSize(pose.sequence) + PackedSize(*pose.error_transition);
+  if (pose.stamp != nullptr) {
     stamp_size_ =
-        static_cast<std::uint32_t>(VarintSize(Widened(pose.stamp().seconds())) +
-                                   VarintSize(Widened(pose.stamp().nanos())));
+        static_cast<std::uint32_t>(VarintSize(Widened(pose.stamp->seconds())) +
+                                   VarintSize(Widened(pose.stamp->nanos())));
     size_ += BytesSize(stamp_size_);
   }
-  if (pose.has_local()) {
-    position_size_ = DoublesSize(NumbersOf(pose.local()));
-    size_ += BytesSize(position_size_);
-  } else if (pose.has_geodetic()) {
-    position_size_ = DoublesSize(NumbersOf(pose.geodetic()));
+  if (pose.position_kind != PoseFields::Position::kNone) {
+    position_size_ = DoublesSize(pose.position);
     size_ += BytesSize(position_size_);
   }
-  if (pose.has_quaternion()) {
-    quaternion_size_ = DoublesSize(NumbersOf(pose.quaternion()));
+  if (pose.orientation_kind == PoseFields::Orientation::kQuaternion) {
+    quaternion_size_ = DoublesSize(pose.orientation);
     size_ += BytesSize(quaternion_size_);
-  } else if (pose.has_heading_radians()) {
+  } else if (pose.orientation_kind == PoseFields::Orientation::kHeading) {
     size_ += 1 + sizeof(double);
   }
-  if (pose.has_covariance()) {
+  if (pose.covariance) {
     covariance_size_ = static_cast<std::uint32_t>(
-        VarintSize(Widened(pose.covariance().form())) +
-        PackedSize(pose.covariance().values()));
+        VarintSize(Widened(static_cast<int>(pose.covariance->form))) +
+        PackedSize(*pose.covariance->values));
     size_ += BytesSize(covariance_size_);
   }
 }
 
 std::uint8_t* StoredPose::Write(std::uint8_t* next) const {
-  const v1::Pose& pose = *pose_;
-  next = WriteVarint(stored::Pose::kSequenceFieldNumber, pose.sequence(), next);
-  if (pose.has_stamp()) {
+  const PoseFields& pose = *pose_;
+  next = WriteVarint(stored::Pose::kSequenceFieldNumber, pose.sequence, next);
+  if (pose.stamp != nullptr) {
     next = BeginBytes(stored::Pose::kStampFieldNumber, stamp_size_, next);
     next = WriteVarint(google::protobuf::Timestamp::kSecondsFieldNumber,
-                       Widened(pose.stamp().seconds()), next);
+                       Widened(pose.stamp->seconds()), next);
     next = WriteVarint(google::protobuf::Timestamp::kNanosFieldNumber,
-                       Widened(pose.stamp().nanos()), next);
+                       Widened(pose.stamp->nanos()), next);
   }
-  if (pose.has_local()) {
-    next = BeginBytes(stored::Pose::kLocalFieldNumber, position_size_, next);
-    next = WriteDoubles(NumbersOf(pose.local()), next);
-  } else if (pose.has_geodetic()) {
-    next = BeginBytes(stored::Pose::kGeodeticFieldNumber, position_size_, next);
-    next = WriteDoubles(NumbersOf(pose.geodetic()), next);
+  if (pose.position_kind != PoseFields::Position::kNone) {
+    const int field = pose.has_geodetic() ? stored::Pose::kGeodeticFieldNumber
+                                          : stored::Pose::kLocalFieldNumber;
+    next = BeginBytes(field, position_size_, next);
+    next = WriteDoubles(pose.position, next);
   }
-  if (pose.has_quaternion()) {
+  if (pose.orientation_kind == PoseFields::Orientation::kQuaternion) {
     next = BeginBytes(stored::Pose::kQuaternionFieldNumber, quaternion_size_,
                       next);
-    next = WriteDoubles(NumbersOf(pose.quaternion()), next);
-  } else if (pose.has_heading_radians()) {
+    next = WriteDoubles(pose.orientation, next);
+  } else if (pose.orientation_kind == PoseFields::Orientation::kHeading) {
     next = WriteDouble(stored::Pose::kHeadingRadiansFieldNumber,
-                       pose.heading_radians(), next);
+                       pose.orientation[0], next);
   }
-  if (pose.has_covariance()) {
-    const v1::Covariance& covariance = pose.covariance();
+  if (pose.covariance) {
     next = BeginBytes(stored::Pose::kCovarianceFieldNumber, covariance_size_,
                       next);
     next = WriteVarint(stored::Covariance::kFormFieldNumber,
-                       Widened(covariance.form()), next);
+                       Widened(static_cast<int>(pose.covariance->form)), next);
     next = WritePacked(stored::Covariance::kValuesFieldNumber,
-                       covariance.values(), next);
+                       *pose.covariance->values, next);
   }
   return WritePacked(stored::Pose::kErrorTransitionFieldNumber,
-                     pose.error_transition(), next);
+                     *pose.error_transition, next);
 }
 
 }  // namespace revisit::server

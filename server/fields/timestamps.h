@@ -1,11 +1,11 @@
 // Timestamps of messages as nanoseconds since the Unix epoch.
-#ifndef REVISIT_SERVER_CONVERSION_TIMESTAMPS_H_
-#define REVISIT_SERVER_CONVERSION_TIMESTAMPS_H_
+#ifndef REVISIT_SERVER_FIELDS_TIMESTAMPS_H_
+#define REVISIT_SERVER_FIELDS_TIMESTAMPS_H_
 
 #include <cstdint>
 
 #include "google/protobuf/timestamp.pb.h"
-#include "server/conversion/field_violations.h"
+#include "server/fields/field_violations.h"
 
 namespace revisit::server {
 
@@ -24,4 +24,4 @@ std::int64_t ToNanoseconds(const google::protobuf::Timestamp& timestamp);
 
 }  // namespace revisit::server
 
-#endif  // REVISIT_SERVER_CONVERSION_TIMESTAMPS_H_
+#endif  // REVISIT_SERVER_FIELDS_TIMESTAMPS_H_

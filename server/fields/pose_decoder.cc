@@ -1,4 +1,4 @@
-#include "server/conversion/pose_decoder.h"
+#include "server/fields/pose_decoder.h"
 
 #include <cmath>
 #include <cstddef>
@@ -7,8 +7,8 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/number_text.h"
 #include "server/base/sequences.h"
-#include "server/conversion/covariances.h"
-#include "server/conversion/timestamps.h"
+#include "server/fields/covariances.h"
+#include "server/fields/timestamps.h"
 
 namespace revisit::server {
 namespace {
@@ -16,9 +16,18 @@ namespace {
 constexpr char kQuaternionInvalid[] = "QUATERNION_INVALID";
 constexpr double kMaxNormError = 1e-3;
 
-GeodeticOrigin ToOrigin(const v1::GeodeticPosition& position) {
-  return {position.latitude_degrees(), position.longitude_degrees(),
-          position.height_meters()};
+// REQUIRES: the position is geodetic.
+GeodeticOrigin ToOrigin(const PoseFields& pose) {
+  return {pose.position[0], pose.position[1], pose.position[2]};
+}
+
+// Adds a violation unless a pose's sequence is the one after that of the pose
+// before it in the batch. `path` is the pose's.
+void CheckFollows(std::uint64_t before, std::uint64_t sequence,
+                  const FieldPath& path, Violations* violations) {
+  if (const auto gap = FindSequenceGap(before, sequence)) {
+    violations->Add(kInvalidField, path.Field("sequence"), *gap);
+  }
 }
 
 }  // namespace
@@ -39,24 +48,24 @@ std::optional<GeodeticOrigin> PoseDecoder::origin() const {
   return frame_->origin();
 }
 
-core::PoseSample PoseDecoder::Decode(const v1::Pose& pose,
+core::PoseSample PoseDecoder::Decode(const PoseFields& pose,
                                      const FieldPath& path) {
   const std::size_t violations_before = violations_->count();
   core::PoseSample sample;
-  sample.sequence = pose.sequence();
-  if (pose.sequence() < 1 || pose.sequence() > kMaxSequence) {
+  sample.sequence = pose.sequence;
+  if (pose.sequence < 1 || pose.sequence > kMaxSequence) {
     Refuse(path.Field("sequence"),
-           absl::StrCat("got ", pose.sequence(), "; allowed is [1, ",
+           absl::StrCat("got ", pose.sequence, "; allowed is [1, ",
                         kMaxSequence, "]"));
   }
-  if (pose.has_stamp() &&
-      CheckTimestamp(pose.stamp(), path.Field("stamp"), violations_)) {
-    sample.stamp_ns = ToNanoseconds(pose.stamp());
+  if (pose.stamp != nullptr &&
+      CheckTimestamp(*pose.stamp, path.Field("stamp"), violations_)) {
+    sample.stamp_ns = ToNanoseconds(*pose.stamp);
   }
   DecodePosition(pose, path, &sample.pose);
   const std::optional<Forward> forward = DecodeOrientation(pose, path);
-  if (pose.has_covariance()) {
-    DecodeCovariance(pose.covariance(), space_, path.Field("covariance"),
+  if (pose.covariance) {
+    DecodeCovariance(*pose.covariance, space_, path.Field("covariance"),
                      &sample.covariance, violations_);
   } else {
     Refuse(path.Field("covariance"), "required");
@@ -81,30 +90,29 @@ void PoseDecoder::Refuse(const FieldPath& path,
   violations_->Add(kInvalidField, path, description);
 }
 
-void PoseDecoder::DecodePosition(const v1::Pose& pose, const FieldPath& path,
+void PoseDecoder::DecodePosition(const PoseFields& pose, const FieldPath& path,
                                  core::Pose* position) {
   const bool geodetic_vehicle = config_.frame == CoordinateFrame::kGeodetic;
-  switch (pose.position_case()) {
-    case v1::Pose::kLocal:
+  switch (pose.position_kind) {
+    case PoseFields::Position::kLocal:
       if (geodetic_vehicle && source_ == PoseSource::kAppend) {
         Refuse(path.Field("local"),
                "got a local position; this vehicle's coordinate frame is "
                "GEODETIC");
         return;
       }
-      DecodeLocal(pose.local(), path.Field("local"), position);
+      DecodeLocal(pose.position, path.Field("local"), position);
       return;
-    case v1::Pose::kGeodetic:
+    case PoseFields::Position::kGeodetic:
       if (!geodetic_vehicle) {
         Refuse(path.Field("geodetic"),
                "got a geodetic position; this vehicle's coordinate frame is "
                "LOCAL");
         return;
       }
-      CheckGeodetic(ToOrigin(pose.geodetic()), path.Field("geodetic"),
-                    violations_);
+      CheckGeodetic(ToOrigin(pose), path.Field("geodetic"), violations_);
       return;
-    case v1::Pose::POSITION_NOT_SET:
+    case PoseFields::Position::kNone:
       Refuse(path.Field("position"),
              absl::StrCat("required; this vehicle takes ",
                           geodetic_vehicle ? "`geodetic`" : "`local`"));
@@ -112,25 +120,22 @@ void PoseDecoder::DecodePosition(const v1::Pose& pose, const FieldPath& path,
   }
 }
 
-void PoseDecoder::DecodeLocal(const v1::LocalPosition& local,
+void PoseDecoder::DecodeLocal(const std::array<double, 3>& local,
                               const FieldPath& path, core::Pose* position) {
   const double limit = core::kMaxCoordinateMeters;
-  CheckRange(local.x_meters(), -limit, limit, path.Field("x_meters"),
-             violations_);
-  CheckRange(local.y_meters(), -limit, limit, path.Field("y_meters"),
-             violations_);
-  CheckRange(local.z_meters(), -limit, limit, path.Field("z_meters"),
-             violations_);
-  position->x = local.x_meters();
-  position->y = local.y_meters();
-  position->z = local.z_meters();
+  CheckRange(local[0], -limit, limit, path.Field("x_meters"), violations_);
+  CheckRange(local[1], -limit, limit, path.Field("y_meters"), violations_);
+  CheckRange(local[2], -limit, limit, path.Field("z_meters"), violations_);
+  position->x = local[0];
+  position->y = local[1];
+  position->z = local[2];
 }
 
 std::optional<PoseDecoder::Forward> PoseDecoder::DecodeOrientation(
-    const v1::Pose& pose, const FieldPath& path) {
-  switch (pose.orientation_case()) {
-    case v1::Pose::kHeadingRadians: {
-      const double heading = pose.heading_radians();
+    const PoseFields& pose, const FieldPath& path) {
+  switch (pose.orientation_kind) {
+    case PoseFields::Orientation::kHeading: {
+      const double heading = pose.orientation[0];
       if (!CheckRange(heading, -core::kMaxHeadingRadians,
                       core::kMaxHeadingRadians, path.Field("heading_radians"),
                       violations_)) {
@@ -139,9 +144,9 @@ std::optional<PoseDecoder::Forward> PoseDecoder::DecodeOrientation(
       if (!pose.has_geodetic()) return Forward{heading, {}};
       return Forward{heading, {std::cos(heading), std::sin(heading), 0.0}};
     }
-    case v1::Pose::kQuaternion:
-      return DecodeQuaternion(pose.quaternion(), path.Field("quaternion"));
-    case v1::Pose::ORIENTATION_NOT_SET:
+    case PoseFields::Orientation::kQuaternion:
+      return DecodeQuaternion(pose.orientation, path.Field("quaternion"));
+    case PoseFields::Orientation::kNone:
       Refuse(path.Field("orientation"),
              "required: `heading_radians` or `quaternion`");
       return std::nullopt;
@@ -150,11 +155,8 @@ std::optional<PoseDecoder::Forward> PoseDecoder::DecodeOrientation(
 }
 
 std::optional<PoseDecoder::Forward> PoseDecoder::DecodeQuaternion(
-    const v1::Quaternion& quaternion, const FieldPath& path) {
-  double x = quaternion.x();
-  double y = quaternion.y();
-  double z = quaternion.z();
-  double w = quaternion.w();
+    const std::array<double, 4>& quaternion, const FieldPath& path) {
+  auto [x, y, z, w] = quaternion;
   bool finite = CheckFinite(x, path.Field("x"), violations_);
   finite &= CheckFinite(y, path.Field("y"), violations_);
   finite &= CheckFinite(z, path.Field("z"), violations_);
@@ -184,9 +186,10 @@ std::optional<PoseDecoder::Forward> PoseDecoder::DecodeQuaternion(
   return forward;
 }
 
-void PoseDecoder::DecodeTransition(const v1::Pose& pose, const FieldPath& path,
+void PoseDecoder::DecodeTransition(const PoseFields& pose,
+                                   const FieldPath& path,
                                    core::PoseSample* sample) {
-  const int given = pose.error_transition_size();
+  const int given = pose.error_transition->size();
   const FieldPath field = path.Field("error_transition");
   if (config_.drive.search.correlation_model !=
       core::CorrelationModel::kFilter) {
@@ -199,8 +202,7 @@ void PoseDecoder::DecodeTransition(const v1::Pose& pose, const FieldPath& path,
     return;
   }
   const int size = core::DegreesOfFreedom(space_);
-  const bool optional =
-      pose.sequence() == 1 || source_ == PoseSource::kRevision;
+  const bool optional = pose.sequence == 1 || source_ == PoseSource::kRevision;
   if (given == 0 && optional) return;
   if (given != size * size) {
     Refuse(field,
@@ -213,7 +215,7 @@ void PoseDecoder::DecodeTransition(const v1::Pose& pose, const FieldPath& path,
   core::ErrorTransition transition;
   bool finite = true;
   for (int i = 0; i < given; ++i) {
-    const double value = pose.error_transition(i);
+    const double value = (*pose.error_transition)[i];
     finite &= CheckFinite(
         value, path.At("error_transition", static_cast<std::size_t>(i)),
         violations_);
@@ -222,10 +224,10 @@ void PoseDecoder::DecodeTransition(const v1::Pose& pose, const FieldPath& path,
   if (finite) sample->transition = transition;
 }
 
-void PoseDecoder::ToLocalFrame(const v1::Pose& pose, const Forward& forward,
+void PoseDecoder::ToLocalFrame(const PoseFields& pose, const Forward& forward,
                                const FieldPath& path,
                                core::PoseSample* sample) {
-  const GeodeticOrigin position = ToOrigin(pose.geodetic());
+  const GeodeticOrigin position = ToOrigin(pose);
   if (!frame_) frame_.emplace(position);
   if (!frame_->ToLocal(position, forward.axis, space_, sample)) {
     Refuse(path.Field("orientation"),
@@ -241,11 +243,20 @@ void PoseDecoder::AddDefect(const core::Defect& defect, const FieldPath& path) {
                    defect.description);
 }
 
-void CheckFollows(std::uint64_t before, std::uint64_t sequence,
-                  const FieldPath& path, Violations* violations) {
-  if (const auto gap = FindSequenceGap(before, sequence)) {
-    violations->Add(kInvalidField, path.Field("sequence"), *gap);
+std::vector<core::PoseSample> DecodePoses(const std::vector<PoseFields>& poses,
+                                          const FieldPath& path,
+                                          PoseDecoder* decoder,
+                                          Violations* violations) {
+  std::vector<core::PoseSample> samples;
+  samples.reserve(poses.size());
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    const FieldPath pose = path.At("poses", i);
+    samples.push_back(decoder->Decode(poses[i], pose));
+    if (i > 0) {
+      CheckFollows(poses[i - 1].sequence, poses[i].sequence, pose, violations);
+    }
   }
+  return samples;
 }
 
 }  // namespace revisit::server

@@ -1,8 +1,10 @@
-#include "server/conversion/record_codec.h"
+#include "server/records/proto_record_codec.h"
 
 #include <cstdint>
 #include <cstdio>
 #include <functional>
+#include <limits>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -12,8 +14,10 @@
 #include "google/protobuf/util/message_differencer.h"
 #include "gtest/gtest.h"
 #include "revisit/v1/pose_graph_service.pb.h"
-#include "server/conversion/stored_records.pb.h"
 #include "server/conversion/vehicle_settings.h"
+#include "server/fields/pose_fields.h"
+#include "server/records/batch_records.h"
+#include "server/records/stored_records.pb.h"
 #include "tests/server/conversion/conversion_testing.h"
 #include "tests/server/error_matchers.h"
 
@@ -292,7 +296,7 @@ TEST(StoredBatchTest, KeepsWhatIsLeftOfDroppedPoses) {
   EXPECT_EQ(plain->dropped->travelled_meters, 321.5);
   EXPECT_FALSE(plain->dropped->transition);
   EXPECT_THAT(VisitPoses(record,
-                         [](v1::Pose*) {
+                         [](const PoseFields&) {
                            ADD_FAILURE() << "there is none";
                            return true;
                          }),
@@ -347,7 +351,9 @@ v1::PoseBatch Revised(const v1::PoseBatch& stored, const v1::Pose& revised,
                       const VehicleConfig& config) {
   const auto record =
       ReviseBatch(Stored(stored), config, [&](std::uint64_t sequence) {
-        return sequence == revised.sequence() ? &revised : nullptr;
+        return sequence == revised.sequence()
+                   ? std::make_optional(PoseFieldsOf(revised))
+                   : std::nullopt;
       });
   v1::PoseBatch batch;
   EXPECT_THAT(record, IsOk());
@@ -373,7 +379,7 @@ TEST(ReviseBatchTest, ReplacesTheEstimateAndKeepsTheStamp) {
 
 TEST(ReviseBatchTest, LeavesABatchAloneOfWhichNoPoseIsNamed) {
   const auto record = ReviseBatch(Stored(SomePoses()), Planar(),
-                                  [](std::uint64_t) { return nullptr; });
+                                  [](std::uint64_t) { return std::nullopt; });
   ASSERT_THAT(record, IsOk());
   EXPECT_FALSE(record->has_value());
 }
@@ -495,7 +501,8 @@ TEST(RecordIndependenceTest, EverySettingOfTheApiIsStored) {
   }
 }
 
-// The table of settings has one number for both messages.
+// The table of settings has one name for both messages, and stores that were
+// written by its numbers have to read the same.
 TEST(RecordIndependenceTest, EnumsOfSettingsHaveTheNumbersOfTheApi) {
   const auto* const settings = stored::VehicleSettings::descriptor();
   for (int i = 0; i < settings->field_count(); ++i) {

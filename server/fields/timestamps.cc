@@ -1,4 +1,4 @@
-#include "server/conversion/timestamps.h"
+#include "server/fields/timestamps.h"
 
 #include "absl/strings/str_cat.h"
 

@@ -1,4 +1,4 @@
-#include "server/conversion/settings_table.h"
+#include "server/fields/settings_table.h"
 
 #include <cstdint>
 #include <limits>
@@ -6,7 +6,8 @@
 
 #include "absl/strings/str_cat.h"
 #include "google/protobuf/duration.pb.h"
-#include "server/conversion/geodetic_frame.h"
+#include "server/fields/enums.h"
+#include "server/fields/geodetic_frame.h"
 
 namespace revisit::server {
 namespace {
@@ -56,6 +57,21 @@ const FieldDescriptor* SettingsReader::FindGiven(const char* name) const {
   const FieldDescriptor* const field = Find(name);
   const bool given = field != nullptr && reflection_.HasField(message_, field);
   return given ? field : nullptr;
+}
+
+const std::string* SettingsReader::GivenValue(const char* name) const {
+  static const auto& unknown = *new std::string();
+  const FieldDescriptor* const field = Find(name);
+  if (field == nullptr) return nullptr;
+  const int number = reflection_.GetEnumValue(message_, field);
+  if (number == 0) return nullptr;
+  const auto* const value = field->enum_type()->FindValueByNumber(number);
+  return value == nullptr ? &unknown : &value->name();
+}
+
+void SettingsReader::RefuseValue(const char* name) {
+  AddUnknownValue(reflection_.GetEnumValue(message_, Find(name)),
+                  path_.Field(name), violations_);
 }
 
 void SettingsReader::Number(const char* name, double* value) {
@@ -174,9 +190,11 @@ const FieldDescriptor* SettingsWriter::Find(const char* name) const {
   return message_->GetDescriptor()->FindFieldByName(name);
 }
 
-void SettingsWriter::SetEnum(const char* name, int number) {
+void SettingsWriter::SetEnum(const char* name, const char* value) {
   const FieldDescriptor* const field = Find(name);
-  if (field != nullptr) reflection_.SetEnumValue(message_, field, number);
+  if (field == nullptr) return;
+  const auto* const named = field->enum_type()->FindValueByName(value);
+  reflection_.SetEnum(message_, field, named);
 }
 
 void SettingsWriter::Number(const char* name, const double* value) {

@@ -1,4 +1,4 @@
-#include "server/conversion/field_violations.h"
+#include "server/fields/field_violations.h"
 
 #include <cmath>
 #include <cstdint>

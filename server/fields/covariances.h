@@ -1,18 +1,20 @@
 // Covariances and error transitions, in the layouts of messages.
-#ifndef REVISIT_SERVER_CONVERSION_COVARIANCES_H_
-#define REVISIT_SERVER_CONVERSION_COVARIANCES_H_
+#ifndef REVISIT_SERVER_FIELDS_COVARIANCES_H_
+#define REVISIT_SERVER_FIELDS_COVARIANCES_H_
+
+#include <cstddef>
 
 #include "core/geometry/pose.h"
 #include "core/settings.h"
 #include "google/protobuf/repeated_field.h"
-#include "revisit/v1/geometry.pb.h"
-#include "server/conversion/field_violations.h"
+#include "server/fields/field_violations.h"
+#include "server/fields/pose_fields.h"
 
 namespace revisit::server {
 
 // The covariance reduced to the state. Checks layout, size, finiteness and, for
 // ROS_36, symmetry; not whether it is positive definite.
-void DecodeCovariance(const v1::Covariance& message, core::StateSpace space,
+void DecodeCovariance(const CovarianceFields& fields, core::StateSpace space,
                       const FieldPath& path, core::Covariance* covariance,
                       Violations* violations);
 
@@ -25,10 +27,6 @@ void CheckPositiveDefinite(const core::Covariance& covariance,
                            core::StateSpace space, const FieldPath& path,
                            Violations* violations);
 
-// PLANAR_6 or SPATIAL_10, by the state space.
-void EncodeCovariance(const core::Covariance& covariance,
-                      core::StateSpace space, v1::Covariance* message);
-
 // Where the entry of this row and column of a transition, row-major over the
 // state, lies in core::ErrorTransition::values.
 std::size_t TransitionIndex(core::StateSpace space, int row, int column);
@@ -40,4 +38,4 @@ void EncodeTransition(const core::ErrorTransition& transition,
 
 }  // namespace revisit::server
 
-#endif  // REVISIT_SERVER_CONVERSION_COVARIANCES_H_
+#endif  // REVISIT_SERVER_FIELDS_COVARIANCES_H_

@@ -1,12 +1,12 @@
 // Tables that say what the values of an enum of messages mean in the server's
 // own types.
-#ifndef REVISIT_SERVER_CONVERSION_ENUMS_H_
-#define REVISIT_SERVER_CONVERSION_ENUMS_H_
+#ifndef REVISIT_SERVER_FIELDS_ENUMS_H_
+#define REVISIT_SERVER_FIELDS_ENUMS_H_
 
 #include <cstddef>
 
 #include "absl/strings/str_cat.h"
-#include "server/conversion/field_violations.h"
+#include "server/fields/field_violations.h"
 
 namespace revisit::server {
 
@@ -26,6 +26,14 @@ Proto ToProto(const EnumRow<Proto, Own> (&rows)[N], Own value) {
   return rows[0].proto;
 }
 
+// Adds a violation of an enum's field that has a number without a meaning.
+inline void AddUnknownValue(int number, const FieldPath& path,
+                            Violations* violations) {
+  violations->Add(
+      kInvalidField, path,
+      absl::StrCat("got ", number, ", which is no value of this enum"));
+}
+
 // Leaves the value alone if the field is unspecified.
 template <typename Proto, typename Own, std::size_t N>
 void DecodeEnum(const EnumRow<Proto, Own> (&rows)[N], int field,
@@ -37,11 +45,9 @@ void DecodeEnum(const EnumRow<Proto, Own> (&rows)[N], int field,
       return;
     }
   }
-  violations->Add(
-      kInvalidField, path,
-      absl::StrCat("got ", field, ", which is no value of this enum"));
+  AddUnknownValue(field, path, violations);
 }
 
 }  // namespace revisit::server
 
-#endif  // REVISIT_SERVER_CONVERSION_ENUMS_H_
+#endif  // REVISIT_SERVER_FIELDS_ENUMS_H_

@@ -1,6 +1,6 @@
 // Collects what is wrong with the fields of one request.
-#ifndef REVISIT_SERVER_CONVERSION_FIELD_VIOLATIONS_H_
-#define REVISIT_SERVER_CONVERSION_FIELD_VIOLATIONS_H_
+#ifndef REVISIT_SERVER_FIELDS_FIELD_VIOLATIONS_H_
+#define REVISIT_SERVER_FIELDS_FIELD_VIOLATIONS_H_
 
 #include <cstddef>
 #include <string>
@@ -100,4 +100,4 @@ absl::Status InvalidField(const char* reason, const FieldPath& path,
 
 }  // namespace revisit::server
 
-#endif  // REVISIT_SERVER_CONVERSION_FIELD_VIOLATIONS_H_
+#endif  // REVISIT_SERVER_FIELDS_FIELD_VIOLATIONS_H_

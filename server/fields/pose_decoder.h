@@ -1,16 +1,17 @@
-// One pose of a message as a sample of core.
-#ifndef REVISIT_SERVER_CONVERSION_POSE_DECODER_H_
-#define REVISIT_SERVER_CONVERSION_POSE_DECODER_H_
+// Poses of messages as samples of core.
+#ifndef REVISIT_SERVER_FIELDS_POSE_DECODER_H_
+#define REVISIT_SERVER_FIELDS_POSE_DECODER_H_
 
 #include <array>
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "core/drive/drive.h"
-#include "revisit/v1/geometry.pb.h"
-#include "server/conversion/field_violations.h"
-#include "server/conversion/geodetic_frame.h"
+#include "server/fields/field_violations.h"
+#include "server/fields/geodetic_frame.h"
+#include "server/fields/pose_fields.h"
 #include "server/sessions/vehicle_config.h"
 
 namespace revisit::server {
@@ -28,7 +29,7 @@ class PoseDecoder {
 
   // Adds a violation for each defect of the pose; the sample is meaningless if
   // there is one.
-  core::PoseSample Decode(const v1::Pose& pose, const FieldPath& path);
+  core::PoseSample Decode(const PoseFields& pose, const FieldPath& path);
 
   // The origin of a geodetic vehicle: that of the config or, without, that of
   // the first pose that can be decoded.
@@ -42,17 +43,17 @@ class PoseDecoder {
     std::array<double, 3> axis{};
   };
 
-  void DecodePosition(const v1::Pose& pose, const FieldPath& path,
+  void DecodePosition(const PoseFields& pose, const FieldPath& path,
                       core::Pose* position);
-  void DecodeLocal(const v1::LocalPosition& local, const FieldPath& path,
+  void DecodeLocal(const std::array<double, 3>& local, const FieldPath& path,
                    core::Pose* position);
-  std::optional<Forward> DecodeOrientation(const v1::Pose& pose,
+  std::optional<Forward> DecodeOrientation(const PoseFields& pose,
                                            const FieldPath& path);
-  std::optional<Forward> DecodeQuaternion(const v1::Quaternion& quaternion,
-                                          const FieldPath& path);
-  void DecodeTransition(const v1::Pose& pose, const FieldPath& path,
+  std::optional<Forward> DecodeQuaternion(
+      const std::array<double, 4>& quaternion, const FieldPath& path);
+  void DecodeTransition(const PoseFields& pose, const FieldPath& path,
                         core::PoseSample* sample);
-  void ToLocalFrame(const v1::Pose& pose, const Forward& forward,
+  void ToLocalFrame(const PoseFields& pose, const Forward& forward,
                     const FieldPath& path, core::PoseSample* sample);
   void Refuse(const FieldPath& path, const std::string& description);
   void AddDefect(const core::Defect& defect, const FieldPath& path);
@@ -64,11 +65,13 @@ class PoseDecoder {
   std::optional<GeodeticFrame> frame_;
 };
 
-// Adds a violation unless a pose's sequence is the one after that of the pose
-// before it in the batch. `path` is the pose's.
-void CheckFollows(std::uint64_t before, std::uint64_t sequence,
-                  const FieldPath& path, Violations* violations);
+// Decodes poses that have to follow each other; the field `poses` lies below
+// `path`.
+std::vector<core::PoseSample> DecodePoses(const std::vector<PoseFields>& poses,
+                                          const FieldPath& path,
+                                          PoseDecoder* decoder,
+                                          Violations* violations);
 
 }  // namespace revisit::server
 
-#endif  // REVISIT_SERVER_CONVERSION_POSE_DECODER_H_
+#endif  // REVISIT_SERVER_FIELDS_POSE_DECODER_H_
