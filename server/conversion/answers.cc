@@ -8,7 +8,6 @@
 #include "server/conversion/names.h"
 #include "server/conversion/vehicle_labels.h"
 #include "server/conversion/vehicle_settings.h"
-#include "server/fields/covariances.h"
 #include "server/fields/enums.h"
 #include "server/fields/timestamps.h"
 #include "server/records/proto_record_codec.h"

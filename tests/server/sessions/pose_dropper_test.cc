@@ -1,5 +1,5 @@
 // Poses that a vehicle's settings no longer keep leave the store and the graph.
-#include "server/sessions/retention.h"
+#include "server/sessions/pose_dropper.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -1,8 +1,8 @@
 // Drops the poses that a vehicle's settings do not keep
 // (core/drive/retention.h): when that is due, and how they leave the store and
 // the graph.
-#ifndef REVISIT_SERVER_SESSIONS_RETENTION_H_
-#define REVISIT_SERVER_SESSIONS_RETENTION_H_
+#ifndef REVISIT_SERVER_SESSIONS_POSE_DROPPER_H_
+#define REVISIT_SERVER_SESSIONS_POSE_DROPPER_H_
 
 #include <chrono>
 #include <cstddef>
@@ -44,18 +44,18 @@ namespace revisit::server {
 //
 // Belongs to the strand. While poses are dropped, appends wait, and reads of
 // memory go on, but not those of the store.
-class Retention {
+class PoseDropper {
  public:
-  Retention(VehicleState* vehicle, VehicleQueue* queue, Replayer* replayer,
-            std::shared_ptr<RetentionMonitor> monitor)
+  PoseDropper(VehicleState* vehicle, VehicleQueue* queue, Replayer* replayer,
+              std::shared_ptr<RetentionMonitor> monitor)
       : vehicle_(vehicle),
         queue_(queue),
         replayer_(replayer),
         monitor_(std::move(monitor)) {}
-  ~Retention() { End(); }
+  ~PoseDropper() { End(); }
 
-  Retention(const Retention&) = delete;
-  Retention& operator=(const Retention&) = delete;
+  PoseDropper(const PoseDropper&) = delete;
+  PoseDropper& operator=(const PoseDropper&) = delete;
 
   // Call after every append, and after the settings have changed: looks if it
   // is time.
@@ -135,7 +135,7 @@ class Retention {
   bool is_under_way_ = false;
   // While it looks.
   std::unique_ptr<core::DroppableSearch> search_;
-  // VehicleState::drive_series of the search.
+  // LoadedDrive::series() of the search.
   std::uint64_t drive_series_ = 0;
   // While it drops.
   std::unique_ptr<Work> work_;
@@ -143,4 +143,4 @@ class Retention {
 
 }  // namespace revisit::server
 
-#endif  // REVISIT_SERVER_SESSIONS_RETENTION_H_
+#endif  // REVISIT_SERVER_SESSIONS_POSE_DROPPER_H_

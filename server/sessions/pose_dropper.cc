@@ -1,4 +1,4 @@
-#include "server/sessions/retention.h"
+#include "server/sessions/pose_dropper.h"
 
 #include <algorithm>
 #include <chrono>
@@ -40,10 +40,10 @@ bool KeepsAll(const core::RetentionOptions& options) {
 
 }  // namespace
 
-void Retention::Consider() {
-  if (is_under_way_ || vehicle_->drive == nullptr ||
-      KeepsAll(vehicle_->config.drive.retention) ||
-      vehicle_->drive->graph().size() < vehicle_->look_at_nodes) {
+void PoseDropper::Consider() {
+  if (is_under_way_ || !vehicle_->loaded ||
+      KeepsAll(vehicle_->head.config().drive.retention) ||
+      !vehicle_->loaded.is_worth_a_look()) {
     return;
   }
   is_under_way_ = true;
@@ -51,34 +51,35 @@ void Retention::Consider() {
   queue_->PostLong([this] { BeginLook(); });
 }
 
-void Retention::ConsiderLoaded() {
-  const core::PoseGraph& graph = vehicle_->drive->graph();
+void PoseDropper::ConsiderLoaded() {
+  const core::PoseGraph& graph = vehicle_->loaded->graph();
   const core::NodeIndex size = graph.size();
-  if (!vehicle_->config.drive.retention.max_age_ns || size < kLeastLookedAt) {
+  if (!vehicle_->head.config().drive.retention.max_age_ns ||
+      size < kLeastLookedAt) {
     return;
   }
   const auto tenth =
       static_cast<core::NodeIndex>(kLeastShare * static_cast<double>(size));
   const std::optional<std::int64_t> old = graph.node(tenth).stamp_ns;
   const std::optional<std::int64_t> oldest =
-      vehicle_->drive->OldestStamp(LatestStamp(vehicle_->clock));
+      vehicle_->loaded->OldestStamp(LatestStamp(vehicle_->clock));
   // One node alone may have a wrong stamp: whether it is so, the look finds.
-  if (old && oldest && *old < *oldest) vehicle_->look_at_nodes = 0;
+  if (old && oldest && *old < *oldest) vehicle_->loaded.LookAtOnce();
   Consider();
 }
 
-void Retention::BeginLook() {
-  if (vehicle_->gone_status) {
+void PoseDropper::BeginLook() {
+  if (vehicle_->gone_status()) {
     End();
     return;
   }
-  vehicle_->look_at_nodes = NextLookAt(vehicle_->drive->graph().size());
-  search_ = vehicle_->drive->SearchDroppable(LatestStamp(vehicle_->clock));
-  drive_series_ = vehicle_->drive_series;
+  vehicle_->loaded.LookLater();
+  search_ = vehicle_->loaded->SearchDroppable(LatestStamp(vehicle_->clock));
+  drive_series_ = vehicle_->loaded.series();
   LookSome();
 }
 
-void Retention::LookSome() {
+void PoseDropper::LookSome() {
   if (!IsCurrent() || replayer_->gives_up()) {
     BeginAnew();
     return;
@@ -97,26 +98,27 @@ void Retention::LookSome() {
   queue_->PumpLater();
 }
 
-bool Retention::IsCurrent() const {
-  return !vehicle_->gone_status && drive_series_ == vehicle_->drive_series &&
-         vehicle_->drive->Fits(*search_);
+bool PoseDropper::IsCurrent() const {
+  return !vehicle_->gone_status() &&
+         drive_series_ == vehicle_->loaded.series() &&
+         vehicle_->loaded->Fits(*search_);
 }
 
-void Retention::BeginAnew() {
+void PoseDropper::BeginAnew() {
   End();
-  if (vehicle_->gone_status || replayer_->gives_up()) return;
-  vehicle_->look_at_nodes = 0;
+  if (vehicle_->gone_status() || replayer_->gives_up()) return;
+  vehicle_->loaded.LookAtOnce();
   Consider();
 }
 
-void Retention::End() {
+void PoseDropper::End() {
   if (is_under_way_) monitor_->Ended();
   is_under_way_ = false;
   search_.reset();
   work_.reset();
 }
 
-void Retention::Drop(const absl::Status& status) {
+void PoseDropper::Drop(const absl::Status& status) {
   if (!status.ok() || !vehicle_->Writable().ok()) {
     End();
     return;
@@ -132,8 +134,8 @@ void Retention::Drop(const absl::Status& status) {
   });
 }
 
-void Retention::FindRanges() {
-  const core::Drive& drive = *vehicle_->drive;
+void PoseDropper::FindRanges() {
+  const core::Drive& drive = *vehicle_->loaded;
   const core::PoseGraph& graph = drive.graph();
   work_ = std::make_unique<Work>();
   work_->start = std::chrono::steady_clock::now();
@@ -154,14 +156,14 @@ void Retention::FindRanges() {
       kLeastShare * static_cast<double>(graph.size())) {
     work_->ranges.clear();
   }
-  for (const auto& [id, closure] : vehicle_->loop_closures) {
+  for (const auto& [id, closure] : vehicle_->pairs.loop_closures()) {
     work_->referred.push_back(closure.query_sequence);
     work_->referred.push_back(closure.matched_sequence);
   }
   std::sort(work_->referred.begin(), work_->referred.end());
 }
 
-void Retention::Step() {
+void PoseDropper::Step() {
   const absl::StatusOr<bool> all = ReadSome();
   const bool must_end = !all.ok() || replayer_->gives_up();
   if (!must_end && !work_->rows.empty()) {
@@ -173,7 +175,7 @@ void Retention::Step() {
   }
 }
 
-absl::StatusOr<bool> Retention::ReadSome() {
+absl::StatusOr<bool> PoseDropper::ReadSome() {
   const auto pause = std::chrono::steady_clock::now() + kReadSlice;
   while (work_->range < work_->ranges.size()) {
     const core::SequenceRange& range = work_->ranges[work_->range];
@@ -182,10 +184,10 @@ absl::StatusOr<bool> Retention::ReadSome() {
         work_->next_sequence > 0 ? work_->next_sequence
                                  : std::max<std::uint64_t>(range.first, 2) - 1;
     const std::uint64_t last =
-        std::min(range.last + 1, vehicle_->durable_sequence);
+        std::min(range.last + 1, vehicle_->head.durable_sequence());
     absl::Status taking;
     const absl::Status reading = vehicle_->storage->ReadBatches(
-        vehicle_->key, first, last, BatchVersion::kCurrent,
+        vehicle_->head.key(), first, last, BatchVersion::kCurrent,
         [&](const BatchRecord& row) {
           const absl::StatusOr<bool> more = TakeRow(row);
           taking = more.status();
@@ -208,9 +210,9 @@ absl::StatusOr<bool> Retention::ReadSome() {
   return work_->range == work_->ranges.size();
 }
 
-absl::StatusOr<bool> Retention::TakeRow(const BatchRecord& row) {
+absl::StatusOr<bool> PoseDropper::TakeRow(const BatchRecord& row) {
   const absl::StatusOr<DecodedPoses> poses =
-      vehicle_->DecodeStoredPoses(row, vehicle_->config);
+      vehicle_->DecodeStoredPoses(row, vehicle_->head.config());
   if (!poses.ok()) return poses.status();
   const bool is_dropped = poses->dropped.has_value();
   if (!is_dropped) {
@@ -233,7 +235,7 @@ absl::StatusOr<bool> Retention::TakeRow(const BatchRecord& row) {
   if (joins) {
     if (!work_->stretch) {
       work_->stretch.emplace(Stretch{
-          core::DroppedStretchMaker(vehicle_->drive->resampler_options()),
+          core::DroppedStretchMaker(vehicle_->loaded->resampler_options()),
           row.first_sequence});
       if (work_->before && !is_dropped) {
         work_->stretch->maker.Begin(*work_->before);
@@ -260,7 +262,7 @@ absl::StatusOr<bool> Retention::TakeRow(const BatchRecord& row) {
   return true;
 }
 
-bool Retention::MayDrop(const BatchRecord& row) const {
+bool PoseDropper::MayDrop(const BatchRecord& row) const {
   const core::SequenceRange& range = work_->ranges[work_->range];
   const std::uint64_t last = row.first_sequence + row.count - 1;
   if (row.first_sequence < range.first || last > range.last) return false;
@@ -269,7 +271,7 @@ bool Retention::MayDrop(const BatchRecord& row) const {
   return referred == work_->referred.end() || *referred > last;
 }
 
-absl::Status Retention::Divide(const BatchRecord& row) {
+absl::Status PoseDropper::Divide(const BatchRecord& row) {
   const core::SequenceRange& range = work_->ranges[work_->range];
   const std::uint64_t end = row.first_sequence + row.count;
   const std::uint64_t from = std::max(row.first_sequence, range.first);
@@ -279,7 +281,7 @@ absl::Status Retention::Divide(const BatchRecord& row) {
   }
   BatchVersions whole;
   const absl::Status reading = vehicle_->storage->ReadBatches(
-      vehicle_->key, row.first_sequence, row.first_sequence,
+      vehicle_->head.key(), row.first_sequence, row.first_sequence,
       BatchVersion::kAsSent, [&](BatchRecord sent) {
         whole.as_sent = std::move(sent);
         return false;
@@ -318,7 +320,7 @@ absl::Status Retention::Divide(const BatchRecord& row) {
   return absl::OkStatus();
 }
 
-void Retention::Complete(const std::optional<core::Pose>& next, bool is_end) {
+void PoseDropper::Complete(const std::optional<core::Pose>& next, bool is_end) {
   Stretch& stretch = *work_->stretch;
   if (stretch.has_poses) {
     core::DroppedStretchMaker maker = stretch.maker;
@@ -337,11 +339,11 @@ void Retention::Complete(const std::optional<core::Pose>& next, bool is_end) {
 }
 
 // From here on the store lacks poses that the graph has.
-void Retention::Write() {
+void PoseDropper::Write() {
   queue_->set_store_lead(VehicleQueue::StoreLead::kPoses);
   const std::uint64_t revision = NextRevision();
   vehicle_->storage->ReplaceBatches(
-      vehicle_->key, std::exchange(work_->rows, {}), revision,
+      vehicle_->head.key(), std::exchange(work_->rows, {}), revision,
       queue_->OnStrand([this, revision](const absl::Status& status) {
         if (!status.ok()) {
           vehicle_->NoteFailedWrite(status);
@@ -353,27 +355,27 @@ void Retention::Write() {
       }));
 }
 
-std::uint64_t Retention::NextRevision() const {
-  return std::max(work_->revision, vehicle_->revision) + 1;
+std::uint64_t PoseDropper::NextRevision() const {
+  return std::max(work_->revision, vehicle_->head.revision()) + 1;
 }
 
-void Retention::Finish() {
+void PoseDropper::Finish() {
   const std::shared_ptr<const Work> work = std::move(work_);
   End();
   queue_->Release([&] {
-    if (work->revision == 0 || vehicle_->gone_status) {
+    if (work->revision == 0 || vehicle_->gone_status()) {
       queue_->set_store_lead(VehicleQueue::StoreLead::kNone);
       return;
     }
-    replayer_->Rebuild(vehicle_->config, work->revision,
+    replayer_->Rebuild(vehicle_->head.config(), work->revision,
                        [this, work](const absl::Status& status) {
                          if (status.ok()) Report(*work);
                        });
   });
 }
 
-void Retention::Report(const Work& work) const {
-  const core::DroppedStretches& dropped = vehicle_->drive->dropped();
+void PoseDropper::Report(const Work& work) const {
+  const core::DroppedStretches& dropped = vehicle_->loaded->dropped();
   monitor_->Dropped({vehicle_->id, dropped.count() - work.dropped_before,
                      dropped.KeptFrom(1), work.nodes_too_old,
                      work.nodes_covered,
