@@ -82,7 +82,7 @@ class RetentionTest : public ::testing::Test {
     VehicleConfig config = TestConfig();
     config.drive.retention = retention;
     const Answer<absl::StatusOr<Snapshot>> answer;
-    fleet_->Create(kId, config, Taking(answer));
+    fleet_->Create(kId, config, TakingCreated(answer));
     ASSERT_THAT(answer.Get(), IsOk());
     key_ = memory_.GetVehicle(kId)->key;
   }
