@@ -74,31 +74,24 @@ void CreateOrFind(
 
 // The batch of an AppendPoses call. Request and response live as long as the
 // call.
-class UnaryAppend final : public AppendSink {
+class UnaryAppend final : public AppendObserver {
  public:
   UnaryAppend(UnaryCallPtr call, const v1::AppendPosesRequest* request,
-              v1::AppendPosesResponse* response, int max_poses,
-              ServiceCounters* counts)
+              v1::AppendPosesResponse* response, ServiceCounters* counts)
       : call_(std::move(call)),
         request_(request),
         response_(response),
-        max_poses_(max_poses),
         counts_(counts) {}
 
-  absl::StatusOr<DecodedBatch> Decode(const VehicleConfig& config) override {
-    // The batch may have waited past its caller's deadline.
-    if (call_->given_up()) return call_->GivenUpStatus();
-    const std::string id = request_->vehicle().substr(VehicleName("").size());
-    if (absl::Status meant = CheckMeant(id, config, request_->vehicle_uid());
-        !meant.ok()) {
-      return meant;
-    }
-    absl::StatusOr<DecodedBatch> batch =
-        DecodeBatch(request_->poses(), max_poses_, config, kRequest);
-    if (batch.ok() && batch->samples.front().sequence == 1) {
-      PoseInspector(config.frame).Look(batch->samples, &warnings_);
-    }
-    return batch;
+  // The batch may have waited past its caller's deadline.
+  absl::Status StillWanted() const override {
+    return call_->given_up() ? call_->GivenUpStatus() : absl::OkStatus();
+  }
+
+  void OnDecoded(const VehicleConfig& config,
+                 const std::vector<core::PoseSample>& samples) override {
+    if (samples.front().sequence != 1) return;
+    PoseInspector(config.frame).Look(samples, &warnings_);
   }
 
   void OnDurable(const absl::StatusOr<Acknowledgement>& result) override {
@@ -118,7 +111,6 @@ class UnaryAppend final : public AppendSink {
   const UnaryCallPtr call_;
   const v1::AppendPosesRequest* const request_;
   v1::AppendPosesResponse* const response_;
-  const int max_poses_;
   ServiceCounters* const counts_;
   const std::chrono::steady_clock::time_point start_ =
       std::chrono::steady_clock::now();
@@ -303,9 +295,13 @@ grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
               static_cast<std::uint64_t>(request->poses_size()), status);
           return status;
         }
-        (*session)->Append(std::make_shared<UnaryAppend>(
-            call, request, response, context_.limits.max_batch_poses,
-            context_.counts));
+        AppendRequest append;
+        append.decode = DecoderOf(&request->poses(),
+                                  context_.limits.max_batch_poses, nullptr);
+        append.vehicle_uid = request->vehicle_uid();
+        (*session)->Append(std::move(append),
+                           std::make_shared<UnaryAppend>(
+                               call, request, response, context_.counts));
         return absl::OkStatus();
       });
 }

@@ -100,7 +100,7 @@ class PoseStream final : public BidiCall<PoseStream> {
 
  private:
   // One batch of this stream on its way through the session.
-  class Batch final : public AppendSink {
+  class Batch final : public AppendObserver {
    public:
     // `poses`: their number. `bytes`: memory that the batch takes; `room` is
     // held until it is durable.
@@ -111,13 +111,9 @@ class PoseStream final : public BidiCall<PoseStream> {
           bytes_(bytes),
           room_(std::move(room)) {}
 
-    absl::StatusOr<DecodedBatch> Decode(const VehicleConfig& config) override {
-      absl::StatusOr<DecodedBatch> batch =
-          DecodeBatch(stream_->request_->batch().poses(),
-                      stream_->context_.limits.max_batch_poses, config,
-                      FieldPath().Field("batch"));
-      if (batch.ok()) stream_->Inspect(batch->samples, config, &warnings_);
-      return batch;
+    void OnDecoded(const VehicleConfig& config,
+                   const std::vector<core::PoseSample>& samples) override {
+      stream_->Inspect(samples, config, &warnings_);
     }
 
     void OnStaged(const absl::Status& status) override {
@@ -135,17 +131,6 @@ class PoseStream final : public BidiCall<PoseStream> {
         counts->Refused(poses_, result.status());
       }
       stream_->OnDurable(result, bytes_, &warnings_);
-    }
-
-    bool wants_candidates() const override { return stream_->send_candidates_; }
-
-    std::string check_flow() const override {
-      return stream_->call_.check_flow();
-    }
-
-    absl::StatusOr<core::SearchOptions> CheckOptions(
-        const VehicleConfig& config) const override {
-      return stream_->SearchOptions(config);
     }
 
     bool ShouldStop() const override {
@@ -256,8 +241,10 @@ class PoseStream final : public BidiCall<PoseStream> {
         !status.ok()) {
       return status;
     }
+    checks_ = std::make_shared<const CheckOrder>(
+        CheckOrder{call_.check_flow(), CheckOptions(open.candidate_options())});
     send_candidates_ = open.send_candidates();
-    candidate_options_ = open.candidate_options();
+    include_aligned_path_ = open.candidate_options().include_aligned_path();
     const std::shared_ptr<VehicleSession> session =
         context_.fleet->Session(*id);
     {
@@ -300,14 +287,15 @@ class PoseStream final : public BidiCall<PoseStream> {
     return call_.AlsoNeeds(Verb::kRead);
   }
 
-  absl::StatusOr<core::SearchOptions> SearchOptions(
-      const VehicleConfig& config) const {
-    const FieldPath open = FieldPath().Field("open");
-    absl::StatusOr<core::SearchOptions> options = DecodeCandidateOptions(
-        candidate_options_, config, open.Field("candidate_options"));
-    if (options.ok())
-      options->max_comparisons = context_.limits.max_search_steps;
-    return options;
+  SearchOptionsDecoder CheckOptions(const v1::CandidateOptions& given) const {
+    return [given, max_steps = context_.limits.max_search_steps](
+               const VehicleConfig& config) {
+      const FieldPath open = FieldPath().Field("open");
+      absl::StatusOr<core::SearchOptions> options = DecodeCandidateOptions(
+          given, config, open.Field("candidate_options"));
+      if (options.ok()) options->max_comparisons = max_steps;
+      return options;
+    };
   }
 
   void OnChecked(const absl::StatusOr<VehicleView>& view) {
@@ -315,7 +303,7 @@ class PoseStream final : public BidiCall<PoseStream> {
       Fail(view.status());
       return;
     }
-    if (absl::Status status = SearchOptions(view->config).status();
+    if (absl::Status status = checks_->options(view->config).status();
         !status.ok()) {
       Fail(status);
       return;
@@ -357,7 +345,12 @@ class PoseStream final : public BidiCall<PoseStream> {
       bytes_in_flight_ += bytes;
       session = session_.get();
     }
-    session->Append(std::make_shared<Batch>(shared_from_this(), poses, bytes,
+    AppendRequest append;
+    append.decode = DecoderOf(&request_->batch().poses(),
+                              context_.limits.max_batch_poses, "batch");
+    if (send_candidates_) append.checks = checks_;
+    session->Append(std::move(append),
+                    std::make_shared<Batch>(shared_from_this(), poses, bytes,
                                             *std::move(room)));
     return absl::OkStatus();
   }
@@ -408,8 +401,8 @@ class PoseStream final : public BidiCall<PoseStream> {
     auto response = std::make_unique<Response>();
     std::int64_t bytes = 0;
     if (set.ok()) {
-      EncodeCandidateSet(view, *set, candidate_options_.include_aligned_path(),
-                         duration, response->mutable_candidates());
+      EncodeCandidateSet(view, *set, include_aligned_path_, duration,
+                         response->mutable_candidates());
       bytes = static_cast<std::int64_t>(response->SpaceUsedLong());
     }
     const MutexLock lock(&mutex_);
@@ -574,8 +567,9 @@ class PoseStream final : public BidiCall<PoseStream> {
   std::atomic<bool> is_left_{false};
 
   // Written by Open() only, before the session hears of the stream.
+  std::shared_ptr<const CheckOrder> checks_;
   bool send_candidates_ = false;
-  v1::CandidateOptions candidate_options_;
+  bool include_aligned_path_ = false;
 
   // Belong to gRPC while `reading_`, to the session while `handling_`.
   const std::unique_ptr<char[]> request_block_;
