@@ -128,11 +128,6 @@ absl::Status WithRequestId(const absl::Status& status, const std::string& id) {
 
 }  // namespace
 
-absl::Status MalformedMessage() {
-  return Error(absl::StatusCode::kInvalidArgument, "STREAM_PROTOCOL",
-               "a message of the stream is not a valid protobuf");
-}
-
 Call::Call(grpc::CallbackServerContext* context, const char* method,
            const ServiceContext& service)
     : method_(method),

@@ -30,13 +30,6 @@
 
 namespace revisit::server {
 
-// gRPC reports a malformed message like the end of the stream. But it clears a
-// message before it parses it: a marker that was put into some string field
-// before the last read and survives it means a clean end.
-inline constexpr char kUnread[] = "\x01unread";
-// The status of a stream whose marker did not survive.
-absl::Status MalformedMessage();
-
 struct MethodRule;
 
 // Thread-safe, except ChooseVehicle(), AlsoNeeds(), NameChanged() and, for

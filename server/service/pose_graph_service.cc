@@ -123,13 +123,9 @@ grpc::ServerUnaryReactor* PoseGraphService::Unary(
     grpc::CallbackServerContext* context, const char* method,
     const grpc::ByteBuffer* request, grpc::ByteBuffer* response,
     Handle handle) {
-  const auto call = std::make_shared<TypedCall<Request, Response>>(
-      context, method, context_, response);
+  const auto call = std::make_shared<TypedCall<Request, Response, Handle>>(
+      context, method, context_, request, response, std::move(handle));
   call->Start();
-  absl::Status status = call->admission();
-  if (status.ok()) status = ParseMessage(request, &call->request);
-  if (status.ok()) status = handle(call, &call->request, &call->response);
-  if (!status.ok()) call->End(status);
   return call.get();
 }
 
@@ -314,7 +310,7 @@ grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
       });
 }
 
-grpc::ServerBidiReactor<v1::StreamPosesRequest, v1::StreamPosesResponse>*
+grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::ByteBuffer>*
 PoseGraphService::StreamPoses(grpc::CallbackServerContext* call_context) {
   return StartPoseStream(call_context, context_);
 }
@@ -415,9 +411,8 @@ grpc::ServerUnaryReactor* PoseGraphService::DeleteRejectedCandidate(
       });
 }
 
-grpc::ServerReadReactor<v1::RevisePosesRequest>* PoseGraphService::RevisePoses(
-    grpc::CallbackServerContext* call_context,
-    v1::RevisePosesResponse* response) {
+grpc::ServerReadReactor<grpc::ByteBuffer>* PoseGraphService::RevisePoses(
+    grpc::CallbackServerContext* call_context, grpc::ByteBuffer* response) {
   return StartRevision(call_context, context_, response);
 }
 
