@@ -74,7 +74,7 @@ class Export final : public WritingCall<Export> {
     const absl::StatusOr<std::string> id =
         ParseVehicleName(request.vehicle(), FieldPath().Field("vehicle"));
     if (!id.ok()) return id.status();
-    if (absl::Status status = call_.ChooseVehicle(*id); !status.ok()) {
+    if (absl::Status status = ChooseVehicle(*id); !status.ok()) {
       return status;
     }
     context_.fleet->Session(*id)->LongRead(
@@ -88,7 +88,7 @@ class Export final : public WritingCall<Export> {
     const absl::StatusOr<std::shared_ptr<const GraphSnapshot>> snapshot =
         view.ok() ? context_.snapshots->Take(*view,
                                              [this](std::size_t bytes) {
-                                               return call_.AdmitExport(bytes);
+                                               return room().AdmitExport(bytes);
                                              })
                   : view.status();
     const MutexLock lock(&mutex_);
@@ -130,8 +130,8 @@ class Export final : public WritingCall<Export> {
     // Named as the reason even if the call was cut in the end, since that was
     // not the caller's doing.
     if (slow_) return SlowConsumer();
-    if (call_.given_up()) return call_.GivenUpStatus();
-    return call_.Recheck();
+    if (given_up()) return GivenUpStatus();
+    return rights().Recheck();
   }
 
   absl::Status SlowConsumer() const {

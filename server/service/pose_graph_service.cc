@@ -46,7 +46,7 @@ v1::Vehicle IdentityOf(const v1::Vehicle& vehicle) {
 }
 
 bool MayRead(const UnaryCall& call, const std::string& vehicle_id) {
-  return call.caller().May(Verb::kRead, vehicle_id);
+  return call.rights().caller().May(Verb::kRead, vehicle_id);
 }
 
 // Creates a vehicle, or finds the one of that name that is there. A vehicle
@@ -239,7 +239,7 @@ grpc::ServerUnaryReactor* PoseGraphService::UpdateVehicle(
                 return config;
               }
               const absl::Status room =
-                  call->AdmitRebuild(view.durable_sequence);
+                  call->room().TakeRebuild(view.durable_sequence);
               if (!room.ok()) return room;
               return config;
             },
@@ -293,7 +293,8 @@ grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
           status =
               CheckUid(request->vehicle_uid(), kRequest.Field("vehicle_uid"));
         }
-        if (status.ok()) status = call->HoldBatch(request->ByteSizeLong());
+        if (status.ok())
+          status = call->room().TakeBatch(request->ByteSizeLong());
         if (!status.ok()) {
           context_.counts->Refused(
               static_cast<std::uint64_t>(request->poses_size()), status);
@@ -474,7 +475,8 @@ grpc::ServerUnaryReactor* PoseGraphService::GetServerInfo(
         response->set_max_batches_in_flight(
             context_.limits.max_batches_in_flight);
         // A tenant does not learn how much others have on the servers.
-        if (call->caller().grants && call->caller().tenant != "*") {
+        if (call->rights().caller().grants &&
+            call->rights().caller().tenant != "*") {
           call->End(absl::OkStatus());
           return absl::OkStatus();
         }

@@ -41,53 +41,13 @@ class UnaryCall : public CallReactor<UnaryCall, grpc::ServerUnaryReactor> {
  public:
   using CallReactor::CallReactor;
 
-  const Caller& caller() const { return call_.caller(); }
-  absl::Status ChooseVehicle(const std::string& id) {
-    return UnlessEnded([&] { return call_.ChooseVehicle(id); });
-  }
-  absl::Status AdmitRebuild(std::uint64_t poses) {
-    return UnlessEnded([&] { return call_.AdmitRebuild(poses); });
-  }
-  absl::Status AdmitSearch() {
-    return UnlessEnded([&] { return call_.AdmitSearch(); });
-  }
-  absl::Status TooManySteps() const { return call_.TooManySteps(); }
-  absl::Status CheckSearchSteps() const { return call_.CheckSearchSteps(); }
-  void SearchTook(std::chrono::steady_clock::duration duration,
-                  std::int64_t steps) const {
-    call_.SearchTook(duration, steps);
-  }
-  std::string search_flow() const { return call_.search_flow(); }
-  void Searched(const absl::StatusOr<core::CandidateSet>& set,
-                std::chrono::steady_clock::duration duration) {
-    const MutexLock lock(&mutex_);
-    if (!ended_) call_.Searched(set, duration);
-  }
-  void NameChanged(const std::string& id) {
-    const MutexLock lock(&mutex_);
-    if (!ended_) call_.NameChanged(id);
-  }
-  absl::Status HoldBatch(std::size_t bytes) {
-    return UnlessEnded([&] { return call_.HoldBatch(bytes); });
-  }
-  bool given_up() const { return call_.given_up(); }
-  absl::Status GivenUpStatus() const { return call_.GivenUpStatus(); }
-
  private:
   // While the server drains, the call goes on to its answer; where the store is
   // out of reach, that may never come.
   void OnDrain(const Drain::End& end) override {
     if (!end.at_once) return;
-    call_.MarkGivenUp();
+    MarkGivenUp();
     EndLocked(end.status);
-  }
-
-  // Does the work and returns its status, unless the call has ended: then
-  // nobody hears the status that this returns.
-  template <typename Work>
-  absl::Status UnlessEnded(const Work& work) {
-    const MutexLock lock(&mutex_);
-    return ended_ ? call_.GivenUpStatus() : work();
   }
 };
 
