@@ -38,6 +38,7 @@
 #include "server/sessions/fair_executor.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_census.h"
+#include "server/storage/storage.h"
 #include "server/storage/store_note.h"
 #include "server/store_health.h"
 #include "server/telemetry/audit_log.h"

@@ -24,6 +24,7 @@
 #include "core/base/build_info.h"
 #include "server/base/histogram.h"
 #include "server/base/process_memory.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

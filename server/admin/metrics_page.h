@@ -14,12 +14,13 @@
 #include "server/security/tls_files.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_census.h"
-#include "server/storage/storage.h"
 #include "server/storage/store_note.h"
 #include "server/telemetry/audit_log.h"
 #include "server/telemetry/service_counters.h"
 
 namespace revisit::server {
+
+class Storage;
 
 inline constexpr char kMetricsContentType[] =
     "text/plain; version=0.0.4; charset=utf-8";

@@ -11,7 +11,7 @@
 
 #include "absl/status/statusor.h"
 #include "server/sessions/record_codec.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
 

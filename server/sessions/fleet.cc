@@ -10,6 +10,7 @@
 
 #include "core/base/mutex.h"
 #include "server/base/status.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

@@ -24,9 +24,10 @@
 #include "server/sessions/server_clock.h"
 #include "server/sessions/vehicle_census.h"
 #include "server/sessions/vehicle_session.h"
-#include "server/storage/storage.h"
 
 namespace revisit::server {
+
+class Storage;
 
 // A vehicle as it was at the moment of its creation. Valid during the callback
 // that is given it.

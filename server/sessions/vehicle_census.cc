@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "server/storage/storage.h"
+
 namespace revisit::server {
 namespace {
 

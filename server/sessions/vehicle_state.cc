@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 

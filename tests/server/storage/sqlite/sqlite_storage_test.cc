@@ -18,6 +18,7 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "server/storage/record_checksum.h"
+#include "server/storage/sqlite/sqlite_database.h"
 #include "server/storage/sqlite/store_files.h"
 #include "sqlite3.h"
 #include "tests/random.h"
@@ -564,8 +565,9 @@ TEST_F(SqliteStorageTest, DamageOfOneVehicleDoesNotStopTheOthers) {
   const VehicleKey sound = *BlockingWrites(storage.get()).Create("car");
   const Answer<absl::Status> refused;
   const Answer<absl::Status> written;
-  storage->AppendBatch(damaged, {7, 1, 7, "x"}, std::nullopt, refused.Setter());
-  storage->AppendBatch(sound, {1, 1, 2, "x"}, std::nullopt, written.Setter());
+  AppendBatch(*storage, damaged, {7, 1, 7, "x"}, std::nullopt,
+              refused.Setter());
+  AppendBatch(*storage, sound, {1, 1, 2, "x"}, std::nullopt, written.Setter());
   EXPECT_THAT(refused.Get(),
               IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
   EXPECT_THAT(written.Get(), IsOk());
@@ -605,8 +607,8 @@ TEST_F(SqliteStorageTest, RemovesBatchesOfDeletedVehiclesAfterRestart) {
     BlockingWrites write(storage.get());
     const VehicleKey key = *write.Create("truck");
     for (std::uint64_t i = 1; i <= 500; ++i) {
-      storage->AppendBatch(key, {i, 1, i + 1, "x"}, std::nullopt,
-                           [](const absl::Status&) {});
+      AppendBatch(*storage, key, {i, 1, i + 1, "x"}, std::nullopt,
+                  [](const absl::Status&) {});
     }
     ASSERT_THAT(write.Delete(key), IsOk());
   }
@@ -828,7 +830,7 @@ const auto kFull = IsError(StatusCode::kResourceExhausted, "STORAGE_FULL",
 TEST_F(FailingDeviceTest, AcknowledgesNothingBeforeTheFlushReturned) {
   device_.HoldLogFlush();
   const Answer<absl::Status> answer;
-  storage_->AppendBatch(key_, {2, 1, 3, "two"}, std::nullopt, answer.Setter());
+  AppendBatch(*storage_, key_, {2, 1, 3, "two"}, std::nullopt, answer.Setter());
   device_.AwaitHeldLogFlush();
   EXPECT_FALSE(answer.IsSet());
   EXPECT_THAT(Stored(), ElementsAre("one"));
@@ -841,8 +843,8 @@ TEST_F(FailingDeviceTest, FlushesOnceForAllThatWaited) {
   device_.HoldLogFlush();
   std::vector<Answer<absl::Status>> answers(101);
   for (std::uint64_t i = 0; i < answers.size(); ++i) {
-    storage_->AppendBatch(key_, {i + 2, 1, i + 3, "x"}, std::nullopt,
-                          answers[i].Setter());
+    AppendBatch(*storage_, key_, {i + 2, 1, i + 3, "x"}, std::nullopt,
+                answers[i].Setter());
     if (i == 0) device_.AwaitHeldLogFlush();
   }
   const int before = device_.log_flushes();
@@ -864,8 +866,8 @@ TEST_F(FailingDeviceTest, BatchesThatWaitedTogetherShareARow) {
   std::vector<int> order;
   std::vector<Answer<absl::Status>> answers(8);
   const auto append = [&](int number, VehicleKey key, BatchRecord batch) {
-    storage_->AppendBatch(
-        key, std::move(batch), std::nullopt,
+    AppendBatch(
+        *storage_, key, std::move(batch), std::nullopt,
         [&order, number, answer = answers[static_cast<std::size_t>(number)]](
             absl::Status status) {
           order.push_back(number);
@@ -910,16 +912,16 @@ TEST_F(FailingDeviceTest, BatchesDoNotJoinARowPastAnotherWrite) {
   storage_ = MustOpen(Path(), options_);
   device_.HoldLogFlush();
   std::vector<Answer<absl::Status>> answers(4);
-  storage_->AppendBatch(key_, {2, 1, 3, "a"}, std::nullopt,
-                        answers[0].Setter());
+  AppendBatch(*storage_, key_, {2, 1, 3, "a"}, std::nullopt,
+              answers[0].Setter());
   device_.AwaitHeldLogFlush();
-  storage_->AppendBatch(key_, {3, 1, 4, "b"}, std::nullopt,
-                        answers[1].Setter());
+  AppendBatch(*storage_, key_, {3, 1, 4, "b"}, std::nullopt,
+              answers[1].Setter());
   // The pose of sequence 4 is not there yet: nothing to revise.
   storage_->ReviseBatches(key_, BatchesOf({{4, 1, 0, "C"}}), 5,
                           answers[2].Setter());
-  storage_->AppendBatch(key_, {4, 1, 6, "c"}, std::nullopt,
-                        answers[3].Setter());
+  AppendBatch(*storage_, key_, {4, 1, 6, "c"}, std::nullopt,
+              answers[3].Setter());
   device_.LetLogFlushGo();
   EXPECT_THAT(answers[0].Get(), IsOk());
   EXPECT_THAT(answers[1].Get(), IsOk());
@@ -934,8 +936,8 @@ TEST_F(FailingDeviceTest, GathersAsManyAsBeforeWithinTheLatencyTarget) {
   storage_ = MustOpen(Path(), options_);
   const auto append = [&](std::uint64_t sequence) {
     const Answer<absl::Status> answer;
-    storage_->AppendBatch(key_, {sequence, 1, sequence + 1, "x"}, std::nullopt,
-                          answer.Setter());
+    AppendBatch(*storage_, key_, {sequence, 1, sequence + 1, "x"}, std::nullopt,
+                answer.Setter());
     return answer;
   };
   // An idle store waits for nothing.
@@ -975,8 +977,8 @@ TEST_F(FailingDeviceTest, WaitsNoLongerThanTheLatencyTarget) {
   device_.HoldLogFlush();
   std::vector<Answer<absl::Status>> answers(4);
   for (std::uint64_t i = 0; i < answers.size(); ++i) {
-    storage_->AppendBatch(key_, {i + 2, 1, i + 3, "x"}, std::nullopt,
-                          answers[i].Setter());
+    AppendBatch(*storage_, key_, {i + 2, 1, i + 3, "x"}, std::nullopt,
+                answers[i].Setter());
     if (i == 0) device_.AwaitHeldLogFlush();
   }
   device_.LetLogFlushGo();
@@ -993,8 +995,8 @@ TEST_F(FailingDeviceTest, FailedFlushFailsAllThatShareARow) {
   device_.HoldLogFlush();
   std::vector<Answer<absl::Status>> answers(10);
   for (std::uint64_t i = 0; i < answers.size(); ++i) {
-    storage_->AppendBatch(key_, {i + 2, 1, i + 3, "x"}, std::nullopt,
-                          answers[i].Setter());
+    AppendBatch(*storage_, key_, {i + 2, 1, i + 3, "x"}, std::nullopt,
+                answers[i].Setter());
     if (i == 0) device_.AwaitHeldLogFlush();
   }
   device_.FailFlushes(true);
@@ -1019,8 +1021,8 @@ TEST_F(FailingDeviceTest, FullDiskRefusesAllThatShareARow) {
   device_.HoldLogFlush();
   std::vector<Answer<absl::Status>> answers(5);
   for (std::uint64_t i = 0; i < answers.size(); ++i) {
-    storage_->AppendBatch(key_, {i + 2, 1, i + 3, "x"}, std::nullopt,
-                          answers[i].Setter());
+    AppendBatch(*storage_, key_, {i + 2, 1, i + 3, "x"}, std::nullopt,
+                answers[i].Setter());
     if (i == 0) device_.AwaitHeldLogFlush();
   }
   device_.FailWrites(true);
@@ -1049,9 +1051,9 @@ TEST_F(FailingDeviceTest, RowThatOverflowsAFullDiskIsRefusedWhole) {
   // More than SQLite's cache holds: the disk is found full while the row is
   // inserted, and SQLite gives up the transaction by itself.
   for (std::uint64_t i = 0; i < answers.size(); ++i) {
-    storage_->AppendBatch(
-        key_, {i + 2, 1, i + 3, i == 0 ? "x" : std::string(1 << 20, 'x')},
-        std::nullopt, answers[i].Setter());
+    AppendBatch(*storage_, key_,
+                {i + 2, 1, i + 3, i == 0 ? "x" : std::string(1 << 20, 'x')},
+                std::nullopt, answers[i].Setter());
     if (i == 0) device_.AwaitHeldLogFlush();
   }
   device_.FailWrites(true);
@@ -1084,15 +1086,15 @@ TEST_F(FailingDeviceTest, WithLittleRoomRowsAreRefusedAndDeletionsGoOn) {
   device_.AwaitHeldLogFlush();
   // One group: a row of two, another write, a row of one.
   std::vector<Answer<absl::Status>> answers(4);
-  storage_->AppendBatch(key_, {2, 1, 3, "a"}, std::nullopt,
-                        answers[0].Setter());
-  storage_->AppendBatch(key_, {3, 1, 4, "b"}, std::nullopt,
-                        answers[1].Setter());
-  storage_->AppendBatch(key_, {4, 1, 5, "c"}, "changed", answers[2].Setter());
+  AppendBatch(*storage_, key_, {2, 1, 3, "a"}, std::nullopt,
+              answers[0].Setter());
+  AppendBatch(*storage_, key_, {3, 1, 4, "b"}, std::nullopt,
+              answers[1].Setter());
+  AppendBatch(*storage_, key_, {4, 1, 5, "c"}, "changed", answers[2].Setter());
   const Answer<absl::Status> deleted;
   storage_->DeleteVehicle(bus, deleted.Setter());
-  storage_->AppendBatch(key_, {5, 1, 6, "d"}, std::nullopt,
-                        answers[3].Setter());
+  AppendBatch(*storage_, key_, {5, 1, 6, "d"}, std::nullopt,
+              answers[3].Setter());
   device_.LetLogFlushGo();
   EXPECT_THAT(held.Get(), IsOk());
   EXPECT_THAT(deleted.Get(), IsOk());
@@ -1119,7 +1121,7 @@ TEST_F(FailingDeviceTest, TimesTransactionsAndTheFlushesInThem) {
   const CommitCounts before = storage_->Counts();
   device_.HoldLogFlush();
   Answer<absl::Status> held;
-  storage_->AppendBatch(key_, {2, 1, 3, "two"}, std::nullopt, held.Setter());
+  AppendBatch(*storage_, key_, {2, 1, 3, "two"}, std::nullopt, held.Setter());
   device_.AwaitHeldLogFlush();
   std::this_thread::sleep_for(std::chrono::milliseconds(20));
   device_.LetLogFlushGo();
@@ -1148,14 +1150,14 @@ TEST_F(FailingDeviceTest, TellsTheRoomThatItTakesAndHas) {
 TEST_F(FailingDeviceTest, FailedFlushFailsAllOfTheGroupAndKeepsNothing) {
   device_.HoldLogFlush();
   std::vector<Answer<absl::Status>> answers(4);
-  storage_->AppendBatch(key_, {2, 1, 3, "two"}, std::nullopt,
-                        answers[0].Setter());
+  AppendBatch(*storage_, key_, {2, 1, 3, "two"}, std::nullopt,
+              answers[0].Setter());
   device_.AwaitHeldLogFlush();
   // These form the next group.
   const Answer<absl::StatusOr<VehicleKey>> created;
   storage_->CreateVehicle({0, "car", "", 1, 0, 0, 0}, created.Setter());
-  storage_->AppendBatch(key_, {3, 1, 4, "three"}, std::nullopt,
-                        answers[1].Setter());
+  AppendBatch(*storage_, key_, {3, 1, 4, "three"}, std::nullopt,
+              answers[1].Setter());
   device_.FailFlushes(true);
   device_.LetLogFlushGo();
   EXPECT_THAT(answers[0].Get(), kFlushFailed);
@@ -1246,8 +1248,8 @@ TEST_F(FailingDeviceTest, KeepsPrefixWhereverTheDeviceFails) {
           device_.FailWrites(true);
         }
       }
-      storage_->AppendBatch(key_, {acknowledged + 1 + i, 1, ++revision, "x"},
-                            std::nullopt, answers[i].Setter());
+      AppendBatch(*storage_, key_, {acknowledged + 1 + i, 1, ++revision, "x"},
+                  std::nullopt, answers[i].Setter());
     }
     bool failed = false;
     std::uint64_t landed = 0;
