@@ -19,6 +19,7 @@ PAGES = {
     "README.md": "index.md",
     "SECURITY.md": "security.md",
     "CHANGELOG.md": "changelog.md",
+    "CONTRIBUTING.md": "contributing.md",
     "client/python/README.md": "python.md",
     "proto/README.md": "languages.md",
     "tests/bench/RESULTS.md": "speed.md",

@@ -44,6 +44,14 @@ def claims(document, *rows):
 
 EXAMPLES = "tests/examples/examples.py"
 CLAIMS = [
+    *claims("CONTRIBUTING.md",
+            ("cmake --preset", "tests/run", (
+                'cmake --preset "$preset"', 'cmake --build --preset "$preset"')),
+            ("ctest", "tests/run", ('ctest --test-dir "build/$preset"',)),
+            ("tests/lint", ".ci/run", ("step where_possible tests/lint\n",)),
+            ("tests/tidy", ".ci/run", ("step where_possible tests/tidy\n",)),
+            ("tests/python/run", ".ci/run", ("tests/python/run\n",)),
+            ("deploy/site/build", ".ci/run", ("deploy/site/build\n",))),
     *claims("README.md",
             ("deploy/demo", ".ci/run", ("step deploy/demo",)),
             ("tests/run", ".ci/run", ("step tests/run\n",))),
@@ -63,13 +71,6 @@ CLAIMS = [
             ("deploy/console", "tests/console/run", ("deploy/console --build",)),
             ("deploy/demo --keep", "tests/integration/test_demo.py", (
                 '"demo", "--keep"',))),
-    *claims("docs/how-it-works.md",
-            ("cmake --preset", "tests/run", (
-                'cmake --preset "$preset"', 'cmake --build --preset "$preset"')),
-            ("ctest", "tests/run", ('ctest --test-dir "build/$preset"',)),
-            ("tests/tidy", ".ci/run", ("step where_possible tests/tidy\n",)),
-            ("tests/python/run", ".ci/run", ("tests/python/run\n",)),
-            ("deploy/site/build", ".ci/run", ("deploy/site/build\n",))),
     *claims("docs/operate.md",
             ("cmake --preset release", "tests/run", (
                 'cmake --build --preset "$preset"',)),
@@ -205,7 +206,8 @@ def flags_of_revisit():
 
 # By program, flags of others than ours that the text names.
 FLAGS_OF_OTHERS = {
-    "cmake": {"--install"}, "npm": {"--save-dev"},
+    "cmake": {"--install"}, "gdb": {"--args"}, "gtest": {"--gtest_filter"},
+    "npm": {"--save-dev"},
     "protoc": {"--go_opt", "--go-grpc_opt"},
     "ros2": {"--csv"},
 }
@@ -217,7 +219,7 @@ def known_flags(flags_of_revisit):
     known = set().union(*flags_of_revisit.values(), *FLAGS_OF_OTHERS.values())
     known |= flags_in(help_of("revisitd"))
     for script in [*ROOT.glob("tests/*/run"), ROOT / "tests/run",
-                   ROOT / "tests/tidy", ROOT / "deploy/console",
+                   ROOT / "tests/tidy", ROOT / "tests/lint", ROOT / "deploy/console",
                    ROOT / "deploy/demo", ROOT / "deploy/cluster/demo"]:
         known |= flags_in(script.read_text())
     for task in ("backup", "verify", "compact", "migrate", "import"):

@@ -49,6 +49,15 @@ def outcomes(futures):
 # ---- Streams
 
 
+def opens(stub, vehicle):
+    """What a new stream of the vehicle is answered first; None if it is refused."""
+    with PoseStream(stub, vehicle) as stream:
+        try:
+            return stream.receive_kind("opened")
+        except grpc.RpcError:
+            return None
+
+
 @pytest.mark.parametrize("flag, code, reason", [
     ("--max-streams=2", UNAVAILABLE, "OVERLOADED"),
     ("--max-streams-per-vehicle=2", EXHAUSTED, "STREAM_QUOTA"),
@@ -80,14 +89,7 @@ def test_stream_too_many_is_refused_until_one_ends(
             streams[1].half_close()
             assert streams[1].receive() is None
 
-            def opens():
-                with PoseStream(stub, vehicle) as again:
-                    try:
-                        return again.receive_kind("opened")
-                    except grpc.RpcError:
-                        return None
-
-            wait_until(opens, "room for a stream")
+            wait_until(lambda: opens(stub, vehicle), "room for a stream")
 
 
 def test_revisions_and_exports_count_as_streams(tmp_path):
@@ -174,14 +176,8 @@ def test_client_that_never_reads_again_is_let_go(tmp_path):
         next(call)
         server.logged("SLOW_CONSUMER")
 
-        def opens():
-            with PoseStream(stub, vehicle) as again:
-                try:
-                    return again.receive_kind("opened")
-                except grpc.RpcError:
-                    return None
-
-        wait_until(opens, "the place of the stream that was cut")
+        wait_until(lambda: opens(stub, vehicle),
+                   "the place of the stream that was cut")
         call.cancel()
 
 
