@@ -9,10 +9,10 @@
 #include "core/settings.h"
 #include "server/base/status.h"
 #include "server/conversion/answers.h"
-#include "server/conversion/field_violations.h"
 #include "server/conversion/names.h"
 #include "server/conversion/vehicle_labels.h"
 #include "server/conversion/vehicle_settings.h"
+#include "server/fields/field_violations.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
 #include "server/sessions/vehicle_uid.h"
@@ -20,8 +20,6 @@
 
 namespace revisit::server {
 namespace {
-
-using ViewCallback = std::function<void(absl::StatusOr<VehicleView>)>;
 
 // The part of a vehicle that a caller gets who changed the vehicle but may not
 // read it: which one it is. The caller's own settings are added to that.
@@ -58,9 +56,9 @@ absl::StatusOr<VehicleConfig> NewConfig(
 // that is deleted between the two is created anew: a creation never finds
 // nothing.
 void CreateOrFind(Fleet* fleet, const UnaryCallPtr& call, const std::string& id,
-                  const VehicleConfig& config, const ViewCallback& created,
+                  const VehicleConfig& config, const CreateCallback& created,
                   const ViewCallback& found) {
-  fleet->Create(id, config, [=](const absl::StatusOr<VehicleView>& made) {
+  fleet->Create(id, config, [=](const absl::StatusOr<CreatedVehicle>& made) {
     if (!absl::IsAlreadyExists(made.status())) {
       created(made);
       return;
@@ -73,6 +71,17 @@ void CreateOrFind(Fleet* fleet, const UnaryCallPtr& call, const std::string& id,
       }
     });
   });
+}
+
+// The vehicle as a caller may see it who asked for one of this config.
+// `created`: its view, or its record.
+template <typename Created>
+void EncodeCreated(const Created& created, const VehicleConfig& config,
+                   bool may_read, v1::Vehicle* vehicle) {
+  EncodeVehicle(created, vehicle);
+  if (may_read) return;
+  *vehicle = IdentityOf(*vehicle);
+  EncodeSettings(config, vehicle->mutable_settings());
 }
 
 absl::Status VehicleExists(const std::string& id) {
@@ -130,23 +139,23 @@ absl::Status CreateVehicle(const ServiceContext& service,
   const absl::StatusOr<VehicleConfig> decoded = NewConfig(request);
   if (!decoded.ok()) return decoded.status();
   const VehicleConfig& config = *decoded;
-  const auto created = [=](const VehicleView& view) {
-    v1::Vehicle* const vehicle = response->mutable_vehicle();
-    EncodeVehicle(view, vehicle);
-    if (!MayRead(*call, view.id)) {
-      *vehicle = IdentityOf(*vehicle);
-      EncodeSettings(config, vehicle->mutable_settings());
-    }
+  // `vehicle`: its view, or its record.
+  const auto encode = [=](const auto& vehicle) {
+    EncodeCreated(vehicle, config, MayRead(*call, vehicle.id),
+                  response->mutable_vehicle());
     return absl::OkStatus();
+  };
+  const auto created = [=](const CreatedVehicle& made) {
+    return made.view != nullptr ? encode(*made.view) : encode(made.record);
   };
   const auto found = [=](const VehicleView& view) {
     if (!view.config_is_known || !SameSettings(view.config, config)) {
       return VehicleExists(view.id);
     }
-    return created(view);
+    return encode(view);
   };
   CreateOrFind(service.fleet, call, id, config,
-               FinishWith<VehicleView>(call, created),
+               FinishWith<CreatedVehicle>(call, created),
                FinishWith<VehicleView>(call, found));
   return absl::OkStatus();
 }
