@@ -90,19 +90,19 @@ std::optional<absl::Status> TakeTurn(UnaryCall* call, const Limits& limits,
 
 }  // namespace
 
-absl::Status FindCandidates(const ServiceContext& context,
+absl::Status FindCandidates(const ServiceContext& service,
                             const UnaryCallPtr& call,
                             const v1::FindCandidatesRequest& request,
                             v1::FindCandidatesResponse* response) {
-  const auto session = SessionOf(context, request.vehicle(),
+  const auto session = SessionOf(service, request.vehicle(),
                                  kRequest.Field("vehicle"), call.get());
   if (!session.ok()) return session.status();
   if (absl::Status status = call->searches().TakeRoom(); !status.ok())
     return status;
   const auto search =
-      std::make_shared<SearchTurns>(context.limits.max_search_steps);
+      std::make_shared<SearchTurns>(service.limits.max_search_steps);
   (*session)->Search(call->searches().search_flow(),
-                     [=, limits = context.limits, request = &request](
+                     [=, limits = service.limits, request = &request](
                          const absl::StatusOr<VehicleView>& view) {
                        const std::optional<absl::Status> end =
                            TakeTurn(call.get(), limits, view, *request,

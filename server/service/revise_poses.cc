@@ -2,9 +2,7 @@
 
 #include <algorithm>
 #include <cstdint>
-#include <functional>
 #include <memory>
-#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -18,15 +16,12 @@
 #include "server/conversion/names.h"
 #include "server/conversion/poses.h"
 #include "server/fields/field_violations.h"
-#include "server/fields/pose_fields.h"
-#include "server/records/batch_records.h"
-#include "server/service/call.h"
 #include "server/service/message_bytes.h"
+#include "server/service/revision_plan.h"
 #include "server/service/streaming_call.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
 #include "server/storage/revision_draft.h"
-#include "server/storage/storage.h"
 #include "server/telemetry/service_counters.h"
 
 namespace revisit::server {
@@ -34,94 +29,6 @@ namespace {
 
 // A revision reserves room on the disk in steps of this many bytes.
 constexpr std::int64_t kDraftStep = std::int64_t{1} << 20;
-
-absl::Status RevisionMismatch(const VehicleView& view, std::uint64_t expected) {
-  return Error(absl::StatusCode::kAborted, "REVISION_MISMATCH",
-               VehicleName(view.id) + " is at revision " +
-                   std::to_string(view.revision) + ", not " +
-                   std::to_string(expected),
-               {{"revision", std::to_string(view.revision)},
-                {"expected_revision", std::to_string(expected)}});
-}
-
-// The batch as the poses of the draft change it; nullopt if they do not.
-absl::StatusOr<std::optional<BatchRecord>> Revise(const BatchRecord& batch,
-                                                  const VehicleConfig& config,
-                                                  RevisionDraft* draft) {
-  std::vector<v1::Pose> poses(batch.count);
-  std::vector<bool> named(batch.count, false);
-  const std::uint64_t first = batch.first_sequence;
-  const absl::Status read = draft->ReadPoses(
-      first, first + batch.count - 1,
-      [&](std::uint64_t sequence, const std::string& pose) {
-        const std::size_t place = sequence - first;
-        named[place] = true;
-        return poses[place].ParseFromString(pose)
-                   ? absl::OkStatus()
-                   : Error(absl::StatusCode::kInternal, "INTERNAL",
-                           "a pose of a revision cannot be read again");
-      });
-  if (!read.ok()) return read;
-  return ReviseBatch(batch, config, [&](std::uint64_t sequence) {
-    const std::size_t place = sequence - first;
-    const bool found = place < named.size() && named[place];
-    return found ? std::make_optional(PoseFieldsOf(poses[place]))
-                 : std::nullopt;
-  });
-}
-
-// Reads the batches that hold the poses of the draft, and replaces these poses.
-// If `expected` is not 0, it must be the revision of the vehicle, unless the
-// result of the change is stored already: then the answer to an earlier call
-// got lost.
-absl::StatusOr<RevisionPlan> Plan(Storage* storage, const VehicleView& view,
-                                  const std::shared_ptr<RevisionDraft>& draft,
-                                  std::uint64_t expected, const Call& call) {
-  RevisionPlan plan;
-  bool is_done = expected != 0 && expected != view.revision;
-  absl::Status failure;
-  const absl::Status read = storage->ReadBatches(
-      view.key, draft->first_sequence(), draft->last_sequence(),
-      BatchVersion::kCurrent, [&](const BatchRecord& batch) {
-        if (call.given_up()) {
-          failure = call.GivenUpStatus();
-          return false;
-        }
-        if (view.drive.dropped().Contains(batch.first_sequence)) {
-          failure = draft->ReadPoses(batch.first_sequence,
-                                     batch.first_sequence + batch.count - 1,
-                                     [&](std::uint64_t, const std::string&) {
-                                       ++plan.dropped_count;
-                                       return absl::OkStatus();
-                                     });
-          return failure.ok();
-        }
-        const auto revised = Revise(batch, view.config, draft.get());
-        if (!revised.ok()) {
-          failure = revised.status();
-          return false;
-        }
-        if (!*revised) return true;
-        is_done = is_done && batch.revision == expected + 1 &&
-                  batch.payload == (*revised)->payload;
-        failure = draft->AddBatch(**revised);
-        return failure.ok();
-      });
-  if (!read.ok()) return read;
-  if (!failure.ok()) return failure;
-  plan.revised_count = draft->pose_count() - plan.dropped_count;
-  if (is_done && draft->has_batches()) {
-    plan.done_by = expected + 1;
-  } else if (expected != 0 && expected != view.revision) {
-    return RevisionMismatch(view, expected);
-  } else if (draft->has_batches()) {
-    plan.batches =
-        [draft](const std::function<absl::Status(const BatchRecord&)>& take) {
-          return draft->ReadBatches(take);
-        };
-  }
-  return plan;
-}
 
 // Puts the poses of each message into a draft before it reads the next message,
 // so that a call takes the memory of one message; then hands the draft to the
@@ -287,6 +194,10 @@ class Revision final : public ReadingCall<Revision> {
     if (last->sequence() > view.durable_sequence) {
       return PoseNotFound(view.id, last->sequence(), view.durable_sequence);
     }
+    return AddToDraft(poses);
+  }
+
+  absl::Status AddToDraft(const Poses& poses) {
     if (draft_ == nullptr) {
       auto draft = RevisionDraft::Create(context_.scratch_directory,
                                          context_.min_free_bytes);
@@ -353,7 +264,7 @@ class Revision final : public ReadingCall<Revision> {
     // The draft is destroyed with the plan.
     const std::shared_ptr<RevisionDraft> draft = std::move(draft_);
     absl::StatusOr<RevisionPlan> plan =
-        Plan(context_.storage, view, draft, expected_revision_, *this);
+        PlanRevision(context_.storage, view, draft, expected_revision_, *this);
     if (!plan.ok() || !plan->batches) return plan;
     const absl::Status taken = room().TakeRebuild(view.durable_sequence);
     if (!taken.ok()) return taken;

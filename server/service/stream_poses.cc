@@ -3,7 +3,6 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
-#include <deque>
 #include <memory>
 #include <optional>
 #include <random>
@@ -25,6 +24,7 @@
 #include "server/conversion/poses.h"
 #include "server/conversion/vehicle_settings.h"
 #include "server/fields/field_violations.h"
+#include "server/service/answer_queue.h"
 #include "server/service/streaming_call.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
@@ -130,7 +130,7 @@ class PoseStream final : public BidiCall<PoseStream> {
       } else {
         counts->Refused(poses_, result.status());
       }
-      stream_->OnDurable(result, bytes_, &warnings_);
+      stream_->OnDurable(result, bytes_, warnings_);
     }
 
     bool ShouldStop() const override {
@@ -153,15 +153,6 @@ class PoseStream final : public BidiCall<PoseStream> {
     const std::size_t bytes_;
     Permit room_;
     PoseInspector::Warnings warnings_;
-  };
-
-  // An answer to be written: `other`, or an acknowledgement without warnings if
-  // that is null.
-  struct Answer {
-    Acknowledgement ack;
-    std::unique_ptr<Response> other;
-    // Bytes of the candidates, if it holds any.
-    std::int64_t candidate_bytes = 0;
   };
 
   static absl::Status OutOfOrder(const std::string& message) {
@@ -309,7 +300,7 @@ class PoseStream final : public BidiCall<PoseStream> {
     opened->set_vehicle_uid(view->config.uid);
     const MutexLock lock(&mutex_);
     handling_ = false;
-    queue_.push_back({{}, std::move(response)});
+    queue_.Add(std::move(response));
     Advance();
   }
 
@@ -368,20 +359,12 @@ class PoseStream final : public BidiCall<PoseStream> {
   }
 
   void OnDurable(const absl::StatusOr<Acknowledgement>& acknowledgement,
-                 std::size_t bytes, PoseInspector::Warnings* warnings) {
+                 std::size_t bytes, const PoseInspector::Warnings& warnings) {
     const MutexLock lock(&mutex_);
     --in_flight_;
     bytes_in_flight_ -= bytes;
     SetFailure(acknowledgement.status());
-    if (acknowledgement.ok() && warnings->empty() &&
-        !acknowledgement->has_warnings()) {
-      queue_.push_back({*acknowledgement, nullptr});
-    } else if (acknowledgement.ok()) {
-      auto response = std::make_unique<Response>();
-      EncodeAck(*acknowledgement, response->mutable_ack());
-      response->mutable_ack()->mutable_warnings()->MergeFrom(*warnings);
-      queue_.push_back({{}, std::move(response)});
-    }
+    if (acknowledgement.ok()) queue_.Add(*acknowledgement, warnings);
     Advance();
   }
 
@@ -402,9 +385,8 @@ class PoseStream final : public BidiCall<PoseStream> {
     SetFailure(set.status());
     const std::int64_t limit = context_.limits.max_unread_bytes;
     if (set.ok() && !slow_) {
-      if (unread_bytes_ + bytes <= limit || queue_.empty()) {
-        unread_bytes_ += bytes;
-        queue_.push_back({{}, std::move(response), bytes});
+      if (queue_.candidate_bytes() + bytes <= limit || queue_.empty()) {
+        queue_.AddCandidates(std::move(response), bytes);
       } else {
         CutSlowConsumer(view.durable_sequence, limit);
       }
@@ -424,11 +406,7 @@ class PoseStream final : public BidiCall<PoseStream> {
             std::to_string(limit) +
             " bytes wait; poses are durable up to sequence " + durable,
         {{"durable_sequence", durable}, {"limit", std::to_string(limit)}}));
-    std::deque<Answer> kept;
-    for (Answer& answer : queue_) {
-      if (answer.candidate_bytes == 0) kept.push_back(std::move(answer));
-    }
-    queue_.swap(kept);
+    queue_.DropCandidates();
     const std::chrono::milliseconds grace(static_cast<std::int64_t>(
         context_.limits.slow_consumer_seconds * 1000.0));
     cut_ = AlarmAfter(grace, &PoseStream::Cut);
@@ -491,9 +469,12 @@ class PoseStream final : public BidiCall<PoseStream> {
   // end off meanwhile.
   void Advance() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     while (!ended_) {
-      if (given_up()) queue_.clear();
+      if (given_up()) queue_.Clear();
       const bool write = !writing_ && !queue_.empty();
-      if (write) TakeAnswer();
+      if (write) {
+        writing_ = true;
+        queue_.Take(&response_);
+      }
       // More answers follow this one.
       const bool more = !queue_.empty();
       if (Ending() && MayFinish()) {
@@ -541,20 +522,6 @@ class PoseStream final : public BidiCall<PoseStream> {
     return !reading_ && !handling_ && has_room;
   }
 
-  // Makes a response of the first answer that waits. Acknowledgements, which
-  // are many, reuse the memory of the one before.
-  void TakeAnswer() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    writing_ = true;
-    Answer answer = std::move(queue_.front());
-    queue_.pop_front();
-    unread_bytes_ -= answer.candidate_bytes;
-    if (answer.other != nullptr) {
-      response_ = *std::move(answer.other);
-    } else {
-      EncodeAck(answer.ack, response_.mutable_ack());
-    }
-  }
-
   const ServiceContext context_;
   // Whether the stream ends without the answers to what is under way.
   std::atomic<bool> is_left_{false};
@@ -576,9 +543,7 @@ class PoseStream final : public BidiCall<PoseStream> {
   Response response_;
 
   std::shared_ptr<VehicleSession> session_ ABSL_GUARDED_BY(mutex_);
-  std::deque<Answer> queue_ ABSL_GUARDED_BY(mutex_);
-  // Bytes of the candidates among the queued answers.
-  std::int64_t unread_bytes_ ABSL_GUARDED_BY(mutex_) = 0;
+  AnswerQueue queue_ ABSL_GUARDED_BY(mutex_);
   // Whether the client was found not to read its candidates.
   bool slow_ ABSL_GUARDED_BY(mutex_) = false;
   // Null unless that is so.

@@ -1,0 +1,134 @@
+#include "server/service/revision_plan.h"
+
+#include <cstddef>
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "revisit/v1/geometry.pb.h"
+#include "server/base/status.h"
+#include "server/conversion/names.h"
+#include "server/conversion/poses.h"
+#include "server/fields/pose_fields.h"
+#include "server/records/batch_records.h"
+
+namespace revisit::server {
+namespace {
+
+// The batch as the poses of the draft change it; nullopt if they do not.
+absl::StatusOr<std::optional<BatchRecord>> Revise(const BatchRecord& batch,
+                                                  const VehicleConfig& config,
+                                                  RevisionDraft* draft) {
+  std::vector<v1::Pose> poses(batch.count);
+  std::vector<bool> named(batch.count, false);
+  const std::uint64_t first = batch.first_sequence;
+  const absl::Status read = draft->ReadPoses(
+      first, first + batch.count - 1,
+      [&](std::uint64_t sequence, const std::string& pose) {
+        const std::size_t place = sequence - first;
+        named[place] = true;
+        return poses[place].ParseFromString(pose)
+                   ? absl::OkStatus()
+                   : Error(absl::StatusCode::kInternal, "INTERNAL",
+                           "a pose of a revision cannot be read again");
+      });
+  if (!read.ok()) return read;
+  return ReviseBatch(batch, config, [&](std::uint64_t sequence) {
+    const std::size_t place = sequence - first;
+    const bool found = place < named.size() && named[place];
+    return found ? std::make_optional(PoseFieldsOf(poses[place]))
+                 : std::nullopt;
+  });
+}
+
+// Takes the stored batches one by one.
+class Planner {
+ public:
+  Planner(const VehicleView& view, RevisionDraft* draft, std::uint64_t expected)
+      : view_(view),
+        draft_(draft),
+        expected_(expected),
+        is_done_(is_mismatch()) {}
+
+  absl::Status Take(const BatchRecord& batch) {
+    if (view_.drive.dropped().Contains(batch.first_sequence)) {
+      return CountDropped(batch);
+    }
+    const auto revised = Revise(batch, view_.config, draft_);
+    if (!revised.ok()) return revised.status();
+    if (!*revised) return absl::OkStatus();
+    is_done_ = is_done_ && batch.revision == expected_ + 1 &&
+               batch.payload == (*revised)->payload;
+    return draft_->AddBatch(**revised);
+  }
+
+  // Whether another revision than the vehicle's is expected.
+  bool is_mismatch() const {
+    return expected_ != 0 && expected_ != view_.revision;
+  }
+  // Whether the batches are stored already as the draft changes them, by the
+  // revision after the expected one.
+  bool is_done() const { return is_done_ && draft_->has_batches(); }
+  // Number of poses of the draft that are kept no longer.
+  std::int64_t dropped_count() const { return dropped_count_; }
+
+ private:
+  absl::Status CountDropped(const BatchRecord& batch) {
+    return draft_->ReadPoses(batch.first_sequence,
+                             batch.first_sequence + batch.count - 1,
+                             [this](std::uint64_t, const std::string&) {
+                               ++dropped_count_;
+                               return absl::OkStatus();
+                             });
+  }
+
+  const VehicleView& view_;
+  RevisionDraft* const draft_;
+  const std::uint64_t expected_;
+  bool is_done_;
+  std::int64_t dropped_count_ = 0;
+};
+
+}  // namespace
+
+absl::Status RevisionMismatch(const VehicleView& view, std::uint64_t expected) {
+  return Error(absl::StatusCode::kAborted, "REVISION_MISMATCH",
+               VehicleName(view.id) + " is at revision " +
+                   std::to_string(view.revision) + ", not " +
+                   std::to_string(expected),
+               {{"revision", std::to_string(view.revision)},
+                {"expected_revision", std::to_string(expected)}});
+}
+
+absl::StatusOr<RevisionPlan> PlanRevision(
+    Storage* storage, const VehicleView& view,
+    const std::shared_ptr<RevisionDraft>& draft, std::uint64_t expected,
+    const Call& call) {
+  Planner planner(view, draft.get(), expected);
+  absl::Status taken;
+  const absl::Status read = storage->ReadBatches(
+      view.key, draft->first_sequence(), draft->last_sequence(),
+      BatchVersion::kCurrent, [&](const BatchRecord& batch) {
+        taken = call.given_up() ? call.GivenUpStatus() : planner.Take(batch);
+        return taken.ok();
+      });
+  if (!read.ok()) return read;
+  if (!taken.ok()) return taken;
+  RevisionPlan plan;
+  plan.dropped_count = planner.dropped_count();
+  plan.revised_count = draft->pose_count() - plan.dropped_count;
+  if (planner.is_done()) {
+    plan.done_by = expected + 1;
+  } else if (planner.is_mismatch()) {
+    return RevisionMismatch(view, expected);
+  } else if (draft->has_batches()) {
+    plan.batches =
+        [draft](const std::function<absl::Status(const BatchRecord&)>& take) {
+          return draft->ReadBatches(take);
+        };
+  }
+  return plan;
+}
+
+}  // namespace revisit::server
