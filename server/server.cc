@@ -31,7 +31,7 @@
 #include "server/security/server_credentials.h"
 #include "server/security/tls_files.h"
 #include "server/self_check.h"
-#include "server/service/graph_snapshots.h"
+#include "server/service/exported_graphs.h"
 #include "server/service/pose_graph_service.h"
 #include "server/service/reflection.h"
 #include "server/sessions/executor.h"
@@ -188,7 +188,7 @@ struct RevisitServer::State {
   std::unique_ptr<Fleet> fleet;
   std::unique_ptr<ConnectionMeters> meters;
   std::unique_ptr<Admission> admission;
-  GraphSnapshots snapshots;
+  ExportedGraphs exported_graphs;
   std::unique_ptr<Periodic> unload_timer;
   std::unique_ptr<Periodic> hand_over_timer;
   std::unique_ptr<Periodic> snapshot_timer;
@@ -558,7 +558,7 @@ void RevisitServer::State::StartService() {
   context.gatekeeper = gatekeeper.get();
   context.log = log;
   context.admission = admission.get();
-  context.snapshots = &snapshots;
+  context.exported_graphs = &exported_graphs;
   context.counts = &counts;
   context.audit = audit.get();
   if (settings.slow_call_seconds > 0.0) {

@@ -27,24 +27,26 @@ namespace revisit::server {
 //
 // An operation of gRPC is started before the end or not at all.
 template <typename Self, typename Reactor>
-class CallReactor : public Reactor, public std::enable_shared_from_this<Self> {
+class CallReactor : public Reactor,
+                    public Call,
+                    public std::enable_shared_from_this<Self> {
  public:
   // What the service refers to must outlive this.
   CallReactor(grpc::CallbackServerContext* context, const char* method,
               const ServiceContext& service)
-      : grpc_context_(context),
-        call_(context, method, service),
+      : Call(context, method, service),
+        grpc_context_(context),
         drain_(service.drain) {}
 
   // Begins the call, or ends it if it is not let in. Call once, before gRPC
   // gets the reactor. REQUIRES: a shared_ptr owns it.
   void Start() {
     self_ = this->shared_from_this();
-    if (call_.needs_store()) WatchDrain();
-    if (call_.admission().ok()) {
+    if (needs_store()) WatchDrain();
+    if (entry().ok()) {
       OnStart();
     } else {
-      End(call_.admission());
+      End(entry());
     }
   }
 
@@ -56,14 +58,14 @@ class CallReactor : public Reactor, public std::enable_shared_from_this<Self> {
   }
 
   void OnCancel() final {
-    call_.MarkGivenUp();
+    MarkGivenUp();
     const MutexLock lock(&mutex_);
     if (!ended_) OnGivenUp();
   }
 
   void OnDone() final {
     drain_->Unwatch(drain_watch_);
-    call_.Done();
+    Leave();
     // May destroy this.
     const std::shared_ptr<Self> self = std::move(self_);
   }
@@ -77,13 +79,13 @@ class CallReactor : public Reactor, public std::enable_shared_from_this<Self> {
     if (ended_) return;
     ended_ = true;
     OnEnd(status);
-    this->Finish(call_.End(status));
+    this->Finish(Conclude(status));
   }
 
   // Has OnRightsLost() called once the caller has lost the right to the call.
   // For a call that may wait long for its caller.
   void WatchRights() {
-    call_.WatchCaller([weak = this->weak_from_this()] {
+    rights().Watch([weak = this->weak_from_this()] {
       if (const auto self = weak.lock()) self->CheckRights();
     });
   }
@@ -124,7 +126,6 @@ class CallReactor : public Reactor, public std::enable_shared_from_this<Self> {
 
   // Not to be used after OnDone().
   grpc::CallbackServerContext* const grpc_context_;
-  Call call_;
 
   Mutex mutex_;
   bool ended_ ABSL_GUARDED_BY(mutex_) = false;
@@ -145,8 +146,8 @@ class CallReactor : public Reactor, public std::enable_shared_from_this<Self> {
   void CheckRights() {
     const MutexLock lock(&mutex_);
     if (ended_) return;
-    const absl::Status rights = call_.Recheck();
-    if (!rights.ok()) OnRightsLost(rights);
+    const absl::Status status = rights().Recheck();
+    if (!status.ok()) OnRightsLost(status);
   }
 
   void React(Reaction reaction) {

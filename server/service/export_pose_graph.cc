@@ -16,7 +16,7 @@
 #include "server/conversion/answers.h"
 #include "server/conversion/names.h"
 #include "server/fields/field_violations.h"
-#include "server/service/graph_snapshots.h"
+#include "server/service/exported_graphs.h"
 #include "server/service/message_bytes.h"
 #include "server/service/streaming_call.h"
 #include "server/sessions/fleet.h"
@@ -61,7 +61,7 @@ class Export final : public WritingCall<Export> {
   }
 
   // A late alarm may keep this object, so the copy is dropped now.
-  void OnEnd(const absl::Status&) override { snapshot_.reset(); }
+  void OnEnd(const absl::Status&) override { exported_.reset(); }
 
   void OnWritten() override { Continue(); }
 
@@ -74,7 +74,7 @@ class Export final : public WritingCall<Export> {
     const absl::StatusOr<std::string> id =
         ParseVehicleName(request.vehicle(), FieldPath().Field("vehicle"));
     if (!id.ok()) return id.status();
-    if (absl::Status status = call_.ChooseVehicle(*id); !status.ok()) {
+    if (absl::Status status = ChooseVehicle(*id); !status.ok()) {
       return status;
     }
     context_.fleet->Session(*id)->LongRead(
@@ -85,20 +85,21 @@ class Export final : public WritingCall<Export> {
   }
 
   void OnRead(const absl::StatusOr<VehicleView>& view) {
-    const absl::StatusOr<std::shared_ptr<const GraphSnapshot>> snapshot =
-        view.ok() ? context_.snapshots->Take(*view,
+    const absl::StatusOr<std::shared_ptr<const ExportedGraph>> exported =
+        view.ok()
+            ? context_.exported_graphs->Take(*view,
                                              [this](std::size_t bytes) {
-                                               return call_.AdmitExport(bytes);
+                                               return room().AdmitExport(bytes);
                                              })
-                  : view.status();
+            : view.status();
     const MutexLock lock(&mutex_);
     if (ended_) return;
-    if (!snapshot.ok()) {
-      EndLocked(snapshot.status());
+    if (!exported.ok()) {
+      EndLocked(exported.status());
       return;
     }
     begun_ = true;
-    snapshot_ = *snapshot;
+    exported_ = *exported;
     damage_ = view->damage;
     EncodeVehicle(*view, message_.mutable_vehicle());
     alarm_ = AlarmAfter(patience_, &Export::Look);
@@ -111,7 +112,7 @@ class Export final : public WritingCall<Export> {
       return;
     }
     AddNodes();
-    if (next_node_ == snapshot_->graph.size()) AddEdges();
+    if (next_node_ == exported_->graph.size()) AddEdges();
     const bool something = message_.has_vehicle() ||
                            message_.nodes_size() > 0 ||
                            message_.edges_size() > 0;
@@ -130,8 +131,8 @@ class Export final : public WritingCall<Export> {
     // Named as the reason even if the call was cut in the end, since that was
     // not the caller's doing.
     if (slow_) return SlowConsumer();
-    if (call_.given_up()) return call_.GivenUpStatus();
-    return call_.Recheck();
+    if (given_up()) return GivenUpStatus();
+    return rights().Recheck();
   }
 
   absl::Status SlowConsumer() const {
@@ -150,7 +151,7 @@ class Export final : public WritingCall<Export> {
       alarm_ = AlarmAfter(left, &Export::Look);
     } else if (!slow_) {
       slow_ = true;
-      snapshot_.reset();
+      exported_.reset();
       alarm_ = AlarmAfter(patience_, &Export::Look);
     } else {
       // OnCancel() and OnWriteDone() follow.
@@ -159,16 +160,16 @@ class Export final : public WritingCall<Export> {
   }
 
   void AddNodes() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    const core::PoseGraph& graph = snapshot_->graph;
+    const core::PoseGraph& graph = exported_->graph;
     for (core::NodeIndex i = 0; i < kNodesAMessage && next_node_ < graph.size();
          ++i, ++next_node_) {
-      EncodeNode(graph, next_node_, snapshot_->space, true,
+      EncodeNode(graph, next_node_, exported_->space, true,
                  message_.add_nodes());
     }
   }
 
   void AddEdges() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    const core::PoseGraph& graph = snapshot_->graph;
+    const core::PoseGraph& graph = exported_->graph;
     while (message_.edges_size() < kEdgesAMessage &&
            next_consecutive_ < graph.size()) {
       const core::NodeIndex to = next_consecutive_++;
@@ -176,8 +177,8 @@ class Export final : public WritingCall<Export> {
       AddEdge(to - 1, to, v1::EDGE_KIND_CONSECUTIVE);
     }
     while (message_.edges_size() < kEdgesAMessage &&
-           next_loop_ < snapshot_->loop_edges.size()) {
-      const auto& [from, to] = snapshot_->loop_edges[next_loop_++];
+           next_loop_ < exported_->loop_edges.size()) {
+      const auto& [from, to] = exported_->loop_edges[next_loop_++];
       AddEdge(from, to, v1::EDGE_KIND_LOOP_CLOSURE);
     }
   }
@@ -195,7 +196,7 @@ class Export final : public WritingCall<Export> {
   const std::chrono::milliseconds patience_;
 
   // Null once the client was found to be slow.
-  std::shared_ptr<const GraphSnapshot> snapshot_ ABSL_GUARDED_BY(mutex_);
+  std::shared_ptr<const ExportedGraph> exported_ ABSL_GUARDED_BY(mutex_);
   // The damage of the vehicle, as in VehicleView.
   absl::Status damage_ ABSL_GUARDED_BY(mutex_);
   core::NodeIndex next_node_ ABSL_GUARDED_BY(mutex_) = 0;

@@ -1,4 +1,4 @@
-// The handler of FindCandidates.
+// The handler of FindCandidates, a UnaryHandler (unary_call.h).
 #ifndef REVISIT_SERVER_SERVICE_FIND_CANDIDATES_H_
 #define REVISIT_SERVER_SERVICE_FIND_CANDIDATES_H_
 
@@ -8,9 +8,7 @@
 
 namespace revisit::server {
 
-// Finishes the call, unless it returns an error. Request and response live as
-// long as the call.
-absl::Status FindCandidates(const ServiceContext& context,
+absl::Status FindCandidates(const ServiceContext& service,
                             const UnaryCallPtr& call,
                             const v1::FindCandidatesRequest& request,
                             v1::FindCandidatesResponse* response);

@@ -117,10 +117,10 @@ absl::Status ReadPoses(Storage* storage, const VehicleView& view,
 
 }  // namespace
 
-absl::Status ListPoses(const ServiceContext& context, const UnaryCallPtr& call,
+absl::Status ListPoses(const ServiceContext& service, const UnaryCallPtr& call,
                        const v1::ListPosesRequest& request,
                        v1::ListPosesResponse* response) {
-  const auto session = SessionOf(context, request.parent(),
+  const auto session = SessionOf(service, request.parent(),
                                  kRequest.Field("parent"), call.get());
   if (!session.ok()) return session.status();
   const std::string list = absl::StrCat("ListPoses ", request.parent());
@@ -134,7 +134,7 @@ absl::Status ListPoses(const ServiceContext& context, const UnaryCallPtr& call,
   }
   const std::weak_ptr<VehicleSession> loaded = *session;
   (*session)->ReadStored(FinishWith<VehicleView>(
-      call, [=, storage = context.storage,
+      call, [=, storage = service.storage,
              request = &request](const VehicleView& view) {
         const absl::Status status =
             ReadPoses(storage, view, *first, *page_size, request->read_mask(),

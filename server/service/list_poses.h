@@ -1,4 +1,4 @@
-// The handler of ListPoses.
+// The handler of ListPoses, a UnaryHandler (unary_call.h).
 #ifndef REVISIT_SERVER_SERVICE_LIST_POSES_H_
 #define REVISIT_SERVER_SERVICE_LIST_POSES_H_
 
@@ -8,9 +8,7 @@
 
 namespace revisit::server {
 
-// Finishes the call, unless it returns an error. Request and response live as
-// long as the call.
-absl::Status ListPoses(const ServiceContext& context, const UnaryCallPtr& call,
+absl::Status ListPoses(const ServiceContext& service, const UnaryCallPtr& call,
                        const v1::ListPosesRequest& request,
                        v1::ListPosesResponse* response);
 

@@ -82,7 +82,7 @@ void FillFromMemory(Fleet* fleet, const UnaryCallPtr& call,
 
 }  // namespace
 
-absl::Status ListVehicles(const ServiceContext& context,
+absl::Status ListVehicles(const ServiceContext& service,
                           const UnaryCallPtr& call,
                           const v1::ListVehiclesRequest& request,
                           v1::ListVehiclesResponse* response) {
@@ -93,9 +93,9 @@ absl::Status ListVehicles(const ServiceContext& context,
   const absl::StatusOr<std::string> after =
       ParsePageToken(list, request.page_token());
   if (!after.ok()) return after.status();
-  context.executor->Post([=, storage = context.storage, fleet = context.fleet] {
-    const absl::Status status =
-        ListStored(storage, call->caller(), list, *after, *page_size, response);
+  service.executor->Post([=, storage = service.storage, fleet = service.fleet] {
+    const absl::Status status = ListStored(storage, call->rights().caller(),
+                                           list, *after, *page_size, response);
     if (status.ok()) {
       FillFromMemory(fleet, call, response);
     } else {

@@ -1,4 +1,4 @@
-// The handler of ListVehicles.
+// The handler of ListVehicles, a UnaryHandler (unary_call.h).
 #ifndef REVISIT_SERVER_SERVICE_LIST_VEHICLES_H_
 #define REVISIT_SERVER_SERVICE_LIST_VEHICLES_H_
 
@@ -8,9 +8,7 @@
 
 namespace revisit::server {
 
-// Finishes the call, unless it returns an error. Request and response live as
-// long as the call.
-absl::Status ListVehicles(const ServiceContext& context,
+absl::Status ListVehicles(const ServiceContext& service,
                           const UnaryCallPtr& call,
                           const v1::ListVehiclesRequest& request,
                           v1::ListVehiclesResponse* response);

@@ -1,6 +1,6 @@
-// The handlers of revisit.v1.PoseGraphService. Each decodes, calls a session,
-// and encodes; none blocks a thread of gRPC. Handlers of some size are in files
-// of their own.
+// The methods of revisit.v1.PoseGraphService. Their handlers are in files of
+// their own, by what they are about. Each decodes, calls a session, and
+// encodes; none blocks a thread of gRPC.
 #ifndef REVISIT_SERVER_SERVICE_POSE_GRAPH_SERVICE_H_
 #define REVISIT_SERVER_SERVICE_POSE_GRAPH_SERVICE_H_
 
@@ -47,8 +47,8 @@ using AllMethods = WithVehicles<WithPoses<
 
 class PoseGraphService final : public service_internal::AllMethods {
  public:
-  explicit PoseGraphService(const ServiceContext& context)
-      : context_(context) {}
+  explicit PoseGraphService(const ServiceContext& service)
+      : service_(service) {}
 
   grpc::ServerUnaryReactor* CreateVehicle(grpc::CallbackServerContext* call,
                                           const grpc::ByteBuffer* request,
@@ -107,14 +107,7 @@ class PoseGraphService final : public service_internal::AllMethods {
                                           grpc::ByteBuffer* response) override;
 
  private:
-  // Runs the handler of a unary call (TypedCall).
-  template <typename Request, typename Response, typename Handle>
-  grpc::ServerUnaryReactor* Unary(grpc::CallbackServerContext* context,
-                                  const char* method,
-                                  const grpc::ByteBuffer* request,
-                                  grpc::ByteBuffer* response, Handle handle);
-
-  const ServiceContext context_;
+  const ServiceContext service_;
 };
 
 }  // namespace revisit::server

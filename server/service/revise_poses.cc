@@ -27,6 +27,7 @@
 #include "server/sessions/vehicle_session.h"
 #include "server/storage/revision_draft.h"
 #include "server/storage/storage.h"
+#include "server/telemetry/service_counters.h"
 
 namespace revisit::server {
 namespace {
@@ -145,8 +146,7 @@ class Revision final : public ReadingCall<Revision> {
     {
       const MutexLock lock(&mutex_);
       if (ended_) return;
-      const absl::Status status =
-          call_.given_up() ? call_.GivenUpStatus() : Admit();
+      const absl::Status status = given_up() ? GivenUpStatus() : Admit();
       if (!status.ok()) {
         EndLocked(status);
         return;
@@ -167,7 +167,7 @@ class Revision final : public ReadingCall<Revision> {
       const MutexLock lock(&mutex_);
       if (ended_) return;
       const absl::Status status =
-          call_.given_up() ? call_.GivenUpStatus() : CheckComplete();
+          given_up() ? GivenUpStatus() : CheckComplete();
       if (!status.ok()) {
         EndLocked(status);
         return;
@@ -209,9 +209,9 @@ class Revision final : public ReadingCall<Revision> {
       return status;
     }
     if (absl::Status status = ReserveDraft(); !status.ok()) return status;
-    absl::StatusOr<Permit> room = call_.AdmitBatch(request_.SpaceUsedLong());
-    if (!room.ok()) return room.status();
-    room_ = *std::move(room);
+    absl::StatusOr<Permit> permit = room().AdmitBatch(request_.SpaceUsedLong());
+    if (!permit.ok()) return permit.status();
+    message_room_ = *std::move(permit);
     return absl::OkStatus();
   }
 
@@ -220,7 +220,7 @@ class Revision final : public ReadingCall<Revision> {
     const absl::StatusOr<std::string> id =
         ParseVehicleName(request_.vehicle(), FieldPath().Field("vehicle"));
     if (!id.ok()) return id.status();
-    if (absl::Status status = call_.ChooseVehicle(*id); !status.ok()) {
+    if (absl::Status status = ChooseVehicle(*id); !status.ok()) {
       return status;
     }
     expected_revision_ = request_.expected_revision();
@@ -260,9 +260,9 @@ class Revision final : public ReadingCall<Revision> {
     while (bytes_ > drafted_) {
       const std::int64_t step =
           std::min(kDraftStep, context_.limits.max_revision_bytes - drafted_);
-      absl::StatusOr<Permit> room = call_.AdmitDraft(step);
-      if (!room.ok()) return room.status();
-      draft_room_.push_back(*std::move(room));
+      absl::StatusOr<Permit> permit = room().AdmitDraft(step);
+      if (!permit.ok()) return permit.status();
+      draft_room_.push_back(*std::move(permit));
       drafted_ += step;
     }
     return absl::OkStatus();
@@ -314,11 +314,11 @@ class Revision final : public ReadingCall<Revision> {
   void OnDrafted(const absl::Status& status) ABSL_LOCKS_EXCLUDED(mutex_) {
     // The memory of the message is freed before the next one comes.
     v1::RevisePosesRequest().Swap(&request_);
-    room_.reset();
+    message_room_.reset();
     const MutexLock lock(&mutex_);
     if (ended_) return;
-    if (call_.given_up()) {
-      EndLocked(call_.GivenUpStatus());
+    if (given_up()) {
+      EndLocked(GivenUpStatus());
     } else if (!status.ok()) {
       EndLocked(status);
     } else {
@@ -342,7 +342,7 @@ class Revision final : public ReadingCall<Revision> {
   // Refuses an expected revision that the vehicle has not reached yet. Whether
   // the change was made from a past one is known once all poses have come.
   absl::Status CheckNotAhead(const VehicleView& view) const {
-    if (call_.given_up()) return call_.GivenUpStatus();
+    if (given_up()) return GivenUpStatus();
     return expected_revision_ > view.revision
                ? RevisionMismatch(view, expected_revision_)
                : absl::OkStatus();
@@ -353,12 +353,10 @@ class Revision final : public ReadingCall<Revision> {
     // The draft is destroyed with the plan.
     const std::shared_ptr<RevisionDraft> draft = std::move(draft_);
     absl::StatusOr<RevisionPlan> plan =
-        Plan(context_.storage, view, draft, expected_revision_, call_);
+        Plan(context_.storage, view, draft, expected_revision_, *this);
     if (!plan.ok() || !plan->batches) return plan;
-    const MutexLock lock(&mutex_);
-    if (ended_) return call_.GivenUpStatus();
-    const absl::Status room = call_.AdmitRebuild(view.durable_sequence);
-    if (!room.ok()) return room;
+    const absl::Status taken = room().TakeRebuild(view.durable_sequence);
+    if (!taken.ok()) return taken;
     return plan;
   }
 
@@ -383,7 +381,7 @@ class Revision final : public ReadingCall<Revision> {
   // Belongs to the session until it is drafted.
   v1::RevisePosesRequest request_;
   // Room for the message that is being drafted.
-  Permit room_;
+  Permit message_room_;
   std::uint64_t expected_revision_ = 0;
   // Number of the next pose in the whole call.
   std::size_t pose_number_ = 0;

@@ -17,9 +17,9 @@ class ServiceCounters;
 class ConnectionMeters;
 class Drain;
 class Executor;
+class ExportedGraphs;
 class Fleet;
 class Gatekeeper;
-class GraphSnapshots;
 class Log;
 class Storage;
 
@@ -33,7 +33,7 @@ struct ServiceContext {
   Gatekeeper* gatekeeper = nullptr;
   const Log* log = nullptr;
   Admission* admission = nullptr;
-  GraphSnapshots* snapshots = nullptr;
+  ExportedGraphs* exported_graphs = nullptr;
   ServiceCounters* counts = nullptr;
   // Null if none is kept.
   const AuditLog* audit = nullptr;

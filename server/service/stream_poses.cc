@@ -134,7 +134,7 @@ class PoseStream final : public BidiCall<PoseStream> {
     }
 
     bool ShouldStop() const override {
-      return stream_->call_.given_up() || stream_->is_left_;
+      return stream_->given_up() || stream_->is_left_;
     }
 
     void OnCandidates(const VehicleView& view,
@@ -237,12 +237,13 @@ class PoseStream final : public BidiCall<PoseStream> {
     const v1::StreamPosesOpen& open = request_->open();
     const absl::StatusOr<std::string> id = CheckOpen(open);
     if (!id.ok()) return id.status();
-    if (absl::Status status = Choose(*id, open.send_candidates());
-        !status.ok()) {
-      return status;
+    if (absl::Status status = ChooseVehicle(*id); !status.ok()) return status;
+    if (open.send_candidates()) {
+      const absl::Status allowed = rights().AlsoNeeds(Verb::kRead);
+      if (!allowed.ok()) return allowed;
     }
-    checks_ = std::make_shared<const CheckOrder>(
-        CheckOrder{call_.check_flow(), CheckOptions(open.candidate_options())});
+    checks_ = std::make_shared<const CheckOrder>(CheckOrder{
+        searches().check_flow(), CheckOptions(open.candidate_options())});
     send_candidates_ = open.send_candidates();
     include_aligned_path_ = open.candidate_options().include_aligned_path();
     const std::shared_ptr<VehicleSession> session =
@@ -277,14 +278,6 @@ class PoseStream final : public BidiCall<PoseStream> {
       return status;
     }
     return id;
-  }
-
-  absl::Status Choose(const std::string& id, bool send_candidates)
-      ABSL_LOCKS_EXCLUDED(mutex_) {
-    const MutexLock lock(&mutex_);
-    const absl::Status allowed = call_.ChooseVehicle(id);
-    if (!allowed.ok() || !send_candidates) return allowed;
-    return call_.AlsoNeeds(Verb::kRead);
   }
 
   SearchOptionsDecoder CheckOptions(const v1::CandidateOptions& given) const {
@@ -329,12 +322,12 @@ class PoseStream final : public BidiCall<PoseStream> {
     }
     // The staged batch takes about as much memory as the message.
     const auto bytes = static_cast<std::size_t>(arena_.SpaceUsed());
-    absl::StatusOr<Permit> room = call_.AdmitBatch(bytes);
+    absl::StatusOr<Permit> permit = room().AdmitBatch(bytes);
     const auto poses =
         static_cast<std::uint64_t>(request_->batch().poses_size());
-    if (!room.ok()) {
-      context_.counts->Refused(poses, room.status());
-      return room.status();
+    if (!permit.ok()) {
+      context_.counts->Refused(poses, permit.status());
+      return permit.status();
     }
     // A session that was found stays as long as this stream.
     VehicleSession* session;
@@ -351,7 +344,7 @@ class PoseStream final : public BidiCall<PoseStream> {
     if (send_candidates_) append.checks = checks_;
     session->Append(std::move(append),
                     std::make_shared<Batch>(shared_from_this(), poses, bytes,
-                                            *std::move(room)));
+                                            *std::move(permit)));
     return absl::OkStatus();
   }
 
@@ -395,9 +388,9 @@ class PoseStream final : public BidiCall<PoseStream> {
   void OnCandidates(const VehicleView& view,
                     const absl::StatusOr<core::CandidateSet>& set,
                     std::chrono::nanoseconds duration) {
-    call_.Searched(set, duration);
+    record().Searched(set, duration);
     // Searches stop when the caller is gone, and then nobody waits for them.
-    if (call_.given_up()) return;
+    if (given_up()) return;
     auto response = std::make_unique<Response>();
     std::int64_t bytes = 0;
     if (set.ok()) {
@@ -480,14 +473,14 @@ class PoseStream final : public BidiCall<PoseStream> {
   }
 
   bool Ending() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    return half_closed_ || failure_ || draining_ || call_.given_up();
+    return half_closed_ || failure_ || draining_ || given_up();
   }
 
   absl::Status FinalStatus() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     // Named as the reason even if the call was cut in the end, since that was
     // not the caller's doing.
     if (slow_) return *failure_;
-    if (call_.given_up()) return call_.GivenUpStatus();
+    if (given_up()) return GivenUpStatus();
     if (failure_) return *failure_;
     return half_closed_ ? absl::OkStatus() : Drain::Refusal();
   }
@@ -498,7 +491,7 @@ class PoseStream final : public BidiCall<PoseStream> {
   // end off meanwhile.
   void Advance() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     while (!ended_) {
-      if (call_.given_up()) queue_.clear();
+      if (given_up()) queue_.clear();
       const bool write = !writing_ && !queue_.empty();
       if (write) TakeAnswer();
       // More answers follow this one.
@@ -532,7 +525,7 @@ class PoseStream final : public BidiCall<PoseStream> {
   bool MayFinish() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     const bool answered = queue_.empty() && open_appends_ == 0 && !handling_;
     return !writing_ && starting_ == 0 &&
-           (answered || call_.given_up() || (is_left_ && queue_.empty()));
+           (answered || given_up() || (is_left_ && queue_.empty()));
   }
 
   bool MayRead() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {

@@ -21,12 +21,12 @@ class Reading : public Base {
   using Base::Base;
 
   void OnReadDone(bool ok) final {
-    this->call_.CountMessage();
+    this->CountMessage();
     if (ok) {
       OnMessage();
       return;
     }
-    if (this->grpc_context_->IsCancelled()) this->call_.MarkGivenUp();
+    if (this->grpc_context_->IsCancelled()) this->MarkGivenUp();
     OnLastMessage();
   }
 
@@ -61,7 +61,7 @@ class Writing : public Base {
   using Base::Base;
 
   void OnWriteDone(bool ok) final {
-    if (!ok) this->call_.MarkGivenUp();
+    if (!ok) this->MarkGivenUp();
     const MutexLock lock(&this->mutex_);
     writing_ = false;
     if (!this->ended_) OnWritten();

@@ -41,81 +41,50 @@ class UnaryCall : public CallReactor<UnaryCall, grpc::ServerUnaryReactor> {
  public:
   using CallReactor::CallReactor;
 
-  const Caller& caller() const { return call_.caller(); }
-  absl::Status ChooseVehicle(const std::string& id) {
-    return UnlessEnded([&] { return call_.ChooseVehicle(id); });
-  }
-  absl::Status AdmitRebuild(std::uint64_t poses) {
-    return UnlessEnded([&] { return call_.AdmitRebuild(poses); });
-  }
-  absl::Status AdmitSearch() {
-    return UnlessEnded([&] { return call_.AdmitSearch(); });
-  }
-  absl::Status TooManySteps() const { return call_.TooManySteps(); }
-  absl::Status CheckSearchSteps() const { return call_.CheckSearchSteps(); }
-  void SearchTook(std::chrono::steady_clock::duration duration,
-                  std::int64_t steps) const {
-    call_.SearchTook(duration, steps);
-  }
-  std::string search_flow() const { return call_.search_flow(); }
-  void Searched(const absl::StatusOr<core::CandidateSet>& set,
-                std::chrono::steady_clock::duration duration) {
-    const MutexLock lock(&mutex_);
-    if (!ended_) call_.Searched(set, duration);
-  }
-  void NameChanged(const std::string& id) {
-    const MutexLock lock(&mutex_);
-    if (!ended_) call_.NameChanged(id);
-  }
-  absl::Status HoldBatch(std::size_t bytes) {
-    return UnlessEnded([&] { return call_.HoldBatch(bytes); });
-  }
-  bool given_up() const { return call_.given_up(); }
-  absl::Status GivenUpStatus() const { return call_.GivenUpStatus(); }
-
  private:
   // While the server drains, the call goes on to its answer; where the store is
   // out of reach, that may never come.
   void OnDrain(const Drain::End& end) override {
     if (!end.at_once) return;
-    call_.MarkGivenUp();
+    MarkGivenUp();
     EndLocked(end.status);
-  }
-
-  // Does the work and returns its status, unless the call has ended: then
-  // nobody hears the status that this returns.
-  template <typename Work>
-  absl::Status UnlessEnded(const Work& work) {
-    const MutexLock lock(&mutex_);
-    return ended_ ? call_.GivenUpStatus() : work();
   }
 };
 
 using UnaryCallPtr = std::shared_ptr<UnaryCall>;
 
-// A unary call with its messages. `Handle` is given the call, the request and
-// the response, which live as long as the call. It either returns an error,
-// which ends the call, or returns OK and has the call ended later, once, from
-// any thread.
-template <typename Request, typename Response, typename Handle>
+// The handler of a unary method. It either returns an error, which ends the
+// call, or returns OK and has the call ended later, once, from any thread.
+// Request and response live as long as the call, the service until it returns.
+template <typename Request, typename Response>
+using UnaryHandler = absl::Status (*)(const ServiceContext& service,
+                                      const UnaryCallPtr& call,
+                                      const Request& request,
+                                      Response* response);
+
+// A unary call with its messages.
+template <typename Request, typename Response>
 class TypedCall final : public UnaryCall {
  public:
-  // The bytes of the request live until Start() returns, those of the response
-  // until the end.
-  TypedCall(grpc::CallbackServerContext* context, const char* method,
-            const ServiceContext& service,
+  // The bytes of the request live until Start() returns, as does the service;
+  // those of the response live until the end.
+  TypedCall(const ServiceContext& service, const char* method,
+            UnaryHandler<Request, Response> handler,
+            grpc::CallbackServerContext* context,
             const grpc::ByteBuffer* request_bytes,
-            grpc::ByteBuffer* response_bytes, Handle handle)
+            grpc::ByteBuffer* response_bytes)
       : UnaryCall(context, method, service),
+        service_(service),
+        handler_(handler),
         request_bytes_(request_bytes),
-        response_bytes_(response_bytes),
-        handle_(std::move(handle)) {}
+        response_bytes_(response_bytes) {}
 
  private:
   void OnStart() override {
     absl::Status status = ParseMessage(request_bytes_, &request_);
-    if (status.ok())
-      status = handle_(shared_from_this(), &request_, &response_);
+    if (status.ok()) {
+      status = handler_(service_, shared_from_this(), request_, &response_);
+    }
     if (!status.ok()) End(status);
   }
 
@@ -123,9 +92,10 @@ class TypedCall final : public UnaryCall {
     if (status.ok()) WriteMessage(response_, response_bytes_);
   }
 
+  const ServiceContext& service_;
+  const UnaryHandler<Request, Response> handler_;
   const grpc::ByteBuffer* const request_bytes_;
   grpc::ByteBuffer* const response_bytes_;
-  const Handle handle_;
   Request request_;
   Response response_;
 };
@@ -149,14 +119,14 @@ std::function<void(absl::StatusOr<Value>)> FinishWith(UnaryCallPtr call,
 
 // Opens the session of the vehicle that a field names.
 inline absl::StatusOr<std::shared_ptr<VehicleSession>> SessionOf(
-    const ServiceContext& context, const std::string& name,
+    const ServiceContext& service, const std::string& name,
     const FieldPath& path, UnaryCall* call) {
   absl::StatusOr<std::string> id = ParseVehicleName(name, path);
   if (!id.ok()) return id.status();
   if (absl::Status status = call->ChooseVehicle(*id); !status.ok()) {
     return status;
   }
-  return context.fleet->Session(*id);
+  return service.fleet->Session(*id);
 }
 
 }  // namespace revisit::server

@@ -1,8 +1,8 @@
 // Copies of graphs that are being exported, each shared by all exports of the
 // same vehicle at the same revision: so that a slow reader holds up nobody and
 // still gets one revision, and many readers take the memory of one.
-#ifndef REVISIT_SERVER_SERVICE_GRAPH_SNAPSHOTS_H_
-#define REVISIT_SERVER_SERVICE_GRAPH_SNAPSHOTS_H_
+#ifndef REVISIT_SERVER_SERVICE_EXPORTED_GRAPHS_H_
+#define REVISIT_SERVER_SERVICE_EXPORTED_GRAPHS_H_
 
 #include <cstdint>
 #include <functional>
@@ -19,7 +19,7 @@
 
 namespace revisit::server {
 
-struct GraphSnapshot {
+struct ExportedGraph {
   // Held as long as the copy exists.
   Permit room;
   core::PoseGraph graph;
@@ -28,19 +28,19 @@ struct GraphSnapshot {
 };
 
 // Thread-safe.
-class GraphSnapshots {
+class ExportedGraphs {
  public:
   using Admit = std::function<absl::StatusOr<Permit>(std::size_t bytes)>;
 
   // The graph as the view shows it. If there is no copy, `admit` is asked for
   // room: one is made, or its refusal is returned.
-  absl::StatusOr<std::shared_ptr<const GraphSnapshot>> Take(
+  absl::StatusOr<std::shared_ptr<const ExportedGraph>> Take(
       const VehicleView& view, const Admit& admit);
 
  private:
   struct Entry {
     std::uint64_t revision = 0;
-    std::weak_ptr<const GraphSnapshot> snapshot;
+    std::weak_ptr<const ExportedGraph> exported;
   };
 
   Mutex mutex_;
@@ -50,4 +50,4 @@ class GraphSnapshots {
 
 }  // namespace revisit::server
 
-#endif  // REVISIT_SERVER_SERVICE_GRAPH_SNAPSHOTS_H_
+#endif  // REVISIT_SERVER_SERVICE_EXPORTED_GRAPHS_H_
