@@ -38,9 +38,11 @@
 #include "server/sessions/fair_executor.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_census.h"
-#include "server/storage/store_note.h"
+#include "server/storage/run_notes.h"
+#include "server/storage/storage_metrics.h"
 #include "server/store_health.h"
 #include "server/telemetry/audit_log.h"
+#include "server/telemetry/process_metrics.h"
 #include "server/telemetry/service_counters.h"
 
 namespace revisit::server {
@@ -152,16 +154,12 @@ struct RevisitServer::State {
   // Health says NOT_SERVING from now on.
   void EndHealth();
 
-  // Has the next server of this store know how this one ended, or, until then,
-  // that it runs. A store in a database has no place for that.
-  void NoteRun(const char* word) const;
-
   // Answers the admin port, on its own thread.
   HttpResponse AnswerAdmin(const std::string& path) const;
   HttpResponse Liveness() const;
   HttpResponse Readiness() const;
   // REQUIRES: the phase is kServing or kDraining.
-  MetricsSources Sources() const;
+  void CollectMetrics(Metrics* metrics) const;
 
   // Until it serves, members are made, and after it drains, destroyed; the
   // admin port is served before and is gone then.
@@ -172,10 +170,7 @@ struct RevisitServer::State {
   std::optional<LibraryLogRoute> library_log;
   ProtoRecordCodec codec;
   std::string store_name;
-  // See OpenedStore.
-  std::string store_file;
-  // How the server before this one ended.
-  std::optional<StoreNote> last_exit;
+  std::optional<RunNotes> run_notes;
   std::string scratch_directory;
   std::unique_ptr<Storage> storage;
   ServiceCounters counts;
@@ -412,7 +407,9 @@ HttpResponse RevisitServer::State::AnswerAdmin(const std::string& path) const {
   if (path == "/readyz") return Readiness();
   if (path == "/metrics") {
     if (phase == Phase::kStarting) return {503, "starting\n"};
-    return {200, RenderMetrics(Sources()), kMetricsContentType};
+    Metrics metrics;
+    CollectMetrics(&metrics);
+    return {200, RenderMetrics(metrics), kMetricsContentType};
   }
   return {404, "there are /metrics, /livez and /readyz\n"};
 }
@@ -445,26 +442,23 @@ HttpResponse RevisitServer::State::Readiness() const {
   return {200, "ready\n"};
 }
 
-MetricsSources RevisitServer::State::Sources() const {
-  MetricsSources sources;
-  sources.calls = &counts;
-  sources.admission = admission.get();
-  sources.connection_refusals = &acceptor->refusals();
-  sources.accepted_connections = [from = acceptor.get()] {
-    return from->accepted();
-  };
-  sources.fleet = fleet.get();
-  sources.census = census.get();
-  sources.storage = storage.get();
-  sources.min_free_bytes = settings.min_free_bytes;
-  sources.store_file = store_file;
-  sources.last_exit = last_exit;
-  sources.tls_files = tls_files.get();
-  sources.gatekeeper = gatekeeper.get();
-  sources.log = log;
-  sources.audit = audit.get();
-  sources.draining = phase == Phase::kDraining;
-  return sources;
+void RevisitServer::State::CollectMetrics(Metrics* metrics) const {
+  CollectProcessMetrics(metrics);
+  counts.CollectMetrics(metrics);
+  admission->CollectMetrics(metrics);
+  acceptor->CollectMetrics(metrics);
+  CollectStorageMetrics(storage.get(), metrics);
+  run_notes->CollectMetrics(metrics);
+  census->CollectMetrics(metrics);
+  fleet->CollectMetrics(metrics);
+  if (tls_files != nullptr) tls_files->CollectMetrics(metrics);
+  gatekeeper->CollectMetrics(metrics);
+  log->CollectMetrics("server", metrics);
+  if (audit != nullptr) audit->CollectMetrics(metrics);
+  metrics
+      ->Gauge("revisit_draining",
+              "Whether the server has been asked to end, and calls go home.")
+      .Add(phase == Phase::kDraining);
 }
 
 bool RevisitServer::State::OpenStore(StartError* error) {
@@ -478,8 +472,7 @@ bool RevisitServer::State::OpenStore(StartError* error) {
     return false;
   }
   store_name = std::move(opened->name);
-  store_file = std::move(opened->file);
-  if (!store_file.empty()) last_exit = ReadNote(ExitNoteOf(store_file));
+  run_notes.emplace(std::move(opened->file), log);
   scratch_directory = std::move(opened->scratch_directory);
   storage = std::move(opened->storage);
   return true;
@@ -648,7 +641,7 @@ std::unique_ptr<RevisitServer> RevisitServer::Start(
   state->StartFleet();
   state->StartService();
   if (!state->Listen(error)) return nullptr;
-  state->NoteRun(kRunning);
+  state->run_notes->Note(kRunning);
   state->phase = State::Phase::kServing;
   if (!state->Announce(error)) return nullptr;
   state->StartSelfChecks();
@@ -714,15 +707,6 @@ void RevisitServer::State::EndHealth() {
   }
 }
 
-void RevisitServer::State::NoteRun(const char* word) const {
-  if (store_file.empty()) return;
-  if (!WriteNote(ExitNoteOf(store_file),
-                 {word, std::chrono::system_clock::now()})) {
-    log->Write(LogLevel::kWarning, "exit_note_not_written",
-               {{"file", ExitNoteOf(store_file)}});
-  }
-}
-
 void RevisitServer::GiveNotice() {
   state_->log->Write(LogLevel::kInfo, "notice_of_drain",
                      {{"seconds", state_->settings.drain_notice_seconds}});
@@ -770,9 +754,9 @@ void RevisitServer::Shutdown() {
   // The note is written while this server still has the store, since the next
   // one writes its own.
   const bool had_failed = state_->has_failed;
-  state_->NoteRun(had_failed ? kStoreFailed : kStopped);
+  state_->run_notes->Note(had_failed ? kStoreFailed : kStopped);
   state_->storage.reset();
-  if (state_->has_failed && !had_failed) state_->NoteRun(kStoreFailed);
+  if (state_->has_failed && !had_failed) state_->run_notes->Note(kStoreFailed);
   const std::chrono::duration<double, std::milli> duration =
       std::chrono::steady_clock::now() - start;
   state_->log->Write(LogLevel::kInfo, "stopped",

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "core/base/mutex.h"
+#include "server/base/metrics.h"
 #include "server/base/status.h"
 
 namespace revisit::server {
@@ -377,8 +378,17 @@ Fleet::Residency Fleet::residency() const {
   return state_->ResidencyLocked();
 }
 
-RetentionMonitor::Counts Fleet::retention() const {
-  return state_->retention->Read();
+void Fleet::CollectMetrics(Metrics* metrics) const {
+  const Residency sum = residency();
+  metrics->Gauge("revisit_resident_vehicles", "Vehicles in memory.")
+      .Add(sum.vehicles);
+  metrics->Gauge("revisit_resident_nodes", "Nodes of vehicles in memory.")
+      .Add(sum.nodes);
+  metrics
+      ->Gauge("revisit_resident_bytes",
+              "Bytes of nodes and edges of vehicles in memory.")
+      .Add(sum.bytes);
+  state_->retention->CollectMetrics(metrics);
 }
 
 Fleet::Residency Fleet::UnloadIdle(std::chrono::steady_clock::time_point now) {

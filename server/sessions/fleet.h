@@ -100,7 +100,8 @@ class Fleet {
   };
   Residency residency() const;
 
-  RetentionMonitor::Counts retention() const;
+  // The vehicles in memory, and what retention has dropped.
+  void CollectMetrics(Metrics* metrics) const;
 
   // Unloads the vehicles that have been idle since before `now` less
   // Options::idle_unload, then as many others as exceed the memory budget. Of

@@ -119,6 +119,8 @@ struct StorageRoom {
   // Bytes that others than the storage leave free; nothing where the device is
   // another machine's.
   std::optional<std::int64_t> free_bytes = std::nullopt;
+  // Below which of these the storage refuses writes.
+  std::int64_t min_free_bytes = 0;
 };
 
 // This server among those that share a storage.

@@ -28,8 +28,10 @@ class SqliteStorage : public Storage {
   // `writer` is null for a storage that only reads.
   SqliteStorage(std::string path, std::unique_ptr<SqliteWriter> writer,
                 std::unique_ptr<SqliteDatabase> anchor,
-                SqliteDatabase::Mode reader_mode, const std::string& vfs)
+                SqliteDatabase::Mode reader_mode, const std::string& vfs,
+                std::int64_t min_free_bytes)
       : path_(std::move(path)),
+        min_free_bytes_(min_free_bytes),
         writer_(std::move(writer)),
         anchor_(std::move(anchor)),
         readers_(path_, reader_mode, vfs) {}
@@ -292,6 +294,7 @@ class SqliteStorage : public Storage {
         FreeBytes(std::filesystem::path(path_).parent_path());
     if (!free.ok()) return std::nullopt;
     room.free_bytes = *free;
+    room.min_free_bytes = min_free_bytes_;
     return room;
   }
 
@@ -311,6 +314,7 @@ class SqliteStorage : public Storage {
   }
 
   const std::string path_;
+  const std::int64_t min_free_bytes_;
   // Null if opened for reading. Its connection is the last to close.
   const std::unique_ptr<SqliteWriter> writer_;
 
@@ -381,7 +385,8 @@ absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
       store,
       std::make_unique<SqliteWriter>(store, options, run, *std::move(lock),
                                      *std::move(mark), *std::move(writer)),
-      *std::move(anchor), SqliteDatabase::Mode::kReadOnly, options.vfs));
+      *std::move(anchor), SqliteDatabase::Mode::kReadOnly, options.vfs,
+      options.min_free_bytes));
 }
 
 absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorageToRead(
@@ -390,7 +395,8 @@ absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorageToRead(
       OpenDatabaseToRead(path, mode);
   if (!anchor.ok()) return anchor.status();
   return std::unique_ptr<Storage>(new SqliteStorage(
-      path, /*writer=*/nullptr, *std::move(anchor), mode, /*vfs=*/""));
+      path, /*writer=*/nullptr, *std::move(anchor), mode, /*vfs=*/"",
+      /*min_free_bytes=*/0));
 }
 
 }  // namespace revisit::server
