@@ -64,9 +64,6 @@ constexpr double kUnadmittedShare = 0.05;
 // How long the server may leave its own question without an answer and count as
 // alive: its threads are busy rather than stuck.
 constexpr std::chrono::milliseconds kLivenessPatience{10'000};
-// How often vehicles are looked for that other servers ask for. A caller who
-// comes to the wrong server waits that long for its vehicle.
-constexpr std::chrono::milliseconds kHandOverPeriod{500};
 // A busy storage writes a part of a snapshot, about a megabyte, that often.
 constexpr std::chrono::milliseconds kSnapshotPeriod{500};
 // A node of a snapshot takes about as many bytes as a stored pose, so up to
@@ -185,7 +182,6 @@ struct RevisitServer::State {
   std::unique_ptr<Admission> admission;
   GraphSnapshots snapshots;
   std::unique_ptr<Periodic> unload_timer;
-  std::unique_ptr<Periodic> hand_over_timer;
   std::unique_ptr<Periodic> snapshot_timer;
   std::unique_ptr<Periodic> census_timer;
   Drain drain;
@@ -533,8 +529,6 @@ void RevisitServer::State::StartFleet() {
   admission = std::make_unique<Admission>(
       limits, std::min(search_threads, processors), ResidentBytes);
   unload_timer = MakeUnloadTimer(fleet.get(), admission.get(), options);
-  hand_over_timer = std::make_unique<Periodic>(
-      kHandOverPeriod, [fleet = fleet.get()] { fleet->HandOverWanted(); });
   snapshot_timer = std::make_unique<Periodic>(
       kSnapshotPeriod, [fleet = fleet.get()] { fleet->WriteSnapshots(); });
   census_timer = std::make_unique<Periodic>(
@@ -743,7 +737,6 @@ void RevisitServer::Shutdown() {
   // it a session.
   state_->gatekeeper.reset();
   state_->unload_timer.reset();
-  state_->hand_over_timer.reset();
   state_->snapshot_timer.reset();
   state_->census_timer.reset();
   state_->fleet.reset();

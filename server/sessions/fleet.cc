@@ -220,6 +220,17 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
     WriteSnapshot(most_parts, next);
   }
 
+  void HandOver(const WantedVehicle& wanted) ABSL_LOCKS_EXCLUDED(mutex) {
+    const MutexLock guard(&mutex);
+    const auto found = entries.find(wanted.id);
+    // Under the lock, so that nobody loads the vehicle in between.
+    if (found == entries.end() || found->second.session->gone()) {
+      storage->ReleaseVehicle(wanted.key);
+    } else {
+      found->second.session->HandOver();
+    }
+  }
+
   Entries::iterator Drop(Entries::iterator entry, Dropped* dropped)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
     const VehicleSession::Residency of = entry->second.session->residency();
@@ -253,9 +264,14 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
 
 Fleet::Fleet(Storage* storage, const RecordCodec* codec, const Lanes& lanes,
              const Options& options)
-    : state_(std::make_shared<State>(storage, codec, lanes, options)) {}
+    : state_(std::make_shared<State>(storage, codec, lanes, options)) {
+  storage->OnWanted([state = state_.get()](const WantedVehicle& wanted) {
+    state->HandOver(wanted);
+  });
+}
 
 Fleet::~Fleet() {
+  state_->storage->OnWanted(nullptr);
   std::vector<std::shared_ptr<VehicleSession>> sessions;
   {
     const MutexLock lock(&state_->mutex);
@@ -284,19 +300,6 @@ Fleet::~Fleet() {
   while (countdown->left != 0) countdown->zero.Wait(&countdown->mutex);
   const MutexLock guard(&state_->mutex);
   while (state_->writing_snapshots != 0) state_->changed.Wait(&state_->mutex);
-}
-
-void Fleet::HandOverWanted() {
-  for (const WantedVehicle& wanted : state_->storage->WantedVehicles()) {
-    const MutexLock guard(&state_->mutex);
-    const auto found = state_->entries.find(wanted.id);
-    // Under the lock, so that nobody loads the vehicle in between.
-    if (found == state_->entries.end() || found->second.session->gone()) {
-      state_->storage->ReleaseVehicle(wanted.key);
-    } else {
-      found->second.session->HandOver();
-    }
-  }
 }
 
 void Fleet::WriteSnapshots() {

@@ -28,6 +28,9 @@
 
 namespace revisit::server {
 
+// It hands vehicles over that other servers ask for (Storage::OnWanted()), each
+// once its calls that came before are finished.
+//
 // Thread-safe.
 class Fleet {
  public:
@@ -49,7 +52,8 @@ class Fleet {
     std::chrono::milliseconds last_snapshots{500};
   };
 
-  // Storage, codec and executors must outlive the fleet.
+  // Storage, codec and executors must outlive the fleet, and no other fleet has
+  // the storage.
   Fleet(Storage* storage, const RecordCodec* codec, const Lanes& lanes,
         const Options& options);
   // Finishes what was called, see above. Not on a thread of the executors.
@@ -74,11 +78,6 @@ class Fleet {
   // Deletes a vehicle. NOT_FOUND (VEHICLE_NOT_FOUND) if there is none.
   void Delete(const std::string& id,
               std::function<void(absl::Status)> callback);
-
-  // Hands vehicles over that other servers ask for (Storage::WantedVehicles()),
-  // each once its calls that came before are finished. The server calls it on a
-  // timer.
-  void HandOverWanted();
 
   // Has vehicles that are being loaded, now or later, give up where that takes
   // long (VehicleSession::GiveUpReplay()): the server ends.
