@@ -38,7 +38,7 @@ FIGURES = {
     "ttl_s": Figure(10.0, "s", _PROTOCOL),
     "beat_s": Figure(2.0, "s", _PROTOCOL),
     "lease_margin_s": Figure(1.0, "s", _PROTOCOL),
-    "lease_look_s": Figure(0.5, "s", "server/store_health.cc"),
+    "lease_look_s": Figure(0.5, "s", "server/admin/store_health.cc"),
     "hold_s": Figure(10.0, "s", _PROTOCOL + ": shortest time between two handovers"),
     "not_owner_retry_s": Figure(1.0, "s", _PROTOCOL + ": RetryInfo of NOT_OWNER, most"),
     "unavailable_retry_s": Figure(1.0, "s", "server/base/status.cc: RetryInfo of "
