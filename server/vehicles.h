@@ -15,9 +15,10 @@
 #include "server/sessions/upkeep.h"
 #include "server/sessions/vehicle_census.h"
 #include "server/settings/settings.h"
-#include "server/storage/storage.h"
 
 namespace revisit::server {
+
+class Storage;
 
 class Vehicles {
  public:

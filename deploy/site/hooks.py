@@ -67,7 +67,8 @@ def _linked(document):
             return f"`{place}`" if plain.endswith(place) or place.endswith(
                 plain) else f"{text} (`{place}`)"
         # A place in a proto is no heading of its page.
-        return f"[{text}]({page}{'' if page in OTHERS.values() else hash_sign + anchor})"
+        place = "" if page in OTHERS.values() else hash_sign + anchor
+        return f"[{text}]({page}{place})"
 
     return replace
 

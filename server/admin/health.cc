@@ -8,6 +8,7 @@
 
 #include "server/admin/store_health.h"
 #include "server/base/metrics.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

@@ -14,7 +14,6 @@
 #include "server/base/periodic.h"
 #include "server/connections/drain.h"
 #include "server/sessions/executor.h"
-#include "server/storage/storage.h"
 
 namespace grpc {
 class Server;
@@ -23,6 +22,7 @@ class Server;
 namespace revisit::server {
 
 class Metrics;
+class Storage;
 
 // One thread calls Serve(), Drain(), EndChecks() and Answers(); all others are
 // thread-safe.

@@ -8,6 +8,8 @@
 
 namespace revisit::server {
 
+class Storage;
+
 inline constexpr char kMetricsContentType[] =
     "text/plain; version=0.0.4; charset=utf-8";
 

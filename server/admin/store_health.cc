@@ -7,6 +7,7 @@
 #include "absl/status/status.h"
 #include "revisit/v1/pose_graph_service.grpc.pb.h"
 #include "server/base/status.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

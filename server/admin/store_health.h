@@ -8,13 +8,14 @@
 #include "server/base/logging.h"
 #include "server/base/periodic.h"
 #include "server/connections/drain.h"
-#include "server/storage/storage.h"
 
 namespace grpc {
 class HealthCheckServiceInterface;
 }  // namespace grpc
 
 namespace revisit::server {
+
+class Storage;
 
 // Says that all is well, then looks twice a second, first at once, whether the
 // store's lease holds and whether it takes writes, and tells health, calls and

@@ -6,7 +6,7 @@
 
 #include "absl/status/statusor.h"
 #include "revisit/v1/loop_closure.pb.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
 

@@ -16,7 +16,7 @@
 #include "google/protobuf/repeated_field.h"
 #include "revisit/v1/geometry.pb.h"
 #include "server/sessions/record_codec.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
 

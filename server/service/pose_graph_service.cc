@@ -30,6 +30,7 @@
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
 #include "server/sessions/vehicle_uid.h"
+#include "server/storage/records.h"
 #include "server/storage/storage.h"
 #include "server/telemetry/service_counters.h"
 

@@ -20,7 +20,7 @@
 #include "server/service/unary_call.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
 

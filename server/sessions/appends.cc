@@ -8,6 +8,7 @@
 #include "server/base/sequences.h"
 #include "server/sessions/search_turns.h"
 #include "server/sessions/server_clock.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

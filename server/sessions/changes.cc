@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "absl/strings/str_cat.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

@@ -18,7 +18,7 @@
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
 #include "server/sessions/vehicle_view.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
 
@@ -98,7 +98,7 @@ class Changes {
  private:
   using Then = std::function<void(const absl::Status&)>;
   // Hands something to the storage, before it returns.
-  using StorageWrite = std::function<void(Storage::Done)>;
+  using StorageWrite = std::function<void(WriteDone)>;
 
   // Hands a write to the storage; `then` runs on the strand when it is done,
   // and nothing but reads starts before `then` returns.

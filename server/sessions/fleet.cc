@@ -11,6 +11,7 @@
 #include "core/base/mutex.h"
 #include "server/base/metrics.h"
 #include "server/base/status.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

@@ -24,9 +24,10 @@
 #include "server/sessions/server_clock.h"
 #include "server/sessions/vehicle_census.h"
 #include "server/sessions/vehicle_session.h"
-#include "server/storage/storage.h"
 
 namespace revisit::server {
+
+class Storage;
 
 // It hands vehicles over that other servers ask for (Storage::OnWanted()), each
 // once its calls that came before are finished.

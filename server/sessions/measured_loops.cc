@@ -3,6 +3,7 @@
 #include <optional>
 
 #include "absl/status/statusor.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 

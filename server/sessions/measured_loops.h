@@ -15,7 +15,7 @@
 #include "core/geometry/pose.h"
 #include "core/search/alignment/confirmed_loop.h"
 #include "server/sessions/vehicle_state.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
 

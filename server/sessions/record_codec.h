@@ -14,7 +14,7 @@
 #include "core/geometry/pose.h"
 #include "core/search/alignment/confirmed_loop.h"
 #include "server/sessions/vehicle_config.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
 

@@ -8,6 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "server/sessions/snapshots.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

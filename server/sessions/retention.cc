@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "server/sessions/server_clock.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "core/base/byte_stream.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

@@ -14,7 +14,7 @@
 #include "core/drive/drive.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
 

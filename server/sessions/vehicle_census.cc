@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "server/base/metrics.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

@@ -12,11 +12,12 @@
 
 #include "core/base/mutex.h"
 #include "server/sessions/record_codec.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
 
 class Metrics;
+class Storage;
 
 // Thread-safe, but for Continue().
 class VehicleCensus {

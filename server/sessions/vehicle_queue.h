@@ -11,7 +11,7 @@
 #include "absl/status/status.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/vehicle_state.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
 
@@ -93,7 +93,7 @@ class VehicleQueue {
   // A callback for the storage that runs `then`, with its status, on the
   // strand.
   template <typename Then>
-  Storage::Done OnStrand(Then then) {
+  WriteDone OnStrand(Then then) {
     return [this, keep = session_.lock(),
             then = std::move(then)](const absl::Status& status) {
       strand_->Post([keep, then, status]() mutable { then(status); });

@@ -8,6 +8,7 @@
 #include "server/sessions/snapshots.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 

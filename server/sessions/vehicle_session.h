@@ -37,9 +37,11 @@
 #include "server/sessions/vehicle_census.h"
 #include "server/sessions/vehicle_state.h"
 #include "server/sessions/vehicle_view.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
+
+class Storage;
 
 class VehicleSession {
  public:

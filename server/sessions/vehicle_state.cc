@@ -5,6 +5,7 @@
 #include <tuple>
 
 #include "absl/strings/str_cat.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 

@@ -23,9 +23,11 @@
 #include "server/sessions/server_clock.h"
 #include "server/sessions/vehicle_census.h"
 #include "server/sessions/vehicle_view.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
+
+class Storage;
 
 // UNAVAILABLE (SERVER_DRAINING).
 absl::Status ShuttingDown();

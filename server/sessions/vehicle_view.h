@@ -12,7 +12,7 @@
 #include "core/drive/drive.h"
 #include "core/search/search.h"
 #include "server/sessions/vehicle_config.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
 

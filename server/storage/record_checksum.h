@@ -5,7 +5,7 @@
 #include <cstdint>
 #include <string>
 
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
 

@@ -1,5 +1,5 @@
-// The contract of the server's storage: records, and the promise that they are
-// kept.
+// The contract of the server's storage: the promise that records (records.h)
+// are kept.
 //
 // Writes are asynchronous. Those of a vehicle are committed in the order in
 // which they were submitted, many at a time (group commit over all vehicles),
@@ -47,58 +47,9 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "server/base/histogram.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
-
-// Version of the tables and of how payloads are written. A field that is added
-// to a payload needs no new version: older servers ignore it, newer ones take
-// its absence for its default.
-inline constexpr int kStoreFormat = 5;
-// The oldest that is read, and brought to this one: that of release 0.1.0.
-inline constexpr int kOldestStoreFormat = 4;
-
-// Key of a vehicle's rows; never used again after the vehicle is deleted.
-using VehicleKey = std::int64_t;
-
-struct VehicleRecord {
-  VehicleKey key = 0;  // Given by the storage.
-  std::string id;
-  std::string payload;
-  // Highest revision of any change to the vehicle.
-  std::uint64_t revision = 0;
-  // Highest sequence stored; 0 if none.
-  std::uint64_t durable_sequence = 0;
-  std::int64_t loop_closure_count = 0;
-  std::int64_t rejected_candidate_count = 0;
-  // How often the vehicle was taken (TakeVehicle()); 0 where one server has the
-  // storage alone, and in answers of other calls.
-  std::int64_t epoch = 0;
-  // The epoch under which this server had the vehicle right before it took it
-  // now; 0 if it did not, and where the epoch is.
-  std::int64_t previous_epoch = 0;
-  // DATA_LOSS if the row or the last batch is damaged. If the row is, only key
-  // and id are set, and the payload is empty. If the last batch is, the highest
-  // sequence is the one its row claims, and the revision does not count it.
-  absl::Status damage = absl::OkStatus();
-};
-
-struct BatchRecord {
-  std::uint64_t first_sequence = 0;
-  std::uint32_t count = 0;
-  std::uint64_t revision = 0;
-  std::string payload;
-};
-
-// A batch as it was sent, and as it was revised, if it was.
-struct BatchVersions {
-  BatchRecord as_sent;
-  std::optional<BatchRecord> revised = std::nullopt;
-};
-
-// Passes on batches, one after the other, until `take` refuses; returns its own
-// failure or that of `take`. May be called again.
-using BatchSource = std::function<absl::Status(
-    const std::function<absl::Status(const BatchRecord&)>& take)>;
 
 // Counts since the storage was opened.
 struct CommitCounts {
@@ -149,46 +100,6 @@ struct Durability {
   std::string details = std::string();
 };
 
-// A verifier's finding about two poses. Ids are unique among the pairs of one
-// kind of one vehicle.
-enum class PairKind { kLoopClosure, kRejectedCandidate };
-inline constexpr PairKind kPairKinds[] = {PairKind::kLoopClosure,
-                                          PairKind::kRejectedCandidate};
-
-struct PosePairRecord {
-  std::string id;
-  std::uint64_t query_sequence = 0;
-  std::uint64_t matched_sequence = 0;
-  std::int64_t create_time_ns = 0;  // Since the Unix epoch.
-  // The rest of the verifier's report; empty if nothing.
-  std::string payload = std::string();
-  // DATA_LOSS if the row is damaged: then only the id is set.
-  absl::Status damage = absl::OkStatus();
-};
-
-// The words for a kind in messages, fields and error reasons.
-struct PairWords {
-  const char* noun;
-  const char* field;
-  // In resource names.
-  const char* collection;
-  // The parts of its payload.
-  const char* content;
-  const char* exists;
-  const char* not_found;
-};
-
-constexpr PairWords WordsOf(PairKind kind) {
-  return kind == PairKind::kLoopClosure
-             ? PairWords{"loop closure",        "loop_closure",
-                         "loopClosures",        "measurement, note or score",
-                         "LOOP_CLOSURE_EXISTS", "LOOP_CLOSURE_NOT_FOUND"}
-             : PairWords{
-                   "rejected candidate",        "rejected_candidate",
-                   "rejectedCandidates",        "note",
-                   "REJECTED_CANDIDATE_EXISTS", "REJECTED_CANDIDATE_NOT_FOUND"};
-}
-
 // A server that shares a storage with others.
 struct StorageUser {
   std::string address;
@@ -202,23 +113,9 @@ struct WantedVehicle {
   std::string id;
 };
 
-// A graph that the poses of a vehicle make, as bytes that the storage does not
-// interpret: the first `part_count` of the parts that are kept, and a payload.
-struct SnapshotRecord {
-  // The last pose that it comes from.
-  std::uint64_t last_sequence = 0;
-  std::uint32_t part_count = 0;
-  std::string payload;
-};
-
-// A batch keeps the poses that were first sent, even if they were revised.
-enum class BatchVersion { kAsSent, kCurrent };
-
 class Storage {
  public:
-  // Called once, on a thread that writes, which is the same for all writes of a
-  // vehicle: return soon, and do not block on the storage.
-  using Done = std::function<void(absl::Status)>;
+  using Done = WriteDone;
 
   // Commits what was submitted, then stops.
   virtual ~Storage() = default;
@@ -242,13 +139,6 @@ class Storage {
   virtual void AppendBatches(VehicleKey key, std::vector<BatchRecord> batches,
                              std::optional<std::string> vehicle_payload,
                              Done done) = 0;
-  void AppendBatch(VehicleKey key, BatchRecord batch,
-                   std::optional<std::string> vehicle_payload, Done done) {
-    std::vector<BatchRecord> one;
-    one.push_back(std::move(batch));
-    AppendBatches(key, std::move(one), std::move(vehicle_payload),
-                  std::move(done));
-  }
   // The largest payload of a batch that costs no more, byte by byte, than
   // smaller ones do: who has a larger batch had better divide it.
   virtual std::size_t MostBatchBytes() const {

@@ -5,6 +5,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "server/storage/record_check.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

@@ -9,9 +9,11 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
+
+class Storage;
 
 struct StoreReport {
   std::int64_t vehicles = 0;

@@ -47,8 +47,8 @@ def ingest_table(rounds):
 
 
 def metrics_table(rounds):
-    print("\n8 streams in turn beside scrapes of /metrics, one a second, and without: CPU "
-          "of the\nserver in microseconds a pose, and what scraped slices take and "
+    print("\n8 streams in turn beside scrapes of /metrics, one a second, and without: "
+          "CPU of the\nserver in microseconds a pose, and what scraped slices take and "
           "carry of the others")
     print(f"{'a batch':>8}{'alone':>9}{'scraped':>9}  {'CPU':20}{'poses':20}"
           f"{'page':>7}")

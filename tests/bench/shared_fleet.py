@@ -1,6 +1,7 @@
-"""What GetServerInfo costs a PostgreSQL that has very many vehicles, and what calls beside
-it cost others. Starts a PostgreSQL of its own, whose tables are filled by SQL; prints one
-table; ends by itself; leaves nothing behind. REVISIT_BIN says which build is measured."""
+"""What GetServerInfo costs a PostgreSQL that has very many vehicles, and what calls
+beside it cost others. Starts a PostgreSQL of its own, whose tables are filled by SQL;
+prints one table; ends by itself; leaves nothing behind. REVISIT_BIN says which build is
+measured."""
 
 import argparse
 import statistics

@@ -17,7 +17,7 @@ import revisit_server
 
 sys.path.insert(0, str(fleet.ROOT / "deploy/cluster"))
 
-import private_cluster  # noqa: E402
+import private_cluster
 
 FEWEST_APPENDS = 2000
 

@@ -12,9 +12,9 @@ Roads: motorway to residential with their links, without service roads and what
 is private; oneway streets go one way. A vehicle starts where roads are dense,
 picks random destinations near its start (`--radius-km`), and takes the shortest
 way to each, never turning round on the spot, so that roads are driven again as
-they are by real vehicles: the main ones often, in part, and from other sides. It steers for a lane at the right of the road's middle, with a
-slow wander, and cannot turn more tightly than 6 m of radius. It does 10 m/s,
-one sample each metre.
+they are by real vehicles: the main ones often, in part, and from other sides. It
+steers for a lane at the right of the road's middle, with a slow wander, and cannot turn
+more tightly than 6 m of radius. It does 10 m/s, one sample each metre.
 
 The estimate is dead reckoning with the noise of the protocol: 0.1 m along,
 0.05 m across and 0.1 degree per square root of a metre. `--noise-scale` makes
@@ -87,7 +87,7 @@ def directions(tags):
 def read_roads(path):
     """Roads of an extract, and each node's (longitude, latitude), degrees."""
     # It is imported here so that what needs no extract does without it.
-    import osmium  # pylint: disable=import-outside-toplevel
+    import osmium
     roads, places = [], {}
     ways = osmium.FileProcessor(str(path)).with_locations()
     for way in ways:

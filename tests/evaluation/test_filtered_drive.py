@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent))
-import filtered_drive  # pylint: disable=wrong-import-position
-from filtered_drive import Filter, Fix, Frame  # pylint: disable=wrong-import-position
+import filtered_drive
+from filtered_drive import Filter, Fix, Frame
 
 SIGMA = 2.0  # of fixes, metres
 

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent))
-import road_drives  # pylint: disable=wrong-import-position
+import road_drives
 from road_drives import Network, Pose, Road
 
 # The roads are two blocks of 200 m side by side, and a dead end:

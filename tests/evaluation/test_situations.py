@@ -7,7 +7,7 @@ import sys
 import pytest
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent))
-import situations  # pylint: disable=wrong-import-position
+import situations
 
 SEQUENCE = 150  # metres, one pose each
 

@@ -9,8 +9,8 @@ import sys
 import pytest
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent))
-import reports  # pylint: disable=wrong-import-position
-import tables  # pylint: disable=wrong-import-position
+import reports
+import tables
 
 DRIVE = ("t_s,gt_x,gt_y,gt_yaw,est_x,est_y,est_yaw\n"
          "0,0,0,0,0,0,0\n"

@@ -129,7 +129,7 @@ class Fleet:
             work()
         except _Lost:
             pass
-        except Exception as problem:  # pylint: disable=broad-except
+        except Exception as problem:
             self.problems.append(problem)
 
     def stop(self):

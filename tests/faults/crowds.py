@@ -101,7 +101,7 @@ class Sender(threading.Thread):
         try:
             while not self.stop.is_set():
                 self.send()
-        except Exception as error:  # pylint: disable=broad-except
+        except Exception as error:
             self.error = error
             self.stop.set()
 

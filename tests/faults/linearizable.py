@@ -132,7 +132,7 @@ class Client:
         try:
             while not stop.is_set():
                 self.act(self.rng.choice(VEHICLES))
-        except Exception as error:  # pylint: disable=broad-except
+        except Exception as error:
             self.problem = error
             stop.set()
 

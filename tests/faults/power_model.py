@@ -376,7 +376,7 @@ class Fleet:
         def live(vehicle):
             try:
                 vehicle.live(server.stub(), stop)
-            except BaseException as error:  # pylint: disable=broad-except
+            except BaseException as error:
                 failures.append(error)
         threads = [threading.Thread(target=live, args=(vehicle,))
                    for vehicle in self.vehicles.values()]

@@ -37,6 +37,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "crash_states.h"
+#include "server/storage/sqlite/sqlite_reader.h"
 #include "server/storage/sqlite/sqlite_storage.h"
 #include "server/storage/sqlite/store_check.h"
 
@@ -186,8 +187,8 @@ absl::Status WriteToAll(Storage& storage) {
     batch.revision = vehicle.revision + 1;
     batch.payload = "what comes next";
     std::promise<absl::Status> done;
-    storage.AppendBatch(
-        vehicle.key, batch, std::nullopt,
+    storage.AppendBatches(
+        vehicle.key, {batch}, std::nullopt,
         [&](absl::Status status) { done.set_value(std::move(status)); });
     const absl::Status status = done.get_future().get();
     if (!status.ok()) return status;

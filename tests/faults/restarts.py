@@ -57,7 +57,7 @@ def killed_beside_a_backup(run):
     acked = 0
     with Server(store) as server:
         create(server.stub())
-    for number in range(rounds):
+    for _ in range(rounds):
         with Server(store) as server:
             acked = append(server.stub(), VEHICLE,
                            drive[acked:acked + 300]).durable_sequence
@@ -171,7 +171,6 @@ async def write(call, request):
     """As call.write(), but for a call that has just ended: there that one makes up
     a status, by which nobody learns any more what the server has said."""
     try:
-        # pylint: disable-next=protected-access
         await call._cython_call.send_serialized_message(
             request.SerializeToString())
     except cygrpc.InternalError:
@@ -251,8 +250,8 @@ async def restart(run, store, rounds):
              for n, vehicle in enumerate(vehicles)]
     lateness = Lateness()
     tasks.append(asyncio.create_task(lateness.watch()))
-    slowest_back = slowest_end = 0.0
-    ends = []
+    slowest_back = slowest_end = started = late_before = 0.0
+    ends, forgotten = [], []
     loop = asyncio.get_running_loop()
     try:
         for number in range(rounds + 1):

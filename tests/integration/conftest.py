@@ -4,8 +4,10 @@ import itertools
 
 import pytest
 
+from caller_poses import STORED, good_pose
 from revisit_server import Server
 from stubs import api
+from wire import append, as_bytes, get, list_poses
 
 
 def pytest_addoption(parser):
@@ -58,3 +60,30 @@ def new_vehicle(stub):
         return response.vehicle.name
 
     return create
+
+
+@pytest.fixture
+def filled(stub, new_vehicle):
+    """Makes a vehicle with a few poses."""
+    def make(settings):
+        vehicle = new_vehicle(**settings)
+        append(stub, vehicle, [good_pose(n, settings)
+                               for n in range(1, STORED + 1)])
+        return vehicle
+    return make
+
+
+@pytest.fixture
+def unchanged(stub):
+    """Checks at the end that vehicles are as they were."""
+    before = {}
+
+    def watch(vehicle):
+        before[vehicle] = (get(stub, vehicle),
+                           as_bytes(list_poses(stub, vehicle)))
+        return vehicle
+
+    yield watch
+    for vehicle, (summary, poses) in before.items():
+        assert get(stub, vehicle) == summary
+        assert as_bytes(list_poses(stub, vehicle)) == poses

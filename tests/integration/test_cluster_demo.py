@@ -46,10 +46,8 @@ def running_demo(directory, *arguments):
 def check_nothing_is_left(directory):
     assert list(directory.iterdir()) == []
     for commands in pathlib.Path("/proc").glob("[0-9]*/cmdline"):
-        try:
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
             assert str(directory).encode() not in commands.read_bytes()
-        except (FileNotFoundError, ProcessLookupError):
-            pass
 
 
 @pytest.mark.release_build

@@ -58,10 +58,8 @@ def flood(server, count):
     with contextlib.ExitStack() as stack:
         sockets = []
         for _ in range(count):
-            try:
+            with contextlib.suppress(OSError):
                 sockets.append(stack.enter_context(connect(server)))
-            except OSError:
-                pass
         yield sockets
 
 

@@ -1,5 +1,6 @@
 """revisit evaluate on real servers: tables, drawings, drift, the verifier."""
 
+import contextlib
 import json
 import math
 import re
@@ -16,7 +17,7 @@ from stubs import ROOT
 from wire import BOREAS
 
 sys.path.insert(0, str(ROOT / "tests/evaluation"))
-import leave_one_out  # pylint: disable=wrong-import-position
+import leave_one_out
 
 USAGE = 64
 SVG = "{http://www.w3.org/2000/svg}"
@@ -504,10 +505,8 @@ class CuttingProxy:
         except OSError:
             pass
         for end in (source, sink):
-            try:
+            with contextlib.suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)
-            except OSError:
-                pass
 
     def __enter__(self):
         return self

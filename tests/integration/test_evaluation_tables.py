@@ -11,7 +11,7 @@ from revisit_server import BIN, clean_environment, run
 from stubs import ROOT
 
 sys.path.insert(0, str(ROOT / "tests/evaluation"))
-import situations  # pylint: disable=wrong-import-position
+import situations
 
 # For the time they take; what they run is tested in test_evaluate.py.
 pytestmark = pytest.mark.release_build

@@ -12,8 +12,10 @@ from wire import (PAIR_KINDS, REJECTED_CANDIDATES, append, failure_of, get,
 GOOD_NOTES = {
     "of many lines": "a bridge\n\tabove the road, caf\u00e9",
     "as long as it may be": "\u00e9" * 512,
-    "of many scripts": "\u0645\u06cc\u200c\u062e\u0648\u0627\u0647\u0645 \u0915\u094d\u200d\u0937 "
-                       "\u200f\u05e9\u05dc\u05d5\u05dd\u200e \U0001f469\u200d\U0001f527",
+    "of many scripts": "\u0645\u06cc\u200c\u062e\u0648\u0627\u0647\u0645 "
+                       "\u0915\u094d\u200d\u0937 "
+                       "\u200f\u05e9\u05dc\u05d5\u05dd\u200e "
+                       "\U0001f469\u200d\U0001f527",
     "that turns around": "\u202egpj.exe\u2066\u200b\ufeff",
 }
 BAD_NOTES = {

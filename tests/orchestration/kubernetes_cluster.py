@@ -2,6 +2,7 @@
 containerd and runc. They use fixed ports, addresses and folders, so they live in name
 spaces that `tests/orchestration/run --cluster` makes and that end them."""
 
+import contextlib
 import hashlib
 import io
 import json
@@ -181,10 +182,8 @@ class Cluster:
                 text = answer.read().decode()
         except urllib.error.HTTPError as error:
             text = error.read().decode()
-            try:
+            with contextlib.suppress(ValueError, KeyError):
                 text = json.loads(text)["message"]
-            except (ValueError, KeyError):
-                pass
             raise RefusedError(error.code, text) from None
         return json.loads(text) if parse else text
 

@@ -166,7 +166,7 @@ def test_pandas_get_a_column_per_number(client, new_vehicle, boreas):
         assert (row["scale_low"], row["scale_estimate"], row["scale_high"]) \
             == (estimate.low, estimate.scale, estimate.high)
     # A table says the same as the messages.
-    for number, row in found[found["rank"] == 1].iterrows():
+    for _, row in found[found["rank"] == 1].iterrows():
         one = answers[row["check"]].candidates[0]
         assert row["probability"] == one.probability
         assert row["meters_after"] == one.place_interval.meters_after

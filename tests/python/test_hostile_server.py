@@ -82,7 +82,8 @@ def test_what_a_server_says_is_shown_for_a_terminal():
 
 
 def test_text_of_any_script_is_shown_as_it_is():
-    for text in ("caf\u00e9", "\u0645\u062d\u0637\u0629", "\u5317\u4eac\u3000", "\U0001f697"):
+    for text in ("caf\u00e9", "\u0645\u062d\u0637\u0629", "\u5317\u4eac\u3000",
+                 "\U0001f697"):
         assert str(revisit.NotFound(text)) == f"NOT_FOUND: {text}"
 
 

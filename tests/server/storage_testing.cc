@@ -20,6 +20,15 @@ absl::Status Blocking(const Write& write) {
 
 }  // namespace
 
+void AppendBatch(Storage& storage, VehicleKey key, BatchRecord batch,
+                 std::optional<std::string> vehicle_payload,
+                 Storage::Done done) {
+  std::vector<BatchRecord> one;
+  one.push_back(std::move(batch));
+  storage.AppendBatches(key, std::move(one), std::move(vehicle_payload),
+                        std::move(done));
+}
+
 absl::StatusOr<VehicleKey> BlockingWrites::Create(const std::string& id,
                                                   const std::string& payload,
                                                   std::uint64_t revision) {
@@ -90,7 +99,7 @@ absl::Status BlockingWrites::Delete(VehicleKey key) {
 
 absl::Status BlockingWrites::Append(VehicleKey key, const BatchRecord& batch) {
   return Blocking([&](Storage::Done done) {
-    storage_->AppendBatch(key, batch, std::nullopt, std::move(done));
+    AppendBatch(*storage_, key, batch, std::nullopt, std::move(done));
   });
 }
 
@@ -106,7 +115,7 @@ absl::Status BlockingWrites::AppendWithVehicle(
     VehicleKey key, const BatchRecord& batch,
     const std::string& vehicle_payload) {
   return Blocking([&](Storage::Done done) {
-    storage_->AppendBatch(key, batch, vehicle_payload, std::move(done));
+    AppendBatch(*storage_, key, batch, vehicle_payload, std::move(done));
   });
 }
 

@@ -16,6 +16,11 @@ namespace revisit::server {
 // The poses that a revision brings.
 BatchSource BatchesOf(std::vector<BatchRecord> batches);
 
+// Appends one batch.
+void AppendBatch(Storage& storage, VehicleKey key, BatchRecord batch,
+                 std::optional<std::string> vehicle_payload,
+                 Storage::Done done);
+
 // The writes of a storage, waited for.
 class BlockingWrites {
  public:

@@ -18,8 +18,8 @@ import server as servers
 class Setup:
     seed: int = 1
     servers: int = 10
-    # The vehicles of one server at the peak; `part` of it is simulated, on as small a part
-    # of the server's threads, of PostgreSQL's cores and of its network.
+    # The vehicles of one server at the peak; `part` of it is simulated, on as small a
+    # part of the server's threads, of PostgreSQL's cores and of its network.
     streams_per_server: int = 2500
     part: float = 1.0
     envoys: int = 1

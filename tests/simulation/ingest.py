@@ -68,7 +68,6 @@ def ingest(seed, p, servers, poses_per_second, poses_a_row, synchronous=True,
     kernel.run(seconds)
     latencies = sorted(x for writer in writers for x in writer.latencies)
     commits = sum(writer.commits for writer in writers)
-    # pylint: disable=protected-access
     busy = store._cpu.busy_seconds / seconds / p.database_cores
     return {
         "commits a second": commits / seconds,

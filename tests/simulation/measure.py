@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""What a message of poses costs each part of a cluster: the CPU time of a real revisitd,
-of the real Envoy with the configuration of deploy/cluster before it and of the real
-PostgreSQL behind it, at given rates.
+"""What a message of poses costs each part of a cluster: the CPU time of a real
+revisitd, of the real Envoy with the configuration of deploy/cluster before it and of
+the real PostgreSQL behind it, at given rates.
 
     build/python/bin/python tests/simulation/measure.py
 
@@ -19,11 +19,9 @@ import sys
 
 import grpc
 
-_TESTS = pathlib.Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(_TESTS / "integration"))
-sys.path.insert(0, str(_TESTS.parent / "deploy/cluster"))
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "integration"))
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "deploy/cluster"))
 
-# pylint: disable=wrong-import-position
 import private_cluster
 import tables
 from envoy_proxy import directory_of_cluster

@@ -5,8 +5,7 @@ import pathlib
 import re
 import typing
 
-_ENVOY = (pathlib.Path(__file__).resolve().parents[2] /
-          "deploy/cluster/envoy.yaml").read_text()
+_ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 
 class Figure(typing.NamedTuple):
@@ -15,14 +14,24 @@ class Figure(typing.NamedTuple):
     source: str
 
 
-
-def _of_envoy(pattern):
-    """The number at the group of the pattern, which has to be in the configuration of
-    Envoy that is shipped, once."""
-    found = re.findall(pattern, _ENVOY)
+def _of(path, pattern, unit, scale=1.0):
+    """The number at the group of the pattern in a file of the product, which has to be
+    there, once: so the simulation has what the product has, or does not start."""
+    found = re.findall(pattern, (_ROOT / path).read_text())
     if len(found) != 1:
-        raise ValueError(f"deploy/cluster/envoy.yaml has {pattern!r} {len(found)} times")
-    return float(found[0])
+        raise ValueError(f"{path} has {pattern!r} {len(found)} times")
+    return Figure(scale * float(found[0].replace("'", "")), unit, path)
+
+
+def _member(path, name, unit="s"):
+    """A default of an options struct in C++; milliseconds are given in seconds."""
+    is_time = unit == "s"
+    return _of(path, (rf"milliseconds {name}{{([\d']+)}};" if is_time
+                      else rf"\b{name} = ([\d.]+);"), unit, 1e-3 if is_time else 1.0)
+
+
+def _of_envoy(pattern, unit):
+    return _of("deploy/cluster/envoy.yaml", pattern, unit)
 
 
 # The name of a figure that nobody measured, so that it can be searched for.
@@ -31,15 +40,18 @@ _SCALE = ("measured 2026-11-22 on 2 cores that others used too, load 8 to 15, "
           "libpq ingest of real 64-pose rows")
 _BENCH = "tests/bench/RESULTS.md, tests/bench/run "
 _PROTOCOL = "the protocol"
-_CLUSTER = "deploy/cluster/envoy.yaml"
+_OWNERSHIP = "server/storage/postgres/ownership.h"
+_BACKOFF = "client/revisit/backoff.h"
+_VEHICLE = "proto/revisit/v1/vehicle.proto"
+_PING = r"# than every 10 s.\n +connection_keepalive: {"
 
 FIGURES = {
     # The protocol.
-    "ttl_s": Figure(10.0, "s", _PROTOCOL),
-    "beat_s": Figure(2.0, "s", _PROTOCOL),
+    "ttl_s": _of("server/settings/settings.h", r"\blease_seconds = ([\d.]+);", "s"),
+    "beat_s": _member(_OWNERSHIP, "beat_period"),
     "lease_margin_s": Figure(1.0, "s", _PROTOCOL),
-    "lease_look_s": Figure(0.5, "s", "server/admin/store_health.cc"),
-    "hold_s": Figure(10.0, "s", _PROTOCOL + ": shortest time between two handovers"),
+    "lease_look_s": _member("server/admin/store_health.cc", "kPeriod"),
+    "hold_s": _member(_OWNERSHIP, "least_stay"),
     "not_owner_retry_s": Figure(1.0, "s", _PROTOCOL + ": RetryInfo of NOT_OWNER, most"),
     "unavailable_retry_s": Figure(1.0, "s", "server/base/status.cc: RetryInfo of "
                                   "UNAVAILABLE where nothing else is said"),
@@ -49,25 +61,20 @@ FIGURES = {
                           "beat, claims, 3 that read"),
     "drain_notice_s": Figure(3.0, "s", _PROTOCOL),
     # The client library.
-    "backoff_initial_s": Figure(0.1, "s", "client/revisit/backoff.h"),
-    "backoff_max_s": Figure(10.0, "s", "client/revisit/backoff.h"),
-    "backoff_multiplier": Figure(2.0, "", "client/revisit/backoff.h"),
-    "backoff_jitter": Figure(0.5, "", "client/revisit/backoff.h"),
-    "answer_timeout_s": Figure(60.0, "s", "client/revisit/pose_stream.h"),
+    "backoff_initial_s": _member(_BACKOFF, "initial"),
+    "backoff_max_s": _member(_BACKOFF, "max"),
+    "backoff_multiplier": _member(_BACKOFF, "multiplier", ""),
+    "backoff_jitter": _member(_BACKOFF, "jitter", ""),
+    "answer_timeout_s": _member("client/revisit/pose_stream.h", "answer_timeout"),
     # Envoy.
-    "probe_interval_s": Figure(_of_envoy(r"\n      interval: (\d+)s\n"), "s", _CLUSTER),
-    "probe_timeout_s": Figure(_of_envoy(r"\n    - timeout: (\d+)s\n"), "s", _CLUSTER),
-    "unhealthy_after": Figure(_of_envoy(r" unhealthy_threshold: (\d+)\n"), "probes",
-                              _CLUSTER),
-    "ping_interval_s": Figure(_of_envoy(
-        r"# than every 10 s.\n +connection_keepalive: {interval: (\d+)s"), "s", _CLUSTER),
-    "ping_timeout_s": Figure(_of_envoy(
-        r"# than every 10 s.\n +connection_keepalive: {interval: \d+s, timeout: (\d+)s"),
-        "s", _CLUSTER),
+    "probe_interval_s": _of_envoy(r"\n      interval: (\d+)s\n", "s"),
+    "probe_timeout_s": _of_envoy(r"\n    - timeout: (\d+)s\n", "s"),
+    "unhealthy_after": _of_envoy(r" unhealthy_threshold: (\d+)\n", "probes"),
+    "ping_interval_s": _of_envoy(_PING + r"interval: (\d+)s", "s"),
+    "ping_timeout_s": _of_envoy(_PING + r"interval: \d+s, timeout: (\d+)s", "s"),
     "ping_jitter": Figure(0.15, "", "Envoy's default of interval_jitter"),
-    "panic_percent": Figure(_of_envoy(r"healthy_panic_threshold: {value: (\d+)}"), "%",
-                            _CLUSTER),
-    "table_size": Figure(_of_envoy(r"table_size: (\d+)}"), "slots", _CLUSTER),
+    "panic_percent": _of_envoy(r"healthy_panic_threshold: {value: (\d+)}", "%"),
+    "table_size": _of_envoy(r"table_size: (\d+)}", "slots"),
     "hop_s": Figure(0.0005, "s", ASSUMED + ": one way within a data centre; Envoy adds "
                     "about as much (measured 2026-11-22: unary p50 1.1 -> 2.1 ms)"),
     # PostgreSQL.
@@ -98,7 +105,8 @@ FIGURES = {
     "node_B": Figure(112.2, "B", _BENCH + "--fleet: as loaded"),
     "first_search_checks": Figure(50, "checks", "docs/limits.md: a first search after "
                                   "a load is as much as some fifty searches"),
-    "fewest_asked": Figure(64, "vehicles", "server/storage/postgres/ask_pacing.h"),
+    "fewest_asked": _of("server/storage/postgres/ask_pacing.h",
+                        r"\bkFewest = (\d+);", "vehicles"),
     "server_cores": Figure(8, "cores", ASSUMED),
     "envoy_cores": Figure(8, "cores", ASSUMED + ": of all Envoys of a cell together"),
     "server_memory_B": Figure(64e9, "B", ASSUMED),
@@ -109,13 +117,13 @@ FIGURES = {
     "hours_a_day": Figure(2.0, "h", "the question"),
     "speed_mps": Figure(10.0, "m/s", "the question"),
     "peak_to_mean": Figure(3.0, "", "the question"),
-    "node_m": Figure(2.0, "m", "proto/revisit/v1/vehicle.proto, default"),
-    "check_m": Figure(50.0, "m", "proto/revisit/v1/vehicle.proto, default"),
+    "node_m": _of(_VEHICLE, r"\[0\.01, 1000\], default (\d+)\.", "m"),
+    "check_m": _of(_VEHICLE, r"one node spacing, default (\d+)\.", "m"),
 }
 
 # Seconds of one check by nodes of history (tests/bench/RESULTS.md, tests/bench/run
-# --core): under dead reckoning, with a belief, where the claimed uncertainty and with it
-# the area that is searched grows with the drive; and with fixes, where it does not.
+# --core): under dead reckoning, with a belief, where the claimed uncertainty and with
+# it the area that is searched grows with the drive; and with fixes, where it does not.
 CHECK_S = {
     "reckoned": ((1e3, 0.49e-3), (1e4, 1.3e-3), (1e5, 24e-3), (1e6, 104e-3)),
     "fixes": ((1e3, 0.241e-3), (1e4, 0.302e-3), (1e5, 0.631e-3), (1e6, 0.631e-3)),

@@ -276,7 +276,8 @@ class Server:
         if self._open and not holds and self._policy.leave_without_lease:
             self._open = False
             for seat in self.seats.values():
-                self._send_away(seat, Refusal("LEASE_STALE", self._p.unavailable_retry_s))
+                self._send_away(
+                    seat, Refusal("LEASE_STALE", self._p.unavailable_retry_s))
         elif holds:
             self._open = True
         self._kernel.after(self._p.lease_look_s, self._follow_lease, life)

@@ -17,11 +17,8 @@ import time
 
 import pytest
 
-_TESTS = pathlib.Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(_TESTS / "integration"))
-sys.path.insert(0, str(_TESTS / "simulation"))
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "integration"))
 
-# pylint: disable=wrong-import-position
 import cluster
 import parameters
 from envoy_proxy import ENVOY, directory_of_cluster, skip_without_envoy

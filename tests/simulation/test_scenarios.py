@@ -8,7 +8,6 @@ import sys
 import pytest
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent))
-# pylint: disable=wrong-import-position
 import death
 import failover
 import ingest

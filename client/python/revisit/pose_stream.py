@@ -272,8 +272,8 @@ class PoseStream:
     def _take_candidates_here(self) -> None:
         if not self._takes_candidates:
             raise FailedPrecondition(
-                "the stream keeps no candidates: StreamOptions.send_candidates asks for "
-                "them, and StreamCallbacks.candidates takes them")
+                "the stream keeps no candidates: StreamOptions.send_candidates asks "
+                "for them, and StreamCallbacks.candidates takes them")
         self._taker = threading.get_ident()
 
     def run(self, batches: Iterable[PosesLike]) -> Iterator[v1.CandidateSet]:

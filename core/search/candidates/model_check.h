@@ -23,8 +23,8 @@
 // n normal to the line and t the part of the way at which b lies: a bend of the
 // road only adds to it. So the distance is below kSmooth sqrt(v), which is a
 // third of the median of a normal variable's magnitude, in at most
-// kIndependentShare of all triples. Errors with the correlation rho between
-// neighbours leave about (1 - rho)(3 - rho) / 3 of v. (Allan's variance
+// P(|z| < kSmooth) = 0.178 of all triples. Errors with the correlation rho
+// between neighbours leave about (1 - rho)(3 - rho) / 3 of v. (Allan's variance
 // compares neighbours to the same end: Allan, "Statistics of atomic frequency
 // standards", Proc. IEEE 54 (1966).)
 //
@@ -83,9 +83,8 @@ class ModelCheck {
   // Where half of them grow by chance, 0.75 is five standard deviations away.
   static constexpr double kLeastGrowing = 0.75;
   static constexpr double kMostGrowing = 0.95;
-  // A third of 0.6745, and P(|z| < kSmooth).
+  // A third of 0.6745.
   static constexpr double kSmooth = 0.2248;
-  static constexpr double kIndependentShare = 0.178;
   // More smooth triples than this: the median is a third of what independent
   // errors make it, or less.
   static constexpr double kMostSmooth = 0.5;

@@ -6,6 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "server/storage/engines/open_options.h"
+#include "server/storage/sqlite/sqlite_reader.h"
 #include "server/storage/sqlite/sqlite_storage.h"
 #include "server/storage/sqlite/store_backup.h"
 #include "server/storage/sqlite/store_check.h"

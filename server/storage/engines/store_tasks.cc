@@ -7,6 +7,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "server/storage/engines/engine.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

@@ -17,7 +17,7 @@
 #include <iterator>
 #include <unordered_map>
 
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
 

@@ -121,8 +121,6 @@ class PostgresConnection {
   // Whether the last statement, which failed, may have been committed all the
   // same.
   bool IsInDoubt() const { return in_doubt_; }
-  // The SQLSTATE of the last statement's failure; empty if it had none.
-  const std::string& sqlstate() const { return sqlstate_; }
   // Whether it can be used, as far as can be told without asking the database.
   bool IsAlive();
 

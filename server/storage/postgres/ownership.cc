@@ -37,25 +37,18 @@ constexpr Statement kForgetDead = {
     "forget_dead",
     "DELETE FROM servers WHERE state = 'dead' AND "
     "started_at < now() - interval '30 days'"};
-constexpr Statement kBeat = {
-    "beat",
-    "UPDATE servers SET beat = beat + 1 WHERE incarnation = $1::uuid AND "
-    "state = 'live' RETURNING beat"};
 // Brings how many vehicles the server owns: to count them in `heads` is to read
 // all of them, however many servers there are.
-constexpr Statement kCountingBeat = {
-    "counting_beat",
+constexpr Statement kBeat = {
+    "beat",
     "UPDATE servers SET beat = beat + 1, vehicles = $2::int8 "
     "WHERE incarnation = $1::uuid AND state = 'live' RETURNING beat"};
 constexpr Statement kLeave = {
     "leave", "UPDATE servers SET state = 'dead' WHERE incarnation = $1::uuid"};
-// The row as JSON has the count also where its column is not there yet.
-#define REVISIT_VEHICLES_OF_SERVER \
-  "coalesce((to_jsonb(s)->>'vehicles')::int8, 0)"
 constexpr Statement kOthers = {
     "others",
-    "SELECT incarnation, beat, lease_ms, address, " REVISIT_VEHICLES_OF_SERVER
-    " FROM servers s WHERE state = 'live' AND incarnation <> $1::uuid"};
+    "SELECT incarnation, beat, lease_ms, address, vehicles "
+    "FROM servers WHERE state = 'live' AND incarnation <> $1::uuid"};
 constexpr Statement kBury = {
     "bury",
     "UPDATE servers SET state = 'dead' WHERE incarnation = $1::uuid AND "
@@ -109,9 +102,9 @@ constexpr Statement kRelease = {
     "owner = $2::uuid AND epoch = $3::int8 RETURNING key) "
     "DELETE FROM handovers o USING r WHERE o.key = r.key"};
 constexpr Statement kLivingServers = {
-    "living_servers", "SELECT address, " REVISIT_VEHICLES_OF_SERVER
-                      " FROM servers s WHERE state = 'live' ORDER BY address"};
-#undef REVISIT_VEHICLES_OF_SERVER
+    "living_servers",
+    "SELECT address, vehicles FROM servers WHERE state = 'live' "
+    "ORDER BY address"};
 constexpr Statement kOwners = {"owners",
                                "SELECT key, owner, epoch, revision FROM heads "
                                "WHERE key = ANY($1::int8[])"};
@@ -439,12 +432,11 @@ absl::Status Ownership::Beat() {
 absl::StatusOr<PostgresRows> Ownership::RaiseBeat(const Uuid& me) {
   Parameters parameters;
   parameters.Add(me);
-  if (!options_.counts_vehicles) return connection_->Run(kBeat, parameters);
   {
     const MutexLock lock(&mutex_);
     parameters.Add(static_cast<std::int64_t>(claims_.size()));
   }
-  return connection_->Run(kCountingBeat, parameters);
+  return connection_->Run(kBeat, parameters);
 }
 
 absl::Status Ownership::BuryOthers(const Uuid& me) {

@@ -82,8 +82,6 @@ struct OwnershipOptions {
   // A vehicle stays for so long at least, so that two callers who come to
   // different servers do not have it go to and fro.
   std::chrono::milliseconds least_stay{10'000};
-  // Whether the database keeps how many vehicles each server owns.
-  bool counts_vehicles = true;
   // A clock that goes on while the machine sleeps; CLOCK_BOOTTIME if empty.
   std::function<std::chrono::nanoseconds()> now;
   // Called with what an operator should know; may be empty.

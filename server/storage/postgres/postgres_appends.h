@@ -12,7 +12,7 @@
 #include "absl/status/status.h"
 #include "server/storage/postgres/connection.h"
 #include "server/storage/postgres/postgres_fence.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 #include "server/storage/write_queue.h"
 
 namespace revisit::server {

@@ -9,6 +9,7 @@
 
 #include "server/base/status.h"
 #include "server/storage/postgres/postgres_reads.h"
+#include "server/storage/postgres/postgres_snapshots.h"
 #include "server/storage/record_check.h"
 #include "server/storage/record_checksum.h"
 
@@ -39,13 +40,12 @@ constexpr Statement kChangeVehicle = {"change_vehicle",
 // $11 last sequence, $12 and $13 ids of damaged pairs.
 constexpr Statement kDropDamaged = {
     "drop_damaged",
-    REVISIT_FENCE(", durable_sequence = $11::int8",
-                  REVISIT_UNCHANGED
+    REVISIT_FENCE(", durable_sequence = $11::int8", REVISIT_UNCHANGED
                   " AND coalesce((SELECT first_sequence + "
                   "least(greatest(count, 1), 1000000) - 1 FROM batches "
                   "WHERE vehicle_key = $1::int8 AND first_sequence <= "
                   "$11::int8 ORDER BY first_sequence DESC LIMIT 1), 0) = "
-                  "$11::int8")
+                  "$11::int8") REVISIT_FORGET_SNAPSHOT
     ", b AS (DELETE FROM batches t USING h WHERE t.vehicle_key = h.key AND "
     "t.first_sequence > $11::int8), "
     "r AS (DELETE FROM revised_batches t USING h WHERE t.vehicle_key = h.key "
@@ -63,8 +63,8 @@ constexpr Statement kHeadHolds = {
 constexpr Statement kRemoveVehicle = {
     "remove_vehicle",
     "WITH h AS (DELETE FROM heads WHERE " REVISIT_HEAD_HOLDS
-    " RETURNING key), "
-    "v AS (DELETE FROM vehicles t USING h WHERE t.key = h.key), "
+    " RETURNING key) " REVISIT_FORGET_SNAPSHOT
+    ", v AS (DELETE FROM vehicles t USING h WHERE t.key = h.key), "
     "l AS (DELETE FROM loop_closures t USING h WHERE t.vehicle_key = h.key), "
     "n AS (DELETE FROM rejected_candidates t USING h "
     "WHERE t.vehicle_key = h.key), "
@@ -202,7 +202,8 @@ absl::Status ReviseInGroups(PostgresConnection& connection, VehicleKey key,
   std::set<std::uint64_t> firsts;
   std::size_t bytes = 0;
   const auto flush = [&] {
-    const absl::Status status = ReviseSome(connection, key, group, revision);
+    absl::Status status = ForgetSnapshot(connection, key);
+    if (status.ok()) status = ReviseSome(connection, key, group, revision);
     group.clear();
     firsts.clear();
     bytes = 0;
@@ -254,6 +255,8 @@ absl::Status Replace(PostgresConnection& connection, VehicleKey key,
       held->Integer(0, 2) != Signed(end - first)) {
     return NoSuchBatches(first, end - 1);
   }
+  const absl::Status forgotten = ForgetSnapshot(connection, key);
+  if (!forgotten.ok()) return forgotten;
   for (const Statement& remove : {kRemoveBatches, kRemoveRevisions}) {
     const auto removed = connection.Run(remove, range());
     if (!removed.ok()) return removed.status();

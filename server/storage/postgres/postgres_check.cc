@@ -4,6 +4,7 @@
 
 #include "server/storage/postgres/connection.h"
 #include "server/storage/postgres/postgres_reader.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

@@ -13,7 +13,7 @@
 #include "absl/status/statusor.h"
 #include "server/storage/postgres/connection.h"
 #include "server/storage/postgres/ownership.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
 

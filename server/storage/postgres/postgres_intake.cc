@@ -179,7 +179,7 @@ absl::StatusOr<std::unique_ptr<StoreIntake>> FillDatabase(
   options.conninfo = conninfo;
   auto connection = PostgresConnection::Open(options);
   if (!connection.ok()) return connection.status();
-  absl::Status status = CheckSchema(**connection).status();
+  absl::Status status = CheckSchema(**connection);
   if (!status.ok()) return status;
   status =
       (*connection)

@@ -3,83 +3,22 @@
 #include <optional>
 #include <utility>
 
-#include "server/base/status.h"
+#include "server/storage/postgres/migrations.h"
 #include "server/storage/postgres/ownership.h"
 #include "server/storage/postgres/postgres_reads.h"
 #include "server/storage/postgres/postgres_snapshots.h"
+#include "server/storage/read_only_storage.h"
 
 namespace revisit::server {
-namespace {
-
-class ReadOnlyPostgres : public PostgresReader {
- public:
-  explicit ReadOnlyPostgres(PostgresDatabase database)
-      : PostgresReader(std::move(database)) {}
-
-  void CreateVehicle(
-      VehicleRecord,
-      std::function<void(absl::StatusOr<VehicleKey>)> done) override {
-    done(ReadOnly());
-  }
-  void UpdateVehicle(VehicleKey, std::string, std::uint64_t,
-                     Done done) override {
-    done(ReadOnly());
-  }
-  void DeleteVehicle(VehicleKey, Done done) override { done(ReadOnly()); }
-  void AppendBatches(VehicleKey, std::vector<BatchRecord>,
-                     std::optional<std::string>, Done done) override {
-    done(ReadOnly());
-  }
-  void ReviseBatches(VehicleKey, BatchSource, std::uint64_t,
-                     Done done) override {
-    done(ReadOnly());
-  }
-  void ReplaceBatches(VehicleKey, std::vector<BatchVersions>, std::uint64_t,
-                      Done done) override {
-    done(ReadOnly());
-  }
-  void AddPosePair(VehicleKey, PairKind, PosePairRecord, std::uint64_t,
-                   Done done) override {
-    done(ReadOnly());
-  }
-  void DeletePosePair(VehicleKey, PairKind, std::string, std::uint64_t,
-                      Done done) override {
-    done(ReadOnly());
-  }
-  void DropDamaged(VehicleKey, std::uint64_t, std::string, std::uint64_t,
-                   Done done) override {
-    done(ReadOnly());
-  }
-  void PutSnapshotPart(VehicleKey, std::uint32_t, std::string,
-                       Done done) override {
-    done(ReadOnly());
-  }
-  void PutSnapshot(VehicleKey, SnapshotRecord, Done done) override {
-    done(ReadOnly());
-  }
-  void DropSnapshot(VehicleKey, Done done) override { done(ReadOnly()); }
-
-  absl::StatusOr<std::vector<StorageUser>> ListUsers() override {
-    return Read<std::vector<StorageUser>>(ListLivingServers);
-  }
-
- private:
-  static absl::Status ReadOnly() {
-    return Error(absl::StatusCode::kFailedPrecondition, "INTERNAL",
-                 "this store was opened for reading");
-  }
-};
-
-}  // namespace
 
 absl::StatusOr<PostgresDatabase> LookAtDatabase(const std::string& conninfo) {
   PostgresConnection::Options options;
   options.conninfo = conninfo;
   const auto connection = PostgresConnection::Open(options);
   if (!connection.ok()) return connection.status();
-  const absl::StatusOr<int> version = CheckSchema(**connection);
-  if (!version.ok()) return version.status();
-  return PostgresDatabase{conninfo, *version, (*connection)->durability()};
+  const absl::Status known = CheckSchema(**connection);
+  if (!known.ok()) return known;
+  return PostgresDatabase{conninfo, (*connection)->durability()};
 }
 
 PostgresReader::PostgresReader(PostgresDatabase database)
@@ -138,11 +77,16 @@ absl::Status PostgresReader::ReadSnapshotParts(
   });
 }
 
+absl::StatusOr<std::vector<StorageUser>> PostgresReader::ListUsers() {
+  return Read<std::vector<StorageUser>>(ListLivingServers);
+}
+
 absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorageToRead(
     const std::string& conninfo) {
   absl::StatusOr<PostgresDatabase> database = LookAtDatabase(conninfo);
   if (!database.ok()) return database.status();
-  return std::unique_ptr<Storage>(new ReadOnlyPostgres(*std::move(database)));
+  return std::unique_ptr<Storage>(
+      new ReadOnlyStorage<PostgresReader>(*std::move(database)));
 }
 
 }  // namespace revisit::server

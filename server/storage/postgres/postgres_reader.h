@@ -15,7 +15,6 @@
 #include "absl/strings/string_view.h"
 #include "server/storage/postgres/connection.h"
 #include "server/storage/postgres/connection_pool.h"
-#include "server/storage/postgres/migrations.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {
@@ -23,7 +22,6 @@ namespace revisit::server {
 // A database whose tables are known here, as it was found.
 struct PostgresDatabase {
   std::string conninfo;
-  int schema_version = 0;
   Durability durability;
 };
 // Errors are those of OpenPostgresStorage().
@@ -51,6 +49,8 @@ class PostgresReader : public Storage {
   absl::Status ReadSnapshotParts(
       VehicleKey key, std::uint32_t first, std::uint32_t end,
       const std::function<bool(absl::string_view)>& visit) override;
+  // Asks the database.
+  absl::StatusOr<std::vector<StorageUser>> ListUsers() override;
 
  protected:
   explicit PostgresReader(PostgresDatabase database);

@@ -26,10 +26,8 @@ constexpr Statement kNextSnapshot = {
 // The snapshot before is gone when the new one comes, because its row is passed
 // on.
 constexpr Statement kPutFirstPart = {
-    "put_first_snapshot_part", REVISIT_SNAPSHOT_FENCE
-    ", d AS (DELETE FROM snapshots t USING h WHERE t.vehicle_key = h.key "
-    "RETURNING t.key), "
-    "s AS (INSERT INTO snapshots (key, vehicle_key, format, last_sequence, "
+    "put_first_snapshot_part", REVISIT_SNAPSHOT_FENCE REVISIT_FORGET_SNAPSHOT
+    ", s AS (INSERT INTO snapshots (key, vehicle_key, format, last_sequence, "
     "part_count, checksum, payload) SELECT $5::int8, h.key, $7::int8, 0, 0, 0, "
     "'' FROM h LEFT JOIN d ON true RETURNING key) " REVISIT_INSERT_PART
     "RETURNING snapshot_key"};
@@ -56,10 +54,14 @@ constexpr Statement kPutSnapshot = {
     "part_count = excluded.part_count, checksum = excluded.checksum, "
     "payload = excluded.payload RETURNING t.key"};
 constexpr Statement kDropSnapshot = {
-    "drop_snapshot", REVISIT_SNAPSHOT_FENCE
-    ", d AS (DELETE FROM snapshots t USING h WHERE t.vehicle_key = h.key) "
-    "SELECT key FROM h"};
+    "drop_snapshot",
+    REVISIT_SNAPSHOT_FENCE REVISIT_FORGET_SNAPSHOT "SELECT key FROM h"};
 #undef REVISIT_SNAPSHOT_FENCE
+// $1 vehicle.
+constexpr Statement kForgetSnapshot = {
+    "forget_snapshot",
+    "WITH h AS (SELECT $1::int8 AS key) " REVISIT_FORGET_SNAPSHOT
+    "SELECT key FROM d"};
 
 constexpr Statement kSnapshotKey = {
     "snapshot_key",
@@ -164,6 +166,10 @@ absl::Status DropSnapshotRow(PostgresConnection& connection,
   if (!rows.ok()) return rows.status();
   if (rows->size() > 0) return absl::OkStatus();
   return WhyNotWritten(connection, fence, Fenced("the vehicle"));
+}
+
+absl::Status ForgetSnapshot(PostgresConnection& connection, VehicleKey key) {
+  return connection.Run(kForgetSnapshot, Parameters().Add(key)).status();
 }
 
 absl::StatusOr<bool> PurgeSnapshots(PostgresConnection& connection) {

@@ -1,7 +1,5 @@
-// The statements that write and read snapshots, in tables of version 2
-// (migrations.h). Each write is one statement, and fenced, as in
-// postgres_changes.h. Nothing here removes a snapshot because poses change: the
-// tables do, so that servers of the version before cannot forget to.
+// The statements that write and read snapshots (migrations.h). Each write is
+// one statement, and fenced, as in postgres_changes.h.
 #ifndef REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_SNAPSHOTS_H_
 #define REVISIT_SERVER_STORAGE_POSTGRES_POSTGRES_SNAPSHOTS_H_
 
@@ -15,9 +13,18 @@
 #include "absl/strings/string_view.h"
 #include "server/storage/postgres/connection.h"
 #include "server/storage/postgres/postgres_fence.h"
-#include "server/storage/storage.h"
+#include "server/storage/records.h"
 
 namespace revisit::server {
+
+// ---- SQL
+
+// A part of a write behind its fence: forgets the snapshot of the vehicle whose
+// key is in `h`, and leaves what to purge. The snapshot's key is in `d`.
+#define REVISIT_FORGET_SNAPSHOT                                             \
+  ", d AS (DELETE FROM snapshots t USING h WHERE t.vehicle_key = h.key "    \
+  "RETURNING t.key), e AS (INSERT INTO deleted_snapshots (key) SELECT key " \
+  "FROM d) "
 
 // ---- Writes
 
@@ -28,6 +35,10 @@ absl::Status PutSnapshotRow(PostgresConnection& connection, const Fence& fence,
                             const SnapshotRecord& snapshot);
 absl::Status DropSnapshotRow(PostgresConnection& connection,
                              const Fence& fence);
+
+// Forgets the snapshot within a transaction that changes the poses which it
+// comes from, and that holds the vehicle's head.
+absl::Status ForgetSnapshot(PostgresConnection& connection, VehicleKey key);
 
 // Removes some parts of snapshots that are gone; returns whether more may be
 // left.

@@ -350,10 +350,7 @@ absl::StatusOr<std::unique_ptr<Storage>> OpenPostgresStorage(
     options.ownership.warn("the database may lose what it has acknowledged: " +
                            durability.details);
   }
-  OwnershipOptions of_ownership = options.ownership;
-  of_ownership.counts_vehicles =
-      database->schema_version >= kVehicleCountsSinceVersion;
-  auto ownership = Ownership::Join(conninfo, of_ownership);
+  auto ownership = Ownership::Join(conninfo, options.ownership);
   if (!ownership.ok()) return ownership.status();
   return std::unique_ptr<Storage>(new PostgresStorage(
       *std::move(database), options, *std::move(ownership)));

@@ -10,8 +10,8 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "server/storage/records.h"
 #include "server/storage/sqlite/sqlite_database.h"
-#include "server/storage/storage.h"
 
 namespace revisit::server {
 

@@ -25,6 +25,11 @@ absl::Status ReaderPool::Read(
   return status;
 }
 
+void ReaderPool::CloseAll() {
+  const MutexLock guard(&mutex_);
+  idle_.clear();
+}
+
 absl::StatusOr<std::unique_ptr<SqliteDatabase>> ReaderPool::Take() {
   {
     const MutexLock guard(&mutex_);

@@ -24,6 +24,9 @@ class ReaderPool {
   // store.
   absl::Status Read(const std::function<absl::Status(SqliteDatabase&)>& read);
 
+  // REQUIRES: nothing is read any more.
+  void CloseAll();
+
  private:
   absl::StatusOr<std::unique_ptr<SqliteDatabase>> Take();
   void GiveBack(std::unique_ptr<SqliteDatabase> reader);

@@ -11,8 +11,8 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "server/storage/records.h"
 #include "server/storage/sqlite/sqlite_database.h"
-#include "server/storage/storage.h"
 
 namespace revisit::server {
 

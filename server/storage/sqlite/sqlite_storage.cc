@@ -11,8 +11,8 @@
 #include "server/storage/free_space.h"
 #include "server/storage/sqlite/batch_rows.h"
 #include "server/storage/sqlite/pair_rows.h"
-#include "server/storage/sqlite/reader_pool.h"
 #include "server/storage/sqlite/snapshot_rows.h"
+#include "server/storage/sqlite/sqlite_reader.h"
 #include "server/storage/sqlite/sqlite_writer.h"
 #include "server/storage/sqlite/store_examination.h"
 #include "server/storage/sqlite/store_files.h"
@@ -23,21 +23,20 @@
 namespace revisit::server {
 namespace {
 
-class SqliteStorage : public Storage {
+class SqliteStorage : public SqliteReader {
  public:
-  // `writer` is null for a storage that only reads.
   SqliteStorage(std::string path, std::unique_ptr<SqliteWriter> writer,
-                std::unique_ptr<SqliteDatabase> anchor,
-                SqliteDatabase::Mode reader_mode, const std::string& vfs,
+                std::unique_ptr<SqliteDatabase> anchor, const std::string& vfs,
                 std::int64_t min_free_bytes)
-      : path_(std::move(path)),
+      : SqliteReader(std::move(path), std::move(anchor),
+                     SqliteDatabase::Mode::kReadOnly, vfs),
         min_free_bytes_(min_free_bytes),
-        writer_(std::move(writer)),
-        anchor_(std::move(anchor)),
-        readers_(path_, reader_mode, vfs) {}
+        writer_(std::move(writer)) {}
 
+  // The writer's connection is the last that closes.
   ~SqliteStorage() override {
-    if (writer_ != nullptr) writer_->End();
+    writer_->End();
+    CloseReaders();
   }
 
   void CreateVehicle(
@@ -89,12 +88,8 @@ class SqliteStorage : public Storage {
   void AppendBatches(VehicleKey key, std::vector<BatchRecord> batches,
                      std::optional<std::string> vehicle_payload,
                      Done done) override {
-    if (writer_ == nullptr) {
-      done(ReadOnly());
-    } else {
-      writer_->Append(key, std::move(batches), std::move(vehicle_payload),
-                      std::move(done));
-    }
+    writer_->Append(key, std::move(batches), std::move(vehicle_payload),
+                    std::move(done));
   }
 
   void ReviseBatches(VehicleKey key, BatchSource batches,
@@ -160,8 +155,6 @@ class SqliteStorage : public Storage {
         std::move(done));
   }
 
-  bool KeepsSnapshots() const override { return true; }
-
   void PutSnapshotPart(VehicleKey key, std::uint32_t number, std::string part,
                        Done done) override {
     const std::size_t bytes = part.size();
@@ -195,134 +188,27 @@ class SqliteStorage : public Storage {
         std::move(done), PendingWrite::Need::kLittle);
   }
 
-  absl::StatusOr<std::optional<SnapshotRecord>> GetSnapshot(
-      VehicleKey key) override {
-    absl::StatusOr<std::optional<SnapshotRecord>> snapshot =
-        std::optional<SnapshotRecord>();
-    const absl::Status status = readers_.Read([&](SqliteDatabase& database) {
-      snapshot = FindSnapshot(database, key);
-      return snapshot.status();
-    });
-    if (!status.ok()) return status;
-    return snapshot;
-  }
-
-  absl::Status ReadSnapshotParts(
-      VehicleKey key, std::uint32_t first, std::uint32_t end,
-      const std::function<bool(absl::string_view)>& visit) override {
-    return readers_.Read([&](SqliteDatabase& database) {
-      return VisitSnapshotParts(database, key, first, end, visit);
-    });
-  }
-
-  absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override {
-    absl::StatusOr<VehicleRecord> record = VehicleRecord();
-    const absl::Status status = readers_.Read([&](SqliteDatabase& database) {
-      record = FindVehicle(database, id);
-      return record.status();
-    });
-    if (!status.ok()) return status;
-    return record;
-  }
-
-  absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
-      const std::string& after_id, const std::string& prefix,
-      int limit) override {
-    absl::StatusOr<std::vector<VehicleRecord>> records =
-        std::vector<VehicleRecord>();
-    const absl::Status status = readers_.Read([&](SqliteDatabase& database) {
-      records = FindVehicles(database, after_id, prefix, limit);
-      return records.status();
-    });
-    if (!status.ok()) return status;
-    return records;
-  }
-
-  absl::StatusOr<std::vector<VehicleRecord>> ListVehicleRows(
-      VehicleKey after_key, int limit) override {
-    absl::StatusOr<std::vector<VehicleRecord>> records =
-        std::vector<VehicleRecord>();
-    const absl::Status status = readers_.Read([&](SqliteDatabase& database) {
-      records = FindVehicleRows(database, after_key, limit);
-      return records.status();
-    });
-    if (!status.ok()) return status;
-    return records;
-  }
-
-  absl::Status ReadBatches(
-      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
-      BatchVersion version,
-      const std::function<bool(BatchRecord)>& visit) override {
-    return readers_.Read([&](SqliteDatabase& database) {
-      return VisitBatches(database, key, first_sequence, last_sequence, version,
-                          visit);
-    });
-  }
-
-  absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
-      VehicleKey key, PairKind kind, const std::string& after_id,
-      int limit) override {
-    absl::StatusOr<std::vector<PosePairRecord>> pairs =
-        std::vector<PosePairRecord>();
-    const absl::Status status = readers_.Read([&](SqliteDatabase& database) {
-      pairs = FindPosePairs(database, key, kind, after_id, limit);
-      return pairs.status();
-    });
-    if (!status.ok()) return status;
-    return pairs;
-  }
-
   absl::Status CheckWritable() override {
-    if (writer_ == nullptr) return ReadOnly();
     return writer_->HasRoom() ? absl::OkStatus()
                               : StorageFull("the disk of the store is full");
   }
 
-  CommitCounts Counts() const override {
-    return writer_ == nullptr ? CommitCounts() : writer_->Counts();
-  }
+  CommitCounts Counts() const override { return writer_->Counts(); }
 
   std::optional<StorageRoom> GetRoom() const override {
-    StorageRoom room;
-    for (const std::string& file : {path_, LogOf(path_)}) {
-      std::error_code error;
-      const std::uintmax_t bytes = std::filesystem::file_size(file, error);
-      if (!error) room.bytes += static_cast<std::int64_t>(bytes);
-    }
-    const absl::StatusOr<std::int64_t> free =
-        FreeBytes(std::filesystem::path(path_).parent_path());
-    if (!free.ok()) return std::nullopt;
-    room.free_bytes = *free;
-    room.min_free_bytes = min_free_bytes_;
+    std::optional<StorageRoom> room = SqliteReader::GetRoom();
+    if (room) room->min_free_bytes = min_free_bytes_;
     return room;
   }
 
  private:
-  static absl::Status ReadOnly() {
-    return Error(absl::StatusCode::kFailedPrecondition, "INTERNAL",
-                 "this store was opened for reading");
-  }
-
   void Submit(std::size_t bytes, SqliteWriter::Change change, Done done,
               PendingWrite::Need need = PendingWrite::Need::kRoom) {
-    if (writer_ == nullptr) {
-      done(ReadOnly());
-    } else {
-      writer_->Submit(bytes, std::move(change), std::move(done), need);
-    }
+    writer_->Submit(bytes, std::move(change), std::move(done), need);
   }
 
-  const std::string path_;
   const std::int64_t min_free_bytes_;
-  // Null if opened for reading. Its connection is the last to close.
   const std::unique_ptr<SqliteWriter> writer_;
-
-  // Keeps the log's index in shared memory while the writer is opened anew:
-  // otherwise it would be made from the log, including failed transactions.
-  const std::unique_ptr<SqliteDatabase> anchor_;
-
-  ReaderPool readers_;
 };
 
 // The canonical path, because two names of one file must find the same lock.
@@ -385,18 +271,7 @@ absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
       store,
       std::make_unique<SqliteWriter>(store, options, run, *std::move(lock),
                                      *std::move(mark), *std::move(writer)),
-      *std::move(anchor), SqliteDatabase::Mode::kReadOnly, options.vfs,
-      options.min_free_bytes));
-}
-
-absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorageToRead(
-    const std::string& path, SqliteDatabase::Mode mode) {
-  absl::StatusOr<std::unique_ptr<SqliteDatabase>> anchor =
-      OpenDatabaseToRead(path, mode);
-  if (!anchor.ok()) return anchor.status();
-  return std::unique_ptr<Storage>(new SqliteStorage(
-      path, /*writer=*/nullptr, *std::move(anchor), mode, /*vfs=*/"",
-      /*min_free_bytes=*/0));
+      *std::move(anchor), options.vfs, options.min_free_bytes));
 }
 
 }  // namespace revisit::server

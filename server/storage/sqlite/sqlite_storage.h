@@ -52,39 +52,14 @@
 #ifndef REVISIT_SERVER_STORAGE_SQLITE_SQLITE_STORAGE_H_
 #define REVISIT_SERVER_STORAGE_SQLITE_SQLITE_STORAGE_H_
 
-#include <chrono>
-#include <cstddef>
-#include <cstdint>
-#include <functional>
 #include <memory>
 #include <string>
 
-#include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "server/storage/sqlite/sqlite_database.h"
+#include "server/storage/sqlite/sqlite_options.h"
 #include "server/storage/storage.h"
-#include "server/storage/write_queue.h"
 
 namespace revisit::server {
-
-struct SqliteOptions : WriteGroupOptions {
-  // Name of SQLite's layer to the operating system; empty for the usual one.
-  // Tests put one here whose device fails.
-  std::string vfs;
-  // Writes other than deletions of vehicles are RESOURCE_EXHAUSTED
-  // (STORAGE_FULL) while less than this is free; see free_space.h.
-  std::int64_t min_free_bytes = 0;
-  // The largest file that is checked whole when it is opened.
-  std::int64_t max_checked_bytes = std::int64_t{256} << 20;
-  // Whether to drop the unreadable part of a damaged log, rather than refuse to
-  // open the store.
-  bool drop_damaged_log = false;
-  // Called while the store is opened, with what an operator should know.
-  std::function<void(const std::string&)> warn;
-  // Called once, on the writer's thread, when no write will be taken any more
-  // because a flush has failed or the store's files are gone.
-  std::function<void(const absl::Status&)> on_failure;
-};
 
 // Opens the store, or creates it in an existing directory. A store of an older
 // format becomes one of this format. FAILED_PRECONDITION if another server has
@@ -94,12 +69,6 @@ struct SqliteOptions : WriteGroupOptions {
 // where they are known.
 absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
     const std::string& path, const SqliteOptions& options = {});
-
-// Opens a store of this format for reading, in a mode that only reads;
-// kReadOnly also while a server has it open. Writes are FAILED_PRECONDITION.
-// Errors are those of OpenSqliteStorage().
-absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorageToRead(
-    const std::string& path, SqliteDatabase::Mode mode);
 
 }  // namespace revisit::server
 

@@ -34,6 +34,14 @@ constexpr std::int64_t kGivenPagesWithoutRoom = 16;
 // Vehicles for which the writer remembers the sequence that comes next.
 constexpr std::size_t kMaxKnownSequences = 100'000;
 
+// Whether a row that was inserted without a savepoint has left the others of
+// its transaction sound: it is there, or was refused before anything was
+// touched.
+bool LeavesOthersSound(const absl::Status& result) {
+  return result.ok() || result.code() == StatusCode::kFailedPrecondition ||
+         result.code() == StatusCode::kNotFound;
+}
+
 }  // namespace
 
 SqliteWriter::SqliteWriter(std::string path, const SqliteOptions& options,
@@ -109,7 +117,7 @@ void SqliteWriter::Submit(std::size_t bytes, Change change, Storage::Done done,
 
 void SqliteWriter::Write() {
   while (auto group = queue_.Take(ChoresDue(), commit_time_)) {
-    const std::vector<absl::Status> results = CommitOrRefuse(*group);
+    const Results results = CommitOrRefuse(*group);
     for (std::size_t i = 0; i < group->size(); ++i) {
       for (const Storage::Done& done : (*group)[i].done) done(results[i]);
     }
@@ -128,7 +136,7 @@ bool SqliteWriter::ChoresAreDue() const {
   return chores_ != Chores::kNone && Clock::now() >= chores_due_;
 }
 
-std::vector<absl::Status> SqliteWriter::CommitOrRefuse(
+SqliteWriter::Results SqliteWriter::CommitOrRefuse(
     const std::vector<PendingWrite>& group) {
   const absl::Status room = space_.Check();
   // The log is copied into the database while there is still room, so that
@@ -138,14 +146,14 @@ std::vector<absl::Status> SqliteWriter::CommitOrRefuse(
   }
   had_room_ = room.ok();
   if (!room.ok() && !MakesRoom(group)) {
-    return std::vector<absl::Status>(group.size(), room);
+    return Results(group.size(), room);
   }
   if (room.ok() && gave_up_reserve_) {
     KeepReserve(path_);
     gave_up_reserve_ = false;
   }
   const Clock::time_point start = Clock::now();
-  std::vector<absl::Status> results = Commit(group, room);
+  Results results = Commit(group, room);
   const Clock::duration taken = Clock::now() - start;
   // A moving mean follows the device, and soon forgets a single slow flush.
   commit_time_ += (taken - commit_time_) / 8;
@@ -160,82 +168,106 @@ bool SqliteWriter::MakesRoom(const std::vector<PendingWrite>& group) const {
          });
 }
 
-std::vector<absl::Status> SqliteWriter::Commit(
+SqliteWriter::Results SqliteWriter::Commit(
+    const std::vector<PendingWrite>& group, absl::Status room) {
+  while (true) {
+    absl::StatusOr<Results> results = Transact(group, room);
+    if (results.ok()) return *std::move(results);
+    const bool makes_room = MakesRoom(group);
+    absl::Status failure = NoteFailure(results.status());
+    if (!IsStorageFull(failure) || !makes_room || !TakeReserve()) {
+      return Results(group.size(), failure);
+    }
+    // Once more, in the room of the reserve, which is given up only once.
+    room = std::move(failure);
+  }
+}
+
+absl::StatusOr<SqliteWriter::Results> SqliteWriter::Transact(
     const std::vector<PendingWrite>& group, const absl::Status& room) {
-  std::vector<absl::Status> results;
   absl::Status status = EnsureDatabase();
   if (status.ok()) status = database_->Prepare("BEGIN IMMEDIATE").Run();
-  const bool begun = status.ok();
-  // Rows are inserted without a savepoint each, which costs more than the
-  // insertion. If one of them damages the transaction, which happens only
-  // with a damaged file or a full disk, all is begun again with savepoints.
-  if (begun && !ApplyAll(group, room, /*careful=*/false, &results, &status)) {
-    next_sequences_.clear();
-    status = database_->Prepare("ROLLBACK").Run();
-    if (status.ok()) status = database_->Prepare("BEGIN IMMEDIATE").Run();
-    if (status.ok()) {
-      ApplyAll(group, room, /*careful=*/true, &results, &status);
-    }
-  }
-  bool changed =
-      std::any_of(results.begin(), results.end(),
-                  [](const absl::Status& result) { return result.ok(); });
+  // Nothing was touched yet, so the connection is as good as before.
+  if (!status.ok()) return status;
+  absl::StatusOr<Results> results = FillAndCommit(group, room);
+  // Otherwise the state of the transaction is in doubt; see sqlite_storage.h.
+  if (!results.ok()) database_.reset();
+  return results;
+}
+
+absl::StatusOr<SqliteWriter::Results> SqliteWriter::FillAndCommit(
+    const std::vector<PendingWrite>& group, const absl::Status& room) {
+  absl::StatusOr<Results> results = ApplyAll(group, room);
+  if (!results.ok()) return results;
+  bool changed = std::any_of(results->begin(), results->end(),
+                             [](const absl::Status& one) { return one.ok(); });
   // While the store lives on its reserve, a deletion comes first, alone.
-  if (status.ok() && ChoresAreDue() && (group.empty() || !lives_on_reserve_)) {
+  if (ChoresAreDue() && (group.empty() || !lives_on_reserve_)) {
     const absl::StatusOr<bool> done =
         DoChores(/*has_time=*/group.empty(), /*has_room=*/room.ok());
-    status = done.status();
-    changed |= done.ok() && *done;
+    if (!done.ok()) return done.status();
+    changed |= *done;
   }
-  StoreState next = NextState(state_, run_, /*is_closed=*/false);
-  if (status.ok() && changed) status = WriteState(*database_, next);
-  const Clock::time_point flush = Clock::now();
-  if (status.ok()) status = database_->Prepare("COMMIT").Run();
-  if (status.ok() && changed) {
-    flush_seconds_.Observe(Clock::now() - flush);
-    status = watch_.Check();
-    if (!status.ok()) GiveUp(status);
-  }
-  if (status.ok()) {
-    space_.NoteWrite(/*found_full=*/false);
-    Count(group, results);
-    if (changed) NoteCommit(next);
-    if (chores_ == Chores::kNone ? gave_pages_ || !room.ok()
-                                 : !room.ok() && !lives_on_reserve_) {
-      // Copying makes the file shorter, and lets the log be written over.
-      CheckCopied(database_->CopyLog().status());
-      gave_pages_ = false;
-      lives_on_reserve_ = false;
-    }
-    CheckCopied(database_->copy_failure());
-    return results;
-  }
+  absl::Status status =
+      changed ? CommitChange() : database_->Prepare("COMMIT").Run();
+  if (!status.ok()) return status;
+  space_.NoteWrite(/*found_full=*/false);
+  Count(group, *results);
+  CopyLogIfDue(room);
+  return results;
+}
 
-  // The state of the transaction is in doubt, so the connection is closed;
-  // see the header. If not even BEGIN succeeded, nothing was touched.
-  if (begun) database_.reset();
+absl::Status SqliteWriter::CommitChange() {
+  const StoreState next = NextState(state_, run_, /*is_closed=*/false);
+  absl::Status status = WriteState(*database_, next);
+  if (!status.ok()) return status;
+  const Clock::time_point flush = Clock::now();
+  status = database_->Prepare("COMMIT").Run();
+  if (!status.ok()) return status;
+  flush_seconds_.Observe(Clock::now() - flush);
+  status = watch_.Check();
+  if (!status.ok()) {
+    GiveUp(status);
+    return status;
+  }
+  NoteCommit(next);
+  return absl::OkStatus();
+}
+
+void SqliteWriter::CopyLogIfDue(const absl::Status& room) {
+  const bool is_due = chores_ == Chores::kNone
+                          ? gave_pages_ || !room.ok()
+                          : !room.ok() && !lives_on_reserve_;
+  if (is_due) {
+    // Copying makes the file shorter, and lets the log be written over.
+    CheckCopied(database_->CopyLog().status());
+    gave_pages_ = false;
+    lives_on_reserve_ = false;
+  }
+  CheckCopied(database_->copy_failure());
+}
+
+absl::Status SqliteWriter::NoteFailure(const absl::Status& cause) {
   next_sequences_.clear();
   lives_on_reserve_ = false;
-  const bool makes_room = MakesRoom(group);
   // Without a delay a full disk would be tried again and again.
   chores_due_ = Clock::now() + kChoresDelay;
+  if (IsFailedFlush(cause)) GiveUp(cause);
+  const bool is_full = IsStorageFull(cause);
+  if (is_full) space_.NoteWrite(/*found_full=*/true);
+  if (!given_up_.ok()) return given_up_;
   const std::string message =
-      "nothing was written: " + std::string(status.message());
-  absl::Status failure =
-      Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE", message);
-  if (IsStorageFull(status)) {
-    space_.NoteWrite(/*found_full=*/true);
-    failure = StorageFull(message);
-  }
-  if (IsFailedFlush(status)) GiveUp(status);
-  if (!given_up_.ok()) failure = given_up_;
-  if (IsStorageFull(failure) && makes_room && GiveUpReserve(path_)) {
-    gave_up_reserve_ = true;
-    lives_on_reserve_ = true;
-    chores_due_ = Clock::now();
-    return Commit(group, failure);
-  }
-  return std::vector<absl::Status>(group.size(), failure);
+      "nothing was written: " + std::string(cause.message());
+  if (is_full) return StorageFull(message);
+  return Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE", message);
+}
+
+bool SqliteWriter::TakeReserve() {
+  if (!GiveUpReserve(path_)) return false;
+  gave_up_reserve_ = true;
+  lives_on_reserve_ = true;
+  chores_due_ = Clock::now();
+  return true;
 }
 
 absl::StatusOr<bool> SqliteWriter::DoChores(bool has_time, bool has_room) {
@@ -298,7 +330,7 @@ void SqliteWriter::Close() {
 }
 
 void SqliteWriter::Count(const std::vector<PendingWrite>& group,
-                         const std::vector<absl::Status>& results) {
+                         const Results& results) {
   std::uint64_t writes = 0;
   for (std::size_t i = 0; i < group.size(); ++i) {
     if (results[i].ok()) writes += group[i].done.size();
@@ -317,42 +349,54 @@ void SqliteWriter::GiveUp(const absl::Status& cause) {
   if (options_.on_failure) options_.on_failure(given_up_);
 }
 
-bool SqliteWriter::ApplyAll(const std::vector<PendingWrite>& group,
-                            const absl::Status& room, bool careful,
-                            std::vector<absl::Status>* results,
-                            absl::Status* status) {
-  results->clear();
-  for (const PendingWrite& write : group) {
-    if (!room.ok() && write.need == Need::kRoom) {
-      // Nothing was touched: the vehicle's next sequence is as it was.
-      results->push_back(room);
-      continue;
-    }
-    if (careful || write.apply) {
-      results->emplace_back();
-      *status = ApplyAlone(write, &results->back());
-      if (!status->ok()) return true;
-      continue;
-    }
-    absl::Status result = Insert(write.key, write.rows.front());
-    // SQLite gives up the whole transaction after some errors.
-    if (result.code() == StatusCode::kUnavailable ||
-        !database_->InTransaction()) {
-      *status = std::move(result);
-      return true;
-    }
-    // A row that does not follow was refused before anything was touched.
-    if (!result.ok() && result.code() != StatusCode::kFailedPrecondition &&
-        result.code() != StatusCode::kNotFound) {
-      return false;
-    }
-    results->push_back(std::move(result));
+absl::StatusOr<SqliteWriter::Results> SqliteWriter::ApplyAll(
+    const std::vector<PendingWrite>& group, const absl::Status& room) {
+  // Rows are inserted without a savepoint each, which costs more than the
+  // insertion. If one of them damages the transaction, which happens only
+  // with a damaged file or a full disk, all is begun again with savepoints.
+  absl::StatusOr<std::optional<Results>> results =
+      Apply(group, room, Savepoints::kForChanges);
+  if (results.ok() && !results->has_value()) {
+    next_sequences_.clear();
+    absl::Status status = database_->Prepare("ROLLBACK").Run();
+    if (status.ok()) status = database_->Prepare("BEGIN IMMEDIATE").Run();
+    if (!status.ok()) return status;
+    results = Apply(group, room, Savepoints::kForAll);
   }
-  return true;
+  if (!results.ok()) return results.status();
+  return **std::move(results);
 }
 
-absl::Status SqliteWriter::Apply(const PendingWrite& write) {
-  return write.apply ? write.apply() : Insert(write.key, write.rows.front());
+absl::StatusOr<std::optional<SqliteWriter::Results>> SqliteWriter::Apply(
+    const std::vector<PendingWrite>& group, const absl::Status& room,
+    Savepoints savepoints) {
+  Results results;
+  for (const PendingWrite& write : group) {
+    absl::Status result;
+    absl::Status status;
+    if (!room.ok() && write.need == Need::kRoom) {
+      // Nothing was touched: the vehicle's next sequence is as it was.
+      result = room;
+    } else if (write.apply || savepoints == Savepoints::kForAll) {
+      status = ApplyInSavepoint(write, &result);
+    } else {
+      result = Insert(write.key, write.rows.front());
+      if (EndsTransaction(result)) {
+        status = result;
+      } else if (!LeavesOthersSound(result)) {
+        return std::nullopt;
+      }
+    }
+    if (!status.ok()) return status;
+    results.push_back(std::move(result));
+  }
+  return results;
+}
+
+// SQLite gives up the whole transaction after some errors.
+bool SqliteWriter::EndsTransaction(const absl::Status& result) const {
+  return result.code() == StatusCode::kUnavailable ||
+         !database_->InTransaction();
 }
 
 absl::Status SqliteWriter::Insert(VehicleKey key, const BatchRecord& batch) {
@@ -364,14 +408,12 @@ absl::Status SqliteWriter::Insert(VehicleKey key, const BatchRecord& batch) {
   return status;
 }
 
-absl::Status SqliteWriter::ApplyAlone(const PendingWrite& write,
-                                      absl::Status* result) {
+absl::Status SqliteWriter::ApplyInSavepoint(const PendingWrite& write,
+                                            absl::Status* result) {
   absl::Status status = database_->Prepare("SAVEPOINT one").Run();
   if (!status.ok()) return status;
-  *result = Apply(write);
-  if (result->code() == StatusCode::kUnavailable) return *result;
-  // SQLite gives up the whole transaction after some errors.
-  if (!database_->InTransaction()) return *result;
+  *result = write.apply ? write.apply() : Insert(write.key, write.rows.front());
+  if (EndsTransaction(*result)) return *result;
   if (!result->ok()) {
     next_sequences_.clear();
     status = database_->Prepare("ROLLBACK TO one").Run();

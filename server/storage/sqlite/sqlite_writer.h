@@ -21,7 +21,7 @@
 #include "server/storage/free_space.h"
 #include "server/storage/sqlite/durable_mark.h"
 #include "server/storage/sqlite/sqlite_database.h"
-#include "server/storage/sqlite/sqlite_storage.h"
+#include "server/storage/sqlite/sqlite_options.h"
 #include "server/storage/sqlite/store_files.h"
 #include "server/storage/sqlite/store_lock.h"
 #include "server/storage/sqlite/store_opening.h"
@@ -73,6 +73,9 @@ class SqliteWriter {
  private:
   using Clock = std::chrono::steady_clock;
   using Need = PendingWrite::Need;
+  // The outcome of each write of a group, which holds for all appends that it
+  // joins.
+  using Results = std::vector<absl::Status>;
 
   // Work for when there is nothing better to do, in this order: removing rows
   // of deleted vehicles, then giving back unused room in the file.
@@ -82,16 +85,47 @@ class SqliteWriter {
   void Write();
   std::optional<Clock::time_point> ChoresDue() const;
   bool ChoresAreDue() const;
-  // Commits a group; returns the outcome of each write, which holds for all
-  // appends that it joins.
-  std::vector<absl::Status> CommitOrRefuse(
-      const std::vector<PendingWrite>& group);
+  // Commits a group, or refuses it for want of room.
+  Results CommitOrRefuse(const std::vector<PendingWrite>& group);
   // Whether the group or the chores leave more room than there was.
   bool MakesRoom(const std::vector<PendingWrite>& group) const;
-  // Writes a group in one transaction; without `room`, only writes that need
-  // little.
-  std::vector<absl::Status> Commit(const std::vector<PendingWrite>& group,
+  // Commits a group, if need be in the room of the reserve; where that fails,
+  // nothing of it is written. While `room` is not OK, it is the outcome of
+  // writes that need room.
+  Results Commit(const std::vector<PendingWrite>& group, absl::Status room);
+  // Commits a group, and chores that are due, in one transaction; an error if
+  // that failed. `room` is as above, here and in the steps that follow.
+  absl::StatusOr<Results> Transact(const std::vector<PendingWrite>& group,
                                    const absl::Status& room);
+  absl::StatusOr<Results> FillAndCommit(const std::vector<PendingWrite>& group,
+                                        const absl::Status& room);
+  // Applies or refuses each write; an error if the transaction cannot go on.
+  absl::StatusOr<Results> ApplyAll(const std::vector<PendingWrite>& group,
+                                   const absl::Status& room);
+  // Which writes get a savepoint, to which the transaction goes back if they
+  // are refused: all, or all but appended rows.
+  enum class Savepoints { kForAll, kForChanges };
+  // As ApplyAll(); nothing if a row without a savepoint may have left half of
+  // itself in the transaction.
+  absl::StatusOr<std::optional<Results>> Apply(
+      const std::vector<PendingWrite>& group, const absl::Status& room,
+      Savepoints savepoints);
+  // Applies one write so that it leaves nothing behind if it is refused. The
+  // returned status is not OK if the transaction cannot go on.
+  absl::Status ApplyInSavepoint(const PendingWrite& write,
+                                absl::Status* result);
+  absl::Status Insert(VehicleKey key, const BatchRecord& batch);
+  // Whether the transaction is over, or in doubt, after this outcome.
+  bool EndsTransaction(const absl::Status& result) const;
+  // Commits a transaction that changed something, with the store's new state.
+  absl::Status CommitChange();
+  void CopyLogIfDue(const absl::Status& room);
+  // Call after a transaction that failed; returns what its writes are answered
+  // with.
+  absl::Status NoteFailure(const absl::Status& cause);
+  // Gives up the reserve, for a group or chores that make room; returns
+  // whether there was any.
+  bool TakeReserve();
   // Does a step of the chores, within a transaction; returns whether it changed
   // anything.
   absl::StatusOr<bool> DoChores(bool has_time, bool has_room);
@@ -104,21 +138,10 @@ class SqliteWriter {
   // be written, the log stays, as after a kill.
   void Close();
   // Counts the writes of a committed transaction.
-  void Count(const std::vector<PendingWrite>& group,
-             const std::vector<absl::Status>& results);
+  void Count(const std::vector<PendingWrite>& group, const Results& results);
   // Takes no write any more, after a failed flush or if the files are gone; see
   // the header.
   void GiveUp(const absl::Status& cause);
-  // Applies or refuses each write; returns whether that was possible for all.
-  // `status` is not OK if the transaction cannot go on.
-  bool ApplyAll(const std::vector<PendingWrite>& group,
-                const absl::Status& room, bool careful,
-                std::vector<absl::Status>* results, absl::Status* status);
-  absl::Status Apply(const PendingWrite& write);
-  absl::Status Insert(VehicleKey key, const BatchRecord& batch);
-  // Applies one write so that it leaves nothing behind if it is refused. The
-  // returned status is not OK if the transaction cannot go on.
-  absl::Status ApplyAlone(const PendingWrite& write, absl::Status* result);
   absl::Status EnsureDatabase();
 
   const std::string path_;

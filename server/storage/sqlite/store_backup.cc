@@ -10,7 +10,7 @@
 #include "server/storage/free_space.h"
 #include "server/storage/sqlite/store_examination.h"
 #include "server/storage/sqlite/store_files.h"
-#include "server/storage/sqlite/store_opening.h"
+#include "server/storage/sqlite/store_reading.h"
 #include "server/storage/sqlite/store_state.h"
 
 namespace revisit::server {

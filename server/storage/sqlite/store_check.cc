@@ -9,11 +9,12 @@
 #include <utility>
 
 #include "server/storage/record_check.h"
-#include "server/storage/sqlite/sqlite_storage.h"
+#include "server/storage/sqlite/sqlite_reader.h"
 #include "server/storage/sqlite/store_files.h"
 #include "server/storage/sqlite/store_lock.h"
-#include "server/storage/sqlite/store_opening.h"
+#include "server/storage/sqlite/store_reading.h"
 #include "server/storage/sqlite/write_ahead_log.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

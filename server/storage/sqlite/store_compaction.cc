@@ -16,8 +16,9 @@
 #include "server/storage/sqlite/store_examination.h"
 #include "server/storage/sqlite/store_files.h"
 #include "server/storage/sqlite/store_lock.h"
-#include "server/storage/sqlite/store_opening.h"
+#include "server/storage/sqlite/store_reading.h"
 #include "server/storage/sqlite/store_state.h"
+#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

@@ -6,8 +6,8 @@
 #include <string>
 
 #include "server/base/status.h"
+#include "server/storage/records.h"
 #include "server/storage/sqlite/store_state.h"
-#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

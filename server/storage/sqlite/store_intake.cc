@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "server/base/status.h"
+#include "server/storage/records.h"
 #include "server/storage/sqlite/batch_rows.h"
 #include "server/storage/sqlite/pair_rows.h"
 #include "server/storage/sqlite/sqlite_database.h"
@@ -16,7 +17,6 @@
 #include "server/storage/sqlite/store_opening.h"
 #include "server/storage/sqlite/store_state.h"
 #include "server/storage/sqlite/vehicle_rows.h"
-#include "server/storage/storage.h"
 
 namespace revisit::server {
 namespace {

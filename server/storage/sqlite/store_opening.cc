@@ -8,7 +8,6 @@
 #include <cstdint>
 #include <cstdio>
 #include <filesystem>
-#include <fstream>
 #include <system_error>
 #include <utility>
 #include <vector>
@@ -18,35 +17,12 @@
 #include "server/storage/sqlite/store_examination.h"
 #include "server/storage/sqlite/store_files.h"
 #include "server/storage/sqlite/store_format.h"
-#include "server/storage/storage.h"
+#include "server/storage/sqlite/store_reading.h"
 
 namespace revisit::server {
 namespace {
 
 using absl::StatusCode;
-
-// Whether the file begins as every SQLite file does.
-bool BeginsAsDatabase(const std::string& path) {
-  const std::string expected("SQLite format 3\0", 16);
-  std::string found(expected.size(), ' ');
-  std::ifstream file(path, std::ios::binary);
-  file.read(found.data(), static_cast<std::streamsize>(found.size()));
-  return file.gcount() == static_cast<std::streamsize>(found.size()) &&
-         found == expected;
-}
-
-// Checks that the database can be read at all.
-absl::Status CheckReadable(SqliteDatabase& database, const std::string& path) {
-  const absl::Status status =
-      database.QueryInteger("PRAGMA schema_version").status();
-  if (!IsCorruption(status)) return status;
-  const std::string what(status.message());
-  if (!BeginsAsDatabase(path)) {
-    return absl::FailedPreconditionError(path +
-                                         " is not a store of revisit: " + what);
-  }
-  return Corrupt("the store " + path + " is damaged: " + what, {});
-}
 
 // Makes other servers wait that make a store in the same directory. On a file
 // system without such locks nobody waits.
@@ -190,28 +166,6 @@ absl::Status CheckFile(SqliteDatabase& database, const std::string& store,
   return Corrupt("the store " + store + " is damaged: " + what +
                      "; vehicles that cannot be read whole: " + names,
                  {{"vehicles", names}});
-}
-
-absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenDatabaseToRead(
-    const std::string& path, SqliteDatabase::Mode mode) {
-  absl::StatusOr<std::unique_ptr<SqliteDatabase>> database =
-      SqliteDatabase::Open(path, mode, "");
-  if (!database.ok()) return database;
-  const absl::Status readable = CheckReadable(**database, path);
-  if (!readable.ok()) return readable;
-  const absl::StatusOr<FileFormat> format = ReadFormat(**database);
-  if (!format.ok()) return format.status();
-  const absl::Status known = CheckKnownFormat(path, *format);
-  if (!known.ok()) return known;
-  if (format->version != kStoreFormat) {
-    return absl::FailedPreconditionError(
-        "the store " + path + " has format " + std::to_string(format->version) +
-        ": a server that is started on it brings it to format " +
-        std::to_string(kStoreFormat));
-  }
-  const absl::Status schema = CheckSchema(**database, path);
-  if (!schema.ok()) return schema;
-  return database;
 }
 
 }  // namespace revisit::server

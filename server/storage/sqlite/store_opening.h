@@ -48,11 +48,6 @@ absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenAnchor(
 absl::Status CheckFile(SqliteDatabase& database, const std::string& store,
                        std::int64_t max_checked_bytes);
 
-// Opens a store of this format to read it whole (store_check.h,
-// store_backup.h), also while a server has it open.
-absl::StatusOr<std::unique_ptr<SqliteDatabase>> OpenDatabaseToRead(
-    const std::string& path, SqliteDatabase::Mode mode);
-
 }  // namespace revisit::server
 
 #endif  // REVISIT_SERVER_STORAGE_SQLITE_STORE_OPENING_H_

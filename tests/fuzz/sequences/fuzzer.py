@@ -247,7 +247,7 @@ class Worker:
                 if self._judge_call(call, stream):
                     lost.append(f"{call.path}: {stream.outcome}")
             except Finding as finding:
-                raise Finding(f"{call.path}: {finding}", self.scenario)
+                raise Finding(f"{call.path}: {finding}", self.scenario) from None
         if self._harmful():
             self.connection.close()
         elif lost and not self.closed_by_us:

@@ -464,11 +464,12 @@ TEST_P(StorageContract, NeverUsesKeyAgain) {
 TEST_P(StorageContract, RefusedWriteLeavesThoseAroundItAlone) {
   const VehicleKey key = *write().Create("truck");
   std::vector<Answer<absl::Status>> answers(4);
-  storage().AppendBatch(key, Batch(1, 1, 2, "a"), "one", answers[0].Setter());
-  storage().AppendBatch(key, Batch(1, 1, 2, "b"), "two", answers[1].Setter());
-  storage().AppendBatch(key, Batch(3, 1, 2, "c"), "three", answers[2].Setter());
-  storage().AppendBatch(key, Batch(2, 1, 3, "d"), std::nullopt,
-                        answers[3].Setter());
+  AppendBatch(storage(), key, Batch(1, 1, 2, "a"), "one", answers[0].Setter());
+  AppendBatch(storage(), key, Batch(1, 1, 2, "b"), "two", answers[1].Setter());
+  AppendBatch(storage(), key, Batch(3, 1, 2, "c"), "three",
+              answers[2].Setter());
+  AppendBatch(storage(), key, Batch(2, 1, 3, "d"), std::nullopt,
+              answers[3].Setter());
   EXPECT_THAT(answers[0].Get(), IsOk());
   EXPECT_THAT(answers[1].Get(),
               IsError(StatusCode::kFailedPrecondition, "SEQUENCE_GAP", _));
@@ -484,11 +485,11 @@ TEST_P(StorageContract, CommitsWhatWasSubmittedBeforeItCloses) {
   const VehicleKey key = *write().Create("truck");
   std::atomic<int> done{0};
   for (std::uint64_t i = 1; i <= 300; ++i) {
-    storage().AppendBatch(key, Batch(i, 1, i + 1, "a"), std::nullopt,
-                          [&](const absl::Status& status) {
-                            EXPECT_THAT(status, IsOk());
-                            ++done;
-                          });
+    AppendBatch(storage(), key, Batch(i, 1, i + 1, "a"), std::nullopt,
+                [&](const absl::Status& status) {
+                  EXPECT_THAT(status, IsOk());
+                  ++done;
+                });
   }
   store_->Reopen();
   EXPECT_EQ(done, 300);
@@ -509,12 +510,12 @@ TEST_P(StorageContract, AnswersWritesInTheOrderTheyCame) {
     threads.emplace_back([&, t] {
       const auto index = static_cast<std::size_t>(t);
       for (std::uint64_t i = 1; i <= kBatches; ++i) {
-        storage().AppendBatch(keys[index], Batch(i, 1, i + 1, "a"),
-                              std::nullopt, [&, index, i](absl::Status status) {
-                                EXPECT_THAT(status, IsOk());
-                                const std::lock_guard<std::mutex> g(mutex);
-                                answered[index].push_back(i);
-                              });
+        AppendBatch(storage(), keys[index], Batch(i, 1, i + 1, "a"),
+                    std::nullopt, [&, index, i](absl::Status status) {
+                      EXPECT_THAT(status, IsOk());
+                      const std::lock_guard<std::mutex> g(mutex);
+                      answered[index].push_back(i);
+                    });
       }
     });
   }

@@ -572,7 +572,7 @@ TEST_F(OwnershipTest, ClaimWaitsForAnAppendUnderWayAndSeesIt) {
   OpenTransaction lock(conninfo_);
   lock.Run("INSERT INTO batches SELECT key, 1, 1, 0, 0, 0, '' FROM heads");
   const Answer<absl::Status> appended;
-  a->AppendBatch(key, One(1), std::nullopt, appended.Setter());
+  AppendBatch(*a, key, One(1), std::nullopt, appended.Setter());
   AwaitWaiting("Lock");
   std::string appending = Waiting("Lock");
   appending.pop_back();
@@ -595,7 +595,7 @@ TEST_F(OwnershipTest, AppendWaitsForAClaimUnderWayAndWritesNothing) {
   OpenTransaction claim(conninfo_);
   claim.Run("UPDATE heads SET owner = gen_random_uuid(), epoch = epoch + 1");
   const Answer<absl::Status> appended;
-  a->AppendBatch(key, One(1), std::nullopt, appended.Setter());
+  AppendBatch(*a, key, One(1), std::nullopt, appended.Setter());
   AwaitWaiting("Lock");
   EXPECT_FALSE(appended.IsSet());
   claim.Commit();
@@ -636,9 +636,9 @@ TEST_F(OwnershipTest,
   lock.Run("LOCK TABLE batches IN SHARE MODE");
   const Answer<absl::Status> first;
   const Answer<absl::Status> second;
-  a->AppendBatch(key, One(1), std::nullopt, first.Setter());
+  AppendBatch(*a, key, One(1), std::nullopt, first.Setter());
   AwaitWaiting("Lock");
-  a->AppendBatch(key, One(2), std::nullopt, second.Setter());
+  AppendBatch(*a, key, One(2), std::nullopt, second.Setter());
   Sql("SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE "
       "wait_event_type = 'Lock' AND datname = current_database()");
   EXPECT_THAT(first.Get(), kUnavailable);
@@ -668,7 +668,7 @@ TEST_F(OwnershipTest, WritesThatWaitAreNotWrittenUnderALaterClaim) {
   a->AddPosePair(other, PairKind::kRejectedCandidate, {"a", 2, 1, 0}, 2,
                  held.Setter());
   AwaitWaiting("Lock");
-  a->AppendBatch(key, One(1), std::nullopt, waiting.Setter());
+  AppendBatch(*a, key, One(1), std::nullopt, waiting.Setter());
   ASSERT_THAT(a->TakeVehicle("truck"), IsOk());
   lock.Commit();
   EXPECT_THAT(held.Get(), IsOk());
@@ -683,7 +683,7 @@ TEST_F(OwnershipTest, VehicleThatItsOwnerHasForgottenIsFreedWhenAskedFor) {
   OpenTransaction lock(conninfo_);
   lock.Run("LOCK TABLE batches IN SHARE MODE");
   const Answer<absl::Status> appended;
-  a->AppendBatch(key, One(1), std::nullopt, appended.Setter());
+  AppendBatch(*a, key, One(1), std::nullopt, appended.Setter());
   AwaitWaiting("Lock");
   Sql("SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE "
       "wait_event_type = 'Lock' AND datname = current_database()");
@@ -739,7 +739,7 @@ TEST_F(OwnershipTest,
                "current_database() AND wait_event = 'SyncRep'") == "1\n";
   }));
   const Answer<absl::Status> appended;
-  a->AppendBatch(key, One(1), std::nullopt, appended.Setter());
+  AppendBatch(*a, key, One(1), std::nullopt, appended.Setter());
   const std::string waiting =
       "SELECT count(*) FROM pg_stat_activity WHERE wait_event = 'SyncRep' "
       "AND query LIKE '%INSERT INTO batches%'";

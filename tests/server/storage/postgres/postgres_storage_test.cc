@@ -73,18 +73,6 @@ std::unique_ptr<StoreUnderTest> MakeStore(const PostgresOptions& options) {
                                          options);
 }
 
-// A database that has not been migrated yet for this program.
-std::string MakeOldDatabase() {
-  std::string conninfo = PostgresServer::Shared()->MakeEmptyDatabase();
-  EXPECT_THAT(MigrateDatabase(conninfo, kOldestSchemaVersion), IsOk());
-  return conninfo;
-}
-
-std::unique_ptr<StoreUnderTest> MakeOldStore() {
-  if (PostgresServer::Shared() == nullptr) return nullptr;
-  return std::make_unique<PostgresStore>(MakeOldDatabase(), PostgresOptions());
-}
-
 PostgresOptions OneWriteAtATime() {
   PostgresOptions options;
   options.max_group_writes = 1;
@@ -105,8 +93,7 @@ INSTANTIATE_TEST_SUITE_P(
         StoreFactory{"OneWriteAtATime",
                      [] { return MakeStore(OneWriteAtATime()); }},
         StoreFactory{"ManyConnections",
-                     [] { return MakeStore(ManyConnections()); }},
-        StoreFactory{"WithTablesOfTheVersionBefore", MakeOldStore}),
+                     [] { return MakeStore(ManyConnections()); }}),
     NameOf);
 
 class PostgresStorageTest : public ::testing::Test {
@@ -143,6 +130,19 @@ TEST_F(PostgresStorageTest, RefusesTablesOfANewerVersion) {
             std::to_string(kSchemaVersion + 1) + "\n");
 }
 
+TEST_F(PostgresStorageTest, RefusesTablesThatNoReleaseHasMade) {
+  Sql("UPDATE schema_version SET version = " +
+      std::to_string(kFirstSchemaVersion - 1));
+  const auto unknown =
+      IsError(StatusCode::kFailedPrecondition, _,
+              AllOf(HasSubstr("no release"), HasSubstr("revisitd import")));
+  EXPECT_THAT(OpenPostgresStorage(conninfo_, {}), unknown);
+  EXPECT_THAT(OpenPostgresStorageToRead(conninfo_), unknown);
+  EXPECT_THAT(MigrateDatabase(conninfo_), unknown);
+  EXPECT_EQ(Sql("SELECT version FROM schema_version"),
+            std::to_string(kFirstSchemaVersion - 1) + "\n");
+}
+
 TEST_F(PostgresStorageTest, OfMigrationsAtATimeOneMakesTheTables) {
   const std::string empty = PostgresServer::Shared()->MakeEmptyDatabase();
   std::vector<std::thread> threads;
@@ -158,28 +158,6 @@ TEST_F(PostgresStorageTest, OfMigrationsAtATimeOneMakesTheTables) {
   for (std::thread& thread : threads) thread.join();
   EXPECT_EQ(made, 1);
   EXPECT_NE(MustOpen(empty), nullptr);
-}
-
-TEST_F(PostgresStorageTest, ServerOfTheVersionBeforeGoesOnWithTheTables) {
-  const std::string database = MakeOldDatabase();
-  const auto old = MustOpen(database);
-  ASSERT_THAT(MigrateDatabase(database), IsOk());
-  const auto server = MustOpen(database);
-  const auto created = BlockingWrites(old.get()).Create("truck");
-  ASSERT_THAT(created, IsOk());
-  ASSERT_THAT(BlockingWrites(old.get()).Append(*created, {1, 1, 2, "a"}),
-              IsOk());
-  old->ReleaseVehicle(*created);
-  absl::StatusOr<VehicleRecord> taken;
-  ASSERT_TRUE(Eventually([&] {
-    taken = server->TakeVehicle("truck");
-    return taken.ok();
-  }));
-  EXPECT_EQ(taken->durable_sequence, 1u);
-  EXPECT_THAT(BlockingWrites(server.get()).Append(*created, {2, 1, 3, "b"}),
-              IsOk());
-  EXPECT_EQ(old->ListUsers()->size(), 1u);
-  EXPECT_EQ(server->ListUsers()->size(), 2u);
 }
 
 TEST_F(PostgresStorageTest, SaysWhatIsWrongWithTheDatabaseItIsGiven) {
@@ -289,8 +267,8 @@ TEST_F(PostgresStorageTest, RowThatIsInTheWayHoldsUpItsOwnVehicleOnly) {
       ", 1, 1, 4, 0, 0, '')");
   std::vector<Answer<absl::Status>> answers(keys.size());
   for (std::size_t i = 0; i < keys.size(); ++i) {
-    storage->AppendBatch(keys[i], {1, 1, 2, "a"}, std::nullopt,
-                         answers[i].Setter());
+    AppendBatch(*storage, keys[i], {1, 1, 2, "a"}, std::nullopt,
+                answers[i].Setter());
   }
   for (std::size_t i = 0; i < keys.size(); ++i) {
     EXPECT_EQ(answers[i].Get().ok(), i != 3) << answers[i].Get();
@@ -307,10 +285,9 @@ TEST_F(PostgresStorageTest, RowsOfAVehicleThatWaitAreCommittedTogether) {
   const std::uint64_t before = storage->Counts().commits;
   std::vector<Answer<absl::Status>> answers(400);
   for (std::uint64_t i = 0; i < answers.size(); ++i) {
-    storage->AppendBatch(
-        i % 2 == 0 ? key : other,
-        {i / 2 + 1, 1, i + 2, "pose " + std::to_string(i / 2 + 1)},
-        std::nullopt, answers[i].Setter());
+    AppendBatch(*storage, i % 2 == 0 ? key : other,
+                {i / 2 + 1, 1, i + 2, "pose " + std::to_string(i / 2 + 1)},
+                std::nullopt, answers[i].Setter());
   }
   for (const auto& answer : answers) EXPECT_THAT(answer.Get(), IsOk());
   EXPECT_LT(storage->Counts().commits - before, 100u);
@@ -343,8 +320,8 @@ TEST_F(PostgresStorageTest, OfRowsThatWaitThoseAreWrittenThatFollow) {
       2, [](const absl::Status&) {});
   std::vector<Answer<absl::Status>> answers(3);
   for (std::uint64_t i = 0; i < answers.size(); ++i) {
-    storage->AppendBatch(key, {i + 2, 1, i + 9, "b"}, std::nullopt,
-                         answers[i].Setter());
+    AppendBatch(*storage, key, {i + 2, 1, i + 9, "b"}, std::nullopt,
+                answers[i].Setter());
   }
   have_come.Set(true);
   EXPECT_THAT(answers[0].Get(),
@@ -364,8 +341,8 @@ TEST_F(PostgresStorageTest, SmallBatchesShareARowAsLongAsItFitsAPage) {
   const std::string payload(100, 'p');
   std::vector<Answer<absl::Status>> answers(1000);
   for (std::uint64_t i = 0; i < answers.size(); ++i) {
-    storage->AppendBatch(key, {i + 1, 1, i + 2, payload}, std::nullopt,
-                         answers[i].Setter());
+    AppendBatch(*storage, key, {i + 1, 1, i + 2, payload}, std::nullopt,
+                answers[i].Setter());
   }
   for (const auto& answer : answers) EXPECT_THAT(answer.Get(), IsOk());
   EXPECT_EQ(Sql("SELECT sum(count), max(length(payload)) <= 7900 FROM batches"),
@@ -389,8 +366,8 @@ TEST_F(PostgresStorageTest, RowsStayInTheirPagesAndHeadsAreUpdatedInPlace) {
   for (std::uint64_t i = 1; i <= 40; ++i) {
     std::vector<Answer<absl::Status>> answers(keys.size());
     for (std::size_t k = 0; k < keys.size(); ++k) {
-      storage->AppendBatch(keys[k], {i, 1, i + 1, payload}, std::nullopt,
-                           answers[k].Setter());
+      AppendBatch(*storage, keys[k], {i, 1, i + 1, payload}, std::nullopt,
+                  answers[k].Setter());
     }
     for (const auto& answer : answers) ASSERT_THAT(answer.Get(), IsOk());
   }
@@ -452,8 +429,8 @@ TEST_F(PostgresStorageTest, WhatADeletedVehicleHadIsRemovedInTheBackground) {
   BlockingWrites write(storage.get());
   const VehicleKey key = *write.Create("truck");
   for (std::uint64_t i = 1; i <= 600; ++i) {
-    storage->AppendBatch(key, {i, 1, i + 1, "a"}, std::nullopt,
-                         [](const absl::Status&) {});
+    AppendBatch(*storage, key, {i, 1, i + 1, "a"}, std::nullopt,
+                [](const absl::Status&) {});
   }
   ASSERT_THAT(write.Revise(key, {BatchRecord{1, 1, 0, "A"}}, 999), IsOk());
   ASSERT_THAT(write.Delete(key), IsOk());

@@ -87,8 +87,8 @@ class StoreCopyTest : public ::testing::Test {
              std::string(static_cast<std::size_t>(UniformInt(random, 0, 300)),
                          static_cast<char>(UniformInt(random, 0, 255)))});
         next += batches.back().count;
-        storage->AppendBatch(
-            key, batches.back(), std::nullopt,
+        AppendBatch(
+            *storage, key, batches.back(), std::nullopt,
             [](const absl::Status& status) { EXPECT_THAT(status, IsOk()); });
       }
       for (std::uint64_t i = 0; i < 20; ++i) {

@@ -10,6 +10,7 @@
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "server/storage/sqlite/sqlite_reader.h"
 #include "server/storage/sqlite/sqlite_storage.h"
 #include "server/storage/sqlite/store_backup.h"
 #include "server/storage/sqlite/store_compaction.h"

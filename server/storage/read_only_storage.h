@@ -1,0 +1,83 @@
+// A storage that was opened for reading.
+#ifndef REVISIT_SERVER_STORAGE_READ_ONLY_STORAGE_H_
+#define REVISIT_SERVER_STORAGE_READ_ONLY_STORAGE_H_
+
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "server/base/status.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+// `Reader` is a Storage that lacks the writes; here each of them is
+// FAILED_PRECONDITION.
+template <typename Reader>
+class ReadOnlyStorage final : public Reader {
+ public:
+  using Done = Storage::Done;
+
+  template <typename... Arguments>
+  explicit ReadOnlyStorage(Arguments&&... arguments)
+      : Reader(std::forward<Arguments>(arguments)...) {}
+
+  void CreateVehicle(
+      VehicleRecord,
+      std::function<void(absl::StatusOr<VehicleKey>)> done) override {
+    done(Refusal());
+  }
+  void UpdateVehicle(VehicleKey, std::string, std::uint64_t,
+                     Done done) override {
+    done(Refusal());
+  }
+  void DeleteVehicle(VehicleKey, Done done) override { done(Refusal()); }
+  void AppendBatches(VehicleKey, std::vector<BatchRecord>,
+                     std::optional<std::string>, Done done) override {
+    done(Refusal());
+  }
+  void ReviseBatches(VehicleKey, BatchSource, std::uint64_t,
+                     Done done) override {
+    done(Refusal());
+  }
+  void ReplaceBatches(VehicleKey, std::vector<BatchVersions>, std::uint64_t,
+                      Done done) override {
+    done(Refusal());
+  }
+  void AddPosePair(VehicleKey, PairKind, PosePairRecord, std::uint64_t,
+                   Done done) override {
+    done(Refusal());
+  }
+  void DeletePosePair(VehicleKey, PairKind, std::string, std::uint64_t,
+                      Done done) override {
+    done(Refusal());
+  }
+  void DropDamaged(VehicleKey, std::uint64_t, std::string, std::uint64_t,
+                   Done done) override {
+    done(Refusal());
+  }
+  void PutSnapshotPart(VehicleKey, std::uint32_t, std::string,
+                       Done done) override {
+    done(Refusal());
+  }
+  void PutSnapshot(VehicleKey, SnapshotRecord, Done done) override {
+    done(Refusal());
+  }
+  void DropSnapshot(VehicleKey, Done done) override { done(Refusal()); }
+  absl::Status CheckWritable() override { return Refusal(); }
+
+ private:
+  static absl::Status Refusal() {
+    return Error(absl::StatusCode::kFailedPrecondition, "INTERNAL",
+                 "this store was opened for reading");
+  }
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_STORAGE_READ_ONLY_STORAGE_H_

@@ -1,0 +1,91 @@
+// The part of a storage in a SQLite file that writes nothing: its reads, over
+// connections of their own.
+#ifndef REVISIT_SERVER_STORAGE_SQLITE_SQLITE_READER_H_
+#define REVISIT_SERVER_STORAGE_SQLITE_SQLITE_READER_H_
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "server/storage/sqlite/reader_pool.h"
+#include "server/storage/sqlite/sqlite_database.h"
+#include "server/storage/storage.h"
+
+namespace revisit::server {
+
+// Thread-safe.
+class SqliteReader : public Storage {
+ public:
+  absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override;
+  absl::StatusOr<std::vector<VehicleRecord>> ListVehicles(
+      const std::string& after_id, const std::string& prefix,
+      int limit) override;
+  absl::StatusOr<std::vector<VehicleRecord>> ListVehicleRows(
+      VehicleKey after_key, int limit) override;
+  absl::Status ReadBatches(
+      VehicleKey key, std::uint64_t first_sequence, std::uint64_t last_sequence,
+      BatchVersion version,
+      const std::function<bool(BatchRecord)>& visit) override;
+  absl::StatusOr<std::vector<PosePairRecord>> ListPosePairs(
+      VehicleKey key, PairKind kind, const std::string& after_id,
+      int limit) override;
+  bool KeepsSnapshots() const override { return true; }
+  absl::StatusOr<std::optional<SnapshotRecord>> GetSnapshot(
+      VehicleKey key) override;
+  absl::Status ReadSnapshotParts(
+      VehicleKey key, std::uint32_t first, std::uint32_t end,
+      const std::function<bool(absl::string_view)>& visit) override;
+  std::optional<StorageRoom> GetRoom() const override;
+
+ protected:
+  // `anchor` is a connection that reads. It keeps the log's index in shared
+  // memory while a writer is opened anew: otherwise it would be made from the
+  // log, including failed transactions.
+  SqliteReader(std::string path, std::unique_ptr<SqliteDatabase> anchor,
+               SqliteDatabase::Mode mode, const std::string& vfs)
+      : path_(std::move(path)),
+        anchor_(std::move(anchor)),
+        readers_(path_, mode, vfs) {}
+
+  // Closes all connections, for a writer whose own is to be the last that
+  // closes. REQUIRES: nothing is read any more.
+  void CloseReaders() {
+    readers_.CloseAll();
+    anchor_.reset();
+  }
+
+ private:
+  // Runs `read` on one of the connections.
+  template <typename T>
+  absl::StatusOr<T> Read(
+      const std::function<absl::StatusOr<T>(SqliteDatabase&)>& read) {
+    absl::StatusOr<T> result = T();
+    const absl::Status status = readers_.Read([&](SqliteDatabase& database) {
+      result = read(database);
+      return result.status();
+    });
+    if (!status.ok()) return status;
+    return result;
+  }
+
+  const std::string path_;
+  std::unique_ptr<SqliteDatabase> anchor_;
+  ReaderPool readers_;
+};
+
+// Opens a store of this format for reading, in a mode that only reads;
+// kReadOnly also while a server has it open. Writes are FAILED_PRECONDITION.
+// Errors are those of OpenSqliteStorage().
+absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorageToRead(
+    const std::string& path, SqliteDatabase::Mode mode);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_STORAGE_SQLITE_SQLITE_READER_H_

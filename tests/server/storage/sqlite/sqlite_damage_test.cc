@@ -1,0 +1,268 @@
+#include <cstdint>
+#include <fstream>
+#include <memory>
+#include <optional>
+#include <sstream>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "tests/server/error_matchers.h"
+#include "tests/server/storage/sqlite/sqlite_testing.h"
+#include "tests/server/storage_testing.h"
+#include "tests/server/waiting.h"
+
+namespace revisit::server {
+namespace {
+
+using absl::StatusCode;
+using ::testing::_;
+using ::testing::AllOf;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+
+TEST_F(SqliteStorageTest, DamageOfASnapshotIsFoundWhereverItIs) {
+  for (const std::string& damage : std::vector<std::string>{
+           "UPDATE snapshots SET payload = 'resT'",
+           "UPDATE snapshots SET last_sequence = 5",
+           "UPDATE snapshots SET part_count = 1",
+           "UPDATE snapshots SET part_count = 3",
+           "UPDATE snapshots SET format = 4",
+           "UPDATE snapshots SET checksum = checksum + 1",
+           "UPDATE snapshot_parts SET payload = 'onE' WHERE number = 0",
+           "UPDATE snapshot_parts SET payload = '' WHERE number = 1",
+           "UPDATE snapshot_parts SET format = 4 WHERE number = 1",
+           "UPDATE snapshot_parts SET number = 2 WHERE number = 1",
+           "UPDATE snapshot_parts SET number = 7 - number",
+           "UPDATE snapshot_parts SET snapshot_key = 2",
+           "DELETE FROM snapshot_parts WHERE number = 0"}) {
+    SCOPED_TRACE(damage);
+    RemoveStore();
+    const VehicleKey key = MakeStore();
+    {
+      const std::unique_ptr<Storage> storage = MustOpen(Path());
+      BlockingWrites write(storage.get());
+      ASSERT_THAT(write.PutSnapshotPart(key, 0, "one"), IsOk());
+      ASSERT_THAT(write.PutSnapshotPart(key, 1, "two"), IsOk());
+      ASSERT_THAT(write.PutSnapshot(key, {6, 2, "rest"}), IsOk());
+      ASSERT_EQ(SnapshotOf(*storage, key), "to 6: one two, 'rest'");
+    }
+    RunSql(Path(), damage);
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    EXPECT_THAT(SnapshotOf(*storage, key), HasSubstr("damaged"));
+    // The poses are as they were.
+    EXPECT_EQ(ReadAll(*storage, key, 1, 6)->size(), 3u);
+  }
+}
+
+TEST_F(SqliteStorageTest, NamesBatchWhosePayloadIsDamaged) {
+  const VehicleKey key = MakeStore();
+  RunSql(Path(),
+         "UPDATE batches SET payload = 'betA' WHERE first_sequence = 3");
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  const absl::Status status = ReadAll(*storage, key, 1, 6).status();
+  EXPECT_THAT(status, IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                              AllOf(HasSubstr("vehicle 'truck'"),
+                                    HasSubstr("sequences 3 to 4"),
+                                    HasSubstr("fails its checksum"))));
+  EXPECT_EQ(MetadataOf(status, "vehicle"), "truck");
+  EXPECT_EQ(MetadataOf(status, "first_sequence"), "3");
+  // The others are as they were.
+  EXPECT_THAT(ToTexts(*ReadAll(*storage, key, 1, 2)),
+              ElementsAre("1+2, revision 2, 'alpha'"));
+  EXPECT_THAT(ToTexts(*ReadAll(*storage, key, 5, 6)),
+              ElementsAre("5+2, revision 5, 'GAMMA'"));
+}
+
+TEST_F(SqliteStorageTest, FindsDamageOfEveryColumn) {
+  const std::vector<std::string> damages = {
+      "UPDATE batches SET payload = substr(payload, 2) WHERE first_sequence=3",
+      "UPDATE batches SET revision = 9 WHERE first_sequence = 3",
+      "UPDATE batches SET count = 1 WHERE first_sequence = 3",
+      "UPDATE batches SET count = 4294967298 WHERE first_sequence = 3",
+      "UPDATE batches SET format = 4 WHERE first_sequence = 3",
+      "UPDATE batches SET checksum = checksum + 1 WHERE first_sequence = 3",
+      "UPDATE batches SET first_sequence = 2 WHERE first_sequence = 3",
+      "UPDATE batches SET payload = (SELECT payload FROM batches WHERE "
+      "first_sequence = 1), checksum = (SELECT checksum FROM batches WHERE "
+      "first_sequence = 1) WHERE first_sequence = 3",
+      "DELETE FROM batches WHERE first_sequence = 3",
+      "DELETE FROM batches WHERE first_sequence = 1",
+      "UPDATE revised_batches SET payload = 'GAMMa'",
+      "UPDATE revised_batches SET count = 1",
+      "UPDATE revised_batches SET revision = 9",
+  };
+  for (const std::string& damage : damages) {
+    SCOPED_TRACE(damage);
+    RemoveStore();
+    const VehicleKey key = MakeStore();
+    RunSql(Path(), damage);
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    EXPECT_THAT(
+        ReadAll(*storage, key, 1, 6),
+        IsError(StatusCode::kDataLoss, "STORE_CORRUPT", HasSubstr("'truck'")));
+  }
+}
+
+TEST_F(SqliteStorageTest, FindsDamageOfVehicle) {
+  for (const char* damage :
+       {"UPDATE vehicles SET payload = 'Payload'",
+        "UPDATE vehicles SET revision = 5", "UPDATE vehicles SET format = 9",
+        "UPDATE vehicles SET key = 2",
+        // The last batch says how far the vehicle goes.
+        "UPDATE batches SET count = 3 WHERE first_sequence = 5",
+        "UPDATE batches SET revision = 3 WHERE first_sequence = 5"}) {
+    SCOPED_TRACE(damage);
+    RemoveStore();
+    MakeStore();
+    RunSql(Path(), damage);
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    const auto corrupt = IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                                 HasSubstr("vehicle 'truck'"));
+    // It is told of this one alone, and it can be deleted and made again.
+    const VehicleKey sound = *BlockingWrites(storage.get()).Create("sound");
+    const absl::StatusOr<VehicleRecord> record = storage->GetVehicle("truck");
+    ASSERT_THAT(record, IsOk());
+    EXPECT_THAT(record->damage, corrupt);
+    const auto listed = storage->ListVehicles("", "", 10);
+    ASSERT_THAT(listed, IsOk());
+    ASSERT_EQ(listed->size(), 2u);
+    EXPECT_EQ((*listed)[0].key, sound);
+    EXPECT_THAT((*listed)[0].damage, IsOk());
+    EXPECT_THAT((*listed)[1].damage, corrupt);
+    BlockingWrites write(storage.get());
+    EXPECT_THAT(write.Delete(record->key), IsOk());
+    const absl::StatusOr<VehicleKey> again = write.Create("truck");
+    ASSERT_THAT(again, IsOk());
+    EXPECT_THAT(storage->GetVehicle("truck")->damage, IsOk());
+    EXPECT_THAT(write.Append(*again, {1, 1, 2, "a"}), IsOk());
+  }
+}
+
+TEST_F(SqliteStorageTest, GivesUpWhatIsDamaged) {
+  for (const char* damage :
+       {"UPDATE batches SET payload = 'x' WHERE first_sequence = 5",
+        "UPDATE batches SET revision = 99 WHERE first_sequence = 3",
+        // The revision is sound, what it revises is not.
+        "UPDATE revised_batches SET payload = 'x'",
+        "DELETE FROM batches WHERE first_sequence = 3"}) {
+    SCOPED_TRACE(damage);
+    RemoveStore();
+    const VehicleKey key = MakeStore();
+    RunSql(Path(), damage);
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    BlockingWrites write(storage.get());
+    std::uint64_t sound = 0;
+    EXPECT_THAT(storage->ReadBatches(key, 1, 6, BatchVersion::kCurrent,
+                                     [&](const BatchRecord& batch) {
+                                       sound = batch.first_sequence +
+                                               batch.count - 1;
+                                       return true;
+                                     }),
+                IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+    ASSERT_LT(sound, 6u);
+    EXPECT_THAT(write.DropDamaged(key, sound, "new", 30), IsOk());
+    const VehicleRecord record = *storage->GetVehicle("truck");
+    EXPECT_THAT(record.damage, IsOk());
+    EXPECT_EQ(record.durable_sequence, sound);
+    EXPECT_EQ(record.revision, 30u);
+    EXPECT_THAT(ReadAll(*storage, key, 1, sound), IsOk());
+    EXPECT_THAT(write.Append(key, {sound + 1, 1, 31, "a"}), IsOk());
+  }
+  // A damaged pair goes alone.
+  RemoveStore();
+  const VehicleKey key = MakeStore();
+  RunSql(Path(), "UPDATE loop_closures SET create_time_ns = 98");
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  EXPECT_THAT(BlockingWrites(storage.get()).DropDamaged(key, 6, "new", 30),
+              IsOk());
+  EXPECT_EQ(storage->GetVehicle("truck")->loop_closure_count, 0);
+  EXPECT_EQ(storage->GetVehicle("truck")->rejected_candidate_count, 1);
+}
+
+TEST_F(SqliteStorageTest, FindsDamageOfPairs) {
+  for (const auto& [kind, table] :
+       {std::pair(PairKind::kLoopClosure, "loop_closures"),
+        std::pair(PairKind::kRejectedCandidate, "rejected_candidates")}) {
+    for (const char* damage :
+         {"query_sequence = 5", "matched_sequence = 3", "create_time_ns = 98",
+          "id = 'lint'", "format = 1", "payload = 'x'"}) {
+      const std::string sql = "UPDATE " + std::string(table) + " SET " + damage;
+      SCOPED_TRACE(sql);
+      RemoveStore();
+      const VehicleKey key = MakeStore();
+      RunSql(Path(), sql);
+      const std::unique_ptr<Storage> storage = MustOpen(Path());
+      const auto pairs = storage->ListPosePairs(key, kind, "", 10);
+      ASSERT_THAT(pairs, IsOk());
+      ASSERT_EQ(pairs->size(), 1u);
+      EXPECT_THAT(
+          pairs->front().damage,
+          IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                  AllOf(HasSubstr(WordsOf(kind).noun), HasSubstr("'truck'"))));
+    }
+  }
+}
+
+TEST_F(SqliteStorageTest, FindsPairThatEndedUpInTheTableOfAnotherKind) {
+  const VehicleKey key = MakeStore();
+  RunSql(Path(), "INSERT INTO rejected_candidates SELECT * FROM loop_closures");
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  const absl::Status status =
+      storage->ListPosePairs(key, PairKind::kRejectedCandidate, "", 10)
+          ->front()
+          .damage;
+  EXPECT_THAT(status,
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                      "stored rejected candidate 'link' of vehicle 'truck' "
+                      "fails its checksum"));
+  EXPECT_EQ(MetadataOf(status, "rejected_candidate"), "link");
+}
+
+TEST_F(SqliteStorageTest, DamageOfOneVehicleDoesNotStopTheOthers) {
+  const VehicleKey damaged = MakeStore();
+  RunSql(Path(), "UPDATE batches SET payload = 'x' WHERE first_sequence = 5");
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  const VehicleKey sound = *BlockingWrites(storage.get()).Create("car");
+  const Answer<absl::Status> refused;
+  const Answer<absl::Status> written;
+  AppendBatch(*storage, damaged, {7, 1, 7, "x"}, std::nullopt,
+              refused.Setter());
+  AppendBatch(*storage, sound, {1, 1, 2, "x"}, std::nullopt, written.Setter());
+  EXPECT_THAT(refused.Get(),
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT", _));
+  EXPECT_THAT(written.Get(), IsOk());
+}
+
+TEST_F(SqliteStorageTest, FindsDamageInTheFileItself) {
+  {
+    const std::unique_ptr<Storage> storage = MustOpen(Path());
+    BlockingWrites write(storage.get());
+    const VehicleKey key = *write.Create("truck");
+    for (std::uint64_t i = 1; i <= 20; ++i) {
+      ASSERT_THAT(write.Append(key, {i, 1, i + 1, std::string(9000, 'x')}),
+                  IsOk());
+    }
+  }
+  // Some byte of a payload, wherever it lies.
+  std::string bytes;
+  {
+    std::ifstream in(Path(), std::ios::binary);
+    std::stringstream all;
+    all << in.rdbuf();
+    bytes = all.str();
+  }
+  const std::size_t place = bytes.find(std::string(3000, 'x'));
+  ASSERT_NE(place, std::string::npos);
+  bytes[place + 1500] ^= 1;
+  std::ofstream(Path(), std::ios::binary) << bytes;
+  const std::unique_ptr<Storage> storage = MustOpen(Path());
+  EXPECT_THAT(ReadAll(*storage, 1, 1, 20),
+              IsError(StatusCode::kDataLoss, "STORE_CORRUPT",
+                      HasSubstr("fails its checksum")));
+}
+
+}  // namespace
+}  // namespace revisit::server
