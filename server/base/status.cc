@@ -123,6 +123,15 @@ absl::Status Corrupt(const std::string& what, const ErrorMetadata& metadata) {
   return Error(absl::StatusCode::kDataLoss, "STORE_CORRUPT", what, metadata);
 }
 
+absl::Status CallerGaveUp() {
+  return Error(absl::StatusCode::kCancelled, "CANCELLED", "the caller gave up");
+}
+
+absl::Status DeadlinePassed() {
+  return Error(absl::StatusCode::kDeadlineExceeded, "DEADLINE_EXCEEDED",
+               "the caller's deadline passed");
+}
+
 std::string ReasonOf(const absl::Status& status) {
   const auto payload = status.GetPayload(kErrorInfoUrl);
   if (!payload.has_value()) return "";
@@ -135,10 +144,9 @@ absl::Status Named(const absl::Status& status) {
   if (status.ok() || !ReasonOf(status).empty()) return status;
   switch (status.code()) {
     case absl::StatusCode::kCancelled:
-      return Error(status.code(), "CANCELLED", "the caller gave up");
+      return CallerGaveUp();
     case absl::StatusCode::kDeadlineExceeded:
-      return Error(status.code(), "DEADLINE_EXCEEDED",
-                   "the caller's deadline passed");
+      return DeadlinePassed();
     default:
       return Error(
           absl::StatusCode::kInternal, "INTERNAL",

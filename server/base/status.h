@@ -64,6 +64,11 @@ absl::Status VehicleNotFound(const std::string& id);
 absl::Status Corrupt(const std::string& what,
                      const ErrorMetadata& metadata = {});
 
+// What ended a call before it had its answer: CANCELLED and DEADLINE_EXCEEDED,
+// with the reasons of the same names.
+absl::Status CallerGaveUp();
+absl::Status DeadlinePassed();
+
 // The reason of a status that was made here; empty for others.
 std::string ReasonOf(const absl::Status& status);
 

@@ -9,7 +9,7 @@
 #include "revisit/v1/candidate.pb.h"
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "revisit/v1/vehicle.pb.h"
-#include "server/sessions/append_sink.h"
+#include "server/sessions/append_request.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {

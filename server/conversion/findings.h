@@ -8,7 +8,7 @@
 #include "core/search/candidates/model_check.h"
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "revisit/v1/vehicle.pb.h"
-#include "server/sessions/append_sink.h"
+#include "server/sessions/append_request.h"
 
 namespace revisit::server {
 

@@ -33,6 +33,14 @@ absl::StatusOr<DecodedBatch> DecodeBatch(const Poses& poses, int max_poses,
   return batch;
 }
 
+BatchDecoder DecoderOf(const Poses* poses, int max_poses, const char* parent) {
+  return [poses, max_poses, parent](const VehicleConfig& config) {
+    const FieldPath request;
+    return DecodeBatch(*poses, max_poses, config,
+                       parent == nullptr ? request : request.Field(parent));
+  };
+}
+
 void DropUnknownFields(Poses* poses) {
   // Each message is asked first, since dropping visits every field by
   // reflection.

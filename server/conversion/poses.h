@@ -9,6 +9,7 @@
 #include "google/protobuf/repeated_field.h"
 #include "revisit/v1/geometry.pb.h"
 #include "server/conversion/field_violations.h"
+#include "server/sessions/append_request.h"
 #include "server/sessions/record_codec.h"
 #include "server/sessions/vehicle_config.h"
 
@@ -20,6 +21,10 @@ using Poses = google::protobuf::RepeatedPtrField<v1::Pose>;
 absl::StatusOr<DecodedBatch> DecodeBatch(const Poses& poses, int max_poses,
                                          const VehicleConfig& config,
                                          const FieldPath& path);
+
+// DecodeBatch() for when the vehicle's config is known. The poses must stay as
+// they are until then; `parent` is the field that `poses` lies below, or null.
+BatchDecoder DecoderOf(const Poses* poses, int max_poses, const char* parent);
 
 // Drops fields that this version does not know, so that they take no room in
 // the draft of a revision. None reaches a record in any case.

@@ -29,6 +29,12 @@ struct MethodRule {
 // needs a rule (method_rules_test.cc compares the two lists).
 const MethodRule* FindMethodRule(const std::string& method);
 
+// Whether the calls of a method are about what is stored, rather than about the
+// server itself. `rule` as FindMethodRule() finds it.
+inline bool NeedsStore(const MethodRule* rule) {
+  return rule != nullptr && rule->verb.has_value();
+}
+
 // All rules, among which FindMethodRule() finds.
 absl::Span<const MethodRule> MethodRules();
 

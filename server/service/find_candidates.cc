@@ -62,7 +62,7 @@ std::optional<absl::Status> TakeTurn(UnaryCall* call, const Limits& limits,
   const auto query = QueryNode(view, request.sequence());
   if (!query.ok()) return query.status();
   // It was not used up when the call came, but may be by now.
-  if (absl::Status status = call->CheckSearchSteps(); !status.ok()) {
+  if (absl::Status status = call->searches().CheckSteps(); !status.ok()) {
     return status;
   }
   const auto stop = [call] { return call->given_up(); };
@@ -72,12 +72,13 @@ std::optional<absl::Status> TakeTurn(UnaryCall* call, const Limits& limits,
   } else {
     answer = view.search->AtEnd(*options, stop);
   }
-  call->SearchTook(search->last_turn(), search->last_steps());
+  call->searches().Took(search->last_turn(), search->last_steps());
   if (!answer) return std::nullopt;
   const absl::StatusOr<core::CandidateSet>& found = *answer;
-  call->Searched(found, search->all_turns());
+  call->record().Searched(found, search->all_turns());
   if (absl::IsCancelled(found.status())) return call->GivenUpStatus();
-  if (absl::IsResourceExhausted(found.status())) return call->TooManySteps();
+  if (absl::IsResourceExhausted(found.status()))
+    return call->searches().TooManySteps();
   if (!found.ok()) return found.status();
   if (found->empty_reason == core::EmptyReason::kTooMuchWork) {
     return TooMuchWork(found->comparisons, limits.max_search_steps);
@@ -96,17 +97,19 @@ absl::Status FindCandidates(const ServiceContext& context,
   const auto session = SessionOf(context, request.vehicle(),
                                  kRequest.Field("vehicle"), call.get());
   if (!session.ok()) return session.status();
-  if (absl::Status status = call->AdmitSearch(); !status.ok()) return status;
+  if (absl::Status status = call->searches().TakeRoom(); !status.ok())
+    return status;
   const auto search =
       std::make_shared<SearchTurns>(context.limits.max_search_steps);
-  (*session)->Search(
-      call->search_flow(), [=, limits = context.limits, request = &request](
-                               const absl::StatusOr<VehicleView>& view) {
-        const std::optional<absl::Status> end = TakeTurn(
-            call.get(), limits, view, *request, search.get(), response);
-        if (end) call->End(*end);
-        return end.has_value();
-      });
+  (*session)->Search(call->searches().search_flow(),
+                     [=, limits = context.limits, request = &request](
+                         const absl::StatusOr<VehicleView>& view) {
+                       const std::optional<absl::Status> end =
+                           TakeTurn(call.get(), limits, view, *request,
+                                    search.get(), response);
+                       if (end) call->End(*end);
+                       return end.has_value();
+                     });
   return absl::OkStatus();
 }
 

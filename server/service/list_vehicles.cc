@@ -94,8 +94,8 @@ absl::Status ListVehicles(const ServiceContext& context,
       ParsePageToken(list, request.page_token());
   if (!after.ok()) return after.status();
   context.executor->Post([=, storage = context.storage, fleet = context.fleet] {
-    const absl::Status status =
-        ListStored(storage, call->caller(), list, *after, *page_size, response);
+    const absl::Status status = ListStored(storage, call->rights().caller(),
+                                           list, *after, *page_size, response);
     if (status.ok()) {
       FillFromMemory(fleet, call, response);
     } else {

@@ -47,7 +47,7 @@ v1::Vehicle IdentityOf(const v1::Vehicle& vehicle) {
 }
 
 bool MayRead(const UnaryCall& call, const std::string& vehicle_id) {
-  return call.caller().May(Verb::kRead, vehicle_id);
+  return call.rights().caller().May(Verb::kRead, vehicle_id);
 }
 
 // Creates a vehicle, or finds the one of that name that is there. A vehicle
@@ -75,31 +75,24 @@ void CreateOrFind(
 
 // The batch of an AppendPoses call. Request and response live as long as the
 // call.
-class UnaryAppend final : public AppendSink {
+class UnaryAppend final : public AppendObserver {
  public:
   UnaryAppend(UnaryCallPtr call, const v1::AppendPosesRequest* request,
-              v1::AppendPosesResponse* response, int max_poses,
-              ServiceCounters* counts)
+              v1::AppendPosesResponse* response, ServiceCounters* counts)
       : call_(std::move(call)),
         request_(request),
         response_(response),
-        max_poses_(max_poses),
         counts_(counts) {}
 
-  absl::StatusOr<DecodedBatch> Decode(const VehicleConfig& config) override {
-    // The batch may have waited past its caller's deadline.
-    if (call_->given_up()) return call_->GivenUpStatus();
-    const std::string id = request_->vehicle().substr(VehicleName("").size());
-    if (absl::Status meant = CheckMeant(id, config, request_->vehicle_uid());
-        !meant.ok()) {
-      return meant;
-    }
-    absl::StatusOr<DecodedBatch> batch =
-        DecodeBatch(request_->poses(), max_poses_, config, kRequest);
-    if (batch.ok() && batch->samples.front().sequence == 1) {
-      PoseInspector(config.frame).Look(batch->samples, &warnings_);
-    }
-    return batch;
+  // The batch may have waited past its caller's deadline.
+  absl::Status StillWanted() const override {
+    return call_->given_up() ? call_->GivenUpStatus() : absl::OkStatus();
+  }
+
+  void OnDecoded(const VehicleConfig& config,
+                 const std::vector<core::PoseSample>& samples) override {
+    if (samples.front().sequence != 1) return;
+    PoseInspector(config.frame).Look(samples, &warnings_);
   }
 
   void OnDurable(const absl::StatusOr<Acknowledgement>& result) override {
@@ -119,7 +112,6 @@ class UnaryAppend final : public AppendSink {
   const UnaryCallPtr call_;
   const v1::AppendPosesRequest* const request_;
   v1::AppendPosesResponse* const response_;
-  const int max_poses_;
   ServiceCounters* const counts_;
   const std::chrono::steady_clock::time_point start_ =
       std::chrono::steady_clock::now();
@@ -133,13 +125,9 @@ grpc::ServerUnaryReactor* PoseGraphService::Unary(
     grpc::CallbackServerContext* context, const char* method,
     const grpc::ByteBuffer* request, grpc::ByteBuffer* response,
     Handle handle) {
-  const auto call = std::make_shared<TypedCall<Request, Response>>(
-      context, method, context_, response);
+  const auto call = std::make_shared<TypedCall<Request, Response, Handle>>(
+      context, method, context_, request, response, std::move(handle));
   call->Start();
-  absl::Status status = call->admission();
-  if (status.ok()) status = ParseMessage(request, &call->request);
-  if (status.ok()) status = handle(call, &call->request, &call->response);
-  if (!status.ok()) call->End(status);
   return call.get();
 }
 
@@ -248,7 +236,7 @@ grpc::ServerUnaryReactor* PoseGraphService::UpdateVehicle(
                 return config;
               }
               const absl::Status room =
-                  call->AdmitRebuild(view.durable_sequence);
+                  call->room().TakeRebuild(view.durable_sequence);
               if (!room.ok()) return room;
               return config;
             },
@@ -302,20 +290,25 @@ grpc::ServerUnaryReactor* PoseGraphService::AppendPoses(
           status =
               CheckUid(request->vehicle_uid(), kRequest.Field("vehicle_uid"));
         }
-        if (status.ok()) status = call->HoldBatch(request->ByteSizeLong());
+        if (status.ok())
+          status = call->room().TakeBatch(request->ByteSizeLong());
         if (!status.ok()) {
           context_.counts->Refused(
               static_cast<std::uint64_t>(request->poses_size()), status);
           return status;
         }
-        (*session)->Append(std::make_shared<UnaryAppend>(
-            call, request, response, context_.limits.max_batch_poses,
-            context_.counts));
+        AppendRequest append;
+        append.decode = DecoderOf(&request->poses(),
+                                  context_.limits.max_batch_poses, nullptr);
+        append.vehicle_uid = request->vehicle_uid();
+        (*session)->Append(std::move(append),
+                           std::make_shared<UnaryAppend>(
+                               call, request, response, context_.counts));
         return absl::OkStatus();
       });
 }
 
-grpc::ServerBidiReactor<v1::StreamPosesRequest, v1::StreamPosesResponse>*
+grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::ByteBuffer>*
 PoseGraphService::StreamPoses(grpc::CallbackServerContext* call_context) {
   return StartPoseStream(call_context, context_);
 }
@@ -416,9 +409,8 @@ grpc::ServerUnaryReactor* PoseGraphService::DeleteRejectedCandidate(
       });
 }
 
-grpc::ServerReadReactor<v1::RevisePosesRequest>* PoseGraphService::RevisePoses(
-    grpc::CallbackServerContext* call_context,
-    v1::RevisePosesResponse* response) {
+grpc::ServerReadReactor<grpc::ByteBuffer>* PoseGraphService::RevisePoses(
+    grpc::CallbackServerContext* call_context, grpc::ByteBuffer* response) {
   return StartRevision(call_context, context_, response);
 }
 
@@ -480,7 +472,8 @@ grpc::ServerUnaryReactor* PoseGraphService::GetServerInfo(
         response->set_max_batches_in_flight(
             context_.limits.max_batches_in_flight);
         // A tenant does not learn how much others have on the servers.
-        if (call->caller().grants && call->caller().tenant != "*") {
+        if (call->rights().caller().grants &&
+            call->rights().caller().tenant != "*") {
           call->End(absl::OkStatus());
           return absl::OkStatus();
         }

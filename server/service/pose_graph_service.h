@@ -10,7 +10,7 @@
 
 namespace revisit::server {
 
-// Calls with one message get it as bytes, for two reasons: a message that is no
+// Calls get their messages as bytes, for two reasons: a message that is no
 // protobuf is answered as other mistakes of callers are, and no message of a
 // caller who is not admitted is parsed.
 namespace service_internal {
@@ -24,8 +24,8 @@ using WithVehicles = Service::WithRawCallbackMethod_CreateVehicle<
                 Service::WithRawCallbackMethod_DeleteVehicle<Base>>>>>;
 template <typename Base>
 using WithPoses = Service::WithRawCallbackMethod_AppendPoses<
-    Service::WithCallbackMethod_StreamPoses<
-        Service::WithCallbackMethod_RevisePoses<
+    Service::WithRawCallbackMethod_StreamPoses<
+        Service::WithRawCallbackMethod_RevisePoses<
             Service::WithRawCallbackMethod_ListPoses<
                 Service::WithRawCallbackMethod_ExportPoseGraph<Base>>>>>;
 template <typename Base>
@@ -68,8 +68,8 @@ class PoseGraphService final : public service_internal::AllMethods {
   grpc::ServerUnaryReactor* AppendPoses(grpc::CallbackServerContext* call,
                                         const grpc::ByteBuffer* request,
                                         grpc::ByteBuffer* response) override;
-  grpc::ServerBidiReactor<v1::StreamPosesRequest, v1::StreamPosesResponse>*
-  StreamPoses(grpc::CallbackServerContext* call) override;
+  grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::ByteBuffer>* StreamPoses(
+      grpc::CallbackServerContext* call) override;
   grpc::ServerUnaryReactor* FindCandidates(grpc::CallbackServerContext* call,
                                            const grpc::ByteBuffer* request,
                                            grpc::ByteBuffer* response) override;
@@ -91,9 +91,8 @@ class PoseGraphService final : public service_internal::AllMethods {
   grpc::ServerUnaryReactor* DeleteRejectedCandidate(
       grpc::CallbackServerContext* call, const grpc::ByteBuffer* request,
       grpc::ByteBuffer* response) override;
-  grpc::ServerReadReactor<v1::RevisePosesRequest>* RevisePoses(
-      grpc::CallbackServerContext* call,
-      v1::RevisePosesResponse* response) override;
+  grpc::ServerReadReactor<grpc::ByteBuffer>* RevisePoses(
+      grpc::CallbackServerContext* call, grpc::ByteBuffer* response) override;
   grpc::ServerUnaryReactor* ListPoses(grpc::CallbackServerContext* call,
                                       const grpc::ByteBuffer* request,
                                       grpc::ByteBuffer* response) override;
@@ -108,10 +107,7 @@ class PoseGraphService final : public service_internal::AllMethods {
                                           grpc::ByteBuffer* response) override;
 
  private:
-  // Runs the handler of a unary call. `handle` is given the call, the request
-  // and the response, which live as long as the call. It either returns an
-  // error, which ends the call, or returns OK and has the call finished later,
-  // once, from any thread.
+  // Runs the handler of a unary call (TypedCall).
   template <typename Request, typename Response, typename Handle>
   grpc::ServerUnaryReactor* Unary(grpc::CallbackServerContext* context,
                                   const char* method,

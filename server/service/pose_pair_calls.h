@@ -21,6 +21,7 @@
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
 #include "server/storage/records.h"
+#include "server/telemetry/service_counters.h"
 
 namespace revisit::server {
 
@@ -53,7 +54,7 @@ absl::Status AddPair(const ServiceContext& context, const UnaryCallPtr& call,
   absl::StatusOr<PosePairRecord> record = DecodePosePair(pair, id);
   if (!record.ok()) return record.status();
   record->create_time_ns = NowNanoseconds();
-  call->NameChanged(record->id);
+  call->record().NameChanged(record->id);
   context.fleet->Session(*vehicle)->AddPosePair(
       kind, *std::move(record),
       FinishWith<AddedPair>(
@@ -64,7 +65,7 @@ absl::Status AddPair(const ServiceContext& context, const UnaryCallPtr& call,
                                   ? Decision::kLoopClosureAdded
                                   : Decision::kCandidateRejected);
             }
-            call->NameChanged(stored.pair.id);
+            call->record().NameChanged(stored.pair.id);
             EncodePosePair(id_of_vehicle, stored.pair, (response->*added)());
             response->set_revision(stored.revision);
             EncodeAgreement(stored.agreement, response);
@@ -121,7 +122,7 @@ absl::Status DeletePair(const ServiceContext& context, const UnaryCallPtr& call,
       !status.ok()) {
     return status;
   }
-  call->NameChanged(parsed->id);
+  call->record().NameChanged(parsed->id);
   context.fleet->Session(parsed->vehicle_id)
       ->DeletePosePair(
           kind, parsed->id,

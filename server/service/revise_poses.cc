@@ -11,6 +11,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/base/mutex.h"
+#include "revisit/v1/pose_graph_service.pb.h"
 #include "server/base/status.h"
 #include "server/connections/drain.h"
 #include "server/conversion/field_violations.h"
@@ -18,10 +19,13 @@
 #include "server/conversion/poses.h"
 #include "server/conversion/record_codec.h"
 #include "server/service/call.h"
+#include "server/service/message_bytes.h"
+#include "server/service/streaming_call.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
 #include "server/storage/revision_draft.h"
 #include "server/storage/storage.h"
+#include "server/telemetry/service_counters.h"
 
 namespace revisit::server {
 namespace {
@@ -118,121 +122,133 @@ absl::StatusOr<RevisionPlan> Plan(Storage* storage, const VehicleView& view,
 
 // Puts the poses of each message into a draft before it reads the next message,
 // so that a call takes the memory of one message; then hands the draft to the
-// session as a whole. Held by a shared_ptr for the reasons given in
-// stream_poses.cc.
-class Revision final : public grpc::ServerReadReactor<v1::RevisePosesRequest>,
-                       public std::enable_shared_from_this<Revision> {
+// session as a whole.
+class Revision final : public ReadingCall<Revision> {
  public:
   Revision(grpc::CallbackServerContext* call, const ServiceContext& context,
-           v1::RevisePosesResponse* response)
-      : grpc_context_(call),
+           grpc::ByteBuffer* response)
+      : ReadingCall<Revision>(call, "RevisePoses", context),
         context_(context),
-        response_(response),
-        call_(call, "RevisePoses", context) {}
+        response_bytes_(response) {}
 
-  void Start() {
-    self_ = shared_from_this();
-    call_.WatchCaller([weak = weak_from_this()] {
-      if (const auto revision = weak.lock()) revision->Recheck();
-    });
-    drain_watch_ =
-        context_.drain->Watch([weak = weak_from_this()](const Drain::End& end) {
-          if (const auto revision = weak.lock()) revision->WindDown(end);
-        });
+ private:
+  void OnStart() override {
+    WatchRights();
     const MutexLock lock(&mutex_);
-    if (finished_) return;
-    if (call_.admission().ok()) {
-      ReadNext();
-    } else {
-      End(call_.admission());
-    }
+    if (!ended_) ReadNext();
   }
 
-  void OnReadDone(bool ok) override {
-    call_.CountMessage();
+  void OnMessage() override {
     std::shared_ptr<VehicleSession> session;
     {
       const MutexLock lock(&mutex_);
-      if (finished_) return;
-      if (!ok && grpc_context_->IsCancelled()) call_.MarkGivenUp();
-      const absl::Status status = call_.given_up() ? call_.GivenUpStatus()
-                                  : ok             ? Admit()
-                                                   : CheckComplete();
+      if (ended_) return;
+      const absl::Status status = given_up() ? GivenUpStatus() : Admit();
       if (!status.ok()) {
-        End(status);
+        EndLocked(status);
         return;
       }
-      // From here on the session decides.
-      revising_ = !ok;
       session = session_;
-    }
-    const auto self = shared_from_this();
-    if (!ok) {
-      session->Revise(
-          [self](const VehicleView& view) { return self->MakePlan(view); },
-          [self](const absl::StatusOr<RevisionResult>& revised) {
-            self->OnRevised(revised);
-          });
-      return;
     }
     // Runs off the threads of gRPC: it checks the poses and writes them to a
     // file.
-    session->LongRead([self](const absl::StatusOr<VehicleView>& view) {
-      self->OnDrafted(view.ok() ? self->Draft(*view) : view.status());
-    });
+    session->LongRead(
+        [self = shared_from_this()](const absl::StatusOr<VehicleView>& view) {
+          self->OnDrafted(view.ok() ? self->Draft(*view) : view.status());
+        });
   }
 
-  void OnCancel() override { call_.MarkGivenUp(); }
-
-  void OnDone() override {
-    context_.drain->Unwatch(drain_watch_);
-    call_.Done();
-    // May destroy this.
-    const std::shared_ptr<Revision> self = std::move(self_);
+  void OnLastMessage() override {
+    std::shared_ptr<VehicleSession> session;
+    {
+      const MutexLock lock(&mutex_);
+      if (ended_) return;
+      const absl::Status status =
+          given_up() ? GivenUpStatus() : CheckComplete();
+      if (!status.ok()) {
+        EndLocked(status);
+        return;
+      }
+      // From here on the session decides.
+      revising_ = true;
+      session = session_;
+    }
+    const auto self = shared_from_this();
+    session->Revise(
+        [self](const VehicleView& view) { return self->MakePlan(view); },
+        [self](const absl::StatusOr<RevisionResult>& revised) {
+          self->OnRevised(revised);
+        });
   }
 
- private:
-  void End(const absl::Status& status) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    finished_ = true;
+  // Ends a call whose poses are still coming: nothing has changed yet. Where
+  // the store is out of reach, nobody knows whether the session's revision is
+  // stored.
+  void OnDrain(const Drain::End& end) override {
+    if (!revising_ || end.at_once) EndLocked(end.status);
+  }
+
+  // A revision that the session has already is carried through.
+  void OnRightsLost(const absl::Status& reason) override {
+    if (!revising_) EndLocked(reason);
+  }
+
+  void OnEnd(const absl::Status& status) override {
     draft_room_.clear();
-    Finish(call_.End(status));
-  }
-
-  void ReadNext() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    request_.set_vehicle(kUnread);
-    StartRead(&request_);
+    if (status.ok()) WriteMessage(response_, response_bytes_);
   }
 
   // Checks vehicle and room before the poses of a message are checked.
   absl::Status Admit() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    const FieldPath request;
-    if (session_ == nullptr) {
-      const absl::StatusOr<std::string> id =
-          ParseVehicleName(request_.vehicle(), request.Field("vehicle"));
-      if (!id.ok()) return id.status();
-      if (absl::Status status = call_.ChooseVehicle(*id); !status.ok()) {
-        return status;
-      }
-      expected_revision_ = request_.expected_revision();
-      // The session is kept to the end, so that all messages are about the same
-      // vehicle, even if it is deleted and made again.
-      session_ = context_.fleet->Session(*id);
-      vehicle_ = VehicleName(*id);
-    } else {
-      if (!request_.vehicle().empty() && request_.vehicle() != vehicle_) {
-        return InvalidField("INVALID_FIELD", request.Field("vehicle"),
-                            "got " + Quoted(request_.vehicle()) +
-                                "; this call is about " + vehicle_);
-      }
-      if (request_.expected_revision() != 0) {
-        return InvalidField("INVALID_FIELD", request.Field("expected_revision"),
-                            "allowed in the first message only");
-      }
+    if (absl::Status status = Parse(&request_); !status.ok()) return status;
+    if (absl::Status status = session_ == nullptr ? Open() : CheckSameCall();
+        !status.ok()) {
+      return status;
     }
+    if (absl::Status status = ReserveDraft(); !status.ok()) return status;
+    absl::StatusOr<Permit> permit = room().AdmitBatch(request_.SpaceUsedLong());
+    if (!permit.ok()) return permit.status();
+    message_room_ = *std::move(permit);
+    return absl::OkStatus();
+  }
+
+  // Takes what the first message says of the whole call.
+  absl::Status Open() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    const absl::StatusOr<std::string> id =
+        ParseVehicleName(request_.vehicle(), FieldPath().Field("vehicle"));
+    if (!id.ok()) return id.status();
+    if (absl::Status status = ChooseVehicle(*id); !status.ok()) {
+      return status;
+    }
+    expected_revision_ = request_.expected_revision();
+    // The session is kept to the end, so that all messages are about the same
+    // vehicle, even if it is deleted and made again.
+    session_ = context_.fleet->Session(*id);
+    vehicle_ = VehicleName(*id);
+    return absl::OkStatus();
+  }
+
+  // A later message says nothing else of the whole call.
+  absl::Status CheckSameCall() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    const FieldPath request;
+    if (!request_.vehicle().empty() && request_.vehicle() != vehicle_) {
+      return InvalidField("INVALID_FIELD", request.Field("vehicle"),
+                          "got " + Quoted(request_.vehicle()) +
+                              "; this call is about " + vehicle_);
+    }
+    if (request_.expected_revision() != 0) {
+      return InvalidField("INVALID_FIELD", request.Field("expected_revision"),
+                          "allowed in the first message only");
+    }
+    return absl::OkStatus();
+  }
+
+  // Takes room for the poses of the message beside those that came before.
+  absl::Status ReserveDraft() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     bytes_ += static_cast<std::int64_t>(request_.ByteSizeLong());
     if (bytes_ > context_.limits.max_revision_bytes) {
       return InvalidField(
-          "BATCH_SIZE", request.Field("poses"),
+          "BATCH_SIZE", FieldPath().Field("poses"),
           "the call brings more than " +
               std::to_string(context_.limits.max_revision_bytes) + " bytes");
     }
@@ -241,14 +257,11 @@ class Revision final : public grpc::ServerReadReactor<v1::RevisePosesRequest>,
     while (bytes_ > drafted_) {
       const std::int64_t step =
           std::min(kDraftStep, context_.limits.max_revision_bytes - drafted_);
-      absl::StatusOr<Permit> room = call_.AdmitDraft(step);
-      if (!room.ok()) return room.status();
-      draft_room_.push_back(*std::move(room));
+      absl::StatusOr<Permit> permit = room().AdmitDraft(step);
+      if (!permit.ok()) return permit.status();
+      draft_room_.push_back(*std::move(permit));
       drafted_ += step;
     }
-    absl::StatusOr<Permit> room = call_.AdmitBatch(request_.SpaceUsedLong());
-    if (!room.ok()) return room.status();
-    room_ = *std::move(room);
     return absl::OkStatus();
   }
 
@@ -298,13 +311,13 @@ class Revision final : public grpc::ServerReadReactor<v1::RevisePosesRequest>,
   void OnDrafted(const absl::Status& status) ABSL_LOCKS_EXCLUDED(mutex_) {
     // The memory of the message is freed before the next one comes.
     v1::RevisePosesRequest().Swap(&request_);
-    room_.reset();
+    message_room_.reset();
     const MutexLock lock(&mutex_);
-    if (finished_) return;
-    if (call_.given_up()) {
-      End(call_.GivenUpStatus());
+    if (ended_) return;
+    if (given_up()) {
+      EndLocked(GivenUpStatus());
     } else if (!status.ok()) {
-      End(status);
+      EndLocked(status);
     } else {
       ReadNext();
     }
@@ -312,7 +325,6 @@ class Revision final : public grpc::ServerReadReactor<v1::RevisePosesRequest>,
 
   absl::Status CheckComplete() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     const FieldPath request;
-    if (request_.vehicle() != kUnread) return MalformedMessage();
     if (session_ == nullptr) {
       return InvalidField("INVALID_RESOURCE_NAME", request.Field("vehicle"),
                           "required in the first message");
@@ -327,7 +339,7 @@ class Revision final : public grpc::ServerReadReactor<v1::RevisePosesRequest>,
   // Refuses an expected revision that the vehicle has not reached yet. Whether
   // the change was made from a past one is known once all poses have come.
   absl::Status CheckNotAhead(const VehicleView& view) const {
-    if (call_.given_up()) return call_.GivenUpStatus();
+    if (given_up()) return GivenUpStatus();
     return expected_revision_ > view.revision
                ? RevisionMismatch(view, expected_revision_)
                : absl::OkStatus();
@@ -338,12 +350,10 @@ class Revision final : public grpc::ServerReadReactor<v1::RevisePosesRequest>,
     // The draft is destroyed with the plan.
     const std::shared_ptr<RevisionDraft> draft = std::move(draft_);
     absl::StatusOr<RevisionPlan> plan =
-        Plan(context_.storage, view, draft, expected_revision_, call_);
+        Plan(context_.storage, view, draft, expected_revision_, *this);
     if (!plan.ok() || !plan->batches) return plan;
-    const MutexLock lock(&mutex_);
-    if (finished_) return call_.GivenUpStatus();
-    const absl::Status room = call_.AdmitRebuild(view.durable_sequence);
-    if (!room.ok()) return room;
+    const absl::Status taken = room().TakeRebuild(view.durable_sequence);
+    if (!taken.ok()) return taken;
     return plan;
   }
 
@@ -353,44 +363,22 @@ class Revision final : public grpc::ServerReadReactor<v1::RevisePosesRequest>,
     if (revised.ok() && revised->is_new) {
       context_.counts->Decided(Decision::kPosesRevised);
     }
-    if (finished_) return;
     if (revised.ok()) {
-      response_->set_revision(revised->revision);
-      response_->set_revised_count(revised->revised_count);
-      response_->set_dropped_count(revised->dropped_count);
+      response_.set_revision(revised->revision);
+      response_.set_revised_count(revised->revised_count);
+      response_.set_dropped_count(revised->dropped_count);
     }
-    End(revised.status());
+    EndLocked(revised.status());
   }
 
-  // Ends a call whose poses are still coming: nothing has changed yet. Where
-  // the store is out of reach, nobody knows whether the session's revision is
-  // stored.
-  void WindDown(const Drain::End& end) {
-    const MutexLock lock(&mutex_);
-    if (!finished_ && (!revising_ || end.at_once)) End(end.status);
-  }
-
-  // Ends the call of a caller who has lost the right to it, unless the session
-  // has the revision already: that is carried through.
-  void Recheck() {
-    const MutexLock lock(&mutex_);
-    if (finished_ || revising_) return;
-    if (absl::Status status = call_.Recheck(); !status.ok()) End(status);
-  }
-
-  // Not to be used after OnDone().
-  grpc::CallbackServerContext* const grpc_context_;
   const ServiceContext context_;
-  // Lives until Finish().
-  v1::RevisePosesResponse* const response_;
-  Call call_;
-  Drain::WatchId drain_watch_ = -1;
-  std::shared_ptr<Revision> self_;
+  // Lives until the end.
+  grpc::ByteBuffer* const response_bytes_;
 
-  // Belong to gRPC while a message is read, to the session until it is drafted.
+  // Belongs to the session until it is drafted.
   v1::RevisePosesRequest request_;
   // Room for the message that is being drafted.
-  Permit room_;
+  Permit message_room_;
   std::uint64_t expected_revision_ = 0;
   // Number of the next pose in the whole call.
   std::size_t pose_number_ = 0;
@@ -398,21 +386,20 @@ class Revision final : public grpc::ServerReadReactor<v1::RevisePosesRequest>,
   // Null until there are poses.
   std::shared_ptr<RevisionDraft> draft_;
 
-  Mutex mutex_;
   std::shared_ptr<VehicleSession> session_ ABSL_GUARDED_BY(mutex_);
   // Room for the draft, and how much.
   std::vector<Permit> draft_room_ ABSL_GUARDED_BY(mutex_);
   std::int64_t drafted_ ABSL_GUARDED_BY(mutex_) = 0;
   std::string vehicle_ ABSL_GUARDED_BY(mutex_);
   bool revising_ ABSL_GUARDED_BY(mutex_) = false;
-  bool finished_ ABSL_GUARDED_BY(mutex_) = false;
+  v1::RevisePosesResponse response_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace
 
-grpc::ServerReadReactor<v1::RevisePosesRequest>* StartRevision(
+grpc::ServerReadReactor<grpc::ByteBuffer>* StartRevision(
     grpc::CallbackServerContext* call, const ServiceContext& context,
-    v1::RevisePosesResponse* response) {
+    grpc::ByteBuffer* response) {
   const auto revision = std::make_shared<Revision>(call, context, response);
   revision->Start();
   return revision.get();

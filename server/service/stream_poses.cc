@@ -25,7 +25,7 @@
 #include "server/conversion/pose_inspection.h"
 #include "server/conversion/poses.h"
 #include "server/conversion/vehicle_settings.h"
-#include "server/service/call.h"
+#include "server/service/streaming_call.h"
 #include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
 #include "server/telemetry/service_counters.h"
@@ -88,84 +88,19 @@ absl::Status OldAge() {
 // out of reach: what was acknowledged by then is written, and what becomes of
 // the rest its client learns from whoever has the vehicle when it resumes.
 //
-// Lifetime: gRPC may destroy its side as soon as OnDone() has run, and sessions
-// call back from their own threads at any time. So the stream is held by a
-// shared_ptr: `self_`, dropped in OnDone(), and one in every callback given to
-// a session. After OnDone() `finished_` is set, and a late callback touches
-// only the stream's own members.
-//
-// Nothing is started after Finish(): that waits until no thread is starting an
-// operation.
-class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
-                         public std::enable_shared_from_this<PoseStream> {
+// The stream does not end while a thread is starting an operation.
+class PoseStream final : public BidiCall<PoseStream> {
  public:
   PoseStream(grpc::CallbackServerContext* call, const ServiceContext& context)
-      : grpc_context_(call),
+      : BidiCall<PoseStream>(call, "StreamPoses", context),
         context_(context),
-        call_(call, "StreamPoses", context),
         request_block_(new char[kRequestBlockBytes]),
         arena_(RequestArenaOptions(request_block_.get())),
         request_(google::protobuf::Arena::CreateMessage<Request>(&arena_)) {}
 
-  void Start() {
-    self_ = shared_from_this();
-    call_.WatchCaller([weak = weak_from_this()] {
-      if (const auto stream = weak.lock()) stream->Recheck();
-    });
-    drain_watch_ =
-        context_.drain->Watch([weak = weak_from_this()](const Drain::End& end) {
-          if (const auto stream = weak.lock()) stream->WindDown(end);
-        });
-    const MutexLock lock(&mutex_);
-    SetFailure(call_.admission());
-    if (!failure_) LimitAge();
-    Advance();
-  }
-
-  void OnReadDone(bool ok) override {
-    call_.CountMessage();
-    bool first;
-    {
-      const MutexLock lock(&mutex_);
-      reading_ = false;
-      if (!ok) OnLastRead();
-      if (Ending()) {
-        Advance();
-        return;
-      }
-      handling_ = true;
-      first = session_ == nullptr;
-    }
-    if (first) {
-      Open();
-    } else {
-      Append();
-    }
-  }
-
-  void OnWriteDone(bool ok) override {
-    const MutexLock lock(&mutex_);
-    writing_ = false;
-    if (!ok) call_.MarkGivenUp();
-    Advance();
-  }
-
-  void OnCancel() override {
-    call_.MarkGivenUp();
-    const MutexLock lock(&mutex_);
-    Advance();
-  }
-
-  void OnDone() override {
-    context_.drain->Unwatch(drain_watch_);
-    call_.Done();
-    // May destroy this.
-    const std::shared_ptr<PoseStream> self = std::move(self_);
-  }
-
  private:
   // One batch of this stream on its way through the session.
-  class Batch final : public AppendSink {
+  class Batch final : public AppendObserver {
    public:
     // `poses`: their number. `bytes`: memory that the batch takes; `room` is
     // held until it is durable.
@@ -176,13 +111,9 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
           bytes_(bytes),
           room_(std::move(room)) {}
 
-    absl::StatusOr<DecodedBatch> Decode(const VehicleConfig& config) override {
-      absl::StatusOr<DecodedBatch> batch =
-          DecodeBatch(stream_->request_->batch().poses(),
-                      stream_->context_.limits.max_batch_poses, config,
-                      FieldPath().Field("batch"));
-      if (batch.ok()) stream_->Inspect(batch->samples, config, &warnings_);
-      return batch;
+    void OnDecoded(const VehicleConfig& config,
+                   const std::vector<core::PoseSample>& samples) override {
+      stream_->Inspect(samples, config, &warnings_);
     }
 
     void OnStaged(const absl::Status& status) override {
@@ -202,19 +133,8 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       stream_->OnDurable(result, bytes_, &warnings_);
     }
 
-    bool wants_candidates() const override { return stream_->send_candidates_; }
-
-    std::string check_flow() const override {
-      return stream_->call_.check_flow();
-    }
-
-    absl::StatusOr<core::SearchOptions> CheckOptions(
-        const VehicleConfig& config) const override {
-      return stream_->SearchOptions(config);
-    }
-
     bool ShouldStop() const override {
-      return stream_->call_.given_up() || stream_->is_left_;
+      return stream_->given_up() || stream_->is_left_;
     }
 
     void OnCandidates(const VehicleView& view,
@@ -249,46 +169,83 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
                  message);
   }
 
-  void Open() ABSL_LOCKS_EXCLUDED(mutex_) {
-    if (!request_->has_open()) {
-      Fail(OutOfOrder("the first message of a stream is `open`"));
-      return;
-    }
-    const v1::StreamPosesOpen& open = request_->open();
-    const FieldPath path = FieldPath().Field("open");
-    const absl::StatusOr<std::string> id =
-        ParseVehicleName(open.vehicle(), path.Field("vehicle"));
-    if (!id.ok()) {
-      Fail(id.status());
-      return;
-    }
-    if (open.acked_sequence() > kMaxSequence) {
-      Fail(InvalidField("INVALID_FIELD", path.Field("acked_sequence"),
-                        "got " + std::to_string(open.acked_sequence()) +
-                            "; allowed is [0, 9223372036854775807]"));
-      return;
-    }
-    if (absl::Status status =
-            CheckUid(open.vehicle_uid(), path.Field("vehicle_uid"));
-        !status.ok()) {
-      Fail(status);
-      return;
-    }
+  void OnStart() override {
+    WatchRights();
+    const MutexLock lock(&mutex_);
+    LimitAge();
+    Advance();
+  }
+
+  void OnMessage() override {
+    bool first;
     {
       const MutexLock lock(&mutex_);
-      absl::Status allowed = call_.ChooseVehicle(*id);
-      if (allowed.ok() && open.send_candidates()) {
-        allowed = call_.AlsoNeeds(Verb::kRead);
-      }
-      SetFailure(allowed);
-      if (!allowed.ok()) {
-        handling_ = false;
+      reading_ = false;
+      if (Ending()) {
         Advance();
         return;
       }
+      handling_ = true;
+      first = session_ == nullptr;
     }
+    absl::Status status = Parse(request_);
+    if (status.ok()) status = first ? Open() : Append();
+    if (!status.ok()) Fail(status);
+  }
+
+  void OnLastMessage() override {
+    const MutexLock lock(&mutex_);
+    reading_ = false;
+    half_closed_ = true;
+    if (session_ == nullptr) {
+      SetFailure(OutOfOrder(
+          "the stream ended before its first message, which is `open`"));
+    }
+    Advance();
+  }
+
+  void OnWritten() override { Advance(); }
+
+  void OnGivenUp() override { Advance(); }
+
+  // Ends the stream after the last acknowledgement, or without it. The client
+  // resends batches that the session has not taken, or that it does not find
+  // stored.
+  void OnDrain(const Drain::End& end) override {
+    if (end.at_once) {
+      SetFailure(end.status);
+      is_left_ = true;
+    } else {
+      draining_ = true;
+    }
+    Advance();
+  }
+
+  // Ends the stream after the last acknowledgement of batches that the session
+  // has taken.
+  void OnRightsLost(const absl::Status& reason) override {
+    SetFailure(reason);
+    Advance();
+  }
+
+  // Takes the first message. If this is not OK, or the session finds nothing of
+  // what was acknowledged, the stream fails.
+  absl::Status Open() ABSL_LOCKS_EXCLUDED(mutex_) {
+    if (!request_->has_open()) {
+      return OutOfOrder("the first message of a stream is `open`");
+    }
+    const v1::StreamPosesOpen& open = request_->open();
+    const absl::StatusOr<std::string> id = CheckOpen(open);
+    if (!id.ok()) return id.status();
+    if (absl::Status status = ChooseVehicle(*id); !status.ok()) return status;
+    if (open.send_candidates()) {
+      const absl::Status allowed = rights().AlsoNeeds(Verb::kRead);
+      if (!allowed.ok()) return allowed;
+    }
+    checks_ = std::make_shared<const CheckOrder>(CheckOrder{
+        searches().check_flow(), CheckOptions(open.candidate_options())});
     send_candidates_ = open.send_candidates();
-    candidate_options_ = open.candidate_options();
+    include_aligned_path_ = open.candidate_options().include_aligned_path();
     const std::shared_ptr<VehicleSession> session =
         context_.fleet->Session(*id);
     {
@@ -300,16 +257,38 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
         [self = shared_from_this()](const absl::StatusOr<VehicleView>& view) {
           self->OnChecked(view);
         });
+    return absl::OkStatus();
   }
 
-  absl::StatusOr<core::SearchOptions> SearchOptions(
-      const VehicleConfig& config) const {
-    const FieldPath open = FieldPath().Field("open");
-    absl::StatusOr<core::SearchOptions> options = DecodeCandidateOptions(
-        candidate_options_, config, open.Field("candidate_options"));
-    if (options.ok())
-      options->max_comparisons = context_.limits.max_search_steps;
-    return options;
+  // The id of the vehicle that the message names.
+  static absl::StatusOr<std::string> CheckOpen(
+      const v1::StreamPosesOpen& open) {
+    const FieldPath path = FieldPath().Field("open");
+    absl::StatusOr<std::string> id =
+        ParseVehicleName(open.vehicle(), path.Field("vehicle"));
+    if (!id.ok()) return id;
+    if (open.acked_sequence() > kMaxSequence) {
+      return InvalidField("INVALID_FIELD", path.Field("acked_sequence"),
+                          "got " + std::to_string(open.acked_sequence()) +
+                              "; allowed is [0, 9223372036854775807]");
+    }
+    if (absl::Status status =
+            CheckUid(open.vehicle_uid(), path.Field("vehicle_uid"));
+        !status.ok()) {
+      return status;
+    }
+    return id;
+  }
+
+  SearchOptionsDecoder CheckOptions(const v1::CandidateOptions& given) const {
+    return [given, max_steps = context_.limits.max_search_steps](
+               const VehicleConfig& config) {
+      const FieldPath open = FieldPath().Field("open");
+      absl::StatusOr<core::SearchOptions> options = DecodeCandidateOptions(
+          given, config, open.Field("candidate_options"));
+      if (options.ok()) options->max_comparisons = max_steps;
+      return options;
+    };
   }
 
   void OnChecked(const absl::StatusOr<VehicleView>& view) {
@@ -317,7 +296,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       Fail(view.status());
       return;
     }
-    if (absl::Status status = SearchOptions(view->config).status();
+    if (absl::Status status = checks_->options(view->config).status();
         !status.ok()) {
       Fail(status);
       return;
@@ -334,22 +313,21 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     Advance();
   }
 
-  void Append() ABSL_LOCKS_EXCLUDED(mutex_) {
+  // Hands the session a batch, unless this is not OK.
+  absl::Status Append() ABSL_LOCKS_EXCLUDED(mutex_) {
     if (!request_->has_batch()) {
-      Fail(OutOfOrder(request_->has_open()
-                          ? "`open` came again; it comes once, first"
-                          : "a message after `open` is a `batch`"));
-      return;
+      return OutOfOrder(request_->has_open()
+                            ? "`open` came again; it comes once, first"
+                            : "a message after `open` is a `batch`");
     }
     // The staged batch takes about as much memory as the message.
     const auto bytes = static_cast<std::size_t>(arena_.SpaceUsed());
-    absl::StatusOr<Permit> room = call_.AdmitBatch(bytes);
+    absl::StatusOr<Permit> permit = room().AdmitBatch(bytes);
     const auto poses =
         static_cast<std::uint64_t>(request_->batch().poses_size());
-    if (!room.ok()) {
-      context_.counts->Refused(poses, room.status());
-      Fail(room.status());
-      return;
+    if (!permit.ok()) {
+      context_.counts->Refused(poses, permit.status());
+      return permit.status();
     }
     // A session that was found stays as long as this stream.
     VehicleSession* session;
@@ -360,8 +338,14 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
       bytes_in_flight_ += bytes;
       session = session_.get();
     }
-    session->Append(std::make_shared<Batch>(shared_from_this(), poses, bytes,
-                                            *std::move(room)));
+    AppendRequest append;
+    append.decode = DecoderOf(&request_->batch().poses(),
+                              context_.limits.max_batch_poses, "batch");
+    if (send_candidates_) append.checks = checks_;
+    session->Append(std::move(append),
+                    std::make_shared<Batch>(shared_from_this(), poses, bytes,
+                                            *std::move(permit)));
+    return absl::OkStatus();
   }
 
   // Called while `handling_`.
@@ -404,14 +388,14 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   void OnCandidates(const VehicleView& view,
                     const absl::StatusOr<core::CandidateSet>& set,
                     std::chrono::nanoseconds duration) {
-    call_.Searched(set, duration);
+    record().Searched(set, duration);
     // Searches stop when the caller is gone, and then nobody waits for them.
-    if (call_.given_up()) return;
+    if (given_up()) return;
     auto response = std::make_unique<Response>();
     std::int64_t bytes = 0;
     if (set.ok()) {
-      EncodeCandidateSet(view, *set, candidate_options_.include_aligned_path(),
-                         duration, response->mutable_candidates());
+      EncodeCandidateSet(view, *set, include_aligned_path_, duration,
+                         response->mutable_candidates());
       bytes = static_cast<std::int64_t>(response->SpaceUsedLong());
     }
     const MutexLock lock(&mutex_);
@@ -447,17 +431,12 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     queue_.swap(kept);
     const std::chrono::milliseconds grace(static_cast<std::int64_t>(
         context_.limits.slow_consumer_seconds * 1000.0));
-    cut_.Set(std::chrono::system_clock::now() + grace,
-             [weak = weak_from_this()](bool ok) {
-               const auto stream = weak.lock();
-               if (ok && stream != nullptr) stream->Cut();
-             });
+    cut_ = AlarmAfter(grace, &PoseStream::Cut);
   }
 
-  void Cut() {
-    const MutexLock lock(&mutex_);
+  void Cut() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     // OnCancel() follows.
-    if (!finished_) grpc_context_->TryCancel();
+    grpc_context_->TryCancel();
   }
 
   void OnAppendOver() {
@@ -466,45 +445,16 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     Advance();
   }
 
-  // Ends the stream after the last acknowledgement, or without it. The client
-  // resends batches that the session has not taken, or that it does not find
-  // stored.
-  void WindDown(const Drain::End& end) {
-    const MutexLock lock(&mutex_);
-    if (end.at_once) {
-      SetFailure(end.status);
-      is_left_ = true;
-    } else {
-      draining_ = true;
-    }
-    Advance();
-  }
-
   void LimitAge() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     const double limit = context_.limits.max_stream_age_seconds;
     if (limit <= 0.0) return;
-    age_ = std::make_unique<grpc::Alarm>();
-    age_->Set(std::chrono::system_clock::now() + DrawnAge(limit),
-              [weak = weak_from_this()](bool ok) {
-                const auto stream = weak.lock();
-                if (ok && stream != nullptr) stream->OnAge();
-              });
+    age_ = AlarmAfter(DrawnAge(limit), &PoseStream::OnAge);
   }
 
   // Ends a stream that has its age after the last acknowledgement of batches
   // that the session has taken. One whose client has sent all ends anyway.
-  void OnAge() {
-    const MutexLock lock(&mutex_);
+  void OnAge() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     if (!half_closed_) SetFailure(OldAge());
-    Advance();
-  }
-
-  // Ends the stream of a caller who has lost the right to it, after the last
-  // acknowledgement of batches that the session has taken.
-  void Recheck() {
-    const MutexLock lock(&mutex_);
-    if (finished_) return;
-    SetFailure(call_.Recheck());
     Advance();
   }
 
@@ -516,17 +466,6 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     Advance();
   }
 
-  void OnLastRead() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    if (grpc_context_->IsCancelled()) call_.MarkGivenUp();
-    half_closed_ = true;
-    if (request_->open().vehicle() != kUnread) {
-      SetFailure(MalformedMessage());
-    } else if (session_ == nullptr) {
-      SetFailure(OutOfOrder(
-          "the stream ended before its first message, which is `open`"));
-    }
-  }
-
   // The first failure counts.
   void SetFailure(const absl::Status& status)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
@@ -534,61 +473,59 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   }
 
   bool Ending() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    return half_closed_ || failure_ || draining_ || call_.given_up();
+    return half_closed_ || failure_ || draining_ || given_up();
   }
 
   absl::Status FinalStatus() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     // Named as the reason even if the call was cut in the end, since that was
     // not the caller's doing.
     if (slow_) return *failure_;
-    if (call_.given_up()) return call_.GivenUpStatus();
+    if (given_up()) return GivenUpStatus();
     if (failure_) return *failure_;
     return half_closed_ ? absl::OkStatus() : Drain::Refusal();
   }
 
   // Starts all operations that can be started now. It releases the mutex for
   // that: starting a write may take as long as the system takes to send it, and
-  // other threads would wait for the mutex all that time. `starting_` holds
-  // Finish() off meanwhile.
+  // other threads would wait for the mutex all that time. `starting_` holds the
+  // end off meanwhile.
   void Advance() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    while (!finished_) {
-      if (call_.given_up()) queue_.clear();
+    while (!ended_) {
+      if (given_up()) queue_.clear();
       const bool write = !writing_ && !queue_.empty();
-      grpc::WriteOptions options;
-      if (write) {
-        writing_ = true;
-        unread_bytes_ -= queue_.front().candidate_bytes;
-        Encode(std::move(queue_.front()));
-        queue_.pop_front();
-        if (!queue_.empty()) options.set_buffer_hint();
-      }
+      if (write) TakeAnswer();
+      // More answers follow this one.
+      const bool more = !queue_.empty();
       if (Ending() && MayFinish()) {
-        finished_ = true;
-        Finish(call_.End(FinalStatus()));
+        EndLocked(FinalStatus());
         return;
       }
       const bool read = !Ending() && MayRead();
-      if (read) {
-        reading_ = true;
-        // Reset() keeps the first block.
-        arena_.Reset();
-        request_ = google::protobuf::Arena::CreateMessage<Request>(&arena_);
-        request_->mutable_open()->set_vehicle(kUnread);
-      }
+      if (read) ClearRequest();
       if (!write && !read) return;
       ++starting_;
       mutex_.Unlock();
-      if (write) StartWrite(&response_, options);
-      if (read) StartRead(request_);
+      if (write) {
+        Write(response_, more ? grpc::WriteOptions().set_buffer_hint()
+                              : grpc::WriteOptions());
+      }
+      if (read) ReadNext();
       mutex_.Lock();
       --starting_;
     }
   }
 
+  void ClearRequest() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    reading_ = true;
+    // Reset() keeps the first block.
+    arena_.Reset();
+    request_ = google::protobuf::Arena::CreateMessage<Request>(&arena_);
+  }
+
   bool MayFinish() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     const bool answered = queue_.empty() && open_appends_ == 0 && !handling_;
     return !writing_ && starting_ == 0 &&
-           (answered || call_.given_up() || (is_left_ && queue_.empty()));
+           (answered || given_up() || (is_left_ && queue_.empty()));
   }
 
   bool MayRead() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
@@ -604,9 +541,13 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     return !reading_ && !handling_ && has_room;
   }
 
-  // Makes a response of an answer. Acknowledgements, which are many, reuse the
-  // memory of the one before.
-  void Encode(Answer answer) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+  // Makes a response of the first answer that waits. Acknowledgements, which
+  // are many, reuse the memory of the one before.
+  void TakeAnswer() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    writing_ = true;
+    Answer answer = std::move(queue_.front());
+    queue_.pop_front();
+    unread_bytes_ -= answer.candidate_bytes;
     if (answer.other != nullptr) {
       response_ = *std::move(answer.other);
     } else {
@@ -614,18 +555,14 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
     }
   }
 
-  // Not to be used after OnDone().
-  grpc::CallbackServerContext* const grpc_context_;
   const ServiceContext context_;
-  Call call_;
-  Drain::WatchId drain_watch_ = -1;
-  std::shared_ptr<PoseStream> self_;
   // Whether the stream ends without the answers to what is under way.
   std::atomic<bool> is_left_{false};
 
   // Written by Open() only, before the session hears of the stream.
+  std::shared_ptr<const CheckOrder> checks_;
   bool send_candidates_ = false;
-  v1::CandidateOptions candidate_options_;
+  bool include_aligned_path_ = false;
 
   // Belong to gRPC while `reading_`, to the session while `handling_`.
   const std::unique_ptr<char[]> request_block_;
@@ -634,25 +571,24 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
   // Belong to the session while `handling_`.
   std::unique_ptr<PoseInspector> inspector_;
   bool inspection_is_over_ = false;
-  // Belongs to gRPC while `writing_`.
+  // While `writing_`, belongs to the thread that set that, until it has started
+  // the write.
   Response response_;
 
-  Mutex mutex_;
   std::shared_ptr<VehicleSession> session_ ABSL_GUARDED_BY(mutex_);
   std::deque<Answer> queue_ ABSL_GUARDED_BY(mutex_);
   // Bytes of the candidates among the queued answers.
   std::int64_t unread_bytes_ ABSL_GUARDED_BY(mutex_) = 0;
   // Whether the client was found not to read its candidates.
   bool slow_ ABSL_GUARDED_BY(mutex_) = false;
-  grpc::Alarm cut_ ABSL_GUARDED_BY(mutex_);
+  // Null unless that is so.
+  std::unique_ptr<grpc::Alarm> cut_ ABSL_GUARDED_BY(mutex_);
   // Null if streams may get any age.
   std::unique_ptr<grpc::Alarm> age_ ABSL_GUARDED_BY(mutex_);
   bool reading_ ABSL_GUARDED_BY(mutex_) = false;
   bool handling_ ABSL_GUARDED_BY(mutex_) = false;
-  bool writing_ ABSL_GUARDED_BY(mutex_) = false;
   bool half_closed_ ABSL_GUARDED_BY(mutex_) = false;
   bool draining_ ABSL_GUARDED_BY(mutex_) = false;
-  bool finished_ ABSL_GUARDED_BY(mutex_) = false;
   // Number of threads that are starting an operation.
   int starting_ ABSL_GUARDED_BY(mutex_) = 0;
   std::optional<absl::Status> failure_ ABSL_GUARDED_BY(mutex_);
@@ -665,7 +601,7 @@ class PoseStream final : public grpc::ServerBidiReactor<Request, Response>,
 
 }  // namespace
 
-grpc::ServerBidiReactor<Request, Response>* StartPoseStream(
+grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::ByteBuffer>* StartPoseStream(
     grpc::CallbackServerContext* call, const ServiceContext& context) {
   const auto stream = std::make_shared<PoseStream>(call, context);
   stream->Start();

@@ -18,7 +18,7 @@
 #include "server/connections/drain.h"
 #include "server/conversion/field_violations.h"
 #include "server/conversion/names.h"
-#include "server/service/call.h"
+#include "server/service/call_reactor.h"
 #include "server/service/message_bytes.h"
 #include "server/service/service_context.h"
 #include "server/sessions/fleet.h"
@@ -36,124 +36,59 @@ inline std::int64_t NowNanoseconds() {
       .count();
 }
 
-// The reactor of a unary call. A shared_ptr owns it, for the reasons given in
-// stream_poses.cc.
-class UnaryCall : public grpc::ServerUnaryReactor,
-                  public std::enable_shared_from_this<UnaryCall> {
+// The reactor of a unary call.
+class UnaryCall : public CallReactor<UnaryCall, grpc::ServerUnaryReactor> {
  public:
-  UnaryCall(grpc::CallbackServerContext* context, const char* method,
-            const ServiceContext& service)
-      : drain_(service.drain), call_(context, method, service) {}
-
-  // Call before anything else.
-  void Start() {
-    self_ = shared_from_this();
-    if (!call_.needs_store()) return;
-    drain_watch_ =
-        drain_->Watch([weak = weak_from_this()](const Drain::End& end) {
-          const auto call = weak.lock();
-          if (call == nullptr || !end.at_once) return;
-          call->call_.MarkGivenUp();
-          call->End(end.status);
-        });
-  }
-
-  void OnCancel() override { call_.MarkGivenUp(); }
-
-  void OnDone() override {
-    drain_->Unwatch(drain_watch_);
-    call_.Done();
-    // May destroy this.
-    const std::shared_ptr<UnaryCall> self = std::move(self_);
-  }
-
-  const absl::Status& admission() const { return call_.admission(); }
-  const Caller& caller() const { return call_.caller(); }
-  absl::Status ChooseVehicle(const std::string& id) {
-    return UnlessEnded([&] { return call_.ChooseVehicle(id); });
-  }
-  absl::Status AdmitRebuild(std::uint64_t poses) {
-    return UnlessEnded([&] { return call_.AdmitRebuild(poses); });
-  }
-  absl::Status AdmitSearch() {
-    return UnlessEnded([&] { return call_.AdmitSearch(); });
-  }
-  absl::Status TooManySteps() const { return call_.TooManySteps(); }
-  absl::Status CheckSearchSteps() const { return call_.CheckSearchSteps(); }
-  void SearchTook(std::chrono::steady_clock::duration duration,
-                  std::int64_t steps) const {
-    call_.SearchTook(duration, steps);
-  }
-  std::string search_flow() const { return call_.search_flow(); }
-  void Searched(const absl::StatusOr<core::CandidateSet>& set,
-                std::chrono::steady_clock::duration duration) {
-    const MutexLock lock(&mutex_);
-    if (!ended_) call_.Searched(set, duration);
-  }
-  void NameChanged(const std::string& id) {
-    const MutexLock lock(&mutex_);
-    if (!ended_) call_.NameChanged(id);
-  }
-  absl::Status HoldBatch(std::size_t bytes) {
-    return UnlessEnded([&] { return call_.HoldBatch(bytes); });
-  }
-  bool given_up() const { return call_.given_up(); }
-  absl::Status GivenUpStatus() const { return call_.GivenUpStatus(); }
-
-  // Call once, on any thread. Nothing happens if the store was found out of
-  // reach meanwhile, and the call ended with that.
-  void End(const absl::Status& status) {
-    grpc::Status answer;
-    {
-      const MutexLock lock(&mutex_);
-      if (ended_) return;
-      ended_ = true;
-      if (status.ok()) WriteResponse();
-      answer = call_.End(status);
-    }
-    // May destroy this.
-    Finish(answer);
-  }
+  using CallReactor::CallReactor;
 
  private:
-  virtual void WriteResponse() = 0;
-
-  // Does the work and returns its status, unless the call has ended: then
-  // nobody hears the status that this returns.
-  template <typename Work>
-  absl::Status UnlessEnded(const Work& work) {
-    const MutexLock lock(&mutex_);
-    return ended_ ? call_.GivenUpStatus() : work();
+  // While the server drains, the call goes on to its answer; where the store is
+  // out of reach, that may never come.
+  void OnDrain(const Drain::End& end) override {
+    if (!end.at_once) return;
+    MarkGivenUp();
+    EndLocked(end.status);
   }
-
-  Drain* const drain_;
-  Drain::WatchId drain_watch_ = -1;
-  // Held while the call is used in ways that its end rules out.
-  Mutex mutex_;
-  bool ended_ ABSL_GUARDED_BY(mutex_) = false;
-  Call call_;
-  std::shared_ptr<UnaryCall> self_;
-};
-
-// A unary call with its messages.
-template <typename Request, typename Response>
-class TypedCall final : public UnaryCall {
- public:
-  // The bytes of the response live until Finish().
-  TypedCall(grpc::CallbackServerContext* context, const char* method,
-            const ServiceContext& service, grpc::ByteBuffer* response_bytes)
-      : UnaryCall(context, method, service), response_bytes_(response_bytes) {}
-
-  Request request;
-  Response response;
-
- private:
-  void WriteResponse() override { WriteMessage(response, response_bytes_); }
-
-  grpc::ByteBuffer* const response_bytes_;
 };
 
 using UnaryCallPtr = std::shared_ptr<UnaryCall>;
+
+// A unary call with its messages. `Handle` is given the call, the request and
+// the response, which live as long as the call. It either returns an error,
+// which ends the call, or returns OK and has the call ended later, once, from
+// any thread.
+template <typename Request, typename Response, typename Handle>
+class TypedCall final : public UnaryCall {
+ public:
+  // The bytes of the request live until Start() returns, those of the response
+  // until the end.
+  TypedCall(grpc::CallbackServerContext* context, const char* method,
+            const ServiceContext& service,
+            const grpc::ByteBuffer* request_bytes,
+            grpc::ByteBuffer* response_bytes, Handle handle)
+      : UnaryCall(context, method, service),
+        request_bytes_(request_bytes),
+        response_bytes_(response_bytes),
+        handle_(std::move(handle)) {}
+
+ private:
+  void OnStart() override {
+    absl::Status status = ParseMessage(request_bytes_, &request_);
+    if (status.ok())
+      status = handle_(shared_from_this(), &request_, &response_);
+    if (!status.ok()) End(status);
+  }
+
+  void OnEnd(const absl::Status& status) override {
+    if (status.ok()) WriteMessage(response_, response_bytes_);
+  }
+
+  const grpc::ByteBuffer* const request_bytes_;
+  grpc::ByteBuffer* const response_bytes_;
+  const Handle handle_;
+  Request request_;
+  Response response_;
+};
 
 // A callback that finishes the call with what `encode` makes of the value.
 template <typename Value, typename Encode>

@@ -39,7 +39,8 @@ absl::Status CheckConsecutive(const DecodedBatch& batch) {
 }  // namespace
 
 struct Appends::Pending {
-  std::shared_ptr<AppendSink> sink;
+  AppendRequest request;
+  std::shared_ptr<AppendObserver> observer;
   // The poses that came, also where only a part of them is new.
   std::uint64_t first_sequence = 0;
   std::uint64_t last_sequence = 0;
@@ -57,7 +58,6 @@ struct Appends::Pending {
 // The checks of an append that has landed.
 struct Appends::Checks {
   PendingPtr append;
-  std::string flow;
   absl::StatusOr<core::SearchOptions> options;
   std::vector<core::NodeIndex> due;
   // The check that `search` is of.
@@ -65,103 +65,122 @@ struct Appends::Checks {
   SearchTurns search;
 };
 
-void Appends::Submit(std::shared_ptr<AppendSink> sink) {
+void Appends::Submit(AppendRequest request,
+                     std::shared_ptr<AppendObserver> observer) {
   if (pending_.fetch_add(1) >= max_pending_) {
     pending_.fetch_sub(1);
-    Refuse(std::move(sink));
+    Refuse(std::move(observer));
     return;
   }
   auto append = std::make_shared<Pending>();
-  append->sink = std::move(sink);
+  append->request = std::move(request);
+  append->observer = std::move(observer);
   queue_->RunOrPost([this, append = std::move(append)]() mutable {
     if (queue_->MayAppendHere()) {
-      Run(append, absl::OkStatus(), /*may_read=*/false);
+      Run(append, absl::OkStatus(), /*may_block=*/false);
       return;
     }
     queue_->PushBack(
         {Turn::kAppend, [this, append](const absl::Status& status) {
-           Run(append, status, /*may_read=*/true);
+           Run(append, status, /*may_block=*/true);
          }});
     queue_->PumpLater();
   });
 }
 
-void Appends::Refuse(std::shared_ptr<AppendSink> sink) {
+void Appends::Refuse(std::shared_ptr<AppendObserver> observer) {
   const absl::Status full =
       Error(StatusCode::kResourceExhausted, "QUEUE_FULL",
             StrCat("vehicle '", vehicle_->id, "': ", max_pending_,
                    " batches wait to be stored, which is the limit"));
-  queue_->Post([sink = std::move(sink), full] {
-    sink->OnStaged(full);
-    sink->OnDurable(full);
-    sink->OnOver();
+  queue_->Post([observer = std::move(observer), full] {
+    observer->OnStaged(full);
+    observer->OnDurable(full);
+    observer->OnOver();
   });
 }
 
 void Appends::Run(const PendingPtr& append, const absl::Status& status,
-                  bool may_read) {
+                  bool may_block) {
   const absl::StatusOr<Taken> taken =
-      status.ok() ? TakeOn(append, may_read) : status;
+      status.ok() ? TakeOn(append, may_block) : status;
   if (!taken.ok()) {
-    // Answered behind those before it.
-    append->result = taken.status();
-    in_flight_.push_back(append);
-    append->sink->OnStaged(taken.status());
-    AnswerInOrder();
+    Conclude(append, taken.status());
   } else if (*taken != Taken::kYes) {
     const Turn turn = *taken == Taken::kWhenIdle ? Turn::kAlone : Turn::kAppend;
     queue_->PushFront({turn, [this, append](const absl::Status& later) {
-                         Run(append, later, /*may_read=*/true);
+                         Run(append, later, /*may_block=*/true);
                        }});
-    if (!may_read) queue_->PumpLater();
+    if (!may_block) queue_->PumpLater();
   }
 }
 
 absl::StatusOr<Appends::Taken> Appends::TakeOn(const PendingPtr& append,
-                                               bool may_read) {
+                                               bool may_block) {
   if (absl::Status status = vehicle_->Writable(); !status.ok()) return status;
   if (absl::Status status = Decode(append.get()); !status.ok()) return status;
-  DecodedBatch& batch = *append->decoded;
+  const std::uint64_t first = append->first_sequence;
+  const std::uint64_t staged = vehicle_->staged.sequence;
+  if (first > staged + 1) return SequenceGap(first);
+  return first <= staged ? TakeOnKnown(append, may_block) : TakeOnNew(append);
+}
+
+absl::StatusOr<Appends::Taken> Appends::TakeOnKnown(const PendingPtr& append,
+                                                    bool may_block) {
   const std::uint64_t first = append->first_sequence;
   const std::uint64_t last = append->last_sequence;
-  const std::uint64_t staged = vehicle_->staged.sequence;
   const std::uint64_t durable = vehicle_->durable_sequence;
-  if (first > staged + 1) {
-    const std::string expected = StrCat(staged + 1);
-    return Error(
-        StatusCode::kFailedPrecondition, "SEQUENCE_GAP",
-        StrCat("vehicle '", vehicle_->id, "': got a batch from sequence ",
-               first, ", expected ", expected),
-        {{"expected_sequence", expected}});
+  if (last > durable && vehicle_->staged.sequence > durable) {
+    return Taken::kWhenIdle;
   }
-  if (first <= staged) {
-    if (last > durable && staged > durable) return Taken::kWhenIdle;
-    if (!may_read) return Taken::kWhereReadsMayWait;
-    const absl::Status same =
-        CompareWithStored(batch, first, std::min(last, durable));
-    if (!same.ok()) return same;
-    if (last <= durable) {
-      append->result = absl::OkStatus();
-      in_flight_.push_back(append);
-      append->sink->OnStaged(absl::OkStatus());
-      AnswerInOrder();
-      return Taken::kYes;
-    }
-    if (absl::Status sliced = KeepFrom(durable + 1 - first, &batch);
-        !sliced.ok()) {
-      return sliced;
-    }
+  if (!may_block) return Taken::kWhereReadsMayBlock;
+  const absl::Status same =
+      CompareWithStored(*append->decoded, first, std::min(last, durable));
+  if (!same.ok()) return same;
+  if (last <= durable) {
+    Conclude(append, absl::OkStatus());
+    return Taken::kYes;
   }
-  if (absl::Status status = TakeOrigin(batch); !status.ok()) return status;
+  const absl::Status sliced = KeepFrom(durable + 1 - first, &*append->decoded);
+  if (!sliced.ok()) return sliced;
+  return TakeOnNew(append);
+}
+
+absl::StatusOr<Appends::Taken> Appends::TakeOnNew(const PendingPtr& append) {
+  if (absl::Status status = TakeOrigin(*append->decoded); !status.ok()) {
+    return status;
+  }
   Write(append);
   return Taken::kYes;
+}
+
+void Appends::Conclude(const PendingPtr& append, const absl::Status& result) {
+  append->result = result;
+  in_flight_->Add();
+  unanswered_.push_back(append);
+  append->observer->OnStaged(result);
+  AnswerInOrder();
+}
+
+absl::Status Appends::SequenceGap(std::uint64_t first) const {
+  const std::string expected = StrCat(vehicle_->staged.sequence + 1);
+  return Error(
+      StatusCode::kFailedPrecondition, "SEQUENCE_GAP",
+      StrCat("vehicle '", vehicle_->id, "': got a batch from sequence ", first,
+             ", expected ", expected),
+      {{"expected_sequence", expected}});
 }
 
 // An append that is run again is decoded already.
 absl::Status Appends::Decode(Pending* append) {
   if (append->decoded) return absl::OkStatus();
-  absl::StatusOr<DecodedBatch> decoded =
-      append->sink->Decode(vehicle_->staged.config);
+  const VehicleConfig& config = vehicle_->staged.config;
+  absl::Status wanted = append->observer->StillWanted();
+  if (wanted.ok()) {
+    wanted = CheckMeant(vehicle_->id, config, append->request.vehicle_uid);
+  }
+  if (!wanted.ok()) return wanted;
+  absl::StatusOr<DecodedBatch> decoded = append->request.decode(config);
   if (!decoded.ok()) return decoded.status();
   if (absl::Status status = CheckConsecutive(*decoded); !status.ok()) {
     return status;
@@ -169,6 +188,7 @@ absl::Status Appends::Decode(Pending* append) {
   append->first_sequence = decoded->samples.front().sequence;
   append->last_sequence = decoded->samples.back().sequence;
   append->decoded = *std::move(decoded);
+  append->observer->OnDecoded(config, append->decoded->samples);
   return absl::OkStatus();
 }
 
@@ -241,32 +261,38 @@ void Appends::Write(const PendingPtr& append) {
   VehicleState::Staged& staged = vehicle_->staged;
   DecodedBatch& batch = *append->decoded;
   const std::uint64_t first = batch.samples.front().sequence;
-  std::uint64_t next = first;
-  std::vector<BatchRecord> records;
-  for (BatchPart& part : vehicle_->codec->DivideBatch(
-           std::move(batch.payload), batch.samples.size(),
-           vehicle_->storage->MostBatchBytes())) {
-    BatchRecord& record = records.emplace_back();
-    record.first_sequence = next;
-    record.count = static_cast<std::uint32_t>(part.count);
-    // Each counts as a change, since each is one when the vehicle is loaded.
-    record.revision = ++staged.revision;
-    record.payload = std::move(part.payload);
-    next += part.count;
-  }
+  std::vector<BatchRecord> rows = RowsOf(&batch);
   std::optional<std::string> vehicle_payload;
   if (staged.config.origin && !vehicle_->config.origin && first == 1) {
     vehicle_payload = vehicle_->codec->EncodeVehicle(staged.config);
   }
   append->revision = staged.revision;
   staged.sequence = batch.samples.back().sequence;
-  in_flight_.push_back(append);
-  append->sink->OnStaged(absl::OkStatus());
+  in_flight_->Add();
+  unanswered_.push_back(append);
+  append->observer->OnStaged(absl::OkStatus());
   vehicle_->storage->AppendBatches(
-      vehicle_->key, std::move(records), std::move(vehicle_payload),
+      vehicle_->key, std::move(rows), std::move(vehicle_payload),
       queue_->OnStrand([this, append](const absl::Status& result) {
         TakeResult(append, result);
       }));
+}
+
+std::vector<BatchRecord> Appends::RowsOf(DecodedBatch* batch) {
+  std::uint64_t next = batch->samples.front().sequence;
+  std::vector<BatchRecord> rows;
+  for (BatchPart& part : vehicle_->codec->DivideBatch(
+           std::move(batch->payload), batch->samples.size(),
+           vehicle_->storage->MostBatchBytes())) {
+    BatchRecord& row = rows.emplace_back();
+    row.first_sequence = next;
+    row.count = static_cast<std::uint32_t>(part.count);
+    // Each counts as a change, since each is one when the vehicle is loaded.
+    row.revision = ++vehicle_->staged.revision;
+    row.payload = std::move(part.payload);
+    next += part.count;
+  }
+  return rows;
 }
 
 void Appends::TakeResult(const PendingPtr& append, const absl::Status& result) {
@@ -276,18 +302,20 @@ void Appends::TakeResult(const PendingPtr& append, const absl::Status& result) {
 }
 
 void Appends::AnswerInOrder() {
-  while (!checking_ && !in_flight_.empty() && in_flight_.front()->result) {
-    const PendingPtr append = std::move(in_flight_.front());
-    in_flight_.pop_front();
+  while (!in_flight_->checking() && !unanswered_.empty() &&
+         unanswered_.front()->result) {
+    const PendingPtr append = std::move(unanswered_.front());
+    unanswered_.pop_front();
+    in_flight_->Remove();
     if (append->revision == 0) {
       Answer(*append, *append->result);
-      append->sink->OnOver();
+      append->observer->OnOver();
     } else {
       Land(append);
     }
   }
-  if (idle() && failure_) {
-    failure_.reset();
+  if (in_flight_->idle() && in_flight_->failing()) {
+    in_flight_->Recover();
     vehicle_->Adopt(vehicle_->config, vehicle_->revision);
   }
 }
@@ -297,13 +325,13 @@ void Appends::Land(const PendingPtr& append) {
   const absl::Status status = ResultOf(*append);
   if (!status.ok()) {
     Answer(*append, status);
-    append->sink->OnOver();
+    append->observer->OnOver();
     return;
   }
   std::vector<core::NodeIndex> due = Apply(append.get());
   Answer(*append, absl::OkStatus());
-  if (due.empty() || !append->sink->wants_candidates()) {
-    append->sink->OnOver();
+  if (due.empty() || append->request.checks == nullptr) {
+    append->observer->OnOver();
   } else {
     RunChecks(append, std::move(due));
   }
@@ -312,18 +340,18 @@ void Appends::Land(const PendingPtr& append) {
 // The result of a write, in the light of those before it.
 absl::Status Appends::ResultOf(const Pending& append) {
   const absl::Status& written = *append.result;
-  if (failure_) {
+  if (in_flight_->failing()) {
     // Stored behind one that was not: the store is no prefix of what was
     // staged, which its contract rules out.
     if (written.ok()) vehicle_->Leave(vehicle_->OutOfStep());
-    return *failure_;
+    return in_flight_->failure();
   }
   if (written.ok()) return written;
   // The store expected another batch than this session does.
   const bool out_of_step = written.code() == StatusCode::kFailedPrecondition;
-  failure_ = out_of_step ? vehicle_->OutOfStep() : written;
+  in_flight_->Fail(out_of_step ? vehicle_->OutOfStep() : written);
   vehicle_->NoteFailedWrite(written);
-  return *failure_;
+  return in_flight_->failure();
 }
 
 // Applies what is durable. Returns the nodes at which a check fell due.
@@ -364,38 +392,39 @@ std::optional<StampAhead> Appends::FindAhead(
 
 void Appends::RunChecks(const PendingPtr& append,
                         std::vector<core::NodeIndex> due) {
-  checking_ = true;
+  in_flight_->set_checking(true);
   auto checks = std::make_shared<Checks>();
   checks->append = append;
   checks->due = std::move(due);
-  checks->flow = append->sink->check_flow();
-  queue_->PostSearch(checks->flow, [this, checks] {
-    checks->options = checks->append->sink->CheckOptions(vehicle_->config);
+  queue_->PostSearch(append->request.checks->flow, [this, checks] {
+    checks->options = checks->append->request.checks->options(vehicle_->config);
     CheckOn(checks);
   });
 }
 
 void Appends::CheckOn(const ChecksPtr& checks) {
-  AppendSink* const sink = checks->append->sink.get();
+  AppendObserver* const observer = checks->append->observer.get();
   std::optional<absl::StatusOr<core::CandidateSet>> answer;
   if (checks->options.ok()) {
     answer = checks->search.Take(vehicle_->View(), checks->due[checks->next],
                                  *checks->options,
-                                 [sink] { return sink->ShouldStop(); });
+                                 [observer] { return observer->ShouldStop(); });
   } else {
     answer = checks->options.status();
   }
   if (answer) {
-    sink->OnCandidates(vehicle_->View(), *answer, checks->search.all_turns());
+    observer->OnCandidates(vehicle_->View(), *answer,
+                           checks->search.all_turns());
     checks->search = SearchTurns();
     ++checks->next;
   }
   if (checks->next < checks->due.size()) {
-    queue_->PostSearch(checks->flow, [this, checks] { CheckOn(checks); });
+    queue_->PostSearch(checks->append->request.checks->flow,
+                       [this, checks] { CheckOn(checks); });
     return;
   }
-  sink->OnOver();
-  checking_ = false;
+  observer->OnOver();
+  in_flight_->set_checking(false);
   // In the lane of short work again.
   queue_->Post([this] {
     AnswerInOrder();
@@ -406,10 +435,10 @@ void Appends::CheckOn(const ChecksPtr& checks) {
 void Appends::Answer(const Pending& append, const absl::Status& status) {
   pending_.fetch_sub(1);
   if (!status.ok()) {
-    append.sink->OnDurable(status);
+    append.observer->OnDurable(status);
     return;
   }
-  append.sink->OnDurable(Acknowledgement{
+  append.observer->OnDurable(Acknowledgement{
       vehicle_->durable_sequence, vehicle_->revision,
       vehicle_->JumpsAt(append.first_sequence, append.last_sequence),
       append.findings, append.stamp_ahead,

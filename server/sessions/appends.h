@@ -7,13 +7,13 @@
 #include <cstdint>
 #include <deque>
 #include <memory>
-#include <optional>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/drive/drive.h"
-#include "server/sessions/append_sink.h"
+#include "server/sessions/append_request.h"
+#include "server/sessions/appends_in_flight.h"
 #include "server/sessions/retention.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
@@ -27,23 +27,18 @@ namespace revisit::server {
 class Appends {
  public:
   // At most `max_pending` appends wait or are in flight.
-  Appends(VehicleState* vehicle, VehicleQueue* queue, Retention* retention,
-          int max_pending)
+  Appends(VehicleState* vehicle, VehicleQueue* queue,
+          AppendsInFlight* in_flight, Retention* retention, int max_pending)
       : vehicle_(vehicle),
         queue_(queue),
+        in_flight_(in_flight),
         retention_(retention),
         max_pending_(max_pending) {}
 
   // See VehicleSession::Append(). From any thread; stages the batch before it
   // returns if nothing stands in its way, so that the caller's thread does what
   // it would else have woken another for.
-  void Submit(std::shared_ptr<AppendSink> sink);
-
-  // Whether no append is in flight, the checks of those that landed included.
-  bool idle() const { return in_flight_.empty() && !checking_; }
-  // Whether one in flight has failed: those behind it fail too, and no other
-  // may start.
-  bool failing() const { return failure_.has_value(); }
+  void Submit(AppendRequest request, std::shared_ptr<AppendObserver> observer);
 
  private:
   struct Pending;
@@ -57,19 +52,28 @@ class Appends {
     // Once all that is in flight has landed.
     kWhenIdle,
     // On a thread that may wait for the storage.
-    kWhereReadsMayWait,
+    kWhereReadsMayBlock,
   };
 
-  void Refuse(std::shared_ptr<AppendSink> sink);
-  // `may_read`: whether this thread may wait for the storage.
-  void Run(const PendingPtr& append, const absl::Status& status, bool may_read);
-  absl::StatusOr<Taken> TakeOn(const PendingPtr& append, bool may_read);
+  void Refuse(std::shared_ptr<AppendObserver> observer);
+  // `may_block`: whether this thread may wait for the storage.
+  void Run(const PendingPtr& append, const absl::Status& status,
+           bool may_block);
+  absl::StatusOr<Taken> TakeOn(const PendingPtr& append, bool may_block);
+  // The same for an append that begins with poses which came before.
+  absl::StatusOr<Taken> TakeOnKnown(const PendingPtr& append, bool may_block);
+  absl::StatusOr<Taken> TakeOnNew(const PendingPtr& append);
+  // Has an append that writes nothing answered, behind those before it.
+  void Conclude(const PendingPtr& append, const absl::Status& result);
+  absl::Status SequenceGap(std::uint64_t first) const;
   absl::Status Decode(Pending* append);
   absl::Status TakeOrigin(const DecodedBatch& batch);
   absl::Status CompareWithStored(const DecodedBatch& batch, std::uint64_t first,
                                  std::uint64_t last) const;
   absl::Status KeepFrom(std::size_t first, DecodedBatch* batch) const;
   void Write(const PendingPtr& append);
+  // The rows of a batch, whose payload is used up.
+  std::vector<BatchRecord> RowsOf(DecodedBatch* batch);
   void TakeResult(const PendingPtr& append, const absl::Status& result);
   void AnswerInOrder();
   void Land(const PendingPtr& append);
@@ -86,17 +90,13 @@ class Appends {
 
   VehicleState* const vehicle_;
   VehicleQueue* const queue_;
+  AppendsInFlight* const in_flight_;
   Retention* const retention_;
   const int max_pending_;
   std::atomic<int> pending_{0};
 
-  // Taken on or refused, oldest first, until answered.
-  std::deque<PendingPtr> in_flight_;
-  // Why the first of them failed that did.
-  std::optional<absl::Status> failure_;
-  // The checks of an append that has landed are still to be run. Appends in
-  // flight behind it land after them.
-  bool checking_ = false;
+  // Those in flight, oldest first.
+  std::deque<PendingPtr> unanswered_;
   // Whether the last batch with stamps had one too far ahead.
   bool was_ahead_ = false;
 };

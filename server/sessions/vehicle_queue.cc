@@ -1,7 +1,5 @@
 #include "server/sessions/vehicle_queue.h"
 
-#include "server/sessions/appends.h"
-
 namespace revisit::server {
 namespace {
 
@@ -12,8 +10,8 @@ bool IsRead(Turn turn) {
 
 }  // namespace
 
-VehicleQueue::VehicleQueue(VehicleState* vehicle, const Appends* appends,
-                           const Lanes& lanes)
+VehicleQueue::VehicleQueue(VehicleState* vehicle,
+                           const AppendsInFlight* appends, const Lanes& lanes)
     : vehicle_(vehicle), appends_(appends), strand_(Strand::Create(lanes)) {}
 
 void VehicleQueue::Submit(Operation operation) {

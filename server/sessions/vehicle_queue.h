@@ -9,13 +9,12 @@
 #include <utility>
 
 #include "absl/status/status.h"
+#include "server/sessions/appends_in_flight.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/vehicle_state.h"
 #include "server/storage/records.h"
 
 namespace revisit::server {
-
-class Appends;
 
 // When an operation may start, once the vehicle is loaded.
 enum class Turn {
@@ -55,7 +54,7 @@ class VehicleQueue {
     kVehicle,
   };
 
-  VehicleQueue(VehicleState* vehicle, const Appends* appends,
+  VehicleQueue(VehicleState* vehicle, const AppendsInFlight* appends,
                const Lanes& lanes);
 
   // Every task holds a reference to `session`, so that it lives until its work
@@ -140,7 +139,7 @@ class VehicleQueue {
   absl::Status CheckMemory(Turn turn);
 
   VehicleState* const vehicle_;
-  const Appends* const appends_;
+  const AppendsInFlight* const appends_;
   const std::shared_ptr<Strand> strand_;
   std::weak_ptr<void> session_;
 

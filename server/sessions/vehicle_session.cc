@@ -19,8 +19,9 @@ struct VehicleSession::State {
         std::shared_ptr<VehicleCensus> census)
       : vehicle(std::move(id), storage, codec, policy, std::move(clock),
                 std::move(census)),
-        queue(&vehicle, &appends, lanes),
-        appends(&vehicle, &queue, &retention, limits.max_pending_appends),
+        queue(&vehicle, &in_flight, lanes),
+        appends(&vehicle, &queue, &in_flight, &retention,
+                limits.max_pending_appends),
         replayer(&vehicle, &queue),
         retention(&vehicle, &queue, &replayer, std::move(monitor)),
         changes(&vehicle, &queue, &replayer, limits.max_pose_pairs),
@@ -92,6 +93,7 @@ struct VehicleSession::State {
   }
 
   VehicleState vehicle;
+  AppendsInFlight in_flight;
   VehicleQueue queue;
   Appends appends;
   Replayer replayer;
@@ -151,8 +153,9 @@ void VehicleSession::Search(std::string flow, SearchCallback callback) {
        std::move(flow)});
 }
 
-void VehicleSession::Append(std::shared_ptr<AppendSink> sink) {
-  state_->appends.Submit(std::move(sink));
+void VehicleSession::Append(AppendRequest request,
+                            std::shared_ptr<AppendObserver> observer) {
+  state_->appends.Submit(std::move(request), std::move(observer));
 }
 
 void VehicleSession::CheckAcknowledged(std::uint64_t acked_sequence,

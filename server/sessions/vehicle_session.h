@@ -28,7 +28,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "server/sessions/append_sink.h"
+#include "server/sessions/append_request.h"
 #include "server/sessions/changes.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/record_codec.h"
@@ -88,12 +88,14 @@ class VehicleSession {
       std::function<bool(const absl::StatusOr<VehicleView>&)>;
   void Search(std::string flow, SearchCallback callback);
 
-  // See AppendSink. Poses that are stored already with the same content are
-  // acknowledged again. Errors: ALREADY_EXISTS (SEQUENCE_CONTENT_MISMATCH),
-  // FAILED_PRECONDITION (SEQUENCE_GAP), DATA_LOSS, RESOURCE_EXHAUSTED
-  // (QUEUE_FULL), those of AppendSink::Decode() and of the storage. If a batch
-  // cannot be written, those in flight behind it fail with the same status.
-  void Append(std::shared_ptr<AppendSink> sink);
+  // See AppendRequest and AppendObserver. Poses that are stored already with
+  // the same content are acknowledged again. Errors: ALREADY_EXISTS
+  // (SEQUENCE_CONTENT_MISMATCH), FAILED_PRECONDITION (SEQUENCE_GAP),
+  // (VEHICLE_REPLACED) if another vehicle is meant, DATA_LOSS,
+  // RESOURCE_EXHAUSTED (QUEUE_FULL), those of AppendObserver::StillWanted(), of
+  // the decoder and of the storage. If a batch cannot be written, those in
+  // flight behind it fail with the same status.
+  void Append(AppendRequest request, std::shared_ptr<AppendObserver> observer);
 
   // A client says it holds acknowledgements up to this sequence, of the vehicle
   // of this uid; FAILED_PRECONDITION (VEHICLE_REPLACED) if that is another. If

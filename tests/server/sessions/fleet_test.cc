@@ -446,7 +446,7 @@ class Driver {
       }
       found_ += "\n";
     };
-    fleet_->Session(id_)->Append(append);
+    fleet_->Session(id_)->Append(append->Request(), append);
     const absl::StatusOr<Acknowledgement> acknowledgement = durable.Get();
     ASSERT_THAT(acknowledgement, IsOk());
     acknowledged_ += kBatchPoses;

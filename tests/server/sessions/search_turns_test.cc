@@ -205,7 +205,7 @@ TEST_F(SearchTurnsTest, ChecksOfAStreamDoNotWaitForSearches) {
     durable.Set(true);
   };
   const auto append_now = [&] {
-    Vehicle("streamed").Append(append);
+    Vehicle("streamed").Append(append->Request(), append);
     durable.Get();
   };
   std::vector<Answer<Found>> answers;
@@ -238,7 +238,7 @@ TEST_F(SearchTurnsTest, ChecksOfAStreamLeaveAnotherVehicleItsTurn) {
     Note("check");
   };
   append->over = [&] { over.Set(true); };
-  Vehicle("streamed").Append(append);
+  Vehicle("streamed").Append(append->Request(), append);
   over.Get();
   EXPECT_THAT(other.Get().Get(), IsOk());
   EXPECT_EQ(Before("other ends"), 0u);

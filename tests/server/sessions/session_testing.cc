@@ -135,8 +135,19 @@ void CloseNow(VehicleSession& session) {
   answer.Get();
 }
 
-absl::StatusOr<DecodedBatch> PlainAppend::Decode(const VehicleConfig& config) {
-  return PlainCodec().DecodeBatch(payload_, config);
+AppendRequest PlainRequest(const std::string& payload, bool wants_checks,
+                           SearchOptionsDecoder options) {
+  AppendRequest request;
+  request.decode = [payload](const VehicleConfig& config) {
+    return PlainCodec().DecodeBatch(payload, config);
+  };
+  if (!wants_checks) return request;
+  if (!options) {
+    options = [](const VehicleConfig& config) { return config.drive.search; };
+  }
+  request.checks = std::make_shared<const CheckOrder>(
+      CheckOrder{"checks", std::move(options)});
+  return request;
 }
 
 void PlainAppend::OnStaged(const absl::Status& status) {
@@ -145,11 +156,6 @@ void PlainAppend::OnStaged(const absl::Status& status) {
 
 void PlainAppend::OnDurable(const absl::StatusOr<Acknowledgement>& result) {
   if (durable) durable(result);
-}
-
-absl::StatusOr<core::SearchOptions> PlainAppend::CheckOptions(
-    const VehicleConfig& config) const {
-  return options ? options(config) : AppendSink::CheckOptions(config);
 }
 
 bool PlainAppend::ShouldStop() const { return should_stop && should_stop(); }
@@ -169,7 +175,7 @@ Appended Append(VehicleSession& session, const std::string& payload) {
   auto append = std::make_shared<PlainAppend>(payload);
   append->staged = appended.staged.Setter();
   append->durable = appended.durable.Setter();
-  session.Append(append);
+  session.Append(append->Request(), append);
   return appended;
 }
 

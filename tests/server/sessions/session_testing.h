@@ -75,18 +75,25 @@ struct Appended {
   Answer<absl::StatusOr<Acknowledgement>> durable;
 };
 
+// Asks for a batch of plain_codec.h, and for its checks if wanted, with the
+// vehicle's own options if `options` is empty.
+AppendRequest PlainRequest(const std::string& payload,
+                           bool wants_checks = false,
+                           SearchOptionsDecoder options = nullptr);
+
 // Appends a batch of plain_codec.h; hears of it by functions, each of which may
 // be empty.
-class PlainAppend final : public AppendSink {
+class PlainAppend final : public AppendObserver {
  public:
   explicit PlainAppend(std::string payload) : payload_(std::move(payload)) {}
 
-  absl::StatusOr<DecodedBatch> Decode(const VehicleConfig& config) override;
+  // The request as the members below say.
+  AppendRequest Request() const {
+    return PlainRequest(payload_, wants, options);
+  }
+
   void OnStaged(const absl::Status& status) override;
   void OnDurable(const absl::StatusOr<Acknowledgement>& result) override;
-  bool wants_candidates() const override { return wants; }
-  absl::StatusOr<core::SearchOptions> CheckOptions(
-      const VehicleConfig& config) const override;
   bool ShouldStop() const override;
   void OnCandidates(const VehicleView& view,
                     const absl::StatusOr<core::CandidateSet>& set,
@@ -100,8 +107,7 @@ class PlainAppend final : public AppendSink {
       candidates;
   bool wants = false;
   // Empty for those of the vehicle.
-  std::function<absl::StatusOr<core::SearchOptions>(const VehicleConfig&)>
-      options;
+  SearchOptionsDecoder options;
   std::function<bool()> should_stop;
   std::function<void()> over;
 

@@ -446,7 +446,7 @@ class CheckedAppend {
       EXPECT_FALSE(over_);
       over_ = true;
     };
-    session.Append(append);
+    session.Append(append->Request(), append);
     // Answered behind all of the append.
     EXPECT_THAT(AppendNow(session, payload), IsOk());
     EXPECT_TRUE(over_);
@@ -480,7 +480,7 @@ TEST_F(VehicleSessionTest, AnswersWithCandidatesOfEveryCheckThatFellDue) {
 TEST_F(VehicleSessionTest, ChecksOnlyWhereAsked) {
   const auto append = std::make_shared<PlainAppend>(SquareBatch(1, 80));
   append->candidates = [](const auto&, const auto&) { ADD_FAILURE(); };
-  session_->Append(append);
+  session_->Append(append->Request(), append);
   EXPECT_THAT(AppendNow(*session_, SquareBatch(81, 1)), IsOk());
 }
 
@@ -512,7 +512,7 @@ TEST_F(VehicleSessionTest, NothingGetsBetweenAnAcknowledgementAndItsChecks) {
       EXPECT_THAT(set.status(), IsOk());
       note("check " + name + " at " + std::to_string(view.durable_sequence));
     };
-    session_->Append(append);
+    session_->Append(append->Request(), append);
   }
   const Answer<absl::StatusOr<AddedPair>> pair;
   session_->AddPosePair(PairKind::kLoopClosure, {"a", 60, 1, 1}, pair.Setter());

@@ -1,0 +1,73 @@
+// Who the caller of one call is, and what they may do.
+#ifndef REVISIT_SERVER_SERVICE_CALLER_RIGHTS_H_
+#define REVISIT_SERVER_SERVICE_CALLER_RIGHTS_H_
+
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "core/base/mutex.h"
+#include "server/security/caller.h"
+#include "server/security/gatekeeper.h"
+#include "server/security/method_rules.h"
+
+namespace revisit::server {
+
+// Thread-safe, except Watch() and Unwatch(), which are called one after the
+// other.
+class CallerRights {
+ public:
+  // Has the gatekeeper say who the caller is. `rule` is that of the method, as
+  // FindMethodRule() finds it. Gatekeeper, method and rule outlive this.
+  CallerRights(Gatekeeper* gatekeeper, Credentials credentials,
+               const char* method, const MethodRule* rule);
+
+  CallerRights(const CallerRights&) = delete;
+  CallerRights& operator=(const CallerRights&) = delete;
+
+  // OK, or the gatekeeper's refusal of a caller who is not let in.
+  const absl::Status& entry() const { return entry_; }
+  // One who may do nothing, if the caller is not let in.
+  const Caller& caller() const { return *caller_; }
+
+  // Names the vehicle that the call is about. VEHICLE_NOT_FOUND if the caller
+  // may not know of the vehicle, whether it exists or not; PERMISSION_DENIED
+  // (NOT_GRANTED) if the caller may not use the method on it.
+  absl::Status ChooseVehicle(const std::string& id);
+  // Checks a further verb, for a call that does more than its method requires.
+  // After ChooseVehicle().
+  absl::Status AlsoNeeds(Verb verb);
+
+  // OK, or the refusal that a new call of the same kind with the same
+  // credentials would get now. Long calls check it from time to time.
+  absl::Status Recheck() const;
+  // Calls `recheck` whenever the result of Recheck() may have changed, until
+  // Unwatch(). The call may also come shortly after.
+  void Watch(std::function<void()> recheck);
+  void Unwatch();
+
+ private:
+  Verb MethodVerb() const;
+  absl::Status Check(const Caller& caller, const std::string& vehicle,
+                     Verb verb) const;
+
+  Gatekeeper* const gatekeeper_;
+  const char* const method_;
+  const MethodRule* const rule_;
+  const Credentials credentials_;
+  std::shared_ptr<const Caller> caller_;
+  absl::Status entry_;
+  Gatekeeper::WatchId watch_ = -1;
+
+  mutable Mutex mutex_;
+  // Empty until it is chosen.
+  std::string vehicle_ ABSL_GUARDED_BY(mutex_);
+  // The verbs that the call needs on it.
+  std::vector<Verb> needs_ ABSL_GUARDED_BY(mutex_);
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_SERVICE_CALLER_RIGHTS_H_
