@@ -8,7 +8,7 @@
 
 #include "server/base/logging.h"
 #include "server/connections/admission.h"
-#include "server/conversion/record_codec.h"
+#include "server/records/proto_record_codec.h"
 #include "server/sessions/executor.h"
 #include "server/sessions/fair_executor.h"
 #include "server/sessions/fleet.h"

@@ -4,14 +4,13 @@
 #include <string>
 
 #include "core/search/belief/begins_with_belief.h"
-#include "server/conversion/covariances.h"
-#include "server/conversion/enums.h"
 #include "server/conversion/findings.h"
 #include "server/conversion/names.h"
-#include "server/conversion/record_codec.h"
-#include "server/conversion/timestamps.h"
 #include "server/conversion/vehicle_labels.h"
 #include "server/conversion/vehicle_settings.h"
+#include "server/fields/enums.h"
+#include "server/fields/timestamps.h"
+#include "server/records/proto_record_codec.h"
 
 namespace revisit::server {
 namespace {
@@ -42,6 +41,24 @@ constexpr EnumRow<v1::Durability, Durability::Level> kDurabilities[] = {
     {v1::DURABILITY_LOCAL, Durability::Level::kLocal},
     {v1::DURABILITY_REPLICATED, Durability::Level::kReplicated},
     {v1::DURABILITY_DEFERRED, Durability::Level::kNone}};
+
+// PLANAR_6 or SPATIAL_10, by the state space.
+void EncodeCovariance(const core::Covariance& covariance,
+                      core::StateSpace space, v1::Covariance* message) {
+  if (space == core::StateSpace::kSpatial) {
+    message->set_form(v1::COVARIANCE_FORM_SPATIAL_10);
+    message->mutable_values()->Add(covariance.upper.begin(),
+                                   covariance.upper.end());
+    return;
+  }
+  message->set_form(v1::COVARIANCE_FORM_PLANAR_6);
+  for (int r = 0; r < 3; ++r) {
+    for (int c = r; c < 3; ++c) {
+      message->add_values(
+          covariance(core::StateIndex<3>(r), core::StateIndex<3>(c)));
+    }
+  }
+}
 
 // ---- Vehicles
 

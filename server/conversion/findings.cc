@@ -5,7 +5,7 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
-#include "server/conversion/enums.h"
+#include "server/fields/enums.h"
 
 namespace revisit::server {
 namespace {

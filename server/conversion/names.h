@@ -6,7 +6,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "server/conversion/field_violations.h"
+#include "server/fields/field_violations.h"
 #include "server/storage/records.h"
 
 namespace revisit::server {

@@ -11,8 +11,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "server/base/sequences.h"
-#include "server/conversion/field_violations.h"
 #include "server/conversion/names.h"
+#include "server/fields/field_violations.h"
 
 namespace revisit::server {
 namespace {

@@ -1,10 +1,12 @@
 #include "server/conversion/pose_pairs.h"
 
 #include "absl/strings/str_cat.h"
-#include "server/conversion/field_violations.h"
 #include "server/conversion/names.h"
-#include "server/conversion/pose_pair_content.h"
-#include "server/conversion/timestamps.h"
+#include "server/fields/field_violations.h"
+#include "server/fields/loop_measurement.h"
+#include "server/fields/pose_fields.h"
+#include "server/fields/timestamps.h"
+#include "server/records/pair_content.h"
 
 namespace revisit::server {
 namespace {
@@ -29,6 +31,52 @@ void CheckSequences(const Message& pair, const FieldPath& path,
   }
 }
 
+// LoopClosure and RejectedCandidate have the note in common.
+void CheckNote(const std::string& note, const FieldPath& path,
+               Violations* violations) {
+  CheckText(note, kMaxNoteBytes, TextUse::kNote, path.Field("note"),
+            violations);
+}
+
+// What a pair has beside its poses. Adds a violation for all that is wrong
+// whatever the vehicle's state space is.
+PairContent ContentOf(const v1::LoopClosure& closure, const FieldPath& path,
+                      Violations* violations) {
+  PairContent content;
+  if (closure.has_measurement()) {
+    content.measurement = MeasurementFieldsOf(closure.measurement());
+    CheckMeasurement(*content.measurement, path.Field("measurement"),
+                     violations);
+  }
+  CheckNote(closure.note(), path, violations);
+  content.note = closure.note();
+  if (closure.has_score()) {
+    CheckFinite(closure.score(), path.Field("score"), violations);
+    content.score = closure.score();
+  }
+  return content;
+}
+
+PairContent ContentOf(const v1::RejectedCandidate& rejection,
+                      const FieldPath& path, Violations* violations) {
+  CheckNote(rejection.note(), path, violations);
+  PairContent content;
+  content.note = rejection.note();
+  return content;
+}
+
+void SetContent(const PairContent& content, v1::LoopClosure* closure) {
+  if (content.measurement) {
+    SetMeasurement(*content.measurement, closure->mutable_measurement());
+  }
+  closure->set_note(content.note);
+  if (content.score) closure->set_score(*content.score);
+}
+
+void SetContent(const PairContent& content, v1::RejectedCandidate* rejection) {
+  rejection->set_note(content.note);
+}
+
 template <typename Message>
 absl::StatusOr<PosePairRecord> DecodePair(PairKind kind, const Message* pair,
                                           const std::string& id) {
@@ -41,7 +89,7 @@ absl::StatusOr<PosePairRecord> DecodePair(PairKind kind, const Message* pair,
     violations.Add(kInvalidField, path, "required");
   } else {
     CheckSequences(*pair, path, &violations);
-    record.payload = EncodeContent(*pair, path, &violations);
+    record.payload = EncodePairContent(ContentOf(*pair, path, &violations));
   }
   if (violations.count() > 0) return violations.ToStatus();
   record.id = !id.empty() ? id
@@ -65,7 +113,9 @@ void EncodePair(PairKind kind, const std::string& vehicle_id,
   message->set_matched_sequence(record.matched_sequence);
   EncodeTime(record.create_time_ns, message->mutable_create_time());
   // A payload that does not decode was found when the vehicle was loaded.
-  static_cast<void>(DecodeContent(record.payload, message));
+  static_cast<void>(ReadPairContent(
+      record.payload,
+      [&](const PairContent& content) { SetContent(content, message); }));
 }
 
 }  // namespace

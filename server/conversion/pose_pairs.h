@@ -2,6 +2,7 @@
 #ifndef REVISIT_SERVER_CONVERSION_POSE_PAIRS_H_
 #define REVISIT_SERVER_CONVERSION_POSE_PAIRS_H_
 
+#include <cstddef>
 #include <string>
 
 #include "absl/status/statusor.h"
@@ -9,6 +10,8 @@
 #include "server/storage/records.h"
 
 namespace revisit::server {
+
+inline constexpr std::size_t kMaxNoteBytes = 1024;
 
 // The record that a request for a new pair asks for, without creation time;
 // what depends on the vehicle's state space (RecordCodec::DecodeMeasurement())

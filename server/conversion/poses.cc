@@ -1,10 +1,17 @@
 #include "server/conversion/poses.h"
 
+#include <vector>
+
 #include "absl/strings/str_cat.h"
-#include "server/conversion/pose_decoder.h"
-#include "server/conversion/record_codec.h"
+#include "server/fields/pose_decoder.h"
+#include "server/fields/pose_fields.h"
+#include "server/records/batch_records.h"
 
 namespace revisit::server {
+
+static_assert(AreCovarianceForms(v1::COVARIANCE_FORM_PLANAR_6,
+                                 v1::COVARIANCE_FORM_SPATIAL_10,
+                                 v1::COVARIANCE_FORM_ROS_36));
 
 absl::StatusOr<DecodedBatch> DecodeBatch(const Poses& poses, int max_poses,
                                          const VehicleConfig& config,
@@ -15,20 +22,15 @@ absl::StatusOr<DecodedBatch> DecodeBatch(const Poses& poses, int max_poses,
         absl::StrCat("got ", poses.size(), " poses; allowed is [1, ", max_poses,
                      "]"));
   }
+  std::vector<PoseFields> fields;
+  fields.reserve(static_cast<std::size_t>(poses.size()));
+  for (const v1::Pose& pose : poses) fields.push_back(PoseFieldsOf(pose));
   Violations violations;
   PoseDecoder decoder(config, PoseSource::kAppend, &violations);
   DecodedBatch batch;
-  batch.samples.reserve(static_cast<std::size_t>(poses.size()));
-  for (int i = 0; i < poses.size(); ++i) {
-    const FieldPath pose = path.At("poses", static_cast<std::size_t>(i));
-    batch.samples.push_back(decoder.Decode(poses[i], pose));
-    if (i > 0) {
-      CheckFollows(poses[i - 1].sequence(), poses[i].sequence(), pose,
-                   &violations);
-    }
-  }
+  batch.samples = DecodePoses(fields, path, &decoder, &violations);
   if (violations.count() > 0) return violations.ToStatus();
-  EncodeBatch(poses, &batch);
+  EncodeBatch(fields, &batch);
   batch.origin = decoder.origin();
   return batch;
 }
@@ -65,7 +67,7 @@ absl::Status CheckRevisedPoses(const Poses& poses, std::size_t first_number,
   PoseDecoder decoder(config, PoseSource::kRevision, &violations);
   std::size_t number = first_number;
   for (const v1::Pose& pose : poses) {
-    decoder.Decode(pose, FieldPath().At("poses", number++));
+    decoder.Decode(PoseFieldsOf(pose), FieldPath().At("poses", number++));
   }
   return violations.ToStatus();
 }

@@ -8,7 +8,7 @@
 #include "absl/status/statusor.h"
 #include "google/protobuf/repeated_field.h"
 #include "revisit/v1/geometry.pb.h"
-#include "server/conversion/field_violations.h"
+#include "server/fields/field_violations.h"
 #include "server/sessions/append_request.h"
 #include "server/sessions/record_codec.h"
 #include "server/sessions/vehicle_config.h"

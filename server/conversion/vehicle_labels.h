@@ -9,7 +9,7 @@
 #include "absl/status/status.h"
 #include "google/protobuf/field_mask.pb.h"
 #include "revisit/v1/vehicle.pb.h"
-#include "server/conversion/field_violations.h"
+#include "server/fields/field_violations.h"
 #include "server/sessions/vehicle_config.h"
 
 namespace revisit::server {

@@ -6,8 +6,9 @@
 
 #include "absl/strings/str_cat.h"
 #include "server/base/status.h"
-#include "server/conversion/settings_table.h"
 #include "server/conversion/vehicle_labels.h"
+#include "server/fields/enums.h"
+#include "server/fields/settings_table.h"
 
 namespace revisit::server {
 namespace {

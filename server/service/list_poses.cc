@@ -8,9 +8,10 @@
 
 #include "absl/strings/str_cat.h"
 #include "google/protobuf/util/field_mask_util.h"
-#include "server/conversion/field_violations.h"
 #include "server/conversion/page_token.h"
-#include "server/conversion/record_codec.h"
+#include "server/fields/field_violations.h"
+#include "server/fields/pose_fields.h"
+#include "server/records/batch_records.h"
 #include "server/sessions/vehicle_session.h"
 #include "server/storage/storage.h"
 
@@ -92,13 +93,14 @@ absl::Status ReadPoses(Storage* storage, const VehicleView& view,
   const absl::Status read = storage->ReadBatches(
       view.key, first, last, BatchVersion::kCurrent,
       [&](const BatchRecord& batch) {
-        parsed = VisitPoses(batch, [&](v1::Pose* pose) {
-          if (pose->sequence() < first) return true;
-          if (pose->sequence() > last || bytes > kMaxPageBytes) return false;
-          last_taken = pose->sequence();
+        parsed = VisitPoses(batch, [&](const PoseFields& stored) {
+          if (stored.sequence < first) return true;
+          if (stored.sequence > last || bytes > kMaxPageBytes) return false;
+          last_taken = stored.sequence;
+          v1::Pose* const pose = response->add_poses();
+          SetPose(stored, pose);
           if (mask.paths_size() > 0) FieldMaskUtil::TrimMessage(mask, pose);
           bytes += pose->ByteSizeLong();
-          response->add_poses()->Swap(pose);
           return true;
         });
         return parsed.ok() && bytes <= kMaxPageBytes;

@@ -55,10 +55,9 @@ bool MayRead(const UnaryCall& call, const std::string& vehicle_id) {
 // nothing.
 void CreateOrFind(
     Fleet* fleet, const UnaryCallPtr& call, const std::string& id,
-    const VehicleConfig& config,
-    const std::function<void(absl::StatusOr<VehicleView>)>& created,
+    const VehicleConfig& config, const CreateCallback& created,
     const std::function<void(absl::StatusOr<VehicleView>)>& found) {
-  fleet->Create(id, config, [=](const absl::StatusOr<VehicleView>& made) {
+  fleet->Create(id, config, [=](const absl::StatusOr<CreatedVehicle>& made) {
     if (!absl::IsAlreadyExists(made.status())) {
       created(made);
       return;
@@ -159,14 +158,19 @@ grpc::ServerUnaryReactor* PoseGraphService::CreateVehicle(
         config->create_time_ns = NowNanoseconds();
         config->uid = NewVehicleUid();
         const VehicleConfig requested = *config;
-        const auto encode = [=](const VehicleView& view) {
-          v1::Vehicle* const vehicle = response->mutable_vehicle();
-          EncodeVehicle(view, vehicle);
-          if (!MayRead(*call, view.id)) {
-            *vehicle = IdentityOf(*vehicle);
-            EncodeSettings(requested, vehicle->mutable_settings());
+        // `vehicle`: its view, or its record.
+        const auto encode = [=](const auto& vehicle) {
+          v1::Vehicle* const answer = response->mutable_vehicle();
+          EncodeVehicle(vehicle, answer);
+          if (!MayRead(*call, vehicle.id)) {
+            *answer = IdentityOf(*answer);
+            EncodeSettings(requested, answer->mutable_settings());
           }
           return absl::OkStatus();
+        };
+        const auto encode_created = [=](const CreatedVehicle& created) {
+          return created.view != nullptr ? encode(*created.view)
+                                         : encode(created.record);
         };
         const auto compare = [=](const VehicleView& view) {
           if (view.config_is_known && SameSettings(view.config, requested)) {
@@ -179,7 +183,7 @@ grpc::ServerUnaryReactor* PoseGraphService::CreateVehicle(
                            "UpdateVehicle, or take another id"));
         };
         CreateOrFind(context_.fleet, call, id, requested,
-                     FinishWith<VehicleView>(call, encode),
+                     FinishWith<CreatedVehicle>(call, encode_created),
                      FinishWith<VehicleView>(call, compare));
         return absl::OkStatus();
       });

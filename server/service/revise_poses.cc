@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -14,10 +15,11 @@
 #include "revisit/v1/pose_graph_service.pb.h"
 #include "server/base/status.h"
 #include "server/connections/drain.h"
-#include "server/conversion/field_violations.h"
 #include "server/conversion/names.h"
 #include "server/conversion/poses.h"
-#include "server/conversion/record_codec.h"
+#include "server/fields/field_violations.h"
+#include "server/fields/pose_fields.h"
+#include "server/records/batch_records.h"
 #include "server/service/call.h"
 #include "server/service/message_bytes.h"
 #include "server/service/streaming_call.h"
@@ -63,7 +65,8 @@ absl::StatusOr<std::optional<BatchRecord>> Revise(const BatchRecord& batch,
   return ReviseBatch(batch, config, [&](std::uint64_t sequence) {
     const std::size_t place = sequence - first;
     const bool found = place < named.size() && named[place];
-    return found ? &poses[place] : nullptr;
+    return found ? std::make_optional(PoseFieldsOf(poses[place]))
+                 : std::nullopt;
   });
 }
 

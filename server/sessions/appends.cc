@@ -120,7 +120,7 @@ absl::StatusOr<Appends::Taken> Appends::TakeOn(const PendingPtr& append,
   if (absl::Status status = vehicle_->Writable(); !status.ok()) return status;
   if (absl::Status status = Decode(append.get()); !status.ok()) return status;
   const std::uint64_t first = append->first_sequence;
-  const std::uint64_t staged = vehicle_->staged.sequence;
+  const std::uint64_t staged = vehicle_->head.staged().sequence;
   if (first > staged + 1) return SequenceGap(first);
   return first <= staged ? TakeOnKnown(append, may_block) : TakeOnNew(append);
 }
@@ -129,8 +129,8 @@ absl::StatusOr<Appends::Taken> Appends::TakeOnKnown(const PendingPtr& append,
                                                     bool may_block) {
   const std::uint64_t first = append->first_sequence;
   const std::uint64_t last = append->last_sequence;
-  const std::uint64_t durable = vehicle_->durable_sequence;
-  if (last > durable && vehicle_->staged.sequence > durable) {
+  const std::uint64_t durable = vehicle_->head.durable_sequence();
+  if (last > durable && vehicle_->head.staged().sequence > durable) {
     return Taken::kWhenIdle;
   }
   if (!may_block) return Taken::kWhereReadsMayBlock;
@@ -163,7 +163,7 @@ void Appends::Conclude(const PendingPtr& append, const absl::Status& result) {
 }
 
 absl::Status Appends::SequenceGap(std::uint64_t first) const {
-  const std::string expected = StrCat(vehicle_->staged.sequence + 1);
+  const std::string expected = StrCat(vehicle_->head.staged().sequence + 1);
   return Error(
       StatusCode::kFailedPrecondition, "SEQUENCE_GAP",
       StrCat("vehicle '", vehicle_->id, "': got a batch from sequence ", first,
@@ -174,7 +174,7 @@ absl::Status Appends::SequenceGap(std::uint64_t first) const {
 // An append that is run again is decoded already.
 absl::Status Appends::Decode(Pending* append) {
   if (append->decoded) return absl::OkStatus();
-  const VehicleConfig& config = vehicle_->staged.config;
+  const VehicleConfig& config = vehicle_->head.staged().config;
   absl::Status wanted = append->observer->StillWanted();
   if (wanted.ok()) {
     wanted = CheckMeant(vehicle_->id, config, append->request.vehicle_uid);
@@ -195,9 +195,10 @@ absl::Status Appends::Decode(Pending* append) {
 // The first batch of a geodetic vehicle may set its origin.
 absl::Status Appends::TakeOrigin(const DecodedBatch& batch) {
   if (!batch.origin) return absl::OkStatus();
-  std::optional<GeodeticOrigin>& origin = vehicle_->staged.config.origin;
+  const std::optional<GeodeticOrigin>& origin =
+      vehicle_->head.staged().config.origin;
   if (!origin) {
-    origin = batch.origin;
+    vehicle_->head.StageOrigin(*batch.origin);
     return absl::OkStatus();
   }
   if (!(*origin == *batch.origin)) {
@@ -215,10 +216,10 @@ absl::Status Appends::CompareWithStored(const DecodedBatch& batch,
                                         std::uint64_t last) const {
   absl::Status result;
   const absl::Status reading = vehicle_->storage->ReadBatches(
-      vehicle_->key, first, last, BatchVersion::kAsSent,
+      vehicle_->head.key(), first, last, BatchVersion::kAsSent,
       [&](const BatchRecord& record) {
         const absl::StatusOr<DecodedBatch> stored =
-            vehicle_->DecodeStored(record, vehicle_->config);
+            vehicle_->DecodeStored(record, vehicle_->head.config());
         if (!stored.ok()) {
           result = stored.status();
           return false;
@@ -258,21 +259,21 @@ absl::Status Appends::KeepFrom(std::size_t first, DecodedBatch* batch) const {
 }
 
 void Appends::Write(const PendingPtr& append) {
-  VehicleState::Staged& staged = vehicle_->staged;
   DecodedBatch& batch = *append->decoded;
   const std::uint64_t first = batch.samples.front().sequence;
   std::vector<BatchRecord> rows = RowsOf(&batch);
   std::optional<std::string> vehicle_payload;
-  if (staged.config.origin && !vehicle_->config.origin && first == 1) {
+  const VehicleHead::Staged& staged = vehicle_->head.staged();
+  if (staged.config.origin && !vehicle_->head.config().origin && first == 1) {
     vehicle_payload = vehicle_->codec->EncodeVehicle(staged.config);
   }
   append->revision = staged.revision;
-  staged.sequence = batch.samples.back().sequence;
+  vehicle_->head.StageUpTo(batch.samples.back().sequence);
   in_flight_->Add();
   unanswered_.push_back(append);
   append->observer->OnStaged(absl::OkStatus());
   vehicle_->storage->AppendBatches(
-      vehicle_->key, std::move(rows), std::move(vehicle_payload),
+      vehicle_->head.key(), std::move(rows), std::move(vehicle_payload),
       queue_->OnStrand([this, append](const absl::Status& result) {
         TakeResult(append, result);
       }));
@@ -288,7 +289,7 @@ std::vector<BatchRecord> Appends::RowsOf(DecodedBatch* batch) {
     row.first_sequence = next;
     row.count = static_cast<std::uint32_t>(part.count);
     // Each counts as a change, since each is one when the vehicle is loaded.
-    row.revision = ++vehicle_->staged.revision;
+    row.revision = vehicle_->head.StageRow();
     row.payload = std::move(part.payload);
     next += part.count;
   }
@@ -316,7 +317,7 @@ void Appends::AnswerInOrder() {
   }
   if (in_flight_->idle() && in_flight_->failing()) {
     in_flight_->Recover();
-    vehicle_->Adopt(vehicle_->config, vehicle_->revision);
+    vehicle_->head.Adopt(vehicle_->head.revision());
   }
 }
 
@@ -358,18 +359,12 @@ absl::Status Appends::ResultOf(const Pending& append) {
 std::vector<core::NodeIndex> Appends::Apply(Pending* append) {
   const std::vector<core::PoseSample>& samples = append->decoded->samples;
   core::AppendResult applied =
-      vehicle_->drive->Append(samples, append->revision);
+      vehicle_->loaded.Append(samples, append->revision);
   append->findings = std::move(applied.findings);
   append->stamp_ahead = FindAhead(samples);
-  vehicle_->jumps.insert(vehicle_->jumps.end(), applied.jumps.begin(),
-                         applied.jumps.end());
-  vehicle_->NoteResidency();
-  vehicle_->durable_sequence = samples.back().sequence;
-  vehicle_->revision = append->revision;
-  if (!vehicle_->config.origin) {
-    vehicle_->config.origin = append->decoded->origin;
-  }
-  retention_->Consider();
+  vehicle_->head.Advance(samples.back().sequence, append->revision,
+                         append->decoded->origin);
+  dropper_->Consider();
   return std::move(applied.checks_due);
 }
 
@@ -397,7 +392,8 @@ void Appends::RunChecks(const PendingPtr& append,
   checks->append = append;
   checks->due = std::move(due);
   queue_->PostSearch(append->request.checks->flow, [this, checks] {
-    checks->options = checks->append->request.checks->options(vehicle_->config);
+    checks->options =
+        checks->append->request.checks->options(vehicle_->head.config());
     CheckOn(checks);
   });
 }
@@ -439,8 +435,8 @@ void Appends::Answer(const Pending& append, const absl::Status& status) {
     return;
   }
   append.observer->OnDurable(Acknowledgement{
-      vehicle_->durable_sequence, vehicle_->revision,
-      vehicle_->JumpsAt(append.first_sequence, append.last_sequence),
+      vehicle_->head.durable_sequence(), vehicle_->head.revision(),
+      vehicle_->loaded.JumpsAt(append.first_sequence, append.last_sequence),
       append.findings, append.stamp_ahead,
       append.revision == 0 ? 0 : append.decoded->samples.size()});
 }

@@ -14,7 +14,7 @@
 #include "core/drive/drive.h"
 #include "server/sessions/append_request.h"
 #include "server/sessions/appends_in_flight.h"
-#include "server/sessions/retention.h"
+#include "server/sessions/pose_dropper.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
 
@@ -28,11 +28,11 @@ class Appends {
  public:
   // At most `max_pending` appends wait or are in flight.
   Appends(VehicleState* vehicle, VehicleQueue* queue,
-          AppendsInFlight* in_flight, Retention* retention, int max_pending)
+          AppendsInFlight* in_flight, PoseDropper* dropper, int max_pending)
       : vehicle_(vehicle),
         queue_(queue),
         in_flight_(in_flight),
-        retention_(retention),
+        dropper_(dropper),
         max_pending_(max_pending) {}
 
   // See VehicleSession::Append(). From any thread; stages the batch before it
@@ -91,7 +91,7 @@ class Appends {
   VehicleState* const vehicle_;
   VehicleQueue* const queue_;
   AppendsInFlight* const in_flight_;
-  Retention* const retention_;
+  PoseDropper* const dropper_;
   const int max_pending_;
   std::atomic<int> pending_{0};
 

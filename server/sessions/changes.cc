@@ -30,7 +30,7 @@ void Changes::Write(const StorageWrite& write, Then then) {
 void Changes::Confirm(Then then) {
   Write(
       [&](Storage::Done done) {
-        vehicle_->storage->ConfirmOwned(vehicle_->key, std::move(done));
+        vehicle_->storage->ConfirmOwned(vehicle_->head.key(), std::move(done));
       },
       std::move(then));
 }
@@ -55,26 +55,32 @@ void Changes::WriteForLongWork(const StorageWrite& write,
 
 Changes::StorageWrite Changes::WriteOf(const VehicleConfig& config) const {
   return [this, &config](Storage::Done done) {
-    vehicle_->storage->UpdateVehicle(vehicle_->key,
-                                     vehicle_->codec->EncodeVehicle(config),
-                                     vehicle_->revision + 1, std::move(done));
+    vehicle_->storage->UpdateVehicle(
+        vehicle_->head.key(), vehicle_->codec->EncodeVehicle(config),
+        vehicle_->head.revision() + 1, std::move(done));
   };
 }
 
+void Changes::Apply(const VehicleConfig& config, std::uint64_t revision) {
+  vehicle_->loaded.Change([&](core::Drive* drive) {
+    drive->ChangeSettings(config.drive, revision);
+  });
+  vehicle_->head.Adopt(config, revision);
+}
+
 void Changes::ChangeConfig(const VehicleConfig& config, Then then) {
-  const auto change = [this, config, next = vehicle_->revision + 1,
+  const auto change = [this, config, next = vehicle_->head.revision() + 1,
                        then = std::move(then)](const absl::Status& status) {
     if (status.ok()) {
       const bool keeps_others =
-          !(config.drive.retention == vehicle_->config.drive.retention);
-      vehicle_->drive->ChangeSettings(config.drive, next);
-      vehicle_->Adopt(config, next);
-      if (keeps_others) vehicle_->look_at_nodes = 0;
+          !(config.drive.retention == vehicle_->head.config().drive.retention);
+      Apply(config, next);
+      if (keeps_others) vehicle_->loaded.LookAtOnce();
     }
     then(status);
   };
-  if (vehicle_->drive->graph().size() < kManyNodes &&
-      vehicle_->loop_closures.size() < kManyClosures) {
+  if (vehicle_->loaded->graph().size() < kManyNodes &&
+      vehicle_->pairs.loop_closures().size() < kManyClosures) {
     Write(WriteOf(config), change);
   } else {
     // Readers see the settings as they were until the change is done.
@@ -96,14 +102,14 @@ bool Changes::AnswerUnlessLost(std::uint64_t acked_sequence,
                                const std::string& vehicle_uid,
                                const ViewCallback& callback) const {
   const absl::Status meant =
-      vehicle_->config_is_known
-          ? CheckMeant(vehicle_->id, vehicle_->config, vehicle_uid)
-          : vehicle_->damage;
+      vehicle_->head.config_is_known()
+          ? CheckMeant(vehicle_->id, vehicle_->head.config(), vehicle_uid)
+          : vehicle_->head.damage();
   if (!meant.ok()) {
     callback(meant);
-  } else if (!vehicle_->damage.ok()) {
-    callback(vehicle_->damage);
-  } else if (acked_sequence > vehicle_->durable_sequence) {
+  } else if (!vehicle_->head.damage().ok()) {
+    callback(vehicle_->head.damage());
+  } else if (acked_sequence > vehicle_->head.durable_sequence()) {
     return false;
   } else {
     callback(vehicle_->View());
@@ -117,20 +123,20 @@ void Changes::CheckAcknowledged(std::uint64_t acked_sequence,
   if (AnswerUnlessLost(acked_sequence, vehicle_uid, callback)) return;
   const ErrorMetadata acked = {{"acked_sequence", StrCat(acked_sequence)}};
   const absl::Status loss = vehicle_->DataLoss(acked);
-  if (vehicle_->config.data_loss) {
+  if (vehicle_->head.config().data_loss) {
     callback(loss);
     return;
   }
   if (vehicle_uid.empty()) {
     callback(vehicle_->Regressed(
         StrCat("the client holds an acknowledgement for sequence ",
-               acked_sequence, ", but only ", vehicle_->durable_sequence,
+               acked_sequence, ", but only ", vehicle_->head.durable_sequence(),
                " poses are stored; no vehicle_uid was sent, so only this "
                "stream ends"),
         acked));
     return;
   }
-  VehicleConfig config = vehicle_->config;
+  VehicleConfig config = vehicle_->head.config();
   config.data_loss = true;
   ChangeConfig(config, [this, callback, loss](const absl::Status& written) {
     // The vehicle is another server's, and what that one has is what counts.
@@ -140,7 +146,7 @@ void Changes::CheckAcknowledged(std::uint64_t acked_sequence,
     }
     // Holds in memory even if it could not be stored; the client will say so
     // again. Not before: nobody may see what a crash could take back.
-    vehicle_->config.data_loss = true;
+    vehicle_->head.LoseData();
     vehicle_->Report();
     callback(loss);
   });
@@ -149,33 +155,34 @@ void Changes::CheckAcknowledged(std::uint64_t acked_sequence,
 void Changes::AcceptDataLoss(std::uint64_t durable_sequence,
                              const ViewCallback& callback) {
   const ErrorMetadata metadata = {
-      {"durable_sequence", StrCat(vehicle_->durable_sequence)}};
-  if (!vehicle_->config_is_known) {
-    callback(vehicle_->damage);
+      {"durable_sequence", StrCat(vehicle_->head.durable_sequence())}};
+  if (!vehicle_->head.config_is_known()) {
+    callback(vehicle_->head.damage());
     return;
   }
-  if (!vehicle_->config.data_loss && vehicle_->damage.ok()) {
+  if (!vehicle_->head.config().data_loss && vehicle_->head.damage().ok()) {
     callback(Error(StatusCode::kFailedPrecondition, "NO_DATA_LOSS",
                    StrCat("vehicle '", vehicle_->id,
                           "' is neither in the state DATA_LOSS nor DAMAGED"),
                    metadata));
     return;
   }
-  if (durable_sequence != vehicle_->durable_sequence) {
-    callback(Error(StatusCode::kFailedPrecondition, "DURABLE_SEQUENCE_MISMATCH",
-                   StrCat("durable_sequence: got ", durable_sequence,
-                          ", the vehicle's is ", vehicle_->durable_sequence),
-                   metadata));
+  if (durable_sequence != vehicle_->head.durable_sequence()) {
+    callback(
+        Error(StatusCode::kFailedPrecondition, "DURABLE_SEQUENCE_MISMATCH",
+              StrCat("durable_sequence: got ", durable_sequence,
+                     ", the vehicle's is ", vehicle_->head.durable_sequence()),
+              metadata));
     return;
   }
-  VehicleConfig config = vehicle_->config;
+  VehicleConfig config = vehicle_->head.config();
   config.data_loss = false;
   config.damaged = false;
   const Then answer = [this, callback](const absl::Status& status) {
     vehicle_->Report();
     AnswerWithView(callback)(status);
   };
-  if (vehicle_->damage.ok()) {
+  if (vehicle_->head.damage().ok()) {
     ChangeConfig(config, answer);
   } else {
     DropDamaged(config, answer);
@@ -183,18 +190,17 @@ void Changes::AcceptDataLoss(std::uint64_t durable_sequence,
 }
 
 void Changes::DropDamaged(const VehicleConfig& config, Then then) {
-  const std::uint64_t next = vehicle_->revision + 1;
+  const std::uint64_t next = vehicle_->head.revision() + 1;
   Write(
       [&](Storage::Done done) {
         vehicle_->storage->DropDamaged(
-            vehicle_->key, vehicle_->durable_sequence,
+            vehicle_->head.key(), vehicle_->head.durable_sequence(),
             vehicle_->codec->EncodeVehicle(config), next, std::move(done));
       },
       [this, config, next, then = std::move(then)](const absl::Status& status) {
         if (status.ok()) {
-          vehicle_->damage = absl::OkStatus();
-          vehicle_->drive->ChangeSettings(config.drive, next);
-          vehicle_->Adopt(config, next);
+          vehicle_->head.AcceptDamage();
+          Apply(config, next);
         }
         then(status);
       });
@@ -211,14 +217,14 @@ void Changes::Update(const ConfigChange& change, const ViewCallback& callback) {
     return;
   }
   const Then answer = AnswerWithView(callback);
-  if (!core::MovesNodes(vehicle_->config.drive, config->drive)) {
+  if (!core::MovesNodes(vehicle_->head.config().drive, config->drive)) {
     ChangeConfig(*config, answer);
     return;
   }
   const bool keeps_others =
-      !(config->drive.retention == vehicle_->config.drive.retention);
+      !(config->drive.retention == vehicle_->head.config().drive.retention);
   Write(WriteOf(*config), [this, config = *config,
-                           next = vehicle_->revision + 1, keeps_others,
+                           next = vehicle_->head.revision() + 1, keeps_others,
                            answer](const absl::Status& status) {
     if (!status.ok()) {
       answer(status);
@@ -226,7 +232,7 @@ void Changes::Update(const ConfigChange& change, const ViewCallback& callback) {
     }
     replayer_->Rebuild(config, next,
                        [this, keeps_others, answer](const absl::Status& done) {
-                         if (keeps_others) vehicle_->look_at_nodes = 0;
+                         if (keeps_others) vehicle_->loaded.LookAtOnce();
                          answer(done);
                        });
   });
@@ -258,15 +264,15 @@ void Changes::WriteRevision(const RevisionPlanner& make_plan,
     return;
   }
   if (!plan->batches) {
-    callback(RevisionResult{vehicle_->revision, 0, plan->dropped_count});
+    callback(RevisionResult{vehicle_->head.revision(), 0, plan->dropped_count});
     return;
   }
-  const std::uint64_t next = vehicle_->revision + 1;
+  const std::uint64_t next = vehicle_->head.revision() + 1;
   const Then answer = [this, callback, revised = plan->revised_count,
                        dropped =
                            plan->dropped_count](const absl::Status& status) {
     if (status.ok()) {
-      callback(RevisionResult{vehicle_->revision, revised, dropped,
+      callback(RevisionResult{vehicle_->head.revision(), revised, dropped,
                               /*is_new=*/true});
     } else {
       callback(status);
@@ -275,12 +281,13 @@ void Changes::WriteRevision(const RevisionPlanner& make_plan,
   queue_->set_store_lead(VehicleQueue::StoreLead::kPoses);
   Write(
       [&](Storage::Done done) {
-        vehicle_->storage->ReviseBatches(
-            vehicle_->key, std::move(plan->batches), next, std::move(done));
+        vehicle_->storage->ReviseBatches(vehicle_->head.key(),
+                                         std::move(plan->batches), next,
+                                         std::move(done));
       },
       [this, next, answer](const absl::Status& status) {
         if (status.ok()) {
-          replayer_->Rebuild(vehicle_->config, next, answer);
+          replayer_->Rebuild(vehicle_->head.config(), next, answer);
         } else {
           queue_->set_store_lead(VehicleQueue::StoreLead::kNone);
           answer(status);
@@ -290,7 +297,7 @@ void Changes::WriteRevision(const RevisionPlanner& make_plan,
 
 void Changes::AddPosePair(PairKind kind, PosePairRecord pair,
                           const PairCallback& callback) {
-  const PosePairs& pairs = vehicle_->Pairs(kind);
+  const PosePairs& pairs = vehicle_->pairs.Of(kind);
   const auto found = pairs.find(pair.id);
   absl::Status allowed = vehicle_->Writable();
   if (allowed.ok()) {
@@ -299,8 +306,8 @@ void Changes::AddPosePair(PairKind kind, PosePairRecord pair,
   }
   const auto measured = std::make_shared<MeasuredLoops>();
   if (allowed.ok()) {
-    allowed =
-        measured->Add(*vehicle_, vehicle_->config.drive.state_space, pair);
+    allowed = measured->Add(*vehicle_,
+                            vehicle_->head.config().drive.state_space, pair);
   }
   if (!allowed.ok()) {
     callback(allowed);
@@ -314,8 +321,8 @@ void Changes::AddPosePair(PairKind kind, PosePairRecord pair,
   queue_->PostLong([this, kind, pair = std::move(pair), measured, callback] {
     const absl::Status read =
         measured
-            ->ReadPoses(*vehicle_, vehicle_->config, vehicle_->durable_sequence,
-                        [] { return true; })
+            ->ReadPoses(*vehicle_, vehicle_->head.config(),
+                        vehicle_->head.durable_sequence(), [] { return true; })
             .status();
     queue_->Release([&] {
       if (read.ok()) {
@@ -334,13 +341,13 @@ void Changes::StorePair(
     const PairCallback& callback) {
   AddedPair added;
   if (measured) {
-    added.agreement = vehicle_->drive->AgreementOf(
+    added.agreement = vehicle_->loaded->AgreementOf(
         pair.query_sequence, pair.matched_sequence, measured);
   }
-  const auto present = vehicle_->Pairs(kind).find(pair.id);
-  if (present != vehicle_->Pairs(kind).end()) {
+  const auto present = vehicle_->pairs.Of(kind).find(pair.id);
+  if (present != vehicle_->pairs.Of(kind).end()) {
     added.pair = present->second;
-    added.revision = vehicle_->revision;
+    added.revision = vehicle_->head.revision();
     Confirm([callback, added](const absl::Status& status) {
       if (status.ok()) {
         callback(added);
@@ -352,11 +359,11 @@ void Changes::StorePair(
   }
   const bool is_last = PlaceInOrder(&pair);
   added.pair = pair;
-  added.revision = vehicle_->revision + 1;
+  added.revision = vehicle_->head.revision() + 1;
   added.is_new = true;
   Write(
       [&](Storage::Done done) {
-        vehicle_->storage->AddPosePair(vehicle_->key, kind, pair,
+        vehicle_->storage->AddPosePair(vehicle_->head.key(), kind, pair,
                                        added.revision, std::move(done));
       },
       [this, kind, added, is_last, measured,
@@ -365,14 +372,14 @@ void Changes::StorePair(
           callback(status);
           return;
         }
-        vehicle_->Pairs(kind).emplace(added.pair.id, added.pair);
+        vehicle_->pairs.Add(kind, added.pair);
         if (is_last) {
           TakeOnLastPair(kind, added.pair, added.revision, measured);
           callback(added);
           return;
         }
         queue_->set_store_lead(VehicleQueue::StoreLead::kVehicle);
-        replayer_->Rebuild(vehicle_->config, added.revision,
+        replayer_->Rebuild(vehicle_->head.config(), added.revision,
                            [added, callback](const absl::Status& rebuilt) {
                              if (rebuilt.ok()) {
                                callback(added);
@@ -387,8 +394,9 @@ absl::Status Changes::CheckNewPair(PairKind kind, const PosePairRecord& pair,
                                    const PosePairRecord* present) const {
   for (const std::uint64_t sequence :
        {pair.query_sequence, pair.matched_sequence}) {
-    if (sequence < 1 || sequence > vehicle_->durable_sequence) {
-      return PoseNotFound(vehicle_->id, sequence, vehicle_->durable_sequence);
+    if (sequence < 1 || sequence > vehicle_->head.durable_sequence()) {
+      return PoseNotFound(vehicle_->id, sequence,
+                          vehicle_->head.durable_sequence());
     }
     // What is there already may have outlived a pose of it.
     if (present == nullptr) {
@@ -411,7 +419,7 @@ absl::Status Changes::CheckNewPair(PairKind kind, const PosePairRecord& pair,
                present->query_sequence, " and ", present->matched_sequence,
                ", got ", pair.query_sequence, " and ", pair.matched_sequence));
   }
-  if (vehicle_->Pairs(kind).size() >= max_pose_pairs_) {
+  if (vehicle_->pairs.Of(kind).size() >= max_pose_pairs_) {
     const std::string limit = StrCat(max_pose_pairs_);
     return Error(StatusCode::kFailedPrecondition, "POSE_PAIR_LIMIT",
                  StrCat("vehicle '", vehicle_->id, "' has ", limit, " ",
@@ -426,7 +434,7 @@ absl::Status Changes::CheckConflict(PairKind kind,
   const PairKind other = kind == PairKind::kLoopClosure
                              ? PairKind::kRejectedCandidate
                              : PairKind::kLoopClosure;
-  const PosePairs& others = vehicle_->Pairs(other);
+  const PosePairs& others = vehicle_->pairs.Of(other);
   const auto found =
       std::find_if(others.begin(), others.end(), [&](const auto& entry) {
         return entry.second.query_sequence == pair.query_sequence &&
@@ -445,7 +453,7 @@ absl::Status Changes::CheckConflict(PairKind kind,
 }
 
 bool Changes::PlaceInOrder(PosePairRecord* pair) const {
-  const std::optional<std::int64_t>& latest = vehicle_->latest_pair_ns;
+  const std::optional<std::int64_t>& latest = vehicle_->pairs.latest_ns();
   if (!latest) return true;
   if (*latest - kMostClockError > pair->create_time_ns) return false;
   pair->create_time_ns = std::max(pair->create_time_ns, *latest + 1);
@@ -455,10 +463,10 @@ bool Changes::PlaceInOrder(PosePairRecord* pair) const {
 void Changes::TakeOnLastPair(
     PairKind kind, const PosePairRecord& pair, std::uint64_t revision,
     const std::shared_ptr<const core::MeasuredLoop>& measured) {
-  vehicle_->latest_pair_ns = pair.create_time_ns;
-  AddPair(vehicle_->drive.get(), kind, pair, revision, measured);
-  vehicle_->NoteResidency();
-  vehicle_->Adopt(vehicle_->config, revision);
+  vehicle_->loaded.Change([&](core::Drive* drive) {
+    AddPair(drive, kind, pair, revision, measured);
+  });
+  vehicle_->head.Adopt(revision);
 }
 
 void Changes::DeletePosePair(
@@ -468,8 +476,8 @@ void Changes::DeletePosePair(
     callback(status);
     return;
   }
-  const auto found = vehicle_->Pairs(kind).find(id);
-  if (found == vehicle_->Pairs(kind).end()) {
+  const auto found = vehicle_->pairs.Of(kind).find(id);
+  if (found == vehicle_->pairs.Of(kind).end()) {
     const PairWords words = WordsOf(kind);
     Confirm([callback,
              missing = Error(StatusCode::kNotFound, words.not_found,
@@ -480,9 +488,9 @@ void Changes::DeletePosePair(
     });
     return;
   }
-  const std::uint64_t next = vehicle_->revision + 1;
+  const std::uint64_t next = vehicle_->head.revision() + 1;
   const auto write = [&](Storage::Done done) {
-    vehicle_->storage->DeletePosePair(vehicle_->key, kind, id, next,
+    vehicle_->storage->DeletePosePair(vehicle_->head.key(), kind, id, next,
                                       std::move(done));
   };
   const auto take_back = [this, kind, pair = found->second, next,
@@ -492,13 +500,11 @@ void Changes::DeletePosePair(
       return;
     }
     TakeBack(kind, pair, next);
-    vehicle_->NoteResidency();
-    vehicle_->Pairs(kind).erase(pair.id);
-    vehicle_->FindLatestPair();
-    vehicle_->Adopt(vehicle_->config, next);
+    vehicle_->pairs.Remove(kind, {pair.id});
+    vehicle_->head.Adopt(next);
     callback(next);
   };
-  if (vehicle_->loop_closures.size() < kManyClosures) {
+  if (vehicle_->pairs.loop_closures().size() < kManyClosures) {
     Write(write, take_back);
   } else {
     WriteForLongWork(write, VehicleQueue::StoreLead::kVehicle, take_back);
@@ -508,14 +514,16 @@ void Changes::DeletePosePair(
 void Changes::TakeBack(PairKind kind, const PosePairRecord& pair,
                        std::uint64_t revision) {
   if (kind == PairKind::kRejectedCandidate) {
-    vehicle_->drive->RemoveRejection(pair.query_sequence, pair.matched_sequence,
-                                     revision);
+    vehicle_->loaded.Change([&](core::Drive* drive) {
+      drive->RemoveRejection(pair.query_sequence, pair.matched_sequence,
+                             revision);
+    });
     return;
   }
   // The same poses may be named more than once, and what the others teach
   // depends on their order.
   std::size_t occurrence = 0;
-  for (const auto& [other_kind, other] : vehicle_->PairsAsAdded()) {
+  for (const auto& [other_kind, other] : vehicle_->pairs.AsAdded()) {
     if (other_kind != kind) continue;
     if (other->id == pair.id) break;
     if (other->query_sequence == pair.query_sequence &&
@@ -523,20 +531,22 @@ void Changes::TakeBack(PairKind kind, const PosePairRecord& pair,
       ++occurrence;
     }
   }
-  vehicle_->drive->RemoveLoopClosure(pair.query_sequence, pair.matched_sequence,
-                                     revision, occurrence);
+  vehicle_->loaded.Change([&](core::Drive* drive) {
+    drive->RemoveLoopClosure(pair.query_sequence, pair.matched_sequence,
+                             revision, occurrence);
+  });
 }
 
 void Changes::LoadAnew() {
-  if (!vehicle_->damage.ok()) return;
+  if (!vehicle_->head.damage().ok()) return;
   queue_->set_store_lead(VehicleQueue::StoreLead::kVehicle);
   Write(
       [&](Storage::Done done) {
-        vehicle_->storage->DropSnapshot(vehicle_->key, std::move(done));
+        vehicle_->storage->DropSnapshot(vehicle_->head.key(), std::move(done));
       },
       [this](const absl::Status&) {
         queue_->set_store_lead(VehicleQueue::StoreLead::kNone);
-        if (!vehicle_->gone_status) vehicle_->Leave(vehicle_->OutOfStep());
+        if (!vehicle_->gone_status()) vehicle_->Leave(vehicle_->OutOfStep());
       });
 }
 
@@ -544,12 +554,12 @@ void Changes::Delete(const std::function<void(absl::Status)>& callback) {
   queue_->set_store_lead(VehicleQueue::StoreLead::kVehicle);
   Write(
       [&](Storage::Done done) {
-        vehicle_->storage->DeleteVehicle(vehicle_->key, std::move(done));
+        vehicle_->storage->DeleteVehicle(vehicle_->head.key(), std::move(done));
       },
       [this, callback](const absl::Status& status) {
         queue_->set_store_lead(VehicleQueue::StoreLead::kNone);
         if (status.ok() && vehicle_->census != nullptr) {
-          vehicle_->census->Deleted(vehicle_->key);
+          vehicle_->census->Deleted(vehicle_->head.key());
         }
         if (status.ok() || absl::IsNotFound(status)) {
           vehicle_->Leave(VehicleNotFound(vehicle_->id));

@@ -37,7 +37,6 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
     bool was_written = false;
   };
   using Entries = std::unordered_map<std::string, Entry>;
-  using CreateCallback = std::function<void(absl::StatusOr<VehicleView>)>;
   // Sessions that were taken out of the map, and what they held.
   struct Dropped {
     std::vector<std::shared_ptr<VehicleSession>> sessions;
@@ -91,38 +90,36 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
     entries.erase(found);
   }
 
-  // Answers a creation with the vehicle as it was created, whatever others have
-  // done to it since: that is how it was at the moment of this call.
-  void AnswerCreated(const std::string& id, const VehicleConfig& config,
-                     VehicleKey key, const CreateCallback& callback) {
-    const core::Drive drive(config.drive);
-    core::Search search(&drive);
-    const PosePairs none;
-    callback(VehicleView{id, config, drive, key, /*durable_sequence=*/0,
-                         kCreatedRevision, /*loop_closure_count=*/0, &none,
-                         &none, absl::OkStatus(), /*config_is_known=*/true,
-                         &search});
-    Created();
+  // Loads a vehicle that was created, so that those who ask for it find it, and
+  // answers the creation.
+  void LoadCreated(const VehicleRecord& record, bool again,
+                   const CreateCallback& callback) {
+    Session(record.id)->Read(
+        [self = shared_from_this(), record, again,
+         callback](const absl::StatusOr<VehicleView>& view) {
+          if (absl::IsNotFound(view.status()) && again) {
+            // This session was loaded, and found no vehicle, just before the
+            // vehicle was created.
+            self->LoadCreated(record, false, callback);
+          } else {
+            AnswerCreated(record, view, callback);
+            self->Created();
+          }
+        });
   }
 
-  // Waits until those who ask for the vehicle find it.
-  void LoadCreated(const std::string& id, const VehicleConfig& config,
-                   VehicleKey key, bool again, const CreateCallback& callback) {
-    Session(id)->Read([self = shared_from_this(), id, config, key, again,
-                       callback](const absl::StatusOr<VehicleView>& view) {
-      const bool is_missing = absl::IsNotFound(view.status());
-      if (is_missing && again) {
-        // This session was loaded, and found no vehicle, just before the
-        // vehicle was created.
-        self->LoadCreated(id, config, key, false, callback);
-      } else if (view.ok() || is_missing) {
-        // Missing the second time, it has been deleted since.
-        self->AnswerCreated(id, config, key, callback);
-      } else {
-        callback(view);
-        self->Created();
-      }
-    });
+  // A vehicle that is not found a second time has been deleted since.
+  static void AnswerCreated(const VehicleRecord& record,
+                            const absl::StatusOr<VehicleView>& view,
+                            const CreateCallback& callback) {
+    if (!view.ok() && !absl::IsNotFound(view.status())) {
+      callback(view.status());
+      return;
+    }
+    const bool is_as_created = view.ok() && view->key == record.key &&
+                               view->revision == record.revision &&
+                               view->damage.ok();
+    callback(CreatedVehicle{record, is_as_created ? &*view : nullptr});
   }
 
   Residency ResidencyLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
@@ -333,7 +330,7 @@ std::shared_ptr<VehicleSession> Fleet::SessionIfLoaded(
 }
 
 void Fleet::Create(const std::string& id, const VehicleConfig& config,
-                   std::function<void(absl::StatusOr<VehicleView>)> callback) {
+                   CreateCallback callback) {
   {
     const MutexLock guard(&state_->mutex);
     ++state_->creating;
@@ -343,14 +340,14 @@ void Fleet::Create(const std::string& id, const VehicleConfig& config,
   record.payload = state_->codec->EncodeVehicle(config);
   record.revision = kCreatedRevision;
   state_->storage->CreateVehicle(
-      std::move(record),
-      [state = state_, id, config,
-       callback = std::move(callback)](const absl::StatusOr<VehicleKey>& key) {
+      record, [state = state_, record, callback = std::move(callback)](
+                  const absl::StatusOr<VehicleKey>& key) {
         // Off the writer's thread.
-        state->lanes.short_work->Post([state, id, config, callback, key] {
+        state->lanes.short_work->Post([state, record, callback, key]() mutable {
           if (key.ok()) {
             if (state->options.census) state->options.census->Created(*key);
-            state->LoadCreated(id, config, *key, true, callback);
+            record.key = *key;
+            state->LoadCreated(record, true, callback);
           } else {
             callback(key.status());
             state->Created();

@@ -29,6 +29,18 @@ namespace revisit::server {
 
 class Storage;
 
+// A vehicle as it was at the moment of its creation. Valid during the callback
+// that is given it.
+struct CreatedVehicle {
+  // As it was written.
+  const VehicleRecord& record;
+  // As it was loaded. Null where others have changed or deleted it since then,
+  // so that the store and memory show it no longer as it was created.
+  const VehicleView* view;
+};
+using CreateCallback =
+    std::function<void(const absl::StatusOr<CreatedVehicle>&)>;
+
 // It hands vehicles over that other servers ask for (Storage::OnWanted()), each
 // once its calls that came before are finished.
 //
@@ -71,10 +83,11 @@ class Fleet {
   // there.
   std::shared_ptr<VehicleSession> SessionIfLoaded(const std::string& id) const;
 
-  // Creates a vehicle, of revision 1, and answers with it. ALREADY_EXISTS
-  // (VEHICLE_EXISTS) if the id is taken.
+  // Creates a vehicle, of revision 1, and answers with it, whatever others have
+  // done to it since: never NOT_FOUND. ALREADY_EXISTS (VEHICLE_EXISTS) if the
+  // id is taken.
   void Create(const std::string& id, const VehicleConfig& config,
-              std::function<void(absl::StatusOr<VehicleView>)> callback);
+              CreateCallback callback);
 
   // Deletes a vehicle. NOT_FOUND (VEHICLE_NOT_FOUND) if there is none.
   void Delete(const std::string& id,

@@ -42,7 +42,7 @@ absl::StatusOr<bool> MeasuredLoops::ReadPoses(
     if (!go_on()) return false;
     absl::Status decoding;
     const absl::Status reading = vehicle.storage->ReadBatches(
-        vehicle.key, sequence, sequence, BatchVersion::kCurrent,
+        vehicle.head.key(), sequence, sequence, BatchVersion::kCurrent,
         [&](const BatchRecord& batch) {
           const absl::StatusOr<DecodedPoses> poses =
               vehicle.DecodeStoredPoses(batch, config);

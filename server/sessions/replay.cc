@@ -50,21 +50,22 @@ absl::Status Replayer::StartLoad() {
   const absl::StatusOr<VehicleRecord> record =
       vehicle_->storage->TakeVehicle(vehicle_->id);
   if (!record.ok()) return record.status();
-  vehicle_->key = record->key;
-  vehicle_->epoch = record->epoch;
+  vehicle_->head.Found(record->key, record->epoch);
   absl::StatusOr<VehicleConfig> config = StoredConfig(*record);
   if (!config.ok()) {
     TakeUnknown(*record, config.status());
     return absl::OkStatus();
   }
-  vehicle_->durable_sequence = record->durable_sequence;
+  vehicle_->head.set_durable_sequence(record->durable_sequence);
+  MeasuredLoops measured;
   for (const PairKind kind : kPairKinds) {
-    const absl::Status read = LoadPairs(kind, config->drive.state_space);
+    const absl::Status read =
+        LoadPairs(kind, config->drive.state_space, &measured);
     if (!read.ok()) return read;
   }
   const bool is_sound = record->damage.ok() && !config->damaged;
   Start(*std::move(config), record->revision, /*is_load=*/true,
-        [this](const absl::Status& status) {
+        std::move(measured), [this](const absl::Status& status) {
           if (status.ok()) {
             FinishLoad();
           } else {
@@ -76,26 +77,28 @@ absl::Status Replayer::StartLoad() {
 }
 
 void Replayer::FinishLoad() {
-  const bool is_marked = vehicle_->config.damaged;
+  const bool is_marked = vehicle_->head.config().damaged;
   if (is_marked) {
-    NoteDamage(vehicle_->Corrupt(
+    vehicle_->head.NoteDamage(vehicle_->Corrupt(
         "damage was found in it before, although none is found now"));
   }
-  if (!vehicle_->damage.ok()) {
-    vehicle_->damage = Damaged(vehicle_->damage);
+  if (!vehicle_->head.damage().ok()) {
+    vehicle_->head.set_damage(Damaged(vehicle_->head.damage()));
     if (!is_marked) KeepMark();
   }
   vehicle_->Report();
 }
 
 void Replayer::KeepMark() {
-  VehicleConfig marked = vehicle_->config;
+  VehicleConfig marked = vehicle_->head.config();
   marked.damaged = true;
   queue_->Hold();
   vehicle_->storage->UpdateVehicle(
-      vehicle_->key, vehicle_->codec->EncodeVehicle(marked), kNoRevision,
+      vehicle_->head.key(), vehicle_->codec->EncodeVehicle(marked), kNoRevision,
       queue_->OnStrand([this, marked](const absl::Status& status) {
-        if (status.ok()) vehicle_->Adopt(marked, vehicle_->revision);
+        if (status.ok()) {
+          vehicle_->head.Adopt(marked, vehicle_->head.revision());
+        }
         // Nothing but this mark was written, so that memory stays what it is;
         // the next load finds the damage again.
         if (absl::IsAborted(status)) vehicle_->NoteFailedWrite(status);
@@ -106,10 +109,12 @@ void Replayer::KeepMark() {
 // Without its settings, a vehicle's poses cannot be read.
 void Replayer::TakeUnknown(const VehicleRecord& record,
                            const absl::Status& cause) {
-  vehicle_->config_is_known = false;
-  vehicle_->Take(std::make_unique<core::Drive>(vehicle_->config.drive));
-  vehicle_->Adopt(vehicle_->config, record.revision);
-  vehicle_->damage = Damaged(record.damage.ok() ? cause : record.damage);
+  vehicle_->head.LoseConfig();
+  vehicle_->loaded.Take(
+      std::make_unique<core::Drive>(vehicle_->head.config().drive), {}, {});
+  vehicle_->head.Adopt(record.revision);
+  vehicle_->head.set_damage(
+      Damaged(record.damage.ok() ? cause : record.damage));
   vehicle_->Report();
   queue_->Release([] {});
 }
@@ -127,14 +132,10 @@ absl::StatusOr<VehicleConfig> Replayer::StoredConfig(
   return config;
 }
 
-void Replayer::NoteDamage(const absl::Status& cause) {
-  if (vehicle_->damage.ok()) vehicle_->damage = cause;
-}
-
 absl::Status Replayer::Damaged(const absl::Status& cause) const {
-  const std::string durable = StrCat(vehicle_->durable_sequence);
+  const std::string durable = StrCat(vehicle_->head.durable_sequence());
   const std::string remedy =
-      vehicle_->config_is_known
+      vehicle_->head.config_is_known()
           ? StrCat(durable,
                    " poses before it are sound and can be read, writes and "
                    "searches are refused until an operator gives up the rest "
@@ -147,37 +148,51 @@ absl::Status Replayer::Damaged(const absl::Status& cause) const {
                {{"vehicle", vehicle_->id}, {"durable_sequence", durable}});
 }
 
-absl::Status Replayer::LoadPairs(PairKind kind, core::StateSpace space) {
+absl::Status Replayer::LoadPairs(PairKind kind, core::StateSpace space,
+                                 MeasuredLoops* measured) {
   std::string after;
   while (true) {
     const absl::StatusOr<std::vector<PosePairRecord>> page =
-        vehicle_->storage->ListPosePairs(vehicle_->key, kind, after,
+        vehicle_->storage->ListPosePairs(vehicle_->head.key(), kind, after,
                                          kPairsPerRead);
     if (absl::IsDataLoss(page.status())) {
-      NoteDamage(page.status());
+      vehicle_->head.NoteDamage(page.status());
       return absl::OkStatus();
     }
     if (!page.ok()) return page.status();
     if (page->empty()) return absl::OkStatus();
     after = page->back().id;
     for (const PosePairRecord& pair : *page) {
-      absl::Status sound = pair.damage;
-      if (sound.ok() && !MeasuredLoops().Add(*vehicle_, space, pair).ok()) {
-        sound = vehicle_->Corrupt(StrCat("stored ", WordsOf(kind).noun, " '",
-                                         pair.id, "' does not decode"));
-      }
-      if (sound.ok()) {
-        vehicle_->Pairs(kind).emplace(pair.id, pair);
-      } else {
-        NoteDamage(sound);
-      }
+      const absl::Status sound = TakePair(kind, space, pair, measured);
+      if (!sound.ok()) vehicle_->head.NoteDamage(sound);
     }
   }
 }
 
+// Of rejected candidates nothing was measured: they are only seen to decode.
+absl::Status Replayer::TakePair(PairKind kind, core::StateSpace space,
+                                const PosePairRecord& pair,
+                                MeasuredLoops* measured) {
+  if (!pair.damage.ok()) return pair.damage;
+  MeasuredLoops none;
+  MeasuredLoops* const take = kind == PairKind::kLoopClosure ? measured : &none;
+  if (!take->Add(*vehicle_, space, pair).ok()) {
+    return vehicle_->Corrupt(StrCat("stored ", WordsOf(kind).noun, " '",
+                                    pair.id, "' does not decode"));
+  }
+  vehicle_->pairs.Add(kind, pair);
+  return absl::OkStatus();
+}
+
 void Replayer::Rebuild(const VehicleConfig& config, std::uint64_t revision,
                        std::function<void(const absl::Status&)> then) {
-  Start(config, revision, /*is_load=*/false,
+  MeasuredLoops measured;
+  for (const auto& [id, closure] : vehicle_->pairs.loop_closures()) {
+    // Was found to decode when it was loaded or added.
+    static_cast<void>(
+        measured.Add(*vehicle_, config.drive.state_space, closure));
+  }
+  Start(config, revision, /*is_load=*/false, std::move(measured),
         [this, then = std::move(then)](const absl::Status& status) {
           if (!status.ok()) vehicle_->Leave(status);
           then(status);
@@ -185,19 +200,16 @@ void Replayer::Rebuild(const VehicleConfig& config, std::uint64_t revision,
 }
 
 void Replayer::Start(VehicleConfig config, std::uint64_t revision, bool is_load,
+                     MeasuredLoops measured,
                      std::function<void(const absl::Status&)> then) {
   queue_->Hold();
   replay_.emplace();
   replay_->config = std::move(config);
   replay_->revision = revision;
   replay_->is_load = is_load;
+  replay_->measured = std::move(measured);
   replay_->then = std::move(then);
   replay_->drive = std::make_unique<core::Drive>(replay_->config.drive);
-  for (const auto& [id, closure] : vehicle_->loop_closures) {
-    // Was found to decode when it was loaded or added.
-    static_cast<void>(replay_->measured.Add(
-        *vehicle_, replay_->config.drive.state_space, closure));
-  }
   Post();
 }
 
@@ -209,7 +221,7 @@ void Replayer::Continue() {
   absl::StatusOr<bool> all = ReplaySome();
   if (all.ok() && !*all && gives_up_) all = ShuttingDown();
   if (all.ok() && !*all) {
-    vehicle_->NoteResidency(replay_->drive.get());
+    vehicle_->loaded.NoteInTheMaking(*replay_->drive);
     Post();
     return;
   }
@@ -221,15 +233,13 @@ void Replayer::Finish(const absl::Status& status) {
   replay_.reset();
   queue_->set_store_lead(VehicleQueue::StoreLead::kNone);
   if (status.ok()) {
-    vehicle_->Take(std::move(done.drive));
-    vehicle_->jumps = std::move(done.jumps);
-    vehicle_->Adopt(done.config, done.revision);
-    vehicle_->kept_snapshot = {vehicle_->drive->StateKey(), done.parts,
-                               vehicle_->kept_snapshot.series + 1};
-    vehicle_->snapshot_sequence =
-        done.snapshot ? done.snapshot->last_sequence : 0;
+    vehicle_->loaded.Take(
+        std::move(done.drive), std::move(done.jumps),
+        {done.parts, done.snapshot ? done.snapshot->last_sequence : 0});
+    vehicle_->head.Adopt(done.config, done.revision);
+  } else {
+    vehicle_->loaded.NoteSize();
   }
-  vehicle_->NoteResidency();
   queue_->Release([&] { done.then(status); });
 }
 
@@ -251,12 +261,13 @@ void Replayer::FindSnapshot() {
   replay_->may_use_snapshot = false;
   if (!vehicle_->storage->KeepsSnapshots()) return;
   absl::StatusOr<std::optional<SnapshotRecord>> found =
-      vehicle_->storage->GetSnapshot(vehicle_->key);
+      vehicle_->storage->GetSnapshot(vehicle_->head.key());
   if (!found.ok()) {
     GiveUpSnapshot(std::string(found.status().message()));
-  } else if (*found && vehicle_->snapshot_policy.poses == 0) {
+  } else if (*found && vehicle_->snapshots.policy().poses == 0) {
     DropSnapshot();
-  } else if (*found && (*found)->last_sequence > vehicle_->durable_sequence) {
+  } else if (*found &&
+             (*found)->last_sequence > vehicle_->head.durable_sequence()) {
     GiveUpSnapshot("it has poses that are not stored");
   } else {
     replay_->snapshot = *std::move(found);
@@ -268,7 +279,7 @@ bool Replayer::LoadSnapshot(const std::function<bool()>& is_time_left) {
   if (replay_->parts < snapshot.part_count) {
     bool is_usable = true;
     const absl::Status reading = vehicle_->storage->ReadSnapshotParts(
-        vehicle_->key, replay_->parts, snapshot.part_count,
+        vehicle_->head.key(), replay_->parts, snapshot.part_count,
         [&](absl::string_view part) {
           is_usable = replay_->drive->LoadPart(part);
           if (is_usable) ++replay_->parts;
@@ -301,8 +312,8 @@ bool Replayer::LoadSnapshot(const std::function<bool()>& is_time_left) {
 }
 
 void Replayer::GiveUpSnapshot(const std::string& cause) {
-  if (vehicle_->snapshot_policy.warn) {
-    vehicle_->snapshot_policy.warn(
+  if (vehicle_->snapshots.policy().warn) {
+    vehicle_->snapshots.policy().warn(
         StrCat("vehicle '", vehicle_->id,
                "' is loaded without its snapshot: ", cause));
   }
@@ -318,16 +329,18 @@ void Replayer::GiveUpSnapshot(const std::string& cause) {
 
 // Waits for nobody: what is written of it later comes behind.
 void Replayer::DropSnapshot() {
-  vehicle_->storage->DropSnapshot(vehicle_->key, [](const absl::Status&) {});
+  vehicle_->storage->DropSnapshot(vehicle_->head.key(),
+                                  [](const absl::Status&) {});
 }
 
 absl::StatusOr<bool> Replayer::ReplayBatches(
     const std::function<bool()>& is_time_left) {
-  if (replay_->next_sequence > vehicle_->durable_sequence) return true;
+  if (replay_->next_sequence > vehicle_->head.durable_sequence()) return true;
   absl::Status decoding;
   const absl::Status reading = vehicle_->storage->ReadBatches(
-      vehicle_->key, replay_->next_sequence, vehicle_->durable_sequence,
-      BatchVersion::kCurrent, [&](const BatchRecord& batch) {
+      vehicle_->head.key(), replay_->next_sequence,
+      vehicle_->head.durable_sequence(), BatchVersion::kCurrent,
+      [&](const BatchRecord& batch) {
         decoding = ReplayBatch(batch);
         return decoding.ok() && is_time_left();
       });
@@ -342,7 +355,7 @@ absl::StatusOr<bool> Replayer::ReplayBatches(
   } else if (!unread.ok()) {
     return unread;
   }
-  return replay_->next_sequence > vehicle_->durable_sequence;
+  return replay_->next_sequence > vehicle_->head.durable_sequence();
 }
 
 absl::Status Replayer::ReplayBatch(const BatchRecord& batch) {
@@ -375,8 +388,7 @@ absl::Status Replayer::ReplayBatch(const BatchRecord& batch) {
 // Adds the pairs, and gives the graph its revision.
 absl::Status Replayer::FinishGraph() {
   if (absl::Status status = CheckPairs(); !status.ok()) return status;
-  vehicle_->FindLatestPair();
-  for (const auto& [kind, pair] : vehicle_->PairsAsAdded()) {
+  for (const auto& [kind, pair] : vehicle_->pairs.AsAdded()) {
     AddPair(replay_->drive.get(), kind, *pair, ++replay_->steps,
             kind == PairKind::kLoopClosure ? replay_->measured.Find(*pair)
                                            : nullptr);
@@ -386,7 +398,7 @@ absl::Status Replayer::FinishGraph() {
         vehicle_->Corrupt(StrCat("stored revision ", replay_->revision,
                                  " is less than the number of changes"));
     if (!replay_->is_load) return status;
-    NoteDamage(status);
+    vehicle_->head.NoteDamage(status);
     replay_->revision = replay_->steps + 1;
   }
   replay_->drive->ChangeSettings(replay_->config.drive, replay_->revision);
@@ -396,32 +408,31 @@ absl::Status Replayer::FinishGraph() {
 // The poses from the next one on cannot be read. Each of them may have brought
 // a revision, and those must not come again.
 void Replayer::GoNoFurther(const absl::Status& cause) {
-  NoteDamage(cause);
+  vehicle_->head.NoteDamage(cause);
   const std::uint64_t sound = replay_->next_sequence - 1;
   replay_->revision = std::max(replay_->revision, replay_->highest_revision) +
-                      (vehicle_->durable_sequence - sound);
-  vehicle_->durable_sequence = sound;
+                      (vehicle_->head.durable_sequence() - sound);
+  vehicle_->head.set_durable_sequence(sound);
 }
 
 // Checks that each pair names stored poses. A load drops pairs that do not; a
 // rebuild fails with DATA_LOSS.
 absl::Status Replayer::CheckPairs() {
   for (const PairKind kind : kPairKinds) {
-    PosePairs& pairs = vehicle_->Pairs(kind);
-    for (auto i = pairs.begin(); i != pairs.end();) {
-      const PosePairRecord& pair = i->second;
+    std::vector<std::string> unsound;
+    for (const auto& [id, pair] : vehicle_->pairs.Of(kind)) {
       if (pair.matched_sequence >= 1 &&
-          pair.query_sequence <= vehicle_->durable_sequence) {
-        ++i;
+          pair.query_sequence <= vehicle_->head.durable_sequence()) {
         continue;
       }
       const absl::Status status =
-          vehicle_->Corrupt(StrCat("stored ", WordsOf(kind).noun, " '", pair.id,
+          vehicle_->Corrupt(StrCat("stored ", WordsOf(kind).noun, " '", id,
                                    "' names a pose that is not stored"));
       if (!replay_->is_load) return status;
-      NoteDamage(status);
-      i = pairs.erase(i);
+      vehicle_->head.NoteDamage(status);
+      unsound.push_back(id);
     }
+    if (!unsound.empty()) vehicle_->pairs.Remove(kind, unsound);
   }
   return absl::OkStatus();
 }

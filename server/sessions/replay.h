@@ -71,13 +71,20 @@ class Replayer {
  private:
   absl::Status StartLoad();
   absl::StatusOr<VehicleConfig> StoredConfig(const VehicleRecord& record) const;
-  absl::Status LoadPairs(PairKind kind, core::StateSpace space);
+  // Reads the pairs of one kind; what was measured of them is decoded once.
+  absl::Status LoadPairs(PairKind kind, core::StateSpace space,
+                         MeasuredLoops* measured);
+  // Takes a pair, or says what is wrong with it.
+  absl::Status TakePair(PairKind kind, core::StateSpace space,
+                        const PosePairRecord& pair, MeasuredLoops* measured);
   void TakeUnknown(const VehicleRecord& record, const absl::Status& cause);
   void FinishLoad();
   // Has the store keep that the vehicle is damaged, for those who ask when it
   // is no longer in memory. Nothing but reads starts before that is done.
   void KeepMark();
+  // `measured`: those of the loop closures that the vehicle has.
   void Start(VehicleConfig config, std::uint64_t revision, bool is_load,
+             MeasuredLoops measured,
              std::function<void(const absl::Status&)> then);
   void Post();
   void Continue();
@@ -97,7 +104,6 @@ class Replayer {
   absl::Status FinishGraph();
   void GoNoFurther(const absl::Status& cause);
   absl::Status CheckPairs();
-  void NoteDamage(const absl::Status& cause);
   absl::Status Damaged(const absl::Status& cause) const;
 
   VehicleState* const vehicle_;

@@ -1,4 +1,5 @@
-// Tells operators what retention (retention.h) does to the vehicles of a fleet.
+// Tells operators what retention (pose_dropper.h) does to the vehicles of a
+// fleet.
 #ifndef REVISIT_SERVER_SESSIONS_RETENTION_MONITOR_H_
 #define REVISIT_SERVER_SESSIONS_RETENTION_MONITOR_H_
 

@@ -53,9 +53,7 @@ bool DecodeSnapshot(const SnapshotRecord& snapshot, const VehicleConfig& config,
 }
 
 bool Snapshots::is_due() const {
-  const std::uint64_t poses = vehicle_->snapshot_policy.poses;
-  return poses > 0 && vehicle_->poses_since_snapshot >= poses &&
-         vehicle_->storage->KeepsSnapshots();
+  return vehicle_->snapshots.is_due() && vehicle_->storage->KeepsSnapshots();
 }
 
 void Snapshots::Write(int most_parts, std::function<void()> then) {
@@ -101,12 +99,8 @@ void Snapshots::WriteNext(const JobPtr& job) {
     Fail(job);
     return;
   }
-  VehicleState::KeptSnapshot& kept = vehicle_->kept_snapshot;
-  const std::string key = vehicle_->drive->StateKey();
-  if (kept.state_key != key) {
-    kept = {key, 0, kept.series + 1};
-  }
-  if (kept.parts >= vehicle_->drive->whole_parts()) {
+  vehicle_->snapshots.BeginUnlessKept(*vehicle_->loaded);
+  if (vehicle_->snapshots.parts() >= vehicle_->loaded->whole_parts()) {
     WriteRest(job);
   } else if (job->parts_left > 0) {
     --job->parts_left;
@@ -117,56 +111,53 @@ void Snapshots::WriteNext(const JobPtr& job) {
 }
 
 bool Snapshots::MayWrite() const {
-  return vehicle_->drive != nullptr && !vehicle_->in_doubt &&
-         vehicle_->config_is_known && vehicle_->damage.ok();
+  return static_cast<bool>(vehicle_->loaded) && !vehicle_->in_doubt() &&
+         vehicle_->head.config_is_known() && vehicle_->head.damage().ok();
 }
 
 void Snapshots::WritePart(const JobPtr& job) {
-  const std::uint32_t number = vehicle_->kept_snapshot.parts;
+  const std::uint32_t number = vehicle_->snapshots.parts();
   vehicle_->storage->PutSnapshotPart(
-      vehicle_->key, number, vehicle_->drive->SavePart(number),
+      vehicle_->head.key(), number, vehicle_->loaded->SavePart(number),
       queue_->OnStrand(
-          [this, job, number, series = vehicle_->kept_snapshot.series](
-              const absl::Status& status) {
+          [this, job, number,
+           series = vehicle_->snapshots.series()](const absl::Status& status) {
             if (!status.ok()) {
               Fail(job);
               return;
             }
-            VehicleState::KeptSnapshot& kept = vehicle_->kept_snapshot;
-            if (kept.series == series)
-              kept.parts = std::max(kept.parts, number + 1);
+            vehicle_->snapshots.PartWritten(number, series);
             Step(job);
           }));
 }
 
 void Snapshots::WriteRest(const JobPtr& job) {
-  const VehicleState::KeptSnapshot& kept = vehicle_->kept_snapshot;
+  const std::uint32_t parts = vehicle_->snapshots.parts();
   SnapshotRecord snapshot;
-  snapshot.last_sequence = vehicle_->drive->last_sequence();
-  snapshot.part_count = kept.parts;
-  snapshot.payload = EncodeSnapshot(vehicle_->config, vehicle_->jumps,
-                                    *vehicle_->drive, kept.parts);
+  snapshot.last_sequence = vehicle_->loaded->last_sequence();
+  snapshot.part_count = parts;
+  snapshot.payload =
+      EncodeSnapshot(vehicle_->head.config(), vehicle_->loaded.jumps(),
+                     *vehicle_->loaded, parts);
   vehicle_->storage->PutSnapshot(
-      vehicle_->key, std::move(snapshot),
-      queue_->OnStrand([this, job, sequence = vehicle_->drive->last_sequence(),
-                        series = kept.series](const absl::Status& status) {
-        if (!status.ok()) {
-          Fail(job);
-          return;
-        }
-        if (vehicle_->kept_snapshot.series == series) {
-          vehicle_->NoteSnapshot(sequence);
-        }
-        End(job);
-      }));
+      vehicle_->head.key(), std::move(snapshot),
+      queue_->OnStrand(
+          [this, job, sequence = vehicle_->loaded->last_sequence(),
+           series = vehicle_->snapshots.series()](const absl::Status& status) {
+            if (!status.ok()) {
+              Fail(job);
+              return;
+            }
+            vehicle_->snapshots.Written(*vehicle_->loaded, sequence, series);
+            End(job);
+          }));
 }
 
 // Tries again once as many poses have come as make a snapshot due, from the
 // first part on: what was written may be out of step with what is kept.
 void Snapshots::Fail(const JobPtr& job) {
-  VehicleState::KeptSnapshot& kept = vehicle_->kept_snapshot;
-  kept = {"", 0, kept.series + 1};
-  if (vehicle_->drive) vehicle_->NoteSnapshot(vehicle_->drive->last_sequence());
+  vehicle_->snapshots.Forget();
+  if (vehicle_->loaded) vehicle_->snapshots.PutOff(*vehicle_->loaded);
   End(job);
 }
 

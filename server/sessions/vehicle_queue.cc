@@ -34,7 +34,8 @@ void VehicleQueue::SubmitSearch(Operation operation) {
 }
 
 void VehicleQueue::Add(Operation operation) {
-  const bool is_known = vehicle_->drive != nullptr || vehicle_->gone_status;
+  const bool is_known =
+      static_cast<bool>(vehicle_->loaded) || vehicle_->gone_status();
   if (IsRead(operation.turn) && is_known && !MustWait(operation.turn)) {
     Start(operation);
     return;
@@ -61,11 +62,11 @@ void VehicleQueue::Pump() {
   while (!waiting_.empty() && MayStart(waiting_.front().turn)) {
     Operation operation = std::move(waiting_.front());
     waiting_.pop_front();
-    if (operation.turn == Turn::kReadStored && !vehicle_->gone_status) {
+    if (operation.turn == Turn::kReadStored && !vehicle_->gone_status()) {
       SubmitLong(std::move(operation));
       continue;
     }
-    if (operation.turn == Turn::kSearch && !vehicle_->gone_status) {
+    if (operation.turn == Turn::kSearch && !vehicle_->gone_status()) {
       SubmitSearch(std::move(operation));
       continue;
     }
@@ -75,13 +76,14 @@ void VehicleQueue::Pump() {
 }
 
 void VehicleQueue::Start(const Operation& operation) {
-  operation.run(vehicle_->gone_status ? *vehicle_->gone_status
-                                      : CheckMemory(operation.turn));
+  operation.run(vehicle_->gone_status() ? *vehicle_->gone_status()
+                                        : CheckMemory(operation.turn));
 }
 
 bool VehicleQueue::MayAppendHere() const {
-  const bool needs_no_store = !vehicle_->gone_status && !vehicle_->in_doubt &&
-                              vehicle_->storage->CheckOwned(vehicle_->key).ok();
+  const bool needs_no_store =
+      !vehicle_->gone_status() && !vehicle_->in_doubt() &&
+      vehicle_->storage->CheckOwned(vehicle_->head.key()).ok();
   return waiting_.empty() && needs_no_store && MayStart(Turn::kAppend);
 }
 
@@ -94,7 +96,7 @@ void VehicleQueue::Release(const std::function<void()>& then) {
 }
 
 bool VehicleQueue::MayStart(Turn turn) const {
-  if (vehicle_->gone_status) return true;
+  if (vehicle_->gone_status()) return true;
   if (held_) return false;
   switch (turn) {
     case Turn::kRead:
@@ -110,7 +112,7 @@ bool VehicleQueue::MayStart(Turn turn) const {
 }
 
 bool VehicleQueue::MustWait(Turn turn) const {
-  if (vehicle_->gone_status) return false;
+  if (vehicle_->gone_status()) return false;
   switch (store_lead_) {
     case StoreLead::kNone:
       return false;
@@ -125,15 +127,16 @@ bool VehicleQueue::MustWait(Turn turn) const {
 // Nothing else runs on the strand between this and the operation, so an answer
 // from memory is as of the moment of the check.
 absl::Status VehicleQueue::CheckMemory(Turn turn) {
-  const absl::Status owned = vehicle_->storage->CheckOwned(vehicle_->key);
+  const absl::Status owned =
+      vehicle_->storage->CheckOwned(vehicle_->head.key());
   // Nobody else may have had the vehicle, as where a server took longer to
   // reach the store than its ownership lasted: then memory is as good as
   // before.
   const bool must_take = absl::IsAborted(owned);
   if (!owned.ok() && !must_take) return owned;
-  if (must_take) vehicle_->in_doubt = true;
+  if (must_take) vehicle_->Doubt();
   const bool must_check = must_take || !IsRead(turn);
-  if (!vehicle_->in_doubt || !must_check) return absl::OkStatus();
+  if (!vehicle_->in_doubt() || !must_check) return absl::OkStatus();
   if (!appends_->idle()) return owned;
   return vehicle_->CheckAgainstStore();
 }

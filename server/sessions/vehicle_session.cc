@@ -3,8 +3,8 @@
 #include <deque>
 
 #include "server/sessions/appends.h"
+#include "server/sessions/pose_dropper.h"
 #include "server/sessions/replay.h"
-#include "server/sessions/retention.h"
 #include "server/sessions/snapshots.h"
 #include "server/sessions/vehicle_queue.h"
 #include "server/sessions/vehicle_state.h"
@@ -20,10 +20,10 @@ struct VehicleSession::State {
       : vehicle(std::move(id), storage, codec, policy, std::move(clock),
                 std::move(census)),
         queue(&vehicle, &in_flight, lanes),
-        appends(&vehicle, &queue, &in_flight, &retention,
+        appends(&vehicle, &queue, &in_flight, &dropper,
                 limits.max_pending_appends),
         replayer(&vehicle, &queue),
-        retention(&vehicle, &queue, &replayer, std::move(monitor)),
+        dropper(&vehicle, &queue, &replayer, std::move(monitor)),
         changes(&vehicle, &queue, &replayer, limits.max_pose_pairs),
         snapshots(&vehicle, &queue) {}
 
@@ -97,7 +97,7 @@ struct VehicleSession::State {
   VehicleQueue queue;
   Appends appends;
   Replayer replayer;
-  Retention retention;
+  PoseDropper dropper;
   Changes changes;
   Snapshots snapshots;
   // Whether a search is between two turns, and those that wait for its end.
@@ -117,7 +117,7 @@ std::shared_ptr<VehicleSession> VehicleSession::Load(
   state->queue.PostLong([state = state.get()] { state->replayer.Load(); });
   state->queue.Submit(
       {Turn::kRead, [state = state.get()](const absl::Status& status) {
-         if (status.ok()) state->retention.ConsiderLoaded();
+         if (status.ok()) state->dropper.ConsiderLoaded();
        }});
   return std::shared_ptr<VehicleSession>(new VehicleSession(std::move(state)));
 }
@@ -185,7 +185,7 @@ void VehicleSession::Update(ConfigChange change, ViewCallback callback) {
   const auto answered = [state, callback = std::move(callback)](
                             const absl::StatusOr<VehicleView>& view) {
     callback(view);
-    state->retention.Consider();
+    state->dropper.Consider();
   };
   state->SubmitAlone<ViewCallback>(
       answered,
@@ -248,12 +248,12 @@ void VehicleSession::LoadAnew() {
 void VehicleSession::GiveUpReplay() { state_->replayer.GiveUp(); }
 
 void VehicleSession::HandOver() {
-  state_->EndAfterSnapshots(Snapshots::Clock::now(),
-                            [vehicle = &state_->vehicle] {
-                              if (vehicle->gone_status) return;
-                              vehicle->Leave(vehicle->HandedOver());
-                              vehicle->storage->ReleaseVehicle(vehicle->key);
-                            });
+  state_->EndAfterSnapshots(
+      Snapshots::Clock::now(), [vehicle = &state_->vehicle] {
+        if (vehicle->gone_status()) return;
+        vehicle->Leave(vehicle->HandedOver());
+        vehicle->storage->ReleaseVehicle(vehicle->head.key());
+      });
 }
 
 bool VehicleSession::wants_snapshot() const {
@@ -273,16 +273,16 @@ void VehicleSession::Close(std::chrono::steady_clock::time_point snapshot_until,
   GiveUpReplay();
   state_->EndAfterSnapshots(snapshot_until, [vehicle = &state_->vehicle,
                                              callback = std::move(callback)] {
-    if (!vehicle->gone_status) vehicle->Leave(ShuttingDown());
+    if (!vehicle->gone_status()) vehicle->Leave(ShuttingDown());
     callback();
   });
 }
 
-bool VehicleSession::gone() const { return state_->vehicle.is_gone.load(); }
+bool VehicleSession::gone() const { return state_->vehicle.is_gone(); }
 
 VehicleSession::Residency VehicleSession::residency() const {
-  return {state_->vehicle.resident_nodes.load(),
-          state_->vehicle.resident_bytes.load()};
+  return {state_->vehicle.loaded.resident_nodes(),
+          state_->vehicle.loaded.resident_bytes()};
 }
 
 bool VehicleSession::busy() const { return state_.use_count() > 1; }

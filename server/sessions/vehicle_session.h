@@ -1,8 +1,8 @@
 // One vehicle in memory: an actor with one ordered queue, which owns the
 // drive. Its parts: vehicle_queue.h (when what may start), appends.h,
 // changes.h (all other writes), replay.h (the graph from the store),
-// retention.h (poses that are kept no longer), and vehicle_state.h, which they
-// share.
+// pose_dropper.h (poses that are kept no longer), and vehicle_state.h, which
+// they share.
 //
 // A vehicle that is damaged in part in the store is loaded as far as it is
 // sound. It answers reads with that, and every write but AcceptDataLoss() and
@@ -109,7 +109,7 @@ class VehicleSession {
   // rebuilt where nodes move. `change` may refuse, and must where a vehicle
   // with poses would get another state space or frame, or change to or from the
   // correlation model kFilter. What new settings no longer keep is dropped
-  // after the answer (retention.h).
+  // after the answer (pose_dropper.h).
   void Update(ConfigChange change, ViewCallback callback);
 
   // Ends the state of data loss, or gives up what is damaged and all poses

@@ -1,8 +1,7 @@
 #include "server/sessions/vehicle_state.h"
 
-#include <algorithm>
 #include <cstddef>
-#include <tuple>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "server/storage/storage.h"
@@ -30,12 +29,6 @@ bool AreOf(const BatchRecord& batch, const DecodedPoses& poses) {
 
 }  // namespace
 
-core::NodeIndex NextLookAt(core::NodeIndex nodes) {
-  core::NodeIndex look = kLeastLookedAt;
-  while (look <= nodes) look += look / 10;
-  return look;
-}
-
 absl::Status ShuttingDown() {
   return Error(StatusCode::kUnavailable, "SERVER_DRAINING",
                "the server is shutting down");
@@ -43,114 +36,35 @@ absl::Status ShuttingDown() {
 
 VehicleView VehicleState::View() const {
   return VehicleView{id,
-                     config,
-                     *drive,
-                     key,
-                     durable_sequence,
-                     revision,
-                     static_cast<std::int64_t>(loop_closures.size()),
-                     &loop_closures,
-                     &rejections,
-                     damage,
-                     config_is_known,
-                     search.get()};
+                     head.config(),
+                     *loaded,
+                     head.key(),
+                     head.durable_sequence(),
+                     head.revision(),
+                     static_cast<std::int64_t>(pairs.loop_closures().size()),
+                     &pairs.loop_closures(),
+                     &pairs.rejections(),
+                     head.damage(),
+                     head.config_is_known(),
+                     loaded.search()};
 }
 
 void VehicleState::Report() const {
   if (census == nullptr) return;
   using State = VehicleCensus::State;
-  census->Found(key, !damage.ok()       ? State::kDamaged
-                     : config.data_loss ? State::kDataLoss
-                                        : State::kActive);
-}
-
-void VehicleState::Take(std::unique_ptr<core::Drive> another) {
-  drive = std::move(another);
-  ++drive_series;
-  search = std::make_unique<core::Search>(drive.get());
-  look_at_nodes = NextLookAt(drive->graph().size());
-}
-
-void VehicleState::Adopt(const VehicleConfig& new_config,
-                         std::uint64_t new_revision) {
-  config = new_config;
-  revision = new_revision;
-  staged = {config, durable_sequence, revision};
-}
-
-std::vector<std::pair<PairKind, const PosePairRecord*>>
-VehicleState::PairsAsAdded() {
-  std::vector<std::pair<PairKind, const PosePairRecord*>> added;
-  for (const PairKind kind : kPairKinds) {
-    for (const auto& entry : Pairs(kind)) {
-      added.emplace_back(kind, &entry.second);
-    }
-  }
-  std::sort(added.begin(), added.end(), [](const auto& a, const auto& b) {
-    return std::tie(a.second->create_time_ns, a.second->id, a.first) <
-           std::tie(b.second->create_time_ns, b.second->id, b.first);
-  });
-  return added;
-}
-
-void VehicleState::FindLatestPair() {
-  latest_pair_ns.reset();
-  for (const PosePairs* of_kind : {&loop_closures, &rejections}) {
-    for (const auto& [pair_id, pair] : *of_kind) {
-      latest_pair_ns = std::max(latest_pair_ns.value_or(pair.create_time_ns),
-                                pair.create_time_ns);
-    }
-  }
-}
-
-std::vector<core::Jump> VehicleState::JumpsAt(std::uint64_t first,
-                                              std::uint64_t last) const {
-  const auto begin =
-      std::lower_bound(jumps.begin(), jumps.end(), first,
-                       [](const core::Jump& jump, std::uint64_t sequence) {
-                         return jump.sequence < sequence;
-                       });
-  const auto end =
-      std::upper_bound(begin, jumps.end(), last,
-                       [](std::uint64_t sequence, const core::Jump& jump) {
-                         return sequence < jump.sequence;
-                       });
-  return {begin, end};
-}
-
-void VehicleState::NoteResidency(const core::Drive* in_the_making) {
-  std::int64_t nodes = 0;
-  std::int64_t bytes = 0;
-  for (const core::Drive* const each :
-       {static_cast<const core::Drive*>(drive.get()), in_the_making}) {
-    if (each == nullptr) continue;
-    nodes += each->graph().size();
-    bytes += static_cast<std::int64_t>(each->bytes());
-  }
-  resident_nodes.store(nodes);
-  resident_bytes.store(bytes);
-  if (drive) {
-    const std::uint64_t poses = drive->last_sequence();
-    const bool is_worth_it =
-        static_cast<double>(drive->graph().size()) <=
-        snapshot_policy.most_nodes_per_pose * static_cast<double>(poses);
-    poses_since_snapshot = is_worth_it ? poses - snapshot_sequence : 0;
-  }
-}
-
-void VehicleState::NoteSnapshot(std::uint64_t sequence) {
-  snapshot_sequence = sequence;
-  NoteResidency();
+  census->Found(head.key(), !head.damage().ok()       ? State::kDamaged
+                            : head.config().data_loss ? State::kDataLoss
+                                                      : State::kActive);
 }
 
 void VehicleState::Leave(const absl::Status& status) {
-  gone_status = status;
-  is_gone.store(true);
+  gone_status_ = status;
+  is_gone_.store(true);
 }
 
 void VehicleState::NoteFailedWrite(const absl::Status& status) {
-  in_doubt = true;
-  if (absl::IsAborted(status) && !gone_status) Leave(status);
+  in_doubt_ = true;
+  if (absl::IsAborted(status) && !gone_status_) Leave(status);
 }
 
 absl::Status VehicleState::CheckAgainstStore() {
@@ -160,22 +74,28 @@ absl::Status VehicleState::CheckAgainstStore() {
     if (ReasonOf(record.status()) == "NOT_OWNER") Leave(record.status());
     return record.status();
   }
-  // Where this server had the vehicle under the epoch that is known here,
-  // nobody else has had it since.
-  if (record->key != key || record->previous_epoch != epoch ||
-      record->durable_sequence != durable_sequence ||
-      record->revision != revision ||
-      record->loop_closure_count !=
-          static_cast<std::int64_t>(loop_closures.size()) ||
-      record->rejected_candidate_count !=
-          static_cast<std::int64_t>(rejections.size()) ||
-      !record->damage.ok() || !damage.ok()) {
+  if (!Agrees(*record)) {
     Leave(OutOfStep());
-    return *gone_status;
+    return *gone_status_;
   }
-  epoch = record->epoch;
-  in_doubt = false;
+  head.set_epoch(record->epoch);
+  in_doubt_ = false;
   return absl::OkStatus();
+}
+
+// Where this server had the vehicle under the epoch that is known here, nobody
+// else has had it since.
+bool VehicleState::Agrees(const VehicleRecord& record) const {
+  const auto count = [this](PairKind kind) {
+    return static_cast<std::int64_t>(pairs.Of(kind).size());
+  };
+  return record.key == head.key() && record.previous_epoch == head.epoch() &&
+         record.durable_sequence == head.durable_sequence() &&
+         record.revision == head.revision() &&
+         record.loop_closure_count == count(PairKind::kLoopClosure) &&
+         record.rejected_candidate_count ==
+             count(PairKind::kRejectedCandidate) &&
+         record.damage.ok() && head.damage().ok();
 }
 
 absl::StatusOr<DecodedBatch> VehicleState::DecodeStored(
@@ -205,8 +125,8 @@ absl::Status VehicleState::HoldsOthers(const BatchRecord& batch) const {
 }
 
 absl::Status VehicleState::Writable() const {
-  if (!damage.ok()) return damage;
-  return config.data_loss ? DataLoss({}) : absl::OkStatus();
+  if (!head.damage().ok()) return head.damage();
+  return head.config().data_loss ? DataLoss({}) : absl::OkStatus();
 }
 
 absl::Status VehicleState::HandedOver() const {
@@ -230,7 +150,7 @@ absl::Status VehicleState::Corrupt(const std::string& cause) const {
 
 absl::Status VehicleState::Regressed(const std::string& cause,
                                      ErrorMetadata metadata) const {
-  metadata.emplace_back("durable_sequence", StrCat(durable_sequence));
+  metadata.emplace_back("durable_sequence", StrCat(head.durable_sequence()));
   return Error(StatusCode::kDataLoss, "DURABLE_SEQUENCE_REGRESSED",
                StrCat("vehicle '", id, "': ", cause), metadata);
 }
@@ -238,10 +158,10 @@ absl::Status VehicleState::Regressed(const std::string& cause,
 absl::Status VehicleState::DataLoss(const ErrorMetadata& metadata) const {
   return Regressed(
       StrCat("a client held an acknowledgement for more than the ",
-             durable_sequence,
+             head.durable_sequence(),
              " poses that are stored; writes are refused until an operator "
              "accepts the loss (AcceptDataLoss with durable_sequence ",
-             durable_sequence, ")"),
+             head.durable_sequence(), ")"),
       metadata);
 }
 

@@ -5,9 +5,9 @@
 
 #include "server/base/logging.h"
 #include "server/base/sequences.h"
-#include "server/conversion/field_violations.h"
 #include "server/conversion/names.h"
 #include "server/conversion/page_token.h"
+#include "server/fields/field_violations.h"
 #include "tests/fuzz/fuzzing.h"
 #include "tests/fuzz/vehicles.h"
 

@@ -12,8 +12,10 @@
 #include "revisit/v1/vehicle.pb.h"
 #include "server/conversion/answers.h"
 #include "server/conversion/pose_pairs.h"
-#include "server/conversion/record_codec.h"
 #include "server/conversion/vehicle_settings.h"
+#include "server/fields/pose_fields.h"
+#include "server/records/batch_records.h"
+#include "server/records/proto_record_codec.h"
 #include "tests/fuzz/fuzzing.h"
 #include "tests/fuzz/vehicles.h"
 
@@ -131,7 +133,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
   server::BatchRecord stored;
   stored.payload = payload;
   std::size_t visited = 0;
-  RequireDataLoss(server::VisitPoses(stored, [&](revisit::v1::Pose*) {
+  RequireDataLoss(server::VisitPoses(stored, [&](const server::PoseFields&) {
     ++visited;
     return true;
   }));

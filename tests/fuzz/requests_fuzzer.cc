@@ -10,9 +10,11 @@
 #include "server/conversion/page_token.h"
 #include "server/conversion/pose_pairs.h"
 #include "server/conversion/poses.h"
-#include "server/conversion/record_codec.h"
 #include "server/conversion/vehicle_labels.h"
 #include "server/conversion/vehicle_settings.h"
+#include "server/fields/pose_fields.h"
+#include "server/records/batch_records.h"
+#include "server/records/proto_record_codec.h"
 #include "tests/fuzz/fuzzing.h"
 #include "tests/fuzz/vehicles.h"
 
@@ -127,9 +129,9 @@ void CheckRevision(const v1::RevisePosesRequest& request,
   record.payload = stored.SerializeAsString();
   const auto revised =
       server::ReviseBatch(record, config, [&](std::uint64_t sequence) {
-        const v1::Pose* found = nullptr;
+        std::optional<server::PoseFields> found;
         for (const v1::Pose* pose : poses) {
-          if (pose->sequence() == sequence) found = pose;
+          if (pose->sequence() == sequence) found = server::PoseFieldsOf(*pose);
         }
         return found;
       });

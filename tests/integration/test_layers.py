@@ -97,6 +97,19 @@ def test_server_includes_nothing_of_the_client():
     assert lines_with(r'#include "(client|tests)/', sources("server")) == []
 
 
+@pytest.mark.parametrize("folder", ["fields", "records", "sessions",
+                                    "storage"])
+def test_what_is_stored_names_no_message_of_the_api(folder):
+    assert lines_with(r"revisit/v1/|\bv1::",
+                      sources(f"server/{folder}")) == []
+
+
+def test_records_alone_name_the_messages_of_the_store():
+    others = [path for path in sources("server")
+              if ROOT / "server/records" not in path.parents]
+    assert lines_with(r"stored_records\.pb\.h|\bstored::[A-Z]", others) == []
+
+
 def test_client_includes_the_proto_and_shared_headers_only():
     found = [f"{path.relative_to(ROOT)}: {name}"
              for path in sources("client") for name in includes(path)

@@ -13,7 +13,7 @@
 #include "google/protobuf/util/message_differencer.h"
 #include "gtest/gtest.h"
 #include "server/conversion/findings.h"
-#include "server/conversion/record_codec.h"
+#include "server/records/proto_record_codec.h"
 #include "server/sessions/vehicle_uid.h"
 #include "tests/server/conversion/conversion_testing.h"
 #include "tests/server/error_matchers.h"

@@ -5,7 +5,7 @@
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "server/conversion/record_codec.h"
+#include "server/records/proto_record_codec.h"
 #include "tests/server/conversion/conversion_testing.h"
 #include "tests/server/error_matchers.h"
 

@@ -35,7 +35,7 @@ using ::testing::_;
 
 absl::StatusOr<Snapshot> CreateNow(Fleet& fleet, const std::string& id) {
   const Answer<absl::StatusOr<Snapshot>> answer;
-  fleet.Create(id, TestConfig(), Taking(answer));
+  fleet.Create(id, TestConfig(), TakingCreated(answer));
   return answer.Get();
 }
 
@@ -93,29 +93,58 @@ TEST_F(FleetTest, CreatesVehicleAndAnswersWithIt) {
             2u);
 }
 
+// A creation whose vehicle is not loaded before `meanwhile` is called with its
+// key.
+absl::StatusOr<Snapshot> CreateWhile(
+    Fleet* fleet, Executor* short_work, MemoryStorage* storage,
+    const std::function<void(VehicleKey)>& meanwhile) {
+  const Answer<bool> gate;
+  short_work->Post([=] { gate.Get(); });
+  const Answer<absl::StatusOr<Snapshot>> created;
+  fleet->Create("truck", TestConfig(), TakingCreated(created));
+  absl::StatusOr<VehicleRecord> stored = storage->GetVehicle("truck");
+  while (!stored.ok()) {
+    std::this_thread::yield();
+    stored = storage->GetVehicle("truck");
+  }
+  meanwhile(stored->key);
+  gate.Set(true);
+  return created.Get();
+}
+
 // A creation that found nothing was answered NOT_FOUND, which it never is.
 TEST_F(FleetTest, AnswersWithTheVehicleThatItCreatedAlsoIfItIsDeletedAtOnce) {
   Executor short_work(1);
   Executor long_work(1);
   Fleet fleet(&storage_, &codec_, Lanes(&short_work, &long_work),
               Fleet::Options());
-  const Answer<bool> gate;
-  short_work.Post([=] { gate.Get(); });
-  const Answer<absl::StatusOr<Snapshot>> created;
-  fleet.Create("truck", TestConfig(), Taking(created));
-  absl::StatusOr<VehicleRecord> stored = memory_.GetVehicle("truck");
-  while (!stored.ok()) {
-    std::this_thread::yield();
-    stored = memory_.GetVehicle("truck");
-  }
-  const Answer<absl::Status> deleted;
-  memory_.DeleteVehicle(stored->key, deleted.Setter());
-  ASSERT_THAT(deleted.Get(), IsOk());
-  gate.Set(true);
-  ASSERT_THAT(created.Get(), IsOk());
-  EXPECT_EQ(created.Get()->revision, 1u);
-  EXPECT_EQ(created.Get()->durable_sequence, 0u);
+  const auto created =
+      CreateWhile(&fleet, &short_work, &memory_, [&](VehicleKey key) {
+        ASSERT_THAT(BlockingWrites(&memory_).Delete(key), IsOk());
+      });
+  ASSERT_THAT(created, IsOk());
+  EXPECT_EQ(created->revision, 1u);
+  EXPECT_EQ(created->durable_sequence, 0u);
+  EXPECT_EQ(created->config.drive.node_spacing_meters, 1.0);
   EXPECT_THAT(ReadNow(*fleet.Session("truck")), kNotFound);
+}
+
+TEST_F(FleetTest, AnswersWithTheVehicleAsItCreatedItAlsoIfOthersChangeIt) {
+  Executor short_work(1);
+  Executor long_work(1);
+  Fleet fleet(&storage_, &codec_, Lanes(&short_work, &long_work),
+              Fleet::Options());
+  const auto created =
+      CreateWhile(&fleet, &short_work, &memory_, [&](VehicleKey key) {
+        ASSERT_THAT(BlockingWrites(&memory_).Append(
+                        key, {1, 2, 2, StraightBatch(1, 2)}),
+                    IsOk());
+      });
+  ASSERT_THAT(created, IsOk());
+  EXPECT_EQ(created->revision, 1u);
+  EXPECT_EQ(created->durable_sequence, 0u);
+  EXPECT_EQ(created->node_count, 0);
+  EXPECT_EQ(ReadNow(*fleet.Session("truck"))->durable_sequence, 2u);
 }
 
 TEST_F(FleetTest, OthersAreAcknowledgedWhileOneVehicleSearches) {
@@ -316,7 +345,7 @@ TEST_F(FleetTest, DestructorFinishesWhatWasCalled) {
   const Appended appended =
       Append(*fleet_->Session("truck"), StraightBatch(1, 1));
   const Answer<absl::StatusOr<Snapshot>> created;
-  fleet_->Create("car", TestConfig(), Taking(created));
+  fleet_->Create("car", TestConfig(), TakingCreated(created));
   storage_.Await(2);
   std::thread destroyer([&] {
     fleet_.reset();
@@ -332,7 +361,7 @@ TEST_F(FleetTest, DestructorFinishesWhatWasCalled) {
 TEST_F(FleetTest, CreateThatFailsSaysWhy) {
   storage_.Hold();
   const Answer<absl::StatusOr<Snapshot>> created;
-  fleet_->Create("car", TestConfig(), Taking(created));
+  fleet_->Create("car", TestConfig(), TakingCreated(created));
   storage_.FailOne(
       Error(StatusCode::kUnavailable, "STORE_UNAVAILABLE", "broken"));
   EXPECT_THAT(created.Get(),

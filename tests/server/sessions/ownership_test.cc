@@ -38,7 +38,7 @@ class Server {
 
   absl::StatusOr<Snapshot> Create(const std::string& id) {
     const Answer<absl::StatusOr<Snapshot>> answer;
-    fleet.Create(id, TestConfig(), Taking(answer));
+    fleet.Create(id, TestConfig(), TakingCreated(answer));
     return answer.Get();
   }
   absl::StatusOr<Snapshot> Read(const std::string& id) {

@@ -61,6 +61,23 @@ absl::StatusOr<Snapshot> Take(const absl::StatusOr<VehicleView>& view) {
   return Take(*view);
 }
 
+CreateCallback TakingCreated(const Answer<absl::StatusOr<Snapshot>>& answer) {
+  return [answer](const absl::StatusOr<CreatedVehicle>& created) {
+    if (!created.ok()) {
+      answer.Set(created.status());
+    } else if (created->view != nullptr) {
+      answer.Set(Take(*created->view));
+    } else {
+      Snapshot snapshot;
+      snapshot.durable_sequence = created->record.durable_sequence;
+      snapshot.revision = created->record.revision;
+      snapshot.loop_closure_count = created->record.loop_closure_count;
+      snapshot.config = PlainCodec().DecodeVehicle(created->record).value();
+      answer.Set(snapshot);
+    }
+  };
+}
+
 std::function<void(absl::StatusOr<VehicleView>)> Taking(
     const Answer<absl::StatusOr<Snapshot>>& answer) {
   return [answer](const absl::StatusOr<VehicleView>& view) {

@@ -12,6 +12,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "server/sessions/fleet.h"
 #include "server/sessions/vehicle_session.h"
 #include "tests/server/waiting.h"
 
@@ -42,6 +43,8 @@ VehicleConfig TestConfig();
 
 Snapshot Take(const VehicleView& view);
 absl::StatusOr<Snapshot> Take(const absl::StatusOr<VehicleView>& view);
+// The callback of a creation.
+CreateCallback TakingCreated(const Answer<absl::StatusOr<Snapshot>>& answer);
 // The callback of a call that answers with a view.
 std::function<void(absl::StatusOr<VehicleView>)> Taking(
     const Answer<absl::StatusOr<Snapshot>>& answer);

@@ -98,7 +98,7 @@ class SnapshotsTest : public ::testing::Test {
 
   void Create() {
     const Answer<absl::StatusOr<Snapshot>> answer;
-    fleet_->Create(kId, TestConfig(), Taking(answer));
+    fleet_->Create(kId, TestConfig(), TakingCreated(answer));
     ASSERT_THAT(answer.Get(), IsOk());
     key_ = memory_.GetVehicle(kId)->key;
   }
@@ -560,7 +560,7 @@ TEST(SnapshotStressTest, VehiclesThatComeAndGoAreAsReplayedWhole) {
   Fleet model(&model_storage, &codec, &model_executor, Fleet::Options());
   const auto create = [](Fleet* fleet) {
     const Answer<absl::StatusOr<Snapshot>> answer;
-    fleet->Create("truck", TestConfig(), Taking(answer));
+    fleet->Create("truck", TestConfig(), TakingCreated(answer));
     ASSERT_THAT(answer.Get(), IsOk());
   };
   create(&model);

@@ -148,7 +148,7 @@ TEST_F(VehicleCensusTest, HearsOfEveryChangeOfAVehicleInMemory) {
   options.census = census;
   Fleet fleet(&storage_, &codec_, &executor, options);
   const Answer<absl::StatusOr<Snapshot>> created;
-  fleet.Create("truck", TestConfig(), Taking(created));
+  fleet.Create("truck", TestConfig(), TakingCreated(created));
   ASSERT_THAT(created.Get(), IsOk());
   EXPECT_EQ(Shown(*census), "1 active, 0 data loss, 0 damaged");
   auto session = fleet.Session("truck");

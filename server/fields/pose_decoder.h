@@ -1,0 +1,77 @@
+// Poses of messages as samples of core.
+#ifndef REVISIT_SERVER_FIELDS_POSE_DECODER_H_
+#define REVISIT_SERVER_FIELDS_POSE_DECODER_H_
+
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "core/drive/drive.h"
+#include "server/fields/field_violations.h"
+#include "server/fields/geodetic_frame.h"
+#include "server/fields/pose_fields.h"
+#include "server/sessions/vehicle_config.h"
+
+namespace revisit::server {
+
+// Where poses come from decides which fields may be left out, and whether a
+// geodetic vehicle takes local positions.
+enum class PoseSource { kAppend, kRevision, kStored };
+
+// Decodes poses of one vehicle, one after the other. The config and the
+// violations must outlive it.
+class PoseDecoder {
+ public:
+  PoseDecoder(const VehicleConfig& config, PoseSource source,
+              Violations* violations);
+
+  // Adds a violation for each defect of the pose; the sample is meaningless if
+  // there is one.
+  core::PoseSample Decode(const PoseFields& pose, const FieldPath& path);
+
+  // The origin of a geodetic vehicle: that of the config or, without, that of
+  // the first pose that can be decoded.
+  std::optional<GeodeticOrigin> origin() const;
+
+ private:
+  // The forward axis in the axes of the pose's own position, and its heading.
+  // The axis is set for geodetic poses and quaternions only.
+  struct Forward {
+    double heading = 0.0;
+    std::array<double, 3> axis{};
+  };
+
+  void DecodePosition(const PoseFields& pose, const FieldPath& path,
+                      core::Pose* position);
+  void DecodeLocal(const std::array<double, 3>& local, const FieldPath& path,
+                   core::Pose* position);
+  std::optional<Forward> DecodeOrientation(const PoseFields& pose,
+                                           const FieldPath& path);
+  std::optional<Forward> DecodeQuaternion(
+      const std::array<double, 4>& quaternion, const FieldPath& path);
+  void DecodeTransition(const PoseFields& pose, const FieldPath& path,
+                        core::PoseSample* sample);
+  void ToLocalFrame(const PoseFields& pose, const Forward& forward,
+                    const FieldPath& path, core::PoseSample* sample);
+  void Refuse(const FieldPath& path, const std::string& description);
+  void AddDefect(const core::Defect& defect, const FieldPath& path);
+
+  const VehicleConfig& config_;
+  const PoseSource source_;
+  Violations* const violations_;
+  const core::StateSpace space_;
+  std::optional<GeodeticFrame> frame_;
+};
+
+// Decodes poses that have to follow each other; the field `poses` lies below
+// `path`.
+std::vector<core::PoseSample> DecodePoses(const std::vector<PoseFields>& poses,
+                                          const FieldPath& path,
+                                          PoseDecoder* decoder,
+                                          Violations* violations);
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_FIELDS_POSE_DECODER_H_

@@ -1,0 +1,200 @@
+// The fields of a pose, whichever message they are in: the API's or the
+// store's.
+#ifndef REVISIT_SERVER_FIELDS_POSE_FIELDS_H_
+#define REVISIT_SERVER_FIELDS_POSE_FIELDS_H_
+
+#include <array>
+#include <cstdint>
+#include <optional>
+
+#include "google/protobuf/repeated_field.h"
+#include "google/protobuf/timestamp.pb.h"
+
+namespace revisit::server {
+
+// The numbers are those of every message. A message may have others, which
+// nobody understands.
+enum class CovarianceForm : std::int32_t {
+  kPlanar6 = 1,
+  kSpatial10 = 2,
+  kRos36 = 3,
+};
+
+// Whether an enum of messages has the numbers of CovarianceForm.
+constexpr bool AreCovarianceForms(int planar_6, int spatial_10, int ros_36) {
+  return planar_6 == static_cast<int>(CovarianceForm::kPlanar6) &&
+         spatial_10 == static_cast<int>(CovarianceForm::kSpatial10) &&
+         ros_36 == static_cast<int>(CovarianceForm::kRos36);
+}
+
+struct CovarianceFields {
+  CovarianceForm form{};
+  // Never null; valid as long as the message.
+  const google::protobuf::RepeatedField<double>* values = nullptr;
+};
+
+// A pose as its message has it: nothing is checked. Small numbers are copied,
+// so that messages need not be; what is long or seldom there stays in the
+// message, which has to outlive this.
+struct PoseFields {
+  enum class Position : std::uint8_t { kNone, kLocal, kGeodetic };
+  enum class Orientation : std::uint8_t { kNone, kHeading, kQuaternion };
+
+  std::uint64_t sequence = 0;
+  // Null if absent.
+  const google::protobuf::Timestamp* stamp = nullptr;
+  Position position_kind = Position::kNone;
+  Orientation orientation_kind = Orientation::kNone;
+  // x, y, z in metres; or latitude and longitude in degrees, height in metres.
+  std::array<double, 3> position{};
+  // The heading in radians, first; or x, y, z, w.
+  std::array<double, 4> orientation{};
+  std::optional<CovarianceFields> covariance;
+  // Never null; empty if absent.
+  const google::protobuf::RepeatedField<double>* error_transition = nullptr;
+
+  bool has_geodetic() const { return position_kind == Position::kGeodetic; }
+};
+
+// Covariance: a message with `form` and `values`.
+template <typename Covariance>
+CovarianceFields CovarianceFieldsOf(const Covariance& covariance) {
+  return {static_cast<CovarianceForm>(covariance.form()), &covariance.values()};
+}
+
+// Pose: a message with the fields of a pose by their names.
+template <typename Pose>
+PoseFields PoseFieldsOf(const Pose& pose) {
+  PoseFields fields;
+  fields.sequence = pose.sequence();
+  if (pose.has_stamp()) fields.stamp = &pose.stamp();
+  if (pose.has_local()) {
+    const auto& local = pose.local();
+    fields.position_kind = PoseFields::Position::kLocal;
+    fields.position = {local.x_meters(), local.y_meters(), local.z_meters()};
+  } else if (pose.has_geodetic()) {
+    const auto& geodetic = pose.geodetic();
+    fields.position_kind = PoseFields::Position::kGeodetic;
+    fields.position = {geodetic.latitude_degrees(),
+                       geodetic.longitude_degrees(), geodetic.height_meters()};
+  }
+  if (pose.has_quaternion()) {
+    const auto& quaternion = pose.quaternion();
+    fields.orientation_kind = PoseFields::Orientation::kQuaternion;
+    fields.orientation = {quaternion.x(), quaternion.y(), quaternion.z(),
+                          quaternion.w()};
+  } else if (pose.has_heading_radians()) {
+    fields.orientation_kind = PoseFields::Orientation::kHeading;
+    fields.orientation[0] = pose.heading_radians();
+  }
+  if (pose.has_covariance()) {
+    fields.covariance = CovarianceFieldsOf(pose.covariance());
+  }
+  fields.error_transition = &pose.error_transition();
+  return fields;
+}
+
+// What was measured between the two poses of a loop closure.
+struct MeasurementFields {
+  double x_meters = 0.0;
+  double y_meters = 0.0;
+  double z_meters = 0.0;
+  double heading_radians = 0.0;
+  std::optional<CovarianceFields> covariance;
+};
+
+template <typename Measurement>
+MeasurementFields MeasurementFieldsOf(const Measurement& measurement) {
+  MeasurementFields fields;
+  fields.x_meters = measurement.x_meters();
+  fields.y_meters = measurement.y_meters();
+  fields.z_meters = measurement.z_meters();
+  fields.heading_radians = measurement.heading_radians();
+  if (measurement.has_covariance()) {
+    fields.covariance = CovarianceFieldsOf(measurement.covariance());
+  }
+  return fields;
+}
+
+// ---- Back into messages. What is absent is cleared, so that one message can
+// serve for many poses.
+
+template <typename Covariance>
+void SetCovariance(const CovarianceFields& fields, Covariance* covariance) {
+  using Form = decltype(covariance->form());
+  covariance->set_form(static_cast<Form>(fields.form));
+  *covariance->mutable_values() = *fields.values;
+}
+
+// Sets position, orientation and covariance: what a pose estimates.
+template <typename Pose>
+void SetEstimate(const PoseFields& fields, Pose* pose) {
+  switch (fields.position_kind) {
+    case PoseFields::Position::kNone:
+      pose->clear_position();
+      break;
+    case PoseFields::Position::kLocal: {
+      auto* const local = pose->mutable_local();
+      local->set_x_meters(fields.position[0]);
+      local->set_y_meters(fields.position[1]);
+      local->set_z_meters(fields.position[2]);
+      break;
+    }
+    case PoseFields::Position::kGeodetic: {
+      auto* const geodetic = pose->mutable_geodetic();
+      geodetic->set_latitude_degrees(fields.position[0]);
+      geodetic->set_longitude_degrees(fields.position[1]);
+      geodetic->set_height_meters(fields.position[2]);
+      break;
+    }
+  }
+  switch (fields.orientation_kind) {
+    case PoseFields::Orientation::kNone:
+      pose->clear_orientation();
+      break;
+    case PoseFields::Orientation::kHeading:
+      pose->set_heading_radians(fields.orientation[0]);
+      break;
+    case PoseFields::Orientation::kQuaternion: {
+      auto* const quaternion = pose->mutable_quaternion();
+      quaternion->set_x(fields.orientation[0]);
+      quaternion->set_y(fields.orientation[1]);
+      quaternion->set_z(fields.orientation[2]);
+      quaternion->set_w(fields.orientation[3]);
+      break;
+    }
+  }
+  if (fields.covariance) {
+    SetCovariance(*fields.covariance, pose->mutable_covariance());
+  } else {
+    pose->clear_covariance();
+  }
+}
+
+template <typename Pose>
+void SetPose(const PoseFields& fields, Pose* pose) {
+  pose->set_sequence(fields.sequence);
+  if (fields.stamp != nullptr) {
+    pose->mutable_stamp()->set_seconds(fields.stamp->seconds());
+    pose->mutable_stamp()->set_nanos(fields.stamp->nanos());
+  } else {
+    pose->clear_stamp();
+  }
+  SetEstimate(fields, pose);
+  *pose->mutable_error_transition() = *fields.error_transition;
+}
+
+template <typename Measurement>
+void SetMeasurement(const MeasurementFields& fields, Measurement* measurement) {
+  measurement->set_x_meters(fields.x_meters);
+  measurement->set_y_meters(fields.y_meters);
+  measurement->set_z_meters(fields.z_meters);
+  measurement->set_heading_radians(fields.heading_radians);
+  if (fields.covariance) {
+    SetCovariance(*fields.covariance, measurement->mutable_covariance());
+  }
+}
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_FIELDS_POSE_FIELDS_H_

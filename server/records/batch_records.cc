@@ -1,0 +1,97 @@
+#include "server/records/batch_records.h"
+
+#include <xxhash.h>
+
+#include <cstddef>
+#include <utility>
+
+#include "server/fields/covariances.h"
+#include "server/fields/field_violations.h"
+#include "server/fields/pose_decoder.h"
+#include "server/records/stored_batch.h"
+#include "server/records/stored_pose.h"
+
+namespace revisit::server {
+namespace {
+
+// The error transition of a stored geodetic pose in the axes of the local
+// frame.
+std::optional<core::ErrorTransition> TurnedTransition(
+    const stored::Pose& pose, const VehicleConfig& config) {
+  Violations violations;
+  const core::PoseSample sample =
+      PoseDecoder(config, PoseSource::kStored, &violations)
+          .Decode(PoseFieldsOf(pose), FieldPath());
+  return violations.count() == 0 ? sample.transition : std::nullopt;
+}
+
+// Puts the estimate of `revised` into `stored`; all else of the stored pose
+// stays.
+void Replace(const PoseFields& revised, const VehicleConfig& config,
+             stored::Pose* stored) {
+  if (!revised.error_transition->empty()) {
+    *stored->mutable_error_transition() = *revised.error_transition;
+  } else if (stored->error_transition_size() > 0 && stored->has_geodetic() &&
+             revised.position_kind == PoseFields::Position::kLocal) {
+    // The transition speaks of the axes at the geodetic position, which go
+    // away.
+    const auto turned = TurnedTransition(*stored, config);
+    if (turned) {
+      EncodeTransition(*turned, config.drive.state_space,
+                       stored->mutable_error_transition());
+    }
+  }
+  stored->clear_position();
+  stored->clear_orientation();
+  stored->clear_covariance();
+  SetEstimate(revised, stored);
+}
+
+}  // namespace
+
+void EncodeBatch(const std::vector<PoseFields>& poses, DecodedBatch* batch) {
+  const std::vector<StoredPose> stored(poses.begin(), poses.end());
+  std::size_t bytes = 0;
+  for (const StoredPose& pose : stored) bytes += BytesInBatch(pose.size());
+  batch->payload.resize(bytes);
+  batch->fingerprints.reserve(stored.size());
+  auto* next = reinterpret_cast<std::uint8_t*>(&batch->payload[0]);
+  for (const StoredPose& pose : stored) {
+    next = BeginPose(pose.size(), next);
+    std::uint8_t* const end = pose.Write(next);
+    batch->fingerprints.push_back(XXH3_64bits(next, pose.size()));
+    next = end;
+  }
+}
+
+absl::StatusOr<std::optional<BatchRecord>> ReviseBatch(
+    const BatchRecord& stored, const VehicleConfig& config,
+    const RevisedPose& revised) {
+  absl::StatusOr<stored::PoseBatch> batch = ParseBatch(stored.payload);
+  if (!batch.ok()) return batch.status();
+  bool any = false;
+  for (stored::Pose& pose : *batch->mutable_poses()) {
+    const std::optional<PoseFields> replacement = revised(pose.sequence());
+    if (!replacement) continue;
+    any = true;
+    Replace(*replacement, config, &pose);
+  }
+  if (!any) return std::optional<BatchRecord>();
+  BatchRecord record;
+  record.first_sequence = stored.first_sequence;
+  record.count = stored.count;
+  record.payload = batch->SerializeAsString();
+  return std::optional<BatchRecord>(std::move(record));
+}
+
+absl::Status VisitPoses(const BatchRecord& stored,
+                        const std::function<bool(const PoseFields&)>& visit) {
+  const absl::StatusOr<stored::PoseBatch> batch = ParseBatch(stored.payload);
+  if (!batch.ok()) return batch.status();
+  for (const stored::Pose& pose : batch->poses()) {
+    if (!visit(PoseFieldsOf(pose))) break;
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,57 @@
+#include "server/records/pair_content.h"
+
+#include "server/base/status.h"
+#include "server/fields/field_violations.h"
+#include "server/fields/loop_measurement.h"
+#include "server/records/stored_records.pb.h"
+
+namespace revisit::server {
+
+std::string EncodePairContent(const PairContent& content) {
+  stored::PosePairContent stored;
+  if (content.measurement) {
+    SetMeasurement(*content.measurement, stored.mutable_measurement());
+  }
+  stored.set_note(content.note);
+  if (content.score) stored.set_score(*content.score);
+  return stored.SerializeAsString();
+}
+
+absl::Status ReadPairContent(
+    const std::string& payload,
+    const std::function<void(const PairContent&)>& read) {
+  stored::PosePairContent stored;
+  if (!stored.ParseFromString(payload)) {
+    return Corrupt("a stored pair of poses is not a PosePairContent");
+  }
+  PairContent content;
+  if (stored.has_measurement()) {
+    content.measurement = MeasurementFieldsOf(stored.measurement());
+  }
+  content.note = stored.note();
+  if (stored.has_score()) content.score = stored.score();
+  read(content);
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::optional<core::LoopMeasurement>> DecodePairMeasurement(
+    const std::string& payload, core::StateSpace space) {
+  const FieldPath request;
+  const FieldPath pair = request.Field("loop_closure");
+  const FieldPath path = pair.Field("measurement");
+  absl::StatusOr<core::LoopMeasurement> measurement;
+  bool is_measured = false;
+  const absl::Status readable =
+      ReadPairContent(payload, [&](const PairContent& content) {
+        is_measured = content.measurement.has_value();
+        if (is_measured) {
+          measurement = DecodeMeasurement(*content.measurement, space, path);
+        }
+      });
+  if (!readable.ok()) return readable;
+  if (!is_measured) return std::optional<core::LoopMeasurement>();
+  if (!measurement.ok()) return measurement.status();
+  return std::optional<core::LoopMeasurement>(*measurement);
+}
+
+}  // namespace revisit::server

@@ -1,0 +1,38 @@
+// The bytes of a pose in the store, straight from the message in which it came.
+#ifndef REVISIT_SERVER_RECORDS_STORED_POSE_H_
+#define REVISIT_SERVER_RECORDS_STORED_POSE_H_
+
+#include <cstddef>
+#include <cstdint>
+
+#include "server/fields/pose_fields.h"
+
+namespace revisit::server {
+
+// Writes a pose as a serialized revisit.stored.Pose. Copying it into that
+// message and serializing the copy gives the same bytes, and takes longer than
+// all else that is done with a pose. Only fields that are named here reach the
+// store. The fields must outlive this, and stay as they are.
+class StoredPose {
+ public:
+  explicit StoredPose(const PoseFields& pose);
+
+  // How many bytes the pose takes.
+  std::size_t size() const { return size_; }
+
+  // Returns the end of what was written, size() bytes on.
+  std::uint8_t* Write(std::uint8_t* next) const;
+
+ private:
+  const PoseFields* pose_;
+  // Those of the messages in it.
+  std::uint32_t stamp_size_ = 0;
+  std::uint32_t position_size_ = 0;
+  std::uint32_t quaternion_size_ = 0;
+  std::uint32_t covariance_size_ = 0;
+  std::size_t size_ = 0;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_RECORDS_STORED_POSE_H_
