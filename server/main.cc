@@ -20,7 +20,8 @@
 #include "server/base/service_manager.h"
 #include "server/server.h"
 #include "server/settings/settings.h"
-#include "server/store_tasks.h"
+#include "server/storage/engines/engine.h"
+#include "server/storage/engines/store_tasks.h"
 
 namespace {
 
@@ -182,16 +183,18 @@ void Complain(const std::string& message) {
                                kPatience);
 }
 
+int ComplainOfSettings(const absl::Status& problem) {
+  Complain(std::string(problem.message()) + "\nTry: revisitd --help");
+  return revisit::server::kExitUsage;
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
   const std::vector<std::string> arguments(argv + 1, argv + argc);
   const auto parsed = revisit::server::ParseSettings(
       arguments, revisit::server::ProcessEnvironment());
-  if (!parsed.ok()) {
-    Complain(std::string(parsed.status().message()) + "\nTry: revisitd --help");
-    return revisit::server::kExitUsage;
-  }
+  if (!parsed.ok()) return ComplainOfSettings(parsed.status());
   if (parsed->print) {
     std::fputs(parsed->print->c_str(), stdout);
     return revisit::server::kExitOk;
@@ -199,6 +202,9 @@ int main(int argc, char** argv) {
   if (parsed->task) {
     return revisit::server::RunStoreTask(parsed->settings, *parsed->task);
   }
+  const absl::Status fits = revisit::server::EngineOf(parsed->settings.store)
+                                .CheckSettings(parsed->settings);
+  if (!fits.ok()) return ComplainOfSettings(fits);
   BlockSignals();
   Log log(parsed->settings.log_format, parsed->settings.log_level,
           STDERR_FILENO);

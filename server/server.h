@@ -9,8 +9,8 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "server/base/exit_code.h"
 #include "server/base/logging.h"
-#include "server/exit_code.h"
 #include "server/settings/settings.h"
 
 namespace revisit::server {
@@ -48,8 +48,8 @@ class RevisitServer {
   // Opens the log of changes again, for those who have renamed its file.
   void ReopenAuditLog();
 
-  // Whether the server still answers, within `patience` (self_check.h). Not
-  // during Shutdown(), and one call at a time.
+  // Whether the server still answers, within `patience` (admin/self_check.h).
+  // Not during Shutdown(), and one call at a time.
   bool Answers(std::chrono::milliseconds patience);
 
   // Has health say NOT_SERVING from now on, while everything else goes on, so

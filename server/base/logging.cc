@@ -13,6 +13,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "server/base/line_writer.h"
+#include "server/base/metrics.h"
 
 namespace revisit::server {
 namespace {
@@ -175,8 +176,13 @@ void Log::Write(LogLevel level, const char* event,
 
 void Log::SetLevel(LogLevel level) { sink_->logger.set_level(ToSpdlog(level)); }
 
-std::int64_t Log::dropped() const {
-  return sink_->lines == nullptr ? 0 : sink_->lines->dropped();
+void Log::CollectMetrics(const char* name, Metrics* metrics) const {
+  metrics
+      ->Counter("revisit_log_lines_dropped_total",
+                "Lines of a log that were lost, for it was not read or "
+                "written as fast as they came.")
+      .Add(sink_->lines == nullptr ? 0 : sink_->lines->dropped(),
+           {{"log", name}});
 }
 
 }  // namespace revisit::server

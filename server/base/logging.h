@@ -12,6 +12,8 @@
 
 namespace revisit::server {
 
+class Metrics;
+
 enum class LogFormat { kText, kJson };
 enum class LogLevel { kDebug, kInfo, kWarning, kError, kOff };
 
@@ -57,8 +59,9 @@ class Log {
   // The least severe level that is written from now on.
   void SetLevel(LogLevel level);
 
-  // Number of lines that found no room; 0 for a stream.
-  std::int64_t dropped() const;
+  // How many lines found no room; none do for a stream. `name` says which of
+  // the process's logs this is.
+  void CollectMetrics(const char* name, Metrics* metrics) const;
 
  private:
   struct Sink;

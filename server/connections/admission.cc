@@ -8,6 +8,7 @@
 #include <unordered_map>
 #include <utility>
 
+#include "server/base/metrics.h"
 #include "server/base/status.h"
 
 namespace revisit::server {
@@ -550,6 +551,21 @@ absl::Status Admission::OverQuota(const char* name, const char* reason,
       absl::StatusCode::kResourceExhausted, reason, subject,
       subject + ": the limit of " + what + " is reached, " + text,
       Later(streams ? kStreamDelay : kQueueDelay), {{"limit", text}});
+}
+
+void Admission::CollectMetrics(Metrics* metrics) const {
+  refusals_.CollectMetrics(metrics);
+  MetricFamily& used = metrics->Gauge(
+      "revisit_limit_used_ratio",
+      "Share of a limit of the whole server that is taken; 1 is all of it.");
+  for (const Use& use : uses()) {
+    used.Add(static_cast<double>(use.taken) / static_cast<double>(use.most),
+             {{"limit", use.limit}});
+  }
+  metrics
+      ->Gauge("revisit_queued_bytes",
+              "Bytes of batches that wait to be durable.")
+      .Add(queue_->taken());
 }
 
 }  // namespace revisit::server

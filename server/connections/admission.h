@@ -108,6 +108,8 @@ class Admission {
   };
   std::vector<Use> uses() const;
 
+  void CollectMetrics(Metrics* metrics) const;
+
  private:
   class Pool;
   class SearchRoom;

@@ -21,6 +21,7 @@
 #include <optional>
 #include <utility>
 
+#include "server/base/metrics.h"
 #include "server/connections/metered_reads.h"
 
 namespace revisit::server {
@@ -403,6 +404,14 @@ void ConnectionAcceptor::TurnAway(int listener) {
   reserve_ = OpenReserve();
   // Something else in the process holds all descriptors: give it time.
   poll(nullptr, 0, kPauseMilliseconds);
+}
+
+void ConnectionAcceptor::CollectMetrics(Metrics* metrics) const {
+  refusals_.CollectMetrics(metrics);
+  metrics
+      ->Counter("revisit_connections_accepted_total",
+                "Connections that were let in.")
+      .Add(accepted_.load());
 }
 
 }  // namespace revisit::server

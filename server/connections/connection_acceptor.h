@@ -93,11 +93,10 @@ class ConnectionAcceptor {
 
   // The address with the port that was chosen.
   const std::string& address() const { return address_; }
-  // How often each limit has closed a connection, because there were too many
-  // or because it was harmful.
-  const Refusals& refusals() const { return refusals_; }
-  // Number of connections that were handed to gRPC.
-  std::int64_t accepted() const { return accepted_; }
+
+  // How many connections were handed to gRPC, and how often each limit has
+  // closed one, because there were too many or because it was harmful.
+  void CollectMetrics(Metrics* metrics) const;
 
  private:
   ConnectionAcceptor(const Options& options, const Log* log,

@@ -10,6 +10,8 @@
 
 namespace revisit::server {
 
+class Metrics;
+
 // The limits by the names of their settings, and, where no setting is the
 // limit: what a caller's deadline leaves of time, the descriptors that the
 // process may open, the policy's budget of a tenant
@@ -70,6 +72,8 @@ class Refusals {
     }
     return counts;
   }
+
+  void CollectMetrics(Metrics* metrics) const;
 
  private:
   std::array<std::atomic<std::uint64_t>, kLimitCount> counts_{};

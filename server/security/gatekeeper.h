@@ -58,6 +58,11 @@ class Gatekeeper {
 
   // The files that say who may do what; nothing if callers are not asked.
   virtual std::optional<FilesState> files() const = 0;
+  void CollectMetrics(Metrics* metrics) const {
+    if (const auto state = files()) {
+      CollectFilesMetrics("access", *state, metrics);
+    }
+  }
 
   // Has files read and all streams rechecked soon, before the next period ends.
   // Returns at once.

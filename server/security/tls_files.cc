@@ -3,6 +3,8 @@
 #include <utility>
 #include <vector>
 
+#include "server/base/metrics.h"
+
 namespace revisit::server {
 namespace {
 
@@ -72,6 +74,14 @@ FilesState TlsFiles::state() const {
 CertificateTime TlsFiles::expires() const {
   const MutexLock lock(&mutex_);
   return expires_;
+}
+
+void TlsFiles::CollectMetrics(Metrics* metrics) const {
+  metrics
+      ->Gauge("revisit_tls_certificate_expiry_timestamp_seconds",
+              "When the listener's certificate expires, since the Unix epoch.")
+      .Add(expires());
+  CollectFilesMetrics("tls", state(), metrics);
 }
 
 absl::Status TlsFiles::Take(CertificateTime now) {

@@ -53,6 +53,8 @@ class TlsFiles {
   // When the certificate in use expires.
   CertificateTime expires() const;
 
+  void CollectMetrics(Metrics* metrics) const;
+
  private:
   TlsFiles(const TlsPaths& paths, const Log* log);
 

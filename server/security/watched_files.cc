@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "absl/status/status.h"
+#include "server/base/metrics.h"
 
 namespace revisit::server {
 namespace {
@@ -61,6 +62,18 @@ bool WatchedFiles::Look() {
   looked_ = true;
   if (!same) contents_ = std::move(now);
   return !same;
+}
+
+void CollectFilesMetrics(const char* files, const FilesState& state,
+                         Metrics* metrics) {
+  metrics
+      ->Gauge("revisit_security_files_loaded_timestamp_seconds",
+              "When the files in use were taken up, since the Unix epoch.")
+      .Add(state.loaded, {{"files", files}});
+  metrics
+      ->Gauge("revisit_security_files_refused",
+              "Whether the files have changed since into what was refused.")
+      .Add(state.refused, {{"files", files}});
 }
 
 }  // namespace revisit::server

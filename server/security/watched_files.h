@@ -10,6 +10,8 @@
 
 namespace revisit::server {
 
+class Metrics;
+
 // Files whose contents are taken up as they change.
 struct FilesState {
   // When the contents in use were taken up.
@@ -17,6 +19,10 @@ struct FilesState {
   // Whether there are others since then, which were refused.
   bool refused = false;
 };
+
+// `files`: which files these are, in one word.
+void CollectFilesMetrics(const char* files, const FilesState& state,
+                         Metrics* metrics);
 
 // Not thread-safe.
 class WatchedFiles {

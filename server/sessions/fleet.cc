@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "core/base/mutex.h"
+#include "server/base/metrics.h"
 #include "server/base/status.h"
 #include "server/storage/storage.h"
 
@@ -217,6 +218,17 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
     WriteSnapshot(most_parts, next);
   }
 
+  void HandOver(const WantedVehicle& wanted) ABSL_LOCKS_EXCLUDED(mutex) {
+    const MutexLock guard(&mutex);
+    const auto found = entries.find(wanted.id);
+    // Under the lock, so that nobody loads the vehicle in between.
+    if (found == entries.end() || found->second.session->gone()) {
+      storage->ReleaseVehicle(wanted.key);
+    } else {
+      found->second.session->HandOver();
+    }
+  }
+
   Entries::iterator Drop(Entries::iterator entry, Dropped* dropped)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex) {
     const VehicleSession::Residency of = entry->second.session->residency();
@@ -250,9 +262,14 @@ struct Fleet::State : std::enable_shared_from_this<Fleet::State> {
 
 Fleet::Fleet(Storage* storage, const RecordCodec* codec, const Lanes& lanes,
              const Options& options)
-    : state_(std::make_shared<State>(storage, codec, lanes, options)) {}
+    : state_(std::make_shared<State>(storage, codec, lanes, options)) {
+  storage->OnWanted([state = state_.get()](const WantedVehicle& wanted) {
+    state->HandOver(wanted);
+  });
+}
 
 Fleet::~Fleet() {
+  state_->storage->OnWanted(nullptr);
   std::vector<std::shared_ptr<VehicleSession>> sessions;
   {
     const MutexLock lock(&state_->mutex);
@@ -281,19 +298,6 @@ Fleet::~Fleet() {
   while (countdown->left != 0) countdown->zero.Wait(&countdown->mutex);
   const MutexLock guard(&state_->mutex);
   while (state_->writing_snapshots != 0) state_->changed.Wait(&state_->mutex);
-}
-
-void Fleet::HandOverWanted() {
-  for (const WantedVehicle& wanted : state_->storage->WantedVehicles()) {
-    const MutexLock guard(&state_->mutex);
-    const auto found = state_->entries.find(wanted.id);
-    // Under the lock, so that nobody loads the vehicle in between.
-    if (found == state_->entries.end() || found->second.session->gone()) {
-      state_->storage->ReleaseVehicle(wanted.key);
-    } else {
-      found->second.session->HandOver();
-    }
-  }
 }
 
 void Fleet::WriteSnapshots() {
@@ -375,8 +379,17 @@ Fleet::Residency Fleet::residency() const {
   return state_->ResidencyLocked();
 }
 
-RetentionMonitor::Counts Fleet::retention() const {
-  return state_->retention->Read();
+void Fleet::CollectMetrics(Metrics* metrics) const {
+  const Residency sum = residency();
+  metrics->Gauge("revisit_resident_vehicles", "Vehicles in memory.")
+      .Add(sum.vehicles);
+  metrics->Gauge("revisit_resident_nodes", "Nodes of vehicles in memory.")
+      .Add(sum.nodes);
+  metrics
+      ->Gauge("revisit_resident_bytes",
+              "Bytes of nodes and edges of vehicles in memory.")
+      .Add(sum.bytes);
+  state_->retention->CollectMetrics(metrics);
 }
 
 Fleet::Residency Fleet::UnloadIdle(std::chrono::steady_clock::time_point now) {

@@ -41,6 +41,9 @@ struct CreatedVehicle {
 using CreateCallback =
     std::function<void(const absl::StatusOr<CreatedVehicle>&)>;
 
+// It hands vehicles over that other servers ask for (Storage::OnWanted()), each
+// once its calls that came before are finished.
+//
 // Thread-safe.
 class Fleet {
  public:
@@ -62,7 +65,8 @@ class Fleet {
     std::chrono::milliseconds last_snapshots{500};
   };
 
-  // Storage, codec and executors must outlive the fleet.
+  // Storage, codec and executors must outlive the fleet, and no other fleet has
+  // the storage.
   Fleet(Storage* storage, const RecordCodec* codec, const Lanes& lanes,
         const Options& options);
   // Finishes what was called, see above. Not on a thread of the executors.
@@ -89,11 +93,6 @@ class Fleet {
   void Delete(const std::string& id,
               std::function<void(absl::Status)> callback);
 
-  // Hands vehicles over that other servers ask for (Storage::WantedVehicles()),
-  // each once its calls that came before are finished. The server calls it on a
-  // timer.
-  void HandOverWanted();
-
   // Has vehicles that are being loaded, now or later, give up where that takes
   // long (VehicleSession::GiveUpReplay()): the server ends.
   void GiveUpReplays();
@@ -114,7 +113,8 @@ class Fleet {
   };
   Residency residency() const;
 
-  RetentionMonitor::Counts retention() const;
+  // The vehicles in memory, and what retention has dropped.
+  void CollectMetrics(Metrics* metrics) const;
 
   // Unloads the vehicles that have been idle since before `now` less
   // Options::idle_unload, then as many others as exceed the memory budget. Of

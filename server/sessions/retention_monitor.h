@@ -14,6 +14,8 @@
 
 namespace revisit::server {
 
+class Metrics;
+
 // Thread-safe, without locks.
 class RetentionMonitor {
  public:
@@ -56,6 +58,8 @@ class RetentionMonitor {
   Counts Read() const {
     return {poses_, nodes_too_old_, nodes_covered_, vehicles_, seconds_.Read()};
   }
+
+  void CollectMetrics(Metrics* metrics) const;
 
  private:
   const std::function<void(const Drop&)> report_;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "server/base/metrics.h"
 #include "server/storage/storage.h"
 
 namespace revisit::server {
@@ -96,6 +97,16 @@ std::optional<VehicleCensus::Counts> VehicleCensus::Read() const {
   }
   counts.active = count_ - counts.damaged - counts.data_loss;
   return counts;
+}
+
+void VehicleCensus::CollectMetrics(Metrics* metrics) const {
+  const std::optional<Counts> counts = Read();
+  if (!counts) return;
+  MetricFamily& vehicles =
+      metrics->Gauge("revisit_vehicles", "Vehicles of the store, by state.");
+  vehicles.Add(counts->active, {{"state", "active"}});
+  vehicles.Add(counts->data_loss, {{"state", "data_loss"}});
+  vehicles.Add(counts->damaged, {{"state", "damaged"}});
 }
 
 void VehicleCensus::Created(VehicleKey key) {

@@ -16,6 +16,7 @@
 
 namespace revisit::server {
 
+class Metrics;
 class Storage;
 
 // Thread-safe, but for Continue().
@@ -44,6 +45,9 @@ class VehicleCensus {
   // Nothing until all rows were read once. With other servers, their changes
   // show once all rows were read again.
   std::optional<Counts> Read() const;
+
+  // Those of Read(), if there are.
+  void CollectMetrics(Metrics* metrics) const;
 
   // A vehicle was created; was loaded, or has another state; was deleted.
   void Created(VehicleKey key);

@@ -7,7 +7,6 @@
 #include <cctype>
 
 #include "absl/status/status.h"
-#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "server/settings/command_line.h"
 #include "server/settings/settings_file.h"
@@ -136,46 +135,10 @@ absl::Status CheckSecurity(const ServerSettings& s) {
   return absl::OkStatus();
 }
 
-// Whether others can reach this server by the address at which it listens.
-bool NamesOneServer(const std::string& listen) {
-  const std::string::size_type colon = listen.rfind(':');
-  const std::string host = listen.substr(0, colon);
-  return listen.substr(colon + 1) != "0" && host != "0.0.0.0" && host != "[::]";
-}
-
-// A store in a file is shared with nobody.
-absl::Status CheckSharing(const ServerSettings& s) {
-  if (IsSharedStore(s.store)) {
-    if (!s.advertise_address.empty() || NamesOneServer(s.listen)) {
-      return absl::OkStatus();
-    }
-    return absl::InvalidArgumentError(
-        absl::StrCat("listen is ", s.listen,
-                     ", by which no other server can name this one: give "
-                     "advertise-address, HOST:PORT"));
-  }
-  for (const auto& [key, is_set] :
-       {std::pair("require-replicated", s.require_replicated),
-        std::pair("advertise-address", !s.advertise_address.empty())}) {
-    if (!is_set) continue;
-    return absl::InvalidArgumentError(absl::StrCat(
-        key, " needs a store that servers share, postgresql://...; store is \"",
-        s.store, "\""));
-  }
-  return absl::OkStatus();
-}
-
 }  // namespace
 
-bool IsSharedStore(const std::string& store) {
-  // Without the slashes it is a URL that was mistyped, not a path.
-  return absl::StartsWith(store, "postgresql:") ||
-         absl::StartsWith(store, "postgres:");
-}
-
 std::chrono::milliseconds StoreWaitTime(const ServerSettings& settings) {
-  return std::chrono::milliseconds(
-      static_cast<std::int64_t>(settings.store_wait_seconds * 1000.0));
+  return Milliseconds(settings.store_wait_seconds);
 }
 
 absl::StatusOr<ParsedSettings> ParseSettings(
@@ -212,7 +175,6 @@ absl::StatusOr<ParsedSettings> ParseSettings(
   if (!status.ok()) return status;
   if (!line.print() && !line.print_config() && !line.Task()) {
     status = CheckSecurity(line.settings());
-    if (status.ok()) status = CheckSharing(line.settings());
     if (!status.ok()) return status;
   }
   ParsedSettings parsed{line.settings(), line.Task(), std::nullopt};

@@ -138,8 +138,10 @@ struct StoreTask {
   std::string other;
 };
 
-// Whether a value of `store` is the URL of a database rather than a path.
-bool IsSharedStore(const std::string& store);
+// A setting in seconds as a duration.
+inline std::chrono::milliseconds Milliseconds(double seconds) {
+  return std::chrono::milliseconds(static_cast<std::int64_t>(seconds * 1000.0));
+}
 
 // `store_wait_seconds` as a duration.
 std::chrono::milliseconds StoreWaitTime(const ServerSettings& settings);
@@ -163,7 +165,8 @@ struct ParsedSettings {
 // INVALID_ARGUMENT, with a message for people that names the key and its place,
 // for an unknown key, a value that is malformed or out of range, a key that
 // stands twice, settings that do not go together, and a listener at risk
-// without insecure-allow-remote.
+// without insecure-allow-remote. What does not go with the store, its engine
+// says (storage/engines/engine.h).
 absl::StatusOr<ParsedSettings> ParseSettings(
     const std::vector<std::string>& arguments,
     const std::vector<std::string>& environment);

@@ -70,6 +70,8 @@ struct StorageRoom {
   // Bytes that others than the storage leave free; nothing where the device is
   // another machine's.
   std::optional<std::int64_t> free_bytes = std::nullopt;
+  // Below which of these the storage refuses writes.
+  std::int64_t min_free_bytes = 0;
 };
 
 // This server among those that share a storage.
@@ -230,9 +232,14 @@ class Storage {
   // answers that acknowledge what was acknowledged before, since a store may
   // have lost it meanwhile.
   virtual void ConfirmOwned(VehicleKey key, Done done);
-  // Vehicles that this server has owned for a while and others have asked for:
-  // hand them over with ReleaseVehicle().
-  virtual std::vector<WantedVehicle> WantedVehicles() { return {}; }
+  // Calls `hand_over` with each vehicle that this server has owned for a while
+  // and others ask for, as soon as that is known, and again from time to time
+  // until ReleaseVehicle() gives it to them. The call comes on a thread of the
+  // storage's, which must not be made to wait; it may call the storage, but for
+  // this. Takes the place of the one before, which is not called any more once
+  // this returns; null ends the calls.
+  using HandOver = std::function<void(const WantedVehicle&)>;
+  virtual void OnWanted(HandOver /*hand_over*/) {}
   // This server sends its callers to others before it ends: vehicles are wanted
   // as soon as others ask for them, however short they were here.
   virtual void Leave() {}

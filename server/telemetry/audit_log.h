@@ -36,8 +36,10 @@ class AuditLog {
   // fails, with INVALID_ARGUMENT, lines go where they went before.
   absl::Status Reopen();
 
-  // Number of lines that were lost because the file took none.
-  std::int64_t dropped() const { return log_->dropped(); }
+  // How many lines were lost because the file took none.
+  void CollectMetrics(Metrics* metrics) const {
+    log_->CollectMetrics("audit", metrics);
+  }
 
  private:
   AuditLog(std::string path, LogFormat format, int descriptor);

@@ -5,6 +5,7 @@
 #include <iterator>
 
 #include "revisit/v1/error_reason.pb.h"
+#include "server/base/metrics.h"
 #include "server/base/status.h"
 
 namespace revisit::server {
@@ -95,6 +96,71 @@ ServiceCounters::Labelled WithReasons(
                           counts[i].load(std::memory_order_relaxed));
   }
   return labelled;
+}
+
+void AddAll(const ServiceCounters::Labelled& counts, const char* label,
+            MetricFamily* family) {
+  for (const auto& [name, count] : counts) family->Add(count, {{label, name}});
+}
+
+void CollectCalls(const ServiceCounters::Counts& counts, Metrics* metrics) {
+  MetricFamily& ended = metrics->Counter(
+      "revisit_calls_total", "Calls that have ended, by method and code.");
+  MetricFamily& open =
+      metrics->Gauge("revisit_calls_open", "Calls and streams that are open.");
+  MetricFamily& seconds = metrics->Histogram(
+      "revisit_call_seconds", "Time of unary calls until they had a status.");
+  for (const ServiceCounters::Method& method : counts.methods) {
+    const std::string name = method.rule->method;
+    for (std::size_t code = 0; code < method.ended.size(); ++code) {
+      // Codes that did not occur are left out, but for OK: an alert has to see
+      // a counter before it rises.
+      if (code != 0 && method.ended[code] == 0) continue;
+      ended.Add(method.ended[code],
+                {{"method", name}, {"code", CodeName(static_cast<int>(code))}});
+    }
+    open.Add(method.open, {{"method", name}});
+    seconds.Add(method.seconds, {{"method", name}});
+  }
+  AddAll(counts.errors, "reason",
+         &metrics->Counter("revisit_call_errors_total",
+                           "Calls that ended with an error, by its reason."));
+}
+
+void CollectPoses(const ServiceCounters::Counts& counts, Metrics* metrics) {
+  metrics
+      ->Counter("revisit_poses_accepted_total",
+                "New poses that were stored and acknowledged.")
+      .Add(counts.poses_accepted);
+  metrics
+      ->Counter("revisit_poses_repeated_total",
+                "Poses that came again and were acknowledged again.")
+      .Add(counts.poses_repeated);
+  AddAll(counts.poses_refused, "reason",
+         &metrics->Counter(
+             "revisit_poses_refused_total",
+             "Poses of batches that were read and not stored, by reason."));
+  metrics
+      ->Histogram("revisit_ack_seconds",
+                  "Time from reading a batch to its acknowledgement.")
+      .Add(counts.ack_seconds);
+}
+
+void CollectSearches(const ServiceCounters::Counts& counts, Metrics* metrics) {
+  AddAll(
+      counts.searches, "outcome",
+      &metrics->Counter("revisit_searches_total",
+                        "Searches, by the best verdict or why there is none."));
+  AddAll(counts.candidates, "verdict",
+         &metrics->Counter("revisit_candidates_total",
+                           "Candidates that searches found, by verdict."));
+  metrics
+      ->Histogram("revisit_search_seconds", "Time of searches, without waits.")
+      .Add(counts.search_seconds);
+  metrics
+      ->Histogram("revisit_search_nodes",
+                  "Nodes of the history that a search considered.")
+      .Add(counts.search_nodes);
 }
 
 template <std::size_t size>
@@ -240,6 +306,17 @@ ServiceCounters::Counts ServiceCounters::Read() const {
   counts.search_nodes = search_nodes_.Read();
   counts.decisions = WithNames(kDecisions, decisions_);
   return counts;
+}
+
+void ServiceCounters::CollectMetrics(Metrics* metrics) const {
+  const Counts counts = Read();
+  CollectCalls(counts, metrics);
+  CollectPoses(counts, metrics);
+  CollectSearches(counts, metrics);
+  AddAll(counts.decisions, "decision",
+         &metrics->Counter(
+             "revisit_decisions_total",
+             "Changes that people have decided on and that were stored."));
 }
 
 }  // namespace revisit::server

@@ -21,6 +21,8 @@
 
 namespace revisit::server {
 
+class Metrics;
+
 // Name of a code as gRPC writes it, such as "NOT_FOUND"; "UNKNOWN" for a number
 // that is no code.
 const char* CodeName(int code);
@@ -98,6 +100,8 @@ class ServiceCounters {
     Labelled decisions;
   };
   Counts Read() const;
+
+  void CollectMetrics(Metrics* metrics) const;
 
  private:
   using Count = std::atomic<std::uint64_t>;

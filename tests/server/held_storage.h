@@ -178,8 +178,8 @@ class HeldStorage : public Storage {
     Submit(std::move(done),
            [=](Done then) { storage_->ConfirmOwned(key, std::move(then)); });
   }
-  std::vector<WantedVehicle> WantedVehicles() override {
-    return storage_->WantedVehicles();
+  void OnWanted(HandOver hand_over) override {
+    storage_->OnWanted(std::move(hand_over));
   }
   absl::StatusOr<VehicleRecord> GetVehicle(const std::string& id) override {
     const absl::Status status = ReadStatus();

@@ -83,6 +83,21 @@ class OwnedStorage : public Storage {
     epochs_.clear();
   }
 
+  // Tells this server, on this thread, of the vehicles that others ask for.
+  void TellWanted() {
+    HandOver hand_over;
+    {
+      const std::lock_guard<std::mutex> guard(mutex_);
+      hand_over = hand_over_;
+    }
+    const auto vehicles = storage_->ListVehicles("", "", 1000);
+    for (const VehicleKey key : owners_->WantedOf(server_)) {
+      for (const VehicleRecord& vehicle : *vehicles) {
+        if (vehicle.key == key) hand_over({key, vehicle.id});
+      }
+    }
+  }
+
   absl::StatusOr<VehicleRecord> TakeVehicle(const std::string& id) override {
     const auto before = storage_->GetVehicle(id);
     if (!before.ok()) return before;
@@ -120,15 +135,9 @@ class OwnedStorage : public Storage {
     if (Refuses(key, done)) return;
     storage_->ConfirmOwned(key, std::move(done));
   }
-  std::vector<WantedVehicle> WantedVehicles() override {
-    std::vector<WantedVehicle> wanted;
-    for (const VehicleKey key : owners_->WantedOf(server_)) {
-      const auto vehicles = storage_->ListVehicles("", "", 1000);
-      for (const VehicleRecord& vehicle : *vehicles) {
-        if (vehicle.key == key) wanted.push_back({key, vehicle.id});
-      }
-    }
-    return wanted;
+  void OnWanted(HandOver hand_over) override {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    hand_over_ = std::move(hand_over);
   }
 
   void CreateVehicle(
@@ -262,6 +271,7 @@ class OwnedStorage : public Storage {
   mutable std::mutex mutex_;
   std::map<VehicleKey, std::uint64_t> epochs_;
   absl::Status lease_;
+  HandOver hand_over_;
 };
 
 }  // namespace revisit::server

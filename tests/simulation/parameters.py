@@ -50,7 +50,7 @@ FIGURES = {
     "ttl_s": _of("server/settings/settings.h", r"\blease_seconds = ([\d.]+);", "s"),
     "beat_s": _member(_OWNERSHIP, "beat_period"),
     "lease_margin_s": Figure(1.0, "s", _PROTOCOL),
-    "lease_look_s": _member("server/store_health.cc", "kPeriod"),
+    "lease_look_s": _member("server/admin/store_health.cc", "kPeriod"),
     "hold_s": _member(_OWNERSHIP, "least_stay"),
     "not_owner_retry_s": Figure(1.0, "s", _PROTOCOL + ": RetryInfo of NOT_OWNER, most"),
     "unavailable_retry_s": Figure(1.0, "s", "server/base/status.cc: RetryInfo of "

@@ -216,15 +216,7 @@ void Ownership::Run() {
   bool failed = false;
   mutex_.Lock();
   while (!stopping_) {
-    // One that failed is tried again soon: the lease is running out. So is one
-    // that was answered so late that it does not renew the lease. Callers of a
-    // server that leaves wait for what others ask for.
-    const bool is_urgent = failed || !LeaseHolds() || leaving_;
-    const auto next =
-        std::chrono::steady_clock::now() +
-        (is_urgent ? options_.beat_period / 4 : options_.beat_period);
-    while (!stopping_ && !wake_.WaitUntil(&mutex_, next)) {
-    }
+    AwaitBeat(failed);
     if (stopping_) break;
     mutex_.Unlock();
     const absl::Status status = Beat();
@@ -237,6 +229,62 @@ void Ownership::Run() {
   ended_ = true;
   wake_.NotifyAll();
   mutex_.Unlock();
+}
+
+milliseconds Ownership::BeatPeriod(bool has_failed) const {
+  // One that failed is tried again soon: the lease is running out. So is one
+  // that was answered so late that it does not renew the lease. Callers of a
+  // server that leaves wait for what others ask for.
+  const bool is_urgent = has_failed || !LeaseHolds() || leaving_;
+  return is_urgent ? options_.beat_period / 4 : options_.beat_period;
+}
+
+void Ownership::AwaitBeat(bool has_failed) {
+  using Clock = std::chrono::steady_clock;
+  const Clock::time_point last = Clock::now();
+  while (!stopping_ && Clock::now() < last + BeatPeriod(has_failed)) {
+    TellWanted();
+    if (stopping_) break;
+    wake_.WaitUntil(&mutex_, std::min<Clock::time_point>(
+                                 last + BeatPeriod(has_failed), NextDue()));
+  }
+}
+
+void Ownership::TellWanted() {
+  if (!hand_over_) return;
+  std::vector<WantedVehicle> due;
+  for (auto& [key, wanted] : wanted_) {
+    const std::optional<nanoseconds> stay = StayOf(key);
+    if (wanted.is_told || !stay || *stay > nanoseconds(0)) continue;
+    wanted.is_told = true;
+    due.push_back({key, wanted.id});
+  }
+  if (due.empty()) return;
+  const Storage::HandOver hand_over = hand_over_;
+  is_telling_ = true;
+  mutex_.Unlock();
+  for (const WantedVehicle& vehicle : due) hand_over(vehicle);
+  mutex_.Lock();
+  is_telling_ = false;
+  wake_.NotifyAll();
+}
+
+std::chrono::steady_clock::time_point Ownership::NextDue() const {
+  auto next = std::chrono::steady_clock::time_point::max();
+  if (!hand_over_) return next;
+  const auto now = std::chrono::steady_clock::now();
+  for (const auto& [key, wanted] : wanted_) {
+    const std::optional<nanoseconds> stay = StayOf(key);
+    if (!wanted.is_told && stay) next = std::min(next, now + *stay);
+  }
+  return next;
+}
+
+std::optional<nanoseconds> Ownership::StayOf(VehicleKey key) const {
+  const auto claim = claims_.find(key);
+  if (claim == claims_.end()) return std::nullopt;
+  if (leaving_) return nanoseconds(0);
+  return claim->second->since + options_.least_stay - Now();
 }
 
 absl::Status Ownership::Connect() {
@@ -437,7 +485,7 @@ absl::Status Ownership::BuryOthers(const Uuid& me) {
 absl::Status Ownership::PollHandovers(const Uuid& me) {
   const auto rows = connection_->Run(kHandovers, Parameters().Add(me));
   if (!rows.ok()) return rows.status();
-  std::map<VehicleKey, std::string> wanted;
+  std::map<VehicleKey, Wanted> wanted;
   std::map<VehicleKey, nanoseconds> forgotten;
   std::vector<std::pair<VehicleKey, std::int64_t>> unused;
   const nanoseconds now = Now();
@@ -447,7 +495,7 @@ absl::Status Ownership::PollHandovers(const Uuid& me) {
       const VehicleKey key = rows->Integer(i, 0);
       const std::string id = rows->Bytes(i, 1);
       if (claims_.count(key) > 0) {
-        wanted[key] = id;
+        wanted[key].id = id;
       } else if (being_taken_.count(id) == 0) {
         // A write was in doubt, after which this server may take it again, or
         // a release did not come through. When it came is not known any more.
@@ -591,22 +639,17 @@ absl::Status Ownership::CheckLease() const {
   return LeaseHolds() ? absl::OkStatus() : LeaseStale();
 }
 
-std::vector<WantedVehicle> Ownership::Wanted() const {
+void Ownership::OnWanted(Storage::HandOver hand_over) {
   const MutexLock lock(&mutex_);
-  std::vector<WantedVehicle> vehicles;
-  for (const auto& [key, id] : wanted_) {
-    const auto claim = claims_.find(key);
-    if (claim != claims_.end() &&
-        (leaving_ || Now() - claim->second->since >= options_.least_stay)) {
-      vehicles.push_back({key, id});
-    }
-  }
-  return vehicles;
+  while (is_telling_) wake_.Wait(&mutex_);
+  hand_over_ = std::move(hand_over);
+  wake_.NotifyAll();
 }
 
 void Ownership::Leave() {
   const MutexLock lock(&mutex_);
   leaving_ = true;
+  wake_.NotifyAll();
 }
 
 absl::StatusOr<std::vector<StorageUser>> Ownership::Users() const {

@@ -131,10 +131,10 @@ class Ownership {
   absl::Status Check(VehicleKey key) const;
   // Implements Storage::CheckLease().
   absl::Status CheckLease() const;
-  // Implements Storage::WantedVehicles(), as of the last beat.
-  std::vector<WantedVehicle> Wanted() const;
-  // Implements Storage::Leave(). Looks for what others ask for four times as
-  // often from then on, with each beat.
+  // Implements Storage::OnWanted(). What others ask for shows with each beat;
+  // the calls come on its thread.
+  void OnWanted(Storage::HandOver hand_over);
+  // Implements Storage::Leave(). Beats four times as often from then on.
   void Leave();
   // Implements Storage::ListUsers().
   absl::StatusOr<std::vector<StorageUser>> Users() const;
@@ -168,9 +168,31 @@ class Ownership {
                       const Uuid& me, const PostgresRows& owner);
   bool LeaseHolds() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
+  // A vehicle that is this server's and that others ask for.
+  struct Wanted {
+    std::string id;
+    // Whether `hand_over_` was called with it since the last beat.
+    bool is_told = false;
+  };
+  // How long the vehicle is to stay yet; zero or less if it may go. Nothing if
+  // it is this server's no more.
+  std::optional<std::chrono::nanoseconds> StayOf(VehicleKey key) const
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+
   // The thread that beats; it alone uses `connection_`, `database_`,
   // `sightings_`, `forgotten_` and `last_look_`.
   void Run();
+  // From a beat to the next one.
+  std::chrono::milliseconds BeatPeriod(bool has_failed) const
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Waits until the next beat is due, or the thread is to stop. Meanwhile
+  // vehicles become due that others ask for.
+  void AwaitBeat(bool has_failed) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Calls `hand_over_` with the vehicles that are due, without the lock.
+  void TellWanted() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // When the next of the wanted vehicles is due; never, if none is.
+  std::chrono::steady_clock::time_point NextDue() const
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   absl::Status Beat();
   // A row, unless others have taken this server for dead.
   absl::StatusOr<PostgresRows> RaiseBeat(const Uuid& me);
@@ -215,7 +237,10 @@ class Ownership {
       ABSL_GUARDED_BY(mutex_);
   // Vehicles that are being claimed, which may be so already in the database.
   std::multiset<std::string> being_taken_ ABSL_GUARDED_BY(mutex_);
-  std::map<VehicleKey, std::string> wanted_ ABSL_GUARDED_BY(mutex_);
+  std::map<VehicleKey, Wanted> wanted_ ABSL_GUARDED_BY(mutex_);
+  Storage::HandOver hand_over_ ABSL_GUARDED_BY(mutex_);
+  // Whether the thread that beats is calling it.
+  bool is_telling_ ABSL_GUARDED_BY(mutex_) = false;
   AskPacing asks_ ABSL_GUARDED_BY(mutex_);
   Durability durability_ ABSL_GUARDED_BY(mutex_);
   // The other servers that live, as of the last beat.

@@ -260,8 +260,8 @@ class PostgresStorage : public PostgresReader {
 
   void Leave() override { ownership_->Leave(); }
 
-  std::vector<WantedVehicle> WantedVehicles() override {
-    return ownership_->Wanted();
+  void OnWanted(HandOver hand_over) override {
+    ownership_->OnWanted(std::move(hand_over));
   }
 
   absl::StatusOr<std::vector<StorageUser>> ListUsers() override {

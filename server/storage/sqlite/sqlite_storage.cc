@@ -26,9 +26,11 @@ namespace {
 class SqliteStorage : public SqliteReader {
  public:
   SqliteStorage(std::string path, std::unique_ptr<SqliteWriter> writer,
-                std::unique_ptr<SqliteDatabase> anchor, const std::string& vfs)
+                std::unique_ptr<SqliteDatabase> anchor, const std::string& vfs,
+                std::int64_t min_free_bytes)
       : SqliteReader(std::move(path), std::move(anchor),
                      SqliteDatabase::Mode::kReadOnly, vfs),
+        min_free_bytes_(min_free_bytes),
         writer_(std::move(writer)) {}
 
   // The writer's connection is the last that closes.
@@ -193,12 +195,19 @@ class SqliteStorage : public SqliteReader {
 
   CommitCounts Counts() const override { return writer_->Counts(); }
 
+  std::optional<StorageRoom> GetRoom() const override {
+    std::optional<StorageRoom> room = SqliteReader::GetRoom();
+    if (room) room->min_free_bytes = min_free_bytes_;
+    return room;
+  }
+
  private:
   void Submit(std::size_t bytes, SqliteWriter::Change change, Done done,
               PendingWrite::Need need = PendingWrite::Need::kRoom) {
     writer_->Submit(bytes, std::move(change), std::move(done), need);
   }
 
+  const std::int64_t min_free_bytes_;
   const std::unique_ptr<SqliteWriter> writer_;
 };
 
@@ -262,7 +271,7 @@ absl::StatusOr<std::unique_ptr<Storage>> OpenSqliteStorage(
       store,
       std::make_unique<SqliteWriter>(store, options, run, *std::move(lock),
                                      *std::move(mark), *std::move(writer)),
-      *std::move(anchor), options.vfs));
+      *std::move(anchor), options.vfs, options.min_free_bytes));
 }
 
 }  // namespace revisit::server

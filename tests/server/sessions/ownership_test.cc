@@ -211,7 +211,7 @@ TEST_F(OwnershipTest, WantedVehicleIsHandedOverOnceItsCallsAreFinished) {
       Append(*a_.fleet.Session("truck"), StraightBatch(1, 2));
   a_.held.Await(1);
   EXPECT_THAT(b_.Read("truck"), kNotOwner);
-  a_.fleet.HandOverWanted();
+  a_.owned.TellWanted();
   EXPECT_THAT(b_.Read("truck"), kNotOwner);
   a_.held.ReleaseAll();
   EXPECT_THAT(append.durable.Get(), IsOk());
@@ -234,7 +234,7 @@ TEST_F(OwnershipTest, WantedVehicleThatIsNotInMemoryIsHandedOverAtOnce) {
     std::this_thread::yield();
   }
   EXPECT_THAT(b_.Read("truck"), kNotOwner);
-  a_.fleet.HandOverWanted();
+  a_.owned.TellWanted();
   EXPECT_THAT(b_.Read("truck"), IsOk());
 }
 
@@ -242,7 +242,7 @@ TEST_F(OwnershipTest, CallsOnAVehicleThatWasHandedOverAreFencedAndTryAgain) {
   ASSERT_THAT(a_.Create("truck"), IsOk());
   const std::shared_ptr<VehicleSession> session = a_.fleet.Session("truck");
   EXPECT_THAT(b_.Read("truck"), kNotOwner);
-  a_.fleet.HandOverWanted();
+  a_.owned.TellWanted();
   EXPECT_THAT(ReadNow(*session), AnyOf(IsOk(), kFenced));
   EXPECT_THAT(AppendNow(*session, StraightBatch(1, 1)), kFenced);
   EXPECT_THAT(DeletePairNow(*session, PairKind::kLoopClosure, "x"), kFenced);
@@ -269,7 +269,7 @@ TEST_F(OwnershipTest, AcknowledgedPosesSurviveAnyOrderOfTakeovers) {
         server.owned.ForgetEpochs();
         break;
       case 2:
-        server.fleet.HandOverWanted();
+        server.owned.TellWanted();
         break;
       case 3: {
         const auto read = server.Read("truck");

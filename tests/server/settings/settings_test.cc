@@ -282,12 +282,8 @@ TEST_F(SettingsTest, TasksTakeTheStoreFromTheSameSettings) {
   EXPECT_THAT(Refusal({"import", "--store", "here"}), HasSubstr("--from"));
 }
 
-TEST_F(SettingsTest, WhatOnlyASharedStoreCanKeepIsRefusedForAFile) {
+TEST_F(SettingsTest, SharedStoreHasSettingsOfItsOwn) {
   const std::string database = "postgresql://db.example/revisit";
-  EXPECT_THAT(Refusal({"--require-replicated", "on"}),
-              HasSubstr("require-replicated needs a store that servers share"));
-  EXPECT_THAT(Refusal({"--advertise-address", "a:1"}),
-              HasSubstr("advertise-address needs a store that servers share"));
   const ServerSettings shared =
       Parse({"--store", database, "--require-replicated", "on",
              "--advertise-address", "a:1", "--store-connections", "4",
@@ -298,15 +294,6 @@ TEST_F(SettingsTest, WhatOnlyASharedStoreCanKeepIsRefusedForAFile) {
   EXPECT_EQ(shared.store_connections, 4);
   EXPECT_EQ(shared.lease_seconds, 2.5);
   EXPECT_EQ(StoreWaitTime(shared), std::chrono::milliseconds(500));
-  for (const char* listen : {"127.0.0.1:0", "0.0.0.0:50051", "[::]:50051"}) {
-    EXPECT_THAT(Refusal({"--store", database, "--insecure-allow-remote", "on",
-                         "--listen", listen}),
-                HasSubstr("no other server can name this one"))
-        << listen;
-  }
-  EXPECT_TRUE(IsSharedStore("postgres://db/revisit"));
-  EXPECT_TRUE(IsSharedStore("postgresql:/db/revisit"));
-  EXPECT_FALSE(IsSharedStore("./postgresql"));
   EXPECT_THAT(Refusal({"--store-connections", "17"}), HasSubstr("[1, 16]"));
   EXPECT_THAT(Refusal({"--lease-seconds", "0.5"}), HasSubstr("[1, 3600]"));
   EXPECT_THAT(Refusal({"--store-wait-seconds", "-1"}), HasSubstr("[0, 86400]"));

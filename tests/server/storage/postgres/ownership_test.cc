@@ -6,6 +6,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <random>
 #include <string>
@@ -33,6 +34,7 @@ using ::testing::_;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Pair;
 
 const auto kFenced = IsError(StatusCode::kAborted, "EPOCH_FENCED", _);
 const auto kNotOwner = IsError(StatusCode::kUnavailable, "NOT_OWNER", _);
@@ -105,6 +107,32 @@ VehicleKey Prepare(Storage* storage, const std::string& id) {
   EXPECT_THAT(writes.PutSnapshot(key, {1, 1, "rest"}), IsOk());
   return key;
 }
+
+// Notes the vehicles that a storage says others ask for, as long as this lives.
+class WantedOf {
+ public:
+  explicit WantedOf(Storage* storage) : storage_(storage) {
+    storage->OnWanted([this](const WantedVehicle& wanted) {
+      const std::lock_guard<std::mutex> guard(mutex_);
+      vehicles_[wanted.id] = wanted.key;
+    });
+  }
+  ~WantedOf() { storage_->OnWanted(nullptr); }
+
+  std::map<std::string, VehicleKey> vehicles() const {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    return vehicles_;
+  }
+  void Clear() {
+    const std::lock_guard<std::mutex> guard(mutex_);
+    vehicles_.clear();
+  }
+
+ private:
+  Storage* const storage_;
+  mutable std::mutex mutex_;
+  std::map<std::string, VehicleKey> vehicles_;
+};
 
 class OwnershipTest : public ::testing::Test {
  protected:
@@ -316,7 +344,7 @@ TEST_F(OwnershipTest, VehicleOfALivingServerIsHandedOverAfterAWhileIfAskedFor) {
   const auto b = Open("host-b:2");
   const VehicleKey key = *BlockingWrites(a.get()).Create("truck");
   EXPECT_THAT(a->CheckOwned(key), IsOk());
-  EXPECT_THAT(a->WantedVehicles(), IsEmpty());
+  WantedOf wanted(a.get());
   const absl::Status refused = b->TakeVehicle("truck").status();
   EXPECT_THAT(refused, kNotOwner);
   EXPECT_EQ(MetadataOf(refused, "owner"), "host-a:1");
@@ -324,11 +352,13 @@ TEST_F(OwnershipTest, VehicleOfALivingServerIsHandedOverAfterAWhileIfAskedFor) {
   EXPECT_THAT(b->CheckOwned(key), kFenced);
   const std::int64_t beats = BeatsOf("host-a:1");
   EXPECT_TRUE(Eventually([&] { return BeatsOf("host-a:1") > beats + 1; }));
-  EXPECT_THAT(a->WantedVehicles(), IsEmpty());
+  EXPECT_THAT(wanted.vehicles(), IsEmpty());
   clock_.Advance(kLeastStay);
-  EXPECT_TRUE(Eventually([&] { return a->WantedVehicles().size() == 1; }));
-  EXPECT_EQ(a->WantedVehicles().front().id, "truck");
-  EXPECT_EQ(a->WantedVehicles().front().key, key);
+  EXPECT_TRUE(Eventually([&] { return !wanted.vehicles().empty(); }));
+  EXPECT_THAT(wanted.vehicles(), ElementsAre(Pair("truck", key)));
+  // Until it is let go.
+  wanted.Clear();
+  EXPECT_TRUE(Eventually([&] { return !wanted.vehicles().empty(); }));
   ASSERT_THAT(BlockingWrites(a.get()).Append(key, One(1)), IsOk());
   a->ReleaseVehicle(key);
   EXPECT_THAT(a->CheckOwned(key), kFenced);
@@ -336,8 +366,11 @@ TEST_F(OwnershipTest, VehicleOfALivingServerIsHandedOverAfterAWhileIfAskedFor) {
   EXPECT_THAT(b->CheckOwned(key), IsOk());
   EXPECT_THAT(BlockingWrites(b.get()).Append(key, One(2)), IsOk());
   EXPECT_THAT(BlockingWrites(a.get()).Append(key, One(3)), kFenced);
-  EXPECT_THAT(a->WantedVehicles(), IsEmpty());
   EXPECT_EQ(Sql("SELECT count(*) FROM handovers"), "0\n");
+  wanted.Clear();
+  const std::int64_t before = BeatsOf("host-a:1");
+  EXPECT_TRUE(Eventually([&] { return BeatsOf("host-a:1") > before + 2; }));
+  EXPECT_THAT(wanted.vehicles(), IsEmpty());
 }
 
 TEST_F(OwnershipTest, ServerThatLeavesHandsOverAtOnceWhatOthersAskFor) {
@@ -345,10 +378,33 @@ TEST_F(OwnershipTest, ServerThatLeavesHandsOverAtOnceWhatOthersAskFor) {
   const auto b = Open("host-b:2");
   const VehicleKey key = *BlockingWrites(a.get()).Create("truck");
   EXPECT_THAT(b->TakeVehicle("truck").status(), kNotOwner);
+  a->OnWanted([&](const WantedVehicle& wanted) {
+    EXPECT_EQ(wanted.key, key);
+    a->ReleaseVehicle(key);
+  });
   a->Leave();
-  EXPECT_TRUE(Eventually([&] { return a->WantedVehicles().size() == 1; }));
-  a->ReleaseVehicle(key);
   EXPECT_TRUE(Eventually([&] { return b->TakeVehicle("truck").ok(); }));
+}
+
+// Whoever ends the calls may go then.
+TEST_F(OwnershipTest, CallThatHandsAVehicleOverIsOverOnceAnotherTakesItsPlace) {
+  const auto a = Open("host-a:1");
+  const auto b = Open("host-b:2");
+  ASSERT_THAT(BlockingWrites(a.get()).Create("truck"), IsOk());
+  EXPECT_THAT(b->TakeVehicle("truck").status(), kNotOwner);
+  const Answer<bool> called;
+  // It belongs to the storage's thread, then to this one.
+  bool is_over = false;
+  a->OnWanted([&](const WantedVehicle&) {
+    if (is_over) return;
+    called.Set(true);
+    std::this_thread::sleep_for(milliseconds(100));
+    is_over = true;
+  });
+  a->Leave();
+  called.Get();
+  a->OnWanted(nullptr);
+  EXPECT_TRUE(is_over);
 }
 
 TEST_F(OwnershipTest, VehicleThatIsHandedOverIsWithOneServerOrTheOther) {
@@ -656,12 +712,13 @@ TEST_F(OwnershipTest, ManyVehiclesAreAskedForAFewAtATime) {
   EXPECT_EQ(Sql("SELECT count(*) FROM handovers"),
             std::to_string(fewest) + "\n");
   clock_.Advance(kLeastStay);
+  const WantedOf wanted(a.get());
   EXPECT_TRUE(Eventually(
-      [&] { return static_cast<int>(a->WantedVehicles().size()) == fewest; }));
+      [&] { return static_cast<int>(wanted.vehicles().size()) == fewest; }));
   // What comes makes room for the next.
-  for (const WantedVehicle& wanted : a->WantedVehicles()) {
-    a->ReleaseVehicle(wanted.key);
-    EXPECT_TRUE(Eventually([&] { return b->TakeVehicle(wanted.id).ok(); }));
+  for (const auto& [id_of_wanted, key] : wanted.vehicles()) {
+    a->ReleaseVehicle(key);
+    EXPECT_TRUE(Eventually([&] { return b->TakeVehicle(id_of_wanted).ok(); }));
   }
   for (int i = fewest; i < fewest + 10; ++i) {
     EXPECT_THAT(b->TakeVehicle(id(i)), kNotOwner);

@@ -1,7 +1,7 @@
 // Whether a server that runs still answers: what it asks itself for a watchdog
 // and for the probes of an orchestrator.
-#ifndef REVISIT_SERVER_SELF_CHECK_H_
-#define REVISIT_SERVER_SELF_CHECK_H_
+#ifndef REVISIT_SERVER_ADMIN_SELF_CHECK_H_
+#define REVISIT_SERVER_ADMIN_SELF_CHECK_H_
 
 #include <chrono>
 #include <memory>
@@ -44,4 +44,4 @@ class SelfCheck {
 
 }  // namespace revisit::server
 
-#endif  // REVISIT_SERVER_SELF_CHECK_H_
+#endif  // REVISIT_SERVER_ADMIN_SELF_CHECK_H_

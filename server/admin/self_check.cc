@@ -1,4 +1,4 @@
-#include "server/self_check.h"
+#include "server/admin/self_check.h"
 
 #include <grpcpp/client_context.h>
 #include <grpcpp/generic/generic_stub.h>

@@ -1,4 +1,4 @@
-#include "server/store_health.h"
+#include "server/admin/store_health.h"
 
 #include <grpcpp/health_check_service_interface.h>
 

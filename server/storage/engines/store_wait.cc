@@ -1,4 +1,4 @@
-#include "server/store_wait.h"
+#include "server/storage/engines/store_wait.h"
 
 #include <algorithm>
 #include <thread>

@@ -1,7 +1,7 @@
 // What callers are told of a server whose store is out of reach or takes no
 // writes.
-#ifndef REVISIT_SERVER_STORE_HEALTH_H_
-#define REVISIT_SERVER_STORE_HEALTH_H_
+#ifndef REVISIT_SERVER_ADMIN_STORE_HEALTH_H_
+#define REVISIT_SERVER_ADMIN_STORE_HEALTH_H_
 
 #include <memory>
 
@@ -27,4 +27,4 @@ std::unique_ptr<Periodic> FollowStore(Storage* storage, Drain* drain,
 
 }  // namespace revisit::server
 
-#endif  // REVISIT_SERVER_STORE_HEALTH_H_
+#endif  // REVISIT_SERVER_ADMIN_STORE_HEALTH_H_

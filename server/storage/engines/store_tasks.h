@@ -1,9 +1,9 @@
 // The tasks that revisitd does with a store besides serving it: backup, verify,
 // compact, migrate and import.
-#ifndef REVISIT_SERVER_STORE_TASKS_H_
-#define REVISIT_SERVER_STORE_TASKS_H_
+#ifndef REVISIT_SERVER_STORAGE_ENGINES_STORE_TASKS_H_
+#define REVISIT_SERVER_STORAGE_ENGINES_STORE_TASKS_H_
 
-#include "server/exit_code.h"
+#include "server/base/exit_code.h"
 #include "server/settings/settings.h"
 
 namespace revisit::server {
@@ -17,4 +17,4 @@ ExitCode RunStoreTask(const ServerSettings& settings, const StoreTask& task);
 
 }  // namespace revisit::server
 
-#endif  // REVISIT_SERVER_STORE_TASKS_H_
+#endif  // REVISIT_SERVER_STORAGE_ENGINES_STORE_TASKS_H_

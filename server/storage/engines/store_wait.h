@@ -1,6 +1,6 @@
 // Waiting for a database that is not there yet, or ends sessions as it comes.
-#ifndef REVISIT_SERVER_STORE_WAIT_H_
-#define REVISIT_SERVER_STORE_WAIT_H_
+#ifndef REVISIT_SERVER_STORAGE_ENGINES_STORE_WAIT_H_
+#define REVISIT_SERVER_STORAGE_ENGINES_STORE_WAIT_H_
 
 #include <chrono>
 #include <functional>
@@ -48,4 +48,4 @@ class StoreWait {
 
 }  // namespace revisit::server
 
-#endif  // REVISIT_SERVER_STORE_WAIT_H_
+#endif  // REVISIT_SERVER_STORAGE_ENGINES_STORE_WAIT_H_

@@ -1,6 +1,6 @@
 // Exit codes of the process, with the numbers of sysexits.h.
-#ifndef REVISIT_SERVER_EXIT_CODE_H_
-#define REVISIT_SERVER_EXIT_CODE_H_
+#ifndef REVISIT_SERVER_BASE_EXIT_CODE_H_
+#define REVISIT_SERVER_BASE_EXIT_CODE_H_
 
 #include "absl/status/status.h"
 
@@ -25,4 +25,4 @@ inline ExitCode ExitCodeOf(const absl::Status& status) {
 
 }  // namespace revisit::server
 
-#endif  // REVISIT_SERVER_EXIT_CODE_H_
+#endif  // REVISIT_SERVER_BASE_EXIT_CODE_H_

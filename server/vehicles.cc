@@ -1,0 +1,101 @@
+#include "server/vehicles.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cstdint>
+#include <optional>
+#include <thread>
+
+#include "server/base/process_memory.h"
+
+namespace revisit::server {
+namespace {
+
+// A node of a snapshot takes about as many bytes as a stored pose, so up to
+// here a snapshot is hardly larger than the poses that it stands for.
+constexpr double kMostNodesPerPoseInDatabase = 1.25;
+// How long after the rows of all vehicles were read to count them those of a
+// store that others change too are read again.
+constexpr std::chrono::minutes kCensusAgain{10};
+
+int Processors() {
+  return static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+}
+
+int SearchThreads(const ServerSettings& settings) {
+  return settings.search_threads > 0 ? settings.search_threads
+                                     : std::max(2, Processors());
+}
+
+Limits LimitsOf(const ServerSettings& settings) {
+  Limits limits = settings.limits;
+  if (limits.max_memory_bytes == 0) {
+    limits.max_memory_bytes = DefaultMemoryLimit();
+  }
+  return limits;
+}
+
+// Logs poses that a vehicle no longer keeps.
+void LogDrop(const Log& log, const RetentionMonitor::Drop& drop) {
+  log.Write(
+      LogLevel::kInfo, "poses_dropped",
+      {{"vehicle", drop.vehicle_id},
+       {"poses", static_cast<std::int64_t>(drop.poses)},
+       {"first_kept_sequence",
+        static_cast<std::int64_t>(drop.first_kept_sequence)},
+       {"nodes_too_old", drop.nodes_too_old},
+       {"nodes_covered", drop.nodes_covered},
+       {"duration_ms",
+        std::chrono::duration<double, std::milli>(drop.duration).count()}});
+}
+
+Fleet::Options FleetOptionsOf(const ServerSettings& settings,
+                              bool store_is_shared, const Log* log) {
+  Fleet::Options options;
+  options.idle_unload = Milliseconds(settings.idle_unload_minutes * 60.0);
+  if (settings.memory_budget_mebibytes > 0) {
+    options.memory_budget_bytes = settings.memory_budget_mebibytes << 20;
+  }
+  options.session.max_pending_appends = settings.limits.max_pending_appends;
+  options.snapshots.poses = static_cast<std::uint64_t>(settings.snapshot_poses);
+  if (store_is_shared) {
+    options.snapshots.most_nodes_per_pose = kMostNodesPerPoseInDatabase;
+  }
+  options.snapshots.warn = [log](const std::string& message) {
+    log->Write(LogLevel::kWarning, "snapshot", {{"message", message}});
+  };
+  options.report_drop = [log](const RetentionMonitor::Drop& drop) {
+    LogDrop(*log, drop);
+  };
+  return options;
+}
+
+}  // namespace
+
+Vehicles::Vehicles(const ServerSettings& settings, Storage* storage,
+                   bool is_shared, const Log* log)
+    : admission_(LimitsOf(settings),
+                 std::min(SearchThreads(settings), Processors()),
+                 ResidentBytes),
+      executor_("vehicles", settings.worker_threads > 0
+                                ? settings.worker_threads
+                                : Processors()),
+      // With one thread alone, the loading of every vehicle would wait for each
+      // long read.
+      read_executor_("reads", std::max(2, Processors())),
+      search_executor_("searches", SearchThreads(settings)),
+      census_(std::make_shared<VehicleCensus>(
+          storage, &codec_,
+          is_shared ? std::optional<std::chrono::milliseconds>(kCensusAgain)
+                    : std::nullopt)) {
+  Fleet::Options options = FleetOptionsOf(settings, is_shared, log);
+  options.census = census_;
+  fleet_ = std::make_unique<Fleet>(
+      storage, &codec_, Lanes(&executor_, &read_executor_, &search_executor_),
+      options);
+  upkeep_ = std::make_unique<Upkeep>(
+      fleet_.get(), census_.get(), options,
+      [this] { return admission_.UnderMemoryPressure(); });
+}
+
+}  // namespace revisit::server

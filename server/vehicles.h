@@ -1,0 +1,54 @@
+// The vehicles of the store at work: their sessions, the threads these have,
+// the room that callers get for them, and what is done to them from time to
+// time.
+#ifndef REVISIT_SERVER_VEHICLES_H_
+#define REVISIT_SERVER_VEHICLES_H_
+
+#include <memory>
+
+#include "server/base/logging.h"
+#include "server/connections/admission.h"
+#include "server/records/proto_record_codec.h"
+#include "server/sessions/executor.h"
+#include "server/sessions/fair_executor.h"
+#include "server/sessions/fleet.h"
+#include "server/sessions/upkeep.h"
+#include "server/sessions/vehicle_census.h"
+#include "server/settings/settings.h"
+
+namespace revisit::server {
+
+class Storage;
+
+class Vehicles {
+ public:
+  // `is_shared`: whether other servers may write to the storage too. Storage
+  // and log must outlive this.
+  Vehicles(const ServerSettings& settings, Storage* storage, bool is_shared,
+           const Log* log);
+
+  Fleet* fleet() { return fleet_.get(); }
+  const Fleet* fleet() const { return fleet_.get(); }
+  const VehicleCensus* census() const { return census_.get(); }
+  Admission* admission() { return &admission_; }
+  const Admission* admission() const { return &admission_; }
+  // For the vehicles' short work.
+  Executor* executor() { return &executor_; }
+  // For long reads of the store.
+  Executor* read_executor() { return &read_executor_; }
+
+ private:
+  // The fleet needs those above it until its work is done.
+  ProtoRecordCodec codec_;
+  Admission admission_;
+  Executor executor_;
+  Executor read_executor_;
+  FairExecutor search_executor_;
+  std::shared_ptr<VehicleCensus> census_;
+  std::unique_ptr<Fleet> fleet_;
+  std::unique_ptr<Upkeep> upkeep_;
+};
+
+}  // namespace revisit::server
+
+#endif  // REVISIT_SERVER_VEHICLES_H_
