@@ -1,5 +1,6 @@
-// The differences of the query and the history under any correlation model,
-// block by block: what the similarity kernel evaluates.
+// The differences of the query and the history under any correlation model, as
+// their relation has them (relation.h), block by block: what the similarity
+// kernel evaluates.
 #ifndef REVISIT_CORE_SEARCH_ALIGNMENT_DIFFERENCES_H_
 #define REVISIT_CORE_SEARCH_ALIGNMENT_DIFFERENCES_H_
 
@@ -8,8 +9,10 @@
 
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
+#include "core/search/alignment/history.h"
 #include "core/search/alignment/known_drift.h"
 #include "core/search/alignment/log_similarity.h"
+#include "core/search/alignment/query.h"
 #include "core/search/alignment/similarity_kernel.h"
 
 namespace revisit::core {
@@ -18,11 +21,11 @@ template <int D>
 class Differences {
  public:
   // `last_confirmed`: the loop closure that has shown the drift, or nothing.
-  // REQUIRES: the graph outlives this and does not change; last_confirmed for
-  // kDeadReckoning only.
-  Differences(const PoseGraph& graph, const SimilarityModel& model,
-              const std::optional<ConfirmedLoop>& last_confirmed,
-              NodeIndex query);
+  // REQUIRES: all outlive this, and their graphs do not change; last_confirmed
+  // for kDeadReckoning only.
+  Differences(const Query& query, const History& history,
+              const SimilarityModel& model,
+              const std::optional<ConfirmedLoop>& last_confirmed);
 
   // Finds the differences of the first `count` nodes of block k; those of the
   // other entries are 0. `next` is the block that will be asked for after it,
@@ -31,7 +34,7 @@ class Differences {
   void Find(std::size_t k, std::size_t count, std::size_t next,
             DifferenceBlock* differences);
 
-  // Finds the differences of nodes from anywhere in the graph, the first
+  // Finds the differences of nodes from anywhere in the history, the first
   // `count` of a block that they were copied to. REQUIRES: kDeadReckoning.
   void FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
                  std::size_t count, DifferenceBlock* differences);
@@ -41,8 +44,8 @@ class Differences {
                     DifferenceBlock* differences);
   void CarryBackTo(NodeIndex j);
 
-  const PoseGraph& graph_;
-  const NodeIndex query_;
+  const Query& query_;
+  const History& history_;
   const SimilarityModel model_;
   // For all but kFilter.
   KernelQuery kernel_query_;

@@ -60,24 +60,22 @@ template <int D>
 class DirectionSearch {
  public:
   // All must outlive this. `headings`: null where ends are not sampled.
-  DirectionSearch(const PoseGraph& graph, const RelativeModel& model,
-                  const RecentPath<D>& recent, const SearchBounds<D>& bounds,
-                  NodeIndex query, NodeIndex history_size, Direction direction,
+  DirectionSearch(const Query& query, const History& history,
+                  const RelativeModel& model, const RecentPath<D>& recent,
+                  const SearchBounds<D>& bounds, Direction direction,
                   const HeadingMatch* headings, PoseTable* table)
-      : graph_(graph),
+      : history_(history),
         model_(model),
         recent_(recent),
         bounds_(bounds),
-        size_(history_size),
         direction_(direction),
         constant_(bounds.constant()),
         stride_(bounds.stride()),
         samples_of_block_(kNodes / stride_),
         blocks_at_a_time_(kNodes / samples_of_block_),
         headings_(headings),
-        anchors_(graph, model, query, direction),
-        walk_(graph, recent, history_size, direction, model.over_loops, table) {
-  }
+        anchors_(query, history, model, direction),
+        walk_(history, recent, direction, model.over_loops, table) {}
 
   Direction direction() const { return direction_; }
 
@@ -86,8 +84,8 @@ class DirectionSearch {
   void Search(std::size_t k, std::size_t next, double* greatest,
               Considered* considered) {
     const auto first = static_cast<NodeIndex>(k * NodeBlock::kSize);
-    count_ =
-        std::min(NodeBlock::kSize, static_cast<std::size_t>(size_ - first));
+    count_ = std::min(NodeBlock::kSize,
+                      static_cast<std::size_t>(history_.size - first));
     std::iota(nodes_.begin(), nodes_.end(), first);
     of_each_.fill(1.0);
     if (headings_ != nullptr) {
@@ -195,8 +193,8 @@ class DirectionSearch {
     for (std::size_t i = 0; i < count; ++i) {
       nodes_[i] = nodes[i];
       indices_[i] = static_cast<double>(nodes[i]);
-      gathered_.Copy(graph_.block(BlockOf(nodes[i])), PlaceInBlock(nodes[i]),
-                     i);
+      gathered_.Copy(history_.graph.block(BlockOf(nodes[i])),
+                     PlaceInBlock(nodes[i]), i);
     }
     of_each_.fill(1.0);
     anchors_.FindAmong(gathered_, indices_, count,
@@ -205,10 +203,10 @@ class DirectionSearch {
 
   void FindSought(std::size_t k, BlockNodes* sought) const {
     const auto first = static_cast<NodeIndex>(k * NodeBlock::kSize);
-    const NodeIndex count =
-        std::min<NodeIndex>(static_cast<NodeIndex>(kNodes), size_ - first);
+    const NodeIndex count = std::min<NodeIndex>(static_cast<NodeIndex>(kNodes),
+                                                history_.size - first);
     sought->set();
-    for (const NodeRange& nodes : model_.not_sought) {
+    for (const NodeRange& nodes : history_.not_sought) {
       const NodeIndex last = std::min(nodes.last - first, count);
       for (NodeIndex i = std::max<NodeIndex>(nodes.first - first, 0); i < last;
            ++i) {
@@ -457,11 +455,10 @@ class DirectionSearch {
     }
   }
 
-  const PoseGraph& graph_;
+  const History& history_;
   const RelativeModel& model_;
   const RecentPath<D>& recent_;
   const SearchBounds<D>& bounds_;
-  const NodeIndex size_;
   const Direction direction_;
   const double constant_;
   // One end in so many is a sample.
@@ -500,22 +497,10 @@ class DirectionSearch {
 // AlignmentParts.
 template <int D>
 struct Parts {
-  Parts(const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
-        std::int64_t steps, NodeIndex history_size)
-      : recent(graph, model, query, steps),
-        poses(graph, history_size),
-        headings(HeadingsOf(graph, model, recent, query, history_size)) {}
-
-  static std::optional<HeadingMatch> HeadingsOf(const PoseGraph& graph,
-                                                const RelativeModel& model,
-                                                const RecentPath<D>& recent,
-                                                NodeIndex query,
-                                                NodeIndex history_size) {
-    if (model.motion_history == nullptr) return std::nullopt;
-    const HeadingBins& bins = model.motion_history->heading_bins();
-    if (bins.size() < history_size) return std::nullopt;
-    return HeadingMatch::Make<D>(graph, bins, recent, query, history_size);
-  }
+  Parts(const Query& query, const History& history, const RelativeModel& model)
+      : recent(query, model),
+        poses(history.graph, history.size),
+        headings(HeadingMatch::Make<D>(query, history, recent)) {}
 
   const RecentPath<D> recent;
   // Filled in on the way.
@@ -527,15 +512,15 @@ struct Parts {
 }  // namespace
 
 template <int D>
-std::optional<RelativeAlignment> AlignRelativeIn(
-    const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
-    std::int64_t steps, NodeIndex history_size, const ShouldStop& should_stop,
-    AlignmentParts* shared) {
+std::optional<RelativeAlignment> AlignRelativeIn(const Query& query,
+                                                 const History& history,
+                                                 const RelativeModel& model,
+                                                 const ShouldStop& should_stop,
+                                                 AlignmentParts* shared) {
   AlignmentParts own;
   if (shared == nullptr) shared = &own;
   if (shared->parts == nullptr) {
-    shared->parts = std::make_shared<const Parts<D>>(graph, model, query, steps,
-                                                     history_size);
+    shared->parts = std::make_shared<const Parts<D>>(query, history, model);
   }
   const auto parts = std::static_pointer_cast<const Parts<D>>(shared->parts);
   // Where paths may cross loop closures, headings do not tell how far these can
@@ -543,23 +528,23 @@ std::optional<RelativeAlignment> AlignRelativeIn(
   // answer does not depend on them.
   const HeadingMatch* const headings =
       parts->headings && model.most_log_odds_sampled != kImpossible &&
-              !(model.over_loops && graph.HasLoopEdgeAmong(history_size))
+              !(model.over_loops &&
+                history.graph.HasLoopEdgeAmong(history.size))
           ? &*parts->headings
           : nullptr;
-  const SearchBounds<D> bounds(graph, model, parts->recent, query,
-                               history_size);
+  const SearchBounds<D> bounds(query, history, model, parts->recent);
   std::vector<DirectionSearch<D>> searches;
   searches.reserve(2);
   const auto search_in = [&](Direction direction) {
-    searches.emplace_back(graph, model, parts->recent, bounds, query,
-                          history_size, direction, headings, &parts->poses);
+    searches.emplace_back(query, history, model, parts->recent, bounds,
+                          direction, headings, &parts->poses);
   };
   if (model.same_direction) search_in(Direction::kSame);
   if (model.opposite_direction) search_in(Direction::kOpposite);
 
   RelativeAlignment alignment;
   double greatest = 0.0;
-  Considered considered(history_size);
+  Considered considered(history.size);
   typename SearchBounds<D>::Blocks blocks = bounds.BlocksToSearch();
   if (headings == nullptr) {
     blocks.all.insert(blocks.all.end(), blocks.sampled.begin(),
@@ -586,11 +571,10 @@ std::optional<RelativeAlignment> AlignRelativeIn(
     search.HandOver(model.least_log_share + greatest, &found.ends,
                     &found.matches, &found.odds_by_scale);
   }
-  alignment.trace_ = [&graph, parts, history_size,
-                      over_loops = model.over_loops](Direction direction,
-                                                     NodeIndex j) {
-    return PathWalk<D>(graph, parts->recent, history_size, direction,
-                       over_loops, &parts->poses)
+  alignment.trace_ = [history, parts, over_loops = model.over_loops](
+                         Direction direction, NodeIndex j) {
+    return PathWalk<D>(history, parts->recent, direction, over_loops,
+                       &parts->poses)
         .Trace(j);
   };
   return alignment;
@@ -606,18 +590,16 @@ const ShapeMatch& RelativeAlignment::match(Direction direction,
   return found.matches[static_cast<std::size_t>(end - found.ends.begin())];
 }
 
-std::optional<RelativeAlignment> AlignRelative(
-    const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
-    std::int64_t steps, NodeIndex history_size, const ShouldStop& should_stop,
-    AlignmentParts* parts) {
-  assert(1 <= steps && steps <= query + 1);
-  assert(history_size <= query);
+std::optional<RelativeAlignment> AlignRelative(const Query& query,
+                                               const History& history,
+                                               const RelativeModel& model,
+                                               const ShouldStop& should_stop,
+                                               AlignmentParts* parts) {
+  assert(1 <= query.steps && query.steps <= query.node + 1);
   if (model.similarity.state_space == StateSpace::kPlanar) {
-    return AlignRelativeIn<3>(graph, model, query, steps, history_size,
-                              should_stop, parts);
+    return AlignRelativeIn<3>(query, history, model, should_stop, parts);
   }
-  return AlignRelativeIn<4>(graph, model, query, steps, history_size,
-                            should_stop, parts);
+  return AlignRelativeIn<4>(query, history, model, should_stop, parts);
 }
 
 }  // namespace revisit::core

@@ -53,8 +53,10 @@
 #include <vector>
 
 #include "core/drive/pose_graph.h"
+#include "core/search/alignment/history.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/path_walk.h"
+#include "core/search/alignment/query.h"
 #include "core/search/alignment/relative_model.h"
 #include "core/search/alignment/scored_ends.h"
 #include "core/search/alignment/viterbi.h"
@@ -76,8 +78,8 @@ struct ShapeMatch {
   std::int64_t steps = 0;
 };
 
-// Keeps the parts that all alignments of one query share, so that the second
-// alignment need not find them anew. Starts empty.
+// Keeps the parts that all alignments of one query with one history share, so
+// that the second alignment need not find them anew. Starts empty.
 struct AlignmentParts {
   std::shared_ptr<const void> parts;
 };
@@ -113,9 +115,11 @@ class RelativeAlignment {
 
  private:
   template <int D>
-  friend std::optional<RelativeAlignment> AlignRelativeIn(
-      const PoseGraph&, const RelativeModel&, NodeIndex, std::int64_t,
-      NodeIndex, const ShouldStop&, AlignmentParts*);
+  friend std::optional<RelativeAlignment> AlignRelativeIn(const Query&,
+                                                          const History&,
+                                                          const RelativeModel&,
+                                                          const ShouldStop&,
+                                                          AlignmentParts*);
 
   // The ends that were found in one direction, with a match for each.
   struct Found {
@@ -129,18 +133,18 @@ class RelativeAlignment {
   NodeIndex considered_ = 0;
 };
 
-// Aligns the `steps` nodes that end at `query` with the history [0,
-// history_size). Time O(steps * history_size) at most, less where shapes differ
-// early, and less still where ends are pruned. Returns nothing if told to stop.
-// REQUIRES: 1 <= steps <= query + 1; history_size <= query; the recent path
-// lies in one segment, and may begin in the history; the graph outlives the
-// answer. `parts`, if not null, are empty or come from an alignment with the
-// same graph, indexes, query, steps and history, and a model with the same
+// Aligns the recent path of the query with the history. Time O(steps *
+// history's size) at most, less where shapes differ early, and less still where
+// ends are pruned. Returns nothing if told to stop. REQUIRES: the recent path
+// lies in one segment, and may begin in the history; the history's graph
+// outlives the answer. `parts`, if not null, are empty or come from an
+// alignment of the same query and history, and a model with the same
 // similarity, shape and spacings.
-std::optional<RelativeAlignment> AlignRelative(
-    const PoseGraph& graph, const RelativeModel& model, NodeIndex query,
-    std::int64_t steps, NodeIndex history_size, const ShouldStop& should_stop,
-    AlignmentParts* parts = nullptr);
+std::optional<RelativeAlignment> AlignRelative(const Query& query,
+                                               const History& history,
+                                               const RelativeModel& model,
+                                               const ShouldStop& should_stop,
+                                               AlignmentParts* parts = nullptr);
 
 }  // namespace revisit::core
 

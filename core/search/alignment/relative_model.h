@@ -7,8 +7,7 @@
 #include <optional>
 #include <vector>
 
-#include "core/drive/block_bounds.h"
-#include "core/drive/motion_history.h"
+#include "core/drive/node_range.h"
 #include "core/search/alignment/confirmed_loop.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/scored_ends.h"
@@ -69,8 +68,6 @@ struct RelativeModel {
   bool over_loops = true;
   // Whether ends tell their odds under each scale (RelativeAlignment).
   bool tell_scales = false;
-  // Ranges whose nodes may not be ends. May overlap.
-  std::vector<NodeRange> not_sought;
   // Ends are left out whose odds are below this share (given as its logarithm)
   // of the greatest odds, or of a new place's odds of 1 if these are more.
   // Above -infinity, the search skips such ends where it can rule them out
@@ -78,13 +75,9 @@ struct RelativeModel {
   // path that cannot make up for these.
   double least_log_share = kImpossible;
   // Ends whose log-odds are surely less than this are sampled (relative.h).
-  // kImpossible where each is looked at. kDeadReckoning only; takes the indexes
-  // below.
+  // kImpossible where each is looked at. kDeadReckoning only; takes the
+  // history's indexes.
   double most_log_odds_sampled = kImpossible;
-  // Indexes of the graph, or null. The first saves measuring the graph's motion
-  // anew, the second saves looking at every node.
-  const MotionHistory* motion_history = nullptr;
-  const BlockBounds* block_bounds = nullptr;
 };
 
 // The term that turns a log-similarity in Gaussian form into log-odds against a

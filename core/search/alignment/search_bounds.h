@@ -10,6 +10,8 @@
 
 #include "core/drive/block_bounds.h"
 #include "core/drive/pose_graph.h"
+#include "core/search/alignment/history.h"
+#include "core/search/alignment/query.h"
 #include "core/search/alignment/recent_path.h"
 #include "core/search/alignment/relative_model.h"
 #include "core/search/alignment/similarity_kernel.h"
@@ -31,11 +33,9 @@ enum class BoundOf { kEnd, kEndsAround };
 template <int D>
 class SearchBounds {
  public:
-  // The ends are sought in [0, history_size). The graph, the model and the
-  // recent path must outlive this.
-  SearchBounds(const PoseGraph& graph, const RelativeModel& model,
-               const RecentPath<D>& recent, NodeIndex query,
-               NodeIndex history_size);
+  // All must outlive this. The recent path is that of the query.
+  SearchBounds(const Query& query, const History& history,
+               const RelativeModel& model, const RecentPath<D>& recent);
 
   // The part of the log-odds that is the same for all ends.
   double constant() const { return constant_; }
@@ -65,7 +65,7 @@ class SearchBounds {
                  BlockColumn* most, BlockColumn* unshifted) const;
 
  private:
-  // Where ends of one scale may lie.
+  // Where ends of one scale may lie, in the history's frame.
   struct Region {
     BlockBounds::Region of_blocks;
     NodeRegion of_nodes;
@@ -85,14 +85,15 @@ class SearchBounds {
   void AddNear(const Regions& regions, std::vector<std::size_t>* blocks) const;
   std::optional<double> LeastLogDeterminant(
       const StateMatrix<D>& tolerance) const;
-  std::size_t FullBlocksBefore() const;
+  std::size_t BlocksBefore() const {
+    return history_.relation.BlocksBefore(query_, history_.size);
+  }
   void SortByDistance(std::vector<std::size_t>* blocks) const;
 
-  const PoseGraph& graph_;
+  const Query& query_;
+  const History& history_;
   const RelativeModel& model_;
   const RecentPath<D>& recent_;
-  const NodeIndex query_;
-  const NodeIndex size_;
   const double constant_;
   const std::size_t stride_;
   ChangeBound change_bound_;

@@ -1,6 +1,7 @@
 #include "core/search/candidates/mark_search.h"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <cstddef>
 #include <optional>
@@ -67,17 +68,19 @@ bool HaveSameMarks(const SearchOptions& a, const SearchOptions& b) {
 }
 
 absl::StatusOr<MarkEvidence> SearchMark(const SearchTask& task) {
+  assert(task.histories.size() == 1);
   RelativeModel model = ModelOf(task, kPrunedMarkShare);
   model.last_confirmed.reset();
   model.over_loops = false;
   model.scales = DriveBelief().AllScales();
   model.tell_scales = true;
+  const History& past = task.histories.front();
   const std::optional<RelativeAlignment> alignment =
-      AlignRelative(task.graph, model, task.query, task.steps,
-                    task.history_size, task.should_stop, task.parts);
+      AlignRelative(task.query, past, model, task.should_stop,
+                    task.parts == nullptr ? nullptr : &task.parts->front());
   if (!alignment) return StoppedError();
   MarkEvidence evidence;
-  evidence.node = task.query;
+  evidence.node = task.query.node;
   double best = kImpossible;
   Direction best_direction = Direction::kSame;
   OddsByScale all;
@@ -98,7 +101,7 @@ absl::StatusOr<MarkEvidence> SearchMark(const SearchTask& task) {
     const std::vector<double>& odds = alignment->odds_by_scale(best_direction);
     const EndsAround around =
         FindEndsAround(ends, *evidence.matched, [&](NodeIndex i) {
-          return task.graph.MetersApart(i, *evidence.matched) <=
+          return past.graph.MetersApart(i, *evidence.matched) <=
                  kMatchRadiusMeters;
         });
     for (std::size_t i = around.first; i < around.last; ++i) {

@@ -2,6 +2,12 @@
 
 namespace revisit::core {
 
+NodeIndex SearchTask::history_size() const {
+  NodeIndex size = 0;
+  for (const History& history : histories) size += history.size;
+  return size;
+}
+
 Correlation CorrelationOf(const SearchOptions& options) {
   return {options.correlation_model, options.fix_correlation_meters};
 }
