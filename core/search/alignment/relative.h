@@ -50,9 +50,11 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "core/drive/pose_graph.h"
+#include "core/search/alignment/found_ends.h"
 #include "core/search/alignment/history.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/path_walk.h"
@@ -63,21 +65,6 @@
 
 namespace revisit::core {
 
-// The best path back from one history node.
-struct ShapeMatch {
-  double log_likelihood_ratio = 0.0;
-  // Sum over its steps.
-  double squared_innovations = 0.0;
-  // (d + a)^T (Gamma + R - A)^-1 (d + a): for the end's difference as estimated
-  // from the whole path.
-  double squared_end_difference = 0.0;
-  // The scale, times SimilarityModel::inflation, that Gamma has there: that of
-  // the most probable part of the mixture.
-  double scale = 1.0;
-  // Steps of the recent path that it covers; 0 for the end alone.
-  std::int64_t steps = 0;
-};
-
 // Keeps the parts that all alignments of one query with one history share, so
 // that the second alignment need not find them anew. Starts empty.
 struct AlignmentParts {
@@ -86,6 +73,16 @@ struct AlignmentParts {
 
 class RelativeAlignment {
  public:
+  // Walks the best path back from an end once more.
+  using Trace = std::function<std::vector<PathStep>(Direction, NodeIndex)>;
+
+  // What was found, by IndexOf(direction).
+  RelativeAlignment(std::array<MatchedEnds, 2> found, NodeIndex considered,
+                    Trace trace)
+      : found_(std::move(found)),
+        considered_(considered),
+        trace_(std::move(trace)) {}
+
   // Ends with their log-odds, sorted by node, without those whose Gamma is
   // ill-conditioned and those for which another stands. Empty for a direction
   // that was not sought.
@@ -114,23 +111,9 @@ class RelativeAlignment {
   NodeIndex considered() const { return considered_; }
 
  private:
-  template <int D>
-  friend std::optional<RelativeAlignment> AlignRelativeIn(const Query&,
-                                                          const History&,
-                                                          const RelativeModel&,
-                                                          const ShouldStop&,
-                                                          AlignmentParts*);
-
-  // The ends that were found in one direction, with a match for each.
-  struct Found {
-    ScoredEnds ends;
-    std::vector<ShapeMatch> matches;
-    std::vector<double> odds_by_scale;
-  };
-
-  std::array<Found, 2> found_;
-  std::function<std::vector<PathStep>(Direction, NodeIndex)> trace_;
+  std::array<MatchedEnds, 2> found_;
   NodeIndex considered_ = 0;
+  Trace trace_;
 };
 
 // Aligns the recent path of the query with the history. Time O(steps *
