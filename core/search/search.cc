@@ -19,6 +19,25 @@ namespace {
 constexpr std::size_t kMostMarksKept =
     6 * static_cast<std::size_t>(kMostScaleMarks + kDriftMarks);
 
+// Fills in what a search finds that has something to compare.
+absl::Status FindCandidates(const SearchTask& task, CandidateSet* set) {
+  set->nodes_considered = task.history_size();
+  if (task.prior.belief) set->scale = task.prior.belief->Scale();
+  const absl::Status status =
+      task.options.alignment == AlignmentKind::kComposite
+          ? SearchComposite(task, set)
+          : SearchRelative(task, set);
+  if (!status.ok()) return status;
+  for (std::size_t i = 0; i < set->candidates.size(); ++i) {
+    set->candidates[i].rank = static_cast<int>(i) + 1;
+  }
+  if (set->candidates.empty()) {
+    set->empty_reason = set->nodes_pruned > 0 ? EmptyReason::kNoProbablePlace
+                                              : EmptyReason::kNoAlignment;
+  }
+  return absl::OkStatus();
+}
+
 }  // namespace
 
 absl::StatusOr<CandidateSet> Search::AtEnd(const SearchOptions& options,
@@ -39,15 +58,12 @@ absl::StatusOr<CandidateSet> Search::At(NodeIndex query,
   assert(FindProblems(options, drive_.settings()).empty());
   CandidateSet set;
   set.query = query;
-  const auto empty = [&set](EmptyReason reason) {
-    set.empty_reason = reason;
-    return set;
-  };
-
   const Extent extent = ExtentOfSearch(query, options);
   set.comparisons = extent.comparisons;
-  if (extent.empty) return empty(*extent.empty);
-
+  if (extent.empty) {
+    set.empty_reason = *extent.empty;
+    return set;
+  }
   absl::StatusOr<SearchPrior> prior = PriorAt(query, options, should_stop);
   if (!prior.ok()) return prior.status();
   std::vector<AlignmentParts> parts(1);
@@ -60,22 +76,10 @@ absl::StatusOr<CandidateSet> Search::At(NodeIndex query,
       *std::move(prior),
       should_stop,
       &parts};
-  set.nodes_considered = task.history_size();
-  const std::optional<DriveBelief>& belief = task.prior.belief;
-  if (belief) set.scale = belief->Scale();
-  const absl::Status status = options.alignment == AlignmentKind::kComposite
-                                  ? SearchComposite(task, &set)
-                                  : SearchRelative(task, &set);
+  const absl::Status status = FindCandidates(task, &set);
   if (!status.ok()) return status;
-  if (belief && AlignsAsMarks(options)) {
+  if (task.prior.belief && AlignsAsMarks(options)) {
     RememberIfMark(query, should_stop, &parts);
-  }
-  for (std::size_t i = 0; i < set.candidates.size(); ++i) {
-    set.candidates[i].rank = static_cast<int>(i) + 1;
-  }
-  if (set.candidates.empty()) {
-    return empty(set.nodes_pruned > 0 ? EmptyReason::kNoProbablePlace
-                                      : EmptyReason::kNoAlignment);
   }
   return set;
 }

@@ -21,12 +21,13 @@ namespace revisit::core {
 // Error of a bound due to rounding, nats.
 inline constexpr double kBoundSlack = 1e-6;
 
-// Where ends are sampled, one of so many is looked at: of more, where the
-// history has more than kEnoughSamples of them. A block has whole strides.
+// Where ends are sampled, one of a stride of nodes is looked at. A stride has
+// kLeastStride nodes, and twice as many again and again while a history would
+// have more than kEnoughSamples samples. A block has whole strides.
 inline constexpr std::size_t kLeastStride = 16;
 inline constexpr std::size_t kEnoughSamples = 16384;
 
-// Whose log-odds a bound is for: those of one end, or of all ends within half a
+// A bound is for the log-odds of one end, or for those of all ends within half a
 // stride of it, as far as errors there are about the same.
 enum class BoundOf { kEnd, kEndsAround };
 
@@ -48,10 +49,10 @@ class SearchBounds {
   // there the nearest come first, which are likely to have the greatest odds.
   // The greater these, the fewer other ends need be walked from.
   struct Blocks {
-    // Whose ends are to be looked at one by one.
+    // The blocks whose ends are to be looked at one by one.
     std::vector<std::size_t> all;
-    // Whose ends may be sampled: full blocks well before the query. None where
-    // the model does not sample ends.
+    // The blocks whose ends may be sampled: full ones well before the query.
+    // There are none where the model does not sample ends.
     std::vector<std::size_t> sampled;
   };
   Blocks BlocksToSearch() const;

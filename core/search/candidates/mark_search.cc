@@ -50,6 +50,37 @@ class OddsByScale {
   ByScale log_sums_;
 };
 
+// An end in one of the directions.
+struct DirectedEnd {
+  Direction direction = Direction::kSame;
+  NodeIndex node = 0;
+};
+
+// The most probable end, if any is possible; of equal ones, the first.
+std::optional<DirectedEnd> MostProbable(const RelativeAlignment& alignment,
+                                        SearchDirection sought) {
+  std::optional<DirectedEnd> most_probable;
+  double best = kImpossible;
+  for (const Direction direction : Directions(sought)) {
+    for (const ScoredEnd& end : alignment.ends(direction)) {
+      if (!(end.score > best)) continue;
+      best = end.score;
+      most_probable = {direction, end.node};
+    }
+  }
+  return most_probable;
+}
+
+// Adds the odds of the ends [first, last) of a direction.
+void AddOdds(const RelativeAlignment& alignment, Direction direction,
+             std::size_t first, std::size_t last, OddsByScale* sum) {
+  const ScoredEnds& ends = alignment.ends(direction);
+  const std::vector<double>& odds = alignment.odds_by_scale(direction);
+  for (std::size_t i = first; i < last; ++i) {
+    sum->Add(&odds[i * kScales], ends[i].nodes);
+  }
+}
+
 }  // namespace
 
 double MarkSpacing(const DriveSettings& settings) {
@@ -81,32 +112,18 @@ absl::StatusOr<MarkEvidence> SearchMark(const SearchTask& task) {
   if (!alignment) return StoppedError();
   MarkEvidence evidence;
   evidence.node = task.query.node;
-  double best = kImpossible;
-  Direction best_direction = Direction::kSame;
   OddsByScale all;
   for (const Direction direction : Directions(task.options.direction)) {
-    const ScoredEnds& ends = alignment->ends(direction);
-    const std::vector<double>& odds = alignment->odds_by_scale(direction);
-    for (std::size_t i = 0; i < ends.size(); ++i) {
-      all.Add(&odds[i * kScales], ends[i].nodes);
-      if (!(ends[i].score > best)) continue;
-      best = ends[i].score;
-      best_direction = direction;
-      evidence.matched = ends[i].node;
-    }
+    AddOdds(*alignment, direction, 0, alignment->ends(direction).size(), &all);
   }
   OddsByScale near;
-  if (evidence.matched) {
-    const ScoredEnds& ends = alignment->ends(best_direction);
-    const std::vector<double>& odds = alignment->odds_by_scale(best_direction);
-    const EndsAround around =
-        FindEndsAround(ends, *evidence.matched, [&](NodeIndex i) {
-          return past.graph.MetersApart(i, *evidence.matched) <=
-                 kMatchRadiusMeters;
+  if (const auto best = MostProbable(*alignment, task.options.direction)) {
+    evidence.matched = best->node;
+    const EndsAround around = FindEndsAround(
+        alignment->ends(best->direction), best->node, [&](NodeIndex i) {
+          return past.graph.MetersApart(i, best->node) <= kMatchRadiusMeters;
         });
-    for (std::size_t i = around.first; i < around.last; ++i) {
-      near.Add(&odds[i * kScales], ends[i].nodes);
-    }
+    AddOdds(*alignment, best->direction, around.first, around.last, &near);
   }
   for (std::size_t k = 0; k < kScales; ++k) {
     evidence.log_evidence[k] = LogAdd(0.0, all[k]);
