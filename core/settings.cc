@@ -55,8 +55,8 @@ std::vector<SettingProblem> FindProblems(const SearchOptions& options,
                                          const DriveSettings& vehicle) {
   std::vector<SettingProblem> problems;
   CheckSearch(options, vehicle.node_spacing_meters, &problems);
-  if (options.correlation_model == CorrelationModel::kFilter &&
-      vehicle.search.correlation_model != CorrelationModel::kFilter) {
+  if (NoiseOf(options.correlation_model).carries_transitions &&
+      !NoiseOf(vehicle.search.correlation_model).carries_transitions) {
     problems.push_back(
         {"correlation_model",
          "got FILTER; allowed only where the vehicle's own model "
@@ -67,7 +67,7 @@ std::vector<SettingProblem> FindProblems(const SearchOptions& options,
 
 bool MovesNodes(const DriveSettings& before, const DriveSettings& after) {
   const auto carries_transitions = [](const DriveSettings& settings) {
-    return settings.search.correlation_model == CorrelationModel::kFilter;
+    return NoiseOf(settings.search.correlation_model).carries_transitions;
   };
   return before.state_space != after.state_space ||
          before.node_spacing_meters != after.node_spacing_meters ||

@@ -9,9 +9,9 @@
 #include <string>
 #include <vector>
 
-#include "core/drive/correlation.h"
 #include "core/drive/retention.h"
 #include "core/geometry/pose.h"
+#include "core/noise/noise_model.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/shape_filter.h"
 
@@ -29,15 +29,15 @@ enum class SearchDirection { kSame, kOpposite, kEither };
 struct SearchOptions {
   AlignmentKind alignment = AlignmentKind::kRelative;
   CorrelationModel correlation_model = CorrelationModel::kDeadReckoning;
-  // Distance over which the errors of kCorrelatedFixes decorrelate.
+  // Distance over which errors decorrelate (Correlation::meters).
   double fix_correlation_meters = Correlation::kUsualMeters;
   // For kComposite only.
   LikelihoodForm likelihood_form = LikelihoodForm::kGaussian;
   SearchDirection direction = SearchDirection::kSame;
   // Travelled distance before the query that is no history; it is rounded to a
   // number of nodes. These nodes are aligned with the history, and with
-  // kRelative up to kOverlapSequences times as many unless errors are
-  // kIndependent.
+  // kRelative up to kOverlapSequences times as many where long overlaps tell
+  // more (NoiseModel).
   double sequence_length_meters = 150.0;
   // Probability with which the gate accepts a true revisit.
   double gate_probability = 0.95;
@@ -64,8 +64,8 @@ struct SearchOptions {
   // Least posterior probability of a stretch of road that is accepted.
   double acceptance_probability = 0.45;
   // Whether the search begins with what the drive has shown before
-  // (drive_belief.h). kDeadReckoning only, and where that is the vehicle's
-  // model too; others begin with the claims as they are.
+  // (drive_belief.h), where the noise model lets it and is the vehicle's own;
+  // others begin with the claims as they are.
   bool use_belief = true;
 };
 
@@ -89,9 +89,7 @@ struct DriveSettings {
 // A relative alignment takes what agrees of so many sequences back from the
 // query. The farther two paths run together, the surer it is that they are on
 // one road and where along it: the last corner may lie farther back than one
-// sequence. On the roads that were tried, more than two add nothing. Where
-// errors are independent of each other, the end's own fix tells the place, and
-// what lies far back only adds its noise.
+// sequence. On the roads that were tried, more than two add nothing.
 inline constexpr std::int64_t kOverlapSequences = 2;
 
 inline constexpr double kLeastSpacingMeters = 0.01;

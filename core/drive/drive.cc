@@ -25,7 +25,7 @@ ResamplerOptions MakeResamplerOptions(const DriveSettings& settings) {
   options.spacing_meters = settings.node_spacing_meters;
   options.max_step_meters = settings.max_step_meters;
   options.carry_transitions =
-      settings.search.correlation_model == CorrelationModel::kFilter;
+      NoiseOf(settings.search.correlation_model).carries_transitions;
   return options;
 }
 

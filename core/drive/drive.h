@@ -73,8 +73,7 @@ class Drive {
 
   // Goes on behind poses that were dropped: the next pose starts a segment, and
   // that is no jump. REQUIRES: the stretch begins at last_sequence() + 1 and
-  // has a transition where the model is kFilter; revision greater than
-  // revision().
+  // has a transition where nodes carry them; revision greater than revision().
   void Skip(const DroppedStretch& stretch, std::uint64_t revision);
 
   // The stretches that were skipped.
@@ -186,10 +185,10 @@ class Drive {
   std::optional<std::pair<NodeIndex, NodeIndex>> LoopEdge(
       std::uint64_t query_sequence, std::uint64_t matched_sequence) const;
   void ScheduleNextCheck();
-  // Searches under kFilter go through all nodes in any case, and their nodes
-  // take the most memory: they do without indexes.
+  // Where Gamma has no closed form, searches go through all nodes in any case,
+  // and nodes take the most memory: they do without indexes.
   bool has_indexes() const {
-    return settings_.search.correlation_model != CorrelationModel::kFilter;
+    return NoiseOf(settings_.search.correlation_model).has_closed_form();
   }
   // Begins a part or the rest, and reads its beginning.
   ByteWriter BeginState(std::uint64_t parts_before) const;

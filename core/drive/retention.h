@@ -28,10 +28,10 @@
 #include <optional>
 #include <vector>
 
-#include "core/drive/correlation.h"
 #include "core/drive/node_range.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
+#include "core/noise/noise_model.h"
 
 namespace revisit::core {
 

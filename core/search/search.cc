@@ -261,7 +261,7 @@ SearchTask Search::TaskOf(NodeIndex query, const Extent& extent,
 std::int64_t Search::AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,
                                   const SearchOptions& options) const {
   if (options.alignment == AlignmentKind::kComposite ||
-      options.correlation_model == CorrelationModel::kIndependent) {
+      !NoiseOf(options.correlation_model).long_overlaps_tell) {
     return sequence_nodes;
   }
   return std::min(kOverlapSequences * sequence_nodes,

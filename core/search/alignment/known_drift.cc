@@ -3,8 +3,8 @@
 #include <Eigen/Cholesky>
 #include <cassert>
 
-#include "core/drive/correlation.h"
 #include "core/geometry/heading.h"
+#include "core/noise/dead_reckoning.h"
 
 namespace revisit::core {
 
@@ -85,7 +85,7 @@ std::optional<KnownDrift<D>> KnownDrift<D>::Make(const PoseGraph& graph,
                                                  const SimilarityModel& model,
                                                  const ConfirmedLoop& loop,
                                                  NodeIndex query) {
-  assert(model.correlation.model == CorrelationModel::kDeadReckoning);
+  assert(model.correlation.noise().closures_show_drift);
   if (loop.measured) {
     if (auto known = Make(graph, model, Measured(loop), query)) return known;
   }

@@ -169,7 +169,7 @@ ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
   StateMatrix<D> noise = claimed * motion.drift;
   const StateMatrix<D> jitter = claimed * motion.jitter;
   AddStepNoise<D>(kLeastStepNoise, spacing_meters, &noise);
-  if (correlation.model == CorrelationModel::kDeadReckoning) {
+  if (correlation.noise().has_margin_per_step) {
     noise = AtMost<D>(kMostStepNoise, spacing_meters, noise);
   }
   StateMatrix<D> tolerance = StateMatrix<D>::Zero();

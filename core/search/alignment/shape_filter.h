@@ -48,12 +48,12 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/drive/correlation.h"
 #include "core/drive/motion_history.h"
 #include "core/drive/pose_graph.h"
 #include "core/drive/turn_pairs.h"
 #include "core/geometry/heading.h"
 #include "core/geometry/pose.h"
+#include "core/noise/noise_model.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/walk_kernel.h"
 
@@ -77,9 +77,9 @@ struct ShapeModel {
 // deviations of both passes together, per square root of a metre.
 inline constexpr PlaceTolerance kLeastStepNoise{0.02, 0.0005};
 
-// The most of it for kDeadReckoning, whose covariances have a margin for how
-// the drift of a whole drive adds up: step by step, odometers of road vehicles
-// are better than that.
+// The most of it where covariances have a margin for how the drift of a whole
+// drive adds up (NoiseModel::has_margin_per_step): step by step, odometers of
+// road vehicles are better than that.
 inline constexpr PlaceTolerance kMostStepNoise{0.053, 0.0013};
 
 // Cost of the place at which two roads join, nats: a prior of e^-1.5 for each

@@ -1,19 +1,19 @@
 #ifndef REVISIT_CORE_SEARCH_BELIEF_BEGINS_WITH_BELIEF_H_
 #define REVISIT_CORE_SEARCH_BELIEF_BEGINS_WITH_BELIEF_H_
 
-#include "core/drive/correlation.h"
+#include "core/noise/noise_model.h"
 #include "core/settings.h"
 
 namespace revisit::core {
 
 // Whether a search with these options, of a vehicle with these settings, begins
-// with a belief (drive_belief.h). Scale and drift are those of dead reckoning,
-// so marks can show them only where the vehicle's own model is that.
+// with a belief (drive_belief.h). Marks show scale and drift under the
+// vehicle's own noise model, so they say nothing about another.
 inline bool BeginsWithBelief(const SearchOptions& options,
                              const DriveSettings& vehicle) {
   return options.use_belief && options.alignment == AlignmentKind::kRelative &&
-         options.correlation_model == CorrelationModel::kDeadReckoning &&
-         vehicle.search.correlation_model == CorrelationModel::kDeadReckoning;
+         options.correlation_model == vehicle.search.correlation_model &&
+         NoiseOf(options.correlation_model).lets_belief_begin;
 }
 
 }  // namespace revisit::core

@@ -8,7 +8,7 @@
 #include <tuple>
 #include <vector>
 
-#include "core/drive/correlation.h"
+#include "core/drive/node_noise.h"
 #include "core/geometry/heading.h"
 #include "core/search/candidates/chi_squared.h"
 #include "core/search/candidates/gate.h"

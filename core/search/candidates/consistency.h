@@ -63,7 +63,8 @@ class ConsistencyMonitor {
  public:
   explicit ConsistencyMonitor(const ConsistencyOptions& options);
 
-  // Adds a confirmed pair. O(1), but O(nodes between the two) for kFilter.
+  // Adds a confirmed pair. O(1) where the noise model has a closed form, else
+  // O(nodes between the two).
   void Confirm(const PoseGraph& graph, const ConfirmedLoop& loop);
 
   // `rejected` is not filled in.

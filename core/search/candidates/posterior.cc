@@ -15,18 +15,6 @@ constexpr double kNegligible = 38.0;
 
 }  // namespace
 
-double StretchRadiusMeters(CorrelationModel model) {
-  switch (model) {
-    case CorrelationModel::kIndependent:
-    case CorrelationModel::kCorrelatedFixes:
-      return kPlaceRadiusMeters;
-    case CorrelationModel::kDeadReckoning:
-    case CorrelationModel::kFilter:
-      break;
-  }
-  return kStretchRadiusMeters;
-}
-
 Posterior::Posterior(const PoseGraph& graph, double stretch_radius_meters,
                      std::array<ScoredEnds, 2> log_odds)
     : graph_(graph),

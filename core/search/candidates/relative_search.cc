@@ -98,7 +98,7 @@ class RelativeSearch {
   // probability of a new place.
   double Claim(std::vector<RankedPlace>* places) const {
     Posterior posterior(
-        task_.graph, StretchRadiusMeters(model_.similarity.correlation.model),
+        task_.graph, StretchRadiusMeters(model_.similarity.correlation.noise()),
         {alignment_->ends(Direction::kSame),
          alignment_->ends(Direction::kOpposite)});
     for (RankedPlace& place : *places) {
@@ -211,7 +211,7 @@ RelativeModel ModelOf(const SearchTask& task, double pruned_share) {
   model.road_spacing_meters = options.road_spacing_meters;
   model.same_direction = options.direction != SearchDirection::kOpposite;
   model.opposite_direction = options.direction != SearchDirection::kSame;
-  if (model.similarity.correlation.model == CorrelationModel::kDeadReckoning) {
+  if (model.similarity.correlation.noise().closures_show_drift) {
     model.last_confirmed = task.last_confirmed;
   }
   if (task.belief) {
