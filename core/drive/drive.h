@@ -15,6 +15,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/status/status.h"
 #include "absl/strings/string_view.h"
 #include "core/drive/block_bounds.h"
 #include "core/drive/distance_resampler.h"
@@ -95,11 +96,12 @@ class Drive {
   // The options by which the graph's nodes are made.
   ResamplerOptions resampler_options() const;
 
-  // Replaces the settings of searches and checks, which do not move nodes.
-  // REQUIRES: FindProblems(settings) is empty; the state space, the node
-  // spacing, the maximal step, and whether the model is kFilter do not change;
-  // revision greater than revision().
-  void ChangeSettings(const DriveSettings& settings, std::uint64_t revision);
+  // Replaces the settings. INVALID_ARGUMENT if they have problems, and
+  // FAILED_PRECONDITION if they move nodes (MovesNodes()), which takes the
+  // poses again: then nothing changes. REQUIRES: revision greater than
+  // revision().
+  absl::Status ChangeSettings(const DriveSettings& settings,
+                              std::uint64_t revision);
 
   // Adds or removes an edge between the last nodes at or before two poses. Two
   // poses at one node have no edge, nor have two of which one was dropped; that
@@ -194,6 +196,7 @@ class Drive {
   ByteWriter BeginState(std::uint64_t parts_before) const;
   bool ReadBeginning(ByteReader* reader) const;
   MotionHistory MakeMotionHistory() const;
+  void RebuildMotionHistory();
   // Without loop ends.
   RetentionNeeds MakeRetentionNeeds() const;
   LeapWatch MakeLeapWatch() const;

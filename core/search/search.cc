@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "core/drive/node_range.h"
-#include "core/search/belief/begins_with_belief.h"
 #include "core/search/candidates/composite_search.h"
 #include "core/search/candidates/mark_search.h"
 #include "core/search/candidates/relative_search.h"

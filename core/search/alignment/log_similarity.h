@@ -17,32 +17,11 @@
 #include "core/drive/node_noise.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
+#include "core/noise/comparison.h"
 #include "core/noise/noise_model.h"
 #include "core/search/alignment/similarity_kernel.h"
 
 namespace revisit::core {
-
-enum class LikelihoodForm { kGaussian, kAsPrinted };
-
-// The direction in which the history was driven, against the recent path.
-enum class Direction { kSame, kOpposite };
-
-// Index of a direction in arrays of two.
-constexpr std::size_t IndexOf(Direction direction) {
-  return direction == Direction::kSame ? 0 : 1;
-}
-
-// How far apart two passes of one place may truly be: standard deviations,
-// whose squares are added to the diagonal of Gamma (R).
-struct PlaceTolerance {
-  double position_meters = 2.0;
-  double heading_radians = 0.1;
-
-  bool operator==(const PlaceTolerance& other) const {
-    return position_meters == other.position_meters &&
-           heading_radians == other.heading_radians;
-  }
-};
 
 // Adds R to gamma.
 template <int D>

@@ -145,13 +145,6 @@ double ShapeWeight(const ShapeModel& model, double spacing_meters) {
   return std::min(1.0, spacing_meters / model.correlation_meters);
 }
 
-NodeIndex StretchNodes(const ShapeModel& model, double spacing_meters,
-                       std::int64_t steps) {
-  return std::max<NodeIndex>(
-      1, std::min<NodeIndex>(steps - 1, std::llround(model.correlation_meters /
-                                                     spacing_meters)));
-}
-
 template <int D>
 ShapeFilter<D>::ShapeFilter(const PoseGraph& graph,
                             const MotionHistory* history, NodeIndex query,

@@ -56,21 +56,9 @@
 #include "core/noise/noise_model.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/walk_kernel.h"
+#include "core/settings.h"
 
 namespace revisit::core {
-
-struct ShapeModel {
-  // Standard deviations by which each node strays, beside the drift: position
-  // [0.01, 1000] m, heading [0.001, 3] rad.
-  PlaceTolerance tolerance{1.0, 0.06};
-  // Distance over which nodes stray together, [0.01, 1e6] m.
-  double correlation_meters = 20.0;
-
-  bool operator==(const ShapeModel& other) const {
-    return tolerance == other.tolerance &&
-           correlation_meters == other.correlation_meters;
-  }
-};
 
 // Least noise of odometry, whatever the covariances claim: the covariances of
 // an optimiser, or constant ones, say nothing about a single step. Standard
@@ -87,12 +75,6 @@ inline constexpr PlaceTolerance kMostStepNoise{0.053, 0.0013};
 // other roads is above 20, where that of an honest ratio is 1
 // (tests/evaluation/RESULTS.md).
 inline constexpr double kJoinCost = 1.5;
-
-// Steps of the stretches whose turns are compared: they are as long as the
-// correlation distance, but no longer than a path of `steps` nodes, so that
-// like is compared with like.
-NodeIndex StretchNodes(const ShapeModel& model, double spacing_meters,
-                       std::int64_t steps);
 
 // The weight w, at most 1.
 double ShapeWeight(const ShapeModel& model, double spacing_meters);

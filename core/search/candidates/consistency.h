@@ -56,7 +56,6 @@ struct ConsistencyOptions {
   bool applied = false;
   double max_inflation = 10.0;
 };
-bool operator==(const ConsistencyOptions& a, const ConsistencyOptions& b);
 
 // Estimates f from one confirmed pair after the other.
 class ConsistencyMonitor {

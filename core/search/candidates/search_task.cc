@@ -2,10 +2,6 @@
 
 namespace revisit::core {
 
-Correlation CorrelationOf(const SearchOptions& options) {
-  return {options.correlation_model, options.fix_correlation_meters};
-}
-
 SimilarityModel ClaimedModel(StateSpace space, const SearchOptions& options) {
   SimilarityModel model;
   model.state_space = space;
