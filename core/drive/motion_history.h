@@ -21,12 +21,12 @@
 #include <vector>
 
 #include "core/base/byte_stream.h"
-#include "core/drive/correlation.h"
 #include "core/drive/heading_bins.h"
 #include "core/drive/motion_statistics.h"
 #include "core/drive/pose_graph.h"
 #include "core/drive/turn_pairs.h"
 #include "core/geometry/pose.h"
+#include "core/noise/noise_model.h"
 
 namespace revisit::core {
 

@@ -25,12 +25,11 @@
 #include <vector>
 
 #include "core/base/byte_stream.h"
+#include "core/drive/node_index.h"
 #include "core/drive/packed_columns.h"
 #include "core/geometry/pose.h"
 
 namespace revisit::core {
-
-using NodeIndex = std::int64_t;
 
 struct Node {
   // The last pose at or before the node, and the fraction in [0, 1) of the way

@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "core/drive/node_range.h"
-#include "core/search/belief/begins_with_belief.h"
 #include "core/search/candidates/composite_search.h"
 #include "core/search/candidates/mark_search.h"
 #include "core/search/candidates/relative_search.h"
@@ -282,7 +281,7 @@ absl::StatusOr<SearchPrior> Search::PriorAt(NodeIndex query,
 std::int64_t Search::AlignedNodes(NodeIndex query, std::int64_t sequence_nodes,
                                   const SearchOptions& options) const {
   if (options.alignment == AlignmentKind::kComposite ||
-      options.correlation_model == CorrelationModel::kIndependent) {
+      !NoiseOf(options.correlation_model).long_overlaps_tell) {
     return sequence_nodes;
   }
   return std::min(kOverlapSequences * sequence_nodes,

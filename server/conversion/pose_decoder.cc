@@ -188,8 +188,8 @@ void PoseDecoder::DecodeTransition(const v1::Pose& pose, const FieldPath& path,
                                    core::PoseSample* sample) {
   const int given = pose.error_transition_size();
   const FieldPath field = path.Field("error_transition");
-  if (config_.drive.search.correlation_model !=
-      core::CorrelationModel::kFilter) {
+  if (!core::NoiseOf(config_.drive.search.correlation_model)
+           .carries_transitions) {
     if (given != 0) {
       Refuse(field,
              absl::StrCat(

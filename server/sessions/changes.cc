@@ -12,6 +12,12 @@ namespace {
 constexpr core::NodeIndex kManyNodes = 20'000;
 constexpr std::size_t kManyClosures = 500;
 
+// Whether other nodes are to be kept, so that all have to be looked at again.
+bool KeepsOthers(const core::DriveSettings& before,
+                 const core::DriveSettings& after) {
+  return (core::RemadeBetween(before, after) & core::kRemadeKept) != 0;
+}
+
 }  // namespace
 
 using absl::StatusCode;
@@ -60,17 +66,21 @@ Changes::StorageWrite Changes::WriteOf(const VehicleConfig& config) const {
   };
 }
 
+absl::Status Changes::Adopt(const VehicleConfig& config,
+                            std::uint64_t revision) {
+  const bool keeps_others = KeepsOthers(vehicle_->config.drive, config.drive);
+  const absl::Status changed =
+      vehicle_->drive->ChangeSettings(config.drive, revision);
+  if (!changed.ok()) return changed;
+  vehicle_->Adopt(config, revision);
+  if (keeps_others) vehicle_->look_at_nodes = 0;
+  return absl::OkStatus();
+}
+
 void Changes::ChangeConfig(const VehicleConfig& config, Then then) {
   const auto change = [this, config, next = vehicle_->revision + 1,
                        then = std::move(then)](const absl::Status& status) {
-    if (status.ok()) {
-      const bool keeps_others =
-          !(config.drive.retention == vehicle_->config.drive.retention);
-      vehicle_->drive->ChangeSettings(config.drive, next);
-      vehicle_->Adopt(config, next);
-      if (keeps_others) vehicle_->look_at_nodes = 0;
-    }
-    then(status);
+    then(status.ok() ? Adopt(config, next) : status);
   };
   if (vehicle_->drive->graph().size() < kManyNodes &&
       vehicle_->loop_closures.size() < kManyClosures) {
@@ -190,12 +200,8 @@ void Changes::DropDamaged(const VehicleConfig& config, Then then) {
             vehicle_->codec->EncodeVehicle(config), next, std::move(done));
       },
       [this, config, next, then = std::move(then)](const absl::Status& status) {
-        if (status.ok()) {
-          vehicle_->damage = absl::OkStatus();
-          vehicle_->drive->ChangeSettings(config.drive, next);
-          vehicle_->Adopt(config, next);
-        }
-        then(status);
+        if (status.ok()) vehicle_->damage = absl::OkStatus();
+        then(status.ok() ? Adopt(config, next) : status);
       });
 }
 
@@ -214,8 +220,7 @@ void Changes::Update(const ConfigChange& change, const ViewCallback& callback) {
     ChangeConfig(*config, answer);
     return;
   }
-  const bool keeps_others =
-      !(config->drive.retention == vehicle_->config.drive.retention);
+  const bool keeps_others = KeepsOthers(vehicle_->config.drive, config->drive);
   Write(WriteOf(*config), [this, config = *config,
                            next = vehicle_->revision + 1, keeps_others,
                            answer](const absl::Status& status) {

@@ -35,12 +35,13 @@ class Anchors {
 
   // Compares the query with the first `count` nodes of block k; what else is
   // told concerns these. `next` is the block that will be asked for after it.
-  // REQUIRES: for kFilter, k falls from call to call.
+  // REQUIRES: where the noise model has no closed form, k falls from call to
+  // call.
   void Find(std::size_t k, std::size_t count, std::size_t next);
 
   // The same for nodes from anywhere, copied to a block of their own: those of
   // blocks that the same drifts reach into as into the one that begins at node
-  // `first`. REQUIRES: kDeadReckoning.
+  // `first`. REQUIRES: NoiseModel::neighbours_err_alike.
   void FindAmong(const NodeBlock& nodes, const BlockColumn& indices,
                  std::size_t count, NodeIndex first);
 

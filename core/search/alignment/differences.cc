@@ -4,7 +4,7 @@
 #include <cassert>
 #include <numeric>
 
-#include "core/drive/correlation.h"
+#include "core/drive/node_noise.h"
 
 namespace revisit::core {
 
@@ -12,11 +12,12 @@ template <int D>
 Differences<D>::Differences(const Query& query, const History& history,
                             const SimilarityModel& model,
                             const std::optional<ConfirmedLoop>& last_confirmed)
-    : query_(query), history_(history), model_(model), next_(query.node) {
-  if (model_.correlation.model == CorrelationModel::kFilter) {
-    psi_ = StateMatrix<D>::Identity();
-    return;
-  }
+    : query_(query),
+      history_(history),
+      model_(model),
+      has_closed_form_(model.correlation.noise().has_closed_form()),
+      next_(query.node) {
+  if (!has_closed_form_) return;
   kernel_query_ = MakeKernelQuery(query.graph, model_, query.node);
   if (last_confirmed) {
     if (const auto known =
@@ -30,7 +31,7 @@ template <int D>
 void Differences<D>::Find(std::size_t k, std::size_t count, std::size_t next,
                           DifferenceBlock* differences) {
   differences->count = NodeBlock::kSize;
-  if (model_.correlation.model == CorrelationModel::kFilter) {
+  if (!has_closed_form_) {
     FindFiltered(k, count, differences);
   } else {
     alignas(64) BlockShares shares;
@@ -57,7 +58,7 @@ void Differences<D>::FindAmong(const NodeBlock& nodes,
                                const BlockColumn& indices, std::size_t count,
                                DifferenceBlock* differences) {
   differences->count = count;
-  assert(model_.correlation.model == CorrelationModel::kDeadReckoning);
+  assert(model_.correlation.noise().neighbours_err_alike);
   FindDifferences(kernel_query_, nodes, nodes, nullptr, differences);
   if (known_drift_) {
     TakeKnownDrift(*known_drift_, model_.state_space, nodes, indices,
@@ -78,7 +79,7 @@ void Differences<D>::FindFiltered(std::size_t k, std::size_t count,
     const Node node = history_.graph.node(j);
     const StateMatrix<D> covariance = ToleratedCovariance<D>(
         model_, DifferenceCovariance<D>(ToMatrix<D>(node.covariance),
-                                        query_covariance, psi_));
+                                        query_covariance, back_.psi()));
     const StateVector<D> difference = ToVector<D>(
         history_.relation.Difference(model_, query_pose, node.pose));
     std::size_t entry = 0;
@@ -91,16 +92,11 @@ void Differences<D>::FindFiltered(std::size_t k, std::size_t count,
   }
 }
 
-// Makes psi_ Psi(query, j): one product of transitions runs backward from the
-// query past every node.
+// One product of transitions runs backward from the query past every node.
 template <int D>
 void Differences<D>::CarryBackTo(NodeIndex j) {
-  for (; next_ > j && !decorrelated_; --next_) {
-    psi_ *= ToMatrix<D>(history_.relation.TransitionTowards(query_, next_));
-    if (psi_.template lpNorm<Eigen::Infinity>() < kDecorrelatedNorm) {
-      psi_.setZero();
-      decorrelated_ = true;
-    }
+  for (; next_ > j && !back_.decorrelated(); --next_) {
+    back_.GoBack(history_.relation.TransitionTowards(query_, next_));
   }
 }
 

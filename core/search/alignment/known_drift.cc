@@ -3,8 +3,8 @@
 #include <Eigen/Cholesky>
 #include <cassert>
 
-#include "core/drive/correlation.h"
 #include "core/geometry/heading.h"
+#include "core/noise/dead_reckoning.h"
 
 namespace revisit::core {
 
@@ -84,7 +84,7 @@ template <int D>
 std::optional<KnownDrift<D>> KnownDrift<D>::Make(const Query& query,
                                                  const SimilarityModel& model,
                                                  const ConfirmedLoop& loop) {
-  assert(model.correlation.model == CorrelationModel::kDeadReckoning);
+  assert(model.correlation.noise().closures_show_drift);
   if (loop.measured) {
     if (auto known = Make(query, model, Measured(loop))) return known;
   }

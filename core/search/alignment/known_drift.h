@@ -49,8 +49,9 @@ class KnownDrift {
   // is not positive definite, and the formulas above do not hold. Where that is
   // so for the covariance of a measurement only, the closure counts as if
   // nothing had been measured.
-  // REQUIRES: kDeadReckoning, where S is O(1). The errors of other models have
-  // (nearly) decorrelated from the closure's by the time it could be used.
+  // REQUIRES: NoiseModel::closures_show_drift: S is that of dead reckoning, in
+  // O(1). The errors of other models have (nearly) decorrelated from the
+  // closure's by the time it could be used.
   static std::optional<KnownDrift> Make(const Query& query,
                                         const SimilarityModel& model,
                                         const ConfirmedLoop& loop);

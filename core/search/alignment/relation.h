@@ -11,7 +11,7 @@
 // There is one relation, that of a drive to its own past:
 // - T is the identity.
 // - Errors are those of one chain, so Gamma has the cross-covariance of q and j
-//   that the noise model says (correlation.h). The similarity kernel finds it
+//   that the noise model says (node_noise.h). The similarity kernel finds it
 //   for whole blocks.
 // - Node j of the history is node j of the asking drive, now or as it was, and
 //   lies before q: distances along the path and cross-covariances are those of
@@ -26,7 +26,7 @@
 #include <cstddef>
 
 #include "core/drive/block_bounds.h"
-#include "core/drive/correlation.h"
+#include "core/drive/node_noise.h"
 #include "core/drive/pose_graph.h"
 #include "core/geometry/pose.h"
 #include "core/search/alignment/log_similarity.h"
@@ -41,7 +41,8 @@ class Relation {
   Pose Difference(const SimilarityModel& model, const Pose& query,
                   const Pose& matched) const;
 
-  // Gamma_qj, as claimed. O(1), but O(q - j) for kFilter.
+  // Gamma_qj, as claimed. O(1) where the noise model has a closed form, else
+  // O(q - j).
   template <int D>
   StateMatrix<D> CovarianceOf(const Query& query,
                               const Correlation& correlation,

@@ -52,8 +52,8 @@ struct RelativeModel {
   SimilarityModel similarity;
   // The anchor is a mixture: of these scales, none being 1 alone, and of the
   // drift as claimed, with the weight that these drifts leave, and as each of
-  // them shows it. kDeadReckoning only. Weights of scales sum to 1, those of
-  // drifts to less than 1.
+  // them shows it; none unless NoiseModel::lets_belief_begin. Weights of scales
+  // sum to 1, those of drifts to less than 1.
   std::vector<WeighedScale> scales;
   std::vector<WeighedDrift> drifts;
   ShapeModel shape;
@@ -61,7 +61,8 @@ struct RelativeModel {
   double road_spacing_meters = 200.0;
   bool same_direction = true;
   bool opposite_direction = false;
-  // The loop closure that has shown the drift. kDeadReckoning only; both nodes
+  // The loop closure that has shown the drift; none unless
+  // NoiseModel::closures_show_drift. Both nodes
   // at or before the query.
   std::optional<ConfirmedLoop> last_confirmed;
   // Whether paths are walked over confirmed loop closures.
@@ -75,8 +76,8 @@ struct RelativeModel {
   // path that cannot make up for these.
   double least_log_share = kImpossible;
   // Ends whose log-odds are surely less than this are sampled (relative.h).
-  // kImpossible where each is looked at. kDeadReckoning only; takes the
-  // history's indexes.
+  // kImpossible where each is looked at, as where neighbours do not err alike
+  // (NoiseModel). Takes the history's indexes.
   double most_log_odds_sampled = kImpossible;
 };
 

@@ -118,8 +118,7 @@ auto SearchBounds<D>::BlocksToSearch() const -> Blocks {
 template <int D>
 bool SearchBounds<D>::SamplesEnds() const {
   return model_.most_log_odds_sampled != kImpossible &&
-         model_.similarity.correlation.model ==
-             CorrelationModel::kDeadReckoning;
+         model_.similarity.correlation.noise().neighbours_err_alike;
 }
 
 // Adds the blocks that lie near under any scale, and those that a drift reaches
@@ -176,16 +175,14 @@ void SearchBounds<D>::SortByDistance(std::vector<std::size_t>* blocks) const {
 template <int D>
 auto SearchBounds<D>::FindRegions() const -> std::optional<Regions> {
   const SimilarityModel& similarity = model_.similarity;
-  const bool dead_reckoning =
-      similarity.correlation.model == CorrelationModel::kDeadReckoning;
+  const DifferenceForm form = similarity.correlation.noise().form;
   const BlockBounds* const block_bounds = history_.block_bounds;
   if (model_.least_log_share == kImpossible || block_bounds == nullptr) {
     return std::nullopt;
   }
-  // A loop closure's drift moves the ends elsewhere, and the errors of filters
-  // may be correlated in any way.
-  if (similarity.correlation.model == CorrelationModel::kFilter ||
-      (dead_reckoning && model_.last_confirmed)) {
+  // A loop closure's drift moves the ends elsewhere, and without a closed form
+  // errors may be correlated in any way.
+  if (form == DifferenceForm::kOfPath || model_.last_confirmed) {
     return std::nullopt;
   }
   StateMatrix<D> tolerance = StateMatrix<D>::Zero();
@@ -194,7 +191,7 @@ auto SearchBounds<D>::FindRegions() const -> std::optional<Regions> {
   if (!log_determinant) return std::nullopt;
   Regions regions;
   regions.last = std::min(block_bounds->size(), BlocksBefore());
-  if (dead_reckoning) {
+  if (form == DifferenceForm::kGrown) {
     regions.first =
         history_.relation.FirstGrowing(query_, *block_bounds, regions.last);
   }
@@ -231,8 +228,8 @@ auto SearchBounds<D>::RegionOf(const WeighedScale& scale,
                                double position_variance,
                                double log_determinant) const -> Region {
   const SimilarityModel& similarity = model_.similarity;
-  const bool dead_reckoning =
-      similarity.correlation.model == CorrelationModel::kDeadReckoning;
+  const bool is_taken =
+      similarity.correlation.noise().form == DifferenceForm::kGrown;
   const double inflation = similarity.inflation * scale.scale;
   const double claimed = inflation * inflation;
   const Covariance covariance = query_.graph.covariance(query_.node);
@@ -260,7 +257,7 @@ auto SearchBounds<D>::RegionOf(const WeighedScale& scale,
              std::log(static_cast<double>(
                  std::max<std::size_t>(1, model_.scales.size()))) -
              model_.least_log_share);
-  (dead_reckoning ? of_blocks.least_taken : of_blocks.most_added) = claimed;
+  (is_taken ? of_blocks.least_taken : of_blocks.most_added) = claimed;
   NodeRegion& of_nodes = region.of_nodes;
   of_nodes.x = query.x;
   of_nodes.y = query.y;
@@ -269,7 +266,7 @@ auto SearchBounds<D>::RegionOf(const WeighedScale& scale,
   of_nodes.xx = claimed * covariance(0, 0);
   of_nodes.xy = claimed * covariance(0, 1);
   of_nodes.yy = claimed * covariance(1, 1);
-  of_nodes.node_scale = dead_reckoning ? -claimed : claimed;
+  of_nodes.node_scale = is_taken ? -claimed : claimed;
   return region;
 }
 

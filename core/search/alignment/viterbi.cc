@@ -19,7 +19,7 @@ constexpr std::size_t kBlock = NodeBlock::kSize;
 template <typename Visit>
 void VisitEmissions(const PoseGraph& graph, const SimilarityModel& model,
                     NodeIndex query, NodeIndex size, const Visit& visit) {
-  if (model.correlation.model != CorrelationModel::kFilter) {
+  if (model.correlation.noise().has_closed_form()) {
     VisitBlockSimilarities(graph, model, query, size,
                            [&](NodeIndex first, const BlockSimilarity& part) {
                              visit(first, part.log_similarity.data());

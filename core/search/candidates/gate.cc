@@ -3,6 +3,7 @@
 #include <cassert>
 #include <optional>
 
+#include "core/drive/node_noise.h"
 #include "core/search/candidates/chi_squared.h"
 
 namespace revisit::core {

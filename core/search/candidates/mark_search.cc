@@ -5,7 +5,6 @@
 #include <cmath>
 #include <cstddef>
 #include <optional>
-#include <tuple>
 #include <vector>
 
 #include "core/search/alignment/relative.h"
@@ -16,22 +15,9 @@
 namespace revisit::core {
 namespace {
 
-// Marks lie so close that a place found at one still tells the drift at the
-// next.
-constexpr double kMarksPerSequence = 3.0;
-
 // Ends that have at most this share of all odds together are pruned: evidence
 // that counts for a tenth of an observation needs no more (kPrunedShare).
 constexpr double kPrunedMarkShare = 1e-3;
-
-// The options that marks depend on, where the nodes are the same.
-template <typename Options>
-auto FieldsOfMarks(Options& options) {
-  return std::tie(options.alignment, options.correlation_model,
-                  options.direction, options.sequence_length_meters,
-                  options.place_tolerance, options.candidate_separation_meters,
-                  options.shape, options.road_spacing_meters);
-}
 
 // The odds of ends, summed for each scale.
 class OddsByScale {
@@ -82,21 +68,6 @@ void AddOdds(const RelativeAlignment& alignment, Direction direction,
 }
 
 }  // namespace
-
-double MarkSpacing(const DriveSettings& settings) {
-  return std::max(settings.node_spacing_meters,
-                  settings.search.sequence_length_meters / kMarksPerSequence);
-}
-
-SearchOptions MarkOptions(const SearchOptions& own) {
-  SearchOptions options;
-  FieldsOfMarks(options) = FieldsOfMarks(own);
-  return options;
-}
-
-bool HaveSameMarks(const SearchOptions& a, const SearchOptions& b) {
-  return FieldsOfMarks(a) == FieldsOfMarks(b);
-}
 
 absl::StatusOr<MarkEvidence> SearchMark(const SearchTask& task) {
   assert(task.histories.size() == 1);

@@ -15,18 +15,6 @@ constexpr double kNegligible = 38.0;
 
 }  // namespace
 
-double StretchRadiusMeters(CorrelationModel model) {
-  switch (model) {
-    case CorrelationModel::kIndependent:
-    case CorrelationModel::kCorrelatedFixes:
-      return kPlaceRadiusMeters;
-    case CorrelationModel::kDeadReckoning:
-    case CorrelationModel::kFilter:
-      break;
-  }
-  return kStretchRadiusMeters;
-}
-
 Posterior::Posterior(std::vector<LogOdds> histories,
                      double stretch_radius_meters)
     : histories_(std::move(histories)), radius_(stretch_radius_meters) {

@@ -7,8 +7,8 @@
 #include <cstddef>
 #include <vector>
 
-#include "core/drive/correlation.h"
 #include "core/drive/pose_graph.h"
+#include "core/noise/noise_model.h"
 #include "core/search/alignment/log_similarity.h"
 #include "core/search/alignment/scored_ends.h"
 
@@ -21,10 +21,12 @@ inline constexpr double kPlaceRadiusMeters = 10.0;
 // Nodes this close to a place along the path are on its stretch of road, where
 // errors are carried on. How probable the stretch is says whether the vehicle
 // is on this road; where it is on it may be less sure, where the road is
-// straight and drift is wide. A fix tells the place by itself: there the
+// straight and drift is wide. Where each pose tells its place by itself, the
 // stretch is the place.
 inline constexpr double kStretchRadiusMeters = 40.0;
-double StretchRadiusMeters(CorrelationModel model);
+inline double StretchRadiusMeters(const NoiseModel& noise) {
+  return noise.fixes_place ? kPlaceRadiusMeters : kStretchRadiusMeters;
+}
 
 // Share of the probability of a stretch that lies within its interval.
 inline constexpr double kIntervalShare = 0.9;

@@ -129,7 +129,7 @@ class RelativeSearch {
     }
     Posterior posterior(
         std::move(log_odds),
-        StretchRadiusMeters(model_.similarity.correlation.model));
+        StretchRadiusMeters(model_.similarity.correlation.noise()));
     for (RankedPlace& place : *places) {
       const Posterior::Stretch stretch =
           posterior.Claim(place.history, place.direction, place.end.matched);
@@ -239,7 +239,7 @@ RelativeModel ModelOf(const SearchTask& task, double pruned_share) {
   model.road_spacing_meters = options.road_spacing_meters;
   model.same_direction = options.direction != SearchDirection::kOpposite;
   model.opposite_direction = options.direction != SearchDirection::kSame;
-  if (model.similarity.correlation.model == CorrelationModel::kDeadReckoning) {
+  if (model.similarity.correlation.noise().closures_show_drift) {
     model.last_confirmed = task.prior.last_confirmed;
   }
   if (task.prior.belief) {

@@ -8,10 +8,6 @@ NodeIndex SearchTask::history_size() const {
   return size;
 }
 
-Correlation CorrelationOf(const SearchOptions& options) {
-  return {options.correlation_model, options.fix_correlation_meters};
-}
-
 SimilarityModel ClaimedModel(StateSpace space, const SearchOptions& options) {
   SimilarityModel model;
   model.state_space = space;

@@ -45,9 +45,6 @@ struct SearchTask {
   std::vector<AlignmentParts>* parts = nullptr;
 };
 
-// The correlation that the options ask for.
-Correlation CorrelationOf(const SearchOptions& options);
-
 // The model that the options ask for, with the claimed covariances: not
 // inflated.
 SimilarityModel ClaimedModel(StateSpace space, const SearchOptions& options);

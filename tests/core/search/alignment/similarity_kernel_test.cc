@@ -7,7 +7,7 @@
 #include <cmath>
 #include <vector>
 
-#include "core/drive/correlation.h"
+#include "core/drive/node_noise.h"
 #include "core/geometry/heading.h"
 #include "core/search/alignment/known_drift.h"
 #include "core/search/alignment/log_similarity.h"

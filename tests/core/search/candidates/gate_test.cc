@@ -5,6 +5,7 @@
 #include <cmath>
 #include <vector>
 
+#include "core/drive/node_noise.h"
 #include "core/geometry/heading.h"
 #include "tests/core/graphs.h"
 #include "tests/oracle/dead_reckoning.h"
